@@ -1,0 +1,1 @@
+"""From messages to forecasts: no I/O, no clock, no threads."""

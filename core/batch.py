@@ -1,0 +1,82 @@
+"""A batch of samples as columns, and the lanes that say whose row each is."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+NO_RIDE = -1
+"""Ride code of a sample whose logger says that no ride is in progress."""
+RIDE_UNKNOWN = -2
+"""Ride code of a sample whose logger does not speak of rides."""
+
+
+class Batch(NamedTuple):
+    """Telemetry as equally long columns, sorted by arrival, in SI; NaN where unknown.
+
+    One live sample is a batch of one. See `core.columns.TELEMETRY` for units and ranges.
+
+    Parameters
+    ----------
+    lane : (n,) int64. Whose row it is: an index into `Lanes`.
+    ride : (n,) int64. Code of the ride's name, `NO_RIDE` or `RIDE_UNKNOWN`.
+    stamp, ..., charging : (n,) float64.
+    """
+
+    lane: Ints
+    ride: Ints
+    stamp: Floats
+    seq: Floats
+    latitude: Floats
+    longitude: Floats
+    elevation: Floats
+    speed: Floats
+    odometer: Floats
+    soc: Floats
+    voltage: Floats
+    current: Floats
+    battery_temperature: Floats
+    ambient: Floats
+    hvac: Floats
+    occupants: Floats
+    charging: Floats
+
+    @property
+    def size(self) -> int:
+        """Number of rows."""
+        return len(self.lane)
+
+    def rows(self, start: int, stop: int) -> "Batch":
+        """Return a view of the rows from `start` up to, not including, `stop`."""
+        return Batch(*(column[start:stop] for column in self))  # type: ignore[arg-type]
+
+
+class Lanes:
+    """The vehicles seen so far, each with a small integer that indexes every state array."""
+
+    def __init__(self, names: list[str] | None = None) -> None:
+        self.names: list[str] = list(names or ())
+        self._of = {name: lane for lane, name in enumerate(self.names)}
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def lane(self, name: str) -> int:
+        """Return the lane of a vehicle, opening one for a vehicle not seen before."""
+        lane = self._of.get(name)
+        if lane is None:
+            lane = self._of[name] = len(self.names)
+            self.names.append(name)
+        return lane
+
+
+def grown(array: NDArray[Any], rows: int, fill: Any = 0) -> NDArray[Any]:
+    """Return `array` itself if it has `rows` rows, else a copy with at least that many, doubled and filled."""
+    if len(array) >= rows:
+        return array
+    larger = np.full((max(rows, 2 * len(array)), *array.shape[1:]), fill, dtype=array.dtype)
+    larger[: len(array)] = array
+    return larger

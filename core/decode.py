@@ -1,0 +1,204 @@
+"""Payloads to columns: the only place where units change on the way in.
+
+Inside core everything is SI: metres, seconds, kelvin, radians, fractions of one.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
+
+import msgspec
+import numpy as np
+
+from core.batch import NO_RIDE, RIDE_UNKNOWN, Batch, Floats, Lanes
+from core.codec import KINDS, Message, Telemetry, Weather, Wire, address
+from core.columns import KMH, ZERO_CELSIUS
+
+
+class Event(NamedTuple):
+    """Anything that is not telemetry, and how many telemetry rows had come before it."""
+
+    row: int
+    lane: int
+    value: Wire
+
+
+class RideNames(dict[Any, float]):
+    """Ride name -> code, opening a code for a name not seen before, and back."""
+
+    def __init__(self) -> None:
+        super().__init__({None: NO_RIDE, msgspec.UNSET: RIDE_UNKNOWN})
+        self.name_of: dict[float, str | None] = {NO_RIDE: None}
+        self.opened = 0
+
+    def __missing__(self, name: str) -> float:
+        code = self[name] = float(self.opened)
+        self.name_of[code] = name
+        self.opened += 1
+        return code
+
+    def keep(self, codes: set[float]) -> None:
+        """Forget all names but those of some codes."""
+        names = {code: name for code, name in self.name_of.items() if code in codes}
+        self.clear()
+        self.update({None: NO_RIDE, msgspec.UNSET: RIDE_UNKNOWN})
+        self.update({name: code for code, name in names.items()})
+        self.name_of = {NO_RIDE: None, **names}
+
+
+_NUMERIC: Final = Telemetry.__struct_fields__[3:]
+_BLOCK: Final = 512
+_LOST = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
+
+
+def _column(values: tuple[Any, ...]) -> Any:
+    """Return the fastest thing numpy makes floats of, None becoming NaN."""
+    missing = values.count(None)
+    if missing == 0:
+        return np.fromiter(values, np.float64, len(values))
+    return np.nan if missing == len(values) else np.array(values, np.float64)
+
+
+class Decoder:
+    """Messages in, columns and events out; what cannot be decoded is counted by cause and never raises.
+
+    Causes: `unknown_key`, `not_json`, `wrong_type` (a field of the wrong type or a missing one), `key_mismatch` (the
+    payload names another vehicle or station than its key).
+
+    Parameters
+    ----------
+    lanes : Lanes. Gets a lane for every vehicle that is seen.
+    """
+
+    def __init__(self, lanes: Lanes) -> None:
+        self.lanes = lanes
+        self.received: Counter[str] = Counter()
+        self.rejected: Counter[str] = Counter()
+        self.rides = RideNames()
+        self._lane_of_key: dict[str, int] = {}
+        self._telemetry = msgspec.json.Decoder(Telemetry | list[msgspec.Raw])  # a gateway may send lists
+        self._one = msgspec.json.Decoder(Telemetry)
+        self._others = {kind: msgspec.json.Decoder(struct) for kind, struct in KINDS.items()}
+
+    def decode(self, messages: Sequence[Message]) -> tuple[Batch, list[Event]]:
+        """Decode messages, in their order.
+
+        Returns
+        -------
+        Batch
+            One row a telemetry sample that could be decoded.
+        list of Event
+            Everything else, each with the row before which it came.
+        """
+        tables: list[Floats] = []
+        events: list[Event] = []
+        rows = 0
+        for start in range(0, len(messages), _BLOCK):
+            block = messages[start : start + _BLOCK]
+            table = self._fast(block)
+            if table is None:
+                table = self._careful(block, events, rows)
+            tables.append(table)
+            rows += table.shape[1]
+        self.received["telemetry"] += rows
+        return _batch(tables), events
+
+    def _fast(self, block: Sequence[Message]) -> Floats | None:
+        """Decode a block in which every message is one good sample of a known vehicle; None for any other."""
+        try:
+            lanes = [self._lane_of_key[message[0]] for message in block]
+            decode = self._one.decode
+            fields = _transposed([decode(message[1]) for message in block])
+        except (KeyError, *_LOST):
+            return None
+        names = self.lanes.names
+        if fields[0] != tuple([names[lane] for lane in lanes]):
+            return None
+        return self._table(fields, lanes)
+
+    def _careful(self, block: Sequence[Message], events: list[Event], rows: int) -> Floats:
+        """Decode a block one message at a time, counting what is lost by cause."""
+        samples: list[Telemetry] = []
+        lanes: list[int] = []
+        for message in block:
+            whose = address(message.key)
+            if whose is None:
+                self.rejected["unknown_key"] += 1
+            elif whose.kind == "telemetry":
+                good = self._samples(message.payload, whose.identity)
+                if good:
+                    lane = self._lane_of_key[message.key] = self.lanes.lane(whose.identity)
+                    lanes += [lane] * len(good)
+                    samples += good
+            else:
+                value = self._decoded(self._others[whose.kind], message.payload, whose.identity)
+                if value is not None:
+                    self.received[whose.kind] += 1
+                    lane = -1 if whose.kind == "weather" else self.lanes.lane(whose.identity)
+                    events.append(Event(rows + len(lanes), lane, value))
+        return self._table(_transposed(samples), lanes) if samples else np.empty((len(Batch._fields), 0))
+
+    def _samples(self, payload: bytes, identity: str) -> list[Telemetry]:
+        """Return the good samples of a payload that holds one or a list of them."""
+        try:
+            whole = self._telemetry.decode(payload)
+        except _LOST:
+            whole = [payload]  # decoded again, to count the cause
+        parts = whole if isinstance(whole, list) else [payload]
+        decoded = (self._decoded(self._one, part, identity) for part in parts)
+        return [sample for sample in decoded if sample is not None]
+
+    def _decoded(self, decoder: msgspec.json.Decoder[Any], payload: Any, identity: str) -> Any:
+        """Decode one object that must speak of `identity`; None, counted, where it cannot be used."""
+        try:
+            value = decoder.decode(payload)
+        except msgspec.ValidationError:
+            self.rejected["wrong_type"] += 1
+        except _LOST:
+            self.rejected["not_json"] += 1
+        else:
+            if (value.station_id if isinstance(value, Weather) else value.vehicle_id) == identity:
+                return value
+            self.rejected["key_mismatch"] += 1
+        return None
+
+    def _table(self, fields: list[tuple[Any, ...]], lanes: list[int]) -> Floats:
+        """Lay the fields of a block out as rows of floats, in wire units."""
+        table = np.empty((len(Batch._fields), len(lanes)))
+        names = self.rides
+        table[0] = lanes
+        table[1] = [names[name] for name in fields[2]]
+        table[2] = np.fromiter(fields[1], np.float64, len(lanes))
+        for row, values in zip(table[3:], fields[3:], strict=True):
+            row[:] = _column(values)
+        return table
+
+
+def _transposed(samples: list[Telemetry]) -> list[tuple[Any, ...]]:
+    """Return one tuple a field instead of one struct a sample."""
+    return list(zip(*map(msgspec.structs.astuple, samples), strict=True))
+
+
+def _batch(tables: list[Floats]) -> Batch:
+    """Join blocks and turn wire units into SI."""
+    table = np.concatenate(tables, axis=1) if tables else np.empty((len(Batch._fields), 0))
+    for column, scale in _SCALES.items():
+        table[column] *= scale
+    for column, offset in _OFFSETS.items():
+        table[column] += offset
+    return Batch(table[0].astype(np.int64), table[1].astype(np.int64), *table[2:])
+
+
+def _position(field: str) -> int:
+    """Return the place of a wire field among the columns of a batch."""
+    return 3 + _NUMERIC.index(field)
+
+
+_SCALES: Final = {
+    _position("latitude_deg"): np.pi / 180,
+    _position("longitude_deg"): np.pi / 180,
+    _position("speed_kmh"): KMH,
+    _position("odometer_km"): 1000.0,
+    _position("soc_pct"): 0.01,
+}
+_OFFSETS: Final = {_position("battery_temperature_c"): ZERO_CELSIUS, _position("ambient_c"): ZERO_CELSIUS}

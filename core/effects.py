@@ -1,0 +1,182 @@
+"""The library of effects: those of the product, and those that a user's own file brings.
+
+An effect is the unit of physics: power = coefficient * function(columns). Every model is a sum over effects, so that a
+residual can be attributed and a coefficient judged. See `effect` for how to write one.
+"""
+
+import ast
+import runpy
+import subprocess
+import sys
+import traceback
+from collections import Counter
+from collections.abc import Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final
+
+from core.declaration import Effect, Parameter, effect
+from core.errors import EffectError
+from core.road_load import ROAD_LOAD
+from core.verification import check
+
+__all__ = ["Effect", "Parameter", "check", "effect", "get", "library", "load_file"]
+
+TIME_LIMIT: Final = 20.0
+"""How long a user's file may take to be imported and checked. [s]"""
+ALLOWED_IMPORTS: Final = frozenset(
+    {"__future__", "collections", "core", "dataclasses", "functools", "itertools", "math", "numpy", "typing"}
+)
+"""What a file of effects may import: an effect is a pure function of columns, and needs neither files nor a network."""
+
+_USER_MODULE: Final = "user_effects"
+_library: dict[str, Effect] = {e.name: e for e in ROAD_LOAD}
+_brought_by: dict[str, Path] = {}
+
+
+def library() -> Mapping[str, Effect]:
+    """Return all effects known now, by name: the product's own, then those loaded from files."""
+    return MappingProxyType(_library)
+
+
+def get(name: str) -> Effect:
+    """Return the effect of that name.
+
+    Raises
+    ------
+    EffectError
+        Where there is none, with the names that come close.
+
+    Examples
+    --------
+    >>> get("rolling").unit
+    '1'
+    """
+    if (found := _library.get(name)) is not None:
+        return found
+    close = get_close_matches(name, _library, n=3)
+    hint = f"did you mean {' or '.join(close)}?" if close else f"known are {', '.join(_library)}"
+    raise EffectError(f"effect {name!r} is unknown: {hint} A file of your own is loaded with --effects FILE")
+
+
+def load_file(path: str | Path, time_limit: float = TIME_LIMIT) -> list[Effect]:
+    """Check a user's own file of effects and add them to the library.
+
+    The file is Python and importing it runs it, as its author's own code: once in a process apart, under a time limit,
+    where every effect is checked, and, if all is well, once here. That process guards against mistakes; it is no
+    sandbox.
+
+    Parameters
+    ----------
+    path : str or Path
+        A `.py` file with functions under `@effect`, from `core.effects`. Loading it again replaces what it brought
+        before.
+    time_limit : float
+        For import and checks together. [s]
+
+    Returns
+    -------
+    list of Effect
+        In the order of the file.
+
+    Raises
+    ------
+    EffectError
+        One line that begins with the path: the file is absent or a folder, is not Python, imports what an effect does
+        not need, does not come to an end, holds no effect, defines a name twice or one that is taken, or holds an
+        effect that fails `check`.
+    """
+    path = Path(path).absolute()
+    source = _read(path)
+    _check_source(path, source)
+    _check_apart(path, time_limit)
+    effects = _run(path)
+    for found in effects:
+        if found.name in _library and _brought_by.get(found.name) != path:
+            raise EffectError(f"{path}: effect {found.name!r} is in the library already: give yours another name")
+    for name in [name for name, file in _brought_by.items() if file == path]:
+        del _library[name], _brought_by[name]
+    for found in effects:
+        _library[found.name], _brought_by[found.name] = found, path
+    return effects
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
+        raise EffectError(f"{path}: cannot read effects: {reason}; name a Python file") from error
+
+
+def _check_source(path: Path, source: str) -> None:
+    """Look at the file without running it: its syntax, what it imports, and names defined twice."""
+    try:
+        tree = ast.parse(source, filename=str(path))
+    except (SyntaxError, ValueError) as error:  # ValueError: null bytes
+        line = getattr(error, "lineno", None) or 1
+        raise EffectError(f"{path}:{line}: not Python: {getattr(error, 'msg', error)}") from error
+    for node in ast.walk(tree):
+        modules = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+        if isinstance(node, ast.ImportFrom):
+            modules = ["." * node.level + (node.module or "")]
+        for module in modules:
+            if module.partition(".")[0] not in ALLOWED_IMPORTS:
+                allowed = ", ".join(sorted(ALLOWED_IMPORTS))
+                raise EffectError(f"{path}:{node.lineno}: imports {module}; an effect needs no more than {allowed}")  # type: ignore[attr-defined]
+    names = Counter(node.name for node in tree.body if isinstance(node, ast.FunctionDef))
+    if twice := [name for name, times in names.items() if times > 1]:
+        raise EffectError(f"{path}: {twice[0]!r} is defined twice, and the second hides the first: rename one")
+
+
+def _check_apart(path: Path, time_limit: float) -> None:
+    """Run and check the file in a process of its own, which can be ended where the file does not come to an end."""
+    command = [sys.executable, "-c", "import sys; from core.effects import _inspect; _inspect(sys.argv[1])", str(path)]
+    try:
+        done = subprocess.run(  # noqa: S603 - the user's own file, named by the user
+            command,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=time_limit,
+            check=False,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise EffectError(
+            f"{path}: not done after {time_limit:g} s: look for a loop without end, or work done at import"
+        ) from error
+    if done.returncode:
+        said = done.stderr.strip().splitlines() or [f"the interpreter stopped with code {done.returncode}"]
+        raise EffectError(said[-1] if said[-1].startswith(str(path)) else f"{path}: {said[-1]}")
+
+
+def _inspect(name: str) -> None:
+    """Run and check a file, in the process apart; what is wrong goes to stderr as its last line."""
+    path = Path(name)
+    try:
+        for found in _run(path):
+            try:
+                check(found)
+            except EffectError as error:
+                raise EffectError(f"{path}: {error}") from error
+    except EffectError as error:
+        sys.exit(f"\n{error}")
+
+
+def _run(path: Path) -> list[Effect]:
+    """Run a file and return the effects that it defines, in its order."""
+    try:
+        names = runpy.run_path(str(path), run_name=_USER_MODULE)
+    except EffectError as error:
+        raise EffectError(f"{path}: {error}") from error
+    except (Exception, SystemExit) as error:  # whatever a user's file raises
+        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+        said = " ".join(str(error).split())
+        where = f"{path}:{lines[-1]}" if lines else f"{path}"
+        raise EffectError(f"{where}: raises {type(error).__name__} when imported: {said}") from error
+    found = {id(e): e for e in names.values() if isinstance(e, Effect) and e.function.__module__ == _USER_MODULE}
+    if not found:
+        raise EffectError(f"{path}: holds no effect: put @effect(...), from core.effects, over a function of columns")
+    return list(found.values())

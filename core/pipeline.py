@@ -1,0 +1,320 @@
+"""The one list of steps, from messages to forecasts and totals: live, replay, training and tests all run it."""
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
+
+import msgspec
+import numpy as np
+import pandas as pd
+
+from core import effects
+from core.batch import Batch, Lanes
+from core.cars import Cars
+from core.clean import STATE, Cleaner
+from core.codec import Message, Plan, Ride, Vehicle, Weather
+from core.decode import Decoder, Event
+from core.errors import SocastError
+from core.forecast import counted, forecasts
+from core.models import EXTENDED_PHYSICAL, Model
+from core.quality import CAUSES
+from core.settings import Settings, checked
+from core.signals import Signals, ambient_quality
+from core.sums import Ledger, Sums, Totals, amounts
+from core.tables import measured_energy, model_columns, ride_table, unfit_reason, window_table
+from core.weather import Stations
+
+BLOCK: Final = 8192
+"""Rows that go through the steps at a time, so that their columns stay in the cache."""
+SNAPSHOT: Final = 1
+"""Version of the snapshot."""
+
+
+class VehicleStatus(NamedTuple):
+    """The newest of a vehicle, for a screen."""
+
+    vehicle_id: str
+    vehicle_model: str | None
+    ride_id: str | None
+    time_s: float
+    soc_pct: float
+    ride_distance_km: float
+    predicted_kwh: float
+    measured_kwh: float
+    quality: dict[str, int]
+
+
+class Closed(NamedTuple):
+    """Rides that have ended, and their names."""
+
+    totals: Totals
+    names: list[str | None]
+
+
+class Pipeline:
+    """Everything between the codec and the forecast, with the state of every vehicle.
+
+    Parameters
+    ----------
+    model : Model
+        Makes the predictions.
+    settings : Settings
+    prefix : str
+        Chunks before `fleet` in the keys of forecasts, with a slash at the end.
+    keep_tables : bool
+        Keep totals of rides and windows until they are taken. A consumer that never takes them says False.
+
+    Raises
+    ------
+    SettingsError
+        For a setting outside its limits.
+    """
+
+    def __init__(
+        self,
+        model: Model = EXTENDED_PHYSICAL,
+        settings: Settings = Settings(),  # noqa: B008 - immutable
+        prefix: str = "",
+        *,
+        keep_tables: bool = True,
+    ) -> None:
+        self.model = model
+        self.settings = checked(settings)
+        self.prefix = prefix
+        self.keep_tables = keep_tables
+        self.lanes = Lanes()
+        self.decoder = Decoder(self.lanes)
+        self.cleaner = Cleaner(self.settings)
+        self.stations = Stations()
+        self.cars = Cars()
+        self.effects = [effects.get(name) for name in model.effects]
+        self.ledger = Ledger(len(self.effects))
+        self.plans: dict[int, Plan] = {}
+        self._drivers: dict[str, str] = {}
+        self._quality = np.zeros(len(CAUSES), np.int64)
+        self._rides: list[Closed] = []
+        self._windows: list[Totals] = []
+        self._unfit: Counter[str] = Counter()
+        self._ended = 0
+
+    def push(self, messages: Sequence[Message]) -> list[Message]:
+        """Take messages in the order of their arrival; return the forecasts that have become due, in that order.
+
+        Which samples call for a forecast is a matter of event time alone, so that the same messages give the same
+        forecasts, to the bit, however they are cut into batches.
+        """
+        batch, events = self.decoder.decode(messages)
+        out: list[Message] = []
+        start = 0
+        pending: list[Event] = []
+        for event in events:
+            if isinstance(event.value, Weather):  # it changes what every later row meets
+                out += self._advance(batch.rows(start, event.row), _from(pending, start))
+                start, pending = event.row, []
+                self.stations.observe(event.value)
+            elif isinstance(event.value, Vehicle):
+                pending.append(event)
+            elif isinstance(event.value, Ride):
+                if event.value.driver_id is not None:
+                    self._drivers[event.value.ride_id] = event.value.driver_id
+            elif isinstance(event.value, Plan):
+                self.plans[event.lane] = event.value
+        return out + self._advance(batch.rows(start, batch.size), _from(pending, start))
+
+    def finish(self) -> list[Message]:
+        """Close every ride and window in progress, at the end of the stream."""
+        self._keep(self.ledger.close())
+        return []
+
+    def take_rides(self) -> pd.DataFrame:
+        """Return the rides that have ended since the last call, as `core.tables.ride_table` has them."""
+        taken, self._rides = self._rides, []
+        totals = _joined([closed.totals for closed in taken], self.ledger)
+        ride_names = [name for closed in taken for name in closed.names]
+        table = ride_table(totals, self.lanes.names, ride_names, self.cars, self._effect_names, self.settings)
+        table.insert(4, "driver_id", [self._drivers.pop(name or "", None) for name in ride_names])
+        return table
+
+    def take_windows(self) -> pd.DataFrame:
+        """Return the windows that have ended since the last call, as `core.tables.window_table` has them."""
+        taken, self._windows = self._windows, []
+        return window_table(_joined(taken, self.ledger), self.lanes.names, self.cars, self._effect_names)
+
+    def quality(self) -> dict[str, Any]:
+        """Return the counters since the start.
+
+        Keys: `received` by kind, `undecodable` by cause, `samples` by quality bit, `rides` ended, `unfit` rides by
+        reason, `vehicles`, `unpredictable` vehicle messages by reason.
+        """
+        return {
+            "vehicles": len(self.lanes),
+            "received": dict(self.decoder.received),
+            "undecodable": dict(self.decoder.rejected),
+            "samples": dict(zip(CAUSES, self._quality.tolist(), strict=True)),
+            "rides": self._ended,
+            "unfit": dict(self._unfit),
+            "unpredictable": dict(self.cars.unpredictable),
+        }
+
+    def status(self) -> list[VehicleStatus]:
+        """Return the newest of every vehicle that has sent a sample."""
+        lanes = np.flatnonzero(self.cleaner.state["samples"][: len(self.lanes)] > 0.0)
+        totals = self.ledger.running(lanes)
+        predicted = self.model.predict(model_columns(totals, self.cars, self._effect_names))
+        measured = measured_energy(totals, self.cars)[0]
+        counts = counted(totals)
+        names = self._ride_names(totals)
+        return [
+            VehicleStatus(
+                self.lanes.names[lane],
+                self.cars.name(int(self.cars.of_lane[lane])),
+                names[i],
+                float(totals.at_last("time")[i]),
+                float(totals.at_last("soc")[i] * 100.0),
+                float(totals.amount("distance")[i] * 1e-3),
+                float(predicted[i]),
+                float(measured[i]),
+                {cause: values[i] for cause, values in counts.items()},
+            )
+            for i, lane in enumerate(lanes.tolist())
+        ]
+
+    def snapshot(self) -> bytes:
+        """Return the state of every vehicle, from which `restore` goes on as if nothing had happened.
+
+        Rides and windows that have ended but were not taken are not part of it: take them first.
+        """
+        state = {
+            "version": SNAPSHOT,
+            "model": f"{self.model.name}/{self.model.version}",
+            "fields": list(STATE.names or ()),
+            "effects": self._effect_names,
+            "lanes": self.lanes.names,
+            "cleaner": self.cleaner.state.tobytes(),
+            "ledger": self.ledger.books.tobytes(),
+            "rides": list(self.decoder.rides.name_of.items()),
+            "opened": self.decoder.rides.opened,
+            "stations": self.stations.dump(),
+            "cars": self.cars.dump(),
+            "plans": list(self.plans.items()),
+            "drivers": self._drivers,
+            "counters": [
+                self._quality.tolist(),
+                self._ended,
+                self._unfit,
+                self.decoder.received,
+                self.decoder.rejected,
+            ],
+        }
+        return msgspec.msgpack.encode(state)
+
+    def restore(self, snapshot: bytes) -> None:
+        """Take up a state that `snapshot` returned.
+
+        Raises
+        ------
+        SocastError
+            Where it is no snapshot, or one of another version, model or list of effects.
+        """
+        try:
+            state = msgspec.msgpack.decode(snapshot, strict=False)
+            fits = (
+                state["version"] == SNAPSHOT
+                and state["fields"] == list(STATE.names or ())
+                and state["effects"] == self._effect_names
+            )
+        except (msgspec.DecodeError, KeyError, TypeError) as error:
+            raise SocastError(f"not a snapshot of this product: {error}; start without one") from error
+        if not fits:
+            raise SocastError(
+                f"snapshot of model {state['model']}: made by another version or with other effects; start without it"
+            )
+        self.lanes = Lanes(state["lanes"])
+        self.decoder = Decoder(self.lanes)
+        self.decoder.rides.update({name: code for code, name in state["rides"]})
+        self.decoder.rides.name_of = dict(state["rides"])
+        self.decoder.rides.opened = state["opened"]
+        self.cleaner.state = np.frombuffer(state["cleaner"], STATE).copy()
+        width = self.ledger.books.shape[1]
+        self.ledger.books = np.frombuffer(state["ledger"]).reshape(-1, width).copy()
+        self.stations.load(state["stations"])
+        self.cars.load(state["cars"])
+        self.plans = {int(lane): msgspec.convert(plan, Plan) for lane, plan in state["plans"]}
+        self._drivers = state["drivers"]
+        quality, self._ended, unfit, received, rejected = state["counters"]
+        self._quality = np.array(quality, np.int64)
+        self._unfit = Counter(unfit)
+        self.decoder.received, self.decoder.rejected = Counter(received), Counter(rejected)
+
+    @property
+    def _effect_names(self) -> list[str]:
+        return [effect.name for effect in self.effects]
+
+    def _advance(self, batch: Batch, told: list[tuple[int, int, Vehicle]]) -> list[Message]:
+        """Take the rows between two observations of the weather through the steps, a block at a time."""
+        kind = self.cars.kinds(batch.lane, told, len(self.lanes))
+        out: list[Message] = []
+        for start in range(0, batch.size, BLOCK):
+            rows = slice(start, start + BLOCK)
+            sums = self._steps(batch.rows(start, start + BLOCK), kind[rows])
+            self._keep(sums)
+            names = self._ride_names(sums.running)
+            out += forecasts(sums.running, self.lanes.names, names, self.cars, self.model, self.prefix)
+        return out
+
+    def _steps(self, batch: Batch, kind: Any) -> Sums:
+        """Run the steps that turn samples into sums."""
+        lanes = len(self.lanes)
+        clean = self.cleaner.clean(batch, lanes)
+        sky = self.stations.sky(clean.time, clean.latitude, clean.longitude)
+        clean = clean._replace(quality=ambient_quality(clean, sky))
+        mass, _, _, _, scale = self.cars.parameters.take(kind, axis=0).T
+        signals = Signals(clean, sky, mass, scale)
+        with np.errstate(all="ignore"):  # a user's effect may divide by a speed that it then masks
+            powers = [(effect.per, effect.power(signals)) for effect in self.effects]
+        for place in range(len(CAUSES)):
+            self._quality[place] += np.count_nonzero(clean.quality & (1 << place))
+        return self.ledger.add(clean, kind, amounts(signals, powers), lanes)
+
+    def _keep(self, sums: Sums) -> None:
+        """Count the rides that have ended, and keep them until they are taken."""
+        rides = sums.rides
+        if not len(rides.lane):
+            if self.keep_tables and len(sums.windows.lane):
+                self._windows.append(_owned(sums.windows))
+            return
+        self._ended += len(rides.lane)
+        energy = measured_energy(rides, self.cars)[0]
+        reasons = unfit_reason(rides.amount("duration"), rides.amount("distance"), energy, self.settings)
+        self._unfit.update(reason for reason in reasons.tolist() if reason is not None)
+        names = self._ride_names(rides)
+        if self.keep_tables:
+            self._rides.append(Closed(_owned(rides), names))
+            self._windows.append(_owned(sums.windows))
+        else:
+            for name in names:
+                self._drivers.pop(name or "", None)
+        if len(self.decoder.rides) > 2 * len(self.lanes) + 10_000:
+            self.decoder.rides.keep(set(self.cleaner.state["code"].tolist()))
+
+    def _ride_names(self, totals: Totals) -> list[str | None]:
+        """Return the names that loggers gave to rides."""
+        name_of = self.decoder.rides.name_of
+        return [name_of.get(code) for code in totals.at_last("code").tolist()]
+
+
+def _from(events: list[Event], start: int) -> list[tuple[int, int, Vehicle]]:
+    """Return vehicle messages with their rows counted from `start`."""
+    return [(event.row - start, event.lane, event.value) for event in events if isinstance(event.value, Vehicle)]
+
+
+def _owned(totals: Totals) -> Totals:
+    """Return a copy that does not keep a whole block's memory alive."""
+    return Totals(*(np.array(part) for part in totals))  # type: ignore[arg-type]
+
+
+def _joined(parts: list[Totals], ledger: Ledger) -> Totals:
+    """Return totals one after another."""
+    if not parts:
+        return ledger.read(np.empty((0, 1 + ledger.books.shape[1])))
+    return Totals(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))  # type: ignore[arg-type]

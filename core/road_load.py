@@ -1,0 +1,224 @@
+"""The base effects: what moves a car along a road, and what its accessories take.
+
+Each returns power per unit of its coefficient, for the force balance of a car on a road,
+
+    F = m g (c cos θ + sin θ) + 1/2 ρ A_d (v + w)|v + w| + m a,    power = F v,
+
+with mass m, gravity g, rolling resistance c, road angle θ, air density ρ, drag area A_d, speed v, headwind w and
+acceleration a.
+
+A NaN in any column that an effect names gives NaN in that row and nowhere else: no effect guesses. What an unknown wind
+or grade means is decided where the columns are made. `auxiliary` alone gives its power whatever is known.
+
+References
+----------
+Gillespie, Fundamentals of Vehicle Dynamics, SAE 1992, ch. 4, "Road Loads". De Cauwer, Van Mierlo, Coosemans, Energies 8
+(2015) 8573, DOI 10.3390/en8088573, whose equation is eq. (1) of "Predicting Electric Vehicle Consumption: A Hybrid
+Physical-Empirical Model".
+"""
+
+from typing import Final
+
+import numpy as np
+
+from core.batch import Floats
+from core.columns import GRAVITY
+from core.declaration import Effect, Parameter, effect
+from core.vehicles import ACCESSORIES, AccessoryCurve
+
+STANDARD_AIR_DENSITY: Final = 1.225
+"""Dry air at 15 °C and 101,325 Pa. [kg/m^3] ISO 2533:1975, Table 1."""
+
+_GRAVITY: Final = {"gravity": Parameter(GRAVITY, "m/s^2")}
+_BALANCE: Final = "De Cauwer et al. 2015, Energies 8:8573, DOI 10.3390/en8088573"
+_DRAG_AREAS: Final = "range: Hucho (ed.), Aerodynamics of Road Vehicles, SAE 1998, cars, and roof loads"
+
+
+@effect(
+    coefficient="rolling resistance coefficient",
+    unit="1",
+    low=0.004,
+    high=0.025,
+    source="Gillespie 1992, ch. 4; range: TRB Special Report 286 (2006), DOI 10.17226/11620, and wet or cold roads",
+    parameters=_GRAVITY,
+)
+def rolling(mass: Floats, grade: Floats, speed: Floats, gravity: float) -> Floats:
+    """Tyres that flex: P = m g cos θ v, times c.
+
+    Independent of speed, temperature and wet: candidates for effects of their own.
+    """
+    return mass * speed * gravity * np.sqrt(1.0 - grade * grade)
+
+
+@effect(
+    coefficient="share of the climb paid",
+    unit="1",
+    low=0.6,
+    high=1.6,
+    source=f"{_BALANCE}; range: 1 at the wheel, drivetrain and regeneration losses about it",
+    parameters=_GRAVITY,
+)
+def climbing(mass: Floats, grade: Floats, speed: Floats, gravity: float) -> Floats:
+    """Potential energy: P = m g sin θ v, negative downhill."""
+    return mass * speed * gravity * grade
+
+
+@effect(
+    coefficient="share of the climb paid uphill",
+    unit="1",
+    low=0.8,
+    high=1.8,
+    source=f"{_BALANCE}, uphill part; range: 1 at the wheel, 1/efficiency at the battery",
+    parameters=_GRAVITY,
+)
+def climbing_up(mass: Floats, grade: Floats, speed: Floats, gravity: float) -> Floats:
+    """Potential energy bought uphill: P = m g max(sin θ, 0) v."""
+    return mass * speed * gravity * np.maximum(grade, 0.0)
+
+
+@effect(
+    coefficient="share of the descent regained",
+    unit="1",
+    low=0.0,
+    high=1.0,
+    source=f"{_BALANCE}, downhill part; range: 0 friction brakes only, 1 perfect regeneration",
+    parameters=_GRAVITY,
+)
+def climbing_down(mass: Floats, grade: Floats, speed: Floats, gravity: float) -> Floats:
+    """Potential energy regained downhill: P = m g min(sin θ, 0) v, never positive."""
+    return mass * speed * gravity * np.minimum(grade, 0.0)
+
+
+@effect(
+    coefficient="drag area",
+    unit="m^2",
+    low=0.3,
+    high=2.0,
+    source=f"{_BALANCE}; {_DRAG_AREAS}",
+    parameters={"air_density_standard": Parameter(STANDARD_AIR_DENSITY, "kg/m^3")},
+)
+def aero_drag(speed: Floats, air_density_standard: float) -> Floats:
+    """Drag in still standard air: P = 1/2 ρ0 v^3, times A_d.
+
+    ρ0 is 1.225 kg/m^3 (ISO 2533:1975). Air at -20 °C is 14 % denser, which this leaves out: see `aero_drag_wind`.
+    """
+    return speed * speed * speed * (0.5 * air_density_standard)
+
+
+@effect(
+    coefficient="drag area",
+    unit="m^2",
+    low=0.3,
+    high=2.0,
+    source=f"Gillespie 1992, ch. 4, relative wind; {_DRAG_AREAS}",
+)
+def aero_drag_wind(speed: Floats, headwind: Floats, air_density: Floats) -> Floats:
+    """Drag in the air there is: P = 1/2 ρ (v + w)|v + w| v, times A_d.
+
+    Negative where a tail wind overtakes the car. Zero for a standing car: wind does no work on it. Crosswind is left
+    out.
+    """
+    relative = speed + headwind
+    return 0.5 * air_density * relative * np.abs(relative) * speed
+
+
+@effect(
+    coefficient="inertial mass over mass",
+    unit="1",
+    low=0.6,
+    high=1.6,
+    source=f"{_BALANCE}; range: 1 for the car as a point, a few percent more with rotating parts, losses about it",
+)
+def inertia(mass: Floats, acceleration: Floats, speed: Floats) -> Floats:
+    """Kinetic energy: P = m a v, negative when slowing."""
+    return mass * acceleration * speed
+
+
+@effect(
+    coefficient="share of kinetic energy paid",
+    unit="1",
+    low=0.8,
+    high=1.8,
+    source=f"{_BALANCE}, speeding up; range: 1 at the wheel, rotating parts and 1/efficiency at the battery",
+)
+def inertia_positive(mass: Floats, acceleration: Floats, speed: Floats) -> Floats:
+    """Kinetic energy bought: P = m max(a, 0) v."""
+    return mass * speed * np.maximum(acceleration, 0.0)
+
+
+@effect(
+    coefficient="share of kinetic energy regained",
+    unit="1",
+    low=0.0,
+    high=1.0,
+    source=f"{_BALANCE}, slowing; range: 0 friction brakes only, 1 perfect regeneration",
+)
+def inertia_negative(mass: Floats, acceleration: Floats, speed: Floats) -> Floats:
+    """Kinetic energy regained: P = m min(a, 0) v, never positive."""
+    return mass * speed * np.minimum(acceleration, 0.0)
+
+
+@effect(
+    coefficient="accessory power over the reference curve",
+    unit="1",
+    low=0.2,
+    high=3.0,
+    source=f"{_BALANCE}, eq. (2) of the hybrid model's paper; curve: Vehicle Energy Dataset, arXiv:1905.02081",
+    per="time",
+    parameters={
+        "heating_full": Parameter(ACCESSORIES.heating_full, "K", 233.15, 268.15),
+        "heating_off": Parameter(ACCESSORIES.heating_off, "K", 273.15, 293.15),
+        "cooling_on": Parameter(ACCESSORIES.cooling_on, "K", 290.15, 301.15),
+        "cooling_full": Parameter(ACCESSORIES.cooling_full, "K", 301.65, 318.15),
+        "heating": Parameter(ACCESSORIES.heating, "W", 500.0, 8000.0),
+        "standby": Parameter(ACCESSORIES.standby, "W", 0.0, 1500.0),
+        "cooling": Parameter(ACCESSORIES.cooling, "W", 200.0, 5000.0),
+    },
+)
+def accessories(
+    ambient: Floats,
+    accessory_scale: Floats,
+    *,
+    heating_full: float,
+    heating_off: float,
+    cooling_on: float,
+    cooling_full: float,
+    heating: float,
+    standby: float,
+    cooling: float,
+) -> Floats:
+    """Climate control and all else on board: P = s P_aux(T), in five segments of outside temperature T.
+
+    s is the car's own scale; see `core.vehicles.AccessoryCurve`.
+    """
+    curve = AccessoryCurve(heating_full, heating_off, cooling_on, cooling_full, heating, standby, cooling)
+    return accessory_scale * curve.power(ambient)
+
+
+@effect(
+    coefficient="constant power",
+    unit="W",
+    low=0.0,
+    high=3000.0,
+    source="energy balance; range: some 0.3 kW of control units, pumps and lights, up to all of climate control",
+    per="time",
+)
+def auxiliary(dt: Floats) -> Floats:
+    """Whatever is always on: P = 1, times a constant power."""
+    return np.ones_like(dt, dtype=np.float64)
+
+
+ROAD_LOAD: Final[tuple[Effect, ...]] = (
+    rolling,
+    climbing,
+    climbing_up,
+    climbing_down,
+    aero_drag,
+    aero_drag_wind,
+    inertia,
+    inertia_positive,
+    inertia_negative,
+    accessories,
+    auxiliary,
+)
+"""The base effects, in the order of the force balance."""

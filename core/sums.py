@@ -1,0 +1,334 @@
+"""Ride and window totals: columns of rates turned into columns of sums, running totals included.
+
+Rows are added one after another into the open window of their lane; a window that closes is added to its ride. So the
+totals at any sample are those of the ride and of the open window together, and any chunking gives the same sums to
+the bit.
+"""
+
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from core.batch import Floats, Ints, grown
+from core.clean import Clean
+from core.columns import KMH
+from core.quality import CAUSES
+from core.signals import Signals
+
+BIN: Final = 5 * KMH
+"""Width of a bin of the speed histogram, Table 1 of the paper. [m/s]"""
+BINS: Final = 21
+"""Bins of the speed histogram; the last one holds all that is faster."""
+
+AMOUNTS: Final = (
+    "duration",  # [s]
+    "distance",  # [m]
+    "gained",  # [m]
+    "lost",  # [m]
+    "energy",  # by V I [J]
+    "metered",  # time for which that is known [s]
+    "ambient",  # integral over time [K s]
+    "wind",  # [m]
+    "wind_north",  # [m]
+    "wind_east",  # [m]
+    "wind_known",  # [s]
+    "precipitation",  # [m]
+    "hvac",  # [J]
+    "hvac_known",  # [s]
+    "stops",
+    "samples",
+)
+"""What is summed of every ride and window, before the effects and the speed histogram."""
+
+EDGES: Final = (
+    "time",
+    "soc",
+    "odometer",
+    "latitude",
+    "longitude",
+    "battery_temperature",
+    "elapsed",
+    "parked",
+    "since_charge",
+    "soc_step",
+    "occupants",
+    "code",
+    "kind",
+)
+"""What is kept of the first and of the last sample."""
+
+_HEAD: Final = 2  # ordinal of the open ride, -1 for none; ordinal of the open window
+
+
+class Totals(NamedTuple):
+    """Sums of rides, of windows, or running ones: one row each.
+
+    Parameters
+    ----------
+    lane, ride, window : (n,) int64. Whose; ordinals in the lane.
+    amounts : (n, len(AMOUNTS) + effects + BINS) float64
+    first, last : (n, len(EDGES)) float64
+    quality : (n, len(CAUSES)) float64. Samples of the ride with each quality bit, so far.
+    """
+
+    lane: Ints
+    ride: Ints
+    window: Ints
+    amounts: Floats
+    first: Floats
+    last: Floats
+    quality: Floats
+
+    def amount(self, name: str) -> Floats:
+        """Return a column of `AMOUNTS`."""
+        return self.amounts[:, AMOUNTS.index(name)]
+
+    def at_first(self, name: str) -> Floats:
+        """Return what an edge was at the first sample."""
+        return self.first[:, EDGES.index(name)]
+
+    def at_last(self, name: str) -> Floats:
+        """Return what an edge was at the last sample."""
+        return self.last[:, EDGES.index(name)]
+
+
+class Sums(NamedTuple):
+    """What a batch brought to a close, and what is due."""
+
+    rides: Totals
+    windows: Totals
+    running: Totals
+
+
+class Ledger:
+    """The open ride and window of every lane.
+
+    Parameters
+    ----------
+    effects : int
+        How many effects' energies are summed.
+    """
+
+    def __init__(self, effects: int) -> None:
+        self.width = len(AMOUNTS) + effects + BINS
+        # where each part of a book begins: amounts of window and ride, first edges of ride and window, last, quality
+        self._parts = np.cumsum([_HEAD, self.width, self.width, len(EDGES), len(EDGES), len(EDGES), len(CAUSES)])
+        self.books: Floats = self._new(0)
+
+    def _new(self, lanes: int) -> Floats:
+        books = np.zeros((lanes, int(self._parts[-1])))
+        books[:, :_HEAD] = -1.0
+        return books
+
+    def add(self, clean: Clean, kind: Ints, rates: Floats, lanes: int) -> Sums:
+        """Add the rows of a batch.
+
+        Parameters
+        ----------
+        clean : Clean
+        kind : (n,) int
+            Kind of car.
+        rates : (len(AMOUNTS) + effects, n) float
+            What each row adds, see `amounts`.
+        lanes : int
+            How many there are so far.
+        """
+        if len(self.books) < lanes:
+            self.books = grown(self.books, lanes, self._new(1)[0])
+        n = len(clean.lane)
+        edges = np.stack([*(getattr(clean, name) for name in EDGES[:-1]), kind.astype(np.float64)])
+        speed_bin = np.minimum(clean.speed / BIN, BINS - 1.0).astype(np.int64)
+        size = 1 + self.books.shape[1]
+        closed = np.empty((n, size)), np.empty((n, size))
+        running = np.empty((int(clean.due.sum()), size))
+        counts = enter(
+            clean.lane,
+            clean.ride,
+            clean.window,
+            clean.quality,
+            clean.due,
+            rates,
+            edges,
+            speed_bin,
+            self.books,
+            self._parts,
+            closed[0],
+            closed[1],
+            running,
+        )
+        rides, windows = closed[0][: counts[0]], closed[1][: counts[1]]
+        return Sums(self.read(rides), self.read(windows, window=True), self.read(running))
+
+    def close(self) -> Sums:
+        """Close every open ride and window; nothing is left behind."""
+        open_lanes = np.flatnonzero(self.books[:, 0] >= 0)
+        books = self.running(open_lanes)
+        windows = self.read(self._numbered(open_lanes), window=True)
+        self.books = self._new(len(self.books))
+        return Sums(books, windows, self.read(np.empty((0, 1 + self.books.shape[1]))))
+
+    def running(self, lanes: Ints) -> Totals:
+        """Return the totals so far of the rides in progress in some lanes; zero where there is none."""
+        books = self._numbered(lanes)
+        p = self._parts + 1
+        books[:, p[1] : p[2]] += books[:, p[0] : p[1]]
+        return self.read(books)
+
+    def _numbered(self, lanes: Ints) -> Floats:
+        """Return the books of some lanes, with the lane before each."""
+        return np.column_stack([lanes.astype(np.float64), self.books[lanes]])
+
+    def read(self, books: Floats, *, window: bool = False) -> Totals:
+        """Name the parts of books: of the window, or of the ride (into which its open window has been added)."""
+        p = self._parts + 1
+        lane, ride, ordinal = books[:, :3].T.astype(np.int64)
+        amounts, first = (p[0], p[3]) if window else (p[1], p[2])
+        return Totals(
+            lane,
+            ride,
+            ordinal,
+            books[:, amounts : amounts + self.width],
+            books[:, first : first + len(EDGES)],
+            books[:, p[4] : p[5]],
+            books[:, p[5] : p[6]],
+        )
+
+
+def amounts(signals: Signals, powers: Sequence[tuple[str, Floats]]) -> Floats:
+    """Return what each row adds to the totals.
+
+    Parameters
+    ----------
+    signals : Signals
+        n rows.
+    powers : sequence of (per, (n,) float)
+        Effects' powers per unit coefficient [W], each acting over distance or over time.
+
+    Returns
+    -------
+    (len(AMOUNTS) + len(powers), n) float
+    """
+    clean, sky = signals.clean, signals.sky
+    dt = clean.dt
+    table = np.zeros((len(AMOUNTS) + len(powers), len(dt)))
+    climb = clean.climb
+    wind_known = np.where(np.isnan(sky.wind_speed), 0.0, dt)
+    hvac_known = np.where(np.isnan(clean.hvac), 0.0, dt)
+    rows: tuple[Floats, ...] = (
+        dt,
+        clean.distance,
+        np.maximum(climb, 0.0),
+        np.maximum(-climb, 0.0),
+        clean.energy,
+        clean.metered,
+        signals["ambient"] * dt,
+        np.nan_to_num(sky.wind_speed) * dt,
+        np.nan_to_num(sky.wind_north) * dt,
+        np.nan_to_num(sky.wind_east) * dt,
+        wind_known,
+        signals["precipitation"] * dt,
+        np.nan_to_num(clean.hvac) * dt,
+        hvac_known,
+        clean.stop,
+        np.ones(len(dt)),
+    )
+    for row, values in zip(table, rows, strict=False):
+        row[:] = values
+    for row, (per, power) in zip(table[len(AMOUNTS) :], powers, strict=True):
+        np.multiply(power, clean.travel if per == "distance" else dt, out=row)
+    return table
+
+
+@njit(cache=True)
+def enter(
+    lane: Any,
+    ride: Any,
+    window: Any,
+    quality: Any,
+    due: Any,
+    rates: Any,
+    edges: Any,
+    speed_bin: Any,
+    books: Any,
+    parts: Any,
+    rides_out: Any,
+    windows_out: Any,
+    running_out: Any,
+) -> tuple[int, int]:
+    """Enter rows into the books of their lanes, in order; return how many rides and windows were closed."""
+    closed_rides = closed_windows = shown = 0
+    for i in range(lane.shape[0]):
+        b = books[lane[i]]
+        if ride[i] != b[0] or (window[i] != b[1] and b[0] >= 0.0):
+            if b[0] >= 0.0:
+                copy_out(windows_out[closed_windows], lane[i], b)
+                closed_windows += 1
+                close_window(b, parts)
+            if ride[i] != b[0]:
+                if b[0] >= 0.0:
+                    copy_out(rides_out[closed_rides], lane[i], b)
+                    closed_rides += 1
+                open_ride(b, parts, edges, i)
+            b[0], b[1] = ride[i], window[i]
+        add_row(b, parts, ride[i] >= 0, rates, edges, speed_bin, i)
+        if ride[i] >= 0:
+            count_bits(b, parts[5], quality[i])
+        if due[i]:
+            copy_out(running_out[shown], lane[i], b)
+            for j in range(parts[1] - parts[0]):
+                running_out[shown, 1 + parts[1] + j] += b[parts[0] + j]
+            shown += 1
+    return closed_rides, closed_windows
+
+
+@njit(cache=True)
+def close_window(b: Any, parts: Any) -> None:
+    """Add the open window to its ride, and begin the next one where it ended."""
+    for j in range(parts[1] - parts[0]):
+        b[parts[1] + j] += b[parts[0] + j]
+        b[parts[0] + j] = 0.0
+    for j in range(parts[5] - parts[4]):
+        b[parts[3] + j] = b[parts[4] + j]
+
+
+@njit(cache=True)
+def open_ride(b: Any, parts: Any, edges: Any, i: int) -> None:
+    """Clear the totals of the ride, and begin the next one at row `i`."""
+    b[parts[1] : parts[2]] = 0.0
+    b[parts[5] :] = 0.0
+    for j in range(edges.shape[0]):
+        b[parts[2] + j] = b[parts[3] + j] = b[parts[4] + j] = edges[j, i]
+
+
+@njit(cache=True)
+def add_row(b: Any, parts: Any, riding: bool, rates: Any, edges: Any, speed_bin: Any, i: int) -> None:
+    """Add a row to the open window, where it stands for time or distance, and note its edges."""
+    counts = riding and (rates[0, i] > 0.0 or rates[1, i] > 0.0)
+    if counts:
+        for j in range(rates.shape[0]):
+            b[parts[0] + j] += rates[j, i]
+        b[parts[0] + rates.shape[0] + speed_bin[i]] += rates[1, i]
+    if counts or not riding:
+        for j in range(edges.shape[0]):
+            b[parts[4] + j] = edges[j, i]
+
+
+@njit(cache=True)
+def copy_out(row: Any, lane: int, book: Any) -> None:
+    """Write a lane and its book into a row."""
+    row[0] = lane
+    for j in range(book.shape[0]):
+        row[1 + j] = book[j]
+
+
+@njit(cache=True)
+def count_bits(book: Any, at: int, bits: int) -> None:
+    """Count each quality bit that is set."""
+    place = at
+    while bits:
+        if bits & 1:
+            book[place] += 1.0
+        bits >>= 1
+        place += 1

@@ -1,0 +1,228 @@
+"""The ride table and the window table: totals with the names and units that people read.
+
+Both are made by one maker from `core.sums.Totals`; the ride table has every term of the paper's Table 1. The columns
+that a model reads (`effect_*` and the car's parameters) are made alone by `model_columns`, for forecasts.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from core.batch import Floats
+from core.cars import PARAMETERS, Cars
+from core.columns import JOULES_PER_KWH, KMH, ZERO_CELSIUS
+from core.quality import CAUSES
+from core.settings import Settings
+from core.sums import AMOUNTS, BINS, Totals
+
+METER_GAIN: Final = 0.01
+"""Standard uncertainty of a car's own voltage times current, as a share. Estimated: sensors of class 0.5 % each."""
+CAPACITY_GAIN: Final = 0.05
+"""Standard uncertainty of the usable capacity, as a share. Estimated: ageing and temperature."""
+COARSEST_SOC: Final = 0.01
+"""Quantum of a state of charge that has not been seen to change: the coarsest that the wire contract allows."""
+UNSEEN_POWER: Final = 0.5
+"""Standard uncertainty of the mean power over a time in which it was not measured, as a share."""
+WINTER: Final = ((12, 15), (3, 15))
+"""First and last day, month first, of the season in which winter tyres are mandatory, Table 1 of the paper."""
+
+HISTOGRAM: Final = tuple(f"speed_{5 * i}_{5 * i + 5}_km" for i in range(BINS))
+"""Distance driven at each speed, in km: 0 to 5 km/h and so on; the last column holds all that is faster."""
+
+
+def model_columns(totals: Totals, cars: Cars, effects: Sequence[str]) -> dict[str, Floats]:
+    """Return what a model reads: effects' energies in kWh per unit of coefficient, and the cars' parameters."""
+    first = len(AMOUNTS)
+    columns = {f"effect_{name}": totals.amounts[:, first + i] / JOULES_PER_KWH for i, name in enumerate(effects)}
+    own = cars.parameters[totals.at_last("kind").astype(np.int64)]
+    return columns | {name: own[:, i] for i, name in enumerate(PARAMETERS)}
+
+
+def energy_by_power(totals: Totals) -> tuple[Floats, Floats]:
+    """Return the energy measured by voltage and current, and its standard uncertainty.
+
+    Time without a measurement (gaps, missing values) is filled with the mean power of the rest, and adds to the
+    uncertainty; NaN where less than half is measured. [kWh]
+    """
+    energy = totals.amount("energy") / JOULES_PER_KWH
+    duration, metered = totals.amount("duration"), totals.amount("metered")
+    share = np.divide(metered, duration, out=np.zeros(len(energy)), where=duration > 0.0)
+    whole = np.divide(energy, share, out=np.full(len(energy), np.nan), where=share >= 0.5)
+    return whole, np.hypot(METER_GAIN * np.abs(whole), UNSEEN_POWER * np.abs(whole) * (1.0 - share))
+
+
+def energy_by_soc(totals: Totals, cars: Cars) -> tuple[Floats, Floats]:
+    """Return the energy measured by the fall of the state of charge, and its standard uncertainty.
+
+    Each end is uniform within a quantum q, so their difference has a standard deviation of q / sqrt(6). [kWh]
+    """
+    capacity = cars.capacity[totals.at_last("kind").astype(np.int64)]
+    quantum = np.nan_to_num(totals.at_last("soc_step"), nan=COARSEST_SOC)
+    energy = (totals.at_first("soc") - totals.at_last("soc")) * capacity
+    return energy, np.hypot(capacity * quantum / np.sqrt(6.0), CAPACITY_GAIN * np.abs(energy))
+
+
+def measured_energy(totals: Totals, cars: Cars) -> tuple[Floats, Floats]:
+    """Return the better of the two measured energies, and its standard uncertainty; NaN where there is none. [kWh]"""
+    power, power_sd = energy_by_power(totals)
+    soc, soc_sd = energy_by_soc(totals, cars)
+    better = np.nan_to_num(power_sd, nan=np.inf) <= np.nan_to_num(soc_sd, nan=np.inf)
+    return np.where(better, power, soc), np.where(better, power_sd, soc_sd)
+
+
+def unfit_reason(duration: Floats, distance: Floats, energy: Floats, settings: Settings) -> NDArray[np.object_]:
+    """Return why a ride is unfit for training, `None` where it is fit, after section 3 of the paper."""
+    reason = np.full(len(duration), None, dtype=object)
+    for why, applies in (  # the first one that applies is the last one written
+        ("no_measured_energy", np.isnan(energy)),
+        ("too_little_distance", distance < settings.least_distance),
+        ("too_short", duration < settings.shortest_ride),
+        ("too_long", duration > settings.longest_ride),
+    ):
+        reason[applies] = why
+    return reason
+
+
+def is_winter(time: Floats) -> NDArray[np.int64]:
+    """Return 1 from 15 December to 15 March, else 0.
+
+    >>> is_winter(np.array([1705276800.0, 1719792000.0])).tolist()
+    [1, 0]
+    """
+    days = pd.to_datetime(pd.Series(time), unit="s")
+    day = days.dt.month * 100 + days.dt.day
+    (first_month, first_day), (last_month, last_day) = WINTER
+    winter = (day >= first_month * 100 + first_day) | (day <= last_month * 100 + last_day)
+    return winter.to_numpy().astype(np.int64)
+
+
+def _mean(totals: Totals, name: str, time: str = "duration") -> Floats:
+    """Return the mean of what was summed over a time."""
+    over = totals.amount(time)
+    return np.divide(totals.amount(name), over, out=np.full(len(over), np.nan), where=over > 0.0)
+
+
+def _physical(totals: Totals, cars: Cars) -> dict[str, Floats]:
+    """Return the columns that a ride and a window have in common, but for effects and cars' parameters."""
+    energy_vi, energy_vi_sd = energy_by_power(totals)
+    energy_soc, energy_soc_sd = energy_by_soc(totals, cars)
+    energy, energy_sd = measured_energy(totals, cars)
+    speed = _mean(totals, "distance")
+    direction = np.degrees(np.arctan2(_mean(totals, "wind_east"), _mean(totals, "wind_north"))) % 360.0
+    windy = (totals.amount("wind_north") != 0.0) | (totals.amount("wind_east") != 0.0)
+    columns = {
+        "start_s": totals.at_first("time"),
+        "end_s": totals.at_last("time"),
+        "duration_s": totals.amount("duration"),
+        "distance_km": totals.amount("distance") * 1e-3,
+        "average_speed_kmh": speed / KMH,
+        "gained_m": totals.amount("gained"),
+        "lost_m": totals.amount("lost"),
+        "ambient_c": _mean(totals, "ambient") - ZERO_CELSIUS,
+        "wind_speed_kmh": _mean(totals, "wind", "wind_known") / KMH,
+        "wind_from_deg": np.where(windy, direction, np.nan),
+        "precipitation_mm_h": _mean(totals, "precipitation") * 3.6e6,
+        "hvac_kwh": np.where(totals.amount("hvac_known") > 0.0, totals.amount("hvac") / JOULES_PER_KWH, np.nan),
+        "stops": totals.amount("stops"),
+        "samples": totals.amount("samples"),
+        "soc_start_pct": totals.at_first("soc") * 100.0,
+        "soc_end_pct": totals.at_last("soc") * 100.0,
+        "battery_temperature_c": totals.at_first("battery_temperature") - ZERO_CELSIUS,
+        "elapsed_s": totals.at_first("elapsed"),
+        "parked_s": totals.at_last("parked"),
+        "time_since_charge_s": totals.at_last("since_charge"),
+        "odometer_km": totals.at_last("odometer") * 1e-3,
+        "occupants": totals.at_last("occupants"),
+        "latitude_start_deg": np.degrees(totals.at_first("latitude")),
+        "longitude_start_deg": np.degrees(totals.at_first("longitude")),
+        "latitude_end_deg": np.degrees(totals.at_last("latitude")),
+        "longitude_end_deg": np.degrees(totals.at_last("longitude")),
+        "energy_vi_kwh": energy_vi,
+        "energy_vi_sd_kwh": energy_vi_sd,
+        "energy_soc_kwh": energy_soc,
+        "energy_soc_sd_kwh": energy_soc_sd,
+        "energy_kwh": energy,
+        "energy_sd_kwh": energy_sd,
+    }
+    histogram = totals.amounts[:, -BINS:] * 1e-3
+    return columns | {name: histogram[:, i] for i, name in enumerate(HISTOGRAM)}
+
+
+def window_table(totals: Totals, names: Sequence[str], cars: Cars, effects: Sequence[str]) -> pd.DataFrame:
+    """Return the window table: one row a window, its ride by `ride_key`."""
+    kinds = totals.at_last("kind").astype(np.int64)
+    own = {
+        "ride_key": _ride_keys(totals, names),
+        "window": totals.window,
+        "vehicle_id": _named(totals.lane, names.__getitem__),
+        "vehicle_model": _named(kinds, cars.name),
+    }
+    return pd.DataFrame(own | _physical(totals, cars) | model_columns(totals, cars, effects))
+
+
+def ride_table(
+    totals: Totals,
+    names: Sequence[str],
+    ride_names: Sequence[str | None],
+    cars: Cars,
+    effects: Sequence[str],
+    settings: Settings,
+) -> pd.DataFrame:
+    """Return the ride table: one row a ride, with every term of the paper's Table 1 but the driver.
+
+    Parameters
+    ----------
+    totals : Totals
+        Of n rides.
+    names : sequence of str
+        Vehicle of each lane.
+    ride_names : sequence of n (str or None)
+        As the logger named them; a ride without a name gets its vehicle's and its ordinal.
+    cars : Cars
+    effects : sequence of str
+        Whose energies were summed.
+    settings : Settings
+        Thresholds of what is fit for training.
+    """
+    physical = _physical(totals, cars)
+    kinds = totals.at_last("kind").astype(np.int64)
+    keys = _ride_keys(totals, names)
+    start = physical["start_s"]
+    winter = is_winter(start)
+    reason = unfit_reason(physical["duration_s"], totals.amount("distance"), physical["energy_kwh"], settings)
+    quality = {f"quality_{cause}": totals.quality[:, i].astype(np.int64) for i, cause in enumerate(CAUSES)}
+    own = {
+        "ride_id": [name or key for name, key in zip(ride_names, keys, strict=True)],
+        "ride_key": keys,
+        "vehicle_id": _named(totals.lane, names.__getitem__),
+        "vehicle_model": _named(kinds, cars.name),
+        "date": [_date(time) for time in start],
+        "winter": winter,
+        "summer": 1 - winter,
+        "fit_for_training": np.array([why is None for why in reason], np.bool_),
+        "unfit_reason": reason,
+    }
+    return pd.DataFrame(own | physical | model_columns(totals, cars, effects) | quality)
+
+
+def _named(codes: NDArray[np.int64], name: Callable[[int], str | None]) -> list[str | None]:
+    return [name(code) for code in codes.tolist()]
+
+
+def _ride_keys(totals: Totals, names: Sequence[str]) -> list[str]:
+    """Return a key of each ride that is unique in a recording: its vehicle and its ordinal there."""
+    return [f"{names[lane]}#{ride}" for lane, ride in zip(totals.lane.tolist(), totals.ride.tolist(), strict=True)]
+
+
+def _date(time: float) -> str:
+    """Return the UTC date of a Unix time, ISO."""
+    return datetime.fromtimestamp(time, UTC).date().isoformat()
+
+
+def unfit_counts(rides: pd.DataFrame) -> Mapping[str, int]:
+    """Return how many rides are unfit for training, by reason."""
+    return {str(reason): int(n) for reason, n in rides["unfit_reason"].dropna().value_counts().sort_index().items()}

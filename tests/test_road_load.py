@@ -1,0 +1,161 @@
+"""Every base effect has its unit, its closed form and its source."""
+
+import inspect
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from core.columns import GRAVITY
+from core.effects import check, get, library
+from core.road_load import ROAD_LOAD, STANDARD_AIR_DENSITY
+from core.vehicles import ACCESSORIES
+from core.verification import ORDINARY
+
+ALL = pytest.mark.parametrize("each", ROAD_LOAD, ids=lambda e: e.name)
+
+
+def rows(seed: int, count: int) -> dict[str, np.ndarray]:
+    """Every signal at random over ordinary driving."""
+    random = np.random.default_rng(seed)
+    return {name: random.uniform(low, high, count) for name, (low, high) in ORDINARY.items()}
+
+
+def power(name: str, **columns: float) -> float:
+    """Power of an effect for one row."""
+    return float(get(name).power({n: np.array([value]) for n, value in columns.items()})[0])
+
+
+# Laws of every effect
+
+
+@ALL
+def test_unit_shape_and_values_are_right(each):
+    check(each)
+
+
+@ALL
+def test_is_documented_with_a_source(each):
+    assert each.formula.startswith("P = ")
+    assert len(each.source) > 20
+    assert each.summary.endswith(".") or each.formula in each.summary
+    assert inspect.getdoc(each.function)
+    assert each.energy_name == f"effect_{each.name}"
+
+
+@ALL
+@given(seed=st.integers(0, 2**32), cuts=st.lists(st.integers(0, 50), max_size=6))
+@settings(max_examples=20)
+def test_is_the_same_to_the_bit_however_rows_are_cut(each, seed, cuts):
+    columns = rows(seed, 50)
+    whole = each.power(columns)
+    edges = [0, *sorted(cuts), 50]
+    parts = [each.power({n: c[a:b] for n, c in columns.items()}) for a, b in pairwise(edges)]
+    assert np.concatenate(parts).tobytes() == whole.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("each", "argument"), [(e, a) for e in ROAD_LOAD for a in e.arguments if e.name != "auxiliary"]
+)
+def test_an_unknown_argument_gives_nan_in_its_row_alone(each, argument):
+    columns = rows(7, 5)
+    columns[argument][2] = np.nan
+    assert np.isnan(each.power(columns)).tolist() == [False, False, True, False, False]
+
+
+def test_the_library_is_the_road_load_by_name_and_cannot_be_changed():
+    assert list(library())[: len(ROAD_LOAD)] == [e.name for e in ROAD_LOAD]
+    with pytest.raises(TypeError):
+        library()["rolling"] = None
+
+
+# Closed forms
+
+
+@given(st.floats(500, 3000), st.floats(-0.3, 0.3), st.floats(0, 36))
+def test_rolling_and_climbing_are_the_weights_components(mass, grade, speed):
+    angle = np.arcsin(grade)
+    assert power("rolling", mass=mass, grade=grade, speed=speed) == pytest.approx(
+        mass * GRAVITY * np.cos(angle) * speed
+    )
+    climbing = power("climbing", mass=mass, grade=grade, speed=speed)
+    assert climbing == pytest.approx(mass * GRAVITY * np.sin(angle) * speed, abs=1e-9)
+    up, down = (power(f"climbing_{way}", mass=mass, grade=grade, speed=speed) for way in ("up", "down"))
+    assert (up + down, up * down) == (climbing, 0.0)
+    assert up >= 0.0 >= down
+
+
+@given(st.floats(0, 36), st.floats(-20, 20), st.floats(0.9, 1.5))
+def test_drag_is_half_rho_times_relative_wind_squared(speed, headwind, density):
+    assert power("aero_drag", speed=speed) == pytest.approx(0.5 * STANDARD_AIR_DENSITY * speed**3)
+    relative = speed + headwind
+    expected = np.sign(relative) * 0.5 * density * relative**2 * speed
+    assert power("aero_drag_wind", speed=speed, headwind=headwind, air_density=density) == pytest.approx(expected)
+
+
+@given(st.floats(0, 36))
+def test_drag_in_still_standard_air_is_the_same_with_and_without_wind(speed):
+    still = power("aero_drag_wind", speed=speed, headwind=0.0, air_density=STANDARD_AIR_DENSITY)
+    assert still == pytest.approx(power("aero_drag", speed=speed), rel=1e-12)
+
+
+@given(st.lists(st.floats(0, 36), min_size=2, max_size=60), st.floats(500, 3000), st.floats(0.5, 10))
+def test_inertia_sums_to_the_change_of_kinetic_energy(speeds, mass, dt):
+    v = np.array(speeds)
+    columns = {
+        "mass": np.full(len(v) - 1, mass),
+        "speed": (v[1:] + v[:-1]) / 2,
+        "acceleration": np.diff(v) / dt,
+    }
+    energy = {n: float(np.sum(get(n).power(columns) * dt)) for n in ("inertia", "inertia_positive", "inertia_negative")}
+    scale = 1e-9 * mass * 36**2 * len(v)
+    assert energy["inertia"] == pytest.approx(mass * (v[-1] ** 2 - v[0] ** 2) / 2, abs=scale)
+    assert energy["inertia_positive"] + energy["inertia_negative"] == pytest.approx(energy["inertia"], abs=scale)
+    assert energy["inertia_positive"] >= 0.0 >= energy["inertia_negative"]
+
+
+@given(
+    st.lists(st.tuples(st.floats(-0.3, 0.3), st.floats(1, 36)), min_size=1, max_size=40),
+    st.floats(0.8, 1.8),
+    st.floats(0, 1.0),
+)
+def test_a_round_trip_over_hills_never_costs_less_than_the_level_road(profile, paid, regained):
+    """The same horizontal distances at the same speeds, there and back; paid at least what is regained on the hills."""
+    paid = max(paid, regained)
+    grade, speed = (np.array(column) for column in zip(*profile, strict=True))
+    grade, speed = np.r_[grade, -grade[::-1]], np.r_[speed, speed[::-1]]
+    columns = {"mass": np.full(len(grade), 1600.0), "speed": speed}
+    coefficients = {"rolling": 0.01, "aero_drag": 0.7, "climbing_up": paid, "climbing_down": regained}
+
+    def cost(grades: np.ndarray) -> float:
+        time = 100.0 / np.sqrt(1.0 - grades**2) / speed  # each step is 100 m on the map
+        terms = (c * np.sum(get(n).power({**columns, "grade": grades}) * time) for n, c in coefficients.items())
+        return float(sum(terms))
+
+    level = cost(np.zeros(len(grade)))
+    assert cost(grade) >= level * (1 - 1e-9)
+    if np.ptp(grade) > 0.01 and paid > regained + 0.01:
+        assert cost(grade) > level
+
+
+@given(st.floats(233, 318), st.floats(0, 2))
+def test_accessories_are_the_curve_times_the_cars_scale(ambient, scale):
+    expected = scale * ACCESSORIES.power(np.array([ambient]))[0]
+    assert power("accessories", ambient=ambient, accessory_scale=scale) == expected
+
+
+def test_parameters_may_be_moved_for_one_call():
+    columns = {"ambient": np.array([200.0]), "accessory_scale": np.array([1.0])}
+    assert get("accessories").power(columns, {"heating": 5000.0}).tolist() == [5000.0]
+    assert get("accessories").power(columns).tolist() == [ACCESSORIES.heating]
+
+
+def test_what_acts_all_the_time_and_what_by_motion():
+    assert {e.name for e in ROAD_LOAD if e.per == "time"} == {"accessories", "auxiliary"}
+    assert power("auxiliary", dt=3.0) == 1.0
+    standing = {**rows(1, 4), "speed": np.zeros(4)}
+    for each in ROAD_LOAD:
+        if each.per == "distance":
+            assert not each.power(standing).any(), each.name

@@ -1,0 +1,204 @@
+"""The catalogue is complete, cited and plausible; overrides do what the wire contract says; the accessory curve."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from core.codec import Vehicle
+from core.columns import ZERO_CELSIUS
+from core.errors import CatalogueError
+from core.vehicles import (
+    ACCESSORIES,
+    BOUNDS,
+    OUT_OF_RANGE,
+    OVERRIDES,
+    UNKNOWN_MODEL,
+    AccessoryCurve,
+    VehicleModel,
+    catalogue,
+    read_catalogue,
+    vehicle_model,
+)
+
+KEYS = {
+    "nissan-leaf-2013",
+    "nissan-leaf-2016",
+    "kia-soul-ev-2015",
+    "tesla-model-s",
+    "tesla-model-x",
+    "bmw-i3-2014",
+    "renault-twizy-2012",
+}
+
+ENTRY = """
+[horse]
+name = "Horse"
+mass_kg = 500
+drag_coefficient = 0.9
+frontal_area_m2 = 1.0
+rolling_resistance = 0.02
+nominal_capacity_kwh = 5
+accessory_scale = 0.0
+[horse.sources]
+mass_kg = "a"
+drag_coefficient = "a"
+frontal_area_m2 = "a"
+rolling_resistance = "a"
+nominal_capacity_kwh = "a"
+accessory_scale = "a"
+"""
+
+
+def test_catalogue_has_the_contracts_keys():
+    assert set(catalogue()) == KEYS
+    assert all(key == model.key for key, model in catalogue().items())
+
+
+@pytest.mark.parametrize("key", sorted(KEYS))
+def test_every_figure_has_a_source_that_says_something(key):
+    model = catalogue()[key]
+    for figure in BOUNDS:
+        assert len(model.sources[figure]) > 15, figure
+    assert set(model.sources) <= {f.name for f in fields(VehicleModel)}
+    assert (model.usable_capacity_kwh is None) == ("usable_capacity_kwh" not in model.sources)
+
+
+@pytest.mark.parametrize("key", sorted(KEYS))
+def test_road_load_at_90_kmh_is_that_of_a_small_electric_vehicle(key):
+    model = catalogue()[key]
+    rolling = model.mass_kg * 9.81 * model.rolling_resistance
+    drag = 0.5 * 1.2 * model.drag_area_m2 * 25.0**2
+    assert 0.05 < (rolling + drag) / 3600 < 0.16  # kWh/km at the wheels
+
+
+def test_models_are_values():
+    first = catalogue()["tesla-model-s"]
+    assert first == replace(first)
+    assert hash(first) == hash(replace(first))
+    assert first.drag_area_m2 == first.drag_coefficient * first.frontal_area_m2
+
+
+def test_catalogue_cannot_be_changed():
+    with pytest.raises(TypeError):
+        catalogue()["horse"] = None
+
+
+def test_read_catalogue_reads_a_good_entry():
+    assert read_catalogue(ENTRY)["horse"].mass_kg == 500.0
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ("[horse]", "[horse", "not TOML"),
+        ("mass_kg = 500\n", "", "mass_kg is missing: give one from 200 to 7500"),
+        ("mass_kg = 500\n", 'mass_kg = "heavy"\n', "mass_kg is 'heavy', no number"),
+        ("mass_kg = 500\n", "mass_kg = true\n", "mass_kg is True, no number"),
+        ("mass_kg = 500\n", "mass_kg = 50\n", "mass_kg 50 is outside 200 to 7500"),
+        ("mass_kg = 500\n", "mass_kg = nan\n", "mass_kg nan is outside"),
+        ("mass_kg = 500\n", "mass_kg = 500\nlegs = 4\n", "'legs' is no figure of a vehicle"),
+        ('mass_kg = "a"\n', "", "mass_kg has no source"),
+        ('mass_kg = "a"\n', 'mass_kg = " "\n', "mass_kg has no source"),
+        ('name = "Horse"\n', "", "it has no name"),
+        (
+            "accessory_scale = 0.0\n",
+            "accessory_scale = 0.0\nusable_capacity_kwh = 6\n",
+            "usable_capacity_kwh 6 is outside 1 to 5",
+        ),
+        ("[horse.sources]", "[cart]\nname='x'\n[cart.sources]", "no sources"),
+        ("[horse]", "x = 1\n[horse]", "'x' is no table"),
+    ],
+)
+def test_bad_catalogue_says_what_and_where_in_one_line(before, after, said):
+    assert ENTRY.count(before) == 1
+    with pytest.raises(CatalogueError) as caught:
+        read_catalogue(ENTRY.replace(before, after))
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_without_overrides_the_catalogue_speaks():
+    assert vehicle_model(Vehicle("a", 0.0, "bmw-i3-2014")) is catalogue()["bmw-i3-2014"]
+
+
+@given(
+    st.sampled_from(sorted(KEYS)),
+    st.dictionaries(st.sampled_from(OVERRIDES), st.floats(0.0, 1.0), max_size=len(OVERRIDES)),
+)
+def test_overrides_replace_their_figures_and_no_others(key, shares):
+    own = {name: BOUNDS[name][0] + share * (BOUNDS[name][1] - BOUNDS[name][0]) for name, share in shares.items()}
+    model = vehicle_model(Vehicle("a", 0.0, key, **own))
+    for name in BOUNDS:
+        assert getattr(model, name) == own.get(name, getattr(catalogue()[key], name))
+    assert all(model.sources[name] == "the car's own vehicle message" for name in own)
+
+
+def test_usable_capacity_goes_with_an_overridden_nominal():
+    model = vehicle_model(Vehicle("a", 0.0, "tesla-model-s", nominal_capacity_kwh=68.0))
+    assert model.usable_capacity_kwh == pytest.approx(77.5 * 68 / 85)
+
+
+COMPLETE = {
+    "nominal_capacity_kwh": 40.0,
+    "mass_kg": 1600.0,
+    "drag_coefficient": 0.28,
+    "frontal_area_m2": 2.3,
+    "rolling_resistance": 0.009,
+}
+
+
+def test_unknown_key_is_served_from_complete_overrides():
+    model = vehicle_model(Vehicle("a", 0.0, "new-car", **COMPLETE))
+    assert (model.key, model.mass_kg, model.accessory_scale) == ("new-car", 1600.0, 1.0)
+    assert set(BOUNDS) <= set(model.sources)
+
+
+@pytest.mark.parametrize("missing", OVERRIDES)
+def test_unknown_key_without_complete_overrides_is_counted(missing):
+    own = {name: value for name, value in COMPLETE.items() if name != missing}
+    assert vehicle_model(Vehicle("a", 0.0, "new-car", **own)) == UNKNOWN_MODEL
+
+
+@pytest.mark.parametrize("name", OVERRIDES)
+@pytest.mark.parametrize("key", ["new-car", "kia-soul-ev-2015"])
+@pytest.mark.parametrize("side", [0, 1])
+def test_override_out_of_range_is_counted(name, key, side):
+    outside = BOUNDS[name][side] * (0.99, 1.01)[side]
+    assert vehicle_model(Vehicle("a", 0.0, key, **{**COMPLETE, name: outside})) == OUT_OF_RANGE
+
+
+def test_accessory_curve_has_five_segments():
+    curve = ACCESSORIES
+    celsius = np.arange(-60.0, 60.0, 0.01)
+    power = curve.power(celsius + ZERO_CELSIUS)
+    slope = np.diff(power) / 0.01
+    signs = np.sign(np.where(np.abs(slope) < 1e-6, 0.0, slope))
+    segments = signs[np.r_[True, np.diff(signs) != 0]]
+    assert segments.tolist() == [0, -1, 0, 1, 0]
+    assert power[0] == curve.heating
+    assert power[-1] == curve.cooling
+    assert power.min() == curve.standby
+    assert curve.cooling < curve.heating  # the paper: cooling takes less than heating
+
+
+@given(st.floats(200.0, 340.0), st.floats(1e-6, 1e-3))
+def test_accessory_curve_is_continuous(ambient, step):
+    curve = ACCESSORIES
+    steepest = max(
+        (curve.heating - curve.standby) / (curve.heating_off - curve.heating_full),
+        (curve.cooling - curve.standby) / (curve.cooling_full - curve.cooling_on),
+    )
+    before, after = curve.power(np.array([ambient, ambient + step]))
+    assert abs(after - before) <= steepest * step + 1e-8
+
+
+def test_accessory_curve_is_the_line_through_its_choke_points():
+    curve = AccessoryCurve(260.0, 285.0, 295.0, 305.0, 5000.0, 400.0, 2000.0)
+    knots = [260.0, 285.0, 295.0, 305.0]
+    ambient = np.linspace(240.0, 320.0, 1001)
+    expected = np.interp(ambient, knots, [5000.0, 400.0, 400.0, 2000.0])
+    np.testing.assert_allclose(curve.power(ambient), expected, rtol=1e-12)
+    assert np.isnan(curve.power(np.array([np.nan]))).all()

@@ -1,0 +1,78 @@
+"""What is wrong with an effect is found and told in one line."""
+
+import pytest
+
+from core.columns import SIGNALS
+from core.declaration import SIGNAL_UNITS
+from core.effects import Effect, check
+from core.errors import EffectError
+from core.verification import ORDINARY
+
+# Each of these functions has one thing wrong
+
+GOOD = '''
+import numpy as np
+from core.effects import Parameter, effect
+
+@effect(coefficient="door area times flow", unit="W/K", low=0, high=500, source="Somebody 2020, p. 7", per="time",
+        parameters={"inside": Parameter(294.15, "K", 288.15, 298.15)})
+def door_loss(stopped, inside, ambient):
+    """Heat through open doors: P = H stopped (T_in - T)."""
+    return stopped * np.maximum(inside - ambient, 0.0)
+'''
+BODY = "stopped * np.maximum(inside - ambient, 0.0)"
+
+
+def refusal(text: str) -> str:
+    """What `check` says of the effect in a text."""
+    names: dict = {}
+    exec(text, names)
+    (found,) = [value for value in names.values() if isinstance(value, Effect)]
+    with pytest.raises(EffectError) as caught:
+        check(found)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ('unit="W/K"', 'unit="W"', "times the coefficient's [W] that is [K * W], not [W]"),
+        ('unit="W/K"', 'unit="kW/K"', "not [W]"),
+        ('unit="W/K"', 'unit="wattage"', "unit 'wattage' is none that pint knows"),
+        ('unit="W/K"', 'unit="3 W/K"', "unit '3 W/K' is none that pint knows"),
+        ('"K", 288', '"kg", 288', "units do not fit: Cannot convert"),
+        (
+            '"K", 288',
+            '"degC", 288',
+            "parameter inside is in [degC], and columns are in SI units: give its value in [K]",
+        ),
+        ('"K", 288', '"mK", 288', "parameter inside is in [mK], and columns are in SI units: give its value in [K]"),
+        ("inside - ambient", "294.15 - ambient + 0 * inside", "a number with a dimension must be a parameter"),
+        (
+            BODY,
+            "np.asarray(stopped) * np.maximum(inside - ambient, 0.0)",
+            "units do not fit: The unit of the quantity is stripped",
+        ),
+        (BODY, "(inside - ambient) / (stopped - stopped + 0)", "gives"),
+        (BODY, BODY + " / (stopped > 0.1)", "gives nan at stopped=0"),
+        (BODY, "np.sqrt(stopped - 0.5) * (inside - ambient)", "gives nan at stopped=0"),
+        (BODY, "(inside - ambient).sum() * stopped", "alone give another result than among all"),
+        (BODY, "(stopped * (inside - ambient))[:-1]", "returns float64 (256,) for 257 rows"),
+        (BODY, "(inside - inside) * 0", "returns float for 257 rows"),
+        (BODY, "stopped.nothing", "raises AttributeError"),
+        (BODY, "[][1]", "raises IndexError: list index out of range"),
+        (BODY, "np.multiply(stopped, 2.0, out=stopped) * (inside - ambient)", "raises "),
+    ],
+)
+def test_check_refuses(before, after, said):
+    assert GOOD.count(before) == 1
+    assert said in refusal(GOOD.replace(before, after))
+
+
+def test_ordinary_driving_is_said_for_every_signal_within_its_range():
+    assert list(ORDINARY) == [column.name for column in SIGNALS]
+    for column in SIGNALS:
+        low, high = ORDINARY[column.name]
+        assert column.low <= low < high <= column.high
+        assert SIGNAL_UNITS[column.name] == column.unit
