@@ -5,14 +5,16 @@ bitwise the same output. The parts of the kernel are `core.clock`, `core.motion`
 that it keeps; this file strings them together.
 """
 
+from hashlib import sha256
 from math import isnan, nan
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from core import clock, motion, rides
+from core import batch, clock, columns, motion, quality, rides
 from core.batch import Batch, Floats, Ints, grown
 from core.columns import TELEMETRY
 from core.quality import Quality
@@ -24,6 +26,7 @@ _OWN_FIELDS: Final = (
     "has_power",
     "soc",  # last believed
     "has_soc",
+    "soc_age",  # since it was last reported [s]
     "soc_step",  # smallest change seen: the quantum
     "battery_temperature",
     "occupants",
@@ -122,6 +125,7 @@ _HIGH: Final = np.array([np.inf, np.inf, *(column.high for column in TELEMETRY)]
 OUT_OF_RANGE: Final = int(Quality.OUT_OF_RANGE)
 SOC_MISSING: Final = int(Quality.SOC_MISSING)
 POWER_MISSING: Final = int(Quality.POWER_MISSING)
+STALE: Final = 60.0  # a state of charge this old says nothing of a ride that begins [s]
 LONGEST_TRAPEZOID: Final = 10.5  # power is interpolated over holes of up to so many periods
 
 
@@ -189,7 +193,7 @@ def kernel(columns: Any, state: Any, settings: Any, rows: Any, cells: Any, out: 
             out[j, i] = cells[_BROUGHT + j]
 
 
-@njit(cache=True)
+@njit
 def clean_row(s: Any, r: Any, x: Any) -> None:
     """Clean one row."""
     dt, bits = clock.advance(s, r.raw_stamp, r.raw_seq, same_content(s, r), x.period)
@@ -208,12 +212,12 @@ def clean_row(s: Any, r: Any, x: Any) -> None:
     r.ambient, r.hvac, r.current = r.raw_ambient, r.raw_hvac, r.raw_current
 
 
-@njit(cache=True)
+@njit
 def use(s: Any, r: Any, dt: float, x: Any) -> None:
     """Take a row that stands for `dt` seconds."""
     motion.move(s, r, dt, x)
     meter(s, r, dt, x)
-    changed = charge_state(s, r)
+    changed = charge_state(s, r, dt)
     if not isnan(r.raw_battery_temperature):
         s.battery_temperature = r.raw_battery_temperature
     if not isnan(r.raw_occupants):
@@ -223,11 +227,15 @@ def use(s: Any, r: Any, dt: float, x: Any) -> None:
     begins = rides.segment(s, r.raw_ride, dt, s.standing == 0.0, r.raw_charging == 1.0, x)
     if begins:  # the step led up to the ride and is not part of it
         r.dt = r.travel = r.distance = r.climb = r.energy = r.metered = r.stop = 0.0
+        if int(r.quality) & motion.BRIDGED:
+            r.quality -= motion.BRIDGED
+        if s.soc_age > STALE:
+            s.soc = nan
     rides.window(s, dt, begins, s.has_power == 1.0 or changed, x)
     r.due = 1.0 if rides.forecast_due(s, s.soc, dt, begins, x) else 0.0
 
 
-@njit(cache=True)
+@njit
 def same_content(s: Any, r: Any) -> bool:
     """Say whether a row says the same as the row before it in its lane, and remember it."""
     same = s.samples > 0.0
@@ -241,7 +249,7 @@ def same_content(s: Any, r: Any) -> bool:
     return same
 
 
-@njit(cache=True)
+@njit
 def meter(s: Any, r: Any, dt: float, x: Any) -> None:
     """Measure the energy drawn in the step, by the trapezoid of V I."""
     power = r.raw_voltage * r.raw_current
@@ -255,13 +263,15 @@ def meter(s: Any, r: Any, dt: float, x: Any) -> None:
     s.power = power
 
 
-@njit(cache=True)
-def charge_state(s: Any, r: Any) -> bool:
+@njit
+def charge_state(s: Any, r: Any, dt: float) -> bool:
     """Take the reported state of charge; return whether it changed."""
+    s.soc_age += dt
     if isnan(r.raw_soc):
         r.quality += SOC_MISSING if s.has_soc == 1.0 else 0
         return False
     s.has_soc = 1.0
+    s.soc_age = 0.0
     change = abs(r.raw_soc - s.soc)
     s.soc = r.raw_soc
     changed = change > 1e-6
@@ -270,7 +280,7 @@ def charge_state(s: Any, r: Any) -> bool:
     return changed
 
 
-@njit(cache=True)
+@njit
 def stands(s: Any) -> bool:
     """Say whether a stop begins with this sample, with hysteresis."""
     if s.smooth > motion.MOVING:
@@ -279,3 +289,13 @@ def stands(s: Any) -> bool:
         s.standing = 1.0
         return True
     return False
+
+
+def _sources() -> str:
+    """Return a digest of every file that the kernel is made of."""
+    files = [__file__, *(str(module.__file__) for module in (batch, clock, columns, motion, quality, rides))]
+    return sha256(b"".join(Path(file).read_bytes() for file in files)).hexdigest()
+
+
+# numba renews a kernel kept on disk when the file it stands in changes, not when its parts do
+kernel._cache._cache_file._source_stamp = _sources()  # noqa: SLF001

@@ -58,7 +58,7 @@ REORDER: Final = 100.0  # a counter that is behind by more than this has restart
 UNUSED: Final = -1.0  # the `dt` of a sample that is not used
 
 
-@njit(cache=True, inline="never")
+@njit(inline="never")
 def begin(s: Any, stamp: float, seq: float, period: float) -> None:
     """Start a lane's clock at its first stamp."""
     s.samples = 1.0
@@ -68,7 +68,7 @@ def begin(s: Any, stamp: float, seq: float, period: float) -> None:
     s.memory = MEMORY[0]
 
 
-@njit(cache=True)
+@njit
 def observe_interval(s: Any, stamp: float, count: float) -> None:
     """Follow the median interval of the stamps, and lock on to a period that is not the nominal one."""
     interval = (stamp - s.stamp) / count
@@ -82,7 +82,7 @@ def observe_interval(s: Any, stamp: float, count: float) -> None:
         s.memory = MEMORY[0]
 
 
-@njit(cache=True)
+@njit
 def follow(s: Any, stamp: float, count: float) -> tuple[float, int]:
     """Move the clock on by `count` periods, corrected by the stamp; return the time that passed and quality bits."""
     predicted = s.time + count * s.period
@@ -116,7 +116,19 @@ def follow(s: Any, stamp: float, count: float) -> tuple[float, int]:
     return dt, bits
 
 
-@njit(cache=True)
+@njit
+def restart(s: Any, stamp: float, seq: float) -> tuple[float, int]:
+    """Take the first sample after a power cycle: a new phase, known from its stamp alone."""
+    dt = stamp - s.time
+    s.samples += 1.0
+    s.time = s.stamp = stamp
+    s.seq = seq
+    s.memory = MEMORY[0]
+    s.misfits = 0.0
+    return dt, SEQUENCE | (GAP if dt >= 1.5 * s.period else 0)
+
+
+@njit
 def reject(s: Any, stamp: float, seq: float, bit: int) -> tuple[float, int]:
     """Reject a sample from the past, unless it is the third in a row of a clock that has been set back."""
     in_order = 0.0 < stamp - s.late_stamp <= 2.0 * s.period
@@ -132,7 +144,7 @@ def reject(s: Any, stamp: float, seq: float, bit: int) -> tuple[float, int]:
     return s.period, CLOCK_STEP
 
 
-@njit(cache=True)
+@njit
 def periods_by_seq(s: Any, stamp: float, seq: float) -> tuple[float, int]:
     """Return the whole periods since the last sample by the counter, -1 for a sample from the past."""
     counted = seq - s.seq
@@ -146,7 +158,7 @@ def periods_by_seq(s: Any, stamp: float, seq: float) -> tuple[float, int]:
     return max(1.0, round(elapsed)), SEQUENCE
 
 
-@njit(cache=True)
+@njit
 def periods_by_stamp(s: Any, stamp: float) -> tuple[float, int]:
     """Return the whole periods since the last sample by the stamp, -1 for a sample from the past."""
     if stamp == s.stamp:
@@ -156,7 +168,7 @@ def periods_by_stamp(s: Any, stamp: float) -> tuple[float, int]:
     return max(0.0, round((stamp - s.time) / s.period)), 0
 
 
-@njit(cache=True)
+@njit
 def advance(s: Any, stamp: float, seq: float, same: bool, period: float) -> tuple[float, int]:
     """Take a sample's place in time.
 
@@ -193,6 +205,8 @@ def advance(s: Any, stamp: float, seq: float, same: bool, period: float) -> tupl
     if count < 0.0:
         return reject(s, stamp, seq, bits)
     s.late_run = 0.0
+    if counter and seq < s.seq and stamp > s.time:
+        return restart(s, stamp, seq)
     if not isnan(stamp) and count >= 1.0:
         observe_interval(s, stamp, count)
     dt, more = follow(s, stamp, count)

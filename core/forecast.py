@@ -38,6 +38,7 @@ def forecasts(
     ride_names: Sequence[str | None],
     cars: Cars,
     model: Model,
+    effects: Sequence[str],
     prefix: str,
 ) -> list[Message]:
     """Return one message a row of running totals, under `{prefix}fleet/{vehicle}/forecast`.
@@ -47,7 +48,7 @@ def forecasts(
     """
     if not len(running.lane):
         return []
-    predicted = model.predict(model_columns(running, cars, model.effects)).tolist()
+    predicted = model.predict(model_columns(running, cars, effects)).tolist()
     measured = measured_energy(running, cars)[0].tolist()
     counts = [QualityCounts(*row) for row in zip(*counted(running).values(), strict=True)]
     soc = (running.at_last("soc") * 100.0).tolist()

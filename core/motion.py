@@ -25,6 +25,8 @@ FIELDS: Final = (
     "fix_age",  # time since that fix [s]
     "fix_distance",  # distance counted since [m]
     "fix_hole",  # 1 if the speed had a hole since
+    "fix_still",  # time since for which the speed read nothing [s]
+    "fix_live",  # 1 if the fix had moved before it was believed, 0 for the first one after silence
     "pending_latitude",  # a fix that waits to be confirmed [rad]
     "pending_longitude",
     "pending_age",  # time since it came [s]
@@ -57,6 +59,7 @@ BRIDGED: Final = int(Quality.BRIDGED)
 NEAR: Final = 5.0  # fixes nearer than this are the same place [m]
 SLACK: Final = 50.0  # what two fixes may be wrong by [m]
 TURN: Final = 15.0  # a heading needs this much of a base [m]
+BLIND: Final = 200.0  # fixes lag behind the wheels by less than this [m]
 NULL_ISLAND: Final = 1e-4  # half-width of the square round 0/0 that is no fix [rad]
 HOLE: Final = 3.5  # steps of more periods than this are holes [periods]
 CRAWL: Final = 0.5  # below this the car stands [m/s]
@@ -64,7 +67,7 @@ MOVING: Final = 1.5  # above this it moves [m/s]
 BRIDGING: Final = 20 * KMH  # least speed at which an unseen distance is taken to have been driven [m/s]
 
 
-@njit(cache=True)
+@njit
 def chord(latitude: float, longitude: float, other_latitude: float, other_longitude: float) -> float:
     """Return the distance of two fixes on a sphere, for distances of some kilometres. [m]"""
     north = other_latitude - latitude
@@ -73,7 +76,7 @@ def chord(latitude: float, longitude: float, other_latitude: float, other_longit
     return EARTH_RADIUS * sqrt(north * north + east * east)
 
 
-@njit(cache=True)
+@njit
 def steer(s: Any, latitude: float, longitude: float, dt: float) -> float:
     """Update the heading from a believed fix; return the rate of turn. [rad/s]"""
     s.heading_age += dt
@@ -92,20 +95,22 @@ def steer(s: Any, latitude: float, longitude: float, dt: float) -> float:
     return 0.0 if isnan(rate) else rate
 
 
-@njit(cache=True)
+@njit
 def believe(s: Any, latitude: float, longitude: float, distance: float, limit: float) -> tuple[float, float]:
     """Take a fix as true; return the distance that the speed has missed and a speed derived from the fixes."""
     shortfall = distance - s.fix_distance
-    if not s.fix_hole and shortfall < SLACK + 0.1 * distance:
+    blind = s.fix_live == 1.0 and shortfall > BLIND and s.fix_still > 0.5 * s.fix_age  # a GPS speed in a tunnel
+    if s.fix_hole == 0.0 and not blind:
         shortfall = 0.0
     derived = distance / s.fix_age if s.fix_age > 0.0 else nan
     s.latitude, s.longitude = latitude, longitude
-    s.fix_age = s.fix_distance = s.fix_hole = 0.0
+    s.fix_age = s.fix_distance = s.fix_hole = s.fix_still = 0.0
+    s.fix_live = 1.0
     s.pending_latitude = nan
     return (max(0.0, shortfall) if distance <= limit else 0.0), derived
 
 
-@njit(cache=True)
+@njit
 def confirmed(s: Any, latitude: float, longitude: float, dt: float, step: float, x: Any) -> bool:
     """Say whether a far fix agrees with the one before it, which was as far; else hold it back until the next."""
     s.pending_age += dt
@@ -117,7 +122,7 @@ def confirmed(s: Any, latitude: float, longitude: float, dt: float, step: float,
     return False
 
 
-@njit(cache=True)
+@njit
 def locate(s: Any, r: Any, dt: float, x: Any) -> tuple[float, float]:
     """Judge a fix, noting what is wrong with it.
 
@@ -135,7 +140,7 @@ def locate(s: Any, r: Any, dt: float, x: Any) -> tuple[float, float]:
     s.has_fix = 1.0
     if isnan(s.latitude):
         s.latitude, s.longitude = latitude, longitude
-        s.fix_age = s.fix_distance = s.fix_hole = 0.0
+        s.fix_age = s.fix_distance = s.fix_hole = s.fix_still = 0.0
         return 0.0, nan
     step = max(dt, x.period)
     distance = chord(s.latitude, s.longitude, latitude, longitude)
@@ -150,7 +155,7 @@ def locate(s: Any, r: Any, dt: float, x: Any) -> tuple[float, float]:
     return believe(s, latitude, longitude, distance, x.tunnel_limit)
 
 
-@njit(cache=True)
+@njit
 def odometer_shortfall(s: Any, odometer: float, most: float) -> float:
     """Return the distance that the odometer proves and the speed has not shown. [m]"""
     if isnan(odometer) or odometer == s.odometer:
@@ -164,7 +169,7 @@ def odometer_shortfall(s: Any, odometer: float, most: float) -> float:
     return max(0.0, shortfall) if shortfall > SLACK else 0.0
 
 
-@njit(cache=True)
+@njit
 def smoothed(s: Any, speed: float, window: int, restart: bool) -> float:
     """Return the moving average of the believed speeds in the window, the last one where there is none. [m/s]"""
     ring = s.ring
@@ -182,7 +187,7 @@ def smoothed(s: Any, speed: float, window: int, restart: bool) -> float:
     return total / count if count else s.smooth
 
 
-@njit(cache=True)
+@njit
 def climb(s: Any, elevation: float, distance: float, x: Any) -> float:
     """Return the climb of the step, after smoothing and backlash; downhill is negative. [m]"""
     if isnan(elevation):
@@ -198,13 +203,17 @@ def climb(s: Any, elevation: float, distance: float, x: Any) -> float:
     return risen
 
 
-@njit(cache=True)
+@njit
 def stride(s: Any, speed: float, dt: float, fixed: bool, witnessed: bool, period: float) -> float:
     """Return the distance of a step from the speed alone, and note a hole in it. [m]"""
     gap = dt > HOLE * period
     hole = isnan(speed) or gap
     if hole:
         s.fix_hole = s.odometer_hole = 1.0
+    if gap:
+        s.fix_live = 0.0
+    if speed < CRAWL:
+        s.fix_still += dt
     if gap and witnessed:
         distance = 0.0
     elif isnan(speed):
@@ -216,7 +225,7 @@ def stride(s: Any, speed: float, dt: float, fixed: bool, witnessed: bool, period
     return distance
 
 
-@njit(cache=True)
+@njit
 def believed_speed(s: Any, r: Any, x: Any) -> float:
     """Return the reported speed, NaN where it is rejected or missing. [m/s]"""
     reported = r.raw_speed
@@ -230,7 +239,7 @@ def believed_speed(s: Any, r: Any, x: Any) -> float:
     return float(reported)
 
 
-@njit(cache=True)
+@njit
 def move(s: Any, r: Any, dt: float, x: Any) -> None:
     """Move the car on by a sample: fill in distance, travel, speed, acceleration, turn rate and climb."""
     speed = believed_speed(s, r, x)
@@ -256,7 +265,7 @@ def move(s: Any, r: Any, dt: float, x: Any) -> None:
     r.travel = dt
     if shortfall > 0.0 and (s.has_speed == 1.0 or gap or shortfall > x.speed_limit * dt):
         r.quality += BRIDGED
-        r.speed = min(x.speed_limit, max(BRIDGING, r.speed, r.distance / age))
+        r.speed = min(x.speed_limit, max(BRIDGING, r.speed, r.distance / max(age, x.period)))
         r.travel = r.distance / r.speed
         r.acceleration = 0.0
     r.climb = climb(s, r.raw_elevation, r.distance, x)

@@ -61,6 +61,8 @@ class Pipeline:
     settings : Settings
     prefix : str
         Chunks before `fleet` in the keys of forecasts, with a slash at the end.
+    also : sequence of str
+        Effects to sum beside those of the model, for tables that other models will be fitted to.
     keep_tables : bool
         Keep totals of rides and windows until they are taken. A consumer that never takes them says False.
 
@@ -76,6 +78,7 @@ class Pipeline:
         settings: Settings = Settings(),  # noqa: B008 - immutable
         prefix: str = "",
         *,
+        also: Sequence[str] = (),
         keep_tables: bool = True,
     ) -> None:
         self.model = model
@@ -87,7 +90,7 @@ class Pipeline:
         self.cleaner = Cleaner(self.settings)
         self.stations = Stations()
         self.cars = Cars()
-        self.effects = [effects.get(name) for name in model.effects]
+        self.effects = [effects.get(name) for name in dict.fromkeys((*model.effects, *also))]
         self.ledger = Ledger(len(self.effects))
         self.plans: dict[int, Plan] = {}
         self._drivers: dict[str, str] = {}
@@ -256,14 +259,14 @@ class Pipeline:
         out: list[Message] = []
         for start in range(0, batch.size, BLOCK):
             rows = slice(start, start + BLOCK)
-            sums = self._steps(batch.rows(start, start + BLOCK), kind[rows])
+            sums = self.sum_up(batch.rows(start, start + BLOCK), kind[rows])
             self._keep(sums)
             names = self._ride_names(sums.running)
-            out += forecasts(sums.running, self.lanes.names, names, self.cars, self.model, self.prefix)
+            out += forecasts(sums.running, self.lanes.names, names, self.cars, self.model, self._effect_names, self.prefix)
         return out
 
-    def _steps(self, batch: Batch, kind: Any) -> Sums:
-        """Run the steps that turn samples into sums."""
+    def sum_up(self, batch: Batch, kind: Any) -> Sums:
+        """Run the steps that turn samples into sums: clean, weather, signals, effects, sums; `kind` is that of each car."""
         lanes = len(self.lanes)
         clean = self.cleaner.clean(batch, lanes)
         sky = self.stations.sky(clean.time, clean.latitude, clean.longitude)

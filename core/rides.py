@@ -36,7 +36,7 @@ MATERIAL_SOC: Final = 0.01  # a change of the state of charge that is worth a fo
 PARKED_RARER: Final = 4.0  # a parked car is reported this much more rarely
 
 
-@njit(cache=True)
+@njit
 def start(s: Any, code: float) -> None:
     """Begin a ride."""
     s.rides += 1.0
@@ -49,7 +49,7 @@ def start(s: Any, code: float) -> None:
     s.window_age = s.window_full = 0.0
 
 
-@njit(cache=True)
+@njit
 def finish(s: Any) -> None:
     """End the ride in progress, if there is one."""
     if s.riding == 1.0:
@@ -58,7 +58,7 @@ def finish(s: Any) -> None:
         s.code = NO_RIDE
 
 
-@njit(cache=True)
+@njit
 def by_name(s: Any, code: float) -> bool:
     """Follow the ride that the logger names; return whether one begins."""
     s.names = 1.0
@@ -72,7 +72,7 @@ def by_name(s: Any, code: float) -> bool:
     return True
 
 
-@njit(cache=True)
+@njit
 def by_motion(s: Any, dt: float, moving: bool, charging: bool, x: Any) -> bool:
     """Cut rides at stops, charging and gaps; return whether one begins."""
     s.stand = 0.0 if moving else s.stand + dt
@@ -84,7 +84,7 @@ def by_motion(s: Any, dt: float, moving: bool, charging: bool, x: Any) -> bool:
     return True
 
 
-@njit(cache=True)
+@njit
 def segment(s: Any, code: float, dt: float, moving: bool, charging: bool, x: Any) -> bool:
     """Say whether a ride begins with this sample, and keep the clocks of ride and rest."""
     s.idle += dt
@@ -95,7 +95,7 @@ def segment(s: Any, code: float, dt: float, moving: bool, charging: bool, x: Any
     return False if s.names == 1.0 else by_motion(s, dt, moving, charging, x)
 
 
-@njit(cache=True)
+@njit
 def window(s: Any, dt: float, begins: bool, closable: bool, x: Any) -> None:
     """Open the next window where the last one is full."""
     if begins:
@@ -108,7 +108,7 @@ def window(s: Any, dt: float, begins: bool, closable: bool, x: Any) -> None:
         s.window_full = 1.0
 
 
-@njit(cache=True)
+@njit
 def forecast_due(s: Any, soc: float, dt: float, begins: bool, x: Any) -> bool:
     """Say whether this sample calls for a forecast, by event time and by what is material."""
     s.since_forecast += dt

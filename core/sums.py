@@ -6,6 +6,7 @@ the bit.
 """
 
 from collections.abc import Sequence
+from math import isnan
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -59,6 +60,7 @@ EDGES: Final = (
 )
 """What is kept of the first and of the last sample."""
 
+SOC: Final = EDGES.index("soc")
 _HEAD: Final = 2  # ordinal of the open ride, -1 for none; ordinal of the open window
 
 
@@ -313,6 +315,10 @@ def add_row(b: Any, parts: Any, riding: bool, rates: Any, edges: Any, speed_bin:
     if counts or not riding:
         for j in range(edges.shape[0]):
             b[parts[4] + j] = edges[j, i]
+        if isnan(b[parts[2] + SOC]):  # it may be known only later
+            b[parts[2] + SOC] = edges[SOC, i]
+        if isnan(b[parts[3] + SOC]):
+            b[parts[3] + SOC] = edges[SOC, i]
 
 
 @njit(cache=True)

@@ -21,8 +21,8 @@ from core.sums import AMOUNTS, BINS, Totals
 
 METER_GAIN: Final = 0.01
 """Standard uncertainty of a car's own voltage times current, as a share. Estimated: sensors of class 0.5 % each."""
-CAPACITY_GAIN: Final = 0.05
-"""Standard uncertainty of the usable capacity, as a share. Estimated: ageing and temperature."""
+CAPACITY_GAIN: Final = 0.15
+"""Standard uncertainty of the usable capacity, as a share. Estimated: ageing, temperature, and what a car calls full."""
 COARSEST_SOC: Final = 0.01
 """Quantum of a state of charge that has not been seen to change: the coarsest that the wire contract allows."""
 UNSEEN_POWER: Final = 0.5
