@@ -1,0 +1,45 @@
+"""Simulated shifts, as the simulator's tests want them."""
+
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import msgspec
+import numpy as np
+
+from core.codec import Telemetry, address
+from tools.simulator import physics
+from tools.simulator.cars import make_car
+from tools.simulator.fleet import simulate
+from tools.simulator.settings import (
+    ALL,
+    NO_FAULTS,
+    Simulation,
+)
+from tools.simulator.shift import make_shift
+from tools.simulator.trace import make_trace
+from tools.simulator.truth import Truth
+from tools.simulator.weather import make_sky
+
+WINTER = datetime(2018, 1, 16, 12, tzinfo=UTC)
+SUMMER = datetime(2018, 7, 16, 15, tzinfo=UTC)
+SMALL = Simulation(vehicles=3, start=WINTER, shift_hours=1.0, seed=11)
+PERFECT = replace(SMALL, faults=NO_FAULTS)
+
+
+def run(simulation):
+    truth = Truth()
+    return list(simulate(simulation, truth)), truth
+
+
+def samples(messages, vehicle=None):
+    wanted = [m for m in messages if address(m.key).kind == "telemetry" and (vehicle is None or vehicle in m.key)]
+    return [msgspec.json.decode(m.payload, type=Telemetry) for m in wanted]
+
+
+def driven(start=WINTER, hours=2.0, seed=5, phenomena=ALL, model="kia-soul-ev-2015"):
+    sky = make_sky(start.timestamp(), 1, seed)
+    car = make_car(model, np.random.default_rng(seed))
+    rng = np.random.default_rng([seed, 1])
+    shift = make_shift("r", start.timestamp(), hours * 3600, car, float(sky.temperature[24]), NO_FAULTS, rng)
+    trace = make_trace(shift, sky)
+    return shift, trace, car, physics.run(trace, car, shift.soc, phenomena)

@@ -1,0 +1,104 @@
+"""The cars as they truly are: their catalogue entry, what the catalogue does not say, and each one's own deviations."""
+
+import tomllib
+from functools import cache
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from core.errors import SettingsError
+from core.vehicles import catalogue
+
+
+class Car(NamedTuple):
+    """True parameters of one car, in SI; powers are electric unless they say otherwise.
+
+    The comments of `cars.toml` tell of those that it names. The others are the catalogue's, off by a few per cent, and:
+    `under_inflation` [1] how far the tyres are below their pressure; `brake_drag` [N] of rubbing pads; `wear` [1] the
+    share of the battery's capacity that is lost; `roof_drag_area` [m^2] of what is carried on the roof;
+    `odometer` [m] at the first shift; `speedometer` [1] its wheel speed over the true one.
+    """
+
+    mass: float
+    drag_area: float
+    rolling_resistance: float
+    capacity: float
+    voltage: float
+    resistance: float
+    efficiency: float
+    motor_power: float
+    regen_power: float
+    electronics: float
+    heater_power: float
+    heater_cop: float
+    cooler_power: float
+    cooler_cop: float
+    cabin_loss: float
+    cabin_capacity: float
+    pack_capacity: float
+    pack_loss: float
+    pack_heater: float
+    pack_heater_below: float
+    soc_step: float
+    ride_median: float
+    ride_spread: float
+    under_inflation: float
+    brake_drag: float
+    wear: float
+    roof_drag_area: float
+    odometer: float
+    speedometer: float
+
+
+SPREAD: Final = {
+    "mass": 0.015,
+    "drag_area": 0.03,
+    "rolling_resistance": 0.06,
+    "resistance": 0.08,
+    "efficiency": 0.01,
+    "electronics": 0.10,
+    "cabin_loss": 0.08,
+    "heater_cop": 0.03,
+    "cooler_cop": 0.03,
+}
+"""Standard deviation of each car's parameter about its model's, relative. [1]"""
+
+
+def make_car(model: str, rng: np.random.Generator) -> Car:
+    """Draw a car of a model.
+
+    Raises
+    ------
+    SettingsError
+        If the catalogue has no such model.
+    """
+    known = catalogue()
+    if model not in known:
+        raise SettingsError(f"no car model is called {model!r}; choose from {', '.join(sorted(known))}")
+    entry = known[model]
+    base: dict[str, Any] = _traits()["default"] | _traits().get(model, {})
+    base |= {
+        "mass": entry.mass_kg,
+        "drag_area": entry.drag_coefficient * entry.frontal_area_m2,
+        "rolling_resistance": entry.rolling_resistance,
+        "capacity": (entry.usable_capacity_kwh or entry.nominal_capacity_kwh) * 3.6e6,
+    }
+    for name, spread in SPREAD.items():
+        base[name] *= float(np.exp(spread * np.clip(rng.normal(), -2.5, 2.5)))
+    kilometres = float(rng.uniform(8e3, 120e3))
+    return Car(
+        **base,
+        under_inflation=float(rng.beta(2, 6)) * 0.4,
+        brake_drag=float(rng.gamma(2.0, 4.0)),
+        wear=min(0.25, kilometres / 120e3 * float(rng.uniform(0.05, 0.18))),
+        roof_drag_area=0.12 if rng.uniform() < 0.4 else 0.0,
+        odometer=kilometres * 1000,
+        speedometer=float(rng.normal(1.0, 0.006)),
+    )
+
+
+@cache
+def _traits() -> dict[str, dict[str, float]]:
+    """Return `cars.toml`."""
+    return tomllib.loads((Path(__file__).parent / "cars.toml").read_text(encoding="utf-8"))

@@ -1,0 +1,103 @@
+"""A driver: keeps to limits and traffic, brakes for lights, signs and bends, and waits."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from core.batch import Floats
+from core.columns import KMH
+from tools.simulator.settings import STEP
+from tools.simulator.world import BOULEVARD, EXPRESSWAY, RESIDENTIAL, Route
+
+
+class Style(NamedTuple):
+    """How somebody drives: over the limit by a factor, and at which accelerations. [1], [m/s^2]."""
+
+    pace: float
+    accelerate: float
+    brake: float
+
+
+class Motion(NamedTuple):
+    """A drive, step by step. All (n,) float.
+
+    Parameters
+    ----------
+    along : Distance driven at the end of the step. [m]
+    before, after : Speed at its two ends. [m/s]
+    """
+
+    along: Floats
+    before: Floats
+    after: Floats
+
+
+def make_style(rng: np.random.Generator) -> Style:
+    """Draw a driver."""
+    return Style(float(rng.normal(1.02, 0.05)), float(rng.uniform(1.3, 2.3)), float(rng.uniform(1.4, 2.3)))
+
+
+def congestion(clock: float) -> float:
+    """Return how dense the traffic is at an hour of the local day, 0 to 1. [1]."""
+    return float(np.exp(-(((clock - 8.2) / 1.3) ** 2)) + np.exp(-(((clock - 17.2) / 1.6) ** 2)))
+
+
+def drive(route: Route, style: Style, traffic: float, rng: np.random.Generator) -> Motion:
+    """Drive a route.
+
+    Parameters
+    ----------
+    traffic : float. See `congestion`. [1]
+    """
+    count = len(route.limit)
+    draws, waits = rng.uniform(size=count), rng.uniform(size=count)
+    stops = np.where(route.street == RESIDENTIAL, 0.48, np.where(route.street == BOULEVARD, 0.46, 0.0))
+    red = draws < stops + 0.15 * traffic * (route.street != EXPRESSWAY)
+    longest = np.where(route.street == BOULEVARD, 60.0, 14.0) * (1 + 0.5 * traffic)
+    wait = np.where(red, 1.5 + longest * waits**1.5, 0.0)
+    slow = np.where(route.street == EXPRESSWAY, 1 - 0.55 * traffic * waits, 0.82 - 0.25 * traffic)
+    limit = route.limit * slow * style.pace
+    cap = np.minimum(limit, np.append(limit[1:], 0.0))
+    cap = np.where(route.turn, np.minimum(cap, np.where(route.street == EXPRESSWAY, 45 * KMH, 19 * KMH)), cap)
+    cap = np.where(red, 0.0, cap)
+    cap[-1] = 0.0
+    length = np.diff(route.along)
+    steps = int((route.along[-1] / 1.5 + wait.sum() + 120 * count) / STEP)
+    mood = rng.normal(size=1024)
+    return Motion(*_drive(length, limit, cap, wait, style, mood, steps))
+
+
+@njit(cache=True)
+def _drive(
+    length: Floats, limit: Floats, cap: Floats, wait: Floats, style: Style, mood: Floats, steps: int
+) -> tuple[Floats, Floats, Floats]:
+    """Step through a route; `cap` is what the end of each segment allows, made reachable by braking in time."""
+    for i in range(len(cap) - 2, -1, -1):
+        cap[i] = min(cap[i], np.sqrt(cap[i + 1] ** 2 + 2 * style.brake * length[i + 1]))
+    along, before, after = np.empty(steps), np.empty(steps), np.empty(steps)
+    n, segment, covered, into, speed, ripple = 0, 0, 0.0, 0.0, 0.0, 0.0
+    while segment < len(length) and n < steps:
+        left = length[segment] - into
+        ripple = 0.97 * ripple + 0.243 * mood[n % len(mood)]
+        wish = max(limit[segment] * (1 + 0.05 * ripple), 0.8)
+        push = style.accelerate * max(0.25, 1 - speed / 36.0)
+        rate = min(max((wish - speed) / 1.2, -style.brake), push)
+        needed = (speed**2 - cap[segment] ** 2) / (2 * max(left, 0.2))
+        if needed > 0.8 * style.brake:
+            rate = -min(needed, 4.0)
+        faster = max(speed + rate * STEP, 0.0)
+        moved = 0.5 * (speed + faster) * STEP
+        if moved >= left and cap[segment] == 0.0:
+            moved, faster = left, 0.0
+        covered, into = covered + moved, into + moved
+        along[n], before[n], after[n] = covered, speed, faster
+        n, speed = n + 1, faster
+        if into >= length[segment] - 1e-9:
+            into -= length[segment]
+            for _ in range(int(wait[segment] / STEP) if speed == 0.0 else 0):
+                if n < steps:
+                    along[n], before[n], after[n] = covered, 0.0, 0.0
+                    n += 1
+            segment += 1
+    return along[:n], before[:n], after[:n]

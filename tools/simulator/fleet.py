@@ -1,0 +1,197 @@
+"""The fleet: every car's every shift, its messages and the weather's in the order in which they are received."""
+
+import heapq
+from collections.abc import Callable, Iterator
+from operator import attrgetter
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from core.codec import Message, Plan, Ride, Vehicle, Wire, encode
+from tools.simulator import calibration, physics
+from tools.simulator.cars import Car, make_car
+from tools.simulator.hidden import EFFECTS, View
+from tools.simulator.logger import Equipment, log, make_equipment
+from tools.simulator.settings import LOCAL, STEP, Simulation
+from tools.simulator.shift import Shift, make_shift
+from tools.simulator.trace import make_trace
+from tools.simulator.truth import Truth
+from tools.simulator.weather import Sky, make_sky, observations
+
+DAY: Final = 86400.0
+PILOT: Final = 240
+"""At most so many shifts, evenly spread, are driven to calibrate hidden effects."""
+RESERVE: Final = 10.0
+"""State of charge that dispatch keeps. [%]"""
+
+
+class Member(NamedTuple):
+    """A car of the fleet."""
+
+    number: int
+    name: str
+    model: str
+    car: Car
+    equipment: Equipment
+
+
+class Driven(NamedTuple):
+    """A shift that has been driven, without hidden effects."""
+
+    shift: Shift
+    view: View
+
+
+def simulate(
+    simulation: Simulation, truth: Truth | None = None, advance: Callable[[int], None] = lambda _: None
+) -> Iterator[Message]:
+    """Yield everything that a fleet and its weather stations send, in order of receipt.
+
+    Parameters
+    ----------
+    simulation : Simulation
+    truth : Truth, optional. Filled in on the way, complete when the last message is taken.
+    advance : callable. Called with the number of shifts that were finished, for a progress bar.
+
+    Raises
+    ------
+    SettingsError
+        Before the first message, for a model, an effect or a size that does not exist.
+
+    Notes
+    -----
+    Deterministic for a seed; each car's each shift draws from a stream of its own.
+    """
+    calibration.check(simulation.hidden)
+    record = Truth() if truth is None else truth
+    members = [_member(simulation, index) for index in range(simulation.vehicles)]
+    first = simulation.start.timestamp()
+    sky = make_sky(first, simulation.days * simulation.day_step, simulation.seed)
+    factors = _factors(simulation, members, sky)
+    record.describe(
+        simulation, {hidden.effect: factor for hidden, factor in zip(simulation.hidden, factors, strict=True)}
+    )
+    for member in members:
+        record.add_car(member.name, member.model, member.car, member.equipment)
+    streams = [_drive(simulation, member, sky, factors, record, advance) for member in members]
+    return _with_weather(heapq.merge(*streams, key=attrgetter("receipt_ns")), simulation, sky)
+
+
+def _with_weather(fleet: Iterator[Message], simulation: Simulation, sky: Sky) -> Iterator[Message]:
+    """Merge the stations' observations in, from the hour before the fleet's first message to its last."""
+    opening = next(fleet)
+    weather = iter(observations(sky, opening.receipt_ns / 1e9, float(sky.time[-1]), simulation.seed))
+    waiting = next(weather, None)
+    for message in _chain(opening, fleet):
+        while waiting is not None and waiting.receipt_ns <= message.receipt_ns:
+            yield waiting
+            waiting = next(weather, None)
+        yield message
+
+
+def _chain(first: Message, others: Iterator[Message]) -> Iterator[Message]:
+    yield first
+    yield from others
+
+
+def _member(simulation: Simulation, index: int) -> Member:
+    """Draw a car and its logger."""
+    rng = np.random.default_rng([simulation.seed, 3, index])
+    model = simulation.models[index % len(simulation.models)]
+    car = make_car(model, rng)
+    return Member(index, f"taxi-{index + 1:03d}", model, car, make_equipment(simulation.faults, rng))
+
+
+def _factors(simulation: Simulation, members: list[Member], sky: Sky) -> list[float]:
+    """Return the factor of each hidden effect, from a pilot over the fleet's own shifts."""
+    if not simulation.hidden:
+        return []
+    shifts = [(member, day) for day in range(simulation.days) for member in members]
+    spread = np.unique(np.linspace(0, len(shifts) - 1, min(PILOT, len(shifts))).astype(int))
+    books = []
+    for index in spread:
+        member, day = shifts[index]
+        driven = _driven(simulation, member, day, sky)
+        books.append(calibration.ledger(driven.view, driven.shift.course.ride, simulation.hidden))
+    return calibration.calibrate(books, simulation.hidden)
+
+
+def _driven(simulation: Simulation, member: Member, day: int, sky: Sky) -> Driven:
+    """Drive one car's shift of one day."""
+    rng = np.random.default_rng([simulation.seed, 4, member.number, day])
+    day_start = simulation.start.timestamp() + DAY * day * simulation.day_step
+    spread = rng.uniform(0, 300) if day_start % DAY else rng.uniform(5.5, 14.0) * 3600 - LOCAL
+    hours = float(rng.uniform(7.0, 10.0)) if simulation.shift_hours is None else simulation.shift_hours
+    begin = float(np.floor(day_start + spread))
+    ambient = float(np.interp(begin, sky.time, sky.temperature))
+    shift = make_shift(f"{member.name}-{day:03d}", begin, hours * 3600, member.car, ambient, simulation.faults, rng)
+    trace = make_trace(shift, sky)
+    return Driven(shift, View(trace, physics.run(trace, member.car, shift.soc, simulation.phenomena), member.car))
+
+
+def _drive(
+    simulation: Simulation,
+    member: Member,
+    sky: Sky,
+    factors: list[float],
+    truth: Truth,
+    advance: Callable[[int], None],
+) -> Iterator[Message]:
+    """Yield what one car sends, day after day."""
+    odometer = member.car.odometer
+    for day in range(simulation.days):
+        messages, metres = _shift_messages(simulation, member, day, odometer, sky, factors, truth)
+        odometer += metres
+        yield from messages
+        advance(1)
+
+
+def _shift_messages(
+    simulation: Simulation,
+    member: Member,
+    day: int,
+    odometer: float,
+    sky: Sky,
+    factors: list[float],
+    truth: Truth,
+) -> tuple[list[Message], float]:
+    """Return what one car sends on a day, and how far its odometer [m] went; note the truth."""
+    shift, view = _driven(simulation, member, day, sky)
+    state, book = view.state, None
+    if factors:
+        scaled = zip(factors, simulation.hidden, strict=True)
+        hidden = sum((factor * EFFECTS[effect](view) for factor, (effect, _) in scaled), np.zeros(len(state.soc)))
+        book = calibration.ledger(view, shift.course.ride, simulation.hidden)
+        book = book._replace(effects=book.effects * factors)
+        state = physics.run(view.trace, member.car, shift.soc, simulation.phenomena, hidden)
+    rng = np.random.default_rng([simulation.seed, 5, member.number, day])
+    car = member.car._replace(odometer=odometer)
+    logged, faults = log(member.name, shift, view.trace, state, car, member.equipment, simulation.faults, rng)
+    truth.add_shift(member.name, shift, state, book, faults)
+    metres = float(shift.course.moved.sum()) * car.speedometer
+    return list(heapq.merge(_dispatch(member, shift), logged, key=attrgetter("receipt_ns"))), metres
+
+
+def _dispatch(member: Member, shift: Shift) -> list[Message]:
+    """Return what is sent beside telemetry: the car, its rides, and its plan, renewed as rides are done."""
+    name, end = member.name, shift.time + STEP * len(shift.course.ride)
+    serviced = np.datetime64("2018-01-01") - int(member.car.odometer / 1000 / 110)
+    car = Vehicle(vehicle_id=name, time_s=shift.time, model=member.model, in_service_date=str(serviced))
+    messages = [_message("vehicle", car, shift.time)]
+    for done in range(len(shift.trips) + 1):
+        when = shift.time if done == 0 else shift.time + STEP * shift.trips[done - 1].end
+        legs = [trip.planned for trip in shift.trips[done:] if trip.planned]
+        plan = Plan(vehicle_id=name, time_s=when, shift_end_s=end, reserve_soc_pct=RESERVE, legs=legs)
+        messages.append(_message("plan", plan, when))
+    for trip in shift.trips:
+        for event, step in (("start", trip.begin), ("end", trip.end)):
+            when = shift.time + STEP * step
+            ride = Ride(vehicle_id=name, time_s=when, ride_id=trip.ride_id, event=event, driver_id=trip.driver_id)
+            messages.append(_message("ride", ride, when))
+    return sorted(messages, key=attrgetter("receipt_ns"))
+
+
+def _message(kind: str, value: Wire, when: float) -> Message:
+    """Return a message about a car, received shortly after it was sent."""
+    identity = value.vehicle_id  # type: ignore[attr-defined]
+    return Message(f"fleet/{identity}/{kind}", encode(value), int(when * 1e9) + 50_000_000)

@@ -1,0 +1,259 @@
+"""A faulty data logger: samples the car every 3 s, errs at given rates, and counts how often it did."""
+
+from collections import Counter
+from itertools import repeat
+from typing import Any, Final, NamedTuple
+
+import msgspec
+import numpy as np
+
+from core.batch import Floats
+from core.codec import Message, Telemetry, encode
+from core.columns import KMH
+from tools.simulator.cars import Car
+from tools.simulator.physics import State
+from tools.simulator.settings import PERIOD, STEPS_PER_SAMPLE, Faults
+from tools.simulator.shift import NO_RIDE, Shift
+from tools.simulator.trace import Trace
+from tools.simulator.weather import autoregressive
+from tools.simulator.world import to_wgs84
+
+FIELDS: Final = Telemetry.__struct_fields__
+LACKING: Final = {
+    "wheel_speed": 0.45,
+    "battery_voltage_v": 0.25,
+    "ambient_c": 0.30,
+    "ride_id": 0.15,
+    "odometer_km": 0.30,
+    "occupants": 0.50,
+    "hvac_w": 0.90,
+    "battery_temperature_c": 0.40,
+    "elevation_m": 0.10,
+    "seq": 0.15,
+}
+"""How probably a car that is not fully equipped lacks something. [1]"""
+SPIKES: Final = {
+    "speed_kmh": 655.35,
+    "soc_pct": 127.5,
+    "ambient_c": -273.1,
+    "battery_voltage_v": 6553.5,
+    "battery_current_a": -3276.8,
+    "elevation_m": -32768.0,
+    "latitude_deg": 214.748365,
+}
+"""What a field says when its sensor fails: the ends of the integers that it travels in."""
+
+DIGITS: Final = {
+    "time_s": 3,
+    "latitude_deg": 6,
+    "longitude_deg": 6,
+    "odometer_km": 2,
+    "soc_pct": 3,
+    "battery_voltage_v": 2,
+    "battery_current_a": 2,
+    "hvac_w": 0,
+}
+"""Decimals that are sent, where it is not one."""
+
+Columns = dict[str, Any]
+
+
+class Equipment(NamedTuple):
+    """What a car's logger lacks: names of fields, and `wheel_speed` where it reports the speed of GPS."""
+
+    lacks: tuple[str, ...]
+
+
+def make_equipment(faults: Faults, rng: np.random.Generator) -> Equipment:
+    """Draw what a car's logger lacks."""
+    plain, draws = rng.uniform() < faults.unequipped, rng.uniform(size=len(LACKING))
+    lacks = [name for (name, rate), draw in zip(LACKING.items(), draws, strict=True) if plain and draw < rate]
+    if "battery_voltage_v" in lacks:
+        lacks.append("battery_current_a")
+    return Equipment(tuple(lacks))
+
+
+def log(
+    name: str,
+    shift: Shift,
+    trace: Trace,
+    state: State,
+    car: Car,
+    equipment: Equipment,
+    faults: Faults,
+    rng: np.random.Generator,
+) -> tuple[list[Message], Counter[str]]:
+    """Return what a logger sends of a shift, by time of receipt, and how often it erred, by fault.
+
+    `odometer` of the car is its reading [m] when the shift begins.
+    """
+    counts: Counter[str] = Counter()
+    columns = _measure(shift, trace, state, car, faults, rng)
+    _freeze_fixes(columns, trace, equipment, faults, rng, counts)
+    kept = _drop(columns, faults, rng, counts)
+    columns = {field: column[kept] for field, column in columns.items()}
+    time = columns["time_s"]
+    rows = _tabulate(name, columns | {"time_s": _wrong_clock(time, faults, rng, counts)}, equipment, shift)
+    _spoil(rows, equipment, faults, rng, counts)
+    counts["samples_sent"] += len(rows)
+    payloads = [encode(Telemetry(*row)) for row in rows]
+    return _send(f"fleet/{name}/telemetry", payloads, time, faults, rng, counts), counts
+
+
+def _measure(shift: Shift, trace: Trace, state: State, car: Car, faults: Faults, rng: np.random.Generator) -> Columns:
+    """Return the samples as a logger without dropouts would take them, noise and quantisation included."""
+    at = np.arange(STEPS_PER_SAMPLE - 1, len(trace.time), STEPS_PER_SAMPLE)
+    noise = [autoregressive(rng, len(at), keep) for keep in (0.9, 0.9, 0.5)]
+    latitude, longitude = to_wgs84(trace.x[at] + faults.gps_noise * noise[0], trace.y[at] + faults.gps_noise * noise[1])
+    speed, soc = shift.course.after[at], np.clip(100 * state.soc[at], 0, 100)
+    if faults.quantised > 0:
+        soc = np.floor(soc / car.soc_step) * car.soc_step
+    driven = car.odometer + np.cumsum(shift.course.moved)[at] * car.speedometer
+    return {
+        "time_s": trace.time[at],
+        "ride_id": shift.course.ride[at],
+        "seq": np.arange(len(at)),
+        "latitude_deg": latitude,
+        "longitude_deg": longitude,
+        "elevation_m": trace.elevation[at] + faults.elevation_noise * noise[2],
+        "speed_kmh": speed * car.speedometer / KMH,
+        "gps_speed": np.maximum(speed + 0.08 * faults.gps_noise * rng.normal(size=len(at)) * (speed > 0), 0) / KMH,
+        "odometer_km": driven / 1000,
+        "soc_pct": soc,
+        "battery_voltage_v": state.voltage[at],
+        "battery_current_a": state.current[at],
+        "battery_temperature_c": state.pack[at],
+        "ambient_c": trace.ambient[at],
+        "hvac_w": state.hvac[at],
+        "occupants": trace.occupants[at].astype(int),
+        "charging": trace.plugged[at] > 0,
+    }
+
+
+def _freeze_fixes(
+    columns: Columns, trace: Trace, equipment: Equipment, faults: Faults, rng: np.random.Generator, counts: Counter[str]
+) -> None:
+    """Freeze fixes in tunnels, so that they jump at the exit."""
+    inside = trace.tunnel[STEPS_PER_SAMPLE - 1 :: STEPS_PER_SAMPLE] > 0
+    edges = np.flatnonzero(np.diff(inside.astype(int), prepend=0, append=0))
+    for enter, leave in zip(edges[0::2], edges[1::2], strict=True):
+        if enter == 0 or leave >= len(inside) or rng.uniform() >= faults.tunnel:
+            continue
+        counts["tunnel"] += 1
+        for field in ("latitude_deg", "longitude_deg", "elevation_m"):
+            columns[field][enter:leave] = columns[field][enter - 1]
+        last, first = (STEPS_PER_SAMPLE * sample - 1 for sample in (enter, leave + 1))
+        chord = np.hypot(trace.x[first] - trace.x[last], trace.y[first] - trace.y[last])
+        columns["gps_speed"][enter:leave] = 0.0
+        columns["gps_speed"][leave] = chord / PERIOD / KMH
+    gps_speed = columns.pop("gps_speed")
+    if "wheel_speed" in equipment.lacks:
+        columns["speed_kmh"] = gps_speed
+
+
+def _wrong_clock(time: Floats, faults: Faults, rng: np.random.Generator, counts: Counter[str]) -> Floats:
+    """Return the stamps of a clock that steps and jitters and sometimes stands still. [s]."""
+    n = len(time)
+    steps = np.flatnonzero(rng.uniform(size=n) < faults.clock_step)
+    sizes = rng.uniform(5.0, 120.0, n) * rng.choice([-1.0, 1.0], n)
+    stamp, offset = time.copy(), 0.0
+    for first in steps:
+        offset = float(sizes[first]) if offset == 0 else 0.0
+        stamp[first:] = time[first:] + offset
+    jittered = rng.uniform(size=n) < faults.jitter
+    stamp += np.where(jittered, rng.uniform(-0.9, 0.9, n), 0.0)
+    repeated = np.flatnonzero(rng.uniform(size=n - 1) < faults.repeated) + 1
+    for i in repeated:
+        stamp[i] = stamp[i - 1]
+    counts.update(clock_step=len(steps), jitter=int(jittered.sum()), repeated=len(repeated))
+    return stamp
+
+
+def _drop(columns: Columns, faults: Faults, rng: np.random.Generator, counts: Counter[str]) -> np.ndarray:
+    """Return which samples are sent at all; restart the counter where the power went. (n,) bool."""
+    n = len(columns["seq"])
+    kept = np.ones(n, bool)
+    draws, longer, shorter = rng.uniform(size=(2, n)), rng.integers(2, 41, n), rng.integers(5, 21, n)
+    for begin in np.flatnonzero(draws[0] < faults.gap):
+        kept[begin : begin + longer[begin]] = False
+        counts["gap"] += 1
+    for begin in np.flatnonzero(draws[1] < faults.power_cycle):
+        resumed = begin + shorter[begin]
+        kept[begin:resumed] = False
+        columns["seq"][resumed:] = np.arange(max(0, n - resumed))
+        counts["power_cycle"] += 1
+    counts["samples_lost"] += int(n - kept.sum())
+    return kept
+
+
+def _tabulate(name: str, columns: Columns, equipment: Equipment, shift: Shift) -> list[list[Any]]:
+    """Return the fields of each sample in the order of the contract, rounded as loggers do."""
+    n = len(columns["seq"])
+    rides: list[Any] = [trip.ride_id for trip in shift.trips] + [None]  # NO_RIDE is the last
+    lists: list[Any] = []
+    for field in FIELDS:
+        if field == "vehicle_id":
+            lists.append(repeat(name, n))
+        elif field in equipment.lacks:
+            lists.append(repeat(msgspec.UNSET if field == "ride_id" else None, n))
+        elif field == "ride_id":
+            lists.append([rides[ride if ride != NO_RIDE else -1] for ride in columns[field].tolist()])
+        elif columns[field].dtype == float:
+            lists.append(np.round(columns[field], DIGITS.get(field, 1)).tolist())
+        else:
+            lists.append(columns[field].tolist())
+    return [list(row) for row in zip(*lists, strict=True)]
+
+
+def _spoil(
+    rows: list[list[Any]], equipment: Equipment, faults: Faults, rng: np.random.Generator, counts: Counter[str]
+) -> None:
+    """Take values out of samples, send fixes to 0/0, and values out of range."""
+    draws = rng.uniform(size=(3, len(rows)))
+    present = [FIELDS.index(field) for field in FIELDS[3:] if field not in equipment.lacks]
+    able = [field for field in SPIKES if field not in equipment.lacks]
+    for i in np.flatnonzero(draws[0] < faults.missing):
+        rows[i][present[int(rng.integers(len(present)))]] = None
+        counts["missing"] += 1
+    for i in np.flatnonzero(draws[1] < faults.null_island):
+        rows[i][FIELDS.index("latitude_deg")] = rows[i][FIELDS.index("longitude_deg")] = 0.0
+        counts["null_island"] += 1
+    for i in np.flatnonzero(draws[2] < faults.spike):
+        field = able[int(rng.integers(len(able)))]
+        rows[i][FIELDS.index(field)] = SPIKES[field]
+        counts["spike"] += 1
+
+
+def _send(
+    key: str, payloads: list[bytes], time: Floats, faults: Faults, rng: np.random.Generator, counts: Counter[str]
+) -> list[Message]:
+    """Return the messages by time of receipt: some late, overtaken, sent twice or unreadable."""
+    n = len(payloads)
+    draws, delay = rng.uniform(size=(4, n)), rng.uniform(size=n)
+    late, overtaken, twice, broken = (
+        draws[k] < rate
+        for k, rate in enumerate((faults.late, faults.out_of_order, faults.duplicate, faults.undecodable))
+    )
+    receipt = time + 0.1 + 0.3 * delay + np.where(late, 10 + 80 * delay, np.where(overtaken, 3.4 + 3 * delay, 0.0))
+    for i in np.flatnonzero(broken):
+        payloads[i] = _broken(payloads[i], rng)
+    receipt_ns = np.round(receipt * 1e9).astype(np.int64).tolist()
+    messages = [Message(key, payload, received) for payload, received in zip(payloads, receipt_ns, strict=True)]
+    messages += [messages[i]._replace(receipt_ns=receipt_ns[i] + 300_000_000) for i in np.flatnonzero(twice)]
+    counts.update(
+        late=int(late.sum()),
+        out_of_order=int((overtaken & ~late).sum()),
+        duplicate=int(twice.sum()),
+        undecodable=int(broken.sum()),
+    )
+    return sorted(messages, key=lambda message: message.receipt_ns)
+
+
+def _broken(payload: bytes, rng: np.random.Generator) -> bytes:
+    """Return a payload that no decoder of the contract takes: cut, garbled, or with a text for its time."""
+    kind = int(rng.integers(3))
+    if kind == 0:
+        return payload[: int(rng.integers(1, len(payload) - 1))]
+    if kind == 1:
+        return bytes(rng.integers(128, 256, 40, dtype=np.uint8))
+    return payload.replace(b'"time_s":', b'"time_s":"soon","was":', 1)

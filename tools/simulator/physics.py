@@ -1,0 +1,224 @@
+"""The car: road load, powertrain, cabin and battery, integrated in steps of half a second.
+
+All parts are electric powers at the battery's terminals, so that they add up to voltage times current.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from core.batch import Floats
+from core.columns import GRAVITY
+from tools.simulator.cars import Car
+from tools.simulator.settings import STEP, Phenomena
+from tools.simulator.shift import CHARGER
+from tools.simulator.trace import REFERENCE_DENSITY, Trace
+
+WHEEL: Final = (
+    "rolling",
+    "speed_rolling",
+    "cold_rolling",
+    "wet_road",
+    "snow",
+    "tyre_pressure",
+    "climbing",
+    "inertia",
+    "payload",
+    "drag",
+    "air_density",
+    "headwind",
+    "cornering",
+    "brake_drag",
+)
+"""Parts of the road load. [W] at the wheels."""
+PARTS: Final = (
+    *WHEEL,
+    "powertrain_losses",
+    "friction_brakes",
+    "electronics",
+    "night_lights",
+    "cabin_heating",
+    "cabin_cooling",
+    "drying",
+    "battery_heating",
+    "hidden",
+    "charger",
+)
+"""What the battery's terminal power is the sum of. What is lost inside the battery comes on top."""
+(ROLLING, SPEED_ROLLING, COLD_ROLLING, WET_ROAD, SNOW, TYRE_PRESSURE, CLIMBING, INERTIA, PAYLOAD, DRAG, AIR_DENSITY,
+ HEADWIND, CORNERING, BRAKE_DRAG, LOSSES, BRAKES, ELECTRONICS, LIGHTS, HEATING, COOLING, DRYING, BATTERY_HEATING,
+ HIDDEN, CHARGING) = range(len(PARTS))  # fmt: skip
+ROTATING: Final = 1.04
+"""Inertia of the turning parts, over the mass. [1]"""
+PERSON: Final = 75.0
+"""Mass of a person. [kg]"""
+LOWEST_SPEED: Final = 1.5
+"""Below it no regeneration. [m/s]"""
+COMFORT: Final = (20.5, 23.0)
+"""Heating below, cooling above. [°C]"""
+
+
+class State(NamedTuple):
+    """The car's own state at the end of each step, and its powers. All (n,) float, `parts` (n, len(PARTS)).
+
+    Parameters
+    ----------
+    soc : [1]
+    voltage, current : At the terminals, positive when discharging. [V], [A]
+    pack, cabin, tyre : Temperatures. [°C]
+    hvac : Heating and cooling of the cabin. [W]
+    loss : Heat made inside the battery. [W]
+    parts : See `PARTS`. [W]
+    """
+
+    soc: Floats
+    voltage: Floats
+    current: Floats
+    pack: Floats
+    cabin: Floats
+    tyre: Floats
+    hvac: Floats
+    loss: Floats
+    parts: Floats
+
+
+def run(trace: Trace, car: Car, soc: float, phenomena: Phenomena, hidden: Floats | None = None) -> State:
+    """Return the car's states over a trace.
+
+    Parameters
+    ----------
+    soc : float. State of charge at the beginning. [1]
+    hidden : (n,) float, optional. Power of hidden effects. [W]
+    """
+    n = len(trace.time)
+    extra = np.zeros(n) if hidden is None else hidden
+    columns, parts = np.empty((8, n)), np.zeros((n, len(PARTS)))
+    _run(trace, car, soc, phenomena, extra, columns, parts)
+    return State(*[*columns, parts])
+
+
+@njit(cache=True)
+def _run(trace: Trace, car: Car, soc: float, on: Phenomena, hidden: Floats, columns: Floats, parts: Floats) -> None:
+    """Integrate all states, one step after the other."""
+    capacity = car.capacity * (1 - car.wear * on.age)
+    cabin = tyre = trace.ambient[0]
+    pack = trace.ambient[0] + 4.0
+    for i in range(len(trace.time)):
+        row = parts[i]
+        tyre += STEP * (trace.ambient[i] + 0.75 * trace.speed[i] - tyre) / 1200.0
+        wheel = _road_load(trace, car, on, tyre, i, row)
+        _powertrain(car, on, wheel, trace.speed[i], soc, pack, row)
+        cabin = _cabin(trace, car, on, cabin, i, row)
+        _ancillaries(trace, car, on, pack, i, row)
+        row[HIDDEN] = hidden[i]
+        if trace.plugged[i] > 0:
+            row[CHARGING] = -CHARGER * min(1.0, max(0.0, (0.93 - soc) / 0.12)) * min(1.0, max(0.25, (pack + 15) / 30))
+        power = 0.0
+        for part in range(len(row)):
+            power += row[part]
+        source = car.voltage * (0.90 + 0.20 * soc)
+        resistance = car.resistance * on.battery_resistance * (1 + 2.0 * car.wear * on.age)
+        resistance *= np.exp((25.0 - min(pack, 45.0)) / 38.0)
+        current = power / source
+        if resistance > 0:
+            most = 0.24 * source**2 / resistance
+            current = (source - np.sqrt(source**2 - 4 * resistance * min(power, most))) / (2 * resistance)
+        heat = resistance * current**2
+        soc -= STEP * current * source / capacity
+        pack += (
+            STEP * (heat + 0.8 * row[BATTERY_HEATING] - car.pack_loss * (pack - trace.ambient[i])) / car.pack_capacity
+        )
+        hvac = row[HEATING] + row[COOLING] + row[DRYING]
+        values = (soc, source - resistance * current, current, pack, cabin, tyre, hvac, heat)
+        for k in range(len(values)):
+            columns[k, i] = values[k]
+
+
+@njit(cache=True)
+def _road_load(trace: Trace, car: Car, on: Phenomena, tyre: float, i: int, row: Floats) -> float:
+    """Fill in the parts of the road load and return their sum. [W]."""
+    speed, grade, acceleration = trace.speed[i], trace.grade[i], trace.acceleration[i]
+    rolling = car.mass * GRAVITY * car.rolling_resistance * np.sqrt(1 - grade**2) * speed
+    row[ROLLING] = rolling
+    row[SPEED_ROLLING] = on.speed_rolling * rolling * 0.35 * (speed / 36.0) ** 2
+    row[COLD_ROLLING] = on.cold_rolling * rolling * 0.0075 * (25.0 - tyre)
+    row[WET_ROAD] = on.wet_road * rolling * 0.18 * trace.wetness[i] * min(speed / 14.0, 2.0)
+    row[SNOW] = on.snow * rolling * 0.55 * trace.snow[i]
+    row[TYRE_PRESSURE] = on.tyre_pressure * rolling * ((1 - car.under_inflation) ** -0.45 - 1)
+    row[CLIMBING] = car.mass * GRAVITY * grade * speed
+    row[INERTIA] = car.mass * ROTATING * acceleration * speed
+    people = PERSON * trace.occupants[i]
+    row[PAYLOAD] = on.payload * people * (GRAVITY * (car.rolling_resistance + grade) + acceleration) * speed
+    half = 0.5 * car.drag_area
+    row[DRAG] = half * REFERENCE_DENSITY * speed**3
+    row[AIR_DENSITY] = on.air_density * half * (trace.density[i] - REFERENCE_DENSITY) * speed**3
+    density = trace.density[i] if on.air_density else REFERENCE_DENSITY
+    flow, across = speed + trace.headwind[i], trace.crosswind[i]
+    yawed = 1 + 0.6 * across**2 / (flow**2 + across**2 + 1.0)
+    row[HEADWIND] = on.headwind * half * density * (yawed * flow * np.sqrt(flow**2 + across**2) - speed**2) * speed
+    sideways = (car.mass + people) * speed * trace.turn_rate[i]
+    row[CORNERING] = on.cornering * sideways**2 / (70.0 * car.mass) * speed
+    row[BRAKE_DRAG] = on.brake_drag * car.brake_drag * speed
+    total = 0.0
+    for part in range(len(WHEEL)):
+        total += row[part]
+    return total
+
+
+@njit(cache=True)
+def _powertrain(car: Car, on: Phenomena, wheel: float, speed: float, soc: float, pack: float, row: Floats) -> None:
+    """Fill in losses between the wheels and the battery, and what the friction brakes turn to heat."""
+    recovered = 0.0
+    if wheel < 0:
+        limit = np.inf
+        if on.regen_limit:
+            limit = min(-0.8 * wheel, car.regen_power * min(1.0, max(0.0, (speed - LOWEST_SPEED) / 4.0)))
+        if on.cold_regen_limit:
+            limit = min(limit, car.regen_power * min(1.0, max(0.08, (pack + 8.0) / 22.0)))
+        if on.regen_full_battery:
+            limit = min(limit, car.regen_power * min(1.0, max(0.0, (0.97 - soc) / 0.06)))
+        recovered = min(-wheel, limit)
+        row[BRAKES] = -wheel - recovered
+    through = max(wheel, 0.0) + recovered
+    row[LOSSES] = through * (1 / car.efficiency - 1) if wheel >= 0 else through * (1 - car.efficiency)
+    if on.motor_map and speed > 0:
+        best = 0.75 * (1 - car.efficiency)
+        row[LOSSES] = 130.0 + 18.0 * speed + best * through + 0.12 * through**2 / car.motor_power
+
+
+@njit(cache=True)
+def _cabin(trace: Trace, car: Car, on: Phenomena, cabin: float, i: int, row: Floats) -> float:
+    """Fill in heating and cooling, and return the cabin's temperature after the step. [°C]."""
+    ambient = trace.ambient[i]
+    if on.cabin_warmup:
+        gain = car.cabin_loss * (ambient - cabin) + 80.0 * trace.occupants[i]
+        gain += on.door_heat_loss * trace.door[i] * 260.0 * (ambient - cabin)
+        gain += on.solar_load * 0.9 * trace.solar[i]
+        demand = 450.0 * (COMFORT[0] - cabin), 450.0 * (cabin - COMFORT[1])
+    else:
+        gain = 0.0
+        demand = car.cabin_loss * (COMFORT[0] - 1.0 - ambient), car.cabin_loss * (ambient - COMFORT[1]) + 150.0
+    cop = max(1.0, car.heater_cop * min(1.0, 1 + ambient / 40.0))
+    heating = trace.on[i] * min(car.heater_power, max(0.0, demand[0]) / cop)
+    cooling = trace.on[i] * min(car.cooler_power, max(0.0, demand[1]) / car.cooler_cop)
+    if ambient < COMFORT[1] and not on.cabin_warmup:
+        cooling = 0.0
+    row[HEATING], row[COOLING] = heating, cooling
+    if not on.cabin_warmup:
+        return COMFORT[0]
+    return float(cabin + STEP * (gain + heating * cop - cooling * car.cooler_cop) / car.cabin_capacity)
+
+
+@njit(cache=True)
+def _ancillaries(trace: Trace, car: Car, on: Phenomena, pack: float, i: int, row: Floats) -> None:
+    """Fill in electronics, lamps, drying of the air, and heating of the battery."""
+    row[ELECTRONICS] = trace.on[i] * car.electronics
+    row[LIGHTS] = on.night_lights * trace.on[i] * trace.dark[i] * 130.0
+    if on.humidity and car.cooler_power > 0:
+        damp = max(0.0, trace.humidity[i] - 0.6) / 0.4
+        mild = min(1.0, max(0.0, (trace.ambient[i] - 1.0) / 6.0))
+        row[DRYING] = trace.on[i] * 450.0 * damp * mild
+    if on.cold_battery_heating:
+        cold = min(1.0, max(0.0, (car.pack_heater_below - pack) / 3.0))
+        row[BATTERY_HEATING] = max(trace.on[i], trace.plugged[i]) * car.pack_heater * cold

@@ -1,0 +1,235 @@
+"""A shift of one taxi: rides, ways to the next passenger, pauses, and charging when it runs low."""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from core.batch import Floats, Ints
+from core.codec import Leg
+from tools.simulator.cars import Car
+from tools.simulator.driver import Style, congestion, drive, make_style
+from tools.simulator.settings import LOCAL, STEP, Faults
+from tools.simulator.world import crossing, destination, route, terrain, to_plane
+
+CHARGE_BELOW: Final = 0.15
+"""Dispatch sends a car to charge where it estimates less than this. [1]"""
+CHARGER: Final = 44e3
+"""Power of a fast charger. [W]"""
+NO_RIDE: Final = -1
+
+
+class Trip(NamedTuple):
+    """A ride: its name, its driver, the steps from its first up to, not including, its last, and what was planned."""
+
+    ride_id: str
+    driver_id: str
+    begin: int
+    end: int
+    planned: Leg | None
+
+
+class Course(NamedTuple):
+    """Where the car is and what happens in it, step by step from `time` on. All (n,).
+
+    Parameters
+    ----------
+    u, v : At the end of the step, along the streets. [m]
+    moved : Distance driven in the step. [m]
+    before, after : Speed at its two ends. [m/s]
+    heading : From the u axis, counter-clockwise, unwrapped within a drive. [rad]
+    turn_rate : [rad/s]
+    on, door, plugged : 0 or 1. Ready to drive; a door is open; charging.
+    occupants : People aboard. [1]
+    ride : int. Index of the trip, `NO_RIDE` between rides.
+    """
+
+    u: Floats
+    v: Floats
+    moved: Floats
+    before: Floats
+    after: Floats
+    heading: Floats
+    turn_rate: Floats
+    on: Floats
+    door: Floats
+    plugged: Floats
+    occupants: Floats
+    ride: Ints
+
+
+class Shift(NamedTuple):
+    """A shift: when it begins [s], the state of charge then [1], its course, its trips."""
+
+    time: float
+    soc: float
+    course: Course
+    trips: list[Trip]
+
+
+class _Reel:
+    """Course under construction."""
+
+    def __init__(self, place: tuple[float, float]) -> None:
+        self.pieces: list[Course] = []
+        self.steps = 0
+        self.place = place
+        self.heading = 0.0
+
+    def stand(self, seconds: float, ride: int, occupants: int, door: float = 0.0, **flags: float) -> None:
+        """Stand for a while; a door is open for `door` seconds in the middle."""
+        n = max(1, int(seconds / STEP))
+        column = np.zeros(n)
+        first = max(0, int((n - door / STEP) / 2))
+        opened = column.copy()
+        opened[first : first + int(door / STEP)] = 1.0
+        self._add(
+            Course(
+                u=column + self.place[0],
+                v=column + self.place[1],
+                moved=column,
+                before=column,
+                after=column,
+                heading=column + self.heading,
+                turn_rate=column,
+                on=column + flags.get("on", 1.0),
+                door=opened,
+                plugged=column + flags.get("plugged", 0.0),
+                occupants=column + occupants,
+                ride=np.full(n, ride),
+            )
+        )
+
+    def move(
+        self,
+        goal: tuple[float, float],
+        ride: int,
+        occupants: int,
+        style: Style,
+        traffic: float,
+        rng: np.random.Generator,
+    ) -> None:
+        """Drive to a crossing."""
+        way = route(self.place, goal, rng)
+        motion = drive(way, style, traffic, rng)
+        n = len(motion.along)
+        directions = np.unwrap(np.arctan2(np.diff(way.v), np.diff(way.u)))
+        segment = np.clip(np.searchsorted(way.along, motion.along - 1e-6) - 1, 0, len(directions) - 1)
+        heading = _smooth(directions[segment], 9)
+        turning = np.diff(heading, prepend=heading[0]) / STEP
+        zero = np.zeros(n)
+        self._add(
+            Course(
+                u=np.interp(motion.along, way.along, way.u),
+                v=np.interp(motion.along, way.along, way.v),
+                moved=np.diff(motion.along, prepend=0.0),
+                before=motion.before,
+                after=motion.after,
+                heading=heading,
+                turn_rate=np.where(motion.after > 0.5, turning, 0.0),
+                on=zero + 1.0,
+                door=zero,
+                plugged=zero,
+                occupants=zero + occupants,
+                ride=np.full(n, ride),
+            )
+        )
+        self.place, self.heading = goal, float(heading[-1])
+
+    def course(self) -> Course:
+        """Return all of it."""
+        return Course(*(np.concatenate(columns) for columns in zip(*self.pieces, strict=True)))
+
+    def _add(self, piece: Course) -> None:
+        self.pieces.append(piece)
+        self.steps += len(piece.u)
+
+
+def make_shift(
+    name: str, begin: float, length: float, car: Car, ambient: float, faults: Faults, rng: np.random.Generator
+) -> Shift:
+    """Drive a shift.
+
+    Parameters
+    ----------
+    name : str. Rides are called after it.
+    begin, length : float. [s]
+    ambient : float. Outside temperature, for dispatch's estimate of what the car uses. [°C]
+    faults : Faults. Of them the drivers' own: `false_start` and `errand`.
+    """
+    style, driver = make_style(rng), f"driver-{int(rng.integers(1, 400)):03d}"
+    reel = _Reel(crossing(float(rng.normal(0, 1700)), float(rng.normal(0, 1500))))
+    soc = estimate = float(rng.uniform(0.82, 1.0))
+    cold = max(0.0, 20.0 - ambient)
+    per_metre = 3600 * (0.12 + 0.05 * car.mass / 1600 + 0.002 * cold)
+    per_second = 600 + min(car.heater_power, car.cabin_loss * cold)
+    trips: list[Trip] = []
+    reel.stand(float(rng.uniform(60, 240)), NO_RIDE, 1, door=6.0)
+    while reel.steps * STEP < length:
+        traffic = congestion((begin + LOCAL + reel.steps * STEP) / 3600 % 24)
+        since, driven = reel.steps, 0.0
+        if rng.uniform() < 0.4:
+            driven += _drive_to(reel, float(rng.lognormal(np.log(900.0), 0.5)), NO_RIDE, 1, style, traffic, rng)
+        if rng.uniform() < faults.false_start:
+            first = reel.steps
+            reel.stand(float(rng.uniform(3, 14)), len(trips), 2)
+            trips.append(Trip(f"{name}-{len(trips):02d}", driver, first, reel.steps, None))
+            reel.stand(float(rng.uniform(10, 40)), NO_RIDE, 1)
+        first, place = reel.steps, reel.place
+        metres = _carry(reel, len(trips), car, style, traffic, rng)
+        if rng.uniform() < faults.errand:
+            reel.stand(float(rng.uniform(3300, 5400)), len(trips), 1)
+        planned = _plan(reel, first, place, metres, rng)
+        trips.append(Trip(f"{name}-{len(trips):02d}", driver, first, reel.steps, planned))
+        reel.stand(45 + float(rng.exponential(330.0)), NO_RIDE, 1, door=float(rng.uniform(0, 8)))
+        estimate -= ((driven + metres) * per_metre + (reel.steps - since) * STEP * per_second) / car.capacity
+        if estimate < CHARGE_BELOW:
+            estimate = _charge(reel, estimate, car, ambient, style, rng)
+    return Shift(begin, soc, reel.course(), trips)
+
+
+def _carry(reel: _Reel, ride: int, car: Car, style: Style, traffic: float, rng: np.random.Generator) -> float:
+    """Take passengers somewhere; return how far [m]."""
+    metres = float(np.clip(rng.lognormal(np.log(car.ride_median), car.ride_spread), 350, 34e3))
+    people = 2 + min(3, int(rng.geometric(0.65)) - 1)
+    reel.stand(float(rng.uniform(20, 90)), ride, people, door=float(rng.uniform(4, 14)))
+    driven = _drive_to(reel, metres, ride, people, style, traffic, rng)
+    reel.stand(float(rng.uniform(25, 90)), ride, people, door=float(rng.uniform(4, 14)))
+    return driven
+
+
+def _drive_to(
+    reel: _Reel, metres: float, ride: int, people: int, style: Style, traffic: float, rng: np.random.Generator
+) -> float:
+    """Drive about so far; return how far it became [m]."""
+    pieces = len(reel.pieces)
+    reel.move(destination(*reel.place, metres, rng), ride, people, style, traffic, rng)
+    return float(reel.pieces[pieces].moved.sum())
+
+
+def _charge(reel: _Reel, soc: float, car: Car, ambient: float, style: Style, rng: np.random.Generator) -> float:
+    """Drive to a charger near by and plug in; return the state of charge that dispatch expects after it [1]."""
+    _drive_to(reel, 600.0, NO_RIDE, 1, style, 0.2, rng)
+    power = 0.75 * CHARGER * min(1.0, max(0.25, (ambient + 15) / 30))
+    seconds = float(np.clip((rng.uniform(0.6, 0.85) - soc) * car.capacity / power, 1200, 7200))
+    reel.stand(60.0, NO_RIDE, 1, door=6.0)
+    reel.stand(seconds, NO_RIDE, 0, on=0.0, plugged=1.0)
+    reel.stand(90.0, NO_RIDE, 1, door=6.0)
+    return min(0.85, soc + power * seconds / car.capacity)
+
+
+def _plan(reel: _Reel, first: int, place: tuple[float, float], driven: float, rng: np.random.Generator) -> Leg:
+    """Return what dispatch expected of the ride that was just driven."""
+    heights = [float(terrain(*to_plane(np.array([u]), np.array([v])))[0]) for u, v in (place, reel.place)]
+    rise, undulation = heights[1] - heights[0], 0.004 * driven
+    return Leg(
+        distance_km=round(driven / 1000 * float(rng.normal(1.0, 0.04)), 2),
+        duration_s=round((reel.steps - first) * STEP * float(rng.lognormal(0.0, 0.12))),
+        gained_m=round(max(rise, 0.0) + undulation, 0),
+        lost_m=round(max(-rise, 0.0) + undulation, 0),
+    )
+
+
+def _smooth(values: Floats, width: int) -> Floats:
+    """Return the centred moving average, the ends held."""
+    padded = np.pad(values, width // 2, mode="edge")
+    return np.convolve(padded, np.full(width, 1 / width), mode="valid")

@@ -1,0 +1,152 @@
+"""The surroundings of a car on its course: road, air, light, step by step, as physics needs them."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from core.batch import Floats
+from core.columns import ZERO_CELSIUS
+from tools.simulator.settings import STEP
+from tools.simulator.shift import NO_RIDE, Course, Shift
+from tools.simulator.weather import Sky, sun
+from tools.simulator.world import TURN, in_tunnel, terrain, to_plane
+
+REFERENCE_DENSITY = 1.2
+"""Density of air where it does not vary. [kg/m^3]"""
+
+
+class Trace(NamedTuple):
+    """Everything outside the car's own state, step by step. All (n,) float.
+
+    Parameters
+    ----------
+    time : At the end of the step, Unix time. [s]
+    x, y, elevation : At the end of the step; east and north of the middle. [m]
+    speed, acceleration : Mean over the step. [m/s], [m/s^2]
+    grade : Sine of the road's angle. [1]
+    turn_rate : [rad/s]
+    headwind, crosswind : Against and across the direction of travel. [m/s]
+    density : Of the air. [kg/m^3]
+    ambient : Outside air. [°C]
+    precipitation : [mm/h]
+    wetness, snow : Of the road, 0 to 1. [1]
+    humidity : Relative. [1]
+    solar : Irradiance. [W/m^2]
+    dark : 1 by night. [1]
+    on, door, plugged, occupants : See `shift.Course`.
+    elapsed : Since the ride began, 0 between rides. [s]
+    parked : Time that the car stood since it last drove, held while it drives. [s]
+    tunnel : 1 inside a tunnel. [1]
+    """
+
+    time: Floats
+    x: Floats
+    y: Floats
+    elevation: Floats
+    speed: Floats
+    acceleration: Floats
+    grade: Floats
+    turn_rate: Floats
+    headwind: Floats
+    crosswind: Floats
+    density: Floats
+    ambient: Floats
+    precipitation: Floats
+    wetness: Floats
+    snow: Floats
+    humidity: Floats
+    solar: Floats
+    dark: Floats
+    on: Floats
+    door: Floats
+    plugged: Floats
+    occupants: Floats
+    elapsed: Floats
+    parked: Floats
+    tunnel: Floats
+
+
+def make_trace(shift: Shift, sky: Sky) -> Trace:
+    """Return the surroundings of a shift under a sky."""
+    course = shift.course
+    n = len(course.u)
+    time: Floats = shift.time + STEP * np.arange(1, n + 1, dtype=float)
+    x, y = to_plane(course.u, course.v)
+    elevation = terrain(x, y)
+    air = sky.at(time)
+    ambient = air.temperature - 0.0065 * (elevation - 30.0)
+    inside = in_tunnel(course.u, course.v, course.heading)
+    sheltered = np.where(inside, 0.0, 1.0)
+    direction = course.heading + TURN
+    towards = air.wind_east * np.cos(direction) + air.wind_north * np.sin(direction)
+    across = air.wind_east * np.sin(direction) - air.wind_north * np.cos(direction)
+    moved = np.maximum(course.moved, 1e-9)
+    climbed = np.diff(elevation, prepend=elevation[0])
+    return Trace(
+        time=time,
+        x=x,
+        y=y,
+        elevation=elevation,
+        speed=0.5 * (course.before + course.after),
+        acceleration=(course.after - course.before) / STEP,
+        grade=np.where(course.moved > 0.05, climbed / np.hypot(moved, climbed), 0.0),
+        turn_rate=course.turn_rate,
+        headwind=-towards * sheltered,
+        crosswind=-across * sheltered,
+        density=air_density(air.pressure, ambient, air.humidity, elevation),
+        ambient=ambient,
+        precipitation=air.precipitation * sheltered,
+        wetness=air.wetness,
+        snow=air.snow * sheltered,
+        humidity=air.humidity,
+        solar=air.solar * sheltered,
+        dark=np.where((sun(time) < 0.05) | inside, 1.0, 0.0),
+        on=course.on,
+        door=course.door,
+        plugged=course.plugged,
+        occupants=course.occupants,
+        elapsed=_elapsed(course),
+        parked=_parked(course),
+        tunnel=np.where(inside, 1.0, 0.0),
+    )
+
+
+def air_density(pressure: Floats, ambient: Floats, humidity: Floats, elevation: Floats) -> Floats:
+    """Return the density of moist air. (n,) [kg/m^3].
+
+    Parameters
+    ----------
+    pressure : (n,) float. At sea level. [Pa]
+    ambient : (n,) float. [°C]
+    humidity : (n,) float. Relative. [1]
+    elevation : (n,) float. [m]
+
+    References
+    ----------
+    Alduchov and Eskridge (1996), J. Appl. Meteorol. 35:601, eq. 21, for the saturation pressure.
+    """
+    kelvin = ambient + ZERO_CELSIUS
+    local = pressure * np.exp(-elevation / (29.27 * kelvin))
+    vapour = humidity * 610.94 * np.exp(17.625 * ambient / (243.04 + ambient))
+    return np.asarray((local - 0.378 * vapour) / (287.05 * kelvin))
+
+
+def _elapsed(course: Course) -> Floats:
+    """Return the time since the ride began, 0 between rides. [s]."""
+    steps = np.arange(len(course.ride))
+    begins = np.flatnonzero(np.diff(course.ride, prepend=NO_RIDE - 1))
+    since = steps - np.repeat(begins, np.diff(np.append(begins, len(steps))))
+    return np.where(course.ride != NO_RIDE, STEP * since, 0.0)
+
+
+def _parked(course: Course) -> Floats:
+    """Return how long the car stood before it last began to drive; a night before the first drive. [s]."""
+    standing = course.after + course.before == 0
+    ends = np.flatnonzero(np.diff(standing.astype(int), prepend=0, append=0))
+    begins, ends = ends[0::2], ends[1::2]
+    lengths = STEP * (ends - begins)
+    long = lengths > 40.0
+    parked = np.full(len(standing), 8 * 3600.0)
+    for end, length in zip(ends[long][1:], lengths[long][1:], strict=True):
+        parked[end:] = length
+    return parked

@@ -1,0 +1,140 @@
+"""What really happened in a simulation: for the file beside its recording, and for tests."""
+
+import json
+from collections import Counter
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from core.errors import SettingsError
+from tools.simulator.calibration import Ledger
+from tools.simulator.cars import Car
+from tools.simulator.logger import Equipment
+from tools.simulator.physics import PARTS, State
+from tools.simulator.settings import STEP, Simulation
+from tools.simulator.shift import Shift
+
+KWH = 3.6e6
+
+
+@dataclass
+class Truth:
+    """Fills up while the messages of a simulation are taken.
+
+    Attributes
+    ----------
+    rides : list of dict
+        Of each ride its true distance, its energy at the battery's terminals (`energy_kwh`, what voltage times current
+        integrates to), what was lost inside the battery (`battery_resistance_kwh`), the parts that add up to
+        `energy_kwh`, and each hidden effect.
+    cars : dict of str to dict
+        True parameters of each car, in SI, its model, and what its logger lacks.
+    faults : dict of str to Counter
+        How often each car's logger erred.
+    messages : int
+        How many were recorded.
+    """
+
+    settings: dict[str, Any] = field(default_factory=dict)
+    factors: dict[str, float] = field(default_factory=dict)
+    rides: list[dict[str, Any]] = field(default_factory=list)
+    cars: dict[str, dict[str, Any]] = field(default_factory=dict)
+    faults: dict[str, Counter[str]] = field(default_factory=dict)
+    messages: int = 0
+
+    def describe(self, simulation: Simulation, factors: dict[str, float]) -> None:
+        """Note what was asked for."""
+        self.settings = asdict(simulation) | {
+            "start": simulation.start.isoformat(),
+            "hidden": dict(simulation.hidden),
+            "phenomena": [name for name, on in simulation.phenomena._asdict().items() if on],
+        }
+        self.factors = factors
+
+    def add_car(self, name: str, model: str, car: Car, equipment: Equipment) -> None:
+        """Note a car."""
+        parameters = {key: float(f"{value:.6g}") for key, value in car._asdict().items()}
+        self.cars[name] = {"model": model, "logger_lacks": list(equipment.lacks)} | parameters
+        self.faults[name] = Counter()
+
+    def add_shift(self, name: str, shift: Shift, state: State, hidden: Ledger | None, faults: Counter[str]) -> None:
+        """Note the rides of a shift."""
+        self.faults[name] += faults
+        for index, trip in enumerate(shift.trips):
+            inside = slice(trip.begin, trip.end)
+            parts = state.parts[inside].sum(axis=0) * STEP / KWH
+            used = zip(PARTS, parts.tolist(), strict=True)
+            ride: dict[str, Any] = {
+                "vehicle_id": name,
+                "ride_id": trip.ride_id,
+                "driver_id": trip.driver_id,
+                "start_s": shift.time + STEP * trip.begin,
+                "end_s": shift.time + STEP * trip.end,
+                "distance_km": round(float(shift.course.moved[inside].sum()) / 1000, 4),
+                "soc_start_pct": round(100 * float(state.soc[trip.begin]), 3),
+                "soc_end_pct": round(100 * float(state.soc[trip.end - 1]), 3),
+                "energy_kwh": round(float(parts.sum()), 5),
+                "battery_resistance_kwh": round(float(state.loss[inside].sum()) * STEP / KWH, 5),
+                "parts_kwh": {part: round(energy, 5) for part, energy in used if abs(energy) >= 5e-6},
+            }
+            if hidden is not None:
+                energies = zip(self.factors, hidden.effects[index] / KWH, strict=True)
+                ride["hidden_kwh"] = {effect: round(float(energy), 5) for effect, energy in energies}
+            self.rides.append(ride)
+
+    def summary(self) -> dict[str, Any]:
+        """Return totals over all rides, and what became of each hidden effect."""
+        total = sum(ride["energy_kwh"] for ride in self.rides)
+        distance = sum(ride["distance_km"] for ride in self.rides)
+        parts: Counter[str] = Counter()
+        for ride in self.rides:
+            parts.update(ride["parts_kwh"])
+        hidden = {}
+        for effect, factor in self.factors.items():
+            energies = np.array([ride["hidden_kwh"][effect] for ride in self.rides])
+            hidden[effect] = {
+                "size": self.settings["hidden"][effect],
+                "factor": float(f"{factor:.6g}"),
+                "energy_kwh": round(float(energies.sum()), 4),
+                "share": round(float(energies.sum()) / total, 5),
+                "absolute_share": round(float(np.abs(energies).sum()) / total, 5),
+            }
+        faults: Counter[str] = sum(self.faults.values(), Counter())
+        return {
+            "messages": self.messages,
+            "rides": len(self.rides),
+            "distance_km": round(distance, 3),
+            "energy_kwh": round(total, 4),
+            "kwh_per_km": round(total / distance, 4) if distance else None,
+            "battery_resistance_kwh": round(sum(ride["battery_resistance_kwh"] for ride in self.rides), 4),
+            "parts_kwh": {part: round(parts[part], 4) for part in PARTS if part in parts},
+            "hidden": hidden,
+            "faults": dict(faults),
+        }
+
+    def write(self, path: Path) -> None:
+        """Write it as JSON that a person can read, one line a ride.
+
+        Raises
+        ------
+        SettingsError
+            Where the file cannot be written.
+        """
+        faults = {name: dict(counts) for name, counts in self.faults.items()}
+        blocks = {"simulation": self.settings, "total": self.summary()}
+        lines = [f'"{name}": {json.dumps(block, indent=1)}' for name, block in blocks.items()]
+        lines += [_table("cars", self.cars), _table("faults", faults)]
+        rides = ",\n  ".join(json.dumps(ride) for ride in self.rides)
+        lines.append(f'"rides": [\n  {rides}\n]')
+        try:
+            path.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+        except OSError as error:
+            raise SettingsError(f"{path} cannot be written: {error.strerror}; choose another place") from error
+
+
+def _table(name: str, rows: dict[str, Any]) -> str:
+    """Return an object of objects, one line each."""
+    lines = ",\n  ".join(f"{json.dumps(key)}: {json.dumps(row)}" for key, row in rows.items())
+    return f'"{name}": {{\n  {lines}\n}}'

@@ -1,0 +1,176 @@
+"""A Montreal year of weather: hourly, persistent over hours and days, with its seasons.
+
+Every element is an autoregressive process about the normal of the day of the year (Environment Canada, climate
+normals 1981 to 2010, Montreal: January -10 °C, July 21 °C), after Richardson (1981), Water Resources Research 17:182.
+"""
+
+from math import exp, radians
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from core.batch import Floats
+from core.codec import Message, Weather, encode
+from tools.simulator.settings import LOCAL
+from tools.simulator.world import ORIGIN
+
+HOUR: Final = 3600.0
+STATIONS: Final = (("mctavish", 45.5047, -73.5790), ("yul", 45.4706, -73.7408), ("yhu", 45.5175, -73.4169))
+"""Name, latitude and longitude [deg] of the stations that publish."""
+
+
+class Sky(NamedTuple):
+    """The weather over the city, hour by hour. All columns (n,) float.
+
+    Parameters
+    ----------
+    time : Unix time. [s]
+    temperature : At sea level. [°C]
+    wind_east, wind_north : Where the air moves to, at the height of a car's roof. [m/s]
+    precipitation : [mm/h]
+    wetness : Water on the road, 0 dry to 1 streaming. [1]
+    snow : Snow on the road, 0 bare to 1 covered. [1]
+    pressure : At sea level. [Pa]
+    humidity : Relative. [1]
+    solar : Global horizontal irradiance. [W/m^2]
+    """
+
+    time: Floats
+    temperature: Floats
+    wind_east: Floats
+    wind_north: Floats
+    precipitation: Floats
+    wetness: Floats
+    snow: Floats
+    pressure: Floats
+    humidity: Floats
+    solar: Floats
+
+    def at(self, time: Floats) -> "Sky":
+        """Return the weather at other times, linear between the hours."""
+        return Sky(time, *(np.interp(time, self.time, column) for column in self[1:]))
+
+
+def make_sky(start: float, days: int, seed: int) -> Sky:
+    """Return the weather from a day before `start` [s] until two days after the last of `days`.
+
+    Every element has a random stream of its own, so that a longer time begins like a shorter one.
+    """
+    time = np.floor(start / HOUR) * HOUR + HOUR * np.arange(-24, 24 * (days + 2), dtype=float)
+    n = len(time)
+    elements = iter(range(100))
+
+    def wandering(keep: float) -> Floats:
+        return autoregressive(np.random.default_rng([seed, 1, next(elements)]), n, keep)
+
+    year_angle = 2 * np.pi * ((time / 86400.0) % 365.2425 - 20.0) / 365.2425
+    clock = ((time + LOCAL) / HOUR) % 24
+    cold = 0.5 + 0.5 * np.cos(year_angle)
+    cloud = 1 / (1 + np.exp(-1.6 * wandering(0.93) - 0.3))
+    synoptic = wandering(exp(-1 / 60.0))
+    diurnal = (4.2 - 2.4 * cloud) * np.cos(2 * np.pi * (clock - 15) / 24)
+    temperature = 6.2 - 15.8 * np.cos(year_angle) + (3.6 + 2.4 * cold) * synoptic + diurnal
+    temperature = np.clip(temperature, -32.0, 36.0)
+    precipitation = _precipitation(seed, cloud)
+    wetness, snow = _road(temperature, precipitation)
+    humidity = np.clip(0.45 + 0.3 * cloud + 0.12 * wandering(0.9) - 0.012 * diurnal, 0.2, 1.0)
+    return Sky(
+        time=time,
+        temperature=temperature,
+        wind_east=(1.2 + 2.4 * wandering(0.95)) * (0.8 + 0.4 * cold),
+        wind_north=(0.5 + 2.1 * wandering(0.95)) * (0.8 + 0.4 * cold),
+        precipitation=precipitation,
+        wetness=wetness,
+        snow=snow,
+        pressure=101_500.0 + 900.0 * wandering(0.985) - 350.0 * synoptic,
+        humidity=np.where(precipitation > 0, np.maximum(humidity, 0.88), humidity),
+        solar=1050.0 * sun(time) ** 1.15 * (1 - 0.72 * cloud**3),
+    )
+
+
+def sun(time: Floats) -> Floats:
+    """Return the sine of the sun's height over Montreal, 0 by night; to half a degree. (n,) [1].
+
+    Parameters
+    ----------
+    time : (n,) float. Unix time. [s]
+
+    References
+    ----------
+    Cooper (1969), Solar Energy 12:333, for the declination.
+    """
+    day = (time / 86400.0) % 365.2425 + 1
+    declination = np.radians(23.45) * np.sin(2 * np.pi * (284 + day) / 365)
+    hour_angle = 2 * np.pi * (time % 86400.0) / 86400.0 - np.pi + np.radians(ORIGIN[1])
+    latitude = radians(ORIGIN[0])
+    height = np.sin(latitude) * np.sin(declination) + np.cos(latitude) * np.cos(declination) * np.cos(hour_angle)
+    return np.asarray(np.maximum(height, 0.0))
+
+
+def observations(sky: Sky, begin: float, end: float, seed: int) -> list[Message]:
+    """Return what the stations publish from `begin` until `end` [s], by time of receipt.
+
+    The first observations are those of the full hour before `begin`; each comes 5 to 60 s after its hour.
+    """
+    rng = np.random.default_rng([seed, 2])
+    messages = []
+    for index, hour in enumerate(sky.time):
+        errors, delays = rng.normal(size=(len(STATIONS), 4)), rng.uniform(5.0, 60.0, len(STATIONS))
+        if not begin - HOUR < hour <= end:
+            continue
+        for station, error, delay in zip(STATIONS, errors, delays, strict=True):
+            messages.append(_observation(sky, index, station, error, float(delay)))
+    return sorted(messages, key=lambda message: message.receipt_ns)
+
+
+def _observation(sky: Sky, i: int, station: tuple[str, float, float], error: Floats, delay: float) -> Message:
+    """Return one station's message of one hour."""
+    name, latitude, longitude = station
+    east, north = sky.wind_east[i] + 0.3 * error[1], sky.wind_north[i] + 0.3 * error[2]
+    observed = Weather(
+        station_id=name,
+        time_s=float(sky.time[i]),
+        latitude_deg=latitude,
+        longitude_deg=longitude,
+        temperature_c=round(float(sky.temperature[i] + 0.3 * error[0]), 1),
+        wind_speed_kmh=round(float(3.6 * np.hypot(east, north)), 1),
+        wind_from_deg=round(float(np.degrees(np.arctan2(-east, -north)) % 360), 0) % 360,
+        precipitation_mm=round(float(sky.precipitation[i]), 1),
+        pressure_hpa=round(float(sky.pressure[i] / 100 + 0.2 * error[3]), 1),
+        humidity_pct=round(float(100 * sky.humidity[i]), 0),
+        solar_w_m2=round(float(sky.solar[i]), 0),
+    )
+    return Message(f"weather/{name}", encode(observed), int((sky.time[i] + delay) * 1e9))
+
+
+def autoregressive(rng: np.random.Generator, n: int, keep: float) -> Floats:
+    """Return a stationary process of variance 1 whose neighbours correlate by `keep`. (n,) [1]."""
+    values = rng.normal(size=n).tolist()
+    fresh = (1 - keep * keep) ** 0.5
+    for i in range(1, n):
+        values[i] = keep * values[i - 1] + fresh * values[i]
+    return np.array(values)
+
+
+def _precipitation(seed: int, cloud: Floats) -> Floats:
+    """Return wet and dry spells [mm/h]: a two-state chain that wants clouds."""
+    draws = np.random.default_rng([seed, 1, 100]).uniform(size=len(cloud))
+    amounts = np.random.default_rng([seed, 1, 101]).exponential(0.8, len(cloud))
+    fallen, wet = np.zeros(len(cloud)), False
+    for i, (draw, cover) in enumerate(zip(draws, cloud, strict=True)):
+        wet = draw < (0.86 if wet else 0.13) * cover
+        fallen[i] = amounts[i] if wet else 0.0
+    return fallen
+
+
+def _road(temperature: Floats, precipitation: Floats) -> tuple[Floats, Floats]:
+    """Return wetness and snow of the road: what falls, less what drains, dries, melts and is ploughed."""
+    wetness, snow = np.zeros(len(temperature)), np.zeros(len(temperature))
+    water = cover = 0.0
+    for i, (warm, fall) in enumerate(zip(temperature, precipitation, strict=True)):
+        is_snow = warm < 0.5
+        melted = min(cover, 0.15 * max(warm, 0.0))
+        cover = 0.90 * (cover - melted) + fall * is_snow
+        water = 0.55 * water + melted + fall * (not is_snow)
+        wetness[i], snow[i] = 1 - exp(-water / 0.8), 1 - exp(-cover / 3.0)
+    return wetness, snow

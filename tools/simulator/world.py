@@ -1,0 +1,182 @@
+"""A city like Montreal: a grid of streets, three expressways with tunnels, and a hill in the middle.
+
+City axes `u`, `v` [m] run along the streets, turned by 30 degrees from east `x` and north `y` [m].
+"""
+
+from itertools import pairwise
+from math import ceil, cos, floor, pi, sin
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from core.batch import Floats
+from core.columns import EARTH_RADIUS, KMH
+
+ORIGIN: Final = (45.505, -73.595)
+"""Latitude and longitude of the middle. [deg]"""
+TURN: Final = pi / 6
+BLOCK: Final = (140.0, 220.0)
+"""Streets lie so far apart along u and along v. [m]"""
+EXTENT: Final = (11_000.0, 7_000.0)
+RESIDENTIAL, BOULEVARD, EXPRESSWAY = 0, 1, 2
+
+
+class Line(NamedTuple):
+    """An expressway: the axis that it runs along, where it lies on the other, its limit, its tunnels."""
+
+    axis: int
+    at: float
+    limit: float
+    tunnels: tuple[tuple[float, float], ...]
+
+
+EXPRESSWAYS: Final = (
+    Line(0, -9 * BLOCK[1], 90 * KMH, ((-700.0, 600.0), (3000.0, 3900.0))),
+    Line(1, 20 * BLOCK[0], 100 * KMH, ((-850.0, 600.0),)),
+    Line(0, 16 * BLOCK[1], 80 * KMH, ((-2500.0, -1400.0),)),
+)
+"""Tunnels are 0.9 to 1.45 km long, so that a fix that jumps their length in 3 s reads 1,000 to 2,000 km/h."""
+
+
+class Route(NamedTuple):
+    """A way through the city as nodes, and what awaits the driver at the end of each of its segments.
+
+    Parameters
+    ----------
+    u, v : (k + 1,) float. Nodes. [m]
+    along : (k + 1,) float. Distance driven at each node. [m]
+    limit : (k,) float. Speed limit of each segment. [m/s]
+    street : (k,) int. RESIDENTIAL, BOULEVARD or EXPRESSWAY.
+    turn : (k,) bool. The route turns at the end of the segment.
+    """
+
+    u: Floats
+    v: Floats
+    along: Floats
+    limit: Floats
+    street: np.ndarray
+    turn: np.ndarray
+
+
+def terrain(x: Floats, y: Floats) -> Floats:
+    """Return the elevation of the ground. [m].
+
+    Parameters
+    ----------
+    x, y : (n,) float. East and north of the middle. [m]
+    """
+    hill = 165.0 * np.exp(-(x * x + 1.3 * y * y) / (2 * 1300.0**2))
+    rolling = 9.0 * np.sin(x / 1100.0 + 0.4) * np.cos(y / 1500.0) + 3.0 * np.sin(x / 420.0) * np.cos(y / 380.0 + 1.0)
+    return 32.0 + hill + rolling - 0.0012 * y
+
+
+def to_plane(u: Floats, v: Floats) -> tuple[Floats, Floats]:
+    """Return east and north [m] of city axes [m]."""
+    return u * cos(TURN) - v * sin(TURN), u * sin(TURN) + v * cos(TURN)
+
+
+def to_wgs84(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Return latitude and longitude [deg] of east and north [m]."""
+    latitude = ORIGIN[0] + np.degrees(y / EARTH_RADIUS)
+    return latitude, ORIGIN[1] + np.degrees(x / (EARTH_RADIUS * np.cos(np.radians(latitude))))
+
+
+def in_tunnel(u: Floats, v: Floats, heading: Floats) -> np.ndarray:
+    """Return where a car is inside a tunnel, not crossing above it. (n,) bool.
+
+    Parameters
+    ----------
+    u, v : (n,) float. [m]
+    heading : (n,) float. From the u axis. [rad]
+    """
+    inside = np.zeros(len(u), bool)
+    for line in EXPRESSWAYS:
+        along, across, aligned = (u, v, np.cos(heading)) if line.axis == 0 else (v, u, np.sin(heading))
+        for begin, end in line.tunnels:
+            inside |= (np.abs(across - line.at) < 5) & (along > begin) & (along < end) & (np.abs(aligned) > 0.7)
+    return inside
+
+
+def destination(u: float, v: float, distance: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Return a crossing about `distance` [m] of streets away, rather towards the middle than out of town."""
+    for _ in range(30):
+        share = rng.uniform()
+        sign_u = -1.0 if rng.uniform() < 0.5 + 0.4 * u / EXTENT[0] else 1.0
+        sign_v = -1.0 if rng.uniform() < 0.5 + 0.4 * v / EXTENT[1] else 1.0
+        goal = (u + sign_u * share * distance, v + sign_v * (1 - share) * distance)
+        if abs(goal[0]) <= EXTENT[0] and abs(goal[1]) <= EXTENT[1]:
+            break
+    else:
+        goal = (-u / 3, -v / 3)
+    found = crossing(*goal)
+    return found if found != (u, v) else crossing(u + 2 * BLOCK[0], v)
+
+
+def crossing(u: float, v: float) -> tuple[float, float]:
+    """Return the crossing nearest to a place at which a car may stop: none on an expressway."""
+    place = [round(u / BLOCK[0]) * BLOCK[0], round(v / BLOCK[1]) * BLOCK[1]]
+    for line in EXPRESSWAYS:
+        across = 1 - line.axis
+        if abs(place[across] - line.at) < 5:
+            place[across] += BLOCK[across]
+    return place[0], place[1]
+
+
+def route(start: tuple[float, float], goal: tuple[float, float], rng: np.random.Generator) -> Route:
+    """Return a way over streets, by an expressway where it is far and one lies near enough."""
+    points = [start, *_corners(start, goal, rng), goal]
+    nodes, limits, streets, turns = [start], list[float](), list[int](), list[bool]()
+    for a, b in pairwise(points):
+        length = abs(b[0] - a[0]) + abs(b[1] - a[1])
+        if length < 1:
+            continue
+        if turns:
+            turns[-1] = True
+        street, limit = _street(a, b)
+        count = max(1, round(length / (220.0, 330.0, 700.0)[street]))
+        shares = [k / count for k in range(1, count + 1)]
+        nodes += [(a[0] + (b[0] - a[0]) * share, a[1] + (b[1] - a[1]) * share) for share in shares]
+        limits += [limit] * count
+        streets += [street] * count
+        turns += [False] * count
+    u, v = np.array(nodes).T
+    along = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(u)) + np.abs(np.diff(v)))])
+    return Route(u, v, along, np.array(limits), np.array(streets), np.array(turns))
+
+
+def _corners(
+    start: tuple[float, float], goal: tuple[float, float], rng: np.random.Generator
+) -> list[tuple[float, float]]:
+    """Return the crossings at which a route turns."""
+    direct = abs(goal[0] - start[0]) + abs(goal[1] - start[1])
+    best = min(EXPRESSWAYS, key=lambda line: abs(start[1 - line.axis] - line.at) + abs(goal[1 - line.axis] - line.at))
+    detour = abs(start[1 - best.axis] - best.at) + abs(goal[1 - best.axis] - best.at)
+    if direct > 3000 and detour < 0.8 * direct and rng.uniform() < 0.75:
+        enter, leave = _ramp(best, start[best.axis]), _ramp(best, goal[best.axis])
+        if best.axis == 0:
+            return [(enter, start[1]), (enter, best.at), (leave, best.at), (leave, goal[1])]
+        return [(start[0], enter), (best.at, enter), (best.at, leave), (goal[0], leave)]
+    boulevard = 5 * BLOCK[0]
+    middle, _ = crossing(round((start[0] + rng.uniform() * (goal[0] - start[0])) / boulevard) * boulevard, start[1])
+    return [(middle, start[1]), (middle, goal[1])]
+
+
+def _ramp(line: Line, at: float) -> float:
+    """Return where to join or leave an expressway: here, or where a tunnel would be here, at its nearer end. [m]."""
+    block = BLOCK[line.axis]
+    for begin, end in line.tunnels:
+        if begin - 5 < at < end + 5:
+            return block * (floor(begin / block) if at < (begin + end) / 2 else ceil(end / block))
+    return at
+
+
+def _street(a: tuple[float, float], b: tuple[float, float]) -> tuple[int, float]:
+    """Return the class of a straight stretch and its speed limit [m/s]."""
+    axis = 0 if abs(b[0] - a[0]) > abs(b[1] - a[1]) else 1
+    at = a[1 - axis]
+    for line in EXPRESSWAYS:
+        if line.axis == axis and abs(line.at - at) < 5:
+            return EXPRESSWAY, line.limit
+    if round(at / BLOCK[1 - axis]) % 5 == 0:
+        return BOULEVARD, 50 * KMH
+    return RESIDENTIAL, 40 * KMH
