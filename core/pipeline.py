@@ -13,7 +13,7 @@ from core.batch import Batch, Lanes
 from core.cars import Cars
 from core.clean import STATE, Cleaner
 from core.codec import Message, Plan, Ride, Vehicle, Weather
-from core.decode import Decoder, Event
+from core.decode import Decoder
 from core.errors import SocastError
 from core.forecast import counted, forecasts
 from core.models import EXTENDED_PHYSICAL, Model
@@ -21,11 +21,16 @@ from core.quality import CAUSES
 from core.settings import Settings, checked
 from core.signals import Signals, ambient_quality
 from core.sums import Ledger, Sums, Totals, amounts
-from core.tables import measured_energy, model_columns, ride_table, unfit_reason, window_table
+from core.tables import measured_energy, model_columns, ride_table, text, unfit_reason, window_table
 from core.weather import Stations
 
-BLOCK: Final = 8192
-"""Rows that go through the steps at a time, so that their columns stay in the cache."""
+BLOCK: Final = 4000
+"""Rows that go through the steps at a time, so that their columns stay in the cache.
+
+No power of two: columns that lie a multiple of 4 KiB apart would push each other out of it, at twice the time.
+"""
+DRIVERS: Final = 10_000
+"""Rides whose driver is remembered, beside eight a vehicle."""
 SNAPSHOT: Final = 1
 """Version of the snapshot."""
 
@@ -95,34 +100,55 @@ class Pipeline:
         self.plans: dict[int, Plan] = {}
         self._drivers: dict[str, str] = {}
         self._quality = np.zeros(len(CAUSES), np.int64)
+        self._due: list[Totals] = []
         self._rides: list[Closed] = []
         self._windows: list[Totals] = []
         self._unfit: Counter[str] = Counter()
         self._ended = 0
 
     def push(self, messages: Sequence[Message]) -> list[Message]:
-        """Take messages in the order of their arrival; return the forecasts that have become due, in that order.
+        """Take messages in the order of their arrival; return the forecasts that have become due, in that order."""
+        self.take(messages)
+        return self.forecasts()
+
+    def take(self, messages: Sequence[Message]) -> None:
+        """Take messages in the order of their arrival; `forecasts` then has what has become due.
 
         Which samples call for a forecast is a matter of event time alone, so that the same messages give the same
         forecasts, to the bit, however they are cut into batches.
         """
+        self._forget_rides()
         batch, events = self.decoder.decode(messages)
-        out: list[Message] = []
         start = 0
-        pending: list[Event] = []
-        for event in events:
-            if isinstance(event.value, Weather):  # it changes what every later row meets
-                out += self._advance(batch.rows(start, event.row), _from(pending, start))
-                start, pending = event.row, []
-                self.stations.observe(event.value)
-            elif isinstance(event.value, Vehicle):
-                pending.append(event)
-            elif isinstance(event.value, Ride):
-                if event.value.driver_id is not None:
-                    self._drivers[event.value.ride_id] = event.value.driver_id
-            elif isinstance(event.value, Plan):
-                self.plans[event.lane] = event.value
-        return out + self._advance(batch.rows(start, batch.size), _from(pending, start))
+        told: list[tuple[int, int, Vehicle]] = []
+        for row, lane, value in events:
+            if isinstance(value, Weather):  # it changes what every later row meets
+                self._advance(batch.rows(start, row), told)
+                start, told = row, []
+                if not self.stations.observe(value):
+                    self.decoder.refuse("weather", "out_of_range")
+            elif isinstance(value, Vehicle):
+                told.append((row - start, lane, value))
+            elif isinstance(value, Ride):
+                self._drive(value)
+            elif isinstance(value, Plan):
+                self.plans[lane] = value
+        self._advance(batch.rows(start, batch.size), told)
+
+    def forecasts(self, *, newest_only: bool = False) -> list[Message]:
+        """Return the forecasts that have become due since the last call.
+
+        Parameters
+        ----------
+        newest_only : bool
+            Of several forecasts of a vehicle, return the last one: what is of use to whoever listens live.
+        """
+        taken, self._due = self._due, []
+        due = _joined(taken, self.ledger)
+        if newest_only:
+            due = due.newest()
+        names = self._ride_names(due)
+        return forecasts(due, self.lanes.names, names, self.cars, self.model, self._effect_names, self.prefix)
 
     def finish(self) -> list[Message]:
         """Close every ride and window in progress, at the end of the stream."""
@@ -135,7 +161,8 @@ class Pipeline:
         totals = _joined([closed.totals for closed in taken], self.ledger)
         ride_names = [name for closed in taken for name in closed.names]
         table = ride_table(totals, self.lanes.names, ride_names, self.cars, self._effect_names, self.settings)
-        table.insert(4, "driver_id", [self._drivers.pop(name or "", None) for name in ride_names])
+        rides = zip(table["vehicle_id"], ride_names, strict=True)
+        table.insert(4, "driver_id", text([self._drivers.get(f"{vehicle}/{name}") for vehicle, name in rides]))
         return table
 
     def take_windows(self) -> pd.DataFrame:
@@ -253,20 +280,17 @@ class Pipeline:
     def _effect_names(self) -> list[str]:
         return [effect.name for effect in self.effects]
 
-    def _advance(self, batch: Batch, told: list[tuple[int, int, Vehicle]]) -> list[Message]:
+    def _advance(self, batch: Batch, told: list[tuple[int, int, Vehicle]]) -> None:
         """Take the rows between two observations of the weather through the steps, a block at a time."""
         kind = self.cars.kinds(batch.lane, told, len(self.lanes))
-        out: list[Message] = []
         for start in range(0, batch.size, BLOCK):
-            rows = slice(start, start + BLOCK)
-            sums = self.sum_up(batch.rows(start, start + BLOCK), kind[rows])
+            sums = self.sum_up(batch.rows(start, start + BLOCK), kind[start : start + BLOCK])
             self._keep(sums)
-            names = self._ride_names(sums.running)
-            out += forecasts(sums.running, self.lanes.names, names, self.cars, self.model, self._effect_names, self.prefix)
-        return out
+            if len(sums.running.lane):
+                self._due.append(sums.running)
 
     def sum_up(self, batch: Batch, kind: Any) -> Sums:
-        """Run the steps that turn samples into sums: clean, weather, signals, effects, sums; `kind` is that of each car."""
+        """Run the steps from samples to sums: clean, weather, signals, effects, sums; `kind` is that of each car."""
         lanes = len(self.lanes)
         clean = self.cleaner.clean(batch, lanes)
         sky = self.stations.sky(clean.time, clean.latitude, clean.longitude)
@@ -278,6 +302,13 @@ class Pipeline:
         for place in range(len(CAUSES)):
             self._quality[place] += np.count_nonzero(clean.quality & (1 << place))
         return self.ledger.add(clean, kind, amounts(signals, powers), lanes)
+
+    def _drive(self, ride: Ride) -> None:
+        """Remember who drives; the oldest rides are forgotten."""
+        if ride.driver_id is not None:
+            self._drivers[f"{ride.vehicle_id}/{ride.ride_id}"] = ride.driver_id
+            if len(self._drivers) > 8 * len(self.lanes) + DRIVERS:
+                del self._drivers[next(iter(self._drivers))]
 
     def _keep(self, sums: Sums) -> None:
         """Count the rides that have ended, and keep them until they are taken."""
@@ -294,21 +325,17 @@ class Pipeline:
         if self.keep_tables:
             self._rides.append(Closed(_owned(rides), names))
             self._windows.append(_owned(sums.windows))
-        else:
-            for name in names:
-                self._drivers.pop(name or "", None)
+
+    def _forget_rides(self) -> None:
+        """Forget the names of rides that have ended, once there are many."""
         if len(self.decoder.rides) > 2 * len(self.lanes) + 10_000:
-            self.decoder.rides.keep(set(self.cleaner.state["code"].tolist()))
+            held = [totals.at_last("code") for totals in self._due]
+            self.decoder.rides.keep(set(np.concatenate([self.cleaner.state["code"], *held]).tolist()))
 
     def _ride_names(self, totals: Totals) -> list[str | None]:
         """Return the names that loggers gave to rides."""
         name_of = self.decoder.rides.name_of
         return [name_of.get(code) for code in totals.at_last("code").tolist()]
-
-
-def _from(events: list[Event], start: int) -> list[tuple[int, int, Vehicle]]:
-    """Return vehicle messages with their rows counted from `start`."""
-    return [(event.row - start, event.lane, event.value) for event in events if isinstance(event.value, Vehicle)]
 
 
 def _owned(totals: Totals) -> Totals:
@@ -320,4 +347,4 @@ def _joined(parts: list[Totals], ledger: Ledger) -> Totals:
     """Return totals one after another."""
     if not parts:
         return ledger.read(np.empty((0, 1 + ledger.books.shape[1])))
-    return Totals(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))  # type: ignore[arg-type]
+    return Totals(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))

@@ -83,6 +83,12 @@ class Totals(NamedTuple):
     last: Floats
     quality: Floats
 
+    def newest(self) -> "Totals":
+        """Return the last row of each lane, in their order."""
+        _, last = np.unique(self.lane[::-1], return_index=True)
+        rows = np.sort(len(self.lane) - 1 - last)
+        return Totals(*(part[rows] for part in self))  # type: ignore[arg-type]
+
     def amount(self, name: str) -> Floats:
         """Return a column of `AMOUNTS`."""
         return self.amounts[:, AMOUNTS.index(name)]
@@ -261,64 +267,61 @@ def enter(
 ) -> tuple[int, int]:
     """Enter rows into the books of their lanes, in order; return how many rides and windows were closed."""
     closed_rides = closed_windows = shown = 0
+    window_at, ride_at, first_at, window_first_at, last_at, quality_at, _ = parts
+    width = ride_at - window_at
     for i in range(lane.shape[0]):
         b = books[lane[i]]
         if ride[i] != b[0] or (window[i] != b[1] and b[0] >= 0.0):
             if b[0] >= 0.0:
                 copy_out(windows_out[closed_windows], lane[i], b)
                 closed_windows += 1
-                close_window(b, parts)
+                close_window(b, window_at, ride_at, window_first_at, last_at, edges.shape[0])
             if ride[i] != b[0]:
                 if b[0] >= 0.0:
                     copy_out(rides_out[closed_rides], lane[i], b)
                     closed_rides += 1
-                open_ride(b, parts, edges, i)
+                b[ride_at:first_at] = 0.0
+                b[quality_at:] = 0.0
+                for j in range(edges.shape[0]):
+                    b[first_at + j] = b[window_first_at + j] = b[last_at + j] = edges[j, i]
             b[0], b[1] = ride[i], window[i]
-        add_row(b, parts, ride[i] >= 0, rates, edges, speed_bin, i)
-        if ride[i] >= 0:
-            count_bits(b, parts[5], quality[i])
+        riding = ride[i] >= 0
+        counts = riding and (rates[0, i] > 0.0 or rates[1, i] > 0.0)
+        if counts:
+            for j in range(rates.shape[0]):
+                b[window_at + j] += rates[j, i]
+            b[window_at + rates.shape[0] + speed_bin[i]] += rates[1, i]
+        if counts or not riding:
+            note_edges(b, first_at, window_first_at, last_at, edges, i)
+        if riding:
+            count_bits(b, quality_at, quality[i])
         if due[i]:
             copy_out(running_out[shown], lane[i], b)
-            for j in range(parts[1] - parts[0]):
-                running_out[shown, 1 + parts[1] + j] += b[parts[0] + j]
+            for j in range(width):
+                running_out[shown, 1 + ride_at + j] += b[window_at + j]
             shown += 1
     return closed_rides, closed_windows
 
 
 @njit(cache=True)
-def close_window(b: Any, parts: Any) -> None:
+def close_window(b: Any, window_at: int, ride_at: int, window_first_at: int, last_at: int, n_edges: int) -> None:
     """Add the open window to its ride, and begin the next one where it ended."""
-    for j in range(parts[1] - parts[0]):
-        b[parts[1] + j] += b[parts[0] + j]
-        b[parts[0] + j] = 0.0
-    for j in range(parts[5] - parts[4]):
-        b[parts[3] + j] = b[parts[4] + j]
+    for j in range(ride_at - window_at):
+        b[ride_at + j] += b[window_at + j]
+        b[window_at + j] = 0.0
+    for j in range(n_edges):
+        b[window_first_at + j] = b[last_at + j]
 
 
 @njit(cache=True)
-def open_ride(b: Any, parts: Any, edges: Any, i: int) -> None:
-    """Clear the totals of the ride, and begin the next one at row `i`."""
-    b[parts[1] : parts[2]] = 0.0
-    b[parts[5] :] = 0.0
+def note_edges(b: Any, first_at: int, window_first_at: int, last_at: int, edges: Any, i: int) -> None:
+    """Note what the last sample so far says; a state of charge may become known only after the first."""
     for j in range(edges.shape[0]):
-        b[parts[2] + j] = b[parts[3] + j] = b[parts[4] + j] = edges[j, i]
-
-
-@njit(cache=True)
-def add_row(b: Any, parts: Any, riding: bool, rates: Any, edges: Any, speed_bin: Any, i: int) -> None:
-    """Add a row to the open window, where it stands for time or distance, and note its edges."""
-    counts = riding and (rates[0, i] > 0.0 or rates[1, i] > 0.0)
-    if counts:
-        for j in range(rates.shape[0]):
-            b[parts[0] + j] += rates[j, i]
-        b[parts[0] + rates.shape[0] + speed_bin[i]] += rates[1, i]
-    if counts or not riding:
-        for j in range(edges.shape[0]):
-            b[parts[4] + j] = edges[j, i]
-        if isnan(b[parts[2] + SOC]):  # it may be known only later
-            b[parts[2] + SOC] = edges[SOC, i]
-        if isnan(b[parts[3] + SOC]):
-            b[parts[3] + SOC] = edges[SOC, i]
+        b[last_at + j] = edges[j, i]
+    if isnan(b[first_at + SOC]):
+        b[first_at + SOC] = edges[SOC, i]
+    if isnan(b[window_first_at + SOC]):
+        b[window_first_at + SOC] = edges[SOC, i]
 
 
 @njit(cache=True)

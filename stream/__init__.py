@@ -1,0 +1,1 @@
+"""Transports and the one loop that joins them to core."""

@@ -1,0 +1,317 @@
+"""Reading MCAP recordings, whole, unfinished or damaged.
+
+The `mcap` package makes an object of every record, at seven microseconds a message, and stops at the first byte that is
+not as it should be. Here a chunk is decompressed and cut into messages in one loop, at under one microsecond each, and
+what cannot be read is counted and left out.
+"""
+
+import struct
+import zlib
+from bisect import bisect_right
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from math import inf
+from operator import itemgetter
+from pathlib import Path
+from typing import BinaryIO, Final, NamedTuple
+
+import zstandard
+
+from core.codec import Message
+from core.errors import RecordingError
+from stream.mcap_records import (
+    CHANNEL,
+    CHUNK,
+    CHUNK_INDEX,
+    DATA_END,
+    FOOTER,
+    FOOTER_RECORD,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_HEAD,
+    RECORD,
+    SCHEMA,
+    STATISTICS,
+    fault,
+    records,
+    strings,
+    unpacked,
+)
+
+RAW_BLOCK: Final = 1 << 20
+"""Messages outside chunks are read in blocks of about this size. [B]"""
+
+_CHUNK_PLACE: Final = struct.Struct("<QQQQ")  # first time, last time, offset, length
+_TAIL: Final = FOOTER_RECORD.size + len(MAGIC)
+_DAMAGE: Final = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, MemoryError, OverflowError)
+_receipt = itemgetter(2)
+
+
+@dataclass
+class Losses:
+    """What a recording holds or held that could not be read.
+
+    Parameters
+    ----------
+    unfinished : bool
+        The writer was killed: there is no end mark, and what it had not yet written is lost.
+    truncated_bytes : int
+        At the end of the file, less than a whole record. [B]
+    damaged_chunks, damaged_bytes : int
+        Chunks that do not decompress or whose checksum differs, and their size. [1], [B]
+    missing_messages : int
+        What the summary counts and the chunks do not deliver.
+    undescribed : int
+        Messages of a channel that is nowhere described.
+    foreign : Counter
+        Messages by topic that are not of the wire contract: other encodings, other schemas.
+    """
+
+    unfinished: bool = False
+    truncated_bytes: int = 0
+    damaged_chunks: int = 0
+    damaged_bytes: int = 0
+    missing_messages: int = 0
+    undescribed: int = 0
+    foreign: Counter[str] = field(default_factory=Counter)
+
+    def __bool__(self) -> bool:
+        """Return whether anything was lost."""
+        return bool(self.lines())
+
+    def lines(self) -> list[str]:
+        """Return what was lost, a sentence each; an empty list for a recording that is whole."""
+        told = []
+        if self.unfinished:
+            told.append(f"it breaks off: {self.truncated_bytes:,} bytes after the last whole chunk are lost")
+        if self.damaged_chunks:
+            told.append(f"{self.damaged_chunks:,} damaged chunks, {self.damaged_bytes:,} bytes, are lost")
+        if self.missing_messages:
+            told.append(f"{self.missing_messages:,} messages that its summary counts are lost")
+        if self.undescribed:
+            told.append(f"{self.undescribed:,} messages of channels that are nowhere described are left out")
+        if self.foreign:
+            told.append(
+                f"{self.foreign.total():,} messages on {len(self.foreign):,} topics outside the contract are left out"
+            )
+        return told
+
+
+class _Block(NamedTuple):
+    """A run of messages in the file: a chunk, or messages that stand outside chunks."""
+
+    first_ns: int
+    offset: int
+    length: int
+    chunked: bool
+
+
+class McapSource:
+    """A recording, as a source that can be read again and again.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Attributes
+    ----------
+    losses : Losses
+        What the reading so far could not read; complete when it has come to the end.
+    blocks, blocks_read : int
+        Chunks in the file, and how many have been read.
+    schemas : dict
+        Topic -> name of its schema, as far as the reading has come; empty where it has none.
+
+    Raises
+    ------
+    RecordingError
+        Where the file is missing, empty, a directory, not MCAP, or of another contract altogether.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.losses = Losses()
+        self.blocks_read = 0
+        self.schemas: dict[str, str] = {}
+        self._schemas: dict[int, tuple[str, str, bytes]] = {}
+        self._keys: dict[int, str | None] = {}
+        self._foreign: dict[int, tuple[str, str]] = {}
+        self._learnt: dict[tuple[int, bytes], bytes] = {}
+        self._count: int | None = None
+        try:
+            with self.path.open("rb") as file:
+                self._check(file)
+                self._blocks = self._indexed(file) or self._scanned(file)
+        except OSError as error:
+            raise RecordingError(f"{self.path} cannot be read: {(error.strerror or str(error)).lower()}") from error
+        self._unread = (self.losses.unfinished, self.losses.truncated_bytes)
+        if self._count is not None:
+            self._refuse_foreign()
+
+    @property
+    def blocks(self) -> int:
+        """Number of chunks in the file."""
+        return len(self._blocks)
+
+    def __iter__(self) -> Iterator[list[Message]]:
+        """Yield the messages in order of receipt, about a chunk at a time."""
+        self.losses = Losses(*self._unread)
+        self.blocks_read = delivered = 0
+        held: list[Message] = []
+        with self.path.open("rb") as file:
+            for at, block in enumerate(self._blocks):
+                held += self._messages(file, block)
+                held.sort(key=_receipt)
+                self.blocks_read = at + 1
+                following = self._blocks[at + 1].first_ns if at + 1 < len(self._blocks) else inf
+                cut = bisect_right(held, following, key=_receipt)
+                ready, held = held[:cut], held[cut:]
+                delivered += len(ready)
+                yield ready
+        left_out = self.losses.undescribed + self.losses.foreign.total()
+        if self._count is not None:
+            self.losses.missing_messages = max(0, self._count - delivered - left_out)
+        if not delivered:
+            self._refuse_foreign()
+
+    def _check(self, file: BinaryIO) -> None:
+        """Refuse what is not MCAP."""
+        begin = file.read(len(MAGIC))
+        if not begin:
+            raise RecordingError(f"{self.path} is empty: 0 bytes; nothing was recorded")
+        if begin != MAGIC:
+            raise RecordingError(f"{self.path} is not an MCAP recording: it begins with {begin!r}, not {MAGIC!r}")
+
+    def _refuse_foreign(self) -> None:
+        """Refuse a recording none of whose channels can be read."""
+        if self._keys and not any(self._keys.values()):
+            _, reason = next(iter(self._foreign.values()))
+            raise RecordingError(
+                f"{self.path} is of another contract: {reason}; record with `socast live --record DIR`"
+            )
+
+    def _indexed(self, file: BinaryIO) -> list[_Block]:
+        """Return the chunks that a sound summary lists; none where there is no such."""
+        size = file.seek(0, 2)
+        if size < 2 * len(MAGIC) + _TAIL:
+            return []
+        file.seek(size - _TAIL)
+        tail = file.read(_TAIL)
+        opcode, _, start, _, crc = FOOTER_RECORD.unpack(tail[: FOOTER_RECORD.size])
+        if opcode != FOOTER or not tail.endswith(MAGIC) or not 0 < start <= size - _TAIL:
+            return []
+        file.seek(start)
+        data = file.read(size - _TAIL - start)
+        if crc and zlib.crc32(tail[: FOOTER_RECORD.size - 4], zlib.crc32(data)) != crc:
+            return []
+        blocks, count = [], None
+        try:
+            for opcode, body in records(data):
+                if opcode == CHUNK_INDEX:
+                    first, _, offset, length = _CHUNK_PLACE.unpack_from(body)
+                    blocks.append(_Block(first, offset, length, chunked=True))
+                elif opcode == STATISTICS:
+                    count = int.from_bytes(body[:8], "little")
+                else:
+                    self._learn(opcode, body)
+        except _DAMAGE:
+            return []
+        self._count = count if blocks else None
+        return sorted(blocks, key=itemgetter(0))
+
+    def _scanned(self, file: BinaryIO) -> list[_Block]:
+        """Return the chunks found by going from record to record, as far as that leads."""
+        size, at = file.seek(0, 2), len(MAGIC)
+        blocks: list[_Block] = []
+        self.losses.unfinished = True
+        while at + RECORD.size <= size:
+            file.seek(at)
+            head = file.read(MESSAGE_HEAD.size)
+            opcode, length = RECORD.unpack_from(head)
+            end = at + RECORD.size + length
+            if end > size or not opcode:
+                break
+            if opcode == CHUNK:
+                blocks.append(_Block(int.from_bytes(head[9:17], "little"), at, end - at, chunked=True))
+            elif opcode == MESSAGE:
+                _add_raw(blocks, int.from_bytes(head[15:23], "little"), at, end - at)
+            elif opcode in {SCHEMA, CHANNEL}:
+                file.seek(at + RECORD.size)
+                self._learn(opcode, file.read(length))
+            at = end
+            if opcode == DATA_END:
+                self.losses.unfinished = False
+                return self._in_order(file, blocks)
+        self.losses.truncated_bytes = size - at
+        return self._in_order(file, blocks)
+
+    def _in_order(self, file: BinaryIO, blocks: list[_Block]) -> list[_Block]:
+        """Return blocks by time; where that is not their order in the file, learn the channels in the file's first."""
+        ordered = sorted(blocks, key=itemgetter(0))
+        if ordered != blocks:
+            for block in blocks:
+                self._messages(file, block)
+        return ordered
+
+    def _learn(self, opcode: int, body: bytes) -> None:
+        """Learn a schema or a channel; other records are of no interest."""
+        if opcode not in {SCHEMA, CHANNEL} or self._learnt.get((opcode, body[:2])) == body:
+            return
+        number = int.from_bytes(body[:2], "little")
+        if opcode == SCHEMA:
+            name, form, data = strings(body, 2, 3)
+            self._schemas[number] = (name.decode(), form.decode(), data)
+        else:
+            topic, encoding = (part.decode() for part in strings(body, 4, 2))
+            wire = self._schemas.get(int.from_bytes(body[2:4], "little"), ("", "", b""))
+            self.schemas[topic] = wire[0]
+            reason = fault(topic, encoding, *wire)
+            self._keys[number] = None if reason else topic
+            if reason:
+                self._foreign[number] = (topic, reason)
+        self._learnt[opcode, body[:2]] = body
+
+    def _messages(self, file: BinaryIO, block: _Block) -> list[Message]:
+        """Return the messages of a block, in the order in which they stand; none of a damaged one."""
+        file.seek(block.offset)
+        out: list[Message] = []
+        try:
+            data = file.read(block.length)
+            self._split(unpacked(data) if block.chunked else data, out)
+        except _DAMAGE:
+            self.losses.damaged_chunks += 1
+            self.losses.damaged_bytes += block.length
+        return out
+
+    def _split(self, data: bytes, out: list[Message]) -> None:
+        """Cut the records of a chunk apart and append its messages."""
+        at, end = 0, len(data)
+        data += bytes(MESSAGE_HEAD.size)  # so that a short last record does not need a case of its own
+        unpack, head, get, new = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size, self._keys.get, tuple.__new__
+        append = out.append
+        while at < end:
+            opcode, length, channel, _, receipt_ns, _ = unpack(data, at)
+            stop = at + 9 + length
+            if stop > end:
+                raise ValueError("a record reaches beyond its chunk")
+            if opcode == MESSAGE:
+                key = get(channel)
+                if key is not None:
+                    append(new(Message, (key, data[at + head : stop], receipt_ns)))
+                elif channel in self._foreign:
+                    self.losses.foreign[self._foreign[channel][0]] += 1
+                else:
+                    self.losses.undescribed += 1
+            else:
+                self._learn(opcode, data[at + 9 : stop])
+            at = stop
+
+
+def _add_raw(blocks: list[_Block], receipt_ns: int, offset: int, length: int) -> None:
+    """Add a message outside chunks: to the block that it continues, else as a block of its own."""
+    last = blocks[-1] if blocks else None
+    if last and not last.chunked and last.offset + last.length == offset and last.length < RAW_BLOCK:
+        blocks[-1] = _Block(min(last.first_ns, receipt_ns), last.offset, last.length + length, chunked=False)
+    else:
+        blocks.append(_Block(receipt_ns, offset, length, chunked=False))

@@ -1,0 +1,61 @@
+"""Messages in memory, for tests and for whoever has them already."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Self
+
+from core.codec import Message
+
+
+@dataclass
+class MemorySource:
+    """A source over a list.
+
+    Parameters
+    ----------
+    messages : sequence of Message
+    chunk : int
+        Messages a list. [1]
+    """
+
+    messages: Sequence[Message]
+    chunk: int = 4096
+
+    def __iter__(self) -> Iterator[list[Message]]:
+        """Yield the messages in their order, `chunk` at a time."""
+        for at in range(0, len(self.messages), self.chunk):
+            yield list(self.messages[at : at + self.chunk])
+
+
+@dataclass
+class MemorySink:
+    """A sink that keeps what it is given.
+
+    Parameters
+    ----------
+    messages : list of Message
+        All that was put, in order.
+    closed : bool
+    """
+
+    messages: list[Message] = field(default_factory=list)
+    closed: bool = False
+
+    def put(self, messages: Sequence[Message]) -> None:
+        """Keep messages."""
+        self.messages += messages
+
+    def close(self) -> None:
+        """Note that it was closed."""
+        self.closed = True
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close."""
+        self.close()

@@ -1,0 +1,143 @@
+"""Recording while live: every payload as it came, good or not, in files of bounded size and time."""
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final
+
+from core.codec import Message
+from core.errors import RecordingError, SettingsError
+from stream.mcap_io import McapSink
+
+FILE_BYTES: Final = 256 << 20
+"""Size at which a file is closed and the next one begun. [B]"""
+FILE_S: Final = 3600.0
+"""Time of receipt that a file spans at most. [s]"""
+FLUSH_S: Final = 5.0
+"""What was received longer ago than this is on disk. [s]"""
+RETRY_S: Final = 10.0
+"""Time between attempts to write where the disk refuses. [s]"""
+
+_log = logging.getLogger("socast.record")
+
+
+class Recorder:
+    """Writes messages into a folder, a file after another; a sink.
+
+    Files are named by the UTC time of receipt of their first message, such as `20260131T235959.123Z.mcap`. A disk that
+    refuses does not stop the consumer: what could not be written is counted, and another file is tried after a while.
+
+    Parameters
+    ----------
+    folder : Path
+        Made where it does not exist.
+    file_bytes : int
+        Size at which a file is closed and the next one begun. [B]
+    file_s : float
+        Time of receipt that a file spans at most. [s]
+    flush_s : float
+        Time after which what was received is on disk. A process that is killed loses no more. [s]
+    clock : callable
+        Monotonic time. [s]
+
+    Attributes
+    ----------
+    files : list of Path
+        Written so far, the newest last.
+    recorded, unrecorded : int
+        Messages written, and not.
+
+    Raises
+    ------
+    SettingsError
+        Where the folder cannot be made, or a limit is not positive.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        file_bytes: int = FILE_BYTES,
+        file_s: float = FILE_S,
+        flush_s: float = FLUSH_S,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        if not (file_bytes > 0 and file_s > 0 and flush_s > 0):
+            raise SettingsError(f"limits of {file_bytes} B, {file_s:g} s and {flush_s:g} s must all be above 0")
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise SettingsError(f"{folder} cannot be made: {error.strerror}; choose another folder") from error
+        self.files: list[Path] = []
+        self.recorded = self.unrecorded = 0
+        self._folder, self._file_bytes, self._file_ns, self._flush_s = folder, file_bytes, round(file_s * 1e9), flush_s
+        self._clock = clock
+        self._sink: McapSink | None = None
+        self._first_ns = 0
+        self._flushed_s = clock()
+        self._retry_s = self._flushed_s
+
+    def put(self, messages: Sequence[Message]) -> None:
+        """Write messages; an empty sequence flushes what is due."""
+        now = self._clock()
+        if messages and now >= self._retry_s:
+            try:
+                self._write(messages)
+                self.recorded += len(messages)
+            except RecordingError as error:
+                self._give_up(error, len(messages), now)
+        elif messages:
+            self.unrecorded += len(messages)
+        if now - self._flushed_s >= self._flush_s:
+            self._flush(now)
+
+    def close(self) -> None:
+        """Close the file in progress."""
+        if self._sink is not None:
+            sink, self._sink = self._sink, None
+            sink.close()
+
+    def _write(self, messages: Sequence[Message]) -> None:
+        """Write messages, to the next file where they do not belong into this one."""
+        first_ns = messages[0].receipt_ns
+        sink = self._sink
+        if sink is not None and (sink.written >= self._file_bytes or first_ns - self._first_ns >= self._file_ns):
+            self.close()
+            sink = None
+        if sink is None:
+            sink = self._sink = McapSink(self._fresh(first_ns))
+            self.files.append(sink.path)
+            self._first_ns = first_ns
+        room = sink.room(messages)
+        sink.put(messages[:room])
+        if room < len(messages):  # the format numbers no more keys in one file
+            self.close()
+            self._write(messages[room:])
+
+    def _fresh(self, receipt_ns: int) -> Path:
+        """Return a path that does not exist."""
+        moment = datetime.fromtimestamp(receipt_ns // 10**9, UTC)
+        stem = f"{moment:%Y%m%dT%H%M%S}.{receipt_ns // 10**6 % 1000:03}Z"
+        path, number = self._folder / f"{stem}.mcap", 1
+        while path.exists():
+            path, number = self._folder / f"{stem}-{number}.mcap", number + 1
+        return path
+
+    def _flush(self, now: float) -> None:
+        """Put what was received on disk."""
+        self._flushed_s = now
+        if self._sink is not None:
+            try:
+                self._sink.flush()
+            except RecordingError as error:
+                self._give_up(error, 0, now)
+
+    def _give_up(self, error: RecordingError, count: int, now: float) -> None:
+        """Leave the file as it is, and try another one later."""
+        _log.error("recording fails: %s", error)
+        self.unrecorded += count
+        self._retry_s = now + RETRY_S
+        if self._sink is not None:
+            self._sink.abandon()
+            self._sink = None

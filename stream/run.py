@@ -1,0 +1,180 @@
+"""The one loop: live and replay differ in their source, and in nothing else."""
+
+import gc
+import logging
+import signal
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from math import inf
+from threading import Event
+from types import FrameType
+from typing import Any, Final, Protocol
+
+from core.codec import Message
+from stream.log_lines import fields, flat
+from stream.record import Recorder
+from stream.source import Sink, Source
+
+REPORT_S: Final = 30.0
+"""Time between two lines of counters. [s]"""
+PUBLISH_S: Final = 0.2
+"""Time between two rounds of forecasts in service. [s]"""
+
+_log = logging.getLogger("socast.run")
+
+
+class Forecaster(Protocol):
+    """What the loop needs of `core.pipeline.Pipeline`."""
+
+    def take(self, messages: Sequence[Message]) -> None:
+        """Take messages."""
+
+    def forecasts(self, *, newest_only: bool = False) -> list[Message]:
+        """Return the forecasts that have become due since the last call, or of each vehicle the newest."""
+
+    def finish(self) -> list[Message]:
+        """Close open rides, return the last forecasts."""
+
+    def quality(self) -> dict[str, Any]:
+        """Return counters."""
+
+
+@dataclass
+class Tally:
+    """What went through the loop.
+
+    Parameters
+    ----------
+    received, forecasts : int
+        Messages in and out.
+    missed : int
+        Messages that were sent and could not be had, as far as the transport can tell.
+    seconds : float
+        From the first look at the source to its end. [s]
+    """
+
+    received: int = 0
+    forecasts: int = 0
+    missed: int = 0
+    seconds: float = 0.0
+
+
+def run(
+    source: Source,
+    pipeline: Forecaster,
+    sinks: Sequence[Sink] = (),
+    *,
+    recorder: Recorder | None = None,
+    publish_s: float = 0.0,
+    watch: Callable[[Tally], None] = lambda _: None,
+    report_s: float = REPORT_S,
+    clock: Callable[[], float] = time.monotonic,
+) -> Tally:
+    """Push every message through the pipeline, and hand on the forecasts, until the source ends.
+
+    Whatever happens, the recorder and the sinks are closed, the recorder first. A recording is written before the
+    messages are looked into, so that what breaks the pipeline is on disk.
+
+    Parameters
+    ----------
+    source : Source
+        Ends by itself, or when what it was made with tells it to stop. Where it has a count `missed`, it is reported.
+    pipeline : Forecaster
+    sinks : sequence of Sink
+        Take the forecasts; closed at the end.
+    recorder : Recorder, optional
+        Takes what was received.
+    publish_s : float
+        Time between two rounds of forecasts, of each vehicle the newest: so a consumer that has fallen behind does not
+        flood whoever listens, and one that keeps pace hands on every forecast. 0 hands on all, always. [s]
+    watch : callable
+        Called after each list, the empty ones included, for a screen or a progress bar.
+    report_s : float
+        Time between two lines of counters in the log. [s]
+    clock : callable
+        Monotonic time. [s]
+
+    Returns
+    -------
+    Tally
+    """
+    tally, began = Tally(), clock()
+    due = began + report_s
+    published = -inf
+    with ExitStack() as closing:
+        closing.enter_context(seldom_collecting())
+        for sink in sinks:
+            closing.callback(sink.close)
+        if recorder is not None:
+            closing.callback(recorder.close)
+        for messages in source:
+            if recorder is not None:
+                recorder.put(messages)
+            if messages:
+                tally.received += len(messages)
+                pipeline.take(messages)
+            if clock() - published >= publish_s:
+                published = clock()
+                _hand_on(pipeline.forecasts(newest_only=publish_s > 0.0), sinks, tally)
+            tally.seconds = clock() - began
+            watch(tally)
+            if clock() >= due:
+                due = clock() + report_s
+                _report("running", tally, source, pipeline, recorder)
+        _hand_on(pipeline.forecasts(newest_only=publish_s > 0.0), sinks, tally)
+        _hand_on(pipeline.finish(), sinks, tally)
+        tally.seconds = clock() - began
+    _report("finished", tally, source, pipeline, recorder)
+    return tally
+
+
+@contextmanager
+def seldom_collecting() -> Iterator[None]:
+    """Let the collector of cyclic garbage rest while messages stream: they make none, and it would visit each."""
+    before = gc.get_threshold()
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(100_000, 20, 100)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
+        gc.unfreeze()
+
+
+@contextmanager
+def stopping() -> Iterator[Event]:
+    """Give an event that SIGINT and SIGTERM set; a second SIGINT interrupts at once, as without it."""
+    stop = Event()
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        if stop.is_set() and number == signal.SIGINT:
+            signal.default_int_handler(number, frame)
+        stop.set()
+
+    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _hand_on(forecasts: list[Message], sinks: Sequence[Sink], tally: Tally) -> None:
+    """Give forecasts to every sink."""
+    if forecasts:
+        tally.forecasts += len(forecasts)
+        for sink in sinks:
+            sink.put(forecasts)
+
+
+def _report(event: str, tally: Tally, source: Source, pipeline: Forecaster, recorder: Recorder | None) -> None:
+    """Log every counter there is."""
+    tally.missed = getattr(source, "missed", 0)
+    counts: dict[str, Any] = {"messages": tally.received, "forecasts": tally.forecasts, "missed": tally.missed}
+    if recorder is not None:
+        counts |= {"recorded": recorder.recorded, "unrecorded": recorder.unrecorded}
+    rate = tally.received / tally.seconds if tally.seconds > 0 else 0.0
+    _log.info(event, extra=fields(**counts, per_second=round(rate, 1), **flat(pipeline.quality())))

@@ -1,0 +1,165 @@
+"""Where messages come from and go to, and in which order and at what pace.
+
+A source is any iterable of lists of messages: whatever is ready, in order of receipt, and an empty list where nothing
+came for a moment, so that whoever loops over it can look up. A source that is told to stop yields what it already
+holds and ends; the loop never breaks out of it.
+"""
+
+import time
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from math import inf
+from operator import attrgetter
+from threading import Event
+from typing import Final, Protocol, TypeAlias
+
+from core.codec import Message
+from core.errors import SettingsError
+
+Source: TypeAlias = Iterable[list[Message]]
+"""What yields messages, in lists of whatever is ready."""
+
+LOOK_UP_S: Final = 0.2
+"""A source that has nothing to say says so at least this often. [s]"""
+BREATH_S: Final = 0.02
+"""What falls due within this time is sent together. [s]"""
+
+_receipt = attrgetter("receipt_ns")
+
+
+class Sink(Protocol):
+    """What takes messages."""
+
+    def put(self, messages: Sequence[Message]) -> None:
+        """Take messages; an empty sequence is allowed."""
+
+    def close(self) -> None:
+        """Let nothing buffered behind. Closing twice does no harm."""
+
+
+def merged(sources: Sequence[Source]) -> Iterator[list[Message]]:
+    """Yield the messages of several sources in order of receipt.
+
+    Each source is itself in that order. It is read lazily, a list at a time: everything up to the earliest end of the
+    lists at hand can be sorted and passed on, whatever the rest holds.
+
+    Parameters
+    ----------
+    sources : sequence of Source
+        Of messages with equal receipt, those of the earlier source come first.
+
+    Yields
+    ------
+    list of Message
+        In ascending `receipt_ns`, within and across lists.
+    """
+    if len(sources) == 1:
+        yield from sources[0]
+        return
+    heads: list[list[Message]] = [[] for _ in sources]
+    tails = [iter(source) for source in sources]
+    live = list(range(len(sources)))
+    while True:
+        for i in list(live):
+            while not heads[i]:
+                block = next(tails[i], None)
+                if block is None:
+                    live.remove(i)
+                    break
+                heads[i] = block
+        if not live:
+            return
+        horizon = min(heads[i][-1].receipt_ns for i in live)
+        ready: list[Message] = []
+        for i in live:
+            cut = bisect_right(heads[i], horizon, key=_receipt)
+            ready += heads[i][:cut]
+            heads[i] = heads[i][cut:]
+        ready.sort(key=_receipt)
+        yield ready
+
+
+def until(source: Source, stop: Event) -> Iterator[list[Message]]:
+    """Yield from a source until `stop` is set; for sources that hold nothing which would be lost."""
+    for messages in source:
+        if stop.is_set():
+            return
+        yield messages
+
+
+def paced(
+    source: Source,
+    speed: float,
+    *,
+    longest_gap_s: float = inf,
+    clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
+) -> Iterator[list[Message]]:
+    """Yield the messages of a recording as they fell due, `speed` times as fast as they were received.
+
+    Parameters
+    ----------
+    source : Source
+        In order of receipt.
+    speed : float
+        1 for real time, `math.inf` for as fast as possible.
+    longest_gap_s : float
+        A longer silence in the recording is shortened to this. [s of the recording]
+    clock : callable
+        Monotonic time. [s]
+    sleep : callable
+        Waits a number of seconds.
+
+    Yields
+    ------
+    list of Message
+        What has fallen due; an empty list every `LOOK_UP_S` of silence.
+
+    Raises
+    ------
+    SettingsError
+        Where the speed or the gap is not positive.
+    """
+    if not speed > 0:
+        raise SettingsError(f"speed is {speed:g}, must be above 0; give a number such as 60, or `max`")
+    if not longest_gap_s > 0:
+        raise SettingsError(f"the longest gap is {longest_gap_s:g} s, must be above 0 s")
+    return iter(source) if speed == inf else _paced(source, speed, longest_gap_s, clock, sleep)
+
+
+def _paced(
+    source: Source, speed: float, longest_gap_s: float, clock: Callable[[], float], sleep: Callable[[float], None]
+) -> Iterator[list[Message]]:
+    """Pace at a finite speed; `zero_s` is the time of receipt that answers to the clock's start."""
+    began: float | None = None
+    zero_s = newest_s = 0.0
+    for block in source:
+        at = 0
+        while at < len(block):
+            first_s = block[at].receipt_ns * 1e-9
+            if began is None:
+                began, zero_s, newest_s = clock(), first_s, first_s
+            zero_s += max(0.0, first_s - newest_s - longest_gap_s)
+            newest_s = first_s
+            wait_s = (first_s - zero_s) / speed - (clock() - began)
+            if wait_s > 0:
+                sleep(min(max(wait_s, BREATH_S), LOOK_UP_S))
+                if wait_s > LOOK_UP_S:
+                    yield []
+                    continue
+            due_s = zero_s + (clock() - began) * speed
+            cut = max(at + 1, _due(block, at, due_s, longest_gap_s))
+            yield block[at:cut]
+            newest_s = block[cut - 1].receipt_ns * 1e-9
+            at = cut
+
+
+def _due(block: list[Message], at: int, due_s: float, longest_gap_s: float) -> int:
+    """Return the end of what has fallen due from `at`, no further than the next gap that is to be shortened."""
+    cut = bisect_right(block, round(due_s * 1e9), lo=at, key=_receipt)
+    if longest_gap_s < inf:
+        gap_ns = longest_gap_s * 1e9
+        for i in range(at + 1, cut):
+            if block[i].receipt_ns - block[i - 1].receipt_ns > gap_ns:
+                return i
+    return cut

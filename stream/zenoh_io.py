@@ -1,0 +1,365 @@
+"""Zenoh: a session, what is drained from it and what is published on it.
+
+The subscriber is an advanced one, whose channel is filled without Python, and drained by whoever iterates. It asks
+advanced publishers for what it missed and counts what could not be had. Publishing blocks where the network is slow;
+nothing is dropped on our side.
+
+Notes
+-----
+Observed of zenoh 1.10, and minded here:
+
+- An advanced subscriber takes samples that carry a timestamp and no source number in order of their timestamps, of each
+  router that stamped them. Where a router stamps for plain publishers, as `zenohd` does unless told otherwise, two
+  samples that cross on their way through it are one sample too few (600 of 180,000 in a burst from three publishers).
+  The embedded router does not stamp; against one that does, the source says so once, in the log.
+- A transport whose far end does not read for `wait_before_close`, 5 s by default, is closed and its queue lost.
+  Here it is a minute.
+- Router and client in one process share two receiving threads, and can wait for each other. Subscribe in the
+  router's own session, and publish at speed from another process.
+"""
+
+import logging
+import re
+import socket
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event
+from types import TracebackType
+from typing import Any, Final, Literal, Self
+
+import msgspec
+import zenoh
+from zenoh import ext, handlers
+
+from core.codec import Message
+from core.errors import SettingsError
+from stream.source import LOOK_UP_S
+
+LOOPBACK: Final = "tcp/127.0.0.1:7447"
+"""Where the embedded router listens unless told otherwise."""
+QUEUE: Final = 1 << 18
+"""Samples that wait in the channel before publishers are held up."""
+DRAIN: Final = 4000
+"""Most messages that are yielded at once: as many as the processor's cache holds while they are worked on."""
+CACHE: Final = 64
+"""Samples of each key that a publisher can send again."""
+STALL_US: Final = 60_000_000
+"""How long a far end may stop reading before it is given up. [us]"""
+
+_OURS: Final[tuple[tuple[str, Any, Any], ...]] = (  # where Zenoh's own default stands, ours takes its place
+    ("scouting/multicast/enabled", None, False),
+    ("scouting/gossip/enabled", None, False),
+    ("timestamping/enabled", None, {"router": False, "peer": False, "client": False}),
+    ("transport/link/tx/queue/congestion_control/block/wait_before_close", 5_000_000, STALL_US),
+    ("transport/unicast/max_sessions", 1000, 1_000_000),
+)
+WATCH_NS: Final = 1_000_000_000
+"""Time between two looks at which routers are joined. [ns]"""
+_NAP_S: Final = 0.0005, 0.01  # first and longest wait for an empty channel
+_log = logging.getLogger("socast.zenoh")
+
+Mode = Literal["client", "peer", "router"]
+
+
+@dataclass(frozen=True)
+class Connection:
+    """How to reach other Zenoh nodes, or be reached.
+
+    Parameters
+    ----------
+    connect : tuple of str
+        Endpoints such as `tcp/router.example:7447` or `tls/...`.
+    listen : tuple of str
+        Endpoints to be reached at; port 0 is replaced by a free one. By default a router or peer listens on loopback
+        only.
+    mode : str, optional
+        `client`, `peer` or `router`; by default a client where there is something to connect to, else a router.
+    prefix : str
+        Key chunks before `fleet` and `weather`, such as `montreal`.
+    config : Path, optional
+        Zenoh's own JSON5 configuration, for TLS and the rest. What is given above goes before what the file says.
+    recovery : bool
+        Ask advanced publishers for what was missed.
+    """
+
+    connect: tuple[str, ...] = ()
+    listen: tuple[str, ...] = ()
+    mode: Mode | None = None
+    prefix: str = ""
+    config: Path | None = None
+    recovery: bool = True
+
+
+class Node:
+    """An open Zenoh session; a context manager.
+
+    Parameters
+    ----------
+    connection : Connection
+
+    Attributes
+    ----------
+    endpoints : list of str
+        Where the node listens.
+
+    Raises
+    ------
+    SettingsError
+        Where an endpoint, a mode or the file is not understood, or no connection can be made.
+    """
+
+    def __init__(self, connection: Connection = Connection()) -> None:
+        self.connection = connection
+        self.prefix = f"{connection.prefix.strip('/')}/" if connection.prefix.strip("/") else ""
+        config = _config(connection)
+        self.endpoints: list[str] = _endpoints(config)
+        try:
+            self.session = zenoh.open(config)
+        except zenoh.ZError as error:
+            raise SettingsError(f"Zenoh cannot be joined: {_plain(error)}; is a router listening there?") from error
+
+    def close(self) -> None:
+        """Close the session; what was published is sent first."""
+        if not self.session.is_closed():
+            self.session.close()  # type: ignore[no-untyped-call]
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close."""
+        self.close()
+
+
+class ZenohSource:
+    """Everything that is published under a prefix, in order of arrival; subscribed from the start, iterated once.
+
+    Parameters
+    ----------
+    node : Node
+    stop : Event
+        When set, the subscription ends, what is queued is yielded, and the iteration ends.
+
+    Attributes
+    ----------
+    missed : int
+        Samples that publishers sent and that could not be had, as far as publishers number them.
+    """
+
+    def __init__(self, node: Node, stop: Event) -> None:
+        self.missed = 0
+        self._stop = stop
+        self._newest_ns = 0
+        self._warned = False
+        self._looked_ns = 0
+        self._session = node.session
+        self._routers = len(node.session.info.routers_zid())
+        everything = f"{node.prefix}**"
+        self._misses: Any = None
+        if node.connection.recovery:
+            self._subscriber: Any = ext.declare_advanced_subscriber(
+                node.session,
+                everything,
+                handlers.FifoChannel(QUEUE),
+                allowed_origin=zenoh.Locality.REMOTE,
+                history=ext.HistoryConfig(detect_late_publishers=True),
+                recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+            )
+            self._misses = self._subscriber.sample_miss_listener(handlers.FifoChannel(QUEUE))
+        else:
+            self._subscriber = node.session.declare_subscriber(
+                everything, handlers.FifoChannel(QUEUE), allowed_origin=zenoh.Locality.REMOTE
+            )
+        self._receive = self._subscriber.handler.try_recv
+
+    def __iter__(self) -> Iterator[list[Message]]:
+        """Yield whatever is queued, at most `DRAIN` at a time; an empty list every `LOOK_UP_S` of silence."""
+        nap, longest = _NAP_S
+        quiet_s = 0.0
+        while True:
+            stopping = self._stop.is_set()
+            if stopping and self._subscriber is not None:
+                self._subscriber.undeclare()
+                self._subscriber = None
+            messages = self._drained()
+            self._watch_routers()
+            if messages or quiet_s >= LOOK_UP_S:
+                yield messages
+                quiet_s, nap = 0.0, _NAP_S[0]
+            elif stopping:
+                return
+            else:
+                time.sleep(nap)
+                quiet_s += nap
+                nap = min(2 * nap, longest)
+
+    def _drained(self) -> list[Message]:
+        """Return what is queued, stamped with one time that never runs backwards."""
+        now = self._newest_ns = max(self._newest_ns, time.time_ns())
+        out: list[Message] = []
+        append, receive, new, sample = out.append, self._receive, tuple.__new__, None
+        try:
+            for _ in range(DRAIN):
+                following = receive()
+                if following is None:
+                    break
+                sample = following
+                append(new(Message, (str(sample.key_expr), sample.payload.to_bytes(), now)))
+        except zenoh.ZError:
+            pass  # the subscription has ended and the channel is empty
+        if sample is not None:
+            self._look_after(sample)
+        return out
+
+    def _watch_routers(self) -> None:
+        """Log that a router was lost or joined; Zenoh itself joins one again that comes back."""
+        if self._newest_ns - self._looked_ns < WATCH_NS:
+            return
+        self._looked_ns = self._newest_ns
+        routers = len(self._session.info.routers_zid())
+        if routers != self._routers:
+            _log.log(
+                *((logging.WARNING, "router lost") if routers < self._routers else (logging.INFO, "router joined"))
+            )
+            self._routers = routers
+
+    def _look_after(self, sample: Any) -> None:
+        """Count what was missed, and warn of a router that stamps for plain publishers."""
+        if self._misses is None:
+            return
+        try:
+            while (miss := self._misses.try_recv()) is not None:
+                self.missed += miss.nb
+        except zenoh.ZError:
+            self._misses = None
+        if not self._warned and sample.timestamp is not None and sample.source_info is None:
+            self._warned = True
+            _log.warning(
+                "a router stamps samples for plain publishers, and samples that cross may be lost: "
+                "switch `timestamping` off in the router, or subscribe without recovery"
+            )
+
+
+class ZenohSink:
+    """Publishes messages, each key by an advanced publisher of its own.
+
+    Parameters
+    ----------
+    node : Node
+    prefix : str
+        Put before every key.
+    """
+
+    def __init__(self, node: Node, prefix: str = "") -> None:
+        self._session = node.session
+        self._prefix = prefix
+        self._publishers: dict[str, Any] = {}
+
+    def heard(self) -> bool:
+        """Return whether anybody subscribes to the fleet."""
+        with self._session.declare_publisher(f"{self._prefix}fleet/**") as publisher:
+            status: Any = publisher.matching_status
+            return bool(status.matching)
+
+    def put(self, messages: Sequence[Message]) -> None:
+        """Publish messages, waiting where the network is slow.
+
+        Raises
+        ------
+        SettingsError
+            Where a key is not a Zenoh key expression, or the session is closed.
+        """
+        publishers = self._publishers
+        try:
+            for key, payload, _ in messages:
+                publisher = publishers.get(key)
+                if publisher is None:
+                    publisher = publishers[key] = self._declared(self._prefix + key)
+                publisher.put(payload)
+        except zenoh.ZError as error:
+            raise SettingsError(f"cannot publish: {_plain(error)}") from error
+
+    def close(self) -> None:
+        """Undeclare the publishers; the session stays open."""
+        for publisher in self._publishers.values():
+            publisher.undeclare()
+        self._publishers.clear()
+
+    def _declared(self, key: str) -> Any:
+        """Return a publisher that numbers its samples, keeps the last ones, and can be found by late subscribers."""
+        return ext.declare_advanced_publisher(
+            self._session,
+            key,
+            encoding=zenoh.Encoding.APPLICATION_JSON,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            cache=ext.CacheConfig(CACHE),
+            sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=1.0),
+            publisher_detection=True,
+        )
+
+
+def free_port() -> int:
+    """Return a TCP port on loopback that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _config(connection: Connection) -> zenoh.Config:
+    """Return Zenoh's configuration; raise `SettingsError` where it cannot be had."""
+    file = connection.config
+    try:
+        config = zenoh.Config.from_file(file) if file else zenoh.Config()
+        text = file.read_text(encoding="utf-8") if file else ""
+    except (zenoh.ZError, OSError, UnicodeDecodeError) as error:
+        raise SettingsError(f"{file} is not a Zenoh configuration: {_plain(error)}") from error
+    mode = connection.mode or _told(config, "mode") or ("client" if connection.connect else "router")
+    _insert(config, "mode", mode)
+    if connection.connect:
+        _insert(config, "connect/endpoints", list(connection.connect))
+    if connection.listen:
+        _insert(config, "listen/endpoints", [_with_port(end) for end in connection.listen])
+    elif "listen" not in text:
+        ends = {"router": [LOOPBACK], "peer": [_with_port("tcp/127.0.0.1:0")]}.get(mode, [])
+        _insert(config, "listen/endpoints", ends)
+    for name, unset, value in _OURS:
+        if _told(config, name) == unset:
+            _insert(config, name, value)
+    return config
+
+
+def _with_port(endpoint: str) -> str:
+    """Return an endpoint with a free port in place of port 0."""
+    return f"{endpoint[:-1]}{free_port()}" if endpoint.endswith(":0") else endpoint
+
+
+def _told(config: zenoh.Config, name: str) -> Any:
+    """Return what a configuration says of a name."""
+    return msgspec.json.decode(config.get_json(name))
+
+
+def _endpoints(config: zenoh.Config) -> list[str]:
+    """Return where a configuration listens."""
+    told = _told(config, "listen/endpoints") or []
+    return [str(end) for end in (told.get(_told(config, "mode"), []) if isinstance(told, dict) else told)]
+
+
+def _insert(config: zenoh.Config, name: str, value: Any) -> None:
+    """Set a name; raise `SettingsError` where Zenoh refuses the value."""
+    text = msgspec.json.encode(value).decode()
+    try:
+        config.insert_json5(name, text)
+    except zenoh.ZError as error:
+        raise SettingsError(f"Zenoh setting {name} cannot be {text}: {_plain(error)}") from error
+
+
+def _plain(error: Exception) -> str:
+    """Return what an error says, on one line and without the places in Zenoh's source."""
+    text = re.sub(r"\s+at /\S+?:\d+\.?", "", str(error)).replace("\n", " ")
+    inner = re.search(r'msg: "(.*?)"', text)
+    return (inner.group(1) if inner else text).strip(" .!")

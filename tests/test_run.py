@@ -1,0 +1,195 @@
+"""The one loop: what it forecasts does not depend on where the messages come from, and it leaves nothing behind."""
+
+import io
+import json
+import logging
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from threading import Event
+
+import pytest
+from recorded_shift import shift
+
+from core.codec import Message
+from core.pipeline import Pipeline
+from stream.log_lines import flat, write_lines
+from stream.mcap_io import McapSink, McapSource
+from stream.memory_io import MemorySink, MemorySource
+from stream.record import Recorder
+from stream.run import run, stopping
+from stream.source import until
+from stream.zenoh_io import Connection, Node, ZenohSource
+
+
+def through(source) -> tuple[list[Message], str]:
+    pipeline, sink = Pipeline(), MemorySink()
+    run(source, pipeline, [sink])
+    assert sink.closed
+    return sink.messages, pipeline.take_rides().to_json()
+
+
+@pytest.fixture(scope="module")
+def reference() -> tuple[list[Message], str]:
+    forecasts, rides = through(MemorySource(shift()))
+    assert len(forecasts) > 50
+    return forecasts, rides
+
+
+@pytest.mark.parametrize("chunk", [1, 7, 100_000])
+def test_memory_in_any_chunks_is_the_same(reference, chunk):
+    assert through(MemorySource(shift(), chunk)) == reference
+
+
+def test_replay_is_the_same(reference, tmp_path: Path):
+    with McapSink(tmp_path / "shift.mcap", 10_000) as sink:
+        sink.put(shift())
+    assert through(McapSource(tmp_path / "shift.mcap")) == reference
+
+
+PUBLISH = """
+import sys, time
+from stream.mcap_io import McapSource
+from stream.zenoh_io import Connection, Node, ZenohSink
+with Node(Connection(connect=(sys.argv[1],))) as node:
+    sink = ZenohSink(node)
+    deadline = time.monotonic() + 20
+    while not sink.heard() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    for block in McapSource(sys.argv[2]):
+        sink.put(block)
+    sink.close()
+"""
+
+
+def test_live_over_zenoh_is_the_same_and_so_is_its_recording(reference, tmp_path: Path):
+    sent, stop = shift(), Event()
+    with McapSink(tmp_path / "shift.mcap") as sink:
+        sink.put(sent)
+    recorder, pipeline, forecasts = Recorder(tmp_path / "live"), Pipeline(), MemorySink()
+    deadline = time.monotonic() + 30
+    with Node(Connection(listen=("tcp/127.0.0.1:0",))) as node:
+        source = ZenohSource(node, stop)
+        with subprocess.Popen([sys.executable, "-c", PUBLISH, node.endpoints[0], tmp_path / "shift.mcap"]) as publisher:
+
+            def watch(tally) -> None:
+                if tally.received >= len(sent) or time.monotonic() > deadline:
+                    stop.set()
+
+            tally = run(source, pipeline, [forecasts], recorder=recorder, watch=watch)
+            assert publisher.wait(10) == 0
+    assert (tally.received, tally.missed) == (len(sent), 0)
+    assert (forecasts.messages, pipeline.take_rides().to_json()) == reference
+    (file,) = recorder.files
+    again = [m for block in McapSource(file) for m in block]
+    assert [(m.key, m.payload) for m in again] == [(m.key, m.payload) for m in sent]
+    assert through(McapSource(file)) == reference
+
+
+class Breaks:
+    """A pipeline that breaks at the third list."""
+
+    def __init__(self) -> None:
+        self.seen = 0
+
+    def push(self, messages):
+        self.seen += 1
+        if self.seen == 3:
+            raise ZeroDivisionError
+        return [Message("fleet/a/forecast", b"{}", m.receipt_ns) for m in messages]
+
+    def finish(self):
+        return [Message("fleet/a/forecast", b"the last", 0)]
+
+    def quality(self):
+        return {}
+
+
+def test_what_breaks_the_pipeline_is_on_disk_and_everything_is_closed(tmp_path: Path):
+    sent, sink = shift(20), MemorySink()
+    with pytest.raises(ZeroDivisionError):
+        run(MemorySource(sent, 10), Breaks(), [sink], recorder=Recorder(tmp_path))
+    (file,) = tmp_path.iterdir()
+    source = McapSource(file)
+    assert [m for block in source for m in block] == sent[:30]
+    assert not source.losses
+    assert sink.closed
+    assert len(sink.messages) == 20
+
+
+def test_the_last_forecasts_are_handed_on():
+    sink = MemorySink()
+    tally = run(MemorySource(shift(2), 100), Breaks(), [sink])
+    assert sink.messages[-1].payload == b"the last"
+    assert tally.forecasts == len(sink.messages)
+    assert tally.received == len(shift(2))
+
+
+def lines(as_json: bool, **settings) -> list[str]:
+    text = io.StringIO()
+    write_lines(as_json=as_json, to=text)
+    try:
+        run(MemorySource(shift(50), 40), Pipeline(), **settings)
+    finally:
+        logging.getLogger("socast").handlers.clear()
+        logging.getLogger("socast").propagate = True
+    return text.getvalue().splitlines()
+
+
+def test_counters_are_logged_now_and_then_and_at_the_end():
+    ticks = iter(range(10_000))
+    logged = [json.loads(line) for line in lines(as_json=True, report_s=5.0, clock=lambda: float(next(ticks)))]
+    assert [line["event"] for line in logged[:-1]] == ["running"] * (len(logged) - 1)
+    assert len(logged) > 1
+    last = logged[-1]
+    assert last["event"] == "finished"
+    assert last["messages"] == len(shift(50))
+    assert last["received.weather"] == 1
+    assert sum(count for name, count in last.items() if name.startswith("undecodable.")) == 1
+    assert last["missed"] == 0
+
+
+def test_a_line_is_keys_and_values():
+    (line,) = lines(as_json=False)
+    pairs = dict(pair.split("=", 1) for pair in line.split(" "))
+    assert pairs["level"] == "info"
+    assert pairs["event"] == "finished"
+    assert int(pairs["messages"]) == len(shift(50))
+
+
+def test_counters_of_nothing_are_left_out():
+    assert flat({"a": {"b": {"c": 1, "d": 0}}, "e": 2, "f": {}}) == {"a.b.c": 1, "e": 2}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_source_and_not_the_loop(number):
+    before = signal.getsignal(number)
+    sink = MemorySink()
+    with stopping() as stop:
+
+        def watch(tally) -> None:
+            if tally.received == 10:
+                os.kill(os.getpid(), number)
+
+        tally = run(until(MemorySource(shift(20), 5), stop), Plain(), [sink], watch=watch)
+    assert tally.received == 10
+    assert sink.messages[-1].payload == b"the last"
+    assert signal.getsignal(number) is before
+
+
+class Plain(Breaks):
+    """The same without the break."""
+
+    def push(self, messages):
+        return [Message("fleet/a/forecast", b"{}", m.receipt_ns) for m in messages]
+
+
+def test_a_second_interrupt_is_not_waited_for():
+    with stopping() as stop:
+        os.kill(os.getpid(), signal.SIGINT)
+        assert stop.is_set()
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)

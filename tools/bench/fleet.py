@@ -1,0 +1,76 @@
+"""A stream of many cars, cheap to make: what the benchmarks feed on."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from core.codec import Message, Telemetry, Vehicle, encode
+
+START_S = 1_767_600_000.0
+PERIOD_S = 3.0
+
+
+def identity(car: int) -> str:
+    """Return the name of a car."""
+    return f"taxi-{car:07d}"
+
+
+def vehicles(cars: int) -> list[Message]:
+    """Return what each car says of itself."""
+    return [
+        Message(
+            f"fleet/{identity(car)}/vehicle", encode(Vehicle(identity(car), START_S, "kia-soul-ev-2015")), int(START_S)
+        )
+        for car in range(cars)
+    ]
+
+
+def rounds(cars: int, first: int, count: int, seed: int = 0) -> Iterator[list[Message]]:
+    """Yield rounds of telemetry, one sample of every car each, driving in circles with stops and uneven stamps.
+
+    Parameters
+    ----------
+    cars : int
+    first, count : int
+        Number of the first round, and how many.
+    seed : int
+        Of the unevenness.
+    """
+    rng = np.random.default_rng(seed + first)
+    phase = np.linspace(0.0, 300.0, cars, endpoint=False)
+    for turn in range(first, first + count):
+        now = START_S + PERIOD_S * turn
+        stamps = now + rng.normal(0.0, 0.3, cars)
+        speed = np.maximum(0.0, 40.0 + 45.0 * np.sin((now + phase) / 23.0))
+        angle = (now - START_S + phase) / 90.0
+        columns = (
+            stamps,
+            45.5 + 0.01 * np.sin(angle),
+            -73.6 + 0.014 * np.cos(angle),
+            40.0 + 15.0 * np.sin(angle) + rng.normal(0.0, 1.0, cars),
+            speed,
+            np.clip(90.0 - 0.01 * turn - phase / 10.0, 5.0, 100.0).round(1),
+            360.0 - 0.05 * speed,
+            (3.0 + speed).round(1),
+        )
+        messages = []
+        for car, (stamp, latitude, longitude, elevation, kmh, soc, volt, ampere) in enumerate(
+            zip(*(column.tolist() for column in columns), strict=True)
+        ):
+            name = identity(car)
+            sample = Telemetry(
+                name,
+                round(stamp, 3),
+                ride_id=f"{car}-{turn // 400}",
+                seq=turn,
+                latitude_deg=round(latitude, 6),
+                longitude_deg=round(longitude, 6),
+                elevation_m=round(elevation, 1),
+                speed_kmh=round(kmh, 1),
+                soc_pct=soc,
+                battery_voltage_v=round(volt, 1),
+                battery_current_a=ampere,
+                ambient_c=-8.0,
+            )
+            messages.append(Message(f"fleet/{name}/telemetry", encode(sample), int(now * 1e9)))
+        yield messages

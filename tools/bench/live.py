@@ -1,0 +1,123 @@
+"""The live consumer against a Zenoh subscriber that does nothing, on the same stream from another process."""
+
+import multiprocessing
+import time
+from collections.abc import Callable
+from multiprocessing.synchronize import Event as ProcessEvent
+from threading import Event
+from typing import Any, TypeAlias
+
+from core.models import EXTENDED_PHYSICAL
+from core.pipeline import Pipeline
+from stream.run import PUBLISH_S, Tally, run
+from stream.zenoh_io import Connection, Node, ZenohSink, ZenohSource, free_port
+from tools.bench.fleet import rounds, vehicles
+from tools.bench.measures import Measure, alternating
+
+PATIENCE_S = 60.0
+WARM_UP = 20
+
+Consumer: TypeAlias = Callable[[Node, ProcessEvent, ProcessEvent], float]
+
+
+def publish(endpoint: str, cars: int, turns: int, ready: ProcessEvent, go: ProcessEvent) -> None:
+    """Publish a stream as fast as it is taken, from a process of its own."""
+    messages = [message for turn in rounds(cars, WARM_UP, turns) for message in turn]
+    with Node(Connection(connect=(endpoint,))) as node:
+        sink = ZenohSink(node)
+        sink.put(vehicles(cars))
+        for turn in rounds(cars, 0, WARM_UP):  # every key is declared before the clock starts
+            sink.put(turn)
+        ready.set()
+        go.wait(PATIENCE_S)
+        for at in range(0, len(messages), 1000):
+            sink.put(messages[at : at + 1000])
+        sink.close()
+
+
+def streamed(cars: int, turns: int, consume: Consumer) -> float:
+    """Return how long a consumer takes for the stream, from its first sample to its last. [s]"""
+    context = multiprocessing.get_context("spawn")
+    ready, go = context.Event(), context.Event()
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with Node(Connection(listen=(endpoint,), mode="router")) as node:
+        process = context.Process(target=publish, args=(endpoint, cars, turns, ready, go))
+        process.start()
+
+        took = consume(node, ready, go)
+        process.join(PATIENCE_S)
+    return took
+
+
+def nothing(cars: int, turns: int) -> Consumer:
+    """Return a consumer that does nothing but notice the first sample and the last."""
+
+    def consume(node: Node, ready: ProcessEvent, go: ProcessEvent) -> float:
+        seen = 0
+
+        def notice(_: Any) -> None:
+            nonlocal seen
+            seen += 1
+
+        with node.session.declare_subscriber("fleet/*/telemetry", notice):
+            wait(lambda: ready.is_set() and seen == cars * WARM_UP)
+            began = time.perf_counter()
+            go.set()
+            wait(lambda: seen == cars * (WARM_UP + turns))
+            return time.perf_counter() - began
+
+    return consume
+
+
+def everything(cars: int, turns: int) -> Consumer:
+    """Return the consumer as it is in service: decode, clean, sum, predict and publish forecasts."""
+
+    def consume(node: Node, ready: ProcessEvent, go: ProcessEvent) -> float:
+        stop = Event()
+        pipeline = Pipeline(EXTENDED_PHYSICAL, keep_tables=False)
+        began = 0.0
+        patience = time.monotonic() + PATIENCE_S
+
+        def watch(_: Tally) -> None:
+            nonlocal began
+            if time.monotonic() > patience:
+                raise TimeoutError(f"the stream has not come through in {PATIENCE_S:g} s")
+            received = pipeline.decoder.received["telemetry"]
+            if not began and ready.is_set() and received == cars * WARM_UP:
+                began = time.perf_counter()
+                go.set()
+            elif received == cars * (WARM_UP + turns):
+                stop.set()
+
+        source = ZenohSource(node, stop)
+        run(source, pipeline, [ZenohSink(node)], publish_s=PUBLISH_S, watch=watch)
+        return time.perf_counter() - began
+
+    return consume
+
+
+def wait(until: Callable[[], bool]) -> None:
+    """Look every few milliseconds whether something has come true, for so long."""
+    patience = time.monotonic() + PATIENCE_S
+    while not until():
+        if time.monotonic() > patience:
+            raise TimeoutError(f"the stream has not come through in {PATIENCE_S:g} s")
+        time.sleep(0.002)
+
+
+def live(repeats: int = 3, cars: int = 1000, turns: int = 400) -> Measure:
+    """Measure the live consumer, decode to published forecast, against a subscriber that does nothing."""
+    total = cars * turns
+    idle_s, busy_s = alternating(
+        lambda: streamed(cars, turns, nothing(cars, turns)),
+        lambda: streamed(cars, turns, everything(cars, turns)),
+        repeats,
+    )
+    return Measure(
+        f"live consumer, decode to forecast, {cars:,} cars",
+        "a Zenoh subscriber that does nothing",
+        idle_s / busy_s,
+        ">= 0.5",
+        idle_s / busy_s >= 0.5,
+        {"live_samples_per_s": total / busy_s, "idle_samples_per_s": total / idle_s},
+    )

@@ -1,0 +1,115 @@
+"""The command line: `socast COMMAND`.
+
+Each command is a function, or a family of them, in its own file, and is loaded only when it is called: what reads
+recordings, compiles and plots takes seconds to import, and `socast --help` should not.
+"""
+
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.metadata import version
+from typing import Annotated, Final, NamedTuple
+
+import typer
+
+from core.errors import SocastError
+
+
+class Command(NamedTuple):
+    """Where a command is, and what it is for.
+
+    Parameters
+    ----------
+    module : str
+    name : str
+        Of a function, or of a `typer.Typer` that has commands of its own.
+    summary : str
+    """
+
+    module: str
+    name: str
+    summary: str
+
+
+COMMANDS: Final = {
+    "demo": Command("tools.demo", "demo", "Watch a recorded shift as if it were live, in under a minute."),
+    "live": Command("tools.live", "live", "Listen to cars over Zenoh, forecast and record."),
+    "replay": Command("tools.replay", "replay", "Replay recordings, through the model or to a router."),
+    "info": Command("tools.info", "info", "Tell what recordings hold, and what is lost."),
+    "tables": Command("tools.tables", "tables", "Turn recordings into ride and window tables."),
+    "simulate": Command("tools.simulate", "simulate", "Simulate a fleet of electric taxis, with faulty loggers."),
+    "import": Command("tools.import_drives", "app", "Turn public data sets of real drives into recordings."),
+    "effects": Command("tools.effects", "app", "List the physical effects that models are made of; check your own."),
+}
+"""Every command, in the order of `socast --help`."""
+
+
+def application(chosen: str | None = None) -> typer.Typer:
+    """Return the command line, with one command loaded and the others by name only.
+
+    Parameters
+    ----------
+    chosen : str, optional
+        The command that is called; none where only help is wanted.
+    """
+    app = typer.Typer(
+        name="socast",
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        help="Live consumption predictions from electric-car telemetry: clean, explain, forecast.",
+        epilog="`socast COMMAND --help` tells more.",
+    )
+    app.callback()(_options)
+    for name, command in COMMANDS.items():
+        if name != chosen:
+            app.command(name, help=command.summary)(_unloaded)
+            continue
+        loaded = getattr(import_module(command.module), command.name)
+        if isinstance(loaded, typer.Typer):
+            app.add_typer(loaded, name=name)
+        else:
+            app.command(name)(loaded)
+    return app
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line; an error that a person can mend is one line on standard error, with exit code 2."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    chosen = next((word for word in given if not word.startswith("-")), None)
+    try:
+        application(chosen)(given, prog_name="socast")
+    except SocastError as error:
+        print(f"socast: {' '.join(str(error).split())}", file=sys.stderr)
+        raise SystemExit(2) from None
+    except KeyboardInterrupt:
+        raise SystemExit(130) from None
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # so that the interpreter's last flush is quiet
+        raise SystemExit(1) from None
+
+
+def _show_version(wanted: bool) -> None:
+    """Print the version and end."""
+    if wanted:
+        print(f"socast {version('socast')}")
+        raise typer.Exit
+
+
+def _options(
+    *,
+    _: Annotated[
+        bool,
+        typer.Option("--version", help="Show the version and exit.", is_eager=True, callback=_show_version),
+    ] = False,
+) -> None:
+    """Take the options that stand before the command."""
+
+
+def _unloaded() -> None:
+    """Stand for a command that was not called."""
+
+
+if __name__ == "__main__":
+    main()

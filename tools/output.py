@@ -1,0 +1,85 @@
+"""What every command does with its results: JSON files, lines on a terminal, progress bars."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from math import isnan
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from core.errors import SettingsError
+from stream.mcap_io import McapSource
+
+JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the table as JSON too.")]
+Recordings = Annotated[list[Path], typer.Argument(metavar="REC...", help="MCAP recordings.", show_default=False)]
+
+
+PIPE_WIDTH = 120
+"""Columns that tables may take where there is no terminal."""
+
+
+def printer() -> Console:
+    """Return what prints to standard output, as wide as the terminal, or `PIPE_WIDTH` where there is none."""
+    console = Console()
+    return console if console.is_terminal else Console(width=PIPE_WIDTH)
+
+
+def write_json(path: Path | None, value: Any) -> None:
+    """Write a value as JSON, NaN as null; nothing where there is no path.
+
+    Raises
+    ------
+    SettingsError
+        Where the file cannot be written.
+    """
+    if path is None:
+        return
+    try:
+        path.write_bytes(msgspec.json.format(msgspec.json.encode(value), indent=2) + b"\n")
+    except OSError as error:
+        raise SettingsError(
+            f"{path} cannot be written: {error.strerror}; name a file in a folder that is there"
+        ) from error
+
+
+def speed(text: str) -> float:
+    """Return a speed from the command line: a number, or `max`.
+
+    Raises
+    ------
+    SettingsError
+        For anything else.
+
+    Examples
+    --------
+    >>> speed("60"), speed("10x"), speed("max")
+    (60.0, 10.0, inf)
+    """
+    try:
+        value = float("inf") if text == "max" else float(text.removesuffix("x"))
+    except ValueError:
+        value = 0.0
+    if isnan(value) or value <= 0:
+        raise SettingsError(f"--speed is '{text}'; give a number above 0 such as 60, or max")
+    return value
+
+
+def warn_of_losses(sources: Iterable[McapSource], console: Console) -> None:
+    """Say what recordings hold that could not be read."""
+    for source in sources:
+        for line in source.losses.lines():
+            console.print(f"{source.path}: {line}", style="yellow", markup=False, highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def reading(sources: Sequence[McapSource], *, shown: bool = True) -> Iterator[Callable[[], None]]:
+    """Show how far recordings have been read; give a function to call now and then."""
+    console = Console(stderr=True)
+    columns = (TextColumn("reading"), BarColumn(), MofNCompleteColumn(), TextColumn("chunks"), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as progress:
+        task = progress.add_task("reading", total=sum(source.blocks for source in sources))
+        yield lambda: progress.update(task, completed=sum(source.blocks_read for source in sources))

@@ -1,0 +1,122 @@
+"""`socast replay`: recorded shifts once more, through the model or to a router."""
+
+import time
+from collections.abc import Sequence
+from math import inf
+from pathlib import Path
+from threading import Event
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from core import effects, models
+from core.errors import SettingsError
+from core.pipeline import Pipeline
+from stream.mcap_io import McapSink, McapSource
+from stream.run import run, stopping
+from stream.source import Source, merged, paced, until
+from stream.zenoh_io import Connection, Node, ZenohSink
+from tools.output import JsonFile, Recordings, printer, reading, speed, warn_of_losses, write_json
+from tools.screen import Screen, ride_records, show_rides, with_predictions
+
+HEARD_S = 10.0
+"""How long to wait for somebody to subscribe before publishing all the same. [s]"""
+
+ModelName = Annotated[str, typer.Option(metavar="M", help="Model: a name, or a model file.")]
+EffectFiles = Annotated[
+    list[Path] | None, typer.Option("--effects", metavar="FILE", help="A file of your own effects; may be repeated.")
+]
+
+
+def replay(
+    recordings: Recordings,
+    pace: Annotated[
+        str | None,
+        typer.Option("--speed", metavar="N|max", help="Times real time. [default: max in process, 1 to a router]"),
+    ] = None,
+    connect: Annotated[
+        str | None, typer.Option(metavar="E", help="Publish to the router at E, such as tcp/127.0.0.1:7447.")
+    ] = None,
+    in_process: Annotated[bool, typer.Option("--in-process", help="Run the model here. [default]")] = False,
+    model: ModelName = "extended_physical",
+    effects_file: EffectFiles = None,
+    prefix: Annotated[str, typer.Option(metavar="P", help="Key chunks to put before the recorded keys.")] = "",
+    longest_gap: Annotated[
+        float, typer.Option(metavar="S", help="Shorten silences of the recording to this many seconds.")
+    ] = inf,
+    out: Annotated[Path | None, typer.Option(metavar="F.mcap", help="Record the forecasts.")] = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Replay recordings, merged in time order.
+
+    In process, they go through the same loop as live telemetry does, and the ride table compares predicted with
+    measured energy. With --connect they are published, and whoever listens at the router makes the forecasts.
+    """
+    if connect and (in_process or out or json_file):
+        raise SettingsError("--connect publishes and forecasts nothing; leave out --in-process, --out and --json")
+    rate = speed(pace or ("1" if connect else "max"))
+    sources = [McapSource(path) for path in recordings]
+    console = printer()
+    with stopping() as stop:
+        source = until(paced(merged(sources), rate, longest_gap_s=longest_gap), stop)
+        if connect:
+            with Node(Connection(connect=(connect,))) as node:
+                sink = ZenohSink(node, f"{prefix.strip('/')}/" if prefix.strip("/") else "")
+                _publish(source, sink, sources, stop, connect)
+        else:
+            for path in effects_file or ():
+                effects.load_file(path)
+            pipeline = Pipeline(models.load(model))
+            forecast(source, pipeline, sources, rate, [McapSink(out)] if out else [])
+            rides = with_predictions(pipeline.take_rides(), pipeline.model)
+            show_rides(console, rides, pipeline.quality())
+            write_json(json_file, ride_records(rides))
+    warn_of_losses(sources, Console(stderr=True))
+
+
+def forecast(
+    source: Source, pipeline: Pipeline, sources: Sequence[McapSource], rate: float, sinks: Sequence[McapSink] = ()
+) -> None:
+    """Run recordings through the loop, with a progress bar at full speed and a table of cars at any other.
+
+    Parameters
+    ----------
+    source : Source
+        Paced and merged.
+    pipeline : Pipeline
+        Holds the rides afterwards.
+    sources : sequence of McapSource
+        The recordings behind it.
+    rate : float
+        Speed of the replay; `inf` as fast as possible.
+    sinks : sequence of McapSink
+        Take the forecasts.
+    """
+    with reading(sources, shown=rate == inf) as step, Screen(pipeline, "Replay", silent=rate == inf) as screen:
+
+        def watch(tally: object) -> None:
+            step()
+            screen(tally)  # type: ignore[arg-type]
+
+        run(source, pipeline, sinks, watch=watch)
+
+
+def _publish(source: Source, sink: ZenohSink, sources: Sequence[McapSource], stop: Event, endpoint: str) -> None:
+    """Publish recordings, once somebody listens."""
+    console = Console(stderr=True)
+    deadline = time.monotonic() + HEARD_S
+    while not sink.heard() and not stop.is_set():
+        if time.monotonic() > deadline:
+            console.print(f"nobody listens at {endpoint}; publishing all the same", style="yellow", highlight=False)
+            break
+        time.sleep(0.05)
+    count = 0
+    began = time.monotonic()
+    with reading(sources) as step:
+        for messages in source:
+            sink.put(messages)
+            count += len(messages)
+            step()
+    sink.close()
+    console.print(f"published {count:,} messages in {time.monotonic() - began:.1f} s", highlight=False)

@@ -1,0 +1,274 @@
+"""What people see while cars drive, and at the end: a row a car, then a row a ride."""
+
+import time
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from math import isfinite
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+import numpy as np
+import pandas as pd
+from rich import box
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from core.models import Model
+from core.pipeline import Pipeline, VehicleStatus
+from stream.run import Tally
+from tools.output import printer
+
+REDRAW_S = 0.25
+"""Time between two pictures on a terminal. [s]"""
+LINE_S = 2.0
+"""Time between two lines where there is no terminal. [s]"""
+MOST_RIDES = 60
+"""Rides listed on a terminal; the JSON has all."""
+WIDE = 100
+"""Columns of a terminal from which the ride table has the start and the temperature."""
+
+RIDE_COLUMNS = (
+    "vehicle_id",
+    "ride_id",
+    "vehicle_model",
+    "start_s",
+    "duration_s",
+    "distance_km",
+    "ambient_c",
+    "energy_kwh",
+    "energy_sd_kwh",
+    "predicted_kwh",
+    "error_pct",
+    "fit_for_training",
+    "unfit_reason",
+)
+"""What the ride table of `replay`, `live` and `demo` has, on the screen and as JSON."""
+
+
+class Screen:
+    """Shows the newest of every vehicle while a stream runs: a table that redraws, or lines where there is no terminal.
+
+    A context manager; call it after each list of messages.
+
+    Parameters
+    ----------
+    pipeline : Pipeline
+    title : str
+    console : Console, optional
+    silent : bool
+        Show nothing.
+    clock : callable
+        Monotonic time. [s]
+    """
+
+    def __init__(
+        self,
+        pipeline: Pipeline,
+        title: str,
+        *,
+        console: Console | None = None,
+        silent: bool = False,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._pipeline, self._title, self._clock, self._silent = pipeline, title, clock, silent
+        self._console = console or printer()
+        self._due = clock() + LINE_S * (not self._console.is_terminal)
+        self._last: Tally | None = None
+        live = self._console.is_terminal and not silent
+        self._live = Live(console=self._console, auto_refresh=False, transient=True) if live else None
+
+    def __enter__(self) -> Self:
+        """Begin to draw."""
+        if self._live:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Clear the table, or print the last line."""
+        if self._live:
+            self._live.stop()
+        elif self._last is not None:
+            self._due = 0.0
+            self(self._last)
+
+    def __call__(self, tally: Tally) -> None:
+        """Draw, if it is time to."""
+        self._last, now = tally, self._clock()
+        if self._silent or now < self._due:
+            return
+        self._due = now + (REDRAW_S if self._live else LINE_S)
+        cars = sorted(self._pipeline.status())
+        if self._live:
+            rows = max(1, self._console.height - 7)
+            self._live.update(
+                fleet_table(cars, self._title, _caption(tally, self._pipeline.quality()), rows), refresh=True
+            )
+        else:
+            self._console.print(fleet_line(cars, tally), markup=False, highlight=False, soft_wrap=True)
+
+
+def fleet_table(cars: Sequence[VehicleStatus], title: str, caption: str, rows: int) -> Table:
+    """Return a table with a row a car, at most `rows`, those heard of last."""
+    table = Table(
+        title=title,
+        caption=caption,
+        caption_justify="left",
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        expand=True,
+    )
+    table.add_column("car", no_wrap=True, min_width=8)
+    for name, width in (
+        ("time", 8),
+        ("SOC\n%", 5),
+        ("ride\nkm", 6),
+        ("predicted\nkWh", 9),
+        ("measured\nkWh", 8),
+        ("off\n%", 4),
+    ):
+        table.add_column(name, justify="right", no_wrap=True, min_width=width)
+    table.add_column("repaired or\nrejected", overflow="ellipsis", no_wrap=True, ratio=1)
+    newest = sorted(sorted(cars, key=lambda car: car.time_s)[-rows:])
+    for car in newest:
+        riding = car.ride_distance_km > 0
+        off = _off_pct(car.predicted_kwh, car.measured_kwh) if riding else float("nan")
+        table.add_row(
+            Text(car.vehicle_id),
+            f"{datetime.fromtimestamp(car.time_s, UTC):%H:%M:%S}" if isfinite(car.time_s) else "",
+            _number(car.soc_pct, 1),
+            _number(car.ride_distance_km, 2),
+            _number(car.predicted_kwh, 3),
+            _number(car.measured_kwh, 3),
+            Text(_number(off, 0, sign=True), style="red" if abs(off) > 20 else ""),
+            Text(_counts(car.quality)),
+        )
+    if len(cars) > len(newest):
+        table.add_row(f"and {len(cars) - len(newest):,} more", *[""] * 7)
+    return table
+
+
+def fleet_line(cars: Sequence[VehicleStatus], tally: Tally) -> str:
+    """Return the fleet on one line, for a log: what came, and the car heard of last."""
+    told = f"{tally.seconds:5.1f} s  {tally.received:7,} messages  {len(cars):3} cars"
+    if not cars:
+        return told
+    car = max(cars, key=lambda car: car.time_s)
+    moment = f"{datetime.fromtimestamp(car.time_s, UTC):%H:%M:%S}"
+    return (
+        f"{told}  {moment}  {car.vehicle_id}: SOC {_number(car.soc_pct, 1)} %, "
+        f"{_number(car.ride_distance_km, 2)} km, predicted {_number(car.predicted_kwh, 3)} kWh, "
+        f"measured {_number(car.measured_kwh, 3)} kWh  {_counts(car.quality)}"
+    ).rstrip()
+
+
+def with_predictions(rides: pd.DataFrame, model: Model) -> pd.DataFrame:
+    """Return a ride table with `predicted_kwh` and `error_pct`, of which the latter is of the measured energy."""
+    predicted = model.predict({name: rides[name].to_numpy(np.float64) for name in model.needs})
+    measured = rides["energy_kwh"].to_numpy(np.float64)
+    error = np.full(len(rides), np.nan)
+    np.divide(100.0 * (predicted - measured), measured, out=error, where=measured > 0.05)
+    return rides.assign(predicted_kwh=predicted, error_pct=error).sort_values(["start_s", "vehicle_id"])
+
+
+def ride_records(rides: pd.DataFrame) -> list[dict[str, Any]]:
+    """Return the rows of a ride table with predictions, for JSON."""
+    known = rides[list(RIDE_COLUMNS)].astype(object)
+    text = ["ride_id", "vehicle_model", "unfit_reason"]
+    known[text] = known[text].where(known[text].notna(), None)
+    columns = [known[name].tolist() for name in RIDE_COLUMNS]
+    return [dict(zip(RIDE_COLUMNS, row, strict=True)) for row in zip(*columns, strict=True)]
+
+
+def show_rides(console: Console, rides: pd.DataFrame, quality: dict[str, Any]) -> None:
+    """Print a ride table with predictions, what the sums come to, and why rides are unfit for training."""
+    table = Table(
+        title="Rides, predicted against measured", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0)
+    )
+    wide = console.width >= WIDE
+    for name in ("car", "ride", *(("start",) if wide else ())):
+        table.add_column(name, no_wrap=True)
+    for name in ("min", "km", *(("°C",) if wide else ()), "predicted kWh", "measured kWh", "off %"):
+        table.add_column(name.replace(" k", "\nk"), justify="right", no_wrap=True)
+    table.add_column("unfit for\ntraining", no_wrap=True)
+    for ride in ride_records(rides.tail(MOST_RIDES)):
+        start = f"{datetime.fromtimestamp(ride['start_s'], UTC):%m-%d %H:%M}"
+        table.add_row(
+            Text(ride["vehicle_id"]),
+            Text(ride["ride_id"]),
+            *((start,) if wide else ()),
+            _number(ride["duration_s"] / 60, 1),
+            _number(ride["distance_km"], 2),
+            *((_number(ride["ambient_c"], 0),) if wide else ()),
+            _number(ride["predicted_kwh"], 3),
+            f"{_number(ride['energy_kwh'], 3)} ± {_number(ride['energy_sd_kwh'], 2)}",
+            _number(ride["error_pct"], 0, sign=True),
+            Text((ride["unfit_reason"] or "").replace("_", " ")),
+        )
+    if len(rides) > MOST_RIDES:
+        table.caption = f"the last {MOST_RIDES} of {len(rides):,} rides"
+    if len(rides):
+        console.print(table)
+    for line in summary(rides, quality):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def summary(rides: pd.DataFrame, quality: dict[str, Any]) -> list[str]:
+    """Return what a ride table comes to, in sentences."""
+    fit = rides[rides["fit_for_training"] & rides["predicted_kwh"].notna() & rides["energy_kwh"].notna()]
+    lines = [f"{len(rides):,} rides of {rides['vehicle_id'].nunique():,} cars, {rides['distance_km'].sum():.1f} km"]
+    if len(fit):
+        predicted, measured = fit["predicted_kwh"].sum(), fit["energy_kwh"].sum()
+        absolute = (fit["predicted_kwh"] - fit["energy_kwh"]).abs().sum()
+        lines.append(
+            f"{len(fit):,} fit for training: predicted {predicted:.2f} kWh, measured {measured:.2f} kWh "
+            f"({_number(_off_pct(predicted, measured), 1, sign=True)} %); "
+            f"mean absolute error {100 * absolute / measured:.1f} % of the energy"
+        )
+    for what, counts in (
+        ("unfit for training", quality["unfit"]),
+        ("repaired or rejected samples", quality["samples"]),
+        ("messages that could not be decoded", quality["undecodable"]),
+        ("vehicles that cannot be predicted", quality["unpredictable"]),
+    ):
+        if told := _counts(counts):
+            lines.append(f"{what}: {told}")
+    return lines
+
+
+class _Reads(Protocol):
+    """What `_counts` takes: names with their counts."""
+
+    def items(self) -> Any:
+        """Return the names and counts."""
+
+
+def _counts(counts: _Reads) -> str:
+    """Return counts above zero, as `name 3, other 1`."""
+    return ", ".join(f"{name.replace('_', ' ')} {count:,}" for name, count in counts.items() if count)
+
+
+def _caption(tally: Tally, quality: dict[str, Any]) -> str:
+    """Return what stands below the fleet."""
+    rejected = sum(quality["undecodable"].values())
+    rate = tally.received / tally.seconds if tally.seconds > 0 else 0.0
+    return (
+        f"{tally.received:,} messages ({rate:,.0f} a second), {tally.forecasts:,} forecasts, {tally.missed:,} missed, "
+        f"{rejected:,} undecodable, {quality['rides']:,} rides ended"
+    )
+
+
+def _off_pct(predicted: float, measured: float) -> float:
+    """Return how far a prediction is off, in percent; NaN where too little was measured to tell."""
+    return 100.0 * (predicted - measured) / measured if measured > 0.05 else float("nan")
+
+
+def _number(value: float, digits: int, *, sign: bool = False) -> str:
+    """Return a number for a table, a dash where it is unknown."""
+    if not isfinite(value):
+        return "-"
+    return f"{value:+.{digits}f}" if sign else f"{value:.{digits}f}"
