@@ -39,6 +39,7 @@ class Cars:
         self.capacity: Floats = np.full(1, np.nan)
         self.of_lane: Ints = np.zeros(0, np.int64)
         self.unpredictable: Counter[str] = Counter()
+        self._reasons: list[str | None] = [None]
         self._kinds: dict[bytes, int] = {}
 
     def name(self, kind: int) -> str | None:
@@ -62,6 +63,7 @@ class Cars:
         if not changes:
             return before
         told = [Change(who, row, self._kind(message)) for row, who, message in changes]
+        self.unpredictable.update(why for change in told if (why := self._reasons[change.kind]) is not None)
         for change in told:
             self.of_lane[change.lane] = change.kind
         told.sort(key=lambda change: change[:2])
@@ -80,8 +82,8 @@ class Cars:
             return kind
         found = vehicle_model(message)
         kind = len(self.models)
+        self._reasons.append(found if isinstance(found, str) else None)
         if isinstance(found, str):
-            self.unpredictable[found] += 1
             row, capacity, model = [np.nan] * len(PARAMETERS), np.nan, None
         else:
             row, model = [getattr(found, name) for name in PARAMETERS], found
@@ -95,7 +97,7 @@ class Cars:
 
     def dump(self) -> Any:
         """Return the state as plain lists."""
-        return [[msgspec.to_builtins(m) for m in self.messages[1:]], self.of_lane.tolist()]
+        return [[msgspec.to_builtins(m) for m in self.messages[1:]], self.of_lane.tolist(), dict(self.unpredictable)]
 
     def load(self, state: Any) -> None:
         """Take up a state that `dump` returned."""
@@ -103,3 +105,4 @@ class Cars:
         for message in state[0]:
             self._kind(msgspec.convert(message, Vehicle))
         self.of_lane = np.array(state[1], np.int64)
+        self.unpredictable = Counter(state[2])

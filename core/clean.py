@@ -146,7 +146,7 @@ class Cleaner:
     >>> messages = [Message("fleet/a/telemetry", sample % t, 0) for t in (0, 3, 6, 9)]
     >>> batch, _ = Decoder(lanes).decode(messages)
     >>> Cleaner(Settings()).clean(batch, len(lanes)).distance.tolist()
-    [0.0, 0.0, 30.0, 30.0]
+    [0.0, 30.0, 30.0, 30.0]
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -193,7 +193,7 @@ def kernel(columns: Any, state: Any, settings: Any, rows: Any, cells: Any, out: 
             out[j, i] = cells[_BROUGHT + j]
 
 
-@njit
+@njit(cache=False)
 def clean_row(s: Any, r: Any, x: Any) -> None:
     """Clean one row."""
     dt, bits = clock.advance(s, r.raw_stamp, r.raw_seq, same_content(s, r), x.period)
@@ -207,12 +207,13 @@ def clean_row(s: Any, r: Any, x: Any) -> None:
     r.window = s.windows
     r.time, r.elapsed, r.parked, r.since_charge = s.time, s.elapsed, s.parked, s.since_charge
     r.latitude, r.longitude, r.heading, r.elevation = s.latitude, s.longitude, s.heading, s.elevation
-    r.soc, r.soc_step, r.odometer, r.stopped = s.soc, s.soc_step, s.odometer, s.standing
+    r.soc = s.soc if s.soc_age <= max(STALE, s.elapsed) else nan  # what was said before the ride says nothing of it
+    r.soc_step, r.odometer, r.stopped = s.soc_step, s.odometer, s.standing
     r.battery_temperature, r.occupants, r.code = s.battery_temperature, s.occupants, s.code
     r.ambient, r.hvac, r.current = r.raw_ambient, r.raw_hvac, r.raw_current
 
 
-@njit
+@njit(cache=False)
 def use(s: Any, r: Any, dt: float, x: Any) -> None:
     """Take a row that stands for `dt` seconds."""
     motion.move(s, r, dt, x)
@@ -235,7 +236,7 @@ def use(s: Any, r: Any, dt: float, x: Any) -> None:
     r.due = 1.0 if rides.forecast_due(s, s.soc, dt, begins, x) else 0.0
 
 
-@njit
+@njit(cache=False)
 def same_content(s: Any, r: Any) -> bool:
     """Say whether a row says the same as the row before it in its lane, and remember it."""
     same = s.samples > 0.0
@@ -249,7 +250,7 @@ def same_content(s: Any, r: Any) -> bool:
     return same
 
 
-@njit
+@njit(cache=False)
 def meter(s: Any, r: Any, dt: float, x: Any) -> None:
     """Measure the energy drawn in the step, by the trapezoid of V I."""
     power = r.raw_voltage * r.raw_current
@@ -263,7 +264,7 @@ def meter(s: Any, r: Any, dt: float, x: Any) -> None:
     s.power = power
 
 
-@njit
+@njit(cache=False)
 def charge_state(s: Any, r: Any, dt: float) -> bool:
     """Take the reported state of charge; return whether it changed."""
     s.soc_age += dt
@@ -280,7 +281,7 @@ def charge_state(s: Any, r: Any, dt: float) -> bool:
     return changed
 
 
-@njit
+@njit(cache=False)
 def stands(s: Any) -> bool:
     """Say whether a stop begins with this sample, with hysteresis."""
     if s.smooth > motion.MOVING:
@@ -298,4 +299,4 @@ def _sources() -> str:
 
 
 # numba renews a kernel kept on disk when the file it stands in changes, not when its parts do
-kernel._cache._cache_file._source_stamp = _sources()  # noqa: SLF001
+kernel._cache._cache_file._source_stamp = _sources()  # type: ignore[attr-defined] # noqa: SLF001

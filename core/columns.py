@@ -41,7 +41,7 @@ class Column:
 
 
 TELEMETRY: Final = (
-    Column("stamp", "s", "the logger's own clock, Unix time; not to be trusted", 0.0, 1e11),
+    Column("stamp", "s", "the logger's own clock, Unix time; not to be trusted", 0.0, 4.2e9),
     Column("seq", "1", "the logger's sample counter", 0.0, 2.0**53),
     Column("latitude", "rad", "WGS 84", -pi / 2, pi / 2),
     Column("longitude", "rad", "WGS 84", -pi, pi),

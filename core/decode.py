@@ -63,7 +63,7 @@ class Decoder:
     """Messages in, columns and events out; what cannot be decoded is counted by cause and never raises.
 
     Causes: `unknown_key`, `not_json`, `wrong_type` (a field of the wrong type or a missing one), `key_mismatch` (the
-    payload names another vehicle or station than its key).
+    payload names another vehicle or station than its key), `out_of_range` (a weather station that is nowhere).
 
     Parameters
     ----------
@@ -102,6 +102,11 @@ class Decoder:
             rows += table.shape[1]
         self.received["telemetry"] += rows
         return _batch(tables), events
+
+    def refuse(self, kind: str, cause: str) -> None:
+        """Count as rejected what had been counted as received."""
+        self.received[kind] -= 1
+        self.rejected[cause] += 1
 
     def _fast(self, block: Sequence[Message]) -> Floats | None:
         """Decode a block in which every message is one good sample of a known vehicle; None for any other."""
@@ -182,8 +187,9 @@ def _transposed(samples: list[Telemetry]) -> list[tuple[Any, ...]]:
 def _batch(tables: list[Floats]) -> Batch:
     """Join blocks and turn wire units into SI."""
     table = np.concatenate(tables, axis=1) if tables else np.empty((len(Batch._fields), 0))
-    for column, scale in _SCALES.items():
-        table[column] *= scale
+    with np.errstate(over="ignore"):  # a huge value becomes infinite, and out of range
+        for column, scale in _SCALES.items():
+            table[column] *= scale
     for column, offset in _OFFSETS.items():
         table[column] += offset
     return Batch(table[0].astype(np.int64), table[1].astype(np.int64), *table[2:])

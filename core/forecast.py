@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from core.batch import Floats
 from core.cars import Cars
 from core.codec import Forecast, Message, QualityCounts, encode
 from core.models import Model
@@ -32,6 +33,13 @@ def counted(totals: Totals) -> dict[str, list[int]]:
     }
 
 
+def energies(running: Totals, cars: Cars, model: Model, effects: Sequence[str]) -> tuple[Floats, Floats]:
+    """Return predicted and measured energy of the rides in progress, NaN for a car that is on none. [kWh]"""
+    riding = running.ride >= 0
+    predicted = model.predict(model_columns(running, cars, effects))
+    return np.where(riding, predicted, np.nan), np.where(riding, measured_energy(running, cars)[0], np.nan)
+
+
 def forecasts(
     running: Totals,
     names: Sequence[str],
@@ -48,8 +56,7 @@ def forecasts(
     """
     if not len(running.lane):
         return []
-    predicted = model.predict(model_columns(running, cars, effects)).tolist()
-    measured = measured_energy(running, cars)[0].tolist()
+    predicted, measured = (energy.tolist() for energy in energies(running, cars, model, effects))
     counts = [QualityCounts(*row) for row in zip(*counted(running).values(), strict=True)]
     soc = (running.at_last("soc") * 100.0).tolist()
     soc_sd = (running.at_last("soc_step") * (100.0 / np.sqrt(12.0))).tolist()

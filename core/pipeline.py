@@ -15,13 +15,13 @@ from core.clean import STATE, Cleaner
 from core.codec import Message, Plan, Ride, Vehicle, Weather
 from core.decode import Decoder
 from core.errors import SocastError
-from core.forecast import counted, forecasts
+from core.forecast import counted, energies, forecasts
 from core.models import EXTENDED_PHYSICAL, Model
 from core.quality import CAUSES
 from core.settings import Settings, checked
 from core.signals import Signals, ambient_quality
 from core.sums import Ledger, Sums, Totals, amounts
-from core.tables import measured_energy, model_columns, ride_table, text, unfit_reason, window_table
+from core.tables import measured_energy, ride_table, text, unfit_reason, window_table
 from core.weather import Stations
 
 BLOCK: Final = 4000
@@ -190,8 +190,7 @@ class Pipeline:
         """Return the newest of every vehicle that has sent a sample."""
         lanes = np.flatnonzero(self.cleaner.state["samples"][: len(self.lanes)] > 0.0)
         totals = self.ledger.running(lanes)
-        predicted = self.model.predict(model_columns(totals, self.cars, self._effect_names))
-        measured = measured_energy(totals, self.cars)[0]
+        predicted, measured = energies(totals, self.cars, self.model, self._effect_names)
         counts = counted(totals)
         names = self._ride_names(totals)
         return [

@@ -8,7 +8,7 @@ class Quality(IntFlag):
     """One bit a cause; a clean sample has none."""
 
     DUPLICATE = 1 << 0
-    """Same counter, or same stamp and content, as the sample before it. Not used."""
+    """Same content as the sample before it, and the same stamp or counter: sent again. Not used."""
     LATE = 1 << 1
     """Its place in time had passed when it came. Not used; its kilometres are bridged by its successor."""
     REPAIRED_TIME = 1 << 2
@@ -18,7 +18,7 @@ class Quality(IntFlag):
     GAP = 1 << 4
     """Whole periods are missing before this sample."""
     SEQUENCE = 1 << 5
-    """The counter restarted, or leapt while no time passed: a power cycle, or two cars with one identity."""
+    """The counter restarted, stood still or leapt in no time: a power cycle, or two cars with one identity."""
     SPEED_REJECTED = 1 << 6
     """Speed above the limit, as a tunnel makes it."""
     SPEED_MISSING = 1 << 7

@@ -36,7 +36,7 @@ MATERIAL_SOC: Final = 0.01  # a change of the state of charge that is worth a fo
 PARKED_RARER: Final = 4.0  # a parked car is reported this much more rarely
 
 
-@njit
+@njit(cache=False)
 def start(s: Any, code: float) -> None:
     """Begin a ride."""
     s.rides += 1.0
@@ -49,53 +49,53 @@ def start(s: Any, code: float) -> None:
     s.window_age = s.window_full = 0.0
 
 
-@njit
-def finish(s: Any) -> None:
-    """End the ride in progress, if there is one."""
+@njit(cache=False)
+def finish(s: Any, dt: float) -> None:
+    """End the ride in progress, if there is one; the step since its last sample is rest."""
     if s.riding == 1.0:
         s.riding = 0.0
-        s.idle = 0.0
+        s.idle = dt
         s.code = NO_RIDE
 
 
-@njit
-def by_name(s: Any, code: float) -> bool:
+@njit(cache=False)
+def by_name(s: Any, code: float, dt: float) -> bool:
     """Follow the ride that the logger names; return whether one begins."""
     s.names = 1.0
     if code == NO_RIDE:
-        finish(s)
+        finish(s, dt)
         return False
     if s.riding == 1.0 and code == s.code:
         return False
-    finish(s)
+    finish(s, dt)
     start(s, code)
     return True
 
 
-@njit
+@njit(cache=False)
 def by_motion(s: Any, dt: float, moving: bool, charging: bool, x: Any) -> bool:
     """Cut rides at stops, charging and gaps; return whether one begins."""
     s.stand = 0.0 if moving else s.stand + dt
     if s.riding == 1.0 and (charging or dt > x.gap_time or s.stand >= x.stop_time):
-        finish(s)
+        finish(s, dt)
     if s.riding == 1.0 or charging or not moving:
         return False
     start(s, NO_RIDE)
     return True
 
 
-@njit
+@njit(cache=False)
 def segment(s: Any, code: float, dt: float, moving: bool, charging: bool, x: Any) -> bool:
     """Say whether a ride begins with this sample, and keep the clocks of ride and rest."""
     s.idle += dt
     s.since_charge = 0.0 if charging else s.since_charge + dt
     s.elapsed += dt
     if code != RIDE_UNKNOWN:
-        return by_name(s, code)
+        return by_name(s, code, dt)
     return False if s.names == 1.0 else by_motion(s, dt, moving, charging, x)
 
 
-@njit
+@njit(cache=False)
 def window(s: Any, dt: float, begins: bool, closable: bool, x: Any) -> None:
     """Open the next window where the last one is full."""
     if begins:
@@ -108,7 +108,7 @@ def window(s: Any, dt: float, begins: bool, closable: bool, x: Any) -> None:
         s.window_full = 1.0
 
 
-@njit
+@njit(cache=False)
 def forecast_due(s: Any, soc: float, dt: float, begins: bool, x: Any) -> bool:
     """Say whether this sample calls for a forecast, by event time and by what is material."""
     s.since_forecast += dt

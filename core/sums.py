@@ -268,7 +268,6 @@ def enter(
     """Enter rows into the books of their lanes, in order; return how many rides and windows were closed."""
     closed_rides = closed_windows = shown = 0
     window_at, ride_at, first_at, window_first_at, last_at, quality_at, _ = parts
-    width = ride_at - window_at
     for i in range(lane.shape[0]):
         b = books[lane[i]]
         if ride[i] != b[0] or (window[i] != b[1] and b[0] >= 0.0):
@@ -280,27 +279,46 @@ def enter(
                 if b[0] >= 0.0:
                     copy_out(rides_out[closed_rides], lane[i], b)
                     closed_rides += 1
-                b[ride_at:first_at] = 0.0
-                b[quality_at:] = 0.0
-                for j in range(edges.shape[0]):
-                    b[first_at + j] = b[window_first_at + j] = b[last_at + j] = edges[j, i]
+                open_ride(b, parts, edges, i)
             b[0], b[1] = ride[i], window[i]
         riding = ride[i] >= 0
         counts = riding and (rates[0, i] > 0.0 or rates[1, i] > 0.0)
         if counts:
-            for j in range(rates.shape[0]):
-                b[window_at + j] += rates[j, i]
-            b[window_at + rates.shape[0] + speed_bin[i]] += rates[1, i]
+            add_row(b, window_at, rates, speed_bin, i)
         if counts or not riding:
             note_edges(b, first_at, window_first_at, last_at, edges, i)
         if riding:
             count_bits(b, quality_at, quality[i])
         if due[i]:
-            copy_out(running_out[shown], lane[i], b)
-            for j in range(width):
-                running_out[shown, 1 + ride_at + j] += b[window_at + j]
+            show(running_out[shown], lane[i], b, window_at, ride_at)
             shown += 1
     return closed_rides, closed_windows
+
+
+@njit(cache=True)
+def open_ride(b: Any, parts: Any, edges: Any, i: int) -> None:
+    """Clear the totals of the ride, and begin the next one at row `i`."""
+    _, ride_at, first_at, window_first_at, last_at, quality_at, _ = parts
+    b[ride_at:first_at] = 0.0
+    b[quality_at:] = 0.0
+    for j in range(edges.shape[0]):
+        b[first_at + j] = b[window_first_at + j] = b[last_at + j] = edges[j, i]
+
+
+@njit(cache=True)
+def add_row(b: Any, window_at: int, rates: Any, speed_bin: Any, i: int) -> None:
+    """Add what a row stands for to the open window."""
+    for j in range(rates.shape[0]):
+        b[window_at + j] += rates[j, i]
+    b[window_at + rates.shape[0] + speed_bin[i]] += rates[1, i]
+
+
+@njit(cache=True)
+def show(row: Any, lane: int, b: Any, window_at: int, ride_at: int) -> None:
+    """Write the running totals of a lane: the ride's, and with them the open window's."""
+    copy_out(row, lane, b)
+    for j in range(ride_at - window_at):
+        row[1 + ride_at + j] += b[window_at + j]
 
 
 @njit(cache=True)

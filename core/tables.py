@@ -22,7 +22,7 @@ from core.sums import AMOUNTS, BINS, Totals
 METER_GAIN: Final = 0.01
 """Standard uncertainty of a car's own voltage times current, as a share. Estimated: sensors of class 0.5 % each."""
 CAPACITY_GAIN: Final = 0.15
-"""Standard uncertainty of the usable capacity, as a share. Estimated: ageing, temperature, and what a car calls full."""
+"""Standard uncertainty of the usable capacity, as a share. Estimated: age, temperature, what a car calls full."""
 COARSEST_SOC: Final = 0.01
 """Quantum of a state of charge that has not been seen to change: the coarsest that the wire contract allows."""
 UNSEEN_POWER: Final = 0.5
@@ -156,7 +156,7 @@ def window_table(totals: Totals, names: Sequence[str], cars: Cars, effects: Sequ
     """Return the window table: one row a window, its ride by `ride_key`."""
     kinds = totals.at_last("kind").astype(np.int64)
     own = {
-        "ride_key": _ride_keys(totals, names),
+        "ride_key": text(_ride_keys(totals, names)),
         "window": totals.window,
         "vehicle_id": _named(totals.lane, names.__getitem__),
         "vehicle_model": _named(kinds, cars.name),
@@ -196,21 +196,26 @@ def ride_table(
     reason = unfit_reason(physical["duration_s"], totals.amount("distance"), physical["energy_kwh"], settings)
     quality = {f"quality_{cause}": totals.quality[:, i].astype(np.int64) for i, cause in enumerate(CAUSES)}
     own = {
-        "ride_id": [name or key for name, key in zip(ride_names, keys, strict=True)],
-        "ride_key": keys,
+        "ride_id": text([name or key for name, key in zip(ride_names, keys, strict=True)]),
+        "ride_key": text(keys),
         "vehicle_id": _named(totals.lane, names.__getitem__),
         "vehicle_model": _named(kinds, cars.name),
-        "date": [_date(time) for time in start],
+        "date": text([_date(time) for time in start]),
         "winter": winter,
         "summer": 1 - winter,
         "fit_for_training": np.array([why is None for why in reason], np.bool_),
-        "unfit_reason": reason,
+        "unfit_reason": text(reason.tolist()),
     }
     return pd.DataFrame(own | physical | model_columns(totals, cars, effects) | quality)
 
 
-def _named(codes: NDArray[np.int64], name: Callable[[int], str | None]) -> list[str | None]:
-    return [name(code) for code in codes.tolist()]
+def text(values: Sequence[str | None]) -> pd.Series:
+    """Return a column of text, of the same type whatever of it is unknown."""
+    return pd.Series(list(values), dtype="str")
+
+
+def _named(codes: NDArray[np.int64], name: Callable[[int], str | None]) -> pd.Series:
+    return text([name(code) for code in codes.tolist()])
 
 
 def _ride_keys(totals: Totals, names: Sequence[str]) -> list[str]:

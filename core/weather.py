@@ -10,6 +10,8 @@ from core.columns import KMH, ZERO_CELSIUS
 
 KEPT: Final = 48
 """Observations kept of each station."""
+LATEST: Final = 4.2e9
+"""Latest time that is believed. [s]"""
 _HOUR: Final = 3600.0
 
 
@@ -38,10 +40,16 @@ class Sky(NamedTuple):
 
 
 class _Station(NamedTuple):
-    latitude: float
-    longitude: float
     times: list[float]
     rows: list[list[float]]
+    latitude: float = np.nan
+    longitude: float = np.nan
+
+
+_LOW: Final = (-75.0, 0.0, 0.0, 0.0, 800.0, 0.0, 0.0)
+_HIGH: Final = (65.0, 400.0, 360.0, 1000.0, 1100.0, 100.0, 1500.0)
+"""What is believed: temperature [°C], wind [km/h] and its source [°], precipitation [mm], pressure [hPa], humidity [%],
+sun [W/m^2]; anything else is unknown."""
 
 
 class Stations:
@@ -50,21 +58,26 @@ class Stations:
     def __init__(self) -> None:
         self._stations: dict[str, _Station] = {}
 
-    def observe(self, message: Weather) -> None:
-        """Take an observation; one of the same time replaces the one before."""
-        station = self._stations.setdefault(
-            message.station_id,
-            _Station(np.radians(message.latitude_deg), np.radians(message.longitude_deg), [], []),
-        )
-        place = int(np.searchsorted(station.times, message.time_s))
-        earlier = station.times[place - 1] if place else message.time_s - _HOUR
+    def observe(self, message: Weather) -> bool:
+        """Take an observation; one of the same time replaces the one before. Return whether it is one of this planet.
+
+        A station that moves is where it said last.
+        """
+        place = np.radians(message.latitude_deg), np.radians(message.longitude_deg)
+        if not (abs(place[0]) <= np.pi / 2 and abs(place[1]) <= np.pi and 0.0 <= message.time_s <= LATEST):
+            return False
+        times, rows, *_ = self._stations.get(message.station_id, _Station([], []))
+        self._stations[message.station_id] = _Station(times, rows, *map(float, place))
+        at = int(np.searchsorted(times, message.time_s))
+        earlier = times[at - 1] if at else message.time_s - _HOUR
         row = _observation(message, max(60.0, message.time_s - earlier))
-        if place < len(station.times) and station.times[place] == message.time_s:
-            station.rows[place] = row
-            return
-        station.times.insert(place, message.time_s)
-        station.rows.insert(place, row)
-        del station.times[:-KEPT], station.rows[:-KEPT]
+        if at < len(times) and times[at] == message.time_s:
+            rows[at] = row
+        else:
+            times.insert(at, message.time_s)
+            rows.insert(at, row)
+        del times[:-KEPT], rows[:-KEPT]
+        return True
 
     def sky(self, time: Floats, latitude: Floats, longitude: Floats) -> Sky:
         """Return the weather at places and times.
@@ -81,7 +94,8 @@ class Stations:
         values = np.full((len(Sky._fields), n), np.nan)
         for station in self._stations.values():
             north = latitude - station.latitude
-            east = (longitude - station.longitude) * np.cos(station.latitude)
+            east = np.abs(longitude - station.longitude)
+            east = np.minimum(east, 2.0 * np.pi - east) * np.cos(station.latitude)
             far = np.nan_to_num(north * north + east * east, nan=1e9)
             latest = np.searchsorted(station.times, time, side="right") - 1
             nearer = (far < best) & (latest >= 0)
@@ -104,19 +118,28 @@ class Stations:
 
 def _observation(message: Weather, since: float) -> list[float]:
     """Return an observation in SI, in the order of `Sky`."""
-
-    def known(value: float | None) -> float:
-        return np.nan if value is None else value
-
-    wind = known(message.wind_speed_kmh) * KMH
-    source = np.radians(known(message.wind_from_deg))
+    said = (
+        message.temperature_c,
+        message.wind_speed_kmh,
+        message.wind_from_deg,
+        message.precipitation_mm,
+        message.pressure_hpa,
+        message.humidity_pct,
+        message.solar_w_m2,
+    )
+    temperature, wind, source, rain, pressure, humidity, solar = (
+        np.nan if value is None or not low <= value <= high else value
+        for value, low, high in zip(said, _LOW, _HIGH, strict=True)
+    )
+    wind *= KMH
+    source = np.radians(source)
     return [
-        known(message.temperature_c) + ZERO_CELSIUS,
+        temperature + ZERO_CELSIUS,
         wind,
         float(wind * np.cos(source)),
         float(wind * np.sin(source)),
-        known(message.precipitation_mm) * 1e-3 / since,
-        known(message.pressure_hpa) * 100.0,
-        known(message.humidity_pct) * 0.01,
-        known(message.solar_w_m2),
+        rain * 1e-3 / since,
+        pressure * 100.0,
+        humidity * 0.01,
+        solar,
     ]

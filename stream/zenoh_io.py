@@ -136,6 +136,14 @@ class Node:
         self.close()
 
 
+class _Keys(dict[Any, str]):
+    """Key expression -> the same key as text, made once."""
+
+    def __missing__(self, key: Any) -> str:
+        text = self[key] = str(key)
+        return text
+
+
 class ZenohSource:
     """Everything that is published under a prefix, in order of arrival; subscribed from the start, iterated once.
 
@@ -156,6 +164,7 @@ class ZenohSource:
         self._stop = stop
         self._newest_ns = 0
         self._warned = False
+        self._keys = _Keys()
         self._looked_ns = 0
         self._session = node.session
         self._routers = len(node.session.info.routers_zid())
@@ -203,13 +212,14 @@ class ZenohSource:
         now = self._newest_ns = max(self._newest_ns, time.time_ns())
         out: list[Message] = []
         append, receive, new, sample = out.append, self._receive, tuple.__new__, None
+        keys = self._keys
         try:
             for _ in range(DRAIN):
                 following = receive()
                 if following is None:
                     break
                 sample = following
-                append(new(Message, (str(sample.key_expr), sample.payload.to_bytes(), now)))
+                append(new(Message, (keys[sample.key_expr], sample.payload.to_bytes(), now)))
         except zenoh.ZError:
             pass  # the subscription has ended and the channel is empty
         if sample is not None:

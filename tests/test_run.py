@@ -94,12 +94,17 @@ class Breaks:
 
     def __init__(self) -> None:
         self.seen = 0
+        self.due = []
 
-    def push(self, messages):
+    def take(self, messages):
         self.seen += 1
         if self.seen == 3:
             raise ZeroDivisionError
-        return [Message("fleet/a/forecast", b"{}", m.receipt_ns) for m in messages]
+        self.due += [Message("fleet/a/forecast", b"{}", m.receipt_ns) for m in messages]
+
+    def forecasts(self, *, newest_only=False):
+        due, self.due = self.due, []
+        return due[-1:] if newest_only else due
 
     def finish(self):
         return [Message("fleet/a/forecast", b"the last", 0)]
@@ -183,8 +188,22 @@ def test_a_signal_ends_the_source_and_not_the_loop(number):
 class Plain(Breaks):
     """The same without the break."""
 
-    def push(self, messages):
-        return [Message("fleet/a/forecast", b"{}", m.receipt_ns) for m in messages]
+    def take(self, messages):
+        self.due += [Message("fleet/a/forecast", b"{}", m.receipt_ns) for m in messages]
+
+
+def test_who_listens_is_given_the_newest_forecasts_once_in_a_while_and_the_last_ones_at_the_end():
+    sent, sink, now = shift(20), MemorySink(), [0.0]
+
+    def watch(_):
+        now[0] += 0.05
+
+    run(MemorySource(sent, 1), Plain(), [sink], publish_s=0.2, watch=watch, clock=lambda: now[0])
+    times = [m.receipt_ns for m in sink.messages[:-1]]
+    assert times[0] == sent[0].receipt_ns
+    assert times[-1] == sent[-1].receipt_ns
+    assert len(sent) / 5 <= len(times) <= len(sent) / 4 + 2
+    assert times == sorted(times)
 
 
 def test_a_second_interrupt_is_not_waited_for():

@@ -17,7 +17,7 @@ from core.models import Model
 from core.pipeline import Pipeline
 from stream.log_lines import fields, write_lines
 from stream.record import FILE_BYTES, FILE_S, FLUSH_S, Recorder
-from stream.run import REPORT_S, Tally, run, stopping
+from stream.run import PUBLISH_S, REPORT_S, Tally, run, stopping
 from stream.zenoh_io import LOOPBACK, Connection, Mode, Node, ZenohSink, ZenohSource
 from tools.replay import EffectFiles, ModelName
 from tools.screen import Screen, ride_records, with_predictions
@@ -92,6 +92,7 @@ def live(
                 keeper if state else pipeline,
                 [ZenohSink(node)],
                 recorder=recorder,
+                publish_s=PUBLISH_S,
                 watch=watch,
                 report_s=report,
             )
@@ -133,7 +134,8 @@ class Keeper:
         self._pipeline, self._file, self._clock = pipeline, file, clock
         self._take_s = clock() + TAKE_S
         self._keep_s = clock() + KEEP_S
-        self.push = pipeline.push
+        self.take = pipeline.take
+        self.forecasts = pipeline.forecasts
         self.quality = pipeline.quality
         if file is not None and file.exists():
             try:

@@ -120,4 +120,6 @@ def live(repeats: int = 3, cars: int = 1000, turns: int = 400) -> Measure:
         ">= 0.5",
         idle_s / busy_s >= 0.5,
         {"live_samples_per_s": total / busy_s, "idle_samples_per_s": total / idle_s},
+        "Both cores are full: of the publisher, of Zenoh's receiving threads, and of Python, which takes "
+        "about 3 us a sample: 0.9 to take it out of Zenoh, 1.3 to decode it, 0.8 for all else.",
     )

@@ -1,0 +1,61 @@
+"""The structure is what ARCHITECTURE.md says it is."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+SOURCES = sorted(path for package in ("core", "stream", "tools") for path in (ROOT / package).rglob("*.py"))
+PAGE = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+MAY_IMPORT = {"core": {"core"}, "stream": {"core", "stream"}, "tools": {"core", "stream", "tools"}}
+ONLY_IN = {"zenoh": {"stream/zenoh_io.py"}, "mcap": {"stream/mcap_io.py", "tools/bench/measures.py"}}
+ids = pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
+
+
+def imported(path: Path) -> set[str]:
+    """Return the modules that a file imports, in full."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: a relative import"
+            found |= {node.module or ""} | {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+@ids
+def test_imports_run_from_tools_to_stream_to_core(path):
+    ours = {name.partition(".")[0] for name in imported(path)} & set(MAY_IMPORT)
+    assert ours <= MAY_IMPORT[path.relative_to(ROOT).parts[0]]
+
+
+@ids
+def test_each_transport_is_imported_in_one_file(path):
+    foreign = {name.partition(".")[0] for name in imported(path)}
+    for package, files in ONLY_IN.items():
+        assert package not in foreign or str(path.relative_to(ROOT)) in files
+
+
+@ids
+def test_nothing_in_core_imports_the_pipeline_or_looks_at_a_clock(path):
+    if path.parent.name != "core":
+        return
+    modules = imported(path)
+    assert path.stem == "pipeline" or "core.pipeline" not in modules
+    assert not {"time", "threading", "asyncio", "socket"} & modules
+
+
+@ids
+def test_a_file_reads_in_one_sitting(path):
+    assert len(path.read_text(encoding="utf-8").splitlines()) < 500
+
+
+def test_the_page_names_every_file_of_core_and_stream_and_no_other():
+    named = set(re.findall(r"`(?:core/|stream/)?(\w+\.py)`", PAGE))
+    files = {path.name for path in SOURCES if path.parent.name in {"core", "stream"} and path.name != "__init__.py"}
+    assert files - named == set()
+    everywhere = {path.name for path in SOURCES} | {path.name for path in (ROOT / "tests").glob("*.py")}
+    assert named - everywhere == set()

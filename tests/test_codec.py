@@ -1,0 +1,120 @@
+"""The wire contract: every struct goes out and comes back the same."""
+
+import math
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from core.codec import (
+    KINDS,
+    Forecast,
+    Interval,
+    Leg,
+    Plan,
+    QualityCounts,
+    Ride,
+    Telemetry,
+    Vehicle,
+    Weather,
+    address,
+    encode,
+    schema,
+)
+
+number = st.floats(allow_nan=False, allow_infinity=False)
+maybe = st.none() | number
+name = st.from_regex(r"[A-Za-z0-9_.-]{1,64}", fullmatch=True)
+count = st.integers(0, 2**53)
+
+
+def struct(kind: Any, **known: Any) -> st.SearchStrategy[Any]:
+    """Build a struct, its optional fields numbers or unknown."""
+    fields = {field: known.get(field, maybe) for field in kind.__struct_fields__}
+    return st.builds(kind, **fields)
+
+
+TELEMETRY = struct(
+    Telemetry,
+    vehicle_id=name,
+    time_s=number,
+    ride_id=st.none() | st.text(max_size=20) | st.just(msgspec.UNSET),
+    seq=st.none() | count,
+    occupants=st.none() | count,
+    charging=st.none() | st.booleans(),
+)
+INTERVAL = st.none() | st.builds(Interval, number, number, number)
+LEG = struct(Leg, distance_km=number, duration_s=number)
+STRUCTS = st.one_of(
+    TELEMETRY,
+    struct(Vehicle, vehicle_id=name, time_s=number, model=name, in_service_date=st.none() | st.text(max_size=10)),
+    struct(Ride, vehicle_id=name, time_s=number, ride_id=name, event=name, driver_id=st.none() | name),
+    struct(
+        Plan, vehicle_id=name, time_s=number, shift_end_s=number, reserve_soc_pct=number, legs=st.lists(LEG, max_size=4)
+    ),
+    struct(Weather, station_id=name, time_s=number, latitude_deg=number, longitude_deg=number),
+    struct(
+        Forecast,
+        vehicle_id=name,
+        time_s=number,
+        ride_id=st.none() | name,
+        model=name,
+        ride_distance_km=number,
+        ride_duration_s=number,
+        range_km=INTERVAL,
+        soc_end_of_shift_pct=INTERVAL,
+        quality=st.builds(QualityCounts, *[count] * 5),
+    ),
+)
+
+
+@given(STRUCTS)
+def test_every_struct_comes_back_the_same(value):
+    payload = encode(value)
+    assert msgspec.json.decode(payload, type=type(value)) == value
+    assert encode(msgspec.json.decode(payload, type=type(value))) == payload
+
+
+@given(TELEMETRY)
+def test_what_is_unknown_is_not_sent(value):
+    sent = msgspec.json.decode(encode(value))
+    for field in Telemetry.__struct_fields__[3:]:
+        assert (field in sent) == (getattr(value, field) is not None)
+
+
+def test_a_forecast_says_what_it_does_not_know():
+    quality = QualityCounts(0, 0, 0, 0, 0)
+    unknown = Forecast("a", 0.0, None, "m/1", 0.0, 0.0, *[None] * 7, quality)
+    sent = msgspec.json.decode(encode(unknown))
+    assert set(sent) == set(Forecast.__struct_fields__)
+    assert sent["soc_pct"] is None
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_what_is_not_finite_never_travels_as_a_number(value):
+    assert msgspec.json.decode(encode(Telemetry("a", 0.0, soc_pct=value))).get("soc_pct") is None
+
+
+def test_schemas_name_units_that_viewers_plot():
+    properties = schema("forecast")["properties"]
+    assert properties["range_km"]["properties"]["p05"] == {"type": "number"}
+    assert schema("plan")["properties"]["legs"]["items"]["properties"]["distance_km"] == {"type": "number"}
+    assert "vehicle_id" in schema("telemetry")["required"]
+    assert "soc_pct" not in schema("telemetry")["required"]
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "weather"])
+def test_keys_are_taken_apart(kind):
+    assert address(f"fleet/x.y-Z_9/{kind}") == (kind, "x.y-Z_9")
+    assert address(f"a/b/fleet/x/{kind}") == (kind, "x")
+    for key in (
+        f"fleet/{'x' * 65}/{kind}",
+        f"fleet//{kind}",
+        f"fleet/é/{kind}",
+        f"x/{kind}",
+        f"fleet/x/{kind}/",
+        f"{kind}",
+    ):
+        assert address(key) is None

@@ -1,0 +1,53 @@
+"""The documentation is true: its commands run, every command is told of, and links lead somewhere."""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tools.cli import COMMANDS
+
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+TOLD = [line for block in re.findall(r"```console\n(.*?)```", README, re.DOTALL) for line in block.splitlines()]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return a folder in which the commands of the README can be run one after another."""
+    folder = tmp_path_factory.mktemp("readme")
+    (folder / "recordings").symlink_to(ROOT / "recordings")
+    return folder
+
+
+@pytest.mark.parametrize("command", TOLD)
+def test_the_commands_of_the_readme_run(command, folder):
+    program, *arguments = shlex.split(command)
+    assert program == "socast"
+    done = subprocess.run(
+        [sys.executable, "-m", "tools.cli", *arguments],
+        cwd=folder, capture_output=True, text=True, timeout=120, check=False,
+        env={"PYTHONPATH": str(ROOT), "PATH": "", "COLUMNS": "120", "HOME": str(folder)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stdout.strip()
+
+
+def test_every_command_is_in_the_readme():
+    for name in COMMANDS:
+        assert re.search(rf"^\*\*`socast {name}`\*\*", README, re.MULTILINE), f"{name} is not told of"
+
+
+@pytest.mark.parametrize("page", ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "recordings/README.md"])
+def test_links_lead_somewhere(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)#]+)\)", text):
+        assert target.startswith("http") or (ROOT / page).parent.joinpath(target).exists(), target
+
+
+def test_the_lock_file_and_the_docs_name_no_address():
+    assert "://" not in (ROOT / "requirements.lock").read_text(encoding="utf-8")
