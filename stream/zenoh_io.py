@@ -14,6 +14,8 @@ Observed of zenoh 1.10, and minded here:
   The embedded router does not stamp; against one that does, the source says so once, in the log.
 - A transport whose far end does not read for `wait_before_close`, 5 s by default, is closed and its queue lost.
   Here it is a minute.
+- Declaring a publisher waits for samples that are being delivered, and these, where the channel is full, for whoever
+  drains it: publish on a session that subscribes through a `stream.outbox.Outbox`.
 - Router and client in one process share two receiving threads, and can wait for each other. Subscribe in the
   router's own session, and publish at speed from another process.
 """
@@ -39,8 +41,8 @@ from stream.source import LOOK_UP_S
 
 LOOPBACK: Final = "tcp/127.0.0.1:7447"
 """Where the embedded router listens unless told otherwise."""
-QUEUE: Final = 1 << 18
-"""Samples that wait in the channel before publishers are held up."""
+QUEUE: Final = 1 << 14
+"""Samples that wait in the channel before publishers are held up; more would have left the cache when their turn comes."""
 DRAIN: Final = 4000
 """Most messages that are yielded at once: as many as the processor's cache holds while they are worked on."""
 CACHE: Final = 64

@@ -15,6 +15,7 @@ from core.errors import SettingsError, SocastError
 from core.pipeline import Pipeline
 from stream.log_lines import write_lines
 from stream.mcap_io import McapSource
+from stream.outbox import Outbox
 from stream.run import PUBLISH_S, Tally, run, stopping
 from stream.zenoh_io import Connection, Node, ZenohSink, ZenohSource
 from tools.info import described
@@ -70,7 +71,7 @@ def demo(
                 run(
                     source,
                     pipeline,
-                    [ZenohSink(node)],
+                    [Outbox(ZenohSink(node))],
                     publish_s=PUBLISH_S,
                     watch=both(screen, _ending(publisher, about["messages"], stop.set)),
                 )

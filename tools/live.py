@@ -16,6 +16,7 @@ from core.errors import SettingsError, SocastError
 from core.models import Model
 from core.pipeline import Pipeline
 from stream.log_lines import fields, write_lines
+from stream.outbox import Outbox
 from stream.record import FILE_BYTES, FILE_S, FLUSH_S, Recorder
 from stream.run import PUBLISH_S, REPORT_S, Tally, run, stopping
 from stream.zenoh_io import LOOPBACK, Connection, Mode, Node, ZenohSink, ZenohSource
@@ -90,7 +91,7 @@ def live(
             run(
                 source,
                 keeper if state else pipeline,
-                [ZenohSink(node)],
+                [Outbox(ZenohSink(node))],
                 recorder=recorder,
                 publish_s=PUBLISH_S,
                 watch=watch,

@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 
 from core.models import EXTENDED_PHYSICAL
 from core.pipeline import Pipeline
+from stream.outbox import Outbox
 from stream.run import PUBLISH_S, Tally, run
 from stream.zenoh_io import Connection, Node, ZenohSink, ZenohSource, free_port
 from tools.bench.fleet import rounds, vehicles
@@ -90,7 +91,7 @@ def everything(cars: int, turns: int) -> Consumer:
                 stop.set()
 
         source = ZenohSource(node, stop)
-        run(source, pipeline, [ZenohSink(node)], publish_s=PUBLISH_S, watch=watch)
+        run(source, pipeline, [Outbox(ZenohSink(node))], publish_s=PUBLISH_S, watch=watch)
         return time.perf_counter() - began
 
     return consume
