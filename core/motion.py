@@ -15,7 +15,7 @@ its ends; on an ordinary row it is the smoothed speed's change over the step.
 Elevation is smoothed over distance, so that a standing car climbs nothing, and then passes a backlash (a play
 operator, Brokate and Sprekels, Hysteresis and Phase Transitions, Springer 1996, DOI 10.1007/978-1-4612-4048-8), so
 that metre-sized noise makes no hills. What it costs: hills of wavelength l keep 1 / sqrt(1 + (2 pi L / l)^2) of their
-height, L being the smoothing length (all but 1 % for 7 km, 73 % for 1 km), and each turn of the slope loses at most
+height, L being the smoothing length (all but 1 % for 3.6 km, 89 % for 1 km), and each turn of the slope loses at most
 twice the slack; the climb still to come when a ride ends is not in it.
 """
 

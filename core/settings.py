@@ -29,7 +29,7 @@ class Settings(NamedTuple):
     period: float = 3.0
     speed_limit: float = 130 * KMH
     window: int = 3
-    elevation_length: float = 150.0
+    elevation_length: float = 80.0
     elevation_slack: float = 1.0
     tunnel_limit: float = 10_000.0
     stop_time: float = 180.0

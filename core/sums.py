@@ -30,6 +30,7 @@ AMOUNTS: Final = (
     "lost",  # [m]
     "energy",  # by V I [J]
     "metered",  # time for which that is known [s]
+    "energy_variance",  # of that energy [J^2]
     "ambient",  # integral over time [K s]
     "wind",  # [m]
     "wind_north",  # [m]
@@ -231,6 +232,7 @@ def amounts(signals: Signals, powers: Sequence[tuple[str, Floats]]) -> Floats:
         np.maximum(-climb, 0.0),
         clean.energy,
         clean.metered,
+        clean.energy_variance,
         signals["ambient"] * dt,
         np.nan_to_num(sky.wind_speed) * dt,
         np.nan_to_num(sky.wind_north) * dt,

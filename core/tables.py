@@ -46,13 +46,16 @@ def energy_by_power(totals: Totals) -> tuple[Floats, Floats]:
     """Return the energy measured by voltage and current, and its standard uncertainty.
 
     Time without a measurement (gaps, missing values) is filled with the mean power of the rest, and adds to the
-    uncertainty; NaN where less than half is measured. [kWh]
+    uncertainty, as do the gain of the meter and the power between samples; NaN where less than half is measured.
+    [kWh]
     """
     energy = totals.amount("energy") / JOULES_PER_KWH
     duration, metered = totals.amount("duration"), totals.amount("metered")
     share = np.divide(metered, duration, out=np.zeros(len(energy)), where=duration > 0.0)
     whole = np.divide(energy, share, out=np.full(len(energy), np.nan), where=share >= 0.5)
-    return whole, np.hypot(METER_GAIN * np.abs(whole), UNSEEN_POWER * np.abs(whole) * (1.0 - share))
+    sampled = np.sqrt(totals.amount("energy_variance")) / JOULES_PER_KWH
+    unseen = UNSEEN_POWER * np.abs(whole) * (1.0 - share)
+    return whole, np.sqrt((METER_GAIN * whole) ** 2 + sampled**2 + unseen**2)
 
 
 def energy_by_soc(totals: Totals, cars: Cars) -> tuple[Floats, Floats]:

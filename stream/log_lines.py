@@ -5,6 +5,7 @@ import logging
 import sys
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from math import isfinite
 from typing import Any, TextIO
 
 _PLAIN = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_.:/+-")
@@ -36,7 +37,7 @@ class Lines(logging.Formatter):
     Parameters
     ----------
     as_json : bool
-        One JSON object a line, else `key=value` pairs, quoted where they must be.
+        One JSON object a line, what is not finite as null, else `key=value` pairs, quoted where they must be.
     """
 
     def __init__(self, *, as_json: bool = False) -> None:
@@ -56,7 +57,8 @@ class Lines(logging.Formatter):
         if record.exc_info and record.exc_info[1] is not None:
             line["error"] = repr(record.exc_info[1])
         if self._as_json:
-            return json.dumps(line, ensure_ascii=False, default=str)
+            finite = {name: None if _unknown(value) else value for name, value in line.items()}
+            return json.dumps(finite, ensure_ascii=False, default=str)
         return " ".join(f"{name}={_quoted(value)}" for name, value in line.items())
 
 
@@ -80,6 +82,11 @@ def write_lines(*, as_json: bool = False, to: TextIO | None = None, level: int =
     root.handlers = [handler]
     root.setLevel(level)
     root.propagate = False
+
+
+def _unknown(value: Any) -> bool:
+    """Say whether a value is a number that JSON does not have."""
+    return isinstance(value, float) and not isfinite(value)
 
 
 def _quoted(value: Any) -> str:

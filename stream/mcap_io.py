@@ -75,8 +75,8 @@ class McapSink:
     ----------
     written : int
         Size of the file so far, the chunk in the making included as it stands. [B]
-    messages : int
-        How many were put.
+    messages, kept : int
+        How many were put, and how many of them are in the file.
 
     Raises
     ------
@@ -86,7 +86,7 @@ class McapSink:
 
     def __init__(self, path: str | Path, chunk_bytes: int = CHUNK_BYTES) -> None:
         self.path = Path(path)
-        self.messages = 0
+        self.messages = self.kept = 0
         self._chunk_bytes = chunk_bytes
         self._compress = zstandard.ZstdCompressor().compress
         self._keys: dict[str, int] = {}
@@ -236,6 +236,7 @@ class McapSink:
             tables.append(struct.pack(f"<BQHI{len(index)}Q", 7, 6 + 8 * len(index), channel, 8 * len(index), *index))
             at += len(tables[-1])
         self._write(chunk + b"".join(tables), flush=True)
+        self.kept = self._counts.total()
         size = at - offset - len(chunk)
         self._indexes.append(ChunkIndex(len(chunk), offset, "zstd", len(packed), last, size, places, first, len(data)))
         self._start_chunk()

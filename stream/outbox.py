@@ -27,6 +27,7 @@ class Outbox:
         self._changed = Condition()
         self._closing = False
         self._failure: Exception | None = None
+        self._told = False
         self._thread = Thread(target=self._work, name="outbox", daemon=True)
         self._thread.start()
 
@@ -38,20 +39,33 @@ class Outbox:
         Exception
             Whatever stopped the sink.
         """
-        if self._failure is not None:
-            raise self._failure
+        self._tell()
         if messages:
             with self._changed:
                 self._newest.update((message.key, message) for message in messages)
                 self._changed.notify()
 
     def close(self) -> None:
-        """Wait until all has been handed on, and close the sink."""
+        """Wait until all has been handed on, and close the sink.
+
+        Raises
+        ------
+        Exception
+            Whatever stopped the sink, if nobody was told.
+        """
         with self._changed:
             self._closing = True
             self._changed.notify()
         self._thread.join()
         self._sink.close()
+        if not self._told:
+            self._tell()
+
+    def _tell(self) -> None:
+        """Raise what stopped the sink."""
+        if self._failure is not None:
+            self._told = True
+            raise self._failure
 
     def _work(self) -> None:
         """Hand on what there is, until closed."""

@@ -47,7 +47,7 @@ class Recorder:
     files : list of Path
         Written so far, the newest last.
     recorded, unrecorded : int
-        Messages written, and not.
+        Messages written, or to be at the next flush; and those that the disk refused.
 
     Raises
     ------
@@ -74,7 +74,7 @@ class Recorder:
         self._folder, self._file_bytes, self._file_ns, self._flush_s = folder, file_bytes, round(file_s * 1e9), flush_s
         self._clock = clock
         self._sink: McapSink | None = None
-        self._first_ns = 0
+        self._first_ns = self._taken = 0
         self._flushed_s = clock()
         self._retry_s = self._flushed_s
 
@@ -82,11 +82,11 @@ class Recorder:
         """Write messages; an empty sequence flushes what is due."""
         now = self._clock()
         if messages and now >= self._retry_s:
+            before = self.recorded
             try:
                 self._write(messages)
-                self.recorded += len(messages)
             except RecordingError as error:
-                self._give_up(error, len(messages), now)
+                self._give_up(error, len(messages) - (self.recorded - before), now)
         elif messages:
             self.unrecorded += len(messages)
         if now - self._flushed_s >= self._flush_s:
@@ -94,9 +94,13 @@ class Recorder:
 
     def close(self) -> None:
         """Close the file in progress."""
-        if self._sink is not None:
-            sink, self._sink = self._sink, None
-            sink.close()
+        if self._sink is None:
+            return
+        try:
+            self._sink.close()
+            self._sink = None
+        except RecordingError as error:
+            self._give_up(error, 0, self._clock())
 
     def _write(self, messages: Sequence[Message]) -> None:
         """Write messages, to the next file where they do not belong into this one."""
@@ -108,9 +112,11 @@ class Recorder:
         if sink is None:
             sink = self._sink = McapSink(self._fresh(first_ns))
             self.files.append(sink.path)
-            self._first_ns = first_ns
+            self._first_ns, self._taken = first_ns, 0
         room = sink.room(messages)
         sink.put(messages[:room])
+        self._taken += room
+        self.recorded += room
         if room < len(messages):  # the format numbers no more keys in one file
             self.close()
             self._write(messages[room:])
@@ -134,10 +140,13 @@ class Recorder:
                 self._give_up(error, 0, now)
 
     def _give_up(self, error: RecordingError, count: int, now: float) -> None:
-        """Leave the file as it is, and try another one later."""
+        """Leave the file as it is, count what it took and does not hold, and try another one later."""
         _log.error("recording fails: %s", error)
         self.unrecorded += count
         self._retry_s = now + RETRY_S
         if self._sink is not None:
+            lost = self._taken - self._sink.kept
+            self.recorded -= lost
+            self.unrecorded += lost
             self._sink.abandon()
             self._sink = None

@@ -42,9 +42,11 @@ from stream.source import LOOK_UP_S
 LOOPBACK: Final = "tcp/127.0.0.1:7447"
 """Where the embedded router listens unless told otherwise."""
 QUEUE: Final = 1 << 14
-"""Samples that wait in the channel before publishers are held up; more would have left the cache when their turn comes."""
+"""Samples that wait in the channel before publishers are held up; more would leave the cache before their turn."""
 DRAIN: Final = 4000
 """Most messages that are yielded at once: as many as the processor's cache holds while they are worked on."""
+GATHER_S: Final = 0.01
+"""How long more is waited for where little is queued: a few large lists cost less than many small ones. [s]"""
 CACHE: Final = 64
 """Samples of each key that a publisher can send again."""
 STALL_US: Final = 60_000_000
@@ -189,7 +191,7 @@ class ZenohSource:
         self._receive = self._subscriber.handler.try_recv
 
     def __iter__(self) -> Iterator[list[Message]]:
-        """Yield whatever is queued, at most `DRAIN` at a time; an empty list every `LOOK_UP_S` of silence."""
+        """Yield whatever is queued, a few thousand at a time; an empty list every `LOOK_UP_S` of silence."""
         nap, longest = _NAP_S
         quiet_s = 0.0
         while True:

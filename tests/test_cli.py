@@ -1,8 +1,10 @@
 """The command line, as a person meets it: quick help, one line for an error, a clean end on a signal."""
 
 import json
+import logging
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -10,17 +12,21 @@ import time
 from importlib import import_module
 from pathlib import Path
 
+import pandas as pd
 import pytest
 import typer
 from recorded_shift import shift
 from typer.testing import CliRunner
 
 from core.codec import Forecast
+from core.errors import SettingsError
 from core.models import EXTENDED_PHYSICAL
 from core.pipeline import Pipeline
 from stream.mcap_io import McapSink, McapSource
+from stream.run import Tally
 from stream.zenoh_io import free_port
 from tools.cli import COMMANDS, application, main
+from tools.live import Keeper
 
 SOCAST = [sys.executable, "-m", "tools.cli"]
 
@@ -111,6 +117,14 @@ def test_a_wrong_call_is_a_usage_error(arguments, capsys):
         (["replay", "{rec}", "--connect", "tcp/127.0.0.1:1", "--out", "x.mcap"], "--connect"),
         (["replay", "{rec}", "--out", "/nowhere/x.mcap"], "/nowhere/x.mcap"),
         (["replay", "{rec}", "--json", "/nowhere/x.json"], "/nowhere/x.json"),
+        (["replay", "{rec}", "--out", "{rec}"], "overwritten"),
+        (["replay", "{rec}", "--json", "{rec}"], "overwritten"),
+        (["info", "{rec}", "--json", "/nowhere/x.json"], "/nowhere/x.json"),
+        (["tables", "{rec}", "--out", "{tmp}", "--json", "/nowhere/x.json"], "/nowhere/x.json"),
+        (["tables", "{rec}", "--out", "{rec}"], "--out"),
+        (["tables", "{rec}", "--out", "{tmp}/taken"], "rides.parquet"),
+        (["effects", "list", "--json", "/nowhere/x.json"], "/nowhere/x.json"),
+        (["live", "--listen", "tcp/127.0.0.1:0", "--state", "/nowhere/state"], "/nowhere/state"),
         (["live", "--mode", "queen"], "queen"),
         (["live", "--connect", "tcp/127.0.0.1:1"], "127.0.0.1:1"),
         (["live", "--config", "nowhere.json5"], "nowhere.json5"),
@@ -118,8 +132,19 @@ def test_a_wrong_call_is_a_usage_error(arguments, capsys):
         (["demo", "nowhere.mcap"], "nowhere.mcap"),
     ],
 )
-def test_what_cannot_be_done_is_one_line(arguments, told, recording, capsys):
-    assert told in refused(capsys, *(argument.format(rec=recording) for argument in arguments))
+def test_what_cannot_be_done_is_one_line(arguments, told, recording, tmp_path, capsys):
+    (tmp_path / "taken" / "rides.parquet").mkdir(parents=True)
+    kept = recording.read_bytes()
+    assert told in refused(capsys, *(argument.format(rec=recording, tmp=tmp_path) for argument in arguments))
+    assert recording.read_bytes() == kept
+
+
+@pytest.mark.parametrize("option", ["--speed-limit-kmh", "--period-s", "--smoothing", "--least-distance-km"])
+def test_settings_of_tables_are_refused_in_the_unit_in_which_they_are_given(option, recording, tmp_path, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["tables", str(recording), "--out", str(tmp_path), option, "1000000"])
+    assert ended.value.code == 2
+    assert option in capsys.readouterr().err
 
 
 def test_info_tells_what_is_in_a_recording(recording, tmp_path):
@@ -160,12 +185,34 @@ def test_replay_forecasts_and_compares(recording, tmp_path):
     assert set(source.schemas.values()) == {Forecast.__name__}
 
 
+def test_replay_puts_forecasts_under_the_prefix_as_the_live_consumer_does(recording, tmp_path):
+    called("replay", recording, "--prefix", "/montreal/", "--out", tmp_path / "f.mcap")
+    assert {m.key.partition("/")[0] for block in McapSource(tmp_path / "f.mcap") for m in block} == {"montreal"}
+
+
 def test_replay_at_a_pace_is_the_same_replay(recording, tmp_path):
     called("replay", recording, "--json", tmp_path / "max.json")
     out, _, code = called("replay", recording, "--speed", "20", "--json", tmp_path / "paced.json")
     assert code == 0
     assert (tmp_path / "paced.json").read_bytes() == (tmp_path / "max.json").read_bytes()
     assert "SOC" in out
+
+
+def test_tables_tell_the_same_rides_in_parquet_and_json_and_name_each_loss(recording, tmp_path):
+    cuts = [tmp_path / name / "cut.mcap" for name in ("first", "second")]
+    for at, cut in enumerate(cuts):
+        cut.parent.mkdir()
+        cut.write_bytes(recording.read_bytes()[: -20_000 * (at + 1)])
+    out, err, code = called("tables", *cuts, "--out", tmp_path, "--json", tmp_path / "rides.json")
+    assert code == 0
+    rides = json.loads((tmp_path / "rides.json").read_text(), parse_constant=pytest.fail)
+    table = pd.read_parquet(tmp_path / "rides.parquet")
+    assert [ride["ride_id"] for ride in rides] == table["ride_id"].tolist()
+    assert [ride["distance_km"] for ride in rides] == table["distance_km"].tolist()
+    assert f"{len(rides)} rides" in out
+    lost = json.loads((tmp_path / "quality.json").read_text())["lost"]
+    assert set(lost) == set(map(str, cuts))
+    assert all(f"{cut}: it breaks off" in err for cut in cuts)
 
 
 def test_several_recordings_are_merged(tmp_path):
@@ -224,6 +271,18 @@ def test_live_ends_cleanly_on_a_signal_and_leaves_nothing_behind(consumer, recor
     assert not source.losses
 
 
+def test_who_publishes_is_told_that_nobody_listens_any_more(consumer, recording):
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    process, log = consumer("--listen", endpoint, "--report", "0.05")
+    command = [*SOCAST, "replay", str(recording), "--connect", endpoint, "--speed", "200"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as publisher:
+        assert eventually(lambda: any(line.get("messages", 0) > 0 for line in logged(log)))
+        process.kill()
+        _, told = publisher.communicate(timeout=60)
+    assert "has gone" in told
+    assert publisher.returncode == 0
+
+
 def test_a_killed_consumers_recording_is_read_up_to_its_last_flush(consumer, recording, tmp_path):
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     process, _ = consumer("--listen", endpoint, "--record", tmp_path / "kept", "--flush", "0.1")
@@ -258,6 +317,21 @@ def test_a_restarted_consumer_goes_on_where_it_was(consumer, tmp_path):
     uninterrupted = Pipeline(EXTENDED_PHYSICAL)
     uninterrupted.push(sent)
     assert (tmp_path / "state").read_bytes() == uninterrupted.snapshot()
+
+
+def test_a_state_that_cannot_be_kept_is_logged_and_the_cars_are_served_on(tmp_path, caplog, monkeypatch):
+    folder = tmp_path / "state"
+    folder.mkdir()
+    now = [0.0]
+    monkeypatch.setattr(logging.getLogger("socast"), "propagate", True)
+    keeper = Keeper(Pipeline(EXTENDED_PHYSICAL), folder / "cars", lambda: now[0])
+    assert (folder / "cars").exists()
+    shutil.rmtree(folder)
+    now[0] = 1000.0
+    keeper(Tally())
+    assert "state not kept" in caplog.text
+    with pytest.raises(SettingsError, match="cars"):
+        keeper.end()
 
 
 def test_the_demo_shows_cars_then_rides(recording, tmp_path):

@@ -161,4 +161,4 @@ def test_check_command_tells_of_a_good_file_and_raises_for_a_bad_one(write):
 def test_json_that_cannot_be_written_is_told_of(tmp_path):
     done = CliRunner().invoke(app, ["list", "--json", str(tmp_path / "no" / "effects.json")])
     assert isinstance(done.exception, SettingsError)
-    assert "cannot write: No such file" in str(done.exception)
+    assert "cannot be written: No such file" in str(done.exception)

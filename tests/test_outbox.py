@@ -49,11 +49,22 @@ def test_a_stalled_listener_holds_up_nobody_and_gets_the_newest_of_each_key():
     assert sink.messages == [message("a", 0), message("a", 999), message("b", 999)]
 
 
-def test_who_puts_is_told_that_the_sink_broke():
-    class Broken(MemorySink):
-        def put(self, messages):  # noqa: ARG002
-            raise ConnectionError("gone")
+class Broken(MemorySink):
+    def put(self, messages):  # noqa: ARG002
+        raise ConnectionError("gone")
 
+
+def test_who_closes_is_told_that_the_sink_broke_at_the_last():
+    sink = Broken()
+    outbox = Outbox(sink)
+    outbox.put([message("a", 0)])
+    with pytest.raises(ConnectionError, match="gone"):
+        outbox.close()
+    assert sink.closed
+    outbox.close()
+
+
+def test_who_puts_is_told_that_the_sink_broke():
     outbox = Outbox(Broken())
     outbox.put([message("a", 0)])
     outbox._thread.join(10)

@@ -115,6 +115,29 @@ def test_a_disk_that_refuses_costs_what_came_meanwhile_and_no_more(tmp_path: Pat
     assert recorded(tmp_path) == messages(5) + messages(2, 12)
 
 
+@pytest.mark.parametrize("ends", ["flush", "close"])
+def test_what_a_disk_refuses_only_when_the_chunk_ends_is_counted_and_stops_nobody(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ends: str
+):
+    clock = Clock()
+    recorder = Recorder(tmp_path, clock=clock)
+    recorder.put(messages(5))
+    clock.now = 6.0
+    recorder.put([])
+    recorder.put(messages(4, 5))
+
+    def full(self: McapSink, _: bytes, *, flush: bool = False) -> None:  # noqa: ARG001
+        raise RecordingError(f"{self.path} cannot be written: no space left on device")
+
+    monkeypatch.setattr(McapSink, "_write", full)
+    if ends == "flush":
+        clock.now = 12.0
+        recorder.put([])
+    recorder.close()
+    assert (recorder.recorded, recorder.unrecorded) == (5, 4)
+    assert recorded(tmp_path) == messages(5)
+
+
 def test_closing_twice_does_no_harm(tmp_path: Path):
     recorder = Recorder(tmp_path)
     recorder.put(messages(1))

@@ -16,7 +16,7 @@ from recorded_shift import shift
 
 from core.codec import Message
 from core.pipeline import Pipeline
-from stream.log_lines import flat, write_lines
+from stream.log_lines import Lines, flat, write_lines
 from stream.mcap_io import McapSink, McapSource
 from stream.memory_io import MemorySink, MemorySource
 from stream.record import Recorder
@@ -163,6 +163,13 @@ def test_a_line_is_keys_and_values():
     assert pairs["level"] == "info"
     assert pairs["event"] == "finished"
     assert int(pairs["messages"]) == len(shift(50))
+
+
+def test_a_number_that_json_lacks_is_null_in_a_json_line():
+    record = logging.LogRecord("socast", logging.INFO, "", 0, "ride", None, None)
+    record.fields = {"ambient_c": float("nan"), "distance_km": 1.5}
+    told = json.loads(Lines(as_json=True).format(record), parse_constant=pytest.fail)
+    assert (told["ambient_c"], told["distance_km"]) == (None, 1.5)
 
 
 def test_counters_of_nothing_are_left_out():

@@ -125,20 +125,21 @@ def test_samples_that_no_publisher_can_send_again_are_counted_as_missed():
 def test_plain_publishers_of_a_burst_lose_nothing_at_the_embedded_router():
     count, stop = 20_000, Event()
     code = (
-        "import sys, zenoh\n"
+        "import sys, time, zenoh\n"
         "c = zenoh.Config(); c.insert_json5('mode', '\"client\"')\n"
         "c.insert_json5('connect/endpoints', f'[\"{sys.argv[1]}\"]')\n"
         "c.insert_json5('scouting/multicast/enabled', 'false')\n"
         "s = zenoh.open(c)\n"
         "p = s.declare_publisher(sys.argv[2], congestion_control=zenoh.CongestionControl.BLOCK)\n"
+        "while not p.matching_status.matching: time.sleep(0.01)\n"
         "for _ in range(int(sys.argv[3])): p.put(b'{}')\n"
         "s.close()\n"
     )
     with router() as (node, endpoint):
         source = ZenohSource(node, stop)
         children = [subprocess.Popen([sys.executable, "-c", code, endpoint, key, str(count)]) for key in KEYS]
-        got = received(source, stop, count * len(KEYS), 20.0)
-        assert [child.wait(10) for child in children] == [0, 0, 0]
+        got = received(source, stop, count * len(KEYS), 60.0)
+        assert [child.wait(30) for child in children] == [0, 0, 0]
     assert len(got) == count * len(KEYS)
 
 

@@ -20,7 +20,7 @@ from stream.run import PUBLISH_S, Tally, run, stopping
 from stream.zenoh_io import Connection, Node, ZenohSink, ZenohSource
 from tools.info import described
 from tools.live import both, warm_up
-from tools.output import JsonFile, printer, write_json
+from tools.output import JsonFile, printer, writable, write_json
 from tools.screen import Screen, ride_records, show_rides, with_predictions
 
 SHIFT = Path(__file__).parent.parent / "recordings" / "shift.mcap"
@@ -46,6 +46,7 @@ def demo(
     if recording == SHIFT and not SHIFT.exists():
         raise SettingsError(f"{SHIFT} is not there; give a recording: socast demo REC, made by `socast simulate`")
     source_file = McapSource(recording)
+    writable([recording], json_file)
     about = described(source_file)
     console = printer()
     chosen = models.load(model)

@@ -1,6 +1,5 @@
 """`socast effects`: look at the library of effects, and check a file of one's own."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,11 +10,9 @@ from rich.text import Text
 
 from core import effects
 from core.effects import Effect
-from core.errors import SettingsError
+from tools.output import JsonFile, write_json
 
 app = typer.Typer(help="The physical effects that models are made of, and your own.", no_args_is_help=True)
-
-JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the table as JSON too.")]
 
 
 @app.command("list")
@@ -55,15 +52,7 @@ def _show(listed: list[Effect], json_file: Path | None) -> None:
         formula = Text.assemble(effect.formula, "\n", (effect.source, "dim"))
         table.add_row(effect.name, formula, Text(effect.coefficient + unit), f"{effect.low:g} to {effect.high:g}")
     Console().print(table)
-    if json_file is None:
-        return
-    content = json.dumps([_plain(effect) for effect in listed], indent=2, ensure_ascii=False) + "\n"
-    try:
-        json_file.write_text(content, encoding="utf-8")
-    except OSError as error:
-        raise SettingsError(
-            f"{json_file}: cannot write: {error.strerror}; name a file in a folder that is there"
-        ) from error
+    write_json(json_file, [_plain(effect) for effect in listed])
 
 
 def _plain(effect: Effect) -> dict[str, Any]:

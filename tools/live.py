@@ -20,7 +20,7 @@ from stream.outbox import Outbox
 from stream.record import FILE_BYTES, FILE_S, FLUSH_S, Recorder
 from stream.run import PUBLISH_S, REPORT_S, Tally, run, stopping
 from stream.zenoh_io import LOOPBACK, Connection, Mode, Node, ZenohSink, ZenohSource
-from tools.replay import EffectFiles, ModelName
+from tools.output import EffectFiles, ModelName
 from tools.screen import Screen, ride_records, with_predictions
 
 TAKE_S = 1.0
@@ -126,7 +126,8 @@ class Keeper:
     SocastError
         Where the file is no state of this version and model.
     SettingsError
-        Where it cannot be read or written.
+        Where it cannot be read, or not be written at the start or at the end. In between that is logged, and the cars
+        are served on.
     """
 
     def __init__(
@@ -146,6 +147,7 @@ class Keeper:
             except SocastError as error:
                 raise SocastError(f"{file}: {error}") from error
             _log.info("restored", extra=fields(file=str(file), vehicles=pipeline.quality()["vehicles"]))
+        self._save()
 
     def __call__(self, _: Tally) -> None:
         """Do what is due."""
@@ -155,7 +157,10 @@ class Keeper:
             self._tell()
         if now >= self._keep_s:
             self._keep_s = now + KEEP_S
-            self._save()
+            try:
+                self._save()
+            except SettingsError as error:
+                _log.error("state not kept: %s", error)
 
     def finish(self) -> list[Message]:
         """Leave rides in progress open; the state has them."""

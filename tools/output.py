@@ -1,4 +1,4 @@
-"""What every command does with its results: JSON files, lines on a terminal, progress bars."""
+"""What commands have in common: arguments, and what they do with results: JSON files, lines, progress bars."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -16,7 +16,10 @@ from stream.mcap_io import McapSource
 
 JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the table as JSON too.")]
 Recordings = Annotated[list[Path], typer.Argument(metavar="REC...", help="MCAP recordings.", show_default=False)]
-
+ModelName = Annotated[str, typer.Option(metavar="M", help="Model: a name, or a model file.")]
+EffectFiles = Annotated[
+    list[Path] | None, typer.Option("--effects", metavar="FILE", help="A file of your own effects; may be repeated.")
+]
 
 PIPE_WIDTH = 120
 """Columns that tables may take where there is no terminal."""
@@ -44,6 +47,25 @@ def write_json(path: Path | None, value: Any) -> None:
         raise SettingsError(
             f"{path} cannot be written: {error.strerror}; name a file in a folder that is there"
         ) from error
+
+
+def writable(inputs: Iterable[Path], *outputs: Path | None) -> None:
+    """Refuse, before any work is done, outputs that cannot be written or would overwrite what is read.
+
+    Raises
+    ------
+    SettingsError
+        Where an output is an input, a folder, or in a folder that is not there.
+    """
+    read = {path.resolve() for path in inputs}
+    for path in outputs:
+        if path is None:
+            continue
+        if path.resolve() in read:
+            raise SettingsError(f"{path} is read and would be overwritten; name another file to write")
+        reason = "Is a directory" if path.is_dir() else "" if path.parent.is_dir() else "No such file or directory"
+        if reason:
+            raise SettingsError(f"{path} cannot be written: {reason}; name a file in a folder that is there")
 
 
 def speed(text: str) -> float:

@@ -17,16 +17,22 @@ from stream.mcap_io import McapSink, McapSource
 from stream.run import run, stopping
 from stream.source import Source, merged, paced, until
 from stream.zenoh_io import Connection, Node, ZenohSink
-from tools.output import JsonFile, Recordings, printer, reading, speed, warn_of_losses, write_json
+from tools.output import (
+    EffectFiles,
+    JsonFile,
+    ModelName,
+    Recordings,
+    printer,
+    reading,
+    speed,
+    warn_of_losses,
+    writable,
+    write_json,
+)
 from tools.screen import Screen, ride_records, show_rides, with_predictions
 
 HEARD_S = 10.0
 """How long to wait for somebody to subscribe before publishing all the same. [s]"""
-
-ModelName = Annotated[str, typer.Option(metavar="M", help="Model: a name, or a model file.")]
-EffectFiles = Annotated[
-    list[Path] | None, typer.Option("--effects", metavar="FILE", help="A file of your own effects; may be repeated.")
-]
 
 
 def replay(
@@ -41,7 +47,9 @@ def replay(
     in_process: Annotated[bool, typer.Option("--in-process", help="Run the model here. [default]")] = False,
     model: ModelName = "extended_physical",
     effects_file: EffectFiles = None,
-    prefix: Annotated[str, typer.Option(metavar="P", help="Key chunks to put before the recorded keys.")] = "",
+    prefix: Annotated[
+        str, typer.Option(metavar="P", help="Key chunks to put before the recorded keys, or the forecasts'.")
+    ] = "",
     longest_gap: Annotated[
         float, typer.Option(metavar="S", help="Shorten silences of the recording to this many seconds.")
     ] = inf,
@@ -53,21 +61,23 @@ def replay(
     In process, they go through the same loop as live telemetry does, and the ride table compares predicted with
     measured energy. With --connect they are published, and whoever listens at the router makes the forecasts.
     """
-    if connect and (in_process or out or json_file):
-        raise SettingsError("--connect publishes and forecasts nothing; leave out --in-process, --out and --json")
+    if connect and (in_process or out or json_file or effects_file):
+        raise SettingsError("--connect publishes, forecasts nothing; leave out --in-process, --out, --json, --effects")
+    before = f"{prefix.strip('/')}/" if prefix.strip("/") else ""
     rate = speed(pace or ("1" if connect else "max"))
     sources = [McapSource(path) for path in recordings]
+    writable(recordings, out, json_file)
     console = printer()
     with stopping() as stop:
         source = until(paced(merged(sources), rate, longest_gap_s=longest_gap), stop)
         if connect:
             with Node(Connection(connect=(connect,))) as node:
-                sink = ZenohSink(node, f"{prefix.strip('/')}/" if prefix.strip("/") else "")
+                sink = ZenohSink(node, before)
                 _publish(source, sink, sources, stop, connect)
         else:
             for path in effects_file or ():
                 effects.load_file(path)
-            pipeline = Pipeline(models.load(model))
+            pipeline = Pipeline(models.load(model), prefix=before)
             forecast(source, pipeline, sources, rate, [McapSink(out)] if out else [])
             rides = with_predictions(pipeline.take_rides(), pipeline.model)
             show_rides(console, rides, pipeline.quality())
@@ -106,7 +116,7 @@ def _publish(source: Source, sink: ZenohSink, sources: Sequence[McapSource], sto
     """Publish recordings, once somebody listens."""
     console = Console(stderr=True)
     deadline = time.monotonic() + HEARD_S
-    while not sink.heard() and not stop.is_set():
+    while not (heard := sink.heard()) and not stop.is_set():
         if time.monotonic() > deadline:
             console.print(f"nobody listens at {endpoint}; publishing all the same", style="yellow", highlight=False)
             break
@@ -118,5 +128,11 @@ def _publish(source: Source, sink: ZenohSink, sources: Sequence[McapSource], sto
             sink.put(messages)
             count += len(messages)
             step()
+    if heard and not sink.heard():
+        console.print(
+            f"whoever listened at {endpoint} has gone; what was published since is lost to them",
+            style="yellow",
+            highlight=False,
+        )
     sink.close()
     console.print(f"published {count:,} messages in {time.monotonic() - began:.1f} s", highlight=False)

@@ -26,7 +26,7 @@ LINE_S = 2.0
 """Time between two lines where there is no terminal. [s]"""
 MOST_RIDES = 60
 """Rides listed on a terminal; the JSON has all."""
-WIDE = 100
+WIDE = 112
 """Columns of a terminal from which the ride table has the start and the temperature."""
 
 RIDE_COLUMNS = (
@@ -214,7 +214,7 @@ def show_rides(console: Console, rides: pd.DataFrame, quality: dict[str, Any]) -
     if len(rides):
         console.print(table)
     for line in summary(rides, quality):
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+        console.print(line, markup=False, highlight=False, soft_wrap=not console.is_terminal)
 
 
 def summary(rides: pd.DataFrame, quality: dict[str, Any]) -> list[str]:
@@ -233,7 +233,7 @@ def summary(rides: pd.DataFrame, quality: dict[str, Any]) -> list[str]:
         ("unfit for training", quality["unfit"]),
         ("repaired or rejected samples", quality["samples"]),
         ("messages that could not be decoded", quality["undecodable"]),
-        ("vehicles that cannot be predicted", quality["unpredictable"]),
+        ("vehicle messages that allow no prediction", quality["unpredictable"]),
     ):
         if told := _counts(counts):
             lines.append(f"{what}: {told}")

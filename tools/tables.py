@@ -1,6 +1,5 @@
 """`socast tables`: recordings in; ride table, window table and quality report out."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,7 +8,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from core import effects, models
@@ -19,6 +17,19 @@ from core.pipeline import Pipeline
 from core.settings import Settings
 from stream.mcap_io import McapSource
 from stream.source import merged
+from tools.output import (
+    EffectFiles,
+    JsonFile,
+    ModelName,
+    Recordings,
+    printer,
+    reading,
+    warn_of_losses,
+    writable,
+    write_json,
+)
+
+RIDES, WINDOWS, QUALITY = "rides.parquet", "windows.parquet", "quality.json"
 
 ROW_GROUP = 2000
 """Rides between two row groups, so that memory does not grow with the recording."""
@@ -53,20 +64,26 @@ class ParquetTable:
 
 
 def tables(
-    recordings: Annotated[list[Path], typer.Argument(metavar="REC…", help="MCAP recordings, merged in time order.")],
-    out: Annotated[Path, typer.Option(help="Folder for rides.parquet, windows.parquet and quality.json.")],
-    model: Annotated[
-        str, typer.Option(help="Model whose effects must be summed: a name or a file.")
-    ] = "extended_physical",
-    effects_file: Annotated[list[Path] | None, typer.Option("--effects", help="A file of your own effects.")] = None,
-    speed_limit_kmh: Annotated[float, typer.Option(help="Faster samples are rejected.")] = 130.0,
-    period_s: Annotated[float, typer.Option(help="Nominal time between two samples.")] = 3.0,
-    smoothing: Annotated[int, typer.Option(help="Samples in the moving average of speed, 1 to 8.")] = 3,
-    least_distance_km: Annotated[float, typer.Option(help="Shorter rides are unfit for training.")] = 0.2,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the rides as JSON, too.")] = None,
+    recordings: Recordings,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for rides.parquet, windows.parquet, quality.json.")],
+    model: ModelName = "extended_physical",
+    effects_file: EffectFiles = None,
+    speed_limit_kmh: Annotated[
+        float, typer.Option(min=30.0, max=300.0, metavar="KMH", help="Faster samples are rejected.")
+    ] = 130.0,
+    period_s: Annotated[
+        float, typer.Option(min=0.1, max=60.0, metavar="S", help="Nominal time between two samples.")
+    ] = 3.0,
+    smoothing: Annotated[
+        int, typer.Option(min=1, max=8, metavar="N", help="Samples in the moving average of speed.")
+    ] = 3,
+    least_distance_km: Annotated[
+        float, typer.Option(min=0.0, max=100.0, metavar="KM", help="Shorter rides are unfit for training.")
+    ] = 0.2,
+    json_file: JsonFile = None,
 ) -> None:
     """Clean recordings and sum them up: one row a ride, one row a window, and what was rejected, by cause."""
-    for path in effects_file or []:
+    for path in effects_file or ():
         effects.load_file(path)
     settings = Settings(
         period=period_s, speed_limit=speed_limit_kmh * KMH, window=smoothing, least_distance=least_distance_km * 1e3
@@ -74,26 +91,27 @@ def tables(
     pipeline = Pipeline(models.load(model), settings, also=list(effects.library()))
     sources = [McapSource(path) for path in recordings]
     folder = _folder(out)
-    rides, windows = ParquetTable(folder / "rides.parquet"), ParquetTable(folder / "windows.parquet")
+    writable(recordings, folder / RIDES, folder / WINDOWS, folder / QUALITY, json_file)
+    rides, windows = ParquetTable(folder / RIDES), ParquetTable(folder / WINDOWS)
     kept: list[pd.DataFrame] = []
-    console = Console(stderr=True)
-    columns = TextColumn("cleaning"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeRemainingColumn()
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        bar = progress.add_task("cleaning", total=sum(source.blocks for source in sources))
-        watched = [progress.track(source, task_id=bar, total=None) for source in sources]
-        for messages in merged(watched):
+    with reading(sources) as step:
+        for messages in merged(sources):
             pipeline.push(messages)
+            step()
             if pipeline.quality()["rides"] - rides.rows >= ROW_GROUP:
                 _take(pipeline, rides, windows, kept if json_file else None)
         pipeline.finish()
         _take(pipeline, rides, windows, kept if json_file else None)
     rides.close()
     windows.close()
-    quality = pipeline.quality() | {"lost": {s.path.name: s.losses.lines() for s in sources if s.losses}}
-    (folder / "quality.json").write_text(json.dumps(quality, indent=2) + "\n", encoding="utf-8")
+    quality = pipeline.quality() | {"lost": {str(s.path): s.losses.lines() for s in sources if s.losses}}
+    write_json(folder / QUALITY, quality)
     if json_file:
-        pd.concat(kept).to_json(json_file, orient="records", indent=1)
-    show(quality, rides.rows, windows.rows, folder, Console())
+        table = pd.concat(kept).astype(object)
+        write_json(json_file, table.where(table.notna(), None).to_dict("records"))
+    console = printer()
+    show(quality, rides.rows, windows.rows, folder, console)
+    warn_of_losses(sources, Console(stderr=True))
 
 
 def _folder(path: Path) -> Path:
@@ -128,11 +146,11 @@ def show(quality: dict[str, Any], rides: int, windows: int, folder: Path, consol
         table.add_row(cause.replace("_", " "), f"{count:,}", "payloads")
     for reason, count in quality["unfit"].items():
         table.add_row(f"ride {reason.replace('_', ' ')}", f"{count:,}", f"{rides:,} rides")
+    told = f"{quality['received'].get('vehicle', 0):,} vehicle messages"
     for reason, count in quality["unpredictable"].items():
-        table.add_row(reason.replace("_", " "), f"{count:,}", "kinds of vehicle")
-    console.print(table)
-    for name, lines in quality["lost"].items():
-        for line in lines:
-            console.print(f"[yellow]{name}: {line}")
+        table.add_row(reason.replace("_", " "), f"{count:,}", told)
+    if table.rows:
+        console.print(table)
     unfit = sum(quality["unfit"].values())
-    console.print(f"{rides:,} rides ({unfit:,} unfit for training) and {windows:,} windows in {folder}")
+    told = f"{rides:,} rides ({unfit:,} unfit for training) and {windows:,} windows in {folder}"
+    console.print(told, markup=False, highlight=False, soft_wrap=True)

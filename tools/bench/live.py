@@ -17,6 +17,9 @@ from tools.bench.measures import Measure, alternating
 
 PATIENCE_S = 60.0
 WARM_UP = 20
+"""Samples of each car before the clock starts, so that every car has been heard of and every key been declared."""
+SETTLE_S = 2.0
+"""Time in which what they led to, such as declaring the forecasts' keys, comes to rest. [s]"""
 
 Consumer: TypeAlias = Callable[[Node, ProcessEvent, ProcessEvent], float]
 
@@ -62,6 +65,7 @@ def nothing(cars: int, turns: int) -> Consumer:
 
         with node.session.declare_subscriber("fleet/*/telemetry", notice):
             wait(lambda: ready.is_set() and seen == cars * WARM_UP)
+            time.sleep(SETTLE_S)
             began = time.perf_counter()
             go.set()
             wait(lambda: seen == cars * (WARM_UP + turns))
@@ -76,23 +80,26 @@ def everything(cars: int, turns: int) -> Consumer:
     def consume(node: Node, ready: ProcessEvent, go: ProcessEvent) -> float:
         stop = Event()
         pipeline = Pipeline(EXTENDED_PHYSICAL, keep_tables=False)
-        began = 0.0
+        began = ended = settled = 0.0
         patience = time.monotonic() + PATIENCE_S
 
         def watch(_: Tally) -> None:
-            nonlocal began
+            nonlocal began, ended, settled
             if time.monotonic() > patience:
                 raise TimeoutError(f"the stream has not come through in {PATIENCE_S:g} s")
             received = pipeline.decoder.received["telemetry"]
             if not began and ready.is_set() and received == cars * WARM_UP:
+                settled = settled or time.monotonic() + SETTLE_S
+            if settled and not began and time.monotonic() > settled:
                 began = time.perf_counter()
                 go.set()
             elif received == cars * (WARM_UP + turns):
+                ended = ended or time.perf_counter()
                 stop.set()
 
         source = ZenohSource(node, stop)
         run(source, pipeline, [Outbox(ZenohSink(node))], publish_s=PUBLISH_S, watch=watch)
-        return time.perf_counter() - began
+        return ended - began
 
     return consume
 
