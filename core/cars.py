@@ -13,6 +13,8 @@ from core.vehicles import VehicleModel, vehicle_model
 
 UNKNOWN: Final = 0
 """Kind of a car that has not said what it is, or whose model is not known."""
+SILENT: Final = "no_vehicle_message"
+"""Reason: the car has not said what it is."""
 
 PARAMETERS: Final = ("mass_kg", "rolling_resistance", "drag_area_m2", "nominal_capacity_kwh", "accessory_scale")
 """What the ride table records of a car, under these names."""
@@ -46,6 +48,10 @@ class Cars:
         """Return the vehicle model's key as the car sent it."""
         message = self.messages[kind]
         return None if message is None else message.model
+
+    def unpredicted(self, kind: int) -> str | None:
+        """Return why no energy is predicted for a car of this kind, `None` where it is."""
+        return SILENT if kind == UNKNOWN else self._reasons[kind]
 
     def kinds(self, lane: Ints, changes: Sequence[tuple[int, int, Vehicle]], lanes: int) -> Ints:
         """Return the kind of car of each row, and remember what changed.

@@ -77,6 +77,7 @@ class Clean(NamedTuple):
     energy, metered : (n,) float64. Drawn from the battery in the step, by V I, and the time it is known for. [J], [s]
     energy_variance : (n,) float64. Of that energy, as the power between two samples is not known. [J^2]
     elapsed, parked, since_charge : (n,) float64. [s]
+    lost : (n,) float64. Where a ride begins or ends: time before the row of which no sample tells. [s]
     stop, stopped : (n,) float64. 1 where a stop begins, 1 where the car stands.
     soc, soc_step, odometer, battery_temperature, occupants, code : (n,) float64. As last believed.
     ambient, hvac, current : (n,) float64. As reported, NaN where not.
@@ -105,6 +106,7 @@ class Clean(NamedTuple):
     elapsed: Floats
     parked: Floats
     since_charge: Floats
+    lost: Floats
     stop: Floats
     stopped: Floats
     soc: Floats
@@ -227,6 +229,7 @@ def use(s: Any, r: Any, dt: float, x: Any) -> None:
         s.occupants = r.raw_occupants
     r.stop = 1.0 if stands(s) else 0.0
     r.dt = dt
+    rode = s.riding == 1.0
     begins = rides.segment(s, r.raw_ride, dt, s.standing == 0.0, r.raw_charging == 1.0, x)
     if begins:  # the step led up to the ride and is not part of it
         r.dt = r.travel = r.distance = r.climb = r.energy = r.energy_variance = r.metered = r.stop = 0.0
@@ -234,8 +237,17 @@ def use(s: Any, r: Any, dt: float, x: Any) -> None:
             r.quality -= motion.BRIDGED
         if s.soc_age > STALE:
             s.soc = nan
+    if begins or (rode and s.riding == 0.0):
+        r.lost = lost_time(s, int(r.quality), dt, x)
     rides.window(s, dt, begins, s.has_power == 1.0 or changed, x)
     r.due = 1.0 if rides.forecast_due(s, s.soc, dt, begins, x) else 0.0
+
+
+@njit(cache=False)
+def lost_time(s: Any, bits: int, dt: float, x: Any) -> float:
+    """Return how much of a step is missing samples, and not a logger that was switched off. [s]"""
+    missing = bits & clock.GAP and not bits & clock.SEQUENCE and dt <= x.gap_time
+    return dt - s.period if missing else 0.0
 
 
 @njit(cache=False)

@@ -17,8 +17,9 @@ What error remains, for Gaussian stamps that are off by s (one standard deviatio
   are late and nothing else;
 - without one the same for s up to 0.5 s. For 1 s it is 0.5 s rms, one sample in 40 is a period off until its
   successors put it right (its `dt` is zero or double then), and a duration is right to 3 s; where samples are lost as
-  well, 1.2 s rms. A clock set forward cannot be told from a gap, and is taken for one. A clock set back is believed
-  after ten samples in order; until then they are late. Fewer late samples than that are late and nothing else;
+  well, 1.2 s rms. A clock set forward cannot be told from a gap, and is taken for one; a single stamp that is more
+  than 200 periods ahead is not believed, and a gap as long costs its first sample's place. A clock set back is
+  believed after ten samples in order; until then they are late. Fewer late samples than that are late and nothing else;
 - the mean delay of the stamps cannot be seen and stays, and the first stamp's own error stays in the time before it.
 
 A period that is not the nominal one is followed from the first samples where there is a counter, to 0.4 periods and
@@ -51,6 +52,7 @@ FIELDS: Final = (
     "misfits",  # misfitting stamps in a row that agree
     "late_stamp",  # of the last rejected sample [s]
     "late_run",  # rejected samples in a row that are in order among themselves
+    "leap_stamp",  # of the last sample that leapt far ahead [s]
 )
 
 DUPLICATE: Final = int(Quality.DUPLICATE)
@@ -68,6 +70,7 @@ TOLERANCE: Final = 0.5  # a stamp moved by more than this counts as repaired [s]
 LEAST_SPREAD: Final = 0.02  # [periods]
 SIGMA: Final = 1.4826  # standard deviation over median of the absolute, for a Gaussian
 BELIEVED: Final = 100.0  # a leap of the counter that is believed without a stamp [samples]
+LEAP: Final = 200.0  # a longer gap, where nothing counts, must be confirmed by a second stamp [periods]
 UNUSED: Final = -1.0  # the `dt` of a sample that is not used
 
 
@@ -210,6 +213,20 @@ def periods_by_stamp(s: Any, elapsed: float) -> float:
 
 
 @njit(cache=False)
+def periods_alone(s: Any, stamp: float, elapsed: float) -> tuple[float, float]:
+    """Return the whole periods since the last sample where nothing counts, and the stamp.
+
+    A stamp that leaps far ahead is NaN, and a period is counted, until the next one leaps as far.
+    """
+    count = periods_by_stamp(s, elapsed)
+    if count <= LEAP:
+        return count, stamp
+    follows = 0.0 < stamp - s.leap_stamp <= LEAP * s.period
+    s.leap_stamp = stamp
+    return (count, stamp) if follows else (1.0, nan)
+
+
+@njit(cache=False)
 def periods_by_seq(s: Any, elapsed: float, counted: float) -> tuple[float, int]:
     """Return the whole periods since the last sample by the counter, -1 for a sample from the past.
 
@@ -261,7 +278,7 @@ def advance(s: Any, stamp: float, seq: float, same: bool, period: float) -> tupl
         if counted < 0.0 and elapsed > 0.0:
             return restart(s, stamp, seq)
     else:
-        count = periods_by_stamp(s, elapsed)
+        count, stamp = periods_alone(s, stamp, elapsed)
         if count < 0.0:
             return reject(s, stamp, seq)
     s.late_run = 0.0

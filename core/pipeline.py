@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from hashlib import sha256
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -20,8 +21,8 @@ from core.models import EXTENDED_PHYSICAL, Model
 from core.quality import CAUSES
 from core.settings import Settings, checked
 from core.signals import Signals, ambient_quality
-from core.sums import Ledger, Sums, Totals, amounts
-from core.tables import measured_energy, ride_table, text, unfit_reason, window_table
+from core.sums import AMOUNTS, EDGES, Ledger, Sums, Totals, amounts
+from core.tables import ride_table, text, unfit_reason, window_table
 from core.weather import Stations
 
 BLOCK: Final = 4000
@@ -33,6 +34,9 @@ DRIVERS: Final = 10_000
 """Rides whose driver is remembered, beside eight a vehicle."""
 SNAPSHOT: Final = 1
 """Version of the snapshot."""
+FIELDS: Final = [*(STATE.names or ()), *AMOUNTS, *EDGES, *CAUSES]
+"""What a snapshot's arrays are made of."""
+_DIGEST: Final = sha256().digest_size
 
 
 class VehicleStatus(NamedTuple):
@@ -104,6 +108,7 @@ class Pipeline:
         self._rides: list[Closed] = []
         self._windows: list[Totals] = []
         self._unfit: Counter[str] = Counter()
+        self._unpredicted: Counter[str] = Counter()
         self._ended = 0
 
     def push(self, messages: Sequence[Message]) -> list[Message]:
@@ -174,7 +179,7 @@ class Pipeline:
         """Return the counters since the start.
 
         Keys: `received` by kind, `undecodable` by cause, `samples` by quality bit, `rides` ended, `unfit` rides by
-        reason, `vehicles`, `unpredictable` vehicle messages by reason.
+        reason, `unpredicted` rides by reason, `vehicles`, `unpredictable` vehicle messages by reason.
         """
         return {
             "vehicles": len(self.lanes),
@@ -183,6 +188,7 @@ class Pipeline:
             "samples": dict(zip(CAUSES, self._quality.tolist(), strict=True)),
             "rides": self._ended,
             "unfit": dict(self._unfit),
+            "unpredicted": dict(self._unpredicted),
             "unpredictable": dict(self.cars.unpredictable),
         }
 
@@ -216,7 +222,7 @@ class Pipeline:
         state = {
             "version": SNAPSHOT,
             "model": f"{self.model.name}/{self.model.version}",
-            "fields": list(STATE.names or ()),
+            "fields": FIELDS,
             "effects": self._effect_names,
             "lanes": self.lanes.names,
             "cleaner": self.cleaner.state.tobytes(),
@@ -231,11 +237,13 @@ class Pipeline:
                 self._quality.tolist(),
                 self._ended,
                 self._unfit,
+                self._unpredicted,
                 self.decoder.received,
                 self.decoder.rejected,
             ],
         }
-        return msgspec.msgpack.encode(state)
+        content = msgspec.msgpack.encode(state)
+        return sha256(content).digest() + content
 
     def restore(self, snapshot: bytes) -> None:
         """Take up a state that `snapshot` returned.
@@ -245,16 +253,11 @@ class Pipeline:
         SocastError
             Where it is no snapshot, or one of another version, model or list of effects.
         """
-        try:
-            state = msgspec.msgpack.decode(snapshot, strict=False)
-            fits = (
-                state["version"] == SNAPSHOT
-                and state["fields"] == list(STATE.names or ())
-                and state["effects"] == self._effect_names
-            )
-        except (msgspec.DecodeError, KeyError, TypeError) as error:
-            raise SocastError(f"not a snapshot of this product: {error}; start without one") from error
-        if not fits:
+        digest, content = snapshot[:_DIGEST], snapshot[_DIGEST:]
+        if sha256(content).digest() != digest:
+            raise SocastError("not a snapshot of this product, or a damaged one: start without it")
+        state = msgspec.msgpack.decode(content, strict=False)
+        if (state["version"], state["fields"], state["effects"]) != (SNAPSHOT, FIELDS, self._effect_names):
             raise SocastError(
                 f"snapshot of model {state['model']}: made by another version or with other effects; start without it"
             )
@@ -270,9 +273,9 @@ class Pipeline:
         self.cars.load(state["cars"])
         self.plans = {int(lane): msgspec.convert(plan, Plan) for lane, plan in state["plans"]}
         self._drivers = state["drivers"]
-        quality, self._ended, unfit, received, rejected = state["counters"]
+        quality, self._ended, unfit, unpredicted, received, rejected = state["counters"]
         self._quality = np.array(quality, np.int64)
-        self._unfit = Counter(unfit)
+        self._unfit, self._unpredicted = Counter(unfit), Counter(unpredicted)
         self.decoder.received, self.decoder.rejected = Counter(received), Counter(rejected)
 
     @property
@@ -317,8 +320,9 @@ class Pipeline:
                 self._windows.append(_owned(sums.windows))
             return
         self._ended += len(rides.lane)
-        energy = measured_energy(rides, self.cars)[0]
-        reasons = unfit_reason(rides.amount("duration"), rides.amount("distance"), energy, self.settings)
+        reasons = unfit_reason(rides, self.cars, self.settings)
+        kinds = rides.at_last("kind").astype(np.int64).tolist()
+        self._unpredicted.update(why for why in map(self.cars.unpredicted, kinds) if why is not None)
         self._unfit.update(reason for reason in reasons.tolist() if reason is not None)
         names = self._ride_names(rides)
         if self.keep_tables:

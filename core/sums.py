@@ -57,11 +57,13 @@ EDGES: Final = (
     "soc_step",
     "occupants",
     "code",
+    "lost",
     "kind",
 )
 """What is kept of the first and of the last sample."""
 
 SOC: Final = EDGES.index("soc")
+LOST: Final = EDGES.index("lost")
 _HEAD: Final = 2  # ordinal of the open ride, -1 for none; ordinal of the open window
 
 
@@ -279,6 +281,7 @@ def enter(
                 close_window(b, window_at, ride_at, window_first_at, last_at, edges.shape[0])
             if ride[i] != b[0]:
                 if b[0] >= 0.0:
+                    b[last_at + LOST] = edges[LOST, i]
                     copy_out(rides_out[closed_rides], lane[i], b)
                     closed_rides += 1
                 open_ride(b, parts, edges, i)

@@ -25,6 +25,8 @@ CAPACITY_GAIN: Final = 0.15
 """Standard uncertainty of the usable capacity, as a share. Estimated: age, temperature, what a car calls full."""
 COARSEST_SOC: Final = 0.01
 """Quantum of a state of charge that has not been seen to change: the coarsest that the wire contract allows."""
+CUT: Final = 0.1
+"""Share of a ride that may be missing at its beginning and end for it to be fit for training."""
 UNSEEN_POWER: Final = 0.5
 """Standard uncertainty of the mean power over a time in which it was not measured, as a share."""
 WINTER: Final = ((12, 15), (3, 15))
@@ -55,7 +57,14 @@ def energy_by_power(totals: Totals) -> tuple[Floats, Floats]:
     whole = np.divide(energy, share, out=np.full(len(energy), np.nan), where=share >= 0.5)
     sampled = np.sqrt(totals.amount("energy_variance")) / JOULES_PER_KWH
     unseen = UNSEEN_POWER * np.abs(whole) * (1.0 - share)
-    return whole, np.sqrt((METER_GAIN * whole) ** 2 + sampled**2 + unseen**2)
+    return whole, np.sqrt((METER_GAIN * whole) ** 2 + sampled**2 + unseen**2 + _cut(totals, whole) ** 2)
+
+
+def _cut(totals: Totals, energy: Floats) -> Floats:
+    """Return the standard uncertainty of a ride that began or ended in a gap: anything up to the mean power. [kWh]"""
+    duration = totals.amount("duration")
+    share = np.divide(lost_time(totals), duration, out=np.zeros(len(energy)), where=duration > 0.0)
+    return np.abs(energy) * share / np.sqrt(3.0)
 
 
 def energy_by_soc(totals: Totals, cars: Cars) -> tuple[Floats, Floats]:
@@ -63,10 +72,11 @@ def energy_by_soc(totals: Totals, cars: Cars) -> tuple[Floats, Floats]:
 
     Each end is uniform within a quantum q, so their difference has a standard deviation of q / sqrt(6). [kWh]
     """
-    capacity = cars.capacity[totals.at_last("kind").astype(np.int64)]
+    capacity = _capacity(totals, cars)
     quantum = np.nan_to_num(totals.at_last("soc_step"), nan=COARSEST_SOC)
     energy = (totals.at_first("soc") - totals.at_last("soc")) * capacity
-    return energy, np.hypot(capacity * quantum / np.sqrt(6.0), CAPACITY_GAIN * np.abs(energy))
+    variance = (capacity * quantum) ** 2 / 6.0 + (CAPACITY_GAIN * energy) ** 2 + _cut(totals, energy) ** 2
+    return energy, np.sqrt(variance)
 
 
 def measured_energy(totals: Totals, cars: Cars) -> tuple[Floats, Floats]:
@@ -77,17 +87,34 @@ def measured_energy(totals: Totals, cars: Cars) -> tuple[Floats, Floats]:
     return np.where(better, power, soc), np.where(better, power_sd, soc_sd)
 
 
-def unfit_reason(duration: Floats, distance: Floats, energy: Floats, settings: Settings) -> NDArray[np.object_]:
-    """Return why a ride is unfit for training, `None` where it is fit, after section 3 of the paper."""
+def lost_time(totals: Totals) -> Floats:
+    """Return the time at the beginnings and ends of rides of which no sample tells, as they fell into gaps. [s]"""
+    return totals.at_first("lost") + totals.at_last("lost")
+
+
+def unfit_reason(totals: Totals, cars: Cars, settings: Settings) -> NDArray[np.object_]:
+    """Return why a ride is unfit for training, `None` where it is fit, after section 3 of the paper.
+
+    Beyond the paper: rides that begin or end in a gap of more than a tenth of them, and what nobody can measure.
+    """
+    duration = totals.amount("duration")
+    unmeasured = np.isnan(measured_energy(totals, cars)[0])
     reason = np.full(len(duration), None, dtype=object)
     for why, applies in (  # the first one that applies is the last one written
-        ("no_measured_energy", np.isnan(energy)),
-        ("too_little_distance", distance < settings.least_distance),
+        ("cut_by_gap", lost_time(totals) > CUT * duration),
+        ("no_measured_energy", unmeasured),
+        ("unknown_capacity", unmeasured & np.isnan(_capacity(totals, cars)) & ~np.isnan(totals.at_last("soc"))),
+        ("too_little_distance", totals.amount("distance") < settings.least_distance),
         ("too_short", duration < settings.shortest_ride),
         ("too_long", duration > settings.longest_ride),
     ):
         reason[applies] = why
     return reason
+
+
+def _capacity(totals: Totals, cars: Cars) -> Floats:
+    """Return the capacity that the state of charge is a share of, NaN where the car's model is not known. [kWh]"""
+    return cars.capacity[totals.at_last("kind").astype(np.int64)]
 
 
 def is_winter(time: Floats) -> NDArray[np.int64]:
@@ -196,7 +223,7 @@ def ride_table(
     keys = _ride_keys(totals, names)
     start = physical["start_s"]
     winter = is_winter(start)
-    reason = unfit_reason(physical["duration_s"], totals.amount("distance"), physical["energy_kwh"], settings)
+    reason = unfit_reason(totals, cars, settings)
     quality = {f"quality_{cause}": totals.quality[:, i].astype(np.int64) for i, cause in enumerate(CAUSES)}
     own = {
         "ride_id": text([name or key for name, key in zip(ride_names, keys, strict=True)]),

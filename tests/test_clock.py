@@ -293,3 +293,22 @@ def test_nominal_period_is_a_setting():
     clean = cleaned(columns, Settings(period=10.0))
     assert clean.dt[1:].tolist() == [10.0] * 59
     assert count(clean, Quality.GAP) == 0
+
+
+@pytest.mark.parametrize("ahead", [3600.0, 86_400.0, 2.3e9])
+def test_a_single_wild_stamp_is_not_believed_where_nothing_counts(ahead):
+    columns = without(drive(300), "seq")
+    columns["time_s"][100] += ahead
+    clean = cleaned(columns)
+    assert clean.dt.sum() == pytest.approx(PERIOD * 299, abs=0.1)
+    assert clean.time[-1] == pytest.approx(START + PERIOD * 299, abs=0.1)
+    assert count(clean, Quality.GAP | Quality.LATE | Quality.CLOCK_STEP) == 0
+    assert clean.quality[100] & Quality.REPAIRED_TIME
+
+
+def test_a_long_silence_where_nothing_counts_is_a_gap_once_a_second_stamp_says_so():
+    columns = without(drive(300), "seq")
+    columns["time_s"][150:] += 7200.0
+    clean = cleaned(columns)
+    assert clean.dt.sum() == pytest.approx(PERIOD * 299 + 7200, abs=0.1)
+    assert np.flatnonzero(clean.quality & Quality.GAP).tolist() == [151]

@@ -123,3 +123,15 @@ def test_names_of_rides_do_not_pile_up():
         out += pipeline.push(more)
     assert len(pipeline.decoder.rides) < 16_000
     assert all(msgspec.json.decode(message.payload)["ride_id"] for message in out)
+
+
+def test_a_snapshot_that_was_damaged_anywhere_is_refused():
+    kept = Pipeline()
+    kept.push([leaf(), *telemetry(drive(30))])
+    content = kept.snapshot()
+    for at in (0, 40, len(content) // 2, len(content) - 1):
+        damaged = content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :]
+        with pytest.raises(SocastError, match="damaged"):
+            Pipeline().restore(damaged)
+    with pytest.raises(SocastError, match="damaged"):
+        Pipeline().restore(content[:-10])

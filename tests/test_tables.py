@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.quality import CAUSES
-from core.tables import CAPACITY_GAIN, HISTOGRAM, is_winter
+from core.tables import CAPACITY_GAIN, HISTOGRAM, METER_GAIN, is_winter
 from core.vehicles import catalogue
 
 CAPACITY = catalogue()["nissan-leaf-2013"].usable_capacity_kwh or catalogue()["nissan-leaf-2013"].nominal_capacity_kwh
@@ -218,3 +218,50 @@ def test_a_time_beyond_all_calendars_is_no_time():
     columns = drive(60, speed=10.0)
     columns["time_s"] += 5e10
     assert rides_of(columns).empty
+
+
+@pytest.mark.parametrize("memory", [2.0, 6.0, 20.0])
+def test_the_uncertainty_of_power_between_samples_is_honest(memory):
+    """Power that wanders with a memory of some seconds, seen every 3 s: the error over its stated sd."""
+    rng = np.random.default_rng(int(memory))
+    score = []
+    for seed in range(60):
+        n, fine = 200, 30
+        noise = rng.normal(size=n * fine)
+        keep = np.exp(-PERIOD / fine / memory)
+        power = np.empty(n * fine)
+        power[0] = 0.0
+        for i in range(1, n * fine):
+            power[i] = keep * power[i - 1] + np.sqrt(1 - keep * keep) * noise[i]
+        power = 15e3 + 10e3 * power
+        true = np.trapezoid(power[: (n - 1) * fine + 1]) * PERIOD / fine / 3.6e6
+        columns = drive(n, seed=seed, speed=10.0, battery_voltage_v=360.0)
+        columns["battery_current_a"] = power[::fine] / 360.0
+        ride = rides_of(columns).iloc[0]
+        sd = np.sqrt(ride["energy_vi_sd_kwh"] ** 2 - (METER_GAIN * ride["energy_vi_kwh"]) ** 2)
+        score.append((ride["energy_vi_kwh"] - true) / sd)
+    assert 0.55 < np.std(score) < 1.25
+    assert np.mean(np.abs(score) < 1.96) > 0.88
+
+
+@pytest.mark.parametrize(("at", "fit"), [((0, 40), False), ((260, 300), False), ((0, 5), True), ((100, 140), True)])
+def test_a_ride_that_begins_or_ends_in_a_gap_says_so(at, fit):
+    """Samples before and after tell that the logger was on; those of the ride's edge are lost."""
+    columns = drive(500, speed=np.r_[np.zeros(100), np.full(300, 12.0), np.zeros(100)])
+    columns |= {"battery_voltage_v": np.full(500, 360.0), "battery_current_a": np.full(500, 30.0)}
+    columns["ride_id"] = np.r_[[None] * 100, ["r1"] * 300, [None] * 100].astype(object)
+    whole = rides_of(columns).iloc[0]
+    lost = np.r_[100 + at[0] : 100 + at[1]]
+    cut = rides_of({name: np.delete(values, lost) for name, values in columns.items()}).iloc[0]
+    assert whole["fit_for_training"]
+    assert cut["fit_for_training"] == fit
+    assert (cut["unfit_reason"] == "cut_by_gap") != fit
+    missing = whole["energy_kwh"] - cut["energy_kwh"]
+    assert abs(missing) < 2.0 * cut["energy_sd_kwh"]
+
+
+def test_a_car_that_never_said_what_it_is_has_a_reason():
+    pipeline, _ = ran(telemetry(drive(200, soc_pct=np.linspace(80, 78, 200).round(1))))
+    ride = pipeline.take_rides().iloc[0]
+    assert ride["unfit_reason"] == "unknown_capacity"
+    assert pipeline.quality()["unpredicted"] == {"no_vehicle_message": 1}
