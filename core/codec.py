@@ -4,7 +4,7 @@ Names wear the wire's units. `core.decode` turns payloads into the SI columns th
 """
 
 import re
-from typing import Annotated, Any, Final, NamedTuple
+from typing import Annotated, Any, Final, Literal, NamedTuple
 
 import msgspec
 
@@ -75,7 +75,7 @@ class Ride(Wire):
     vehicle_id: str
     time_s: float
     ride_id: str
-    event: str
+    event: Literal["start", "end"]
     driver_id: str | None = None
 
 
@@ -200,6 +200,8 @@ def schema(kind: str) -> dict[str, Any]:
     def plain(node: dict[str, Any]) -> dict[str, Any]:
         if "$ref" in node:
             return plain(components[node["$ref"]])
+        if "enum" in node:
+            return {"type": "string"}
         if "anyOf" in node:
             return plain(next(option for option in node["anyOf"] if option.get("type") != "null"))
         out = {k: v for k, v in node.items() if k in {"title", "type", "description", "required"}}

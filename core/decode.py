@@ -62,8 +62,9 @@ def _column(values: tuple[Any, ...]) -> Any:
 class Decoder:
     """Messages in, columns and events out; what cannot be decoded is counted by cause and never raises.
 
-    Causes: `unknown_key`, `not_json`, `wrong_type` (a field of the wrong type or a missing one), `key_mismatch` (the
-    payload names another vehicle or station than its key), `out_of_range` (a weather station that is nowhere).
+    Causes: `unknown_key`, `not_json`, `wrong_type` (a field of the wrong type or a missing one), `empty_list`,
+    `key_mismatch` (the payload names another vehicle or station than its key), `out_of_range` (a weather station that
+    is nowhere).
 
     Parameters
     ----------
@@ -150,6 +151,8 @@ class Decoder:
         except _LOST:
             whole = [payload]  # decoded again, to count the cause
         parts = whole if isinstance(whole, list) else [payload]
+        if not parts:
+            self.rejected["empty_list"] += 1
         decoded = (self._decoded(self._one, part, identity) for part in parts)
         return [sample for sample in decoded if sample is not None]
 

@@ -50,7 +50,14 @@ LEG = struct(Leg, distance_km=number, duration_s=number)
 STRUCTS = st.one_of(
     TELEMETRY,
     struct(Vehicle, vehicle_id=name, time_s=number, model=name, in_service_date=st.none() | st.text(max_size=10)),
-    struct(Ride, vehicle_id=name, time_s=number, ride_id=name, event=name, driver_id=st.none() | name),
+    struct(
+        Ride,
+        vehicle_id=name,
+        time_s=number,
+        ride_id=name,
+        event=st.sampled_from(["start", "end"]),
+        driver_id=st.none() | name,
+    ),
     struct(
         Plan, vehicle_id=name, time_s=number, shift_end_s=number, reserve_soc_pct=number, legs=st.lists(LEG, max_size=4)
     ),

@@ -110,7 +110,7 @@ def test_a_list_is_its_samples_and_the_bad_ones_are_counted():
     assert dict(decoder.rejected) == {"key_mismatch": 1, "wrong_type": 2}
     decoder, batch, _ = decode(Message(KEY, b"[]", 0))
     assert batch.size == 0
-    assert not decoder.rejected
+    assert dict(decoder.rejected) == {"empty_list": 1}
 
 
 @given(st.lists(st.integers(1, 5), min_size=1, max_size=12), st.integers(1, 40))
@@ -183,3 +183,12 @@ def test_an_address_is_of_the_contract_or_none(text):
     for key in (text, f"fleet/{text}/telemetry", f"weather/{text}", f"fleet/a/{text}"):
         found = address(key)
         assert found is None or (found.kind in KINDS and 0 < len(found.identity) <= 64)
+
+
+def test_an_empty_list_and_a_ride_that_neither_starts_nor_ends_are_counted():
+    decoder = Decoder(Lanes())
+    ride = b'{"vehicle_id": "a", "time_s": 1.0, "ride_id": "r", "event": "%s"}'
+    sent = [("telemetry", b"[]"), ("ride", ride % b"start"), ("ride", ride % b"lunch")]
+    batch, events = decoder.decode([Message(f"fleet/a/{kind}", payload, 0) for kind, payload in sent])
+    assert (batch.size, len(events)) == (0, 1)
+    assert decoder.rejected == {"empty_list": 1, "wrong_type": 1}
