@@ -6,11 +6,12 @@ INSTALLED := .venv/installed
 .PHONY: demo test check bench lock clean
 .DEFAULT_GOAL := test
 
+# setuptools warns that it will drop `compat` one day: nothing that who runs this can do about.
 $(INSTALLED): requirements.lock pyproject.toml
 	@command -v $(PYTHON) >/dev/null || { echo "socast needs $(PYTHON); name another with make PYTHON=..."; exit 1; }
 	$(PYTHON) -m venv --clear .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation \
+	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation \
 	  --config-settings editable_mode=compat -e .
 	touch $@
 

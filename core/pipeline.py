@@ -72,6 +72,8 @@ class Pipeline:
         Chunks before `fleet` in the keys of forecasts, with a slash at the end.
     also : sequence of str
         Effects to sum beside those of the model, for tables that other models will be fitted to.
+    keep_forecasts : bool
+        Keep what forecasts are made of until they are asked for. Who wants tables only says False.
     keep_tables : bool
         Keep totals of rides and windows until they are taken. A consumer that never takes them says False.
 
@@ -88,11 +90,13 @@ class Pipeline:
         prefix: str = "",
         *,
         also: Sequence[str] = (),
+        keep_forecasts: bool = True,
         keep_tables: bool = True,
     ) -> None:
         self.model = model
         self.settings = checked(settings)
         self.prefix = prefix
+        self.keep_forecasts = keep_forecasts
         self.keep_tables = keep_tables
         self.lanes = Lanes()
         self.decoder = Decoder(self.lanes)
@@ -288,7 +292,7 @@ class Pipeline:
         for start in range(0, batch.size, BLOCK):
             sums = self.sum_up(batch.rows(start, start + BLOCK), kind[start : start + BLOCK])
             self._keep(sums)
-            if len(sums.running.lane):
+            if self.keep_forecasts and len(sums.running.lane):
                 self._due.append(sums.running)
 
     def sum_up(self, batch: Batch, kind: Any) -> Sums:

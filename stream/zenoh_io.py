@@ -1,8 +1,8 @@
 """Zenoh: a session, what is drained from it and what is published on it.
 
-The subscriber is an advanced one, whose channel is filled without Python, and drained by whoever iterates. It asks
-advanced publishers for what it missed and counts what could not be had. Publishing blocks where the network is slow;
-nothing is dropped on our side.
+The subscribers, one to the fleet and one to the weather, are advanced ones, whose channels are filled without Python,
+and drained by whoever iterates. They ask advanced publishers for what they missed and count what could not be had.
+Publishing blocks where the network is slow; nothing is dropped on our side.
 
 Notes
 -----
@@ -61,6 +61,9 @@ _OURS: Final[tuple[tuple[str, Any, Any], ...]] = (  # where Zenoh's own default 
 )
 WATCH_NS: Final = 1_000_000_000
 """Time between two looks at which routers are joined. [ns]"""
+_SPACES: Final = "weather", "fleet"
+"""Key spaces that are subscribed to and drained, in this order: an observation should not come after the samples that
+met it, and whoever finds the fleet subscribed to can rely on the weather being so."""
 _NAP_S: Final = 0.0005, 0.01  # first and longest wait for an empty channel
 _log = logging.getLogger("socast.zenoh")
 
@@ -81,7 +84,7 @@ class Connection:
     mode : str, optional
         `client`, `peer` or `router`; by default a client where there is something to connect to, else a router.
     prefix : str
-        Key chunks before `fleet` and `weather`, such as `montreal`.
+        Key chunks before `fleet` and `weather`, such as `montreal`; only what is under it is subscribed to.
     config : Path, optional
         Zenoh's own JSON5 configuration, for TLS and the rest. What is given above goes before what the file says.
     recovery : bool
@@ -111,17 +114,23 @@ class Node:
     Raises
     ------
     SettingsError
-        Where an endpoint, a mode or the file is not understood, or no connection can be made.
+        Where an endpoint, a mode, a prefix or the file is not understood, where no connection can be made, or where an
+        endpoint cannot be listened at.
     """
 
     def __init__(self, connection: Connection = Connection()) -> None:
         self.connection = connection
-        self.prefix = f"{connection.prefix.strip('/')}/" if connection.prefix.strip("/") else ""
+        self.prefix = key_prefix(connection.prefix)
         config = _config(connection)
         self.endpoints: list[str] = _endpoints(config)
         try:
             self.session = zenoh.open(config)
         except zenoh.ZError as error:
+            if _only_listening_fails(config):
+                raise SettingsError(
+                    f"cannot listen at {', '.join(self.endpoints)}: {_plain(error)}; choose another endpoint with "
+                    "--listen, or join the router that has it with --connect"
+                ) from error
             raise SettingsError(f"Zenoh cannot be joined: {_plain(error)}; is a router listening there?") from error
 
     def close(self) -> None:
@@ -149,7 +158,10 @@ class _Keys(dict[Any, str]):
 
 
 class ZenohSource:
-    """Everything that is published under a prefix, in order of arrival; subscribed from the start, iterated once.
+    """What is published of a fleet and its weather, under one prefix; subscribed from the start, iterated once.
+
+    `{prefix}fleet/**` and `{prefix}weather/**` each come in order of arrival; of what is queued, the weather is first.
+    Without a prefix, fleets that have one are not heard.
 
     Parameters
     ----------
@@ -172,23 +184,11 @@ class ZenohSource:
         self._looked_ns = 0
         self._session = node.session
         self._routers = len(node.session.info.routers_zid())
-        everything = f"{node.prefix}**"
-        self._misses: Any = None
+        self._subscribers = [_subscribed(node, f"{node.prefix}{space}/**") for space in _SPACES]
+        self._receivers = [subscriber.handler.try_recv for subscriber in self._subscribers]
+        self._misses: list[Any] = []
         if node.connection.recovery:
-            self._subscriber: Any = ext.declare_advanced_subscriber(
-                node.session,
-                everything,
-                handlers.FifoChannel(QUEUE),
-                allowed_origin=zenoh.Locality.REMOTE,
-                history=ext.HistoryConfig(detect_late_publishers=True),
-                recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
-            )
-            self._misses = self._subscriber.sample_miss_listener(handlers.FifoChannel(QUEUE))
-        else:
-            self._subscriber = node.session.declare_subscriber(
-                everything, handlers.FifoChannel(QUEUE), allowed_origin=zenoh.Locality.REMOTE
-            )
-        self._receive = self._subscriber.handler.try_recv
+            self._misses = [each.sample_miss_listener(handlers.FifoChannel(QUEUE)) for each in self._subscribers]
 
     def __iter__(self) -> Iterator[list[Message]]:
         """Yield whatever is queued, a few thousand at a time; an empty list every `LOOK_UP_S` of silence."""
@@ -196,10 +196,12 @@ class ZenohSource:
         quiet_s = 0.0
         while True:
             stopping = self._stop.is_set()
-            if stopping and self._subscriber is not None:
-                self._subscriber.undeclare()
-                self._subscriber = None
+            while stopping and self._subscribers:
+                self._subscribers.pop().undeclare()
             messages = self._drained()
+            if messages and len(messages) < DRAIN and not stopping:
+                time.sleep(GATHER_S)
+                messages += self._drained()
             self._watch_routers()
             if messages or quiet_s >= LOOK_UP_S:
                 yield messages
@@ -215,17 +217,18 @@ class ZenohSource:
         """Return what is queued, stamped with one time that never runs backwards."""
         now = self._newest_ns = max(self._newest_ns, time.time_ns())
         out: list[Message] = []
-        append, receive, new, sample = out.append, self._receive, tuple.__new__, None
+        append, new, sample = out.append, tuple.__new__, None
         keys = self._keys
-        try:
-            for _ in range(DRAIN):
-                following = receive()
-                if following is None:
-                    break
-                sample = following
-                append(new(Message, (keys[sample.key_expr], sample.payload.to_bytes(), now)))
-        except zenoh.ZError:
-            pass  # the subscription has ended and the channel is empty
+        for receive in self._receivers:
+            try:
+                for _ in range(DRAIN):
+                    following = receive()
+                    if following is None:
+                        break
+                    sample = following
+                    append(new(Message, (keys[sample.key_expr], sample.payload.to_bytes(), now)))
+            except zenoh.ZError:
+                continue  # the subscription has ended and the channel is empty
         if sample is not None:
             self._look_after(sample)
         return out
@@ -244,13 +247,14 @@ class ZenohSource:
 
     def _look_after(self, sample: Any) -> None:
         """Count what was missed, and warn of a router that stamps for plain publishers."""
-        if self._misses is None:
+        if not self._misses:
             return
-        try:
-            while (miss := self._misses.try_recv()) is not None:
-                self.missed += miss.nb
-        except zenoh.ZError:
-            self._misses = None
+        for listener in self._misses:
+            try:
+                while (miss := listener.try_recv()) is not None:
+                    self.missed += miss.nb
+            except zenoh.ZError:
+                continue  # its subscription has ended, and it is empty
         if not self._warned and sample.timestamp is not None and sample.source_info is None:
             self._warned = True
             _log.warning(
@@ -317,6 +321,35 @@ class ZenohSink:
         )
 
 
+def key_prefix(text: str) -> str:
+    """Return key chunks that come before others, with a slash at the end; nothing for no chunks.
+
+    Raises
+    ------
+    SettingsError
+        Where they are no plain chunks.
+
+    Examples
+    --------
+    >>> key_prefix("/quebec/montreal/"), key_prefix("")
+    ('quebec/montreal/', '')
+    """
+    chunks = text.strip("/")
+    if not chunks:
+        return ""
+    try:
+        zenoh.KeyExpr(chunks)
+        plain = "*" not in chunks and chunks.isprintable()
+    except zenoh.ZError:
+        plain = False
+    if not plain:
+        raise SettingsError(
+            f"prefix is {text!r}; give plain chunks such as montreal or quebec/montreal, "
+            "without wildcards, empty chunks or any of * $ ? #"
+        )
+    return f"{chunks}/"
+
+
 def free_port() -> int:
     """Return a TCP port on loopback that nobody listens on."""
     with socket.socket() as probe:
@@ -329,8 +362,7 @@ def _config(connection: Connection) -> zenoh.Config:
     file = connection.config
     try:
         config = zenoh.Config.from_file(file) if file else zenoh.Config()
-        text = file.read_text(encoding="utf-8") if file else ""
-    except (zenoh.ZError, OSError, UnicodeDecodeError) as error:
+    except (zenoh.ZError, OSError) as error:
         raise SettingsError(f"{file} is not a Zenoh configuration: {_plain(error)}") from error
     mode = connection.mode or _told(config, "mode") or ("client" if connection.connect else "router")
     _insert(config, "mode", mode)
@@ -338,13 +370,40 @@ def _config(connection: Connection) -> zenoh.Config:
         _insert(config, "connect/endpoints", list(connection.connect))
     if connection.listen:
         _insert(config, "listen/endpoints", [_with_port(end) for end in connection.listen])
-    elif "listen" not in text:
+    elif _told(config, "listen/endpoints") == _told(zenoh.Config(), "listen/endpoints"):
         ends = {"router": [LOOPBACK], "peer": [_with_port("tcp/127.0.0.1:0")]}.get(mode, [])
         _insert(config, "listen/endpoints", ends)
     for name, unset, value in _OURS:
         if _told(config, name) == unset:
             _insert(config, name, value)
     return config
+
+
+def _subscribed(node: Node, keys: str) -> Any:
+    """Return a subscriber with a channel of its own, an advanced one where what was missed is to be asked for."""
+    channel: Any = handlers.FifoChannel(QUEUE)
+    if not node.connection.recovery:
+        return node.session.declare_subscriber(keys, channel, allowed_origin=zenoh.Locality.REMOTE)
+    return ext.declare_advanced_subscriber(
+        node.session,
+        keys,
+        channel,
+        allowed_origin=zenoh.Locality.REMOTE,
+        history=ext.HistoryConfig(detect_late_publishers=True),
+        recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+    )
+
+
+def _only_listening_fails(config: zenoh.Config) -> bool:
+    """Return whether a session that could not be opened could be, if it listened nowhere."""
+    if _told(config, "mode") == "client" or not _endpoints(config):
+        return False
+    _insert(config, "listen/endpoints", [])
+    try:
+        zenoh.open(config).close()  # type: ignore[no-untyped-call]
+    except zenoh.ZError:
+        return False
+    return True
 
 
 def _with_port(endpoint: str) -> str:

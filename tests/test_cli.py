@@ -128,6 +128,11 @@ def test_a_wrong_call_is_a_usage_error(arguments, capsys):
         (["live", "--mode", "queen"], "queen"),
         (["live", "--connect", "tcp/127.0.0.1:1"], "127.0.0.1:1"),
         (["live", "--config", "nowhere.json5"], "nowhere.json5"),
+        (["live", "--prefix", "a/**"], "'a/**'"),
+        (["live", "--prefix", "a b?"], "'a b?'"),
+        (["replay", "{rec}", "--prefix", "a/**"], "'a/**'"),
+        (["replay", "{rec}", "--prefix", "a//b", "--connect", "tcp/127.0.0.1:1"], "'a//b'"),
+        (["replay", "{rec}", "--connect", "tcp/127.0.0.1:1", "--smoothing", "1"], "--connect"),
         (["live", "--record", "/proc/nowhere"], "/proc/nowhere"),
         (["demo", "nowhere.mcap"], "nowhere.mcap"),
     ],
@@ -139,12 +144,30 @@ def test_what_cannot_be_done_is_one_line(arguments, told, recording, tmp_path, c
     assert recording.read_bytes() == kept
 
 
-@pytest.mark.parametrize("option", ["--speed-limit-kmh", "--period-s", "--smoothing", "--least-distance-km"])
-def test_settings_of_tables_are_refused_in_the_unit_in_which_they_are_given(option, recording, tmp_path, capsys):
+CLEANING = ["--speed-limit-kmh", "--period-s", "--smoothing", "--least-distance-km"]
+
+
+@pytest.mark.parametrize("option", CLEANING)
+@pytest.mark.parametrize("command", [["tables", "{rec}", "--out", "{tmp}"], ["replay", "{rec}"], ["live"]])
+def test_settings_of_cleaning_are_refused_in_the_unit_in_which_they_are_given(
+    command, option, recording, tmp_path, capsys
+):
     with pytest.raises(SystemExit) as ended:
-        main(["tables", str(recording), "--out", str(tmp_path), option, "1000000"])
+        main([*(argument.format(rec=recording, tmp=tmp_path) for argument in command), option, "1000000"])
     assert ended.value.code == 2
-    assert option in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert option in told
+    assert "No such option" not in told
+
+
+def test_replay_cleans_as_it_is_told(recording):
+    """With a limit below the cars' 36 km/h every speed is rejected; with one above, the tunnels' only."""
+    rejected = []
+    for limit in ("130", "30"):
+        out, _, code = called("replay", recording, "--speed-limit-kmh", limit)
+        assert code == 0
+        rejected.append(int(re.search(r"speed rejected ([\d,]+)", out)[1].replace(",", "")))
+    assert 0 < 10 * rejected[0] < rejected[1]
 
 
 def test_info_tells_what_is_in_a_recording(recording, tmp_path):
@@ -269,6 +292,17 @@ def test_live_ends_cleanly_on_a_signal_and_leaves_nothing_behind(consumer, recor
     source = McapSource(kept)
     assert [m.payload for block in source for m in block] == [m.payload for m in shift()]
     assert not source.losses
+
+
+def test_live_cleans_as_it_is_told(consumer, recording):
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    process, log = consumer("--listen", endpoint, "--report", "0.05", "--least-distance-km", "100")
+    called("replay", recording, "--connect", endpoint, "--speed", "max")
+    assert eventually(lambda: any(line.get("messages") == len(shift()) for line in logged(log)))
+    process.terminate()
+    assert process.wait(20) == 0
+    rides = [line for line in logged(log) if line["event"] == "ride"]
+    assert [ride["unfit_reason"] for ride in rides] == ["too_little_distance"] * 9
 
 
 def test_who_publishes_is_told_that_nobody_listens_any_more(consumer, recording):

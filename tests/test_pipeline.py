@@ -135,3 +135,14 @@ def test_a_snapshot_that_was_damaged_anywhere_is_refused():
             Pipeline().restore(damaged)
     with pytest.raises(SocastError, match="damaged"):
         Pipeline().restore(content[:-10])
+
+
+def test_who_wants_tables_only_gets_the_same_tables_and_keeps_no_forecasts():
+    sent = [leaf(), *telemetry(drive(300))]
+    whole, tables = Pipeline(), Pipeline(keep_forecasts=False)
+    whole.push(sent)
+    tables.take(sent)
+    assert tables.forecasts() == []
+    for pipeline in (whole, tables):
+        pipeline.finish()
+    assert whole.take_rides().equals(tables.take_rides())

@@ -1,6 +1,7 @@
 """Over real sessions on loopback: nothing lost, nothing out of order, misses counted, settings refused in one line."""
 
 import logging
+import re
 import socket
 import subprocess
 import sys
@@ -49,7 +50,11 @@ def eventually(condition, seconds: float = 10.0) -> bool:
     return bool(condition())
 
 
-def test_everything_arrives_in_order_across_keys():
+def of(space: str, messages: list[Message]) -> list[tuple[str, bytes]]:
+    return [(m.key, m.payload) for m in messages if m.key.startswith(f"{space}/")]
+
+
+def test_everything_arrives_in_order_across_the_keys_of_a_space():
     sent, stop = messages(6000), Event()
     with router() as (node, endpoint):
         source = ZenohSource(node, stop)
@@ -59,7 +64,9 @@ def test_everything_arrives_in_order_across_keys():
             sink.put(sent)
             got = received(source, stop, len(sent))
             sink.close()
-    assert [(m.key, m.payload) for m in got] == [(m.key, m.payload) for m in sent]
+    assert len(got) == len(sent)
+    assert of("fleet", got) == of("fleet", sent)
+    assert of("weather", got) == of("weather", sent)
     assert all(a.receipt_ns <= b.receipt_ns for a, b in pairwise(got))
     assert source.missed == 0
 
@@ -80,7 +87,8 @@ def test_what_is_published_just_before_closing_is_not_lost():
         thread.start()
         got = received(source, stop, len(sent))
         thread.join()
-    assert [m.payload for m in got] == [m.payload for m in sent]
+    assert len(got) == len(sent)
+    assert of("fleet", got) == of("fleet", sent)
 
 
 def test_what_is_queued_when_told_to_stop_is_still_yielded():
@@ -96,7 +104,8 @@ def test_what_is_queued_when_told_to_stop_is_still_yielded():
             assert eventually(lambda: len(arrived) == len(sent))
         stop.set()
         got = [m for block in source for m in block]
-    assert [m.payload for m in got] == [m.payload for m in sent]
+    assert of("fleet", got) == of("fleet", sent)
+    assert [(m.key, m.payload) for m in got] == of("weather", sent) + of("fleet", sent)  # what is queued: weather first
 
 
 def test_a_late_subscriber_is_told_the_newest_of_each_key():
@@ -113,13 +122,15 @@ def test_samples_that_no_publisher_can_send_again_are_counted_as_missed():
     stop = Event()
     with router() as (node, endpoint), Node(Connection(connect=(endpoint,))) as client:
         source = ZenohSource(node, stop)
-        publisher = client.session.declare_publisher(KEYS[0], congestion_control=zenoh.CongestionControl.BLOCK)
-        assert eventually(lambda: publisher.matching_status.matching)
-        for number in (0, 1, 5, 6, 9):
-            publisher.put(b"%d" % number, source_info=zenoh.SourceInfo(publisher.id, number))
-        got = received(source, stop, 5)
-    assert [m.payload for m in got] == [b"0", b"1", b"5", b"6", b"9"]
-    assert source.missed == 5
+        for key in KEYS[1:]:
+            publisher = client.session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
+            assert eventually(lambda publisher=publisher: publisher.matching_status.matching)
+            for number in (0, 1, 5, 6, 9):
+                publisher.put(b"%d" % number, source_info=zenoh.SourceInfo(publisher.id, number))
+        got = received(source, stop, 10)
+    for space in ("fleet", "weather"):
+        assert [payload for _, payload in of(space, got)] == [b"0", b"1", b"5", b"6", b"9"]
+    assert source.missed == 2 * 5
 
 
 def test_plain_publishers_of_a_burst_lose_nothing_at_the_embedded_router():
@@ -166,7 +177,37 @@ def test_without_recovery_everything_arrives_too():
             assert eventually(sink.heard)
             sink.put(sent)
             got = received(source, stop, len(sent))
-    assert [m.payload for m in got] == [m.payload for m in sent]
+    assert sorted(m.payload for m in got) == sorted(m.payload for m in sent)
+
+
+@pytest.mark.parametrize("recovery", [True, False])
+@pytest.mark.parametrize("prefix", ["", "montreal/"])
+def test_what_is_of_another_prefix_or_no_fleet_does_not_arrive(prefix, recovery):
+    others = [
+        f"{prefix}quebec/fleet/a/telemetry",
+        "toronto/fleet/a/telemetry",
+        f"{prefix}lights/a",
+        f"{prefix}fleets/a",
+    ]
+    others += ["toronto/weather/yul", *(KEYS if prefix else ())]
+    stop = Event()
+    with router(prefix=prefix, recovery=recovery) as (node, endpoint):
+        source = ZenohSource(node, stop)
+        with Node(Connection(connect=(endpoint,))) as client:
+            ours, theirs = ZenohSink(client, prefix), ZenohSink(client)
+            assert eventually(ours.heard)
+            theirs.put(messages(len(others), others))
+            ours.put(messages(3))
+            got = received(source, stop, 3)
+    assert sorted(m.key for m in got) == [f"{prefix}{key}" for key in KEYS]
+
+
+@pytest.mark.parametrize("prefix", ["a/**", "*", "a b?", "a//b", "a$*", "a#b", "a\nb"])
+def test_a_prefix_that_is_no_plain_chunks_is_one_line(prefix):
+    with pytest.raises(SettingsError, match="plain chunks") as caught:
+        Node(Connection(listen=("tcp/127.0.0.1:0",), prefix=prefix))
+    assert repr(prefix) in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
 def test_a_prefix_shuts_out_other_fleets():
@@ -180,7 +221,7 @@ def test_a_prefix_shuts_out_other_fleets():
             theirs.put(messages(3))
             ours.put(messages(3))
             got = received(source, stop, 3)
-    assert [m.key for m in got] == [f"montreal/{key}" for key in KEYS]
+    assert sorted(m.key for m in got) == [f"montreal/{key}" for key in KEYS]
 
 
 def test_what_a_node_publishes_does_not_come_back_to_it():
@@ -208,6 +249,28 @@ def test_nothing_listens_beyond_loopback_unless_asked(mode):
     assert _endpoints(_config(Connection(mode="router", listen=("tcp/0.0.0.0:7447",)))) == ["tcp/0.0.0.0:7447"]
 
 
+@pytest.mark.parametrize("mode", ["peer", "router"])
+@pytest.mark.parametrize(
+    ("said", "where"),
+    [
+        ("/* listen: to nobody */", None),
+        ("listen: {timeout_ms: 5}", None),
+        ("id: 'a115e4'", None),
+        ('listen: {endpoints: ["tcp/0.0.0.0:7555"]}', ["tcp/0.0.0.0:7555"]),
+        (r'"list\u0065n": {endpoints: ["tcp/0.0.0.0:7555"]}', ["tcp/0.0.0.0:7555"]),
+        ("listen: {endpoints: []}", []),
+    ],
+)
+def test_only_endpoints_in_the_file_make_it_say_where_to_listen(said, where, mode, tmp_path):
+    file = tmp_path / "node.json5"
+    file.write_text(f"{{{said}}}")
+    ends = _endpoints(_config(Connection(config=file, mode=mode)))
+    if where is None:
+        assert [end.rpartition(":")[0] for end in ends] == ["tcp/127.0.0.1"]
+    else:
+        assert ends == where
+
+
 def test_a_consumer_outlives_its_router(caplog: pytest.LogCaptureFixture):
     port, stop = free_port(), Event()
     endpoint = f"tcp/127.0.0.1:{port}"
@@ -226,7 +289,7 @@ def test_a_consumer_outlives_its_router(caplog: pytest.LogCaptureFixture):
             sink.put(messages(3))
             got = received(source, stop, 3)
     assert "router lost" in caplog.text
-    assert [m.key for m in got] == list(KEYS)
+    assert sorted(m.key for m in got) == list(KEYS)
 
 
 @pytest.mark.parametrize(
@@ -245,13 +308,21 @@ def test_a_connection_that_cannot_be_had_is_one_line(settings, told):
     assert ".cargo" not in str(caught.value)
 
 
-def test_a_taken_port_is_one_line():
+@pytest.mark.parametrize(("mode", "connect"), [(None, ()), ("peer", ()), ("router", ("tcp/127.0.0.1:1",))])
+def test_a_taken_port_is_one_line_that_tells_to_choose_another(mode, connect):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        with pytest.raises(SettingsError, match=str(port)):
-            Node(Connection(listen=(f"tcp/127.0.0.1:{port}",)))
+        with pytest.raises(SettingsError, match=str(port)) as caught:
+            Node(Connection(listen=(f"tcp/127.0.0.1:{port}",), connect=connect, mode=mode))
+    assert re.fullmatch(rf"cannot listen at tcp/127\.0\.0\.1:{port}: .*in use.*another endpoint.*", str(caught.value))
+
+
+def test_where_nobody_is_to_connect_to_listening_is_not_blamed():
+    listen = (f"tcp/127.0.0.1:{free_port()}",)
+    with pytest.raises(SettingsError, match="is a router listening there"):
+        Node(Connection(connect=("tcp/127.0.0.1:1",), listen=listen))
 
 
 def test_the_command_line_goes_before_the_configuration_file(tmp_path: Path):

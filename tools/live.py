@@ -20,6 +20,17 @@ from stream.outbox import Outbox
 from stream.record import FILE_BYTES, FILE_S, FLUSH_S, Recorder
 from stream.run import PUBLISH_S, REPORT_S, Tally, run, stopping
 from stream.zenoh_io import LOOPBACK, Connection, Mode, Node, ZenohSink, ZenohSource
+from tools.cleaning import (
+    LEAST_DISTANCE_KM,
+    PERIOD_S,
+    SMOOTHING,
+    SPEED_LIMIT_KMH,
+    LeastDistance,
+    Period,
+    Smoothing,
+    SpeedLimit,
+    cleaning,
+)
 from tools.output import EffectFiles, ModelName
 from tools.screen import Screen, ride_records, with_predictions
 
@@ -52,6 +63,10 @@ def live(
     recovery: Annotated[bool, typer.Option(help="Ask advanced publishers for what was missed.")] = True,
     model: ModelName = "extended_physical",
     effects_file: EffectFiles = None,
+    speed_limit_kmh: SpeedLimit = SPEED_LIMIT_KMH,
+    period_s: Period = PERIOD_S,
+    smoothing: Smoothing = SMOOTHING,
+    least_distance_km: LeastDistance = LEAST_DISTANCE_KM,
     record: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Record every payload as it came, good or not.")
     ] = None,
@@ -75,12 +90,13 @@ def live(
     write_lines(as_json=json_log)
     for path in effects_file or ():
         effects.load_file(path)
+    settings = cleaning(speed_limit_kmh, period_s, smoothing, least_distance_km)
     chosen = models.load(model)
     warm_up(chosen)
     recorder = Recorder(record, round(record_mb * 2**20), record_minutes * 60, flush) if record else None
     connection = Connection(tuple(connect or ()), tuple(listen or ()), _mode(mode), prefix, config, recovery)
     with stopping() as stop, Node(connection) as node:
-        pipeline = Pipeline(chosen, prefix=node.prefix)
+        pipeline = Pipeline(chosen, settings, node.prefix)
         keeper = Keeper(pipeline, state)
         source = ZenohSource(node, stop)
         _log.info(

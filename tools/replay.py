@@ -13,10 +13,22 @@ from rich.console import Console
 from core import effects, models
 from core.errors import SettingsError
 from core.pipeline import Pipeline
+from core.settings import Settings
 from stream.mcap_io import McapSink, McapSource
 from stream.run import run, stopping
 from stream.source import Source, merged, paced, until
-from stream.zenoh_io import Connection, Node, ZenohSink
+from stream.zenoh_io import Connection, Node, ZenohSink, key_prefix
+from tools.cleaning import (
+    LEAST_DISTANCE_KM,
+    PERIOD_S,
+    SMOOTHING,
+    SPEED_LIMIT_KMH,
+    LeastDistance,
+    Period,
+    Smoothing,
+    SpeedLimit,
+    cleaning,
+)
 from tools.output import (
     EffectFiles,
     JsonFile,
@@ -47,6 +59,10 @@ def replay(
     in_process: Annotated[bool, typer.Option("--in-process", help="Run the model here. [default]")] = False,
     model: ModelName = "extended_physical",
     effects_file: EffectFiles = None,
+    speed_limit_kmh: SpeedLimit = SPEED_LIMIT_KMH,
+    period_s: Period = PERIOD_S,
+    smoothing: Smoothing = SMOOTHING,
+    least_distance_km: LeastDistance = LEAST_DISTANCE_KM,
     prefix: Annotated[
         str, typer.Option(metavar="P", help="Key chunks to put before the recorded keys, or the forecasts'.")
     ] = "",
@@ -61,9 +77,13 @@ def replay(
     In process, they go through the same loop as live telemetry does, and the ride table compares predicted with
     measured energy. With --connect they are published, and whoever listens at the router makes the forecasts.
     """
-    if connect and (in_process or out or json_file or effects_file):
-        raise SettingsError("--connect publishes, forecasts nothing; leave out --in-process, --out, --json, --effects")
-    before = f"{prefix.strip('/')}/" if prefix.strip("/") else ""
+    settings = cleaning(speed_limit_kmh, period_s, smoothing, least_distance_km)
+    if connect and (in_process or out or json_file or effects_file or settings != Settings()):
+        raise SettingsError(
+            "--connect publishes, forecasts nothing; leave out --in-process, --out, --json, --effects "
+            "and the settings of cleaning"
+        )
+    before = key_prefix(prefix)
     rate = speed(pace or ("1" if connect else "max"))
     sources = [McapSource(path) for path in recordings]
     writable(recordings, out, json_file)
@@ -77,7 +97,7 @@ def replay(
         else:
             for path in effects_file or ():
                 effects.load_file(path)
-            pipeline = Pipeline(models.load(model), prefix=before)
+            pipeline = Pipeline(models.load(model), settings, before)
             forecast(source, pipeline, sources, rate, [McapSink(out)] if out else [])
             rides = with_predictions(pipeline.take_rides(), pipeline.model)
             show_rides(console, rides, pipeline.quality())

@@ -11,12 +11,21 @@ from rich.console import Console
 from rich.table import Table
 
 from core import effects, models
-from core.columns import KMH
 from core.errors import SettingsError
 from core.pipeline import Pipeline
-from core.settings import Settings
 from stream.mcap_io import McapSource
 from stream.source import merged
+from tools.cleaning import (
+    LEAST_DISTANCE_KM,
+    PERIOD_S,
+    SMOOTHING,
+    SPEED_LIMIT_KMH,
+    LeastDistance,
+    Period,
+    Smoothing,
+    SpeedLimit,
+    cleaning,
+)
 from tools.output import (
     EffectFiles,
     JsonFile,
@@ -68,27 +77,17 @@ def tables(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for rides.parquet, windows.parquet, quality.json.")],
     model: ModelName = "extended_physical",
     effects_file: EffectFiles = None,
-    speed_limit_kmh: Annotated[
-        float, typer.Option(min=30.0, max=300.0, metavar="KMH", help="Faster samples are rejected.")
-    ] = 130.0,
-    period_s: Annotated[
-        float, typer.Option(min=0.1, max=60.0, metavar="S", help="Nominal time between two samples.")
-    ] = 3.0,
-    smoothing: Annotated[
-        int, typer.Option(min=1, max=8, metavar="N", help="Samples in the moving average of speed.")
-    ] = 3,
-    least_distance_km: Annotated[
-        float, typer.Option(min=0.0, max=100.0, metavar="KM", help="Shorter rides are unfit for training.")
-    ] = 0.2,
+    speed_limit_kmh: SpeedLimit = SPEED_LIMIT_KMH,
+    period_s: Period = PERIOD_S,
+    smoothing: Smoothing = SMOOTHING,
+    least_distance_km: LeastDistance = LEAST_DISTANCE_KM,
     json_file: JsonFile = None,
 ) -> None:
     """Clean recordings and sum them up: one row a ride, one row a window, and what was rejected, by cause."""
     for path in effects_file or ():
         effects.load_file(path)
-    settings = Settings(
-        period=period_s, speed_limit=speed_limit_kmh * KMH, window=smoothing, least_distance=least_distance_km * 1e3
-    )
-    pipeline = Pipeline(models.load(model), settings, also=list(effects.library()))
+    settings = cleaning(speed_limit_kmh, period_s, smoothing, least_distance_km)
+    pipeline = Pipeline(models.load(model), settings, also=list(effects.library()), keep_forecasts=False)
     sources = [McapSource(path) for path in recordings]
     folder = _folder(out)
     writable(recordings, folder / RIDES, folder / WINDOWS, folder / QUALITY, json_file)
@@ -96,7 +95,7 @@ def tables(
     kept: list[pd.DataFrame] = []
     with reading(sources) as step:
         for messages in merged(sources):
-            pipeline.push(messages)
+            pipeline.take(messages)
             step()
             if pipeline.quality()["rides"] - rides.rows >= ROW_GROUP:
                 _take(pipeline, rides, windows, kept if json_file else None)
@@ -147,6 +146,8 @@ def show(quality: dict[str, Any], rides: int, windows: int, folder: Path, consol
     for reason, count in quality["unfit"].items():
         table.add_row(f"ride {reason.replace('_', ' ')}", f"{count:,}", f"{rides:,} rides")
     told = f"{quality['received'].get('vehicle', 0):,} vehicle messages"
+    for reason, count in quality["unpredicted"].items():
+        table.add_row(f"not predicted: {reason.replace('_', ' ')}", f"{count:,}", f"{rides:,} rides")
     for reason, count in quality["unpredictable"].items():
         table.add_row(reason.replace("_", " "), f"{count:,}", told)
     if table.rows:

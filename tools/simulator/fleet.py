@@ -184,10 +184,10 @@ def _dispatch(member: Member, shift: Shift) -> list[Message]:
         plan = Plan(vehicle_id=name, time_s=when, shift_end_s=end, reserve_soc_pct=RESERVE, legs=legs)
         messages.append(_message("plan", plan, when))
     for trip in shift.trips:
-        for event, step in (("start", trip.begin), ("end", trip.end)):
-            when = shift.time + STEP * step
-            ride = Ride(vehicle_id=name, time_s=when, ride_id=trip.ride_id, event=event, driver_id=trip.driver_id)
-            messages.append(_message("ride", ride, when))
+        begin, end = shift.time + STEP * trip.begin, shift.time + STEP * trip.end
+        about = {"vehicle_id": name, "ride_id": trip.ride_id, "driver_id": trip.driver_id}
+        messages.append(_message("ride", Ride(time_s=begin, event="start", **about), begin))
+        messages.append(_message("ride", Ride(time_s=end, event="end", **about), end))
     return sorted(messages, key=attrgetter("receipt_ns"))
 
 
