@@ -19,7 +19,7 @@ from stream.source import Sink, Source
 
 REPORT_S: Final = 30.0
 """Time between two lines of counters. [s]"""
-PUBLISH_S: Final = 0.2
+PUBLISH_S: Final = 0.5
 """Time between two rounds of forecasts in service. [s]"""
 
 _log = logging.getLogger("socast.run")

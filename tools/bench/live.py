@@ -113,7 +113,7 @@ def wait(until: Callable[[], bool]) -> None:
         time.sleep(0.002)
 
 
-def live(repeats: int = 3, cars: int = 1000, turns: int = 400) -> Measure:
+def live(repeats: int = 5, cars: int = 1000, turns: int = 400) -> Measure:
     """Measure the live consumer, decode to published forecast, against a subscriber that does nothing."""
     total = cars * turns
     idle_s, busy_s = alternating(
