@@ -28,7 +28,8 @@ from core.weather import Stations
 BLOCK: Final = 4000
 """Rows that go through the steps at a time, so that their columns stay in the cache.
 
-No power of two: columns that lie a multiple of 4 KiB apart would push each other out of it, at twice the time.
+No power of two: columns that lie a multiple of 4 KiB apart would push each other out of it, and the kernel would take
+twice the time.
 """
 DRIVERS: Final = 10_000
 """Rides whose driver is remembered, beside eight a vehicle."""

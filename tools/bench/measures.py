@@ -130,7 +130,7 @@ def memory(repeats: int = 5, cars: int = 1000, turns: int = 200) -> Measure:
         {"ns_per_sample": 1e9 / speed},
         "A third is the cleaning kernel, a third entering sums into the books, both bound by memory: each sample "
         "touches the half kilobyte of its car's state and the sums of its ride. The rest is numpy over blocks of "
-        "4,000 rows. A block of a power of two rows takes half as long again: its columns push each other out of the "
+        "4,000 rows. Blocks of a power of two take a third as long again: their columns push each other out of the "
         "cache.",
     )
 
