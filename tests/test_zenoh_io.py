@@ -43,7 +43,7 @@ def received(source: ZenohSource, stop: Event, count: int, seconds: float = 10.0
     return out
 
 
-def eventually(condition, seconds: float = 10.0) -> bool:
+def eventually(condition, seconds: float = 60.0) -> bool:
     deadline = time.monotonic() + seconds
     while not condition() and time.monotonic() < deadline:
         time.sleep(0.005)
