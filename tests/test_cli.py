@@ -305,18 +305,6 @@ def test_live_cleans_as_it_is_told(consumer, recording):
     assert [ride["unfit_reason"] for ride in rides] == ["too_little_distance"] * 9
 
 
-def test_who_publishes_is_told_that_nobody_listens_any_more(consumer, recording):
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    process, log = consumer("--listen", endpoint, "--report", "0.05")
-    command = [*SOCAST, "replay", str(recording), "--connect", endpoint, "--speed", "200"]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as publisher:
-        assert eventually(lambda: any(line.get("messages", 0) > 0 for line in logged(log)))
-        process.kill()
-        _, told = publisher.communicate(timeout=60)
-    assert "has gone" in told
-    assert publisher.returncode == 0
-
-
 def test_a_killed_consumers_recording_is_read_up_to_its_last_flush(consumer, recording, tmp_path):
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     process, _ = consumer("--listen", endpoint, "--record", tmp_path / "kept", "--flush", "0.1")
