@@ -16,6 +16,8 @@ Observed of zenoh 1.10, and minded here:
   Here it is a minute.
 - Declaring a publisher waits for samples that are being delivered, and these, where the channel is full, for whoever
   drains it: publish on a session that subscribes through a `stream.outbox.Outbox`.
+- Closing a session drops what it still has to send (up to 70 % of a burst of 1,220, in 3 % of them, reported by
+  nobody). A query passes through the same queue, and ends when its router has read it: one is waited for.
 - Router and client in one process share two receiving threads, and can wait for each other. Subscribe in the
   router's own session, and publish at speed from another process.
 """
@@ -51,6 +53,10 @@ CACHE: Final = 64
 """Samples of each key that a publisher can send again."""
 STALL_US: Final = 60_000_000
 """How long a far end may stop reading before it is given up. [us]"""
+LINGER_S: Final = 0.5
+"""How long who is served without a router between is given to read; no query tells when they have. [s]"""
+_BARRIER: Final = "socast/barrier"
+"""What nobody answers to: a question put to the router after all else has been read when it comes back."""
 
 _OURS: Final[tuple[tuple[str, Any, Any], ...]] = (  # where Zenoh's own default stands, ours takes its place
     ("scouting/multicast/enabled", None, False),
@@ -134,9 +140,18 @@ class Node:
             raise SettingsError(f"Zenoh cannot be joined: {_plain(error)}; is a router listening there?") from error
 
     def close(self) -> None:
-        """Close the session; what was published is sent first."""
+        """Close the session."""
         if not self.session.is_closed():
             self.session.close()  # type: ignore[no-untyped-call]
+
+    def flush(self) -> None:
+        """Wait until what was published has left, as long as the far end reads."""
+        if self.session.is_closed():
+            return
+        for _ in self.session.get(_BARRIER, timeout=STALL_US / 1e6):
+            pass  # nobody answers
+        if self.endpoints:
+            time.sleep(LINGER_S)
 
     def __enter__(self) -> Self:
         """Return itself."""
@@ -274,6 +289,7 @@ class ZenohSink:
     """
 
     def __init__(self, node: Node, prefix: str = "") -> None:
+        self._node = node
         self._session = node.session
         self._prefix = prefix
         self._publishers: dict[str, Any] = {}
@@ -303,7 +319,9 @@ class ZenohSink:
             raise SettingsError(f"cannot publish: {_plain(error)}") from error
 
     def close(self) -> None:
-        """Undeclare the publishers; the session stays open."""
+        """Undeclare the publishers once all is sent; the session stays open."""
+        if self._publishers:
+            self._node.flush()
         for publisher in self._publishers.values():
             publisher.undeclare()
         self._publishers.clear()
