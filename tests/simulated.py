@@ -15,7 +15,7 @@ from tools.simulator.settings import (
     NO_FAULTS,
     Simulation,
 )
-from tools.simulator.shift import make_shift
+from tools.simulator.shift import draw_orders, make_shift
 from tools.simulator.trace import make_trace
 from tools.simulator.truth import Truth
 from tools.simulator.weather import make_sky
@@ -40,6 +40,7 @@ def driven(start=WINTER, hours=2.0, seed=5, phenomena=ALL, model="kia-soul-ev-20
     sky = make_sky(start.timestamp(), 1, seed)
     car = make_car(model, np.random.default_rng(seed))
     rng = np.random.default_rng([seed, 1])
-    shift = make_shift("r", start.timestamp(), hours * 3600, car, float(sky.temperature[24]), NO_FAULTS, rng)
+    ambient = float(sky.temperature[24])
+    shift = make_shift("r", start.timestamp(), draw_orders(hours, rng), car, ambient, NO_FAULTS, rng)
     trace = make_trace(shift, sky)
     return shift, trace, car, physics.run(trace, car, shift.soc, phenomena)

@@ -45,6 +45,7 @@ class TestPhysics:
     def test_every_phenomenon_is_a_switch_that_matters(self, name):
         start = SUMMER if name in {"solar_load", "humidity", "wet_road", "regen_full_battery"} else WINTER
         _, trace, car, _ = driven(start, seed=8)
+        car = car._replace(winter_rolling=0.15)
         without = physics.run(trace, car, 0.97, ALL._replace(**{name: False}))
         both = physics.run(trace, car, 0.97, ALL)
         measured = (

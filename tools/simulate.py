@@ -3,17 +3,20 @@
 from dataclasses import fields
 from itertools import islice
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from stream.mcap_io import McapSink
+from tools.simulator.fleet import shifts
 from tools.simulator.fleet import simulate as messages_of
 from tools.simulator.hidden import EFFECTS
+from tools.simulator.preset import PRESETS, load, refuse_idle
 from tools.simulator.settings import (
     MODELS,
+    RIDES,
     Faults,
     Phenomena,
     Simulation,
@@ -31,8 +34,8 @@ BLOCK = 4096
 
 def simulate(
     out: Annotated[Path, typer.Option("--out", metavar="FILE.mcap", help="The recording to write.")],
-    vehicles: Annotated[int, typer.Option(help="How many cars.")] = 5,
-    days: Annotated[int, typer.Option(help="How many days, one shift a car each.")] = 1,
+    vehicles: Annotated[int | None, typer.Option(help="How many cars, by default 5.")] = None,
+    days: Annotated[int | None, typer.Option(help="How many days, one shift a car each; by default 1.")] = None,
     start: Annotated[
         str,
         typer.Option(
@@ -41,13 +44,30 @@ def simulate(
         ),
     ] = "2018-01-15",
     seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
-    day_step: Annotated[int, typer.Option(help="Days from one simulated day to the next, to cover seasons.")] = 1,
+    day_step: Annotated[
+        int | None, typer.Option(help="Days from one simulated day to the next, to cover seasons; by default 1.")
+    ] = None,
     shift_hours: Annotated[
-        float | None, typer.Option(metavar="HOURS", help="Length of every shift. [default: 7 to 10 h]")
+        float | None, typer.Option(metavar="HOURS", help="Length of every shift, by default 7 to 10 h.")
     ] = None,
     models: Annotated[
-        str, typer.Option(metavar="A,B", help="Catalogue keys of the car models, handed out in turn.")
-    ] = ",".join(MODELS),
+        str | None,
+        typer.Option(
+            metavar="A,B",
+            help=f"Catalogue keys of the car models, handed out in turn; by default {', '.join(MODELS)}.",
+        ),
+    ] = None,
+    preset: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="A fleet that was described elsewhere, over a year, instead of --vehicles, --days, --day-step, "
+            f"--shift-hours and --models: {', '.join(PRESETS)}.",
+        ),
+    ] = None,
+    rides: Annotated[
+        int | None, typer.Option(metavar="N", help=f"How many rides a preset has, by default {RIDES:,}.")
+    ] = None,
     hidden: Annotated[
         list[str] | None,
         typer.Option(
@@ -60,7 +80,7 @@ def simulate(
         str,
         typer.Option(
             metavar="RATES",
-            help="Faults of the loggers: default, none, name=rate, or none,name=rate. "
+            help="Faults of the loggers: default (or the preset's), none, name=rate, or none,name=rate. "
             f"Names: {', '.join(field.name for field in fields(Faults))}.",
         ),
     ] = "default",
@@ -74,24 +94,31 @@ def simulate(
     ] = "all",
 ) -> None:
     """Simulate a fleet of electric taxis; FILE.truth.json beside the recording tells what really happened."""
+    size: dict[str, Any] = {
+        "vehicles": vehicles,
+        "days": days,
+        "day_step": day_step,
+        "shift_hours": shift_hours,
+        "models": None if models is None else parse_models(models),
+        "rides": rides,
+    }
+    size = {name: value for name, value in size.items() if value is not None}
+    refuse_idle(preset, list(size))
     simulation = Simulation(
-        vehicles=vehicles,
-        days=days,
         start=parse_start(start),
         seed=seed,
-        day_step=day_step,
-        shift_hours=shift_hours,
-        models=parse_models(models),
         hidden=tuple(parse_hidden(text) for text in hidden or ()),
-        faults=parse_faults(faults),
+        faults=parse_faults(faults, Faults() if preset is None else load(preset).fleet.faults),
         phenomena=parse_phenomena(phenomena),
+        preset=preset,
+        **size,
     )
     truth = record(simulation, out)
     total = truth.summary()
     per_km = 1000 * (total["kwh_per_km"] or 0)
     console = Console()
     console.print(
-        f"{out}: {total['messages']:,} messages, {total['rides']:,} rides of {vehicles} cars, "
+        f"{out}: {total['messages']:,} messages, {total['rides']:,} rides of {len(truth.cars)} cars, "
         f"{total['distance_km']:,.0f} km, {total['energy_kwh']:,.0f} kWh, {per_km:.0f} Wh/km",
         markup=False,
         highlight=False,
@@ -126,7 +153,7 @@ def record(simulation: Simulation, out: Path) -> Truth:
     console = Console(stderr=True)
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        bar = progress.add_task("driving shifts", total=simulation.vehicles * simulation.days)
+        bar = progress.add_task("driving shifts", total=shifts(simulation))
         messages = messages_of(simulation, truth, lambda shifts: progress.advance(bar, shifts))
         with McapSink(out) as sink:
             while block := list(islice(messages, BLOCK)):

@@ -1,6 +1,7 @@
 """The cars as they truly are: their catalogue entry, what the catalogue does not say, and each one's own deviations."""
 
 import tomllib
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -17,7 +18,8 @@ class Car(NamedTuple):
     The comments of `cars.toml` tell of those that it names. The others are the catalogue's, off by a few per cent, and:
     `under_inflation` [1] how far the tyres are below their pressure; `brake_drag` [N] of rubbing pads; `wear` [1] the
     share of the battery's capacity that is lost; `roof_drag_area` [m^2] of what is carried on the roof;
-    `odometer` [m] at the first shift; `speedometer` [1] its wheel speed over the true one.
+    `odometer` [m] at the first shift; `speedometer` [1] its wheel speed over the true one; `warmth` [K] how much warmer
+    than usual its driver likes it.
     """
 
     mass: float
@@ -29,6 +31,7 @@ class Car(NamedTuple):
     efficiency: float
     motor_power: float
     regen_power: float
+    regen_share: float
     electronics: float
     heater_power: float
     heater_cop: float
@@ -49,6 +52,8 @@ class Car(NamedTuple):
     roof_drag_area: float
     odometer: float
     speedometer: float
+    winter_rolling: float
+    warmth: float
 
 
 SPREAD: Final = {
@@ -65,8 +70,13 @@ SPREAD: Final = {
 """Standard deviation of each car's parameter about its model's, relative. [1]"""
 
 
-def make_car(model: str, rng: np.random.Generator) -> Car:
+def make_car(model: str, rng: np.random.Generator, traits: Mapping[str, float] | None = None) -> Car:
     """Draw a car of a model.
+
+    Parameters
+    ----------
+    traits : mapping of str to float, optional
+        What overrides the catalogue and `cars.toml`, by parameter of `Car`.
 
     Raises
     ------
@@ -84,6 +94,8 @@ def make_car(model: str, rng: np.random.Generator) -> Car:
         "rolling_resistance": entry.rolling_resistance,
         "capacity": (entry.usable_capacity_kwh or entry.nominal_capacity_kwh) * 3.6e6,
     }
+    base |= traits or {}
+    fade = base.pop("fade")
     for name, spread in SPREAD.items():
         base[name] *= float(np.exp(spread * np.clip(rng.normal(), -2.5, 2.5)))
     kilometres = float(rng.uniform(8e3, 120e3))
@@ -91,11 +103,17 @@ def make_car(model: str, rng: np.random.Generator) -> Car:
         **base,
         under_inflation=float(rng.beta(2, 6)) * 0.4,
         brake_drag=float(rng.gamma(2.0, 4.0)),
-        wear=min(0.25, kilometres / 120e3 * float(rng.uniform(0.05, 0.18))),
+        wear=min(0.25, kilometres / 120e3 * float(rng.uniform(0.05, 0.18)) * fade),
         roof_drag_area=0.12 if rng.uniform() < 0.4 else 0.0,
         odometer=kilometres * 1000,
         speedometer=float(rng.normal(1.0, 0.006)),
+        warmth=0.0,
     )
+
+
+def aged(car: Car, odometer: float) -> Car:
+    """Return a car as it will be at another reading of its odometer [m]: its battery wears in proportion."""
+    return car._replace(odometer=odometer, wear=min(0.4, car.wear * odometer / car.odometer))
 
 
 @cache

@@ -9,11 +9,13 @@ import numpy as np
 
 from core.codec import Message, Plan, Ride, Vehicle, Wire, encode
 from tools.simulator import calibration, physics
+from tools.simulator import preset as presets
 from tools.simulator.cars import Car, make_car
 from tools.simulator.hidden import EFFECTS, View
 from tools.simulator.logger import Equipment, log, make_equipment
+from tools.simulator.preset import Duty, Fleet, Place
 from tools.simulator.settings import LOCAL, STEP, Simulation
-from tools.simulator.shift import Shift, make_shift
+from tools.simulator.shift import Orders, Shift, draw_orders, make_shift
 from tools.simulator.trace import make_trace
 from tools.simulator.truth import Truth
 from tools.simulator.weather import Sky, make_sky, observations
@@ -26,13 +28,18 @@ RESERVE: Final = 10.0
 
 
 class Member(NamedTuple):
-    """A car of the fleet."""
+    """A car of the fleet; `duties` are its shifts where a preset has laid them down."""
 
     number: int
     name: str
     model: str
     car: Car
     equipment: Equipment
+    duties: list[Duty] | None = None
+
+    def shifts(self, simulation: Simulation) -> int:
+        """Return how many shifts it drives."""
+        return simulation.days if self.duties is None else len(self.duties)
 
 
 class Driven(NamedTuple):
@@ -64,9 +71,8 @@ def simulate(
     """
     calibration.check(simulation.hidden)
     record = Truth() if truth is None else truth
-    members = [_member(simulation, index) for index in range(simulation.vehicles)]
-    first = simulation.start.timestamp()
-    sky = make_sky(first, simulation.days * simulation.day_step, simulation.seed)
+    members = make_members(simulation)
+    sky = _sky(simulation)
     factors = _factors(simulation, members, sky)
     record.describe(
         simulation, {hidden.effect: factor for hidden, factor in zip(simulation.hidden, factors, strict=True)}
@@ -94,6 +100,20 @@ def _chain(first: Message, others: Iterator[Message]) -> Iterator[Message]:
     yield from others
 
 
+def shifts(simulation: Simulation) -> int:
+    """Return how many shifts the fleet will drive."""
+    return sum(member.shifts(simulation) for member in make_members(simulation))
+
+
+def make_members(simulation: Simulation) -> list[Member]:
+    """Return the cars and their loggers."""
+    if simulation.preset is None:
+        return [_member(simulation, index) for index in range(simulation.vehicles)]
+    preset = presets.load(simulation.preset)
+    places = presets.plan(preset, simulation.rides, simulation.seed)
+    return [_placed(simulation, index, place, preset.fleet) for index, place in enumerate(places)]
+
+
 def _member(simulation: Simulation, index: int) -> Member:
     """Draw a car and its logger."""
     rng = np.random.default_rng([simulation.seed, 3, index])
@@ -102,31 +122,63 @@ def _member(simulation: Simulation, index: int) -> Member:
     return Member(index, f"taxi-{index + 1:03d}", model, car, make_equipment(simulation.faults, rng))
 
 
+def _placed(simulation: Simulation, index: int, place: Place, fleet: Fleet) -> Member:
+    """Draw a car of a preset, and its logger."""
+    rng = np.random.default_rng([simulation.seed, 3, index])
+    car = make_car(place.model, rng, place.traits)
+    lacks = [field for field in make_equipment(simulation.faults, rng).lacks if field in fleet.may_lack]
+    equipment = Equipment((*fleet.never_sends, *lacks))
+    return Member(index, f"taxi-{index + 1:03d}", place.model, car, equipment, place.duties)
+
+
+def _sky(simulation: Simulation) -> Sky:
+    """Return the weather of all days, and of the nights after the last."""
+    first = simulation.start.timestamp()
+    if simulation.preset is None:
+        return make_sky(first, simulation.days * simulation.day_step, simulation.seed)
+    fleet = presets.load(simulation.preset).fleet
+    return make_sky(first, presets.YEAR, simulation.seed, (fleet.coldest, fleet.hottest))
+
+
 def _factors(simulation: Simulation, members: list[Member], sky: Sky) -> list[float]:
     """Return the factor of each hidden effect, from a pilot over the fleet's own shifts."""
     if not simulation.hidden:
         return []
-    shifts = [(member, day) for day in range(simulation.days) for member in members]
-    spread = np.unique(np.linspace(0, len(shifts) - 1, min(PILOT, len(shifts))).astype(int))
+    most = max(member.shifts(simulation) for member in members)
+    all_of = [(member, number) for number in range(most) for member in members if number < member.shifts(simulation)]
+    spread = np.unique(np.linspace(0, len(all_of) - 1, min(PILOT, len(all_of))).astype(int))
     books = []
     for index in spread:
-        member, day = shifts[index]
-        driven = _driven(simulation, member, day, sky)
+        member, number = all_of[index]
+        driven = _driven(simulation, member, number, sky)
         books.append(calibration.ledger(driven.view, driven.shift.course.ride, simulation.hidden))
     return calibration.calibrate(books, simulation.hidden)
 
 
-def _driven(simulation: Simulation, member: Member, day: int, sky: Sky) -> Driven:
-    """Drive one car's shift of one day."""
-    rng = np.random.default_rng([simulation.seed, 4, member.number, day])
-    day_start = simulation.start.timestamp() + DAY * day * simulation.day_step
-    spread = rng.uniform(0, 300) if day_start % DAY else rng.uniform(5.5, 14.0) * 3600 - LOCAL
-    hours = float(rng.uniform(7.0, 10.0)) if simulation.shift_hours is None else simulation.shift_hours
-    begin = float(np.floor(day_start + spread))
+def _driven(simulation: Simulation, member: Member, number: int, sky: Sky) -> Driven:
+    """Drive one car's shift of a number."""
+    rng = np.random.default_rng([simulation.seed, 4, member.number, number])
+    begin, orders, car = _called(simulation, member, number, rng)
     ambient = float(np.interp(begin, sky.time, sky.temperature))
-    shift = make_shift(f"{member.name}-{day:03d}", begin, hours * 3600, member.car, ambient, simulation.faults, rng)
+    shift = make_shift(f"{member.name}-{number:03d}", begin, orders, car, ambient, simulation.faults, rng)
     trace = make_trace(shift, sky)
-    return Driven(shift, View(trace, physics.run(trace, member.car, shift.soc, simulation.phenomena), member.car))
+    return Driven(shift, View(trace, physics.run(trace, car, shift.soc, simulation.phenomena), car))
+
+
+def _called(simulation: Simulation, member: Member, number: int, rng: np.random.Generator) -> tuple[float, Orders, Car]:
+    """Return when a shift begins [s], what dispatch wants of it, and the car as it is then."""
+    if simulation.preset is None or member.duties is None:
+        begin = _begin(simulation, number * simulation.day_step, (5.5, 14.0), rng)
+        return begin, draw_orders(simulation.shift_hours, rng), member.car
+    fleet, duty = presets.load(simulation.preset).fleet, member.duties[number]
+    begin = _begin(simulation, duty.day, fleet.begin_h, rng)
+    return begin, presets.orders(fleet, duty), presets.on_the_day(fleet, member.car, duty, begin)
+
+
+def _begin(simulation: Simulation, day: int, hours: tuple[float, float], rng: np.random.Generator) -> float:
+    """Return when a shift of a day begins: between these hours of the day, or about the time that was given. [s]"""
+    start = simulation.start.timestamp() + DAY * day
+    return float(np.floor(start + (rng.uniform(0, 300) if start % DAY else rng.uniform(*hours) * 3600 - LOCAL)))
 
 
 def _drive(
@@ -139,9 +191,8 @@ def _drive(
 ) -> Iterator[Message]:
     """Yield what one car sends, day after day."""
     odometer = member.car.odometer
-    for day in range(simulation.days):
-        messages, metres = _shift_messages(simulation, member, day, odometer, sky, factors, truth)
-        odometer += metres
+    for number in range(member.shifts(simulation)):
+        messages, odometer = _shift_messages(simulation, member, number, odometer, sky, factors, truth)
         yield from messages
         advance(1)
 
@@ -149,27 +200,27 @@ def _drive(
 def _shift_messages(
     simulation: Simulation,
     member: Member,
-    day: int,
+    number: int,
     odometer: float,
     sky: Sky,
     factors: list[float],
     truth: Truth,
 ) -> tuple[list[Message], float]:
-    """Return what one car sends on a day, and how far its odometer [m] went; note the truth."""
-    shift, view = _driven(simulation, member, day, sky)
+    """Return what one car sends on a shift, and its odometer [m] after it; note the truth."""
+    shift, view = _driven(simulation, member, number, sky)
     state, book = view.state, None
     if factors:
         scaled = zip(factors, simulation.hidden, strict=True)
         hidden = sum((factor * EFFECTS[effect](view) for factor, (effect, _) in scaled), np.zeros(len(state.soc)))
         book = calibration.ledger(view, shift.course.ride, simulation.hidden)
         book = book._replace(effects=book.effects * factors)
-        state = physics.run(view.trace, member.car, shift.soc, simulation.phenomena, hidden)
-    rng = np.random.default_rng([simulation.seed, 5, member.number, day])
-    car = member.car._replace(odometer=odometer)
+        state = physics.run(view.trace, view.car, shift.soc, simulation.phenomena, hidden)
+    rng = np.random.default_rng([simulation.seed, 5, member.number, number])
+    car = view.car._replace(odometer=max(odometer, view.car.odometer))
     logged, faults = log(member.name, shift, view.trace, state, car, member.equipment, simulation.faults, rng)
     truth.add_shift(member.name, shift, state, book, faults)
-    metres = float(shift.course.moved.sum()) * car.speedometer
-    return list(heapq.merge(_dispatch(member, shift), logged, key=attrgetter("receipt_ns"))), metres
+    reading = car.odometer + float(shift.course.moved.sum()) * car.speedometer
+    return list(heapq.merge(_dispatch(member, shift), logged, key=attrgetter("receipt_ns"))), reading
 
 
 def _dispatch(member: Member, shift: Shift) -> list[Message]:

@@ -22,6 +22,7 @@ WHEEL: Final = (
     "wet_road",
     "snow",
     "tyre_pressure",
+    "winter_tyres",
     "climbing",
     "inertia",
     "payload",
@@ -46,9 +47,9 @@ PARTS: Final = (
     "charger",
 )
 """What the battery's terminal power is the sum of. What is lost inside the battery comes on top."""
-(ROLLING, SPEED_ROLLING, COLD_ROLLING, WET_ROAD, SNOW, TYRE_PRESSURE, CLIMBING, INERTIA, PAYLOAD, DRAG, AIR_DENSITY,
- HEADWIND, CORNERING, BRAKE_DRAG, LOSSES, BRAKES, ELECTRONICS, LIGHTS, HEATING, COOLING, DRYING, BATTERY_HEATING,
- HIDDEN, CHARGING) = range(len(PARTS))  # fmt: skip
+(ROLLING, SPEED_ROLLING, COLD_ROLLING, WET_ROAD, SNOW, TYRE_PRESSURE, WINTER_TYRES, CLIMBING, INERTIA, PAYLOAD, DRAG,
+ AIR_DENSITY, HEADWIND, CORNERING, BRAKE_DRAG, LOSSES, BRAKES, ELECTRONICS, LIGHTS, HEATING, COOLING, DRYING,
+ BATTERY_HEATING, HIDDEN, CHARGING) = range(len(PARTS))  # fmt: skip
 ROTATING: Final = 1.04
 """Inertia of the turning parts, over the mass. [1]"""
 PERSON: Final = 75.0
@@ -146,6 +147,7 @@ def _road_load(trace: Trace, car: Car, on: Phenomena, tyre: float, i: int, row: 
     row[WET_ROAD] = on.wet_road * rolling * 0.18 * trace.wetness[i] * min(speed / 14.0, 2.0)
     row[SNOW] = on.snow * rolling * 0.55 * trace.snow[i]
     row[TYRE_PRESSURE] = on.tyre_pressure * rolling * ((1 - car.under_inflation) ** -0.45 - 1)
+    row[WINTER_TYRES] = on.winter_tyres * rolling * car.winter_rolling
     row[CLIMBING] = car.mass * GRAVITY * grade * speed
     row[INERTIA] = car.mass * ROTATING * acceleration * speed
     people = PERSON * trace.occupants[i]
@@ -173,7 +175,7 @@ def _powertrain(car: Car, on: Phenomena, wheel: float, speed: float, soc: float,
     if wheel < 0:
         limit = np.inf
         if on.regen_limit:
-            limit = min(-0.8 * wheel, car.regen_power * min(1.0, max(0.0, (speed - LOWEST_SPEED) / 4.0)))
+            limit = min(-car.regen_share * wheel, car.regen_power * min(1.0, max(0.0, (speed - LOWEST_SPEED) / 4.0)))
         if on.cold_regen_limit:
             limit = min(limit, car.regen_power * min(1.0, max(0.08, (pack + 8.0) / 22.0)))
         if on.regen_full_battery:
@@ -195,7 +197,7 @@ def _cabin(trace: Trace, car: Car, on: Phenomena, cabin: float, i: int, row: Flo
         gain = car.cabin_loss * (ambient - cabin) + 80.0 * trace.occupants[i]
         gain += on.door_heat_loss * trace.door[i] * 260.0 * (ambient - cabin)
         gain += on.solar_load * 0.9 * trace.solar[i]
-        demand = 450.0 * (COMFORT[0] - cabin), 450.0 * (cabin - COMFORT[1])
+        demand = 450.0 * (COMFORT[0] + car.warmth - cabin), 450.0 * (cabin - COMFORT[1] - car.warmth)
     else:
         gain = 0.0
         demand = car.cabin_loss * (COMFORT[0] - 1.0 - ambient), car.cabin_loss * (ambient - COMFORT[1]) + 150.0

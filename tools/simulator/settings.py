@@ -18,6 +18,8 @@ LONGEST: Final = 3660
 """Days that a simulation may span, with those that it leaves out."""
 MODELS: Final = ("kia-soul-ev-2015", "tesla-model-s", "nissan-leaf-2016", "kia-soul-ev-2015", "tesla-model-x")
 """Car models handed out in turn where the user names none."""
+RIDES: Final = 20_000
+"""Rides of a preset where the user names no number."""
 
 
 class Phenomena(NamedTuple):
@@ -37,6 +39,8 @@ class Phenomena(NamedTuple):
     """So has snow."""
     tyre_pressure: bool = True
     """Tyres are below their pressure, each car's by its own amount."""
+    winter_tyres: bool = True
+    """Winter tyres, where a car has them on, roll harder."""
     payload: bool = True
     """People aboard weigh something."""
     air_density: bool = True
@@ -127,6 +131,9 @@ class Faults:
 
 NO_FAULTS: Final = Faults(**{field.name: 0.0 for field in fields(Faults)})
 _SIZES: Final = {"gps_noise", "elevation_noise"}
+SIZES: Final = ("vehicles", "days", "day_step", "shift_hours", "models")
+"""Settings of a simulation that a preset has of its own."""
+_LIMITS: Final = (("vehicles", 1, 10_000), ("days", 1, LONGEST), ("day_step", 1, 366), ("rides", 100, 1_000_000))
 
 
 class Hidden(NamedTuple):
@@ -152,6 +159,8 @@ class Simulation:
     hidden : tuple of Hidden
     faults : Faults
     phenomena : Phenomena
+    preset : str or None. A fleet that a file describes; then `SIZES` say nothing.
+    rides : int. How many rides a preset has, those not counted that a driver began by mistake.
     """
 
     vehicles: int = 5
@@ -164,10 +173,12 @@ class Simulation:
     hidden: tuple[Hidden, ...] = ()
     faults: Faults = Faults()
     phenomena: Phenomena = ALL
+    preset: str | None = None
+    rides: int = RIDES
 
     def __post_init__(self) -> None:
         """Refuse a size that cannot be simulated."""
-        for name, low, high in (("vehicles", 1, 10_000), ("days", 1, LONGEST), ("day_step", 1, 366)):
+        for name, low, high in _LIMITS:
             value = getattr(self, name)
             if not low <= value <= high:
                 raise SettingsError(f"{name} is {value}; give {low} to {high}")
@@ -219,7 +230,7 @@ def parse_models(text: str) -> tuple[str, ...]:
     return models
 
 
-def parse_faults(text: str) -> Faults:
+def parse_faults(text: str, usual: Faults = Faults()) -> Faults:
     """Return faults from `default`, `none`, or `name=rate,...` over the defaults, `none,name=rate` over none.
 
     >>> parse_faults("none,gap=0.01").gap, parse_faults("late=0").late, parse_faults("none").jitter
@@ -230,10 +241,10 @@ def parse_faults(text: str) -> Faults:
     SettingsError
         For a fault that does not exist, or a rate that is none.
     """
-    faults, known = Faults(), [field.name for field in fields(Faults)]
+    faults, known = usual, [field.name for field in fields(Faults)]
     for part in filter(None, (part.strip() for part in text.split(","))):
         if part in {"default", "none"}:
-            faults = NO_FAULTS if part == "none" else Faults()
+            faults = NO_FAULTS if part == "none" else usual
             continue
         name, _, rate = part.partition("=")
         limit = 100.0 if name in _SIZES else 1.0

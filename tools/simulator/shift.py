@@ -1,5 +1,6 @@
 """A shift of one taxi: rides, ways to the next passenger, pauses, and charging when it runs low."""
 
+from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -9,13 +10,48 @@ from core.codec import Leg
 from tools.simulator.cars import Car
 from tools.simulator.driver import Style, congestion, drive, make_style
 from tools.simulator.settings import LOCAL, STEP, Faults
-from tools.simulator.world import crossing, destination, route, terrain, to_plane
+from tools.simulator.world import Route, crossing, destination, route, terrain, to_plane
 
-CHARGE_BELOW: Final = 0.15
-"""Dispatch sends a car to charge where it estimates less than this. [1]"""
 CHARGER: Final = 44e3
 """Power of a fast charger. [W]"""
+UNPLUGGING: Final = 30.0
+"""Time for which a car that is prepared is still seen to charge. [s]"""
 NO_RIDE: Final = -1
+CANDIDATES: Final = 30
+"""Destinations looked at for a ride whose length was asked for."""
+CLOSE_ENOUGH: Final = 0.02, 60.0
+"""Error of that length with which the search ends: relative, or at least absolute. [1], [m]"""
+
+
+class Orders(NamedTuple):
+    """What dispatch wants of a shift.
+
+    Parameters
+    ----------
+    driver_id : Who drives.
+    style : How.
+    length : Rides begin until then, where `distances` does not say how many there are. [s]
+    distances : (n,) float, optional. How far each ride goes; None draws them for the car. [m]
+    charge : Lowest and highest state of charge at the beginning. [1]
+    charge_below : Dispatch sends the car to charge where it estimates less than this. [1]
+    prepared : How long the car stands switched on, unplugged a moment ago, before the first ride; 0 leaves that out.
+        [s]
+    boarding, alighting : Shortest and longest time that a ride waits before and after its drive. [s]
+    idle : Mean time between a ride and the way to the next, over the shortest of 45 s. [s]
+    thirst : What dispatch expects a car to use, over what it expects of a plain one. [1]
+    """
+
+    driver_id: str
+    style: Style
+    length: float = 0.0
+    distances: Floats | None = None
+    charge: tuple[float, float] = (0.82, 1.0)
+    charge_below: float = 0.15
+    prepared: float = 0.0
+    boarding: tuple[float, float] = (20.0, 90.0)
+    alighting: tuple[float, float] = (25.0, 90.0)
+    idle: float = 330.0
+    thirst: float = 1.0
 
 
 class Trip(NamedTuple):
@@ -101,15 +137,14 @@ class _Reel:
 
     def move(
         self,
-        goal: tuple[float, float],
+        way: Route,
         ride: int,
         occupants: int,
         style: Style,
         traffic: float,
         rng: np.random.Generator,
     ) -> None:
-        """Drive to a crossing."""
-        way = route(self.place, goal, rng)
+        """Drive a route from here."""
         motion = drive(way, style, traffic, rng)
         n = len(motion.along)
         directions = np.unwrap(np.arctan2(np.diff(way.v), np.diff(way.u)))
@@ -133,7 +168,7 @@ class _Reel:
                 ride=np.full(n, ride),
             )
         )
-        self.place, self.heading = goal, float(heading[-1])
+        self.place, self.heading = (float(way.u[-1]), float(way.v[-1])), float(heading[-1])
 
     def course(self) -> Course:
         """Return all of it."""
@@ -144,27 +179,39 @@ class _Reel:
         self.steps += len(piece.u)
 
 
+def draw_orders(hours: float | None, rng: np.random.Generator) -> Orders:
+    """Draw what dispatch wants of a shift of so many hours, 7 to 10 where nobody says."""
+    length = 3600 * (float(rng.uniform(7.0, 10.0)) if hours is None else hours)
+    style = make_style(rng)
+    return Orders(f"driver-{int(rng.integers(1, 400)):03d}", style, length)
+
+
 def make_shift(
-    name: str, begin: float, length: float, car: Car, ambient: float, faults: Faults, rng: np.random.Generator
+    name: str, begin: float, orders: Orders, car: Car, ambient: float, faults: Faults, rng: np.random.Generator
 ) -> Shift:
     """Drive a shift.
 
     Parameters
     ----------
     name : str. Rides are called after it.
-    begin, length : float. [s]
+    begin : float. [s]
+    orders : Orders
+    car : Car
     ambient : float. Outside temperature, for dispatch's estimate of what the car uses. [°C]
     faults : Faults. Of them the drivers' own: `false_start` and `errand`.
     """
-    style, driver = make_style(rng), f"driver-{int(rng.integers(1, 400)):03d}"
+    style, driver = orders.style, orders.driver_id
     reel = _Reel(crossing(float(rng.normal(0, 1700)), float(rng.normal(0, 1500))))
-    soc = estimate = float(rng.uniform(0.82, 1.0))
+    soc = estimate = float(rng.uniform(*orders.charge))
     cold = max(0.0, 20.0 - ambient)
-    per_metre = 3600 * (0.12 + 0.05 * car.mass / 1600 + 0.002 * cold)
-    per_second = 600 + min(car.heater_power, car.cabin_loss * cold)
+    per_metre = orders.thirst * 3600 * (0.12 + 0.05 * car.mass / 1600 + 0.002 * cold)
+    per_second = orders.thirst * (600 + min(car.heater_power, car.cabin_loss * cold))
     trips: list[Trip] = []
+    if orders.prepared > 0:
+        reel.stand(UNPLUGGING, NO_RIDE, 0, on=0.0, plugged=1.0)
+        reel.stand(orders.prepared, NO_RIDE, 1, door=6.0)
     reel.stand(float(rng.uniform(60, 240)), NO_RIDE, 1, door=6.0)
-    while reel.steps * STEP < length:
+    for wanted in _wanted(orders, reel):
         traffic = congestion((begin + LOCAL + reel.steps * STEP) / 3600 % 24)
         since, driven = reel.steps, 0.0
         if rng.uniform() < 0.4:
@@ -175,34 +222,59 @@ def make_shift(
             trips.append(Trip(f"{name}-{len(trips):02d}", driver, first, reel.steps, None))
             reel.stand(float(rng.uniform(10, 40)), NO_RIDE, 1)
         first, place = reel.steps, reel.place
-        metres = _carry(reel, len(trips), car, style, traffic, rng)
+        metres = _carry(reel, len(trips), car, orders, wanted, traffic, rng)
         if rng.uniform() < faults.errand:
             reel.stand(float(rng.uniform(3300, 5400)), len(trips), 1)
         planned = _plan(reel, first, place, metres, rng)
         trips.append(Trip(f"{name}-{len(trips):02d}", driver, first, reel.steps, planned))
-        reel.stand(45 + float(rng.exponential(330.0)), NO_RIDE, 1, door=float(rng.uniform(0, 8)))
+        reel.stand(45 + float(rng.exponential(orders.idle)), NO_RIDE, 1, door=float(rng.uniform(0, 8)))
         estimate -= ((driven + metres) * per_metre + (reel.steps - since) * STEP * per_second) / car.capacity
-        if estimate < CHARGE_BELOW:
+        if estimate < orders.charge_below:
             estimate = _charge(reel, estimate, car, ambient, style, rng)
     return Shift(begin, soc, reel.course(), trips)
 
 
-def _carry(reel: _Reel, ride: int, car: Car, style: Style, traffic: float, rng: np.random.Generator) -> float:
-    """Take passengers somewhere; return how far [m]."""
-    metres = float(np.clip(rng.lognormal(np.log(car.ride_median), car.ride_spread), 350, 34e3))
+def _wanted(orders: Orders, reel: _Reel) -> Iterator[float | None]:
+    """Yield how far each ride goes [m], None where that is the car's own affair."""
+    if orders.distances is not None:
+        yield from orders.distances.tolist()
+        return
+    while reel.steps * STEP < orders.length:
+        yield None
+
+
+def _carry(
+    reel: _Reel, ride: int, car: Car, orders: Orders, wanted: float | None, traffic: float, rng: np.random.Generator
+) -> float:
+    """Take passengers somewhere, `wanted` [m] away or as the car's rides go; return how far [m]."""
+    metres = wanted or float(np.clip(rng.lognormal(np.log(car.ride_median), car.ride_spread), 350, 34e3))
     people = 2 + min(3, int(rng.geometric(0.65)) - 1)
-    reel.stand(float(rng.uniform(20, 90)), ride, people, door=float(rng.uniform(4, 14)))
-    driven = _drive_to(reel, metres, ride, people, style, traffic, rng)
-    reel.stand(float(rng.uniform(25, 90)), ride, people, door=float(rng.uniform(4, 14)))
+    reel.stand(float(rng.uniform(*orders.boarding)), ride, people, door=float(rng.uniform(4, 14)))
+    candidates = CANDIDATES if wanted else 1
+    driven = _drive_to(reel, metres, ride, people, orders.style, traffic, rng, candidates)
+    reel.stand(float(rng.uniform(*orders.alighting)), ride, people, door=float(rng.uniform(4, 14)))
     return driven
 
 
 def _drive_to(
-    reel: _Reel, metres: float, ride: int, people: int, style: Style, traffic: float, rng: np.random.Generator
+    reel: _Reel,
+    metres: float,
+    ride: int,
+    people: int,
+    style: Style,
+    traffic: float,
+    rng: np.random.Generator,
+    candidates: int = 1,
 ) -> float:
-    """Drive about so far; return how far it became [m]."""
+    """Drive about so far, as nearly as the best of some destinations allows; return how far it became [m]."""
+    ways = (route(reel.place, destination(*reel.place, metres, rng), rng) for _ in range(candidates))
+    best = next(ways)
+    for way in ways:
+        if abs(best.length - metres) < max(CLOSE_ENOUGH[0] * metres, CLOSE_ENOUGH[1]):
+            break
+        best = min(best, way, key=lambda known: abs(known.length - metres))
     pieces = len(reel.pieces)
-    reel.move(destination(*reel.place, metres, rng), ride, people, style, traffic, rng)
+    reel.move(best, ride, people, style, traffic, rng)
     return float(reel.pieces[pieces].moved.sum())
 
 

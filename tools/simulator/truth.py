@@ -13,7 +13,7 @@ from tools.simulator.calibration import Ledger
 from tools.simulator.cars import Car
 from tools.simulator.logger import Equipment
 from tools.simulator.physics import PARTS, State
-from tools.simulator.settings import STEP, Simulation
+from tools.simulator.settings import SIZES, STEP, Simulation
 from tools.simulator.shift import Shift
 
 KWH = 3.6e6
@@ -46,7 +46,9 @@ class Truth:
 
     def describe(self, simulation: Simulation, factors: dict[str, float]) -> None:
         """Note what was asked for."""
-        self.settings = asdict(simulation) | {
+        idle = ("preset", "rides") if simulation.preset is None else SIZES
+        asked = {name: value for name, value in asdict(simulation).items() if name not in idle}
+        self.settings = asked | {
             "start": simulation.start.isoformat(),
             "hidden": dict(simulation.hidden),
             "phenomena": [name for name, on in simulation.phenomena._asdict().items() if on],

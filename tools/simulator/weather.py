@@ -15,6 +15,8 @@ from tools.simulator.settings import LOCAL
 from tools.simulator.world import ORIGIN
 
 HOUR: Final = 3600.0
+DAYTIME: Final = (7.0, 19.0)
+"""When most people are about, by the local clock. [h]"""
 STATIONS: Final = (("mctavish", 45.5047, -73.5790), ("yul", 45.4706, -73.7408), ("yhu", 45.5175, -73.4169))
 """Name, latitude and longitude [deg] of the stations that publish."""
 
@@ -51,10 +53,16 @@ class Sky(NamedTuple):
         return Sky(time, *(np.interp(time, self.time, column) for column in self[1:]))
 
 
-def make_sky(start: float, days: int, seed: int) -> Sky:
+def make_sky(start: float, days: int, seed: int, extremes: tuple[float, float] | None = None) -> Sky:
     """Return the weather from a day before `start` [s] until two days after the last of `days`.
 
     Every element has a random stream of its own, so that a longer time begins like a shorter one.
+
+    Parameters
+    ----------
+    extremes : (float, float), optional
+        Coldest and hottest hour by day: the cold snaps and heat waves that come about are drawn out, or reined in, to
+        them. [°C]
     """
     time = np.floor(start / HOUR) * HOUR + HOUR * np.arange(-24, 24 * (days + 2), dtype=float)
     n = len(time)
@@ -71,6 +79,10 @@ def make_sky(start: float, days: int, seed: int) -> Sky:
     diurnal = (4.2 - 2.4 * cloud) * np.cos(2 * np.pi * (clock - 15) / 24)
     temperature = 6.2 - 15.8 * np.cos(year_angle) + (3.6 + 2.4 * cold) * synoptic + diurnal
     temperature = np.clip(temperature, -32.0, 36.0)
+    if extremes is not None:
+        by_day = (clock >= DAYTIME[0]) & (clock <= DAYTIME[1])
+        temperature = _drawn_out(temperature, extremes[1], by_day)
+        temperature = -_drawn_out(-temperature, -extremes[0], by_day)
     precipitation = _precipitation(seed, cloud)
     wetness, snow = _road(temperature, precipitation)
     humidity = np.clip(0.45 + 0.3 * cloud + 0.12 * wandering(0.9) - 0.012 * diurnal, 0.2, 1.0)
@@ -86,6 +98,13 @@ def make_sky(start: float, days: int, seed: int) -> Sky:
         humidity=np.where(precipitation > 0, np.maximum(humidity, 0.88), humidity),
         solar=1050.0 * sun(time) ** 1.15 * (1 - 0.72 * cloud**3),
     )
+
+
+def _drawn_out(temperature: Floats, hottest: float, counts: np.ndarray) -> Floats:
+    """Return temperatures, the warmest fifth moved, the more the warmer, so that those that count end at `hottest`."""
+    usual, most = float(np.quantile(temperature, 0.8)), float(temperature[counts].max())
+    share = np.clip((temperature - usual) / max(most - usual, 1e-9), 0.0, 1.0)
+    return np.asarray(temperature + (hottest - most) * share**2)
 
 
 def sun(time: Floats) -> Floats:

@@ -57,6 +57,11 @@ class Route(NamedTuple):
     street: np.ndarray
     turn: np.ndarray
 
+    @property
+    def length(self) -> float:
+        """How far it is. [m]"""
+        return float(self.along[-1])
+
 
 def terrain(x: Floats, y: Floats) -> Floats:
     """Return the elevation of the ground. [m].

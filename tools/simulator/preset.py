@@ -1,0 +1,226 @@
+"""Fleets that were described elsewhere, made in small: which cars, which shifts, who drives, and how far.
+
+A preset is a TOML file beside this one. What a plain simulation draws on the way (the day, the driver, how far a ride
+goes) is laid down here before the first shift, so that proportions come out as described.
+"""
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from functools import cache
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from core.batch import Floats, Ints
+from core.errors import SettingsError
+from tools.simulator.cars import Car, aged
+from tools.simulator.driver import Style, make_style
+from tools.simulator.settings import LOCAL, Faults
+from tools.simulator.shift import Orders
+
+PRESETS: Final = ("teo",)
+"""Those that come with the product."""
+CLUSTER: Final = 5000.0
+"""Width of a cluster of distances. [m]"""
+SHORTEST: Final = 350.0
+"""No ride is meant to be shorter. [m]"""
+LONGEST: Final = 34e3
+"""Nor longer: the city ends. [m]"""
+CARS_PER_ROOT_RIDE: Final = 0.2
+"""Cars of a model over the square root of its rides, so that a rare model has a few cars too. [1]"""
+FEWEST_CARS: Final = 2
+YEAR: Final = 365
+"""Days over which the shifts of each car are spread."""
+WINTER: Final = ((12, 15), (3, 15))
+"""First and last day, month first, on which winter tyres are on: those on which they are mandatory."""
+WARMTH: Final = 1.5
+"""Standard deviation of how warm drivers like it. [K]"""
+
+
+class Fleet(NamedTuple):
+    """What all cars of a preset have in common; the comments of its file tell of each."""
+
+    coldest: float
+    hottest: float
+    drivers_per_car: float
+    rides_per_shift: float
+    daily_km: float
+    begin_h: tuple[float, float]
+    charge: tuple[float, float]
+    charge_below: float
+    prepared_s: float
+    boarding_s: tuple[float, float]
+    alighting_s: tuple[float, float]
+    idle_s: float
+    thirst: float
+    false_start: float
+    errand: float
+    never_sends: Sequence[str]
+    may_lack: Sequence[str]
+
+    @property
+    def faults(self) -> Faults:
+        """What goes wrong where nobody says otherwise."""
+        return Faults(false_start=self.false_start, errand=self.errand)
+
+
+class Preset(NamedTuple):
+    """A fleet as a file describes it: what its cars share, and `rides` and `traits` of each vehicle model."""
+
+    fleet: Fleet
+    models: Mapping[str, Mapping[str, Any]]
+
+
+class Driver(NamedTuple):
+    """Somebody who drives for the fleet, and drives alike on every shift; `warmth` [K] as in `cars.Car`."""
+
+    name: str
+    style: Style
+    warmth: float
+
+
+class Duty(NamedTuple):
+    """A shift that a car has to do: on which day after the first, by whom, and how far each ride goes. (n,) [m]"""
+
+    day: int
+    driver: Driver
+    distances: Floats
+
+
+class Place(NamedTuple):
+    """What a preset wants of one car."""
+
+    model: str
+    traits: Mapping[str, float]
+    duties: list[Duty]
+
+
+def refuse_idle(name: str | None, given: Sequence[str]) -> None:
+    """Refuse settings, of those that were `given`, that would do nothing with this preset, or with none.
+
+    Raises
+    ------
+    SettingsError
+    """
+    if name is None and "rides" in given:
+        raise SettingsError(f"--rides is for a preset: name one, such as --preset {PRESETS[0]}")
+    idle = [f"--{setting.replace('_', '-')}" for setting in given if setting != "rides"]
+    if name is not None and idle:
+        raise SettingsError(f"preset {name} has its own {', '.join(idle)}: leave that out; --rides tells its size")
+
+
+@cache
+def load(name: str) -> Preset:
+    """Return a preset that comes with the product.
+
+    Raises
+    ------
+    SettingsError
+        If there is none of this name.
+    """
+    if name not in PRESETS:
+        raise SettingsError(f"no preset is called {name!r}; choose from {', '.join(PRESETS)}")
+    tables = tomllib.loads((Path(__file__).parent / f"{name}.toml").read_text(encoding="utf-8"))
+    return Preset(Fleet(**tables.pop("fleet")), tables)
+
+
+def plan(preset: Preset, rides: int, seed: int) -> list[Place]:
+    """Return the cars of a fleet and their shifts, `rides` rides in all."""
+    totals = np.array([sum(table["rides"]) for table in preset.models.values()])
+    numbers = apportion(totals, rides)
+    cars = [max(FEWEST_CARS, round(CARS_PER_ROOT_RIDE * number**0.5)) for number in numbers]
+    drivers = make_drivers(round(preset.fleet.drivers_per_car * sum(cars)), seed)
+    places = []
+    for index, (model, table) in enumerate(preset.models.items()):
+        rng = np.random.default_rng([seed, 6, index])
+        deck = distances(np.array(table["rides"]), numbers[index], rng)
+        hands = np.array_split(deck, cars[index])
+        places += [Place(model, table["traits"], _duties(preset.fleet, hand, drivers, rng)) for hand in hands]
+    return places
+
+
+def make_drivers(count: int, seed: int) -> list[Driver]:
+    """Return the fleet's drivers."""
+    drivers = []
+    for index in range(count):
+        rng = np.random.default_rng([seed, 7, index])
+        drivers.append(Driver(f"driver-{index + 1:03d}", make_style(rng), float(rng.normal(0.0, WARMTH))))
+    return drivers
+
+
+def distances(counts: Ints, number: int, rng: np.random.Generator) -> Floats:
+    """Return how far rides go, in random order, in each cluster in proportion to `counts`. (number,) [m]
+
+    Notes
+    -----
+    The logarithm of the share of longer rides is interpolated, monotone (Fritsch and Carlson 1980, SIAM J. Numer. Anal.
+    17:238), between the edges of the clusters, so that the density has no steps and falls where the counts do. The
+    draws are stratified: each cluster gets its share to one ride.
+    """
+    filled = int(np.flatnonzero(counts)[-1]) + 1
+    edges = np.append(SHORTEST, np.minimum(CLUSTER * np.arange(1.0, filled + 1), LONGEST))
+    longer = 1.0 - np.append(0.0, np.cumsum(counts[:filled])) / counts.sum()
+    longer[-1] = 0.2 / counts.sum()  # a fifth of a ride is beyond: a logarithm needs something
+    grid = np.linspace(edges[0], edges[-1], 4000)
+    shorter = 1.0 - np.exp(PchipInterpolator(edges, np.log(longer))(grid))
+    quantiles = (np.arange(number) + rng.uniform(size=number)) / number
+    return rng.permutation(np.interp(quantiles, shorter, grid))
+
+
+def apportion(shares: Ints, total: int) -> list[int]:
+    """Return whole numbers in proportion to shares, which add up to a total: largest remainders first.
+
+    >>> apportion(np.array([5, 3, 1]), 10)
+    [6, 3, 1]
+    """
+    exact = shares / shares.sum() * total
+    whole = np.floor(exact).astype(int)
+    whole[np.argsort(whole - exact, kind="stable")[: total - int(whole.sum())]] += 1
+    return [int(number) for number in whole]
+
+
+def orders(fleet: Fleet, duty: Duty) -> Orders:
+    """Return what dispatch wants of a shift."""
+    return Orders(
+        driver_id=duty.driver.name,
+        style=duty.driver.style,
+        distances=duty.distances,
+        charge=fleet.charge,
+        charge_below=fleet.charge_below,
+        prepared=fleet.prepared_s,
+        boarding=fleet.boarding_s,
+        alighting=fleet.alighting_s,
+        idle=fleet.idle_s,
+        thirst=fleet.thirst,
+    )
+
+
+def on_the_day(fleet: Fleet, car: Car, duty: Duty, begin: float) -> Car:
+    """Return a car as it is when a shift begins [s]: its age, its tyres, and how warm its driver likes it."""
+    car = aged(car, car.odometer + 1000.0 * fleet.daily_km * duty.day)
+    rolling = car.winter_rolling if in_winter(begin) else 0.0
+    return car._replace(winter_rolling=rolling, warmth=duty.driver.warmth)
+
+
+def in_winter(time: float) -> bool:
+    """Return whether winter tyres have to be on at a time [s], by Montreal's calendar.
+
+    >>> in_winter(datetime(2018, 12, 15, 12, tzinfo=UTC).timestamp())
+    True
+    """
+    day = datetime.fromtimestamp(time + LOCAL, UTC)
+    first, last = WINTER
+    return (day.month, day.day) >= first or (day.month, day.day) <= last
+
+
+def _duties(fleet: Fleet, hand: Floats, drivers: list[Driver], rng: np.random.Generator) -> list[Duty]:
+    """Return the shifts of a car, one a day at most, spread over the year."""
+    shifts = min(YEAR, max(1, round(len(hand) / fleet.rides_per_shift)))
+    days = ((np.arange(shifts) + rng.uniform(size=shifts)) * YEAR / shifts).astype(int)
+    days = np.maximum.accumulate(days - np.arange(shifts)) + np.arange(shifts)  # no day twice
+    who = rng.integers(len(drivers), size=shifts)
+    parts = np.array_split(hand, shifts)
+    return [Duty(int(day), drivers[i], part) for day, i, part in zip(days, who, parts, strict=True)]
