@@ -33,10 +33,12 @@ def counted(totals: Totals) -> dict[str, list[int]]:
     }
 
 
-def energies(running: Totals, cars: Cars, model: Model, effects: Sequence[str]) -> tuple[Floats, Floats]:
+def energies(
+    running: Totals, names: Sequence[str], cars: Cars, model: Model, effects: Sequence[str]
+) -> tuple[Floats, Floats]:
     """Return predicted and measured energy of the rides in progress, NaN for a car that is on none. [kWh]"""
     riding = running.ride >= 0
-    predicted = model.predict(model_columns(running, cars, effects))
+    predicted = model.predict(model_columns(running, cars, effects, model.needs, names))
     return np.where(riding, predicted, np.nan), np.where(riding, measured_energy(running, cars)[0], np.nan)
 
 
@@ -56,7 +58,7 @@ def forecasts(
     """
     if not len(running.lane):
         return []
-    predicted, measured = (energy.tolist() for energy in energies(running, cars, model, effects))
+    predicted, measured = (energy.tolist() for energy in energies(running, names, cars, model, effects))
     counts = [QualityCounts(*row) for row in zip(*counted(running).values(), strict=True)]
     soc = (running.at_last("soc") * 100.0).tolist()
     soc_sd = (running.at_last("soc_step") * (100.0 / np.sqrt(12.0))).tolist()

@@ -1,27 +1,35 @@
 """Models: sums of products of ride-table columns, and the JSON file that a person can read.
 
 Every model of the paper is linear in columns; they differ in which columns, which products of them, and which
-coefficients are fitted. So a model is a tuple of terms, each a coefficient times a product of columns, and a recipe is
-the same before anything is fitted. A vehicle's own parameter is one more column of the product.
+coefficients are fitted. So a model is a tuple of terms, each a product of columns, and for each vehicle model a fit:
+one coefficient a term, and what stands for unknown values. A vehicle's own parameter is one more column of the
+product. What is fitted past that (accessory curve, factors of single cars, boosted trees, intervals) is optional.
 """
 
-from collections.abc import Mapping
-from math import isfinite
+from collections.abc import Iterator, Mapping
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, cast
 
 import msgspec
 import numpy as np
 
-from core import effects
+from core import model_file
 from core.batch import Floats
-from core.errors import EffectError, ModelError
+from core.errors import ModelError
+from core.features import EFFECT_PREFIX, Columns, Table, needed
+from core.intervals import Interval
+from core.trees import Trees
+from core.vehicles import AccessoryCurve
 
-FORMAT: Final = 1
+FORMAT: Final = 2
 """Version of the model file that this version of the product reads and writes."""
 
-EFFECT_PREFIX: Final = "effect_"
+ANY: Final = "*"
+"""Stands for every vehicle model that has no fit of its own."""
+VEHICLE_MODEL: Final = "vehicle_model"
+VEHICLE: Final = "vehicle_id"
 
 
 class Model(Protocol):
@@ -43,32 +51,108 @@ class Model(Protocol):
     def effects(self) -> tuple[str, ...]:
         """Names of the effects whose energy it reads."""
 
-    def predict(self, columns: Mapping[str, Floats]) -> Floats:
+    def predict(self, columns: Table) -> Floats:
         """Return the energy in kWh, one a row, NaN where it cannot tell."""
 
 
 class Term(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One addend of a model: a coefficient times a product of columns.
+    """One addend of a model: a product of columns, to be multiplied with a coefficient.
 
     Parameters
     ----------
     name : str
         Of the term, among those of its model.
     columns : tuple of str
-        Columns of the ride table; one may stand twice. None at all is a constant.
-    coefficient : float
-        What the product is multiplied with.
+        Columns of the ride table, or derived ones (`core.features`); one may stand twice. None at all is a constant.
     unit : str
         Of the coefficient, as pint spells it.
     """
 
     name: str
     columns: tuple[str, ...]
-    coefficient: float
     unit: str
 
 
-class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Curve(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The seven numbers of `core.vehicles.AccessoryCurve`. [K], [W]"""
+
+    heating_full: float
+    heating_off: float
+    cooling_on: float
+    cooling_full: float
+    heating: float
+    standby: float
+    cooling: float
+
+    def to_curve(self) -> AccessoryCurve:
+        """Return the curve itself."""
+        return AccessoryCurve(**msgspec.structs.asdict(self))
+
+
+class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What was fitted to the rides of one vehicle model, or of all.
+
+    Parameters
+    ----------
+    coefficients : tuple of float
+        One a term.
+    covariance : tuple of tuple of float, optional
+        Of the coefficients, given the curve and the fills.
+    clusters : int, optional
+        Groups of rides within which the covariance lets errors depend on each other; None where it lets none.
+    fills : dict of str to float
+        Column to the value that stands for an unknown (NaN) one; a column that is not here stays NaN.
+    curve : Curve, optional
+        Accessory power of `accessories_kwh`.
+    rides : int
+        Fitted to.
+    residual_sd_kwh : float, optional
+        Standard deviation of what the fit leaves, in sample. [kWh]
+    held : tuple of str
+        Terms that whole rides do not tell, whose coefficients are held near those of physics.
+    noise_kwh : float, optional
+        Variance of the error over the ride's size (`core.derived.size`), where rides were weighed by it. [kWh]
+    """
+
+    coefficients: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...] | None = None
+    clusters: int | None = None
+    fills: dict[str, float] = {}
+    curve: Curve | None = None
+    rides: int = 0
+    residual_sd_kwh: float | None = None
+    held: tuple[str, ...] = ()
+    noise_kwh: float | None = None
+
+
+class Training(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What a model was fitted to.
+
+    Parameters
+    ----------
+    rides : int
+    first_date, last_date : str
+        ISO, UTC.
+    vehicle_models : dict of str to int
+        Rides of each.
+    fingerprint : str
+        SHA-256 of the training columns, as read.
+    filled : dict of str to int
+        Rides in which a column was unknown, and filled.
+    left_out : dict of str to int
+        Rides that were not trained on, by reason.
+    """
+
+    rides: int
+    first_date: str
+    last_date: str
+    vehicle_models: dict[str, int]
+    fingerprint: str
+    filled: dict[str, int] = {}
+    left_out: dict[str, int] = {}
+
+
+class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, dict=True):
     """A model that is a sum of terms; what a model file holds.
 
     Parameters
@@ -81,6 +165,16 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         What it was made by.
     terms : tuple of Term
         In the order in which they are added.
+    fits : dict of str to Fit
+        By vehicle model; `*` stands for every other one.
+    cars : dict of str to float
+        Factor on the prediction, by vehicle; 1 for every other one.
+    correction : dict of str to Trees, optional
+        What is added to the sum, by vehicle model; `*` stands for every other one.
+    interval : Interval, optional
+        How far off predictions are.
+    training : Training, optional
+        What it was fitted to.
     history : tuple of dict
         What was done to it, oldest first: each a plain JSON object.
     """
@@ -90,24 +184,42 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     version: str
     recipe: str
     terms: tuple[Term, ...]
+    fits: dict[str, Fit]
+    cars: dict[str, float] = {}
+    correction: dict[str, Trees] | None = None
+    interval: Interval | None = None
+    training: Training | None = None
     history: tuple[dict[str, Any], ...] = ()
 
-    @property
+    @cached_property
     def needs(self) -> tuple[str, ...]:
         """Columns of the ride table that it reads, each once, in the order of the terms."""
-        return tuple(dict.fromkeys(column for term in self.terms for column in term.columns))
+        read = [column for term in self.terms for column in term.columns]
+        for trees in (self.correction or {}).values():
+            read += trees.needs
+        found = [raw for column in read for raw in needed(column)]
+        if self._groups:
+            found.append(VEHICLE_MODEL)
+        if self.cars:
+            found.append(VEHICLE)
+        return tuple(dict.fromkeys(found))
 
-    @property
+    @cached_property
     def effects(self) -> tuple[str, ...]:
         """Names of the effects whose energy it reads."""
         return tuple(c.removeprefix(EFFECT_PREFIX) for c in self.needs if c.startswith(EFFECT_PREFIX))
 
-    def predict(self, columns: Mapping[str, Floats]) -> Floats:
+    @cached_property
+    def _groups(self) -> tuple[str, ...]:
+        """Vehicle models that have something of their own."""
+        return tuple(dict.fromkeys(key for key in (*self.fits, *(self.correction or {})) if key != ANY))
+
+    def predict(self, columns: Table) -> Floats:
         """Return the energy of rides, or of any part of one for which the same columns are known.
 
         Parameters
         ----------
-        columns : mapping of str to (n,) float
+        columns : mapping of str to (n,) array
             At least `needs`, as the ride table names them: `effect_<name>` [kWh per unit of its coefficient],
             `rolling_resistance` [1], `drag_area_m2` [m^2] and so on. A `DataFrame` will do.
 
@@ -115,7 +227,7 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         -------
         (n,) float
             Row by row: the result is the same to the bit however rows are cut into blocks. NaN where a needed column
-            is. [kWh]
+            is and no fill stands for it, and for a vehicle model that no fit stands for. [kWh]
 
         Raises
         ------
@@ -127,43 +239,117 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
                 f"model {self.name}: column {missing[0]!r} is missing in the data: make the tables with this model's "
                 "effects"
             )
-        names = self.needs or tuple(columns)[:1]
-        arrays = {name: np.asarray(columns[name], dtype=np.float64) for name in names}
-        rows = len(arrays[names[0]]) if names else 0
+        if not self._groups:
+            return self._scaled(self._predict(ANY, Columns(columns), _length(columns, self.needs)), columns)
+        total = np.full(_length(columns, self.needs), np.nan)
+        for key, rows in self._rows(columns):
+            total[rows] = self._predict(key, Columns(columns, rows=rows), len(rows))
+        return self._scaled(total, columns)
+
+    def predict_interval(self, columns: Table, level: float = 0.9) -> tuple[Floats, Floats]:
+        """Return bounds between which the energy of a ride lies with a probability.
+
+        Parameters
+        ----------
+        columns : mapping of str to (n,) array
+            As for `predict`, and what `interval` needs.
+        level : float
+            That probability.
+
+        Returns
+        -------
+        lower, upper : (n,) float
+            [kWh]
+
+        Raises
+        ------
+        ModelError
+            Where the model has no interval, or a needed column is absent.
+        """
+        if self.interval is None:
+            raise ModelError(f"model {self.name} has no prediction interval: fit one that is calibrated")
+        if missing := [name for name in self.interval.needs if name not in columns]:
+            raise ModelError(f"model {self.name}: its interval needs column {missing[0]!r}: make the tables anew")
+        return self.interval.bounds(self.predict(columns), cast("Mapping[str, Any]", columns), level)
+
+    def _rows(self, columns: Table) -> Iterator[tuple[str, Any]]:
+        """Give each vehicle model that has something of its own, `*` for the others, and its rows."""
+        name = np.asarray(columns[VEHICLE_MODEL], dtype=object)
+        left = np.ones(len(name), np.bool_)
+        for key in self._groups:
+            here = name == key
+            left &= ~here
+            if here.any():
+                yield key, np.flatnonzero(here)
+        if left.any():
+            yield ANY, np.flatnonzero(left)
+
+    def _predict(self, key: str, columns: Columns, rows: int) -> Floats:
+        """Return the energy of rides of one vehicle model. [kWh]"""
+        fit = self.fits.get(key) or self.fits.get(ANY)
+        if fit is None:
+            return np.full(rows, np.nan)
+        curve = None if fit.curve is None else fit.curve.to_curve()
+        seen = Columns(columns.table, fit.fills, curve, columns.rows)
         total = np.zeros(rows)
-        for term in self.terms:
-            product = np.full(rows, term.coefficient)
+        for term, coefficient in zip(self.terms, fit.coefficients, strict=True):
+            product = np.full(rows, coefficient)
             for name in term.columns:
-                product *= arrays[name]
+                product *= seen[name]
             total += product
+        trees = self.correction and (self.correction.get(key) or self.correction.get(ANY))
+        if trees:
+            total += trees.predict(Columns(columns.table, None, curve, columns.rows))
+        return total
+
+    def _scaled(self, total: Floats, columns: Table) -> Floats:
+        """Return predictions times the factors of their cars."""
+        if self.cars:
+            total *= np.array([self.cars.get(vehicle, 1.0) for vehicle in np.asarray(columns[VEHICLE], dtype=object)])
         return total
 
 
-def _physical(name: str, columns: tuple[str, ...]) -> Term:
-    """Return a term that holds as physics has it: coefficient 1."""
-    return Term(name=name, columns=columns, coefficient=1.0, unit="1")
+def _length(columns: Table, needs: tuple[str, ...]) -> int:
+    """Return the number of rows."""
+    names = needs[:1] or tuple(columns)[:1]
+    return len(columns[names[0]]) if names else 0
 
+
+def physical_term(name: str, columns: tuple[str, ...]) -> Term:
+    """Return a term whose coefficient is 1 where physics holds."""
+    return Term(name=name, columns=columns, unit="1")
+
+
+def _as_physics_has_it(terms: tuple[Term, ...]) -> dict[str, Fit]:
+    """Return the fit with coefficients 1, for every vehicle model."""
+    return {ANY: Fit(coefficients=(1.0,) * len(terms))}
+
+
+BASIC_TERMS: Final = (
+    physical_term("rolling", ("effect_rolling", "rolling_resistance")),
+    physical_term("climbing", ("effect_climbing",)),
+    physical_term("aero_drag", ("effect_aero_drag", "drag_area_m2")),
+    physical_term("inertia", ("effect_inertia",)),
+)
+_EXTENDED_TERMS: Final = (*BASIC_TERMS, physical_term("accessories", ("effect_accessories",)))
 
 BASIC_PHYSICAL: Final = LinearModel(
     name="basic_physical",
     version="1",
     recipe="basic_physical",
-    terms=(
-        _physical("rolling", ("effect_rolling", "rolling_resistance")),
-        _physical("climbing", ("effect_climbing",)),
-        _physical("aero_drag", ("effect_aero_drag", "drag_area_m2")),
-        _physical("inertia", ("effect_inertia",)),
-    ),
+    terms=BASIC_TERMS,
+    fits=_as_physics_has_it(BASIC_TERMS),
 )
 """Basic physical model, eq. (1) and section 4.1 of the paper: energy at the wheels, with the catalogue's parameters."""
 
-EXTENDED_PHYSICAL: Final = msgspec.structs.replace(
-    BASIC_PHYSICAL,
+EXTENDED_PHYSICAL: Final = LinearModel(
     name="extended_physical",
+    version="1",
     recipe="extended_physical",
-    terms=(*BASIC_PHYSICAL.terms, _physical("accessories", ("effect_accessories",))),
+    terms=_EXTENDED_TERMS,
+    fits=_as_physics_has_it(_EXTENDED_TERMS),
 )
-"""Extended physical model, section 4.2 of the paper: the basic one and accessory power by outside temperature."""
+"""Extended physical model, section 4.2 of the paper, with the reference accessory curve; `core.learn` fits a curve."""
 
 KNOWN: Final[Mapping[str, LinearModel]] = MappingProxyType({m.name: m for m in (BASIC_PHYSICAL, EXTENDED_PHYSICAL)})
 """Models that need no fitting and come with the product, by name."""
@@ -180,8 +366,8 @@ def load(name_or_path: str | Path) -> LinearModel:
     Raises
     ------
     ModelError
-        Where it is neither; where the file is not JSON, is no model, is of another version, or names an effect that is
-        unknown.
+        Where it is neither; where the file is not JSON, is no model, is of another version, or names a column or an
+        effect that is unknown.
 
     Examples
     --------
@@ -226,8 +412,8 @@ def save(model: LinearModel, path: str | Path) -> None:
 
 def encode(model: LinearModel) -> bytes:
     """Return the model file's content; floats as the shortest text that reads back to the same number."""
-    _check(model)
-    return msgspec.json.format(msgspec.json.encode(model), indent=2) + b"\n"
+    model_file.check(model)
+    return model_file.readable(msgspec.json.encode(model))
 
 
 def decode(content: bytes) -> LinearModel:
@@ -236,40 +422,12 @@ def decode(content: bytes) -> LinearModel:
     Raises
     ------
     ModelError
-        Where it is not JSON, is no model, is of another version, or names an effect that is unknown.
+        Where it is not JSON, is no model, is of another version, or names a column or an effect that is unknown.
     """
-    try:
-        raw = msgspec.json.decode(content)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise ModelError(f"no model file: not JSON: {error}") from error
-    version = raw.get("format") if isinstance(raw, dict) else None
-    if version is None or "terms" not in raw:
-        raise ModelError("no model file: it has no 'format' and 'terms'; `socast` writes model files")
-    if version != FORMAT:
-        raise ModelError(
-            f"model file of format {version!r}, and this version reads format {FORMAT}: fit the model anew"
-        )
+    raw = model_file.parsed(content, FORMAT)
     try:
         model = msgspec.convert(raw, LinearModel)
     except msgspec.ValidationError as error:
         raise ModelError(f"model file is damaged: {error}") from error
-    _check(model)
+    model_file.check(model)
     return model
-
-
-def _check(model: LinearModel) -> None:
-    """Check what types cannot: finite coefficients, names that stand once, effects that exist."""
-    names: set[str] = set()
-    for term in model.terms:
-        if not isfinite(term.coefficient):
-            raise ModelError(
-                f"model {model.name}: coefficient of {term.name!r} is {term.coefficient}: fit the model anew"
-            )
-        if term.name in names:
-            raise ModelError(f"model {model.name}: term {term.name!r} stands twice: add their coefficients")
-        names.add(term.name)
-    for name in model.effects:
-        try:
-            effects.get(name)
-        except EffectError as error:
-            raise ModelError(f"model {model.name}: {error}") from error

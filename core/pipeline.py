@@ -201,7 +201,7 @@ class Pipeline:
         """Return the newest of every vehicle that has sent a sample."""
         lanes = np.flatnonzero(self.cleaner.state["samples"][: len(self.lanes)] > 0.0)
         totals = self.ledger.running(lanes)
-        predicted, measured = energies(totals, self.cars, self.model, self._effect_names)
+        predicted, measured = energies(totals, self.lanes.names, self.cars, self.model, self._effect_names)
         counts = counted(totals)
         names = self._ride_names(totals)
         return [

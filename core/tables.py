@@ -6,7 +6,7 @@ that a model reads (`effect_*` and the car's parameters) are made alone by `mode
 
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -36,12 +36,45 @@ HISTOGRAM: Final = tuple(f"speed_{5 * i}_{5 * i + 5}_km" for i in range(BINS))
 """Distance driven at each speed, in km: 0 to 5 km/h and so on; the last column holds all that is faster."""
 
 
-def model_columns(totals: Totals, cars: Cars, effects: Sequence[str]) -> dict[str, Floats]:
-    """Return what a model reads: effects' energies in kWh per unit of coefficient, and the cars' parameters."""
+def model_columns(
+    totals: Totals, cars: Cars, effects: Sequence[str], needs: Sequence[str] = (), names: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Return what a model reads, of rides that have ended or are in progress.
+
+    Parameters
+    ----------
+    totals : Totals
+        Of n rides, so far.
+    cars : Cars
+    effects : sequence of str
+        Whose energies were summed.
+    needs : sequence of str
+        Columns of the ride table that are wanted beside effects' energies and cars' parameters.
+    names : sequence of str
+        Vehicle of each lane.
+
+    Returns
+    -------
+    dict of str to (n,) array
+        Effects' energies in kWh per unit of coefficient and the cars' parameters; where `needs` names more, all other
+        columns of the ride table that are known in mid-ride.
+    """
     first = len(AMOUNTS)
     columns = {f"effect_{name}": totals.amounts[:, first + i] / JOULES_PER_KWH for i, name in enumerate(effects)}
-    own = cars.parameters[totals.at_last("kind").astype(np.int64)]
-    return columns | {name: own[:, i] for i, name in enumerate(PARAMETERS)}
+    kinds = totals.at_last("kind").astype(np.int64)
+    own = cars.parameters[kinds]
+    columns |= {name: own[:, i] for i, name in enumerate(PARAMETERS)}
+    if all(name in columns for name in needs):
+        return columns
+    winter = is_winter(totals.at_first("time"))
+    texts: dict[str, Any] = {
+        "winter": winter,
+        "summer": 1 - winter,
+        "vehicle_model": np.array([cars.name(kind) for kind in kinds.tolist()], dtype=object),
+    }
+    if "vehicle_id" in needs:
+        texts["vehicle_id"] = np.array([names[lane] for lane in totals.lane.tolist()], dtype=object)
+    return columns | _physical(totals, cars) | texts
 
 
 def energy_by_power(totals: Totals) -> tuple[Floats, Floats]:

@@ -38,6 +38,8 @@ COMMANDS: Final = {
     "replay": Command("tools.replay", "replay", "Replay recordings, through the model or to a router."),
     "info": Command("tools.info", "info", "Tell what recordings hold, and what is lost."),
     "tables": Command("tools.tables", "tables", "Turn recordings into ride and window tables."),
+    "fit": Command("tools.fit", "fit", "Fit a model to ride tables, by one of the paper's recipes or past them."),
+    "evaluate": Command("tools.evaluate", "evaluate_tables", "Judge models as the paper does, and past it."),
     "simulate": Command("tools.simulate", "simulate", "Simulate a fleet of electric taxis, with faulty loggers."),
     "import": Command("tools.import_drives", "app", "Turn public data sets of real drives into recordings."),
     "effects": Command("tools.effects", "app", "List the physical effects that models are made of; check your own."),

@@ -168,7 +168,7 @@ def fleet_line(cars: Sequence[VehicleStatus], tally: Tally) -> str:
 
 def with_predictions(rides: pd.DataFrame, model: Model) -> pd.DataFrame:
     """Return a ride table with `predicted_kwh` and `error_pct`, of which the latter is of the measured energy."""
-    predicted = model.predict({name: rides[name].to_numpy(np.float64) for name in model.needs})
+    predicted = model.predict(rides)
     measured = rides["energy_kwh"].to_numpy(np.float64)
     error = np.full(len(rides), np.nan)
     np.divide(100.0 * (predicted - measured), measured, out=error, where=measured > 0.05)

@@ -1,0 +1,158 @@
+"""Columns that models derive from the ride table's: how cold the cabin is, how dark the street, how full the battery.
+
+Each is a function of a few columns that have a meaning at any moment of a ride, and is made when it is asked for. A
+term of a model, or a feature of its trees, names a derived column like one of the table's own.
+"""
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from core.batch import Floats
+
+HEATING_BELOW: Final = 18.0
+"""Outside temperature below which a cabin is heated, people and sun aboard. [°C]"""
+DEEP_COLD_BELOW: Final = -5.0
+"""Outside temperature below which heat pumps give up and heaters reach their limit. [°C] Estimated."""
+COOLING_ABOVE: Final = 21.0
+"""Outside temperature above which a cabin is cooled. [°C]"""
+WARM_UP: Final = 600.0
+"""Time constant in which a cabin's air and trim reach their temperature. [s] Estimated."""
+SOAK: Final = 7200.0
+"""Time constant in which a parked car takes on the temperature outside. [s] Estimated."""
+BATTERY_FROST: Final = 5.0
+"""Temperature below which a battery takes little charge, and may be heated. [°C]"""
+BATTERY_FULL: Final = 88.0
+"""State of charge from which on a battery takes less of what braking gives back. [%]"""
+SMALLEST_RIDE: Final = 0.1
+"""Size of a ride that goes nowhere. [kWh]"""
+DRIVE_OVER_ROLLING: Final = 1.3
+"""Energy to drive in town over that of rolling resistance alone, some average. [1]"""
+
+
+class Derived(NamedTuple):
+    """A column made of others.
+
+    Parameters
+    ----------
+    needs : tuple of str
+        Columns of the ride table.
+    unit : str
+        As pint spells it; in brackets where it is a quotient.
+    make : callable
+        From arrays of the needed columns, row by row; NaN where it cannot be known.
+    """
+
+    needs: tuple[str, ...]
+    unit: str
+    make: Callable[..., Floats]
+
+
+def heating_need(ambient_c: Floats) -> Floats:
+    """Return how much colder it is outside than where heating begins. [K]"""
+    return np.maximum(HEATING_BELOW - ambient_c, 0.0)
+
+
+def deep_cold(ambient_c: Floats) -> Floats:
+    """Return how much colder it is outside than where heat pumps give up. [K]"""
+    return np.maximum(DEEP_COLD_BELOW - ambient_c, 0.0)
+
+
+def cooling_need(ambient_c: Floats) -> Floats:
+    """Return how much warmer it is outside than where cooling begins. [K]"""
+    return np.maximum(ambient_c - COOLING_ABOVE, 0.0)
+
+
+def warmed(duration_s: Floats) -> Floats:
+    """Return the share of the warming up of a cabin that is done, 1 - exp(-t / `WARM_UP`). [1]"""
+    return -np.expm1(-duration_s / WARM_UP)
+
+
+def soaked(parked_s: Floats) -> Floats:
+    """Return the share of the way to the outside's temperature that a parked car went, 1 - exp(-t / `SOAK`). [1]"""
+    return -np.expm1(-parked_s / SOAK)
+
+
+def battery_frost(battery_temperature_c: Floats) -> Floats:
+    """Return how much colder the battery was at the start than where it takes charge well. [K]"""
+    return np.maximum(BATTERY_FROST - battery_temperature_c, 0.0)
+
+
+def battery_fullness(soc_start_pct: Floats) -> Floats:
+    """Return how much fuller the battery was at the start than where it takes any charge. [%]"""
+    return np.maximum(soc_start_pct - BATTERY_FULL, 0.0)
+
+
+def sun(start_s: Floats, latitude_deg: Floats, longitude_deg: Floats) -> Floats:
+    """Return the sine of the sun's elevation, 0 by night. [1]
+
+    Notes
+    -----
+    Declination by the day of the year, hour angle by mean solar time: within some 4° of the truth.
+
+    References
+    ----------
+    Duffie and Beckman, Solar Engineering of Thermal Processes, 4th ed., Wiley 2013, eqs. (1.6.1a) and (1.6.5).
+
+    Examples
+    --------
+    >>> noon = 1529596800.0  # 21 June 2018, 16:00 UTC
+    >>> sun(np.array([noon, noon + 43200.0]), np.full(2, 45.5), np.full(2, -73.6)).round(1)
+    array([0.9, 0. ])
+    """
+    day = start_s / 86400.0
+    declination = np.radians(23.45) * np.sin(2.0 * np.pi * (285.0 + day % 365.2425) / 365.0)
+    hour = 2.0 * np.pi * (day % 1.0 - 0.5) + np.radians(longitude_deg)
+    latitude = np.radians(latitude_deg)
+    height = np.sin(latitude) * np.sin(declination) + np.cos(latitude) * np.cos(declination) * np.cos(hour)
+    return np.maximum(height, 0.0)
+
+
+def basic_energy(
+    rolling: Floats, rolling_resistance: Floats, climbing: Floats, drag: Floats, drag_area: Floats, inertia: Floats
+) -> Floats:
+    """Return the energy at the wheels, as the basic physical model has it. [kWh]"""
+    return rolling * rolling_resistance + climbing + drag * drag_area + inertia
+
+
+def size(rolling: Floats, rolling_resistance: Floats, accessories: Floats) -> Floats:
+    """Return about how much a ride takes, never less than `SMALLEST_RIDE`: what its error grows with. [kWh]"""
+    return SMALLEST_RIDE + DRIVE_OVER_ROLLING * rolling * rolling_resistance + accessories
+
+
+def per_distance(amount: Floats, distance_km: Floats) -> Floats:
+    """Return an amount over the distance; NaN where none was driven. [1/km]"""
+    return np.divide(amount, distance_km, out=np.full(len(amount), np.nan), where=distance_km > 0.0)
+
+
+_SUN = ("start_s", "latitude_start_deg", "longitude_start_deg")
+_ROLLING = ("effect_rolling", "rolling_resistance")
+_BASIC = (*_ROLLING, "effect_climbing", "effect_aero_drag", "drag_area_m2", "effect_inertia")
+
+DERIVED: Final[Mapping[str, Derived]] = MappingProxyType(
+    {
+        # 359 and 1 degree are neighbours, as no line can tell
+        "wind_from_north": Derived(("wind_from_deg",), "1", lambda degrees: np.cos(degrees * (np.pi / 180.0))),
+        "wind_from_east": Derived(("wind_from_deg",), "1", lambda degrees: np.sin(degrees * (np.pi / 180.0))),
+        "heating_need_k": Derived(("ambient_c",), "K", heating_need),
+        "deep_cold_k": Derived(("ambient_c",), "K", deep_cold),
+        "cooling_need_k": Derived(("ambient_c",), "K", cooling_need),
+        "warmed": Derived(("duration_s",), "1", warmed),
+        "soaked": Derived(("parked_s",), "1", soaked),
+        "battery_frost_k": Derived(("battery_temperature_c",), "K", battery_frost),
+        "battery_fullness_pct": Derived(("soc_start_pct",), "percent", battery_fullness),
+        "sun": Derived(_SUN, "1", sun),
+        "basic_kwh": Derived(_BASIC, "kWh", basic_energy),
+        "size_kwh": Derived((*_ROLLING, "effect_accessories"), "kWh", size),
+        "stops_per_km": Derived(("stops", "distance_km"), "(1/km)", per_distance),
+        "uphill_per_km": Derived(("effect_climbing_up", "distance_km"), "(kWh/km)", per_distance),
+        "downhill_per_km": Derived(("effect_climbing_down", "distance_km"), "(kWh/km)", per_distance),
+        "speeding_up_per_km": Derived(("effect_inertia_positive", "distance_km"), "(kWh/km)", per_distance),
+        "slowing_per_km": Derived(("effect_inertia_negative", "distance_km"), "(kWh/km)", per_distance),
+        "drag_per_km": Derived(("effect_aero_drag", "distance_km"), "(kWh/m^2/km)", per_distance),
+        "wind_drag_per_km": Derived(("effect_aero_drag_wind", "distance_km"), "(kWh/m^2/km)", per_distance),
+    }
+)
+"""Every derived column, by name."""

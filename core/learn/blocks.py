@@ -1,0 +1,138 @@
+"""Ride tables a block at a time, from memory or from Parquet files, and which of their rides can be trained on."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Protocol
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from core.batch import Floats
+from core.cars import PARAMETERS
+from core.errors import ModelError
+from core.features import EFFECT_PREFIX
+
+ENERGY: Final = "energy_kwh"
+BLOCK: Final = 8192
+"""Rides at a time."""
+OPTIONAL: Final = ("fit_for_training", "unfit_reason", "vehicle_model", "vehicle_id", "date")
+"""Columns that are read where they are there: which rides to leave out, and how to group the others."""
+
+
+class Rides(Protocol):
+    """A ride table that can be gone through any number of times."""
+
+    def blocks(self, columns: Sequence[str]) -> Iterator[pd.DataFrame]:
+        """Give its rows in order, some at a time, with these columns and those of `OPTIONAL` that are there.
+
+        Raises
+        ------
+        ModelError
+            Where one of the columns is absent.
+        """
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A ride table in memory."""
+
+    table: pd.DataFrame
+
+    def blocks(self, columns: Sequence[str]) -> Iterator[pd.DataFrame]:
+        """Give its rows, see `Rides`."""
+        names = _present(columns, self.table.columns, "the ride table")
+        for start in range(0, len(self.table), BLOCK):
+            yield self.table.iloc[start : start + BLOCK][names]
+
+
+@dataclass(frozen=True)
+class Parquet:
+    """A ride table in Parquet files, read by row groups."""
+
+    paths: tuple[Path, ...]
+
+    def blocks(self, columns: Sequence[str]) -> Iterator[pd.DataFrame]:
+        """Give its rows, see `Rides`."""
+        for path in self.paths:
+            yield from _read(path, columns)
+
+    def table(self) -> pd.DataFrame:
+        """Return all of it, for what needs it in memory.
+
+        Raises
+        ------
+        ModelError
+            Where a file cannot be read.
+        """
+        return pd.concat([block for path in self.paths for block in _read(path, None)], ignore_index=True)
+
+
+def _read(path: Path, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
+    """Give the rows of a file, some at a time; with these columns, or with all."""
+    try:
+        with pq.ParquetFile(path, pre_buffer=False) as file:
+            names = None if columns is None else _present(columns, file.schema_arrow.names, str(path))
+            for batch in file.iter_batches(batch_size=BLOCK, columns=names):
+                yield batch.to_pandas()
+    except OSError as error:
+        reason = error.strerror or " ".join(str(error).split())
+        raise ModelError(f"{path}: cannot read rides: {reason}; name one that `socast tables` made") from error
+    except pa.ArrowException as error:
+        said = " ".join(str(error).split())
+        raise ModelError(f"{path}: no ride table: {said}; name a file that `socast tables` made") from error
+
+
+def _present(columns: Sequence[str], there: Sequence[str] | pd.Index, where: str) -> list[str]:
+    """Return the columns to read: all that are needed, and of the optional ones those that are there."""
+    known = set(there)
+    wanted = dict.fromkeys((*columns, *OPTIONAL))
+    for name in wanted:
+        if name not in known and name not in OPTIONAL:
+            raise ModelError(f"{where}: column {name!r} is missing: make the tables anew, with `socast tables`")
+    return [name for name in wanted if name in known]
+
+
+def trainable(block: pd.DataFrame, columns: Sequence[str]) -> tuple[pd.DataFrame, Counter[str]]:
+    """Return the rides of a block that can be trained on, and the others by reason.
+
+    Left out are rides that are unfit for training, have no measured energy, or are of a car whose parameters, and so
+    its effects, are unknown. Other unknown values are filled.
+    """
+    left_out: Counter[str] = Counter()
+    reason = np.full(len(block), "", dtype=object)
+    for name in columns:
+        if name.startswith(EFFECT_PREFIX) or name in PARAMETERS:
+            reason[~np.isfinite(numbers(block, name))] = "unknown_vehicle_or_effect"
+    reason[~np.isfinite(numbers(block, ENERGY))] = "no_measured_energy"
+    if "fit_for_training" in block:
+        unfit = ~block["fit_for_training"].to_numpy(dtype=bool, na_value=False)
+        why = block["unfit_reason"].fillna("unfit").to_numpy(dtype=object) if "unfit_reason" in block else "unfit"
+        reason = np.where(unfit, why, reason)
+    left = reason != ""
+    left_out.update(reason[left].tolist())
+    return (block.loc[~left] if left.any() else block), left_out
+
+
+def numbers(block: pd.DataFrame, name: str) -> Floats:
+    """Return a column as float, NaN where it is unknown.
+
+    Raises
+    ------
+    ModelError
+        Where it holds something else.
+    """
+    try:
+        return block[name].to_numpy(dtype=np.float64, na_value=np.nan)
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"column {name!r} of the ride table is no number: {error}: make the tables anew") from error
+
+
+def names(block: pd.DataFrame, column: str) -> list[str]:
+    """Return a column of text, empty where it is unknown or absent."""
+    if column not in block:
+        return [""] * len(block)
+    return block[column].astype(object).where(block[column].notna(), "").astype(str).tolist()

@@ -1,0 +1,288 @@
+"""The accessory curve of Figure 1: choke points and levels by least squares.
+
+What the road load leaves of a ride's energy is explained by w P(T): the time that the accessories ran (scaled by the
+car), w, times their power at the outside temperature T. P has five segments; at given choke points it is linear in its
+three levels, so these are solved for inside, and the solver moves the choke points alone: variable projection [1]_. So
+it can solve for the coefficients of the road load beside the levels, too.
+
+Rides are first added up in narrow bins of temperature, each kept as the triangular factor of its rows. Within a bin P
+is a line, so nothing is lost but in the four bins where P bends, and the solver's work does not grow with the number
+of rides.
+
+References
+----------
+.. [1] Golub, Pereyra 1973, SIAM J. Numer. Anal. 10:413, DOI 10.1137/0710036.
+"""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from itertools import combinations
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares, nnls
+
+from core.batch import Floats
+from core.columns import ZERO_CELSIUS
+from core.models import Curve
+from core.vehicles import ACCESSORIES
+
+LOW, HIGH, WIDTH = -60.0, 60.0, 0.25
+"""Bins of outside temperature. [°C]"""
+BINS: Final = round((HIGH - LOW) / WIDTH)
+CENTRE: Final[Floats] = LOW + WIDTH * (np.arange(BINS, dtype=np.float64) + 0.5)
+LEAST_GAP: Final = 1.0
+"""Choke points are at least as far apart. [K]"""
+LEAST_RIDES: Final = 70
+"""Ten for each number of the curve; fewer scale the reference curve."""
+LEAST_SPREAD: Final = 10.0
+"""Over less than this range of temperatures rides cannot tell five segments; the reference curve is scaled. [K]"""
+GRID: Final = 1.0
+"""Step of the grid from which the solver starts, at the finest. [K]"""
+GRID_POINTS: Final = 24
+STARTS: Final = 4
+"""Grid points from which it starts: the best, then the best of those that are not its neighbours, and so on."""
+
+
+class Temperatures:
+    """Rides added up by outside temperature.
+
+    Parameters
+    ----------
+    beside : int
+        Number of columns whose coefficients are found beside the curve.
+    """
+
+    def __init__(self, beside: int = 0) -> None:
+        self.beside = beside
+        self.rides = 0
+        self.sums: Floats = np.zeros((BINS, 3 + beside, 3 + beside))
+
+    def add(self, ambient_c: Floats, time: Floats, energy: Floats, columns: Sequence[Floats] = ()) -> None:
+        """Add rides; those with an unknown value are passed over.
+
+        Parameters
+        ----------
+        ambient_c : (n,) float
+            Outside temperature. [°C]
+        time : (n,) float
+            Duration times the car's accessory scale over 3.6e6, so that times W it is kWh.
+        energy : (n,) float
+            What the curve and the columns are to explain. [kWh]
+        columns : sequence of (n,) float
+            Road load, `beside` of them. [kWh]
+        """
+        table = np.stack([time, time, *columns, energy])
+        known = np.isfinite(ambient_c) & np.isfinite(table).all(axis=0)
+        table, ambient = table[:, known], ambient_c[known]
+        self.rides += len(ambient)
+        place = np.clip(((ambient - LOW) / WIDTH).astype(np.int64), 0, BINS - 1)
+        table[1] *= ambient - CENTRE[place]
+        for i in range(len(table)):
+            for j in range(i, len(table)):
+                self.sums[:, i, j] += np.bincount(place, table[i] * table[j], BINS)
+
+    def fit(self) -> Curve:
+        """Return the curve of least squares; the reference curve, scaled, where rides are too few or too much alike."""
+        return _fit(self.sums.tobytes(), self.beside, self.rides >= LEAST_RIDES)
+
+
+def slopes(curve: Curve, ambient_c: Floats) -> Floats:
+    """Return the derivatives of the power by the curve's seven numbers: three levels, four choke points; (n, 7)."""
+    knots = np.array([curve.heating_full, curve.heating_off, curve.cooling_on, curve.cooling_full]) - ZERO_CELSIUS
+    (standby, heat, cool), (_, d_heat, d_cool) = _shape(knots, ambient_c)
+    by_heat = (curve.heating - curve.standby) * d_heat
+    by_cool = (curve.cooling - curve.standby) * d_cool
+    moved = (-heat * by_heat, -(1.0 - heat) * by_heat, -(1.0 - cool) * by_cool, -cool * by_cool)
+    return np.stack([standby, heat, cool, *moved], axis=1)
+
+
+class Binned(NamedTuple):
+    """What the solver works on.
+
+    Parameters
+    ----------
+    centre : (b,) float. Of the bins that hold rides. [°C]
+    factors : (b, k, k) float. Triangular factors of their rows: w, w (T - centre), columns, energy.
+    projection : (b k, beside) float. Orthonormal basis of the columns.
+    target : (b k,) float. Energy that the columns cannot explain. [kWh]
+    """
+
+    centre: Floats
+    factors: Floats
+    projection: Floats
+    target: Floats
+
+
+@lru_cache(maxsize=256)
+def _fit(content: bytes, beside: int, enough: bool) -> Curve:
+    """Return the curve for sums of bins; recipes that share a curve ask for it one after the other."""
+    sums = np.frombuffer(content).reshape(BINS, 3 + beside, 3 + beside)
+    sums = sums + np.triu(sums, 1).transpose(0, 2, 1)
+    used = np.flatnonzero(sums[:, 0, 0] > 0.0)
+    if not enough or (used[-1] - used[0]) * WIDTH < LEAST_SPREAD:
+        return _scaled(sums)
+    low, high = float(CENTRE[used[0]]), float(CENTRE[used[-1]])
+    binned = _binned(sums[used], CENTRE[used])
+    starts = _starts(sums[used], CENTRE[used], low, high)
+    best = min((_solved(start, binned, low, high) for start in starts), key=lambda result: float(result.cost))
+    knots = _knots(best.x, low, high)
+    standby, heating, cooling = _levels(knots, binned)[0]
+    heating_full, heating_off, cooling_on, cooling_full = (float(t) + ZERO_CELSIUS for t in knots)
+    return Curve(
+        heating_full=heating_full,
+        heating_off=heating_off,
+        cooling_on=cooling_on,
+        cooling_full=cooling_full,
+        heating=float(standby + heating),
+        standby=float(standby),
+        cooling=float(standby + cooling),
+    )
+
+
+def _scaled(sums: Floats) -> Curve:
+    """Return the reference curve times the factor of least squares, the columns as they are."""
+    off = np.divide(sums[:, 0, 1], sums[:, 0, 0], out=np.zeros(BINS), where=sums[:, 0, 0] > 0.0)
+    power = ACCESSORIES.power(CENTRE + off + ZERO_CELSIUS)
+    own = float(sums[:, 0, 0] @ power**2)
+    left = sums[:, 0, -1] - sums[:, 0, 2:-1].sum(axis=1)
+    factor = max(float(left @ power) / own, 0.0) if own > 0.0 else 1.0
+    return Curve(
+        heating_full=ACCESSORIES.heating_full,
+        heating_off=ACCESSORIES.heating_off,
+        cooling_on=ACCESSORIES.cooling_on,
+        cooling_full=ACCESSORIES.cooling_full,
+        heating=factor * ACCESSORIES.heating,
+        standby=factor * ACCESSORIES.standby,
+        cooling=factor * ACCESSORIES.cooling,
+    )
+
+
+def _binned(sums: Floats, centre: Floats) -> Binned:
+    """Return the bins' triangular factors, and the energy without what the columns explain."""
+    factors = _factors(sums)
+    bins, k, _ = factors.shape
+    columns = factors[:, :, 2:-1].reshape(bins * k, k - 3)
+    target = factors[:, :, -1].reshape(bins * k)
+    size = np.sqrt((columns**2).sum(axis=0))
+    vectors, values, _ = np.linalg.svd(columns / np.where(size > 0.0, size, 1.0), full_matrices=False)
+    projection = vectors[:, values > 1e-6]
+    return Binned(centre, factors, projection, target - projection @ (projection.T @ target))
+
+
+def _factors(sums: Floats) -> Floats:
+    """Return Cholesky factors of sums of products, upper triangles, zero where nothing is left of a column."""
+    left = sums.copy()
+    factor = np.zeros_like(sums)
+    for i in range(sums.shape[1]):
+        own = left[:, i, i]
+        pivot = np.where(own > 1e-12 * sums[:, i, i], np.sqrt(np.maximum(own, 0.0)), 0.0)
+        by = pivot[:, np.newaxis]
+        row = np.divide(left[:, i], by, out=np.zeros(left.shape[:2]), where=by > 0.0)
+        row[:, :i] = 0.0
+        factor[:, i] = row
+        left -= row[:, :, np.newaxis] * row[:, np.newaxis, :]
+    return factor
+
+
+def _shape(knots: Floats, centre: Floats) -> tuple[Floats, Floats]:
+    """Return what a W of standby, of heating and of cooling above it adds by temperature, and its slope; (3, b)."""
+    t1, t2, t3, t4 = knots
+    heat = np.clip((t2 - centre) / (t2 - t1), 0.0, 1.0)
+    cool = np.clip((centre - t3) / (t4 - t3), 0.0, 1.0)
+    d_heat = np.where((centre > t1) & (centre < t2), -1.0 / (t2 - t1), 0.0)
+    d_cool = np.where((centre > t3) & (centre < t4), 1.0 / (t4 - t3), 0.0)
+    return np.stack([np.ones(len(centre)), heat, cool]), np.stack([np.zeros(len(centre)), d_heat, d_cool])
+
+
+def _levels(knots: Floats, binned: Binned) -> tuple[Floats, Floats]:
+    """Return the levels of least squares at given choke points, none negative, and what is left. [W], [kWh]"""
+    level, slope = _shape(knots, binned.centre)
+    time, off = binned.factors[:, :, 0, np.newaxis], binned.factors[:, :, 1, np.newaxis]
+    table = (time * level.T[:, np.newaxis] + off * slope.T[:, np.newaxis]).reshape(-1, 3)
+    table = table - binned.projection @ (binned.projection.T @ table)
+    size = np.sqrt((table**2).sum(axis=0))
+    size = np.where(size > 0.0, size, 1.0)
+    table = table / size
+    levels = np.linalg.lstsq(table.T @ table, table.T @ binned.target, rcond=1e-10)[0]
+    if (levels < 0.0).any():
+        levels = nnls(table, binned.target)[0]
+    return levels / size, binned.target - table @ levels
+
+
+def _knots(x: Floats, low: float, high: float) -> Floats:
+    """Return choke points between two temperatures, from each one's share of the way that is left. [°C]"""
+    knots = np.empty(4)
+    at = low - LEAST_GAP
+    for i, share in enumerate(x):
+        at += LEAST_GAP
+        at += share * (high - at - LEAST_GAP * (3 - i))
+        knots[i] = at
+    return knots
+
+
+def _shares(knots: Floats, low: float, high: float) -> Floats:
+    """Return what `_knots` would make choke points of."""
+    before = np.concatenate([[low - LEAST_GAP], knots[:-1]]) + LEAST_GAP
+    left = high - before - LEAST_GAP * np.arange(3, -1, -1)
+    return np.clip((knots - before) / np.maximum(left, 1e-9), 0.001, 0.999)
+
+
+def _starts(sums: Floats, centre: Floats, low: float, high: float) -> list[Floats]:
+    """Return the best points of a coarse grid of choke points, as `_knots` takes them."""
+    weight, cross = sums[:, 0, 0], _left(sums, centre)
+    grid = np.arange(low, high + 1e-9, max(GRID, (high - low) / GRID_POINTS))
+    pairs = np.array(list(combinations(range(len(grid)), 2)))
+    ramps = np.array([np.clip((centre - grid[a]) / (grid[b] - grid[a]), 0.0, 1.0) for a, b in pairs])
+    heat, cool = 1.0 - ramps, ramps
+    both = (heat * weight) @ cool.T
+    cold, hot = np.nonzero(pairs[:, 1, np.newaxis] < pairs[np.newaxis, :, 0])
+    gram = np.empty((len(cold), 3, 3))
+    gram[:, 0, 0] = weight.sum()
+    gram[:, 0, 1] = gram[:, 1, 0] = (heat @ weight)[cold]
+    gram[:, 0, 2] = gram[:, 2, 0] = (cool @ weight)[hot]
+    gram[:, 1, 1] = ((heat**2) @ weight)[cold]
+    gram[:, 2, 2] = ((cool**2) @ weight)[hot]
+    gram[:, 1, 2] = gram[:, 2, 1] = both[cold, hot]
+    right = np.stack([np.full(len(cold), cross.sum()), (heat @ cross)[cold], (cool @ cross)[hot]], axis=1)
+    gram += 1e-9 * weight.sum() * np.eye(3)
+    levels = np.linalg.solve(gram, right[..., np.newaxis])[..., 0]
+    gain = np.where((levels >= 0.0).all(axis=1), (levels * right).sum(axis=1), -np.inf)
+    places = np.concatenate([pairs[cold], pairs[hot]], axis=1)
+    best: list[int] = []
+    while len(best) < STARTS and np.isfinite(gain).any():
+        best.append(int(np.argmax(gain)))
+        gain[np.abs(places - places[best[-1]]).max(axis=1) <= 2] = -np.inf
+    return [_shares(grid[places[k]], low, high) for k in best] or [np.full(4, 0.25)]
+
+
+def _left(sums: Floats, centre: Floats) -> Floats:
+    """Return each bin's sum of w times what the columns leave, with a power of its own for each 3 K."""
+    beside = sums.shape[1] - 3
+    if not beside:
+        return sums[:, 0, -1]
+    place = ((centre - centre[0]) / 3.0).astype(np.int64)
+    free = place[-1] + 1
+    gram, right = np.zeros((free + beside,) * 2), np.zeros(free + beside)
+    gram[np.arange(free), np.arange(free)] = np.bincount(place, sums[:, 0, 0], free)
+    for j in range(beside):
+        gram[:free, free + j] = gram[free + j, :free] = np.bincount(place, sums[:, 0, 2 + j], free)
+    gram[free:, free:] = sums[:, 2:-1, 2:-1].sum(axis=0)
+    right[:free] = np.bincount(place, sums[:, 0, -1], free)
+    right[free:] = sums[:, 2:-1, -1].sum(axis=0)
+    scale = np.sqrt(np.diag(gram))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    solved = np.linalg.lstsq(gram / np.outer(scale, scale), right / scale, rcond=1e-10)[0] / scale
+    return sums[:, 0, -1] - sums[:, 0, 2:-1] @ solved[free:]
+
+
+def _solved(start: Floats, binned: Binned, low: float, high: float) -> Any:
+    """Return scipy's result from one start: choke points between the coldest and the warmest ride."""
+    return least_squares(
+        lambda x: _levels(_knots(x, low, high), binned)[1],
+        start,
+        bounds=(0.0, 1.0),
+        diff_step=1e-4,
+        xtol=1e-7,
+        ftol=1e-10,
+    )

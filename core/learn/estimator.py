@@ -1,0 +1,75 @@
+"""A recipe as a scikit-learn estimator, for its cross-validation, its searches and its selection of terms."""
+
+from typing import Self
+
+import numpy as np
+import pandas as pd
+from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.utils.validation import check_is_fitted
+
+from core.batch import Floats
+from core.errors import ModelError
+from core.learn.blocks import ENERGY
+from core.learn.recipes import recipe as named
+from core.models import LinearModel
+
+
+class RecipeRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-learn has no types
+    """Fits a recipe to a ride table and predicts energies of rides.
+
+    Parameters
+    ----------
+    recipe : str
+        A name of `core.learn.recipes.RECIPES`.
+    covariance : bool
+        Estimate the covariance of coefficients too.
+
+    Attributes
+    ----------
+    model_ : LinearModel
+
+    Examples
+    --------
+    >>> RecipeRegressor("hybrid").get_params()
+    {'covariance': False, 'recipe': 'hybrid'}
+    """
+
+    model_: LinearModel
+
+    def __init__(self, recipe: str = "hybrid", *, covariance: bool = False) -> None:
+        self.recipe = recipe
+        self.covariance = covariance
+
+    def fit(self, X: pd.DataFrame, y: Floats | pd.Series) -> Self:  # noqa: N803 - scikit-learn's name
+        """Fit to rides; of those that X says are unfit for training, and those of unknown energy, nothing is learned.
+
+        Parameters
+        ----------
+        X : (n, columns) DataFrame
+            A ride table, with at least the columns that the recipe needs.
+        y : (n,) float
+            Measured energy. [kWh]
+
+        Raises
+        ------
+        ModelError
+            Where the recipe is unknown, X is no DataFrame, or the rides cannot be fitted to.
+        """
+        self.model_ = named(self.recipe).fit(
+            _table(X).assign(**{ENERGY: np.asarray(y, dtype=np.float64)}), covariance=self.covariance
+        )
+        self.n_features_in_ = X.shape[1]
+        self.feature_names_in_ = np.array(X.columns, dtype=object)
+        return self
+
+    def predict(self, X: pd.DataFrame) -> Floats:  # noqa: N803 - scikit-learn's name
+        """Return the energy of rides, (n,). [kWh]"""
+        check_is_fitted(self, "model_")
+        return self.model_.predict(_table(X))
+
+
+def _table(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a ride table, checked."""
+    if not isinstance(table, pd.DataFrame):
+        raise ModelError(f"a {type(table).__name__} has no columns by name: give rides as a DataFrame")
+    return table

@@ -1,0 +1,383 @@
+"""Fitting of terms to a ride table, in passes over its blocks: for each vehicle model, and for all rides together.
+
+The first pass finds fills and the accessory curve, by least squares in the model that it is part of: on what the basic
+physical model leaves where coefficients are 1, beside the coefficients of the road load where they are fitted. (A curve
+from the former would take what the road load lacks for standby power, and bias them.) The second adds up the normal
+equations, the third the residuals for the covariance. No pass keeps more than one block, so memory does not grow with
+the number of rides.
+
+Rides tell nothing of some physical terms: the kinetic energy of a ride that begins and ends at rest is zero but for
+gaps, though in the middle of a ride it is not. Where the standard deviation of such a term is below `RESOLUTION` of the
+energy's, its coefficient is held near 1, as physics has it (and those of its interactions near 0), by one more
+observation with standard uncertainty `PRIOR_SD`. All others are ordinary least squares.
+
+The covariance lets the errors of rides of one vehicle on one day depend on each other, and counts the accessory curve
+as fitted beside the coefficients; that of the accessories' own coefficient is for the curve's shape as it is.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from hashlib import sha256
+from typing import Any, Final, Protocol
+
+import numpy as np
+import pandas as pd
+from threadpoolctl import ThreadpoolController
+
+from core.batch import Floats
+from core.cars import PARAMETERS
+from core.derived import DERIVED
+from core.errors import ModelError
+from core.features import ACCESSORIES, EFFECT_PREFIX, FEATURES, Columns, needed
+from core.learn.blocks import ENERGY, Rides, names, numbers, trainable
+from core.learn.curve import Temperatures, slopes
+from core.learn.regression import CONSTANT, LEAST_GROUPS, Influence, Moments, Scores, Solution, grouped, solve
+from core.models import ANY, BASIC_PHYSICAL, VEHICLE_MODEL, Curve, Fit, LinearModel, Term, Training
+
+LEAST_RIDES: Final = 2
+"""Rides for each coefficient that a fit needs."""
+CURVE_NUMBERS: Final = 7
+"""Numbers of an accessory curve."""
+RESOLUTION: Final = 0.01
+PRIOR_SD: Final = 0.5
+
+
+class Plan(Protocol):
+    """What is to be fitted, see `core.learn.recipes.LinearRecipe`."""
+
+    @property
+    def name(self) -> str:
+        """Of the recipe."""
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """In the order of the model's."""
+
+    @property
+    def free(self) -> bool:
+        """Whether coefficients are fitted, or are 1."""
+
+
+@dataclass
+class Group:
+    """What is known so far of the rides of one vehicle model, or of all."""
+
+    rides: int = 0
+    known: Counter[str] = field(default_factory=Counter)
+    sums: dict[str, float] = field(default_factory=dict)
+    temperatures: Temperatures = field(default_factory=Temperatures)
+    fills: dict[str, float] = field(default_factory=dict)
+    curve: Curve | None = None
+    moments: Moments = field(default_factory=lambda: Moments(0))
+    solution: Solution | None = None
+    influence: Influence | None = None
+    held: tuple[str, ...] = ()
+    scores: Scores | None = None
+    absolute: float = 0.0
+    squared: float = 0.0
+
+
+def design(terms: tuple[Term, ...], columns: Columns, rows: int) -> Floats:
+    """Return the product of each term's columns, (rows, terms); 1 for a constant."""
+    out = np.ones((rows, len(terms)))
+    for j, term in enumerate(terms):
+        for name in term.columns:
+            out[:, j] *= columns[name]
+    return out
+
+
+def fit_terms(plan: Plan, rides: Rides, *, covariance: bool = True) -> LinearModel:
+    """Return the model of a plan, fitted to a ride table.
+
+    Parameters
+    ----------
+    plan : Plan
+    rides : Rides
+    covariance : bool
+        Go through the residuals for the covariance and the error in sample; without, a fit is faster.
+
+    Returns
+    -------
+    LinearModel
+        With a fit for each vehicle model that has rides enough, and `*` over all rides together.
+
+    Raises
+    ------
+    ModelError
+        Where a column is missing, no ride can be trained on, there are too few, or nothing varies in them.
+    """
+    with _blas().limit(limits=1):  # small matrices; and the same result to the bit on any number of cores
+        fitting = _Fitting(plan, rides, covariance=covariance)
+        fitting.survey()
+        fitting.solve()
+        if covariance:
+            fitting.residuals()
+        return fitting.model()
+
+
+@cache
+def _blas() -> Any:
+    """Return the controller of numpy's linear algebra; it takes some time to find."""
+    return ThreadpoolController().select(user_api="blas")
+
+
+class _Fitting:
+    """The passes over the blocks, and what is known after each."""
+
+    def __init__(self, plan: Plan, rides: Rides, *, covariance: bool) -> None:
+        self.plan = plan
+        self.covariance = covariance
+        self.rides = rides
+        self.terms = plan.terms
+        read = dict.fromkeys(column for term in plan.terms for column in term.columns)
+        self.curved = ACCESSORIES in read
+        raw = dict.fromkeys(name for column in read for name in needed(column))
+        basic = BASIC_PHYSICAL.needs if self.curved else ()
+        self.columns = list(dict.fromkeys((*raw, *basic, ENERGY)))
+        filled = dict.fromkeys((*read, *(("ambient_c",) if self.curved else ())))
+        self.road = [t for t in plan.terms if plan.free and t.columns and t.columns[0].startswith(EFFECT_PREFIX)]
+        self.filled = [c for c in filled if (c in FEATURES and c not in PARAMETERS) or c in DERIVED]
+        self.place = next((i for i, term in enumerate(plan.terms) if not term.columns), None)
+        self.sloped = [i for i in range(len(plan.terms)) if i != self.place]
+        self.groups: dict[str, Group] = {ANY: self._group()}
+        self.counts: dict[str, int] = {}
+        self.only: str | None = None
+        self.left_out: Counter[str] = Counter()
+        self.dates: tuple[str, str] = ("", "")
+        self.digests = {name: sha256() for name in (*self.columns, VEHICLE_MODEL)}
+
+    def survey(self) -> None:
+        """Go through the rides for fills, accessory curves and what the training was."""
+        for block in self._blocks(note=True):
+            for key, rows in self._parts(block):
+                group = self.groups.setdefault(key, self._group())
+                group.rides += len(rows)
+                self._note(group, Columns(block, rows=rows))
+        least = LEAST_RIDES * (len(self.terms) if self.plan.free else CURVE_NUMBERS if self.curved else 1)
+        rides = self.groups[ANY].rides
+        if rides < least:
+            why = ", ".join(f"{n:,} {reason}" for reason, n in sorted(self.left_out.items()))
+            told = f" ({why} left out)" if why else ""
+            raise ModelError(
+                f"recipe {self.plan.name}: {rides:,} rides to fit to{told}, and it needs {least}: give more rides"
+            )
+        self.counts = {key: group.rides for key, group in sorted(self.groups.items()) if key != ANY}
+        self.groups = {key: group for key, group in self.groups.items() if group.rides >= least}
+        if max(self.counts.values(), default=0) == rides:  # one vehicle model: what is found of all is found of it
+            self.only = self.groups.popitem()[0]
+        for group in self.groups.values():
+            group.fills = {c: group.sums[c] / group.known[c] if group.known[c] else 0.0 for c in self.filled}
+            group.curve = group.temperatures.fit() if self.curved else None
+
+    def solve(self) -> None:
+        """Go through the rides for the normal equations, and solve them."""
+        if not self.plan.free:
+            return
+        for _, key, columns, energy in self._seen():
+            group = self.groups[key]
+            table = np.column_stack([self._design(columns, len(energy)), *self._nuisance(group, columns), energy])
+            if not group.moments.rows:
+                group.moments = Moments(table.shape[1])
+            group.moments.add(table)
+        self._check_varies()
+        for group in self.groups.values():
+            self._solve(group)
+
+    def residuals(self) -> None:
+        """Go through the rides for what the fits leave."""
+        for block, key, columns, energy in self._seen():
+            group = self.groups[key]
+            table = self._design(columns, len(energy))
+            coefficients, constant = self._coefficients(group)
+            left = energy - table @ coefficients - constant
+            group.absolute += float(np.abs(left).sum())
+            group.squared += float(left @ left)
+            if group.influence is not None and "date" in block and "vehicle_id" in block:
+                if group.scores is None:
+                    group.scores = Scores(group.influence.mean, constant=self.place is not None)
+                table = np.column_stack([table, *self._nuisance(group, columns)])
+                cars = grouped(names(block, "vehicle_id"), names(block, "date"))
+                group.scores.add(table, left / (1.0 - group.influence.leverage(table)), cars)
+
+    def model(self) -> LinearModel:
+        """Return the model of what is known."""
+        every = self.groups[ANY]
+        digest = sha256()
+        for name, own in sorted(self.digests.items()):
+            digest.update(name.encode() + own.digest())
+        training = Training(
+            rides=every.rides,
+            first_date=self.dates[0],
+            last_date=self.dates[1],
+            vehicle_models=self.counts,
+            fingerprint=digest.hexdigest(),
+            filled={c: n for c in self.filled if (n := every.rides - every.known[c])},
+            left_out=dict(sorted(self.left_out.items())),
+        )
+        errors = {key: group.absolute / group.rides for key, group in sorted(self.groups.items()) if group.absolute}
+        if self.only is not None and errors:
+            errors[self.only] = errors[ANY]
+        history = ({"action": "fit", "recipe": self.plan.name, "mae_in_sample_kwh": errors},) if errors else ()
+        fits = {key: self._fit(group) for key, group in sorted(self.groups.items())}
+        return LinearModel(
+            name=self.plan.name,
+            version=training.fingerprint[:12],
+            recipe=self.plan.name,
+            terms=self.terms,
+            fits=fits if self.only is None else fits | {self.only: fits[ANY]},
+            training=training,
+            history=history,
+        )
+
+    def _group(self) -> Group:
+        """Return a group of rides of which nothing is known yet."""
+        return Group(temperatures=Temperatures(len(self.road)))
+
+    def _blocks(self, *, note: bool = False) -> Iterator[pd.DataFrame]:
+        """Give the blocks with the rides that can be trained on; on the first pass note what they are."""
+        for block in self.rides.blocks(self.columns):
+            good, left_out = trainable(block, self.columns)
+            if note:
+                self.left_out.update(left_out)
+            if not len(good):
+                continue
+            if note:
+                self._digest(good)
+            yield good
+
+    def _digest(self, block: pd.DataFrame) -> None:
+        """Add rides to the fingerprint, and note their dates."""
+        for name in self.columns:
+            self.digests[name].update(np.ascontiguousarray(numbers(block, name)).tobytes())
+        self.digests[VEHICLE_MODEL].update("\n".join([*names(block, VEHICLE_MODEL), ""]).encode())
+        dates = [date for date in names(block, "date") if date]
+        if dates:
+            first, last = self.dates
+            self.dates = (min(first or min(dates), *dates), max(last, *dates))
+
+    def _parts(self, block: pd.DataFrame) -> Iterator[tuple[str, Any]]:
+        """Give the rows of each vehicle model, and all of them together."""
+        kinds = np.array(names(block, VEHICLE_MODEL), dtype=object)
+        for kind in sorted(set(kinds) - {"", ANY}):
+            yield kind, np.flatnonzero(kinds == kind)
+        yield ANY, np.arange(len(block))
+
+    def _seen(self) -> Iterator[tuple[pd.DataFrame, str, Columns, Floats]]:
+        """Give each group's part of each block, its columns as the fit sees them, and the measured energy."""
+        for block in self._blocks():
+            for key, rows in self._parts(block):
+                group = self.groups.get(key)
+                if group is not None:
+                    curve = None if group.curve is None else group.curve.to_curve()
+                    part = block if len(rows) == len(block) else block.iloc[rows]
+                    yield part, key, Columns(part, group.fills, curve), numbers(part, ENERGY)
+
+    def _note(self, group: Group, columns: Columns) -> None:
+        """Add rides to the means that will fill, and to what the basic physical model leaves."""
+        for name in self.filled:
+            values = columns[name]
+            known = np.isfinite(values)
+            group.known[name] += int(known.sum())
+            group.sums[name] = group.sums.get(name, 0.0) + float(values[known].sum())
+        if self.curved:
+            energy, time = columns[ENERGY], columns["duration_s"] * columns["accessory_scale"] / 3.6e6
+            left = energy if self.road else energy - BASIC_PHYSICAL.predict(columns)
+            road = design(tuple(self.road), columns, len(energy)).T
+            group.temperatures.add(columns["ambient_c"], time, left, list(road))
+
+    def _design(self, columns: Columns, rows: int) -> Floats:
+        """Return the terms but for the constant."""
+        return design(tuple(self.terms[i] for i in self.sloped), columns, rows)
+
+    def _nuisance(self, group: Group, columns: Columns) -> list[Floats]:
+        """Return what the energy gains by a small change of each number of the accessory curve."""
+        if not self.covariance or group.curve is None:
+            return []
+        time = columns["duration_s"] * columns["accessory_scale"] / 3.6e6
+        return list((slopes(group.curve, columns["ambient_c"]) * time[:, np.newaxis]).T)
+
+    def _check_varies(self) -> None:
+        """Refuse rides that are all the same."""
+        moments = self.groups[ANY].moments
+        size = np.sqrt(np.diag(moments.sums(centred=False)))
+        varies = np.sqrt(np.maximum(np.diag(moments.scatter), 0.0)) > CONSTANT * size
+        if not varies[: len(self.sloped)].any():
+            raise ModelError(f"recipe {self.plan.name}: all {moments.rows:,} rides are alike: nothing can be learned")
+        if not varies[-1]:
+            raise ModelError(
+                f"recipe {self.plan.name}: {ENERGY} is {moments.mean[-1]:g} in all {moments.rows:,} rides: "
+                "nothing can be learned"
+            )
+
+    def _solve(self, group: Group) -> None:
+        """Solve a group's normal equations, and hold near physics what rides do not tell."""
+        constant = self.place is not None
+        moments = group.moments.only([*range(len(self.sloped)), -1])
+        solution = solve(moments, constant=constant)
+        weight, toward, group.held = self._prior(moments, solution)
+        if group.held:
+            solution = solve(moments, constant=constant, weight=weight, toward=toward)
+        group.solution = solution
+        if self.covariance:
+            terms = [self.terms[i].columns for i in self.sloped]
+            beside = terms.index((ACCESSORIES,)) if (ACCESSORIES,) in terms else None
+            group.influence = Influence(group.moments, solution, beside)
+
+    def _prior(self, moments: Moments, free: Solution) -> tuple[Floats, Floats, tuple[str, ...]]:
+        """Return the weights, the targets and the names of coefficients that rides do not tell."""
+        sums = moments.sums(centred=free.constant is not None)
+        size = np.sqrt(np.maximum(np.diag(sums), 0.0))
+        weight, toward, held = np.zeros(len(size) - 1), np.zeros(len(size) - 1), []
+        least = max(free.variance, 1e-9 * sums[-1, -1] / moments.rows) if free.freedom > 0 else sums[-1, -1]
+        terms = [self.terms[i] for i in self.sloped]
+        for k, main in enumerate(terms):
+            if not main.columns[0].startswith((EFFECT_PREFIX, ACCESSORIES)) or size[k] >= RESOLUTION * size[-1]:
+                continue
+            for i, term in enumerate(terms):
+                if term.columns[-len(main.columns) :] == main.columns:
+                    sd = PRIOR_SD * (size[k] / size[i] if size[i] > 0.0 and size[k] > 0.0 else 1.0)
+                    weight[i], toward[i] = least / sd**2, float(i == k)
+                    held.append(term.name)
+        return weight, toward, tuple(held)
+
+    def _coefficients(self, group: Group) -> tuple[Floats, float]:
+        """Return the coefficients of a group's terms, and its constant."""
+        if group.solution is None:
+            return np.ones(len(self.sloped)), 0.0
+        return group.solution.coefficients, group.solution.constant or 0.0
+
+    def _fit(self, group: Group) -> Fit:
+        """Return what a model file holds of a group."""
+        solution, influence, scores = group.solution, group.influence, group.scores
+        coefficients, constant = self._coefficients(group)
+        values = np.empty(len(self.terms))
+        values[self._order] = [*coefficients, *([] if self.place is None else [constant])]
+        robust = scores is not None and scores.groups >= LEAST_GROUPS
+        covariance = None
+        if influence is not None:
+            covariance = influence.robust(scores) if robust and scores else influence.classical()
+        squared = solution.residual if solution is not None else group.squared
+        freedom = solution.freedom if solution is not None else group.rides
+        return Fit(
+            coefficients=tuple(values.tolist()),
+            covariance=None if covariance is None else self._ordered(covariance),
+            clusters=scores.groups if robust and scores else None,
+            fills=group.fills,
+            curve=group.curve,
+            rides=group.rides,
+            residual_sd_kwh=float(np.sqrt(squared / freedom)) if freedom > 0 and squared else None,
+            held=group.held,
+        )
+
+    @property
+    def _order(self) -> list[int]:
+        """Places of the solution's coefficients, and of its constant, among the terms."""
+        return [*self.sloped, *([] if self.place is None else [self.place])]
+
+    def _ordered(self, covariance: Floats) -> tuple[tuple[float, ...], ...]:
+        """Return a covariance in the order of the terms."""
+        out = np.empty_like(covariance)
+        out[np.ix_(self._order, self._order)] = covariance
+        return tuple(tuple(row) for row in out.tolist())

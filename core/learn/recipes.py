@@ -1,0 +1,195 @@
+"""Recipes: the models of the paper by name, each a list of terms and how they are fitted.
+
+Names are those of the paper, "Predicting Electric Vehicle Consumption: A Hybrid Physical-Empirical Model", section 4.
+All are fitted by ordinary least squares, for each vehicle model and, for every other one, over all rides together.
+Terms that are collinear by construction (winter and summer, the histogram and the distance, the rolling resistance of a
+car whose load is not known and the distance) share what they explain: see `core.learn.regression`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final, Protocol
+
+import pandas as pd
+
+from core.errors import ModelError
+from core.features import ACCESSORIES, FEATURES, coefficient_unit
+from core.learn.advanced import ADVANCED
+from core.learn.blocks import Frame, Parquet
+from core.learn.fitting import fit_terms
+from core.learn.intervals import least_squares_interval
+from core.models import BASIC_TERMS, LinearModel, Term, physical_term
+
+
+class Recipe(Protocol):
+    """How to come from a ride table to a model."""
+
+    @property
+    def name(self) -> str:
+        """In code and files."""
+
+    @property
+    def title(self) -> str:
+        """As the paper has it, for people."""
+
+    def fit(self, rides: pd.DataFrame, *, covariance: bool = True) -> LinearModel:
+        """Return a model fitted to the rides of a table that are fit for training."""
+
+
+@dataclass(frozen=True)
+class LinearRecipe:
+    """A recipe whose coefficients are found by least squares.
+
+    Parameters
+    ----------
+    name, title : str
+    terms : tuple of Term
+    free : bool
+        Whether coefficients are fitted; else each is 1, as physics has it.
+    note : str
+        What a reader should know.
+    """
+
+    name: str
+    title: str
+    terms: tuple[Term, ...]
+    free: bool = True
+    note: str = ""
+
+    def fit(self, rides: pd.DataFrame, *, covariance: bool = True) -> LinearModel:
+        """Return a model fitted to the rides of a table that are fit for training, see `core.learn.fitting`.
+
+        With the covariance, the model has an interval too.
+        """
+        model = fit_terms(self, Frame(rides), covariance=covariance)
+        return least_squares_interval(model, rides, fitted=self.free) if covariance else model
+
+    def fit_parquet(self, *paths: str | Path, covariance: bool = True) -> LinearModel:
+        """Return a model fitted to Parquet files of rides, in memory that does not grow with them."""
+        return fit_terms(self, Parquet(tuple(Path(path) for path in paths)), covariance=covariance)
+
+
+def term(*columns: str) -> Term:
+    """Return the term that is a product of columns, named for them.
+
+    Examples
+    --------
+    >>> term("odometer_km", "effect_climbing")
+    Term(name='odometer_km * climbing', columns=('odometer_km', 'effect_climbing'), unit='1/km')
+    """
+    name = " * ".join(column.removeprefix("effect_") for column in columns) or "constant"
+    return Term(name=name, columns=columns, unit=coefficient_unit(columns))
+
+
+def product(one: str, other: Term) -> Term:
+    """Return the interaction of a column with a term."""
+    columns = (one, *other.columns)
+    return Term(name=f"{one} * {other.name}", columns=columns, unit=coefficient_unit(columns))
+
+
+CONSTANT: Final = term()
+ACCESSORY_TERM: Final = physical_term("accessories", (ACCESSORIES,))
+FITTED_TERMS: Final = (
+    physical_term("rolling", ("effect_rolling", "rolling_resistance")),
+    physical_term("aero_drag_wind", ("effect_aero_drag_wind", "drag_area_m2")),
+    physical_term("inertia", ("effect_inertia",)),
+    physical_term("climbing", ("effect_climbing",)),
+    ACCESSORY_TERM,
+)
+"""Terms of eq. (2), in its order: distance, air with wind, acceleration, height, accessories over time."""
+BASIC_PART: Final = FITTED_TERMS[:-1]
+"""Of those, the terms of the basic physical model."""
+
+HISTOGRAM: Final = tuple(name for name in FEATURES if name.startswith("speed_"))
+EMPIRICAL_TERMS: Final = tuple(
+    term(name)
+    for name in (
+        "distance_km",
+        "average_speed_kmh",
+        "gained_m",
+        "lost_m",
+        "duration_s",
+        "ambient_c",
+        "wind_speed_kmh",
+        "wind_from_north",
+        "wind_from_east",
+        "soc_start_pct",
+        "time_since_charge_s",
+        "odometer_km",
+        "precipitation_mm_h",
+        "nominal_capacity_kwh",
+        "winter",
+        "summer",
+        *HISTOGRAM,
+    )
+)
+"""Table 1 of the paper, without names, dates and places, and without the ending SOC, which holds the answer.
+
+The wind's direction is its cosine and sine, as 359 and 1 degree are neighbours.
+"""
+SQUARES: Final = tuple(term(*t.columns, *t.columns) for t in EMPIRICAL_TERMS if t.name not in {"winter", "summer"})
+"""The square of each empirical term; those of winter and summer, 0 or 1, would be themselves."""
+SPEED_PRODUCTS: Final = tuple(
+    term("average_speed_kmh", other) for other in ("lost_m", "odometer_km", "distance_km", "winter", "summer")
+)
+"""Average speed times five others, section 4.6.1."""
+HYBRID_TERMS: Final = (*FITTED_TERMS, *EMPIRICAL_TERMS)
+HYBRID_PRODUCTS: Final = (
+    *(product("odometer_km", other) for other in FITTED_TERMS),
+    *(product("lost_m", other) for other in BASIC_PART),
+    *(product(season, other) for season in ("winter", "summer") for other in FITTED_TERMS),
+)
+"""Interactions of section 4.6.2."""
+
+RECIPES: Final[Mapping[str, Recipe]] = MappingProxyType(
+    {
+        each.name: each
+        for each in (
+            LinearRecipe("basic_physical", "Basic Physical Model", BASIC_TERMS, free=False, note="nothing is fitted"),
+            LinearRecipe(
+                "extended_physical",
+                "Extended Physical Model",
+                (*BASIC_TERMS, ACCESSORY_TERM),
+                free=False,
+                note="the accessory curve is fitted",
+            ),
+            LinearRecipe("fitted_physical", "Fitted Extended Physical Model (Linear Regression)", FITTED_TERMS),
+            LinearRecipe(
+                "empirical",
+                "Learned Empirical Model (No Interaction Terms)",
+                (*EMPIRICAL_TERMS, CONSTANT),
+                note="without the ending SOC, which holds the answer",
+            ),
+            LinearRecipe(
+                "empirical_interactions",
+                "Learned Empirical Model (Interaction Terms)",
+                (*EMPIRICAL_TERMS, *SQUARES, *SPEED_PRODUCTS, CONSTANT),
+                note="without the ending SOC, which holds the answer",
+            ),
+            LinearRecipe("hybrid", "Hybrid Model (No Interaction Terms)", (*HYBRID_TERMS, CONSTANT)),
+            LinearRecipe(
+                "hybrid_interactions",
+                "Hybrid Model (Interaction Terms)",
+                (*HYBRID_TERMS, *HYBRID_PRODUCTS, CONSTANT),
+            ),
+            *ADVANCED,
+        )
+    }
+)
+"""Recipes by name, in the paper's order, then those past it."""
+
+
+def recipe(name: str) -> Recipe:
+    """Return a recipe by name.
+
+    Raises
+    ------
+    ModelError
+        Where there is none of that name.
+    """
+    found = RECIPES.get(name)
+    if found is None:
+        raise ModelError(f"recipe {name!r} is unknown: known are {', '.join(RECIPES)}")
+    return found

@@ -1,0 +1,257 @@
+"""The segment model that the paper builds on: a neural network on micro-segments, summed over the ride.
+
+De Cauwer et al. cut drives into micro-segments, described each by speed, acceleration, height and weather, and learnt
+its energy: by multiple linear regression, and by a neural network where relations are not linear. Here a micro-segment
+is a window of the window table. It is a reference row of the evaluation: it needs to know how a ride will be driven
+minute by minute, so it serves no forecast and has no model file.
+
+What it learns from is the energy of rides, as a state of charge in steps of half a percent tells nothing of a minute.
+A ride's energy is shared out: each window gets what a linear regression on the ride's sums expects of it (sums of
+windows are as linear as windows), and what the ride took beyond that in proportion to its duration. On rides whose
+voltage and current were measured, that was at least as good as each window's own measured energy.
+
+References
+----------
+De Cauwer, Van Mierlo, Coosemans, Energies 8 (2015) 8573, DOI 10.3390/en8088573. De Cauwer, Verbeke, Coosemans, Faid,
+Van Mierlo, Energies 10 (2017) 608, DOI 10.3390/en10050608.
+"""
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.neural_network import MLPRegressor
+
+from core.batch import Floats
+from core.errors import ModelError
+from core.learn.regression import Moments, solve
+
+FEATURES: Final = (
+    ("duration_s",),
+    ("distance_km",),
+    ("average_speed_kmh",),
+    ("effect_rolling", "rolling_resistance"),
+    ("effect_climbing_up",),
+    ("effect_climbing_down",),
+    ("effect_aero_drag_wind", "drag_area_m2"),
+    ("effect_inertia_positive",),
+    ("effect_inertia_negative",),
+    ("effect_accessories",),
+    ("ambient_c",),
+    ("stops",),
+    ("precipitation_mm_h",),
+    ("wind_speed_kmh",),
+)
+"""What a micro-segment is described by, each a product of columns of the window table."""
+HIDDEN: Final = (32,)
+"""Neurons of the hidden layer."""
+EPOCHS: Final = 20
+BATCH: Final = 500
+RATE: Final = 0.005
+"""Of learning, by Adam; a smaller rate over more epochs was no better, and slower."""
+MOST: Final = 20_000
+"""Windows of a vehicle model that a network is trained on; of more, those of rides drawn at random."""
+LEAST: Final = 50
+"""Rides that a network needs."""
+
+Ordinals = np.ndarray[Any, np.dtype[np.int64]]
+
+
+@dataclass(frozen=True)
+class Network:
+    """A trained network, with what its columns are standardised by."""
+
+    mean: Floats
+    scale: Floats
+    energy_mean: float
+    energy_scale: float
+    inner: MLPRegressor
+
+    def energy(self, features: Floats) -> Floats:
+        """Return the energy of micro-segments. [kWh]"""
+        standard = np.nan_to_num((features - self.mean) / self.scale)
+        return self.inner.predict(standard) * self.energy_scale + self.energy_mean
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Micro-segments of rides, those of a ride one after another.
+
+    Parameters
+    ----------
+    keys : Index of (m,) str
+        Of the rides.
+    first : (m + 1,) int64
+        Where each ride's micro-segments begin; the last is their number.
+    features : (n, features) float
+    duration : (n,) float
+        [s]
+    """
+
+    keys: pd.Index
+    first: Ordinals
+    features: Floats
+    duration: Floats
+
+    def of(self, rides: pd.DataFrame) -> tuple[Ordinals, Ordinals]:
+        """Return the micro-segments of rides, and for each the position of its ride among them."""
+        at = self.keys.get_indexer(pd.Index(rides["ride_key"]))
+        known = np.flatnonzero(at >= 0)
+        begin, count = self.first[at[known]], np.diff(self.first)[at[known]]
+        ride = np.repeat(known, count)
+        within = np.arange(len(ride)) - np.repeat(np.cumsum(count) - count, count)
+        return np.repeat(begin, count) + within, ride
+
+
+def segments(windows: pd.DataFrame) -> Segments:
+    """Return the micro-segments of a window table.
+
+    Raises
+    ------
+    ModelError
+        Where a column is missing.
+    """
+    needed = dict.fromkeys(("ride_key", "window", *(name for product in FEATURES for name in product)))
+    if missing := [name for name in needed if name not in windows]:
+        raise ModelError(f"column {missing[0]!r} is missing in the window table: make it with `socast tables`")
+    order = windows.sort_values(["ride_key", "window"], kind="stable")
+    keys, first = np.unique(order["ride_key"].to_numpy(dtype=object).astype(str), return_index=True)
+    columns = [order[list(product)].to_numpy(np.float64).prod(axis=1) for product in FEATURES]
+    return Segments(
+        keys=pd.Index(keys),
+        first=np.append(first, len(order)).astype(np.int64),
+        features=np.column_stack(columns),
+        duration=order["duration_s"].to_numpy(np.float64),
+    )
+
+
+@dataclass(frozen=True)
+class SegmentModel:
+    """Networks of vehicle models.
+
+    Parameters
+    ----------
+    segments : Segments
+        Of the rides to come, too: this model is told how they will be driven.
+    networks : dict of str to Network
+    train_other : callable
+        Trains the one for every other vehicle model on all rides together: when it is first asked for, which in most
+        splits it never is.
+    """
+
+    segments: Segments
+    networks: dict[str, Network]
+    train_other: Callable[[], Network]
+
+    @cached_property
+    def other(self) -> Network:
+        """The network for every other vehicle model."""
+        return self.train_other()
+
+    def predict(self, rides: pd.DataFrame) -> Floats:
+        """Return the energy of rides, NaN without micro-segments. [kWh]"""
+        found = np.full(len(rides), np.nan)
+        models = rides["vehicle_model"].to_numpy(dtype=object)
+        for name in set(models.tolist()):
+            network = self.networks.get(name) or self.other
+            own = np.flatnonzero(models == name)
+            at, ride = self.segments.of(rides.iloc[own])
+            if len(at):
+                sums = np.bincount(ride, weights=network.energy(self.segments.features[at]), minlength=len(own))
+                found[own] = np.where(np.bincount(ride, minlength=len(own)) > 0, sums, np.nan)
+        return found
+
+
+@dataclass(frozen=True)
+class SegmentRecipe:
+    """How to come from rides and their micro-segments to a segment model.
+
+    Parameters
+    ----------
+    segments : Segments
+        Of all rides, those to be predicted included.
+    seed : int
+    """
+
+    segments: Segments
+    seed: int = 0
+    name: str = "segment_network"
+    title: str = "Segment Model (Neural Network on Micro-Segments)"
+
+    def fit(self, rides: pd.DataFrame) -> SegmentModel:
+        """Return a model with a network for each vehicle model of enough rides, and one for every other one.
+
+        Raises
+        ------
+        ModelError
+            Where there are too few rides even together.
+        """
+        if (found := self._rides(rides)) < LEAST:
+            raise ModelError(f"{found:,} rides have windows, and a network needs {LEAST}: give more rides")
+        groups = {str(name): own for name, own in rides.groupby("vehicle_model", sort=True)}
+        networks = {name: self._network(own) for name, own in groups.items() if self._rides(own) >= LEAST}
+        return SegmentModel(self.segments, networks, partial(self._network, rides))
+
+    def _rides(self, rides: pd.DataFrame) -> int:
+        return int(rides["ride_key"].isin(self.segments.keys).sum())
+
+    def _network(self, rides: pd.DataFrame) -> Network:
+        """Train a network."""
+        at, ride = self.segments.of(rides)
+        features, energy = self.segments.features[at], rides["energy_kwh"].to_numpy(np.float64)
+        mean, scale = np.nanmean(features, axis=0), np.nanstd(features, axis=0)
+        target = shared_out(np.where(np.isnan(features), mean, features), self.segments.duration[at], ride, energy)
+        rng = np.random.default_rng(self.seed)
+        drawn = np.zeros(len(rides), dtype=bool)
+        drawn[rng.permutation(len(rides))[: max(round(len(rides) * MOST / len(at)), 1)]] = True
+        kept = drawn[ride]
+        untrained = MLPRegressor(
+            hidden_layer_sizes=HIDDEN,
+            batch_size=min(BATCH, int(kept.sum())),
+            learning_rate_init=RATE,
+            max_iter=EPOCHS,
+            n_iter_no_change=EPOCHS,
+            random_state=self.seed,
+        )
+        centre, spread = float(target[kept].mean()), float(target[kept].std()) or 1.0
+        network = Network(mean, np.where(scale > 0.0, scale, 1.0), centre, spread, untrained)
+        standard = np.nan_to_num((features[kept] - network.mean) / network.scale)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)  # it is stopped early on purpose
+            untrained.fit(standard, (target[kept] - centre) / spread)
+        return network
+
+
+def shared_out(features: Floats, duration: Floats, ride: Ordinals, energy: Floats) -> Floats:
+    """Return the energy of each micro-segment, such that those of a ride add up to what the ride took.
+
+    Parameters
+    ----------
+    features : (n, features) float
+    duration : (n,) float
+        [s]
+    ride : (n,) int64
+        Position of each one's ride.
+    energy : (m,) float
+        Of the rides. [kWh]
+
+    Returns
+    -------
+    (n,) float
+        [kWh]
+    """
+    count = np.bincount(ride, minlength=len(energy))
+    own = np.column_stack([features, np.ones(len(ride))])
+    sums = np.column_stack([np.bincount(ride, weights=column, minlength=len(energy)) for column in own.T])
+    moments = Moments(sums.shape[1] + 1)
+    moments.add(np.column_stack([sums, energy])[count > 0])
+    expected = own @ solve(moments, constant=False).coefficients
+    beyond = energy - np.bincount(ride, weights=expected, minlength=len(energy))
+    time = np.bincount(ride, weights=duration, minlength=len(energy))
+    share = np.divide(duration, time[ride], out=1.0 / count[ride], where=time[ride] > 0.0)
+    return expected + beyond[ride] * share

@@ -1,0 +1,134 @@
+"""How long a fit takes, and how much memory: against scikit-learn's plain least squares of the same columns."""
+
+import subprocess
+import sys
+import tempfile
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+from sklearn.linear_model import LinearRegression
+
+from core import effects
+from core.features import Columns
+from core.learn.fitting import design
+from core.learn.recipes import RECIPES, LinearRecipe
+from core.models import ANY, LinearModel
+from core.pipeline import BLOCK, Pipeline
+from tools.bench.measures import Measure, alternating, blocks, seconds
+from tools.simulator.fleet import simulate
+from tools.simulator.settings import Simulation
+from tools.tables import ROW_GROUP
+
+MANY, FEW = 200_000, 20_000
+RECIPE: Final = "hybrid_interactions"
+NOISE: Final = 0.02
+
+FIT: Final = """
+import sys
+from core.learn.recipes import RECIPES
+for path in sys.argv[1:]:
+    RECIPES[{recipe!r}].fit_parquet(path)
+    status = open("/proc/self/status").read()
+    print(status.partition("VmHWM:")[2].split()[0])
+"""
+
+
+def fitting(repeats: int = 3) -> Measure:
+    """Measure a fit to many rides, Parquet to model, against scikit-learn's of the same columns, in memory already."""
+    recipe = RECIPES[RECIPE]
+    if not isinstance(recipe, LinearRecipe):
+        raise TypeError(recipe)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "rides.parquet"
+        write(path, _simulated(), MANY)
+        model = recipe.fit_parquet(path)
+        ours, plain = alternating(
+            lambda: seconds(lambda: recipe.fit_parquet(path)), lambda: _plain(model, path), repeats
+        )
+    return Measure(
+        f"fitting {RECIPE} to {MANY:,} rides, file to model",
+        "scikit-learn's LinearRegression of the same columns in memory",
+        plain / ours,
+        ">= 0.5",
+        plain >= 0.5 * ours,
+        {"fit_s": ours, "plain_s": plain, "terms": len(model.terms), "fits": len(model.fits)},
+        "Three passes over the file: fills and accessory curve; normal equations; residuals for the covariance. "
+        "Reading is a third, making the columns a fifth. Scikit-learn's figure is for the same five fits, one a car "
+        "model and one over all, without reading and without making the columns; it decomposes those themselves.",
+    )
+
+
+def fitting_memory() -> Measure:
+    """Measure how peak memory grows with the number of rides: a tenth of them first, then all, in one process."""
+    with tempfile.TemporaryDirectory() as folder:
+        base = _simulated()
+        paths = [Path(folder) / f"{n}.parquet" for n in (FEW, MANY)]
+        for path, n in zip(paths, (FEW, MANY), strict=True):
+            write(path, base, n)
+        code = FIT.format(recipe=RECIPE)
+        done = subprocess.run(  # noqa: S603 - this interpreter, on files made here
+            [sys.executable, "-c", code, *map(str, paths)], capture_output=True, text=True, check=True
+        )
+    few, many = (int(line) / 1024.0 for line in done.stdout.split())
+    return Measure(
+        f"peak memory of a fit to {MANY:,} rides",
+        f"to {FEW:,}",
+        many / few,
+        "<= 1.1",
+        many <= 1.1 * few,
+        {"many_mb": many, "few_mb": few, "table_mb": MANY * 8 * len(base.columns) / 2**20},
+        "Of both, 250 MB are the imports; the rest is a block of 8,192 rides, its products, and what the allocator "
+        "keeps. The whole table would take what `table_mb` says, and its products as much again.",
+    )
+
+
+def _simulated() -> pd.DataFrame:
+    """Return the ride table of a day of a small fleet."""
+    start = datetime(2018, 1, 16, 12, tzinfo=UTC)
+    pipeline = Pipeline(also=list(effects.library()), keep_forecasts=False)
+    messages = list(simulate(Simulation(vehicles=12, start=start, shift_hours=4.0, seed=5)))
+    for block in blocks(messages, BLOCK):
+        pipeline.take(block)
+    pipeline.finish()
+    rides = pipeline.take_rides()
+    return rides[rides["fit_for_training"]].reset_index(drop=True)
+
+
+def write(path: Path, base: pd.DataFrame, rides: int, seed: int = 1) -> None:
+    """Write a table of any size: rows of another drawn again and again, each figure with noise, over a year."""
+    rng = np.random.default_rng(seed)
+    fixed = {"winter", "summer", "fit_for_training"}
+    noisy = [name for name in base.columns if name not in fixed and pd.api.types.is_float_dtype(base[name])]
+    writer = None
+    for start in range(0, rides, ROW_GROUP):
+        n = min(ROW_GROUP, rides - start)
+        part = base.iloc[rng.integers(0, len(base), n)].reset_index(drop=True)
+        part[noisy] = part[noisy].to_numpy() * (1.0 + NOISE * rng.standard_normal((n, len(noisy))))
+        part["ambient_c"] = rng.uniform(-30.0, 30.0, n)
+        day = 365 * (start + np.arange(n)) // rides
+        part["date"] = (np.datetime64("2018-01-01") + day).astype(str)
+        part["winter"] = ((day < 74) | (day > 348)).astype(np.int64)
+        part["summer"] = 1 - part["winter"]
+        table = pa.Table.from_pandas(part, preserve_index=False)
+        writer = writer or pq.ParquetWriter(path, table.schema, compression="zstd")
+        writer.write_table(table.cast(writer.schema))
+    if writer is not None:
+        writer.close()
+
+
+def _plain(model: LinearModel, path: Path) -> float:
+    """Return the time of scikit-learn's fits alone, the columns made before. [s]"""
+    rides = pd.read_parquet(path)
+    took = 0.0
+    for key, fit in model.fits.items():
+        own = rides if key == ANY else rides[rides["vehicle_model"] == key]
+        curve = None if fit.curve is None else fit.curve.to_curve()
+        table = design(model.terms, Columns(own, fit.fills, curve), len(own))
+        energy = own["energy_kwh"].to_numpy()
+        took += seconds(lambda table=table, energy=energy: LinearRegression().fit(table, energy))  # type: ignore[misc]
+    return took

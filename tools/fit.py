@@ -1,0 +1,194 @@
+"""`socast fit`: ride tables in; a model file, and what was fitted, out."""
+
+from collections.abc import Iterator, Sequence
+from math import sqrt
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+from rich.console import Console
+from rich.table import Table
+from scipy.special import stdtrit
+
+from core import models
+from core.columns import ZERO_CELSIUS
+from core.errors import SettingsError
+from core.features import ACCESSORIES, EFFECT_PREFIX
+from core.learn.blocks import Parquet
+from core.learn.recipes import RECIPES, LinearRecipe, Recipe, recipe
+from core.models import ANY, Curve, Fit, LinearModel, Term
+from tools.output import JsonFile, printer, writable, write_json
+from tools.tables import RIDES
+
+Tables = Annotated[
+    list[Path],
+    typer.Argument(metavar="TABLES...", help="Folders that `socast tables` made, or Parquet files of rides."),
+]
+
+CHOKE_POINTS = ("heating_full", "heating_off", "cooling_on", "cooling_full")
+LEVELS = ("heating", "standby", "cooling")
+
+
+def fit(
+    tables: Tables,
+    recipe_name: Annotated[
+        str, typer.Option("--recipe", metavar="NAME", help=f"One of {', '.join(RECIPES)}.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="MODEL.json", help="The model file to write.")],
+    json_file: JsonFile = None,
+) -> None:
+    """Fit a model to the rides of tables that are fit for training: for each vehicle model, and over all together."""
+    chosen = recipe(recipe_name)
+    files = ride_files(tables)
+    writable(files, out, json_file)
+    model = _fitted(chosen, files)
+    models.save(model, out)
+    write_json(json_file, summary(model, chosen.title))
+    show(model, chosen.title, printer())
+    told = f"{out}: {chosen.title}, version {model.version}; forecast with --model {out}"
+    printer().print(told, markup=False, highlight=False, soft_wrap=True)
+
+
+def ride_files(tables: Sequence[Path]) -> list[Path]:
+    """Return the files of rides that the command line names.
+
+    Raises
+    ------
+    SettingsError
+        Where one is not there.
+    """
+    files = [path / RIDES if path.is_dir() else path for path in tables]
+    for given, file in zip(tables, files, strict=True):
+        if not file.is_file():
+            lacks = f"holds no {RIDES}" if given.is_dir() else "is not there"
+            raise SettingsError(f"{given} {lacks}; name a folder that `socast tables` made, or a Parquet file of rides")
+    return files
+
+
+def _fitted(chosen: Recipe, files: Sequence[Path]) -> LinearModel:
+    """Return the model, in little memory where the recipe can."""
+    if isinstance(chosen, LinearRecipe):
+        return chosen.fit_parquet(*files)
+    return chosen.fit(Parquet(tuple(files)).table())
+
+
+def intervals(model: LinearModel, found: Fit) -> Iterator[tuple[Term, float, float | None]]:
+    """Give each term, its coefficient and the half width of its 95 % interval, None where it is not known."""
+    freedom = (found.clusters or found.rides) - 1
+    factor = float(stdtrit(freedom, 0.975)) if freedom > 0 else float("nan")
+    for i, (term, coefficient) in enumerate(zip(model.terms, found.coefficients, strict=True)):
+        half = None if found.covariance is None else factor * sqrt(max(found.covariance[i][i], 0.0))
+        yield term, coefficient, half
+
+
+def _celsius(curve: Curve) -> dict[str, float]:
+    """Return the seven numbers of a curve, choke points in °C and levels in W."""
+    points = {f"{name}_c": getattr(curve, name) - ZERO_CELSIUS for name in CHOKE_POINTS}
+    return points | {f"{name}_w": getattr(curve, name) for name in LEVELS}
+
+
+def in_sample(model: LinearModel) -> dict[str, float]:
+    """Return the mean absolute error over the rides that each fit was fitted to. [kWh]"""
+    return next((entry["mae_in_sample_kwh"] for entry in model.history if "mae_in_sample_kwh" in entry), {})
+
+
+def summary(model: LinearModel, title: str) -> dict[str, Any]:
+    """Return what was fitted, for JSON."""
+    training = msgspec.to_builtins(model.training)
+    errors = in_sample(model)
+    fits = {
+        key: {
+            "rides": found.rides,
+            "mae_in_sample_kwh": errors.get(key),
+            "residual_sd_kwh": found.residual_sd_kwh,
+            "clusters": found.clusters,
+            "held": found.held,
+            "curve": None if found.curve is None else _celsius(found.curve),
+            "coefficients": [
+                {"term": term.name, "unit": term.unit, "value": value, "ci95": half}
+                for term, value, half in intervals(model, found)
+            ],
+        }
+        for key, found in model.fits.items()
+    }
+    return {"recipe": model.recipe, "title": title, "version": model.version, "training": training, "fits": fits}
+
+
+def show(model: LinearModel, title: str, console: Console) -> None:
+    """Print what was fitted."""
+    training = model.training
+    if training is not None:
+        left = ", ".join(f"{n:,} {reason.replace('_', ' ')}" for reason, n in training.left_out.items())
+        filled = ", ".join(f"{name} in {n:,}" for name, n in training.filled.items())
+        console.print(f"{training.rides:,} rides from {training.first_date} to {training.last_date}", highlight=False)
+        console.print(f"left out: {left or 'none'}", highlight=False, soft_wrap=True)
+        console.print(f"unknown and filled with the mean: {filled or 'nothing'}", highlight=False, soft_wrap=True)
+        for name, n in training.vehicle_models.items():
+            if name not in model.fits:
+                console.print(f"{name}: {n} rides are too few for a fit of its own", highlight=False, soft_wrap=True)
+    errors = in_sample(model)
+    table = Table("vehicle model", title=title)
+    for heading in ("rides", "MAE in sample, kWh", "left, SD, kWh"):
+        table.add_column(heading, justify="right")
+    for key, found in model.fits.items():
+        left_sd = "" if found.residual_sd_kwh is None else f"{found.residual_sd_kwh:.3f}"
+        error = f"{errors[key]:.3f}" if key in errors else ""
+        table.add_row("any other (*)" if key == ANY else key, f"{found.rides:,}", error, left_sd)
+    console.print(table)
+    _show_coefficients(model, console)
+    _show_curves(model, console)
+    parts = [
+        f"factors of {len(model.cars):,} cars" if model.cars else "",
+        f"trees for {len(model.correction)} vehicle models" if model.correction else "",
+        "prediction intervals" if model.interval else "",
+    ]
+    if any(parts):
+        console.print(f"and {', '.join(part for part in parts if part)}", highlight=False)
+
+
+def _physical(term: Term) -> bool:
+    """Tell whether a term is a physical one, whose coefficient is 1 where physics holds."""
+    return bool(term.columns) and term.columns[0].startswith((EFFECT_PREFIX, ACCESSORIES))
+
+
+def _show_coefficients(model: LinearModel, console: Console) -> None:
+    """Print the coefficients of physical terms with their 95 % intervals; the others are in the JSON files."""
+    if not any(found.covariance for found in model.fits.values()):
+        return
+    shown = [term for term in model.terms if _physical(term)] or list(model.terms[:12])
+    table = Table("coefficient", "unit", title="Coefficients with 95 % intervals")
+    for key in model.fits:
+        table.add_column(key, justify="right")
+    cells = {key: {t.name: (c, half) for t, c, half in intervals(model, found)} for key, found in model.fits.items()}
+    for term in shown:
+        row = [_cell(*cells[key][term.name], held=term.name in model.fits[key].held) for key in model.fits]
+        table.add_row(term.name, term.unit, *row)
+    console.print(table)
+    others = len(model.terms) - len(shown)
+    notes = [f"{others} other coefficients are in the model file"] if others else []
+    if any(found.held for found in model.fits.values()):
+        notes.append("(held): whole rides do not tell it, so it is held near physics, 1")
+    if notes:
+        console.print("; ".join(notes), markup=False, highlight=False, soft_wrap=True)
+
+
+def _cell(value: float, half: float | None, *, held: bool) -> str:
+    """Return a coefficient and its interval, as text."""
+    text = f"{value:.4g}" if half is None else f"{value:.4g} ± {half:.2g}"
+    return f"{text} (held)" if held else text
+
+
+def _show_curves(model: LinearModel, console: Console) -> None:
+    """Print the accessory curves."""
+    curves = {key: found.curve for key, found in model.fits.items() if found.curve is not None}
+    if not curves:
+        return
+    table = Table("vehicle model", title="Accessory power: choke points in °C, levels in W")
+    for name in (*CHOKE_POINTS, *LEVELS):
+        table.add_column(name.replace("_", " "), justify="right")
+    for key, curve in curves.items():
+        numbers = _celsius(curve)
+        points = [f"{numbers[f'{name}_c']:.1f}" for name in CHOKE_POINTS]
+        table.add_row(key, *points, *(f"{numbers[f'{name}_w']:,.0f}" for name in LEVELS))
+    console.print(table)
