@@ -1,0 +1,1 @@
+"""Judging models: the paper's protocol, its figures, and what it leaves open."""

@@ -1,0 +1,52 @@
+"""Figure 1 of the paper: accessory power against outside temperature, and the curve that was fitted to it."""
+
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+
+from core.errors import SocastError
+from core.evaluate.judged import LEAST, Judged
+from core.evaluate.scores import group_means
+from core.learn.recipes import RECIPES
+from core.models import BASIC_PHYSICAL
+
+RECIPE: Final = "extended_physical"
+BIN_K: Final = 2.0
+"""Width of a bin of outside temperature. [K]"""
+
+
+def figure_1(judged: Judged) -> dict[str, Any]:
+    """Return, of each vehicle model, what its rides took beyond the basic physical model, and the fitted curve.
+
+    Returns
+    -------
+    dict
+        Vehicle model to `points`, each `ambient_c`, `power_w` and `rides` of a bin of temperature, and `curve`, the
+        seven numbers of `core.vehicles.AccessoryCurve` in K and W. Powers are those of a car of scale 1.
+    """
+    rides: Any = judged.rides
+    try:
+        fits = RECIPES[RECIPE].fit(rides).fits
+    except SocastError:
+        return {}  # a table that no curve can be fitted to has no such figure
+    time = (rides["duration_s"] * rides["accessory_scale"] / 3.6e6).to_numpy(np.float64)
+    beyond = judged.energy - BASIC_PHYSICAL.predict(rides)
+    ambient = rides["ambient_c"].to_numpy(np.float64)
+    known = np.isfinite(ambient) & np.isfinite(beyond) & (time > 0.0)
+    found = {}
+    for i, name in enumerate(judged.vehicle_models):
+        own = known & (judged.model == i)
+        if name not in fits or not np.any(own) or fits[name].curve is None:
+            continue
+        codes = (ambient[own] // BIN_K).astype(np.int64)
+        first, bins = int(codes.min()), int(np.ptp(codes)) + 1
+        rides = np.bincount(codes - first, minlength=bins)
+        sums = [group_means(values[own], codes - first, bins) for values in (ambient, beyond, time)]
+        points = [
+            {"ambient_c": sums[0][b], "power_w": sums[1][b] / sums[2][b], "rides": int(rides[b])}
+            for b in range(bins)
+            if rides[b] >= LEAST
+        ]
+        found[name] = {"points": points, "curve": msgspec.to_builtins(fits[name].curve)}
+    return found

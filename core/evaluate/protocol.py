@@ -1,0 +1,217 @@
+"""The whole evaluation: the paper's sections 3 to 5 on a ride table, and past them.
+
+`evaluate` draws the splits, runs every recipe on every one of them in parallel, and makes the result: a plain dict that
+`--json` writes and reports read. The same seed gives the same result, whatever the number of processes.
+"""
+
+from collections.abc import Callable, Hashable, Mapping
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from core.errors import ModelError, SettingsError
+from core.evaluate import breakdown, new_vehicle, results, selection
+from core.evaluate.accessories import figure_1
+from core.evaluate.held_out import HeldOut, held_out
+from core.evaluate.judged import Judged, judged
+from core.evaluate.runs import Fittable, Prediction, Progress, in_parallel, predicted
+from core.evaluate.splits import REPEATS, TEST_SHARE, Split, by_date, by_ride, by_vehicle
+from core.features import needed
+from core.learn.recipes import RECIPES
+from core.learn.segments import SegmentRecipe, segments
+
+SEGMENTS: Final = "segment_network"
+"""Name of the reference that needs the window table."""
+ONE_VEHICLE_MODEL: Final = "one vehicle model only: nothing to train on for a new one"
+ONE_CAR: Final = "no vehicle model has two cars: no split by vehicle"
+ONE_DATE: Final = "one date only: no split by date"
+
+Kind = str
+Run = tuple[Kind, Hashable, str]
+"""Kind of split, which of them, and recipe."""
+
+
+def chosen(names: str | None, windows: pd.DataFrame | None, seed: int = 0) -> dict[str, Fittable]:
+    """Return recipes to judge by their names.
+
+    Parameters
+    ----------
+    names : str, optional
+        With commas between them; all where not given.
+    windows : DataFrame, optional
+        The window table, which the segment model needs.
+    seed : int
+        Of the segment model.
+
+    Raises
+    ------
+    SettingsError
+        Where a name is unknown, or the segment model is asked for and there are no windows.
+    """
+    known: dict[str, Fittable] = dict(RECIPES)
+    if windows is not None:
+        known[SEGMENTS] = SegmentRecipe(segments(windows), seed)
+    if names is None:
+        return known
+    wanted = dict.fromkeys(name.strip() for name in names.split(",") if name.strip())
+    for name in wanted:
+        if name == SEGMENTS and windows is None:
+            raise SettingsError(f"{SEGMENTS} needs windows.parquet beside the ride table; give the folder that has it")
+        if name not in known:
+            raise SettingsError(f"recipe {name!r} is unknown; known are {', '.join(known)}")
+    if not wanted:
+        raise SettingsError(f"no recipe is named; name some of {', '.join(known)}, with commas between them")
+    return {name: known[name] for name in known if name in wanted}
+
+
+def evaluate(
+    rides: pd.DataFrame,
+    recipes: Mapping[str, Fittable],
+    *,
+    seed: int = 0,
+    repeats: int = REPEATS,
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Return the whole evaluation of recipes on a ride table.
+
+    Parameters
+    ----------
+    rides : DataFrame
+        As `core.tables.ride_table` makes it.
+    recipes : mapping of str to Fittable
+        Those of `chosen`.
+    seed : int
+        Of splits and draws.
+    repeats : int
+        Splits by ride; one gives no intervals.
+    jobs : int
+        Processes.
+    progress : callable, optional
+        Called with the number of runs that are done, and of all.
+
+    Raises
+    ------
+    ModelError
+        Where the table cannot be judged, lacks a column that a recipe reads, or no recipe can be fitted to it.
+    """
+    table = judged(rides)
+    _check_columns(recipes, table)
+    splits = _splits(table, seed, repeats)
+    calls: dict[Any, Callable[[], Any]] = {
+        (kind, key, name): partial(predicted, recipe, table, split)
+        for kind, own in splits.items()
+        for key, split in own.items()
+        for name, recipe in reversed(list(recipes.items()))
+    }
+    few = new_vehicle.plan(new_vehicle.learners(recipes), table, seed)
+    calls |= {("few", *key): call for key, call in few.items()}
+    calls |= {("selection", name): call for name, call in selection.plan(table, recipes, seed).items()}
+    done = in_parallel(calls, jobs, progress)
+    held = {kind: _held(done, kind, splits[kind], recipes, table) for kind in ("ride", "vehicle", "date")}
+    if not held["ride"].recipes:
+        raise ModelError(f"no recipe can be judged: {held['ride'].notes[0]}")
+    new = {name: _held(done, "new", {name: split}, recipes, table) for name, split in splits["new"].items()}
+    curves, failed = new_vehicle.curves({key: done["few", *key] for key in few})
+    found = _tables(table, held, new, seed, repeats)
+    found["few_shot"] = curves
+    found["selection"] = next((value for key, value in done.items() if key[0] == "selection"), {})
+    found["recipes"] = {name: recipe.title for name, recipe in recipes.items() if name in held["ride"].recipes}
+    found["about"]["notes"] = _notes(splits, held, new) + failed
+    return results.plain(found)
+
+
+def _check_columns(recipes: Mapping[str, Fittable], table: Judged) -> None:
+    """Refuse, before minutes of work, a table that lacks a column of a recipe's terms."""
+    for name, recipe in recipes.items():
+        for term in getattr(recipe, "terms", ()):
+            for column in (raw for read in term.columns for raw in needed(read)):
+                if column not in table.rides:
+                    raise ModelError(
+                        f"column {column!r} is missing in the ride table, and recipe {name} reads it: make the tables "
+                        "anew with `socast tables`, or name the recipes that can do without"
+                    )
+
+
+def _splits(table: Judged, seed: int, repeats: int) -> dict[Kind, dict[Any, Split]]:
+    """Return all splits, by kind."""
+    rides = table.rides
+    models, cars, dates = (rides[name].astype(str).tolist() for name in ("vehicle_model", "vehicle_id", "date"))
+    return {
+        "ride": dict(enumerate(by_ride(list(zip(models, table.cluster.tolist(), strict=True)), seed, repeats))),
+        "vehicle": dict(enumerate(by_vehicle(models, cars, seed))),
+        "date": dict(enumerate(by_date(dates))),
+        "new": new_vehicle.left_out(table),
+    }
+
+
+def _held(
+    done: Mapping[Any, Prediction],
+    kind: Kind,
+    splits: Mapping[Hashable, Split],
+    recipes: Mapping[str, Fittable],
+    table: Judged,
+) -> HeldOut:
+    """Return what was said on splits of a kind, by recipes in order."""
+    return held_out({name: [done[kind, key, name] for key in splits] for name in recipes}, len(table.rides))
+
+
+def _tables(
+    table: Judged, held: Mapping[Kind, HeldOut], new: Mapping[Any, HeldOut], seed: int, repeats: int
+) -> dict[str, Any]:
+    """Return everything that follows from predictions."""
+    ride = held["ride"]
+    found: dict[str, Any] = {"about": results.about(table, seed, repeats, TEST_SHARE)}
+    found |= results.tables_2_and_3(table)
+    found |= results.tables_4_to_11(ride, table)
+    found |= results.difference_scores(ride, table)
+    found |= breakdown.overall(ride, table)
+    found["by"] = breakdown.by(ride, table)
+    found["coverage"] = breakdown.coverages(ride, table)
+    for kind in ("vehicle", "date"):
+        for recipe, figures in breakdown.coverages(held[kind], table).items():
+            found["coverage"].setdefault(recipe, {})[f"by_{kind}"] = figures["overall"]
+    for recipe, figures in breakdown.coverages(together(new), table).items():
+        found["coverage"].setdefault(recipe, {})["new_vehicle"] = figures["overall"]
+    found["splits"] = {"ride": _averages(found["mae"], table)} | {
+        kind: {
+            recipe: dict(zip(table.vehicle_models, results.pooled_average(held[kind], table, recipe), strict=True))
+            for recipe in held[kind].recipes
+        }
+        for kind in ("vehicle", "date")
+    }
+    found["new_vehicle"] = new_vehicle.tables_12_and_13(new, table)
+    found["curve"] = figure_1(table)
+    return found
+
+
+def together(parts: Mapping[Any, HeldOut]) -> HeldOut:
+    """Return predictions of several kinds of splits as those of one, for the recipes that are in all of them."""
+    held = list(parts.values())
+    recipes = tuple(r for r in held[0].recipes if all(r in h.recipes for h in held)) if held else ()
+    return HeldOut(
+        recipes=recipes,
+        rows=tuple(rows for h in held for rows in h.rows),
+        energy={r: tuple(energy for h in held for energy in h.energy[r]) for r in recipes},
+        bounds={r: tuple(b for h in held for b in h.bounds[r]) for r in recipes if all(r in h.bounds for h in held)},
+        overlap=np.nan,
+        notes=tuple(note for h in held for note in h.notes),
+    )
+
+
+def _averages(mae: Mapping[str, Any], table: Judged) -> dict[str, dict[str, float]]:
+    """Return the starred averages alone."""
+    return {recipe: {m: rows[m]["average"]["value"] for m in table.vehicle_models} for recipe, rows in mae.items()}
+
+
+def _notes(splits: Mapping[Kind, Any], held: Mapping[Kind, HeldOut], new: Mapping[Any, HeldOut]) -> list[str]:
+    """Return what was left out and why, each once."""
+    notes = []
+    for kind, why in (("vehicle", ONE_CAR), ("date", ONE_DATE), ("new", ONE_VEHICLE_MODEL)):
+        if not splits[kind]:
+            notes.append(why)
+    for kind, own in [*held.items(), *((f"without {name}", own) for name, own in new.items())]:
+        notes += [f"{note} (split by {kind})" if kind in held else f"{note} ({kind})" for note in own.notes]
+    return list(dict.fromkeys(notes))

@@ -1,0 +1,194 @@
+"""From predictions to the result of an evaluation: a plain dict, which `--json` writes and reports read."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from core.batch import Floats
+from core.evaluate import differences
+from core.evaluate.held_out import HeldOut, averages, cells, errors, grid, table, weighted
+from core.evaluate.judged import CLUSTERS, SCORED, Judged
+from core.evaluate.scores import Estimate, combined, group_means, over_repeats
+
+REFERENCE: Final = "basic_physical"
+"""Recipe that reductions are against."""
+ALL: Final = "all"
+"""Stands for all vehicle models together in the difference score."""
+
+
+def about(judged: Judged, seed: int, repeats: int, test_share: float) -> dict[str, Any]:
+    """Return what was evaluated."""
+    dates = judged.rides["date"]
+    return {
+        "rides": judged.read,
+        "fit": len(judged.rides),
+        "unfit": judged.unfit,
+        "seed": seed,
+        "repeats": repeats,
+        "test_share": test_share,
+        "vehicle_models": list(judged.vehicle_models),
+        "clusters": list(CLUSTERS[:SCORED]),
+        "first_date": str(dates.min()),
+        "last_date": str(dates.max()),
+        "energy_source": _sources(judged.rides),
+        "vehicles": int(judged.rides["vehicle_id"].nunique()),
+    }
+
+
+def _sources(rides: pd.DataFrame) -> dict[str, float]:
+    """Return the share of rides whose energy was measured by voltage and current, and by the state of charge."""
+    found = {}
+    for name in ("vi", "soc"):
+        if f"energy_{name}_kwh" in rides:
+            found[name] = float((rides["energy_kwh"] == rides[f"energy_{name}_kwh"]).mean())
+    return found
+
+
+def tables_2_and_3(judged: Judged) -> dict[str, Any]:
+    """Return `rides` and `consumption`: number and mean energy of rides by vehicle model and cluster."""
+    models, many = len(judged.vehicle_models), len(CLUSTERS)
+    count = judged.count()
+    means = group_means(judged.energy, judged.model * many + judged.cluster, models * many).reshape(models, many)
+    rides, consumption = {}, {}
+    for i, name in enumerate(judged.vehicle_models):
+        rides[name] = {**dict(zip(CLUSTERS, count[i].tolist(), strict=True)), "total": int(count[i].sum())}
+        known = means[i][~np.isnan(means[i])]
+        consumption[name] = {**dict(zip(CLUSTERS, means[i].tolist(), strict=True)), "average": float(known.mean())}
+    return {"rides": rides, "consumption": consumption}
+
+
+def tables_4_to_11(held: HeldOut, judged: Judged) -> dict[str, Any]:
+    """Return `test_consumption`, `mae`, and what follows from them: `reduction` and `relative`."""
+    used = grid(cells(held, judged, [judged.energy[rows] for rows in held.rows]), held.overlap)
+    grids = {r: grid(cells(held, judged, errors(held, judged, r)), held.overlap) for r in held.recipes}
+    found: dict[str, Any] = {
+        "test_consumption": table(used, judged),
+        "mae": {recipe: table(estimates, judged) for recipe, estimates in grids.items()},
+        "relative": {
+            recipe: {
+                name: error.value / mean.value
+                for name, error, mean in zip(
+                    CLUSTERS[:SCORED], weighted(estimates, judged), weighted(used, judged), strict=True
+                )
+            }
+            for recipe, estimates in grids.items()
+        },
+    }
+    means = {recipe: [average.value for average in averages(estimates)] for recipe, estimates in grids.items()}
+    return found | {"reduction": reductions(means, judged.vehicle_models)}
+
+
+def reductions(means: Mapping[str, Sequence[float]], vehicle_models: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Return by what share the error of each recipe is below the reference's, and the mean over vehicle models.
+
+    Parameters
+    ----------
+    means : mapping of str to (vehicle models,) float
+        Errors of each recipe. Without the reference among them there is nothing to return.
+    vehicle_models : sequence of str
+    """
+    if REFERENCE not in means:
+        return {}
+    reference = np.array(means[REFERENCE], dtype=np.float64)
+    found = {}
+    for recipe, values in means.items():
+        shares = 1.0 - np.array(values, dtype=np.float64) / reference
+        known = shares[~np.isnan(shares)]
+        average = float(known.mean()) if len(known) else np.nan
+        found[recipe] = {**dict(zip(vehicle_models, shares.tolist(), strict=True)), "average": average}
+    return found
+
+
+def difference_scores(held: HeldOut, judged: Judged) -> dict[str, Any]:
+    """Return `difference` and `dominates` of each vehicle model and of all together.
+
+    `value`, `ci95` and `p` of a pair `a|b` are of the mean over rides of the error of a less that of b, and `average`
+    holds the same for the post-stratified average over clusters, the starred one; `p` is adjusted over all pairs. Who
+    dominates follows from the mean over rides, `dominates_average` from the starred average.
+    """
+    ridden = {r: _per_ride(held, judged, errors(held, judged, r)) for r in held.recipes}
+    scored = {r: cells(held, judged, errors(held, judged, r)) for r in held.recipes}
+    pairs = differences.pairs(held.recipes)
+    by_model: list[tuple[dict[Any, Estimate], dict[Any, Estimate]]] = []
+    for m in range(len(judged.vehicle_models)):
+        rides = {(a, b): over_repeats(ridden[a][:, m] - ridden[b][:, m], held.overlap) for a, b in pairs}
+        average = {
+            (a, b): combined(
+                [over_repeats(scored[a][:, m, c] - scored[b][:, m, c], held.overlap) for c in range(SCORED)]
+            )
+            for a, b in pairs
+        }
+        by_model.append((rides, average))
+    weights = judged.count().sum(axis=1).tolist()
+    together = (
+        {pair: combined([of[0][pair] for of in by_model], weights) for pair in pairs},
+        {pair: combined([of[1][pair] for of in by_model]) for pair in pairs},
+    )
+    found: dict[str, Any] = {"difference": {}, "dominates": {}, "dominates_average": {}}
+    names = [*judged.vehicle_models, ALL]
+    for i, (name, (rides, average)) in enumerate(zip(names, [*by_model, together], strict=True)):
+        own = slice(i, i + 1) if name != ALL else slice(None)
+        found["difference"][name] = _pairs(rides, average)
+        mean = {r: _mean(ridden[r][:, own], weights[own]) for r in held.recipes}
+        found["dominates"][name] = differences.dominating(mean, rides)
+        mean = {r: combined(averages(grid(scored[r][:, own], held.overlap))).value for r in held.recipes}
+        found["dominates_average"][name] = differences.dominating(mean, average)
+    return found
+
+
+def _per_ride(held: HeldOut, judged: Judged, values: Sequence[Floats]) -> Floats:
+    """Return means over the rides of each vehicle model, (repeats, vehicle models)."""
+    models = len(judged.vehicle_models)
+    return np.array(
+        [group_means(value, judged.model[rows], models) for rows, value in zip(held.rows, values, strict=True)]
+    )
+
+
+def _mean(values: Floats, weights: Sequence[float]) -> float:
+    """Return the mean over repeats, then over vehicle models by their rides, of what is known."""
+    parts = [over_repeats(values[:, m], 0.0) for m in range(values.shape[1])]
+    return combined(parts, weights).value
+
+
+def _pairs(rides: Mapping[Any, Estimate], average: Mapping[Any, Estimate]) -> dict[str, Any]:
+    """Return the differences of all pairs, by `a|b`."""
+    p, p_average = differences.adjusted(rides), differences.adjusted(average)
+    return {
+        "|".join(pair): {
+            **rides[pair].figures(),
+            "p": p[pair],
+            "average": {**average[pair].figures(), "p": p_average[pair]},
+        }
+        for pair in rides
+    }
+
+
+def plain(value: Any) -> Any:
+    """Return a result as JSON has it: plain numbers, None for what is not known.
+
+    Examples
+    --------
+    >>> plain({"a": np.float64(1.5), "b": [float("nan"), np.int64(2)]})
+    {'a': 1.5, 'b': [None, 2]}
+    """
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def pooled_average(held: HeldOut, judged: Judged, recipe: str) -> list[float]:
+    """Return the error over all folds together, averaged over clusters, of each vehicle model. [kWh]
+
+    A cluster counts where the table has rides enough and the folds held out any of them.
+    """
+    rows = held.pooled
+    error = np.abs(held.all_of(recipe) - judged.energy[rows])
+    once = HeldOut(held.recipes, (rows,), {}, {}, held.overlap, ())
+    means: Floats = cells(once, judged, [error])[0]
+    return [float(row[~np.isnan(row)].mean()) if np.any(~np.isnan(row)) else np.nan for row in means]

@@ -1,0 +1,213 @@
+"""Figures that judge predictions, and how sure they are.
+
+An estimate over repeated splits is a mean with a standard error. The repeats draw from the same rides, so they overlap,
+and a plain standard error of their mean is far too small: it would go to zero with the number of repeats although
+the rides stay the same. So the variance between repeats, s², is corrected for the overlap (Nadeau and Bengio 2003),
+
+    var = (1/J + n_test/n_train) s²,
+
+with J repeats; intervals take Student's t with J - 1 degrees of freedom. They hold for the error on new rides like
+those of the table. They know nothing of cars and days that were not seen: for these there are the splits by vehicle and
+by date. The paper does not say how its own intervals were made.
+
+References
+----------
+Nadeau and Bengio, Machine Learning 52 (2003) 239, "Inference for the Generalization Error", DOI
+10.1023/A:1024068626366. Holt and Smith, Journal of the Royal Statistical Society A 142 (1979) 33, "Post
+Stratification", DOI 10.2307/2344652. Satterthwaite, Biometrics Bulletin 2 (1946) 110, DOI 10.2307/3002019.
+"""
+
+from collections.abc import Sequence
+from math import ceil, inf, isnan, nan, sqrt
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from core.batch import Floats
+
+Codes = NDArray[np.int64]
+
+BANDS: Final = (5, 10, 15)
+"""Relative errors within which rides are counted. [%]"""
+
+
+class Estimate(NamedTuple):
+    """A figure and how sure it is.
+
+    Parameters
+    ----------
+    value : float
+    error : float
+        Standard error, NaN where it is not known.
+    freedom : float
+        Degrees of freedom of the standard error.
+    """
+
+    value: float
+    error: float
+    freedom: float
+
+    @property
+    def ci95(self) -> float:
+        """Half width of the 95 % confidence interval."""
+        return float(stats.t.ppf(0.975, self.freedom) * self.error) if self.freedom > 0 else nan
+
+    @property
+    def p(self) -> float:
+        """Two-sided probability of a value as far from zero as this one where the truth is zero."""
+        if self.error == 0.0:
+            return 1.0 if self.value == 0.0 else 0.0
+        return float(2.0 * stats.t.sf(abs(self.value) / self.error, self.freedom)) if self.freedom > 0 else nan
+
+    def figures(self) -> dict[str, float]:
+        """Return `value` and `ci95`, as results have them."""
+        return {"value": self.value, "ci95": self.ci95}
+
+
+UNKNOWN: Final = Estimate(nan, nan, nan)
+
+
+def over_repeats(values: Floats, overlap: float) -> Estimate:
+    """Return the mean over repeats, with the standard error that allows for their overlap.
+
+    Parameters
+    ----------
+    values : (repeats,) float
+        NaN where a repeat has none.
+    overlap : float
+        Rides tested over rides trained on, in each repeat.
+
+    Examples
+    --------
+    >>> over_repeats(np.array([1.0, 2.0, 3.0]), overlap=2 / 3)
+    Estimate(value=2.0, error=1.0, freedom=2)
+    """
+    known = values[~np.isnan(values)]
+    repeats = len(known)
+    if repeats == 0:
+        return UNKNOWN
+    error = sqrt((1.0 / repeats + overlap) * float(np.var(known, ddof=1))) if repeats > 1 else nan
+    return Estimate(float(np.mean(known)), error, repeats - 1)
+
+
+def combined(parts: Sequence[Estimate], weights: Sequence[float] | None = None) -> Estimate:
+    """Return the weighted mean of independent estimates: of strata, so post-stratified (Holt and Smith 1979).
+
+    The variance is that given the number of rides in each stratum, the sum of W² var; its degrees of freedom are
+    Satterthwaite's.
+
+    Parameters
+    ----------
+    parts : sequence of Estimate
+        Those without a value are left out.
+    weights : sequence of float, optional
+        Of the parts; equal where not given, as the starred averages of the paper.
+
+    Examples
+    --------
+    >>> combined([Estimate(1.0, 0.5, 9), Estimate(2.0, 0.5, 9)], weights=[1, 1]).value
+    1.5
+    """
+    given = [1.0] * len(parts) if weights is None else list(weights)
+    pairs = [(part, weight) for part, weight in zip(parts, given, strict=True) if not isnan(part.value) and weight > 0]
+    total = sum(weight for _, weight in pairs)
+    if not pairs:
+        return UNKNOWN
+    shares = [(weight / total * part.error) ** 2 for part, weight in pairs]
+    variance = sum(shares)
+    spread = sum(share**2 / part.freedom for share, (part, _) in zip(shares, pairs, strict=True) if share > 0.0)
+    value = sum(weight / total * part.value for part, weight in pairs)
+    return Estimate(value, sqrt(variance), variance**2 / spread if spread > 0.0 else nan if isnan(variance) else inf)
+
+
+def group_means(values: Floats, groups: Codes, count: int) -> Floats:
+    """Return the mean of each group.
+
+    Parameters
+    ----------
+    values : (n,) float
+    groups : (n,) int64
+        From 0; those from `count` on, and negative ones, are left out.
+    count : int
+
+    Returns
+    -------
+    (count,) float
+        NaN for an empty group.
+    """
+    counted = (groups >= 0) & (groups < count)
+    rides = np.bincount(groups[counted], minlength=count)
+    sums = np.bincount(groups[counted], weights=values[counted], minlength=count)
+    return np.divide(sums, rides, out=np.full(count, np.nan), where=rides > 0)
+
+
+def buffer(measured: Floats, predicted: Floats, share: float) -> float:
+    """Return the least reserve that is enough for a share of rides: measured <= predicted + buffer. [kWh]
+
+    Negative where so many rides take less than predicted; NaN without rides.
+
+    Examples
+    --------
+    >>> buffer(np.array([1.0, 2.0, 3.0, 9.0]), np.array([1.0, 1.0, 1.0, 1.0]), 0.75)
+    2.0
+    """
+    excess = np.sort(measured - predicted)
+    return float(excess[ceil(share * len(excess) - 1e-9) - 1]) if len(excess) else nan
+
+
+def bands(measured: Floats, predicted: Floats) -> dict[str, float]:
+    """Return the share of rides whose error is within 5, 10 and 15 % of what was measured."""
+    error, limit = np.abs(predicted - measured), np.abs(measured) / 100.0
+    return {str(band): float(np.mean(error <= band * limit)) if len(error) else nan for band in BANDS}
+
+
+def bias(measured: Floats, predicted: Floats) -> float:
+    """Return the mean of predicted less measured. [kWh]"""
+    return float(np.mean(predicted - measured)) if len(measured) else nan
+
+
+def mean_absolute_error(measured: Floats, predicted: Floats) -> float:
+    """Return the mean absolute error. [kWh]"""
+    return float(np.mean(np.abs(predicted - measured))) if len(measured) else nan
+
+
+def root_mean_square(measured: Floats, predicted: Floats) -> float:
+    """Return the root of the mean square error. [kWh]"""
+    return sqrt(float(np.mean((predicted - measured) ** 2))) if len(measured) else nan
+
+
+def coverage(measured: Floats, lower: Floats, upper: Floats) -> float:
+    """Return the share of rides inside their intervals, ends included."""
+    return float(np.mean((lower <= measured) & (measured <= upper))) if len(measured) else nan
+
+
+def by_bin(
+    measured: Floats, predicted: Floats, groups: Codes, labels: Sequence[str]
+) -> list[dict[str, float | int | str]]:
+    """Return the errors in each bin that has any predictions.
+
+    Parameters
+    ----------
+    measured, predicted : (n,) float
+        [kWh]
+    groups : (n,) int64
+        Bin of each; outside of `labels` where it is in none.
+    labels : sequence of str
+
+    Returns
+    -------
+    list of dict
+        `bin`, `n`, `bias` and `mae` in kWh, `relative` (error over consumption).
+    """
+    found: list[dict[str, float | int | str]] = []
+    for code, label in enumerate(labels):
+        true, said = measured[groups == code], predicted[groups == code]
+        if len(true):
+            error = mean_absolute_error(true, said)
+            used = float(np.mean(true))
+            relative = error / used if used > 0.0 else nan
+            n, off = len(true), bias(true, said)
+            found.append({"bin": label, "n": n, "bias": off, "mae": error, "relative": relative})
+    return found

@@ -1,0 +1,239 @@
+"""Which terms of the hybrid model can go, section 5.2 of the paper.
+
+Terms are ranked by recursive elimination: fit, take out the term of least standardised coefficient, fit again. RFECV
+keeps as many as have the least error in cross-validation. RFE goes further: terms are taken out in that order as long
+as the difference score does not find the model worse than the whole one.
+
+Half of the rides rank the terms, the other half judge what taking them out costs, so that no term is chosen and judged
+on the same rides. Columns are standardised, and fitted for each vehicle model on its own, as the hybrid model is; the
+rank of a term is by the root mean square of its coefficients over vehicle models, by their rides. Collinear terms share
+what they explain (`core.learn.regression`), so each of them seems weaker than it is, and one of them can always go.
+
+References
+----------
+Guyon, Weston, Barnhill and Vapnik, Machine Learning 46 (2002) 389, DOI 10.1023/A:1012487302797.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, Final, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.feature_selection import RFE, RFECV
+from sklearn.model_selection import KFold
+
+from core.batch import Floats
+from core.evaluate.differences import SIGNIFICANCE
+from core.evaluate.judged import Judged
+from core.evaluate.scores import Codes, Estimate, over_repeats
+from core.evaluate.splits import Positions, Split, by_ride
+from core.features import Columns
+from core.learn.fitting import design
+from core.learn.recipes import LinearRecipe
+from core.learn.regression import Moments, solve
+from core.models import ANY, Term
+
+RECIPE: Final = "hybrid"
+MOST: Final = 20_000
+"""Rides that are used; of more, some drawn at random."""
+RIDES_A_TERM: Final = 10
+"""Rides for each term that a vehicle model needs in either half to take part."""
+FOLDS: Final = 5
+"""Of the cross-validation."""
+REPEATS: Final = 10
+"""Splits of the half that judges."""
+KEPT: Final = 1e100
+"""Importance of what is not to be eliminated."""
+
+
+class ByVehicleModel(RegressorMixin, BaseEstimator):  # type: ignore[misc]
+    """Least squares with a constant, for each vehicle model on its own.
+
+    The first column is the position of the vehicle model; its importance is `KEPT`, so that elimination keeps it.
+    """
+
+    def fit(self, x: Floats, y: Floats) -> Self:
+        """Fit the columns after the first, (n, 1 + p), to (n,) energies."""
+        self.coefficients_: dict[int, tuple[Floats, float]] = {}
+        squares = np.zeros(x.shape[1] - 1)
+        for model in np.unique(x[:, 0]):
+            own = x[:, 0] == model
+            moments = Moments(x.shape[1])
+            moments.add(np.column_stack([x[own, 1:], y[own]]))
+            solution = solve(moments, constant=True)
+            self.coefficients_[int(model)] = (solution.coefficients, solution.constant or 0.0)
+            squares += np.sum(own) * solution.coefficients**2
+        self.importance_ = np.append(KEPT, np.sqrt(squares / len(x)))
+        return self
+
+    def predict(self, x: Floats) -> Floats:
+        """Return energies, NaN for a vehicle model that was not fitted."""
+        found = np.full(len(x), np.nan)
+        for model, (coefficients, constant) in self.coefficients_.items():
+            own = x[:, 0] == model
+            found[own] = x[own, 1:] @ coefficients + constant
+        return found
+
+
+class Design(NamedTuple):
+    """Rides as a linear model sees them.
+
+    Parameters
+    ----------
+    table : (n, 1 + p) float
+        Position of the vehicle model, and the terms, standardised within it.
+    energy : (n,) float
+        [kWh]
+    strata : list of n (str, int)
+        Vehicle model and distance cluster.
+    """
+
+    table: Floats
+    energy: Floats
+    strata: list[tuple[str, int]]
+
+    def part(self, rows: Positions) -> "Design":
+        """Return some of the rides."""
+        return Design(self.table[rows], self.energy[rows], [self.strata[i] for i in rows.tolist()])
+
+
+def plan(judged: Judged, recipes: Mapping[str, Any], seed: int) -> dict[str, Callable[[], Any]]:
+    """Return the call that finds which terms can go, by recipe; none where the recipe is not judged."""
+    recipe = recipes.get(RECIPE)
+    return {RECIPE: partial(removable, recipe, judged, seed)} if isinstance(recipe, LinearRecipe) else {}
+
+
+def removable(recipe: LinearRecipe, judged: Judged, seed: int) -> dict[str, Any]:
+    """Return which terms can be taken out of a recipe.
+
+    Returns
+    -------
+    dict
+        `constant`: terms that do not vary within any vehicle model, and so can go before anything is tried. `rfecv`:
+        `removed` terms; `scores`, the cross-validated error in the half that ranks by number of terms; `loss`, what
+        removing them costs in the half that judges. `rfe`: `removed` terms; `steps`, each the term that goes next and
+        the `loss` with it and all before it gone. A loss is a difference of mean absolute errors in kWh, with its
+        `ci95` and `p`. Empty where there are too few rides.
+    """
+    terms = tuple(term for term in recipe.terms if term.columns)
+    rides, halves = _halves(judged, len(terms), seed)
+    if not len(rides):
+        return {}
+    whole = _design(recipe, terms, judged, rides, halves)
+    varies = np.ptp(whole.table[:, 1:], axis=0) > 0.0
+    whole = whole._replace(table=whole.table[:, np.append(True, varies)])
+    names = np.array([term.name for term in terms])
+    found = ranked(whole.part(halves.train), names[varies].tolist(), seed)
+    return {"constant": names[~varies].tolist()} | _priced(found, names[varies], whole.part(halves.test), seed)
+
+
+def ranked(rides: Design, names: Sequence[str], seed: int) -> dict[str, Any]:
+    """Return what elimination says: `order` in which terms go, those `cut` by cross-validation, and its `scores`."""
+    options: dict[str, Any] = {"importance_getter": "importance_"}
+    order = RFE(ByVehicleModel(), n_features_to_select=2, **options).fit(rides.table, rides.energy)
+    folds = KFold(FOLDS, shuffle=True, random_state=seed)
+    score = "neg_mean_absolute_error"
+    tried = RFECV(ByVehicleModel(), cv=folds, scoring=score, min_features_to_select=2, **options)
+    tried.fit(rides.table, rides.energy)
+    results = tried.cv_results_
+    return {
+        "order": np.argsort(-order.ranking_[1:], kind="stable")[: len(names) - 1],
+        "cut": np.flatnonzero(~tried.support_[1:]),
+        "scores": [
+            {"terms": int(n) - 1, "mae": -float(mean)}
+            for n, mean in zip(results["n_features"], results["mean_test_score"], strict=True)
+        ],
+    }
+
+
+def _priced(found: Mapping[str, Any], names: NDArray[np.str_], design: Design, seed: int) -> dict[str, Any]:
+    """Return `rfecv` and `rfe` with what they cost on rides that had no say in them."""
+    order = found["order"]
+    price, *steps = losses(design, [found["cut"], *(order[: i + 1] for i in range(len(order)))], seed)
+    gone = next((i for i, loss in enumerate(steps) if loss.value > 0.0 and loss.p < SIGNIFICANCE), len(steps))
+    return {
+        "rfecv": {"removed": names[found["cut"]].tolist(), "scores": found["scores"], "loss": _figures(price)},
+        "rfe": {
+            "removed": names[order[:gone]].tolist(),
+            "steps": [
+                {"term": str(name), "loss": _figures(loss)} for name, loss in zip(names[order], steps, strict=True)
+            ],
+        },
+    }
+
+
+def losses(design: Design, removed: Sequence[Codes], seed: int) -> list[Estimate]:
+    """Return by how much the error grows when terms are taken out, over splits of these rides.
+
+    Parameters
+    ----------
+    design : Design
+    removed : sequence of (k,) int64
+        Positions of the terms that are taken out.
+    seed : int
+    """
+    p = design.table.shape[1] - 1
+    kept = [np.arange(p), *(np.setdiff1d(np.arange(p), gone) for gone in removed)]
+    splits = by_ride(design.strata, seed, REPEATS)
+    errors = np.array([_errors(design, kept, split) for split in splits])  # (repeats, sets of terms)
+    overlap = float(np.mean([len(s.test) / len(s.train) for s in splits]))
+    return [over_repeats(errors[:, i] - errors[:, 0], overlap) for i in range(1, len(kept))]
+
+
+def _errors(design: Design, kept: Sequence[Codes], split: Split) -> Floats:
+    """Return the mean absolute error with each set of terms; the normal equations are added up once for all sets."""
+    found = np.zeros(len(kept))
+    train, test = design.part(split.train), design.part(split.test)
+    for model in np.unique(train.table[:, 0]):
+        own, asked = train.table[:, 0] == model, test.table[:, 0] == model
+        moments = Moments(train.table.shape[1])
+        moments.add(np.column_stack([train.table[own, 1:], train.energy[own]]))
+        for i, columns in enumerate(kept):
+            solution = solve(_of(moments, np.append(columns, -1)), constant=True)
+            said = test.table[asked][:, 1 + columns] @ solution.coefficients + (solution.constant or 0.0)
+            found[i] += float(np.sum(np.abs(said - test.energy[asked])))
+    return found / len(test.energy)
+
+
+def _of(moments: Moments, columns: Codes) -> Moments:
+    """Return the moments of some of the columns."""
+    part = Moments(len(columns))
+    part.rows, part.mean, part.scatter = moments.rows, moments.mean[columns], moments.scatter[np.ix_(columns, columns)]
+    return part
+
+
+def _halves(judged: Judged, terms: int, seed: int) -> tuple[Positions, Split]:
+    """Return the rides that take part, and the half of them that ranks (`train`) and the one that judges (`test`)."""
+    enough = np.bincount(judged.model) >= 2 * RIDES_A_TERM * terms
+    rides = np.flatnonzero(enough[judged.model])
+    rides = np.sort(np.random.default_rng(seed).permutation(rides)[:MOST])
+    strata = [(judged.vehicle_models[judged.model[i]], int(judged.cluster[i])) for i in rides.tolist()]
+    return rides, by_ride(strata, seed, repeats=1, test_share=0.5)[0]
+
+
+def _design(recipe: LinearRecipe, terms: tuple[Term, ...], judged: Judged, rides: Positions, halves: Split) -> Design:
+    """Return rides as the recipe's fit to the half that ranks would see them."""
+    table = judged.rides.iloc[rides]
+    fits = recipe.fit(table.iloc[halves.train]).fits
+    model = judged.model[rides]
+    ranks = np.isin(np.arange(len(rides)), halves.train)
+    columns = np.empty((len(rides), len(terms)))
+    for code in np.unique(model).tolist():
+        own = np.flatnonzero(model == code)
+        name = judged.vehicle_models[code]
+        fit = fits.get(name, fits[ANY])
+        curve = None if fit.curve is None else fit.curve.to_curve()
+        of: Any = table.iloc[own]
+        part = design(terms, Columns(of, fit.fills, curve), len(own))
+        first = part[ranks[own]]
+        scale = first.std(axis=0)
+        varies = scale > 1e-9 * np.abs(first).max(axis=0, initial=0.0)
+        columns[own] = np.where(varies, (part - first.mean(axis=0)) / np.where(varies, scale, 1.0), 0.0)
+    strata = [(judged.vehicle_models[code], int(judged.cluster[i])) for code, i in zip(model, rides, strict=True)]
+    return Design(np.column_stack([model.astype(np.float64), columns]), judged.energy[rides], strata)
+
+
+def _figures(loss: Estimate) -> dict[str, float]:
+    return {**loss.figures(), "p": loss.p}

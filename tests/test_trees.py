@@ -1,0 +1,176 @@
+"""Trees taken out of scikit-learn repeat its predictions; damaged ones are refused; small is what is fitted."""
+
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sklearn.ensemble import HistGradientBoostingRegressor
+from threadpoolctl import threadpool_limits
+
+from core.errors import ModelError
+from core.learn.trees import LEAVES, TREES, boosted, exported, fit_trees
+from core.trees import LEAF, Trees
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+NAMES = ("ambient_c", "duration_s", "stops", "occupants")
+
+
+@pytest.fixture(scope="module")
+def one_thread():
+    """Threads that wait for each other take seconds for what takes milliseconds."""
+    with threadpool_limits(1):
+        yield
+
+
+def features(rows: int, seed: int, unknown: float = 0.1) -> np.ndarray:
+    """Numbers of very different size, some of them unknown."""
+    random = np.random.default_rng(seed)
+    table = random.normal(size=(rows, len(NAMES))) * [10.0, 1e6, 1e-6, 1.0]
+    table[:, 3] = np.round(table[:, 3])
+    table[random.random(table.shape) < unknown] = np.nan
+    return table
+
+
+def answers(table: np.ndarray, seed: int) -> np.ndarray:
+    random = np.random.default_rng(seed + 1)
+    known = np.nan_to_num(table)
+    return (
+        np.where(known[:, 0] > 3.0, 2.0, 0.0) * known[:, 3]
+        + np.isnan(table[:, 1])
+        + random.normal(0.0, 0.3, len(table))
+    )
+
+
+@settings(max_examples=8, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    unknown=st.sampled_from([0.0, 0.05, 0.6]),
+    loss=st.sampled_from(["squared_error", "absolute_error"]),
+)
+def test_prediction_is_that_of_scikit_learn(seed, unknown, loss):
+    table = features(600, seed, unknown)
+    model = HistGradientBoostingRegressor(loss=loss, max_iter=15, min_samples_leaf=5, random_state=0)
+    model.fit(table, answers(table, seed))
+    asked = np.concatenate([table, features(300, seed + 7, 0.3), features(20, seed + 9) * 1e6])
+    trees = exported(model, NAMES)
+    np.testing.assert_allclose(trees.answer(asked), model.predict(asked), rtol=0.0, atol=1e-10)
+
+
+def test_a_feature_known_in_training_and_unknown_later_goes_where_scikit_learn_sends_it():
+    table = features(500, 3, unknown=0.0)
+    model = boosted().fit(table, answers(table, 3))
+    table[::3, 0] = np.nan
+    np.testing.assert_allclose(exported(model, NAMES).answer(table), model.predict(table), atol=1e-10)
+
+
+def test_where_all_that_is_known_goes_left_the_file_can_say_so():
+    table = np.where(np.random.default_rng(0).random((400, 1)) < 0.5, np.nan, 5.0)
+    target = np.isnan(table[:, 0]) * 1.0
+    model = boosted().fit(table, target)
+    trees = exported(model, NAMES[:1])
+    assert msgspec.json.decode(msgspec.json.encode(trees), type=Trees) == trees
+    np.testing.assert_allclose(trees.answer(table), model.predict(table), atol=1e-10)
+    assert abs(trees.answer(table) - target).max() < 0.1
+
+
+@pytest.fixture(scope="module")
+def fitted() -> Trees:
+    table = features(1500, 1)
+    return fit_trees(table, NAMES, answers(table, 1), np.ones(1500), per="distance_km")
+
+
+def test_what_is_planted_is_found(fitted):
+    table = features(1500, 2)
+    truth = answers(table, 2)
+    left = truth - fitted.answer(table)
+    assert np.std(left) < 0.6 * np.std(truth)
+
+
+def test_trees_are_few_and_small(fitted):
+    assert len(fitted.roots) <= TREES
+    edges = [*fitted.roots, len(fitted.feature)]
+    leaves = [fitted.feature[a:b].count(LEAF) for a, b in pairwise(edges)]
+    assert max(leaves) <= LEAVES
+
+
+def test_the_sum_is_multiplied_with_the_column_and_columns_come_by_name(fitted):
+    table = features(50, 5)
+    columns = pd.DataFrame(table, columns=list(NAMES)).assign(distance_km=np.arange(50.0), other=1.0)
+    assert fitted.needs == (*fitted.features, "distance_km")
+    assert fitted.predict(columns).tobytes() == (fitted.answer(table) * np.arange(50.0)).tobytes()
+
+
+def test_rows_are_predicted_one_by_one_as_all_together(fitted):
+    columns = pd.DataFrame(features(40, 6), columns=list(NAMES)).assign(distance_km=3.0)
+    one_by_one = np.concatenate([fitted.predict(columns.iloc[i : i + 1]) for i in range(40)])
+    assert one_by_one.tobytes() == fitted.predict(columns).tobytes()
+
+
+def test_a_missing_column_is_named(fitted):
+    with pytest.raises(ModelError, match="column 'stops' is missing"):
+        fitted.predict({name: np.ones(3) for name in (*NAMES, "distance_km") if name != "stops"})
+
+
+def test_files_are_exact(fitted):
+    again = msgspec.json.decode(msgspec.json.encode(fitted), type=Trees)
+    assert again == fitted
+    table = features(100, 4)
+    assert again.answer(table).tobytes() == fitted.answer(table).tobytes()
+
+
+def test_features_that_tell_nothing_are_left_out():
+    table = features(300, 8, unknown=0.0)
+    table[:, 1], table[:, 2] = np.nan, 7.0
+    trees = fit_trees(table, NAMES, answers(table, 8), np.ones(300))
+    assert trees.features == ("ambient_c", "occupants")
+
+
+def test_where_no_feature_tells_the_answer_is_the_mean():
+    trees = fit_trees(np.full((50, 4), np.nan), NAMES, np.arange(50.0), np.ones(50))
+    assert (trees.features, trees.roots, trees.baseline) == ((), (), 24.5)
+    assert trees.answer(np.empty((3, 0))).tolist() == [24.5] * 3
+
+
+def test_weights_tell_which_rides_count():
+    table = features(400, 9, unknown=0.0)
+    target = np.where(np.arange(400) % 2 == 0, 1.0, 3.0)
+    trees = fit_trees(table, NAMES, target, np.where(target == 1.0, 1.0, 1e-6))
+    assert abs(trees.answer(table) - 1.0).max() < 0.05
+
+
+GOOD = {
+    "features": ("ambient_c",),
+    "baseline": 0.0,
+    "roots": (0,),
+    "feature": (0, LEAF, LEAF),
+    "threshold": (1.0, 0.0, 0.0),
+    "left": (1, 0, 0),
+    "right": (2, 0, 0),
+    "missing_left": (1, 0, 0),
+    "value": (0.0, -1.0, 1.0),
+}
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"value": (0.0, 1.0)}, "arrays of"),
+        ({"roots": (3,)}, "roots are not among"),
+        ({"feature": (1, LEAF, LEAF)}, "asks about feature 1 of 1"),
+        ({"left": (0, 0, 0)}, "not further on"),
+        ({"right": (7, 0, 0)}, "not further on"),
+        ({"value": (0.0, float("nan"), 1.0)}, "not finite"),
+        ({"baseline": float("inf")}, "not finite"),
+    ],
+)
+def test_arrays_that_are_no_trees_are_refused(change, said):
+    assert Trees(**GOOD).answer(np.array([[0.5], [1.0], [1.5], [np.nan]])).tolist() == [-1.0, -1.0, 1.0, -1.0]
+    with pytest.raises(ValueError, match=said):
+        Trees(**(GOOD | change))
+    raw = {key: list(value) if isinstance(value, tuple) else value for key, value in (GOOD | change).items()}
+    with pytest.raises(msgspec.ValidationError, match=said):
+        msgspec.convert(raw, Trees)

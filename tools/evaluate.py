@@ -1,0 +1,133 @@
+"""`socast evaluate`: ride tables in; every model judged as the paper judges its own, and past that."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import joblib
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from core.errors import ModelError, SettingsError
+from core.evaluate.protocol import SEGMENTS, chosen, evaluate
+from core.evaluate.splits import REPEATS
+from core.learn import segments
+from core.learn.recipes import RECIPES
+from tools.fit import Tables, ride_files
+from tools.output import JsonFile, printer, writable, write_json
+from tools.tables import WINDOWS
+
+LEAST_REPEATS = 2
+"""Fewer give no interval."""
+KEY = "ride_key"
+
+
+def evaluate_tables(
+    tables: Tables,
+    json_file: JsonFile = None,
+    html_file: Annotated[
+        Path | None, typer.Option("--html", metavar="FILE", help="Write a report with figures.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of splits and draws; the same one gives the same result.")] = 0,
+    repeats: Annotated[int, typer.Option(help="Splits by ride.")] = REPEATS,
+    recipes: Annotated[
+        str | None,
+        typer.Option(metavar="A,B", help=f"Only these of {', '.join(RECIPES)}, {SEGMENTS}.", show_default=False),
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(help="Processes; all cores by default.", show_default=False)] = None,
+) -> None:
+    """Judge models on the rides of tables that are fit for training: Tables 2 to 13 of the paper, and past them.
+
+    Every model is trained and tested on the same splits, by ride, by vehicle and by date; on vehicle models left out of
+    training; and on a few rides of these. The segment model takes part where there is a window table beside the rides.
+    """
+    began = time.perf_counter()
+    for name, value, least in (("--repeats", repeats, LEAST_REPEATS), ("--jobs", jobs, 1), ("--seed", seed, 0)):
+        if value is not None and value < least:
+            raise SettingsError(f"{name} is {value}; give {least} or more")
+    files = ride_files(tables)
+    beside = [file.with_name(WINDOWS) for file in files]
+    writable([*files, *beside], json_file, html_file)
+    rides = read(files)
+    windows = read(beside, window_columns()) if all(file.is_file() for file in beside) else None
+    wanted = chosen(recipes, windows, seed)
+    with running() as step:
+        result = evaluate(rides, wanted, seed=seed, repeats=repeats, jobs=jobs or joblib.cpu_count(), progress=step)
+    result["about"]["seconds"] = round(time.perf_counter() - began, 1)
+    write_json(json_file, result)
+    _report(result, html_file)
+
+
+def window_columns() -> list[str]:
+    """Return the columns of the window table that are read."""
+    return list(dict.fromkeys([KEY, "window", *(name for product in segments.FEATURES for name in product)]))
+
+
+def read(files: Sequence[Path], columns: Sequence[str] | None = None) -> pd.DataFrame:
+    """Return tables as one, ride keys told apart by their file where there are several.
+
+    Raises
+    ------
+    ModelError
+        Where a file is no Parquet file, or lacks a column.
+    """
+    parts = []
+    for i, file in enumerate(files):
+        part = _read(file, columns)
+        if len(files) > 1 and KEY in part:
+            part[KEY] = f"{i}/" + part[KEY].astype(str)
+        parts.append(part)
+    return parts[0] if len(parts) == 1 else pd.concat(parts, ignore_index=True)
+
+
+def _read(file: Path, columns: Sequence[str] | None) -> pd.DataFrame:
+    """Return a table."""
+    try:
+        with pq.ParquetFile(file) as opened:
+            there = set(opened.schema_arrow.names)
+            if missing := [name for name in columns or () if name not in there]:
+                raise ModelError(
+                    f"{file}: column {missing[0]!r} is missing: make the tables anew, with `socast tables`"
+                )
+            found: pd.DataFrame = opened.read(columns=None if columns is None else list(columns)).to_pandas()
+            return found
+    except OSError as error:
+        told = error.strerror or " ".join(str(error).split())
+        raise ModelError(f"{file}: cannot read a table: {told}; name a file that `socast tables` made") from error
+    except pa.ArrowException as error:
+        told = " ".join(str(error).split())
+        raise ModelError(f"{file}: no Parquet table: {told}; name a file that `socast tables` made") from error
+
+
+@contextmanager
+def running() -> Iterator[Callable[[int, int], None]]:
+    """Show how many runs are done; give what to call with that."""
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("evaluating"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("runs"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("evaluating", total=None)
+        yield lambda done, of: progress.update(task, completed=done, total=of)
+
+
+def _report(result: dict[str, Any], html_file: Path | None) -> None:
+    """Print the tables, and write the page."""
+    from tools.report import page, terminal  # noqa: PLC0415 - figures take seconds to import
+
+    terminal.show(result, printer())
+    if html_file:
+        page.write(result, html_file)
+        console = printer()
+        console.print(f"report in {html_file}", markup=False, highlight=False, soft_wrap=True)

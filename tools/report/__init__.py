@@ -1,0 +1,1 @@
+"""The report of an evaluation: tables in the terminal, and one page of tables and figures."""

@@ -1,0 +1,151 @@
+"""Tables of a report before they are printed or become HTML, and how their figures are written."""
+
+from typing import Any, Final, NamedTuple
+
+from core.evaluate.published import Published
+from tools.report.result import half_width, number
+
+PAPER_NOTE: Final = (
+    "In parentheses: the paper's figures, of its own company's rides: other data than these, for orientation only."
+)
+"""Stands below every table that shows figures of the paper."""
+
+UNKNOWN: Final = "–"
+"""Stands where there is no figure."""
+
+
+class Cell(NamedTuple):
+    """A cell of a table.
+
+    Parameters
+    ----------
+    text : str
+        What was found here.
+    paper : str
+        What the paper has, empty where it has nothing.
+    strong : bool
+        Stands out: the best of its column.
+    """
+
+    text: str
+    paper: str = ""
+    strong: bool = False
+
+
+class Row(NamedTuple):
+    """A row: its name, its cells, and whether it sums up the rows above."""
+
+    name: str
+    cells: tuple[Cell, ...]
+    total: bool = False
+
+
+class ReportTable(NamedTuple):
+    """A table of a report.
+
+    Parameters
+    ----------
+    title : str
+        Ends with the paper's table number, where it has one.
+    corner : str
+        Head of the column of names.
+    columns : tuple of str
+        Heads of the others, with units.
+    rows : tuple of Row
+    notes : tuple of str
+        What a reader must know, below.
+    """
+
+    title: str
+    corner: str
+    columns: tuple[str, ...]
+    rows: tuple[Row, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def beside_paper(self) -> bool:
+        """Whether any cell shows a figure of the paper."""
+        return any(cell.paper for row in self.rows for cell in row.cells)
+
+    @property
+    def all_notes(self) -> tuple[str, ...]:
+        """The notes, and where figures of the paper are shown, that they are of other data."""
+        return (*self.notes, PAPER_NOTE) if self.beside_paper else self.notes
+
+
+def kwh(value: Any) -> str:
+    """Return an energy, with its interval where it has one.
+
+    Examples
+    --------
+    >>> kwh({"value": 0.3312, "ci95": 0.0052}), kwh(1.25), kwh(None)
+    ('0.331 ± 0.0052', '1.250', '–')
+    """
+    known, ci95 = number(value), half_width(value)
+    if known is None:
+        return UNKNOWN
+    if ci95 is None:
+        return f"{known:.3f}"
+    return f"{known:.3f} ± {ci95:.{4 if ci95 < 0.00995 else 3}f}"
+
+
+def signed(value: Any, digits: int = 3) -> str:
+    """Return an energy that may be of either sign.
+
+    Examples
+    --------
+    >>> signed(0.02), signed(-0.02)
+    ('+0.020', '−0.020')
+    """
+    known = number(value)
+    return UNKNOWN if known is None else f"{known:+.{digits}f}".replace("-", "−")
+
+
+def percent(share: Any, digits: int = 1) -> str:
+    """Return a share as a percentage.
+
+    Examples
+    --------
+    >>> percent(0.517), percent(None)
+    ('51.7 %', '–')
+    """
+    known = number(share)
+    return UNKNOWN if known is None else f"{100.0 * known:.{digits}f} %".replace("-", "−")
+
+
+def change(value: float | None, reference: float | None) -> str:
+    """Return by how much a figure is above a reference.
+
+    Examples
+    --------
+    >>> change(1.1, 1.0), change(0.9, 1.0)
+    ('+10.0 %', '−10.0 %')
+    """
+    if value is None or not reference:
+        return UNKNOWN
+    return f"{100.0 * (value / reference - 1.0):+.1f} %".replace("-", "−")
+
+
+def count(value: Any) -> str:
+    """Return a number of things.
+
+    Examples
+    --------
+    >>> count(12772.0)
+    '12,772'
+    """
+    known = number(value)
+    return UNKNOWN if known is None else f"{known:,.0f}"
+
+
+def printed(figure: Published | None) -> str:
+    """Return a figure of the paper as it was printed, empty where it has none."""
+    return "" if figure is None else figure.text
+
+
+def mark_least(cells: list[Cell], values: list[float | None]) -> list[Cell]:
+    """Return the cells of a column, those with its least value standing out."""
+    least = min((value for value in values if value is not None), default=None)
+    return [
+        cell._replace(strong=value is not None and value == least) for cell, value in zip(cells, values, strict=True)
+    ]

@@ -1,0 +1,213 @@
+"""Tables of errors: Tables 5 to 11 of the paper, their summary, and which models differ."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Final
+
+from core.evaluate import published
+from core.evaluate.published import AVERAGE, PHYSICAL, WEIGHTED
+from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, kwh, mark_least, percent, printed, signed
+from tools.report.data_tables import by_cluster
+from tools.report.result import (
+    Result,
+    average_error,
+    clusters,
+    mapping,
+    mean,
+    number,
+    part,
+    recipes,
+    title,
+    vehicle_models,
+    vehicle_name,
+)
+
+INTERVAL_NOTE: Final = (
+    "± is half of the 95 % confidence interval, that of the average post-stratified. A cluster of fewer than 10 rides "
+    "has no figure."
+)
+DOMINATES: Final[Mapping[str, str]] = MappingProxyType({"dominates": "●", "dominates_average": "○"})
+"""Marks of models that none is significantly better than: in the mean over rides, in the average over clusters."""
+DOMINATES_NOTE: Final = (
+    "● by the difference score on the same test rides no model is significantly better: where it stands once in a "
+    "column, that model dominates; where it stands several times, they co-dominate. ○ the same for the average over "
+    "clusters, where ● is for the mean over rides."
+)
+
+
+def error_tables(result: Result) -> list[ReportTable]:
+    """Return a table of errors for each model, in the paper's layout."""
+    return [table for recipe in recipes(result) if (table := errors(result, recipe)).rows]
+
+
+def errors(result: Result, recipe: str) -> ReportTable:
+    """Return the mean absolute errors of a model by vehicle model and cluster, as Tables 5 to 11."""
+    number_there = published.table_of(recipe)
+    where = f" (Table {number_there})" if number_there else " (not in the paper)"
+    table = by_cluster(
+        result,
+        mapping(result, "mae", recipe),
+        f"{title(result, recipe)}: mean absolute error, kWh{where}",
+        lambda key, cluster: published.mae(recipe, key, cluster),
+    )
+    weighted = "Weighted average: over vehicle models, by their rides in the cluster"
+    paper = "; the paper's rows agree better with weights by all rides of the model" if number_there else ""
+    return table._replace(notes=(*table.notes, INTERVAL_NOTE, f"{weighted}{paper}."))
+
+
+def summary_tables(result: Result) -> list[ReportTable]:
+    """Return the average errors, the relative ones, bias, root mean square and bands of all models."""
+    found = (summary(result), reductions(result), relative(result), bias_and_spread(result), bands(result))
+    return [table for table in found if table.rows]
+
+
+def summary(result: Result) -> ReportTable:
+    """Return the average error of each model on each vehicle model, as Figure 3, and who dominates."""
+    keys, found = vehicle_models(result), [r for r in recipes(result) if mapping(result, "mae", r)]
+    columns = [
+        mark_least(
+            [_average_cell(result, recipe, key) for recipe in found], [average_error(result, r, key) for r in found]
+        )
+        for key in keys
+    ]
+    rows = tuple(Row(title(result, recipe), tuple(column[i] for column in columns)) for i, recipe in enumerate(found))
+    notes = ["Bold: the least of its column. ± is half of the 95 % confidence interval."]
+    if mapping(result, "dominates"):
+        notes.append(DOMINATES_NOTE)
+        notes += [_said(result, finding) for finding in published.findings("dominates")]
+    heads = tuple(vehicle_name(key) for key in keys)
+    return ReportTable("Average error over clusters, kWh (Figure 3)", "model", heads, rows, tuple(notes))
+
+
+def reductions(result: Result) -> ReportTable:
+    """Return by how much each model's average error is below that of the basic physical model."""
+    found = mapping(result, "reduction")
+    keys = vehicle_models(result)
+    names = [recipe for recipe in recipes(result) if recipe in found and recipe != PHYSICAL]
+    rows = tuple(
+        Row(
+            title(result, recipe),
+            (
+                *(Cell(percent(part(found, recipe, k)), _share(published.reduction(recipe, k))) for k in keys),
+                Cell(percent(part(found, recipe, AVERAGE)), _share(paper_reduction(recipe))),
+            ),
+        )
+        for recipe in names
+    )
+    said = percent(published.statement("reduction").value, 2)
+    note = (
+        f"The paper's follow from its rounded averages; its text says {said} on average for the hybrid model with "
+        "interaction terms. Its average is over its four vehicle models."
+    )
+    heads = (*(vehicle_name(key) for key in keys), "average")
+    return ReportTable("Reduction of the average error against the basic physical model", "model", heads, rows, (note,))
+
+
+def paper_reduction(recipe: str) -> float | None:
+    """Return the mean over the paper's vehicle models of its reductions."""
+    models = published.paper().vehicle_models.values()
+    return mean(published.reduction(recipe, model.catalogue[0]) for model in models)
+
+
+def relative(result: Result) -> ReportTable:
+    """Return error over consumption by cluster, as Figure 2."""
+    found = mapping(result, "relative")
+    columns = clusters(result, found.values())
+    names = [recipe for recipe in recipes(result) if recipe in found]
+    rows = tuple(
+        Row(
+            title(result, recipe),
+            tuple(Cell(percent(part(found, recipe, c)), _share(published.relative(recipe, c))) for c in columns),
+        )
+        for recipe in names
+    )
+    note = "The paper has these as a curve only: its figures follow from the weighted rows of Tables 4 to 11."
+    heads = tuple(f"{c} km".replace("-", "–") for c in columns)
+    name = "Error over consumption, all vehicle models together (Figure 2)"
+    return ReportTable(name, "model", heads, rows, (note,))
+
+
+def bias_and_spread(result: Result) -> ReportTable:
+    """Return bias and root mean square error of each model on each vehicle model."""
+    keys = vehicle_models(result)
+    names = [r for r in recipes(result) if mapping(result, "bias", r) or mapping(result, "rmse", r)]
+    rows = tuple(
+        Row(
+            title(result, recipe),
+            tuple(
+                Cell(f"{kwh(part(result, 'rmse', recipe, key))} ({signed(part(result, 'bias', recipe, key))})")
+                for key in keys
+            ),
+        )
+        for recipe in names
+    )
+    note = "In parentheses, bias: mean of predicted less measured. All test rides count once."
+    heads = tuple(vehicle_name(key) for key in keys)
+    return ReportTable("Root mean square error and bias, kWh", "model", heads, rows, (note,))
+
+
+def bands(result: Result) -> ReportTable:
+    """Return the share of rides within bands of relative error."""
+    found = mapping(result, "bands")
+    limits = list(dict.fromkeys(limit for row in found.values() for limit in mapping(row)))
+    rows = tuple(
+        Row(title(result, recipe), tuple(Cell(percent(part(found, recipe, limit))) for limit in limits))
+        for recipe in recipes(result)
+        if recipe in found
+    )
+    heads = tuple(f"within ±{limit} %" for limit in limits)
+    return ReportTable("Rides predicted within a band of what they took", "model", heads, rows)
+
+
+def differences(result: Result, vehicle_model: str) -> ReportTable:
+    """Return the difference scores of a vehicle model: row's error less column's."""
+    found = mapping(result, "difference", vehicle_model)
+    names = [a for a in recipes(result) if any(difference(found, a, b) for b in recipes(result))]
+    rows = tuple(
+        Row(f"{i}  {title(result, a)}", tuple(_difference_cell(found, a, b) for b in names))
+        for i, a in enumerate(names, start=1)
+    )
+    note = "Row's error less column's, so negative where the row's model is better. * significant, p < 0.05."
+    heads = tuple(str(i) for i in range(1, len(names) + 1))
+    name = f"Difference score, {vehicle_name(vehicle_model)}, kWh"
+    return ReportTable(name, "model", heads, rows, (note,))
+
+
+def difference(found: Any, a: str, b: str) -> tuple[float, float | None] | None:
+    """Return error of a less error of b [kWh] and its probability under no difference, whichever way it is kept."""
+    for key, sign in ((f"{a}|{b}", 1.0), (f"{b}|{a}", -1.0)):
+        value = number(part(found, key))
+        if value is not None:
+            return sign * value, number(part(found, key, "p"))
+    return None
+
+
+def _difference_cell(found: Any, a: str, b: str) -> Cell:
+    known = difference(found, a, b)
+    if known is None:
+        return Cell("" if a == b else UNKNOWN)
+    value, p = known
+    significant = p is not None and p < 0.05
+    return Cell(f"{signed(value)}{'*' if significant else ''}", strong=significant)
+
+
+def _average_cell(result: Result, recipe: str, key: str) -> Cell:
+    marks = "".join(mark for score, mark in DOMINATES.items() if recipe in (part(result, score, key) or ()))
+    text = f"{kwh(part(result, 'mae', recipe, key, AVERAGE))} {marks}".rstrip()
+    return Cell(text, printed(published.mae(recipe, key, AVERAGE)))
+
+
+def _share(value: float | None) -> str:
+    return "" if value is None else percent(value)
+
+
+def _said(result: Result, finding: published.Finding) -> str:
+    """Return a sentence on what the paper found, of which vehicle model and about which models."""
+    key = finding.vehicle_model
+    where = "" if key is None else f" on the {published.paper().vehicle_models[key].name}"
+    return f"The paper{where}: {', '.join(title(result, recipe) for recipe in finding.recipes)}: {finding.says}."
+
+
+def weighted_error(result: Result, recipe: str, cluster: str) -> float | None:
+    """Return a model's error in a cluster, over all vehicle models. [kWh]"""
+    return number(part(result, "mae", recipe, WEIGHTED, cluster))

@@ -1,0 +1,181 @@
+"""How figures look: each model has its colour, dash and symbol, each vehicle model its pattern, in every figure.
+
+Nothing is told by colour alone, so that figures can be read in black and white. Colours are of middling lightness, for
+light and dark backgrounds; text and grid take the page's own.
+"""
+
+from html import escape
+from typing import Any, Final, NamedTuple
+
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from tools.report.result import WAYS, Result, recipes, title, vehicle_models
+
+COLOURS: Final = (
+    "#8a8a8a",
+    "#56a3d9",
+    "#0b76c4",
+    "#c98b1b",
+    "#d1571f",
+    "#1f9e77",
+    "#c4679b",
+    "#8064c8",
+    "#a5722c",
+    "#2aa3a3",
+    "#d04a5f",
+    "#7f8f1f",
+)
+DASHES: Final = ("dot", "dashdot", "dash", "longdash", "longdashdot", "solid")
+SYMBOLS: Final = (
+    "circle",
+    "square",
+    "diamond",
+    "triangle-up",
+    "triangle-down",
+    "pentagon",
+    "star",
+    "cross",
+    "x",
+    "hexagram",
+    "hourglass",
+    "bowtie",
+    "triangle-left",
+)
+"""As many as dashes have no divisor in common with, so that a pair of both comes back late only."""
+PATTERNS: Final = ("", "/", "x", ".", "-", "|", "\\", "+")
+
+DIVERGING: Final = [[0.0, "rgba(11,118,196,0.75)"], [0.5, "rgba(128,128,128,0.06)"], [1.0, "rgba(209,87,31,0.75)"]]
+"""From better to worse."""
+
+REFERENCE_LINE: Final = {"dash": "dash", "width": 1.5, "color": "#8a8a8a"}
+
+PAPER_NAME: Final = "the paper's (other data)"
+"""In legends."""
+
+
+class Style(NamedTuple):
+    """How a model or vehicle model is drawn."""
+
+    colour: str
+    dash: str
+    symbol: str
+    pattern: str
+
+
+def style(place: int) -> Style:
+    """Return the style of the model or vehicle model at a place in its order."""
+    return Style(*(kinds[place % len(kinds)] for kinds in (COLOURS, DASHES, SYMBOLS, PATTERNS)))
+
+
+def recipe_style(result: Result, recipe: str) -> Style:
+    """Return the style of a model, the same in every figure."""
+    names = [*recipes(result), *WAYS]
+    return style(names.index(recipe) if recipe in names else len(names))
+
+
+def vehicle_style(result: Result, vehicle_model: str) -> Style:
+    """Return the style of a vehicle model, the same in every figure."""
+    keys = vehicle_models(result)
+    return style(2 + (keys.index(vehicle_model) if vehicle_model in keys else len(keys)))
+
+
+def label(text: str) -> str:
+    """Return text that plotly shows as it is: it reads some tags."""
+    return escape(text, quote=False)
+
+
+def recipe_label(result: Result, recipe: str, width: int = 30) -> str:
+    """Return the title of a model, in lines of about a width."""
+    lines = [""]
+    for word in title(result, recipe).split():
+        if lines[-1] and len(lines[-1]) + len(word) >= width:
+            lines.append(word)
+        else:
+            lines[-1] = f"{lines[-1]} {word}".strip()
+    return "<br>".join(label(line) for line in lines)
+
+
+def figure(traces: list[Any], height: int = 420) -> go.Figure:
+    """Return a figure of traces in the common layout.
+
+    Parameters
+    ----------
+    traces : list
+        Of plotly.
+    height : int
+        Of the plot and its axes; the page adds that of the legend. [px]
+    """
+    return laid_out(go.Figure(traces), height)
+
+
+def stacked(titles: tuple[str, ...], height: int) -> go.Figure:
+    """Return an empty figure of plots one above the other, with the same axis of x."""
+    made = make_subplots(rows=len(titles), cols=1, subplot_titles=titles, vertical_spacing=0.16)
+    return laid_out(made, height)
+
+
+def laid_out(made: go.Figure, height: int) -> go.Figure:
+    """Return a figure in the common layout."""
+    made.update_layout(
+        template=None,
+        height=height,
+        margin={"l": 60, "r": 15, "t": 30, "b": 60},
+        paper_bgcolor="rgba(0,0,0,0)",
+        plot_bgcolor="rgba(0,0,0,0)",
+        legend={"orientation": "h", "yref": "container", "y": 0, "yanchor": "bottom", "x": 0, "xref": "container"},
+        hoverlabel={"namelength": -1},
+        barmode="group",
+    )
+    made.update_xaxes(automargin=True, zeroline=False, ticks="outside")
+    made.update_yaxes(automargin=True, zeroline=False, ticks="outside", title_standoff=12)
+    return made
+
+
+def curve(
+    name: str, look: Style, x: list[Any], y: list[Any], ci95: list[float | None] | None = None, **more: Any
+) -> Any:
+    """Return a line with markers, with error bars where the half widths of intervals are given."""
+    bars = {"type": "data", "array": ci95, "thickness": 1, "width": 3} if ci95 and any(ci95) else None
+    return go.Scatter(
+        name=name,
+        x=x,
+        y=y,
+        mode="lines+markers",
+        line={"color": look.colour, "dash": look.dash, "width": 2},
+        marker={"symbol": look.symbol, "size": 8, "color": look.colour},
+        error_y=bars,
+        **more,
+    )
+
+
+def bars(name: str, look: Style, y: list[Any], x: list[Any], **more: Any) -> go.Bar:
+    """Return horizontal bars with a pattern of their own."""
+    marker = {
+        "color": look.colour,
+        "pattern": {"shape": look.pattern, "fillmode": "replace", "size": 6, "solidity": 0.5},
+        "line": {"color": look.colour, "width": 1},
+    }
+    return go.Bar(name=name, x=x, y=y, orientation="h", marker=marker, **more)
+
+
+def dots(
+    name: str,
+    look: Style,
+    x: list[Any],
+    y: list[Any],
+    ci95: list[float | None] | None = None,
+    *,
+    outline: bool = False,
+) -> go.Scatter:
+    """Return markers in rows, filled or as outlines."""
+    spread = {"type": "data", "array": ci95, "thickness": 1, "width": 3} if ci95 and any(ci95) else None
+    symbol = f"{look.symbol}-open" if outline else look.symbol
+    marker = {"symbol": symbol, "size": 9, "color": look.colour, "line": {"width": 1.5, "color": look.colour}}
+    return go.Scatter(name=name, x=x, y=y, mode="markers", marker=marker, error_x=spread)
+
+
+def reference_line(made: go.Figure, text: str, x: float) -> None:
+    """Draw a dashed line upwards through a figure, and above it what it stands for."""
+    above = {"text": text, "textangle": 0, "yref": "paper", "y": 1.0, "yanchor": "bottom", "xanchor": "left"}
+    made.add_vline(x=x, line=REFERENCE_LINE, annotation=above)

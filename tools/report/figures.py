@@ -1,0 +1,395 @@
+"""Figures of a report, one function each: the result of an evaluation in, a plotly figure out."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from core.columns import ZERO_CELSIUS
+from core.evaluate import published
+from core.evaluate.published import AVERAGE, PHYSICAL
+from core.vehicles import AccessoryCurve
+from tools.report.error_tables import difference
+from tools.report.figure_style import (
+    DIVERGING,
+    PAPER_NAME,
+    REFERENCE_LINE,
+    Style,
+    bars,
+    curve,
+    dots,
+    figure,
+    label,
+    recipe_label,
+    recipe_style,
+    reference_line,
+    stacked,
+    style,
+    vehicle_style,
+)
+from tools.report.result import (
+    FITTED,
+    Result,
+    clusters,
+    half_width,
+    mapping,
+    number,
+    part,
+    principal,
+    recipes,
+    vehicle_models,
+    vehicle_name,
+)
+from tools.report.selection_tables import terms
+from tools.report.split_tables import SPLITS, means_by_split
+from tools.report.transfer_tables import seen
+from tools.report.use_tables import AXES, LEAST_COVERAGE, MANY_BINS, NOMINAL, bin_name, bins, entries
+
+NO_RIDES = 0.3
+"""Where a logarithmic axis of rides seen shows none."""
+
+PERCENT_TICKS = (5, 10, 15, 20, 30, 40, 60, 80, 100, 150, 200)
+"""Of a logarithmic axis of shares. [%]"""
+
+AXIS_UNITS: Mapping[str, str] = {"distance": "Distance [km]", "temperature": "Outside temperature [°C]"}
+"""Titles of axes that have a unit."""
+
+
+def accessory_curve(result: Result, vehicle_model: str) -> go.Figure:
+    """Return accessory power against outside temperature: bins, and the curve with its choke points. Figure 1."""
+    look = vehicle_style(result, vehicle_model)
+    traces: list[Any] = []
+    points = [p for p in part(result, "curve", vehicle_model, "points") or () if number(p.get("power_w")) is not None]
+    if points:
+        traces.append(_points(points, look))
+    found = {name: number(value) for name, value in mapping(result, "curve", vehicle_model, "curve").items()}
+    if found and None not in found.values():
+        seen_at = [p["ambient_c"] for p in points]
+        traces += _five_segments(AccessoryCurve(**found), look, seen_at)  # type: ignore[arg-type]
+    made = figure(traces, 340)
+    made.update_xaxes(title_text="Outside temperature [°C]")
+    powers = [0.0, *(y for trace in traces for y in trace.y)]
+    room = 0.12 * (max(powers) - min(powers))
+    made.update_yaxes(title_text="Climate and accessory power [kW]", range=[min(powers) - room, max(powers) + room])
+    return made
+
+
+def _points(points: Sequence[Mapping[str, Any]], look: Style) -> go.Scatter:
+    """Return the binned points, larger where more rides are in them."""
+    rides = np.array([number(p.get("rides")) or 1.0 for p in points])
+    return go.Scatter(
+        name="mean of a bin",
+        x=[p["ambient_c"] for p in points],
+        y=[p["power_w"] / 1000.0 for p in points],
+        mode="markers",
+        marker={
+            "symbol": "circle-open",
+            "size": (5.0 + 7.0 * np.sqrt(rides / rides.max())).tolist(),
+            "color": look.colour,
+        },
+        customdata=rides.tolist(),
+        hovertemplate="%{x:.1f} °C: %{y:.2f} kW, %{customdata:,.0f} rides<extra></extra>",
+    )
+
+
+def _five_segments(fitted: AccessoryCurve, look: Style, ambient_c: Sequence[float]) -> list[go.Scatter]:
+    """Return the curve as far as there are bins, but beyond its first and last choke points, and the choke points."""
+    chokes = np.array([fitted.heating_full, fitted.heating_off, fitted.cooling_on, fitted.cooling_full])
+    ends = np.array([*ambient_c, chokes[0] - ZERO_CELSIUS - 4.0, chokes[-1] - ZERO_CELSIUS + 4.0]) + ZERO_CELSIUS
+    at = np.array([ends.min(), *chokes, ends.max()])
+    line = {"color": look.colour, "width": 2}
+    return [
+        go.Scatter(
+            name="fitted curve",
+            x=(at - ZERO_CELSIUS).tolist(),
+            y=(fitted.power(at) / 1000.0).tolist(),
+            mode="lines",
+            line=line,
+        ),
+        go.Scatter(
+            name="choke points",
+            x=(chokes - ZERO_CELSIUS).tolist(),
+            y=(fitted.power(chokes) / 1000.0).tolist(),
+            mode="markers+text",
+            marker={"symbol": "diamond", "size": 11, "color": look.colour},
+            text=[f"{t - ZERO_CELSIUS:.1f}".replace("-", "−") for t in chokes],
+            textposition=["top right", "bottom left", "bottom right", "top left"],
+            cliponaxis=False,
+        ),
+    ]
+
+
+def relative(result: Result) -> go.Figure:
+    """Return error over consumption against distance: here above, the paper's below. Figure 2."""
+    found = mapping(result, "relative")
+    columns = clusters(result, found.values())
+    made = stacked(("here", PAPER_NAME), 680)
+    for recipe in (name for name in recipes(result) if name in found):
+        look, name = recipe_style(result, recipe), recipe_label(result, recipe)
+        here = [_times(number(part(found, recipe, c)), 100.0) for c in columns]
+        theirs = [_times(published.relative(recipe, c), 100.0) for c in columns]
+        made.add_trace(curve(name, look, _dashes(columns), here, legendgroup=recipe), row=1, col=1)
+        if any(value is not None for value in theirs):
+            below = curve(name, look, _dashes(columns), theirs, legendgroup=recipe, showlegend=False)
+            made.add_trace(below, row=2, col=1)
+    made.update_xaxes(title_text="Distance [km]", type="category")
+    made.update_yaxes(title_text="Error over consumption [%]", type="log", tickvals=PERCENT_TICKS, matches="y")
+    return made
+
+
+def average_errors(result: Result) -> go.Figure:
+    """Return the average error of each model on each vehicle model, the paper's as outlines. Figure 3."""
+    names = [recipe for recipe in recipes(result) if mapping(result, "mae", recipe)]
+    keys = vehicle_models(result)
+    traces: list[Any] = []
+    for i, key in enumerate(keys):
+        look, rows = vehicle_style(result, key), [place + _offset(i, len(keys)) for place in range(len(names))]
+        cells = [part(result, "mae", recipe, key, AVERAGE) for recipe in names]
+        traces.append(
+            dots(label(vehicle_name(key)), look, [number(c) for c in cells], rows, [half_width(c) for c in cells])
+        )
+        theirs = [published.mae(recipe, key, AVERAGE) for recipe in names]
+        if any(theirs):
+            values = [None if f is None else f.value for f in theirs]
+            traces.append(dots(f"{label(vehicle_name(key))}, {PAPER_NAME}", look, values, rows, outline=True))
+    return _by_model(result, names, traces, "Average error over clusters [kWh]", 16 + 10 * len(keys))
+
+
+def splits(result: Result) -> go.Figure:
+    """Return the average error of each model by what was held out."""
+    present = [split for split in SPLITS if mapping(result, "splits", split)]
+    found = {recipe: means_by_split(result, recipe, present) for recipe in recipes(result)}
+    names = [recipe for recipe, values in found.items() if values and values[0] is not None]
+    traces = [
+        dots(
+            f"by {split}",
+            style(3 * i + 2),
+            [found[recipe][i] for recipe in names],
+            [place + _offset(i, len(present)) for place in range(len(names))],
+        )
+        for i, split in enumerate(present)
+    ]
+    return _by_model(result, names, traces, "Average error, mean over vehicle models [kWh]", 34)
+
+
+def bands(result: Result) -> go.Figure:
+    """Return the share of rides within bands of relative error, of each model."""
+    found = mapping(result, "bands")
+    names = [recipe for recipe in recipes(result) if recipe in found]
+    limits = list(dict.fromkeys(limit for recipe in names for limit in mapping(found, recipe)))
+    traces = [
+        dots(
+            f"within ±{limit} %",
+            style(3 * i + 2),
+            [_times(number(part(found, recipe, limit)), 100.0) for recipe in names],
+            list(range(len(names))),
+        )
+        for i, limit in enumerate(limits)
+    ]
+    return _by_model(result, names, traces, "Share of rides [%]", 34)
+
+
+def buffers(result: Result) -> go.Figure:
+    """Return the reserve that keeps a share of rides above theirs, of each model."""
+    found = mapping(result, "buffer_kwh")
+    names = [recipe for recipe in recipes(result) if mapping(found, recipe)]
+    shares = list(dict.fromkeys(share for recipe in names for share in mapping(found, recipe)))
+    rows = [recipe_label(result, recipe) for recipe in names]
+    traces: list[Any] = [
+        bars(f"{share} % of rides", style(2 * i + 1), rows, [number(part(found, recipe, share)) for recipe in names])
+        for i, share in enumerate(shares)
+    ]
+    made = figure(traces, 90 + 44 * len(names))
+    said = published.statement("buffer").value
+    reference_line(made, f"{said:g} kWh: the paper's company, other data", said)
+    made.update_xaxes(title_text="Buffer [kWh]", rangemode="tozero")
+    made.update_yaxes(title_text="Model", type="category", autorange="reversed")
+    return made
+
+
+def errors_by(result: Result, axis: str) -> go.Figure:
+    """Return mean absolute error above and bias below, against distance, temperature, season or driver."""
+    shown, labels = set(principal(result)) - {PHYSICAL}, bins(result, axis)
+    ranked = len(labels) > MANY_BINS
+    made = stacked(("mean absolute error", "bias: predicted less measured"), 640)
+    for recipe in (name for name in recipes(result) if entries(result, axis, name)):
+        look, found = recipe_style(result, recipe), {str(e["bin"]): e for e in entries(result, axis, recipe)}
+        for row, figure_name in enumerate(("mae", "bias"), start=1):
+            values = [number(part(found, name, figure_name)) for name in labels]
+            x: list[Any] = [label(bin_name(axis, name)) for name in labels]
+            if ranked:
+                values = [*sorted(value for value in values if value is not None)]
+                x = list(range(1, len(values) + 1))
+            trace = curve(recipe_label(result, recipe), look, x, values, legendgroup=recipe, showlegend=row == 1)
+            trace.update(mode="markers" if axis == "season" else "lines" if ranked else "lines+markers")
+            trace.update(visible=True if recipe in shown else "legendonly", offsetgroup=recipe)
+            made.add_trace(trace, row=row, col=1)
+    made.update_layout(scattermode="group" if axis == "season" else "overlay", scattergap=0.6)
+    name = f"{AXES[axis].capitalize()}s, from least to most [rank]" if ranked else AXES[axis].capitalize()
+    made.update_xaxes(title_text=AXIS_UNITS.get(axis, name), type="linear" if ranked else "category")
+    made.update_yaxes(title_text="Error [kWh]", rangemode="tozero", row=1)
+    made.update_yaxes(title_text="Bias [kWh]", row=2, zeroline=True)
+    return made
+
+
+def coverage(result: Result) -> go.Figure:
+    """Return the share of rides inside their interval: overall, by cluster, by season, by vehicle model."""
+    found = mapping(result, "coverage")
+    names = [recipe for recipe in recipes(result) if mapping(found, recipe)]
+    distances = clusters(result, (mapping(found, recipe, "cluster") for recipe in names))
+    traces = []
+    for recipe in names:
+        values = {"overall": part(found, recipe, "overall")}
+        values |= {f"{_dash(c)} km": part(found, recipe, "cluster", c) for c in distances}
+        values |= dict(mapping(found, recipe, "season"))
+        values |= {label(vehicle_name(key)): v for key, v in mapping(found, recipe, "vehicle_model").items()}
+        shares = [_times(number(value), 100.0) for value in values.values()]
+        trace = curve(recipe_label(result, recipe), recipe_style(result, recipe), list(values), shares)
+        traces.append(trace.update(mode="markers", offsetgroup=recipe))
+    made = figure(traces, 400)
+    made.update_layout(scattermode="group", scattergap=0.5)
+    for share in (NOMINAL, LEAST_COVERAGE):
+        made.add_hline(y=100.0 * share, line=REFERENCE_LINE)
+    made.update_xaxes(title_text="Rides of", type="category")
+    least = min((y for trace in traces for y in trace.y if y is not None), default=100.0)
+    made.update_yaxes(title_text="Inside their 90 % interval [%]", range=[min(80.0, least - 2.0), 101.0])
+    return made
+
+
+def new_vehicle(result: Result, vehicle_model: str) -> go.Figure:
+    """Return each model's error on a vehicle model that was left out of training, the paper's as outlines."""
+    found = mapping(result, "new_vehicle")
+    names = [recipe for recipe in recipes(result) if number(part(found, recipe, vehicle_model, "mae")) is not None]
+    rows = [recipe_label(result, recipe) for recipe in names]
+    look = vehicle_style(result, vehicle_model)
+    errors = [number(part(found, recipe, vehicle_model, "mae")) for recipe in names]
+    traces: list[Any] = [bars("here", look._replace(pattern=""), rows, errors, opacity=0.5)]
+    theirs = [published.new_vehicle_mae(recipe, vehicle_model) for recipe in names]
+    if any(theirs):
+        values = [None if f is None else f.value for f in theirs]
+        traces.append(dots(PAPER_NAME, look._replace(symbol="diamond"), values, rows, outline=True))
+    made = figure(traces, 90 + 32 * len(names))
+    if (line := number(part(found, FITTED, vehicle_model, "mae"))) is not None:
+        reference_line(made, "fitted physical", line)
+    made.update_xaxes(title_text="Mean absolute error [kWh]", rangemode="tozero")
+    made.update_yaxes(title_text="Model", type="category", autorange="reversed")
+    return made
+
+
+def few_shot(result: Result, vehicle_model: str) -> go.Figure:
+    """Return the error on a new vehicle model against the number of its rides seen, the fitted physical model thick."""
+    traces, numbers = [], set()
+    for recipe in mapping(result, "few_shot", vehicle_model):
+        points = seen(result, vehicle_model, recipe)
+        numbers |= set(points)
+        x = [n or NO_RIDES for n in points]
+        spreads = [half_width(point) for point in points.values()]
+        name = recipe_label(result, recipe)
+        trace = curve(name, recipe_style(result, recipe), x, [number(p) for p in points.values()], spreads)
+        traces.append(trace.update(line={"width": 4}) if recipe == FITTED else trace)
+    made = figure(traces, 360)
+    made.update_layout(showlegend=True)
+    ticks = sorted(numbers)
+    made.update_xaxes(
+        title_text="Rides of the new vehicle model seen [number]",
+        type="log",
+        tickvals=[n or NO_RIDES for n in ticks],
+        ticktext=[str(n) for n in ticks],
+    )
+    made.update_yaxes(title_text="Mean absolute error [kWh]", rangemode="tozero")
+    return made
+
+
+def elimination(result: Result) -> go.Figure:
+    """Return the cross-validated error against the number of terms, and the loss as terms go one after the other."""
+    scores = [s for s in part(result, "selection", "rfecv", "scores") or () if number(s.get("mae")) is not None]
+    steps = [s for s in part(result, "selection", "rfe", "steps") or () if number(s.get("loss")) is not None]
+    made = stacked(("RFECV: cross-validated error", "RFE: error more than with all terms"), 640)
+    if scores:
+        trace = curve("RFECV", style(2), [s["terms"] for s in scores], [s["mae"] for s in scores])
+        made.add_trace(trace.update(showlegend=False), row=1, col=1)
+    if steps:
+        losses = [s["loss"] for s in steps]
+        x, y = list(range(1, len(steps) + 1)), [number(loss) for loss in losses]
+        trace = curve("RFE", style(4), x, y, [half_width(loss) for loss in losses])
+        trace.update(showlegend=False, text=[label(terms([s.get("term")])) for s in steps])
+        made.add_trace(trace, row=2, col=1)
+    made.update_xaxes(title_text="Terms kept [number]", row=1)
+    made.update_xaxes(title_text="Terms gone [number]", row=2)
+    made.update_yaxes(title_text="Mean absolute error [kWh]", row=1)
+    made.update_yaxes(title_text="Loss [kWh]", zeroline=True, row=2)
+    return made
+
+
+def difference_matrix(result: Result, vehicle_model: str) -> go.Figure:
+    """Return the difference scores of all pairs in Wh: row's error less column's, significant ones with a star.
+
+    Shades follow the square root of the difference, so that the small ones between good models can be told apart.
+    """
+    found = mapping(result, "difference", vehicle_model)
+    names = [r for r in recipes(result) if any(difference(found, r, other) for other in recipes(result))]
+    scores = [[difference(found, a, b) for b in names] for a in names]
+    values = [[None if score is None else 1000.0 * score[0] for score in row] for row in scores]
+    shades = [[None if v is None else math.copysign(math.sqrt(abs(v)), v) for v in row] for row in values]
+    most = max((abs(shade) for row in shades for shade in row if shade is not None), default=1.0)
+    heat = go.Heatmap(
+        z=shades,
+        customdata=values,
+        x=[str(i) for i in range(1, len(names) + 1)],
+        y=[f"{recipe_label(result, recipe)} · {i}" for i, recipe in enumerate(names, start=1)],
+        text=[[_score(score) for score in row] for row in scores],
+        texttemplate="%{text}",
+        colorscale=DIVERGING,
+        zmin=-most,
+        zmax=most,
+        xgap=1,
+        ygap=1,
+        showscale=False,
+        hovertemplate="%{y}<br>less %{x}: %{customdata:.1f} Wh<extra></extra>",
+    )
+    made = figure([heat], 80 + 38 * len(names))
+    made.update_layout(margin={"t": 60, "b": 10})
+    made.update_xaxes(title_text="Model, numbered as on the left", type="category", side="top", showgrid=False)
+    made.update_yaxes(title_text="Model", type="category", autorange="reversed", showgrid=False)
+    return made
+
+
+def _score(score: tuple[float, float | None] | None) -> str:
+    """Return the text of a difference in Wh, a star where it is significant."""
+    if score is None:
+        return ""
+    value, p = score
+    star = "*" if p is not None and p < 0.05 else ""
+    return f"{round(1000.0 * value):+d}{star}".replace("-", "−")
+
+
+def _by_model(result: Result, names: Sequence[str], traces: list[Any], unit: str, row_height: int) -> go.Figure:
+    """Return dots in a row for each model."""
+    made = figure(traces, 90 + row_height * len(names))
+    made.update_xaxes(title_text=unit, rangemode="tozero")
+    made.update_yaxes(
+        title_text="Model",
+        tickvals=list(range(len(names))),
+        ticktext=[recipe_label(result, recipe) for recipe in names],
+        range=[len(names) - 0.4, -0.6],
+    )
+    return made
+
+
+def _offset(place: int, of: int) -> float:
+    """Return where in its row a vehicle model's dot is."""
+    return 0.7 * ((place + 0.5) / of - 0.5)
+
+
+def _times(value: float | None, factor: float) -> float | None:
+    return None if value is None else value * factor
+
+
+def _dash(cluster: str) -> str:
+    return label(cluster.replace("-", "–"))
+
+
+def _dashes(columns: Sequence[str]) -> list[str]:
+    return [_dash(column) for column in columns]

@@ -1,0 +1,86 @@
+"use strict";
+(() => {
+  const PRINTED = { wide: 670, small: 325 };
+  const NARROW = 520;
+  const NAMES = "Model";
+  const plots = [];
+
+  const isHeat = (trace) => trace.type === "heatmap";
+  const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+  /* Text, grid and axes in the colours of the page. */
+  function theme(layout) {
+    const ink = colour("--ink");
+    const changes = { "font.color": ink, "font.family": getComputedStyle(document.querySelector(".plot")).fontFamily };
+    for (const name of Object.keys(layout).filter((key) => /^[xy]axis/.test(key))) {
+      changes[`${name}.gridcolor`] = colour("--grid");
+      changes[`${name}.linecolor`] = ink;
+      changes[`${name}.zerolinecolor`] = ink;
+      changes[`${name}.tickcolor`] = ink;
+    }
+    (layout.shapes || []).forEach((_, i) => { changes[`shapes[${i}].line.color`] = ink; });
+    changes["hoverlabel.bgcolor"] = colour("--paper");
+    changes["hoverlabel.font.color"] = ink;
+    return changes;
+  }
+
+  /* Where there is little room, names of models are small and speak for themselves. */
+  function names(layout, width) {
+    const changes = {};
+    for (const name of Object.keys(layout).filter((key) => /^yaxis/.test(key))) {
+      if (!layout[name].title || layout[name].title.text !== NAMES) continue;
+      changes[`${name}.title.font.size`] = width < NARROW ? 1 : 12;
+      changes[`${name}.title.standoff`] = width < NARROW ? 0 : 12;
+      changes[`${name}.tickfont.size`] = width < NARROW ? 9 : 12;
+    }
+    return changes;
+  }
+
+  /* Make room below the plot for a legend of whatever height it takes at this width. */
+  function room(plot) {
+    const legend = plot.div.querySelector(".legend .bg");
+    const height = legend ? Math.ceil(legend.getBoundingClientRect().height) + 8 : 0;
+    return { height: plot.height + height, "margin.b": plot.bottom + height };
+  }
+
+  function fit(plot, width) {
+    const wide = width ?? plot.div.clientWidth;
+    const first = { ...theme(plot.div.layout), ...names(plot.div.layout, wide), width: wide };
+    plot.div.style.height = "auto";
+    return Plotly.relayout(plot.div, first)
+      .then(() => Plotly.relayout(plot.div, room(plot)))
+      .then(() => (plot.div.data.some(isHeat) ? Plotly.restyle(plot.div, { "textfont.color": colour("--ink") }) : null));
+  }
+
+  function draw(figure) {
+    const div = figure.querySelector(".plot");
+    const { data, layout } = JSON.parse(figure.querySelector('script[type="application/json"]').textContent);
+    const plot = { div, height: layout.height, bottom: layout.margin.b, small: figure.parentElement.className };
+    layout.font = { size: 12 };
+    layout.legend.maxheight = 0.9;
+    data.filter(isHeat).forEach((trace) => { trace.textfont = { color: colour("--ink") }; });
+    layout.width = div.clientWidth;
+    if (matchMedia("(pointer: coarse)").matches) layout.dragmode = false;
+    plots.push(plot);
+    return Plotly.newPlot(div, data, layout, { displayModeBar: false }).then(() => fit(plot));
+  }
+
+  let waiting = 0;
+  addEventListener("resize", () => {
+    clearTimeout(waiting);
+    waiting = setTimeout(() => plots.forEach((plot) => fit(plot)), 150);
+  });
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => plots.forEach((plot) => fit(plot)));
+  addEventListener("beforeprint", () => {
+    document.documentElement.classList.add("printing");
+    plots.forEach((plot) => fit(plot, PRINTED[plot.small]));
+  });
+  addEventListener("afterprint", () => {
+    document.documentElement.classList.remove("printing");
+    plots.forEach((plot) => fit(plot));
+  });
+
+  Promise.all([...document.querySelectorAll("figure")].map(draw)).then(() => {
+    document.documentElement.dataset.drawn = String(plots.length);
+  });
+})();

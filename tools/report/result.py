@@ -1,0 +1,145 @@
+"""Reading the result of an evaluation, whatever it lacks.
+
+A result is the mapping that `socast evaluate --json` writes. Any part of it may be missing or null: an evaluation of
+few rides has no few-shot curves, a model without intervals no coverage. What is not there is not reported.
+"""
+
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+from typing import Any, Final
+
+from core.evaluate.published import AVERAGE, PHYSICAL, WEIGHTED
+from core.vehicles import catalogue
+
+Result = Mapping[str, Any]
+
+FITTED: Final = "fitted_physical"
+"""The recipe that others have to beat on a new vehicle model."""
+WAYS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "fitted_physical_others": "trained on the others only",
+        "fitted_physical_refitted": "refitted with the rides seen",
+    }
+)
+"""The same in few-shot curves, in ways of which it has the better one at each point."""
+INTERACTIONS: Final = "hybrid_interactions"
+"""The best recipe of the paper."""
+ALL: Final = "all"
+"""Stands for all vehicle models together."""
+NOT_CLUSTERS: Final = ("total", AVERAGE)
+"""Columns beside the clusters of distance."""
+
+
+def part(result: Any, *path: str) -> Any:
+    """Return what is found along a path of keys, None where the path ends early.
+
+    Examples
+    --------
+    >>> part({"mae": {"hybrid": {"a": 1.0}}}, "mae", "hybrid", "a"), part({"mae": None}, "mae", "hybrid")
+    (1.0, None)
+    """
+    for key in path:
+        if not isinstance(result, Mapping):
+            return None
+        result = result.get(key)
+    return result
+
+
+def mapping(result: Any, *path: str) -> Mapping[str, Any]:
+    """Return the mapping along a path of keys, an empty one where there is none."""
+    found = part(result, *path)
+    return found if isinstance(found, Mapping) else {}
+
+
+def number(value: Any) -> float | None:
+    """Return a figure: a number as it is, or the `value` of an estimate."""
+    if isinstance(value, Mapping):
+        value = value.get("value")
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+
+def half_width(value: Any) -> float | None:
+    """Return the half width of an estimate's 95 % confidence interval, None where it has none."""
+    return number(value.get("ci95")) if isinstance(value, Mapping) else None
+
+
+def mean(values: Iterable[float | None]) -> float | None:
+    """Return the plain mean of what is known, None where nothing is."""
+    known = [value for value in values if value is not None]
+    return sum(known) / len(known) if known else None
+
+
+def recipes(result: Result) -> dict[str, str]:
+    """Return the titles of the models by recipe, in their order."""
+    titles = mapping(result, "recipes")
+    return {str(name): str(title or name) for name, title in titles.items()} or {n: n for n in mapping(result, "mae")}
+
+
+def title(result: Result, recipe: str) -> str:
+    """Return the title of a model."""
+    if recipe in WAYS:
+        return f"{title(result, FITTED)}, {WAYS[recipe]}"
+    return recipes(result).get(recipe, recipe)
+
+
+def vehicle_models(result: Result) -> list[str]:
+    """Return the keys of the vehicle models, in their order."""
+    named = part(result, "about", "vehicle_models")
+    found = list(named) if named else list(mapping(result, "rides"))
+    rows = found or [key for recipe in mapping(result, "mae").values() for key in mapping(recipe)]
+    return [str(key) for key in dict.fromkeys(rows) if key != WEIGHTED]
+
+
+def vehicle_name(key: str) -> str:
+    """Return what people call a vehicle model: the catalogue's name without its battery, or the key.
+
+    Examples
+    --------
+    >>> vehicle_name("kia-soul-ev-2015"), vehicle_name("horse")
+    ('Kia Soul EV 2015', 'horse')
+    """
+    if key == ALL:
+        return "all vehicle models"
+    known = catalogue().get(key)
+    return known.name.partition(",")[0] if known else key
+
+
+def clusters(result: Result, rows: Iterable[Any]) -> list[str]:
+    """Return the clusters of distance that have a figure in any of the rows, shortest first."""
+    filled = {
+        cluster
+        for row in rows
+        for cluster, value in mapping(row).items()
+        if cluster not in NOT_CLUSTERS and number(value) is not None
+    }
+    order = {str(name): place for place, name in enumerate(part(result, "about", "clusters") or ())}
+    return sorted(filled, key=lambda name: (order.get(name, len(order)), _lower_end(name), name))
+
+
+def average_error(result: Result, recipe: str, vehicle_model: str) -> float | None:
+    """Return the average error of a model on a vehicle model. [kWh]"""
+    return number(part(result, "mae", recipe, vehicle_model, AVERAGE))
+
+
+def overall_error(result: Result, recipe: str) -> float | None:
+    """Return the plain mean over vehicle models of a model's average error. [kWh]"""
+    return mean(average_error(result, recipe, key) for key in vehicle_models(result))
+
+
+def best(result: Result) -> str | None:
+    """Return the model of least error."""
+    errors = {recipe: overall_error(result, recipe) for recipe in recipes(result)}
+    known = {recipe: error for recipe, error in errors.items() if error is not None}
+    return min(known, key=known.__getitem__, default=None)
+
+
+def principal(result: Result) -> list[str]:
+    """Return the models that figures of many curves show first: the milestones, the best, those with intervals."""
+    chosen = {PHYSICAL, FITTED, INTERACTIONS, best(result)} | set(mapping(result, "coverage"))
+    return [recipe for recipe in recipes(result) if recipe in chosen]
+
+
+def _lower_end(cluster: str) -> float:
+    """Return the first number in a cluster's name, infinity where there is none."""
+    digits = cluster.removesuffix("+").partition("-")[0]
+    return float(digits) if digits.replace(".", "", 1).isdigit() else float("inf")

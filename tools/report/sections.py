@@ -1,0 +1,196 @@
+"""The order of a report: its sections, what they say and the tables in them."""
+
+from typing import NamedTuple
+
+from core.evaluate import published
+from core.evaluate.published import AVERAGE, PHYSICAL, Statement
+from tools.report.cells import Cell, ReportTable, Row, change, kwh, percent
+from tools.report.data_tables import data_tables
+from tools.report.error_tables import differences, error_tables, summary_tables
+from tools.report.result import (
+    ALL,
+    FITTED,
+    INTERACTIONS,
+    Result,
+    best,
+    mapping,
+    mean,
+    number,
+    overall_error,
+    part,
+    title,
+    vehicle_models,
+)
+from tools.report.selection_tables import selection_tables
+from tools.report.split_tables import split_tables
+from tools.report.transfer_tables import transfer_tables
+from tools.report.use_tables import place_tables, reserve_tables
+
+
+class Section(NamedTuple):
+    """A section of a report.
+
+    Parameters
+    ----------
+    key : str
+        Of its figures, and in links to it.
+    title : str
+    text : str
+        What it shows.
+    tables : list of ReportTable
+    folded : bool
+        Whether its figures tell what its tables do: the page folds these away, the terminal leaves them out.
+    """
+
+    key: str
+    title: str
+    text: str
+    tables: list[ReportTable]
+    folded: bool = False
+
+
+def sections(result: Result) -> list[Section]:
+    """Return the sections that have something to show."""
+    matrices = [differences(result, key) for key in (ALL, *vehicle_models(result))]
+    found = [
+        Section("glance", "At a glance", "", [glance(result)]),
+        Section("data", "Rides", "Which rides are judged, and what they took.", data_tables(result)),
+        Section(
+            "summary",
+            "The models side by side",
+            "Average error of each model on each vehicle model, and which of them are better beyond chance.",
+            summary_tables(result),
+        ),
+        Section(
+            "errors",
+            "Errors by distance, model by model",
+            "Each model is trained on a draw of the rides of every cluster and tested on the others, several times.",
+            error_tables(result),
+        ),
+        Section(
+            "difference",
+            "Which differences are beyond chance",
+            "Models compared on the same test rides, pair by pair.",
+            [table for table in matrices if table.rows],
+            folded=True,
+        ),
+        Section(
+            "places",
+            "Where the models err",
+            "Errors by distance, outside temperature, season and driver.",
+            place_tables(result),
+        ),
+        Section(
+            "reserve",
+            "Intervals and the dispatcher's reserve",
+            "How often the measured energy is inside its interval, and what to keep in hand.",
+            reserve_tables(result),
+        ),
+        Section(
+            "splits",
+            "Other ways to hold rides out",
+            "A model may know a car or a day that it has seen: errors where whole cars or the last dates are unseen.",
+            split_tables(result),
+        ),
+        Section(
+            "transfer",
+            "New vehicle models",
+            "A vehicle model is left out of training, then some of its rides are let in.",
+            transfer_tables(result),
+        ),
+        Section(
+            "selection",
+            "Terms that can go",
+            "Recursive elimination of the hybrid model's terms.",
+            selection_tables(result),
+        ),
+    ]
+    return [section for section in found if any(table.rows for table in section.tables)]
+
+
+def glance(result: Result) -> ReportTable:
+    """Return the figures that a reader looks for first, with the paper's beside them."""
+    rows = [
+        _reduced(result, INTERACTIONS, published.statement("reduction")),
+        None if best(result) == INTERACTIONS else _reduced(result, best(result), None),
+        _past_the_paper(result),
+        _unbeaten(result),
+        _relative(result, "0-5", published.statement("relative_error_short")),
+        _relative(result, "20-25", published.statement("relative_error_long")),
+        _new_vehicle(result, FITTED, published.statement("new_vehicle_reduction")),
+        _new_vehicle(result, _best_new_vehicle(result), None),
+        _buffer(result),
+        *(
+            _row(f"Rides inside their 90 % interval: {title(result, recipe)}", percent(part(found, "overall")))
+            for recipe, found in mapping(result, "coverage").items()
+        ),
+    ]
+    return ReportTable("At a glance", "figure", ("here",), tuple(row for row in rows if row is not None))
+
+
+def _row(name: str, here: str, paper: str = "") -> Row:
+    return Row(name, (Cell(here, paper),))
+
+
+def _reduced(result: Result, recipe: str | None, said: Statement | None) -> Row | None:
+    """Return how far a model's error is below that of the basic physical model."""
+    share = number(part(result, "reduction", recipe or "", AVERAGE))
+    if recipe is None or share is None:
+        return None
+    label = f"Error below that of the basic physical model: {title(result, recipe)}"
+    return _row(label, percent(share), "" if said is None else percent(said.value, 2))
+
+
+def _past_the_paper(result: Result) -> Row | None:
+    """Return how far the best model is from the paper's best."""
+    winner, reference = best(result), overall_error(result, INTERACTIONS)
+    if winner is None or winner == INTERACTIONS or reference is None:
+        return None
+    label = f"Average error of {title(result, winner)} against {title(result, INTERACTIONS)}"
+    return _row(label, change(overall_error(result, winner), reference))
+
+
+def _unbeaten(result: Result) -> Row | None:
+    """Return the models that none is significantly better than, on any vehicle model."""
+    found = [part(result, "dominates", key) or () for key in vehicle_models(result)]
+    names = [title(result, r) for r in (found[0] if found else ()) if all(r in of for of in found)]
+    said = f"{title(result, INTERACTIONS)}, or it and others"
+    return _row("Dominates or co-dominates on every vehicle model", "; ".join(names) or "none", said) if found else None
+
+
+def _relative(result: Result, cluster: str, said: Statement) -> Row | None:
+    """Return error over consumption in a cluster."""
+    share = number(part(result, "relative", INTERACTIONS, cluster))
+    label = f"Error over consumption, rides of {cluster.replace('-', '–')} km: {title(result, INTERACTIONS)}"
+    return None if share is None else _row(label, percent(share), f"about {percent(said.value, 0)}")
+
+
+def _new_vehicle(result: Result, recipe: str | None, said: Statement | None) -> Row | None:
+    """Return how far a model's error on unseen vehicle models is below that of the basic physical model."""
+    share = None if recipe is None else _left_out(result, recipe)
+    if recipe is None or share is None:
+        return None
+    label = f"Error below that of the basic physical model, vehicle model unseen: {title(result, recipe)}"
+    return _row(label, percent(share), "" if said is None else percent(said.value, 2))
+
+
+def _best_new_vehicle(result: Result) -> str | None:
+    """Return the model that does best on unseen vehicle models, None where that is the fitted physical one."""
+    shares = {recipe: _left_out(result, recipe) for recipe in mapping(result, "new_vehicle") if recipe != PHYSICAL}
+    known = {recipe: share for recipe, share in shares.items() if share is not None}
+    found = max(known, key=known.__getitem__, default=None)
+    return None if found == FITTED else found
+
+
+def _left_out(result: Result, recipe: str) -> float | None:
+    return mean(number(part(result, "new_vehicle", recipe, key, "reduction")) for key in vehicle_models(result))
+
+
+def _buffer(result: Result) -> Row | None:
+    """Return the reserve that the paper's best model asks for."""
+    found = mapping(result, "buffer_kwh", INTERACTIONS)
+    if not found:
+        return None
+    here = ", ".join(f"{kwh(energy)} kWh for {share} % of rides" for share, energy in found.items())
+    said = published.statement("buffer")
+    return _row(f"Buffer: {title(result, INTERACTIONS)}", here, f"{said.value:g} kWh, share not said")

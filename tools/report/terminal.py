@@ -1,0 +1,77 @@
+"""The report of an evaluation in the terminal."""
+
+from typing import Any, Final
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from core.evaluate import published
+from core.evaluate.results import plain
+from tools.report.cells import PAPER_NOTE, Cell, ReportTable
+from tools.report.sections import Section, sections
+
+LAST: Final = "glance"
+"""The section that ends the output, where the eye is."""
+
+
+def show(result: Any, console: Console) -> None:
+    """Print the result of an evaluation: its tables, and last what a reader looks for first.
+
+    Parameters
+    ----------
+    result : mapping
+        Of the evaluation; what it lacks is left out.
+    console : Console
+        At least 120 columns wide, for tables that do not wrap.
+    """
+    shown = [section for section in sections(plain(result)) if not section.folded]
+    for section in sorted(shown, key=lambda section: section.key == LAST):
+        _print_section(section, console)
+    for line in _notes(plain(result)):
+        console.print(Text(line, style="yellow"))
+
+
+def _print_section(section: Section, console: Console) -> None:
+    """Print the title and tables of a section; a note that several tables have, once, below the last of them."""
+    console.print()
+    console.rule(Text(section.title, style="bold"), align="left")
+    if section.text:
+        console.print(Text(section.text, style="italic"))
+    last: dict[str, int] = {note: i for i, table in enumerate(section.tables) for note in table.all_notes}
+    for i, table in enumerate(section.tables):
+        console.print()
+        console.print(_table(table))
+        for note in table.all_notes:
+            if last[note] == i or note == PAPER_NOTE:
+                console.print(Text(note, style="dim"))
+
+
+def _table(table: ReportTable) -> Table:
+    """Return a table as rich prints it: without upright lines, so that figures have the room."""
+    title = Text(table.title, style="bold")
+    made = Table(title=title, title_justify="left", header_style="", box=box.HORIZONTALS, pad_edge=False)
+    made.add_column(Text(table.corner), overflow="fold")
+    for head in table.columns:
+        made.add_column(Text(head), justify="right", overflow="fold")
+    for i, row in enumerate(table.rows):
+        ends = row.total or (i + 1 < len(table.rows) and table.rows[i + 1].total)
+        made.add_row(Text(row.name), *(_cell(cell) for cell in row.cells), end_section=ends)
+    return made
+
+
+def _cell(cell: Cell) -> Text:
+    """Return what was found, and below it in parentheses what the paper has."""
+    text = Text(cell.text, style="bold" if cell.strong else "")
+    if cell.paper:
+        text.append("\n" if cell.text else "")
+        text.append(f"({cell.paper})", style="not bold dim")
+    return text
+
+
+def _notes(result: Any) -> list[str]:
+    """Return what the evaluation itself says was left out."""
+    about = result.get("about") or {}
+    notes = [str(note) for note in (*(result.get("notes") or ()), *(about.get("notes") or ()))]
+    return [*notes, f"“The paper” is “{published.paper().title}”."]

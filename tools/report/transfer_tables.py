@@ -1,0 +1,148 @@
+"""Tables of what carries over to a vehicle model that was not trained on."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from core.evaluate import published
+from core.evaluate.published import Published
+from tools.report.cells import Cell, ReportTable, Row, kwh, mark_least, percent, printed
+from tools.report.result import (
+    FITTED,
+    WAYS,
+    Result,
+    mapping,
+    mean,
+    number,
+    part,
+    recipes,
+    title,
+    vehicle_models,
+    vehicle_name,
+)
+
+WORSE = " ↑"
+"""Marks an error above that of the fitted physical model."""
+
+
+def transfer_tables(result: Result) -> list[ReportTable]:
+    """Return Tables 12 and 13 and the few-shot curves of each vehicle model."""
+    tables = [new_vehicle(result), new_vehicle_relative(result)]
+    tables += [few_shot(result, key) for key in mapping(result, "few_shot")]
+    return [table for table in tables if table.rows]
+
+
+def new_vehicle(result: Result) -> ReportTable:
+    """Return the errors on a vehicle model that was left out of training, Table 12."""
+    names, keys = _tested(result)
+
+    def cell(recipe: str, key: str) -> Cell:
+        error, fitted = _left_out(result, recipe, key, "mae"), _left_out(result, FITTED, key, "mae")
+        worse = error is not None and fitted is not None and error > fitted
+        return Cell(kwh(error) + (WORSE if worse else ""), printed(published.new_vehicle_mae(recipe, key)))
+
+    reduced = [mean(_left_out(result, recipe, key, "reduction") for key in keys) for recipe in names]
+    last = [Cell(percent(share), _percent(_paper_reduction(r))) for share, r in zip(reduced, names, strict=True)]
+    said = percent(published.statement("new_vehicle_reduction").value, 2)
+    notes = (
+        "Trained on all other vehicle models, tested on all rides of this one. Bold: the least of its column.",
+        f"{WORSE.strip()}: above the fitted extended physical model.",
+        "Reduction: against the basic physical model, mean over vehicle models.",
+        f"The paper's reductions follow from its rounded Table 12; its text says {said} for the fitted one.",
+    )
+    rows = _rows(result, names, keys, cell, "mae", last)
+    heads = (*(vehicle_name(key) for key in keys), "reduction")
+    name = "New vehicle model, none of its rides seen: mean absolute error, kWh (Table 12)"
+    return ReportTable(name, "model", heads, rows, notes)
+
+
+def new_vehicle_relative(result: Result) -> ReportTable:
+    """Return error over consumption on a vehicle model that was left out of training, Table 13."""
+    names, keys = _tested(result)
+
+    def cell(recipe: str, key: str) -> Cell:
+        share = percent(_left_out(result, recipe, key, "relative"))
+        return Cell(share, _as_percent(published.new_vehicle_relative(recipe, key)))
+
+    rows = _rows(result, names, keys, cell, "relative", [])
+    heads = tuple(vehicle_name(key) for key in keys)
+    name = "New vehicle model, none of its rides seen: error over consumption (Table 13)"
+    return ReportTable(name, "model", heads, rows, ("Bold: the least of its column.",))
+
+
+def few_shot(result: Result, vehicle_model: str) -> ReportTable:
+    """Return the error on a new vehicle model against the number of its rides that were seen."""
+    names = list(mapping(result, "few_shot", vehicle_model))
+    points = {recipe: seen(result, vehicle_model, recipe) for recipe in names}
+    line = points.get(FITTED, {})
+    rows = tuple(
+        Row(
+            str(n),
+            tuple(_against(points[recipe].get(n), None if recipe in WAYS else line.get(n)) for recipe in names),
+        )
+        for n in sorted({rides for of in points.values() for rides in of})
+    )
+    notes = [f"{WORSE.strip()}: above the fitted extended physical model after as many rides, the line to beat."]
+    if any(way in names for way in WAYS):
+        notes.append(f"The line to beat is the better of two at each point: {' and '.join(WAYS.values())}.")
+    name = f"{vehicle_name(vehicle_model)} as a new vehicle model: mean absolute error, kWh"
+    return ReportTable(name, "rides seen", tuple(title(result, recipe) for recipe in names), rows, tuple(notes))
+
+
+def seen(result: Result, vehicle_model: str, recipe: str) -> dict[int, Mapping[str, Any]]:
+    """Return the few-shot errors of a model by the number of rides seen, `value` and `ci95` in kWh."""
+    made: dict[int, Mapping[str, Any]] = {}
+    for point in part(result, "few_shot", vehicle_model, recipe) or ():
+        rides, error = number(part(point, "rides")), part(point, "mae")
+        if rides is not None and number(error) is not None:
+            made[int(rides)] = {"value": number(error), "ci95": number(part(point, "ci95"))}
+    return made
+
+
+def _rows(
+    result: Result,
+    names: list[str],
+    keys: list[str],
+    cell: Callable[[str, str], Cell],
+    figure: str,
+    last: list[Cell],
+) -> tuple[Row, ...]:
+    """Return a row for each model, the least of each vehicle model standing out."""
+    columns = [
+        mark_least([cell(r, key) for r in names], [_left_out(result, r, key, figure) for r in names]) for key in keys
+    ]
+    return tuple(
+        Row(title(result, recipe), (*(column[i] for column in columns), *last[i : i + 1]))
+        for i, recipe in enumerate(names)
+    )
+
+
+def _tested(result: Result) -> tuple[list[str], list[str]]:
+    """Return the models and vehicle models that were tested so."""
+    found = mapping(result, "new_vehicle")
+    names = [recipe for recipe in recipes(result) if mapping(found, recipe)]
+    return names, [key for key in vehicle_models(result) if any(key in mapping(found, recipe) for recipe in names)]
+
+
+def _left_out(result: Result, recipe: str, key: str, figure: str) -> float | None:
+    return number(part(result, "new_vehicle", recipe, key, figure))
+
+
+def _paper_reduction(recipe: str) -> float | None:
+    models = published.paper().vehicle_models.values()
+    return mean(published.new_vehicle_reduction(recipe, model.catalogue[0]) for model in models)
+
+
+def _against(point: Mapping[str, Any] | None, fitted: Mapping[str, Any] | None) -> Cell:
+    """Return an error, marked where it is above that of the fitted physical model."""
+    if point is None:
+        return Cell("")
+    worse = fitted is not None and point["value"] > fitted["value"]
+    return Cell(kwh(point) + (WORSE if worse else ""))
+
+
+def _percent(share: float | None) -> str:
+    return "" if share is None else percent(share)
+
+
+def _as_percent(figure: Published | None) -> str:
+    return "" if figure is None else percent(figure.value, 0)
