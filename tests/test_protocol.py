@@ -9,12 +9,15 @@ import pandas as pd
 import planted_rides
 import pytest
 
+from core.columns import ZERO_CELSIUS
 from core.errors import ModelError, SettingsError
+from core.evaluate.accessories import figure_1
 from core.evaluate.held_out import held_out
 from core.evaluate.judged import CLUSTERS, LEAST, judged
 from core.evaluate.protocol import chosen, evaluate
 from core.evaluate.runs import Prediction
 from core.evaluate.splits import Split
+from core.vehicles import AccessoryCurve
 
 SD = 0.1
 MODELS = ("kia-soul-ev-2015", "tesla-model-s")
@@ -229,7 +232,7 @@ def test_a_recipe_that_fails_is_left_out_and_said_so(rides):
 
     found = evaluate(rides, recipes(TRUE, Toy("broken", refuse)), seed=1)
     assert list(found["mae"]) == ["true"]
-    assert "broken: column 'x' is missing: add it (split by ride)" in found["about"]["notes"]
+    assert found["about"]["notes"] == ["broken: column 'x' is missing: add it"]
     with pytest.raises(ModelError, match="no recipe can be judged: broken: column 'x'"):
         evaluate(rides, recipes(Toy("broken", refuse)), seed=1)
 
@@ -258,6 +261,7 @@ def test_one_car_of_one_vehicle_model_on_one_day_is_judged_as_far_as_it_goes():
     assert found["new_vehicle"] == {}
     assert found["few_shot"] == {}
     assert found["by"]["driver"]["true"] == []
+    assert "by_vehicle" not in found["coverage"]["true"]
     assert found["splits"]["vehicle"]["true"][MODELS[0]] is None
     assert found["splits"]["date"]["true"][MODELS[0]] is None
     assert len(found["about"]["notes"]) == 3
@@ -299,3 +303,17 @@ def test_recipes_are_chosen_by_name_in_the_order_of_the_paper():
     ):
         with pytest.raises(SettingsError, match=told):
             chosen(names, None)
+
+
+def test_figure_1_has_the_planted_curve_and_points_upon_it():
+    table = planted_rides.rides(3000, 5, MODELS[:1])
+    table = table.assign(effect_aero_drag_wind=table["effect_aero_drag"], start_s=table["start_s"] + np.arange(3000))
+    table = planted_rides.noisy(table, planted_rides.physical_energy(table), of_day=0.0)
+    found = figure_1(judged(table))[MODELS[0]]
+    planted, fitted = planted_rides.PLANTED, AccessoryCurve(**found["curve"])
+    assert sum(point["rides"] for point in found["points"]) <= 3000
+    assert len(found["points"]) > 20
+    for point in found["points"]:
+        at = np.array([point["ambient_c"] + ZERO_CELSIUS])
+        assert point["power_w"] == pytest.approx(planted.power(at)[0], abs=4 * 600.0 / sqrt(point["rides"]) + 60.0)
+        assert fitted.power(at)[0] == pytest.approx(planted.power(at)[0], abs=150.0)

@@ -15,6 +15,8 @@ from core.clean import Cleaner
 from core.codec import Message
 from core.columns import EARTH_RADIUS, KMH
 from core.decode import Decoder
+from core.effects import library
+from core.evaluate.protocol import chosen, evaluate
 from core.pipeline import Pipeline
 from core.quality import CAUSES, Quality
 from core.settings import Settings
@@ -60,7 +62,7 @@ def imported(name: str) -> Imported:
     folder, read, settings = readers()[name]
     drives = collect([DATA / folder], read)
     sent = messages(drives, PERIOD)
-    pipeline = Pipeline(settings=settings)
+    pipeline = Pipeline(settings=settings, also=list(library()))
     pipeline.push(sent)
     pipeline.finish()
     return Imported(drives, sent, settings, pipeline, pipeline.take_rides(), pipeline.take_windows())
@@ -205,8 +207,26 @@ def test_recording_and_memory_are_the_same(name, tmp_path):
     write(found.drives, tmp_path / "a.mcap", PERIOD)
     write(found.drives, tmp_path / "b.mcap", PERIOD)
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
-    replayed = Pipeline(settings=found.settings)
+    replayed = Pipeline(settings=found.settings, also=list(library()))
     for block in McapSource(tmp_path / "a.mcap"):
         replayed.push(block)
     replayed.finish()
     pd.testing.assert_frame_equal(replayed.take_rides(), found.rides)
+
+
+def by_date(name: str, recipes: str) -> dict[str, float]:
+    """Return each recipe's average error on the last fifth of the dates [kWh]."""
+    result = evaluate(imported(name).rides, chosen(recipes, None, 0), repeats=2)
+    return {recipe: next(iter(errors.values())) for recipe, errors in result["splits"]["date"].items()}
+
+
+def test_models_learn_the_leaf_from_its_first_months():
+    error = by_date("ved", "basic_physical,extended_physical,fitted_physical,hybrid,boosted_hybrid")
+    assert set(error) >= {"extended_physical", "fitted_physical", "hybrid", "boosted_hybrid"}
+    assert all(value < 0.6 * error["basic_physical"] for name, value in error.items() if name != "basic_physical")
+
+
+def test_models_learn_the_i3_from_its_first_months():
+    error = by_date("bmw-i3", "basic_physical,extended_physical,fitted_physical")
+    assert error["extended_physical"] < 0.5 * error["basic_physical"]
+    assert error["fitted_physical"] < 0.5 * error["basic_physical"]

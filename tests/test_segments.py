@@ -80,6 +80,7 @@ def test_a_ride_without_windows_is_not_guessed_and_an_unknown_value_is_no_obstac
     frame, rides, _ = table
     frame = frame[frame["ride_key"] != "car#7"].copy()
     frame.loc[frame.index[::5], "precipitation_mm_h"] = np.nan
+    frame["wind_speed_kmh"] = np.nan
     said = SegmentRecipe(segments(frame)).fit(rides).predict(rides)
     assert np.flatnonzero(np.isnan(said)).tolist() == [7]
 

@@ -90,7 +90,7 @@ def held_out(said: Mapping[str, Sequence[Prediction]], rides: int) -> HeldOut:
         bounds={
             name: tuple(np.array([p.lower, p.upper])[:, t] for p, t in zip(said[name], told, strict=True))
             for name in kept
-            if all(p.lower is not None for p in said[name])
+            if said[name] and all(p.lower is not None for p in said[name])
         },
         overlap=float(np.mean([n / (rides - n) for n in tested])) if tested else np.nan,
         notes=tuple(notes),

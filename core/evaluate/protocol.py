@@ -207,11 +207,14 @@ def _averages(mae: Mapping[str, Any], table: Judged) -> dict[str, dict[str, floa
 
 
 def _notes(splits: Mapping[Kind, Any], held: Mapping[Kind, HeldOut], new: Mapping[Any, HeldOut]) -> list[str]:
-    """Return what was left out and why, each once."""
+    """Return what was left out and why; of recipes that have no part in anything, once."""
     notes = []
     for kind, why in (("vehicle", ONE_CAR), ("date", ONE_DATE), ("new", ONE_VEHICLE_MODEL)):
         if not splits[kind]:
             notes.append(why)
-    for kind, own in [*held.items(), *((f"without {name}", own) for name, own in new.items())]:
-        notes += [f"{note} (split by {kind})" if kind in held else f"{note} ({kind})" for note in own.notes]
-    return list(dict.fromkeys(notes))
+    notes += held["ride"].notes
+    others = {f"split by {kind}": own for kind, own in held.items() if kind != "ride"}
+    for where, own in (others | {f"without {name}": own for name, own in new.items()}).items():
+        told = [note for note in own.notes if note.partition(":")[0] in held["ride"].recipes]
+        notes += [f"{note} ({where})" for note in told]
+    return notes

@@ -35,7 +35,7 @@ REGAINED: Final = 0.7
 """Energy into the battery over energy given back at the wheels. Estimated: 83 % again, and some friction braking."""
 ENOUGH: Final = 400
 """Rides of a vehicle model for trees of its own."""
-LEAST_RIDES: Final = 30
+LEAST_RIDES: Final = 10
 """Rides that a fit needs; fewer can be told to a model that there is, with `adapt`."""
 FOLDS: Final = 3
 """Parts of the rides that are kept back in turn, for the interval."""
@@ -166,6 +166,8 @@ class Learned(NamedTuple):
 @dataclass(frozen=True)
 class PooledRecipe:
     """A recipe whose coefficients are pooled across vehicle models, and that can learn a new one from few rides.
+
+    In its models the covariance of the fit `*` is the spread between vehicle models: that of a new one about the mean.
 
     Parameters
     ----------

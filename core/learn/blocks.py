@@ -68,7 +68,31 @@ class Parquet:
         ModelError
             Where a file cannot be read.
         """
-        return pd.concat([block for path in self.paths for block in _read(path, None)], ignore_index=True)
+        return self.thinned(None)
+
+    def thinned(self, most: int | None) -> pd.DataFrame:
+        """Return every k-th ride, with k such that there are at most so many of them; all, where no number is given.
+
+        Raises
+        ------
+        ModelError
+            Where a file cannot be read.
+        """
+        step = 1 if most is None else max(1, -(-sum(_rows(path) for path in self.paths) // most))
+        kept, seen = [], 0
+        for path in self.paths:
+            for block in _read(path, None):
+                kept.append(block.iloc[-seen % step :: step])
+                seen += len(block)
+        return pd.concat(kept, ignore_index=True) if kept else pd.DataFrame()
+
+
+def _rows(path: Path) -> int:
+    """Return the number of rides in a file, none where it is no Parquet file."""
+    try:
+        return int(pq.read_metadata(path).num_rows)
+    except (OSError, pa.ArrowException):
+        return 0
 
 
 def _read(path: Path, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:

@@ -42,8 +42,9 @@ USUAL: Final = (0.02, 0.1, 0.2)
 """Spreads to be expected: apart [kWh], drive [1], climate [1]. A few vehicle models tell little of them."""
 LOOSE: Final = np.log(3.0)
 """Standard deviation of the logarithm of spreads about those to be expected."""
-ALIKE: Final = 2.0
-"""The first rides of a vehicle model tell as much as so many times fewer: those of one car on one day err alike."""
+ALIKE: Final = 4.0
+"""The first rides of a vehicle model tell as much as so many times fewer: those of one car on one day err alike. Chosen
+on simulated fleets, of 1 to 8; with 1, a few rides can do harm."""
 
 
 class Sums(NamedTuple):
@@ -108,21 +109,25 @@ def add_up(design: Floats, energy: Floats, size: Floats) -> Sums:
 
 
 def columns_scale(groups: Sequence[Sums]) -> Floats:
-    """Return the root mean square of each term's column, each vehicle model with the same say; 1 where it is 0."""
-    square = np.mean([np.diag(sums.gram) / sums.weight for sums in groups], axis=0)
+    """Return the root mean square of each term's column, 1 where it is 0."""
+    square = np.diag(_averaged(groups)[0])
     return np.where(square > 0.0, np.sqrt(np.maximum(square, 0.0)), 1.0)
+
+
+def _averaged(groups: Sequence[Sums]) -> tuple[Floats, Floats]:
+    """Return X' W X and X' W y of a ride of average weight: rides of all vehicle models have the same say."""
+    say = [sums.rides for sums in groups]
+    gram = np.average([sums.gram / sums.weight for sums in groups], axis=0, weights=say)
+    return gram, np.average([sums.cross / sums.weight for sums in groups], axis=0, weights=say)
 
 
 def common_mean(groups: Sequence[Sums], physics: Floats) -> Floats:
     """Return the mean of the coefficients, held near those of physics."""
     scale = columns_scale(groups)
-    by = np.outer(scale, scale)
-    say = [sums.rides for sums in groups]
-    gram = np.average([sums.gram / sums.weight for sums in groups], axis=0, weights=say) / by
-    cross = np.average([sums.cross / sums.weight for sums in groups], axis=0, weights=say) / scale
+    gram, cross = _averaged(groups)
+    standard = gram / np.outer(scale, scale)
     hold = HOLD + HOLD_RIDES / sum(sums.rides for sums in groups)
-    found = np.linalg.solve(gram + hold * np.eye(len(scale)), cross - gram @ (physics * scale))
-    return physics + found / scale
+    return physics + np.linalg.solve(standard + hold * np.eye(len(scale)), (cross - gram @ physics) / scale) / scale
 
 
 def noise_of(sums: Sums, mean: Floats, scale: Floats) -> float:

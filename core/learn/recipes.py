@@ -22,6 +22,9 @@ from core.learn.fitting import fit_terms
 from core.learn.intervals import least_squares_interval
 from core.models import BASIC_TERMS, LinearModel, Term, physical_term
 
+INTERVAL_RIDES: Final = 20_000
+"""Rides that are enough to tell how far off predictions are."""
+
 
 class Recipe(Protocol):
     """How to come from a ride table to a model."""
@@ -67,8 +70,13 @@ class LinearRecipe:
         return least_squares_interval(model, rides, fitted=self.free) if covariance else model
 
     def fit_parquet(self, *paths: str | Path, covariance: bool = True) -> LinearModel:
-        """Return a model fitted to Parquet files of rides, in memory that does not grow with them."""
-        return fit_terms(self, Parquet(tuple(Path(path) for path in paths)), covariance=covariance)
+        """Return a model fitted to Parquet files of rides, in memory that does not grow with them.
+
+        With the covariance, the model has an interval too, calibrated on at most `INTERVAL_RIDES` of them.
+        """
+        rides = Parquet(tuple(Path(path) for path in paths))
+        model = fit_terms(self, rides, covariance=covariance)
+        return least_squares_interval(model, rides.thinned(INTERVAL_RIDES), fitted=self.free) if covariance else model
 
 
 def term(*columns: str) -> Term:

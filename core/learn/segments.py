@@ -203,7 +203,8 @@ class SegmentRecipe:
     def _network(self, rides: pd.DataFrame) -> Network:
         """Train a network."""
         at, ride = self.segments.of(rides)
-        features, energy = self.segments.features[at], rides["energy_kwh"].to_numpy(np.float64)
+        features, energy = self.segments.features[at].copy(), rides["energy_kwh"].to_numpy(np.float64)
+        features[:, np.isnan(features).all(axis=0)] = 0.0  # what nobody measured tells nothing
         mean, scale = np.nanmean(features, axis=0), np.nanstd(features, axis=0)
         target = shared_out(np.where(np.isnan(features), mean, features), self.segments.duration[at], ride, energy)
         rng = np.random.default_rng(self.seed)
