@@ -56,7 +56,7 @@ def get(name: str) -> Effect:
     if (found := _library.get(name)) is not None:
         return found
     close = get_close_matches(name, _library, n=3)
-    hint = f"did you mean {' or '.join(close)}?" if close else f"known are {', '.join(_library)}"
+    hint = f"did you mean {' or '.join(close)}?" if close else f"known are {', '.join(_library)}."
     raise EffectError(f"effect {name!r} is unknown: {hint} A file of your own is loaded with --effects FILE")
 
 

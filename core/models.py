@@ -8,6 +8,7 @@ product. What is fitted past that (accessory curve, factors of single cars, boos
 
 from collections.abc import Iterator, Mapping
 from functools import cached_property
+from hashlib import sha256
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, Protocol, cast
@@ -215,7 +216,7 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         return tuple(dict.fromkeys(key for key in (*self.fits, *(self.correction or {})) if key != ANY))
 
     def predict(self, columns: Table) -> Floats:
-        """Return the energy of rides, or of any part of one for which the same columns are known.
+        """Return the energy of rides, or of any part of one for which the same columns are known, as if it were a ride.
 
         Parameters
         ----------
@@ -414,6 +415,12 @@ def encode(model: LinearModel) -> bytes:
     """Return the model file's content; floats as the shortest text that reads back to the same number."""
     model_file.check(model)
     return model_file.readable(msgspec.json.encode(model))
+
+
+def stamped(model: LinearModel) -> LinearModel:
+    """Return a model with a version that follows from all else that its file holds."""
+    content = encode(msgspec.structs.replace(model, version=""))
+    return msgspec.structs.replace(model, version=sha256(content).hexdigest()[:12])
 
 
 def decode(content: bytes) -> LinearModel:

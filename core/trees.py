@@ -39,7 +39,7 @@ class Trees(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     threshold : tuple of float
         Left where the feature is at most this; 0 at a leaf.
     left, right : tuple of int
-        The next node, always one further on; 0 at a leaf.
+        The next node, always further on; 0 at a leaf.
     missing_left : tuple of int
         1 where an unknown (NaN) feature goes left, else 0.
     value : tuple of float

@@ -14,7 +14,7 @@ RECIPES = {
     "empirical_interactions": "Learned Empirical Model (Interaction Terms)",
     "hybrid": "Hybrid Model (No Interaction Terms)",
     "hybrid_interactions": "Hybrid Model (Interaction Terms)",
-    "segments": "Segment Model (Neural Network on 60 s)",
+    "segment_network": "Segment Model (Neural Network on 60 s)",
     "hybrid_ridge": "Regularised Hybrid Model",
     "hybrid_trees": "Hybrid Model with Boosted Trees",
 }
@@ -232,6 +232,7 @@ def _selection() -> dict[str, Any]:
         },
         "rfe": {
             "removed": ["precipitation_mm_h", "gained_m"],
+            "loss": _estimate(0.0006, 0.0005) | {"p": 0.125},
             "steps": [
                 {"term": term, "loss": _estimate(0.0002 * 3**i, 0.0005) | {"p": 0.5 / 4**i}}
                 for i, term in enumerate(("precipitation_mm_h", "gained_m", "lost_m", "odometer_km", "distance_km"))

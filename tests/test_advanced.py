@@ -204,3 +204,37 @@ def test_a_model_without_trees_or_cars_is_that_of_the_terms(models, halves):
     whole = models["boosted_hybrid"]
     bare = msgspec.structs.replace(whole, cars={}, correction=None)
     np.testing.assert_allclose(bare.predict(halves[1]), models["pooled_hybrid"].predict(halves[1]), rtol=1e-12)
+
+
+def test_a_vehicle_model_of_which_one_ride_is_known_is_pooled(table):
+    rare = table.iloc[:400].assign(vehicle_model=MODELS[0])
+    rare.loc[rare.index[0], "vehicle_model"] = MODELS[1]
+    model = BOOSTED.fit(rare)
+    assert model.fits[MODELS[1]].rides == 1
+    assert np.isfinite(model.predict(rare)).all()
+
+
+def test_being_told_known_rides_again_does_not_count_cars_and_trees_twice(models, halves):
+    model = models["boosted_hybrid"]
+    one = halves[0][halves[0]["vehicle_model"] == MODELS[0]]
+    said = one.assign(energy_kwh=model.predict(one))
+    again = adapt(model, said)
+    rest = halves[1][halves[1]["vehicle_model"] == MODELS[0]]
+    assert again.predict(rest) == pytest.approx(model.predict(rest), rel=1e-6, abs=1e-6)
+    assert again.version != model.version
+
+
+def test_a_term_that_no_ride_showed_is_held_where_physics_has_it(table):
+    mild = table.assign(ambient_c=table["ambient_c"].clip(lower=8.0))
+    model = POOLED.fit(mild[mild["vehicle_model"] != MODELS[0]])
+    new = table[table["vehicle_model"] == MODELS[0]].iloc[:30].copy()
+    new["ambient_c"] = np.where(np.arange(30) == 0, -15.0, 15.0)
+    told = adapt(model, new)
+    place = [term.name for term in model.terms].index("heating in deep cold")
+    assert told.fits[MODELS[0]].coefficients[place] == pytest.approx(SHARED[place].physics, abs=1e-6)
+
+
+def test_the_version_tells_models_of_other_cars_apart(table):
+    some = table.iloc[:600]
+    swapped = some.assign(vehicle_id=some["vehicle_id"].iloc[::-1].to_numpy())
+    assert BOOSTED.fit(some).version != BOOSTED.fit(swapped).version

@@ -12,6 +12,7 @@ from test_segments import windows
 from core.learn import segments
 from tools.cli import main
 from tools.evaluate import read, window_columns
+from tools.output import writable
 
 QUICK = ("--recipes", "basic_physical,empirical", "--repeats", "2", "--jobs", "1")
 
@@ -148,6 +149,16 @@ def test_what_cannot_be_asked_is_refused(folder, capsys):
     assert "--seed is -1; give 0 or more" in refused(capsys, folder, "--seed", "-1")
     assert "overwritten" in refused(capsys, folder, "--json", folder / "rides.parquet")
     assert "cannot be written" in refused(capsys, folder, "--html", folder / "no" / "e.html")
+    assert "/proc/e.html cannot be written" in refused(capsys, folder, "--html", "/proc/e.html")
+    assert "/proc/version cannot be written" in refused(capsys, folder, "--json", "/proc/version")
+
+
+def test_trying_whether_an_output_can_be_written_leaves_all_as_it_was(tmp_path):
+    kept, new = tmp_path / "kept.json", tmp_path / "new.json"
+    kept.write_text("[]")
+    writable([], kept, new)
+    assert kept.read_text() == "[]"
+    assert not new.exists()
 
 
 def test_windows_are_read_for_their_features_alone(folder):

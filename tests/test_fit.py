@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from planted_rides import MODELS, noisy, physical_energy, rides
+from pooled_rides import differing, fleet, measured, planted
 from recorded_shift import shift
 
 from core import models
@@ -233,3 +234,50 @@ def test_replay_and_tables_take_the_file(folder, tmp_path, capsys):
     main_(["tables", tmp_path / "shift.mcap", "--model", tmp_path / "model.json", "--out", tmp_path / "made"])
     made = pd.read_parquet(tmp_path / "made" / "rides.parquet")
     assert np.isfinite(models.load(tmp_path / "model.json").predict(made)).any()
+
+
+@pytest.fixture(scope="module")
+def whole() -> pd.DataFrame:
+    """A table with all that the recipes past the paper ask for."""
+    found = fleet(700, 1)
+    return measured(found, planted(found, differing(MODELS)))
+
+
+def test_a_pooled_model_is_told_of_a_new_car(whole, tmp_path):
+    table = whole
+    new = table["vehicle_model"] == MODELS[0]
+    base = fitted(written(table[~new], tmp_path / "others.parquet"), "pooled_hybrid", tmp_path / "base.json")
+    told = written(table[new].iloc[:40], tmp_path / "new.parquet")
+    main_(["fit", told, "--adapt", tmp_path / "base.json", "-o", tmp_path / "told.json"])
+    model = models.load(tmp_path / "told.json")
+    rest = table[new].iloc[40:]
+    error = [np.abs(each.predict(rest) - rest["energy_kwh"]).mean() for each in (base, model)]
+    assert error[1] < error[0]
+    assert model.version != base.version
+    assert model.history[-1]["action"] == "adapt"
+
+
+def test_fitting_and_telling_exclude_each_other(folder, tmp_path, capsys):
+    assert "--recipe NAME to fit" in refused(capsys, "fit", folder, "-o", tmp_path / "m.json")
+    both = ("fit", folder, "--recipe", "hybrid", "--adapt", tmp_path / "m.json", "-o", tmp_path / "m.json")
+    assert "--recipe NAME to fit" in refused(capsys, *both)
+
+
+@pytest.mark.parametrize("recipe", ["fitted_physical", "hybrid", "boosted_hybrid"])
+def test_single_unknown_values_spoil_nothing(recipe, whole, tmp_path):
+    spoilt = whole.copy()
+    spoilt.loc[20, "duration_s"] = np.nan
+    spoilt.loc[21, "effect_rolling"] = np.nan
+    model = fitted(written(spoilt, tmp_path / "rides.parquet"), recipe, tmp_path / "m.json")
+    assert model.interval is not None
+    assert np.isfinite(model.predict(whole)).all()
+
+
+@pytest.mark.parametrize("recipe", ["fitted_physical", "boosted_hybrid"])
+def test_an_empty_table_is_one_line(recipe, whole, tmp_path, capsys):
+    file = written(whole.iloc[:0], tmp_path / "rides.parquet")
+    assert "0 rides" in refused(capsys, "fit", file, "--recipe", recipe, "-o", tmp_path / "m.json")
+
+
+def test_a_table_given_twice_is_refused(folder, tmp_path, capsys):
+    assert "given twice" in refused(capsys, "fit", folder, folder, "--recipe", "hybrid", "-o", tmp_path / "m.json")

@@ -1,7 +1,5 @@
 """Intervals cover what they say, whatever errors are like; leverage gives what fitting anew would."""
 
-from dataclasses import dataclass
-
 import msgspec
 import numpy as np
 import pandas as pd
@@ -21,7 +19,6 @@ from core.learn.intervals import (
     calibrated,
     least_squares_interval,
     parts,
-    with_interval,
 )
 from core.learn.recipes import RECIPES, LinearRecipe, term
 from core.models import BASIC_PHYSICAL, decode, encode
@@ -213,32 +210,6 @@ def test_intervals_of_vehicle_models_never_seen_are_wider_and_cover_more_than_th
         lower, upper = alike.bounds(model.predict(table), table, 0.9)
         as_others.append(np.mean(((lower <= energy) & (energy <= upper))[new]))
     assert np.mean(covered) > max(0.75, np.mean(as_others) + 0.1)
-
-
-@dataclass(frozen=True)
-class Memory:
-    """A recipe that knows by heart what it was fitted to, and nothing else."""
-
-    def fit(self, rides, *, covariance=True):
-        del covariance
-        known = dict(zip(rides["ride_id"], rides["energy_kwh"], strict=True))
-        return Remembered(known)
-
-
-@dataclass
-class Remembered:
-    known: dict
-
-    def predict(self, rides):
-        return np.array([self.known.get(ride, 0.0) for ride in rides["ride_id"]])
-
-
-def test_a_recipe_that_knows_its_rides_by_heart_is_not_believed(small):
-    model = with_interval(Memory(), BASIC_PHYSICAL, small)
-    assert model.interval is not None
-    lower, upper = model.interval.bounds(np.zeros(len(small)), small, 0.9)
-    energy = small["energy_kwh"].to_numpy()
-    assert np.mean((lower <= energy) & (energy <= upper)) == pytest.approx(0.9, abs=0.06)
 
 
 def test_parts_are_of_equal_size_and_the_same_at_every_call():

@@ -301,6 +301,26 @@ def test_low_coverage_is_marked():
     assert cells["overall"] == "93.0 % ↑"
 
 
+def test_the_loss_of_elimination_is_shown(result):
+    table = next(t for s in sections(plain(result)) for t in s.tables if t.title.startswith("Terms that can go"))
+    rows = {row.name.partition(":")[0]: row.cells[-1].text for row in table.rows}
+    assert rows["RFE"] == "+0.0006 ± 0.0005"
+
+
+def test_where_not_all_models_can_have_a_column_the_principal_ones_do():
+    result = evaluation()
+    result["coverage"] = dict.fromkeys(RECIPES, result["coverage"]["hybrid_trees"])
+    chosen = ["basic_physical", "fitted_physical", "hybrid_interactions", "segment_network", "hybrid_trees"]
+    titles = [RECIPES[recipe] for recipe in chosen]
+    tables = {t.title: t for s in sections(plain(result)) for t in s.tables}
+    assert tables["Mean absolute error by distance, kWh"].columns[1:] == tuple(titles)
+    inside = [row.name.partition(": ")[2] for row in tables["At a glance"].rows if row.name.startswith("Rides inside")]
+    assert inside == titles
+    heads = printed(result).partition("Mean absolute error by distance, kWh")[2].splitlines()[2:6]
+    words = {word.strip() for line in heads for word in line.split()}
+    assert words >= {word for title in titles for word in title.split()}
+
+
 def test_what_is_worse_than_the_fitted_physical_model_on_a_new_vehicle_is_marked():
     result = smaller(evaluation())
     result["few_shot"]["kia-soul-ev-2015"]["hybrid_trees"][0]["mae"] = 99.0

@@ -47,6 +47,18 @@ def test_what_removal_costs_is_told_step_by_step(found):
     assert scores[3] == pytest.approx(0.05 * np.sqrt(2 / np.pi), rel=0.1)
 
 
+def test_the_loss_of_all_that_go_is_that_of_the_last_step(found):
+    assert found["rfe"]["loss"] == found["rfe"]["steps"][len(DECOYS) - 1]["loss"]
+    assert set(found["rfe"]["loss"]) == {"value", "ci95", "p"}
+
+
+def test_where_nothing_can_go_there_is_no_loss():
+    recipe = LinearRecipe("hybrid", "Hybrid", (*(term(c) for c in PLANTED), term()))
+    rfe = removable(recipe, judged(fleet()), seed=2)["rfe"]
+    assert rfe["removed"] == []
+    assert rfe["loss"] is None
+
+
 def test_of_collinear_terms_one_can_go_and_costs_nothing():
     recipe = LinearRecipe("hybrid", "Hybrid", (*(term(c) for c in (*PLANTED, "winter", "summer")), term()))
     table = fleet()

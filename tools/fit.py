@@ -15,6 +15,7 @@ from core import models
 from core.columns import ZERO_CELSIUS
 from core.errors import SettingsError
 from core.features import ACCESSORIES, EFFECT_PREFIX
+from core.learn.advanced import adapt
 from core.learn.blocks import Parquet
 from core.learn.recipes import RECIPES, LinearRecipe, Recipe, recipe
 from core.models import ANY, Curve, Fit, LinearModel, Term
@@ -32,17 +33,24 @@ LEVELS = ("heating", "standby", "cooling")
 
 def fit(
     tables: Tables,
-    recipe_name: Annotated[
-        str, typer.Option("--recipe", metavar="NAME", help=f"One of {', '.join(RECIPES)}.", show_default=False)
-    ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="MODEL.json", help="The model file to write.")],
+    recipe_name: Annotated[
+        str | None, typer.Option("--recipe", metavar="NAME", help=f"One of {', '.join(RECIPES)}.", show_default=False)
+    ] = None,
+    adapt_to: Annotated[
+        Path | None,
+        typer.Option("--adapt", metavar="MODEL.json", help="Tell a pooled model of these rides instead: a new car's."),
+    ] = None,
     json_file: JsonFile = None,
 ) -> None:
     """Fit a model to the rides of tables that are fit for training: for each vehicle model, and over all together."""
-    chosen = recipe(recipe_name)
+    if (recipe_name is None) == (adapt_to is None):
+        raise SettingsError("give --recipe NAME to fit a model, or --adapt MODEL.json to tell one of more rides")
+    base = None if adapt_to is None else models.load(adapt_to)
+    chosen = recipe(recipe_name or (base.recipe if base else ""))
     files = ride_files(tables)
     writable(files, out, json_file)
-    model = _fitted(chosen, files)
+    model = _fitted(chosen, files) if base is None else adapt(base, Parquet(tuple(files)).table())
     models.save(model, out)
     write_json(json_file, summary(model, chosen.title))
     show(model, chosen.title, printer())
@@ -63,6 +71,8 @@ def ride_files(tables: Sequence[Path]) -> list[Path]:
         if not file.is_file():
             lacks = f"holds no {RIDES}" if given.is_dir() else "is not there"
             raise SettingsError(f"{given} {lacks}; name a folder that `socast tables` made, or a Parquet file of rides")
+    if twice := [file for i, file in enumerate(files) if file.resolve() in {other.resolve() for other in files[:i]}]:
+        raise SettingsError(f"{twice[0]} is given twice, and its rides would count twice; give it once")
     return files
 
 
@@ -129,7 +139,7 @@ def show(model: LinearModel, title: str, console: Console) -> None:
                 console.print(f"{name}: {n} rides are too few for a fit of its own", highlight=False, soft_wrap=True)
     errors = in_sample(model)
     table = Table("vehicle model", title=title)
-    for heading in ("rides", "MAE in sample, kWh", "left, SD, kWh"):
+    for heading in ("rides", "MAE in sample, kWh", "residual SD, kWh"):
         table.add_column(heading, justify="right")
     for key, found in model.fits.items():
         left_sd = "" if found.residual_sd_kwh is None else f"{found.residual_sd_kwh:.3f}"
@@ -140,7 +150,7 @@ def show(model: LinearModel, title: str, console: Console) -> None:
     _show_curves(model, console)
     parts = [
         f"factors of {len(model.cars):,} cars" if model.cars else "",
-        f"trees for {len(model.correction)} vehicle models" if model.correction else "",
+        f"trees for {', '.join(model.correction)}" if model.correction else "",
         "prediction intervals" if model.interval else "",
     ]
     if any(parts):
@@ -169,6 +179,8 @@ def _show_coefficients(model: LinearModel, console: Console) -> None:
     notes = [f"{others} other coefficients are in the model file"] if others else []
     if any(found.held for found in model.fits.values()):
         notes.append("(held): whole rides do not tell it, so it is held near physics, 1")
+    if model.fits.get(ANY) and model.fits[ANY].noise_kwh is not None:
+        notes.append("of *: how far a vehicle model that was never seen may be from the mean of the others")
     if notes:
         console.print("; ".join(notes), markup=False, highlight=False, soft_wrap=True)
 

@@ -1,7 +1,9 @@
 """What commands have in common: arguments, and what they do with results: JSON files, lines, progress bars."""
 
+import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from errno import EACCES
 from math import isnan
 from pathlib import Path
 from typing import Annotated, Any
@@ -55,7 +57,7 @@ def writable(inputs: Iterable[Path], *outputs: Path | None) -> None:
     Raises
     ------
     SettingsError
-        Where an output is an input, a folder, or in a folder that is not there.
+        Where an output is an input, a folder, in a folder that is not there, or may not be written.
     """
     read = {path.resolve() for path in inputs}
     for path in outputs:
@@ -66,6 +68,26 @@ def writable(inputs: Iterable[Path], *outputs: Path | None) -> None:
         reason = "Is a directory" if path.is_dir() else "" if path.parent.is_dir() else "No such file or directory"
         if reason:
             raise SettingsError(f"{path} cannot be written: {reason}; name a file in a folder that is there")
+        try:
+            _try_to_write(path.resolve())
+        except OSError as error:
+            raise SettingsError(
+                f"{path} cannot be written: {error.strerror}; name a file that you may write, or another folder"
+            ) from error
+
+
+def _try_to_write(path: Path) -> None:
+    """Open a file for writing and leave all as it was; of what is no plain file, such as a pipe, ask only.
+
+    Permissions do not tell all: root has them everywhere, yet some file systems take no files.
+    """
+    if not path.exists():
+        path.open("xb").close()
+        path.unlink()
+    elif path.is_file():
+        path.open("ab").close()
+    elif not os.access(path, os.W_OK):
+        raise PermissionError(EACCES, os.strerror(EACCES))
 
 
 def speed(text: str) -> float:

@@ -5,7 +5,6 @@
 """
 
 from collections.abc import Callable, Hashable, Mapping
-from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -16,7 +15,7 @@ from core.evaluate import breakdown, new_vehicle, results, selection
 from core.evaluate.accessories import figure_1
 from core.evaluate.held_out import HeldOut, held_out
 from core.evaluate.judged import Judged, judged
-from core.evaluate.runs import Fittable, Prediction, Progress, in_parallel, predicted
+from core.evaluate.runs import Fittable, Prediction, Progress, in_parallel, plan
 from core.evaluate.splits import REPEATS, TEST_SHARE, Split, by_date, by_ride, by_vehicle
 from core.features import needed
 from core.learn.recipes import RECIPES
@@ -101,10 +100,7 @@ def evaluate(
     _check_columns(recipes, table)
     splits = _splits(table, seed, repeats)
     calls: dict[Any, Callable[[], Any]] = {
-        (kind, key, name): partial(predicted, recipe, table, split)
-        for kind, own in splits.items()
-        for key, split in own.items()
-        for name, recipe in reversed(list(recipes.items()))
+        (kind, *run): call for kind, own in splits.items() for run, call in plan(recipes, table, own).items()
     }
     few = new_vehicle.plan(new_vehicle.learners(recipes), table, seed)
     calls |= {("few", *key): call for key, call in few.items()}

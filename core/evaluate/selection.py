@@ -114,8 +114,8 @@ def removable(recipe: LinearRecipe, judged: Judged, seed: int) -> dict[str, Any]
         `constant`: terms that do not vary within any vehicle model, and so can go before anything is tried. `rfecv`:
         `removed` terms; `scores`, the cross-validated error in the half that ranks by number of terms; `loss`, what
         removing them costs in the half that judges. `rfe`: `removed` terms; `steps`, each the term that goes next and
-        the `loss` with it and all before it gone. A loss is a difference of mean absolute errors in kWh, with its
-        `ci95` and `p`. Empty where there are too few rides.
+        the `loss` with it and all before it gone; `loss`, that of all that are removed, None where none is. A loss is a
+        difference of mean absolute errors in kWh, with its `ci95` and `p`. Empty where there are too few rides.
     """
     terms = tuple(term for term in recipe.terms if term.columns)
     rides, halves = _halves(judged, len(terms), seed)
@@ -157,6 +157,7 @@ def _priced(found: Mapping[str, Any], names: NDArray[np.str_], design: Design, s
         "rfecv": {"removed": names[found["cut"]].tolist(), "scores": found["scores"], "loss": _figures(price)},
         "rfe": {
             "removed": names[order[:gone]].tolist(),
+            "loss": _figures(steps[gone - 1]) if gone else None,
             "steps": [
                 {"term": str(name), "loss": _figures(loss)} for name, loss in zip(names[order], steps, strict=True)
             ],
@@ -191,17 +192,10 @@ def _errors(design: Design, kept: Sequence[Codes], split: Split) -> Floats:
         moments = Moments(train.table.shape[1])
         moments.add(np.column_stack([train.table[own, 1:], train.energy[own]]))
         for i, columns in enumerate(kept):
-            solution = solve(_of(moments, np.append(columns, -1)), constant=True)
+            solution = solve(moments.only([*columns.tolist(), -1]), constant=True)
             said = test.table[asked][:, 1 + columns] @ solution.coefficients + (solution.constant or 0.0)
             found[i] += float(np.sum(np.abs(said - test.energy[asked])))
     return found / len(test.energy)
-
-
-def _of(moments: Moments, columns: Codes) -> Moments:
-    """Return the moments of some of the columns."""
-    part = Moments(len(columns))
-    part.rows, part.mean, part.scatter = moments.rows, moments.mean[columns], moments.scatter[np.ix_(columns, columns)]
-    return part
 
 
 def _halves(judged: Judged, terms: int, seed: int) -> tuple[Positions, Split]:

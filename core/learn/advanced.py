@@ -8,7 +8,6 @@ Of those `accessory_scale` is an estimate, for some cars from drives of their ow
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from hashlib import sha256
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -21,11 +20,11 @@ from core.errors import ModelError
 from core.features import Columns, coefficient_unit, needed
 from core.intervals import Interval, scale_terms
 from core.learn.blocks import ENERGY, Frame, names, numbers, trainable
-from core.learn.fitting import design, fit_terms
+from core.learn.fitting import design, fit_terms, one_thread
 from core.learn.intervals import Held, calibrated, parts
 from core.learn.pooling import Prior, Sums, add_up, car_factors, common_mean, noise_of, pooled, posterior, taught
 from core.learn.trees import fit_trees
-from core.models import ANY, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term
+from core.models import ANY, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term, stamped
 from core.trees import Trees
 
 SIZE: Final = "size_kwh"
@@ -210,6 +209,11 @@ class PooledRecipe:
             Where a column is missing, or no ride can be trained on.
         """
         _check(self.name, rides, _raw(self.terms, ASKED))
+        with one_thread():
+            return stamped(self._fitted(rides, covariance=covariance))
+
+    def _fitted(self, rides: pd.DataFrame, *, covariance: bool) -> LinearModel:
+        """Return the model, see `fit`."""
         start = fit_terms(self, Frame(rides), covariance=False)
         groups = dict(_groups(start, rides))
         _check_varies(self.name, groups)
@@ -222,15 +226,21 @@ class PooledRecipe:
             left = groups[key].energy - own.predict(groups[key])
             errors[key] = float(np.abs(left).mean())
             if key != ANY:
-                found = _fit(start.fits[key], own.prior, own.coefficients, own.covariance)
-                fits[key] = msgspec.structs.replace(found, residual_sd_kwh=float(np.sqrt(np.mean(left**2))))
+                fits[key] = _fit(
+                    start.fits.get(key, start.fits[ANY]),
+                    own.prior,
+                    own.coefficients,
+                    own.covariance,
+                    rides=len(left),
+                    residual_sd_kwh=float(np.sqrt(np.mean(left**2))),
+                )
         return msgspec.structs.replace(
             start,
             fits=fits,
             history=({"action": "fit", "recipe": self.name, "mae_in_sample_kwh": errors},),
             cars={car: factor for own in learned.values() for car, factor in own.cars.items()},
             correction={key: own.trees for key, own in learned.items() if own.trees is not None} or None,
-            interval=self._interval(prior, groups, sums) if covariance else None,
+            interval=self._interval(groups, sums) if covariance else None,
         )
 
     def adapt(self, model: LinearModel, rides: pd.DataFrame) -> LinearModel:
@@ -240,6 +250,7 @@ class PooledRecipe:
     def _prior(self, sums: dict[str, Sums]) -> Prior:
         """Return what the vehicle models have in common."""
         climate = np.array([s.climate for s in self.shared])
+        sums = {key: own for key, own in sums.items() if own.rides}
         return pooled(sums, np.array([s.physics for s in self.shared]), (~climate, climate))
 
     def _learn(self, prior: Prior, rides: Group) -> Learned:
@@ -256,16 +267,19 @@ class PooledRecipe:
             trees = fit_trees(rides.asked, ASKED, left / rides.size, rides.size, SIZE)
         return Learned(own, coefficients, covariance, cars, trees)
 
-    def _interval(self, prior: Prior, groups: dict[str, Group], sums: dict[str, Sums]) -> Interval | None:
+    def _interval(self, groups: dict[str, Group], sums: dict[str, Sums]) -> Interval | None:
         """Return the interval that errors call for: on rides kept back, and on vehicle models kept back."""
-        seen, unseen = {}, {}
+        errors = {key: np.empty(len(group.energy)) for key, group in groups.items()}
+        part = {key: parts(len(group.energy), FOLDS) for key, group in groups.items()}
+        for i in range(FOLDS):
+            kept = {key: group.rows(part[key] != i) for key, group in groups.items()}
+            prior = self._prior({key: own.sums() for key, own in kept.items()})
+            for key, group in groups.items():
+                back = group.rows(part[key] == i)
+                errors[key][part[key] == i] = back.energy - self._learn(prior, kept[key]).predict(back)
+        seen = {key: group.held(errors[key]) for key, group in groups.items()}
+        unseen = {}
         for key, group in groups.items():
-            part = parts(len(group.energy), FOLDS)
-            error = np.empty(len(group.energy))
-            for i in range(FOLDS):
-                own = self._learn(prior, group.rows(part != i))
-                error[part == i] = group.energy[part == i] - own.predict(group.rows(part == i))
-            seen[key] = group.held(error)
             others = [other for name, other in sums.items() if name != key]
             if others:
                 mean = common_mean(others, np.array([s.physics for s in self.shared]))
@@ -305,15 +319,23 @@ def adapt(model: LinearModel, rides: pd.DataFrame) -> LinearModel:
     kinds = np.array(names(good, VEHICLE_MODEL), dtype=object)
     for key in sorted(set(kinds) - {""}):
         known = fits.get(key, general)
-        group = _group(model.terms, good.iloc[np.flatnonzero(kinds == key)], known.fills)
+        group = _linear_part(model, key, good.iloc[np.flatnonzero(kinds == key)], known.fills)
         noise = known.noise_kwh or general.noise_kwh
         prior = Prior(np.array(known.coefficients), np.array(known.covariance or general.covariance), noise)
         rides_before = known.rides if key in model.fits else 0
-        fits[key] = _fit(known, prior, *taught(prior, group.sums()), rides=rides_before + len(group.energy))
+        with one_thread():
+            fits[key] = _fit(known, prior, *taught(prior, group.sums()), rides=rides_before + len(group.energy))
         told[key] = len(group.energy)
-    digest = sha256(model.version.encode() + pd.util.hash_pandas_object(good[ENERGY], index=False).to_numpy().tobytes())
     history = (*model.history, {"action": "adapt", "rides": told})
-    return msgspec.structs.replace(model, fits=fits, version=digest.hexdigest()[:12], history=history)
+    return stamped(msgspec.structs.replace(model, fits=fits, history=history))
+
+
+def _linear_part(model: LinearModel, key: str, rides: pd.DataFrame, fills: dict[str, float]) -> Group:
+    """Return rides of a vehicle model, with the energy that the model's terms have to tell: without trees and cars."""
+    group = _group(model.terms, rides, fills)
+    energy = group.energy / _factors(model.cars, group.vehicles)
+    trees = model.correction and (model.correction.get(key) or model.correction.get(ANY))
+    return group._replace(energy=energy - trees.predict(Columns(rides)) if trees else energy)
 
 
 def _raw(terms: tuple[Term, ...], asked: tuple[str, ...] = ()) -> list[str]:
@@ -333,8 +355,8 @@ def _check_varies(name: str, groups: dict[str, Group]) -> None:
     energy = np.concatenate([group.energy for group in groups.values()])
     if len(energy) < LEAST_RIDES:
         raise ModelError(
-            f"recipe {name}: {len(energy)} rides to fit to, and it needs {LEAST_RIDES}: give more rides, or adapt a "
-            "model to them"
+            f"recipe {name}: {len(energy)} rides to fit to, and it needs {LEAST_RIDES}: give more rides, or "
+            "`--adapt` a model to them"
         )
     if not np.ptp(energy) > 0.0:
         raise ModelError(
@@ -372,9 +394,10 @@ def _factors(cars: dict[str, float], vehicles: NDArray[np.object_]) -> Floats:
 
 def _own(prior: Prior, sums: Sums) -> Prior:
     """Return the prior with the noise of a vehicle model's own rides, where they are enough to tell it."""
-    enough = sums.rides >= 2 * len(prior.mean)
+    if sums.rides < 2 * len(prior.mean):
+        return prior
     scale = np.sqrt(np.maximum(np.diag(sums.gram) / sums.weight, 1e-12))
-    return prior._replace(noise=noise_of(sums, prior.mean, scale)) if enough else prior
+    return prior._replace(noise=noise_of(sums, prior.mean, scale))
 
 
 def _fit(start: Fit, prior: Prior, mean: Floats, covariance: Floats, **changes: Any) -> Fit:

@@ -84,7 +84,7 @@ class Parquet:
             for block in _read(path, None):
                 kept.append(block.iloc[-seen % step :: step])
                 seen += len(block)
-        return pd.concat(kept, ignore_index=True) if kept else pd.DataFrame()
+        return pd.concat(kept, ignore_index=True)
 
 
 def _rows(path: Path) -> int:
@@ -102,6 +102,8 @@ def _read(path: Path, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
             names = None if columns is None else _present(columns, file.schema_arrow.names, str(path))
             for batch in file.iter_batches(batch_size=BLOCK, columns=names):
                 yield batch.to_pandas()
+            if not file.metadata.num_rows:
+                yield file.schema_arrow.empty_table().to_pandas()
     except OSError as error:
         reason = error.strerror or " ".join(str(error).split())
         raise ModelError(f"{path}: cannot read rides: {reason}; name one that `socast tables` made") from error

@@ -30,7 +30,7 @@ from core.batch import Floats
 from core.cars import PARAMETERS
 from core.derived import DERIVED
 from core.errors import ModelError
-from core.features import ACCESSORIES, EFFECT_PREFIX, FEATURES, Columns, needed
+from core.features import ACCESSORIES, ACCESSORY_NEEDS, EFFECT_PREFIX, FEATURES, Columns, needed
 from core.learn.blocks import ENERGY, Rides, names, numbers, trainable
 from core.learn.curve import Temperatures, slopes
 from core.learn.regression import CONSTANT, LEAST_GROUPS, Influence, Moments, Scores, Solution, grouped, solve
@@ -108,13 +108,18 @@ def fit_terms(plan: Plan, rides: Rides, *, covariance: bool = True) -> LinearMod
     ModelError
         Where a column is missing, no ride can be trained on, there are too few, or nothing varies in them.
     """
-    with _blas().limit(limits=1):  # small matrices; and the same result to the bit on any number of cores
+    with one_thread():
         fitting = _Fitting(plan, rides, covariance=covariance)
         fitting.survey()
         fitting.solve()
         if covariance:
             fitting.residuals()
         return fitting.model()
+
+
+def one_thread() -> Any:
+    """Keep numpy's linear algebra to one thread: matrices are small, and results the same on any number of cores."""
+    return _blas().limit(limits=1)
 
 
 @cache
@@ -136,7 +141,7 @@ class _Fitting:
         raw = dict.fromkeys(name for column in read for name in needed(column))
         basic = BASIC_PHYSICAL.needs if self.curved else ()
         self.columns = list(dict.fromkeys((*raw, *basic, ENERGY)))
-        filled = dict.fromkeys((*read, *(("ambient_c",) if self.curved else ())))
+        filled = dict.fromkeys((*read, *(ACCESSORY_NEEDS if self.curved else ())))
         self.road = [t for t in plan.terms if plan.free and t.columns and t.columns[0].startswith(EFFECT_PREFIX)]
         self.filled = [c for c in filled if (c in FEATURES and c not in PARAMETERS) or c in DERIVED]
         self.place = next((i for i, term in enumerate(plan.terms) if not term.columns), None)

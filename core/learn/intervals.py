@@ -1,7 +1,7 @@
 """Calibration of prediction intervals, on rides that a model had not learned from.
 
-Each ride's error is of a model fitted without it: of a recipe that is fitted anew without each part of the rides in
-turn (cross-validation), or, for least squares, by the leverage of the ride, which is the same at the cost of one fit.
+Each ride's error is of a model fitted without it: by cross-validation, or, for least squares, by the leverage of the
+ride, which is the same at the cost of one fit.
 The errors over their scale give the quantiles.
 
 For vehicle models never seen there is a scale of its own, from errors of fits without the vehicle model.
@@ -14,7 +14,7 @@ Cook, Weisberg, Residuals and Influence in Regression, Chapman and Hall 1982, eq
 """
 
 from collections.abc import Mapping
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -22,7 +22,6 @@ import pandas as pd
 from scipy.optimize import nnls
 
 from core.batch import Floats, Ints
-from core.errors import ModelError
 from core.features import Columns, needed
 from core.intervals import ANY, Interval, scale_terms
 from core.learn.blocks import ENERGY, names, numbers, trainable
@@ -53,7 +52,6 @@ CLASSES: Final = (0.0, 5.0, 10.0, 15.0, 20.0)
 """Where classes of rides begin. [km]"""
 LEAST_RIDES: Final = 100
 """Rides for a class, or a vehicle model, of its own."""
-FOLDS: Final = 5
 LEAST_SCALE: Final = 0.01
 """Smallest scale of an error. [kWh]"""
 INSIDE: Final = 0.9
@@ -62,13 +60,6 @@ NEEDS: Final = (*needed("size_kwh"), *needed("heating_need_k"), "distance_km")
 """Columns of the ride table that the scale of an error needs."""
 UNSEEN: Final = 2.0
 """Scale of those over the largest of the others, where there is but one to learn from. Estimated."""
-
-
-class Recipe(Protocol):
-    """What can be fitted to rides."""
-
-    def fit(self, rides: pd.DataFrame, *, covariance: bool = True) -> LinearModel:
-        """Return a model."""
 
 
 class Held(NamedTuple):
@@ -179,32 +170,6 @@ def _for_unseen(interval: Interval, unseen: Held) -> Interval:
     return msgspec.structs.replace(interval, scales=interval.scales | {ANY: _three(widest)})
 
 
-def with_interval(recipe: Recipe, model: LinearModel, rides: pd.DataFrame, folds: int = FOLDS) -> LinearModel:
-    """Return a model with an interval, calibrated by fitting its recipe anew without each part of its rides in turn.
-
-    Parameters
-    ----------
-    recipe : Recipe
-        What the model was made by.
-    model : LinearModel
-        Fitted to all rides.
-    rides : DataFrame
-        What it was fitted to.
-    folds : int
-        Parts.
-    """
-    good = _good(rides)
-    part = parts(len(good), folds)
-    error = np.full(len(good), np.nan)
-    for i in range(folds):
-        try:
-            other = recipe.fit(good.iloc[part != i], covariance=False)
-        except ModelError:
-            continue
-        error[part == i] = numbers(good, ENERGY)[part == i] - other.predict(good.iloc[part == i])
-    return msgspec.structs.replace(model, interval=calibrated(_by_model(good, error), {}))
-
-
 def least_squares_interval(model: LinearModel, rides: pd.DataFrame, *, fitted: bool = True) -> LinearModel:
     """Return a model of least squares with an interval, calibrated by the leverage of each ride.
 
@@ -224,7 +189,7 @@ def least_squares_interval(model: LinearModel, rides: pd.DataFrame, *, fitted: b
     """
     if any(column not in rides for column in (*NEEDS, ENERGY)):
         return model
-    good = _good(rides)
+    good, _ = trainable(rides, [*model.needs, ENERGY])
     kinds = np.array(names(good, VEHICLE_MODEL), dtype=object)
     own, every = np.full(len(good), np.nan), np.full(len(good), np.nan)
     for key in sorted(set(kinds)):
@@ -265,12 +230,6 @@ def _without_group(basis: Floats, left: Floats, out: Ints) -> Floats:
 def parts(rows: int, folds: int) -> Ints:
     """Return which part each ride is in, drawn at random, the same at every call."""
     return np.random.default_rng(0).permutation(rows) % folds
-
-
-def _good(rides: pd.DataFrame) -> pd.DataFrame:
-    """Return the rides whose energy is known, and that are fit for training."""
-    good, _ = trainable(rides, [ENERGY])
-    return good
 
 
 def _by_model(rides: pd.DataFrame, error: Floats) -> dict[str, Held]:

@@ -40,6 +40,9 @@ FACTOR: Final = (0.03, 0.1, 0.2, 0.3)
 """What is tried as spread of the common factor of a block. [1]"""
 USUAL: Final = (0.02, 0.1, 0.2)
 """Spreads to be expected: apart [kWh], drive [1], climate [1]. A few vehicle models tell little of them."""
+UNSEEN: Final = 1e6
+"""Stands for the size of a column that is 0 in all rides: so large that its coefficient is held where physics has it.
+Its own size is not known, and a guess that is too small would let a single ride of another car set it to anything."""
 LOOSE: Final = np.log(3.0)
 """Standard deviation of the logarithm of spreads about those to be expected."""
 ALIKE: Final = 4.0
@@ -109,9 +112,9 @@ def add_up(design: Floats, energy: Floats, size: Floats) -> Sums:
 
 
 def columns_scale(groups: Sequence[Sums]) -> Floats:
-    """Return the root mean square of each term's column, 1 where it is 0."""
+    """Return the root mean square of each term's column, `UNSEEN` where it is 0."""
     square = np.diag(_averaged(groups)[0])
-    return np.where(square > 0.0, np.sqrt(np.maximum(square, 0.0)), 1.0)
+    return np.where(square > 0.0, np.sqrt(np.maximum(square, 0.0)), UNSEEN)
 
 
 def _averaged(groups: Sequence[Sums]) -> tuple[Floats, Floats]:

@@ -5,7 +5,8 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from core.evaluate import published
-from core.evaluate.published import AVERAGE, PHYSICAL, WEIGHTED
+from core.evaluate.differences import SIGNIFICANCE
+from core.evaluate.published import AVERAGE, PHYSICAL
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, kwh, mark_least, percent, printed, signed
 from tools.report.data_tables import by_cluster
 from tools.report.result import (
@@ -141,7 +142,7 @@ def bias_and_spread(result: Result) -> ReportTable:
         )
         for recipe in names
     )
-    note = "In parentheses, bias: mean of predicted less measured. All test rides count once."
+    note = "In parentheses, bias: mean of predicted less measured. A ride counts once for each draw that tests it."
     heads = tuple(vehicle_name(key) for key in keys)
     return ReportTable("Root mean square error and bias, kWh", "model", heads, rows, (note,))
 
@@ -167,7 +168,7 @@ def differences(result: Result, vehicle_model: str) -> ReportTable:
         Row(f"{i}  {title(result, a)}", tuple(_difference_cell(found, a, b) for b in names))
         for i, a in enumerate(names, start=1)
     )
-    note = "Row's error less column's, so negative where the row's model is better. * significant, p < 0.05."
+    note = f"Row's error less column's, so negative where the row's model is better. * significant, p < {SIGNIFICANCE}."
     heads = tuple(str(i) for i in range(1, len(names) + 1))
     name = f"Difference score, {vehicle_name(vehicle_model)}, kWh"
     return ReportTable(name, "model", heads, rows, (note,))
@@ -187,7 +188,7 @@ def _difference_cell(found: Any, a: str, b: str) -> Cell:
     if known is None:
         return Cell("" if a == b else UNKNOWN)
     value, p = known
-    significant = p is not None and p < 0.05
+    significant = p is not None and p < SIGNIFICANCE
     return Cell(f"{signed(value)}{'*' if significant else ''}", strong=significant)
 
 
@@ -206,8 +207,3 @@ def _said(result: Result, finding: published.Finding) -> str:
     key = finding.vehicle_model
     where = "" if key is None else f" on the {published.paper().vehicle_models[key].name}"
     return f"The paper{where}: {', '.join(title(result, recipe) for recipe in finding.recipes)}: {finding.says}."
-
-
-def weighted_error(result: Result, recipe: str, cluster: str) -> float | None:
-    """Return a model's error in a cluster, over all vehicle models. [kWh]"""
-    return number(part(result, "mae", recipe, WEIGHTED, cluster))

@@ -9,6 +9,7 @@ import plotly.graph_objects as go
 
 from core.columns import ZERO_CELSIUS
 from core.evaluate import published
+from core.evaluate.differences import SIGNIFICANCE
 from core.evaluate.published import AVERAGE, PHYSICAL
 from core.vehicles import AccessoryCurve
 from tools.report.error_tables import difference
@@ -361,7 +362,7 @@ def _score(score: tuple[float, float | None] | None) -> str:
     if score is None:
         return ""
     value, p = score
-    star = "*" if p is not None and p < 0.05 else ""
+    star = "*" if p is not None and p < SIGNIFICANCE else ""
     return f"{round(1000.0 * value):+d}{star}".replace("-", "−")
 
 

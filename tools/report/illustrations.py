@@ -6,6 +6,7 @@ from typing import Any, Final, NamedTuple
 import plotly.graph_objects as go
 
 from core.evaluate import published
+from core.evaluate.differences import SIGNIFICANCE
 from tools.report import figures
 from tools.report.result import (
     ALL,
@@ -108,7 +109,7 @@ def _difference(result: Result) -> list[Illustration]:
             f"difference-{i}",
             f"{vehicle_name(key)}: difference score",
             "Row's error less column's in Wh, mean over the same test rides: negative where the row is better. "
-            f"* p < 0.05, adjusted for the number of pairs. {_dominating(result, key)}",
+            f"* p < {SIGNIFICANCE}, adjusted for the number of pairs. {_dominating(result, key)}",
             figures.difference_matrix(result, key),
         )
         for i, key in enumerate((ALL, *vehicle_models(result)))

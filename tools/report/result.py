@@ -24,6 +24,8 @@ WAYS: Final[Mapping[str, str]] = MappingProxyType(
 """The same in few-shot curves, in ways of which it has the better one at each point."""
 INTERACTIONS: Final = "hybrid_interactions"
 """The best recipe of the paper."""
+SEGMENTS: Final = "segment_network"
+"""The reference of another kind."""
 ALL: Final = "all"
 """Stands for all vehicle models together."""
 NOT_CLUSTERS: Final = ("total", AVERAGE)
@@ -134,8 +136,8 @@ def best(result: Result) -> str | None:
 
 
 def principal(result: Result) -> list[str]:
-    """Return the models that figures of many curves show first: the milestones, the best, those with intervals."""
-    chosen = {PHYSICAL, FITTED, INTERACTIONS, best(result)} | set(mapping(result, "coverage"))
+    """Return the models that have a column where not all can: the milestones, the best, and the segment model."""
+    chosen = {PHYSICAL, FITTED, INTERACTIONS, SEGMENTS, best(result)}
     return [recipe for recipe in recipes(result) if recipe in chosen]
 
 

@@ -18,6 +18,7 @@ from tools.report.result import (
     number,
     overall_error,
     part,
+    principal,
     title,
     vehicle_models,
 )
@@ -110,6 +111,7 @@ def sections(result: Result) -> list[Section]:
 
 def glance(result: Result) -> ReportTable:
     """Return the figures that a reader looks for first, with the paper's beside them."""
+    found = mapping(result, "coverage")
     rows = [
         _reduced(result, INTERACTIONS, published.statement("reduction")),
         None if best(result) == INTERACTIONS else _reduced(result, best(result), None),
@@ -121,8 +123,9 @@ def glance(result: Result) -> ReportTable:
         _new_vehicle(result, _best_new_vehicle(result), None),
         _buffer(result),
         *(
-            _row(f"Rides inside their 90 % interval: {title(result, recipe)}", percent(part(found, "overall")))
-            for recipe, found in mapping(result, "coverage").items()
+            _row(f"Rides inside their 90 % interval: {title(result, recipe)}", percent(part(found, recipe, "overall")))
+            for recipe in principal(result)
+            if recipe in found
         ),
     ]
     return ReportTable("At a glance", "figure", ("here",), tuple(row for row in rows if row is not None))

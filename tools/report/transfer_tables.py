@@ -45,6 +45,7 @@ def new_vehicle(result: Result) -> ReportTable:
     said = percent(published.statement("new_vehicle_reduction").value, 2)
     notes = (
         "Trained on all other vehicle models, tested on all rides of this one. Bold: the least of its column.",
+        "The paper leaves the LEAF out of training for the other cars; here all others train.",
         f"{WORSE.strip()}: above the fitted extended physical model.",
         "Reduction: against the basic physical model, mean over vehicle models.",
         f"The paper's reductions follow from its rounded Table 12; its text says {said} for the fitted one.",
