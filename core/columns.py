@@ -17,6 +17,8 @@ GRAVITY: Final = 9.80665
 EARTH_RADIUS: Final = 6_371_008.8
 """Mean radius of the Earth. [m] IUGG 1980 (Moritz 2000, J. Geodesy 74:128)."""
 JOULES_PER_KWH: Final = 3.6e6
+STANDARD_AIR_DENSITY: Final = 1.225
+"""Dry air at 15 °C and 101,325 Pa. [kg/m^3] ISO 2533:1975, Table 1."""
 
 
 @dataclass(frozen=True)
@@ -73,9 +75,9 @@ SIGNALS: Final = (
     Column("ambient", "K", "outside air, the car's own or the nearest station's"),
     Column("precipitation", "m/s", "depth of rain or melted snow that falls in a time"),
     Column("humidity", "1", "relative humidity"),
-    Column("solar", "W/m^2", "global horizontal irradiance"),
+    Column("solar", "W/m^2", "global horizontal irradiance, none where unknown"),
     Column("elapsed", "s", "since the ride began"),
-    Column("parked", "s", "parked before the ride began"),
+    Column("parked", "s", "parked before the ride began, a night where unknown"),
     Column("stopped", "1", "1 where the car stands"),
     Column("stop_rate", "1/s", "stops that began in the step, over its time"),
     Column("soc", "1", "state of charge as last reported"),
@@ -83,9 +85,19 @@ SIGNALS: Final = (
     Column("current", "A", "traction battery, positive when discharging"),
     Column("hvac", "W", "measured heating and air conditioning"),
     Column("occupants", "1", "people aboard, driver included"),
-    Column("odometer", "m", "as last reported"),
+    Column("odometer", "m", "as last reported, 0 where unknown"),
     Column("time", "s", "repaired clock, Unix time"),
     Column("mass", "kg", "kerb mass and the people aboard"),
     Column("accessory_scale", "1", "the car's accessory power over the reference curve's"),
+    Column("rolling_resistance", "1", "the car's coefficient, warm tyres on dry asphalt"),
+    Column("drag_area", "m^2", "the car's drag coefficient times its frontal area"),
+    Column("tyre_load", "N", "the car's weight on its tyres, m g cos θ"),
+    Column("traction", "N", "force at the wheels by the car's own road load; negative when braking, 0 when standing"),
+    Column("charge", "1", "state of charge, one half where unknown", 0.0, 1.0),
+    Column("pack_temperature", "K", "traction battery, the outside air's where unknown"),
+    Column("vapour_pressure", "Pa", "of the water in the air, none where unknown", 0.0),
+    Column("water", "m", "depth of rain on the road, by what fell and what dried", 0.0),
+    Column("snow", "m", "depth of snow on the road, melted, by what fell and what was cleared", 0.0),
+    Column("darkness", "1", "0 while the sun is up, 1 at the end of civil twilight and after", 0.0, 1.0),
 )
 """What an effect may ask for by name; NaN where unknown."""

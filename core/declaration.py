@@ -6,9 +6,10 @@ or to write one, imports `core.effects`.
 
 import inspect
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from math import isfinite
+from string import Formatter
 from types import MappingProxyType
 from typing import Final, Literal
 
@@ -17,9 +18,12 @@ import numpy as np
 from core.batch import Floats
 from core.columns import SIGNALS
 from core.errors import EffectError
+from core.wording import everyday, rounded
 
 SIGNAL_UNITS: Final[Mapping[str, str]] = MappingProxyType({column.name: column.unit for column in SIGNALS})
 """Name of a column that an effect may ask for -> its unit."""
+VARIANT: Final = "@"
+"""What stands between the name of an effect and the parameters moved: `cold_rolling@reference=283.15`."""
 
 
 @dataclass(frozen=True)
@@ -34,25 +38,49 @@ class Parameter:
         As pint spells it; `1` for a pure number.
     low, high : float, optional
         Bounds within which fitting may move it. Left out, it is fixed.
+    grid : tuple of float, optional
+        Values within the bounds, ascending, the declared one among them, at which tables hold the effect too, so that
+        the best of them is found without going back to the samples.
     """
 
     value: float
     unit: str
     low: float | None = None
     high: float | None = None
+    grid: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse a value outside its bounds."""
+        """Refuse a value outside its bounds, and a grid that is none."""
         low, high = self.bounds
         if not (isfinite(self.value) and isfinite(low) and isfinite(high) and low <= self.value <= high):
             raise EffectError(
                 f"parameter {self.value:g} {self.unit} is outside its bounds {low:g} to {high:g}: widen them"
+            )
+        if self.grid and (
+            self.value not in self.grid
+            or tuple(sorted(set(self.grid))) != self.grid
+            or not low <= self.grid[0] <= self.grid[-1] <= high
+        ):
+            raise EffectError(
+                f"grid {', '.join(map(plain, self.grid))} of a parameter must ascend, hold its value "
+                f"{plain(self.value)} and stay within its bounds {low:g} to {high:g}"
             )
 
     @property
     def bounds(self) -> tuple[float, float]:
         """Lowest and highest value, in the parameter's own unit; equal where it is fixed."""
         return (self.value if self.low is None else self.low, self.value if self.high is None else self.high)
+
+
+def plain(value: float) -> str:
+    """Return a number as it stands in the name of a variant: the shortest decimal that reads back to it.
+
+    Examples
+    --------
+    >>> plain(283.15), plain(0.0003), plain(600.0)
+    ('283.15', '0.0003', '600')
+    """
+    return np.format_float_positional(value, trim="-")
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +110,15 @@ class Effect:
     parameters : mapping of str to Parameter
         Its constants by name.
     constants : mapping of str to float
-        The parameters' values.
+        The parameters' values: the declared ones, but for a variant.
+    confused_with : tuple of str
+        Names of the effects that data often cannot tell it from.
+    shown_by : str
+        Which data shows it best.
+    words : str
+        What a coefficient means, as a person says it, with places for `{value}` and for parameters.
+    scale : float
+        What the coefficient is multiplied with to be that value.
     """
 
     name: str
@@ -97,6 +133,20 @@ class Effect:
     arguments: tuple[str, ...]
     parameters: Mapping[str, Parameter]
     constants: Mapping[str, float]
+    confused_with: tuple[str, ...] = ()
+    shown_by: str = ""
+    words: str = ""
+    scale: float = 1.0
+
+    @property
+    def base(self) -> str:
+        """Name of the effect of which this is a variant; its own where it is none."""
+        return self.name.partition(VARIANT)[0]
+
+    @property
+    def sign(self) -> int:
+        """Sign that physics demands of the coefficient: 1, -1, or 0 where it may have either."""
+        return 1 if self.low >= 0.0 else -1 if self.high <= 0.0 else 0
 
     @property
     def energy_name(self) -> str:
@@ -104,9 +154,14 @@ class Effect:
         return f"effect_{self.name}"
 
     @property
+    def documentation(self) -> str:
+        """All that its author says of it."""
+        return inspect.getdoc(self.function) or ""
+
+    @property
     def summary(self) -> str:
         """First line of its documentation."""
-        return (inspect.getdoc(self.function) or "").partition("\n")[0]
+        return self.documentation.partition("\n")[0]
 
     def power(self, columns: Mapping[str, Floats], parameters: Mapping[str, float] | None = None) -> Floats:
         """Return the power per unit of the coefficient. Nothing is checked: this is the hot path.
@@ -126,6 +181,54 @@ class Effect:
         constants = self.constants if parameters is None else {**self.constants, **parameters}
         return self.function(**{name: columns[name] for name in self.arguments}, **constants)
 
+    def variant(self, parameters: Mapping[str, float]) -> "Effect":
+        """Return the effect with other values of its parameters, and named for them; itself where none differs.
+
+        Raises
+        ------
+        EffectError
+            For a parameter that it has not or that is fixed, and for a value outside its bounds.
+        """
+        for name, value in parameters.items():
+            parameter = self.parameters.get(name)
+            if parameter is None:
+                known = ", ".join(self.parameters) or "none"
+                raise EffectError(f"effect {self.base}: it has no parameter {name!r}; it has {known}")
+            low, high = parameter.bounds
+            if low == high:
+                raise EffectError(f"effect {self.base}: parameter {name} is fixed at {low:g} {parameter.unit}")
+            if not low <= value <= high:
+                raise EffectError(
+                    f"effect {self.base}: parameter {name} is {value:g} {parameter.unit}, but must be from {low:g} to "
+                    f"{high:g}"
+                )
+        constants = {**self.constants, **parameters}
+        moved = [f"{n}={plain(v)}" for n, v in constants.items() if v != self.parameters[n].value]
+        name = VARIANT.join([self.base, ",".join(moved)]) if moved else self.base
+        return self if name == self.name else replace(self, name=name, constants=MappingProxyType(constants))
+
+    @property
+    def variants(self) -> tuple["Effect", ...]:
+        """What tables hold beside it: the effect at the other values of each parameter's grid, one moved at a time."""
+        moves = [(n, v) for n, p in self.parameters.items() for v in p.grid if v != p.value]
+        return tuple(self.variant({name: value}) for name, value in moves)
+
+    def in_words(self, value: float, half: float | None = None) -> str:
+        """Say what a coefficient means.
+
+        Parameters
+        ----------
+        value : float
+            [unit]
+        half : float, optional
+            Half the width of its interval. [unit]
+        """
+        number = rounded(value * self.scale, None if half is None else half * abs(self.scale))
+        if not self.words:
+            return f"{self.coefficient} {number}" + ("" if self.unit == "1" else f" {self.unit}")
+        said = {name: everyday(v, self.parameters[name].unit) for name, v in self.constants.items()}
+        return self.words.format(value=number, **said)
+
 
 def effect(
     *,
@@ -136,6 +239,10 @@ def effect(
     source: str,
     per: Literal["distance", "time"] = "distance",
     parameters: Mapping[str, Parameter] | None = None,
+    confused_with: Sequence[str] = (),
+    shown_by: str = "",
+    words: str = "",
+    scale: float = 1.0,
 ) -> Callable[[Callable[..., Floats]], Effect]:
     """Declare a function of columns to be an effect of the same name.
 
@@ -145,8 +252,8 @@ def effect(
 
     Parameters
     ----------
-    coefficient, unit, low, high, source, per, parameters
-        See `Effect`. Without `per` the effect acts by the car's motion.
+    coefficient, unit, low, high, source, per, parameters, confused_with, shown_by, words, scale
+        See `Effect`. The first five must be said; without `per` the effect acts by the car's motion.
 
     Returns
     -------
@@ -192,6 +299,7 @@ def effect(
             raise EffectError(f"effect {name}: per={per!r}: say 'distance' (acts by motion) or 'time'")
         if not source.strip() or not coefficient.strip():
             raise EffectError(f"effect {name}: source and coefficient must be said, in words that can be looked up")
+        _check_words(name, words, constants)
         formula = re.search(r"P = .*\S", inspect.getdoc(function) or "")
         if formula is None:
             raise EffectError(f"effect {name}: its docstring has no formula: write it there, as 'P = ...'")
@@ -208,6 +316,24 @@ def effect(
             arguments=arguments,
             parameters=MappingProxyType(constants),
             constants=MappingProxyType({n: p.value for n, p in constants.items()}),
+            confused_with=(confused_with,) if isinstance(confused_with, str) else tuple(confused_with),
+            shown_by=shown_by,
+            words=words,
+            scale=scale,
         )
 
     return declare
+
+
+def _check_words(name: str, words: str, constants: Mapping[str, Parameter]) -> None:
+    """Refuse words with places that nothing fills."""
+    try:
+        places = [(field, spec or conversion) for _, field, spec, conversion in Formatter().parse(words)]
+    except ValueError as error:
+        raise EffectError(f"effect {name}: words are no pattern: {error}") from error
+    for field, form in places:
+        if field is not None and (form or field not in {"value", *constants}):
+            raise EffectError(
+                f"effect {name}: words have a place for {field + (':' + form if form else '')!r}: they may have "
+                "{value} and parameters, already rounded"
+            )

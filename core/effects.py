@@ -16,12 +16,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from core.declaration import Effect, Parameter, effect
+from core.candidates import CANDIDATES
+from core.declaration import VARIANT, Effect, Parameter, effect
 from core.errors import EffectError
 from core.road_load import ROAD_LOAD
 from core.verification import check
 
-__all__ = ["Effect", "Parameter", "check", "effect", "get", "library", "load_file"]
+__all__ = ["Effect", "Parameter", "check", "effect", "get", "library", "load_file", "tabulated", "topics"]
 
 TIME_LIMIT: Final = 20.0
 """How long a user's file may take to be imported and checked. [s]"""
@@ -30,8 +31,12 @@ ALLOWED_IMPORTS: Final = frozenset(
 )
 """What a file of effects may import: an effect is a pure function of columns, and needs neither files nor a network."""
 
+FORBIDDEN_CALLS: Final = frozenset({"__import__", "breakpoint", "compile", "eval", "exec", "input", "open"})
+"""What it may not call, for the same reason."""
+
 _USER_MODULE: Final = "user_effects"
-_library: dict[str, Effect] = {e.name: e for e in ROAD_LOAD}
+_SHIPPED: Final[Mapping[str, tuple[Effect, ...]]] = MappingProxyType({"road load": ROAD_LOAD, **CANDIDATES})
+_library: dict[str, Effect] = {e.name: e for effects in _SHIPPED.values() for e in effects}
 _brought_by: dict[str, Path] = {}
 
 
@@ -40,24 +45,71 @@ def library() -> Mapping[str, Effect]:
     return MappingProxyType(_library)
 
 
+def topics() -> Mapping[str, list[Effect]]:
+    """Return all effects known now by topic: the product's own, then those of each file by its name."""
+    found = {topic: list(effects) for topic, effects in _SHIPPED.items()}
+    for name, path in _brought_by.items():
+        found.setdefault(path.name, []).append(_library[name])
+    return found
+
+
+def tabulated() -> list[str]:
+    """Return the names of what tables hold: every effect known now, and after it its variants.
+
+    Examples
+    --------
+    >>> [name for name in tabulated() if name.startswith("wet_road")]
+    ['wet_road', 'wet_road@depth=0.0001', 'wet_road@depth=0.001']
+    """
+    return [each.name for found in _library.values() for each in (found, *found.variants)]
+
+
 def get(name: str) -> Effect:
     """Return the effect of that name.
+
+    Parameters
+    ----------
+    name : str
+        Of an effect, or of its variant: `cold_rolling@reference=283.15`, several parameters parted by commas.
 
     Raises
     ------
     EffectError
-        Where there is none, with the names that come close.
+        Where there is none, with the names that come close; for a variant that the effect cannot have, or that is not
+        named as it is in the tables.
 
     Examples
     --------
     >>> get("rolling").unit
     '1'
+    >>> dict(get("cold_rolling@reference=283.15").constants)
+    {'reference': 283.15}
     """
     if (found := _library.get(name)) is not None:
         return found
-    close = get_close_matches(name, _library, n=3)
+    base, at, moved = name.partition(VARIANT)
+    if at and base in _library:
+        return _variant(_library[base], name, moved)
+    close = get_close_matches(base, _library, n=3)
     hint = f"did you mean {' or '.join(close)}?" if close else f"known are {', '.join(_library)}."
     raise EffectError(f"effect {name!r} is unknown: {hint} A file of your own is loaded with --effects FILE")
+
+
+def _variant(effect: Effect, name: str, moved: str) -> Effect:
+    """Return the variant that a name means, where it is that variant's own."""
+    parameters: dict[str, float] = {}
+    for part in moved.split(","):
+        parameter, _, value = part.partition("=")
+        try:
+            parameters[parameter] = float(value)
+        except ValueError as error:
+            raise EffectError(
+                f"effect {name!r}: {value!r} is no number: write {effect.name}@parameter=value"
+            ) from error
+    found = effect.variant(parameters)
+    if found.name != name:
+        raise EffectError(f"effect {name!r} is known as {found.name!r}: write that")
+    return found
 
 
 def load_file(path: str | Path, time_limit: float = TIME_LIMIT) -> list[Effect]:
@@ -84,8 +136,8 @@ def load_file(path: str | Path, time_limit: float = TIME_LIMIT) -> list[Effect]:
     ------
     EffectError
         One line that begins with the path: the file is absent or a folder, is not Python, imports what an effect does
-        not need, does not come to an end, holds no effect, defines a name twice or one that is taken, or holds an
-        effect that fails `check`.
+        not need, does not come to an end, holds no effect, defines a name twice or one that is taken, holds an effect
+        that fails `check`, or one said to be confused with an effect that is unknown.
     """
     path = Path(path).absolute()
     source = _read(path)
@@ -95,11 +147,22 @@ def load_file(path: str | Path, time_limit: float = TIME_LIMIT) -> list[Effect]:
     for found in effects:
         if found.name in _library and _brought_by.get(found.name) != path:
             raise EffectError(f"{path}: effect {found.name!r} is in the library already: give yours another name")
+    _check_confusions(path, effects)
     for name in [name for name, file in _brought_by.items() if file == path]:
         del _library[name], _brought_by[name]
     for found in effects:
         _library[found.name], _brought_by[found.name] = found, path
     return effects
+
+
+def _check_confusions(path: Path, effects: list[Effect]) -> None:
+    """Refuse a confusion with an effect that is neither in the library nor in the file."""
+    known = {*_library, *(found.name for found in effects)}
+    for found in effects:
+        if unknown := [name for name in found.confused_with if name not in known]:
+            close = get_close_matches(unknown[0], known, n=3)
+            hint = f": did you mean {' or '.join(close)}?" if close else ""
+            raise EffectError(f"{path}: effect {found.name}: confused with {unknown[0]!r}, which is unknown{hint}")
 
 
 def _read(path: Path) -> str:
@@ -125,6 +188,9 @@ def _check_source(path: Path, source: str) -> None:
             if module.partition(".")[0] not in ALLOWED_IMPORTS:
                 allowed = ", ".join(sorted(ALLOWED_IMPORTS))
                 raise EffectError(f"{path}:{node.lineno}: imports {module}; an effect needs no more than {allowed}")  # type: ignore[attr-defined]
+        called = node.func.id if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) else ""
+        if called in FORBIDDEN_CALLS:
+            raise EffectError(f"{path}:{node.lineno}: calls {called}; an effect is a function of its columns alone")  # type: ignore[attr-defined]
     names = Counter(node.name for node in tree.body if isinstance(node, ast.FunctionDef))
     if twice := [name for name, times in names.items() if times > 1]:
         raise EffectError(f"{path}: {twice[0]!r} is defined twice, and the second hides the first: rename one")

@@ -33,7 +33,7 @@ twice the time.
 """
 DRIVERS: Final = 10_000
 """Rides whose driver is remembered, beside eight a vehicle."""
-SNAPSHOT: Final = 1
+SNAPSHOT: Final = 2
 """Version of the snapshot."""
 FIELDS: Final = [*(STATE.names or ()), *AMOUNTS, *EDGES, *CAUSES]
 """What a snapshot's arrays are made of."""
@@ -302,8 +302,8 @@ class Pipeline:
         clean = self.cleaner.clean(batch, lanes)
         sky = self.stations.sky(clean.time, clean.latitude, clean.longitude)
         clean = clean._replace(quality=ambient_quality(clean, sky))
-        mass, _, _, _, scale = self.cars.parameters.take(kind, axis=0).T
-        signals = Signals(clean, sky, mass, scale)
+        mass, rolling_resistance, drag_area, _, scale = self.cars.parameters.take(kind, axis=0).T
+        signals = Signals(clean, sky, mass, scale, rolling_resistance, drag_area)
         with np.errstate(all="ignore"):  # a user's effect may divide by a speed that it then masks
             powers = [(effect.per, effect.power(signals)) for effect in self.effects]
         for place in range(len(CAUSES)):

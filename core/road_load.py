@@ -22,12 +22,9 @@ from typing import Final
 import numpy as np
 
 from core.batch import Floats
-from core.columns import GRAVITY
+from core.columns import GRAVITY, STANDARD_AIR_DENSITY
 from core.declaration import Effect, Parameter, effect
 from core.vehicles import ACCESSORIES, AccessoryCurve
-
-STANDARD_AIR_DENSITY: Final = 1.225
-"""Dry air at 15 °C and 101,325 Pa. [kg/m^3] ISO 2533:1975, Table 1."""
 
 _GRAVITY: Final = {"gravity": Parameter(GRAVITY, "m/s^2")}
 _BALANCE: Final = "De Cauwer et al. 2015, Energies 8:8573, DOI 10.3390/en8088573"
@@ -41,11 +38,12 @@ _DRAG_AREAS: Final = "range: Hucho (ed.), Aerodynamics of Road Vehicles, SAE 199
     high=0.025,
     source="Gillespie 1992, ch. 4; range: TRB Special Report 286 (2006), DOI 10.17226/11620, and wet or cold roads",
     parameters=_GRAVITY,
+    confused_with=("brake_drag", "tyre_pressure"),
 )
 def rolling(mass: Floats, grade: Floats, speed: Floats, gravity: float) -> Floats:
     """Tyres that flex: P = m g cos θ v, times c.
 
-    Independent of speed, temperature and wet: candidates for effects of their own.
+    Independent of speed, temperature and wet: see `core.candidates.tyres`.
     """
     return mass * speed * gravity * np.sqrt(1.0 - grade * grade)
 
@@ -96,6 +94,7 @@ def climbing_down(mass: Floats, grade: Floats, speed: Floats, gravity: float) ->
     high=2.0,
     source=f"{_BALANCE}; {_DRAG_AREAS}",
     parameters={"air_density_standard": Parameter(STANDARD_AIR_DENSITY, "kg/m^3")},
+    confused_with=("drivetrain_loss_speed", "roof_load"),
 )
 def aero_drag(speed: Floats, air_density_standard: float) -> Floats:
     """Drag in still standard air: P = 1/2 ρ0 v^3, times A_d.
@@ -152,6 +151,7 @@ def inertia_positive(mass: Floats, acceleration: Floats, speed: Floats) -> Float
     low=0.0,
     high=1.0,
     source=f"{_BALANCE}, slowing; range: 0 friction brakes only, 1 perfect regeneration",
+    confused_with=("cornering",),
 )
 def inertia_negative(mass: Floats, acceleration: Floats, speed: Floats) -> Floats:
     """Kinetic energy regained: P = m min(a, 0) v, never positive."""
@@ -174,6 +174,7 @@ def inertia_negative(mass: Floats, acceleration: Floats, speed: Floats) -> Float
         "standby": Parameter(ACCESSORIES.standby, "W", 0.0, 1500.0),
         "cooling": Parameter(ACCESSORIES.cooling, "W", 200.0, 5000.0),
     },
+    confused_with=("cabin_cooling", "cabin_heating"),
 )
 def accessories(
     ambient: Floats,
@@ -202,6 +203,7 @@ def accessories(
     high=3000.0,
     source="energy balance; range: some 0.3 kW of control units, pumps and lights, up to all of climate control",
     per="time",
+    confused_with=("standby",),
 )
 def auxiliary(dt: Floats) -> Floats:
     """Whatever is always on: P = 1, times a constant power."""

@@ -1,9 +1,11 @@
 """Derived columns: what an effect may ask for by name. Stateless; each is made only when it is asked for.
 
-What an unknown value means is decided here: an unknown wind, heading, rain or snow is none, an unknown air pressure is
-that of the standard atmosphere, an unknown outside temperature is 15 °C (and counted, see `Quality.AMBIENT_ASSUMED`),
-nobody knowing who is aboard is the driver alone. What stays NaN is what nobody may guess: the car's own parameters, its
-state of charge, its battery's temperature.
+What an unknown value means is decided here: an unknown wind, heading, rain, snow, sun or humidity is none, an unknown
+air pressure is that of the standard atmosphere, an unknown outside temperature is 15 °C (and counted, see
+`Quality.AMBIENT_ASSUMED`), nobody knowing who is aboard is the driver alone, a car first heard of has stood for a
+night, an odometer never heard of stands at 0, an unknown place has daylight. What stays NaN is what nobody may guess:
+the car's own parameters, its state of charge, its battery's temperature; effects for which a guess will do ask for
+`charge` and `pack_temperature` instead.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -13,10 +15,11 @@ import numpy as np
 
 from core.batch import Floats, Ints
 from core.clean import Clean
-from core.columns import GRAVITY, SIGNALS, ZERO_CELSIUS
+from core.columns import GRAVITY, SIGNALS, STANDARD_AIR_DENSITY, ZERO_CELSIUS
 from core.quality import Quality
+from core.sun import sine_of_elevation
 from core.vehicles import OCCUPANT_MASS
-from core.weather import Sky
+from core.weather import Sky, snow_left, water_left
 
 STANDARD_AMBIENT: Final = ZERO_CELSIUS + 15.0
 """Temperature of the standard atmosphere at sea level. [K] ISO 2533:1975."""
@@ -26,6 +29,12 @@ DRY_AIR: Final = 287.05287
 """Specific gas constant of dry air. [J/(kg K)] ISO 2533:1975."""
 STEEPEST: Final = 0.35
 """Steepest sine of a road's angle that is believed: Baldwin Street, Dunedin, has 0.33."""
+NIGHT: Final = 8 * 3600.0
+"""How long a car has stood of whose rest nobody knows. [s]"""
+HALF_CHARGED: Final = 0.5
+"""State of charge of a car that does not say."""
+CIVIL_DUSK: Final = 6.0
+"""How far the sun is below the horizon when civil twilight ends. [deg]"""
 
 
 class Signals(Mapping[str, Floats]):
@@ -37,15 +46,25 @@ class Signals(Mapping[str, Floats]):
         n rows.
     sky : Sky
         Weather at the rows.
-    mass_kg, accessory_scale : (n,) float
-        The cars' own parameters, NaN where unknown.
+    mass_kg, accessory_scale, rolling_resistance, drag_area : (n,) float
+        The cars' own parameters, NaN where unknown, as is all of one that is left out.
     """
 
-    def __init__(self, clean: Clean, sky: Sky, mass_kg: Floats, accessory_scale: Floats) -> None:
+    def __init__(
+        self,
+        clean: Clean,
+        sky: Sky,
+        mass_kg: Floats,
+        accessory_scale: Floats,
+        rolling_resistance: Floats | None = None,
+        drag_area: Floats | None = None,
+    ) -> None:
         self.clean = clean
         self.sky = sky
         self.mass_kg = mass_kg
         self._made: dict[str, Floats] = {"accessory_scale": accessory_scale}
+        for name, own in (("rolling_resistance", rolling_resistance), ("drag_area", drag_area)):
+            self._made[name] = np.full(len(clean.dt), np.nan) if own is None else own
 
     def __getitem__(self, name: str) -> Floats:
         made = self._made.get(name)
@@ -93,16 +112,19 @@ def air_density(signals: Signals) -> Floats:
 
     Notes
     -----
-    rho = (p - 0.378 e) / (R T), with pressure p reduced from sea level by exp(-g z / (R T)) and vapour pressure e by
-    the Magnus formula of WMO-No. 8 (2018), annex 4.B.
+    rho = (p - 0.378 e) / (R T), with pressure p reduced from sea level by exp(-g z / (R T)) and vapour pressure e.
     """
     temperature = signals["ambient"]
     elevation = np.nan_to_num(signals.clean.elevation)
     sea_level = np.nan_to_num(signals.sky.pressure, nan=STANDARD_PRESSURE)
     pressure = sea_level * np.exp(-GRAVITY / DRY_AIR * elevation / temperature)
-    celsius = temperature - ZERO_CELSIUS
-    vapour = 611.2 * np.exp(17.62 * celsius / (243.12 + celsius)) * np.nan_to_num(signals.sky.humidity)
-    return (pressure - 0.378 * vapour) / (DRY_AIR * temperature)
+    return (pressure - 0.378 * signals["vapour_pressure"]) / (DRY_AIR * temperature)
+
+
+def vapour_pressure(signals: Signals) -> Floats:
+    """Return the pressure of the water in the air, by the Magnus formula of WMO-No. 8 (2018), annex 4.B. [Pa]"""
+    celsius = signals["ambient"] - ZERO_CELSIUS
+    return 611.2 * np.exp(17.62 * celsius / (243.12 + celsius)) * np.nan_to_num(signals.sky.humidity)
 
 
 def headwind(signals: Signals) -> Floats:
@@ -133,6 +155,51 @@ def stop_rate(signals: Signals) -> Floats:
     return np.divide(clean.stop, clean.dt, out=np.zeros(len(clean.dt)), where=clean.dt > 0.0)
 
 
+def tyre_load(signals: Signals) -> Floats:
+    """Return the weight that presses the tyres to the road. [N]"""
+    slope = signals["grade"]
+    return signals["mass"] * GRAVITY * np.sqrt(1.0 - slope * slope)
+
+
+def traction(signals: Signals) -> Floats:
+    """Return the force at the wheels, by the car's own parameters, in still standard air. [N]
+
+    Notes
+    -----
+    F = m a + m g (c cos θ + sin θ) + 1/2 ρ0 A_d v^2; Gillespie, Fundamentals of Vehicle Dynamics, SAE 1992, ch. 4.
+    """
+    speed, weight = signals["speed"], signals["mass"]
+    rolling = signals["rolling_resistance"] * signals["tyre_load"]
+    drag = 0.5 * STANDARD_AIR_DENSITY * signals["drag_area"] * speed * speed
+    force = weight * (signals["acceleration"] + GRAVITY * signals["grade"]) + rolling + drag
+    return np.where(speed > 0.0, force, 0.0 * weight)
+
+
+def pack_temperature(signals: Signals) -> Floats:
+    """Return the battery's temperature, a battery that does not tell being as cold as the air. [K]"""
+    own = signals.clean.battery_temperature
+    return np.where(np.isnan(own), signals["ambient"], own)
+
+
+def darkness(signals: Signals) -> Floats:
+    """Return 0 while the sun is up, 1 from the end of civil twilight on, in between by the sine of its depth."""
+    clean = signals.clean
+    depth = -sine_of_elevation(clean.time, clean.latitude, clean.longitude)
+    return np.clip(np.nan_to_num(depth) / np.sin(np.radians(CIVIL_DUSK)), 0.0, 1.0)
+
+
+def water(signals: Signals) -> Floats:
+    """Return the rain on the road, see `core.weather`. [m]"""
+    sky = signals.sky
+    return np.nan_to_num(water_left(sky.water, sky.ambient, sky.precipitation, signals.clean.time - sky.observed))
+
+
+def snow(signals: Signals) -> Floats:
+    """Return the snow on the road, as melted water, see `core.weather`. [m]"""
+    sky = signals.sky
+    return np.nan_to_num(snow_left(sky.snow, sky.ambient, sky.precipitation, signals.clean.time - sky.observed))
+
+
 _DERIVED: Final[dict[str, Callable[[Signals], Floats]]] = {
     "grade": grade,
     "ambient": ambient,
@@ -144,6 +211,16 @@ _DERIVED: Final[dict[str, Callable[[Signals], Floats]]] = {
     "stop_rate": stop_rate,
     "precipitation": lambda signals: np.nan_to_num(signals.sky.precipitation),
     "humidity": lambda signals: signals.sky.humidity,
-    "solar": lambda signals: signals.sky.solar,
+    "solar": lambda signals: np.nan_to_num(signals.sky.solar),
+    "parked": lambda signals: np.nan_to_num(signals.clean.parked, nan=NIGHT),
+    "odometer": lambda signals: np.nan_to_num(signals.clean.odometer),
+    "charge": lambda signals: np.nan_to_num(signals.clean.soc, nan=HALF_CHARGED),
+    "tyre_load": tyre_load,
+    "traction": traction,
+    "pack_temperature": pack_temperature,
+    "vapour_pressure": vapour_pressure,
+    "water": water,
+    "snow": snow,
+    "darkness": darkness,
 }
 """Columns that are not simply those of `Clean`."""

@@ -42,13 +42,23 @@ ORDINARY: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(
         "time": (1.2e9, 2.0e9),
         "mass": (450.0, 3500.0),
         "accessory_scale": (0.0, 2.0),
+        "rolling_resistance": (0.003, 0.05),
+        "drag_area": (0.2, 4.0),
+        "tyre_load": (4000.0, 35_000.0),
+        "traction": (-15_000.0, 15_000.0),
+        "charge": (0.0, 1.0),
+        "pack_temperature": (233.15, 328.15),
+        "vapour_pressure": (0.0, 5000.0),
+        "water": (0.0, 0.01),
+        "snow": (0.0, 0.1),
+        "darkness": (0.0, 1.0),
     }
 )
 """What a car on a road meets: an effect must be finite over it. Name of a column -> lowest, highest. [its unit]"""
 
 _ROWS: Final = 257
 _STANDING: Final = MappingProxyType(
-    {"speed": 0.0, "acceleration": 0.0, "distance": 0.0, "stopped": 1.0, "turn_rate": 0.0}
+    {"speed": 0.0, "acceleration": 0.0, "distance": 0.0, "stopped": 1.0, "turn_rate": 0.0, "traction": 0.0}
 )
 
 
@@ -59,7 +69,7 @@ def check(effect: Effect) -> None:
     ----------
     effect : Effect
         Called with quantities, then with 257 rows of ordinary driving: a standing car, every column at its ends, and in
-        between.
+        between; and so at the ends of each parameter's bounds.
 
     Raises
     ------
@@ -74,6 +84,7 @@ def check(effect: Effect) -> None:
         got = f"{result.dtype} {result.shape}" if isinstance(result, np.ndarray) else type(result).__name__
         raise EffectError(f"effect {effect.name}: returns {got} for {_ROWS} rows: return one float for every row")
     _check_finite(effect, rows, result)
+    _check_parameters(effect, rows)
     for first, last in ((0, 1), (1, 2), (2, 19), (19, _ROWS), (5, 5)):
         part = _called(effect, {name: column[first:last] for name, column in rows.items()})
         if not np.array_equal(part, result[first:last]):
@@ -105,10 +116,19 @@ def _called(effect: Effect, columns: Mapping[str, Any], constants: Mapping[str, 
         raise EffectError(f"effect {effect.name}: raises {type(error).__name__}: {_line(error)}") from error
 
 
-def _check_finite(effect: Effect, rows: Mapping[str, Floats], result: Floats) -> None:
+def _check_parameters(effect: Effect, rows: Mapping[str, Floats]) -> None:
+    """Check values at the ends of every parameter's bounds and on its grid: fitting may go there."""
+    for name, parameter in effect.parameters.items():
+        for value in sorted({*parameter.bounds, *parameter.grid} - {parameter.value}):
+            moved = {**effect.constants, name: value}
+            _check_finite(effect, rows, _called(effect, rows, moved), f"{name}={value:g} {parameter.unit}, ")
+
+
+def _check_finite(effect: Effect, rows: Mapping[str, Floats], result: Floats, with_what: str = "") -> None:
     bad = np.flatnonzero(~np.isfinite(result))
     if bad.size:
-        where = ", ".join(f"{name}={rows[name][bad[0]]:g} {SIGNAL_UNITS[name]}" for name in effect.arguments)
+        at = (f"{name}={rows[name][bad[0]]:g} {SIGNAL_UNITS[name]}" for name in effect.arguments)
+        where = with_what + ", ".join(at)
         raise EffectError(f"effect {effect.name}: gives {result[bad[0]]} at {where}, which a car can meet: guard it")
 
 

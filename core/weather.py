@@ -1,4 +1,8 @@
-"""Weather as a car meets it: the nearest station's latest observation that is not from the car's future."""
+"""Weather as a car meets it: the nearest station's latest observation that is not from the car's future.
+
+What lies on the road is remembered: each observation carries the rain and the snow left of all before it. Both are
+stores that gain what falls and lose a share of what they hold, h' = p - h / τ.
+"""
 
 from typing import Any, Final, NamedTuple
 
@@ -12,6 +16,17 @@ KEPT: Final = 48
 """Observations kept of each station."""
 LATEST: Final = 4.2e9
 """Latest time that is believed. [s]"""
+DRYING: Final = 3600.0
+"""Time in which all but 1/e of the rain leaves the road: it runs off, is splashed away, dries. [s] Estimated."""
+CLEARING: Final = 12 * 3600.0
+"""The same of snow in frost: it is ploughed, salted and driven away. [s] Estimated."""
+THAWING: Final = 3 * 3600.0
+"""The same of snow in a thaw. [s] Estimated."""
+FREEZING: Final = ZERO_CELSIUS + 1.0
+"""Air temperature at which as much snow falls as rain, the mean over the northern hemisphere. [K]
+
+Jennings et al. 2018, Nature Communications 9:1148, DOI 10.1038/s41467-018-03629-7.
+"""
 _HOUR: Final = 3600.0
 
 
@@ -27,6 +42,8 @@ class Sky(NamedTuple):
     pressure : at sea level. [Pa]
     humidity : relative. [1]
     solar : global horizontal irradiance. [W/m^2]
+    observed : time of the observation. [s]
+    water, snow : on the road at that time, snow as melted water. [m]
     """
 
     ambient: Floats
@@ -37,6 +54,12 @@ class Sky(NamedTuple):
     pressure: Floats
     humidity: Floats
     solar: Floats
+    observed: Floats
+    water: Floats
+    snow: Floats
+
+
+_AMBIENT, _PRECIPITATION, _OBSERVED = (Sky._fields.index(name) for name in ("ambient", "precipitation", "observed"))
 
 
 class _Station(NamedTuple):
@@ -69,6 +92,8 @@ class Stations:
         times, rows, *_ = self._stations.get(message.station_id, _Station([], []))
         self._stations[message.station_id] = _Station(times, rows, *map(float, place))
         at = int(np.searchsorted(times, message.time_s))
+        if at == 0 and len(times) == KEPT:  # older than all that is kept
+            return True
         earlier = times[at - 1] if at else message.time_s - _HOUR
         row = _observation(message, max(60.0, message.time_s - earlier))
         if at < len(times) and times[at] == message.time_s:
@@ -76,6 +101,7 @@ class Stations:
         else:
             times.insert(at, message.time_s)
             rows.insert(at, row)
+        _lay(rows, at)
         del times[:-KEPT], rows[:-KEPT]
         return True
 
@@ -116,8 +142,42 @@ class Stations:
         self._stations = {name: _Station(*station) for name, *station in state}
 
 
+def held(depth: Any, rate: Any, age: Any, memory: Any) -> Any:
+    """Return what a store holds after a time: h' = rate - h / memory.
+
+    Examples
+    --------
+    >>> float(held(0.0, 2.0, 1e9, 3.0)), float(held(5.0, 2.0, 0.0, 3.0))
+    (6.0, 5.0)
+    """
+    kept = np.exp(-age / memory)
+    return depth * kept + rate * memory * (1.0 - kept)
+
+
+def water_left(water: Any, ambient: Any, precipitation: Any, age: Any) -> Any:
+    """Return the rain on a road some time after there was `water`, while the same falls. [m]"""
+    return held(water, np.where(ambient < FREEZING, 0.0, np.nan_to_num(precipitation)), age, DRYING)
+
+
+def snow_left(snow: Any, ambient: Any, precipitation: Any, age: Any) -> Any:
+    """Return the snow on a road, as melted water, some time after there was `snow`, while the same falls. [m]"""
+    frost = ambient < FREEZING
+    return held(snow, np.where(frost, np.nan_to_num(precipitation), 0.0), age, np.where(frost, CLEARING, THAWING))
+
+
+def _lay(rows: list[list[float]], first: int) -> None:
+    """Work out what lies on the road from an observation on; what each says of rain fell before it."""
+    for at in range(first, len(rows)):
+        row = rows[at]
+        before = rows[at - 1] if at else None
+        age = row[_OBSERVED] - before[_OBSERVED] if before else _HOUR
+        water, snow = before[_OBSERVED + 1 :] if before else (0.0, 0.0)
+        weather = row[_AMBIENT], row[_PRECIPITATION], age
+        row[_OBSERVED + 1 :] = float(water_left(water, *weather)), float(snow_left(snow, *weather))
+
+
 def _observation(message: Weather, since: float) -> list[float]:
-    """Return an observation in SI, in the order of `Sky`."""
+    """Return an observation in SI, in the order of `Sky`, but for what lies on the road."""
     said = (
         message.temperature_c,
         message.wind_speed_kmh,
@@ -142,4 +202,7 @@ def _observation(message: Weather, since: float) -> list[float]:
         pressure * 100.0,
         humidity * 0.01,
         solar,
+        message.time_s,
+        0.0,
+        0.0,
     ]

@@ -20,6 +20,10 @@ def declare(**changes):
         ({"coefficient": ""}, "source and coefficient must be said"),
         ({"per": "mile"}, "per='mile': say 'distance'"),
         ({"parameters": {"idle": Parameter(1.0, "m")}}, "parameter 'idle' is declared but is no argument"),
+        ({"words": "{value} of {speed}"}, "words have a place for 'speed': they may have {value}"),
+        ({"words": "{value:.2f} N"}, "words have a place for 'value:.2f'"),
+        ({"words": "{} N"}, "words have a place for ''"),
+        ({"words": "{value N"}, "words are no pattern: "),
     ],
 )
 def test_incomplete_declarations_are_refused(changes, said):
@@ -63,3 +67,38 @@ def test_parameters_must_lie_within_finite_bounds(value, low, high):
 def test_a_parameter_without_bounds_is_fixed():
     assert Parameter(2.0, "K").bounds == (2.0, 2.0)
     assert Parameter(2.0, "K", 1.0, 3.0).bounds == (1.0, 3.0)
+
+
+@pytest.mark.parametrize(
+    "grid", [(1.0, 3.0), (1.0, 3.0, 2.0), (2.0, 2.0), (1.0, 2.0, 3.5), (0.5, 2.0), (1.0, 2.0, np.nan), (np.nan, 2.0)]
+)
+def test_a_grid_ascends_within_bounds_and_holds_the_value(grid):
+    with pytest.raises(
+        EffectError, match="of a parameter must ascend, hold its value 2 and stay within its bounds 1 to 3"
+    ):
+        Parameter(2.0, "K", 1.0, 3.0, grid=grid)
+
+
+def test_five_lines_are_enough_and_all_else_has_a_default():
+    @effect(coefficient="drag of the brake pads", unit="N", low=0, high=60, source="a book")
+    def rub(speed):
+        """P = F v."""
+        return speed
+
+    assert (rub.confused_with, rub.shown_by, rub.words, rub.variants) == ((), "", "", ())
+    assert rub.base == rub.name == "rub"
+    assert rub.in_words(12.0, 3.0) == "drag of the brake pads 12 ± 3 N"
+
+
+@pytest.mark.parametrize(("low", "high", "sign"), [(0, 1, 1), (0.1, 1, 1), (-1, 0, -1), (-1, 1, 0)])
+def test_the_sign_that_physics_demands_is_that_of_the_plausible_range(low, high, sign):
+    assert declare(low=low, high=high)(rubbing).sign == sign
+
+
+def rubbing(speed):
+    """P = F v."""
+    return speed
+
+
+def test_one_name_of_confusion_is_a_list_of_one():
+    assert declare(confused_with="rolling")(rubbing).confused_with == ("rolling",)

@@ -2,20 +2,16 @@
 
 import json
 
-import numpy as np
 import pytest
+from one_row import power
 from typer.testing import CliRunner
 
 from core import effects
-from core.effects import get, library, load_file
+from core.columns import SIGNALS
+from core.effects import get, library, load_file, tabulated, topics
 from core.errors import EffectError, SettingsError
+from tools.cli import main
 from tools.effects import app
-
-
-def power(name: str, **columns: float) -> float:
-    """Power of an effect for one row."""
-    return float(get(name).power({n: np.array([value]) for n, value in columns.items()})[0])
-
 
 GOOD = '''
 import numpy as np
@@ -90,6 +86,26 @@ def test_a_name_that_is_taken_is_refused_and_the_library_unchanged(write):
         ("import math\nimport socket\n", ":2: imports socket; an effect needs no more than"),
         ("from urllib.request import urlopen\n", ":1: imports urllib.request; "),
         ("from . import other\n", ":1: imports .; "),
+        ("from ssl import create_default_context\n", ":1: imports ssl; "),
+        ("http = __import__('http.client')\n", ":1: calls __import__; an effect is a function of its columns alone"),
+        ("x = 1\ny = open('/etc/hosts').read()\n", ":2: calls open; "),
+        (
+            GOOD.replace("per=", 'confused_with=["cabin_heatng"], per='),
+            "'cabin_heatng', which is unknown: did you mean",
+        ),
+        (GOOD.replace("per=", 'confused_with=["qqq"], per='), "confused with 'qqq', which is unknown"),
+        (
+            GOOD.replace("298.15)", "298.15, grid=(288.15, 299.15))"),
+            "must ascend, hold its value 294.15 and stay within",
+        ),
+        (GOOD.replace("per=", 'words="{kelvin}", per='), "words have a place for 'kelvin'"),
+        (GOOD.replace("    return stopped", "    return stopped[:-1]"), ": effect door_loss: raises ValueError: "),
+        (GOOD.replace("- ambient, 0.0)", "- ambient, 0.0)[1:]"), ": effect door_loss: raises ValueError: "),
+        (
+            GOOD.replace("    return ", "    return (stopped * (inside - ambient))[1:] + 0 * "),
+            ": effect door_loss: raises",
+        ),
+        (GOOD.replace("- ambient, 0.0)", "- ambient, 0.0) / stopped"), "gives nan at stopped=0"),
         ("1 / 0\n", ":1: raises ZeroDivisionError when imported: division by zero"),
         ("raise SystemExit(3)\n", ":1: raises SystemExit when imported: 3"),
         (GOOD + GOOD, ": 'door_loss' is defined twice"),
@@ -136,17 +152,107 @@ def test_files_that_cannot_be_read(tmp_path):
 # The command
 
 
-def test_list_shows_every_effect_and_writes_json(tmp_path):
-    done = CliRunner().invoke(app, ["list", "--json", str(tmp_path / "effects.json")], env={"COLUMNS": "120"})
+def test_list_shows_every_effect_by_topic_and_writes_json(tmp_path):
+    done = CliRunner().invoke(app, ["list", "--json", str(tmp_path / "effects.json")])
     assert done.exit_code == 0
     written = json.loads((tmp_path / "effects.json").read_text())
     assert [row["name"] for row in written] == list(library())
+    assert list(dict.fromkeys(row["topic"] for row in written)) == list(topics())
     for row in written:
         assert row["name"] in done.stdout
+        assert row["topic"] in done.stdout
         assert row["formula"].startswith("P = ")
         assert row["source"]
+        assert row["sign"] in (-1, 0, 1)
     assert written[0]["plausible"] == [0.004, 0.025]
     assert "[m^2]" in done.stdout
+    assert [name for row in written for name in row["tabulated"]] == [f"effect_{name}" for name in tabulated()]
+
+
+@pytest.mark.parametrize("name", [*library(), "cold_rolling@reference=283.15"])
+def test_show_tells_all_that_is_declared(name):
+    effect = get(name)
+    done = CliRunner().invoke(app, ["show", name])
+    assert done.exit_code == 0
+    said = " ".join(done.stdout.split())
+    for wanted in (
+        *(effect.name, effect.coefficient, f"[{effect.unit}]" if effect.unit != "1" else "", effect.energy_name),
+        *(effect.source[:40], effect.shown_by[:40], *effect.confused_with, *effect.parameters, *effect.arguments),
+        *(f"{effect.low:g} to {effect.high:g}", effect.formula[:40]),
+    ):
+        assert wanted in said, wanted
+
+
+def test_ones_own_effects_are_listed_and_shown_under_their_file(write):
+    path = write(GOOD.replace("per=", 'confused_with="cabin_heating", per='))
+    listed = CliRunner().invoke(app, ["list", "--effects", str(path)])
+    assert listed.exit_code == 0
+    assert listed.stdout.index("mine.py") < listed.stdout.index("door_loss")
+    shown = CliRunner().invoke(app, ["show", "door_loss", "--effects", str(path)])
+    assert "door_loss (mine.py)" in shown.stdout
+    assert "cabin_heating" in shown.stdout
+    assert "door_loss" in tabulated()
+
+
+@pytest.mark.parametrize("origin", [None, *library()])
+def test_a_new_file_passes_its_check_and_does_what_its_origin_does(tmp_path, origin):
+    path = tmp_path / "begun.py"
+    done = CliRunner().invoke(app, ["new", str(path), *(["--from", origin] if origin else [])])
+    assert done.exit_code == 0
+    assert f"socast effects check {path}" in " ".join(done.stdout.split())
+    (found,) = effects._run(path)
+    effects.check(found)
+    if origin is None:
+        assert found.name == "my_effect"
+        assert found.variants
+        return
+    like = get(origin)
+    assert found.name == f"my_{origin}"
+    for what in ("coefficient", "unit", "low", "high", "source", "per", "formula", "arguments", "documentation"):
+        assert getattr(found, what) == getattr(like, what), what
+    assert (found.parameters, found.words, found.scale) == (like.parameters, like.words, like.scale)
+    assert found.confused_with == (origin,)
+
+
+@pytest.mark.parametrize("origin", [None, "accessories"])
+def test_a_new_file_is_loaded_as_any_other(write, tmp_path, origin):
+    write("")  # what is loaded leaves the library after the test
+    path = tmp_path / "begun.py"
+    CliRunner().invoke(app, ["new", str(path), *(["--from", origin] if origin else [])])
+    (found,) = load_file(path)
+    assert get(found.name) is found
+
+
+def test_every_column_stands_in_a_new_file(tmp_path):
+    CliRunner().invoke(app, ["new", str(tmp_path / "begun.py")])
+    text = (tmp_path / "begun.py").read_text()
+    for column in SIGNALS:
+        assert f"#   {column.name}" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["show", "cold_roling"], "effect 'cold_roling' is unknown: did you mean cold_rolling"),
+        (["show", "cold_rolling@reference=1"], "parameter reference is 1 K, but must be from 268.15 to 303.15"),
+        (["new", "mine.txt"], "mine.txt: effects are written in Python: name a file that ends in .py"),
+        (["new", "no/mine.py"], "mine.py cannot be written: No such file or directory"),
+        (["new", "there.py"], "there.py is there already and would be overwritten"),
+        (["new", "mine.py", "--from", "headwnd"], "effect 'headwnd' is unknown: did you mean headwind"),
+        (["check", "no.py"], "no.py: cannot read effects: No such file or directory"),
+        (["list", "--effects", "no.py"], "no.py: cannot read effects: No such file or directory"),
+    ],
+)
+def test_bad_commands_are_one_line(tmp_path, monkeypatch, capsys, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "there.py").write_text("")
+    with pytest.raises(SystemExit) as ended:
+        main(["effects", *arguments])
+    assert ended.value.code == 2
+    told = capsys.readouterr().err
+    assert said in told
+    assert told.count("\n") == 1
+    assert not (tmp_path / "mine.py").exists()
 
 
 def test_check_command_tells_of_a_good_file_and_raises_for_a_bad_one(write):

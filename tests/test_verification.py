@@ -70,6 +70,24 @@ def test_check_refuses(before, after, said):
     assert said in refusal(GOOD.replace(before, after))
 
 
+FULL = """
+import numpy as np
+from core.effects import Parameter, effect
+
+@effect(coefficient="share", unit="1", low=0, high=1, source="Somebody 2020, p. 7",
+        parameters={"full": Parameter(0.9, "1", 0.5, 1.0)})
+def full(traction, speed, charge, full):
+    'A full battery: P = max(-F v, 0) max((s - s0)/(1 - s0), 0).'
+    return np.maximum(-traction * speed, 0.0) * np.maximum((charge - full) / (1.0 - full), 0.0)
+"""
+
+
+def test_bounds_at_which_an_effect_has_no_value_are_refused():
+    said = refusal(FULL)
+    assert "effect full: gives nan at full=1 1, traction=" in said
+    assert "guard it" in said
+
+
 def test_ordinary_driving_is_said_for_every_signal_within_its_range():
     assert list(ORDINARY) == [column.name for column in SIGNALS]
     for column in SIGNALS:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.codec import Weather
-from core.weather import KEPT, Sky, Stations
+from core.weather import CLEARING, DRYING, KEPT, THAWING, Sky, Stations, held, snow_left, water_left
 
 
 def station(name="yul", time=0.0, place=PLACE, **fields):
@@ -83,7 +83,9 @@ def test_a_value_that_is_out_of_range_is_unknown():
     stations = Stations()
     stations.observe(station(temperature_c=1e6, wind_speed_kmh=-4.0, wind_from_deg=1e300, humidity_pct=400.0))
     stations.observe(station("b", precipitation_mm=-1.0, pressure_hpa=0.0, solar_w_m2=1e9))
-    for values in (*sky_at(stations, 1.0), *sky_at(Stations(), 1.0)):
+    for name, values in sky_at(stations, 1.0)._asdict().items():
+        assert values[0] == 0 if name in ("observed", "water", "snow") else np.isnan(values[0]), name
+    for values in sky_at(Stations(), 1.0):
         assert np.isnan(values[0])
 
 
@@ -145,3 +147,86 @@ def test_an_observation_serves_the_rows_that_come_after_it_and_no_earlier_time()
     assert rides["quality_ambient_filled"][0] == 20
     assert rides["wind_speed_kmh"][0] == pytest.approx(18.0)
     assert rides["wind_from_deg"][0] == pytest.approx(90.0)
+
+
+# What lies on the road
+
+HOUR = 3600.0
+
+
+def road_at(stations, time):
+    """Rain and snow on the road, in mm."""
+    sky = sky_at(stations, time)
+    weather = sky.ambient, sky.precipitation, time - sky.observed
+    return float(water_left(sky.water, *weather)[0]) * 1e3, float(snow_left(sky.snow, *weather)[0]) * 1e3
+
+
+@given(st.floats(0, 1e-2), st.floats(0, 1e-5), st.floats(0, 1e5), st.floats(0, 1e5), st.floats(60, 1e5))
+def test_a_store_after_two_times_is_the_store_after_both(depth, rate, first, second, memory):
+    at_once = held(depth, rate, first + second, memory)
+    assert held(held(depth, rate, first, memory), rate, second, memory) == pytest.approx(at_once, abs=1e-12)
+    assert 0 <= at_once <= max(depth, rate * memory) + 1e-15
+
+
+def observed_hourly(millimetres, celsius):
+    stations = Stations()
+    for i, (fell, degrees) in enumerate(zip(millimetres, celsius, strict=True)):
+        stations.observe(station(time=HOUR * i, precipitation_mm=fell, temperature_c=degrees))
+    return stations
+
+
+def test_an_hour_of_rain_and_what_is_left_two_hours_later():
+    """2 mm in an hour into a store that loses 1/e in an hour: 2 (1 - 1/e) mm; two hours later e^-2 of it."""
+    stations = observed_hourly([0, 2, 0, 0], [9] * 4)
+    after = 2 * (1 - np.exp(-HOUR / DRYING)) * DRYING / HOUR
+    assert road_at(stations, HOUR - 1)[0] == 0
+    assert road_at(stations, HOUR) == (pytest.approx(after), 0)
+    assert road_at(stations, 3 * HOUR)[0] == pytest.approx(after * np.exp(-2 * HOUR / DRYING))
+    assert road_at(stations, 3 * HOUR + 1800)[0] == pytest.approx(after * np.exp(-2.5 * HOUR / DRYING))
+
+
+def test_rain_that_goes_on_comes_to_a_balance_without_steps():
+    stations = observed_hourly([3] * 12, [9] * 12)
+    balance = 3 * DRYING / HOUR
+    depths = [road_at(stations, time)[0] for time in np.arange(6 * HOUR, 11 * HOUR, 300)]
+    assert depths == pytest.approx([balance] * len(depths), rel=0.01)
+
+
+def test_snow_falls_below_one_degree_lies_in_frost_and_melts_in_a_thaw():
+    frost = observed_hourly([0, 2, 0, 0, 0], [-6] * 5)
+    lying = 2 * (1 - np.exp(-HOUR / CLEARING)) * CLEARING / HOUR
+    assert road_at(frost, HOUR) == (0, pytest.approx(lying))
+    assert road_at(frost, 4 * HOUR)[1] == pytest.approx(lying * np.exp(-3 * HOUR / CLEARING))
+    thaw = observed_hourly([0, 2, 0, 0, 0], [-6, -6, 4, 4, 4])
+    assert road_at(thaw, 4 * HOUR)[1] == pytest.approx(lying * np.exp(-3 * HOUR / THAWING))
+    assert road_at(observed_hourly([0, 2], [3, 3]), HOUR)[1] == 0
+
+
+def test_an_unknown_temperature_makes_rain_and_an_unknown_amount_none():
+    stations = Stations()
+    stations.observe(station(time=0.0, precipitation_mm=1.0))
+    assert road_at(stations, 1.0)[0] > 0.5
+    assert road_at(stations, 1.0)[1] == 0
+    stations.observe(station("b", time=0.0, temperature_c=3.0))
+    assert road_at(observed_hourly([None, None], [3, -3]), HOUR) == (0, 0)
+
+
+def test_the_road_remembers_in_whatever_order_observations_came():
+    rain = np.random.default_rng(3).choice([0.0, 0.0, 1.5], 20)
+    cold = np.random.default_rng(4).normal(1.0, 4.0, 20)
+    in_order = observed_hourly(rain, cold)
+    shuffled = Stations()
+    order = [0, *(1 + np.random.default_rng(5).permutation(19))]
+    told = [station(time=HOUR * i, precipitation_mm=rain[i], temperature_c=cold[i]) for i in range(20)]
+    for i in order:
+        shuffled.observe(told[i])
+    for i in range(20):  # once all have come, each is told again: how much fell in its own hour is known now
+        shuffled.observe(told[i])
+    assert repr(shuffled.dump()) == repr(in_order.dump())
+
+
+def test_an_observation_older_than_all_that_is_kept_changes_nothing():
+    stations = observed_hourly([1.0] * (KEPT + 5), [-3.0] * (KEPT + 5))
+    before = repr(stations.dump())
+    assert stations.observe(station(time=0.5, precipitation_mm=500.0, temperature_c=-3.0))
+    assert repr(stations.dump()) == before

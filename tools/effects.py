@@ -1,31 +1,61 @@
-"""`socast effects`: look at the library of effects, and check a file of one's own."""
+"""`socast effects`: look at the library of effects, and begin and check a file of one's own."""
 
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from core import effects
-from core.effects import Effect
-from tools.output import JsonFile, write_json
+from core.columns import SIGNALS
+from core.effects import Effect, Parameter
+from core.errors import SettingsError
+from core.wording import everyday
+from tools.output import EffectFiles, JsonFile, printer, writable, write_json
+from tools.scaffold import blank, from_effect
 
 app = typer.Typer(help="The physical effects that models are made of, and your own.", no_args_is_help=True)
 
+SIGNS = {1: "positive: it always costs", -1: "negative: it always saves", 0: "either"}
+MEANINGS = {column.name: column for column in SIGNALS}
+
 
 @app.command("list")
-def list_effects(
-    file: Annotated[
-        list[Path] | None, typer.Option("--effects", metavar="FILE", help="A file of your own effects to list too.")
-    ] = None,
-    json_file: JsonFile = None,
-) -> None:
-    """List every effect: formula, coefficient with unit and plausible range, source."""
+def list_effects(file: EffectFiles = None, json_file: JsonFile = None) -> None:
+    """List every effect by topic: formula, coefficient with unit and plausible range."""
     for path in file or ():
         effects.load_file(path)
-    _show(list(effects.library().values()), json_file)
+    topics = effects.topics()
+    table = _table()
+    for topic, found in topics.items():
+        table.add_section()
+        table.add_row(Text(topic, "bold"))
+        for effect in found:
+            _add(table, effect)
+    printer().print(table)
+    write_json(json_file, [_plain(effect, topic) for topic, found in topics.items() for effect in found])
+
+
+@app.command("show")
+def show(
+    name: Annotated[str, typer.Argument(metavar="E", help="Name of an effect, or of a variant of one.")],
+    file: EffectFiles = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Show all that is declared of an effect: source, what it is confused with, what shows it, its parameters."""
+    for path in file or ():
+        effects.load_file(path)
+    effect = effects.get(name)
+    topic = next(topic for topic, found in effects.topics().items() if effect.base in [e.name for e in found])
+    table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_column(no_wrap=True, style="bold")
+    table.add_column(ratio=1)
+    for what, said in _told(effect, topic):
+        if said:
+            table.add_row(what, Text(said))
+    printer().print(table)
+    write_json(json_file, _plain(effect, topic))
 
 
 @app.command("check")
@@ -35,39 +65,121 @@ def check_file(
 ) -> None:
     """Check a file of your own effects: arguments, units, finite values, one value a row."""
     found = effects.load_file(file)
-    _show(found, json_file)
+    table = _table()
+    for effect in found:
+        _add(table, effect)
+    printer().print(table)
+    write_json(json_file, [_plain(effect, file.name) for effect in found])
     count = f"{len(found)} effect{'s' if len(found) > 1 else ''}"
-    Console().print(Text(f"{count} in {file}: all checks passed."))
+    printer().print(Text(f"{count} in {file}: all checks passed."))
 
 
-def _show(listed: list[Effect], json_file: Path | None) -> None:
-    """Print effects as a table, and write them to a file where one is given."""
-    table = Table(show_lines=True)
+@app.command("new")
+def new_file(
+    file: Annotated[Path, typer.Argument(help="The Python file to write.")],
+    origin: Annotated[str | None, typer.Option("--from", metavar="E", help="Begin with a copy of this effect.")] = None,
+) -> None:
+    """Write a file with one effect, to be changed into your own; it passes its check as it is."""
+    if file.suffix != ".py":
+        raise SettingsError(f"{file}: effects are written in Python: name a file that ends in .py")
+    if file.exists():
+        raise SettingsError(f"{file} is there already and would be overwritten; name another file")
+    name = "my_effect" if origin is None else f"my_{effects.get(origin).base}"
+    content = blank(name) if origin is None else from_effect(effects.get(origin), name)
+    writable((), file)
+    try:
+        file.write_text(content, encoding="utf-8")
+    except OSError as error:
+        raise SettingsError(f"{file} cannot be written: {error.strerror}; name a file in another folder") from error
+    told = f"{file} holds the effect {name}. Edit it, then: socast effects check {file}"
+    printer().print(told, markup=False, highlight=False, soft_wrap=True)
+
+
+def _told(effect: Effect, topic: str) -> list[tuple[str, str]]:
+    """Return what is to be said of an effect, line by line."""
+    unit = "" if effect.unit == "1" else f" [{effect.unit}]"
+    paragraphs = effect.documentation.split("\n\n")[1:]
+    parameters = list(map(_parameter, effect.parameters, effect.parameters.values(), effect.constants.values()))
+    return [
+        ("effect", f"{effect.name} ({topic})"),
+        ("what it is", effect.summary.partition(": P = ")[0]),
+        ("formula", effect.formula),
+        ("", "\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)),
+        ("coefficient", effect.coefficient + unit),
+        ("plausible", f"{_range(effect)}{unit}, sign {SIGNS[effect.sign]}"),
+        ("in words", f"for example: {effect.in_words((effect.low + effect.high) / 2)}"),
+        ("acts", "by motion, over the time that the distance took" if effect.per == "distance" else "all the time"),
+        ("parameters", "\n".join(parameters)),
+        ("takes", "\n".join(map(_column, effect.arguments))),
+        ("source", effect.source),
+        ("confused with", ", ".join(effect.confused_with)),
+        ("shown by", effect.shown_by),
+        ("in tables as", ", ".join(_tabulated(effect))),
+    ]
+
+
+def _table() -> Table:
+    """Return the table that effects are listed in."""
+    table = Table()
     table.add_column("effect", no_wrap=True)
-    table.add_column("formula, source", ratio=1)
-    table.add_column("coefficient")
+    table.add_column("formula", ratio=1)
+    table.add_column("coefficient", ratio=1)
     table.add_column("plausible", no_wrap=True)
-    for effect in listed:
-        unit = "" if effect.unit == "1" else f" [{effect.unit}]"
-        formula = Text.assemble(effect.formula, "\n", (effect.source, "dim"))
-        table.add_row(effect.name, formula, Text(effect.coefficient + unit), f"{effect.low:g} to {effect.high:g}")
-    Console().print(table)
-    write_json(json_file, [_plain(effect) for effect in listed])
+    return table
 
 
-def _plain(effect: Effect) -> dict[str, Any]:
+def _add(table: Table, effect: Effect) -> None:
+    unit = "" if effect.unit == "1" else f" [{effect.unit}]"
+    table.add_row(effect.name, Text(effect.formula), Text(effect.coefficient + unit), _range(effect))
+
+
+def _range(effect: Effect) -> str:
+    return f"{effect.low:g} to {effect.high:g}"
+
+
+def _parameter(name: str, parameter: Parameter, value: float) -> str:
+    """Say what a parameter is, within which bounds it may be moved, and where tables hold it."""
+    low, high = parameter.bounds
+    said = f"{name} = {value:g} {parameter.unit}".removesuffix(" 1")
+    if (shown := everyday(value, parameter.unit)) not in said:
+        said += f" ({shown})"
+    said += f", {low:g} to {high:g}" if low < high else ", fixed"
+    return said + (f"; in tables at {', '.join(f'{v:g}' for v in parameter.grid)}" if parameter.grid else "")
+
+
+def _column(name: str) -> str:
+    column = MEANINGS[name]
+    unit = "" if column.unit == "1" else f" [{column.unit}]"
+    return f"{name}{unit}: {column.meaning}"
+
+
+def _tabulated(effect: Effect) -> list[str]:
+    """Return the columns of the tables that hold an effect and its variants."""
+    base = effects.get(effect.base)
+    return [each.energy_name for each in (base, *base.variants)]
+
+
+def _plain(effect: Effect, topic: str) -> dict[str, Any]:
     """Return what is declared of an effect, as JSON has it."""
     return {
         "name": effect.name,
+        "topic": topic,
         "summary": effect.summary,
         "formula": effect.formula,
         "coefficient": effect.coefficient,
         "unit": effect.unit,
         "plausible": [effect.low, effect.high],
+        "sign": effect.sign,
         "per": effect.per,
         "columns": list(effect.arguments),
         "parameters": {
-            name: {"value": p.value, "unit": p.unit, "bounds": list(p.bounds)} for name, p in effect.parameters.items()
+            name: {"value": effect.constants[name], "unit": p.unit, "bounds": list(p.bounds), "grid": list(p.grid)}
+            for name, p in effect.parameters.items()
         },
         "source": effect.source,
+        "confused_with": list(effect.confused_with),
+        "shown_by": effect.shown_by,
+        "words": effect.words,
+        "scale": effect.scale,
+        "tabulated": _tabulated(effect),
     }

@@ -87,7 +87,7 @@ def tables(
     for path in effects_file or ():
         effects.load_file(path)
     settings = cleaning(speed_limit_kmh, period_s, smoothing, least_distance_km)
-    pipeline = Pipeline(models.load(model), settings, also=list(effects.library()), keep_forecasts=False)
+    pipeline = Pipeline(models.load(model), settings, also=effects.tabulated(), keep_forecasts=False)
     sources = [McapSource(path) for path in recordings]
     folder = _folder(out)
     writable(recordings, folder / RIDES, folder / WINDOWS, folder / QUALITY, json_file)

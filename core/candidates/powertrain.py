@@ -1,0 +1,119 @@
+"""What motor, gears, brakes and load take beyond a constant efficiency."""
+
+from typing import Final
+
+import numpy as np
+
+from core.batch import Floats
+from core.columns import GRAVITY
+from core.declaration import Effect, Parameter, effect
+
+_LOSSES: Final = "Larminie and Lowry, Electric Vehicle Technology Explained, 2nd ed., Wiley 2012, ch. 7, motor losses"
+
+
+@effect(
+    coefficient="loss a speed squared",
+    unit="N*s/m",
+    low=0.1,
+    high=6.0,
+    source=f"{_LOSSES}: iron losses grow with speed, eddy currents with its square; range: 0.06 to 3.8 kW at 90 km/h "
+    "(estimate)",
+    confused_with=("aero_drag", "brake_drag", "roof_load"),
+    shown_by="steady drives at many speeds: it grows faster than rolling and slower than drag",
+    words="motor and gears lose {value} kW at 90 km/h by turning",
+    scale=0.625,
+)
+def drivetrain_loss_speed(speed: Floats) -> Floats:
+    """Iron and oil that are stirred: P = v^2, times the loss a speed squared."""
+    return speed * speed
+
+
+@effect(
+    coefficient="loss a force squared",
+    unit="W/N^2",
+    low=1e-5,
+    high=8e-4,
+    source=f"{_LOSSES}: copper losses grow with torque squared; range: 0.1 to 8 kW at a force of 3160 N, 1000 N m at "
+    "the wheels (estimate)",
+    confused_with=("age", "battery_resistance", "payload"),
+    shown_by="hard and gentle driving over the same roads",
+    words="motor and inverter lose {value} W at a force of 1000 N at the wheels",
+    scale=1e6,
+)
+def drivetrain_loss_torque(traction: Floats) -> Floats:
+    """Copper that carries current: P = F^2, times the loss a force squared.
+
+    With the force F at the wheels, which is torque over wheel radius, as the car's own road load asks for it.
+    """
+    return traction * traction
+
+
+@effect(
+    coefficient="drag of the brake pads",
+    unit="N",
+    low=5.0,
+    high=150.0,
+    source="SAE 2015-01-2670, Drag Torque in Disk Brakes, DOI 10.4271/2015-01-2670; range: 0.4 to 11 N m a wheel of "
+    "0.3 m (estimate)",
+    confused_with=("age", "drivetrain_loss_speed", "rolling", "tyre_pressure"),
+    shown_by="one car's drives before and after a date, or beside others of its model, with loads that differ",
+    words="brakes that drag with {value} N",
+)
+def brake_drag(speed: Floats) -> Floats:
+    """Brake pads that do not let go: P = v, times the drag.
+
+    A force that knows neither load nor speed.
+    """
+    return speed
+
+
+@effect(
+    coefficient="mass a passenger beyond the 75 kg counted",
+    unit="kg",
+    low=3.0,
+    high=150.0,
+    source="Regulation (EU) No 1230/2012, Art. 2(4)(a): 75 kg a driver; range: from a bag to twice a person (estimate)",
+    parameters={"gravity": Parameter(GRAVITY, "m/s^2")},
+    confused_with=("drivetrain_loss_torque",),
+    shown_by="rides with and without passengers over the same roads, where cars tell who is aboard",
+    words="each passenger weighs {value} kg more than was counted",
+)
+def payload(
+    occupants: Floats,
+    rolling_resistance: Floats,
+    grade: Floats,
+    acceleration: Floats,
+    speed: Floats,
+    gravity: float,
+) -> Floats:
+    """Passengers and what they carry: P = (n - 1) (g (c cos θ + sin θ) + a) v, times a mass.
+
+    With n people aboard, of whom the driver is one; 75 kg of each are in the car's mass already.
+    """
+    road = rolling_resistance * np.sqrt(1.0 - grade * grade) + grade
+    return (occupants - 1.0) * (gravity * road + acceleration) * speed
+
+
+@effect(
+    coefficient="share of driving power lost after 100,000 km",
+    unit="1",
+    low=0.005,
+    high=0.2,
+    source="estimate: bearings, gears, tyres and resistances that wear, 0.5 to 20 % after 100,000 km",
+    parameters={"span": Parameter(1e8, "m")},
+    confused_with=("brake_drag", "drivetrain_loss_torque"),
+    shown_by="cars of one model with few and with many kilometres, or years of the same car",
+    words="wear: {value} % more driving power for every 100,000 km",
+    scale=100.0,
+)
+def age(traction: Floats, speed: Floats, odometer: Floats, span: float) -> Floats:
+    """Wear: P = max(F, 0) v s/s0, times the share lost after s0 = 100,000 km.
+
+    With the odometer's reading s, and the force F at the wheels as the car's own road load asks for it. Where energy is
+    measured by the state of charge, a battery that has faded looks the same.
+    """
+    return np.maximum(traction, 0.0) * speed * (odometer / span)
+
+
+POWERTRAIN: Final[tuple[Effect, ...]] = (drivetrain_loss_speed, drivetrain_loss_torque, brake_drag, payload, age)
+"""In the order of the list."""

@@ -1,0 +1,55 @@
+"""Where the sun stands: all that darkness and daylight need."""
+
+from typing import Final
+
+import numpy as np
+
+from core.batch import Floats
+
+J2000: Final = 946_728_000.0
+"""Unix time of 1 January 2000, 12:00 UTC. [s]"""
+_DAY: Final = 86_400.0
+
+
+def sine_of_elevation(time: Floats, latitude: Floats, longitude: Floats) -> Floats:
+    """Return the sine of the sun's elevation above the horizon, without refraction.
+
+    Parameters
+    ----------
+    time : (n,) float
+        Unix time. [s]
+    latitude, longitude : (n,) float
+        [rad]
+
+    Returns
+    -------
+    (n,) float
+        NaN where the place is unknown. [1]
+
+    Notes
+    -----
+    sin h = sin φ z + cos φ (x cos θ + y sin θ), with the sun's unit vector (x, y, z) in the equatorial frame and local
+    sidereal time θ. Good to 0.01° from 1950 to 2050, and to a tenth of a degree for centuries about that.
+
+    References
+    ----------
+    Michalsky, The Astronomical Almanac's algorithm for approximate solar position, Solar Energy 40 (1988) 227-235,
+    DOI 10.1016/0038-092X(88)90045-X.
+
+    Examples
+    --------
+    Noon on the equator at an equinox, 20 March 2024; midnight there.
+
+    >>> times = 1_710_936_000.0 + np.array([450.0, 43_650.0])
+    >>> sine_of_elevation(times, np.zeros(2), np.zeros(2)).round(3).tolist()
+    [1.0, -1.0]
+    """
+    days = (time - J2000) / _DAY
+    anomaly = np.radians(357.528 + 0.9856003 * days)
+    sine = np.sin(anomaly)
+    ecliptic = np.radians(280.460 + 0.9856474 * days + 1.915 * sine + 0.040 * sine * np.cos(anomaly))
+    obliquity = np.radians(23.439)
+    across = np.sin(ecliptic)
+    sidereal = np.radians(280.46062 + 360.98564737 * days) + longitude
+    towards = np.cos(ecliptic) * np.cos(sidereal) + np.cos(obliquity) * across * np.sin(sidereal)
+    return np.sin(latitude) * (np.sin(obliquity) * across) + np.cos(latitude) * towards

@@ -1,0 +1,58 @@
+"""Numbers as a person reads them: rounded to what is known, in everyday units."""
+
+from collections.abc import Callable, Mapping
+from math import floor, isfinite, log10
+from types import MappingProxyType
+from typing import Final
+
+from core.columns import KMH, ZERO_CELSIUS
+
+_EVERYDAY: Final[Mapping[str, Callable[[float], str]]] = MappingProxyType(
+    {
+        "1": lambda value: f"{value:g}",
+        "K": lambda value: f"{value - ZERO_CELSIUS:.4g} °C",
+        "s": lambda value: f"{value / 60:.3g} min" if value >= 120 else f"{value:.3g} s",
+        "m": lambda value: f"{value * 1000:.3g} mm" if value < 0.1 else f"{value:.3g} m",
+        "m/s": lambda value: f"{value / KMH:.3g} km/h",
+    }
+)
+
+
+def everyday(value: float, unit: str) -> str:
+    """Return a quantity of core in the unit of people; one that has no such unit stays in its own.
+
+    Examples
+    --------
+    >>> everyday(293.15, "K"), everyday(600.0, "s"), everyday(0.0003, "m"), everyday(0.9, "1"), everyday(3.0, "N")
+    ('20 °C', '10 min', '0.3 mm', '0.9', '3 N')
+    """
+    say = _EVERYDAY.get(unit)
+    return f"{value:.4g} {unit}" if say is None else say(value)
+
+
+def rounded(value: float, half: float | None = None) -> str:
+    """Return a number to two digits, or to those that its uncertainty leaves, with it.
+
+    Parameters
+    ----------
+    value : float
+    half : float, optional
+        Half the width of its interval.
+
+    Examples
+    --------
+    >>> rounded(1.1349, 0.23), rounded(1.1349, 0.012), rounded(147.2, 23.0), rounded(0.0123), rounded(1234.5)
+    ('1.1 ± 0.2', '1.135 ± 0.012', '150 ± 20', '0.012', '1200')
+    """
+    if half is None or not isfinite(half) or half <= 0.0:
+        return _to(value, 2, abs(value))
+    digits = 1 if half / 10.0 ** floor(log10(half)) >= 1.95 else 2
+    return f"{_to(value, digits, half)} ± {_to(half, digits, half)}"
+
+
+def _to(value: float, digits: int, scale: float) -> str:
+    """Return a number rounded so that one of size `scale` keeps so many digits."""
+    if not isfinite(value) or scale == 0.0:
+        return f"{value:g}"
+    places = digits - 1 - floor(log10(scale))
+    return f"{round(value, places):.{max(places, 0)}f}"

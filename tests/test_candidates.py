@@ -1,0 +1,206 @@
+"""Laws of every candidate effect: its unit, its source, its sign, what it is confused with, its variants."""
+
+import inspect
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from core.candidates import CANDIDATES
+from core.columns import SIGNALS
+from core.effects import check, get, library, tabulated, topics
+from core.errors import EffectError
+from core.road_load import ROAD_LOAD
+from core.verification import ORDINARY
+
+EACH = [effect for found in CANDIDATES.values() for effect in found]
+ALL = pytest.mark.parametrize("each", EACH, ids=lambda e: e.name)
+WANTED = {
+    *("headwind", "crosswind_yaw", "air_density", "cold_rolling", "wet_road", "door_heat_loss", "cabin_heating"),
+    *("cabin_cooling", "cabin_warmup", "cold_regen_limit", "regen_full_battery", "battery_resistance"),
+    *("cold_battery_heating", "payload", "drivetrain_loss_speed", "drivetrain_loss_torque", "cornering", "standby"),
+    *("night_lights", "solar_load", "humidity", "brake_drag", "snow", "tyre_pressure", "roof_load", "age"),
+}
+
+
+def rows(seed: int, count: int) -> dict[str, np.ndarray]:
+    """Every signal at random over ordinary driving."""
+    random = np.random.default_rng(seed)
+    return {name: random.uniform(low, high, count) for name, (low, high) in ORDINARY.items()}
+
+
+def test_every_phenomenon_is_there_once():
+    assert sorted(each.name for each in EACH) == sorted(WANTED)
+    assert len(WANTED) == 26
+    assert list(library())[: len(ROAD_LOAD) + len(EACH)] == [e.name for e in (*ROAD_LOAD, *EACH)]
+    assert list(topics())[: 1 + len(CANDIDATES)] == ["road load", *CANDIDATES]
+    assert [each.name for found in topics().values() for each in found] == list(library())
+
+
+@ALL
+def test_unit_shape_and_values_are_right(each):
+    check(each)
+
+
+@ALL
+def test_is_documented(each):
+    assert each.formula.startswith("P = ")
+    assert len(each.source) > 20
+    assert "estimate" in each.source or "range: " in each.source
+    assert each.summary.endswith(".")
+    assert each.shown_by
+    assert "{value}" in each.words
+    assert inspect.getdoc(each.function)
+
+
+@ALL
+def test_physics_demands_that_it_costs(each):
+    assert each.sign == 1
+    assert 0.0 < each.low < each.high
+
+
+@ALL
+@given(seed=st.integers(0, 2**32), cuts=st.lists(st.integers(0, 50), max_size=6))
+@settings(max_examples=10)
+def test_is_the_same_to_the_bit_however_rows_are_cut(each, seed, cuts):
+    columns = rows(seed, 50)
+    edges = [0, *sorted(cuts), 50]
+    for variant in (each, *each.variants):
+        whole = variant.power(columns)
+        parts = [variant.power({n: c[a:b] for n, c in columns.items()}) for a, b in pairwise(edges)]
+        assert np.concatenate(parts).tobytes() == whole.tobytes()
+
+
+@pytest.mark.parametrize(("each", "argument"), [(e, a) for e in EACH for a in e.arguments if e.name != "standby"])
+def test_an_unknown_argument_gives_nan_in_its_row_alone(each, argument):
+    columns = rows(7, 5)
+    columns[argument][2] = np.nan
+    assert np.isnan(each.power(columns)).tolist() == [False, False, True, False, False]
+
+
+def test_what_acts_by_motion_is_nothing_for_a_standing_car():
+    standing = {**rows(1, 8), "speed": np.zeros(8), "traction": np.zeros(8)}
+    for each in EACH:
+        if each.per == "distance":
+            assert not each.power(standing).any(), each.name
+    assert {e.name for e in EACH if e.per == "time"} == {
+        *("door_heat_loss", "cabin_heating", "cabin_cooling", "cabin_warmup", "solar_load", "humidity"),
+        *("cold_battery_heating", "standby", "night_lights"),
+    }
+
+
+def test_all_but_differences_from_the_base_never_give_back():
+    """Wind from behind, thin air and a passenger downhill may help; nothing else does."""
+    columns = rows(3, 2000)
+    for each in EACH:
+        if each.name not in {"headwind", "air_density", "payload"}:
+            assert each.power(columns).min() >= 0.0, each.name
+
+
+def test_in_mild_still_weather_by_day_nearly_all_are_silent():
+    mild = rows(5, 100)
+    for name, value in {
+        "ambient": 293.15, "pack_temperature": 298.15, "headwind": 0.0, "crosswind": 0.0, "air_density": 1.225,
+        "water": 0.0, "snow": 0.0, "darkness": 0.0, "solar": 0.0, "charge": 0.5, "vapour_pressure": 1000.0,
+        "turn_rate": 0.0, "odometer": 0.0, "occupants": 1.0, "parked": 0.0,
+    }.items():  # fmt: skip
+        mild[name] = np.full(100, value)
+    loud = {each.name for each in EACH if each.power(mild).any()}
+    assert loud == {
+        *("roof_load", "tyre_pressure", "drivetrain_loss_speed", "drivetrain_loss_torque", "brake_drag"),
+        *("battery_resistance", "standby", "door_heat_loss"),
+    }
+
+
+# Confusions
+
+
+@pytest.mark.parametrize("each", library().values(), ids=lambda e: e.name)
+def test_confusions_are_of_known_effects_and_mutual(each):
+    for name in each.confused_with:
+        assert name != each.name
+        assert each.name in get(name).confused_with, name
+
+
+def test_every_candidate_but_a_lone_one_is_confused_with_something():
+    assert [each.name for each in EACH if not each.confused_with] == []
+
+
+# Parameters and variants
+
+
+@ALL
+def test_grids_are_small_and_within_bounds(each):
+    for name, parameter in each.parameters.items():
+        low, high = parameter.bounds
+        assert (low < high) or not parameter.grid, name
+        if parameter.grid:
+            assert 3 <= len(parameter.grid) <= 5
+            assert low <= parameter.grid[0] < parameter.grid[-1] <= high
+
+
+def test_variants_are_the_function_at_other_values():
+    columns = rows(11, 60)
+    seen = 0
+    for each in EACH:
+        for variant in each.variants:
+            (moved,) = [n for n in each.constants if variant.constants[n] != each.constants[n]]
+            assert variant.name == f"{each.name}@{moved}={variant.constants[moved]:.10g}"
+            assert np.array_equal(variant.power(columns), each.power(columns, {moved: variant.constants[moved]}))
+            assert not np.array_equal(variant.power(columns), each.power(columns)), variant.name
+            assert get(variant.name).constants == variant.constants
+            assert (variant.base, variant.energy_name) == (each.name, f"effect_{variant.name}")
+            seen += 1
+    assert seen + len(library()) == len(tabulated()) == len(set(tabulated()))
+
+
+def test_a_variant_is_found_by_any_values_within_bounds_under_its_own_name():
+    found = get("cabin_warmup@decay=450,soak=1800.5")
+    assert (found.constants["decay"], found.constants["soak"]) == (450.0, 1800.5)
+    assert get("cabin_warmup").variant({"soak": 1800.5, "decay": 450.0}).name == found.name
+    assert found.variant({"soak": 3600.0}).name == "cabin_warmup@decay=450"
+    assert found.variant({"soak": 3600.0, "decay": 600.0}).name == "cabin_warmup"
+    assert get("cabin_warmup").variant({"decay": 600.0}) is get("cabin_warmup")
+    assert get("wet_road").variant({"depth": 0.00005}).name == "wet_road@depth=0.00005"
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("cold_rolling@reference=500", "parameter reference is 500 K, but must be from 268.15 to 303.15"),
+        ("cold_rolling@reference=nan", "parameter reference is nan K, but must be from"),
+        ("cold_rolling@refrence=283.15", "it has no parameter 'refrence'; it has reference"),
+        ("cold_rolling@reference=warm", "'warm' is no number: write cold_rolling@parameter=value"),
+        ("cold_rolling@", "'' is no number"),
+        ("cold_rolling@reference=283.150", "is known as 'cold_rolling@reference=283.15': write that"),
+        ("cold_rolling@reference=293.15", "is known as 'cold_rolling': write that"),
+        ("cabin_warmup@soak=1800,decay=450", "is known as 'cabin_warmup@decay=450,soak=1800': write that"),
+        ("tyre_pressure@x=1", "it has no parameter 'x'; it has none"),
+        ("rolling@gravity=9", "parameter gravity is fixed at 9.80665"),
+        ("cold_roling@reference=283.15", "did you mean cold_rolling"),
+    ],
+)
+def test_a_variant_that_cannot_be_is_told_of(name, said):
+    with pytest.raises(EffectError) as caught:
+        get(name)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_coefficient_is_said_in_words():
+    cold = get("cold_rolling@reference=283.15")
+    assert cold.in_words(1.1e-4, 2e-5) == (
+        "cold tyres: rolling resistance grows by 1.1 ± 0.2 % of 0.010 for each degree below 10 °C"
+    )
+    assert get("standby").in_words(150.0) == "something takes 150 W all the time"
+    assert get("auxiliary").in_words(150.0, 20.0) == "constant power 150 ± 20 W"
+    assert replace(get("rolling"), words="").in_words(0.0123) == "rolling resistance coefficient 0.012"
+
+
+def test_columns_that_hold_the_answer_are_asked_for_by_no_candidate():
+    assert {column.name for column in SIGNALS} >= {"hvac", "current", "soc"}
+    for each in EACH:
+        assert not {"hvac", "current", "soc"} & set(each.arguments), each.name

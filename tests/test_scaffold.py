@@ -1,0 +1,55 @@
+"""A file to begin one's own effect with, also of a formula that was found in data."""
+
+import pytest
+
+from core import effects
+from core.effects import Parameter
+from core.errors import EffectError
+from tools.scaffold import blank, render
+
+
+def suggestion(**changes):
+    """A free-form term, as text of a file."""
+    return render(
+        **{
+            "name": "suggested",
+            "arguments": ("speed", "ambient"),
+            "body": "return speed * (cold - ambient) / cold",
+            "documentation": "Found in the data: P = v (T0 - T)/T0.",
+            "coefficient": "force",
+            "unit": "N",
+            "low": 0.0,
+            "high": 500.0,
+            "source": 'suggested by a "free" search on 40 rides',
+            "parameters": {"cold": Parameter(283.15, "K")},
+        }
+        | changes
+    )
+
+
+@pytest.mark.parametrize("text", [suggestion(), blank(), blank("my_other")], ids=["suggested", "blank", "named"])
+def test_the_text_is_a_file_that_passes_its_check(tmp_path, text):
+    path = tmp_path / "suggested.py"
+    path.write_text(text)
+    (found,) = effects._run(path)
+    effects.check(found)
+    assert all(len(line) <= 130 for line in text.splitlines())
+
+
+def test_quotes_and_letters_of_a_source_come_through(tmp_path):
+    path = tmp_path / "suggested.py"
+    path.write_text(suggestion(source='θ of "Größe" \\ é'))
+    (found,) = effects._run(path)
+    assert found.source == 'θ of "Größe" \\ é'
+    assert found.parameters["cold"].bounds == (283.15, 283.15)
+
+
+def test_numpy_is_imported_where_it_is_used():
+    assert "import numpy" not in suggestion()
+    assert "import numpy as np" in suggestion(body="return np.maximum(speed, 0.0) * (cold - ambient) / cold")
+
+
+@pytest.mark.parametrize("name", ["my effect", "2nd", "a-b", "", "x()"])
+def test_a_name_that_no_function_can_have_is_refused(name):
+    with pytest.raises(EffectError, match="a function cannot be called that"):
+        suggestion(name=name)

@@ -1,0 +1,34 @@
+"""Numbers as people read them."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from core.wording import everyday, rounded
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "said"),
+    [(268.15, "K", "-5 °C"), (90.0, "s", "90 s"), (3600.0, "s", "60 min"), (0.002, "m", "2 mm"), (2.5, "m", "2.5 m"),
+     (25.0, "m/s", "90 km/h"), (0.85, "1", "0.85"), (360.0, "V", "360 V")],
+)  # fmt: skip
+def test_everyday_units(value, unit, said):
+    assert everyday(value, unit) == said
+
+
+@pytest.mark.parametrize(
+    ("value", "half", "said"),
+    [(1.1349, 0.2, "1.1 ± 0.2"), (-1.1349, 0.2, "-1.1 ± 0.2"), (0.0, 0.15, "0.00 ± 0.15"), (1234.0, 56.0, "1230 ± 60"),
+     (99.6, 0.0, "100"), (5.0, None, "5.0"), (0.0, None, "0"), (float("nan"), 1.0, "nan ± 1.0"),
+     (1.0, float("inf"), "1.0"), (1.0, float("nan"), "1.0")],
+)  # fmt: skip
+def test_rounding_to_what_is_known(value, half, said):
+    assert rounded(value, half) == said
+
+
+@given(st.floats(1e-6, 1e6), st.floats(1e-3, 10))
+def test_what_is_shown_is_within_a_third_of_the_uncertainty(value, share):
+    half = value * share
+    shown = rounded(value, half).split(" ± ")
+    assert abs(float(shown[0]) - value) <= half / 3
+    assert float(shown[1]) == pytest.approx(half, rel=0.3)
