@@ -68,31 +68,25 @@ class Parquet:
         ModelError
             Where a file cannot be read.
         """
-        return self.thinned(None)
+        return pd.concat([block for path in self.paths for block in _read(path, None)], ignore_index=True)
 
-    def thinned(self, most: int | None) -> pd.DataFrame:
-        """Return every k-th ride, with k such that there are at most so many of them; all, where no number is given.
+    def thinned(self, most: int, columns: Sequence[str]) -> pd.DataFrame:
+        """Return every k-th ride, with k such that there are at most so many of them, and those columns that are there.
 
         Raises
         ------
         ModelError
             Where a file cannot be read.
         """
-        step = 1 if most is None else max(1, -(-sum(_rows(path) for path in self.paths) // most))
+        files = [pq.read_metadata(path) for path in self.paths]
+        step = max(1, -(-sum(file.num_rows for file in files) // most))
         kept, seen = [], 0
-        for path in self.paths:
-            for block in _read(path, None):
-                kept.append(block.iloc[-seen % step :: step])
+        for path, file in zip(self.paths, files, strict=True):
+            there = set(file.schema.to_arrow_schema().names)
+            for block in _read(path, [name for name in columns if name in there]):
+                kept.append(block.iloc[-seen % step :: step].copy())  # a view would keep the whole block
                 seen += len(block)
         return pd.concat(kept, ignore_index=True)
-
-
-def _rows(path: Path) -> int:
-    """Return the number of rides in a file, none where it is no Parquet file."""
-    try:
-        return int(pq.read_metadata(path).num_rows)
-    except (OSError, pa.ArrowException):
-        return 0
 
 
 def _read(path: Path, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:

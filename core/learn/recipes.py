@@ -17,8 +17,9 @@ import pandas as pd
 from core.errors import ModelError
 from core.features import ACCESSORIES, FEATURES, coefficient_unit
 from core.learn.advanced import ADVANCED
-from core.learn.blocks import Frame, Parquet
+from core.learn.blocks import ENERGY, Frame, Parquet
 from core.learn.fitting import fit_terms
+from core.learn.intervals import NEEDS as INTERVAL_NEEDS
 from core.learn.intervals import least_squares_interval
 from core.models import BASIC_TERMS, LinearModel, Term, physical_term
 
@@ -76,7 +77,10 @@ class LinearRecipe:
         """
         rides = Parquet(tuple(Path(path) for path in paths))
         model = fit_terms(self, rides, covariance=covariance)
-        return least_squares_interval(model, rides.thinned(INTERVAL_RIDES), fitted=self.free) if covariance else model
+        if not covariance:
+            return model
+        some = rides.thinned(INTERVAL_RIDES, [*model.needs, *INTERVAL_NEEDS, ENERGY])
+        return least_squares_interval(model, some, fitted=self.free)
 
 
 def term(*columns: str) -> Term:
