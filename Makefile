@@ -3,7 +3,7 @@ PYTHON ?= python3.11
 BIN := .venv/bin
 INSTALLED := .venv/installed
 
-.PHONY: demo test check bench lock clean
+.PHONY: demo test check bench bench-hidden lock clean
 .DEFAULT_GOAL := test
 
 # setuptools warns that it will drop `compat` one day: nothing that who runs this can do about.
@@ -30,10 +30,13 @@ check: $(INSTALLED)  ## lint, types and the examples in docstrings
 bench: $(INSTALLED)  ## ratios of speed, into bench.json and BENCHMARKS.md
 	$(BIN)/python -m tools.bench
 
+bench-hidden: $(INSTALLED)  ## whether diagnosis finds what a simulation hides, into bench-hidden.json and BENCHMARKS.md
+	$(BIN)/python -m tools.bench.hidden $(OPTIONS)
+
 lock: $(INSTALLED)  ## pin anew what pyproject.toml asks for
 	$(BIN)/pip-compile --quiet --extra dev --allow-unsafe --generate-hashes --strip-extras --no-emit-index-url \
 	  --no-emit-trusted-host --no-emit-find-links --no-header -o requirements.lock pyproject.toml
 
 clean:
-	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis bench.json
+	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis bench.json bench-hidden.json
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -74,6 +74,7 @@ class Clean(NamedTuple):
     speed, acceleration : (n,) float64. Smoothed, over the step. [m/s], [m/s^2]
     latitude, longitude, heading, turn_rate : (n,) float64. Of the last believed fix. [rad], [rad/s]
     elevation : (n,) float64. Smoothed. [m]
+    power : (n,) float64. Drawn from the battery at the sample, by V I, NaN where not measured. [W]
     energy, metered : (n,) float64. Drawn from the battery in the step, by V I, and the time it is known for. [J], [s]
     energy_variance : (n,) float64. Of that energy, as the power between two samples is not known. [J^2]
     elapsed, parked, since_charge : (n,) float64. [s]
@@ -100,6 +101,7 @@ class Clean(NamedTuple):
     heading: Floats
     turn_rate: Floats
     elevation: Floats
+    power: Floats
     energy: Floats
     metered: Floats
     energy_variance: Floats
@@ -214,7 +216,7 @@ def clean_row(s: Any, r: Any, x: Any) -> None:
     r.soc = s.soc if s.soc_age <= max(STALE, s.elapsed) else nan  # what was said before the ride says nothing of it
     r.soc_step, r.odometer, r.stopped = s.soc_step, s.odometer, s.standing
     r.battery_temperature, r.occupants, r.code = s.battery_temperature, s.occupants, s.code
-    r.ambient, r.hvac, r.current = r.raw_ambient, r.raw_hvac, r.raw_current
+    r.ambient, r.hvac, r.current, r.power = r.raw_ambient, r.raw_hvac, r.raw_current, s.power
 
 
 @njit(cache=False)

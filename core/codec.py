@@ -151,19 +151,91 @@ class Forecast(Wire, omit_defaults=False):
     quality: QualityCounts
 
 
-KINDS: Final[dict[str, type[Wire]]] = {
+class Gain(Wire, omit_defaults=False):
+    """By how much a model's error is smaller than the first model's, over whole vehicle-days that both predicted.
+
+    Parameters
+    ----------
+    rides, vehicle_days : int
+        Of vehicle-days that have ended; rides that both models predicted.
+    mean_kwh : float or None
+        Absolute error of the first model, less that of this one, a ride; None where no vehicle-day has ended.
+    lower_kwh, upper_kwh : float or None
+        Between what it lies, with 95 % for all shadows together and however often one looks (`core.confidence`); None
+        where too few vehicle-days have ended to tell.
+    verdict : str
+        `better` or `worse` where those exclude zero.
+    """
+
+    rides: int
+    vehicle_days: int
+    mean_kwh: float | None
+    lower_kwh: float | None
+    upper_kwh: float | None
+    verdict: Literal["better", "worse", "not told"]
+
+
+class RideErrors(Wire, omit_defaults=False):
+    """Running errors of a model, over rides that are fit for training and whose energy was measured.
+
+    Parameters
+    ----------
+    vehicle_model : str or None
+        Whose rides; None for all.
+    rides, unpredicted_rides : int
+        That it predicted, and that it could not.
+    mae_kwh, bias_kwh : float or None
+        Mean absolute error and mean error (predicted less measured) a ride.
+    mae_pct : float or None
+        Sum of absolute errors over the sum of measured energies.
+    gain : Gain or None
+        Against the first model; None of the first itself.
+    """
+
+    vehicle_model: str | None
+    rides: int
+    unpredicted_rides: int
+    mae_kwh: float | None
+    mae_pct: float | None
+    bias_kwh: float | None
+    gain: Gain | None
+
+
+class ModelErrors(Wire, omit_defaults=False):
+    """How a model fares in service, published as rides end: `models/{name}/{version}/errors`.
+
+    Parameters
+    ----------
+    model, first : str
+        Name and version, of the model and of the one that makes the forecasts.
+    time_s : float
+        End of the last ride that counts.
+    overall : RideErrors
+    by_vehicle_model : list of RideErrors
+        In the order in which they were first met.
+    """
+
+    model: str
+    first: str
+    time_s: float
+    overall: RideErrors
+    by_vehicle_model: list[RideErrors]
+
+
+OF_VEHICLES: Final[dict[str, type[Wire]]] = {
     "telemetry": Telemetry,
     "vehicle": Vehicle,
     "ride": Ride,
     "plan": Plan,
     "forecast": Forecast,
-    "weather": Weather,
 }
-"""The last chunk of a vehicle's key, or `weather` -> the struct that travels under it."""
+"""The last chunk of a vehicle's key -> the struct that travels under it."""
+KINDS: Final[dict[str, type[Wire]]] = OF_VEHICLES | {"weather": Weather, "errors": ModelErrors}
+"""All kinds of message -> the struct of each."""
 
 
 class Address(NamedTuple):
-    """A key taken apart: the kind of message, and the vehicle or station that it speaks of."""
+    """A key taken apart: the kind of message, and the vehicle, station or model (with its version) it speaks of."""
 
     kind: str
     identity: str
@@ -176,15 +248,46 @@ def address(key: str) -> Address | None:
     Address(kind='telemetry', identity='taxi-7')
     >>> address("weather/yul")
     Address(kind='weather', identity='yul')
+    >>> address("models/hybrid/2/errors")
+    Address(kind='errors', identity='hybrid/2')
     >>> address("fleet/taxi-7/lunch") is None
     True
     """
     chunks = key.split("/")
     if len(chunks) >= 2 and chunks[-2] == "weather" and IDENTITY.fullmatch(chunks[-1]):
         return Address("weather", chunks[-1])
-    if len(chunks) >= 3 and chunks[-3] == "fleet" and chunks[-1] in KINDS and IDENTITY.fullmatch(chunks[-2]):
+    if len(chunks) >= 3 and chunks[-3] == "fleet" and chunks[-1] in OF_VEHICLES and IDENTITY.fullmatch(chunks[-2]):
         return Address(chunks[-1], chunks[-2])
+    if (
+        len(chunks) >= 4
+        and chunks[-4] == "models"
+        and chunks[-1] == "errors"
+        and all(map(IDENTITY.fullmatch, chunks[-3:-1]))
+    ):
+        return Address("errors", "/".join(chunks[-3:-1]))
     return None
+
+
+def model_identity(model: str) -> str:
+    """Return name and version of a model as chunks of a key, whatever else they hold replaced.
+
+    >>> model_identity("hybrid interactions/2")
+    'hybrid_interactions/2'
+    """
+    name, _, version = model.rpartition("/")
+    return "/".join(re.sub(r"[^A-Za-z0-9_.-]", "_", part)[:64] or "_" for part in (name, version))
+
+
+def identity(value: Wire) -> str:
+    """Return the vehicle, station or model that a message speaks of, as its key names it."""
+    match value:
+        case Weather():
+            return value.station_id
+        case ModelErrors():
+            return model_identity(value.model)
+        case Telemetry() | Vehicle() | Ride() | Plan() | Forecast():
+            return value.vehicle_id
+    raise TypeError(f"{type(value).__name__} does not travel by itself")
 
 
 def schema(kind: str) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from core.batch import NO_RIDE, RIDE_UNKNOWN, Batch, Floats, Lanes
-from core.codec import KINDS, Message, Telemetry, Weather, Wire, address
+from core.codec import KINDS, OF_VEHICLES, Message, Telemetry, Wire, address, identity
 from core.columns import KMH, ZERO_CELSIUS
 
 
@@ -63,8 +63,8 @@ class Decoder:
     """Messages in, columns and events out; what cannot be decoded is counted by cause and never raises.
 
     Causes: `unknown_key`, `not_json`, `wrong_type` (a field of the wrong type or a missing one), `empty_list`,
-    `key_mismatch` (the payload names another vehicle or station than its key), `out_of_range` (a weather station that
-    is nowhere).
+    `key_mismatch` (the payload names another vehicle, station or model than its key), `out_of_range` (a weather station
+    that is nowhere).
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ class Decoder:
                 value = self._decoded(self._others[whose.kind], message.payload, whose.identity)
                 if value is not None:
                     self.received[whose.kind] += 1
-                    lane = -1 if whose.kind == "weather" else self.lanes.lane(whose.identity)
+                    lane = self.lanes.lane(whose.identity) if whose.kind in OF_VEHICLES else -1
                     events.append(Event(rows + len(lanes), lane, value))
         return self._table(_transposed(samples), lanes) if samples else np.empty((len(Batch._fields), 0))
 
@@ -156,8 +156,8 @@ class Decoder:
         decoded = (self._decoded(self._one, part, identity) for part in parts)
         return [sample for sample in decoded if sample is not None]
 
-    def _decoded(self, decoder: msgspec.json.Decoder[Any], payload: Any, identity: str) -> Any:
-        """Decode one object that must speak of `identity`; None, counted, where it cannot be used."""
+    def _decoded(self, decoder: msgspec.json.Decoder[Any], payload: Any, whose: str) -> Any:
+        """Decode one object that must speak of whom its key names; None, counted, where it cannot be used."""
         try:
             value = decoder.decode(payload)
         except msgspec.ValidationError:
@@ -165,7 +165,7 @@ class Decoder:
         except _LOST:
             self.rejected["not_json"] += 1
         else:
-            if (value.station_id if isinstance(value, Weather) else value.vehicle_id) == identity:
+            if identity(value) == whose:
                 return value
             self.rejected["key_mismatch"] += 1
         return None

@@ -1,14 +1,18 @@
 """What a model may read of a ride, with units: every column here has a meaning on a ride in progress too.
 
 Columns of the ride table are named as there. What holds the answer (`energy_*`, `soc_end_pct`, `hvac_kwh`) is no
-feature. Derived columns are made of others when they are asked for, so that no table need hold them.
+feature. Derived columns are made of others when they are asked for, so that no table need hold them. So are scopes,
+which are 1 for one vehicle (`vehicle=taxi-003`) or from a date on (`since=2018-06-01`), and 0 otherwise: with one in
+its product a term holds there and nowhere else.
 """
 
 from collections.abc import Iterator, Mapping
+from datetime import UTC, date, datetime
 from types import MappingProxyType
 from typing import Any, Final, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core import effects
 from core.batch import Floats
@@ -20,6 +24,10 @@ from core.vehicles import AccessoryCurve
 EFFECT_PREFIX: Final = "effect_"
 ACCESSORIES: Final = "accessories_kwh"
 """Energy of climate control and all else on board by a model's own curve; needs a curve, unlike other columns."""
+VEHICLE_SCOPE: Final = "vehicle="
+"""How the name of a column begins that is 1 for one vehicle; its identity follows."""
+SINCE_SCOPE: Final = "since="
+"""How the name of a column begins that is 1 from a date on; the date follows, ISO, from midnight UTC on."""
 ANSWERS: Final = ("energy_", "soc_end_pct", "hvac_kwh")
 """How the names of columns begin that hold what a model is to predict."""
 
@@ -81,6 +89,34 @@ class Table(Protocol):
 ACCESSORY_NEEDS: Final = ("duration_s", "ambient_c", "accessory_scale")
 
 
+def is_scope(column: str) -> bool:
+    """Tell whether a column is 1 where a term holds, and 0 elsewhere."""
+    return column.startswith((VEHICLE_SCOPE, SINCE_SCOPE))
+
+
+def beginning(column: str) -> float:
+    """Return when a scope `since=DATE` begins, as a Unix time. [s]
+
+    Raises
+    ------
+    ModelError
+        Where that is no date.
+
+    Examples
+    --------
+    >>> beginning("since=2018-06-01")
+    1527811200.0
+    """
+    said = column.removeprefix(SINCE_SCOPE)
+    try:
+        day = date.fromisoformat(said)
+    except ValueError as error:
+        raise ModelError(f"scope {column!r}: {said!r} is no date ({error}): write since=YYYY-MM-DD") from error
+    if day.isoformat() != said:
+        raise ModelError(f"scope {column!r}: write the date as since={day.isoformat()}")
+    return datetime(day.year, day.month, day.day, tzinfo=UTC).timestamp()
+
+
 def needed(column: str) -> tuple[str, ...]:
     """Return the columns of the ride table that a column is made of: itself, unless it is derived.
 
@@ -91,6 +127,8 @@ def needed(column: str) -> tuple[str, ...]:
     """
     if column == ACCESSORIES:
         return ACCESSORY_NEEDS
+    if is_scope(column):
+        return ("vehicle_id",) if column.startswith(VEHICLE_SCOPE) else ("start_s",)
     return DERIVED[column].needs if column in DERIVED else (column,)
 
 
@@ -109,6 +147,9 @@ def unit(column: str) -> str:
     if column.startswith(EFFECT_PREFIX):
         declared = effects.get(column.removeprefix(EFFECT_PREFIX)).unit
         return "kWh" if declared == "1" else f"(kWh/({declared}))"
+    if is_scope(column):
+        _check_scope(column)
+        return "1"
     if column in DERIVED:
         return DERIVED[column].unit
     if column in FEATURES:
@@ -116,6 +157,14 @@ def unit(column: str) -> str:
     if column.startswith(ANSWERS):
         raise ModelError(f"column {column!r} holds what is to be predicted: take it out of the model")
     raise ModelError(f"column {column!r} is none that a model can read: name an effect_* or a column of the ride table")
+
+
+def _check_scope(column: str) -> None:
+    """Refuse a scope that names no date, or no vehicle."""
+    if column.startswith(SINCE_SCOPE):
+        beginning(column)
+    elif not column.removeprefix(VEHICLE_SCOPE).strip():
+        raise ModelError(f"scope {column!r} names no vehicle: write vehicle=ID, with an ID of the ride table")
 
 
 def coefficient_unit(columns: tuple[str, ...]) -> str:
@@ -189,9 +238,17 @@ class Columns(Mapping[str, Floats]):
                 raise ModelError(f"{ACCESSORIES} needs an accessory curve, and this fit has none: fit the model anew")
             duration, ambient, scale = (self[needed] for needed in ACCESSORY_NEEDS)
             return duration * self.curve.power(ambient + ZERO_CELSIUS) * scale / 3.6e6
+        if name.startswith(VEHICLE_SCOPE):
+            return (self._raw("vehicle_id", object) == name.removeprefix(VEHICLE_SCOPE)).astype(np.float64)
+        if name.startswith(SINCE_SCOPE):
+            return (self["start_s"] >= beginning(name)).astype(np.float64)
         if name in DERIVED:
             return DERIVED[name].make(*(self[needed] for needed in DERIVED[name].needs))
-        column = np.ascontiguousarray(self.table[name], dtype=np.float64)
+        return self._raw(name, np.float64)
+
+    def _raw(self, name: str, kind: type) -> NDArray[Any]:
+        """Return a column of the table itself."""
+        column: NDArray[Any] = np.ascontiguousarray(self.table[name], dtype=kind)
         return column if self.rows is None else column[self.rows]
 
     def __contains__(self, name: object) -> bool:

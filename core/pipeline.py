@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from hashlib import sha256
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -15,13 +14,15 @@ from core.cars import Cars
 from core.clean import STATE, Cleaner
 from core.codec import Message, Plan, Ride, Vehicle, Weather
 from core.decode import Decoder
-from core.errors import SocastError
-from core.forecast import counted, energies, forecasts
+from core.forecast import forecasts
 from core.models import EXTENDED_PHYSICAL, Model
 from core.quality import CAUSES
 from core.settings import Settings, checked
+from core.shadow import Shadows
 from core.signals import Signals, ambient_quality
-from core.sums import AMOUNTS, EDGES, Ledger, Sums, Totals, amounts
+from core.snapshot import opened, sealed
+from core.status import VehicleStatus, statuses
+from core.sums import Ledger, Sums, Totals, amounts
 from core.tables import ride_table, text, unfit_reason, window_table
 from core.weather import Stations
 
@@ -33,25 +34,6 @@ twice the time.
 """
 DRIVERS: Final = 10_000
 """Rides whose driver is remembered, beside eight a vehicle."""
-SNAPSHOT: Final = 2
-"""Version of the snapshot."""
-FIELDS: Final = [*(STATE.names or ()), *AMOUNTS, *EDGES, *CAUSES]
-"""What a snapshot's arrays are made of."""
-_DIGEST: Final = sha256().digest_size
-
-
-class VehicleStatus(NamedTuple):
-    """The newest of a vehicle, for a screen."""
-
-    vehicle_id: str
-    vehicle_model: str | None
-    ride_id: str | None
-    time_s: float
-    soc_pct: float
-    ride_distance_km: float
-    predicted_kwh: float
-    measured_kwh: float
-    quality: dict[str, int]
 
 
 class Closed(NamedTuple):
@@ -70,11 +52,13 @@ class Pipeline:
         Makes the predictions.
     settings : Settings
     prefix : str
-        Chunks before `fleet` in the keys of forecasts, with a slash at the end.
+        Chunks before `fleet` in the keys of forecasts, and before `models`, with a slash at the end.
+    shadows : sequence of Model
+        Run beside it on the same sums; how each fares is what `model_errors` returns. What fails in them is counted.
     also : sequence of str
         Effects to sum beside those of the model, for tables that other models will be fitted to.
     keep_forecasts : bool
-        Keep what forecasts are made of until they are asked for. Who wants tables only says False.
+        Keep what forecasts are made of, and how models fare, until asked for. Who wants tables only says False.
     keep_tables : bool
         Keep totals of rides and windows until they are taken. A consumer that never takes them says False.
 
@@ -82,6 +66,8 @@ class Pipeline:
     ------
     SettingsError
         For a setting outside its limits.
+    ModelError
+        Where two models have the same name and version.
     """
 
     def __init__(
@@ -90,6 +76,7 @@ class Pipeline:
         settings: Settings = Settings(),  # noqa: B008 - immutable
         prefix: str = "",
         *,
+        shadows: Sequence[Model] = (),
         also: Sequence[str] = (),
         keep_forecasts: bool = True,
         keep_tables: bool = True,
@@ -104,7 +91,11 @@ class Pipeline:
         self.cleaner = Cleaner(self.settings)
         self.stations = Stations()
         self.cars = Cars()
-        self.effects = [effects.get(name) for name in dict.fromkeys((*model.effects, *also))]
+        self.shadows = Shadows([model, *shadows], prefix, keep=keep_forecasts)
+        served = dict.fromkeys((*model.effects, *also))
+        beside = dict.fromkeys(name for shadow in shadows for name in shadow.effects)
+        self.effects = [effects.get(name) for name in served | beside]
+        self._served = len(served)
         self.ledger = Ledger(len(self.effects))
         self.plans: dict[int, Plan] = {}
         self._drivers: dict[str, str] = {}
@@ -160,9 +151,21 @@ class Pipeline:
         names = self._ride_names(due)
         return forecasts(due, self.lanes.names, names, self.cars, self.model, self._effect_names, self.prefix)
 
+    def model_errors(self, *, newest_only: bool = False) -> list[Message]:
+        """Return how each model fares, where there are shadows: after each ride that ended since the last call.
+
+        Parameters
+        ----------
+        newest_only : bool
+            After the last of them only.
+        """
+        return self.shadows.messages(newest_only=newest_only)
+
     def finish(self) -> list[Message]:
-        """Close every ride and window in progress, at the end of the stream."""
+        """Close every ride and window in progress, at the end of the stream; `model_errors` has how models fared."""
         self._keep(self.ledger.close())
+        if self.shadows:
+            self.shadows.close()
         return []
 
     def take_rides(self) -> pd.DataFrame:
@@ -184,9 +187,10 @@ class Pipeline:
         """Return the counters since the start.
 
         Keys: `received` by kind, `undecodable` by cause, `samples` by quality bit, `rides` ended, `unfit` rides by
-        reason, `unpredicted` rides by reason, `vehicles`, `unpredictable` vehicle messages by reason.
+        reason, `unpredicted` rides by reason, `vehicles`, `unpredictable` vehicle messages by reason; and of shadows
+        `unpredicted_by_shadow` rides that count, `shadow_faults` by what failed.
         """
-        return {
+        counts = {
             "vehicles": len(self.lanes),
             "received": dict(self.decoder.received),
             "undecodable": dict(self.decoder.rejected),
@@ -196,28 +200,14 @@ class Pipeline:
             "unpredicted": dict(self._unpredicted),
             "unpredictable": dict(self.cars.unpredictable),
         }
+        return counts | self.shadows.quality() if self.shadows else counts
 
     def status(self) -> list[VehicleStatus]:
         """Return the newest of every vehicle that has sent a sample."""
         lanes = np.flatnonzero(self.cleaner.state["samples"][: len(self.lanes)] > 0.0)
         totals = self.ledger.running(lanes)
-        predicted, measured = energies(totals, self.lanes.names, self.cars, self.model, self._effect_names)
-        counts = counted(totals)
-        names = self._ride_names(totals)
-        return [
-            VehicleStatus(
-                self.lanes.names[lane],
-                self.cars.name(int(self.cars.of_lane[lane])),
-                names[i],
-                float(totals.at_last("time")[i]),
-                float(totals.at_last("soc")[i] * 100.0),
-                float(totals.amount("distance")[i] * 1e-3),
-                float(predicted[i]),
-                float(measured[i]),
-                {cause: values[i] for cause, values in counts.items()},
-            )
-            for i, lane in enumerate(lanes.tolist())
-        ]
+        predicted = self.shadows.predictions(totals, self.lanes.names, self.cars, self._effect_names)
+        return statuses(totals, self.lanes.names, self._ride_names(totals), self.cars, predicted)
 
     def snapshot(self) -> bytes:
         """Return the state of every vehicle, from which `restore` goes on as if nothing had happened.
@@ -225,9 +215,7 @@ class Pipeline:
         Rides and windows that have ended but were not taken are not part of it: take them first.
         """
         state = {
-            "version": SNAPSHOT,
             "model": f"{self.model.name}/{self.model.version}",
-            "fields": FIELDS,
             "effects": self._effect_names,
             "lanes": self.lanes.names,
             "cleaner": self.cleaner.state.tobytes(),
@@ -246,26 +234,21 @@ class Pipeline:
                 self.decoder.received,
                 self.decoder.rejected,
             ],
+            "shadows": self.shadows.dump() if self.shadows else None,
         }
-        content = msgspec.msgpack.encode(state)
-        return sha256(content).digest() + content
+        return sealed(state)
 
     def restore(self, snapshot: bytes) -> None:
         """Take up a state that `snapshot` returned.
 
+        Running errors go on of the models that are still there, if the first is the same; else they begin anew.
+
         Raises
         ------
         SocastError
-            Where it is no snapshot, or one of another version, model or list of effects.
+            Where it is no snapshot, or one of another version or list of effects.
         """
-        digest, content = snapshot[:_DIGEST], snapshot[_DIGEST:]
-        if sha256(content).digest() != digest:
-            raise SocastError("not a snapshot of this product, or a damaged one: start without it")
-        state = msgspec.msgpack.decode(content, strict=False)
-        if (state["version"], state["fields"], state["effects"]) != (SNAPSHOT, FIELDS, self._effect_names):
-            raise SocastError(
-                f"snapshot of model {state['model']}: made by another version or with other effects; start without it"
-            )
+        state = opened(snapshot, self._effect_names)
         self.lanes = Lanes(state["lanes"])
         self.decoder = Decoder(self.lanes)
         self.decoder.rides.update({name: code for code, name in state["rides"]})
@@ -282,6 +265,8 @@ class Pipeline:
         self._quality = np.array(quality, np.int64)
         self._unfit, self._unpredicted = Counter(unfit), Counter(unpredicted)
         self.decoder.received, self.decoder.rejected = Counter(received), Counter(rejected)
+        if self.shadows and state["shadows"] is not None:
+            self.shadows.load(state["shadows"])
 
     @property
     def _effect_names(self) -> list[str]:
@@ -305,7 +290,8 @@ class Pipeline:
         mass, rolling_resistance, drag_area, _, scale = self.cars.parameters.take(kind, axis=0).T
         signals = Signals(clean, sky, mass, scale, rolling_resistance, drag_area)
         with np.errstate(all="ignore"):  # a user's effect may divide by a speed that it then masks
-            powers = [(effect.per, effect.power(signals)) for effect in self.effects]
+            powers = [(effect.per, effect.power(signals)) for effect in self.effects[: self._served]]
+            powers += [(effect.per, self.shadows.power(effect, signals)) for effect in self.effects[self._served :]]
         for place in range(len(CAUSES)):
             self._quality[place] += np.count_nonzero(clean.quality & (1 << place))
         return self.ledger.add(clean, kind, amounts(signals, powers), lanes)
@@ -330,6 +316,9 @@ class Pipeline:
         self._unpredicted.update(why for why in map(self.cars.unpredicted, kinds) if why is not None)
         self._unfit.update(reason for reason in reasons.tolist() if reason is not None)
         names = self._ride_names(rides)
+        if self.shadows:
+            fit = np.array([reason is None for reason in reasons])
+            self.shadows.add(rides, fit, self.lanes.names, self.cars, self._effect_names)
         if self.keep_tables:
             self._rides.append(Closed(_owned(rides), names))
             self._windows.append(_owned(sums.windows))

@@ -159,6 +159,24 @@ def inertia_negative(mass: Floats, acceleration: Floats, speed: Floats) -> Float
 
 
 @effect(
+    coefficient="share of braking energy lost",
+    unit="1",
+    low=0.0,
+    high=1.0,
+    source="Larminie and Lowry, Electric Vehicle Technology Explained, 2nd ed., Wiley 2012, ch. 8, regenerative "
+    "braking; range: 0 perfect regeneration, 1 friction brakes only",
+    confused_with=("climbing_down", "inertia_negative"),
+)
+def braking(traction: Floats, speed: Floats) -> Floats:
+    """Braking at the wheels that does not come back: P = max(-F, 0) v, with F as the car's own road load has it.
+
+    Powertrains lose both ways: what the other base effects take for one efficiency is divided by it when driving and
+    multiplied by it when braking.
+    """
+    return np.maximum(-traction, 0.0) * speed
+
+
+@effect(
     coefficient="accessory power over the reference curve",
     unit="1",
     low=0.2,
@@ -220,6 +238,7 @@ ROAD_LOAD: Final[tuple[Effect, ...]] = (
     inertia,
     inertia_positive,
     inertia_negative,
+    braking,
     accessories,
     auxiliary,
 )

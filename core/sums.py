@@ -56,6 +56,7 @@ EDGES: Final = (
     "since_charge",
     "soc_step",
     "occupants",
+    "power",  # by V I, at the sample [W]
     "code",
     "lost",
     "kind",

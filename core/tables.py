@@ -156,11 +156,13 @@ def is_winter(time: Floats) -> NDArray[np.int64]:
     >>> is_winter(np.array([1705276800.0, 1719792000.0])).tolist()
     [1, 0]
     """
-    days = pd.to_datetime(pd.Series(time), unit="s")
-    day = days.dt.month * 100 + days.dt.day
+    known = np.isfinite(time)
+    date = np.floor(np.where(known, time, 0.0) / 86400.0).astype("datetime64[D]")
+    month = date.astype("datetime64[M]")
+    day = (month.astype(np.int64) % 12 + 1) * 100 + (date - month).astype(np.int64) + 1
     (first_month, first_day), (last_month, last_day) = WINTER
     winter = (day >= first_month * 100 + first_day) | (day <= last_month * 100 + last_day)
-    return winter.to_numpy().astype(np.int64)
+    return (winter & known).astype(np.int64)
 
 
 def _mean(totals: Totals, name: str, time: str = "duration") -> Floats:
@@ -224,7 +226,8 @@ def window_table(totals: Totals, names: Sequence[str], cars: Cars, effects: Sequ
         "vehicle_id": _named(totals.lane, names.__getitem__),
         "vehicle_model": _named(kinds, cars.name),
     }
-    return pd.DataFrame(own | _physical(totals, cars) | model_columns(totals, cars, effects))
+    edges = {"power_start_w": totals.at_first("power"), "power_end_w": totals.at_last("power")}
+    return pd.DataFrame(own | edges | _physical(totals, cars) | model_columns(totals, cars, effects))
 
 
 def ride_table(

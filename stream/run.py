@@ -34,6 +34,9 @@ class Forecaster(Protocol):
     def forecasts(self, *, newest_only: bool = False) -> list[Message]:
         """Return the forecasts that have become due since the last call, or of each vehicle the newest."""
 
+    def model_errors(self, *, newest_only: bool = False) -> list[Message]:
+        """Return how several models fare, of each after each ride since the last call, or the newest."""
+
     def finish(self) -> list[Message]:
         """Close open rides, return the last forecasts."""
 
@@ -47,8 +50,8 @@ class Tally:
 
     Parameters
     ----------
-    received, forecasts : int
-        Messages in and out.
+    received, forecasts, model_errors : int
+        Messages in and out, the last of how models fare.
     missed : int
         Messages that were sent and could not be had, as far as the transport can tell.
     seconds : float
@@ -57,6 +60,7 @@ class Tally:
 
     received: int = 0
     forecasts: int = 0
+    model_errors: int = 0
     missed: int = 0
     seconds: float = 0.0
 
@@ -72,7 +76,7 @@ def run(
     report_s: float = REPORT_S,
     clock: Callable[[], float] = time.monotonic,
 ) -> Tally:
-    """Push every message through the pipeline, and hand on the forecasts, until the source ends.
+    """Push every message through the pipeline, and hand on what it has to say, until the source ends.
 
     Whatever happens, the recorder and the sinks are closed, the recorder first. A recording is written before the
     messages are looked into, so that what breaks the pipeline is on disk.
@@ -83,7 +87,7 @@ def run(
         Ends by itself, or when what it was made with tells it to stop. Where it has a count `missed`, it is reported.
     pipeline : Forecaster
     sinks : sequence of Sink
-        Take the forecasts; closed at the end.
+        Take the forecasts, and how models fare; closed at the end.
     recorder : Recorder, optional
         Takes what was received.
     publish_s : float
@@ -100,7 +104,7 @@ def run(
     -------
     Tally
     """
-    tally, began = Tally(), clock()
+    tally, began, which = Tally(), clock(), {"newest_only": publish_s > 0.0}
     due = began + report_s
     published = -inf
     with ExitStack() as closing:
@@ -117,14 +121,14 @@ def run(
                 pipeline.take(messages)
             if clock() - published >= publish_s:
                 published = clock()
-                _hand_on(pipeline.forecasts(newest_only=publish_s > 0.0), sinks, tally)
+                _hand_on(pipeline.forecasts(**which), pipeline.model_errors(**which), sinks, tally)
             tally.seconds = clock() - began
             watch(tally)
             if clock() >= due:
                 due = clock() + report_s
                 _report("running", tally, source, pipeline, recorder)
-        _hand_on(pipeline.forecasts(newest_only=publish_s > 0.0), sinks, tally)
-        _hand_on(pipeline.finish(), sinks, tally)
+        _hand_on(pipeline.forecasts(**which), pipeline.model_errors(**which), sinks, tally)
+        _hand_on(pipeline.finish(), pipeline.model_errors(**which), sinks, tally)
         tally.seconds = clock() - began
     _report("finished", tally, source, pipeline, recorder)
     return tally
@@ -162,18 +166,21 @@ def stopping() -> Iterator[Event]:
             signal.signal(number, handler)
 
 
-def _hand_on(forecasts: list[Message], sinks: Sequence[Sink], tally: Tally) -> None:
-    """Give forecasts to every sink."""
-    if forecasts:
-        tally.forecasts += len(forecasts)
+def _hand_on(forecasts: list[Message], errors: list[Message], sinks: Sequence[Sink], tally: Tally) -> None:
+    """Give forecasts, and how models fare, to every sink."""
+    tally.forecasts += len(forecasts)
+    tally.model_errors += len(errors)
+    if messages := forecasts + errors:
         for sink in sinks:
-            sink.put(forecasts)
+            sink.put(messages)
 
 
 def _report(event: str, tally: Tally, source: Source, pipeline: Forecaster, recorder: Recorder | None) -> None:
     """Log every counter there is."""
     tally.missed = getattr(source, "missed", 0)
     counts: dict[str, Any] = {"messages": tally.received, "forecasts": tally.forecasts, "missed": tally.missed}
+    if tally.model_errors:
+        counts["model_errors"] = tally.model_errors
     if recorder is not None:
         counts |= {"recorded": recorder.recorded, "unrecorded": recorder.unrecorded}
     rate = tally.received / tally.seconds if tally.seconds > 0 else 0.0

@@ -9,18 +9,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.codec import (
-    KINDS,
+    OF_VEHICLES,
     Forecast,
+    Gain,
     Interval,
     Leg,
+    ModelErrors,
     Plan,
     QualityCounts,
     Ride,
+    RideErrors,
     Telemetry,
     Vehicle,
     Weather,
     address,
     encode,
+    identity,
+    model_identity,
     schema,
 )
 
@@ -46,6 +51,8 @@ TELEMETRY = struct(
     charging=st.none() | st.booleans(),
 )
 INTERVAL = st.none() | st.builds(Interval, number, number, number)
+GAIN = struct(Gain, rides=count, vehicle_days=count, verdict=st.sampled_from(["better", "worse", "not told"]))
+ERRORS = struct(RideErrors, vehicle_model=st.none() | name, rides=count, unpredicted_rides=count, gain=st.none() | GAIN)
 LEG = struct(Leg, distance_km=number, duration_s=number)
 STRUCTS = st.one_of(
     TELEMETRY,
@@ -73,6 +80,14 @@ STRUCTS = st.one_of(
         range_km=INTERVAL,
         soc_end_of_shift_pct=INTERVAL,
         quality=st.builds(QualityCounts, *[count] * 5),
+    ),
+    struct(
+        ModelErrors,
+        model=name,
+        first=name,
+        time_s=number,
+        overall=ERRORS,
+        by_vehicle_model=st.lists(ERRORS, max_size=3),
     ),
 )
 
@@ -112,7 +127,20 @@ def test_schemas_name_units_that_viewers_plot():
     assert "soc_pct" not in schema("telemetry")["required"]
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "weather"])
+@given(STRUCTS)
+def test_everything_that_travels_speaks_of_somebody(value):
+    assert all(0 < len(chunk) <= 64 for chunk in identity(value).split("/"))
+
+
+@given(st.text(max_size=80), st.text(max_size=80))
+def test_a_model_of_any_name_has_a_key(label, version):
+    key = f"a/b/models/{model_identity(f'{label}/{version}')}/errors"
+    assert address(key) == ("errors", model_identity(f"{label}/{version}"))
+    for other in (key.removesuffix("/errors"), key.replace("/errors", "/lunch"), f"fleet/{key}/x", "models/a/errors"):
+        assert address(other) is None
+
+
+@pytest.mark.parametrize("kind", OF_VEHICLES)
 def test_keys_are_taken_apart(kind):
     assert address(f"fleet/x.y-Z_9/{kind}") == (kind, "x.y-Z_9")
     assert address(f"a/b/fleet/x/{kind}") == (kind, "x")

@@ -9,7 +9,7 @@ from planted_rides import PLANTED, rides
 from core.columns import ZERO_CELSIUS
 from core.derived import DERIVED
 from core.errors import EffectError, ModelError
-from core.features import FEATURES, Columns, coefficient_unit, needed, unit
+from core.features import FEATURES, Columns, beginning, coefficient_unit, needed, unit
 from core.learn.recipes import RECIPES
 from core.pipeline import Pipeline
 from core.tables import model_columns
@@ -80,3 +80,43 @@ def test_fills_stand_for_what_is_unknown_and_for_nothing_else():
     assert seen["wind_from_east"].tolist() == [0.25, 1.0]
     assert np.isnan(seen["lost_m"]).tolist() == [True, False]
     assert np.isnan(table["ambient_c"]).tolist() == [True, False]
+
+
+MIDNIGHT = 1_527_811_200.0
+"""1 June 2018, UTC."""
+
+
+def test_a_scope_is_one_where_a_term_holds_and_zero_elsewhere():
+    table = pd.DataFrame(
+        {"vehicle_id": ["a", "b", None, "a"], "start_s": [MIDNIGHT - 1e-3, MIDNIGHT, MIDNIGHT + 1.0, np.nan]}
+    )
+    assert Columns(table)["vehicle=a"].tolist() == [1.0, 0.0, 0.0, 1.0]
+    assert Columns(table)["since=2018-06-01"].tolist() == [0.0, 1.0, 1.0, 0.0]
+    assert Columns(table, rows=np.array([1, 3]))["vehicle=a"].tolist() == [0.0, 1.0]
+    assert beginning("since=2018-06-01") == MIDNIGHT
+    assert (needed("vehicle=a"), needed("since=2018-06-01")) == (("vehicle_id",), ("start_s",))
+    assert coefficient_unit(("effect_cold_rolling", "vehicle=a", "since=2018-06-01")) == "1/K"
+
+
+@pytest.mark.parametrize(
+    ("scope", "said"),
+    [
+        ("since=2018-13-01", "month must be in 1..12"),
+        ("since=", "write since=YYYY-MM-DD"),
+        ("since=yesterday", "write since=YYYY-MM-DD"),
+        ("since=20180601", "write the date as since=2018-06-01"),
+        ("vehicle=", "names no vehicle: write vehicle=ID"),
+        ("vehicle= ", "names no vehicle: write vehicle=ID"),
+    ],
+)
+def test_a_damaged_scope_is_told(scope, said):
+    with pytest.raises(ModelError, match=said):
+        unit(scope)
+
+
+def test_a_vehicle_may_be_called_anything():
+    table = pd.DataFrame({"vehicle_id": ["vehicle=a=b", "since=2018-06-01", "é 1"]})
+    for i, name in enumerate(table["vehicle_id"]):
+        assert unit(f"vehicle={name}") == "1"
+        assert Columns(table)[f"vehicle={name}"].argmax() == i
+        assert Columns(table)[f"vehicle={name}"].sum() == 1.0

@@ -15,6 +15,7 @@ import pytest
 from recorded_shift import shift
 
 from core.codec import Message
+from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
 from core.pipeline import Pipeline
 from stream.log_lines import Lines, flat, write_lines
 from stream.mcap_io import McapSink, McapSource
@@ -24,30 +25,81 @@ from stream.run import run, stopping
 from stream.source import until
 from stream.zenoh_io import Connection, Node, ZenohSource
 
+Told = tuple[list[Message], list[Message], str]
 
-def through(source) -> tuple[list[Message], str]:
-    pipeline, sink = Pipeline(), MemorySink()
-    run(source, pipeline, [sink])
+
+def pipeline_of(models) -> Pipeline:
+    first, *shadows = models
+    return Pipeline(first, shadows=shadows)
+
+
+def told(sink: MemorySink, pipeline: Pipeline) -> Told:
+    """Return the forecasts, how models fared, and the rides."""
+    forecasts = [message for message in sink.messages if message.key.endswith("/forecast")]
+    errors = [message for message in sink.messages if message.key.startswith("models/")]
+    assert len(forecasts) + len(errors) == len(sink.messages)
+    return forecasts, errors, pipeline.take_rides().to_json()
+
+
+def through(source, models) -> Told:
+    pipeline, sink = pipeline_of(models), MemorySink()
+    tally = run(source, pipeline, [sink])
     assert sink.closed
-    return sink.messages, pipeline.take_rides().to_json()
+    found = told(sink, pipeline)
+    assert (tally.forecasts, tally.model_errors) == (len(found[0]), len(found[1]))
+    return found
+
+
+@pytest.fixture(scope="module", params=[1, 2], ids=["one model", "and a shadow"])
+def models(request):
+    return (EXTENDED_PHYSICAL, BASIC_PHYSICAL)[: request.param]
 
 
 @pytest.fixture(scope="module")
-def reference() -> tuple[list[Message], str]:
-    forecasts, rides = through(MemorySource(shift()))
-    assert len(forecasts) > 50
-    return forecasts, rides
+def reference(models) -> Told:
+    found = through(MemorySource(shift()), models)
+    assert len(found[0]) > 50
+    assert len(found[1]) == (2 * (9 + 1) if len(models) > 1 else 0)  # after each ride, and after the last day
+    return found
 
 
 @pytest.mark.parametrize("chunk", [1, 7, 100_000])
-def test_memory_in_any_chunks_is_the_same(reference, chunk):
-    assert through(MemorySource(shift(), chunk)) == reference
+def test_memory_in_any_chunks_is_the_same(reference, models, chunk):
+    assert through(MemorySource(shift(), chunk), models) == reference
 
 
-def test_replay_is_the_same(reference, tmp_path: Path):
+def test_replay_is_the_same(reference, models, tmp_path: Path):
     with McapSink(tmp_path / "shift.mcap", 10_000) as sink:
         sink.put(shift())
-    assert through(McapSource(tmp_path / "shift.mcap")) == reference
+    assert through(McapSource(tmp_path / "shift.mcap"), models) == reference
+
+
+def test_how_models_fare_is_recorded_with_its_schema(tmp_path: Path):
+    run(MemorySource(shift()), pipeline_of([EXTENDED_PHYSICAL, BASIC_PHYSICAL]), [McapSink(tmp_path / "out.mcap")])
+    source = McapSource(tmp_path / "out.mcap")
+    kept = [message for block in source for message in block if message.key.startswith("models/")]
+    assert {message.key for message in kept} == {
+        "models/extended_physical/1/errors",
+        "models/basic_physical/1/errors",
+    }
+    assert source.schemas["models/basic_physical/1/errors"] == "ModelErrors"
+    last = json.loads(kept[-1].payload)
+    assert last["overall"]["rides"] == last["overall"]["gain"]["rides"] == 9
+    assert kept[-1].receipt_ns == int(last["time_s"] * 1e9)
+
+
+def test_in_service_the_newest_of_each_model_is_handed_on_once_in_a_while():
+    sink, now = MemorySink(), [0.0]
+
+    def watch(_):
+        now[0] += 0.5
+
+    pipeline = pipeline_of([EXTENDED_PHYSICAL, BASIC_PHYSICAL])
+    run(MemorySource(shift(), 1), pipeline, [sink], publish_s=200.0, watch=watch, clock=lambda: now[0])
+    rides = [
+        json.loads(message.payload)["overall"]["rides"] for message in sink.messages if "models/basic" in message.key
+    ]
+    assert rides == [3, 6, 9]
 
 
 PUBLISH = """
@@ -65,11 +117,11 @@ with Node(Connection(connect=(sys.argv[1],))) as node:
 """
 
 
-def test_live_over_zenoh_is_the_same_and_so_is_its_recording(reference, tmp_path: Path):
+def test_live_over_zenoh_is_the_same_and_so_is_its_recording(reference, models, tmp_path: Path):
     sent, stop = shift(), Event()
     with McapSink(tmp_path / "shift.mcap") as sink:
         sink.put(sent)
-    recorder, pipeline, forecasts = Recorder(tmp_path / "live"), Pipeline(), MemorySink()
+    recorder, pipeline, heard = Recorder(tmp_path / "live"), pipeline_of(models), MemorySink()
     deadline = time.monotonic() + 30
     with Node(Connection(listen=("tcp/127.0.0.1:0",))) as node:
         source = ZenohSource(node, stop)
@@ -79,14 +131,14 @@ def test_live_over_zenoh_is_the_same_and_so_is_its_recording(reference, tmp_path
                 if tally.received >= len(sent) or time.monotonic() > deadline:
                     stop.set()
 
-            tally = run(source, pipeline, [forecasts], recorder=recorder, watch=watch)
+            tally = run(source, pipeline, [heard], recorder=recorder, watch=watch)
             assert publisher.wait(10) == 0
     assert (tally.received, tally.missed) == (len(sent), 0)
-    assert (forecasts.messages, pipeline.take_rides().to_json()) == reference
+    assert told(heard, pipeline) == reference
     (file,) = recorder.files
     again = [m for block in McapSource(file) for m in block]
     assert [(m.key, m.payload) for m in again] == [(m.key, m.payload) for m in sent]
-    assert through(McapSource(file)) == reference
+    assert through(McapSource(file), models) == reference
 
 
 class Breaks:
@@ -105,6 +157,9 @@ class Breaks:
     def forecasts(self, *, newest_only=False):
         due, self.due = self.due, []
         return due[-1:] if newest_only else due
+
+    def model_errors(self, **_):
+        return []
 
     def finish(self):
         return [Message("fleet/a/forecast", b"the last", 0)]

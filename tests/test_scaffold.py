@@ -3,9 +3,10 @@
 import pytest
 
 from core import effects
+from core.diagnose.effect_file import render
 from core.effects import Parameter
 from core.errors import EffectError
-from tools.scaffold import blank, render
+from tools.scaffold import blank
 
 
 def suggestion(**changes):

@@ -198,6 +198,7 @@ class TestSettings:
     def test_switches(self):
         assert parse_phenomena("plain") == PLAIN
         assert parse_phenomena("all") == ALL
+        assert parse_phenomena("plain,-climate") == PLAIN._replace(climate=False)
         assert parse_faults("none") == NO_FAULTS
         assert parse_faults("default") == Faults()
         assert parse_start("2018-01-15T07:00-05:00") == datetime(2018, 1, 15, 12, tzinfo=UTC)

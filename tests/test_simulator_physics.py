@@ -63,6 +63,11 @@ class TestPhysics:
         assert used == {"rolling", "climbing", "drag", "inertia", "powertrain_losses", "electronics", "cabin_heating"}
         assert state.loss.sum() == 0
 
+    def test_without_climate_nothing_is_heated_or_cooled(self):
+        for start in (WINTER, SUMMER):
+            _, _, _, state = driven(start, phenomena=PLAIN._replace(climate=False))
+            assert not state.hvac.any()
+
     def test_inertia_and_climbing_give_back_what_they_took(self):
         shift, trace, car, state = driven(hours=3)
         energy = dict(zip(PARTS, state.parts.sum(axis=0) * STEP, strict=True))

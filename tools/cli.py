@@ -40,6 +40,12 @@ COMMANDS: Final = {
     "tables": Command("tools.tables", "tables", "Turn recordings into ride and window tables."),
     "fit": Command("tools.fit", "fit", "Fit a model to ride tables, by one of the paper's recipes or past them."),
     "evaluate": Command("tools.evaluate", "evaluate_tables", "Judge models as the paper does, and past it."),
+    "compare": Command(
+        "tools.compare", "compare_models", "Show models against what rides measured, and where they part."
+    ),
+    "diagnose": Command("tools.diagnose", "diagnose_rides", "Find where a model fails, and which effect it lacks."),
+    "add": Command("tools.add", "add_effect", "Add an effect to a model, if it helps on held-out rides."),
+    "history": Command("tools.history", "show_history", "Tell a model's history: its error falling step by step."),
     "simulate": Command("tools.simulate", "simulate", "Simulate a fleet of electric taxis, with faulty loggers."),
     "import": Command("tools.import_drives", "app", "Turn public data sets of real drives into recordings."),
     "effects": Command("tools.effects", "app", "List the physical effects that models are made of; check your own."),

@@ -81,7 +81,7 @@ def demo(
             failure = (publisher.communicate()[1] or "").strip() if publisher.wait() not in {0, -15} else ""
     if failure:
         raise SocastError(f"the publisher failed: {failure.splitlines()[-1]}")
-    rides = with_predictions(pipeline.take_rides(), pipeline.model)
+    rides = with_predictions(pipeline.take_rides(), pipeline.shadows)
     show_rides(console, rides, pipeline.quality())
     console.print(f"{source.missed:,} of the messages sent were missed on the way", highlight=False)
     write_json(json_file, ride_records(rides))

@@ -13,6 +13,7 @@ from scipy.special import stdtrit
 
 from core import models
 from core.columns import ZERO_CELSIUS
+from core.diagnose.windows import fitted
 from core.errors import SettingsError
 from core.features import ACCESSORIES, EFFECT_PREFIX
 from core.learn.advanced import adapt
@@ -20,7 +21,7 @@ from core.learn.blocks import Parquet
 from core.learn.recipes import RECIPES, LinearRecipe, Recipe, recipe
 from core.models import ANY, Curve, Fit, LinearModel, Term
 from tools.output import JsonFile, printer, writable, write_json
-from tools.tables import RIDES
+from tools.tables import RIDES, WINDOWS
 
 Tables = Annotated[
     list[Path],
@@ -79,6 +80,9 @@ def ride_files(tables: Sequence[Path]) -> list[Path]:
 def _fitted(chosen: Recipe, files: Sequence[Path]) -> LinearModel:
     """Return the model, in little memory where the recipe can."""
     if isinstance(chosen, LinearRecipe):
+        beside = [file.with_name(WINDOWS) for file in files]
+        if chosen.by_windows and all(file.is_file() for file in beside):
+            return fitted(chosen.name, Parquet(tuple(files)).table(), Parquet(tuple(beside)).table())
         return chosen.fit_parquet(*files)
     return chosen.fit(Parquet(tuple(files)).table())
 

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from core.codec import address
+from core.codec import OF_VEHICLES, address
 from stream.mcap_io import McapSource
 from tools.output import JsonFile, Recordings, printer, reading, warn_of_losses, writable, write_json
 
@@ -58,12 +58,12 @@ def described(source: McapSource, step: Any = lambda: None) -> dict[str, Any]:
         step()
     addresses = {topic: address(topic) for topic in counts}
     kinds: Counter[str] = Counter()
-    named: dict[bool, set[str]] = {True: set(), False: set()}
+    named: dict[str, set[str]] = {"vehicle": set(), "weather": set(), "errors": set()}
     for topic, count in counts.items():
         where = addresses[topic]
         kinds[where.kind if where else "other"] += count
         if where:
-            named[where.kind == "weather"].add(where.identity)
+            named["vehicle" if where.kind in OF_VEHICLES else where.kind].add(where.identity)
     return {
         "path": str(source.path),
         "bytes": source.path.stat().st_size,
@@ -72,8 +72,8 @@ def described(source: McapSource, step: Any = lambda: None) -> dict[str, Any]:
         "begin": _moment(first),
         "end": _moment(last),
         "duration_s": (last - first) * 1e-9 if first is not None and last is not None else 0.0,
-        "vehicles": sorted(named[False]),
-        "stations": sorted(named[True]),
+        "vehicles": sorted(named["vehicle"]),
+        "stations": sorted(named["weather"]),
         "kinds": dict(kinds),
         "topics": {
             topic: {"messages": counts[topic], "schema": source.schemas.get(topic, "")} for topic in sorted(counts)

@@ -10,12 +10,12 @@ from typing import Annotated
 
 import typer
 
-from core import effects, models
+from core import effects
 from core.codec import Message, Telemetry, encode
 from core.errors import SettingsError, SocastError
 from core.models import Model
 from core.pipeline import Pipeline
-from stream.log_lines import fields, write_lines
+from stream.log_lines import fields, flat, write_lines
 from stream.outbox import Outbox
 from stream.record import FILE_BYTES, FILE_S, FLUSH_S, Recorder
 from stream.run import PUBLISH_S, REPORT_S, Tally, run, stopping
@@ -31,8 +31,9 @@ from tools.cleaning import (
     SpeedLimit,
     cleaning,
 )
-from tools.output import EffectFiles, ModelName
+from tools.output import EffectFiles
 from tools.screen import Screen, ride_records, with_predictions
+from tools.standings import ModelNames, line, loaded
 
 TAKE_S = 1.0
 """Time between two looks for rides that have ended. [s]"""
@@ -61,7 +62,7 @@ def live(
     ] = None,
     prefix: Annotated[str, typer.Option(metavar="P", help="Key chunks before `fleet`, such as montreal.")] = "",
     recovery: Annotated[bool, typer.Option(help="Ask advanced publishers for what was missed.")] = True,
-    model: ModelName = "extended_physical",
+    model: ModelNames = None,
     effects_file: EffectFiles = None,
     speed_limit_kmh: SpeedLimit = SPEED_LIMIT_KMH,
     period_s: Period = PERIOD_S,
@@ -85,23 +86,24 @@ def live(
     """Listen to cars and publish a forecast for each as it changes.
 
     Without --connect a router is opened inside, on loopback. SIGINT or SIGTERM ends it: what has arrived is still
-    forecast and recorded. On a terminal a table shows every car; the log goes to standard error.
+    forecast and recorded. On a terminal a table shows every car; the log goes to standard error. Of several models the
+    first makes the forecasts, and how each fares is published as rides end.
     """
     write_lines(as_json=json_log)
     for path in effects_file or ():
         effects.load_file(path)
     settings = cleaning(speed_limit_kmh, period_s, smoothing, least_distance_km)
-    chosen = models.load(model)
-    warm_up(chosen)
+    chosen, *shadows = loaded(model)
+    warm_up(chosen, *shadows)
     recorder = Recorder(record, round(record_mb * 2**20), record_minutes * 60, flush) if record else None
     connection = Connection(tuple(connect or ()), tuple(listen or ()), _mode(mode), prefix, config, recovery)
     with stopping() as stop, Node(connection) as node:
-        pipeline = Pipeline(chosen, settings, node.prefix)
+        pipeline = Pipeline(chosen, settings, node.prefix, shadows=shadows)
         keeper = Keeper(pipeline, state)
         source = ZenohSource(node, stop)
-        _log.info(
-            "listening", extra=fields(endpoints=",".join(node.endpoints or connection.connect), model=chosen.name)
-        )
+        endpoints = ",".join(node.endpoints or connection.connect)
+        beside = {"shadows": ",".join(shadow.name for shadow in shadows)} if shadows else {}
+        _log.info("listening", extra=fields(endpoints=endpoints, model=chosen.name, **beside))
         with Screen(pipeline, "Live", silent=not sys.stdout.isatty()) as screen:
             watch = both(keeper, screen)
             run(
@@ -116,15 +118,15 @@ def live(
         keeper.end()
 
 
-def warm_up(model: Model) -> None:
+def warm_up(model: Model, *shadows: Model) -> None:
     """Compile what is compiled at its first use, before anybody waits for it."""
-    pipeline = Pipeline(model)
+    pipeline = Pipeline(model, shadows=shadows)
     samples = [Telemetry("warm-up", 1.7e9 + 3 * i, speed_kmh=30.0) for i in range(3)]
     pipeline.push([Message("fleet/warm-up/telemetry", encode(sample), 0) for sample in samples])
 
 
 class Keeper:
-    """Logs rides as they end, and keeps the state of every car in a file.
+    """Logs rides as they end and what is told of shadows, and keeps the state of every car in a file.
 
     It stands before the pipeline where a state is kept: rides in progress are then not closed at the end, but go on
     when the consumer is started again.
@@ -154,6 +156,7 @@ class Keeper:
         self._keep_s = clock() + KEEP_S
         self.take = pipeline.take
         self.forecasts = pipeline.forecasts
+        self.model_errors = pipeline.model_errors
         self.quality = pipeline.quality
         if file is not None and file.exists():
             try:
@@ -163,6 +166,7 @@ class Keeper:
             except SocastError as error:
                 raise SocastError(f"{file}: {error}") from error
             _log.info("restored", extra=fields(file=str(file), vehicles=pipeline.quality()["vehicles"]))
+        self._verdicts = self._judged()
         self._save()
 
     def __call__(self, _: Tally) -> None:
@@ -183,16 +187,30 @@ class Keeper:
         return []
 
     def end(self) -> None:
-        """Log the last rides, and save the state."""
+        """Log the last rides and how models fare, and save the state."""
         self._tell()
+        if self._pipeline.shadows:
+            for told in self._pipeline.shadows.errors():
+                _log.info("model", extra=fields(**line(told)))
         self._save()
 
     def _tell(self) -> None:
-        """Log the rides that have ended, and let the windows go."""
+        """Log the rides that have ended and verdicts that have changed, and let the windows go."""
         pipeline = self._pipeline
         pipeline.take_windows()
-        for ride in ride_records(with_predictions(pipeline.take_rides(), pipeline.model)):
-            _log.info("ride", extra=fields(**{name: value for name, value in ride.items() if value is not None}))
+        for ride in ride_records(with_predictions(pipeline.take_rides(), pipeline.shadows)):
+            shadows = flat({"shadows_kwh": ride.pop("shadows_kwh", {})})
+            known = {name: value for name, value in ride.items() if value is not None}
+            _log.info("ride", extra=fields(**known, **shadows))
+        before, self._verdicts = self._verdicts, self._judged()
+        for told in pipeline.shadows.errors():
+            if before[told.model] != self._verdicts[told.model]:
+                _log.info("verdict", extra=fields(**line(told)))
+
+    def _judged(self) -> dict[str, str]:
+        """Return the verdict on each model."""
+        told = self._pipeline.shadows.errors()
+        return {model.model: model.overall.gain.verdict if model.overall.gain else "" for model in told}
 
     def _save(self) -> None:
         """Replace the state file, so that there is a whole one at any time."""

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from core import effects, models
+from core import effects
 from core.errors import SettingsError
 from core.pipeline import Pipeline
 from core.settings import Settings
@@ -32,7 +32,6 @@ from tools.cleaning import (
 from tools.output import (
     EffectFiles,
     JsonFile,
-    ModelName,
     Recordings,
     printer,
     reading,
@@ -42,6 +41,7 @@ from tools.output import (
     write_json,
 )
 from tools.screen import Screen, ride_records, show_rides, with_predictions
+from tools.standings import ModelNames, loaded, records, show_models
 
 HEARD_S = 10.0
 """How long to wait for somebody to subscribe before publishing all the same. [s]"""
@@ -57,7 +57,7 @@ def replay(
         str | None, typer.Option(metavar="E", help="Publish to the router at E, such as tcp/127.0.0.1:7447.")
     ] = None,
     in_process: Annotated[bool, typer.Option("--in-process", help="Run the model here. [default]")] = False,
-    model: ModelName = "extended_physical",
+    model: ModelNames = None,
     effects_file: EffectFiles = None,
     speed_limit_kmh: SpeedLimit = SPEED_LIMIT_KMH,
     period_s: Period = PERIOD_S,
@@ -69,13 +69,16 @@ def replay(
     longest_gap: Annotated[
         float, typer.Option(metavar="S", help="Shorten silences of the recording to this many seconds.")
     ] = inf,
-    out: Annotated[Path | None, typer.Option(metavar="F.mcap", help="Record the forecasts.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="F.mcap", help="Record the forecasts, and how several models fare.")
+    ] = None,
     json_file: JsonFile = None,
 ) -> None:
     """Replay recordings, merged in time order.
 
     In process, they go through the same loop as live telemetry does, and the ride table compares predicted with
-    measured energy. With --connect they are published, and whoever listens at the router makes the forecasts.
+    measured energy; of several models the first makes the forecasts, and how each fared is told below. With --connect
+    they are published, and whoever listens at the router makes the forecasts.
     """
     settings = cleaning(speed_limit_kmh, period_s, smoothing, least_distance_km)
     if connect and (in_process or out or json_file or effects_file or settings != Settings()):
@@ -97,11 +100,17 @@ def replay(
         else:
             for path in effects_file or ():
                 effects.load_file(path)
-            pipeline = Pipeline(models.load(model), settings, before)
+            chosen, *shadows = known = loaded(model)
+            pipeline = Pipeline(chosen, settings, before, shadows=shadows)
             forecast(source, pipeline, sources, rate, [McapSink(out)] if out else [])
-            rides = with_predictions(pipeline.take_rides(), pipeline.model)
+            rides = with_predictions(pipeline.take_rides(), pipeline.shadows)
             show_rides(console, rides, pipeline.quality())
-            write_json(json_file, ride_records(rides))
+            if shadows:
+                told = pipeline.shadows.errors()
+                show_models(console, told, known, rides)
+                write_json(json_file, {"rides": ride_records(rides), "models": records(told)})
+            else:
+                write_json(json_file, ride_records(rides))
     warn_of_losses(sources, Console(stderr=True))
 
 

@@ -10,15 +10,17 @@ from typing import Any, Protocol, Self
 import numpy as np
 import pandas as pd
 from rich import box
-from rich.console import Console
+from rich.console import Console, Group
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from core.models import Model
-from core.pipeline import Pipeline, VehicleStatus
+from core.pipeline import Pipeline
+from core.shadow import Shadows
+from core.status import VehicleStatus
 from stream.run import Tally
 from tools.output import printer
+from tools.standings import WIDE, models_table
 
 REDRAW_S = 0.25
 """Time between two pictures on a terminal. [s]"""
@@ -26,8 +28,7 @@ LINE_S = 2.0
 """Time between two lines where there is no terminal. [s]"""
 MOST_RIDES = 60
 """Rides listed on a terminal; the JSON has all."""
-WIDE = 112
-"""Columns of a terminal from which the ride table has the start and the temperature."""
+
 
 RIDE_COLUMNS = (
     "vehicle_id",
@@ -103,16 +104,18 @@ class Screen:
         self._due = now + (REDRAW_S if self._live else LINE_S)
         cars = sorted(self._pipeline.status())
         if self._live:
-            rows = max(1, self._console.height - 7)
-            self._live.update(
-                fleet_table(cars, self._title, _caption(tally, self._pipeline.quality()), rows), refresh=True
-            )
+            wide, told = self._console.width >= WIDE, self._pipeline.shadows.errors()
+            below = models_table(told, wide=wide) if self._pipeline.shadows else None
+            rows = max(1, self._console.height - 7 - (below.row_count + 6 if below else 0))
+            shadows = len(self._pipeline.shadows) if wide else 0
+            fleet = fleet_table(cars, self._title, _caption(tally, self._pipeline.quality()), rows, shadows)
+            self._live.update(Group(fleet, below) if below else fleet, refresh=True)
         else:
             self._console.print(fleet_line(cars, tally), markup=False, highlight=False, soft_wrap=True)
 
 
-def fleet_table(cars: Sequence[VehicleStatus], title: str, caption: str, rows: int) -> Table:
-    """Return a table with a row a car, at most `rows`, those heard of last."""
+def fleet_table(cars: Sequence[VehicleStatus], title: str, caption: str, rows: int, shadows: int = 0) -> Table:
+    """Return a table with a row a car, at most `rows`, those heard of last; and a column for each of some shadows."""
     table = Table(
         title=title,
         caption=caption,
@@ -132,6 +135,8 @@ def fleet_table(cars: Sequence[VehicleStatus], title: str, caption: str, rows: i
         ("off\n%", 4),
     ):
         table.add_column(name, justify="right", no_wrap=True, min_width=width)
+    for place in range(shadows):
+        table.add_column(f"by {place + 2}\nkWh", justify="right", no_wrap=True, min_width=6)
     table.add_column("repaired or\nrejected", overflow="ellipsis", no_wrap=True, ratio=1)
     newest = sorted(sorted(cars, key=lambda car: car.time_s)[-rows:])
     for car in newest:
@@ -145,10 +150,11 @@ def fleet_table(cars: Sequence[VehicleStatus], title: str, caption: str, rows: i
             _number(car.predicted_kwh, 3),
             _number(car.measured_kwh, 3),
             Text(_number(off, 0, sign=True), style="red" if abs(off) > 20 else ""),
+            *(_number(energy, 3) for energy in car.shadows_kwh[:shadows]),
             Text(_counts(car.quality)),
         )
     if len(cars) > len(newest):
-        table.add_row(f"and {len(cars) - len(newest):,} more", *[""] * 7)
+        table.add_row(f"and {len(cars) - len(newest):,} more", *[""] * (7 + shadows))
     return table
 
 
@@ -166,9 +172,18 @@ def fleet_line(cars: Sequence[VehicleStatus], tally: Tally) -> str:
     ).rstrip()
 
 
-def with_predictions(rides: pd.DataFrame, model: Model) -> pd.DataFrame:
-    """Return a ride table with `predicted_kwh` and `error_pct`, of which the latter is of the measured energy."""
-    predicted = model.predict(rides)
+def with_predictions(rides: pd.DataFrame, models: Shadows) -> pd.DataFrame:
+    """Return a ride table with predictions.
+
+    `predicted_kwh` is that of the first model, `error_pct` its error, of the measured energy; where there are shadows,
+    `shadows_kwh` is a dict of what each predicts, by name and version.
+    """
+    predicted, *others = models.predict(rides, len(rides))
+    if others:
+        labels = [standing.label for standing in models.standings[1:]]
+        rows = zip(*(energies.tolist() for energies in others), strict=True)
+        told = [dict(zip(labels, row, strict=True)) for row in rows]
+        rides = rides.assign(shadows_kwh=pd.Series(told, index=rides.index, dtype=object))
     measured = rides["energy_kwh"].to_numpy(np.float64)
     error = np.full(len(rides), np.nan)
     np.divide(100.0 * (predicted - measured), measured, out=error, where=measured > 0.05)
@@ -177,11 +192,12 @@ def with_predictions(rides: pd.DataFrame, model: Model) -> pd.DataFrame:
 
 def ride_records(rides: pd.DataFrame) -> list[dict[str, Any]]:
     """Return the rows of a ride table with predictions, for JSON."""
-    known = rides[list(RIDE_COLUMNS)].astype(object)
+    names = [*RIDE_COLUMNS, *(["shadows_kwh"] if "shadows_kwh" in rides else [])]
+    known = rides[names].astype(object)
     text = ["ride_id", "vehicle_model", "unfit_reason"]
     known[text] = known[text].where(known[text].notna(), None)
-    columns = [known[name].tolist() for name in RIDE_COLUMNS]
-    return [dict(zip(RIDE_COLUMNS, row, strict=True)) for row in zip(*columns, strict=True)]
+    columns = [known[name].tolist() for name in names]
+    return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
 def show_rides(console: Console, rides: pd.DataFrame, quality: dict[str, Any]) -> None:

@@ -13,6 +13,7 @@ from stream.mcap_io import McapSink
 from tools.simulator.fleet import shifts
 from tools.simulator.fleet import simulate as messages_of
 from tools.simulator.hidden import EFFECTS
+from tools.simulator.hidden_shapes import OTHER
 from tools.simulator.preset import PRESETS, load, refuse_idle
 from tools.simulator.settings import (
     MODELS,
@@ -73,7 +74,7 @@ def simulate(
         typer.Option(
             metavar="EFFECT[:SIZE]",
             help="Add an effect that no model knows of, by default 0.03 of the energy; may be repeated. "
-            f"Effects: {', '.join(sorted(EFFECTS))}.",
+            f"Effects: {', '.join(sorted(EFFECTS))}; NAME{OTHER} is the same in another shape.",
         ),
     ] = None,
     faults: Annotated[

@@ -1,5 +1,6 @@
 """`socast tables`: recordings in; ride table, window table and quality report out."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -93,14 +94,14 @@ def tables(
     writable(recordings, folder / RIDES, folder / WINDOWS, folder / QUALITY, json_file)
     rides, windows = ParquetTable(folder / RIDES), ParquetTable(folder / WINDOWS)
     kept: list[pd.DataFrame] = []
-    with reading(sources) as step:
-        for messages in merged(sources):
-            pipeline.take(messages)
-            step()
-            if pipeline.quality()["rides"] - rides.rows >= ROW_GROUP:
-                _take(pipeline, rides, windows, kept if json_file else None)
-        pipeline.finish()
-        _take(pipeline, rides, windows, kept if json_file else None)
+
+    def write(ended: pd.DataFrame, parts: pd.DataFrame) -> None:
+        rides.append(ended)
+        windows.append(parts)
+        if json_file:
+            kept.append(ended)
+
+    tabulate(sources, pipeline, write)
     rides.close()
     windows.close()
     quality = pipeline.quality() | {"lost": {str(s.path): s.losses.lines() for s in sources if s.losses}}
@@ -122,13 +123,40 @@ def _folder(path: Path) -> Path:
     return path
 
 
-def _take(pipeline: Pipeline, rides: ParquetTable, windows: ParquetTable, kept: list[pd.DataFrame] | None) -> None:
-    """Write what has ended since the last time."""
-    table = pipeline.take_rides()
-    rides.append(table)
-    windows.append(pipeline.take_windows())
-    if kept is not None:
-        kept.append(table)
+def tabulate(
+    sources: Sequence[McapSource], pipeline: Pipeline, take: Callable[[pd.DataFrame, pd.DataFrame], None]
+) -> None:
+    """Run recordings through the steps as far as the tables, with a progress bar.
+
+    Parameters
+    ----------
+    sources : sequence of McapSource
+        Merged in time order.
+    pipeline : Pipeline
+    take : callable
+        Is given rides that have ended, and their windows, whenever there are `ROW_GROUP` of them, and at the end.
+    """
+    taken = 0
+    with reading(sources) as step:
+        for messages in merged(sources):
+            pipeline.take(messages)
+            step()
+            if (ended := pipeline.quality()["rides"]) - taken >= ROW_GROUP:
+                taken = ended
+                take(pipeline.take_rides(), pipeline.take_windows())
+        pipeline.finish()
+        take(pipeline.take_rides(), pipeline.take_windows())
+
+
+def in_memory(recordings: Sequence[Path], wanted: Sequence[str]) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return ride and window table of recordings, with the effects that are wanted; say what could not be read."""
+    pipeline = Pipeline(also=wanted, keep_forecasts=False)
+    sources = [McapSource(path) for path in recordings]
+    parts: list[tuple[pd.DataFrame, pd.DataFrame]] = []
+    tabulate(sources, pipeline, lambda rides, windows: parts.append((rides, windows)))
+    warn_of_losses(sources, Console(stderr=True))
+    rides, windows = (pd.concat(tables, ignore_index=True) for tables in zip(*parts, strict=True))
+    return rides, windows
 
 
 def show(quality: dict[str, Any], rides: int, windows: int, folder: Path, console: Console) -> None:

@@ -16,24 +16,32 @@ _MEASURED: Final = "heater and air-conditioning power of the Vehicle Energy Data
 
 
 @effect(
-    coefficient="heat lost a stop and kelvin, over the coefficient of performance",
+    coefficient="heat lost an opening and kelvin, over the coefficient of performance",
     unit="J/K",
     low=300.0,
-    high=15_000.0,
-    source=f"{_BALANCE}, ventilation load; range: a tenth to four changes of 3 m³ of air, 3.6 kJ/K (estimate)",
+    high=60_000.0,
+    source=f"{_BALANCE}, ventilation load; range: from a tenth of 3 m³ of air, 3.6 kJ/K, to a minute at 0.3 m³/s "
+    "(estimate)",
     per="time",
-    parameters={"inside": Parameter(294.15, "K", 285.15, 299.15, grid=(288.15, 294.15, 298.15))},
+    parameters={
+        "inside": Parameter(294.15, "K", 285.15, 299.15, grid=(288.15, 294.15, 298.15)),
+        "share": Parameter(0.0, "1", 0.0, 1.0, grid=(0.0, 0.2, 1.0)),
+        "recovery": Parameter(180.0, "s", 30.0, 900.0, grid=(90.0, 180.0, 360.0)),
+    },
     confused_with=("cabin_heating", "cabin_warmup"),
-    shown_by="rides with few and with many stops, as long and as cold",
-    words="open doors: a stop costs {value} kJ for each degree that it is colder outside than {inside}",
+    shown_by="many short rides beside few long ones, as cold, after short and after long pauses",
+    words="open doors: an opening costs {value} kJ for each degree that it is colder outside than {inside}",
     scale=1e-3,
 )
-def door_heat_loss(stop_rate: Floats, ambient: Floats, inside: float) -> Floats:
-    """Warm air that leaves by the doors: P = n max(T_in - T, 0), times the heat lost a stop and kelvin.
+def door_heat_loss(
+    elapsed: Floats, stop_rate: Floats, ambient: Floats, *, inside: float, share: float, recovery: float
+) -> Floats:
+    """Warm air that leaves by the doors: P = (exp(-t/τ)/τ + q n) max(T_in - T, 0), times the heat lost and kelvin.
 
-    With stops n a second. Not every stop opens a door: what is fitted is the mean of all.
+    Doors open when a ride begins, t ago, and the heat is made up for with time constant τ; and at a share q of its
+    stops, n a second.
     """
-    return stop_rate * np.maximum(inside - ambient, 0.0)
+    return (np.exp(-elapsed / recovery) / recovery + share * stop_rate) * np.maximum(inside - ambient, 0.0)
 
 
 @effect(
@@ -139,7 +147,7 @@ def solar_load(solar: Floats, ambient: Floats, cooling_on: float, width: float) 
         "cooling_on": Parameter(293.15, "K", 283.15, 303.15),
         "width": Parameter(5.0, "K"),
     },
-    confused_with=("cabin_cooling", "wet_road"),
+    confused_with=("cabin_cooling", "demisting", "wet_road"),
     shown_by="muggy and dry days as warm, with a station that measures humidity",
     words="humidity: {value} W for each hectopascal of vapour above that of the cabin",
     scale=100.0,
@@ -152,6 +160,37 @@ def humidity(vapour_pressure: Floats, ambient: Floats, dry: float, cooling_on: f
     return np.maximum(vapour_pressure - dry, 0.0) * np.clip((ambient - cooling_on) / width, 0.0, 1.0)
 
 
+@effect(
+    coefficient="power to dry damp air",
+    unit="W",
+    low=50.0,
+    high=2500.0,
+    source=f"{_BALANCE}, latent load, and windows kept from fogging: ISO 3469; range: a compressor at a tenth of its "
+    "power to half of it (estimate)",
+    per="time",
+    parameters={
+        "damp": Parameter(0.6, "1", 0.3, 0.9, grid=(0.4, 0.6, 0.8)),
+        "frost": Parameter(273.15, "K"),
+        "magnus": Parameter(611.2, "Pa"),
+        "slope": Parameter(17.62, "1"),
+        "span": Parameter(243.12, "K"),
+    },
+    confused_with=("humidity", "wet_road"),
+    shown_by="damp and dry days as warm, without rain, with a station that measures humidity",
+    words="drying: {value} W for each unit of relative humidity above {damp}",
+)
+def demisting(
+    vapour_pressure: Floats, ambient: Floats, *, damp: float, frost: float, magnus: float, slope: float, span: float
+) -> Floats:
+    """Damp air that is dried, so that windows stay clear: P = max(e/e_s(T) - φ0, 0), times the power.
+
+    With saturation e_s = e_0 exp(a (T - T0)/(T - T0 + b)), Magnus' formula with the constants of WMO-No. 8.
+    """
+    above = ambient - frost
+    saturation = magnus * np.exp(slope * above / (above + span))
+    return np.maximum(vapour_pressure / saturation - damp, 0.0)
+
+
 CABIN: Final[tuple[Effect, ...]] = (
     door_heat_loss,
     cabin_heating,
@@ -159,5 +198,6 @@ CABIN: Final[tuple[Effect, ...]] = (
     cabin_warmup,
     solar_load,
     humidity,
+    demisting,
 )
 """In the order of the list."""

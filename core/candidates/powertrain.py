@@ -49,6 +49,24 @@ def drivetrain_loss_torque(traction: Floats) -> Floats:
 
 
 @effect(
+    coefficient="loss over the square of the power",
+    unit="1/W",
+    low=2e-8,
+    high=5e-6,
+    source=f"{_LOSSES}: copper and switching losses grow with the square of the current, and so, at the battery's "
+    "voltage, of the power; range: 0.2 to 20 % at 40 kW",
+    confused_with=("battery_resistance", "drivetrain_loss_torque"),
+    shown_by="hard and gentle driving at the same speed, by a car whose battery's temperature varies",
+    words="powertrain losses: {value} % of the power at 10 kW",
+    scale=1e6,
+)
+def drivetrain_loss_power(traction: Floats, speed: Floats) -> Floats:
+    """Losses of inverter and motor with the current: P = (F v)^2, times the loss over the square of the power."""
+    power = traction * speed
+    return power * power
+
+
+@effect(
     coefficient="drag of the brake pads",
     unit="N",
     low=5.0,
@@ -115,5 +133,12 @@ def age(traction: Floats, speed: Floats, odometer: Floats, span: float) -> Float
     return np.maximum(traction, 0.0) * speed * (odometer / span)
 
 
-POWERTRAIN: Final[tuple[Effect, ...]] = (drivetrain_loss_speed, drivetrain_loss_torque, brake_drag, payload, age)
+POWERTRAIN: Final[tuple[Effect, ...]] = (
+    drivetrain_loss_speed,
+    drivetrain_loss_torque,
+    drivetrain_loss_power,
+    brake_drag,
+    payload,
+    age,
+)
 """In the order of the list."""

@@ -92,11 +92,7 @@ def judged(rides: pd.DataFrame) -> Judged:
     ModelError
         Where a column is missing, or no cluster of any vehicle model has enough rides.
     """
-    if missing := [name for name in NEEDED if name not in rides]:
-        raise ModelError(f"column {missing[0]!r} is missing in the ride table: make it with `socast tables`")
-    for name in NUMBERS:
-        _finite(rides, (name,))
-    reason = _reasons(rides)
+    reason = reasons(rides)
     kept = rides[reason.isna()].sort_values(["vehicle_id", "start_s"], kind="stable", ignore_index=True)
     unfit = {str(why): int(n) for why, n in reason.value_counts().sort_index().items()}
     names = sorted(kept["vehicle_model"].unique())
@@ -130,8 +126,18 @@ def clusters(distance_km: Floats) -> Codes:
     return np.clip(distance_km // CLUSTER_KM, 0, len(CLUSTERS) - 1).astype(np.int64)
 
 
-def _reasons(rides: pd.DataFrame) -> "pd.Series[Any]":
-    """Return why a ride is left out, NaN where it is not."""
+def reasons(rides: pd.DataFrame) -> "pd.Series[Any]":
+    """Return why each ride is left out, NaN where it is not.
+
+    Raises
+    ------
+    ModelError
+        Where a column is missing, or holds no numbers.
+    """
+    if missing := [name for name in NEEDED if name not in rides]:
+        raise ModelError(f"column {missing[0]!r} is missing in the ride table: make it with `socast tables`")
+    for name in NUMBERS:
+        _finite(rides, (name,))
     reason = rides["unfit_reason"].where(~rides["fit_for_training"].astype(bool), None).astype(object)
     reason[reason.isna() & ~rides["fit_for_training"].astype(bool)] = "unfit"
     for why, applies in (

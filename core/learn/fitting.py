@@ -34,7 +34,8 @@ from core.features import ACCESSORIES, ACCESSORY_NEEDS, EFFECT_PREFIX, FEATURES,
 from core.learn.blocks import ENERGY, Rides, names, numbers, trainable
 from core.learn.curve import Temperatures, slopes
 from core.learn.regression import CONSTANT, LEAST_GROUPS, Influence, Moments, Scores, Solution, grouped, solve
-from core.models import ANY, BASIC_PHYSICAL, VEHICLE_MODEL, Curve, Fit, LinearModel, Term, Training
+from core.models import ANY, BASIC_PHYSICAL, VEHICLE, VEHICLE_MODEL, Curve, Fit, LinearModel, Term, Training
+from core.road_load import ROAD_LOAD
 
 LEAST_RIDES: Final = 2
 """Rides for each coefficient that a fit needs."""
@@ -42,6 +43,8 @@ CURVE_NUMBERS: Final = 7
 """Numbers of an accessory curve."""
 RESOLUTION: Final = 0.01
 PRIOR_SD: Final = 0.5
+PHYSICS: Final = (*(effect.energy_name for effect in ROAD_LOAD), ACCESSORIES)
+"""First columns of the terms whose coefficient is 1 where physics holds, if it is a pure number."""
 
 
 class Plan(Protocol):
@@ -255,8 +258,10 @@ class _Fitting:
     def _digest(self, block: pd.DataFrame) -> None:
         """Add rides to the fingerprint, and note their dates."""
         for name in self.columns:
-            self.digests[name].update(np.ascontiguousarray(numbers(block, name)).tobytes())
-        self.digests[VEHICLE_MODEL].update("\n".join([*names(block, VEHICLE_MODEL), ""]).encode())
+            if name != VEHICLE:
+                self.digests[name].update(np.ascontiguousarray(numbers(block, name)).tobytes())
+        for name in self.digests.keys() & {VEHICLE, VEHICLE_MODEL}:
+            self.digests[name].update("\n".join([*names(block, name), ""]).encode())
         dates = [date for date in names(block, "date") if date]
         if dates:
             first, last = self.dates
@@ -338,7 +343,7 @@ class _Fitting:
         least = max(free.variance, 1e-9 * sums[-1, -1] / moments.rows) if free.freedom > 0 else sums[-1, -1]
         terms = [self.terms[i] for i in self.sloped]
         for k, main in enumerate(terms):
-            if not main.columns[0].startswith((EFFECT_PREFIX, ACCESSORIES)) or size[k] >= RESOLUTION * size[-1]:
+            if main.unit != "1" or main.columns[0] not in PHYSICS or size[k] >= RESOLUTION * size[-1]:
                 continue
             for i, term in enumerate(terms):
                 if term.columns[-len(main.columns) :] == main.columns:

@@ -54,6 +54,8 @@ class LinearRecipe:
         Whether coefficients are fitted; else each is 1, as physics has it.
     note : str
         What a reader should know.
+    by_windows : bool
+        Whether `socast fit` gives it windows in place of rides: they tell speeding up from slowing.
     """
 
     name: str
@@ -61,6 +63,7 @@ class LinearRecipe:
     terms: tuple[Term, ...]
     free: bool = True
     note: str = ""
+    by_windows: bool = False
 
     def fit(self, rides: pd.DataFrame, *, covariance: bool = True) -> LinearModel:
         """Return a model fitted to the rides of a table that are fit for training, see `core.learn.fitting`.
@@ -113,6 +116,16 @@ FITTED_TERMS: Final = (
 """Terms of eq. (2), in its order: distance, air with wind, acceleration, height, accessories over time."""
 BASIC_PART: Final = FITTED_TERMS[:-1]
 """Of those, the terms of the basic physical model."""
+
+ROAD_LOAD_TERMS: Final = (
+    physical_term("rolling", ("effect_rolling", "rolling_resistance")),
+    physical_term("climbing", ("effect_climbing",)),
+    physical_term("aero_drag", ("effect_aero_drag", "drag_area_m2")),
+    physical_term("inertia_positive", ("effect_inertia_positive",)),
+    physical_term("inertia_negative", ("effect_inertia_negative",)),
+    physical_term("braking", ("effect_braking",)),
+)
+"""The base of diagnosis but for the accessories: standard air, no wind, kinetic energy and braking by sign."""
 
 HISTOGRAM: Final = tuple(name for name in FEATURES if name.startswith("speed_"))
 EMPIRICAL_TERMS: Final = tuple(
@@ -187,6 +200,18 @@ RECIPES: Final[Mapping[str, Recipe]] = MappingProxyType(
                 (*HYBRID_TERMS, *HYBRID_PRODUCTS, CONSTANT),
             ),
             *ADVANCED,
+            LinearRecipe(
+                "road_load",
+                "Road Load, Accessories by Temperature",
+                (*ROAD_LOAD_TERMS, ACCESSORY_TERM),
+                by_windows=True,
+            ),
+            LinearRecipe(
+                "road_load_constant",
+                "Road Load, Constant Auxiliaries",
+                (*ROAD_LOAD_TERMS, term("effect_auxiliary")),
+                by_windows=True,
+            ),
         )
     }
 )

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from tools.bench.hidden.page import kept, placed
 from tools.bench.learning import fitting, fitting_memory
 from tools.bench.live import live
 from tools.bench.measures import Measure, memory, replay, scale
@@ -31,7 +32,9 @@ def main() -> None:
     console.print(table)
     content = [asdict(found) for found in measures]
     (ROOT / "bench.json").write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-    (ROOT / "BENCHMARKS.md").write_text(page(measures), encoding="utf-8")
+    path = ROOT / "BENCHMARKS.md"
+    hidden = kept(path)  # of `make bench-hidden`
+    path.write_text(placed(page(measures), hidden) if hidden else page(measures), encoding="utf-8")
 
 
 def page(measures: list[Measure]) -> str:

@@ -1,5 +1,6 @@
 """The report of an evaluation as one HTML file: tables and figures, nothing loaded from elsewhere."""
 
+from collections.abc import Callable, Sequence
 from html import escape
 from importlib import resources
 from itertools import groupby
@@ -40,8 +41,19 @@ def write(result: Any, path: Path) -> None:
     SettingsError
         Where the file cannot be written.
     """
+    save(page(result), path)
+
+
+def save(text: str, path: Path) -> None:
+    """Write a page.
+
+    Raises
+    ------
+    SettingsError
+        Where the file cannot be written.
+    """
     try:
-        path.write_text(page(result), encoding="utf-8")
+        path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise SettingsError(
             f"{path} cannot be written: {error.strerror}; name a file in a folder that is there"
@@ -51,9 +63,25 @@ def write(result: Any, path: Path) -> None:
 def page(result: Any) -> str:
     """Return the page."""
     found = plain(result)
-    shown = sections(found)
+    return document(TITLE, _lead(found), sections(found), lambda key: illustrations(found, key), _foot(found))
+
+
+def document(
+    title: str, lead: str, shown: Sequence[Section], drawn: Callable[[str], Sequence[Illustration]], foot: str
+) -> str:
+    """Return a page of sections.
+
+    Parameters
+    ----------
+    title : str
+    lead, foot : str
+        HTML above and below the sections.
+    shown : sequence of Section
+    drawn : callable
+        Gives the figures of a section, by its key.
+    """
     links = "".join(f'<li><a href="#{section.key}">{escape(section.title)}</a></li>' for section in shown)
-    body = "".join(_section(found, section) for section in shown)
+    body = "".join(_section(section, drawn(section.key)) for section in shown)
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -61,17 +89,17 @@ def page(result: Any) -> str:
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta name="color-scheme" content="light dark">
 <meta http-equiv="Content-Security-Policy" content="{escape(POLICY)}">
-<title>{TITLE}</title>
+<title>{escape(title)}</title>
 <style>{_shipped("page.css")}</style>
 </head>
 <body>
 <a class="skip" href="#main">Skip to the figures</a>
 <nav aria-label="Sections"><ol>{links}</ol></nav>
 <main id="main">
-<header><h1>{TITLE}</h1>{_lead(found)}</header>
+<header><h1>{escape(title)}</h1>{lead}</header>
 <noscript><p>Figures are drawn by JavaScript; without it, their data are below each of them.</p></noscript>
 {body}
-<footer>{_foot(found)}</footer>
+<footer>{foot}</footer>
 </main>
 <script>{get_plotlyjs()}</script>
 <script>{_shipped("page.js")}</script>
@@ -104,9 +132,8 @@ def _foot(result: Result) -> str:
     return (f"<ul>{told}</ul>" if told else "") + "<p>Made by <code>socast evaluate</code>.</p>"
 
 
-def _section(result: Result, section: Section) -> str:
+def _section(section: Section, shown: Sequence[Illustration]) -> str:
     """Return a section: its text, its figures, its tables."""
-    shown = illustrations(result, section.key)
     drawn = "".join(
         f'<div class="{"small" if small else "wide"}">{"".join(_figure(one) for one in group)}</div>'
         for small, group in groupby(shown, key=lambda one: one.small)

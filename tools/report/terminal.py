@@ -28,12 +28,12 @@ def show(result: Any, console: Console) -> None:
     """
     shown = [section for section in sections(plain(result)) if not section.folded]
     for section in sorted(shown, key=lambda section: section.key == LAST):
-        _print_section(section, console)
+        print_section(section, console)
     for line in _notes(plain(result)):
         console.print(Text(line, style="yellow"))
 
 
-def _print_section(section: Section, console: Console) -> None:
+def print_section(section: Section, console: Console) -> None:
     """Print the title and tables of a section; a note that several tables have, once, below the last of them."""
     console.print()
     console.rule(Text(section.title, style="bold"), align="left")

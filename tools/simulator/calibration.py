@@ -7,7 +7,8 @@ import numpy as np
 
 from core.batch import Floats, Ints
 from core.errors import SettingsError
-from tools.simulator.hidden import EFFECTS, View
+from tools.simulator.hidden import View
+from tools.simulator.hidden_shapes import POWERS
 from tools.simulator.settings import STEP, Hidden
 from tools.simulator.shift import NO_RIDE
 
@@ -21,7 +22,7 @@ class Ledger(NamedTuple):
 
 def ledger(view: View, ride: Ints, hidden: Iterable[Hidden]) -> Ledger:
     """Return the energies of the rides of a shift. `battery` (rides,), `effects` (rides, effects)."""
-    powers = [view.state.parts.sum(axis=1), *(EFFECTS[effect](view) for effect, _ in hidden)]
+    powers = [view.state.parts.sum(axis=1), *(POWERS[effect](view) for effect, _ in hidden)]
     inside = ride != NO_RIDE
     sums: list[Floats] = [np.bincount(ride[inside], power[inside]).astype(float) * STEP for power in powers]
     return Ledger(sums[0], np.stack(sums[1:], axis=1))
@@ -62,5 +63,5 @@ def check(hidden: tuple[Hidden, ...]) -> None:
     SettingsError
     """
     for effect, _ in hidden:
-        if effect not in EFFECTS:
-            raise SettingsError(f"no hidden effect is called {effect!r}; choose from {', '.join(sorted(EFFECTS))}")
+        if effect not in POWERS:
+            raise SettingsError(f"no hidden effect is called {effect!r}; choose from {', '.join(sorted(POWERS))}")

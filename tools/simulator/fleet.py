@@ -1,6 +1,7 @@
 """The fleet: every car's every shift, its messages and the weather's in the order in which they are received."""
 
 import heapq
+from collections import Counter
 from collections.abc import Callable, Iterator
 from operator import attrgetter
 from typing import Final, NamedTuple
@@ -11,7 +12,8 @@ from core.codec import Message, Plan, Ride, Vehicle, Wire, encode
 from tools.simulator import calibration, physics
 from tools.simulator import preset as presets
 from tools.simulator.cars import Car, make_car
-from tools.simulator.hidden import EFFECTS, View
+from tools.simulator.hidden import View
+from tools.simulator.hidden_shapes import POWERS
 from tools.simulator.logger import Equipment, log, make_equipment
 from tools.simulator.preset import Duty, Fleet, Place
 from tools.simulator.settings import LOCAL, STEP, Simulation
@@ -72,7 +74,7 @@ def simulate(
     calibration.check(simulation.hidden)
     record = Truth() if truth is None else truth
     members = make_members(simulation)
-    sky = _sky(simulation)
+    sky = sky_over(simulation)
     factors = _factors(simulation, members, sky)
     record.describe(
         simulation, {hidden.effect: factor for hidden, factor in zip(simulation.hidden, factors, strict=True)}
@@ -80,10 +82,10 @@ def simulate(
     for member in members:
         record.add_car(member.name, member.model, member.car, member.equipment)
     streams = [_drive(simulation, member, sky, factors, record, advance) for member in members]
-    return _with_weather(heapq.merge(*streams, key=attrgetter("receipt_ns")), simulation, sky)
+    return with_weather(heapq.merge(*streams, key=attrgetter("receipt_ns")), simulation, sky)
 
 
-def _with_weather(fleet: Iterator[Message], simulation: Simulation, sky: Sky) -> Iterator[Message]:
+def with_weather(fleet: Iterator[Message], simulation: Simulation, sky: Sky) -> Iterator[Message]:
     """Merge the stations' observations in, from the hour before the fleet's first message to its last."""
     opening = next(fleet)
     weather = iter(observations(sky, opening.receipt_ns / 1e9, float(sky.time[-1]), simulation.seed))
@@ -131,7 +133,7 @@ def _placed(simulation: Simulation, index: int, place: Place, fleet: Fleet) -> M
     return Member(index, f"taxi-{index + 1:03d}", place.model, car, equipment, place.duties)
 
 
-def _sky(simulation: Simulation) -> Sky:
+def sky_over(simulation: Simulation) -> Sky:
     """Return the weather of all days, and of the nights after the last."""
     first = simulation.start.timestamp()
     if simulation.preset is None:
@@ -150,13 +152,13 @@ def _factors(simulation: Simulation, members: list[Member], sky: Sky) -> list[fl
     books = []
     for index in spread:
         member, number = all_of[index]
-        driven = _driven(simulation, member, number, sky)
+        driven = drive_shift(simulation, member, number, sky)
         books.append(calibration.ledger(driven.view, driven.shift.course.ride, simulation.hidden))
     return calibration.calibrate(books, simulation.hidden)
 
 
-def _driven(simulation: Simulation, member: Member, number: int, sky: Sky) -> Driven:
-    """Drive one car's shift of a number."""
+def drive_shift(simulation: Simulation, member: Member, number: int, sky: Sky) -> Driven:
+    """Drive one car's shift of a number, without hidden effects."""
     rng = np.random.default_rng([simulation.seed, 4, member.number, number])
     begin, orders, car = _called(simulation, member, number, rng)
     ambient = float(np.interp(begin, sky.time, sky.temperature))
@@ -207,20 +209,33 @@ def _shift_messages(
     truth: Truth,
 ) -> tuple[list[Message], float]:
     """Return what one car sends on a shift, and its odometer [m] after it; note the truth."""
-    shift, view = _driven(simulation, member, number, sky)
+    shift, view = drive_shift(simulation, member, number, sky)
     state, book = view.state, None
     if factors:
         scaled = zip(factors, simulation.hidden, strict=True)
-        hidden = sum((factor * EFFECTS[effect](view) for factor, (effect, _) in scaled), np.zeros(len(state.soc)))
+        hidden = sum((factor * POWERS[effect](view) for factor, (effect, _) in scaled), np.zeros(len(state.soc)))
         book = calibration.ledger(view, shift.course.ride, simulation.hidden)
         book = book._replace(effects=book.effects * factors)
         state = physics.run(view.trace, view.car, shift.soc, simulation.phenomena, hidden)
+    messages, reading, faults = sent(simulation, member, number, Driven(shift, view._replace(state=state)), odometer)
+    truth.add_shift(member.name, shift, state, book, faults)
+    return messages, reading
+
+
+def sent(
+    simulation: Simulation, member: Member, number: int, driven: Driven, odometer: float
+) -> tuple[list[Message], float, Counter[str]]:
+    """Return what a car sends on a shift, by time of receipt, its odometer [m] after it, and its logger's faults.
+
+    What a logger does to samples depends on nothing that it measures: the same simulation with another state gives the
+    same messages with other values in them.
+    """
+    shift, view = driven
     rng = np.random.default_rng([simulation.seed, 5, member.number, number])
     car = view.car._replace(odometer=max(odometer, view.car.odometer))
-    logged, faults = log(member.name, shift, view.trace, state, car, member.equipment, simulation.faults, rng)
-    truth.add_shift(member.name, shift, state, book, faults)
+    logged, faults = log(member.name, shift, view.trace, view.state, car, member.equipment, simulation.faults, rng)
     reading = car.odometer + float(shift.course.moved.sum()) * car.speedometer
-    return list(heapq.merge(_dispatch(member, shift), logged, key=attrgetter("receipt_ns"))), reading
+    return list(heapq.merge(_dispatch(member, shift), logged, key=attrgetter("receipt_ns"))), reading, faults
 
 
 def _dispatch(member: Member, shift: Shift) -> list[Message]:

@@ -36,24 +36,24 @@ def hidden_effect(function: Power) -> Power:
     return function
 
 
-def _rolling(view: View) -> Floats:
+def rolling_power(view: View) -> Floats:
     """Return the power of plain rolling resistance. [W]."""
     return view.car.mass * GRAVITY * view.car.rolling_resistance * view.trace.speed
 
 
-def _braking(view: View) -> Floats:
+def braking_power(view: View) -> Floats:
     """Return the power that slows the car, positive. [W]."""
     return np.maximum(-view.car.mass * view.trace.acceleration * view.trace.speed, 0.0)
 
 
-def _lagged(values: Floats, seconds: float) -> Floats:
+def lagged(values: Floats, seconds: float) -> Floats:
     """Return values held back by a first-order lag; their integral is kept."""
     keep = np.exp(-STEP / seconds)
     kernel = (1 - keep) * keep ** np.arange(int(6 * seconds / STEP))
     size = len(values) + len(kernel)
     length = 1 << (size - 1).bit_length()
-    lagged = np.fft.irfft(np.fft.rfft(values, length) * np.fft.rfft(kernel, length), length)
-    return np.maximum(lagged[: len(values)], 0.0)
+    held = np.fft.irfft(np.fft.rfft(values, length) * np.fft.rfft(kernel, length), length)
+    return np.maximum(held[: len(values)], 0.0)
 
 
 @hidden_effect
@@ -73,32 +73,32 @@ def air_density(view: View) -> Floats:
 @hidden_effect
 def cold_rolling(view: View) -> Floats:
     """Tyres roll harder in the cold."""
-    return _rolling(view) * 0.01 * np.maximum(25.0 - view.trace.ambient, 0.0)
+    return rolling_power(view) * 0.01 * np.maximum(25.0 - view.trace.ambient, 0.0)
 
 
 @hidden_effect
 def wet_road(view: View) -> Floats:
     """Water on the road is displaced."""
-    return _rolling(view) * view.trace.wetness * np.minimum(view.trace.speed / 14.0, 2.0)
+    return rolling_power(view) * view.trace.wetness * np.minimum(view.trace.speed / 14.0, 2.0)
 
 
 @hidden_effect
 def snow(view: View) -> Floats:
     """Snow on the road is displaced."""
-    return _rolling(view) * view.trace.snow
+    return rolling_power(view) * view.trace.snow
 
 
 @hidden_effect
 def tyre_pressure(view: View) -> Floats:
     """Each car's tyres are too soft by their own amount."""
-    return _rolling(view) * view.car.under_inflation
+    return rolling_power(view) * view.car.under_inflation
 
 
 @hidden_effect
 def door_heat_loss(view: View) -> Floats:
     """Heat lost through open doors is made up for over the minutes after."""
     cold = np.maximum(COMFORT[0] - view.trace.ambient, 0.0)
-    return 260.0 * _lagged(view.trace.door * cold, 120.0) * view.trace.on
+    return 260.0 * lagged(view.trace.door * cold, 120.0) * view.trace.on
 
 
 @hidden_effect
@@ -124,13 +124,13 @@ def cabin_warmup(view: View) -> Floats:
 @hidden_effect
 def cold_regen_limit(view: View) -> Floats:
     """Braking energy that a cold battery does not take back."""
-    return _braking(view) * np.clip((15.0 - view.state.pack) / 25.0, 0.0, 1.0)
+    return braking_power(view) * np.clip((15.0 - view.state.pack) / 25.0, 0.0, 1.0)
 
 
 @hidden_effect
 def regen_full_battery(view: View) -> Floats:
     """Braking energy that a full battery does not take back."""
-    return _braking(view) * np.clip((view.state.soc - 0.85) / 0.12, 0.0, 1.0)
+    return braking_power(view) * np.clip((view.state.soc - 0.85) / 0.12, 0.0, 1.0)
 
 
 @hidden_effect

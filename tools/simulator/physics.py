@@ -202,8 +202,9 @@ def _cabin(trace: Trace, car: Car, on: Phenomena, cabin: float, i: int, row: Flo
         gain = 0.0
         demand = car.cabin_loss * (COMFORT[0] - 1.0 - ambient), car.cabin_loss * (ambient - COMFORT[1]) + 150.0
     cop = max(1.0, car.heater_cop * min(1.0, 1 + ambient / 40.0))
-    heating = trace.on[i] * min(car.heater_power, max(0.0, demand[0]) / cop)
-    cooling = trace.on[i] * min(car.cooler_power, max(0.0, demand[1]) / car.cooler_cop)
+    ready = trace.on[i] * on.climate
+    heating = ready * min(car.heater_power, max(0.0, demand[0]) / cop)
+    cooling = ready * min(car.cooler_power, max(0.0, demand[1]) / car.cooler_cop)
     if ambient < COMFORT[1] and not on.cabin_warmup:
         cooling = 0.0
     row[HEATING], row[COOLING] = heating, cooling

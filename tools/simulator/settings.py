@@ -26,7 +26,8 @@ class Phenomena(NamedTuple):
     """Refinements of the physics, each of which can be left out.
 
     With all of them off there remain rolling resistance, climbing, drag, inertia of the kerb mass, a constant
-    powertrain efficiency, electronics, and heating or cooling at the steady state of the ambient temperature.
+    powertrain efficiency and electronics. `PLAIN` has `climate` beside, which is then heating or cooling at the steady
+    state of the ambient temperature.
     """
 
     speed_rolling: bool = True
@@ -75,10 +76,12 @@ class Phenomena(NamedTuple):
     """Lamps are lit in the dark."""
     age: bool = True
     """Older batteries hold less and resist more."""
+    climate: bool = True
+    """The cabin is heated and cooled."""
 
 
 ALL: Final = Phenomena()
-PLAIN: Final = Phenomena(*[False] * len(Phenomena._fields))
+PLAIN: Final = Phenomena(*[False] * len(Phenomena._fields))._replace(climate=True)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,118 @@
+"""What is asked of the data: the library's effects at each value of their parameters, everywhere or in one place."""
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core import effects
+from core.batch import Floats, Ints
+from core.diagnose.windows import Windows
+from core.features import EFFECT_PREFIX
+from core.learn.blocks import numbers
+from core.models import LinearModel
+from core.road_load import ROAD_LOAD
+
+LEAST_SHARE: Final = 0.003
+"""Share of the energy that an effect must take beyond doubt: samples every few seconds distort as much."""
+KNOWN: Final = 0.5
+"""Share of the windows in which an effect must be known to be asked of."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Candidates: k columns of what each would take of each of n windows, per unit of its coefficient.
+
+    Parameters
+    ----------
+    variants : (k,) str
+        Effects, or variants of them.
+    effects : (k,) int64
+        Which of `names` each is of.
+    names : tuple of str
+        Effects that are asked of.
+    sign : (k,) int64
+        That physics demands of the coefficient: 1, -1, or 0 for either.
+    columns : (n, k) float
+        [kWh per unit of the coefficient]
+    measured : (n,) float
+        Energy of the windows that are asked of, 0 of all others. [kWh]
+    scope : tuple of str
+        Indicator columns, `vehicle=...` or `since=...`, where the effects are asked of in a place only.
+    absent : dict of str to str
+        Effects that are not asked of, and why.
+    """
+
+    variants: tuple[str, ...]
+    effects: Ints
+    names: tuple[str, ...]
+    sign: Ints
+    columns: Floats
+    measured: Floats
+    scope: tuple[str, ...]
+    absent: dict[str, str]
+
+    def within(self, rows: NDArray[np.bool_], scope: tuple[str, ...]) -> "Asked":
+        """Return the same asked of some windows only, (n,) bool."""
+        return replace(self, columns=self.columns * rows[:, np.newaxis], measured=self.measured * rows, scope=scope)
+
+    @property
+    def least(self) -> Floats:
+        """Coefficient with which each would be worth a name, (k,), see `least_coefficients`."""
+        return least_coefficients(self.columns, self.measured)
+
+
+def least_coefficients(columns: Floats, measured: Floats) -> Floats:
+    """Return the coefficient with which each column takes `LEAST_SHARE` of the energy, either sign counted, (k,)."""
+    size = np.abs(columns).sum(axis=0)
+    out = np.full(len(size), np.inf)
+    return np.divide(LEAST_SHARE * float(measured.sum()), size, out=out, where=size > 0.0)
+
+
+def library(windows: Windows, model: LinearModel, without: Collection[str] = (), scopes: bool = False) -> Asked:
+    """Return the library's effects that a model lacks.
+
+    Parameters
+    ----------
+    windows : Windows
+    model : LinearModel
+    without : collection of str
+        Effects not to ask of.
+    scopes : bool
+        Whether to ask of those too that the model has everywhere, as they may be larger in some place.
+
+    Returns
+    -------
+    Asked
+    """
+    base = {effect.name for effect in ROAD_LOAD}
+    inside = set() if scopes else {effects.get(name).base for name in model.effects}
+    absent: dict[str, str] = {}
+    found: list[tuple[str, str]] = []
+    for name, effect in effects.library().items():
+        if name in base or name in without:
+            continue
+        if name in inside:
+            absent[name] = "in the model"
+            continue
+        there = [v.name for v in (effect, *effect.variants) if f"{EFFECT_PREFIX}{v.name}" in windows.table]
+        columns = {v: numbers(windows.table, f"{EFFECT_PREFIX}{v}") for v in there}
+        known = [v for v, column in columns.items() if np.isfinite(column).mean() >= KNOWN and np.any(column)]
+        if known:
+            found += [(name, v) for v in known]
+        else:
+            absent[name] = "not in the data"
+    names = tuple(dict.fromkeys(name for name, _ in found))
+    stacked = [np.nan_to_num(numbers(windows.table, f"{EFFECT_PREFIX}{v}"), nan=0.0) for _, v in found]
+    return Asked(
+        variants=tuple(v for _, v in found),
+        effects=np.array([names.index(name) for name, _ in found], dtype=np.int64),
+        names=names,
+        sign=np.array([effects.get(name).sign for name, _ in found], dtype=np.int64),
+        columns=np.column_stack(stacked) if stacked else np.empty((len(windows.measured), 0)),
+        measured=windows.measured,
+        scope=(),
+        absent=absent,
+    )

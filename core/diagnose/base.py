@@ -1,0 +1,286 @@
+"""What a model could explain by itself if it were refitted, and what it could not.
+
+An effect gets no credit for what the model's own terms can take up. So measured energies and candidates alike are
+projected off the model's terms (Frisch-Waugh-Lovell): each car's own, as cars of a model differ, and, where the model
+has accessories by temperature, any smooth function of the temperature over time.
+
+What is left of the windows of a ride is alike, where a ride as a whole is easy or hard, or opposed, where one window's
+error is made up for by others. That correlation is estimated, and rides' means are weighed by it.
+
+References
+----------
+Frisch and Waugh, Econometrica 1 (1933) 387, DOI 10.2307/1907330. Lovell, Journal of the American Statistical
+Association 58 (1963) 993, DOI 10.1080/01621459.1963.10480682. On components of error and how to transform them away:
+Swamy and Arora, Econometrica 40 (1972) 261, DOI 10.2307/1909405.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.batch import Floats
+from core.columns import JOULES_PER_KWH
+from core.diagnose.noise import robust, window_variance
+from core.diagnose.windows import Windows
+from core.features import ACCESSORIES, EFFECT_PREFIX, Columns
+from core.learn.blocks import names, numbers
+from core.learn.fitting import design
+from core.models import ANY, LinearModel, Term
+
+Rows = NDArray[np.int64]
+
+KNOT_STEP: Final = 6.0
+"""Distance of the knots of a smooth function of temperature. [K]"""
+RANK: Final = 1e-6
+"""Singular values below this share of the largest are none."""
+WINDOWS_PER_COLUMN: Final = 5
+"""Windows of a car for each of its own columns; with fewer, only its scale and its standby power are its own."""
+ANEW: Final = 2
+"""Times that weights are found anew once effects are named: without, windows in which they are large seem outliers."""
+ROUNDS: Final = 3
+"""Times that weights are found anew from what is left."""
+MOST_ALIKE: Final = 0.95
+"""Largest correlation of the windows of a ride."""
+LEAST_OF_MEAN: Final = 0.3
+"""Least variance of a ride's mean over that of independent windows, where windows make up for each other."""
+
+
+class Base:
+    """A model's own columns, and the projection off them under weights.
+
+    Parameters
+    ----------
+    windows : Windows
+    model : LinearModel
+        Whose terms may be refitted.
+    taken : (n,) float, optional
+        Energy of effects that are missing, as far as they are known: what they take makes no window an outlier. [kWh]
+
+    Attributes
+    ----------
+    weight : (n,) float
+        Inverse of the variance of each window, less where it is far off. [1/kWh^2]
+    alike : float
+        Correlation of what is left of two windows of a ride.
+    residual : (n,) float
+        What refitting leaves, weighted. [1]
+    """
+
+    def __init__(self, windows: Windows, model: LinearModel, taken: Floats | None = None) -> None:
+        self.windows, self._model = windows, model
+        self._taken = np.zeros(len(windows.measured)) if taken is None else taken
+        self.cars = [np.flatnonzero(windows.vehicle == v) for v in range(int(windows.vehicle.max()) + 1)]
+        self.kinds = _kinds(windows)
+        curved = any(ACCESSORIES in term.columns for term in model.terms)
+        physical = tuple(term for term in model.terms if _physical(term))
+        others = tuple(term for term in model.terms if not _physical(term))
+        self._windows_of_ride = np.bincount(windows.ride).astype(np.float64)
+        self._own = np.column_stack([_terms(windows, model, physical, self.kinds), _car(windows, curved)])
+        self._few = np.column_stack([windows.predicted, numbers(windows.table, "duration_s") / 3600.0])
+        self._shared = _terms(windows, model, others, self.kinds)
+        self._smooth = [_smooth(windows, rows) for rows in self.kinds.values()] if curved else []
+        self._weigh()
+
+    def _weigh(self) -> None:
+        """Find weights, the projection under them, and what it leaves, in turn."""
+        energy = self.windows.measured[:, np.newaxis]
+        self.weight, self.alike = np.ones(len(energy)), 0.0
+        for _ in range(ROUNDS):
+            self._project()
+            standardised = self._unmixed(self.off(energy - self._taken[:, np.newaxis])[:, 0])
+            left = standardised / np.sqrt(self.weight)
+            variance = window_variance(self.windows, left)
+            self.weight = robust(left / np.sqrt(variance)) ** 2 / variance
+            self.alike = self._correlation(left * np.sqrt(self.weight))
+        self._project()
+        self.residual = self.off(energy)[:, 0]
+
+    def weighed_anew(self, columns: Floats) -> "Base":
+        """Return the same with weights that are found beside effects, (n, k), as large as they are. [kWh per unit]"""
+        base = self
+        for _ in range(ANEW):
+            size, *_ = np.linalg.lstsq(base.off(columns), base.residual, rcond=None)
+            base = Base(self.windows, self._model, columns @ size)
+        return base
+
+    def _correlation(self, standardised: Floats) -> float:
+        """Return the correlation of the windows of a ride."""
+        square = standardised**2
+        pairs = self._windows_of_ride * (self._windows_of_ride - 1.0)
+        together = self.windows.by_ride(standardised) ** 2 - self.windows.by_ride(square)
+        found = float(together.sum() / max(pairs.sum(), 1.0) / max(float(np.mean(square)), 1e-300))
+        return min(found, MOST_ALIKE)
+
+    def _of_mean(self, count: Floats) -> Floats:
+        """Return the variance of the mean of so many windows of a ride, over that of their differences."""
+        return np.asarray(np.maximum((1.0 + (count - 1.0) * self.alike) / (1.0 - self.alike), LEAST_OF_MEAN))
+
+    def weighted(self, columns: Floats) -> Floats:
+        """Return columns such that, if the weights are right, errors are alike everywhere and independent, (n, k)."""
+        scaled = columns * np.sqrt(self.weight)[:, np.newaxis]
+        return self._mixed(scaled, 1.0 / np.sqrt(self._of_mean(self._windows_of_ride)) - 1.0)
+
+    def energy(self, values: Floats) -> Floats:
+        """Return weighted values as energies again, (n,). [kWh]"""
+        return self._unmixed(values) / np.sqrt(self.weight)
+
+    def _unmixed(self, values: Floats) -> Floats:
+        """Return weighted values without the weighing of rides' means, (n,)."""
+        more = np.sqrt(self._of_mean(self._windows_of_ride)) - 1.0
+        return self._mixed(values[:, np.newaxis], more)[:, 0]
+
+    def _mixed(self, columns: Floats, more: Floats) -> Floats:
+        """Return columns with so much more of the mean of their ride, (n, k)."""
+        if self.alike == 0.0:
+            return columns
+        starts = np.flatnonzero(np.r_[True, np.diff(self.windows.ride) != 0])
+        mean = np.add.reduceat(columns, starts, axis=0) / self._windows_of_ride[:, np.newaxis]
+        return columns + (mean * more[:, np.newaxis])[self.windows.ride]
+
+    def _project(self) -> None:
+        """Find orthonormal bases of each car's own columns, and of the shared ones beside them."""
+        own = self.weighted(self._own)
+        self._bases = []
+        pooled = []
+        few = self.weighted(self._few)
+        for rows in self.cars:
+            if len(rows) >= WINDOWS_PER_COLUMN * own.shape[1]:
+                self._bases.append((rows, orthonormal(own[rows])))
+            else:
+                self._bases.append((rows, orthonormal(few[rows])))
+                pooled.append(rows)
+        shared = [self._by_kind(own, np.concatenate(pooled))] if pooled else []
+        shared += [self._by_kind(self.weighted(self._shared), np.arange(len(own)))] if self._shared.shape[1] else []
+        shared += [
+            self.weighted(_placed(block, rows, len(own)))
+            for block, rows in zip(self._smooth, self.kinds.values(), strict=False)
+        ]
+        self._common = np.empty((len(own), 0))
+        if shared:
+            self._common = orthonormal(self._off_cars(np.column_stack(shared)))
+
+    def _by_kind(self, columns: Floats, rows: Rows) -> Floats:
+        """Return columns of their own for each vehicle model, zero outside of `rows`."""
+        inside = np.zeros(len(columns), np.bool_)
+        inside[rows] = True
+        blocks = [_placed(columns[r], r, len(columns)) for kind in self.kinds.values() if len(r := kind[inside[kind]])]
+        return np.column_stack(blocks)
+
+    def _off_cars(self, columns: Floats) -> Floats:
+        """Return what is left of weighted columns off each car's own."""
+        left = columns.copy()
+        for rows, basis in self._bases:
+            left[rows] -= basis @ (basis.T @ left[rows])
+        return left
+
+    def off(self, columns: Floats) -> Floats:
+        """Return what the model cannot take up of columns, weighted.
+
+        Parameters
+        ----------
+        columns : (n, k) float
+            Energies. [kWh per unit of a coefficient]
+
+        Returns
+        -------
+        (n, k) float
+            [1 per unit of a coefficient]
+        """
+        left = self._off_cars(self.weighted(columns))
+        return np.asarray(left - self._common @ (self._common.T @ left))
+
+    def within(self, columns: Floats, car: int) -> Floats:
+        """Return what one car's own columns leave of columns that are zero elsewhere, weighted, at its windows."""
+        rows = self.cars[car]
+        starts = np.flatnonzero(np.r_[True, np.diff(self.windows.ride[rows]) != 0])
+        scaled = columns[rows] * np.sqrt(self.weight[rows])[:, np.newaxis]
+        count = np.diff(np.r_[starts, len(rows)]).astype(np.float64)
+        more = 1.0 / np.sqrt(self._of_mean(count)) - 1.0
+        mean = np.add.reduceat(scaled, starts, axis=0) * (more / count)[:, np.newaxis]
+        left = scaled + np.repeat(mean, count.astype(np.int64), axis=0)
+        basis = next((each for own, each in self._bases if own is rows), None)
+        return left if basis is None else left - basis @ (basis.T @ left)
+
+    def plain(self) -> Floats:
+        """Return the model's own columns for each vehicle model, neither weighted nor of each car, (n, k). [kWh]"""
+        every = np.arange(len(self._own))
+        blocks = [self._by_kind(self._own, every)]
+        blocks += [self._by_kind(self._shared, every)] if self._shared.shape[1] else []
+        blocks += [
+            _placed(block, rows, len(self._own)) for block, rows in zip(self._smooth, self.kinds.values(), strict=False)
+        ]
+        return np.column_stack(blocks)
+
+    @property
+    def columns(self) -> int:
+        """How many coefficients it stands for."""
+        return sum(basis.shape[1] for _, basis in self._bases) + self._common.shape[1]
+
+
+def orthonormal(columns: Floats) -> Floats:
+    """Return an orthonormal basis of the span of columns, (n, rank)."""
+    size = np.sqrt((columns**2).sum(axis=0))
+    scaled = columns[:, size > 0.0] / size[size > 0.0]
+    if not scaled.shape[1]:
+        return np.empty((len(columns), 0))
+    left, values, _ = np.linalg.svd(scaled, full_matrices=False)
+    return np.asarray(left[:, values > RANK * values[0]])
+
+
+def _kinds(windows: Windows) -> dict[str, Rows]:
+    """Return the rows of each vehicle model."""
+    name = np.array(names(windows.table, "vehicle_model"), dtype=object)
+    return {kind: np.flatnonzero(name == kind) for kind in sorted(set(name))}
+
+
+def _physical(term: Term) -> bool:
+    """Tell whether a term is a physical one without more, which each car has of its own."""
+    return bool(term.columns) and term.columns[0].startswith((EFFECT_PREFIX, ACCESSORIES))
+
+
+def _terms(windows: Windows, model: LinearModel, terms: tuple[Term, ...], kinds: dict[str, Rows]) -> Floats:
+    """Return the terms as each vehicle model's fit sees them, unknown values as zero. [kWh per unit]"""
+    out = np.zeros((len(windows.measured), len(terms)))
+    for kind, rows in kinds.items():
+        fit = model.fits.get(kind) or model.fits[ANY]
+        columns = Columns(windows.table, fit.fills, fit.curve.to_curve() if fit.curve else None, rows)
+        out[rows] = design(terms, columns, len(rows))
+    return np.nan_to_num(out, nan=0.0)
+
+
+def _car(windows: Windows, curved: bool) -> Floats:
+    """Return what cars differ in beside: standby power, hills by sign, the slopes of heating and cooling over time."""
+    hours = numbers(windows.table, "duration_s") / 3600.0
+    always = [hours, np.nan_to_num(numbers(windows.table, "effect_climbing_up"), nan=0.0), _lag(windows)]
+    if not curved:
+        return np.column_stack(always)
+    ambient = np.nan_to_num(numbers(windows.table, "ambient_c"), nan=15.0)
+    cold, hot = np.maximum(18.0 - ambient, 0.0), np.maximum(ambient - 21.0, 0.0)
+    return np.column_stack([*always, hours * cold, hours * hot])
+
+
+def _lag(windows: Windows) -> Floats:
+    """Return what a window gains where motion is known some time later than power: by smoothing, by clocks. [kWh/s]"""
+    table = windows.table
+    if "power_end_w" not in table:
+        return np.zeros(len(table))
+    return np.nan_to_num(numbers(table, "power_end_w") - numbers(table, "power_start_w")) / JOULES_PER_KWH
+
+
+def _smooth(windows: Windows, rows: Rows) -> Floats:
+    """Return time times a linear spline of the temperature, with knots every `KNOT_STEP`, (rows, knots). [h]"""
+    hours = numbers(windows.table, "duration_s")[rows] / 3600.0
+    ambient = np.nan_to_num(numbers(windows.table, "ambient_c")[rows], nan=15.0)
+    low, high = float(ambient.min()), float(ambient.max())
+    knots = np.linspace(low, high, max(2, round((high - low) / KNOT_STEP) + 1)) if high > low else np.array([low])
+    step = knots[1] - knots[0] if len(knots) > 1 else 1.0
+    tents = np.maximum(1.0 - np.abs(ambient[:, np.newaxis] - knots) / step, 0.0)
+    return np.asarray(tents * hours[:, np.newaxis])
+
+
+def _placed(block: Floats, rows: Rows, size: int) -> Floats:
+    """Return a block at its rows, zero elsewhere, (size, columns)."""
+    out = np.zeros((size, block.shape[1]))
+    out[rows] = block
+    return out

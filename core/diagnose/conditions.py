@@ -1,0 +1,244 @@
+"""Conditions on rides that a person understands: the words that a slice of the ride table is described with.
+
+Each is one comparison of one column: of temperature, distance, speed, climb, stops, weather, rest, battery, people,
+season, hour, date, or the name of a vehicle model, a vehicle, a driver. Thresholds are quantiles of the rides, rounded
+to what a person would say. Where a column is unknown no condition on it holds.
+"""
+
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from typing import Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from core.batch import Floats
+from core.learn.blocks import names, numbers
+
+Masks = NDArray[np.bool_]
+
+QUANTILES: Final = np.linspace(0.04, 0.96, 24)
+"""Shares of the rides at which thresholds are looked for."""
+ENOUGH: Final = 4
+"""Thresholds of a column that are enough: with as many at a coarse step, no finer one is tried."""
+MOST_DATES: Final = 16
+"""Dates of which a period may begin."""
+FEWEST: Final = 8
+"""Rides that a condition must hold for, and must not hold for, to be worth looking at."""
+HOURS: Final = (3, 6, 12)
+"""How long the times of day are that are looked at, each beginning at a multiple of three hours. [h]"""
+
+VAGUE: Final = 1.5
+"""Conditions that a season, a date or the battery's temperature counts for: the weather's says more."""
+
+
+class Condition(NamedTuple):
+    """Something that holds for some rides.
+
+    Parameters
+    ----------
+    words : str
+        As a person says it.
+    kind : str
+        What it compares, and which way: of two conditions of a kind one is idle.
+    effort : float
+        How many conditions it counts for: a season or a date says less than the temperature that comes with it.
+    """
+
+    words: str
+    kind: str
+    effort: float = 1.0
+
+
+class Scale(NamedTuple):
+    """How a person speaks of a column.
+
+    Parameters
+    ----------
+    column : str
+        Of the ride table.
+    below, above : str
+        Words for values below a threshold, and from it on, with a place for it.
+    steps : tuple of float
+        What thresholds are multiples of, coarsest first; one of them is taken. In what is said.
+    at : tuple of float
+        Thresholds, in place of steps, where even steps would not do. In what is said.
+    size : float
+        What is said, in units of the column.
+    effort : float
+        Of a condition.
+    """
+
+    column: str
+    below: str
+    above: str
+    steps: tuple[float, ...] = ()
+    at: tuple[float, ...] = ()
+    size: float = 1.0
+    effort: float = 1.0
+
+
+SCALES: Final = (
+    Scale("ambient_c", "colder than {} °C", "warmer than {} °C", (5.0, 2.0, 1.0)),
+    Scale("distance_km", "shorter than {} km", "longer than {} km", (5.0, 2.0, 1.0, 0.5)),
+    Scale("average_speed_kmh", "slower than {} km/h", "faster than {} km/h", (10.0, 5.0, 2.0)),
+    Scale("gained_m", "gaining less than {} m", "gaining more than {} m", (100.0, 50.0, 20.0, 10.0)),
+    Scale("lost_m", "losing less than {} m", "losing more than {} m", (100.0, 50.0, 20.0, 10.0)),
+    Scale("stops", "fewer than {} stops", "{} stops or more", (10.0, 5.0, 2.0, 1.0)),
+    Scale("wind_speed_kmh", "wind below {} km/h", "wind above {} km/h", (10.0, 5.0, 2.0)),
+    Scale(
+        "precipitation_mm_h",
+        "rain or snow below {} mm/h",
+        "rain or snow above {} mm/h",
+        at=(0.1, 0.2, 0.5, 1.0, 2.0, 5.0),
+    ),
+    Scale(
+        "parked_s",
+        "parked for less than {} h before",
+        "parked for more than {} h before",
+        at=(0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 12.0, 24.0),
+        size=3600.0,
+    ),
+    Scale("soc_start_pct", "battery below {} % at the start", "battery above {} % at the start", (10.0, 5.0)),
+    Scale(
+        "battery_temperature_c",
+        "battery colder than {} °C",
+        "battery warmer than {} °C",
+        (5.0, 2.0, 1.0),
+        effort=VAGUE,
+    ),
+    Scale("occupants", "fewer than {} people aboard", "{} people aboard or more", (1.0,)),
+)
+NAMES: Final = (
+    ("vehicle_id", "vehicle"),
+    ("vehicle_model", "vehicle model"),
+    ("driver_id", "driver"),
+)
+"""Columns of names, and what is said before a name that has no letters."""
+
+
+def conditions(rides: pd.DataFrame) -> tuple[list[Condition], Masks]:
+    """Return the conditions that tell some of the rides from the others.
+
+    Parameters
+    ----------
+    rides : DataFrame
+        n rows of the ride table; columns that it lacks are passed over.
+
+    Returns
+    -------
+    list of c Condition
+        Of those that hold for the same rides the first one only: names, then the physical columns, then times.
+    (c, n) bool
+        For which rides each holds.
+    """
+    found: list[Condition] = []
+    masks: list[NDArray[np.bool_]] = []
+    seen: set[bytes] = set()
+    for condition, mask in _all(rides):
+        key = np.packbits(mask).tobytes()
+        if FEWEST <= np.count_nonzero(mask) <= len(mask) - FEWEST and key not in seen:
+            seen.add(key)
+            found.append(condition)
+            masks.append(mask)
+    return found, np.array(masks, dtype=np.bool_).reshape(len(found), len(rides))
+
+
+def start_s(rides: pd.DataFrame) -> Floats:
+    """Return the Unix time at which each ride began, (n,) float. [s]"""
+    return _numbers(rides, "start_s")
+
+
+def dates(rides: pd.DataFrame) -> NDArray[np.str_]:
+    """Return the UTC date of each ride, (n,) str, ISO; empty where it is unknown."""
+    if "date" in rides:
+        return np.array(names(rides, "date"), dtype=np.str_)
+    began = start_s(rides)
+    known = np.isfinite(began)
+    found = np.full(len(rides), "", dtype="<U10")
+    found[known] = [datetime.fromtimestamp(time, UTC).date().isoformat() for time in began[known].tolist()]
+    return found
+
+
+def _all(rides: pd.DataFrame) -> Iterator[tuple[Condition, NDArray[np.bool_]]]:
+    """Give every condition there is on some rides, whether it tells them apart or not."""
+    for column, title in NAMES:
+        yield from _named(np.array(names(rides, column), dtype=np.str_), column, title)
+    for scale in SCALES:
+        if scale.column in rides:
+            yield from _compared(_numbers(rides, scale.column) / scale.size, scale)
+    for season in ("winter", "summer"):
+        if season in rides:
+            yield Condition(f"in {season}", "season", VAGUE), _numbers(rides, season) > 0.5
+    yield from _hours(rides)
+    yield from _periods(dates(rides))
+
+
+def _named(column: NDArray[np.str_], kind: str, title: str) -> Iterator[tuple[Condition, NDArray[np.bool_]]]:
+    """Give one condition a name that is common enough."""
+    found, code, rides = np.unique(column, return_inverse=True, return_counts=True)
+    for i, (name, count) in enumerate(zip(found.tolist(), rides.tolist(), strict=True)):
+        if name and count >= FEWEST:
+            said = name if any(letter.isalpha() for letter in name) else f"{title} {name}"
+            yield Condition(said, kind), code == i
+
+
+def _compared(values: Floats, scale: Scale) -> Iterator[tuple[Condition, NDArray[np.bool_]]]:
+    """Give both sides of each threshold of a column."""
+    for threshold in thresholds(values, scale):
+        said = f"{threshold:g}"
+        yield Condition(scale.below.format(said), f"{scale.column} <", scale.effort), values < threshold
+        yield Condition(scale.above.format(said), f"{scale.column} >", scale.effort), values >= threshold
+
+
+def thresholds(values: Floats, scale: Scale) -> list[float]:
+    """Return round numbers that part values, ascending.
+
+    Examples
+    --------
+    >>> thresholds(np.linspace(-12.0, 24.0, 100), SCALES[0])
+    [-10.0, -5.0, 0.0, 5.0, 10.0, 15.0, 20.0]
+    >>> thresholds(np.linspace(18.2, 24.1, 100), SCALES[0])
+    [19.0, 20.0, 21.0, 22.0, 23.0, 24.0]
+    """
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return []
+    low, high = float(known.min()), float(known.max())
+    if scale.at:
+        return [at for at in scale.at if low < at <= high]
+    quantiles = np.quantile(known, QUANTILES)
+    found: list[float] = []
+    for step in scale.steps:
+        round_ones = np.unique(np.round(quantiles / step)) * step
+        found = [float(at) + 0.0 for at in round_ones if low < at <= high]
+        if len(found) >= ENOUGH:
+            break
+    return found
+
+
+def _hours(rides: pd.DataFrame) -> Iterator[tuple[Condition, NDArray[np.bool_]]]:
+    """Give times of the day, by the mean sun where a ride began, or by UTC where nobody knows where that was."""
+    longitude = np.nan_to_num(_numbers(rides, "longitude_start_deg"))
+    hour = (start_s(rides) / 3600.0 + longitude / 15.0) % 24.0
+    for length in HOURS:
+        for first in range(0, 24, 3):
+            words = f"between {first} and {(first + length) % 24} h"
+            yield Condition(words, "hour"), (hour - first) % 24.0 < length
+
+
+def _periods(day: NDArray[np.str_]) -> Iterator[tuple[Condition, NDArray[np.bool_]]]:
+    """Give the times before a date and since it: every date there is, or those that part the rides into like parts."""
+    known = np.sort(day[day != ""])
+    found = np.unique(known)
+    if len(found) > MOST_DATES:
+        found = np.unique(known[(np.linspace(0.0, 1.0, MOST_DATES + 2)[1:-1] * len(known)).astype(np.int64)])
+    for date in found.tolist():
+        yield Condition(f"before {date}", "date <", VAGUE), (day < date) & (day != "")
+        yield Condition(f"since {date}", "date >", VAGUE), day >= date
+
+
+def _numbers(rides: pd.DataFrame, column: str) -> Floats:
+    """Return a column as (n,) float, NaN where it is unknown or absent."""
+    return numbers(rides, column) if column in rides else np.full(len(rides), np.nan)

@@ -1,0 +1,311 @@
+"""The diagnosis: where a model fails, which effects it lacks, how sure that is, and what remains.
+
+The procedure, each step in its own module: windows and their weights (`windows`, `noise`); what the model could take up
+if it were refitted is projected off (`base`); every effect of the library is tested and ranked on held-out days
+(`asked`, `evidence`, `ranking`); the best are named, beside each other (`search`) and in places (`scopes`); what is
+left is looked at without the library (`structure`, `free_form`); and rides are sliced by what they have in common
+(`slices`).
+"""
+
+from collections.abc import Collection
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from threadpoolctl import threadpool_limits
+
+from core import effects
+from core.batch import Floats
+from core.diagnose import structure
+from core.diagnose.asked import Asked, library
+from core.diagnose.base import Base
+from core.diagnose.coefficients import told
+from core.diagnose.evidence import Clusters
+from core.diagnose.free_form import Suggestion, free_form
+from core.diagnose.noise import ride_floor
+from core.diagnose.ranking import LEVEL, Ranked
+from core.diagnose.refitting import Estimate
+from core.diagnose.scopes import local
+from core.diagnose.search import Finding, Search
+from core.diagnose.slices import slices
+from core.diagnose.structure import Remains
+from core.diagnose.windows import Windows, by_meter, gather
+from core.features import EFFECT_PREFIX
+from core.learn.blocks import names, numbers
+from core.models import LinearModel
+
+LEAST_GAIN: Final = 0.002
+"""Share of the squared error that an effect must explain on held-out days to be named."""
+WORTH_A_TERM: Final = 0.005
+"""Share of the squared error that a free-form term must explain to be suggested."""
+MOST: Final = 6
+"""Effects that are named at most."""
+FEW_DAYS: Final = 12
+"""Vehicle-days below which places are not asked of one by one."""
+MAINLY: Final = 0.95
+"""Share of the windows from which on one way of measuring is named for all."""
+NORMAL: Final = 1.96
+"""Half width of a 95 % interval of a normal estimate. [standard errors]"""
+
+
+def diagnose(
+    rides: pd.DataFrame,
+    windows: pd.DataFrame,
+    model: LinearModel,
+    *,
+    without: Collection[str] = (),
+    least_gain: float = LEAST_GAIN,
+    places: bool = True,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Return what a model lacks.
+
+    Parameters
+    ----------
+    rides, windows : DataFrame
+        As `socast tables` makes them.
+    model : LinearModel
+        That is diagnosed.
+    without : collection of str
+        Effects of the library that are not asked of.
+    least_gain : float
+        Share of the squared error that an effect must explain on held-out days to be named.
+    places : bool
+        Whether to ask too what holds for one vehicle, or from a date on.
+    seed : int
+        Of the dealing of vehicle-days into folds and halves.
+
+    Returns
+    -------
+    dict
+        `model`, `data`, `error`, `slices`, `missing` (best first, each beside the others), `candidates`, `verdict`,
+        `structure_remains`, `structure`, `suggestion`, `suggestion_file`, `steps`. Plain values; a figure that is not
+        known is NaN or None.
+
+    Raises
+    ------
+    ModelError
+        Where there is too little to diagnose, see `core.diagnose.windows.gather`.
+    """
+    with threadpool_limits(1):  # matrices are small: threads would wait for each other, and sums depend on their number
+        return _diagnosed(gather(rides, windows, model), model, without, least_gain, places=places, seed=seed)
+
+
+def _diagnosed(
+    seen: Windows, model: LinearModel, without: Collection[str], least_gain: float, *, places: bool, seed: int
+) -> dict[str, Any]:
+    """Return what a model lacks, see `diagnose`."""
+    base, asked = Base(seen, model), library(seen, model, without)
+    search = Search(base, asked, [Clusters(seen.day), Clusters(seen.date)], least_gain, MOST, seed)
+    first = search.rank()
+    search.forward()
+    if places and int(seen.day.max()) + 1 >= FEW_DAYS:
+        local(search, declared(library(seen, model, without, scopes=True)))
+    base = search.base
+    found = search.findings()
+    remains = structure.remains(search, found)
+    suggested = _suggested(base, search, search.left(search.off())) if remains.there else None
+    floor = ride_floor(seen)
+    verdict = found[0].named.effect if found else None
+    return {
+        "model": {"name": model.name, "version": model.version, "recipe": model.recipe},
+        "data": _data(seen),
+        "error": _error(seen, base, floor),
+        "slices": slices(seen.rides, seen.by_ride(seen.predicted - seen.measured), seed=seed),
+        "missing": [_missing(finding, seen) for finding in found],
+        "candidates": _candidates(first, found),
+        "verdict": verdict,
+        "structure_remains": remains.there,
+        "structure": _structure(remains),
+        "suggestion": None if suggested is None else suggested.formula,
+        "suggestion_file": None if suggested is None else suggested.file,
+        "steps": _steps(search, found, floor),
+    }
+
+
+def declared(asked: Asked) -> Asked:
+    """Return the effects of what is asked at the values of their parameters that they are declared with."""
+    kept = [i for i, variant in enumerate(asked.variants) if variant == asked.names[int(asked.effects[i])]]
+    return Asked(
+        variants=tuple(asked.variants[i] for i in kept),
+        effects=np.arange(len(kept), dtype=np.int64),
+        names=tuple(asked.variants[i] for i in kept),
+        sign=asked.sign[kept],
+        columns=asked.columns[:, kept],
+        measured=asked.measured,
+        scope=asked.scope,
+        absent=asked.absent,
+    )
+
+
+def _data(seen: Windows) -> dict[str, Any]:
+    """Return what was diagnosed."""
+    metered = by_meter(seen.table)
+    measured = "vi" if metered.mean() > MAINLY else "soc" if metered.mean() < 1.0 - MAINLY else "mixed"
+    length = float(np.median(numbers(seen.table, "duration_s")))
+    resolution = {
+        "vi": f"voltage and current, in windows of about {length:.0f} s",
+        "soc": f"the state of charge alone, a whole ride at a time, about {length:.0f} s",
+        "mixed": "voltage and current in windows of about a minute, or, where they lack, the state of charge by rides",
+    }
+    dates = sorted(date for date in names(seen.table, "date") if date)
+    return {
+        "rides": len(seen.rides),
+        "windows": len(seen.table),
+        "vehicles": int(seen.vehicle.max()) + 1,
+        "days": int(seen.day.max()) + 1,
+        "first_date": dates[0] if dates else None,
+        "last_date": dates[-1] if dates else None,
+        "measured": measured,
+        "resolution_s": length,
+        "resolution": resolution[measured],
+        "left_out": dict(seen.left_out),
+    }
+
+
+def _error(seen: Windows, base: Base, floor: float) -> dict[str, float]:
+    """Return how far off the model is, per ride."""
+    error, used = seen.by_ride(seen.predicted - seen.measured), seen.by_ride(seen.measured)
+    refitted = seen.by_ride(base.energy(base.residual))
+    mae = float(np.mean(np.abs(error)))
+    return {
+        "mae_kwh": mae,
+        "relative": mae / float(np.mean(used)) if float(np.mean(used)) > 0.0 else float("nan"),
+        "bias_kwh": float(np.mean(error)),
+        "mae_refitted_kwh": float(np.mean(np.abs(refitted))),
+        "noise_floor_kwh": floor,
+    }
+
+
+def _missing(finding: Finding, seen: Windows) -> dict[str, Any]:
+    """Return an effect that is missing."""
+    named, evidence = finding.named, finding.evidence
+    effect = effects.get(named.variant)
+    value = float(evidence.coefficient[0])
+    low, high = evidence.interval(0)
+    energy = named.column[:, 0] * value
+    half = NORMAL * finding.gain_error
+    return {
+        "effect": named.effect,
+        "variant": named.variant,
+        "group": [named.effect, *(name for name, _ in finding.rivals)],
+        "scope": " ".join(part.replace("=", " ") for part in named.asked.scope) or "all",
+        "columns": [f"{EFFECT_PREFIX}{named.variant}", *named.asked.scope],
+        "gain": finding.gain,
+        "gain_ci95": [finding.gain - half, finding.gain + half],
+        "gain_of": finding.of,
+        "energy_share": float(energy.sum() / seen.measured.sum()),
+        "q": named.q,
+        "p": float(evidence.p[0]),
+        "z": float(evidence.z[0]),
+        "coefficient": told(effect, Estimate(value, float(evidence.error[0]), float(evidence.freedom[0]))),
+        "words": effect.in_words(value, (high - low) / 2.0),
+        "equivalents": _equivalents(energy, seen),
+        "separate": [
+            {"effect": name, "correlation": r, "data": effects.get(name).shown_by} for name, r in finding.rivals
+        ],
+    }
+
+
+def _equivalents(energy: Floats, seen: Windows) -> list[str]:
+    """Return what would have taken as much energy, where the effect acts: power, mass, headwind."""
+    table = seen.table
+    acts = np.abs(energy) > 0.0
+    total, hours = float(energy[acts].sum()), float(numbers(table, "duration_s")[acts].sum()) / 3600.0
+    if hours <= 0.0:
+        return []
+    said = [f"{1000.0 * total / hours:+,.0f} W"]
+    mass = numbers(table, "mass_kg")
+    road = numbers(table, "effect_rolling") * numbers(table, "rolling_resistance") + numbers(table, "effect_climbing")
+    per_kg = float(np.nansum((road / mass)[acts]))
+    if per_kg > 0.0:
+        said.append(f"{total / per_kg:+,.0f} kg")
+    drag, speed = numbers(table, "effect_aero_drag"), numbers(table, "average_speed_kmh") / 3.6
+    per_wind = float(np.nansum((2.0 * drag * numbers(table, "drag_area_m2") / np.maximum(speed, 1.0))[acts]))
+    if per_wind > 0.0:
+        said.append(f"{total / per_wind:+.1f} m/s of headwind")
+    return said
+
+
+def _candidates(first: Ranked, found: list[Finding]) -> list[dict[str, Any]]:
+    """Return all effects that were asked of everywhere, as they stood before any was named."""
+    missing = {finding.named.effect for finding in found}
+    rows: list[dict[str, Any]] = []
+    for e, (name, at) in enumerate(zip(first.asked.names, first.best.tolist(), strict=True)):
+        told_apart = at >= 0
+        evidence = first.evidence
+        wrong = told_apart and first.asked.sign[at] * evidence.z[at] < 0.0
+        rows.append(
+            {
+                "effect": name,
+                "variant": first.asked.variants[at] if told_apart else name,
+                "scope": "all",
+                "z": float(evidence.z[at]) if told_apart else None,
+                "p": float(evidence.p[at]) if told_apart else None,
+                "q": float(first.q[e]) if told_apart else None,
+                "gain": first.gain(at)[0] if told_apart else None,
+                "status": "missing"
+                if name in missing
+                else "cannot be told from the model"
+                if not told_apart
+                else "wrong sign"
+                if wrong
+                else "not needed"
+                if first.q[e] < LEVEL
+                else "not there",
+            }
+        )
+    rows.sort(key=lambda row: -(row["gain"] if row["gain"] is not None else -1.0))
+    empty = dict.fromkeys(("z", "p", "q", "gain"))
+    absent = [
+        {"effect": name, "variant": name, "scope": "all", **empty, "status": why}
+        for name, why in first.asked.absent.items()
+    ]
+    return rows + absent
+
+
+def _structure(remains: Remains) -> dict[str, Any]:
+    """Return what is left after the named effects."""
+    return {
+        "before": remains.before,
+        "after": remains.after,
+        "taken": remains.taken,
+        "least": structure.LEAST_TAKEN,
+        "shape": remains.shape,
+        "q": remains.q,
+        "gain": remains.gain,
+        "better": remains.better,
+        "days": remains.days,
+        "most_days": remains.most_days,
+        "shapes": remains.shapes,
+    }
+
+
+def _suggested(base: Base, search: Search, left: Floats) -> Suggestion | None:
+    """Return a free-form term for what is left, where one explains enough."""
+    seen = base.windows
+    columns = np.column_stack([base.plain(), *(named.column for named in search.named)])
+    return free_form(seen.table, base.energy(left), base.weight, seen.day, columns, least_gain=WORTH_A_TERM)
+
+
+def _steps(search: Search, found: list[Finding], floor: float) -> list[dict[str, Any]]:
+    """Return the error per ride as effects are added one by one, each fitted to other vehicle-days."""
+    base, seen = search.base, search.base.windows
+    named, search.named = search.named, []
+    rows = []
+    for finding in (None, *found):
+        if finding is not None:
+            search.named = [*search.named, finding.named]
+        off = search.off()
+        left = search.held_out(off)
+        error = seen.by_ride(base.energy(left))
+        rows.append(
+            {
+                "effect": None if finding is None else finding.named.effect,
+                "scope": "all" if finding is None else " ".join(finding.named.asked.scope).replace("=", " ") or "all",
+                "mae_kwh": float(np.mean(np.abs(error))),
+                "noise_floor_kwh": floor,
+            }
+        )
+    search.named = named
+    return rows

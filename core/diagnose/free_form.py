@@ -1,0 +1,382 @@
+"""A free-form term for structure that no effect of the library explains, as a suggestion.
+
+Every carrier times every modulator is tried (`core.diagnose.free_terms`), and the best of them times a second one, all
+projected off what the base can refit. What is compared is the fall of the weighted squared residual on clusters that
+were held out, base and term refitted without them. A plainer form of the best term is preferred where it is within one
+standard error of it [1]_. The search itself is repeated within each fold of an outer cross-validation, so that the gain
+that is reported is that of searching, judged on clusters that had no say [2]_; where its interval does not clear zero,
+nothing is suggested.
+
+All of it runs on sums over ten pieces of the data, so that a fold costs no pass over the windows.
+
+References
+----------
+.. [1] Hastie, Tibshirani, Friedman, The Elements of Statistical Learning, 2nd ed., Springer 2009, section 7.10.
+.. [2] Varma, Simon 2006, BMC Bioinformatics 7:91, DOI 10.1186/1471-2105-7-91: nested cross-validation.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from core.batch import Floats, Ints
+from core.diagnose import suggestion
+from core.diagnose.free_terms import FreeTerm, Modulator, modulators
+from core.diagnose.ingredients import CARRIERS, VARIABLES, Carrier
+
+PIECES: Final = 10
+"""Parts into which the clusters are dealt."""
+FOLDS: Final = 5
+"""Folds of the outer cross-validation, each of some pieces."""
+LEAST_CLUSTERS: Final = 8
+"""Clusters below which nothing can be held out in earnest."""
+LEAST_PIECES: Final = 0.4
+"""Share of the pieces in which a term must act."""
+WIDEST: Final = 6
+"""Terms that are tried with a second modulator."""
+MORE: Final = 2.0
+"""Standard errors by which a further variable must win: it is the best of hundreds. A shape must win by one."""
+SLIGHT: Final = 0.05
+"""Share of the fall that is given up for a plainer term, however sure the difference is."""
+KEPT: Final = 0.5
+"""Share of the fall that a plainer term must keep, however unsure the difference is."""
+HOLD: Final = 0.03
+"""Share of all windows that the base that was fitted counts for, when it is refitted to some of them."""
+LUCK: Final = 0.5
+"""Standard errors by which a fall is thought to be better than it is: most for what acts on few days."""
+OWN: Final = 1e-6
+"""Share of a column's squares that the base must leave, for it to be a term of its own."""
+
+
+@dataclass(frozen=True, eq=False)
+class Suggestion:
+    """A term outside the library that explains what is left.
+
+    Parameters
+    ----------
+    term : FreeTerm
+        What it is made of.
+    formula : str
+        `P = c · ...`.
+    coefficient : float
+        [`unit`]
+    ci95 : (float, float)
+        Interval of the coefficient, given the term. [`unit`]
+    unit : str
+        With which the power is in watt, as pint spells it.
+    gain, gain_ci95 : float, (float, float)
+        Fall of the weighted squared residual by searching, on clusters held out, as a share of it.
+    column : (n,) float
+        Energy of the term in each window, per unit of the coefficient. [kWh/`unit`]
+    file : str
+        Text of a Python file with the effect.
+    """
+
+    term: FreeTerm
+    formula: str
+    coefficient: float
+    ci95: tuple[float, float]
+    unit: str
+    gain: float
+    gain_ci95: tuple[float, float]
+    column: Floats
+    file: str
+
+
+class _Data(NamedTuple):
+    """Rows by piece and cluster, all times the root of their weight: base in directions of its own, and residual."""
+
+    base: Floats
+    residual: Floats
+    root: Floats
+    cluster: Ints
+    starts: Ints
+    gram: Floats
+    cross: Floats
+
+
+class _Sums(NamedTuple):
+    """Products of m columns with the base, the residual and themselves, by piece."""
+
+    base: Floats
+    residual: Floats
+    square: Floats
+
+
+class _Search:
+    """All terms there are on some windows, with their sums, which are made when they are asked for."""
+
+    def __init__(self, data: _Data, windows: pd.DataFrame) -> None:
+        self.data = data
+        values = {variable.name: variable.value(windows) for variable in VARIABLES}
+        self.modulators = [each for variable in VARIABLES for each in modulators(variable, values[variable.name])]
+        self.values = np.array([each.of(values[each.variable.name]) for each in self.modulators])
+        self.energies = {carrier.name: carrier.energy(windows) for carrier in CARRIERS}
+        self.made: dict[tuple[str, str, str, float], tuple[list[FreeTerm], _Sums]] = {}
+        self.terms: list[FreeTerm] = []
+        parts = []
+        for carrier in CARRIERS:
+            terms, sums = self._of(carrier, ())
+            self.terms += terms
+            parts.append(sums)
+        self.sums = _joined(parts)
+
+    def column(self, term: FreeTerm) -> Floats:
+        """Return the energy of a term in each row, per unit of its coefficient. [kWh]"""
+        column = self.energies[term.carrier.name]
+        for each in term.modulators:
+            column = column * self.values[self.modulators.index(each)]
+        return column
+
+    def longer(self, term: FreeTerm) -> tuple[list[FreeTerm], _Sums]:
+        """Return the terms with a modulator more, of another variable."""
+        (first,) = term.modulators
+        key = term.carrier.name, first.variable.name, first.shape, first.at
+        if key not in self.made:
+            self.made[key] = self._of(term.carrier, (first,))
+        return self.made[key]
+
+    def _of(self, carrier: Carrier, before: tuple[Modulator, ...]) -> tuple[list[FreeTerm], _Sums]:
+        """Return terms of a carrier and modulators, each with one more, or at first with none."""
+        column = self.column(FreeTerm(carrier, before)) * self.data.root
+        mine = {each.variable.name for each in before}
+        kept = [i for i, each in enumerate(self.modulators) if each.variable.name not in mine]
+        terms = [FreeTerm(carrier, (*before, self.modulators[i])) for i in kept]
+        columns = self.values[kept] * column
+        if not before:
+            terms, columns = [FreeTerm(carrier), *terms], np.vstack([column, columns])
+        return terms, _summed(columns, self.data)
+
+
+def free_form(
+    windows: pd.DataFrame,
+    residual: Floats,
+    weight: Floats,
+    cluster: Ints,
+    base: Floats,
+    *,
+    least_gain: float = 0.002,
+) -> Suggestion | None:
+    """Return the term that explains most of a residual, if any does.
+
+    Parameters
+    ----------
+    windows : DataFrame
+        n rows of the window table, see `core.diagnose.windows.joined`.
+    residual : (n,) float
+        Measured less predicted. [kWh]
+    weight : (n,) float
+        Of the squared residual: the inverse of its variance. [1/kWh^2]
+    cluster : (n,) int
+        Within which residuals depend on each other.
+    base : (n, k) float
+        What the model can refit: these columns get no help from a term, nor it credit for them. [kWh per unit]
+    least_gain : float
+        Share of the weighted squared residual that a suggestion must take at least.
+
+    Returns
+    -------
+    Suggestion or None
+        None where no term takes so much on clusters held out, beyond doubt.
+    """
+    usable = np.isfinite(residual) & np.isfinite(weight) & (weight > 0.0) & np.isfinite(base).all(axis=1)
+    if len(np.unique(cluster[usable])) < LEAST_CLUSTERS:
+        return None
+    order = np.flatnonzero(usable)
+    order = order[np.lexsort((cluster[order], _dealt(cluster[order])))]
+    table = windows.iloc[order]
+    data = _prepared(residual[order], weight[order], cluster[order], base[order])
+    search = _Search(data, table)
+    term = _choose(search, np.arange(len(data.starts)))
+    if term is None:
+        return None
+    gain, half = _gain(search)
+    if gain < least_gain or not gain - half > 0.0:
+        return None
+    coefficient, error = _coefficient(search, term)
+    column = np.full(len(windows), np.nan)
+    column[order] = search.column(term)
+    return Suggestion(
+        term=term,
+        formula=suggestion.formula(term),
+        coefficient=coefficient,
+        ci95=(coefficient - error, coefficient + error),
+        unit=suggestion.unit(term),
+        gain=gain,
+        gain_ci95=(gain - half, gain + half),
+        column=column,
+        file=suggestion.file(term, coefficient, len(order)),
+    )
+
+
+def _dealt(cluster: Ints) -> Ints:
+    """Return the piece of each row: clusters are dealt at random, always the same."""
+    found, code = np.unique(cluster, return_inverse=True)
+    piece = np.random.default_rng(0).permutation(len(found)) % min(PIECES, len(found))
+    return piece.astype(np.int64)[code]
+
+
+def _prepared(residual: Floats, weight: Floats, cluster: Ints, base: Floats) -> _Data:
+    """Return rows that are in order, with the sums that every fold needs."""
+    root = np.sqrt(weight / weight.mean())
+    scaled = base * root[:, None]
+    scaled = scaled / np.maximum(np.sqrt(np.mean(scaled**2, axis=0)), 1e-300)
+    values, directions = np.linalg.eigh(scaled.T @ scaled / len(scaled))
+    kept = values > 1e-9 * max(values.max(initial=0.0), 1e-300)
+    scaled = scaled @ (directions[:, kept] / np.sqrt(values[kept]))
+    own = residual * root
+    own = own - scaled @ (scaled.T @ own) / len(own)
+    starts = np.flatnonzero(np.diff(_dealt(cluster), prepend=-1))
+    ends = [*starts[1:].tolist(), len(own)]
+    pieces = [slice(first, last) for first, last in zip(starts.tolist(), ends, strict=True)]
+    gram = np.array([scaled[piece].T @ scaled[piece] for piece in pieces])
+    cross = np.array([scaled[piece].T @ own[piece] for piece in pieces])
+    return _Data(scaled, own, root, cluster, starts, gram, cross)
+
+
+def _summed(columns: Floats, data: _Data) -> _Sums:
+    """Return the sums of weighted columns, (m, n), by piece, each less what the base explains of it over all."""
+    ends = [*data.starts[1:].tolist(), len(data.residual)]
+    parts = []
+    for first, last in zip(data.starts.tolist(), ends, strict=True):
+        piece = columns[:, first:last]
+        square = np.einsum("mn,mn->m", piece, piece)
+        parts.append((piece @ data.base[first:last], piece @ data.residual[first:last], square))
+    base, residual, square = (np.array(each) for each in zip(*parts, strict=True))
+    taken = base.sum(axis=0) / len(data.residual)
+    along = base - taken @ data.gram
+    left = square - np.einsum("mk,pmk->pm", taken, base + along)
+    left = np.where(left.sum(axis=0) > OWN * square.sum(axis=0), left.clip(0.0), 0.0)
+    return _Sums(along, residual - data.cross @ taken.T, left)
+
+
+def _joined(parts: Sequence[_Sums]) -> _Sums:
+    """Return the sums of all columns."""
+    return _Sums(*(np.concatenate(each, axis=1) for each in zip(*parts, strict=True)))
+
+
+def _own(column: Floats, data: _Data) -> Floats:
+    """Return what the base leaves of a weighted column over all rows, (n,)."""
+    return column - data.base @ (data.base.T @ column) / len(column)
+
+
+class _Fitted(NamedTuple):
+    """Base and m terms fitted to some pieces: base without a term, base in each column, coefficients of the terms."""
+
+    own: Floats
+    taken: Floats
+    coefficient: Floats
+
+
+def _fit(data: _Data, sums: _Sums, train: Ints) -> _Fitted:
+    """Return the least squares of the residual on the base and each column by itself, on some pieces."""
+    gram = data.gram[train].sum(axis=0)
+    inverse = np.linalg.inv(gram + HOLD * len(data.residual) * np.eye(len(gram)))
+    cross = data.cross[train].sum(axis=0)
+    base, square = sums.base[train].sum(axis=0), sums.square[train].sum(axis=0)
+    taken = base @ inverse
+    left = square - np.einsum("mk,mk->m", taken, base)
+    told = (left > 0.0) & (np.count_nonzero(sums.square[train] > 0.0, axis=0) >= LEAST_PIECES * len(train))
+    total = sums.residual[train].sum(axis=0) - taken @ cross
+    return _Fitted(inverse @ cross, taken, np.divide(total, left, out=np.zeros(len(left)), where=told))
+
+
+def _fall(data: _Data, sums: _Sums, train: Ints, test: int) -> Floats:
+    """Return by how much each column lowers the squared residual of a piece, fitted to others, (m,)."""
+    fitted = _fit(data, sums, train)
+    gram, cross, base = data.gram[test], data.cross[test], sums.base[test]
+    along = sums.residual[test] - base @ fitted.own - fitted.taken @ (cross - gram @ fitted.own)
+    size = sums.square[test] - 2.0 * np.einsum("mk,mk->m", fitted.taken, base)
+    size = size + np.einsum("mk,mk->m", fitted.taken @ gram, fitted.taken)
+    return 2.0 * fitted.coefficient * along - fitted.coefficient**2 * size
+
+
+def _falls(data: _Data, sums: _Sums, pieces: Ints) -> Floats:
+    """Return the fall in each piece, fitted to the others of some, (pieces, m)."""
+    return np.array([_fall(data, sums, pieces[pieces != piece], int(piece)) for piece in pieces])
+
+
+def _choose(search: _Search, pieces: Ints) -> FreeTerm | None:
+    """Return the best term by cross-validation over some pieces, or a plainer form of it that is as good."""
+    terms, falls = list(search.terms), _falls(search.data, search.sums, pieces)
+    for head in _heads(terms, _sure(falls)):
+        longer, sums = search.longer(head)
+        terms += longer
+        falls = np.hstack([falls, _falls(search.data, sums, pieces)])
+    sure, total = _sure(falls), falls.sum(axis=0)
+    best = int(np.argmax(sure))
+    if sure[best] <= 0.0:
+        return None
+    plainer = [i for i, term in enumerate(terms) if term.plainer_than(terms[best])]
+    lost = falls[:, [best]] - falls[:, plainer]
+    doubt = np.array([1.0 if terms[i].variables == terms[best].variables else MORE for i in plainer])
+    enough = lost.sum(axis=0) <= np.maximum(doubt * _error(lost), SLIGHT * total[best])
+    enough &= total[plainer] >= KEPT * total[best]
+    as_good = [i for i, good in zip(plainer, enough.tolist(), strict=True) if good]
+    return terms[min(as_good, key=lambda i: (terms[i].effort, -total[i]), default=best)]
+
+
+def _heads(terms: Sequence[FreeTerm], sure: Floats) -> list[FreeTerm]:
+    """Return the best terms to be made longer, of a carrier and a variable the best one."""
+    heads: dict[tuple[str, frozenset[str]], FreeTerm] = {}
+    for i in np.argsort(-sure, kind="stable").tolist():
+        if len(heads) == WIDEST or sure[i] <= 0.0:
+            break
+        if terms[i].modulators:
+            heads.setdefault((terms[i].carrier.name, terms[i].variables), terms[i])
+    return list(heads.values())
+
+
+def _error(falls: Floats) -> Floats:
+    """Return the standard errors of sums over pieces, (m,)."""
+    return np.sqrt(len(falls)) * falls.std(axis=0, ddof=1)
+
+
+def _sure(falls: Floats) -> Floats:
+    """Return sums over pieces less a share of their standard error, (m,): one lucky piece does not count."""
+    return falls.sum(axis=0) - LUCK * _error(falls)
+
+
+def _gain(search: _Search) -> tuple[float, float]:
+    """Return the share of the squared residual that searching takes on clusters held out, and half its interval."""
+    data = search.data
+    piece = np.searchsorted(data.starts, np.arange(len(data.residual)), side="right") - 1
+    without, fall = np.zeros(len(data.residual)), np.zeros(len(data.residual))
+    every = np.arange(len(data.starts))
+    for test in np.array_split(every, min(FOLDS, len(every))):
+        train = np.setdiff1d(every, test)
+        term = _choose(search, train)
+        rows = np.isin(piece, test)
+        column = _own(search.column(search.terms[0] if term is None else term) * data.root, data)
+        fitted = _fit(data, _summed(column[None, :], data), train)
+        left = data.residual[rows] - data.base[rows] @ fitted.own
+        without[rows] = left**2
+        if term is not None:
+            term_left = left - fitted.coefficient[0] * (column[rows] - data.base[rows] @ fitted.taken[0])
+            fall[rows] = left**2 - term_left**2
+    code = np.unique(data.cluster, return_inverse=True)[1]
+    falls, squares = np.bincount(code, fall), np.bincount(code, without)
+    clusters = len(falls)
+    gain = float(falls.sum() / squares.sum())
+    spread = float(np.sum((falls - gain * squares) ** 2)) * clusters / (clusters - 1)
+    return gain, float(stats.t.ppf(0.975, clusters - 1) * np.sqrt(spread) / squares.sum())
+
+
+def _coefficient(search: _Search, term: FreeTerm) -> tuple[float, float]:
+    """Return the coefficient on all windows, and half its 95 % interval, errors clustered.
+
+    By the jackknife over clusters, with as many degrees of freedom as there are clusters that tell it.
+    """
+    data = search.data
+    own = _own(search.column(term) * data.root, data)
+    coefficient = float(own @ data.residual / np.sum(own**2))
+    left = data.residual - coefficient * own
+    code = np.unique(data.cluster, return_inverse=True)[1]
+    share = np.bincount(code, own**2) / np.sum(own**2)
+    moved = np.bincount(code, own * left) / np.sum(own**2) / np.maximum(1.0 - share, 0.05)
+    freedom = max(1.0 / float(np.sum(share**2)) - 1.0, 1.0)
+    return coefficient, float(stats.t.ppf(0.975, freedom) * np.sqrt(np.sum(moved**2)))

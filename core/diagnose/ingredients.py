@@ -1,0 +1,296 @@
+"""What terms outside the library are made of: carriers of energy, and variables that may modulate them.
+
+A carrier is a power that the window table holds the energy of, per unit of a coefficient: constant, rolling, drag,
+speeding up, slowing, climbing, descending, and an energy at each stop. A variable is what a window knows and an effect
+may ask for; what is unknown of it is what it is to effects (`core.signals`). Both know their unit and their code.
+"""
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from core.batch import Floats
+from core.columns import GRAVITY, KMH, STANDARD_AIR_DENSITY, ZERO_CELSIUS
+from core.declaration import Parameter
+from core.features import Table
+from core.signals import CIVIL_DUSK, HALF_CHARGED, NIGHT, STANDARD_AMBIENT
+from core.sun import sine_of_elevation
+
+_GRAVITY: Final = MappingProxyType({"gravity": Parameter(GRAVITY, "m/s^2")})
+_AIR: Final = MappingProxyType({"air_density_standard": Parameter(STANDARD_AIR_DENSITY, "kg/m^3")})
+
+
+class Carrier(NamedTuple):
+    """A power that acts in every window.
+
+    Parameters
+    ----------
+    name : str
+    symbol : str
+        As formulas have it; empty for a power of 1 W.
+    unit : str
+        Of what it is multiplied with to be a power in watt, as pint spells it.
+    arguments : tuple of str
+        Columns (`core.columns.SIGNALS`) that it is made of.
+    code : str
+        How; empty for a power of 1 W.
+    energy : callable
+        Of the window table: its energy per unit of what it is multiplied with. [kWh]
+    parameters : mapping of str to Parameter
+    alike : str
+        Effect of the library that has the same shape without modulators.
+    per : str
+        As of `core.effects.effect`.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    arguments: tuple[str, ...]
+    code: str
+    energy: Callable[[Table], Floats]
+    parameters: Mapping[str, Parameter] = MappingProxyType({})
+    alike: str = ""
+    per: str = "distance"
+
+
+class Variable(NamedTuple):
+    """Something that a window knows and an effect may ask for.
+
+    Parameters
+    ----------
+    name, symbol, meaning : str
+        For code, formulas and prose.
+    unit : str
+        As pint spells it; `1` for a pure number.
+    arguments : tuple of str
+        Columns (`core.columns.SIGNALS`) that it is made of.
+    code : str
+        How.
+    value : callable
+        Of the window table, (n,) float, never NaN: what is unknown is what it is to effects (`core.signals`).
+    shapes : tuple of str
+        Which functions of it are tried, see `core.diagnose.free_terms`.
+    follows : str
+        Name of a plainer variable that it goes with, if any.
+    """
+
+    name: str
+    symbol: str
+    meaning: str
+    unit: str
+    arguments: tuple[str, ...]
+    code: str
+    value: Callable[[Table], Floats]
+    shapes: tuple[str, ...]
+    follows: str = ""
+
+
+def _numbers(table: Table, name: str, unknown: float | Floats = 0.0) -> Floats:
+    """Return a column of the window table with a value in place of unknown ones."""
+    column = np.asarray(table[name], dtype=np.float64)
+    return np.where(np.isnan(column), unknown, column)
+
+
+def _ambient(table: Table) -> Floats:
+    return _numbers(table, "ambient_c", STANDARD_AMBIENT - ZERO_CELSIUS) + ZERO_CELSIUS
+
+
+def _pack(table: Table) -> Floats:
+    return _numbers(table, "battery_temperature_c", _ambient(table) - ZERO_CELSIUS) + ZERO_CELSIUS
+
+
+def _darkness(table: Table) -> Floats:
+    """Return `core.signals.darkness` at the middle of each window."""
+    time = _numbers(table, "start_s") + 0.5 * _numbers(table, "duration_s")
+    latitude, longitude = (np.radians(np.asarray(table[f"{name}_start_deg"])) for name in ("latitude", "longitude"))
+    depth = np.nan_to_num(-sine_of_elevation(time, latitude, longitude))
+    return np.clip(depth / np.sin(np.radians(CIVIL_DUSK)), 0.0, 1.0)
+
+
+def _grade(table: Table) -> Floats:
+    """Return the sine of the mean slope, 0 for a car that stands."""
+    distance = _numbers(table, "distance_km") * 1000.0
+    climb = _numbers(table, "gained_m") - _numbers(table, "lost_m")
+    return np.clip(np.divide(climb, distance, out=np.zeros(len(climb)), where=distance > 1.0), -0.35, 0.35)
+
+
+CARRIERS: Final = (
+    Carrier(
+        "auxiliary",
+        "",
+        "W",
+        (),
+        "",
+        lambda table: _numbers(table, "effect_auxiliary"),
+        alike="auxiliary",
+        per="time",
+    ),
+    Carrier(
+        "rolling",
+        "m g cos θ v",
+        "1",
+        ("tyre_load", "speed"),
+        "tyre_load * speed",
+        lambda table: _numbers(table, "effect_rolling"),
+        alike="rolling",
+    ),
+    Carrier(
+        "drag",
+        "½ ρ0 v³",
+        "m^2",
+        ("speed",),
+        "0.5 * air_density_standard * speed * speed * speed",
+        lambda table: _numbers(table, "effect_aero_drag"),
+        _AIR,
+        "aero_drag",
+    ),
+    Carrier(
+        "traction",
+        "m max(a, 0) v",
+        "1",
+        ("mass", "acceleration", "speed"),
+        "mass * np.maximum(acceleration, 0.0) * speed",
+        lambda table: _numbers(table, "effect_inertia_positive"),
+        alike="inertia_positive",
+    ),
+    Carrier(
+        "braking",
+        "m max(−a, 0) v",
+        "1",
+        ("mass", "acceleration", "speed"),
+        "mass * np.maximum(-acceleration, 0.0) * speed",
+        lambda table: -_numbers(table, "effect_inertia_negative"),
+        alike="inertia_negative",
+    ),
+    Carrier(
+        "climbing",
+        "m g max(sin θ, 0) v",
+        "1",
+        ("mass", "grade", "speed"),
+        "mass * gravity * np.maximum(grade, 0.0) * speed",
+        lambda table: _numbers(table, "effect_climbing_up"),
+        _GRAVITY,
+        "climbing_up",
+    ),
+    Carrier(
+        "descending",
+        "m g max(−sin θ, 0) v",
+        "1",
+        ("mass", "grade", "speed"),
+        "mass * gravity * np.maximum(-grade, 0.0) * speed",
+        lambda table: -_numbers(table, "effect_climbing_down"),
+        _GRAVITY,
+        "climbing_down",
+    ),
+    Carrier(
+        "stopping",
+        "n",
+        "J",
+        ("stop_rate",),
+        "stop_rate",
+        lambda table: _numbers(table, "stops") / 3.6e6,
+        alike="door_heat_loss",
+        per="time",
+    ),
+)
+
+_HINGES: Final = ("above", "below")
+VARIABLES: Final = (
+    Variable("ambient", "T", "outside temperature", "K", ("ambient",), "ambient", _ambient, _HINGES),
+    Variable(
+        "pack_temperature",
+        "Tb",
+        "battery temperature",
+        "K",
+        ("pack_temperature",),
+        "pack_temperature",
+        _pack,
+        _HINGES,
+        "ambient",
+    ),
+    Variable(
+        "speed",
+        "v",
+        "speed",
+        "m/s",
+        ("speed",),
+        "speed",
+        lambda t: _numbers(t, "average_speed_kmh") * KMH,
+        ("linear", "square", *_HINGES),
+    ),
+    Variable(
+        "charge",
+        "s",
+        "state of charge",
+        "1",
+        ("charge",),
+        "charge",
+        lambda t: _numbers(t, "soc_start_pct", 100.0 * HALF_CHARGED) / 100.0,
+        ("linear", "square", *_HINGES),
+    ),
+    Variable(
+        "elapsed",
+        "t",
+        "time since the ride began",
+        "s",
+        ("elapsed",),
+        "elapsed",
+        lambda t: _numbers(t, "elapsed_s") + 0.5 * _numbers(t, "duration_s"),
+        ("decay", *_HINGES),
+    ),
+    Variable(
+        "parked",
+        "tp",
+        "time parked before",
+        "s",
+        ("parked",),
+        "parked",
+        lambda t: _numbers(t, "parked_s", NIGHT),
+        ("decay",),
+    ),
+    Variable(
+        "precipitation",
+        "r",
+        "rain or melted snow that falls in a time",
+        "m/s",
+        ("precipitation",),
+        "precipitation",
+        lambda t: _numbers(t, "precipitation_mm_h") / 3.6e6,
+        ("linear", "square", "decay"),
+    ),
+    Variable(
+        "wind",
+        "w",
+        "wind speed",
+        "m/s",
+        ("headwind", "crosswind"),
+        "np.sqrt(headwind * headwind + crosswind * crosswind)",
+        lambda t: _numbers(t, "wind_speed_kmh") * KMH,
+        ("linear", "square", "above"),
+    ),
+    Variable(
+        "occupants",
+        "N",
+        "people aboard",
+        "1",
+        ("occupants",),
+        "occupants",
+        lambda t: _numbers(t, "occupants", 1.0),
+        ("linear", "square"),
+    ),
+    Variable("darkness", "d", "darkness", "1", ("darkness",), "darkness", _darkness, ("linear", "square")),
+    Variable(
+        "odometer",
+        "o",
+        "odometer",
+        "m",
+        ("odometer",),
+        "odometer",
+        lambda t: _numbers(t, "odometer_km") * 1000.0,
+        ("linear",),
+    ),
+    Variable("grade", "sin θ", "slope", "1", ("grade",), "grade", _grade, ("linear", "square")),
+)

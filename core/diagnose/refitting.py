@@ -1,0 +1,361 @@
+"""A model refitted with one more effect: the effect's coefficient first, then all else around it.
+
+The coefficient is found as diagnosis finds it (`core.diagnose.base`): under the measurement's weights, on what the
+model's own terms could not take up. It is one for all vehicle models, unless they differ by more than chance: then each
+has its own, drawn towards the common one by as much as it is unsure. The other terms are then fitted to the energy less
+the effect's. So are the coefficients of effects that were added before, all beside each other.
+
+References
+----------
+DerSimonian and Laird, Controlled Clinical Trials 7 (1986) 177, DOI 10.1016/0197-2456(86)90046-2: how much estimates
+differ beyond their errors.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from math import nan, sqrt
+from typing import Any, Final, NamedTuple
+
+import msgspec
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from core.batch import Floats, Ints
+from core.diagnose.asked import least_coefficients
+from core.diagnose.base import Base, orthonormal
+from core.diagnose.evidence import Clusters, by_vehicle_and_day
+from core.diagnose.ranking import total
+from core.diagnose.windows import Windows
+from core.evaluate.clustered import vehicle_days
+from core.features import Columns
+from core.learn.blocks import ENERGY, Frame, names, numbers
+from core.learn.fitting import design, fit_terms, one_thread
+from core.learn.recipes import LinearRecipe
+from core.models import ANY, VEHICLE_MODEL, Fit, LinearModel, Term
+
+LEAST_LEFT: Final = 1e-5
+"""Share of a column that must be left off the model's own terms for it to have a coefficient."""
+LEAST_FREEDOM: Final = 2.0
+"""Degrees of freedom below which a vehicle model's own estimate is not asked."""
+
+Rows = NDArray[np.int64]
+
+
+class Estimate(NamedTuple):
+    """A coefficient, and how sure it is.
+
+    Parameters
+    ----------
+    value, error : float
+        [unit of the coefficient]
+    freedom : float
+        Degrees of freedom of the error.
+    """
+
+    value: float
+    error: float
+    freedom: float
+
+    @property
+    def half(self) -> float:
+        """Half the width of its 95 % interval."""
+        return float(stdtrit(max(self.freedom, 1.0), 0.975) * self.error)
+
+
+class Change(NamedTuple):
+    """A term to be added to a model.
+
+    Parameters
+    ----------
+    base : tuple of Term
+        Of the model, fitted freely.
+    effects : tuple of Term
+        Of the model, that were added to it before.
+    added : Term
+        To be added now.
+    """
+
+    base: tuple[Term, ...]
+    effects: tuple[Term, ...]
+    added: Term
+
+
+class Refitted(NamedTuple):
+    """A model without and with a term, fitted to the same rows.
+
+    Parameters
+    ----------
+    before, after : LinearModel
+    coefficients : dict of str to Estimate
+        Of the term that was added, by vehicle model, `*` for all.
+    """
+
+    before: LinearModel
+    after: LinearModel
+    coefficients: dict[str, Estimate]
+
+
+def refit(terms: tuple[Term, ...], rows: pd.DataFrame, *, covariance: bool = False) -> LinearModel:
+    """Return terms fitted to windows or rides."""
+    return fit_terms(LinearRecipe("diagnosed", "", terms), Frame(rows), covariance=covariance)
+
+
+def refit_with(
+    change: Change, rows: pd.DataFrame, *, pooled: Collection[str] = (), covariance: bool = False
+) -> Refitted:
+    """Return a model fitted without and with a term.
+
+    Parameters
+    ----------
+    change : Change
+    rows : DataFrame
+        Windows or rides that can be trained on, with `ride_key`, `vehicle_id`, `vehicle_model` and `date`.
+    pooled : collection of str
+        Vehicle models that get no fit of their own.
+    covariance : bool
+        Of the coefficients too.
+
+    Returns
+    -------
+    Refitted
+        With a coefficient of 0 without an error where the model's own terms can take up the whole of the term.
+    """
+    asked = unnamed(rows, pooled)
+    with one_thread():
+        plain = refit(change.base, asked)
+        base = Base(windows_of(rows), plain)
+        before = plain
+        if change.effects:
+            before = _around(change.base, change.effects, asked, _estimates(base, change.effects), covariance=False)
+        terms = (*change.effects, change.added)
+        base = base.weighed_anew(np.nan_to_num(design(terms, Columns(base.windows.table), len(base.windows.table))))
+        found = _estimates(base, terms)
+        after = _around(change.base, terms, asked, found, covariance=covariance)
+    return Refitted(before, msgspec.structs.replace(after, training=plain.training), found[-1])
+
+
+def unnamed(rows: pd.DataFrame, kinds: Collection[str]) -> pd.DataFrame:
+    """Return rows in which some vehicle models are as if they were not known."""
+    if not kinds:
+        return rows
+    return rows.assign(**{VEHICLE_MODEL: rows[VEHICLE_MODEL].where(~rows[VEHICLE_MODEL].isin(list(kinds)), "")})
+
+
+def windows_of(rows: pd.DataFrame) -> Windows:
+    """Return rows as diagnosis wants them, with nothing predicted."""
+    ride = pd.factorize(rows["ride_key"])[0]
+    return Windows(
+        table=rows,
+        rides=rows.iloc[np.unique(ride, return_index=True)[1]].reset_index(drop=True),
+        measured=numbers(rows, ENERGY),
+        predicted=np.zeros(len(rows)),
+        ride=ride.astype(np.int64),
+        vehicle=pd.factorize(rows["vehicle_id"])[0].astype(np.int64),
+        date=pd.factorize(pd.Series(names(rows, "date")), sort=True)[0].astype(np.int64),
+        day=vehicle_days(rows),
+        left_out={},
+    )
+
+
+def _around(
+    terms: tuple[Term, ...],
+    added: tuple[Term, ...],
+    rows: pd.DataFrame,
+    found: Sequence[Mapping[str, Estimate]],
+    *,
+    covariance: bool,
+) -> LinearModel:
+    """Return a model whose last coefficients are given, and whose others are fitted around them."""
+    kinds = np.array(names(rows, VEHICLE_MODEL), dtype=object)
+    columns = design(added, Columns(rows), len(rows))
+    value = np.array([[own.get(kind, own[ANY]).value for own in found] for kind in kinds]).reshape(columns.shape)
+    common = np.array([own[ANY].value for own in found])
+    made = refit(terms, _less(rows, (value * columns).sum(axis=1)), covariance=covariance)
+    if (value != common).any():
+        every = refit(terms, _less(rows, columns @ common), covariance=covariance)
+        made = msgspec.structs.replace(made, fits={**made.fits, ANY: every.fits[ANY]})
+    fits = {}
+    for key, fit in made.fits.items():
+        at = np.flatnonzero(kinds == key) if key != ANY else np.arange(len(rows))
+        fits[key] = _with(terms, fit, [own.get(key, own[ANY]) for own in found], rows.iloc[at], columns[at])
+    return msgspec.structs.replace(made, terms=(*terms, *added), fits=fits)
+
+
+def _less(rows: pd.DataFrame, energy: Floats) -> pd.DataFrame:
+    """Return rows whose measured energy is less by some."""
+    return rows.assign(**{ENERGY: numbers(rows, ENERGY) - energy})
+
+
+def _estimates(
+    base: Base, terms: tuple[Term, ...], within: NDArray[np.bool_] | None = None
+) -> list[dict[str, Estimate]]:
+    """Return the coefficients of terms beside each other, of each by vehicle model, `*` for all; from some rows."""
+    rows = base.windows.table
+    at = np.flatnonzero(np.ones(len(rows), np.bool_) if within is None else within)
+    columns = design(terms, Columns(rows), len(rows))
+    left, size = base.off(columns), (base.weighted(columns) ** 2).sum(axis=0)
+    return [_estimate(base, left, place, float(size[place]), at) for place in range(len(terms))]
+
+
+def _estimate(base: Base, left: Floats, place: int, size: float, rows: Rows) -> dict[str, Estimate]:
+    """Return the coefficient of one of several columns, by vehicle model."""
+    common = _alone(base, left, place, rows)
+    if common is None or float((left[:, place] ** 2).sum()) <= LEAST_LEFT * size:
+        return {ANY: Estimate(0.0, nan, 0.0)}
+    own = {kind: _alone(base, left, place, np.intersect1d(at, rows)) for kind, at in base.kinds.items()}
+    return _pooled(common, {key: each for key, each in own.items() if each and each.freedom >= LEAST_FREEDOM})
+
+
+def _alone(base: Base, left: Floats, place: int, at: Rows) -> Estimate | None:
+    """Return the coefficient of a column beside the others, from some rows; None where they tell nothing of it."""
+    if not len(at):
+        return None
+    column, residual = _off(np.delete(left[at], place, axis=1), left[at, place], base.residual[at])
+    size = float(column @ column)
+    if size <= LEAST_LEFT * float(left[:, place] @ left[:, place]):
+        return None
+    clusters = [_renumbered(code[at]) for code in (base.windows.day, base.windows.date)]
+    found = by_vehicle_and_day(residual, column[:, np.newaxis], np.zeros(1, dtype=np.int64), clusters)
+    value = float(found.coefficient[0])
+    alone = sqrt(float(np.mean((residual - value * column) ** 2)) / size)  # the error, were windows independent
+    return Estimate(value, max(float(found.error[0]), alone), float(found.freedom[0]))
+
+
+def _renumbered(code: Ints) -> Clusters:
+    """Return clusters of which some may have no rows."""
+    return Clusters(np.unique(code, return_inverse=True)[1].astype(np.int64))
+
+
+def _off(others: Floats, *columns: Floats) -> list[Floats]:
+    """Return what is left of columns off others."""
+    basis = orthonormal(others) if others.shape[1] else others
+    return [column - basis @ (basis.T @ column) for column in columns]
+
+
+def with_effects_held_out(
+    change: Change, rows: pd.DataFrame, folds: Sequence[NDArray[np.bool_]]
+) -> tuple[Floats, Floats]:
+    """Return the predictions of rows where only effects' coefficients are found without them, all else with them.
+
+    Parameters
+    ----------
+    change : Change
+    rows : (n,) DataFrame
+    folds : sequence of (n,) bool
+        What is held out at a time.
+
+    Returns
+    -------
+    before, after : (n,) float
+        Without and with the term; NaN for rows that are in no fold. [kWh]
+    """
+    terms = (*change.effects, change.added)
+    before, after = (np.full(len(rows), np.nan) for _ in range(2))
+    with one_thread():
+        plain = refit(change.base, rows)
+        base = Base(windows_of(rows), plain)
+        for fold in folds:
+            found = _estimates(base, terms, ~fold)
+            known = plain
+            if change.effects:
+                own = _estimates(base, change.effects, ~fold)
+                known = _around(change.base, change.effects, rows, own, covariance=False)
+            before[fold] = known.predict(rows.loc[fold])
+            after[fold] = _around(change.base, terms, rows, found, covariance=False).predict(rows.loc[fold])
+    return before, after
+
+
+class Proof(NamedTuple):
+    """Whether a term is there.
+
+    Parameters
+    ----------
+    p : float
+        Probability of as much evidence or more without it, with the sign that physics demands.
+    gain, half : float
+        Fall of the squared error on vehicle-days that the coefficient was not fitted to, as a share, of what the
+        model's own terms cannot take up: of windows or of rides, where it is larger; and half the width of its 95 %
+        interval, NaN where there is nothing to hold out.
+    """
+
+    p: float
+    gain: float
+    half: float
+
+
+def proof(change: Change, rows: pd.DataFrame, *, sign: int, seed: int) -> Proof:
+    """Return whether rows show a term that a model lacks, as `core.diagnose.search` asks it.
+
+    Parameters
+    ----------
+    change : Change
+    rows : DataFrame
+        See `refit_with`.
+    sign : int
+        That physics demands of the coefficient; one of the other sign gains nothing.
+    seed : int
+        Of the folds.
+    """
+    with one_thread():
+        base = Base(windows_of(rows), refit(change.base, rows))
+        asked = design((*change.effects, change.added), Columns(rows), len(rows))
+        left = base.off(asked)
+        column, residual = _off(left[:, :-1], left[:, -1], base.residual)
+    windows = base.windows
+    clusters = [Clusters(windows.day), Clusters(windows.date)]
+    if clusters[0].count < 2 or not column.any():
+        return Proof(1.0, 0.0, nan)
+    worth = least_coefficients(asked[:, -1:], windows.measured)
+    found = by_vehicle_and_day(residual, column[:, np.newaxis], np.array([sign]), clusters, worth)
+    after = residual - column * _cross_fitted(column, residual, sign, clusters[0], seed)
+    of_windows = clusters[0].sums(residual**2 - after**2) / float(residual @ residual)
+    rides = [windows.by_ride(base.energy(values)) for values in (residual, after)]
+    fall = np.bincount(windows.day_of_ride, rides[0] ** 2 - rides[1] ** 2, clusters[0].count)
+    gain, error = max(total(of_windows), total(fall / float(rides[0] @ rides[0])))
+    return Proof(float(found.p[0]), gain, float(stdtrit(clusters[0].count - 1, 0.975) * error))
+
+
+def _cross_fitted(column: Floats, residual: Floats, sign: int, clusters: Clusters, seed: int) -> Floats:
+    """Return for each row the coefficient of a column by the other folds of vehicle-days, 0 for the wrong sign."""
+    fold = clusters.folds(seed)[clusters.code]
+    size, cross = np.bincount(fold, column**2), np.bincount(fold, column * residual)
+    rest = size.sum() - size
+    fitted = np.divide(cross.sum() - cross, rest, out=np.zeros(len(rest)), where=rest > 0.0)
+    return np.asarray(np.where(sign * fitted < 0.0, 0.0, fitted)[fold])
+
+
+def _pooled(common: Estimate, own: dict[str, Estimate]) -> dict[str, Estimate]:
+    """Return the common coefficient, and of vehicle models that differ by more than chance their own, drawn to it."""
+    if len(own) < 2:
+        return {ANY: common}
+    value, variance = np.array([(e.value, e.error**2) for e in own.values()]).T
+    weight = 1.0 / variance
+    mean = float(weight @ value / weight.sum())
+    excess = float(weight @ (value - mean) ** 2) - (len(own) - 1)
+    between = max(0.0, excess / float(weight.sum() - weight @ weight / weight.sum()))
+    if between == 0.0:
+        return {ANY: common}
+    weight = 1.0 / (variance + between)
+    mean = float(weight @ value / weight.sum())
+    freedom = min(e.freedom for e in own.values())
+    found = {ANY: Estimate(mean, float(1.0 / np.sqrt(weight.sum())), max(len(own) - 1.0, freedom))}
+    for kind, each in own.items():
+        share = between / (between + each.error**2)
+        found[kind] = Estimate(mean + share * (each.value - mean), float(np.sqrt(share)) * each.error, each.freedom)
+    return found
+
+
+def _with(terms: tuple[Term, ...], fit: Fit, added: Sequence[Estimate], rows: pd.DataFrame, columns: Floats) -> Fit:
+    """Return a fit with the coefficients of the terms that its energy was taken less of, and its covariance."""
+    covariance: Any = None
+    if fit.covariance is not None:
+        curve = None if fit.curve is None else fit.curve.to_curve()
+        table = design(terms, Columns(rows, fit.fills, curve), len(rows))
+        moved = -np.linalg.lstsq(table, columns, rcond=1e-9)[0]
+        change = np.vstack([moved, np.eye(len(added))])
+        whole = np.pad(np.array(fit.covariance), (0, len(added)))
+        whole += change * np.array([np.nan_to_num(each.error) ** 2 for each in added]) @ change.T
+        covariance = tuple(tuple(row) for row in whole.tolist())
+    values = tuple(each.value for each in added)
+    return msgspec.structs.replace(fit, coefficients=(*fit.coefficients, *values), covariance=covariance)

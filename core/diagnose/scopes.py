@@ -1,0 +1,168 @@
+"""Whether an effect holds for one vehicle, or from a date on, rather than everywhere and always.
+
+Effects are asked of again in places: each vehicle's windows, and those after each of some dates, for all vehicles or
+one. There effects have a say too whose shape the model has already, such as a constant drag or standby power: what
+comes with a date is no part of what the car always takes.
+"""
+
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.batch import Floats, Ints
+from core.diagnose.asked import Asked
+from core.diagnose.evidence import by_vehicle_and_day, false_discovery
+from core.diagnose.ranking import LEAST_LEFT
+from core.diagnose.search import Named, Search
+from core.diagnose.windows import Windows
+from core.features import SINCE_SCOPE, VEHICLE_SCOPE
+from core.learn.blocks import names, numbers
+
+Mask = NDArray[np.bool_]
+
+DAY: Final = 86400.0
+"""[s]"""
+DATES: Final = 8
+"""Dates that are tried, evenly over the rides; the best is then sought among its neighbours."""
+LEVEL: Final = 0.01
+"""Probability by chance below which an effect is there in a place, adjusted for all that was asked in all places."""
+GLANCE: Final = 3.0
+"""Standard errors, by what one car leaves, below which a candidate is not looked at further."""
+LEAST_WINDOWS: Final = 40
+"""Windows on either side of a place's border."""
+
+
+class Place(NamedTuple):
+    """Some of the windows.
+
+    Parameters
+    ----------
+    scope : tuple of str
+        Indicator columns that say which.
+    rows : (n,) bool
+    car : int or None
+        Code of the vehicle whose windows alone they are.
+    """
+
+    scope: tuple[str, ...]
+    rows: Mask
+    car: int | None
+
+
+def places(windows: Windows) -> Iterator[Place]:
+    """Give each vehicle, all windows after each of some dates, and each vehicle's after each of them."""
+    cars = [(VEHICLE_SCOPE + name, windows.vehicle == code, code) for code, name in _cars(windows)]
+    dates = [(SINCE_SCOPE + date, later) for date, later in _dates(windows, DATES)]
+    found = [Place((name,), rows, None) for name, rows in dates]
+    if len(cars) > 1:
+        found += [Place((name,), rows, code) for name, rows, code in cars]
+        found += [Place((car, date), here & later, code) for car, here, code in cars for date, later in dates]
+    for place in found:
+        whole = windows.vehicle == place.car if len(place.scope) > 1 else np.ones(len(place.rows), np.bool_)
+        outside = int(whole.sum() - place.rows.sum())
+        if place.rows.sum() >= LEAST_WINDOWS and outside >= LEAST_WINDOWS:
+            yield place
+
+
+def local(search: Search, everywhere: Asked) -> None:
+    """Name effects that hold in some place only, one after the other, until none is there beyond chance.
+
+    Parameters
+    ----------
+    search : Search
+        With what holds everywhere named.
+    everywhere : Asked
+        Effects to ask of, at the values that they are declared with.
+    """
+    while len(search.named) < search.most:
+        found = _best(search, everywhere)
+        if found is None:
+            return
+        search.take(found)
+
+
+def _best(search: Search, everywhere: Asked) -> Named | None:
+    """Return the effect and place that explain most, of those that are there beyond chance."""
+    off = search.off()
+    left = search.left(off)
+    tried: list[tuple[Asked, int, float, float]] = []
+    for place in places(search.base.windows):
+        asked = everywhere.within(place.rows, place.scope)
+        tried += _tried(search, asked, _glance(search, asked, place, left), off, left)
+    if not tried:
+        return None
+    q = false_discovery(np.array([p for _, _, p, _ in tried]))
+    good = [(fall, asked, at, chance) for (asked, at, _, fall), chance in zip(tried, q, strict=True) if chance < LEVEL]
+    for _, asked, at, chance in sorted(good, key=lambda each: -each[0]):
+        named = Named(_sharper(search, everywhere, asked.scope, at, off, left), at, float(chance))
+        if search.fresh(named) and search.worth(named):
+            return named
+    return None
+
+
+def _glance(search: Search, asked: Asked, place: Place, left: Floats) -> Ints:
+    """Return the candidates that might be there, by their own car's columns alone where the place is of one car."""
+    if place.car is None:
+        return np.arange(len(asked.names))
+    columns = search.base.within(asked.columns, place.car)
+    here = left[search.base.cars[place.car]]
+    size = np.maximum((columns**2).sum(axis=0), 1e-300)
+    return np.flatnonzero((columns.T @ here) ** 2 / size > GLANCE**2 * float(np.mean(left**2)))
+
+
+def _tried(
+    search: Search, asked: Asked, chosen: Ints, off: Floats, left: Floats
+) -> list[tuple[Asked, int, float, float]]:
+    """Return what each candidate in a place is worth: its column, its probability by chance, the fall of the error."""
+    columns = search.base.off(asked.columns[:, chosen])
+    columns -= off @ (off.T @ columns)
+    size = (columns**2).sum(axis=0)
+    told = size > LEAST_LEFT * (search.base.weighted(asked.columns[:, chosen]) ** 2).sum(axis=0)
+    kept = chosen[told]
+    p, fall = np.ones(len(asked.names)), np.zeros(len(asked.names))
+    if len(kept):
+        p[kept] = by_vehicle_and_day(left, columns[:, told], asked.sign[kept], search.clusters, asked.least[kept]).p
+        fall[kept] = (columns[:, told].T @ left) ** 2 / size[told]
+    return [(asked, at, float(p[at]), float(fall[at])) for at in range(len(p))]
+
+
+def _sharper(search: Search, everywhere: Asked, scope: tuple[str, ...], at: int, off: Floats, left: Floats) -> Asked:
+    """Return what is asked of in a place, from the very date that explains most where a date is part of it."""
+    windows = search.base.windows
+    begin = next((name for name in scope if name.startswith(SINCE_SCOPE)), None)
+    of_car = next((code for code, name in _cars(windows) if VEHICLE_SCOPE + name in scope), None)
+    here = np.ones(len(left), np.bool_) if of_car is None else windows.vehicle == of_car
+    if begin is None:
+        return everywhere.within(here, scope)
+    whole = everywhere.columns[:, [at]]
+    best, most = everywhere, -1.0
+    for date, later in _dates(windows, None):
+        rows = here & later
+        if not LEAST_WINDOWS <= rows.sum() <= here.sum() - LEAST_WINDOWS:
+            continue
+        column = search.base.off(whole * rows[:, np.newaxis])[:, 0]
+        column -= off @ (off.T @ column)
+        fall = float(column @ left) ** 2 / max(float(column @ column), 1e-300)
+        if fall > most:
+            place = tuple(SINCE_SCOPE + date if name == begin else name for name in scope)
+            best, most = everywhere.within(rows, place), fall
+    return best
+
+
+def _cars(windows: Windows) -> list[tuple[int, str]]:
+    """Return code and name of each vehicle."""
+    found = dict(zip(windows.vehicle.tolist(), names(windows.table, "vehicle_id"), strict=True))
+    return sorted(found.items())
+
+
+def _dates(windows: Windows, count: int | None) -> list[tuple[str, Mask]]:
+    """Return dates but the first, all or so many evenly over the windows, and the windows from each on."""
+    start = numbers(windows.table, "start_s")
+    days = np.unique(np.floor(start / DAY))[1:]
+    if count is not None and len(days) > count:
+        wanted = np.quantile(start, np.linspace(0.0, 1.0, count + 2)[1:-1]) / DAY
+        days = np.unique(days[np.clip(np.searchsorted(days, wanted), 0, len(days) - 1)])
+    stamps = days.astype("datetime64[D]")
+    return [(str(stamp), start >= day * DAY) for stamp, day in zip(stamps, days, strict=True)]

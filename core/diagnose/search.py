@@ -1,0 +1,229 @@
+"""The search for the effects that a model lacks: one at a time, each looked at again beside the others.
+
+The best effect is named, what it explains is taken off, and the next is looked for. An effect that is no longer needed
+once another is named was a stand-in for it, and is dropped again. Two effects that explain the same days equally well
+are one finding: a group.
+"""
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from core.batch import Floats
+from core.diagnose.asked import Asked
+from core.diagnose.base import Base, orthonormal
+from core.diagnose.evidence import Clusters, Evidence, by_vehicle_and_day
+from core.diagnose.ranking import LEVEL, Ranked, correlation, rank, total
+
+TOLD_APART: Final = 0.7
+"""Correlation, off the model, from which on data do not tell two candidates apart."""
+EXPLAINED_AWAY: Final = 0.4
+"""Correlation from which on a rival that is not needed once the other is named is one of its group too."""
+CLEARLY: Final = 2.0
+"""Standard errors by which a rival must be worse on held-out days to be told apart all the same."""
+DOUBT: Final = 0.05
+"""Probability by chance below which a rival casts doubt on a name."""
+NEEDED: Final = 0.05
+"""Probability by chance above which an effect is dropped again beside the others."""
+
+
+@dataclass(frozen=True)
+class Named:
+    """An effect that was found missing.
+
+    Parameters
+    ----------
+    asked : Asked
+        Where it was found, everywhere or in some place.
+    at : int
+        Its column there.
+    q : float
+        Of its name when it was found, adjusted for all that was asked.
+    """
+
+    asked: Asked
+    at: int
+    q: float
+
+    @property
+    def variant(self) -> str:
+        """Name of the effect, or of its variant."""
+        return self.asked.variants[self.at]
+
+    @property
+    def effect(self) -> str:
+        """Name of the effect."""
+        return self.asked.names[int(self.asked.effects[self.at])]
+
+    @property
+    def column(self) -> Floats:
+        """What it takes of each window, (n, 1). [kWh per unit]"""
+        return self.asked.columns[:, [self.at]]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What is known of a named effect, beside all others that are named.
+
+    Parameters
+    ----------
+    named : Named
+    evidence : Evidence
+        Of it alone.
+    gain, gain_error : float
+        Fall of the squared error on held-out vehicle-days, as a share, and its standard error: of rides or of windows,
+        where it is larger.
+    of : {"rides", "windows"}
+        Of which.
+    rivals : list of (str, float)
+        Effects that data do not tell it from, with their correlation.
+    """
+
+    named: Named
+    evidence: Evidence
+    gain: float
+    gain_error: float
+    of: str
+    rivals: list[tuple[str, float]]
+
+
+class Search:
+    """Effects named so far, and what they leave.
+
+    Parameters
+    ----------
+    base : Base
+    asked : Asked
+        Everywhere.
+    clusters : sequence of Clusters
+    least_gain : float
+        Share of the squared error of rides, or of windows, that an effect must explain on held-out days to be named.
+    most : int
+        Effects that are named at most.
+    seed : int
+    """
+
+    def __init__(
+        self, base: Base, asked: Asked, clusters: Sequence[Clusters], least_gain: float, most: int, seed: int
+    ) -> None:
+        self.base, self.asked, self.clusters = base, asked, clusters
+        self._first = base
+        self.least_gain, self.most, self.seed = least_gain, most, seed
+        self.named: list[Named] = []
+        self.dropped: set[tuple[str, tuple[str, ...]]] = set()
+
+    def off(self, without: Named | None = None) -> Floats:
+        """Return an orthonormal basis of the effects named so far, but for one, (n, m)."""
+        columns = [self.base.off(each.column) for each in self.named if each is not without]
+        return orthonormal(np.column_stack(columns)) if columns else np.empty((len(self.base.residual), 0))
+
+    def left(self, off: Floats) -> Floats:
+        """Return what the model and a basis leave, (n,)."""
+        return np.asarray(self.base.residual - off @ (off.T @ self.base.residual))
+
+    def held_out(self, off: Floats) -> Floats:
+        """Return what is left of each fold of vehicle-days by a basis that was fitted to the others, (n,)."""
+        residual, fold = self.base.residual, self.clusters[0].folds(self.seed)[self.clusters[0].code]
+        left = residual.copy()
+        for k in range(int(fold.max()) + 1 if off.shape[1] else 0):
+            here = fold == k
+            fitted, *_ = np.linalg.lstsq(off[~here], residual[~here], rcond=None)
+            left[here] -= off[here] @ fitted
+        return left
+
+    def rank(self, asked: Asked | None = None, without: Named | None = None) -> Ranked:
+        """Return how candidates rank on what is left."""
+        off = self.off(without)
+        return rank(self.base, self.left(off), asked or self.asked, self.clusters, off, self.seed)
+
+    def forward(self) -> None:
+        """Name effects until none is significant and worth it."""
+        while len(self.named) < self.most:
+            ranked = self.rank()
+            found = (Named(ranked.asked, v, float(ranked.q[ranked.asked.effects[v]])) for v in ranked.significant())
+            best = next((named for named in found if self.fresh(named) and self.worth(named)), None)
+            if best is None:
+                return
+            self.take(best)
+
+    def take(self, named: Named) -> None:
+        """Name an effect, and drop those that are not needed beside it."""
+        self.named.append(named)
+        for other in list(self.named[:-1]):
+            evidence, _, _ = self.beside(other)
+            if evidence.p[0] > NEEDED:
+                self.named.remove(other)
+                self.dropped.add((other.effect, other.asked.scope))
+        if self.named:
+            self.base = self.base.weighed_anew(np.column_stack([each.column for each in self.named]))
+
+    def beside(self, named: Named) -> tuple[Evidence, Floats, Floats]:
+        """Return the evidence for a named effect beside the others, its column off them, and what they leave."""
+        off = self.off(named)
+        column = self.base.off(named.column)
+        column -= off @ (off.T @ column)
+        left = self.left(off)
+        sign, least = named.asked.sign[[named.at]], named.asked.least[[named.at]]
+        return by_vehicle_and_day(left, column, sign, self.clusters, least), column[:, 0], left
+
+    def findings(self) -> list[Finding]:
+        """Return what is known of each named effect, most gain first."""
+        found = []
+        for named in self.named:
+            evidence, column, left = self.beside(named)
+            gain = self.gain(column, left, int(named.asked.sign[named.at]))
+            found.append(Finding(named, evidence, *gain, self._rivals(named)))
+        return sorted(found, key=lambda finding: -finding.gain)
+
+    def gain(self, column: Floats, left: Floats, sign: int) -> tuple[float, float, str]:
+        """Return the fall of the squared error on held-out vehicle-days, its error, and of what, see `Finding`."""
+        windows, clusters = self.base.windows, self.clusters[0]
+        after = left - column * self.cross_fitted(column, left, sign)
+        of_windows = total(clusters.sums(left**2 - after**2) / max(float(left @ left), 1e-300))
+        rides = windows.by_ride(self.base.energy(left)), windows.by_ride(self.base.energy(after))
+        fall = np.bincount(windows.day_of_ride, rides[0] ** 2 - rides[1] ** 2)
+        of_rides = total(fall / max(float(rides[0] @ rides[0]), 1e-300))
+        return (*of_rides, "rides") if of_rides[0] >= of_windows[0] else (*of_windows, "windows")
+
+    def cross_fitted(self, column: Floats, left: Floats, sign: int) -> Floats:
+        """Return for each window the coefficient of an effect by the other folds of vehicle-days, (n,)."""
+        clusters = self.clusters[0]
+        folds = clusters.folds(self.seed)
+        size, cross = clusters.sums(column**2), clusters.sums(column * left)
+        rest = size.sum() - np.bincount(folds, size), cross.sum() - np.bincount(folds, cross)
+        fitted = np.divide(rest[1], rest[0], out=np.zeros_like(rest[1]), where=rest[0] > 0.0)
+        return np.asarray(np.where(sign * fitted < 0.0, 0.0, fitted)[folds][clusters.code])
+
+    def worth(self, named: Named) -> bool:
+        """Tell whether an effect explains enough on held-out days, beside those named so far."""
+        _, column, left = self.beside(named)
+        return self.gain(column, left, int(named.asked.sign[named.at]))[0] >= self.least_gain
+
+    def fresh(self, named: Named) -> bool:
+        """Tell whether an effect is not named yet, and was not dropped before."""
+        taken = {(each.effect, each.asked.scope) for each in self.named} | self.dropped
+        return (named.effect, named.asked.scope) not in taken
+
+    def _rivals(self, named: Named) -> list[tuple[str, float]]:
+        """Return the effects that would do as well in the place of a named one, with their correlation.
+
+        A doubt needs less than a name: rivals need not be there beyond all that was asked, only beyond chance.
+        """
+        fair = copy(self)  # weights that were found beside the named effect would favour it
+        fair.base = self._first
+        instead, beside = fair.rank(named.asked, without=named), fair.rank(named.asked)
+        mine = instead.gains[:, named.at]
+        taken = {each.effect for each in self.named}
+        found = []
+        for effect, other in enumerate(instead.best.tolist()):
+            if other < 0 or instead.asked.names[effect] in taken or instead.evidence.p[other] > DOUBT:
+                continue
+            r = correlation(instead.projected[:, named.at], instead.projected[:, other])
+            behind, error = total(mine - instead.gains[:, other])
+            away = abs(r) > EXPLAINED_AWAY and not beside.q[effect] < LEVEL
+            if (abs(r) > TOLD_APART or away) and behind < CLEARLY * error:
+                found.append((instead.asked.names[effect], r))
+        return sorted(found, key=lambda pair: -abs(pair[1]))

@@ -1,0 +1,350 @@
+"""Where a model fails, in words: slices of the rides on which its bias is another than on the rest.
+
+A slice is a conjunction of at most three conditions (`core.diagnose.conditions`). Slices are found on one half of the
+vehicle-days, by a beam search for the bias that is largest against its standard error, and confirmed on the other half,
+whose figures alone are reported; then the other way round. The days of a vehicle are dealt to the halves in pairs of
+neighbours, so that both see every vehicle and season.
+
+A slice is compared with the rest of the rides, by vehicle-days (`core.diagnose.contrasts`). Of the slices that one half
+names, the other keeps the false discovery rate by Benjamini and Hochberg at half the level, so that both directions
+together keep it at the level, whatever one tells of the other. Slices are ranked by the half that found them: those
+that did best in the half that confirms them would look better there than they are.
+
+References
+----------
+Benjamini and Hochberg, Journal of the Royal Statistical Society B 57 (1995) 289. Friedman and Fisher, Statistics and
+Computing 9 (1999) 123, DOI 10.1023/A:1008894516817, "Bump Hunting in High-Dimensional Data". Herrera, Carmona,
+González, del Jesus, Knowledge and Information Systems 29 (2011) 495, DOI 10.1007/s10115-010-0356-2: beam search for
+subgroups.
+"""
+
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy import stats
+
+from core.batch import Floats, Ints
+from core.diagnose.conditions import Condition, Masks, conditions, dates, start_s
+from core.diagnose.contrasts import contrast
+from core.evaluate.scores import Estimate
+from core.learn.blocks import names
+
+LONGEST: Final = 3
+"""Conditions that a person keeps in mind."""
+LEAST_RIDES: Final = 8
+"""Rides of a half that a slice must have, and leave."""
+BEAM: Final = 12
+"""Slices that are made longer."""
+CHILDREN: Final = 32
+"""Of each, the longer ones that are looked at closely."""
+FINALISTS: Final = 60
+"""Slices that are looked at closely for what those chosen before leave."""
+COST: Final = 0.75
+"""By how much a further condition must raise the score."""
+DISCOUNT: Final = 0.92
+"""And by which factor."""
+LEAST_SCORE: Final = 2.0
+"""Score below which a slice is not worth a test."""
+SAME: Final = 0.6
+"""Share of the rides of two slices that both have, of those that either has, from which on they are one."""
+
+
+class Half(NamedTuple):
+    """Some rides, those of a vehicle-day together.
+
+    Parameters
+    ----------
+    masks : (c, n) bool
+        For which of the rides each condition holds.
+    error : (n,) float
+        [kWh]
+    starts : (days,) int64
+        Where each vehicle-day begins.
+    """
+
+    masks: Masks
+    error: Floats
+    starts: Ints
+
+
+class Slice(NamedTuple):
+    """A conjunction of conditions, as it was found.
+
+    Parameters
+    ----------
+    conditions : tuple of int
+        Their places.
+    score : float
+        Penalised for their number.
+    sign : int
+        Of the bias against the rest.
+    """
+
+    conditions: tuple[int, ...]
+    score: float
+    sign: int
+
+
+class Finding(NamedTuple):
+    """A slice, the half that it was found on, and its figures in the other."""
+
+    found: Slice
+    half: Half
+    figures: dict[str, Any]
+
+
+def slices(
+    rides: pd.DataFrame, error: Floats, *, seed: int = 0, most: int = 8, level: float = 0.05
+) -> list[dict[str, Any]]:
+    """Return the slices of the rides on which a model's bias is another than on the rest, the surest first.
+
+    Parameters
+    ----------
+    rides : DataFrame
+        n rows of the ride table. A condition on what is unknown of a ride does not hold for it.
+    error : (n,) float
+        Predicted less measured; rides where it is NaN are left out. [kWh]
+    seed : int
+        Of how the vehicle-days are dealt to the halves.
+    most : int
+        Slices that are returned, and that each half may name.
+    level : float
+        Share of false ones among those returned, on average, that is allowed.
+
+    Returns
+    -------
+    list of dict
+        `where` (words), `conditions` (the same, one by one), and of the half of the vehicle-days that confirmed it:
+        `rides`, `bias_kwh` (mean error in the slice less that of the rest), `ci95`, `mae_kwh` (mean absolute error in
+        the slice), `q`. Empty where there is nothing to be found, or too few rides to tell.
+    """
+    error = np.asarray(error, dtype=np.float64)
+    rides, error, day = _in_order(rides, error)
+    known, masks = conditions(rides)
+    if not known:
+        return []
+    first = _dealt(day, seed)[day]
+    halves = _half(masks, error, day, first), _half(masks, error, day, ~first)
+    found: list[Finding] = []
+    for one, other in (halves, halves[::-1]):
+        found += _confirmed(search(one, known, most), one, other, level / 2.0)
+    found.sort(key=lambda finding: -finding.found.score)
+    return [_told(each, known) for each in _distinct(found, halves, known)[:most]]
+
+
+def _in_order(rides: pd.DataFrame, error: Floats) -> tuple[pd.DataFrame, Floats, Ints]:
+    """Return rides of known error by vehicle, date and time, so that the order of the table does not matter."""
+    kept = np.isfinite(error)
+    rides, error = rides.loc[kept], error[kept]
+    keys = pd.Series(names(rides, "vehicle_id"), dtype=object) + " " + pd.Series(dates(rides), dtype=object)
+    day = pd.factorize(keys, sort=True)[0].astype(np.int64)
+    order = np.lexsort((error, start_s(rides), day))
+    return rides.iloc[order], error[order], day[order]
+
+
+def _dealt(day: Ints, seed: int) -> NDArray[np.bool_]:
+    """Return for each vehicle-day whether it is in the first half; of two neighbours one is."""
+    count = int(day[-1]) + 1 if len(day) else 0
+    heads = np.random.default_rng(seed).random(count // 2 + 1) < 0.5
+    return np.repeat(heads, 2)[:count] ^ (np.arange(count) % 2 == 1)
+
+
+def _half(masks: Masks, error: Floats, day: Ints, kept: NDArray[np.bool_]) -> Half:
+    starts = np.flatnonzero(np.diff(day[kept], prepend=-1))
+    return Half(masks[:, kept], error[kept], starts)
+
+
+def search(half: Half, known: Sequence[Condition], most: int) -> list[Slice]:
+    """Return the slices of a half that are worth a test, best first, each for what those before it leave.
+
+    Parameters
+    ----------
+    half : Half
+    known : sequence of c Condition
+    most : int
+        How many at most.
+    """
+    if min(len(half.error) // 2, len(half.starts)) < LEAST_RIDES:
+        return []
+    pool = _pool(half, known)
+    masks = np.array([_mask(half.masks, each) for each in pool], dtype=np.bool_).reshape(len(pool), len(half.error))
+    effort = _effort(pool, known)
+    signs = np.sign(_plain_score(masks, half.error))
+    allowed = np.ones(len(pool), dtype=np.bool_)
+    chosen: list[Slice] = []
+    taken: list[int] = []
+    while allowed.any() and len(chosen) < most:
+        left = _left(half.error, masks[taken])
+        plain = np.where(allowed, signs * _plain_score(masks, left), -np.inf)
+        near = np.argsort(-plain, kind="stable")[:FINALISTS]
+        near = near[allowed[near]]
+        score = _penalised(signs[near] * contrast(masks[near], left, half.starts).score(), effort[near])
+        if score.max() < LEAST_SCORE:
+            break
+        best = int(near[np.argmax(score)])
+        chosen.append(Slice(pool[best], float(score.max()), int(signs[best])))
+        taken.append(best)
+        allowed &= _overlap(masks, masks[best]) < SAME
+    return chosen
+
+
+def _pool(half: Half, known: Sequence[Condition]) -> list[tuple[int, ...]]:
+    """Return every slice that the beam search comes by."""
+    pool: list[tuple[int, ...]] = []
+    longer: list[tuple[int, ...]] = [(i,) for i in range(len(known))]
+    while longer:
+        masks = np.array([_mask(half.masks, each) for each in longer])
+        certain = np.abs(contrast(masks, half.error, half.starts).score())
+        score = _penalised(certain, _effort(longer, known))
+        worth = np.argsort(-score, kind="stable")[: np.count_nonzero(score > 0.0)]
+        # of two halves that one condition parts, the one that is off is the one to name
+        fails = worth if len(longer[0]) > 1 else worth[_further(masks[worth], half.error)]
+        pool += [longer[i] for i in fails]
+        if len(longer[0]) == LONGEST:
+            break
+        parents = _beam(masks[worth], certain[worth], half.error)
+        longer = _children([longer[worth[i]] for i in parents], masks[worth[parents]], half, known)
+    return pool
+
+
+def _beam(masks: Masks, score: Floats, error: Floats) -> list[int]:
+    """Return the slices to be made longer, each the best for what those before it leave."""
+    plain = np.abs(_plain_score(masks, error))
+    worth = np.divide(score, plain, out=np.zeros(len(score)), where=plain > 0.0).clip(0.0, 1.0)
+    parents: list[int] = []
+    while len(parents) < min(BEAM, len(masks)):
+        left = _left(error, masks[parents])
+        rank = worth * np.abs(_plain_score(masks, left))
+        rank[parents] = -1.0
+        parents.append(int(np.argmax(rank)))
+    return parents
+
+
+def _children(
+    parents: Sequence[tuple[int, ...]], masks: Masks, half: Half, known: Sequence[Condition]
+) -> list[tuple[int, ...]]:
+    """Return slices with a condition more, of each parent those that look best at a glance."""
+    error = (half.error - half.error.mean()).astype(np.float32)
+    all_masks = half.masks.astype(np.float32)
+    inside = masks.astype(np.float32)
+    rides = inside @ all_masks.T
+    total = (inside * error) @ all_masks.T
+    score = _glance(rides, total, error)
+    score[rides > 0.95 * inside.sum(axis=1, keepdims=True)] = 0.0  # hardly narrower
+    found: dict[tuple[int, ...], None] = {}
+    for row, parent in enumerate(parents):
+        mine = {known[i].kind for i in parent}
+        best = np.argsort(-np.abs(score[row]), kind="stable")[:CHILDREN]
+        for i in best.tolist():
+            if score[row, i] != 0.0 and known[i].kind not in mine:
+                found[tuple(sorted((*parent, i)))] = None
+    return list(found)
+
+
+def _glance(rides: NDArray[np.float32], total: NDArray[np.float32], error: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return how far the mean of slices is from the rest's, as if each ride were for itself; 0 for those too small."""
+    n = len(error)
+    outside = n - rides
+    fair = (rides >= LEAST_RIDES) & (outside >= LEAST_RIDES)
+    variance = float(np.var(error)) or 1.0
+    safe, safe_out = np.maximum(rides, 1.0), np.maximum(outside, 1.0)
+    difference = total / safe - (float(error.sum()) - total) / safe_out
+    return np.where(fair, difference / np.sqrt(variance * (1.0 / safe + 1.0 / safe_out)), 0.0).astype(np.float32)
+
+
+def _plain_score(masks: Masks, error: Floats) -> NDArray[np.float32]:
+    """Return how far the means of k slices are from the rest's, (k,), as if each ride were for itself."""
+    centred = (error - error.mean()).astype(np.float32)
+    inside = masks.astype(np.float32)
+    return _glance(inside.sum(axis=1), inside @ centred, centred)
+
+
+def _mask(masks: Masks, conditions: Sequence[int]) -> NDArray[np.bool_]:
+    """Return for which rides all of some conditions hold."""
+    return np.logical_and.reduce(masks[list(conditions)], axis=0)
+
+
+def _further(masks: Masks, error: Floats) -> NDArray[np.bool_]:
+    """Return which slices have a mean error that is no nearer to zero than the rest's."""
+    total, rides = masks @ error, masks.sum(axis=1)
+    return np.abs(total) * (len(error) - rides) >= np.abs(error.sum() - total) * rides
+
+
+def _effort(found: Sequence[tuple[int, ...]], known: Sequence[Condition]) -> Floats:
+    """Return how many conditions slices count for, (k,)."""
+    return np.array([sum(known[i].effort for i in each) for each in found], dtype=np.float64)
+
+
+def _penalised(score: Floats, effort: Floats) -> Floats:
+    """Return scores that a further condition must raise clearly."""
+    return score * DISCOUNT ** (effort - 1.0) - COST * (effort - 1.0)
+
+
+def _left(error: Floats, masks: Masks) -> Floats:
+    """Return what the means of slices do not explain of the error, (n,). [kWh]"""
+    columns = np.vstack([np.ones(len(error)), *masks])
+    return error - np.linalg.lstsq(columns @ columns.T, columns @ error, rcond=None)[0] @ columns
+
+
+def _jaccard(masks: Masks, mask: NDArray[np.bool_]) -> Floats:
+    """Return the rides that slices share with one, over those that either has, (k,)."""
+    shared = np.count_nonzero(masks & mask, axis=1)
+    return shared / np.maximum(np.count_nonzero(masks | mask, axis=1), 1)
+
+
+def _overlap(masks: Masks, mask: NDArray[np.bool_]) -> Floats:
+    """Return how much slices are one with a slice, or with all that it is not, (k,)."""
+    return np.maximum(_jaccard(masks, mask), _jaccard(masks, ~mask))
+
+
+def _confirmed(found: Sequence[Slice], one: Half, other: Half, level: float) -> list[Finding]:
+    """Return the slices, found on one half, that the other confirms at a level, each with its figures there."""
+    if not found:
+        return []
+    masks = np.array([_mask(other.masks, each.conditions) for each in found])
+    told = contrast(masks, other.error, other.starts)
+    enough = (told.freedom > 0.0) & (masks.sum(axis=1) >= LEAST_RIDES)
+    signed = np.array([each.sign for each in found]) * told.difference / told.error
+    q = stats.false_discovery_control(np.where(enough, stats.t.sf(signed, np.maximum(told.freedom, 1.0)), 1.0))
+    kept = []
+    for i in np.flatnonzero(q <= level).tolist():
+        estimate = Estimate(float(told.difference[i]), float(told.error[i]), float(told.freedom[i]))
+        figures = {
+            "rides": int(masks[i].sum()),
+            "bias_kwh": estimate.value,
+            "ci95": [estimate.value - estimate.ci95, estimate.value + estimate.ci95],
+            "mae_kwh": float(np.abs(other.error[masks[i]]).mean()),
+            "q": min(2.0 * float(q[i]), 1.0),
+        }
+        kept.append(Finding(found[i], one, figures))
+    return kept
+
+
+def _distinct(found: Sequence[Finding], halves: Sequence[Half], known: Sequence[Condition]) -> list[Finding]:
+    """Return findings without those that are one with a finding before, or that it accounts for where it was found."""
+    kept: list[Finding] = []
+    for each in found:
+        earlier = [other.found.conditions for other in kept]
+        if earlier and max(_shared(each.found.conditions, other, halves) for other in earlier) >= SAME:
+            continue
+        left = _left(each.half.error, np.array([_mask(each.half.masks, other) for other in earlier]))
+        mask = _mask(each.half.masks, each.found.conditions)[None, :]
+        score = each.found.sign * contrast(mask, left, each.half.starts).score()
+        if _penalised(score, _effort([each.found.conditions], known))[0] >= LEAST_SCORE:
+            kept.append(each)
+    return kept
+
+
+def _shared(one: Sequence[int], other: Sequence[int], halves: Sequence[Half]) -> float:
+    """Return how much two slices are one, over both halves."""
+    masks = [np.concatenate([_mask(half.masks, each) for half in halves]) for each in (one, other)]
+    return float(_overlap(masks[0][None, :], masks[1])[0])
+
+
+def _told(finding: Finding, known: Sequence[Condition]) -> dict[str, Any]:
+    """Return a slice as a result has it."""
+    words = [known[i].words for i in finding.found.conditions]
+    return {"where": ", ".join(words), "conditions": words, **finding.figures}

@@ -1,0 +1,302 @@
+"""Whether anything is left that a model and the effects named do not explain: the gate of honesty.
+
+Four questions are asked. Boosted trees over what is known of each window: how much of the error can they predict on
+vehicle-days that they have not seen, before and after the effects are named? Plain shapes, each a carrier (time,
+distance, speed, braking, ...) times a function of something about the car (temperature, sun, rain, ...): does any
+explain what is left, beyond chance and more than a trifle beside what was named? And in the place of each named effect:
+does a plain shape that is like it explain clearly more? Then the name may be that of a stand-in. And do days differ
+from each other by more than chance, as they do where something of the day is not known, such as what lies on the road?
+"""
+
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from sklearn.ensemble import HistGradientBoostingRegressor
+
+from core.batch import Floats, Ints
+from core.derived import sun
+from core.diagnose.evidence import Clusters, by_vehicle_and_day, false_discovery
+from core.diagnose.ranking import LEAST_LEFT, held_out, total
+from core.diagnose.search import Finding, Named, Search
+from core.diagnose.windows import Windows
+from core.learn.blocks import numbers
+
+LEAST_TAKEN: Final = 0.8
+"""Share of what trees can predict that the named effects must take for nothing to remain."""
+LEVEL: Final = 0.03
+"""Probability by chance below which a shape is there."""
+LEAST_GAIN: Final = 0.002
+"""Share of the squared error that a shape must explain on held-out vehicle-days to matter."""
+LIKE: Final = 0.4
+"""Correlation from which on a shape is like a named effect."""
+CLEARLY: Final = 3.0
+"""Standard errors by which a shape must explain more than an effect to cast doubt on its name."""
+SURE: Final = 2.0
+"""Standard errors by which what trees predict must exceed nothing."""
+LEAST_PREDICTED: Final = 0.005
+"""Share of the squared error that trees must predict for it to matter."""
+SURE_OF_DAYS: Final = 3.0
+"""Standard errors by which days must differ more than by chance."""
+UNEVEN: Final = 1.3
+"""Least variance over that of chance at which days are called uneven: real days always differ a little."""
+DAILY: Final = ("duration_s", "effect_rolling", "effect_aero_drag")
+"""Carriers by which days are compared: time, distance, speed."""
+TREE_FOLDS: Final = 4
+SHAPE_POINTS: Final = 12
+
+KNOWN: Final[tuple[tuple[str, str], ...]] = (
+    ("ambient_c", "°C"),
+    ("average_speed_kmh", "km/h"),
+    ("precipitation_mm_h", "mm/h"),
+    ("wind_speed_kmh", "km/h"),
+    ("soc_start_pct", "%"),
+    ("battery_temperature_c", "°C"),
+    ("elapsed_s", "s"),
+    ("parked_s", "s"),
+    ("occupants", "1"),
+    ("odometer_km", "km"),
+    ("start_s", "s"),
+)
+"""What is known of a window that an error may depend on, with units."""
+ABOUT: Final = (
+    "ambient_c",
+    "precipitation_mm_h",
+    "wind_speed_kmh",
+    "soc_start_pct",
+    "battery_temperature_c",
+    "occupants",
+    "odometer_km",
+)
+"""What an unknown cause may depend on; not the motion itself, which is measured too coarsely for shapes so slight."""
+CARRIERS: Final = (
+    "duration_s",
+    "effect_rolling",
+    "effect_aero_drag",
+    "effect_inertia_positive",
+    "effect_braking",
+    "effect_climbing_up",
+    "stops",
+)
+"""What an unknown cause may grow with: time, distance, speed, speeding up, slowing, hills, stops."""
+
+
+class Remains(NamedTuple):
+    """What is left after the effects that are named.
+
+    Parameters
+    ----------
+    before, after : float
+        Share of the squared error that trees predict on held-out vehicle-days, without and with the named effects.
+    error : float
+        Standard error of `after`.
+    named : float
+        Share of the squared error of windows that the named effects explain on held-out vehicle-days.
+    shape, q, gain : str, float, float
+        Of the shapes that are left beyond chance that of most gain; its probability by chance, adjusted over all; its
+        share of the squared error on held-out vehicle-days.
+    days : float
+        Variance of what vehicle-days take more or less of one of the carriers, over that of chance; about 1 or below
+        where nothing is missing.
+    most_days : float
+        What chance may make of that.
+    better : dict of str to str
+        Named effect -> the plain shape that explains clearly more in its place.
+    shapes : list of dict
+        What is left along each known thing, for people: `feature`, `unit`, `x`, `y_kwh`.
+    """
+
+    before: float
+    after: float
+    error: float
+    named: float
+    shape: str
+    q: float
+    gain: float
+    days: float
+    most_days: float
+    better: dict[str, str]
+    shapes: list[dict[str, Any]]
+
+    @property
+    def taken(self) -> float:
+        """Share of what trees, or the shape that is left, can explain that the named effects take."""
+        by_trees = 1.0 - max(self.after, 0.0) / self.before if self.before > 0.0 and self.sure else 1.0
+        by_shape = self.named / (self.named + self.gain) if self.q < LEVEL and self.gain > 0.0 else 1.0
+        return min(by_trees, by_shape)
+
+    @property
+    def sure(self) -> bool:
+        """Whether trees predict anything after the effects are named."""
+        return self.after > max(LEAST_PREDICTED, SURE * self.error)
+
+    @property
+    def there(self) -> bool:
+        """Whether structure remains."""
+        shape = self.q < LEVEL and self.gain > LEAST_GAIN
+        uneven = self.days > self.most_days
+        return bool(self.better) or uneven or ((self.sure or shape) and self.taken < LEAST_TAKEN)
+
+
+def remains(search: Search, found: Sequence[Finding]) -> Remains:
+    """Return what is left by the effects that were found."""
+    base, clusters = search.base, search.clusters
+    off = search.off()
+    left = search.left(off)
+    features = known(base.windows)
+    before = predicted(features, base.residual, clusters[0], search.seed)
+    after = predicted(features, left, clusters[0], search.seed) if found else before
+    shapes = Shapes(search)
+    explained, _ = total(clusters[0].sums(base.residual**2 - search.held_out(off) ** 2))
+    share = max(explained / max(float(base.residual @ base.residual), 1e-300), 0.0)
+    better = {each.named.effect: shape for each in found if (shape := shapes.instead_of(each.named))}
+    shape, q, gain = shapes.most(off, left)
+    along = _along(base.windows, base.energy(left))
+    days = uneven(search, left)
+    most = max(1.0 + SURE_OF_DAYS * float(np.sqrt(2.0 / clusters[0].count)), UNEVEN)
+    return Remains(before[0], after[0], after[1], share, shape, q, gain, days, most, better, along)
+
+
+def known(windows: Windows) -> Floats:
+    """Return what is known of each window, (n, features)."""
+    table = windows.table
+    columns = [numbers(table, name) for name, _ in KNOWN]
+    return np.column_stack([*columns, _sun(windows)])
+
+
+def predicted(features: Floats, left: Floats, clusters: Clusters, seed: int) -> tuple[float, float]:
+    """Return the share of a squared residual that trees predict on held-out vehicle-days, and its standard error."""
+    fold = clusters.folds(seed)[clusters.code] % TREE_FOLDS
+    said = np.zeros(len(left))
+    for k in range(int(fold.max()) + 1):
+        there = np.isfinite(features[fold != k]).any(axis=0)
+        trees = HistGradientBoostingRegressor(
+            max_iter=30, learning_rate=0.1, max_leaf_nodes=8, min_samples_leaf=60, l2_regularization=20.0
+        )
+        said[fold == k] = trees.fit(features[fold != k][:, there], left[fold != k]).predict(
+            features[fold == k][:, there]
+        )
+    return total(clusters.sums(left**2 - (left - said) ** 2) / max(float(left @ left), 1e-300))
+
+
+def uneven(search: Search, left: Floats) -> float:
+    """Return how much more vehicle-days differ than chance has it, by the carrier that shows it most.
+
+    Notes
+    -----
+    For a carrier c, the mean over vehicle-days of (sum of c r)^2 / (sum of c^2), over the mean of r^2.
+    """
+    clusters, table = search.clusters[0], search.base.windows.table
+    carriers = np.column_stack([np.nan_to_num(numbers(table, name), nan=0.0) for name in DAILY])
+    weighted = search.base.weighted(carriers)
+    size = clusters.sums(weighted**2)
+    score = clusters.sums(weighted * left[:, np.newaxis]) ** 2
+    ratio = np.divide(score, size, out=np.zeros_like(size), where=size > 0.0)
+    return float(ratio.mean(axis=0).max() / max(float(np.mean(left**2)), 1e-300))
+
+
+class Shapes:
+    """Plain shapes, off a model."""
+
+    def __init__(self, search: Search) -> None:
+        self.search = search
+        self.names, columns = _shapes(search.base.windows)
+        projected = search.base.off(columns)
+        told = (projected**2).sum(axis=0) > LEAST_LEFT * (search.base.weighted(columns) ** 2).sum(axis=0)
+        self.names = [name for name, kept in zip(self.names, told, strict=True) if kept]
+        self.projected = projected[:, told]
+
+    def most(self, off: Floats, left: Floats) -> tuple[str, float, float]:
+        """Return the shape of most gain of those that are in a residual beyond chance, its q, and its gain."""
+        shapes, free = self._off(off)
+        if not len(free):
+            return "", 1.0, 0.0
+        either = np.zeros(len(free), dtype=np.int64)
+        q = false_discovery(by_vehicle_and_day(left, shapes, either, self.search.clusters).p)
+        gain = held_out(left, shapes, either, self.search.clusters[0], self.search.seed).sum(axis=0)
+        best = int(np.argmax(np.where(q < LEVEL, gain, -1.0))) if (q < LEVEL).any() else int(np.argmin(q))
+        return self.names[free[best]], float(q[best]), float(gain[best])
+
+    def instead_of(self, named: Named) -> str:
+        """Return the shape that explains clearly more than a named effect would in its place; empty where none does."""
+        search = self.search
+        off = search.off(named)
+        left = search.left(off)
+        column = search.base.off(named.column)
+        column -= off @ (off.T @ column)
+        shapes, free = self._off(off)
+        size = np.sqrt((shapes**2).sum(axis=0) * float((column**2).sum()))
+        alike = np.abs(column[:, 0] @ shapes) > LIKE * size
+        if not alike.any():
+            return ""
+        either = np.zeros(int(alike.sum()), dtype=np.int64)
+        mine = held_out(left, column, either[:1], search.clusters[0], search.seed)
+        more = held_out(left, shapes[:, alike], either, search.clusters[0], search.seed) - mine
+        ahead = np.array([value / error if error > 0.0 else 0.0 for value, error in map(total, more.T)])
+        best = int(np.argmax(ahead))
+        return self.names[free[np.flatnonzero(alike)[best]]] if ahead[best] > CLEARLY else ""
+
+    def _off(self, off: Floats) -> tuple[Floats, Ints]:
+        """Return the shapes off a basis of effects, and which can be told from it."""
+        shapes = self.projected - off @ (off.T @ self.projected)
+        free = np.flatnonzero((shapes**2).sum(axis=0) > LEAST_LEFT * (self.projected**2).sum(axis=0))
+        return shapes[:, free], free
+
+
+def _shapes(windows: Windows) -> tuple[list[str], Floats]:
+    """Return carriers times functions of what is known, (n, shapes)."""
+    functions = dict(_functions(windows))
+    names, columns = [], []
+    for carrier in CARRIERS:
+        amount = np.nan_to_num(numbers(windows.table, carrier), nan=0.0)
+        for name, values in functions.items():
+            names.append(f"{carrier.removeprefix('effect_')} * {name}")
+            columns.append(amount * values)
+    return names, np.column_stack(columns)
+
+
+def _functions(windows: Windows) -> list[tuple[str, Floats]]:
+    """Return functions of what is known of each window, unknown values at their middle."""
+    table = windows.table
+    functions: list[tuple[str, Floats]] = []
+    for name in ABOUT:
+        values = numbers(table, name)
+        if not np.isfinite(values).any():
+            continue
+        values = np.where(np.isfinite(values), values, np.nanmedian(values))
+        low, middle, high = np.quantile(values, [0.2, 0.5, 0.8])
+        spread = max(float(np.std(values)), 1e-9)
+        if spread < 1e-6 * max(abs(middle), 1.0):
+            continue
+        functions.append((name, (values - middle) / spread))
+        functions.append((f"low {name}", np.maximum(low - values, 0.0) / spread))
+        functions.append((f"high {name}", np.maximum(values - high, 0.0) / spread))
+    light = _sun(windows)
+    return [*functions, ("sun", light), ("dark", (light <= 0.0).astype(np.float64))]
+
+
+def _sun(windows: Windows) -> Floats:
+    """Return the sine of the sun's elevation at each window, 0 by night and where the place is not known."""
+    table = windows.table
+    place = numbers(table, "latitude_start_deg"), numbers(table, "longitude_start_deg")
+    return np.nan_to_num(sun(numbers(table, "start_s"), *place), nan=0.0)
+
+
+def _along(windows: Windows, left: Floats) -> list[dict[str, Any]]:
+    """Return the mean of what is left of a window along each known thing, by twelfths of the windows."""
+    found = []
+    for name, unit in KNOWN:
+        values = numbers(windows.table, name)
+        there = np.isfinite(values)
+        if there.sum() < SHAPE_POINTS * 10:
+            continue
+        edges = np.unique(np.quantile(values[there], np.linspace(0.0, 1.0, SHAPE_POINTS + 1)))
+        if len(edges) < 3:
+            continue
+        place = np.clip(np.searchsorted(edges, values[there], side="right") - 1, 0, len(edges) - 2)
+        count = np.bincount(place, minlength=len(edges) - 1)
+        full = count > 0
+        x = np.bincount(place, values[there], len(edges) - 1)[full] / count[full]
+        y = np.bincount(place, left[there], len(edges) - 1)[full] / count[full]
+        found.append({"feature": name, "unit": unit, "x": x.tolist(), "y_kwh": y.tolist()})
+    return found

@@ -1,0 +1,100 @@
+"""A term outside the library as a person reads it: its formula, its unit, and a file ready to be edited."""
+
+from typing import Final, NamedTuple
+
+from core.declaration import Parameter
+from core.diagnose.effect_file import render
+from core.diagnose.free_terms import FreeTerm, Modulator
+
+ROOM_FOR: Final = 5.0
+"""Factor about what was found, within which a coefficient is called plausible until its author says better."""
+
+
+class _Written(NamedTuple):
+    """A modulator for people, in code, and its constant."""
+
+    formula: str
+    code: str
+    said: str = ""
+    name: str = ""
+    parameter: Parameter | None = None
+
+
+def formula(term: FreeTerm) -> str:
+    """Return the power of a term, times a coefficient c."""
+    written = [_write(each) for each in term.modulators]
+    factors = ["c", *(each.formula for each in written), *([term.carrier.symbol] if term.carrier.symbol else [])]
+    return ", ".join([f"P = {' · '.join(factors)}", *(each.said for each in written if each.said)])
+
+
+def unit(term: FreeTerm) -> str:
+    """Return the unit of the coefficient of a term, with which its power is in watt, as pint spells it."""
+    found = term.carrier.unit
+    for each in term.modulators:
+        own = each.variable.unit
+        if own != "1" and each.shape != "decay":
+            found += f"/({own})" if "/" in own else f"/{own}"
+            found += "^2" if each.shape == "square" else ""
+    return found
+
+
+def name(term: FreeTerm) -> str:
+    """Return what the effect of a term is called."""
+    return "_and_".join([f"suggested_{term.carrier.name}", *sorted(term.variables)])
+
+
+def file(term: FreeTerm, coefficient: float, windows: int) -> str:
+    """Return the text of a Python file with the effect, which passes `socast effects check`.
+
+    Parameters
+    ----------
+    term : FreeTerm
+    coefficient : float
+        As it was found. [`unit`]
+    windows : int
+        That it was found in.
+    """
+    written = [_write(each) for each in term.modulators]
+    arguments = [*term.carrier.arguments, *(a for each in term.modulators for a in each.variable.arguments)]
+    code = [*([term.carrier.code] if term.carrier.code else []), *(each.code for each in written)]
+    meanings = ", ".join(f"{each.variable.meaning} {each.variable.symbol}" for each in term.modulators)
+    bounds = sorted((float(f"{coefficient / ROOM_FOR:.2g}"), float(f"{coefficient * ROOM_FOR:.2g}")))
+    return render(
+        name(term),
+        arguments=tuple(dict.fromkeys(arguments)) or ("dt",),
+        body=f"return {' * '.join(code) or 'np.ones_like(dt)'}",
+        documentation="\n\n".join(
+            ["Say what it is.", formula(term), *([f"With {meanings}."] if meanings else [])],
+        ),
+        coefficient="say what c is",
+        unit=unit(term),
+        low=bounds[0],
+        high=bounds[1],
+        source=f"suggested by {windows:,} windows of driving; range: a fifth to five times what they say. Say here "
+        "where formula and range can be looked up",
+        per=term.carrier.per,
+        parameters={
+            **term.carrier.parameters,
+            **{each.name: each.parameter for each in written if each.parameter is not None},
+        },
+        confused_with=(term.carrier.alike,),
+    )
+
+
+def _write(modulator: Modulator) -> _Written:
+    """Return a modulator for people and in code."""
+    x, code, own = modulator.variable.symbol, modulator.variable.code, modulator.variable.unit
+    if modulator.shape == "linear":
+        return _Written(x, code)
+    if modulator.shape == "square":
+        return _Written(f"({x})²" if " " in x else f"{x}²", f"({code}) ** 2")
+    limit, constant = f"{x}0", f"{modulator.variable.name}_{'scale' if modulator.shape == 'decay' else 'limit'}"
+    said, coded = {
+        "above": (f"max({x} − {limit}, 0)", f"np.maximum({code} - {constant}, 0.0)"),
+        "below": (f"max({limit} − {x}, 0)", f"np.maximum({constant} - {code}, 0.0)"),
+        "decay": (f"exp(−{x}/{limit})", f"np.exp(-{code} / {constant})"),
+    }[modulator.shape]
+    at, grid = modulator.at, modulator.grid
+    value = f"{limit} = {at:.4g}" + ("" if own == "1" else f" {own}")
+    moved = Parameter(at, own, grid[0], grid[-1], grid) if len(grid) > 1 else Parameter(at, own)
+    return _Written(said, coded, value, constant, moved)

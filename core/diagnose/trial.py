@@ -1,0 +1,292 @@
+"""Whether a model predicts better for a change: error before and after, on days and on vehicles that were held out.
+
+Both models are refitted inside each fold to the same windows, and their errors are compared ride by ride: what is hard
+about a ride is hard for both and cancels. Rides of one vehicle on one day have weather, driver and load in common, so
+the interval of the mean difference lets their errors depend on each other.
+
+Days are held out whole, with all vehicles, where there are enough of them (`LEAST_DATES`); where there are not, leaving
+one out would leave a season out, and one vehicle's day is held out at a time. Vehicles are held out whole; one of a
+vehicle model with fewer than `OWN_FIT` of them is predicted by the fit to all vehicle models.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from itertools import pairwise
+from typing import Any, Final, NamedTuple
+from zlib import crc32
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from core.batch import Floats, Ints
+from core.diagnose.refitting import Change, refit_with, unnamed
+from core.errors import ModelError
+from core.evaluate.clustered import clustered_mean, vehicle_days
+from core.evaluate.scores import UNKNOWN
+from core.evaluate.splits import by_vehicle
+from core.learn.blocks import ENERGY, names, numbers
+from core.models import VEHICLE_MODEL
+
+FOLDS: Final = 5
+LEAST_DATES: Final = 20
+"""Dates from which on whole days are held out, and some are set apart."""
+OWN_FIT: Final = 4
+"""Vehicles of a vehicle model from which on one that is held out is predicted by the fit of the others."""
+ENERGY_SD: Final = "energy_sd_kwh"
+GAUSSIAN: Final = float(np.sqrt(2.0 / np.pi))
+"""Mean absolute error over standard deviation."""
+
+Mask = NDArray[np.bool_]
+
+
+class Rides(NamedTuple):
+    """Rows to fit to, and the rides that they are of.
+
+    Parameters
+    ----------
+    rows : (n,) DataFrame
+        Windows, or rides.
+    ride : (n,) int64
+        Of each row, its ride.
+    table : (rides,) DataFrame
+        `vehicle_id`, `vehicle_model`, `date`, `measured` [kWh], `sd` [kWh], `distance_km`, `speed_kmh`, `ambient_c`.
+    """
+
+    rows: pd.DataFrame
+    ride: Ints
+    table: pd.DataFrame
+
+    def by_ride(self, values: Floats) -> Floats:
+        """Return the sum of each ride."""
+        return sums(self.ride, values, len(self.table))
+
+    def only(self, kept: Mask) -> "Rides":
+        """Return some of the rides."""
+        place = np.cumsum(kept) - 1
+        at = kept[self.ride]
+        return Rides(
+            self.rows.loc[at].reset_index(drop=True), place[self.ride[at]].astype(np.int64), self.table.loc[kept]
+        )
+
+    @property
+    def dates(self) -> list[str]:
+        """Date of each ride, ISO."""
+        return names(self.table, "date")
+
+
+def sums(group: Ints, values: Floats, count: int) -> Floats:
+    """Return the sum of each group's values, (count,)."""
+    return np.bincount(group, values, count).astype(np.float64)
+
+
+def rides_of(rows: pd.DataFrame, rides: pd.DataFrame | None = None) -> Rides:
+    """Return the rides that windows are of.
+
+    Parameters
+    ----------
+    rows : (n,) DataFrame
+        As `core.diagnose.windows.joined` makes it, or a ride table.
+    rides : DataFrame, optional
+        The ride table, for the uncertainty of whole rides; of windows alone it is made up of theirs.
+
+    Raises
+    ------
+    ModelError
+        Where there is none.
+    """
+    if not len(rows):
+        raise ModelError("no ride with measured energy that is fit for training: give more rides")
+    code, keys = pd.factorize(rows["ride_key"])
+    ride = code.astype(np.int64)
+    first = np.unique(ride, return_index=True)[1]
+    table = rows.iloc[first][["vehicle_id", VEHICLE_MODEL, "date"]].reset_index(drop=True)
+
+    def total(values: Floats) -> Floats:
+        return sums(ride, values, len(keys))
+
+    duration, distance = numbers(rows, "duration_s"), total(numbers(rows, "distance_km"))
+    known = np.maximum(total(duration), 1e-9)
+    sd = np.sqrt(total(numbers(rows, ENERGY_SD) ** 2)) if ENERGY_SD in rows else np.full(len(keys), np.nan)
+    if rides is not None and ENERGY_SD in rides and "ride_key" in rides:
+        sd = numbers(rides.set_index("ride_key").reindex(keys), ENERGY_SD)
+    return Rides(
+        rows,
+        ride,
+        table.assign(
+            measured=total(numbers(rows, ENERGY)),
+            sd=sd,
+            distance_km=distance,
+            speed_kmh=distance / known * 3600.0,
+            ambient_c=total(numbers(rows, "ambient_c") * duration) / known,
+        ),
+    )
+
+
+def noise_floor(sd: Floats) -> float:
+    """Return the mean absolute error of a model that is right, by the measurement's own noise alone. [kWh]
+
+    Parameters
+    ----------
+    sd : (rides,) float
+        Standard uncertainty of each ride's energy, of errors that are Gaussian. [kWh]
+    """
+    known = sd[np.isfinite(sd)]
+    return float(GAUSSIAN * known.mean()) if len(known) else float("nan")
+
+
+def day_folds(rides: Rides, seed: int) -> list[Mask]:
+    """Return parts of the rides, to be held out in turn: whole days, or vehicles' days where there are few days."""
+    days = rides.dates
+    if len(set(days)) < LEAST_DATES:
+        days = [f"{vehicle} {day}" for vehicle, day in zip(names(rides.table, "vehicle_id"), days, strict=True)]
+    groups = sorted(set(days))
+    if len(groups) < 2:
+        return []
+    rng = np.random.default_rng([seed, crc32(b"days")])
+    fold_of = {str(day): i % FOLDS for i, day in enumerate(rng.permutation(groups))}
+    fold = np.array([fold_of[day] for day in days])
+    return [fold == i for i in range(min(FOLDS, len(groups)))]
+
+
+def vehicle_folds(rides: Rides, seed: int) -> list[Mask]:
+    """Return parts of the rides by vehicle, to be held out in turn; none of one vehicle alone."""
+    kinds, vehicles = names(rides.table, VEHICLE_MODEL), names(rides.table, "vehicle_id")
+    few = few_vehicles(rides.table)
+    pooled = ["" if kind in few else kind for kind in kinds]
+    every = np.arange(len(kinds))
+    masks = [np.isin(every, split.test) for split in by_vehicle(pooled, vehicles, seed, FOLDS)]
+    return [mask for mask in masks if not mask.all()]
+
+
+def few_vehicles(table: pd.DataFrame) -> set[str]:
+    """Return the vehicle models with too few vehicles to do without one of them."""
+    count = table.groupby(VEHICLE_MODEL)["vehicle_id"].nunique()
+    return {str(name) for name, n in count.items() if n < OWN_FIT}
+
+
+def held_out(
+    change: Change, rides: Rides, folds: Sequence[Mask], pooled: Collection[str] = ()
+) -> tuple[Floats, Floats]:
+    """Return the predictions of rides by models fitted without them: one without a term, one with it.
+
+    Parameters
+    ----------
+    change : Change
+    rides : Rides
+    folds : sequence of (rides,) bool
+        What is held out at a time.
+    pooled : collection of str
+        Vehicle models that are predicted by the fit to all.
+
+    Returns
+    -------
+    before, after : (rides,) float
+        NaN for those that are in no fold. [kWh]
+    """
+    before, after = (np.full(len(rides.table), np.nan) for _ in range(2))
+    for fold in folds:
+        test = rides.only(fold)
+        asked = unnamed(test.rows, pooled)
+        models = refit_with(change, rides.only(~fold).rows, pooled=pooled)
+        before[fold] = test.by_ride(models.before.predict(asked))
+        after[fold] = test.by_ride(models.after.predict(asked))
+    return before, after
+
+
+def comparison(table: pd.DataFrame, before: Floats, after: Floats) -> dict[str, Any]:
+    """Return two models' errors on the same rides, and their mean difference with its interval.
+
+    Parameters
+    ----------
+    table : (rides,) DataFrame
+        `vehicle_id`, `date`, `measured` [kWh].
+    before, after : (rides,) float
+        Predicted; rides that one of them does not predict are left out. [kWh]
+
+    Returns
+    -------
+    dict
+        `rides`, `clusters` (vehicle-days), `mae_before_kwh`, `mae_after_kwh`, `fall` (of the error, as a share) and
+        `change_kwh`: `value` (after less before, negative where it helps) and `ci95`, half the width of its 95 %
+        interval, NaN where there is one cluster only.
+    """
+    known = np.isfinite(before) & np.isfinite(after)
+    measured = numbers(table, "measured")[known]
+    worse, better = np.abs(before[known] - measured), np.abs(after[known] - measured)
+    if not len(measured):
+        errors = dict.fromkeys(("mae_before_kwh", "mae_after_kwh", "fall"), float("nan"))
+        return {"rides": 0, "clusters": 0, **errors, "change_kwh": UNKNOWN.figures()}
+    change = better - worse
+    clusters = vehicle_days(table.loc[known])
+    found = clustered_mean(change, clusters)
+    mae = float(worse.mean())
+    return {
+        "rides": len(measured),
+        "clusters": int(clusters.max()) + 1,
+        "mae_before_kwh": mae,
+        "mae_after_kwh": float(better.mean()),
+        "fall": float(-change.mean() / mae) if mae > 0.0 else 0.0,
+        "change_kwh": found.figures(),
+    }
+
+
+APART: Final = 5
+"""One in so many dates is set apart."""
+CONDITIONS: Final = {
+    "ambient_c": ("outside temperature", (-10.0, 0.0, 10.0, 20.0), "°C"),
+    "distance_km": ("distance", (2.0, 5.0, 10.0, 20.0), "km"),
+    "speed_kmh": ("average speed", (15.0, 30.0, 50.0), "km/h"),
+}
+"""Columns of the rides -> what it is called, where its bins are cut, its unit."""
+LEAST: Final = 10
+"""Rides for a condition to be told of."""
+
+
+def conditions(table: pd.DataFrame, before: Floats, after: Floats) -> dict[str, list[dict[str, Any]]]:
+    """Return the comparison by outside temperature, distance, speed and vehicle, of bins with `LEAST` rides."""
+    bins = {what: _bins(numbers(table, column), cuts, unit) for column, (what, cuts, unit) in CONDITIONS.items()}
+    vehicles = np.array(names(table, "vehicle_id"), dtype=object)
+    bins["vehicle"] = [(str(name), vehicles == name) for name in sorted(set(vehicles))]
+    return {
+        what: [
+            {"where": label, **comparison(table.loc[here], before[here], after[here])}
+            for label, here in parts
+            if here.sum() >= LEAST
+        ]
+        for what, parts in bins.items()
+    }
+
+
+def _bins(values: Floats, cuts: tuple[float, ...], unit: str) -> list[tuple[str, Mask]]:
+    """Return the names of bins, and what is in each; a lower end belongs to it."""
+    code = np.where(np.isfinite(values), np.searchsorted(cuts, values, side="right"), -1)
+    ends = [f"{cut:g}".replace("-", "−") for cut in cuts]
+    middle = [f"{low} to {high} {unit}" for low, high in pairwise(ends)]
+    labels = [f"below {ends[0]} {unit}", *middle, f"from {ends[-1]} {unit}"]
+    return [(label, code == i) for i, label in enumerate(labels)]
+
+
+def final_days(history: Sequence[Mapping[str, Any]], dates: Sequence[str]) -> tuple[str, ...]:
+    """Return the days that are set apart: none of fewer than `LEAST_DATES` dates, all of which are needed.
+
+    Those of the model's history, where the rides have any of them; else every fifth date. The last fifth would be of
+    one season, and what shows in that season would be neither found nor judged.
+
+    Parameters
+    ----------
+    history : sequence of mapping
+        Of the model.
+    dates : sequence of str
+        Of the rides, ISO.
+
+    Examples
+    --------
+    >>> final_days((), [f"2018-01-{day:02d}" for day in range(1, 21)])
+    ('2018-01-03', '2018-01-08', '2018-01-13', '2018-01-18')
+    """
+    there = sorted({date for date in dates if date})
+    for entry in reversed(history):
+        before = (entry.get("final") or {}).get("dates") or ()
+        if set(before) & set(there):
+            return tuple(str(date) for date in before)
+    return tuple(there[APART // 2 :: APART]) if len(there) >= LEAST_DATES else ()

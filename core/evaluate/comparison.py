@@ -1,0 +1,327 @@
+"""Models against what rides measured: how far off each is, under which conditions, which rides are worst.
+
+Nothing is fitted here. All models are judged on the same rides, those that each of them predicts, so that two models
+can be told apart ride by ride. Intervals allow for rides of one car on one day being alike: `core.evaluate.clustered`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from scipy.stats import false_discovery_control
+
+from core.batch import Floats
+from core.errors import ModelError
+from core.evaluate import differences, scores
+from core.evaluate.clustered import clustered_mean, clustered_ratio, vehicle_days
+from core.evaluate.conditions import conditions
+from core.evaluate.judged import reasons
+from core.evaluate.scores import Codes, Estimate
+from core.models import ANY, LinearModel
+
+WORST: Final = 10
+"""Rides that are named."""
+WELL_KNOWN: Final = 0.2
+"""Standard uncertainty over energy of a ride, at most, for its relative error to mean anything."""
+KEYS: Final = ("ride_key", "ride_id")
+"""Columns that name a ride, the better one first."""
+TOLD: Final = ("vehicle_id", "vehicle_model", "date", "distance_km", "ambient_c", "average_speed_kmh")
+"""What is told of a ride."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Rides with measured and predicted energies.
+
+    Parameters
+    ----------
+    rides : DataFrame
+        Those that can be judged and that every model predicts.
+    measured : (n,) float
+        [kWh]
+    predicted : dict of str to (n,) float
+        By model. [kWh]
+    clusters : (n,) int64
+        Vehicle-day of each.
+    read : int
+        Rides read.
+    left_out : dict of str to int
+        Rides left out, by reason, in words.
+    notes : tuple of str
+        What a reader should know.
+    """
+
+    rides: pd.DataFrame
+    measured: Floats
+    predicted: dict[str, Floats]
+    clusters: Codes
+    read: int
+    left_out: dict[str, int]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def keys(self) -> list[str]:
+        """What names each ride."""
+        named = next((name for name in KEYS if name in self.rides), None)
+        return self.rides.index.astype(str).tolist() if named is None else self.rides[named].astype(str).tolist()
+
+
+def sample(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> Sample:
+    """Return the rides of a table that can be judged, with the energies that models predict.
+
+    Parameters
+    ----------
+    rides : DataFrame
+        As `core.tables.ride_table` makes it.
+    models : mapping of str to LinearModel
+        By what the reader calls them.
+
+    Raises
+    ------
+    ModelError
+        Where a column is missing, where a model has no fit for any of the cars, and where no ride is left.
+    """
+    if rides.empty:
+        raise ModelError("there are no rides: give tables or recordings that hold some")
+    reason = reasons(rides)
+    left_out = {str(why).replace("_", " "): int(n) for why, n in reason.value_counts().sort_index().items()}
+    kept = rides[reason.isna()].reset_index(drop=True)
+    if kept.empty:
+        raise ModelError(
+            f"none of {len(rides):,} rides can be compared ({counted(left_out)}): give rides that are fit for training "
+            "and have a measured energy"
+        )
+    found = {label: _predicted(label, model, kept) for label, model in models.items()}
+    known = np.ones(len(kept), np.bool_)
+    for label, energy in found.items():
+        own = ~np.isfinite(energy) & known
+        if own.any():
+            left_out[f"not predicted by {label}"] = int(own.sum())
+        known &= ~own
+    if not known.any():
+        raise ModelError(f"there is no ride that every model predicts ({counted(left_out)}): compare fewer at a time")
+    kept = kept[known].reset_index(drop=True)
+    return Sample(
+        rides=kept,
+        measured=kept["energy_kwh"].to_numpy(np.float64),
+        predicted={label: energy[known] for label, energy in found.items()},
+        clusters=vehicle_days(kept),
+        read=len(rides),
+        left_out=left_out,
+        notes=_notes(kept, models),
+    )
+
+
+def counted(left_out: Mapping[str, int]) -> str:
+    """Return how many rides were left out and why, in words."""
+    return ", ".join(f"{n:,} {why}" for why, n in left_out.items()) or "none left out"
+
+
+def _predicted(label: str, model: LinearModel, rides: pd.DataFrame) -> Floats:
+    """Return a model's predictions, refusing a model that has none of these cars."""
+    cars = sorted(rides["vehicle_model"].unique())
+    if ANY not in model.fits and not any(car in model.fits for car in cars):
+        raise ModelError(
+            f"model {label} is of {', '.join(model.fits)}, and the rides are of {', '.join(cars)}: give rides of its "
+            "cars, or a model with a fit for them or for any other (*)"
+        )
+    energy = model.predict(rides)
+    if not np.isfinite(energy).any():
+        unknown = [name for name in model.needs if name in rides and rides[name].isna().all()]
+        told = f": column {unknown[0]!r} is unknown in all of them" if unknown else ""
+        raise ModelError(f"model {label} predicts none of {len(rides):,} rides{told}: give a model that does without")
+    return energy
+
+
+def _notes(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> tuple[str, ...]:
+    """Return what a reader should know of models and rides."""
+    notes = []
+    for label, model in models.items():
+        trained = model.training
+        if trained is not None:
+            inside = rides["date"].between(trained.first_date, trained.last_date)
+            inside &= rides["vehicle_model"].isin(list(trained.vehicle_models))
+            if n := int(inside.sum()):
+                notes.append(
+                    f"{label} was fitted to rides from {trained.first_date} to {trained.last_date}; {n:,} of these "
+                    "may be among them, and its error on others is larger: `socast evaluate` tells"
+                )
+    days = len(np.unique(vehicle_days(rides)))
+    if days == 1:
+        notes.append(f"{len(rides):,} rides of one car on one day: too few for intervals")
+    if "driver_id" not in rides or rides["driver_id"].isna().all():
+        notes.append("nothing tells who drove: errors are shown by vehicle, not by driver")
+    return tuple(notes)
+
+
+def compare(found: Sample) -> dict[str, Any]:
+    """Return how models compare with what rides measured.
+
+    Returns
+    -------
+    dict
+        `about` the rides; `models`, by name: `figures` of each, `by` condition, `worst` rides; `pairs` of models;
+        `rides`, with the energies of each.
+    """
+    return {
+        "about": about(found),
+        "models": {
+            label: figures(found, energy) | {"by": by_condition(found, energy), "worst": worst(found, energy)}
+            for label, energy in found.predicted.items()
+        },
+        "pairs": pairs(found),
+        "rides": {
+            "key": found.keys,
+            "vehicle_model": found.rides["vehicle_model"].tolist(),
+            "measured_kwh": found.measured,
+            "predicted_kwh": found.predicted,
+        },
+        "notes": list(found.notes),
+    }
+
+
+def about(found: Sample) -> dict[str, Any]:
+    """Return what was compared."""
+    rides = found.rides
+    distance = rides["distance_km"].to_numpy(np.float64)
+    measured = {
+        name: float((rides["energy_kwh"] == rides[f"energy_{name}_kwh"]).mean())
+        for name in ("vi", "soc")
+        if f"energy_{name}_kwh" in rides
+    }
+    return {
+        "read": found.read,
+        "rides": len(rides),
+        "left_out": found.left_out,
+        "vehicles": int(rides["vehicle_id"].nunique()),
+        "vehicle_days": len(np.unique(found.clusters)),
+        "vehicle_models": sorted(rides["vehicle_model"].unique()),
+        "first_date": str(rides["date"].min()),
+        "last_date": str(rides["date"].max()),
+        "measured": measured,
+        "consumption_kwh": clustered_mean(found.measured, found.clusters).figures(),
+        "per_100km_kwh": clustered_ratio(100.0 * found.measured, distance, found.clusters).figures(),
+    }
+
+
+def figures(found: Sample, predicted: Floats) -> dict[str, Any]:
+    """Return how far off predictions are: `mae_kwh`, `bias_kwh`, `rmse_kwh`, `relative`, shares `within` bands."""
+    error = predicted - found.measured
+    used = float(np.mean(found.measured))
+    size, off = clustered_mean(np.abs(error), found.clusters), clustered_mean(error, found.clusters)
+    return {
+        "rides": len(error),
+        "mae_kwh": size.figures(),
+        "bias_kwh": off.figures(),
+        "rmse_kwh": scores.root_mean_square(found.measured, predicted),
+        "relative": size.value / used if used > 0.0 else np.nan,
+        "relative_bias": off.value / used if used > 0.0 else np.nan,
+        "within": scores.bands(found.measured, predicted),
+    }
+
+
+def by_condition(found: Sample, predicted: Floats) -> dict[str, list[dict[str, Any]]]:
+    """Return errors in each bin of each condition.
+
+    Returns
+    -------
+    dict of str to list of dict
+        `bin`, `n`, `vehicle_days`, `bias_kwh` with its interval, `mae_kwh`, `relative` and `relative_bias` over
+        consumption, and `q`: the share of false findings, were all bins at least as surely biased named (Benjamini
+        and Hochberg, over the bins of all conditions).
+    """
+    error = predicted - found.measured
+    made: dict[str, list[dict[str, Any]]] = {}
+    p: list[float] = []
+    for name, (codes, labels) in conditions(found.rides).items():
+        entries = made.setdefault(name, [])
+        for code in np.unique(codes[codes >= 0]).tolist():
+            rows = np.flatnonzero(codes == code)
+            off = clustered_mean(error[rows], found.clusters[rows])
+            entries.append({"bin": labels[code], **_bin(error[rows], found.measured[rows], found.clusters[rows], off)})
+            p.append(off.p)
+    q = iter(false_discovery_rates(np.array(p)).tolist())
+    for entry in (entry for entries in made.values() for entry in entries):
+        entry["q"] = next(q)
+    return made
+
+
+def _bin(error: Floats, measured: Floats, clusters: Codes, off: Estimate) -> dict[str, Any]:
+    """Return what is told of the rides of a bin."""
+    used = float(np.mean(measured))
+    size = float(np.mean(np.abs(error)))
+    return {
+        "n": len(error),
+        "vehicle_days": len(np.unique(clusters)),
+        "bias_kwh": off.figures(),
+        "mae_kwh": size,
+        "relative": size / used if used > 0.0 else np.nan,
+        "relative_bias": off.value / used if used > 0.0 else np.nan,
+    }
+
+
+def false_discovery_rates(p: Floats) -> Floats:
+    """Return Benjamini and Hochberg's q-values; NaN where there was nothing to test.
+
+    Examples
+    --------
+    >>> false_discovery_rates(np.array([0.01, np.nan, 0.04])).tolist()
+    [0.02, nan, 0.04]
+    """
+    q = np.full(len(p), np.nan)
+    tested = ~np.isnan(p)
+    if tested.any():
+        q[tested] = false_discovery_control(p[tested])
+    return q
+
+
+def pairs(found: Sample) -> list[dict[str, Any]]:
+    """Return, of each pair of models, by how much their mean absolute errors differ on the same rides.
+
+    Returns
+    -------
+    list of dict
+        Models `a` and `b`; `difference_kwh`, error of a less error of b, with its interval; `p`, and `p_holm`,
+        adjusted for all pairs.
+    """
+    error = {label: np.abs(energy - found.measured) for label, energy in found.predicted.items()}
+    apart = {(a, b): clustered_mean(error[a] - error[b], found.clusters) for a, b in differences.pairs(list(error))}
+    adjusted = differences.adjusted(apart)
+    return [
+        {"a": a, "b": b, "difference_kwh": off.figures(), "p": off.p, "p_holm": adjusted[a, b]}
+        for (a, b), off in apart.items()
+    ]
+
+
+def worst(found: Sample, predicted: Floats) -> dict[str, list[dict[str, Any]]]:
+    """Return the rides of largest error, `absolute` and `relative` to what was measured, worst first.
+
+    Of the latter those whose energy is known within `WELL_KNOWN`: one downhill may take next to nothing.
+    """
+    error = predicted - found.measured
+    size = np.abs(found.measured)
+    spread = (
+        found.rides["energy_sd_kwh"].to_numpy(np.float64) if "energy_sd_kwh" in found.rides else np.zeros(len(error))
+    )
+    relative = np.divide(error, size, out=np.full(len(error), np.nan), where=size > 0.0)
+    keys = found.keys
+
+    def told(row: int) -> dict[str, Any]:
+        own = {name: found.rides[name].iloc[row] for name in TOLD if name in found.rides}
+        return {
+            "ride": keys[row],
+            **own,
+            "measured_kwh": found.measured[row],
+            "predicted_kwh": predicted[row],
+            "error_kwh": error[row],
+            "relative": relative[row],
+        }
+
+    def first(values: Floats) -> list[dict[str, Any]]:
+        order = np.argsort(-np.abs(values), kind="stable")  # NaN last
+        return [told(row) for row in order[:WORST].tolist() if not np.isnan(values[row])]
+
+    known = np.nan_to_num(spread) <= WELL_KNOWN * size
+    return {"absolute": first(error), "relative": first(np.where(known, relative, np.nan))}

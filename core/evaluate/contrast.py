@@ -1,0 +1,166 @@
+"""Two sets of rides side by side: what differs in the rides, in what they took, and in how far off models are.
+
+A model that explains why one set took more has the difference in its terms; what it does not explain is a difference of
+its error. So the difference in consumption, measured, is that of the terms and a remainder, each per 100 km and with an
+interval. The sets are taken to be independent.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from core.batch import Floats, Ints
+from core.evaluate.clustered import clustered_mean, clustered_ratio, less
+from core.evaluate.comparison import Sample, false_discovery_rates
+from core.evaluate.conditions import conditions
+from core.evaluate.judged import SAME
+from core.evaluate.parts import parts
+from core.evaluate.scores import Estimate
+from core.models import LinearModel
+
+PROPERTIES: Final = (
+    ("distance", "km", "distance_km", ""),
+    ("duration", "min", "duration_s", ""),
+    ("average speed", "km/h", "average_speed_kmh", ""),
+    ("outside temperature", "°C", "ambient_c", ""),
+    ("wind speed", "km/h", "wind_speed_kmh", ""),
+    ("precipitation", "mm/h", "precipitation_mm_h", ""),
+    ("climb", "m/km", "gained_m", "distance_km"),
+    ("stops", "1/km", "stops", "distance_km"),
+    ("occupants", "1", "occupants", ""),
+    ("mass", "kg", "mass_kg", ""),
+    ("state of charge at the start", "%", "soc_start_pct", ""),
+)
+"""What rides may differ in: name, unit, column, and the column that it is a ratio to."""
+SECONDS: Final = 60.0
+"""In a minute."""
+
+
+def contrast(first: Sample, second: Sample, models: Mapping[str, LinearModel]) -> dict[str, Any]:
+    """Return what is different between two sets of rides; differences are second less first.
+
+    Parameters
+    ----------
+    first, second : Sample
+        Of the same models.
+    models : mapping of str to LinearModel
+        By what the reader calls them.
+
+    Returns
+    -------
+    dict
+        `shared` rides; `properties` of the rides; `consumption`, in kWh per 100 km; `models`, by name: `mae_kwh`,
+        `bias_kwh`, the `terms` of the difference in consumption and what is `unexplained` of it, and bias and error
+        `by` condition.
+    """
+    return {
+        "shared": _shared(first.rides, second.rides),
+        "properties": _properties(first, second),
+        "consumption": _each(_per_distance(first, first.measured), _per_distance(second, second.measured)),
+        "models": {label: _model(label, model, first, second) for label, model in models.items()},
+    }
+
+
+def _each(one: Estimate, other: Estimate) -> dict[str, Any]:
+    """Return two estimates and their difference, with its interval and probability."""
+    apart = less(other, one)
+    return {"first": one.figures(), "second": other.figures(), "difference": apart.figures(), "p": apart.p}
+
+
+def _shared(one: pd.DataFrame, other: pd.DataFrame) -> int:
+    """Return the number of rides that both sets have."""
+    both = one[list(SAME)].merge(other[list(SAME)], how="inner", on=list(SAME))
+    return len(both)
+
+
+def _per_distance(found: Sample, energy: Floats) -> Estimate:
+    """Return an energy over the distance. [kWh/100 km]"""
+    return clustered_ratio(100.0 * energy, found.rides["distance_km"].to_numpy(np.float64), found.clusters)
+
+
+def _properties(first: Sample, second: Sample) -> list[dict[str, Any]]:
+    """Return what the rides of the sets are like; first what differs most, by the spread between rides."""
+    found = []
+    for name, unit, column, per in PROPERTIES:
+        wanted = [column for column in (column, per) if column]
+        if any(name not in own.rides for name in wanted for own in (first, second)):
+            continue
+        values = [_values(own.rides, column, per) for own in (first, second)]
+        known = [np.isfinite(value) for value in values]
+        if not all(each.any() for each in known):
+            continue
+        one, other = (
+            clustered_mean(value[at], own.clusters[at])
+            for value, at, own in zip(values, known, (first, second), strict=True)
+        )
+        spread = float(np.sqrt(np.mean([np.var(value[at]) for value, at in zip(values, known, strict=True)])))
+        apart = abs(other.value - one.value) / spread if spread > 0.0 else 0.0
+        found.append({"name": name, "unit": unit, **_each(one, other), "in_spreads": apart})
+    q = false_discovery_rates(np.array([entry["p"] for entry in found], dtype=np.float64))
+    told = [entry | {"q": float(rate)} for entry, rate in zip(found, q, strict=True)]
+    return sorted(told, key=lambda entry: -entry["in_spreads"])
+
+
+def _values(rides: pd.DataFrame, column: str, per: str) -> Floats:
+    """Return a property of each ride, NaN where it is not known."""
+    values = rides[column].to_numpy(np.float64)
+    if per:
+        below = rides[per].to_numpy(np.float64)
+        return np.divide(values, below, out=np.full(len(values), np.nan), where=below > 0.0)
+    return values / SECONDS if column == "duration_s" else values
+
+
+def _model(label: str, model: LinearModel, first: Sample, second: Sample) -> dict[str, Any]:
+    """Return how a model does on both sets, and how much of their difference in consumption it explains."""
+    both = (first, second)
+    error = [own.predicted[label] - own.measured for own in both]
+    said = [parts(model, own.rides) for own in both]
+    terms = [
+        {"name": name, **_each(*(_per_distance(own, each[name]) for own, each in zip(both, said, strict=True)))}
+        for name in said[0]
+    ]
+    one, other = (clustered_mean(off, own.clusters) for off, own in zip(error, both, strict=True))
+    size, otherwise = (clustered_mean(np.abs(off), own.clusters) for off, own in zip(error, both, strict=True))
+    return {
+        "bias_kwh": _each(one, other),
+        "mae_kwh": _each(size, otherwise),
+        "explained": _each(*(_per_distance(own, own.predicted[label]) for own in both)),
+        "unexplained": _each(*(_per_distance(own, -off) for own, off in zip(both, error, strict=True))),
+        "terms": sorted(terms, key=lambda entry: -abs(entry["difference"]["value"])),
+        "by": _by_condition(first, second, *error),
+    }
+
+
+def _by_condition(first: Sample, second: Sample, one: Floats, other: Floats) -> dict[str, list[dict[str, Any]]]:
+    """Return bias, error and `consumption` of both sets in each bin that either has, and `q` of the bias."""
+    together = pd.concat([first.rides, second.rides], ignore_index=True)
+    here = np.arange(len(together)) < len(first.rides)
+    made: dict[str, list[dict[str, Any]]] = {}
+    for name, (codes, labels) in conditions(together).items():
+        for code in np.unique(codes[codes >= 0]).tolist():
+            at = np.flatnonzero(codes[here] == code), np.flatnonzero(codes[~here] == code)
+            entry = {"bin": labels[code], "n": [len(rows) for rows in at]}
+            made.setdefault(name, []).append(entry | _bins(first, second, one, other, at))
+    entries = [entry for found in made.values() for entry in found]
+    q = false_discovery_rates(np.array([entry["bias_kwh"]["p"] for entry in entries], dtype=np.float64))
+    for entry, rate in zip(entries, q.tolist(), strict=True):
+        entry["q"] = rate
+    return made
+
+
+def _bins(first: Sample, second: Sample, one: Floats, other: Floats, at: tuple[Ints, Ints]) -> dict[str, Any]:
+    """Return bias, error and consumption of the rides of a bin, in both sets."""
+    sets = [(own, off, rows) for own, off, rows in zip((first, second), (one, other), at, strict=True)]
+    kilometres = [own.rides["distance_km"].to_numpy(np.float64) for own in (first, second)]
+    return {
+        "bias_kwh": _each(*(clustered_mean(off[rows], own.clusters[rows]) for own, off, rows in sets)),
+        "mae_kwh": _each(*(clustered_mean(np.abs(off[rows]), own.clusters[rows]) for own, off, rows in sets)),
+        "consumption": _each(
+            *(
+                clustered_ratio(100.0 * own.measured[rows], km[rows], own.clusters[rows])
+                for (own, _, rows), km in zip(sets, kilometres, strict=True)
+            )
+        ),
+    }

@@ -1,0 +1,292 @@
+"""One ride, window by window: what it took, what models say it took, and where the two part.
+
+A model says something of the ride so far after each window (`core.evaluate.running`), and the last of these is its
+prediction of the ride. What it adds from one window to the next is compared with what the window measured. The place
+where they part is the span of windows that holds the most error beyond its share of the time: with errors e_k and
+durations t_k, and E and T of the whole ride, the span of the largest sum of sign(E) (e_k - E t_k / T). A steady error
+has no such place.
+"""
+
+from collections.abc import Mapping
+from difflib import get_close_matches
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from core.batch import Floats
+from core.errors import ModelError
+from core.evaluate.comparison import KEYS, TOLD
+from core.evaluate.parts import parts
+from core.evaluate.running import so_far
+from core.models import LinearModel
+
+LEAST_SHARE: Final = 0.5
+"""Of a ride's error, for the span that holds it to be a place where model and measurement part."""
+MOST_TIME: Final = 0.5
+"""Share of a ride that such a place may take."""
+LEAST: Final = 2
+"""Windows that are a trace."""
+LEAST_SLOPE: Final = 0.5
+"""Below it a road is called level. [%]"""
+APART: Final = (0.01, 0.02)
+"""A sum of windows that is further than this from a ride's energy is said to be another. [kWh], [1]"""
+WINDOW_COLUMNS: Final = ("ride_key", "window", "duration_s", "distance_km", "energy_vi_kwh", "energy_soc_kwh")
+"""Columns of the window table that a trace needs, whatever the models need."""
+
+
+def find(rides: pd.DataFrame, name: str) -> pd.DataFrame:
+    """Return the ride of a key or an identifier, as a table of one row.
+
+    Raises
+    ------
+    ModelError
+        Where there is none, with the names that come close; where several rides have that identifier.
+    """
+    columns = [column for column in KEYS if column in rides]
+    if rides.empty or not columns:
+        raise ModelError(f"ride {name!r} is not among {len(rides):,} rides: give tables or recordings that hold it")
+    for column in columns:
+        found = rides[rides[column].astype(str) == name]
+        if len(found) == 1:
+            return found.reset_index(drop=True)
+        if len(found) > 1:
+            keys = ", ".join(found[columns[0]].astype(str)[:5])
+            raise ModelError(
+                f"ride {name!r}: {len(found)} rides are named so: give the ride_key of one, such as {keys}"
+            )
+    known = pd.unique(pd.concat([rides[column].astype(str) for column in columns], ignore_index=True))
+    close = get_close_matches(name, known.tolist(), n=3, cutoff=0.5)
+    hint = f"did you mean {' or '.join(close)}?" if close else f"names are such as {', '.join(known[:3])}"
+    raise ModelError(f"ride {name!r} is not among {len(rides):,} rides: {hint}")
+
+
+def trace(ride: pd.DataFrame, windows: pd.DataFrame, models: Mapping[str, LinearModel]) -> dict[str, Any]:
+    """Return what a ride measured and what models say of it, window by window.
+
+    Parameters
+    ----------
+    ride : DataFrame
+        One row of the ride table.
+    windows : DataFrame
+        Of the window table, with this ride's windows among them.
+    models : mapping of str to LinearModel
+        By what the reader calls them.
+
+    Returns
+    -------
+    dict
+        `ride`; `windows`, arrays of n; `models`, by name: `predicted_kwh`, `error_kwh`, `start_kwh` said before
+        anything is driven, `energy_kwh` added by each window, `terms` of it and `start_terms` of the former, `place`
+        where they part, and `words`.
+
+    Raises
+    ------
+    ModelError
+        Where the ride has no measured energy, or too few windows, or a column is missing.
+    """
+    key = str(ride["ride_key"].iloc[0]) if "ride_key" in ride else ""
+    if missing := [name for name in WINDOW_COLUMNS if name not in windows]:
+        raise ModelError(f"column {missing[0]!r} is missing in the window table: make it anew, with `socast tables`")
+    own = windows[windows["ride_key"].astype(str) == key].sort_values("window", kind="stable", ignore_index=True)
+    if not np.isfinite(ride["energy_kwh"].iloc[0]):
+        raise ModelError(f"ride {key}: it has no measured energy to compare with: choose another ride")
+    if len(own) < LEAST:
+        raise ModelError(f"ride {key}: it has {len(own)} windows, and a trace takes {LEAST}: choose a longer ride")
+    notes: list[str] = []
+    measured = _measured(ride, own, notes)
+    columns = so_far(ride, own)
+    made = _windows(own, measured)
+    found = {label: _model(label, model, ride, columns, own, made, notes) for label, model in models.items()}
+    return {"ride": _ride(ride), "windows": made, "models": found, "notes": notes}
+
+
+def _ride(ride: pd.DataFrame) -> dict[str, Any]:
+    """Return what is told of a ride."""
+    names = (*KEYS, *TOLD, "duration_s", "energy_kwh", "energy_sd_kwh", "unfit_reason")
+    return {name: ride[name].iloc[0] for name in names if name in ride and not pd.isna(ride[name].iloc[0])}
+
+
+def _measured(ride: pd.DataFrame, own: pd.DataFrame, notes: list[str]) -> Floats:
+    """Return the energy of each window, which add up to the ride's and are measured as it was.
+
+    Unknown ones take the mean power of the rest; what is then missing to the ride's own figure is spread over its time.
+    """
+    total = float(ride["energy_kwh"].iloc[0])
+    by_power = "energy_vi_kwh" in ride and np.isclose(total, ride["energy_vi_kwh"].iloc[0])
+    energy = own["energy_vi_kwh" if by_power else "energy_soc_kwh"].to_numpy(np.float64)
+    duration = own["duration_s"].to_numpy(np.float64)
+    if not by_power:
+        notes.append("measured by the state of charge: in steps, so that a window's energy is coarse")
+    known = np.isfinite(energy)
+    if not known.any():
+        raise ModelError("none of the windows of this ride has a measured energy: choose another ride")
+    if not known.all():
+        notes.append(f"{np.count_nonzero(~known)} of {len(known)} windows were not measured, and take the mean power")
+        energy = np.where(known, energy, duration * (energy[known].sum() / duration[known].sum()))
+    added = float(energy.sum())
+    if _apart(added, total):
+        notes.append(f"the windows add up to {added:.3f} kWh, and the ride's own figure is {total:.3f} kWh")
+    return energy + (total - added) * duration / duration.sum()
+
+
+def _apart(one: float, other: float) -> bool:
+    """Tell whether two energies differ by more than `APART`."""
+    absolute, relative = APART
+    return abs(one - other) > absolute + relative * abs(other)
+
+
+def _windows(own: pd.DataFrame, measured: Floats) -> dict[str, Floats]:
+    """Return time, place, measured energy and conditions of each window."""
+    duration, distance = own["duration_s"].to_numpy(np.float64), own["distance_km"].to_numpy(np.float64)
+    made = {
+        "end_min": np.cumsum(duration) / 60.0,
+        "end_km": np.cumsum(distance),
+        "duration_s": duration,
+        "distance_km": distance,
+        "measured_kwh": measured,
+    }
+    for name in ("ambient_c", "gained_m", "lost_m", "stops"):
+        if name in own:
+            made[name] = own[name].to_numpy(np.float64)
+    return made
+
+
+def _model(
+    label: str,
+    model: LinearModel,
+    ride: pd.DataFrame,
+    columns: pd.DataFrame,
+    own: pd.DataFrame,
+    made: Mapping[str, Floats],
+    notes: list[str],
+) -> dict[str, Any]:
+    """Return what one model says along a ride."""
+    said, running = float(model.predict(ride)[0]), model.predict(columns)
+    if not np.isfinite(said):
+        car = ride["vehicle_model"].iloc[0]
+        raise ModelError(f"model {label} has no prediction of this ride, of a {car}: give a model with a fit for it")
+    if not np.isfinite(running).all() or _apart(float(running[-1]), said):
+        raise ModelError(
+            f"model {label} cannot be followed along the ride: by its windows it comes to {running[-1]:.3f} kWh, not "
+            f"{said:.3f} kWh; make the tables anew, with `socast tables`"
+        )
+    alone = float(model.predict(_as_rides(ride, own)).sum())
+    if not np.isfinite(alone) or _apart(alone, said):
+        notes.append(
+            f"{label} is no sum over windows: what a window adds to its prediction of the ride so far is shown, and "
+            f"{running[0]:+.3f} kWh are said before anything is driven"
+        )
+    added, said_by = np.diff(running), parts(model, columns)
+    error = added - made["measured_kwh"]
+    place = parting(error, made, said - float(made["measured_kwh"].sum()))
+    return {
+        "predicted_kwh": said,
+        "error_kwh": said - float(ride["energy_kwh"].iloc[0]),
+        "start_kwh": float(running[0]),
+        "energy_kwh": added,
+        "terms": {name: np.diff(energy) for name, energy in said_by.items()},
+        "start_terms": {name: float(energy[0]) for name, energy in said_by.items()},
+        "place": place,
+        "words": in_words(place, error, made, float(running[0]), ride),
+    }
+
+
+def _as_rides(ride: pd.DataFrame, own: pd.DataFrame) -> pd.DataFrame:
+    """Return windows with the columns that only their ride has."""
+    return own.assign(**{str(name): ride[name].iloc[0] for name in ride.columns if name not in own})
+
+
+def parting(error: Floats, made: Mapping[str, Floats], total: float) -> dict[str, Any] | None:
+    """Return the span of windows that holds the most of a ride's error beyond its share of the time.
+
+    Parameters
+    ----------
+    error : (n,) float
+        Predicted less measured energy of each window. [kWh]
+    made : mapping
+        Of the windows, as `trace` has them.
+    total : float
+        Error of the whole ride, what was said before its first window included. [kWh]
+
+    Returns
+    -------
+    dict, optional
+        `first` and `last` window, from 0; `minute` and `km` at which it begins; `minutes`, `kilometres`, `error_kwh`;
+        `share` of the ride's error and `share_of_time`; and the conditions there. None where no span stands out.
+
+    Examples
+    --------
+    >>> windows = {"duration_s": np.full(5, 60.0), "distance_km": np.ones(5)}
+    >>> found = parting(np.array([0.0, 0.0, 0.3, 0.2, 0.0]), windows, 0.5)
+    >>> found["first"], found["last"], found["minute"], found["share"]
+    (2, 3, 2.0, 1.0)
+    """
+    duration, distance = made["duration_s"], made["distance_km"]
+    steady = total * duration / duration.sum()
+    excess = np.concatenate([[0.0], np.cumsum(np.sign(total) * (error - steady))])
+    lowest = np.minimum.accumulate(excess)
+    last = int(np.argmax(excess - lowest))
+    first = int(np.argmin(excess[: last + 1]))
+    if total == 0.0 or last <= first:
+        return None
+    rows = slice(first, last)
+    share, of_time = float(error[rows].sum()) / total, float(duration[rows].sum() / duration.sum())
+    if share < LEAST_SHARE or of_time > MOST_TIME:
+        return None
+    kilometres, seconds = float(distance[rows].sum()), float(duration[rows].sum())
+    place = {
+        "first": first,
+        "last": last - 1,
+        "minute": float(duration[:first].sum()) / 60.0,
+        "km": float(distance[:first].sum()),
+        "minutes": seconds / 60.0,
+        "kilometres": kilometres,
+        "error_kwh": float(error[rows].sum()),
+        "share": share,
+        "share_of_time": of_time,
+        "speed_kmh": 3600.0 * kilometres / seconds,
+    }
+    if "ambient_c" in made:
+        place["ambient_c"] = float(np.average(made["ambient_c"][rows], weights=duration[rows]))
+    if {"gained_m", "lost_m"} <= set(made) and kilometres > 0.0:
+        place["uphill_pct"] = float(np.sum(made["gained_m"][rows] - made["lost_m"][rows])) / (10.0 * kilometres)
+    return place
+
+
+def in_words(
+    place: Mapping[str, Any] | None, error: Floats, made: Mapping[str, Floats], start: float, ride: pd.DataFrame
+) -> str:
+    """Say where prediction and measurement part, and whether that is beyond the measurement's uncertainty."""
+    total = start + float(error.sum())
+    side = "too much" if total > 0.0 else "too little"
+    if place is None:
+        minutes = float(made["end_min"][-1])
+        told = f"{abs(total):.3f} kWh {side}, spread over {minutes:.1f} min: no part of the ride stands out"
+    else:
+        where = f"{place['kilometres']:.1f} km and {place['minutes']:.1f} min after it, {_conditions(place)}"
+        told = f"parts from the measurement at {place['minute']:.1f} min, {place['km']:.1f} km: "
+        if place["share"] > 1.0:
+            told += (
+                f"it says {abs(place['error_kwh']):.3f} kWh {side} in the {where}; "
+                f"the rest of the ride makes up for all but {abs(total):.3f} kWh"
+            )
+        else:
+            told += f"{abs(place['error_kwh']):.3f} of {abs(total):.3f} kWh {side} come in the {where}"
+    if abs(start) > LEAST_SHARE * abs(total) and start * total > 0.0:
+        told += f"; {abs(start):.3f} kWh of it are said before anything is driven"
+    sd = float(ride["energy_sd_kwh"].iloc[0]) if "energy_sd_kwh" in ride else np.nan
+    if abs(total) < 2.0 * sd:
+        told += f"; within twice the measurement's own uncertainty of {sd:.3f} kWh"
+    return told
+
+
+def _conditions(place: Mapping[str, Any]) -> str:
+    """Return the conditions of a place, in words."""
+    told = [f"{place['speed_kmh']:.0f} km/h"]
+    if np.isfinite(place.get("ambient_c", np.nan)):
+        told.insert(0, f"at {place['ambient_c']:.0f} °C".replace("-", "\N{MINUS SIGN}"))
+    slope = place.get("uphill_pct", 0.0)
+    if abs(slope) >= LEAST_SLOPE:
+        told.append(f"{abs(slope):.0f} % {'uphill' if slope > 0.0 else 'downhill'}")
+    return ", ".join(told)

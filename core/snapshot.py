@@ -1,0 +1,42 @@
+"""The state of every vehicle as bytes that tell whether they are whole."""
+
+from hashlib import sha256
+from typing import Any, Final
+
+import msgspec
+
+from core.clean import STATE
+from core.errors import SocastError
+from core.quality import CAUSES
+from core.sums import AMOUNTS, EDGES
+
+SNAPSHOT: Final = 3
+"""Version of the snapshot."""
+FIELDS: Final = [*(STATE.names or ()), *AMOUNTS, *EDGES, *CAUSES]
+"""What a snapshot's arrays are made of."""
+_DIGEST: Final = sha256().digest_size
+
+
+def sealed(state: dict[str, Any]) -> bytes:
+    """Return a state as bytes."""
+    content = msgspec.msgpack.encode({"version": SNAPSHOT, "fields": FIELDS} | state)
+    return sha256(content).digest() + content
+
+
+def opened(snapshot: bytes, effects: list[str]) -> dict[str, Any]:
+    """Return the state that `sealed` made bytes of.
+
+    Raises
+    ------
+    SocastError
+        Where it is no snapshot, or one of another version or list of effects.
+    """
+    digest, content = snapshot[:_DIGEST], snapshot[_DIGEST:]
+    if sha256(content).digest() != digest:
+        raise SocastError("not a snapshot of this product, or a damaged one: start without it")
+    state: dict[str, Any] = msgspec.msgpack.decode(content, strict=False)
+    if (state["version"], state["fields"], state["effects"]) != (SNAPSHOT, FIELDS, effects):
+        raise SocastError(
+            f"snapshot of model {state['model']}: made by another version or with other effects; start without it"
+        )
+    return state

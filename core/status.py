@@ -1,0 +1,70 @@
+"""The newest of every vehicle, for a screen."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from core.batch import Floats
+from core.cars import Cars
+from core.forecast import counted
+from core.sums import Totals
+from core.tables import measured_energy
+
+
+class VehicleStatus(NamedTuple):
+    """The newest of a vehicle, for a screen; `shadows_kwh` is what each shadow predicts of the ride in progress."""
+
+    vehicle_id: str
+    vehicle_model: str | None
+    ride_id: str | None
+    time_s: float
+    soc_pct: float
+    ride_distance_km: float
+    predicted_kwh: float
+    measured_kwh: float
+    quality: dict[str, int]
+    shadows_kwh: tuple[float, ...] = ()
+
+
+def statuses(
+    running: Totals,
+    names: Sequence[str],
+    ride_names: Sequence[str | None],
+    cars: Cars,
+    predicted: Sequence[Floats],
+) -> list[VehicleStatus]:
+    """Return one status a row of running totals.
+
+    Parameters
+    ----------
+    running : Totals
+        Of n rides in progress.
+    names : sequence of str
+        Vehicle of each lane.
+    ride_names : sequence of n (str or None)
+    cars : Cars
+    predicted : sequence of (n,) float
+        By each model, the first first. [kWh]
+    """
+    riding = running.ride >= 0
+    own, *shadows = (np.where(riding, energy, np.nan).tolist() for energy in predicted)
+    measured = np.where(riding, measured_energy(running, cars)[0], np.nan).tolist()
+    counts = counted(running)
+    time, soc = running.at_last("time").tolist(), (running.at_last("soc") * 100.0).tolist()
+    distance = (running.amount("distance") * 1e-3).tolist()
+    return [
+        VehicleStatus(
+            names[lane],
+            cars.name(int(cars.of_lane[lane])),
+            ride_names[i],
+            time[i],
+            soc[i],
+            distance[i],
+            own[i],
+            measured[i],
+            {cause: values[i] for cause, values in counts.items()},
+            tuple(shadow[i] for shadow in shadows),
+        )
+        for i, lane in enumerate(running.lane.tolist())
+    ]

@@ -1,0 +1,84 @@
+"""A diagnosis made up, of the shape that `core.diagnose.diagnosis` gives, for tests of what prints one."""
+
+from typing import Any
+
+
+def missing(**changes: Any) -> dict[str, Any]:
+    """Return an effect that is missing."""
+    return {
+        "effect": "cold_rolling",
+        "variant": "cold_rolling@reference=283.15",
+        "group": ["cold_rolling", "air_density"],
+        "scope": "all",
+        "columns": ["effect_cold_rolling@reference=283.15"],
+        "gain": 0.031,
+        "gain_ci95": [0.02, 0.042],
+        "energy_share": 0.029,
+        "q": 0.0002,
+        "p": 0.00001,
+        "coefficient": {
+            "value": 1.1e-4, "ci95": [0.9e-4, 1.3e-4], "unit": "1/K", "low": 2e-5, "high": 3e-4, "plausible": True,
+        },
+        "words": "cold tyres: rolling resistance grows by 1.1 ± 0.2 % of 0.010 for each degree below 10 °C",
+        "equivalents": ["+1.2 m/s of headwind", "+180 kg"],
+        "separate": [{"effect": "air_density", "correlation": 0.83, "data": "slow drives over a year"}],
+    } | changes  # fmt: skip
+
+
+def diagnosis(**changes: Any) -> dict[str, Any]:
+    """Return a whole diagnosis: two effects missing, and structure that none explains."""
+    of_one = missing(
+        effect="brake_drag", variant="brake_drag", group=["brake_drag"], scope="vehicle taxi-003",
+        columns=["effect_brake_drag", "vehicle=taxi-003"], gain=0.006, gain_ci95=[0.001, 0.011], energy_share=0.004,
+        q=0.02, coefficient={"value": 75.0, "ci95": [50.0, 100.0], "unit": "N", "low": 0.0, "high": 60.0,
+        "plausible": False}, words="brakes rub with 75 ± 25 N", equivalents=[], separate=[],
+    )  # fmt: skip
+    return {
+        "model": {"name": "road_load", "version": "abc123def456", "recipe": "road_load"},
+        "data": {
+            "rides": 634, "windows": 7428, "vehicles": 5, "days": 10, "first_date": "2018-01-15",
+            "last_date": "2018-09-13", "measured": "vi", "resolution_s": 60.0,
+            "resolution": "voltage and current, in windows of about 60 s", "left_out": {"too_short": 12},
+        },
+        "error": {
+            "mae_kwh": 0.062, "relative": 0.09, "bias_kwh": -0.012, "mae_refitted_kwh": 0.055,
+            "noise_floor_kwh": 0.037,
+        },
+        "slices": [
+            {"where": "below 0 °C and longer than 10 km", "conditions": ["below 0 °C", "longer than 10 km"],
+             "rides": 71, "bias_kwh": -0.11, "ci95": 0.04, "mae_kwh": 0.13, "q": 0.001},
+        ],
+        "missing": [missing(), of_one],
+        "candidates": [
+            {"effect": "cold_rolling", "variant": "cold_rolling@reference=283.15", "scope": "all", "z": 6.1,
+             "p": 1e-5, "q": 2e-4, "gain": 0.031, "status": "missing"},
+            {"effect": "snow", "variant": "snow", "scope": "all", "z": None, "p": None, "q": None, "gain": None,
+             "status": "not in the data"},
+            {"effect": "wet_road", "variant": "wet_road", "scope": "all", "z": 0.4, "p": 0.34, "q": 0.9,
+             "gain": -0.0001, "status": "not needed"},
+        ],
+        "verdict": "cold_rolling",
+        "structure_remains": True,
+        "structure": {
+            "before": 0.12, "after": 0.05, "taken": 0.58, "least": 0.8,
+            "shapes": [{"feature": "average_speed_kmh", "unit": "km/h", "x": [10.0, 30.0, 60.0],
+                        "y_kwh": [-0.01, 0.0, 0.02]}],
+        },
+        "suggestion": "P = (average speed)^2 v",
+        "suggestion_file": '"""An effect of your own."""\n',
+        "steps": [
+            {"effect": None, "scope": "all", "mae_kwh": 0.055, "noise_floor_kwh": 0.037},
+            {"effect": "cold_rolling", "scope": "all", "mae_kwh": 0.048, "noise_floor_kwh": 0.037},
+            {"effect": "brake_drag", "scope": "vehicle taxi-003", "mae_kwh": 0.046, "noise_floor_kwh": 0.037},
+        ],
+    } | changes  # fmt: skip
+
+
+def nothing_missing() -> dict[str, Any]:
+    """Return a diagnosis that finds nothing."""
+    whole = diagnosis()
+    return whole | {
+        "slices": [], "missing": [], "verdict": None, "structure_remains": False, "suggestion": None,
+        "suggestion_file": None, "steps": whole["steps"][:1],
+        "structure": {"before": 0.01, "after": 0.01, "taken": None, "least": 0.8, "shapes": []},
+    }  # fmt: skip

@@ -1,0 +1,249 @@
+"""Drives made from nothing but a seed, with every effect of the library in them: for tests of what a model lacks.
+
+A window is six stretches of ten seconds, each with signals of its own, so that effects are what physics makes of them.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pandas as pd
+
+from core import effects
+from core.columns import GRAVITY, STANDARD_AIR_DENSITY, ZERO_CELSIUS
+from core.diagnose.asked import Asked
+from core.diagnose.base import Base
+from core.diagnose.windows import Windows, fitted, gather
+from core.features import Columns
+from core.models import LinearModel
+from core.vehicles import VehicleModel, catalogue
+
+START = 1_514_764_800.0
+"""1 January 2018, midnight UTC."""
+DAY_STEP = 17
+"""Days from one day of driving to the next."""
+STRETCHES = 6
+STRETCH_S = 10.0
+METER_SD = 0.002
+"""Of a window's energy, by the meter, its gain left out. [kWh]"""
+BASE = {
+    "rolling": 1.05,
+    "climbing": 1.1,
+    "aero_drag": 1.1,
+    "inertia_positive": 1.15,
+    "inertia_negative": 0.85,
+    "braking": 0.2,
+    "accessories": 0.9,
+}
+"""True coefficients of the road load."""
+CARS_PARAMETERS = ("mass_kg", "rolling_resistance", "drag_area_m2", "nominal_capacity_kwh", "accessory_scale")
+
+
+@cache
+def drives(
+    cars: int = 4, days: int = 20, rides: int = 3, windows: int = 8, seed: int = 1, kind: str = "kia-soul-ev-2015"
+) -> pd.DataFrame:
+    """Return windows of rides over a year, without energies; do not write into it."""
+    n = cars * days * rides * windows
+    at = np.arange(n)
+    ride, car = at // windows, at // (windows * rides * days)
+    day, hour = (ride // rides) % days, 8.0 + 3.0 * (ride % rides)
+    start = START + 86_400.0 * DAY_STEP * day + 3600.0 * hour + 60.0 * (at % windows)
+    own = catalogue()[kind]
+    signals = _signals(start, day, ride, car, own, seed)
+    speed, dt = signals["speed"], signals["dt"]
+    energies = {
+        f"effect_{name}": _summed(effects.get(name).power(signals) * dt) / 3.6e6 for name in effects.tabulated()
+    }
+    mean = {name: _summed(values) / STRETCHES for name, values in signals.items()}
+    return pd.DataFrame(
+        {
+            "ride_key": [f"taxi-{c}#{r}" for c, r in zip(car, ride % (days * rides), strict=True)],
+            "window": at % windows,
+            "vehicle_id": [f"taxi-{c}" for c in car],
+            "vehicle_model": kind,
+            "date": pd.to_datetime(start, unit="s").strftime("%Y-%m-%d").to_numpy(dtype=object),
+            "start_s": start,
+            "duration_s": STRETCHES * STRETCH_S,
+            "distance_km": _summed(speed * dt) * 1e-3,
+            "average_speed_kmh": mean["speed"] * 3.6,
+            "ambient_c": mean["ambient"] - ZERO_CELSIUS,
+            "battery_temperature_c": mean["pack_temperature"] - ZERO_CELSIUS,
+            "wind_speed_kmh": np.hypot(mean["headwind"], mean["crosswind"]) * 3.6,
+            "precipitation_mm_h": mean["water"] * 1e4,
+            "soc_start_pct": mean["charge"] * 100.0,
+            "elapsed_s": mean["elapsed"],
+            "parked_s": mean["parked"],
+            "odometer_km": mean["odometer"] / 1000.0,
+            "occupants": mean["occupants"],
+            "stops": _summed(signals["stop_rate"] * dt),
+            "latitude_start_deg": 45.5,
+            "longitude_start_deg": -73.6,
+            "drag_area_m2": own.drag_area_m2,
+            **{name: getattr(own, name) for name in CARS_PARAMETERS if name != "drag_area_m2"},
+            **energies,
+        }
+    )
+
+
+def _summed(values: np.ndarray) -> np.ndarray:
+    return values.reshape(-1, STRETCHES).sum(axis=1)
+
+
+def _signals(start, day, ride, car, own: VehicleModel, seed: int) -> dict[str, np.ndarray]:
+    """Return what effects read, of each stretch; weather is of the day, and alike for all cars."""
+    rng = np.random.default_rng(seed)
+    days, n, m = int(day.max()) + 1, len(start), len(start) * STRETCHES
+
+    def stretched(values):
+        return np.repeat(values, STRETCHES)
+
+    def of_days(values):
+        return stretched(values[day])
+
+    ambient = ZERO_CELSIUS + 5.0 - 17.0 * np.cos(2.0 * np.pi * DAY_STEP * np.arange(days) / 365.0)
+    ambient = of_days(ambient + rng.normal(0.0, 3.0, days)) + stretched(rng.normal(0.0, 0.5, n))
+    fallen = of_days((rng.random(days) < 0.4) * rng.exponential(3e-4, days))
+    wind, towards = of_days(rng.gamma(2.0, 2.0, days)), stretched(rng.uniform(0.0, 2.0 * np.pi, n))
+    occupants = stretched(rng.integers(1, 5, ride[-1] + 1).astype(float)[ride])
+    speed = np.clip(stretched(rng.gamma(4.0, 3.0, n)) + rng.normal(0.0, 2.0, m), 1.0, 35.0)
+    height = np.sin(np.pi * (stretched(start % 86_400.0 / 3600.0) - 6.0) / 13.0)
+    mass, grade, acceleration = own.mass_kg + 75.0 * occupants, rng.normal(0.0, 0.02, m), rng.normal(0.0, 0.35, m)
+    load = mass * GRAVITY * np.sqrt(1.0 - grade**2)
+    force = mass * (acceleration + GRAVITY * grade) + own.rolling_resistance * load
+    return {
+        "dt": np.full(m, STRETCH_S),
+        "speed": speed,
+        "acceleration": acceleration,
+        "grade": grade,
+        "mass": mass,
+        "tyre_load": load,
+        "traction": force + 0.5 * STANDARD_AIR_DENSITY * own.drag_area_m2 * speed**2,
+        "turn_rate": rng.normal(0.0, 0.03, m),
+        "headwind": wind * np.cos(towards),
+        "crosswind": wind * np.sin(towards),
+        "ambient": ambient,
+        "pack_temperature": ambient + 6.0,
+        "air_density": 353.0 / ambient,
+        "vapour_pressure": of_days(rng.uniform(0.4, 0.95, days)) * 611.2 * np.exp(0.065 * (ambient - ZERO_CELSIUS)),
+        "water": np.where(ambient > ZERO_CELSIUS, fallen, 0.0),
+        "snow": np.where(ambient > ZERO_CELSIUS, 0.0, 8.0 * fallen),
+        "solar": of_days(rng.uniform(0.2, 1.0, days)) * 700.0 * np.maximum(height, 0.0),
+        "darkness": stretched(rng.random(n) < 0.3).astype(float),
+        "elapsed": stretched((start - start[np.searchsorted(ride, ride)]) + 30.0),
+        "parked": stretched(rng.exponential(5000.0, ride[-1] + 1)[ride]),
+        "stop_rate": (rng.random(m) < 0.1) / STRETCH_S,
+        "charge": stretched(rng.uniform(0.3, 1.0, ride[-1] + 1)[ride]),
+        "occupants": occupants,
+        "odometer": stretched(3e7 + 1e7 * car + 1e5 * day),
+        "rolling_resistance": np.full(m, own.rolling_resistance),
+        "accessory_scale": np.full(m, own.accessory_scale),
+    }
+
+
+def road_load_energy(table: pd.DataFrame) -> np.ndarray:
+    """Return the energy by `BASE`. [kWh]"""
+    own = {"rolling": table["rolling_resistance"], "aero_drag": table["drag_area_m2"]}
+    parts = [value * table[f"effect_{name}"] * own.get(name, 1.0) for name, value in BASE.items()]
+    return np.sum(parts, axis=0)
+
+
+def sized(table: pd.DataFrame, shares: Mapping[str, float]) -> dict[str, float]:
+    """Return the coefficients with which effects take those shares of the energy where they are planted.
+
+    Effects are named as in terms, without `effect_`, and with scopes behind: `"brake_drag vehicle=taxi-1"`.
+    """
+    energy = road_load_energy(table)
+    return {
+        name: share * float(energy[_indicator(table, name)].sum()) / float(_column(table, name).sum())
+        for name, share in shares.items()
+    }
+
+
+def _indicator(table: pd.DataFrame, name: str) -> np.ndarray:
+    scopes = [Columns(table)[scope] for scope in name.split()[1:]]
+    return np.prod([np.ones(len(table)), *scopes], axis=0) > 0.0
+
+
+def _column(table: pd.DataFrame, name: str) -> np.ndarray:
+    return np.asarray(table[f"effect_{name.split(maxsplit=1)[0]}"] * _indicator(table, name))
+
+
+def measured(
+    table: pd.DataFrame,
+    shares: Mapping[str, float] | None = None,
+    *,
+    unknown: np.ndarray | float = 0.0,
+    seed: int = 1,
+    noise: float = 0.004,
+    of_ride: float = 0.0,
+    of_day: float = 0.0,
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return ride and window tables with energies: the road load, effects planted by share of it, and errors.
+
+    `unknown` is energy by a cause outside the library; `noise` and `of_ride` are standard deviations of what each
+    window, and all windows of a ride, err by [kWh]; `of_day` that of the rolling resistance of a car's day, as a share.
+    """
+    rng = np.random.default_rng(seed)
+    ride, day = pd.factorize(table["ride_key"])[0], pd.factorize(table["vehicle_id"] + " " + table["date"])[0]
+    energy = road_load_energy(table) + unknown
+    for name, coefficient in sized(table, shares or {}).items():
+        energy = energy + coefficient * _column(table, name)
+    rolling = table["effect_rolling"] * table["rolling_resistance"]
+    energy = energy + rng.normal(0.0, 1.0, day.max() + 1)[day] * of_day * rolling.to_numpy()
+    energy = energy + rng.normal(0.0, noise, len(table)) + rng.normal(0.0, 1.0, ride.max() + 1)[ride] * of_ride
+    return with_energy(table, energy)
+
+
+def with_energy(table: pd.DataFrame, energy: np.ndarray) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return ride and window tables with that energy, measured by voltage and current. [kWh]"""
+    gain = 0.01 * np.abs(energy)
+    windows = table.drop(columns="date").assign(
+        energy_kwh=energy, energy_vi_kwh=energy, energy_soc_kwh=energy + 0.01,
+        energy_sd_kwh=np.hypot(METER_SD, gain), energy_vi_sd_kwh=np.hypot(METER_SD, gain), energy_soc_sd_kwh=0.1,
+    )  # fmt: skip
+    return _rides(windows, table["date"]), windows
+
+
+def _rides(windows: pd.DataFrame, date: pd.Series) -> pd.DataFrame:
+    """Return the ride table: sums of amounts, firsts of what holds at the beginning, means of the weather."""
+    sums = [name for name in windows if name.startswith("effect_") or name in {"duration_s", "distance_km", "stops"}]
+    sums += [name for name in windows if name.startswith("energy_") and "_sd_" not in name]
+    means = ["ambient_c", "battery_temperature_c", "wind_speed_kmh", "precipitation_mm_h"]
+    spread = [name for name in windows if "_sd_" in name]
+    firsts = [name for name in windows if name not in {*sums, *means, *spread, "window", "ride_key"}]
+    groups = windows.assign(date=date).groupby("ride_key", sort=False)
+    root = windows[spread].pow(2).groupby(windows["ride_key"], sort=False).sum().pow(0.5)
+    made = pd.concat([groups[[*firsts, "date"]].first(), groups[means].mean(), groups[sums].sum(), root], axis=1)
+    made = made.reset_index()
+    return made.assign(
+        ride_id=made["ride_key"], winter=(made["ambient_c"] < 0.0).astype(int),
+        summer=(made["ambient_c"] >= 0.0).astype(int), fit_for_training=True, unfit_reason=None,
+        average_speed_kmh=made["distance_km"] / made["duration_s"] * 3600.0,
+    )  # fmt: skip
+
+
+def seen(tables: tuple[pd.DataFrame, pd.DataFrame], recipe: str = "road_load") -> tuple[Windows, LinearModel]:
+    """Return what is to be diagnosed, and the model that is: a recipe fitted to the same windows."""
+    model = fitted(recipe, *tables, covariance=False)
+    return gather(*tables, model), model
+
+
+def based(tables: tuple[pd.DataFrame, pd.DataFrame], recipe: str = "road_load") -> Base:
+    """Return the base of a recipe fitted to the same windows."""
+    return Base(*seen(tables, recipe))
+
+
+def only(asked: Asked, *names: str) -> Asked:
+    """Return what is asked, of some effects only, at all values of their parameters."""
+    of = np.array(asked.names)[asked.effects]
+    kept = [i for name in names for i in np.flatnonzero(of == name)]
+    return replace(
+        asked,
+        variants=tuple(asked.variants[i] for i in kept),
+        effects=np.array([names.index(of[i]) for i in kept], dtype=np.int64),
+        names=names,
+        sign=asked.sign[kept],
+        columns=asked.columns[:, kept],
+    )

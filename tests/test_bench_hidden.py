@@ -1,0 +1,314 @@
+"""The benchmark of hidden effects: its data are those of the whole way, and its figures say what happened."""
+
+import json
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pandas as pd
+import pytest
+
+from core import effects
+from core.codec import Telemetry, Weather, encode
+from core.diagnose.windows import Windows, fitted, gather
+from core.errors import SettingsError
+from core.pipeline import Pipeline
+from tools.bench.hidden import cases as cases_module
+from tools.bench.hidden.cases import RIGHT, Case, Source, right, stem
+from tools.bench.hidden.drives import FLEET, Where, drive
+from tools.bench.hidden.errors import errors, held_out
+from tools.bench.hidden.judging import judge, scope_right, true_energy, verdict
+from tools.bench.hidden.parts import ABSORBED, FRESH, PARTS, Choice, sampled
+from tools.bench.hidden.recording import noisy, record
+from tools.bench.hidden.running import tasks, work
+from tools.simulator.fleet import simulate
+from tools.simulator.hidden import EFFECTS
+from tools.simulator.hidden_shapes import OTHER_SHAPES
+from tools.simulator.settings import Hidden
+
+SMALL = replace(FLEET, seed=3, vehicles=2, days=2, day_step=100)
+COLD = Hidden("cold_rolling", 0.06)
+
+
+@pytest.fixture(scope="module")
+def drives():
+    return drive(SMALL)
+
+
+@pytest.fixture(scope="module")
+def recording(drives):
+    return record(drives)
+
+
+@pytest.fixture(scope="module")
+def source():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cases_module, "FLEET", replace(FLEET, vehicles=4, days=7, day_step=50))
+        patch.setattr(cases_module, "TURNS", 1)
+        whole = Source(5)
+        whole.recording("none")
+        yield whole
+
+
+def without_power(message):
+    if not message.key.endswith("telemetry"):
+        return message
+    try:
+        sample = msgspec.json.decode(message.payload, type=Telemetry)
+    except msgspec.DecodeError:
+        return message
+    bare = msgspec.structs.replace(sample, battery_voltage_v=None, battery_current_a=None)
+    return message._replace(payload=encode(bare))
+
+
+def whole_way(simulation, measurement):
+    messages = list(simulate(simulation))
+    pipeline = Pipeline(also=effects.tabulated(), keep_forecasts=False)
+    pipeline.take(messages if measurement == "vi" else [without_power(message) for message in messages])
+    pipeline.finish()
+    return pipeline.take_rides(), pipeline.take_windows()
+
+
+class TestData:
+    @pytest.mark.parametrize("hidden", [(COLD,), (Hidden("regen_full_battery~other", 0.06), Hidden("headwind", 0.03))])
+    @pytest.mark.parametrize("measurement", ["vi", "soc"])
+    def test_are_those_of_the_whole_way(self, drives, recording, hidden, measurement):
+        simulation = replace(SMALL, hidden=hidden, faults=replace(SMALL.faults, quantised=1.0))
+        made = recording.tables(drives.measured(hidden), measurement, [effect for effect, _ in hidden])
+        order = ["vehicle_id", "start_s"]
+        for expected, found in zip(whole_way(simulation, measurement), made[:2], strict=True):
+            pd.testing.assert_frame_equal(
+                found[expected.columns].sort_values(order, ignore_index=True),
+                expected.sort_values(order, ignore_index=True),
+                rtol=1e-12,
+                atol=1e-12,
+            )
+
+    def test_hidden_energy_is_what_the_meter_gains(self, drives, recording):
+        base = recording.tables(drives.measured(), "vi").windows
+        with_it = recording.tables(drives.measured([COLD]), "vi", ["cold_rolling"])
+        gained = with_it.windows["energy_vi_kwh"] - base["energy_vi_kwh"]
+        truth = with_it.hidden["cold_rolling"].where(gained.notna())
+        assert gained.sum() == pytest.approx(truth.sum(), rel=0.01)
+        np.testing.assert_allclose(gained, truth, atol=5e-4)
+
+    def test_takes_its_share_of_the_rides_energy(self, drives, recording):
+        made = recording.tables(drives.measured([COLD]), "vi", ["cold_rolling"])
+        assert made.hidden["cold_rolling"].sum() / made.windows["energy_kwh"].sum() == pytest.approx(0.06, rel=0.05)
+
+    @pytest.mark.parametrize("where", [Where(vehicle="taxi-002"), Where(since="2018-04-01")])
+    def test_is_hidden_there_and_nowhere_else(self, drives, recording, where):
+        made = recording.tables(drives.measured([COLD], where), "vi", ["cold_rolling"])
+        table = made.windows.assign(truth=made.hidden["cold_rolling"])
+        within = table["vehicle_id"] == "taxi-002" if where.vehicle else table["start_s"] >= 1522540800.0
+        assert not table.loc[~within, "truth"].any()
+        assert table.loc[within, "truth"].sum() / table.loc[within, "energy_kwh"].sum() == pytest.approx(0.06, rel=0.05)
+
+    def test_noisy_weather_is_off_by_a_third_and_nothing_else_is(self, drives):
+        said = [msgspec.json.decode(m.payload, type=Weather) for m in drives.messages if m.key.startswith("weather")]
+        blurred = noisy(drives.messages, 1)
+        other = [msgspec.json.decode(m.payload, type=Weather) for m in blurred if m.key.startswith("weather")]
+        ratio = np.array([b.wind_speed_kmh / a.wind_speed_kmh for a, b in zip(said, other, strict=True)])
+        assert np.log(ratio).std() == pytest.approx(0.3, abs=0.02)
+        assert ratio.mean() == pytest.approx(1.0, abs=0.02)
+        turned = [(b.wind_from_deg - a.wind_from_deg + 180) % 360 - 180 for a, b in zip(said, other, strict=True)]
+        assert np.std(turned) == pytest.approx(20.0, abs=1.5)
+        assert [a.temperature_c for a in said] == [b.temperature_c for b in other]
+        others = [a == b for a, b in zip(drives.messages, blurred, strict=True) if not a.key.startswith("weather")]
+        assert all(others)
+
+    def test_cars_take_turns(self):
+        taken = drive(replace(SMALL, days=4, day_step=7), 2)
+        dates: dict[str, list[int]] = {name: [] for name in taken.vehicles}
+        for leg in taken.legs:
+            dates[leg.member.name].append(int((leg.driven.shift.time - SMALL.start.timestamp()) // 86400.0))
+        assert dates == {"taxi-001": [0, 14], "taxi-002": [7, 21]}
+
+    def test_bare_cars_have_no_climate_control(self, source):
+        heated = source.tables(Case(5)).rides["energy_kwh"].sum()
+        bare = source.tables(Case(5, (Hidden("cabin_heating", 0.0075),)))
+        assert bare.rides["energy_kwh"].sum() < 0.9 * heated
+        assert not bare.rides["hvac_kwh"].fillna(0.0).any()
+
+
+class TestNames:
+    def test_every_hidden_effect_has_a_right_name_in_the_library(self):
+        assert set(EFFECTS) == set(OTHER_SHAPES)
+        assert set(RIGHT) | set(ABSORBED) <= set(EFFECTS)
+        for effect in EFFECTS:
+            assert all(name in effects.library() for name in right(effect))
+        assert stem("snow~other") == "snow"
+        assert right("snow~other") == ("snow",)
+
+
+def name(effect, columns=(), group=(), value=1.0, plausible=True):
+    return {
+        "effect": effect,
+        "variant": effect,
+        "group": list(group),
+        "scope": "all",
+        "columns": [f"effect_{effect}", *columns],
+        "gain": 0.01,
+        "energy_share": 0.03,
+        "q": 0.001,
+        "coefficient": {"value": value, "ci95": [0.5 * value, 1.5 * value], "plausible": plausible},
+    }
+
+
+def said(*missing, structure=False):
+    return {
+        "missing": list(missing),
+        "verdict": missing[0]["effect"] if missing else None,
+        "structure_remains": structure,
+        "error": {"mae_kwh": 0.1, "noise_floor_kwh": 0.05},
+    }
+
+
+class TestJudging:
+    case = Case(5, (Hidden("snow", 0.03),))
+
+    @pytest.mark.parametrize(
+        ("result", "outcome", "doubt"),
+        [
+            (said(), "none", False),
+            (said(name("snow")), "right", False),
+            (said(name("wet_road", group=["snow"])), "group", True),
+            (said(name("wet_road")), "wrong", False),
+            (said(name("wet_road"), structure=True), "wrong", True),
+            (said(name("wet_road", plausible=False)), "wrong", True),
+        ],
+    )
+    def test_first_name(self, result, outcome, doubt):
+        found = verdict(self.case, result)
+        assert (found["outcome"], found["doubt"]) == (outcome, doubt)
+
+    def test_two_effects_are_found_in_two_steps(self):
+        both = Case(5, (Hidden("snow", 0.03), Hidden("headwind", 0.03)))
+        assert verdict(both, said(name("headwind"), name("snow")))["found"] == 2
+        assert verdict(both, said(name("headwind"), name("payload"), name("snow")))["found"] == 1
+
+    def test_scope(self):
+        one, later = replace(self.case, where=Where(vehicle="a")), replace(self.case, where=Where(since="2018-06-01"))
+        assert scope_right(self.case, ["effect_wet_road@depth=0.001"])
+        assert not scope_right(self.case, ["effect_snow", "vehicle=a"])
+        assert scope_right(one, ["effect_snow", "vehicle=a"])
+        assert not scope_right(one, ["effect_snow", "vehicle=b"])
+        assert scope_right(later, ["effect_snow", "since=2018-06-20"])
+        assert not scope_right(later, ["effect_snow", "since=2018-09-01"])
+        assert not scope_right(later, ["effect_snow"])
+
+    def test_a_record_tells_of_the_truth(self, source):
+        case = Case(5, (Hidden("headwind", 0.06),))
+        tables = source.tables(case)
+
+        def diagnose(_rides, _windows, model):
+            assert model.recipe == "road_load"
+            return said(name("headwind", value=0.6))
+
+        found = judge(case, tables, diagnose, timed=True)
+        assert json.loads(json.dumps(found)) == found
+        (interval,) = found["intervals"]
+        assert interval["right"]
+        assert 0.8 < found["left"] <= 1.0
+        assert 0.8 < found["alike"] <= 1.0
+        assert found["z"] > 3.0
+        assert 0.05 < interval["truth"] < 3.0
+        assert max(found["errors"]["truth"], found["errors"]["after"]) < found["errors"]["before"]
+        assert found["stlsq_seconds"] > 0.0
+
+    def test_what_is_not_to_be_asked_of_is_passed_on(self, source):
+        case = Case(5, (Hidden("headwind", 0.06),), without=("headwind",))
+        heard = []
+
+        def diagnose(*_, without):
+            heard.append(without)
+            return said()
+
+        judge(case, source.tables(case), diagnose)
+        assert heard == [("headwind",)]
+
+    @pytest.mark.parametrize("measurement", ["vi", "soc"])
+    def test_the_truth_of_windows_is_theirs(self, source, measurement):
+        tables = source.tables(Case(5, (Hidden("snow", 0.06),), measurement))
+        windows = gather(tables.rides, tables.windows, fitted("road_load", tables.rides, tables.windows))
+        truth = true_energy(windows, tables.hidden.sample(frac=1.0, random_state=0))
+        assert truth.shape == (len(windows.measured), 1)
+        summer = windows.table["ambient_c"] > 10.0
+        assert not truth[summer].any()
+        rides = tables.hidden["ride_key"].isin(set(windows.rides["ride_key"]))
+        assert truth.sum() == pytest.approx(tables.hidden.loc[rides, "snow"].sum(), rel=0.05)
+
+
+class TestErrors:
+    def test_held_out_days_tell_nothing_of_themselves(self):
+        rng = np.random.default_rng(0)
+        columns, fold = rng.normal(size=(60, 2)), np.arange(60) % 3
+        energy = columns @ np.array([2.0, -1.0])
+        np.testing.assert_allclose(held_out(columns, energy, fold), energy)
+        spoilt = energy + 100.0 * (fold == 1)
+        np.testing.assert_allclose(held_out(columns, spoilt, fold)[fold == 1], energy[fold == 1])
+
+    def test_the_truth_takes_what_is_hidden_away(self, source):
+        tables = source.tables(Case(5, (Hidden("solar_load", 0.06),)))
+        windows = gather(tables.rides, tables.windows, fitted("road_load", tables.rides, tables.windows))
+        hidden = 50.0 * np.random.default_rng(1).normal(size=len(windows.measured)) * windows.measured.std()
+        spoilt = Windows(**{**vars(windows), "measured": windows.measured + hidden})
+        model = fitted("road_load", tables.rides, tables.windows)
+        found, clean = errors(spoilt, model, hidden, []), errors(windows, model, 0.0 * hidden, [])
+        assert found.truth == pytest.approx(clean.before)
+        assert found.before > 10.0 * clean.before
+        assert found.after == found.before
+
+
+class TestParts:
+    def test_everything_that_was_asked_for_is_in_them(self):
+        choice = Choice(seeds=10)
+        one = list(PARTS["one"](choice))
+        assert len(one) == len(set(one)) == len(EFFECTS) * 10 * 4 * 2 * 2 * 2
+        none = list(PARTS["none"](choice))
+        assert len(none) >= 100
+        assert all(case.seed >= FRESH and not case.hidden for case in none)
+        two = list(PARTS["two"](choice))
+        assert all(len(case.hidden) == 2 and not {e for e, _ in case.hidden} & set(ABSORBED) for case in two)
+        assert all(case.where.vehicle for case in PARTS["vehicle"](choice))
+        assert all(case.where.since for case in PARTS["date"](choice))
+        assert all(case.without == right(case.hidden[0].effect) for case in PARTS["outside"](choice))
+
+    def test_a_sample_is_of_them_and_the_same_each_time(self):
+        every = list(PARTS["one"](Choice(seeds=2)))
+        some = sampled(every, 50)
+        assert len(some) == 50
+        assert some == sampled(every, 50)
+        assert set(some) < set(every)
+        assert sampled(every[:10], 50) == every[:10]
+
+    def test_tasks_keep_to_a_seed(self):
+        todo = tasks("one", list(PARTS["one"](Choice(seeds=3, effects=("snow",)))))
+        assert [{case.seed for case in cases} for _, cases in todo] == [{0}, {1}, {2}]
+
+
+class TestRunning:
+    def test_records_that_are_kept_are_not_made_again(self, source, tmp_path, monkeypatch):
+        monkeypatch.setattr("tools.bench.hidden.running._source", lambda _: source)
+        heard = []
+
+        def diagnose(rides, *_):
+            heard.append(len(rides))
+            return said()
+
+        todo = [Case(5, (Hidden("snow", 0.03),)), Case(5)]
+        first = work("one", todo, diagnose, tmp_path)
+        again = work("one", [*todo, Case(5, measurement="soc")], diagnose, tmp_path)
+        assert len(heard) == 3
+        assert again[:2] == first
+
+    def test_what_cannot_be_made_is_told(self, source, monkeypatch):
+        monkeypatch.setattr("tools.bench.hidden.running._source", lambda _: source)
+        roofless = next(leg.member.name for leg in source.drives.legs if not leg.member.car.roof_drag_area)
+        case = Case(5, (Hidden("roof_load", 0.03),), where=Where(vehicle=roofless))
+        (found,) = work("vehicle", [case], lambda *_: said())
+        assert "too little" in found["refused"]
+
+    def test_an_effect_with_nothing_to_act_on_is_refused(self, drives):
+        with pytest.raises(SettingsError, match="too little"):
+            drives.measured([Hidden("snow", 0.03)], Where(since="2018-04-20"))

@@ -1,0 +1,222 @@
+"""Tests hold their level where errors of a vehicle-day, or of a date, depend on each other; false names stay few."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from core.diagnose.evidence import FOLDS, Clusters, Evidence, by_vehicle_and_day, false_discovery, weigh
+
+EITHER = np.zeros(1, dtype=np.int64)
+LEVEL = 0.05
+
+
+def days(count=40, each=20):
+    return np.repeat(np.arange(count), each)
+
+
+def null(code, rng, candidates=20):
+    """A residual and candidates that have nothing in common, both alike within clusters."""
+    n, count = len(code), int(code.max()) + 1
+    residual = rng.normal(size=n) + rng.normal(size=count)[code]
+    return residual, rng.normal(size=(n, candidates)) + 1.5 * rng.normal(size=(count, candidates))[code]
+
+
+def plain_p(residual, candidates):
+    """Probability by ordinary least squares, as if all rows were independent."""
+    size = (candidates**2).sum(axis=0)
+    coefficient = candidates.T @ residual / size
+    left = residual[:, np.newaxis] - candidates * coefficient
+    error = np.sqrt((left**2).sum(axis=0) / (len(residual) - 1) / size)
+    return 2.0 * stats.norm.sf(np.abs(coefficient / error))
+
+
+def share_below(level, draw, times):
+    found = np.concatenate([draw(np.random.default_rng(seed)) for seed in range(times)])
+    return float(np.mean(found < level))
+
+
+@pytest.mark.parametrize("sign", [0, 1, -1])
+@pytest.mark.parametrize("level", [0.05, 0.01])
+def test_chance_passes_as_often_as_the_level_says(sign, level):
+    code = days()
+
+    def draw(rng):
+        residual, candidates = null(code, rng)
+        return weigh(residual, candidates, np.full(20, sign), Clusters(code)).p
+
+    assert 0.6 * level < share_below(level, draw, 200) < 1.3 * level
+
+
+def test_ordinary_least_squares_would_be_far_off():
+    code = days()
+    assert share_below(LEVEL, lambda rng: plain_p(*null(code, rng)), 50) > 0.3
+
+
+@pytest.mark.parametrize("acting", [2, 3, 4, 8])
+def test_a_candidate_that_acts_on_a_few_days_only_does_not_pass_too_often(acting):
+    code = days(30)
+
+    def draw(rng):
+        residual, candidates = null(code, rng)
+        few = np.where((code < acting)[:, np.newaxis], 1.0 + 0.1 * candidates, 0.0)
+        found = weigh(residual, few, np.zeros(20, dtype=np.int64), Clusters(code))
+        assert (found.freedom < acting).all()
+        return found.p
+
+    assert share_below(LEVEL, draw, 100) < 1.3 * LEVEL
+
+
+def test_of_what_acts_in_one_cluster_only_nothing_tells_the_error(rng):
+    code = days(30)
+    alone = np.where(code == 7, 1.0 + rng.random(len(code)), 0.0)[:, np.newaxis]
+    found = weigh(3.0 * alone[:, 0] + rng.normal(size=len(code)), alone, EITHER, Clusters(code))
+    assert found.coefficient[0] == pytest.approx(3.0, abs=0.5)
+    assert found.p[0] > 0.5
+
+
+def test_errors_that_all_cars_share_on_a_date_are_seen_for_what_they_are():
+    """Vehicle-days alone would pass weather that is wrong for all cars of a date."""
+    car, date = np.repeat(np.arange(6), 30 * 8), np.tile(np.repeat(np.arange(30), 8), 6)
+    clusters = [Clusters(car * 30 + date), Clusters(date)]
+    sign = np.zeros(10, dtype=np.int64)
+
+    def draw(rng, which):
+        weather = rng.normal(size=(30, 10))[date] + 0.3 * rng.normal(size=(len(car), 10))
+        residual = rng.normal(size=len(car)) + rng.normal(size=30)[date]
+        if which is not None:
+            return weigh(residual, weather, sign, clusters[which]).p
+        both = by_vehicle_and_day(residual, weather, sign, clusters)
+        each = [weigh(residual, weather, sign, one) for one in clusters]
+        np.testing.assert_array_equal(both.p, np.maximum(each[0].p, each[1].p))
+        half = [one.error * stats.t.ppf(0.975, one.freedom) for one in each]
+        np.testing.assert_allclose(both.error * stats.t.ppf(0.975, both.freedom), np.maximum(*half))
+        return both.p
+
+    assert share_below(LEVEL, lambda rng: draw(rng, None), 60) < 1.3 * LEVEL
+    assert share_below(LEVEL, lambda rng: draw(rng, 0), 60) > 3.0 * LEVEL
+
+
+def test_the_coefficient_is_that_of_least_squares_and_its_interval_holds_it_as_often_as_it_says():
+    code, true, held = days(), 0.3, []
+    for seed in range(300):
+        residual, candidates = null(code, np.random.default_rng(seed), 1)
+        residual = residual + true * candidates[:, 0]
+        found = weigh(residual, candidates, EITHER, Clusters(code))
+        expected = np.linalg.lstsq(candidates, residual, rcond=None)[0]
+        np.testing.assert_allclose(found.coefficient, expected)
+        low, high = found.interval(0)
+        held.append(low < true < high)
+        wide = found.interval(0, 0.99)
+        assert wide[0] < low < found.coefficient[0] < high < wide[1]
+    assert 0.92 < np.mean(held) < 0.985
+
+
+def test_an_effect_that_is_there_passes_and_of_the_sign_that_physics_forbids_never():
+    code = days()
+    residual, candidates = null(code, np.random.default_rng(1), 1)
+    residual = residual + candidates[:, 0]
+    right, wrong, either = (weigh(residual, candidates, np.array([sign]), Clusters(code)).p[0] for sign in (1, -1, 0))
+    assert right < 1e-6
+    assert wrong == pytest.approx(1.0 - right)
+    assert either == pytest.approx(2.0 * right)
+
+
+@pytest.mark.parametrize(("true", "sign"), [(0.2, 1), (-0.2, -1), (0.2, 0), (-0.2, 0)])
+def test_an_effect_no_larger_than_what_is_not_worth_a_name_passes_no_more_often_than_chance(true, sign):
+    code, least = days(), np.full(20, 0.2)
+
+    def draw(rng, size):
+        residual, candidates = null(code, rng)
+        found = [
+            weigh(residual + size * each[:, 0], each, np.array([sign]), Clusters(code), least[:1]).p
+            for each in np.split(candidates, 20, axis=1)
+        ]
+        return np.concatenate(found)
+
+    assert share_below(LEVEL, lambda rng: draw(rng, true), 50) < 1.4 * LEVEL
+    assert share_below(LEVEL, lambda rng: draw(rng, 0.0), 20) < 0.2 * LEVEL
+    assert share_below(LEVEL, lambda rng: draw(rng, 5.0 * true), 5) > 0.9
+
+
+def test_a_candidate_of_nothing_is_no_evidence():
+    code = days(10)
+    found = weigh(np.random.default_rng(2).normal(size=200), np.zeros((200, 1)), EITHER, Clusters(code))
+    assert found.coefficient[0] == 0.0
+    assert found.p[0] == pytest.approx(1.0)
+
+
+@given(st.integers(0, 2**32), st.floats(1e-3, 1e3), st.floats(1e-3, 1e3))
+def test_evidence_knows_no_units_and_no_order_of_rows(seed, one, other):
+    rng = np.random.default_rng(seed)
+    code = days(12, 5)
+    residual, candidates = null(code, rng, 3)
+    sign = np.array([0, 1, -1])
+    found = weigh(residual, candidates, sign, Clusters(code))
+    order = rng.permutation(len(code))
+    moved = weigh(one * residual[order], other * candidates[order], sign, Clusters(code[order]))
+    np.testing.assert_allclose(moved.z, found.z, rtol=1e-8)
+    np.testing.assert_allclose(moved.p, found.p, rtol=1e-8)
+    np.testing.assert_allclose(moved.coefficient, found.coefficient * one / other, rtol=1e-8)
+    assert isinstance(moved, Evidence)
+
+
+class TestClusters:
+    def test_sums_are_those_of_each_wherever_its_rows_stand(self, rng):
+        code = rng.permutation(np.r_[np.arange(9), rng.integers(0, 9, 60)])
+        values = rng.normal(size=(69, 2))
+        expected = [values[code == each].sum(axis=0) for each in range(9)]
+        np.testing.assert_allclose(Clusters(code).sums(values), expected)
+        np.testing.assert_allclose(Clusters(code).sums(values[:, 0]), np.array(expected)[:, 0])
+
+    @pytest.mark.parametrize("count", [2, 7, 10, 11, 64])
+    def test_folds_are_dealt_evenly_and_the_same_for_a_seed(self, count):
+        clusters = Clusters(np.arange(count))
+        dealt = np.bincount(clusters.folds(3))
+        assert len(dealt) == min(FOLDS, count)
+        assert np.ptp(dealt) <= 1
+        np.testing.assert_array_equal(clusters.folds(3), Clusters(np.arange(count)).folds(3))
+        assert count < FOLDS or not np.array_equal(clusters.folds(3), clusters.folds(4))
+
+
+probabilities = st.lists(st.floats(0.0, 1.0), min_size=1, max_size=30).map(np.array)
+
+
+class TestFalseDiscovery:
+    @given(probabilities)
+    def test_it_keeps_the_order_and_never_makes_surer(self, p):
+        q = false_discovery(p)
+        assert ((q >= p) & (q <= 1.0)).all()
+        assert (np.diff(q[np.argsort(p, kind="stable")]) >= 0.0).all()
+
+    @given(probabilities, st.floats(0.001, 0.5))
+    def test_what_is_below_a_level_is_what_the_step_up_procedure_takes(self, p, level):
+        ordered = np.sort(p)
+        passed = np.flatnonzero(ordered * len(p) / np.arange(1, len(p) + 1) <= level)
+        taken = p <= ordered[passed[-1]] if len(passed) else np.zeros(len(p), dtype=bool)
+        np.testing.assert_array_equal(false_discovery(p) <= level, taken)
+
+    @given(probabilities, st.integers(0, 2**32))
+    def test_it_does_not_depend_on_the_order_in_which_it_is_asked(self, p, seed):
+        order = np.random.default_rng(seed).permutation(len(p))
+        np.testing.assert_allclose(false_discovery(p[order]), false_discovery(p)[order])
+
+    @given(probabilities, st.integers(0, 29), st.floats(0.0, 1.0))
+    def test_surer_weigh_one_makes_no_other_less_sure(self, p, at, factor):
+        surer = p.copy()
+        surer[at % len(p)] *= factor
+        assert (false_discovery(surer) <= false_discovery(p) + 1e-15).all()
+
+    def test_one_alone_stays_as_it_is_and_none_is_none(self):
+        assert false_discovery(np.array([0.3])).tolist() == [0.3]
+        assert false_discovery(np.empty(0)).shape == (0,)
+
+    def test_of_what_is_below_a_level_that_share_is_false_at_most(self):
+        rng = np.random.default_rng(8)
+        false = []
+        for _ in range(400):
+            p = np.r_[rng.random(40), 1e-4 * rng.random(5)]
+            found = np.flatnonzero(false_discovery(p) < 0.1)
+            false.append(np.mean(found < 40) if len(found) else 0.0)
+        assert np.mean(false) < 0.1

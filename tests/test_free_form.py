@@ -1,0 +1,277 @@
+"""Free-form terms: planted ones outside the library are recovered, of nothing comes nothing, files pass the check."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from core import effects
+from core.columns import GRAVITY, STANDARD_AIR_DENSITY
+from core.diagnose.free_form import free_form
+from core.diagnose.free_terms import FreeTerm, limits, modulators
+from core.diagnose.ingredients import CARRIERS, VARIABLES
+from core.diagnose.suggestion import file, formula, name, unit
+from core.signals import CIVIL_DUSK
+from core.sun import sine_of_elevation
+
+CARRIER = {each.name: each for each in CARRIERS}
+VARIABLE = {each.name: each for each in VARIABLES}
+SD = 0.008
+BASE = (
+    "effect_rolling",
+    "effect_climbing_up",
+    "effect_climbing_down",
+    "effect_aero_drag",
+    "effect_inertia_positive",
+    "effect_inertia_negative",
+    "effect_auxiliary",
+)
+
+
+def signals(count, seed=0):
+    """Return columns that an effect may ask for, each the same all through a window of a minute."""
+    rng = np.random.default_rng(seed)
+    day = np.sort(rng.integers(0, 60, count))
+    latitude, longitude = np.full(count, 0.794), np.full(count, -1.284)
+    time = 1516000000.0 + 6 * 86400.0 * day + rng.uniform(0.0, 86400.0, count)
+    night = np.clip(-sine_of_elevation(time, latitude, longitude) / np.sin(np.radians(CIVIL_DUSK)), 0.0, 1.0)
+    ambient = 281.0 + 12.0 * np.sin(day / 60.0 * 6.28) + rng.normal(0.0, 1.0, count)
+    rain = (rng.random(60) < 0.4)[day] * rng.exponential(1.0, 60)[day] / 3.6e6
+    crosswind = rng.normal(0.0, 3.0, count)
+    return {
+        "day": day,
+        "latitude": latitude,
+        "longitude": longitude,
+        "time": time,
+        "dt": np.full(count, 60.0),
+        "speed": rng.gamma(3.0, 4.0, count),
+        "acceleration": rng.normal(0.0, 0.4, count),
+        "grade": rng.normal(0.0, 0.02, count),
+        "headwind": rng.normal(0.0, 3.0, count),
+        "crosswind": crosswind,
+        "ambient": ambient,
+        "pack_temperature": ambient + rng.uniform(0.0, 10.0, count),
+        "precipitation": rain,
+        "elapsed": rng.uniform(0.0, 2400.0, count),
+        "parked": rng.lognormal(8.0, 1.5, count),
+        "stop_rate": rng.poisson(0.5, count) / 60.0,
+        "charge": rng.uniform(0.3, 0.98, count),
+        "occupants": rng.integers(1, 6, count).astype(np.float64),
+        "odometer": 3e7 + 1e5 * day + rng.uniform(0.0, 1e5, count),
+        "mass": np.full(count, 1500.0),
+        "tyre_load": np.full(count, 1500.0 * GRAVITY),
+        "darkness": night,
+    }
+
+
+def table(rows):
+    """Return the window table of such windows."""
+    slope = np.sqrt(1.0 - rows["grade"] ** 2)
+    rows = rows | {"tyre_load": rows["mass"] * GRAVITY * slope}
+    energy = {
+        name: effects.get(name.removeprefix("effect_")).power(rows) * rows["dt"] / 3.6e6
+        for name in (*BASE, "effect_climbing")
+    }
+    distance = rows["speed"] * rows["dt"]
+    climb = rows["grade"] * distance
+    return pd.DataFrame(
+        {
+            "start_s": rows["time"] - 30.0,
+            "duration_s": rows["dt"],
+            "distance_km": distance / 1000.0,
+            "average_speed_kmh": rows["speed"] * 3.6,
+            "gained_m": np.maximum(climb, 0.0),
+            "lost_m": np.maximum(-climb, 0.0),
+            "ambient_c": rows["ambient"] - 273.15,
+            "battery_temperature_c": rows["pack_temperature"] - 273.15,
+            "precipitation_mm_h": rows["precipitation"] * 3.6e6,
+            "wind_speed_kmh": np.hypot(rows["headwind"], rows["crosswind"]) * 3.6,
+            "elapsed_s": rows["elapsed"] - 30.0,
+            "parked_s": rows["parked"],
+            "stops": rows["stop_rate"] * rows["dt"],
+            "soc_start_pct": rows["charge"] * 100.0,
+            "occupants": rows["occupants"],
+            "odometer_km": rows["odometer"] / 1000.0,
+            "latitude_start_deg": np.degrees(rows["latitude"]),
+            "longitude_start_deg": np.degrees(rows["longitude"]),
+            **energy,
+        }
+    )
+
+
+def asked(windows, day, power, *, seed=1, day_sd=0.0015):
+    """Return what is suggested of noise and a power in watt."""
+    rng = np.random.default_rng(seed)
+    sd = SD * rng.uniform(0.5, 2.0, len(windows))
+    noise = rng.normal(0.0, 1.0, len(windows)) * sd + day_sd * rng.normal(0.0, 1.0, 60)[day]
+    residual = noise + power * windows["duration_s"].to_numpy() / 3.6e6
+    return free_form(windows, residual, sd**-2, day, windows[list(BASE)].to_numpy())
+
+
+@pytest.fixture(scope="module")
+def driving():
+    rows = signals(4000)
+    return rows, table(rows)
+
+
+ROLLING = 1500.0 * GRAVITY
+PLANTED = {
+    "auxiliary": ({"darkness", "precipitation"}, lambda r: 3e9 * r["darkness"] ** 2 * r["precipitation"]),
+    "rolling": ({"occupants"}, lambda r: 2e-4 * r["occupants"] ** 2 * ROLLING * r["speed"]),
+    "braking": (
+        {"charge"},
+        lambda r: 4.0 * np.maximum(r["charge"] - 0.8, 0.0) * 1500.0 * np.maximum(-r["acceleration"], 0.0) * r["speed"],
+    ),
+    "drag": (
+        {"pack_temperature"},
+        lambda r: (
+            0.01 * np.maximum(278.0 - r["pack_temperature"], 0.0) * (0.5 * STANDARD_AIR_DENSITY * r["speed"] ** 3)
+        ),
+    ),
+    "stopping": ({"occupants"}, lambda r: 9e3 * r["occupants"] * r["stop_rate"]),
+}
+
+
+@pytest.mark.parametrize("carrier", PLANTED)
+def test_a_planted_term_outside_the_library_is_recovered(driving, carrier):
+    rows, windows = driving
+    variables, power = PLANTED[carrier]
+    true = power(rows)
+    found = asked(windows, rows["day"], true)
+    assert found.term.carrier.name == carrier
+    assert found.term.variables == variables
+    assert found.gain_ci95[0] < found.gain < found.gain_ci95[1]
+    assert found.gain_ci95[0] > 0.0
+    assert found.ci95[0] < found.coefficient < found.ci95[1]
+    assert found.formula == formula(found.term)
+    said = found.coefficient * found.column * 3.6e6 / 60.0
+    base = np.column_stack([windows[list(BASE)].to_numpy(), np.ones(len(windows))])
+    new, truly = (x - base @ np.linalg.lstsq(base, x, rcond=None)[0] for x in (said, true))
+    assert np.corrcoef(new, truly)[0, 1] > 0.9
+    assert np.sum(new * truly) / np.sum(truly**2) == pytest.approx(1.0, abs=0.2)
+
+
+def test_the_interval_of_the_coefficient_covers_where_the_term_is_right(driving):
+    rows, windows = driving
+    covered = 0
+    for seed in range(8):
+        found = asked(windows, rows["day"], 3.0 * rows["occupants"] * ROLLING * rows["speed"] * 1e-4, seed=seed)
+        assert formula(found.term) == "P = c · N · m g cos θ v"
+        covered += found.ci95[0] <= 3e-4 <= found.ci95[1]
+    assert covered >= 6
+
+
+def test_nothing_comes_of_nothing():
+    rows = signals(900, seed=2)
+    windows = table(rows)
+    silence = np.zeros(len(windows))
+    suggested = [asked(windows, rows["day"], silence, seed=seed, day_sd=0.0015 * (seed % 3)) for seed in range(50)]
+    assert sum(found is not None for found in suggested) <= 2
+
+
+def test_what_the_base_can_refit_is_not_suggested(driving):
+    rows, windows = driving
+    assert asked(windows, rows["day"], 0.004 * ROLLING * rows["speed"] + 300.0) is None
+
+
+def test_a_gain_that_is_too_small_is_not_suggested(driving):
+    rows, windows = driving
+    residual = np.random.default_rng(0).normal(0.0, SD, len(windows))
+    residual += windows["effect_rolling"] * rows["occupants"] * 3e-4
+    base, weight = windows[list(BASE)].to_numpy(), np.full(len(windows), SD**-2)
+    found = free_form(windows, residual, weight, rows["day"], base)
+    assert found.gain > 0.01
+    assert free_form(windows, residual, weight, rows["day"], base, least_gain=2.0 * found.gain) is None
+
+
+def test_unknown_values_few_clusters_and_row_order(driving):
+    rows, windows = driving
+    holed = windows.assign(occupants=np.nan, battery_temperature_c=np.nan)
+    holed.loc[::9, ["parked_s", "precipitation_mm_h", "wind_speed_kmh"]] = np.nan
+    true = PLANTED["braking"][1](rows)
+    residual = np.random.default_rng(0).normal(0.0, SD, len(windows)) + true * 60.0 / 3.6e6
+    residual[::13] = np.nan
+    base, weight = windows[list(BASE)].to_numpy(), np.ones(len(windows))
+    found = free_form(holed, residual, weight, rows["day"], base)
+    assert (found.term.carrier.name, set(found.term.variables)) == ("braking", {"charge"})
+    assert np.array_equal(np.isnan(found.column), np.isnan(residual))
+    order = np.random.default_rng(1).permutation(len(windows))
+    shuffled = free_form(holed.iloc[order], residual[order], weight, rows["day"][order], base[order])
+    assert shuffled.formula == found.formula
+    assert shuffled.coefficient == pytest.approx(found.coefficient)
+    np.testing.assert_allclose(shuffled.column, found.column[order])
+    assert free_form(holed, residual, weight, rows["day"] % 5, base) is None
+    assert free_form(holed, residual, weight, rows["day"], base[:, :0]).term.carrier.name == "braking"
+    assert free_form(holed.iloc[:0], residual[:0], weight[:0], rows["day"][:0], base[:0]) is None
+
+
+def some_terms():
+    """Give every carrier with every variable, shapes in turn; the carriers alone; and pairs of variables."""
+    windows = table(signals(300))
+    kinds = [list({each.shape: each for each in modulators(v, v.value(windows))}.values()) for v in VARIABLES]
+    for i, carrier in enumerate(CARRIERS):
+        yield FreeTerm(carrier)
+        for j, shapes in enumerate(kinds):
+            yield FreeTerm(carrier, (shapes[(i + j) % len(shapes)],))
+        yield FreeTerm(carrier, (kinds[i][0], kinds[i + 2][-1]))
+
+
+TERMS = list(some_terms())
+
+
+def checked(term, path):
+    """Return the effect of a term, from its file, checked: its power is in watt by pint."""
+    path.write_text(file(term, -0.123, 4000), encoding="utf-8")
+    (found,) = effects._run(path)
+    effects.check(found)
+    return found
+
+
+def test_every_file_passes_the_check_and_means_its_column(tmp_path):
+    rows = signals(300)
+    windows = table(rows)
+    rows["tyre_load"] = ROLLING * np.sqrt(1.0 - rows["grade"] ** 2)
+    for term in TERMS:
+        found = checked(term, tmp_path / "suggested.py")
+        assert (found.name, found.unit, found.formula) == (name(term), unit(term), formula(term))
+        assert found.sign == -1
+        column = term.carrier.energy(windows)
+        for each in term.modulators:
+            column = column * each.of(each.variable.value(windows))
+        np.testing.assert_allclose(
+            found.power(rows) * 60.0 / 3.6e6, column, rtol=1e-6, atol=1e-12 * np.abs(column).max()
+        )
+
+
+def test_a_file_is_loaded_as_a_user_does(driving, tmp_path, monkeypatch):
+    monkeypatch.setattr(effects, "_library", dict(effects._library))
+    monkeypatch.setattr(effects, "_brought_by", {})
+    rows, windows = driving
+    found = asked(windows, rows["day"], PLANTED["braking"][1](rows))
+    path = tmp_path / "suggested.py"
+    path.write_text(found.file, encoding="utf-8")
+    (effect,) = effects.load_file(path)
+    assert effect.name == "suggested_braking_and_charge"
+    assert effect.low < found.coefficient < effect.high
+    assert {each.name for each in effect.variants}  # the limit is profiled on tables
+
+
+def test_formulas_and_units_are_as_people_write_them():
+    (hinge,) = (
+        each
+        for each in modulators(VARIABLE["ambient"], np.array([270.0, 283.0, 283.0, 290.0]))
+        if (each.shape, each.at) == ("below", 283.0)
+    )
+    term = FreeTerm(CARRIER["rolling"], (hinge,))
+    assert formula(term) == "P = c · max(T0 − T, 0) · m g cos θ v, T0 = 283 K"
+    assert (unit(term), name(term)) == ("1/K", "suggested_rolling_and_ambient")
+    rain = next(
+        each for each in modulators(VARIABLE["precipitation"], np.linspace(0.0, 1e-6, 9)) if each.shape == "square"
+    )
+    assert unit(FreeTerm(CARRIER["auxiliary"], (rain, hinge))) == "W/(m/s)^2/K"
+    assert formula(FreeTerm(CARRIER["auxiliary"], (rain,))) == "P = c · r²"
+
+
+@pytest.mark.parametrize("values", [[0.0, 0.0, 0.0], [1.0, 2.0], [0.0, 0.0, 0.0, 5.0]])
+def test_limits_lie_within_the_values(values):
+    x = np.array(values)
+    assert all(x.min() < at < x.max() for at in limits(x, "1"))

@@ -1,0 +1,195 @@
+"""Slices: what is planted is found in words and within its interval; where there is nothing, nothing is found."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from core.diagnose.conditions import SCALES, conditions, thresholds
+from core.diagnose.contrasts import contrast
+from core.diagnose.slices import slices
+
+KEYS = {"where", "conditions", "rides", "bias_kwh", "ci95", "mae_kwh", "q"}
+
+
+def fleet(count, vehicles=6, days=20, seed=0):
+    """Return rides of a year, and errors of a ride (0.1 kWh) and of a vehicle's day (0.03 kWh)."""
+    rng = np.random.default_rng(seed)
+    car, day = rng.integers(0, vehicles, count), rng.integers(0, days, count)
+    start = 1516000000.0 + 86400.0 * np.floor(day * 365.0 / days) + rng.uniform(0.0, 8.0, count) * 3600.0
+    ambient = 5.0 - 14.0 * np.cos(2 * np.pi * day / days) + rng.normal(0.0, 2.0, count)
+    distance = rng.lognormal(1.6, 0.6, count)
+    rides = pd.DataFrame(
+        {
+            "vehicle_id": np.array([f"taxi-{i:03d}" for i in range(vehicles)])[car],
+            "vehicle_model": np.array(["one", "two"])[car % 2],
+            "date": pd.to_datetime(start, unit="s").strftime("%Y-%m-%d"),
+            "start_s": start,
+            "winter": (day < days // 4).astype(np.int64),
+            "summer": (day >= days // 4).astype(np.int64),
+            "ambient_c": ambient,
+            "distance_km": distance,
+            "average_speed_kmh": 20.0 + 4.0 * np.log(distance) + rng.normal(0.0, 4.0, count),
+            "stops": rng.poisson(distance).astype(np.float64),
+            "wind_speed_kmh": rng.gamma(3.0, 5.0, count),
+            "precipitation_mm_h": np.where(rng.random(count) < 0.8, 0.0, rng.exponential(1.0, count)),
+            "parked_s": rng.lognormal(7.0, 1.5, count),
+            "soc_start_pct": rng.uniform(30.0, 98.0, count),
+            "occupants": rng.integers(1, 5, count).astype(np.float64),
+            "longitude_start_deg": -73.6,
+        }
+    )
+    own = rng.normal(0.0, 0.03, (vehicles, days))[car, day]
+    return rides, rng.normal(0.0, 0.1, count) + own, car * days + day
+
+
+def test_without_structure_hardly_ever_a_slice_is_confirmed():
+    rides, error, day = fleet(240, vehicles=5, days=12)
+    error = error + 0.3 * (rides["ambient_c"] < 0.0).to_numpy()
+    order = np.argsort(day, kind="stable")
+    false = 0
+    for seed in range(100):  # errors go to other vehicle-days, those of a day together
+        rank = np.random.default_rng(seed).permutation(60)
+        permuted = np.empty(len(error))
+        permuted[order] = error[np.argsort(rank[day], kind="stable")]
+        false += bool(slices(rides, permuted, seed=seed))
+    assert false <= 11  # 5 are allowed on average, and more than 11 of 100 have a chance of 0.4 %
+
+
+def test_a_bias_below_a_temperature_in_one_vehicle_is_found_and_its_interval_covers():
+    covered, named, runs = 0, 0, 8
+    for seed in range(runs):
+        rides, error, _ = fleet(2000, vehicles=4, days=100, seed=seed)
+        cold = ((rides["ambient_c"] < -5.0) & (rides["vehicle_id"] == "taxi-003")).to_numpy()
+        found = slices(rides, error + 0.3 * cold, seed=seed)
+        right = [each for each in found if {"colder than -5 °C", "taxi-003"} <= set(each["conditions"])]
+        named += len(right) == 1 and len(right[0]["conditions"]) == 2
+        covered += bool(right) and right[0]["ci95"][0] <= 0.3 <= right[0]["ci95"][1]
+        for each in found:
+            assert set(each) == KEYS
+            assert each["where"] == ", ".join(each["conditions"])
+            assert each["ci95"][0] < each["bias_kwh"] < each["ci95"][1]
+            assert each["q"] <= 0.05
+        assert all(each["rides"] < np.count_nonzero(cold) for each in right)  # of the half that confirms
+    assert named >= runs - 1
+    assert covered >= runs - 2
+
+
+@pytest.mark.parametrize(
+    ("column", "limit", "words"),
+    [
+        ("average_speed_kmh", 25.0, "faster than 25 km/h"),
+        ("stops", 8.0, "8 stops or more"),
+        ("soc_start_pct", 80.0, "battery above 80 % at the start"),
+    ],
+)
+def test_plain_slices_are_named_with_round_thresholds(column, limit, words):
+    rides, error, _ = fleet(800)
+    found = slices(rides, error - 0.1 * (rides[column] >= limit).to_numpy())
+    assert found[0]["where"] == words
+    assert found[0]["bias_kwh"] == pytest.approx(-0.1, abs=0.03)
+
+
+def test_two_separate_faults_are_both_named_and_no_slice_twice():
+    rides, error, _ = fleet(2000)
+    wet = (rides["precipitation_mm_h"] >= 0.5).to_numpy()
+    error = error + 0.15 * (rides["vehicle_id"] == "taxi-001").to_numpy() - 0.15 * wet
+    found = slices(rides, error)
+    assert {"taxi-001", "rain or snow above 0.5 mm/h"} <= {each["where"] for each in found}
+    assert len(slices(rides, error, most=1)) == 1
+
+
+def test_a_fault_from_a_date_on_is_named_by_its_date():
+    rides, error, _ = fleet(800)
+    date = sorted(set(rides["date"]))[11]
+    found = slices(rides, error + 0.1 * (rides["date"] >= date).to_numpy())
+    assert found[0]["where"] in {f"since {date}", f"before {date}"}
+
+
+def test_the_order_of_the_rows_does_not_matter_and_the_seed_does_what_it_says():
+    rides, error, _ = fleet(600)
+    error = error + 0.15 * (rides["ambient_c"] < 0.0).to_numpy()
+    order = np.random.default_rng(1).permutation(len(rides))
+    assert slices(rides, error)
+    assert slices(rides, error) == slices(rides.iloc[order], error[order])
+    assert slices(rides, error, seed=1) == slices(rides, error, seed=1) != slices(rides, error, seed=2)
+
+
+def test_unknown_values_survive():
+    rides, error, _ = fleet(800)
+    cold = (rides["ambient_c"] < 0.0).to_numpy()
+    error = error + 0.2 * cold
+    holed = rides.assign(occupants=np.nan, wind_speed_kmh=np.nan, vehicle_model=None)
+    holed.loc[::7, "ambient_c"] = np.nan
+    error[::11] = np.nan
+    (best, *_) = slices(holed, error)
+    assert best["where"] == "colder than 0 °C"
+    names = ["vehicle_id", "date", "start_s", "ambient_c"]
+    assert slices(holed[names], error)[0]["where"] == "colder than 0 °C"
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 10, 30])
+def test_of_few_rides_nothing_is_said(count):
+    rides, error, _ = fleet(40)
+    assert slices(rides.iloc[:count], error[:count]) == []
+    assert slices(rides, np.full(40, np.nan)) == []
+    assert slices(rides, np.zeros(40)) == []
+
+
+def test_a_difference_is_found_with_its_standard_error():
+    rng = np.random.default_rng(3)
+    days, rides = 40, 6
+    starts = np.arange(0, days * rides, rides)
+    day = np.repeat(np.arange(days), rides)
+    by_day, within = (day < 10)[None, :], (np.arange(days * rides) % 2 == 0)[None, :]
+    found = []
+    for _ in range(300):
+        error = rng.normal(0.0, 1.0, days * rides) + rng.normal(0.0, 1.0, days)[day]
+        found.append([contrast(mask, error, starts) for mask in (by_day, within)])
+    for i, expected in enumerate([np.sqrt(7.0 / 6.0 * (1 / 10 + 1 / 30)), np.sqrt(4.0 / 240.0)]):
+        differences = np.array([each[i].difference[0] for each in found])
+        errors = np.array([each[i].error[0] for each in found])
+        assert np.std(differences) == pytest.approx(expected, rel=0.15)
+        assert np.mean(errors) == pytest.approx(expected, rel=0.08)
+        scores = np.array([each[i].score()[0] for each in found])
+        assert np.mean(np.abs(scores) > 1.96) == pytest.approx(0.05, abs=0.035)
+
+
+def test_a_slice_of_one_day_is_not_judged():
+    inside = np.zeros((2, 60), dtype=bool)
+    inside[0, :10] = True
+    told = contrast(inside, np.random.default_rng(0).normal(size=60), np.arange(0, 60, 10))
+    assert told.freedom.tolist() == [0.0, 0.0]
+    assert told.score().tolist() == [0.0, 0.0]
+
+
+@given(st.integers(0, 1000), st.integers(1, 3), st.floats(0.1, 3.0))
+@settings(max_examples=25, deadline=None)
+def test_thresholds_are_round_and_part_the_rides(seed, power, size):
+    values = size * np.random.default_rng(seed).normal(5.0, 10.0, 200) ** power
+    for scale in SCALES:
+        found = thresholds(values, scale)
+        assert found == sorted(set(found))
+        for at in found:
+            assert 0 < np.count_nonzero(values < at) < len(values)
+            assert not scale.steps or any(abs(at / step - round(at / step)) < 1e-9 for step in scale.steps)
+
+
+def test_conditions_hold_for_what_they_say():
+    rides, _, _ = fleet(300)
+    known, masks = conditions(rides)
+    said = {condition.words: mask for condition, mask in zip(known, masks, strict=True)}
+    assert np.array_equal(said["colder than 0 °C"], rides["ambient_c"] < 0.0)
+    assert np.array_equal(said["parked for more than 1 h before"], rides["parked_s"] >= 3600.0)
+    assert np.array_equal(said["fewer than 3 people aboard"], rides["occupants"] < 3)
+    assert np.array_equal(said["taxi-002"], rides["vehicle_id"] == "taxi-002")
+    assert len({mask.tobytes() for mask in masks}) == len(masks)
+    hour = (rides["start_s"] / 3600.0 - 73.6 / 15.0) % 24.0
+    assert np.array_equal(said["between 6 and 9 h"], (hour >= 6.0) & (hour < 9.0))
+
+
+def test_names_without_letters_are_said_with_what_they_are():
+    rides, _, _ = fleet(100)
+    known, _ = conditions(rides.assign(driver_id=np.arange(100) % 3))
+    assert {"driver 0", "driver 1", "driver 2"} <= {condition.words for condition in known}

@@ -1,0 +1,227 @@
+"""What diagnosis says of a data set, held against what is hidden in it."""
+
+import time
+from collections.abc import Callable, Sequence
+from datetime import date
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from core import effects
+from core.batch import Floats, Ints
+from core.diagnose.base import Base
+from core.diagnose.windows import Windows, fitted, gather
+from core.features import Columns
+from core.learn.fitting import design
+from core.models import Term
+from tools.bench.hidden.cases import Case, right
+from tools.bench.hidden.errors import errors, least_squares
+from tools.bench.hidden.recording import Tables
+from tools.bench.hidden.stlsq import candidates, stlsq
+
+Record = dict[str, Any]
+Diagnose = Callable[..., dict[str, Any]]
+
+DATE_ERROR: Final = 28
+"""A date that is off by so much is right. [d]"""
+
+
+def judge(case: Case, tables: Tables, diagnose: Diagnose, *, timed: bool = False) -> Record:
+    """Return a record of one data set: what was hidden, what was named, and how far it is right.
+
+    Parameters
+    ----------
+    case : Case
+    tables : Tables
+    diagnose : callable
+        Of rides, windows and a model, as `core.diagnose.diagnosis.diagnose`.
+    timed : bool
+        Measure beside it what sparse regression takes for the same windows and candidates.
+    """
+    rides, table, truth = tables
+    model = fitted(case.recipe, rides, table)
+    began = time.perf_counter()
+    result = diagnose(rides, table, model, **({"without": case.without} if case.without else {}))
+    seconds = time.perf_counter() - began
+    windows = gather(rides, table, model)
+    hidden = true_energy(windows, truth)
+    named = [found["columns"] for found in result["missing"]]
+    told: Record = {"intervals": [], "left": None, "alike": None, "z": None}
+    if case.hidden:
+        base = Base(windows, model)
+        told = {"intervals": intervals(case, result["missing"], base, hidden), **seen(case, base, hidden)}
+    record = {
+        **described(case),
+        "rides": len(windows.rides),
+        "samples": int(rides["samples"].sum()),
+        "windows": len(windows.measured),
+        **verdict(case, result),
+        "missing": [_short(found) for found in result["missing"]],
+        **told,
+        "errors": errors(windows, model, hidden.sum(axis=1), named, case.seed)._asdict(),
+        "noise_floor_kwh": result["error"]["noise_floor_kwh"],
+        "seconds": seconds,
+    }
+    if timed:
+        columns = candidates(windows, model)
+        began = time.perf_counter()
+        stlsq(columns, windows.measured)
+        record["stlsq_seconds"] = time.perf_counter() - began
+    return record
+
+
+def described(case: Case) -> Record:
+    """Return what a data set is, as JSON has it."""
+    return {
+        "seed": case.seed,
+        "hidden": [list(each) for each in case.hidden],
+        "measurement": case.measurement,
+        "weather": case.weather,
+        "vehicle": case.where.vehicle,
+        "since": case.where.since,
+        "without": list(case.without),
+    }
+
+
+def true_energy(windows: Windows, truth: pd.DataFrame) -> Floats:
+    """Return the energy of each hidden effect in each window, or in the ride where that stands for all of its windows.
+
+    (n, effects). [kWh]
+    """
+    of_window = truth.set_index(["ride_key", "window"])
+    of_ride = truth.drop(columns="window").groupby("ride_key").sum()
+    ride, window = windows.table["ride_key"], windows.table["window"]
+    whole = window.isna().to_numpy()
+    places = pd.MultiIndex.from_arrays([ride[~whole], window[~whole].astype(np.int64)])
+    out = np.empty((len(ride), of_window.shape[1]))
+    out[~whole] = of_window.loc[places].to_numpy(dtype=np.float64)
+    out[whole] = of_ride.loc[ride[whole]].to_numpy(dtype=np.float64)
+    return out
+
+
+def verdict(case: Case, result: dict[str, Any]) -> Record:
+    """Return how far the names are right.
+
+    Keys: `outcome` of the first name (`right`, `group` where a group that holds the right one goes by another, `wrong`,
+    `none`), `scope_right`, `found` (hidden effects among as many first names as there are), `names`, `doubt` (the first
+    name comes in a group, structure remains, or its coefficient is not plausible), `structure_remains`.
+    """
+    missing = result["missing"]
+    wanted = [right(effect) for effect, _ in case.hidden]
+    outcome = "none"
+    if missing:
+        outcome = max((_matches(missing[0], names) for names in wanted), key=_OUTCOMES.index, default="wrong")
+    first = missing[: len(wanted)]
+    found = sum(any(_matches(each, names) != "wrong" for each in first) for names in wanted)
+    doubt = bool(missing) and (
+        len(set(missing[0]["group"]) | {missing[0]["effect"]}) > 1
+        or result["structure_remains"]
+        or not missing[0]["coefficient"]["plausible"]
+    )
+    return {
+        "outcome": outcome,
+        "scope_right": bool(missing) and scope_right(case, missing[0]["columns"]),
+        "found": found,
+        "names": len(missing),
+        "doubt": doubt,
+        "verdict": result["verdict"],
+        "structure_remains": result["structure_remains"],
+    }
+
+
+_OUTCOMES: Final = ("wrong", "group", "right")
+
+
+def _matches(found: dict[str, Any], names: Sequence[str]) -> str:
+    """Return whether a name is right, stands for a group that holds the right one, or is wrong."""
+    if found["effect"] in names:
+        return "right"
+    return "group" if any(name in names for name in found["group"]) else "wrong"
+
+
+def scope_right(case: Case, columns: Sequence[str]) -> bool:
+    """Tell whether a term holds where the effect is hidden; a date may be off by four weeks."""
+    said = dict(column.split("=", 1) for column in columns if "=" in column and "@" not in column)
+    if said.get("vehicle") != case.where.vehicle:
+        return False
+    if case.where.since is None or "since" not in said:
+        return case.where.since == said.get("since")
+    return abs((date.fromisoformat(said["since"]) - date.fromisoformat(case.where.since)).days) <= DATE_ERROR
+
+
+def intervals(case: Case, missing: Sequence[dict[str, Any]], base: Base, hidden: Floats) -> list[Record]:
+    """Return of each name the interval of its coefficient, and the coefficient that it is to hold.
+
+    That is the one which comes closest to what is hidden: of least squares, in the weights of diagnosis, of the true
+    energies on the columns of all names together, off what the model's own terms can take up. `right` tells whether
+    the name is.
+    """
+    if not missing:
+        return []
+    off = _off(base, [found["columns"] for found in missing])
+    truth = base.off(hidden.sum(axis=1)[:, np.newaxis])[:, 0]
+    names = {name for effect, _ in case.hidden for name in right(effect)}
+    out = []
+    for found, value in zip(missing, least_squares(off, truth).tolist(), strict=True):
+        low, high = found["coefficient"]["ci95"]
+        out.append(
+            {
+                "effect": found["effect"],
+                "right": found["effect"] in names,
+                "value": found["coefficient"]["value"],
+                "ci95": [low, high],
+                "truth": value,
+                "holds": bool(low <= value <= high),
+            }
+        )
+    return out
+
+
+def seen(case: Case, base: Base, hidden: Floats) -> Record:
+    """Return how much of what is hidden there is to be seen.
+
+    Keys: `left`, the share of its size that the model's own terms cannot take up; `alike`, the correlation of that with
+    the right effect of the library, at the best of its variants: 1 where the library has its very shape; `z`, by how
+    many standard errors the energy itself, were it asked of, would stand out: of sums over vehicle-days, each as if it
+    were left out.
+    """
+    energy = hidden.sum(axis=1)[:, np.newaxis]
+    off = base.off(energy)[:, 0]
+    size, whole = float(np.sqrt(off @ off)), float(np.sqrt((base.weighted(energy) ** 2).sum()))
+    scope = [f"vehicle={case.where.vehicle}"] if case.where.vehicle else []
+    scope += [f"since={case.where.since}"] if case.where.since else []
+    library = [effects.get(name) for effect, _ in case.hidden for name in right(effect)]
+    columns = [[each.energy_name, *scope] for effect in library for each in (effect, *effect.variants)]
+    own = _off(base, columns)
+    sizes = np.sqrt((own**2).sum(axis=0))
+    alike = np.divide(off @ own, size * sizes, out=np.zeros(len(sizes)), where=size * sizes > 0.0)
+    left = size / whole if whole > 0.0 else 0.0
+    return {"left": left, "alike": float(alike.max()), "z": _z(off, base.residual, base.windows.day)}
+
+
+def _z(own: Floats, residual: Floats, cluster: Ints) -> float:
+    """Return the coefficient of a column over its standard error."""
+    total = float(own @ own)
+    if total <= 0.0:
+        return 0.0
+    value = float(own @ residual) / total
+    share = np.bincount(cluster, own**2) / total
+    scores = np.bincount(cluster, own * (residual - own * value)) / (1.0 - np.minimum(share, _ALL_OF_IT))
+    return value * total / float(np.sqrt((scores**2).sum()))
+
+
+_ALL_OF_IT: Final = 0.999
+
+
+def _off(base: Base, columns: Sequence[Sequence[str]]) -> Floats:
+    """Return products of columns, weighted, off what the model's own terms can take up."""
+    terms = tuple(Term(name=str(i), columns=tuple(each), unit="1") for i, each in enumerate(columns))
+    table = base.windows.table
+    return base.off(np.nan_to_num(design(terms, Columns(table), len(table))))
+
+
+def _short(found: dict[str, Any]) -> Record:
+    """Return what is kept of a name."""
+    kept = ("effect", "variant", "group", "scope", "gain", "energy_share", "q")
+    return {key: found.get(key) for key in kept}

@@ -1,0 +1,300 @@
+"""From drives to the ride and window tables that the product makes of them, a second or less for each data set.
+
+The steps are those of `core.pipeline`. What a hidden effect cannot change is worked out once: the decoded rows, the
+weather that they meet, and the energies of nearly all effects. What it can change is done anew with the product's own
+functions: cleaning, the measured energy, the effects that read the state of charge, sums and tables.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, NamedTuple
+
+import msgspec
+import numpy as np
+import pandas as pd
+
+from core import effects
+from core.batch import Batch, Floats, Ints, Lanes
+from core.cars import Cars
+from core.clean import Clean, Cleaner
+from core.codec import Message, Ride, Vehicle, Weather, encode
+from core.columns import JOULES_PER_KWH
+from core.decode import Decoder
+from core.effects import Effect
+from core.pipeline import BLOCK
+from core.settings import Settings
+from core.signals import Signals, ambient_quality
+from core.sums import AMOUNTS, Ledger, Totals, amounts
+from core.tables import ride_table, text, window_table
+from core.weather import Sky, Stations
+from tools.bench.hidden.drives import (
+    CURRENT_MARK,
+    SOC_MARK,
+    VOLTAGE_MARK,
+    Drives,
+    Measured,
+)
+from tools.simulator.logger import DIGITS
+
+Measurement = Literal["vi", "soc"]
+SOC_STEP: Final = 0.5
+"""Steps in which the state of charge is reported. [%]"""
+ROOM: Final = 2
+"""Hidden effects at once."""
+READS_SOC: Final = "charge"
+"""The one signal that rests on the state of charge."""
+MOST: Final = 100_000
+"""Samples of a car: as many as its state of charge has room to count, and fewer than its sensors' errors read."""
+NOISE: Final = 0.3
+"""Standard deviation of the logarithm of what wind and rain are multiplied with."""
+VEER: Final = 20.0
+"""Standard deviation of the error of the wind's direction. [deg]"""
+
+
+class Tables(NamedTuple):
+    """A data set.
+
+    Parameters
+    ----------
+    rides, windows : DataFrame
+        As `core.tables` makes them.
+    hidden : (windows, effects) DataFrame
+        Of each window in the order of `windows` its `ride_key`, its `window`, and the energy that each hidden effect
+        took. [kWh]
+    """
+
+    rides: pd.DataFrame
+    windows: pd.DataFrame
+    hidden: pd.DataFrame
+
+
+def noisy(messages: Sequence[Message], seed: int) -> list[Message]:
+    """Return messages with an error of 30 % in wind and rain, and of 20 degrees in the wind's direction.
+
+    Drawn anew for every station and hour, with mean one.
+    """
+    rng = np.random.default_rng([seed, 6])
+    return [_blurred(message, rng) if message.key.startswith("weather/") else message for message in messages]
+
+
+def _blurred(message: Message, rng: np.random.Generator) -> Message:
+    weather = msgspec.json.decode(message.payload, type=Weather)
+    wind, rain = np.exp(NOISE * rng.normal(size=2) - 0.5 * NOISE**2)
+    known = [weather.wind_speed_kmh or 0.0, weather.wind_from_deg or 0.0, weather.precipitation_mm or 0.0]
+    source = (known[1] + VEER * rng.normal()) % 360.0
+    said = {"wind_speed_kmh": wind * known[0], "wind_from_deg": source, "precipitation_mm": rain * known[2]}
+    blurred = {name: float(value) for name, value in said.items()}
+    return message._replace(payload=encode(msgspec.structs.replace(weather, **blurred)))
+
+
+@dataclass
+class Recording:
+    """What a consumer has of the drives, ready to be filled with what cars measure.
+
+    Parameters
+    ----------
+    batch : Batch
+        Rows with numbers of samples in them.
+    car, number : (n,) int
+        Of the drives' cars and of the samples of each.
+    kind : (n,) int
+        Kind of car of each row.
+    lanes : list of str
+        Vehicles.
+    names : mapping of float to str
+        Ride names by code.
+    drivers : mapping of str to str
+        By `vehicle/ride`.
+    cars : Cars
+    sky : Sky
+        Weather that each row meets.
+    rates : list of ((AMOUNTS + effects + ROOM), rows) float
+        What each row adds to the sums, a block of `BLOCK` rows each.
+    timing : (n,) float
+        Time that each row stands for. [s]
+    effects : list of Effect
+        That tables hold.
+    """
+
+    batch: Batch
+    car: Ints
+    number: Ints
+    kind: Ints
+    lanes: list[str]
+    names: dict[float, str | None]
+    drivers: dict[str, str]
+    cars: Cars
+    sky: Sky
+    rates: list[Floats]
+    timing: Floats
+    effects: list[Effect]
+
+    def tables(self, measured: Measured, measurement: Measurement, names: Sequence[str] = ()) -> Tables:
+        """Return the tables of what cars measure.
+
+        Parameters
+        ----------
+        measured : Measured
+        measurement : {"vi", "soc"}
+            Voltage and current beside the state of charge, or that alone.
+        names : sequence of str
+            Of the hidden effects.
+        """
+        hidden = measured.hidden[:, self.car, self.number]
+        filled = _filled(self.batch, measured, measurement, self.car, self.number)
+        clean = _cleaned(filled, len(self.lanes), self.sky)
+        if not np.array_equal(clean.dt, self.timing):
+            raise ValueError("a hidden effect has changed which samples are used: its rates would have to be made anew")
+        ledger = Ledger(len(self.effects) + ROOM)
+        rides, windows = list[Totals](), list[Totals]()
+        for block, start in zip(self.rates, range(0, len(self.car), BLOCK), strict=True):
+            rows = slice(start, start + BLOCK)
+            part = _rows(clean, rows)
+            self._renew(block, part, rows, hidden[:, rows])
+            sums = ledger.add(part, self.kind[rows], block, len(self.lanes))
+            rides.append(sums.rides)
+            windows.append(sums.windows)
+        closed = ledger.close()
+        return self._named(_joined([*rides, closed.rides]), _joined([*windows, closed.windows]), names)
+
+    def _renew(self, block: Floats, clean: Clean, rows: slice, hidden: Floats) -> None:
+        """Write into a block of rates what a hidden effect changes."""
+        signals = _signals(clean, self.sky, self.cars, self.kind, rows)
+        block[: len(AMOUNTS)] = amounts(signals, [])
+        for index, effect in enumerate(self.effects):
+            if READS_SOC in effect.arguments:
+                np.multiply(effect.power(signals), _time(effect, clean), out=block[len(AMOUNTS) + index])
+        block[len(AMOUNTS) + len(self.effects) :] = 0.0
+        for index, power in enumerate(hidden):
+            np.multiply(power, clean.dt, out=block[len(AMOUNTS) + len(self.effects) + index])
+
+    def _named(self, rides: Totals, windows: Totals, hidden: Sequence[str]) -> Tables:
+        """Return the tables of totals."""
+        columns = [effect.name for effect in self.effects]
+        ride_names = [self.names.get(code) for code in rides.at_last("code").tolist()]
+        table = ride_table(rides, self.lanes, ride_names, self.cars, columns, Settings())
+        keys = zip(table["vehicle_id"], ride_names, strict=True)
+        table.insert(4, "driver_id", text([self.drivers.get(f"{vehicle}/{name}") for vehicle, name in keys]))
+        window = window_table(windows, self.lanes, self.cars, columns)
+        energies = windows.amounts[:, len(AMOUNTS) + len(columns) :]
+        truth = {name: energies[:, index] / JOULES_PER_KWH for index, name in enumerate(hidden)}
+        return Tables(table, window, window[["ride_key", "window"]].assign(**truth))
+
+
+def record(drives: Drives, messages: Sequence[Message] | None = None) -> Recording:
+    """Take in all that the drives send, as a consumer does.
+
+    Parameters
+    ----------
+    drives : Drives
+    messages : sequence of Message, optional
+        The same with other weather.
+    """
+    lanes = Lanes()
+    decoder = Decoder(lanes)
+    batch, events = decoder.decode(drives.messages if messages is None else messages)
+    cars = Cars()
+    told = [(event.row, event.lane, event.value) for event in events if isinstance(event.value, Vehicle)]
+    kind = cars.kinds(batch.lane, told, len(lanes))
+    drives_of = [event.value for event in events if isinstance(event.value, Ride)]
+    order = np.array([drives.vehicles.index(name) for name in lanes.names])
+    car, number = order[batch.lane], _numbers(batch)
+    measured = drives.measured()
+    nowhere = Sky(*np.full((len(Sky._fields), batch.size), np.nan))
+    recording = Recording(
+        batch, car, number, kind, lanes.names, decoder.rides.name_of,
+        {f"{ride.vehicle_id}/{ride.ride_id}": ride.driver_id for ride in drives_of if ride.driver_id is not None},
+        cars, nowhere, [], np.empty(0), [effects.get(name) for name in effects.tabulated()],
+    )  # fmt: skip
+    clean = _cleaned(_filled(batch, measured, "vi", car, number), len(lanes), nowhere)
+    recording.timing = clean.dt
+    recording.sky = _weather(clean, [(event.row, event.value) for event in events if isinstance(event.value, Weather)])
+    for start in range(0, batch.size, BLOCK):
+        rows = slice(start, start + BLOCK)
+        signals = _signals(_rows(clean, rows), recording.sky, cars, kind, rows)
+        with np.errstate(all="ignore"):
+            powers = [(effect.per, effect.power(signals)) for effect in recording.effects]
+        rates = amounts(signals, powers)
+        recording.rates.append(np.concatenate([rates, np.zeros((ROOM, rates.shape[1]))]))
+    return recording
+
+
+def _cleaned(batch: Batch, lanes: int, sky: Sky) -> Clean:
+    """Return the rows as the product cleans them."""
+    clean = Cleaner(Settings()).clean(batch, lanes)
+    return clean._replace(quality=ambient_quality(clean, sky))
+
+
+def _signals(clean: Clean, sky: Sky, cars: Cars, kind: Ints, rows: slice) -> Signals:
+    """Return what effects ask for, of some rows, of which `clean` has no others."""
+    mass, rolling_resistance, drag_area, _, scale = cars.parameters.take(kind[rows], axis=0).T
+    return Signals(clean, Sky(*(column[rows] for column in sky)), mass, scale, rolling_resistance, drag_area)
+
+
+def _time(effect: Effect, clean: Clean) -> Floats:
+    """Return the time over which an effect acts. [s]"""
+    return clean.travel if effect.per == "distance" else clean.dt
+
+
+def _rows(clean: Clean, rows: slice) -> Clean:
+    return Clean(*(column[rows] for column in clean))  # type: ignore[arg-type]
+
+
+def _joined(parts: list[Totals]) -> Totals:
+    """Return totals one after another."""
+    return Totals(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def _weather(clean: Clean, observed: Sequence[tuple[int, Weather]]) -> Sky:
+    """Return the weather at each row, by what was observed before it came."""
+    stations, n = Stations(), len(clean.time)
+    sky = np.empty((len(Sky._fields), n))
+    edges = [*(row for row, _ in observed), n]
+    rows = slice(0, edges[0])
+    sky[:, rows] = stations.sky(clean.time[rows], clean.latitude[rows], clean.longitude[rows])
+    for (row, weather), end in zip(observed, edges[1:], strict=True):
+        stations.observe(weather)
+        rows = slice(row, end)
+        if end > row:
+            sky[:, rows] = stations.sky(clean.time[rows], clean.latitude[rows], clean.longitude[rows])
+    return Sky(*sky)
+
+
+def _numbers(batch: Batch) -> Ints:
+    """Return the number of each row's sample among its car's, from whichever mark no fault has taken away."""
+    marks = ((batch.voltage, VOLTAGE_MARK), (batch.current, CURRENT_MARK), (batch.soc, SOC_MARK))
+    number = np.zeros(batch.size)
+    for values, mark in marks:
+        read = np.rint(np.nan_to_num(values, nan=0.0) / mark)
+        good = (read >= 1.0) & (read < MOST) & (number == 0.0)
+        number[good] = read[good]
+    if (number == 0.0).any():
+        raise ValueError(f"{(number == 0.0).sum()} samples have lost all that tells their number: make faults rarer")
+    return number.astype(np.int64) - 1
+
+
+def _filled(batch: Batch, measured: Measured, measurement: Measurement, car: Ints, number: Ints) -> Batch:
+    """Return the rows with what cars measure, rounded as loggers do; faults stay as they are."""
+    at = (car, number)
+    percent = np.clip(100.0 * measured.soc[at], 0.0, 100.0)
+    steps = np.floor(percent / SOC_STEP) * SOC_STEP
+    marks = (number + 1).astype(np.float64)
+    columns = {
+        "voltage": _filled_in(batch.voltage, marks * VOLTAGE_MARK, _logged("battery_voltage_v", measured.voltage[at])),
+        "current": _filled_in(batch.current, marks * CURRENT_MARK, _logged("battery_current_a", measured.current[at])),
+        "soc": _filled_in(batch.soc, marks * SOC_MARK, 0.01 * _logged("soc_pct", steps)),
+        "hvac": np.where(np.isnan(batch.hvac), np.nan, _logged("hvac_w", measured.hvac[at])),
+    }
+    if measurement == "soc":
+        columns |= {name: np.full(batch.size, np.nan) for name in ("voltage", "current")}
+    return batch._replace(**columns)
+
+
+def _filled_in(values: Floats, marks: Floats, new: Floats) -> Floats:
+    """Return new values where the old are marks, the old ones where a fault has overwritten them."""
+    return np.where(np.abs(values - marks) < 1e-6, new, values)
+
+
+def _logged(field_name: str, values: Floats) -> Floats:
+    """Return values as they are sent."""
+    return np.round(values, DIGITS[field_name])

@@ -1,0 +1,93 @@
+"""Data sets one after another, on two processes, each keeping to the drives of one seed at a time."""
+
+import json
+import os
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Final
+
+from joblib import Parallel, delayed, parallel_config
+from threadpoolctl import threadpool_limits
+
+from core.errors import SocastError
+from tools.bench.hidden.cases import Case, Source
+from tools.bench.hidden.judging import Diagnose, Record, described, judge
+
+PROCESSES: Final = 2
+TIMED: Final = 20
+"""One data set in so many is timed against sparse regression."""
+Task = tuple[str, list[Case]]
+
+
+def tasks(part: str, cases: Sequence[Case]) -> list[Task]:
+    """Return the data sets of a part by seed."""
+    ordered = sorted(cases, key=lambda case: case.seed)
+    return [(part, list(same)) for _, same in groupby(ordered, key=lambda case: case.seed)]
+
+
+def run(
+    todo: Iterable[Task], diagnose: Diagnose, keep: Path | None = None, processes: int = PROCESSES
+) -> Iterable[list[Record]]:
+    """Yield the records of each task as it is done.
+
+    Parameters
+    ----------
+    todo : iterable of Task
+    diagnose : callable
+        See `judge`.
+    keep : Path, optional
+        Folder for records: those that are there are not made again.
+    processes : int
+        Each with one thread.
+    """
+    with parallel_config(backend="loky", inner_max_num_threads=1):
+        jobs = (delayed(work)(part, cases, diagnose, keep) for part, cases in todo)
+        yield from Parallel(n_jobs=processes, return_as="generator_unordered")(jobs)
+
+
+def work(part: str, cases: Sequence[Case], diagnose: Diagnose, keep: Path | None = None) -> list[Record]:
+    """Return the records of data sets of one seed."""
+    path = None if keep is None else keep / f"{part}-{cases[0].seed}.json"
+    known = _read(path)
+    records = []
+    with threadpool_limits(limits=1):
+        for number, case in enumerate(cases):
+            key = json.dumps(described(case))
+            if key not in known:
+                known[key] = {"part": part, **_record(case, diagnose, timed=number % TIMED == 0)}
+                if path is not None and (number % TIMED == 0 or number == len(cases) - 1):
+                    _write(path, known)
+            records.append(known[key])
+    return records
+
+
+def _record(case: Case, diagnose: Diagnose, *, timed: bool) -> Record:
+    """Return the record of a data set; of one that cannot be, why."""
+    try:
+        return judge(case, _source(case.seed).tables(case), diagnose, timed=timed)
+    except SocastError as error:
+        return {**described(case), "refused": str(error)}
+
+
+@lru_cache(maxsize=1)
+def _source(seed: int) -> Source:
+    """Return the drives of a seed; of one at a time, as they take most of a gigabyte."""
+    return Source(seed)
+
+
+def _read(path: Path | None) -> dict[str, Any]:
+    """Return the records of a file by what they are of."""
+    if path is None or not path.exists():
+        return {}
+    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return found
+
+
+def _write(path: Path, records: dict[str, Any]) -> None:
+    """Write records, whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_suffix(f".{os.getpid()}")
+    beside.write_text(json.dumps(records) + "\n", encoding="utf-8")
+    beside.replace(path)

@@ -1,0 +1,188 @@
+"""`socast compare`: models against what rides measured, in a terminal, as JSON and as one HTML page."""
+
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import typer
+
+from core import effects, models
+from core.errors import ModelError, SettingsError
+from core.evaluate.comparison import Sample, compare, sample
+from core.evaluate.contrast import contrast
+from core.evaluate.results import plain
+from core.evaluate.trace import find, trace
+from core.models import KNOWN, LinearModel
+from tools.evaluate import KEY, read
+from tools.fit import ride_files
+from tools.output import EffectFiles, JsonFile, printer, writable, write_json
+from tools.tables import WINDOWS, in_memory
+
+RECORDING = ".mcap"
+
+Rides = Annotated[
+    list[Path],
+    typer.Argument(metavar="TABLES|REC", help="Folders that `socast tables` made, or MCAP recordings."),
+]
+
+
+def compare_models(
+    rides: Rides,
+    model: Annotated[
+        list[str], typer.Option("--model", metavar="M", help="A model's name, or a model file; may be repeated.")
+    ],
+    against: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="TABLES|REC", help="Other rides to set beside these; may be repeated."),
+    ] = None,
+    ride: Annotated[
+        str | None, typer.Option(metavar="KEY", help="Show the trace of this ride instead, by ride_key or ride_id.")
+    ] = None,
+    effects_file: EffectFiles = None,
+    json_file: JsonFile = None,
+    html_file: Annotated[
+        Path | None, typer.Option("--html", metavar="FILE", help="Write a report with figures.")
+    ] = None,
+) -> None:
+    """Compare models with the measured energy of rides: how far off, under which conditions, in which rides.
+
+    All models are judged on the same rides: those that are fit for training and that every model predicts. Nothing is
+    fitted here.
+    """
+    if ride is not None and against:
+        raise SettingsError("--ride shows one ride of the first rides; leave out --against")
+    for path in effects_file or ():
+        effects.load_file(path)
+    writable([*_files(rides), *_files(against or ())], json_file, html_file)
+    chosen = named(model)
+    if ride is not None:
+        result: dict[str, Any] = {"trace": _trace(rides, ride, chosen)}
+    else:
+        found = sample(_rides(rides, chosen), chosen)
+        result = compare(found)
+        _say_commands(result, _words(rides, effects_file or ()), dict(zip(chosen, model, strict=True)))
+        if against:
+            result["against"] = _against(found, rides, against, chosen)
+    result = plain(result)
+    write_json(json_file, result)
+    _report(result, html_file)
+
+
+def named(given: Sequence[str]) -> dict[str, LinearModel]:
+    """Return models by what a reader calls them: a known name, or the file's; the path where two files have the same.
+
+    Raises
+    ------
+    SettingsError
+        Where one is given twice.
+    ModelError
+        Where one cannot be loaded.
+    """
+    if twice := [name for i, name in enumerate(given) if name in given[:i]]:
+        raise SettingsError(f"--model {twice[0]} is given twice; give it once")
+    short = [name if name in KNOWN else Path(name).stem for name in given]
+    labels = [name if short.count(label) > 1 else label for name, label in zip(given, short, strict=True)]
+    return {label: models.load(name) for label, name in zip(labels, given, strict=True)}
+
+
+def _files(given: Sequence[Path]) -> list[Path]:
+    """Return the recordings, or the files of rides, that the command line names.
+
+    Raises
+    ------
+    SettingsError
+        Where recordings are mixed with tables, or one is given twice.
+    """
+    recordings = [path for path in given if path.suffix == RECORDING]
+    if not recordings:
+        return ride_files(given)
+    if len(recordings) < len(given):
+        other = next(path for path in given if path.suffix != RECORDING)
+        raise SettingsError(f"{recordings[0]} is a recording and {other} is none; give recordings or tables, not both")
+    if twice := [path for i, path in enumerate(given) if path.resolve() in {p.resolve() for p in given[:i]}]:
+        raise SettingsError(f"{twice[0]} is given twice, and its rides would count twice; give it once")
+    return recordings
+
+
+def _recorded(given: Sequence[Path]) -> bool:
+    return given[0].suffix == RECORDING
+
+
+def _summed(given: Sequence[Path], chosen: Mapping[str, LinearModel]) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return ride and window table of recordings."""
+    wanted = [name for model in chosen.values() for name in model.effects]
+    return in_memory(given, wanted)
+
+
+def _rides(given: Sequence[Path], chosen: Mapping[str, LinearModel]) -> pd.DataFrame:
+    """Return a ride table."""
+    return _summed(given, chosen)[0] if _recorded(given) else read(ride_files(given))
+
+
+def _trace(given: Sequence[Path], name: str, chosen: Mapping[str, LinearModel]) -> dict[str, Any]:
+    """Return the trace of a ride."""
+    if _recorded(given):
+        rides, windows = _summed(given, chosen)
+        return trace(find(rides, name), windows, chosen)
+    files = ride_files(given)
+    row = find(read(files), name)
+    if KEY not in row:
+        raise ModelError(f"column {KEY!r} is missing in the ride table: make it anew, with `socast tables`")
+    return trace(row, _windows(files, str(row[KEY].iloc[0])), chosen)
+
+
+def _windows(files: Sequence[Path], key: str) -> pd.DataFrame:
+    """Return the windows of a ride, from the table beside the file of rides that it is in."""
+    place, own = (0, key) if len(files) == 1 else (int(key.partition("/")[0]), key.partition("/")[2])
+    file = files[place].with_name(WINDOWS)
+    if not file.is_file():
+        raise SettingsError(f"{file.parent} holds no {WINDOWS}; a trace needs the windows that `socast tables` makes")
+    try:
+        found: pd.DataFrame = pq.read_table(file, filters=[(KEY, "==", own)]).to_pandas()
+    except (OSError, pa.ArrowException) as error:
+        told = " ".join(str(error).split())
+        raise ModelError(f"{file}: cannot read windows: {told}; a trace needs what `socast tables` made") from error
+    return found.assign(**{KEY: key})
+
+
+def _against(
+    found: Sample, rides: Sequence[Path], against: Sequence[Path], chosen: Mapping[str, LinearModel]
+) -> dict[str, Any]:
+    """Return what is different about other rides, and how models do on them."""
+    other = sample(_rides(against, chosen), chosen)
+    second = compare(other)
+    return {
+        "first": " ".join(map(str, rides)),
+        "second": " ".join(map(str, against)),
+        "about": second["about"],
+        "second_models": second["models"],
+        **contrast(found, other, chosen),
+    }
+
+
+def _words(rides: Sequence[Path], effect_files: Sequence[Path]) -> list[str]:
+    """Return the words of a command that reads the same rides with the same effects."""
+    brought = [word for path in effect_files for word in ("--effects", str(path))]
+    return ["socast", "compare", *map(str, rides), *brought]
+
+
+def _say_commands(result: Mapping[str, Any], words: Sequence[str], given: Mapping[str, str]) -> None:
+    """Enter, with each of the worst rides, the command that shows its trace."""
+    for label, own in result["models"].items():
+        for told in (ride for rides in own["worst"].values() for ride in rides):
+            told["command"] = shlex.join([*words, "--model", given[label], "--ride", told["ride"]])
+
+
+def _report(result: dict[str, Any], html_file: Path | None) -> None:
+    """Print the tables, and write the page."""
+    from tools.report import comparison  # noqa: PLC0415 - figures take seconds to import
+
+    console = printer()
+    comparison.show(result, console)
+    if html_file:
+        comparison.write(result, html_file)
+        console.print(f"report in {html_file}", markup=False, highlight=False, soft_wrap=True)

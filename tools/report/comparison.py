@@ -1,0 +1,162 @@
+"""The report of a comparison: in the terminal, and as one page of tables and figures."""
+
+from html import escape
+from pathlib import Path
+from typing import Any, Final
+
+from rich.console import Console
+from rich.text import Text
+
+from core.evaluate.results import plain
+from tools.report import comparison_figures as figures
+from tools.report import comparison_tables as tables
+from tools.report import comparison_trace as traced
+from tools.report.cells import count, percent
+from tools.report.data_tables import MEASURED_BY
+from tools.report.illustrations import Illustration
+from tools.report.page import document, save
+from tools.report.result import Result, mapping, number, part
+from tools.report.sections import Section
+from tools.report.terminal import print_section
+
+TITLE: Final = "Models against measurement"
+MODELS: Final = "models"
+ORDER: Final = ("places", "worst", "against", MODELS)
+"""Of sections in a terminal: the end is where the eye is."""
+
+
+def show(result: Any, console: Console) -> None:
+    """Print a comparison, and last what a reader looks for first; or the trace of a ride.
+
+    Parameters
+    ----------
+    result : mapping
+        Of the comparison, or of a trace.
+    console : Console
+        At least 120 columns wide.
+    """
+    found = plain(result)
+    if "trace" in found:
+        for section in reversed(trace_sections(found["trace"])):
+            print_section(section, console)
+        return
+    shown = [section for section in sections(found, commands=False) if section.key in ORDER]
+    for section in sorted(shown, key=lambda section: ORDER.index(section.key)):
+        print_section(section, console)
+        if section.key == "worst":
+            _print_commands(found, console)
+    for note in found["notes"]:
+        console.print(Text(note, style="yellow"))
+
+
+def write(result: Any, path: Path) -> None:
+    """Write a comparison, or the trace of a ride, as a page that needs nothing else."""
+    found = plain(result)
+    made_by = "<p>Made by <code>socast compare</code>.</p>"
+    if "trace" in found:
+        drawn = traced.illustrations(found["trace"])
+        ride = part(found, "trace", "ride")
+        title = f"Ride {ride.get('ride_key') or ride.get('ride_id')}"
+        page = document(title, "", trace_sections(found["trace"]), lambda key: drawn if key == "trace" else [], made_by)
+    else:
+        notes = "".join(f"<li>{escape(note)}</li>" for note in found["notes"])
+        page = document(
+            TITLE,
+            "",
+            sections(found, commands=True),
+            lambda key: illustrations(found, key),
+            f"<ul>{notes}</ul>{made_by}",
+        )
+    save(page, path)
+
+
+def sections(result: Result, *, commands: bool) -> list[Section]:
+    """Return the sections of a comparison that have something to show.
+
+    Parameters
+    ----------
+    result : mapping
+        Of the comparison.
+    commands : bool
+        For a page, which has room for the commands that show rides, and for the worst rides of every model.
+    """
+    names = tables.models(result)
+    worst = [
+        table
+        for name in (names if commands else names[:1])
+        for table in tables.worst_tables(result, name, commands=commands)
+    ]
+    against = mapping(result, "against")
+    sides = f"First: {against['first']}. Second: {against['second']}: {_about(against['about'])}" if against else ""
+    found = [
+        Section(MODELS, "The models", _about(result["about"]), [tables.overall(result), tables.paired(result)]),
+        Section(
+            "against", "What is different between the two", sides + _shared(against), tables.contrast_tables(result)
+        ),
+        Section(
+            "contrast",
+            "The two by condition",
+            "Bias of each model on both sets of rides.",
+            [table for name in names for table in tables.contrast_conditions(result, name)],
+            folded=True,
+        ),
+        Section("places", "Where the models err", "", tables.condition_tables(result)),
+        Section("worst", "The worst rides", "Each is one command away from its trace.", worst),
+    ]
+    return [section for section in found if any(table.rows for table in section.tables)]
+
+
+def illustrations(result: Result, key: str) -> list[Illustration]:
+    """Return the figures of a section."""
+    if key == MODELS:
+        return figures.scatters(result)
+    if key == "places":
+        return figures.conditions(result)
+    if key == "against":
+        return figures.accounts(result)
+    return figures.contrasts(result) if key == "contrast" else []
+
+
+def trace_sections(found: Result) -> list[Section]:
+    """Return the sections of a trace."""
+    return [
+        Section("trace", "Prediction and measurement along the ride", traced.about(found), [traced.summary(found)]),
+        Section("terms", "What the predictions are made of", "", traced.terms(found)),
+        Section("windows", "Window by window", "", [traced.windows(found)]),
+    ]
+
+
+def _about(about: Result) -> str:
+    """Return what was compared, in words."""
+    left = ", ".join(f"{count(n)} {why}" for why, n in mapping(about, "left_out").items())
+    measured = {MEASURED_BY[name]: share for name, share in mapping(about, "measured").items() if number(share)}
+    by = ", ".join(f"{name} {percent(share, 0)}" for name, share in measured.items())
+    cars = f"{_counted(about['vehicles'], 'car')}, {_counted(about['vehicle_days'], 'car-day')}"
+    return (
+        f"{count(about['rides'])} of {count(about['read'])} rides from {about['first_date']} to {about['last_date']}: "
+        f"{cars}. Left out: {left or 'none'}. "
+        f"Mean consumption {tables.within(about['consumption_kwh'], 3)} kWh a ride, "
+        f"{tables.within(about['per_100km_kwh'])} kWh/100 km. Energy measured by: {by or 'not told'}."
+    )
+
+
+def _counted(n: int, thing: str) -> str:
+    return f"{count(n)} {thing}{'' if n == 1 else 's'}"
+
+
+def _shared(against: Result) -> str:
+    """Return a warning where rides are in both sets."""
+    shared = number(against.get("shared"))
+    return f" {count(shared)} rides are in both: intervals of differences are too wide." if shared else ""
+
+
+def _print_commands(result: Result, console: Console) -> None:
+    """Print the commands that show the worst rides, in one line each, to be copied."""
+    names = tables.models(result)
+    found = mapping(result, "models", names[0], "worst")
+    lines = dict.fromkeys(str(ride["command"]) for rides in found.values() for ride in rides if "command" in ride)
+    console.print()
+    for line in lines:
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    if len(names) > 1:
+        console.print(Text(f"of {names[0]}; --html and --json have those of every model", style="dim"))

@@ -1,0 +1,261 @@
+"""The trace of one ride: tables and figures of what was measured and what models say, window by window."""
+
+from collections.abc import Mapping, Sequence
+from itertools import accumulate, pairwise
+from typing import Any, Final
+
+import plotly.graph_objects as go
+
+from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, kwh, percent, signed
+from tools.report.comparison_figures import model_style
+from tools.report.comparison_tables import within
+from tools.report.figure_style import Style, figure, label, stacked, style
+from tools.report.illustrations import Illustration
+from tools.report.result import Result, mapping, number, part
+
+MEASURED: Final = Style("#8a8a8a", "solid", "circle", "")
+MOST_TERMS: Final = 6
+"""Terms that are drawn one by one; the rest is one more."""
+LEAST_SHOWN: Final = 0.001
+"""Terms that come to less nowhere are left out of tables. [kWh]"""
+OTHERS: Final = "other terms"
+AXES: Final = {"end_min": "Time since the start [min]", "end_km": "Distance [km]"}
+"""What a ride is shown along."""
+HERE: Final = "◄"
+"""Marks the windows where model and measurement part."""
+SECONDS: Final = 3600.0
+"""In an hour."""
+
+
+def about(found: Result) -> str:
+    """Return which ride it is, in words."""
+    ride = mapping(found, "ride")
+    names = [str(ride[name]) for name in ("vehicle_model", "date") if ride.get(name)]
+    sd = number(ride.get("energy_sd_kwh"))
+    spread = "" if sd is None else f" ± {sd:.3f} (its own standard uncertainty)"
+    conditions = (
+        f"{within(ride.get('distance_km'))} km in {within((number(ride.get('duration_s')) or 0.0) / 60.0)} min at "
+        f"{within(ride.get('ambient_c'))} °C, {kwh(ride.get('energy_kwh'))} kWh{spread}"
+    )
+    unfit = f"; unfit for training: {str(ride['unfit_reason']).replace('_', ' ')}" if ride.get("unfit_reason") else ""
+    return f"{', '.join([*names, conditions])}{unfit}."
+
+
+def summary(found: Result) -> ReportTable:
+    """Return what each model says of the ride, and where it parts from the measurement."""
+    measured = number(part(found, "ride", "energy_kwh"))
+    rows = []
+    for name, own in mapping(found, "models").items():
+        error = number(own.get("error_kwh"))
+        share = None if error is None or not measured else error / abs(measured)
+        cells = (Cell(kwh(own.get("predicted_kwh"))), Cell(signed(error)), Cell(percent(share, 0)))
+        rows.append(Row(name, cells))
+    notes = [f"{name} {own['words']}." for name, own in mapping(found, "models").items()]
+    heads = ("predicted, kWh", "error, kWh", "of measured")
+    return ReportTable(
+        "The ride as models have it", "model", heads, tuple(rows), (*notes, *(part(found, "notes") or ()))
+    )
+
+
+def terms(found: Result) -> list[ReportTable]:
+    """Return each model's terms: over the ride, and where it parts from the measurement."""
+    return [_terms(name, own) for name, own in mapping(found, "models").items()]
+
+
+def _terms(model: str, own: Mapping[str, Any]) -> ReportTable:
+    """Return the terms of a model, the largest first."""
+    place = part(own, "place")
+    at = slice(place["first"], place["last"] + 1) if place else slice(0, 0)
+    start = mapping(own, "start_terms")
+    figures = {
+        name: (start[name] + sum(energy), start[name], sum(list(energy)[at]))
+        for name, energy in mapping(own, "terms").items()
+    }
+    shown = [name for name, told in figures.items() if max(map(abs, told)) >= LEAST_SHOWN]
+    order = sorted(shown, key=lambda name: -abs(figures[name][0]))
+    columns = [True, any(start[name] for name in shown), bool(place)]
+    heads = ("whole ride", "before anything is driven", f"where it parts, {place['minutes']:.1f} min" if place else "")
+    rows = tuple(
+        Row(name, tuple(Cell(signed(told)) for told, wanted in zip(figures[name], columns, strict=True) if wanted))
+        for name in order
+    )
+    small = len(figures) - len(shown)
+    notes = (f"{small} other terms are below {LEAST_SHOWN} kWh.",) if small else ()
+    return ReportTable(
+        f"{model}: its terms, kWh",
+        "term",
+        tuple(head for head, wanted in zip(heads, columns, strict=True) if wanted),
+        rows,
+        notes,
+    )
+
+
+def windows(found: Result) -> ReportTable:
+    """Return the ride window by window."""
+    own = mapping(found, "windows")
+    models = mapping(found, "models")
+    energy = {name: list(model["energy_kwh"]) for name, model in models.items()}
+    errors = {name: list(_running(found, name)) for name in models}
+    rows = []
+    for i, (minute, km, seconds, driven, measured) in enumerate(
+        zip(*(own[n] for n in ("end_min", "end_km", "duration_s", "distance_km", "measured_kwh")), strict=True)
+    ):
+        marks = {name: _mark(model, i) for name, model in models.items()}
+        cells = (
+            Cell(within(km)),
+            Cell(within(SECONDS * driven / seconds, 0) if seconds else UNKNOWN),
+            Cell(within(_kw(measured, seconds))),
+            *(Cell(within(_kw(energy[name][i], seconds))) for name in models),
+            *(Cell(f"{signed(errors[name][i])}{marks[name]}", strong=bool(marks[name])) for name in models),
+        )
+        rows.append(Row(f"{minute:.1f}", cells))
+    heads = (
+        *("km", "km/h", "measured, kW"),
+        *(f"{name}, kW" for name in models),
+        *(f"{name}: error so far, kWh" for name in models),
+    )
+    note = f"Mean power of each window up to the minute. {HERE}: where prediction and measurement part."
+    return ReportTable("Window by window", "minute", heads, tuple(rows), (note,))
+
+
+def _mark(model: Mapping[str, Any], window: int) -> str:
+    place = part(model, "place")
+    return f" {HERE}" if place and place["first"] <= window <= place["last"] else ""
+
+
+def _kw(energy_kwh: float, seconds: float) -> float | None:
+    return SECONDS * energy_kwh / seconds if seconds else None
+
+
+def _running(found: Result, model: str) -> Sequence[float]:
+    """Return the error so far after each window, what was said before the first one included. [kWh]"""
+    own = mapping(found, "models", model)
+    apart = [said - true for said, true in zip(own["energy_kwh"], part(found, "windows", "measured_kwh"), strict=True)]
+    return list(accumulate(apart, initial=own["start_kwh"]))[1:]
+
+
+def illustrations(found: Result) -> list[Illustration]:
+    """Return energy and error along the ride, its power, and the terms of each model."""
+    note = "Shaded: where the first model and the measurement part."
+    along = [
+        Illustration(
+            f"along-{axis.removeprefix('end_')}",
+            f"Energy and error against {name}",
+            f"{caption} {note}",
+            cumulative(found, axis),
+        )
+        for axis, name, caption in (
+            ("end_min", "time", "Energy used so far, measured and predicted, and predicted less measured."),
+            ("end_km", "distance", "The same against the distance driven."),
+        )
+    ]
+    power = Illustration("power", "Power along the ride", f"Mean power of each window. {note}", powers(found))
+    stacks = [
+        Illustration(
+            f"terms-{i}",
+            f"{name}: what its prediction is made of",
+            "Mean power of each term in each window, stacked; the line is what was measured.",
+            stack(found, name),
+        )
+        for i, name in enumerate(mapping(found, "models"))
+    ]
+    return [*along, power, *stacks]
+
+
+def _ends(found: Result, axis: str) -> list[float]:
+    """Return the beginnings of windows, and the end of the last."""
+    return [0.0, *part(found, "windows", axis)]
+
+
+def cumulative(found: Result, axis: str) -> go.Figure:
+    """Return energy so far above, and error so far below."""
+    made = stacked(("energy so far, kWh", "error so far, kWh"), 600)
+    x = _ends(found, axis)
+    made.add_trace(
+        _steps("measured", MEASURED, x, _sums(part(found, "windows", "measured_kwh")), width=3), row=1, col=1
+    )
+    for place, (name, own) in enumerate(mapping(found, "models").items()):
+        look = model_style(place)
+        made.add_trace(_steps(label(name), look, x, _sums(own["energy_kwh"], own["start_kwh"])), row=1, col=1)
+        error = [own["start_kwh"], *_running(found, name)]
+        made.add_trace(_steps(label(name), look, x, error, showlegend=False), row=2, col=1)
+    _shade(made, found, x)
+    made.update_xaxes(title_text=AXES[axis], row=2, col=1)
+    made.update_yaxes(title_text="[kWh]")
+    return made
+
+
+def powers(found: Result) -> go.Figure:
+    """Return mean power of each window, measured and predicted."""
+    x = _ends(found, "end_min")
+    traces = [_stairs("measured", MEASURED, x, _power(found, part(found, "windows", "measured_kwh")), width=3)]
+    for place, (name, own) in enumerate(mapping(found, "models").items()):
+        traces.append(_stairs(label(name), model_style(place), x, _power(found, own["energy_kwh"])))
+    made = figure(traces, 400)
+    _shade(made, found, x)
+    made.update_xaxes(title_text=AXES["end_min"])
+    made.update_yaxes(title_text="Mean power of a window [kW]")
+    return made
+
+
+def stack(found: Result, model: str) -> go.Figure:
+    """Return the terms of a model, stacked, and what was measured."""
+    ends = _ends(found, "end_min")
+    middle = [(a + b) / 2.0 for a, b in pairwise(ends)]
+    width = [0.92 * (b - a) for a, b in pairwise(ends)]
+    traces: list[Any] = []
+    order = list(dict.fromkeys(name for own in mapping(found, "models").values() for name in _largest(own["terms"])))
+    for name, energy in _largest(mapping(found, "models", model, "terms")).items():
+        look = style(1 + order.index(name))  # a term has one pattern, whichever model it is of
+        pattern = {"shape": look.pattern, "fillmode": "replace", "size": 6, "solidity": 0.5}
+        marker = {"color": look.colour, "pattern": pattern, "line": {"color": look.colour, "width": 1}}
+        traces.append(go.Bar(name=label(name), x=middle, y=_power(found, energy), width=width, marker=marker))
+    traces.append(_stairs("measured", MEASURED, ends, _power(found, part(found, "windows", "measured_kwh")), width=3))
+    made = figure(traces, 420)
+    made.update_layout(barmode="relative")
+    made.update_xaxes(title_text=AXES["end_min"])
+    made.update_yaxes(title_text="Mean power of a window [kW]")
+    return made
+
+
+def _largest(energies: Mapping[str, Sequence[float]]) -> dict[str, list[float]]:
+    """Return the terms that matter most, and the sum of the others."""
+    order = sorted(energies, key=lambda name: -sum(abs(value) for value in energies[name]))
+    made = {name: list(energies[name]) for name in order[:MOST_TERMS]}
+    if rest := order[MOST_TERMS:]:
+        made[OTHERS] = [sum(values) for values in zip(*(energies[name] for name in rest), strict=True)]
+    return made
+
+
+def _sums(values: Sequence[float], start: float = 0.0) -> list[float]:
+    return list(accumulate(values, initial=start))
+
+
+def _power(found: Result, energy: Sequence[float]) -> list[float | None]:
+    """Return the mean power of each window. [kW]"""
+    return [_kw(value, seconds) for value, seconds in zip(energy, part(found, "windows", "duration_s"), strict=True)]
+
+
+def _steps(
+    name: str, look: Style, x: Sequence[float], y: Sequence[Any], *, width: float = 2, **more: Any
+) -> go.Scatter:
+    """Return a line through what was reached at the end of each window."""
+    line = {"color": look.colour, "dash": look.dash, "width": width}
+    marker = {"symbol": look.symbol, "size": 5, "color": look.colour}
+    return go.Scatter(
+        name=name, x=list(x), y=list(y), mode="lines+markers", line=line, marker=marker, legendgroup=name, **more
+    )
+
+
+def _stairs(name: str, look: Style, x: Sequence[float], y: Sequence[Any], *, width: float = 2) -> go.Scatter:
+    """Return a line that is level over each window."""
+    line = {"color": look.colour, "dash": look.dash, "width": width, "shape": "hv"}
+    return go.Scatter(name=name, x=list(x), y=[*y, y[-1]], mode="lines", line=line)
+
+
+def _shade(made: go.Figure, found: Result, x: Sequence[float]) -> None:
+    """Shade the windows in which the first model and the measurement part."""
+    first = next(iter(mapping(found, "models").values()))
+    if place := part(first, "place"):
+        shade = {"fillcolor": "rgba(138,138,138,0.25)", "line": {"width": 0}, "layer": "below"}
+        made.add_vrect(x0=x[place["first"]], x1=x[place["last"] + 1], **shade)

@@ -1,0 +1,143 @@
+"""The report of a diagnosis: a story in the terminal, and one page of tables and figures."""
+
+from collections.abc import Callable, Mapping, Sequence
+from html import escape
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final
+
+from rich.console import Console
+from rich.padding import Padding
+from rich.text import Text
+
+from core.evaluate.results import plain
+from tools.report import diagnosis_figures as figures
+from tools.report import diagnosis_tables as tables
+from tools.report import diagnosis_words as words
+from tools.report.illustrations import Illustration
+from tools.report.page import document, save
+from tools.report.result import Result, mapping
+from tools.report.sections import Section
+from tools.report.terminal import print_section
+
+DRAWN: Final[Mapping[str, Callable[[Result], list[Illustration]]]] = MappingProxyType(
+    {"error": figures.errors, "slices": figures.slices, "missing": figures.effects, "remains": figures.remains}
+)
+"""Figures of a section, by its key."""
+
+
+def show(result: Any, console: Console, *, suggested: str | None = None) -> None:
+    """Print a diagnosis as a story: what was looked at, how far off, where, why, what next.
+
+    Parameters
+    ----------
+    result : mapping
+        As `core.diagnose.diagnosis` makes it; what it lacks is left out.
+    console : Console
+        At least 120 columns wide.
+    suggested : str, optional
+        The file that the suggestion was written to.
+    """
+    found = plain(result)
+    model = mapping(found, "model")
+    head(f"Diagnosis of {model.get('name')}, version {model.get('version')}", console)
+    say(words.data(found), console)
+    head("How far off", console)
+    say(words.error(found), console)
+    where = tables.slices(found)
+    if where.rows:
+        print_section(Section("slices", "Where it fails", "", [where._replace(title="")]), console)
+    else:
+        head("Where it fails", console)
+        say(["No kind of ride stands out: the model errs everywhere alike, or the rides are too few to tell."], console)
+    _show_missing(found, console)
+    head("What remains", console)
+    say([*words.remains(found), *words.suggestion(found, suggested)], console)
+    head("Next", console)
+    say(words.verdict(found), console, strong=True)
+
+
+def show_step(result: Any, step: int, console: Console) -> None:
+    """Print in a few lines what a step of the loop found."""
+    found = plain(result)
+    head(f"Step {step}", console)
+    first = next((m for m in found.get("missing") or () if m.get("effect") == found.get("verdict")), None)
+    if first is None:
+        say(["Nothing more is to be gained."], console)
+        return
+    said = words.missing(first)
+    say([words.error(found)[0], f"Missing: {words.name(first)}: {said[0]}", *said[1:]], console)
+
+
+def head(title: str, console: Console) -> None:
+    """Print the title of a part."""
+    console.print()
+    console.rule(Text(title, style="bold"), align="left")
+
+
+def say(lines: Sequence[str], console: Console, *, strong: bool = False) -> None:
+    """Print sentences; a command stays in one line, to be copied."""
+    for line in lines:
+        command = line.startswith("socast ")
+        console.print(Text(line, style="bold" if strong else ""), soft_wrap=command, highlight=False)
+
+
+def _show_missing(found: Result, console: Console) -> None:
+    """Print what is missing, effect by effect."""
+    head("What is missing", console)
+    missing = found.get("missing") or ()
+    if not missing:
+        say(["Nothing that the library knows, beyond chance."], console)
+    for place, one in enumerate(missing, start=1):
+        first, *more = words.missing(one)
+        console.print(Text(f"{place}. {words.name(one)}: ", style="bold").append(first, style="not bold"))
+        for line in more:
+            console.print(Padding(Text(f"- {line}"), (0, 0, 0, 3)))
+
+
+def write(result: Any, path: Path, *, suggested: str | None = None) -> None:
+    """Write a diagnosis as a page that needs nothing else."""
+    found = plain(result)
+    model = mapping(found, "model")
+    title = f"Diagnosis of {model.get('name')}, version {model.get('version')}"
+    lead = "".join(f"<p>{escape(line)}</p>" for line in (*words.data(found), *words.verdict(found)))
+    page = document(
+        title,
+        lead,
+        sections(found, suggested),
+        lambda key: _drawn(found, key),
+        "<p>Made by <code>socast diagnose</code>.</p>",
+    )
+    save(page, path)
+
+
+def _drawn(found: Result, key: str) -> list[Illustration]:
+    """Return the figures of a section."""
+    make = DRAWN.get(key)
+    return [] if make is None else make(found)
+
+
+def sections(found: Result, suggested: str | None = None) -> list[Section]:
+    """Return the sections of the page that have something to show."""
+    told = [line for one in found.get("missing") or () for line in words.told_apart(one)]
+    shown = [
+        Section("error", "How far off", " ".join(words.error(found)), [tables.errors(found)]),
+        Section("slices", "Where it fails", "", [tables.slices(found)]),
+        Section("missing", "What is missing", _sentences(found), [tables.missing(found)]),
+        Section("remains", "What remains", " ".join(_remains(found, suggested)), [tables.structure(found)]),
+        Section("candidates", "All that was asked", " ".join(told), [tables.candidates(found)]),
+    ]
+    return [section for section in shown if section.text or any(table.rows for table in section.tables)]
+
+
+def _remains(found: Result, suggested: str | None) -> list[str]:
+    return [
+        line if line.endswith((".", ":")) else f"{line}."
+        for line in (*words.remains(found), *words.suggestion(found, suggested))
+    ]
+
+
+def _sentences(found: Result) -> str:
+    """Return what is missing, a sentence each."""
+    said = [f"{words.missing(one)[0]}." for one in found.get("missing") or ()]
+    return " ".join(each[:1].upper() + each[1:] for each in said) or "Nothing that the library knows, beyond chance."

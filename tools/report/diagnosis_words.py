@@ -1,0 +1,207 @@
+"""What a diagnosis found, in sentences: what a person would tell another."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from tools.report.cells import count, percent
+from tools.report.data_tables import MEASURED_BY
+from tools.report.result import Result, mapping, number, part
+
+LEAST_BIAS = 5e-4
+"""Bias of a ride below which none is told. [kWh]"""
+NOISE_ONLY = 1.1
+"""Error over the noise floor up to which what remains is the measurement's noise."""
+
+
+def energy(value: Any) -> str:
+    """Return an energy in kWh to three digits.
+
+    Examples
+    --------
+    >>> energy(0.06234), energy(None)
+    ('0.0623 kWh', 'unknown')
+    """
+    known = number(value)
+    return "unknown" if known is None else f"{known:.3g} kWh"
+
+
+def ends(value: Any) -> tuple[float, float] | None:
+    """Return lower and upper end of an interval, None where it has none."""
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        return None
+    low, high = map(number, value)
+    return None if low is None or high is None else (low, high)
+
+
+def data(result: Result) -> list[str]:
+    """Say what was looked at."""
+    found = mapping(result, "data")
+    measured = MEASURED_BY.get(str(found.get("measured")), "voltage and current or state of charge")
+    said = str(found.get("resolution") or measured)
+    seen = (
+        f"{count(found.get('rides'))} rides of {_plural(found.get('vehicles'), 'vehicle')}, "
+        f"{_plural(found.get('days'), 'vehicle-day')}, {found.get('first_date')} to {found.get('last_date')}, in "
+        f"{count(found.get('windows'))} windows."
+    )
+    lines = [seen, f"How the energy was measured: {said}."]
+    if left := mapping(found, "left_out"):
+        told = ", ".join(f"{count(n)} {str(why).replace('_', ' ')}" for why, n in left.items())
+        lines.append(f"Left out: {told}.")
+    return lines
+
+
+def error(result: Result) -> list[str]:
+    """Say how far off the model is, and how much of that is the measurement's own noise."""
+    found = mapping(result, "error")
+    mae, floor, refitted = (number(found.get(key)) for key in ("mae_kwh", "noise_floor_kwh", "mae_refitted_kwh"))
+    share = number(found.get("relative"))
+    of = f", {percent(share)} of what rides take" if share is not None else ""
+    lines = [f"The model is {energy(mae)} off a ride on average{of}{_bias(found.get('bias_kwh'))}."]
+    if refitted is not None:
+        lines.append(f"The same terms, fitted to these rides, would be {energy(refitted)} off.")
+    if mae and floor is not None:
+        lines.append(
+            f"Measurement noise: a model without any error would still seem {energy(floor)} off, "
+            f"{percent(min(floor / mae, 1.0), 0)} of that."
+        )
+    return lines
+
+
+def _bias(value: Any) -> str:
+    """Say to which side a model errs."""
+    bias = number(value)
+    if bias is None or abs(bias) < LEAST_BIAS:
+        return ""
+    side = "too much" if bias > 0.0 else "too little"
+    return f"; on balance it predicts {energy(abs(bias))} {side}"
+
+
+def slice_(found: Mapping[str, Any]) -> str:
+    """Say what is special about a slice."""
+    bias = number(found.get("bias_kwh")) or 0.0
+    return f"{energy(abs(bias))} {'too much' if bias > 0.0 else 'too little'}"
+
+
+def scope(found: Mapping[str, Any]) -> str:
+    """Say for whom and since when an effect is missing."""
+    said = str(found.get("scope") or "all")
+    return "in all vehicles, all the time" if said == "all" else f"only {_with_preposition(said)}"
+
+
+def _with_preposition(said: str) -> str:
+    """Return a scope as it stands in a sentence.
+
+    >>> _with_preposition("vehicle taxi-003, since 2018-06-01")
+    'in vehicle taxi-003, since 2018-06-01'
+    """
+    return f"in {said}" if said.startswith("vehicle") else said
+
+
+def name(found: Mapping[str, Any]) -> str:
+    """Return the name of what is missing: of the variant that fits best."""
+    return str(found.get("variant") or found.get("effect"))
+
+
+def worth(found: Mapping[str, Any]) -> str:
+    """Say what an effect explains."""
+    limits = ends(found.get("gain_ci95"))
+    between = f" ({percent(limits[0])} to {percent(limits[1])})" if limits else ""
+    said = [f"it explains {percent(found.get('gain'))}{between} of the squared error on days it was not fitted to"]
+    if number(found.get("energy_share")) is not None:
+        said.append(f"it is {percent(found['energy_share'])} of all energy")
+    if (q := number(found.get("q"))) is not None:
+        said.append(f"q = {q:.2g}")
+    return ", ".join(said)
+
+
+def coefficient(found: Mapping[str, Any]) -> str:
+    """Say what an effect's coefficient is, and whether that is plausible."""
+    own = mapping(found, "coefficient")
+    value, limits = number(own.get("value")), ends(own.get("ci95"))
+    if value is None:
+        return ""
+    unit = "" if own.get("unit") in {None, "1"} else f" {own['unit']}"
+    between = f", 95 % interval {limits[0]:.3g} to {limits[1]:.3g}" if limits else ""
+    low, high = number(own.get("low")), number(own.get("high"))
+    if low is None or high is None:
+        return f"coefficient {value:.3g}{unit}{between}"
+    wide = f"{low:g} to {high:g}{unit}"
+    judged = f"plausible (from {wide})" if own.get("plausible") else f"NOT plausible (from {wide}): a finding by itself"
+    return f"coefficient {value:.3g}{unit}{between}; {judged}"
+
+
+def told_apart(found: Mapping[str, Any]) -> list[str]:
+    """Say what an effect cannot be told from, and what would tell."""
+    lines = []
+    for other in found.get("separate") or ():
+        r = number(other.get("correlation"))
+        alike = "" if r is None else f" (r = {r:.2f})"
+        shown = f": {other['data']} would tell" if other.get("data") else ""
+        lines.append(f"cannot be told from {other.get('effect')}{alike}{shown}")
+    alone = [str(each) for each in found.get("group") or () if each != found.get("effect")]
+    if alone and not lines:
+        lines.append(f"cannot be told from {', '.join(alone)}")
+    return lines
+
+
+def missing(found: Mapping[str, Any]) -> list[str]:
+    """Say all about an effect that is missing, most important first."""
+    said = str(found.get("words") or name(found))
+    lines = [f"{said}; {scope(found)}", worth(found), coefficient(found), *told_apart(found)]
+    if equal := [str(each) for each in found.get("equivalents") or ()]:
+        lines.append(f"as large, on average, as {', or '.join(equal)}")
+    return [line for line in lines if line]
+
+
+def remains(result: Result) -> list[str]:
+    """Say what is left once the named effects are in."""
+    steps = [step for step in result.get("steps") or () if number(step.get("mae_kwh")) is not None]
+    lines = []
+    if steps:
+        last, floor = number(steps[-1]["mae_kwh"]) or 0.0, number(steps[-1].get("noise_floor_kwh"))
+        said = " -> ".join(f"{number(step['mae_kwh']):.3g}" for step in steps)
+        lines.append(
+            f"Error with the named effects, held-out days: {said} kWh a ride; measurement noise {energy(floor)}."
+        )
+        if floor is not None and last <= NOISE_ONLY * floor and not result.get("structure_remains"):
+            lines.append("What remains is measurement noise.")
+    taken, least = number(part(result, "structure", "taken")), number(part(result, "structure", "least"))
+    if result.get("structure_remains") and not result.get("missing"):
+        lines.append("Structure remains whose cause is not in the library, or too weak to be told from others.")
+    elif result.get("structure_remains"):
+        much = "" if taken is None else f": the named effects take {percent(taken, 0)} of what can be predicted"
+        less = "" if least is None or taken is None else f", and it should be {percent(least, 0)}"
+        lines.append(f"Structure remains whose cause is not in the library{much}{less}.")
+    elif "structure_remains" in result:
+        lines.append("No structure remains that could be predicted: the named effects are all that these data show.")
+    return lines
+
+
+def suggestion(result: Result, file: str | None = None) -> list[str]:
+    """Say what term of one's own would fit."""
+    formula = result.get("suggestion")
+    if not formula:
+        return []
+    where = (
+        f"{file} holds it, ready to edit: socast effects check {file}"
+        if file
+        else "--suggest FILE writes it, ready to edit"
+    )
+    return [f"A term that would fit: {formula}", where]
+
+
+def verdict(result: Result) -> list[str]:
+    """Say what to do next."""
+    chosen = result.get("verdict")
+    if not chosen:
+        if result.get("structure_remains"):
+            return ["No effect of the library is missing; what remains asks for one of your own: socast effects new."]
+        return ["Nothing is missing that these rides could show."]
+    first: Mapping[str, Any] = next((m for m in result.get("missing") or () if m.get("effect") == chosen), {})
+    lines = [f"Add {chosen}, {scope(first)}."]
+    return [*lines, str(first["command"])] if first.get("command") else lines
+
+
+def _plural(number_: Any, what: str) -> str:
+    """Return a number of things."""
+    return f"{count(number_)} {what}{'' if number(number_) == 1 else 's'}"

@@ -1,0 +1,274 @@
+"""What was done to a model: a trial of one effect, and the history of all of them."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import plotly.graph_objects as go
+from rich.console import Console
+from rich.text import Text
+
+from core.evaluate.results import plain
+from core.models import LinearModel
+from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, change, count, signed
+from tools.report.diagnosis_words import coefficient, energy
+from tools.report.figure_style import REFERENCE_LINE, curve, figure, label, style
+from tools.report.illustrations import Illustration
+from tools.report.page import document, save
+from tools.report.result import half_width, mapping, number
+from tools.report.sections import Section
+from tools.report.terminal import print_section
+
+Entry = Mapping[str, Any]
+
+HELD_OUT: Final[Mapping[str, str]] = {
+    "of_effect": "days held out for the effect alone",
+    "on_days": "days held out for all that is fitted",
+    "on_vehicles": "vehicles held out",
+    "final": "days set apart",
+}
+"""What a trial was judged on, for people."""
+JUDGED_NOTE: Final = (
+    "What is held out was not fitted to: in the first row by the effect's coefficient, in the others by anything. ± is "
+    "half of the 95 % interval of the difference, ride by ride, by vehicle-day. Days set apart decide nothing: to "
+    "look at them and then to choose otherwise is to cheat oneself."
+)
+HISTORY_NOTE: Final = (
+    "Error: mean absolute error of a ride, on held-out days. A step may begin with another figure than the one before "
+    "ended with: each is of the rides given then."
+)
+
+
+def show_trial(trial: Any, console: Console) -> None:
+    """Print what came of an effect that was tried."""
+    found = plain(trial)
+    for section in trial_sections(found):
+        print_section(section, console)
+    console.print()
+    for line in coefficient_lines(found):
+        console.print(Text(line))
+    for line in found.get("warnings") or ():
+        console.print(Text(f"warning: {line}", style="yellow"))
+    console.print(Text(_outcome(found), style="bold"))
+
+
+def coefficient_lines(found: Entry) -> list[str]:
+    """Return the coefficient in words and figures, and those of vehicle models that differ."""
+    lines = [str(found.get("words") or ""), coefficient(found)]
+    own = mapping(found, "by_vehicle_model")
+    said = mapping(found, "words_by_vehicle_model")
+    lines += [f"{key}: {said.get(key, '')} ({coefficient({'coefficient': value})})" for key, value in own.items()]
+    return [line for line in lines if line]
+
+
+def _outcome(found: Entry) -> str:
+    """Say whether the effect helps."""
+    helps = "helps" if found.get("accepted") else "does not help"
+    return f"{found.get('effect')}{_scope(found)} {helps}: {found.get('reason')}."
+
+
+def trial_sections(found: Entry) -> list[Section]:
+    """Return the tables of a trial."""
+    judged = [(what, mapping(found, key)) for key, what in HELD_OUT.items() if mapping(found, key)]
+    rows = tuple(_compared(what, one) for what, one in judged)
+    floor = f"Measurement noise alone: {energy(found.get('noise_floor_kwh'))}. {JUDGED_NOTE}"
+    heads = ("rides", "vehicle-days", "before, kWh", "after, kWh", "change, kWh", "change")
+    title = f"{found.get('effect')}{_scope(found)}: before and after"
+    tables = [ReportTable("Mean absolute error of a ride", "judged on", heads, rows, (floor,))]
+    parts = mapping(found, "conditions")
+    for what, bins in parts.items():
+        own = tuple(_compared(str(one.get("where")), one) for one in bins)
+        tables.append(ReportTable(f"By {what}, days held out", what, heads, own))
+    return [Section("trial", title, "", [table for table in tables if table.rows])]
+
+
+def _compared(name: str, one: Entry) -> Row:
+    """Return errors before and after."""
+    was, now = number(one.get("mae_before_kwh")), number(one.get("mae_after_kwh"))
+    return Row(
+        name,
+        (
+            Cell(count(one.get("rides"))),
+            Cell(count(one.get("clusters"))),
+            Cell(_error(was)),
+            Cell(_error(now)),
+            Cell(_spread(one.get("change_kwh"))),
+            Cell(change(now, was)),
+        ),
+    )
+
+
+def summary(model: LinearModel) -> dict[str, Any]:
+    """Return a model's history, as JSON has it."""
+    steps = attempts(model)
+    taken = [step for step in steps if step["action"] == "add"]
+    return {
+        "model": model.name,
+        "version": model.version,
+        "recipe": model.recipe,
+        "mae_first_kwh": steps[0].get("mae_before_kwh") if steps else None,
+        "mae_last_kwh": taken[-1].get("mae_after_kwh") if taken else None,
+        "noise_floor_kwh": steps[-1].get("noise_floor_kwh") if steps else None,
+        "steps": list(model.history),
+    }
+
+
+def attempts(model: LinearModel) -> list[Entry]:
+    """Return the effects that were tried, oldest first."""
+    return [entry for entry in model.history if entry.get("action") in {"add", "refused"}]
+
+
+def show(model: LinearModel, console: Console) -> None:
+    """Print a model's history."""
+    print_section(Section("history", _title(model), "", [table(model)]), console)
+    for i, entry in enumerate(model.history):
+        if entry in attempts(model):
+            console.print(Text(f"{i}. {_finding(entry)}"))
+    console.print(Text(told(model), style="bold"))
+
+
+def write(model: LinearModel, path: Path) -> None:
+    """Write a model's history as a page that needs nothing else."""
+    shown = [Section("history", "Step by step", told(model), [table(model)])]
+    for i, entry in enumerate(attempts(model), start=1):
+        section = trial_sections(entry)[0]
+        text = " ".join(f"{line}." for line in (*coefficient_lines(entry), _outcome(entry).removesuffix(".")))
+        shown.append(Section(f"step-{i}", f"{i}. {section.title}", text, section.tables))
+    made_by = "<p>Made by <code>socast history</code>.</p>"
+    save(document(_title(model), "", shown, lambda key: falling(model) if key == "history" else [], made_by), path)
+
+
+def _title(model: LinearModel) -> str:
+    return f"History of {model.name}, version {model.version}"
+
+
+def told(model: LinearModel) -> str:
+    """Say how far the error fell."""
+    tried = attempts(model)
+    if not tried:
+        return "No effect was tried yet: socast diagnose tells what is missing, socast add adds it."
+    taken = [step for step in tried if step["action"] == "add"]
+    first, floor = tried[0].get("mae_before_kwh"), tried[-1].get("noise_floor_kwh")
+    names = ", ".join(f"{step.get('effect')}{_scope(step)}" for step in taken)
+    said = f"Added: {names}" if taken else "No effect was added"
+    refused = len(tried) - len(taken)
+    beside = f", {count(refused)} refused" if refused else ""
+    last = taken[-1].get("mae_after_kwh") if taken else None
+    fall = f"error {_error(first)} -> {energy(last)}" if taken else f"error {energy(first)}"
+    return f"{said}{beside}; {fall} a ride on held-out days; measurement noise alone {energy(floor)}."
+
+
+def table(model: LinearModel) -> ReportTable:
+    """Return every step of a model's history."""
+    rows = tuple(_step(i, entry) for i, entry in enumerate(model.history))
+    heads = ("done", "before, kWh", "after, kWh", "change, kWh", "noise, kWh", "set apart, kWh")
+    return ReportTable("", "step", heads, rows, (HISTORY_NOTE,) if attempts(model) else ())
+
+
+def _step(place: int, entry: Entry) -> Row:
+    """Return a row of the history."""
+    action = str(entry.get("action"))
+    if action not in {"add", "refused"}:
+        fitted = [value for value in mapping(entry, "mae_in_sample_kwh").values() if number(value) is not None]
+        said = f"recipe {entry['recipe']}" if entry.get("recipe") else ""
+        inside = f"error in sample {_error(max(fitted))} kWh at most" if fitted else ""
+        blank = tuple(Cell("") for _ in range(5))
+        return Row(
+            f"{place}. {', '.join(each for each in (said or action, inside) if each)}", (Cell(_past(action)), *blank)
+        )
+    done = "added by force" if entry.get("forced") else "added" if action == "add" else "refused"
+    final = mapping(entry, "final")
+    return Row(
+        f"{place}. {entry.get('effect')}{_scope(entry)}",
+        (
+            Cell(done),
+            Cell(_error(entry.get("mae_before_kwh"))),
+            Cell(_error(entry.get("mae_after_kwh")), strong=action == "add"),
+            Cell(_spread(entry.get("change_kwh"))),
+            Cell(_error(entry.get("noise_floor_kwh"))),
+            Cell(_final(final)),
+        ),
+    )
+
+
+def _final(final: Entry) -> str:
+    """Return the errors on the days that were set apart."""
+    if not final:
+        return UNKNOWN
+    return f"{_error(final.get('mae_before_kwh'))} → {_error(final.get('mae_after_kwh'))}"
+
+
+def _past(action: str) -> str:
+    """Return what was done.
+
+    Examples
+    --------
+    >>> _past("fit"), _past("adapt")
+    ('fitted', 'adapted')
+    """
+    return {"fit": "fitted"}.get(action, f"{action}ed")
+
+
+def _finding(entry: Entry) -> str:
+    """Say what an effect means, or why it was refused."""
+    name = f"{entry.get('effect')}{_scope(entry)}"
+    if entry["action"] == "refused":
+        return f"{name} was refused: {entry.get('reason')}"
+    plausible = mapping(entry, "coefficient").get("plausible", True)
+    forced = f"; added by force, although {entry.get('reason')}" if entry.get("forced") else ""
+    return f"{entry.get('words') or name}{'' if plausible else ' (not plausible)'}{forced}"
+
+
+def falling(model: LinearModel) -> list[Illustration]:
+    """Return the error step by step, every attempt included, above the noise."""
+    tried = attempts(model)
+    if not tried:
+        return []
+    names, errors = ["at first"], [tried[0].get("mae_before_kwh")]
+    final = [mapping(tried[0], "final").get("mae_before_kwh")]
+    refused_at, refused, floors = [], [], [tried[0].get("noise_floor_kwh")]
+    for i, step in enumerate(tried, start=1):
+        taken = step["action"] == "add"
+        names.append(label(f"{i}. {step.get('effect')}{_scope(step)}"))
+        errors.append(step.get("mae_after_kwh") if taken else errors[-1])
+        final.append(mapping(step, "final").get("mae_after_kwh") if taken else final[-1])
+        floors.append(step.get("noise_floor_kwh"))
+        if not taken:
+            refused_at.append(names[-1])
+            refused.append(step.get("mae_after_kwh"))
+    traces = [
+        curve("held-out days", style(5), names, errors),
+        go.Scatter(
+            name="refused",
+            x=refused_at,
+            y=refused,
+            mode="markers",
+            marker={"symbol": "x-open", "size": 11, "color": style(3).colour},
+        ),
+        curve("days set apart", style(4), names, final),
+        go.Scatter(name="measurement noise", x=names, y=floors, mode="lines", line=REFERENCE_LINE),
+    ]
+    made = figure([trace for trace in traces if any(y is not None for y in trace.y or ())], 420)
+    made.update_layout(showlegend=True)
+    made.update_xaxes(title_text="Effect tried", type="category")
+    made.update_yaxes(title_text="Mean absolute error of a ride [kWh]", rangemode="tozero")
+    caption = "Line: after each step; crosses: what a refused effect would have given. Days set apart decide nothing."
+    return [Illustration("falling", "The error, step by step", caption, made)]
+
+
+def _scope(entry: Entry) -> str:
+    said = str(entry.get("scope") or "all")
+    return "" if said == "all" else f" ({said})"
+
+
+def _error(value: Any) -> str:
+    known = number(value)
+    return UNKNOWN if known is None else f"{known:.4f}"
+
+
+def _spread(value: Any) -> str:
+    """Return a change with its interval."""
+    known, half = number(value), half_width(value)
+    if known is None:
+        return UNKNOWN
+    return signed(known, 4) + ("" if half is None else f" ± {half:.4f}")

@@ -1,0 +1,145 @@
+"""Several models in service: how they are named on the command line, and how each fares, for people and for JSON."""
+
+from collections.abc import Sequence
+from typing import Annotated, Any, Final
+
+import msgspec
+import pandas as pd
+import typer
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from core import models
+from core.codec import Gain, ModelErrors, RideErrors
+from core.models import LinearModel
+
+USUAL: Final = "extended_physical"
+"""The model where none is named."""
+SAID: Final = (
+    "better or worse is said where a 95 % interval excludes zero, one that holds for all models and however often one "
+    "looks; vehicle-days count when they have ended"
+)
+"""What stands below the table."""
+WIDE: Final = 112
+"""Columns of a terminal from which tables have all their columns."""
+_NARROW: Final = (("rides", 5), ("MAE\nkWh", 6), ("better by\nkWh a ride", 22))
+_WIDE: Final = (
+    ("rides", 5),
+    ("not pre-\ndicted", 8),
+    ("MAE\nkWh", 6),
+    ("MAE\n%", 5),
+    ("bias\nkWh", 7),
+    ("better by\nkWh a ride", 22),
+    ("vehicle-\ndays", 8),
+)
+
+ModelNames = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--model",
+        metavar="M",
+        help="Model: a name, or a model file. May be repeated: the first makes the forecasts, the others run in its "
+        f"shadow. [default: {USUAL}]",
+    ),
+]
+
+
+def loaded(names: Sequence[str] | None) -> list[LinearModel]:
+    """Return the models of these names or files, the usual one where none is named.
+
+    Raises
+    ------
+    ModelError
+        Where one is no model.
+    """
+    return [models.load(name) for name in names or [USUAL]]
+
+
+def models_table(told: Sequence[ModelErrors], *, wide: bool, by_vehicle_model: bool = False) -> Table:
+    """Return a table with a row a model and, if wanted, below it one a vehicle model; with more columns where wide."""
+    table = Table(
+        title="Models, over rides fit for training", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0)
+    )
+    table.add_column("model", overflow="ellipsis", no_wrap=True, min_width=None if wide else 18)
+    for name, width in _WIDE if wide else _NARROW:
+        table.add_column(name, justify="right", no_wrap=True, min_width=width)
+    table.add_column("against\nfirst", no_wrap=True, min_width=8)
+    for place, model in enumerate(told, 1):
+        table.add_row(Text(f"{place} {model.model}"), *_cells(model.overall, wide=wide))
+        for errors in model.by_vehicle_model if by_vehicle_model else ():
+            table.add_row(Text(f"    {errors.vehicle_model}"), *_cells(errors, wide=wide))
+    return table
+
+
+def verdict(gain: Gain) -> str:
+    """Return in words what is told of a shadow."""
+    over = f"{gain.rides:,} rides of {gain.vehicle_days:,} vehicle-days"
+    if gain.mean_kwh is None or gain.lower_kwh is None or gain.upper_kwh is None or gain.verdict == "not told":
+        return f"not yet told: {over}"
+    low, high = sorted((abs(gain.lower_kwh), abs(gain.upper_kwh)))
+    span = f"{abs(gain.mean_kwh):.3f} kWh a ride ({low:.3f} to {high:.3f})"
+    return f"{gain.verdict} than the first by {span}, over {over}"
+
+
+def show_models(
+    console: Console, told: Sequence[ModelErrors], known: Sequence[LinearModel], rides: pd.DataFrame
+) -> None:
+    """Print how models fared on rides, and which of these rides they may have been fitted to."""
+    console.print(models_table(told, wide=console.width >= WIDE, by_vehicle_model=True))
+    verdicts = [f"{model.model}: {verdict(model.overall.gain)}" for model in told if model.overall.gain]
+    for sentence in (*verdicts, SAID, *fitted_then(known, rides)):
+        console.print(sentence, markup=False, highlight=False, soft_wrap=not console.is_terminal)
+
+
+def fitted_then(known: Sequence[LinearModel], rides: pd.DataFrame) -> list[str]:
+    """Return a warning for each model that was fitted to rides of the days of these rides: it may have seen them."""
+    lines = []
+    for model in known:
+        if model.training is None:
+            continue
+        first, last = model.training.first_date, model.training.last_date
+        seen = int(((rides["date"] >= first) & (rides["date"] <= last)).sum())
+        if seen:
+            lines.append(
+                f"{model.name}/{model.version} was fitted to rides of {first} to {last}: {seen:,} of these "
+                f"{len(rides):,} rides are of those days, and prove nothing if it was fitted to them"
+            )
+    return lines
+
+
+def records(told: Sequence[ModelErrors]) -> list[Any]:
+    """Return what travels of each model, for JSON."""
+    return [msgspec.to_builtins(model) for model in told]
+
+
+def line(model: ModelErrors) -> dict[str, Any]:
+    """Return the fields of a log line on a model; what is unknown is left out."""
+    overall = model.overall
+    gain = overall.gain
+    told: dict[str, Any] = {"model": model.model} | msgspec.to_builtins(overall)
+    told |= {} if gain is None else {f"gain_{name}": value for name, value in msgspec.to_builtins(gain).items()}
+    return {name: value for name, value in told.items() if value is not None and name != "gain"}
+
+
+def _cells(errors: RideErrors, *, wide: bool) -> tuple[str | Text, ...]:
+    """Return the cells of a row, past the model's name."""
+    gain = errors.gain
+    rides, mae = f"{errors.rides:,}", _number(errors.mae_kwh, ".3f")
+    by = days = ""
+    told = Text()
+    if gain:
+        by, days = _number(gain.mean_kwh, ".3f"), f"{gain.vehicle_days:,}"
+        if gain.lower_kwh is not None and gain.upper_kwh is not None:
+            by += f" ({gain.lower_kwh:.3f} to {gain.upper_kwh:.3f})"
+        told = Text(gain.verdict, style={"better": "green", "worse": "red"}.get(gain.verdict, ""))
+    if not wide:
+        return (rides, mae, by, told)
+    unpredicted, share = f"{errors.unpredicted_rides:,}", _number(errors.mae_pct, ".1f")
+    return (rides, unpredicted, mae, share, _number(errors.bias_kwh, "+.3f"), by, days, told)
+
+
+def _number(value: float | None, spec: str) -> str:
+    """Return a number for a table, a dash where it is unknown."""
+    return "-" if value is None else format(value, spec)
