@@ -60,7 +60,8 @@ def diagnosis(**changes: Any) -> dict[str, Any]:
         "verdict": "cold_rolling",
         "structure_remains": True,
         "structure": {
-            "before": 0.12, "after": 0.05, "taken": 0.58, "least": 0.8,
+            "before": 0.12, "after": 0.05, "taken": 0.58, "least": 0.8, "shape": "stops * sun", "q": 0.001,
+            "gain": 0.01, "better": {}, "signs": ["trees"], "days": 1.1, "most_days": 1.3,
             "shapes": [{"feature": "average_speed_kmh", "unit": "km/h", "x": [10.0, 30.0, 60.0],
                         "y_kwh": [-0.01, 0.0, 0.02]}],
         },
@@ -80,5 +81,5 @@ def nothing_missing() -> dict[str, Any]:
     return whole | {
         "slices": [], "missing": [], "verdict": None, "structure_remains": False, "suggestion": None,
         "suggestion_file": None, "steps": whole["steps"][:1],
-        "structure": {"before": 0.01, "after": 0.01, "taken": None, "least": 0.8, "shapes": []},
+        "structure": {"before": 0.01, "after": 0.01, "taken": None, "least": 0.8, "signs": [], "shapes": []},
     }  # fmt: skip

@@ -10,6 +10,8 @@ ROOT = Path(__file__).parent.parent
 SOURCES = sorted(path for package in ("core", "stream", "tools") for path in (ROOT / package).rglob("*.py"))
 PAGE = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
 MAY_IMPORT = {"core": {"core"}, "stream": {"core", "stream"}, "tools": {"core", "stream", "tools"}}
+LAYERS = ["", "learn", "evaluate", "diagnose"]
+"""Packages of core, each above those before it; the files of core itself are the lowest."""
 ONLY_IN = {"zenoh": {"stream/zenoh_io.py"}, "mcap": {"stream/mcap_io.py", "tools/bench/measures.py"}}
 ids = pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
 
@@ -46,6 +48,16 @@ def test_nothing_in_core_imports_the_pipeline_or_looks_at_a_clock(path):
     modules = imported(path)
     assert path.stem == "pipeline" or "core.pipeline" not in modules
     assert not {"time", "threading", "asyncio", "socket"} & modules
+
+
+@ids
+def test_inside_core_imports_run_one_way(path):
+    place = path.relative_to(ROOT).parts
+    if place[0] != "core":
+        return
+    own = LAYERS.index(place[1]) if place[1] in LAYERS else 0
+    above = {f"core.{layer}" for layer in LAYERS[own + 1 :]}
+    assert not {name for name in imported(path) if ".".join(name.split(".")[:2]) in above}
 
 
 @ids

@@ -37,3 +37,12 @@ def test_wear_is_a_share_of_driving_power_by_the_odometer():
     assert 0.03 * power("age", traction=500, speed=20, odometer=1.5e8) == pytest.approx(450)
     assert power("age", traction=-500, speed=20, odometer=1.5e8) == 0
     assert power("age", traction=500, speed=20, odometer=0) == 0
+
+
+def test_losses_of_the_current_grow_with_the_square_of_the_power():
+    """2.5 % of 10 kW is 250 W, and four times as much at 20 kW, driving or braking."""
+    assert 2.5e-6 * power("drivetrain_loss_power", traction=500, speed=20) == pytest.approx(250)
+    assert 2.5e-6 * power("drivetrain_loss_power", traction=1000, speed=20) == pytest.approx(1000)
+    assert power("drivetrain_loss_power", traction=-500, speed=20) == power(
+        "drivetrain_loss_power", traction=500, speed=20
+    )

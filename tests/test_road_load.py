@@ -159,3 +159,7 @@ def test_what_acts_all_the_time_and_what_by_motion():
     for each in ROAD_LOAD:
         if each.per == "distance":
             assert not each.power(standing).any(), each.name
+
+
+def test_braking_is_what_the_wheels_take_from_the_motion():
+    assert power("braking", traction=np.array([-500.0, 0.0, 500.0]), speed=np.full(3, 20.0)).tolist() == [1e4, 0.0, 0.0]

@@ -275,6 +275,7 @@ def _structure(remains: Remains) -> dict[str, Any]:
         "q": remains.q,
         "gain": remains.gain,
         "better": remains.better,
+        "signs": remains.signs,
         "days": remains.days,
         "most_days": remains.most_days,
         "shapes": remains.shapes,

@@ -133,9 +133,18 @@ class Remains(NamedTuple):
     @property
     def there(self) -> bool:
         """Whether structure remains."""
+        return bool(self.signs)
+
+    @property
+    def signs(self) -> list[str]:
+        """What speaks for it: `trees`, `shape`, `better`, `days`."""
         shape = self.q < LEVEL and self.gain > LEAST_GAIN
-        uneven = self.days > self.most_days
-        return bool(self.better) or uneven or ((self.sure or shape) and self.taken < LEAST_TAKEN)
+        return [
+            *(["trees"] if self.sure and self.taken < LEAST_TAKEN else []),
+            *(["shape"] if shape and self.taken < LEAST_TAKEN else []),
+            *(["better"] if self.better else []),
+            *(["days"] if self.days > self.most_days else []),
+        ]
 
 
 def remains(search: Search, found: Sequence[Finding]) -> Remains:

@@ -5,7 +5,7 @@ from typing import Any
 
 from tools.report.cells import count, percent
 from tools.report.data_tables import MEASURED_BY
-from tools.report.result import Result, mapping, number, part
+from tools.report.result import Result, mapping, number
 
 LEAST_BIAS = 5e-4
 """Bias of a ride below which none is told. [kWh]"""
@@ -165,16 +165,35 @@ def remains(result: Result) -> list[str]:
         )
         if floor is not None and last <= NOISE_ONLY * floor and not result.get("structure_remains"):
             lines.append("What remains is measurement noise.")
-    taken, least = number(part(result, "structure", "taken")), number(part(result, "structure", "least"))
-    if result.get("structure_remains") and not result.get("missing"):
-        lines.append("Structure remains whose cause is not in the library, or too weak to be told from others.")
-    elif result.get("structure_remains"):
-        much = "" if taken is None else f": the named effects take {percent(taken, 0)} of what can be predicted"
-        less = "" if least is None or taken is None else f", and it should be {percent(least, 0)}"
-        lines.append(f"Structure remains whose cause is not in the library{much}{less}.")
+    if result.get("structure_remains"):
+        lines.append("Structure remains whose cause is not in the library, or too weak to be told from others:")
+        lines += signs(mapping(result, "structure"))
     elif "structure_remains" in result:
         lines.append("No structure remains that could be predicted: the named effects are all that these data show.")
     return lines
+
+
+def signs(structure: Mapping[str, Any]) -> list[str]:
+    """Say what speaks for there being more than was named."""
+    spoken, taken = structure.get("signs") or (), number(structure.get("taken"))
+    share = "" if taken is None else f"; the named effects take {percent(taken, 0)} of it, and should take 80 %"
+    said = {
+        "trees": f"boosted trees predict {percent(number(structure.get('after')))} of what is left{share}",
+        "shape": f"a plain shape is left, {plain_shape(str(structure.get('shape')))}, that explains "
+        f"{percent(number(structure.get('gain')))} of the squared error on held-out days{share}",
+        "better": "; ".join(
+            f"{plain_shape(str(shape))} explains more than {effect} in its place: the name may be that of a stand-in"
+            for effect, shape in dict(structure.get("better") or {}).items()
+        ),
+        "days": f"days differ {number(structure.get('days')) or 0.0:.1f} times as much as by chance: something of the "
+        "day, or of its driver, is not known",
+    }
+    return [f"- {said[sign]}" for sign in spoken if sign in said]
+
+
+def plain_shape(shape: str) -> str:
+    """Return a carrier times a function as people read it."""
+    return shape.replace("_", " ").replace(" * ", " × ")
 
 
 def suggestion(result: Result, file: str | None = None) -> list[str]:
