@@ -6,7 +6,7 @@ from one_row import power
 
 
 def test_a_ride_that_begins_at_minus_9_loses_30_kelvin_of_one_change_of_air():
-    """3 m^3 of 1.2 kJ/(m^3 K) against 30 K: 108 kJ, made up for over some minutes; and as much at a stop that counts."""
+    """3 m^3 of 1.2 kJ/(m^3 K) against 30 K: 108 kJ, made up for over minutes; and as much at a stop that counts."""
     seconds = np.arange(0.0, 3600.0, 1.0) + 0.5
     made_up = 3600 * sum(power("door_heat_loss", elapsed=t, stop_rate=0, ambient=264.15) for t in seconds)
     assert made_up == pytest.approx(108e3, rel=1e-3)

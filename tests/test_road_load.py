@@ -162,4 +162,5 @@ def test_what_acts_all_the_time_and_what_by_motion():
 
 
 def test_braking_is_what_the_wheels_take_from_the_motion():
-    assert power("braking", traction=np.array([-500.0, 0.0, 500.0]), speed=np.full(3, 20.0)).tolist() == [1e4, 0.0, 0.0]
+    traction, speed = np.array([-500.0, 0.0, 500.0]), np.full(3, 20.0)
+    assert get("braking").power({"traction": traction, "speed": speed}).tolist() == [1e4, 0.0, 0.0]

@@ -44,6 +44,8 @@ FEW_DAYS: Final = 12
 """Vehicle-days below which places are not asked of one by one."""
 MAINLY: Final = 0.95
 """Share of the windows from which on one way of measuring is named for all."""
+ONE_WAY: Final = 0.8
+"""Share of what an effect moves that must be of one sign for it to be told with that sign."""
 NORMAL: Final = 1.96
 """Half width of a 95 % interval of a normal estimate. [standard errors]"""
 
@@ -194,7 +196,7 @@ def _missing(finding: Finding, seen: Windows) -> dict[str, Any]:
         "gain": finding.gain,
         "gain_ci95": [finding.gain - half, finding.gain + half],
         "gain_of": finding.of,
-        "energy_share": float(energy.sum() / seen.measured.sum()),
+        "energy_share": float(np.abs(energy).sum() / seen.measured.sum()),
         "q": named.q,
         "p": float(evidence.p[0]),
         "z": float(evidence.z[0]),
@@ -208,22 +210,27 @@ def _missing(finding: Finding, seen: Windows) -> dict[str, Any]:
 
 
 def _equivalents(energy: Floats, seen: Windows) -> list[str]:
-    """Return what would have taken as much energy, where the effect acts: power, mass, headwind."""
+    """Return what would have taken as much energy, where the effect acts: power, mass, headwind.
+
+    Of an effect that takes here and gives there, as a wind along the road, either is counted, and marked with ±.
+    """
     table = seen.table
     acts = np.abs(energy) > 0.0
-    total, hours = float(energy[acts].sum()), float(numbers(table, "duration_s")[acts].sum()) / 3600.0
+    net, total = float(energy.sum()), float(np.abs(energy).sum())
+    hours = float(numbers(table, "duration_s")[acts].sum()) / 3600.0
     if hours <= 0.0:
         return []
-    said = [f"{1000.0 * total / hours:+,.0f} W"]
+    sign = "±" if abs(net) < ONE_WAY * total else "+" if net > 0.0 else "-"
+    said = [f"{sign}{1000.0 * total / hours:,.0f} W"]
     mass = numbers(table, "mass_kg")
     road = numbers(table, "effect_rolling") * numbers(table, "rolling_resistance") + numbers(table, "effect_climbing")
     per_kg = float(np.nansum((road / mass)[acts]))
     if per_kg > 0.0:
-        said.append(f"{total / per_kg:+,.0f} kg")
+        said.append(f"{sign}{total / per_kg:,.0f} kg")
     drag, speed = numbers(table, "effect_aero_drag"), numbers(table, "average_speed_kmh") / 3.6
     per_wind = float(np.nansum((2.0 * drag * numbers(table, "drag_area_m2") / np.maximum(speed, 1.0))[acts]))
     if per_wind > 0.0:
-        said.append(f"{total / per_wind:+.1f} m/s of headwind")
+        said.append(f"{sign}{total / per_wind:.1f} m/s of headwind")
     return said
 
 

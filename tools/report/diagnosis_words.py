@@ -108,7 +108,7 @@ def worth(found: Mapping[str, Any]) -> str:
     between = f" ({percent(limits[0])} to {percent(limits[1])})" if limits else ""
     said = [f"it explains {percent(found.get('gain'))}{between} of the squared error on days it was not fitted to"]
     if number(found.get("energy_share")) is not None:
-        said.append(f"it is {percent(found['energy_share'])} of all energy")
+        said.append(f"it moves {percent(found['energy_share'])} of all energy")
     if (q := number(found.get("q"))) is not None:
         said.append(f"q = {q:.2g}")
     return ", ".join(said)
