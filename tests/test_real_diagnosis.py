@@ -151,20 +151,18 @@ def test_the_leaf_lacks_cabin_heating_first():
 
 
 def test_the_i3_lacks_heat_of_the_cabin_before_all_else():
-    """The goal is that the first name is cabin heating, or a group that holds it; on 17 dates of one car it is missed.
+    """The first name is warming up after parking, in a group that holds heating by temperature, which is the goal.
 
-    What explains most is warming up after parking, then doors, then heating by temperature: the heater was measured at
-    3.9 kW over the first five minutes, 1.5 kW over the next, then 1.2 kW, at 3 to 9 °C outside. Each of them alone has
-    one chance in a hundred or less; adjusted for all that is asked, warming up has about one in forty, and a name is
-    given at one in a hundred.
+    The heater was measured at 3.9 kW over the first five minutes, 1.5 kW over the next, then 1.2 kW, at 3 to 9 °C
+    outside. On 17 dates of one car the two, and doors, cannot be told apart.
     """
     told = found("bmw-i3").told
     best = sorted((row for row in told["candidates"] if row["gain"]), key=lambda row: -row["gain"])[:3]
     assert {row["effect"] for row in best} == CABIN
     assert all(row["p"] < 0.02 for row in best)
     assert min(row["p"] for row in best) < 0.002
-    for named in told["missing"][:1]:
-        assert "cabin_heating" in named["group"]
+    assert "cabin_heating" in told["missing"][0]["group"]
+    assert told["verdict"] == told["missing"][0]["effect"]
 
 
 def test_the_error_of_held_out_rides_falls_on_the_leaf():
@@ -172,11 +170,11 @@ def test_the_error_of_held_out_rides_falls_on_the_leaf():
 
 
 def test_the_error_of_held_out_rides_falls_on_the_i3():
-    """By more than a third, with every day predicted without it; the goal is 45 %, and it is missed.
+    """By two fifths, with every day predicted without it; the goal is 45 %, and it is missed.
 
     Taking off the measured climate energy itself, where there is any, lowers it by 59 %.
     """
-    assert fall("bmw-i3") > 1 / 3
+    assert fall("bmw-i3") > 0.4
     told = found("bmw-i3")
     first = told.first
     trial = adding.add(told.model, first, scoped(first, ()), joined(*told.blind), rides=told.blind.rides).trial
@@ -187,7 +185,7 @@ def test_the_error_of_held_out_rides_falls_on_the_i3():
 
 @BOTH
 def test_the_energy_is_that_of_the_measured_climate_power(car):
-    """Within 25 %, with the part that the constant takes; alone the effect has 71 to 75 % of it, below the goal."""
+    """Within 25 %, with and without the part that the constant takes."""
     effect, whole = climate(car)
-    assert 0.65 < effect < 1.25
+    assert 0.75 < effect < 1.25
     assert 0.75 < whole < 1.25
