@@ -80,6 +80,7 @@ def climbing_up(mass: Floats, grade: Floats, speed: Floats, gravity: float) -> F
     low=0.0,
     high=1.0,
     source=f"{_BALANCE}, downhill part; range: 0 friction brakes only, 1 perfect regeneration",
+    confused_with=("braking",),
     parameters=_GRAVITY,
 )
 def climbing_down(mass: Floats, grade: Floats, speed: Floats, gravity: float) -> Floats:
@@ -151,7 +152,7 @@ def inertia_positive(mass: Floats, acceleration: Floats, speed: Floats) -> Float
     low=0.0,
     high=1.0,
     source=f"{_BALANCE}, slowing; range: 0 friction brakes only, 1 perfect regeneration",
-    confused_with=("cornering",),
+    confused_with=("braking", "cornering"),
 )
 def inertia_negative(mass: Floats, acceleration: Floats, speed: Floats) -> Floats:
     """Kinetic energy regained: P = m min(a, 0) v, never positive."""

@@ -23,6 +23,7 @@ WANTED = {
     *("cabin_cooling", "cabin_warmup", "cold_regen_limit", "regen_full_battery", "battery_resistance"),
     *("cold_battery_heating", "payload", "drivetrain_loss_speed", "drivetrain_loss_torque", "cornering", "standby"),
     *("night_lights", "solar_load", "humidity", "brake_drag", "snow", "tyre_pressure", "roof_load", "age"),
+    *("demisting", "drivetrain_loss_power"),
 }
 
 
@@ -34,7 +35,7 @@ def rows(seed: int, count: int) -> dict[str, np.ndarray]:
 
 def test_every_phenomenon_is_there_once():
     assert sorted(each.name for each in EACH) == sorted(WANTED)
-    assert len(WANTED) == 26
+    assert len(WANTED) == 28
     assert list(library())[: len(ROAD_LOAD) + len(EACH)] == [e.name for e in (*ROAD_LOAD, *EACH)]
     assert list(topics())[: 1 + len(CANDIDATES)] == ["road load", *CANDIDATES]
     assert [each.name for found in topics().values() for each in found] == list(library())
@@ -88,7 +89,7 @@ def test_what_acts_by_motion_is_nothing_for_a_standing_car():
             assert not each.power(standing).any(), each.name
     assert {e.name for e in EACH if e.per == "time"} == {
         *("door_heat_loss", "cabin_heating", "cabin_cooling", "cabin_warmup", "solar_load", "humidity"),
-        *("cold_battery_heating", "standby", "night_lights"),
+        *("demisting", "cold_battery_heating", "standby", "night_lights"),
     }
 
 
@@ -111,7 +112,7 @@ def test_in_mild_still_weather_by_day_nearly_all_are_silent():
     loud = {each.name for each in EACH if each.power(mild).any()}
     assert loud == {
         *("roof_load", "tyre_pressure", "drivetrain_loss_speed", "drivetrain_loss_torque", "brake_drag"),
-        *("battery_resistance", "standby", "door_heat_loss"),
+        *("battery_resistance", "standby", "door_heat_loss", "drivetrain_loss_power"),
     }
 
 

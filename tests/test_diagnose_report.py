@@ -38,7 +38,7 @@ def test_the_terminal_tells_a_story_in_its_order():
         "The model is 0.062 kWh off a ride on average, 9.0 % of what rides take; on balance it predicts 0.012 kWh too",
         "would still seem 0.037 kWh off, 60 % of that",
         "below 0 °C and longer than 10 km",
-        "0.11 kWh too little",
+        "0.11 kWh less than elsewhere",
         "1. cold_rolling@reference=283.15: cold tyres: rolling resistance grows by 1.1 ± 0.2 %",
         "it explains 3.1 % (2.0 % to 4.2 %)",
         "coefficient 0.00011 1/K, 95 % interval 9e-05 to 0.00013; plausible",

@@ -12,8 +12,8 @@ from core.diagnose.terms import scoped
 from core.diagnose.windows import gather, joined
 from core.errors import ModelError
 from core.models import KNOWN, LinearModel
-from tools.diagnose import LeastGain, inputs, read_tables
-from tools.output import EffectFiles, JsonFile, printer, writable, write_json
+from tools.diagnose import LeastGain, read_files, read_tables
+from tools.output import EffectFiles, JsonFile, model_files, printer, writable, write_json
 
 
 def add_effect(
@@ -37,7 +37,7 @@ def add_effect(
         effects.load_file(path)
     chosen = models.load(model)
     columns = scoped(effect, scope or ())
-    writable(inputs(data), out, json_file)
+    writable([*read_files(data), *model_files([model]), *(effects_file or ())], out, json_file)
     rides, windows = read_tables(data, chosen)
     floor = ride_floor(gather(rides, windows, chosen))
     added = adding.add(chosen, effect, columns, joined(rides, windows), rides=rides, floor=floor, least=least_gain)

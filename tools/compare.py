@@ -19,7 +19,7 @@ from core.evaluate.trace import find, trace
 from core.models import KNOWN, LinearModel
 from tools.evaluate import KEY, read
 from tools.fit import ride_files
-from tools.output import EffectFiles, JsonFile, printer, writable, write_json
+from tools.output import EffectFiles, JsonFile, model_files, printer, writable, write_json
 from tools.tables import WINDOWS, in_memory
 
 RECORDING = ".mcap"
@@ -57,7 +57,8 @@ def compare_models(
         raise SettingsError("--ride shows one ride of the first rides; leave out --against")
     for path in effects_file or ():
         effects.load_file(path)
-    writable([*_files(rides), *_files(against or ())], json_file, html_file)
+    read = [*_files(rides), *_files(against or ()), *model_files(model), *(effects_file or ())]
+    writable(read, json_file, html_file)
     chosen = named(model)
     if ride is not None:
         result: dict[str, Any] = {"trace": _trace(rides, ride, chosen)}

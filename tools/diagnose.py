@@ -24,7 +24,7 @@ from core.models import KNOWN, VEHICLE, VEHICLE_MODEL, LinearModel
 from core.road_load import ROAD_LOAD
 from tools.evaluate import KEY, read
 from tools.fit import ride_files
-from tools.output import EffectFiles, JsonFile, printer, writable, write_json
+from tools.output import EffectFiles, JsonFile, model_files, printer, writable, write_json
 from tools.tables import WINDOWS, in_memory
 
 RECORDING = ".mcap"
@@ -69,9 +69,15 @@ def diagnose_rides(
     for path in effects_file or ():
         effects.load_file(path)
     chosen = models.load(model)
-    writable(inputs(rides), json_file, html_file, suggest, out)
+    writable([*read_files(rides), *model_files([model]), *(effects_file or ())], json_file, html_file, suggest, out)
     table, windows = read_tables(rides, chosen)
     console = printer()
+    for name in lacking(effects_file or (), windows):
+        console.print(
+            f"{name} is not in the tables and is not asked of: make them anew with `socast tables --effects FILE`",
+            style="yellow",
+            soft_wrap=True,
+        )
     if auto and out is not None:
         chosen, result = _auto(chosen, table, windows, least_gain, console)
         models.save(chosen, out)
@@ -82,6 +88,12 @@ def diagnose_rides(
     if out is not None:
         told = f"{out}: version {chosen.version}; socast history {out} tells its steps"
         console.print(told, markup=False, highlight=False, soft_wrap=True)
+
+
+def lacking(files: Sequence[Path], windows: pd.DataFrame) -> list[str]:
+    """Return the effects of one's own that tables were made without."""
+    own = [effect.name for path in files for effect in effects.topics().get(path.name, ())]
+    return [name for name in own if f"{EFFECT_PREFIX}{name}" not in windows]
 
 
 def inputs(given: Sequence[Path]) -> list[Path]:
@@ -118,6 +130,12 @@ def _checked(model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame) -> 
             )
     check_vehicles(model, rides)
     return rides, windows
+
+
+def read_files(given: Sequence[Path]) -> list[Path]:
+    """Return every file that is read for what the command line names: recordings, or rides and the windows beside."""
+    files = inputs(given)
+    return files if files[0].suffix == RECORDING else [*files, *(file.with_name(WINDOWS) for file in files)]
 
 
 def read_tables(given: Sequence[Path], model: LinearModel) -> tuple[pd.DataFrame, pd.DataFrame]:

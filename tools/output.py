@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from core.errors import SettingsError
+from core.models import KNOWN
 from stream.mcap_io import McapSource
 
 JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the table as JSON too.")]
@@ -51,20 +52,28 @@ def write_json(path: Path | None, value: Any) -> None:
         ) from error
 
 
+def model_files(given: Iterable[str]) -> list[Path]:
+    """Return the files among models that the command line names."""
+    return [Path(name) for name in given if name not in KNOWN]
+
+
 def writable(inputs: Iterable[Path], *outputs: Path | None) -> None:
     """Refuse, before any work is done, outputs that cannot be written or would overwrite what is read.
 
     Raises
     ------
     SettingsError
-        Where an output is an input, a folder, in a folder that is not there, or may not be written.
+        Where an output is an input or another output, a folder, in a folder that is not there, or may not be written.
     """
-    read = {path.resolve() for path in inputs}
+    read, written = {path.resolve() for path in inputs}, set[Path]()
     for path in outputs:
         if path is None:
             continue
         if path.resolve() in read:
             raise SettingsError(f"{path} is read and would be overwritten; name another file to write")
+        if path.resolve() in written:
+            raise SettingsError(f"{path} is to be written twice; name another file for one of the two")
+        written.add(path.resolve())
         reason = "Is a directory" if path.is_dir() else "" if path.parent.is_dir() else "No such file or directory"
         if reason:
             raise SettingsError(f"{path} cannot be written: {reason}; name a file in a folder that is there")

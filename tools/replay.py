@@ -33,6 +33,7 @@ from tools.output import (
     EffectFiles,
     JsonFile,
     Recordings,
+    model_files,
     printer,
     reading,
     speed,
@@ -89,7 +90,7 @@ def replay(
     before = key_prefix(prefix)
     rate = speed(pace or ("1" if connect else "max"))
     sources = [McapSource(path) for path in recordings]
-    writable(recordings, out, json_file)
+    writable([*recordings, *model_files(model or ()), *(effects_file or ())], out, json_file)
     console = printer()
     with stopping() as stop:
         source = until(paced(merged(sources), rate, longest_gap_s=longest_gap), stop)

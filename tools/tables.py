@@ -32,6 +32,7 @@ from tools.output import (
     JsonFile,
     ModelName,
     Recordings,
+    model_files,
     printer,
     reading,
     warn_of_losses,
@@ -91,7 +92,8 @@ def tables(
     pipeline = Pipeline(models.load(model), settings, also=effects.tabulated(), keep_forecasts=False)
     sources = [McapSource(path) for path in recordings]
     folder = _folder(out)
-    writable(recordings, folder / RIDES, folder / WINDOWS, folder / QUALITY, json_file)
+    read = [*recordings, *model_files([model]), *(effects_file or ())]
+    writable(read, folder / RIDES, folder / WINDOWS, folder / QUALITY, json_file)
     rides, windows = ParquetTable(folder / RIDES), ParquetTable(folder / WINDOWS)
     kept: list[pd.DataFrame] = []
 

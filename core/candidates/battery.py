@@ -25,7 +25,13 @@ _REVIEW: Final = "Alipour et al. 2020, Batteries 6:35, DOI 10.3390/batteries6030
         "activation": Parameter(2500.0, "K", 0.0, 6000.0, grid=(1000.0, 2500.0, 4000.0)),
         "warm": Parameter(298.15, "K"),
     },
-    confused_with=("air_density", "cold_regen_limit", "cold_rolling", "drivetrain_loss_torque"),
+    confused_with=(
+        "air_density",
+        "cold_regen_limit",
+        "cold_rolling",
+        "drivetrain_loss_power",
+        "drivetrain_loss_torque",
+    ),
     shown_by="hard and gentle driving with a cold and with a warm battery, energy measured by the state of charge",
     words="the battery's resistance is {value} ohm at 25 °C",
 )

@@ -35,7 +35,7 @@ def drivetrain_loss_speed(speed: Floats) -> Floats:
     high=8e-4,
     source=f"{_LOSSES}: copper losses grow with torque squared; range: 0.1 to 8 kW at a force of 3160 N, 1000 N m at "
     "the wheels (estimate)",
-    confused_with=("age", "battery_resistance", "payload"),
+    confused_with=("age", "battery_resistance", "drivetrain_loss_power", "payload"),
     shown_by="hard and gentle driving over the same roads",
     words="motor and inverter lose {value} W at a force of 1000 N at the wheels",
     scale=1e6,

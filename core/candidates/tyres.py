@@ -42,7 +42,7 @@ def cold_rolling(tyre_load: Floats, speed: Floats, ambient: Floats, reference: f
     source=f"{_VTI}, a review of 50 reports: water must be pushed aside and cools the tyre; range: 3 to 80 % of 0.010 "
     "(estimate)",
     parameters={"depth": Parameter(0.0003, "m", 0.00003, 0.003, grid=(0.0001, 0.0003, 0.001))},
-    confused_with=("humidity", "snow"),
+    confused_with=("demisting", "humidity", "snow"),
     shown_by="the same roads in rain, in the hours after it and dry, above freezing, with a weather station near",
     words="wet road: rolling resistance is higher by {value} % of 0.010 where water is much deeper than {depth}",
     scale=1e4,

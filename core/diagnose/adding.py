@@ -288,7 +288,11 @@ def _verdict(judged: dict[str, Any], least: float) -> dict[str, Any]:
     elif worse > 0.0:
         reason = f"the error of held-out rides grows, by at least {worse:.2g} kWh"
     else:
-        return {"accepted": True, "reason": said}
+        change = judged["change_kwh"]
+        shown = change["value"] + change["ci95"] < 0.0
+        told = f"{rounded(1000.0 * change['value'], 1000.0 * change['ci95'])} Wh"
+        unsure = "" if shown else f"; the mean error of rides does not show it beyond chance: {told}"
+        return {"accepted": True, "reason": said + unsure}
     return {"accepted": False, "reason": reason}
 
 

@@ -46,6 +46,8 @@ MAINLY: Final = 0.95
 """Share of the windows from which on one way of measuring is named for all."""
 ONE_WAY: Final = 0.8
 """Share of what an effect moves that must be of one sign for it to be told with that sign."""
+SURELY: Final = 3.0
+"""Standard errors from which on a coefficient of the sign that physics forbids is told as such."""
 NORMAL: Final = 1.96
 """Half width of a 95 % interval of a normal estimate. [standard errors]"""
 
@@ -106,7 +108,8 @@ def _diagnosed(
     base = search.base
     found = search.findings()
     remains = structure.remains(search, found)
-    suggested = _suggested(base, search, search.left(search.off())) if remains.there else None
+    unknown = set(remains.signs) - {"better"}
+    suggested = _suggested(base, search, search.left(search.off())) if unknown else None
     floor = ride_floor(seen)
     verdict = found[0].named.effect if found else None
     return {
@@ -236,32 +239,18 @@ def _equivalents(energy: Floats, seen: Windows) -> list[str]:
 
 def _candidates(first: Ranked, found: list[Finding]) -> list[dict[str, Any]]:
     """Return all effects that were asked of everywhere, as they stood before any was named."""
-    missing = {finding.named.effect for finding in found}
     rows: list[dict[str, Any]] = []
     for e, (name, at) in enumerate(zip(first.asked.names, first.best.tolist(), strict=True)):
-        told_apart = at >= 0
-        evidence = first.evidence
-        wrong = told_apart and first.asked.sign[at] * evidence.z[at] < 0.0
-        rows.append(
-            {
-                "effect": name,
-                "variant": first.asked.variants[at] if told_apart else name,
-                "scope": "all",
-                "z": float(evidence.z[at]) if told_apart else None,
-                "p": float(evidence.p[at]) if told_apart else None,
-                "q": float(first.q[e]) if told_apart else None,
-                "gain": first.gain(at)[0] if told_apart else None,
-                "status": "missing"
-                if name in missing
-                else "cannot be told from the model"
-                if not told_apart
-                else "wrong sign"
-                if wrong
-                else "not needed"
-                if first.q[e] < LEVEL
-                else "not there",
+        row = {"effect": name, "variant": name, "scope": "all", **dict.fromkeys(("z", "p", "q", "gain"))}
+        if at >= 0:
+            row |= {
+                "variant": first.asked.variants[at],
+                "z": float(first.evidence.z[at]),
+                "p": float(first.evidence.p[at]),
+                "q": float(first.q[e]),
+                "gain": first.gain(at)[0],
             }
-        )
+        rows.append(row | {"status": _status(name, row, int(first.asked.sign[at]), found)})
     rows.sort(key=lambda row: -(row["gain"] if row["gain"] is not None else -1.0))
     empty = dict.fromkeys(("z", "p", "q", "gain"))
     absent = [
@@ -269,6 +258,20 @@ def _candidates(first: Ranked, found: list[Finding]) -> list[dict[str, Any]]:
         for name, why in first.asked.absent.items()
     ]
     return rows + absent
+
+
+def _status(name: str, row: dict[str, Any], sign: int, found: list[Finding]) -> str:
+    """Return what became of a candidate."""
+    if name in {finding.named.effect for finding in found}:
+        return "missing"
+    if row["z"] is None:
+        return "cannot be told from the model"
+    for finding in found:
+        if name in {rival for rival, _ in finding.rivals}:
+            return f"cannot be told from {finding.named.effect}"
+    if sign * row["z"] < -SURELY:
+        return "wrong sign"
+    return "not needed" if row["q"] < LEVEL else "not there"
 
 
 def _structure(remains: Remains) -> dict[str, Any]:

@@ -143,6 +143,9 @@ def _notes(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> tuple[str,
         if trained is not None:
             inside = rides["date"].between(trained.first_date, trained.last_date)
             inside &= rides["vehicle_model"].isin(list(trained.vehicle_models))
+            if n := int((~rides["vehicle_model"].isin(list(trained.vehicle_models))).sum()):
+                told = ", ".join(trained.vehicle_models)
+                notes.append(f"{label} was fitted to {told}; {n:,} of {len(rides):,} rides are of other vehicle models")
             if n := int(inside.sum()):
                 notes.append(
                     f"{label} was fitted to rides from {trained.first_date} to {trained.last_date}; {n:,} of these "

@@ -89,7 +89,12 @@ def sections(result: Result, *, commands: bool) -> list[Section]:
     against = mapping(result, "against")
     sides = f"First: {against['first']}. Second: {against['second']}: {_about(against['about'])}" if against else ""
     found = [
-        Section(MODELS, "The models", _about(result["about"]), [tables.overall(result), tables.paired(result)]),
+        Section(
+            MODELS,
+            "The models",
+            _about(result["about"]),
+            [tables.overall(result), *([tables.paired(result)] if result.get("pairs") else [])],
+        ),
         Section(
             "against", "What is different between the two", sides + _shared(against), tables.contrast_tables(result)
         ),

@@ -67,6 +67,8 @@ def show_step(result: Any, step: int, console: Console) -> None:
         return
     said = words.missing(first)
     say([words.error(found)[0], f"Missing: {words.name(first)}: {said[0]}", *said[1:]], console)
+    if found.get("structure_remains"):
+        say(["Beside it structure remains:", *words.signs(dict(found.get("structure") or {}))], console)
 
 
 def head(title: str, console: Console) -> None:

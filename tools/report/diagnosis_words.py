@@ -79,7 +79,7 @@ def _bias(value: Any) -> str:
 def slice_(found: Mapping[str, Any]) -> str:
     """Say what is special about a slice."""
     bias = number(found.get("bias_kwh")) or 0.0
-    return f"{energy(abs(bias))} {'too much' if bias > 0.0 else 'too little'}"
+    return f"{energy(abs(bias))} {'more' if bias > 0.0 else 'less'} than elsewhere"
 
 
 def scope(found: Mapping[str, Any]) -> str:
@@ -106,7 +106,8 @@ def worth(found: Mapping[str, Any]) -> str:
     """Say what an effect explains."""
     limits = ends(found.get("gain_ci95"))
     between = f" ({percent(limits[0])} to {percent(limits[1])})" if limits else ""
-    said = [f"it explains {percent(found.get('gain'))}{between} of the squared error on days it was not fitted to"]
+    of = f" of {found['gain_of']}" if found.get("gain_of") else ""
+    said = [f"it explains {percent(found.get('gain'))}{between} of the squared error{of} on days it was not fitted to"]
     if number(found.get("energy_share")) is not None:
         said.append(f"it moves {percent(found['energy_share'])} of all energy")
     if (q := number(found.get("q"))) is not None:
@@ -176,7 +177,8 @@ def remains(result: Result) -> list[str]:
 def signs(structure: Mapping[str, Any]) -> list[str]:
     """Say what speaks for there being more than was named."""
     spoken, taken = structure.get("signs") or (), number(structure.get("taken"))
-    share = "" if taken is None else f"; the named effects take {percent(taken, 0)} of it, and should take 80 %"
+    least = percent(structure.get("least"), 0)
+    share = "" if taken is None else f"; the named effects take {percent(taken, 0)} of it, and should take {least}"
     said = {
         "trees": f"boosted trees predict {percent(number(structure.get('after')))} of what is left{share}",
         "shape": f"a plain shape is left, {plain_shape(str(structure.get('shape')))}, that explains "

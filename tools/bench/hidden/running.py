@@ -73,7 +73,7 @@ def _record(case: Case, diagnose: Diagnose, *, timed: bool) -> Record:
 
 @lru_cache(maxsize=1)
 def _source(seed: int) -> Source:
-    """Return the drives of a seed; of one at a time, as they take most of a gigabyte."""
+    """Return the drives of a seed; of one at a time, as they take some gigabytes."""
     return Source(seed)
 
 
