@@ -73,7 +73,8 @@ def diagnose(
     without : collection of str
         Effects of the library that are not asked of.
     least_gain : float
-        Share of the squared error that an effect must explain on held-out days to be named.
+        Share of the squared error, of rides or of windows, whichever is larger, that an effect must explain on held-out
+        days to be named.
     places : bool
         Whether to ask too what holds for one vehicle, or from a date on.
     seed : int

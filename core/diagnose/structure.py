@@ -93,8 +93,8 @@ class Remains(NamedTuple):
     named : float
         Share of the squared error of windows that the named effects explain on held-out vehicle-days.
     shape, q, gain : str, float, float
-        Of the shapes that are left beyond chance that of most gain; its probability by chance, adjusted over all; its
-        share of the squared error on held-out vehicle-days.
+        Of the shapes that are left beyond chance that of most gain, or, where none is, the surest; its probability by
+        chance, adjusted over all; its share of the squared error on held-out vehicle-days.
     days : float
         Variance of what vehicle-days take more or less of one of the carriers, over that of chance; about 1 or below
         where nothing is missing.

@@ -181,6 +181,8 @@ def gather(rides: pd.DataFrame, windows: pd.DataFrame, model: LinearModel) -> Wi
         left_out["not predicted"] = int(table.loc[~known, "ride_key"].nunique())
         table, predicted = table.loc[known].reset_index(drop=True), predicted[known]
     ride, keys = pd.factorize(table["ride_key"])
+    if unmeasured := _unmeasured(windows, rides, table):
+        left_out["windows without voltage and current"] = unmeasured
     if len(keys) < LEAST_RIDES:
         why = ", ".join(f"{n:,} {reason.replace('_', ' ')}" for reason, n in sorted(left_out.items()))
         raise ModelError(
@@ -205,6 +207,13 @@ def gather(rides: pd.DataFrame, windows: pd.DataFrame, model: LinearModel) -> Wi
         day=day.astype(np.int64),
         left_out=dict(left_out),
     )
+
+
+def _unmeasured(windows: pd.DataFrame, rides: pd.DataFrame, table: pd.DataFrame) -> int:
+    """Return how many windows of rides by meter are left out, as the meter was silent."""
+    own = rides.loc[rides["ride_key"].isin(table["ride_key"])]
+    metered = windows["ride_key"].isin(own.loc[by_meter(own), "ride_key"])
+    return int(metered.sum()) - int(by_meter(table).sum())
 
 
 def _check_model(model: LinearModel, table: pd.DataFrame) -> None:

@@ -91,13 +91,17 @@ def errors(result: Result) -> ReportTable:
 
 
 def structure(result: Result) -> ReportTable:
-    """Return how much of what is left can be predicted, before and after the named effects."""
+    """Return how much of what is left can be predicted, before and after the named effects, or is of a plain shape."""
     found = mapping(result, "structure")
     told = (
         ("predictable share before the named effects", found.get("before")),
         ("predictable share after them", found.get("after")),
         ("taken by them", found.get("taken")),
         ("least that they should take", found.get("least")),
+        (
+            "explained by the plain shape that is left",
+            found.get("gain") if "shape" in (found.get("signs") or ()) else None,
+        ),
     )
     rows = tuple(Row(what, (Cell(percent(value)),)) for what, value in told if number(value) is not None)
     note = "Share of the variance of what is left that boosted trees predict on days that they were not fitted to."

@@ -170,7 +170,8 @@ def remains(result: Result) -> list[str]:
         lines.append("Structure remains whose cause is not in the library, or too weak to be told from others:")
         lines += signs(mapping(result, "structure"))
     elif "structure_remains" in result:
-        lines.append("No structure remains that could be predicted: the named effects are all that these data show.")
+        all_of_it = ": the named effects are all that these data show" if result.get("missing") else ""
+        lines.append(f"No structure remains that could be predicted{all_of_it}.")
     return lines
 
 
