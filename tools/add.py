@@ -8,6 +8,7 @@ import typer
 from core import effects, models
 from core.diagnose import adding
 from core.diagnose.noise import ride_floor
+from core.diagnose.ranking import LEAST_GAIN
 from core.diagnose.terms import scoped
 from core.diagnose.windows import gather, joined
 from core.errors import ModelError
@@ -27,7 +28,7 @@ def add_effect(
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Add it even if it does not help.")] = False,
     effects_file: EffectFiles = None,
-    least_gain: LeastGain = adding.LEAST_GAIN,
+    least_gain: LeastGain = LEAST_GAIN,
     json_file: JsonFile = None,
 ) -> None:
     """Add an effect to a model, refit it, and tell the error before and after on held-out days and vehicles."""

@@ -13,6 +13,7 @@ from rich.console import Console
 from core import effects, models
 from core.diagnose import adding
 from core.diagnose.noise import ride_floor
+from core.diagnose.ranking import LEAST_GAIN
 from core.diagnose.terms import scoped
 from core.diagnose.trial import final_days
 from core.diagnose.windows import gather, joined
@@ -55,7 +56,7 @@ def diagnose_rides(
     suggest: Annotated[
         Path | None, typer.Option(metavar="FILE.py", help="Write the suggested effect, if any, ready to edit.")
     ] = None,
-    least_gain: LeastGain = adding.LEAST_GAIN,
+    least_gain: LeastGain = LEAST_GAIN,
     auto: Annotated[
         bool, typer.Option("--auto", help="Add what is missing, look again, until nothing is to be gained.")
     ] = False,

@@ -19,7 +19,7 @@ import pandas as pd
 
 from core import effects
 from core.diagnose.coefficients import in_words, told, warning
-from core.diagnose.ranking import LEVEL
+from core.diagnose.ranking import LEAST_GAIN, LEVEL
 from core.diagnose.refitting import Change, Refitted, proof, refit_with, with_effects_held_out
 from core.diagnose.terms import additive, effect_term, scope_in_words
 from core.diagnose.trial import (
@@ -45,8 +45,6 @@ from core.learn.intervals import least_squares_interval
 from core.models import ANY, VEHICLE_MODEL, LinearModel, Term, stamped
 from core.wording import rounded
 
-LEAST_GAIN: Final = 0.002
-"""Fall of the error, as a share, below which an effect is not worth its place."""
 ADDED: Final = "add"
 REFUSED: Final = "refused"
 """Actions of the history."""

@@ -23,7 +23,7 @@ from core.diagnose.coefficients import told
 from core.diagnose.evidence import Clusters
 from core.diagnose.free_form import Suggestion, free_form
 from core.diagnose.noise import ride_floor
-from core.diagnose.ranking import LEVEL, Ranked
+from core.diagnose.ranking import LEAST_GAIN, LEVEL, Ranked
 from core.diagnose.refitting import Estimate
 from core.diagnose.scopes import local
 from core.diagnose.search import Finding, Search
@@ -34,8 +34,6 @@ from core.features import EFFECT_PREFIX
 from core.learn.blocks import names, numbers
 from core.models import LinearModel
 
-LEAST_GAIN: Final = 0.002
-"""Share of the squared error that an effect must explain on held-out days to be named."""
 WORTH_A_TERM: Final = 0.005
 """Share of the squared error that a free-form term must explain to be suggested."""
 MOST: Final = 6

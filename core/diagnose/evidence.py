@@ -129,10 +129,4 @@ def false_discovery(p: Floats) -> Floats:
     >>> false_discovery(np.array([0.01, 0.04, 0.03, 0.5])).round(4).tolist()
     [0.04, 0.0533, 0.0533, 0.5]
     """
-    if not len(p):
-        return p
-    order = np.argsort(p, kind="stable")
-    ranked = p[order] * len(p) / np.arange(1, len(p) + 1)
-    adjusted = np.empty(len(p))
-    adjusted[order] = np.minimum(np.minimum.accumulate(ranked[::-1])[::-1], 1.0)
-    return adjusted
+    return np.asarray(stats.false_discovery_control(p)) if len(p) else p

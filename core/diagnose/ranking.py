@@ -13,6 +13,8 @@ from core.diagnose.evidence import Clusters, Evidence, by_vehicle_and_day, false
 
 LEAST_LEFT: Final = 0.03
 """Share of a candidate's size that the model must be unable to take up, for it to be told from the model."""
+LEAST_GAIN: Final = 0.002
+"""Share of the squared error that anything must explain on held-out vehicle-days to be worth its place."""
 LEVEL: Final = 0.05
 """Share of false names among those that are significant."""
 

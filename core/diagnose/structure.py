@@ -17,7 +17,7 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 from core.batch import Floats, Ints
 from core.derived import sun
 from core.diagnose.evidence import Clusters, by_vehicle_and_day, false_discovery
-from core.diagnose.ranking import LEAST_LEFT, held_out, total
+from core.diagnose.ranking import LEAST_GAIN, LEAST_LEFT, held_out, total
 from core.diagnose.search import Finding, Named, Search
 from core.diagnose.windows import Windows
 from core.learn.blocks import numbers
@@ -26,8 +26,6 @@ LEAST_TAKEN: Final = 0.8
 """Share of what trees can predict that the named effects must take for nothing to remain."""
 LEVEL: Final = 0.03
 """Probability by chance below which a shape is there."""
-LEAST_GAIN: Final = 0.002
-"""Share of the squared error that a shape must explain on held-out vehicle-days to matter."""
 LIKE: Final = 0.4
 """Correlation from which on a shape is like a named effect."""
 CLEARLY: Final = 3.0

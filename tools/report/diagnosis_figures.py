@@ -1,6 +1,7 @@
 """Figures of a diagnosis: error against noise, slices, effects with their intervals, and what remains."""
 
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 from typing import Any, Final
 
 import plotly.graph_objects as go
@@ -98,18 +99,36 @@ def coefficients(found: Sequence[Mapping[str, Any]]) -> list[Illustration]:
     return [Illustration("coefficients", "Coefficients against what is plausible", caption, made)]
 
 
+TITLES: Final = {
+    "ambient_c": "outside temperature",
+    "average_speed_kmh": "average speed",
+    "precipitation_mm_h": "rain and snow that falls",
+    "wind_speed_kmh": "wind speed",
+    "soc_start_pct": "state of charge",
+    "battery_temperature_c": "battery temperature",
+    "elapsed_s": "time since the ride began",
+    "parked_s": "time parked before the ride",
+    "occupants": "people aboard",
+    "odometer_km": "odometer",
+    "start_s": "date",
+}
+"""What people call the things that an error may depend on."""
+WH: Final = 1000.0
+"""[Wh/kWh]"""
+
+
 def remains(result: Result) -> list[Illustration]:
     """Return how much can be predicted of what is left, and the shapes of it."""
     found = mapping(result, "structure")
     told = [("before the named effects", number(found.get("before"))), ("after them", number(found.get("after")))]
-    known = [(what, PERCENT * value) for what, value in told if value is not None]
+    known = [(what, PERCENT * max(value, 0.0)) for what, value in told if value is not None]
     shown = []
     if known:
         trace = bars("predictable", style(3), [what for what, _ in known], [value for _, value in known])
         made = figure([trace], 90 + ROW * len(known))
         made.update_xaxes(title_text="Variance of what is left that can be predicted [%]", rangemode="tozero")
         made.update_yaxes(title_text="What is left", type="category", autorange="reversed")
-        caption = "By boosted trees, on days that they were not fitted to. What they predict has a cause."
+        caption = "By boosted trees, on days that they were not fitted to. What they predict has a cause; 0 is nothing."
         shown.append(Illustration("structure", "Structure that remains", caption, made))
     shapes = [one for one in part(result, "structure", "shapes") or () if one.get("x") and one.get("y_kwh")]
     return shown + [_shape(i, one) for i, one in enumerate(shapes)]
@@ -118,12 +137,17 @@ def remains(result: Result) -> list[Illustration]:
 def _shape(place: int, found: Mapping[str, Any]) -> Illustration:
     """Return what is left along one property of windows."""
     feature, unit = str(found.get("feature")), str(found.get("unit") or "1")
-    title = feature.replace("_", " ")
-    made = figure([curve(label(title), style(2 + place), list(found["x"]), list(found["y_kwh"]))], 320)
+    title = TITLES.get(feature, feature.replace("_", " "))
+    left = [WH * value for value in found["y_kwh"]]
+    x = [datetime.fromtimestamp(at, UTC) for at in found["x"]] if feature == "start_s" else list(found["x"])
+    made = figure([curve(label(title), style(2 + place), x, left)], 320)
     made.update_layout(showlegend=False)
-    made.update_xaxes(title_text=label(f"{title} [{unit}]"))
-    made.update_yaxes(title_text="Measured less predicted [kWh]", zeroline=True)
-    caption = "What the named effects leave of a window's energy, as far as it depends on this alone."
+    made.update_xaxes(title_text=label(title if feature == "start_s" else f"{title} [{unit}]"))
+    made.update_yaxes(title_text="Measured less predicted [Wh]", zeroline=True)
+    caption = (
+        "Mean of what the named effects leave of a window's energy, by twelfths of the windows; its scatter from one "
+        "point to the next is chance."
+    )
     return Illustration(f"shape-{place}", f"What is left by {title}", caption, made, small=True)
 
 
