@@ -36,7 +36,7 @@ def errors(result: Result) -> list[Illustration]:
     made.update_yaxes(title_text="Model", type="category", autorange="reversed")
     caption = (
         "Dashed: what a model without any error would seem to be off, by the measurement's own noise. From the second "
-        "bar on, rides were held out."
+        "bar on the model's own terms are fitted to these rides, for each car; each effect is fitted to other days."
     )
     return [Illustration("errors", "Error against measurement noise", caption, made)]
 
