@@ -108,7 +108,7 @@ def test_one_cars_own_columns_leave_what_they_leave_of_all(plain):
     columns = plain.windows.table[["effect_headwind", "effect_wet_road"]].to_numpy()
     for car, rows in enumerate(plain.cars):
         here = columns * (plain.windows.vehicle == car)[:, np.newaxis]
-        np.testing.assert_allclose(plain.within(here, car), plain.off(here)[rows], atol=1e-8)
+        np.testing.assert_allclose(plain.within(here[rows], car), plain.off(here)[rows], atol=1e-8)
 
 
 @pytest.mark.parametrize("of_ride", [0.0, 0.001, 0.002, 0.004])

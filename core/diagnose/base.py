@@ -191,10 +191,10 @@ class Base:
         return np.asarray(left - self._common @ (self._common.T @ left))
 
     def within(self, columns: Floats, car: int) -> Floats:
-        """Return what one car's own columns leave of columns that are zero elsewhere, weighted, at its windows."""
+        """Return what one car's own columns leave of columns at its windows that are zero elsewhere, weighted."""
         rows = self.cars[car]
         starts = np.flatnonzero(np.r_[True, np.diff(self.windows.ride[rows]) != 0])
-        scaled = columns[rows] * np.sqrt(self.weight[rows])[:, np.newaxis]
+        scaled = columns * np.sqrt(self.weight[rows])[:, np.newaxis]
         count = np.diff(np.r_[starts, len(rows)]).astype(np.float64)
         more = 1.0 / np.sqrt(self._of_mean(count)) - 1.0
         mean = np.add.reduceat(scaled, starts, axis=0) * (more / count)[:, np.newaxis]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
-from core.diagnose.asked import Asked
+from core.diagnose.asked import Asked, least_coefficients
 from core.diagnose.evidence import by_vehicle_and_day, false_discovery
 from core.diagnose.ranking import LEAST_LEFT
 from core.diagnose.search import Named, Search
@@ -53,17 +53,23 @@ class Place(NamedTuple):
 
 def places(windows: Windows) -> Iterator[Place]:
     """Give each vehicle, all windows after each of some dates, and each vehicle's after each of them."""
-    cars = [(VEHICLE_SCOPE + name, windows.vehicle == code, code) for code, name in _cars(windows)]
     dates = [(SINCE_SCOPE + date, later) for date, later in _dates(windows, DATES)]
-    found = [Place((name,), rows, None) for name, rows in dates]
-    if len(cars) > 1:
-        found += [Place((name,), rows, code) for name, rows, code in cars]
-        found += [Place((car, date), here & later, code) for car, here, code in cars for date, later in dates]
-    for place in found:
-        whole = windows.vehicle == place.car if len(place.scope) > 1 else np.ones(len(place.rows), np.bool_)
-        outside = int(whole.sum() - place.rows.sum())
-        if place.rows.sum() >= LEAST_WINDOWS and outside >= LEAST_WINDOWS:
-            yield place
+    every = np.ones(len(windows.measured), np.bool_)
+    for name, later in dates:
+        yield from _parted(Place((name,), later, None), every)
+    cars = _cars(windows)
+    for code, car in cars if len(cars) > 1 else []:
+        here = windows.vehicle == code
+        yield from _parted(Place((VEHICLE_SCOPE + car,), here, code), every)
+        for name, later in dates:
+            yield from _parted(Place((VEHICLE_SCOPE + car, name), here & later, code), here)
+
+
+def _parted(place: Place, whole: Mask) -> Iterator[Place]:
+    """Give a place that has windows enough on either side of its border."""
+    inside = int(place.rows.sum())
+    if inside >= LEAST_WINDOWS and int(whole.sum()) - inside >= LEAST_WINDOWS:
+        yield place
 
 
 def local(search: Search, everywhere: Asked) -> None:
@@ -87,45 +93,49 @@ def _best(search: Search, everywhere: Asked) -> Named | None:
     """Return the effect and place that explain most, of those that are there beyond chance."""
     off = search.off()
     left = search.left(off)
-    tried: list[tuple[Asked, int, float, float]] = []
+    tried: list[tuple[tuple[str, ...], int, float, float]] = []
     for place in places(search.base.windows):
-        asked = everywhere.within(place.rows, place.scope)
-        tried += _tried(search, asked, _glance(search, asked, place, left), off, left)
+        tried += _tried(search, everywhere, place, off, left)
     if not tried:
         return None
     q = false_discovery(np.array([p for _, _, p, _ in tried]))
-    good = [(fall, asked, at, chance) for (asked, at, _, fall), chance in zip(tried, q, strict=True) if chance < LEVEL]
-    for _, asked, at, chance in sorted(good, key=lambda each: -each[0]):
-        named = Named(_sharper(search, everywhere, asked.scope, at, off, left), at, float(chance))
+    good = [(fall, scope, at, chance) for (scope, at, _, fall), chance in zip(tried, q, strict=True) if chance < LEVEL]
+    for _, scope, at, chance in sorted(good, key=lambda each: -each[0]):
+        named = Named(_sharper(search, everywhere, scope, at, off, left), at, float(chance))
         if search.fresh(named) and search.worth(named):
             return named
     return None
 
 
-def _glance(search: Search, asked: Asked, place: Place, left: Floats) -> Ints:
+def _glance(search: Search, everywhere: Asked, place: Place, left: Floats) -> Ints:
     """Return the candidates that might be there, by their own car's columns alone where the place is of one car."""
     if place.car is None:
-        return np.arange(len(asked.names))
-    columns = search.base.within(asked.columns, place.car)
-    here = left[search.base.cars[place.car]]
+        return np.arange(len(everywhere.names))
+    own = search.base.cars[place.car]
+    columns = search.base.within(everywhere.columns[own] * place.rows[own][:, np.newaxis], place.car)
+    here = left[own]
     size = np.maximum((columns**2).sum(axis=0), 1e-300)
     return np.flatnonzero((columns.T @ here) ** 2 / size > GLANCE**2 * float(np.mean(left**2)))
 
 
 def _tried(
-    search: Search, asked: Asked, chosen: Ints, off: Floats, left: Floats
-) -> list[tuple[Asked, int, float, float]]:
+    search: Search, everywhere: Asked, place: Place, off: Floats, left: Floats
+) -> list[tuple[tuple[str, ...], int, float, float]]:
     """Return what each candidate in a place is worth: its column, its probability by chance, the fall of the error."""
-    columns = search.base.off(asked.columns[:, chosen])
-    columns -= off @ (off.T @ columns)
-    size = (columns**2).sum(axis=0)
-    told = size > LEAST_LEFT * (search.base.weighted(asked.columns[:, chosen]) ** 2).sum(axis=0)
-    kept = chosen[told]
-    p, fall = np.ones(len(asked.names)), np.zeros(len(asked.names))
-    if len(kept):
-        p[kept] = by_vehicle_and_day(left, columns[:, told], asked.sign[kept], search.clusters, asked.least[kept]).p
-        fall[kept] = (columns[:, told].T @ left) ** 2 / size[told]
-    return [(asked, at, float(p[at]), float(fall[at])) for at in range(len(p))]
+    chosen = _glance(search, everywhere, place, left)
+    p, fall = np.ones(len(everywhere.names)), np.zeros(len(everywhere.names))
+    if len(chosen):
+        asked = everywhere.columns[:, chosen] * place.rows[:, np.newaxis]
+        columns = search.base.off(asked)
+        columns -= off @ (off.T @ columns)
+        size = (columns**2).sum(axis=0)
+        told = size > LEAST_LEFT * (search.base.weighted(asked) ** 2).sum(axis=0)
+        kept, columns = chosen[told], columns[:, told]
+        least = least_coefficients(asked[:, told], everywhere.measured * place.rows)
+        if len(kept):
+            p[kept] = by_vehicle_and_day(left, columns, everywhere.sign[kept], search.clusters, least).p
+            fall[kept] = (columns.T @ left) ** 2 / size[told]
+    return [(place.scope, at, float(p[at]), float(fall[at])) for at in range(len(p))]
 
 
 def _sharper(search: Search, everywhere: Asked, scope: tuple[str, ...], at: int, off: Floats, left: Floats) -> Asked:
