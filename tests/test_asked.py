@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from core import effects
-from core.diagnose.asked import LEAST_SHARE, library
+from core.diagnose.asked import LEAST_IN_BENDS, LEAST_SHARE, library
 from core.learn.blocks import Frame
 from core.learn.fitting import fit_terms
 from core.learn.recipes import ROAD_LOAD_TERMS, LinearRecipe
@@ -100,7 +100,8 @@ def test_the_least_coefficient_takes_the_least_share_of_the_energy_where_it_is_a
         (asked.within(found[0].vehicle == 1, ("vehicle=taxi-1",)), found[0].vehicle == 1),
     ):
         taken = np.abs(each.columns * each.least).sum(axis=0)
-        np.testing.assert_allclose(taken, LEAST_SHARE * found[0].measured[rows].sum())
+        share = np.where(np.array(each.variants) == "cornering", LEAST_IN_BENDS, LEAST_SHARE)
+        np.testing.assert_allclose(taken, share * found[0].measured[rows].sum())
     nothing = asked.within(np.zeros(len(found[0].measured), dtype=bool), ("vehicle=none",))
     assert np.isinf(nothing.least).all()
 

@@ -274,6 +274,14 @@ class TestParts:
         assert all(case.where.since for case in PARTS["date"](choice))
         assert all(case.without == right(case.hidden[0].effect) for case in PARTS["outside"](choice))
 
+    def test_seeds_that_follow_are_of_other_drives(self):
+        for part in PARTS.values():
+            early, late = (part(Choice(seeds=2, first=first, effects=("snow", "wet_road"))) for first in (0, 2))
+            early_seeds, late_seeds = ({case.seed for case in cases} for cases in (early, late))
+            assert early_seeds.isdisjoint(late_seeds)
+            assert len(late_seeds) == len(early_seeds)
+        assert {case.seed for case in PARTS["one"](Choice(seeds=2, first=40))} == {40, 41}
+
     def test_a_sample_is_of_them_and_the_same_each_time(self):
         every = list(PARTS["one"](Choice(seeds=2)))
         some = sampled(every, 50)

@@ -140,6 +140,16 @@ def test_an_effect_no_larger_than_what_is_not_worth_a_name_passes_no_more_often_
     assert share_below(LEVEL, lambda rng: draw(rng, 5.0 * true), 5) > 0.9
 
 
+def test_what_samples_distort_widens_the_interval_and_says_nothing_of_chance(rng):
+    residual, candidates = null(days(), rng)
+    plain = weigh(residual, candidates, np.ones(20, dtype=np.int64), Clusters(days()))
+    wide = plain.distorted(3.0 * plain.error)
+    np.testing.assert_allclose(wide.error, np.sqrt(2.0) * plain.error)
+    np.testing.assert_array_equal(wide.p, plain.p)
+    assert np.diff(wide.interval(0)) > 1.4 * np.diff(plain.interval(0))
+    np.testing.assert_array_equal(plain.distorted(np.zeros(20)).error, plain.error)
+
+
 def test_a_candidate_of_nothing_is_no_evidence():
     code = days(10)
     found = weigh(np.random.default_rng(2).normal(size=200), np.zeros((200, 1)), EITHER, Clusters(code))

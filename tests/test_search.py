@@ -116,6 +116,29 @@ def test_two_that_are_somewhat_alike_are_told_apart_by_the_data():
     assert finding.rivals == []
 
 
+class TestInexactRivals:
+    """What rests on forces may be the cause although it explains less, as it is known less exactly."""
+
+    def rivals(self, true: float, blur: float) -> set[str]:
+        found = search({"cold_rolling": 0.08}, "cold_rolling", "cold_regen_limit")
+        first = np.flatnonzero(found.asked.effects == 0)
+        column = found.asked.columns[:, first[0]]
+        noise = np.random.default_rng(5).normal(size=len(column)) * np.std(column)
+        made = np.where((found.asked.effects == 1)[np.newaxis], (true * column + blur * noise)[:, np.newaxis], 0.0)
+        columns = np.where(found.asked.effects == 1, made, found.asked.columns)
+        found.asked = replace(found.asked, columns=columns)
+        found.forward()
+        (finding,) = found.findings()
+        assert finding.named.effect == "cold_rolling"
+        return {name for name, _ in finding.rivals}
+
+    def test_one_that_is_as_like_as_its_noise_allows_is_of_the_group(self):
+        assert self.rivals(1.0, 0.3) == {"cold_regen_limit"}
+
+    def test_one_that_is_hardly_alike_is_not(self):
+        assert self.rivals(0.2, 1.0) == set()
+
+
 def test_no_more_are_named_than_asked_for_and_none_that_is_not_worth_it():
     few, dear = (
         search({"headwind": 0.05, "cold_rolling": 0.06}, **limit) for limit in ({"most": 1}, {"least_gain": 0.99})

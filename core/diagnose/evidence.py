@@ -27,6 +27,8 @@ FOLDS: Final = 10
 ALL_OF_IT: Final = 0.999
 """Share of a candidate in one vehicle-day from which on nothing tells its error."""
 LEAST_FREEDOM: Final = 0.5
+MOST_DISTORTED: Final = 3.0
+"""Standard deviations of a distortion that are the most that is to be feared of it."""
 
 
 class Clusters:
@@ -72,6 +74,15 @@ class Evidence(NamedTuple):
     freedom: Floats
     z: Floats
     p: Floats
+
+    def distorted(self, most: Floats) -> "Evidence":
+        """Return the same with errors that hold what samples distort of coefficients too, `most` either way at most.
+
+        Notes
+        -----
+        The most that is to be feared of a distortion is `MOST_DISTORTED` standard deviations of it.
+        """
+        return self._replace(error=np.hypot(self.error, most / MOST_DISTORTED))
 
     def interval(self, at: int, level: float = 0.95) -> tuple[float, float]:
         """Return the confidence interval of a candidate's coefficient."""

@@ -28,7 +28,7 @@ from core.diagnose.evidence import Clusters, by_vehicle_and_day
 from core.diagnose.ranking import total
 from core.diagnose.windows import Windows
 from core.evaluate.clustered import vehicle_days
-from core.features import Columns
+from core.features import EFFECT_PREFIX, Columns
 from core.learn.blocks import ENERGY, Frame, names, numbers
 from core.learn.fitting import design, fit_terms, one_thread
 from core.learn.recipes import LinearRecipe
@@ -306,7 +306,7 @@ def proof(change: Change, rows: pd.DataFrame, *, sign: int, seed: int) -> Proof:
     clusters = [Clusters(windows.day), Clusters(windows.date)]
     if clusters[0].count < 2 or not column.any():
         return Proof(1.0, 0.0, nan)
-    worth = least_coefficients(asked[:, -1:], windows.measured)
+    worth = least_coefficients([change.added.columns[0].removeprefix(EFFECT_PREFIX)], asked[:, -1:], windows.measured)
     found = by_vehicle_and_day(residual, column[:, np.newaxis], np.array([sign]), clusters, worth)
     after = residual - column * _cross_fitted(column, residual, sign, clusters[0], seed)
     of_windows = clusters[0].sums(residual**2 - after**2) / float(residual @ residual)

@@ -27,7 +27,10 @@ DAY: Final = 86400.0
 DATES: Final = 8
 """Dates that are tried, evenly over the rides; the best is then sought among its neighbours."""
 LEVEL: Final = 0.01
-"""Probability by chance below which an effect is there in a place, adjusted for all that was asked in all places."""
+"""Probability by chance below which an effect is there in a place, adjusted for all that was asked in places of its
+kind: of cars, of dates, or of both together."""
+DATED: Final = 12.0
+"""Fall of the error, in variances, by which a date must do better than none: the best of many does by chance."""
 GLANCE: Final = 3.0
 """Standard errors, by what one car leaves, below which a candidate is not looked at further."""
 LEAST_WINDOWS: Final = 40
@@ -89,22 +92,51 @@ def local(search: Search, everywhere: Asked) -> None:
         search.take(found)
 
 
+class Tried(NamedTuple):
+    """What a candidate in a place is worth.
+
+    Parameters
+    ----------
+    scope : tuple of str
+        Of the place.
+    at : int
+        Its column.
+    p : float
+        Probability by chance.
+    fall : float
+        Of the squared error; less `DATED` variances where a date was chosen.
+    """
+
+    scope: tuple[str, ...]
+    at: int
+    p: float
+    fall: float
+
+
 def _best(search: Search, everywhere: Asked) -> Named | None:
     """Return the effect and place that explain most, of those that are there beyond chance."""
     off = search.off()
     left = search.left(off)
-    tried: list[tuple[tuple[str, ...], int, float, float]] = []
+    fleet = search.base.off(everywhere.columns)
+    fleet -= off @ (off.T @ fleet)
+    families: dict[tuple[bool, bool], list[Tried]] = {}
     for place in places(search.base.windows):
-        tried += _tried(search, everywhere, place, off, left)
-    if not tried:
-        return None
-    q = false_discovery(np.array([p for _, _, p, _ in tried]))
-    good = [(fall, scope, at, chance) for (scope, at, _, fall), chance in zip(tried, q, strict=True) if chance < LEVEL]
-    for _, scope, at, chance in sorted(good, key=lambda each: -each[0]):
-        named = Named(_sharper(search, everywhere, scope, at, off, left), at, float(chance))
+        kind = place.car is not None, _since(place.scope) is not None
+        families.setdefault(kind, []).extend(_tried(search, everywhere, place, off, left, fleet))
+    good: list[tuple[Tried, float]] = []
+    for tried in families.values():
+        q = false_discovery(np.array([each.p for each in tried]))
+        good += [(each, float(chance)) for each, chance in zip(tried, q, strict=True) if chance < LEVEL]
+    for each, chance in sorted(good, key=lambda pair: -pair[0].fall):
+        named = Named(_sharper(search, everywhere, each.scope, each.at, off, left), each.at, chance)
         if search.fresh(named) and search.worth(named):
             return named
     return None
+
+
+def _since(scope: tuple[str, ...]) -> str | None:
+    """Return the indicator column of the date that a place begins with, None where there is none."""
+    return next((name for name in scope if name.startswith(SINCE_SCOPE)), None)
 
 
 def _glance(search: Search, everywhere: Asked, place: Place, left: Floats) -> Ints:
@@ -118,30 +150,43 @@ def _glance(search: Search, everywhere: Asked, place: Place, left: Floats) -> In
     return np.flatnonzero((columns.T @ here) ** 2 / size > GLANCE**2 * float(np.mean(left**2)))
 
 
-def _tried(
-    search: Search, everywhere: Asked, place: Place, off: Floats, left: Floats
-) -> list[tuple[tuple[str, ...], int, float, float]]:
-    """Return what each candidate in a place is worth: its column, its probability by chance, the fall of the error."""
+def _tried(search: Search, everywhere: Asked, place: Place, off: Floats, left: Floats, fleet: Floats) -> list[Tried]:
+    """Return what each candidate in a place is worth.
+
+    One car is held against its siblings: what they all show, as what samples distort, is no matter of its own.
+    """
     chosen = _glance(search, everywhere, place, left)
     p, fall = np.ones(len(everywhere.names)), np.zeros(len(everywhere.names))
     if len(chosen):
         asked = everywhere.columns[:, chosen] * place.rows[:, np.newaxis]
         columns = search.base.off(asked)
         columns -= off @ (off.T @ columns)
+        if place.car is not None:
+            columns = _beside(columns, fleet[:, chosen])
         size = (columns**2).sum(axis=0)
         told = size > LEAST_LEFT * (search.base.weighted(asked) ** 2).sum(axis=0)
         kept, columns = chosen[told], columns[:, told]
-        least = least_coefficients(asked[:, told], everywhere.measured * place.rows)
+        variants = [everywhere.variants[at] for at in kept]
+        least = least_coefficients(variants, asked[:, told], everywhere.measured * place.rows)
         if len(kept):
             p[kept] = by_vehicle_and_day(left, columns, everywhere.sign[kept], search.clusters, least).p
             fall[kept] = (columns.T @ left) ** 2 / size[told]
-    return [(place.scope, at, float(p[at]), float(fall[at])) for at in range(len(p))]
+    if _since(place.scope) is not None:
+        fall -= DATED * float(np.mean(left**2))
+    return [Tried(place.scope, at, float(p[at]), float(fall[at])) for at in range(len(p))]
+
+
+def _beside(columns: Floats, others: Floats) -> Floats:
+    """Return what is left of each column beside its like among others, (n, k)."""
+    size = (others**2).sum(axis=0)
+    share = np.divide((columns * others).sum(axis=0), size, out=np.zeros(len(size)), where=size > 0.0)
+    return np.asarray(columns - others * share)
 
 
 def _sharper(search: Search, everywhere: Asked, scope: tuple[str, ...], at: int, off: Floats, left: Floats) -> Asked:
     """Return what is asked of in a place, from the very date that explains most where a date is part of it."""
     windows = search.base.windows
-    begin = next((name for name in scope if name.startswith(SINCE_SCOPE)), None)
+    begin = _since(scope)
     of_car = next((code for code, name in _cars(windows) if VEHICLE_SCOPE + name in scope), None)
     here = np.ones(len(left), np.bool_) if of_car is None else windows.vehicle == of_car
     if begin is None:

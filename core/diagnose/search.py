@@ -11,12 +11,15 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.batch import Floats
-from core.diagnose.asked import Asked
+from core.diagnose.asked import Asked, read_by
 from core.diagnose.base import Base, orthonormal
 from core.diagnose.evidence import Clusters, Evidence, by_vehicle_and_day
 from core.diagnose.ranking import LEVEL, Ranked, correlation, rank, total
+
+Mask = NDArray[np.bool_]
 
 TOLD_APART: Final = 0.7
 """Correlation, off the model, from which on data do not tell two candidates apart."""
@@ -24,6 +27,10 @@ EXPLAINED_AWAY: Final = 0.4
 """Correlation from which on a rival that is not needed once the other is named is one of its group too."""
 CLEARLY: Final = 2.0
 """Standard errors by which a rival must be worse on held-out days to be told apart all the same."""
+FORCES: Final = frozenset({"acceleration", "traction"})
+"""Columns that rest on changes of speed and height between samples."""
+FAITHFUL: Final = 0.4
+"""Share of the variance of what rests on forces that is true: of samples every 3 s, off a model, some two fifths."""
 DOUBT: Final = 0.05
 """Probability by chance below which a rival casts doubt on a name."""
 NEEDED: Final = 0.05
@@ -62,6 +69,11 @@ class Named:
     def column(self) -> Floats:
         """What it takes of each window, (n, 1). [kWh per unit]"""
         return self.asked.columns[:, [self.at]]
+
+    @property
+    def rows(self) -> Mask:
+        """Windows that it was looked for in, (n,)."""
+        return np.asarray(self.asked.measured != 0.0)
 
 
 @dataclass(frozen=True)
@@ -175,17 +187,23 @@ class Search:
         for named in self.named:
             evidence, column, left = self.beside(named)
             gain = self.gain(column, left, int(named.asked.sign[named.at]))
-            found.append(Finding(named, evidence, *gain, self._rivals(named)))
+            least = named.asked.least[[named.at]]
+            found.append(Finding(named, evidence.distorted(least), *gain, self._rivals(named)))
         return sorted(found, key=lambda finding: -finding.gain)
 
-    def gain(self, column: Floats, left: Floats, sign: int) -> tuple[float, float, str]:
-        """Return the fall of the squared error on held-out vehicle-days, its error, and of what, see `Finding`."""
+    def gain(self, column: Floats, left: Floats, sign: int, rows: Mask | None = None) -> tuple[float, float, str]:
+        """Return the fall of the squared error on held-out vehicle-days, its error, and of what, see `Finding`.
+
+        As a share of all squared error, or of that of some rows.
+        """
         windows, clusters = self.base.windows, self.clusters[0]
+        rows = np.ones(len(left), np.bool_) if rows is None else rows
         after = left - column * self.cross_fitted(column, left, sign)
-        of_windows = total(clusters.sums(left**2 - after**2) / max(float(left @ left), 1e-300))
-        rides = windows.by_ride(self.base.energy(left)), windows.by_ride(self.base.energy(after))
-        fall = np.bincount(windows.day_of_ride, rides[0] ** 2 - rides[1] ** 2)
-        of_rides = total(fall / max(float(rides[0] @ rides[0]), 1e-300))
+        of_windows = total(clusters.sums(left**2 - after**2) / max(float(left[rows] @ left[rows]), 1e-300))
+        before, then = (windows.by_ride(self.base.energy(values)) for values in (left, after))
+        fall = np.bincount(windows.day_of_ride, before**2 - then**2)
+        here = before[windows.by_ride(rows.astype(np.float64)) > 0.0]
+        of_rides = total(fall / max(float(here @ here), 1e-300))
         return (*of_rides, "rides") if of_rides[0] >= of_windows[0] else (*of_windows, "windows")
 
     def cross_fitted(self, column: Floats, left: Floats, sign: int) -> Floats:
@@ -198,9 +216,12 @@ class Search:
         return np.asarray(np.where(sign * fitted < 0.0, 0.0, fitted)[folds][clusters.code])
 
     def worth(self, named: Named) -> bool:
-        """Tell whether an effect explains enough on held-out days, beside those named so far."""
+        """Tell whether an effect explains enough on held-out days, beside those named so far.
+
+        Of the squared error where it was looked for: that of one car cannot explain others'.
+        """
         _, column, left = self.beside(named)
-        return self.gain(column, left, int(named.asked.sign[named.at]))[0] >= self.least_gain
+        return self.gain(column, left, int(named.asked.sign[named.at]), named.rows)[0] >= self.least_gain
 
     def fresh(self, named: Named) -> bool:
         """Tell whether an effect is not named yet, and was not dropped before."""
@@ -210,7 +231,8 @@ class Search:
     def _rivals(self, named: Named) -> list[tuple[str, float]]:
         """Return the effects that would do as well in the place of a named one, with their correlation.
 
-        A doubt needs less than a name: rivals need not be there beyond all that was asked, only beyond chance.
+        A doubt needs less than a name: rivals need not be there beyond all that was asked, only beyond chance. And a
+        rival that is known less exactly than the named effect may be the cause although it explains less.
         """
         fair = copy(self)  # weights that were found beside the named effect would favour it
         fair.base = self._first
@@ -224,6 +246,35 @@ class Search:
             r = correlation(instead.projected[:, named.at], instead.projected[:, other])
             behind, error = total(mine - instead.gains[:, other])
             away = abs(r) > EXPLAINED_AWAY and not beside.q[effect] < LEVEL
-            if (abs(r) > TOLD_APART or away) and behind < CLEARLY * error:
+            alike = (abs(r) > TOLD_APART or away) and behind < CLEARLY * error
+            if alike or self._blurred(named.variant, instead, named.at, other):
                 found.append((instead.asked.names[effect], r))
         return sorted(found, key=lambda pair: -abs(pair[1]))
+
+    @staticmethod
+    def _blurred(variant: str, ranked: Ranked, mine: int, other: int) -> bool:
+        """Tell whether a rival explains less than a named effect only because it is known less exactly.
+
+        Notes
+        -----
+        Be G what the rival would explain if it were known exactly, and ρ the share of its variance that is true. As it
+        is, it explains ρ G, and an effect that stands in for it r*^2 G, where r*^2 = r^2/ρ by their correlation r. So
+        the rival may be the cause where r^2 times what it explains, over what the other does, is ρ^2 or more.
+        Attenuation by errors in variables: Fuller, Measurement Error Models, Wiley 1987, section 1.1.
+        """
+        if not inexact(ranked.asked.variants[other]) or inexact(variant):
+            return False
+        r = correlation(ranked.projected[:, mine], ranked.projected[:, other])
+        explained, least = float(ranked.gains[:, other].sum()), FAITHFUL**2 * float(ranked.gains[:, mine].sum())
+        return r > 0.0 and explained > 0.0 and r**2 * explained > least
+
+
+def inexact(variant: str) -> bool:
+    """Tell whether an effect rests on forces, which samples every few seconds tell inexactly.
+
+    Examples
+    --------
+    >>> inexact("cold_regen_limit"), inexact("cold_rolling")
+    (True, False)
+    """
+    return not FORCES.isdisjoint(read_by(variant))

@@ -52,7 +52,7 @@ def main(arguments: list[str] | None = None) -> int:
         path = ROOT / PAGE
         drawn = ", ".join(f"{size:,} of part {part}" for part, size in sizes.items())
         told = f"drawn at random: {drawn}" if drawn else "all data sets"
-        new = section(records, f"{choice.seeds} seeds, {told}")
+        new = section(records, f"{choice.seeds} seeds from {choice.first}, {told}")
         path.write_text(placed(path.read_text(encoding="utf-8"), new), encoding="utf-8")
     return 0
 
@@ -62,6 +62,7 @@ def parser() -> argparse.ArgumentParser:
     found = argparse.ArgumentParser("bench-hidden", description=__doc__.splitlines()[0])
     found.add_argument("--part", default=",".join(PARTS), help=f"of {', '.join(PARTS)}; several with commas")
     found.add_argument("--seeds", type=int, default=SEEDS, help="how many simulations")
+    found.add_argument("--first-seed", type=int, default=0, help="the first of them")
     found.add_argument("--effects", default=",".join(EFFECTS), help="with commas")
     found.add_argument("--shares", default=",".join(map(str, SHARES)), help="of the energy, with commas")
     found.add_argument("--measurements", default="vi,soc")
@@ -100,12 +101,15 @@ def chosen(asked: argparse.Namespace) -> Choice:
     """
     if asked.seeds < 1:
         raise SettingsError(f"--seeds is {asked.seeds}; give 1 or more")
+    if asked.first_seed < 0:
+        raise SettingsError(f"--first-seed is {asked.first_seed}; give 0 or more")
     try:
         shares = tuple(float(text) for text in asked.shares.split(","))
     except ValueError:
         raise SettingsError(f"--shares {asked.shares!r} are no numbers; write 0.015,0.03") from None
     return Choice(
         seeds=asked.seeds,
+        first=asked.first_seed,
         effects=listed("--effects", asked.effects, tuple(EFFECTS)),
         shares=shares,
         measurements=listed("--measurements", asked.measurements, get_args(Measurement)),

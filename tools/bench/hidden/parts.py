@@ -49,6 +49,8 @@ class Choice:
     ----------
     seeds : int
         How many; of `none` two and a half times as many.
+    first : int
+        The first of them: to judge on drives that nothing was developed on.
     effects : tuple of str
     shares : tuple of float
     measurements, weathers, shapes : tuple of str
@@ -56,6 +58,7 @@ class Choice:
     """
 
     seeds: int = SEEDS
+    first: int = 0
     effects: tuple[str, ...] = tuple(EFFECTS)
     shares: tuple[float, ...] = SHARES
     measurements: tuple[Measurement, ...] = ("vi", "soc")
@@ -68,6 +71,11 @@ class Choice:
         endings = {"first": "", "other": OTHER}
         return [effect + endings[shape] for shape in self.shapes for effect in self.effects]
 
+    @property
+    def numbers(self) -> range:
+        """The seeds."""
+        return range(self.first, self.first + self.seeds)
+
     def ways(self) -> list[tuple[Measurement, Weather]]:
         """Return measurements with weathers."""
         return list(product(self.measurements, self.weathers))
@@ -75,14 +83,14 @@ class Choice:
 
 def one(choice: Choice) -> Iterator[Case]:
     """Give data sets with one effect."""
-    for seed, effect, share in product(range(choice.seeds), choice.names, choice.shares):
+    for seed, effect, share in product(choice.numbers, choice.names, choice.shares):
         yield from _measured(choice, Case(seed, (Hidden(effect, share),)))
 
 
 def two(choice: Choice) -> Iterator[Case]:
     """Give data sets with two effects, pairs drawn at random of those that can be told."""
     able = [effect for effect in choice.effects if effect not in ABSORBED and effect not in BARE]
-    for seed in range(choice.seeds if len(able) > 1 else 0):
+    for seed in choice.numbers if len(able) > 1 else ():
         rng = np.random.default_rng([seed, 9])
         for _ in range(PAIRS):
             pair = rng.choice(able, 2, replace=False)
@@ -91,7 +99,7 @@ def two(choice: Choice) -> Iterator[Case]:
 
 def vehicle(choice: Choice) -> Iterator[Case]:
     """Give data sets with one effect in one vehicle."""
-    for seed, effect in product(range(choice.seeds), choice.effects):
+    for seed, effect in product(choice.numbers, choice.effects):
         number = int(np.random.default_rng([seed, 10, *effect.encode()]).integers(FLEET.vehicles)) + 1
         case = Case(seed, (Hidden(effect, PAIR_SHARE),), where=Where(vehicle=f"taxi-{number:03d}"))
         yield from _measured(choice, case)
@@ -99,7 +107,7 @@ def vehicle(choice: Choice) -> Iterator[Case]:
 
 def since(choice: Choice) -> Iterator[Case]:
     """Give data sets with one effect from a date on, in the middle half of the days."""
-    for seed, effect in product(range(choice.seeds), choice.effects):
+    for seed, effect in product(choice.numbers, choice.effects):
         rng = np.random.default_rng([seed, 11, *effect.encode()])
         day = int(rng.integers(FLEET.days // 4, FLEET.days - FLEET.days // 4))
         begins = FLEET.start + timedelta(days=day * FLEET.day_step)
@@ -109,14 +117,15 @@ def since(choice: Choice) -> Iterator[Case]:
 
 def none(choice: Choice) -> Iterator[Case]:
     """Give data sets with nothing hidden, of drives of their own."""
-    for seed in range(-(-choice.seeds * NONE_SEEDS // SEEDS)):
+    first, end = (-(-number * NONE_SEEDS // SEEDS) for number in (choice.first, choice.first + choice.seeds))
+    for seed in range(first, end):
         yield from _measured(choice, Case(FRESH + seed))
 
 
 def outside(choice: Choice) -> Iterator[Case]:
     """Give data sets with an effect that is taken out of the library."""
     shares = [share for share in choice.shares if share in OUTSIDE_SHARES] or choice.shares
-    for seed, effect, share in product(range(choice.seeds), choice.names, shares):
+    for seed, effect, share in product(choice.numbers, choice.names, shares):
         yield from _measured(choice, Case(seed, (Hidden(effect, share),), without=right(stem(effect))))
 
 
