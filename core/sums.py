@@ -63,22 +63,28 @@ EDGES: Final = (
 )
 """What is kept of the first and of the last sample."""
 
+DURATION: Final = AMOUNTS.index("duration")
 SOC: Final = EDGES.index("soc")
 LOST: Final = EDGES.index("lost")
+SILENCE: Final = 600.0
+"""A longer step between rides is time in which nothing is known to have been switched on. [s]"""
 _HEAD: Final = 2  # ordinal of the open ride, -1 for none; ordinal of the open window
+_BEFORE: Final = 2  # columns before a book where one is written out: the row at which it was, its lane
 
 
 class Totals(NamedTuple):
-    """Sums of rides, of windows, or running ones: one row each.
+    """Sums of rides, of rests between them, of windows, or running ones: one row each.
 
     Parameters
     ----------
+    at : (n,) int64. Row of the batch that closed it, or at which it was shown.
     lane, ride, window : (n,) int64. Whose; ordinals in the lane.
     amounts : (n, len(AMOUNTS) + effects + BINS) float64
     first, last : (n, len(EDGES)) float64
     quality : (n, len(CAUSES)) float64. Samples of the ride with each quality bit, so far.
     """
 
+    at: Ints
     lane: Ints
     ride: Ints
     window: Ints
@@ -87,11 +93,14 @@ class Totals(NamedTuple):
     last: Floats
     quality: Floats
 
-    def newest(self) -> "Totals":
+    def newest(self) -> Ints:
         """Return the last row of each lane, in their order."""
         _, last = np.unique(self.lane[::-1], return_index=True)
-        rows = np.sort(len(self.lane) - 1 - last)
-        return Totals(*(part[rows] for part in self))  # type: ignore[arg-type]
+        return np.sort(len(self.lane) - 1 - last)
+
+    def rows(self, which: Ints) -> "Totals":
+        """Return some of the rows."""
+        return Totals(*(part[which] for part in self))  # type: ignore[arg-type]
 
     def amount(self, name: str) -> Floats:
         """Return a column of `AMOUNTS`."""
@@ -107,15 +116,16 @@ class Totals(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """What a batch brought to a close, and what is due."""
+    """What a batch brought to a close, and what is due; a rest is the time between two rides."""
 
     rides: Totals
+    rests: Totals
     windows: Totals
     running: Totals
 
 
 class Ledger:
-    """The open ride and window of every lane.
+    """The open ride and window of every lane; between rides, the rest in its place.
 
     Parameters
     ----------
@@ -152,8 +162,8 @@ class Ledger:
         n = len(clean.lane)
         edges = np.stack([*(getattr(clean, name) for name in EDGES[:-1]), kind.astype(np.float64)])
         speed_bin = np.minimum(clean.speed / BIN, BINS - 1.0).astype(np.int64)
-        size = 1 + self.books.shape[1]
-        closed = np.empty((n, size)), np.empty((n, size))
+        size = _BEFORE + self.books.shape[1]
+        closed = np.empty((n, size)), np.empty((n, size)), np.empty((n, size))
         running = np.empty((int(clean.due.sum()), size))
         counts = enter(
             clean.lane,
@@ -166,38 +176,43 @@ class Ledger:
             speed_bin,
             self.books,
             self._parts,
-            closed[0],
-            closed[1],
+            *closed,
             running,
         )
-        rides, windows = closed[0][: counts[0]], closed[1][: counts[1]]
-        return Sums(self.read(rides), self.read(windows, window=True), self.read(running))
+        rides, rests, windows = (rows[:count] for rows, count in zip(closed, counts.tolist(), strict=True))
+        return Sums(self.read(rides), self.read(rests), self.read(windows, window=True), self.read(running))
 
     def close(self) -> Sums:
-        """Close every open ride and window; nothing is left behind."""
+        """Close every open ride, rest and window; nothing is left behind."""
         open_lanes = np.flatnonzero(self.books[:, 0] >= 0)
-        books = self.running(open_lanes)
-        windows = self.read(self._numbered(open_lanes), window=True)
+        rides, windows = self.running(open_lanes), self.read(self._numbered(open_lanes), window=True)
+        duration = self.books[:, self._parts[1] + DURATION]
+        rests = self.running(np.flatnonzero((self.books[:, 0] < 0) & (duration > 0.0)))
         self.books = self._new(len(self.books))
-        return Sums(books, windows, self.read(np.empty((0, 1 + self.books.shape[1]))))
+        return Sums(rides, rests, windows, self.none())
+
+    def none(self) -> Totals:
+        """Return no rows."""
+        return self.read(np.empty((0, _BEFORE + self.books.shape[1])))
 
     def running(self, lanes: Ints) -> Totals:
-        """Return the totals so far of the rides in progress in some lanes; zero where there is none."""
+        """Return the totals so far of the rides in progress in some lanes, of the rests in others."""
         books = self._numbered(lanes)
-        p = self._parts + 1
+        p = self._parts + _BEFORE
         books[:, p[1] : p[2]] += books[:, p[0] : p[1]]
         return self.read(books)
 
     def _numbered(self, lanes: Ints) -> Floats:
-        """Return the books of some lanes, with the lane before each."""
-        return np.column_stack([lanes.astype(np.float64), self.books[lanes]])
+        """Return the books of some lanes, with no row and the lane before each."""
+        return np.column_stack([np.full(len(lanes), -1.0), lanes.astype(np.float64), self.books[lanes]])
 
     def read(self, books: Floats, *, window: bool = False) -> Totals:
         """Name the parts of books: of the window, or of the ride (into which its open window has been added)."""
-        p = self._parts + 1
-        lane, ride, ordinal = books[:, :3].T.astype(np.int64)
+        p = self._parts + _BEFORE
+        at, lane, ride, ordinal = books[:, :4].T.astype(np.int64)
         amounts, first = (p[0], p[3]) if window else (p[1], p[2])
         return Totals(
+            at,
             lane,
             ride,
             ordinal,
@@ -267,38 +282,68 @@ def enter(
     books: Any,
     parts: Any,
     rides_out: Any,
+    rests_out: Any,
     windows_out: Any,
     running_out: Any,
-) -> tuple[int, int]:
-    """Enter rows into the books of their lanes, in order; return how many rides and windows were closed."""
-    closed_rides = closed_windows = shown = 0
+) -> Any:
+    """Enter rows into the books of their lanes, in order; return how many rides, rests and windows were closed."""
+    counts = np.zeros(3, np.int64)
+    shown = 0
     window_at, ride_at, first_at, window_first_at, last_at, quality_at, _ = parts
     for i in range(lane.shape[0]):
         b = books[lane[i]]
-        if ride[i] != b[0] or (window[i] != b[1] and b[0] >= 0.0):
-            if b[0] >= 0.0:
-                copy_out(windows_out[closed_windows], lane[i], b)
-                closed_windows += 1
-                close_window(b, window_at, ride_at, window_first_at, last_at, edges.shape[0])
-            if ride[i] != b[0]:
-                if b[0] >= 0.0:
-                    b[last_at + LOST] = edges[LOST, i]
-                    copy_out(rides_out[closed_rides], lane[i], b)
-                    closed_rides += 1
-                open_ride(b, parts, edges, i)
+        silent = ride[i] < 0 and rates[DURATION, i] > SILENCE
+        if (window[i] != b[1] and b[0] >= 0.0) or ride[i] != b[0] or silent:
+            close_open(i, lane[i], b, ride[i], parts, edges, rides_out, rests_out, windows_out, counts)
             b[0], b[1] = ride[i], window[i]
         riding = ride[i] >= 0
-        counts = riding and (rates[0, i] > 0.0 or rates[1, i] > 0.0)
-        if counts:
+        counts_for = riding and (rates[0, i] > 0.0 or rates[1, i] > 0.0)
+        if counts_for:
             add_row(b, window_at, rates, speed_bin, i)
-        if counts or not riding:
+        elif not riding and rates[DURATION, i] <= SILENCE:
+            add_row(b, ride_at, rates, speed_bin, i)
+        if counts_for or not riding:
             note_edges(b, first_at, window_first_at, last_at, edges, i)
         if riding:
             count_bits(b, quality_at, quality[i])
         if due[i]:
-            show(running_out[shown], lane[i], b, window_at, ride_at)
+            show(running_out[shown], i, lane[i], b, window_at, ride_at)
             shown += 1
-    return closed_rides, closed_windows
+    return counts
+
+
+@njit(cache=True)
+def close_open(
+    i: int,
+    lane: int,
+    b: Any,
+    ride: int,
+    parts: Any,
+    edges: Any,
+    rides_out: Any,
+    rests_out: Any,
+    windows_out: Any,
+    counts: Any,
+) -> None:
+    """Close the window at row `i`; where another ride or rest begins there, close what was open and begin it.
+
+    Silence ends a rest: what was before it is told by the last sample that was heard.
+    """
+    _, ride_at, _, window_first_at, last_at, _, _ = parts
+    if b[0] >= 0.0:
+        copy_out(windows_out[counts[2]], i, lane, b)
+        counts[2] += 1
+        close_window(b, parts[0], ride_at, window_first_at, last_at, edges.shape[0])
+    if ride == b[0] and ride >= 0:
+        return
+    if b[0] >= 0.0:
+        b[last_at + LOST] = edges[LOST, i]
+        copy_out(rides_out[counts[0]], i, lane, b)
+        counts[0] += 1
+    elif b[ride_at + DURATION] > 0.0:
+        copy_out(rests_out[counts[1]], i, lane, b)
+        counts[1] += 1
+    open_ride(b, parts, edges, i)
 
 
 @njit(cache=True)
@@ -312,19 +357,19 @@ def open_ride(b: Any, parts: Any, edges: Any, i: int) -> None:
 
 
 @njit(cache=True)
-def add_row(b: Any, window_at: int, rates: Any, speed_bin: Any, i: int) -> None:
-    """Add what a row stands for to the open window."""
+def add_row(b: Any, at: int, rates: Any, speed_bin: Any, i: int) -> None:
+    """Add what a row stands for to the open window, or to the rest."""
     for j in range(rates.shape[0]):
-        b[window_at + j] += rates[j, i]
-    b[window_at + rates.shape[0] + speed_bin[i]] += rates[1, i]
+        b[at + j] += rates[j, i]
+    b[at + rates.shape[0] + speed_bin[i]] += rates[1, i]
 
 
 @njit(cache=True)
-def show(row: Any, lane: int, b: Any, window_at: int, ride_at: int) -> None:
+def show(row: Any, i: int, lane: int, b: Any, window_at: int, ride_at: int) -> None:
     """Write the running totals of a lane: the ride's, and with them the open window's."""
-    copy_out(row, lane, b)
+    copy_out(row, i, lane, b)
     for j in range(ride_at - window_at):
-        row[1 + ride_at + j] += b[window_at + j]
+        row[_BEFORE + ride_at + j] += b[window_at + j]
 
 
 @njit(cache=True)
@@ -349,11 +394,11 @@ def note_edges(b: Any, first_at: int, window_first_at: int, last_at: int, edges:
 
 
 @njit(cache=True)
-def copy_out(row: Any, lane: int, book: Any) -> None:
-    """Write a lane and its book into a row."""
-    row[0] = lane
+def copy_out(row: Any, i: int, lane: int, book: Any) -> None:
+    """Write the row of the batch, a lane and its book into a row."""
+    row[0], row[1] = i, lane
     for j in range(book.shape[0]):
-        row[1 + j] = book[j]
+        row[_BEFORE + j] = book[j]
 
 
 @njit(cache=True)

@@ -195,3 +195,55 @@ def test_a_ledger_has_a_place_for_everything():
     totals = ledger.running(np.array([], dtype=np.int64))
     assert totals.amounts.shape == (0, len(AMOUNTS) + 3 + BINS)
     assert ledger.close().rides.lane.size == 0
+
+
+# rests
+
+
+def summed(columns, monkeypatch):
+    """Return what became of a car's samples: rides, rests, windows and running totals."""
+    pipeline, kept = Pipeline(keep_forecasts=False), []  # without nights, a list is a batch
+    monkeypatch.setattr(pipeline, "_keep", kept.append)
+    pipeline.take([leaf(), *telemetry(columns)])
+    (sums,) = kept
+    return sums
+
+
+def paused(n=300, begin=100, end=160):
+    """Return two rides and the rest between them, in which the car goes on using power."""
+    columns = full(n)
+    columns["speed_kmh"][begin:end] = 0.0
+    columns["ride_id"] = np.array(["A"] * begin + [None] * (end - begin) + ["B"] * (n - end), dtype=object)
+    return columns
+
+
+def test_a_rest_is_what_lies_between_two_rides(monkeypatch):
+    columns = paused()
+    sums = summed(columns, monkeypatch)
+    (rest,) = range(len(sums.rests.lane))
+    power = (columns["battery_voltage_v"] * columns["battery_current_a"])[99:160]
+    assert (sums.rests.ride[rest], sums.rests.at[rest]) == (-1, 160)
+    assert sums.rests.amount("duration")[rest] == PERIOD * 60
+    assert sums.rests.amount("energy")[rest] == pytest.approx(np.trapezoid(power) * PERIOD)
+    assert sums.rests.amount("metered")[rest] == PERIOD * 60
+    assert sums.rests.at_first("time")[rest] == columns["time_s"][100]
+    assert sums.rests.at_last("time")[rest] == columns["time_s"][159]
+    assert sums.rides.amount("duration")[0] + sums.rests.amount("duration")[rest] == pytest.approx(PERIOD * 159)
+
+
+def test_a_long_silence_ends_a_rest_and_is_part_of_none(monkeypatch):
+    columns = paused()
+    columns["time_s"] = columns["time_s"] + 3600.0 * (np.arange(300) >= 130)
+    columns["seq"] = columns["seq"] + 1200 * (np.arange(300) >= 130)
+    sums = summed(columns, monkeypatch)
+    assert sums.rests.amount("duration").tolist() == [PERIOD * 30, PERIOD * 29]
+    assert (sums.rests.at_last("time") - sums.rests.at_first("time")).tolist() == [PERIOD * 29, PERIOD * 29]
+
+
+def test_between_rides_running_totals_are_those_of_the_rest(monkeypatch):
+    running = summed(paused(), monkeypatch).running
+    resting = running.ride < 0
+    assert resting.any()
+    duration = running.amount("duration")[resting]
+    assert duration == pytest.approx(running.at_last("time")[resting] - running.at_first("time")[resting] + PERIOD)
+    assert running.amount("duration")[~resting][-1] < PERIOD * 140
