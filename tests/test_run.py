@@ -23,7 +23,8 @@ from stream.memory_io import MemorySink, MemorySource
 from stream.record import Recorder
 from stream.run import run, stopping
 from stream.source import until
-from stream.zenoh_io import Connection, Node, ZenohSource
+from stream.zenoh_io import ZenohSource
+from stream.zenoh_node import Connection, Node
 
 Told = tuple[list[Message], list[Message], str]
 
@@ -105,7 +106,8 @@ def test_in_service_the_newest_of_each_model_is_handed_on_once_in_a_while():
 PUBLISH = """
 import sys, time
 from stream.mcap_io import McapSource
-from stream.zenoh_io import Connection, Node, ZenohSink
+from stream.zenoh_io import ZenohSink
+from stream.zenoh_node import Connection, Node
 with Node(Connection(connect=(sys.argv[1],))) as node:
     sink = ZenohSink(node)
     deadline = time.monotonic() + 20

@@ -17,7 +17,8 @@ from stream.log_lines import write_lines
 from stream.mcap_io import McapSource
 from stream.outbox import Outbox
 from stream.run import PUBLISH_S, Tally, run, stopping
-from stream.zenoh_io import Connection, Node, ZenohSink, ZenohSource
+from stream.zenoh_io import ZenohSink, ZenohSource
+from stream.zenoh_node import Connection, Node
 from tools.info import described
 from tools.live import both, warm_up
 from tools.output import JsonFile, printer, writable, write_json

@@ -11,7 +11,8 @@ from core.models import EXTENDED_PHYSICAL
 from core.pipeline import Pipeline
 from stream.outbox import Outbox
 from stream.run import PUBLISH_S, Tally, run
-from stream.zenoh_io import Connection, Node, ZenohSink, ZenohSource, free_port
+from stream.zenoh_io import ZenohSink, ZenohSource
+from stream.zenoh_node import Connection, Node, free_port
 from tools.bench.fleet import rounds, vehicles
 from tools.bench.measures import Measure, alternating
 
