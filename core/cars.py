@@ -53,6 +53,11 @@ class Cars:
         """Return why no energy is predicted for a car of this kind, `None` where it is."""
         return SILENT if kind == UNKNOWN else self._reasons[kind]
 
+    def is_one(self, lane: int, message: Vehicle) -> bool:
+        """Tell whether a message says of a car what is known of it."""
+        kind = int(self.of_lane[lane]) if lane < len(self.of_lane) else UNKNOWN
+        return self.messages[kind] == _bare(message)
+
     def kinds(self, lane: Ints, changes: Sequence[tuple[int, int, Vehicle]], lanes: int) -> Ints:
         """Return the kind of car of each row, and remember what changed.
 
@@ -81,7 +86,7 @@ class Cars:
 
     def _kind(self, message: Vehicle) -> int:
         """Return the kind that a message describes, opening one for a kind not seen before."""
-        told = msgspec.structs.replace(message, vehicle_id="", time_s=0.0, in_service_date=None)
+        told = _bare(message)
         key = msgspec.json.encode(told)
         kind = self._kinds.get(key)
         if kind is not None:
@@ -112,3 +117,8 @@ class Cars:
             self._kind(msgspec.convert(message, Vehicle))
         self.of_lane = np.array(state[1], np.int64)
         self.unpredictable = Counter(state[2])
+
+
+def _bare(message: Vehicle) -> Vehicle:
+    """Return what a message says of any such car."""
+    return msgspec.structs.replace(message, vehicle_id="", time_s=0.0, in_service_date=None)

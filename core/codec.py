@@ -151,6 +151,69 @@ class Forecast(Wire, omit_defaults=False):
     quality: QualityCounts
 
 
+class LegOutlook(Wire, omit_defaults=False):
+    """What is expected of a leg.
+
+    Parameters
+    ----------
+    distance_km, duration_s : float
+        As planned.
+    energy_kwh : Interval or None
+        That it takes from the battery.
+    soc_pct : Interval or None
+        State of charge at its end.
+    """
+
+    distance_km: float
+    duration_s: float
+    energy_kwh: Interval | None
+    soc_pct: Interval | None
+
+
+class Outlook(Wire, omit_defaults=False):
+    """What is expected of the rest of a shift, in reply to a query of `fleet/{vehicle_id}/outlook`.
+
+    Parameters
+    ----------
+    time_s : float
+        Of the newest sample that it rests on.
+    model : str
+        Name and version of the model that made it.
+    soc_pct, soc_sd_pct : float or None
+        Filtered state of charge and its standard deviation, now.
+    usable_capacity_kwh, usable_capacity_sd_kwh : float or None
+    consumption_scale : float or None
+        What this car takes today, over what the model says.
+    asked : LegOutlook or None
+        The ride asked for; None where none was.
+    legs : list of LegOutlook
+        The remaining legs of the plan, after the ride asked for.
+    shift_end_s : float or None
+    soc_end_of_shift_pct : Interval or None
+    reserve_soc_pct : float
+    reserve_risk : float or None
+        Probability that the state of charge falls below the reserve before the shift ends, with the ride asked for.
+    why_not : str or None
+        Why any of these is None, in words.
+    """
+
+    vehicle_id: str
+    time_s: float
+    model: str
+    soc_pct: float | None
+    soc_sd_pct: float | None
+    usable_capacity_kwh: float | None
+    usable_capacity_sd_kwh: float | None
+    consumption_scale: float | None
+    asked: LegOutlook | None
+    legs: list[LegOutlook]
+    shift_end_s: float | None
+    soc_end_of_shift_pct: Interval | None
+    reserve_soc_pct: float
+    reserve_risk: float | None
+    why_not: str | None
+
+
 class Gain(Wire, omit_defaults=False):
     """By how much a model's error is smaller than the first model's, over whole vehicle-days that both predicted.
 

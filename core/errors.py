@@ -31,3 +31,19 @@ class ImportFileError(SocastError):
 
 class SettingsError(SocastError):
     """A setting is outside its limits, or a connection cannot be made with it."""
+
+
+class AskError(SocastError):
+    """A question about the rest of a shift that cannot be answered as it is asked.
+
+    Parameters
+    ----------
+    words : str
+        Value, limit and remedy.
+    cause : str
+        What it is counted under, such as `unknown_vehicle` or `too_many_legs`.
+    """
+
+    def __init__(self, words: str, cause: str = "question") -> None:
+        super().__init__(words)
+        self.cause = cause

@@ -6,13 +6,13 @@ from typing import Final
 
 import numpy as np
 
+from core.ahead.foresight import Rows
 from core.batch import Floats
 from core.cars import Cars
-from core.codec import Forecast, Message, QualityCounts, encode
-from core.models import Model
+from core.codec import Forecast, Interval, Message, QualityCounts, encode
 from core.quality import CAUSES, FORECAST_CAUSES, Quality
 from core.sums import Totals
-from core.tables import measured_energy, model_columns
+from core.tables import measured_energy
 
 _COUNTED: Final = {
     name: [CAUSES.index(flag.name.lower()) for flag in Quality if flag in bits and flag.name]
@@ -33,40 +33,31 @@ def counted(totals: Totals) -> dict[str, list[int]]:
     }
 
 
-def energies(
-    running: Totals, names: Sequence[str], cars: Cars, model: Model, effects: Sequence[str]
-) -> tuple[Floats, Floats]:
-    """Return predicted and measured energy of the rides in progress, NaN for a car that is on none. [kWh]"""
-    riding = running.ride >= 0
-    predicted = model.predict(model_columns(running, cars, effects, model.needs, names))
-    return np.where(riding, predicted, np.nan), np.where(riding, measured_energy(running, cars)[0], np.nan)
-
-
 def forecasts(
     running: Totals,
+    rows: Rows,
     names: Sequence[str],
     ride_names: Sequence[str | None],
     cars: Cars,
-    model: Model,
-    effects: Sequence[str],
+    version: str,
     prefix: str,
 ) -> list[Message]:
     """Return one message a row of running totals, under `{prefix}fleet/{vehicle}/forecast`.
 
-    The time of receipt is the event time of the sample that the forecast rests on. `range_km`, the end of the shift
-    and the risk are null: nothing here knows their uncertainty.
+    The time of receipt is the event time of the sample that the forecast rests on. Outside of rides there is no energy,
+    and what nobody knows yet is null.
     """
-    if not len(running.lane):
-        return []
-    predicted, measured = (energy.tolist() for energy in energies(running, names, cars, model, effects))
+    riding = running.ride >= 0
+    predicted = np.where(riding, rows.predicted, np.nan).tolist()
+    measured = np.where(riding, measured_energy(running, cars)[0], np.nan).tolist()
     counts = [QualityCounts(*row) for row in zip(*counted(running).values(), strict=True)]
-    soc = (running.at_last("soc") * 100.0).tolist()
-    soc_sd = (running.at_last("soc_step") * (100.0 / np.sqrt(12.0))).tolist()
+    told = (("soc", 100.0), ("soc_sd", 100.0), ("risk", 1.0))
+    soc, soc_sd, risk = ((scale * rows.at(name)).tolist() for name, scale in told)
+    reach = _intervals(*(rows.at(name) for name in ("range", "range_p05", "range_p95")))
+    end = _intervals(*(100.0 * rows.at(name) for name in ("mean", "p05", "p95")))
     time = running.at_last("time").tolist()
-    distance = (running.amount("distance") * 1e-3).tolist()
-    duration = running.amount("duration").tolist()
-    riding = (running.ride >= 0).tolist()
-    version = f"{model.name}/{model.version}"
+    distance = np.where(riding, running.amount("distance") * 1e-3, 0.0).tolist()
+    duration = np.where(riding, running.amount("duration"), 0.0).tolist()
     out = []
     for i, lane in enumerate(running.lane.tolist()):
         forecast = Forecast(
@@ -80,10 +71,16 @@ def forecasts(
             ride_energy_measured_kwh=known(measured[i]),
             soc_pct=known(soc[i]),
             soc_sd_pct=known(soc_sd[i]),
-            range_km=None,
-            soc_end_of_shift_pct=None,
-            reserve_risk=None,
+            range_km=reach[i],
+            soc_end_of_shift_pct=end[i],
+            reserve_risk=known(risk[i]),
             quality=counts[i],
         )
         out.append(Message(f"{prefix}fleet/{names[lane]}/forecast", encode(forecast), int(time[i] * 1e9)))
     return out
+
+
+def _intervals(mean: Floats, low: Floats, high: Floats) -> list[Interval | None]:
+    """Return intervals, None where the quantity is not known."""
+    rows = zip(mean.tolist(), low.tolist(), high.tolist(), strict=True)
+    return [None if isnan(m) or isnan(a) or isnan(b) else Interval(m, a, b) for m, a, b in rows]

@@ -2,18 +2,26 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from operator import itemgetter
 from typing import Any, Final, NamedTuple
 
-import msgspec
 import numpy as np
 import pandas as pd
 
 from core import effects
-from core.batch import Batch, Lanes
+from core.ahead.answer import answer
+from core.ahead.calendar import Calendar, Night
+from core.ahead.courses import Arrival, Driving
+from core.ahead.foresight import Foresight, Rows
+from core.ahead.gathered import Gathered, joined
+from core.ahead.plans import refusal
+from core.ahead.shift_tables import Told, outlook_table, shift_table
+from core.batch import Batch, Ints, Lanes, grown
 from core.cars import Cars
 from core.clean import STATE, Cleaner
-from core.codec import Message, Plan, Ride, Vehicle, Weather
-from core.decode import Decoder
+from core.codec import Leg, Message, Outlook, Plan, Ride, Vehicle, Weather
+from core.decode import Decoder, Event
+from core.errors import AskError
 from core.forecast import forecasts
 from core.models import EXTENDED_PHYSICAL, Model
 from core.quality import CAUSES
@@ -34,6 +42,13 @@ twice the time.
 """
 DRIVERS: Final = 10_000
 """Rides whose driver is remembered, beside eight a vehicle."""
+
+
+class Due(NamedTuple):
+    """Forecasts that have become due: running totals, and what is told at them."""
+
+    totals: Totals
+    rows: Rows
 
 
 class Closed(NamedTuple):
@@ -61,6 +76,8 @@ class Pipeline:
         Keep what forecasts are made of, and how models fare, until asked for. Who wants tables only says False.
     keep_tables : bool
         Keep totals of rides and windows until they are taken. A consumer that never takes them says False.
+    keep_outlooks : bool
+        Keep every forecast of the charge, and every shift, until they are taken.
 
     Raises
     ------
@@ -80,12 +97,14 @@ class Pipeline:
         also: Sequence[str] = (),
         keep_forecasts: bool = True,
         keep_tables: bool = True,
+        keep_outlooks: bool = False,
     ) -> None:
         self.model = model
         self.settings = checked(settings)
         self.prefix = prefix
         self.keep_forecasts = keep_forecasts
         self.keep_tables = keep_tables
+        self.keep_outlooks = keep_outlooks
         self.lanes = Lanes()
         self.decoder = Decoder(self.lanes)
         self.cleaner = Cleaner(self.settings)
@@ -97,10 +116,13 @@ class Pipeline:
         self.effects = [effects.get(name) for name in served | beside]
         self._served = len(served)
         self.ledger = Ledger(len(self.effects))
-        self.plans: dict[int, Plan] = {}
+        self.foresight = Foresight(model, self.cars, self._effect_names, self.settings, self.ledger.width)
+        self._gathered = Gathered(self.ledger.none())
         self._drivers: dict[str, str] = {}
         self._quality = np.zeros(len(CAUSES), np.int64)
-        self._due: list[Totals] = []
+        self._due: list[Due] = []
+        self._told: list[Told] = []
+        self.calendar = Calendar()
         self._rides: list[Closed] = []
         self._windows: list[Totals] = []
         self._unfit: Counter[str] = Counter()
@@ -120,21 +142,55 @@ class Pipeline:
         """
         self._forget_rides()
         batch, events = self.decoder.decode(messages)
+        if self.keep_forecasts:
+            nights = [Event(row, -1, Night()) for row in self.calendar.nights(batch.stamp)]
+            events = sorted([*events, *nights], key=itemgetter(0)) if nights else events
         start = 0
         told: list[tuple[int, int, Vehicle]] = []
         for row, lane, value in events:
-            if isinstance(value, Weather):  # it changes what every later row meets
-                self._advance(batch.rows(start, row), told)
-                start, told = row, []
-                if not self.stations.observe(value):
-                    self.decoder.refuse("weather", "out_of_range")
-            elif isinstance(value, Vehicle):
+            if isinstance(value, Vehicle):
+                if self._met(lane, batch.lane[:row]) and (told or not self.cars.is_one(lane, value)):
+                    self._advance(batch, start, row, told)
+                    self._foresee(row)
+                    start, told = row, []
                 told.append((row - start, lane, value))
-            elif isinstance(value, Ride):
-                self._drive(value)
-            elif isinstance(value, Plan):
-                self.plans[lane] = value
-        self._advance(batch.rows(start, batch.size), told)
+            elif isinstance(value, Ride | Plan):
+                self._say(row, lane, value)
+            elif isinstance(value, Weather | Night):  # it changes what every later row meets
+                self._advance(batch, start, row, told)
+                start, told = row, []
+                self._turn(value, row)
+        self._advance(batch, start, batch.size, told)
+        if self._gathered.size >= BLOCK:
+            self._foresee(batch.size)
+        self._gathered.end(batch.size)
+
+    def _met(self, lane: int, before: Ints) -> bool:
+        """Tell whether anything that matters to forecasts was heard of a car, or said, also in this batch."""
+        if not self.keep_forecasts:
+            return False
+        heard = lane < len(self.cleaner.state) and self.cleaner.state["samples"][lane] > 0.0
+        planned = lane in self._gathered.lanes or lane in self.foresight.courses.plans
+        return bool(heard or planned or (before == lane).any())
+
+    def _turn(self, value: Weather | Night, row: int) -> None:
+        """Take an observation of the weather, or a night, before a row."""
+        if isinstance(value, Night):
+            self._foresee(row)
+            self.foresight.lessons.overnight()
+        elif not self.stations.observe(value):
+            self.decoder.refuse("weather", "out_of_range")
+
+    def _say(self, at: int, lane: int, value: Ride | Plan) -> None:
+        """Take what dispatch says of a car before a row, if it can be used."""
+        if isinstance(value, Ride):
+            self._drive(value)
+            if self.keep_forecasts and value.driver_id and value.event == "start":
+                self._gathered.say(Driving(at, lane, value.driver_id))
+        elif (refused := refusal(value, value.time_s)) is not None:
+            self.decoder.refuse("plan", refused.cause)
+        elif self.keep_forecasts:
+            self._gathered.say(Arrival(at, lane, value))
 
     def forecasts(self, *, newest_only: bool = False) -> list[Message]:
         """Return the forecasts that have become due since the last call.
@@ -144,12 +200,17 @@ class Pipeline:
         newest_only : bool
             Of several forecasts of a vehicle, return the last one: what is of use to whoever listens live.
         """
+        self._foresee()
         taken, self._due = self._due, []
-        due = _joined(taken, self.ledger)
+        if not taken:
+            return []
+        due = joined([each.totals for each in taken], self.ledger.none())
+        rows = Rows.joined([each.rows for each in taken])
         if newest_only:
-            due = due.newest()
-        names = self._ride_names(due)
-        return forecasts(due, self.lanes.names, names, self.cars, self.model, self._effect_names, self.prefix)
+            last = due.newest()
+            due, rows = due.rows(last), rows.rows(last)
+        version = f"{self.model.name}/{self.model.version}"
+        return forecasts(due, rows, self.lanes.names, self._ride_names(due), self.cars, version, self.prefix)
 
     def model_errors(self, *, newest_only: bool = False) -> list[Message]:
         """Return how each model fares, where there are shadows: after each ride that ended since the last call.
@@ -163,15 +224,32 @@ class Pipeline:
 
     def finish(self) -> list[Message]:
         """Close every ride and window in progress, at the end of the stream; `model_errors` has how models fared."""
-        self._keep(self.ledger.close())
+        self._foresee()
+        sums = self.ledger.close()
+        self._keep(sums)
+        if self.keep_forecasts:
+            self.foresight.follow(sums, [], [], self.lanes.names)
+            self.foresight.finish()
         if self.shadows:
             self.shadows.close()
         return []
 
+    def learn_from(self, earlier: "Pipeline") -> None:
+        """Take up the cars that another pipeline knows and what it has learned of them; it is brought to its end.
+
+        Call it before the first message, with one that sums the same effects in the same order.
+        """
+        earlier.finish()
+        self.lanes = Lanes(earlier.lanes.names)
+        self.decoder = Decoder(self.lanes)
+        self.cars.load(earlier.cars.dump())
+        self.cars.unpredictable.clear()
+        self.foresight.learn_from(earlier.foresight)
+
     def take_rides(self) -> pd.DataFrame:
         """Return the rides that have ended since the last call, as `core.tables.ride_table` has them."""
         taken, self._rides = self._rides, []
-        totals = _joined([closed.totals for closed in taken], self.ledger)
+        totals = joined([closed.totals for closed in taken], self.ledger.none())
         ride_names = [name for closed in taken for name in closed.names]
         table = ride_table(totals, self.lanes.names, ride_names, self.cars, self._effect_names, self.settings)
         rides = zip(table["vehicle_id"], ride_names, strict=True)
@@ -181,7 +259,40 @@ class Pipeline:
     def take_windows(self) -> pd.DataFrame:
         """Return the windows that have ended since the last call, as `core.tables.window_table` has them."""
         taken, self._windows = self._windows, []
-        return window_table(_joined(taken, self.ledger), self.lanes.names, self.cars, self._effect_names)
+        return window_table(joined(taken, self.ledger.none()), self.lanes.names, self.cars, self._effect_names)
+
+    def take_outlooks(self) -> pd.DataFrame:
+        """Return the forecasts of the charge since the last call, see `core.ahead.shift_tables.outlook_table`."""
+        self._foresee()
+        taken, self._told = self._told, []
+        return outlook_table(taken, self.lanes.names, self.cars)
+
+    def take_shifts(self) -> pd.DataFrame:
+        """Return the shifts that have ended since the last call, as `core.ahead.shift_tables.shift_table` has them."""
+        self._foresee()
+        return shift_table(self.foresight.take_shifts(), self.lanes.names, self.cars)
+
+    def ask(self, vehicle_id: str, leg: Leg | None = None, plan: Plan | None = None) -> Outlook:
+        """Return what is expected of the rest of a vehicle's shift.
+
+        Parameters
+        ----------
+        vehicle_id : str
+        leg : Leg, optional
+            A ride that is asked for, to be driven before the rest of the plan.
+        plan : Plan, optional
+            To be answered instead of the one that is known; it is not kept.
+
+        Raises
+        ------
+        AskError
+            For a vehicle that has sent nothing, or a plan that cannot be used.
+        """
+        self._foresee()
+        lane = self.lanes.names.index(vehicle_id) if vehicle_id in self.lanes.names else -1
+        if lane < 0 or lane >= len(self.foresight.state) or not self.foresight.state["heard"][lane]:
+            raise AskError(f"vehicle {vehicle_id!r} has sent nothing so far: give one that has", "unknown_vehicle")
+        return answer(self.foresight, self.cars, lane, vehicle_id, f"{self.model.name}/{self.model.version}", leg, plan)
 
     def quality(self) -> dict[str, Any]:
         """Return the counters since the start.
@@ -204,16 +315,19 @@ class Pipeline:
 
     def status(self) -> list[VehicleStatus]:
         """Return the newest of every vehicle that has sent a sample."""
+        self._foresee()
         lanes = np.flatnonzero(self.cleaner.state["samples"][: len(self.lanes)] > 0.0)
         totals = self.ledger.running(lanes)
         predicted = self.shadows.predictions(totals, self.lanes.names, self.cars, self._effect_names)
-        return statuses(totals, self.lanes.names, self._ride_names(totals), self.cars, predicted)
+        ends = grown(self.foresight.ends, len(self.lanes), np.nan)[lanes]
+        return statuses(totals, self.lanes.names, self._ride_names(totals), self.cars, predicted, ends)
 
     def snapshot(self) -> bytes:
         """Return the state of every vehicle, from which `restore` goes on as if nothing had happened.
 
         Rides and windows that have ended but were not taken are not part of it: take them first.
         """
+        self._foresee()
         state = {
             "model": f"{self.model.name}/{self.model.version}",
             "effects": self._effect_names,
@@ -224,7 +338,8 @@ class Pipeline:
             "opened": self.decoder.rides.opened,
             "stations": self.stations.dump(),
             "cars": self.cars.dump(),
-            "plans": list(self.plans.items()),
+            "foresight": self.foresight.dump(),
+            "calendar": self.calendar.dump(),
             "drivers": self._drivers,
             "counters": [
                 self._quality.tolist(),
@@ -259,7 +374,8 @@ class Pipeline:
         self.ledger.books = np.frombuffer(state["ledger"]).reshape(-1, width).copy()
         self.stations.load(state["stations"])
         self.cars.load(state["cars"])
-        self.plans = {int(lane): msgspec.convert(plan, Plan) for lane, plan in state["plans"]}
+        self.foresight.load(state["foresight"])
+        self.calendar.load(state["calendar"])
         self._drivers = state["drivers"]
         quality, self._ended, unfit, unpredicted, received, rejected = state["counters"]
         self._quality = np.array(quality, np.int64)
@@ -272,14 +388,30 @@ class Pipeline:
     def _effect_names(self) -> list[str]:
         return [effect.name for effect in self.effects]
 
-    def _advance(self, batch: Batch, told: list[tuple[int, int, Vehicle]]) -> None:
+    def _advance(self, batch: Batch, start: int, stop: int, told: list[tuple[int, int, Vehicle]]) -> None:
         """Take the rows between two observations of the weather through the steps, a block at a time."""
-        kind = self.cars.kinds(batch.lane, told, len(self.lanes))
-        for start in range(0, batch.size, BLOCK):
-            sums = self.sum_up(batch.rows(start, start + BLOCK), kind[start : start + BLOCK])
+        kind = self.cars.kinds(batch.lane[start:stop], told, len(self.lanes))
+        for at in range(start, stop, BLOCK):
+            end = min(at + BLOCK, stop)
+            sums = self.sum_up(batch.rows(at, end), kind[at - start : end - start])
             self._keep(sums)
-            if self.keep_forecasts and len(sums.running.lane):
-                self._due.append(sums.running)
+            if self.keep_forecasts:
+                self._gathered.add(sums, at, end - at)
+                if self._gathered.size >= BLOCK:
+                    self._foresee(end)
+
+    def _foresee(self, end: int = 0) -> None:
+        """Take what became of the rows up to `end` into account of what is ahead; between batches, of all."""
+        if not self._gathered:
+            return
+        sums, plans, drivers = self._gathered.take(end)
+        rows = self.foresight.follow(sums, plans, drivers, self.lanes.names)
+        if len(sums.running.lane):
+            self._due.append(Due(sums.running, rows))
+            if self.keep_outlooks:
+                self._told.append(Told.of(sums.running, rows))
+        if not self.keep_outlooks:
+            self.foresight.take_shifts()
 
     def sum_up(self, batch: Batch, kind: Any) -> Sums:
         """Run the steps from samples to sums: clean, weather, signals, effects, sums; `kind` is that of each car."""
@@ -326,7 +458,8 @@ class Pipeline:
     def _forget_rides(self) -> None:
         """Forget the names of rides that have ended, once there are many."""
         if len(self.decoder.rides) > 2 * len(self.lanes) + 10_000:
-            held = [totals.at_last("code") for totals in self._due]
+            self._foresee()
+            held = [due.totals.at_last("code") for due in self._due]
             self.decoder.rides.keep(set(np.concatenate([self.cleaner.state["code"], *held]).tolist()))
 
     def _ride_names(self, totals: Totals) -> list[str | None]:
@@ -338,10 +471,3 @@ class Pipeline:
 def _owned(totals: Totals) -> Totals:
     """Return a copy that does not keep a whole block's memory alive."""
     return Totals(*(np.array(part) for part in totals))  # type: ignore[arg-type]
-
-
-def _joined(parts: list[Totals], ledger: Ledger) -> Totals:
-    """Return totals one after another."""
-    if not parts:
-        return ledger.read(np.empty((0, 1 + ledger.books.shape[1])))
-    return Totals(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))

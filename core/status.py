@@ -1,6 +1,7 @@
 """The newest of every vehicle, for a screen."""
 
 from collections.abc import Sequence
+from math import nan
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,11 @@ from core.tables import measured_energy
 
 
 class VehicleStatus(NamedTuple):
-    """The newest of a vehicle, for a screen; `shadows_kwh` is what each shadow predicts of the ride in progress."""
+    """The newest of a vehicle, for a screen.
+
+    `shadows_kwh` is what each shadow predicts of the ride in progress; `end_pct` mean, 5th and 95th percentile of the
+    charge at the shift's end [%], and `risk` that of ending below the reserve [1]; NaN where they are not known.
+    """
 
     vehicle_id: str
     vehicle_model: str | None
@@ -25,6 +30,8 @@ class VehicleStatus(NamedTuple):
     measured_kwh: float
     quality: dict[str, int]
     shadows_kwh: tuple[float, ...] = ()
+    end_pct: tuple[float, float, float] = (nan, nan, nan)
+    risk: float = nan
 
 
 def statuses(
@@ -33,6 +40,7 @@ def statuses(
     ride_names: Sequence[str | None],
     cars: Cars,
     predicted: Sequence[Floats],
+    ends: Floats,
 ) -> list[VehicleStatus]:
     """Return one status a row of running totals.
 
@@ -46,13 +54,16 @@ def statuses(
     cars : Cars
     predicted : sequence of (n,) float
         By each model, the first first. [kWh]
+    ends : (n, 4) float
+        Charge at the shift's end: mean, 5th and 95th percentile; and the risk of ending below the reserve. [1]
     """
     riding = running.ride >= 0
     own, *shadows = (np.where(riding, energy, np.nan).tolist() for energy in predicted)
     measured = np.where(riding, measured_energy(running, cars)[0], np.nan).tolist()
     counts = counted(running)
     time, soc = running.at_last("time").tolist(), (running.at_last("soc") * 100.0).tolist()
-    distance = (running.amount("distance") * 1e-3).tolist()
+    distance = np.where(riding, running.amount("distance") * 1e-3, 0.0).tolist()
+    mean, low, high, risk = ends.T.tolist()
     return [
         VehicleStatus(
             names[lane],
@@ -65,6 +76,8 @@ def statuses(
             measured[i],
             {cause: values[i] for cause, values in counts.items()},
             tuple(shadow[i] for shadow in shadows),
+            (100.0 * mean[i], 100.0 * low[i], 100.0 * high[i]),
+            risk[i],
         )
         for i, lane in enumerate(running.lane.tolist())
     ]

@@ -14,7 +14,9 @@ from core.codec import (
     Gain,
     Interval,
     Leg,
+    LegOutlook,
     ModelErrors,
+    Outlook,
     Plan,
     QualityCounts,
     Ride,
@@ -54,6 +56,18 @@ INTERVAL = st.none() | st.builds(Interval, number, number, number)
 GAIN = struct(Gain, rides=count, vehicle_days=count, verdict=st.sampled_from(["better", "worse", "not told"]))
 ERRORS = struct(RideErrors, vehicle_model=st.none() | name, rides=count, unpredicted_rides=count, gain=st.none() | GAIN)
 LEG = struct(Leg, distance_km=number, duration_s=number)
+LEG_OUTLOOK = struct(LegOutlook, distance_km=number, duration_s=number, energy_kwh=INTERVAL, soc_pct=INTERVAL)
+OUTLOOK = struct(
+    Outlook,
+    vehicle_id=name,
+    time_s=number,
+    model=name,
+    asked=st.none() | LEG_OUTLOOK,
+    legs=st.lists(LEG_OUTLOOK, max_size=4),
+    soc_end_of_shift_pct=INTERVAL,
+    reserve_soc_pct=number,
+    why_not=st.none() | st.text(max_size=20),
+)
 STRUCTS = st.one_of(
     TELEMETRY,
     struct(Vehicle, vehicle_id=name, time_s=number, model=name, in_service_date=st.none() | st.text(max_size=10)),
@@ -97,6 +111,13 @@ def test_every_struct_comes_back_the_same(value):
     payload = encode(value)
     assert msgspec.json.decode(payload, type=type(value)) == value
     assert encode(msgspec.json.decode(payload, type=type(value))) == payload
+
+
+@given(OUTLOOK)
+def test_an_answer_comes_back_the_same_and_says_what_it_does_not_know(value):
+    payload = encode(value)
+    assert msgspec.json.decode(payload, type=Outlook) == value
+    assert set(msgspec.json.decode(payload)) == set(Outlook.__struct_fields__)
 
 
 @given(TELEMETRY)

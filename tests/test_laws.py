@@ -7,6 +7,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import PERIOD, chunked, drive, leaf, observed, picked, ran, telemetry, told, without
+from fleet_days import CARS as FLEET
+from fleet_days import DAY as ONE_DAY
+from fleet_days import DAYS, SETTINGS, START, again, days, forecasts, merged, plan
+from fleet_days import shift as planned_shift
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -221,3 +225,98 @@ def test_a_round_trip_over_hills_never_costs_less_than_the_level_road():
     assert abs(climb) < 3.5
     assert float(hilly.model.predict(one)[0]) > float(level.model.predict(other)[0]) - 0.02
     assert one["duration_s"][0] == PERIOD * 799
+
+
+# the same with forecasts of the charge, over nights, with plans and drivers
+
+DRIVEN = ("a", "c", "f")
+TWO_DAYS = len(days((DAYS, DAYS + 1), DRIVEN))
+MORE = 12
+"""Plans that come at any time beside those that shifts begin with."""
+
+
+def two_days(seed, cars=DRIVEN):
+    """Return the messages of two days of some cars, among them plans and drivers that come at any time."""
+    rng = np.random.default_rng(seed)
+    parts = []
+    for day in (DAYS, DAYS + 1):
+        streams = [planned_shift(car, day) for car in cars]
+        begin = START + ONE_DAY * day
+        for number in range(MORE):
+            car, time = cars[int(rng.integers(len(cars)))], begin + float(rng.uniform(-60.0, 7500.0))
+            streams.append(
+                [(time, plan(car, day, time, int(rng.integers(1, 8)), shift_end_s=begin + 7200.0 + 60.0 * number))]
+            )
+            streams.append(
+                [(time + 5.0, told("ride", car, time, ride_id="x", event="start", driver_id=f"d{number % 2}"))]
+            )
+        parts += merged(*streams)
+    return parts
+
+
+def pushed(pipeline, messages, cuts=()):
+    """Send messages through a pipeline; return what it told, and its state."""
+    out = [forecast for chunk in chunked(messages, cuts) for forecast in pipeline.push(chunk)]
+    pipeline.take_rides()
+    pipeline.take_windows()
+    return out, pipeline.snapshot()
+
+
+@given(seed=st.integers(0, 200), cuts=st.lists(st.integers(0, TWO_DAYS + 48), max_size=12))
+def test_any_chunking_foretells_and_learns_the_same(seed, cuts):
+    messages = two_days(seed)
+    whole, state = pushed(again(), messages)
+    parts, after = pushed(again(), messages, cuts)
+    assert parts == whole
+    assert after == state
+    assert any(each.soc_end_of_shift_pct for each in forecasts(whole, "c").values())
+
+
+def test_one_message_at_a_time_foretells_and_learns_the_same():
+    messages = two_days(3)
+    messages = messages[: len(messages) // 2 + 100]
+    assert pushed(again(), messages, range(len(messages))) == pushed(again(), messages)
+
+
+@given(seed=st.integers(0, 200), at=st.integers(0, TWO_DAYS + 48), near=st.sampled_from(["any", "midnight", "plan"]))
+def test_a_restart_at_any_time_is_no_interruption_of_what_is_foretold(seed, at, near):
+    messages = two_days(seed)
+    if near == "midnight":  # of the second day nothing has been heard, or one sample
+        at = len(two_days(seed)) // 2 + at % 3 - 1
+    elif near == "plan":  # came last, and no sample after it
+        plans = [i + 1 for i, message in enumerate(messages) if message.key.endswith("plan")]
+        at = plans[at % len(plans)]
+    whole, state = pushed(again(), messages)
+    first = again()
+    out, kept = pushed(first, messages[:at])
+    second = Pipeline(settings=SETTINGS)
+    second.restore(kept)
+    assert second.snapshot() == kept
+    later, after = pushed(second, messages[at:])
+    assert out + later == whole
+    assert after == state
+
+
+def test_a_restart_after_every_message_about_a_night_is_none():
+    messages = two_days(1)
+    middle = len(messages) // 2
+    whole, state = pushed(again(), messages[: middle + 20])
+    pipeline = again()
+    out, kept = pushed(pipeline, messages[: middle - 20])
+    for message in messages[middle - 20 : middle + 20]:
+        pipeline = Pipeline(settings=SETTINGS)
+        pipeline.restore(kept)
+        more, kept = pushed(pipeline, [message])
+        out += more
+    assert (out, kept) == (whole, state)
+
+
+@given(seed=st.integers(0, 200), car=st.sampled_from(DRIVEN))
+def test_on_the_same_day_other_vehicles_change_nothing_of_what_is_foretold(seed, car):
+    messages = two_days(seed)
+    today = messages[: len(messages) // 2]
+    together = [m for m in again().push(today) if f"/{car}/" in m.key]
+    alone = again().push([m for m in today if f"/{car}/" in m.key])
+    others = merged(*(planned_shift(other, DAYS) for other in FLEET if other != car))
+    assert together == alone
+    assert [m for m in again().push(others + [m for m in today if f"/{car}/" in m.key]) if f"/{car}/" in m.key] == alone

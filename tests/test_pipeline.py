@@ -3,7 +3,7 @@
 import msgspec
 import numpy as np
 import pytest
-from conftest import drive, leaf, observed, ran, telemetry, told
+from conftest import START, drive, leaf, observed, ran, telemetry, told
 
 from core.errors import SettingsError, SocastError
 from core.models import BASIC_PHYSICAL
@@ -18,7 +18,12 @@ def full(n=200, seed=4):
 
 
 def test_counters_add_up_to_what_was_sent():
-    messages = [leaf(), observed(), told("plan", shift_end_s=1.0, reserve_soc_pct=10.0, legs=[]), *telemetry(full())]
+    messages = [
+        leaf(),
+        observed(),
+        told("plan", shift_end_s=START + 7200.0, reserve_soc_pct=10.0, legs=[]),
+        *telemetry(full()),
+    ]
     messages.append(messages[-1]._replace(payload=b"{"))
     pipeline, out = ran(messages)
     quality = pipeline.quality()

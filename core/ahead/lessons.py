@@ -1,0 +1,229 @@
+"""What is learned of a fleet: gathered through the day, learned overnight.
+
+How rides and rests go (`core.ahead.habits`), what cars and drivers take and how long and busy each car's shifts are
+(`core.ahead.scales`), how far off forecasts were (`core.ahead.conformal`) and what they were short by. All of it takes
+effect when the next day begins: what a forecast rests on is a matter of the day, and not of who else was served a
+moment earlier.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.ahead.conformal import Conformal
+from core.ahead.expected import TEMPERATURES, Tables
+from core.ahead.habits import Habits
+from core.ahead.outlook import Usual
+from core.ahead.scales import Habit, Scales
+from core.ahead.shift_log import Judged, Lean
+from core.ahead.soc import WARMING
+from core.batch import Floats, Ints, grown
+from core.cars import UNKNOWN, Cars
+from core.models import Model
+from core.settings import Settings
+from core.sums import Totals
+from core.tables import energy_by_soc, measured_energy, unfit_reason
+
+TELLING: Final = (None, "too_long")
+"""Why rides may be unfit for training and yet are learned from: errands of hours are part of shifts."""
+SOAKED: Final = 3600.0
+"""After a longer rest, a ride warms the car up, and is no ride like others. [s]"""
+LONGEST_SILENCE: Final = 60.0
+"""Time that may be missing in a rest that is learned from. [s]"""
+_KNOTS: Final = len(TEMPERATURES)
+
+Row = tuple[str, Floats, Floats, float, float]
+"""Of a ride or rest: its car's model, its amounts, its edges (2, edges), predicted and measured energy [kWh]."""
+
+
+class Lessons:
+    """What was learned, and what will be.
+
+    Parameters
+    ----------
+    model : Model
+    cars : Cars
+    effects : sequence of str
+        Whose energies are summed.
+    settings : Settings
+    width : int
+        Amounts that are summed of a ride.
+
+    Attributes
+    ----------
+    prior : (lanes, 2) float
+        Mean and variance of the logarithm of what each car will take over what is predicted, on a new shift.
+    """
+
+    def __init__(self, model: Model, cars: Cars, effects: Sequence[str], settings: Settings, width: int) -> None:
+        self._model, self._cars, self._effects, self._settings = model, cars, list(effects), settings
+        self.habits, self.scales, self.conformal, self.lean = Habits(width), Scales(), Conformal(), Lean()
+        self.prior = np.zeros((0, 2))
+        self._shifts = np.zeros((0, 2))
+        self._rides: list[Row] = []
+        self._rests: list[Row] = []
+        self._judged: list[Judged] = []
+        self._took: list[tuple[int, str | None, float, float, float]] = []
+        self._went: list[tuple[int, Habit]] = []
+        self._usual, self._names = _stacked({})
+        self._place: Ints = np.zeros(0, np.int64)
+
+    def grow(self, lanes: int) -> None:
+        """Have room for so many lanes."""
+        if len(self.prior) < lanes:
+            self.prior = grown(self.prior, lanes, self.scales.expected(-1))
+            self._shifts = grown(self._shifts, lanes, np.nan)
+
+    def rides(self, rides: Totals, predicted: Floats) -> None:
+        """Gather rides that have ended and are fit to be learned from."""
+        if len(rides.lane):
+            fit = np.array([why in TELLING for why in unfit_reason(rides, self._cars, self._settings)])
+            plugged = rides.at_last("since_charge") - rides.amount("duration")
+            fit &= ~(rides.at_last("parked") > SOAKED) & ~(plugged < WARMING)
+            self._gather(self._rides, rides, predicted, measured_energy(rides, self._cars)[0], fit)
+
+    def rests(self, rests: Totals, predicted: Floats) -> None:
+        """Gather rests that have ended: those in which the car neither charged nor fell silent."""
+        if not len(rests.lane):
+            return
+        duration = rests.amount("duration")
+        whole = rests.at_last("time") - rests.at_first("time") <= duration + LONGEST_SILENCE
+        charged = rests.at_last("since_charge") < duration + LONGEST_SILENCE
+        fit = whole & ~charged & (rests.at_first("time") > 0.0)
+        energy = np.where(rests.amount("metered") > 0.5 * duration, measured_energy(rests, self._cars)[0], np.nan)
+        by_soc = energy_by_soc(rests, self._cars)[0]
+        self._gather(self._rests, rests, predicted, np.where(np.isnan(energy), by_soc, energy), fit)
+
+    def judged(self, errors: Sequence[Judged]) -> None:
+        """Gather what became of forecasts."""
+        self._judged += errors
+
+    def shift(self, lane: int, took: tuple[str | None, float, float, float], habit: Habit | None) -> None:
+        """Gather a shift that has ended: its driver, what was predicted and what it took of which capacity [kWh]."""
+        self._took.append((lane, *took))
+        if habit is not None:
+            self._went.append((lane, habit))
+
+    def overnight(self) -> None:
+        """Learn what was gathered."""
+        for row in self._rides:
+            self.habits.ride(*row)
+        for name, amounts, _, predicted, measured in self._rests:
+            self.habits.rest(name, amounts, predicted, measured)
+        for errors in self._judged:
+            self.conformal.learn(*errors[:4])
+            self.lean.learn(errors)
+        for took in self._took:
+            self.scales.learn(*took)
+        for lane, habit in self._went:
+            self.scales.went(lane, habit)
+        self._rides, self._rests, self._judged, self._took, self._went = [], [], [], [], []
+        self._settle()
+
+    def tables(self, lane: int) -> Tables | None:
+        """Return what is expected of a lane's car."""
+        kind = int(self._cars.of_lane[lane]) if lane < len(self._cars.of_lane) else UNKNOWN
+        return self.habits.tables.get(self._cars.name(kind) or "")
+
+    def corrected(self, kinds: Ints, riding: NDArray[np.bool_], weights: Floats) -> tuple[Floats, Floats]:
+        """Return by what predicted energy is to be multiplied, and what power added [kW], at each row, (n,) each."""
+        place, mine = self._places(kinds), riding[:, np.newaxis]
+        own = np.where(mine, self._usual.factor[place], self._usual.resting_factor[place])
+        more = np.where(mine, self._usual.power[place], self._usual.resting_power[place])
+        return np.einsum("ij,ij->i", own, weights), np.einsum("ij,ij->i", more, weights)
+
+    def usual(self, kinds: Ints, weights: Floats) -> Usual:
+        """Return what is usual of cars at the temperatures about each row."""
+        place = self._places(kinds)
+        of = (np.einsum("ij,ij->i", each[place], weights) for each in self._usual[4:])
+        return Usual(weights, *of)
+
+    def habits_of(self, lanes: Ints) -> tuple[Floats, Floats]:
+        """Return how long the shifts of cars are [h], and how busy; NaN where too few are known."""
+        return self._shifts[lanes, 0], self._shifts[lanes, 1]
+
+    def _settle(self) -> None:
+        """Make of what was learned what forecasts read."""
+        self.habits.settle(self._model, self._cars, self._effects)
+        self.conformal.settle()
+        self.lean.settle()
+        for lane in range(len(self.prior)):
+            self.prior[lane] = self.scales.expected(lane)
+            self._shifts[lane] = self.scales.habit(lane)
+        self._usual, self._names = _stacked(self.habits.tables)
+        self._place = np.zeros(0, np.int64)
+
+    def _places(self, kinds: Ints) -> Ints:
+        """Return the row of `_usual` of each kind of car."""
+        if len(self._place) < len(self._cars.models):
+            names = [self._cars.name(kind) for kind in range(len(self._cars.models))]
+            self._place = np.array([self._names.get(name or "", 0) for name in names])
+        return self._place[kinds]
+
+    def _gather(self, where: list[Row], totals: Totals, predicted: Floats, measured: Floats, fit: Any) -> None:
+        """Keep those rows that can be learned from."""
+        kinds = totals.at_last("kind").astype(np.int64).tolist()
+        for i in np.flatnonzero(fit & (totals.amount("duration") > 0.0)).tolist():
+            name = self._cars.name(kinds[i])
+            if name is not None:
+                edges = np.stack([totals.first[i], totals.last[i]])
+                where.append((name, totals.amounts[i].copy(), edges, float(predicted[i]), float(measured[i])))
+
+    def dump(self) -> Any:
+        """Return the state as plain values."""
+        pending = (_plain(self._rides), _plain(self._rests), [_plain_errors(e) for e in self._judged])
+        learned = self.habits.dump(), self.scales.dump(), self.conformal.dump(), self.lean.dump()
+        return learned, pending, (self._took, self._went), self.prior.tolist(), self._shifts.tolist()
+
+    def load(self, state: Any) -> None:
+        """Take up a state that `dump` returned, once the cars are known."""
+        (habits, scales, conformal, lean), (rides, rests, judged), (took, went), prior, shifts = state
+        self.habits.load(habits)
+        self.scales.load(scales)
+        self.conformal.load(conformal)
+        self.lean.load(lean)
+        self.habits.settle(self._model, self._cars, self._effects)
+        self._usual, self._names = _stacked(self.habits.tables)
+        self._rides, self._rests = _rows(rides), _rows(rests)
+        self._judged = [Judged(kind, *(np.array(each) for each in rest)) for kind, *rest in judged]
+        self._took = [tuple(each) for each in took]
+        self._went = [(lane, Habit(*habit)) for lane, habit in went]
+        self.prior, self._shifts = np.array(prior).reshape(-1, 2), np.array(shifts).reshape(-1, 2)
+
+
+class _Stack(NamedTuple):
+    """Of `Tables`, those that rows read, by vehicle model: (models, temperatures); of the first, nothing is known."""
+
+    factor: Floats
+    power: Floats
+    resting_factor: Floats
+    resting_power: Floats
+    standing: Floats
+    approach: Floats
+    all_per_km: Floats
+    all_power: Floats
+
+
+def _stacked(tables: Mapping[str, Tables]) -> tuple[_Stack, dict[str, int]]:
+    """Return the tables of all vehicle models, and the place of each."""
+    first = {"factor": 1.0, "power": 0.0, "resting_factor": 1.0, "resting_power": 0.0}
+    rows = {name: [np.full(_KNOTS, first.get(name, np.nan))] for name in _Stack._fields}
+    for known in tables.values():
+        for name, values in rows.items():
+            values.append(getattr(known, name))
+    names = {name: 1 + i for i, name in enumerate(tables)}
+    return _Stack(*(np.array(values) for values in rows.values())), names
+
+
+def _plain(rows: Sequence[Row]) -> list[Any]:
+    return [(name, amounts.tolist(), edges.tolist(), *energies) for name, amounts, edges, *energies in rows]
+
+
+def _rows(plain: Sequence[Any]) -> list[Row]:
+    return [(name, np.array(amounts), np.array(edges), *energies) for name, amounts, edges, *energies in plain]
+
+
+def _plain_errors(errors: Judged) -> list[Any]:
+    return [errors.kind, *(values.tolist() for values in errors[1:])]

@@ -1,0 +1,102 @@
+"""What the filter hears of cars whose truth is known: consumption, capacity, and a charge that is read in quanta."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from core.ahead import soc
+from core.ahead.scales import CAR, DAY, DRIVER
+
+BEGIN = 1_516_017_600.0
+STEP = 15.0
+"""Between two events. [s]"""
+CAPACITY = 40.0
+"""[kWh]"""
+PRIOR = CAR**2 + DRIVER**2 + DAY**2
+"""Variance of what a car takes, before anything is known of it."""
+
+
+class Truth(NamedTuple):
+    """What was planted: charge and logarithm of consumption at each event, (cars, n), and of capacity, (cars,)."""
+
+    soc: np.ndarray
+    a: np.ndarray
+    c: np.ndarray
+
+
+class Heard(NamedTuple):
+    """What came of events: `soc.TOLD` of each, the state after the last, and the shifts that ended."""
+
+    told: np.ndarray
+    state: np.ndarray
+    shifts: np.ndarray
+
+    def at(self, name, cars=1):
+        """Return what was told, (cars, n)."""
+        return self.told[:, soc.TOLD.index(name)].reshape(cars, -1)
+
+
+def shift(
+    cars=1, hours=4.0, quantum=0.01, a=0.0, c=0.0, metered=False, seed=1, begin=BEGIN, full=0.95, step=STEP, exact=False
+):
+    """Return the events of one ride of `hours` a car, car by car, and what was planted.
+
+    Power is predicted to be 4 kW on average. What is used differs from it by exp(a), which wanders, and by the noise
+    that the filter allows for.
+
+    Parameters
+    ----------
+    a, c : float or (cars,) float
+    metered : bool
+        Whether voltage and current tell what is used.
+    exact : bool
+        Whether the charge is reported to tick where it should, not about there.
+    """
+    rng = np.random.default_rng(seed)
+    n = int(hours * 3600.0 / step)
+    predicted = rng.gamma(4.0, 1.0, (cars, n)) * step / 3600.0
+    walk = soc.WANDER * np.sqrt(step / 3600.0) * rng.normal(size=(cars, n)).cumsum(axis=1)
+    taken = np.broadcast_to(a, (cars,))[:, None] + walk
+    size = np.broadcast_to(c, (cars,)).astype(float)
+    used = np.exp(taken) * predicted + np.sqrt(noise(step * np.arange(n)) * predicted) * rng.normal(size=(cars, n))
+    charge = full - used.cumsum(axis=1) / (CAPACITY * np.exp(size))[:, None]
+    out = np.zeros((cars, n), soc.EVENT)
+    passed = step * np.arange(1.0, n + 1)
+    out["lane"] = np.arange(cars)[:, None]
+    out["time"], out["duration"] = begin + passed, passed
+    out["predicted"], out["factor"], out["riding"] = predicted.cumsum(axis=1), 1.0, 1.0
+    out["distance"], out["ambient"] = 8.0 * passed, 283.15 * passed
+    if metered:
+        gain = 1.0 + soc.METER * rng.normal(size=(cars, n))
+        out["metered"], out["meter_time"] = (gain * used).cumsum(axis=1), passed
+    out["soc"], out["step"] = read(charge, quantum, None if exact else rng), quantum
+    out["since_charge"], out["capacity"] = np.nan, CAPACITY
+    return out, Truth(charge, taken, size)
+
+
+def noise(passed):
+    """Return the variance of the energy of a stretch that takes 1 kWh, so long after the shift began [s]."""
+    return soc.NOISE**2 * np.where(passed < soc.WARMING, soc.UNSURE, 1.0)
+
+
+def read(charge, quantum, rng=None):
+    """Return charges that fall as cars report them, in quanta, (cars, n).
+
+    Boundaries between quanta are where they should be, or, with `rng`, as far off as the filter allows for.
+    """
+    edges = quantum * (np.arange(int(np.ceil(1.0 / quantum))) + 0.5)
+    out = np.empty(charge.shape)
+    for row, values in zip(out, charge, strict=True):
+        off = 0.0 if rng is None else np.hypot(0.1 * quantum, soc.FLOOR) * rng.normal(size=len(edges))
+        row[:] = quantum * np.searchsorted(np.sort(edges + off), values, side="right")
+    return out
+
+
+def heard(events, state=None, prior=(0.0, PRIOR)):
+    """Send events through the filter."""
+    events = np.ascontiguousarray(events.ravel())
+    lanes = int(events["lane"].max()) + 1
+    state = soc.new_state(lanes) if state is None else state.copy()
+    told, shifts = np.empty((len(events), len(soc.TOLD))), np.empty(len(events), soc.CLOSED_SHIFT)
+    ended = soc.follow(events, state, np.tile(prior, (lanes, 1)), told, shifts)
+    return Heard(told, state, shifts[:ended])
