@@ -15,11 +15,14 @@ from core.codec import Message, Telemetry, encode
 from core.errors import SettingsError, SocastError
 from core.models import Model
 from core.pipeline import Pipeline
+from stream.desk import Desk
 from stream.log_lines import fields, flat, write_lines
 from stream.outbox import Outbox
 from stream.record import FILE_BYTES, FILE_S, FLUSH_S, Recorder
 from stream.run import PUBLISH_S, REPORT_S, Tally, run, stopping
-from stream.zenoh_io import LOOPBACK, Connection, Mode, Node, ZenohSink, ZenohSource
+from stream.zenoh_io import ZenohSink, ZenohSource
+from stream.zenoh_node import LOOPBACK, Connection, Mode, Node
+from stream.zenoh_query import ZenohQueries
 from tools.cleaning import (
     LEAST_DISTANCE_KM,
     PERIOD_S,
@@ -31,6 +34,7 @@ from tools.cleaning import (
     SpeedLimit,
     cleaning,
 )
+from tools.learned import History, learned
 from tools.output import EffectFiles
 from tools.screen import Screen, ride_records, with_predictions
 from tools.standings import ModelNames, line, loaded
@@ -80,14 +84,16 @@ def live(
     state: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Keep the state of every car here, and go on from it.")
     ] = None,
+    history: History = None,
     report: Annotated[float, typer.Option(metavar="S", help="Seconds between two lines of counters.")] = REPORT_S,
     json_log: Annotated[bool, typer.Option("--json-log", "--log-json", help="Log JSON, not key=value.")] = False,
 ) -> None:
-    """Listen to cars and publish a forecast for each as it changes.
+    """Listen to cars, publish a forecast for each as it changes, and answer what is asked of their shifts.
 
     Without --connect a router is opened inside, on loopback. SIGINT or SIGTERM ends it: what has arrived is still
     forecast and recorded. On a terminal a table shows every car; the log goes to standard error. Of several models the
-    first makes the forecasts, and how each fares is published as rides end.
+    first makes the forecasts, and how each fares is published as rides end. What --history holds is learned from
+    unless there is a state to go on from.
     """
     write_lines(as_json=json_log)
     for path in effects_file or ():
@@ -95,17 +101,22 @@ def live(
     settings = cleaning(speed_limit_kmh, period_s, smoothing, least_distance_km)
     chosen, *shadows = loaded(model)
     warm_up(chosen, *shadows)
+    known = state is not None and state.exists()
+    earlier = None if known else learned(chosen, shadows, settings, history)
     recorder = Recorder(record, round(record_mb * 2**20), record_minutes * 60, flush) if record else None
     connection = Connection(tuple(connect or ()), tuple(listen or ()), _mode(mode), prefix, config, recovery)
-    with stopping() as stop, Node(connection) as node:
+    with stopping() as stop, Node(connection) as node, ZenohQueries(node) as queries:
         pipeline = Pipeline(chosen, settings, node.prefix, shadows=shadows)
+        if earlier:
+            pipeline.learn_from(earlier)
         keeper = Keeper(pipeline, state)
+        desk = Desk(queries, pipeline)
         source = ZenohSource(node, stop)
         endpoints = ",".join(node.endpoints or connection.connect)
         beside = {"shadows": ",".join(shadow.name for shadow in shadows)} if shadows else {}
         _log.info("listening", extra=fields(endpoints=endpoints, model=chosen.name, **beside))
         with Screen(pipeline, "Live", silent=not sys.stdout.isatty()) as screen:
-            watch = both(keeper, screen)
+            watch = both(desk, keeper, screen)
             run(
                 source,
                 keeper if state else pipeline,
@@ -115,6 +126,7 @@ def live(
                 watch=watch,
                 report_s=report,
             )
+        desk.end()
         keeper.end()
 
 

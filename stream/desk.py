@@ -1,0 +1,138 @@
+"""Answers what is asked of the rest of a shift, between two lists of messages."""
+
+import logging
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
+from math import inf
+from typing import Any, Final, Protocol
+
+from core.ahead.ask import asked_leg, asked_plan, asked_vehicle, parameters
+from core.codec import Leg, Outlook, Plan, encode
+from core.errors import AskError, SocastError
+from stream.log_lines import fields, flat
+
+SPEND_S: Final = 0.1
+"""After how long the telemetry has its turn again, whatever is still asked. [s]"""
+LOG_S: Final = 1.0
+"""Of each cause, one refusal in this time is logged. [s]"""
+
+_log = logging.getLogger("socast.desk")
+
+
+class Question(Protocol):
+    """A question that waits, such as `stream.zenoh_query.Query`."""
+
+    @property
+    def vehicle(self) -> str:
+        """Return whom it is about."""
+
+    @property
+    def parameters(self) -> str:
+        """Return what of the key follows the question mark."""
+
+    @property
+    def payload(self) -> bytes | None:
+        """Return the plan that comes with it, if any."""
+
+    def reply(self, payload: bytes) -> None:
+        """Answer."""
+
+    def refuse(self, words: str) -> None:
+        """Tell what is wrong."""
+
+
+class Questions(Protocol):
+    """Where questions come from."""
+
+    def pending(self) -> Sequence[Question]:
+        """Return the questions that wait, the oldest first."""
+
+
+class Answerer(Protocol):
+    """What the desk needs of `core.pipeline.Pipeline`."""
+
+    def ask(self, vehicle_id: str, leg: Leg | None, plan: Plan | None) -> Outlook:
+        """Return what is expected of the rest of a shift, or raise `SocastError`.
+
+        Parameters
+        ----------
+        vehicle_id : str
+        leg : Leg or None
+            The ride asked for; None for the shift as planned.
+        plan : Plan or None
+            To be answered instead of the one that is known.
+        """
+
+
+class Desk:
+    """Takes the questions that wait and answers each, whatever is asked; call it after each list of messages.
+
+    Nothing that is asked ends the loop or holds up the telemetry: an answer that fails is refused, and what is not
+    answered in `SPEND_S` waits for the next list.
+
+    Parameters
+    ----------
+    questions : Questions
+    answerer : Answerer
+    clock : callable
+        Monotonic time. [s]
+
+    Attributes
+    ----------
+    answered : int
+    refused : Counter of str
+        By cause: that of the `AskError`, `unanswerable` for another error that a person can mend, `failed` for what
+        should not have happened.
+    """
+
+    def __init__(self, questions: Questions, answerer: Answerer, clock: Callable[[], float] = time.monotonic) -> None:
+        self.answered = 0
+        self.refused: Counter[str] = Counter()
+        self._questions, self._answerer, self._clock = questions, answerer, clock
+        self._waiting: deque[Question] = deque()
+        self._logged: dict[str, float] = {}
+
+    def __call__(self, _: object) -> None:
+        """Answer what waits, for a moment."""
+        if not self._waiting:
+            self._waiting.extend(self._questions.pending())
+        until = self._clock() + SPEND_S
+        while self._waiting:
+            self._answer(self._waiting.popleft())
+            if self._clock() >= until:
+                return
+
+    def counts(self) -> dict[str, Any]:
+        """Return the counters since the start: `answered`, and `refused` by cause."""
+        return {"answered": self.answered, "refused": dict(self.refused)}
+
+    def end(self) -> None:
+        """Log the counters, where anything was asked."""
+        if told := flat(self.counts()):
+            _log.info("asked", extra=fields(**told))
+
+    def _answer(self, question: Question) -> None:
+        """Answer one question, or tell what is wrong with it."""
+        try:
+            vehicle = asked_vehicle(question.vehicle)
+            leg = asked_leg(parameters(question.parameters))
+            plan = asked_plan(question.payload, vehicle)
+            question.reply(encode(self._answerer.ask(vehicle, leg, plan)))
+            self.answered += 1
+        except AskError as error:
+            self._refuse(question, str(error), error.cause)
+        except SocastError as error:
+            self._refuse(question, str(error), "unanswerable")
+        except Exception:  # noqa: BLE001 - cars are served on, whatever was asked
+            _log.exception("question failed", extra=fields(vehicle=question.vehicle[:64]))
+            self._refuse(question, "this question cannot be answered; the log of the consumer tells more", "failed")
+
+    def _refuse(self, question: Question, words: str, cause: str) -> None:
+        """Tell whoever asked what is wrong, count it and log it."""
+        self.refused[cause] += 1
+        now = self._clock()
+        if now >= self._logged.get(cause, -inf) + LOG_S:
+            self._logged[cause] = now
+            _log.warning("question refused", extra=fields(vehicle=question.vehicle[:64], cause=cause, why=words))
+        question.refuse(words)

@@ -1,0 +1,190 @@
+"""`socast ask`: whether a car can take a ride and still finish above its reserve."""
+
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Final
+
+import msgspec
+import typer
+from rich.console import Console
+from rich.text import Text
+
+from core.ahead.ask import asked_leg, asked_plan, asked_vehicle
+from core.codec import Interval, LegOutlook, Outlook
+from core.errors import SettingsError
+from stream.zenoh_node import LOOPBACK, Connection, Node
+from stream.zenoh_query import ask
+from tools.output import JsonFile, printer, writable, write_json
+
+LOW_RISK: Final = 0.05
+"""Below it the answer is yes."""
+HIGH_RISK: Final = 0.5
+"""Above it the answer is no."""
+LONGEST_S: Final = 3600.0
+"""How long an answer may be waited for. [s]"""
+_SAYS: Final = {
+    "YES": "{} can",
+    "NO": "{} cannot",
+    "UNCERTAIN": "{} may not be able to",
+    "NOT KNOWN": "whether {} can",
+}
+_STYLES: Final = {"YES": "bold green", "NO": "bold red", "UNCERTAIN": "bold yellow", "NOT KNOWN": "bold yellow"}
+
+
+def ask_outlook(
+    vehicle: Annotated[str, typer.Argument(metavar="VEHICLE", help="Whom to ask about, such as taxi-012.")],
+    distance_km: Annotated[float | None, typer.Option(metavar="KM", help="Length of the ride.")] = None,
+    duration_s: Annotated[float | None, typer.Option(metavar="S", help="How long it takes.")] = None,
+    gained_m: Annotated[float | None, typer.Option(metavar="M", help="Altitude gained on the way.")] = None,
+    lost_m: Annotated[float | None, typer.Option(metavar="M", help="Altitude lost on the way.")] = None,
+    plan: Annotated[
+        Path | None,
+        typer.Option(metavar="F.json", help="A plan to answer instead of the one that is known, as it travels."),
+    ] = None,
+    connect: Annotated[str, typer.Option(metavar="E", help="Router to join.")] = LOOPBACK,
+    config: Annotated[
+        Path | None, typer.Option(metavar="F.json5", help="Zenoh's own configuration: TLS and the rest.")
+    ] = None,
+    prefix: Annotated[str, typer.Option(metavar="P", help="Key chunks before `fleet`, such as montreal.")] = "",
+    timeout_s: Annotated[float, typer.Option(metavar="S", help="How long to wait for the answer.")] = 5.0,
+    json_file: JsonFile = None,
+) -> None:
+    """Ask a live consumer whether a car can take a ride and still finish above its reserve.
+
+    Without a ride it is asked about the shift as planned. Yes stands for a risk below 5 %, no for one above 50 %; what
+    is in brackets holds nine times in ten.
+    """
+    ride = {"distance_km": distance_km, "duration_s": duration_s, "gained_m": gained_m, "lost_m": lost_m}
+    given = {name: str(value) for name, value in ride.items() if value is not None}
+    writable([plan] if plan else [], json_file)
+    payload = _read(plan) if plan else None
+    asked_plan(payload, asked_vehicle(vehicle))  # what is wrong is told before anybody is asked
+    asked_leg(given)
+    if not 0.0 < timeout_s <= LONGEST_S:
+        raise SettingsError(f"--timeout-s is {timeout_s:g}, must be above 0 and at most {LONGEST_S:g} s")
+    with Node(Connection((connect,), prefix=prefix, config=config)) as node:
+        answer = ask(node, vehicle, given, payload, timeout_s)
+    try:
+        outlook = msgspec.json.decode(answer, type=Outlook)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise SettingsError(
+            f"the answer for {vehicle} is not understood: {error}; ask with the version of `socast` that answers"
+        ) from error
+    show(outlook, printer())
+    write_json(json_file, outlook)
+
+
+def show(outlook: Outlook, console: Console) -> None:
+    """Print the answer, first in a word, then in a sentence, then in figures."""
+    word, sentence = verdict(outlook)
+    console.print(Text.assemble((f"{word}:", _STYLES[word]), f" {sentence}"), highlight=False, soft_wrap=True)
+    for name, figure in figures(outlook):
+        console.print(f"  {name:<14} {figure}", markup=False, highlight=False, soft_wrap=True)
+
+
+def verdict(outlook: Outlook) -> tuple[str, str]:
+    """Return the answer in a word and in a sentence.
+
+    Returns
+    -------
+    str
+        `YES`, `NO`, `UNCERTAIN` or `NOT KNOWN`. Where the rest of the shift is not known, it is of the ride only.
+    str
+    """
+    asked, risk = outlook.asked, outlook.reserve_risk
+    word, ends, because = "NOT KNOWN", "finish", ""
+    if risk is not None:
+        word = "YES" if risk < LOW_RISK else "NO" if risk > HIGH_RISK else "UNCERTAIN"
+        because = f": the risk is {_share(risk)}"
+    elif asked and asked.soc_pct:
+        word, ends = _against(asked.soc_pct, outlook.reserve_soc_pct), "arrive"
+        because = "; the rest of its shift is not known"
+    doing = (
+        f"take {asked.distance_km:.4g} km in {asked.duration_s / 60:.0f} min and {ends}"
+        if asked
+        else "finish its shift"
+    )
+    says = _SAYS[word].format(outlook.vehicle_id)
+    return word, f"{says} {doing} above its reserve of {outlook.reserve_soc_pct:g} %{because}"
+
+
+def figures(outlook: Outlook) -> Iterator[tuple[str, str]]:
+    """Yield what the answer rests on, a name and a figure each; what is not known is left out, and why comes last."""
+    reserve = outlook.reserve_soc_pct
+    asked, end = outlook.asked, outlook.soc_end_of_shift_pct
+    if asked and asked.soc_pct:
+        yield "at arrival", f"{_told(asked.soc_pct, '%')}, {_apart(asked.soc_pct.mean, reserve)}"
+    if end:
+        when = f" at {_clock(outlook.shift_end_s)}" if outlook.shift_end_s is not None else ""
+        yield "end of shift", f"{_told(end, '%')}{when}, {_apart(end.mean, reserve)}"
+    if asked and asked.energy_kwh:
+        yield "energy", _told(asked.energy_kwh, "kWh", 2)
+    if outlook.legs:
+        yield "then planned", _planned(outlook.legs)
+    if outlook.soc_pct is not None:
+        yield "now", _now(outlook)
+    if outlook.consumption_scale is not None:
+        yield "this car today", f"takes {outlook.consumption_scale * 100:.0f} % of what {outlook.model} says"
+    if outlook.why_not:
+        yield "not known", outlook.why_not
+
+
+def _read(path: Path) -> bytes:
+    """Return what a file holds."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise SettingsError(f"{path} cannot be read: {error.strerror}; name a file with a plan as JSON") from error
+
+
+def _against(soc: Interval, reserve: float) -> str:
+    """Return whether a state of charge is above the reserve, in a word."""
+    if soc.p05 >= reserve:
+        return "YES"
+    return "NO" if soc.mean < reserve else "UNCERTAIN"
+
+
+def _told(value: Interval, unit: str, digits: int = 0) -> str:
+    """Return a quantity with its interval."""
+    return f"{value.mean:.{digits}f} {unit} ({value.p05:.{digits}f} to {value.p95:.{digits}f})"
+
+
+def _apart(soc: float, reserve: float) -> str:
+    """Return how far a state of charge is from the reserve."""
+    return f"{abs(soc - reserve):.0f} points {'above' if soc >= reserve else 'below'} the reserve"
+
+
+def _share(risk: float) -> str:
+    """Return a probability in percent, never as certain.
+
+    >>> _share(0.0), _share(0.034), _share(1.0)
+    ('under 1 %', '3 %', 'over 99 %')
+    """
+    if risk < 0.01:
+        return "under 1 %"
+    return "over 99 %" if risk > 0.99 else f"{risk * 100:.0f} %"
+
+
+def _clock(time_s: float) -> str:
+    """Return a time of day."""
+    return f"{datetime.fromtimestamp(time_s, UTC):%H:%M} UTC"
+
+
+def _planned(legs: Sequence[LegOutlook]) -> str:
+    """Return what a plan still holds."""
+    known = [leg.energy_kwh.mean for leg in legs if leg.energy_kwh]
+    takes = f", {sum(known):.1f} kWh" if len(known) == len(legs) else ""
+    return f"{len(legs)} leg{'s' * (len(legs) != 1)}, {sum(leg.distance_km for leg in legs):.0f} km{takes}"
+
+
+def _now(outlook: Outlook) -> str:
+    """Return the state of charge, of what, and since when, with their standard deviations."""
+    soc = f"{outlook.soc_pct:.1f}"
+    if outlook.soc_sd_pct is not None:
+        soc += f" ± {outlook.soc_sd_pct:.1f}"
+    of = ""
+    if outlook.usable_capacity_kwh is not None:
+        sd = f" ± {outlook.usable_capacity_sd_kwh:.1f}" if outlook.usable_capacity_sd_kwh is not None else ""
+        of = f" of {outlook.usable_capacity_kwh:.1f}{sd} kWh"
+    return f"{soc} %{of}, by a sample of {_clock(outlook.time_s)}"
