@@ -30,6 +30,9 @@ BOUNDS: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(
 )
 """Closed interval of what a road vehicle can have: from a quadricycle to a delivery lorry."""
 
+RATED: Final = (0.02, 1.0)
+"""The same of an official consumption, where one is known. [kWh/km]"""
+
 OVERRIDES: Final = ("nominal_capacity_kwh", "mass_kg", "drag_coefficient", "frontal_area_m2", "rolling_resistance")
 """What a `Vehicle` message may override; all of them together do without the catalogue."""
 
@@ -61,6 +64,8 @@ class VehicleModel:
         Its climate and accessory power over that of `ACCESSORIES`. [1]
     usable_capacity_kwh : float, optional
         What 100 to 0 % of displayed charge yields when new, where it is known. [kWh]
+    rated_kwh_per_km : float, optional
+        Official consumption, where it is known; US labels count charging losses. [kWh/km]
     sources : mapping of str to str
         Where each figure comes from; begins with `estimated` where it was not published or measured.
     """
@@ -74,6 +79,7 @@ class VehicleModel:
     nominal_capacity_kwh: float
     accessory_scale: float
     usable_capacity_kwh: float | None
+    rated_kwh_per_km: float | None
     sources: Mapping[str, str] = field(hash=False)
 
     @property
@@ -206,7 +212,13 @@ def vehicle_model(message: Vehicle) -> VehicleModel | str:
     if known is None:
         sources["accessory_scale"] = "estimated: that of the reference car"
         return VehicleModel(
-            key=message.model, name=message.model, accessory_scale=1.0, usable_capacity_kwh=None, sources=sources, **own
+            key=message.model,
+            name=message.model,
+            accessory_scale=1.0,
+            usable_capacity_kwh=None,
+            rated_kwh_per_km=None,
+            sources=sources,
+            **own,
         )
     if not own:
         return known
@@ -238,10 +250,13 @@ def _entry(key: str, table: Any) -> VehicleModel:
     usable = None
     if "usable_capacity_kwh" in table:
         usable = _figure(key, table, "usable_capacity_kwh", 1.0, figures["nominal_capacity_kwh"])
+    rated = _figure(key, table, "rated_kwh_per_km", *RATED) if "rated_kwh_per_km" in table else None
     said = table.get("name")
     if not isinstance(said, str) or not said.strip():
         raise CatalogueError(f'vehicle {key}: it has no name: add name = "..."')
-    return VehicleModel(key=key, name=said, usable_capacity_kwh=usable, sources=dict(sources), **figures)
+    return VehicleModel(
+        key=key, name=said, usable_capacity_kwh=usable, rated_kwh_per_km=rated, sources=dict(sources), **figures
+    )
 
 
 def _figure(key: str, table: Mapping[str, Any], name: str, low: float, high: float) -> float:

@@ -64,6 +64,7 @@ def test_every_figure_has_a_source_that_says_something(key):
         assert len(model.sources[figure]) > 15, figure
     assert set(model.sources) <= {f.name for f in fields(VehicleModel)}
     assert (model.usable_capacity_kwh is None) == ("usable_capacity_kwh" not in model.sources)
+    assert (model.rated_kwh_per_km is None) == ("rated_kwh_per_km" not in model.sources)
 
 
 @pytest.mark.parametrize("key", sorted(KEYS))
@@ -72,6 +73,13 @@ def test_road_load_at_90_kmh_is_that_of_a_small_electric_vehicle(key):
     rolling = model.mass_kg * 9.81 * model.rolling_resistance
     drag = 0.5 * 1.2 * model.drag_area_m2 * 25.0**2
     assert 0.05 < (rolling + drag) / 3600 < 0.16  # kWh/km at the wheels
+
+
+@pytest.mark.parametrize("key", sorted(KEYS))
+def test_the_official_consumption_is_a_few_times_the_road_load_in_town(key):
+    model = catalogue()[key]
+    load = model.mass_kg * 9.81 * model.rolling_resistance + 0.5 * 1.2 * model.drag_area_m2 * 16.0**2
+    assert 1.0 < model.rated_kwh_per_km / (load / 3600) < 4.0
 
 
 def test_models_are_values():
@@ -107,6 +115,11 @@ def test_read_catalogue_reads_a_good_entry():
             "accessory_scale = 0.0\n",
             "accessory_scale = 0.0\nusable_capacity_kwh = 6\n",
             "usable_capacity_kwh 6 is outside 1 to 5",
+        ),
+        (
+            "accessory_scale = 0.0\n",
+            "accessory_scale = 0.0\nrated_kwh_per_km = 18\n",
+            "rated_kwh_per_km 18 is outside 0.02 to 1",
         ),
         ("[horse.sources]", "[cart]\nname='x'\n[cart.sources]", "no sources"),
         ("[horse]", "x = 1\n[horse]", "'x' is no table"),

@@ -1,6 +1,7 @@
 """`socast import`: public data sets of real drives, turned into recordings that `replay` and `tables` read."""
 
 from collections.abc import Callable, Iterable, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, TypeVar
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
@@ -14,6 +15,7 @@ from stream.mcap_io import McapSink
 from tools.importers import bmw_i3, twizy, ved
 from tools.importers.drive import Drive, in_order, messages
 from tools.importers.published import files
+from tools.importers.shifts import FULL, Strung, plans, strung
 
 app = typer.Typer(no_args_is_help=True, help="Turn public data sets of real drives into recordings.")
 
@@ -21,6 +23,12 @@ Paths = Annotated[list[Path], typer.Argument(help="Files as published, plain or 
 Out = Annotated[Path, typer.Option("--out", help="The recording to write.", metavar="FILE.mcap")]
 Period = Annotated[float, typer.Option(min=0.1, max=60.0, help="Seconds between two samples, about.")]
 SkipBad = Annotated[bool, typer.Option("--skip-bad", help="Go on without files that cannot be read, and name them.")]
+ShiftHours = Annotated[
+    float | None,
+    typer.Option(
+        "--shift-hours", metavar="H", min=0.5, max=24.0, help="String each car's rides into shifts of about so long."
+    ),
+]
 Zone = Annotated[str, typer.Option(help="Time zone of the files' clock.", metavar="ZONE")]
 
 Step = TypeVar("Step")
@@ -37,6 +45,7 @@ def import_ved(
         list[int] | None, typer.Option(help="Only this VehId; may be repeated. By default all electric cars.")
     ] = None,
     period: Period = 3.0,
+    shift_hours: ShiftHours = None,
     time_zone: Zone = ved.TIME_ZONE,
     skip_bad: SkipBad = False,
 ) -> None:
@@ -49,7 +58,7 @@ def import_ved(
         raise ImportFileError(
             f"{paths[0]}: column 'VehId' has no {who} in the files given; 10, 455 and 541 are electric"
         )
-    write(drives, out, period)
+    write(drives, out, period, shift_hours)
 
 
 @app.command("bmw-i3")
@@ -57,6 +66,7 @@ def import_bmw_i3(
     paths: Paths,
     out: Out,
     period: Period = 3.0,
+    shift_hours: ShiftHours = None,
     time_zone: Zone = bmw_i3.TIME_ZONE,
     skip_bad: SkipBad = False,
 ) -> None:
@@ -69,7 +79,7 @@ def import_bmw_i3(
             overviews[path.parent] = bmw_i3.read_overview(path.parent / bmw_i3.OVERVIEW)
         return bmw_i3.read_drives(path, zone, overviews[path.parent])
 
-    write(collect(paths, read, skip_bad), out, period)
+    write(collect(paths, read, skip_bad), out, period, shift_hours)
 
 
 @app.command("twizy")
@@ -77,12 +87,13 @@ def import_twizy(
     paths: Paths,
     out: Out,
     period: Period = 3.0,
+    shift_hours: ShiftHours = None,
     time_zone: Zone = twizy.TIME_ZONE,
     skip_bad: SkipBad = False,
 ) -> None:
     """Import the Renault Twizy around Rabat, logged at 1 Hz, without voltage and current."""
     zone = _zone(time_zone)
-    write(collect(paths, lambda path: twizy.read_drives(path, zone), skip_bad), out, period)
+    write(collect(paths, lambda path: twizy.read_drives(path, zone), skip_bad), out, period, shift_hours)
 
 
 def collect(paths: Sequence[Path], read: Callable[[Path], list[Drive]], skip_bad: bool = False) -> list[Drive]:
@@ -126,7 +137,7 @@ def collect(paths: Sequence[Path], read: Callable[[Path], list[Drive]], skip_bad
     return in_order(drives)
 
 
-def write(drives: Sequence[Drive], out: Path, period: float) -> None:
+def write(drives: Sequence[Drive], out: Path, period: float, shift_hours: float | None = None) -> None:
     """Write drives as a recording, and say what is in it.
 
     Parameters
@@ -134,11 +145,17 @@ def write(drives: Sequence[Drive], out: Path, period: float) -> None:
     drives : sequence of Drive. In order.
     out : Path. The recording.
     period : float. Time between two samples. [s]
+    shift_hours : float, optional. String the rides of each car into shifts, with plans. [h]
     """
     console = Console()
     for note in (note for drive in drives for note in drive.notes):
         console.print(note, markup=False, highlight=False, soft_wrap=True)
-    recording = messages(drives, period)
+    shifts = [] if shift_hours is None else strung(drives, shift_hours)
+    if shifts:
+        console.print(_of_shifts(shifts), markup=False, highlight=False, soft_wrap=True)
+        drives = [drive for shift in shifts for drive in shift.drives]
+    planned = [plan for shift in shifts for plan in plans(shift)]
+    recording = sorted([*messages(drives, period), *planned], key=attrgetter("receipt_ns"))
     with McapSink(out) as sink:
         for start in _progress(range(0, len(recording), BLOCK), "writing"):
             sink.put(recording[start : start + BLOCK])
@@ -149,6 +166,15 @@ def write(drives: Sequence[Drive], out: Path, period: float) -> None:
         markup=False,
         highlight=False,
         soft_wrap=True,
+    )
+
+
+def _of_shifts(shifts: Sequence[Strung]) -> str:
+    """Return what became of the rides, for a person to read."""
+    hours = [(shift.end - shift.drives[0].start) / 3600.0 for shift in shifts]
+    return (
+        f"strung into {len(shifts)} shifts of {min(hours):.1f} to {max(hours):.1f} h: rides moved, the state of charge "
+        f"continued from {FULL:g} %, plans made up"
     )
 
 

@@ -1,13 +1,14 @@
 """From a drive as a car recorded it to the messages that a logger aboard would have sent."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from operator import attrgetter
 from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
 
 from core.batch import Floats
-from core.codec import Message, Ride, Telemetry, Vehicle, Weather, encode
+from core.codec import Message, Plan, Ride, Telemetry, Vehicle, Weather, encode
 from tools.importers.resample import grid, held_means, held_rows
 
 LONGEST_DRIVE: Final = 86_400.0
@@ -79,7 +80,7 @@ def in_order(drives: Iterable[Drive]) -> list[Drive]:
     free_from: dict[str, float] = {}
     ordered = []
     for drive in sorted(drives, key=lambda d: (d.start, d.vehicle_id, d.ride_id)):
-        placed = _moved(drive, max(0.0, free_from.get(drive.vehicle_id, drive.start) - drive.start))
+        placed = _after(drive, max(0.0, free_from.get(drive.vehicle_id, drive.start) - drive.start))
         free_from[drive.vehicle_id] = placed.end + 1.0
         ordered.append(placed)
     return sorted(ordered, key=lambda d: (d.start, d.vehicle_id))
@@ -140,12 +141,23 @@ def messages(drives: Sequence[Drive], period: float) -> list[Message]:
         telemetry = samples(drive, period)
         first, last = telemetry[0].time_s, telemetry[-1].time_s
         fleet = f"fleet/{drive.vehicle_id}"
-        out += [_message(f"weather/{seen.station_id}", seen) for seen in drive.weather]
-        out.append(_message(f"{fleet}/vehicle", Vehicle(drive.vehicle_id, first, drive.model)))
-        out.append(_message(f"{fleet}/ride", Ride(drive.vehicle_id, first, drive.ride_id, "start")))
-        out += [_message(f"{fleet}/telemetry", sample) for sample in telemetry]
-        out.append(_message(f"{fleet}/ride", Ride(drive.vehicle_id, last, drive.ride_id, "end")))
-    return sorted(out, key=lambda message: message.receipt_ns)
+        out += [message(f"weather/{seen.station_id}", seen) for seen in drive.weather]
+        out.append(message(f"{fleet}/vehicle", Vehicle(drive.vehicle_id, first, drive.model)))
+        out.append(message(f"{fleet}/ride", Ride(drive.vehicle_id, first, drive.ride_id, "start")))
+        out += [message(f"{fleet}/telemetry", sample) for sample in telemetry]
+        out.append(message(f"{fleet}/ride", Ride(drive.vehicle_id, last, drive.ride_id, "end")))
+    return sorted(out, key=attrgetter("receipt_ns"))
+
+
+def moved(drive: Drive, by: float) -> Drive:
+    """Return a drive, and the weather that came with it, later by some seconds."""
+    weather = tuple(msgspec.structs.replace(seen, time_s=seen.time_s + by) for seen in drive.weather)
+    return drive._replace(start=drive.start + by, weather=weather)
+
+
+def message(key: str, value: Telemetry | Vehicle | Ride | Plan | Weather) -> Message:
+    """Return a message received at the moment that it speaks of."""
+    return Message(key, encode(value), round(value.time_s * 1000) * 1_000_000)
 
 
 def _or(instant: Floats, nearby: Floats) -> Floats:
@@ -153,13 +165,12 @@ def _or(instant: Floats, nearby: Floats) -> Floats:
     return np.where(np.isfinite(instant), instant, nearby)
 
 
-def _moved(drive: Drive, by: float) -> Drive:
-    """Return a drive that begins later, with a note."""
+def _after(drive: Drive, by: float) -> Drive:
+    """Return a drive that begins later, with a note, or as it is where it need not."""
     if by == 0:
         return drive
     note = f"{drive.source}: ride {drive.ride_id} overlapped the one before it, moved by {by:.0f} s"
-    weather = tuple(msgspec.structs.replace(seen, time_s=seen.time_s + by) for seen in drive.weather)
-    return drive._replace(start=drive.start + by, weather=weather, notes=(*drive.notes, note))
+    return moved(drive, by)._replace(notes=(*drive.notes, note))
 
 
 def _numbers(name: str, column: Floats) -> list[float | None]:
@@ -167,8 +178,3 @@ def _numbers(name: str, column: Floats) -> list[float | None]:
     known = np.isfinite(column)
     rounded = np.round(np.where(known, column, 0.0), DECIMALS[name]) + 0.0  # no -0.0
     return [value if there else None for value, there in zip(rounded.tolist(), known.tolist(), strict=True)]
-
-
-def _message(key: str, value: Telemetry | Vehicle | Ride | Weather) -> Message:
-    """Return a message received at the moment that it speaks of."""
-    return Message(key, encode(value), round(value.time_s * 1000) * 1_000_000)

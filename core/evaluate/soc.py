@@ -1,0 +1,230 @@
+"""Forecasts of the state of charge at a shift's end, against what it became and what a person would expect.
+
+Errors are in per cent of charge. At one time ahead each shift gives one forecast; figures that pool times ahead, and
+all intervals, take the shifts of a car on a day for one cluster.
+"""
+
+from math import nan
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy import stats
+
+from core.batch import Floats
+from core.errors import ModelError
+from core.evaluate.clustered import clustered_mean
+from core.evaluate.conditions import between
+from core.evaluate.scores import Codes
+from core.evaluate.soc_baselines import BASELINES, baselines
+from core.evaluate.soc_examples import examples
+from core.evaluate.soc_judged import HOURS, KEY, Judged, judged
+from core.evaluate.soc_reserve import reserve
+
+NOMINAL: Final = 0.90
+"""Share of outcomes that the interval is meant to hold."""
+TEMPERATURES: Final = (-20, -10, 0, 10, 20, 30)
+"""Ends of the bands of a shift's mean outside temperature; the first and last band are open. [°C]"""
+
+
+def evaluate_soc(outlooks: pd.DataFrame, shifts: pd.DataFrame) -> dict[str, Any]:
+    """Return how good the forecasts of a pipeline were.
+
+    Parameters
+    ----------
+    outlooks : DataFrame
+        Every forecast, as `Pipeline.take_outlooks` has them.
+    shifts : DataFrame
+        Every shift that has ended, as `Pipeline.take_shifts` has them.
+
+    Returns
+    -------
+    dict
+        `about` what was judged; `overall`, with all times ahead pooled in `pooled` and each in `hours`; `by` condition,
+        bins of the same; `reserve`; `forecasts`, one a case; `examples` of shifts; `notes`.
+
+    Raises
+    ------
+    ModelError
+        Where no forecast can be judged.
+    """
+    found = judged(outlooks, shifts)
+    if not len(found.cases):
+        why = ", ".join(f"{count} {reason}" for reason, count in found.left_out.items()) or "none made"
+        raise ModelError(
+            f"{found.shifts} shifts ended and no forecast of theirs can be judged ({why}): give recordings of more days"
+        )
+    cases = pd.concat([found.cases, baselines(found.cases, outlooks, shifts)], axis=1)
+    return {
+        "about": _about(found),
+        "overall": told(cases),
+        "by": by_condition(cases),
+        "reserve": reserve(cases),
+        "forecasts": {
+            "vehicle_id": cases["vehicle_id"].tolist(),
+            "shift": cases["shift"].tolist(),
+            "hours": cases["hours"].tolist(),
+            **{name: cases[f"{name}_pct"].tolist() for name in ("soc", "soc_mean", "soc_p05", "soc_p95", "soc_end")},
+            **{name: cases[name].tolist() for name in BASELINES},
+        },
+        "examples": examples(cases, outlooks),
+        "notes": _notes(cases),
+    }
+
+
+def told(cases: pd.DataFrame) -> dict[str, Any]:
+    """Return the figures of cases, `pooled` over times ahead and in `hours` for each that has any."""
+    each = {str(hours): cases[cases["hours"] == hours] for hours in HOURS}
+    return {"pooled": figures(cases), "hours": {hours: figures(own) for hours, own in each.items() if len(own)}}
+
+
+def by_condition(cases: pd.DataFrame) -> dict[str, list[dict[str, Any]]]:
+    """Return the figures in each band of temperature, of each vehicle model, with and without a plan."""
+    band = between(cases["ambient_c"].to_numpy(np.float64), TEMPERATURES)
+    model = pd.Categorical(cases["vehicle_model"])
+    bins = {
+        "temperature": (band.codes, band.labels),
+        "vehicle model": (model.codes, tuple(map(str, model.categories))),
+        "plan": (np.where(cases["planned"].to_numpy(bool), 0, 1), ("planned", "by habit")),
+    }
+    return {
+        name: [{"bin": labels[code], **told(cases[codes == code])} for code in np.unique(codes[codes >= 0]).tolist()]
+        for name, (codes, labels) in bins.items()
+    }
+
+
+def figures(cases: pd.DataFrame) -> dict[str, Any]:
+    """Return error, coverage and width of forecasts, and how baselines do on the same ones.
+
+    Returns
+    -------
+    dict
+        `n` forecasts of `shifts` on `vehicle_days`; `mae_pct`, `bias_pct` (forecast less outcome) and `width_pct` with
+        intervals; `coverage`, and the shares `below` and `above` the interval; `baselines`, each with its error, the
+        forecasts' own where it has an answer, and `less_pct`, its error less theirs; `best` of these.
+    """
+    became, clusters = _numbers(cases, "soc_end_pct"), cases["cluster"].to_numpy(np.int64)
+    mean, low, high = (_numbers(cases, f"soc_{name}_pct") for name in ("mean", "p05", "p95"))
+    error = np.abs(mean - became)
+    return {
+        "n": len(cases),
+        "shifts": len(cases[KEY].drop_duplicates()),
+        "vehicle_days": len(np.unique(clusters)),
+        "mae_pct": clustered_mean(error, clusters).figures(),
+        "bias_pct": clustered_mean(mean - became, clusters).figures(),
+        "coverage": clustered_share((low <= became) & (became <= high), clusters),
+        "below": float(np.mean(became < low)),
+        "above": float(np.mean(became > high)),
+        "width_pct": clustered_mean(high - low, clusters).figures(),
+        "baselines": {name: _against(_numbers(cases, name), became, error, clusters) for name in BASELINES},
+        "best": _best(cases, became, error),
+    }
+
+
+def _against(expected: Floats, became: Floats, error: Floats, clusters: Codes) -> dict[str, Any]:
+    """Return how a baseline does, and the forecasts where it has an answer."""
+    known = np.isfinite(expected)
+    its, own, of = np.abs(expected - became)[known], error[known], clusters[known]
+    return {
+        "n": int(known.sum()),
+        "mae_pct": clustered_mean(its, of).figures(),
+        "bias_pct": clustered_mean((expected - became)[known], of).figures(),
+        "forecast_mae_pct": clustered_mean(own, of).figures(),
+        "less_pct": clustered_mean(its - own, of).figures(),
+        "share_less": _share_less(its, own),
+    }
+
+
+def _best(cases: pd.DataFrame, became: Floats, error: Floats) -> dict[str, Any] | None:
+    """Return the baseline of least error where all have an answer, and how far the forecasts are below it."""
+    known = np.isfinite(cases[list(BASELINES)].to_numpy(np.float64)).all(axis=1)
+    if not known.any():
+        return None
+    errors = {name: np.abs(_numbers(cases, name) - became)[known] for name in BASELINES}
+    name = min(errors, key=lambda one: float(errors[one].mean()))
+    return {
+        "name": name,
+        "n": int(known.sum()),
+        "mae_pct": float(errors[name].mean()),
+        "forecast_mae_pct": float(error[known].mean()),
+        "share_less": _share_less(errors[name], error[known]),
+    }
+
+
+def _share_less(its: Floats, own: Floats) -> float:
+    """Return how far the forecasts' mean absolute error is below a baseline's, as a share of it."""
+    return 1.0 - float(own.mean() / its.mean()) if len(its) and its.mean() > 0.0 else nan
+
+
+def clustered_share(holds: NDArray[np.bool_], clusters: Codes) -> dict[str, float]:
+    """Return a share with the 95 % binomial interval that allows for cases of a cluster being alike.
+
+    Clopper and Pearson's interval for the effective number of cases: fewer by the ratio of the variance of independent
+    cases to the clustered one, and for its degrees of freedom; where all or none hold, the number of clusters.
+
+    Returns
+    -------
+    dict
+        `value`, `low` and `high`.
+
+    References
+    ----------
+    Korn and Graubard, Survey Methodology 24 (1998) 193, "Confidence Intervals for Proportions with Small Expected
+    Number of Positive Counts Estimated from Survey Data", section 3.
+
+    Examples
+    --------
+    >>> found = clustered_share(np.array([True] * 18 + [False] * 2), np.arange(20))
+    >>> [round(found[name], 2) for name in ("value", "low", "high")]
+    [0.9, 0.68, 0.99]
+    """
+    estimate = clustered_mean(holds.astype(np.float64), clusters)
+    n, share = float(len(holds)), estimate.value
+    if not n or not estimate.freedom > 0.0:
+        return {"value": share, "low": nan, "high": nan}
+    if estimate.error > 0.0:
+        stretch = stats.t.ppf(0.975, n - 1.0) / stats.t.ppf(0.975, estimate.freedom)
+        alone = share * (1.0 - share) / (n - 1.0)
+        n = min(n, n * alone / estimate.error**2 * stretch**2)
+    else:
+        n = float(len(np.unique(clusters)))
+    yes, no = n * share, n * (1.0 - share)
+    return {
+        "value": share,
+        "low": float(stats.beta.ppf(0.025, yes, no + 1.0)) if yes > 0.0 else 0.0,
+        "high": float(stats.beta.ppf(0.975, yes + 1.0, no)) if no > 0.0 else 1.0,
+    }
+
+
+def _about(found: Judged) -> dict[str, Any]:
+    """Return what was judged."""
+    cases = found.cases
+    dates = pd.to_datetime(cases["begin_s"], unit="s").dt.strftime("%Y-%m-%d")
+    return {
+        "shifts": found.shifts,
+        "judged_shifts": len(cases[KEY].drop_duplicates()),
+        "warm_up_shifts": found.warm_up,
+        "forecasts": len(cases),
+        "left_out": found.left_out,
+        "vehicles": int(cases["vehicle_id"].nunique()),
+        "vehicle_days": int(cases["cluster"].nunique()),
+        "vehicle_models": sorted(map(str, cases["vehicle_model"].unique())),
+        "first_date": str(dates.min()),
+        "last_date": str(dates.max()),
+    }
+
+
+def _notes(cases: pd.DataFrame) -> list[str]:
+    """Return what a reader should know of these shifts."""
+    notes = []
+    if not cases["planned"].any():
+        notes.append("no shift had a plan: of what a person would use only the car's own pace is known")
+    unrated = sorted(set(cases.loc[cases["rating"].isna() & cases["ahead_km"].notna(), "vehicle_model"].astype(str)))
+    if unrated:
+        notes.append(f"no official rating is known of {', '.join(unrated)}")
+    return notes
+
+
+def _numbers(cases: pd.DataFrame, column: str) -> Floats:
+    return cases[column].to_numpy(np.float64)

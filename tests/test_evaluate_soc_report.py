@@ -1,0 +1,178 @@
+"""`socast evaluate-soc`, as a person meets it: tables that fit, a page that needs nothing else, one line of error."""
+
+import json
+import re
+from io import StringIO
+from pathlib import Path
+from zoneinfo import ZoneInfo
+
+import pytest
+from rich.console import Console
+from soc_frames import told
+from test_report import read
+
+from core.evaluate.results import plain
+from core.evaluate.soc import evaluate_soc
+from tools import evaluate_soc as command
+from tools.cli import main
+from tools.import_drives import collect, write
+from tools.importers import ved
+from tools.importers.shifts import strung
+from tools.report import soc, soc_figures
+from tools.report.soc_tables import against_best, ahead, covered
+
+DATA = Path(__file__).parent.parent.parent / "shared" / "data"
+SHIFT = Path(__file__).parent.parent / "recordings" / "shift.mcap"
+ODD = "<b>R&D's 'best'</b>"
+SMALL = told(cars=4, days=8)
+FEW = told(cars=1, days=2, hours=0.4, warm_up=0)
+
+
+@pytest.fixture(scope="module")
+def result():
+    return plain(evaluate_soc(*SMALL))
+
+
+def printed(result):
+    """Return what the terminal shows."""
+    console = Console(width=120, file=StringIO(), color_system=None)
+    soc.show(result, console)
+    return console.file.getvalue()
+
+
+def figures(result):
+    """Return all figures of the page, by key."""
+    found = [one for section in soc.sections(result) for one in soc.illustrations(result, section.key)]
+    return {one.key: one for one in found}
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Return what runs the command on a recording whose pipeline tells of planted shifts."""
+
+    class Planted(command.Pipeline):
+        def __init__(self, *arguments, keep_outlooks, **options):
+            assert keep_outlooks
+            super().__init__(*arguments, **options)
+
+        def take_outlooks(self):
+            return SMALL.outlooks
+
+        def take_shifts(self):
+            return SMALL.shifts
+
+    monkeypatch.setattr(command, "Pipeline", Planted)
+
+    def ran(*arguments):
+        with pytest.raises(SystemExit) as ended:
+            main(["evaluate-soc", *map(str, arguments)])
+        return ended.value.code or 0, capsys.readouterr()
+
+    return ran
+
+
+def test_the_command_prints_and_writes_one_result(run, result, tmp_path):
+    code, streams = run(SHIFT, "--json", tmp_path / "s.json", "--html", tmp_path / "s.html")
+    assert code == 0, streams.err
+    assert json.loads((tmp_path / "s.json").read_text()) == result
+    assert printed(result) in streams.out
+    assert f"report in {tmp_path / 's.html'}" in streams.out
+
+
+def test_an_output_that_would_overwrite_the_recording_is_refused(run):
+    code, streams = run(SHIFT, "--json", SHIFT)
+    assert code == 2
+    assert re.fullmatch(r"socast: [^\n]+would be overwritten[^\n]+\n", streams.err)
+
+
+def test_a_recording_too_short_to_learn_from_is_refused_in_one_line(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["evaluate-soc", str(SHIFT)])
+    assert ended.value.code == 2
+    words = r"socast: 7 shifts ended and no forecast of theirs can be judged \(\d+ no interval yet\): [^\n]+\n"
+    assert re.fullmatch(words, capsys.readouterr().err)
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason=f"the public data sets are not at {DATA}")
+def test_real_drives_strung_into_shifts_are_judged_by_what_they_became(tmp_path):
+    drives = collect([DATA / "ved_ev"], lambda path: ved.read_drives(path, ZoneInfo(ved.TIME_ZONE)))
+    shifts = strung(drives, 2.0)
+    write(drives, tmp_path / "ved.mcap", 3.0, shift_hours=2.0)
+    with pytest.raises(SystemExit) as ended:
+        main(["evaluate-soc", str(tmp_path / "ved.mcap"), "--json", str(tmp_path / "s.json")])
+    assert not ended.value.code
+    found = json.loads((tmp_path / "s.json").read_text())
+    assert found["about"]["shifts"] == len(shifts)
+    told = found["forecasts"]
+    assert len(told["hours"]) + sum(found["about"]["left_out"].values()) >= len(shifts)
+    became = {number: shift.drives[-1].rows["soc_pct"][-1] for number, shift in enumerate(shifts)}
+    assert told["soc_end"] == pytest.approx([became[number] for number in told["shift"]], abs=0.5)
+    planned = [row for row, hours in enumerate(told["hours"]) if hours > 0]
+    assert planned
+    assert all(told["rating"][row] is not None and told["model_mean"][row] is not None for row in planned)
+
+
+def test_the_tables_say_what_the_result_does(result):
+    out = printed(result)
+    for hours, own in result["overall"]["hours"].items():
+        (line,) = (line for line in out.splitlines() if line.startswith(f" {hours} h "))
+        assert f"{own['mae_pct']['value']:.2f} ± {own['mae_pct']['ci95']:.2f}" in line
+        assert covered(own["coverage"]) in line
+        assert f"{own['baselines']['rating']['mae_pct']['value']:.2f}" in line
+        assert hours == "0" or against_best(own) in line
+    assert "Judged from 2018-01-03 to 2018-01-08; 8 shifts came before enough was learned" in " ".join(out.split())
+    assert out.index("By temperature") < out.index("Alarms") < out.index("How good the forecasts were")
+    assert [row.name for row in ahead(result).rows] == ["0 h", "1 h", "2 h", "4 h", "6 h", "all"]
+
+
+def test_the_page_loads_nothing_and_has_every_figure(result, tmp_path):
+    soc.write(result, tmp_path / "s.html")
+    text = (tmp_path / "s.html").read_text()
+    page = read(text)
+    assert page.loaded == []
+    assert set(page.links) <= set(page.ids)
+    assert len(page.ids) == len(set(page.ids))
+    names = ["error", "coverage", "width", "scatter", "by-0", "by-1", "example-0"]
+    assert {f"figure-soc-{name}" for name in names} <= set(page.ids)
+
+
+def test_axes_have_units_and_curves_differ_in_more_than_colour(result):
+    for key, one in figures(result).items():
+        layout = one.figure.layout
+        assert re.search(r"\[[^\]]+\]$|^Vehicle model$", layout.xaxis.title.text), key
+        assert re.search(r"\[[^\]]+\]$", layout.yaxis.title.text), key
+        shown = [trace for trace in one.figure.data if trace.showlegend is not False]
+        looks = [(trace.mode, trace.line.dash, trace.marker.symbol, trace.fill) for trace in shown]
+        assert len(set(looks)) == len(looks), key
+
+
+def test_the_scatter_shows_each_shift_once_where_it_belongs(result):
+    inside, outside, _ = soc_figures.scatter(result).data
+    own = result["overall"]["hours"]["2"]
+    assert len(inside.x) + len(outside.x) == own["n"]
+    assert len(inside.x) / own["n"] == pytest.approx(own["coverage"]["value"])
+
+
+def test_the_fan_of_an_example_ends_where_the_shift_did(result):
+    for own in result["examples"]:
+        upper, lower, mean, _, became = soc_figures.fan(own).data
+        assert became.y == (own["soc_end_pct"],)
+        assert all(low <= m <= high for low, m, high in zip(lower.y, mean.y, upper.y, strict=True))
+
+
+def test_few_short_shifts_are_shown_as_far_as_anything_is_known(tmp_path):
+    found = plain(evaluate_soc(*FEW))
+    out = printed(found)
+    assert [row.name for row in ahead(found).rows] == ["0 h", "all"]
+    assert " 0 h " in out
+    soc.write(found, tmp_path / "few.html")
+    assert "figure-soc-scatter" not in read((tmp_path / "few.html").read_text()).ids
+
+
+def test_odd_names_are_shown_as_they_are(tmp_path):
+    tables = [table.replace({"taxi-1": ODD, "nissan-leaf-2016": ODD}) for table in SMALL]
+    found = plain(evaluate_soc(*tables))
+    assert "R&D's" in printed(found)
+    assert any("no official rating is known of" in note for note in found["notes"])
+    soc.write(found, tmp_path / "odd.html")
+    assert "<b>R&D" not in (tmp_path / "odd.html").read_text()

@@ -1,0 +1,223 @@
+"""Figures of an evaluation of state-of-charge forecasts: errors, coverage and width, and shifts as examples."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import plotly.graph_objects as go
+
+from core.evaluate.soc import NOMINAL
+from core.evaluate.soc_baselines import BASELINES
+from tools.report.comparison_figures import drawn
+from tools.report.figure_style import REFERENCE_LINE, curve, figure, label, style
+from tools.report.illustrations import Illustration
+from tools.report.result import Result, mapping, number, part, vehicle_name
+from tools.report.soc_tables import SHOWN_AT, bin_name
+
+FORECAST: Final = style(5)
+LOOKS: Final = {"linear": style(4), "model_mean": style(2), "rating": style(0)}
+"""Of the baselines."""
+AIMED: Final = (88.0, 92.0)
+"""Between these the coverage should be. [%]"""
+MOST_POINTS: Final = 2000
+"""Forecasts that a scatter shows."""
+BEFORE: Final = "Time before the shift's end [h]"
+CHARGE: Final = "State of charge [%]"
+WIDE: Final = "Intervals far wider than the figure, of few shifts, are left out."
+SHADE: Final = "rgba(128,128,128,0.25)"
+
+
+def of_time(result: Result) -> list[Illustration]:
+    """Return error, coverage and width by the time ahead, and forecasts against what they became."""
+    aim = f"{AIMED[0]:.0f} and {AIMED[1]:.0f} %"
+    shown = [
+        Illustration(
+            "soc-error",
+            "Error by time ahead",
+            f"Mean absolute error of the forecast and of what a person would expect, with 95 % intervals. {WIDE}",
+            errors(result),
+            small=True,
+        ),
+        Illustration(
+            "soc-coverage",
+            "Coverage by time ahead",
+            f"Share of outcomes inside the 90 % interval, with its own 95 % interval; broken lines at {aim}.",
+            coverage(_hours(result), "Time before the shift's end [h]"),
+            small=True,
+        ),
+        Illustration(
+            "soc-width",
+            "Width by time ahead",
+            f"Mean width of the 90 % interval, with 95 % intervals of that mean. {WIDE}",
+            width(result),
+            small=True,
+        ),
+    ]
+    if SHOWN_AT in mapping(result, "overall", "hours"):
+        caption = (
+            f"A point is a shift, {SHOWN_AT} h before its end; on the line forecast and outcome agree. Crosses are "
+            "outside their 90 % interval."
+        )
+        shown.append(
+            Illustration(
+                "soc-scatter", f"Forecast against outcome, {SHOWN_AT} h ahead", caption, scatter(result), small=True
+            )
+        )
+    return shown
+
+
+def _hours(result: Result) -> dict[str, Any]:
+    return dict(mapping(result, "overall", "hours"))
+
+
+def errors(result: Result) -> go.Figure:
+    """Return the mean absolute error of forecasts and baselines against the time ahead."""
+    found = _hours(result)
+    x = [int(hours) for hours in found]
+    lines = {"forecast": (FORECAST, [part(own, "mae_pct") for own in found.values()])}
+    lines |= {
+        meaning: (LOOKS[name], [part(own, "baselines", name, "mae_pct") for own in found.values()])
+        for name, meaning in BASELINES.items()
+    }
+    among = [value for _, values in lines.values() for value in values]
+    traces = [
+        curve(label(name), look, x, [number(v) for v in values], drawn(values, among))
+        for name, (look, values) in lines.items()
+    ]
+    made = figure(traces, 380)
+    made.update_xaxes(title_text=BEFORE, tickvals=x)
+    made.update_yaxes(title_text="Mean absolute error [% of charge]", rangemode="tozero")
+    return made
+
+
+def coverage(found: Mapping[str, Any], axis: str) -> go.Figure:
+    """Return the coverage in each of some groups, with its interval, against what it should be.
+
+    Parameters
+    ----------
+    found : mapping of str to mapping
+        Name of a group -> its figures.
+    axis : str
+        What the groups are, with the unit.
+    """
+    shares = [part(own, "coverage") for own in found.values()]
+    reach = [[_reach(share, end) for share in shares] for end in ("low", "high")]
+    trace = curve("coverage", FORECAST, [label(name) for name in found], [_percent(share, "value") for share in shares])
+    trace.update(mode="markers")
+    trace.error_y = {"symmetric": False, "arrayminus": reach[0], "array": reach[1], "thickness": 1, "width": 3}
+    made = figure([trace], 380)
+    for share in AIMED:
+        made.add_hline(y=share, line=REFERENCE_LINE)
+    made.add_hline(y=100.0 * NOMINAL, line={**REFERENCE_LINE, "dash": "solid", "width": 1})
+    made.update_layout(showlegend=False)
+    made.update_xaxes(title_text=axis, type="category")
+    made.update_yaxes(title_text="Outcomes inside the 90 % interval [%]")
+    return made
+
+
+def _percent(share: Any, end: str) -> float | None:
+    known = number(part(share, end))
+    return None if known is None else 100.0 * known
+
+
+def _reach(share: Any, end: str) -> float:
+    """Return how far an end of the interval is from a share, none where it is not known. [%]"""
+    value, known = _percent(share, "value"), _percent(share, end)
+    return 0.0 if value is None or known is None else abs(known - value)
+
+
+def width(result: Result) -> go.Figure:
+    """Return the width of the interval against the time ahead."""
+    found = _hours(result)
+    widths = [part(own, "width_pct") for own in found.values()]
+    x = [int(hours) for hours in found]
+    trace = curve("width", FORECAST, x, [number(w) for w in widths], drawn(widths, widths))
+    made = figure([trace], 380)
+    made.update_layout(showlegend=False)
+    made.update_xaxes(title_text=BEFORE, tickvals=x)
+    made.update_yaxes(title_text="Width of the 90 % interval [% of charge]", rangemode="tozero")
+    return made
+
+
+def scatter(result: Result) -> go.Figure:
+    """Return forecasts against what they became, at one time ahead; which were outside of their interval stands out."""
+    told = mapping(result, "forecasts")
+    rows = [i for i, hours in enumerate(told["hours"]) if str(hours) == SHOWN_AT]
+    rows = rows[:: -(-len(rows) // MOST_POINTS)]
+    mean, low, high, became = (told[name] for name in ("soc_mean", "soc_p05", "soc_p95", "soc_end"))
+    inside = [row for row in rows if low[row] <= became[row] <= high[row]]
+    outside = sorted(set(rows) - set(inside))
+    traces = [
+        go.Scatter(
+            name=name,
+            x=[mean[row] for row in own],
+            y=[became[row] for row in own],
+            text=[label(f"{told['vehicle_id'][row]}, shift {told['shift'][row]}") for row in own],
+            mode="markers",
+            marker={"symbol": symbol, "size": 7, "color": look.colour, "line": {"width": 1}},
+            hovertemplate="%{text}: forecast %{x:.1f}, became %{y:.1f} %<extra></extra>",
+        )
+        for name, symbol, look, own in (
+            ("inside the interval", "circle-open", FORECAST, inside),
+            ("outside", "x", LOOKS["linear"], outside),
+        )
+    ]
+    ends = [min(min(mean[row], became[row]) for row in rows), max(max(mean[row], became[row]) for row in rows)]
+    line = {"width": 1.5, "color": REFERENCE_LINE["color"]}
+    traces.append(go.Scatter(name="equal", x=ends, y=ends, mode="lines", line=line, hoverinfo="skip"))
+    made = figure(traces, 400)
+    made.update_xaxes(title_text="Forecast of the state of charge at the end [%]")
+    made.update_yaxes(title_text="State of charge at the end [%]")
+    return made
+
+
+def of_conditions(result: Result) -> list[Illustration]:
+    """Return the coverage by temperature and vehicle model, all times ahead pooled."""
+    axes = {"temperature": "Mean outside temperature of the shift [°C]", "vehicle model": "Vehicle model"}
+    caption = "Share of outcomes inside the 90 % interval, all times ahead pooled, with its own 95 % interval."
+    shown = []
+    for i, (name, axis) in enumerate(axes.items()):
+        bins = {bin_name(name, str(own["bin"])): part(own, "pooled") for own in part(result, "by", name) or ()}
+        if len(bins) > 1:
+            made = coverage(bins, axis)
+            shown.append(Illustration(f"soc-by-{i}", f"Coverage by {name}", caption, made, small=True))
+    return shown
+
+
+def of_examples(result: Result) -> list[Illustration]:
+    """Return shifts as examples."""
+    caption = (
+        "The state of charge as it fell, and the forecast of the end as it was at each moment: its mean, and shaded "
+        "its 90 % interval. The star is what it became, the broken line the reserve."
+    )
+    return [
+        Illustration(f"soc-example-{i}", _title(own), caption, fan(own), small=True)
+        for i, own in enumerate(part(result, "examples") or ())
+    ]
+
+
+def _title(own: Mapping[str, Any]) -> str:
+    ambient = number(own["ambient_c"])
+    warmth = "" if ambient is None else f", {ambient:.0f} °C".replace("-", "−")
+    car = f"{own['vehicle_id']} ({vehicle_name(own['vehicle_model'])})"
+    return f"{own['why'].capitalize()}: {car}, {own['date']}{warmth}"
+
+
+def fan(own: Mapping[str, Any]) -> go.Figure:
+    """Return a shift: its state of charge, and how the forecast of its end narrowed."""
+    x: Sequence[Any] = own["hours_ahead"]
+    thin = {"width": 1, "color": FORECAST.colour}
+    upper = go.Scatter(name="95 %", x=x, y=own["soc_p95_pct"], mode="lines", line=thin, showlegend=False)
+    lower = go.Scatter(
+        name="90 % interval", x=x, y=own["soc_p05_pct"], mode="lines", line=thin, fill="tonexty", fillcolor=SHADE
+    )
+    mean = curve("forecast of the end", FORECAST, list(x), own["soc_mean_pct"]).update(mode="lines")
+    soc = curve("state of charge", LOOKS["model_mean"], list(x), own["soc_pct"]).update(mode="lines")
+    became = go.Scatter(
+        name="the end", x=[0.0], y=[own["soc_end_pct"]], mode="markers", marker={"symbol": "star", "size": 13}
+    )
+    made = figure([upper, lower, mean, soc, became.update(marker_color=LOOKS["linear"].colour)], 360)
+    if (reserve := number(own["reserve_soc_pct"])) is not None:
+        made.add_hline(y=reserve, line=REFERENCE_LINE)
+    made.update_xaxes(title_text=BEFORE, autorange="reversed")
+    made.update_yaxes(title_text=CHARGE, rangemode="tozero")
+    return made
