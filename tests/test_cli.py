@@ -24,7 +24,7 @@ from core.models import EXTENDED_PHYSICAL
 from core.pipeline import Pipeline
 from stream.mcap_io import McapSink, McapSource
 from stream.run import Tally
-from stream.zenoh_io import free_port
+from stream.zenoh_node import free_port
 from tools.cli import COMMANDS, application, main
 from tools.live import Keeper
 
@@ -198,8 +198,13 @@ def test_info_tells_what_is_lost(recording, tmp_path):
 def test_replay_forecasts_and_compares(recording, tmp_path):
     out, err, code = called("replay", recording, "--out", tmp_path / "f.mcap", "--json", tmp_path / "rides.json")
     assert (code, err) == (0, "")
-    rides = json.loads((tmp_path / "rides.json").read_text())
+    told = json.loads((tmp_path / "rides.json").read_text())
+    rides = told["rides"]
     assert len(rides) == 9
+    assert [(shift["vehicle_id"], shift["soc_end_pct"]) for shift in told["shifts"]] == [
+        (f"car-{i}", pytest.approx(81.0)) for i in range(3)
+    ]
+    assert "no intervals of the shift's end are known yet" in out
     assert all(ride["predicted_kwh"] > 0 and ride["energy_kwh"] > 0 for ride in rides)
     assert "9 rides of 3 cars" in out
     assert "messages that could not be decoded" in out
@@ -360,7 +365,8 @@ def test_the_demo_shows_cars_then_rides(recording, tmp_path):
     out, err, code = called("demo", recording, "--seconds", "1", "--json", tmp_path / "demo.json")
     assert (code, err) == (0, "")
     called("replay", recording, "--json", tmp_path / "replay.json")
-    assert (tmp_path / "demo.json").read_bytes() == (tmp_path / "replay.json").read_bytes()
+    demo, replay = (json.loads((tmp_path / f"{name}.json").read_text()) for name in ("demo", "replay"))
+    assert demo == replay["rides"]
     assert "SOC" in out
     assert "9 rides of 3 cars" in out
     assert "0 of the messages sent were missed" in out

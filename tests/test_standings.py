@@ -19,7 +19,7 @@ from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL, Training
 from core.pipeline import Pipeline
 from stream.mcap_io import McapSink, McapSource
 from stream.run import Tally
-from stream.zenoh_io import Connection, Node, free_port
+from stream.zenoh_node import Connection, Node, free_port
 from tools.live import Keeper
 from tools.screen import Screen, fleet_table
 from tools.standings import fitted_then, line, loaded, models_table, verdict
@@ -122,7 +122,7 @@ def test_replay_of_several_models_tells_how_each_fares(recording, tmp_path):
     called("replay", recording, "--json", tmp_path / "one.json")
     both, one = (json.loads((tmp_path / name).read_text()) for name in ("both.json", "one.json"))
     shadows = [ride.pop("shadows_kwh") for ride in both["rides"]]
-    assert both["rides"] == one
+    assert (both["rides"], both["shifts"]) == (one["rides"], one["shifts"])
     assert all(list(shadow) == ["basic_physical/1"] for shadow in shadows)
     assert [told["model"] for told in both["models"]] == ["extended_physical/1", "basic_physical/1"]
     fit = [(ride, shadow) for ride, shadow in zip(both["rides"], shadows, strict=True) if ride["fit_for_training"]]

@@ -129,10 +129,12 @@ def warn_of_losses(sources: Iterable[McapSource], console: Console) -> None:
 
 
 @contextmanager
-def reading(sources: Sequence[McapSource], *, shown: bool = True) -> Iterator[Callable[[], None]]:
+def reading(
+    sources: Sequence[McapSource], *, shown: bool = True, words: str = "reading"
+) -> Iterator[Callable[[], None]]:
     """Show how far recordings have been read; give a function to call now and then."""
     console = Console(stderr=True)
-    columns = (TextColumn("reading"), BarColumn(), MofNCompleteColumn(), TextColumn("chunks"), TimeRemainingColumn())
+    columns = (TextColumn(words), BarColumn(), MofNCompleteColumn(), TextColumn("chunks"), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as progress:
-        task = progress.add_task("reading", total=sum(source.blocks for source in sources))
+        task = progress.add_task(words, total=sum(source.blocks for source in sources))
         yield lambda: progress.update(task, completed=sum(source.blocks_read for source in sources))

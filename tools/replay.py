@@ -1,7 +1,7 @@
 """`socast replay`: recorded shifts once more, through the model or to a router."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import inf
 from pathlib import Path
 from threading import Event
@@ -17,7 +17,8 @@ from core.settings import Settings
 from stream.mcap_io import McapSink, McapSource
 from stream.run import run, stopping
 from stream.source import Source, merged, paced, until
-from stream.zenoh_io import Connection, Node, ZenohSink, key_prefix
+from stream.zenoh_io import ZenohSink
+from stream.zenoh_node import Connection, Node, key_prefix
 from tools.cleaning import (
     LEAST_DISTANCE_KM,
     PERIOD_S,
@@ -29,6 +30,8 @@ from tools.cleaning import (
     SpeedLimit,
     cleaning,
 )
+from tools.learned import History, learned
+from tools.outcomes import Outcomes, show_outcomes
 from tools.output import (
     EffectFiles,
     JsonFile,
@@ -73,24 +76,26 @@ def replay(
     out: Annotated[
         Path | None, typer.Option(metavar="F.mcap", help="Record the forecasts, and how several models fare.")
     ] = None,
+    history: History = None,
     json_file: JsonFile = None,
 ) -> None:
     """Replay recordings, merged in time order.
 
     In process, they go through the same loop as live telemetry does, and the ride table compares predicted with
-    measured energy; of several models the first makes the forecasts, and how each fared is told below. With --connect
-    they are published, and whoever listens at the router makes the forecasts.
+    measured energy; of several models the first makes the forecasts, and how each fared is told below. Then comes what
+    was forecast of each shift's end, and what became of it. With --connect they are published, and whoever listens at
+    the router makes the forecasts.
     """
     settings = cleaning(speed_limit_kmh, period_s, smoothing, least_distance_km)
-    if connect and (in_process or out or json_file or effects_file or settings != Settings()):
+    if connect and (in_process or out or json_file or effects_file or history or settings != Settings()):
         raise SettingsError(
-            "--connect publishes, forecasts nothing; leave out --in-process, --out, --json, --effects "
+            "--connect publishes, forecasts nothing; leave out --in-process, --out, --json, --effects, --history "
             "and the settings of cleaning"
         )
     before = key_prefix(prefix)
     rate = speed(pace or ("1" if connect else "max"))
     sources = [McapSource(path) for path in recordings]
-    writable([*recordings, *model_files(model or ()), *(effects_file or ())], out, json_file)
+    writable([*recordings, *(history or ()), *model_files(model or ()), *(effects_file or ())], out, json_file)
     console = printer()
     with stopping() as stop:
         source = until(paced(merged(sources), rate, longest_gap_s=longest_gap), stop)
@@ -102,21 +107,30 @@ def replay(
             for path in effects_file or ():
                 effects.load_file(path)
             chosen, *shadows = known = loaded(model)
-            pipeline = Pipeline(chosen, settings, before, shadows=shadows)
-            forecast(source, pipeline, sources, rate, [McapSink(out)] if out else [])
+            pipeline = Pipeline(chosen, settings, before, shadows=shadows, keep_outlooks=True)
+            if earlier := learned(chosen, shadows, settings, history):
+                pipeline.learn_from(earlier)
+            outcomes = Outcomes(pipeline)
+            forecast(source, pipeline, sources, rate, [McapSink(out)] if out else [], outcomes)
             rides = with_predictions(pipeline.take_rides(), pipeline.shadows)
+            result = {"rides": ride_records(rides), "shifts": outcomes.records()}
             show_rides(console, rides, pipeline.quality())
             if shadows:
                 told = pipeline.shadows.errors()
                 show_models(console, told, known, rides)
-                write_json(json_file, {"rides": ride_records(rides), "models": records(told)})
-            else:
-                write_json(json_file, ride_records(rides))
+                result["models"] = records(told)
+            show_outcomes(console, result["shifts"])
+            write_json(json_file, result)
     warn_of_losses(sources, Console(stderr=True))
 
 
 def forecast(
-    source: Source, pipeline: Pipeline, sources: Sequence[McapSource], rate: float, sinks: Sequence[McapSink] = ()
+    source: Source,
+    pipeline: Pipeline,
+    sources: Sequence[McapSource],
+    rate: float,
+    sinks: Sequence[McapSink] = (),
+    also: Callable[[], None] = lambda: None,
 ) -> None:
     """Run recordings through the loop, with a progress bar at full speed and a table of cars at any other.
 
@@ -132,11 +146,14 @@ def forecast(
         Speed of the replay; `inf` as fast as possible.
     sinks : sequence of McapSink
         Take the forecasts.
+    also : callable
+        Called after each list of messages.
     """
     with reading(sources, shown=rate == inf) as step, Screen(pipeline, "Replay", silent=rate == inf) as screen:
 
         def watch(tally: object) -> None:
             step()
+            also()
             screen(tally)  # type: ignore[arg-type]
 
         run(source, pipeline, sinks, watch=watch)

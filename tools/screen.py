@@ -26,6 +26,8 @@ REDRAW_S = 0.25
 """Time between two pictures on a terminal. [s]"""
 LINE_S = 2.0
 """Time between two lines where there is no terminal. [s]"""
+WARNED = 0.05
+"""Risk of ending a shift below the reserve from which on a car is marked."""
 MOST_RIDES = 60
 """Rides listed on a terminal; the JSON has all."""
 
@@ -133,6 +135,7 @@ def fleet_table(cars: Sequence[VehicleStatus], title: str, caption: str, rows: i
         ("predicted\nkWh", 9),
         ("measured\nkWh", 8),
         ("off\n%", 4),
+        ("at shift's\nend %", 10),
     ):
         table.add_column(name, justify="right", no_wrap=True, min_width=width)
     for place in range(shadows):
@@ -150,12 +153,22 @@ def fleet_table(cars: Sequence[VehicleStatus], title: str, caption: str, rows: i
             _number(car.predicted_kwh, 3),
             _number(car.measured_kwh, 3),
             Text(_number(off, 0, sign=True), style="red" if abs(off) > 20 else ""),
+            _end(car),
             *(_number(energy, 3) for energy in car.shadows_kwh[:shadows]),
             Text(_counts(car.quality)),
         )
     if len(cars) > len(newest):
-        table.add_row(f"and {len(cars) - len(newest):,} more", *[""] * (7 + shadows))
+        table.add_row(f"and {len(cars) - len(newest):,} more", *[""] * (8 + shadows))
     return table
+
+
+def _end(car: VehicleStatus) -> Text:
+    """Return the charge at the shift's end and its interval, marked where the car may well end below its reserve."""
+    mean, low, high = car.end_pct
+    if not isfinite(mean + low + high):
+        return Text("-")
+    marked = car.risk >= WARNED
+    return Text(f"{mean:.0f} {low:.0f}–{high:.0f}{'!' if marked else ' '}", style="red" if marked else "")
 
 
 def fleet_line(cars: Sequence[VehicleStatus], tally: Tally) -> str:

@@ -11,12 +11,13 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from tools.bench.filters import filters
 from tools.bench.hidden.page import kept, placed
 from tools.bench.learning import fitting, fitting_memory
 from tools.bench.live import live
 from tools.bench.measures import Measure, memory, replay, scale
 
-MEASURES: tuple[Callable[[], Measure], ...] = (live, replay, memory, scale, fitting, fitting_memory)
+MEASURES: tuple[Callable[[], Measure], ...] = (live, replay, memory, scale, filters, fitting, fitting_memory)
 ROOT = Path(__file__).parent.parent.parent
 
 

@@ -1,0 +1,192 @@
+"""What was forecast of each shift's end, and what became of it: what `socast replay` ends with."""
+
+from datetime import UTC, datetime
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from core.evaluate.soc_judged import CUT, KEY, NEAR
+from core.pipeline import Pipeline
+
+AHEAD: Final = {"2h": 7200.0, "1h": 3600.0}
+"""Times before a shift's end at which its forecast is told. [s]"""
+TOLD: Final = ("begin", *AHEAD)
+"""When a shift's forecasts were made."""
+MOST_SHIFTS: Final = 60
+"""Shifts listed on a terminal; the JSON has all."""
+MOST_ROWS: Final = 200_000
+"""Forecasts that are kept before those that are of no use any more are let go."""
+NO_INTERVALS: Final = (
+    "no intervals of the shift's end are known yet, as too few shifts have been learned from: give more of what was "
+    "recorded before with --history REC"
+)
+_FIGURES: Final = {"mean": "soc_mean_pct", "p05": "soc_p05_pct", "p95": "soc_p95_pct"}
+
+
+class Outcomes:
+    """Forecasts of the shifts in progress, and what became of those of shifts that have ended.
+
+    Call it after each list of messages.
+
+    Parameters
+    ----------
+    pipeline : Pipeline
+        That keeps its outlooks.
+    """
+
+    def __init__(self, pipeline: Pipeline) -> None:
+        self._pipeline = pipeline
+        self._told: list[pd.DataFrame] = []
+        self._ended: list[pd.DataFrame] = []
+        self._rows = 0
+        self._newest = -np.inf
+        self._records: list[dict[str, Any]] = []
+
+    def __call__(self) -> None:
+        """Take what the pipeline has told since the last call."""
+        told, ended = self._pipeline.take_outlooks(), self._pipeline.take_shifts()
+        self._newest = max(self._newest, told["time_s"].max() if len(told) else -np.inf)
+        self._told.append(told[told["soc_mean_pct"].notna()])
+        self._ended.append(ended)
+        self._rows += len(self._told[-1])
+        if self._rows > MOST_ROWS:
+            self._settle()
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return a record a shift that has ended, by its beginning.
+
+        Each has `vehicle_id`, `vehicle_model`, `begin_s`, `end_s`, `soc_begin_pct`, `soc_end_pct` (as reported last),
+        `charged_s` (when it last charged after it had set out), whether the recording `cut` it, and `forecasts` of its
+        end: by when they were made, None or `time_s`, `mean`, `p05`, `p95` [%] and whether the outcome was in between,
+        `held`; None where nobody can tell, as the car charged after it.
+        """
+        self()
+        self._settle()
+        return sorted(self._records, key=lambda shift: (shift["begin_s"], shift["vehicle_id"]))
+
+    def _settle(self) -> None:
+        """Write down the shifts that have ended, and let go what is of no use any more."""
+        if not self._told:
+            return
+        told, ended = pd.concat(self._told), pd.concat(self._ended)
+        of_shifts = dict(iter(told.groupby(KEY, sort=False)))
+        for _, shift in ended.iterrows():
+            own = of_shifts.pop(tuple(shift[name] for name in KEY), told[:0])
+            self._records.append(_record(shift, own, self._newest))
+        left = [_needed(own) for own in of_shifts.values()]
+        self._told, self._ended = [told[:0], *left], [ended[:0]]
+        self._rows = sum(map(len, left))
+
+
+def _needed(told: pd.DataFrame) -> pd.DataFrame:
+    """Return those forecasts of a shift in progress that may still be told of: the first, and the newest."""
+    late = told["time_s"] >= told["time_s"].iloc[-1] - max(AHEAD.values()) - NEAR
+    late.iloc[0] = True
+    kept: pd.DataFrame = told.loc[late]
+    return kept
+
+
+def _record(shift: "pd.Series[Any]", told: pd.DataFrame, newest: float) -> dict[str, Any]:
+    """Return what is told of a shift and its forecasts, which are in the order of time."""
+    time = told["time_s"].to_numpy(np.float64)
+    places = {"begin": 0 if len(time) and time[0] <= shift["begin_s"] + NEAR else -1}
+    for name, ahead in AHEAD.items():
+        at = shift["end_s"] - ahead
+        place = int(np.searchsorted(time, at, side="right")) - 1
+        places[name] = place if place >= 0 and time[place] >= at - NEAR else -1
+    names = ("vehicle_id", "vehicle_model", "begin_s", "end_s", "soc_begin_pct", "soc_end_pct", "charged_s")
+    own = {name: None if pd.isna(shift[name]) else shift[name] for name in names}
+    planned = told["shift_end_s"][told["planned"].astype(bool)]
+    late = len(planned) > 0 and planned.iloc[-1] > shift["end_s"] + CUT
+    own["cut"] = bool(late and newest - shift["end_s"] < NEAR)
+    return own | {
+        "forecasts": {name: _told(told.iloc[place], own) if place >= 0 else None for name, place in places.items()}
+    }
+
+
+def _told(row: "pd.Series[Any]", shift: dict[str, Any]) -> dict[str, Any]:
+    """Return a forecast of a shift's end, and whether it held."""
+    figures = {name: float(row[column]) for name, column in _FIGURES.items()}
+    became, charged = shift["soc_end_pct"], shift["charged_s"]
+    open_ = became is None or shift["cut"] or (charged is not None and charged >= row["time_s"])
+    held = None if open_ else bool(figures["p05"] <= became <= figures["p95"])
+    return {"time_s": float(row["time_s"])} | figures | {"held": held}
+
+
+def show_outcomes(console: Console, shifts: list[dict[str, Any]]) -> None:
+    """Print a row a shift that has ended, or why there is nothing to tell."""
+    if not shifts:
+        return
+    if not any(told for shift in shifts for told in shift["forecasts"].values()):
+        console.print(NO_INTERVALS, markup=False, highlight=False, soft_wrap=not console.is_terminal)
+        return
+    table = Table(
+        title="Charge at the shift's end, forecast against outcome, %",
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+    )
+    for name in ("car", "shift, UTC"):
+        table.add_column(name, no_wrap=True)
+    for name in ("at its\nbeginning", "told\nthen", "2 h before\nthe end", "1 h before\nthe end", "became"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("held", no_wrap=True)
+    table.add_column("", no_wrap=True)
+    for shift in shifts[-MOST_SHIFTS:]:
+        table.add_row(*_cells(shift))
+    if len(shifts) > MOST_SHIFTS:
+        table.caption = f"the last {MOST_SHIFTS} of {len(shifts):,} shifts"
+    console.print(table)
+    for line in summary(shifts):
+        console.print(line, markup=False, highlight=False, soft_wrap=not console.is_terminal)
+
+
+def summary(shifts: list[dict[str, Any]]) -> list[str]:
+    """Return how often intervals held, of all shifts."""
+    lines = []
+    for name, words in zip(TOLD, ("at the beginning", "2 h before the end", "1 h before the end"), strict=True):
+        held = [told["held"] for shift in shifts if (told := shift["forecasts"][name]) and told["held"] is not None]
+        if held:
+            lines.append(f"told {words}: {sum(held):,} of {len(held):,} outcomes were within the 90 % interval")
+    return lines
+
+
+def _cells(shift: dict[str, Any]) -> list[str | Text]:
+    """Return the cells of a shift."""
+    held = [told["held"] for told in shift["forecasts"].values() if told and told["held"] is not None]
+    verdict = f"{sum(held)} of {len(held)}" if held else "–"
+    return [
+        Text(shift["vehicle_id"]),
+        f"{_clock(shift['begin_s'], '%m-%d %H:%M')}–{_clock(shift['end_s'], '%H:%M')}",
+        _percent(shift["soc_begin_pct"]),
+        *(_interval(shift["forecasts"][name]) for name in TOLD),
+        _percent(shift["soc_end_pct"]),
+        Text(verdict, style="" if all(held) else "red"),
+        _note(shift),
+    ]
+
+
+def _note(shift: dict[str, Any]) -> str:
+    """Return why forecasts of a shift may not be held against what became of it."""
+    charged = [] if shift["charged_s"] is None else [f"charged {_clock(shift['charged_s'], '%H:%M')}"]
+    return ", ".join([*charged, *(["goes on"] if shift["cut"] else [])])
+
+
+def _interval(told: dict[str, Any] | None) -> str:
+    """Return a mean and its interval."""
+    return "–" if told is None else f"{told['mean']:.0f} ({told['p05']:.0f} to {told['p95']:.0f})"
+
+
+def _percent(value: float | None) -> str:
+    """Return a charge."""
+    return "–" if value is None else f"{value:.0f}"
+
+
+def _clock(time_s: float, form: str) -> str:
+    """Return a time, UTC."""
+    return f"{datetime.fromtimestamp(time_s, UTC):{form}}"
