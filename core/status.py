@@ -1,14 +1,14 @@
 """The newest of every vehicle, for a screen."""
 
 from collections.abc import Sequence
-from math import nan
+from math import isnan
 from typing import NamedTuple
 
 import numpy as np
 
 from core.batch import Floats
 from core.cars import Cars
-from core.forecast import counted
+from core.forecast import counted, known
 from core.sums import Totals
 from core.tables import measured_energy
 
@@ -17,7 +17,7 @@ class VehicleStatus(NamedTuple):
     """The newest of a vehicle, for a screen.
 
     `shadows_kwh` is what each shadow predicts of the ride in progress; `end_pct` mean, 5th and 95th percentile of the
-    charge at the shift's end [%], and `risk` that of ending below the reserve [1]; NaN where they are not known.
+    charge at the shift's end [%], and `risk` that of ending below the reserve [1]; None where they are not known.
     """
 
     vehicle_id: str
@@ -30,8 +30,8 @@ class VehicleStatus(NamedTuple):
     measured_kwh: float
     quality: dict[str, int]
     shadows_kwh: tuple[float, ...] = ()
-    end_pct: tuple[float, float, float] = (nan, nan, nan)
-    risk: float = nan
+    end_pct: tuple[float, float, float] | None = None
+    risk: float | None = None
 
 
 def statuses(
@@ -76,8 +76,8 @@ def statuses(
             measured[i],
             {cause: values[i] for cause, values in counts.items()},
             tuple(shadow[i] for shadow in shadows),
-            (100.0 * mean[i], 100.0 * low[i], 100.0 * high[i]),
-            risk[i],
+            None if isnan(low[i]) else (100.0 * mean[i], 100.0 * low[i], 100.0 * high[i]),
+            known(risk[i]),
         )
         for i, lane in enumerate(running.lane.tolist())
     ]

@@ -228,7 +228,7 @@ def test_replay_and_tables_take_the_file(folder, tmp_path, capsys):
     with McapSink(tmp_path / "shift.mcap") as sink:
         sink.put(shift())
     main_(["replay", tmp_path / "shift.mcap", "--model", tmp_path / "model.json", "--json", tmp_path / "rides.json"])
-    rows = json.loads((tmp_path / "rides.json").read_text())
+    rows = json.loads((tmp_path / "rides.json").read_text())["rides"]
     assert any(row["predicted_kwh"] is not None for row in rows)
     assert "predicted" in capsys.readouterr().out
     main_(["tables", tmp_path / "shift.mcap", "--model", tmp_path / "model.json", "--out", tmp_path / "made"])

@@ -164,10 +164,10 @@ def fleet_table(cars: Sequence[VehicleStatus], title: str, caption: str, rows: i
 
 def _end(car: VehicleStatus) -> Text:
     """Return the charge at the shift's end and its interval, marked where the car may well end below its reserve."""
-    mean, low, high = car.end_pct
-    if not isfinite(mean + low + high):
+    if car.end_pct is None:
         return Text("-")
-    marked = car.risk >= WARNED
+    mean, low, high = car.end_pct
+    marked = car.risk is not None and car.risk >= WARNED
     return Text(f"{mean:.0f} {low:.0f}–{high:.0f}{'!' if marked else ' '}", style="red" if marked else "")
 
 
