@@ -119,6 +119,7 @@ class Pipeline:
         self.foresight = Foresight(model, self.cars, self._effect_names, self.settings, self.ledger.width)
         self._gathered = Gathered(self.ledger.none())
         self._drivers: dict[str, str] = {}
+        self._planned: dict[int, float] = {}
         self._quality = np.zeros(len(CAUSES), np.int64)
         self._due: list[Due] = []
         self._told: list[Told] = []
@@ -187,9 +188,12 @@ class Pipeline:
             self._drive(value)
             if self.keep_forecasts and value.driver_id and value.event == "start":
                 self._gathered.say(Driving(at, lane, value.driver_id))
+        elif value.time_s < self._planned.get(lane, value.time_s):
+            self.decoder.refuse("plan", "plan_in_the_past")
         elif (refused := refusal(value, value.time_s)) is not None:
             self.decoder.refuse("plan", refused.cause)
         elif self.keep_forecasts:
+            self._planned[lane] = value.time_s
             self._gathered.say(Arrival(at, lane, value))
 
     def forecasts(self, *, newest_only: bool = False) -> list[Message]:
@@ -235,11 +239,11 @@ class Pipeline:
         return []
 
     def learn_from(self, earlier: "Pipeline") -> None:
-        """Take up the cars that another pipeline knows and what it has learned of them; it is brought to its end.
+        """Take up the cars that another pipeline knows and what it has learned of them, not what it was amid.
 
         Call it before the first message, with one that sums the same effects in the same order.
         """
-        earlier.finish()
+        earlier._foresee()  # noqa: SLF001 - another of this class
         self.lanes = Lanes(earlier.lanes.names)
         self.decoder = Decoder(self.lanes)
         self.cars.load(earlier.cars.dump())
@@ -341,6 +345,7 @@ class Pipeline:
             "foresight": self.foresight.dump(),
             "calendar": self.calendar.dump(),
             "drivers": self._drivers,
+            "planned": list(self._planned.items()),
             "counters": [
                 self._quality.tolist(),
                 self._ended,
@@ -377,6 +382,7 @@ class Pipeline:
         self.foresight.load(state["foresight"])
         self.calendar.load(state["calendar"])
         self._drivers = state["drivers"]
+        self._planned = {int(lane): time for lane, time in state["planned"]}
         quality, self._ended, unfit, unpredicted, received, rejected = state["counters"]
         self._quality = np.array(quality, np.int64)
         self._unfit, self._unpredicted = Counter(unfit), Counter(unpredicted)

@@ -139,7 +139,7 @@ class ZenohQueries:
             try:
                 with query:
                     send()
-            except zenoh.ZError as error:
+            except Exception as error:  # noqa: BLE001 - whatever an answer does, the next one is sent
                 self.unsent += 1
                 _log.warning("answer not sent: %s", plain(error))
             del answer, query, send

@@ -22,7 +22,7 @@ from fleet_days import (
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.codec import Leg, Plan
+from core.codec import Leg, Plan, encode
 from core.errors import AskError
 
 CAR = "c"
@@ -189,3 +189,8 @@ def test_without_a_plan_the_shift_goes_on_after_the_ride_as_it_usually_does():
     assert plain.legs == []
     assert asked.soc_end_of_shift_pct.mean < plain.soc_end_of_shift_pct.mean
     assert asked.asked.soc_pct.mean > asked.soc_end_of_shift_pct.mean
+
+
+def test_an_answer_in_the_middle_of_a_leg_travels():
+    pipeline = at(LEG + RIDE / 2.0)[0]
+    assert encode(pipeline.ask(CAR, RIDE_ASKED)).startswith(b'{"vehicle_id"')

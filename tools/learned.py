@@ -44,12 +44,12 @@ def learned(
     if not recordings:
         return None
     sources = [McapSource(path) for path in recordings]
-    beside = [name for shadow in shadows for name in shadow.effects]
-    pipeline = Pipeline(model, settings, also=beside, keep_tables=False)
+    pipeline = Pipeline(model, settings, shadows=shadows, keep_tables=False)
     with reading(sources, words="learning") as step, seldom_collecting():
         for messages in merged(sources):
             pipeline.take(messages)
             pipeline.forecasts(newest_only=True)  # lets go of the others
+            pipeline.model_errors(newest_only=True)
             step()
     warn_of_losses(sources, Console(stderr=True))
     return pipeline

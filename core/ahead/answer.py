@@ -6,7 +6,7 @@ shifts go.
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -21,6 +21,11 @@ from core.errors import AskError
 
 if TYPE_CHECKING:
     from core.ahead.foresight import Foresight
+
+
+SHOWN: Final = 0.05
+"""Standard deviation of what a car shows as full against what its battery holds, as a share: by cold, age and gauge.
+Estimated: so much is told beside what the filter has learned, which cannot know it."""
 
 
 class Prospect:
@@ -118,18 +123,19 @@ def answer(
         told.append(now.leg(each, energy, spent, passed))
         spent += energy
     spent += 0.0 if later else now.rest(pauses, 0)
-    ahead = _ahead(foresight, now, plan, lane, (spent, km, hours))
+    ahead = _ahead(foresight, now, plan, lane, (spent, km, passed if plan is None else hours))
     end, raw, errors = now.soc(float(ahead.energy[0]), float(ahead.hours[0]), int(ahead.kind[0]))
     danger = float(outlook.risk(raw, ahead.reserve, errors)[0])
     asked = len(underway) if leg is not None else None
+    capacity = float(now.known.capacity[0] * np.exp(now.state["c"]))
     return Outlook(
         vehicle_id=name,
         time_s=now.time,
         model=version,
         soc_pct=_known(100.0 * now.told["soc"]),
-        soc_sd_pct=_known(100.0 * float(np.sqrt(now.told["variance"]))),
-        usable_capacity_kwh=_known(float(now.known.capacity[0] * np.exp(now.state["c"]))),
-        usable_capacity_sd_kwh=_known(float(now.known.capacity[0] * np.exp(now.state["c"]) * np.sqrt(now.state["cc"]))),
+        soc_sd_pct=_known(100.0 * max(float(np.sqrt(now.told["variance"])), soc.FLOOR)),
+        usable_capacity_kwh=_known(capacity),
+        usable_capacity_sd_kwh=_known(capacity * float(np.hypot(np.sqrt(now.state["cc"]), SHOWN))),
         consumption_scale=_known(float(np.exp(now.state["a"]))),
         asked=None if asked is None else told[asked],
         legs=[each for number, each in enumerate(told) if number != asked],
@@ -161,9 +167,14 @@ def _ahead(
         end, reserve = np.array([plan.shift_end_s]), np.array([plan.reserve_soc_pct / 100.0])
         return Ahead(energy, km, hours, end, reserve, none)
     nothing = Ahead(unknown, unknown, unknown, unknown, unknown, none)
-    elapsed = time - now.told["begin"]
-    usual = outlook.by_habit(nothing, now.usual, elapsed, time, *foresight.lessons.habits_of(np.array([lane])))
-    return usual._replace(energy=usual.energy + energy, km=usual.km + km)
+    after = time + 3600.0 * hours
+    habits = foresight.lessons.habits_of(np.array([lane]))
+    usual = outlook.by_habit(nothing, now.usual, after - now.told["begin"], after, *habits)
+    if not km[0]:
+        return usual
+    if np.isnan(usual.energy[0]) and np.isfinite(habits[0][0]):  # the ride is all that is known to come
+        return Ahead(energy, km, hours, after, usual.reserve, none + 1)
+    return usual._replace(energy=usual.energy + energy, km=usual.km + km, hours=usual.hours + hours)
 
 
 def _why_not(now: Prospect, end: Interval | None, ahead: bool) -> str | None:

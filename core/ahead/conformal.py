@@ -32,7 +32,7 @@ LEVELS: Final = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0
 BOUNDS: Final = 0.05, 0.95
 """Probabilities of the bounds of an interval."""
 PACE: Final = 0.02
-"""By how much a bound's probability moves with each shift that is outside of it, or 1/20 of that where it is inside."""
+"""By how much a bound's probability moves with each shift that is outside of it, or 1/19 of that where it is inside."""
 FARTHEST: Final = -0.045, 0.05
 """How far a bound's probability may move for a class of distance, and again for one of temperature."""
 MOST: Final = 0.12
@@ -87,7 +87,7 @@ class Conformal:
             found = np.full(len(LEVELS) + 2, np.nan)
             if len(shifts) >= LEAST:
                 found = quantiles(shifts, (*LEVELS, below, 1.0 - above))
-            self.table[place], self.bounds[place] = found[:-2], found[-2:]
+            self.table[place], self.bounds[place] = agreeing(found[:-2], *found[-2:]), found[-2:]
 
     def quantiles(self, kind: Ints, ahead_km: Floats, ambient_c: Floats) -> tuple[Floats, Floats]:
         """Return the quantiles of each forecast, (n, levels); and its middle, within its bounds, and these, (n, 3).
@@ -134,6 +134,23 @@ def classes(ahead_km: Floats, ambient_c: Floats) -> tuple[Ints, Ints]:
     distance = np.searchsorted(DISTANCES, np.nan_to_num(ahead_km), side="right") - 1
     temperature = np.searchsorted(TEMPERATURES, np.nan_to_num(ambient_c, nan=15.0), side="right") - 1
     return np.maximum(distance, 0), np.maximum(temperature, 0)
+
+
+def agreeing(table: Floats, low: float, high: float) -> Floats:
+    """Return quantiles, (levels,), of which those of `BOUNDS` are these, and the others as far as they agree with that.
+
+    Examples
+    --------
+    >>> levels = np.array(LEVELS)
+    >>> agreeing(levels, 0.15, 0.9)[[2, 3, 4, 5, 10, 11, 12]].tolist()
+    [0.02, 0.15, 0.15, 0.2, 0.9, 0.9, 0.98]
+    """
+    at = np.array(LEVELS)
+    inside = np.clip(table, low, high)
+    outside = np.where(at <= BOUNDS[0], np.minimum(table, low), np.maximum(table, high))
+    out = np.where((at > BOUNDS[0]) & (at < BOUNDS[1]), inside, outside)
+    out[at == BOUNDS[0]], out[at == BOUNDS[1]] = low, high
+    return np.asarray(out)
 
 
 def quantiles(shifts: Sequence[Sequence[float]], levels: Sequence[float]) -> Floats:

@@ -111,7 +111,7 @@ class Courses:
         if planned is None:
             return None
         legs = planned.plan.legs[planned.done :]
-        driven = self._ride_km[lane] - planned.driven_km
+        driven = float(self._ride_km[lane]) - planned.driven_km
         if self._riding[lane] and legs and legs[0].distance_km > 0.0:
             share = min(max(1.0 - driven / legs[0].distance_km, 0.0), 1.0)
             parts = {name: value and share * value for name, value in msgspec.structs.asdict(legs[0]).items()}

@@ -39,6 +39,8 @@ the shift's ordinal, beginning [s], charge then [1] and distance so far [m]; the
 last charged within the shift [s]; the factor of the energy ahead by what forecasts were short by."""
 _EXPECTED: Final = SEEN.index("expected")
 _END: Final = [SEEN.index(name) for name in ("mean", "p05", "p95", "risk")]
+CUT: Final = 900.0
+"""A shift that lacks more of its plan when a recording ends was cut off with it. [s]"""
 SHORT_SHIFT: Final = 0.5
 """A shift that was shorter tells nothing. [h]"""
 
@@ -196,12 +198,22 @@ class Foresight:
         errors, bounds = self.lessons.conformal.quantiles(ahead.kind, far_km, celsius)
         ends = np.clip(end.mean[:, np.newaxis] + end.sd[:, np.newaxis] * bounds, 0.0, 1.0)
         reach = outlook.reach(known, ahead.reserve, usual.per_km)
-        _, far = self.lessons.conformal.quantiles(np.zeros_like(ahead.kind), reach.mean, celsius)
+        kinds = np.zeros_like(ahead.kind)
+        far, by_habit = (self.lessons.conformal.quantiles(kinds + k, reach.mean, celsius)[1] for k in (0, 1))
+        far = np.where(np.isfinite(far), far, by_habit)
         ranges = np.maximum(reach.mean[:, np.newaxis] + reach.sd[:, np.newaxis] * far, 0.0)
         risk = outlook.risk(end, ahead.reserve, errors)
         return np.column_stack(
             [
-                *(known.soc, np.sqrt(known.variance), *ends.T, risk, *ranges.T, end.mean, end.sd),
+                *(
+                    known.soc,
+                    np.sqrt(np.maximum(known.variance, soc.FLOOR**2)),
+                    *ends.T,
+                    risk,
+                    *ranges.T,
+                    end.mean,
+                    end.sd,
+                ),
                 *(ahead.end, ahead.kind, ahead.km, far_km, ahead.reserve, celsius, seen["shift"], seen["begin"]),
                 *(seen["begin_soc"], seen["distance"], seen["reported"], seen["charged"], lean),
             ]
@@ -248,9 +260,16 @@ class Foresight:
         """Learn what the day taught."""
         self.lessons.overnight()
 
-    def finish(self) -> None:
-        """Close every shift in progress, at the end of the stream."""
-        open_lanes = np.flatnonzero(self.state["shift"] >= 0.0)
+    def finish(self, *, cut: bool = False) -> None:
+        """Close every shift in progress, at the end of the stream; where that was cut, those that were over by plan."""
+        there = self.state["shift"] >= 0.0
+        if cut:
+            courses = self.courses.of_lane[: len(there)]
+            there[len(courses) :] = False
+            there[: len(courses)] &= (courses["planned"] == 1.0) & (
+                self.state["time"][: len(courses)] >= courses["end"] - CUT
+            )
+        open_lanes = np.flatnonzero(there)
         shifts = np.empty(1, soc.CLOSED_SHIFT)
         for lane in open_lanes.tolist():
             soc.close_shift(self.state[lane], 0, lane, shifts[0])
@@ -260,6 +279,7 @@ class Foresight:
 
     def learn_from(self, earlier: "Foresight") -> None:
         """Take up what another one has learned by now, of the same cars; nothing of its shifts."""
+        earlier.finish(cut=True)
         earlier.overnight()
         self.lessons.load(earlier.lessons.dump())
         self.drivers = dict(earlier.drivers)

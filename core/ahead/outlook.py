@@ -101,7 +101,7 @@ class Usual(NamedTuple):
     Parameters
     ----------
     weights : (n, temperatures) float
-        Of the temperatures of `core.ahead.habits`.
+        Of the temperatures of `core.ahead.expected`.
     standing : (n,) float
         Power of a car that waits. [kW]
     approach : (n,) float
@@ -285,5 +285,5 @@ def risk(outcome: Outcome, reserve: Floats, quantiles: Floats) -> Floats:
 
 
 def temperature_weights(ambient: Floats) -> Floats:
-    """Return the weight of each temperature of `core.ahead.habits` at an outside temperature [K], (n, temperatures)."""
+    """Return the weight of each of `TEMPERATURES` at an outside temperature [K], (n, temperatures)."""
     return tents(np.nan_to_num(ambient - ZERO_CELSIUS, nan=15.0), TEMPERATURES)

@@ -16,8 +16,8 @@ NOTE_S: Final = 600.0
 """Time between two forecasts of a car that are noted. [s]"""
 LAST_S: Final = 30.0
 """Time before the shift's end at which the last one is noted. [s]"""
-LEAN_PRIOR: Final = 2.0
-"""Charge taken as foretold that stands for what is not known of forecasts: some fifteen shifts'. [1]"""
+LEAN_PRIOR: Final = 1.0
+"""Charge taken as foretold that stands for what is not known of forecasts: some eight shifts'. [1]"""
 LEAN_MEMORY: Final = 0.998
 """What a shift still counts a shift later."""
 LEAN_LIMITS: Final = 0.7, 1.4
