@@ -4,6 +4,9 @@ Names wear the wire's units. `core.decode` turns payloads into the SI columns th
 """
 
 import re
+from collections.abc import Callable
+from functools import lru_cache
+from operator import attrgetter
 from typing import Annotated, Any, Final, Literal, NamedTuple
 
 import msgspec
@@ -157,11 +160,11 @@ class LegOutlook(Wire, omit_defaults=False):
     Parameters
     ----------
     distance_km, duration_s : float
-        As planned.
+        As planned. [km], [s]
     energy_kwh : Interval or None
-        That it takes from the battery.
+        That it takes from the battery. [kWh]
     soc_pct : Interval or None
-        State of charge at its end.
+        State of charge at its end. [%]
     """
 
     distance_km: float
@@ -176,21 +179,25 @@ class Outlook(Wire, omit_defaults=False):
     Parameters
     ----------
     time_s : float
-        Of the newest sample that it rests on.
+        Of the newest sample that it rests on. [Unix seconds]
     model : str
         Name and version of the model that made it.
     soc_pct, soc_sd_pct : float or None
-        Filtered state of charge and its standard deviation, now.
+        Filtered state of charge and its standard deviation, now. [%]
     usable_capacity_kwh, usable_capacity_sd_kwh : float or None
+        Of the battery, and its standard deviation. [kWh]
     consumption_scale : float or None
-        What this car takes today, over what the model says.
+        What this car takes today, over what the model says. [1]
     asked : LegOutlook or None
         The ride asked for; None where none was.
     legs : list of LegOutlook
         The remaining legs of the plan, after the ride asked for.
     shift_end_s : float or None
+        By the plan, or as the car's shifts usually end. [Unix seconds]
     soc_end_of_shift_pct : Interval or None
+        State of charge when the shift ends, with the ride asked for. [%]
     reserve_soc_pct : float
+        Of the plan, or what is usual. [%]
     reserve_risk : float or None
         Probability that the state of charge falls below the reserve before the shift ends, with the ride asked for.
     why_not : str or None
@@ -304,6 +311,7 @@ class Address(NamedTuple):
     identity: str
 
 
+@lru_cache(maxsize=1 << 16)
 def address(key: str) -> Address | None:
     """Take a key apart; None for a key that is not of the contract. Chunks before it are a prefix.
 
@@ -343,14 +351,18 @@ def model_identity(model: str) -> str:
 
 def identity(value: Wire) -> str:
     """Return the vehicle, station or model that a message speaks of, as its key names it."""
-    match value:
-        case Weather():
-            return value.station_id
-        case ModelErrors():
-            return model_identity(value.model)
-        case Telemetry() | Vehicle() | Ride() | Plan() | Forecast():
-            return value.vehicle_id
-    raise TypeError(f"{type(value).__name__} does not travel by itself")
+    named = _NAMES.get(type(value))
+    if named is None:
+        raise TypeError(f"{type(value).__name__} does not travel by itself")
+    return named(value)
+
+
+_NAMES: Final[dict[type[Wire], Callable[[Any], str]]] = {
+    **dict.fromkeys(OF_VEHICLES.values(), attrgetter("vehicle_id")),
+    Weather: attrgetter("station_id"),
+    ModelErrors: lambda errors: model_identity(errors.model),
+}
+"""How a message of each kind tells of whom it speaks."""
 
 
 def schema(kind: str) -> dict[str, Any]:

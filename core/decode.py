@@ -77,8 +77,8 @@ class Decoder:
         self.rejected: Counter[str] = Counter()
         self.rides = RideNames()
         self._lane_of_key: dict[str, int] = {}
-        self._telemetry = msgspec.json.Decoder(Telemetry | list[msgspec.Raw])  # a gateway may send lists
         self._one = msgspec.json.Decoder(Telemetry)
+        self._several = msgspec.json.Decoder(list[msgspec.Raw])  # a gateway may send lists
         self._others = {kind: msgspec.json.Decoder(struct) for kind, struct in KINDS.items()}
 
     def decode(self, messages: Sequence[Message]) -> tuple[Batch, list[Event]]:
@@ -95,12 +95,8 @@ class Decoder:
         events: list[Event] = []
         rows = 0
         for start in range(0, len(messages), _BLOCK):
-            block = messages[start : start + _BLOCK]
-            table = self._fast(block)
-            if table is None:
-                table = self._careful(block, events, rows)
-            tables.append(table)
-            rows += table.shape[1]
+            tables.append(self._block(messages[start : start + _BLOCK], events, rows))
+            rows += tables[-1].shape[1]
         self.received["telemetry"] += rows
         return _batch(tables), events
 
@@ -109,48 +105,51 @@ class Decoder:
         self.received[kind] -= 1
         self.rejected[cause] += 1
 
-    def _fast(self, block: Sequence[Message]) -> Floats | None:
-        """Decode a block in which every message is one good sample of a known vehicle; None for any other."""
-        try:
-            lanes = [self._lane_of_key[message[0]] for message in block]
-            decode = self._one.decode
-            fields = _transposed([decode(message[1]) for message in block])
-        except (KeyError, *_LOST):
-            return None
-        names = self.lanes.names
-        if fields[0] != tuple([names[lane] for lane in lanes]):
-            return None
-        return self._table(fields, lanes)
-
-    def _careful(self, block: Sequence[Message], events: list[Event], rows: int) -> Floats:
-        """Decode a block one message at a time, counting what is lost by cause."""
+    def _block(self, block: Sequence[Message], events: list[Event], rows: int) -> Floats:
+        """Decode a block; most messages are one good sample of a vehicle that is known, and go the short way."""
         samples: list[Telemetry] = []
         lanes: list[int] = []
+        decode, lane_of, names = self._one.decode, self._lane_of_key.get, self.lanes.names
         for message in block:
-            whose = address(message.key)
-            if whose is None:
-                self.rejected["unknown_key"] += 1
-            elif whose.kind == "telemetry":
-                good = self._samples(message.payload, whose.identity)
-                if good:
-                    lane = self._lane_of_key[message.key] = self.lanes.lane(whose.identity)
-                    lanes += [lane] * len(good)
-                    samples += good
-            else:
-                value = self._decoded(self._others[whose.kind], message.payload, whose.identity)
-                if value is not None:
-                    self.received[whose.kind] += 1
-                    lane = self.lanes.lane(whose.identity) if whose.kind in OF_VEHICLES else -1
-                    events.append(Event(rows + len(lanes), lane, value))
+            lane = lane_of(message[0])
+            if lane is not None:
+                try:
+                    sample = decode(message[1])
+                except _LOST:
+                    sample = None
+                if sample is not None and sample.vehicle_id == names[lane]:
+                    samples.append(sample)
+                    lanes.append(lane)
+                    continue
+            self._other(message, samples, lanes, events, rows)
         return self._table(_transposed(samples), lanes) if samples else np.empty((len(Batch._fields), 0))
+
+    def _other(
+        self, message: Message, samples: list[Telemetry], lanes: list[int], events: list[Event], rows: int
+    ) -> None:
+        """Add what a message holds to the samples or the events of its block, counting what is lost by cause."""
+        whose = address(message.key)
+        if whose is None:
+            self.rejected["unknown_key"] += 1
+        elif whose.kind == "telemetry":
+            if good := self._samples(message.payload, whose.identity):
+                lane = self._lane_of_key[message.key] = self.lanes.lane(whose.identity)
+                lanes += [lane] * len(good)
+                samples += good
+        else:
+            value = self._decoded(self._others[whose.kind], message.payload, whose.identity)
+            if value is not None:
+                self.received[whose.kind] += 1
+                lane = self.lanes.lane(whose.identity) if whose.kind in OF_VEHICLES else -1
+                events.append(Event(rows + len(lanes), lane, value))
 
     def _samples(self, payload: bytes, identity: str) -> list[Telemetry]:
         """Return the good samples of a payload that holds one or a list of them."""
+        parts: list[Any]
         try:
-            whole = self._telemetry.decode(payload)
+            parts = self._several.decode(payload)
         except _LOST:
-            whole = [payload]  # decoded again, to count the cause
-        parts = whole if isinstance(whole, list) else [payload]
+            parts = [payload]
         if not parts:
             self.rejected["empty_list"] += 1
         decoded = (self._decoded(self._one, part, identity) for part in parts)

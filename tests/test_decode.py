@@ -131,15 +131,38 @@ def test_events_say_before_which_row_they_came():
     assert [type(event.value).__name__ for event in events] == ["Vehicle", "Weather", "Ride"]
 
 
-@given(st.lists(st.integers(0, 1300), max_size=6))
-def test_chunks_decode_as_the_whole(cuts):
+MIXED = [
+    sample(vehicle_id="b"),
+    leaf(),
+    observed(),
+    told("plan", shift_end_s=1.7e9, reserve_soc_pct=20.0, legs=[]),
+    told("ride", ride_id="x", event="start"),
+    told("ride", ride_id="x", event="lunch"),
+    sample()._replace(key="fleet/b/telemetry"),
+    sample()._replace(key="fleet/b/lunch"),
+    *(Message(KEY, payload, 0) for payload in (b"[]", b"[", b"3", b"", b"[" + sample(seq=1).payload + b", 7]")),
+]
+"""Messages of every kind, good and bad, beside plain samples."""
+
+
+@given(st.lists(st.integers(0, 1300), max_size=6), st.lists(st.integers(0, 1200), max_size=40), st.integers(0, 2**32))
+def test_chunks_decode_as_the_whole(cuts, places, seed):
     messages = telemetry(drive(1200, seed=2))
-    messages[600:600] = [sample(vehicle_id="b"), leaf(), Message(KEY, b"[]", 0)]
-    whole = Decoder(Lanes()).decode(messages)[0]
-    decoder = Decoder(Lanes())
-    parts = [decoder.decode(chunk)[0] for chunk in chunked(messages, cuts)]
+    random = np.random.default_rng(seed)
+    for place in places:
+        messages.insert(place, MIXED[random.integers(len(MIXED))])
+    one, other = Decoder(Lanes()), Decoder(Lanes())
+    whole, events = one.decode(messages)
+    parts, found, rows = [], [], 0
+    for chunk in chunked(messages, cuts):
+        batch, own = other.decode(chunk)
+        parts.append(batch)
+        found += [event._replace(row=event.row + rows) for event in own]
+        rows += batch.size
     for i, column in enumerate(whole):
         assert np.array_equal(column, np.concatenate([part[i] for part in parts]), equal_nan=True)
+    assert found == events
+    assert (one.received, one.rejected, one.lanes.names) == (other.received, other.rejected, other.lanes.names)
 
 
 def test_a_prefix_and_a_new_field_are_no_matter():
