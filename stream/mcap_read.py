@@ -43,6 +43,7 @@ RAW_BLOCK: Final = 1 << 20
 """Messages outside chunks are read in blocks of about this size. [B]"""
 
 _CHUNK_PLACE: Final = struct.Struct("<QQQQ")  # first time, last time, offset, length
+_SPAN: Final = struct.Struct("<QQ")  # first and last time of a chunk, in its head
 _TAIL: Final = FOOTER_RECORD.size + len(MAGIC)
 _DAMAGE: Final = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, MemoryError, OverflowError)
 _receipt = itemgetter(2)
@@ -102,6 +103,7 @@ class _Block(NamedTuple):
     """A run of messages in the file: a chunk, or messages that stand outside chunks."""
 
     first_ns: int
+    last_ns: int
     offset: int
     length: int
     chunked: bool
@@ -153,6 +155,12 @@ class McapSource:
     def blocks(self) -> int:
         """Number of chunks in the file."""
         return len(self._blocks)
+
+    @property
+    def span_ns(self) -> tuple[int, int] | None:
+        """First and last receipt, as its chunks tell without being read; None where it holds no message. [ns]"""
+        full = [block for block in self._blocks if block.last_ns]
+        return (min(block.first_ns for block in full), max(block.last_ns for block in full)) if full else None
 
     def __iter__(self) -> Iterator[list[Message]]:
         """Yield the messages in order of receipt, about a chunk at a time."""
@@ -209,8 +217,8 @@ class McapSource:
         try:
             for opcode, body in records(data):
                 if opcode == CHUNK_INDEX:
-                    first, _, offset, length = _CHUNK_PLACE.unpack_from(body)
-                    blocks.append(_Block(first, offset, length, chunked=True))
+                    first_ns, last_ns, offset, length = _CHUNK_PLACE.unpack_from(body)
+                    blocks.append(_Block(first_ns, last_ns, offset, length, chunked=True))
                 elif opcode == STATISTICS:
                     count = int.from_bytes(body[:8], "little")
                 else:
@@ -227,13 +235,14 @@ class McapSource:
         self.losses.unfinished = True
         while at + RECORD.size <= size:
             file.seek(at)
-            head = file.read(MESSAGE_HEAD.size)
+            head = file.read(MESSAGE_HEAD.size).ljust(MESSAGE_HEAD.size, b"\0")
             opcode, length = RECORD.unpack_from(head)
             end = at + RECORD.size + length
             if end > size or not opcode:
                 break
             if opcode == CHUNK:
-                blocks.append(_Block(int.from_bytes(head[9:17], "little"), at, end - at, chunked=True))
+                first_ns, last_ns = _SPAN.unpack_from(head, RECORD.size)
+                blocks.append(_Block(first_ns, last_ns, at, end - at, chunked=True))
             elif opcode == MESSAGE:
                 _add_raw(blocks, int.from_bytes(head[15:23], "little"), at, end - at)
             elif opcode in {SCHEMA, CHANNEL}:
@@ -312,6 +321,7 @@ def _add_raw(blocks: list[_Block], receipt_ns: int, offset: int, length: int) ->
     """Add a message outside chunks: to the block that it continues, else as a block of its own."""
     last = blocks[-1] if blocks else None
     if last and not last.chunked and last.offset + last.length == offset and last.length < RAW_BLOCK:
-        blocks[-1] = _Block(min(last.first_ns, receipt_ns), last.offset, last.length + length, chunked=False)
+        first_ns, last_ns = min(last.first_ns, receipt_ns), max(last.last_ns, receipt_ns)
+        blocks[-1] = _Block(first_ns, last_ns, last.offset, last.length + length, chunked=False)
     else:
-        blocks.append(_Block(receipt_ns, offset, length, chunked=False))
+        blocks.append(_Block(receipt_ns, receipt_ns, offset, length, chunked=False))

@@ -9,7 +9,7 @@ import planted_rides
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_models import STUMP
+from linear_models import STUMP
 
 from core.errors import ModelError
 from core.evaluate.clustered import clustered_mean, clustered_ratio, less, vehicle_days

@@ -1,12 +1,12 @@
 """`socast fit`: from tables to a model file that forecasts, and one line for what cannot be fitted."""
 
 import json
-import re
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from commands import done, refused
 from planted_rides import MODELS, noisy, physical_energy, rides
 from pooled_rides import differing, fleet, measured, planted
 from recorded_shift import shift
@@ -18,7 +18,6 @@ from core.pipeline import Pipeline
 from stream.mcap_io import McapSink, McapSource
 from stream.memory_io import MemorySink, MemorySource
 from stream.run import run
-from tools.cli import main
 from tools.fit import ride_files
 
 PAPER = list(RECIPES)[:7]
@@ -41,24 +40,8 @@ def folder(table, tmp_path_factory) -> Path:
 
 
 def fitted(folder: Path, recipe: str, out: Path, *more: object) -> LinearModel:
-    main_(["fit", folder, "--recipe", recipe, "-o", out, *more])
+    done("fit", folder, "--recipe", recipe, "-o", out, *more)
     return models.load(out)
-
-
-def main_(arguments: list[object]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main([str(argument) for argument in arguments])
-    assert ended.value.code == 0
-
-
-def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """Return the one line that a refused command prints."""
-    with pytest.raises(SystemExit) as ended:
-        main([str(argument) for argument in arguments])
-    assert ended.value.code == 2
-    told = capsys.readouterr().err
-    assert re.fullmatch(r"socast: [^\n]+\n", told), told
-    return told
 
 
 @pytest.mark.parametrize("name", PAPER)
@@ -100,7 +83,7 @@ def test_several_tables_are_fitted_together(folder, table, tmp_path):
     half = tmp_path / "half.parquet"
     table.iloc[:450].to_parquet(half)
     table.iloc[450:].to_parquet(tmp_path / "rides.parquet")
-    main_(["fit", half, tmp_path, "--recipe", "hybrid", "-o", tmp_path / "model.json"])
+    done("fit", half, tmp_path, "--recipe", "hybrid", "-o", tmp_path / "model.json")
     assert ride_files([half, tmp_path]) == [half, tmp_path / "rides.parquet"]
     together, whole = models.load(tmp_path / "model.json"), fitted(folder, "hybrid", tmp_path / "whole.json")
     assert together.training == whole.training
@@ -227,11 +210,11 @@ def test_replay_and_tables_take_the_file(folder, tmp_path, capsys):
     fitted(folder, "hybrid", tmp_path / "model.json")
     with McapSink(tmp_path / "shift.mcap") as sink:
         sink.put(shift())
-    main_(["replay", tmp_path / "shift.mcap", "--model", tmp_path / "model.json", "--json", tmp_path / "rides.json"])
+    done("replay", tmp_path / "shift.mcap", "--model", tmp_path / "model.json", "--json", tmp_path / "rides.json")
     rows = json.loads((tmp_path / "rides.json").read_text())["rides"]
     assert any(row["predicted_kwh"] is not None for row in rows)
     assert "predicted" in capsys.readouterr().out
-    main_(["tables", tmp_path / "shift.mcap", "--model", tmp_path / "model.json", "--out", tmp_path / "made"])
+    done("tables", tmp_path / "shift.mcap", "--model", tmp_path / "model.json", "--out", tmp_path / "made")
     made = pd.read_parquet(tmp_path / "made" / "rides.parquet")
     assert np.isfinite(models.load(tmp_path / "model.json").predict(made)).any()
 
@@ -248,7 +231,7 @@ def test_a_pooled_model_is_told_of_a_new_car(whole, tmp_path):
     new = table["vehicle_model"] == MODELS[0]
     base = fitted(written(table[~new], tmp_path / "others.parquet"), "pooled_hybrid", tmp_path / "base.json")
     told = written(table[new].iloc[:40], tmp_path / "new.parquet")
-    main_(["fit", told, "--adapt", tmp_path / "base.json", "-o", tmp_path / "told.json"])
+    done("fit", told, "--adapt", tmp_path / "base.json", "-o", tmp_path / "told.json")
     model = models.load(tmp_path / "told.json")
     rest = table[new].iloc[40:]
     error = [np.abs(each.predict(rest) - rest["energy_kwh"]).mean() for each in (base, model)]

@@ -3,7 +3,7 @@
 import logging
 
 import pytest
-from commands import refused
+from commands import done, refused
 from conftest import leaf, observed
 from fleet_days import CARS, DAYS, SETTINGS, forecasts, recorded, shift
 
@@ -75,6 +75,19 @@ def test_shadows_begin_anew_and_a_restart_goes_on_the_same(recordings):
 def test_without_recordings_there_is_nothing():
     assert learned(EXTENDED_PHYSICAL, [], SETTINGS, None) is None
     assert learned(EXTENDED_PHYSICAL, [], SETTINGS, []) is None
+
+
+@pytest.mark.parametrize("lost", [0, 9_000], ids=["whole", "killed"])
+def test_a_history_that_knows_what_comes_is_refused(capsys, tmp_path, recordings, lost):
+    early, late = recordings
+    for name, numbers in (("later", range(2, DAYS)), ("overlapping", range(DAYS)), ("same", range(2))):
+        recorded(history := tmp_path / f"{name}.mcap", numbers)
+        history.write_bytes(history.read_bytes()[: history.stat().st_size - lost])
+        told = refused(capsys, "replay", early, "--history", history)
+        assert f"{name}.mcap ends at 2024-01-1" in told
+        assert "after what is replayed begins, at 2024-01-15 08:00:00 UTC: " in told
+    assert "a.mcap ends at" in refused(capsys, "replay", early, late, "--history", early)
+    done("replay", late, "--history", early, "--history", tmp_path / "same.mcap")
 
 
 def test_a_history_that_is_none_is_refused_in_a_line(capsys, tmp_path, recordings):

@@ -8,9 +8,10 @@ from pathlib import Path
 import msgspec
 import pandas as pd
 import pytest
+from commands import refused
 from recorded_shift import shift
 from rich.console import Console
-from test_cli import called, consumer, eventually, logged, refused  # noqa: F401 - a fixture among them
+from test_cli import called, consumer, eventually, logged  # noqa: F401 - a fixture among them
 
 from core import models
 from core.codec import Gain, ModelErrors, RideErrors

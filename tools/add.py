@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from core import effects, models
+from core import models
 from core.diagnose import adding
 from core.diagnose.noise import ride_floor
 from core.diagnose.ranking import LEAST_GAIN
@@ -34,8 +34,6 @@ def add_effect(
     """Add an effect to a model, refit it, and tell the error before and after on held-out days and vehicles."""
     from tools.report import history  # noqa: PLC0415 - figures take seconds to import
 
-    for path in effects_file or ():
-        effects.load_file(path)
     chosen = models.load(model)
     columns = scoped(effect, scope or ())
     writable([*read_files(data), *model_files([model]), *(effects_file or ())], out, json_file)

@@ -1,6 +1,9 @@
 """Settings of cleaning on the command line, in the units in which people think of them; the same for every command."""
 
-from typing import Annotated, Final
+from collections.abc import Callable
+from functools import wraps
+from inspect import Parameter, signature
+from typing import Annotated, Any, Final
 
 import typer
 
@@ -49,7 +52,12 @@ LeastDistance = Annotated[
 ]
 
 
-def cleaning(speed_limit_kmh: float, period_s: float, smoothing: int, least_distance_km: float) -> Settings:
+def cleaning(
+    speed_limit_kmh: SpeedLimit = SPEED_LIMIT_KMH,
+    period_s: Period = PERIOD_S,
+    smoothing: Smoothing = SMOOTHING,
+    least_distance_km: LeastDistance = LEAST_DISTANCE_KM,
+) -> Settings:
     """Return what the options say.
 
     Parameters
@@ -69,9 +77,38 @@ def cleaning(speed_limit_kmh: float, period_s: float, smoothing: int, least_dist
 
     Examples
     --------
-    >>> cleaning(SPEED_LIMIT_KMH, PERIOD_S, SMOOTHING, LEAST_DISTANCE_KM) == Settings()
+    >>> cleaning() == Settings()
     True
     """
     return Settings(
         period=period_s, speed_limit=speed_limit_kmh * KMH, window=smoothing, least_distance=least_distance_km * _KM
     )
+
+
+def cleaned(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options of cleaning, in the place of its argument `settings`, which is made of them.
+
+    Examples
+    --------
+    >>> @cleaned
+    ... def look(*, settings: Settings) -> None:
+    ...     print(settings.window)
+    >>> look(smoothing=5)
+    5
+    >>> list(signature(look).parameters)
+    ['speed_limit_kmh', 'period_s', 'smoothing', 'least_distance_km']
+    """
+    options = signature(cleaning).parameters
+    own = signature(command)
+
+    @wraps(command)
+    def called(**given: Any) -> None:
+        settings = cleaning(**{name: given.pop(name) for name in options if name in given})
+        command(**given, settings=settings)
+
+    shown: list[Parameter] = []
+    for name, parameter in own.parameters.items():
+        added = options.values() if name == "settings" else [parameter]
+        shown += [each.replace(kind=Parameter.KEYWORD_ONLY) for each in added]
+    called.__signature__ = own.replace(parameters=shown)  # type: ignore[attr-defined]
+    return called

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.metadata import version
-from typing import Annotated, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
 import typer
 
@@ -31,6 +31,9 @@ class Command(NamedTuple):
     name: str
     summary: str
 
+
+UsageError: Any = typer.BadParameter.__base__
+"""What typer raises where a call is wrong: an unknown command or option, a missing one, or a wrong value."""
 
 COMMANDS: Final = {
     "demo": Command("tools.demo", "demo", "Watch a recorded shift as if it were live, in under a minute."),
@@ -91,15 +94,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = list(sys.argv[1:] if arguments is None else arguments)
     chosen = next((word for word in given if not word.startswith("-")), None)
     try:
-        application(chosen)(given, prog_name="socast")
-    except SocastError as error:
-        print(f"socast: {' '.join(str(error).split())}", file=sys.stderr)
+        raise SystemExit(application(chosen)(given, prog_name="socast", standalone_mode=False) or 0)
+    except (SocastError, UsageError) as error:
+        if told := _usage(error, chosen) if isinstance(error, UsageError) else str(error):
+            print(f"socast: {' '.join(told.split())}", file=sys.stderr)
         raise SystemExit(2) from None
     except KeyboardInterrupt:
         raise SystemExit(130) from None
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # so that the interpreter's last flush is quiet
         raise SystemExit(1) from None
+
+
+def _usage(error: UsageError, chosen: str | None) -> str:
+    """Return what is wrong with a call: value, limit and where to read on; nothing where help was shown instead."""
+    words = error.format_message().rstrip(".")
+    wrong: list[dict[str, Any]] = getattr(error.__cause__, "errors", list)()
+    if wrong:  # typer leaves the value out
+        name, wanted = error.param.get_error_hint().strip("'"), wrong[0]["msg"].partition(",")[0]
+        words = f"{name} is '{wrong[0]['input']}', {wanted.replace('Input should', 'must')}"
+    command = error.ctx.command_path if error.ctx else f"socast {chosen}" if chosen in COMMANDS else "socast"
+    return words and f"{words[0].lower()}{words[1:]}{'' if words.endswith('?') else ';'} `{command} --help` tells more"
 
 
 def _show_version(wanted: bool) -> None:

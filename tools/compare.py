@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import typer
 
-from core import effects, models
+from core import models
 from core.errors import ModelError, SettingsError
 from core.evaluate.comparison import Sample, compare, sample
 from core.evaluate.contrast import contrast
@@ -18,16 +18,9 @@ from core.evaluate.results import plain
 from core.evaluate.trace import find, trace
 from core.models import KNOWN, LinearModel
 from tools.evaluate import KEY, read
-from tools.fit import ride_files
-from tools.output import EffectFiles, JsonFile, model_files, printer, writable, write_json
+from tools.fit import RECORDING, Rides, inputs, ride_files
+from tools.output import EffectFiles, HtmlFile, JsonFile, model_files, report, writable, write_json
 from tools.tables import WINDOWS, in_memory
-
-RECORDING = ".mcap"
-
-Rides = Annotated[
-    list[Path],
-    typer.Argument(metavar="TABLES|REC", help="Folders that `socast tables` made, or MCAP recordings."),
-]
 
 
 def compare_models(
@@ -44,9 +37,7 @@ def compare_models(
     ] = None,
     effects_file: EffectFiles = None,
     json_file: JsonFile = None,
-    html_file: Annotated[
-        Path | None, typer.Option("--html", metavar="FILE", help="Write a report with figures.")
-    ] = None,
+    html_file: HtmlFile = None,
 ) -> None:
     """Compare models with the measured energy of rides: how far off, under which conditions, in which rides.
 
@@ -55,9 +46,7 @@ def compare_models(
     """
     if ride is not None and against:
         raise SettingsError("--ride shows one ride of the first rides; leave out --against")
-    for path in effects_file or ():
-        effects.load_file(path)
-    read = [*_files(rides), *_files(against or ()), *model_files(model), *(effects_file or ())]
+    read = [*inputs(rides), *inputs(against or ()), *model_files(model), *(effects_file or ())]
     writable(read, json_file, html_file)
     chosen = named(model)
     if ride is not None:
@@ -70,7 +59,7 @@ def compare_models(
             result["against"] = _against(found, rides, against, chosen)
     result = plain(result)
     write_json(json_file, result)
-    _report(result, html_file)
+    report("comparison", result, html_file)
 
 
 def named(given: Sequence[str]) -> dict[str, LinearModel]:
@@ -88,25 +77,6 @@ def named(given: Sequence[str]) -> dict[str, LinearModel]:
     short = [name if name in KNOWN else Path(name).stem for name in given]
     labels = [name if short.count(label) > 1 else label for name, label in zip(given, short, strict=True)]
     return {label: models.load(name) for label, name in zip(labels, given, strict=True)}
-
-
-def _files(given: Sequence[Path]) -> list[Path]:
-    """Return the recordings, or the files of rides, that the command line names.
-
-    Raises
-    ------
-    SettingsError
-        Where recordings are mixed with tables, or one is given twice.
-    """
-    recordings = [path for path in given if path.suffix == RECORDING]
-    if not recordings:
-        return ride_files(given)
-    if len(recordings) < len(given):
-        other = next(path for path in given if path.suffix != RECORDING)
-        raise SettingsError(f"{recordings[0]} is a recording and {other} is none; give recordings or tables, not both")
-    if twice := [path for i, path in enumerate(given) if path.resolve() in {p.resolve() for p in given[:i]}]:
-        raise SettingsError(f"{twice[0]} is given twice, and its rides would count twice; give it once")
-    return recordings
 
 
 def _recorded(given: Sequence[Path]) -> bool:
@@ -176,14 +146,3 @@ def _say_commands(result: Mapping[str, Any], words: Sequence[str], given: Mappin
     for label, own in result["models"].items():
         for told in (ride for rides in own["worst"].values() for ride in rides):
             told["command"] = shlex.join([*words, "--model", given[label], "--ride", told["ride"]])
-
-
-def _report(result: dict[str, Any], html_file: Path | None) -> None:
-    """Print the tables, and write the page."""
-    from tools.report import comparison  # noqa: PLC0415 - figures take seconds to import
-
-    console = printer()
-    comparison.show(result, console)
-    if html_file:
-        comparison.write(result, html_file)
-        console.print(f"report in {html_file}", markup=False, highlight=False, soft_wrap=True)

@@ -21,8 +21,9 @@ from stream.zenoh_io import ZenohSink, ZenohSource
 from stream.zenoh_node import Connection, Node
 from tools.info import described
 from tools.live import both, warm_up
-from tools.output import JsonFile, printer, writable, write_json
+from tools.output import JsonFile, ModelName, printer, writable, write_json
 from tools.screen import Screen, ride_records, show_rides, with_predictions
+from tools.standings import USUAL
 
 SHIFT = Path(__file__).parent.parent / "recordings" / "shift.mcap"
 """The recording that comes with the product."""
@@ -35,7 +36,7 @@ def demo(
         Path, typer.Argument(metavar="[REC]", help="Recording to publish. [default: the shift that comes with socast]")
     ] = SHIFT,
     seconds: Annotated[float, typer.Option(min=1.0, metavar="S", help="How long it shall take.")] = 35.0,
-    model: Annotated[str, typer.Option(metavar="M", help="Model: a name, or a model file.")] = "extended_physical",
+    model: ModelName = USUAL,
     json_file: JsonFile = None,
 ) -> None:
     """Watch a recorded shift as if it were live.

@@ -24,11 +24,10 @@ from core.learn.blocks import names
 from core.models import KNOWN, VEHICLE, VEHICLE_MODEL, LinearModel
 from core.road_load import ROAD_LOAD
 from tools.evaluate import KEY, read
-from tools.fit import ride_files
-from tools.output import EffectFiles, JsonFile, model_files, printer, writable, write_json
+from tools.fit import RECORDING, Rides, inputs
+from tools.output import EffectFiles, HtmlFile, JsonFile, model_files, printer, report, writable, write_json
 from tools.tables import WINDOWS, in_memory
 
-RECORDING = ".mcap"
 MEASURED = ("energy_kwh", "energy_sd_kwh", "energy_vi_kwh", "energy_vi_sd_kwh", "energy_soc_kwh", "energy_soc_sd_kwh")
 OF_BOTH = (KEY, VEHICLE, VEHICLE_MODEL, *MEASURED, *(effect.energy_name for effect in ROAD_LOAD))
 OF_WINDOWS = (*OF_BOTH, *(name for name in FEATURES if name not in {"winter", "summer"}))
@@ -37,11 +36,6 @@ OF_RIDES = (*OF_BOTH, "ride_id", "date", "fit_for_training", *FEATURES)
 MOST_STEPS = 8
 """Effects that `--auto` adds at most."""
 
-Rides = Annotated[
-    list[Path],
-    typer.Argument(metavar="TABLES|REC", help="Folders that `socast tables` made, or MCAP recordings."),
-]
-HtmlFile = Annotated[Path | None, typer.Option("--html", metavar="FILE", help="Write a report with figures.")]
 LeastGain = Annotated[
     float, typer.Option(metavar="SHARE", min=0.0, max=1.0, help="Gain below which an effect is not worth its place.")
 ]
@@ -67,8 +61,6 @@ def diagnose_rides(
     """Tell where a model fails, which physical effect it lacks, and what remains."""
     if auto != (out is not None):
         raise SettingsError("--auto writes the model that it comes to: give --auto and -o M2 together, or neither")
-    for path in effects_file or ():
-        effects.load_file(path)
     chosen = models.load(model)
     writable([*read_files(rides), *model_files([model]), *(effects_file or ())], json_file, html_file, suggest, out)
     table, windows = read_tables(rides, chosen)
@@ -85,7 +77,8 @@ def diagnose_rides(
     else:
         result = _diagnosed(chosen, *_not_set_apart(chosen, table, windows, console), least_gain)
         say_commands(result, model, rides, effects_file or ())
-    _report(result, console, json_file, html_file, suggest)
+    write_json(json_file, result)
+    report("diagnosis", result, html_file, suggested=_suggested(result, suggest))
     if out is not None:
         told = f"{out}: version {chosen.version}; socast history {out} tells its steps"
         console.print(told, markup=False, highlight=False, soft_wrap=True)
@@ -95,25 +88,6 @@ def lacking(files: Sequence[Path], windows: pd.DataFrame) -> list[str]:
     """Return the effects of one's own that tables were made without."""
     own = [effect.name for path in files for effect in effects.topics().get(path.name, ())]
     return [name for name in own if f"{EFFECT_PREFIX}{name}" not in windows]
-
-
-def inputs(given: Sequence[Path]) -> list[Path]:
-    """Return the recordings, or the files of rides, that the command line names.
-
-    Raises
-    ------
-    SettingsError
-        Where recordings are mixed with tables, or a file is not there or given twice.
-    """
-    recordings = [path for path in given if path.suffix == RECORDING]
-    if not recordings:
-        return ride_files(given)
-    if len(recordings) < len(given):
-        other = next(path for path in given if path.suffix != RECORDING)
-        raise SettingsError(f"{recordings[0]} is a recording and {other} is none; give recordings or tables, not both")
-    if twice := [path for i, path in enumerate(recordings) if path.resolve() in {p.resolve() for p in recordings[:i]}]:
-        raise SettingsError(f"{twice[0]} is given twice, and its rides would count twice; give it once")
-    return recordings
 
 
 def _checked(model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -252,26 +226,13 @@ def _auto(
     return model, result
 
 
-def _report(
-    result: dict[str, Any], console: Console, json_file: Path | None, html_file: Path | None, suggest: Path | None
-) -> None:
-    """Print the diagnosis, and write what was asked for."""
-    from tools.report import diagnosis  # noqa: PLC0415 - figures take seconds to import
-
+def _suggested(result: dict[str, Any], path: Path | None) -> str | None:
+    """Write the effect that is suggested, if it is wanted and there is one, and return where it is."""
     text = result.get("suggestion_file")
-    suggested = str(suggest) if suggest and text else None
-    if suggest and text:
-        _write(suggest, text)
-    write_json(json_file, result)
-    diagnosis.show(result, console, suggested=suggested)
-    if html_file:
-        diagnosis.write(result, html_file, suggested=suggested)
-        console.print(f"report in {html_file}", markup=False, highlight=False, soft_wrap=True)
-
-
-def _write(path: Path, text: str) -> None:
-    """Write the suggested effect."""
+    if not (path and text):
+        return None
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise SettingsError(f"{path} cannot be written: {error.strerror}; name a file in another folder") from error
+    return str(path)

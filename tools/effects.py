@@ -22,10 +22,8 @@ MEANINGS = {column.name: column for column in SIGNALS}
 
 
 @app.command("list")
-def list_effects(file: EffectFiles = None, json_file: JsonFile = None) -> None:
+def list_effects(_: EffectFiles = None, json_file: JsonFile = None) -> None:
     """List every effect by topic: formula, coefficient with unit and plausible range."""
-    for path in file or ():
-        effects.load_file(path)
     topics = effects.topics()
     table = _table()
     for topic, found in topics.items():
@@ -40,12 +38,10 @@ def list_effects(file: EffectFiles = None, json_file: JsonFile = None) -> None:
 @app.command("show")
 def show(
     name: Annotated[str, typer.Argument(metavar="E", help="Name of an effect, or of a variant of one.")],
-    file: EffectFiles = None,
+    _: EffectFiles = None,
     json_file: JsonFile = None,
 ) -> None:
     """Show all that is declared of an effect: source, what it is confused with, what shows it, its parameters."""
-    for path in file or ():
-        effects.load_file(path)
     effect = effects.get(name)
     topic = next(topic for topic, found in effects.topics().items() if effect.base in [e.name for e in found])
     table = Table(show_header=False, box=None, pad_edge=False)

@@ -20,7 +20,7 @@ from core.evaluate.splits import REPEATS
 from core.learn import segments
 from core.learn.recipes import RECIPES
 from tools.fit import Tables, ride_files
-from tools.output import JsonFile, printer, writable, write_json
+from tools.output import HtmlFile, JsonFile, printer, writable, write_json
 from tools.tables import WINDOWS
 
 LEAST_REPEATS = 2
@@ -31,9 +31,7 @@ KEY = "ride_key"
 def evaluate_tables(
     tables: Tables,
     json_file: JsonFile = None,
-    html_file: Annotated[
-        Path | None, typer.Option("--html", metavar="FILE", help="Write a report with figures.")
-    ] = None,
+    html_file: HtmlFile = None,
     seed: Annotated[int, typer.Option(help="Of splits and draws; the same one gives the same result.")] = 0,
     repeats: Annotated[int, typer.Option(help="Splits by ride.")] = REPEATS,
     recipes: Annotated[

@@ -28,6 +28,12 @@ Tables = Annotated[
     typer.Argument(metavar="TABLES...", help="Folders that `socast tables` made, or Parquet files of rides."),
 ]
 
+Rides = Annotated[
+    list[Path],
+    typer.Argument(metavar="TABLES|REC", help="Folders that `socast tables` made, or MCAP recordings."),
+]
+RECORDING = ".mcap"
+
 CHOKE_POINTS = ("heating_full", "heating_off", "cooling_on", "cooling_full")
 LEVELS = ("heating", "standby", "cooling")
 
@@ -75,6 +81,25 @@ def ride_files(tables: Sequence[Path]) -> list[Path]:
     if twice := [file for i, file in enumerate(files) if file.resolve() in {other.resolve() for other in files[:i]}]:
         raise SettingsError(f"{twice[0]} is given twice, and its rides would count twice; give it once")
     return files
+
+
+def inputs(given: Sequence[Path]) -> list[Path]:
+    """Return the recordings, or the files of rides, that the command line names.
+
+    Raises
+    ------
+    SettingsError
+        Where recordings are mixed with tables, or a file is not there or given twice.
+    """
+    recordings = [path for path in given if path.suffix == RECORDING]
+    if not recordings:
+        return ride_files(given)
+    if len(recordings) < len(given):
+        other = next(path for path in given if path.suffix != RECORDING)
+        raise SettingsError(f"{recordings[0]} is a recording and {other} is none; give recordings or tables, not both")
+    if twice := [path for i, path in enumerate(recordings) if path.resolve() in {p.resolve() for p in recordings[:i]}]:
+        raise SettingsError(f"{twice[0]} is given twice, and its rides would count twice; give it once")
+    return recordings
 
 
 def _fitted(chosen: Recipe, files: Sequence[Path]) -> LinearModel:

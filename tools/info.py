@@ -12,7 +12,8 @@ from rich.table import Table
 
 from core.codec import OF_VEHICLES, address
 from stream.mcap_io import McapSource
-from tools.output import JsonFile, Recordings, printer, reading, warn_of_losses, writable, write_json
+from tools.output import JsonFile, printer, writable, write_json
+from tools.recordings import Recordings, opened, reading, warn_of_losses
 
 MOST_TOPICS = 30
 """Topics shown on a terminal; the JSON has all."""
@@ -23,7 +24,7 @@ def info(recordings: Recordings, json_file: JsonFile = None) -> None:
 
     Every chunk is read and checked. Nothing is decoded: for what is wrong inside payloads, see `tables`.
     """
-    sources = [McapSource(path) for path in recordings]
+    sources = opened(recordings)
     writable(recordings, json_file)
     console = printer()
     with reading(sources) as step:

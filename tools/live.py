@@ -10,11 +10,11 @@ from typing import Annotated
 
 import typer
 
-from core import effects
 from core.codec import Message, Telemetry, encode
 from core.errors import SettingsError, SocastError
 from core.models import Model
 from core.pipeline import Pipeline
+from core.settings import Settings
 from stream.desk import Desk
 from stream.log_lines import fields, flat, write_lines
 from stream.outbox import Outbox
@@ -23,17 +23,7 @@ from stream.run import PUBLISH_S, REPORT_S, Tally, run, stopping
 from stream.zenoh_io import ZenohSink, ZenohSource
 from stream.zenoh_node import LOOPBACK, Connection, Mode, Node
 from stream.zenoh_query import ZenohQueries
-from tools.cleaning import (
-    LEAST_DISTANCE_KM,
-    PERIOD_S,
-    SMOOTHING,
-    SPEED_LIMIT_KMH,
-    LeastDistance,
-    Period,
-    Smoothing,
-    SpeedLimit,
-    cleaning,
-)
+from tools.cleaning import cleaned
 from tools.learned import History, learned
 from tools.output import EffectFiles
 from tools.screen import Screen, ride_records, with_predictions
@@ -47,7 +37,9 @@ KEEP_S = 30.0
 _log = logging.getLogger("socast.live")
 
 
+@cleaned
 def live(
+    *,
     connect: Annotated[
         list[str] | None, typer.Option(metavar="E", help="Router to join, such as tcp/10.0.0.5:7447; may be repeated.")
     ] = None,
@@ -67,11 +59,8 @@ def live(
     prefix: Annotated[str, typer.Option(metavar="P", help="Key chunks before `fleet`, such as montreal.")] = "",
     recovery: Annotated[bool, typer.Option(help="Ask advanced publishers for what was missed.")] = True,
     model: ModelNames = None,
-    effects_file: EffectFiles = None,
-    speed_limit_kmh: SpeedLimit = SPEED_LIMIT_KMH,
-    period_s: Period = PERIOD_S,
-    smoothing: Smoothing = SMOOTHING,
-    least_distance_km: LeastDistance = LEAST_DISTANCE_KM,
+    _: EffectFiles = None,
+    settings: Settings,
     record: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Record every payload as it came, good or not.")
     ] = None,
@@ -96,9 +85,6 @@ def live(
     unless there is a state to go on from.
     """
     write_lines(as_json=json_log)
-    for path in effects_file or ():
-        effects.load_file(path)
-    settings = cleaning(speed_limit_kmh, period_s, smoothing, least_distance_km)
     chosen, *shadows = loaded(model)
     warm_up(chosen, *shadows)
     known = state is not None and state.exists()

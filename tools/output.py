@@ -1,9 +1,9 @@
-"""What commands have in common: arguments, and what they do with results: JSON files, lines, progress bars."""
+"""What commands have in common: arguments, and what they do with results: JSON files, tables, reports."""
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable
 from errno import EACCES
+from importlib import import_module
 from math import isnan
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,17 +11,25 @@ from typing import Annotated, Any
 import msgspec
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from core import effects
 from core.errors import SettingsError
 from core.models import KNOWN
-from stream.mcap_io import McapSource
+
+
+def _load(files: list[Path] | None) -> list[Path] | None:
+    """Load effects before the command begins, so that it knows them."""
+    for file in files or ():
+        effects.load_file(file)
+    return files
+
 
 JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the table as JSON too.")]
-Recordings = Annotated[list[Path], typer.Argument(metavar="REC...", help="MCAP recordings.", show_default=False)]
+HtmlFile = Annotated[Path | None, typer.Option("--html", metavar="FILE", help="Write a report with figures.")]
 ModelName = Annotated[str, typer.Option(metavar="M", help="Model: a name, or a model file.")]
 EffectFiles = Annotated[
-    list[Path] | None, typer.Option("--effects", metavar="FILE", help="A file of your own effects; may be repeated.")
+    list[Path] | None,
+    typer.Option("--effects", metavar="FILE", help="A file of your own effects; may be repeated.", callback=_load),
 ]
 
 PIPE_WIDTH = 120
@@ -50,6 +58,25 @@ def write_json(path: Path | None, value: Any) -> None:
         raise SettingsError(
             f"{path} cannot be written: {error.strerror}; name a file in a folder that is there"
         ) from error
+
+
+def report(name: str, result: Any, html_file: Path | None, **options: Any) -> None:
+    """Print the tables of a result, and write its page where that is wanted.
+
+    Parameters
+    ----------
+    name : str
+        Of the file in `tools/report/` that shows it; loaded here, as figures take seconds to import.
+    result : Any
+    html_file : Path, optional
+    options : Any
+        For what shows it.
+    """
+    shown, console = import_module(f"tools.report.{name}"), printer()
+    shown.show(result, console, **options)
+    if html_file:
+        shown.write(result, html_file, **options)
+        console.print(f"report in {html_file}", markup=False, highlight=False, soft_wrap=True)
 
 
 def model_files(given: Iterable[str]) -> list[Path]:
@@ -119,22 +146,3 @@ def speed(text: str) -> float:
     if isnan(value) or value <= 0:
         raise SettingsError(f"--speed is '{text}'; give a number above 0 such as 60, or max")
     return value
-
-
-def warn_of_losses(sources: Iterable[McapSource], console: Console) -> None:
-    """Say what recordings hold that could not be read."""
-    for source in sources:
-        for line in source.losses.lines():
-            console.print(f"{source.path}: {line}", style="yellow", markup=False, highlight=False, soft_wrap=True)
-
-
-@contextmanager
-def reading(
-    sources: Sequence[McapSource], *, shown: bool = True, words: str = "reading"
-) -> Iterator[Callable[[], None]]:
-    """Show how far recordings have been read; give a function to call now and then."""
-    console = Console(stderr=True)
-    columns = (TextColumn(words), BarColumn(), MofNCompleteColumn(), TextColumn("chunks"), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as progress:
-        task = progress.add_task(words, total=sum(source.blocks for source in sources))
-        yield lambda: progress.update(task, completed=sum(source.blocks_read for source in sources))

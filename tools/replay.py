@@ -1,7 +1,7 @@
 """`socast replay`: recorded shifts once more, through the model or to a router."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import inf
 from pathlib import Path
 from threading import Event
@@ -10,49 +10,30 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from core import effects
 from core.errors import SettingsError
 from core.pipeline import Pipeline
 from core.settings import Settings
 from stream.mcap_io import McapSink, McapSource
-from stream.run import run, stopping
+from stream.run import stopping
 from stream.source import Source, merged, paced, until
 from stream.zenoh_io import ZenohSink
 from stream.zenoh_node import Connection, Node, key_prefix
-from tools.cleaning import (
-    LEAST_DISTANCE_KM,
-    PERIOD_S,
-    SMOOTHING,
-    SPEED_LIMIT_KMH,
-    LeastDistance,
-    Period,
-    Smoothing,
-    SpeedLimit,
-    cleaning,
-)
+from tools.cleaning import cleaned
 from tools.learned import History, learned
 from tools.outcomes import Outcomes, show_outcomes
-from tools.output import (
-    EffectFiles,
-    JsonFile,
-    Recordings,
-    model_files,
-    printer,
-    reading,
-    speed,
-    warn_of_losses,
-    writable,
-    write_json,
-)
-from tools.screen import Screen, ride_records, show_rides, with_predictions
+from tools.output import EffectFiles, JsonFile, model_files, printer, speed, writable, write_json
+from tools.recordings import Recordings, forecast, opened, reading, warn_of_losses
+from tools.screen import ride_records, show_rides, with_predictions
 from tools.standings import ModelNames, loaded, records, show_models
 
 HEARD_S = 10.0
 """How long to wait for somebody to subscribe before publishing all the same. [s]"""
 
 
+@cleaned
 def replay(
     recordings: Recordings,
+    *,
     pace: Annotated[
         str | None,
         typer.Option("--speed", metavar="N|max", help="Times real time. [default: max in process, 1 to a router]"),
@@ -63,10 +44,7 @@ def replay(
     in_process: Annotated[bool, typer.Option("--in-process", help="Run the model here. [default]")] = False,
     model: ModelNames = None,
     effects_file: EffectFiles = None,
-    speed_limit_kmh: SpeedLimit = SPEED_LIMIT_KMH,
-    period_s: Period = PERIOD_S,
-    smoothing: Smoothing = SMOOTHING,
-    least_distance_km: LeastDistance = LEAST_DISTANCE_KM,
+    settings: Settings,
     prefix: Annotated[
         str, typer.Option(metavar="P", help="Key chunks to put before the recorded keys, or the forecasts'.")
     ] = "",
@@ -86,7 +64,6 @@ def replay(
     was forecast of each shift's end, and what became of it. With --connect they are published, and whoever listens at
     the router makes the forecasts.
     """
-    settings = cleaning(speed_limit_kmh, period_s, smoothing, least_distance_km)
     if connect and (in_process or out or json_file or effects_file or history or settings != Settings()):
         raise SettingsError(
             "--connect publishes, forecasts nothing; leave out --in-process, --out, --json, --effects, --history "
@@ -94,7 +71,7 @@ def replay(
         )
     before = key_prefix(prefix)
     rate = speed(pace or ("1" if connect else "max"))
-    sources = [McapSource(path) for path in recordings]
+    sources = opened(recordings)
     writable([*recordings, *(history or ()), *model_files(model or ()), *(effects_file or ())], out, json_file)
     console = printer()
     with stopping() as stop:
@@ -104,14 +81,12 @@ def replay(
                 sink = ZenohSink(node, before)
                 _publish(source, sink, sources, stop, connect)
         else:
-            for path in effects_file or ():
-                effects.load_file(path)
             chosen, *shadows = known = loaded(model)
             pipeline = Pipeline(chosen, settings, before, shadows=shadows, keep_outlooks=True)
-            if earlier := learned(chosen, shadows, settings, history):
+            if earlier := learned(chosen, shadows, settings, history, replayed=sources):
                 pipeline.learn_from(earlier)
             outcomes = Outcomes(pipeline)
-            forecast(source, pipeline, sources, rate, [McapSink(out)] if out else [], outcomes)
+            forecast(pipeline, sources, source, rate, [McapSink(out)] if out else [], outcomes)
             rides = with_predictions(pipeline.take_rides(), pipeline.shadows)
             result = {"rides": ride_records(rides), "shifts": outcomes.records()}
             show_rides(console, rides, pipeline.quality())
@@ -121,42 +96,7 @@ def replay(
                 result["models"] = records(told)
             show_outcomes(console, result["shifts"])
             write_json(json_file, result)
-    warn_of_losses(sources, Console(stderr=True))
-
-
-def forecast(
-    source: Source,
-    pipeline: Pipeline,
-    sources: Sequence[McapSource],
-    rate: float,
-    sinks: Sequence[McapSink] = (),
-    also: Callable[[], None] = lambda: None,
-) -> None:
-    """Run recordings through the loop, with a progress bar at full speed and a table of cars at any other.
-
-    Parameters
-    ----------
-    source : Source
-        Paced and merged.
-    pipeline : Pipeline
-        Holds the rides afterwards.
-    sources : sequence of McapSource
-        The recordings behind it.
-    rate : float
-        Speed of the replay; `inf` as fast as possible.
-    sinks : sequence of McapSink
-        Take the forecasts.
-    also : callable
-        Called after each list of messages.
-    """
-    with reading(sources, shown=rate == inf) as step, Screen(pipeline, "Replay", silent=rate == inf) as screen:
-
-        def watch(tally: object) -> None:
-            step()
-            also()
-            screen(tally)  # type: ignore[arg-type]
-
-        run(source, pipeline, sinks, watch=watch)
+    warn_of_losses(sources)
 
 
 def _publish(source: Source, sink: ZenohSink, sources: Sequence[McapSource], stop: Event, endpoint: str) -> None:

@@ -14,31 +14,13 @@ from rich.table import Table
 from core import effects, models
 from core.errors import SettingsError
 from core.pipeline import Pipeline
+from core.settings import Settings
 from stream.mcap_io import McapSource
 from stream.source import merged
-from tools.cleaning import (
-    LEAST_DISTANCE_KM,
-    PERIOD_S,
-    SMOOTHING,
-    SPEED_LIMIT_KMH,
-    LeastDistance,
-    Period,
-    Smoothing,
-    SpeedLimit,
-    cleaning,
-)
-from tools.output import (
-    EffectFiles,
-    JsonFile,
-    ModelName,
-    Recordings,
-    model_files,
-    printer,
-    reading,
-    warn_of_losses,
-    writable,
-    write_json,
-)
+from tools.cleaning import cleaned
+from tools.output import EffectFiles, JsonFile, ModelName, model_files, printer, writable, write_json
+from tools.recordings import Recordings, opened, reading, warn_of_losses
+from tools.standings import USUAL
 
 RIDES, WINDOWS, QUALITY = "rides.parquet", "windows.parquet", "quality.json"
 
@@ -74,23 +56,19 @@ class ParquetTable:
             self._writer.close()
 
 
+@cleaned
 def tables(
     recordings: Recordings,
+    *,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for rides.parquet, windows.parquet, quality.json.")],
-    model: ModelName = "extended_physical",
+    model: ModelName = USUAL,
     effects_file: EffectFiles = None,
-    speed_limit_kmh: SpeedLimit = SPEED_LIMIT_KMH,
-    period_s: Period = PERIOD_S,
-    smoothing: Smoothing = SMOOTHING,
-    least_distance_km: LeastDistance = LEAST_DISTANCE_KM,
+    settings: Settings,
     json_file: JsonFile = None,
 ) -> None:
     """Clean recordings and sum them up: one row a ride, one row a window, and what was rejected, by cause."""
-    for path in effects_file or ():
-        effects.load_file(path)
-    settings = cleaning(speed_limit_kmh, period_s, smoothing, least_distance_km)
     pipeline = Pipeline(models.load(model), settings, also=effects.tabulated(), keep_forecasts=False)
-    sources = [McapSource(path) for path in recordings]
+    sources = opened(recordings)
     folder = _folder(out)
     read = [*recordings, *model_files([model]), *(effects_file or ())]
     writable(read, folder / RIDES, folder / WINDOWS, folder / QUALITY, json_file)
@@ -113,7 +91,7 @@ def tables(
         write_json(json_file, table.where(table.notna(), None).to_dict("records"))
     console = printer()
     show(quality, rides.rows, windows.rows, folder, console)
-    warn_of_losses(sources, Console(stderr=True))
+    warn_of_losses(sources)
 
 
 def _folder(path: Path) -> Path:
@@ -153,10 +131,10 @@ def tabulate(
 def in_memory(recordings: Sequence[Path], wanted: Sequence[str]) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return ride and window table of recordings, with the effects that are wanted; say what could not be read."""
     pipeline = Pipeline(also=wanted, keep_forecasts=False)
-    sources = [McapSource(path) for path in recordings]
+    sources = opened(recordings)
     parts: list[tuple[pd.DataFrame, pd.DataFrame]] = []
     tabulate(sources, pipeline, lambda rides, windows: parts.append((rides, windows)))
-    warn_of_losses(sources, Console(stderr=True))
+    warn_of_losses(sources)
     rides, windows = (pd.concat(tables, ignore_index=True) for tables in zip(*parts, strict=True))
     return rides, windows
 
