@@ -13,13 +13,15 @@ clock, with outliers clipped). A stamp that stands still says nothing.
 What error remains, for Gaussian stamps that are off by s (one standard deviation) and a period of 3 s:
 
 - with a counter 0.19 s rms, 0.9 s at most for s of 1 s, and a drive's duration is right to 0.6 s. A clock that is set
-  costs no time: two samples coast on the old clock, then the new one is believed. Samples sent again, however many,
-  are late and nothing else;
+  costs no time: two samples coast on the old clock, then the new one is believed. A silence that the counter does not
+  count is taken for that. Samples sent again, however many, are late and nothing else;
 - without one the same for s up to 0.5 s. For 1 s it is 0.5 s rms, one sample in 40 is a period off until its
   successors put it right (its `dt` is zero or double then), and a duration is right to 3 s; where samples are lost as
-  well, 1.2 s rms. A clock set forward cannot be told from a gap, and is taken for one; a single stamp that is more
-  than 200 periods ahead is not believed, and a gap as long costs its first sample's place. A clock set back is
-  believed after ten samples in order; until then they are late. Fewer late samples than that are late and nothing else;
+  well, 1.2 s rms. A clock set forward cannot be told from a gap, and is taken for one. A stamp that is more than 200
+  periods ahead is not believed, and its sample not used, until the next stamp agrees: a single wild one costs what a
+  lost sample does, and a gap as long costs its first sample, or two where that one's stamp is after its successor's;
+  none is used that comes more than 200 periods after and before any other. A clock set back is believed after ten
+  samples in order; until then they are late. Fewer late samples than that are late and nothing else;
 - the mean delay of the stamps cannot be seen and stays, and the first stamp's own error stays in the time before it.
 
 A period that is not the nominal one is followed from the first samples where there is a counter, to 0.4 periods and
@@ -170,7 +172,9 @@ def follow(s: Any, stamp: float, count: float) -> tuple[float, int]:
 
 @njit(cache=False)
 def reject(s: Any, stamp: float, seq: float) -> tuple[float, int]:
-    """Reject a sample from the past, unless so many agree that the clock must have been set back."""
+    """Reject a sample that strays, unless so many from the past agree that the clock must have been set back."""
+    if stamp > s.time:
+        return UNUSED, REPAIRED_TIME
     in_order = 0.0 < stamp - s.late_stamp <= 2.0 * s.period
     s.late_run = s.late_run + 1.0 if in_order else 1.0
     s.late_stamp = stamp
@@ -185,16 +189,13 @@ def reject(s: Any, stamp: float, seq: float) -> tuple[float, int]:
 
 
 @njit(cache=False)
-def restart(s: Any, stamp: float, seq: float) -> tuple[float, int]:
-    """Take the first sample after a power cycle: a new phase, known from its stamp alone."""
+def restart(s: Any, stamp: float) -> tuple[float, int]:
+    """Take the first sample after a power cycle or a long silence: a new phase, known from its stamp alone."""
     dt = stamp - s.time
-    bits = SEQUENCE | (GAP if dt >= 1.5 * s.period else 0)
-    s.samples += 1.0
-    s.time = s.stamp = stamp
-    s.seq = seq
+    s.time = stamp
     s.memory = MEMORY[1]
-    s.late_run = s.misfits = 0.0
-    return dt, bits
+    s.misfits = 0.0
+    return dt, GAP if dt >= 1.5 * s.period else 0
 
 
 @njit(cache=False)
@@ -213,17 +214,13 @@ def periods_by_stamp(s: Any, elapsed: float) -> float:
 
 
 @njit(cache=False)
-def periods_alone(s: Any, stamp: float, elapsed: float) -> tuple[float, float]:
-    """Return the whole periods since the last sample where nothing counts, and the stamp.
-
-    A stamp that leaps far ahead is NaN, and a period is counted, until the next one leaps as far.
-    """
-    count = periods_by_stamp(s, elapsed)
+def strays(s: Any, stamp: float, count: float) -> bool:
+    """Say whether a sample is from the past, or leaps far ahead without one before it that leapt as far."""
     if count <= LEAP:
-        return count, stamp
+        return count < 0.0
     follows = 0.0 < stamp - s.leap_stamp <= LEAP * s.period
     s.leap_stamp = stamp
-    return (count, stamp) if follows else (1.0, nan)
+    return not follows
 
 
 @njit(cache=False)
@@ -268,6 +265,7 @@ def advance(s: Any, stamp: float, seq: float, same: bool, period: float) -> tupl
     if repeats(s, stamp, seq, elapsed, same):
         return UNUSED, DUPLICATE
     bits = SEQUENCE if counter and counted == 0.0 else 0
+    anew = False
     if isnan(stamp) or stamp == s.stamp:  # a stamp that stands still says nothing
         stamp = nan
         count = counted if 1.0 <= counted <= BELIEVED else 1.0
@@ -275,17 +273,18 @@ def advance(s: Any, stamp: float, seq: float, same: bool, period: float) -> tupl
         count, bits = periods_by_seq(s, elapsed, counted)
         if count < 0.0:
             return UNUSED, LATE
-        if counted < 0.0 and elapsed > 0.0:
-            return restart(s, stamp, seq)
+        anew = counted < 0.0 and elapsed > 0.0
     else:
-        count, stamp = periods_alone(s, stamp, elapsed)
-        if count < 0.0:
+        count = periods_by_stamp(s, elapsed)
+        if strays(s, stamp, count):
             return reject(s, stamp, seq)
+        anew = count > LEAP
     s.late_run = 0.0
-    if not isnan(stamp):
+    if not (anew or isnan(stamp)):
         counts = counted > 0.0 and bits == 0
-        observe_interval(s, stamp, count if counts else 1.0, count != 1.0 and not counts)
-    dt, more = follow(s, stamp, count)
+        slipped = abs(count - 1.0) == 1.0 and not counts
+        observe_interval(s, stamp, count if counts else 1.0, slipped)
+    dt, more = restart(s, stamp) if anew else follow(s, stamp, count)
     s.samples += 1.0
     if not isnan(stamp):
         s.stamp = stamp

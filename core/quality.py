@@ -12,7 +12,7 @@ class Quality(IntFlag):
     LATE = 1 << 1
     """Its place in time had passed when it came. Not used; its kilometres are bridged by its successor."""
     REPAIRED_TIME = 1 << 2
-    """The stamp was uneven, repeated or missing; the sample was put back on the logger's clock."""
+    """The stamp was uneven, repeated, missing or wild; the sample was put back on the logger's clock or not used."""
     CLOCK_STEP = 1 << 3
     """The logger's clock had been set; from here on its new time is believed."""
     GAP = 1 << 4

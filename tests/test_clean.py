@@ -155,6 +155,46 @@ def test_a_state_of_charge_from_before_a_ride_says_nothing_of_it():
     assert np.all(np.isnan(clean.soc[65:]))
 
 
+def two_shifts(n=N):
+    """Return two shifts of a car that names no rides, a night apart; it was charged and moved in between."""
+    columns = drive(2 * n, speed=np.where(np.abs(np.arange(2 * n) - n) < 6, 0.0, 10.0))
+    columns["soc_pct"] = np.r_[np.linspace(40, 30, n), np.linspace(95, 85, n)]
+    columns["odometer_km"] = 1000 + columns["metres"] / 1000
+    columns["time_s"][n:] += 8 * 3600.0
+    columns["latitude_deg"][n:] += 0.02
+    columns["odometer_km"][n:] += 2.3
+    return without(columns, "ride_id", "metres")
+
+
+def test_what_a_shift_begins_with_says_nothing_of_the_end_of_the_one_before():
+    columns = two_shifts()
+    clean = cleaned(without(columns, "seq"))
+    old = clean.time < columns["time_s"][N]
+    assert np.flatnonzero(old).tolist() == list(range(N + 1))  # the first sample of the new shift was not used
+    assert clean.soc[old].min() == clean.soc[N] == pytest.approx(0.3)
+    assert clean.soc[old].max() <= 0.4
+    assert np.all(clean.soc[~old] > 0.84)
+    assert clean.latitude[N] == clean.latitude[N - 1]
+    assert np.all(clean.ride[old] == 0)
+    assert np.all(clean.ride[~old] != 0)
+    assert clean.distance[N] == 0
+
+
+def test_a_night_without_a_counter_is_the_night_with_one_that_restarts():
+    columns = two_shifts()
+    columns["seq"][N:] = np.arange(N)
+    known, alone = cleaned(columns), cleaned(without(columns, "seq"))
+    used = np.arange(2 * N) != N
+    assert known.time[N] == columns["time_s"][N]
+    assert np.array_equal(known.soc[used], alone.soc[used])
+    assert np.array_equal(known.ride[used], alone.ride[used])
+    assert alone.time[used] == pytest.approx(known.time[used], abs=1e-3)
+    assert alone.dt.sum() == pytest.approx(known.dt.sum(), abs=1e-3)
+    assert alone.parked[-1] == pytest.approx(known.parked[-1], abs=1e-3)
+    assert alone.distance.sum() == pytest.approx(known.distance.sum(), abs=1.0)
+    assert known.distance.sum() > known.distance[:N].sum() + 2300.0
+
+
 def test_a_stop_has_hysteresis():
     columns = without(full(), "latitude_deg", "longitude_deg")
     speed = np.full(N, 10.0)

@@ -6,6 +6,7 @@ from conftest import PERIOD, START, cleaned, count, drive, joined, picked, witho
 from hypothesis import given
 from hypothesis import strategies as st
 
+from core.clean import Clean
 from core.quality import Quality
 from core.settings import Settings
 
@@ -302,8 +303,31 @@ def test_a_single_wild_stamp_is_not_believed_where_nothing_counts(ahead):
     clean = cleaned(columns)
     assert clean.dt.sum() == pytest.approx(PERIOD * 299, abs=0.1)
     assert clean.time[-1] == pytest.approx(START + PERIOD * 299, abs=0.1)
-    assert count(clean, Quality.GAP | Quality.LATE | Quality.CLOCK_STEP) == 0
+    assert count(clean, Quality.LATE | Quality.CLOCK_STEP) == 0
     assert clean.quality[100] & Quality.REPAIRED_TIME
+    assert np.flatnonzero(clean.quality & Quality.GAP).tolist() == [101]
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    sd=st.sampled_from([0.0, 0.3, 1.0]),
+    at=st.integers(1, 118),
+    ahead=st.floats(1000.0, 1e9),
+    stuck=st.booleans(),
+)
+def test_a_single_wild_stamp_costs_its_sample_and_nothing_else(seed, sd, at, ahead, stuck):
+    columns = jittered(sd, seed, n=120, seq=False)
+    if stuck:
+        columns["seq"] = np.full(120, 7)
+    others = np.arange(120) != at
+    plain = cleaned(picked(columns, others))
+    columns["time_s"][at] += ahead
+    wild = cleaned(columns)
+    for name, one, other in zip(Clean._fields, wild, plain, strict=True):
+        assert np.array_equal(one[others], other, equal_nan=True), name
+    assert wild.dt[at] == 0
+    assert wild.time[at] == wild.time[at - 1]
+    assert wild.quality[at] & Quality.REPAIRED_TIME
 
 
 def test_a_long_silence_where_nothing_counts_is_a_gap_once_a_second_stamp_says_so():
@@ -312,3 +336,36 @@ def test_a_long_silence_where_nothing_counts_is_a_gap_once_a_second_stamp_says_s
     clean = cleaned(columns)
     assert clean.dt.sum() == pytest.approx(PERIOD * 299 + 7200, abs=0.1)
     assert np.flatnonzero(clean.quality & Quality.GAP).tolist() == [151]
+    assert np.flatnonzero(clean.quality & Quality.REPAIRED_TIME).tolist() == [150]
+    others = np.arange(300) != 150
+    assert clean.time[others] == pytest.approx(columns["time_s"][others], abs=0.1)
+
+
+@pytest.mark.parametrize("silence", [300.0, 28_801.3])
+@pytest.mark.parametrize("sd", [0.1, 0.3, 0.5])
+def test_a_silence_amid_jitter_where_nothing_counts_costs_no_time(silence, sd):
+    for seed in range(25):
+        columns = jittered(sd, seed, n=300, seq=False)
+        columns["time_s"][150:] += silence
+        clean = cleaned(columns)
+        assert clean.dt.sum() == pytest.approx(PERIOD * 299 + silence, abs=2.5 * sd)
+        assert np.sqrt(np.mean((clean.time - truth(300) - silence)[151:] ** 2)) < sd
+        assert count(clean, Quality.LATE | Quality.CLOCK_STEP) == 0
+
+
+def test_a_second_stamp_that_is_before_the_first_leaves_it_to_the_third():
+    columns = without(drive(300), "seq")
+    columns["time_s"][150:] += 7200.0
+    columns["time_s"][150] += 4.0
+    clean = cleaned(columns)
+    assert np.flatnonzero(clean.quality & Quality.GAP).tolist() == [152]
+    assert np.flatnonzero(clean.quality & Quality.REPAIRED_TIME).tolist() == [150, 151]
+    assert clean.dt.sum() == pytest.approx(PERIOD * 299 + 7200, abs=0.1)
+
+
+def test_samples_that_come_too_rarely_to_confirm_each_other_are_not_used():
+    columns = without(drive(100), "seq")
+    columns["time_s"][90:] += 3600.0 * np.arange(1, 11)
+    clean = cleaned(columns)
+    assert np.flatnonzero(clean.quality & Quality.REPAIRED_TIME).tolist() == list(range(90, 100))
+    assert clean.dt.sum() == pytest.approx(PERIOD * 89, abs=0.1)
