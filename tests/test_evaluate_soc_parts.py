@@ -1,4 +1,4 @@
-"""What a person would expect at a shift's end, and what alarms are worth: against sums done by hand."""
+"""What a person would expect at a shift's end, and the risk that goes with it: against sums done by hand."""
 
 import numpy as np
 import pandas as pd
@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from soc_frames import CAPACITY, told
 
-from core.evaluate.soc_baselines import SETTLED, baselines, mean_consumption
+from core.evaluate.soc_baselines import REMEMBERED, SETTLED, baselines, mean_consumption, risk_by_earlier
 from core.evaluate.soc_judged import judged
-from core.evaluate.soc_reserve import alarms, reserve, risk_below
+from core.evaluate.soc_reserve import risk_below
 from core.vehicles import catalogue
 
 PERCENT = st.floats(0.0, 100.0)
@@ -106,44 +106,20 @@ def test_without_a_width_there_is_no_doubt():
     assert [float(risk_below(interval(30.0, 0.0, 0.0), level)[0]) for level in (29.0, 31.0)] == [0.0, 1.0]
 
 
-def test_alarms_counted_by_hand():
-    cases = pd.DataFrame(
-        {
-            "soc_pct": [50.0, 50.0, 50.0, 50.0, 19.0, 50.0],
-            "soc_end_pct": [15.0, 15.0, 30.0, 30.0, 10.0, 15.0],
-            "soc_lowest_pct": [15.0, 15.0, 30.0, 30.0, 10.0, 15.0],
-            "charged_s": np.nan,
-        }
-    )
-    risk = np.array([0.9, 0.04, 0.05, 0.0, 1.0, np.nan])
-    found = alarms(cases, np.full(6, 20.0), risk)
-    assert {name: found[name] for name in ("shifts", "fell", "caught", "false_alarms")} == {
-        "shifts": 4, "fell": 2, "caught": 1, "false_alarms": 1,
-    }  # fmt: skip
-    assert found["brier"] == pytest.approx((0.1**2 + 0.96**2 + 0.05**2 + 0.0) / 4)
-    assert found["brier_base"] == 0.25
-
-
-def test_a_dip_counts_unless_it_may_have_been_before_a_charge():
-    cases = pd.DataFrame({"soc_pct": [50.0], "soc_end_pct": [30.0], "soc_lowest_pct": [15.0], "charged_s": [np.nan]})
-    level, risk = np.array([20.0]), np.array([0.5])
-    assert alarms(cases, level, risk)["fell"] == 1
-    assert alarms(cases.assign(charged_s=1.0), level, risk)["fell"] == 0
-
-
-def test_sure_forecasts_catch_all_and_raise_no_false_alarm():
-    found = reserve(judged(*told(cars=8, days=20, sd_an_hour=1e-6)).cases)
-    assert set(found) == {"plan", "20", "30", "40"}
-    for of in found.values():
-        for own in of.values():
-            assert own["caught"] == own["fell"]
-            assert own["false_alarms"] == 0
-            assert own["brier"] == pytest.approx(0.0, abs=1e-9)
-    assert found["30"]["4"]["fell"] > 20
-
-
-def test_the_risk_of_a_calibrated_forecast_scores_better_than_the_share():
-    found = reserve(judged(*told(cars=12, days=40)).cases)
-    for level in ("20", "30"):
-        for hours in ("1", "2", "4"):
-            assert found[level][hours]["brier"] < 0.6 * found[level][hours]["brier_base"]
+@given(seed=st.integers(0, 10_000), lost=st.floats(0.0, 0.4))
+@settings(max_examples=40, deadline=None)
+def test_a_persons_risk_is_by_errors_that_were_known_by_then(seed, lost):
+    rng = np.random.default_rng(seed)
+    n = 60
+    expected = np.where(rng.random(n) < lost, np.nan, rng.integers(20, 60, n))
+    became, time = rng.integers(20, 60, n).astype(float), rng.uniform(0.0, 100.0, n)
+    ended = time + rng.uniform(0.0, 20.0, n)
+    levels = rng.uniform(10.0, 70.0, (n, 3))
+    found = risk_by_earlier(expected, became, time, ended, levels)
+    for row in range(n):
+        errors = (became - expected)[(ended <= time[row]) & np.isfinite(expected)]
+        if np.isnan(expected[row]) or len(errors) < REMEMBERED:
+            assert np.isnan(found[row]).all()
+        else:
+            below = (expected[row] + errors[:, np.newaxis] < levels[row]).sum(axis=0)
+            assert found[row] == pytest.approx((below + 0.5) / (len(errors) + 1.0))

@@ -18,7 +18,7 @@ from tools.cli import main
 from tools.import_drives import collect, write
 from tools.importers import ved
 from tools.importers.shifts import strung
-from tools.report import soc, soc_figures
+from tools.report import soc, soc_figures, soc_risk_tables
 from tools.report.soc_tables import against_best, ahead, covered
 
 DATA = Path(__file__).parent.parent.parent / "shared" / "data"
@@ -54,12 +54,18 @@ def run(monkeypatch, capsys):
         def __init__(self, *arguments, keep_outlooks, **options):
             assert keep_outlooks
             super().__init__(*arguments, **options)
+            self.told = SMALL.outlooks
 
         def take_outlooks(self):
-            return SMALL.outlooks
+            told, self.told = self.told, self.told[:0]
+            return told
 
         def take_shifts(self):
             return SMALL.shifts
+
+        def ask(self, vehicle_id):
+            assert vehicle_id in set(SMALL.shifts["vehicle_id"])
+            return super().ask("taxi-001")
 
     monkeypatch.setattr(command, "Pipeline", Planted)
 
@@ -132,7 +138,7 @@ def test_the_page_loads_nothing_and_has_every_figure(result, tmp_path):
     assert page.loaded == []
     assert set(page.links) <= set(page.ids)
     assert len(page.ids) == len(set(page.ids))
-    names = ["error", "coverage", "width", "scatter", "by-0", "by-1", "example-0"]
+    names = ["error", "coverage", "width", "scatter", "by-0", "by-1", "risk", "example-0"]
     assert {f"figure-soc-{name}" for name in names} <= set(page.ids)
 
 
@@ -151,6 +157,47 @@ def test_the_scatter_shows_each_shift_once_where_it_belongs(result):
     own = result["overall"]["hours"]["2"]
     assert len(inside.x) + len(outside.x) == own["n"]
     assert len(inside.x) / own["n"] == pytest.approx(own["coverage"]["value"])
+
+
+def test_the_risk_is_shown_as_it_was_told_and_as_it_came(result):
+    levels, plan, equal = soc_figures.risk(result).data
+    for points, key in ((levels, "levels"), (plan, "plan")):
+        classes = result["reserve"]["reliability"][key]
+        assert list(points.x) == pytest.approx([100.0 * own["told"] for own in classes])
+        assert list(points.y) == pytest.approx([100.0 * own["fell"]["value"] for own in classes])
+    assert equal.x == equal.y
+
+
+def test_alarms_are_told_level_by_level(result):
+    table = soc_risk_tables.alarms(result)
+    names = [row.name for row in table.rows]
+    assert names[-2:] == ["20 to 60 %, 1 h", "20 to 60 %, 2 h"]
+    own = result["reserve"]["overall"]["2"]
+    assert [cell.text for cell in table.rows[-1].cells[:2]] == [str(own["n"]), str(own["fell"])]
+    assert table.rows[-1].cells[2].text.startswith(f"{own['alarms']['caught']}: ")
+    missed = {row.name: int(row.cells[3].text) for row in table.rows}
+    of_plan = result["reserve"]["levels"].get("plan", {})
+    for hours in {"1", "2"} & of_plan.keys():
+        assert missed.get(f"the plan's reserve, {hours} h", 0) == of_plan[hours]["alarms"]["missed"]
+
+
+def test_legs_are_shown_only_where_any_were_asked_about(result):
+    assert "Leg by leg" not in printed(result)
+    bins = [{"bin": name, **result["overall"]["hours"]["1"]} for name in ("below 30", "all")]
+    out = printed(result | {"legs": {"without a charge": bins, "charged later": []}})
+    assert out.count("minutes ahead") == 1
+    (line,) = (line for line in out.splitlines() if line.startswith(" below 30 "))
+    assert covered(bins[0]["coverage"]) in line
+    assert f"{bins[0]['baselines']['rating']['mae_pct']['value']:.2f}" in line
+
+
+def test_of_few_car_days_no_share_is_told(result):
+    out = printed(result)
+    for own in result["by"]["temperature"]:
+        few = own["pooled"]["vehicle_days"] < 30
+        (line,) = (line for line in out.splitlines() if line.startswith(f" {own['bin'].replace('-', '−')} "))
+        assert ("too few" in line) == few
+    assert any(own["pooled"]["vehicle_days"] < 30 for own in result["by"]["temperature"])
 
 
 def test_the_fan_of_an_example_ends_where_the_shift_did(result):

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from simulated import PERFECT, SMALL, SUMMER, WINTER, run
+from simulated import PERFECT, SMALL, SUMMER, WINTER, run, samples
 
 from core.codec import KINDS, address
 from core.errors import SettingsError
@@ -46,6 +46,16 @@ for message in simulate(Simulation(vehicles=3, start=datetime(2018, 1, 16, 12, t
     digest.update(repr(message).encode())
 print(digest.hexdigest())
 """
+
+
+NIGHT = Simulation(
+    vehicles=6, start=WINTER, shift_hours=10.0, seed=3, faults=NO_FAULTS, models=("nissan-leaf-2016",), charging="night"
+)
+
+
+@pytest.fixture(scope="module")
+def night():
+    return run(NIGHT)
 
 
 @pytest.fixture(scope="module")
@@ -128,6 +138,33 @@ class TestStream:
         assert not list(tmp_path.iterdir())
 
 
+class TestNight:
+    """Cars that charge between shifts alone."""
+
+    def test_nobody_charges_and_an_empty_car_stops(self, night):
+        told = {name: samples(night[0], name) for name in night[1].cars}
+        assert not any(one.charging for own in told.values() for one in own)
+        by_day = run(replace(NIGHT, charging="low"))[0]
+        assert any(one.charging for one in samples(by_day))
+        empty = {name: own[-1].soc_pct < 0.1 for name, own in told.items()}
+        assert any(empty.values())
+        for name, own in told.items():
+            planned = next(json.loads(m.payload)["shift_end_s"] for m in night[0] if m.key == f"fleet/{name}/plan")
+            assert (planned - own[-1].time_s > 60.0) == empty[name], name
+            assert min(one.soc_pct for one in own[:-10]) > 0.0
+
+    def test_the_plan_stays_what_dispatch_asked_for(self, night):
+        messages, truth = night
+        undone = 0
+        for name in truth.cars:
+            plans = [json.loads(m.payload) for m in messages if m.key == f"fleet/{name}/plan"]
+            done = sum(ride["vehicle_id"] == name for ride in truth.rides)
+            assert {plan["shift_end_s"] for plan in plans} == {plans[0]["shift_end_s"]}
+            assert [len(plan["legs"]) for plan in plans] == [len(plans[0]["legs"]) - i for i in range(done + 1)]
+            undone += len(plans[-1]["legs"])
+        assert undone > 0
+
+
 class TestHidden:
     @pytest.mark.parametrize("effect", sorted(EFFECTS))
     def test_takes_its_share_of_the_energy(self, effect):
@@ -189,10 +226,11 @@ class TestSettings:
             {"hidden": (Hidden("age"), Hidden("age"))},
             {"days": 100, "day_step": 100},
             {"start": datetime(1970, 1, 1, tzinfo=UTC)},
+            {"charging": "never"},
         ],
     )
     def test_sizes_have_limits(self, change):
-        with pytest.raises(SettingsError, match="give"):
+        with pytest.raises(SettingsError, match=r"give|choose"):
             replace(SMALL, **change)
 
     def test_switches(self):

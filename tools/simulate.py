@@ -16,6 +16,8 @@ from tools.simulator.hidden import EFFECTS
 from tools.simulator.hidden_shapes import OTHER
 from tools.simulator.preset import PRESETS, load, refuse_idle
 from tools.simulator.settings import (
+    CHARGING,
+    LOW,
     MODELS,
     RIDES,
     Faults,
@@ -69,6 +71,14 @@ def simulate(
     rides: Annotated[
         int | None, typer.Option(metavar="N", help=f"How many rides a preset has, by default {RIDES:,}.")
     ] = None,
+    charging: Annotated[
+        str,
+        typer.Option(
+            metavar="WHEN",
+            help=f"When cars charge: {', '.join(CHARGING)}. {LOW}: in a shift too, where dispatch finds one low. "
+            "night: between shifts alone, so that some end below their reserve, or empty.",
+        ),
+    ] = LOW,
     hidden: Annotated[
         list[str] | None,
         typer.Option(
@@ -112,6 +122,7 @@ def simulate(
         faults=parse_faults(faults, Faults() if preset is None else load(preset).fleet.faults),
         phenomena=parse_phenomena(phenomena),
         preset=preset,
+        charging=charging,
         **size,
     )
     truth = record(simulation, out)

@@ -9,18 +9,18 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
-from scipy import stats
 
 from core.batch import Floats
 from core.errors import ModelError
 from core.evaluate.clustered import clustered_mean
 from core.evaluate.conditions import between
 from core.evaluate.scores import Codes
-from core.evaluate.soc_baselines import BASELINES, baselines
+from core.evaluate.soc_baselines import BASELINES, baselines, leg_baselines
 from core.evaluate.soc_examples import examples
 from core.evaluate.soc_judged import HOURS, KEY, Judged, judged
+from core.evaluate.soc_legs import MINUTES
 from core.evaluate.soc_reserve import reserve
+from core.evaluate.soc_share import clustered_share
 
 NOMINAL: Final = 0.90
 """Share of outcomes that the interval is meant to hold."""
@@ -28,7 +28,7 @@ TEMPERATURES: Final = (-20, -10, 0, 10, 20, 30)
 """Ends of the bands of a shift's mean outside temperature; the first and last band are open. [°C]"""
 
 
-def evaluate_soc(outlooks: pd.DataFrame, shifts: pd.DataFrame) -> dict[str, Any]:
+def evaluate_soc(outlooks: pd.DataFrame, shifts: pd.DataFrame, legs: pd.DataFrame | None = None) -> dict[str, Any]:
     """Return how good the forecasts of a pipeline were.
 
     Parameters
@@ -37,12 +37,14 @@ def evaluate_soc(outlooks: pd.DataFrame, shifts: pd.DataFrame) -> dict[str, Any]
         Every forecast, as `Pipeline.take_outlooks` has them.
     shifts : DataFrame
         Every shift that has ended, as `Pipeline.take_shifts` has them.
+    legs : DataFrame, optional
+        Single legs that were asked about, of `core.evaluate.soc_legs.leg_cases`.
 
     Returns
     -------
     dict
         `about` what was judged; `overall`, with all times ahead pooled in `pooled` and each in `hours`; `by` condition,
-        bins of the same; `reserve`; `forecasts`, one a case; `examples` of shifts; `notes`.
+        bins of the same; `reserve`; `legs`; `forecasts`, one a case; `examples` of shifts; `notes`.
 
     Raises
     ------
@@ -61,6 +63,7 @@ def evaluate_soc(outlooks: pd.DataFrame, shifts: pd.DataFrame) -> dict[str, Any]
         "overall": told(cases),
         "by": by_condition(cases),
         "reserve": reserve(cases),
+        "legs": {} if legs is None or not len(legs) else of_legs(legs, shifts),
         "forecasts": {
             "vehicle_id": cases["vehicle_id"].tolist(),
             "shift": cases["shift"].tolist(),
@@ -77,6 +80,19 @@ def told(cases: pd.DataFrame) -> dict[str, Any]:
     """Return the figures of cases, `pooled` over times ahead and in `hours` for each that has any."""
     each = {str(hours): cases[cases["hours"] == hours] for hours in HOURS}
     return {"pooled": figures(cases), "hours": {hours: figures(own) for hours, own in each.items() if len(own)}}
+
+
+def of_legs(legs: pd.DataFrame, shifts: pd.DataFrame) -> dict[str, list[dict[str, Any]]]:
+    """Return the figures of legs by the time until their end, of shifts `without a charge` after them and with one."""
+    cases = pd.concat([legs, leg_baselines(legs, shifts)], axis=1)
+    found = {}
+    for name, own in {"without a charge": cases[~cases["charges"]], "charged later": cases[cases["charges"]]}.items():
+        band = between(own["minutes"].to_numpy(np.float64), MINUTES)
+        bins = [
+            {"bin": band.labels[code], **figures(own[band.codes == code])} for code in np.unique(band.codes).tolist()
+        ]
+        found[name] = [*bins, {"bin": "all", **figures(own)}] if bins else []
+    return found
 
 
 def by_condition(cases: pd.DataFrame) -> dict[str, list[dict[str, Any]]]:
@@ -155,46 +171,6 @@ def _best(cases: pd.DataFrame, became: Floats, error: Floats) -> dict[str, Any] 
 def _share_less(its: Floats, own: Floats) -> float:
     """Return how far the forecasts' mean absolute error is below a baseline's, as a share of it."""
     return 1.0 - float(own.mean() / its.mean()) if len(its) and its.mean() > 0.0 else nan
-
-
-def clustered_share(holds: NDArray[np.bool_], clusters: Codes) -> dict[str, float]:
-    """Return a share with the 95 % binomial interval that allows for cases of a cluster being alike.
-
-    Clopper and Pearson's interval for the effective number of cases: fewer by the ratio of the variance of independent
-    cases to the clustered one, and for its degrees of freedom; where all or none hold, the number of clusters.
-
-    Returns
-    -------
-    dict
-        `value`, `low` and `high`.
-
-    References
-    ----------
-    Korn and Graubard, Survey Methodology 24 (1998) 193, "Confidence Intervals for Proportions with Small Expected
-    Number of Positive Counts Estimated from Survey Data", section 3.
-
-    Examples
-    --------
-    >>> found = clustered_share(np.array([True] * 18 + [False] * 2), np.arange(20))
-    >>> [round(found[name], 2) for name in ("value", "low", "high")]
-    [0.9, 0.68, 0.99]
-    """
-    estimate = clustered_mean(holds.astype(np.float64), clusters)
-    n, share = float(len(holds)), estimate.value
-    if not n or not estimate.freedom > 0.0:
-        return {"value": share, "low": nan, "high": nan}
-    if estimate.error > 0.0:
-        stretch = stats.t.ppf(0.975, n - 1.0) / stats.t.ppf(0.975, estimate.freedom)
-        alone = share * (1.0 - share) / (n - 1.0)
-        n = min(n, n * alone / estimate.error**2 * stretch**2)
-    else:
-        n = float(len(np.unique(clusters)))
-    yes, no = n * share, n * (1.0 - share)
-    return {
-        "value": share,
-        "low": float(stats.beta.ppf(0.025, yes, no + 1.0)) if yes > 0.0 else 0.0,
-        "high": float(stats.beta.ppf(0.975, yes + 1.0, no)) if no > 0.0 else 1.0,
-    }
 
 
 def _about(found: Judged) -> dict[str, Any]:

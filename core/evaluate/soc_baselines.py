@@ -8,6 +8,7 @@
 All begin at the filtered state of charge, which is better than what a person reads, and stay within 0 and 100 %.
 """
 
+from bisect import bisect_left, insort
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
@@ -29,6 +30,8 @@ BASELINES: Final[Mapping[str, str]] = MappingProxyType(
 """What a person would use -> what it is called."""
 SETTLED: Final = 900.0
 """Nobody carries on a pace that was seen for less time. [s]"""
+REMEMBERED: Final = 20
+"""Shifts from which on somebody knows how far off a reckoning is: as many as an interval asks for."""
 
 
 def baselines(cases: pd.DataFrame, outlooks: pd.DataFrame, shifts: pd.DataFrame) -> pd.DataFrame:
@@ -46,16 +49,36 @@ def baselines(cases: pd.DataFrame, outlooks: pd.DataFrame, shifts: pd.DataFrame)
     DataFrame
         A row a case, a column of each of `BASELINES`, NaN where it has no answer. [%]
     """
-    rating = [known.rated_kwh_per_km if (known := catalogue().get(key)) else None for key in cases["vehicle_model"]]
-    rates = {
-        "model_mean": mean_consumption(cases, shifts),
-        "rating": np.array(rating, dtype=np.float64),
-    }
-    found = {"linear": _linear(cases, outlooks)}
-    for name, kwh_per_km in rates.items():
-        used = kwh_per_km * cases["ahead_km"].to_numpy(np.float64) / cases["capacity_kwh"].to_numpy(np.float64)
-        found[name] = cases["soc_pct"].to_numpy(np.float64) - 100.0 * used
+    found = {"linear": _linear(cases, outlooks), **_by_rates(cases, shifts)}
     return pd.DataFrame({name: np.clip(found[name], 0.0, 100.0) for name in BASELINES})
+
+
+def leg_baselines(cases: pd.DataFrame, shifts: pd.DataFrame) -> pd.DataFrame:
+    """Return what each baseline expects at a leg's end; the car's own pace says nothing of legs.
+
+    Parameters
+    ----------
+    cases : DataFrame
+        Of `core.evaluate.soc_legs.leg_cases`.
+    shifts : DataFrame
+        All that ended.
+
+    Returns
+    -------
+    DataFrame
+        A row a case, a column of each of `BASELINES`, NaN where it has no answer. [%]
+    """
+    found = {"linear": np.full(len(cases), np.nan), **_by_rates(cases, shifts)}
+    return pd.DataFrame({name: np.clip(found[name], 0.0, 100.0) for name in BASELINES})
+
+
+def _by_rates(cases: pd.DataFrame, shifts: pd.DataFrame) -> dict[str, Floats]:
+    """Return the state of charge after the kilometres ahead by a mean and by the official consumption. [%]"""
+    rating = [known.rated_kwh_per_km if (known := catalogue().get(key)) else None for key in cases["vehicle_model"]]
+    rates = {"model_mean": mean_consumption(cases, shifts), "rating": np.array(rating, dtype=np.float64)}
+    km, capacity = (cases[name].to_numpy(np.float64) for name in ("ahead_km", "capacity_kwh"))
+    soc = cases["soc_pct"].to_numpy(np.float64)
+    return {name: soc - 100.0 * rate * km / capacity for name, rate in rates.items()}
 
 
 def mean_consumption(cases: pd.DataFrame, shifts: pd.DataFrame) -> Floats:
@@ -77,6 +100,45 @@ def mean_consumption(cases: pd.DataFrame, shifts: pd.DataFrame) -> Floats:
     asked = asked.sort_values("begin_s", kind="stable")
     found = pd.merge_asof(asked, told, left_on="begin_s", right_on="end_s", by="vehicle_model")
     return found.sort_values("place")["rate"].to_numpy(np.float64)
+
+
+def risk_by_earlier(expected: Floats, became: Floats, time: Floats, ended: Floats, levels: Floats) -> Floats:
+    """Return the probability of ending below levels, by how far off the same reckoning was before.
+
+    Parameters
+    ----------
+    expected, became : (n,) float
+        What was reckoned, NaN where it has no answer, and what it became. [%]
+    time, ended : (n,) float
+        When it was reckoned, and when that was known. [s]
+    levels : (n, levels) float
+        [%]
+
+    Returns
+    -------
+    (n, levels) float64
+        Share of those that were known by then whose error would lead below, half a one more among one more; NaN where
+        fewer than `REMEMBERED` were known.
+
+    Examples
+    --------
+    >>> n = np.arange(30.0)
+    >>> risk_by_earlier(np.full(30, 50.0), 50.0 - n % 2, n, n + 0.5, np.full((30, 1), 49.5))[-1].round(2).tolist()
+    [0.48]
+    """
+    known = np.flatnonzero(np.isfinite(expected))
+    coming = iter(known[np.argsort(ended[known], kind="stable")].tolist())
+    following = next(coming, None)
+    errors: list[float] = []
+    out = np.full(levels.shape, np.nan)
+    for row in known[np.argsort(time[known], kind="stable")].tolist():
+        while following is not None and ended[following] <= time[row]:
+            insort(errors, float(became[following] - expected[following]))
+            following = next(coming, None)
+        if len(errors) >= REMEMBERED:
+            worse = [bisect_left(errors, float(level - expected[row])) for level in levels[row]]
+            out[row] = (np.array(worse) + 0.5) / (len(errors) + 1.0)
+    return out
 
 
 def _linear(cases: pd.DataFrame, outlooks: pd.DataFrame) -> Floats:

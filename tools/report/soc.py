@@ -9,6 +9,7 @@ from rich.text import Text
 
 from core.evaluate.results import plain
 from tools.report import soc_figures as figures
+from tools.report import soc_risk_tables as risk_tables
 from tools.report import soc_tables as tables
 from tools.report.cells import count
 from tools.report.illustrations import Illustration
@@ -20,6 +21,7 @@ from tools.report.terminal import print_section
 TITLE: Final = "Forecasts of the state of charge"
 AHEAD: Final = "ahead"
 """The section that ends the output, where the eye is."""
+RESERVE: Final = "reserve"
 
 
 def show(result: Any, console: Console) -> None:
@@ -59,7 +61,8 @@ def sections(result: Result) -> list[Section]:
     found = [
         Section(AHEAD, "How good the forecasts were", about(mapping(result, "about")), [tables.ahead(result)]),
         Section("conditions", "Under which conditions", "", tables.condition_tables(result)),
-        Section("reserve", "Alarms before the reserve", "", tables.reserve_tables(result)),
+        Section("legs", "Leg by leg, up to the next charge", "", tables.leg_tables(result)),
+        Section(RESERVE, "The risk of ending below a reserve", risk_tables.about(result), risk_tables.tables(result)),
     ]
     shown = [section for section in found if any(table.rows for table in section.tables)]
     return [*shown, Section("examples", "Shifts as examples", "", [])]
@@ -71,6 +74,8 @@ def illustrations(result: Result, key: str) -> list[Illustration]:
         return figures.of_time(result)
     if key == "conditions":
         return figures.of_conditions(result)
+    if key == RESERVE:
+        return figures.of_risk(result)
     return figures.of_examples(result) if key == "examples" else []
 
 

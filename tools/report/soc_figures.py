@@ -100,10 +100,9 @@ def coverage(found: Mapping[str, Any], axis: str) -> go.Figure:
         What the groups are, with the unit.
     """
     shares = [part(own, "coverage") for own in found.values()]
-    reach = [[_reach(share, end) for share in shares] for end in ("low", "high")]
     trace = curve("coverage", FORECAST, [label(name) for name in found], [_percent(share, "value") for share in shares])
     trace.update(mode="markers")
-    trace.error_y = {"symmetric": False, "arrayminus": reach[0], "array": reach[1], "thickness": 1, "width": 3}
+    trace.error_y = _bars(shares)
     made = figure([trace], 380)
     for share in AIMED:
         made.add_hline(y=share, line=REFERENCE_LINE)
@@ -112,6 +111,12 @@ def coverage(found: Mapping[str, Any], axis: str) -> go.Figure:
     made.update_xaxes(title_text=axis, type="category")
     made.update_yaxes(title_text="Outcomes inside the 90 % interval [%]")
     return made
+
+
+def _bars(shares: Sequence[Any]) -> dict[str, Any]:
+    """Return the error bars of shares."""
+    low, high = ([_reach(share, end) for share in shares] for end in ("low", "high"))
+    return {"symmetric": False, "arrayminus": low, "array": high, "thickness": 1, "width": 3}
 
 
 def _percent(share: Any, end: str) -> float | None:
@@ -181,6 +186,36 @@ def of_conditions(result: Result) -> list[Illustration]:
             made = coverage(bins, axis)
             shown.append(Illustration(f"soc-by-{i}", f"Coverage by {name}", caption, made, small=True))
     return shown
+
+
+def of_risk(result: Result) -> list[Illustration]:
+    """Return told risk against what happened."""
+    caption = (
+        "A point is a class of told risk, all times ahead pooled, with the 95 % interval of what happened; on the line "
+        "a risk holds. Right of the broken line there is an alarm."
+    )
+    return [Illustration("soc-risk", "Told risk against what happened", caption, risk(result), small=True)]
+
+
+def risk(result: Result) -> go.Figure:
+    """Return how often shifts ended below a level against the risk that was told."""
+    names = {"levels": (FORECAST, "levels"), "plan": (LOOKS["linear"], "the plan's reserve")}
+    traces = []
+    for key, (look, name) in names.items():
+        classes = part(result, "reserve", "reliability", key) or ()
+        shares = [part(own, "fell") for own in classes]
+        told = [100.0 * own["told"] for own in classes]
+        points = curve(name, look, told, [_percent(share, "value") for share in shares])
+        points.update(mode="markers", text=[f"{own['n']:,} cases" for own in classes])
+        points.update(hovertemplate="%{text}: told %{x:.1f}, fell %{y:.1f} %<extra></extra>")
+        traces.append(points.update(error_y=_bars(shares)))
+    line = {"width": 1.5, "color": REFERENCE_LINE["color"]}
+    equal = go.Scatter(name="equal", x=[0, 100], y=[0, 100], mode="lines", line=line, hoverinfo="skip")
+    made = figure([*traces, equal], 400)
+    made.add_vline(x=100.0 * result["reserve"]["alarm"], line=REFERENCE_LINE)
+    made.update_xaxes(title_text="Told risk of falling below [%]")
+    made.update_yaxes(title_text="Share that fell below [%]")
+    return made
 
 
 def of_examples(result: Result) -> list[Illustration]:

@@ -5,7 +5,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from core.evaluate.soc_baselines import BASELINES
-from core.evaluate.soc_reserve import ALARM, PLANNED
+from core.evaluate.soc_share import ENOUGH
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, change, count, percent
 from tools.report.comparison_tables import off, within
 from tools.report.result import Result, mapping, number, part, vehicle_name
@@ -20,23 +20,21 @@ PERCENT_NOTE: Final = (
     "Of n forecasts MAE, bias (forecast less outcome) and width are in % of charge. ± is half of the 95 % interval; "
     "shifts of one car on one day are taken for alike."
 )
-COVERAGE_NOTE: Final = (
-    "Coverage: share of outcomes inside the 90 % interval, in parentheses its own 95 % interval (binomial, clustered)."
+TOO_FEW: Final = "too few to tell"
+SHARE_NOTE: Final = (
+    f"In parentheses: 95 % interval (Wilson, clustered). Too few to tell: of fewer than {ENOUGH} car-days there is the "
+    "interval alone."
+)
+COVERAGE_NOTE: Final = f"Coverage: share of outcomes inside the 90 % interval. {SHARE_NOTE}"
+LEG_BASELINES: Final = ("model_mean", "rating")
+"""Those that tell of legs."""
+LEG_NOTE: Final = (
+    "Each car was asked about its shift every half hour, at most; each leg of the answer is held against the ride that "
+    "it became, unless the car charged before its end. Time at a charger later is taken for waiting, untold by plans."
 )
 BEST_NOTE: Final = (
     "To best: by how much the error is below or above that of the best baseline, where all have an answer; at the end "
     "everybody reads the display."
-)
-ALARM_NOTE: Final = (
-    f"An alarm is a risk of {percent(ALARM, 0)} or more. Caught: of the shifts that fell below, those with an alarm; "
-    "false alarms: of those that did not, those with one. Left out: shifts already below, and rows in which none fell "
-    "and none had an alarm."
-)
-RISK_NOTE: Final = (
-    "At 20, 30 and 40 % the risk is read from the interval: two halves of a normal distribution that meet at the mean."
-)
-BRIER_NOTE: Final = (
-    "Brier score: mean square of risk less outcome; its reference tells every shift the share of those that fell."
 )
 
 
@@ -71,15 +69,20 @@ def _figures(own: Mapping[str, Any]) -> tuple[Cell, ...]:
 
 
 def covered(share: Any) -> str:
-    """Return a coverage with its interval.
+    """Return a share with its interval, and without itself where there are too few to tell.
 
     Examples
     --------
-    >>> covered({"value": 0.9, "low": 0.871, "high": 0.92})
+    >>> covered({"value": 0.9, "low": 0.871, "high": 0.92, "clusters": 300})
     '90.0 % (87.1–92.0)'
+    >>> covered({"value": 0.571, "low": 0.25, "high": 0.842, "clusters": 7})
+    'too few to tell (25.0–84.2)'
     """
-    low, high = number(part(share, "low")), number(part(share, "high"))
-    return percent(number(share)) + ("" if low is None or high is None else f" ({100 * low:.1f}–{100 * high:.1f})")
+    low, high, found = number(part(share, "low")), number(part(share, "high")), number(part(share, "clusters"))
+    if not found:
+        return UNKNOWN
+    told = percent(number(share)) if found >= ENOUGH else TOO_FEW
+    return told + ("" if low is None or high is None else f" ({100 * low:.1f}–{100 * high:.1f})")
 
 
 def against_best(own: Mapping[str, Any]) -> str:
@@ -111,39 +114,27 @@ def _of_bin(own: Mapping[str, Any]) -> tuple[Cell, ...]:
     )
 
 
+def leg_tables(result: Result) -> list[ReportTable]:
+    """Return the figures of single legs by the time until their end, without a charge after them, and with one."""
+    heads = (*FIGURES, *(HEADS[name] for name in LEG_BASELINES))
+    titles = {
+        "without a charge": "State of charge at the end of single legs",
+        "charged later": "The same where the car charged later in the shift",
+    }
+    notes = (LEG_NOTE, PERCENT_NOTE, COVERAGE_NOTE)
+    found = mapping(result, "legs")
+    return [
+        ReportTable(title, "minutes ahead", heads, tuple(map(_leg_row, found[key])), notes)
+        for key, title in titles.items()
+        if found.get(key)
+    ]
+
+
+def _leg_row(own: Mapping[str, Any]) -> Row:
+    theirs = (Cell(within(number(part(own, "baselines", name, "mae_pct")), 2)) for name in LEG_BASELINES)
+    return Row(own["bin"], (*_figures(own), *theirs), total=own["bin"] == "all")
+
+
 def bin_name(condition: str, name: str) -> str:
     """Return what people call a bin of a condition."""
     return vehicle_name(name) if condition == "vehicle model" else name.replace("-", "−")
-
-
-def reserve_tables(result: Result) -> list[ReportTable]:
-    """Return what alarms were worth, at each level and time ahead."""
-    rows = tuple(
-        Row(f"{level_name(level)}, {hours} h", _alarms(own))
-        for level, of in mapping(result, "reserve").items()
-        for hours, own in of.items()
-        if own["fell"] or own["false_alarms"]
-    )
-    heads = ("shifts", "fell below", "caught", "false alarms", "Brier score", "reference")
-    notes = (ALARM_NOTE, RISK_NOTE, BRIER_NOTE)
-    return [ReportTable("Alarms", "level, before the end", heads, rows, notes)]
-
-
-def _alarms(own: Mapping[str, Any]) -> tuple[Cell, ...]:
-    fell, stayed = int(own["fell"]), int(own["shifts"]) - int(own["fell"])
-    return (
-        Cell(count(own["shifts"])),
-        Cell(count(fell)),
-        Cell(_share(int(own["caught"]), fell)),
-        Cell(_share(int(own["false_alarms"]), stayed)),
-        *(Cell(f"{value:.3f}") for value in (own["brier"], own["brier_base"])),
-    )
-
-
-def _share(some: int, of: int) -> str:
-    return f"{count(some)} ({percent(some / of, 0)})" if of else UNKNOWN
-
-
-def level_name(level: str) -> str:
-    """Return what people call a level of reserve."""
-    return "the plan's reserve" if level == PLANNED else f"{level} %"

@@ -16,9 +16,9 @@ from tools.simulator.hidden import View
 from tools.simulator.hidden_shapes import POWERS
 from tools.simulator.logger import Equipment, log, make_equipment
 from tools.simulator.preset import Duty, Fleet, Place
-from tools.simulator.settings import LOCAL, STEP, Simulation
-from tools.simulator.shift import Orders, Shift, draw_orders, make_shift
-from tools.simulator.trace import make_trace
+from tools.simulator.settings import LOCAL, NIGHT, STEP, Simulation
+from tools.simulator.shift import Orders, Shift, draw_orders, make_shift, stopped
+from tools.simulator.trace import Trace, make_trace
 from tools.simulator.truth import Truth
 from tools.simulator.weather import Sky, make_sky, observations
 
@@ -162,9 +162,24 @@ def drive_shift(simulation: Simulation, member: Member, number: int, sky: Sky) -
     rng = np.random.default_rng([simulation.seed, 4, member.number, number])
     begin, orders, car = _called(simulation, member, number, rng)
     ambient = float(np.interp(begin, sky.time, sky.temperature))
+    if simulation.charging == NIGHT:
+        orders = orders._replace(charge_below=-np.inf)
     shift = make_shift(f"{member.name}-{number:03d}", begin, orders, car, ambient, simulation.faults, rng)
     trace = make_trace(shift, sky)
-    return Driven(shift, View(trace, physics.run(trace, car, shift.soc, simulation.phenomena), car))
+    driven = Driven(shift, View(trace, physics.run(trace, car, shift.soc, simulation.phenomena), car))
+    return until_empty(driven) if simulation.charging == NIGHT else driven
+
+
+def until_empty(driven: Driven) -> Driven:
+    """Return a shift up to the step at which its battery is empty: there the car stops."""
+    shift, view = driven
+    empty = np.flatnonzero(view.state.soc <= 0.0)
+    if not len(empty):
+        return driven
+    steps = int(empty[0]) + 1
+    trace = Trace._make(column[:steps] for column in view.trace)
+    state = physics.State._make(column[:steps] for column in view.state)
+    return Driven(stopped(shift, steps), view._replace(trace=trace, state=state))
 
 
 def _called(simulation: Simulation, member: Member, number: int, rng: np.random.Generator) -> tuple[float, Orders, Car]:
@@ -240,13 +255,13 @@ def sent(
 
 def _dispatch(member: Member, shift: Shift) -> list[Message]:
     """Return what is sent beside telemetry: the car, its rides, and its plan, renewed as rides are done."""
-    name, end = member.name, shift.time + STEP * len(shift.course.ride)
+    name, end = member.name, shift.time + shift.length
     serviced = np.datetime64("2018-01-01") - int(member.car.odometer / 1000 / 110)
     car = Vehicle(vehicle_id=name, time_s=shift.time, model=member.model, in_service_date=str(serviced))
     messages = [_message("vehicle", car, shift.time)]
     for done in range(len(shift.trips) + 1):
         when = shift.time if done == 0 else shift.time + STEP * shift.trips[done - 1].end
-        legs = [trip.planned for trip in shift.trips[done:] if trip.planned]
+        legs = [*(trip.planned for trip in shift.trips[done:] if trip.planned), *shift.undone]
         plan = Plan(vehicle_id=name, time_s=when, shift_end_s=end, reserve_soc_pct=RESERVE, legs=legs)
         messages.append(_message("plan", plan, when))
     for trip in shift.trips:

@@ -20,6 +20,9 @@ MODELS: Final = ("kia-soul-ev-2015", "tesla-model-s", "nissan-leaf-2016", "kia-s
 """Car models handed out in turn where the user names none."""
 RIDES: Final = 20_000
 """Rides of a preset where the user names no number."""
+LOW, NIGHT = "low", "night"
+CHARGING: Final = (LOW, NIGHT)
+"""When cars charge: in a shift too, where dispatch finds them low; or between shifts alone."""
 
 
 class Phenomena(NamedTuple):
@@ -164,6 +167,8 @@ class Simulation:
     phenomena : Phenomena
     preset : str or None. A fleet that a file describes; then `SIZES` say nothing.
     rides : int. How many rides a preset has, those not counted that a driver began by mistake.
+    charging : str. One of `CHARGING`. By night alone, a plan may ask for more than the battery has: a car that is empty
+        stops, and its shift is over.
     """
 
     vehicles: int = 5
@@ -178,6 +183,7 @@ class Simulation:
     phenomena: Phenomena = ALL
     preset: str | None = None
     rides: int = RIDES
+    charging: str = LOW
 
     def __post_init__(self) -> None:
         """Refuse a size that cannot be simulated."""
@@ -193,15 +199,22 @@ class Simulation:
             )
         if self.shift_hours is not None and not 0.25 <= self.shift_hours <= 12:
             raise SettingsError(f"a shift of {self.shift_hours} h; give 0.25 to 12 h")
+        if self.charging not in CHARGING:
+            raise SettingsError(f"charging is {self.charging!r}; choose from {', '.join(CHARGING)}")
         if self.seed < 0:
             raise SettingsError(f"seed is {self.seed}; give 0 or more")
-        effects = [hidden.effect for hidden in self.hidden]
-        for effect in effects:
-            if effects.count(effect) > 1:
-                raise SettingsError(f"hidden effect {effect} is given {effects.count(effect)} times; give it once")
-        total = sum(hidden.size for hidden in self.hidden)
-        if any(hidden.size <= 0 for hidden in self.hidden) or total > 0.5:
-            raise SettingsError(f"hidden effects add up to {total:g} of the energy; give sizes above 0, 0.5 in all")
+        _check_hidden(self.hidden)
+
+
+def _check_hidden(hidden: tuple[Hidden, ...]) -> None:
+    """Refuse hidden effects that are named twice, or are too large together."""
+    effects = [each.effect for each in hidden]
+    for effect in effects:
+        if effects.count(effect) > 1:
+            raise SettingsError(f"hidden effect {effect} is given {effects.count(effect)} times; give it once")
+    total = sum(each.size for each in hidden)
+    if any(each.size <= 0 for each in hidden) or total > 0.5:
+        raise SettingsError(f"hidden effects add up to {total:g} of the energy; give sizes above 0, 0.5 in all")
 
 
 def parse_start(text: str) -> datetime:

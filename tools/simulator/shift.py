@@ -94,12 +94,24 @@ class Course(NamedTuple):
 
 
 class Shift(NamedTuple):
-    """A shift: when it begins [s], the state of charge then [1], its course, its trips."""
+    """A shift.
+
+    Parameters
+    ----------
+    time : When it begins. [s]
+    soc : State of charge then. [1]
+    course : Where the car was.
+    trips : Its rides.
+    length : How long it was planned to be. [s]
+    undone : Legs of the plan that it never began.
+    """
 
     time: float
     soc: float
     course: Course
     trips: list[Trip]
+    length: float
+    undone: tuple[Leg, ...] = ()
 
 
 class _Reel:
@@ -231,7 +243,14 @@ def make_shift(
         estimate -= ((driven + metres) * per_metre + (reel.steps - since) * STEP * per_second) / car.capacity
         if estimate < orders.charge_below:
             estimate = _charge(reel, estimate, car, ambient, style, rng)
-    return Shift(begin, soc, reel.course(), trips)
+    return Shift(begin, soc, reel.course(), trips, reel.steps * STEP)
+
+
+def stopped(shift: Shift, steps: int) -> Shift:
+    """Return a shift that is over after so many steps; what was planned stays planned."""
+    begun = [trip._replace(end=min(trip.end, steps)) for trip in shift.trips if trip.begin < steps]
+    undone = tuple(trip.planned for trip in shift.trips[len(begun) :] if trip.planned)
+    return shift._replace(course=Course._make(column[:steps] for column in shift.course), trips=begun, undone=undone)
 
 
 def _wanted(orders: Orders, reel: _Reel) -> Iterator[float | None]:

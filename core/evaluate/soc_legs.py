@@ -1,0 +1,115 @@
+"""Forecasts of single legs against what became of them: the charge at each leg's end, up to the next charge.
+
+Where a car charges amid its shift, what was foretold of the shift's end cannot be judged: a forecast tells what there
+would be without. The answer to a question (`core.ahead.answer`) tells the charge at the end of each leg, and those that
+came before the charge can. So questions are asked all shift long, and each leg is held against the ride that it became.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from core.ahead.courses import SHORTEST_RIDE
+from core.codec import Outlook
+from core.evaluate.soc_judged import DAY, KEY, keyed
+
+EVERY: Final = 1800.0
+"""Time between two questions about a car. [s]"""
+MINUTES: Final = (30, 60, 120, 240)
+"""Ends of the bands of the time from a question to the leg's end; the first and last band are open. [min]"""
+ASKED: Final = [*KEY, "time_s", "leg", "ahead_km", "soc_pct", "soc_mean_pct", "soc_p05_pct", "soc_p95_pct"]
+"""Of each leg that was asked about: when; its place, from 0; kilometres of legs up to its end; the charge then, and
+what was told of that at its end."""
+
+OF_RIDES: Final = {"end_s": "ride_end_s", "soc_end_pct": "soc_end_pct", "time_since_charge_s": "since_charge_s"}
+"""Columns of rides that judging needs, and what they are called here."""
+OF_SHIFTS: Final = ["vehicle_model", "begin_s", "end_s", "charged_s", "capacity_kwh"]
+"""The same of shifts."""
+
+
+class Questions:
+    """Questions put while a pipeline goes, and the answers.
+
+    Parameters
+    ----------
+    ask : callable
+        Answers what is expected of a vehicle.
+    """
+
+    def __init__(self, ask: Callable[[str], Outlook]) -> None:
+        self._ask = ask
+        self._last: dict[str, tuple[int, float]] = {}
+        self._rows: list[tuple[Any, ...]] = []
+
+    def __call__(self, told: pd.DataFrame) -> None:
+        """Ask about cars of which forecasts have just been made, if it is time to.
+
+        Parameters
+        ----------
+        told : DataFrame
+            The forecasts, as `Pipeline.take_outlooks` has them.
+        """
+        known = told[told["planned"].astype(bool) & told["soc_mean_pct"].notna()]
+        for vehicle, shift, time in known.groupby("vehicle_id")[["shift", "time_s"]].last().itertuples():
+            before = self._last.get(vehicle)
+            if before is None or before[0] != shift or time >= before[1] + EVERY:
+                self._last[vehicle] = shift, time
+                self._rows += _rows(vehicle, shift, self._ask(vehicle))
+
+    def table(self) -> pd.DataFrame:
+        """Return a row a leg that was asked about, `ASKED`."""
+        numbers = dict.fromkeys(ASKED[len(KEY) :], np.float64) | {"leg": np.int64}
+        return keyed(pd.DataFrame(self._rows, columns=ASKED).astype(numbers))
+
+
+def _rows(vehicle: str, shift: int, answer: Outlook) -> Iterator[tuple[Any, ...]]:
+    """Return what was told of each leg."""
+    km = 0.0
+    for place, leg in enumerate(answer.legs):
+        km += leg.distance_km
+        if leg.soc_pct is not None:
+            told = leg.soc_pct.mean, leg.soc_pct.p05, leg.soc_pct.p95
+            yield vehicle, shift, answer.time_s, place, km, answer.soc_pct, *told
+
+
+def leg_cases(asked: pd.DataFrame, rides: pd.DataFrame, shifts: pd.DataFrame) -> pd.DataFrame:
+    """Return the legs that are judged, each with the ride that it became.
+
+    That is the next ride to end after the question for the first leg, and so on; false starts are none. Rides of
+    another shift, and those before which the car charged, are left out.
+
+    Parameters
+    ----------
+    asked : DataFrame
+        Of `Questions.table`.
+    rides : DataFrame
+        As `Pipeline.take_rides` has them.
+    shifts : DataFrame
+        As `Pipeline.take_shifts` has them.
+
+    Returns
+    -------
+    DataFrame
+        `ASKED`, the values of `OF_RIDES` of the ride, and `OF_SHIFTS` of the shift; `minutes` from the question to the
+        ride's end, whether the car `charges` later in the shift, and `cluster`, the same for all of a car on a day.
+    """
+    driven = rides[rides["distance_km"] >= SHORTEST_RIDE].astype({"vehicle_id": "str"})
+    driven = driven.rename(columns=OF_RIDES)[["vehicle_id", *OF_RIDES.values()]]
+    driven = driven.sort_values("ride_end_s", kind="stable", ignore_index=True)
+    driven["place"] = driven.groupby("vehicle_id").cumcount()
+    before = driven[["vehicle_id", "ride_end_s", "place"]]
+    cases = asked.sort_values("time_s", kind="stable")
+    cases = pd.merge_asof(cases, before, left_on="time_s", right_on="ride_end_s", by="vehicle_id")
+    cases["place"] = cases["place"].fillna(-1.0).astype(np.int64) + 1 + cases["leg"]
+    cases = cases.drop(columns="ride_end_s").merge(driven, on=["vehicle_id", "place"])
+    cases = cases.merge(keyed(shifts)[[*KEY, *OF_SHIFTS]], on=KEY)
+    charged = cases["ride_end_s"] - cases["since_charge_s"] > cases["time_s"]
+    cases = cases[(cases["ride_end_s"] <= cases["end_s"]) & ~charged & cases["soc_end_pct"].notna()]
+    day = np.floor(cases["begin_s"] / DAY)
+    return cases.assign(
+        minutes=(cases["ride_end_s"] - cases["time_s"]) / 60.0,
+        charges=cases["charged_s"] > cases["ride_end_s"],
+        cluster=cases.assign(day=day).groupby(["vehicle_id", "day"], sort=False).ngroup(),
+    ).reset_index(drop=True)

@@ -1,0 +1,51 @@
+"""Shares with intervals: Wilson's of single cases, wider where cases are alike, and true as often as they say."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from core.evaluate.soc_share import clustered_share
+
+
+@given(
+    hits=st.lists(st.booleans(), min_size=2, max_size=60),
+    seed=st.integers(0, 1000),
+    clusters=st.integers(2, 60),
+)
+@settings(max_examples=100, deadline=None)
+def test_a_clustered_share_is_within_its_interval(hits, seed, clusters):
+    of = np.random.default_rng(seed).integers(0, clusters, len(hits))
+    found = clustered_share(np.array(hits), of)
+    assert found["value"] == np.mean(hits)
+    if len(np.unique(of)) > 1:
+        assert 0.0 <= found["low"] <= found["value"] <= found["high"] <= 1.0
+    else:
+        assert np.isnan(found["low"])
+
+
+@pytest.mark.parametrize(("hits", "n"), [(0, 12), (7, 12), (12, 12), (270, 300)])
+def test_of_single_cases_it_is_the_interval_of_wilson(hits, n):
+    found = clustered_share(np.arange(n) < hits, np.arange(n))
+    assert found["clusters"] == n
+    known = stats.binomtest(hits, n).proportion_ci(method="wilson")
+    assert (found["low"], found["high"]) == pytest.approx((known.low, known.high))
+
+
+def test_it_covers_the_truth_where_cases_of_a_cluster_are_alike():
+    rng = np.random.default_rng(5)
+    clusters = np.repeat(np.arange(80), 5)
+    inside = 0
+    for _ in range(400):
+        share = rng.beta(9.0, 1.0, 80)
+        found = clustered_share(rng.random(400) < share[clusters], clusters)
+        inside += found["low"] <= 0.9 <= found["high"]
+    assert 0.93 <= inside / 400 <= 0.995
+
+
+def test_cases_that_are_alike_tell_no_more_than_one_of_them():
+    hits = np.arange(40) < 30
+    alone = clustered_share(hits, np.arange(40))
+    alike = clustered_share(np.repeat(hits, 5), np.repeat(np.arange(40), 5))
+    assert alike == pytest.approx(alone, rel=0.02)
