@@ -8,6 +8,10 @@ from core.ahead import soc
 from core.ahead.scales import CAR, DAY, DRIVER
 
 BEGIN = 1_516_017_600.0
+WITHIN = 1.6448536269514722
+"""Standard deviations about the mean of a normal that hold 90 % of it."""
+NIGHT = 86_400.0
+"""From one shift to the next. [s]"""
 STEP = 15.0
 """Between two events. [s]"""
 CAPACITY = 40.0
@@ -48,7 +52,7 @@ def shift(
     ----------
     a, c : float or (cars,) float
     metered : bool
-        Whether voltage and current tell what is used.
+        Whether voltage and current tell what is used: sampled, and with a gain of each car's own.
     exact : bool
         Whether the charge is reported to tick where it should, not about there.
     """
@@ -67,8 +71,9 @@ def shift(
     out["predicted"], out["factor"], out["riding"] = predicted.cumsum(axis=1), 1.0, 1.0
     out["distance"], out["ambient"] = 8.0 * passed, 283.15 * passed
     if metered:
-        gain = 1.0 + soc.METER * rng.normal(size=(cars, n))
-        out["metered"], out["meter_time"] = (gain * used).cumsum(axis=1), passed
+        gain = np.exp(soc.METER * np.random.default_rng(7).normal(size=(cars, 1)))  # the same every day
+        sampled = used + soc.SAMPLED * np.sqrt(np.abs(used)) * rng.normal(size=(cars, n))
+        out["metered"], out["meter_time"] = (gain * sampled).cumsum(axis=1), passed
     out["soc"], out["step"] = read(charge, quantum, None if exact else rng), quantum
     out["since_charge"], out["capacity"] = np.nan, CAPACITY
     return out, Truth(charge, taken, size)
@@ -92,6 +97,14 @@ def read(charge, quantum, rng=None):
     return out
 
 
+def named(driver, mean, variance, lane=0):
+    """Return the event that names who drives, and their part in what is taken, (1,)."""
+    event = np.zeros(1, soc.EVENT)
+    event["kind"], event["lane"], event["duration"] = soc.NAMED, lane, driver
+    event["predicted"], event["metered"] = mean, variance
+    return event
+
+
 def heard(events, state=None, prior=(0.0, PRIOR)):
     """Send events through the filter."""
     events = np.ascontiguousarray(events.ravel())
@@ -100,3 +113,14 @@ def heard(events, state=None, prior=(0.0, PRIOR)):
     told, shifts = np.empty((len(events), len(soc.TOLD))), np.empty(len(events), soc.CLOSED_SHIFT)
     ended = soc.follow(events, state, np.tile(prior, (lanes, 1)), told, shifts)
     return Heard(told, state, shifts[:ended])
+
+
+def covered(found, variance, truth):
+    """Return how often the truth is in the 90 % interval."""
+    return np.mean(np.abs(found - truth) < WITHIN * np.sqrt(variance))
+
+
+def covariance(state):
+    """Return the covariance of charge, scale and capacity."""
+    s = state[0]
+    return np.array([[s["ss"], s["sa"], s["sc"]], [s["sa"], s["aa"], s["ac"]], [s["sc"], s["ac"], s["cc"]]])

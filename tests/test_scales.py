@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
-from core.ahead.scales import CAR, DAY, DRIVER, LEAST_SHIFTS, MOST, Habit, Scales
+from core.ahead import scales as module
+from core.ahead.scales import CAR, DAY, DRIVER, LEAST_SHIFTS, MOST_OFF, SEASON, Habit, Scales, code_of
 
 
 def week(rng, scales, days=30, cars=(0.15, -0.1), drivers=(0.08, -0.08)):
@@ -14,7 +15,7 @@ def week(rng, scales, days=30, cars=(0.15, -0.1), drivers=(0.08, -0.08)):
         for lane, car in enumerate(cars):
             who = (day + lane) % 2
             used = 20.0 * np.exp(car + drivers[who] + DAY * rng.normal())
-            scales.learn(lane, f"d{who}", 20.0, used, 40.0)
+            scales.learn(lane, who, 20.0, used, 40.0)
 
 
 def test_what_a_car_takes_is_kept_from_shift_to_shift():
@@ -34,30 +35,68 @@ def test_cars_and_drivers_are_told_apart():
         week(np.random.default_rng(seed), scales)
         for lane, car in enumerate((0.15, -0.1)):
             for who, driver in enumerate((0.08, -0.08)):
-                mean, variance = scales.expected(lane, f"d{who}")
+                mean, variance = scales.expected(lane, who)
                 inside.append(abs(mean - car - driver) < 1.645 * np.sqrt(variance - DAY**2))
                 assert mean == pytest.approx(car + driver, abs=0.08)
     assert np.mean(inside) > 0.75
 
 
-@given(st.lists(st.tuples(st.floats(1.0, 60.0), st.floats(0.6, 1.7), st.none() | st.sampled_from("ab")), max_size=30))
-def test_every_shift_makes_it_surer(shifts):
+def balance(predicted, driver):
+    """Return the variance of a car at which what a shift tells is what it grows by until the next one."""
+    noise = driver + DAY**2 + module.NOISE**2 / predicted + (module.COARSEST * 40.0 / predicted) ** 2 / 6.0
+    drift = CAR**2 / SEASON
+    return 0.5 * (drift + np.sqrt(drift**2 + 4.0 * drift * noise))
+
+
+@given(st.floats(1.0, 60.0), st.booleans())
+def test_every_shift_makes_it_surer_until_what_changes_meanwhile_balances_it(predicted, driven):
     scales, last = Scales(), Scales().expected(0)[1]
+    floor = balance(predicted, 0.0 if driven else DRIVER**2) + DRIVER**2 + DAY**2
+    for _ in range(300):
+        scales.learn(0, 1 if driven else None, predicted, predicted, 40.0)
+        variance = scales.expected(0)[1]
+        assert variance <= last * (1.0 + 1e-12)
+        assert variance >= floor * (1.0 - 1e-9)
+        last = variance
+    assert driven or last == pytest.approx(floor, rel=1e-3)
+
+
+@given(st.lists(st.tuples(st.floats(0.02, 60.0), st.floats(0.6, 1.7), st.none() | st.integers(0, 1)), max_size=30))
+@example([(0.02, 1.0, 0)])
+def test_it_is_never_less_sure_than_of_what_was_never_heard_of(shifts):
+    scales = Scales()
     for predicted, ratio, driver in shifts:
         scales.learn(0, driver, predicted, ratio * predicted, 40.0)
-        variance = scales.expected(0)[1]
-        assert DAY**2 < variance < last
-        last = variance
+        for who in (None, 0, 1):
+            assert scales.expected(0, who)[1] <= Scales().expected(0)[1]
+
+
+@pytest.mark.parametrize("driven", [False, True])
+def test_a_car_that_changes_is_followed(driven):
+    """After a year with the same tyres, which it has learned well, it has others: it takes a tenth more."""
+    late = []
+    for seed in range(40):
+        rng, scales = np.random.default_rng(seed), Scales()
+        for number in range(265):
+            off = 0.0 if number < 250 else np.log(1.1)
+            used = 20.0 * np.exp(off + DAY * rng.normal())
+            scales.learn(0, number % 3 if driven else None, 20.0, used, 40.0)
+            if number in (249, 264):
+                late.append(scales.expected(0)[0])
+    before, after = np.reshape(late, (-1, 2)).T
+    assert before.mean() == pytest.approx(0.0, abs=0.01)
+    assert 0.75 < np.mean(after - before) / np.log(1.1) < 1.0
+    assert np.std(before) < 0.03
 
 
 @pytest.mark.parametrize(
     ("predicted", "used"),
-    [(0.0, 5.0), (-1.0, 5.0), (5.0, 0.0), (5.0, -2.0), (5.0, 5.0 * np.exp(MOST) * 1.01), (np.nan, 1.0)],
+    [(0.0, 5.0), (-1.0, 5.0), (5.0, 0.0), (5.0, -2.0), (5.0, 5.0 * np.exp(MOST_OFF) * 1.01), (np.nan, 1.0)],
 )
 def test_a_shift_that_cannot_be_is_not_learned_from(predicted, used):
     scales = Scales()
-    scales.learn(0, "a", predicted, used, 40.0)
-    assert scales.expected(0, "a") == Scales().expected(0, "a")
+    scales.learn(0, 1, predicted, used, 40.0)
+    assert scales.expected(0, 1) == Scales().expected(0, 1)
 
 
 def test_short_shifts_tell_less_than_long_ones():
@@ -92,3 +131,29 @@ def test_what_was_dumped_goes_on_as_if_nothing_had_happened():
         week(np.random.default_rng(2), scales)
         scales.went(0, Habit(8.0, 1.2))
     assert one.dump() == other.dump()
+
+
+# how many are remembered
+
+
+@given(st.lists(st.integers(0, 9), max_size=40))
+@example([0, 1, 0, 2, 3, 3])
+def test_the_drivers_whose_shifts_are_longest_ago_are_forgotten(shifts):
+    scales = Scales()
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(module, "KEPT_DRIVERS", 2)
+        patched.setattr(module, "DRIVERS_A_CAR", 1)
+        for number, driver in enumerate(shifts):
+            scales.learn(0, driver, 20.0, 24.0, 40.0)
+            if number == len(shifts) // 2:
+                scales.load(scales.dump())
+    last = list(dict.fromkeys(reversed(shifts)))[:3]
+    known = [driver for driver in range(10) if scales.part_of(driver) != (0.0, DRIVER**2)]
+    assert known == sorted(last)
+
+
+def test_drivers_have_codes_of_their_own_that_a_number_holds():
+    codes = {code_of(f"driver-{number}") for number in range(20_000)}
+    assert len(codes) == 20_000
+    assert all(int(float(code)) == code >= 0 for code in codes)
+    assert code_of("ana") == 136_244_865_965_049

@@ -7,32 +7,19 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from soc_shifts import BEGIN, CAPACITY, PRIOR, STEP, heard, noise, shift
+from soc_shifts import BEGIN, CAPACITY, NIGHT, PRIOR, STEP, covariance, covered, heard, noise, shift
 
 from core.ahead import outlook, soc
 
-WITHIN = 1.6448536269514722
-"""Standard deviations about the mean of a normal that hold 90 % of it."""
-DAY = 86_400.0
 QUANTA = (0.001, 0.005, 0.01)
 CARS = 200
 
 
-def covered(found, variance, truth):
-    """Return how often the truth is in the 90 % interval."""
-    return np.mean(np.abs(found - truth) < WITHIN * np.sqrt(variance))
-
-
-def covariance(state):
-    """Return the covariance of charge, scale and capacity."""
-    s = state[0]
-    return np.array([[s["ss"], s["sa"], s["sc"]], [s["sa"], s["aa"], s["ac"]], [s["sc"], s["ac"], s["cc"]]])
-
-
 class Oracle:
-    """What filterpy makes of the same stretches and ticks, about the same points."""
+    """What filterpy makes of the same stretches and ticks, about the same points: that where the shift began."""
 
     def __init__(self, state):
+        self.scale, self.size = state["usual"][0], state["size"][0]
         self.kf = KalmanFilter(dim_x=3, dim_z=1)
         self.kf.x = np.array([[state["s"][0]], [state["a"][0]], [state["c"][0]]])
         self.kf.P = covariance(state)
@@ -42,15 +29,16 @@ class Oracle:
         """Let the charge fall by what was measured [kWh], or by what was predicted where that is NaN."""
         (_, a, c), kf = self.kf.x[:, 0], self.kf
         kf.predict(F=np.eye(3), Q=np.diag([0.0, soc.WANDER**2 * STEP / 3600.0, 0.0]))
-        fall, slope, blur = np.exp(a - c) * predicted / CAPACITY, 1.0, noise * predicted / CAPACITY**2
+        fall, by_a, blur = np.exp(a - c) * predicted / CAPACITY, 1.0, noise * predicted / CAPACITY**2
+        slope = np.exp(self.scale) * predicted / CAPACITY
         if np.isfinite(used):
-            expected = np.exp(a) * predicted
-            seen = np.array([[0.0, expected, 0.0]])
-            kf.update(used - expected + seen @ kf.x, noise * predicted + (soc.METER * used) ** 2, seen)
-            fall, slope = used / (CAPACITY * np.exp(c)), 0.0
-            blur = (soc.METER * fall) ** 2
-        self.fall = fall
-        along = np.array([[1.0, -slope * fall, fall], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+            seen = np.array([[0.0, np.exp(self.size + self.scale) * predicted, 0.0]])
+            blurred = (noise + soc.SAMPLED**2) * predicted
+            kf.update(used - np.exp(a) * predicted + seen @ kf.x, blurred, seen)
+            fall, by_a = used / (CAPACITY * np.exp(kf.x[2, 0])), 0.0
+            slope, blur = used / (CAPACITY * np.exp(self.size)), soc.SAMPLED**2 * abs(used) / CAPACITY**2
+        self.fall += slope
+        along = np.array([[1.0, -by_a * slope, slope], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
         shift_of = kf.x - [[fall], [0.0], [0.0]] - along @ kf.x
         kf.predict(u=shift_of, B=np.eye(3), F=along, Q=np.diag([blur, 0.0, 0.0]))
 
@@ -62,7 +50,14 @@ class Oracle:
             since = min(max(sign * self.fall, 0.0), quantum)
             at = reported + sign * 0.5 * (quantum - since)
             variance = (0.1 * quantum) ** 2 + since**2 / 12.0
+        before = self.kf.P
         self.kf.update(at, variance + soc.FLOOR**2, np.array([[1.0, 0.0, 0.0]]))
+        if beyond > abs(self.fall) + quantum:  # not to be trusted: no surer than before
+            self.kf.P = before
+
+    def reported(self):
+        """Take it that a charge was reported."""
+        self.fall = 0.0
 
 
 @given(
@@ -88,6 +83,7 @@ def test_it_is_the_filter_of_filterpy(seed, quantum, share, a):
         assume(state["jumps"][0] == 0.0)
         if state["ticks"][0] > before["ticks"][0]:
             oracle.tick(before["reported"][0], events["soc"][i], quantum)
+        oracle.reported()
     assert state["ticks"][0] > 0.0
     assert [state[name][0] for name in ("s", "a", "c")] == pytest.approx(
         oracle.kf.x[:, 0].tolist(), rel=1e-9, abs=1e-12
@@ -119,25 +115,36 @@ def test_what_is_not_known_beforehand_is_within_its_interval_as_often_as_said(qu
     for at in (700, 1400, -1):
         scale, spread = (found.at(name, CARS)[:, at] for name in ("scale", "scale_variance"))
         assert 0.8 <= covered(scale, spread, truth.a[:, at] - truth.c) <= 0.97
-    off = found.at("soc", CARS) - truth.soc
-    if metered:  # less is left than the filter can tell apart: what one car's gauge errs by is not white
-        assert np.sqrt(np.mean(off[:, 700:] ** 2)) < 0.3 * soc.FLOOR + 0.05 * quantum
-    else:
-        spread = found.at("variance", CARS)
-        assert 0.8 <= covered(off[:, 700:], spread[:, 700:], 0.0) <= 0.97
+    off, spread = found.at("soc", CARS) - truth.soc, found.at("variance", CARS)
+    assert 0.8 <= covered(off[:, 700:], spread[:, 700:], 0.0) <= 0.97
 
 
 @pytest.mark.parametrize("quantum", QUANTA)
 def test_capacity_is_learned_over_days_by_voltage_and_current(quantum):
     smaller, state, spread = np.log(0.85), None, [np.full(60, soc.CAPACITY)]
     for day in range(5):
-        events, _ = shift(60, 4.0, quantum, 0.0, smaller, metered=True, seed=day, begin=BEGIN + DAY * day)
+        events, _ = shift(60, 4.0, quantum, 0.0, smaller, metered=True, seed=day, begin=BEGIN + NIGHT * day)
         state = heard(events, state).state
         spread.append(np.sqrt(state["cc"]))
     assert np.exp(state["c"]).mean() == pytest.approx(0.85, abs=0.01)
-    assert np.mean(np.abs(state["c"] - smaller) < 3.0 * spread[-1]) > 0.9
     assert all(after.mean() < before.mean() for before, after in pairwise(spread[:3]))
-    assert spread[-1].max() < 0.3 * soc.CAPACITY
+    assert spread[-1].max() < 0.2 * soc.CAPACITY
+
+
+@pytest.mark.parametrize("quantum", QUANTA)
+def test_the_interval_of_the_capacity_holds_it_as_often_as_said_however_long_is_measured(quantum):
+    """What a meter errs by for good is not learned away, and what the capacity changes by is followed."""
+    rng = np.random.default_rng(21)
+    c, state, inside = rng.normal(0.0, soc.CAPACITY, CARS), None, []
+    for day in range(12):
+        c += soc.AGEING * rng.normal(size=CARS)
+        events, _ = shift(CARS, 3.0, quantum, 0.0, c, metered=True, seed=day, begin=BEGIN + NIGHT * day, step=30.0)
+        state = heard(events, state).state
+        sd = np.hypot(np.sqrt(state["cc"]), soc.METER)
+        inside.append(np.abs(state["c"] - c) < 1.96 * sd)
+    assert 0.9 <= np.mean(inside[:3]) <= 0.98
+    assert 0.9 <= np.mean(inside[-3:]) <= 0.98
+    assert np.sqrt(state["cc"]).max() < soc.METER
 
 
 def test_without_a_meter_capacity_and_consumption_are_not_told_apart():
@@ -192,8 +199,8 @@ def told_wrongly(events, fault, begin, end, by=-0.07):
 
 
 FAULTS = ("frozen", "absent", "spike", "jump")
-TIGHT = {False: 1.0 - 1e-9, True: 0.998}
-"""How small a spread may be: with a meter, how surely consumption is learned varies a little with itself."""
+LEAST = 1.0 - 1e-9
+"""How small a spread may be over what it is without the fault."""
 
 
 @pytest.mark.parametrize("metered", [False, True])
@@ -209,17 +216,25 @@ TIGHT = {False: 1.0 - 1e-9, True: 0.998}
 def test_a_charge_that_is_told_wrongly_never_makes_anything_surer(
     fault, metered, seed, quantum, begin, lasting, by, sign
 ):
+    """Nor afterwards: but the first tick after a charge that was frozen or absent may be fresher than the last without.
+
+    Of a drive whose charge is doubted where it is told rightly, nothing is said.
+    """
     rng = np.random.default_rng(seed)
     c = rng.normal(0.0, soc.CAPACITY, 10)
     events, _ = shift(
         10, 2.0, quantum, c + rng.normal(0.0, np.sqrt(PRIOR), 10), c, metered=metered, seed=seed, full=0.8
     )
     bad, on = told_wrongly(events, fault, begin, begin + lasting, sign * by)
-    good_end, good_now = widths(heard(events), events)
-    bad_end, bad_now = widths(heard(bad), events)
-    assert on.any()
-    assert (bad_end[:, on] >= TIGHT[metered] * good_end[:, on]).all()
-    assert (bad_now[:, on] >= (1.0 - 1e-9) * good_now[:, on]).all()
+    good = heard(events)
+    sound = (good.state["jumps"] == 0.0) & (good.state["freezes"] == 0.0)
+    assume(sound.any())
+    (good_end, good_now), (bad_end, bad_now) = widths(good, events), widths(heard(bad), events)
+    rows = np.arange(len(on)) >= begin if fault in ("spike", "jump") else on
+    assert rows.any()
+    for found, without in ((bad_end, good_end), (bad_now, good_now)):
+        assert (found >= LEAST * without)[np.ix_(sound, rows)].all()
+    assert bad_end[sound, begin:].mean() >= 0.999 * good_end[sound, begin:].mean()
 
 
 @pytest.mark.parametrize("quantum", QUANTA)
@@ -265,7 +280,8 @@ def test_a_spike_is_forgotten():
     events, _ = shift(50, 2.0, 0.01, seed=12)
     bad, _ = told_wrongly(events, "spike", 200, 0)
     found, good = heard(bad), heard(events)
-    steady = events["soc"][:, 200] == events["soc"][:, 199]
+    steady = (events["soc"][:, 200:202] == events["soc"][:, 199, None]).all(axis=1)
+    assert steady.any()
     assert np.array_equal(found.at("soc", 50)[steady, 201:], good.at("soc", 50)[steady, 201:])
     assert np.array_equal(found.at("variance", 50)[steady, 201:], good.at("variance", 50)[steady, 201:])
 
@@ -319,7 +335,7 @@ def test_whatever_is_told_its_covariance_is_one_and_the_charge_is_a_number_once_
 
 
 def test_any_cut_of_the_events_gives_the_same_to_the_bit():
-    parts = [shift(3, 1.0, 0.005, seed=day, begin=BEGIN + DAY * day)[0].ravel() for day in range(2)]
+    parts = [shift(3, 1.0, 0.005, seed=day, begin=BEGIN + NIGHT * day)[0].ravel() for day in range(2)]
     events = np.concatenate(parts)
     events = events[np.argsort(events["time"], kind="stable")]
     whole, state, told = heard(events), None, []
@@ -334,7 +350,7 @@ def test_any_cut_of_the_events_gives_the_same_to_the_bit():
 @pytest.mark.parametrize("after", ["night", "charge"])
 def test_after_a_night_and_after_a_charge_it_begins_at_what_is_told(quantum, after):
     first, _ = shift(20, 2.0, quantum, 0.1, seed=1, exact=True)
-    wait = DAY if after == "night" else STEP * (first.shape[1] + 40)
+    wait = NIGHT if after == "night" else STEP * (first.shape[1] + 40)
     second, _ = shift(20, 2.0, quantum, 0.1, seed=2, begin=BEGIN + wait, full=0.6, exact=True)
     first["kind"][:, -1] = soc.CLOSED
     if after == "charge":
@@ -357,7 +373,7 @@ def test_after_a_night_and_after_a_charge_it_begins_at_what_is_told(quantum, aft
 
 def test_a_new_shift_begins_with_what_is_usual_and_keeps_what_is_learned_of_the_capacity():
     first, _ = shift(5, 3.0, 0.001, 0.2, np.log(0.9), metered=True, seed=4)
-    second, _ = shift(5, 0.01, 0.001, metered=True, seed=5, begin=BEGIN + DAY)
+    second, _ = shift(5, 0.01, 0.001, metered=True, seed=5, begin=BEGIN + NIGHT)
     before = heard(first).state
     after = heard(second[:, :1], before, prior=(0.15, 0.004)).state
     assert after["a"] - after["c"] == pytest.approx(np.full(5, 0.15))
@@ -369,7 +385,7 @@ def test_a_new_shift_begins_with_what_is_usual_and_keeps_what_is_learned_of_the_
 
 def test_a_shift_that_has_ended_is_what_was_told_of_it():
     first, _ = shift(1, 2.0, 0.01, seed=7, exact=True)
-    second, _ = shift(1, 0.1, 0.01, seed=8, begin=BEGIN + DAY)
+    second, _ = shift(1, 0.1, 0.01, seed=8, begin=BEGIN + NIGHT)
     (row,) = heard(np.concatenate([first, second], axis=1)).shifts
     assert (row["shift"], row["begin"], row["end"]) == (0.0, first["time"][0, 0], first["time"][0, -1])
     assert (row["last_soc"], row["lowest_soc"]) == (first["soc"][0, -1], first["soc"].min())
@@ -379,19 +395,6 @@ def test_a_shift_that_has_ended_is_what_was_told_of_it():
     assert row["predicted"] == pytest.approx(first["predicted"][0, -1], rel=0.02)
     assert row["warmth"] / row["hours"] == pytest.approx(283.15)
     assert np.isnan(row["charged"])
-
-
-@given(st.floats(-0.1, 0.1), st.floats(0.2, 0.9), st.integers(1, 200))
-def test_a_driver_who_becomes_known_is_as_if_known_from_the_beginning(mean, share, at):
-    events, _ = shift(1, 1.0, 0.01, seed=13)
-    told = np.zeros(1, soc.EVENT)
-    told["kind"], told["duration"], told["predicted"], told["metered"] = soc.DRIVER, 3.0, mean, share * PRIOR
-    after = heard(told, heard(events[:, :at]).state)
-    before = heard(events[:, :at], prior=(mean, share * PRIOR))
-    assert after.state["driver"][0] == 3.0
-    for name, loose in (("scale", 0.02), ("scale_variance", 0.06 * PRIOR), ("soc", 0.002)):
-        assert after.at(name)[0, 0] == pytest.approx(before.at(name)[0, -1], abs=loose), name
-    assert heard(told, after.state).state.tobytes() == after.state.tobytes()
 
 
 def test_a_car_of_unknown_model_or_capacity_is_followed_by_what_it_tells():

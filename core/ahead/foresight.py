@@ -16,7 +16,7 @@ from core.ahead.courses import Arrival, Courses, Driving, ride_km
 from core.ahead.gathered import joined
 from core.ahead.lessons import Lessons
 from core.ahead.outlook import Known
-from core.ahead.scales import Habit
+from core.ahead.scales import Habit, code_of
 from core.ahead.shift_log import Note, ShiftLog
 from core.batch import Floats, Ints, grown
 from core.cars import Cars
@@ -82,8 +82,6 @@ class Foresight:
 
     Attributes
     ----------
-    drivers : dict of str to int
-        The code of each.
     ends : (lanes, 4) float
         The newest forecast of each lane's charge at the shift's end: mean, 5th and 95th percentile, and the risk of
         ending below the reserve; NaN before there is one, also after a restart. [1]
@@ -95,7 +93,6 @@ class Foresight:
         self.courses, self.log = Courses(), ShiftLog()
         self.state = soc.new_state(0)
         self.ends = np.zeros((0, len(_END)))
-        self.drivers: dict[str, int] = {}
         self.closed: list[NDArray[np.void]] = []
 
     def follow(
@@ -178,9 +175,9 @@ class Foresight:
         """Write down as events who drives."""
         out[:] = np.zeros((), soc.EVENT)
         for event, driving in zip(out, drivings, strict=True):
-            code = self.drivers.setdefault(driving.driver, len(self.drivers))
-            event["kind"], event["lane"], event["duration"] = soc.DRIVER, driving.lane, code
-            event["predicted"], event["metered"] = self.lessons.scales.expected(driving.lane, driving.driver)
+            code = code_of(driving.driver)
+            event["kind"], event["lane"], event["duration"] = soc.NAMED, driving.lane, code
+            event["predicted"], event["metered"] = self.lessons.scales.part_of(code)
 
     def _tell(self, running: Totals, told: Floats, courses: NDArray[np.void]) -> Floats:
         """Return `SEEN` of each row."""
@@ -252,7 +249,7 @@ class Foresight:
             usual = self.lessons.usual(self._cars.of_lane[[lane]], outlook.temperature_weights(ambient))
             length = (float(shift["end"]) - float(shift["begin"])) / 3600.0
             predicted = float(shift["predicted"])
-            driver = list(self.drivers)[int(shift["driver"])] if shift["driver"] >= 0.0 else None
+            driver = int(shift["driver"]) if shift["driver"] >= 0.0 else None
             busy = predicted / (float(usual.power[0]) * length)
             self.lessons.shift(lane, (driver, predicted, used, capacity), Habit(length, busy) if busy > 0.0 else None)
 
@@ -282,7 +279,6 @@ class Foresight:
         earlier.finish(cut=True)
         earlier.overnight()
         self.lessons.load(earlier.lessons.dump())
-        self.drivers = dict(earlier.drivers)
         self.state = soc.new_state(len(earlier.state))
         for name in ("c", "cc"):
             self.state[name] = earlier.state[name]
@@ -295,13 +291,12 @@ class Foresight:
 
     def dump(self) -> Any:
         """Return the state as plain values."""
-        return self.lessons.dump(), self.courses.dump(), self.log.dump(), self.state.tobytes(), list(self.drivers)
+        return self.lessons.dump(), self.courses.dump(), self.log.dump(), self.state.tobytes()
 
     def load(self, state: Any) -> None:
         """Take up a state that `dump` returned, once the cars are known."""
-        lessons, courses, log, filters, drivers = state
+        lessons, courses, log, filters = state
         self.lessons.load(lessons)
         self.courses.load(courses)
         self.log.load(log)
         self.state = np.frombuffer(filters, soc.STATE).copy()
-        self.drivers = {name: code for code, name in enumerate(drivers)}

@@ -5,20 +5,29 @@ today over the predicted; and the logarithm c of its usable capacity over the no
 standing with the predicted energy E the charge falls by exp(a - c) E / C, or, where voltage and current are measured,
 by that energy over exp(c) C, and the two energies together tell a.
 
+A meter has a gain, which is the same for good. It shifts a and c alike, so that neither what the charge falls by nor
+the two energies tell of it: a and c are as this car's meter has them; how unsure the gain is counts where a capacity is
+told in kWh, no less however long is measured.
+
+How unsure the state is follows the slopes of these equations at the point where the shift began, not at what has been
+found since. So it does not depend on what is reported, only on when something is learned of it: where less was learned,
+nothing is ever surer.
+
 A reported state of charge is an interval, not a value with noise. It says most when it ticks: then the charge has just
 crossed the boundary between two reported values, and only then is it a measurement. Between ticks it says that the
 boundary has not been crossed: that moves what is published, and makes nothing surer.
 
-What is reported may lie. A value that jumps is not believed until it has stayed for a while; one that does not tick
-though it must have is not believed until it ticks; where none comes, or none is believed, the prediction goes on alone
-and grows unsure. After charging and after silence the filter begins at what is reported.
+What is reported may lie. A value that jumps is not believed until it has stayed for a while, and then moves the charge
+and makes it less sure; one that does not tick though it must have is not believed until it ticks, which then makes
+nothing surer before the next; where none comes, or none is believed, the prediction goes on alone and grows unsure.
+After charging and after silence the filter begins at what is reported.
 
 References
 ----------
-Kalman, Journal of Basic Engineering 82 (1960) 35, DOI 10.1115/1.3662552; extended, as in Jazwinski, Stochastic
-Processes and Filtering Theory, Academic Press 1970, section 8.3. On quantised measurements as intervals: Curry,
-Estimation and Control with Quantized Measurements, MIT Press 1970. The moments of a truncated normal: Johnson, Kotz and
-Balakrishnan, Continuous Univariate Distributions 1, Wiley 1994, section 13.10.1.
+Kalman, Journal of Basic Engineering 82 (1960) 35, DOI 10.1115/1.3662552; extended, but for its covariance, as in
+Jazwinski, Stochastic Processes and Filtering Theory, Academic Press 1970, section 8.3. On quantised measurements as
+intervals: Curry, Estimation and Control with Quantized Measurements, MIT Press 1970. The moments of a truncated normal:
+Johnson, Kotz and Balakrishnan, Continuous Univariate Distributions 1, Wiley 1994, section 13.10.1.
 """
 
 from math import erfc, exp, isnan, nan, pi, sqrt
@@ -28,6 +37,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from core.ahead.correction import correct, drive, nudge
+
 FIELDS: Final = (
     "heard",  # 1 once the car has sent anything
     "time",  # of the newest event [s]
@@ -35,7 +46,7 @@ FIELDS: Final = (
     "a",  # log of the energy used over the predicted
     "c",  # log of the usable capacity over the nominal
     *("ss", "sa", "sc", "aa", "ac", "cc"),  # their covariance
-    "fell",  # charge that was used since the event before [1]
+    "fell",  # charge that was used since one was reported [1]
     "quantum",  # of what is reported [1]
     "reported",  # state of charge, as last believed or to be compared with [1]
     "frozen",  # 1 while that does not tick though it must have
@@ -57,7 +68,10 @@ FIELDS: Final = (
     "predicted",  # in the shift [kWh]
     "warmth",  # integral of the ambient temperature over that [K h]
     "charged",  # time of the last charging within the shift, NaN for none [s]
-    "driver",  # code of who drives, -1 while it is not known
+    *("size", "usual", "usual_variance"),  # as the shift began: `c`, and mean and variance of `a` less `c`
+    *("driver", "driver_mean", "driver_variance"),  # who drives, -1 while it is not known; of that, their part
+    "drivers",  # how many have driven in the shift
+    *("next", "next_mean", "next_variance"),  # the same of who was named since, -1 for none
     *("ticks", "jumps", "freezes", "anchors"),
 )
 STATE: Final = np.dtype([(name, "f8") for name in FIELDS])
@@ -68,9 +82,9 @@ RUNNING: Final = 0
 """Event: totals of the ride or rest in progress."""
 CLOSED: Final = 1
 """Event: totals of a ride or rest that has ended."""
-DRIVER: Final = 2
-"""Event: who drives became known, by the code in `duration`; `predicted` and `metered` are the mean and variance that
-tells of `a` less `c`."""
+NAMED: Final = 2
+"""Event: who drives from the next running totals on, by the code in `duration`; `predicted` and `metered` are mean and
+variance of their part in `a`."""
 
 EVENT: Final = np.dtype(
     [
@@ -112,8 +126,12 @@ WARMING: Final = 1200.0
 """Time after waking or charging in which a car warms up, and what it takes tells less of how it is. [s]"""
 UNSURE: Final = 4.0
 """By how much the variance of the energy is larger then. [1]"""
-METER: Final = 0.01
-"""Standard deviation of the gain of a meter. [1]"""
+METER: Final = 0.015
+"""Standard deviation of the gain of a car's meter, the same for good: of voltage and of current 1 % each. [1]"""
+SAMPLED: Final = 0.05
+"""Standard deviation of what a meter that samples every few seconds makes of 1 kWh; it grows with the root. [1]"""
+DRIVER: Final = 0.06
+"""Standard deviation of what drivers take, about what they take on average. [1]"""
 WANDER: Final = 0.05
 """Standard deviation of the change of `a` in an hour awake. [1]"""
 BLIND_POWER: Final = 5.0
@@ -128,8 +146,8 @@ JUMPED: Final = 0.01
 """Standard deviation that is added where a jump is believed. [1]"""
 CAPACITY: Final = 0.1
 """Standard deviation of `c` before anything is learned: age, temperature, what a car calls full."""
-AGEING: Final = 0.002
-"""Standard deviation of the change of `c` from shift to shift."""
+AGEING: Final = 0.005
+"""Standard deviation of the change of `c` from shift to shift: by age, and more by how cold the battery is."""
 
 TOLD: Final = (
     "soc",  # published [1]
@@ -162,7 +180,7 @@ def new_state(lanes: int) -> NDArray[np.void]:
     state = np.zeros(lanes, STATE)
     for name in _UNKNOWN:
         state[name] = nan
-    state["shift"] = state["driver"] = -1.0
+    state["shift"] = state["driver"] = state["next"] = -1.0
     state["cc"] = CAPACITY**2
     state["quantum"] = COARSEST
     return state
@@ -193,16 +211,16 @@ def follow(events: Any, state: Any, prior: Any, out: Any, shifts: Any) -> int:
     for i in range(events.shape[0]):
         e = events[i]
         s = state[e.lane]
-        if e.kind == DRIVER:
-            if s.heard == 1.0 and s.driver != e.duration:
-                s.driver = e.duration
-                learn_driver(s, e.predicted, e.metered, prior[e.lane])
+        if e.kind == NAMED:
+            s.next, s.next_mean, s.next_variance = e.duration, e.predicted, e.metered
         else:
             if s.heard == 0.0 or e.time - s.time > BETWEEN_SHIFTS:
                 if s.shift >= 0.0:
                     close_shift(s, i, e.lane, shifts[closed])
                     closed += 1
                 open_shift(s, e, prior[e.lane])
+            if e.kind == RUNNING:  # a ride or rest that has ended may be of the shift before
+                drive(s, WANDER**2 * max(s.time - s.begin, 0.0) / 3600.0)
             step = COARSEST if isnan(e.step) else e.step
             s.quantum = min(s.quantum, step)
             hear(s, e)
@@ -218,9 +236,10 @@ def open_shift(s: Any, e: Any, prior: Any) -> None:
     s.begin = e.time
     s.distance = s.ride_distance = s.hours = s.predicted = s.warmth = 0.0
     s.begin_soc = s.last_soc = s.lowest_soc = s.charged = nan
-    s.driver = -1.0
+    s.driver, s.driver_mean, s.driver_variance, s.drivers = -1.0, 0.0, DRIVER**2, 0.0
     s.cc = min(s.cc + AGEING**2, CAPACITY**2)
-    s.a, s.aa = s.c + prior[0], s.cc + prior[1]  # shifts tell of `a` less `c`
+    s.size, s.usual, s.usual_variance = s.c, prior[0], prior[1]  # shifts tell of `a` less `c`
+    s.a, s.aa = s.c + prior[0], s.cc + prior[1]
     s.sa, s.ac = s.sc, s.cc
 
 
@@ -236,7 +255,8 @@ def close_shift(s: Any, event: int, lane: int, row: Any) -> None:
         s.predicted,
         s.warmth,
     )
-    row.charged, row.driver = s.charged, s.driver
+    row.charged = s.charged
+    row.driver = s.driver if s.drivers == 1.0 else -1.0  # what two have taken tells of neither
 
 
 @njit(cache=True)
@@ -291,57 +311,32 @@ def move(s: Any, predicted: float, used: float, duration: float, capacity: float
         return
     s.aa += WANDER**2 * duration / 3600.0
     if isnan(predicted) and isnan(used):
-        s.ss += (BLIND_POWER * duration / 3600.0 / capacity) ** 2
+        by_c = BLIND_POWER * duration / 3600.0 / capacity
+        s.fell += by_c
+        s.ss += by_c**2
         return
     if isnan(used):
-        fall = exp(s.a - s.c) * predicted / capacity
-        noise = spread * abs(predicted) / capacity**2
-        by_a = -fall
+        s.s -= exp(s.a - s.c) * predicted / capacity
+        by_c = exp(s.usual) * predicted / capacity
+        by_a, noise = -by_c, spread * abs(predicted) / capacity**2
     else:
-        fall = used / (capacity * exp(s.c))
-        noise = (METER * fall) ** 2
-        by_a = 0.0
         if not isnan(predicted) and predicted > 0.0:
-            learn(s, exp(s.a) * predicted, used, spread * predicted)
-    s.s -= fall
-    s.fell = fall
-    by_c = fall
+            learn(s, predicted, used, (spread + SAMPLED**2) * predicted)
+        s.s -= used / (capacity * exp(s.c))
+        by_c = used / (capacity * exp(s.size))
+        by_a, noise = 0.0, SAMPLED**2 * abs(used) / capacity**2
+    s.fell += by_c
     s.ss += by_a**2 * s.aa + by_c**2 * s.cc + 2.0 * (by_a * s.sa + by_c * s.sc + by_a * by_c * s.ac) + noise
     s.sa += by_a * s.aa + by_c * s.ac
     s.sc += by_a * s.ac + by_c * s.cc
 
 
 @njit(cache=True)
-def learn(s: Any, expected: float, used: float, variance: float) -> None:
-    """Learn `a` from the energy that a meter measured of a stretch, whose expectation has a variance."""
-    noise = variance + (METER * used) ** 2
-    correct(s, used - expected, expected * s.sa, expected * s.aa, expected * s.ac, expected**2 * s.aa + noise)
-
-
-@njit(cache=True)
-def correct(s: Any, off: float, by_s: float, by_a: float, by_c: float, variance: float) -> None:
-    """Correct the state by a measurement that is `off`, with its covariances with the state and its own variance."""
-    gain_s, gain_a, gain_c = by_s / variance, by_a / variance, by_c / variance
-    s.s += gain_s * off
-    s.a += gain_a * off
-    s.c += gain_c * off
-    s.ss -= gain_s * by_s
-    s.sa -= gain_s * by_a
-    s.sc -= gain_s * by_c
-    s.aa -= gain_a * by_a
-    s.ac -= gain_a * by_c
-    s.cc -= gain_c * by_c
-
-
-@njit(cache=True)
-def learn_driver(s: Any, mean: float, variance: float, prior: Any) -> None:
-    """Take what is known of the driver: with it, `a` less `c` would have begun with this mean and variance."""
-    if prior[1] > variance:
-        noise = 1.0 / (1.0 / variance - 1.0 / prior[1])
-        told = noise * (mean / variance - prior[0] / prior[1])
-        noise += WANDER**2 * (s.time - s.begin) / 3600.0
-        known = s.aa + s.cc - 2.0 * s.ac
-        correct(s, told - s.a + s.c, s.sa - s.sc, s.aa - s.ac, s.ac - s.cc, known + noise)
+def learn(s: Any, predicted: float, used: float, variance: float) -> None:
+    """Learn `a` from the energy that a meter measured of a stretch, and the variance of that about what is expected."""
+    slope = exp(s.size + s.usual) * predicted
+    total = slope**2 * s.aa + variance
+    correct(s, used - exp(s.a) * predicted, slope * s.sa, slope * s.aa, slope * s.ac, total)
 
 
 @njit(cache=True)
@@ -352,13 +347,11 @@ def restart(s: Any) -> None:
 
 
 @njit(cache=True)
-def anchor(s: Any, reported: float, variance: float) -> None:
+def anchor(s: Any, reported: float, q: float) -> None:
     """Begin at a reported charge."""
     s.s = s.reported = reported
-    s.ss = variance
-    s.sa = s.sc = 0.0
-    s.suspect = nan
-    s.frozen = 0.0
+    s.ss = q * q / 12.0 + FLOOR**2
+    s.sa = s.sc = s.fell = 0.0
     s.anchors += 1.0
 
 
@@ -369,12 +362,13 @@ def observe(s: Any, e: Any) -> None:
         return
     q = s.quantum
     if isnan(s.s):
-        anchor(s, e.soc, q * q / 12.0 + FLOOR**2)
+        anchor(s, e.soc, q)
         return
     spread = sqrt(s.ss + q * q / 12.0)
     limit = max(CLEARLY * spread, q + MARGIN)
     if e.soc == s.reported:
         s.suspect = nan
+        s.fell = 0.0
         if s.frozen == 0.0 and abs(s.s - e.soc) > limit:
             s.frozen = 1.0
             s.freezes += 1.0
@@ -396,34 +390,49 @@ def log_charge(s: Any) -> None:
 
 @njit(cache=True)
 def doubt(s: Any, e: Any, limit: float, q: float) -> None:
-    """Wait whether a value that jumped stays; then begin there, less sure than before."""
+    """Wait whether a value that jumped stays; then the charge is there, and what is known of it less sure than before.
+
+    Nothing else is learned, nor forgotten, of it.
+    """
     if isnan(s.suspect) or abs(e.soc - s.suspect) > limit:
         s.suspect, s.suspect_time = e.soc, e.time
         s.jumps += 1.0
     elif e.time - s.suspect_time >= STAYS:
-        anchor(s, e.soc, s.ss + q * q / 12.0 + JUMPED**2)
+        s.s = e.soc
+        s.ss += q * q / 12.0 + JUMPED**2
+        believe(s, e.soc)
+        s.anchors += 1.0
 
 
 @njit(cache=True)
 def tick(s: Any, reported: float, q: float) -> None:
-    """Take a tick: since the event before, the charge has crossed the boundary of the reported value's interval.
+    """Take a tick: since one was reported, the charge has crossed the boundary of the reported value's interval.
 
-    By more than one quantum, or after a value that was frozen, it may be anywhere in the interval; what is more than
-    was used is not to be trusted.
+    By more than one quantum it may be anywhere in the interval; what is more than was used is not to be trusted. After
+    a value that was frozen or doubted, and where it is far more, the charge moves and is no surer than before.
     """
     change = reported - s.reported
     jump = max(abs(change) - abs(s.fell) - q, 0.0) if s.frozen == 0.0 else 0.0
-    at, variance = reported, q * q / 12.0 + jump * jump / 4.0
+    at, variance = reported, q * q / 12.0 + jump * jump / 4.0 + FLOOR**2
     if abs(change) < 1.5 * q and s.frozen == 0.0:
         since = min(max(s.fell if change < 0.0 else -s.fell, 0.0), q)
         at = reported + (0.5 * (q - since) if change < 0.0 else 0.5 * (since - q))
-        variance = (0.1 * q) ** 2 + since**2 / 12.0
-    total = s.ss + variance + FLOOR**2
-    correct(s, at - s.s, s.ss, s.sa, s.sc, total)
+        variance = (0.1 * q) ** 2 + since**2 / 12.0 + FLOOR**2
+    off, variance = at - s.s, s.ss + variance
+    if s.frozen == 0.0 and isnan(s.suspect) and jump <= abs(s.fell) + q:
+        correct(s, off, s.ss, s.sa, s.sc, variance)
+    else:
+        nudge(s, off, s.ss, s.sa, s.sc, variance)
+    believe(s, reported)
+    s.ticks += 1.0
+
+
+@njit(cache=True)
+def believe(s: Any, reported: float) -> None:
+    """Note a reported charge that is believed."""
     s.reported = reported
     s.suspect = nan
-    s.frozen = 0.0
-    s.ticks += 1.0
+    s.frozen = s.fell = 0.0
 
 
 @njit(cache=True)
