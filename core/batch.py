@@ -64,6 +64,10 @@ class Lanes:
     def __len__(self) -> int:
         return len(self.names)
 
+    def find(self, name: str) -> int | None:
+        """Return the lane of a vehicle, None for one not seen before."""
+        return self._of.get(name)
+
     def lane(self, name: str) -> int:
         """Return the lane of a vehicle, opening one for a vehicle not seen before."""
         lane = self._of.get(name)

@@ -144,7 +144,7 @@ class Pipeline:
         self._forget_rides()
         batch, events = self.decoder.decode(messages)
         if self.keep_forecasts:
-            nights = [Event(row, -1, Night()) for row in self.calendar.nights(batch.stamp)]
+            nights = [Event(row, -1, Night()) for row in self.calendar.nights(batch.lane, batch.stamp)]
             events = sorted([*events, *nights], key=itemgetter(0)) if nights else events
         start = 0
         told: list[tuple[int, int, Vehicle]] = []
@@ -293,8 +293,8 @@ class Pipeline:
             For a vehicle that has sent nothing, or a plan that cannot be used.
         """
         self._foresee()
-        lane = self.lanes.names.index(vehicle_id) if vehicle_id in self.lanes.names else -1
-        if lane < 0 or lane >= len(self.foresight.state) or not self.foresight.state["heard"][lane]:
+        lane = self.lanes.find(vehicle_id)
+        if lane is None or lane >= len(self.foresight.state) or not self.foresight.state["heard"][lane]:
             raise AskError(f"vehicle {vehicle_id!r} has sent nothing so far: give one that has", "unknown_vehicle")
         return answer(self.foresight, self.cars, lane, vehicle_id, f"{self.model.name}/{self.model.version}", leg, plan)
 

@@ -10,7 +10,7 @@ from core.errors import SocastError
 from core.quality import CAUSES
 from core.sums import AMOUNTS, EDGES
 
-SNAPSHOT: Final = 4
+SNAPSHOT: Final = 5
 """Version of the snapshot."""
 FIELDS: Final = [*(STATE.names or ()), *AMOUNTS, *EDGES, *CAUSES]
 """What a snapshot's arrays are made of."""

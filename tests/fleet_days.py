@@ -7,6 +7,7 @@ import msgspec
 import numpy as np
 from conftest import START, Columns, leaf, observed, telemetry, told
 
+from core.ahead.calendar import LATELY
 from core.codec import Forecast, Message
 from core.pipeline import Pipeline
 from core.settings import Settings
@@ -95,15 +96,22 @@ def days(numbers, cars=CARS, **options) -> list:
     return [m for day in numbers for m in merged(*(shift(car, day, **options) for car in cars))]
 
 
+def night(day: int, car: str = "f") -> list[Message]:
+    """Return the samples of a car that rests in the morning of a day, alone, until the others are forgotten."""
+    passed = PERIOD * np.arange(LATELY[1] + 2)
+    begun = {name: np.repeat(values[:1], len(passed)) for name, values in columns(car, day).items()}
+    begun["time_s"] = begun["time_s"] - 3600.0 - passed[::-1]
+    begun["seq"] = np.arange(len(passed))
+    begun["ride_id"][:] = None
+    return telemetry(begun, car)
+
+
 @cache
 def learned(number: int = DAYS, planned: bool = True) -> bytes:
     """Return the snapshot of a pipeline that has learned from some days, with the next one just begun."""
     pipeline = Pipeline(settings=SETTINGS)
     pipeline.push([observed(temperature_c=10.0), *(leaf(car) for car in CARS), *days(range(number), planned=planned)])
-    begun = {name: values[:3] for name, values in columns("f", number).items()}
-    begun["time_s"] = begun["time_s"] - 3600.0
-    begun["ride_id"][:] = None
-    pipeline.push(telemetry(begun, "f"))
+    pipeline.push(night(number))
     pipeline.take_rides()
     pipeline.take_windows()
     return pipeline.snapshot()

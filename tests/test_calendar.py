@@ -1,76 +1,170 @@
-"""Nights fall by the stamps of samples, whatever one clock says."""
+"""Nights fall by what most of the cars say that were heard lately, whatever some clocks say, and however often."""
+
+from functools import cache
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.ahead.calendar import DAY, Calendar
+from core.ahead.calendar import DAY, LATELY, Calendar
 
 YEAR = 365.0 * DAY
+ROLLOVER = -1024.0 * 7.0 * DAY
+"""By which a clock is off that takes GPS weeks for those of the epoch before. [s]"""
 MIDNIGHT = 19_000.0 * DAY
+NOON = MIDNIGHT - 0.5 * DAY
 
 
-def days(cars=4, days=5, wrong=0.0, period=600.0, bursts=1):
-    """Return stamps of cars that send one after another, the first one's clock being wrong by so much."""
-    time = MIDNIGHT + 1000.0 + period * np.arange(int(days * DAY / period))
-    stamps = np.repeat(time[:, None], cars * bursts, axis=1) + np.repeat(np.arange(cars), bursts)
-    stamps[:, :bursts] += wrong
-    return stamps.ravel()
+def sent(car=0, days=3.0, period=600.0, wrong=0.0, size=1, since=0.0):
+    """Return what a car sends from noon on, (n, 3): when, its number and the stamp, in lists of some size."""
+    time = NOON + since + car % 97 / 97.0 * period + period * np.arange(int((days * DAY - since) / period))
+    last = np.minimum(np.arange(len(time)) // size * size + size - 1, len(time) - 1)
+    return np.column_stack([time[last], np.full(len(time), float(car)), time + wrong])
 
 
-def found(stamps, cuts=()):
-    """Return the rows before which nights fall, of stamps that are cut."""
-    calendar, before, rows = Calendar(), 0, []
-    for part in np.split(stamps, sorted(cuts)):
-        rows += [before + row for row in calendar.nights(part)]
+def stream(*cars):
+    """Return when samples of several cars arrive, their lanes and stamps."""
+    time, lane, stamp = np.concatenate(cars)[np.argsort(np.concatenate(cars)[:, 0], kind="stable")].T
+    return time, lane.astype(np.int64), stamp
+
+
+def found(lane, stamp, cuts=(), calendar=None):
+    """Return the rows before which nights fall, of samples that are cut."""
+    calendar, before, rows = calendar or Calendar(), 0, []
+    for lanes, part in zip(np.split(lane, sorted(cuts)), np.split(stamp, sorted(cuts)), strict=True):
+        rows += [before + row for row in calendar.nights(lanes, part)]
         before += len(part)
     return rows
 
 
-def test_every_day_has_one_night():
-    stamps = days()
-    rows = found(stamps)
+def after_midnight(*cars):
+    """Return how long after midnight each night falls, but for the first, by which the calendar begins. [s]"""
+    time, lane, stamp = stream(*cars)
+    at = time[found(lane, stamp)]
+    assert at[0] < NOON + 8000.0
+    assert np.floor(at[1:] / DAY).tolist() == [19_000.0, 19_001.0, 19_002.0]
+    return at[1:] % DAY
+
+
+def test_one_car_has_a_night_at_its_second_sample_of_the_day():
+    time, lane, stamp = stream(sent())
+    rows = found(lane, stamp)
     assert rows[0] == 1
-    assert np.floor(stamps[rows[1:]] / DAY).tolist() == [19_000.0 + day for day in range(1, 6)]
-    assert all(stamps[row - 2] < DAY * np.floor(stamps[row] / DAY) for row in rows[1:])
+    assert [np.flatnonzero(time >= MIDNIGHT + DAY * day)[1] for day in range(3)] == rows[1:]
 
 
-@pytest.mark.parametrize("wrong", [YEAR, 3.0 * DAY, 0.7 * DAY, -0.7 * DAY, -YEAR, 80.0 * YEAR])
-@pytest.mark.parametrize("cars", [2, 3, 6])
-@pytest.mark.parametrize("bursts", [1, 3])
-def test_one_wrong_clock_among_others_does_not_stop_nights(wrong, cars, bursts):
-    stamps = days(cars, wrong=wrong, bursts=bursts)
-    rows = found(stamps)
-    right = np.sort(days(1))
-    for day in range(1, 6):
-        midnight = MIDNIGHT + DAY * day
-        at = [
-            row
-            for row in rows
-            if midnight - 0.7 * DAY <= right[min(row // (cars * bursts), len(right) - 1)] < midnight + DAY
-        ]
-        assert at, (day, rows)
+def test_ten_thousand_cars_have_one_night_a_day_as_soon_as_most_are_in_it():
+    assert after_midnight(*(sent(car, period=7200.0) for car in range(10_000))).max() < 2.1 * 7200.0
 
 
-@given(st.lists(st.integers(0, 2880), max_size=8), st.sampled_from([0.0, YEAR, -YEAR, 2.5 * DAY]))
-def test_any_chunking_gives_the_same_nights(cuts, wrong):
-    stamps = days(wrong=wrong)
-    assert found(stamps, cuts) == found(stamps)
+@pytest.mark.parametrize("awake", [1, 3, 30])
+def test_when_only_a_few_drive_at_midnight_the_night_falls_with_their_samples(awake):
+    resting = [sent(car, days=0.4, period=60.0) for car in range(awake, 2000)]
+    late = after_midnight(*resting, *(sent(car, days=3.0, period=10.0) for car in range(awake)))
+    assert late.max() <= 10.0 * max(LATELY[0] / awake, 2.0)
 
 
-@given(st.lists(st.floats(-1e10, 1e12), max_size=40), st.lists(st.integers(0, 40), max_size=5))
-def test_any_stamps_have_nights_in_order_and_within_them(stamps, cuts):
-    stamps = np.array(stamps)
-    rows = found(stamps)
+@pytest.mark.parametrize("wrong", [YEAR, 30.0 * YEAR, 3.0 * DAY, -3.0 * DAY, -YEAR])
+@pytest.mark.parametrize("fellows", [1, 2, 9])
+@pytest.mark.parametrize(("size", "often"), [(1, 1), (2, 1), (500, 1), (1, 10), (7, 10)])
+def test_one_wrong_clock_moves_no_night_however_often_it_speaks(wrong, fellows, size, often):
+    others = [sent(car, period=60.0) for car in range(fellows)]
+    wild = sent(fellows, period=60.0 / often, wrong=wrong, size=size, since=1800.0)
+    assert after_midnight(*others, wild).max() <= 180.0
+
+
+@pytest.mark.parametrize("wrong", [1.2 * DAY, 0.7 * DAY, -0.7 * DAY, -1.2 * DAY])
+@pytest.mark.parametrize(("size", "often"), [(1, 1), (2, 1), (7, 10)])
+def test_a_clock_that_is_wrong_by_hours_moves_no_night_of_several_cars(wrong, size, often):
+    others = [sent(car, period=60.0) for car in range(3)]
+    wild = sent(3, period=60.0 / often, wrong=wrong, size=size, since=1800.0)
+    assert after_midnight(*others, wild).max() <= 180.0
+
+
+def test_long_lists_of_a_clock_that_is_ahead_by_hours_make_nights_early_but_no_more_of_them():
+    others = [sent(car, period=60.0) for car in range(9)]
+    _, lane, stamp = stream(*others, sent(9, period=60.0, wrong=0.7 * DAY, size=500, since=1800.0))
+    assert len(found(lane, stamp)) == 1 + 4  # it comes to the fourth midnight before the end
+
+
+@pytest.mark.parametrize("wrong", [ROLLOVER, -ROLLOVER, 3.0 * DAY])
+@pytest.mark.parametrize("cars", [3, 30, 1500])
+def test_a_third_of_wrong_clocks_moves_no_night(wrong, cars):
+    period = 60.0 if cars < 1000 else 900.0
+    time, lane, stamp = stream(*(sent(car, period=period, wrong=wrong * (car % 3 == 2)) for car in range(cars)))
+    at = time[found(lane, stamp)]
+    assert (at[at > NOON + 3600.0] % DAY).max() <= 2.1 * period
+    assert np.floor(at[at > NOON + 3600.0] / DAY).tolist() == [19_000.0, 19_001.0, 19_002.0]
+
+
+def test_one_car_of_two_without_a_clock_hides_no_night():
+    assert after_midnight(sent(0), sent(1, wrong=np.nan)).max() <= 1200.0
+
+
+def test_a_single_glitch_of_every_car_says_nothing():
+    time, lane, stamp = stream(*(sent(car) for car in range(4)))
+    stamp = stamp + YEAR * ((np.arange(len(stamp)) // 4) % 5 == 2)
+    at = time[found(lane, stamp)]
+    assert np.floor(at[1:] / DAY).tolist() == [19_000.0, 19_001.0, 19_002.0]
+
+
+@pytest.mark.parametrize("wrong", [3.0 * DAY, YEAR])
+def test_a_calendar_that_was_put_forward_is_put_back_by_most_of_those_who_speak(wrong):
+    calendar = Calendar()
+    found(*stream(*(sent(car, days=0.2, wrong=wrong) for car in range(3)))[1:], calendar=calendar)
+    time, lane, stamp = stream(*(sent(car, since=0.2 * DAY) for car in range(3)))
+    at = time[found(lane, stamp, calendar=calendar)]
+    assert at[0] <= time[0] + 1200.0
+    assert np.floor(at[1:] / DAY).tolist() == [19_000.0, 19_001.0, 19_002.0]
+
+
+def test_after_days_of_rest_there_is_one_night():
+    _, lane, stamp = stream(
+        *(sent(car, days=0.3) for car in range(4)), *(sent(car, since=5.7 * DAY, days=6) for car in range(4))
+    )
+    assert len(found(lane, stamp)) == 2
+
+
+@cache
+def several():
+    """Return a fleet some of whose clocks are wrong, one of which sends lists."""
+    cars = [sent(car, wrong=wrong) for car, wrong in enumerate((0.0, YEAR, 0.4 * DAY, -3.0 * DAY, 1.1 * DAY))]
+    return stream(*cars, sent(5, wrong=-YEAR, size=40))[1:]
+
+
+@given(st.lists(st.integers(0, 2592), max_size=8))
+def test_any_chunking_gives_the_same_nights(cuts):
+    lane, stamp = several()
+    assert found(lane, stamp, cuts) == found(lane, stamp)
+
+
+samples = st.tuples(st.integers(0, 4), st.sampled_from([0.0, np.nan, *(MIDNIGHT + DAY * np.arange(-4.0, 5.0)), 4.2e9]))
+
+
+@given(st.lists(samples, max_size=40), st.lists(st.integers(0, 40), max_size=5))
+def test_any_stamps_have_nights_in_order_whatever_the_cuts_and_what_is_kept(stamps, cuts):
+    lane, stamp = np.array([car for car, _ in stamps], np.int64), np.array([stamp for _, stamp in stamps])
+    rows = found(lane, stamp)
     assert rows == sorted(set(rows))
     assert all(0 < row < len(stamps) for row in rows)
-    assert found(stamps, [cut for cut in cuts if cut <= len(stamps)]) == rows
-
-
-def test_what_was_dumped_goes_on_as_if_nothing_had_happened():
-    stamps = days()
-    one, other = Calendar(), Calendar()
-    one.nights(stamps[:300])
+    assert found(lane, stamp, [cut for cut in cuts if cut <= len(stamps)]) == rows
+    one, other, half = Calendar(), Calendar(), len(lane) // 2
+    before = one.nights(lane[:half], stamp[:half])
     other.load(one.dump())
-    assert one.nights(stamps[300:]) == other.nights(stamps[300:])
+    rest = other.nights(lane[half:], stamp[half:])
+    assert before + [half + row for row in rest] == rows
+    assert one.nights(lane[half:], stamp[half:]) == rest
+    assert one.dump() == other.dump()
+
+
+def test_the_counts_that_are_kept_are_those_of_the_newest_samples():
+    """What is counted as samples come and go is what the newest of them are, also after the ring is full."""
+    rng = np.random.default_rng(1)
+    lane, calendar = rng.integers(0, 5000, 5 * LATELY[1]) // rng.integers(1, 5000, 5 * LATELY[1]), Calendar()
+    calendar.nights(lane, MIDNIGHT + DAY * rng.integers(-4, 5, len(lane)))
+    again = Calendar()
+    again.load(calendar.dump())
+    assert np.array_equal(again._heard, calendar._heard)
+    assert np.array_equal(again._said, calendar._said)
+    assert again._heard.sum(axis=0).tolist() == list(LATELY)

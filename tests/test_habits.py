@@ -4,14 +4,16 @@ from functools import cache
 
 import numpy as np
 import pytest
-from conftest import leaf, observed, telemetry
-from fleet_days import CAPACITY, LEGS, RIDE, SETTINGS, again, columns, shift
+from conftest import leaf, observed
+from fleet_days import CAPACITY, LEG, LEGS, RIDE, SETTINGS, again, columns, night, shift
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.ahead.expected import PACES, TEMPERATURES, tents
+from core.ahead.expected import PACES, STEEPEST, TEMPERATURES, tents
 from core.ahead.habits import LEAST_RIDES, Habits
+from core.ahead.tabulated import fitted
 from core.pipeline import Pipeline
+from core.sums import AMOUNTS, EDGES, Totals
 
 MODEL = "nissan-leaf-2013"
 COLD = {-15.0: 1.4, 0.0: 1.2, 15.0: 1.0}
@@ -28,7 +30,7 @@ def taught(planted: str = "cold", rides: int = 12 * 3 * LEGS) -> Pipeline:
             if driven < rides:
                 pipeline.push([m for _, m in shift(car, day, told(car, day, planted, list(COLD)[(day + number) % 3]))])
                 driven += LEGS
-    pipeline.push(telemetry({name: values[:3] for name, values in columns("c", 13).items()}, "c"))
+    pipeline.push(night(13, "c"))
     return pipeline
 
 
@@ -58,10 +60,10 @@ def test_more_kilometres_take_more(km, longer):
 
 
 @given(st.floats(0.0, 50.0), st.floats(0.0, 86_400.0), st.floats(0.0, 500.0), st.floats(0.0, 500.0))
-def test_no_leg_gives_energy_back_and_all_are_known(km, seconds, gained, lost):
+def test_no_leg_gives_back_more_than_its_descent_and_all_are_known(km, seconds, gained, lost):
     found = energy(km, seconds, gained, lost)
     assert np.isfinite(found).all()
-    assert (found >= 0.0).all()
+    assert (found >= min(tables().down, 0.0) * min(lost, STEEPEST * km)).all()
 
 
 def test_where_rides_took_more_in_the_cold_legs_do():
@@ -115,7 +117,7 @@ def test_a_leg_of_standing_takes_what_standing_takes():
 def test_nothing_is_expected_of_a_model_with_few_rides_nor_before_the_night():
     assert taught(rides=LEAST_RIDES + 2 * LEGS).foresight.lessons.tables(0) is not None
     few = taught(rides=LEAST_RIDES - LEGS)
-    assert few.foresight.lessons.habits._count[MODEL] < LEAST_RIDES
+    assert few.foresight.lessons.habits._sums[MODEL].counts[0] < LEAST_RIDES
     assert few.foresight.lessons.tables(0) is None
     today = Pipeline(settings=SETTINGS)
     today.push([leaf("c"), *(m for number in range(6) for _, m in shift("c", 0, columns("c", number) | times()))])
@@ -136,10 +138,57 @@ def test_tents_share_every_value_between_its_two_neighbours(values):
     assert weights @ TEMPERATURES == pytest.approx(np.clip(values, TEMPERATURES[0], TEMPERATURES[-1]))
 
 
-def test_what_was_dumped_settles_to_the_same():
+def test_what_was_dumped_is_there_again_and_settles_to_the_same():
     pipeline = taught()
     lessons = pipeline.foresight.lessons
     other = Habits(pipeline.ledger.width)
     other.load(lessons.habits.dump())
+    assert repr(other.tables) == repr(lessons.habits.tables)
     other.settle(pipeline.model, pipeline.cars, [effect.name for effect in pipeline.effects])
     assert repr(other.tables) == repr(lessons.habits.tables)
+
+
+def driven(known, rides, rng):
+    """Return rides as `Habits` takes them, and what they took by `known` tables, read with a little noise. [kWh]"""
+    km, pace = rng.uniform(0.5, 8.0, rides), np.exp(rng.normal(np.log(5.0), 0.5, rides))
+    celsius, gained, lost = rng.uniform(-20.0, 30.0, rides), *rng.uniform(0.0, 60.0, (2, rides))
+    energies = known.legs(km, 60.0 * pace * km, gained, lost)
+    used = (energies * tents(celsius, TEMPERATURES)).sum(axis=1) + rng.normal(0.0, 0.02, rides)
+    amounts = np.zeros((rides, len(AMOUNTS)))
+    ambient = (celsius + 273.15) * 60.0 * pace * km
+    told = {"duration": 60.0 * pace * km, "distance": 1000.0 * km, "gained": gained, "lost": lost, "ambient": ambient}
+    for name, values in told.items():
+        amounts[:, AMOUNTS.index(name)] = values
+    none, edges = np.zeros(rides, np.int64), np.zeros((rides, len(EDGES)))
+    return Totals(none, none, none, none, amounts, edges, edges, np.zeros((rides, 1))), used
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_rides_took_is_told_apart_at_every_pace_and_temperature_though_averages_blur_it(seed):
+    rng = np.random.default_rng(seed)
+    truth = tables()._replace(per_km=rng.uniform(0.15, 0.3, (len(PACES), len(TEMPERATURES))), up=0.006, down=-0.004)
+    blurred = truth._replace(per_km=np.full_like(truth.per_km, truth.per_km.mean()), up=0.004, start=0.02)
+    rides, used = driven(truth, 6000, rng)
+    habits = Habits(len(AMOUNTS))
+    habits.tables = {MODEL: blurred}
+    habits.ridden([MODEL] * len(used), rides, np.full(len(used), np.nan), used)
+    found = fitted(blurred, habits._sums[MODEL].equations)
+    inside = np.ix_((PACES > 2.0) & (PACES < 10.0), (TEMPERATURES > -20.0) & (TEMPERATURES < 30.0))
+    off = [np.abs(known.per_km / truth.per_km - 1.0)[inside].max() for known in (blurred, found)]
+    assert off[0] > 0.2
+    assert off[1] < 0.06
+    assert (found.up, found.down) == pytest.approx((0.006, -0.004), abs=5e-4)
+    assert found.start == pytest.approx(truth.start, abs=0.004)
+
+
+def test_a_ride_that_waited_tells_of_no_pace():
+    rides, used = driven(tables(), 1, np.random.default_rng(0))
+    rides.amounts[0, AMOUNTS.index("duration")] = 3600.0 * 8.0
+    habits = Habits(len(AMOUNTS))
+    habits.ridden([MODEL], rides, used, used)
+    assert not habits._sums[MODEL].rides.any()
+    assert habits._sums[MODEL].counts[0] == 1.0
+
+
+def test_a_rest_lasts_as_long_as_rests_did():
+    assert tables("nothing").pause == pytest.approx((LEG - RIDE) / 3600.0, rel=0.2)

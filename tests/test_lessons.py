@@ -1,48 +1,43 @@
-"""What is gathered through the day takes effect overnight, and only what can be learned from is gathered."""
+"""What is learned through the day takes effect overnight, and only what can be learned from is learned from."""
 
 import numpy as np
 import pytest
 from conftest import telemetry, told
-from fleet_days import CARS, DAYS, LEG, LEGS, PERIOD, RIDE, again, columns, days, forecasts, plan, shift
+from fleet_days import CARS, DAYS, LEG, LEGS, PERIOD, RIDE, again, columns, days, forecasts, night, plan, shift
 
 from core.ahead.conformal import LEAST
 from core.ahead.habits import LEAST_RIDES
 from core.ahead.lessons import Lessons
+from core.ahead.scales import code_of
 from core.sums import AMOUNTS
 
 
-def night(pipeline, day):
-    """Let a night fall: two samples of another day."""
-    sent = {name: values[:2] for name, values in columns("f", day).items()}
-    sent["ride_id"][:] = None
-    pipeline.push(telemetry(sent, "f"))
-    return pipeline.foresight.lessons
+def counted(lessons):
+    """Return how many rides were learned from, and how many rests."""
+    return sum(own.counts for own in lessons.habits._sums.values()).tolist()
 
 
-def gathered(lessons):
-    return len(lessons._rides), len(lessons._rests), len(lessons._judged), len(lessons._took), len(lessons._went)
-
-
-def state(lessons):
-    learned, _, _, prior, shifts = lessons.dump()
-    return repr((learned, prior, shifts))
+def effective(lessons):
+    """Return what forecasts read."""
+    conformal = lessons.conformal.table.tolist(), lessons.conformal.bounds.tolist()
+    read = lessons.prior.tolist(), lessons._shifts.tolist(), lessons.lean.factor.tolist()
+    return repr((lessons.habits.tables, conformal, read))
 
 
 def test_what_a_day_teaches_takes_effect_overnight_and_only_once():
     pipeline = again()
-    before, tables = state(pipeline.foresight.lessons), pipeline.foresight.lessons.tables(2)
-    pipeline.push(days([DAYS], "abcde"))
     lessons = pipeline.foresight.lessons
-    assert state(lessons) == before
+    before, tables, known = effective(lessons), lessons.tables(2), counted(lessons)
+    pipeline.push(days([DAYS], "abcde"))
+    assert effective(lessons) == before
     assert lessons.tables(2) is tables
-    assert gathered(lessons)[0] >= 5 * (LEGS - 1)
-    night(pipeline, DAYS + 1)
-    assert state(lessons) != before
-    assert gathered(lessons)[0] == 0
+    assert counted(lessons)[0] >= known[0] + 5 * (LEGS - 1)
+    pipeline.push(night(DAYS + 1))
+    assert effective(lessons) != before
     lessons.overnight()
-    once = state(lessons)
+    once = repr(lessons.dump())
     lessons.overnight()
-    assert state(lessons) == once
+    assert repr(lessons.dump()) == once
 
 
 def test_forecasts_of_a_day_rest_on_the_nights_before_it():
@@ -64,21 +59,29 @@ def test_nothing_is_expected_before_enough_rides_and_no_interval_before_enough_s
 
 
 def test_of_charging_and_of_silence_nothing_is_learned():
-    def rests(change):
+    def rested(change):
+        """Return how many rests were learned from, and for how long."""
         pipeline, sent = again(), columns("d", DAYS)
         passed = sent["time_s"] - sent["time_s"][0]
         mine = np.flatnonzero((passed >= RIDE) & (passed < LEG))
         sent = change(sent, mine[3:-3])
+        before = rests(pipeline.foresight.lessons)
         pipeline.push([m for _, m in shift("d", DAYS, sent)])
-        return [row[1][AMOUNTS.index("duration")] for row in pipeline.foresight.lessons._rests]
+        return rests(pipeline.foresight.lessons) - before
 
-    plain = rests(lambda sent, _: sent)
-    plugged = rests(lambda sent, rows: sent | {"charging": np.isin(np.arange(len(sent["time_s"])), rows)})
-    silent = rests(lambda sent, rows: late(sent, rows[-1], 1200.0))
-    assert len(plain) == LEGS  # one of them the evening before's
-    assert len(plugged) == LEGS - 1
-    assert sum(silent) < sum(plain)
-    assert max(silent) == max(plain)
+    plain = rested(lambda sent, _: sent)
+    plugged = rested(lambda sent, rows: sent | {"charging": np.isin(np.arange(len(sent["time_s"])), rows)})
+    silent = rested(lambda sent, rows: late(sent, rows[-1], 1200.0))
+    assert plain[0] == LEGS  # one of them the evening before's
+    assert plugged[0] == LEGS - 1
+    assert plain[1] - plugged[1] == pytest.approx(LEG - RIDE, abs=2.0 * PERIOD)
+    assert silent[1] < plain[1]
+
+
+def rests(lessons):
+    """Return how many rests were learned from, and their time together. [s]"""
+    sums = lessons.habits._sums.values()
+    return np.array([counted(lessons)[1], sum(own.rests[:, AMOUNTS.index("duration")].sum() for own in sums)])
 
 
 def late(sent, at, seconds):
@@ -87,17 +90,14 @@ def late(sent, at, seconds):
     return sent | {"time_s": sent["time_s"] + seconds * after, "seq": sent["seq"] + int(seconds / PERIOD) * after}
 
 
-def test_a_ride_that_is_unfit_is_not_gathered_and_one_that_is_long_is():
-    pipeline, sent = again(), columns("d", DAYS)
-    sent["ride_id"][:] = "all day"
-    sent["ride_id"][-1] = None
-    pipeline.push([m for _, m in shift("d", DAYS, sent)])
-    assert gathered(pipeline.foresight.lessons)[0] in {0, 1}
-    short = columns("e", DAYS)
-    short["speed_kmh"][:] = 0.5
-    before = gathered(pipeline.foresight.lessons)[0]
-    pipeline.push([m for _, m in shift("e", DAYS, short)])
-    assert gathered(pipeline.foresight.lessons)[0] == before
+def test_a_ride_that_is_unfit_is_not_learned_from():
+    pipeline, slow = again(), columns("e", DAYS)
+    slow["speed_kmh"][:] = 0.5
+    before = counted(pipeline.foresight.lessons)[0]
+    pipeline.push([m for _, m in shift("e", DAYS, slow)])
+    assert counted(pipeline.foresight.lessons)[0] == before
+    pipeline.push([m for _, m in shift("d", DAYS)])
+    assert counted(pipeline.foresight.lessons)[0] >= before + LEGS - 1
 
 
 def test_what_is_pending_survives_a_dump():
@@ -108,17 +108,18 @@ def test_what_is_pending_survives_a_dump():
     other = Lessons(pipeline.model, pipeline.cars, pipeline._effect_names, pipeline.settings, pipeline.ledger.width)
     other.load(lessons.dump())
     assert repr(other.dump()) == repr(lessons.dump())
+    assert effective(other) == effective(lessons)
     for each in (lessons, other):
         each.overnight()
     assert repr(other.dump()) == repr(lessons.dump())
-    assert repr(other.habits.tables) == repr(lessons.habits.tables)
+    assert effective(other) == effective(lessons)
 
 
 def test_a_driver_who_is_known_makes_the_forecast_another():
     pipeline = again()
     for _ in range(30):
-        pipeline.foresight.lessons.scales.learn(90, "heavy", 20.0, 26.0, 24.0)
-        pipeline.foresight.lessons.scales.learn(90, "other", 20.0, 20.0, 24.0)
+        pipeline.foresight.lessons.scales.learn(90, code_of("heavy"), 20.0, 26.0, 24.0)
+        pipeline.foresight.lessons.scales.learn(90, code_of("other"), 20.0, 20.0, 24.0)
     kept = pipeline.snapshot()
     found = {}
     for name in ("heavy", "other", None):

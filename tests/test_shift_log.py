@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.ahead.shift_log import LAST_S, NOTE_S, Note, ShiftLog, judged
+from core.ahead.conformal import Conformal
+from core.ahead.shift_log import LAST_S, NOTE_S, Lean, Note, ShiftLog, judged
 
 END = 7200.0
 
@@ -21,7 +22,7 @@ def noted(times, end=END, **of):
     for time in times:
         if log.due(np.array([0]), np.array([time]))[0]:
             log.note(0, note(time, end, **of))
-    return log, [each.time for each in log._notes.get(0, [])]
+    return log, log.notes(0)[:, 0].tolist()
 
 
 def test_a_forecast_is_noted_every_ten_minutes_and_once_at_the_end():
@@ -52,16 +53,54 @@ def test_a_shift_that_breaks_off_is_held_against_the_last_charge():
 
 @given(st.floats(-100.0, 8000.0), st.lists(st.floats(0.0, END), min_size=1, max_size=20))
 def test_only_forecasts_after_the_last_charge_are_judged(charged, times):
-    found = judged([note(time) for time in sorted(times)], 0.5, charged)
+    found = judged(np.array([note(time) for time in sorted(times)]), 0.5, charged)
     assert sum(len(errors.scores) for errors in found) == sum(time > charged for time in times)
 
 
 def test_where_no_charge_is_known_nothing_is_judged():
-    assert judged([note(0.0)], np.nan, np.nan) == []
+    assert judged(np.array([note(0.0)]), np.nan, np.nan) == []
+
+
+def shifts_to_empty(rng, lean, began, foretold, taken, n=300):
+    """Yield forecasts of shifts of a fleet that often runs empty, and what was left of each; the car stops there."""
+    for energy, error in zip(rng.uniform(*foretold, n), rng.normal(size=n), strict=True):
+        mean, sd = began - lean * energy, 0.1 * energy
+        left = max(began - taken * energy - sd * error, 0.0)
+        yield Note(0.0, END, 0, 10.0, 15.0, mean, sd, began, lean), left
+
+
+@pytest.mark.parametrize("foretold", [(0.2, 1.0), (0.5, 2.0)], ids=["some empty", "most empty"])
+def test_of_cars_that_run_empty_the_errors_are_learned_as_of_others(foretold):
+    """The battery that ends at nothing would have ended below: that is no error of who foretold it."""
+    rng, conformal = np.random.default_rng(5), Conformal()
+    for note_, left in shifts_to_empty(rng, 1.0, 0.7, foretold, 1.0, 1000):
+        for errors in judged(np.array([note_]), left, np.nan):
+            conformal.learn(*errors[:4])
+    conformal.settle()
+    _, low, high = conformal.quantiles(np.array([0]), np.array([10.0]), np.array([15.0]))[1][0]
+    assert -1.645 - 0.35 < low < -1.0  # errors below are cut off where the battery is empty
+    assert high == pytest.approx(1.645, abs=0.35)
+    inside = {True: [], False: []}
+    for note_, left in shifts_to_empty(rng, 1.0, 0.7, foretold, 1.0, 4000):
+        low_end, high_end = (max(note_.mean + note_.sd * bound, 0.0) for bound in (low, high))
+        inside[note_.mean >= 0.0].append(low_end <= left <= high_end)
+    assert np.mean(inside[True]) == pytest.approx(0.9, abs=0.04)
+    assert np.mean(inside[False]) > 0.9
+
+
+@pytest.mark.parametrize("taken", [0.85, 1.0, 1.2])
+def test_what_forecasts_are_short_by_is_found_where_cars_run_empty(taken):
+    rng, lean = np.random.default_rng(6), Lean()
+    for _ in range(20):
+        for note_, left in shifts_to_empty(rng, float(lean.factor[0]), 0.7, (0.3, 1.5), taken):
+            for errors in judged(np.array([note_]), left, np.nan):
+                lean.learn(errors)
+        lean.settle()
+    assert lean.factor[0] == pytest.approx(taken, abs=0.025)
 
 
 def test_forecasts_by_plan_and_by_habit_are_judged_apart():
-    found = judged([note(0.0), note(600.0, kind=1, mean=0.4), note(1200.0)], 0.5, np.nan)
+    found = judged(np.array([note(0.0), note(600.0, kind=1, mean=0.4), note(1200.0)]), 0.5, np.nan)
     assert [(errors.kind, len(errors.scores)) for errors in found] == [(0, 2), (1, 1)]
     assert found[1].scores == pytest.approx([5.0])
 

@@ -35,7 +35,7 @@ PACE: Final = 0.02
 """By how much a bound's probability moves with each shift that is outside of it, or 1/19 of that where it is inside."""
 FARTHEST: Final = -0.045, 0.05
 """How far a bound's probability may move for a class of distance, and again for one of temperature."""
-MOST: Final = 0.12
+MOST_OUTSIDE: Final = 0.12
 """Largest probability of a bound, from its own end."""
 ENOUGH: Final = 50
 """Shifts that a class of its own takes; with fewer it borrows from its neighbours."""
@@ -60,7 +60,7 @@ class Conformal:
 
     def __init__(self, kinds: int = 2) -> None:
         self.shape = kinds, len(DISTANCES), len(TEMPERATURES)
-        self._scores: dict[tuple[int, ...], deque[tuple[float, ...]]] = {}
+        self._scores: dict[tuple[int, ...], deque[Floats]] = {}
         self.table = np.full((*self.shape, len(LEVELS)), np.nan)
         self.bounds = np.full((*self.shape, 2), np.nan)
         self._moved = np.zeros((*self.shape[:2], 2)), np.zeros((self.shape[0], self.shape[2], 2))
@@ -75,7 +75,7 @@ class Conformal:
                 missed = np.array([np.mean(mine < low), np.mean(mine > high)])
                 for moved, which in zip(self._moved, place, strict=True):
                     moved[kind, which] = np.clip(moved[kind, which] + PACE * (BOUNDS[0] - missed), *FARTHEST)
-            self._scores.setdefault((kind, *place), deque(maxlen=KEPT)).append(tuple(mine.tolist()))
+            self._scores.setdefault((kind, *place), deque(maxlen=KEPT)).append(mine)
 
     def settle(self) -> None:
         """Make quantiles of all that was remembered."""
@@ -83,7 +83,7 @@ class Conformal:
             shifts = self._near(place)
             kind, distance, temperature = place
             moved = self._moved[0][kind, distance] + self._moved[1][kind, temperature]
-            below, above = np.clip(BOUNDS[0] + moved, LEVELS[0], MOST).tolist()
+            below, above = np.clip(BOUNDS[0] + moved, LEVELS[0], MOST_OUTSIDE).tolist()
             found = np.full(len(LEVELS) + 2, np.nan)
             if len(shifts) >= LEAST:
                 found = quantiles(shifts, (*LEVELS, below, 1.0 - above))
@@ -99,21 +99,21 @@ class Conformal:
         return np.asarray(self.table[place]), np.column_stack([np.clip(0.0, low, high), low, high])
 
     def dump(self) -> Any:
-        """Return the state as plain lists."""
-        scores = [[list(place), [list(s) for s in shifts]] for place, shifts in self._scores.items()]
+        """Return the state as plain values."""
+        scores = [(place, [shift.tobytes() for shift in shifts]) for place, shifts in self._scores.items()]
         return scores, self.table.tolist(), self.bounds.tolist(), *(moved.tolist() for moved in self._moved)
 
     def load(self, state: Any) -> None:
         """Take up a state that `dump` returned."""
         scores, *tables = state
-        self._scores = {tuple(place): deque(map(tuple, shifts), maxlen=KEPT) for place, shifts in scores}
+        self._scores = {tuple(place): deque(map(np.frombuffer, shifts), maxlen=KEPT) for place, shifts in scores}
         self.table, self.bounds, *moved = (np.array(table, dtype=np.float64) for table in tables)
         self._moved = moved[0], moved[1]
 
-    def _near(self, place: tuple[int, ...]) -> list[tuple[float, ...]]:
+    def _near(self, place: tuple[int, ...]) -> list[Floats]:
         """Return the shifts of a class; of those around it too, the nearest first, until there are enough."""
         kind, *own = place
-        found: list[tuple[float, ...]] = []
+        found: list[Floats] = []
         for d, t in around(*own):
             if len(found) >= ENOUGH:
                 break
@@ -153,7 +153,7 @@ def agreeing(table: Floats, low: float, high: float) -> Floats:
     return np.asarray(out)
 
 
-def quantiles(shifts: Sequence[Sequence[float]], levels: Sequence[float]) -> Floats:
+def quantiles(shifts: Sequence[Sequence[float] | Floats], levels: Sequence[float]) -> Floats:
     """Return the quantiles of the scores of shifts, each shift counting as one whatever its number of scores.
 
     The outer ones are further out by as much as so few shifts ask for, so that the next one is inside as often as said.
@@ -163,8 +163,8 @@ def quantiles(shifts: Sequence[Sequence[float]], levels: Sequence[float]) -> Flo
     >>> quantiles([(float(i),) for i in range(-50, 51)], BOUNDS).round(1).tolist()
     [-45.9, 45.9]
     """
-    scores = np.array([score for shift in shifts for score in shift])
-    weight = np.array([1.0 / len(shift) for shift in shifts for _ in shift])
+    scores, sizes = np.concatenate(shifts), np.array([len(shift) for shift in shifts])
+    weight = np.repeat(1.0 / sizes, sizes)
     order = np.argsort(scores, kind="stable")
     count = float(len(shifts))
     at = (np.cumsum(weight[order]) - 0.5 * weight[order]) / count

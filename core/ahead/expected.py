@@ -17,6 +17,28 @@ TEMPERATURES: Final = np.array([-25.0, -15.0, -7.0, 0.0, 7.0, 14.0, 21.0, 28.0, 
 """[°C]"""
 TYPICAL_KM: Final = 4.0
 """A ride of usual length. [km]"""
+REGAINED: Final = 0.6
+"""Share that comes back into the battery of what a descent has beyond what the way takes. Estimated."""
+STEEPEST: Final = 300.0
+"""Descent that a leg can have; what is told beyond it gives nothing back. [m/km]"""
+
+
+class Terms(NamedTuple):
+    """What the energy of n legs is a sum of.
+
+    Parameters
+    ----------
+    km : (n, paces) float
+        Of each pace.
+    waiting : (n,) float
+        Time beyond the slowest. [h]
+    extras : (n, 3) float
+        What `up`, `down` and `start` go with.
+    """
+
+    km: Floats
+    waiting: Floats
+    extras: Floats
 
 
 class Tables(NamedTuple):
@@ -42,6 +64,8 @@ class Tables(NamedTuple):
         Energy of rides and rests together, over the kilometres of rides. [kWh/km]
     all_power : (temperatures,) float
         The same over the hours of both. [kW]
+    pause : float
+        Time of a rest, on average. [h]
     """
 
     per_km: Floats
@@ -58,29 +82,36 @@ class Tables(NamedTuple):
     resting_power: Floats
     all_per_km: Floats
     all_power: Floats
+    pause: float
 
-    def legs(self, km: Floats, seconds: Floats, gained: Floats, lost: Floats) -> Floats:
+    def legs(self, km: Floats, seconds: Floats, gained: Floats, lost: Floats, *, begun: bool = False) -> Floats:
         """Return the energy of legs at each temperature, (legs, temperatures). [kWh]
+
+        Below zero where a descent gives back more than the way takes, but never more than the descent itself gives.
 
         Parameters
         ----------
         km, seconds : (legs,) float
         gained, lost : (legs,) float
             NaN stands for as much as is usual. [m]
+        begun : bool
+            Of legs whose ride has begun: what a ride adds however short is past. Half of such a leg takes half as much.
         """
-        plain, extras = self.parts(km, seconds, gained, lost)
-        more = extras @ np.array([self.up, self.down, self.start])
-        return np.asarray(np.maximum(plain + more[:, np.newaxis], 0.0))
+        terms = self.terms(km, seconds, gained, lost)
+        terms.extras[:, 2] -= begun
+        plain = terms.km @ self.per_km + np.outer(terms.waiting, self.standing)
+        taken = plain + (terms.extras @ np.array([self.up, self.down, self.start]))[:, np.newaxis]
+        least = np.minimum(self.down, 0.0) * np.minimum(np.nan_to_num(lost, nan=0.0), STEEPEST * km)
+        return np.asarray(np.maximum(np.maximum(taken, REGAINED * taken), least[:, np.newaxis]))
 
-    def parts(self, km: Floats, seconds: Floats, gained: Floats, lost: Floats) -> tuple[Floats, Floats]:
-        """Return the energy of plain legs, (legs, temperatures), and what `up`, `down`, `start` go with, (legs, 3)."""
+    def terms(self, km: Floats, seconds: Floats, gained: Floats, lost: Floats) -> Terms:
+        """Return what the energy of legs is a sum of; NaN stands for climbs as usual."""
         minutes = seconds / 60.0
         weights = tents(np.divide(minutes, km, out=np.full(len(km), PACES[-1]), where=km > 0.0), PACES)
-        waiting = np.maximum(minutes - PACES[-1] * km, 0.0) / 60.0
         more = np.nan_to_num(gained - weights @ self.climbed_per_km * km, nan=0.0)
         less = np.nan_to_num(lost - weights @ self.descended_per_km * km, nan=0.0)
-        driving = weights @ self.per_km * km[:, np.newaxis]
-        return driving + np.outer(waiting, self.standing), np.column_stack([more, less, 1.0 - km / TYPICAL_KM])
+        waiting = np.maximum(minutes - PACES[-1] * km, 0.0) / 60.0
+        return Terms(weights * km[:, np.newaxis], waiting, np.column_stack([more, less, 1.0 - km / TYPICAL_KM]))
 
 
 def tents(values: Floats, knots: Floats) -> Floats:

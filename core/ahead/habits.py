@@ -2,36 +2,65 @@
 
 Of each ride everything that is summed of it is kept, by pace and outside temperature: a ride tells of the two paces and
 the two temperatures about it, each by how near it is (bilinear weights). Beside it stands what regressions of measured
-on predicted energy are made of. What follows for a planned leg is made of these sums by `core.ahead.tabulated`.
+on predicted energy are made of, and, once there are tables, of measured energy on what they make a ride of. What
+follows for a planned leg is made of these sums by `core.ahead.tabulated`.
 """
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from core.ahead.expected import PACES, TEMPERATURES, Tables, tents
 from core.ahead.soc import NOISE
-from core.ahead.tabulated import BESIDE, CELLS, READ, Rests, tabulated, with_extras
+from core.ahead.tabulated import BESIDE, CELLS, READ, TERMS, Rests, fitted, tabulated
 from core.batch import Floats
 from core.cars import Cars
 from core.columns import ZERO_CELSIUS
 from core.models import Model
-from core.sums import AMOUNTS
+from core.sums import AMOUNTS, EDGES, Totals
 
 LEAST_RIDES: Final = 40
 """Rides of a vehicle model below which nothing is expected of it."""
 STANDING: Final = 60.0
 """A car that moved no farther in a rest stood: positions wander. [m]"""
-_DURATION: Final = AMOUNTS.index("duration")
-_DISTANCE: Final = AMOUNTS.index("distance")
-_AMBIENT: Final = AMOUNTS.index("ambient")
-_GAINED: Final = AMOUNTS.index("gained")
-_LOST: Final = AMOUNTS.index("lost")
+_LEG: Final = [AMOUNTS.index(name) for name in ("distance", "duration", "gained", "lost")]
+
+
+class Learned(NamedTuple):
+    """What was summed of a vehicle model.
+
+    Parameters
+    ----------
+    rides : (paces * temperatures, amounts and `BESIDE`) float
+    rests : (temperatures, amounts and `BESIDE`) float
+    still : (temperatures, 4) float
+        Of rests, see `core.ahead.tabulated.Rests`.
+    equations : (TERMS, TERMS + 1) float
+        Normal equations of what the terms of a ride take, see `core.ahead.tabulated.fitted`.
+    edges : (2, edges) float
+        First and last of the newest ride.
+    counts : (2,) float
+        Rides, and rests whose energy was measured.
+    """
+
+    rides: Floats
+    rests: Floats
+    still: Floats
+    equations: Floats
+    edges: Floats
+    counts: Floats
+
+    @classmethod
+    def none(cls, width: int) -> "Learned":
+        """Return what there is before the first ride of so many amounts."""
+        knots, columns = len(TEMPERATURES), width + len(BESIDE)
+        shapes = (CELLS, columns), (knots, columns), (knots, 4), (TERMS, TERMS + 1), (2, len(EDGES)), (2,)
+        return cls(*(np.zeros(shape) for shape in shapes))
 
 
 class Habits:
-    """What was summed of rides and rests, by vehicle model.
+    """What was summed of rides and rests as they ended, and the tables that were made of it the night before.
 
     Parameters
     ----------
@@ -41,83 +70,110 @@ class Habits:
 
     def __init__(self, width: int) -> None:
         self._width = width
-        self._rides: dict[str, Floats] = {}
-        self._rests: dict[str, Floats] = {}
-        self._edges: dict[str, Floats] = {}
-        self._extras: dict[str, Floats] = {}
-        self._still: dict[str, Floats] = {}
-        self._rested: dict[str, float] = {}
-        self._count: dict[str, int] = {}
+        self._sums: dict[str, Learned] = {}
         self.tables: dict[str, Tables] = {}
 
-    def ride(self, model: str, amounts: Floats, edges: Floats, predicted: float, measured: float) -> None:
-        """Learn from a ride that has ended: its amounts, its edges (2, edges), its predicted and measured energy."""
-        duration, distance = amounts[_DURATION], amounts[_DISTANCE]
-        pace, ambient = duration / 60.0 / (distance / 1000.0), amounts[_AMBIENT] / duration - ZERO_CELSIUS
-        weights = np.outer(tents(np.array([pace]), PACES)[0], tents(np.array([ambient]), TEMPERATURES)[0])
-        sums = self._rides.setdefault(model, np.zeros((CELLS, self._width + len(BESIDE))))
-        _add(sums, weights.ravel(), amounts, duration, predicted, measured)
-        if model in self.tables and np.isfinite(measured):
-            self._learn_extras(model, amounts, measured)
-        self._edges[model] = edges
-        self._count[model] = self._count.get(model, 0) + 1
+    def ridden(self, models: Sequence[str], rides: Totals, predicted: Floats, measured: Floats) -> None:
+        """Learn from rides that have ended; those that waited more than they drove tell of no pace.
 
-    def _learn_extras(self, model: str, amounts: Floats, measured: float) -> None:
-        """Learn what hills and the ride's beginning add, from what the tables of the day before leave of a ride."""
-        told = (amounts[[i]] for i in (_DISTANCE, _DURATION, _GAINED, _LOST))
-        km, seconds, gained, lost = told
-        plain, extras = self.tables[model].parts(km / 1000.0, seconds, gained, lost)
-        ambient = amounts[_AMBIENT] / amounts[_DURATION] - ZERO_CELSIUS
-        expected = float(plain[0] @ tents(np.array([ambient]), TEMPERATURES)[0])
+        Parameters
+        ----------
+        models : sequence of n str
+            Vehicle model of each.
+        rides : Totals
+            Of n rides.
+        predicted, measured : (n,) float
+            NaN where unknown. [kWh]
+        """
+        minutes, km = rides.amount("duration") / 60.0, rides.amount("distance") / 1000.0
+        pace = np.divide(minutes, km, out=np.full(len(km), np.inf), where=km > 0.0)
+        paces, driving = tents(pace, PACES), pace <= PACES[-1]
+        ambient, rows = _ambient(rides), _rows(rides, predicted, measured)
+        for i, model in enumerate(models):
+            own = self._of(model)
+            if driving[i]:
+                _add(own.rides, np.outer(paces[i], ambient[i]).ravel(), rows[i])
+            if model in self.tables and np.isfinite(measured[i]):
+                self._weigh(model, rides.amounts[i, _LEG], ambient[i], measured[i])
+            own.edges[:] = rides.first[i], rides.last[i]
+            own.counts[0] += 1.0
+
+    def _weigh(self, model: str, leg: Floats, ambient: Floats, measured: float) -> None:
+        """Add a ride to the normal equations of its terms, as the tables of the day before know them."""
+        metres, seconds, gained, lost = leg[:, np.newaxis]
+        tables = self.tables[model]
+        terms = tables.terms(metres / 1000.0, seconds, gained, lost)
+        waited = float(terms.waiting[0] * (tables.standing @ ambient))
+        cells = np.outer(terms.km[0], ambient)
+        expected = float((cells * tables.per_km).sum()) + waited
         weight = 1.0 / (NOISE**2 * max(expected, 0.0) + READ**2)
-        sums = self._extras.setdefault(model, np.zeros((3, 4)))
-        sums += weight * np.outer(extras[0], [*extras[0], measured - expected])
+        row = np.concatenate([cells.ravel(), terms.extras[0]])
+        self._sums[model].equations[:] += weight * np.outer(row, [*row, measured - waited])
 
-    def rest(self, model: str, amounts: Floats, predicted: float, measured: float) -> None:
-        """Learn from a rest that has ended."""
-        duration = amounts[_DURATION]
-        weights = tents(np.array([amounts[_AMBIENT] / duration - ZERO_CELSIUS]), TEMPERATURES)[0]
-        sums = self._rests.setdefault(model, np.zeros((len(TEMPERATURES), self._width + len(BESIDE))))
-        _add(sums, weights, amounts, duration, predicted, measured)
-        if np.isfinite(measured):
-            still = self._still.setdefault(model, np.zeros((len(TEMPERATURES), 4)))
-            stood = amounts[_DISTANCE] < STANDING
-            still += weights[:, np.newaxis] * [measured, duration / 3600.0, stood * measured, stood * duration / 3600.0]
-            self._rested[model] = self._rested.get(model, 0.0) + 1.0
+    def rested(self, models: Sequence[str], rests: Totals, predicted: Floats, measured: Floats) -> None:
+        """Learn from rests that have ended, as from rides."""
+        ambient, rows = _ambient(rests), _rows(rests, predicted, measured)
+        energies = np.column_stack([measured, rests.amount("duration") / 3600.0])
+        stood = (rests.amount("distance") < STANDING)[:, np.newaxis]
+        still = np.hstack([energies, stood * energies])
+        for i, model in enumerate(models):
+            own = self._of(model)
+            _add(own.rests, ambient[i], rows[i])
+            if np.isfinite(measured[i]):
+                _add(own.still, ambient[i], still[i])
+                own.counts[1] += 1.0
+
+    def _of(self, model: str) -> Learned:
+        """Return the sums of a vehicle model."""
+        if model not in self._sums:
+            self._sums[model] = Learned.none(self._width)
+        return self._sums[model]
 
     def settle(self, model: Model, cars: Cars, effects: Sequence[str]) -> None:
         """Make tables of all that was learned, for forecasts by this model."""
         self.tables = {}
-        for name, rides in self._rides.items():
-            if self._count[name] < LEAST_RIDES:
+        for name, own in self._sums.items():
+            if own.counts[0] < LEAST_RIDES:
                 continue
-            rests = Rests(self._rests.get(name), self._still.get(name), self._rested.get(name, 0.0))
-            found = tabulated(rides, rests, self._edges[name], model, cars, effects)
+            rests = Rests(own.rests, own.still, float(own.counts[1]))
+            found = tabulated(own.rides, rests, own.edges, model, cars, effects)
             if found is not None:
-                self.tables[name] = with_extras(found, self._extras.get(name))
+                self.tables[name] = fitted(found, own.equations)
 
     def dump(self) -> Any:
         """Return the state as plain lists."""
-        parts = [{name: sums.tolist() for name, sums in d.items()} for d in self._sums()]
-        return parts, self._count, self._rested
+        return tuple(
+            {name: [np.asarray(part).tolist() for part in parts] for name, parts in each.items()}
+            for each in (self._sums, self.tables)
+        )
 
     def load(self, state: Any) -> None:
-        """Take up a state that `dump` returned; `settle` then makes the tables."""
-        parts, self._count, self._rested = state
-        for own, each in zip(self._sums(), parts, strict=True):
-            own.clear()
-            own.update({name: np.array(values) for name, values in each.items()})
-
-    def _sums(self) -> tuple[dict[str, Floats], ...]:
-        """Return all that is summed."""
-        return self._rides, self._rests, self._edges, self._extras, self._still
+        """Take up a state that `dump` returned."""
+        sums, tables = state
+        self._sums = {name: Learned(*map(np.array, parts)) for name, parts in sums.items()}
+        self.tables = {name: _table(parts) for name, parts in tables.items()}
 
 
-def _add(sums: Floats, weights: Floats, amounts: Floats, duration: float, predicted: float, measured: float) -> None:
-    """Add a ride or rest to the sums of the cells that it tells of."""
-    beside = np.zeros(len(BESIDE))
-    if np.isfinite(predicted) and np.isfinite(measured):
-        hours, weight = duration / 3600.0, 1.0 / (NOISE**2 * max(predicted, 0.0) + READ**2)
-        products = predicted**2, predicted * hours, hours**2, predicted * measured, hours * measured
-        beside[:] = predicted, measured, hours, *(weight * product for product in products)
-    sums += weights[:, np.newaxis] * np.concatenate([np.nan_to_num(amounts), beside])
+def _table(parts: Sequence[Any]) -> Tables:
+    """Return tables that were dumped."""
+    values: list[Any] = [part if isinstance(part, float) else np.array(part) for part in parts]
+    return Tables(*values)
+
+
+def _ambient(totals: Totals) -> Floats:
+    """Return the weight of each of `TEMPERATURES` at the mean outside temperature, (n, temperatures)."""
+    return tents(totals.amount("ambient") / totals.amount("duration") - ZERO_CELSIUS, TEMPERATURES)
+
+
+def _rows(totals: Totals, predicted: Floats, measured: Floats) -> Floats:
+    """Return what is added up of each ride or rest, (n, amounts and `BESIDE`)."""
+    hours, weight = totals.amount("duration") / 3600.0, 1.0 / (NOISE**2 * np.maximum(predicted, 0.0) + READ**2)
+    products = predicted * predicted, predicted * hours, hours * hours, predicted * measured, hours * measured
+    beside = np.column_stack([predicted, measured, hours, *(weight * product for product in products)])
+    known = np.isfinite(predicted) & np.isfinite(measured)
+    return np.hstack([np.nan_to_num(totals.amounts), np.where(known[:, np.newaxis], beside, 0.0)])
+
+
+def _add(sums: Floats, weights: Floats, row: Floats) -> None:
+    """Add a row to each sum, by its weight."""
+    sums += weights[:, np.newaxis] * row

@@ -1,4 +1,4 @@
-"""What is learned of a fleet: gathered through the day, learned overnight.
+"""What is learned of a fleet: summed through the day, taken up overnight.
 
 How rides and rests go (`core.ahead.habits`), what cars and drivers take and how long and busy each car's shifts are
 (`core.ahead.scales`), how far off forecasts were (`core.ahead.conformal`) and what they were short by. All of it takes
@@ -6,7 +6,7 @@ effect when the next day begins: what a forecast rests on is a matter of the day
 moment earlier.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -34,8 +34,8 @@ LONGEST_SILENCE: Final = 60.0
 """Time that may be missing in a rest that is learned from. [s]"""
 _KNOTS: Final = len(TEMPERATURES)
 
-Row = tuple[str, Floats, Floats, float, float]
-"""Of a ride or rest: its car's model, its amounts, its edges (2, edges), predicted and measured energy [kWh]."""
+Learn = Callable[[Sequence[str], Totals, Floats, Floats], None]
+"""Takes vehicle models, totals, and energies that were predicted and measured."""
 
 
 class Lessons:
@@ -62,11 +62,7 @@ class Lessons:
         self.habits, self.scales, self.conformal, self.lean = Habits(width), Scales(), Conformal(), Lean()
         self.prior = np.zeros((0, 2))
         self._shifts = np.zeros((0, 2))
-        self._rides: list[Row] = []
-        self._rests: list[Row] = []
-        self._judged: list[Judged] = []
-        self._took: list[tuple[int, str | None, float, float, float]] = []
-        self._went: list[tuple[int, Habit]] = []
+        self._took: list[tuple[int, int | None, float, float, float]] = []
         self._usual, self._names = _stacked({})
         self._place: Ints = np.zeros(0, np.int64)
 
@@ -77,15 +73,15 @@ class Lessons:
             self._shifts = grown(self._shifts, lanes, np.nan)
 
     def rides(self, rides: Totals, predicted: Floats) -> None:
-        """Gather rides that have ended and are fit to be learned from."""
+        """Learn from rides that have ended and are fit for it."""
         if len(rides.lane):
             fit = np.array([why in TELLING for why in unfit_reason(rides, self._cars, self._settings)])
             plugged = rides.at_last("since_charge") - rides.amount("duration")
             fit &= ~(rides.at_last("parked") > SOAKED) & ~(plugged < WARMING)
-            self._gather(self._rides, rides, predicted, measured_energy(rides, self._cars)[0], fit)
+            self._learn(self.habits.ridden, rides, predicted, measured_energy(rides, self._cars)[0], fit)
 
     def rests(self, rests: Totals, predicted: Floats) -> None:
-        """Gather rests that have ended: those in which the car neither charged nor fell silent."""
+        """Learn from rests that have ended: those in which the car neither charged nor fell silent."""
         if not len(rests.lane):
             return
         duration = rests.amount("duration")
@@ -94,32 +90,28 @@ class Lessons:
         fit = whole & ~charged & (rests.at_first("time") > 0.0)
         energy = np.where(rests.amount("metered") > 0.5 * duration, measured_energy(rests, self._cars)[0], np.nan)
         by_soc = energy_by_soc(rests, self._cars)[0]
-        self._gather(self._rests, rests, predicted, np.where(np.isnan(energy), by_soc, energy), fit)
+        self._learn(self.habits.rested, rests, predicted, np.where(np.isnan(energy), by_soc, energy), fit)
 
     def judged(self, errors: Sequence[Judged]) -> None:
-        """Gather what became of forecasts."""
-        self._judged += errors
+        """Learn what became of forecasts."""
+        for each in errors:
+            self.conformal.learn(*each[:4])
+            self.lean.learn(each)
 
-    def shift(self, lane: int, took: tuple[str | None, float, float, float], habit: Habit | None) -> None:
-        """Gather a shift that has ended: its driver, what was predicted and what it took of which capacity [kWh]."""
+    def shift(self, lane: int, took: tuple[int | None, float, float, float], habit: Habit | None) -> None:
+        """Learn from a shift that has ended: its driver, what was predicted and what it took of which capacity [kWh].
+
+        What cars and drivers take waits for the night: it is read when a driver gets in.
+        """
         self._took.append((lane, *took))
         if habit is not None:
-            self._went.append((lane, habit))
+            self.scales.went(lane, habit)
 
     def overnight(self) -> None:
-        """Learn what was gathered."""
-        for row in self._rides:
-            self.habits.ride(*row)
-        for name, amounts, _, predicted, measured in self._rests:
-            self.habits.rest(name, amounts, predicted, measured)
-        for errors in self._judged:
-            self.conformal.learn(*errors[:4])
-            self.lean.learn(errors)
+        """Let all that was learned take effect."""
         for took in self._took:
             self.scales.learn(*took)
-        for lane, habit in self._went:
-            self.scales.went(lane, habit)
-        self._rides, self._rests, self._judged, self._took, self._went = [], [], [], [], []
+        self._took = []
         self._settle()
 
     def tables(self, lane: int) -> Tables | None:
@@ -162,35 +154,29 @@ class Lessons:
             self._place = np.array([self._names.get(name or "", 0) for name in names])
         return self._place[kinds]
 
-    def _gather(self, where: list[Row], totals: Totals, predicted: Floats, measured: Floats, fit: Any) -> None:
-        """Keep those rows that can be learned from."""
-        kinds = totals.at_last("kind").astype(np.int64).tolist()
-        for i in np.flatnonzero(fit & (totals.amount("duration") > 0.0)).tolist():
-            name = self._cars.name(kinds[i])
-            if name is not None:
-                edges = np.stack([totals.first[i], totals.last[i]])
-                where.append((name, totals.amounts[i].copy(), edges, float(predicted[i]), float(measured[i])))
+    def _learn(self, learn: Learn, totals: Totals, predicted: Floats, measured: Floats, fit: NDArray[np.bool_]) -> None:
+        """Learn from those rows that are fit, of cars whose model is known."""
+        names = [self._cars.name(kind) or "" for kind in totals.at_last("kind").astype(np.int64).tolist()]
+        known = np.array([name != "" for name in names])
+        which = np.flatnonzero(fit & known & (totals.amount("duration") > 0.0))
+        learn([names[i] for i in which.tolist()], totals.rows(which), predicted[which], measured[which])
 
     def dump(self) -> Any:
         """Return the state as plain values."""
-        pending = (_plain(self._rides), _plain(self._rests), [_plain_errors(e) for e in self._judged])
         learned = self.habits.dump(), self.scales.dump(), self.conformal.dump(), self.lean.dump()
-        return learned, pending, (self._took, self._went), self.prior.tolist(), self._shifts.tolist()
+        return learned, self._took, self.prior.tobytes(), self._shifts.tobytes()
 
     def load(self, state: Any) -> None:
         """Take up a state that `dump` returned, once the cars are known."""
-        (habits, scales, conformal, lean), (rides, rests, judged), (took, went), prior, shifts = state
+        (habits, scales, conformal, lean), took, prior, shifts = state
         self.habits.load(habits)
         self.scales.load(scales)
         self.conformal.load(conformal)
         self.lean.load(lean)
-        self.habits.settle(self._model, self._cars, self._effects)
         self._usual, self._names = _stacked(self.habits.tables)
-        self._rides, self._rests = _rows(rides), _rows(rests)
-        self._judged = [Judged(kind, *(np.array(each) for each in rest)) for kind, *rest in judged]
+        self._place = np.zeros(0, np.int64)
         self._took = [tuple(each) for each in took]
-        self._went = [(lane, Habit(*habit)) for lane, habit in went]
-        self.prior, self._shifts = np.array(prior).reshape(-1, 2), np.array(shifts).reshape(-1, 2)
+        self.prior, self._shifts = (np.frombuffer(part).reshape(-1, 2).copy() for part in (prior, shifts))
 
 
 class _Stack(NamedTuple):
@@ -215,15 +201,3 @@ def _stacked(tables: Mapping[str, Tables]) -> tuple[_Stack, dict[str, int]]:
             values.append(getattr(known, name))
     names = {name: 1 + i for i, name in enumerate(tables)}
     return _Stack(*(np.array(values) for values in rows.values())), names
-
-
-def _plain(rows: Sequence[Row]) -> list[Any]:
-    return [(name, amounts.tolist(), edges.tolist(), *energies) for name, amounts, edges, *energies in rows]
-
-
-def _rows(plain: Sequence[Any]) -> list[Row]:
-    return [(name, np.array(amounts), np.array(edges), *energies) for name, amounts, edges, *energies in plain]
-
-
-def _plain_errors(errors: Judged) -> list[Any]:
-    return [errors.kind, *(values.tolist() for values in errors[1:])]

@@ -2,10 +2,13 @@
 
 Every ten minutes of a shift its forecast is noted. When the shift has ended, as planned or in silence, the errors over
 the forecasts' own standard deviations go to `core.ahead.conformal`. A forecast with a charge between it and the end is
-not held against anything: no plan tells of it.
+not held against anything: no plan tells of it. Nor is one that is below empty: cars stop there, and what they would
+have taken beyond it nobody knows. It is left out whatever became of it: to keep those that proved wrong would keep
+errors of one side.
 """
 
 from math import nan
+from struct import Struct
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -39,6 +42,12 @@ class Note(NamedTuple):
     sd: float
     soc: float = nan
     lean: float = 1.0
+
+
+_PACKED: Final = Struct(f"{len(Note._fields)}d")
+_END: Final = Note._fields.index("end")
+_KIND: Final = Note._fields.index("kind")
+_MEAN: Final = Note._fields.index("mean")
 
 
 class Judged(NamedTuple):
@@ -92,7 +101,7 @@ class ShiftLog:
     """Notes of the shifts in progress."""
 
     def __init__(self) -> None:
-        self._notes: dict[int, list[Note]] = {}
+        self._notes: dict[int, bytearray] = {}  # of each lane, `Note` after `Note`
         self._next = np.zeros(0)
         self._ends = np.zeros(0)
 
@@ -108,7 +117,7 @@ class ShiftLog:
     def note(self, lane: int, note: Note) -> None:
         """Note a forecast, unless the last one was just now."""
         if note.time >= self._next[lane] and np.isfinite(note.mean):
-            self._notes.setdefault(lane, []).append(note)
+            self._notes.setdefault(lane, bytearray()).extend(_PACKED.pack(*note))
             last = note.end - LAST_S
             self._next[lane] = min(note.time + NOTE_S, last) if last > note.time else note.time + NOTE_S
             self._ends[lane] = min(self._ends[lane], note.end)
@@ -117,35 +126,50 @@ class ShiftLog:
         """Judge the forecasts of a lane for ends up to a time by the charge that is reported then."""
         if not time >= self._ends[lane]:
             return []
-        notes = self._notes.get(lane, [])
-        over, left = [n for n in notes if n.end <= time], [n for n in notes if n.end > time]
-        self._notes[lane] = left
-        self._ends[lane] = min((n.end for n in left), default=np.inf)
-        return judged(over, soc, charged)
+        notes = self.notes(lane)
+        left = notes[notes[:, _END] > time]
+        self._notes[lane] = bytearray(left.tobytes())
+        self._ends[lane] = left[:, _END].min(initial=np.inf)
+        return judged(notes[notes[:, _END] <= time], soc, charged)
 
     def closed(self, lane: int, soc: float, charged: float) -> list[Judged]:
         """Judge what is left of a shift that is over."""
-        notes = self._notes.pop(lane, [])
+        notes = self.notes(lane)
+        self._notes.pop(lane, None)
         self._next[lane], self._ends[lane] = 0.0, np.inf
         return judged(notes, soc, charged)
 
+    def notes(self, lane: int) -> Floats:
+        """Return the notes of a lane, (n, len(Note._fields))."""
+        return np.frombuffer(bytes(self._notes.get(lane, b""))).reshape(-1, len(Note._fields))
+
     def dump(self) -> Any:
         """Return the state as plain values."""
-        return list(self._notes.items()), self._next.tolist(), self._ends.tolist()
+        return list(self._notes.items()), self._next.tobytes(), self._ends.tobytes()
 
     def load(self, state: Any) -> None:
         """Take up a state that `dump` returned."""
         notes, following, ends = state
-        self._notes = {int(lane): [Note(*note) for note in own] for lane, own in notes}
-        self._next, self._ends = np.array(following), np.array(ends)
+        self._notes = {int(lane): bytearray(own) for lane, own in notes}
+        self._next, self._ends = np.frombuffer(following).copy(), np.frombuffer(ends).copy()
 
 
-def judged(notes: list[Note], soc: float, charged: float) -> list[Judged]:
-    """Return the standardised errors of forecasts by kind, but for those before a charge."""
-    good = [note for note in notes if not charged >= note.time] if np.isfinite(soc) else []
+def judged(notes: Floats, soc: float, charged: float) -> list[Judged]:
+    """Return the standardised errors of forecasts by kind, but for those before a charge and those below empty.
+
+    Parameters
+    ----------
+    notes : (n, len(Note._fields)) float
+    soc : float
+        As it turned out. [1]
+    charged : float
+        When the car charged last; NaN for never. [s]
+    """
+    if not np.isfinite(soc):
+        return []
+    good = notes[~(charged >= notes[:, 0]) & (notes[:, _MEAN] >= 0.0)]
     out = []
-    for kind in sorted({note.kind for note in good}):
-        own = [note for note in good if note.kind == kind]
-        rows = [(n.far_km, n.ambient_c, (soc - n.mean) / n.sd, n.soc - soc, (n.soc - n.mean) / n.lean) for n in own]
-        out.append(Judged(kind, *np.array(rows).T))
+    for own in (good[good[:, _KIND] == kind] for kind in np.unique(good[:, _KIND])):
+        _, _, kind, far_km, ambient, mean, sd, began, lean = own.T
+        out.append(Judged(int(kind[0]), far_km, ambient, (soc - mean) / sd, began - soc, (began - mean) / lean))
     return out

@@ -2,7 +2,8 @@
 
 Of each pace and temperature a ride of usual length is asked of the model, as the rides there were on average. What was
 measured of rides and rests, against what was predicted of them, corrects it: a factor and a power for each temperature,
-then what is left for each pace. A car that waits takes the mean power of those that stood; an empty way to a ride, what
+then what is left for each pace. Averages blur what changes fast with pace or temperature: so rides are fitted then, as
+sums of their terms. A car that waits takes the mean power of those that stood; an empty way to a ride, what
 rests took beyond that.
 """
 
@@ -19,6 +20,8 @@ from core.sums import AMOUNTS, EDGES, Totals
 from core.tables import model_columns
 
 CELLS: Final = len(PACES) * len(TEMPERATURES)
+TERMS: Final = CELLS + 3
+"""Of a ride: kilometres in each cell, metres gained and lost beyond the usual, its beginning."""
 BESIDE: Final = ("predicted", "measured", "hours", "pp", "ph", "hh", "pm", "hm")
 """What is summed beside the amounts, of rides and rests whose energy was measured: kWh predicted, kWh measured, hours;
 and the products of these that a regression is made of, each over the variance of the measured energy."""
@@ -31,12 +34,16 @@ PRIOR_KWH: Final = 3.0
 """Energy that stands for what is known of neighbours where little was measured. [kWh]"""
 PRIOR_HOURS: Final = 0.5
 """The same for powers. [h]"""
-PRIOR_EXTRAS: Final = 0.002, 0.002, 0.1
-"""Standard deviations of what a metre gained, a metre lost [kWh/m], and a ride's beginning [kWh] add to the model."""
-LEVELS: Final = 0.2, 5.0
-"""A model that is off by more is not corrected further. [1]"""
 USUAL_KM: Final = 20.0
 """The same for an energy of a kilometre. [km]"""
+PRIOR_EXTRAS: Final = 0.002, 0.002, 0.1
+"""Standard deviations of what a metre gained, a metre lost [kWh/m], and a ride's beginning [kWh] add to the model."""
+CORRECTIONS: Final = 0.2, 5.0
+"""A model that is off by more is not corrected further. [1]"""
+PRIOR_CELL: Final = 0.1
+"""The same of the energy of a kilometre at a pace and temperature, over what averages tell. [1]"""
+LEAST: Final = 0.01
+"""No way takes less. [kWh/km]"""
 LEAST_DISTANCE: Final = 100.0
 """Distance from which on a cell is known. [m]"""
 GRAVITY: Final = 9.81
@@ -53,7 +60,7 @@ _CLIMBS: Final = {"climbing": (1.0, -1.0), "climbing_up": (1.0, 0.0), "climbing_
 
 
 class Rests(NamedTuple):
-    """What was summed of the rests of a vehicle model, where there were any.
+    """What was summed of the rests of a vehicle model.
 
     Parameters
     ----------
@@ -63,21 +70,24 @@ class Rests(NamedTuple):
     number : float
     """
 
-    sums: Floats | None
-    still: Floats | None
+    sums: Floats
+    still: Floats
     number: float
 
     def beside(self) -> Floats:
         """Return `BESIDE` at each temperature, (temperatures, len(BESIDE))."""
-        return np.zeros((len(TEMPERATURES), len(BESIDE))) if self.sums is None else self.sums[:, -len(BESIDE) :]
+        return self.sums[:, -len(BESIDE) :]
 
     def power(self) -> tuple[Floats, Floats]:
         """Return the power of a car that stands [kW], and what a rest takes besides [kWh], at each temperature."""
-        still = np.zeros((len(TEMPERATURES), 4)) if self.still is None else self.still
-        energy, hours, stood, stood_hours = still.T
+        energy, hours, stood, stood_hours = self.still.T
         standing = _ratio(stood, stood_hours, PRIOR_HOURS, (stood.sum() + 1.0) / (stood_hours.sum() + 1.0))
         more = float((energy - standing * hours).sum()) / max(self.number, 1.0)
         return standing, np.full(len(TEMPERATURES), max(more, 0.0))
+
+    def pause(self) -> float:
+        """Return the time of a rest, on average; half an hour where none is known. [h]"""
+        return float((self.still[:, 1].sum() + PRIOR_HOURS) / (self.number + 1.0))
 
 
 def tabulated(
@@ -129,16 +139,28 @@ def tabulated(
         all_power=_ratio(
             both[:, MEASURED], both[:, HOURS], 1.0, both[:, MEASURED].sum() / max(both[:, HOURS].sum(), 1e-9)
         ),
+        pause=rests.pause(),
     )
 
 
-def with_extras(tables: Tables, sums: Floats | None) -> Tables:
-    """Return tables with what was learned of hills and of rides' beginnings, drawn to what the model says."""
-    if sums is None:
-        return tables
-    prior, precision = np.array([tables.up, tables.down, tables.start]), np.diag(1.0 / np.array(PRIOR_EXTRAS) ** 2)
-    up, down, start = np.linalg.solve(sums[:, :3] + precision, sums[:, 3] + precision @ prior).tolist()
-    return tables._replace(up=up, down=down, start=start)
+def fitted(tables: Tables, equations: Floats) -> Tables:
+    """Return tables whose terms fit what rides took, drawn to what they were.
+
+    An average over the rides about a knot is blurred by how far from it they were; a fit is not.
+
+    Parameters
+    ----------
+    tables : Tables
+    equations : (TERMS, TERMS + 1) float
+        Normal equations of energy on the kilometres in each cell, climbs and beginnings: matrix and right-hand side,
+        each ride over the variance of its energy.
+    """
+    prior = np.concatenate([tables.per_km.ravel(), [tables.up, tables.down, tables.start]])
+    precision = np.concatenate([PRIOR_CELL * np.maximum(tables.per_km.ravel(), LEAST), PRIOR_EXTRAS]) ** -2.0
+    found = np.linalg.solve(equations[:, :-1] + np.diag(precision), equations[:, -1] + precision * prior)
+    up, down, start = found[CELLS:].tolist()
+    per_km = np.maximum(found[:CELLS], LEAST).reshape(_SHAPE)
+    return tables._replace(per_km=per_km, up=up, down=down, start=start)
 
 
 def _corrected(per_km: Floats, amounts: Floats, grid: Floats, factor: Floats, power: Floats) -> Floats:
@@ -168,7 +190,7 @@ def _level(sums: Floats, factor: Floats, power: Floats) -> Floats:
     """Return measured over corrected energy at each temperature, drawn to that over all."""
     expected = np.maximum(sums[:, PREDICTED] * factor + sums[:, HOURS] * power, 0.0)
     whole = float((sums[:, MEASURED].sum() + PRIOR_KWH) / (expected.sum() + PRIOR_KWH))
-    return np.clip(_ratio(sums[:, MEASURED], expected, PRIOR_KWH, whole), *LEVELS)
+    return np.clip(_ratio(sums[:, MEASURED], expected, PRIOR_KWH, whole), *CORRECTIONS)
 
 
 def _solved(row: Floats, prior: Floats) -> Floats:

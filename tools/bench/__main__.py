@@ -16,8 +16,9 @@ from tools.bench.hidden.page import kept, placed
 from tools.bench.learning import fitting, fitting_memory
 from tools.bench.live import live
 from tools.bench.measures import Measure, memory, replay, scale
+from tools.bench.nights import nights
 
-MEASURES: tuple[Callable[[], Measure], ...] = (live, replay, memory, scale, filters, fitting, fitting_memory)
+MEASURES: tuple[Callable[[], Measure], ...] = (live, replay, memory, scale, filters, nights, fitting, fitting_memory)
 ROOT = Path(__file__).parent.parent.parent
 
 

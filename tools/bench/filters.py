@@ -43,15 +43,15 @@ class Stopwatch:
 def filters(cars: int = 10_000, turns: int = 100) -> Measure:
     """Measure the filters of a fleet whose every car has a plan and intervals, against the time that passes for it."""
     pipeline = Pipeline(keep_tables=False)
-    pipeline.learn_from(_experienced())
-    pipeline.push([*vehicles(cars), *_plans(cars)])
-    _drive(pipeline, cars, 0, WARM_UP)
+    pipeline.learn_from(experienced())
+    pipeline.push([*vehicles(cars), *plans(cars)])
+    drive(pipeline, cars, 0, WARM_UP)
     of_filters, of_all = Stopwatch(), Stopwatch()
     with (
         patch.object(soc, "follow", of_filters.around(soc.follow)),
         patch.object(Foresight, "follow", of_all.around(Foresight.follow)),
     ):
-        told = _drive(pipeline, cars, WARM_UP, turns)
+        told = drive(pipeline, cars, WARM_UP, turns)
     passed = turns * PERIOD_S
     share = of_filters.seconds / passed
     return Measure(
@@ -72,7 +72,7 @@ def filters(cars: int = 10_000, turns: int = 100) -> Measure:
     )
 
 
-def _experienced() -> Pipeline:
+def experienced() -> Pipeline:
     """Return a pipeline that has learned from some days of a small fleet of the same model."""
     pipeline = Pipeline(keep_tables=False)
     start = datetime(2026, 1, 1, tzinfo=UTC)
@@ -82,14 +82,14 @@ def _experienced() -> Pipeline:
     return pipeline
 
 
-def _plans(cars: int) -> list[Message]:
+def plans(cars: int) -> list[Message]:
     """Return a plan for each car: ten rides in five hours."""
     legs = [Leg(6.0, 1000.0)] * 10
     plans = (Plan(identity(car), START_S, START_S + 5 * 3600.0, 10.0, legs) for car in range(cars))
     return [Message(f"fleet/{plan.vehicle_id}/plan", encode(plan), int(START_S * 1e9)) for plan in plans]
 
 
-def _drive(pipeline: Pipeline, cars: int, first: int, count: int) -> int:
+def drive(pipeline: Pipeline, cars: int, first: int, count: int) -> int:
     """Let a fleet send rounds of samples; return how many forecasts told the charge at the shift's end."""
     told = 0
     for turn in rounds(cars, first, count):

@@ -1,0 +1,88 @@
+"""What it costs to learn of a day of many cars, to let it take effect, and to keep the state of all."""
+
+import time
+from collections.abc import Callable
+from itertools import product
+from math import nan
+from typing import Final
+
+import numpy as np
+
+from core.ahead.scales import KEPT_SHIFTS, Habit
+from core.ahead.shift_log import NOTE_S, Note
+from core.pipeline import Pipeline
+from tools.bench.filters import SHARE, WARM_UP, drive, experienced, plans
+from tools.bench.fleet import START_S, vehicles
+from tools.bench.measures import Measure
+
+RIDES: Final = 10
+"""Of a car and day, as many as rests."""
+NOTES: Final = 60
+"""Forecasts of a shift that are noted, those of ten hours."""
+AT_ONCE: Final = 10
+"""Rides that end within a block of samples."""
+KEEP_S: Final = 30.0
+"""Time between two snapshots in service. [s]"""
+DAY_S: Final = 86_400.0
+
+
+def nights(cars: int = 10_000, repeats: int = 3) -> Measure:
+    """Measure learning, nights and snapshots of a fleet on a busy day, against the time that passes for it."""
+    pipeline = Pipeline(keep_tables=False)
+    pipeline.learn_from(experienced())
+    pipeline.push([*vehicles(cars), *plans(cars)])
+    drive(pipeline, cars, 0, WARM_UP)
+    learning = spent(lambda: _learn(pipeline, cars))
+    for lane, number in product(range(cars), range(NOTES)):
+        told = 0, 100.0, -8.0, 0.4, 0.03, 0.8, 1.0
+        pipeline.foresight.log.note(lane, Note(START_S + NOTE_S * number, START_S + NOTE_S * NOTES + 60.0, *told))
+    kept: list[bytes] = []
+    keeping = min(spent(lambda: kept.append(pipeline.snapshot())) for _ in range(repeats))
+    learning += spent(lambda: _end(pipeline, cars))
+    night = spent(pipeline.foresight.overnight)
+    share = (learning + night) / DAY_S + keeping / KEEP_S
+    return Measure(
+        f"learning, nights and snapshots of {cars:,} cars",
+        f"{100 * SHARE:g} % of a core",
+        share / SHARE,
+        "< 1",
+        share < SHARE,
+        {
+            "learning_and_night_pct_of_a_core": 100.0 * (learning + night) / DAY_S,
+            "snapshot_pct_of_a_core": 100.0 * keeping / KEEP_S,
+            "night_s": night,
+            "snapshot_s": keeping,
+            "snapshot_mb": len(kept[-1]) / 1e6,
+        },
+        f"Processor time over the time that passes for the cars: {RIDES} rides and rests of each are added up as they "
+        f"end; a night makes tables and quantiles of the sums, and what is expected of each car. A snapshot is taken "
+        f"every {KEEP_S:g} s, here at the end of shifts of ten hours, when most forecasts wait to be judged: half of "
+        "it is those.",
+    )
+
+
+def spent(action: Callable[[], object]) -> float:
+    """Return the processor time of an action. [s]"""
+    began = time.process_time()
+    action()
+    return time.process_time() - began
+
+
+def _learn(pipeline: Pipeline, cars: int) -> None:
+    """Let a fleet end a day's rides and rests: twenty times what was summed of each car."""
+    lessons, lanes = pipeline.foresight.lessons, np.arange(cars)
+    for _, at in product(range(RIDES), range(0, cars, AT_ONCE)):
+        totals = pipeline.ledger.running(lanes[at : at + AT_ONCE])
+        totals = totals._replace(amounts=20.0 * totals.amounts)
+        predicted = np.full(len(totals.lane), 3.0)
+        lessons.rides(totals, predicted)
+        lessons.rests(totals, predicted)
+
+
+def _end(pipeline: Pipeline, cars: int) -> None:
+    """Let a fleet end its shift: judge its forecasts, and remember it as one of many."""
+    foresight = pipeline.foresight
+    for lane in range(cars):
+        foresight.lessons.judged(foresight.log.closed(lane, 0.38, nan))
+        for _ in range(KEPT_SHIFTS):
+            foresight.lessons.shift(lane, (None, 20.0, 21.0, 24.0), Habit(10.0, 1.0))
