@@ -2,11 +2,28 @@
 
 import pytest
 from conftest import told
-from fleet_days import CARS, DAYS, LEG, LEGS, PERIOD, RESERVE, RIDE, SHIFT, START, again, columns, plan, shift, speeds
+from fleet_days import (
+    CARS,
+    DAY,
+    DAYS,
+    LEG,
+    LEGS,
+    PERIOD,
+    RESERVE,
+    RIDE,
+    SHIFT,
+    START,
+    again,
+    columns,
+    plan,
+    shift,
+    speeds,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.ahead.courses import PLAN_LAG, SHORTEST_RIDE
+from core.ahead.courses import PLAN_LAG, PROLONGED, SHORTEST_RIDE
+from core.ahead.outlook import OVERTIME
 
 CAR = "c"
 LANE = CARS.index(CAR)
@@ -23,9 +40,14 @@ def at(passed, pipeline=None, sent=None, inserted=()):
     return pipeline
 
 
+def known(pipeline, lane=LANE):
+    """Return what is left of the plan."""
+    return pipeline.foresight.courses.left(lane, float(pipeline.foresight.state["time"][lane])).plan
+
+
 def left(pipeline):
     """Return the lengths of the legs that are left. [km]"""
-    return [leg.distance_km for leg in pipeline.foresight.courses.left(LANE)[1]]
+    return [leg.distance_km for leg in known(pipeline).legs]
 
 
 @given(st.floats(PERIOD, SHIFT))
@@ -37,13 +59,13 @@ def test_what_is_left_is_what_was_planned_less_what_was_driven(passed):
     elif into < RIDE - PERIOD and into > 2.0 * PERIOD:
         assert found[1:] == pytest.approx(LENGTHS[done + 1 :])
         driven = speeds(CAR, DAYS)[done] * into / 1000.0
-        assert found[0] == pytest.approx(LENGTHS[done] - driven, abs=1.0)
+        assert found[0] == pytest.approx(LENGTHS[done] - driven, abs=1.3)  # a forecast, and a sample, later
 
 
 def test_the_leg_that_is_driven_keeps_its_pace_and_its_climb():
     legs = [{"distance_km": 6.0, "duration_s": 600.0, "gained_m": 80.0}, {"distance_km": 2.0, "duration_s": 300.0}]
     inserted = [(1.0, told("plan", CAR, BEGIN, shift_end_s=BEGIN + SHIFT, reserve_soc_pct=RESERVE, legs=legs))]
-    _, (first, second) = at(300.0, inserted=inserted).foresight.courses.left(LANE)
+    first, second = known(at(300.0, inserted=inserted)).legs
     share = first.distance_km / 6.0
     assert 0.2 < share < 0.8
     assert (first.duration_s, first.gained_m, first.lost_m) == (
@@ -103,9 +125,100 @@ def test_what_was_driven_before_a_plan_came_is_none_of_its_legs(came):
 
 def test_the_latest_plan_replaces_the_one_before():
     pipeline = at(20.0 * PERIOD, inserted=[(10.0 * PERIOD, plan(CAR, DAYS, BEGIN + 150.0, 2, reserve_soc_pct=33.0))])
-    known, legs = pipeline.foresight.courses.left(LANE)
-    assert known.reserve_soc_pct == 33.0
-    assert len(legs) == 2
+    assert known(pipeline).reserve_soc_pct == 33.0
+    assert len(known(pipeline).legs) == 2
+
+
+def tomorrow(came, last=LEGS, **changed):
+    """Return the plan of the next day's shift, told on this one."""
+    fields = {"shift_end_s": START + DAY * (DAYS + 1) + SHIFT, "reserve_soc_pct": 44.0}
+    return plan(CAR, DAYS + 1, BEGIN + came, last, **(fields | changed))
+
+
+@pytest.mark.parametrize("came", [1.0, 0.5 * RIDE, LEG + RIDE + 100.0])
+def test_a_plan_for_tomorrow_waits_and_leaves_todays(came):
+    passed = came + 100.0
+    plain, both = at(passed), at(passed, inserted=[(came, tomorrow(came))])
+    assert known(both) == known(plain)
+    assert both.ask(CAR) == plain.ask(CAR)
+    assert both.foresight.courses.later[LANE].reserve_soc_pct == 44.0
+
+
+def test_a_plan_for_tomorrow_is_not_todays_where_today_has_none():
+    answers = []
+    for inserted in ([], [(BEGIN + 30.0, tomorrow(30.0))]):
+        pipeline = again()
+        sent = sorted([*shift(CAR, DAYS, planned=False), *inserted], key=lambda each: each[0])
+        pipeline.push([m for time, m in sent if time <= BEGIN + LEG])
+        answers.append(pipeline.ask(CAR))
+    assert answers[0] == answers[1]
+    assert answers[0].shift_end_s < START + DAY * (DAYS + 1)
+
+
+def test_todays_plan_may_come_after_tomorrows():
+    inserted = [(1.0, tomorrow(1.0)), (30.0, plan(CAR, DAYS, BEGIN + 30.0, reserve_soc_pct=31.0))]
+    assert known(at(60.0, inserted=inserted)).reserve_soc_pct == 31.0
+
+
+def followed(cuts):
+    """Return the pipeline and its forecasts of a day planned the day before, with messages cut where `cuts` says."""
+    pipeline = again()
+    next_day = [m for _, m in shift(CAR, DAYS + 1, planned=False)]
+    sent = sorted([*shift(CAR, DAYS), (BEGIN + LEG, tomorrow(LEG))], key=lambda each: each[0])
+    messages, out = [*(m for _, m in sent), *next_day[: int(2.5 * LEG / PERIOD)]], []
+    for start, stop in zip([0, *cuts], [*cuts, len(messages)], strict=True):
+        out += pipeline.push(messages[start:stop])
+        if stop == 600:
+            kept = pipeline.snapshot()
+            pipeline = again()
+            pipeline.restore(kept)
+    return pipeline, out
+
+
+def test_the_plan_for_tomorrow_is_followed_tomorrow():
+    pipeline, out = followed([])
+    assert known(pipeline).reserve_soc_pct == 44.0
+    lengths = RIDE * speeds(CAR, DAYS + 1) / 1000.0
+    assert left(pipeline)[1:] == pytest.approx(lengths[3:])
+    assert LANE not in pipeline.foresight.courses.later
+    end = START + DAY * (DAYS + 1) + SHIFT
+    assert pipeline.ask(CAR).shift_end_s == end
+    for cuts in ([600], list(range(1, 700, 7))):
+        assert followed(cuts)[1] == out
+
+
+@given(st.floats(0.0, 0.5), st.floats(0.5, 1.0))
+def test_of_two_plans_for_tomorrow_the_later_one_counts(first, second):
+    inserted = [
+        (first * SHIFT, tomorrow(first * SHIFT)),
+        (second * SHIFT, tomorrow(second * SHIFT, reserve_soc_pct=55.0)),
+    ]
+    pipeline = at(SHIFT, inserted=inserted)
+    assert pipeline.foresight.courses.later[LANE].reserve_soc_pct == 55.0
+
+
+@pytest.mark.parametrize(("longer", "waits"), [(PROLONGED - 60.0, False), (PROLONGED + 60.0, True)])
+def test_a_shift_is_prolonged_by_some_hours_at_most(longer, waits):
+    end = START + DAY * DAYS + SHIFT + longer
+    pipeline = at(60.0, inserted=[(30.0, plan(CAR, DAYS, BEGIN + 30.0, shift_end_s=end))])
+    assert (LANE in pipeline.foresight.courses.later) == waits
+    assert pipeline.ask(CAR).shift_end_s == (START + DAY * DAYS + SHIFT if waits else end)
+
+
+def test_a_shift_may_be_cut_short_at_any_time():
+    cut = plan(CAR, DAYS, BEGIN + 30.0, shift_end_s=BEGIN + 60.0, legs=[])
+    assert at(90.0, inserted=[(30.0, cut)]).ask(CAR).legs == []
+
+
+def test_a_plan_that_is_over_does_not_hold_up_the_next():
+    """The next shift of the same day, planned once all legs of the first are done and its end is past."""
+    courses = at(SHIFT + 2.0 * PERIOD).foresight.courses
+    planned, over = courses.plans[LANE], START + DAY * DAYS + SHIFT
+    assert planned.over(over + 1.0)
+    assert not planned.over(over - 1.0)
+    late = planned._replace(done=LEGS - 1)
+    assert not late.over(over + OVERTIME)
+    assert late.over(over + OVERTIME + 1.0)
 
 
 def test_a_plan_that_cannot_be_used_leaves_the_one_before():
@@ -115,13 +228,13 @@ def test_a_plan_that_cannot_be_used_leaves_the_one_before():
         plan(CAR, DAYS, BEGIN + 30.0, legs=[{"distance_km": -3.0, "duration_s": 60.0}]),
     ]
     pipeline = at(20.0 * PERIOD, inserted=[(30.0, message) for message in wrong])
-    assert pipeline.foresight.courses.left(LANE)[0].reserve_soc_pct == RESERVE
+    assert known(pipeline).reserve_soc_pct == RESERVE
     assert sum(pipeline.quality()["undecodable"].values()) == 3
 
 
 def test_a_car_without_a_plan_has_none_left_and_a_plan_alone_makes_no_forecast():
     pipeline = again()
-    assert pipeline.foresight.courses.left(97) is None
+    assert pipeline.foresight.courses.left(97, START) is None
     unheard = told("plan", "z", START, shift_end_s=START + SHIFT, reserve_soc_pct=RESERVE, legs=[])
     assert pipeline.push([unheard]) == []
-    assert pipeline.foresight.courses.left(pipeline.lanes.names.index("z"))[1] == []
+    assert pipeline.foresight.courses.left(pipeline.lanes.find("z"), START).plan.legs == []

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from core.ahead.plans import AHEAD_S, FASTEST_KMH, LEG_LIMITS, MOST_LEGS, PAST_S
+from core.codec import LegOutlook, Outlook
 from tools.cli import COMMANDS
 
 ROOT = Path(__file__).parent.parent
@@ -42,11 +44,27 @@ def test_every_command_is_in_the_readme():
         assert re.search(rf"^\*\*`socast {name}`\*\*", README, re.MULTILINE), f"{name} is not told of"
 
 
-@pytest.mark.parametrize("page", ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "recordings/README.md"])
+@pytest.mark.parametrize(
+    "page", ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "recordings/README.md", "docs/outlook.md"]
+)
 def test_links_lead_somewhere(page):
     text = (ROOT / page).read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)#]+)\)", text):
         assert target.startswith("http") or (ROOT / page).parent.joinpath(target).exists(), target
+
+
+def test_the_page_on_questions_has_every_field_of_the_reply_and_each_limit_of_the_query():
+    page = (ROOT / "docs" / "outlook.md").read_text(encoding="utf-8")
+    query, reply, errors = (part for part in page.split("\n## ")[1:])
+    told = re.findall(r"^\| (`.*?) \|", reply, re.MULTILINE)
+    assert [*Outlook.__struct_fields__, *LegOutlook.__struct_fields__] == re.findall(r"`(\w+)`", " ".join(told))
+    for name, limit in LEG_LIMITS.items():
+        row = re.search(rf"^\| [^|]*`{name}`.*", query, re.MULTILINE)[0]
+        assert f"to {limit.most:g} |" in row
+    assert f"at most {FASTEST_KMH:g} km/h " in query
+    assert f"more than {MOST_LEGS:g} " in errors
+    assert f"more than {PAST_S:g} s before" in errors
+    assert f"more than {AHEAD_S / 3600:g} h after" in errors
 
 
 def test_the_lock_file_and_the_docs_name_no_address():

@@ -136,6 +136,7 @@ def test_an_unfinished_recording_is_read_to_its_last_whole_chunk(tmp_path_factor
     source = McapSource(cut)
     got = [m for block in source for m in block]
     assert got == telemetry(300)[: len(got)]
+    assert McapSource(cut).span_ns == ((got[0].receipt_ns, got[-1].receipt_ns) if got else None)
     if len(got) < 300:
         assert source.losses.unfinished
         assert "bytes after the last whole chunk are lost" in source.losses.lines()[0]
@@ -218,6 +219,7 @@ def test_recordings_of_other_programs_are_read_in_order_of_receipt(tmp_path: Pat
     assert [m for block in source for m in block] == telemetry(60, cars=1)
     assert not source.losses
     assert source.schemas == {"fleet/car-0/telemetry": "Telemetry"}
+    assert source.span_ns == (BEGIN, BEGIN + 59 * SECOND)
 
 
 def foreign(path: Path, topic: str, encoding: str, form: str, data: bytes) -> Path:
@@ -286,6 +288,7 @@ def test_an_empty_recording_is_read_as_empty(tmp_path: Path):
     path = written(tmp_path / "r.mcap", [])
     source = McapSource(path)
     assert [m for block in source for m in block] == []
+    assert source.span_ns is None
     assert not source.losses
 
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.ahead import outlook
-from core.ahead.expected import TEMPERATURES
+from core.ahead.expected import REGAINED, STEEPEST, TEMPERATURES
 from core.ahead.outlook import EARLY, OVERTIME, Known
 from core.ahead.soc import NOISE, WANDER
 from core.codec import Leg, Plan
@@ -65,6 +65,56 @@ def test_of_a_leg_counts_what_was_driven_since_the_plan_came(done, before, since
     same = ahead(done, ride_km=since, riding=True)
     assert found.km[0] == pytest.approx(same.km[0])
     assert found.energy[0] == pytest.approx(same.energy[0])
+
+
+@given(st.integers(0, LEGS - 1), st.floats(0.0, 5.0), st.floats(0.0, 12.0), st.booleans())
+def test_what_is_left_of_a_plan_is_ahead_as_that_plan_is(done, before, since, riding):
+    """One definition: legs that were shortened, taken for a plan, are what is ahead by the plan."""
+    driven = since if riding else None
+    rest = FOUND.left(done, driven).course(0, 0.0).reshape(1)
+    one = np.array([BEGIN + LEG * done]), np.zeros(1), np.array([riding])
+    ride_km, driven_km = (before + since, before) if riding else (0.0, 0.0)
+    whole = ahead(done, BEGIN + LEG * done, ride_km, driven_km, riding)
+    for name, value, other in zip(whole._fields, outlook.by_plan(rest, *one, usual()), whole, strict=True):
+        assert value == pytest.approx(other), name
+
+
+@given(st.floats(0.01, 1.0), st.floats(0.1, 20.0), st.floats(1.0, 20.0), st.floats(0.0, 400.0), st.floats(0.0, 400.0))
+def test_a_share_of_a_leg_that_has_begun_takes_that_share(share, km, pace, gained, lost):
+    parts = np.array([[1.0], [share]]) * np.array([km, 60.0 * pace * km, gained, lost])
+    whole, some = (LESSONS.tables(2)._replace(start=0.3).legs(*part.reshape(4, 1), begun=True) for part in parts)
+    assert some == pytest.approx(share * whole)
+
+
+def test_a_ride_that_has_begun_takes_no_beginning():
+    tables, leg = LESSONS.tables(2)._replace(start=0.3), np.array([[6.0], [600.0], [np.nan], [np.nan]])
+    assert tables.legs(*leg) - tables.legs(*leg, begun=True) == pytest.approx(0.3)
+
+
+@given(st.floats(0.0, 20.0), st.floats(1.0, 20.0), st.floats(0.0, 2000.0), st.floats(0.0, 2000.0))
+def test_a_leg_gives_back_no_more_than_its_descent(km, pace, gained, lost):
+    tables = LESSONS.tables(2)
+    taken = tables.legs(*np.array([[km], [60.0 * pace * km], [gained], [lost]]))
+    assert tables.down < 0.0
+    assert (taken >= tables.down * min(lost, STEEPEST * km) - 1e-12).all()
+
+
+def test_of_what_a_descent_has_beyond_what_the_way_takes_a_part_comes_back():
+    tables, lost = LESSONS.tables(2), np.array([600.0, 700.0])
+    one, more = tables.legs(np.full(2, 6.0), np.full(2, 600.0), np.zeros(2), lost)
+    assert (one < 0.0).all()
+    assert more - one == pytest.approx(REGAINED * 100.0 * tables.down)
+
+
+@given(st.integers(0, LEGS), st.floats(0.0, SHIFT + OVERTIME), st.floats(0.0, 10.0), st.booleans())
+def test_the_end_is_never_before_now_nor_before_what_is_planned_can_be_driven(done, passed, driven, riding):
+    now = BEGIN + passed
+    found = ahead(done, now, driven if riding else 0.0, riding=riding)
+    rest = FOUND.left(done, driven if riding else None)
+    assert found.end[0] >= max(now, BEGIN + SHIFT)
+    assert found.end[0] >= now + rest.seconds.sum() - 1e-6
+    assert found.hours[0] == pytest.approx((found.end[0] - now) / 3600.0)
+    assert found.end[0] <= max(BEGIN + SHIFT, now + rest.seconds.sum() + 1e-6)
 
 
 def test_when_all_legs_are_done_the_rest_is_waiting():

@@ -1,19 +1,24 @@
 """The answer to a question: what a ride would take, and what it would leave of the shift.
 
-The ride that is asked for comes first, after what is left of the ride in progress; then the other legs of the plan,
-with the rest of the time spread evenly before them. Without a plan, the shift goes on after the ride as the car's
-shifts go.
+The ride that is asked for comes first, after what is left of the ride in progress and an empty way as usual; then the
+other legs of the plan, with the rest of the time spread evenly before them. A plan does not tell when a leg begins; but
+where such waits would be longer than usual, they are as usual and the rest of the time comes after the last leg: a car
+with hours to spare mostly spends them at a charger. How long a single wait is varies as much as waits last on average,
+as it does where rides are called for at any time. Without a plan, the shift goes on after the ride as the car's shifts
+go. What is left, what it takes and the charge that it leads to are those of the forecast (`core.ahead.outlook`):
+without a ride the answer is the forecast, and with one it is what the forecast would be, had a plan with that ride
+come.
 """
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from math import inf
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from core.ahead import outlook, soc
-from core.ahead.outlook import Ahead, Known, Usual
+from core.ahead.outlook import RESERVE, Ahead, Known, Legs, Outcome, Usual
 from core.ahead.plans import refusal
-from core.batch import Floats
+from core.batch import Floats, Ints
 from core.cars import Cars
 from core.codec import Interval, Leg, LegOutlook, Outlook, Plan
 from core.columns import ZERO_CELSIUS
@@ -23,9 +28,7 @@ if TYPE_CHECKING:
     from core.ahead.foresight import Foresight
 
 
-SHOWN: Final = 0.05
-"""Standard deviation of what a car shows as full against what its battery holds, as a share: by cold, age and gauge.
-Estimated: so much is told beside what the filter has learned, which cannot know it."""
+_ROUNDED: Final = 1e-9  # kWh
 
 
 class Prospect:
@@ -50,34 +53,116 @@ class Prospect:
         self.usual: Usual = foresight.lessons.usual(kinds, outlook.temperature_weights(ambient))
         self.celsius = ambient - ZERO_CELSIUS
         self.tables = foresight.lessons.tables(lane)
-        self.conformal, self.lean = foresight.lessons.conformal, float(foresight.lessons.lean.factor[0])
+        self.pause = inf if self.tables is None else self.tables.pause
+        self.conformal, self.lean = foresight.lessons.conformal, foresight.lessons.lean.factor
 
-    def energy(self, legs: Sequence[Leg]) -> Floats:
-        """Return the energy of legs at the temperature of now, by the model, (legs,). [kWh]"""
-        if self.tables is None:
-            return np.full(len(legs), np.nan)
-        plan = Plan("", 0.0, 0.0, 0.0, list(legs))
-        return np.asarray(self.lean * (outlook.legs(plan, self.tables).energy @ self.usual.weights[0]))
+    def charge(
+        self, energy: Floats, hours: Floats, kind: Ints, doubt: Floats | float = 0.0
+    ) -> tuple[Floats, Outcome, Floats]:
+        """Return the charge after energies [kWh], so many hours ahead, by plan (0) or by habit (1).
 
-    def rest(self, hours: float, approaches: int) -> float:
-        """Return the energy of waiting, and of so many empty ways to rides. [kWh]"""
-        return self.lean * float(hours * self.usual.standing[0] + approaches * self.usual.approach[0])
+        Parameters
+        ----------
+        energy, hours : (n,) float
+        kind : (n,) int
+        doubt : (n,) float
+            Standard deviation of the energies, as it is not known what will have been by then. [kWh]
 
-    def soc(self, energy: float, hours: float, kind: int = 0) -> tuple[Interval | None, outlook.Outcome, Floats]:
-        """Return the charge after an energy [%], the same before errors are learned from, and quantiles of these."""
-        end = outlook.at_end(self.known, np.array([energy]), np.array([hours]))
-        errors, bounds = self.conformal.quantiles(np.array([kind]), energy / self.usual.per_km, self.celsius)
-        return _interval(*(100.0 * np.clip(end.mean + end.sd * bounds[0], 0.0, 1.0)).tolist()), end, errors
+        Returns
+        -------
+        (n, 3) float
+            Mean, 5th and 95th percentile. [%]
+        Outcome
+            The same before errors are learned from.
+        (n, levels) float
+            Quantiles of these errors.
+        """
+        errors, bounds = self._errors(energy, kind)
+        end = outlook.at_end(self.known, energy, hours)
+        end = end._replace(sd=np.hypot(end.sd, doubt / self.known.capacity))
+        percent = 100.0 * np.clip(end.mean[:, np.newaxis] + end.sd[:, np.newaxis] * bounds, 0.0, 1.0)
+        return percent, end, errors
 
-    def leg(self, leg: Leg, energy: float, before: float, hours: float) -> LegOutlook:
-        """Return what is expected of a leg that takes an energy, after another, so many hours ahead."""
-        kind = 0 if np.isfinite(self.conformal.bounds[0]).any() else 1  # errors by habit, in a fleet without plans
-        charge, _, _ = self.soc(before + energy, hours, kind)
+    def taken(self, legs: Legs, energy: Floats, kind: Ints) -> Floats:
+        """Return what legs take from the battery by themselves: mean, 5th and 95th percentile, (n, 3). [kWh]"""
         own = self.known._replace(variance=np.zeros(1), covariance=np.zeros(1), soc=np.zeros(1), quantum=np.zeros(1))
-        end = outlook.at_end(own, np.array([energy]), np.array([leg.duration_s / 3600.0]))
-        _, bounds = self.conformal.quantiles(np.array([kind]), energy / self.usual.per_km, self.celsius)
-        mean, most, least = (-self.known.capacity[0] * (end.mean + end.sd * bounds[0])).tolist()
-        return LegOutlook(leg.distance_km, leg.duration_s, _interval(mean, least, most), charge)
+        end = outlook.at_end(own, energy, legs.seconds / 3600.0)
+        _, bounds = self._errors(energy, kind)
+        out = -self.known.capacity[0] * (end.mean[:, np.newaxis] + end.sd[:, np.newaxis] * bounds[:, [0, 2, 1]])
+        least = np.array([-np.inf if leg.lost_m else 0.0 for leg in legs.plan.legs])  # only descents give anything
+        return np.asarray(np.maximum(out, least[:, np.newaxis]))
+
+    def _errors(self, energy: Floats, kind: Ints) -> tuple[Floats, Floats]:
+        """Return quantiles of the errors of forecasts of energies, and the bounds of what is likely."""
+        return self.conformal.quantiles(kind, energy / self.usual.per_km, np.repeat(self.celsius, len(energy)))
+
+
+class Way(NamedTuple):
+    """What is to be driven: legs, whether the first is under way, and the place of the one that was asked for."""
+
+    legs: Legs
+    underway: bool
+    asked: int | None
+
+    @classmethod
+    def of(cls, left: Legs, underway: bool, leg: Leg | None, now: Prospect) -> "Way":
+        """Return what is left of a plan, with the ride that is asked for first, but after the leg under way."""
+        if leg is None:
+            return cls(left, underway, None)
+        asked = outlook.legs(Plan("", now.time, now.time, 0.0, [leg]), now.tables)
+        return cls(left.before(int(underway), asked), underway, int(underway))
+
+    def ahead(self, now: Prospect) -> Ahead:
+        """Return what is ahead until the shift ends, as a forecast has it."""
+        none, time = np.zeros(1), np.array([now.time])
+        ahead = outlook.by_plan(self.legs.course(0, 0.0).reshape(1), time, none, np.array([self.underway]), now.usual)
+        return ahead._replace(energy=now.lean[0] * ahead.energy)
+
+    def outlooks(self, now: Prospect, ahead: Ahead, end: Floats) -> list[LegOutlook]:
+        """Return what is expected of each leg, with `ahead` of the whole shift and the charge (1, 3) at its end [%]."""
+        place, hours = np.arange(len(self.legs.km)), self.legs.seconds / 3600.0
+        waits = place >= self.underway + (self.asked is not None)
+        spare = max(float(ahead.hours[0]) - float(hours.sum()), 0.0)
+        pause = waits * min(spare / max(int(waits.sum()), 1), now.pause)
+        energy = now.lean[0] * (self.legs.energy @ now.usual.weights[0])
+        rest = now.lean[0] * (pause * now.usual.standing + (place >= self.underway) * now.usual.approach)
+        spent = np.cumsum(rest + energy)
+        by_habit = not np.isfinite(now.conformal.bounds[0]).any()  # in a fleet without plans
+        kind = np.full(len(place), int(by_habit))
+        doubt = now.usual.standing * np.sqrt(np.cumsum(pause**2))
+        charge, _, _ = now.charge(spent, np.cumsum(pause + hours), kind, doubt)
+        charge = falling(np.vstack([charge, end]), np.append(spent, ahead.energy))
+        rows = zip(self.legs.plan.legs, now.taken(self.legs, energy, kind).tolist(), charge.tolist(), strict=False)
+        return [LegOutlook(leg.distance_km, leg.duration_s, _interval(*kwh), _interval(*soc)) for leg, kwh, soc in rows]
+
+
+def falling(charge: Floats, spent: Floats) -> Floats:
+    """Return charges ahead that do not rise where energy is taken: what is left later was there before.
+
+    Intervals are learned by distance, each for itself, so that a later one may be surer. The last one stays as it is;
+    those before it are raised to it, as what falls below them takes the one after them below it.
+
+    Parameters
+    ----------
+    charge : (n, m) float
+        Means and percentiles, one point after another; NaN where they are not known.
+    spent : (n,) float
+        Energy until then, which falls where a descent gives back more than the way takes. [kWh]
+
+    Returns
+    -------
+    (n, m) float
+
+    Examples
+    --------
+    >>> falling(np.array([[50.0], [40.0], [42.0], [41.0]]), np.array([1.0, 2.0, 3.0, 2.5])).tolist()
+    [[50.0], [42.0], [42.0], [41.0]]
+    """
+    out = charge.copy()
+    for i in reversed(range(len(out) - 1)):
+        if spent[i + 1] >= spent[i] - _ROUNDED:
+            out[i] = np.where(np.isnan(out[i]), out[i], np.fmax(out[i], out[i + 1]))
+    return out
 
 
 def answer(
@@ -107,26 +192,15 @@ def answer(
     now = Prospect(foresight, cars, lane)
     if plan is not None and (refused := refusal(plan, now.time)) is not None:
         raise AskError(refused.words, refused.cause)
-    left, plan = _legs(foresight, lane, now.time, plan)
-    underway = left[:1] if foresight.courses.riding(lane) and plan is not None else []
-    legs = [*underway, *([leg] if leg is not None else []), *left[len(underway) :]]
-    hours = 0.0 if plan is None else max(plan.shift_end_s - now.time, 0.0) / 3600.0
-    pauses = max(hours - sum(each.duration_s for each in legs) / 3600.0, 0.0)
-    later = len(left) - len(underway)
-    pause = pauses / later if later else 0.0
-    energies = now.energy(legs)
-    told, spent, passed, km = [], 0.0, 0.0, 0.0
-    for number, (each, energy) in enumerate(zip(legs, energies.tolist(), strict=True)):
-        if number >= len(legs) - later:
-            spent, passed = spent + now.rest(pause, 1), passed + pause
-        passed, km = passed + each.duration_s / 3600.0, km + each.distance_km
-        told.append(now.leg(each, energy, spent, passed))
-        spent += energy
-    spent += 0.0 if later else now.rest(pauses, 0)
-    ahead = _ahead(foresight, now, plan, lane, (spent, km, passed if plan is None else hours))
-    end, raw, errors = now.soc(float(ahead.energy[0]), float(ahead.hours[0]), int(ahead.kind[0]))
+    courses = foresight.courses
+    left = courses.left(lane, now.time, plan, now.tables)
+    nothing = outlook.legs(Plan("", now.time, now.time, 100.0 * RESERVE, []), now.tables)
+    way = Way.of(left or nothing, left is not None and courses.riding(lane) and len(left.km) > 0, leg, now)
+    habits = foresight.lessons.habits_of(np.array([lane]))
+    ahead = way.ahead(now) if left is not None else _unplanned(way.ahead(now), leg is not None, now, *habits)
+    charge, raw, errors = now.charge(ahead.energy, ahead.hours, ahead.kind)
+    told, end = way.outlooks(now, ahead, charge), _interval(*charge[0].tolist())
     danger = float(outlook.risk(raw, ahead.reserve, errors)[0])
-    asked = len(underway) if leg is not None else None
     capacity = float(now.known.capacity[0] * np.exp(now.state["c"]))
     return Outlook(
         vehicle_id=name,
@@ -135,49 +209,44 @@ def answer(
         soc_pct=_known(100.0 * now.told["soc"]),
         soc_sd_pct=_known(100.0 * max(float(np.sqrt(now.told["variance"])), soc.FLOOR)),
         usable_capacity_kwh=_known(capacity),
-        usable_capacity_sd_kwh=_known(capacity * float(np.hypot(np.sqrt(now.state["cc"]), SHOWN))),
+        usable_capacity_sd_kwh=_known(capacity * float(np.hypot(np.sqrt(now.state["cc"]), soc.METER))),
         consumption_scale=_known(float(np.exp(now.state["a"]))),
-        asked=None if asked is None else told[asked],
-        legs=[each for number, each in enumerate(told) if number != asked],
+        asked=None if way.asked is None else told[way.asked],
+        legs=[each for number, each in enumerate(told) if number != way.asked],
         shift_end_s=_known(float(ahead.end[0])),
         soc_end_of_shift_pct=end,
         reserve_soc_pct=100.0 * float(ahead.reserve[0]),
         reserve_risk=_known(danger),
-        why_not=_why_not(now, end, plan is not None or np.isfinite(ahead.energy[0])),
+        why_not=_why_not(now, end, _unknown(left is not None, ahead, lane in courses.later, *habits)),
     )
 
 
-def _legs(foresight: "Foresight", lane: int, time: float, given: Plan | None) -> tuple[list[Leg], Plan | None]:
-    """Return the legs that remain, of the plan that is given or of the one that is known, and that plan."""
-    if given is not None:
-        return list(given.legs), given
-    known = foresight.courses.left(lane)
-    if known is None or not outlook.timely(known[0].time_s, known[0].shift_end_s, time):
-        return [], None
-    return known[1], known[0]
+def _unplanned(ride: Ahead, asked: bool, now: Prospect, hours: Floats, busy: Floats) -> Ahead:
+    """Return what is ahead without a plan: the ride that is asked for, if any, and what is usual of the car after it.
+
+    `hours` and `busy` are how long the car's shifts are, and how busy. Where the shift is longer, the ride is all that
+    is known to come.
+    """
+    unknown = np.array([np.nan])
+    nothing = Ahead(unknown, unknown, unknown, unknown, unknown, np.zeros(1, np.int64))
+    usual = outlook.by_habit(nothing, now.usual, ride.end - now.told["begin"], ride.end, hours, busy)
+    if np.isfinite(usual.energy[0]):
+        energy = ride.energy + now.lean[1] * usual.energy
+        return usual._replace(energy=energy, km=ride.km + usual.km, hours=ride.hours + usual.hours)
+    return ride._replace(kind=ride.kind + 1) if asked and np.isfinite(hours[0]) else usual
 
 
-def _ahead(
-    foresight: "Foresight", now: Prospect, plan: Plan | None, lane: int, planned: tuple[float, float, float]
-) -> Ahead:
-    """Return what is ahead until the shift ends: as planned, else the ride asked for and what is usual after it."""
-    energy, km, hours = (np.array([value]) for value in planned)
-    time, unknown, none = np.array([now.time]), np.array([np.nan]), np.zeros(1, np.int64)
-    if plan is not None:
-        end, reserve = np.array([plan.shift_end_s]), np.array([plan.reserve_soc_pct / 100.0])
-        return Ahead(energy, km, hours, end, reserve, none)
-    nothing = Ahead(unknown, unknown, unknown, unknown, unknown, none)
-    after = time + 3600.0 * hours
-    habits = foresight.lessons.habits_of(np.array([lane]))
-    usual = outlook.by_habit(nothing, now.usual, after - now.told["begin"], after, *habits)
-    if not km[0]:
-        return usual
-    if np.isnan(usual.energy[0]) and np.isfinite(habits[0][0]):  # the ride is all that is known to come
-        return Ahead(energy, km, hours, after, usual.reserve, none + 1)
-    return usual._replace(energy=usual.energy + energy, km=usual.km + km, hours=usual.hours + hours)
+def _unknown(planned: bool, ahead: Ahead, later: bool, hours: Floats, busy: Floats) -> str | None:
+    """Return why it is not known what is ahead; None where it is."""
+    if planned or np.isfinite(ahead.energy[0]):
+        return None
+    plan = "the plan that is known is of a later shift" if later else "no plan is known"
+    if np.isfinite(hours[0] * busy[0]):
+        return f"{plan}, and this shift is longer than those of this car usually are"
+    return f"{plan}, and too few shifts of this car to tell how they go"
 
 
-def _why_not(now: Prospect, end: Interval | None, ahead: bool) -> str | None:
+def _why_not(now: Prospect, end: Interval | None, unknown: str | None) -> str | None:
     """Return why a figure is not known, the deepest reason first; None where all are."""
     if end is not None:
         return None
@@ -185,9 +254,7 @@ def _why_not(now: Prospect, end: Interval | None, ahead: bool) -> str | None:
         return "the car reports no state of charge"
     if now.tables is None:
         return "no day of rides of this vehicle model has been learned from yet"
-    if not ahead:
-        return "no plan is known, and too few shifts of this car to tell how they go"
-    return "too few shifts have ended to tell how far off forecasts are"
+    return unknown or "too few shifts have ended to tell how far off forecasts are"
 
 
 def _interval(mean: float, low: float, high: float) -> Interval | None:

@@ -17,6 +17,7 @@ from core.errors import AskError
 
 MOST_BYTES: Final = 4_000_000
 """Size of a payload."""
+_NUMBER: Final = re.compile(r"[+-]?([0-9]+[.]?[0-9]*|[.][0-9]+)([eE][+-]?[0-9]+)?")  # `float` takes 1_8, too
 _SHOWN: Final = 40  # characters of a wrong value that are told back
 
 
@@ -150,10 +151,7 @@ def asked_plan(payload: bytes | None, vehicle_id: str) -> Plan | None:
 def _number(name: str, text: str) -> float:
     """Return what a parameter says."""
     most, unit = LEG_LIMITS[name]
-    try:
-        value = float(text)
-    except ValueError:
-        value = nan
+    value = float(text) if _NUMBER.fullmatch(text) else nan
     if not isfinite(value):
         raise AskError(f"{name} is {_short(text)}, must be a number from 0 to {most:g}; give {unit}", "parameters")
     return value

@@ -1,8 +1,9 @@
 """What is ahead of a car, and the state of charge that it leads to: from the plan, or from how the car's shifts go.
 
 The energy of a plan's legs is known at every temperature of `core.ahead.expected` when the plan arrives; of the leg
-that is being driven, the share that is left by distance counts. What is left of the time until the shift ends is
-waiting, with an empty way to each ride. The charge at the end is what there is now, less that energy times what this
+that is being driven, the share that is left by distance counts, and its beginning is past. What is left of the time
+until the shift ends is waiting, with an empty way to each ride; a shift whose legs need more time than it has ends with
+them. The charge at the end is what there is now, less that energy times what this
 car takes over the model; how sure that is follows from the filter (`core.ahead.soc`) for the standard deviation, and
 from earlier errors (`core.ahead.conformal`) for the interval.
 """
@@ -10,6 +11,7 @@ from earlier errors (`core.ahead.conformal`) for the interval.
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,7 +19,7 @@ from core.ahead.conformal import LEVELS
 from core.ahead.expected import TEMPERATURES, Tables, tents
 from core.ahead.soc import NOISE, WANDER
 from core.batch import Floats, Ints
-from core.codec import Plan
+from core.codec import Leg, Plan
 from core.columns import ZERO_CELSIUS
 
 EARLY: Final = 600.0
@@ -35,7 +37,8 @@ COURSE: Final = np.dtype(
         ("end", "f8"),  # of the shift [s]
         ("reserve", "f8"),  # [1]
         ("legs", "f8"),  # how many are left
-        ("leg_kwh", "f8", (_KNOTS,)),  # of the next leg, or the one being driven, at each temperature [kWh]
+        ("leg_kwh", "f8", (_KNOTS,)),  # of the next leg, at each temperature [kWh]
+        ("begun_kwh", "f8", (_KNOTS,)),  # of the same, once it has begun
         ("leg_km", "f8"),
         ("leg_s", "f8"),
         ("driven_km", "f8"),  # of the ride in progress when the plan came
@@ -55,7 +58,7 @@ class Ahead(NamedTuple):
     energy : As the model predicts it, with what its errors have taught. [kWh]
     km : Of rides. [km]
     hours : Until the shift ends. [h]
-    end : When it does. [s]
+    end : When it does, not before now, nor before what is planned can be driven. [s]
     reserve : State of charge to be left. [1]
     kind : 0 by plan, 1 by habit. [1]
     """
@@ -134,19 +137,43 @@ class Legs(NamedTuple):
     plan : Plan
     energy : (legs, temperatures) float
         [kWh]
+    begun : (legs, temperatures) float
+        Of each once it has begun. [kWh]
     km, seconds : (legs,) float
     """
 
     plan: Plan
     energy: Floats
+    begun: Floats
     km: Floats
     seconds: Floats
 
     @classmethod
-    def of(cls, plan: Plan, energy: Floats) -> "Legs":
+    def of(cls, plan: Plan, energy: Floats, begun: Floats) -> "Legs":
         """Return the legs of a plan that take these energies."""
         km = np.array([leg.distance_km for leg in plan.legs], dtype=np.float64)
-        return cls(plan, energy, km, np.array([leg.duration_s for leg in plan.legs], dtype=np.float64))
+        seconds = np.array([leg.duration_s for leg in plan.legs], dtype=np.float64)
+        return cls(plan, energy.reshape(-1, _KNOTS), begun.reshape(-1, _KNOTS), km, seconds)
+
+    def left(self, done: int, driven_km: float | None = None) -> "Legs":
+        """Return the legs that are left once so many are done.
+
+        Of the first, so many kilometres were driven; None where it has not begun.
+        """
+        legs, energy, begun = self.plan.legs[done:], self.energy[done:].copy(), self.begun[done:].copy()
+        if legs and driven_km is not None:
+            share = float(share_left(np.array([legs[0].distance_km]), np.array([driven_km]))[0])
+            parts = {name: value and share * value for name, value in msgspec.structs.asdict(legs[0]).items()}
+            legs = [Leg(**parts), *legs[1:]]
+            energy[0] = begun[0] = share * begun[0]
+        return Legs.of(msgspec.structs.replace(self.plan, legs=legs), energy, begun)
+
+    def before(self, place: int, other: "Legs") -> "Legs":
+        """Return these legs with those of another plan before the one at a place."""
+        legs = [*self.plan.legs[:place], *other.plan.legs, *self.plan.legs[place:]]
+        parts = zip((self.energy, self.begun), (other.energy, other.begun), strict=True)
+        energy, begun = (np.concatenate([own[:place], more, own[place:]]) for own, more in parts)
+        return Legs.of(msgspec.structs.replace(self.plan, legs=legs), energy, begun)
 
     def course(self, done: int, driven_km: float) -> NDArray[np.void]:
         """Return what is left once so many legs are done, and what the ride in progress had driven when it came."""
@@ -155,18 +182,35 @@ class Legs(NamedTuple):
         out["came"], out["driven_km"] = self.plan.time_s, driven_km
         out["legs"] = max(len(self.km) - done, 0)
         if done < len(self.km):
-            out["leg_kwh"], out["leg_km"], out["leg_s"] = self.energy[done], self.km[done], self.seconds[done]
+            out["leg_kwh"], out["begun_kwh"] = self.energy[done], self.begun[done]
+            out["leg_km"], out["leg_s"] = self.km[done], self.seconds[done]
             out["later_kwh"] = self.energy[done + 1 :].sum(axis=0)
             out["later_km"], out["later_s"] = self.km[done + 1 :].sum(), self.seconds[done + 1 :].sum()
         return out
 
 
-def legs(plan: Plan, tables: Tables) -> Legs:
-    """Return the legs of a plan with their energies, by what is expected of the car's model."""
-    found = Legs.of(plan, np.empty((0, _KNOTS)))
+def legs(plan: Plan, tables: Tables | None) -> Legs:
+    """Return the legs of a plan with their energies, by what is expected of the car's model; NaN where nothing is."""
+    unknown = np.full((len(plan.legs), _KNOTS), np.nan)
+    found = Legs.of(plan, unknown, unknown)
+    if tables is None or not plan.legs:
+        return found
     climbs = [(leg.gained_m, leg.lost_m) for leg in plan.legs]
     gained, lost = (np.array([np.nan if c[i] is None else c[i] for c in climbs], dtype=np.float64) for i in (0, 1))
-    return found._replace(energy=tables.legs(found.km, found.seconds, gained, lost))
+    energy, begun = (tables.legs(found.km, found.seconds, gained, lost, begun=begun) for begun in (False, True))
+    return found._replace(energy=energy, begun=begun)
+
+
+def share_left(leg_km: Floats, driven_km: Floats) -> Floats:
+    """Return the share of legs that is left when so much of each was driven, (n,). [1]
+
+    Examples
+    --------
+    >>> share_left(np.array([4.0, 4.0, 0.0]), np.array([1.0, 9.0, 1.0])).tolist()
+    [0.75, 0.0, 1.0]
+    """
+    done = np.divide(np.maximum(driven_km, 0.0), leg_km, out=np.zeros(len(leg_km)), where=leg_km > 0.0)
+    return np.asarray(np.clip(1.0 - done, 0.0, 1.0))
 
 
 def by_plan(courses: NDArray[np.void], time: Floats, ride_km: Floats, riding: NDArray[np.bool_], usual: Usual) -> Ahead:
@@ -182,25 +226,29 @@ def by_plan(courses: NDArray[np.void], time: Floats, ride_km: Floats, riding: ND
     riding : (n,) bool
     usual : Usual
     """
-    leg_km = courses["leg_km"]
-    done = np.maximum(ride_km - courses["driven_km"], 0.0)
-    left = np.clip(1.0 - np.divide(done, leg_km, out=np.zeros(len(done)), where=leg_km > 0.0), 0.0, 1.0)
-    hours = np.maximum(courses["end"] - time, 0.0) / 3600.0
+    left = np.where(riding, share_left(courses["leg_km"], ride_km - courses["driven_km"]), 1.0)
     driving = left * courses["leg_s"] + courses["later_s"]
+    end = np.maximum(courses["end"], time + driving)
+    hours = (end - time) / 3600.0
     rest = np.maximum(hours - driving / 3600.0, 0.0)
-    legs = left[:, np.newaxis] * courses["leg_kwh"] + courses["later_kwh"]
+    whole, begun, later = (_at(courses[name], usual.weights) for name in ("leg_kwh", "begun_kwh", "later_kwh"))
     approaches = courses["legs"] - riding * (courses["legs"] > 0.0)
     resting = rest * usual.standing + approaches * usual.approach
-    energy = np.einsum("ij,ij->i", legs, usual.weights) + resting
+    energy = np.where(riding, left * begun, whole) + later + resting
     known = (courses["planned"] == 1.0) & timely(courses["came"], courses["end"], time)
     return Ahead(
         np.where(known, energy, np.nan),
-        np.where(known, left * leg_km + courses["later_km"], np.nan),
+        np.where(known, left * courses["leg_km"] + courses["later_km"], np.nan),
         np.where(known, hours, np.nan),
-        np.where(known, courses["end"], np.nan),
+        np.where(known, end, np.nan),
         np.where(known, courses["reserve"], np.nan),
         np.zeros(len(time), np.int64),
     )
+
+
+def _at(energy: Floats, weights: Floats) -> Floats:
+    """Return energies that are known at each temperature at the temperatures about each row, (n,)."""
+    return np.asarray(np.einsum("ij,ij->i", energy, weights))
 
 
 def timely(came: Any, end: Any, time: Any) -> Any:

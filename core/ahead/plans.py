@@ -113,13 +113,18 @@ def _untimely(end_s: float, now_s: float) -> Refusal | None:
     if end_s < now_s - PAST_S:
         return Refusal(
             "plan_in_the_past",
-            f"shift_end_s is {end_s:.0f}, {-hours:.1f} h before the vehicle's newest sample, at most {PAST_S:g} s; "
-            "give the end of a shift under way, in Unix seconds",
+            f"shift_end_s is {end_s:.12g}, {_short(-hours)} h before the vehicle's newest sample, at most "
+            f"{PAST_S:g} s; give the end of a shift under way, in Unix seconds",
         )
     if end_s > now_s + AHEAD_S:
         return Refusal(
             "plan_too_far_ahead",
-            f"shift_end_s is {end_s:.0f}, {hours:.1f} h after the vehicle's newest sample, at most "
+            f"shift_end_s is {end_s:.12g}, {_short(hours)} h after the vehicle's newest sample, at most "
             f"{AHEAD_S / 3600:g} h; give the end of this shift, in Unix seconds",
         )
     return None
+
+
+def _short(hours: float) -> str:
+    """Return hours in few digits, however many there are."""
+    return f"{hours:.1f}" if hours < 1e6 else f"{hours:.1e}"
