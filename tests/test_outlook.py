@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+import scipy.integrate
 from fleet_days import DAY, DAYS, LEG, LEGS, RESERVE, SHIFT, START, again, speeds
 from hypothesis import given
 from hypothesis import strategies as st
 
 from core.ahead import outlook
 from core.ahead.expected import REGAINED, STEEPEST, TEMPERATURES
-from core.ahead.outlook import EARLY, OVERTIME, Known
+from core.ahead.outlook import EARLY, FADES, OVERTIME, Known
 from core.ahead.soc import NOISE, WANDER
 from core.codec import Leg, Plan
 from core.columns import ZERO_CELSIUS
@@ -32,8 +33,8 @@ def ahead(done=0, time=BEGIN, ride_km=0.0, driven_km=0.0, riding=False):
     return outlook.by_plan(course, *one, usual())
 
 
-def known(soc=0.6, variance=1e-5, scale=0.1, scale_variance=0.01, covariance=-1e-5, quantum=0.01, capacity=24.0):
-    values = (soc, variance, scale, scale_variance, covariance, quantum, capacity)
+def known(soc=0.6, variance=1e-5, scale=0.1, scale_variance=0.01, covariance=-1e-5, usual=0.0, capacity=24.0):
+    values = (soc, variance, scale, scale_variance, covariance, usual, 0.01, capacity)
     return Known(*np.broadcast_arrays(*(np.atleast_1d(np.asarray(value, float)) for value in values)))
 
 
@@ -46,6 +47,16 @@ def test_all_of_a_plan_is_what_its_legs_take_and_the_time_between():
     assert whole.km[0] == pytest.approx(sum(leg.distance_km for leg in PLAN.legs))
     assert (whole.hours[0], whole.end[0], whole.reserve[0]) == (SHIFT / 3600.0, BEGIN + SHIFT, RESERVE / 100.0)
     assert whole.kind[0] == 0
+
+
+@given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(0.0, 24.0), st.floats(0.1, 24.0))
+def test_what_was_found_today_fades_towards_the_usual(scale, norm, hours, more):
+    soon, late = (known(scale=scale, usual=norm).later(np.array([h]))[0] for h in (hours, hours + more))
+    assert min(scale, norm) - 1e-9 <= late <= max(scale, norm) + 1e-9
+    assert abs(late - norm) <= abs(soon - norm) + 1e-12
+    mean = scipy.integrate.quad(lambda t: norm + (scale - norm) * np.exp(-t / FADES), 0.0, hours + more)[0]
+    assert late == pytest.approx(mean / (hours + more), abs=1e-9)
+    assert known(scale=scale, usual=norm).later(np.zeros(1))[0] == pytest.approx(scale, abs=1e-6)
 
 
 @given(st.integers(0, LEGS - 1), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
@@ -169,7 +180,7 @@ def test_more_ahead_leaves_less_and_is_less_sure(energy, more, hours):
     first, second = (outlook.at_end(known(), np.array([e]), np.array([hours])) for e in (energy, energy + more))
     assert second.mean[0] < first.mean[0]
     assert second.sd[0] > first.sd[0]
-    assert first.mean[0] == pytest.approx(0.6 - np.exp(0.1) * energy / 24.0)
+    assert first.mean[0] == pytest.approx(0.6 - np.exp(known().later(np.array([hours]))[0]) * energy / 24.0)
 
 
 def test_its_deviation_is_that_of_what_may_happen():
@@ -192,12 +203,13 @@ def test_what_is_reported_is_never_surer_than_its_quantum():
 
 @given(st.floats(0.0, 1.0), st.floats(0.0, 0.5), st.floats(0.0, 1.0))
 def test_a_fuller_car_goes_farther_and_one_below_its_reserve_nowhere(soc, more, reserve):
-    reach = [outlook.reach(known(s), np.array([reserve]), np.array([0.2])) for s in (soc, min(soc + more, 1.0))]
+    reach = [outlook.reach(known(s), np.array([reserve]), usual()) for s in (soc, min(soc + more, 1.0))]
     assert 0.0 <= reach[0].mean[0] <= reach[1].mean[0]
     assert all(each.sd[0] >= 0.0 and np.isfinite(each.sd[0]) for each in reach)
     assert (reach[0].mean[0] == 0.0) == (soc <= reserve)
-    left = max(soc - reserve, 0.0)
-    assert reach[0].mean[0] == pytest.approx(left * 24.0 / 0.2 / np.exp(0.1))
+    left = max(soc - reserve, 0.0) * 24.0
+    scale = known().later(left / usual().power)[0]
+    assert reach[0].mean[0] == pytest.approx(left / usual().per_km[0] / np.exp(scale))
 
 
 def test_a_leg_of_which_no_climb_is_told_is_as_usual_and_one_that_climbs_takes_more():

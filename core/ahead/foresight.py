@@ -194,7 +194,7 @@ class Foresight:
         far_km = ahead.energy / usual.per_km
         errors, bounds = self.lessons.conformal.quantiles(ahead.kind, far_km, celsius)
         ends = np.clip(end.mean[:, np.newaxis] + end.sd[:, np.newaxis] * bounds, 0.0, 1.0)
-        reach = outlook.reach(known, ahead.reserve, usual.per_km)
+        reach = outlook.reach(known, ahead.reserve, usual)
         kinds = np.zeros_like(ahead.kind)
         far, by_habit = (self.lessons.conformal.quantiles(kinds + k, reach.mean, celsius)[1] for k in (0, 1))
         far = np.where(np.isfinite(far), far, by_habit)

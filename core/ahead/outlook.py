@@ -26,6 +26,8 @@ EARLY: Final = 600.0
 """Nor does a plan speak of samples that were so much before it. [s]"""
 OVERTIME: Final = 1800.0
 """A plan is over so long after its end. [s]"""
+FADES: Final = 3.0
+"""Time in which all but 1/e is gone of what a car was found to take today: weather, traffic, passengers change. [h]"""
 RESERVE: Final = 0.1
 """State of charge that is to be left where no plan says how much. [1]"""
 _KNOTS: Final = len(TEMPERATURES)
@@ -78,6 +80,7 @@ class Known(NamedTuple):
     ----------
     soc, variance : State of charge. [1]
     scale, scale_variance, covariance : `a` less `c` of `core.ahead.soc`, and its covariance with the charge.
+    usual : What `scale` was expected to be before anything was found today.
     quantum : Of the charge as it is reported. [1]
     capacity : Nominal usable. [kWh]
     """
@@ -87,15 +90,19 @@ class Known(NamedTuple):
     scale: Floats
     scale_variance: Floats
     covariance: Floats
+    usual: Floats
     quantum: Floats
     capacity: Floats
 
     @classmethod
     def of(cls, told: Mapping[str, Floats], capacity: Floats) -> "Known":
         """Return what the filter told (`core.ahead.soc.TOLD`) of cars of these capacities."""
-        names = ("soc", "variance", "scale", "scale_variance", "covariance", "quantum")
-        soc, variance, scale, scale_variance, covariance, quantum = (told[name] for name in names)
-        return cls(soc, variance, scale, scale_variance, covariance, quantum, capacity)
+        return cls(capacity=capacity, **{name: told[name] for name in cls._fields[:-1]})
+
+    def later(self, hours: Floats) -> Floats:
+        """Return the mean of `scale` over so many hours to come: what was found today fades, towards the usual."""
+        spans = np.maximum(hours, 1e-6) / FADES
+        return np.asarray(self.usual + (self.scale - self.usual) * -np.expm1(-spans) / spans)
 
 
 class Usual(NamedTuple):
@@ -282,11 +289,14 @@ def by_habit(ahead: Ahead, usual: Usual, elapsed: Floats, now: Floats, hours: Fl
     )
 
 
-def reach(known: Known, reserve: Floats, per_km: Floats) -> Outcome:
-    """Return how far a car gets until its reserve, and the standard deviation before errors are learned from. [km]"""
+def reach(known: Known, reserve: Floats, usual: Usual) -> Outcome:
+    """Return how far a car gets until its reserve, and the standard deviation before errors are learned from. [km]
+
+    That takes as long as such cars usually do for the energy that is left.
+    """
     left = np.maximum(known.soc - reserve, 0.0)
     energy = left * known.capacity
-    km = energy / (np.exp(known.scale) * per_km)
+    km = energy / (np.exp(known.later(energy / usual.power)) * usual.per_km)
     own = np.divide(known.variance, left**2, out=np.zeros(len(left)), where=left > 0.0)
     noise = np.divide(NOISE**2, energy, out=np.zeros(len(left)), where=energy > 0.0)
     return Outcome(km, km * np.sqrt(np.maximum(known.scale_variance, 0.0) + own + noise))
@@ -297,10 +307,11 @@ def at_end(known: Known, energy: Floats, hours: Floats) -> Outcome:
 
     Notes
     -----
-    With the predicted fall D = E / C, the variance is that of the charge; D^2 times that of a - c, which wanders on
-    meanwhile; the covariance of both; the noise of the energy itself, which grows with its root; and the quantum of
-    what is reported, as the outcome is. D has no factor exp(a - c), so that a car that stops telling its charge, and
-    of which less is learned, never counts as surer than if it told.
+    With the predicted fall D = E / C, the mean falls by exp(a - c) D, where what was found of a - c today fades. The
+    variance is that of the charge; D^2 times that of a - c, which wanders on meanwhile; the covariance of both; the
+    noise of the energy itself, which grows with its root; and the quantum of what is reported, as the outcome is. D has
+    no factor exp(a - c), so that a car that stops telling its charge, and of which less is learned, never counts as
+    surer than if it told.
     """
     predicted = energy / known.capacity
     variance = (
@@ -310,7 +321,7 @@ def at_end(known: Known, energy: Floats, hours: Floats) -> Outcome:
         + NOISE**2 * np.maximum(energy, 0.0) / known.capacity**2
         + known.quantum**2 / 12.0
     )
-    mean = known.soc - np.exp(known.scale) * predicted
+    mean = known.soc - np.exp(known.later(hours)) * predicted
     return Outcome(mean, np.sqrt(np.maximum(variance, known.quantum**2 / 12.0)))
 
 

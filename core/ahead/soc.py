@@ -163,6 +163,7 @@ TOLD: Final = (
     "begin",  # of the shift [s]
     "begin_soc",  # [1]
     "distance",  # in the shift [m]
+    "usual",  # `scale` as it was expected to be, before anything was found today
 )
 """What is told after each event."""
 
@@ -441,7 +442,7 @@ def tell(s: Any, out: Any) -> None:
     out[0], out[1] = published(s, s.quantum), s.ss
     out[2], out[3], out[4] = s.a - s.c, s.aa + s.cc - 2.0 * s.ac, s.sa - s.sc
     out[5], out[6], out[7], out[8], out[9] = s.ambient, s.shift, s.quantum, s.charged, s.last_soc
-    out[10], out[11], out[12] = s.begin, s.begin_soc, s.distance
+    out[10], out[11], out[12], out[13] = s.begin, s.begin_soc, s.distance, s.usual
 
 
 @njit(cache=True)
