@@ -9,13 +9,14 @@ import numpy as np
 import pandas as pd
 
 from core import effects
-from core.ahead.answer import answer
+from core.ahead.answer import answer, silenced
 from core.ahead.calendar import Calendar, Night
 from core.ahead.courses import Arrival, Driving
 from core.ahead.foresight import Foresight, Rows
 from core.ahead.gathered import Gathered, joined
-from core.ahead.plans import refusal
+from core.ahead.plans import older, refusal
 from core.ahead.shift_tables import Told, outlook_table, shift_table
+from core.ahead.soc import BETWEEN_SHIFTS
 from core.batch import Batch, Ints, Lanes, grown
 from core.cars import Cars
 from core.clean import STATE, Cleaner
@@ -178,7 +179,7 @@ class Pipeline:
         """Take an observation of the weather, or a night, before a row."""
         if isinstance(value, Night):
             self._foresee(row)
-            self.foresight.lessons.overnight()
+            self.foresight.overnight()
         elif not self.stations.observe(value):
             self.decoder.refuse("weather", "out_of_range")
 
@@ -188,7 +189,7 @@ class Pipeline:
             self._drive(value)
             if self.keep_forecasts and value.driver_id and value.event == "start":
                 self._gathered.say(Driving(at, lane, value.driver_id))
-        elif value.time_s < self._planned.get(lane, value.time_s):
+        elif older(value, self._planned.get(lane, value.time_s)):
             self.decoder.refuse("plan", "plan_in_the_past")
         elif (refused := refusal(value, value.time_s)) is not None:
             self.decoder.refuse("plan", refused.cause)
@@ -277,7 +278,7 @@ class Pipeline:
         return shift_table(self.foresight.take_shifts(), self.lanes.names, self.cars)
 
     def ask(self, vehicle_id: str, leg: Leg | None = None, plan: Plan | None = None) -> Outlook:
-        """Return what is expected of the rest of a vehicle's shift.
+        """Return what is expected of the rest of a vehicle's shift; nothing, where that ended in silence meanwhile.
 
         Parameters
         ----------
@@ -296,7 +297,10 @@ class Pipeline:
         lane = self.lanes.find(vehicle_id)
         if lane is None or lane >= len(self.foresight.state) or not self.foresight.state["heard"][lane]:
             raise AskError(f"vehicle {vehicle_id!r} has sent nothing so far: give one that has", "unknown_vehicle")
-        return answer(self.foresight, self.cars, lane, vehicle_id, f"{self.model.name}/{self.model.version}", leg, plan)
+        version = f"{self.model.name}/{self.model.version}"
+        told = answer(self.foresight, self.cars, lane, vehicle_id, version, leg, plan)
+        silent = self.calendar.silence(lane)
+        return silenced(told, silent) if silent > BETWEEN_SHIFTS else told
 
     def quality(self) -> dict[str, Any]:
         """Return the counters since the start.

@@ -27,6 +27,7 @@ from fleet_days import (
 from hypothesis import given
 from hypothesis import strategies as st
 
+from core.ahead.courses import LONGEST_SHIFT
 from core.ahead.outlook import RESERVE as RESERVE_SHARE
 from core.codec import Interval, Leg, Plan, encode
 from core.errors import AskError
@@ -246,6 +247,7 @@ def test_a_plan_in_the_question_that_is_the_known_one_is_answered_the_same():
     [
         ({"shift_end_s": BEGIN - 7200.0}, "plan_in_the_past"),
         ({"shift_end_s": BEGIN + 60.0 * DAY}, "plan_too_far_ahead"),
+        ({"shift_end_s": BEGIN + LONGEST_SHIFT + 120.0}, "plan_too_far_ahead"),
         ({"reserve_soc_pct": -1.0}, "out_of_range"),
         ({"legs": [Leg(-1.0, 60.0)]}, "out_of_range"),
         ({"legs": [Leg(1.0, 60.0)] * 10_000}, "too_many_legs"),

@@ -73,7 +73,7 @@ def test_the_figures_are_those_of_the_outlook():
         "end of shift": "31 % (24 to 38) at 14:00 UTC, 11 points above the reserve",
         "energy": "3.10 kWh (2.70 to 3.60)",
         "then planned": "2 legs, 30 km, 4.0 kWh",
-        "now": "72.0 ± 0.4 % of 38.2 ± 0.6 kWh, by a sample of 12:00 UTC",
+        "now": "72.0 ± 0.4 % of 38.2 ± 0.6 kWh, by a sample of 2024-01-15 12:00 UTC",
         "this car today": "takes 104 % of what hybrid/2 says",
     }
 
@@ -97,6 +97,7 @@ def test_what_is_not_known_is_left_out(without):
         (("taxi-7", "--distance-km", "nan", "--duration-s", "1500"), "'nan'"),
         (("taxi-7", *RIDE, "--plan", "nowhere.json"), "nowhere.json cannot be read"),
         (("taxi-7", *RIDE, "--plan", "{tmp}/rubbish.json"), "no plan"),
+        (("taxi-7", "--plan", "{tmp}/empty.json"), "empty.json is empty; "),
         (("taxi-7", *RIDE, "--timeout-s", "0"), "--timeout-s is 0"),
         (("taxi-7", *RIDE, "--timeout-s", "nan"), "--timeout-s is nan"),
         (("taxi-7", *RIDE, "--json", "/nowhere/x.json"), "/nowhere/x.json"),
@@ -106,6 +107,7 @@ def test_what_is_not_known_is_left_out(without):
 )
 def test_what_cannot_be_asked_is_one_line(arguments, told, tmp_path, capsys):
     (tmp_path / "rubbish.json").write_text("lunch at noon")
+    (tmp_path / "empty.json").touch()
     given = [argument.replace("{tmp}", str(tmp_path)) for argument in arguments]
     assert told in refused(capsys, "ask", *given, "--connect", f"tcp/127.0.0.1:{free_port()}")
 

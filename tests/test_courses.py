@@ -24,6 +24,7 @@ from hypothesis import strategies as st
 
 from core.ahead.courses import PLAN_LAG, PROLONGED, SHORTEST_RIDE
 from core.ahead.outlook import OVERTIME
+from core.pipeline import Pipeline
 
 CAR = "c"
 LANE = CARS.index(CAR)
@@ -127,6 +128,21 @@ def test_the_latest_plan_replaces_the_one_before():
     pipeline = at(20.0 * PERIOD, inserted=[(10.0 * PERIOD, plan(CAR, DAYS, BEGIN + 150.0, 2, reserve_soc_pct=33.0))])
     assert known(pipeline).reserve_soc_pct == 33.0
     assert len(known(pipeline).legs) == 2
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e9])
+def test_a_plan_by_a_wrong_clock_keeps_out_none_after_it_not_even_over_a_restart(factor):
+    """In milliseconds, or in nanoseconds."""
+    pipeline, wrong = at(20.0 * PERIOD), factor * BEGIN
+    pipeline.push([told("plan", CAR, wrong, shift_end_s=wrong, reserve_soc_pct=44.0, legs=[])])
+    kept = Pipeline(settings=pipeline.settings)
+    kept.restore(pipeline.snapshot())
+    now = BEGIN + 21.0 * PERIOD
+    kept.push([plan(CAR, DAYS, now, 2, reserve_soc_pct=33.0)])
+    assert (known(kept).reserve_soc_pct, len(known(kept).legs)) == (33.0, 2)
+    kept.push([plan(CAR, DAYS, now - 1.0, 3, reserve_soc_pct=55.0)])
+    assert known(kept).reserve_soc_pct == 33.0
+    assert kept.quality()["undecodable"] == {"plan_in_the_past": 1}
 
 
 def tomorrow(came, last=LEGS, **changed):

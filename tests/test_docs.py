@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from core.ahead.plans import AHEAD_S, FASTEST_KMH, LEG_LIMITS, MOST_LEGS, PAST_S
+from core.ahead.courses import LONGEST_SHIFT
+from core.ahead.plans import FASTEST_KMH, LEG_LIMITS, MOST_LEGS, PAST_S
 from core.codec import LegOutlook, Outlook
 from tools.cli import COMMANDS
 
@@ -64,7 +65,7 @@ def test_the_page_on_questions_has_every_field_of_the_reply_and_each_limit_of_th
     assert f"at most {FASTEST_KMH:g} km/h " in query
     assert f"more than {MOST_LEGS:g} " in errors
     assert f"more than {PAST_S:g} s before" in errors
-    assert f"more than {AHEAD_S / 3600:g} h after" in errors
+    assert f"more than {LONGEST_SHIFT / 3600:g} h after" in errors
 
 
 def test_the_lock_file_and_the_docs_name_no_address():

@@ -13,13 +13,14 @@ from test_report import read
 
 from core.evaluate.results import plain
 from core.evaluate.soc import evaluate_soc
+from core.evaluate.soc_share import ENOUGH
 from tools import evaluate_soc as command
 from tools.cli import main
 from tools.import_drives import collect, write
 from tools.importers import ved
 from tools.importers.shifts import strung
 from tools.report import soc, soc_figures, soc_risk_tables
-from tools.report.soc_tables import against_best, ahead, covered
+from tools.report.soc_tables import against_best, ahead, condition_tables, covered
 
 DATA = Path(__file__).parent.parent.parent / "shared" / "data"
 SHIFT = Path(__file__).parent.parent / "recordings" / "shift.mcap"
@@ -159,13 +160,67 @@ def test_the_scatter_shows_each_shift_once_where_it_belongs(result):
     assert len(inside.x) / own["n"] == pytest.approx(own["coverage"]["value"])
 
 
-def test_the_risk_is_shown_as_it_was_told_and_as_it_came(result):
-    levels, plan, equal = soc_figures.risk(result).data
+def test_the_risk_is_shown_as_it_was_told_and_as_it_came():
+    result = plain(evaluate_soc(*told(cars=6, days=9)))
+    *traces, equal = soc_figures.risk(result).data
+    levels, plan = (trace for trace in traces if trace.mode == "markers")
+    few = {"levels" if trace.name.startswith("levels") else "plan" for trace in traces if trace.mode == "lines"}
     for points, key in ((levels, "levels"), (plan, "plan")):
         classes = result["reserve"]["reliability"][key]
         assert list(points.x) == pytest.approx([100.0 * own["told"] for own in classes])
-        assert list(points.y) == pytest.approx([100.0 * own["fell"]["value"] for own in classes])
+        shown = [100.0 * own["fell"]["value"] if own["fell"]["clusters"] >= ENOUGH else None for own in classes]
+        assert list(points.y) == shown
+        assert (None in shown) == (key in few)
+    assert any(y is not None for y in levels.y)
     assert equal.x == equal.y
+
+
+def coverages(*clusters):
+    """Return groups whose shares rest on so many car-days; of one alone there is no interval."""
+    ends = {"low": 0.6, "high": 0.95}
+    return {
+        f"group {n}": {"coverage": {"value": 0.8, "clusters": n} | (ends if n > 1 else dict.fromkeys(ends))}
+        for n in clusters
+    }
+
+
+def test_of_few_car_days_a_figure_shows_the_interval_alone():
+    points, lines = soc_figures.coverage(coverages(1, 2, ENOUGH - 1, ENOUGH), "Group [1]").data
+    assert points.x == ("group 1", "group 2", "group 29", "group 30")
+    assert points.y == (None, None, None, 80.0)
+    assert lines.mode == "lines"
+    assert lines.x == tuple(x for n in (1, 2, 29) for x in (f"group {n}", f"group {n}", None))
+    assert lines.y == (None, None, None, 60.0, 95.0, None, 60.0, 95.0, None)
+    (alone,) = soc_figures.coverage(coverages(ENOUGH, 300), "Group [1]").data
+    assert alone.y == (80.0, 80.0)
+
+
+def test_groups_stay_in_their_order_whether_or_not_they_are_too_few():
+    made = soc_figures.coverage(coverages(40, 2, 50), "Group [1]")
+    assert made.layout.xaxis.categoryarray == ("group 40", "group 2", "group 50")
+
+
+def test_no_interval_of_a_width_or_an_error_goes_below_zero():
+    known = {"value": 4.0, "ci95": 5.0}
+    hours = {
+        hours: {"width_pct": width, "mae_pct": width, "baselines": {}}
+        for hours, width in (("1", known), ("2", {"value": 20.0, "ci95": 1.0}), ("4", {"value": 1.0, "ci95": None}))
+    }
+    result = {"overall": {"hours": hours}}
+    for trace in (soc_figures.width(result).data[0], soc_figures.errors(result).data[0]):
+        assert trace.error_y.array == (5.0, 1.0, None)
+        assert trace.error_y.arrayminus == (4.0, 1.0, None)
+        assert trace.error_y.symmetric is False
+
+
+def test_against_the_best_nothing_is_said_of_few_car_days(result):
+    of_model = result["by"]["vehicle model"]
+    assert all(own["hours"]["2"]["best"]["vehicle_days"] == own["hours"]["2"]["n"] == 12 for own in of_model)
+    (table,) = (table for table in condition_tables(result) if table.title == "By vehicle model")
+    assert [row.cells[-1].text for row in table.rows] == ["–", "–"]
+    many = plain(evaluate_soc(*told(cars=4, days=17)))
+    (table,) = (table for table in condition_tables(many) if table.title == "By vehicle model")
+    assert all(re.fullmatch(r"[+−][\d.]+ %", row.cells[-1].text) for row in table.rows)
 
 
 def test_alarms_are_told_level_by_level(result):

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.ahead.plans import AHEAD_S, LEG_LIMITS, MOST_LEGS, PAST_S, beyond, refusal
+from core.ahead.plans import AHEAD_S, LEG_LIMITS, MOST_LEGS, PAST_S, beyond, older, refusal
 from core.codec import Leg, Plan
 
 NOW = 1_705_320_000.0
@@ -91,3 +91,18 @@ def test_where_the_time_is_not_known_a_shift_may_end_at_any(end):
 def test_the_speed_that_is_allowed_is_that_of_the_leg():
     assert beyond(Leg(200.0, 3600.0)) is None
     assert beyond(Leg(200.1, 3600.0)) is not None
+
+
+@pytest.mark.parametrize("ahead", [1800.0, AHEAD_S])
+def test_how_far_ahead_a_shift_may_end_is_told_as_it_is_asked_for(ahead):
+    assert refusal(plan(shift_end_s=NOW + ahead), NOW, ahead) is None
+    refused = refusal(plan(shift_end_s=NOW + ahead + 1.0), NOW, ahead)
+    assert refused.cause == "plan_too_far_ahead"
+    assert f"at most {ahead / 3600.0:g} h" in refused.words
+
+
+@pytest.mark.parametrize(
+    ("newest", "found"), [(-1.0, False), (0.0, False), (1.0, True), (AHEAD_S, True), (AHEAD_S + 1.0, False)]
+)
+def test_a_plan_is_older_than_the_newest_one_unless_that_is_of_a_wrong_clock(newest, found):
+    assert older(plan(time_s=NOW), NOW + newest) is found

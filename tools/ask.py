@@ -131,11 +131,14 @@ def figures(outlook: Outlook) -> Iterator[tuple[str, str]]:
 
 
 def _read(path: Path) -> bytes:
-    """Return what a file holds."""
+    """Return what a file holds; an empty one would be taken for no plan at all."""
     try:
-        return path.read_bytes()
+        held = path.read_bytes()
     except OSError as error:
         raise SettingsError(f"{path} cannot be read: {error.strerror}; name a file with a plan as JSON") from error
+    if not held:
+        raise SettingsError(f"{path} is empty; name a file with a plan as JSON, or leave --plan out")
+    return held
 
 
 def _against(soc: Interval, reserve: float) -> str:
@@ -187,4 +190,4 @@ def _now(outlook: Outlook) -> str:
     if outlook.usable_capacity_kwh is not None:
         sd = f" ± {outlook.usable_capacity_sd_kwh:.1f}" if outlook.usable_capacity_sd_kwh is not None else ""
         of = f" of {outlook.usable_capacity_kwh:.1f}{sd} kWh"
-    return f"{soc} %{of}, by a sample of {_clock(outlook.time_s)}"
+    return f"{soc} %{of}, by a sample of {datetime.fromtimestamp(outlook.time_s, UTC):%Y-%m-%d %H:%M} UTC"

@@ -21,6 +21,7 @@ from core.learn.blocks import Parquet
 from core.learn.recipes import RECIPES, LinearRecipe, Recipe, recipe
 from core.models import ANY, Curve, Fit, LinearModel, Term
 from tools.output import JsonFile, printer, writable, write_json
+from tools.recordings import refuse_twice
 from tools.tables import RIDES, WINDOWS
 
 Tables = Annotated[
@@ -71,15 +72,14 @@ def ride_files(tables: Sequence[Path]) -> list[Path]:
     Raises
     ------
     SettingsError
-        Where one is not there.
+        Where one is not there, or given twice.
     """
     files = [path / RIDES if path.is_dir() else path for path in tables]
     for given, file in zip(tables, files, strict=True):
         if not file.is_file():
             lacks = f"holds no {RIDES}" if given.is_dir() else "is not there"
             raise SettingsError(f"{given} {lacks}; name a folder that `socast tables` made, or a Parquet file of rides")
-    if twice := [file for i, file in enumerate(files) if file.resolve() in {other.resolve() for other in files[:i]}]:
-        raise SettingsError(f"{twice[0]} is given twice, and its rides would count twice; give it once")
+    refuse_twice(files)
     return files
 
 
@@ -89,7 +89,7 @@ def inputs(given: Sequence[Path]) -> list[Path]:
     Raises
     ------
     SettingsError
-        Where recordings are mixed with tables, or a file is not there or given twice.
+        Where recordings are mixed with tables, or a file of rides is not there or given twice.
     """
     recordings = [path for path in given if path.suffix == RECORDING]
     if not recordings:
@@ -97,8 +97,6 @@ def inputs(given: Sequence[Path]) -> list[Path]:
     if len(recordings) < len(given):
         other = next(path for path in given if path.suffix != RECORDING)
         raise SettingsError(f"{recordings[0]} is a recording and {other} is none; give recordings or tables, not both")
-    if twice := [path for i, path in enumerate(recordings) if path.resolve() in {p.resolve() for p in recordings[:i]}]:
-        raise SettingsError(f"{twice[0]} is given twice, and its rides would count twice; give it once")
     return recordings
 
 

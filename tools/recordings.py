@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from math import inf
+from os.path import realpath
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +11,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from core.errors import SettingsError
 from core.pipeline import Pipeline
 from stream.mcap_io import McapSink, McapSource
 from stream.run import Tally, run
@@ -19,9 +21,32 @@ from tools.screen import Screen
 Recordings = Annotated[list[Path], typer.Argument(metavar="REC...", help="MCAP recordings.", show_default=False)]
 
 
-def opened(recordings: Iterable[Path]) -> list[McapSource]:
-    """Return recordings, ready to be read; `RecordingError` where one cannot be."""
+def opened(recordings: Sequence[Path]) -> list[McapSource]:
+    """Return recordings, ready to be read.
+
+    Raises
+    ------
+    RecordingError
+        Where one cannot be.
+    SettingsError
+        Where one is given twice.
+    """
+    refuse_twice(recordings)
     return [McapSource(path) for path in recordings]
+
+
+def refuse_twice(files: Iterable[Path]) -> None:
+    """Refuse files of which one is given twice, by whatever name.
+
+    Raises
+    ------
+    SettingsError
+    """
+    known: set[str] = set()
+    for file in files:
+        if (own := realpath(file)) in known:  # `Path.resolve` fails where links go in a circle
+            raise SettingsError(f"{file} is given twice, and what it holds would count twice; give it once")
+        known.add(own)
 
 
 @contextmanager

@@ -13,9 +13,11 @@ come.
 from math import inf
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import msgspec
 import numpy as np
 
 from core.ahead import outlook, soc
+from core.ahead.courses import LONGEST_SHIFT
 from core.ahead.outlook import RESERVE, Ahead, Known, Legs, Outcome, Usual
 from core.ahead.plans import refusal
 from core.batch import Floats, Ints
@@ -187,10 +189,10 @@ def answer(
     Raises
     ------
     AskError
-        For a plan that cannot be used.
+        For a plan that cannot be used, or is of a later shift than the one under way.
     """
     now = Prospect(foresight, cars, lane)
-    if plan is not None and (refused := refusal(plan, now.time)) is not None:
+    if plan is not None and (refused := refusal(plan, now.time, LONGEST_SHIFT)) is not None:
         raise AskError(refused.words, refused.cause)
     courses = foresight.courses
     left = courses.left(lane, now.time, plan, now.tables)
@@ -218,6 +220,23 @@ def answer(
         reserve_soc_pct=100.0 * float(ahead.reserve[0]),
         reserve_risk=_known(danger),
         why_not=_why_not(now, end, _unknown(left is not None, ahead, lane in courses.later, *habits)),
+    )
+
+
+def silenced(told: Outlook, silent_s: float) -> Outlook:
+    """Return an answer of a car that has been silent for so long that its shift is over.
+
+    Nobody knows what it did meanwhile: whether it drove on or charged. What a ride takes is still told.
+    """
+    asked, *legs = (each and msgspec.structs.replace(each, soc_pct=None) for each in (told.asked, *told.legs))
+    return msgspec.structs.replace(
+        told,
+        asked=asked,
+        legs=legs,
+        shift_end_s=None,
+        soc_end_of_shift_pct=None,
+        reserve_risk=None,
+        why_not=f"the car has been silent for {silent_s / 3600.0:.1f} h while others went on, so its shift is over",
     )
 
 

@@ -72,6 +72,28 @@ class Calendar:
         self._place = (self._place + len(lane)) % LATELY[1]
         return found
 
+    def silence(self, lane: int) -> float:
+        """Return for how long a car has been silent, by what most of those say that were heard lately; else 0. [s]
+
+        Examples
+        --------
+        >>> calendar = Calendar()
+        >>> calendar.nights(np.zeros(2, np.int64), np.array([100.0, 103.0]))
+        [1]
+        >>> calendar.nights(np.ones(2000, np.int64), np.arange(2000.0))
+        []
+        >>> calendar.silence(0), calendar.silence(1)
+        (1895.0, 0.0)
+        """
+        if self._heard[lane, 1] > 0:  # its own clock may be hours behind
+            return 0.0
+        now = np.sort(self._heard_lately().min(axis=1))
+        return float(now[(len(now) - 1) // 2] - np.nanmax(self._stamps[lane])) if len(now) else 0.0
+
+    def _heard_lately(self) -> Floats:
+        """Return the two newest stamps of each car that was heard lately, (cars, 2). [s]"""
+        return self._stamps[(self._heard[:, 1] > 0) & ~np.isnan(self._stamps).any(axis=1)]
+
     def _listen(self, lane: Ints, stamp: Floats, start: int) -> int:
         """Take samples from a row on; return the row at which another day has come, or how many rows there are."""
         lists = self._newest, self._stamps, self._heard, self._said
@@ -82,7 +104,7 @@ class Calendar:
         if self._said[0, NEXT] > self._said[0, TODAY]:
             self._tomorrow += DAY
         else:
-            stamps = self._stamps[(self._heard[:, 1] > 0) & ~np.isnan(self._stamps).any(axis=1)]
+            stamps = self._heard_lately()
             ahead = self._said[1, AHEAD] > self._said[1, BEHIND]
             most = -np.sort(-stamps.min(axis=1)) if ahead else np.sort(stamps.max(axis=1))
             self._tomorrow = float((np.floor(most[len(most) // 2] / DAY) + 1.0) * DAY)

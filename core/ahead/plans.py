@@ -45,7 +45,23 @@ LEG_LIMITS: Final = {
 """Field of a leg -> its limit."""
 
 
-def refusal(plan: Plan, now_s: float) -> Refusal | None:
+def older(plan: Plan, newest_s: float) -> bool:
+    """Tell whether a plan was made before the newest one that is known.
+
+    A newest one that is of more than `AHEAD_S` later was made by a wrong clock: whatever comes next replaces it. Else
+    that one mistake would keep out every plan to come.
+
+    Examples
+    --------
+    >>> older(Plan("taxi-7", 60.0, 3600.0, 10.0, []), 90.0)
+    True
+    >>> older(Plan("taxi-7", 60.0, 3600.0, 10.0, []), 60e3 * 1000.0)
+    False
+    """
+    return newest_s - AHEAD_S <= plan.time_s < newest_s
+
+
+def refusal(plan: Plan, now_s: float, ahead_s: float = AHEAD_S) -> Refusal | None:
     """Return why a plan cannot be used; None where it can.
 
     Legs that need more time than the shift has are no reason.
@@ -56,6 +72,8 @@ def refusal(plan: Plan, now_s: float) -> Refusal | None:
     now_s : float
         Time of the vehicle's newest sample; NaN where it is not known, and then any end of the shift will do.
         [Unix seconds]
+    ahead_s : float
+        How far ahead the shift may end. [s]
 
     Returns
     -------
@@ -81,7 +99,7 @@ def refusal(plan: Plan, now_s: float) -> Refusal | None:
     for number, leg in enumerate(plan.legs, 1):
         if words := beyond(leg):
             return Refusal("out_of_range", f"leg {number} of the plan: {words}")
-    return _untimely(plan.shift_end_s, now_s)
+    return _untimely(plan.shift_end_s, now_s, ahead_s)
 
 
 def beyond(leg: Leg) -> str | None:
@@ -105,7 +123,7 @@ def beyond(leg: Leg) -> str | None:
     return None
 
 
-def _untimely(end_s: float, now_s: float) -> Refusal | None:
+def _untimely(end_s: float, now_s: float, ahead_s: float) -> Refusal | None:
     """Return why a shift cannot end when a plan says."""
     if not abs(end_s) < float("inf"):
         return Refusal("out_of_range", f"shift_end_s is {end_s:g}, must be finite; give Unix seconds")
@@ -116,11 +134,11 @@ def _untimely(end_s: float, now_s: float) -> Refusal | None:
             f"shift_end_s is {end_s:.12g}, {_short(-hours)} h before the vehicle's newest sample, at most "
             f"{PAST_S:g} s; give the end of a shift under way, in Unix seconds",
         )
-    if end_s > now_s + AHEAD_S:
+    if end_s > now_s + ahead_s:
         return Refusal(
             "plan_too_far_ahead",
             f"shift_end_s is {end_s:.12g}, {_short(hours)} h after the vehicle's newest sample, at most "
-            f"{AHEAD_S / 3600:g} h; give the end of this shift, in Unix seconds",
+            f"{ahead_s / 3600:g} h; give the end of this shift, in Unix seconds",
         )
     return None
 

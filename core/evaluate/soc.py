@@ -134,7 +134,7 @@ def figures(cases: pd.DataFrame) -> dict[str, Any]:
         "above": float(np.mean(became > high)),
         "width_pct": clustered_mean(high - low, clusters).figures(),
         "baselines": {name: _against(_numbers(cases, name), became, error, clusters) for name in BASELINES},
-        "best": _best(cases, became, error),
+        "best": _best(cases, became, error, clusters),
     }
 
 
@@ -152,7 +152,7 @@ def _against(expected: Floats, became: Floats, error: Floats, clusters: Codes) -
     }
 
 
-def _best(cases: pd.DataFrame, became: Floats, error: Floats) -> dict[str, Any] | None:
+def _best(cases: pd.DataFrame, became: Floats, error: Floats, clusters: Codes) -> dict[str, Any] | None:
     """Return the baseline of least error where all have an answer, and how far the forecasts are below it."""
     known = np.isfinite(cases[list(BASELINES)].to_numpy(np.float64)).all(axis=1)
     if not known.any():
@@ -162,6 +162,7 @@ def _best(cases: pd.DataFrame, became: Floats, error: Floats) -> dict[str, Any] 
     return {
         "name": name,
         "n": int(known.sum()),
+        "vehicle_days": len(np.unique(clusters[known])),
         "mae_pct": float(errors[name].mean()),
         "forecast_mae_pct": float(error[known].mean()),
         "share_less": _share_less(errors[name], error[known]),

@@ -7,8 +7,9 @@ import plotly.graph_objects as go
 
 from core.evaluate.soc import NOMINAL
 from core.evaluate.soc_baselines import BASELINES
+from core.evaluate.soc_share import ENOUGH
 from tools.report.comparison_figures import drawn
-from tools.report.figure_style import REFERENCE_LINE, curve, figure, label, style
+from tools.report.figure_style import REFERENCE_LINE, Style, curve, figure, label, style
 from tools.report.illustrations import Illustration
 from tools.report.result import Result, mapping, number, part, vehicle_name
 from tools.report.soc_tables import SHOWN_AT, bin_name
@@ -23,6 +24,7 @@ MOST_POINTS: Final = 2000
 BEFORE: Final = "Time before the shift's end [h]"
 CHARGE: Final = "State of charge [%]"
 WIDE: Final = "Intervals far wider than the figure, of few shifts, are left out."
+FEW: Final = f"A line without a point: the interval of fewer than {ENOUGH} car-days, too few to tell."
 SHADE: Final = "rgba(128,128,128,0.25)"
 
 
@@ -40,8 +42,8 @@ def of_time(result: Result) -> list[Illustration]:
         Illustration(
             "soc-coverage",
             "Coverage by time ahead",
-            f"Share of outcomes inside the 90 % interval, with its own 95 % interval; broken lines at {aim}.",
-            coverage(_hours(result), "Time before the shift's end [h]"),
+            f"Share of outcomes inside the 90 % interval, with its own 95 % interval; broken lines at {aim}. {FEW}",
+            coverage(_hours(result), BEFORE),
             small=True,
         ),
         Illustration(
@@ -80,7 +82,7 @@ def errors(result: Result) -> go.Figure:
     }
     among = [value for _, values in lines.values() for value in values]
     traces = [
-        curve(label(name), look, x, [number(v) for v in values], drawn(values, among))
+        _from_zero(curve(label(name), look, x, [number(v) for v in values], drawn(values, among)))
         for name, (look, values) in lines.items()
     ]
     made = figure(traces, 380)
@@ -99,18 +101,45 @@ def coverage(found: Mapping[str, Any], axis: str) -> go.Figure:
     axis : str
         What the groups are, with the unit.
     """
-    shares = [part(own, "coverage") for own in found.values()]
-    trace = curve("coverage", FORECAST, [label(name) for name in found], [_percent(share, "value") for share in shares])
-    trace.update(mode="markers")
-    trace.error_y = _bars(shares)
-    made = figure([trace], 380)
+    x, shares = [label(name) for name in found], [part(own, "coverage") for own in found.values()]
+    made = figure(_points("coverage", FORECAST, x, shares), 380)
     for share in AIMED:
         made.add_hline(y=share, line=REFERENCE_LINE)
     made.add_hline(y=100.0 * NOMINAL, line={**REFERENCE_LINE, "dash": "solid", "width": 1})
     made.update_layout(showlegend=False)
-    made.update_xaxes(title_text=axis, type="category")
+    made.update_xaxes(title_text=axis, type="category", categoryorder="array", categoryarray=x)
     made.update_yaxes(title_text="Outcomes inside the 90 % interval [%]")
     return made
+
+
+def _points(name: str, look: Style, x: Sequence[Any], shares: Sequence[Any]) -> list[Any]:
+    """Return shares as points with their intervals, and the intervals alone of those too few to tell."""
+    enough = [(number(part(share, "clusters")) or 0.0) >= ENOUGH for share in shares]
+    told = [_percent(share, "value") if known else None for share, known in zip(shares, enough, strict=True)]
+    points = curve(name, look, list(x), told).update(mode="markers", error_y=_bars(shares))
+    alone = [
+        (place, [_percent(share, end) for end in ("low", "high")])
+        for place, share, known in zip(x, shares, enough, strict=True)
+        if not known
+    ]
+    lines = go.Scatter(
+        name=f"{name}: interval of too few to tell",
+        x=[place for one, _ in alone for place in (one, one, None)],
+        y=[end for _, ends in alone for end in (*ends, None)],
+        mode="lines",
+        line={"color": look.colour, "dash": look.dash, "width": 2},
+        showlegend=False,
+        hovertemplate="%{fullData.name}, to %{y:.1f} %<extra></extra>",
+    )
+    return [points, lines] if alone else [points]
+
+
+def _from_zero(trace: Any) -> Any:
+    """Return a curve whose intervals end at 0, as nothing that it shows is less."""
+    if trace.error_y.array is not None:
+        reach = [None if up is None else min(up, y) for up, y in zip(trace.error_y.array, trace.y, strict=True)]
+        trace.error_y.update(symmetric=False, arrayminus=reach)
+    return trace
 
 
 def _bars(shares: Sequence[Any]) -> dict[str, Any]:
@@ -136,7 +165,7 @@ def width(result: Result) -> go.Figure:
     widths = [part(own, "width_pct") for own in found.values()]
     x = [int(hours) for hours in found]
     trace = curve("width", FORECAST, x, [number(w) for w in widths], drawn(widths, widths))
-    made = figure([trace], 380)
+    made = figure([_from_zero(trace)], 380)
     made.update_layout(showlegend=False)
     made.update_xaxes(title_text=BEFORE, tickvals=x)
     made.update_yaxes(title_text="Width of the 90 % interval [% of charge]", rangemode="tozero")
@@ -178,7 +207,7 @@ def scatter(result: Result) -> go.Figure:
 def of_conditions(result: Result) -> list[Illustration]:
     """Return the coverage by temperature and vehicle model, all times ahead pooled."""
     axes = {"temperature": "Mean outside temperature of the shift [°C]", "vehicle model": "Vehicle model"}
-    caption = "Share of outcomes inside the 90 % interval, all times ahead pooled, with its own 95 % interval."
+    caption = f"Share of outcomes inside the 90 % interval, all times ahead pooled, with its own 95 % interval. {FEW}"
     shown = []
     for i, (name, axis) in enumerate(axes.items()):
         bins = {bin_name(name, str(own["bin"])): part(own, "pooled") for own in part(result, "by", name) or ()}
@@ -192,7 +221,7 @@ def of_risk(result: Result) -> list[Illustration]:
     """Return told risk against what happened."""
     caption = (
         "A point is a class of told risk, all times ahead pooled, with the 95 % interval of what happened; on the line "
-        "a risk holds. Right of the broken line there is an alarm."
+        f"a risk holds. Right of the broken line there is an alarm. {FEW}"
     )
     return [Illustration("soc-risk", "Told risk against what happened", caption, risk(result), small=True)]
 
@@ -200,15 +229,14 @@ def of_risk(result: Result) -> list[Illustration]:
 def risk(result: Result) -> go.Figure:
     """Return how often shifts ended below a level against the risk that was told."""
     names = {"levels": (FORECAST, "levels"), "plan": (LOOKS["linear"], "the plan's reserve")}
-    traces = []
+    traces: list[Any] = []
     for key, (look, name) in names.items():
         classes = part(result, "reserve", "reliability", key) or ()
-        shares = [part(own, "fell") for own in classes]
         told = [100.0 * own["told"] for own in classes]
-        points = curve(name, look, told, [_percent(share, "value") for share in shares])
-        points.update(mode="markers", text=[f"{own['n']:,} cases" for own in classes])
+        points, *alone = _points(name, look, told, [part(own, "fell") for own in classes])
+        points.update(text=[f"{own['n']:,} cases" for own in classes])
         points.update(hovertemplate="%{text}: told %{x:.1f}, fell %{y:.1f} %<extra></extra>")
-        traces.append(points.update(error_y=_bars(shares)))
+        traces += [points, *alone]
     line = {"width": 1.5, "color": REFERENCE_LINE["color"]}
     equal = go.Scatter(name="equal", x=[0, 100], y=[0, 100], mode="lines", line=line, hoverinfo="skip")
     made = figure([*traces, equal], 400)

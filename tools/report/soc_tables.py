@@ -33,8 +33,8 @@ LEG_NOTE: Final = (
     "it became, unless the car charged before its end. Time at a charger later is taken for waiting, untold by plans."
 )
 BEST_NOTE: Final = (
-    "To best: by how much the error is below or above that of the best baseline, where all have an answer; at the end "
-    "everybody reads the display."
+    "To best: by how much the error is below or above that of the best baseline, where all have an answer. A dash: "
+    f"fewer than {ENOUGH} car-days are too few to tell, and at the end everybody reads the display."
 )
 
 
@@ -86,8 +86,17 @@ def covered(share: Any) -> str:
 
 
 def against_best(own: Mapping[str, Any]) -> str:
-    """Return by how much the forecasts' error is below or above the best baseline's."""
+    """Return by how much the forecasts' error is below or above the best baseline's, where there are enough to tell.
+
+    Examples
+    --------
+    >>> best = {"forecast_mae_pct": 0.9, "mae_pct": 1.2, "vehicle_days": 30}
+    >>> against_best({"best": best}), against_best({"best": best | {"vehicle_days": 29}}), against_best({"best": None})
+    ('−25.0 %', '–', '–')
+    """
     best = mapping(own, "best")
+    if not best or best["vehicle_days"] < ENOUGH:
+        return UNKNOWN
     return change(number(part(best, "forecast_mae_pct")), number(part(best, "mae_pct")))
 
 
