@@ -192,3 +192,15 @@ def test_a_ride_that_waited_tells_of_no_pace():
 
 def test_a_rest_lasts_as_long_as_rests_did():
     assert tables("nothing").pause == pytest.approx((LEG - RIDE) / 3600.0, rel=0.2)
+
+
+def test_tables_are_those_of_averages_fitted_to_what_rides_took():
+    pipeline = taught()
+    habits = pipeline.foresight.lessons.habits
+    plain = Habits(pipeline.ledger.width)
+    plain.load(habits.dump())
+    equations = plain._sums[MODEL].equations.copy()
+    plain._sums[MODEL].equations[:] = 0.0
+    plain.settle(pipeline.model, pipeline.cars, [effect.name for effect in pipeline.effects])
+    assert repr(plain.tables[MODEL]) != repr(habits.tables[MODEL])
+    assert repr(fitted(plain.tables[MODEL], equations)) == repr(habits.tables[MODEL])
