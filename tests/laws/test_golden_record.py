@@ -1,0 +1,24 @@
+"""What the product computes stays what it was: see `tests/support/golden_record.py`."""
+
+from tests.support.golden_record import differences, digest, kept, made, of_json
+
+
+def test_results_equal_golden_record(tmp_path):
+    assert differences(kept(), made(tmp_path), exact=False) == []
+
+
+def test_changed_value_and_exchanged_values_are_found():
+    before = {"table": {"energy": digest([1.0, 2.0, 3.0])}}
+    for values in ([1.0, 2.0, 3.1], [2.0, 1.0, 3.0], [1.0, 2.0]):
+        assert differences(before, {"table": {"energy": digest(values)}}, exact=False)
+
+
+def test_rounding_of_another_processor_is_allowed_unless_exact():
+    before, after = ({"table": {"energy": digest([1.0, value])}} for value in (2.0, 2.0 * (1.0 + 1e-15)))
+    assert differences(before, after, exact=False) == []
+    assert differences(before, after, exact=True)
+
+
+def test_changed_words_are_found():
+    before, after = ({"report": of_json({"verdict": word})} for word in ("better", "worse"))
+    assert differences(before, after, exact=False)

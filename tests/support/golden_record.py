@@ -1,0 +1,205 @@
+"""The golden record: a digest of everything the product computes from three recordings.
+
+The record holds one entry per column of every table, forecast stream, model file and JSON report. An entry has a hash
+of the exact values and, for numbers, their count and two sums. `python -m tests.support.golden_record` prints how the
+record differs from the code; `--renew` writes it anew. A commit that renews it says which entries changed and why.
+"""
+
+import argparse
+import hashlib
+import json
+import sys
+import tempfile
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from stream.mcap_read import McapSource
+from tools.cli import main as socast
+
+ROOT: Final = Path(__file__).parents[2]
+RECORD: Final = ROOT / "tests" / "laws" / "golden_record.json"
+TOLERANCE: Final = 1e-9
+"""Relative difference of two sums that another processor's arithmetic may cause."""
+FLEET: Final = ("--vehicles", "3", "--days", "12", "--shift-hours", "2", "--seed", "5", "--charging", "night")
+"""The simulated fleet, whose dispatch sends plans."""
+
+Entry = dict[str, Any]
+Record = dict[str, dict[str, Entry]]
+
+
+def run(*arguments: object) -> None:
+    """Run a command of the product in this process, without its output.
+
+    Raises
+    ------
+    RuntimeError
+        Where the command fails, with what it printed.
+    """
+    out, error = StringIO(), StringIO()
+    with redirect_stdout(out), redirect_stderr(error):
+        try:
+            socast([str(argument) for argument in arguments])
+        except SystemExit as ended:
+            if ended.code:
+                raise RuntimeError(f"socast {arguments} failed: {error.getvalue()}") from ended
+
+
+def digest(values: Iterable[Any]) -> Entry:
+    """Return the entry of one column: the hash of its values and, for numbers, their count and sums."""
+    column = list(values)
+    numbers = [value for value in column if isinstance(value, float | int) and not isinstance(value, bool)]
+    text = json.dumps([value.hex() if isinstance(value, float) else value for value in column], default=str)
+    entry: Entry = {"hash": hashlib.sha256(text.encode()).hexdigest()[:12], "rows": len(column)}
+    finite = np.array([value for value in numbers if np.isfinite(value)], dtype=float)
+    if len(finite):
+        place = np.cos(np.arange(len(finite)))  # a second sum, which an exchange of two values changes
+        sums = float(np.abs(finite).sum()), float((place * finite).sum())
+        entry |= {"sum": float(f"{sums[0]:.12g}"), "mixed": float(f"{sums[1]:.12g}")}
+    return entry
+
+
+def leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Give each leaf of a JSON value with its path; all places of an array share one path."""
+    if isinstance(value, dict):
+        for name, each in value.items():
+            yield from leaves(each, f"{path}.{name}" if path else str(name))
+    elif isinstance(value, list):
+        for each in value:
+            yield from leaves(each, f"{path}[]")
+    else:
+        yield path, value
+
+
+def of_json(*values: Any) -> dict[str, Entry]:
+    """Return the entries of JSON values, one for each path; text has a path of its own."""
+    columns: dict[str, list[Any]] = defaultdict(list)
+    for value in values:
+        for path, leaf in leaves(value):
+            columns[f"{path} (text)" if isinstance(leaf, str) else path].append(leaf)
+    return {path: digest(column) for path, column in columns.items()}
+
+
+def of_table(path: Path) -> dict[str, Entry]:
+    """Return the entries of a Parquet table, one for each column."""
+    table = pd.read_parquet(path)
+    return {name: digest(table[name].tolist()) for name in table.columns}
+
+
+def of_forecasts(path: Path) -> dict[str, Entry]:
+    """Return the entries of the forecasts that a recording holds; the payloads' bytes are one more entry."""
+    payloads = [
+        message.payload for messages in McapSource(path) for message in messages if message.key.endswith("/forecast")
+    ]
+    return {"payloads": digest(p.decode() for p in payloads)} | of_json(*map(json.loads, payloads))
+
+
+def made(folder: Path) -> Record:
+    """Run the product on the three recordings and return the record.
+
+    Parameters
+    ----------
+    folder : Path
+        An empty folder, for the files that the commands write.
+    """
+    fleet = folder / "fleet.mcap"
+    run("simulate", "--out", fleet, *FLEET)
+    recordings = {"shift": ROOT / "recordings/shift.mcap", "autumn": ROOT / "recordings/autumn.mcap", "fleet": fleet}
+    record: Record = {}
+    for name, recording in recordings.items():
+        tables, forecasts, report = folder / name, folder / f"{name}.forecasts.mcap", folder / f"{name}.replay.json"
+        run("tables", recording, "--out", tables)
+        run("replay", recording, "--out", forecasts, "--json", report)
+        record[f"{name}: rides"] = of_table(tables / "rides.parquet")
+        record[f"{name}: windows"] = of_table(tables / "windows.parquet")
+        record[f"{name}: quality"] = of_json(json.loads((tables / "quality.json").read_text()))
+        record[f"{name}: forecasts"] = of_forecasts(forecasts)
+        record[f"{name}: replay"] = of_json(json.loads(report.read_text()))
+    autumn = folder / "autumn"
+    for recipe in ("road_load", "fitted_physical", "hybrid_interactions", "pooled_hybrid", "boosted_hybrid"):
+        run("fit", autumn, "--recipe", recipe, "-o", folder / f"{recipe}.json")
+        record[f"autumn: model {recipe}"] = of_json(json.loads((folder / f"{recipe}.json").read_text()))
+    base = folder / "road_load.json"
+    reports = {
+        "autumn: evaluate": ("evaluate", autumn, "--repeats", "2", "--jobs", "1"),
+        "autumn: compare": ("compare", autumn, "--model", base, "--model", "extended_physical"),
+        "shift: compare ride": ("compare", recordings["shift"], "--model", "basic_physical", "--ride", "taxi-005#1"),
+        "autumn: diagnose": ("diagnose", autumn, "--model", base),
+        "fleet: evaluate-soc": ("evaluate-soc", fleet),
+    }
+    for name, command in reports.items():
+        report = folder / "report.json"
+        run(*command, "--json", report)
+        record[name] = of_json(json.loads(report.read_text()))
+    run("add", "headwind", "--model", base, "--data", autumn, "-o", folder / "better.json")
+    record["autumn: added"] = of_json(json.loads((folder / "better.json").read_text()))
+    return record
+
+
+def close(kept: Entry, new: Entry) -> bool:
+    """Tell whether two entries differ by no more than another processor's arithmetic."""
+    if kept["rows"] != new["rows"] or ("sum" in kept) != ("sum" in new) or "sum" not in kept:
+        return False
+    scale = TOLERANCE * max(abs(kept["sum"]), abs(new["sum"]))
+    return abs(kept["sum"] - new["sum"]) <= scale and abs(kept["mixed"] - new["mixed"]) <= scale
+
+
+def differences(kept: Record, new: Record, *, exact: bool) -> list[str]:
+    """Return one line for each entry that differs.
+
+    Parameters
+    ----------
+    kept, new : dict
+        Records, as `made` returns them.
+    exact : bool
+        Report every entry whose hash differs; otherwise only those whose sums differ too.
+    """
+    lines = []
+    for name in dict.fromkeys((*kept, *new)):
+        before, after = kept.get(name, {}), new.get(name, {})
+        for column in dict.fromkeys((*before, *after)):
+            old, now = before.get(column), after.get(column)
+            if old is None or now is None:
+                lines.append(f"{name}: {column}: {'new' if old is None else 'gone'}")
+            elif old["hash"] != now["hash"] and (exact or not close(old, now)):
+                lines.append(f"{name}: {column}: {old} became {now}")
+    return lines
+
+
+def kept() -> Record:
+    """Return the record that is kept beside the tests."""
+    return json.loads(RECORD.read_text(encoding="utf-8")) if RECORD.exists() else {}
+
+
+def main() -> None:
+    """Print how the record differs from the code; with `--renew` write it anew."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--renew", action="store_true", help="write the record anew after printing the differences")
+    renew = parser.parse_args().renew
+    with tempfile.TemporaryDirectory() as folder:
+        new = made(Path(folder))
+    lines = differences(kept(), new, exact=True)
+    print("\n".join(lines) if lines else "nothing differs, to the bit")
+    if renew:
+        entries = {name: dict(sorted(columns.items())) for name, columns in new.items()}
+        RECORD.write_text(_readable(entries), encoding="utf-8")
+    sys.exit(1 if lines and not renew else 0)
+
+
+def _readable(record: Record) -> str:
+    """Return the record as JSON with one entry a line."""
+    parts = []
+    for name, columns in record.items():
+        rows = ",\n".join(f"  {json.dumps(column)}: {json.dumps(entry)}" for column, entry in columns.items())
+        parts.append(f"{json.dumps(name)}: {{\n{rows}\n}}")
+    return "{\n" + ",\n".join(parts) + "\n}\n"
+
+
+if __name__ == "__main__":
+    main()
