@@ -18,7 +18,7 @@ import numpy as np
 from core.batch import Floats
 from core.columns import SIGNALS
 from core.errors import EffectError
-from core.wording import everyday, rounded
+from core.formatting import everyday, rounded
 
 SIGNAL_UNITS: Final[Mapping[str, str]] = MappingProxyType({column.name: column.unit for column in SIGNALS})
 """Name of a column that an effect may ask for -> its unit."""

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.wording import everyday, rounded
+from core.formatting import everyday, rounded
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from core import effects
 from core.columns import SIGNALS
 from core.effects import Effect, Parameter
 from core.errors import SettingsError
-from core.wording import everyday
+from core.formatting import everyday
 from tools.output import EffectFiles, JsonFile, printer, writable, write_json
 from tools.scaffold import blank, from_effect
 

@@ -39,11 +39,11 @@ from core.effects import Effect
 from core.errors import ModelError
 from core.evaluate.results import plain
 from core.features import EFFECT_PREFIX, VEHICLE_SCOPE, Columns, is_scope, needed
+from core.formatting import rounded
 from core.learn.blocks import ENERGY, names, numbers, trainable
 from core.learn.fitting import design
 from core.learn.intervals import least_squares_interval
 from core.models import ANY, VEHICLE_MODEL, LinearModel, Term, stamped
-from core.wording import rounded
 
 ADDED: Final = "add"
 REFUSED: Final = "refused"
