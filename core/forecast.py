@@ -9,8 +9,8 @@ import numpy as np
 from core.ahead.foresight import Rows
 from core.batch import Floats
 from core.cars import Cars
+from core.cleaning.quality import CAUSES, FORECAST_CAUSES, Quality
 from core.codec import Forecast, Interval, Message, QualityCounts, encode
-from core.quality import CAUSES, FORECAST_CAUSES, Quality
 from core.sums import Totals
 from core.tables import measured_energy
 

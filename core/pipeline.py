@@ -19,13 +19,13 @@ from core.ahead.shift_tables import Told, outlook_table, shift_table
 from core.ahead.soc import BETWEEN_SHIFTS
 from core.batch import Batch, Ints, Lanes, grown
 from core.cars import Cars
-from core.clean import STATE, Cleaner
+from core.cleaning.kernel import STATE, Cleaner
+from core.cleaning.quality import CAUSES
 from core.codec import Leg, Message, Outlook, Plan, Ride, Vehicle, Weather
 from core.decode import Decoder, Event
 from core.errors import AskError
 from core.forecast import forecasts
 from core.models import EXTENDED_PHYSICAL, Model
-from core.quality import CAUSES
 from core.settings import Settings, checked
 from core.shadow import Shadows
 from core.signals import Signals, ambient_quality

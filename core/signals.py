@@ -14,9 +14,9 @@ from typing import Final
 import numpy as np
 
 from core.batch import Floats, Ints
-from core.clean import Clean
+from core.cleaning.kernel import Clean
+from core.cleaning.quality import Quality
 from core.columns import GRAVITY, SIGNALS, STANDARD_AIR_DENSITY, ZERO_CELSIUS
-from core.quality import Quality
 from core.sun import sine_of_elevation
 from core.vehicles import OCCUPANT_MASS
 from core.weather import Sky, snow_left, water_left

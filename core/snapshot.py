@@ -5,9 +5,9 @@ from typing import Any, Final
 
 import msgspec
 
-from core.clean import STATE
+from core.cleaning.kernel import STATE
+from core.cleaning.quality import CAUSES
 from core.errors import SocastError
-from core.quality import CAUSES
 from core.sums import AMOUNTS, EDGES
 
 SNAPSHOT: Final = 5

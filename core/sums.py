@@ -13,9 +13,9 @@ import numpy as np
 from numba import njit
 
 from core.batch import Floats, Ints, grown
-from core.clean import Clean
+from core.cleaning.kernel import Clean
+from core.cleaning.quality import CAUSES
 from core.columns import KMH
-from core.quality import CAUSES
 from core.signals import Signals
 
 BIN: Final = 5 * KMH

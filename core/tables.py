@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from core.batch import Floats
 from core.cars import PARAMETERS, Cars
+from core.cleaning.quality import CAUSES
 from core.columns import JOULES_PER_KWH, KMH, ZERO_CELSIUS
-from core.quality import CAUSES
 from core.settings import Settings
 from core.sums import AMOUNTS, BINS, Totals
 

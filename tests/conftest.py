@@ -10,12 +10,12 @@ import pytest
 from hypothesis import settings
 
 from core.batch import Batch, Lanes
-from core.clean import Clean, Cleaner
+from core.cleaning.kernel import Clean, Cleaner
+from core.cleaning.quality import Quality
 from core.codec import Message
 from core.columns import EARTH_RADIUS
 from core.decode import Decoder
 from core.pipeline import Pipeline
-from core.quality import Quality
 from core.settings import Settings
 
 settings.register_profile("quick", max_examples=15, deadline=None, derandomize=True)

@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.batch import Batch, Lanes
-from core.clean import Clean, Cleaner
+from core.cleaning.kernel import Clean, Cleaner
+from core.cleaning.quality import Quality
 from core.columns import TELEMETRY
 from core.decode import Decoder
-from core.quality import Quality
 from core.settings import Settings
 
 N = 120

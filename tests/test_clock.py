@@ -1,4 +1,4 @@
-"""Time repair: what the docstring of `core.clock` claims, measured."""
+"""Time repair: what the docstring of `core.cleaning.clock` claims, measured."""
 
 import numpy as np
 import pytest
@@ -6,8 +6,8 @@ from conftest import PERIOD, START, cleaned, count, drive, joined, picked, witho
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.clean import Clean
-from core.quality import Quality
+from core.cleaning.kernel import Clean
+from core.cleaning.quality import Quality
 from core.settings import Settings
 
 N = 800

@@ -6,8 +6,8 @@ from conftest import PERIOD, PLACE, cleaned, count, drive, joined, picked, witho
 from hypothesis import given
 from hypothesis import strategies as st
 
+from core.cleaning.quality import Quality
 from core.columns import EARTH_RADIUS, KMH
-from core.quality import Quality
 from core.settings import Settings
 
 N = 400

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from conftest import START, drive, leaf, observed, ran, telemetry, told
 
+from core.cleaning.quality import CAUSES
 from core.errors import SettingsError, SocastError
 from core.models import BASIC_PHYSICAL
 from core.pipeline import Pipeline
-from core.quality import CAUSES
 from core.settings import Settings
 
 

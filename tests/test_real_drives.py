@@ -11,14 +11,14 @@ import pandas as pd
 import pytest
 
 from core.batch import Lanes
-from core.clean import Cleaner
+from core.cleaning.kernel import Cleaner
+from core.cleaning.quality import CAUSES, Quality
 from core.codec import Message
 from core.columns import EARTH_RADIUS, KMH
 from core.decode import Decoder
 from core.effects import library
 from core.evaluate.protocol import chosen, evaluate
 from core.pipeline import Pipeline
-from core.quality import CAUSES, Quality
 from core.settings import Settings
 from stream.mcap_read import McapSource
 from tools.import_drives import collect, write

@@ -6,9 +6,9 @@ from conftest import PERIOD, START, cleaned, drive, picked
 from hypothesis import given
 from hypothesis import strategies as st
 
+from core.cleaning.quality import Quality
 from core.codec import Weather
 from core.columns import GRAVITY, SIGNALS
-from core.quality import Quality
 from core.signals import STEEPEST, Signals, ambient_quality
 from core.weather import Stations
 

@@ -7,7 +7,7 @@ from conftest import PERIOD, START, drive, leaf, observed, ran, telemetry, told,
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.quality import CAUSES
+from core.cleaning.quality import CAUSES
 from core.tables import CAPACITY_GAIN, HISTOGRAM, METER_GAIN, is_winter
 from core.vehicles import catalogue
 

@@ -16,7 +16,7 @@ import pandas as pd
 from core import effects
 from core.batch import Batch, Floats, Ints, Lanes
 from core.cars import Cars
-from core.clean import Clean, Cleaner
+from core.cleaning.kernel import Clean, Cleaner
 from core.codec import Message, Ride, Vehicle, Weather, encode
 from core.columns import JOULES_PER_KWH
 from core.decode import Decoder

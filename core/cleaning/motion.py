@@ -24,8 +24,8 @@ from typing import Any, Final
 
 from numba import njit
 
+from core.cleaning.quality import Quality
 from core.columns import EARTH_RADIUS, KMH
-from core.quality import Quality
 
 FIELDS: Final = (
     "latitude",  # last believed fix [rad]

@@ -1,7 +1,7 @@
 """The one sequential kernel: what depends on the row before it in the same lane, and nothing else.
 
 Causal and online: a row's output rests on that row and on the lane's state, so any chunking of the input gives
-bitwise the same output. The parts of the kernel are `core.clock`, `core.motion` and `core.rides`, each with the state
+bitwise the same output. The parts of the kernel are `core.cleaning.clock`, `core.cleaning.motion` and `core.cleaning.segmentation`, each with the state
 that it keeps; this file strings them together.
 """
 
@@ -14,10 +14,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from core import batch, clock, columns, motion, quality, rides
+from core import batch, columns
 from core.batch import Batch, Floats, Ints, grown
+from core.cleaning import clock, motion, quality, segmentation
+from core.cleaning.quality import Quality
 from core.columns import TELEMETRY
-from core.quality import Quality
 from core.settings import Settings
 
 _OWN_FIELDS: Final = (
@@ -32,7 +33,7 @@ _OWN_FIELDS: Final = (
     "occupants",
 )
 _UNKNOWN_AT_FIRST: Final = {
-    **rides.UNKNOWN_AT_FIRST,
+    **segmentation.UNKNOWN_AT_FIRST,
     **dict.fromkeys(("seq", "latitude", "longitude", "pending_latitude", "pending_longitude"), nan),
     **dict.fromkeys(("heading", "heading_latitude", "heading_longitude", "odometer", "speed", "ring"), nan),
     **dict.fromkeys(("elevation", "level", "power", "soc", "soc_step"), nan),
@@ -42,7 +43,7 @@ _UNKNOWN_AT_FIRST: Final = {
 
 def _dtype() -> np.dtype[np.void]:
     """Lay the state of a lane out in one stretch of memory, so that a sample touches few cache lines."""
-    parts = (*clock.FIELDS, *motion.FIELDS, *rides.FIELDS, *_OWN_FIELDS)
+    parts = (*clock.FIELDS, *motion.FIELDS, *segmentation.FIELDS, *_OWN_FIELDS)
     return np.dtype([(part, "f8") if isinstance(part, str) else (part[0], "f8", (part[1],)) for part in parts])
 
 
@@ -66,7 +67,7 @@ class Clean(NamedTuple):
     lane : (n,) int64
     ride : (n,) int64. Ordinal of the ride in its lane, -1 outside rides.
     window : (n,) int64. Ordinal of the window in its lane.
-    quality : (n,) int64. `core.quality.Quality` bits.
+    quality : (n,) int64. `core.cleaning.quality.Quality` bits.
     due : (n,) bool. A forecast is due at this sample.
     time : (n,) float64. Repaired Unix time. [s]
     dt, travel : (n,) float64. Time that the row stands for, and time that its distance took. [s]
@@ -232,7 +233,7 @@ def use(s: Any, r: Any, dt: float, x: Any) -> None:
     r.stop = 1.0 if stands(s) else 0.0
     r.dt = dt
     rode = s.riding == 1.0
-    begins = rides.segment(s, r.raw_ride, dt, s.standing == 0.0, r.raw_charging == 1.0, x)
+    begins = segmentation.segment(s, r.raw_ride, dt, s.standing == 0.0, r.raw_charging == 1.0, x)
     if begins:  # the step led up to the ride and is not part of it
         r.dt = r.travel = r.distance = r.climb = r.energy = r.energy_variance = r.metered = r.stop = 0.0
         if int(r.quality) & motion.BRIDGED:
@@ -241,8 +242,8 @@ def use(s: Any, r: Any, dt: float, x: Any) -> None:
             s.soc = nan
     if begins or (rode and s.riding == 0.0):
         r.lost = lost_time(s, int(r.quality), dt, x)
-    rides.window(s, dt, begins, s.has_power == 1.0 or changed, x)
-    r.due = 1.0 if rides.forecast_due(s, s.soc, dt, begins, x) else 0.0
+    segmentation.window(s, dt, begins, s.has_power == 1.0 or changed, x)
+    r.due = 1.0 if segmentation.forecast_due(s, s.soc, dt, begins, x) else 0.0
 
 
 @njit(cache=False)
@@ -317,7 +318,7 @@ def stands(s: Any) -> bool:
 
 def _sources() -> str:
     """Return a digest of every file that the kernel is made of."""
-    files = [__file__, *(str(module.__file__) for module in (batch, clock, columns, motion, quality, rides))]
+    files = [__file__, *(str(module.__file__) for module in (batch, clock, columns, motion, quality, segmentation))]
     return sha256(b"".join(Path(file).read_bytes() for file in files)).hexdigest()
 
 

@@ -38,7 +38,7 @@ from typing import Any, Final
 
 from numba import njit
 
-from core.quality import Quality
+from core.cleaning.quality import Quality
 
 FIELDS: Final = (
     "samples",  # accepted so far; zero means that the lane is new

@@ -1,0 +1,1 @@
+"""Clean the stream: repair times, reject impossible speeds, smooth, and cut rides."""
