@@ -12,9 +12,9 @@ import pandas as pd
 
 from core import effects
 from core.columns import GRAVITY, STANDARD_AIR_DENSITY, ZERO_CELSIUS
-from core.diagnose.asked import Asked
-from core.diagnose.base import Base
-from core.diagnose.windows import Windows, fitted, gather
+from core.diagnose.candidates import Asked
+from core.diagnose.dataset import Windows, fitted, gather
+from core.diagnose.projection import Base
 from core.features import Columns
 from core.models import LinearModel
 from core.vehicles import VehicleModel, catalogue

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from core import effects
-from core.diagnose.asked import LEAST_IN_BENDS, LEAST_SHARE, library
+from core.diagnose.candidates import LEAST_IN_BENDS, LEAST_SHARE, library
 from core.learn.blocks import Frame
 from core.learn.fitting import fit_terms
 from core.learn.recipes import ROAD_LOAD_TERMS, LinearRecipe

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.diagnose.base import Base, orthonormal
+from core.diagnose.projection import Base, orthonormal
 from core.features import ACCESSORIES, Columns
 from tests.drives import based, drives, measured, seen, with_energy
 

@@ -10,7 +10,7 @@ import pytest
 
 from core import effects
 from core.codec import Telemetry, Weather, encode
-from core.diagnose.windows import Windows, fitted, gather
+from core.diagnose.dataset import Windows, fitted, gather
 from core.errors import SettingsError
 from core.pipeline import Pipeline
 from tools.bench.hidden import cases as cases_module

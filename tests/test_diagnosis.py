@@ -11,9 +11,9 @@ import pandas as pd
 import pytest
 
 from core import effects
-from core.diagnose.asked import library
+from core.diagnose.candidates import library
+from core.diagnose.dataset import LEAST_RIDES, fitted, gather
 from core.diagnose.diagnosis import declared, diagnose
-from core.diagnose.windows import LEAST_RIDES, fitted, gather
 from core.errors import ModelError
 from core.features import needed
 from core.road_load import ROAD_LOAD

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.diagnose.asked import library
-from core.diagnose.base import Base
+from core.diagnose.candidates import library
 from core.diagnose.evidence import Clusters
+from core.diagnose.projection import Base
 from core.diagnose.ranking import LEVEL, Ranked, correlation, held_out, rank, simes, total
 from tests.drives import drives, measured, only, seen
 

@@ -21,11 +21,11 @@ import pytest
 from core import effects
 from core.columns import KMH
 from core.diagnose import adding
+from core.diagnose.dataset import fitted, joined
 from core.diagnose.diagnosis import diagnose
 from core.diagnose.refitting import Change, refit, refit_with
 from core.diagnose.terms import effect_term, scoped
 from core.diagnose.trial import held_out, rides_of
-from core.diagnose.windows import fitted, joined
 from core.features import EFFECT_PREFIX
 from core.models import ANY, LinearModel
 from core.pipeline import Pipeline

@@ -4,12 +4,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.diagnose.asked import library
-from core.diagnose.base import Base
+from core.diagnose.candidates import library
 from core.diagnose.diagnosis import declared
 from core.diagnose.evidence import Clusters
-from core.diagnose.scopes import LEAST_WINDOWS, local, places
-from core.diagnose.search import Search
+from core.diagnose.forward_selection import Search
+from core.diagnose.local_effects import LEAST_WINDOWS, local, places
+from core.diagnose.projection import Base
 from core.features import Columns
 from tests.drives import drives, measured, seen, sized
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.diagnose.asked import Asked, library
-from core.diagnose.base import Base
+from core.diagnose.candidates import Asked, library
 from core.diagnose.evidence import Clusters
-from core.diagnose.search import Named, Search
+from core.diagnose.forward_selection import Named, Search
+from core.diagnose.projection import Base
 from tests.drives import drives, measured, only, seen, sized
 
 LEAST_GAIN = 0.002

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from core.diagnose.asked import library
-from core.diagnose.base import Base, orthonormal
+from core.diagnose.candidates import library
 from core.diagnose.evidence import Clusters
-from core.diagnose.search import Named, Search
-from core.diagnose.structure import KNOWN, LEAST_TAKEN, Remains, Shapes, known, predicted, remains, uneven
+from core.diagnose.forward_selection import Named, Search
+from core.diagnose.projection import Base, orthonormal
+from core.diagnose.residual_structure import KNOWN, LEAST_TAKEN, Remains, Shapes, known, predicted, remains, uneven
 from tests.drives import drives, measured, seen
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.diagnose.windows import LEAST_DAYS, LEAST_RIDES, OF_THE_RIDE, by_meter, fitted, gather, joined
+from core.diagnose.dataset import LEAST_DAYS, LEAST_RIDES, OF_THE_RIDE, by_meter, fitted, gather, joined
 from core.errors import ModelError
 from tests.drives import drives, measured
 

@@ -7,10 +7,10 @@ import typer
 
 from core import models
 from core.diagnose import adding
+from core.diagnose.dataset import gather, joined
 from core.diagnose.noise import ride_floor
 from core.diagnose.ranking import LEAST_GAIN
 from core.diagnose.terms import scoped
-from core.diagnose.windows import gather, joined
 from core.errors import ModelError
 from core.models import KNOWN, LinearModel
 from tools.diagnose import LeastGain, read_files, read_tables

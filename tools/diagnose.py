@@ -12,11 +12,11 @@ from rich.console import Console
 
 from core import effects, models
 from core.diagnose import adding
+from core.diagnose.dataset import gather, joined
 from core.diagnose.noise import ride_floor
 from core.diagnose.ranking import LEAST_GAIN
 from core.diagnose.terms import scoped
 from core.diagnose.trial import final_days
-from core.diagnose.windows import gather, joined
 from core.errors import ModelError, SettingsError
 from core.evaluate.results import plain
 from core.features import EFFECT_PREFIX, FEATURES, is_scope

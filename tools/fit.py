@@ -13,7 +13,7 @@ from scipy.special import stdtrit
 
 from core import models
 from core.columns import ZERO_CELSIUS
-from core.diagnose.windows import fitted
+from core.diagnose.dataset import fitted
 from core.errors import SettingsError
 from core.features import ACCESSORIES, EFFECT_PREFIX
 from core.learn.advanced import adapt

@@ -93,7 +93,7 @@ def add(
     columns : sequence of str
         Of its term, see `core.diagnose.terms.scoped`.
     joined : DataFrame
-        Windows, as `core.diagnose.windows.joined` makes them.
+        Windows, as `core.diagnose.dataset.joined` makes them.
     rides : DataFrame, optional
         The ride table: for the model's interval, and needed by a model whose terms hold for whole rides only.
     floor : float, optional

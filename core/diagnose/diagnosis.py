@@ -16,20 +16,20 @@ from threadpoolctl import threadpool_limits
 
 from core import effects
 from core.batch import Floats
-from core.diagnose import structure
-from core.diagnose.asked import Asked, library
-from core.diagnose.base import Base
+from core.diagnose import residual_structure
+from core.diagnose.candidates import Asked, library
 from core.diagnose.coefficients import told
+from core.diagnose.dataset import Windows, by_meter, gather
 from core.diagnose.evidence import Clusters
+from core.diagnose.forward_selection import Finding, Search
 from core.diagnose.free_form import Suggestion, free_form
+from core.diagnose.local_effects import local
 from core.diagnose.noise import ride_floor
+from core.diagnose.projection import Base
 from core.diagnose.ranking import LEAST_GAIN, LEVEL, Ranked
 from core.diagnose.refitting import Estimate
-from core.diagnose.scopes import local
-from core.diagnose.search import Finding, Search
+from core.diagnose.residual_structure import Remains
 from core.diagnose.slices import slices
-from core.diagnose.structure import Remains
-from core.diagnose.windows import Windows, by_meter, gather
 from core.features import EFFECT_PREFIX
 from core.learn.blocks import names, numbers
 from core.models import LinearModel
@@ -88,7 +88,7 @@ def diagnose(
     Raises
     ------
     ModelError
-        Where there is too little to diagnose, see `core.diagnose.windows.gather`.
+        Where there is too little to diagnose, see `core.diagnose.dataset.gather`.
     """
     with threadpool_limits(1):  # matrices are small: threads would wait for each other, and sums depend on their number
         return _diagnosed(gather(rides, windows, model), model, without, least_gain, places=places, seed=seed)
@@ -106,7 +106,7 @@ def _diagnosed(
         local(search, declared(library(seen, model, without, scopes=True)))
     base = search.base
     found = search.findings()
-    remains = structure.remains(search, found)
+    remains = residual_structure.remains(search, found)
     unknown = set(remains.signs) - {"better"}
     suggested = _suggested(base, search, search.left(search.off())) if unknown else None
     floor = ride_floor(seen)
@@ -279,7 +279,7 @@ def _structure(remains: Remains) -> dict[str, Any]:
         "before": remains.before,
         "after": remains.after,
         "taken": remains.taken,
-        "least": structure.LEAST_TAKEN,
+        "least": residual_structure.LEAST_TAKEN,
         "shape": remains.shape,
         "q": remains.q,
         "gain": remains.gain,

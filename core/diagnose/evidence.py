@@ -1,6 +1,6 @@
 """Whether an effect is there: tests of what a model leaves against what candidates ask for.
 
-Everything here is in weighted, projected terms (`core.diagnose.base`): a residual r and candidates c, one a column, of
+Everything here is in weighted, projected terms (`core.diagnose.projection`): a residual r and candidates c, one a column, of
 which the model's own terms can take up nothing. Then the coefficient of a candidate is c'r / c'c. Errors of windows of
 one vehicle-day depend on each other in any way; the variance is their sums' squares, each over 1 - h with the share h
 of c'c that the vehicle-day has, as if it were left out (CR3). A candidate that acts on a few days only has as many

@@ -166,7 +166,7 @@ def free_form(
     Parameters
     ----------
     windows : DataFrame
-        n rows of the window table, see `core.diagnose.windows.joined`.
+        n rows of the window table, see `core.diagnose.dataset.joined`.
     residual : (n,) float
         Measured less predicted. [kWh]
     weight : (n,) float

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from core.batch import Floats
-from core.diagnose.windows import Windows, by_meter
+from core.diagnose.dataset import Windows, by_meter
 from core.learn.blocks import numbers
 from core.tables import CAPACITY_GAIN, METER_GAIN
 

@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 
 from core.batch import Floats, Ints
-from core.diagnose.asked import Asked
-from core.diagnose.base import Base
+from core.diagnose.candidates import Asked
 from core.diagnose.evidence import Clusters, Evidence, by_vehicle_and_day, false_discovery
+from core.diagnose.projection import Base
 
 LEAST_LEFT: Final = 0.03
 """Share of a candidate's size that the model must be unable to take up, for it to be told from the model."""

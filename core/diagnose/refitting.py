@@ -1,6 +1,6 @@
 """A model refitted with one more effect: the effect's coefficient first, then all else around it.
 
-The coefficient is found as diagnosis finds it (`core.diagnose.base`): under the measurement's weights, on what the
+The coefficient is found as diagnosis finds it (`core.diagnose.projection`): under the measurement's weights, on what the
 model's own terms could not take up. It is one for all vehicle models, unless they differ by more than chance: then each
 has its own, drawn towards the common one by as much as it is unsure. The other terms are then fitted to the energy less
 the effect's. So are the coefficients of effects that were added before, all beside each other.
@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from core.batch import Floats, Ints
-from core.diagnose.asked import least_coefficients
-from core.diagnose.base import Base, orthonormal
+from core.diagnose.candidates import least_coefficients
+from core.diagnose.dataset import Windows
 from core.diagnose.evidence import Clusters, by_vehicle_and_day
+from core.diagnose.projection import Base, orthonormal
 from core.diagnose.ranking import total
-from core.diagnose.windows import Windows
 from core.evaluate.clustered import vehicle_days
 from core.features import EFFECT_PREFIX, Columns
 from core.learn.blocks import ENERGY, Frame, names, numbers
@@ -285,7 +285,7 @@ class Proof(NamedTuple):
 
 
 def proof(change: Change, rows: pd.DataFrame, *, sign: int, seed: int) -> Proof:
-    """Return whether rows show a term that a model lacks, as `core.diagnose.search` asks it.
+    """Return whether rows show a term that a model lacks, as `core.diagnose.forward_selection` asks it.
 
     Parameters
     ----------

@@ -85,7 +85,7 @@ def rides_of(rows: pd.DataFrame, rides: pd.DataFrame | None = None) -> Rides:
     Parameters
     ----------
     rows : (n,) DataFrame
-        As `core.diagnose.windows.joined` makes it, or a ride table.
+        As `core.diagnose.dataset.joined` makes it, or a ride table.
     rides : DataFrame, optional
         The ride table, for the uncertainty of whole rides; of windows alone it is made up of theirs.
 

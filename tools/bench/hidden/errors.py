@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from core.batch import Floats, Ints
-from core.diagnose.windows import Windows
+from core.diagnose.dataset import Windows
 from core.features import ACCESSORIES, Columns
 from core.learn.blocks import names, numbers
 from core.learn.fitting import design

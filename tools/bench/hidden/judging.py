@@ -10,8 +10,8 @@ import pandas as pd
 
 from core import effects
 from core.batch import Floats, Ints
-from core.diagnose.base import Base
-from core.diagnose.windows import Windows, fitted, gather
+from core.diagnose.dataset import Windows, fitted, gather
+from core.diagnose.projection import Base
 from core.features import Columns
 from core.learn.fitting import design
 from core.models import Term

@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 
 from core.batch import Floats
-from core.diagnose.asked import library
-from core.diagnose.windows import Windows
+from core.diagnose.candidates import library
+from core.diagnose.dataset import Windows
 from core.features import Columns
 from core.learn.fitting import design
 from core.models import ANY, LinearModel

@@ -16,10 +16,10 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 
 from core.batch import Floats, Ints
 from core.derived import sun
+from core.diagnose.dataset import Windows
 from core.diagnose.evidence import Clusters, by_vehicle_and_day, false_discovery
+from core.diagnose.forward_selection import Finding, Named, Search
 from core.diagnose.ranking import LEAST_GAIN, LEAST_LEFT, held_out, total
-from core.diagnose.search import Finding, Named, Search
-from core.diagnose.windows import Windows
 from core.learn.blocks import numbers
 
 LEAST_TAKEN: Final = 0.8

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats
-from core.diagnose.asked import Asked, read_by
-from core.diagnose.base import Base, orthonormal
+from core.diagnose.candidates import Asked, read_by
 from core.diagnose.evidence import Clusters, Evidence, by_vehicle_and_day
+from core.diagnose.projection import Base, orthonormal
 from core.diagnose.ranking import LEVEL, Ranked, correlation, rank, total
 
 Mask = NDArray[np.bool_]

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
-from core.diagnose.asked import Asked, least_coefficients
+from core.diagnose.candidates import Asked, least_coefficients
+from core.diagnose.dataset import Windows
 from core.diagnose.evidence import by_vehicle_and_day, false_discovery
+from core.diagnose.forward_selection import Named, Search
 from core.diagnose.ranking import LEAST_LEFT
-from core.diagnose.search import Named, Search
-from core.diagnose.windows import Windows
 from core.features import SINCE_SCOPE, VEHICLE_SCOPE
 from core.learn.blocks import names, numbers
 

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from core.batch import Floats
 from core.columns import JOULES_PER_KWH
+from core.diagnose.dataset import Windows
 from core.diagnose.noise import robust, window_variance
-from core.diagnose.windows import Windows
 from core.features import ACCESSORIES, EFFECT_PREFIX, Columns
 from core.learn.blocks import names, numbers
 from core.learn.fitting import design

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from core import effects
 from core.batch import Floats, Ints
 from core.declaration import VARIANT
-from core.diagnose.windows import Windows
+from core.diagnose.dataset import Windows
 from core.features import EFFECT_PREFIX
 from core.learn.blocks import numbers
 from core.models import LinearModel
