@@ -9,10 +9,10 @@ from conftest import drive, leaf, telemetry
 from planted_windows import AUXILIARY, BASE, KINDS, START, base_model, planted
 
 from core import models
-from core.diagnose.adding import Added, add, forced, logged
+from core.diagnose.add.add import Added, add, forced, logged
+from core.diagnose.add.holdout import comparison, day_folds, final_days, noise_floor, rides_of, vehicle_folds
+from core.diagnose.add.terms import additive, scope_in_words, scoped
 from core.diagnose.dataset import joined
-from core.diagnose.terms import additive, scope_in_words, scoped
-from core.diagnose.trial import comparison, day_folds, final_days, noise_floor, rides_of, vehicle_folds
 from core.errors import EffectError, ModelError
 from core.learn.recipes import RECIPES, term
 from core.models import ANY, BASIC_PHYSICAL, LinearModel, Term, decode, encode

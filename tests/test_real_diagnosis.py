@@ -20,12 +20,12 @@ import pytest
 
 from core import effects
 from core.columns import KMH
-from core.diagnose import adding
+from core.diagnose.add import add
+from core.diagnose.add.holdout import held_out, rides_of
+from core.diagnose.add.refit import Change, refit, refit_with
+from core.diagnose.add.terms import effect_term, scoped
 from core.diagnose.dataset import fitted, joined
 from core.diagnose.diagnosis import diagnose
-from core.diagnose.refitting import Change, refit, refit_with
-from core.diagnose.terms import effect_term, scoped
-from core.diagnose.trial import held_out, rides_of
 from core.features import EFFECT_PREFIX
 from core.models import ANY, LinearModel
 from core.pipeline import Pipeline
@@ -177,7 +177,7 @@ def test_the_error_of_held_out_rides_falls_on_the_i3():
     assert fall("bmw-i3") > 0.4
     told = found("bmw-i3")
     first = told.first
-    trial = adding.add(told.model, first, scoped(first, ()), joined(*told.blind), rides=told.blind.rides).trial
+    trial = add.add(told.model, first, scoped(first, ()), joined(*told.blind), rides=told.blind.rides).trial
     assert trial["accepted"]
     assert trial["coefficient"]["plausible"]
     assert trial["on_days"]["fall"] > 0.3

@@ -6,11 +6,11 @@ from typing import Annotated
 import typer
 
 from core import models
-from core.diagnose import adding
+from core.diagnose.add import add
+from core.diagnose.add.terms import scoped
 from core.diagnose.dataset import gather, joined
 from core.diagnose.noise import ride_floor
 from core.diagnose.ranking import LEAST_GAIN
-from core.diagnose.terms import scoped
 from core.errors import ModelError
 from core.models import KNOWN, LinearModel
 from tools.diagnose import LeastGain, read_files, read_tables
@@ -39,22 +39,22 @@ def add_effect(
     writable([*read_files(data), *model_files([model]), *(effects_file or ())], out, json_file)
     rides, windows = read_tables(data, chosen)
     floor = ride_floor(gather(rides, windows, chosen))
-    added = adding.add(chosen, effect, columns, joined(rides, windows), rides=rides, floor=floor, least=least_gain)
+    added = add.add(chosen, effect, columns, joined(rides, windows), rides=rides, floor=floor, least=least_gain)
     write_json(json_file, added.trial)
     console = printer()
     history.show_trial(added.trial, console)
     if not added.trial["accepted"]:
         if not force:
             raise ModelError(_refused(chosen, model, added))
-        added = adding.forced(added)
+        added = add.forced(added)
     models.save(added.model, out)
     told = f"{out}: {chosen.name} with {effect}, version {added.model.version}; socast history {out} tells its steps"
     console.print(told, markup=False, highlight=False, soft_wrap=True)
 
 
-def _refused(chosen: LinearModel, given: str, added: adding.Added) -> str:
+def _refused(chosen: LinearModel, given: str, added: add.Added) -> str:
     """Log the attempt in the model's own file, and return what to tell."""
-    kept = "" if given in KNOWN else _log(adding.logged(chosen, added.trial), Path(given))
+    kept = "" if given in KNOWN else _log(add.logged(chosen, added.trial), Path(given))
     return f"{added.trial['effect']} is not added: {added.trial['reason']}{kept}; add it all the same with --force"
 
 

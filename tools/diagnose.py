@@ -11,12 +11,12 @@ import typer
 from rich.console import Console
 
 from core import effects, models
-from core.diagnose import adding
+from core.diagnose.add import add
+from core.diagnose.add.holdout import final_days
+from core.diagnose.add.terms import scoped
 from core.diagnose.dataset import gather, joined
 from core.diagnose.noise import ride_floor
 from core.diagnose.ranking import LEAST_GAIN
-from core.diagnose.terms import scoped
-from core.diagnose.trial import final_days
 from core.errors import ModelError, SettingsError
 from core.evaluate.results import plain
 from core.features import EFFECT_PREFIX, FEATURES, is_scope
@@ -212,13 +212,13 @@ def _auto(
             break
         name, scopes = term_of(found)
         try:
-            added = adding.add(model, name, scoped(name, scopes), rows, rides=rides, floor=floor, least=least_gain)
+            added = add.add(model, name, scoped(name, scopes), rows, rides=rides, floor=floor, least=least_gain)
         except ModelError as error:
             diagnosis.say([f"The loop ends here: {error}"], console)
             break
         history.show_trial(added.trial, console)
         if not added.trial["accepted"]:
-            model = adding.logged(model, added.trial)
+            model = add.logged(model, added.trial)
             diagnosis.say(["The loop ends here: what the diagnosis names does not help on held-out rides."], console)
             break
         model = added.model

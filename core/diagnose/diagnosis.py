@@ -17,8 +17,9 @@ from threadpoolctl import threadpool_limits
 from core import effects
 from core.batch import Floats
 from core.diagnose import residual_structure
+from core.diagnose.add.coefficients import told
+from core.diagnose.add.refit import Estimate
 from core.diagnose.candidates import Asked, library
-from core.diagnose.coefficients import told
 from core.diagnose.dataset import Windows, by_meter, gather
 from core.diagnose.evidence import Clusters
 from core.diagnose.forward_selection import Finding, Search
@@ -27,7 +28,6 @@ from core.diagnose.local_effects import local
 from core.diagnose.noise import ride_floor
 from core.diagnose.projection import Base
 from core.diagnose.ranking import LEAST_GAIN, LEVEL, Ranked
-from core.diagnose.refitting import Estimate
 from core.diagnose.residual_structure import Remains
 from core.diagnose.slices import slices
 from core.features import EFFECT_PREFIX

@@ -3,7 +3,7 @@
 The model that comes out is fitted to all windows. An effect helps if it is there beyond chance, if on vehicle-days
 that its coefficient was not fitted to it explains some least share of what the model cannot take up, and if there the
 error of whole rides does not clearly grow. The error is told, too, with everything refitted without the days or the
-vehicles that are judged (`core.diagnose.trial`): of few days a model then extrapolates, and errs much with and without.
+vehicles that are judged (`core.diagnose.add.holdout`): of few days a model then extrapolates, and errs much with and without.
 
 Of many dates every fifth is set apart, and all this is found without them: their error is told once a step, and decides
 nothing. To look at it and then to go back and choose otherwise is to cheat oneself.
@@ -18,11 +18,8 @@ import numpy as np
 import pandas as pd
 
 from core import effects
-from core.diagnose.coefficients import in_words, told, warning
-from core.diagnose.ranking import LEAST_GAIN, LEVEL
-from core.diagnose.refitting import Change, Refitted, proof, refit_with, with_effects_held_out
-from core.diagnose.terms import additive, effect_term, scope_in_words
-from core.diagnose.trial import (
+from core.diagnose.add.coefficients import in_words, told, warning
+from core.diagnose.add.holdout import (
     Mask,
     Rides,
     comparison,
@@ -35,6 +32,9 @@ from core.diagnose.trial import (
     rides_of,
     vehicle_folds,
 )
+from core.diagnose.add.refit import Change, Refitted, proof, refit_with, with_effects_held_out
+from core.diagnose.add.terms import additive, effect_term, scope_in_words
+from core.diagnose.ranking import LEAST_GAIN, LEVEL
 from core.effects import Effect
 from core.errors import ModelError
 from core.evaluate.results import plain
@@ -91,7 +91,7 @@ def add(
     effect : str
         Name of an effect, or of a variant of one.
     columns : sequence of str
-        Of its term, see `core.diagnose.terms.scoped`.
+        Of its term, see `core.diagnose.add.terms.scoped`.
     joined : DataFrame
         Windows, as `core.diagnose.dataset.joined` makes them.
     rides : DataFrame, optional

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from core.declaration import Effect
-from core.diagnose.refitting import Estimate
+from core.diagnose.add.refit import Estimate
 
 
 def told(declared: Effect, found: Estimate) -> dict[str, Any]:

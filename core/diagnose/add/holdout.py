@@ -19,7 +19,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
-from core.diagnose.refitting import Change, refit_with, unnamed
+from core.diagnose.add.refit import Change, refit_with, unnamed
 from core.errors import ModelError
 from core.evaluate.clustered import clustered_mean, vehicle_days
 from core.evaluate.scores import UNKNOWN

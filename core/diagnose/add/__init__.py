@@ -1,0 +1,1 @@
+"""Add an effect to a model and test it on held-out days and vehicles."""
