@@ -6,10 +6,10 @@ import pytest
 
 from core import effects
 from core.columns import GRAVITY, STANDARD_AIR_DENSITY
-from core.diagnose.free_form import free_form
-from core.diagnose.free_terms import FreeTerm, limits, modulators
-from core.diagnose.ingredients import CARRIERS, VARIABLES
-from core.diagnose.suggestion import file, formula, name, unit
+from core.diagnose.free_form.building_blocks import CARRIERS, VARIABLES
+from core.diagnose.free_form.search import free_form
+from core.diagnose.free_form.suggestion import file, formula, name, unit
+from core.diagnose.free_form.terms import FreeTerm, limits, modulators
 from core.signals import CIVIL_DUSK
 from core.sun import sine_of_elevation
 

@@ -23,7 +23,7 @@ from core.diagnose.candidates import Asked, library
 from core.diagnose.dataset import Windows, by_meter, gather
 from core.diagnose.evidence import Clusters
 from core.diagnose.forward_selection import Finding, Search
-from core.diagnose.free_form import Suggestion, free_form
+from core.diagnose.free_form.search import Suggestion, free_form
 from core.diagnose.local_effects import local
 from core.diagnose.noise import ride_floor
 from core.diagnose.projection import Base

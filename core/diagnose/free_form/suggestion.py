@@ -4,7 +4,7 @@ from typing import Final, NamedTuple
 
 from core.declaration import Parameter
 from core.diagnose.effect_file import render
-from core.diagnose.free_terms import FreeTerm, Modulator
+from core.diagnose.free_form.terms import FreeTerm, Modulator
 
 ROOM_FOR: Final = 5.0
 """Factor about what was found, within which a coefficient is called plausible until its author says better."""

@@ -1,6 +1,6 @@
 """A free-form term for structure that no effect of the library explains, as a suggestion.
 
-Every carrier times every modulator is tried (`core.diagnose.free_terms`), and the best of them times a second one, all
+Every carrier times every modulator is tried (`core.diagnose.free_form.terms`), and the best of them times a second one, all
 projected off what the base can refit. What is compared is the fall of the weighted squared residual on clusters that
 were held out, base and term refitted without them. A plainer form of the best term is preferred where it is within one
 standard error of it [1]_. The search itself is repeated within each fold of an outer cross-validation, so that the gain
@@ -24,9 +24,9 @@ import pandas as pd
 from scipy import stats
 
 from core.batch import Floats, Ints
-from core.diagnose import suggestion
-from core.diagnose.free_terms import FreeTerm, Modulator, modulators
-from core.diagnose.ingredients import CARRIERS, VARIABLES, Carrier
+from core.diagnose.free_form import suggestion
+from core.diagnose.free_form.building_blocks import CARRIERS, VARIABLES, Carrier
+from core.diagnose.free_form.terms import FreeTerm, Modulator, modulators
 
 PIECES: Final = 10
 """Parts into which the clusters are dealt."""

@@ -72,7 +72,7 @@ class Variable(NamedTuple):
     value : callable
         Of the window table, (n,) float, never NaN: what is unknown is what it is to effects (`core.signals`).
     shapes : tuple of str
-        Which functions of it are tried, see `core.diagnose.free_terms`.
+        Which functions of it are tried, see `core.diagnose.free_form.terms`.
     follows : str
         Name of a plainer variable that it goes with, if any.
     """

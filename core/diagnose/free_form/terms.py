@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from core.batch import Floats
-from core.diagnose.ingredients import Carrier, Variable
+from core.diagnose.free_form.building_blocks import Carrier, Variable
 
 QUANTILES: Final = (0.1, 0.25, 0.5, 0.75, 0.9)
 """Shares of the windows below the limits and scales that are tried."""

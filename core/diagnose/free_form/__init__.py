@@ -1,0 +1,1 @@
+"""Search for a term that the library of effects lacks."""
