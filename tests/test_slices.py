@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.diagnose.conditions import SCALES, conditions, thresholds
-from core.diagnose.contrasts import contrast
-from core.diagnose.slices import slices
+from core.diagnose.slices.contrast import contrast
+from core.diagnose.slices.predicates import SCALES, conditions, thresholds
+from core.diagnose.slices.search import slices
 
 KEYS = {"where", "conditions", "rides", "bias_kwh", "ci95", "mae_kwh", "q"}
 

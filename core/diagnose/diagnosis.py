@@ -29,7 +29,7 @@ from core.diagnose.noise import ride_floor
 from core.diagnose.projection import Base
 from core.diagnose.ranking import LEAST_GAIN, LEVEL, Ranked
 from core.diagnose.residual_structure import Remains
-from core.diagnose.slices import slices
+from core.diagnose.slices.search import slices
 from core.features import EFFECT_PREFIX
 from core.learn.blocks import names, numbers
 from core.models import LinearModel

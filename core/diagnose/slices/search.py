@@ -1,11 +1,11 @@
 """Where a model fails, in words: slices of the rides on which its bias is another than on the rest.
 
-A slice is a conjunction of at most three conditions (`core.diagnose.conditions`). Slices are found on one half of the
+A slice is a conjunction of at most three conditions (`core.diagnose.slices.predicates`). Slices are found on one half of the
 vehicle-days, by a beam search for the bias that is largest against its standard error, and confirmed on the other half,
 whose figures alone are reported; then the other way round. The days of a vehicle are dealt to the halves in pairs of
 neighbours, so that both see every vehicle and season.
 
-A slice is compared with the rest of the rides, by vehicle-days (`core.diagnose.contrasts`). Of the slices that one half
+A slice is compared with the rest of the rides, by vehicle-days (`core.diagnose.slices.contrast`). Of the slices that one half
 names, the other keeps the false discovery rate by Benjamini and Hochberg at half the level, so that both directions
 together keep it at the level, whatever one tells of the other. Slices are ranked by the half that found them: those
 that did best in the half that confirms them would look better there than they are.
@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from core.batch import Floats, Ints
-from core.diagnose.conditions import Condition, Masks, conditions, dates, start_s
-from core.diagnose.contrasts import contrast
+from core.diagnose.slices.contrast import contrast
+from core.diagnose.slices.predicates import Condition, Masks, conditions, dates, start_s
 from core.evaluate.scores import Estimate
 from core.learn.blocks import names
 

@@ -1,0 +1,1 @@
+"""Find the kinds of ride on which a model errs."""
