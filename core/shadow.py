@@ -16,7 +16,7 @@ from core.batch import Floats, Ints
 from core.cars import Cars
 from core.codec import Message, ModelErrors, encode, model_identity
 from core.confidence import LEVEL
-from core.declaration import Effect
+from core.effects.declaration import Effect
 from core.errors import ModelError
 from core.features import Table
 from core.models import Model

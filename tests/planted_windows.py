@@ -6,12 +6,12 @@ import numpy as np
 import pandas as pd
 
 from core.columns import GRAVITY
+from core.effects.road_load import ROAD_LOAD
 from core.features import FEATURES, Columns
 from core.learn.blocks import Frame
 from core.learn.fitting import fit_terms
 from core.learn.recipes import LinearRecipe, term
 from core.models import LinearModel, physical_term
-from core.road_load import ROAD_LOAD
 
 KINDS = ("kia-soul-ev-2015", "nissan-leaf-2016")
 BASE = {"rolling": 1.1, "climbing": 0.95, "aero_drag": 1.05, "inertia_positive": 1.1, "inertia_negative": 0.8}

@@ -9,12 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.candidates import CANDIDATES
 from core.columns import SIGNALS
-from core.effects import check, get, library, tabulated, topics
+from core.effects import CANDIDATES, check, get, library, tabulated, topics
+from core.effects.road_load import ROAD_LOAD
+from core.effects.verification import ORDINARY
 from core.errors import EffectError
-from core.road_load import ROAD_LOAD
-from core.verification import ORDINARY
 
 EACH = [effect for found in CANDIDATES.values() for effect in found]
 ALL = pytest.mark.parametrize("each", EACH, ids=lambda e: e.name)

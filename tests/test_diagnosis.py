@@ -14,9 +14,9 @@ from core import effects
 from core.diagnose.candidates import library
 from core.diagnose.dataset import LEAST_RIDES, fitted, gather
 from core.diagnose.diagnosis import declared, diagnose
+from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError
 from core.features import needed
-from core.road_load import ROAD_LOAD
 from tests.diagnosis_result import diagnosis as made_up
 from tests.drives import drives, measured
 from tools.bench.hidden import cases

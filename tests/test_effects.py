@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from core import effects
 from core.columns import SIGNALS
-from core.effects import get, library, load_file, tabulated, topics
+from core.effects import get, library, load_file, registry, tabulated, topics
 from core.errors import EffectError, SettingsError
 from tools.cli import main
 from tools.effects import app
@@ -28,7 +28,7 @@ def door_loss(stopped, inside, ambient):
 @pytest.fixture
 def write(tmp_path):
     """Write a file of effects; what it brings leaves the library after the test."""
-    before, brought = dict(effects._library), dict(effects._brought_by)
+    before, brought = dict(registry._library), dict(registry._brought_by)
 
     def write(text, name="mine.py"):
         path = tmp_path / name
@@ -36,10 +36,10 @@ def write(tmp_path):
         return path
 
     yield write
-    effects._library.clear()
-    effects._library.update(before)
-    effects._brought_by.clear()
-    effects._brought_by.update(brought)
+    registry._library.clear()
+    registry._library.update(before)
+    registry._brought_by.clear()
+    registry._brought_by.update(brought)
 
 
 def test_unknown_names_are_met_with_close_ones():
@@ -82,7 +82,7 @@ def test_a_name_that_is_taken_is_refused_and_the_library_unchanged(write):
         ("def f(:\n  pass\n", ":1: not Python: "),
         ("x = 1\0", ": not Python: "),
         ("", ": holds no effect"),
-        ("from core.road_load import rolling\n", ": holds no effect"),
+        ("from core.effects.road_load import rolling\n", ": holds no effect"),
         ("import math\nimport socket\n", ":2: imports socket; an effect needs no more than"),
         ("from urllib.request import urlopen\n", ":1: imports urllib.request; "),
         ("from . import other\n", ":1: imports .; "),
@@ -200,7 +200,7 @@ def test_a_new_file_passes_its_check_and_does_what_its_origin_does(tmp_path, ori
     done = CliRunner().invoke(app, ["new", str(path), *(["--from", origin] if origin else [])])
     assert done.exit_code == 0
     assert f"socast effects check {path}" in " ".join(done.stdout.split())
-    (found,) = effects._run(path)
+    (found,) = registry._run(path)
     effects.check(found)
     if origin is None:
         assert found.name == "my_effect"

@@ -10,6 +10,7 @@ from core.diagnose.free_form.building_blocks import CARRIERS, VARIABLES
 from core.diagnose.free_form.search import free_form
 from core.diagnose.free_form.suggestion import file, formula, name, unit
 from core.diagnose.free_form.terms import FreeTerm, limits, modulators
+from core.effects import registry
 from core.signals import CIVIL_DUSK
 from core.sun import sine_of_elevation
 
@@ -221,7 +222,7 @@ TERMS = list(some_terms())
 def checked(term, path):
     """Return the effect of a term, from its file, checked: its power is in watt by pint."""
     path.write_text(file(term, -0.123, 4000), encoding="utf-8")
-    (found,) = effects._run(path)
+    (found,) = registry._run(path)
     effects.check(found)
     return found
 
@@ -243,8 +244,8 @@ def test_every_file_passes_the_check_and_means_its_column(tmp_path):
 
 
 def test_a_file_is_loaded_as_a_user_does(driving, tmp_path, monkeypatch):
-    monkeypatch.setattr(effects, "_library", dict(effects._library))
-    monkeypatch.setattr(effects, "_brought_by", {})
+    monkeypatch.setattr(registry, "_library", dict(registry._library))
+    monkeypatch.setattr(registry, "_brought_by", {})
     rows, windows = driving
     found = asked(windows, rows["day"], PLANTED["braking"][1](rows))
     path = tmp_path / "suggested.py"

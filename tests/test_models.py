@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from linear_models import CURVE, FLEET, LEAF, fleet, model_of, ride_columns, steps
 
 from core.columns import GRAVITY, JOULES_PER_KWH, ZERO_CELSIUS
+from core.effects.road_load import STANDARD_AIR_DENSITY
 from core.errors import ModelError
 from core.models import ANY, BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, Term
-from core.road_load import STANDARD_AIR_DENSITY
 from core.vehicles import ACCESSORIES
 
 

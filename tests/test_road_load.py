@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from core.columns import GRAVITY
 from core.effects import check, get, library
-from core.road_load import ROAD_LOAD, STANDARD_AIR_DENSITY
+from core.effects.road_load import ROAD_LOAD, STANDARD_AIR_DENSITY
+from core.effects.verification import ORDINARY
 from core.vehicles import ACCESSORIES
-from core.verification import ORDINARY
 
 ALL = pytest.mark.parametrize("each", ROAD_LOAD, ids=lambda e: e.name)
 

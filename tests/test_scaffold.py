@@ -3,8 +3,8 @@
 import pytest
 
 from core import effects
-from core.diagnose.effect_file import render
-from core.effects import Parameter
+from core.effects import Parameter, registry
+from core.effects.source_file import render
 from core.errors import EffectError
 from tools.scaffold import blank
 
@@ -32,7 +32,7 @@ def suggestion(**changes):
 def test_the_text_is_a_file_that_passes_its_check(tmp_path, text):
     path = tmp_path / "suggested.py"
     path.write_text(text)
-    (found,) = effects._run(path)
+    (found,) = registry._run(path)
     effects.check(found)
     assert all(len(line) <= 130 for line in text.splitlines())
 
@@ -40,7 +40,7 @@ def test_the_text_is_a_file_that_passes_its_check(tmp_path, text):
 def test_quotes_and_letters_of_a_source_come_through(tmp_path):
     path = tmp_path / "suggested.py"
     path.write_text(suggestion(source='θ of "Größe" \\ é'))
-    (found,) = effects._run(path)
+    (found,) = registry._run(path)
     assert found.source == 'θ of "Größe" \\ é'
     assert found.parameters["cold"].bounds == (283.15, 283.15)
 

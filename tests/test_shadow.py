@@ -13,6 +13,7 @@ from test_laws import mixed, shift
 
 from core import effects
 from core.codec import ModelErrors
+from core.effects import registry
 from core.errors import ModelError, SocastError
 from core.models import ANY, BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, LinearModel, Term
 from core.pipeline import Pipeline
@@ -214,7 +215,7 @@ def test_an_effect_that_only_a_shadow_has_may_fail(monkeypatch):
         """Fails in service: P = 1 W."""
         raise OverflowError(speed)
 
-    monkeypatch.setitem(effects._library, "moody", moody)
+    monkeypatch.setitem(registry._library, "moody", moody)
     term = Term(name="mood", columns=("effect_moody",), unit="1")
     shadow = LinearModel(name="s", version="1", recipe="s", terms=(term,), fits={ANY: Fit(coefficients=(1.0,))})
     messages = lapped()

@@ -3,10 +3,10 @@
 import pytest
 
 from core.columns import SIGNALS
-from core.declaration import SIGNAL_UNITS
 from core.effects import Effect, check
+from core.effects.declaration import SIGNAL_UNITS
+from core.effects.verification import ORDINARY
 from core.errors import EffectError
-from core.verification import ORDINARY
 
 # Each of these functions has one thing wrong
 

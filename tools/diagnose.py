@@ -17,12 +17,12 @@ from core.diagnose.add.terms import scoped
 from core.diagnose.dataset import gather, joined
 from core.diagnose.noise import ride_floor
 from core.diagnose.ranking import LEAST_GAIN
+from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError, SettingsError
 from core.evaluate.results import plain
 from core.features import EFFECT_PREFIX, FEATURES, is_scope
 from core.learn.blocks import names
 from core.models import KNOWN, VEHICLE, VEHICLE_MODEL, LinearModel
-from core.road_load import ROAD_LOAD
 from tools.evaluate import KEY, read
 from tools.fit import RECORDING, Rides, inputs
 from tools.output import EffectFiles, HtmlFile, JsonFile, model_files, printer, report, writable, write_json

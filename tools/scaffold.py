@@ -5,8 +5,8 @@ import inspect
 from textwrap import dedent
 from types import ModuleType
 
-from core.declaration import Effect, Parameter
-from core.diagnose.effect_file import render
+from core.effects.declaration import Effect, Parameter
+from core.effects.source_file import render
 from core.errors import EffectError
 
 

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from core import effects
 from core.batch import Floats, Ints
-from core.declaration import VARIANT
 from core.diagnose.dataset import Windows
+from core.effects.declaration import VARIANT
+from core.effects.road_load import ROAD_LOAD
 from core.features import EFFECT_PREFIX
 from core.learn.blocks import numbers
 from core.models import LinearModel
-from core.road_load import ROAD_LOAD
 
 LEAST_SHARE: Final = 0.003
 """Share of the energy that an effect must take beyond doubt: samples every few seconds distort as much."""

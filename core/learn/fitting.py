@@ -29,13 +29,13 @@ from threadpoolctl import ThreadpoolController
 from core.batch import Floats
 from core.cars import PARAMETERS
 from core.derived import DERIVED
+from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError
 from core.features import ACCESSORIES, ACCESSORY_NEEDS, EFFECT_PREFIX, FEATURES, Columns, needed
 from core.learn.blocks import ENERGY, Rides, names, numbers, trainable
 from core.learn.curve import Temperatures, slopes
 from core.learn.regression import CONSTANT, LEAST_GROUPS, Influence, Moments, Scores, Solution, grouped, solve
 from core.models import ANY, BASIC_PHYSICAL, VEHICLE, VEHICLE_MODEL, Curve, Fit, LinearModel, Term, Training
-from core.road_load import ROAD_LOAD
 
 LEAST_RIDES: Final = 2
 """Rides for each coefficient that a fit needs."""

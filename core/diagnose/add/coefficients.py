@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from core.declaration import Effect
 from core.diagnose.add.refit import Estimate
+from core.effects.declaration import Effect
 
 
 def told(declared: Effect, found: Estimate) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from core.batch import Floats
 from core.columns import GRAVITY, KMH, STANDARD_AIR_DENSITY, ZERO_CELSIUS
-from core.declaration import Parameter
+from core.effects.declaration import Parameter
 from core.features import Table
 from core.signals import CIVIL_DUSK, HALF_CHARGED, NIGHT, STANDARD_AMBIENT
 from core.sun import sine_of_elevation

@@ -2,9 +2,9 @@
 
 from typing import Final, NamedTuple
 
-from core.declaration import Parameter
-from core.diagnose.effect_file import render
 from core.diagnose.free_form.terms import FreeTerm, Modulator
+from core.effects.declaration import Parameter
+from core.effects.source_file import render
 
 ROOM_FOR: Final = 5.0
 """Factor about what was found, within which a coefficient is called plausible until its author says better."""

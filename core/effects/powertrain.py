@@ -6,7 +6,7 @@ import numpy as np
 
 from core.batch import Floats
 from core.columns import GRAVITY
-from core.declaration import Effect, Parameter, effect
+from core.effects.declaration import Effect, Parameter, effect
 
 _LOSSES: Final = "Larminie and Lowry, Electric Vehicle Technology Explained, 2nd ed., Wiley 2012, ch. 7, motor losses"
 

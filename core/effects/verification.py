@@ -10,7 +10,7 @@ import numpy as np
 
 from core.batch import Floats
 from core.columns import KMH
-from core.declaration import SIGNAL_UNITS, Effect
+from core.effects.declaration import SIGNAL_UNITS, Effect
 from core.errors import EffectError
 
 ORDINARY: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(

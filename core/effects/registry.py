@@ -16,13 +16,16 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from core.candidates import CANDIDATES
-from core.declaration import VARIANT, Effect, Parameter, effect
+from core.effects.air import AIR
+from core.effects.battery import BATTERY
+from core.effects.cabin import CABIN
+from core.effects.declaration import VARIANT, Effect
+from core.effects.electrics import ELECTRICS
+from core.effects.powertrain import POWERTRAIN
+from core.effects.road_load import ROAD_LOAD
+from core.effects.tyres import TYRES
+from core.effects.verification import check
 from core.errors import EffectError
-from core.road_load import ROAD_LOAD
-from core.verification import check
-
-__all__ = ["Effect", "Parameter", "check", "effect", "get", "library", "load_file", "tabulated", "topics"]
 
 TIME_LIMIT: Final = 20.0
 """How long a user's file may take to be imported and checked. [s]"""
@@ -35,6 +38,21 @@ FORBIDDEN_CALLS: Final = frozenset({"__import__", "breakpoint", "compile", "eval
 """What it may not call, for the same reason."""
 
 _USER_MODULE: Final = "user_effects"
+CANDIDATES: Final[Mapping[str, tuple[Effect, ...]]] = MappingProxyType(
+    {
+        "air": AIR,
+        "tyres and road": TYRES,
+        "cabin": CABIN,
+        "powertrain and load": POWERTRAIN,
+        "battery": BATTERY,
+        "electrics": ELECTRICS,
+    }
+)
+"""Topic -> the candidate effects beyond the road load.
+
+Each effect is what its phenomenon adds to the base effects of `core.effects.road_load`, in the textbook's form. Diagnosis tests
+whether the data show it. A plausible range that begins above zero says that physics demands the sign.
+"""
 _SHIPPED: Final[Mapping[str, tuple[Effect, ...]]] = MappingProxyType({"road load": ROAD_LOAD, **CANDIDATES})
 _library: dict[str, Effect] = {e.name: e for effects in _SHIPPED.values() for e in effects}
 _brought_by: dict[str, Path] = {}
@@ -198,7 +216,12 @@ def _check_source(path: Path, source: str) -> None:
 
 def _check_apart(path: Path, time_limit: float) -> None:
     """Run and check the file in a process of its own, which can be ended where the file does not come to an end."""
-    command = [sys.executable, "-c", "import sys; from core.effects import _inspect; _inspect(sys.argv[1])", str(path)]
+    command = [
+        sys.executable,
+        "-c",
+        "import sys; from core.effects.registry import _inspect; _inspect(sys.argv[1])",
+        str(path),
+    ]
     try:
         done = subprocess.run(  # noqa: S603 - the user's own file, named by the user
             command,

@@ -7,7 +7,7 @@ from textwrap import indent
 from typing import Final
 
 from core.columns import SIGNALS
-from core.declaration import Parameter
+from core.effects.declaration import Parameter
 from core.errors import EffectError
 
 WIDTH: Final = 110

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from core.batch import Floats
-from core.declaration import Effect, Parameter, effect
+from core.effects.declaration import Effect, Parameter, effect
 
 _VTI: Final = "Carlson and Vieira 2018, VTI rapport 971"
 

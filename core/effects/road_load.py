@@ -23,7 +23,7 @@ import numpy as np
 
 from core.batch import Floats
 from core.columns import GRAVITY, STANDARD_AIR_DENSITY
-from core.declaration import Effect, Parameter, effect
+from core.effects.declaration import Effect, Parameter, effect
 from core.vehicles import ACCESSORIES, AccessoryCurve
 
 _GRAVITY: Final = {"gravity": Parameter(GRAVITY, "m/s^2")}
@@ -43,7 +43,7 @@ _DRAG_AREAS: Final = "range: Hucho (ed.), Aerodynamics of Road Vehicles, SAE 199
 def rolling(mass: Floats, grade: Floats, speed: Floats, gravity: float) -> Floats:
     """Tyres that flex: P = m g cos θ v, times c.
 
-    Independent of speed, temperature and wet: see `core.candidates.tyres`.
+    Independent of speed, temperature and wet: see `core.effects.tyres`.
     """
     return mass * speed * gravity * np.sqrt(1.0 - grade * grade)
 

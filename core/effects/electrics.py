@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from core.batch import Floats
-from core.declaration import Effect, effect
+from core.effects.declaration import Effect, effect
 
 
 @effect(

@@ -10,7 +10,7 @@ import numpy as np
 
 from core.batch import Floats
 from core.columns import STANDARD_AIR_DENSITY
-from core.declaration import Effect, Parameter, effect
+from core.effects.declaration import Effect, Parameter, effect
 
 _DRAG: Final = "Gillespie, Fundamentals of Vehicle Dynamics, SAE 1992, ch. 4"
 _DENSITY: Final = Parameter(STANDARD_AIR_DENSITY, "kg/m^3")
