@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from linear_models import STUMP
 
 from core.errors import ModelError
+from core.evaluate.binning import conditions, local_hour
 from core.evaluate.clustered import clustered_mean, clustered_ratio, less, vehicle_days
 from core.evaluate.comparison import compare, pairs, sample, worst
-from core.evaluate.conditions import conditions, local_hour
 from core.evaluate.contrast import contrast
 from core.evaluate.parts import CORRECTION, parts
 from core.evaluate.running import so_far

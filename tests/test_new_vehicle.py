@@ -11,8 +11,8 @@ import pytest
 from core.errors import ModelError
 from core.evaluate import new_vehicle
 from core.evaluate.held_out import held_out
-from core.evaluate.judged import CLUSTERS, LEAST, judged
 from core.evaluate.new_vehicle import Learner, counts, curve, curves, draws, learners, left_out, tables_12_and_13
+from core.evaluate.ride_filter import CLUSTERS, LEAST, judged
 from core.evaluate.runs import predicted
 
 MODELS = ("kia-soul-ev-2015", "nissan-leaf-2013", "tesla-model-s")

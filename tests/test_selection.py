@@ -4,7 +4,7 @@ import numpy as np
 import planted_rides
 import pytest
 
-from core.evaluate.judged import judged
+from core.evaluate.ride_filter import judged
 from core.evaluate.selection import ByVehicleModel, plan, removable
 from core.learn.recipes import LinearRecipe, term
 

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 
 from core.errors import SocastError
-from core.evaluate.judged import LEAST, Judged
+from core.evaluate.ride_filter import LEAST, Judged
 from core.evaluate.scores import group_means
 from core.learn.recipes import RECIPES
 from core.models import BASIC_PHYSICAL

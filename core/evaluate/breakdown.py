@@ -9,7 +9,7 @@ import pandas as pd
 from core.batch import Floats
 from core.evaluate import scores
 from core.evaluate.held_out import HeldOut
-from core.evaluate.judged import CLUSTERS, LEAST, Judged
+from core.evaluate.ride_filter import CLUSTERS, LEAST, Judged
 from core.evaluate.scores import Codes
 
 TEMPERATURES: Final = tuple(range(-35, 45, 5))

@@ -15,9 +15,9 @@ from scipy.stats import false_discovery_control
 from core.batch import Floats
 from core.errors import ModelError
 from core.evaluate import differences, scores
+from core.evaluate.binning import conditions
 from core.evaluate.clustered import clustered_mean, clustered_ratio, vehicle_days
-from core.evaluate.conditions import conditions
-from core.evaluate.judged import reasons
+from core.evaluate.ride_filter import reasons
 from core.evaluate.scores import Codes, Estimate
 from core.models import ANY, LinearModel
 

@@ -14,7 +14,7 @@ from core.errors import ModelError, SettingsError
 from core.evaluate import breakdown, new_vehicle, results, selection
 from core.evaluate.accessories import figure_1
 from core.evaluate.held_out import HeldOut, held_out
-from core.evaluate.judged import Judged, judged
+from core.evaluate.ride_filter import Judged, judged
 from core.evaluate.runs import Fittable, Prediction, Progress, in_parallel, plan
 from core.evaluate.splits import REPEATS, TEST_SHARE, Split, by_date, by_ride, by_vehicle
 from core.features import needed

@@ -26,7 +26,7 @@ from sklearn.model_selection import KFold
 
 from core.batch import Floats
 from core.evaluate.differences import SIGNIFICANCE
-from core.evaluate.judged import Judged
+from core.evaluate.ride_filter import Judged
 from core.evaluate.scores import Codes, Estimate, over_repeats
 from core.evaluate.splits import Positions, Split, by_ride
 from core.features import Columns

@@ -12,8 +12,8 @@ import pandas as pd
 
 from core.batch import Floats
 from core.errors import ModelError
+from core.evaluate.binning import between
 from core.evaluate.clustered import clustered_mean
-from core.evaluate.conditions import between
 from core.evaluate.scores import Codes
 from core.evaluate.soc_baselines import BASELINES, baselines, leg_baselines
 from core.evaluate.soc_examples import examples

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from core.batch import Floats
-from core.evaluate.judged import CLUSTERS, clusters
+from core.evaluate.ride_filter import CLUSTERS, clusters
 from core.evaluate.scores import Codes
 
 TEMPERATURES: Final = tuple(range(-30, 41, 5))
