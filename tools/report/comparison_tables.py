@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Final
 
-from core.evaluate.comparison import WELL_KNOWN
+from core.evaluate.compare.models import WELL_KNOWN
 from core.evaluate.differences import SIGNIFICANCE
 from core.evaluate.scores import BANDS
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, count, kwh, mark_least, percent, signed

@@ -1,6 +1,6 @@
 """One ride, window by window: what it took, what models say it took, and where the two part.
 
-A model says something of the ride so far after each window (`core.evaluate.running`), and the last of these is its
+A model says something of the ride so far after each window (`core.evaluate.compare.running`), and the last of these is its
 prediction of the ride. What it adds from one window to the next is compared with what the window measured. The place
 where they part is the span of windows that holds the most error beyond its share of the time: with errors e_k and
 durations t_k, and E and T of the whole ride, the span of the largest sum of sign(E) (e_k - E t_k / T). A steady error
@@ -16,9 +16,9 @@ import pandas as pd
 
 from core.batch import Floats
 from core.errors import ModelError
-from core.evaluate.comparison import KEYS, TOLD
+from core.evaluate.compare.models import KEYS, TOLD
+from core.evaluate.compare.running import so_far
 from core.evaluate.parts import parts
-from core.evaluate.running import so_far
 from core.models import LinearModel
 
 LEAST_SHARE: Final = 0.5

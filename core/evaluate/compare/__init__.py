@@ -1,0 +1,1 @@
+"""Compare models, and data sets, on measured rides."""
