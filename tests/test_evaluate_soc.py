@@ -10,7 +10,7 @@ from scipy import stats
 from soc_frames import CAPACITY, DAY_ONE, MODELS, SPREAD, told
 
 from core.errors import ModelError
-from core.evaluate.results import plain
+from core.evaluate.paper.results import plain
 from core.evaluate.soc import evaluate_soc
 from core.evaluate.soc_judged import (
     CHARGED,

@@ -11,7 +11,7 @@ from rich.console import Console
 from soc_frames import told
 from test_report import read
 
-from core.evaluate.results import plain
+from core.evaluate.paper.results import plain
 from core.evaluate.soc import evaluate_soc
 from core.evaluate.soc_share import ENOUGH
 from tools import evaluate_soc as command

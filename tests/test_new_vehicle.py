@@ -9,11 +9,11 @@ import planted_rides
 import pytest
 
 from core.errors import ModelError
-from core.evaluate import new_vehicle
-from core.evaluate.held_out import held_out
-from core.evaluate.new_vehicle import Learner, counts, curve, curves, draws, learners, left_out, tables_12_and_13
+from core.evaluate.paper import new_vehicle
+from core.evaluate.paper.held_out import held_out
+from core.evaluate.paper.new_vehicle import Learner, counts, curve, curves, draws, learners, left_out, tables_12_and_13
+from core.evaluate.paper.runs import predicted
 from core.evaluate.ride_filter import CLUSTERS, LEAST, judged
-from core.evaluate.runs import predicted
 
 MODELS = ("kia-soul-ev-2015", "nissan-leaf-2013", "tesla-model-s")
 PER_KM = dict(zip(MODELS, (0.15, 0.18, 0.25), strict=True))

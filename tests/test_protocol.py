@@ -11,11 +11,11 @@ import pytest
 
 from core.columns import ZERO_CELSIUS
 from core.errors import ModelError, SettingsError
-from core.evaluate.accessories import figure_1
-from core.evaluate.held_out import held_out
-from core.evaluate.protocol import chosen, evaluate
+from core.evaluate.paper.accessories import figure_1
+from core.evaluate.paper.held_out import held_out
+from core.evaluate.paper.protocol import chosen, evaluate
+from core.evaluate.paper.runs import Prediction
 from core.evaluate.ride_filter import CLUSTERS, LEAST, judged
-from core.evaluate.runs import Prediction
 from core.evaluate.splits import Split
 from core.vehicles import AccessoryCurve
 

@@ -6,8 +6,8 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from core.evaluate import published
-from core.evaluate.published import AVERAGE, PHYSICAL, WEIGHTED, paper
+from core.evaluate.paper import published
+from core.evaluate.paper.published import AVERAGE, PHYSICAL, WEIGHTED, paper
 from core.vehicles import catalogue
 
 CLUSTERS = ("0-5", "5-10", "10-15", "15-20", "20-25")

@@ -17,7 +17,7 @@ from core.codec import Message
 from core.columns import EARTH_RADIUS, KMH
 from core.decode import Decoder
 from core.effects import library
-from core.evaluate.protocol import chosen, evaluate
+from core.evaluate.paper.protocol import chosen, evaluate
 from core.pipeline import Pipeline
 from core.settings import Settings
 from stream.mcap_read import McapSource

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from core.errors import SettingsError
-from core.evaluate import published
-from core.evaluate.results import plain
+from core.evaluate.paper import published
+from core.evaluate.paper.results import plain
 from tools.report import figures
 from tools.report.cells import PAPER_NOTE, UNKNOWN
 from tools.report.figure_style import style

@@ -4,8 +4,8 @@ import numpy as np
 import planted_rides
 import pytest
 
+from core.evaluate.paper.selection import ByVehicleModel, plan, removable
 from core.evaluate.ride_filter import judged
-from core.evaluate.selection import ByVehicleModel, plan, removable
 from core.learn.recipes import LinearRecipe, term
 
 MODELS = ("kia-soul-ev-2015", "tesla-model-s")

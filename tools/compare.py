@@ -15,7 +15,7 @@ from core.errors import ModelError, SettingsError
 from core.evaluate.compare.datasets import contrast
 from core.evaluate.compare.models import Sample, compare, sample
 from core.evaluate.compare.ride_trace import find, trace
-from core.evaluate.results import plain
+from core.evaluate.paper.results import plain
 from core.models import KNOWN, LinearModel
 from tools.evaluate import KEY, read
 from tools.fit import RECORDING, Rides, inputs, ride_files

@@ -19,7 +19,7 @@ from core.diagnose.noise import ride_floor
 from core.diagnose.ranking import LEAST_GAIN
 from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError, SettingsError
-from core.evaluate.results import plain
+from core.evaluate.paper.results import plain
 from core.features import EFFECT_PREFIX, FEATURES, is_scope
 from core.learn.blocks import names
 from core.models import KNOWN, VEHICLE, VEHICLE_MODEL, LinearModel

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from core.errors import ModelError, SettingsError
-from core.evaluate.protocol import SEGMENTS, chosen, evaluate
+from core.evaluate.paper.protocol import SEGMENTS, chosen, evaluate
 from core.evaluate.splits import REPEATS
 from core.learn import segments
 from core.learn.recipes import RECIPES

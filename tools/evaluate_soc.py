@@ -5,7 +5,7 @@ from typing import Any
 import pandas as pd
 
 from core import models
-from core.evaluate.results import plain
+from core.evaluate.paper.results import plain
 from core.evaluate.soc import evaluate_soc
 from core.evaluate.soc_legs import OF_RIDES, Questions, leg_cases
 from core.pipeline import Pipeline

@@ -2,7 +2,7 @@
 
 from typing import Any, Final, NamedTuple
 
-from core.evaluate.published import Published
+from core.evaluate.paper.published import Published
 from tools.report.result import half_width, number
 
 PAPER_NOTE: Final = (

@@ -7,7 +7,7 @@ from typing import Any, Final
 from rich.console import Console
 from rich.text import Text
 
-from core.evaluate.results import plain
+from core.evaluate.paper.results import plain
 from tools.report import comparison_figures as figures
 from tools.report import comparison_tables as tables
 from tools.report import comparison_trace as traced

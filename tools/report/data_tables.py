@@ -4,8 +4,8 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, Final
 
-from core.evaluate import published
-from core.evaluate.published import AVERAGE, WEIGHTED, Published
+from core.evaluate.paper import published
+from core.evaluate.paper.published import AVERAGE, WEIGHTED, Published
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, count, kwh, percent, printed
 from tools.report.result import Result, clusters, mapping, number, part, vehicle_models, vehicle_name
 

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.padding import Padding
 from rich.text import Text
 
-from core.evaluate.results import plain
+from core.evaluate.paper.results import plain
 from tools.report import diagnosis_figures as figures
 from tools.report import diagnosis_tables as tables
 from tools.report import diagnosis_words as words

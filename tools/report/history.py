@@ -8,7 +8,7 @@ import plotly.graph_objects as go
 from rich.console import Console
 from rich.text import Text
 
-from core.evaluate.results import plain
+from core.evaluate.paper.results import plain
 from core.models import LinearModel
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, change, count, signed
 from tools.report.diagnosis_words import coefficient, energy

@@ -10,8 +10,8 @@ from typing import Any, Final
 from plotly.offline import get_plotlyjs
 
 from core.errors import SettingsError
-from core.evaluate import published
-from core.evaluate.results import plain
+from core.evaluate.paper import published
+from core.evaluate.paper.results import plain
 from tools.report.cells import Cell, ReportTable, Row
 from tools.report.illustrations import Illustration, illustrations
 from tools.report.result import Result, mapping

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any, Final
 
-from core.evaluate.published import AVERAGE, PHYSICAL, WEIGHTED
+from core.evaluate.paper.published import AVERAGE, PHYSICAL, WEIGHTED
 from core.vehicles import catalogue
 
 Result = Mapping[str, Any]

@@ -2,8 +2,8 @@
 
 from typing import NamedTuple
 
-from core.evaluate import published
-from core.evaluate.published import AVERAGE, PHYSICAL, Statement
+from core.evaluate.paper import published
+from core.evaluate.paper.published import AVERAGE, PHYSICAL, Statement
 from tools.report.cells import Cell, ReportTable, Row, change, kwh, percent
 from tools.report.data_tables import data_tables
 from tools.report.error_tables import differences, error_tables, summary_tables

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from core.evaluate import published
+from core.evaluate.paper import published
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, signed
 from tools.report.result import Result, mapping, number, part
 

@@ -7,7 +7,7 @@ from typing import Any, Final
 from rich.console import Console
 from rich.text import Text
 
-from core.evaluate.results import plain
+from core.evaluate.paper.results import plain
 from tools.report import soc_figures as figures
 from tools.report import soc_risk_tables as risk_tables
 from tools.report import soc_tables as tables

@@ -7,8 +7,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from core.evaluate import published
-from core.evaluate.results import plain
+from core.evaluate.paper import published
+from core.evaluate.paper.results import plain
 from tools.report.cells import PAPER_NOTE, Cell, ReportTable
 from tools.report.sections import Section, sections
 

@@ -3,8 +3,8 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from core.evaluate import published
-from core.evaluate.published import Published
+from core.evaluate.paper import published
+from core.evaluate.paper.published import Published
 from tools.report.cells import Cell, ReportTable, Row, kwh, mark_least, percent, printed
 from tools.report.result import (
     FITTED,

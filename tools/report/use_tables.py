@@ -5,7 +5,7 @@ from statistics import quantiles
 from types import MappingProxyType
 from typing import Any, Final
 
-from core.evaluate import published
+from core.evaluate.paper import published
 from tools.report.cells import Cell, ReportTable, Row, count, kwh, mark_least, percent, signed
 from tools.report.result import (
     Result,

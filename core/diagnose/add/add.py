@@ -37,7 +37,7 @@ from core.diagnose.add.terms import additive, effect_term, scope_in_words
 from core.diagnose.ranking import LEAST_GAIN, LEVEL
 from core.effects import Effect
 from core.errors import ModelError
-from core.evaluate.results import plain
+from core.evaluate.paper.results import plain
 from core.features import EFFECT_PREFIX, VEHICLE_SCOPE, Columns, is_scope, needed
 from core.formatting import rounded
 from core.learn.blocks import ENERGY, names, numbers, trainable

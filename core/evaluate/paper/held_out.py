@@ -7,8 +7,8 @@ from typing import Any, Final
 import numpy as np
 
 from core.batch import Floats
+from core.evaluate.paper.runs import Prediction
 from core.evaluate.ride_filter import CLUSTERS, LEAST, SCORED, Judged
-from core.evaluate.runs import Prediction
 from core.evaluate.scores import Codes, Estimate, combined, group_means, over_repeats
 
 SILENT: Final = 0.05

@@ -19,10 +19,10 @@ import pandas as pd
 
 from core.batch import Floats
 from core.errors import SocastError
-from core.evaluate.held_out import HeldOut
-from core.evaluate.results import REFERENCE, pooled_average, reductions
+from core.evaluate.paper.held_out import HeldOut
+from core.evaluate.paper.results import REFERENCE, pooled_average, reductions
+from core.evaluate.paper.runs import Fittable, Fitted
 from core.evaluate.ride_filter import LEAST, SCORED, Judged
-from core.evaluate.runs import Fittable, Fitted
 from core.evaluate.scores import group_means, over_repeats
 from core.evaluate.splits import Positions, Split
 

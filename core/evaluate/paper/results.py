@@ -8,7 +8,7 @@ import pandas as pd
 
 from core.batch import Floats
 from core.evaluate import differences
-from core.evaluate.held_out import HeldOut, averages, cells, errors, grid, table, weighted
+from core.evaluate.paper.held_out import HeldOut, averages, cells, errors, grid, table, weighted
 from core.evaluate.ride_filter import CLUSTERS, SCORED, Judged
 from core.evaluate.scores import Estimate, combined, group_means, over_repeats
 

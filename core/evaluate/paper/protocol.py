@@ -11,11 +11,11 @@ import numpy as np
 import pandas as pd
 
 from core.errors import ModelError, SettingsError
-from core.evaluate import breakdown, new_vehicle, results, selection
-from core.evaluate.accessories import figure_1
-from core.evaluate.held_out import HeldOut, held_out
+from core.evaluate.paper import breakdown, new_vehicle, results, selection
+from core.evaluate.paper.accessories import figure_1
+from core.evaluate.paper.held_out import HeldOut, held_out
+from core.evaluate.paper.runs import Fittable, Prediction, Progress, in_parallel, plan
 from core.evaluate.ride_filter import Judged, judged
-from core.evaluate.runs import Fittable, Prediction, Progress, in_parallel, plan
 from core.evaluate.splits import REPEATS, TEST_SHARE, Split, by_date, by_ride, by_vehicle
 from core.features import needed
 from core.learn.recipes import RECIPES

@@ -8,7 +8,7 @@ import pandas as pd
 
 from core.batch import Floats
 from core.evaluate import scores
-from core.evaluate.held_out import HeldOut
+from core.evaluate.paper.held_out import HeldOut
 from core.evaluate.ride_filter import CLUSTERS, LEAST, Judged
 from core.evaluate.scores import Codes
 

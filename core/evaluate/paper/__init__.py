@@ -1,0 +1,1 @@
+"""Reproduce the paper's evaluation of consumption models."""
