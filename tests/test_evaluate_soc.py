@@ -11,16 +11,8 @@ from soc_frames import CAPACITY, DAY_ONE, MODELS, SPREAD, told
 
 from core.errors import ModelError
 from core.evaluate.paper.results import plain
-from core.evaluate.soc import evaluate_soc
-from core.evaluate.soc_judged import (
-    CHARGED,
-    CUT_SHORT,
-    HOURS,
-    SILENT,
-    UNREPORTED,
-    WARM_UP,
-    judged,
-)
+from core.evaluate.soc.cases import CHARGED, CUT_SHORT, HOURS, SILENT, UNREPORTED, WARM_UP, judged
+from core.evaluate.soc.report import evaluate_soc
 
 
 @pytest.fixture(scope="module")

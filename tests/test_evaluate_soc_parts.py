@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from soc_frames import CAPACITY, told
 
-from core.evaluate.soc_baselines import REMEMBERED, SETTLED, baselines, mean_consumption, risk_by_earlier
-from core.evaluate.soc_judged import judged
-from core.evaluate.soc_reserve import risk_below
+from core.evaluate.soc.baselines import REMEMBERED, SETTLED, baselines, mean_consumption, risk_by_earlier
+from core.evaluate.soc.cases import judged
+from core.evaluate.soc.reserve_risk import risk_below
 from core.vehicles import catalogue
 
 PERCENT = st.floats(0.0, 100.0)

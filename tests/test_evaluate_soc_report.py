@@ -12,7 +12,7 @@ from soc_frames import told
 from test_report import read
 
 from core.evaluate.paper.results import plain
-from core.evaluate.soc import evaluate_soc
+from core.evaluate.soc.report import evaluate_soc
 from core.evaluate.soc_share import ENOUGH
 from tools import evaluate_soc as command
 from tools.cli import main

@@ -5,9 +5,9 @@ import pandas as pd
 import pytest
 from soc_frames import told
 
-from core.evaluate.soc_baselines import BASELINES, baselines
-from core.evaluate.soc_judged import judged
-from core.evaluate.soc_reserve import LEVELS, PLANNED, alarms, asked, reliability, reserve, worth
+from core.evaluate.soc.baselines import BASELINES, baselines
+from core.evaluate.soc.cases import judged
+from core.evaluate.soc.reserve_risk import LEVELS, PLANNED, alarms, asked, reliability, reserve, worth
 
 N = 20_000
 

@@ -6,8 +6,8 @@ import pandas as pd
 
 from core import models
 from core.evaluate.paper.results import plain
-from core.evaluate.soc import evaluate_soc
-from core.evaluate.soc_legs import OF_RIDES, Questions, leg_cases
+from core.evaluate.soc.legs import OF_RIDES, Questions, leg_cases
+from core.evaluate.soc.report import evaluate_soc
 from core.pipeline import Pipeline
 from core.settings import Settings
 from tools.cleaning import cleaned
@@ -39,7 +39,7 @@ class Told:
         self._questions(self._outlooks[-1])
 
     def evaluated(self) -> dict[str, Any]:
-        """Return how good all that was told is, see `core.evaluate.soc.evaluate_soc`."""
+        """Return how good all that was told is, see `core.evaluate.soc.report.evaluate_soc`."""
         self()
         shifts = self.pipeline.take_shifts()
         legs = leg_cases(self._questions.table(), pd.concat(self._rides), shifts)

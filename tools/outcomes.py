@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from core.evaluate.soc_judged import CUT, KEY, NEAR
+from core.evaluate.soc.cases import CUT, KEY, NEAR
 from core.pipeline import Pipeline
 
 AHEAD: Final = {"2h": 7200.0, "1h": 3600.0}

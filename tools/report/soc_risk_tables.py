@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-from core.evaluate.soc_baselines import BASELINES, REMEMBERED
-from core.evaluate.soc_reserve import ALARM, LEVELS, PLANNED
+from core.evaluate.soc.baselines import BASELINES, REMEMBERED
+from core.evaluate.soc.reserve_risk import ALARM, LEVELS, PLANNED
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, count, percent
 from tools.report.result import Result, half_width, mapping, number, part
 from tools.report.soc_tables import HEADS, SHARE_NOTE, covered

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, Final
 
-from core.evaluate.soc_baselines import BASELINES
+from core.evaluate.soc.baselines import BASELINES
 from core.evaluate.soc_share import ENOUGH
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, change, count, percent
 from tools.report.comparison_tables import off, within

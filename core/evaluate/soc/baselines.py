@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from core.batch import Floats
-from core.evaluate.soc_judged import KEY, keyed
+from core.evaluate.soc.cases import KEY, keyed
 from core.vehicles import catalogue
 
 BASELINES: Final[Mapping[str, str]] = MappingProxyType(
@@ -40,7 +40,7 @@ def baselines(cases: pd.DataFrame, outlooks: pd.DataFrame, shifts: pd.DataFrame)
     Parameters
     ----------
     cases : DataFrame
-        Of `core.evaluate.soc_judged.judged`.
+        Of `core.evaluate.soc.cases.judged`.
     outlooks, shifts : DataFrame
         All that the pipeline told.
 
@@ -59,7 +59,7 @@ def leg_baselines(cases: pd.DataFrame, shifts: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     cases : DataFrame
-        Of `core.evaluate.soc_legs.leg_cases`.
+        Of `core.evaluate.soc.legs.leg_cases`.
     shifts : DataFrame
         All that ended.
 

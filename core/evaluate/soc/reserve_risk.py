@@ -6,7 +6,7 @@ follows from its interval: two halves of a normal distribution meet at the mean,
 `soc_p05_pct`, the upper one with 5 % above `soc_p95_pct`.
 
 What a person would expect comes without a risk. It is given the one that a person has who remembers how far the same
-reckoning was off so far, see `core.evaluate.soc_baselines.risk_by_earlier`.
+reckoning was off so far, see `core.evaluate.soc.baselines.risk_by_earlier`.
 """
 
 from itertools import pairwise
@@ -20,8 +20,8 @@ from scipy.special import ndtr, ndtri
 from core.batch import Floats
 from core.evaluate.clustered import clustered_ratio
 from core.evaluate.scores import Codes
-from core.evaluate.soc_baselines import BASELINES, risk_by_earlier
-from core.evaluate.soc_judged import HOURS, KEY
+from core.evaluate.soc.baselines import BASELINES, risk_by_earlier
+from core.evaluate.soc.cases import HOURS, KEY
 from core.evaluate.soc_share import clustered_share
 
 LEVELS: Final = (20, 30, 40, 50, 60)
@@ -42,7 +42,7 @@ def reserve(cases: pd.DataFrame) -> dict[str, Any]:
     Parameters
     ----------
     cases : DataFrame
-        Of `core.evaluate.soc_judged.judged`, with what each baseline expects.
+        Of `core.evaluate.soc.cases.judged`, with what each baseline expects.
 
     Returns
     -------

@@ -13,7 +13,7 @@ import pandas as pd
 
 from core.ahead.courses import SHORTEST_RIDE
 from core.codec import Outlook
-from core.evaluate.soc_judged import DAY, KEY, keyed
+from core.evaluate.soc.cases import DAY, KEY, keyed
 
 EVERY: Final = 1800.0
 """Time between two questions about a car. [s]"""

@@ -5,7 +5,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from core.evaluate.soc_judged import KEY, keyed
+from core.evaluate.soc.cases import KEY, keyed
 
 POINTS: Final = 240
 """Forecasts that an example has at most."""

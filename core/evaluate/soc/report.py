@@ -15,11 +15,11 @@ from core.errors import ModelError
 from core.evaluate.binning import between
 from core.evaluate.clustered import clustered_mean
 from core.evaluate.scores import Codes
-from core.evaluate.soc_baselines import BASELINES, baselines, leg_baselines
-from core.evaluate.soc_examples import examples
-from core.evaluate.soc_judged import HOURS, KEY, Judged, judged
-from core.evaluate.soc_legs import MINUTES
-from core.evaluate.soc_reserve import reserve
+from core.evaluate.soc.baselines import BASELINES, baselines, leg_baselines
+from core.evaluate.soc.cases import HOURS, KEY, Judged, judged
+from core.evaluate.soc.examples import examples
+from core.evaluate.soc.legs import MINUTES
+from core.evaluate.soc.reserve_risk import reserve
 from core.evaluate.soc_share import clustered_share
 
 NOMINAL: Final = 0.90
@@ -38,7 +38,7 @@ def evaluate_soc(outlooks: pd.DataFrame, shifts: pd.DataFrame, legs: pd.DataFram
     shifts : DataFrame
         Every shift that has ended, as `Pipeline.take_shifts` has them.
     legs : DataFrame, optional
-        Single legs that were asked about, of `core.evaluate.soc_legs.leg_cases`.
+        Single legs that were asked about, of `core.evaluate.soc.legs.leg_cases`.
 
     Returns
     -------

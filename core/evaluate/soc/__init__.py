@@ -1,0 +1,1 @@
+"""Evaluate forecasts of the state of charge."""
