@@ -2,7 +2,7 @@
 
 The scale says on which rides a model errs more: longer ones, colder ones, those of a vehicle model whose energy is
 measured coarsely. The quantiles, of rides by distance, are of errors on rides that the model had not learned from, so
-they hold whatever the errors are distributed like. Calibrating is `core.learn.intervals`.
+they hold whatever the errors are distributed like. Calibrating is `core.fit.calibration`.
 
 References
 ----------

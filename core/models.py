@@ -350,7 +350,7 @@ EXTENDED_PHYSICAL: Final = LinearModel(
     terms=_EXTENDED_TERMS,
     fits=_as_physics_has_it(_EXTENDED_TERMS),
 )
-"""Extended physical model, section 4.2 of the paper, with the reference accessory curve; `core.learn` fits a curve."""
+"""Extended physical model, section 4.2 of the paper, with the reference accessory curve; `core.fit` fits a curve."""
 
 KNOWN: Final[Mapping[str, LinearModel]] = MappingProxyType({m.name: m for m in (BASIC_PHYSICAL, EXTENDED_PHYSICAL)})
 """Models that need no fitting and come with the product, by name."""

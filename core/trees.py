@@ -1,7 +1,7 @@
 """Boosted trees as plain arrays: what a model file holds of them, and their prediction.
 
 A tree asks at each node whether a feature is at most a threshold, and goes left where it is. The answers of all trees
-are added to the baseline, and the sum is multiplied with a column. Fitting is `core.learn.trees`.
+are added to the baseline, and the sum is multiplied with a column. Fitting is `core.fit.trees`.
 """
 
 from collections.abc import Mapping

@@ -7,8 +7,8 @@ import pandas as pd
 
 from core.columns import GRAVITY, KMH, ZERO_CELSIUS
 from core.features import Columns
-from core.learn.fitting import design
-from core.learn.recipes import FITTED_TERMS, HISTOGRAM
+from core.fit.fitting import design
+from core.fit.recipes import FITTED_TERMS, HISTOGRAM
 from core.vehicles import AccessoryCurve, catalogue
 
 PLANTED = AccessoryCurve(

@@ -8,9 +8,9 @@ import pandas as pd
 from core.columns import GRAVITY
 from core.effects.road_load import ROAD_LOAD
 from core.features import FEATURES, Columns
-from core.learn.blocks import Frame
-from core.learn.fitting import fit_terms
-from core.learn.recipes import LinearRecipe, term
+from core.fit.fitting import fit_terms
+from core.fit.recipes import LinearRecipe, term
+from core.fit.ride_blocks import Frame
 from core.models import LinearModel, physical_term
 
 KINDS = ("kia-soul-ev-2015", "nissan-leaf-2016")

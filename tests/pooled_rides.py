@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 
 from core.features import Columns
-from core.learn.advanced import SHARED, PooledRecipe
-from core.learn.fitting import design
+from core.fit.fitting import design
+from core.fit.pooled import SHARED, PooledRecipe
 from tests.planted_rides import rides
 
 TERMS = PooledRecipe("planted", "Planted").terms

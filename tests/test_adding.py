@@ -14,7 +14,7 @@ from core.diagnose.add.holdout import comparison, day_folds, final_days, noise_f
 from core.diagnose.add.terms import additive, scope_in_words, scoped
 from core.diagnose.dataset import joined
 from core.errors import EffectError, ModelError
-from core.learn.recipes import RECIPES, term
+from core.fit.recipes import RECIPES, term
 from core.models import ANY, BASIC_PHYSICAL, LinearModel, Term, decode, encode
 from core.pipeline import Pipeline
 

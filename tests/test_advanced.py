@@ -7,8 +7,8 @@ import pytest
 
 from core.errors import ModelError
 from core.features import ANSWERS, Columns, needed
-from core.learn.advanced import ADVANCED, ASKED, EFFICIENCY, LEAST_RIDES, SHARED, adapt
-from core.learn.recipes import RECIPES
+from core.fit.pooled import ADVANCED, ASKED, EFFICIENCY, LEAST_RIDES, SHARED, adapt
+from core.fit.recipes import RECIPES
 from core.models import ANY, BASIC_PHYSICAL, decode, encode
 from tests.planted_rides import MODELS
 from tests.pooled_rides import PHYSICS, differing, fleet, measured, planted

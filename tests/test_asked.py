@@ -8,9 +8,9 @@ import pytest
 from core import effects
 from core.diagnose.candidates import LEAST_IN_BENDS, LEAST_SHARE, library
 from core.effects.road_load import ROAD_LOAD
-from core.learn.blocks import Frame
-from core.learn.fitting import fit_terms
-from core.learn.recipes import ROAD_LOAD_TERMS, LinearRecipe
+from core.fit.fitting import fit_terms
+from core.fit.recipes import ROAD_LOAD_TERMS, LinearRecipe
+from core.fit.ride_blocks import Frame
 from core.models import physical_term
 from tests.drives import drives, measured, seen
 

@@ -21,7 +21,7 @@ from core.evaluate.compare.running import so_far
 from core.evaluate.parts import CORRECTION, parts
 from core.evaluate.scores import Estimate
 from core.features import FEATURES
-from core.learn.recipes import FITTED_TERMS, recipe
+from core.fit.recipes import FITTED_TERMS, recipe
 from core.models import ANY, BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, LinearModel, Term
 from tools.tables import in_memory
 

@@ -5,8 +5,8 @@ import pytest
 from planted_rides import noisy, physical_energy, rides
 
 from core.columns import ZERO_CELSIUS
-from core.learn.curve import Temperatures, slopes
-from core.learn.recipes import RECIPES
+from core.fit.accessory_curve import Temperatures, slopes
+from core.fit.recipes import RECIPES
 from core.models import Curve
 from core.vehicles import ACCESSORIES, AccessoryCurve
 

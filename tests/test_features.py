@@ -10,7 +10,7 @@ from core.columns import ZERO_CELSIUS
 from core.derived import DERIVED
 from core.errors import EffectError, ModelError
 from core.features import FEATURES, Columns, beginning, coefficient_unit, needed, unit
-from core.learn.recipes import RECIPES
+from core.fit.recipes import RECIPES
 from core.pipeline import Pipeline
 from core.tables import model_columns
 

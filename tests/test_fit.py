@@ -12,7 +12,7 @@ from pooled_rides import differing, fleet, measured, planted
 from recorded_shift import shift
 
 from core import models
-from core.learn.recipes import RECIPES
+from core.fit.recipes import RECIPES
 from core.models import ANY, LinearModel
 from core.pipeline import Pipeline
 from stream.mcap_io import McapSink, McapSource

@@ -9,18 +9,11 @@ from hypothesis import strategies as st
 
 from core.errors import ModelError
 from core.features import Columns
+from core.fit.calibration import LEAST_RIDES, LEVELS, Held, calibrated, least_squares_interval, parts
+from core.fit.fitting import fit_terms
+from core.fit.recipes import RECIPES, LinearRecipe, term
+from core.fit.ride_blocks import Frame
 from core.intervals import ANY, Interval
-from core.learn.blocks import Frame
-from core.learn.fitting import fit_terms
-from core.learn.intervals import (
-    LEAST_RIDES,
-    LEVELS,
-    Held,
-    calibrated,
-    least_squares_interval,
-    parts,
-)
-from core.learn.recipes import RECIPES, LinearRecipe, term
 from core.models import BASIC_PHYSICAL, decode, encode
 from tests.planted_rides import MODELS
 from tests.pooled_rides import differing, fleet, measured, planted
@@ -174,7 +167,7 @@ def small() -> pd.DataFrame:
 
 def test_leverage_gives_the_error_of_a_fit_without_the_ride(small, monkeypatch):
     seen = {}
-    monkeypatch.setattr("core.learn.intervals.calibrated", lambda own, other: seen.update(own=own, other=other))
+    monkeypatch.setattr("core.fit.calibration.calibrated", lambda own, other: seen.update(own=own, other=other))
     model = fit_terms(PLAIN, Frame(small))
     least_squares_interval(model, small)
     own = small[small["vehicle_model"] == MODELS[1]]
@@ -186,7 +179,7 @@ def test_leverage_gives_the_error_of_a_fit_without_the_ride(small, monkeypatch):
 
 def test_so_it_does_for_a_fit_without_the_vehicle_model(small, monkeypatch):
     seen = {}
-    monkeypatch.setattr("core.learn.intervals.calibrated", lambda own, other: seen.update(own=own, other=other))
+    monkeypatch.setattr("core.fit.calibration.calibrated", lambda own, other: seen.update(own=own, other=other))
     least_squares_interval(fit_terms(PLAIN, Frame(small)), small)
     own = small["vehicle_model"] == MODELS[1]
     expected = small["energy_kwh"][own] - fit_terms(PLAIN, Frame(small[~own])).predict(small[own])

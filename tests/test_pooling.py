@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from core.learn.pooling import (
+from core.fit.partial_pooling import (
     Prior,
     add_up,
     car_factors,

@@ -7,7 +7,7 @@ from planted_rides import MODELS, noisy, physical_energy, rides
 
 from core.errors import ModelError
 from core.features import ANSWERS
-from core.learn.recipes import BASIC_PART, FITTED_TERMS, HISTOGRAM, RECIPES, LinearRecipe, recipe
+from core.fit.recipes import BASIC_PART, FITTED_TERMS, HISTOGRAM, RECIPES, LinearRecipe, recipe
 from core.models import ANY, BASIC_PHYSICAL, decode, encode
 
 PAPER = {

@@ -14,8 +14,8 @@ from sklearn.linear_model import LinearRegression
 from sklearn.model_selection import KFold, cross_val_score
 
 from core.errors import ModelError
-from core.learn.estimator import RecipeRegressor
-from core.learn.regression import GROUPS, Influence, Moments, Scores, grouped, solve
+from core.fit.regression import GROUPS, Influence, Moments, Scores, grouped, solve
+from core.fit.sklearn_estimator import RecipeRegressor
 
 
 def moments_of(*blocks) -> Moments:

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from core.errors import ModelError
-from core.learn.segments import FEATURES, SegmentRecipe, segments, shared_out
+from core.fit.segment_network import FEATURES, SegmentRecipe, segments, shared_out
 
 
 def windows(rides=300, seed=1, models=("leaf", "soul")):

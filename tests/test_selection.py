@@ -6,7 +6,7 @@ import pytest
 
 from core.evaluate.paper.selection import ByVehicleModel, plan, removable
 from core.evaluate.ride_filter import judged
-from core.learn.recipes import LinearRecipe, term
+from core.fit.recipes import LinearRecipe, term
 
 MODELS = ("kia-soul-ev-2015", "tesla-model-s")
 PLANTED = ("distance_km", "gained_m", "duration_s")

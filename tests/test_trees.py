@@ -12,7 +12,7 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 from threadpoolctl import threadpool_limits
 
 from core.errors import ModelError
-from core.learn.trees import LEAVES, TREES, boosted, exported, fit_trees
+from core.fit.trees import LEAVES, TREES, boosted, exported, fit_trees
 from core.trees import LEAF, Trees
 
 pytestmark = pytest.mark.usefixtures("one_thread")

@@ -21,7 +21,7 @@ from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError, SettingsError
 from core.evaluate.paper.results import plain
 from core.features import EFFECT_PREFIX, FEATURES, is_scope
-from core.learn.blocks import names
+from core.fit.ride_blocks import names
 from core.models import KNOWN, VEHICLE, VEHICLE_MODEL, LinearModel
 from tools.evaluate import KEY, read
 from tools.fit import RECORDING, Rides, inputs

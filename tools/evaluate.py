@@ -17,8 +17,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from core.errors import ModelError, SettingsError
 from core.evaluate.paper.protocol import SEGMENTS, chosen, evaluate
 from core.evaluate.splits import REPEATS
-from core.learn import segments
-from core.learn.recipes import RECIPES
+from core.fit import segment_network
+from core.fit.recipes import RECIPES
 from tools.fit import Tables, ride_files
 from tools.output import HtmlFile, JsonFile, printer, writable, write_json
 from tools.tables import WINDOWS
@@ -64,7 +64,7 @@ def evaluate_tables(
 
 def window_columns() -> list[str]:
     """Return the columns of the window table that are read."""
-    return list(dict.fromkeys([KEY, "window", *(name for product in segments.FEATURES for name in product)]))
+    return list(dict.fromkeys([KEY, "window", *(name for product in segment_network.FEATURES for name in product)]))
 
 
 def read(files: Sequence[Path], columns: Sequence[str] | None = None) -> pd.DataFrame:

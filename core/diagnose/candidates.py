@@ -13,7 +13,7 @@ from core.diagnose.dataset import Windows
 from core.effects.declaration import VARIANT
 from core.effects.road_load import ROAD_LOAD
 from core.features import EFFECT_PREFIX
-from core.learn.blocks import numbers
+from core.fit.ride_blocks import numbers
 from core.models import LinearModel
 
 LEAST_SHARE: Final = 0.003

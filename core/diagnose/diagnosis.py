@@ -31,7 +31,7 @@ from core.diagnose.ranking import LEAST_GAIN, LEVEL, Ranked
 from core.diagnose.residual_structure import Remains
 from core.diagnose.slices.search import slices
 from core.features import EFFECT_PREFIX
-from core.learn.blocks import names, numbers
+from core.fit.ride_blocks import names, numbers
 from core.models import LinearModel
 
 WORTH_A_TERM: Final = 0.005

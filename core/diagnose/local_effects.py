@@ -18,7 +18,7 @@ from core.diagnose.evidence import by_vehicle_and_day, false_discovery
 from core.diagnose.forward_selection import Named, Search
 from core.diagnose.ranking import LEAST_LEFT
 from core.features import SINCE_SCOPE, VEHICLE_SCOPE
-from core.learn.blocks import names, numbers
+from core.fit.ride_blocks import names, numbers
 
 Mask = NDArray[np.bool_]
 

@@ -24,8 +24,8 @@ from core.columns import JOULES_PER_KWH
 from core.diagnose.dataset import Windows
 from core.diagnose.noise import robust, window_variance
 from core.features import ACCESSORIES, EFFECT_PREFIX, Columns
-from core.learn.blocks import names, numbers
-from core.learn.fitting import design
+from core.fit.fitting import design
+from core.fit.ride_blocks import names, numbers
 from core.models import ANY, LinearModel, Term
 
 Rows = NDArray[np.int64]

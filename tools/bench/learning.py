@@ -15,8 +15,8 @@ from sklearn.linear_model import LinearRegression
 
 from core import effects
 from core.features import Columns
-from core.learn.fitting import design
-from core.learn.recipes import RECIPES, LinearRecipe
+from core.fit.fitting import design
+from core.fit.recipes import RECIPES, LinearRecipe
 from core.models import ANY, LinearModel
 from core.pipeline import BLOCK, Pipeline
 from tools.bench.measures import Measure, alternating, blocks, seconds
@@ -30,7 +30,7 @@ NOISE: Final = 0.02
 
 FIT: Final = """
 import sys
-from core.learn.recipes import RECIPES
+from core.fit.recipes import RECIPES
 for path in sys.argv[1:]:
     RECIPES[{recipe!r}].fit_parquet(path)
     status = open("/proc/self/status").read()

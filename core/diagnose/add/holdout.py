@@ -24,7 +24,7 @@ from core.errors import ModelError
 from core.evaluate.clustered import clustered_mean, vehicle_days
 from core.evaluate.scores import UNKNOWN
 from core.evaluate.splits import by_vehicle
-from core.learn.blocks import ENERGY, names, numbers
+from core.fit.ride_blocks import ENERGY, names, numbers
 from core.models import VEHICLE_MODEL
 
 FOLDS: Final = 5

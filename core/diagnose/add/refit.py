@@ -29,9 +29,9 @@ from core.diagnose.projection import Base, orthonormal
 from core.diagnose.ranking import total
 from core.evaluate.clustered import vehicle_days
 from core.features import EFFECT_PREFIX, Columns
-from core.learn.blocks import ENERGY, Frame, names, numbers
-from core.learn.fitting import design, fit_terms, one_thread
-from core.learn.recipes import LinearRecipe
+from core.fit.fitting import design, fit_terms, one_thread
+from core.fit.recipes import LinearRecipe
+from core.fit.ride_blocks import ENERGY, Frame, names, numbers
 from core.models import ANY, VEHICLE_MODEL, Fit, LinearModel, Term
 
 LEAST_LEFT: Final = 1e-5

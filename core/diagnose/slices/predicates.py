@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from core.batch import Floats
-from core.learn.blocks import names, numbers
+from core.fit.ride_blocks import names, numbers
 
 Masks = NDArray[np.bool_]
 

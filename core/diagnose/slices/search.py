@@ -30,7 +30,7 @@ from core.batch import Floats, Ints
 from core.diagnose.slices.contrast import contrast
 from core.diagnose.slices.predicates import Condition, Masks, conditions, dates, start_s
 from core.evaluate.scores import Estimate
-from core.learn.blocks import names
+from core.fit.ride_blocks import names
 
 LONGEST: Final = 3
 """Conditions that a person keeps in mind."""

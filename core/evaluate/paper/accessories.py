@@ -8,7 +8,7 @@ import numpy as np
 from core.errors import SocastError
 from core.evaluate.ride_filter import LEAST, Judged
 from core.evaluate.scores import group_means
-from core.learn.recipes import RECIPES
+from core.fit.recipes import RECIPES
 from core.models import BASIC_PHYSICAL
 
 RECIPE: Final = "extended_physical"

@@ -18,8 +18,8 @@ from core.evaluate.paper.runs import Fittable, Prediction, Progress, in_parallel
 from core.evaluate.ride_filter import Judged, judged
 from core.evaluate.splits import REPEATS, TEST_SHARE, Split, by_date, by_ride, by_vehicle
 from core.features import needed
-from core.learn.recipes import RECIPES
-from core.learn.segments import SegmentRecipe, segments
+from core.fit.recipes import RECIPES
+from core.fit.segment_network import SegmentRecipe, segments
 
 SEGMENTS: Final = "segment_network"
 """Name of the reference that needs the window table."""

@@ -7,7 +7,7 @@ as the difference score does not find the model worse than the whole one.
 Half of the rides rank the terms, the other half judge what taking them out costs, so that no term is chosen and judged
 on the same rides. Columns are standardised, and fitted for each vehicle model on its own, as the hybrid model is; the
 rank of a term is by the root mean square of its coefficients over vehicle models, by their rides. Collinear terms share
-what they explain (`core.learn.regression`), so each of them seems weaker than it is, and one of them can always go.
+what they explain (`core.fit.regression`), so each of them seems weaker than it is, and one of them can always go.
 
 References
 ----------
@@ -30,9 +30,9 @@ from core.evaluate.ride_filter import Judged
 from core.evaluate.scores import Codes, Estimate, over_repeats
 from core.evaluate.splits import Positions, Split, by_ride
 from core.features import Columns
-from core.learn.fitting import design
-from core.learn.recipes import LinearRecipe
-from core.learn.regression import Moments, solve
+from core.fit.fitting import design
+from core.fit.recipes import LinearRecipe
+from core.fit.regression import Moments, solve
 from core.models import ANY, Term
 
 RECIPE: Final = "hybrid"

@@ -8,8 +8,8 @@ import numpy as np
 from core.batch import Floats, Ints
 from core.diagnose.dataset import Windows
 from core.features import ACCESSORIES, Columns
-from core.learn.blocks import names, numbers
-from core.learn.fitting import design
+from core.fit.fitting import design
+from core.fit.ride_blocks import names, numbers
 from core.models import ANY, LinearModel, Term
 
 FOLDS: Final = 5

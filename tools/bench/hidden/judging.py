@@ -13,7 +13,7 @@ from core.batch import Floats, Ints
 from core.diagnose.dataset import Windows, fitted, gather
 from core.diagnose.projection import Base
 from core.features import Columns
-from core.learn.fitting import design
+from core.fit.fitting import design
 from core.models import Term
 from tools.bench.hidden.cases import Case, right
 from tools.bench.hidden.errors import errors, least_squares

@@ -18,7 +18,7 @@ from core.batch import Floats
 from core.diagnose.candidates import library
 from core.diagnose.dataset import Windows
 from core.features import Columns
-from core.learn.fitting import design
+from core.fit.fitting import design
 from core.models import ANY, LinearModel
 
 THRESHOLD: Final = 0.1

@@ -3,7 +3,7 @@
 Names are those of the paper, "Predicting Electric Vehicle Consumption: A Hybrid Physical-Empirical Model", section 4.
 All are fitted by ordinary least squares, for each vehicle model and, for every other one, over all rides together.
 Terms that are collinear by construction (winter and summer, the histogram and the distance, the rolling resistance of a
-car whose load is not known and the distance) share what they explain: see `core.learn.regression`.
+car whose load is not known and the distance) share what they explain: see `core.fit.regression`.
 """
 
 from collections.abc import Mapping
@@ -16,11 +16,11 @@ import pandas as pd
 
 from core.errors import ModelError
 from core.features import ACCESSORIES, FEATURES, coefficient_unit
-from core.learn.advanced import ADVANCED
-from core.learn.blocks import ENERGY, Frame, Parquet
-from core.learn.fitting import fit_terms
-from core.learn.intervals import NEEDS as INTERVAL_NEEDS
-from core.learn.intervals import least_squares_interval
+from core.fit.calibration import NEEDS as INTERVAL_NEEDS
+from core.fit.calibration import least_squares_interval
+from core.fit.fitting import fit_terms
+from core.fit.pooled import ADVANCED
+from core.fit.ride_blocks import ENERGY, Frame, Parquet
 from core.models import BASIC_TERMS, LinearModel, Term, physical_term
 
 INTERVAL_RIDES: Final = 20_000
@@ -66,7 +66,7 @@ class LinearRecipe:
     by_windows: bool = False
 
     def fit(self, rides: pd.DataFrame, *, covariance: bool = True) -> LinearModel:
-        """Return a model fitted to the rides of a table that are fit for training, see `core.learn.fitting`.
+        """Return a model fitted to the rides of a table that are fit for training, see `core.fit.fitting`.
 
         With the covariance, the model has an interval too.
         """

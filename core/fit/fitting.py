@@ -32,9 +32,9 @@ from core.derived import DERIVED
 from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError
 from core.features import ACCESSORIES, ACCESSORY_NEEDS, EFFECT_PREFIX, FEATURES, Columns, needed
-from core.learn.blocks import ENERGY, Rides, names, numbers, trainable
-from core.learn.curve import Temperatures, slopes
-from core.learn.regression import CONSTANT, LEAST_GROUPS, Influence, Moments, Scores, Solution, grouped, solve
+from core.fit.accessory_curve import Temperatures, slopes
+from core.fit.regression import CONSTANT, LEAST_GROUPS, Influence, Moments, Scores, Solution, grouped, solve
+from core.fit.ride_blocks import ENERGY, Rides, names, numbers, trainable
 from core.models import ANY, BASIC_PHYSICAL, VEHICLE, VEHICLE_MODEL, Curve, Fit, LinearModel, Term, Training
 
 LEAST_RIDES: Final = 2
@@ -48,7 +48,7 @@ PHYSICS: Final = (*(effect.energy_name for effect in ROAD_LOAD), ACCESSORIES)
 
 
 class Plan(Protocol):
-    """What is to be fitted, see `core.learn.recipes.LinearRecipe`."""
+    """What is to be fitted, see `core.fit.recipes.LinearRecipe`."""
 
     @property
     def name(self) -> str:

@@ -9,8 +9,8 @@ from sklearn.utils.validation import check_is_fitted
 
 from core.batch import Floats
 from core.errors import ModelError
-from core.learn.blocks import ENERGY
-from core.learn.recipes import recipe as named
+from core.fit.recipes import recipe as named
+from core.fit.ride_blocks import ENERGY
 from core.models import LinearModel
 
 
@@ -20,7 +20,7 @@ class RecipeRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # s
     Parameters
     ----------
     recipe : str
-        A name of `core.learn.recipes.RECIPES`.
+        A name of `core.fit.recipes.RECIPES`.
     covariance : bool
         Estimate the covariance of coefficients too.
 

@@ -23,10 +23,10 @@ from scipy.optimize import nnls
 
 from core.batch import Floats, Ints
 from core.features import Columns, needed
+from core.fit.fitting import design
+from core.fit.regression import CUTOFF
+from core.fit.ride_blocks import ENERGY, names, numbers, trainable
 from core.intervals import ANY, Interval, scale_terms
-from core.learn.blocks import ENERGY, names, numbers, trainable
-from core.learn.fitting import design
-from core.learn.regression import CUTOFF
 from core.models import VEHICLE_MODEL, LinearModel
 
 LEVELS: Final = (

@@ -29,7 +29,7 @@ from sklearn.neural_network import MLPRegressor
 
 from core.batch import Floats
 from core.errors import ModelError
-from core.learn.regression import Moments, solve
+from core.fit.regression import Moments, solve
 
 FEATURES: Final = (
     ("duration_s",),
