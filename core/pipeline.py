@@ -9,14 +9,6 @@ import numpy as np
 import pandas as pd
 
 from core import effects
-from core.ahead.answer import answer, silenced
-from core.ahead.calendar import Calendar, Night
-from core.ahead.courses import Arrival, Driving
-from core.ahead.foresight import Foresight, Rows
-from core.ahead.gathered import Gathered, joined
-from core.ahead.plans import older, refusal
-from core.ahead.shift_tables import Told, outlook_table, shift_table
-from core.ahead.soc import BETWEEN_SHIFTS
 from core.batch import Batch, Ints, Lanes, grown
 from core.cars import Cars
 from core.cleaning.kernel import STATE, Cleaner
@@ -24,13 +16,21 @@ from core.cleaning.quality import CAUSES
 from core.codec import Leg, Message, Outlook, Plan, Ride, Vehicle, Weather
 from core.decode import Decoder, Event
 from core.errors import AskError
-from core.forecast import forecasts
+from core.forecast.day_rollover import Calendar, Night
+from core.forecast.engine import Foresight, Rows
+from core.forecast.gathered import Gathered, joined
+from core.forecast.messages import forecasts
+from core.forecast.plan_checks import older, refusal
+from core.forecast.plan_tracker import Arrival, Driving
+from core.forecast.soc_filter import BETWEEN_SHIFTS
+from core.forecast.status import VehicleStatus, statuses
+from core.forecast.tables import Told, outlook_table, shift_table
+from core.forecast.what_if import answer, silenced
 from core.models import EXTENDED_PHYSICAL, Model
 from core.settings import Settings, checked
 from core.shadow import Shadows
 from core.signals import Signals, ambient_quality
 from core.snapshot import opened, sealed
-from core.status import VehicleStatus, statuses
 from core.sums import Ledger, Sums, Totals, amounts
 from core.tables import ride_table, text, unfit_reason, window_table
 from core.weather import Stations
@@ -267,13 +267,13 @@ class Pipeline:
         return window_table(joined(taken, self.ledger.none()), self.lanes.names, self.cars, self._effect_names)
 
     def take_outlooks(self) -> pd.DataFrame:
-        """Return the forecasts of the charge since the last call, see `core.ahead.shift_tables.outlook_table`."""
+        """Return the forecasts of the charge since the last call, see `core.forecast.tables.outlook_table`."""
         self._foresee()
         taken, self._told = self._told, []
         return outlook_table(taken, self.lanes.names, self.cars)
 
     def take_shifts(self) -> pd.DataFrame:
-        """Return the shifts that have ended since the last call, as `core.ahead.shift_tables.shift_table` has them."""
+        """Return the shifts that have ended since the last call, as `core.forecast.tables.shift_table` has them."""
         self._foresee()
         return shift_table(self.foresight.take_shifts(), self.lanes.names, self.cars)
 

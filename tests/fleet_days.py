@@ -7,8 +7,8 @@ import msgspec
 import numpy as np
 from conftest import START, Columns, leaf, observed, telemetry, told
 
-from core.ahead.calendar import LATELY
 from core.codec import Forecast, Message
+from core.forecast.day_rollover import LATELY
 from core.pipeline import Pipeline
 from core.settings import Settings
 from stream.mcap_io import McapSink

@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.ahead import soc
 from core.ahead.scales import CAR, DAY, DRIVER
+from core.forecast import soc_filter
 
 BEGIN = 1_516_017_600.0
 WITHIN = 1.6448536269514722
@@ -23,7 +23,7 @@ PRIOR = CAR**2 + DRIVER**2 + DAY**2
 class Truth(NamedTuple):
     """What was planted: charge and logarithm of consumption at each event, (cars, n), and of capacity, (cars,)."""
 
-    soc: np.ndarray
+    soc_filter: np.ndarray
     a: np.ndarray
     c: np.ndarray
 
@@ -37,7 +37,7 @@ class Heard(NamedTuple):
 
     def at(self, name, cars=1):
         """Return what was told, (cars, n)."""
-        return self.told[:, soc.TOLD.index(name)].reshape(cars, -1)
+        return self.told[:, soc_filter.TOLD.index(name)].reshape(cars, -1)
 
 
 def shift(
@@ -59,20 +59,20 @@ def shift(
     rng = np.random.default_rng(seed)
     n = int(hours * 3600.0 / step)
     predicted = rng.gamma(4.0, 1.0, (cars, n)) * step / 3600.0
-    walk = soc.WANDER * np.sqrt(step / 3600.0) * rng.normal(size=(cars, n)).cumsum(axis=1)
+    walk = soc_filter.WANDER * np.sqrt(step / 3600.0) * rng.normal(size=(cars, n)).cumsum(axis=1)
     taken = np.broadcast_to(a, (cars,))[:, None] + walk
     size = np.broadcast_to(c, (cars,)).astype(float)
     used = np.exp(taken) * predicted + np.sqrt(noise(step * np.arange(n)) * predicted) * rng.normal(size=(cars, n))
     charge = full - used.cumsum(axis=1) / (CAPACITY * np.exp(size))[:, None]
-    out = np.zeros((cars, n), soc.EVENT)
+    out = np.zeros((cars, n), soc_filter.EVENT)
     passed = step * np.arange(1.0, n + 1)
     out["lane"] = np.arange(cars)[:, None]
     out["time"], out["duration"] = begin + passed, passed
     out["predicted"], out["factor"], out["riding"] = predicted.cumsum(axis=1), 1.0, 1.0
     out["distance"], out["ambient"] = 8.0 * passed, 283.15 * passed
     if metered:
-        gain = np.exp(soc.METER * np.random.default_rng(7).normal(size=(cars, 1)))  # the same every day
-        sampled = used + soc.SAMPLED * np.sqrt(np.abs(used)) * rng.normal(size=(cars, n))
+        gain = np.exp(soc_filter.METER * np.random.default_rng(7).normal(size=(cars, 1)))  # the same every day
+        sampled = used + soc_filter.SAMPLED * np.sqrt(np.abs(used)) * rng.normal(size=(cars, n))
         out["metered"], out["meter_time"] = (gain * sampled).cumsum(axis=1), passed
     out["soc"], out["step"] = read(charge, quantum, None if exact else rng), quantum
     out["since_charge"], out["capacity"] = np.nan, CAPACITY
@@ -81,7 +81,7 @@ def shift(
 
 def noise(passed):
     """Return the variance of the energy of a stretch that takes 1 kWh, so long after the shift began [s]."""
-    return soc.NOISE**2 * np.where(passed < soc.WARMING, soc.UNSURE, 1.0)
+    return soc_filter.NOISE**2 * np.where(passed < soc_filter.WARMING, soc_filter.UNSURE, 1.0)
 
 
 def read(charge, quantum, rng=None):
@@ -92,15 +92,15 @@ def read(charge, quantum, rng=None):
     edges = quantum * (np.arange(int(np.ceil(1.0 / quantum))) + 0.5)
     out = np.empty(charge.shape)
     for row, values in zip(out, charge, strict=True):
-        off = 0.0 if rng is None else np.hypot(0.1 * quantum, soc.FLOOR) * rng.normal(size=len(edges))
+        off = 0.0 if rng is None else np.hypot(0.1 * quantum, soc_filter.FLOOR) * rng.normal(size=len(edges))
         row[:] = quantum * np.searchsorted(np.sort(edges + off), values, side="right")
     return out
 
 
 def named(driver, mean, variance, lane=0):
     """Return the event that names who drives, and their part in what is taken, (1,)."""
-    event = np.zeros(1, soc.EVENT)
-    event["kind"], event["lane"], event["duration"] = soc.NAMED, lane, driver
+    event = np.zeros(1, soc_filter.EVENT)
+    event["kind"], event["lane"], event["duration"] = soc_filter.NAMED, lane, driver
     event["predicted"], event["metered"] = mean, variance
     return event
 
@@ -109,9 +109,9 @@ def heard(events, state=None, prior=(0.0, PRIOR)):
     """Send events through the filter."""
     events = np.ascontiguousarray(events.ravel())
     lanes = int(events["lane"].max()) + 1
-    state = soc.new_state(lanes) if state is None else state.copy()
-    told, shifts = np.empty((len(events), len(soc.TOLD))), np.empty(len(events), soc.CLOSED_SHIFT)
-    ended = soc.follow(events, state, np.tile(prior, (lanes, 1)), told, shifts)
+    state = soc_filter.new_state(lanes) if state is None else state.copy()
+    told, shifts = np.empty((len(events), len(soc_filter.TOLD))), np.empty(len(events), soc_filter.CLOSED_SHIFT)
+    ended = soc_filter.follow(events, state, np.tile(prior, (lanes, 1)), told, shifts)
     return Heard(told, state, shifts[:ended])
 
 

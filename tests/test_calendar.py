@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.ahead.calendar import DAY, LATELY, Calendar
+from core.forecast.day_rollover import DAY, LATELY, Calendar
 
 YEAR = 365.0 * DAY
 ROLLOVER = -1024.0 * 7.0 * DAY

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.ahead import outlook
-from core.ahead.conformal import (
+from core.forecast import outlook
+from core.forecast.conformal import (
     BOUNDS,
     DISTANCES,
     ENOUGH,
@@ -18,7 +18,7 @@ from core.ahead.conformal import (
     classes,
     quantiles,
 )
-from core.ahead.outlook import Outcome
+from core.forecast.outlook import Outcome
 
 PLACE = (0, 3, 3)
 HERE = (np.array([0]), np.array([10.0]), np.array([15.0]))

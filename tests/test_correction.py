@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from soc_shifts import BEGIN, NIGHT, PRIOR, covariance, covered, heard, named, shift
 
-from core.ahead import soc
+from core.forecast import soc_filter
 
 CARS = 200
-STRANGER = soc.DRIVER**2
+STRANGER = soc_filter.DRIVER**2
 """Variance of the part of a driver of whom nothing is known."""
 parts = st.tuples(st.floats(-0.1, 0.1), st.floats(0.05, 1.0).map(lambda share: share * STRANGER))
 KNOWN = ("s", "ss", "a", "aa", "ac", "sa", "c", "cc", "sc", "usual", "usual_variance", "driver")
@@ -74,7 +74,7 @@ def test_when_another_driver_takes_over_what_is_told_holds_the_truth_as_often_as
     begin = first["time"][0, -1]
     then, late = shift(CARS, 2.0, 0.005, early.a[:, -1] - takes[0] + takes[1], metered=metered, seed=6, begin=begin)
     then["soc"] += first["soc"][:, -1:] - then["soc"][:, :1]
-    first["kind"][:, -1] = soc.CLOSED
+    first["kind"][:, -1] = soc_filter.CLOSED
     names = [[named(who, means[who, car], variances[who, 0], car) for car in range(CARS)] for who in (0, 1)]
     told = [np.concatenate([names[0][i], first[i], names[1][i], then[i]]) for i in range(CARS)]
     found = heard(np.concatenate(told))

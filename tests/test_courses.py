@@ -22,8 +22,8 @@ from fleet_days import (
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.ahead.courses import PLAN_LAG, PROLONGED, SHORTEST_RIDE
-from core.ahead.outlook import OVERTIME
+from core.forecast.outlook import OVERTIME
+from core.forecast.plan_tracker import PLAN_LAG, PROLONGED, SHORTEST_RIDE
 from core.pipeline import Pipeline
 
 CAR = "c"

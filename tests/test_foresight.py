@@ -25,10 +25,10 @@ from fleet_days import (
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.ahead import soc
-from core.ahead.foresight import SHORT_SHIFT
-from core.ahead.outlook import EARLY, OVERTIME
 from core.ahead.scales import DRIVER, code_of
+from core.forecast import soc_filter
+from core.forecast.engine import SHORT_SHIFT
+from core.forecast.outlook import EARLY, OVERTIME
 from core.pipeline import Pipeline
 
 BEGIN = START + DAY * DAYS
@@ -98,7 +98,7 @@ def told_wrongly(sent, fault, begin, lasting, by):
         end = begin + 1
     else:
         charge[begin:] += by
-        end = min(begin + int(soc.STAYS / PERIOD), SAMPLES - 1)
+        end = min(begin + int(soc_filter.STAYS / PERIOD), SAMPLES - 1)
     return bad, sent["time_s"][end]
 
 
@@ -161,7 +161,7 @@ def test_after_a_night_the_charge_is_what_is_told():
     out = forecasts(pipeline.push([m for _, m in shift("c", DAYS + 1)][:10]), "c")
     first = out[min(out)]
     assert first.soc_pct == pytest.approx(95.0, abs=0.01)
-    assert first.soc_sd_pct == pytest.approx(100.0 * np.hypot(0.005 / np.sqrt(12.0), soc.FLOOR), rel=0.01)
+    assert first.soc_sd_pct == pytest.approx(100.0 * np.hypot(0.005 / np.sqrt(12.0), soc_filter.FLOOR), rel=0.01)
 
 
 # what is learned of cars
@@ -171,7 +171,7 @@ def test_what_each_car_takes_is_kept_by_the_nights():
     prior = again().foresight.lessons.prior
     always = np.array([0.15 * np.sin(ord(car)) for car in CARS])
     assert np.corrcoef(prior[:, 0], always)[0, 1] > 0.8
-    assert (prior[:, 1] < soc.CAPACITY**2 + 0.0136).all()
+    assert (prior[:, 1] < soc_filter.CAPACITY**2 + 0.0136).all()
     assert (prior[:, 1] < Pipeline().foresight.lessons.scales.expected(-1)[1]).all()
 
 
@@ -183,7 +183,7 @@ def test_capacity_is_learned_where_voltage_and_current_are_measured():
     assert (np.sqrt(state["cc"][2:]) > 0.05).all()
     told = again().ask("a")
     assert told.usable_capacity_kwh == pytest.approx(CAPACITY, rel=0.01)
-    assert told.usable_capacity_sd_kwh > soc.METER * told.usable_capacity_kwh
+    assert told.usable_capacity_sd_kwh > soc_filter.METER * told.usable_capacity_kwh
 
 
 def test_nothing_is_foretold_before_enough_was_learned():

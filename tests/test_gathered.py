@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import core.pipeline
-from core.ahead.courses import Arrival, Driving
-from core.ahead.gathered import Gathered, joined
+from core.forecast.gathered import Gathered, joined
+from core.forecast.plan_tracker import Arrival, Driving
 from core.sums import Ledger
 
 BEGIN = START + 86_400.0 * DAYS

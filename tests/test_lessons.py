@@ -5,10 +5,10 @@ import pytest
 from conftest import telemetry, told
 from fleet_days import CARS, DAYS, LEG, LEGS, PERIOD, RIDE, again, columns, days, forecasts, night, plan, shift
 
-from core.ahead.conformal import LEAST
 from core.ahead.habits import LEAST_RIDES
 from core.ahead.lessons import Lessons
 from core.ahead.scales import code_of
+from core.forecast.conformal import LEAST
 from core.sums import AMOUNTS
 
 

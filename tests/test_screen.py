@@ -7,7 +7,7 @@ from conftest import START
 from fleet_days import DAY, DAYS, again, forecasts, plan, shift
 from rich.console import Console
 
-from core.status import VehicleStatus
+from core.forecast.status import VehicleStatus
 from tools.screen import WARNED, fleet_table
 
 CAR = VehicleStatus("taxi-1", "kia-soul-ev-2015", None, 1.7e9, 64.0, 0.0, float("nan"), float("nan"), {})

@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 from fleet_days import DAYS, RESERVE, SHIFT, again, columns, days, forecasts, shift
 
-from core.ahead.shift_tables import outlook_table, shift_table
-from core.ahead.soc import CLOSED_SHIFT
+from core.forecast.soc_filter import CLOSED_SHIFT
+from core.forecast.tables import outlook_table, shift_table
 
 
 def driven(cuts=1):

@@ -9,7 +9,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from soc_shifts import BEGIN, CAPACITY, NIGHT, PRIOR, STEP, covariance, covered, heard, noise, shift
 
-from core.ahead import outlook, soc
+from core.forecast import outlook, soc_filter
 
 QUANTA = (0.001, 0.005, 0.01)
 CARS = 200
@@ -28,15 +28,15 @@ class Oracle:
     def move(self, predicted, used, noise):
         """Let the charge fall by what was measured [kWh], or by what was predicted where that is NaN."""
         (_, a, c), kf = self.kf.x[:, 0], self.kf
-        kf.predict(F=np.eye(3), Q=np.diag([0.0, soc.WANDER**2 * STEP / 3600.0, 0.0]))
+        kf.predict(F=np.eye(3), Q=np.diag([0.0, soc_filter.WANDER**2 * STEP / 3600.0, 0.0]))
         fall, by_a, blur = np.exp(a - c) * predicted / CAPACITY, 1.0, noise * predicted / CAPACITY**2
         slope = np.exp(self.scale) * predicted / CAPACITY
         if np.isfinite(used):
             seen = np.array([[0.0, np.exp(self.size + self.scale) * predicted, 0.0]])
-            blurred = (noise + soc.SAMPLED**2) * predicted
+            blurred = (noise + soc_filter.SAMPLED**2) * predicted
             kf.update(used - np.exp(a) * predicted + seen @ kf.x, blurred, seen)
             fall, by_a = used / (CAPACITY * np.exp(kf.x[2, 0])), 0.0
-            slope, blur = used / (CAPACITY * np.exp(self.size)), soc.SAMPLED**2 * abs(used) / CAPACITY**2
+            slope, blur = used / (CAPACITY * np.exp(self.size)), soc_filter.SAMPLED**2 * abs(used) / CAPACITY**2
         self.fall += slope
         along = np.array([[1.0, -by_a * slope, slope], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
         shift_of = kf.x - [[fall], [0.0], [0.0]] - along @ kf.x
@@ -51,7 +51,7 @@ class Oracle:
             at = reported + sign * 0.5 * (quantum - since)
             variance = (0.1 * quantum) ** 2 + since**2 / 12.0
         before = self.kf.P
-        self.kf.update(at, variance + soc.FLOOR**2, np.array([[1.0, 0.0, 0.0]]))
+        self.kf.update(at, variance + soc_filter.FLOOR**2, np.array([[1.0, 0.0, 0.0]]))
         if beyond > abs(self.fall) + quantum:  # not to be trusted: no surer than before
             self.kf.P = before
 
@@ -107,7 +107,7 @@ def test_a_car_that_takes_a_fifth_more_is_found_out(quantum, metered):
 @pytest.mark.parametrize("metered", [False, True])
 def test_what_is_not_known_beforehand_is_within_its_interval_as_often_as_said(quantum, metered):
     rng = np.random.default_rng(3)
-    c = rng.normal(0.0, soc.CAPACITY, CARS)
+    c = rng.normal(0.0, soc_filter.CAPACITY, CARS)
     events, truth = shift(
         CARS, 4.0, quantum, c + rng.normal(0.0, np.sqrt(PRIOR), CARS), c, metered=metered, seed=6, step=5.0
     )
@@ -121,36 +121,36 @@ def test_what_is_not_known_beforehand_is_within_its_interval_as_often_as_said(qu
 
 @pytest.mark.parametrize("quantum", QUANTA)
 def test_capacity_is_learned_over_days_by_voltage_and_current(quantum):
-    smaller, state, spread = np.log(0.85), None, [np.full(60, soc.CAPACITY)]
+    smaller, state, spread = np.log(0.85), None, [np.full(60, soc_filter.CAPACITY)]
     for day in range(5):
         events, _ = shift(60, 4.0, quantum, 0.0, smaller, metered=True, seed=day, begin=BEGIN + NIGHT * day)
         state = heard(events, state).state
         spread.append(np.sqrt(state["cc"]))
     assert np.exp(state["c"]).mean() == pytest.approx(0.85, abs=0.01)
     assert all(after.mean() < before.mean() for before, after in pairwise(spread[:3]))
-    assert spread[-1].max() < 0.2 * soc.CAPACITY
+    assert spread[-1].max() < 0.2 * soc_filter.CAPACITY
 
 
 @pytest.mark.parametrize("quantum", QUANTA)
 def test_the_interval_of_the_capacity_holds_it_as_often_as_said_however_long_is_measured(quantum):
     """What a meter errs by for good is not learned away, and what the capacity changes by is followed."""
     rng = np.random.default_rng(21)
-    c, state, inside = rng.normal(0.0, soc.CAPACITY, CARS), None, []
+    c, state, inside = rng.normal(0.0, soc_filter.CAPACITY, CARS), None, []
     for day in range(12):
-        c += soc.AGEING * rng.normal(size=CARS)
+        c += soc_filter.AGEING * rng.normal(size=CARS)
         events, _ = shift(CARS, 3.0, quantum, 0.0, c, metered=True, seed=day, begin=BEGIN + NIGHT * day, step=30.0)
         state = heard(events, state).state
-        sd = np.hypot(np.sqrt(state["cc"]), soc.METER)
+        sd = np.hypot(np.sqrt(state["cc"]), soc_filter.METER)
         inside.append(np.abs(state["c"] - c) < 1.96 * sd)
     assert 0.9 <= np.mean(inside[:3]) <= 0.98
     assert 0.9 <= np.mean(inside[-3:]) <= 0.98
-    assert np.sqrt(state["cc"]).max() < soc.METER
+    assert np.sqrt(state["cc"]).max() < soc_filter.METER
 
 
 def test_without_a_meter_capacity_and_consumption_are_not_told_apart():
     events, _ = shift(60, 4.0, 0.01, np.log(1.1), 0.0, seed=2)
     found = heard(events).state
-    assert np.sqrt(found["cc"]).min() > 0.5 * soc.CAPACITY
+    assert np.sqrt(found["cc"]).min() > 0.5 * soc_filter.CAPACITY
 
 
 @pytest.mark.parametrize("quantum", QUANTA)
@@ -159,10 +159,12 @@ def test_of_a_car_that_was_not_seen_to_tick_the_quantum_is_taken_for_coarse_unti
     ticked = (np.diff(events["soc"], axis=1, prepend=events["soc"][:, :1]) != 0.0).cumsum(axis=1) > 0
     events["step"] = np.where(ticked, quantum, np.nan)
     found = heard(events)
-    assert found.at("variance", 50)[:, 0] == pytest.approx(np.full(50, soc.COARSEST**2 / 12.0 + soc.FLOOR**2))
+    assert found.at("variance", 50)[:, 0] == pytest.approx(
+        np.full(50, soc_filter.COARSEST**2 / 12.0 + soc_filter.FLOOR**2)
+    )
     first = np.argmax(ticked, axis=1)
     off = (found.at("soc", 50) - truth.soc)[np.arange(50), first]
-    assert np.abs(off).mean() < 0.2 * soc.FLOOR + 0.1 * quantum
+    assert np.abs(off).mean() < 0.2 * soc_filter.FLOOR + 0.1 * quantum
     assert (found.at("quantum", 50)[np.arange(50), first] == quantum).all()
 
 
@@ -174,7 +176,7 @@ def widths(found, events):
     cars, n = events.shape
     left = events["predicted"][:, -1:] - events["predicted"]
     hours = np.broadcast_to(STEP / 3600.0 * (n - 1 - np.arange(n)), left.shape)
-    told = {name: found.at(name, cars).ravel() for name in soc.TOLD}
+    told = {name: found.at(name, cars).ravel() for name in soc_filter.TOLD}
     known = outlook.Known.of(told, np.full(left.size, CAPACITY))
     end = outlook.at_end(known, left.ravel(), hours.ravel())
     return end.sd.reshape(cars, n), np.sqrt(found.at("variance", cars))
@@ -194,7 +196,7 @@ def told_wrongly(events, fault, begin, end, by=-0.07):
         bad["soc"][:, on] += by
     elif fault == "jump":  # it is over once the car has told the same for so long that it is believed
         bad["soc"][:, begin:] += by
-        on = (rows >= begin) & (rows < begin + soc.STAYS / STEP)
+        on = (rows >= begin) & (rows < begin + soc_filter.STAYS / STEP)
     return bad, on
 
 
@@ -221,7 +223,7 @@ def test_a_charge_that_is_told_wrongly_never_makes_anything_surer(
     Of a drive whose charge is doubted where it is told rightly, nothing is said.
     """
     rng = np.random.default_rng(seed)
-    c = rng.normal(0.0, soc.CAPACITY, 10)
+    c = rng.normal(0.0, soc_filter.CAPACITY, 10)
     events, _ = shift(
         10, 2.0, quantum, c + rng.normal(0.0, np.sqrt(PRIOR), 10), c, metered=metered, seed=seed, full=0.8
     )
@@ -272,7 +274,7 @@ def test_a_jump_is_not_believed_before_it_has_stayed():
     assert (np.abs(told - truth.soc)[:, on] < 0.03).all()
     after = np.flatnonzero(on)[-1] + 1
     assert (np.abs(told[:, after] - bad["soc"][:, after]) < 0.01).all()
-    assert (np.sqrt(found.at("variance", 50)[:, after]) >= soc.JUMPED).all()
+    assert (np.sqrt(found.at("variance", 50)[:, after]) >= soc_filter.JUMPED).all()
     assert (found.state["jumps"] == 1.0).all()
 
 
@@ -306,13 +308,13 @@ samples = st.tuples(
 
 @given(st.lists(samples, max_size=60), st.sampled_from(QUANTA))
 def test_whatever_is_told_its_covariance_is_one_and_the_charge_is_a_number_once_known(told, quantum):
-    events = np.zeros(len(told), soc.EVENT)
+    events = np.zeros(len(told), soc_filter.EVENT)
     time, totals = BEGIN, np.zeros(4)
     for event, (wait, reported, predicted, metered, charging, ends) in zip(events, told, strict=True):
         time, size = time + wait, min(wait, 60.0)
         known = metered is not None
         totals += predicted or 0.0, metered or 0.0, size * known, size
-        event["kind"], event["time"] = soc.CLOSED if ends else soc.RUNNING, time
+        event["kind"], event["time"] = soc_filter.CLOSED if ends else soc_filter.RUNNING, time
         event["predicted"], event["metered"], event["meter_time"], event["duration"] = totals
         event["predicted"] = np.nan if predicted is None else totals[0]
         event["factor"], event["ambient"], event["step"], event["capacity"] = 1.0, 280.0 * totals[3], quantum, CAPACITY
@@ -328,7 +330,7 @@ def test_whatever_is_told_its_covariance_is_one_and_the_charge_is_a_number_once_
     spread = covariance(found.state)
     if known[-1]:
         assert np.linalg.eigvalsh(spread / np.abs(spread).max()).min() > -1e-9
-    assert spread[2, 2] <= soc.CAPACITY**2 * (1.0 + 1e-12)
+    assert spread[2, 2] <= soc_filter.CAPACITY**2 * (1.0 + 1e-12)
 
 
 # between rides and shifts
@@ -340,7 +342,7 @@ def test_any_cut_of_the_events_gives_the_same_to_the_bit():
     events = events[np.argsort(events["time"], kind="stable")]
     whole, state, told = heard(events), None, []
     for cut in np.array_split(events, 37):
-        found = heard(cut, soc.new_state(3) if state is None else state)
+        found = heard(cut, soc_filter.new_state(3) if state is None else state)
         state, told = found.state, [*told, found.told]
     assert np.concatenate(told).tobytes() == whole.told.tobytes()
     assert state.tobytes() == whole.state.tobytes()
@@ -352,20 +354,27 @@ def test_after_a_night_and_after_a_charge_it_begins_at_what_is_told(quantum, aft
     first, _ = shift(20, 2.0, quantum, 0.1, seed=1, exact=True)
     wait = NIGHT if after == "night" else STEP * (first.shape[1] + 40)
     second, _ = shift(20, 2.0, quantum, 0.1, seed=2, begin=BEGIN + wait, full=0.6, exact=True)
-    first["kind"][:, -1] = soc.CLOSED
+    first["kind"][:, -1] = soc_filter.CLOSED
     if after == "charge":
         plugged = np.repeat(first[:, -1:], 40, axis=1)
-        plugged["kind"], plugged["predicted"], plugged["since_charge"], plugged["soc"] = soc.RUNNING, 0.0, 0.0, 0.6
+        plugged["kind"], plugged["predicted"], plugged["since_charge"], plugged["soc"] = (
+            soc_filter.RUNNING,
+            0.0,
+            0.0,
+            0.6,
+        )
         plugged["duration"] = STEP * np.arange(1.0, 41.0)
         plugged["time"] = first["time"][:, -1:] + plugged["duration"]
         plugged["distance"] = plugged["ambient"] = 0.0
-        plugged["kind"][:, -1] = soc.CLOSED
+        plugged["kind"][:, -1] = soc_filter.CLOSED
         first = np.concatenate([first, plugged], axis=1)
     events = np.concatenate([first, second], axis=1)
     at = first.shape[1] - (after == "charge")
     found = heard(events)
     assert found.at("soc", 20)[:, at] == pytest.approx(events["soc"][:, at], abs=1e-12)
-    assert np.sqrt(found.at("variance", 20)[:, at]) == pytest.approx(np.hypot(quantum / np.sqrt(12.0), soc.FLOOR))
+    assert np.sqrt(found.at("variance", 20)[:, at]) == pytest.approx(
+        np.hypot(quantum / np.sqrt(12.0), soc_filter.FLOOR)
+    )
     assert not found.state["jumps"].any()
     assert len(found.shifts) == (20 if after == "night" else 0)
     assert np.isfinite(found.state["charged"]).all() == (after == "charge")
@@ -379,7 +388,7 @@ def test_a_new_shift_begins_with_what_is_usual_and_keeps_what_is_learned_of_the_
     assert after["a"] - after["c"] == pytest.approx(np.full(5, 0.15))
     assert after["aa"] + after["cc"] - 2.0 * after["ac"] == pytest.approx(np.full(5, 0.004))
     assert np.array_equal(after["c"], before["c"])
-    assert after["cc"] == pytest.approx(before["cc"] + soc.AGEING**2)
+    assert after["cc"] == pytest.approx(before["cc"] + soc_filter.AGEING**2)
     assert (after["shift"] == 1.0).all()
 
 

@@ -15,9 +15,9 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from core.forecast.status import VehicleStatus
 from core.pipeline import Pipeline
 from core.shadow import Shadows
-from core.status import VehicleStatus
 from stream.run import Tally
 from tools.output import printer
 from tools.standings import WIDE, models_table

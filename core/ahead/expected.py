@@ -1,7 +1,7 @@
 """What is expected of a leg of so many kilometres and minutes, by vehicle model.
 
 A plan tells of a leg how far and how long, not how often the car will speed up, nor what it heats. That is what earlier
-rides tell (`core.ahead.habits`), by pace and outside temperature. Both are knots; what lies between two of them is of
+rides tell (`core.forecast.habits`), by pace and outside temperature. Both are knots; what lies between two of them is of
 each by how near it is.
 """
 

@@ -3,7 +3,7 @@
 Of each ride everything that is summed of it is kept, by pace and outside temperature: a ride tells of the two paces and
 the two temperatures about it, each by how near it is (bilinear weights). Beside it stands what regressions of measured
 on predicted energy are made of, and, once there are tables, of measured energy on what they make a ride of. What
-follows for a planned leg is made of these sums by `core.ahead.tabulated`.
+follows for a planned leg is made of these sums by `core.forecast.tabulated`.
 """
 
 from collections.abc import Sequence
@@ -12,11 +12,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from core.ahead.expected import PACES, TEMPERATURES, Tables, tents
-from core.ahead.soc import NOISE
 from core.ahead.tabulated import BESIDE, CELLS, READ, TERMS, Rests, fitted, tabulated
 from core.batch import Floats
 from core.cars import Cars
 from core.columns import ZERO_CELSIUS
+from core.forecast.soc_filter import NOISE
 from core.models import Model
 from core.sums import AMOUNTS, EDGES, Totals
 
@@ -35,9 +35,9 @@ class Learned(NamedTuple):
     rides : (paces * temperatures, amounts and `BESIDE`) float
     rests : (temperatures, amounts and `BESIDE`) float
     still : (temperatures, 4) float
-        Of rests, see `core.ahead.tabulated.Rests`.
+        Of rests, see `core.forecast.tabulated.Rests`.
     equations : (TERMS, TERMS + 1) float
-        Normal equations of what the terms of a ride take, see `core.ahead.tabulated.fitted`.
+        Normal equations of what the terms of a ride take, see `core.forecast.tabulated.fitted`.
     edges : (2, edges) float
         First and last of the newest ride.
     counts : (2,) float

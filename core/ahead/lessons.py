@@ -1,7 +1,7 @@
 """What is learned of a fleet: summed through the day, taken up overnight.
 
-How rides and rests go (`core.ahead.habits`), what cars and drivers take and how long and busy each car's shifts are
-(`core.ahead.scales`), how far off forecasts were (`core.ahead.conformal`) and what they were short by. All of it takes
+How rides and rests go (`core.forecast.habits`), what cars and drivers take and how long and busy each car's shifts are
+(`core.forecast.scales`), how far off forecasts were (`core.forecast.conformal`) and what they were short by. All of it takes
 effect when the next day begins: what a forecast rests on is a matter of the day, and not of who else was served a
 moment earlier.
 """
@@ -12,15 +12,15 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.ahead.conformal import Conformal
 from core.ahead.expected import TEMPERATURES, Tables
 from core.ahead.habits import Habits
-from core.ahead.outlook import Usual
 from core.ahead.scales import Habit, Scales
 from core.ahead.shift_log import Judged, Lean
-from core.ahead.soc import WARMING
 from core.batch import Floats, Ints, grown
 from core.cars import UNKNOWN, Cars
+from core.forecast.conformal import Conformal
+from core.forecast.outlook import Usual
+from core.forecast.soc_filter import WARMING
 from core.models import Model
 from core.settings import Settings
 from core.sums import Totals

@@ -12,7 +12,7 @@ from math import log, nan
 from statistics import fmean, median
 from typing import Any, Final, NamedTuple
 
-from core.ahead.soc import COARSEST, DRIVER, NOISE
+from core.forecast.soc_filter import COARSEST, DRIVER, NOISE
 
 CAR: Final = 0.08
 """Standard deviation of what cars of a model take, about what they take on average. [1]"""

@@ -1,7 +1,7 @@
 """What became of forecasts: each is held against the charge that the shift ended with, and learned from.
 
 Every ten minutes of a shift its forecast is noted. When the shift has ended, as planned or in silence, the errors over
-the forecasts' own standard deviations go to `core.ahead.conformal`. A forecast with a charge between it and the end is
+the forecasts' own standard deviations go to `core.forecast.conformal`. A forecast with a charge between it and the end is
 not held against anything: no plan tells of it. Nor is one that is below empty: cars stop there, and what they would
 have taken beyond it nobody knows. It is left out whatever became of it: to keep those that proved wrong would keep
 errors of one side.
@@ -64,7 +64,7 @@ class Judged(NamedTuple):
 class Lean:
     """By how much more shifts take than is foretold of what is ahead, on average.
 
-    What makes a shift as a whole agree with what was predicted of it (`core.ahead.scales`) may still be early or
+    What makes a shift as a whole agree with what was predicted of it (`core.forecast.scales`) may still be early or
     late in it: cars warm up at the beginning. So what forecasts of the rest were short by is learned of
     forecasts.
 

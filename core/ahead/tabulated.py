@@ -1,4 +1,4 @@
-"""From sums of rides and rests to what is expected of legs: `core.ahead.habits` to `core.ahead.expected`.
+"""From sums of rides and rests to what is expected of legs: `core.forecast.habits` to `core.forecast.expected`.
 
 Of each pace and temperature a ride of usual length is asked of the model, as the rides there were on average. What was
 measured of rides and rests, against what was predicted of them, corrects it: a factor and a power for each temperature,

@@ -6,9 +6,9 @@ from datetime import UTC, datetime
 from typing import Any, Final
 from unittest.mock import patch
 
-from core.ahead import soc
-from core.ahead.foresight import Foresight
 from core.codec import Leg, Message, Plan, encode
+from core.forecast import soc_filter
+from core.forecast.engine import Foresight
 from core.pipeline import BLOCK, Pipeline
 from tools.bench.fleet import PERIOD_S, START_S, identity, rounds, vehicles
 from tools.bench.measures import Measure, blocks
@@ -48,7 +48,7 @@ def filters(cars: int = 10_000, turns: int = 100) -> Measure:
     drive(pipeline, cars, 0, WARM_UP)
     of_filters, of_all = Stopwatch(), Stopwatch()
     with (
-        patch.object(soc, "follow", of_filters.around(soc.follow)),
+        patch.object(soc_filter, "follow", of_filters.around(soc_filter.follow)),
         patch.object(Foresight, "follow", of_all.around(Foresight.follow)),
     ):
         told = drive(pipeline, cars, WARM_UP, turns)

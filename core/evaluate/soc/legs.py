@@ -1,7 +1,7 @@
 """Forecasts of single legs against what became of them: the charge at each leg's end, up to the next charge.
 
 Where a car charges amid its shift, what was foretold of the shift's end cannot be judged: a forecast tells what there
-would be without. The answer to a question (`core.ahead.answer`) tells the charge at the end of each leg, and those that
+would be without. The answer to a question (`core.forecast.what_if`) tells the charge at the end of each leg, and those that
 came before the charge can. So questions are asked all shift long, and each leg is held against the ride that it became.
 """
 
@@ -11,9 +11,9 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from core.ahead.courses import SHORTEST_RIDE
 from core.codec import Outlook
 from core.evaluate.soc.cases import DAY, KEY, keyed
+from core.forecast.plan_tracker import SHORTEST_RIDE
 
 EVERY: Final = 1800.0
 """Time between two questions about a car. [s]"""

@@ -11,9 +11,9 @@ from typing import Final
 
 import msgspec
 
-from core.ahead.plans import LEG_LIMITS, beyond, refusal
 from core.codec import IDENTITY, Leg, Plan, Wire
 from core.errors import AskError
+from core.forecast.plan_checks import LEG_LIMITS, beyond, refusal
 
 MOST_BYTES: Final = 4_000_000
 """Size of a payload."""
@@ -123,7 +123,7 @@ def asked_plan(payload: bytes | None, vehicle_id: str) -> Plan | None:
     ------
     AskError
         Where it is no plan, or one of another vehicle, or one that cannot be used whatever the time is. Whether it is
-        of the past is for whoever knows the time to tell (`core.ahead.plans.refusal`).
+        of the past is for whoever knows the time to tell (`core.forecast.plan_checks.refusal`).
     """
     if not payload:
         return None

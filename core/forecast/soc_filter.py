@@ -37,7 +37,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from core.ahead.correction import correct, drive, nudge
+from core.forecast.kalman_update import correct, drive, nudge
 
 FIELDS: Final = (
     "heard",  # 1 once the car has sent anything

@@ -7,10 +7,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from core.ahead.foresight import Rows
 from core.batch import Floats, Ints
 from core.cars import Cars
 from core.columns import ZERO_CELSIUS
+from core.forecast.engine import Rows
 from core.sums import Totals
 from core.tables import text
 

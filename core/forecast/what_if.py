@@ -5,7 +5,7 @@ other legs of the plan, with the rest of the time spread evenly before them. A p
 where such waits would be longer than usual, they are as usual and the rest of the time comes after the last leg: a car
 with hours to spare mostly spends them at a charger. How long a single wait is varies as much as waits last on average,
 as it does where rides are called for at any time. Without a plan, the shift goes on after the ride as the car's shifts
-go. What is left, what it takes and the charge that it leads to are those of the forecast (`core.ahead.outlook`):
+go. What is left, what it takes and the charge that it leads to are those of the forecast (`core.forecast.outlook`):
 without a ride the answer is the forecast, and with one it is what the forecast would be, had a plan with that ride
 come.
 """
@@ -16,18 +16,18 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import msgspec
 import numpy as np
 
-from core.ahead import outlook, soc
-from core.ahead.courses import LONGEST_SHIFT
-from core.ahead.outlook import RESERVE, Ahead, Known, Legs, Outcome, Usual
-from core.ahead.plans import refusal
 from core.batch import Floats, Ints
 from core.cars import Cars
 from core.codec import Interval, Leg, LegOutlook, Outlook, Plan
 from core.columns import ZERO_CELSIUS
 from core.errors import AskError
+from core.forecast import outlook, soc_filter
+from core.forecast.outlook import RESERVE, Ahead, Known, Legs, Outcome, Usual
+from core.forecast.plan_checks import refusal
+from core.forecast.plan_tracker import LONGEST_SHIFT
 
 if TYPE_CHECKING:
-    from core.ahead.foresight import Foresight
+    from core.forecast.engine import Foresight
 
 
 _ROUNDED: Final = 1e-9  # kWh
@@ -45,9 +45,9 @@ class Prospect:
 
     def __init__(self, foresight: "Foresight", cars: Cars, lane: int) -> None:
         self.state = foresight.state[lane]
-        told = np.empty(len(soc.TOLD))
-        soc.tell(self.state, told)
-        self.told = dict(zip(soc.TOLD, told.tolist(), strict=True))
+        told = np.empty(len(soc_filter.TOLD))
+        soc_filter.tell(self.state, told)
+        self.told = dict(zip(soc_filter.TOLD, told.tolist(), strict=True))
         kinds = cars.of_lane[[lane]]
         self.known = Known.of({name: np.array([value]) for name, value in self.told.items()}, cars.capacity[kinds])
         ambient = np.array([self.told["ambient"]])
@@ -135,7 +135,10 @@ class Way(NamedTuple):
         charge, _, _ = now.charge(spent, np.cumsum(pause + hours), kind, doubt)
         charge = falling(np.vstack([charge, end]), np.append(spent, ahead.energy))
         rows = zip(self.legs.plan.legs, now.taken(self.legs, energy, kind).tolist(), charge.tolist(), strict=False)
-        return [LegOutlook(leg.distance_km, leg.duration_s, _interval(*kwh), _interval(*soc)) for leg, kwh, soc in rows]
+        return [
+            LegOutlook(leg.distance_km, leg.duration_s, _interval(*kwh), _interval(*soc_filter))
+            for leg, kwh, soc_filter in rows
+        ]
 
 
 def falling(charge: Floats, spent: Floats) -> Floats:
@@ -209,9 +212,9 @@ def answer(
         time_s=now.time,
         model=version,
         soc_pct=_known(100.0 * now.told["soc"]),
-        soc_sd_pct=_known(100.0 * max(float(np.sqrt(now.told["variance"])), soc.FLOOR)),
+        soc_sd_pct=_known(100.0 * max(float(np.sqrt(now.told["variance"])), soc_filter.FLOOR)),
         usable_capacity_kwh=_known(capacity),
-        usable_capacity_sd_kwh=_known(capacity * float(np.hypot(np.sqrt(now.state["cc"]), soc.METER))),
+        usable_capacity_sd_kwh=_known(capacity * float(np.hypot(np.sqrt(now.state["cc"]), soc_filter.METER))),
         consumption_scale=_known(float(np.exp(now.state["a"]))),
         asked=None if way.asked is None else told[way.asked],
         legs=[each for number, each in enumerate(told) if number != way.asked],

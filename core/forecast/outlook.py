@@ -1,11 +1,11 @@
 """What is ahead of a car, and the state of charge that it leads to: from the plan, or from how the car's shifts go.
 
-The energy of a plan's legs is known at every temperature of `core.ahead.expected` when the plan arrives; of the leg
+The energy of a plan's legs is known at every temperature of `core.forecast.expected` when the plan arrives; of the leg
 that is being driven, the share that is left by distance counts, and its beginning is past. What is left of the time
 until the shift ends is waiting, with an empty way to each ride; a shift whose legs need more time than it has ends with
 them. The charge at the end is what there is now, less that energy times what this
-car takes over the model; how sure that is follows from the filter (`core.ahead.soc`) for the standard deviation, and
-from earlier errors (`core.ahead.conformal`) for the interval.
+car takes over the model; how sure that is follows from the filter (`core.forecast.soc_filter`) for the standard deviation, and
+from earlier errors (`core.forecast.conformal`) for the interval.
 """
 
 from collections.abc import Mapping
@@ -15,12 +15,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from core.ahead.conformal import LEVELS
 from core.ahead.expected import TEMPERATURES, Tables, tents
-from core.ahead.soc import NOISE, WANDER
 from core.batch import Floats, Ints
 from core.codec import Leg, Plan
 from core.columns import ZERO_CELSIUS
+from core.forecast.conformal import LEVELS
+from core.forecast.soc_filter import NOISE, WANDER
 
 EARLY: Final = 600.0
 """Nor does a plan speak of samples that were so much before it. [s]"""
@@ -79,7 +79,7 @@ class Known(NamedTuple):
     Parameters
     ----------
     soc, variance : State of charge. [1]
-    scale, scale_variance, covariance : `a` less `c` of `core.ahead.soc`, and its covariance with the charge.
+    scale, scale_variance, covariance : `a` less `c` of `core.forecast.soc_filter`, and its covariance with the charge.
     usual : What `scale` was expected to be before anything was found today.
     quantum : Of the charge as it is reported. [1]
     capacity : Nominal usable. [kWh]
@@ -96,7 +96,7 @@ class Known(NamedTuple):
 
     @classmethod
     def of(cls, told: Mapping[str, Floats], capacity: Floats) -> "Known":
-        """Return what the filter told (`core.ahead.soc.TOLD`) of cars of these capacities."""
+        """Return what the filter told (`core.forecast.soc_filter.TOLD`) of cars of these capacities."""
         return cls(capacity=capacity, **{name: told[name] for name in cls._fields[:-1]})
 
     def later(self, hours: Floats) -> Floats:
@@ -111,7 +111,7 @@ class Usual(NamedTuple):
     Parameters
     ----------
     weights : (n, temperatures) float
-        Of the temperatures of `core.ahead.expected`.
+        Of the temperatures of `core.forecast.expected`.
     standing : (n,) float
         Power of a car that waits. [kW]
     approach : (n,) float

@@ -8,7 +8,7 @@ import numpy as np
 
 from core.batch import Floats
 from core.cars import Cars
-from core.forecast import counted, known
+from core.forecast.messages import counted, known
 from core.sums import Totals
 from core.tables import measured_energy
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from core.ahead.courses import Arrival, Driving
+from core.forecast.plan_tracker import Arrival, Driving
 from core.sums import Sums, Totals
 
 

@@ -1,7 +1,7 @@
 """What is ahead of every car, as samples come: the filter, what is learned of shifts, and the forecast of the charge.
 
 Everything of a car follows from that car's own events, in their order. What is learned of the fleet is gathered through
-the day and learned overnight (`core.ahead.lessons`). So forecasts do not depend on how messages are cut into batches,
+the day and learned overnight (`core.forecast.lessons`). So forecasts do not depend on how messages are cut into batches,
 nor on who else was served a moment earlier.
 """
 
@@ -11,16 +11,16 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.ahead import outlook, soc
-from core.ahead.courses import Arrival, Courses, Driving, ride_km
-from core.ahead.gathered import joined
 from core.ahead.lessons import Lessons
-from core.ahead.outlook import Known
 from core.ahead.scales import Habit, code_of
 from core.ahead.shift_log import Note, ShiftLog
 from core.batch import Floats, Ints, grown
 from core.cars import Cars
 from core.columns import JOULES_PER_KWH, ZERO_CELSIUS
+from core.forecast import outlook, soc_filter
+from core.forecast.gathered import joined
+from core.forecast.outlook import Known
+from core.forecast.plan_tracker import Arrival, Courses, Driving, ride_km
 from core.models import Model
 from core.settings import Settings
 from core.sums import Sums, Totals
@@ -91,7 +91,7 @@ class Foresight:
         self._model, self._cars, self._effects = model, cars, list(effects)
         self.lessons = Lessons(model, cars, self._effects, settings, width)
         self.courses, self.log = Courses(), ShiftLog()
-        self.state = soc.new_state(0)
+        self.state = soc_filter.new_state(0)
         self.ends = np.zeros((0, len(_END)))
         self.closed: list[NDArray[np.void]] = []
 
@@ -112,7 +112,7 @@ class Foresight:
         """
         lanes = len(names)
         if len(self.state) < lanes:
-            self.state = grown(self.state, lanes, soc.new_state(1)[0])
+            self.state = grown(self.state, lanes, soc_filter.new_state(1)[0])
         self.ends = grown(self.ends, lanes, np.nan)
         self.log.grow(lanes)
         self.lessons.grow(lanes)
@@ -124,10 +124,10 @@ class Foresight:
         self.lessons.rides(sums.rides, of_rides)
         self.lessons.rests(sums.rests, of_rests)
         events, at = self._events(whole, predicted, int(ends[1]), drivings)
-        told = np.empty((len(events), len(soc.TOLD)))
-        shifts = np.empty(len(events), soc.CLOSED_SHIFT)
-        shifts = shifts[: soc.follow(events, self.state, self.lessons.prior, told, shifts)]
-        told = told[events["kind"] == soc.RUNNING]
+        told = np.empty((len(events), len(soc_filter.TOLD)))
+        shifts = np.empty(len(events), soc_filter.CLOSED_SHIFT)
+        shifts = shifts[: soc_filter.follow(events, self.state, self.lessons.prior, told, shifts)]
+        told = told[events["kind"] == soc_filter.RUNNING]
         courses = self.courses.follow(sums.running, sums.rides, arrivals, self.lessons.tables, lanes)
         rows = Rows(of_running, self._tell(sums.running, told, courses))
         self.ends[sums.running.lane] = rows.seen[:, _END]
@@ -145,9 +145,9 @@ class Foresight:
     ) -> tuple[NDArray[np.void], Ints]:
         """Return what the filters hear, in order, and the row of the batch of each; the first totals have ended."""
         n = len(totals.lane)
-        events = np.empty(n + len(drivings), soc.EVENT)
+        events = np.empty(n + len(drivings), soc_filter.EVENT)
         self._hear(totals, predicted, events[:n])
-        events["kind"][:ended], events["kind"][ended:n] = soc.CLOSED, soc.RUNNING
+        events["kind"][:ended], events["kind"][ended:n] = soc_filter.CLOSED, soc_filter.RUNNING
         self._hear_of(drivings, events[n:])
         if n == len(events) and not ended:
             return events, totals.at
@@ -173,15 +173,15 @@ class Foresight:
 
     def _hear_of(self, drivings: Sequence[Driving], out: NDArray[np.void]) -> None:
         """Write down as events who drives."""
-        out[:] = np.zeros((), soc.EVENT)
+        out[:] = np.zeros((), soc_filter.EVENT)
         for event, driving in zip(out, drivings, strict=True):
             code = code_of(driving.driver)
-            event["kind"], event["lane"], event["duration"] = soc.NAMED, driving.lane, code
+            event["kind"], event["lane"], event["duration"] = soc_filter.NAMED, driving.lane, code
             event["predicted"], event["metered"] = self.lessons.scales.part_of(code)
 
     def _tell(self, running: Totals, told: Floats, courses: NDArray[np.void]) -> Floats:
         """Return `SEEN` of each row."""
-        seen = dict(zip(soc.TOLD, told.T, strict=True))
+        seen = dict(zip(soc_filter.TOLD, told.T, strict=True))
         time, car = running.at_last("time"), running.at_last("kind").astype(np.int64)
         usual = self.lessons.usual(car, outlook.temperature_weights(seen["ambient"]))
         known = Known.of(seen, self._cars.capacity[car])
@@ -204,7 +204,7 @@ class Foresight:
             [
                 *(
                     known.soc,
-                    np.sqrt(np.maximum(known.variance, soc.FLOOR**2)),
+                    np.sqrt(np.maximum(known.variance, soc_filter.FLOOR**2)),
                     *ends.T,
                     risk,
                     *ranges.T,
@@ -267,9 +267,9 @@ class Foresight:
                 self.state["time"][: len(courses)] >= courses["end"] - CUT
             )
         open_lanes = np.flatnonzero(there)
-        shifts = np.empty(1, soc.CLOSED_SHIFT)
+        shifts = np.empty(1, soc_filter.CLOSED_SHIFT)
         for lane in open_lanes.tolist():
-            soc.close_shift(self.state[lane], 0, lane, shifts[0])
+            soc_filter.close_shift(self.state[lane], 0, lane, shifts[0])
             self._close(shifts[0])
         self.state["shift"][open_lanes] = -1.0
         self.state["heard"][open_lanes] = 0.0
@@ -279,7 +279,7 @@ class Foresight:
         earlier.finish(cut=True)
         earlier.overnight()
         self.lessons.load(earlier.lessons.dump())
-        self.state = soc.new_state(len(earlier.state))
+        self.state = soc_filter.new_state(len(earlier.state))
         for name in ("c", "cc"):
             self.state[name] = earlier.state[name]
         self.log.grow(len(self.state))
@@ -287,7 +287,7 @@ class Foresight:
     def take_shifts(self) -> NDArray[np.void]:
         """Return the shifts that have ended since the last call, (n,) CLOSED_SHIFT."""
         taken, self.closed = self.closed, []
-        return np.array(taken, soc.CLOSED_SHIFT)
+        return np.array(taken, soc_filter.CLOSED_SHIFT)
 
     def dump(self) -> Any:
         """Return the state as plain values."""
@@ -299,4 +299,4 @@ class Foresight:
         self.lessons.load(lessons)
         self.courses.load(courses)
         self.log.load(log)
-        self.state = np.frombuffer(filters, soc.STATE).copy()
+        self.state = np.frombuffer(filters, soc_filter.STATE).copy()

@@ -1,4 +1,4 @@
-"""How what is known of a car (`core.ahead.soc`) is corrected: by a measurement, and by who drives.
+"""How what is known of a car (`core.forecast.soc_filter`) is corrected: by a measurement, and by who drives.
 
 What a car takes today, the logarithm `a` less `c`, is what it always takes, its driver's part and the day's. A driver
 who becomes known in a shift has driven it all along: a measurement. One who takes over from another is none: the first

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.ahead.expected import TEMPERATURES, Tables
-from core.ahead.outlook import COURSE, OVERTIME, Legs, legs, timely
 from core.batch import Floats, grown
 from core.codec import Plan
+from core.forecast.outlook import COURSE, OVERTIME, Legs, legs, timely
 from core.sums import Totals
 
 PLAN_LAG: Final = 60.0

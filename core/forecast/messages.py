@@ -6,11 +6,11 @@ from typing import Final
 
 import numpy as np
 
-from core.ahead.foresight import Rows
 from core.batch import Floats
 from core.cars import Cars
 from core.cleaning.quality import CAUSES, FORECAST_CAUSES, Quality
 from core.codec import Forecast, Interval, Message, QualityCounts, encode
+from core.forecast.engine import Rows
 from core.sums import Totals
 from core.tables import measured_energy
 
