@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.ahead.scales import CAR, DAY, DRIVER
 from core.forecast import soc_filter
+from core.forecast.learning.car_driver import CAR, DAY, DRIVER
 
 BEGIN = 1_516_017_600.0
 WITHIN = 1.6448536269514722

@@ -25,9 +25,9 @@ from fleet_days import (
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.ahead.scales import DRIVER, code_of
 from core.forecast import soc_filter
 from core.forecast.engine import SHORT_SHIFT
+from core.forecast.learning.car_driver import DRIVER, code_of
 from core.forecast.outlook import EARLY, OVERTIME
 from core.pipeline import Pipeline
 

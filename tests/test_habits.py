@@ -9,9 +9,9 @@ from fleet_days import CAPACITY, LEG, LEGS, RIDE, SETTINGS, again, columns, nigh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.ahead.expected import PACES, STEEPEST, TEMPERATURES, tents
-from core.ahead.habits import LEAST_RIDES, Habits
-from core.ahead.tabulated import fitted
+from core.forecast.learning.leg_energy import PACES, STEEPEST, TEMPERATURES, tents
+from core.forecast.learning.ride_stats import LEAST_RIDES, Habits
+from core.forecast.learning.tabulated import fitted
 from core.pipeline import Pipeline
 from core.sums import AMOUNTS, EDGES, Totals
 

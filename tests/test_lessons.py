@@ -5,10 +5,10 @@ import pytest
 from conftest import telemetry, told
 from fleet_days import CARS, DAYS, LEG, LEGS, PERIOD, RIDE, again, columns, days, forecasts, night, plan, shift
 
-from core.ahead.habits import LEAST_RIDES
-from core.ahead.lessons import Lessons
-from core.ahead.scales import code_of
 from core.forecast.conformal import LEAST
+from core.forecast.learning.car_driver import code_of
+from core.forecast.learning.fleet import Lessons
+from core.forecast.learning.ride_stats import LEAST_RIDES
 from core.sums import AMOUNTS
 
 

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from core.ahead.scales import CAR, DAY, DRIVER, LEAST_SHIFTS, MOST_OFF, SEASON, Habit, Scales, code_of
 from core.forecast import scales as module
+from core.forecast.learning.car_driver import CAR, DAY, DRIVER, LEAST_SHIFTS, MOST_OFF, SEASON, Habit, Scales, code_of
 
 
 def week(rng, scales, days=30, cars=(0.15, -0.1), drivers=(0.08, -0.08)):

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.ahead.shift_log import LAST_S, NOTE_S, Lean, Note, ShiftLog, judged
 from core.forecast.conformal import Conformal
+from core.forecast.learning.forecast_errors import LAST_S, NOTE_S, Lean, Note, ShiftLog, judged
 
 END = 7200.0
 

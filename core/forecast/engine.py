@@ -11,14 +11,14 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.ahead.lessons import Lessons
-from core.ahead.scales import Habit, code_of
-from core.ahead.shift_log import Note, ShiftLog
 from core.batch import Floats, Ints, grown
 from core.cars import Cars
 from core.columns import JOULES_PER_KWH, ZERO_CELSIUS
 from core.forecast import outlook, soc_filter
 from core.forecast.gathered import joined
+from core.forecast.learning.car_driver import Habit, code_of
+from core.forecast.learning.fleet import Lessons
+from core.forecast.learning.forecast_errors import Note, ShiftLog
 from core.forecast.outlook import Known
 from core.forecast.plan_tracker import Arrival, Courses, Driving, ride_km
 from core.models import Model

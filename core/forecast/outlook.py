@@ -15,11 +15,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from core.ahead.expected import TEMPERATURES, Tables, tents
 from core.batch import Floats, Ints
 from core.codec import Leg, Plan
 from core.columns import ZERO_CELSIUS
 from core.forecast.conformal import LEVELS
+from core.forecast.learning.leg_energy import TEMPERATURES, Tables, tents
 from core.forecast.soc_filter import NOISE, WANDER
 
 EARLY: Final = 600.0

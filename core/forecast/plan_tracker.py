@@ -11,9 +11,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from core.ahead.expected import TEMPERATURES, Tables
 from core.batch import Floats, grown
 from core.codec import Plan
+from core.forecast.learning.leg_energy import TEMPERATURES, Tables
 from core.forecast.outlook import COURSE, OVERTIME, Legs, legs, timely
 from core.sums import Totals
 

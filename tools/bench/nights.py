@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from core.ahead.scales import KEPT_SHIFTS, Habit
-from core.ahead.shift_log import NOTE_S, Note
+from core.forecast.learning.car_driver import KEPT_SHIFTS, Habit
+from core.forecast.learning.forecast_errors import NOTE_S, Note
 from core.pipeline import Pipeline
 from tools.bench.filters import SHARE, WARM_UP, drive, experienced, plans
 from tools.bench.fleet import START_S, vehicles

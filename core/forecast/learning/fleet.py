@@ -12,13 +12,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.ahead.expected import TEMPERATURES, Tables
-from core.ahead.habits import Habits
-from core.ahead.scales import Habit, Scales
-from core.ahead.shift_log import Judged, Lean
 from core.batch import Floats, Ints, grown
 from core.cars import UNKNOWN, Cars
 from core.forecast.conformal import Conformal
+from core.forecast.learning.car_driver import Habit, Scales
+from core.forecast.learning.forecast_errors import Judged, Lean
+from core.forecast.learning.leg_energy import TEMPERATURES, Tables
+from core.forecast.learning.ride_stats import Habits
 from core.forecast.outlook import Usual
 from core.forecast.soc_filter import WARMING
 from core.models import Model

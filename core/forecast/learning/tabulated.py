@@ -12,9 +12,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.ahead.expected import PACES, TEMPERATURES, TYPICAL_KM, Tables
 from core.batch import Floats, Ints
 from core.cars import PARAMETERS, Cars
+from core.forecast.learning.leg_energy import PACES, TEMPERATURES, TYPICAL_KM, Tables
 from core.models import Model
 from core.sums import AMOUNTS, EDGES, Totals
 from core.tables import model_columns

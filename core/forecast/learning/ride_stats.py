@@ -11,11 +11,11 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from core.ahead.expected import PACES, TEMPERATURES, Tables, tents
-from core.ahead.tabulated import BESIDE, CELLS, READ, TERMS, Rests, fitted, tabulated
 from core.batch import Floats
 from core.cars import Cars
 from core.columns import ZERO_CELSIUS
+from core.forecast.learning.leg_energy import PACES, TEMPERATURES, Tables, tents
+from core.forecast.learning.tabulated import BESIDE, CELLS, READ, TERMS, Rests, fitted, tabulated
 from core.forecast.soc_filter import NOISE
 from core.models import Model
 from core.sums import AMOUNTS, EDGES, Totals

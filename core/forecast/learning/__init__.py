@@ -1,0 +1,1 @@
+"""Learn from past shifts what forecasts rest on."""
