@@ -23,7 +23,7 @@ PRIOR = CAR**2 + DRIVER**2 + DAY**2
 class Truth(NamedTuple):
     """What was planted: charge and logarithm of consumption at each event, (cars, n), and of capacity, (cars,)."""
 
-    soc_filter: np.ndarray
+    soc: np.ndarray
     a: np.ndarray
     c: np.ndarray
 

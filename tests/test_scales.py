@@ -5,7 +5,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from core.forecast import scales as module
+from core.forecast.learning import car_driver as module
 from core.forecast.learning.car_driver import CAR, DAY, DRIVER, LEAST_SHIFTS, MOST_OFF, SEASON, Habit, Scales, code_of
 
 

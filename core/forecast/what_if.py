@@ -136,8 +136,8 @@ class Way(NamedTuple):
         charge = falling(np.vstack([charge, end]), np.append(spent, ahead.energy))
         rows = zip(self.legs.plan.legs, now.taken(self.legs, energy, kind).tolist(), charge.tolist(), strict=False)
         return [
-            LegOutlook(leg.distance_km, leg.duration_s, _interval(*kwh), _interval(*soc_filter))
-            for leg, kwh, soc_filter in rows
+            LegOutlook(leg.distance_km, leg.duration_s, _interval(*kwh), _interval(*soc))
+            for leg, kwh, soc in rows
         ]
 
 
