@@ -18,8 +18,8 @@ from core.codec import Message, ModelErrors, encode, model_identity
 from core.confidence import LEVEL
 from core.effects.declaration import Effect
 from core.errors import ModelError
-from core.features import Table
 from core.models import Model
+from core.models.features import Table
 from core.signals import Signals
 from core.standing import Standing
 from core.sums import Totals

@@ -15,8 +15,8 @@ from core.columns import GRAVITY, STANDARD_AIR_DENSITY, ZERO_CELSIUS
 from core.diagnose.candidates import Asked
 from core.diagnose.dataset import Windows, fitted, gather
 from core.diagnose.projection import Base
-from core.features import Columns
 from core.models import LinearModel
+from core.models.features import Columns
 from core.vehicles import VehicleModel, catalogue
 
 START = 1_514_764_800.0

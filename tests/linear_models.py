@@ -6,7 +6,7 @@ import pandas as pd
 from core import effects
 from core.columns import JOULES_PER_KWH
 from core.models import ANY, Curve, Fit, LinearModel, Term
-from core.trees import Trees
+from core.models.trees import Trees
 from core.vehicles import catalogue
 
 LEAF = catalogue()["nissan-leaf-2013"]

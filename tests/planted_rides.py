@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 
 from core.columns import GRAVITY, KMH, ZERO_CELSIUS
-from core.features import Columns
 from core.fit.fitting import design
 from core.fit.recipes import FITTED_TERMS, HISTOGRAM
+from core.models.features import Columns
 from core.vehicles import AccessoryCurve, catalogue
 
 PLANTED = AccessoryCurve(

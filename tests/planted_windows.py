@@ -7,11 +7,11 @@ import pandas as pd
 
 from core.columns import GRAVITY
 from core.effects.road_load import ROAD_LOAD
-from core.features import FEATURES, Columns
 from core.fit.fitting import fit_terms
 from core.fit.recipes import LinearRecipe, term
 from core.fit.ride_blocks import Frame
 from core.models import LinearModel, physical_term
+from core.models.features import FEATURES, Columns
 
 KINDS = ("kia-soul-ev-2015", "nissan-leaf-2016")
 BASE = {"rolling": 1.1, "climbing": 0.95, "aero_drag": 1.05, "inertia_positive": 1.1, "inertia_negative": 0.8}

@@ -3,9 +3,9 @@
 import numpy as np
 import pandas as pd
 
-from core.features import Columns
 from core.fit.fitting import design
 from core.fit.pooled import SHARED, PooledRecipe
+from core.models.features import Columns
 from tests.planted_rides import rides
 
 TERMS = PooledRecipe("planted", "Planted").terms

@@ -6,10 +6,10 @@ import pandas as pd
 import pytest
 
 from core.errors import ModelError
-from core.features import ANSWERS, Columns, needed
 from core.fit.pooled import ADVANCED, ASKED, EFFICIENCY, LEAST_RIDES, SHARED, adapt
 from core.fit.recipes import RECIPES
 from core.models import ANY, BASIC_PHYSICAL, decode, encode
+from core.models.features import ANSWERS, Columns, needed
 from tests.planted_rides import MODELS
 from tests.pooled_rides import PHYSICS, differing, fleet, measured, planted
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.diagnose.projection import Base, orthonormal
-from core.features import ACCESSORIES, Columns
+from core.models.features import ACCESSORIES, Columns
 from tests.drives import based, drives, measured, seen, with_energy
 
 NOISE = 0.004

@@ -18,11 +18,11 @@ from core.evaluate.compare.datasets import contrast
 from core.evaluate.compare.models import compare, pairs, sample, worst
 from core.evaluate.compare.ride_trace import find, parting, trace
 from core.evaluate.compare.running import so_far
-from core.evaluate.parts import CORRECTION, parts
 from core.evaluate.scores import Estimate
-from core.features import FEATURES
 from core.fit.recipes import FITTED_TERMS, recipe
 from core.models import ANY, BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, LinearModel, Term
+from core.models.features import FEATURES
+from core.models.parts import CORRECTION, parts
 from tools.tables import in_memory
 
 SHIFT = Path(__file__).parent.parent / "recordings" / "shift.mcap"

@@ -16,7 +16,7 @@ from core.diagnose.dataset import LEAST_RIDES, fitted, gather
 from core.diagnose.diagnosis import declared, diagnose
 from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError
-from core.features import needed
+from core.models.features import needed
 from tests.diagnosis_result import diagnosis as made_up
 from tests.drives import drives, measured
 from tools.bench.hidden import cases

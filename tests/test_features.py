@@ -7,10 +7,10 @@ import pytest
 from planted_rides import PLANTED, rides
 
 from core.columns import ZERO_CELSIUS
-from core.derived import DERIVED
 from core.errors import EffectError, ModelError
-from core.features import FEATURES, Columns, beginning, coefficient_unit, needed, unit
 from core.fit.recipes import RECIPES
+from core.models.derived_features import DERIVED
+from core.models.features import FEATURES, Columns, beginning, coefficient_unit, needed, unit
 from core.pipeline import Pipeline
 from core.tables import model_columns
 

@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from core.errors import ModelError
-from core.features import Columns
 from core.fit.calibration import LEAST_RIDES, LEVELS, Held, calibrated, least_squares_interval, parts
 from core.fit.fitting import fit_terms
 from core.fit.recipes import RECIPES, LinearRecipe, term
 from core.fit.ride_blocks import Frame
-from core.intervals import ANY, Interval
 from core.models import BASIC_PHYSICAL, decode, encode
+from core.models.features import Columns
+from core.models.interval import ANY, Interval
 from tests.planted_rides import MODELS
 from tests.pooled_rides import differing, fleet, measured, planted
 

@@ -26,8 +26,8 @@ from core.diagnose.add.refit import Change, refit, refit_with
 from core.diagnose.add.terms import effect_term, scoped
 from core.diagnose.dataset import fitted, joined
 from core.diagnose.diagnosis import diagnose
-from core.features import EFFECT_PREFIX
 from core.models import ANY, LinearModel
+from core.models.features import EFFECT_PREFIX
 from core.pipeline import Pipeline
 from core.settings import Settings
 from tools.import_drives import collect

@@ -6,9 +6,9 @@ import pytest
 from planted_rides import MODELS, noisy, physical_energy, rides
 
 from core.errors import ModelError
-from core.features import ANSWERS
 from core.fit.recipes import BASIC_PART, FITTED_TERMS, HISTOGRAM, RECIPES, LinearRecipe, recipe
 from core.models import ANY, BASIC_PHYSICAL, decode, encode
+from core.models.features import ANSWERS
 
 PAPER = {
     "basic_physical": ("Basic Physical Model", 4),

@@ -10,7 +10,7 @@ from core.diagnose.evidence import Clusters
 from core.diagnose.forward_selection import Search
 from core.diagnose.local_effects import LEAST_WINDOWS, local, places
 from core.diagnose.projection import Base
-from core.features import Columns
+from core.models.features import Columns
 from tests.drives import drives, measured, seen, sized
 
 SINCE = "since=2018-06-05"

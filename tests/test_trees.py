@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from core.errors import ModelError
 from core.fit.trees import LEAVES, TREES, boosted, exported, fit_trees
-from core.trees import LEAF, Trees
+from core.models.trees import LEAF, Trees
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 NAMES = ("ambient_c", "duration_s", "stops", "occupants")

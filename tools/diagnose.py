@@ -20,9 +20,9 @@ from core.diagnose.ranking import LEAST_GAIN
 from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError, SettingsError
 from core.evaluate.paper.results import plain
-from core.features import EFFECT_PREFIX, FEATURES, is_scope
 from core.fit.ride_blocks import names
 from core.models import KNOWN, VEHICLE, VEHICLE_MODEL, LinearModel
+from core.models.features import EFFECT_PREFIX, FEATURES, is_scope
 from tools.evaluate import KEY, read
 from tools.fit import RECORDING, Rides, inputs
 from tools.output import EffectFiles, HtmlFile, JsonFile, model_files, printer, report, writable, write_json

@@ -15,11 +15,11 @@ from core import models
 from core.columns import ZERO_CELSIUS
 from core.diagnose.dataset import fitted
 from core.errors import SettingsError
-from core.features import ACCESSORIES, EFFECT_PREFIX
 from core.fit.pooled import adapt
 from core.fit.recipes import RECIPES, LinearRecipe, Recipe, recipe
 from core.fit.ride_blocks import Parquet
 from core.models import ANY, Curve, Fit, LinearModel, Term
+from core.models.features import ACCESSORIES, EFFECT_PREFIX
 from tools.output import JsonFile, printer, writable, write_json
 from tools.recordings import refuse_twice
 from tools.tables import RIDES, WINDOWS

@@ -12,9 +12,9 @@ from core.batch import Floats, Ints
 from core.diagnose.dataset import Windows
 from core.effects.declaration import VARIANT
 from core.effects.road_load import ROAD_LOAD
-from core.features import EFFECT_PREFIX
 from core.fit.ride_blocks import numbers
 from core.models import LinearModel
+from core.models.features import EFFECT_PREFIX
 
 LEAST_SHARE: Final = 0.003
 """Share of the energy that an effect must take beyond doubt: samples every few seconds distort as much."""

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
 from core.errors import ModelError
-from core.features import Columns
 from core.fit.calibration import least_squares_interval
 from core.fit.fitting import fit_terms
 from core.fit.recipes import LinearRecipe, recipe
 from core.fit.ride_blocks import ENERGY, Frame, names, numbers, trainable
 from core.models import ANY, LinearModel
+from core.models.features import Columns
 
 OF_THE_RIDE: Final = ("ride_id", "date", "winter", "summer", "fit_for_training", "unfit_reason")
 """Columns of the ride table that its windows are given."""

@@ -30,9 +30,9 @@ from core.diagnose.projection import Base
 from core.diagnose.ranking import LEAST_GAIN, LEVEL, Ranked
 from core.diagnose.residual_structure import Remains
 from core.diagnose.slices.search import slices
-from core.features import EFFECT_PREFIX
 from core.fit.ride_blocks import names, numbers
 from core.models import LinearModel
+from core.models.features import EFFECT_PREFIX
 
 WORTH_A_TERM: Final = 0.005
 """Share of the squared error that a free-form term must explain to be suggested."""

@@ -17,8 +17,8 @@ from core.diagnose.dataset import Windows
 from core.diagnose.evidence import by_vehicle_and_day, false_discovery
 from core.diagnose.forward_selection import Named, Search
 from core.diagnose.ranking import LEAST_LEFT
-from core.features import SINCE_SCOPE, VEHICLE_SCOPE
 from core.fit.ride_blocks import names, numbers
+from core.models.features import SINCE_SCOPE, VEHICLE_SCOPE
 
 Mask = NDArray[np.bool_]
 

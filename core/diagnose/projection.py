@@ -23,10 +23,10 @@ from core.batch import Floats
 from core.columns import JOULES_PER_KWH
 from core.diagnose.dataset import Windows
 from core.diagnose.noise import robust, window_variance
-from core.features import ACCESSORIES, EFFECT_PREFIX, Columns
 from core.fit.fitting import design
 from core.fit.ride_blocks import names, numbers
 from core.models import ANY, LinearModel, Term
+from core.models.features import ACCESSORIES, EFFECT_PREFIX, Columns
 
 Rows = NDArray[np.int64]
 

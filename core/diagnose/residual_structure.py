@@ -15,12 +15,12 @@ import numpy as np
 from sklearn.ensemble import HistGradientBoostingRegressor
 
 from core.batch import Floats, Ints
-from core.derived import sun
 from core.diagnose.dataset import Windows
 from core.diagnose.evidence import Clusters, by_vehicle_and_day, false_discovery
 from core.diagnose.forward_selection import Finding, Named, Search
 from core.diagnose.ranking import LEAST_GAIN, LEAST_LEFT, held_out, total
 from core.fit.ride_blocks import numbers
+from core.models.derived_features import sun
 
 LEAST_TAKEN: Final = 0.8
 """Share of what trees can predict that the named effects must take for nothing to remain."""

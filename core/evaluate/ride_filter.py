@@ -10,7 +10,7 @@ import pandas as pd
 from core.batch import Floats
 from core.errors import ModelError
 from core.evaluate.scores import Codes
-from core.features import ANSWERS
+from core.models.features import ANSWERS
 
 CLUSTER_KM: Final = 5.0
 """Width of a cluster, section 3 of the paper; the lower end belongs to it. [km]"""

@@ -22,12 +22,12 @@ import pandas as pd
 from scipy.optimize import nnls
 
 from core.batch import Floats, Ints
-from core.features import Columns, needed
 from core.fit.fitting import design
 from core.fit.regression import CUTOFF
 from core.fit.ride_blocks import ENERGY, names, numbers, trainable
-from core.intervals import ANY, Interval, scale_terms
 from core.models import VEHICLE_MODEL, LinearModel
+from core.models.features import Columns, needed
+from core.models.interval import ANY, Interval, scale_terms
 
 LEVELS: Final = (
     0.005,
@@ -70,7 +70,7 @@ class Held(NamedTuple):
     error : (n,) float
         Measured less predicted. [kWh]
     terms : (n, 3) float
-        Of the scale, see `core.intervals.scale_terms`.
+        Of the scale, see `core.models.interval.scale_terms`.
     distance : (n,) float
         [km]
     """

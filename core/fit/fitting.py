@@ -28,14 +28,14 @@ from threadpoolctl import ThreadpoolController
 
 from core.batch import Floats
 from core.cars import PARAMETERS
-from core.derived import DERIVED
 from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError
-from core.features import ACCESSORIES, ACCESSORY_NEEDS, EFFECT_PREFIX, FEATURES, Columns, needed
 from core.fit.accessory_curve import Temperatures, slopes
 from core.fit.regression import CONSTANT, LEAST_GROUPS, Influence, Moments, Scores, Solution, grouped, solve
 from core.fit.ride_blocks import ENERGY, Rides, names, numbers, trainable
 from core.models import ANY, BASIC_PHYSICAL, VEHICLE, VEHICLE_MODEL, Curve, Fit, LinearModel, Term, Training
+from core.models.derived_features import DERIVED
+from core.models.features import ACCESSORIES, ACCESSORY_NEEDS, EFFECT_PREFIX, FEATURES, Columns, needed
 
 LEAST_RIDES: Final = 2
 """Rides for each coefficient that a fit needs."""

@@ -17,15 +17,15 @@ from numpy.typing import NDArray
 
 from core.batch import Floats
 from core.errors import ModelError
-from core.features import Columns, coefficient_unit, needed
 from core.fit.calibration import Held, calibrated, parts
 from core.fit.fitting import design, fit_terms, one_thread
 from core.fit.partial_pooling import Prior, Sums, add_up, car_factors, common_mean, noise_of, pooled, posterior, taught
 from core.fit.ride_blocks import ENERGY, Frame, names, numbers, trainable
 from core.fit.trees import fit_trees
-from core.intervals import Interval, scale_terms
 from core.models import ANY, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term, stamped
-from core.trees import Trees
+from core.models.features import Columns, coefficient_unit, needed
+from core.models.interval import Interval, scale_terms
+from core.models.trees import Trees
 
 SIZE: Final = "size_kwh"
 EFFICIENCY: Final = 1.2

@@ -15,13 +15,13 @@ from typing import Final, Protocol
 import pandas as pd
 
 from core.errors import ModelError
-from core.features import ACCESSORIES, FEATURES, coefficient_unit
 from core.fit.calibration import NEEDS as INTERVAL_NEEDS
 from core.fit.calibration import least_squares_interval
 from core.fit.fitting import fit_terms
 from core.fit.pooled import ADVANCED
 from core.fit.ride_blocks import ENERGY, Frame, Parquet
 from core.models import BASIC_TERMS, LinearModel, Term, physical_term
+from core.models.features import ACCESSORIES, FEATURES, coefficient_unit
 
 INTERVAL_RIDES: Final = 20_000
 """Rides that are enough to tell how far off predictions are."""

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from core.batch import Floats
 from core.cars import PARAMETERS
 from core.errors import ModelError
-from core.features import EFFECT_PREFIX
+from core.models.features import EFFECT_PREFIX
 
 ENERGY: Final = "energy_kwh"
 BLOCK: Final = 8192

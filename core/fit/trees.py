@@ -11,7 +11,7 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 from threadpoolctl import threadpool_limits
 
 from core.batch import Floats
-from core.trees import LEAF, Trees
+from core.models.trees import LEAF, Trees
 
 TREES: Final = 40
 LEAVES: Final = 12
@@ -54,7 +54,7 @@ def fit_trees(table: Floats, names: tuple[str, ...], target: Floats, weight: Flo
     weight : (n,) float
         Of each ride, over its error's variance.
     per : str
-        See `core.trees.Trees`.
+        See `core.models.trees.Trees`.
     """
     telling = [i for i in range(len(names)) if _tells(table[:, i])]
     if not telling:
@@ -107,7 +107,7 @@ def exported(model: HistGradientBoostingRegressor, features: tuple[str, ...], pe
     features : tuple of str
         Names of its columns.
     per : str
-        See `core.trees.Trees`.
+        See `core.models.trees.Trees`.
     """
     nodes: list[Any] = [stage[0].nodes for stage in model._predictors]  # noqa: SLF001 - there is no public way
     roots = np.cumsum([0, *(len(tree) for tree in nodes[:-1])])

@@ -135,10 +135,7 @@ class Way(NamedTuple):
         charge, _, _ = now.charge(spent, np.cumsum(pause + hours), kind, doubt)
         charge = falling(np.vstack([charge, end]), np.append(spent, ahead.energy))
         rows = zip(self.legs.plan.legs, now.taken(self.legs, energy, kind).tolist(), charge.tolist(), strict=False)
-        return [
-            LegOutlook(leg.distance_km, leg.duration_s, _interval(*kwh), _interval(*soc))
-            for leg, kwh, soc in rows
-        ]
+        return [LegOutlook(leg.distance_km, leg.duration_s, _interval(*kwh), _interval(*soc)) for leg, kwh, soc in rows]
 
 
 def falling(charge: Floats, spent: Floats) -> Floats:

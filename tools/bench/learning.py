@@ -14,10 +14,10 @@ import pyarrow.parquet as pq
 from sklearn.linear_model import LinearRegression
 
 from core import effects
-from core.features import Columns
 from core.fit.fitting import design
 from core.fit.recipes import RECIPES, LinearRecipe
 from core.models import ANY, LinearModel
+from core.models.features import Columns
 from core.pipeline import BLOCK, Pipeline
 from tools.bench.measures import Measure, alternating, blocks, seconds
 from tools.simulator.fleet import simulate

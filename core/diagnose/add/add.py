@@ -38,12 +38,12 @@ from core.diagnose.ranking import LEAST_GAIN, LEVEL
 from core.effects import Effect
 from core.errors import ModelError
 from core.evaluate.paper.results import plain
-from core.features import EFFECT_PREFIX, VEHICLE_SCOPE, Columns, is_scope, needed
 from core.fit.calibration import least_squares_interval
 from core.fit.fitting import design
 from core.fit.ride_blocks import ENERGY, names, numbers, trainable
 from core.formatting import rounded
 from core.models import ANY, VEHICLE_MODEL, LinearModel, Term, stamped
+from core.models.features import EFFECT_PREFIX, VEHICLE_SCOPE, Columns, is_scope, needed
 
 ADDED: Final = "add"
 REFUSED: Final = "refused"

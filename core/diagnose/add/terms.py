@@ -5,7 +5,8 @@ from typing import Final
 
 from core import effects
 from core.errors import ModelError
-from core.features import (
+from core.models import LinearModel, Term
+from core.models.features import (
     ACCESSORIES,
     EFFECT_PREFIX,
     SINCE_SCOPE,
@@ -14,7 +15,6 @@ from core.features import (
     is_scope,
     unit,
 )
-from core.models import LinearModel, Term
 
 _AMOUNTS: Final = frozenset({"distance_km", "duration_s", "gained_m", "lost_m", "stops", "basic_kwh", ACCESSORIES})
 """Columns of which a ride's is the sum of its windows', beside `effect_*` and the histogram of speeds."""

@@ -14,7 +14,7 @@ import numpy as np
 from core.batch import Floats
 from core.columns import GRAVITY, KMH, STANDARD_AIR_DENSITY, ZERO_CELSIUS
 from core.effects.declaration import Parameter
-from core.features import Table
+from core.models.features import Table
 from core.signals import CIVIL_DUSK, HALF_CHARGED, NIGHT, STANDARD_AMBIENT
 from core.sun import sine_of_elevation
 

@@ -18,8 +18,8 @@ from core.batch import Floats
 from core.errors import ModelError
 from core.evaluate.compare.models import KEYS, TOLD
 from core.evaluate.compare.running import so_far
-from core.evaluate.parts import parts
 from core.models import LinearModel
+from core.models.parts import parts
 
 LEAST_SHARE: Final = 0.5
 """Of a ride's error, for the span that holds it to be a place where model and measurement part."""

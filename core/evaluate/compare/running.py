@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from core.batch import Floats
-from core.features import EFFECT_PREFIX
+from core.models.features import EFFECT_PREFIX
 from core.tables import HISTOGRAM
 
 SUMS: Final = frozenset({"duration_s", "distance_km", "gained_m", "lost_m", "stops", "samples", *HISTOGRAM})

@@ -17,9 +17,9 @@ from core.evaluate.paper.held_out import HeldOut, held_out
 from core.evaluate.paper.runs import Fittable, Prediction, Progress, in_parallel, plan
 from core.evaluate.ride_filter import Judged, judged
 from core.evaluate.splits import REPEATS, TEST_SHARE, Split, by_date, by_ride, by_vehicle
-from core.features import needed
 from core.fit.recipes import RECIPES
 from core.fit.segment_network import SegmentRecipe, segments
+from core.models.features import needed
 
 SEGMENTS: Final = "segment_network"
 """Name of the reference that needs the window table."""

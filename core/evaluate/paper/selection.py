@@ -29,11 +29,11 @@ from core.evaluate.differences import SIGNIFICANCE
 from core.evaluate.ride_filter import Judged
 from core.evaluate.scores import Codes, Estimate, over_repeats
 from core.evaluate.splits import Positions, Split, by_ride
-from core.features import Columns
 from core.fit.fitting import design
 from core.fit.recipes import LinearRecipe
 from core.fit.regression import Moments, solve
 from core.models import ANY, Term
+from core.models.features import Columns
 
 RECIPE: Final = "hybrid"
 MOST: Final = 20_000

@@ -7,10 +7,10 @@ import numpy as np
 
 from core.batch import Floats, Ints
 from core.diagnose.dataset import Windows
-from core.features import ACCESSORIES, Columns
 from core.fit.fitting import design
 from core.fit.ride_blocks import names, numbers
 from core.models import ANY, LinearModel, Term
+from core.models.features import ACCESSORIES, Columns
 
 FOLDS: Final = 5
 HEATING: Final = 18.0

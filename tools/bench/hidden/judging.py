@@ -12,9 +12,9 @@ from core import effects
 from core.batch import Floats, Ints
 from core.diagnose.dataset import Windows, fitted, gather
 from core.diagnose.projection import Base
-from core.features import Columns
 from core.fit.fitting import design
 from core.models import Term
+from core.models.features import Columns
 from tools.bench.hidden.cases import Case, right
 from tools.bench.hidden.errors import errors, least_squares
 from tools.bench.hidden.recording import Tables

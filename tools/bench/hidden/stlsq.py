@@ -17,9 +17,9 @@ import numpy as np
 from core.batch import Floats
 from core.diagnose.candidates import library
 from core.diagnose.dataset import Windows
-from core.features import Columns
 from core.fit.fitting import design
 from core.models import ANY, LinearModel
+from core.models.features import Columns
 
 THRESHOLD: Final = 0.1
 ALPHA: Final = 0.05

@@ -8,20 +8,17 @@ product. What is fitted past that (accessory curve, factors of single cars, boos
 
 from collections.abc import Iterator, Mapping
 from functools import cached_property
-from hashlib import sha256
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, Protocol, cast
 
 import msgspec
 import numpy as np
 
-from core import model_file
 from core.batch import Floats
 from core.errors import ModelError
-from core.features import EFFECT_PREFIX, Columns, Table, needed
-from core.intervals import Interval
-from core.trees import Trees
+from core.models.features import EFFECT_PREFIX, Columns, Table, needed
+from core.models.interval import Interval
+from core.models.trees import Trees
 from core.vehicles import AccessoryCurve
 
 FORMAT: Final = 2
@@ -64,7 +61,7 @@ class Term(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     name : str
         Of the term, among those of its model.
     columns : tuple of str
-        Columns of the ride table, or derived ones (`core.features`); one may stand twice. None at all is a constant.
+        Columns of the ride table, or derived ones (`core.models.features`); one may stand twice. None at all is a constant.
     unit : str
         Of the coefficient, as pint spells it.
     """
@@ -112,7 +109,7 @@ class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     held : tuple of str
         Terms that whole rides do not tell, whose coefficients are held near those of physics.
     noise_kwh : float, optional
-        Variance of the error over the ride's size (`core.derived.size`), where rides were weighed by it. [kWh]
+        Variance of the error over the ride's size (`core.models.derived_features.size`), where rides were weighed by it. [kWh]
     """
 
     coefficients: tuple[float, ...]
@@ -354,87 +351,3 @@ EXTENDED_PHYSICAL: Final = LinearModel(
 
 KNOWN: Final[Mapping[str, LinearModel]] = MappingProxyType({m.name: m for m in (BASIC_PHYSICAL, EXTENDED_PHYSICAL)})
 """Models that need no fitting and come with the product, by name."""
-
-
-def load(name_or_path: str | Path) -> LinearModel:
-    """Return a model by name, or from its file.
-
-    Parameters
-    ----------
-    name_or_path : str or Path
-        A name of `KNOWN`, else the path of a model file.
-
-    Raises
-    ------
-    ModelError
-        Where it is neither; where the file is not JSON, is no model, is of another version, or names a column or an
-        effect that is unknown.
-
-    Examples
-    --------
-    >>> load("basic_physical").effects
-    ('rolling', 'climbing', 'aero_drag', 'inertia')
-    """
-    if (known := KNOWN.get(str(name_or_path))) is not None:
-        return known
-    path = Path(name_or_path)
-    if not path.suffix and not path.exists():
-        raise ModelError(
-            f"model {str(path)!r} is unknown: known are {', '.join(KNOWN)}; else give the path of a model file"
-        )
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise ModelError(
-            f"{path}: cannot read a model: {error.strerror}; name a model file, or one of {', '.join(KNOWN)}"
-        ) from error
-    try:
-        return decode(content)
-    except ModelError as error:
-        raise ModelError(f"{path}: {error}") from error
-
-
-def save(model: LinearModel, path: str | Path) -> None:
-    """Write a model file, to be read again exactly, and by people.
-
-    Raises
-    ------
-    ModelError
-        Where a coefficient is not finite, or the file cannot be written.
-    """
-    content = encode(model)
-    try:
-        Path(path).write_bytes(content)
-    except OSError as error:
-        raise ModelError(
-            f"{path}: cannot write the model: {error.strerror}; name a file in a folder that can be written"
-        ) from error
-
-
-def encode(model: LinearModel) -> bytes:
-    """Return the model file's content; floats as the shortest text that reads back to the same number."""
-    model_file.check(model)
-    return model_file.readable(msgspec.json.encode(model))
-
-
-def stamped(model: LinearModel) -> LinearModel:
-    """Return a model with a version that follows from all else that its file holds."""
-    content = encode(msgspec.structs.replace(model, version=""))
-    return msgspec.structs.replace(model, version=sha256(content).hexdigest()[:12])
-
-
-def decode(content: bytes) -> LinearModel:
-    """Return the model that a file's content holds.
-
-    Raises
-    ------
-    ModelError
-        Where it is not JSON, is no model, is of another version, or names a column or an effect that is unknown.
-    """
-    raw = model_file.parsed(content, FORMAT)
-    try:
-        model = msgspec.convert(raw, LinearModel)
-    except msgspec.ValidationError as error:
-        raise ModelError(f"model file is damaged: {error}") from error
-    model_file.check(model)
-    return model

@@ -5,8 +5,8 @@ from typing import Final
 import numpy as np
 
 from core.batch import Floats, Ints
-from core.features import Columns, Table
-from core.models import ANY, VEHICLE, VEHICLE_MODEL, LinearModel
+from core.models.features import Columns, Table
+from core.models.linear import ANY, VEHICLE, VEHICLE_MODEL, LinearModel
 
 CORRECTION: Final = "learned correction"
 """Name of the part that the boosted trees of a model say."""

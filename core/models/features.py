@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from core import effects
 from core.batch import Floats
 from core.columns import ZERO_CELSIUS
-from core.derived import DERIVED
 from core.errors import ModelError
+from core.models.derived_features import DERIVED
 from core.vehicles import AccessoryCurve
 
 EFFECT_PREFIX: Final = "effect_"

@@ -19,7 +19,7 @@ import numpy as np
 
 from core.batch import Floats
 from core.errors import ModelError
-from core.features import Columns, needed
+from core.models.features import Columns, needed
 
 SCALE_TERMS: Final = ("constant", "size_kwh", "size_kwh * heating_need_k")
 """What the scale of an error is a sum of: measuring, length, cold."""

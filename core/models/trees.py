@@ -15,7 +15,7 @@ from numba import njit
 
 from core.batch import Floats, Ints
 from core.errors import ModelError
-from core.features import Columns
+from core.models.features import Columns
 
 LEAF: Final = -1
 """Feature of a node that asks nothing."""

@@ -1,18 +1,17 @@
 """What makes a model file a good one, past the types of its fields."""
 
 import re
+from hashlib import sha256
 from itertools import chain, pairwise
 from math import isfinite
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 import msgspec
 
 from core.errors import EffectError, ModelError
-from core.features import ACCESSORIES, unit
-
-if TYPE_CHECKING:
-    from core.models import Curve, Fit, LinearModel
-
+from core.models.features import ACCESSORIES, unit
+from core.models.linear import FORMAT, KNOWN, Curve, Fit, LinearModel
 
 _NUMBERS: Final = re.compile(rb"\[\n\s+([-+.\deE,\s]+?)\n\s+\]")
 """An array of numbers, one a line; no string matches, as JSON's strings have no line breaks."""
@@ -44,7 +43,91 @@ def parsed(content: bytes, version: int) -> Any:
     return raw
 
 
-def check(model: "LinearModel") -> None:
+def load(name_or_path: str | Path) -> LinearModel:
+    """Return a model by name, or from its file.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        A name of `KNOWN`, else the path of a model file.
+
+    Raises
+    ------
+    ModelError
+        Where it is neither; where the file is not JSON, is no model, is of another version, or names a column or an
+        effect that is unknown.
+
+    Examples
+    --------
+    >>> load("basic_physical").effects
+    ('rolling', 'climbing', 'aero_drag', 'inertia')
+    """
+    if (known := KNOWN.get(str(name_or_path))) is not None:
+        return known
+    path = Path(name_or_path)
+    if not path.suffix and not path.exists():
+        raise ModelError(
+            f"model {str(path)!r} is unknown: known are {', '.join(KNOWN)}; else give the path of a model file"
+        )
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise ModelError(
+            f"{path}: cannot read a model: {error.strerror}; name a model file, or one of {', '.join(KNOWN)}"
+        ) from error
+    try:
+        return decode(content)
+    except ModelError as error:
+        raise ModelError(f"{path}: {error}") from error
+
+
+def save(model: LinearModel, path: str | Path) -> None:
+    """Write a model file, to be read again exactly, and by people.
+
+    Raises
+    ------
+    ModelError
+        Where a coefficient is not finite, or the file cannot be written.
+    """
+    content = encode(model)
+    try:
+        Path(path).write_bytes(content)
+    except OSError as error:
+        raise ModelError(
+            f"{path}: cannot write the model: {error.strerror}; name a file in a folder that can be written"
+        ) from error
+
+
+def encode(model: LinearModel) -> bytes:
+    """Return the model file's content; floats as the shortest text that reads back to the same number."""
+    check(model)
+    return readable(msgspec.json.encode(model))
+
+
+def stamped(model: LinearModel) -> LinearModel:
+    """Return a model with a version that follows from all else that its file holds."""
+    content = encode(msgspec.structs.replace(model, version=""))
+    return msgspec.structs.replace(model, version=sha256(content).hexdigest()[:12])
+
+
+def decode(content: bytes) -> LinearModel:
+    """Return the model that a file's content holds.
+
+    Raises
+    ------
+    ModelError
+        Where it is not JSON, is no model, is of another version, or names a column or an effect that is unknown.
+    """
+    raw = parsed(content, FORMAT)
+    try:
+        model = msgspec.convert(raw, LinearModel)
+    except msgspec.ValidationError as error:
+        raise ModelError(f"model file is damaged: {error}") from error
+    check(model)
+    return model
+
+
+def check(model: LinearModel) -> None:
     """Check names that stand once, columns and effects that exist, and that every fit fits the terms.
 
     Raises
@@ -77,7 +160,7 @@ def _check_columns(what: str, columns: tuple[str, ...]) -> None:
             raise ModelError(f"{what}: {error}") from error
 
 
-def _check_fit(what: str, fit: "Fit", model: "LinearModel") -> None:
+def _check_fit(what: str, fit: Fit, model: LinearModel) -> None:
     """Check a fit's shapes and numbers."""
     n = len(model.terms)
     if len(fit.coefficients) != n:
@@ -98,7 +181,7 @@ def _check_fit(what: str, fit: "Fit", model: "LinearModel") -> None:
         _check_curve(what, fit.curve)
 
 
-def _check_curve(what: str, curve: "Curve") -> None:
+def _check_curve(what: str, curve: Curve) -> None:
     """Check that choke points ascend: between two that do not, there is no segment."""
     points = (curve.heating_full, curve.heating_off, curve.cooling_on, curve.cooling_full)
     if not all(a < b for a, b in pairwise(points)):
