@@ -27,8 +27,8 @@ from core.forecast.status import VehicleStatus, statuses
 from core.forecast.tables import Told, outlook_table, shift_table
 from core.forecast.what_if import answer, silenced
 from core.models import EXTENDED_PHYSICAL, Model
+from core.monitoring.shadow import Shadows
 from core.settings import Settings, checked
-from core.shadow import Shadows
 from core.signals import Signals, ambient_quality
 from core.snapshot import opened, sealed
 from core.sums import Ledger, Sums, Totals, amounts

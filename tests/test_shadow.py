@@ -16,9 +16,9 @@ from core.codec import ModelErrors
 from core.effects import registry
 from core.errors import ModelError, SocastError
 from core.models import ANY, BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, LinearModel, Term
+from core.monitoring.running_error import Standing
+from core.monitoring.shadow import MOST_VEHICLE_MODELS, Ended, Shadows
 from core.pipeline import Pipeline
-from core.shadow import MOST_VEHICLE_MODELS, Ended, Shadows
-from core.standing import Standing
 
 WARM = msgspec.structs.replace(
     EXTENDED_PHYSICAL,

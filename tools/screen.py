@@ -16,8 +16,8 @@ from rich.table import Table
 from rich.text import Text
 
 from core.forecast.status import VehicleStatus
+from core.monitoring.shadow import Shadows
 from core.pipeline import Pipeline
-from core.shadow import Shadows
 from stream.run import Tally
 from tools.output import printer
 from tools.standings import WIDE, models_table

@@ -20,8 +20,8 @@ from core.effects.declaration import Effect
 from core.errors import ModelError
 from core.models import Model
 from core.models.features import Table
+from core.monitoring.running_error import Standing
 from core.signals import Signals
-from core.standing import Standing
 from core.sums import Totals
 from core.tables import measured_energy, model_columns
 

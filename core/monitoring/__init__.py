@@ -1,0 +1,1 @@
+"""Compare models in service on the same rides."""
