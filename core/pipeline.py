@@ -29,11 +29,11 @@ from core.forecast.what_if import answer, silenced
 from core.models import EXTENDED_PHYSICAL, Model
 from core.monitoring.shadow import Shadows
 from core.settings import Settings, checked
-from core.signals import Signals, ambient_quality
+from core.signals.signals import Signals, ambient_quality
+from core.signals.weather import Stations
 from core.snapshot import opened, sealed
 from core.sums import Ledger, Sums, Totals, amounts
 from core.tables import ride_table, text, unfit_reason, window_table
-from core.weather import Stations
 
 BLOCK: Final = 4000
 """Rows that go through the steps at a time, so that their columns stay in the cache.

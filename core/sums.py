@@ -16,7 +16,7 @@ from core.batch import Floats, Ints, grown
 from core.cleaning.kernel import Clean
 from core.cleaning.quality import CAUSES
 from core.columns import KMH
-from core.signals import Signals
+from core.signals.signals import Signals
 
 BIN: Final = 5 * KMH
 """Width of a bin of the speed histogram, Table 1 of the paper. [m/s]"""

@@ -11,8 +11,8 @@ from core.diagnose.free_form.search import free_form
 from core.diagnose.free_form.suggestion import file, formula, name, unit
 from core.diagnose.free_form.terms import FreeTerm, limits, modulators
 from core.effects import registry
-from core.signals import CIVIL_DUSK
-from core.sun import sine_of_elevation
+from core.signals.signals import CIVIL_DUSK
+from core.signals.sun import sine_of_elevation
 
 CARRIER = {each.name: each for each in CARRIERS}
 VARIABLE = {each.name: each for each in VARIABLES}

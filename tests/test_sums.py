@@ -7,11 +7,11 @@ from conftest import PERIOD, cleaned, drive, joined, leaf, observed, ran, teleme
 from core import effects
 from core.columns import JOULES_PER_KWH, KMH
 from core.pipeline import Pipeline
-from core.signals import Signals
+from core.signals.signals import Signals
+from core.signals.weather import Stations
 from core.sums import AMOUNTS, BINS, Ledger
 from core.tables import HISTOGRAM
 from core.vehicles import catalogue
-from core.weather import Stations
 
 N = 500
 

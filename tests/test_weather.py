@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.codec import Weather
-from core.weather import CLEARING, DRYING, KEPT, THAWING, Sky, Stations, held, snow_left, water_left
+from core.signals.weather import CLEARING, DRYING, KEPT, THAWING, Sky, Stations, held, snow_left, water_left
 
 
 def station(name="yul", time=0.0, place=PLACE, **fields):

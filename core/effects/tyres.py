@@ -50,7 +50,7 @@ def cold_rolling(tyre_load: Floats, speed: Floats, ambient: Floats, reference: f
 def wet_road(tyre_load: Floats, speed: Floats, water: Floats, depth: float) -> Floats:
     """Water under the tyres: P = m g cos θ (1 - exp(-h/h0)) v, times the added c.
 
-    With the water h on the road by what fell and what dried, see `core.weather`, and the depth h0 of which much more
+    With the water h on the road by what fell and what dried, see `core.signals.weather`, and the depth h0 of which much more
     makes no difference.
     """
     return tyre_load * speed * (1.0 - np.exp(-water / depth))
@@ -72,7 +72,7 @@ def wet_road(tyre_load: Floats, speed: Floats, water: Floats, depth: float) -> F
 def snow(tyre_load: Floats, speed: Floats, snow: Floats, depth: float) -> Floats:
     """Snow under the tyres: P = m g cos θ (1 - exp(-s/s0)) v, times the added c.
 
-    With the snow s on the road, melted, by what fell and what was cleared, see `core.weather`; 2 mm melted are some
+    With the snow s on the road, melted, by what fell and what was cleared, see `core.signals.weather`; 2 mm melted are some
     2 cm of fresh snow.
     """
     return tyre_load * speed * (1.0 - np.exp(-snow / depth))

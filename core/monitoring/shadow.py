@@ -21,7 +21,7 @@ from core.errors import ModelError
 from core.models import Model
 from core.models.features import Table
 from core.monitoring.running_error import Standing
-from core.signals import Signals
+from core.signals.signals import Signals
 from core.sums import Totals
 from core.tables import measured_energy, model_columns
 

@@ -2,7 +2,7 @@
 
 A carrier is a power that the window table holds the energy of, per unit of a coefficient: constant, rolling, drag,
 speeding up, slowing, climbing, descending, and an energy at each stop. A variable is what a window knows and an effect
-may ask for; what is unknown of it is what it is to effects (`core.signals`). Both know their unit and their code.
+may ask for; what is unknown of it is what it is to effects (`core.signals.signals`). Both know their unit and their code.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,8 +15,8 @@ from core.batch import Floats
 from core.columns import GRAVITY, KMH, STANDARD_AIR_DENSITY, ZERO_CELSIUS
 from core.effects.declaration import Parameter
 from core.models.features import Table
-from core.signals import CIVIL_DUSK, HALF_CHARGED, NIGHT, STANDARD_AMBIENT
-from core.sun import sine_of_elevation
+from core.signals.signals import CIVIL_DUSK, HALF_CHARGED, NIGHT, STANDARD_AMBIENT
+from core.signals.sun import sine_of_elevation
 
 _GRAVITY: Final = MappingProxyType({"gravity": Parameter(GRAVITY, "m/s^2")})
 _AIR: Final = MappingProxyType({"air_density_standard": Parameter(STANDARD_AIR_DENSITY, "kg/m^3")})
@@ -70,7 +70,7 @@ class Variable(NamedTuple):
     code : str
         How.
     value : callable
-        Of the window table, (n,) float, never NaN: what is unknown is what it is to effects (`core.signals`).
+        Of the window table, (n,) float, never NaN: what is unknown is what it is to effects (`core.signals.signals`).
     shapes : tuple of str
         Which functions of it are tried, see `core.diagnose.free_form.terms`.
     follows : str
@@ -103,7 +103,7 @@ def _pack(table: Table) -> Floats:
 
 
 def _darkness(table: Table) -> Floats:
-    """Return `core.signals.darkness` at the middle of each window."""
+    """Return `core.signals.signals.darkness` at the middle of each window."""
     time = _numbers(table, "start_s") + 0.5 * _numbers(table, "duration_s")
     latitude, longitude = (np.radians(np.asarray(table[f"{name}_start_deg"])) for name in ("latitude", "longitude"))
     depth = np.nan_to_num(-sine_of_elevation(time, latitude, longitude))

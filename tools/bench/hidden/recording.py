@@ -23,10 +23,10 @@ from core.decode import Decoder
 from core.effects import Effect
 from core.pipeline import BLOCK
 from core.settings import Settings
-from core.signals import Signals, ambient_quality
+from core.signals.signals import Signals, ambient_quality
+from core.signals.weather import Sky, Stations
 from core.sums import AMOUNTS, Ledger, Totals, amounts
 from core.tables import ride_table, text, window_table
-from core.weather import Sky, Stations
 from tools.bench.hidden.drives import (
     CURRENT_MARK,
     SOC_MARK,

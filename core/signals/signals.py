@@ -17,9 +17,9 @@ from core.batch import Floats, Ints
 from core.cleaning.kernel import Clean
 from core.cleaning.quality import Quality
 from core.columns import GRAVITY, SIGNALS, STANDARD_AIR_DENSITY, ZERO_CELSIUS
-from core.sun import sine_of_elevation
+from core.signals.sun import sine_of_elevation
+from core.signals.weather import Sky, snow_left, water_left
 from core.vehicles import OCCUPANT_MASS
-from core.weather import Sky, snow_left, water_left
 
 STANDARD_AMBIENT: Final = ZERO_CELSIUS + 15.0
 """Temperature of the standard atmosphere at sea level. [K] ISO 2533:1975."""
@@ -189,13 +189,13 @@ def darkness(signals: Signals) -> Floats:
 
 
 def water(signals: Signals) -> Floats:
-    """Return the rain on the road, see `core.weather`. [m]"""
+    """Return the rain on the road, see `core.signals.weather`. [m]"""
     sky = signals.sky
     return np.nan_to_num(water_left(sky.water, sky.ambient, sky.precipitation, signals.clean.time - sky.observed))
 
 
 def snow(signals: Signals) -> Floats:
-    """Return the snow on the road, as melted water, see `core.weather`. [m]"""
+    """Return the snow on the road, as melted water, see `core.signals.weather`. [m]"""
     sky = signals.sky
     return np.nan_to_num(snow_left(sky.snow, sky.ambient, sky.precipitation, signals.clean.time - sky.observed))
 

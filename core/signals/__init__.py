@@ -1,0 +1,1 @@
+"""Derive signals from cleaned samples: forces, weather, sun."""
