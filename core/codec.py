@@ -231,7 +231,7 @@ class Gain(Wire, omit_defaults=False):
     mean_kwh : float or None
         Absolute error of the first model, less that of this one, a ride; None where no vehicle-day has ended.
     lower_kwh, upper_kwh : float or None
-        Between what it lies, with 95 % for all shadows together and however often one looks (`core.confidence`); None
+        Between what it lies, with 95 % for all shadows together and however often one looks (`core.stats.confidence_sequence`); None
         where too few vehicle-days have ended to tell.
     verdict : str
         `better` or `worse` where those exclude zero.

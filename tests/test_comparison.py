@@ -13,16 +13,16 @@ from linear_models import STUMP
 
 from core.errors import ModelError
 from core.evaluate.binning import conditions, local_hour
-from core.evaluate.clustered import clustered_mean, clustered_ratio, less, vehicle_days
 from core.evaluate.compare.datasets import contrast
 from core.evaluate.compare.models import compare, pairs, sample, worst
 from core.evaluate.compare.ride_trace import find, parting, trace
 from core.evaluate.compare.running import so_far
-from core.evaluate.scores import Estimate
 from core.fit.recipes import FITTED_TERMS, recipe
 from core.models import ANY, BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, LinearModel, Term
 from core.models.features import FEATURES
 from core.models.parts import CORRECTION, parts
+from core.stats.clustered import clustered_mean, clustered_ratio, less, vehicle_days
+from core.stats.scores import Estimate
 from tools.tables import in_memory
 
 SHIFT = Path(__file__).parent.parent / "recordings" / "shift.mcap"

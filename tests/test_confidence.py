@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from core.confidence import EVERYWHERE, LEVEL, MIXTURE, Clusters, Interval, reach
+from core.stats.confidence_sequence import EVERYWHERE, LEVEL, MIXTURE, Clusters, Interval, reach
 
 LENGTH = 400
 RUNS = 1500

@@ -13,7 +13,7 @@ from test_report import read
 
 from core.evaluate.paper.results import plain
 from core.evaluate.soc.report import evaluate_soc
-from core.evaluate.soc_share import ENOUGH
+from core.stats.soc_share import ENOUGH
 from tools import evaluate_soc as command
 from tools.cli import main
 from tools.import_drives import collect, write

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from core.evaluate.soc_share import clustered_share
+from core.stats.soc_share import clustered_share
 
 
 @given(

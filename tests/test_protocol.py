@@ -16,7 +16,7 @@ from core.evaluate.paper.held_out import held_out
 from core.evaluate.paper.protocol import chosen, evaluate
 from core.evaluate.paper.runs import Prediction
 from core.evaluate.ride_filter import CLUSTERS, LEAST, judged
-from core.evaluate.splits import Split
+from core.stats.splits import Split
 from core.vehicles import AccessoryCurve
 
 SD = 0.1

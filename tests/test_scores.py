@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import stats
 
-from core.evaluate import scores
-from core.evaluate.differences import adjusted, dominating, holm, pairs
-from core.evaluate.scores import Estimate, combined, over_repeats
-from core.evaluate.splits import by_ride
+from core.stats import scores
+from core.stats.multiple_testing import adjusted, dominating, holm, pairs
+from core.stats.scores import Estimate, combined, over_repeats
+from core.stats.splits import by_ride
 
 ENERGIES = arrays(np.float64, st.integers(1, 60), elements=st.floats(-5.0, 50.0))
 

@@ -16,9 +16,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from core.errors import ModelError, SettingsError
 from core.evaluate.paper.protocol import SEGMENTS, chosen, evaluate
-from core.evaluate.splits import REPEATS
 from core.fit import segment_network
 from core.fit.recipes import RECIPES
+from core.stats.splits import REPEATS
 from tools.fit import Tables, ride_files
 from tools.output import HtmlFile, JsonFile, printer, writable, write_json
 from tools.tables import WINDOWS

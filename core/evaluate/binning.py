@@ -10,7 +10,7 @@ import pandas as pd
 
 from core.batch import Floats
 from core.evaluate.ride_filter import CLUSTERS, clusters
-from core.evaluate.scores import Codes
+from core.stats.scores import Codes
 
 TEMPERATURES: Final = tuple(range(-30, 41, 5))
 """Ends of the bins of outside temperature; the lower end belongs to a bin, the first and last bin are open. [°C]"""

@@ -9,8 +9,8 @@ import pandas as pd
 
 from core.batch import Floats
 from core.errors import ModelError
-from core.evaluate.scores import Codes
 from core.models.features import ANSWERS
+from core.stats.scores import Codes
 
 CLUSTER_KM: Final = 5.0
 """Width of a cluster, section 3 of the paper; the lower end belongs to it. [km]"""

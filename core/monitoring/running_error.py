@@ -8,8 +8,8 @@ import numpy as np
 
 from core.batch import Floats, grown
 from core.codec import Gain, ModelErrors, RideErrors
-from core.confidence import Clusters
 from core.models import Model
+from core.stats.confidence_sequence import Clusters
 
 _BOOK: Final = 4  # of a vehicle: day, vehicle model, rides and fall of the absolute error of the cluster in progress
 

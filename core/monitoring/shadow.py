@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from core.batch import Floats, Ints
 from core.cars import Cars
 from core.codec import Message, ModelErrors, encode, model_identity
-from core.confidence import LEVEL
 from core.effects.declaration import Effect
 from core.errors import ModelError
 from core.models import Model
 from core.models.features import Table
 from core.monitoring.running_error import Standing
 from core.signals.signals import Signals
+from core.stats.confidence_sequence import LEVEL
 from core.sums import Totals
 from core.tables import measured_energy, model_columns
 

@@ -5,8 +5,8 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from core.evaluate.compare.models import WELL_KNOWN
-from core.evaluate.differences import SIGNIFICANCE
-from core.evaluate.scores import BANDS
+from core.stats.multiple_testing import SIGNIFICANCE
+from core.stats.scores import BANDS
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, count, kwh, mark_least, percent, signed
 from tools.report.result import Result, half_width, mapping, number, part, vehicle_name
 

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, Final
 
-from core.evaluate.differences import SIGNIFICANCE
 from core.evaluate.paper import published
 from core.evaluate.paper.published import AVERAGE, PHYSICAL
+from core.stats.multiple_testing import SIGNIFICANCE
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, kwh, mark_least, percent, printed, signed
 from tools.report.data_tables import by_cluster
 from tools.report.result import (

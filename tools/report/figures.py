@@ -8,9 +8,9 @@ import numpy as np
 import plotly.graph_objects as go
 
 from core.columns import ZERO_CELSIUS
-from core.evaluate.differences import SIGNIFICANCE
 from core.evaluate.paper import published
 from core.evaluate.paper.published import AVERAGE, PHYSICAL
+from core.stats.multiple_testing import SIGNIFICANCE
 from core.vehicles import AccessoryCurve
 from tools.report.error_tables import difference
 from tools.report.figure_style import (

@@ -5,8 +5,8 @@ from typing import Any, Final, NamedTuple
 
 import plotly.graph_objects as go
 
-from core.evaluate.differences import SIGNIFICANCE
 from core.evaluate.paper import published
+from core.stats.multiple_testing import SIGNIFICANCE
 from tools.report import figures
 from tools.report.result import (
     ALL,

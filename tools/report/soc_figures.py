@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 
 from core.evaluate.soc.baselines import BASELINES
 from core.evaluate.soc.report import NOMINAL
-from core.evaluate.soc_share import ENOUGH
+from core.stats.soc_share import ENOUGH
 from tools.report.comparison_figures import drawn
 from tools.report.figure_style import REFERENCE_LINE, Style, curve, figure, label, style
 from tools.report.illustrations import Illustration

@@ -5,7 +5,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from core.evaluate.soc.baselines import BASELINES
-from core.evaluate.soc_share import ENOUGH
+from core.stats.soc_share import ENOUGH
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, change, count, percent
 from tools.report.comparison_tables import off, within
 from tools.report.result import Result, mapping, number, part, vehicle_name

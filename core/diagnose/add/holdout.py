@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from core.batch import Floats, Ints
 from core.diagnose.add.refit import Change, refit_with, unnamed
 from core.errors import ModelError
-from core.evaluate.clustered import clustered_mean, vehicle_days
-from core.evaluate.scores import UNKNOWN
-from core.evaluate.splits import by_vehicle
 from core.fit.ride_blocks import ENERGY, names, numbers
 from core.models import VEHICLE_MODEL
+from core.stats.clustered import clustered_mean, vehicle_days
+from core.stats.scores import UNKNOWN
+from core.stats.splits import by_vehicle
 
 FOLDS: Final = 5
 LEAST_DATES: Final = 20

@@ -27,12 +27,12 @@ from core.diagnose.dataset import Windows
 from core.diagnose.evidence import Clusters, by_vehicle_and_day
 from core.diagnose.projection import Base, orthonormal
 from core.diagnose.ranking import total
-from core.evaluate.clustered import vehicle_days
 from core.fit.fitting import design, fit_terms, one_thread
 from core.fit.recipes import LinearRecipe
 from core.fit.ride_blocks import ENERGY, Frame, names, numbers
 from core.models import ANY, VEHICLE_MODEL, Fit, LinearModel, Term
 from core.models.features import EFFECT_PREFIX, Columns
+from core.stats.clustered import vehicle_days
 
 LEAST_LEFT: Final = 1e-5
 """Share of a column that must be left off the model's own terms for it to have a coefficient."""

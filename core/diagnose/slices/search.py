@@ -29,8 +29,8 @@ from scipy import stats
 from core.batch import Floats, Ints
 from core.diagnose.slices.contrast import contrast
 from core.diagnose.slices.predicates import Condition, Masks, conditions, dates, start_s
-from core.evaluate.scores import Estimate
 from core.fit.ride_blocks import names
+from core.stats.scores import Estimate
 
 LONGEST: Final = 3
 """Conditions that a person keeps in mind."""

@@ -13,12 +13,12 @@ import pandas as pd
 
 from core.batch import Floats, Ints
 from core.evaluate.binning import conditions
-from core.evaluate.clustered import clustered_mean, clustered_ratio, less
 from core.evaluate.compare.models import Sample, false_discovery_rates
 from core.evaluate.ride_filter import SAME
-from core.evaluate.scores import Estimate
 from core.models import LinearModel
 from core.models.parts import parts
+from core.stats.clustered import clustered_mean, clustered_ratio, less
+from core.stats.scores import Estimate
 
 PROPERTIES: Final = (
     ("distance", "km", "distance_km", ""),

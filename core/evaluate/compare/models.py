@@ -1,7 +1,7 @@
 """Models against what rides measured: how far off each is, under which conditions, which rides are worst.
 
 Nothing is fitted here. All models are judged on the same rides, those that each of them predicts, so that two models
-can be told apart ride by ride. Intervals allow for rides of one car on one day being alike: `core.evaluate.clustered`.
+can be told apart ride by ride. Intervals allow for rides of one car on one day being alike: `core.stats.clustered`.
 """
 
 from collections.abc import Mapping
@@ -14,12 +14,12 @@ from scipy.stats import false_discovery_control
 
 from core.batch import Floats
 from core.errors import ModelError
-from core.evaluate import differences, scores
 from core.evaluate.binning import conditions
-from core.evaluate.clustered import clustered_mean, clustered_ratio, vehicle_days
 from core.evaluate.ride_filter import reasons
-from core.evaluate.scores import Codes, Estimate
 from core.models import ANY, LinearModel
+from core.stats import multiple_testing, scores
+from core.stats.clustered import clustered_mean, clustered_ratio, vehicle_days
+from core.stats.scores import Codes, Estimate
 
 WORST: Final = 10
 """Rides that are named."""
@@ -290,8 +290,10 @@ def pairs(found: Sample) -> list[dict[str, Any]]:
         adjusted for all pairs.
     """
     error = {label: np.abs(energy - found.measured) for label, energy in found.predicted.items()}
-    apart = {(a, b): clustered_mean(error[a] - error[b], found.clusters) for a, b in differences.pairs(list(error))}
-    adjusted = differences.adjusted(apart)
+    apart = {
+        (a, b): clustered_mean(error[a] - error[b], found.clusters) for a, b in multiple_testing.pairs(list(error))
+    }
+    adjusted = multiple_testing.adjusted(apart)
     return [
         {"a": a, "b": b, "difference_kwh": off.figures(), "p": off.p, "p_holm": adjusted[a, b]}
         for (a, b), off in apart.items()

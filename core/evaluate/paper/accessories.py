@@ -7,9 +7,9 @@ import numpy as np
 
 from core.errors import SocastError
 from core.evaluate.ride_filter import LEAST, Judged
-from core.evaluate.scores import group_means
 from core.fit.recipes import RECIPES
 from core.models import BASIC_PHYSICAL
+from core.stats.scores import group_means
 
 RECIPE: Final = "extended_physical"
 BIN_K: Final = 2.0

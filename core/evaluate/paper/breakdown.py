@@ -7,10 +7,10 @@ import numpy as np
 import pandas as pd
 
 from core.batch import Floats
-from core.evaluate import scores
 from core.evaluate.paper.held_out import HeldOut
 from core.evaluate.ride_filter import CLUSTERS, LEAST, Judged
-from core.evaluate.scores import Codes
+from core.stats import scores
+from core.stats.scores import Codes
 
 TEMPERATURES: Final = tuple(range(-35, 45, 5))
 """Ends of the bins of outside temperature; the first and last one are open. [°C]"""

@@ -9,7 +9,7 @@ import numpy as np
 from core.batch import Floats
 from core.evaluate.paper.runs import Prediction
 from core.evaluate.ride_filter import CLUSTERS, LEAST, SCORED, Judged
-from core.evaluate.scores import Codes, Estimate, combined, group_means, over_repeats
+from core.stats.scores import Codes, Estimate, combined, group_means, over_repeats
 
 SILENT: Final = 0.05
 """Share of the rides for which a recipe may have no prediction before it is left out of the comparison."""

@@ -23,8 +23,8 @@ from core.evaluate.paper.held_out import HeldOut
 from core.evaluate.paper.results import REFERENCE, pooled_average, reductions
 from core.evaluate.paper.runs import Fittable, Fitted
 from core.evaluate.ride_filter import LEAST, SCORED, Judged
-from core.evaluate.scores import group_means, over_repeats
-from core.evaluate.splits import Positions, Split
+from core.stats.scores import group_means, over_repeats
+from core.stats.splits import Positions, Split
 
 COUNTS: Final = (0, 1, 3, 10, 30, 100)
 """Rides of the new vehicle model that are shown."""

@@ -16,10 +16,10 @@ from core.evaluate.paper.accessories import figure_1
 from core.evaluate.paper.held_out import HeldOut, held_out
 from core.evaluate.paper.runs import Fittable, Prediction, Progress, in_parallel, plan
 from core.evaluate.ride_filter import Judged, judged
-from core.evaluate.splits import REPEATS, TEST_SHARE, Split, by_date, by_ride, by_vehicle
 from core.fit.recipes import RECIPES
 from core.fit.segment_network import SegmentRecipe, segments
 from core.models.features import needed
+from core.stats.splits import REPEATS, TEST_SHARE, Split, by_date, by_ride, by_vehicle
 
 SEGMENTS: Final = "segment_network"
 """Name of the reference that needs the window table."""

@@ -7,10 +7,10 @@ import numpy as np
 import pandas as pd
 
 from core.batch import Floats
-from core.evaluate import differences
 from core.evaluate.paper.held_out import HeldOut, averages, cells, errors, grid, table, weighted
 from core.evaluate.ride_filter import CLUSTERS, SCORED, Judged
-from core.evaluate.scores import Estimate, combined, group_means, over_repeats
+from core.stats import multiple_testing
+from core.stats.scores import Estimate, combined, group_means, over_repeats
 
 REFERENCE: Final = "basic_physical"
 """Recipe that reductions are against."""
@@ -110,7 +110,7 @@ def difference_scores(held: HeldOut, judged: Judged) -> dict[str, Any]:
     """
     ridden = {r: _per_ride(held, judged, errors(held, judged, r)) for r in held.recipes}
     scored = {r: cells(held, judged, errors(held, judged, r)) for r in held.recipes}
-    pairs = differences.pairs(held.recipes)
+    pairs = multiple_testing.pairs(held.recipes)
     by_model: list[tuple[dict[Any, Estimate], dict[Any, Estimate]]] = []
     for m in range(len(judged.vehicle_models)):
         rides = {(a, b): over_repeats(ridden[a][:, m] - ridden[b][:, m], held.overlap) for a, b in pairs}
@@ -132,9 +132,9 @@ def difference_scores(held: HeldOut, judged: Judged) -> dict[str, Any]:
         own = slice(i, i + 1) if name != ALL else slice(None)
         found["difference"][name] = _pairs(rides, average)
         mean = {r: _mean(ridden[r][:, own], weights[own]) for r in held.recipes}
-        found["dominates"][name] = differences.dominating(mean, rides)
+        found["dominates"][name] = multiple_testing.dominating(mean, rides)
         mean = {r: combined(averages(grid(scored[r][:, own], held.overlap))).value for r in held.recipes}
-        found["dominates_average"][name] = differences.dominating(mean, average)
+        found["dominates_average"][name] = multiple_testing.dominating(mean, average)
     return found
 
 
@@ -154,7 +154,7 @@ def _mean(values: Floats, weights: Sequence[float]) -> float:
 
 def _pairs(rides: Mapping[Any, Estimate], average: Mapping[Any, Estimate]) -> dict[str, Any]:
     """Return the differences of all pairs, by `a|b`."""
-    p, p_average = differences.adjusted(rides), differences.adjusted(average)
+    p, p_average = multiple_testing.adjusted(rides), multiple_testing.adjusted(average)
     return {
         "|".join(pair): {
             **rides[pair].figures(),

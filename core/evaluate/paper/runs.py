@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from core.batch import Floats
 from core.errors import SocastError
 from core.evaluate.ride_filter import Judged
-from core.evaluate.splits import Positions, Split
+from core.stats.splits import Positions, Split
 
 LEVEL: Final = 0.9
 """Probability that intervals are asked for."""

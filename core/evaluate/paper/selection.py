@@ -25,15 +25,15 @@ from sklearn.feature_selection import RFE, RFECV
 from sklearn.model_selection import KFold
 
 from core.batch import Floats
-from core.evaluate.differences import SIGNIFICANCE
 from core.evaluate.ride_filter import Judged
-from core.evaluate.scores import Codes, Estimate, over_repeats
-from core.evaluate.splits import Positions, Split, by_ride
 from core.fit.fitting import design
 from core.fit.recipes import LinearRecipe
 from core.fit.regression import Moments, solve
 from core.models import ANY, Term
 from core.models.features import Columns
+from core.stats.multiple_testing import SIGNIFICANCE
+from core.stats.scores import Codes, Estimate, over_repeats
+from core.stats.splits import Positions, Split, by_ride
 
 RECIPE: Final = "hybrid"
 MOST: Final = 20_000

@@ -13,14 +13,14 @@ import pandas as pd
 from core.batch import Floats
 from core.errors import ModelError
 from core.evaluate.binning import between
-from core.evaluate.clustered import clustered_mean
-from core.evaluate.scores import Codes
 from core.evaluate.soc.baselines import BASELINES, baselines, leg_baselines
 from core.evaluate.soc.cases import HOURS, KEY, Judged, judged
 from core.evaluate.soc.examples import examples
 from core.evaluate.soc.legs import MINUTES
 from core.evaluate.soc.reserve_risk import reserve
-from core.evaluate.soc_share import clustered_share
+from core.stats.clustered import clustered_mean
+from core.stats.scores import Codes
+from core.stats.soc_share import clustered_share
 
 NOMINAL: Final = 0.90
 """Share of outcomes that the interval is meant to hold."""

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from core.batch import Floats
-from core.evaluate.clustered import clustered_ratio
-from core.evaluate.scores import Codes
 from core.evaluate.soc.baselines import BASELINES, risk_by_earlier
 from core.evaluate.soc.cases import HOURS, KEY
-from core.evaluate.soc_share import clustered_share
+from core.stats.clustered import clustered_ratio
+from core.stats.scores import Codes
+from core.stats.soc_share import clustered_share
 
 LEVELS: Final = (20, 30, 40, 50, 60)
 """Levels that stand in for a reserve. [%]"""

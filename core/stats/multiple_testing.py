@@ -2,7 +2,7 @@
 
 Two models that are tested on the same rides are compared by the difference of their absolute errors, ride by ride, not
 by whether their intervals overlap: what is hard about a ride is hard for both and cancels. The mean difference of each
-repeat is one figure; the interval over repeats allows for their overlap (`core.evaluate.scores`). All pairs of models
+repeat is one figure; the interval over repeats allows for their overlap (`core.stats.scores`). All pairs of models
 are tested, so that the probability of any false finding among them is kept at 5 % by Holm's method. That also covers
 that the best one was chosen on the same rides.
 
@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from core.batch import Floats
-from core.evaluate.scores import Estimate
+from core.stats.scores import Estimate
 
 SIGNIFICANCE: Final = 0.05
 """Probability, over all pairs, of a difference found where there is none."""

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from core.evaluate.clustered import clustered_mean
-from core.evaluate.scores import Codes
+from core.stats.clustered import clustered_mean
+from core.stats.scores import Codes
 
 ENOUGH: Final = 30
 """Of fewer clusters a share tells too little to be shown as a figure."""

@@ -22,7 +22,7 @@ import numpy as np
 import pandas as pd
 
 from core.batch import Floats
-from core.evaluate.scores import UNKNOWN, Codes, Estimate
+from core.stats.scores import UNKNOWN, Codes, Estimate
 
 CLUSTER: Final = ("vehicle_id", "date")
 """Rides that agree in these are alike."""
