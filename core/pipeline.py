@@ -32,8 +32,8 @@ from core.settings import Settings, checked
 from core.signals.signals import Signals, ambient_quality
 from core.signals.weather import Stations
 from core.snapshot import opened, sealed
-from core.sums import Ledger, Sums, Totals, amounts
-from core.tables import ride_table, text, unfit_reason, window_table
+from core.totals.accumulator import Ledger, Sums, Totals, amounts
+from core.totals.tables import ride_table, text, unfit_reason, window_table
 
 BLOCK: Final = 4000
 """Rows that go through the steps at a time, so that their columns stay in the cache.
@@ -252,7 +252,7 @@ class Pipeline:
         self.foresight.learn_from(earlier.foresight)
 
     def take_rides(self) -> pd.DataFrame:
-        """Return the rides that have ended since the last call, as `core.tables.ride_table` has them."""
+        """Return the rides that have ended since the last call, as `core.totals.tables.ride_table` has them."""
         taken, self._rides = self._rides, []
         totals = joined([closed.totals for closed in taken], self.ledger.none())
         ride_names = [name for closed in taken for name in closed.names]
@@ -262,7 +262,7 @@ class Pipeline:
         return table
 
     def take_windows(self) -> pd.DataFrame:
-        """Return the windows that have ended since the last call, as `core.tables.window_table` has them."""
+        """Return the windows that have ended since the last call, as `core.totals.tables.window_table` has them."""
         taken, self._windows = self._windows, []
         return window_table(joined(taken, self.ledger.none()), self.lanes.names, self.cars, self._effect_names)
 

@@ -8,7 +8,7 @@ import msgspec
 from core.cleaning.kernel import STATE
 from core.cleaning.quality import CAUSES
 from core.errors import SocastError
-from core.sums import AMOUNTS, EDGES
+from core.totals.accumulator import AMOUNTS, EDGES
 
 SNAPSHOT: Final = 5
 """Version of the snapshot."""

@@ -12,7 +12,7 @@ from core.fit.recipes import RECIPES
 from core.models.derived_features import DERIVED
 from core.models.features import FEATURES, Columns, beginning, coefficient_unit, needed, unit
 from core.pipeline import Pipeline
-from core.tables import model_columns
+from core.totals.tables import model_columns
 
 TERMS = sorted({term.columns for recipe in RECIPES.values() for term in getattr(recipe, "terms", ())})
 

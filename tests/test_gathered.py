@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import core.pipeline
 from core.forecast.gathered import Gathered, joined
 from core.forecast.plan_tracker import Arrival, Driving
-from core.sums import Ledger
+from core.totals.accumulator import Ledger
 
 BEGIN = START + 86_400.0 * DAYS
 

@@ -13,7 +13,7 @@ from core.forecast.learning.leg_energy import PACES, STEEPEST, TEMPERATURES, ten
 from core.forecast.learning.ride_stats import LEAST_RIDES, Habits
 from core.forecast.learning.tabulated import fitted
 from core.pipeline import Pipeline
-from core.sums import AMOUNTS, EDGES, Totals
+from core.totals.accumulator import AMOUNTS, EDGES, Totals
 
 MODEL = "nissan-leaf-2013"
 COLD = {-15.0: 1.4, 0.0: 1.2, 15.0: 1.0}

@@ -9,7 +9,7 @@ from core.forecast.conformal import LEAST
 from core.forecast.learning.car_driver import code_of
 from core.forecast.learning.fleet import Lessons
 from core.forecast.learning.ride_stats import LEAST_RIDES
-from core.sums import AMOUNTS
+from core.totals.accumulator import AMOUNTS
 
 
 def counted(lessons):

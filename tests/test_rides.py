@@ -5,7 +5,7 @@ import pytest
 from conftest import PERIOD, START, drive, joined, leaf, picked, ran, telemetry, told, without
 
 from core.settings import Settings
-from core.tables import unfit_counts
+from core.totals.tables import unfit_counts
 
 MOVING, PARKED = 10.0, 0.0
 

@@ -9,8 +9,8 @@ from core.columns import JOULES_PER_KWH, KMH
 from core.pipeline import Pipeline
 from core.signals.signals import Signals
 from core.signals.weather import Stations
-from core.sums import AMOUNTS, BINS, Ledger
-from core.tables import HISTOGRAM
+from core.totals.accumulator import AMOUNTS, BINS, Ledger
+from core.totals.tables import HISTOGRAM
 from core.vehicles import catalogue
 
 N = 500

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.cleaning.quality import CAUSES
-from core.tables import CAPACITY_GAIN, HISTOGRAM, METER_GAIN, is_winter
+from core.totals.tables import CAPACITY_GAIN, HISTOGRAM, METER_GAIN, is_winter
 from core.vehicles import catalogue
 
 CAPACITY = catalogue()["nissan-leaf-2013"].usable_capacity_kwh or catalogue()["nissan-leaf-2013"].nominal_capacity_kwh

@@ -17,8 +17,8 @@ from simulated import SUMMER, WINTER, run
 from core.codec import address
 from core.errors import SettingsError
 from core.pipeline import Pipeline
-from core.tables import WINTER as SEASON
-from core.tables import is_winter
+from core.totals.tables import WINTER as SEASON
+from core.totals.tables import is_winter
 from tools.cli import main
 from tools.simulator.cars import make_car
 from tools.simulator.driver import drive

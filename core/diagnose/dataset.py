@@ -84,7 +84,7 @@ def joined(rides: pd.DataFrame, windows: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     rides, windows : DataFrame
-        As `core.tables` makes them, of the same recordings.
+        As `core.totals.tables` makes them, of the same recordings.
 
     Returns
     -------

@@ -13,7 +13,7 @@ from scipy.optimize import nnls
 from core.batch import Floats
 from core.diagnose.dataset import Windows, by_meter
 from core.fit.ride_blocks import numbers
-from core.tables import CAPACITY_GAIN, METER_GAIN
+from core.totals.tables import CAPACITY_GAIN, METER_GAIN
 
 MEAN_OVER_SD: Final = float(np.sqrt(2.0 / np.pi))
 """Mean absolute value of a Gaussian error over its standard deviation."""

@@ -85,7 +85,7 @@ def judged(rides: pd.DataFrame) -> Judged:
     Parameters
     ----------
     rides : DataFrame
-        As `core.tables.ride_table` makes it.
+        As `core.totals.tables.ride_table` makes it.
 
     Raises
     ------

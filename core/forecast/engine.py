@@ -23,8 +23,8 @@ from core.forecast.outlook import Known
 from core.forecast.plan_tracker import Arrival, Courses, Driving, ride_km
 from core.models import Model
 from core.settings import Settings
-from core.sums import Sums, Totals
-from core.tables import model_columns
+from core.totals.accumulator import Sums, Totals
+from core.totals.tables import model_columns
 
 SEEN: Final = (
     *("soc", "soc_sd", "mean", "p05", "p95", "risk", "range", "range_p05", "range_p95", "expected", "spread"),

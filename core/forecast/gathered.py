@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from core.forecast.plan_tracker import Arrival, Driving
-from core.sums import Sums, Totals
+from core.totals.accumulator import Sums, Totals
 
 
 class Gathered:

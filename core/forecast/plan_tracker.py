@@ -15,7 +15,7 @@ from core.batch import Floats, grown
 from core.codec import Plan
 from core.forecast.learning.leg_energy import TEMPERATURES, Tables
 from core.forecast.outlook import COURSE, OVERTIME, Legs, legs, timely
-from core.sums import Totals
+from core.totals.accumulator import Totals
 
 PLAN_LAG: Final = 60.0
 """A ride that ends so soon after a plan came is not among its legs any more. [s]"""

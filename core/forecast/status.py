@@ -9,8 +9,8 @@ import numpy as np
 from core.batch import Floats
 from core.cars import Cars
 from core.forecast.messages import counted, known
-from core.sums import Totals
-from core.tables import measured_energy
+from core.totals.accumulator import Totals
+from core.totals.tables import measured_energy
 
 
 class VehicleStatus(NamedTuple):

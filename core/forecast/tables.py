@@ -11,8 +11,8 @@ from core.batch import Floats, Ints
 from core.cars import Cars
 from core.columns import ZERO_CELSIUS
 from core.forecast.engine import Rows
-from core.sums import Totals
-from core.tables import text
+from core.totals.accumulator import Totals
+from core.totals.tables import text
 
 
 class Told(NamedTuple):

@@ -22,8 +22,8 @@ from core.models.features import Table
 from core.monitoring.running_error import Standing
 from core.signals.signals import Signals
 from core.stats.confidence_sequence import LEVEL
-from core.sums import Totals
-from core.tables import measured_energy, model_columns
+from core.totals.accumulator import Totals
+from core.totals.tables import measured_energy, model_columns
 
 DAY: Final = 86400.0
 """Rides of a vehicle that begin on the same UTC day are one cluster. [s]"""

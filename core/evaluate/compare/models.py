@@ -74,7 +74,7 @@ def sample(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> Sample:
     Parameters
     ----------
     rides : DataFrame
-        As `core.tables.ride_table` makes it.
+        As `core.totals.tables.ride_table` makes it.
     models : mapping of str to LinearModel
         By what the reader calls them.
 

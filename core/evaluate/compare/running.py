@@ -7,7 +7,7 @@ import pandas as pd
 
 from core.batch import Floats
 from core.models.features import EFFECT_PREFIX
-from core.tables import HISTOGRAM
+from core.totals.tables import HISTOGRAM
 
 SUMS: Final = frozenset({"duration_s", "distance_km", "gained_m", "lost_m", "stops", "samples", *HISTOGRAM})
 """Columns that add up over windows, beside the effects' energies."""

@@ -79,7 +79,7 @@ def evaluate(
     Parameters
     ----------
     rides : DataFrame
-        As `core.tables.ride_table` makes it.
+        As `core.totals.tables.ride_table` makes it.
     recipes : mapping of str to Fittable
         Those of `chosen`.
     seed : int

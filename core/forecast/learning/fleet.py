@@ -23,8 +23,8 @@ from core.forecast.outlook import Usual
 from core.forecast.soc_filter import WARMING
 from core.models import Model
 from core.settings import Settings
-from core.sums import Totals
-from core.tables import energy_by_soc, measured_energy, unfit_reason
+from core.totals.accumulator import Totals
+from core.totals.tables import energy_by_soc, measured_energy, unfit_reason
 
 TELLING: Final = (None, "too_long")
 """Why rides may be unfit for training and yet are learned from: errands of hours are part of shifts."""

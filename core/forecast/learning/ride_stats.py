@@ -18,7 +18,7 @@ from core.forecast.learning.leg_energy import PACES, TEMPERATURES, Tables, tents
 from core.forecast.learning.tabulated import BESIDE, CELLS, READ, TERMS, Rests, fitted, tabulated
 from core.forecast.soc_filter import NOISE
 from core.models import Model
-from core.sums import AMOUNTS, EDGES, Totals
+from core.totals.accumulator import AMOUNTS, EDGES, Totals
 
 LEAST_RIDES: Final = 40
 """Rides of a vehicle model below which nothing is expected of it."""

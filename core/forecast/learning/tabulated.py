@@ -16,8 +16,8 @@ from core.batch import Floats, Ints
 from core.cars import PARAMETERS, Cars
 from core.forecast.learning.leg_energy import PACES, TEMPERATURES, TYPICAL_KM, Tables
 from core.models import Model
-from core.sums import AMOUNTS, EDGES, Totals
-from core.tables import model_columns
+from core.totals.accumulator import AMOUNTS, EDGES, Totals
+from core.totals.tables import model_columns
 
 CELLS: Final = len(PACES) * len(TEMPERATURES)
 TERMS: Final = CELLS + 3

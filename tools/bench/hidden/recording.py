@@ -25,8 +25,8 @@ from core.pipeline import BLOCK
 from core.settings import Settings
 from core.signals.signals import Signals, ambient_quality
 from core.signals.weather import Sky, Stations
-from core.sums import AMOUNTS, Ledger, Totals, amounts
-from core.tables import ride_table, text, window_table
+from core.totals.accumulator import AMOUNTS, Ledger, Totals, amounts
+from core.totals.tables import ride_table, text, window_table
 from tools.bench.hidden.drives import (
     CURRENT_MARK,
     SOC_MARK,
@@ -57,7 +57,7 @@ class Tables(NamedTuple):
     Parameters
     ----------
     rides, windows : DataFrame
-        As `core.tables` makes them.
+        As `core.totals.tables` makes them.
     hidden : (windows, effects) DataFrame
         Of each window in the order of `windows` its `ride_key`, its `window`, and the energy that each hidden effect
         took. [kWh]

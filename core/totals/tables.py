@@ -1,6 +1,6 @@
 """The ride table and the window table: totals with the names and units that people read.
 
-Both are made by one maker from `core.sums.Totals`; the ride table has every term of the paper's Table 1. The columns
+Both are made by one maker from `core.totals.accumulator.Totals`; the ride table has every term of the paper's Table 1. The columns
 that a model reads (`effect_*` and the car's parameters) are made alone by `model_columns`, for forecasts.
 """
 
@@ -17,7 +17,7 @@ from core.cars import PARAMETERS, Cars
 from core.cleaning.quality import CAUSES
 from core.columns import JOULES_PER_KWH, KMH, ZERO_CELSIUS
 from core.settings import Settings
-from core.sums import AMOUNTS, BINS, Totals
+from core.totals.accumulator import AMOUNTS, BINS, Totals
 
 METER_GAIN: Final = 0.01
 """Standard uncertainty of a car's own voltage times current, as a share. Estimated: sensors of class 0.5 % each."""

@@ -1,0 +1,1 @@
+"""Total power over windows and rides, and make the tables."""
