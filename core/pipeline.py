@@ -10,7 +10,6 @@ import pandas as pd
 
 from core import effects
 from core.batch import Batch, Ints, Lanes, grown
-from core.cars import Cars
 from core.cleaning.kernel import STATE, Cleaner
 from core.cleaning.quality import CAUSES
 from core.codec import Leg, Message, Outlook, Plan, Ride, Vehicle, Weather
@@ -34,6 +33,7 @@ from core.signals.weather import Stations
 from core.snapshot import opened, sealed
 from core.totals.accumulator import Ledger, Sums, Totals, amounts
 from core.totals.tables import ride_table, text, unfit_reason, window_table
+from core.vehicles.fleet import Cars
 
 BLOCK: Final = 4000
 """Rows that go through the steps at a time, so that their columns stay in the cache.

@@ -17,7 +17,7 @@ from core.diagnose.dataset import Windows, fitted, gather
 from core.diagnose.projection import Base
 from core.models import LinearModel
 from core.models.features import Columns
-from core.vehicles import VehicleModel, catalogue
+from core.vehicles import VehicleModel, load_catalogue
 
 START = 1_514_764_800.0
 """1 January 2018, midnight UTC."""
@@ -50,7 +50,7 @@ def drives(
     ride, car = at // windows, at // (windows * rides * days)
     day, hour = (ride // rides) % days, 8.0 + 3.0 * (ride % rides)
     start = START + 86_400.0 * DAY_STEP * day + 3600.0 * hour + 60.0 * (at % windows)
-    own = catalogue()[kind]
+    own = load_catalogue()[kind]
     signals = _signals(start, day, ride, car, own, seed)
     speed, dt = signals["speed"], signals["dt"]
     energies = {

@@ -7,9 +7,9 @@ from core import effects
 from core.columns import JOULES_PER_KWH
 from core.models import ANY, Curve, Fit, LinearModel, Term
 from core.models.trees import Trees
-from core.vehicles import catalogue
+from core.vehicles import load_catalogue
 
-LEAF = catalogue()["nissan-leaf-2013"]
+LEAF = load_catalogue()["nissan-leaf-2013"]
 
 
 def steps(seed: int, rows: int) -> dict[str, np.ndarray]:

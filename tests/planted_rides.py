@@ -9,7 +9,7 @@ from core.columns import GRAVITY, KMH, ZERO_CELSIUS
 from core.fit.fitting import design
 from core.fit.recipes import FITTED_TERMS, HISTOGRAM
 from core.models.features import Columns
-from core.vehicles import AccessoryCurve, catalogue
+from core.vehicles import AccessoryCurve, load_catalogue
 
 PLANTED = AccessoryCurve(
     heating_full=ZERO_CELSIUS - 15.0,
@@ -35,7 +35,9 @@ def rides(n: int, seed: int = 1, models: Sequence[str] = MODELS, cars: int = 8) 
     gained, lost = rng.gamma(2.0, 5.0 * distance), rng.gamma(2.0, 5.0 * distance)
     kind = rng.choice(models, n)
     car = rng.integers(0, cars, n)
-    own = pd.DataFrame([vars(catalogue()[name]) | {"drag_area_m2": catalogue()[name].drag_area_m2} for name in kind])
+    own = pd.DataFrame(
+        [vars(load_catalogue()[name]) | {"drag_area_m2": load_catalogue()[name].drag_area_m2} for name in kind]
+    )
     mass = own["mass_kg"] + 75.0 * rng.integers(1, 4, n)
     wind, towards = rng.gamma(2.0, 7.0, n), rng.uniform(0.0, 360.0, n)
     headwind = wind * np.cos(np.radians(towards - rng.uniform(0.0, 360.0, n)))

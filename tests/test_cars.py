@@ -7,9 +7,9 @@ from conftest import chunked, drive, leaf, ran, telemetry, told
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.cars import PARAMETERS, UNKNOWN, Cars
 from core.codec import Vehicle
-from core.vehicles import catalogue
+from core.vehicles import load_catalogue
+from core.vehicles.fleet import PARAMETERS, UNKNOWN, Cars
 
 
 def vehicle(model="nissan-leaf-2013", **fields):
@@ -20,7 +20,7 @@ def vehicle(model="nissan-leaf-2013", **fields):
 def test_a_message_applies_from_its_row_on_in_its_lane_alone(seed):
     rng = np.random.default_rng(seed)
     lane = rng.integers(0, 4, 50)
-    models = list(catalogue())
+    models = list(load_catalogue())
     changes = sorted((int(rng.integers(0, 51)), int(rng.integers(0, 4)), i) for i in range(6))
     told = [(row, who, vehicle(models[i])) for row, who, i in changes]
     cars = Cars()

@@ -10,7 +10,7 @@ from soc_frames import CAPACITY, told
 from core.evaluate.soc.baselines import REMEMBERED, SETTLED, baselines, mean_consumption, risk_by_earlier
 from core.evaluate.soc.cases import judged
 from core.evaluate.soc.reserve_risk import risk_below
-from core.vehicles import catalogue
+from core.vehicles import load_catalogue
 
 PERCENT = st.floats(0.0, 100.0)
 
@@ -52,7 +52,7 @@ def test_the_rating_times_the_planned_kilometres():
     frames = told(cars=2, days=2, warm_up=0)
     cases, found = based(frames)
     for row, case in enumerate(cases.to_dict("records")):
-        used = catalogue()[case["vehicle_model"]].rated_kwh_per_km * case["ahead_km"] / CAPACITY
+        used = load_catalogue()[case["vehicle_model"]].rated_kwh_per_km * case["ahead_km"] / CAPACITY
         assert found["rating"].iloc[row] == pytest.approx(max(0.0, case["soc_pct"] - 100.0 * used))
     horse = frames._replace(shifts=frames.shifts.assign(vehicle_model="horse"))
     assert based(horse)[1]["rating"].isna().all()

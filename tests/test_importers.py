@@ -9,7 +9,7 @@ import pytest
 from published_files import BMW_HEADER, VED_HEADER, bmw_file, overview, twizy_file, ved_file, ved_row
 
 from core.codec import Ride, Telemetry, Vehicle, Weather, address
-from core.vehicles import catalogue
+from core.vehicles import load_catalogue
 from tools.importers import bmw_i3, twizy, ved
 from tools.importers.drive import messages, samples
 from tools.importers.published import read
@@ -160,4 +160,4 @@ def test_twizy_defects_of_the_fix_stay_in_the_recording(tmp_path):
 
 
 def test_models_are_in_the_catalogue():
-    assert {ved.MODEL, bmw_i3.MODEL, twizy.MODEL} <= set(catalogue())
+    assert {ved.MODEL, bmw_i3.MODEL, twizy.MODEL} <= set(load_catalogue())

@@ -8,7 +8,7 @@ import pytest
 
 from core.evaluate.paper import published
 from core.evaluate.paper.published import AVERAGE, PHYSICAL, WEIGHTED, paper
-from core.vehicles import catalogue
+from core.vehicles import load_catalogue
 
 CLUSTERS = ("0-5", "5-10", "10-15", "15-20", "20-25")
 FURTHER = ("25-30", "30+")
@@ -54,7 +54,7 @@ def test_only_errors_and_consumption_of_tests_have_intervals():
 
 def test_vehicle_models_are_in_the_catalogue():
     keys = [key for model in paper().vehicle_models.values() for key in model.catalogue]
-    assert set(keys) <= set(catalogue())
+    assert set(keys) <= set(load_catalogue())
     assert len(keys) == len(set(keys))
     assert published.mae("hybrid", "nissan-leaf-2013", "0-5") == published.mae("hybrid", "nissan-leaf-2016", "0-5")
 
@@ -70,7 +70,7 @@ def test_what_the_paper_lacks_is_none():
 
 
 def test_no_cell_of_the_tables_is_missing():
-    text = resources.files("core.evaluate").joinpath("paper.toml").read_text(encoding="utf-8")
+    text = resources.files("core.evaluate.paper").joinpath("paper.toml").read_text(encoding="utf-8")
     cells = sum(len(cells) for table in tomllib.loads(text)["tables"] for cells in table["rows"].values())
     assert cells == 32 + 30 + 26 + 7 * 26 + 2 * 28
 

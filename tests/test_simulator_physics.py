@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from simulated import PERFECT, SUMMER, WINTER, driven, run
 
 from core.codec import Weather
-from core.vehicles import catalogue
+from core.vehicles import load_catalogue
 from tools.simulator import physics
 from tools.simulator.physics import PARTS
 from tools.simulator.settings import (
@@ -82,7 +82,7 @@ class TestPhysics:
         assert state.hvac[200] > 1.3 * np.median(state.hvac[-2400:])
         assert state.pack[-1] > trace.ambient[0]
 
-    @pytest.mark.parametrize("model", sorted(catalogue()))
+    @pytest.mark.parametrize("model", sorted(load_catalogue()))
     def test_every_car_of_the_catalogue_gets_through_the_winter(self, model):
         cold = Simulation(vehicles=4, start=datetime(2018, 1, 20, tzinfo=UTC), seed=6, models=(model,))
         truth = run(cold)[1]

@@ -11,7 +11,7 @@ from core.signals.signals import Signals
 from core.signals.weather import Stations
 from core.totals.accumulator import AMOUNTS, BINS, Ledger
 from core.totals.tables import HISTOGRAM
-from core.vehicles import catalogue
+from core.vehicles import load_catalogue
 
 N = 500
 
@@ -69,7 +69,7 @@ def test_effects_are_the_integral_of_their_power():
     clean = cleaned(columns)
     stations = Stations()
     sky = stations.sky(clean.time, clean.latitude, clean.longitude)
-    model = catalogue()["nissan-leaf-2013"]
+    model = load_catalogue()["nissan-leaf-2013"]
     signals = Signals(clean, sky, np.full(N, model.mass_kg), np.full(N, model.accessory_scale))
     for name in ("rolling", "climbing", "aero_drag", "inertia", "accessories"):
         effect = effects.get(name)

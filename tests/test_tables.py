@@ -9,9 +9,12 @@ from hypothesis import strategies as st
 
 from core.cleaning.quality import CAUSES
 from core.totals.tables import CAPACITY_GAIN, HISTOGRAM, METER_GAIN, is_winter
-from core.vehicles import catalogue
+from core.vehicles import load_catalogue
 
-CAPACITY = catalogue()["nissan-leaf-2013"].usable_capacity_kwh or catalogue()["nissan-leaf-2013"].nominal_capacity_kwh
+CAPACITY = (
+    load_catalogue()["nissan-leaf-2013"].usable_capacity_kwh
+    or load_catalogue()["nissan-leaf-2013"].nominal_capacity_kwh
+)
 
 TABLE_1 = {
     "Distance": "distance_km",

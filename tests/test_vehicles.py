@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from core.codec import Vehicle
 from core.columns import ZERO_CELSIUS
 from core.errors import CatalogueError
-from core.vehicles import (
+from core.vehicles.catalogue import (
     ACCESSORIES,
     BOUNDS,
     OUT_OF_RANGE,
@@ -18,7 +18,7 @@ from core.vehicles import (
     UNKNOWN_MODEL,
     AccessoryCurve,
     VehicleModel,
-    catalogue,
+    load_catalogue,
     read_catalogue,
     vehicle_model,
 )
@@ -53,13 +53,13 @@ accessory_scale = "a"
 
 
 def test_catalogue_has_the_contracts_keys():
-    assert set(catalogue()) == KEYS
-    assert all(key == model.key for key, model in catalogue().items())
+    assert set(load_catalogue()) == KEYS
+    assert all(key == model.key for key, model in load_catalogue().items())
 
 
 @pytest.mark.parametrize("key", sorted(KEYS))
 def test_every_figure_has_a_source_that_says_something(key):
-    model = catalogue()[key]
+    model = load_catalogue()[key]
     for figure in BOUNDS:
         assert len(model.sources[figure]) > 15, figure
     assert set(model.sources) <= {f.name for f in fields(VehicleModel)}
@@ -69,7 +69,7 @@ def test_every_figure_has_a_source_that_says_something(key):
 
 @pytest.mark.parametrize("key", sorted(KEYS))
 def test_road_load_at_90_kmh_is_that_of_a_small_electric_vehicle(key):
-    model = catalogue()[key]
+    model = load_catalogue()[key]
     rolling = model.mass_kg * 9.81 * model.rolling_resistance
     drag = 0.5 * 1.2 * model.drag_area_m2 * 25.0**2
     assert 0.05 < (rolling + drag) / 3600 < 0.16  # kWh/km at the wheels
@@ -77,13 +77,13 @@ def test_road_load_at_90_kmh_is_that_of_a_small_electric_vehicle(key):
 
 @pytest.mark.parametrize("key", sorted(KEYS))
 def test_the_official_consumption_is_a_few_times_the_road_load_in_town(key):
-    model = catalogue()[key]
+    model = load_catalogue()[key]
     load = model.mass_kg * 9.81 * model.rolling_resistance + 0.5 * 1.2 * model.drag_area_m2 * 16.0**2
     assert 1.0 < model.rated_kwh_per_km / (load / 3600) < 4.0
 
 
 def test_models_are_values():
-    first = catalogue()["tesla-model-s"]
+    first = load_catalogue()["tesla-model-s"]
     assert first == replace(first)
     assert hash(first) == hash(replace(first))
     assert first.drag_area_m2 == first.drag_coefficient * first.frontal_area_m2
@@ -91,7 +91,7 @@ def test_models_are_values():
 
 def test_catalogue_cannot_be_changed():
     with pytest.raises(TypeError):
-        catalogue()["horse"] = None
+        load_catalogue()["horse"] = None
 
 
 def test_read_catalogue_reads_a_good_entry():
@@ -134,7 +134,7 @@ def test_bad_catalogue_says_what_and_where_in_one_line(before, after, said):
 
 
 def test_without_overrides_the_catalogue_speaks():
-    assert vehicle_model(Vehicle("a", 0.0, "bmw-i3-2014")) is catalogue()["bmw-i3-2014"]
+    assert vehicle_model(Vehicle("a", 0.0, "bmw-i3-2014")) is load_catalogue()["bmw-i3-2014"]
 
 
 @given(
@@ -145,7 +145,7 @@ def test_overrides_replace_their_figures_and_no_others(key, shares):
     own = {name: BOUNDS[name][0] + share * (BOUNDS[name][1] - BOUNDS[name][0]) for name, share in shares.items()}
     model = vehicle_model(Vehicle("a", 0.0, key, **own))
     for name in BOUNDS:
-        assert getattr(model, name) == own.get(name, getattr(catalogue()[key], name))
+        assert getattr(model, name) == own.get(name, getattr(load_catalogue()[key], name))
     assert all(model.sources[name] == "the car's own vehicle message" for name in own)
 
 

@@ -27,7 +27,6 @@ import pandas as pd
 from threadpoolctl import ThreadpoolController
 
 from core.batch import Floats
-from core.cars import PARAMETERS
 from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError
 from core.fit.accessory_curve import Temperatures, slopes
@@ -36,6 +35,7 @@ from core.fit.ride_blocks import ENERGY, Rides, names, numbers, trainable
 from core.models import ANY, BASIC_PHYSICAL, VEHICLE, VEHICLE_MODEL, Curve, Fit, LinearModel, Term, Training
 from core.models.derived_features import DERIVED
 from core.models.features import ACCESSORIES, ACCESSORY_NEEDS, EFFECT_PREFIX, FEATURES, Columns, needed
+from core.vehicles.fleet import PARAMETERS
 
 LEAST_RIDES: Final = 2
 """Rides for each coefficient that a fit needs."""

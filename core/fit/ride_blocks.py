@@ -12,9 +12,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from core.batch import Floats
-from core.cars import PARAMETERS
 from core.errors import ModelError
 from core.models.features import EFFECT_PREFIX
+from core.vehicles.fleet import PARAMETERS
 
 ENERGY: Final = "energy_kwh"
 BLOCK: Final = 8192

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints, grown
-from core.cars import Cars
 from core.columns import JOULES_PER_KWH, ZERO_CELSIUS
 from core.forecast import outlook, soc_filter
 from core.forecast.gathered import joined
@@ -25,6 +24,7 @@ from core.models import Model
 from core.settings import Settings
 from core.totals.accumulator import Sums, Totals
 from core.totals.tables import model_columns
+from core.vehicles.fleet import Cars
 
 SEEN: Final = (
     *("soc", "soc_sd", "mean", "p05", "p95", "risk", "range", "range_p05", "range_p95", "expected", "spread"),

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from core.batch import Floats
-from core.cars import Cars
 from core.forecast.messages import counted, known
 from core.totals.accumulator import Totals
 from core.totals.tables import measured_energy
+from core.vehicles.fleet import Cars
 
 
 class VehicleStatus(NamedTuple):

@@ -8,11 +8,11 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
-from core.cars import Cars
 from core.columns import ZERO_CELSIUS
 from core.forecast.engine import Rows
 from core.totals.accumulator import Totals
 from core.totals.tables import text
+from core.vehicles.fleet import Cars
 
 
 class Told(NamedTuple):

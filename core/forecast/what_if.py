@@ -17,7 +17,6 @@ import msgspec
 import numpy as np
 
 from core.batch import Floats, Ints
-from core.cars import Cars
 from core.codec import Interval, Leg, LegOutlook, Outlook, Plan
 from core.columns import ZERO_CELSIUS
 from core.errors import AskError
@@ -25,6 +24,7 @@ from core.forecast import outlook, soc_filter
 from core.forecast.outlook import RESERVE, Ahead, Known, Legs, Outcome, Usual
 from core.forecast.plan_checks import refusal
 from core.forecast.plan_tracker import LONGEST_SHIFT
+from core.vehicles.fleet import Cars
 
 if TYPE_CHECKING:
     from core.forecast.engine import Foresight

@@ -13,11 +13,11 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from core.batch import Floats
-from core.cars import PARAMETERS, Cars
 from core.cleaning.quality import CAUSES
 from core.columns import JOULES_PER_KWH, KMH, ZERO_CELSIUS
 from core.settings import Settings
 from core.totals.accumulator import AMOUNTS, BINS, Totals
+from core.vehicles.fleet import PARAMETERS, Cars
 
 METER_GAIN: Final = 0.01
 """Standard uncertainty of a car's own voltage times current, as a share. Estimated: sensors of class 0.5 % each."""

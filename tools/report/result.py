@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from core.evaluate.paper.published import AVERAGE, PHYSICAL, WEIGHTED
-from core.vehicles import catalogue
+from core.vehicles import load_catalogue
 
 Result = Mapping[str, Any]
 
@@ -102,7 +102,7 @@ def vehicle_name(key: str) -> str:
     """
     if key == ALL:
         return "all vehicle models"
-    known = catalogue().get(key)
+    known = load_catalogue().get(key)
     return known.name.partition(",")[0] if known else key
 
 

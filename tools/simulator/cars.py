@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from core.errors import SettingsError
-from core.vehicles import catalogue
+from core.vehicles import load_catalogue
 
 
 class Car(NamedTuple):
@@ -83,7 +83,7 @@ def make_car(model: str, rng: np.random.Generator, traits: Mapping[str, float] |
     SettingsError
         If the catalogue has no such model.
     """
-    known = catalogue()
+    known = load_catalogue()
     if model not in known:
         raise SettingsError(f"no car model is called {model!r}; choose from {', '.join(sorted(known))}")
     entry = known[model]

@@ -128,7 +128,7 @@ def paper() -> Paper:
     >>> [table.number for table in paper().tables if table.quantity == "mae"]
     [5, 6, 7, 8, 9, 10, 11]
     """
-    text = resources.files("core.evaluate").joinpath("paper.toml").read_text(encoding="utf-8")
+    text = resources.files("core.evaluate.paper").joinpath("paper.toml").read_text(encoding="utf-8")
     return msgspec.convert(tomllib.loads(text), Paper)
 
 

@@ -18,7 +18,7 @@ import pandas as pd
 
 from core.batch import Floats
 from core.evaluate.soc.cases import KEY, keyed
-from core.vehicles import catalogue
+from core.vehicles import load_catalogue
 
 BASELINES: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -74,7 +74,9 @@ def leg_baselines(cases: pd.DataFrame, shifts: pd.DataFrame) -> pd.DataFrame:
 
 def _by_rates(cases: pd.DataFrame, shifts: pd.DataFrame) -> dict[str, Floats]:
     """Return the state of charge after the kilometres ahead by a mean and by the official consumption. [%]"""
-    rating = [known.rated_kwh_per_km if (known := catalogue().get(key)) else None for key in cases["vehicle_model"]]
+    rating = [
+        known.rated_kwh_per_km if (known := load_catalogue().get(key)) else None for key in cases["vehicle_model"]
+    ]
     rates = {"model_mean": mean_consumption(cases, shifts), "rating": np.array(rating, dtype=np.float64)}
     km, capacity = (cases[name].to_numpy(np.float64) for name in ("ahead_km", "capacity_kwh"))
     soc = cases["soc_pct"].to_numpy(np.float64)

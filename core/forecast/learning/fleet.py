@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints, grown
-from core.cars import UNKNOWN, Cars
 from core.forecast.conformal import Conformal
 from core.forecast.learning.car_driver import Habit, Scales
 from core.forecast.learning.forecast_errors import Judged, Lean
@@ -25,6 +24,7 @@ from core.models import Model
 from core.settings import Settings
 from core.totals.accumulator import Totals
 from core.totals.tables import energy_by_soc, measured_energy, unfit_reason
+from core.vehicles.fleet import UNKNOWN, Cars
 
 TELLING: Final = (None, "too_long")
 """Why rides may be unfit for training and yet are learned from: errands of hours are part of shifts."""

@@ -12,13 +12,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from core.batch import Floats
-from core.cars import Cars
 from core.columns import ZERO_CELSIUS
 from core.forecast.learning.leg_energy import PACES, TEMPERATURES, Tables, tents
 from core.forecast.learning.tabulated import BESIDE, CELLS, READ, TERMS, Rests, fitted, tabulated
 from core.forecast.soc_filter import NOISE
 from core.models import Model
 from core.totals.accumulator import AMOUNTS, EDGES, Totals
+from core.vehicles.fleet import Cars
 
 LEAST_RIDES: Final = 40
 """Rides of a vehicle model below which nothing is expected of it."""

@@ -13,11 +13,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from core.batch import Floats, Ints
-from core.cars import PARAMETERS, Cars
 from core.forecast.learning.leg_energy import PACES, TEMPERATURES, TYPICAL_KM, Tables
 from core.models import Model
 from core.totals.accumulator import AMOUNTS, EDGES, Totals
 from core.totals.tables import model_columns
+from core.vehicles.fleet import PARAMETERS, Cars
 
 CELLS: Final = len(PACES) * len(TEMPERATURES)
 TERMS: Final = CELLS + 3

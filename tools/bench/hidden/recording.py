@@ -15,7 +15,6 @@ import pandas as pd
 
 from core import effects
 from core.batch import Batch, Floats, Ints, Lanes
-from core.cars import Cars
 from core.cleaning.kernel import Clean, Cleaner
 from core.codec import Message, Ride, Vehicle, Weather, encode
 from core.columns import JOULES_PER_KWH
@@ -27,6 +26,7 @@ from core.signals.signals import Signals, ambient_quality
 from core.signals.weather import Sky, Stations
 from core.totals.accumulator import AMOUNTS, Ledger, Totals, amounts
 from core.totals.tables import ride_table, text, window_table
+from core.vehicles.fleet import Cars
 from tools.bench.hidden.drives import (
     CURRENT_MARK,
     SOC_MARK,

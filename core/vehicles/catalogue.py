@@ -151,12 +151,12 @@ extrapolated beyond the drives; 4 kW is below the 5 kW of that heater (Argonne N
 """
 
 
-def catalogue() -> Mapping[str, VehicleModel]:
+def load_catalogue() -> Mapping[str, VehicleModel]:
     """Return the vehicle models that come with the product, by key.
 
     Examples
     --------
-    >>> catalogue()["nissan-leaf-2013"].nominal_capacity_kwh
+    >>> load_catalogue()["nissan-leaf-2013"].nominal_capacity_kwh
     24.0
     """
     return _shipped()
@@ -164,7 +164,7 @@ def catalogue() -> Mapping[str, VehicleModel]:
 
 @cache
 def _shipped() -> Mapping[str, VehicleModel]:
-    return read_catalogue(resources.files("core").joinpath("vehicles.toml").read_text(encoding="utf-8"))
+    return read_catalogue(resources.files("core.vehicles").joinpath("vehicles.toml").read_text(encoding="utf-8"))
 
 
 def read_catalogue(text: str) -> Mapping[str, VehicleModel]:
@@ -205,7 +205,7 @@ def vehicle_model(message: Vehicle) -> VehicleModel | str:
     own = {name: getattr(message, name) for name in OVERRIDES if getattr(message, name) is not None}
     if any(not BOUNDS[name][0] <= value <= BOUNDS[name][1] for name, value in own.items()):
         return OUT_OF_RANGE
-    known = catalogue().get(message.model)
+    known = load_catalogue().get(message.model)
     if known is None and len(own) < len(OVERRIDES):
         return UNKNOWN_MODEL
     sources = dict.fromkeys(own, "the car's own vehicle message")

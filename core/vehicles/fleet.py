@@ -9,7 +9,7 @@ import numpy as np
 
 from core.batch import Floats, Ints, grown
 from core.codec import Vehicle
-from core.vehicles import VehicleModel, vehicle_model
+from core.vehicles.catalogue import VehicleModel, vehicle_model
 
 UNKNOWN: Final = 0
 """Kind of a car that has not said what it is, or whose model is not known."""
