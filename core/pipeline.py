@@ -12,8 +12,6 @@ from core import effects
 from core.batch import Batch, Ints, Lanes, grown
 from core.cleaning.kernel import STATE, Cleaner
 from core.cleaning.quality import CAUSES
-from core.codec import Leg, Message, Outlook, Plan, Ride, Vehicle, Weather
-from core.decode import Decoder, Event
 from core.errors import AskError
 from core.forecast.day_rollover import Calendar, Night
 from core.forecast.engine import Foresight, Rows
@@ -34,6 +32,8 @@ from core.snapshot import opened, sealed
 from core.totals.accumulator import Ledger, Sums, Totals, amounts
 from core.totals.tables import ride_table, text, unfit_reason, window_table
 from core.vehicles.fleet import Cars
+from core.wire.decoder import Decoder, Event
+from core.wire.messages import Leg, Message, Outlook, Plan, Ride, Vehicle, Weather
 
 BLOCK: Final = 4000
 """Rows that go through the steps at a time, so that their columns stay in the cache.

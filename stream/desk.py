@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from math import inf
 from typing import Any, Final, Protocol
 
-from core.codec import Leg, Outlook, Plan, encode
 from core.errors import AskError, SocastError
 from core.forecast.ask import asked_leg, asked_plan, asked_vehicle, parameters
+from core.wire.messages import Leg, Outlook, Plan, encode
 from stream.log_lines import fields, flat
 
 SPEND_S: Final = 0.1

@@ -26,8 +26,8 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, ChunkIndex, DataEnd, Footer, Header, Schema, Statistics, SummaryOffset
 
-from core.codec import KINDS, Message, address, schema
 from core.errors import RecordingError
+from core.wire.messages import KINDS, Message, address, schema
 from stream.mcap_read import Losses, McapSource
 from stream.mcap_records import FOOTER_RECORD, MAGIC, MESSAGE_HEAD, RECORD
 

@@ -18,8 +18,8 @@ from typing import BinaryIO, Final, NamedTuple
 
 import zstandard
 
-from core.codec import Message
 from core.errors import RecordingError
+from core.wire.messages import Message
 from stream.mcap_records import (
     CHANNEL,
     CHUNK,

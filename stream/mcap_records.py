@@ -15,7 +15,7 @@ from typing import Final
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
-from core.codec import address, schema
+from core.wire.messages import address, schema
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 LARGEST_CHUNK: Final = 1 << 30

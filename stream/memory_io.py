@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Self
 
-from core.codec import Message
+from core.wire.messages import Message
 
 
 @dataclass

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from threading import Condition, Thread
 
-from core.codec import Message
+from core.wire.messages import Message
 from stream.source import Sink
 
 

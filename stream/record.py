@@ -7,8 +7,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
-from core.codec import Message
 from core.errors import RecordingError, SettingsError
+from core.wire.messages import Message
 from stream.mcap_io import McapSink
 
 FILE_BYTES: Final = 256 << 20

@@ -12,7 +12,7 @@ from threading import Event
 from types import FrameType
 from typing import Any, Final, Protocol
 
-from core.codec import Message
+from core.wire.messages import Message
 from stream.log_lines import fields, flat
 from stream.record import Recorder
 from stream.source import Sink, Source

@@ -13,8 +13,8 @@ from operator import attrgetter
 from threading import Event
 from typing import Final, Protocol, TypeAlias
 
-from core.codec import Message
 from core.errors import SettingsError
+from core.wire.messages import Message
 
 Source: TypeAlias = Iterable[list[Message]]
 """What yields messages, in lists of whatever is ready."""

@@ -27,8 +27,8 @@ from typing import Any, Final
 import zenoh
 from zenoh import ext, handlers
 
-from core.codec import Message
 from core.errors import SettingsError
+from core.wire.messages import Message
 from stream.source import LOOK_UP_S
 from stream.zenoh_node import Node, plain
 

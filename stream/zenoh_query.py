@@ -165,7 +165,7 @@ def ask(
     Returns
     -------
     bytes
-        JSON of a `core.codec.Outlook`.
+        JSON of a `core.wire.messages.Outlook`.
 
     Raises
     ------

@@ -12,11 +12,11 @@ from hypothesis import settings
 from core.batch import Batch, Lanes
 from core.cleaning.kernel import Clean, Cleaner
 from core.cleaning.quality import Quality
-from core.codec import Message
 from core.columns import EARTH_RADIUS
-from core.decode import Decoder
 from core.pipeline import Pipeline
 from core.settings import Settings
+from core.wire.decoder import Decoder
+from core.wire.messages import Message
 
 settings.register_profile("quick", max_examples=15, deadline=None, derandomize=True)
 settings.load_profile("quick")

@@ -7,10 +7,10 @@ import msgspec
 import numpy as np
 from conftest import START, Columns, leaf, observed, telemetry, told
 
-from core.codec import Forecast, Message
 from core.forecast.day_rollover import LATELY
 from core.pipeline import Pipeline
 from core.settings import Settings
+from core.wire.messages import Forecast, Message
 from stream.mcap_io import McapSink
 
 CARS = ("a", "b", "c", "d", "e", "f")

@@ -4,9 +4,9 @@ from typing import Any
 
 import msgspec
 
-from core.codec import Interval, Leg, LegOutlook, Outlook, Plan
 from core.errors import AskError
 from core.forecast.plan_checks import refusal
+from core.wire.messages import Interval, Leg, LegOutlook, Outlook, Plan
 
 NOW = 1_705_320_000.0
 """Time of the newest sample of every car. [s]"""

@@ -1,6 +1,6 @@
 """A shift of a few cars, as messages, for tests of what carries them."""
 
-from core.codec import Message, Telemetry, Vehicle, Weather, encode
+from core.wire.messages import Message, Telemetry, Vehicle, Weather, encode
 
 BEGIN = 1_516_017_600
 

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 import msgspec
 import numpy as np
 
-from core.codec import Telemetry, address
+from core.wire.messages import Telemetry, address
 from tools.simulator import physics
 from tools.simulator.cars import make_car
 from tools.simulator.fleet import simulate

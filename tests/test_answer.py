@@ -27,10 +27,10 @@ from fleet_days import (
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.codec import Interval, Leg, Plan, encode
 from core.errors import AskError
 from core.forecast.outlook import RESERVE as RESERVE_SHARE
 from core.forecast.plan_tracker import LONGEST_SHIFT
+from core.wire.messages import Interval, Leg, Plan, encode
 
 CAR = "c"
 BEGIN = float(columns(CAR, DAYS)["time_s"][0])

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.codec import Leg
 from core.errors import AskError
 from core.forecast.ask import MOST_BYTES, asked_leg, asked_plan, asked_vehicle, parameters
+from core.wire.messages import Leg
 
 RIDE = {"distance_km": "18", "duration_s": "1500"}
 PLAN = {"shift_end_s": 7200.0, "reserve_soc_pct": 20.0, "legs": [{"distance_km": 3.0, "duration_s": 300.0}]}

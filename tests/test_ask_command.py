@@ -10,7 +10,7 @@ from rich.console import Console
 from test_cli import consumer, logged  # noqa: F401 - a fixture among them
 from zenoh_sessions import live
 
-from core.codec import Interval, LegOutlook
+from core.wire.messages import Interval, LegOutlook
 from stream.zenoh_node import free_port
 from tools.ask import figures, show, verdict
 

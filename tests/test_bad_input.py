@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from conftest import drive, leaf, observed, ran, telemetry, told
 
-from core.codec import Message
 from core.columns import KMH
 from core.pipeline import Pipeline
+from core.wire.messages import Message
 
 FUZZED = 10_000
 KEYS = (

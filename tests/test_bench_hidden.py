@@ -9,10 +9,10 @@ import pandas as pd
 import pytest
 
 from core import effects
-from core.codec import Telemetry, Weather, encode
 from core.diagnose.dataset import Windows, fitted, gather
 from core.errors import SettingsError
 from core.pipeline import Pipeline
+from core.wire.messages import Telemetry, Weather, encode
 from tools.bench.hidden import cases as cases_module
 from tools.bench.hidden.cases import RIGHT, Case, Source, right, stem
 from tools.bench.hidden.drives import FLEET, Where, drive

@@ -7,9 +7,9 @@ from conftest import chunked, drive, leaf, ran, telemetry, told
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.codec import Vehicle
 from core.vehicles import load_catalogue
 from core.vehicles.fleet import PARAMETERS, UNKNOWN, Cars
+from core.wire.messages import Vehicle
 
 
 def vehicle(model="nissan-leaf-2013", **fields):

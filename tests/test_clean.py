@@ -15,8 +15,8 @@ from core.batch import Batch, Lanes
 from core.cleaning.kernel import Clean, Cleaner
 from core.cleaning.quality import Quality
 from core.columns import TELEMETRY
-from core.decode import Decoder
 from core.settings import Settings
+from core.wire.decoder import Decoder
 
 N = 120
 

@@ -19,10 +19,10 @@ from commands import refused
 from recorded_shift import shift
 from typer.testing import CliRunner
 
-from core.codec import Forecast
 from core.errors import SettingsError
 from core.models import EXTENDED_PHYSICAL
 from core.pipeline import Pipeline
+from core.wire.messages import Forecast
 from stream.mcap_io import McapSink, McapSource
 from stream.run import Tally
 from stream.zenoh_node import free_port

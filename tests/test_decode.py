@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.batch import NO_RIDE, RIDE_UNKNOWN, Lanes
-from core.codec import KINDS, Message, Telemetry, Vehicle, Weather, address, encode, schema
-from core.decode import Decoder
+from core.wire.decoder import Decoder
+from core.wire.messages import KINDS, Message, Telemetry, Vehicle, Weather, address, encode, schema
 
 KEY = "fleet/a/telemetry"
 

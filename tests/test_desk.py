@@ -7,8 +7,8 @@ import msgspec
 import pytest
 from outlooks import NOW, PLANNED, Fleet
 
-from core.codec import Leg, Outlook, encode
 from core.errors import ModelError
+from core.wire.messages import Leg, Outlook, encode
 from stream.desk import LOG_S, SPEND_S, Desk
 from stream.run import Tally
 

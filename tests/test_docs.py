@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from core.codec import LegOutlook, Outlook
 from core.forecast.plan_checks import FASTEST_KMH, LEG_LIMITS, MOST_LEGS, PAST_S
 from core.forecast.plan_tracker import LONGEST_SHIFT
+from core.wire.messages import LegOutlook, Outlook
 from tools.cli import COMMANDS
 
 ROOT = Path(__file__).parent.parent

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from soc_frames import CAPACITY, told
 
-from core.codec import Interval, LegOutlook, Outlook
 from core.evaluate.soc.legs import EVERY, Questions, leg_cases
 from core.evaluate.soc.report import evaluate_soc
+from core.wire.messages import Interval, LegOutlook, Outlook
 
 BEGIN = 1_516_017_600.0
 HOUR = 3600.0

@@ -7,9 +7,9 @@ import pytest
 from conftest import PERIOD, START, drive, leaf, ran, telemetry, told, without
 from fleet_days import DAYS, again, forecasts, shift
 
-from core.codec import Forecast
 from core.models import EXTENDED_PHYSICAL
 from core.settings import Settings
+from core.wire.messages import Forecast
 
 
 def forecasts_of(messages, **options):

@@ -12,8 +12,8 @@ from published_files import BMW_HEADER, TWIZY_HEADER, bmw_file, made, overview, 
 from typer.testing import CliRunner
 
 from core.batch import Lanes
-from core.decode import Decoder
 from core.errors import ImportFileError, SettingsError
+from core.wire.decoder import Decoder
 from stream.mcap_read import McapSource
 from tools.import_drives import app, collect
 from tools.importers import bmw_i3, twizy, ved

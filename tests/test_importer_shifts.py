@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from published_files import made
 from typer.testing import CliRunner
 
-from core.codec import Plan
 from core.forecast.plan_checks import refusal
+from core.wire.messages import Plan
 from stream.mcap_read import McapSource
 from tools.import_drives import app, collect
 from tools.importers import ved

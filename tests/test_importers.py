@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from published_files import BMW_HEADER, VED_HEADER, bmw_file, overview, twizy_file, ved_file, ved_row
 
-from core.codec import Ride, Telemetry, Vehicle, Weather, address
 from core.vehicles import load_catalogue
+from core.wire.messages import Ride, Telemetry, Vehicle, Weather, address
 from tools.importers import bmw_i3, twizy, ved
 from tools.importers.drive import messages, samples
 from tools.importers.published import read

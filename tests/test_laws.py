@@ -15,8 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core import models
-from core.codec import Message
 from core.pipeline import Pipeline
+from core.wire.messages import Message
 
 CARS = ("a", "b", "c")
 

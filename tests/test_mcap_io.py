@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from core.codec import Message, Telemetry, Weather, encode, schema
 from core.errors import RecordingError
+from core.wire.messages import Message, Telemetry, Weather, encode, schema
 from stream.mcap_io import McapSink, McapSource
 
 SECOND = 1_000_000_000

@@ -4,7 +4,7 @@ from threading import Event
 
 import pytest
 
-from core.codec import Message
+from core.wire.messages import Message
 from stream.memory_io import MemorySink
 from stream.outbox import Outbox
 

@@ -7,12 +7,12 @@ from fleet_days import DAY, DAYS, LEG, LEGS, RESERVE, SHIFT, START, again, speed
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.codec import Leg, Plan
 from core.columns import ZERO_CELSIUS
 from core.forecast import outlook
 from core.forecast.learning.leg_energy import REGAINED, STEEPEST, TEMPERATURES
 from core.forecast.outlook import EARLY, FADES, OVERTIME, Known
 from core.forecast.soc_filter import NOISE, WANDER
+from core.wire.messages import Leg, Plan
 
 BEGIN = START + DAY * DAYS
 PLAN = Plan("c", BEGIN, BEGIN + SHIFT, RESERVE, [Leg(0.6 * v, 600.0) for v in speeds("c", DAYS).tolist()])

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.codec import Leg, Plan
 from core.forecast.plan_checks import AHEAD_S, LEG_LIMITS, MOST_LEGS, PAST_S, beyond, older, refusal
+from core.wire.messages import Leg, Plan
 
 NOW = 1_705_320_000.0
 GOOD = {"vehicle_id": "a", "time_s": NOW, "shift_end_s": NOW + 3600.0, "reserve_soc_pct": 20.0, "legs": []}

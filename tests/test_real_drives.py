@@ -13,13 +13,13 @@ import pytest
 from core.batch import Lanes
 from core.cleaning.kernel import Cleaner
 from core.cleaning.quality import CAUSES, Quality
-from core.codec import Message
 from core.columns import EARTH_RADIUS, KMH
-from core.decode import Decoder
 from core.effects import library
 from core.evaluate.paper.protocol import chosen, evaluate
 from core.pipeline import Pipeline
 from core.settings import Settings
+from core.wire.decoder import Decoder
+from core.wire.messages import Message
 from stream.mcap_read import McapSource
 from tools.import_drives import collect, write
 from tools.importers import bmw_i3, twizy, ved

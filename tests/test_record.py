@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from core.codec import Message
 from core.errors import RecordingError, SettingsError
+from core.wire.messages import Message
 from stream.mcap_io import McapSink, McapSource
 from stream.record import Recorder
 from stream.source import merged

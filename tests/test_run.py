@@ -14,9 +14,9 @@ from threading import Event
 import pytest
 from recorded_shift import shift
 
-from core.codec import Message
 from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
 from core.pipeline import Pipeline
+from core.wire.messages import Message
 from stream.log_lines import Lines, flat, write_lines
 from stream.mcap_io import McapSink, McapSource
 from stream.memory_io import MemorySink, MemorySource

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from test_laws import mixed, shift
 
 from core import effects
-from core.codec import ModelErrors
 from core.effects import registry
 from core.errors import ModelError, SocastError
 from core.models import ANY, BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, LinearModel, Term
 from core.monitoring.running_error import Standing
 from core.monitoring.shadow import MOST_VEHICLE_MODELS, Ended, Shadows
 from core.pipeline import Pipeline
+from core.wire.messages import ModelErrors
 
 WARM = msgspec.structs.replace(
     EXTENDED_PHYSICAL,

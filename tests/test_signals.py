@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.cleaning.quality import Quality
-from core.codec import Weather
 from core.columns import GRAVITY, SIGNALS
 from core.signals.signals import STEEPEST, Signals, ambient_quality
 from core.signals.weather import Stations
+from core.wire.messages import Weather
 
 N = 200
 START_OF_DAY = START - 8 * 3600

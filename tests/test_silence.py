@@ -4,8 +4,8 @@ import pytest
 from conftest import told
 from fleet_days import DAYS, LEG, RIDE, again, columns, shift
 
-from core.codec import Leg
 from core.pipeline import Pipeline
+from core.wire.messages import Leg
 from tools.ask import verdict
 
 CAR = "c"

@@ -15,8 +15,8 @@ import msgspec
 import pytest
 from simulated import PERFECT, SMALL, SUMMER, WINTER, run, samples
 
-from core.codec import KINDS, address
 from core.errors import SettingsError
+from core.wire.messages import KINDS, address
 from stream.mcap_read import McapSource
 from tools.simulate import record
 from tools.simulate import simulate as simulate_command

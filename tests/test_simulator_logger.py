@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from simulated import PERFECT, SMALL, WINTER, run, samples
 
-from core.codec import Telemetry, address
+from core.wire.messages import Telemetry, address
 from tools.simulator.settings import (
     NO_FAULTS,
     Faults,

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from simulated import PERFECT, SUMMER, WINTER, driven, run
 
-from core.codec import Weather
 from core.vehicles import load_catalogue
+from core.wire.messages import Weather
 from tools.simulator import physics
 from tools.simulator.physics import PARTS
 from tools.simulator.settings import (

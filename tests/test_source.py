@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.codec import Message
 from core.errors import SettingsError
+from core.wire.messages import Message
 from stream.memory_io import MemorySink, MemorySource
 from stream.source import merged, paced, until
 

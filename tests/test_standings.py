@@ -14,10 +14,10 @@ from rich.console import Console
 from test_cli import called, consumer, eventually, logged  # noqa: F401 - a fixture among them
 
 from core import models
-from core.codec import Gain, ModelErrors, RideErrors
 from core.errors import ModelError
 from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL, Training
 from core.pipeline import Pipeline
+from core.wire.messages import Gain, ModelErrors, RideErrors
 from stream.mcap_io import McapSink, McapSource
 from stream.run import Tally
 from stream.zenoh_node import Connection, Node, free_port

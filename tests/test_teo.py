@@ -14,11 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from simulated import SUMMER, WINTER, run
 
-from core.codec import address
 from core.errors import SettingsError
 from core.pipeline import Pipeline
 from core.totals.tables import WINTER as SEASON
 from core.totals.tables import is_winter
+from core.wire.messages import address
 from tools.cli import main
 from tools.simulator.cars import make_car
 from tools.simulator.driver import drive

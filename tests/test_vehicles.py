@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.codec import Vehicle
 from core.columns import ZERO_CELSIUS
 from core.errors import CatalogueError
 from core.vehicles.catalogue import (
@@ -22,6 +21,7 @@ from core.vehicles.catalogue import (
     read_catalogue,
     vehicle_model,
 )
+from core.wire.messages import Vehicle
 
 KEYS = {
     "nissan-leaf-2013",

@@ -6,8 +6,8 @@ from conftest import PERIOD, PLACE, START, drive, leaf, observed, ran, telemetry
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.codec import Weather
 from core.signals.weather import CLEARING, DRYING, KEPT, THAWING, Sky, Stations, held, snow_left, water_left
+from core.wire.messages import Weather
 
 
 def station(name="yul", time=0.0, place=PLACE, **fields):

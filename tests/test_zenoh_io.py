@@ -12,8 +12,8 @@ import pytest
 import zenoh
 from zenoh_sessions import eventually, router
 
-from core.codec import Message
 from core.errors import SettingsError
+from core.wire.messages import Message
 from stream.zenoh_io import ZenohSink, ZenohSource
 from stream.zenoh_node import Connection, Node, free_port
 

@@ -10,8 +10,8 @@ import pytest
 from outlooks import NOW, PLANNED
 from zenoh_sessions import eventually, live, router
 
-from core.codec import Leg, Message, Outlook, encode
 from core.errors import AskError, SettingsError
+from core.wire.messages import Leg, Message, Outlook, encode
 from stream.zenoh_io import ZenohSink, ZenohSource
 from stream.zenoh_node import Connection, Node
 from stream.zenoh_query import WAITING, ZenohQueries, ask

@@ -8,7 +8,7 @@ from typing import Any
 
 from outlooks import Fleet
 
-from core.codec import Message
+from core.wire.messages import Message
 from stream.desk import Desk
 from stream.run import run
 from stream.zenoh_io import ZenohSource

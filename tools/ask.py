@@ -10,9 +10,9 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
-from core.codec import Interval, LegOutlook, Outlook
 from core.errors import SettingsError
 from core.forecast.ask import asked_leg, asked_plan, asked_vehicle
+from core.wire.messages import Interval, LegOutlook, Outlook
 from stream.zenoh_node import LOOPBACK, Connection, Node
 from stream.zenoh_query import ask
 from tools.output import JsonFile, printer, writable, write_json

@@ -10,11 +10,11 @@ from typing import Annotated
 
 import typer
 
-from core.codec import Message, Telemetry, encode
 from core.errors import SettingsError, SocastError
 from core.models import Model
 from core.pipeline import Pipeline
 from core.settings import Settings
+from core.wire.messages import Message, Telemetry, encode
 from stream.desk import Desk
 from stream.log_lines import fields, flat, write_lines
 from stream.outbox import Outbox

@@ -12,8 +12,8 @@ from rich.table import Table
 from rich.text import Text
 
 from core import models
-from core.codec import Gain, ModelErrors, RideErrors
 from core.models import LinearModel
+from core.wire.messages import Gain, ModelErrors, RideErrors
 
 USUAL: Final = "extended_physical"
 """The model where none is named."""

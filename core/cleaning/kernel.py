@@ -146,8 +146,8 @@ class Cleaner:
     Examples
     --------
     >>> from core.batch import Lanes
-    >>> from core.codec import Message
-    >>> from core.decode import Decoder
+    >>> from core.wire.messages import Message
+    >>> from core.wire.decoder import Decoder
     >>> lanes = Lanes()
     >>> sample = b'{"vehicle_id": "a", "time_s": %d, "speed_kmh": 36}'
     >>> messages = [Message("fleet/a/telemetry", sample % t, 0) for t in (0, 3, 6, 9)]

@@ -11,9 +11,9 @@ from typing import Final
 
 import msgspec
 
-from core.codec import IDENTITY, Leg, Plan, Wire
 from core.errors import AskError
 from core.forecast.plan_checks import LEG_LIMITS, beyond, refusal
+from core.wire.messages import IDENTITY, Leg, Plan, Wire
 
 MOST_BYTES: Final = 4_000_000
 """Size of a payload."""

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from core.batch import Floats, Ints, grown
-from core.codec import Wire
+from core.wire.messages import Wire
 
 DAY: Final = 86400.0
 """[s]"""

@@ -8,11 +8,11 @@ import numpy as np
 
 from core.batch import Floats
 from core.cleaning.quality import CAUSES, FORECAST_CAUSES, Quality
-from core.codec import Forecast, Interval, Message, QualityCounts, encode
 from core.forecast.engine import Rows
 from core.totals.accumulator import Totals
 from core.totals.tables import measured_energy
 from core.vehicles.fleet import Cars
+from core.wire.messages import Forecast, Interval, Message, QualityCounts, encode
 
 _COUNTED: Final = {
     name: [CAUSES.index(flag.name.lower()) for flag in Quality if flag in bits and flag.name]

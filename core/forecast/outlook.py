@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
-from core.codec import Leg, Plan
 from core.columns import ZERO_CELSIUS
 from core.forecast.conformal import LEVELS
 from core.forecast.learning.leg_energy import TEMPERATURES, Tables, tents
 from core.forecast.soc_filter import NOISE, WANDER
+from core.wire.messages import Leg, Plan
 
 EARLY: Final = 600.0
 """Nor does a plan speak of samples that were so much before it. [s]"""

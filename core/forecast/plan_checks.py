@@ -2,7 +2,7 @@
 
 from typing import Final, NamedTuple
 
-from core.codec import Leg, Plan
+from core.wire.messages import Leg, Plan
 
 MOST_LEGS: Final = 500
 """Legs of a plan."""

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats, grown
-from core.codec import Plan
 from core.forecast.learning.leg_energy import TEMPERATURES, Tables
 from core.forecast.outlook import COURSE, OVERTIME, Legs, legs, timely
 from core.totals.accumulator import Totals
+from core.wire.messages import Plan
 
 PLAN_LAG: Final = 60.0
 """A ride that ends so soon after a plan came is not among its legs any more. [s]"""

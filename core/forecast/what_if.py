@@ -17,7 +17,6 @@ import msgspec
 import numpy as np
 
 from core.batch import Floats, Ints
-from core.codec import Interval, Leg, LegOutlook, Outlook, Plan
 from core.columns import ZERO_CELSIUS
 from core.errors import AskError
 from core.forecast import outlook, soc_filter
@@ -25,6 +24,7 @@ from core.forecast.outlook import RESERVE, Ahead, Known, Legs, Outcome, Usual
 from core.forecast.plan_checks import refusal
 from core.forecast.plan_tracker import LONGEST_SHIFT
 from core.vehicles.fleet import Cars
+from core.wire.messages import Interval, Leg, LegOutlook, Outlook, Plan
 
 if TYPE_CHECKING:
     from core.forecast.engine import Foresight

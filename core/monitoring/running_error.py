@@ -7,9 +7,9 @@ from typing import Any, Final
 import numpy as np
 
 from core.batch import Floats, grown
-from core.codec import Gain, ModelErrors, RideErrors
 from core.models import Model
 from core.stats.confidence_sequence import Clusters
+from core.wire.messages import Gain, ModelErrors, RideErrors
 
 _BOOK: Final = 4  # of a vehicle: day, vehicle model, rides and fall of the absolute error of the cluster in progress
 

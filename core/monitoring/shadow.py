@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
-from core.codec import Message, ModelErrors, encode, model_identity
 from core.effects.declaration import Effect
 from core.errors import ModelError
 from core.models import Model
@@ -24,6 +23,7 @@ from core.stats.confidence_sequence import LEVEL
 from core.totals.accumulator import Totals
 from core.totals.tables import measured_energy, model_columns
 from core.vehicles.fleet import Cars
+from core.wire.messages import Message, ModelErrors, encode, model_identity
 
 DAY: Final = 86400.0
 """Rides of a vehicle that begin on the same UTC day are one cluster. [s]"""

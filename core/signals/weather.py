@@ -9,8 +9,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from core.batch import Floats
-from core.codec import Weather
 from core.columns import KMH, ZERO_CELSIUS
+from core.wire.messages import Weather
 
 KEPT: Final = 48
 """Observations kept of each station."""

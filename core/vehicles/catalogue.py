@@ -11,9 +11,9 @@ from typing import Any, Final
 import numpy as np
 
 from core.batch import Floats
-from core.codec import Vehicle
 from core.columns import ZERO_CELSIUS
 from core.errors import CatalogueError
+from core.wire.messages import Vehicle
 
 OCCUPANT_MASS: Final = 75.0
 """A person with hand luggage. [kg] Regulation (EU) No 1230/2012, Art. 2(4)(a), driver."""

@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 
 from core.batch import Floats, Ints, grown
-from core.codec import Vehicle
 from core.vehicles.catalogue import VehicleModel, vehicle_model
+from core.wire.messages import Vehicle
 
 UNKNOWN: Final = 0
 """Kind of a car that has not said what it is, or whose model is not known."""

@@ -6,10 +6,10 @@ from datetime import UTC, datetime
 from typing import Any, Final
 from unittest.mock import patch
 
-from core.codec import Leg, Message, Plan, encode
 from core.forecast import soc_filter
 from core.forecast.engine import Foresight
 from core.pipeline import BLOCK, Pipeline
+from core.wire.messages import Leg, Message, Plan, encode
 from tools.bench.fleet import PERIOD_S, START_S, identity, rounds, vehicles
 from tools.bench.measures import Measure, blocks
 from tools.simulator.fleet import simulate

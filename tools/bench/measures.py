@@ -12,10 +12,10 @@ import numpy as np
 from mcap.reader import make_reader
 
 from core.batch import Batch, Lanes
-from core.codec import Message
-from core.decode import Decoder
 from core.models import EXTENDED_PHYSICAL
 from core.pipeline import BLOCK, Pipeline
+from core.wire.decoder import Decoder
+from core.wire.messages import Message
 from stream.mcap_io import McapSink, McapSource
 from tools.bench.fleet import rounds, vehicles
 

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from core.batch import Floats
-from core.codec import Message, Plan, Ride, Telemetry, Vehicle, Weather, encode
+from core.wire.messages import Message, Plan, Ride, Telemetry, Vehicle, Weather, encode
 from tools.importers.resample import grid, held_means, held_rows
 
 LONGEST_DRIVE: Final = 86_400.0

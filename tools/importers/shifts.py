@@ -13,7 +13,7 @@ from zlib import crc32
 import numpy as np
 
 from core.batch import Floats
-from core.codec import Leg, Message, Plan
+from core.wire.messages import Leg, Message, Plan
 from tools.importers.drive import Drive, message, moved
 from tools.importers.resample import LONGEST_HOLD
 

@@ -26,8 +26,8 @@ import numpy as np
 import pandas as pd
 
 from core.batch import Floats
-from core.codec import Weather
 from core.errors import ImportFileError
+from core.wire.messages import Weather
 from tools.importers.drive import LONGEST_DRIVE, Drive
 from tools.importers.published import TWIZY, read, stem
 

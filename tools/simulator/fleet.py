@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.codec import Message, Plan, Ride, Vehicle, Wire, encode
+from core.wire.messages import Message, Plan, Ride, Vehicle, Wire, encode
 from tools.simulator import calibration, physics
 from tools.simulator import preset as presets
 from tools.simulator.cars import Car, make_car

@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 
 from core.batch import Floats
-from core.codec import Message, Telemetry, encode
 from core.columns import KMH
+from core.wire.messages import Message, Telemetry, encode
 from tools.simulator.cars import Car
 from tools.simulator.physics import State
 from tools.simulator.settings import PERIOD, STEPS_PER_SAMPLE, Faults

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from core.batch import Floats, Ints
-from core.codec import Leg
+from core.wire.messages import Leg
 from tools.simulator.cars import Car
 from tools.simulator.driver import Style, congestion, drive, make_style
 from tools.simulator.settings import LOCAL, STEP, Faults

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from core.batch import Floats
-from core.codec import Message, Weather, encode
+from core.wire.messages import Message, Weather, encode
 from tools.simulator.settings import LOCAL
 from tools.simulator.world import ORIGIN
 

@@ -11,9 +11,9 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from core.codec import Outlook
 from core.evaluate.soc.cases import DAY, KEY, keyed
 from core.forecast.plan_tracker import SHORTEST_RIDE
+from core.wire.messages import Outlook
 
 EVERY: Final = 1800.0
 """Time between two questions about a car. [s]"""

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from core.batch import Floats
-from core.codec import Message
+from core.wire.messages import Message
 from tools.simulator import calibration, physics
 from tools.simulator.fleet import Driven, Member, drive_shift, make_members, sent, sky_over, with_weather
 from tools.simulator.hidden import View

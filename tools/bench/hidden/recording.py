@@ -16,9 +16,7 @@ import pandas as pd
 from core import effects
 from core.batch import Batch, Floats, Ints, Lanes
 from core.cleaning.kernel import Clean, Cleaner
-from core.codec import Message, Ride, Vehicle, Weather, encode
 from core.columns import JOULES_PER_KWH
-from core.decode import Decoder
 from core.effects import Effect
 from core.pipeline import BLOCK
 from core.settings import Settings
@@ -27,6 +25,8 @@ from core.signals.weather import Sky, Stations
 from core.totals.accumulator import AMOUNTS, Ledger, Totals, amounts
 from core.totals.tables import ride_table, text, window_table
 from core.vehicles.fleet import Cars
+from core.wire.decoder import Decoder
+from core.wire.messages import Message, Ride, Vehicle, Weather, encode
 from tools.bench.hidden.drives import (
     CURRENT_MARK,
     SOC_MARK,

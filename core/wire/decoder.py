@@ -11,8 +11,8 @@ import msgspec
 import numpy as np
 
 from core.batch import NO_RIDE, RIDE_UNKNOWN, Batch, Floats, Lanes
-from core.codec import KINDS, OF_VEHICLES, Message, Telemetry, Wire, address, identity
 from core.columns import KMH, ZERO_CELSIUS
+from core.wire.messages import KINDS, OF_VEHICLES, Message, Telemetry, Wire, address, identity
 
 
 class Event(NamedTuple):

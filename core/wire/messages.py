@@ -1,6 +1,6 @@
 """Wire structs, field by field as the wire contract has them, their payloads and their JSON schemas.
 
-Names wear the wire's units. `core.decode` turns payloads into the SI columns that everything else works on.
+Names wear the wire's units. `core.wire.decoder` turns payloads into the SI columns that everything else works on.
 """
 
 import re
