@@ -11,7 +11,7 @@ from core.forecast.day_rollover import LATELY
 from core.pipeline import Pipeline
 from core.settings import Settings
 from core.wire.messages import Forecast, Message
-from stream.mcap_io import McapSink
+from stream.mcap_writer import McapSink
 
 CARS = ("a", "b", "c", "d", "e", "f")
 DAYS = 5

@@ -11,7 +11,7 @@ from test_cli import consumer, logged  # noqa: F401 - a fixture among them
 from zenoh_sessions import live
 
 from core.wire.messages import Interval, LegOutlook
-from stream.zenoh_node import free_port
+from stream.zenoh_session import free_port
 from tools.ask import figures, show, verdict
 
 RIDE = ("--distance-km", "18", "--duration-s", "1500")

@@ -23,9 +23,9 @@ from core.errors import SettingsError
 from core.models import EXTENDED_PHYSICAL
 from core.pipeline import Pipeline
 from core.wire.messages import Forecast
-from stream.mcap_io import McapSink, McapSource
-from stream.run import Tally
-from stream.zenoh_node import free_port
+from stream.loop import Tally
+from stream.mcap_writer import McapSink, McapSource
+from stream.zenoh_session import free_port
 from tools.cli import COMMANDS, application, main
 from tools.live import Keeper
 

@@ -9,8 +9,8 @@ from outlooks import NOW, PLANNED, Fleet
 
 from core.errors import ModelError
 from core.wire.messages import Leg, Outlook, encode
-from stream.desk import LOG_S, SPEND_S, Desk
-from stream.run import Tally
+from stream.loop import Tally
+from stream.query_service import LOG_S, SPEND_S, Desk
 
 
 @dataclass

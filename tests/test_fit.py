@@ -15,9 +15,9 @@ from core import models
 from core.fit.recipes import RECIPES
 from core.models import ANY, LinearModel
 from core.pipeline import Pipeline
-from stream.mcap_io import McapSink, McapSource
-from stream.memory_io import MemorySink, MemorySource
-from stream.run import run
+from stream.loop import run
+from stream.mcap_writer import McapSink, McapSource
+from stream.memory import MemorySink, MemorySource
 from tools.fit import ride_files
 
 PAPER = list(RECIPES)[:7]

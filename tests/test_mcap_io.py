@@ -12,7 +12,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from core.errors import RecordingError
 from core.wire.messages import Message, Telemetry, Weather, encode, schema
-from stream.mcap_io import McapSink, McapSource
+from stream.mcap_writer import McapSink, McapSource
 
 SECOND = 1_000_000_000
 BEGIN = 1_700_000_000 * SECOND

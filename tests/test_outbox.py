@@ -5,8 +5,8 @@ from threading import Event
 import pytest
 
 from core.wire.messages import Message
-from stream.memory_io import MemorySink
-from stream.outbox import Outbox
+from stream.latest_only_sink import Outbox
+from stream.memory import MemorySink
 
 
 class Slow(MemorySink):

@@ -6,8 +6,8 @@ import pytest
 
 from core.errors import RecordingError, SettingsError
 from core.wire.messages import Message
-from stream.mcap_io import McapSink, McapSource
-from stream.record import Recorder
+from stream.mcap_writer import McapSink, McapSource
+from stream.recorder import Recorder
 from stream.source import merged
 
 SECOND = 1_000_000_000

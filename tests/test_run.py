@@ -17,14 +17,14 @@ from recorded_shift import shift
 from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
 from core.pipeline import Pipeline
 from core.wire.messages import Message
-from stream.log_lines import Lines, flat, write_lines
-from stream.mcap_io import McapSink, McapSource
-from stream.memory_io import MemorySink, MemorySource
-from stream.record import Recorder
-from stream.run import run, stopping
+from stream.loop import run, stopping
+from stream.mcap_writer import McapSink, McapSource
+from stream.memory import MemorySink, MemorySource
+from stream.recorder import Recorder
 from stream.source import until
-from stream.zenoh_io import ZenohSource
-from stream.zenoh_node import Connection, Node
+from stream.structured_log import Lines, flat, write_lines
+from stream.zenoh_pubsub import ZenohSource
+from stream.zenoh_session import Connection, Node
 
 Told = tuple[list[Message], list[Message], str]
 
@@ -105,9 +105,9 @@ def test_in_service_the_newest_of_each_model_is_handed_on_once_in_a_while():
 
 PUBLISH = """
 import sys, time
-from stream.mcap_io import McapSource
-from stream.zenoh_io import ZenohSink
-from stream.zenoh_node import Connection, Node
+from stream.mcap_writer import McapSource
+from stream.zenoh_pubsub import ZenohSink
+from stream.zenoh_session import Connection, Node
 with Node(Connection(connect=(sys.argv[1],))) as node:
     sink = ZenohSink(node)
     deadline = time.monotonic() + 20

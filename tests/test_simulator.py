@@ -17,7 +17,7 @@ from simulated import PERFECT, SMALL, SUMMER, WINTER, run, samples
 
 from core.errors import SettingsError
 from core.wire.messages import KINDS, address
-from stream.mcap_read import McapSource
+from stream.mcap_reader import McapSource
 from tools.simulate import record
 from tools.simulate import simulate as simulate_command
 from tools.simulator.fleet import simulate

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from core.errors import SettingsError
 from core.wire.messages import Message
-from stream.memory_io import MemorySink, MemorySource
+from stream.memory import MemorySink, MemorySource
 from stream.source import merged, paced, until
 
 SECOND = 1_000_000_000

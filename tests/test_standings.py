@@ -18,9 +18,9 @@ from core.errors import ModelError
 from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL, Training
 from core.pipeline import Pipeline
 from core.wire.messages import Gain, ModelErrors, RideErrors
-from stream.mcap_io import McapSink, McapSource
-from stream.run import Tally
-from stream.zenoh_node import Connection, Node, free_port
+from stream.loop import Tally
+from stream.mcap_writer import McapSink, McapSource
+from stream.zenoh_session import Connection, Node, free_port
 from tools.live import Keeper
 from tools.screen import Screen, fleet_table
 from tools.standings import fitted_then, line, loaded, models_table, verdict

@@ -14,8 +14,8 @@ from zenoh_sessions import eventually, router
 
 from core.errors import SettingsError
 from core.wire.messages import Message
-from stream.zenoh_io import ZenohSink, ZenohSource
-from stream.zenoh_node import Connection, Node, free_port
+from stream.zenoh_pubsub import ZenohSink, ZenohSource
+from stream.zenoh_session import Connection, Node, free_port
 
 KEYS = ("fleet/a/telemetry", "fleet/b/telemetry", "weather/yul")
 

@@ -8,7 +8,7 @@ import pytest
 from zenoh_sessions import router
 
 from core.errors import SettingsError
-from stream.zenoh_node import Connection, Node, _config, _endpoints, free_port
+from stream.zenoh_session import Connection, Node, _config, _endpoints, free_port
 
 
 @pytest.mark.parametrize("prefix", ["a/**", "*", "a b?", "a//b", "a$*", "a#b", "a\nb"])

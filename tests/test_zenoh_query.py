@@ -12,9 +12,9 @@ from zenoh_sessions import eventually, live, router
 
 from core.errors import AskError, SettingsError
 from core.wire.messages import Leg, Message, Outlook, encode
-from stream.zenoh_io import ZenohSink, ZenohSource
-from stream.zenoh_node import Connection, Node
-from stream.zenoh_query import WAITING, ZenohQueries, ask
+from stream.zenoh_pubsub import ZenohSink, ZenohSource
+from stream.zenoh_queryable import WAITING, ZenohQueries, ask
+from stream.zenoh_session import Connection, Node
 
 RIDE = {"distance_km": "18", "duration_s": "1500"}
 

@@ -9,11 +9,11 @@ from typing import Any
 from outlooks import Fleet
 
 from core.wire.messages import Message
-from stream.desk import Desk
-from stream.run import run
-from stream.zenoh_io import ZenohSource
-from stream.zenoh_node import Connection, Node
-from stream.zenoh_query import ZenohQueries
+from stream.loop import run
+from stream.query_service import Desk
+from stream.zenoh_pubsub import ZenohSource
+from stream.zenoh_queryable import ZenohQueries
+from stream.zenoh_session import Connection, Node
 
 
 @contextmanager

@@ -13,8 +13,8 @@ from rich.text import Text
 from core.errors import SettingsError
 from core.forecast.ask import asked_leg, asked_plan, asked_vehicle
 from core.wire.messages import Interval, LegOutlook, Outlook
-from stream.zenoh_node import LOOPBACK, Connection, Node
-from stream.zenoh_query import ask
+from stream.zenoh_queryable import ask
+from stream.zenoh_session import LOOPBACK, Connection, Node
 from tools.output import JsonFile, printer, writable, write_json
 
 LOW_RISK: Final = 0.05

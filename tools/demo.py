@@ -13,12 +13,12 @@ import typer
 from core import models
 from core.errors import SettingsError, SocastError
 from core.pipeline import Pipeline
-from stream.log_lines import write_lines
-from stream.mcap_io import McapSource
-from stream.outbox import Outbox
-from stream.run import PUBLISH_S, Tally, run, stopping
-from stream.zenoh_io import ZenohSink, ZenohSource
-from stream.zenoh_node import Connection, Node
+from stream.latest_only_sink import Outbox
+from stream.loop import PUBLISH_S, Tally, run, stopping
+from stream.mcap_writer import McapSource
+from stream.structured_log import write_lines
+from stream.zenoh_pubsub import ZenohSink, ZenohSource
+from stream.zenoh_session import Connection, Node
 from tools.info import described
 from tools.live import both, warm_up
 from tools.output import JsonFile, ModelName, printer, writable, write_json

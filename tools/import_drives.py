@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import track
 
 from core.errors import ImportFileError, SettingsError
-from stream.mcap_io import McapSink
+from stream.mcap_writer import McapSink
 from tools.importers import bmw_i3, twizy, ved
 from tools.importers.drive import Drive, in_order, messages
 from tools.importers.published import files

@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from core.wire.messages import OF_VEHICLES, address
-from stream.mcap_io import McapSource
+from stream.mcap_writer import McapSource
 from tools.output import JsonFile, printer, writable, write_json
 from tools.recordings import Recordings, opened, reading, warn_of_losses
 

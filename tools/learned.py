@@ -12,8 +12,8 @@ from core.errors import SettingsError
 from core.models import Model
 from core.pipeline import Pipeline
 from core.settings import Settings
-from stream.mcap_io import McapSource
-from stream.run import seldom_collecting
+from stream.loop import seldom_collecting
+from stream.mcap_writer import McapSource
 from stream.source import merged
 from tools.recordings import opened, reading, warn_of_losses
 

@@ -15,14 +15,14 @@ from core.models import Model
 from core.pipeline import Pipeline
 from core.settings import Settings
 from core.wire.messages import Message, Telemetry, encode
-from stream.desk import Desk
-from stream.log_lines import fields, flat, write_lines
-from stream.outbox import Outbox
-from stream.record import FILE_BYTES, FILE_S, FLUSH_S, Recorder
-from stream.run import PUBLISH_S, REPORT_S, Tally, run, stopping
-from stream.zenoh_io import ZenohSink, ZenohSource
-from stream.zenoh_node import LOOPBACK, Connection, Mode, Node
-from stream.zenoh_query import ZenohQueries
+from stream.latest_only_sink import Outbox
+from stream.loop import PUBLISH_S, REPORT_S, Tally, run, stopping
+from stream.query_service import Desk
+from stream.recorder import FILE_BYTES, FILE_S, FLUSH_S, Recorder
+from stream.structured_log import fields, flat, write_lines
+from stream.zenoh_pubsub import ZenohSink, ZenohSource
+from stream.zenoh_queryable import ZenohQueries
+from stream.zenoh_session import LOOPBACK, Connection, Mode, Node
 from tools.cleaning import cleaned
 from tools.learned import History, learned
 from tools.output import EffectFiles

@@ -13,8 +13,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from core.errors import SettingsError
 from core.pipeline import Pipeline
-from stream.mcap_io import McapSink, McapSource
-from stream.run import Tally, run
+from stream.loop import Tally, run
+from stream.mcap_writer import McapSink, McapSource
 from stream.source import Source, merged
 from tools.screen import Screen
 

@@ -13,11 +13,11 @@ from rich.console import Console
 from core.errors import SettingsError
 from core.pipeline import Pipeline
 from core.settings import Settings
-from stream.mcap_io import McapSink, McapSource
-from stream.run import stopping
+from stream.loop import stopping
+from stream.mcap_writer import McapSink, McapSource
 from stream.source import Source, merged, paced, until
-from stream.zenoh_io import ZenohSink
-from stream.zenoh_node import Connection, Node, key_prefix
+from stream.zenoh_pubsub import ZenohSink
+from stream.zenoh_session import Connection, Node, key_prefix
 from tools.cleaning import cleaned
 from tools.learned import History, learned
 from tools.outcomes import Outcomes, show_outcomes

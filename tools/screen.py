@@ -18,7 +18,7 @@ from rich.text import Text
 from core.forecast.status import VehicleStatus
 from core.monitoring.shadow import Shadows
 from core.pipeline import Pipeline
-from stream.run import Tally
+from stream.loop import Tally
 from tools.output import printer
 from tools.standings import WIDE, models_table
 

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from stream.mcap_io import McapSink
+from stream.mcap_writer import McapSink
 from tools.simulator.fleet import shifts
 from tools.simulator.fleet import simulate as messages_of
 from tools.simulator.hidden import EFFECTS

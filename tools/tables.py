@@ -15,7 +15,7 @@ from core import effects, models
 from core.errors import SettingsError
 from core.pipeline import Pipeline
 from core.settings import Settings
-from stream.mcap_io import McapSource
+from stream.mcap_writer import McapSource
 from stream.source import merged
 from tools.cleaning import cleaned
 from tools.output import EffectFiles, JsonFile, ModelName, model_files, printer, writable, write_json

@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from stream.mcap_read import McapSource
+from stream.mcap_reader import McapSource
 from tools.cli import main as socast
 
 ROOT: Final = Path(__file__).parents[2]

@@ -9,10 +9,10 @@ from typing import Any, TypeAlias
 
 from core.models import EXTENDED_PHYSICAL
 from core.pipeline import Pipeline
-from stream.outbox import Outbox
-from stream.run import PUBLISH_S, Tally, run
-from stream.zenoh_io import ZenohSink, ZenohSource
-from stream.zenoh_node import Connection, Node, free_port
+from stream.latest_only_sink import Outbox
+from stream.loop import PUBLISH_S, Tally, run
+from stream.zenoh_pubsub import ZenohSink, ZenohSource
+from stream.zenoh_session import Connection, Node, free_port
 from tools.bench.fleet import rounds, vehicles
 from tools.bench.measures import Measure, alternating
 

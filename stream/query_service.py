@@ -10,7 +10,7 @@ from typing import Any, Final, Protocol
 from core.errors import AskError, SocastError
 from core.forecast.ask import asked_leg, asked_plan, asked_vehicle, parameters
 from core.wire.messages import Leg, Outlook, Plan, encode
-from stream.log_lines import fields, flat
+from stream.structured_log import fields, flat
 
 SPEND_S: Final = 0.1
 """After how long the telemetry has its turn again, whatever is still asked. [s]"""
@@ -21,7 +21,7 @@ _log = logging.getLogger("socast.desk")
 
 
 class Question(Protocol):
-    """A question that waits, such as `stream.zenoh_query.Query`."""
+    """A question that waits, such as `stream.zenoh_queryable.Query`."""
 
     @property
     def vehicle(self) -> str:

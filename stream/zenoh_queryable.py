@@ -26,7 +26,7 @@ import zenoh
 from zenoh import handlers
 
 from core.errors import AskError, SettingsError
-from stream.zenoh_node import Node, plain
+from stream.zenoh_session import Node, plain
 
 WAITING: Final = 256
 """Questions that wait to be looked at, and answers that wait to be sent; what is more is dropped."""

@@ -28,8 +28,8 @@ from mcap.records import Channel, Chunk, ChunkIndex, DataEnd, Footer, Header, Sc
 
 from core.errors import RecordingError
 from core.wire.messages import KINDS, Message, address, schema
-from stream.mcap_read import Losses, McapSource
-from stream.mcap_records import FOOTER_RECORD, MAGIC, MESSAGE_HEAD, RECORD
+from stream.mcap_format import FOOTER_RECORD, MAGIC, MESSAGE_HEAD, RECORD
+from stream.mcap_reader import Losses, McapSource
 
 __all__ = ["Losses", "McapSink", "McapSource"]
 

@@ -20,7 +20,7 @@ import zstandard
 
 from core.errors import RecordingError
 from core.wire.messages import Message
-from stream.mcap_records import (
+from stream.mcap_format import (
     CHANNEL,
     CHUNK,
     CHUNK_INDEX,

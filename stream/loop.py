@@ -13,9 +13,9 @@ from types import FrameType
 from typing import Any, Final, Protocol
 
 from core.wire.messages import Message
-from stream.log_lines import fields, flat
-from stream.record import Recorder
+from stream.recorder import Recorder
 from stream.source import Sink, Source
+from stream.structured_log import fields, flat
 
 REPORT_S: Final = 30.0
 """Time between two lines of counters. [s]"""

@@ -9,7 +9,7 @@ from typing import Final
 
 from core.errors import RecordingError, SettingsError
 from core.wire.messages import Message
-from stream.mcap_io import McapSink
+from stream.mcap_writer import McapSink
 
 FILE_BYTES: Final = 256 << 20
 """Size at which a file is closed and the next one begun. [B]"""
