@@ -12,7 +12,7 @@ from zenoh_sessions import live
 
 from core.wire.messages import Interval, LegOutlook
 from stream.zenoh_session import free_port
-from tools.ask import figures, show, verdict
+from tools.commands.ask import figures, show, verdict
 
 RIDE = ("--distance-km", "18", "--duration-s", "1500")
 NOTHING_AFTER = {"reserve_risk": None, "soc_end_of_shift_pct": None, "shift_end_s": None, "legs": []}

@@ -27,7 +27,7 @@ from stream.loop import Tally
 from stream.mcap_writer import McapSink, McapSource
 from stream.zenoh_session import free_port
 from tools.cli import COMMANDS, application, main
-from tools.live import Keeper
+from tools.commands.live import Keeper
 
 SOCAST = [sys.executable, "-m", "tools.cli"]
 

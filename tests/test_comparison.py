@@ -23,7 +23,7 @@ from core.models.features import FEATURES
 from core.models.parts import CORRECTION, parts
 from core.stats.clustered import clustered_mean, clustered_ratio, less, vehicle_days
 from core.stats.scores import Estimate
-from tools.tables import in_memory
+from tools.commands.tables import in_memory
 
 SHIFT = Path(__file__).parent.parent / "recordings" / "shift.mcap"
 seeds = st.integers(0, 2**32 - 1)

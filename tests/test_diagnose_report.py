@@ -9,7 +9,7 @@ from diagnosis_result import diagnosis, missing, nothing_missing
 from rich.console import Console
 from test_report import read
 
-from tools.diagnose import say_commands, term_of
+from tools.commands.diagnose import say_commands, term_of
 from tools.report import diagnosis as report
 from tools.report import diagnosis_words as words
 from tools.report.diagnosis_figures import coefficients, effects, errors, remains, slices

@@ -11,7 +11,7 @@ from core.columns import SIGNALS
 from core.effects import get, library, load_file, registry, tabulated, topics
 from core.errors import EffectError, SettingsError
 from tools.cli import main
-from tools.effects import app
+from tools.commands.effects import app
 
 GOOD = '''
 import numpy as np

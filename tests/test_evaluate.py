@@ -11,7 +11,7 @@ from test_segments import windows
 
 from core.fit import segment_network
 from tools.cli import main
-from tools.evaluate import read, window_columns
+from tools.commands.evaluate import read, window_columns
 from tools.output import writable
 
 QUICK = ("--recipes", "basic_physical,empirical", "--repeats", "2", "--jobs", "1")

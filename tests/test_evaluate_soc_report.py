@@ -14,9 +14,9 @@ from test_report import read
 from core.evaluate.paper.results import plain
 from core.evaluate.soc.report import evaluate_soc
 from core.stats.soc_share import ENOUGH
-from tools import evaluate_soc as command
 from tools.cli import main
-from tools.import_drives import collect, write
+from tools.commands import evaluate_soc as command
+from tools.commands.import_drives import collect, write
 from tools.importers import ved
 from tools.importers.shifts import strung
 from tools.report import soc, soc_figures, soc_risk_tables

@@ -18,7 +18,7 @@ from core.pipeline import Pipeline
 from stream.loop import run
 from stream.mcap_writer import McapSink, McapSource
 from stream.memory import MemorySink, MemorySource
-from tools.fit import ride_files
+from tools.commands.fit import ride_files
 
 PAPER = list(RECIPES)[:7]
 

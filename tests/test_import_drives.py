@@ -15,7 +15,7 @@ from core.batch import Lanes
 from core.errors import ImportFileError, SettingsError
 from core.wire.decoder import Decoder
 from stream.mcap_reader import McapSource
-from tools.import_drives import app, collect
+from tools.commands.import_drives import app, collect
 from tools.importers import bmw_i3, twizy, ved
 from tools.importers.drive import messages
 

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from core.forecast.plan_checks import refusal
 from core.wire.messages import Plan
 from stream.mcap_reader import McapSource
-from tools.import_drives import app, collect
+from tools.commands.import_drives import app, collect
 from tools.importers import ved
 from tools.importers.drive import Drive
 from tools.importers.shifts import (

@@ -30,7 +30,7 @@ from core.models import ANY, LinearModel
 from core.models.features import EFFECT_PREFIX
 from core.pipeline import Pipeline
 from core.settings import Settings
-from tools.import_drives import collect
+from tools.commands.import_drives import collect
 from tools.importers import bmw_i3, ved
 from tools.importers.drive import messages
 

@@ -21,7 +21,7 @@ from core.settings import Settings
 from core.wire.decoder import Decoder
 from core.wire.messages import Message
 from stream.mcap_reader import McapSource
-from tools.import_drives import collect, write
+from tools.commands.import_drives import collect, write
 from tools.importers import bmw_i3, twizy, ved
 from tools.importers.drive import Drive, messages
 from tools.importers.resample import LONGEST_HOLD

@@ -6,7 +6,7 @@ from fleet_days import DAYS, LEG, RIDE, again, columns, shift
 
 from core.pipeline import Pipeline
 from core.wire.messages import Leg
-from tools.ask import verdict
+from tools.commands.ask import verdict
 
 CAR = "c"
 BEGIN = float(columns(CAR, DAYS)["time_s"][0])

@@ -18,8 +18,8 @@ from simulated import PERFECT, SMALL, SUMMER, WINTER, run, samples
 from core.errors import SettingsError
 from core.wire.messages import KINDS, address
 from stream.mcap_reader import McapSource
-from tools.simulate import record
-from tools.simulate import simulate as simulate_command
+from tools.commands.simulate import record
+from tools.commands.simulate import simulate as simulate_command
 from tools.simulator.fleet import simulate
 from tools.simulator.hidden import EFFECTS
 from tools.simulator.physics import PARTS, WHEEL

@@ -21,7 +21,7 @@ from core.wire.messages import Gain, ModelErrors, RideErrors
 from stream.loop import Tally
 from stream.mcap_writer import McapSink, McapSource
 from stream.zenoh_session import Connection, Node, free_port
-from tools.live import Keeper
+from tools.commands.live import Keeper
 from tools.screen import Screen, fleet_table
 from tools.standings import fitted_then, line, loaded, models_table, verdict
 
@@ -171,7 +171,7 @@ def test_a_change_of_verdict_is_logged_once(monkeypatch):
     logger, records = logging.getLogger("test_standings"), []
     logger.setLevel(logging.INFO)
     logger.addFilter(lambda record: records.append(record) or False)
-    monkeypatch.setattr("tools.live._log", logger)
+    monkeypatch.setattr("tools.commands.live._log", logger)
     pipeline = Pipeline(EXTENDED_PHYSICAL, shadows=[BASIC_PHYSICAL])
     now = [0.0]
     keeper = Keeper(pipeline, clock=lambda: now[0])

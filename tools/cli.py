@@ -36,26 +36,38 @@ UsageError: Any = typer.BadParameter.__base__
 """What typer raises where a call is wrong: an unknown command or option, a missing one, or a wrong value."""
 
 COMMANDS: Final = {
-    "demo": Command("tools.demo", "demo", "Watch a recorded shift as if it were live, in under a minute."),
-    "live": Command("tools.live", "live", "Listen to cars over Zenoh, forecast and record."),
-    "ask": Command("tools.ask", "ask_outlook", "Ask a live consumer whether a car can take a ride and finish."),
-    "replay": Command("tools.replay", "replay", "Replay recordings, through the model or to a router."),
-    "info": Command("tools.info", "info", "Tell what recordings hold, and what is lost."),
-    "tables": Command("tools.tables", "tables", "Turn recordings into ride and window tables."),
-    "fit": Command("tools.fit", "fit", "Fit a model to ride tables, by one of the paper's recipes or past them."),
-    "evaluate": Command("tools.evaluate", "evaluate_tables", "Judge models as the paper does, and past it."),
+    "demo": Command("tools.commands.demo", "demo", "Watch a recorded shift as if it were live, in under a minute."),
+    "live": Command("tools.commands.live", "live", "Listen to cars over Zenoh, forecast and record."),
+    "ask": Command(
+        "tools.commands.ask", "ask_outlook", "Ask a live consumer whether a car can take a ride and finish."
+    ),
+    "replay": Command("tools.commands.replay", "replay", "Replay recordings, through the model or to a router."),
+    "info": Command("tools.commands.info", "info", "Tell what recordings hold, and what is lost."),
+    "tables": Command("tools.commands.tables", "tables", "Turn recordings into ride and window tables."),
+    "fit": Command(
+        "tools.commands.fit", "fit", "Fit a model to ride tables, by one of the paper's recipes or past them."
+    ),
+    "evaluate": Command("tools.commands.evaluate", "evaluate_tables", "Judge models as the paper does, and past it."),
     "evaluate-soc": Command(
-        "tools.evaluate_soc", "evaluate_recordings", "Judge forecasts of the state of charge at the shift's end."
+        "tools.commands.evaluate_soc",
+        "evaluate_recordings",
+        "Judge forecasts of the state of charge at the shift's end.",
     ),
     "compare": Command(
-        "tools.compare", "compare_models", "Show models against what rides measured, and where they part."
+        "tools.commands.compare", "compare_models", "Show models against what rides measured, and where they part."
     ),
-    "diagnose": Command("tools.diagnose", "diagnose_rides", "Find where a model fails, and which effect it lacks."),
-    "add": Command("tools.add", "add_effect", "Add an effect to a model, if it helps on held-out rides."),
-    "history": Command("tools.history", "show_history", "Tell a model's history: its error falling step by step."),
-    "simulate": Command("tools.simulate", "simulate", "Simulate a fleet of electric taxis, with faulty loggers."),
-    "import": Command("tools.import_drives", "app", "Turn public data sets of real drives into recordings."),
-    "effects": Command("tools.effects", "app", "List the physical effects of models, or check your own."),
+    "diagnose": Command(
+        "tools.commands.diagnose", "diagnose_rides", "Find where a model fails, and which effect it lacks."
+    ),
+    "add": Command("tools.commands.add", "add_effect", "Add an effect to a model, if it helps on held-out rides."),
+    "history": Command(
+        "tools.commands.history", "show_history", "Tell a model's history: its error falling step by step."
+    ),
+    "simulate": Command(
+        "tools.commands.simulate", "simulate", "Simulate a fleet of electric taxis, with faulty loggers."
+    ),
+    "import": Command("tools.commands.import_drives", "app", "Turn public data sets of real drives into recordings."),
+    "effects": Command("tools.commands.effects", "app", "List the physical effects of models, or check your own."),
 }
 """Every command, in the order of `socast --help`."""
 

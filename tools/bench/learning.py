@@ -20,9 +20,9 @@ from core.models import ANY, LinearModel
 from core.models.features import Columns
 from core.pipeline import BLOCK, Pipeline
 from tools.bench.measures import Measure, alternating, blocks, seconds
+from tools.commands.tables import ROW_GROUP
 from tools.simulator.fleet import simulate
 from tools.simulator.settings import Simulation
-from tools.tables import ROW_GROUP
 
 MANY, FEW = 200_000, 20_000
 RECIPE: Final = "hybrid_interactions"

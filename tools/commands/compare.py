@@ -17,10 +17,10 @@ from core.evaluate.compare.models import Sample, compare, sample
 from core.evaluate.compare.ride_trace import find, trace
 from core.evaluate.paper.results import plain
 from core.models import KNOWN, LinearModel
-from tools.evaluate import KEY, read
-from tools.fit import RECORDING, Rides, inputs, ride_files
+from tools.commands.evaluate import KEY, read
+from tools.commands.fit import RECORDING, Rides, inputs, ride_files
+from tools.commands.tables import WINDOWS, in_memory
 from tools.output import EffectFiles, HtmlFile, JsonFile, model_files, report, writable, write_json
-from tools.tables import WINDOWS, in_memory
 
 
 def compare_models(

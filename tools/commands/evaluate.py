@@ -19,9 +19,9 @@ from core.evaluate.paper.protocol import SEGMENTS, chosen, evaluate
 from core.fit import segment_network
 from core.fit.recipes import RECIPES
 from core.stats.splits import REPEATS
-from tools.fit import Tables, ride_files
+from tools.commands.fit import Tables, ride_files
+from tools.commands.tables import WINDOWS
 from tools.output import HtmlFile, JsonFile, printer, writable, write_json
-from tools.tables import WINDOWS
 
 LEAST_REPEATS = 2
 """Fewer give no interval."""

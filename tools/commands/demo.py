@@ -19,8 +19,8 @@ from stream.mcap_writer import McapSource
 from stream.structured_log import write_lines
 from stream.zenoh_pubsub import ZenohSink, ZenohSource
 from stream.zenoh_session import Connection, Node
-from tools.info import described
-from tools.live import both, warm_up
+from tools.commands.info import described
+from tools.commands.live import both, warm_up
 from tools.output import JsonFile, ModelName, printer, writable, write_json
 from tools.screen import Screen, ride_records, show_rides, with_predictions
 from tools.standings import USUAL

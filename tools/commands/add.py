@@ -13,7 +13,7 @@ from core.diagnose.noise import ride_floor
 from core.diagnose.ranking import LEAST_GAIN
 from core.errors import ModelError
 from core.models import KNOWN, LinearModel
-from tools.diagnose import LeastGain, read_files, read_tables
+from tools.commands.diagnose import LeastGain, read_files, read_tables
 from tools.output import EffectFiles, JsonFile, model_files, printer, writable, write_json
 
 
