@@ -13,7 +13,7 @@ from test_report import read
 from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, Term, save
 from tools.cli import main
 from tools.commands.tables import in_memory
-from tools.report.comparison_figures import model_style
+from tools.report.comparison.figures import model_style
 
 SHIFT = Path(__file__).parent.parent / "recordings" / "shift.mcap"
 MODELS = ("--model", "extended_physical", "--model", "basic_physical")

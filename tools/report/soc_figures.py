@@ -8,7 +8,7 @@ import plotly.graph_objects as go
 from core.evaluate.soc.baselines import BASELINES
 from core.evaluate.soc.report import NOMINAL
 from core.stats.soc_share import ENOUGH
-from tools.report.comparison_figures import drawn
+from tools.report.comparison.figures import drawn
 from tools.report.figure_style import REFERENCE_LINE, Style, curve, figure, label, style
 from tools.report.illustrations import Illustration
 from tools.report.result import Result, mapping, number, part, vehicle_name

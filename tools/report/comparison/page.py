@@ -8,10 +8,9 @@ from rich.console import Console
 from rich.text import Text
 
 from core.evaluate.paper.results import plain
-from tools.report import comparison_figures as figures
-from tools.report import comparison_tables as tables
-from tools.report import comparison_trace as traced
 from tools.report.cells import count, percent
+from tools.report.comparison import figures, tables
+from tools.report.comparison import trace as traced
 from tools.report.data_tables import MEASURED_BY
 from tools.report.illustrations import Illustration
 from tools.report.page import document, save

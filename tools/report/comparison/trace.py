@@ -7,8 +7,8 @@ from typing import Any, Final
 import plotly.graph_objects as go
 
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, kwh, percent, signed
-from tools.report.comparison_figures import model_style
-from tools.report.comparison_tables import within
+from tools.report.comparison.figures import model_style
+from tools.report.comparison.tables import within
 from tools.report.figure_style import Style, figure, label, stacked, style
 from tools.report.illustrations import Illustration
 from tools.report.result import Result, mapping, number, part

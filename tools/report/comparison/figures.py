@@ -6,7 +6,7 @@ from typing import Any, Final
 import plotly.graph_objects as go
 
 from core.stats.scores import BANDS
-from tools.report.comparison_tables import UNITS, entries, models, most_sure, told_apart
+from tools.report.comparison.tables import UNITS, entries, models, most_sure, told_apart
 from tools.report.figure_style import REFERENCE_LINE, Style, curve, dots, figure, label, stacked, style
 from tools.report.illustrations import Illustration
 from tools.report.result import Result, half_width, mapping, number, part
