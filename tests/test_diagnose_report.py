@@ -10,9 +10,9 @@ from rich.console import Console
 from test_report import read
 
 from tools.commands.diagnose import say_commands, term_of
-from tools.report import diagnosis as report
-from tools.report import diagnosis_words as words
-from tools.report.diagnosis_figures import coefficients, effects, errors, remains, slices
+from tools.report.diagnosis import page as report
+from tools.report.diagnosis import words
+from tools.report.diagnosis.figures import coefficients, effects, errors, remains, slices
 
 ODD = '<b>R&D\'s "best"</b> [red]model[/red] </script><script>alert(1)</script>'
 

@@ -199,14 +199,15 @@ def _auto(
     model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame, least_gain: float, console: Console
 ) -> tuple[LinearModel, dict[str, Any]]:
     """Return the model that the loop comes to, and its last diagnosis."""
-    from tools.report import diagnosis, history  # noqa: PLC0415 - figures take seconds to import
+    from tools.report import history  # noqa: PLC0415 - figures take seconds to import
+    from tools.report.diagnosis import page  # noqa: PLC0415 - figures take seconds to import
 
     apart = final_days(model.history, names(rides, "date"))
     seen = before(rides, windows, apart)
     rows, floor = joined(rides, windows), ride_floor(gather(rides, windows, model))
     for step in range(1, MOST_STEPS + 1):
         result = _diagnosed(model, *seen, least_gain)
-        diagnosis.show_step(result, step, console)
+        page.show_step(result, step, console)
         found = next((m for m in result.get("missing") or () if m["effect"] == result.get("verdict")), None)
         if found is None:
             break
@@ -214,12 +215,12 @@ def _auto(
         try:
             added = add.add(model, name, scoped(name, scopes), rows, rides=rides, floor=floor, least=least_gain)
         except ModelError as error:
-            diagnosis.say([f"The loop ends here: {error}"], console)
+            page.say([f"The loop ends here: {error}"], console)
             break
         history.show_trial(added.trial, console)
         if not added.trial["accepted"]:
             model = add.logged(model, added.trial)
-            diagnosis.say(["The loop ends here: what the diagnosis names does not help on held-out rides."], console)
+            page.say(["The loop ends here: what the diagnosis names does not help on held-out rides."], console)
             break
         model = added.model
     history.show(model, console)

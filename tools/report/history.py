@@ -11,7 +11,7 @@ from rich.text import Text
 from core.evaluate.paper.results import plain
 from core.models import LinearModel
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, change, count, signed
-from tools.report.diagnosis_words import coefficient, energy
+from tools.report.diagnosis.words import coefficient, energy
 from tools.report.figure_style import REFERENCE_LINE, curve, figure, label, style
 from tools.report.illustrations import Illustration
 from tools.report.page import document, save

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import plotly.graph_objects as go
 
-from tools.report import diagnosis_words as words
+from tools.report.diagnosis import words
 from tools.report.figure_style import bars, curve, figure, label, reference_line, style
 from tools.report.illustrations import Illustration
 from tools.report.result import Result, mapping, number, part

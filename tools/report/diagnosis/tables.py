@@ -2,8 +2,8 @@
 
 from typing import Any, Final
 
-from tools.report import diagnosis_words as words
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, count, percent, signed
+from tools.report.diagnosis import words
 from tools.report.result import Result, mapping, number
 
 BIAS_NOTE: Final = (

@@ -11,9 +11,7 @@ from rich.padding import Padding
 from rich.text import Text
 
 from core.evaluate.paper.results import plain
-from tools.report import diagnosis_figures as figures
-from tools.report import diagnosis_tables as tables
-from tools.report import diagnosis_words as words
+from tools.report.diagnosis import figures, tables, words
 from tools.report.illustrations import Illustration
 from tools.report.page import document, save
 from tools.report.result import Result, mapping
