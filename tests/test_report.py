@@ -15,13 +15,13 @@ from rich.console import Console
 from core.errors import SettingsError
 from core.evaluate.paper import published
 from core.evaluate.paper.results import plain
-from tools.report import figures
 from tools.report.cells import PAPER_NOTE, UNKNOWN
+from tools.report.evaluation import figures
+from tools.report.evaluation.illustrations import MAKERS, PAPER_CAPTION, illustrations
+from tools.report.evaluation.sections import sections
+from tools.report.evaluation.terminal import show
 from tools.report.figure_style import style
-from tools.report.illustrations import MAKERS, PAPER_CAPTION, illustrations
 from tools.report.page import page, write
-from tools.report.sections import sections
-from tools.report.terminal import show
 
 FEW_RECIPES = ("basic_physical", "fitted_physical", "hybrid_trees")
 FEW_VEHICLES = ("kia-soul-ev-2015", "nissan-leaf-2016")

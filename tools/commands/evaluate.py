@@ -122,7 +122,8 @@ def running() -> Iterator[Callable[[int, int], None]]:
 
 def _report(result: dict[str, Any], html_file: Path | None) -> None:
     """Print the tables, and write the page."""
-    from tools.report import page, terminal  # noqa: PLC0415 - figures take seconds to import
+    from tools.report import page  # noqa: PLC0415 - figures take seconds to import
+    from tools.report.evaluation import terminal  # noqa: PLC0415 - figures take seconds to import
 
     terminal.show(result, printer())
     if html_file:

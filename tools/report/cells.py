@@ -3,7 +3,7 @@
 from typing import Any, Final, NamedTuple
 
 from core.evaluate.paper.published import Published
-from tools.report.result import half_width, number
+from tools.report.evaluation.result import half_width, number
 
 PAPER_NOTE: Final = (
     "In parentheses: the paper's figures, of its own company's rides: other data than these, for orientation only."

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from tools.report.result import WAYS, Result, recipes, title, vehicle_models
+from tools.report.evaluation.result import WAYS, Result, recipes, title, vehicle_models
 
 COLOURS: Final = (
     "#8a8a8a",

@@ -12,12 +12,12 @@ from core.evaluate.paper.results import plain
 from core.models import LinearModel
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, change, count, signed
 from tools.report.diagnosis.words import coefficient, energy
+from tools.report.evaluation.illustrations import Illustration
+from tools.report.evaluation.result import half_width, mapping, number
+from tools.report.evaluation.sections import Section
+from tools.report.evaluation.terminal import print_section
 from tools.report.figure_style import REFERENCE_LINE, curve, figure, label, style
-from tools.report.illustrations import Illustration
 from tools.report.page import document, save
-from tools.report.result import half_width, mapping, number
-from tools.report.sections import Section
-from tools.report.terminal import print_section
 
 Entry = Mapping[str, Any]
 

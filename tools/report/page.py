@@ -13,9 +13,9 @@ from core.errors import SettingsError
 from core.evaluate.paper import published
 from core.evaluate.paper.results import plain
 from tools.report.cells import Cell, ReportTable, Row
-from tools.report.illustrations import Illustration, illustrations
-from tools.report.result import Result, mapping
-from tools.report.sections import Section, sections
+from tools.report.evaluation.illustrations import Illustration, illustrations
+from tools.report.evaluation.result import Result, mapping
+from tools.report.evaluation.sections import Section, sections
 
 TITLE: Final = "Evaluation of consumption models"
 

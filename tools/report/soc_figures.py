@@ -9,9 +9,9 @@ from core.evaluate.soc.baselines import BASELINES
 from core.evaluate.soc.report import NOMINAL
 from core.stats.soc_share import ENOUGH
 from tools.report.comparison.figures import drawn
+from tools.report.evaluation.illustrations import Illustration
+from tools.report.evaluation.result import Result, mapping, number, part, vehicle_name
 from tools.report.figure_style import REFERENCE_LINE, Style, curve, figure, label, style
-from tools.report.illustrations import Illustration
-from tools.report.result import Result, mapping, number, part, vehicle_name
 from tools.report.soc_tables import SHOWN_AT, bin_name
 
 FORECAST: Final = style(5)

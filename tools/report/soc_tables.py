@@ -8,7 +8,7 @@ from core.evaluate.soc.baselines import BASELINES
 from core.stats.soc_share import ENOUGH
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, change, count, percent
 from tools.report.comparison.tables import off, within
-from tools.report.result import Result, mapping, number, part, vehicle_name
+from tools.report.evaluation.result import Result, mapping, number, part, vehicle_name
 
 HEADS: Final[Mapping[str, str]] = MappingProxyType({"linear": "pace", "model_mean": "kWh/km", "rating": "rating"})
 """Of the baselines, in the columns of their errors."""

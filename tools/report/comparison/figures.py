@@ -7,9 +7,9 @@ import plotly.graph_objects as go
 
 from core.stats.scores import BANDS
 from tools.report.comparison.tables import UNITS, entries, models, most_sure, told_apart
+from tools.report.evaluation.illustrations import Illustration
+from tools.report.evaluation.result import Result, half_width, mapping, number, part
 from tools.report.figure_style import REFERENCE_LINE, Style, curve, dots, figure, label, stacked, style
-from tools.report.illustrations import Illustration
-from tools.report.result import Result, half_width, mapping, number, part
 
 MOST_POINTS: Final = 2000
 """Rides that a scatter shows."""

@@ -11,12 +11,12 @@ from core.evaluate.paper.results import plain
 from tools.report.cells import count, percent
 from tools.report.comparison import figures, tables
 from tools.report.comparison import trace as traced
-from tools.report.data_tables import MEASURED_BY
-from tools.report.illustrations import Illustration
+from tools.report.evaluation.data_tables import MEASURED_BY
+from tools.report.evaluation.illustrations import Illustration
+from tools.report.evaluation.result import Result, mapping, number, part
+from tools.report.evaluation.sections import Section
+from tools.report.evaluation.terminal import print_section
 from tools.report.page import document, save
-from tools.report.result import Result, mapping, number, part
-from tools.report.sections import Section
-from tools.report.terminal import print_section
 
 TITLE: Final = "Models against measurement"
 MODELS: Final = "models"

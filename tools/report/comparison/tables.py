@@ -8,7 +8,7 @@ from core.evaluate.compare.models import WELL_KNOWN
 from core.stats.multiple_testing import SIGNIFICANCE
 from core.stats.scores import BANDS
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, count, kwh, mark_least, percent, signed
-from tools.report.result import Result, half_width, mapping, number, part, vehicle_name
+from tools.report.evaluation.result import Result, half_width, mapping, number, part, vehicle_name
 
 UNITS: Final[Mapping[str, str]] = MappingProxyType(
     {"distance": "km", "temperature": "°C", "speed": "km/h", "wind": "km/h", "time of day": "h"}

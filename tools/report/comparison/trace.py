@@ -9,9 +9,9 @@ import plotly.graph_objects as go
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, kwh, percent, signed
 from tools.report.comparison.figures import model_style
 from tools.report.comparison.tables import within
+from tools.report.evaluation.illustrations import Illustration
+from tools.report.evaluation.result import Result, mapping, number, part
 from tools.report.figure_style import Style, figure, label, stacked, style
-from tools.report.illustrations import Illustration
-from tools.report.result import Result, mapping, number, part
 
 MEASURED: Final = Style("#8a8a8a", "solid", "circle", "")
 MOST_TERMS: Final = 6

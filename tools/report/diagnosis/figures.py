@@ -7,9 +7,9 @@ from typing import Any, Final
 import plotly.graph_objects as go
 
 from tools.report.diagnosis import words
+from tools.report.evaluation.illustrations import Illustration
+from tools.report.evaluation.result import Result, mapping, number, part
 from tools.report.figure_style import bars, curve, figure, label, reference_line, style
-from tools.report.illustrations import Illustration
-from tools.report.result import Result, mapping, number, part
 
 ROW: Final = 34
 """Height of a row. [px]"""

@@ -12,11 +12,11 @@ from rich.text import Text
 
 from core.evaluate.paper.results import plain
 from tools.report.diagnosis import figures, tables, words
-from tools.report.illustrations import Illustration
+from tools.report.evaluation.illustrations import Illustration
+from tools.report.evaluation.result import Result, mapping
+from tools.report.evaluation.sections import Section
+from tools.report.evaluation.terminal import print_section
 from tools.report.page import document, save
-from tools.report.result import Result, mapping
-from tools.report.sections import Section
-from tools.report.terminal import print_section
 
 DRAWN: Final[Mapping[str, Callable[[Result], list[Illustration]]]] = MappingProxyType(
     {"error": figures.errors, "slices": figures.slices, "missing": figures.effects, "remains": figures.remains}

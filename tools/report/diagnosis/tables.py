@@ -4,7 +4,7 @@ from typing import Any, Final
 
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, count, percent, signed
 from tools.report.diagnosis import words
-from tools.report.result import Result, mapping, number
+from tools.report.evaluation.result import Result, mapping, number
 
 BIAS_NOTE: Final = (
     "Bias: predicted less measured, less that of all other rides. Slices are found on half of the vehicle-days and "

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from tools.report.cells import count, percent
-from tools.report.data_tables import MEASURED_BY
-from tools.report.result import Result, mapping, number
+from tools.report.evaluation.data_tables import MEASURED_BY
+from tools.report.evaluation.result import Result, mapping, number
 
 LEAST_BIAS = 5e-4
 """Bias of a ride below which none is told. [kWh]"""

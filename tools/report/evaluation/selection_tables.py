@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from core.evaluate.paper import published
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, signed
-from tools.report.result import Result, mapping, number, part
+from tools.report.evaluation.result import Result, mapping, number, part
 
 BEYOND: Final = 3
 """Terms that are told of after the last one that can go."""

@@ -7,7 +7,7 @@ from typing import Any, Final
 from core.evaluate.paper import published
 from core.evaluate.paper.published import AVERAGE, WEIGHTED, Published
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, count, kwh, percent, printed
-from tools.report.result import Result, clusters, mapping, number, part, vehicle_models, vehicle_name
+from tools.report.evaluation.result import Result, clusters, mapping, number, part, vehicle_models, vehicle_name
 
 MEASURED_BY: Final = MappingProxyType({"vi": "voltage and current", "soc": "state of charge"})
 """How the energy of rides was measured, for people."""

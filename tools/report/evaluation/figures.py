@@ -12,7 +12,24 @@ from core.evaluate.paper import published
 from core.evaluate.paper.published import AVERAGE, PHYSICAL
 from core.stats.multiple_testing import SIGNIFICANCE
 from core.vehicles import AccessoryCurve
-from tools.report.error_tables import difference
+from tools.report.evaluation.error_tables import difference
+from tools.report.evaluation.result import (
+    FITTED,
+    Result,
+    clusters,
+    half_width,
+    mapping,
+    number,
+    part,
+    principal,
+    recipes,
+    vehicle_models,
+    vehicle_name,
+)
+from tools.report.evaluation.selection_tables import terms
+from tools.report.evaluation.split_tables import SPLITS, means_by_split
+from tools.report.evaluation.transfer_tables import seen
+from tools.report.evaluation.use_tables import AXES, LEAST_COVERAGE, MANY_BINS, NOMINAL, bin_name, bins, entries
 from tools.report.figure_style import (
     DIVERGING,
     PAPER_NAME,
@@ -30,23 +47,6 @@ from tools.report.figure_style import (
     style,
     vehicle_style,
 )
-from tools.report.result import (
-    FITTED,
-    Result,
-    clusters,
-    half_width,
-    mapping,
-    number,
-    part,
-    principal,
-    recipes,
-    vehicle_models,
-    vehicle_name,
-)
-from tools.report.selection_tables import terms
-from tools.report.split_tables import SPLITS, means_by_split
-from tools.report.transfer_tables import seen
-from tools.report.use_tables import AXES, LEAST_COVERAGE, MANY_BINS, NOMINAL, bin_name, bins, entries
 
 NO_RIDES = 0.3
 """Where a logarithmic axis of rides seen shows none."""

@@ -3,7 +3,17 @@
 from typing import Final
 
 from tools.report.cells import Cell, ReportTable, Row, change, kwh, mark_least
-from tools.report.result import Result, mapping, mean, number, part, recipes, title, vehicle_models, vehicle_name
+from tools.report.evaluation.result import (
+    Result,
+    mapping,
+    mean,
+    number,
+    part,
+    recipes,
+    title,
+    vehicle_models,
+    vehicle_name,
+)
 
 SPLITS: Final = ("ride", "vehicle", "date")
 """What is held out together; the first is the paper's."""

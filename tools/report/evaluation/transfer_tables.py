@@ -6,7 +6,7 @@ from typing import Any
 from core.evaluate.paper import published
 from core.evaluate.paper.published import Published
 from tools.report.cells import Cell, ReportTable, Row, kwh, mark_least, percent, printed
-from tools.report.result import (
+from tools.report.evaluation.result import (
     FITTED,
     WAYS,
     Result,

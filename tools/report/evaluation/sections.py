@@ -5,9 +5,9 @@ from typing import NamedTuple
 from core.evaluate.paper import published
 from core.evaluate.paper.published import AVERAGE, PHYSICAL, Statement
 from tools.report.cells import Cell, ReportTable, Row, change, kwh, percent
-from tools.report.data_tables import data_tables
-from tools.report.error_tables import differences, error_tables, summary_tables
-from tools.report.result import (
+from tools.report.evaluation.data_tables import data_tables
+from tools.report.evaluation.error_tables import differences, error_tables, summary_tables
+from tools.report.evaluation.result import (
     ALL,
     FITTED,
     INTERACTIONS,
@@ -22,10 +22,10 @@ from tools.report.result import (
     title,
     vehicle_models,
 )
-from tools.report.selection_tables import selection_tables
-from tools.report.split_tables import split_tables
-from tools.report.transfer_tables import transfer_tables
-from tools.report.use_tables import place_tables, reserve_tables
+from tools.report.evaluation.selection_tables import selection_tables
+from tools.report.evaluation.split_tables import split_tables
+from tools.report.evaluation.transfer_tables import transfer_tables
+from tools.report.evaluation.use_tables import place_tables, reserve_tables
 
 
 class Section(NamedTuple):

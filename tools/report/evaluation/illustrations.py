@@ -7,8 +7,8 @@ import plotly.graph_objects as go
 
 from core.evaluate.paper import published
 from core.stats.multiple_testing import SIGNIFICANCE
-from tools.report import figures
-from tools.report.result import (
+from tools.report.evaluation import figures
+from tools.report.evaluation.result import (
     ALL,
     FITTED,
     Result,
@@ -20,7 +20,7 @@ from tools.report.result import (
     vehicle_models,
     vehicle_name,
 )
-from tools.report.use_tables import AXES, MANY_BINS, bins
+from tools.report.evaluation.use_tables import AXES, MANY_BINS, bins
 
 PAPER_CAPTION: Final = (
     "The paper's figures are of its own company's rides: other data than these, for orientation only."

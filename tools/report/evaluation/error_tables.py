@@ -8,8 +8,8 @@ from core.evaluate.paper import published
 from core.evaluate.paper.published import AVERAGE, PHYSICAL
 from core.stats.multiple_testing import SIGNIFICANCE
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, kwh, mark_least, percent, printed, signed
-from tools.report.data_tables import by_cluster
-from tools.report.result import (
+from tools.report.evaluation.data_tables import by_cluster
+from tools.report.evaluation.result import (
     Result,
     average_error,
     clusters,

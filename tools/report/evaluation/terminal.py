@@ -10,7 +10,7 @@ from rich.text import Text
 from core.evaluate.paper import published
 from core.evaluate.paper.results import plain
 from tools.report.cells import PAPER_NOTE, Cell, ReportTable
-from tools.report.sections import Section, sections
+from tools.report.evaluation.sections import Section, sections
 
 LAST: Final = "glance"
 """The section that ends the output, where the eye is."""

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from core.evaluate.paper import published
 from tools.report.cells import Cell, ReportTable, Row, count, kwh, mark_least, percent, signed
-from tools.report.result import (
+from tools.report.evaluation.result import (
     Result,
     clusters,
     mapping,
