@@ -19,8 +19,8 @@ from tools.commands import evaluate_soc as command
 from tools.commands.import_drives import collect, write
 from tools.importers import ved
 from tools.importers.shifts import strung
-from tools.report import soc, soc_figures, soc_risk_tables
-from tools.report.soc_tables import against_best, ahead, condition_tables, covered
+from tools.report.soc import figures, page, risk_tables
+from tools.report.soc.tables import against_best, ahead, condition_tables, covered
 
 DATA = Path(__file__).parent.parent.parent / "shared" / "data"
 SHIFT = Path(__file__).parent.parent / "recordings" / "shift.mcap"
@@ -37,13 +37,13 @@ def result():
 def printed(result):
     """Return what the terminal shows."""
     console = Console(width=120, file=StringIO(), color_system=None)
-    soc.show(result, console)
+    page.show(result, console)
     return console.file.getvalue()
 
 
 def figures(result):
     """Return all figures of the page, by key."""
-    found = [one for section in soc.sections(result) for one in soc.illustrations(result, section.key)]
+    found = [one for section in page.sections(result) for one in page.illustrations(result, section.key)]
     return {one.key: one for one in found}
 
 
@@ -133,7 +133,7 @@ def test_the_tables_say_what_the_result_does(result):
 
 
 def test_the_page_loads_nothing_and_has_every_figure(result, tmp_path):
-    soc.write(result, tmp_path / "s.html")
+    page.write(result, tmp_path / "s.html")
     text = (tmp_path / "s.html").read_text()
     page = read(text)
     assert page.loaded == []
@@ -154,7 +154,7 @@ def test_axes_have_units_and_curves_differ_in_more_than_colour(result):
 
 
 def test_the_scatter_shows_each_shift_once_where_it_belongs(result):
-    inside, outside, _ = soc_figures.scatter(result).data
+    inside, outside, _ = figures.scatter(result).data
     own = result["overall"]["hours"]["2"]
     assert len(inside.x) + len(outside.x) == own["n"]
     assert len(inside.x) / own["n"] == pytest.approx(own["coverage"]["value"])
@@ -162,7 +162,7 @@ def test_the_scatter_shows_each_shift_once_where_it_belongs(result):
 
 def test_the_risk_is_shown_as_it_was_told_and_as_it_came():
     result = plain(evaluate_soc(*told(cars=6, days=9)))
-    *traces, equal = soc_figures.risk(result).data
+    *traces, equal = figures.risk(result).data
     levels, plan = (trace for trace in traces if trace.mode == "markers")
     few = {"levels" if trace.name.startswith("levels") else "plan" for trace in traces if trace.mode == "lines"}
     for points, key in ((levels, "levels"), (plan, "plan")):
@@ -185,18 +185,18 @@ def coverages(*clusters):
 
 
 def test_of_few_car_days_a_figure_shows_the_interval_alone():
-    points, lines = soc_figures.coverage(coverages(1, 2, ENOUGH - 1, ENOUGH), "Group [1]").data
+    points, lines = figures.coverage(coverages(1, 2, ENOUGH - 1, ENOUGH), "Group [1]").data
     assert points.x == ("group 1", "group 2", "group 29", "group 30")
     assert points.y == (None, None, None, 80.0)
     assert lines.mode == "lines"
     assert lines.x == tuple(x for n in (1, 2, 29) for x in (f"group {n}", f"group {n}", None))
     assert lines.y == (None, None, None, 60.0, 95.0, None, 60.0, 95.0, None)
-    (alone,) = soc_figures.coverage(coverages(ENOUGH, 300), "Group [1]").data
+    (alone,) = figures.coverage(coverages(ENOUGH, 300), "Group [1]").data
     assert alone.y == (80.0, 80.0)
 
 
 def test_groups_stay_in_their_order_whether_or_not_they_are_too_few():
-    made = soc_figures.coverage(coverages(40, 2, 50), "Group [1]")
+    made = figures.coverage(coverages(40, 2, 50), "Group [1]")
     assert made.layout.xaxis.categoryarray == ("group 40", "group 2", "group 50")
 
 
@@ -207,7 +207,7 @@ def test_no_interval_of_a_width_or_an_error_goes_below_zero():
         for hours, width in (("1", known), ("2", {"value": 20.0, "ci95": 1.0}), ("4", {"value": 1.0, "ci95": None}))
     }
     result = {"overall": {"hours": hours}}
-    for trace in (soc_figures.width(result).data[0], soc_figures.errors(result).data[0]):
+    for trace in (figures.width(result).data[0], figures.errors(result).data[0]):
         assert trace.error_y.array == (5.0, 1.0, None)
         assert trace.error_y.arrayminus == (4.0, 1.0, None)
         assert trace.error_y.symmetric is False
@@ -224,7 +224,7 @@ def test_against_the_best_nothing_is_said_of_few_car_days(result):
 
 
 def test_alarms_are_told_level_by_level(result):
-    table = soc_risk_tables.alarms(result)
+    table = risk_tables.alarms(result)
     names = [row.name for row in table.rows]
     assert names[-2:] == ["20 to 60 %, 1 h", "20 to 60 %, 2 h"]
     own = result["reserve"]["overall"]["2"]
@@ -257,7 +257,7 @@ def test_of_few_car_days_no_share_is_told(result):
 
 def test_the_fan_of_an_example_ends_where_the_shift_did(result):
     for own in result["examples"]:
-        upper, lower, mean, _, became = soc_figures.fan(own).data
+        upper, lower, mean, _, became = figures.fan(own).data
         assert became.y == (own["soc_end_pct"],)
         assert all(low <= m <= high for low, m, high in zip(lower.y, mean.y, upper.y, strict=True))
 
@@ -267,7 +267,7 @@ def test_few_short_shifts_are_shown_as_far_as_anything_is_known(tmp_path):
     out = printed(found)
     assert [row.name for row in ahead(found).rows] == ["0 h", "all"]
     assert " 0 h " in out
-    soc.write(found, tmp_path / "few.html")
+    page.write(found, tmp_path / "few.html")
     assert "figure-soc-scatter" not in read((tmp_path / "few.html").read_text()).ids
 
 
@@ -276,5 +276,5 @@ def test_odd_names_are_shown_as_they_are(tmp_path):
     found = plain(evaluate_soc(*tables))
     assert "R&D's" in printed(found)
     assert any("no official rating is known of" in note for note in found["notes"])
-    soc.write(found, tmp_path / "odd.html")
+    page.write(found, tmp_path / "odd.html")
     assert "<b>R&D" not in (tmp_path / "odd.html").read_text()

@@ -12,7 +12,7 @@ from tools.report.comparison.figures import drawn
 from tools.report.evaluation.illustrations import Illustration
 from tools.report.evaluation.result import Result, mapping, number, part, vehicle_name
 from tools.report.figure_style import REFERENCE_LINE, Style, curve, figure, label, style
-from tools.report.soc_tables import SHOWN_AT, bin_name
+from tools.report.soc.tables import SHOWN_AT, bin_name
 
 FORECAST: Final = style(5)
 LOOKS: Final = {"linear": style(4), "model_mean": style(2), "rating": style(0)}

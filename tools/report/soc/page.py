@@ -8,15 +8,13 @@ from rich.console import Console
 from rich.text import Text
 
 from core.evaluate.paper.results import plain
-from tools.report import soc_figures as figures
-from tools.report import soc_risk_tables as risk_tables
-from tools.report import soc_tables as tables
 from tools.report.cells import count
 from tools.report.evaluation.illustrations import Illustration
 from tools.report.evaluation.result import Result, mapping
 from tools.report.evaluation.sections import Section
 from tools.report.evaluation.terminal import print_section
 from tools.report.page import document, save
+from tools.report.soc import figures, risk_tables, tables
 
 TITLE: Final = "Forecasts of the state of charge"
 AHEAD: Final = "ahead"

@@ -7,7 +7,7 @@ from core.evaluate.soc.baselines import BASELINES, REMEMBERED
 from core.evaluate.soc.reserve_risk import ALARM, LEVELS, PLANNED
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, count, percent
 from tools.report.evaluation.result import Result, half_width, mapping, number, part
-from tools.report.soc_tables import HEADS, SHARE_NOTE, covered
+from tools.report.soc.tables import HEADS, SHARE_NOTE, covered
 
 SHOWN: Final = ("1", "2")
 """Times ahead at which alarms are shown. [h]"""
