@@ -12,7 +12,7 @@ from test_segments import windows
 from core.fit import segment_network
 from tools.cli import main
 from tools.commands.evaluate import read, window_columns
-from tools.output import writable
+from tools.terminal.output import writable
 
 QUICK = ("--recipes", "basic_physical,empirical", "--repeats", "2", "--jobs", "1")
 

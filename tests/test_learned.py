@@ -9,7 +9,7 @@ from fleet_days import CARS, DAYS, SETTINGS, forecasts, recorded, shift
 
 from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
 from core.pipeline import Pipeline
-from tools.learned import learned
+from tools.terminal.warm_up import learned
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from rich.console import Console
 from soc_frames import told
 
-from tools import outcomes
-from tools.outcomes import AHEAD, NO_INTERVALS, Outcomes, show_outcomes, summary
+from tools.terminal import shift_outcomes
+from tools.terminal.shift_outcomes import AHEAD, NO_INTERVALS, Outcomes, show_outcomes, summary
 
 
 class Recited:
@@ -79,12 +79,12 @@ def test_each_shift_is_told_with_what_was_forecast_when():
 def test_however_it_comes_and_whatever_is_let_go_the_same_is_told(cuts, rows):
     made, ended = told(cars=3, days=3, warm_up=1)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(outcomes, "MOST_ROWS", rows)
+        patch.setattr(shift_outcomes, "MOST_ROWS", rows)
         assert records(made, ended, cuts) == records(made, ended)
 
 
 def test_what_is_let_go_keeps_memory_small(monkeypatch):
-    monkeypatch.setattr(outcomes, "MOST_ROWS", 500)
+    monkeypatch.setattr(shift_outcomes, "MOST_ROWS", 500)
     made, ended = told(cars=1, days=10, warm_up=0)
     found = Outcomes(Recited(made, ended, made["time_s"].to_numpy()[::100]))
     for _ in range(len(made) // 100):

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from core.errors import SettingsError
-from tools.output import model_files, writable
+from tools.terminal.output import model_files, writable
 
 
 @pytest.mark.parametrize("name", ["model.json", "./model.json"])

@@ -8,7 +8,7 @@ import pytest
 from commands import done, refused
 
 from core.errors import RecordingError, SettingsError
-from tools.recordings import opened
+from tools.terminal.recordings import opened
 
 SHIFT = Path(__file__).parent.parent / "recordings" / "shift.mcap"
 AUTUMN = SHIFT.with_name("autumn.mcap")

@@ -6,7 +6,7 @@ from core import effects
 from core.effects import Parameter, registry
 from core.effects.source_file import render
 from core.errors import EffectError
-from tools.scaffold import blank
+from tools.terminal.effect_template import blank
 
 
 def suggestion(**changes):

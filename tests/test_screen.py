@@ -8,7 +8,7 @@ from fleet_days import DAY, DAYS, again, forecasts, plan, shift
 from rich.console import Console
 
 from core.forecast.status import VehicleStatus
-from tools.screen import WARNED, fleet_table
+from tools.terminal.live_table import WARNED, fleet_table
 
 CAR = VehicleStatus("taxi-1", "kia-soul-ev-2015", None, 1.7e9, 64.0, 0.0, float("nan"), float("nan"), {})
 

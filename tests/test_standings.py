@@ -22,8 +22,8 @@ from stream.loop import Tally
 from stream.mcap_writer import McapSink, McapSource
 from stream.zenoh_session import Connection, Node, free_port
 from tools.commands.live import Keeper
-from tools.screen import Screen, fleet_table
-from tools.standings import fitted_then, line, loaded, models_table, verdict
+from tools.terminal.live_table import Screen, fleet_table
+from tools.terminal.model_comparison import fitted_then, line, loaded, models_table, verdict
 
 BOTH = ("--model", "extended_physical", "--model", "basic_physical")
 

@@ -14,7 +14,7 @@ from core.diagnose.ranking import LEAST_GAIN
 from core.errors import ModelError
 from core.models import KNOWN, LinearModel
 from tools.commands.diagnose import LeastGain, read_files, read_tables
-from tools.output import EffectFiles, JsonFile, model_files, printer, writable, write_json
+from tools.terminal.output import EffectFiles, JsonFile, model_files, printer, writable, write_json
 
 
 def add_effect(

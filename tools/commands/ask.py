@@ -15,7 +15,7 @@ from core.forecast.ask import asked_leg, asked_plan, asked_vehicle
 from core.wire.messages import Interval, LegOutlook, Outlook
 from stream.zenoh_queryable import ask
 from stream.zenoh_session import LOOPBACK, Connection, Node
-from tools.output import JsonFile, printer, writable, write_json
+from tools.terminal.output import JsonFile, printer, writable, write_json
 
 LOW_RISK: Final = 0.05
 """Below it the answer is yes."""

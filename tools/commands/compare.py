@@ -20,7 +20,7 @@ from core.models import KNOWN, LinearModel
 from tools.commands.evaluate import KEY, read
 from tools.commands.fit import RECORDING, Rides, inputs, ride_files
 from tools.commands.tables import WINDOWS, in_memory
-from tools.output import EffectFiles, HtmlFile, JsonFile, model_files, report, writable, write_json
+from tools.terminal.output import EffectFiles, HtmlFile, JsonFile, model_files, report, writable, write_json
 
 
 def compare_models(

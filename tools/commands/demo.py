@@ -21,9 +21,9 @@ from stream.zenoh_pubsub import ZenohSink, ZenohSource
 from stream.zenoh_session import Connection, Node
 from tools.commands.info import described
 from tools.commands.live import both, warm_up
-from tools.output import JsonFile, ModelName, printer, writable, write_json
-from tools.screen import Screen, ride_records, show_rides, with_predictions
-from tools.standings import USUAL
+from tools.terminal.live_table import Screen, ride_records, show_rides, with_predictions
+from tools.terminal.model_comparison import USUAL
+from tools.terminal.output import JsonFile, ModelName, printer, writable, write_json
 
 SHIFT = Path(__file__).parent.parent / "recordings" / "shift.mcap"
 """The recording that comes with the product."""

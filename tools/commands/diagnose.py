@@ -26,7 +26,7 @@ from core.models.features import EFFECT_PREFIX, FEATURES, is_scope
 from tools.commands.evaluate import KEY, read
 from tools.commands.fit import RECORDING, Rides, inputs
 from tools.commands.tables import WINDOWS, in_memory
-from tools.output import EffectFiles, HtmlFile, JsonFile, model_files, printer, report, writable, write_json
+from tools.terminal.output import EffectFiles, HtmlFile, JsonFile, model_files, printer, report, writable, write_json
 
 MEASURED = ("energy_kwh", "energy_sd_kwh", "energy_vi_kwh", "energy_vi_sd_kwh", "energy_soc_kwh", "energy_soc_sd_kwh")
 OF_BOTH = (KEY, VEHICLE, VEHICLE_MODEL, *MEASURED, *(effect.energy_name for effect in ROAD_LOAD))

@@ -12,8 +12,8 @@ from core.columns import SIGNALS
 from core.effects import Effect, Parameter
 from core.errors import SettingsError
 from core.formatting import everyday
-from tools.output import EffectFiles, JsonFile, printer, writable, write_json
-from tools.scaffold import blank, from_effect
+from tools.terminal.effect_template import blank, from_effect
+from tools.terminal.output import EffectFiles, JsonFile, printer, writable, write_json
 
 app = typer.Typer(help="The physical effects that models are made of, and your own.", no_args_is_help=True)
 

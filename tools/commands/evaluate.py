@@ -21,7 +21,7 @@ from core.fit.recipes import RECIPES
 from core.stats.splits import REPEATS
 from tools.commands.fit import Tables, ride_files
 from tools.commands.tables import WINDOWS
-from tools.output import HtmlFile, JsonFile, printer, writable, write_json
+from tools.terminal.output import HtmlFile, JsonFile, printer, writable, write_json
 
 LEAST_REPEATS = 2
 """Fewer give no interval."""

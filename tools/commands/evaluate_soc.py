@@ -10,10 +10,10 @@ from core.evaluate.soc.legs import OF_RIDES, Questions, leg_cases
 from core.evaluate.soc.report import evaluate_soc
 from core.pipeline import Pipeline
 from core.settings import Settings
-from tools.cleaning import cleaned
-from tools.output import EffectFiles, HtmlFile, JsonFile, ModelName, model_files, report, writable, write_json
-from tools.recordings import Recordings, forecast, opened, warn_of_losses
-from tools.standings import USUAL
+from tools.terminal.cleaning_options import cleaned
+from tools.terminal.model_comparison import USUAL
+from tools.terminal.output import EffectFiles, HtmlFile, JsonFile, ModelName, model_files, report, writable, write_json
+from tools.terminal.recordings import Recordings, forecast, opened, warn_of_losses
 
 
 class Told:

@@ -21,8 +21,8 @@ from core.fit.ride_blocks import Parquet
 from core.models import ANY, Curve, Fit, LinearModel, Term
 from core.models.features import ACCESSORIES, EFFECT_PREFIX
 from tools.commands.tables import RIDES, WINDOWS
-from tools.output import JsonFile, printer, writable, write_json
-from tools.recordings import refuse_twice
+from tools.terminal.output import JsonFile, printer, writable, write_json
+from tools.terminal.recordings import refuse_twice
 
 Tables = Annotated[
     list[Path],

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from core import models
-from tools.output import EffectFiles, HtmlFile, JsonFile, report, writable, write_json
+from tools.terminal.output import EffectFiles, HtmlFile, JsonFile, report, writable, write_json
 
 
 def show_history(

@@ -12,8 +12,8 @@ from rich.table import Table
 
 from core.wire.messages import OF_VEHICLES, address
 from stream.mcap_writer import McapSource
-from tools.output import JsonFile, printer, writable, write_json
-from tools.recordings import Recordings, opened, reading, warn_of_losses
+from tools.terminal.output import JsonFile, printer, writable, write_json
+from tools.terminal.recordings import Recordings, opened, reading, warn_of_losses
 
 MOST_TOPICS = 30
 """Topics shown on a terminal; the JSON has all."""

@@ -23,11 +23,11 @@ from stream.structured_log import fields, flat, write_lines
 from stream.zenoh_pubsub import ZenohSink, ZenohSource
 from stream.zenoh_queryable import ZenohQueries
 from stream.zenoh_session import LOOPBACK, Connection, Mode, Node
-from tools.cleaning import cleaned
-from tools.learned import History, learned
-from tools.output import EffectFiles
-from tools.screen import Screen, ride_records, with_predictions
-from tools.standings import ModelNames, line, loaded
+from tools.terminal.cleaning_options import cleaned
+from tools.terminal.live_table import Screen, ride_records, with_predictions
+from tools.terminal.model_comparison import ModelNames, line, loaded
+from tools.terminal.output import EffectFiles
+from tools.terminal.warm_up import History, learned
 
 TAKE_S = 1.0
 """Time between two looks for rides that have ended. [s]"""

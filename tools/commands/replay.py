@@ -18,13 +18,13 @@ from stream.mcap_writer import McapSink, McapSource
 from stream.source import Source, merged, paced, until
 from stream.zenoh_pubsub import ZenohSink
 from stream.zenoh_session import Connection, Node, key_prefix
-from tools.cleaning import cleaned
-from tools.learned import History, learned
-from tools.outcomes import Outcomes, show_outcomes
-from tools.output import EffectFiles, JsonFile, model_files, printer, speed, writable, write_json
-from tools.recordings import Recordings, forecast, opened, reading, warn_of_losses
-from tools.screen import ride_records, show_rides, with_predictions
-from tools.standings import ModelNames, loaded, records, show_models
+from tools.terminal.cleaning_options import cleaned
+from tools.terminal.live_table import ride_records, show_rides, with_predictions
+from tools.terminal.model_comparison import ModelNames, loaded, records, show_models
+from tools.terminal.output import EffectFiles, JsonFile, model_files, printer, speed, writable, write_json
+from tools.terminal.recordings import Recordings, forecast, opened, reading, warn_of_losses
+from tools.terminal.shift_outcomes import Outcomes, show_outcomes
+from tools.terminal.warm_up import History, learned
 
 HEARD_S = 10.0
 """How long to wait for somebody to subscribe before publishing all the same. [s]"""

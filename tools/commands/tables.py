@@ -17,10 +17,10 @@ from core.pipeline import Pipeline
 from core.settings import Settings
 from stream.mcap_writer import McapSource
 from stream.source import merged
-from tools.cleaning import cleaned
-from tools.output import EffectFiles, JsonFile, ModelName, model_files, printer, writable, write_json
-from tools.recordings import Recordings, opened, reading, warn_of_losses
-from tools.standings import USUAL
+from tools.terminal.cleaning_options import cleaned
+from tools.terminal.model_comparison import USUAL
+from tools.terminal.output import EffectFiles, JsonFile, ModelName, model_files, printer, writable, write_json
+from tools.terminal.recordings import Recordings, opened, reading, warn_of_losses
 
 RIDES, WINDOWS, QUALITY = "rides.parquet", "windows.parquet", "quality.json"
 

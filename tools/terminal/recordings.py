@@ -16,7 +16,7 @@ from core.pipeline import Pipeline
 from stream.loop import Tally, run
 from stream.mcap_writer import McapSink, McapSource
 from stream.source import Source, merged
-from tools.screen import Screen
+from tools.terminal.live_table import Screen
 
 Recordings = Annotated[list[Path], typer.Argument(metavar="REC...", help="MCAP recordings.", show_default=False)]
 

@@ -19,8 +19,8 @@ from core.forecast.status import VehicleStatus
 from core.monitoring.shadow import Shadows
 from core.pipeline import Pipeline
 from stream.loop import Tally
-from tools.output import printer
-from tools.standings import WIDE, models_table
+from tools.terminal.model_comparison import WIDE, models_table
+from tools.terminal.output import printer
 
 REDRAW_S = 0.25
 """Time between two pictures on a terminal. [s]"""

@@ -15,7 +15,7 @@ from core.settings import Settings
 from stream.loop import seldom_collecting
 from stream.mcap_writer import McapSource
 from stream.source import merged
-from tools.recordings import opened, reading, warn_of_losses
+from tools.terminal.recordings import opened, reading, warn_of_losses
 
 History = Annotated[
     list[Path] | None,
