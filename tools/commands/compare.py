@@ -59,7 +59,7 @@ def compare_models(
             result["against"] = _against(found, rides, against, chosen)
     result = plain(result)
     write_json(json_file, result)
-    report("comparison", result, html_file)
+    report("comparison.page", result, html_file)
 
 
 def named(given: Sequence[str]) -> dict[str, LinearModel]:

@@ -78,7 +78,7 @@ def diagnose_rides(
         result = _diagnosed(chosen, *_not_set_apart(chosen, table, windows, console), least_gain)
         say_commands(result, model, rides, effects_file or ())
     write_json(json_file, result)
-    report("diagnosis", result, html_file, suggested=_suggested(result, suggest))
+    report("diagnosis.page", result, html_file, suggested=_suggested(result, suggest))
     if out is not None:
         told = f"{out}: version {chosen.version}; socast history {out} tells its steps"
         console.print(told, markup=False, highlight=False, soft_wrap=True)

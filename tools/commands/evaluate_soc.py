@@ -68,4 +68,4 @@ def evaluate_recordings(
     warn_of_losses(sources)
     result = plain(told.evaluated())
     write_json(json_file, result)
-    report("soc", result, html_file)
+    report("soc.page", result, html_file)

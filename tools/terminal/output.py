@@ -66,7 +66,7 @@ def report(name: str, result: Any, html_file: Path | None, **options: Any) -> No
     Parameters
     ----------
     name : str
-        Of the file in `tools/report/` that shows it; loaded here, as figures take seconds to import.
+        Module of `tools.report` that shows it; loaded here, as figures take seconds to import.
     result : Any
     html_file : Path, optional
     options : Any

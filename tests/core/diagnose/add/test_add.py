@@ -1,0 +1,335 @@
+"""An effect that was planted is added and its coefficient recovered; one that was not is refused, and says why."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from core import models
+from core.diagnose.add.add import Added, add, forced, logged
+from core.diagnose.add.holdout import comparison, day_folds, final_days, noise_floor, rides_of, vehicle_folds
+from core.diagnose.add.terms import additive, scope_in_words, scoped
+from core.diagnose.dataset import joined
+from core.errors import EffectError, ModelError
+from core.fit.recipes import RECIPES, term
+from core.models import ANY, BASIC_PHYSICAL, LinearModel, Term, decode, encode
+from core.pipeline import Pipeline
+from tests.support.planted_windows import AUXILIARY, BASE, KINDS, START, base_model, planted
+from tests.support.telemetry import drive, leaf, telemetry
+
+COLD = 1e-4
+"""Planted: 1 % of 0.010 for each kelvin. [1/K]"""
+Tables = tuple[pd.DataFrame, pd.DataFrame]
+
+
+@pytest.fixture(scope="module")
+def cold() -> Tables:
+    return planted({"effect_cold_rolling": COLD})
+
+
+@pytest.fixture(scope="module")
+def model(cold) -> LinearModel:
+    return base_model(cold[0])
+
+
+def tried(tables: Tables, model: LinearModel, effect: str, *scopes: str, **options: object) -> Added:
+    rides, windows = tables
+    return add(model, effect, scoped(effect, scopes), joined(rides, windows), rides=rides, **options)
+
+
+@pytest.fixture(scope="module")
+def added(cold, model) -> Added:
+    return tried(cold, model, "cold_rolling")
+
+
+def test_a_planted_effect_is_recovered_and_so_is_the_base_around_it(added):
+    trial = added.trial
+    assert trial["accepted"]
+    low, high = trial["coefficient"]["ci95"]
+    assert low < COLD < high
+    assert high - low < 0.6 * COLD
+    assert trial["coefficient"]["plausible"]
+    assert trial["coefficient"]["unit"] == "1/K"
+    assert not trial["warnings"]
+    assert "for each degree below 20 °C" in trial["words"]
+    for fit in added.model.fits.values():
+        for value, truth in zip(fit.coefficients, [*BASE.values(), AUXILIARY, COLD], strict=True):
+            assert value == pytest.approx(truth, rel=0.12)
+
+
+def test_the_error_falls_on_days_on_vehicles_and_on_the_days_set_apart(added):
+    trial = added.trial
+    for judged in ("of_effect", "on_days", "on_vehicles", "final"):
+        one = trial[judged]
+        assert one["mae_after_kwh"] < 0.5 * one["mae_before_kwh"], judged
+        assert one["change_kwh"]["value"] + one["change_kwh"]["ci95"] < 0.0, judged
+    assert trial["of_effect"]["rides"] + trial["final"]["rides"] == trial["rides"] == 160
+    assert trial["mae_after_kwh"] < 1.3 * trial["noise_floor_kwh"]
+    cold = trial["conditions"]["outside temperature"][0]
+    assert cold["where"] == "below −10 °C"
+    assert cold["mae_after_kwh"] < cold["mae_before_kwh"]
+    assert {one["where"] for one in trial["conditions"]["vehicle"]} == {f"taxi-{i}" for i in range(4)}
+
+
+def test_whether_it_helps_does_not_depend_on_the_days_set_apart(cold, model, added):
+    rides, windows = cold
+    apart = added.trial["final"]["dates"]
+    assert len(apart) == 4
+    last = windows["ride_key"].isin(rides.loc[rides["date"].isin(apart), "ride_key"])
+    spoilt = windows.assign(**{name: windows[name] + 0.1 * last for name in ("energy_kwh", "energy_vi_kwh")})
+    trial = add(model, "cold_rolling", scoped("cold_rolling"), joined(rides, spoilt), rides=rides).trial
+    assert trial["final"]["mae_after_kwh"] > 0.5
+    for key in ("gain", "p", "of_effect", "on_days", "on_vehicles", "accepted"):
+        assert trial[key] == added.trial[key], key
+
+
+def test_the_history_is_plain_json_that_a_model_file_keeps(model, added, tmp_path):
+    path = tmp_path / "model.json"
+    models.save(added.model, path)
+    again = models.load(path)
+    assert again == added.model
+    assert again.history[:-1] == model.history
+    entry = again.history[-1]
+    assert json.loads(json.dumps(entry)) == entry
+    assert (entry["action"], entry["effect"], entry["scope"]) == ("add", "cold_rolling", "all")
+    assert entry["from_version"] == model.version
+    assert entry["last_date"] == "2019-04-21"
+    assert again.version not in {model.version, ""}
+    assert again.training.rides == 160
+    assert again.name == model.name
+
+
+def test_a_decoy_is_refused_and_the_attempt_is_kept(cold, added):
+    found = tried(cold, added.model, "headwind")
+    assert not found.trial["accepted"]
+    assert "chance" in found.trial["reason"]
+    kept = logged(added.model, found.trial)
+    assert kept.history[-1]["action"] == "refused"
+    assert kept.terms == added.model.terms
+    assert kept.version == added.model.version
+    assert decode(encode(kept)) == kept
+    taken = forced(found).model
+    assert taken.history[-1]["action"] == "add"
+    assert taken.history[-1]["forced"]
+    assert taken.terms[-1].name == "headwind"
+
+
+def test_a_second_effect_leaves_the_first_where_it_was(cold, added):
+    found = tried(cold, added.model, "headwind").trial
+    assert found["mae_before_kwh"] == pytest.approx(added.trial["mae_after_kwh"], rel=0.05)
+    assert found["final"]["dates"] == added.trial["final"]["dates"]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nothing_is_added_where_nothing_is_missing(seed):
+    tables = planted(seed=10 + seed, rides=2, windows=5)
+    assert not tried(tables, base_model(tables[0]), "wet_road").trial["accepted"]
+
+
+@pytest.mark.parametrize("scope", ["vehicle=taxi-2", "since=2018-06-01"])
+def test_an_effect_of_one_vehicle_or_from_a_date_on_is_recovered_within_its_scope(scope):
+    tables = planted({("effect_cold_rolling", scope): 2e-4}, rides=3)
+    found = tried(tables, base_model(tables[0]), "cold_rolling", scope)
+    assert found.trial["accepted"]
+    low, high = found.trial["coefficient"]["ci95"]
+    assert low < 2e-4 < high
+    term = found.model.terms[-1]
+    assert term == Term(name=f"cold_rolling, {scope}", columns=("effect_cold_rolling", scope), unit="1/K")
+    assert decode(encode(found.model)) == found.model
+    assert (found.trial["on_vehicles"] is None) == scope.startswith("vehicle")
+    rides = tables[0].assign(vehicle_id="another", start_s=START)
+    without = found.model.predict(rides.assign(effect_cold_rolling=0.0))
+    assert found.model.predict(rides).tolist() == without.tolist()
+
+
+def test_an_effect_that_is_at_work_on_days_set_apart_alone_sets_none_apart():
+    tables = planted(rides=4)
+    apart = final_days((), list(tables[0]["date"]))
+    rides, windows = (
+        table.assign(effect_wet_road=table["effect_rolling"] * dates.isin(apart))
+        for table, dates in zip(tables, (tables[0]["date"], joined(*tables)["date"]), strict=True)
+    )
+    found = tried((rides, windows), base_model(rides), "wet_road").trial
+    assert found["final"] is None
+    assert found["of_effect"]["rides"] == found["rides"]
+
+
+def test_vehicle_models_that_differ_get_coefficients_of_their_own():
+    ids = {("effect_cold_rolling", f"vehicle=taxi-{i}"): (0.5e-4 if i % 2 else 2.5e-4) for i in range(4)}
+    tables = planted(ids)
+    found = tried(tables, base_model(tables[0]), "cold_rolling")
+    own = {key: one["value"] for key, one in found.trial["by_vehicle_model"].items()}
+    assert own[KINDS[0]] == pytest.approx(2.5e-4, rel=0.15)
+    assert own[KINDS[1]] == pytest.approx(0.5e-4, rel=0.4)
+    for key, value in own.items():
+        assert found.model.fits[key].coefficients[-1] == value
+    assert own[KINDS[1]] < found.model.fits[ANY].coefficients[-1] < own[KINDS[0]]
+
+
+def test_an_implausible_coefficient_is_told_of():
+    tables = planted({"effect_cold_rolling": 8e-4})
+    found = tried(tables, base_model(tables[0]), "cold_rolling")
+    assert found.trial["accepted"]
+    assert not found.trial["coefficient"]["plausible"]
+    assert "outside its plausible range, 2e-05 to 0.0003 1/K: it is too large" in found.trial["warnings"][0]
+
+
+def test_an_effect_of_the_wrong_sign_is_refused_and_told_of():
+    tables = planted({"effect_cold_rolling": -2e-4})
+    found = tried(tables, base_model(tables[0]), "cold_rolling")
+    assert not found.trial["accepted"]
+    assert "which physics forbids" in found.trial["warnings"][0]
+
+
+@pytest.mark.parametrize(
+    ("effect", "scopes", "error", "said"),
+    [
+        ("cold_roling", (), EffectError, "did you mean cold_rolling"),
+        ("snow", (), ModelError, "snow is nowhere at work in these 160 rides; it shows in"),
+        ("payload", (), ModelError, "payload is not in the tables: make them anew"),
+        ("brake_drag", (), ModelError, "can take up all of brake_drag"),
+        ("rolling", (), ModelError, "is in model base already, as the term 'rolling'"),
+        ("wet_road", ("vehicle=taxi-9",), ModelError, "within the scope vehicle=taxi-9: rides are of taxi-0, taxi-1"),
+        ("wet_road", ("since=2020-01-01",), ModelError, "rides are of 2018-01-01 to 2019-04-21"),
+        ("wet_road", ("since=2018-13-01",), ModelError, "is no date"),
+        ("wet_road", ("winter",), ModelError, "scope 'winter' is none: write vehicle=ID or since=YYYY-MM-DD"),
+        ("wet_road", ("vehicle=a", "vehicle=b"), ModelError, "add the effect once for each"),
+        ("cold_rolling@reference=283.150", (), EffectError, "is known as 'cold_rolling@reference=283.15'"),
+    ],
+)
+def test_what_cannot_be_added_is_told_with_its_remedy(effect, scopes, error, said, cold, model):
+    with pytest.raises(error, match=said.replace("(", r"\(")):
+        tried(cold, model, effect, *scopes)
+
+
+def test_a_variant_is_another_column_of_the_same_effect(cold, model, added):
+    found = tried(cold, model, "cold_rolling@reference=283.15")
+    assert found.model.terms[-1].columns == ("effect_cold_rolling@reference=283.15",)
+    assert "below 10 °C" in found.trial["words"]
+    with pytest.raises(ModelError, match="in model base already, as the term 'cold_rolling'"):
+        tried(cold, added.model, "cold_rolling@reference=283.15")
+
+
+def test_a_model_that_is_more_than_terms_is_refused(cold, model):
+    with pytest.raises(ModelError, match="factors of single cars"):
+        tried(
+            cold, LinearModel(**{f: getattr(model, f) for f in model.__struct_fields__} | {"cars": {"a": 1.1}}), "snow"
+        )
+
+
+def test_one_vehicle_on_one_day_cannot_be_judged():
+    tables = planted({"effect_wet_road": 1e-3}, vehicles=1, days=1, rides=40)
+    tables = tuple(t.assign(effect_wet_road=t["effect_rolling"] * (np.arange(len(t)) % 2)) for t in tables)
+    with pytest.raises(ModelError, match="of one vehicle on one day"):
+        tried(tables, base_model(tables[0]), "wet_road")
+
+
+def test_a_model_with_a_constant_is_fitted_to_whole_rides(cold):
+    rides, windows = cold
+    assert additive(BASIC_PHYSICAL.terms)
+    assert not additive((term("average_speed_kmh"),))
+    assert not additive((term("distance_km", "distance_km"),))
+    assert not additive(RECIPES["hybrid"].terms)
+    with_constant = LinearModel(
+        name="constant", version="1", recipe="x", terms=(*base_model(rides).terms, term()), fits={}, history=()
+    )
+    found = add(with_constant, "cold_rolling", scoped("cold_rolling"), joined(rides, windows), rides=rides)
+    assert found.trial["windows"] == found.trial["rides"]
+    assert found.trial["coefficient"]["ci95"][0] < COLD < found.trial["coefficient"]["ci95"][1]
+    with pytest.raises(ModelError, match="hold for whole rides only"):
+        add(with_constant, "cold_rolling", scoped("cold_rolling"), joined(rides, windows))
+
+
+# ---- the parts of a trial
+
+
+def test_folds_hold_each_ride_out_once_and_whole_days_where_there_are_many():
+    for days, by_date in ((12, False), (24, True)):
+        rides, windows = planted(days=days, rides=2, windows=2)
+        found = rides_of(joined(rides, windows), rides)
+        folds = day_folds(found, 3)
+        assert np.sum(folds, axis=0).tolist() == [1] * len(found.table)
+        seen: dict[str, set[int]] = {}
+        for i, fold in enumerate(folds):
+            for date, vehicle in zip(found.table["date"][fold], found.table["vehicle_id"][fold], strict=True):
+                seen.setdefault(date if by_date else f"{date} {vehicle}", set()).add(i)
+        assert all(len(places) == 1 for places in seen.values())
+    by_vehicle = vehicle_folds(found, 3)
+    assert sum(fold.sum() for fold in by_vehicle) == len(found.table)
+    for fold in by_vehicle:
+        out = set(found.table["vehicle_id"][fold])
+        assert not out & set(found.table["vehicle_id"][~fold])
+
+
+def test_the_difference_is_paired_and_its_interval_is_of_vehicle_days():
+    rng = np.random.default_rng(4)
+    held = []
+    for _ in range(120):
+        days = np.repeat(np.arange(30), 5)
+        table = pd.DataFrame({"vehicle_id": "a", "date": days.astype(str), "measured": rng.normal(3.0, 1.0, 150)})
+        shared = rng.normal(0.0, 0.05, 30)[days]
+        before = table["measured"] + 0.5
+        after = table["measured"] + 0.4 + shared
+        found = comparison(table, before.to_numpy(), after.to_numpy())
+        held.append(abs(found["change_kwh"]["value"] + 0.1) < found["change_kwh"]["ci95"])
+        assert found["clusters"] == 30
+    assert 0.90 < np.mean(held) < 0.99
+
+
+def test_rides_that_are_not_predicted_are_left_out_of_the_comparison():
+    table = pd.DataFrame({"vehicle_id": list("aab"), "date": "d", "measured": [1.0, 1.0, 1.0]})
+    found = comparison(table, np.array([1.5, 1.5, np.nan]), np.array([1.25, 1.25, 1.0]))
+    assert (found["rides"], found["mae_before_kwh"], found["mae_after_kwh"]) == (2, 0.5, 0.25)
+    nothing = comparison(table, np.full(3, np.nan), np.full(3, np.nan))
+    assert nothing["rides"] == 0
+    assert np.isnan(nothing["change_kwh"]["value"])
+
+
+def test_the_noise_floor_is_the_error_of_a_model_that_is_right():
+    rng = np.random.default_rng(5)
+    sd = rng.uniform(0.01, 0.1, 20_000)
+    assert noise_floor(sd) == pytest.approx(np.abs(rng.normal(0.0, sd)).mean(), rel=0.02)
+    assert np.isnan(noise_floor(np.array([np.nan])))
+
+
+def test_days_that_were_set_apart_stay_so_and_new_days_are_set_apart_anew():
+    dates = [f"2018-01-{day:02d}" for day in range(1, 21)]
+    assert final_days((), dates * 3) == ("2018-01-03", "2018-01-08", "2018-01-13", "2018-01-18")
+    assert final_days((), dates[1:]) == ()
+    history = ({"final": None}, {"final": {"dates": ["2018-01-05"]}}, {"action": "refused"})
+    assert final_days(history, dates) == ("2018-01-05",)
+    assert final_days(history, dates[:6]) == ("2018-01-05",)
+    later = [date.replace("2018", "2019") for date in dates]
+    assert final_days(history, later)[0] == "2019-01-03"
+
+
+@pytest.mark.parametrize("scope", ["since=2018-13-01", "vehicle=", "since=now"])
+def test_a_model_file_with_a_damaged_scope_is_refused_in_one_line(scope, added, tmp_path):
+    content = json.loads(encode(added.model))
+    content["terms"][-1]["columns"].append(scope)
+    (tmp_path / "bad.json").write_text(json.dumps(content))
+    with pytest.raises(ModelError) as told:
+        models.load(tmp_path / "bad.json")
+    assert f"term 'cold_rolling': scope '{scope}'" in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+def test_scopes_are_said_as_people_do():
+    assert scope_in_words(("effect_snow", "vehicle=a=b")) == "vehicle a=b"
+
+
+def test_a_scoped_effect_forecasts_live_as_the_ride_table_says(tmp_path):
+    cold = (Term(name="cold", columns=("effect_cold_rolling", "vehicle=a", "since=2024-01-15"), unit="1/K"),)
+    fit = models.Fit(coefficients=(2e-4,))
+    scoped_model = LinearModel(name="s", version="1", recipe="x", terms=cold, fits={ANY: fit})
+    models.save(scoped_model, tmp_path / "s.json")
+    pipeline = Pipeline(models.load(tmp_path / "s.json"))
+    drives = [leaf("a"), leaf("b"), *telemetry(drive(ambient_c=-10.0), "a"), *telemetry(drive(ambient_c=-10.0), "b")]
+    pipeline.push(drives)
+    running = {status.vehicle_id: status.predicted_kwh for status in pipeline.status()}
+    assert running["a"] > 0.0
+    assert running["b"] == 0.0
+    pipeline.finish()
+    table = pipeline.take_rides()
+    assert dict(zip(table["vehicle_id"], scoped_model.predict(table), strict=True)) == running

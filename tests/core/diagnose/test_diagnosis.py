@@ -1,0 +1,263 @@
+"""The whole diagnosis of recorded drives: what it promises to hold, and what it says of what was hidden in them."""
+
+import json
+import math
+from collections import Counter
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pandas as pd
+import pytest
+
+from core import effects
+from core.diagnose.candidates import library
+from core.diagnose.dataset import LEAST_RIDES, fitted, gather
+from core.diagnose.diagnosis import declared, diagnose
+from core.effects.road_load import ROAD_LOAD
+from core.errors import ModelError
+from core.models.features import needed
+from tests.support.diagnosis_result import diagnosis as made_up
+from tests.support.drives import drives, measured
+from tools.bench.hidden import cases
+from tools.bench.hidden.cases import Case, Source
+from tools.simulator.settings import Hidden
+
+HIDDEN = "headwind"
+SHARE = 0.06
+
+
+@pytest.fixture(scope="module")
+def source():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cases, "FLEET", replace(cases.FLEET, vehicles=4, days=24, day_step=13, shift_hours=0.8))
+        patch.setattr(cases, "TURNS", 2)
+        whole = Source(5)
+        whole.recording("none")
+        return whole
+
+
+@pytest.fixture(scope="module")
+def recorded(source):
+    """Ride and window tables with an effect hidden in them."""
+    tables = source.tables(Case(5, (Hidden(HIDDEN, SHARE),)))
+    return tables.rides, tables.windows
+
+
+@pytest.fixture(scope="module")
+def model(recorded):
+    return fitted("road_load", *recorded)
+
+
+@pytest.fixture(scope="module")
+def found(recorded, model):
+    return diagnose(*recorded, model)
+
+
+@pytest.fixture(scope="module")
+def of_nothing(source):
+    tables = source.tables(Case(5))
+    return diagnose(tables.rides, tables.windows, fitted("road_load", tables.rides, tables.windows))
+
+
+def plain(value):
+    """Say whether a value is made of what JSON has, and nothing else."""
+    if isinstance(value, dict):
+        return all(type(key) is str and plain(each) for key, each in value.items())
+    if isinstance(value, list):
+        return all(plain(each) for each in value)
+    return value is None or type(value) in {bool, int, float, str}
+
+
+class TestPromise:
+    def test_it_holds_what_those_who_print_it_read(self, found):
+        expected = made_up()
+        assert set(found) == set(expected)
+        for name in ("model", "data", "error", "structure"):
+            assert set(found[name]) >= set(expected[name]), name
+        for name in ("missing", "candidates", "steps"):
+            assert found[name], name
+            for row in found[name]:
+                assert set(row) >= set(expected[name][0]), name
+        assert set(found["missing"][0]["coefficient"]) == set(expected["missing"][0]["coefficient"])
+        assert all(set(each) == set(expected["slices"][0]) for each in found["slices"])
+        assert all(set(each) == {"feature", "unit", "x", "y_kwh"} for each in found["structure"]["shapes"])
+
+    def test_values_are_plain_and_json_holds_them(self, found, of_nothing):
+        for each in (found, of_nothing):
+            assert plain(each)
+            assert json.loads(json.dumps(each)) == each
+            msgspec.json.encode(each)
+
+    def test_the_data_and_the_model_are_those_given(self, found, recorded, model):
+        seen = gather(*recorded, model)
+        data = found["data"]
+        assert (data["rides"], data["windows"]) == (len(seen.rides), len(seen.table))
+        assert (data["vehicles"], data["measured"]) == (4, "vi")
+        assert data["days"] == len(set(zip(seen.table["vehicle_id"], seen.table["date"], strict=True)))
+        assert data["first_date"] == min(seen.table["date"])
+        assert data["last_date"] == max(seen.table["date"])
+        assert 50.0 < data["resolution_s"] < 70.0
+        silent = {"windows without voltage and current": 10}
+        assert Counter(data["left_out"]) == Counter(recorded[0]["unfit_reason"].dropna()) + Counter(silent)
+        assert found["model"] == {"name": model.name, "version": model.version, "recipe": "road_load"}
+
+    def test_errors_are_of_rides_and_above_the_floor(self, found, recorded, model):
+        seen, error = gather(*recorded, model), found["error"]
+        off = np.bincount(seen.ride, seen.predicted - seen.measured)
+        assert error["mae_kwh"] == pytest.approx(np.mean(np.abs(off)))
+        assert error["bias_kwh"] == pytest.approx(np.mean(off))
+        assert error["relative"] == pytest.approx(error["mae_kwh"] / np.mean(np.bincount(seen.ride, seen.measured)))
+        assert 0.0 < error["noise_floor_kwh"] < error["mae_refitted_kwh"] <= error["mae_kwh"]
+
+    def test_every_effect_of_the_library_is_accounted_for_once(self, found):
+        names = [row["effect"] for row in found["candidates"]]
+        assert len(names) == len(set(names))
+        assert set(names) == set(effects.library()) - {effect.name for effect in ROAD_LOAD}
+        for row in found["candidates"]:
+            asked = row["gain"] is not None
+            assert asked == (row["status"] in {"missing", "not needed", "not there", "wrong sign"}), row
+            if asked:
+                assert 0.0 <= row["p"] <= 1.0
+                assert 0.0 <= row["q"] <= 1.0
+        gains = [row["gain"] for row in found["candidates"] if row["gain"] is not None]
+        assert gains == sorted(gains, reverse=True)
+
+    def test_the_same_tables_give_the_same_in_any_order_of_rows(self, recorded, model):
+        rides, windows = (table.sample(frac=1.0, random_state=5) for table in recorded)
+        one = diagnose(*recorded, model, places=False)
+        assert diagnose(*recorded, model, places=False) == one
+        other = diagnose(rides, windows, model, places=False)
+        assert other["verdict"] == one["verdict"]
+        assert other["error"] == pytest.approx(one["error"])
+        assert other["missing"][0]["coefficient"]["value"] == pytest.approx(one["missing"][0]["coefficient"]["value"])
+
+
+class TestWhatWasHidden:
+    def test_is_the_verdict(self, found):
+        assert found["verdict"] == HIDDEN
+        first = found["missing"][0]
+        assert first["effect"] == HIDDEN
+        assert first["group"][0] == HIDDEN
+        assert first["scope"] == "all"
+        assert first["columns"] == [f"effect_{first['variant']}"]
+        assert needed(first["columns"][0])
+        assert first["q"] < 0.01
+        (row,) = (row for row in found["candidates"] if row["effect"] == HIDDEN)
+        assert row["status"] == "missing"
+        assert row is found["candidates"][0] or row["gain"] > 0.0
+
+    def test_takes_its_share_by_a_coefficient_that_physics_knows(self, found):
+        first = found["missing"][0]
+        coefficient, effect = first["coefficient"], effects.get(first["variant"])
+        assert coefficient["unit"] == effect.unit
+        assert (coefficient["low"], coefficient["high"]) == (effect.low, effect.high)
+        low, high = coefficient["ci95"]
+        assert low < coefficient["value"] < high
+        assert low > 0.0
+        assert coefficient["plausible"] == (effect.low <= coefficient["value"] <= effect.high)
+        low, high = first["gain_ci95"]
+        assert low < first["gain"] < high
+        assert math.isfinite(first["energy_share"])
+        assert first["words"]
+        assert len(first["equivalents"]) == 3
+
+    def test_lowers_the_error_of_held_out_days(self, found):
+        steps = found["steps"]
+        assert [step["effect"] for step in steps] == [None, *(each["effect"] for each in found["missing"])]
+        assert steps[1]["mae_kwh"] < steps[0]["mae_kwh"]
+        assert {step["noise_floor_kwh"] for step in steps} == {found["error"]["noise_floor_kwh"]}
+        assert steps[0]["mae_kwh"] == pytest.approx(found["error"]["mae_refitted_kwh"])
+
+    def test_leaves_nothing_that_would_ask_for_a_suggestion(self, found):
+        assert not found["structure_remains"]
+        assert found["suggestion"] is found["suggestion_file"] is None
+
+    def test_is_not_named_where_it_is_not_asked_for(self, recorded, model):
+        without = diagnose(*recorded, model, without=(HIDDEN,))
+        assert HIDDEN not in {row["effect"] for row in without["missing"]}
+        assert HIDDEN not in {row["effect"] for row in without["candidates"]}
+
+
+def test_where_nothing_is_hidden_nothing_is_named(of_nothing):
+    assert of_nothing["verdict"] is None
+    assert of_nothing["missing"] == []
+    assert not of_nothing["structure_remains"]
+    assert of_nothing["suggestion"] is of_nothing["suggestion_file"] is None
+    assert len(of_nothing["steps"]) == 1
+    assert "missing" not in {row["status"] for row in of_nothing["candidates"]}
+
+
+@pytest.fixture(scope="module")
+def small():
+    """Tables of two cars, and a model fitted to them."""
+    tables = measured(drives(cars=2, days=8))
+    return tables, fitted("road_load", *tables, covariance=False)
+
+
+class TestTooLittle:
+    def refused(self, rides, windows, model):
+        with pytest.raises(ModelError) as said:
+            diagnose(rides, windows, model)
+        assert "\n" not in str(said.value)
+        return str(said.value)
+
+    @pytest.mark.parametrize("count", [0, 1, 2, LEAST_RIDES - 1])
+    def test_few_rides_are_refused_in_one_line(self, small, count):
+        (rides, windows), model = small
+        few = rides.iloc[:count]
+        kept = windows[windows["ride_key"].isin(few["ride_key"])]
+        said = self.refused(few, kept, model)
+        assert said == f"{count} rides with measured energy to diagnose, and it takes {LEAST_RIDES}: give more rides"
+
+    def test_rides_without_measured_energy_are_refused_in_one_line(self, small):
+        tables, model = small
+        nothing = dict.fromkeys(("energy_kwh", "energy_vi_kwh", "energy_soc_kwh"), np.nan)
+        said = self.refused(*(table.assign(**nothing) for table in tables), model)
+        assert said.startswith("0 rides with measured energy to diagnose (48 no measured energy left out)")
+
+    def test_one_day_of_one_car_is_refused_in_one_line(self, small):
+        rides, windows = (table[table["vehicle_id"] == "taxi-0"] for table in small[0])
+        said = self.refused(rides.assign(date="2018-01-01"), windows, small[1])
+        assert said.startswith("all 24 rides are of 1 vehicle-days")
+
+    def test_a_model_of_other_vehicles_is_refused_in_one_line(self, small):
+        tables, model = small
+        other = msgspec.structs.replace(model, fits={"tesla-model-s": next(iter(model.fits.values()))})
+        said = self.refused(*tables, other)
+        assert "is of tesla-model-s, and these rides are of kia-soul-ev-2015" in said
+
+    def test_tables_of_different_recordings_are_refused_in_one_line(self, small):
+        (rides, windows), model = small
+        said = self.refused(rides, windows.assign(ride_key="van" + windows["ride_key"]), model)
+        assert said.startswith("no window belongs to any of the rides")
+
+    def test_the_fewest_rides_that_do_are_diagnosed(self, small):
+        (rides, windows), model = small
+        rides = rides[rides["ride_key"].isin([f"taxi-{car}#{n}" for car in (0, 1) for n in range(10)])]
+        found = diagnose(rides, windows[windows["ride_key"].isin(rides["ride_key"])], model)
+        assert found["data"]["rides"] == LEAST_RIDES
+        assert plain(found)
+
+
+def test_of_variants_places_are_asked_for_the_declared_one(small):
+    tables, model = small
+    asked = library(gather(*tables, model), model)
+    found = declared(asked)
+    assert found.variants == found.names == tuple(name for name in asked.names if name in asked.variants)
+    np.testing.assert_array_equal(found.effects, np.arange(len(found.names)))
+    for at, name in enumerate(found.names):
+        np.testing.assert_array_equal(found.columns[:, at], asked.columns[:, asked.variants.index(name)])
+
+
+def test_where_only_the_state_of_charge_is_known_rides_are_diagnosed():
+    rides, windows = (
+        table.assign(energy_vi_kwh=np.nan, energy_soc_kwh=table["energy_kwh"])
+        for table in measured(drives(cars=3, days=12), {"headwind": 0.10})
+    )
+    model = fitted("road_load", rides, windows, covariance=False)
+    found = diagnose(rides, windows, model, places=False)
+    assert found["data"]["measured"] == "soc"
+    assert found["data"]["windows"] == found["data"]["rides"] == len(rides)
+    assert plain(found)
+    assert isinstance(pd.Series(found["error"]).min(), float)

@@ -1,0 +1,123 @@
+"""Places: an effect of one car, or from a date on, is named where it is and nowhere else."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from core.diagnose.candidates import library
+from core.diagnose.diagnosis import declared
+from core.diagnose.evidence import Clusters
+from core.diagnose.forward_selection import Search
+from core.diagnose.local_effects import LEAST_WINDOWS, local, places
+from core.diagnose.projection import Base
+from core.models.features import Columns
+from tests.support.drives import drives, measured, seen, sized
+
+SINCE = "since=2018-06-05"
+CAR = "vehicle=taxi-1"
+
+
+def looked(shares, *, cars=4, **errors) -> Search:
+    """Return a search that has named what holds everywhere, and then what holds in places."""
+    windows, model = seen(measured(drives(cars), shares, **({"of_day": 0.01} | errors)))
+    clusters = [Clusters(windows.day), Clusters(windows.date)]
+    found = Search(Base(windows, model), library(windows, model), clusters, 0.002, 6, 0)
+    found.forward()
+    local(found, declared(library(windows, model, scopes=True)))
+    return found
+
+
+def drives_late(date: str) -> int:
+    """Return how many days of driving a date is late, of those that an effect acts since `SINCE`."""
+    days = np.unique(drives()["date"])
+    first = np.searchsorted(days, SINCE.removeprefix("since="))
+    return int(np.searchsorted(days, date.removeprefix("since=")) - first)
+
+
+def named(found: Search) -> list[tuple[str, tuple[str, ...]]]:
+    return [(each.effect, each.asked.scope) for each in found.named]
+
+
+@pytest.mark.parametrize("effect", ["cornering", "night_lights", "headwind"])
+def test_an_effect_of_one_car_is_named_there_and_nowhere_else(effect):
+    found = looked({f"{effect} {CAR}": 0.05})
+    assert named(found) == [(effect, (CAR,))]
+    (finding,) = found.findings()
+    low, high = finding.evidence.interval(0, 0.999)
+    assert low < sized(drives(), {f"{effect} {CAR}": 0.05})[f"{effect} {CAR}"] < high
+
+
+@pytest.mark.parametrize("effect", ["tyre_pressure", "standby", "roof_load"])
+def test_an_effect_that_began_is_named_from_the_day_on_that_it_began(effect):
+    """Each is of a shape that the model has everywhere, and says nothing of what came later."""
+    found = looked({f"{effect} {SINCE}": 0.05})
+    (only,) = named(found)
+    assert only[0] == effect
+    (since,) = only[1]
+    assert abs(drives_late(since)) <= 2
+    assert not found.asked.absent.get(effect)
+
+
+def test_an_effect_that_began_in_one_car_is_named_with_both():
+    found = looked({f"roof_load {CAR} {SINCE}": 0.08}, of_day=0.005)
+    ((effect, (car, since)),) = named(found)
+    assert (effect, car) == ("roof_load", CAR)
+    assert abs(drives_late(since)) <= 2
+
+
+def test_what_is_alike_in_a_place_is_one_group():
+    """Of one car, force and rolling differ by its passengers alone."""
+    found = looked({f"brake_drag {CAR} {SINCE}": 0.08}, of_day=0.005)
+    (finding,) = found.findings()
+    assert {"brake_drag", "tyre_pressure"} <= {finding.named.effect, *(name for name, _ in finding.rivals)}
+
+
+def test_the_only_car_has_no_place_of_its_own_but_dates():
+    found = looked({f"tyre_pressure {SINCE}": 0.08}, cars=1)
+    assert all(each.car is None for each in places(found.base.windows))
+    ((effect, (since,)),) = named(found)
+    assert effect == "tyre_pressure"
+    assert abs(drives_late(since)) <= 2
+
+
+def test_what_holds_everywhere_is_not_named_in_a_place_again():
+    found = looked({"headwind": 0.05, "night_lights": 0.04})
+    assert sorted(named(found)) == [("headwind", ()), ("night_lights", ())]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_of_nothing_nothing_is_named_in_any_place(seed):
+    assert named(looked({}, seed=seed, of_day=0.03, of_ride=0.002)) == []
+
+
+def test_what_holds_everywhere_and_more_in_one_car_is_named_twice():
+    found = looked({"headwind": 0.04, f"night_lights {CAR}": 0.06})
+    assert set(named(found)) == {("headwind", ()), ("night_lights", (CAR,))}
+
+
+@pytest.fixture(scope="module")
+def windows():
+    return seen(measured(drives()))[0]
+
+
+class TestPlaces:
+    def test_rows_are_where_the_columns_of_a_term_are_one(self, windows):
+        for place in places(windows):
+            one = np.prod([Columns(windows.table)[scope] for scope in place.scope], axis=0)
+            np.testing.assert_array_equal(place.rows, one == 1.0)
+            assert place.car is None or set(windows.vehicle[place.rows]) == {place.car}
+
+    def test_on_either_side_of_a_border_there_are_windows_enough(self, windows):
+        inside = np.array([place.rows.sum() for place in places(windows)])
+        assert inside.min() >= LEAST_WINDOWS
+        assert inside.max() <= len(windows.measured) - LEAST_WINDOWS
+
+    def test_there_are_cars_and_dates_and_both_together(self, windows):
+        scopes = [place.scope for place in places(windows)]
+        assert len(scopes) == len(set(scopes))
+        cars = {scope for scope in scopes if len(scope) == 1 and scope[0].startswith("vehicle=")}
+        dates = {scope for scope in scopes if len(scope) == 1 and scope[0].startswith("since=")}
+        assert cars == {(f"vehicle=taxi-{car}",) for car in range(4)}
+        assert 3 <= len(dates) <= 10
+        assert {scope for scope in scopes if len(scope) == 2} <= {car + date for car in cars for date in dates}
+        assert min(pd.Timestamp(date.removeprefix("since=")) for (date,) in dates) > pd.Timestamp("2018-01-01")

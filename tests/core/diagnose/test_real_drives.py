@@ -1,0 +1,191 @@
+"""What diagnosis says of two real cars whose model knows nothing of heating, held against their measured climate power.
+
+The model is road load and constant auxiliaries, fitted to windows. The climate power that both cars measured is kept
+out of the messages that are diagnosed, and only judges what was found. It is one car each, of few days: a BMW i3 of 31
+drives on 17 dates, half of them in a mild winter and half in a summer with air conditioning, and a Nissan Leaf of 135
+on 90.
+
+Two leaks, known: the reference accessory curve and the i3's `accessory_scale` were once set on the measured climate
+power of these very drives. `road_load_constant` reads neither, nor does any effect that is named here.
+"""
+
+from functools import cache
+from typing import Any, NamedTuple
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from core import effects
+from core.columns import KMH
+from core.diagnose.add import add
+from core.diagnose.add.holdout import held_out, rides_of
+from core.diagnose.add.refit import Change, refit, refit_with
+from core.diagnose.add.terms import effect_term, scoped
+from core.diagnose.dataset import fitted, joined
+from core.diagnose.diagnosis import diagnose
+from core.models import ANY, LinearModel
+from core.models.features import EFFECT_PREFIX
+from core.pipeline import Pipeline
+from core.settings import Settings
+from tests.support.paths import ROOT
+from tools.commands.import_drives import collect
+from tools.importers import bmw_i3, ved
+from tools.importers.drive import messages
+
+DATA = ROOT.parent / "shared" / "data"
+pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"the public data sets are not at {DATA}")
+
+RECIPE = "road_load_constant"
+PERIOD = 3.0
+CABIN = {"cabin_heating", "cabin_warmup", "door_heat_loss"}
+"""Effects that heat the cabin: in the steady state, after parking, and after doors were open."""
+COLD_C = 15.0
+"""Outside temperature below which the climate power is heating."""
+BOTH = pytest.mark.parametrize("car", ["bmw-i3", "ved"])
+
+
+class Tables(NamedTuple):
+    """Rides and windows of a car."""
+
+    rides: pd.DataFrame
+    windows: pd.DataFrame
+
+
+class Found(NamedTuple):
+    """What is known of a car: without and with its climate power, the model, the diagnosis, what is looked at."""
+
+    blind: Tables
+    seeing: Tables
+    model: LinearModel
+    told: dict[str, Any]
+    first: str
+
+
+@cache
+def found(car: str) -> Found:
+    """Import a car's drives and diagnose them, without their climate power."""
+    if car == "ved":
+        drives, settings = collect([DATA / "ved_ev"], lambda path: ved.read_drives(path, ZoneInfo(ved.TIME_ZONE))), None
+    else:
+        overview = bmw_i3.read_overview(DATA / "bmw_i3" / bmw_i3.OVERVIEW)
+        zone, settings = ZoneInfo(bmw_i3.TIME_ZONE), Settings(speed_limit=180 * KMH)
+        drives = collect([DATA / "bmw_i3"], lambda path: bmw_i3.read_drives(path, zone, overview))
+    withheld = [
+        drive._replace(rows={name: rows for name, rows in drive.rows.items() if name != "hvac_w"}) for drive in drives
+    ]
+    blind, seeing = (tables(each, settings or Settings()) for each in (withheld, drives))
+    model = fitted(RECIPE, *blind)
+    told = diagnose(*blind, model)
+    best = told["missing"][0] if told["missing"] else told["candidates"][0]
+    return Found(blind, seeing, model, told, best["variant"])
+
+
+def tables(drives, settings: Settings) -> Tables:
+    """Return what `socast tables` makes of drives."""
+    pipeline = Pipeline(settings=settings, also=list(effects.tabulated()), keep_forecasts=False)
+    pipeline.push(messages(drives, PERIOD))
+    pipeline.finish()
+    return Tables(pipeline.take_rides(), pipeline.take_windows())
+
+
+def change(car: str) -> Change:
+    """Return what is added to the model."""
+    first = found(car).first
+    return Change(found(car).model.terms, (), effect_term(found(car).model, first, scoped(first, ())))
+
+
+def fall(car: str) -> float:
+    """Return the fall of the error of rides, each predicted by models fitted without its day."""
+    rides = rides_of(joined(*found(car).blind))
+    days = np.array(rides.dates)
+    before, after = held_out(change(car), rides, [days == day for day in sorted(set(days))])
+    measured = rides.table["measured"].to_numpy()
+    error, left = (float(np.abs(told - measured).mean()) for told in (before, after))
+    print(f"{car}: {found(car).first}: {error:.4f} -> {left:.4f} kWh a ride, {1 - left / error:.1%} less")
+    return 1.0 - left / error
+
+
+def climate(car: str) -> tuple[float, float]:
+    """Return the climate energy of cold rides over the measured one: of the effect, and with the constant's part of it.
+
+    Constant auxiliaries take what is alike in all rides, some heating too. How much it is, only the measured climate
+    power tells: it is the constant above that of a road load fitted to the energy less the climate's.
+    """
+    told = found(car)
+    made = refit_with(change(car), joined(*told.blind))
+    *_, constant, coefficient = made.after.fits[ANY].coefficients
+    rows = joined(*told.seeing)
+    rows = rows.loc[rows["hvac_kwh"].notna()].reset_index(drop=True)
+    less = refit(told.model.terms, rows.assign(energy_kwh=rows["energy_kwh"] - rows["hvac_kwh"]))
+    cold = rows.loc[rows["ambient_c"] < COLD_C]
+    measured = float(cold["hvac_kwh"].sum())
+    effect = coefficient * float(cold[f"{EFFECT_PREFIX}{told.first}"].sum())
+    above = constant - less.fits[ANY].coefficients[-1]
+    whole = effect + above * float(cold["effect_auxiliary"].sum())
+    print(
+        f"{car}: measured {measured:.2f} kWh, effect {effect:.2f} kWh, with {above:.0f} W of constant {whole:.2f} kWh"
+    )
+    return effect / measured, whole / measured
+
+
+@BOTH
+def test_the_measured_climate_power_plays_no_part_in_what_is_diagnosed(car):
+    blind, seeing = found(car).blind, found(car).seeing
+    for one, other in zip(blind, seeing, strict=True):
+        assert one["hvac_kwh"].isna().all()
+        assert other["hvac_kwh"].notna().any()
+        read = [name for name in one if name != "hvac_kwh" and not name.startswith("quality_")]
+        pd.testing.assert_frame_equal(one[read], other[read])
+    assert not [name for name in effects.tabulated() if "hvac" in effects.get(name).arguments]
+    assert not [term for term in found(car).model.terms if "accessor" in " ".join(term.columns)]
+
+
+def test_the_leaf_lacks_cabin_heating_first():
+    told = found("ved").told
+    assert "cabin_heating" in told["missing"][0]["group"]
+    assert told["verdict"] == told["missing"][0]["effect"]
+    assert told["missing"][0]["coefficient"]["plausible"]
+    assert told["missing"][0]["q"] < 0.01
+
+
+def test_the_i3_lacks_heat_of_the_cabin_before_all_else():
+    """The first name is warming up after parking, in a group that holds heating by temperature, which is the goal.
+
+    The heater was measured at 3.9 kW over the first five minutes, 1.5 kW over the next, then 1.2 kW, at 3 to 9 °C
+    outside. On 17 dates of one car the two, and doors, cannot be told apart.
+    """
+    told = found("bmw-i3").told
+    best = sorted((row for row in told["candidates"] if row["gain"]), key=lambda row: -row["gain"])[:3]
+    assert {row["effect"] for row in best} == CABIN
+    assert all(row["p"] < 0.02 for row in best)
+    assert min(row["p"] for row in best) < 0.002
+    assert "cabin_heating" in told["missing"][0]["group"]
+    assert told["verdict"] == told["missing"][0]["effect"]
+
+
+def test_the_error_of_held_out_rides_falls_on_the_leaf():
+    assert fall("ved") > 0.2
+
+
+def test_the_error_of_held_out_rides_falls_on_the_i3():
+    """By two fifths, with every day predicted without it; the goal is 45 %, and it is missed.
+
+    Taking off the measured climate energy itself, where there is any, lowers it by 59 %.
+    """
+    assert fall("bmw-i3") > 0.4
+    told = found("bmw-i3")
+    first = told.first
+    trial = add.add(told.model, first, scoped(first, ()), joined(*told.blind), rides=told.blind.rides).trial
+    assert trial["accepted"]
+    assert trial["coefficient"]["plausible"]
+    assert trial["on_days"]["fall"] > 0.3
+
+
+@BOTH
+def test_the_energy_is_that_of_the_measured_climate_power(car):
+    """Within 25 %, with and without the part that the constant takes."""
+    effect, whole = climate(car)
+    assert 0.75 < effect < 1.25
+    assert 0.75 < whole < 1.25

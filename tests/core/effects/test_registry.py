@@ -1,0 +1,270 @@
+"""The library of effects: a user's file is checked, and told of in one line."""
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from core import effects
+from core.columns import SIGNALS
+from core.effects import get, library, load_file, registry, tabulated, topics
+from core.errors import EffectError, SettingsError
+from tests.support.one_row import power
+from tools.cli import main
+from tools.commands.effects import app
+
+GOOD = '''
+import numpy as np
+from core.effects import Parameter, effect
+
+@effect(coefficient="door area times flow", unit="W/K", low=0, high=500, source="Somebody 2020, p. 7", per="time",
+        parameters={"inside": Parameter(294.15, "K", 288.15, 298.15)})
+def door_loss(stopped, inside, ambient):
+    """Heat through open doors: P = H stopped (T_in - T)."""
+    return stopped * np.maximum(inside - ambient, 0.0)
+'''
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Write a file of effects; what it brings leaves the library after the test."""
+    before, brought = dict(registry._library), dict(registry._brought_by)
+
+    def write(text, name="mine.py"):
+        path = tmp_path / name
+        path.write_text(text)
+        return path
+
+    yield write
+    registry._library.clear()
+    registry._library.update(before)
+    registry._brought_by.clear()
+    registry._brought_by.update(brought)
+
+
+def test_unknown_names_are_met_with_close_ones():
+    with pytest.raises(EffectError, match="effect 'aero_drg' is unknown: did you mean aero_drag"):
+        get("aero_drg")
+    with pytest.raises(EffectError, match="effect 'xyz' is unknown: known are rolling"):
+        get("xyz")
+
+
+# A user's own file
+
+
+def test_a_good_file_is_loaded_and_its_effects_work(write):
+    (found,) = load_file(write(GOOD))
+    assert (found.name, found.arguments, found.unit, found.per) == ("door_loss", ("stopped", "ambient"), "W/K", "time")
+    assert get("door_loss") is found
+    assert power("door_loss", stopped=1.0, ambient=284.15) == pytest.approx(10.0)
+
+
+def test_loading_again_replaces_what_the_file_brought(write):
+    load_file(write(GOOD))
+    (found,) = load_file(write(GOOD.replace("door_loss", "gate_loss")))
+    assert get("gate_loss") is found
+    assert "door_loss" not in library()
+
+
+def test_a_name_that_is_taken_is_refused_and_the_library_unchanged(write):
+    before = dict(library())
+    with pytest.raises(EffectError, match="effect 'rolling' is in the library already: give yours another name"):
+        load_file(write(GOOD.replace("door_loss", "rolling")))
+    assert dict(library()) == before
+    load_file(write(GOOD))
+    with pytest.raises(EffectError, match="effect 'door_loss' is in the library already"):
+        load_file(write(GOOD, "theirs.py"))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("def f(:\n  pass\n", ":1: not Python: "),
+        ("x = 1\0", ": not Python: "),
+        ("", ": holds no effect"),
+        ("from core.effects.road_load import rolling\n", ": holds no effect"),
+        ("import math\nimport socket\n", ":2: imports socket; an effect needs no more than"),
+        ("from urllib.request import urlopen\n", ":1: imports urllib.request; "),
+        ("from . import other\n", ":1: imports .; "),
+        ("from ssl import create_default_context\n", ":1: imports ssl; "),
+        ("http = __import__('http.client')\n", ":1: calls __import__; an effect is a function of its columns alone"),
+        ("x = 1\ny = open('/etc/hosts').read()\n", ":2: calls open; "),
+        (
+            GOOD.replace("per=", 'confused_with=["cabin_heatng"], per='),
+            "'cabin_heatng', which is unknown: did you mean",
+        ),
+        (GOOD.replace("per=", 'confused_with=["qqq"], per='), "confused with 'qqq', which is unknown"),
+        (
+            GOOD.replace("298.15)", "298.15, grid=(288.15, 299.15))"),
+            "must ascend, hold its value 294.15 and stay within",
+        ),
+        (GOOD.replace("per=", 'words="{kelvin}", per='), "words have a place for 'kelvin'"),
+        (GOOD.replace("    return stopped", "    return stopped[:-1]"), ": effect door_loss: raises ValueError: "),
+        (GOOD.replace("- ambient, 0.0)", "- ambient, 0.0)[1:]"), ": effect door_loss: raises ValueError: "),
+        (
+            GOOD.replace("    return ", "    return (stopped * (inside - ambient))[1:] + 0 * "),
+            ": effect door_loss: raises",
+        ),
+        (GOOD.replace("- ambient, 0.0)", "- ambient, 0.0) / stopped"), "gives nan at stopped=0"),
+        ("1 / 0\n", ":1: raises ZeroDivisionError when imported: division by zero"),
+        ("raise SystemExit(3)\n", ":1: raises SystemExit when imported: 3"),
+        (GOOD + GOOD, ": 'door_loss' is defined twice"),
+        (
+            GOOD.replace("stopped, inside, ambient", "stopped, inside, outside"),
+            ": effect door_loss: argument 'outside' is neither",
+        ),
+        (GOOD.replace('"W/K"', '"W"'), ": effect door_loss: function gives [K]"),
+        (
+            "from core.effects import effect\n@effect\ndef f(speed):\n    pass\n",
+            ":2: raises TypeError when imported: effect() takes",
+        ),
+    ],
+)
+def test_a_bad_file_is_told_of_in_one_line(write, text, said):
+    path = write(text)
+    before = dict(library())
+    with pytest.raises(EffectError) as caught:
+        load_file(path)
+    assert str(caught.value).startswith(str(path))
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert dict(library()) == before
+
+
+@pytest.mark.parametrize(
+    "text", ["while True:\n    pass\n", GOOD.replace("    return", "    while True: pass\n    return")]
+)
+def test_an_endless_loop_is_ended(write, text):
+    with pytest.raises(EffectError, match=r"mine\.py: not done after 1 s: look for a loop without end"):
+        load_file(write(text), time_limit=1.0)
+
+
+def test_files_that_cannot_be_read(tmp_path):
+    with pytest.raises(EffectError, match=r"no\.py: cannot read effects: No such file"):
+        load_file(tmp_path / "no.py")
+    with pytest.raises(EffectError, match="cannot read effects: Is a directory"):
+        load_file(tmp_path)
+    (tmp_path / "binary.py").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(EffectError, match="cannot read effects: it is not UTF-8 text"):
+        load_file(tmp_path / "binary.py")
+
+
+# The command
+
+
+def test_list_shows_every_effect_by_topic_and_writes_json(tmp_path):
+    done = CliRunner().invoke(app, ["list", "--json", str(tmp_path / "effects.json")])
+    assert done.exit_code == 0
+    written = json.loads((tmp_path / "effects.json").read_text())
+    assert [row["name"] for row in written] == list(library())
+    assert list(dict.fromkeys(row["topic"] for row in written)) == list(topics())
+    for row in written:
+        assert row["name"] in done.stdout
+        assert row["topic"] in done.stdout
+        assert row["formula"].startswith("P = ")
+        assert row["source"]
+        assert row["sign"] in (-1, 0, 1)
+    assert written[0]["plausible"] == [0.004, 0.025]
+    assert "[m^2]" in done.stdout
+    assert [name for row in written for name in row["tabulated"]] == [f"effect_{name}" for name in tabulated()]
+
+
+@pytest.mark.parametrize("name", [*library(), "cold_rolling@reference=283.15"])
+def test_show_tells_all_that_is_declared(name):
+    effect = get(name)
+    done = CliRunner().invoke(app, ["show", name])
+    assert done.exit_code == 0
+    said = " ".join(done.stdout.split())
+    for wanted in (
+        *(effect.name, effect.coefficient, f"[{effect.unit}]" if effect.unit != "1" else "", effect.energy_name),
+        *(effect.source[:40], effect.shown_by[:40], *effect.confused_with, *effect.parameters, *effect.arguments),
+        *(f"{effect.low:g} to {effect.high:g}", effect.formula[:40]),
+    ):
+        assert wanted in said, wanted
+
+
+def test_ones_own_effects_are_listed_and_shown_under_their_file(write):
+    path = write(GOOD.replace("per=", 'confused_with="cabin_heating", per='))
+    listed = CliRunner().invoke(app, ["list", "--effects", str(path)])
+    assert listed.exit_code == 0
+    assert listed.stdout.index("mine.py") < listed.stdout.index("door_loss")
+    shown = CliRunner().invoke(app, ["show", "door_loss", "--effects", str(path)])
+    assert "door_loss (mine.py)" in shown.stdout
+    assert "cabin_heating" in shown.stdout
+    assert "door_loss" in tabulated()
+
+
+@pytest.mark.parametrize("origin", [None, *library()])
+def test_a_new_file_passes_its_check_and_does_what_its_origin_does(tmp_path, origin):
+    path = tmp_path / "begun.py"
+    done = CliRunner().invoke(app, ["new", str(path), *(["--from", origin] if origin else [])])
+    assert done.exit_code == 0
+    assert f"socast effects check {path}" in " ".join(done.stdout.split())
+    (found,) = registry._run(path)
+    effects.check(found)
+    if origin is None:
+        assert found.name == "my_effect"
+        assert found.variants
+        return
+    like = get(origin)
+    assert found.name == f"my_{origin}"
+    for what in ("coefficient", "unit", "low", "high", "source", "per", "formula", "arguments", "documentation"):
+        assert getattr(found, what) == getattr(like, what), what
+    assert (found.parameters, found.words, found.scale) == (like.parameters, like.words, like.scale)
+    assert found.confused_with == (origin,)
+
+
+@pytest.mark.parametrize("origin", [None, "accessories"])
+def test_a_new_file_is_loaded_as_any_other(write, tmp_path, origin):
+    write("")  # what is loaded leaves the library after the test
+    path = tmp_path / "begun.py"
+    CliRunner().invoke(app, ["new", str(path), *(["--from", origin] if origin else [])])
+    (found,) = load_file(path)
+    assert get(found.name) is found
+
+
+def test_every_column_stands_in_a_new_file(tmp_path):
+    CliRunner().invoke(app, ["new", str(tmp_path / "begun.py")])
+    text = (tmp_path / "begun.py").read_text()
+    for column in SIGNALS:
+        assert f"#   {column.name}" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["show", "cold_roling"], "effect 'cold_roling' is unknown: did you mean cold_rolling"),
+        (["show", "cold_rolling@reference=1"], "parameter reference is 1 K, but must be from 268.15 to 303.15"),
+        (["new", "mine.txt"], "mine.txt: effects are written in Python: name a file that ends in .py"),
+        (["new", "no/mine.py"], "mine.py cannot be written: No such file or directory"),
+        (["new", "there.py"], "there.py is there already and would be overwritten"),
+        (["new", "mine.py", "--from", "headwnd"], "effect 'headwnd' is unknown: did you mean headwind"),
+        (["check", "no.py"], "no.py: cannot read effects: No such file or directory"),
+        (["list", "--effects", "no.py"], "no.py: cannot read effects: No such file or directory"),
+    ],
+)
+def test_bad_commands_are_one_line(tmp_path, monkeypatch, capsys, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "there.py").write_text("")
+    with pytest.raises(SystemExit) as ended:
+        main(["effects", *arguments])
+    assert ended.value.code == 2
+    told = capsys.readouterr().err
+    assert said in told
+    assert told.count("\n") == 1
+    assert not (tmp_path / "mine.py").exists()
+
+
+def test_check_command_tells_of_a_good_file_and_raises_for_a_bad_one(write):
+    done = CliRunner().invoke(app, ["check", str(write(GOOD))], env={"COLUMNS": "200"})
+    assert done.exit_code == 0
+    assert "door_loss" in done.stdout
+    assert "1 effect in" in done.stdout
+    bad = CliRunner().invoke(app, ["check", str(write("x = 1\n", "bad.py"))])
+    assert isinstance(bad.exception, EffectError)
+
+
+def test_json_that_cannot_be_written_is_told_of(tmp_path):
+    done = CliRunner().invoke(app, ["list", "--json", str(tmp_path / "no" / "effects.json")])
+    assert isinstance(done.exception, SettingsError)
+    assert "cannot be written: No such file" in str(done.exception)

@@ -1,0 +1,430 @@
+"""Models against measurement: intervals that hold, planted errors found where they are, sums that come out."""
+
+import msgspec
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from core.errors import ModelError
+from core.evaluate.binning import conditions, local_hour
+from core.evaluate.compare.datasets import contrast
+from core.evaluate.compare.models import compare, pairs, sample, worst
+from core.evaluate.compare.ride_trace import find, parting, trace
+from core.evaluate.compare.running import so_far
+from core.fit.recipes import FITTED_TERMS, recipe
+from core.models import ANY, BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, LinearModel, Term
+from core.models.features import FEATURES
+from core.models.parts import CORRECTION, parts
+from core.stats.clustered import clustered_mean, clustered_ratio, less, vehicle_days
+from core.stats.scores import Estimate
+from tests.support import planted_rides
+from tests.support.linear_models import STUMP
+from tests.support.paths import ROOT
+from tools.commands.tables import in_memory
+
+SHIFT = ROOT / "recordings" / "shift.mcap"
+seeds = st.integers(0, 2**32 - 1)
+
+
+def planted(n=400, seed=3, of_day=0.01, **coefficients):
+    """Return rides that took what extended physics says, but for coefficients, noise of the ride and of its day."""
+    table = planted_rides.rides(n, seed)
+    table = table.assign(start_s=table["start_s"] + np.arange(n), ride_key=[f"car#{i}" for i in range(n)])
+    still = table.assign(effect_aero_drag_wind=table["effect_aero_drag"])  # extended physics knows no wind
+    energy = planted_rides.physical_energy(still, coefficients)
+    return planted_rides.noisy(table, energy, seed, of_day)
+
+
+def model(name, terms, coefficients, key=ANY):
+    return LinearModel(
+        name=name, version="1", recipe=name, terms=tuple(terms), fits={key: Fit(coefficients=tuple(coefficients))}
+    )
+
+
+def compared(rides, **models):
+    return compare(sample(rides, models))
+
+
+@pytest.fixture(scope="module")
+def shift():
+    return in_memory([SHIFT], EXTENDED_PHYSICAL.effects)
+
+
+# the clustered interval
+
+
+def test_of_independent_rides_the_interval_is_the_classical_one():
+    values = np.random.default_rng(1).normal(2.0, 1.0, 50)
+    found = clustered_mean(values, np.arange(50))
+    assert found.error == pytest.approx(values.std(ddof=1) / np.sqrt(50))
+    assert found.freedom == pytest.approx(49)
+
+
+@given(seeds)
+def test_rides_that_repeat_others_of_their_cluster_are_no_news(seed):
+    rng = np.random.default_rng(seed)
+    clusters = rng.integers(0, 6, 40)
+    values = rng.normal(clusters, 1.0)
+    once, thrice = clustered_mean(values, clusters), clustered_mean(np.repeat(values, 3), np.repeat(clusters, 3))
+    assert thrice == pytest.approx(once)
+
+
+def test_the_interval_holds_the_truth_where_a_plain_one_does_not():
+    rng = np.random.default_rng(5)
+    held, plain, draws = 0, 0, 600
+    for _ in range(draws):
+        clusters = np.repeat(np.arange(12), rng.integers(2, 40, 12))
+        values = rng.normal(0.0, 0.1, 12)[clusters] + rng.normal(0.0, 0.2, len(clusters))
+        found = clustered_mean(values, clusters)
+        held += abs(found.value) <= found.ci95
+        plain += abs(found.value) <= 1.96 * values.std(ddof=1) / np.sqrt(len(values))
+    assert 0.91 < held / draws < 0.98
+    assert plain / draws < 0.7
+
+
+def test_the_standard_error_is_right_on_average_whatever_the_sizes_of_clusters():
+    rng = np.random.default_rng(6)
+    clusters = np.repeat(np.arange(4), [1, 3, 8, 20])
+    squares = [clustered_mean(rng.normal(0.0, 1.0, 32), clusters).error ** 2 for _ in range(4000)]
+    assert np.mean(squares) == pytest.approx(1.0 / 32.0, rel=0.08)
+
+
+def test_of_one_cluster_there_is_no_interval():
+    assert np.isnan(clustered_mean(np.ones(5), np.zeros(5, np.int64)).ci95)
+
+
+@given(seeds)
+def test_a_ratio_is_that_of_sums_and_knows_no_unit(seed):
+    rng = np.random.default_rng(seed)
+    above, below, clusters = rng.gamma(2.0, 1.0, 30), rng.gamma(2.0, 5.0, 30), rng.integers(0, 5, 30)
+    found, scaled = clustered_ratio(above, below, clusters), clustered_ratio(100.0 * above, below, clusters)
+    assert found.value == pytest.approx(above.sum() / below.sum())
+    assert (scaled.value, scaled.ci95) == pytest.approx((100.0 * found.value, 100.0 * found.ci95))
+    assert clustered_ratio(3.0 * below, below, clusters).error == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_difference_is_less_sure_than_either():
+    one, other = Estimate(3.0, 0.3, 10.0), Estimate(1.0, 0.4, 20.0)
+    apart = less(one, other)
+    assert (apart.value, apart.error) == (2.0, 0.5)
+    assert 10.0 <= apart.freedom <= 30.0
+    assert less(other, one).value == -2.0
+
+
+# conditions
+
+
+def test_each_ride_is_in_one_bin_of_what_is_known():
+    rides = planted(200)
+    rides.loc[3, "wind_speed_kmh"] = np.nan
+    found = conditions(rides)
+    assert "driver" not in found
+    assert "time of day" not in found  # these rides have no place
+    for name, (codes, labels) in found.items():
+        assert codes.max() < len(labels)
+        assert (codes >= 0).sum() == 200 - (name == "wind")
+    ambient = rides["ambient_c"].to_numpy()
+    codes, labels = found["temperature"]
+    low, high = np.array([[float(x) for x in labels[c].split(" to ")] for c in codes]).T
+    assert np.all((low <= ambient) & (ambient < high))
+
+
+@given(st.floats(1.4e9, 1.9e9), st.floats(-180.0, 180.0))
+def test_the_local_hour_is_that_of_the_sun_within_half_an_hour(start, longitude):
+    hour = local_hour(np.array([start]), np.array([longitude]))[0]
+    solar = (start / 3600.0 + longitude / 15.0) % 24.0
+    assert 0.0 <= hour < 24.0
+    assert abs((hour - solar + 12.0) % 24.0 - 12.0) <= 0.5 + 1e-6
+
+
+# models against rides
+
+
+def test_figures_are_what_they_are_called():
+    rides = planted()
+    found = compared(rides, m=EXTENDED_PHYSICAL)["models"]["m"]
+    error = EXTENDED_PHYSICAL.predict(rides) - rides["energy_kwh"].to_numpy()
+    assert found["mae_kwh"]["value"] == pytest.approx(np.abs(error).mean())
+    assert found["bias_kwh"]["value"] == pytest.approx(error.mean())
+    assert found["rmse_kwh"] == pytest.approx(np.sqrt((error**2).mean()))
+    assert found["within"]["10"] == pytest.approx((np.abs(error) <= 0.1 * rides["energy_kwh"].abs()).mean())
+    for entries in found["by"].values():
+        n = [entry["n"] for entry in entries]
+        assert sum(n) <= len(rides)
+        if sum(n) == len(rides):
+            assert np.average([e["bias_kwh"]["value"] for e in entries], weights=n) == pytest.approx(error.mean())
+
+
+def test_rides_left_out_are_counted_by_reason():
+    rides = planted(60)
+    rides.loc[:4, ["fit_for_training", "unfit_reason"]] = [False, "too_short"]
+    rides.loc[5:6, "energy_kwh"] = np.nan
+    rides.loc[7:9, "ambient_c"] = np.nan
+    needy = model("needy", [Term(name="a", columns=("ambient_c",), unit="kWh/K")], [1.0])
+    about = compared(rides, easy=EXTENDED_PHYSICAL, needy=needy)["about"]
+    assert about["left_out"] == {"too short": 5, "no measured energy": 2, "not predicted by needy": 3}
+    assert about["read"] == about["rides"] + sum(about["left_out"].values())
+
+
+def test_a_planted_error_is_found_in_the_cold_and_nowhere_else():
+    rides = planted(800)
+    cold = rides["ambient_c"].to_numpy() < -15.0
+    rides["energy_kwh"] += 0.3 * cold
+    found = compared(rides, m=EXTENDED_PHYSICAL)["models"]["m"]["by"]["temperature"]
+    sure = {entry["bin"] for entry in found if entry["q"] < 0.05}
+    assert {"-25 to -20", "-20 to -15"} <= sure <= {"below -30", "-30 to -25", "-25 to -20", "-20 to -15"}
+    assert all(entry["bias_kwh"]["value"] < -0.2 for entry in found if entry["bin"] in sure)
+
+
+def test_where_nothing_is_wrong_hardly_a_bin_is_named():
+    named = 0
+    for seed in range(30):
+        by = compared(planted(300, seed), m=EXTENDED_PHYSICAL)["models"]["m"]["by"]
+        named += any(entry["q"] < 0.05 for entries in by.values() for entry in entries)
+    assert named <= 5
+
+
+def test_models_are_told_apart_on_the_same_rides():
+    rides = planted()
+    better = EXTENDED_PHYSICAL
+    worse = model("worse", better.terms, [1.3, 1.0, 1.0, 1.0, 1.0])
+    found = {(p["a"], p["b"]): p for p in pairs(sample(rides, {"better": better, "worse": worse, "same": better}))}
+    assert found["better", "same"]["difference_kwh"] == {"value": 0.0, "ci95": 0.0}
+    assert found["better", "same"]["p_holm"] == 1.0
+    apart = found["better", "worse"]
+    assert apart["difference_kwh"]["value"] < -apart["difference_kwh"]["ci95"] < 0.0
+    assert apart["p"] < apart["p_holm"] < 0.01
+
+
+def test_a_pair_is_surer_than_its_models_apart():
+    rides = planted()
+    worse = model("worse", EXTENDED_PHYSICAL.terms, [1.1, 1.0, 1.0, 1.0, 1.0])
+    found = compared(rides, one=EXTENDED_PHYSICAL, other=worse)
+    apart = sum(own["mae_kwh"]["ci95"] for own in found["models"].values())
+    assert found["pairs"][0]["difference_kwh"]["ci95"] < 0.5 * apart
+
+
+@given(seeds)
+def test_the_order_of_rides_changes_nothing(seed):
+    rides = planted(60)
+    mixed = rides.sample(frac=1.0, random_state=seed)
+    for one, other in zip(
+        *(compared(table, m=EXTENDED_PHYSICAL)["models"]["m"]["by"]["season"] for table in (rides, mixed)), strict=True
+    ):
+        assert one["bin"] == other["bin"]
+        assert one["bias_kwh"] == pytest.approx(other["bias_kwh"])
+
+
+def test_the_worst_rides_come_first_and_relative_ones_are_well_measured():
+    rides = planted(100)
+    rides.loc[7, "energy_kwh"] += 5.0
+    rides.loc[8, ["energy_kwh", "energy_sd_kwh"]] = [0.001, 0.1]  # next to nothing: no ratio means anything
+    found = worst(sample(rides, {"m": EXTENDED_PHYSICAL}), EXTENDED_PHYSICAL.predict(rides))
+    assert found["absolute"][0]["ride"] == "car#7"
+    assert found["absolute"][0]["error_kwh"] == pytest.approx(-5.0, abs=0.5)
+    for rank in found.values():
+        assert len(rank) == 10
+    assert "car#8" not in {ride["ride"] for ride in found["relative"]}
+    sizes = [abs(ride["relative"]) for ride in found["relative"]]
+    assert sizes == sorted(sizes, reverse=True)
+
+
+def test_a_model_of_other_cars_is_refused():
+    rides = planted(50)
+    other = model("other", EXTENDED_PHYSICAL.terms, [1.0] * 5, key="bmw-i3-2014")
+    with pytest.raises(ModelError, match=r"model other is of bmw-i3-2014, and the rides are of kia-soul-ev-2015, .*\*"):
+        sample(rides, {"other": other})
+
+
+def test_rides_without_measured_energy_are_refused():
+    with pytest.raises(ModelError, match=r"none of 20 rides can be compared \(20 no measured energy\): give rides"):
+        sample(planted(20).assign(energy_kwh=np.nan), {"m": EXTENDED_PHYSICAL})
+
+
+def test_a_column_that_is_unknown_in_all_rides_is_named():
+    rides = planted(20).assign(odometer_km=np.nan)
+    needy = model("needy", [Term(name="o", columns=("odometer_km",), unit="kWh/km")], [1.0])
+    with pytest.raises(ModelError, match=r"needy predicts none of 20 rides: column 'odometer_km' is unknown"):
+        sample(rides, {"needy": needy})
+
+
+def test_two_rides_are_compared_without_intervals():
+    rides = planted(300).sort_values(["vehicle_id", "date"])
+    days = vehicle_days(rides)
+    two = rides[days == days[np.flatnonzero(np.diff(days) == 0)[0]]][:2]
+    found = compared(two, m=EXTENDED_PHYSICAL)
+    assert np.isnan(found["models"]["m"]["mae_kwh"]["ci95"])
+    assert any("too few for intervals" in note for note in found["notes"])
+
+
+# what predictions are made of
+
+
+@pytest.mark.parametrize("correction", [None, {ANY: STUMP}, {"tesla-model-s": STUMP}])
+@pytest.mark.parametrize("cars", [{}, {"tesla-model-s-1": 1.2, "nissan-leaf-2013-3": 0.9}])
+def test_parts_add_up_to_the_prediction(correction, cars):
+    rides = planted(240)
+    fitted = recipe("fitted_physical").fit(rides, covariance=False)
+    model = msgspec.structs.replace(fitted, correction=correction, cars=cars)
+    found = parts(model, rides)
+    assert list(found) == [term.name for term in FITTED_TERMS] + [CORRECTION] * (correction is not None)
+    np.testing.assert_allclose(sum(found.values()), model.predict(rides), rtol=1e-9)
+
+
+def test_a_car_without_a_fit_has_no_parts():
+    rides = planted(40)
+    one = model("one", FITTED_TERMS[:-1], [1.0] * 4, key="tesla-model-s")
+    found = parts(one, rides)["rolling"]
+    np.testing.assert_array_equal(np.isnan(found), rides["vehicle_model"] != "tesla-model-s")
+
+
+# the trace of a ride
+
+
+def test_the_ride_so_far_ends_as_the_ride(shift):
+    rides, windows = shift
+    for i in range(0, len(rides), 5):
+        ride = rides.iloc[[i]].reset_index(drop=True)
+        own = windows[windows["ride_key"] == ride["ride_key"].iloc[0]]
+        found = so_far(ride, own)
+        for name in (name for name in FEATURES if name in ride):
+            tolerance = {"rtol": 0.02} if name in {"wind_from_deg", "wind_speed_kmh"} else {"rtol": 1e-9, "atol": 1e-9}
+            np.testing.assert_allclose(found[name].iloc[-1], ride[name].iloc[0], err_msg=name, **tolerance)
+        assert found["distance_km"].iloc[0] == 0.0
+
+
+def test_a_trace_adds_up(shift):
+    rides, windows = shift
+    ride = find(rides[rides["distance_km"] > 5.0], rides.loc[rides["distance_km"] > 5.0, "ride_key"].iloc[0])
+    found = trace(ride, windows, {"plain": EXTENDED_PHYSICAL, "with": _with_constant()})
+    assert found["windows"]["measured_kwh"].sum() == pytest.approx(ride["energy_kwh"].iloc[0])
+    assert found["windows"]["end_km"][-1] == pytest.approx(ride["distance_km"].iloc[0])
+    for name, own in found["models"].items():
+        assert own["start_kwh"] + own["energy_kwh"].sum() == pytest.approx(own["predicted_kwh"]), name
+        np.testing.assert_allclose(sum(own["terms"].values()), own["energy_kwh"], atol=1e-12)
+        assert sum(own["start_terms"].values()) == pytest.approx(own["start_kwh"])
+    assert found["models"]["plain"]["start_kwh"] == 0.0
+    assert found["models"]["with"]["start_kwh"] == 0.5
+    told = (
+        "with is no sum over windows: what a window adds to its prediction of the ride so far is shown, and "
+        "+0.500 kWh are said before anything is driven"
+    )
+    assert [note for note in found["notes"] if "no sum over windows" in note] == [told]
+
+
+def _with_constant():
+    terms = (*EXTENDED_PHYSICAL.terms, Term(name="constant", columns=(), unit="kWh"))
+    return model("with", terms, [1.0] * 5 + [0.5])
+
+
+def test_windows_without_a_column_that_a_model_needs_are_refused(shift):
+    rides, windows = shift
+    ride = find(rides, rides.loc[rides["distance_km"] > 5.0, "ride_key"].iloc[0])
+    with pytest.raises(ModelError, match="column 'effect_climbing' is missing in the data: make the tables"):
+        trace(ride, windows.drop(columns="effect_climbing"), {"m": BASIC_PHYSICAL})
+
+
+def test_a_ride_that_nothing_measured_has_no_trace(shift):
+    rides, windows = shift
+    ride = find(rides, rides["ride_key"].iloc[0]).assign(energy_kwh=np.nan)
+    with pytest.raises(ModelError, match="it has no measured energy to compare with"):
+        trace(ride, windows, {"m": BASIC_PHYSICAL})
+
+
+def test_a_ride_is_found_by_key_and_identifier_and_else_names_that_are_close_are_told(shift):
+    rides, _ = shift
+    key, name = rides["ride_key"].iloc[4], rides["ride_id"].iloc[4]
+    assert find(rides, key)["ride_id"].iloc[0] == name
+    assert find(rides, name)["ride_key"].iloc[0] == key
+    with pytest.raises(ModelError, match=r"ride 'taxi-01#0' is not among \d+ rides: did you mean taxi-001#0"):
+        find(rides, "taxi-01#0")
+    twice = pd.concat([rides, rides.assign(ride_key="other#" + rides["ride_key"])])
+    with pytest.raises(ModelError, match="2 rides are named so: give the ride_key"):
+        find(twice, name)
+
+
+def test_a_ride_measured_by_its_state_of_charge_is_followed_in_steps(shift):
+    rides, windows = shift
+    soc = rides[(rides["energy_kwh"] == rides["energy_soc_kwh"]) & (rides["distance_km"] > 3.0)]
+    found = trace(find(rides, soc["ride_key"].iloc[0]), windows, {"m": EXTENDED_PHYSICAL})
+    assert found["notes"][0].startswith("measured by the state of charge: in steps")
+    assert found["windows"]["measured_kwh"].sum() == pytest.approx(soc["energy_kwh"].iloc[0])
+
+
+def test_windows_that_were_not_measured_take_the_mean_power(shift):
+    rides, windows = shift
+    ride = find(rides, rides.loc[rides["energy_kwh"] == rides["energy_vi_kwh"], "ride_key"].iloc[3])
+    own = windows.index[windows["ride_key"] == ride["ride_key"].iloc[0]]
+    gone = windows.assign(energy_vi_kwh=windows["energy_vi_kwh"].mask(windows.index == own[1]))
+    found = trace(ride, gone, {"m": EXTENDED_PHYSICAL})
+    assert any(note.startswith(f"1 of {len(own)} windows were not measured") for note in found["notes"])
+    assert found["windows"]["measured_kwh"].sum() == pytest.approx(ride["energy_kwh"].iloc[0])
+    with pytest.raises(ModelError, match="none of the windows of this ride has a measured energy"):
+        trace(ride, windows.assign(energy_vi_kwh=np.nan), {"m": EXTENDED_PHYSICAL})
+
+
+@given(seeds, st.integers(0, 15), st.integers(2, 6), st.sampled_from([-1.0, 1.0]))
+def test_the_place_where_they_part_is_where_it_was_planted(seed, first, length, sign):
+    rng = np.random.default_rng(seed)
+    windows = {"duration_s": rng.uniform(50.0, 70.0, 24), "distance_km": rng.uniform(0.2, 1.2, 24)}
+    error = sign * 0.004 + rng.normal(0.0, 0.001, 24)  # all along, and here
+    error[first : first + length] += 0.1 * sign
+    found = parting(error, windows, float(error.sum()))
+    assert (found["first"], found["last"]) == (first, first + length - 1)
+    assert found["share"] == pytest.approx(0.1 * length / (0.1 * length + 0.1), abs=0.1)
+    assert found["minute"] == pytest.approx(windows["duration_s"][:first].sum() / 60.0)
+    assert found["km"] == pytest.approx(windows["distance_km"][:first].sum())
+
+
+@given(st.floats(-1.0, 1.0))
+def test_a_steady_error_has_no_such_place(rate):
+    windows = {"duration_s": np.full(20, 60.0), "distance_km": np.ones(20)}
+    assert parting(np.full(20, rate), windows, 20.0 * rate) is None
+
+
+# two sets of rides
+
+
+def test_the_account_of_a_difference_comes_out_even():
+    rides = planted(500)
+    models = {"m": EXTENDED_PHYSICAL}
+    cold, warm = (sample(rides[rides["winter"] == w], models) for w in (1, 0))
+    found, turned = contrast(warm, cold, models), contrast(cold, warm, models)
+    own = found["models"]["m"]
+    for side in ("first", "second", "difference"):
+        value = lambda entry, side=side: entry[side]["value"]  # noqa: E731 - short
+        assert sum(map(value, own["terms"])) == pytest.approx(value(own["explained"]))
+        assert value(own["explained"]) + value(own["unexplained"]) == pytest.approx(value(found["consumption"]))
+    assert found["consumption"]["difference"]["value"] == pytest.approx(-turned["consumption"]["difference"]["value"])
+    assert found["properties"][0]["name"] == "outside temperature"
+    assert own["terms"][0]["name"] == "accessories"
+    n = [sum(counts) for counts in zip(*(e["n"] for e in own["by"]["temperature"]), strict=True)]
+    assert n == [len(warm.rides), len(cold.rides)]
+
+
+def test_what_a_model_does_not_know_is_left_unexplained_and_what_it_knows_is_not():
+    models = {"m": EXTENDED_PHYSICAL}
+    for factor in (1.0, 1.4):  # tyres of the second set
+        rides = planted(500, seed=4)
+        rides["energy_kwh"] += (
+            (rides["winter"] == 1) * (factor - 1.0) * rides["effect_rolling"] * rides["rolling_resistance"]
+        )
+        summer, winter = (sample(rides[rides["winter"] == w], models) for w in (0, 1))
+        found = contrast(summer, winter, models)
+        left = found["models"]["m"]["unexplained"]["difference"]
+        assert found["consumption"]["difference"]["value"] > 3.0  # it is winter, which the model knows of
+        truth = (
+            (factor - 1.0) * 100.0 * (rides["effect_rolling"] * rides["rolling_resistance"])[rides["winter"] == 1].sum()
+        )
+        truth /= rides.loc[rides["winter"] == 1, "distance_km"].sum()
+        assert left["value"] == pytest.approx(truth, abs=left["ci95"])
+        assert (abs(left["value"]) > left["ci95"]) == (factor > 1.0)
+
+
+def test_rides_in_both_sets_are_counted():
+    models = {"m": EXTENDED_PHYSICAL}
+    rides = planted(60)
+    found = contrast(sample(rides[:40], models), sample(rides[20:], models), models)
+    assert found["shared"] == 20

@@ -1,0 +1,319 @@
+"""The evaluation as a whole: nothing sees the answer, what is planted is found, and the same seed gives the same."""
+
+import json
+from dataclasses import dataclass, field
+from math import pi, sqrt
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from core.columns import ZERO_CELSIUS
+from core.errors import ModelError, SettingsError
+from core.evaluate.paper.accessories import figure_1
+from core.evaluate.paper.held_out import held_out
+from core.evaluate.paper.protocol import chosen, evaluate
+from core.evaluate.paper.runs import Prediction
+from core.evaluate.ride_filter import CLUSTERS, LEAST, judged
+from core.stats.splits import Split
+from core.vehicles import AccessoryCurve
+from tests.support import planted_rides
+
+SD = 0.1
+MODELS = ("kia-soul-ev-2015", "tesla-model-s")
+
+
+@dataclass
+class Model:
+    """Predicts with any function of the rides; with an interval where a half width is given."""
+
+    of: object
+    interval: float | None = None
+
+    def predict(self, rides):
+        return np.asarray(self.of(rides), dtype=float)
+
+    def predict_interval(self, rides, level):
+        assert level == 0.9
+        return self.predict(rides) - self.interval, self.predict(rides) + self.interval
+
+
+@dataclass
+class Toy:
+    """A recipe that learns nothing."""
+
+    name: str
+    of: object
+    interval: float | None = None
+    title: str = "toy"
+    seen: list = field(default_factory=list)
+
+    def fit(self, rides):
+        self.seen.append(rides)
+        return Model(self.of, self.interval)
+
+
+def per_km(factor=1.0, off=0.0):
+    return lambda rides: 0.2 * factor * rides["distance_km"].to_numpy() + off
+
+
+def fleet(n=1600, seed=3, models=MODELS):
+    """Return rides that take 0.2 kWh/km and normal noise, the driver's name to them."""
+    table = planted_rides.rides(n, seed, models)
+    rng = np.random.default_rng(seed)
+    table["start_s"] += rng.permutation(n) * 10.0
+    table["driver_id"] = rng.choice(["ana", "bo"], n)
+    return table.assign(energy_kwh=0.2 * table["distance_km"] + rng.normal(0.0, SD, n))
+
+
+def recipes(*toys):
+    return {toy.name: toy for toy in toys}
+
+
+TRUE = Toy("true", per_km(), interval=1.6449 * SD)
+HIGH = Toy("basic_physical", per_km(1.0, 0.3))
+CLOSE = Toy("close", per_km(1.02))
+
+
+@pytest.fixture(scope="module")
+def rides():
+    return fleet()
+
+
+@pytest.fixture(scope="module")
+def result(rides):
+    told = []
+    found = evaluate(rides, recipes(HIGH, CLOSE, TRUE), seed=5, progress=lambda done, of: told.append((done, of)))
+    assert told[0][0] == 0
+    assert told[-1][0] == told[-1][1] == len(told) - 1
+    return found
+
+
+def test_the_result_is_plain_json_with_every_part(result):
+    assert json.loads(json.dumps(result, allow_nan=False)) == result
+    for part in (
+        *("about", "rides", "consumption", "test_consumption", "recipes", "mae", "reduction", "relative"),
+        *("difference", "dominates", "bias", "rmse", "bands", "by", "coverage", "buffer_kwh", "splits", "new_vehicle"),
+        *("few_shot", "selection", "curve"),
+    ):
+        assert part in result
+    assert result["recipes"] == dict.fromkeys(("basic_physical", "close", "true"), "toy")
+    assert result["about"]["vehicle_models"] == sorted(MODELS)
+    assert result["about"]["clusters"] == list(CLUSTERS[:5])
+
+
+def test_rides_and_consumption_are_those_of_the_table(result, rides):
+    for model in MODELS:
+        own = rides[rides["vehicle_model"] == model]
+        assert result["rides"][model]["total"] == len(own)
+        assert result["rides"][model]["5-10"] == own["distance_km"].between(5, 10, inclusive="left").sum()
+        for cluster in ("0-5", "10-15"):
+            low, high = (float(end) for end in cluster.split("-"))
+            at = own["distance_km"].between(low, high, inclusive="left")
+            assert result["consumption"][model][cluster] == pytest.approx(own["energy_kwh"][at].mean())
+
+
+def test_the_planted_error_is_found_and_its_interval_holds_it(result):
+    truth = SD * sqrt(2 / pi)
+    for model in MODELS:
+        error = result["mae"]["true"][model]["average"]
+        assert abs(error["value"] - truth) < 1.5 * error["ci95"]
+        assert error["ci95"] < 0.3 * truth
+        assert result["rmse"]["true"][model] == pytest.approx(SD, rel=0.1)
+        assert result["bias"]["basic_physical"][model] == pytest.approx(0.3, abs=0.01)
+
+
+def test_averages_are_plain_and_the_bottom_row_is_by_rides(result):
+    mae, count = result["mae"]["close"], result["rides"]
+    for model in MODELS:
+        known = [mae[model][c]["value"] for c in CLUSTERS[:5] if mae[model][c]["value"] is not None]
+        assert mae[model]["average"]["value"] == pytest.approx(np.mean(known))
+    for cluster in ("0-5", "5-10"):
+        weights = [count[m][cluster] for m in MODELS]
+        values = [mae[m][cluster]["value"] for m in MODELS]
+        assert mae["weighted"][cluster]["value"] == pytest.approx(np.average(values, weights=weights))
+
+
+def test_reductions_are_against_the_basic_physical_model(result):
+    average = {r: {m: rows[m]["average"]["value"] for m in MODELS} for r, rows in result["mae"].items()}
+    for recipe, shares in result["reduction"].items():
+        expected = [1 - average[recipe][m] / average["basic_physical"][m] for m in MODELS]
+        assert [shares[m] for m in MODELS] == pytest.approx(expected)
+        assert shares["average"] == pytest.approx(np.mean(expected))
+    relative = result["relative"]["true"]["5-10"]
+    mean = result["test_consumption"]["weighted"]["5-10"]["value"]
+    assert relative == pytest.approx(result["mae"]["true"]["weighted"]["5-10"]["value"] / mean)
+
+
+def test_the_planted_best_dominates_and_equals_share_its_place(rides, result):
+    assert set(result["dominates"]["all"]) == {"true"}
+    assert result["difference"]["all"]["basic_physical|true"]["p"] < 1e-6
+    assert result["difference"]["all"]["basic_physical|true"]["value"] > 0.0
+    rng = np.random.default_rng(1)
+    shaken = rng.normal(0.0, 0.001, len(rides))
+    twin = Toy("twin", lambda asked: per_km()(asked) + shaken[asked.index])
+    found = evaluate(rides, recipes(HIGH, TRUE, twin), seed=5)
+    assert set(found["dominates"]["all"]) == {"true", "twin"}
+
+
+def test_a_cluster_of_few_rides_has_no_figure(result):
+    few = [(m, c) for m in MODELS for c in CLUSTERS[:5] if 0 < result["rides"][m][c] < LEAST]
+    many = [(m, c) for m in MODELS for c in CLUSTERS[:5] if result["rides"][m][c] >= LEAST]
+    assert few
+    assert many
+    for model, cluster in few:
+        assert result["mae"]["true"][model][cluster] == {"value": None, "ci95": None}
+    for model, cluster in many:
+        assert result["mae"]["true"][model][cluster]["ci95"] > 0.0
+
+
+def test_intervals_cover_what_was_planted_and_buffers_are_quantiles(result):
+    covered = result["coverage"]["true"]
+    assert set(result["coverage"]) == {"true"}
+    assert covered["overall"] == pytest.approx(0.9, abs=0.03)
+    assert covered["width_kwh"] == pytest.approx(2 * 1.6449 * SD)
+    for part in ("cluster", "season", "vehicle_model"):
+        assert covered[part]
+        assert all(0.7 <= share <= 1.0 for share in covered[part].values())
+    assert {"by_vehicle", "by_date", "new_vehicle"} <= set(covered)
+    assert result["buffer_kwh"]["true"]["95"] == pytest.approx(1.645 * SD, rel=0.15)
+    assert result["buffer_kwh"]["basic_physical"]["95"] == pytest.approx(1.645 * SD - 0.3, abs=0.03)
+
+
+def test_errors_are_told_by_distance_temperature_season_and_driver(result):
+    assert set(result["by"]) == {"distance", "temperature", "season", "driver"}
+    assert [b["bin"] for b in result["by"]["season"]["true"]] == ["winter", "summer"]
+    assert [b["bin"] for b in result["by"]["driver"]["true"]] == ["ana", "bo"]
+    total = sum(b["n"] for b in result["by"]["driver"]["true"])
+    assert total == sum(b["n"] for b in result["by"]["season"]["true"])
+    assert "0 to 5" in {b["bin"] for b in result["by"]["temperature"]["true"]}
+
+
+def test_what_is_predicted_is_never_seen_with_its_answer(rides):
+    seen = []
+
+    def spy(asked):
+        assert not [n for n in asked if n.startswith(("energy", "soc_end", "hvac"))]
+        seen.append(set(asked["ride_id"]))
+        return per_km()(asked)
+
+    toy = Toy("spy", spy)
+    evaluate(rides.assign(soc_end_pct=1.0, hvac_kwh=1.0, energy_vi_kwh=1.0), recipes(toy), seed=1)
+    assert len(seen) == len(toy.seen)
+    for asked, trained in zip(seen, toy.seen, strict=True):
+        assert not asked & set(trained["ride_id"])
+
+
+def test_splits_by_vehicle_and_by_date_hold_out_cars_and_days(rides):
+    class Memory(Toy):
+        def fit(self, rides):
+            cars, dates = set(rides["vehicle_id"]), set(rides["date"])
+            known = lambda asked: asked["vehicle_id"].isin(cars) & asked["date"].isin(dates)  # noqa: E731 - short
+            return Model(lambda asked: np.where(known(asked), per_km()(asked), per_km(1.0, 5.0)(asked)))
+
+    found = evaluate(rides, recipes(TRUE, Memory("memory", None)), seed=1)
+    for model in MODELS:
+        assert found["splits"]["ride"]["memory"][model] < 2.5
+        assert found["splits"]["vehicle"]["memory"][model] == pytest.approx(5.0, abs=0.05)
+        assert found["splits"]["date"]["memory"][model] == pytest.approx(5.0, abs=0.05)
+        assert found["splits"]["vehicle"]["true"][model] < 0.12
+
+
+def test_the_same_seed_gives_the_same_whatever_the_processes_and_the_order_of_rides():
+    table, wanted = fleet(400, models=MODELS[:1]), chosen("basic_physical,empirical", None)
+    one = evaluate(table, wanted, seed=7, repeats=2)
+    assert evaluate(table.sample(frac=1.0, random_state=1), wanted, seed=7, repeats=2, jobs=2) == one
+    assert evaluate(table, wanted, seed=8, repeats=2)["mae"] != one["mae"]
+
+
+def test_a_recipe_that_fails_is_left_out_and_said_so(rides):
+    def refuse(_asked):
+        raise ModelError("column 'x' is missing: add it")
+
+    found = evaluate(rides, recipes(TRUE, Toy("broken", refuse)), seed=1)
+    assert list(found["mae"]) == ["true"]
+    assert found["about"]["notes"] == ["broken: column 'x' is missing: add it"]
+    with pytest.raises(ModelError, match="no recipe can be judged: broken: column 'x'"):
+        evaluate(rides, recipes(Toy("broken", refuse)), seed=1)
+
+
+def test_all_recipes_are_judged_by_the_rides_that_all_of_them_predict():
+    split = Split(np.arange(100, 200), np.arange(100))
+    whole = Prediction(split.test, np.ones(100))
+    holes = np.ones(100)
+    holes[[3, 7]] = np.nan
+    found = held_out({"a": [whole], "b": [Prediction(split.test, holes)]}, 200)
+    assert found.recipes == ("a", "b")
+    assert set(range(100)) - set(found.rows[0].tolist()) == {3, 7}
+    assert len(found.energy["a"][0]) == len(found.energy["b"][0]) == 98
+    assert found.notes == ("b: no prediction for 2.00% of the rides; no recipe is judged by these",)
+    holes[:20] = np.nan
+    found = held_out({"a": [whole], "b": [Prediction(split.test, holes)]}, 200)
+    assert found.recipes == ("a",)
+    assert len(found.rows[0]) == 100
+
+
+def test_one_car_of_one_vehicle_model_on_one_day_is_judged_as_far_as_it_goes():
+    table = fleet(200, models=MODELS[:1])
+    table = table.assign(vehicle_id="one", date="2018-01-15").drop(columns="driver_id")
+    found = evaluate(table, recipes(HIGH, TRUE), seed=1)
+    assert found["dominates"]["all"] == ["true"]
+    assert found["new_vehicle"] == {}
+    assert found["few_shot"] == {}
+    assert found["by"]["driver"]["true"] == []
+    assert "by_vehicle" not in found["coverage"]["true"]
+    assert found["splits"]["vehicle"]["true"][MODELS[0]] is None
+    assert found["splits"]["date"]["true"][MODELS[0]] is None
+    assert len(found["about"]["notes"]) == 3
+
+
+def test_rides_that_cannot_be_judged_are_counted_by_reason(rides):
+    table = rides.head(60).copy()
+    table.loc[:4, ["fit_for_training", "unfit_reason"]] = [False, "too_short"]
+    table.loc[5:6, "energy_kwh"] = np.nan
+    table.loc[7, "vehicle_model"] = None
+    found = judged(pd.concat([table, table.iloc[20:23]]))
+    assert found.unfit == {"no_measured_energy": 2, "no_vehicle_model": 1, "too_short": 5, "twice": 3}
+    assert len(found.rides) == 60 - 8
+    assert found.read == 63
+
+
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (lambda t: t.drop(columns="distance_km"), "column 'distance_km' is missing"),
+        (lambda t: t.head(1), "1 of 1 rides can be judged, at most 1 of a vehicle model in a cluster of 5 km"),
+        (lambda t: t.assign(energy_kwh=np.nan), "0 of 1,600 rides can be judged.*1,600 no measured energy"),
+        (lambda t: t.assign(fit_for_training=False, unfit_reason="too_long"), "left out: 1,600 too long"),
+        (lambda t: t.assign(energy_kwh="much"), "'energy_kwh' of the ride table holds no numbers"),
+        (lambda t: t.head(0), "0 of 0 rides can be judged"),
+    ],
+)
+def test_a_table_that_cannot_be_judged_is_refused_in_one_line(rides, spoil, told):
+    with pytest.raises(ModelError, match=told):
+        evaluate(spoil(rides), recipes(TRUE))
+
+
+def test_recipes_are_chosen_by_name_in_the_order_of_the_paper():
+    assert list(chosen("hybrid, basic_physical", None)) == ["basic_physical", "hybrid"]
+    for names, told in (
+        ("horse", "'horse' is unknown; known are basic_physical"),
+        (" ,", "no recipe is named"),
+        ("segment_network", "needs windows.parquet"),
+    ):
+        with pytest.raises(SettingsError, match=told):
+            chosen(names, None)
+
+
+def test_figure_1_has_the_planted_curve_and_points_upon_it():
+    table = planted_rides.rides(3000, 5, MODELS[:1])
+    table = table.assign(effect_aero_drag_wind=table["effect_aero_drag"], start_s=table["start_s"] + np.arange(3000))
+    table = planted_rides.noisy(table, planted_rides.physical_energy(table), of_day=0.0)
+    found = figure_1(judged(table))[MODELS[0]]
+    planted, fitted = planted_rides.PLANTED, AccessoryCurve(**found["curve"])
+    assert sum(point["rides"] for point in found["points"]) <= 3000
+    assert len(found["points"]) > 20
+    for point in found["points"]:
+        at = np.array([point["ambient_c"] + ZERO_CELSIUS])
+        assert point["power_w"] == pytest.approx(planted.power(at)[0], abs=4 * 600.0 / sqrt(point["rides"]) + 60.0)
+        assert fitted.power(at)[0] == pytest.approx(planted.power(at)[0], abs=150.0)

@@ -1,0 +1,92 @@
+"""Which terms can go: planted ones stay, decoys go, and what that costs is judged on other rides."""
+
+import numpy as np
+import pytest
+
+from core.evaluate.paper.selection import ByVehicleModel, plan, removable
+from core.evaluate.ride_filter import judged
+from core.fit.recipes import LinearRecipe, term
+from tests.support import planted_rides
+
+MODELS = ("kia-soul-ev-2015", "tesla-model-s")
+PLANTED = ("distance_km", "gained_m", "duration_s")
+DECOYS = ("odometer_km", "soc_start_pct", "wind_speed_kmh", "precipitation_mm_h")
+RECIPE = LinearRecipe("hybrid", "Hybrid", (*(term(c) for c in (*PLANTED, *DECOYS, "nominal_capacity_kwh")), term()))
+
+
+def fleet(n=2400, seed=1):
+    table = planted_rides.rides(n, seed, MODELS)
+    rng = np.random.default_rng(seed)
+    scale = np.where(table["vehicle_model"] == MODELS[0], 1.0, 1.4)
+    physical = 0.15 * table["distance_km"] + 0.002 * table["gained_m"] + 0.0002 * table["duration_s"]
+    return table.assign(energy_kwh=scale * physical + rng.normal(0.0, 0.05, n), start_s=table["start_s"] + np.arange(n))
+
+
+@pytest.fixture(scope="module")
+def found():
+    return removable(RECIPE, judged(fleet()), seed=2)
+
+
+def test_decoys_go_and_what_was_planted_stays(found):
+    assert found["constant"] == ["nominal_capacity_kwh"]
+    assert set(found["rfe"]["removed"]) == set(DECOYS)
+    assert not set(found["rfecv"]["removed"]) & set(PLANTED)
+    assert len(found["rfecv"]["removed"]) >= 2
+
+
+def test_what_removal_costs_is_told_step_by_step(found):
+    steps = found["rfe"]["steps"]
+    assert {step["term"] for step in steps[: len(DECOYS)]} == set(DECOYS)
+    assert len(steps) == len(PLANTED) + len(DECOYS) - 1
+    assert steps[len(DECOYS)]["loss"]["value"] > 0.005
+    assert steps[len(DECOYS)]["loss"]["p"] < 1e-3
+    assert found["rfecv"]["loss"]["value"] < 0.001
+    scores = {score["terms"]: score["mae"] for score in found["rfecv"]["scores"]}
+    assert min(scores) == 1
+    assert scores[3] < scores[2] < scores[1]
+    assert scores[3] == pytest.approx(0.05 * np.sqrt(2 / np.pi), rel=0.1)
+
+
+def test_the_loss_of_all_that_go_is_that_of_the_last_step(found):
+    assert found["rfe"]["loss"] == found["rfe"]["steps"][len(DECOYS) - 1]["loss"]
+    assert set(found["rfe"]["loss"]) == {"value", "ci95", "p"}
+
+
+def test_where_nothing_can_go_there_is_no_loss():
+    recipe = LinearRecipe("hybrid", "Hybrid", (*(term(c) for c in PLANTED), term()))
+    rfe = removable(recipe, judged(fleet()), seed=2)["rfe"]
+    assert rfe["removed"] == []
+    assert rfe["loss"] is None
+
+
+def test_of_collinear_terms_one_can_go_and_costs_nothing():
+    recipe = LinearRecipe("hybrid", "Hybrid", (*(term(c) for c in (*PLANTED, "winter", "summer")), term()))
+    table = fleet()
+    table["energy_kwh"] += 0.5 * table["winter"]
+    steps = {step["term"]: step["loss"] for step in removable(recipe, judged(table), seed=2)["rfe"]["steps"]}
+    first, second = (name for name in steps if name in {"winter", "summer"})
+    before = list(steps)[list(steps).index(first) - 1]
+    assert steps[first]["value"] == pytest.approx(steps[before]["value"], abs=1e-9)
+    assert steps[second]["value"] > steps[first]["value"] + 0.1
+
+
+def test_each_vehicle_model_has_coefficients_of_its_own():
+    rng = np.random.default_rng(3)
+    model, x = rng.integers(0, 2, 200).astype(float), rng.normal(size=(200, 2))
+    y = np.where(model == 0, 1.0 + 2.0 * x[:, 0], -1.0 + 5.0 * x[:, 0])
+    fitted = ByVehicleModel().fit(np.column_stack([model, x]), y)
+    np.testing.assert_allclose(fitted.predict(np.column_stack([model, x])), y, atol=1e-9)
+    assert np.isnan(fitted.predict(np.array([[7.0, 0.0, 0.0]])))
+    first, one, other = fitted.importance_
+    assert first > one > 2.0
+    assert other < 1e-9
+
+
+def test_without_rides_enough_or_the_recipe_nothing_is_said():
+    assert removable(RECIPE, judged(fleet(200)), seed=2) == {}
+    assert plan(judged(fleet(200)), {"basic_physical": RECIPE}, seed=2) == {}
+    assert list(plan(judged(fleet(200)), {"hybrid": RECIPE}, seed=2)) == ["hybrid"]
+
+
+def test_the_same_seed_says_the_same(found):
+    assert removable(RECIPE, judged(fleet()), seed=2) == found

@@ -1,0 +1,125 @@
+"""What a person would expect at a shift's end, and the risk that goes with it: against sums done by hand."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from core.evaluate.soc.baselines import REMEMBERED, SETTLED, baselines, mean_consumption, risk_by_earlier
+from core.evaluate.soc.cases import judged
+from core.evaluate.soc.reserve_risk import risk_below
+from core.vehicles import load_catalogue
+from tests.support.soc_frames import CAPACITY, told
+
+PERCENT = st.floats(0.0, 100.0)
+
+
+def based(frames):
+    """Return the cases of frames and what each baseline expects."""
+    cases = judged(*frames).cases
+    return cases, baselines(cases, *frames)
+
+
+def test_the_pace_so_far_is_exact_where_it_never_changes():
+    frames = told(cars=2, days=3, warm_up=0)
+    passed = (frames.outlooks["time_s"] - frames.outlooks["shift_begin_s"]) / (7.0 * 3600.0)
+    end = frames.outlooks.merge(frames.shifts[["vehicle_id", "shift", "soc_end_pct"]])["soc_end_pct"].to_numpy()
+    even = frames.outlooks.assign(soc_pct=90.0 - passed * (90.0 - end))
+    cases, found = based(frames._replace(outlooks=even))
+    assert found["linear"].to_numpy() == pytest.approx(cases["soc_end_pct"].to_numpy())
+
+
+def test_after_a_charge_the_pace_begins_anew():
+    frames = told(cars=1, days=1, warm_up=0)
+    begin = frames.shifts["begin_s"].iloc[0]
+    since = (frames.outlooks["time_s"] - begin) / 3600.0
+    soc = np.where(since < 2.9, 90.0 - 20.0 * since, 80.0 - 5.0 * (since - 2.9))
+    shifts = frames.shifts.assign(charged_s=begin + 2.9 * 3600.0, soc_end_pct=59.5)
+    cases, found = based(frames._replace(outlooks=frames.outlooks.assign(soc_pct=soc), shifts=shifts))
+    assert cases["hours"].tolist() == [0, 1, 2, 4]
+    assert found["linear"].to_numpy()[:3] == pytest.approx(59.5)
+    assert np.isnan(found["linear"].iloc[3])  # just charged: nobody has seen a pace
+
+
+def test_a_pace_is_not_carried_on_before_it_was_seen():
+    frames = told(cars=1, days=1, hours=2.0 + SETTLED / 3600.0 / 2.0, warm_up=0)
+    cases, found = based(frames)
+    assert dict(zip(cases["hours"], np.isfinite(found["linear"]), strict=True)) == {0: True, 1: True, 2: False}
+
+
+def test_the_rating_times_the_planned_kilometres():
+    frames = told(cars=2, days=2, warm_up=0)
+    cases, found = based(frames)
+    for row, case in enumerate(cases.to_dict("records")):
+        used = load_catalogue()[case["vehicle_model"]].rated_kwh_per_km * case["ahead_km"] / CAPACITY
+        assert found["rating"].iloc[row] == pytest.approx(max(0.0, case["soc_pct"] - 100.0 * used))
+    horse = frames._replace(shifts=frames.shifts.assign(vehicle_model="horse"))
+    assert based(horse)[1]["rating"].isna().all()
+
+
+def test_baselines_stay_within_what_a_battery_can_have():
+    frames = told(cars=2, days=5, warm_up=0)
+    outlooks = frames.outlooks.assign(ahead_km=1000.0, soc_begin_pct=10.0)
+    _, found = based(frames._replace(outlooks=outlooks))
+    known = found.to_numpy()[np.isfinite(found.to_numpy())]
+    assert known.min() == 0.0
+    assert known.max() == 100.0
+
+
+@given(seed=st.integers(0, 10_000), unknown=st.floats(0.0, 0.5))
+@settings(max_examples=25, deadline=None)
+def test_mean_consumption_is_that_of_shifts_that_had_ended(seed, unknown):
+    frames = told(cars=3, days=5, warm_up=0, seed=seed)
+    rng = np.random.default_rng(seed)
+    lost = rng.random(len(frames.shifts)) < unknown
+    shifts = frames.shifts.assign(charged_s=np.where(lost, frames.shifts["begin_s"], np.nan))
+    shifts["ride_km"] = np.where(rng.random(len(shifts)) < unknown, 0.0, shifts["ride_km"])
+    cases = judged(frames.outlooks, shifts).cases
+    found = mean_consumption(cases, shifts)
+    for case, rate in zip(cases.to_dict("records"), found, strict=True):
+        known = shifts[
+            (shifts["end_s"] <= case["begin_s"])
+            & (shifts["vehicle_model"] == case["vehicle_model"])
+            & shifts["charged_s"].isna()
+            & (shifts["ride_km"] > 0.0)
+        ]
+        energy = (known["soc_begin_pct"] - known["soc_end_pct"]).sum() / 100.0 * CAPACITY
+        expected = energy / known["ride_km"].sum() if len(known) else np.nan
+        assert rate == pytest.approx(expected, nan_ok=True)
+
+
+def interval(mean, below, above):
+    return pd.DataFrame({"soc_mean_pct": [mean], "soc_p05_pct": [mean - below], "soc_p95_pct": [mean + above]})
+
+
+@given(mean=PERCENT, below=st.floats(0.01, 30.0), above=st.floats(0.01, 30.0), levels=st.tuples(PERCENT, PERCENT))
+def test_the_risk_follows_from_the_interval(mean, below, above, levels):
+    cases = interval(mean, below, above)
+    ends = [float(risk_below(cases, level)[0]) for level in (mean - below, mean, mean + above)]
+    assert ends == pytest.approx([0.05, 0.5, 0.95], abs=1e-6)
+    low, high = (float(risk_below(cases, level)[0]) for level in sorted(levels))
+    assert 0.0 <= low <= high <= 1.0
+
+
+def test_without_a_width_there_is_no_doubt():
+    assert [float(risk_below(interval(30.0, 0.0, 0.0), level)[0]) for level in (29.0, 31.0)] == [0.0, 1.0]
+
+
+@given(seed=st.integers(0, 10_000), lost=st.floats(0.0, 0.4))
+@settings(max_examples=40, deadline=None)
+def test_a_persons_risk_is_by_errors_that_were_known_by_then(seed, lost):
+    rng = np.random.default_rng(seed)
+    n = 60
+    expected = np.where(rng.random(n) < lost, np.nan, rng.integers(20, 60, n))
+    became, time = rng.integers(20, 60, n).astype(float), rng.uniform(0.0, 100.0, n)
+    ended = time + rng.uniform(0.0, 20.0, n)
+    levels = rng.uniform(10.0, 70.0, (n, 3))
+    found = risk_by_earlier(expected, became, time, ended, levels)
+    for row in range(n):
+        errors = (became - expected)[(ended <= time[row]) & np.isfinite(expected)]
+        if np.isnan(expected[row]) or len(errors) < REMEMBERED:
+            assert np.isnan(found[row]).all()
+        else:
+            below = (expected[row] + errors[:, np.newaxis] < levels[row]).sum(axis=0)
+            assert found[row] == pytest.approx((below + 0.5) / (len(errors) + 1.0))

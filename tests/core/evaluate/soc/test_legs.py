@@ -1,0 +1,141 @@
+"""Single legs and the rides that they became: matched one by one, and nothing across a charge or another shift."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from core.evaluate.soc.legs import EVERY, Questions, leg_cases
+from core.evaluate.soc.report import evaluate_soc
+from core.wire.messages import Interval, LegOutlook, Outlook
+from tests.support.soc_frames import CAPACITY, told
+
+BEGIN = 1_516_017_600.0
+HOUR = 3600.0
+CAR = "taxi-1"
+
+
+def outlook(time, socs=(60.0, 50.0)):
+    """Return an answer of legs of 10 km, the charge falling to these."""
+    legs = [LegOutlook(10.0, HOUR, None, None if soc is None else Interval(soc, soc - 2.0, soc + 2.0)) for soc in socs]
+    return Outlook(CAR, time, "m/1", 70.0, 0.5, None, None, None, None, legs, None, None, 10.0, None, None)
+
+
+def asked(time=BEGIN, shift=0, legs=3):
+    """Return what was told of legs at a time."""
+    place = np.arange(legs)
+    soc = 70.0 - 10.0 * (place + 1)
+    return pd.DataFrame(
+        {
+            "vehicle_id": CAR, "shift": shift, "time_s": time, "leg": place, "ahead_km": 10.0 * (place + 1),
+            "soc_pct": 70.0, "soc_mean_pct": soc, "soc_p05_pct": soc - 2.0, "soc_p95_pct": soc + 2.0,
+        }
+    )  # fmt: skip
+
+
+def rides(*ends, km=10.0, since_charge=np.nan):
+    """Return rides that end so many hours after the beginning, with a charge that tells them apart."""
+    hours = np.array(ends, dtype=float)
+    return pd.DataFrame(
+        {
+            "vehicle_id": CAR, "end_s": BEGIN + HOUR * hours, "distance_km": km, "soc_end_pct": 70.0 - 10.0 * hours,
+            "time_since_charge_s": since_charge,
+        }
+    )  # fmt: skip
+
+
+def shifts(hours=8.0, charged=np.nan):
+    return pd.DataFrame(
+        {
+            "vehicle_id": [CAR], "shift": [0], "vehicle_model": ["nissan-leaf-2016"], "begin_s": [BEGIN],
+            "end_s": [BEGIN + HOUR * hours], "charged_s": [BEGIN + HOUR * charged], "capacity_kwh": [CAPACITY],
+        }
+    )  # fmt: skip
+
+
+def test_each_leg_is_held_against_the_ride_that_it_became():
+    found = leg_cases(asked(), rides(-1.0, 1.0, 2.0, 3.5, 4.0), shifts())
+    assert found["leg"].tolist() == [0, 1, 2]
+    assert found["minutes"].tolist() == [60.0, 120.0, 210.0]
+    assert found["soc_end_pct"].tolist() == [60.0, 50.0, 35.0]
+    assert not found["charges"].any()
+
+
+def test_a_ride_that_ended_as_the_question_came_is_no_leg_of_its_answer():
+    assert leg_cases(asked(legs=1), rides(0.0, 1.0), shifts())["minutes"].tolist() == [60.0]
+
+
+def test_a_false_start_is_no_leg():
+    both = pd.concat([rides(0.5, km=0.1), rides(1.0)])
+    assert leg_cases(asked(legs=1), both, shifts())["minutes"].tolist() == [60.0]
+
+
+def test_legs_that_were_never_driven_or_in_the_next_shift_are_left_out():
+    assert len(leg_cases(asked(legs=3), rides(1.0), shifts())) == 1
+    assert len(leg_cases(asked(legs=3), rides(1.0, 20.0, 21.0), shifts())) == 1
+    other = rides(1.0).assign(vehicle_id="taxi-2")
+    assert leg_cases(asked(legs=3), other, shifts()).empty
+
+
+@given(hour=st.integers(0, 5), past=st.floats(0.05, 0.95))
+@settings(max_examples=30, deadline=None)
+def test_up_to_the_next_charge_and_not_across_it(hour, past):
+    charged = hour + past
+    ends = np.arange(1.0, 7.0)
+    since = np.where(ends > charged, HOUR * (ends - charged), np.nan)
+    found = leg_cases(asked(legs=6), rides(*ends, since_charge=since), shifts(charged=charged))
+    assert found["minutes"].tolist() == (60.0 * ends[ends <= charged]).tolist()
+    assert found["charges"].all()
+    later = leg_cases(asked(BEGIN + HOUR * charged + 1.0, legs=6), rides(*ends, since_charge=since), shifts())
+    assert len(later) == np.sum(ends > charged)
+
+
+def test_cars_are_asked_every_half_hour_of_a_planned_shift():
+    frames = told(cars=1, days=2, warm_up=0)
+    table = frames.outlooks
+    times = []
+
+    def ask(vehicle):
+        assert vehicle == "taxi-0"
+        times.append(float(part["time_s"].iloc[-1]))
+        return outlook(times[-1], (60.0, None))
+
+    questions = Questions(ask)
+    for _, part in table.groupby(np.arange(len(table)) // 7):
+        questions(part)
+        questions(part.assign(planned=False, time_s=part["time_s"] + 1e6))
+    gaps = np.diff(times)
+    assert (gaps >= EVERY).all()
+    assert np.median(gaps) < EVERY + 7 * 60.0 + 1.0
+    assert len(times) == len(questions.table())  # a leg of which nothing is known is not told of
+    assert set(questions.table()["shift"]) == {0, 1}
+    assert (questions.table()["soc_mean_pct"] == 60.0).all()
+
+
+def test_without_questions_there_are_no_legs():
+    none = Questions(lambda _: outlook(BEGIN)).table()
+    assert leg_cases(none, rides(1.0), shifts()).empty
+    assert leg_cases(asked(), rides(), shifts()).empty
+
+
+def test_figures_of_legs_are_those_planted():
+    frames = told(cars=2, days=20)
+    days = frames.shifts["shift"].to_numpy()
+    rng = np.random.default_rng(2)
+    own = frames.shifts.rename(columns={"soc_end_pct": "shift_end_pct"})
+    own = own.assign(leg=0, ahead_km=10.0, soc_pct=60.0, time_s=own["begin_s"], ride_end_s=own["begin_s"] + HOUR)
+    own = own.assign(minutes=np.where(days % 2, 20.0, 90.0), charges=days % 4 == 0, soc_mean_pct=50.0)
+    error = rng.normal(0.0, 1.0, len(own))
+    legs = own.assign(soc_p05_pct=48.0, soc_p95_pct=52.0, soc_end_pct=50.0 + error, cluster=np.arange(len(own)))
+    found = evaluate_soc(*frames, legs)["legs"]
+    assert [each["bin"] for each in found["without a charge"]] == ["below 30", "60 to 120", "all"]
+    assert [each["bin"] for each in found["charged later"]] == ["60 to 120", "all"]
+    for name, mine in (("without a charge", days % 4 != 0), ("charged later", days % 4 == 0)):
+        whole = found[name][-1]
+        assert whole["n"] == mine.sum()
+        assert whole["mae_pct"]["value"] == pytest.approx(np.abs(error[mine]).mean())
+        assert whole["coverage"]["value"] == np.mean(np.abs(error[mine]) <= 2.0)
+        assert whole["baselines"]["linear"]["n"] == 0
+        assert whole["baselines"]["rating"]["n"] == mine.sum()
+    assert evaluate_soc(*frames)["legs"] == {}

@@ -1,0 +1,202 @@
+"""The evaluation of forecasts of a shift's end: planted errors are found, and nothing is judged that should not be."""
+
+import msgspec
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from core.errors import ModelError
+from core.evaluate.paper.results import plain
+from core.evaluate.soc.cases import CHARGED, CUT_SHORT, HOURS, SILENT, UNREPORTED, WARM_UP, judged
+from core.evaluate.soc.report import evaluate_soc
+from tests.support.soc_frames import CAPACITY, DAY_ONE, MODELS, SPREAD, told
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return told(cars=12, days=40)
+
+
+@pytest.fixture(scope="module")
+def result(frames):
+    return evaluate_soc(*frames)
+
+
+def changed(frames, **columns):
+    """Return frames with columns of the shifts replaced."""
+    return frames._replace(shifts=frames.shifts.assign(**columns))
+
+
+def overall(frames):
+    return evaluate_soc(*frames)["overall"]["pooled"]
+
+
+def test_each_shift_gives_one_forecast_at_each_time_ahead(result):
+    shifts = 12 * 38
+    assert {hours: own["n"] for hours, own in result["overall"]["hours"].items()} == {str(h): shifts for h in HOURS}
+    assert result["overall"]["pooled"]["n"] == shifts * len(HOURS)
+    assert result["about"] | {"left_out": None} == {
+        "shifts": 480, "judged_shifts": shifts, "warm_up_shifts": 24, "forecasts": shifts * 5, "left_out": None,
+        "vehicles": 12, "vehicle_days": shifts, "vehicle_models": sorted(MODELS), "first_date": "2018-01-03",
+        "last_date": "2018-02-09",
+    }  # fmt: skip
+    assert result["about"]["left_out"] == {WARM_UP: 24 * len(HOURS)}
+
+
+def test_a_calibrated_interval_is_found_calibrated(result):
+    for own in (result["overall"]["pooled"], *result["overall"]["hours"].values()):
+        assert own["coverage"]["low"] < 0.9 < own["coverage"]["high"]
+    pooled = result["overall"]["pooled"]["coverage"]
+    assert pooled["high"] - pooled["low"] < 0.04
+
+
+def test_an_interval_half_as_wide_is_found_too_narrow():
+    own = overall(told(cars=12, days=40, narrow=0.5))
+    assert own["coverage"]["high"] < 0.7
+    assert own["coverage"]["low"] < 2.0 * stats.norm.cdf(SPREAD / 2.0) - 1.0 < own["coverage"]["high"]
+    assert own["below"] + own["above"] == pytest.approx(1.0 - own["coverage"]["value"])
+
+
+def test_error_bias_and_width_are_those_planted(result):
+    for hours, own in result["overall"]["hours"].items():
+        sd = max(float(hours), 0.5)
+        assert own["width_pct"]["value"] == pytest.approx(2.0 * SPREAD * sd)
+        assert own["mae_pct"]["value"] == pytest.approx(sd * np.sqrt(2.0 / np.pi), abs=1.5 * own["mae_pct"]["ci95"])
+        assert abs(own["bias_pct"]["value"]) < 1.5 * own["bias_pct"]["ci95"]
+    off = overall(told(cars=12, days=40, bias=3.0))["bias_pct"]
+    assert off["value"] == pytest.approx(3.0, abs=1.5 * off["ci95"])
+
+
+def test_forecasts_better_than_all_baselines_are_said_to_be_so():
+    own = evaluate_soc(*told(cars=6, days=20, sd_an_hour=0.2))["overall"]["hours"]["2"]
+    best = own["best"]
+    errors = {name: of["mae_pct"]["value"] for name, of in own["baselines"].items()}
+    assert best["name"] == min(errors, key=errors.__getitem__)
+    assert best["share_less"] == pytest.approx(1.0 - own["mae_pct"]["value"] / errors[best["name"]])
+    assert best["share_less"] > 0.4
+    for of in own["baselines"].values():
+        assert of["less_pct"]["value"] - of["less_pct"]["ci95"] > 0.0
+        assert of["less_pct"]["value"] == pytest.approx(of["mae_pct"]["value"] - of["forecast_mae_pct"]["value"])
+
+
+def test_conditions_hold_every_case_once(result):
+    for bins in result["by"].values():
+        assert sum(own["pooled"]["n"] for own in bins) == result["overall"]["pooled"]["n"]
+    assert [own["bin"] for own in result["by"]["temperature"]] == [
+        "below -20", "-20 to -10", "-10 to 0", "0 to 10", "10 to 20", "20 to 30",
+    ]  # fmt: skip
+    assert [own["bin"] for own in result["by"]["vehicle model"]] == sorted(MODELS)
+
+
+def test_the_order_of_rows_tells_nothing(frames, result):
+    mixed = [table.sample(frac=1.0, random_state=3).reset_index(drop=True) for table in frames]
+    assert plain(evaluate_soc(*mixed)) == plain(result)
+
+
+def test_the_result_is_json_without_nan(result):
+    assert msgspec.json.decode(msgspec.json.encode(plain(result))) == plain(result)
+    assert b"NaN" not in msgspec.json.encode(plain(result))
+
+
+@given(seconds=st.floats(0.0, 590.0), hours=st.sampled_from([2.5, 4.5, 8.0]))
+@settings(max_examples=20, deadline=None)
+def test_the_newest_forecast_by_a_moment_is_judged_and_none_from_after_it(seconds, hours):
+    frames = told(cars=2, days=3, hours=hours, warm_up=0)
+    outlooks = frames.outlooks.assign(time_s=frames.outlooks["time_s"] - seconds)
+    cases = judged(outlooks, frames.shifts).cases
+    age = cases["end_s"] - 3600.0 * cases["hours"] - cases["time_s"]
+    assert set(cases["hours"]) == {h for h in HOURS if h < hours}
+    assert (age >= 0.0).all()
+    assert (age[cases["hours"] > 0] <= 60.0 + 1e-6).all()
+    assert age[cases["hours"] == 0].to_numpy() == pytest.approx(seconds, abs=1e-6)
+
+
+def test_a_forecast_is_not_judged_where_the_car_charged_after_it():
+    frames = told(cars=1, days=1, warm_up=0)
+    begin = frames.shifts["begin_s"].iloc[0]
+    found = judged(*changed(frames, charged_s=begin + 3.5 * 3600.0))
+    assert found.cases["hours"].tolist() == [0, 1, 2]
+    assert found.left_out == {CHARGED: 2}
+    at_the_end = changed(frames, charged_s=frames.shifts["end_s"])
+    assert judged(*at_the_end).left_out == {CHARGED: len(HOURS)}
+
+
+def test_a_car_that_was_silent_is_counted():
+    frames = told(cars=1, days=1, warm_up=0)
+    ahead = frames.shifts["end_s"].iloc[0] - frames.outlooks["time_s"]
+    found = judged(frames.outlooks[~ahead.between(3599.0, 3600.0 + 1200.0)], frames.shifts)
+    assert found.cases["hours"].tolist() == [0, 2, 4, 6]
+    assert found.left_out == {SILENT: 1}
+
+
+def test_a_shift_without_a_state_of_charge_at_its_end_is_counted():
+    frames = changed(told(cars=1, days=2, warm_up=0), soc_end_pct=[np.nan, 40.0])
+    found = judged(*frames)
+    assert found.left_out == {UNREPORTED: len(HOURS)}
+    assert found.warm_up == 0
+
+
+def test_a_shift_that_the_recording_cuts_is_counted_but_one_that_ends_early_is_judged():
+    frames = told(cars=1, days=2, warm_up=0)
+    found = judged(frames.outlooks.assign(shift_end_s=frames.outlooks["shift_end_s"] + 3600.0), frames.shifts)
+    assert found.left_out == {CUT_SHORT: len(HOURS)}
+    assert set(found.cases["shift"]) == {0}
+
+
+def test_shifts_of_a_car_on_a_day_are_one_cluster():
+    frames = told(cars=2, days=4, hours=2.0, warm_up=0)
+    late = frames.shifts.assign(shift=frames.shifts["shift"] + 100)
+    both = pd.concat([frames.shifts, late], ignore_index=True)
+    outlooks = pd.concat([frames.outlooks, frames.outlooks.assign(shift=frames.outlooks["shift"] + 100)])
+    own = evaluate_soc(outlooks, both)["overall"]["hours"]["1"]
+    assert (own["n"], own["shifts"], own["vehicle_days"]) == (16, 16, 8)
+    alone = evaluate_soc(*frames)["overall"]["hours"]["1"]
+    assert own["mae_pct"] == pytest.approx(alone["mae_pct"])
+    assert own["coverage"]["value"] == alone["coverage"]["value"]
+    assert own["coverage"]["low"] < alone["coverage"]["low"]
+    assert own["coverage"]["low"] < stats.binomtest(14, 16).proportion_ci(method="wilson").low - 0.1
+
+
+def test_without_plans_only_the_pace_is_there_and_this_is_said():
+    frames = told(cars=2, days=4)
+    outlooks = frames.outlooks.assign(planned=False, ahead_km=np.nan)
+    found = evaluate_soc(outlooks, frames.shifts)
+    own = found["overall"]["hours"]["2"]
+    assert {name: of["n"] for name, of in own["baselines"].items()} == {"linear": 4, "model_mean": 0, "rating": 0}
+    assert own["best"] is None
+    assert any("no shift had a plan" in note for note in found["notes"])
+    assert [bins["bin"] for bins in found["by"]["plan"]] == ["by habit"]
+
+
+@pytest.mark.parametrize("days", [0, 2])
+def test_where_nothing_can_be_judged_it_is_said_in_one_line(days):
+    frames = told(cars=1, days=2)
+    tables = [table[table["shift"] < days] for table in frames]
+    with pytest.raises(
+        ModelError, match=rf"{days} shifts ended and no forecast .*: give recordings of more days"
+    ) as said:
+        evaluate_soc(*tables)
+    assert "\n" not in str(said.value)
+    assert (WARM_UP in str(said.value)) == (days > 0)
+
+
+def test_examples_are_shifts_as_they_were(frames, result):
+    assert {why for own in result["examples"] for why in own["why"].split(", ")} == {
+        "coldest", "warmest", "middling", "worst",
+    }  # fmt: skip
+    for own in result["examples"]:
+        assert own["hours_ahead"] == sorted(own["hours_ahead"], reverse=True)
+        assert own["hours_ahead"][-1] == pytest.approx(0.0, abs=0.02)
+        widths = np.array(own["soc_p95_pct"]) - np.array(own["soc_p05_pct"])
+        assert np.all(np.diff(widths) <= 1e-9)
+    ambient = {own["why"]: own["ambient_c"] for own in result["examples"]}
+    judged_ones = frames.shifts[frames.shifts["shift"] >= 2]
+    assert min(ambient.values()) == judged_ones["ambient_c"].min()
+
+
+def test_the_frames_are_what_they_say(frames):
+    assert frames.shifts["begin_s"].min() >= DAY_ONE
+    assert (frames.shifts["capacity_kwh"] == CAPACITY).all()

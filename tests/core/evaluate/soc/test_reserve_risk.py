@@ -1,0 +1,129 @@
+"""Whether told risks hold, and what alarms are worth: planted outcomes are counted, and a false risk is found out."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from core.evaluate.soc.baselines import BASELINES, baselines
+from core.evaluate.soc.cases import judged
+from core.evaluate.soc.reserve_risk import LEVELS, PLANNED, alarms, asked, reliability, reserve, worth
+from tests.support.soc_frames import told
+
+N = 20_000
+
+
+def based(frames):
+    """Return the cases of frames, with what each baseline expects."""
+    cases = judged(*frames).cases
+    return pd.concat([cases, baselines(cases, *frames)], axis=1)
+
+
+def rows(risk, fell, person=np.nan):
+    """Return rows of one case a shift, each a cluster of its own."""
+    n = np.arange(len(risk))
+    return pd.DataFrame({"risk": risk, "fell": fell, "shift": n, "cluster": n} | dict.fromkeys(BASELINES, person))
+
+
+@pytest.fixture(scope="module")
+def cases():
+    return based(told(cars=12, days=40))
+
+
+@pytest.fixture(scope="module")
+def found(cases):
+    return reserve(cases)
+
+
+def test_alarms_counted_by_hand():
+    risk = np.array([0.9, 0.04, 0.05, 0.0])
+    fell = np.array([True, True, False, False])
+    counted = alarms(risk, fell, np.arange(4))
+    assert {name: counted[name] for name in ("caught", "missed", "false_alarms")} == {
+        "caught": 1, "missed": 1, "false_alarms": 1,
+    }  # fmt: skip
+    assert counted["hit_rate"]["value"] == counted["false_alarm_rate"]["value"] == 0.5
+
+
+def test_scores_by_hand():
+    own = worth(rows(np.array([0.9, 0.0]), np.array([True, False]), 0.5))
+    assert own["brier"] == pytest.approx(0.1**2 / 2)
+    assert own["brier_base"] == 0.25
+    assert own["skill"]["value"] == pytest.approx(1.0 - 0.005 / 0.25)
+    for person in own["baselines"].values():
+        assert person["brier"] == 0.25
+        assert person["forecast_brier"] == own["brier"]
+        assert person["forecast_alarms"] == own["alarms"]
+
+
+def test_a_case_is_a_level_that_the_car_is_still_above(cases):
+    table = asked(cases)
+    ahead = cases[cases["hours"] > 0]
+    assert set(table["hours"]) == {1, 2, 4, 6}
+    for level in LEVELS:
+        mine = table[table["level"] == str(level)]
+        above = ahead[ahead["soc_pct"] >= level]
+        assert len(mine) == len(above)
+        assert mine["fell"].sum() == (above["soc_end_pct"] < level).sum()
+    assert (table["level"] == PLANNED).sum() == (ahead["soc_pct"] >= ahead["reserve_soc_pct"]).sum()
+
+
+def test_a_dip_counts_unless_it_may_have_been_before_a_charge(cases):
+    dipped = cases.assign(soc_pct=50.0, soc_end_pct=35.0, soc_lowest_pct=15.0)
+    fell = asked(dipped)[lambda table: table["level"].isin(["20", "30"])]["fell"]
+    assert fell.all()
+    assert not asked(dipped.assign(charged_s=1.0))[lambda table: table["level"].isin(["20", "30"])]["fell"].any()
+
+
+def test_a_risk_that_holds_is_found_to_hold():
+    rng = np.random.default_rng(4)
+    risk = rng.beta(0.5, 0.5, N)
+    classes = reliability(rows(risk, rng.random(N) < risk))
+    assert sum(own["n"] for own in classes) == N
+    assert all(own["low"] <= own["told"] <= own["high"] for own in classes)
+    holds = [own["fell"]["low"] <= own["told"] <= own["fell"]["high"] for own in classes]
+    assert sum(holds) >= len(holds) - 1
+
+
+def test_a_risk_told_half_as_large_as_it_is_is_found_out():
+    rng = np.random.default_rng(4)
+    risk = rng.uniform(0.02, 0.5, N)
+    fell = rng.random(N) < 2.0 * risk
+    for own in reliability(rows(risk, fell)):
+        assert own["fell"]["low"] > own["told"]
+    assert worth(rows(risk, fell, 2.0 * risk))["baselines"]["linear"]["skill"]["value"] < 0.0
+
+
+def test_sure_forecasts_catch_all_and_raise_no_false_alarm():
+    found = reserve(based(told(cars=8, days=20, sd_an_hour=1e-6)))
+    assert set(found["levels"]) == {PLANNED, *map(str, LEVELS)}
+    for of in found["levels"].values():
+        for own in of.values():
+            assert own["alarms"]["caught"] == own["fell"]
+            assert own["alarms"]["missed"] == own["alarms"]["false_alarms"] == 0
+            assert own["brier"] == pytest.approx(0.0, abs=1e-9)
+    assert found["levels"]["30"]["4"]["fell"] > 20
+
+
+def test_a_calibrated_forecast_is_found_reliable(found):
+    classes = [own for own in found["reliability"]["levels"] if own["n"] >= 100]
+    holds = [own["fell"]["low"] - 0.01 <= own["told"] <= own["fell"]["high"] + 0.01 for own in classes]
+    assert len(classes) >= 5
+    assert sum(holds) >= len(holds) - 1
+    for hours in ("1", "2"):
+        own = found["overall"][hours]
+        assert own["skill"]["value"] - own["skill"]["ci95"] > 0.4
+    assert found["overall"]["pooled"]["n"] == sum(found["overall"][h]["n"] for h in ("1", "2", "4", "6"))
+
+
+def test_a_forecast_better_than_a_persons_is_said_to_be_so():
+    overall = reserve(based(told(cars=12, days=40, sd_an_hour=0.2)))["overall"]
+    for hours in ("1", "2", "4"):
+        for person in overall[hours]["baselines"].values():
+            assert person["skill"]["value"] - person["skill"]["ci95"] > 0.2
+            assert person["forecast_alarms"]["false_alarms"] < person["alarms"]["false_alarms"]
+
+
+def test_an_interval_far_too_narrow_costs_its_skill(found):
+    narrow = reserve(based(told(cars=12, days=40, narrow=0.2)))
+    assert narrow["overall"]["4"]["brier"] > found["overall"]["4"]["brier"]
+    assert narrow["overall"]["4"]["alarms"]["missed"] > found["overall"]["4"]["alarms"]["missed"]

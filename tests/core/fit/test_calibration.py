@@ -1,0 +1,210 @@
+"""Intervals cover what they say, whatever errors are like; leverage gives what fitting anew would."""
+
+import msgspec
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from core.errors import ModelError
+from core.fit.calibration import LEAST_RIDES, LEVELS, Held, calibrated, least_squares_interval, parts
+from core.fit.fitting import fit_terms
+from core.fit.recipes import RECIPES, LinearRecipe, term
+from core.fit.ride_blocks import Frame
+from core.models import BASIC_PHYSICAL, decode, encode
+from core.models.features import Columns
+from core.models.interval import ANY, Interval
+from tests.support.planted_rides import MODELS
+from tests.support.pooled_rides import differing, fleet, measured, planted
+
+
+def heteroscedastic(n: int, seed: int) -> pd.DataFrame:
+    """Rides whose errors grow with size and cold, are skewed, and are larger for one vehicle model."""
+    table = fleet(n, seed)
+    random = np.random.default_rng(seed + 50)
+    columns = Columns(table)
+    size, cold = columns["size_kwh"], columns["heating_need_k"]
+    sd = 0.02 + 0.04 * size + 0.002 * size * cold
+    sd = sd * np.where(table["vehicle_model"] == MODELS[0], 2.0, 1.0)
+    return table.assign(energy_kwh=BASIC_PHYSICAL.predict(table) + sd * (random.gamma(4.0, 0.5, n) - 2.0))
+
+
+def inside(table: pd.DataFrame, interval: Interval, level: float = 0.9) -> np.ndarray:
+    lower, upper = interval.bounds(BASIC_PHYSICAL.predict(table), table, level)
+    energy = table["energy_kwh"].to_numpy()
+    return (lower <= energy) & (energy <= upper)
+
+
+@pytest.fixture(scope="module")
+def interval() -> Interval:
+    found = least_squares_interval(BASIC_PHYSICAL, heteroscedastic(6000, 1), fitted=False).interval
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("level", [0.5, 0.8, 0.9, 0.98])
+def test_new_rides_are_inside_as_often_as_is_said(interval, level):
+    table = heteroscedastic(8000, 2)
+    covered = inside(table, interval, level)
+    assert covered.mean() == pytest.approx(level, abs=0.02)
+
+
+def test_so_are_those_of_each_distance_season_and_vehicle_model(interval):
+    table = heteroscedastic(8000, 2)
+    covered = inside(table, interval)
+    cluster = np.minimum(table["distance_km"] // 5, 4)
+    for group in (cluster, table["winter"], table["vehicle_model"], table["ambient_c"] < -10.0):
+        share = pd.Series(covered).groupby(group.to_numpy()).mean()
+        assert share.min() > 0.85
+        assert share.max() < 0.95
+
+
+def test_intervals_are_wider_where_errors_are_larger(interval):
+    table = heteroscedastic(3000, 3)
+    lower, upper = interval.bounds(np.zeros(3000), table, 0.9)
+    width = pd.Series(upper - lower)
+    size = Columns(table)["size_kwh"]
+    assert width[size > np.quantile(size, 0.9)].mean() > 2.0 * width[size < np.quantile(size, 0.5)].mean()
+    assert width[(table["vehicle_model"] == MODELS[0]).to_numpy()].mean() > 1.3 * width.mean()
+
+
+def test_wider_levels_hold_narrower_ones(interval):
+    table = heteroscedastic(500, 4)
+    lower, upper = np.inf, -np.inf
+    for level in (0.1, 0.5, 0.9, 0.97, 0.99):
+        low, high = interval.bounds(np.zeros(500), table, level)
+        assert (low <= lower).all()
+        assert (high >= upper).all()
+        lower, upper = low, high
+
+
+@pytest.mark.parametrize("level", [0.0, -0.1, 0.995, 1.0, 90.0, float("nan")])
+def test_a_level_that_was_not_calibrated_is_refused(interval, level):
+    with pytest.raises(ModelError, match=r"give one above 0, up to 0.99"):
+        interval.bounds(np.zeros(3), heteroscedastic(3, 5), level)
+
+
+def test_what_is_unknown_has_unknown_bounds_and_unknown_vehicle_models_have_bounds(interval):
+    table = heteroscedastic(4, 6)
+    table.loc[1, "ambient_c"] = np.nan
+    table.loc[2, "vehicle_model"] = None
+    table.loc[3, "vehicle_model"] = "horse"
+    lower, upper = interval.bounds(np.array([1.0, 1.0, 1.0, np.nan]), table, 0.9)
+    assert np.isnan(lower).tolist() == np.isnan(upper).tolist() == [False, True, False, True]
+
+
+def test_rows_have_the_same_bounds_alone(interval):
+    table = heteroscedastic(30, 7)
+    together = interval.bounds(np.zeros(30), table, 0.9)
+    alone = [interval.bounds(np.zeros(1), table.iloc[i : i + 1], 0.9) for i in range(30)]
+    np.testing.assert_allclose(np.concatenate(alone, axis=1), together, rtol=1e-13)
+
+
+def test_model_files_keep_it_exactly(interval):
+    model = msgspec.structs.replace(BASIC_PHYSICAL, interval=interval)
+    assert decode(encode(model)).interval == interval
+    table = heteroscedastic(10, 8)
+    assert (model.predict_interval(table, 0.9)[0] < model.predict(table)).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"scales": {}}, "without a scale"),
+        ({"levels": (0.9, 0.1)}, "do not ascend"),
+        ({"quantiles": ((1.0, -1.0),)}, "do not ascend"),
+        ({"quantiles": ((1.0,),)}, "other than 2 quantiles"),
+        ({"distances_km": (1.0,)}, "classes of rides"),
+        ({"quantiles": ((-1.0, float("inf")),)}, "not finite"),
+    ],
+)
+def test_what_is_no_interval_is_refused(change, said):
+    good = {
+        "scales": {ANY: (0.1, 0.0, 0.0)},
+        "distances_km": (0.0,),
+        "levels": (0.1, 0.9),
+        "quantiles": ((-1.0, 1.0),),
+    }
+    assert Interval(**good).rides == 0
+    with pytest.raises(ValueError, match=said):
+        Interval(**(good | change))
+
+
+def test_too_few_rides_give_no_interval():
+    assert least_squares_interval(BASIC_PHYSICAL, heteroscedastic(LEAST_RIDES - 1, 1), fitted=False).interval is None
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 10_000), rides=st.integers(LEAST_RIDES, 3000), heavy=st.booleans())
+def test_errors_of_any_distribution_are_covered(seed, rides, heavy):
+    random = np.random.default_rng(seed)
+    draw = random.standard_t if heavy else random.chisquare
+    size = random.uniform(0.1, 5.0, rides)
+    terms = np.column_stack([np.ones(rides), size, size * random.uniform(0.0, 30.0, rides)])
+    held = Held(size * draw(2, rides), terms, random.uniform(0.0, 30.0, rides))
+    found = calibrated({"a": held}, {})
+    assert found is not None
+    scale = terms @ np.array(found.scales["a"])
+    row = np.array(found.quantiles)[np.searchsorted(found.distances_km, held.distance, side="right") - 1]
+    low, high = row[:, LEVELS.index(0.05)], row[:, LEVELS.index(0.95)]
+    covered = ((low * scale <= held.error) & (held.error <= high * scale)).mean()
+    assert 0.89 < covered < 0.96
+
+
+PLAIN = LinearRecipe(
+    "plain",
+    "Plain",
+    (term("effect_rolling"), term("effect_aero_drag"), term("distance_km"), term("distance_km", "winter"), term()),
+)
+
+
+@pytest.fixture(scope="module")
+def small() -> pd.DataFrame:
+    table = fleet(240, 5, models=MODELS[:2])
+    return measured(table, planted(table, differing(MODELS[:2])))
+
+
+def test_leverage_gives_the_error_of_a_fit_without_the_ride(small, monkeypatch):
+    seen = {}
+    monkeypatch.setattr("core.fit.calibration.calibrated", lambda own, other: seen.update(own=own, other=other))
+    model = fit_terms(PLAIN, Frame(small))
+    least_squares_interval(model, small)
+    own = small[small["vehicle_model"] == MODELS[1]]
+    for i in (0, 17, len(own) - 1):
+        without = fit_terms(PLAIN, Frame(own.drop(index=own.index[i])))
+        expected = own["energy_kwh"].iloc[i] - without.predict(own.iloc[i : i + 1])[0]
+        assert seen["own"][MODELS[1]].error[i] == pytest.approx(expected, rel=1e-6)
+
+
+def test_so_it_does_for_a_fit_without_the_vehicle_model(small, monkeypatch):
+    seen = {}
+    monkeypatch.setattr("core.fit.calibration.calibrated", lambda own, other: seen.update(own=own, other=other))
+    least_squares_interval(fit_terms(PLAIN, Frame(small)), small)
+    own = small["vehicle_model"] == MODELS[1]
+    expected = small["energy_kwh"][own] - fit_terms(PLAIN, Frame(small[~own])).predict(small[own])
+    np.testing.assert_allclose(seen["other"][MODELS[1]].error, expected, rtol=1e-6, atol=1e-9)
+
+
+def test_intervals_of_vehicle_models_never_seen_are_wider_and_cover_more_than_those_of_others_would():
+    coefficients = differing(MODELS, drive=0.15, climate=0.2)
+    table = fleet(4000, 9)
+    table = measured(table, planted(table, coefficients))
+    energy = table["energy_kwh"].to_numpy()
+    covered, as_others = [], []
+    for name in MODELS:
+        new = (table["vehicle_model"] == name).to_numpy()
+        model = RECIPES["fitted_physical"].fit(table[~new])
+        lower, upper = model.predict_interval(table, 0.9)
+        assert np.mean(((lower <= energy) & (energy <= upper))[~new]) == pytest.approx(0.9, abs=0.02)
+        covered.append(np.mean(((lower <= energy) & (energy <= upper))[new]))
+        scales = dict(model.interval.scales)
+        alike = msgspec.structs.replace(model.interval, scales=scales | {ANY: min(scales.values())})
+        lower, upper = alike.bounds(model.predict(table), table, 0.9)
+        as_others.append(np.mean(((lower <= energy) & (energy <= upper))[new]))
+    assert np.mean(covered) > max(0.75, np.mean(as_others) + 0.1)
+
+
+def test_parts_are_of_equal_size_and_the_same_at_every_call():
+    assert np.bincount(parts(103, 5)).tolist() == [21, 21, 21, 20, 20]
+    assert parts(103, 5).tolist() == parts(103, 5).tolist()

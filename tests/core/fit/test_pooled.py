@@ -1,0 +1,240 @@
+"""Recipes past the paper: what is planted comes back, new vehicle models are learned from few rides, nothing leaks."""
+
+import msgspec
+import numpy as np
+import pandas as pd
+import pytest
+
+from core.errors import ModelError
+from core.fit.pooled import ADVANCED, ASKED, EFFICIENCY, LEAST_RIDES, SHARED, adapt
+from core.fit.recipes import RECIPES
+from core.models import ANY, BASIC_PHYSICAL, decode, encode
+from core.models.features import ANSWERS, Columns, needed
+from tests.support.planted_rides import MODELS
+from tests.support.pooled_rides import PHYSICS, differing, fleet, measured, planted
+
+POOLED, BOOSTED = ADVANCED
+
+
+def mae(model, table: pd.DataFrame) -> float:
+    return float(np.abs(model.predict(table) - table["energy_kwh"]).mean())
+
+
+@pytest.fixture(scope="module")
+def table() -> pd.DataFrame:
+    """A fleet whose vehicle models differ, whose cars differ, and with something that no term tells."""
+    found = fleet(6000, 1, cars=6)
+    energy = planted(found, differing(MODELS))
+    car = pd.factorize(found["vehicle_id"])[0]
+    own = np.random.default_rng(4).normal(1.0, 0.06, car.max() + 1)[car]
+    odd = 0.15 * (found["average_speed_kmh"] < 22.0) * (found["soc_start_pct"] < 60.0)
+    return measured(found, energy * own + odd * Columns(found)["size_kwh"], noise=0.004)
+
+
+@pytest.fixture(scope="module")
+def halves(table) -> tuple[pd.DataFrame, pd.DataFrame]:
+    random = np.random.default_rng(0).random(len(table)) < 0.5
+    return table[random], table[~random]
+
+
+@pytest.fixture(scope="module")
+def models(halves) -> dict:
+    names = ("fitted_physical", "hybrid_interactions", "pooled_hybrid", "boosted_hybrid")
+    return {name: RECIPES[name].fit(halves[0]) for name in names}
+
+
+def test_each_step_past_the_paper_is_better_than_the_one_before(models, halves):
+    errors = [mae(models[name], halves[1]) for name in ("hybrid_interactions", "pooled_hybrid", "boosted_hybrid")]
+    assert errors[1] < errors[0]
+    assert errors[2] < 0.9 * errors[1]
+
+
+def test_what_cars_take_comes_back(models, table):
+    truth = np.random.default_rng(4).normal(1.0, 0.06, table["vehicle_id"].nunique())
+    found = [models["boosted_hybrid"].cars[name] for name in pd.factorize(table["vehicle_id"])[1]]
+    assert np.corrcoef(truth, found)[0, 1] > 0.8
+    assert not models["pooled_hybrid"].cars
+
+
+def test_intervals_cover_new_rides(models, halves):
+    energy = halves[1]["energy_kwh"].to_numpy()
+    for name, model in models.items():
+        lower, upper = model.predict_interval(halves[1], 0.9)
+        covered = (lower <= energy) & (energy <= upper)
+        assert covered.mean() == pytest.approx(0.9, abs=0.025), name
+        assert covered[halves[1]["winter"] == 1].mean() > 0.85
+        assert covered[halves[1]["distance_km"] > 10.0].mean() > 0.85
+
+
+def test_model_files_are_exact(models, halves):
+    for model in models.values():
+        again = decode(encode(model))
+        assert again == model
+        assert again.predict(halves[1]).tobytes() == model.predict(halves[1]).tobytes()
+    assert len(encode(models["boosted_hybrid"])) < 400_000
+
+
+def test_fitting_again_gives_the_same_model(models, halves):
+    assert BOOSTED.fit(halves[0]) == models["boosted_hybrid"]
+
+
+def test_rows_are_predicted_one_by_one_as_all_together(models, halves):
+    some = halves[1].iloc[:40]
+    model = models["boosted_hybrid"]
+    alone = np.concatenate([model.predict(some.iloc[i : i + 1]) for i in range(40)])
+    assert alone.tobytes() == model.predict(some).tobytes()
+
+
+def test_no_feature_holds_the_answer():
+    read = {raw for column in (*ASKED, *(c for term in SHARED for c in term.columns)) for raw in needed(column)}
+    assert not [column for column in read if column.startswith(ANSWERS)]
+
+
+def test_physics_is_that_of_the_extended_physical_model_but_for_losses():
+    rides = fleet(50, 3)
+    level = dict.fromkeys([name for name in rides if name.startswith(("effect_climbing", "effect_inertia"))], 0.0)
+    rides = rides.assign(**level, effect_aero_drag_wind=rides["effect_aero_drag"])
+    expected = EFFICIENCY * BASIC_PHYSICAL.predict(rides) + rides["effect_accessories"]
+    np.testing.assert_allclose(planted(rides, dict.fromkeys(MODELS, PHYSICS)), expected)
+
+
+@pytest.mark.parametrize("left_out", MODELS)
+def test_new_vehicle_models_are_predicted_better_than_by_fitted_physics(table, left_out):
+    new = table["vehicle_model"] == left_out
+    pooled = POOLED.fit(table[~new], covariance=False)
+    fitted = RECIPES["fitted_physical"].fit(table[~new], covariance=False)
+    assert left_out not in pooled.fits
+    assert mae(pooled, table[new]) < mae(fitted, table[new])
+    assert mae(pooled, table[new]) < 0.6 * mae(BASIC_PHYSICAL, table[new])
+
+
+def test_rides_of_a_new_vehicle_model_make_it_known(table):
+    new = table["vehicle_model"] == MODELS[0]
+    start = POOLED.fit(table[~new])
+    others = table[~new].iloc[:300]
+    draws = [table[new].sample(frac=1.0, random_state=seed) for seed in range(5)]
+    errors = np.array([[mae(adapt(start, own[:n]), own[300:]) for n in (0, 3, 30, 300)] for own in draws])
+    assert errors[0, 0] == mae(start, draws[0][300:])
+    mean = errors.mean(axis=0)
+    assert mean[1] < 1.1 * mean[0]
+    assert mean[2] < mean[0]
+    assert mean[3] < 1.25 * mae(POOLED.fit(table), table[new])
+    rides = draws[0]
+    told = adapt(start, rides.iloc[:30])
+    assert told.predict(others).tobytes() == start.predict(others).tobytes()
+    assert (told.fits[MODELS[0]].rides, told.version != start.version) == (30, True)
+    assert told.history[-1] == {"action": "adapt", "rides": {MODELS[0]: 30}}
+    assert decode(encode(told)) == told
+
+
+def test_a_new_vehicle_model_is_surer_with_each_ride(table):
+    new = table["vehicle_model"] == MODELS[1]
+    start = POOLED.fit(table[~new])
+    covariances = [adapt(start, table[new].iloc[:count]).fits[MODELS[1]].covariance for count in (1, 10, 100)]
+    variances = [np.array(start.fits[ANY].covariance).diagonal(), *(np.array(c).diagonal() for c in covariances)]
+    for more, fewer in zip(variances[1:], variances, strict=False):
+        assert (more <= fewer * (1.0 + 1e-9)).all()
+
+
+def test_rides_of_a_known_vehicle_model_change_its_fit_alone(models, halves):
+    model = models["boosted_hybrid"]
+    told = adapt(model, halves[1][halves[1]["vehicle_model"] == MODELS[0]])
+    assert [key for key in model.fits if told.fits[key] != model.fits[key]] == [MODELS[0]]
+    assert (told.cars, told.correction) == (model.cars, model.correction)
+
+
+def test_what_is_learned_does_not_depend_on_the_rides_that_are_unfit(table):
+    some = table.iloc[:600]
+    odd = some.copy()
+    odd.loc[odd.index[:50], "energy_kwh"] = 1e3
+    odd.loc[odd.index[:50], "fit_for_training"] = False
+    odd.loc[odd.index[50:60], "energy_kwh"] = np.nan
+    found, clean = POOLED.fit(odd), POOLED.fit(some.iloc[60:])
+    assert found.fits == clean.fits
+    assert found.training.left_out == {"unfit": 50, "no_measured_energy": 10}
+    assert adapt(clean, odd.iloc[:60]) is clean
+
+
+def test_columns_that_nobody_measured_are_no_hindrance(table):
+    unknown = ("parked_s", "battery_temperature_c", "occupants", "time_since_charge_s", "precipitation_mm_h")
+    blind = table.assign(**dict.fromkeys(unknown, np.nan))
+    model = BOOSTED.fit(blind.iloc[:3000])
+    assert np.isfinite(model.predict(blind)).all()
+    assert np.isfinite(model.predict(table)).all()
+
+
+def test_vehicles_and_vehicle_models_never_seen_are_predicted(models, halves):
+    strange = halves[1].iloc[:20].assign(vehicle_id="taxi-new", vehicle_model="horse")
+    for model in models.values():
+        assert np.isfinite(model.predict(strange)).all()
+
+
+def test_one_vehicle_model_alone_can_be_learned(table):
+    alone = table[table["vehicle_model"] == MODELS[0]]
+    model = BOOSTED.fit(alone)
+    assert set(model.fits) == {MODELS[0], ANY}
+    assert mae(model, alone) < mae(RECIPES["fitted_physical"].fit(alone), alone)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda t: t.drop(columns="parked_s"), "column 'parked_s' is missing in the rides: make the tables anew"),
+        (lambda t: t.drop(columns="energy_kwh"), "column 'energy_kwh' is missing"),
+        (lambda t: t.iloc[:0], "0 rides to fit to"),
+        (lambda t: t.iloc[: LEAST_RIDES - 1], f"{LEAST_RIDES - 1} rides to fit to, and it needs {LEAST_RIDES}"),
+        (lambda t: t.assign(energy_kwh=np.nan), "0 rides to fit to .*no_measured_energy"),
+        (lambda t: t.assign(energy_kwh=1.5), "energy_kwh is 1.5 in all 200 rides: nothing can be learned"),
+    ],
+)
+def test_rides_that_cannot_be_learned_from_are_refused(table, change, said):
+    for recipe in ADVANCED:
+        with pytest.raises(ModelError, match=said):
+            recipe.fit(change(table.iloc[:200]))
+
+
+def test_a_model_that_does_not_pool_cannot_be_told(models, table):
+    with pytest.raises(ModelError, match="does not tell how vehicle models differ: fit one of a recipe that pools"):
+        adapt(models["fitted_physical"], table.iloc[:10])
+    with pytest.raises(ModelError, match="column 'stops' is missing"):
+        adapt(models["pooled_hybrid"], table.iloc[:10].drop(columns="stops"))
+
+
+def test_a_model_without_trees_or_cars_is_that_of_the_terms(models, halves):
+    whole = models["boosted_hybrid"]
+    bare = msgspec.structs.replace(whole, cars={}, correction=None)
+    np.testing.assert_allclose(bare.predict(halves[1]), models["pooled_hybrid"].predict(halves[1]), rtol=1e-12)
+
+
+def test_a_vehicle_model_of_which_one_ride_is_known_is_pooled(table):
+    rare = table.iloc[:400].assign(vehicle_model=MODELS[0])
+    rare.loc[rare.index[0], "vehicle_model"] = MODELS[1]
+    model = BOOSTED.fit(rare)
+    assert model.fits[MODELS[1]].rides == 1
+    assert np.isfinite(model.predict(rare)).all()
+
+
+def test_being_told_known_rides_again_does_not_count_cars_and_trees_twice(models, halves):
+    model = models["boosted_hybrid"]
+    one = halves[0][halves[0]["vehicle_model"] == MODELS[0]]
+    said = one.assign(energy_kwh=model.predict(one))
+    again = adapt(model, said)
+    rest = halves[1][halves[1]["vehicle_model"] == MODELS[0]]
+    assert again.predict(rest) == pytest.approx(model.predict(rest), rel=1e-6, abs=1e-6)
+    assert again.version != model.version
+
+
+def test_a_term_that_no_ride_showed_is_held_where_physics_has_it(table):
+    mild = table.assign(ambient_c=table["ambient_c"].clip(lower=8.0))
+    model = POOLED.fit(mild[mild["vehicle_model"] != MODELS[0]])
+    new = table[table["vehicle_model"] == MODELS[0]].iloc[:30].copy()
+    new["ambient_c"] = np.where(np.arange(30) == 0, -15.0, 15.0)
+    told = adapt(model, new)
+    place = [term.name for term in model.terms].index("heating in deep cold")
+    assert told.fits[MODELS[0]].coefficients[place] == pytest.approx(SHARED[place].physics, abs=1e-6)
+
+
+def test_the_version_tells_models_of_other_cars_apart(table):
+    some = table.iloc[:600]
+    swapped = some.assign(vehicle_id=some["vehicle_id"].iloc[::-1].to_numpy())
+    assert BOOSTED.fit(some).version != BOOSTED.fit(swapped).version

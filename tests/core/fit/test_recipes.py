@@ -1,0 +1,257 @@
+"""Recipes are the paper's; what is planted comes back; what cannot be learned from is left out or refused."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from core.errors import ModelError
+from core.fit.recipes import BASIC_PART, FITTED_TERMS, HISTOGRAM, RECIPES, LinearRecipe, recipe
+from core.models import ANY, BASIC_PHYSICAL, decode, encode
+from core.models.features import ANSWERS
+from tests.support.planted_rides import MODELS, noisy, physical_energy, rides
+
+PAPER = {
+    "basic_physical": ("Basic Physical Model", 4),
+    "extended_physical": ("Extended Physical Model", 5),
+    "fitted_physical": ("Fitted Extended Physical Model (Linear Regression)", 5),
+    "empirical": ("Learned Empirical Model (No Interaction Terms)", 38),
+    "empirical_interactions": ("Learned Empirical Model (Interaction Terms)", 38 + 35 + 5),
+    "hybrid": ("Hybrid Model (No Interaction Terms)", 43),
+    "hybrid_interactions": ("Hybrid Model (Interaction Terms)", 43 + 5 + 4 + 10),
+}
+FITTED = [name for name in PAPER if name not in {"basic_physical", "extended_physical"}]
+
+
+@pytest.fixture(scope="module")
+def fleet() -> pd.DataFrame:
+    """2,000 rides of four vehicle models, of cars that lose in the drivetrain."""
+    table = rides(2000, seed=8)
+    return noisy(table, physical_energy(table, {"rolling": 1.4, "climbing": 0.9}))
+
+
+@pytest.fixture(scope="module")
+def models(fleet):
+    return {name: RECIPES[name].fit(fleet) for name in PAPER}
+
+
+def names(found) -> set[str]:
+    return {term.name for term in found.terms}
+
+
+def test_recipes_are_named_and_ordered_as_in_the_paper():
+    assert list(RECIPES)[: len(PAPER)] == list(PAPER)
+    for name, (title, terms) in PAPER.items():
+        assert (RECIPES[name].name, RECIPES[name].title, len(RECIPES[name].terms)) == (name, title, terms)
+
+
+def test_terms_are_those_of_the_paper():
+    squares = {f"{name} * {name}" for name in ("distance_km", "ambient_c", "speed_0_5_km", "soc_start_pct")}
+    speeds = {f"average_speed_kmh * {other}" for other in ("lost_m", "odometer_km", "distance_km", "winter", "summer")}
+    assert squares | speeds <= names(RECIPES["empirical_interactions"])
+    physical = [term.name for term in FITTED_TERMS]
+    assert physical == ["rolling", "aero_drag_wind", "inertia", "climbing", "accessories"]
+    hybrid = names(RECIPES["hybrid"])
+    assert hybrid == names(RECIPES["empirical"]) | set(physical)
+    added = {f"{by} * {name}" for by in ("odometer_km", "winter", "summer") for name in physical}
+    added |= {f"lost_m * {term.name}" for term in BASIC_PART}
+    assert names(RECIPES["hybrid_interactions"]) == hybrid | added
+    assert len(HISTOGRAM) == 21
+    assert all("constant" not in names(RECIPES[name]) for name in ("basic_physical", "fitted_physical"))
+
+
+def test_no_recipe_reads_the_answer():
+    for found in RECIPES.values():
+        for term in getattr(found, "terms", ()):
+            assert not any(column.startswith(ANSWERS) for column in term.columns)
+
+
+def test_basic_physical_is_the_model_that_comes_with_the_product(fleet, models):
+    assert models["basic_physical"].predict(fleet).tobytes() == BASIC_PHYSICAL.predict(fleet).tobytes()
+
+
+def test_each_vehicle_model_has_a_fit_and_there_is_one_for_any_other(fleet, models):
+    for name in PAPER:
+        assert set(models[name].fits) == {*MODELS, ANY}
+        assert {key: fit.rides for key, fit in models[name].fits.items()} == {
+            **fleet["vehicle_model"].value_counts().to_dict(),
+            ANY: 2000,
+        }
+    alone = RECIPES["hybrid"].fit(fleet[fleet["vehicle_model"] == MODELS[0]])
+    np.testing.assert_allclose(alone.fits[ANY].coefficients, models["hybrid"].fits[MODELS[0]].coefficients, rtol=1e-6)
+    stranger = fleet.assign(vehicle_model="a-new-one")
+    assert np.isfinite(models["hybrid"].predict(stranger)).all()
+
+
+def test_in_sample_a_model_with_more_terms_is_never_worse(fleet, models):
+    left = {name: np.sqrt(np.mean((models[name].predict(fleet) - fleet["energy_kwh"]) ** 2)) for name in PAPER}
+    assert left["basic_physical"] > left["extended_physical"] > left["fitted_physical"] > left["hybrid"]
+    assert left["hybrid"] > left["hybrid_interactions"]
+    assert left["empirical"] > left["empirical_interactions"] > left["hybrid"]
+
+
+@pytest.mark.parametrize("name", PAPER)
+def test_a_fitted_model_is_an_exact_file(name, fleet, models):
+    read = decode(encode(models[name]))
+    assert read == models[name]
+    assert read.predict(fleet).tobytes() == models[name].predict(fleet).tobytes()
+
+
+@pytest.mark.parametrize("name", FITTED)
+def test_collinear_columns_do_not_make_coefficients_explode(name, fleet, models):
+    """No column moves the energy by more than a few times what energies differ by."""
+    found = models[name]
+    for key, fit in found.fits.items():
+        own = fleet if key == ANY else fleet[fleet["vehicle_model"] == key]
+        spread = own["energy_kwh"].std()
+        columns = {name: own[name].to_numpy(float) for name in found.needs if name != "vehicle_model"}
+        for term, coefficient in zip(found.terms, fit.coefficients, strict=True):
+            if all(column in columns for column in term.columns) and term.columns:
+                values = np.prod([np.nan_to_num(columns[column]) for column in term.columns], axis=0)
+                assert abs(coefficient) * values.std() < 3.0 * spread, (key, term.name)
+    shaken = fleet.assign(winter=1 - fleet["winter"], summer=1 - fleet["summer"])
+    assert np.abs(found.predict(shaken) - found.predict(fleet)).max() < 2.0
+
+
+def test_a_hybrid_without_its_redundant_terms_predicts_the_same(fleet, models):
+    """Of summer, and of one bin of the histogram, the other terms tell all."""
+    full = RECIPES["hybrid"]
+    kept = tuple(term for term in full.terms if term.name not in {"summer", "speed_100_105_km", "nominal_capacity_kwh"})
+    least = LinearRecipe("least", "least", kept).fit(fleet)
+    fresh = rides(200, seed=99)
+    for key in MODELS:
+        own = fresh.assign(vehicle_model=key, nominal_capacity_kwh=27.0)
+        np.testing.assert_allclose(models["hybrid"].predict(own), least.predict(own), atol=1e-6)
+
+
+def test_rolling_resistance_that_goes_with_the_distance_but_for_rounding_does_not_explode():
+    """As of a car whose load is not known: then only the cosine of the grade tells one from the other."""
+    table = rides(1500, seed=5, models=MODELS[:1])
+    table["effect_rolling"] = table["distance_km"] * 4.0 * (1.0 + 3e-4 * np.random.default_rng(1).standard_normal(1500))
+    fit = RECIPES["hybrid"].fit(noisy(table, physical_energy(table))).fits[ANY]
+    assert abs(fit.coefficients[0]) < 2.0
+    assert np.sqrt(fit.covariance[0][0]) < 1.0
+
+
+def test_what_is_planted_comes_back_within_its_interval_as_often_as_it_says():
+    planted = {"rolling": 1.4, "aero_drag_wind": 1.1, "climbing": 0.85}
+    table = rides(3000, seed=21, models=MODELS[:1], cars=20)
+    energy = physical_energy(table, planted)
+    held = []
+    for seed in range(30):
+        fit = RECIPES["fitted_physical"].fit(noisy(table, energy, seed=seed, of_day=0.004)).fits[ANY]
+        assert fit.clusters is not None
+        for term, value, variance in zip(FITTED_TERMS, fit.coefficients, np.diag(fit.covariance), strict=True):
+            if term.name in planted:
+                held.append(abs(value - planted[term.name]) < 1.96 * np.sqrt(variance))
+    assert 0.90 <= np.mean(held) <= 0.98
+
+
+def test_kinetic_energy_that_whole_rides_do_not_tell_is_held_near_physics(fleet, models):
+    for key, fit in models["fitted_physical"].fits.items():
+        assert fit.held == ("inertia",), key
+        assert abs(fit.coefficients[2] - 1.0) < 1.0
+    interactions = models["hybrid_interactions"].fits[ANY].held
+    assert set(interactions) == {
+        "inertia",
+        *(f"{by} * inertia" for by in ("odometer_km", "lost_m", "winter", "summer")),
+    }
+    moving = fleet.assign(effect_inertia=np.random.default_rng(1).normal(0.0, 0.3, len(fleet)))
+    told = noisy(moving, physical_energy(moving, {"inertia": 1.3}))
+    fit = RECIPES["fitted_physical"].fit(told).fits[ANY]
+    assert fit.held == ()
+    assert fit.coefficients[2] == pytest.approx(1.3, abs=0.03)
+
+
+def test_unknown_values_are_filled_with_the_mean_of_those_that_are_known(fleet, models):
+    since = fleet["time_since_charge_s"]
+    assert models["hybrid"].fits[ANY].fills["time_since_charge_s"] == pytest.approx(since.mean())
+    assert models["hybrid"].training.filled["time_since_charge_s"] == since.isna().sum()
+    predicted = models["hybrid"].predict(fleet.assign(time_since_charge_s=np.nan, wind_from_deg=np.nan))
+    assert np.isfinite(predicted).all()
+    unknown = fleet.assign(mass_kg=np.nan, drag_area_m2=np.nan)
+    assert np.isnan(models["hybrid"].predict(unknown)).all()
+
+
+def test_what_is_unfit_or_unmeasured_or_of_unknown_cars_is_left_out_and_counted(fleet):
+    odd = fleet.copy()
+    odd.loc[:9, "fit_for_training"] = False
+    odd.loc[:9, "unfit_reason"] = "too_long"
+    odd.loc[:9, "energy_kwh"] = 1e6
+    odd.loc[20:24, "energy_kwh"] = np.nan
+    odd.loc[30:32, ["effect_rolling", "drag_area_m2"]] = np.nan
+    found = RECIPES["hybrid"].fit(odd)
+    clean = RECIPES["hybrid"].fit(fleet.drop(index=[*range(10), *range(20, 25), *range(30, 33)]))
+    assert found.fits == clean.fits
+    assert found.version == clean.version
+    assert found.training.left_out == {"too_long": 10, "no_measured_energy": 5, "unknown_vehicle_or_effect": 3}
+
+
+def test_answers_in_the_table_change_nothing(fleet, models):
+    other = fleet.assign(soc_end_pct=1.0, hvac_kwh=2.0, energy_vi_kwh=3.0, energy_soc_kwh=4.0)
+    assert RECIPES["hybrid"].fit(other) == models["hybrid"]
+
+
+def test_the_same_rides_give_the_same_model_and_others_another_version(fleet, models):
+    assert RECIPES["hybrid_interactions"].fit(fleet) == models["hybrid_interactions"]
+    assert RECIPES["hybrid"].fit(fleet.iloc[:-1]).version != models["hybrid"].version
+
+
+def test_the_order_of_rides_does_not_matter(fleet, models):
+    shuffled = RECIPES["hybrid_interactions"].fit(fleet.sample(frac=1.0, random_state=3))
+    np.testing.assert_allclose(shuffled.predict(fleet), models["hybrid_interactions"].predict(fleet), atol=1e-6)
+
+
+def test_a_fit_without_covariance_has_the_same_coefficients(fleet, models):
+    for name in ("extended_physical", "hybrid"):
+        quick = RECIPES[name].fit(fleet, covariance=False)
+        for key, fit in quick.fits.items():
+            np.testing.assert_allclose(fit.coefficients, models[name].fits[key].coefficients, rtol=1e-6)
+            assert fit.covariance is None
+
+
+@pytest.mark.parametrize("name", ["fitted_physical", "hybrid_interactions"])
+@pytest.mark.parametrize("groups", [37, 700])
+def test_a_file_read_by_row_groups_gives_the_model_of_the_table(name, groups, fleet, models, tmp_path):
+    half = len(fleet) // 2
+    fleet.iloc[:half].to_parquet(tmp_path / "a.parquet", row_group_size=groups)
+    fleet.iloc[half:].to_parquet(tmp_path / "b.parquet", row_group_size=groups)
+    found = RECIPES[name].fit_parquet(tmp_path / "a.parquet", tmp_path / "b.parquet")
+    assert found.training == models[name].training
+    for key, fit in found.fits.items():
+        expected = models[name].fits[key]
+        np.testing.assert_allclose(found.predict(fleet), models[name].predict(fleet), atol=1e-7)
+        np.testing.assert_allclose(np.diag(fit.covariance), np.diag(expected.covariance), rtol=1e-3)
+
+
+def test_too_few_rides_of_a_vehicle_model_are_predicted_by_the_fit_over_all(fleet):
+    rare = fleet["vehicle_model"] == MODELS[0]
+    few = pd.concat([fleet[~rare], fleet[rare].iloc[:40]])
+    found = RECIPES["hybrid"].fit(few)
+    assert set(found.fits) == {*MODELS[1:], ANY}
+    assert found.training.vehicle_models[MODELS[0]] == 40
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda t: t.drop(columns="gained_m"), "column 'gained_m' is missing: make the tables anew"),
+        (lambda t: t.drop(columns="energy_kwh"), "column 'energy_kwh' is missing"),
+        (lambda t: t.iloc[:0], "0 rides to fit to, and it needs 86"),
+        (lambda t: t.iloc[:1], "1 rides to fit to, and it needs 86"),
+        (lambda t: t.assign(energy_kwh=np.nan), "0 rides to fit to (2,000 no_measured_energy left out)"),
+        (lambda t: t.assign(fit_for_training=False), "0 rides to fit to (2,000 unfit left out)"),
+        (lambda t: pd.concat([t.iloc[5:6]] * 200), "all 200 rides are alike: nothing can be learned"),
+        (lambda t: t.assign(energy_kwh=1.5), "energy_kwh is 1.5 in all 2,000 rides: nothing can be learned"),
+        (lambda t: t.assign(gained_m="steep"), "column 'gained_m' of the ride table is no number"),
+    ],
+)
+def test_what_cannot_be_learned_from_is_refused_in_one_line(change, said, fleet):
+    with pytest.raises(ModelError) as caught:
+        RECIPES["hybrid"].fit(change(fleet))
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_unknown_recipe_is_named_with_those_there_are():
+    with pytest.raises(ModelError, match="recipe 'hybird' is unknown: known are basic_physical, extended_physical"):
+        recipe("hybird")

@@ -1,0 +1,201 @@
+"""Normal equations added up block by block give the least squares of the whole, and intervals that hold."""
+
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from sklearn.base import clone
+from sklearn.exceptions import NotFittedError
+from sklearn.linear_model import LinearRegression
+from sklearn.model_selection import KFold, cross_val_score
+
+from core.errors import ModelError
+from core.fit.regression import GROUPS, Influence, Moments, Scores, grouped, solve
+from core.fit.sklearn_estimator import RecipeRegressor
+from tests.support.planted_rides import noisy, physical_energy, rides
+
+
+def moments_of(*blocks) -> Moments:
+    found = Moments(blocks[0].shape[1])
+    for block in blocks:
+        found.add(block)
+    return found
+
+
+def table(seed: int, rows: int = 200, width: int = 4) -> np.ndarray:
+    """Columns of very different sizes, far from zero, and what they explain."""
+    rng = np.random.default_rng(seed)
+    x = rng.normal(size=(rows, width)) * 10.0 ** np.arange(-3, width - 3) + 10.0 ** np.arange(width)
+    y = 5.0 + x @ 10.0 ** -np.arange(-3.0, width - 3.0) + rng.normal(size=rows)
+    return np.column_stack([x, y])
+
+
+@given(st.integers(0, 2**32), st.lists(st.integers(0, 200), max_size=5))
+def test_moments_are_those_of_the_whole_however_rows_are_cut(seed, cuts):
+    whole = table(seed)
+    edges = [0, *sorted(cuts), len(whole)]
+    found = moments_of(*(whole[a:b] for a, b in pairwise(edges)))
+    assert found.rows == len(whole)
+    np.testing.assert_allclose(found.mean, whole.mean(axis=0), rtol=1e-12)
+    scale = np.sqrt(np.outer(np.diag(found.scatter), np.diag(found.scatter)))
+    np.testing.assert_allclose(found.scatter / scale, np.cov(whole.T) * (len(whole) - 1) / scale, atol=1e-11)
+
+
+def test_large_means_cost_no_digits():
+    rng = np.random.default_rng(1)
+    x = 1e9 + rng.normal(size=2000)
+    y = 3.0 * (x - 1e9) + rng.normal(size=2000)
+    blocks = np.array_split(np.column_stack([x, y]), 7)
+    found = solve(moments_of(*blocks), constant=True)
+    expected = np.polyfit(x - 1e9, y, 1)
+    assert found.coefficients[0] == pytest.approx(expected[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("constant", [True, False])
+def test_least_squares_are_those_of_scikit_learn(constant):
+    whole = table(3)
+    if not constant:  # else each column is a constant but for a thousandth, and they count as collinear
+        whole[:, :-1] -= 10.0 ** np.arange(4)
+    found = solve(moments_of(*np.array_split(whole, 5)), constant=constant)
+    expected = LinearRegression(fit_intercept=constant).fit(whole[:, :-1], whole[:, -1])
+    np.testing.assert_allclose(found.coefficients, expected.coef_, rtol=1e-6)
+    assert (found.constant or 0.0) == pytest.approx(expected.intercept_, rel=1e-6)
+    left = whole[:, -1] - expected.predict(whole[:, :-1])
+    assert found.residual == pytest.approx(left @ left, rel=1e-6)
+    assert found.rank == 4
+    assert found.freedom == 196 - constant
+
+
+def test_collinear_columns_share_in_equal_parts_and_predict_as_well():
+    rng = np.random.default_rng(5)
+    winter = (rng.random(500) < 0.25).astype(float)
+    parts = rng.random((500, 6))
+    whole = parts.sum(axis=1)
+    y = 1.0 + 0.5 * winter + parts @ np.arange(6.0) + 0.01 * rng.normal(size=500)
+    x = np.column_stack([winter, 1.0 - winter, parts, whole])
+    found = solve(moments_of(np.column_stack([x, y])), constant=True)
+    least = solve(moments_of(np.column_stack([winter, parts, y])), constant=True)
+    assert found.rank == least.rank == 7
+    assert found.coefficients[0] == pytest.approx(-found.coefficients[1], rel=1e-6)
+    assert np.abs(found.coefficients).max() < 6.0
+    fresh = rng.random((50, 6))
+    seasons = (rng.random(50) < 0.5).astype(float)
+    full = np.column_stack([seasons, 1.0 - seasons, fresh, fresh.sum(axis=1)])
+    one = full @ found.coefficients + found.constant
+    other = np.column_stack([seasons, fresh]) @ least.coefficients + least.constant
+    np.testing.assert_allclose(one, other, atol=1e-9)
+
+
+@pytest.mark.parametrize("value", [0.0, 27.0, -1e6, 1e-9])
+def test_a_column_that_does_not_vary_counts_for_nothing(value):
+    whole = table(7)
+    with_it = np.insert(whole, 2, value, axis=1)
+    found = solve(moments_of(*np.array_split(with_it, 3)), constant=True)
+    without = solve(moments_of(whole), constant=True)
+    assert found.coefficients[2] == 0.0
+    np.testing.assert_allclose(np.delete(found.coefficients, 2), without.coefficients, rtol=1e-9)
+    assert found.rank == without.rank
+
+
+def test_a_coefficient_is_pulled_as_by_one_more_observation():
+    whole = table(9)
+    weight, toward = np.array([0.0, 4.0, 0.0, 0.0]), np.array([0.0, 7.0, 0.0, 0.0])
+    pulled = solve(moments_of(whole), constant=False, weight=weight, toward=toward)
+    row = np.array([[0.0, 2.0, 0.0, 0.0, 14.0]])
+    seen = solve(moments_of(whole, row), constant=False)
+    np.testing.assert_allclose(pulled.coefficients, seen.coefficients, rtol=1e-8)
+
+
+def covered(seed: int, *, robust: bool) -> np.ndarray:
+    """Whether the 95 % interval of each planted coefficient, and of the constant, holds it."""
+    rng = np.random.default_rng(seed)
+    cars, days, each = 15, 12, 6
+    car, day = np.repeat(np.arange(cars), days * each), np.tile(np.repeat(np.arange(days), each), cars)
+    n = len(car)
+    shared = rng.normal(size=(cars, days))[car, day] if robust else 0.0
+    x = np.column_stack([rng.normal(2.0, 1.0, n), rng.normal(size=(cars, days))[car, day], rng.random(n)])
+    y = x @ [1.0, -2.0, 0.5] + 3.0 + rng.normal(size=n) * (x[:, 0] if robust else 1.0) + shared
+    moments = moments_of(*np.array_split(np.column_stack([x, y]), 4))
+    solution = solve(moments, constant=True)
+    influence = Influence(moments, solution)
+    covariance = influence.classical()
+    if robust:
+        left = (y - x @ solution.coefficients - solution.constant) / (1.0 - influence.leverage(x))
+        scores = Scores(influence.mean, constant=True)
+        group = grouped([f"c{i}" for i in car], [f"d{i}" for i in day])
+        for part in np.array_split(np.arange(n), 5):
+            scores.add(x[part], left[part], group[part])
+        covariance = influence.robust(scores)
+    z = (np.array([*solution.coefficients, solution.constant]) - [1.0, -2.0, 0.5, 3.0]) / np.sqrt(np.diag(covariance))
+    return np.abs(z) < 1.96
+
+
+@pytest.mark.parametrize("robust", [False, True])
+def test_intervals_hold_what_was_planted_as_often_as_they_say(robust):
+    held = np.array([covered(seed, robust=robust) for seed in range(300)])
+    assert 0.93 <= held.mean() <= 0.97
+    assert (held.mean(axis=0) >= 0.90).all()
+    assert (held.mean(axis=0) <= 0.98).all()
+
+
+def test_errors_that_hang_together_within_a_day_are_not_taken_for_independent():
+    """With the classical covariance, the interval of what varies by day alone would hold far too seldom."""
+    rng = np.random.default_rng(2)
+    by_day = np.repeat(rng.normal(size=60), 20)
+    y = np.repeat(rng.normal(size=60), 20) + 0.1 * rng.normal(size=1200)
+    moments = moments_of(np.column_stack([by_day, y]))
+    solution = solve(moments, constant=True)
+    influence = Influence(moments, solution)
+    scores = Scores(influence.mean, constant=True)
+    left = y - by_day * solution.coefficients[0] - solution.constant
+    scores.add(by_day[:, np.newaxis], left, np.repeat(np.arange(60), 20))
+    assert influence.robust(scores)[0, 0] > 8.0 * influence.classical()[0, 0]
+
+
+def test_classical_covariance_is_that_of_the_textbook():
+    whole = table(11)
+    moments = moments_of(whole)
+    solution = solve(moments, constant=True)
+    design = np.column_stack([whole[:, :-1], np.ones(len(whole))])
+    expected = np.linalg.inv(design.T @ design) * solution.variance
+    np.testing.assert_allclose(Influence(moments, solution).classical(), expected, rtol=1e-5)
+
+
+def test_rides_of_a_car_and_day_are_in_one_group_wherever_they_stand():
+    keys = [("a", "1"), ("b", "1"), ("a", "2"), ("a", "1")]
+    cars, days = zip(*keys, strict=True)
+    group = grouped(cars, days)
+    assert group[0] == group[3]
+    assert len(set(group.tolist())) == 3
+    assert (group < GROUPS).all()
+    assert grouped(cars[2:], days[2:]).tolist() == group[2:].tolist()
+
+
+def test_a_recipe_is_a_scikit_learn_estimator():
+    found = noisy(rides(600, models=("kia-soul-ev-2015",)), np.zeros(600))
+    energy = noisy(found, physical_energy(found))["energy_kwh"]
+    estimator = RecipeRegressor("fitted_physical")
+    assert clone(estimator).get_params() == {"recipe": "fitted_physical", "covariance": False}
+    with pytest.raises(NotFittedError):
+        estimator.predict(found)
+    assert estimator.fit(found, energy) is estimator
+    assert estimator.predict(found).tobytes() == estimator.model_.predict(found).tobytes()
+    assert estimator.score(found, energy) > 0.9
+    scores = cross_val_score(estimator, found.drop(columns="energy_kwh"), energy, cv=KFold(3, shuffle=True))
+    assert (scores > 0.9).all()
+    with pytest.raises(ModelError, match="recipe 'hybird' is unknown: known are basic_physical"):
+        RecipeRegressor("hybird").fit(found, energy)
+    with pytest.raises(ModelError, match="ndarray has no columns by name"):
+        estimator.predict(found.select_dtypes("number").to_numpy())
+
+
+def test_fitting_an_estimator_changes_neither_table_nor_energy():
+    found = rides(300)
+    energy = pd.Series(physical_energy(found))
+    before = found.copy(deep=True), energy.copy(deep=True)
+    RecipeRegressor("hybrid").fit(found, energy)
+    pd.testing.assert_frame_equal(found, before[0])
+    pd.testing.assert_series_equal(energy, before[1])

@@ -1,0 +1,294 @@
+"""From messages to forecasts of the charge: what is learned, what is told, and what a wrong charge does to it."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from core.forecast import soc_filter
+from core.forecast.engine import SHORT_SHIFT
+from core.forecast.learning.car_driver import DRIVER, code_of
+from core.forecast.outlook import EARLY, OVERTIME
+from core.pipeline import Pipeline
+from tests.support.fleet_days import (
+    CAPACITY,
+    CARS,
+    DAY,
+    DAYS,
+    PERIOD,
+    RESERVE,
+    SETTINGS,
+    SHIFT,
+    START,
+    again,
+    columns,
+    days,
+    forecasts,
+    merged,
+    night,
+    plan,
+    shift,
+)
+from tests.support.telemetry import told
+
+BEGIN = START + DAY * DAYS
+SAMPLES = int(SHIFT / PERIOD) + 1
+EACH = SETTINGS._replace(forecast_time=3.0)
+"""With these there is a forecast of every sample."""
+LEAST = 1.0 - 1e-6
+"""How wide an interval may be over what it is without a fault."""
+
+
+def driven(car="c", sent=None, messages=None, settings=SETTINGS):
+    """Return the pipeline and the forecasts of a car's shift on the day after those that were learned from."""
+    pipeline = again(settings=settings)
+    out = pipeline.push([m for _, m in shift(car, DAYS, sent)] if messages is None else messages)
+    return pipeline, forecasts(out, car)
+
+
+def width(forecast):
+    end = forecast.soc_end_of_shift_pct
+    return end.p95 - end.p05
+
+
+@pytest.mark.parametrize("car", CARS)
+def test_the_end_of_the_shift_is_foretold_and_the_interval_shrinks(car):
+    _, found = driven(car)
+    end = columns(car, DAYS)["soc_pct"][-1]
+    known = [each for each in found.values() if each.soc_end_of_shift_pct is not None]
+    assert len(known) > 0.95 * len(found)
+    for each in known:
+        assert each.soc_end_of_shift_pct.p05 <= each.soc_end_of_shift_pct.mean <= each.soc_end_of_shift_pct.p95
+        assert each.range_km.p05 <= each.range_km.mean <= each.range_km.p95
+        assert each.reserve_risk == pytest.approx(0.0, abs=0.02)
+    quarters = [[width(each) for each in part] for part in (known[:30], known[-60:-30], known[-25:])]
+    assert np.mean(quarters[0]) > 1.3 * np.mean(quarters[1]) > 1.3**2 * np.mean(quarters[2])
+    assert known[0].soc_end_of_shift_pct.mean == pytest.approx(end, abs=7.0)
+    assert known[-1].soc_end_of_shift_pct.mean == pytest.approx(end, abs=1.0)
+
+
+def test_a_higher_reserve_is_riskier_and_leaves_less_range():
+    last = None
+    for reserve in (10.0, 50.0, 55.0, 60.0, 95.0):
+        messages = [m for _, m in shift("c", DAYS)]
+        messages[1] = plan("c", DAYS, BEGIN + 14.0, reserve_soc_pct=reserve)
+        _, found = driven(messages=messages[:60])
+        now = list(found.values())[-1]
+        if last is not None:
+            assert now.reserve_risk >= last.reserve_risk
+            assert now.range_km.mean < last.range_km.mean
+            assert now.soc_end_of_shift_pct == last.soc_end_of_shift_pct
+        last = now
+    assert last.reserve_risk == pytest.approx(1.0, abs=0.02)
+
+
+# a charge that is told wrongly
+
+
+def told_wrongly(sent, fault, begin, lasting, by):
+    """Return a shift whose charge is told wrongly from a sample on, and when that is over [s]."""
+    bad = {name: values.copy() for name, values in sent.items()}
+    charge, end = bad["soc_pct"], min(begin + lasting, SAMPLES - 1)
+    if fault == "frozen":
+        charge[begin:end] = charge[begin - 1]
+    elif fault == "absent":
+        charge[begin:end] = np.nan
+    elif fault == "spike":
+        charge[begin] += by
+        end = begin + 1
+    else:
+        charge[begin:] += by
+        end = min(begin + int(soc_filter.STAYS / PERIOD), SAMPLES - 1)
+    return bad, sent["time_s"][end]
+
+
+@pytest.mark.parametrize("car", ["a", "c"])
+@pytest.mark.parametrize("fault", ["frozen", "absent", "spike", "jump"])
+@given(begin=st.integers(2, SAMPLES - 3), lasting=st.integers(1, SAMPLES), by=st.sampled_from([-12.0, -7.0, 4.0]))
+def test_a_charge_that_is_told_wrongly_never_narrows_a_forecast(car, fault, begin, lasting, by):
+    sent = columns(car, DAYS)
+    bad, over = told_wrongly(sent, fault, begin, lasting, by)
+    (_, good), (_, found) = driven(car, sent, settings=EACH), driven(car, bad, settings=EACH)
+    assert good.keys() == found.keys()
+    last = np.inf if fault in ("spike", "jump") else over
+    for time in [t for t in good if sent["time_s"][begin] <= t < last]:
+        assert found[time].soc_sd_pct >= LEAST * good[time].soc_sd_pct
+        if good[time].soc_end_of_shift_pct is not None:
+            assert width(found[time]) >= LEAST * width(good[time])
+
+
+@pytest.mark.parametrize("fault", ["frozen", "absent", "spike", "jump"])
+def test_when_it_is_told_rightly_again_the_forecast_is_as_good_as_before(fault):
+    sent = columns("c", DAYS)
+    by = -7.0 if fault == "jump" else 0.0
+    bad, over = told_wrongly(sent, fault, 150, 100, -7.0)
+    (_, good), (_, found) = driven("c", sent), driven("c", bad)
+    for time in [t for t in good if t > over + 1200.0 and t in found]:
+        assert found[time].soc_pct - by == pytest.approx(good[time].soc_pct, abs=0.5)
+        assert found[time].soc_end_of_shift_pct.mean - by == pytest.approx(
+            good[time].soc_end_of_shift_pct.mean, abs=2.0
+        )
+        assert width(found[time]) < 1.6 * width(good[time])
+
+
+def test_where_no_charge_is_told_there_is_none_foretold():
+    sent = columns("c", DAYS) | {"soc_pct": np.full(SAMPLES, np.nan)}
+    _, found = driven("c", sent)
+    assert found
+    assert all(each.soc_pct is None and each.soc_end_of_shift_pct is None for each in found.values())
+    assert all(each.reserve_risk is None for each in found.values())
+
+
+def test_after_a_charge_in_the_shift_it_goes_on_from_what_is_told():
+    sent = columns("c", DAYS)
+    rests = np.flatnonzero(sent["ride_id"] == None)  # noqa: E711 - of each element
+    plugged = rests[(rests > 220) & (rests < 245)][2:-2]
+    sent["charging"] = np.isin(np.arange(SAMPLES), plugged)
+    sent["soc_pct"] = sent["soc_pct"].copy()
+    sent["soc_pct"][plugged] += np.linspace(1.0, 20.0, len(plugged)).round()
+    sent["soc_pct"][plugged[-1] + 1 :] += 20.0
+    pipeline, found = driven("c", sent)
+    for time in [t for t in found if t > sent["time_s"][plugged[-1]]]:
+        at = int(np.searchsorted(sent["time_s"], time))
+        assert found[time].soc_pct == pytest.approx(sent["soc_pct"][at], abs=0.6)
+    state = pipeline.foresight.state[CARS.index("c")]
+    assert state["charged"] == pytest.approx(sent["time_s"][plugged[-1]], abs=61.0)
+    assert state["jumps"] == 0.0
+
+
+def test_after_a_night_the_charge_is_what_is_told():
+    pipeline, _ = driven("c")
+    out = forecasts(pipeline.push([m for _, m in shift("c", DAYS + 1)][:10]), "c")
+    first = out[min(out)]
+    assert first.soc_pct == pytest.approx(95.0, abs=0.01)
+    assert first.soc_sd_pct == pytest.approx(100.0 * np.hypot(0.005 / np.sqrt(12.0), soc_filter.FLOOR), rel=0.01)
+
+
+# what is learned of cars
+
+
+def test_what_each_car_takes_is_kept_by_the_nights():
+    prior = again().foresight.lessons.prior
+    always = np.array([0.15 * np.sin(ord(car)) for car in CARS])
+    assert np.corrcoef(prior[:, 0], always)[0, 1] > 0.8
+    assert (prior[:, 1] < soc_filter.CAPACITY**2 + 0.0136).all()
+    assert (prior[:, 1] < Pipeline().foresight.lessons.scales.expected(-1)[1]).all()
+
+
+def test_capacity_is_learned_where_voltage_and_current_are_measured():
+    state = again().foresight.state
+    nominal = again().cars.capacity[-1]
+    assert np.exp(state["c"][:2]) * nominal == pytest.approx(np.full(2, CAPACITY), rel=0.01)
+    assert (np.sqrt(state["cc"][:2]) < 0.02).all()
+    assert (np.sqrt(state["cc"][2:]) > 0.05).all()
+    told = again().ask("a")
+    assert told.usable_capacity_kwh == pytest.approx(CAPACITY, rel=0.01)
+    assert told.usable_capacity_sd_kwh > soc_filter.METER * told.usable_capacity_kwh
+
+
+def test_nothing_is_foretold_before_enough_was_learned():
+    pipeline = again(2)
+    found = forecasts(pipeline.push([m for _, m in shift("c", 2)]), "c")
+    assert all(each.soc_end_of_shift_pct is None for each in found.values())
+    assert all(each.soc_pct is not None for each in found.values())
+
+
+def test_without_a_plan_the_car_does_as_it_does():
+    messages = [m for _, m in shift("c", DAYS, planned=False)]
+    _, found = driven("c", messages=messages)
+    assert all(each.soc_end_of_shift_pct is None for each in found.values())  # by habit nothing has been judged yet
+    pipeline = again(7, planned=False)
+    found = forecasts(pipeline.push([m for _, m in shift("c", 7, planned=False)]), "c")
+    early = [each for time, each in found.items() if 600.0 < time - START - 7.0 * DAY < 0.5 * SHIFT]
+    assert early
+    for each in early:
+        assert each.soc_end_of_shift_pct.mean == pytest.approx(columns("c", 7)["soc_pct"][-1], abs=12.0)
+        assert 0.0 <= each.reserve_risk <= 0.2
+
+
+def test_a_car_without_habits_and_without_a_plan_is_foretold_nothing():
+    pipeline = again(planned=False)
+    messages = [
+        m._replace(key=m.key.replace("/c/", "/new/"), payload=m.payload.replace(b'"c"', b'"new"'))
+        for _, m in shift("c", DAYS, planned=False)
+    ]
+    found = forecasts(pipeline.push([told("vehicle", "new", BEGIN, model="nissan-leaf-2013"), *messages]), "new")
+    assert found
+    assert all(each.soc_end_of_shift_pct is None and each.reserve_risk is None for each in found.values())
+    assert found[max(found)].soc_pct is not None
+
+
+@pytest.mark.parametrize("ahead", [-1200.0, 0.0, 1500.0])
+def test_plans_of_the_future_and_of_shifts_that_are_over_say_nothing(ahead):
+    """A plan is stamped so long before the samples that it comes with, or after; of a shift that ends when it came."""
+    sent = [m for _, m in shift("c", DAYS, planned=False)]
+    came = float(columns("c", DAYS)["time_s"][100]) - ahead
+    end = came + (SHIFT if ahead <= 0.0 else 0.0)
+    late = told("plan", "c", came, shift_end_s=end, reserve_soc_pct=RESERVE, legs=[])
+    found = forecasts(again().push([*sent[:102], late, *sent[102:]]), "c")
+    known = {time for time, each in found.items() if each.soc_end_of_shift_pct is not None}
+    first = float(columns("c", DAYS)["time_s"][100])
+    assert known == {t for t in found if t > first and came - EARLY <= t <= end + OVERTIME}
+    assert known
+    assert known < set(found)
+
+
+@pytest.mark.parametrize("hours", [0.4, 1.5])
+def test_a_short_shift_teaches_no_scale(hours):
+    pipeline, lane = again(), CARS.index("c")
+    pipeline.push([m for _, m in shift("c", DAYS, columns("c", DAYS, hours=hours))])
+    pipeline.push(night(DAYS + 1))
+    before = pipeline.foresight.lessons.scales.expected(lane)
+    pipeline.push([m for _, m in shift("c", DAYS + 2)][:5])
+    pipeline.push(night(DAYS + 3))
+    after = pipeline.foresight.lessons.scales.expected(lane)
+    assert (after == before) == (hours < SHORT_SHIFT)
+
+
+def driven_by(*names):
+    """Return the scales after a shift of which so many samples had been sent when each driver was named."""
+    pipeline = again()
+    sent = [m for _, m in shift("c", DAYS)]
+    del sent[2]  # who drives
+    begin = float(columns("c", DAYS)["time_s"][0])
+    for at, name in sorted(names, reverse=True):
+        sent.insert(at, told("ride", "c", begin, ride_id="c", event="start", driver_id=name))
+    pipeline.push(sent)
+    pipeline.push([m for _, m in shift("c", DAYS + 1)][:5])
+    pipeline.push(night(DAYS + 2))
+    return pipeline.foresight.lessons.scales
+
+
+def test_a_driver_who_is_named_before_the_first_sample_has_driven_the_shift():
+    before, after = driven_by((0, "ana")), driven_by((2, "ana"))
+    assert before.part_of(code_of("ana"))[1] < DRIVER**2
+    assert before.dump() == after.dump() != driven_by().dump()
+
+
+def test_a_shift_of_two_drivers_tells_of_the_car_alone():
+    shared = driven_by((0, "ana"), (100, "bo"))
+    assert shared.part_of(code_of("ana")) == shared.part_of(code_of("bo")) == (0.0, DRIVER**2)
+    assert shared.dump() == driven_by().dump()
+    assert driven_by((0, "ana"), (100, "ana")).dump() == driven_by((0, "ana")).dump()
+
+
+def test_who_else_drives_the_same_day_changes_nothing():
+    alone = driven("c")[1]
+    together = forecasts(again().push(merged(*(shift(car, DAYS) for car in CARS))), "c")
+    assert together == alone
+
+
+def test_every_shift_is_judged_as_it_ends_and_bounds_move_overnight():
+    pipeline = again()
+    conformal, before = pipeline.foresight.lessons.conformal, judged_shifts(pipeline)
+    bounds = conformal.bounds.copy()
+    pipeline.push(days([DAYS]))
+    assert judged_shifts(pipeline) >= before + len(CARS)
+    assert np.array_equal(conformal.bounds, bounds, equal_nan=True)
+    pipeline.push(night(DAYS + 1))
+    assert not np.array_equal(conformal.bounds, bounds, equal_nan=True)
+
+
+def judged_shifts(pipeline):
+    """Return how many classes of shifts were learned from."""
+    return sum(len(shifts) for shifts in pipeline.foresight.lessons.conformal._scores.values())

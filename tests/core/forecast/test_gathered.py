@@ -1,0 +1,115 @@
+"""Where a batch is cut, and what is gathered meanwhile, changes no forecast."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import core.pipeline
+from core.forecast.gathered import Gathered, joined
+from core.forecast.plan_tracker import Arrival, Driving
+from core.totals.accumulator import Ledger
+from tests.support.fleet_days import CARS, DAYS, again, merged, plan, shift
+from tests.support.telemetry import START, chunked, leaf, observed, told
+
+BEGIN = START + 86_400.0 * DAYS
+
+
+def day(*also):
+    """Return the messages of a day of three cars, with others in between at some times."""
+    return merged(*(shift(car, DAYS) for car in CARS[:3]), list(also))
+
+
+def whole(messages, cuts=()):
+    pipeline = again()
+    return [m.payload for chunk in chunked(messages, cuts) for m in pipeline.push(chunk)]
+
+
+def renamed(messages, car):
+    """Return messages of car `c` as those of another."""
+    return [
+        (time, m._replace(key=m.key.replace("/c/", f"/{car}/"), payload=m.payload.replace(b'"c"', f'"{car}"'.encode())))
+        for time, m in messages
+    ]
+
+
+def weather(number):
+    """Return so many observations of a place far away, spread over the shift."""
+    times = BEGIN + np.linspace(100.0, 7000.0, number)
+    return [(time, observed("far", time, (50.0, -60.0), temperature_c=3.0)) for time in times.tolist()]
+
+
+@pytest.mark.parametrize("block", [7, 100, 4000])
+@given(cuts=st.lists(st.integers(0, 1400), max_size=6))
+def test_neither_cuts_nor_weather_nor_the_size_of_blocks_change_a_forecast(block, cuts):
+    messages, same = day(*weather(40)), expected()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(core.pipeline, "BLOCK", block)
+        assert whole(messages, cuts) == same
+
+
+@cache
+def expected():
+    return whole(day(*weather(40)))
+
+
+def test_a_plan_that_comes_between_two_rides_is_met_alike():
+    late = [(BEGIN + at, plan("a", DAYS, BEGIN + at, last=4)) for at in (3300.0, 3555.0, 3590.0, 3601.0)]
+    for number in range(len(late)):
+        messages = day(late[number])
+        assert whole(messages) == whole(messages, range(1, len(messages)))
+
+
+def test_a_car_that_says_late_what_it_is_or_becomes_another_is_met_alike():
+    first, *rest = renamed(shift("c", DAYS), "z")
+    other = told("vehicle", "z", BEGIN, model="nissan-leaf-2016")
+    messages = [m for _, m in [first, *rest[:2]]] + [leaf("z"), leaf("z"), *(m for _, m in rest[2:150])]
+    messages += [other, other, leaf("z"), other, *(m for _, m in rest[150:])]
+    found = whole(messages)
+    assert found == whole(messages, range(1, len(messages)))
+    assert found != whole([m for m in messages if m is not other])
+
+
+@given(cuts=st.lists(st.integers(0, 1400), max_size=6), looks=st.lists(st.integers(0, 6), max_size=3))
+def test_whenever_it_is_looked_at_forecasts_are_the_same(cuts, looks):
+    pipeline, messages = again(), day(*weather(5))
+    for number, chunk in enumerate(chunked(messages, cuts)):
+        pipeline.take(chunk)
+        if number in looks:
+            pipeline.status(), pipeline.ask("a"), pipeline.snapshot()
+    assert [m.payload for m in pipeline.forecasts()] == whole(messages)
+    assert pipeline.snapshot()
+
+
+def test_what_was_said_later_waits_and_rows_are_those_of_the_batch():
+    ledger = Ledger(0)
+    none = ledger.none()
+    rows = none._replace(**{name: np.zeros((2, *part.shape[1:]), part.dtype) for name, part in none._asdict().items()})
+    gathered = Gathered(none)
+    assert not gathered
+    plan_later = Arrival(9, 1, None)
+    gathered.say(Driving(5, 0, "x"))
+    gathered.say(plan_later)
+    gathered.add(ledger.close()._replace(running=rows), 3, 2)
+    gathered.add(ledger.close()._replace(running=rows), 5, 2)
+    assert gathered.size == 6
+    assert gathered.lanes == {0, 1}
+    sums, plans, drivers = gathered.take(7)
+    assert sums.running.at.tolist() == [3, 3, 5, 5]
+    assert (plans, drivers) == ([], [Driving(5, 0, "x")])
+    assert gathered.size == 0
+    assert gathered.lanes == {1}
+    gathered.end(9)
+    gathered.add(ledger.close()._replace(running=rows), 2, 2)
+    sums, plans, _ = gathered.take(4)
+    assert sums.running.at.tolist() == [11, 11]
+    assert plans == [plan_later]
+    assert not gathered
+
+
+def test_nothing_joined_is_nothing():
+    none = Ledger(3).none()
+    assert joined([], none) is none
+    assert joined([none, none], none) is none

@@ -1,0 +1,123 @@
+"""Forecasts: what they say, and when."""
+
+import json
+
+import numpy as np
+import pytest
+
+from core.models import EXTENDED_PHYSICAL
+from core.settings import Settings
+from core.wire.messages import Forecast
+from tests.support.fleet_days import DAYS, again, forecasts, shift
+from tests.support.telemetry import PERIOD, START, drive, leaf, ran, telemetry, told, without
+
+
+def forecasts_of(messages, **options):
+    pipeline, out = ran(messages, **options)
+    return pipeline, out, [json.loads(message.payload) for message in out]
+
+
+def full(n=300):
+    columns = drive(n, seed=4, battery_voltage_v=360.0, battery_current_a=30.0)
+    return columns | {"soc_pct": np.round(80 - 0.01 * np.arange(n), 1)}
+
+
+def test_a_forecast_is_of_the_sample_that_it_rests_on():
+    columns = full()
+    pipeline, out, said = forecasts_of([leaf(), *telemetry(columns)], prefix="montreal/")
+    assert {message.key for message in out} == {"montreal/fleet/a/forecast"}
+    assert [message.receipt_ns for message in out] == [int(forecast["time_s"] * 1e9) for forecast in said]
+    stamps = set((columns["time_s"]).tolist())
+    assert all(forecast["time_s"] in stamps for forecast in said)
+    assert all(set(forecast) == set(Forecast.__struct_fields__) for forecast in said)
+    row = np.searchsorted(columns["time_s"], [forecast["time_s"] for forecast in said])
+    assert [f["ride_distance_km"] for f in said] == pytest.approx(columns["metres"][row] / 1000)
+    assert [f["ride_duration_s"] for f in said] == pytest.approx(PERIOD * row)
+    assert [f["soc_pct"] for f in said] == pytest.approx(columns["soc_pct"][row], abs=0.5)
+    assert [f["ride_energy_measured_kwh"] or 0.0 for f in said[1:]] == pytest.approx(10.8 * PERIOD * row[1:] / 3600)
+    predicted = [f["ride_energy_predicted_kwh"] for f in said]
+    assert 0.05 < predicted[-1] / (columns["metres"][-1] / 1000) < 0.35
+    assert {f["ride_id"] for f in said} == {"r1"}
+    assert {f["model"] for f in said} == {f"{EXTENDED_PHYSICAL.name}/{EXTENDED_PHYSICAL.version}"}
+    assert pipeline.model is EXTENDED_PHYSICAL
+
+
+@pytest.mark.parametrize("wait", [6.0, 15.0, 60.0])
+def test_forecasts_come_by_event_time(wait):
+    columns = drive(300, speed=10.0)
+    _, _, said = forecasts_of([leaf(), *telemetry(columns)], settings=Settings(forecast_time=wait))
+    steps = np.diff([forecast["time_s"] for forecast in said])
+    assert np.all(np.ceil(wait / PERIOD) * PERIOD == steps)
+    assert said[0]["time_s"] == START
+
+
+def test_a_material_change_is_told_at_once():
+    columns = drive(100, speed=10.0, soc_pct=80.0)
+    columns["soc_pct"][47:] = 78.5
+    columns["ride_id"][71:] = "r2"
+    _, _, said = forecasts_of([leaf(), *telemetry(columns)], settings=Settings(forecast_time=60.0))
+    times = [round((forecast["time_s"] - START) / PERIOD) for forecast in said]
+    assert {0, 47, 71} <= set(times)
+    assert said[times.index(71)]["ride_id"] == "r2"
+    assert said[times.index(71)]["ride_distance_km"] == 0.0
+
+
+def test_a_parked_car_is_told_of_more_rarely():
+    columns = drive(400, speed=0.0, soc_pct=70.0)
+    columns["ride_id"][:] = None
+    _, _, said = forecasts_of(telemetry(columns))
+    assert 18 <= len(said) <= 22
+    assert {forecast["ride_id"] for forecast in said} == {None}
+
+
+def test_what_is_unknown_is_null():
+    _, _, said = forecasts_of(telemetry(drive(60, speed=10.0)))
+    for name in ("ride_energy_predicted_kwh", "ride_energy_measured_kwh", "soc_pct", "soc_sd_pct", "range_km"):
+        assert {json.dumps(forecast[name]) for forecast in said} == {"null"}, name
+
+
+def test_faults_are_counted_since_the_ride_began():
+    columns = without(full(200), "latitude_deg", "longitude_deg")
+    columns["speed_kmh"][[30, 31]] = 900.0
+    columns["soc_pct"][40] = 300.0
+    columns["time_s"][50] += 1.2
+    messages = [leaf(), *telemetry(columns)]
+    messages[60:60] = [messages[60]] * 3
+    del messages[100:105]
+    _, _, said = forecasts_of([*messages, told("ride", ride_id="r1", event="end")])
+    assert said[-1]["quality"] == {"repaired_time": 1, "rejected_speed": 2, "duplicate": 3, "gap": 1, "out_of_range": 1}
+    assert said[0]["quality"] == dict.fromkeys(said[0]["quality"], 0)
+
+
+def test_behind_time_the_newest_of_each_vehicle_is_told():
+    messages = [leaf("a"), leaf("b"), *telemetry(full(), "a"), *telemetry(full(), "b")]
+    whole, out = ran(messages)
+    late = type(whole)()
+    late.take(messages)
+    newest = late.forecasts(newest_only=True)
+    assert [message.key for message in newest] == ["fleet/a/forecast", "fleet/b/forecast"]
+    assert newest[0] == [message for message in out if message.key == "fleet/a/forecast"][-1]
+    assert newest[1] == out[-1]
+
+
+def test_charge_range_and_end_are_intervals_about_their_mean():
+    said = list(forecasts(again().push([m for _, m in shift("c", DAYS)]), "c").values())
+    for forecast in said[2:]:
+        for interval in (forecast.range_km, forecast.soc_end_of_shift_pct):
+            assert interval.p05 <= interval.mean <= interval.p95
+        assert forecast.soc_end_of_shift_pct.p05 >= 0.0
+        assert forecast.soc_end_of_shift_pct.p95 <= 100.0
+        assert 0.0 < forecast.soc_sd_pct < 2.0
+        assert 0.0 <= forecast.reserve_risk <= 1.0
+        assert (forecast.ride_id is None) == (forecast.ride_energy_predicted_kwh is None)
+
+
+def test_before_anything_was_learned_the_charge_is_known_and_nothing_of_what_is_ahead():
+    _, _, said = forecasts_of(
+        [leaf(), told("plan", shift_end_s=START + 7200.0, reserve_soc_pct=10.0, legs=[]), *telemetry(full())]
+    )
+    for forecast in said:
+        assert forecast["soc_sd_pct"] > 0.0
+        assert forecast["soc_end_of_shift_pct"] is None
+        assert forecast["range_km"] is None
+        assert forecast["reserve_risk"] is None

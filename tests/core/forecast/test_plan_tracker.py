@@ -1,0 +1,256 @@
+"""What is left of a plan as rides are driven: legs are used up by rides, and by nothing else."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from core.forecast.outlook import OVERTIME
+from core.forecast.plan_tracker import PLAN_LAG, PROLONGED, SHORTEST_RIDE
+from core.pipeline import Pipeline
+from tests.support.fleet_days import (
+    CARS,
+    DAY,
+    DAYS,
+    LEG,
+    LEGS,
+    PERIOD,
+    RESERVE,
+    RIDE,
+    SHIFT,
+    START,
+    again,
+    columns,
+    plan,
+    shift,
+    speeds,
+)
+from tests.support.telemetry import told
+
+CAR = "c"
+LANE = CARS.index(CAR)
+BEGIN = float(columns(CAR, DAYS)["time_s"][0])
+LENGTHS = RIDE * speeds(CAR, DAYS) / 1000.0
+"""Of the legs. [km]"""
+
+
+def at(passed, pipeline=None, sent=None, inserted=()):
+    """Return a pipeline that has heard a shift so far [s], with messages put in at other times."""
+    pipeline = pipeline or again()
+    stream = [*shift(CAR, DAYS, sent), *((BEGIN + time, message) for time, message in inserted)]
+    pipeline.push([m for time, m in sorted(stream, key=lambda each: each[0]) if time <= BEGIN + passed])
+    return pipeline
+
+
+def known(pipeline, lane=LANE):
+    """Return what is left of the plan."""
+    return pipeline.foresight.courses.left(lane, float(pipeline.foresight.state["time"][lane])).plan
+
+
+def left(pipeline):
+    """Return the lengths of the legs that are left. [km]"""
+    return [leg.distance_km for leg in known(pipeline).legs]
+
+
+@given(st.floats(PERIOD, SHIFT))
+def test_what_is_left_is_what_was_planned_less_what_was_driven(passed):
+    done, into = int(min(passed // LEG, LEGS - 1)), min(passed % LEG, RIDE)
+    found = left(at(passed))
+    if passed % LEG > RIDE + PERIOD:
+        assert found == pytest.approx(LENGTHS[done + 1 :])
+    elif into < RIDE - PERIOD and into > 2.0 * PERIOD:
+        assert found[1:] == pytest.approx(LENGTHS[done + 1 :])
+        driven = speeds(CAR, DAYS)[done] * into / 1000.0
+        assert found[0] == pytest.approx(LENGTHS[done] - driven, abs=1.3)  # a forecast, and a sample, later
+
+
+def test_the_leg_that_is_driven_keeps_its_pace_and_its_climb():
+    legs = [{"distance_km": 6.0, "duration_s": 600.0, "gained_m": 80.0}, {"distance_km": 2.0, "duration_s": 300.0}]
+    inserted = [(1.0, told("plan", CAR, BEGIN, shift_end_s=BEGIN + SHIFT, reserve_soc_pct=RESERVE, legs=legs))]
+    first, second = known(at(300.0, inserted=inserted)).legs
+    share = first.distance_km / 6.0
+    assert 0.2 < share < 0.8
+    assert (first.duration_s, first.gained_m, first.lost_m) == (
+        pytest.approx(600.0 * share),
+        pytest.approx(80.0 * share),
+        None,
+    )
+    assert (second.distance_km, second.duration_s) == (2.0, 300.0)
+
+
+def test_a_ride_that_is_longer_than_its_leg_uses_up_that_leg_only():
+    legs = [{"distance_km": 1.0, "duration_s": 100.0}, {"distance_km": 2.0, "duration_s": 300.0}]
+    inserted = [(1.0, told("plan", CAR, BEGIN, shift_end_s=BEGIN + SHIFT, reserve_soc_pct=RESERVE, legs=legs))]
+    assert left(at(RIDE - PERIOD, inserted=inserted)) == [0.0, 2.0]
+    assert left(at(RIDE + 2.0 * PERIOD, inserted=inserted)) == [2.0]
+
+
+def test_more_rides_than_legs_leave_nothing():
+    inserted = [(1.0, plan(CAR, DAYS, BEGIN + 1.0, 1))]
+    pipeline = at(SHIFT, inserted=inserted)
+    assert left(pipeline) == []
+    assert pipeline.foresight.courses.of_lane[LANE]["planned"] == 1.0
+    assert pipeline.foresight.courses.of_lane[LANE]["leg_km"] == 0.0
+
+
+def test_a_false_start_uses_up_no_leg():
+    sent = columns(CAR, DAYS)
+    pause = int((RIDE + 4.0 * PERIOD) / PERIOD)
+    sent["ride_id"][pause : pause + 3] = "by mistake"
+    sent["speed_kmh"][pause : pause + 2] = 3.6 * SHORTEST_RIDE * 1000.0 / (6.0 * PERIOD)
+    assert left(at(LEG - PERIOD, sent=sent)) == pytest.approx(LENGTHS[1:])
+    far = sent["speed_kmh"].copy()
+    far[pause : pause + 2] = 60.0
+    assert left(at(LEG - PERIOD, sent=sent | {"speed_kmh": far})) == pytest.approx(LENGTHS[2:])
+
+
+@pytest.mark.parametrize("before", [-30.0, 0.0, 0.5 * PLAN_LAG, 2.0 * PLAN_LAG, 0.9 * RIDE])
+def test_a_plan_that_comes_as_a_ride_ends_is_not_used_up_by_it(before):
+    """With the plan of what remains after the first ride, so long before its end."""
+    came = RIDE - before
+    pipeline = at(LEG - PERIOD, inserted=[(came, plan(CAR, DAYS, BEGIN + came, LEGS - 1))])
+    meant = LEGS - 1 if before < PLAN_LAG else LEGS - 2
+    assert left(pipeline) == pytest.approx(LENGTHS[LEGS - meant :])
+
+
+@pytest.mark.parametrize("came", [0.5 * RIDE, RIDE - PERIOD, RIDE + 1.0, RIDE + 40.0, RIDE + 200.0])
+def test_what_was_driven_before_a_plan_came_is_none_of_its_legs(came):
+    """A ride underway when a plan comes counts from there; the next one counts from its beginning."""
+    pipeline = again()
+    at(came, pipeline, inserted=[(came, plan(CAR, DAYS, BEGIN + came, LEGS))])
+    assert left(pipeline) == pytest.approx(LENGTHS, abs=0.9)
+    if came > RIDE:
+        pipeline = at(LEG + 0.5 * RIDE, inserted=[(came, plan(CAR, DAYS, BEGIN + came, LEGS))])
+        driven = speeds(CAR, DAYS)[1] * 0.5 * RIDE / 1000.0
+        assert left(pipeline)[0] == pytest.approx(max(LENGTHS[0] - driven, 0.0), abs=1.0)
+
+
+def test_the_latest_plan_replaces_the_one_before():
+    pipeline = at(20.0 * PERIOD, inserted=[(10.0 * PERIOD, plan(CAR, DAYS, BEGIN + 150.0, 2, reserve_soc_pct=33.0))])
+    assert known(pipeline).reserve_soc_pct == 33.0
+    assert len(known(pipeline).legs) == 2
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e9])
+def test_a_plan_by_a_wrong_clock_keeps_out_none_after_it_not_even_over_a_restart(factor):
+    """In milliseconds, or in nanoseconds."""
+    pipeline, wrong = at(20.0 * PERIOD), factor * BEGIN
+    pipeline.push([told("plan", CAR, wrong, shift_end_s=wrong, reserve_soc_pct=44.0, legs=[])])
+    kept = Pipeline(settings=pipeline.settings)
+    kept.restore(pipeline.snapshot())
+    now = BEGIN + 21.0 * PERIOD
+    kept.push([plan(CAR, DAYS, now, 2, reserve_soc_pct=33.0)])
+    assert (known(kept).reserve_soc_pct, len(known(kept).legs)) == (33.0, 2)
+    kept.push([plan(CAR, DAYS, now - 1.0, 3, reserve_soc_pct=55.0)])
+    assert known(kept).reserve_soc_pct == 33.0
+    assert kept.quality()["undecodable"] == {"plan_in_the_past": 1}
+
+
+def tomorrow(came, last=LEGS, **changed):
+    """Return the plan of the next day's shift, told on this one."""
+    fields = {"shift_end_s": START + DAY * (DAYS + 1) + SHIFT, "reserve_soc_pct": 44.0}
+    return plan(CAR, DAYS + 1, BEGIN + came, last, **(fields | changed))
+
+
+@pytest.mark.parametrize("came", [1.0, 0.5 * RIDE, LEG + RIDE + 100.0])
+def test_a_plan_for_tomorrow_waits_and_leaves_todays(came):
+    passed = came + 100.0
+    plain, both = at(passed), at(passed, inserted=[(came, tomorrow(came))])
+    assert known(both) == known(plain)
+    assert both.ask(CAR) == plain.ask(CAR)
+    assert both.foresight.courses.later[LANE].reserve_soc_pct == 44.0
+
+
+def test_a_plan_for_tomorrow_is_not_todays_where_today_has_none():
+    answers = []
+    for inserted in ([], [(BEGIN + 30.0, tomorrow(30.0))]):
+        pipeline = again()
+        sent = sorted([*shift(CAR, DAYS, planned=False), *inserted], key=lambda each: each[0])
+        pipeline.push([m for time, m in sent if time <= BEGIN + LEG])
+        answers.append(pipeline.ask(CAR))
+    assert answers[0] == answers[1]
+    assert answers[0].shift_end_s < START + DAY * (DAYS + 1)
+
+
+def test_todays_plan_may_come_after_tomorrows():
+    inserted = [(1.0, tomorrow(1.0)), (30.0, plan(CAR, DAYS, BEGIN + 30.0, reserve_soc_pct=31.0))]
+    assert known(at(60.0, inserted=inserted)).reserve_soc_pct == 31.0
+
+
+def followed(cuts):
+    """Return the pipeline and its forecasts of a day planned the day before, with messages cut where `cuts` says."""
+    pipeline = again()
+    next_day = [m for _, m in shift(CAR, DAYS + 1, planned=False)]
+    sent = sorted([*shift(CAR, DAYS), (BEGIN + LEG, tomorrow(LEG))], key=lambda each: each[0])
+    messages, out = [*(m for _, m in sent), *next_day[: int(2.5 * LEG / PERIOD)]], []
+    for start, stop in zip([0, *cuts], [*cuts, len(messages)], strict=True):
+        out += pipeline.push(messages[start:stop])
+        if stop == 600:
+            kept = pipeline.snapshot()
+            pipeline = again()
+            pipeline.restore(kept)
+    return pipeline, out
+
+
+def test_the_plan_for_tomorrow_is_followed_tomorrow():
+    pipeline, out = followed([])
+    assert known(pipeline).reserve_soc_pct == 44.0
+    lengths = RIDE * speeds(CAR, DAYS + 1) / 1000.0
+    assert left(pipeline)[1:] == pytest.approx(lengths[3:])
+    assert LANE not in pipeline.foresight.courses.later
+    end = START + DAY * (DAYS + 1) + SHIFT
+    assert pipeline.ask(CAR).shift_end_s == end
+    for cuts in ([600], list(range(1, 700, 7))):
+        assert followed(cuts)[1] == out
+
+
+@given(st.floats(0.0, 0.5), st.floats(0.5, 1.0))
+def test_of_two_plans_for_tomorrow_the_later_one_counts(first, second):
+    inserted = [
+        (first * SHIFT, tomorrow(first * SHIFT)),
+        (second * SHIFT, tomorrow(second * SHIFT, reserve_soc_pct=55.0)),
+    ]
+    pipeline = at(SHIFT, inserted=inserted)
+    assert pipeline.foresight.courses.later[LANE].reserve_soc_pct == 55.0
+
+
+@pytest.mark.parametrize(("longer", "waits"), [(PROLONGED - 60.0, False), (PROLONGED + 60.0, True)])
+def test_a_shift_is_prolonged_by_some_hours_at_most(longer, waits):
+    end = START + DAY * DAYS + SHIFT + longer
+    pipeline = at(60.0, inserted=[(30.0, plan(CAR, DAYS, BEGIN + 30.0, shift_end_s=end))])
+    assert (LANE in pipeline.foresight.courses.later) == waits
+    assert pipeline.ask(CAR).shift_end_s == (START + DAY * DAYS + SHIFT if waits else end)
+
+
+def test_a_shift_may_be_cut_short_at_any_time():
+    cut = plan(CAR, DAYS, BEGIN + 30.0, shift_end_s=BEGIN + 60.0, legs=[])
+    assert at(90.0, inserted=[(30.0, cut)]).ask(CAR).legs == []
+
+
+def test_a_plan_that_is_over_does_not_hold_up_the_next():
+    """The next shift of the same day, planned once all legs of the first are done and its end is past."""
+    courses = at(SHIFT + 2.0 * PERIOD).foresight.courses
+    planned, over = courses.plans[LANE], START + DAY * DAYS + SHIFT
+    assert planned.over(over + 1.0)
+    assert not planned.over(over - 1.0)
+    late = planned._replace(done=LEGS - 1)
+    assert not late.over(over + OVERTIME)
+    assert late.over(over + OVERTIME + 1.0)
+
+
+def test_a_plan_that_cannot_be_used_leaves_the_one_before():
+    wrong = [
+        plan(CAR, DAYS, BEGIN + 30.0, reserve_soc_pct=120.0),
+        plan(CAR, DAYS, BEGIN + 30.0, shift_end_s=START),
+        plan(CAR, DAYS, BEGIN + 30.0, legs=[{"distance_km": -3.0, "duration_s": 60.0}]),
+    ]
+    pipeline = at(20.0 * PERIOD, inserted=[(30.0, message) for message in wrong])
+    assert known(pipeline).reserve_soc_pct == RESERVE
+    assert sum(pipeline.quality()["undecodable"].values()) == 3
+
+
+def test_a_car_without_a_plan_has_none_left_and_a_plan_alone_makes_no_forecast():
+    pipeline = again()
+    assert pipeline.foresight.courses.left(97, START) is None
+    unheard = told("plan", "z", START, shift_end_s=START + SHIFT, reserve_soc_pct=RESERVE, legs=[])
+    assert pipeline.push([unheard]) == []
+    assert pipeline.foresight.courses.left(pipeline.lanes.find("z"), START).plan.legs == []

@@ -1,0 +1,415 @@
+"""The filter of the charge against filterpy, planted truths, and a charge that is told wrongly."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from core.forecast import outlook, soc_filter
+from tests.support.soc_shifts import BEGIN, CAPACITY, NIGHT, PRIOR, STEP, covariance, covered, heard, noise, shift
+
+QUANTA = (0.001, 0.005, 0.01)
+CARS = 200
+
+
+class Oracle:
+    """What filterpy makes of the same stretches and ticks, about the same points: that where the shift began."""
+
+    def __init__(self, state):
+        self.scale, self.size = state["usual"][0], state["size"][0]
+        self.kf = KalmanFilter(dim_x=3, dim_z=1)
+        self.kf.x = np.array([[state["s"][0]], [state["a"][0]], [state["c"][0]]])
+        self.kf.P = covariance(state)
+        self.fall = 0.0
+
+    def move(self, predicted, used, noise):
+        """Let the charge fall by what was measured [kWh], or by what was predicted where that is NaN."""
+        (_, a, c), kf = self.kf.x[:, 0], self.kf
+        kf.predict(F=np.eye(3), Q=np.diag([0.0, soc_filter.WANDER**2 * STEP / 3600.0, 0.0]))
+        fall, by_a, blur = np.exp(a - c) * predicted / CAPACITY, 1.0, noise * predicted / CAPACITY**2
+        slope = np.exp(self.scale) * predicted / CAPACITY
+        if np.isfinite(used):
+            seen = np.array([[0.0, np.exp(self.size + self.scale) * predicted, 0.0]])
+            blurred = (noise + soc_filter.SAMPLED**2) * predicted
+            kf.update(used - np.exp(a) * predicted + seen @ kf.x, blurred, seen)
+            fall, by_a = used / (CAPACITY * np.exp(kf.x[2, 0])), 0.0
+            slope, blur = used / (CAPACITY * np.exp(self.size)), soc_filter.SAMPLED**2 * abs(used) / CAPACITY**2
+        self.fall += slope
+        along = np.array([[1.0, -by_a * slope, slope], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+        shift_of = kf.x - [[fall], [0.0], [0.0]] - along @ kf.x
+        kf.predict(u=shift_of, B=np.eye(3), F=along, Q=np.diag([blur, 0.0, 0.0]))
+
+    def tick(self, before, reported, quantum):
+        """Take a tick from one reported value to another."""
+        beyond = max(abs(reported - before) - abs(self.fall) - quantum, 0.0)
+        sign, at, variance = np.sign(before - reported), reported, quantum**2 / 12.0 + beyond**2 / 4.0
+        if abs(reported - before) < 1.5 * quantum:  # somewhere between the boundary and what was used since
+            since = min(max(sign * self.fall, 0.0), quantum)
+            at = reported + sign * 0.5 * (quantum - since)
+            variance = (0.1 * quantum) ** 2 + since**2 / 12.0
+        before = self.kf.P
+        self.kf.update(at, variance + soc_filter.FLOOR**2, np.array([[1.0, 0.0, 0.0]]))
+        if beyond > abs(self.fall) + quantum:  # not to be trusted: no surer than before
+            self.kf.P = before
+
+    def reported(self):
+        """Take it that a charge was reported."""
+        self.fall = 0.0
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    quantum=st.sampled_from(QUANTA),
+    share=st.sampled_from([0.0, 0.5, 1.0]),
+    a=st.floats(-0.3, 0.3),
+)
+def test_it_is_the_filter_of_filterpy(seed, quantum, share, a):
+    events, _ = shift(1, 0.5, quantum, a, metered=True, seed=seed)
+    events = events[0]
+    rng = np.random.default_rng(seed)
+    predicted, used = np.diff(events["predicted"]), np.diff(events["metered"])
+    used[rng.random(len(used)) >= share] = np.nan
+    events["metered"] = np.r_[0.0, np.nan_to_num(used).cumsum()]
+    events["meter_time"] = STEP * np.r_[0.0, np.isfinite(used).cumsum()]
+    state = heard(events[:1]).state
+    oracle = Oracle(state)
+    for i in range(1, len(events)):
+        before = state.copy()
+        state = heard(events[i : i + 1], before).state
+        oracle.move(predicted[i - 1], used[i - 1], noise(STEP * i))
+        assume(state["jumps"][0] == 0.0)
+        if state["ticks"][0] > before["ticks"][0]:
+            oracle.tick(before["reported"][0], events["soc"][i], quantum)
+        oracle.reported()
+    assert state["ticks"][0] > 0.0
+    assert [state[name][0] for name in ("s", "a", "c")] == pytest.approx(
+        oracle.kf.x[:, 0].tolist(), rel=1e-9, abs=1e-12
+    )
+    assert covariance(state) == pytest.approx(oracle.kf.P, rel=1e-7, abs=1e-14)
+
+
+@pytest.mark.parametrize("quantum", QUANTA)
+@pytest.mark.parametrize("metered", [False, True])
+def test_a_car_that_takes_a_fifth_more_is_found_out(quantum, metered):
+    events, truth = shift(CARS, 4.0, quantum, np.log(1.2), metered=metered, seed=5, step=5.0)
+    found = heard(events)
+    scale, spread = (found.at(name, CARS)[:, -1] for name in ("scale", "scale_variance"))
+    assert 0.8 <= covered(scale, spread, truth.a[:, -1]) <= 0.97
+    assert np.exp(scale - truth.a[:, -1]).mean() == pytest.approx(1.0, abs=0.02)
+    assert np.sqrt(spread).max() < 0.7 * np.sqrt(PRIOR)
+    assert found.state["freezes"].mean() < 0.05
+
+
+@pytest.mark.parametrize("quantum", QUANTA)
+@pytest.mark.parametrize("metered", [False, True])
+def test_what_is_not_known_beforehand_is_within_its_interval_as_often_as_said(quantum, metered):
+    rng = np.random.default_rng(3)
+    c = rng.normal(0.0, soc_filter.CAPACITY, CARS)
+    events, truth = shift(
+        CARS, 4.0, quantum, c + rng.normal(0.0, np.sqrt(PRIOR), CARS), c, metered=metered, seed=6, step=5.0
+    )
+    found = heard(events)
+    for at in (700, 1400, -1):
+        scale, spread = (found.at(name, CARS)[:, at] for name in ("scale", "scale_variance"))
+        assert 0.8 <= covered(scale, spread, truth.a[:, at] - truth.c) <= 0.97
+    off, spread = found.at("soc", CARS) - truth.soc, found.at("variance", CARS)
+    assert 0.8 <= covered(off[:, 700:], spread[:, 700:], 0.0) <= 0.97
+
+
+@pytest.mark.parametrize("quantum", QUANTA)
+def test_capacity_is_learned_over_days_by_voltage_and_current(quantum):
+    smaller, state, spread = np.log(0.85), None, [np.full(60, soc_filter.CAPACITY)]
+    for day in range(5):
+        events, _ = shift(60, 4.0, quantum, 0.0, smaller, metered=True, seed=day, begin=BEGIN + NIGHT * day)
+        state = heard(events, state).state
+        spread.append(np.sqrt(state["cc"]))
+    assert np.exp(state["c"]).mean() == pytest.approx(0.85, abs=0.01)
+    assert all(after.mean() < before.mean() for before, after in pairwise(spread[:3]))
+    assert spread[-1].max() < 0.2 * soc_filter.CAPACITY
+
+
+@pytest.mark.parametrize("quantum", QUANTA)
+def test_the_interval_of_the_capacity_holds_it_as_often_as_said_however_long_is_measured(quantum):
+    """What a meter errs by for good is not learned away, and what the capacity changes by is followed."""
+    rng = np.random.default_rng(21)
+    c, state, inside = rng.normal(0.0, soc_filter.CAPACITY, CARS), None, []
+    for day in range(12):
+        c += soc_filter.AGEING * rng.normal(size=CARS)
+        events, _ = shift(CARS, 3.0, quantum, 0.0, c, metered=True, seed=day, begin=BEGIN + NIGHT * day, step=30.0)
+        state = heard(events, state).state
+        sd = np.hypot(np.sqrt(state["cc"]), soc_filter.METER)
+        inside.append(np.abs(state["c"] - c) < 1.96 * sd)
+    assert 0.9 <= np.mean(inside[:3]) <= 0.98
+    assert 0.9 <= np.mean(inside[-3:]) <= 0.98
+    assert np.sqrt(state["cc"]).max() < soc_filter.METER
+
+
+def test_without_a_meter_capacity_and_consumption_are_not_told_apart():
+    events, _ = shift(60, 4.0, 0.01, np.log(1.1), 0.0, seed=2)
+    found = heard(events).state
+    assert np.sqrt(found["cc"]).min() > 0.5 * soc_filter.CAPACITY
+
+
+@pytest.mark.parametrize("quantum", QUANTA)
+def test_of_a_car_that_was_not_seen_to_tick_the_quantum_is_taken_for_coarse_until_it_ticks(quantum):
+    events, truth = shift(50, 1.0, quantum, seed=3, exact=True)
+    ticked = (np.diff(events["soc"], axis=1, prepend=events["soc"][:, :1]) != 0.0).cumsum(axis=1) > 0
+    events["step"] = np.where(ticked, quantum, np.nan)
+    found = heard(events)
+    assert found.at("variance", 50)[:, 0] == pytest.approx(
+        np.full(50, soc_filter.COARSEST**2 / 12.0 + soc_filter.FLOOR**2)
+    )
+    first = np.argmax(ticked, axis=1)
+    off = (found.at("soc", 50) - truth.soc)[np.arange(50), first]
+    assert np.abs(off).mean() < 0.2 * soc_filter.FLOOR + 0.1 * quantum
+    assert (found.at("quantum", 50)[np.arange(50), first] == quantum).all()
+
+
+# what is told wrongly
+
+
+def widths(found, events):
+    """Return the standard deviations of the charge at the shift's end and of that of now, (cars, n) each."""
+    cars, n = events.shape
+    left = events["predicted"][:, -1:] - events["predicted"]
+    hours = np.broadcast_to(STEP / 3600.0 * (n - 1 - np.arange(n)), left.shape)
+    told = {name: found.at(name, cars).ravel() for name in soc_filter.TOLD}
+    known = outlook.Known.of(told, np.full(left.size, CAPACITY))
+    end = outlook.at_end(known, left.ravel(), hours.ravel())
+    return end.sd.reshape(cars, n), np.sqrt(found.at("variance", cars))
+
+
+def told_wrongly(events, fault, begin, end, by=-0.07):
+    """Return events whose charge is told wrongly from a row up to another, and the rows at which it is, (n,) bool."""
+    rows = np.arange(events.shape[1])
+    on = (rows >= begin) & (rows < end)
+    bad = events.copy()
+    if fault == "frozen":
+        bad["soc"][:, on] = events["soc"][:, begin - 1, None]
+    elif fault == "absent":
+        bad["soc"][:, on] = np.nan
+    elif fault == "spike":
+        on = rows == begin
+        bad["soc"][:, on] += by
+    elif fault == "jump":  # it is over once the car has told the same for so long that it is believed
+        bad["soc"][:, begin:] += by
+        on = (rows >= begin) & (rows < begin + soc_filter.STAYS / STEP)
+    return bad, on
+
+
+FAULTS = ("frozen", "absent", "spike", "jump")
+LEAST = 1.0 - 1e-9
+"""How small a spread may be over what it is without the fault."""
+
+
+@pytest.mark.parametrize("metered", [False, True])
+@pytest.mark.parametrize("fault", FAULTS)
+@given(
+    seed=st.integers(0, 10_000),
+    quantum=st.sampled_from(QUANTA),
+    begin=st.integers(2, 478),
+    lasting=st.integers(1, 478),
+    by=st.floats(0.03, 0.1),
+    sign=st.sampled_from([-1.0, 1.0]),
+)
+def test_a_charge_that_is_told_wrongly_never_makes_anything_surer(
+    fault, metered, seed, quantum, begin, lasting, by, sign
+):
+    """Nor afterwards: but the first tick after a charge that was frozen or absent may be fresher than the last without.
+
+    Of a drive whose charge is doubted where it is told rightly, nothing is said.
+    """
+    rng = np.random.default_rng(seed)
+    c = rng.normal(0.0, soc_filter.CAPACITY, 10)
+    events, _ = shift(
+        10, 2.0, quantum, c + rng.normal(0.0, np.sqrt(PRIOR), 10), c, metered=metered, seed=seed, full=0.8
+    )
+    bad, on = told_wrongly(events, fault, begin, begin + lasting, sign * by)
+    good = heard(events)
+    sound = (good.state["jumps"] == 0.0) & (good.state["freezes"] == 0.0)
+    assume(sound.any())
+    (good_end, good_now), (bad_end, bad_now) = widths(good, events), widths(heard(bad), events)
+    rows = np.arange(len(on)) >= begin if fault in ("spike", "jump") else on
+    assert rows.any()
+    for found, without in ((bad_end, good_end), (bad_now, good_now)):
+        assert (found >= LEAST * without)[np.ix_(sound, rows)].all()
+    assert bad_end[sound, begin:].mean() >= 0.999 * good_end[sound, begin:].mean()
+
+
+@pytest.mark.parametrize("quantum", QUANTA)
+def test_a_charge_that_is_frozen_for_long_is_noticed_and_grows_unsure(quantum):
+    events, truth = shift(50, 4.0, quantum, 0.1, seed=9)
+    bad, on = told_wrongly(events, "frozen", 300, 800)
+    found = heard(bad)
+    assert (found.state["freezes"] >= 1.0).all()
+    sd = np.sqrt(found.at("variance", 50)[:, on])
+    assert (np.diff(sd, axis=1) > 0.0).all()
+    error = np.abs(found.at("soc", 50) - truth.soc)
+    assert np.mean(error[:, 799] < 3.0 * sd[:, -1]) > 0.95
+    assert (error[:, 799] < np.abs(bad["soc"] - truth.soc)[:, 799]).all()
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("quantum", QUANTA)
+def test_when_a_fault_is_over_all_is_as_it_was(fault, quantum):
+    events, truth = shift(50, 4.0, quantum, 0.1, seed=10)
+    bad, on = told_wrongly(events, fault, 300, 500)
+    off = -0.07 if fault == "jump" else 0.0
+    found, good = heard(bad), heard(events)
+    later = np.flatnonzero(on)[-1] + 200
+    error = found.at("soc", 50)[:, later:] - truth.soc[:, later:] - off
+    assert np.sqrt(np.mean(error**2)) < 1.5 * np.sqrt(np.mean((good.at("soc", 50) - truth.soc)[:, later:] ** 2))
+    sd = np.sqrt(found.at("variance", 50) / good.at("variance", 50))[:, later:]
+    assert 0.8 < np.median(sd) < 1.25
+
+
+def test_a_jump_is_not_believed_before_it_has_stayed():
+    events, truth = shift(50, 2.0, 0.01, seed=11)
+    bad, on = told_wrongly(events, "jump", 200, 0)
+    found = heard(bad)
+    told = found.at("soc", 50)
+    assert (np.abs(told - truth.soc)[:, on] < 0.03).all()
+    after = np.flatnonzero(on)[-1] + 1
+    assert (np.abs(told[:, after] - bad["soc"][:, after]) < 0.01).all()
+    assert (np.sqrt(found.at("variance", 50)[:, after]) >= soc_filter.JUMPED).all()
+    assert (found.state["jumps"] == 1.0).all()
+
+
+def test_a_spike_is_forgotten():
+    events, _ = shift(50, 2.0, 0.01, seed=12)
+    bad, _ = told_wrongly(events, "spike", 200, 0)
+    found, good = heard(bad), heard(events)
+    steady = (events["soc"][:, 200:202] == events["soc"][:, 199, None]).all(axis=1)
+    assert steady.any()
+    assert np.array_equal(found.at("soc", 50)[steady, 201:], good.at("soc", 50)[steady, 201:])
+    assert np.array_equal(found.at("variance", 50)[steady, 201:], good.at("variance", 50)[steady, 201:])
+
+
+def test_where_the_charge_is_never_told_nothing_is_known_of_it():
+    events, _ = shift(3, 1.0, seed=1)
+    events["soc"] = np.nan
+    found = heard(events)
+    assert np.isnan(found.at("soc")).all()
+    assert not found.state["anchors"].any()
+
+
+samples = st.tuples(
+    st.sampled_from([15.0, 60.0, 601.0, 7300.0]),
+    st.none() | st.floats(0.0, 1.0),
+    st.none() | st.floats(-0.5, 5.0),
+    st.none() | st.floats(-0.5, 5.0),
+    st.booleans(),
+    st.booleans(),
+)
+
+
+@given(st.lists(samples, max_size=60), st.sampled_from(QUANTA))
+def test_whatever_is_told_its_covariance_is_one_and_the_charge_is_a_number_once_known(told, quantum):
+    events = np.zeros(len(told), soc_filter.EVENT)
+    time, totals = BEGIN, np.zeros(4)
+    for event, (wait, reported, predicted, metered, charging, ends) in zip(events, told, strict=True):
+        time, size = time + wait, min(wait, 60.0)
+        known = metered is not None
+        totals += predicted or 0.0, metered or 0.0, size * known, size
+        event["kind"], event["time"] = soc_filter.CLOSED if ends else soc_filter.RUNNING, time
+        event["predicted"], event["metered"], event["meter_time"], event["duration"] = totals
+        event["predicted"] = np.nan if predicted is None else totals[0]
+        event["factor"], event["ambient"], event["step"], event["capacity"] = 1.0, 280.0 * totals[3], quantum, CAPACITY
+        event["soc"] = np.nan if reported is None else round(reported / quantum) * quantum
+        event["since_charge"] = 0.0 if charging else np.nan
+        totals *= not ends
+    found = heard(events) if len(events) else None
+    if found is None:
+        return
+    known = np.isfinite(found.at("soc")[0])
+    assert np.isfinite(found.at("variance")[0][known]).all()
+    assert np.isfinite(found.at("scale")).all()
+    spread = covariance(found.state)
+    if known[-1]:
+        assert np.linalg.eigvalsh(spread / np.abs(spread).max()).min() > -1e-9
+    assert spread[2, 2] <= soc_filter.CAPACITY**2 * (1.0 + 1e-12)
+
+
+# between rides and shifts
+
+
+def test_any_cut_of_the_events_gives_the_same_to_the_bit():
+    parts = [shift(3, 1.0, 0.005, seed=day, begin=BEGIN + NIGHT * day)[0].ravel() for day in range(2)]
+    events = np.concatenate(parts)
+    events = events[np.argsort(events["time"], kind="stable")]
+    whole, state, told = heard(events), None, []
+    for cut in np.array_split(events, 37):
+        found = heard(cut, soc_filter.new_state(3) if state is None else state)
+        state, told = found.state, [*told, found.told]
+    assert np.concatenate(told).tobytes() == whole.told.tobytes()
+    assert state.tobytes() == whole.state.tobytes()
+
+
+@pytest.mark.parametrize("quantum", QUANTA)
+@pytest.mark.parametrize("after", ["night", "charge"])
+def test_after_a_night_and_after_a_charge_it_begins_at_what_is_told(quantum, after):
+    first, _ = shift(20, 2.0, quantum, 0.1, seed=1, exact=True)
+    wait = NIGHT if after == "night" else STEP * (first.shape[1] + 40)
+    second, _ = shift(20, 2.0, quantum, 0.1, seed=2, begin=BEGIN + wait, full=0.6, exact=True)
+    first["kind"][:, -1] = soc_filter.CLOSED
+    if after == "charge":
+        plugged = np.repeat(first[:, -1:], 40, axis=1)
+        plugged["kind"], plugged["predicted"], plugged["since_charge"], plugged["soc"] = (
+            soc_filter.RUNNING,
+            0.0,
+            0.0,
+            0.6,
+        )
+        plugged["duration"] = STEP * np.arange(1.0, 41.0)
+        plugged["time"] = first["time"][:, -1:] + plugged["duration"]
+        plugged["distance"] = plugged["ambient"] = 0.0
+        plugged["kind"][:, -1] = soc_filter.CLOSED
+        first = np.concatenate([first, plugged], axis=1)
+    events = np.concatenate([first, second], axis=1)
+    at = first.shape[1] - (after == "charge")
+    found = heard(events)
+    assert found.at("soc", 20)[:, at] == pytest.approx(events["soc"][:, at], abs=1e-12)
+    assert np.sqrt(found.at("variance", 20)[:, at]) == pytest.approx(
+        np.hypot(quantum / np.sqrt(12.0), soc_filter.FLOOR)
+    )
+    assert not found.state["jumps"].any()
+    assert len(found.shifts) == (20 if after == "night" else 0)
+    assert np.isfinite(found.state["charged"]).all() == (after == "charge")
+
+
+def test_a_new_shift_begins_with_what_is_usual_and_keeps_what_is_learned_of_the_capacity():
+    first, _ = shift(5, 3.0, 0.001, 0.2, np.log(0.9), metered=True, seed=4)
+    second, _ = shift(5, 0.01, 0.001, metered=True, seed=5, begin=BEGIN + NIGHT)
+    before = heard(first).state
+    after = heard(second[:, :1], before, prior=(0.15, 0.004)).state
+    assert after["a"] - after["c"] == pytest.approx(np.full(5, 0.15))
+    assert after["aa"] + after["cc"] - 2.0 * after["ac"] == pytest.approx(np.full(5, 0.004))
+    assert np.array_equal(after["c"], before["c"])
+    assert after["cc"] == pytest.approx(before["cc"] + soc_filter.AGEING**2)
+    assert (after["shift"] == 1.0).all()
+
+
+def test_a_shift_that_has_ended_is_what_was_told_of_it():
+    first, _ = shift(1, 2.0, 0.01, seed=7, exact=True)
+    second, _ = shift(1, 0.1, 0.01, seed=8, begin=BEGIN + NIGHT)
+    (row,) = heard(np.concatenate([first, second], axis=1)).shifts
+    assert (row["shift"], row["begin"], row["end"]) == (0.0, first["time"][0, 0], first["time"][0, -1])
+    assert (row["last_soc"], row["lowest_soc"]) == (first["soc"][0, -1], first["soc"].min())
+    assert row["begin_soc"] == pytest.approx(0.95)
+    assert row["distance"] == pytest.approx(first["distance"][0, -1])
+    assert row["hours"] == pytest.approx(2.0, abs=0.02)
+    assert row["predicted"] == pytest.approx(first["predicted"][0, -1], rel=0.02)
+    assert row["warmth"] / row["hours"] == pytest.approx(283.15)
+    assert np.isnan(row["charged"])
+
+
+def test_a_car_of_unknown_model_or_capacity_is_followed_by_what_it_tells():
+    events, _ = shift(3, 2.0, 0.01, seed=14)
+    events["predicted"] = np.nan
+    blind = heard(events)
+    assert (np.abs(blind.at("soc", 3) - events["soc"]) < 0.03).all()
+    events["capacity"] = np.nan
+    assert np.isfinite(heard(events).at("soc", 3)).all()

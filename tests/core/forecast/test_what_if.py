@@ -1,0 +1,393 @@
+"""Answers: the ride that is asked for, the legs after it, and why a figure is not known."""
+
+from functools import cache
+from math import nan
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from core.errors import AskError
+from core.forecast.outlook import RESERVE as RESERVE_SHARE
+from core.forecast.plan_tracker import LONGEST_SHIFT
+from core.wire.messages import Interval, Leg, Plan, encode
+from tests.support.fleet_days import (
+    CARS,
+    DAY,
+    DAYS,
+    LEG,
+    LEGS,
+    RESERVE,
+    RIDE,
+    SETTINGS,
+    SHIFT,
+    START,
+    again,
+    columns,
+    forecasts,
+    shift,
+    speeds,
+)
+from tests.support.telemetry import told
+
+CAR = "c"
+BEGIN = float(columns(CAR, DAYS)["time_s"][0])
+RIDE_ASKED = Leg(8.0, 700.0)
+
+
+def at(passed, number=DAYS, planned=True):
+    """Return a pipeline that has heard a shift so far [s], and the forecasts of it, one a sample."""
+    pipeline = again(number, planned=planned and number == DAYS, settings=SETTINGS._replace(forecast_time=3.0))
+    begin = float(columns(CAR, number)["time_s"][0])
+    sent = shift(CAR, number, planned=planned)
+    out = pipeline.push([m for time, m in sent if time <= begin + passed])
+    return pipeline, forecasts(out, CAR)
+
+
+@cache
+def one_at(passed):
+    """Return a pipeline as `at` does, for questions alone."""
+    return at(passed)[0]
+
+
+def left(pipeline):
+    """Return what is left of the plan."""
+    lane = CARS.index(CAR)
+    return pipeline.foresight.courses.left(lane, float(pipeline.foresight.state["time"][lane])).plan
+
+
+def means(legs):
+    return [leg.soc_pct.mean for leg in legs]
+
+
+def moments(planned=True, number=DAYS, inserted=()):
+    """Yield a pipeline every few minutes of a shift, and the newest forecast of it."""
+    pipeline = again(number, planned=planned, settings=SETTINGS._replace(forecast_time=3.0))
+    sent = [*shift(CAR, number, planned=planned), *inserted]
+    messages = [message for _, message in sorted(sent, key=lambda each: each[0])]
+    for start in range(0, len(messages), 11):
+        told_so_far = forecasts(pipeline.push(messages[start : start + 11]), CAR)
+        yield pipeline, told_so_far[max(told_so_far)]
+
+
+def same(answer, newest):
+    """Tell whether an answer says what a forecast says, but for what adding up in another order changes."""
+    figures = []
+    for each in (answer, newest):
+        end = each.soc_end_of_shift_pct or Interval(nan, nan, nan)
+        risk = nan if each.reserve_risk is None else each.reserve_risk
+        figures.append((each.time_s, end.mean, end.p05, end.p95, risk))
+    return figures[0] == pytest.approx(figures[1], rel=1e-9, abs=1e-9, nan_ok=True)
+
+
+def test_without_a_ride_it_says_what_the_forecast_says_all_through_the_shift():
+    for pipeline, newest in moments():
+        answer = pipeline.ask(CAR)
+        assert (answer.vehicle_id, answer.asked, answer.why_not) == (CAR, None, None)
+        assert same(answer, newest)
+        assert answer.soc_pct == pytest.approx(newest.soc_pct)
+        assert answer.soc_sd_pct == pytest.approx(newest.soc_sd_pct)
+        assert answer.reserve_soc_pct == RESERVE
+        assert answer.shift_end_s == pytest.approx(START + DAY * DAYS + SHIFT, abs=60.0)
+        assert answer.consumption_scale == pytest.approx(1.0, abs=0.4)
+        assert 20.0 < answer.usable_capacity_kwh < 26.0
+        assert answer.usable_capacity_sd_kwh > 0.0
+
+
+def test_asked_for_exactly_what_is_left_of_the_plan_it_says_what_the_forecast_says():
+    for pipeline, newest in moments():
+        assert same(pipeline.ask(CAR, None, left(pipeline)), newest)
+
+
+def test_without_a_plan_it_says_what_the_forecast_by_habit_says():
+    told_so_far = [(same(pipeline.ask(CAR), newest), newest) for pipeline, newest in moments(False, 7)]
+    assert all(agrees for agrees, _ in told_so_far)
+    assert sum(newest.reserve_risk is not None for _, newest in told_so_far) > 0.9 * len(told_so_far)
+
+
+@pytest.mark.parametrize("passed", [RIDE / 2.0, RIDE + 100.0, 4.0 * LEG + 250.0, SHIFT - 20.0])
+def test_a_ride_that_is_asked_for_leaves_what_a_plan_with_it_would(passed):
+    pipeline, _ = at(passed)
+    rest, asked = left(pipeline), pipeline.ask(CAR, RIDE_ASKED)
+    under_way = passed % LEG < RIDE
+    with_it = [*rest.legs[:under_way], RIDE_ASKED, *rest.legs[under_way:]]
+    planned = pipeline.ask(CAR, None, msgspec.structs.replace(rest, legs=with_it))
+    assert asked.soc_end_of_shift_pct == pytest.approx(planned.soc_end_of_shift_pct)
+    assert asked.reserve_risk == pytest.approx(planned.reserve_risk)
+    assert asked.shift_end_s == planned.shift_end_s
+    plan = told("plan", CAR, asked.time_s, **msgspec.to_builtins(msgspec.structs.replace(rest, legs=with_it)))
+    pipeline.push([plan])
+    assert pipeline.ask(CAR).soc_end_of_shift_pct == pytest.approx(asked.soc_end_of_shift_pct)
+
+
+@pytest.mark.parametrize("legs", [[], [Leg(4.0, 400.0), Leg(6.0, 600.0)]])
+def test_where_no_time_is_left_the_last_ride_ends_the_shift(monkeypatch, legs):
+    """Empty ways to rides count on the way as they do at the end."""
+    pipeline = one_at(RIDE + 100.0)
+    now, usual = pipeline.ask(CAR).time_s, pipeline.foresight.lessons.usual
+    near, far = [], []
+    for approach, told_of in ((0.0, near), (0.5, far)):
+        one = np.array([approach])
+        monkeypatch.setattr(pipeline.foresight.lessons, "usual", lambda *of, one=one: usual(*of)._replace(approach=one))
+        answer = pipeline.ask(CAR, RIDE_ASKED, Plan(CAR, now, now, RESERVE, legs))
+        assert [answer.asked, *answer.legs][-1].soc_pct == pytest.approx(answer.soc_end_of_shift_pct)
+        told_of[:] = means([answer.asked, *answer.legs])
+    assert [a - b > 1.0 * number for number, (a, b) in enumerate(zip(near, far, strict=True), 1)] == [True] * len(near)
+
+
+levels = st.tuples(st.floats(0.05, 40.0), st.floats(1.0, 10.0), st.none() | st.floats(0.0, 60.0))
+descents = st.tuples(st.floats(1.0, 8.0), st.floats(1.0, 4.0), st.floats(600.0, 1500.0))
+
+
+def leg_of(drawn):
+    km, pace, lost = drawn
+    return Leg(km, 60.0 * pace * km, None if lost is None else 0.0, lost)
+
+
+@given(
+    st.lists(st.one_of(levels, descents).map(leg_of), max_size=12),
+    st.none() | levels.map(leg_of),
+    st.floats(-250.0, 30_000.0),
+    st.sampled_from([60.0, RIDE + 100.0, 4.0 * LEG + 250.0]),
+)
+def test_charge_never_rises_along_legs_that_take_energy_and_the_shift_lasts_as_long_as_they_do(
+    legs, asked, ahead, passed
+):
+    pipeline = one_at(passed)
+    now = float(pipeline.foresight.state["time"][CARS.index(CAR)])
+    answer = pipeline.ask(CAR, asked, Plan(CAR, now, now + ahead, RESERVE, legs))
+    place = passed % LEG < RIDE and bool(legs)
+    order = answer.legs if asked is None else [*answer.legs[:place], answer.asked, *answer.legs[place:]]
+    charges = [*(each.soc_pct for each in order), answer.soc_end_of_shift_pct]
+    rises = [each.energy_kwh.mean < 0.0 for each in order[1:]]
+    for rise, before, after in zip([*rises, False], charges[:-1], charges[1:], strict=False):
+        assert after.p05 <= after.mean <= after.p95
+        if not rise:
+            assert before.p05 >= after.p05
+            assert before.mean >= after.mean
+            assert before.p95 >= after.p95
+    assert answer.shift_end_s >= max(now, now + sum(each.duration_s for each in order) - 1e-6)
+    assert answer.shift_end_s >= now + ahead
+    for each, leg in zip(answer.legs, legs, strict=True):
+        assert each.energy_kwh.p05 <= each.energy_kwh.mean <= each.energy_kwh.p95
+        assert leg.lost_m or each.energy_kwh.p05 >= 0.0
+
+
+def test_a_long_descent_gives_energy_back_and_raises_the_charge():
+    pipeline = one_at(RIDE + 100.0)
+    up, down = Leg(8.0, 900.0, 900.0, 0.0), Leg(8.0, 900.0, 0.0, 900.0)
+    answer = pipeline.ask(CAR, None, Plan(CAR, BEGIN, BEGIN + SHIFT, RESERVE, [up, down]))
+    first, second = answer.legs
+    assert first.energy_kwh.mean > 2.0
+    assert -3.9 < second.energy_kwh.mean < 0.0  # what a car of 1.6 t gives on 900 m
+    assert second.soc_pct.mean > first.soc_pct.mean
+
+
+@given(st.floats(1.0, 30.0), st.floats(0.1, 10.0), st.sampled_from([60.0, 700.0, 2.0 * LEG + 300.0]))
+def test_the_ride_that_is_asked_for_lowers_the_end_and_a_longer_one_lowers_it_more(km, more, passed):
+    pipeline, _ = at(passed)
+    plain, one, longer = (
+        pipeline.ask(CAR, leg) for leg in (None, Leg(km, 90.0 * km), Leg(km + more, 90.0 * (km + more)))
+    )
+    assert plain.soc_end_of_shift_pct.mean > one.soc_end_of_shift_pct.mean > longer.soc_end_of_shift_pct.mean
+    assert plain.reserve_risk <= one.reserve_risk <= longer.reserve_risk
+    assert one.asked.energy_kwh.mean < longer.asked.energy_kwh.mean
+    assert (one.asked.distance_km, one.asked.duration_s) == (km, 90.0 * km)
+    assert one.asked.energy_kwh.p05 <= one.asked.energy_kwh.mean <= one.asked.energy_kwh.p95
+
+
+@pytest.mark.parametrize("passed", [60.0, RIDE + 100.0, 4.0 * LEG + 250.0])
+@pytest.mark.parametrize("leg", [None, RIDE_ASKED])
+def test_legs_come_in_order_and_the_charge_falls_leg_by_leg(passed, leg):
+    pipeline, _ = at(passed)
+    riding = passed % LEG < RIDE
+    answer = pipeline.ask(CAR, leg)
+    lengths = [each.distance_km for each in answer.legs]
+    done = int(passed // LEG) + (not riding)
+    planned = (RIDE * speeds(CAR, DAYS) / 1000.0).tolist()[done:]
+    assert lengths[riding:] == pytest.approx(planned[riding:])
+    assert lengths[0] <= planned[0] + 1e-9
+    order = answer.legs if leg is None else [*answer.legs[:riding], answer.asked, *answer.legs[riding:]]
+    charges = means(order)
+    assert charges == sorted(charges, reverse=True)
+    assert charges[0] < answer.soc_pct
+    assert charges[-1] >= answer.soc_end_of_shift_pct.mean - 1e-9
+    for each in order:
+        assert each.soc_pct.p05 <= each.soc_pct.mean <= each.soc_pct.p95
+
+
+def test_a_ride_uphill_takes_more():
+    pipeline, _ = at(60.0)
+    level, uphill = (pipeline.ask(CAR, Leg(8.0, 700.0, gained, 0.0)) for gained in (0.0, 300.0))
+    assert uphill.asked.energy_kwh.mean > level.asked.energy_kwh.mean
+    assert uphill.asked.soc_pct.mean < level.asked.soc_pct.mean
+
+
+def test_a_question_changes_nothing():
+    pipeline, _ = at(2.0 * LEG)
+    before = pipeline.snapshot()
+    other = Plan(CAR, BEGIN, BEGIN + SHIFT, 50.0, [Leg(3.0, 300.0)])
+    asked = pipeline.ask(CAR, RIDE_ASKED, other)
+    assert pipeline.snapshot() == before
+    assert [leg.distance_km for leg in asked.legs] == [3.0]
+    assert asked.reserve_soc_pct == 50.0
+    assert len(pipeline.ask(CAR).legs) == LEGS - 2
+    assert asked.soc_end_of_shift_pct.mean > pipeline.ask(CAR, RIDE_ASKED).soc_end_of_shift_pct.mean
+
+
+def test_a_plan_in_the_question_that_is_the_known_one_is_answered_the_same():
+    pipeline, _ = at(RIDE + 100.0)
+    assert pipeline.ask(CAR, RIDE_ASKED, left(pipeline)) == pipeline.ask(CAR, RIDE_ASKED)
+
+
+@pytest.mark.parametrize(
+    ("changed", "cause"),
+    [
+        ({"shift_end_s": BEGIN - 7200.0}, "plan_in_the_past"),
+        ({"shift_end_s": BEGIN + 60.0 * DAY}, "plan_too_far_ahead"),
+        ({"shift_end_s": BEGIN + LONGEST_SHIFT + 120.0}, "plan_too_far_ahead"),
+        ({"reserve_soc_pct": -1.0}, "out_of_range"),
+        ({"legs": [Leg(-1.0, 60.0)]}, "out_of_range"),
+        ({"legs": [Leg(1.0, 60.0)] * 10_000}, "too_many_legs"),
+    ],
+)
+def test_a_plan_that_cannot_be_used_is_refused(changed, cause):
+    pipeline, _ = at(60.0)
+    fields = {"shift_end_s": BEGIN + SHIFT, "reserve_soc_pct": RESERVE, "legs": []} | changed
+    with pytest.raises(AskError) as caught:
+        pipeline.ask(CAR, None, Plan(CAR, BEGIN, **fields))
+    assert caught.value.cause == cause
+    assert "\n" not in str(caught.value)
+
+
+def test_a_car_that_has_sent_nothing_is_not_known():
+    pipeline, _ = at(60.0)
+    pipeline.push([told("vehicle", "mute", BEGIN, model="nissan-leaf-2013")])
+    for name in ("nobody", "mute"):
+        with pytest.raises(AskError, match="has sent nothing") as caught:
+            pipeline.ask(name)
+        assert caught.value.cause == "unknown_vehicle"
+
+
+def silent():
+    pipeline = again()
+    sent = columns(CAR, DAYS)
+    sent["soc_pct"][:] = float("nan")
+    pipeline.push([m for _, m in shift(CAR, DAYS, sent)][:50])
+    return pipeline
+
+
+def unlearned():
+    pipeline = again()
+    sent = [m for _, m in shift(CAR, DAYS)][:50]
+    pipeline.push([told("vehicle", CAR, BEGIN, model="kia-soul-ev-2015"), *sent])
+    return pipeline
+
+
+@pytest.mark.parametrize(
+    ("pipeline", "why"),
+    [
+        (silent, "reports no state of charge"),
+        (unlearned, "no day of rides of this vehicle model"),
+        (lambda: at(900.0, 2, planned=False)[0], "no plan is known, and too few shifts"),
+        (lambda: at(900.0, 2)[0], "too few shifts have ended"),
+    ],
+    ids=["no charge", "no rides", "no plan", "no errors"],
+)
+def test_it_says_why_a_figure_is_not_known(pipeline, why):
+    answer = pipeline().ask(CAR, RIDE_ASKED)
+    assert answer.soc_end_of_shift_pct is None
+    assert answer.reserve_risk is None
+    assert answer.asked.soc_pct is None
+    assert why in answer.why_not
+    assert "\n" not in answer.why_not
+
+
+def test_without_a_plan_the_shift_goes_on_after_the_ride_as_it_usually_does():
+    pipeline = again(7, planned=False)
+    pipeline.push([m for _, m in shift(CAR, 7, planned=False)][:100])
+    plain, asked = pipeline.ask(CAR), pipeline.ask(CAR, RIDE_ASKED)
+    assert plain.why_not is None
+    assert plain.legs == []
+    assert asked.soc_end_of_shift_pct.mean < plain.soc_end_of_shift_pct.mean
+    assert asked.asked.soc_pct.mean > asked.soc_end_of_shift_pct.mean
+
+
+def test_a_shift_that_is_longer_than_usual_is_not_foretold_but_a_ride_of_it_is():
+    pipeline, sent = again(7, planned=False), columns(CAR, 7, hours=SHIFT / 3600.0 + 2.0)
+    messages = shift(CAR, 7, sent, planned=False)
+    out = forecasts(pipeline.push([m for _, m in messages]), CAR)
+    plain, asked = pipeline.ask(CAR), pipeline.ask(CAR, RIDE_ASKED)
+    assert out[max(out)].soc_end_of_shift_pct is plain.soc_end_of_shift_pct is plain.shift_end_s is None
+    assert "longer than those of this car" in plain.why_not
+    assert plain.reserve_soc_pct == asked.reserve_soc_pct == 100.0 * RESERVE_SHARE
+    assert asked.shift_end_s == asked.time_s + RIDE_ASKED.duration_s
+    assert asked.soc_end_of_shift_pct == pytest.approx(asked.asked.soc_pct)
+    assert 0.0 <= asked.reserve_risk <= 1.0
+    assert asked.why_not is None
+
+
+def test_a_plan_that_waits_is_told_as_the_reason():
+    pipeline, _ = at(900.0, 2, planned=False)
+    later = START + DAY * 3 + SHIFT
+    pipeline.push([told("plan", CAR, START + DAY * 2, shift_end_s=later, reserve_soc_pct=30.0, legs=[])])
+    answer = pipeline.ask(CAR)
+    assert "the plan that is known is of a later shift" in answer.why_not
+    assert answer.reserve_soc_pct == 100.0 * RESERVE_SHARE
+
+
+def test_when_all_legs_are_done_the_rest_of_the_shift_is_waiting():
+    pipeline = one_at(60.0)
+    now = pipeline.ask(CAR).time_s
+    answer = pipeline.ask(CAR, None, Plan(CAR, now, now + 7200.0, RESERVE, []))
+    waiting = 2.0 * pipeline.foresight.lessons.tables(CARS.index(CAR)).standing.max()
+    assert answer.legs == []
+    assert 0.0 <= answer.soc_pct - answer.soc_end_of_shift_pct.mean < 100.0 * waiting / 20.0
+    assert answer.shift_end_s == now + 7200.0
+
+
+@pytest.mark.parametrize("passed", [60.0, RIDE + 100.0])
+@pytest.mark.parametrize("usual", [0.0, 0.1, 0.4])
+def test_a_car_with_hours_to_spare_waits_no_longer_than_usual_before_its_legs(monkeypatch, passed, usual):
+    """Its legs are as those of a shift that is over sooner, and its end is that of the plan."""
+    pipeline, lane = one_at(passed), CARS.index(CAR)
+    tables, courses = pipeline.foresight.lessons.tables(lane), pipeline.foresight.courses
+    now = float(pipeline.foresight.state["time"][lane])
+    plan = Plan(CAR, now, now + 7200.0, RESERVE, [Leg(4.0, 480.0)] * 3)
+    driving, waits = courses.left(lane, now, plan).seconds.sum(), 3 - courses.riding(lane)
+
+    def asked(hours, pause):
+        monkeypatch.setattr(pipeline.foresight.lessons, "tables", lambda _: tables._replace(pause=pause))
+        end = now + driving + 3600.0 * hours * waits
+        return pipeline.ask(CAR, None, msgspec.structs.replace(plan, shift_end_s=end))
+
+    even, found, soon = asked(0.5, np.inf), asked(0.5, usual), asked(usual, np.inf)
+    assert means(found.legs) == pytest.approx(means(soon.legs))
+    assert means(found.legs)[-1] > means(even.legs)[-1]
+    assert msgspec.structs.replace(found, legs=[]) == msgspec.structs.replace(even, legs=[])
+    assert [each.energy_kwh for each in found.legs] == [each.energy_kwh for each in even.legs]
+    assert asked(0.5, 0.6) == even
+
+
+def test_how_long_a_car_waits_before_a_leg_is_less_sure_than_what_it_takes_on_the_way(monkeypatch):
+    """Of two answers of the same energies, that in which waits take them is less sure."""
+    pipeline, told_of = one_at(RIDE + 100.0), []
+    lane, usual = CARS.index(CAR), pipeline.foresight.lessons.usual
+    now, tables = float(pipeline.foresight.state["time"][lane]), pipeline.foresight.lessons.tables(lane)
+    monkeypatch.setattr(pipeline.foresight.lessons, "tables", lambda _: tables._replace(pause=0.5))
+    plan = Plan(CAR, now, now + 3.0 * (480.0 + 1800.0), RESERVE, [Leg(4.0, 480.0)] * 3)
+    for standing, approach in ((0.0, 0.6), (1.2, 0.0)):
+        own = {"standing": np.array([standing]), "approach": np.array([approach])}
+        monkeypatch.setattr(pipeline.foresight.lessons, "usual", lambda *of, own=own: usual(*of)._replace(**own))
+        told_of.append([leg.soc_pct for leg in pipeline.ask(CAR, None, plan).legs])
+    surer, less = told_of
+    assert [each.mean for each in surer] == pytest.approx([each.mean for each in less])
+    more = [(b.mean - b.p05) - (a.mean - a.p05) for a, b in zip(surer, less, strict=True)]
+    assert min(more[:-1]) > 0.1  # the last one ends with the shift, until when all waiting is known
+
+
+def test_an_answer_in_the_middle_of_a_leg_travels():
+    pipeline = at(LEG + RIDE / 2.0)[0]
+    assert encode(pipeline.ask(CAR, RIDE_ASKED)).startswith(b'{"vehicle_id"')

@@ -1,0 +1,122 @@
+"""What a model may read: every column is known in mid-ride, has a unit, and holds no answer."""
+
+import numpy as np
+import pandas as pd
+import pint
+import pytest
+
+from core.columns import ZERO_CELSIUS
+from core.errors import EffectError, ModelError
+from core.fit.recipes import RECIPES
+from core.models.derived_features import DERIVED
+from core.models.features import FEATURES, Columns, beginning, coefficient_unit, needed, unit
+from core.pipeline import Pipeline
+from core.totals.tables import model_columns
+from tests.support.planted_rides import PLANTED, rides
+
+TERMS = sorted({term.columns for recipe in RECIPES.values() for term in getattr(recipe, "terms", ())})
+
+
+@pytest.fixture(scope="module")
+def units() -> pint.UnitRegistry:
+    return pint.UnitRegistry()
+
+
+@pytest.mark.parametrize("columns", TERMS, ids="*".join)
+def test_coefficient_times_columns_is_an_energy(columns, units):
+    total = units.Quantity(1.0, coefficient_unit(columns))
+    for column in columns:
+        total = total * units.Quantity(1.0, "dimensionless" if unit(column) == "1" else unit(column))
+    assert total.check("[energy]")
+    assert total.to("kWh").magnitude == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("column", ["soc_end_pct", "energy_kwh", "energy_soc_kwh", "energy_vi_sd_kwh", "hvac_kwh"])
+def test_what_holds_the_answer_is_no_feature(column):
+    assert column not in FEATURES
+    with pytest.raises(ModelError, match="holds what is to be predicted"):
+        unit(column)
+
+
+@pytest.mark.parametrize("column", ["distance", "vehicle_id", "", "quality_gap", "unfit_reason"])
+def test_unknown_columns_are_named(column):
+    with pytest.raises(ModelError, match=f"column {column!r} is none that a model can read"):
+        unit(column)
+    with pytest.raises(EffectError, match="effect 'nothing' is unknown"):
+        unit("effect_nothing")
+
+
+def test_every_feature_is_a_number_in_the_ride_table_and_known_in_mid_ride():
+    pipeline = Pipeline()
+    table = pipeline.take_rides()
+    running = model_columns(pipeline.ledger.running(np.empty(0, np.int64)), pipeline.cars, [], ["winter", "vehicle_id"])
+    for column in FEATURES:
+        assert pd.api.types.is_numeric_dtype(table[column]), column
+        assert column in running, column
+    for column in (name for derived in DERIVED for name in needed(derived)):
+        assert column in FEATURES or column.startswith("effect_"), column
+
+
+def test_the_wind_blows_from_where_it_says():
+    table = pd.DataFrame({"wind_from_deg": [0.0, 90.0, 180.0, 270.0, 359.999999, np.nan]})
+    north, east = Columns(table)["wind_from_north"], Columns(table)["wind_from_east"]
+    np.testing.assert_allclose(north, [1.0, 0.0, -1.0, 0.0, 1.0, np.nan], atol=1e-7)
+    np.testing.assert_allclose(east, [0.0, 1.0, 0.0, -1.0, 0.0, np.nan], atol=1e-7)
+
+
+def test_accessories_take_power_by_the_curve_for_as_long_as_the_ride_takes():
+    table = rides(50)
+    power = PLANTED.power(table["ambient_c"].to_numpy() + ZERO_CELSIUS) * table["accessory_scale"]
+    expected = table["duration_s"] / 3600.0 * power / 1000.0
+    np.testing.assert_allclose(Columns(table, {}, PLANTED)["accessories_kwh"], expected, rtol=1e-12)
+    with pytest.raises(ModelError, match="needs an accessory curve"):
+        _ = Columns(table)["accessories_kwh"]
+
+
+def test_fills_stand_for_what_is_unknown_and_for_nothing_else():
+    table = pd.DataFrame({"ambient_c": [np.nan, 5.0], "wind_from_deg": [np.nan, 90.0], "lost_m": [np.nan, 2.0]})
+    seen = Columns(table, {"ambient_c": -3.0, "wind_from_east": 0.25})
+    assert seen["ambient_c"].tolist() == [-3.0, 5.0]
+    assert seen["wind_from_east"].tolist() == [0.25, 1.0]
+    assert np.isnan(seen["lost_m"]).tolist() == [True, False]
+    assert np.isnan(table["ambient_c"]).tolist() == [True, False]
+
+
+MIDNIGHT = 1_527_811_200.0
+"""1 June 2018, UTC."""
+
+
+def test_a_scope_is_one_where_a_term_holds_and_zero_elsewhere():
+    table = pd.DataFrame(
+        {"vehicle_id": ["a", "b", None, "a"], "start_s": [MIDNIGHT - 1e-3, MIDNIGHT, MIDNIGHT + 1.0, np.nan]}
+    )
+    assert Columns(table)["vehicle=a"].tolist() == [1.0, 0.0, 0.0, 1.0]
+    assert Columns(table)["since=2018-06-01"].tolist() == [0.0, 1.0, 1.0, 0.0]
+    assert Columns(table, rows=np.array([1, 3]))["vehicle=a"].tolist() == [0.0, 1.0]
+    assert beginning("since=2018-06-01") == MIDNIGHT
+    assert (needed("vehicle=a"), needed("since=2018-06-01")) == (("vehicle_id",), ("start_s",))
+    assert coefficient_unit(("effect_cold_rolling", "vehicle=a", "since=2018-06-01")) == "1/K"
+
+
+@pytest.mark.parametrize(
+    ("scope", "said"),
+    [
+        ("since=2018-13-01", "month must be in 1..12"),
+        ("since=", "write since=YYYY-MM-DD"),
+        ("since=yesterday", "write since=YYYY-MM-DD"),
+        ("since=20180601", "write the date as since=2018-06-01"),
+        ("vehicle=", "names no vehicle: write vehicle=ID"),
+        ("vehicle= ", "names no vehicle: write vehicle=ID"),
+    ],
+)
+def test_a_damaged_scope_is_told(scope, said):
+    with pytest.raises(ModelError, match=said):
+        unit(scope)
+
+
+def test_a_vehicle_may_be_called_anything():
+    table = pd.DataFrame({"vehicle_id": ["vehicle=a=b", "since=2018-06-01", "é 1"]})
+    for i, name in enumerate(table["vehicle_id"]):
+        assert unit(f"vehicle={name}") == "1"
+        assert Columns(table)[f"vehicle={name}"].argmax() == i
+        assert Columns(table)[f"vehicle={name}"].sum() == 1.0

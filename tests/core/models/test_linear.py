@@ -1,0 +1,192 @@
+"""The physical models are the paper's equations; prediction is row by row."""
+
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from core.columns import GRAVITY, JOULES_PER_KWH, ZERO_CELSIUS
+from core.effects.road_load import STANDARD_AIR_DENSITY
+from core.errors import ModelError
+from core.models import ANY, BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, Term
+from core.vehicles import ACCESSORIES
+from tests.support.linear_models import CURVE, FLEET, LEAF, fleet, model_of, ride_columns, steps
+
+
+def equation_1(signals) -> np.ndarray:
+    """Equation (1) as the paper prints it: v in km/h, d in km, E in kWh."""
+    m, a = signals["mass"], signals["acceleration"]
+    theta = np.arcsin(signals["grade"])
+    f, rho, cx, area, g = (
+        LEAF.rolling_resistance,
+        STANDARD_AIR_DENSITY,
+        LEAF.drag_coefficient,
+        LEAF.frontal_area_m2,
+        GRAVITY,
+    )
+    v = signals["speed"] * 3.6
+    d = signals["speed"] * signals["dt"] / 1000
+    return (
+        (1 / 3600)
+        * (m * g * (f * np.cos(theta) + np.sin(theta)) + 0.5 * (rho * cx * area * (v / 3.6) ** 2) + m * a)
+        * d
+    )
+
+
+@given(st.integers(0, 2**32))
+def test_basic_physical_is_equation_1(seed):
+    signals = steps(seed, 50)
+    predicted = BASIC_PHYSICAL.predict(ride_columns(BASIC_PHYSICAL, signals))
+    np.testing.assert_allclose(predicted, equation_1(signals), rtol=1e-11, atol=1e-15)
+
+
+@given(st.integers(0, 2**32))
+def test_extended_physical_adds_the_accessories(seed):
+    signals = steps(seed, 50)
+    predicted = EXTENDED_PHYSICAL.predict(ride_columns(EXTENDED_PHYSICAL, signals))
+    accessories = ACCESSORIES.power(signals["ambient"]) * 3.0 / JOULES_PER_KWH
+    np.testing.assert_allclose(predicted, equation_1(signals) + accessories, rtol=1e-11, atol=1e-15)
+
+
+def test_a_kilometre_at_50_kmh_in_a_leaf_by_hand():
+    speed = 50 / 3.6
+    signals = {
+        "dt": np.array([1000 / speed]),
+        "speed": np.array([speed]),
+        "acceleration": np.zeros(1),
+        "grade": np.zeros(1),
+        "ambient": np.array([ZERO_CELSIUS + 15]),
+        "mass": np.array([1600.0]),
+        "accessory_scale": np.ones(1),
+    }
+    columns = ride_columns(EXTENDED_PHYSICAL, signals)
+    # 1600 kg * 9.80665 * 0.008 = 125.5 N; 0.5 * 1.225 * 0.72 * 13.89^2 = 85.1 N; 210.6 N km / 3600 = 0.0585 kWh
+    assert BASIC_PHYSICAL.predict(columns)[0] == pytest.approx(0.0585, abs=5e-5)
+    # and 300 W for 72 s = 0.006 kWh
+    assert EXTENDED_PHYSICAL.predict(columns)[0] == pytest.approx(0.0645, abs=5e-5)
+
+
+def test_needs_and_effects_of_the_physical_models():
+    assert BASIC_PHYSICAL.effects == ("rolling", "climbing", "aero_drag", "inertia")
+    assert EXTENDED_PHYSICAL.effects == (*BASIC_PHYSICAL.effects, "accessories")
+    assert set(BASIC_PHYSICAL.needs) == {f"effect_{e}" for e in BASIC_PHYSICAL.effects} | {
+        "rolling_resistance",
+        "drag_area_m2",
+    }
+
+
+@given(st.integers(0, 2**32), st.lists(st.integers(0, 40), max_size=6))
+def test_prediction_is_the_same_to_the_bit_however_rows_are_cut(seed, cuts):
+    columns = ride_columns(EXTENDED_PHYSICAL, steps(seed, 40))
+    whole = EXTENDED_PHYSICAL.predict(columns)
+    edges = [0, *sorted(cuts), 40]
+    parts = [EXTENDED_PHYSICAL.predict({n: c[a:b] for n, c in columns.items()}) for a, b in pairwise(edges)]
+    assert np.concatenate(parts).tobytes() == whole.tobytes()
+
+
+def test_prediction_learns_nothing_and_changes_nothing():
+    columns = ride_columns(EXTENDED_PHYSICAL, steps(1, 10))
+    before = {name: column.copy() for name, column in columns.items()}
+    for column in columns.values():
+        column.flags.writeable = False
+    first, again = EXTENDED_PHYSICAL.predict(columns), EXTENDED_PHYSICAL.predict(columns)
+    assert first.tobytes() == again.tobytes()
+    assert all(columns[name].tobytes() == before[name].tobytes() for name in columns)
+
+
+@pytest.mark.parametrize("name", EXTENDED_PHYSICAL.needs)
+def test_nan_where_a_needed_column_is_nan_and_nowhere_else(name):
+    columns = ride_columns(EXTENDED_PHYSICAL, steps(2, 5))
+    columns[name][3] = np.nan
+    assert np.isnan(EXTENDED_PHYSICAL.predict(columns)).tolist() == [False, False, False, True, False]
+
+
+def test_a_table_will_do_and_other_columns_do_not_matter():
+    columns = ride_columns(BASIC_PHYSICAL, steps(3, 5))
+    table = pd.DataFrame({**columns, "driver_id": "d"})
+    assert BASIC_PHYSICAL.predict(table).tobytes() == BASIC_PHYSICAL.predict(columns).tobytes()
+
+
+def test_missing_column_is_named():
+    with pytest.raises(ModelError, match=r"basic_physical: column 'effect_inertia' is missing"):
+        BASIC_PHYSICAL.predict({n: np.ones(1) for n in BASIC_PHYSICAL.needs if n != "effect_inertia"})
+
+
+def test_no_rows_and_constant_terms():
+    assert BASIC_PHYSICAL.predict({n: np.empty(0) for n in BASIC_PHYSICAL.needs}).shape == (0,)
+    constant = model_of(Term(name="one", columns=(), unit="kWh"), fits={ANY: Fit(coefficients=(0.25,))})
+    assert constant.predict({"distance_km": np.zeros(3)}).tolist() == [0.25, 0.25, 0.25]
+    assert constant.effects == ()
+
+
+def by_hand(ride) -> float:
+    """What FLEET says of a ride, written out."""
+    fit = FLEET.fits.get(ride.vehicle_model, FLEET.fits[ANY])
+    distance = fit.fills.get("distance_km", np.nan) if np.isnan(ride.distance_km) else ride.distance_km
+    east = np.sin(np.radians(ride.wind_from_deg))
+    east = fit.fills.get("wind_from_east", np.nan) if np.isnan(east) else east
+    power = CURVE.to_curve().power(np.array([ride.ambient_c + ZERO_CELSIUS]))[0]
+    columns = (distance, east * ride.wind_speed_kmh, ride.duration_s * power * ride.accessory_scale / 3.6e6, 1.0)
+    total = sum(c * x for c, x in zip(fit.coefficients, columns, strict=True))
+    if ride.vehicle_model == "leaf":
+        total += 0.5 + (-1.0 if ride.occupants <= 2 else 1.0)
+    return total * (1.125 if ride.vehicle_id == "b" else 1.0)
+
+
+def test_each_vehicle_model_has_its_fit_and_each_car_its_factor():
+    rides = fleet()
+    expected = [by_hand(ride) for ride in rides.itertuples()]
+    np.testing.assert_allclose(FLEET.predict(rides), expected, rtol=1e-12)
+    known = ~np.isnan(expected)
+    assert 10 < known.sum() < len(rides)
+
+
+def test_needs_name_what_derived_columns_and_fits_read():
+    assert FLEET.needs == (
+        "distance_km",
+        "wind_from_deg",
+        "wind_speed_kmh",
+        "duration_s",
+        "ambient_c",
+        "accessory_scale",
+        "occupants",
+        "vehicle_model",
+        "vehicle_id",
+    )
+    alone = msgspec.structs.replace(FLEET, fits={ANY: FLEET.fits[ANY]}, cars={}, correction=None)
+    assert "vehicle_model" not in alone.needs
+    assert "vehicle_id" not in alone.needs
+
+
+@given(st.integers(0, 2**32), st.lists(st.integers(0, 60), max_size=6))
+def test_a_fleet_is_predicted_the_same_to_the_bit_however_rows_are_cut(seed, cuts):
+    rides = fleet(60, seed)
+    whole = FLEET.predict(rides)
+    edges = [0, *sorted(cuts), 60]
+    parts = [FLEET.predict(rides.iloc[a:b]) for a, b in pairwise(edges)]
+    assert np.concatenate(parts).tobytes() == whole.tobytes()
+    order = np.random.default_rng(seed).permutation(60)
+    assert FLEET.predict(rides.iloc[order]).tobytes() == whole[order].tobytes()
+
+
+def test_a_fleet_is_predicted_without_touching_the_table():
+    rides = fleet()
+    before = rides.copy(deep=True)
+    FLEET.predict(rides)
+    pd.testing.assert_frame_equal(rides, before)
+
+
+def test_without_a_fit_for_all_others_their_energy_is_unknown():
+    lone = msgspec.structs.replace(FLEET, fits={"leaf": FLEET.fits["leaf"]}, correction=None)
+    rides = fleet()
+    known = ~np.isnan(lone.predict(rides))
+    assert set(rides["vehicle_model"][known]) == {"leaf"}
+
+
+def test_an_interval_is_asked_for_only_where_there_is_one():
+    with pytest.raises(ModelError, match="has no prediction interval"):
+        FLEET.predict_interval(fleet())

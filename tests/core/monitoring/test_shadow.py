@@ -1,0 +1,307 @@
+"""Shadow models: the laws of the pipeline hold for them too, and nothing that they do reaches the first model."""
+
+import math
+
+import msgspec
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from core import effects
+from core.effects import registry
+from core.errors import ModelError, SocastError
+from core.models import ANY, BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, LinearModel, Term
+from core.monitoring.running_error import Standing
+from core.monitoring.shadow import MOST_VEHICLE_MODELS, Ended, Shadows
+from core.pipeline import Pipeline
+from core.wire.messages import ModelErrors
+from tests.laws.test_pipeline import mixed, shift
+from tests.support.telemetry import START, chunked, drive, profile, telemetry, told, without
+
+WARM = msgspec.structs.replace(
+    EXTENDED_PHYSICAL,
+    version="2",
+    terms=(*EXTENDED_PHYSICAL.terms, Term(name="cold", columns=("effect_cold_rolling", "winter"), unit="N/K")),
+    fits={ANY: Fit(coefficients=(1.0, 1.0, 1.0, 1.0, 1.0, 2.0))},
+)
+"""Of the same name as its model, of another version, with an effect and a column that the first does not have."""
+SHADOWS = (EXTENDED_PHYSICAL, WARM)
+MODELS = ("nissan-leaf-2013", "kia-soul-ev-2015", "bmw-i3-2014")
+
+
+def served(messages, cuts=(), **options):
+    """Return a pipeline with shadows, its forecasts, and what it told of its models."""
+    pipeline = Pipeline(BASIC_PHYSICAL, **{"shadows": SHADOWS, **options})
+    forecasts, errors = [], []
+    for chunk in chunked(messages, cuts):
+        forecasts += pipeline.push(chunk)
+        errors += pipeline.model_errors()
+    forecasts += pipeline.finish()
+    return pipeline, forecasts, errors + pipeline.model_errors()
+
+
+def decoded(messages, model=None):
+    """Return what messages tell of a model, or of all."""
+    found = [msgspec.json.decode(message.payload, type=ModelErrors) for message in messages]
+    return [errors for errors in found if model in {None, errors.model}]
+
+
+def lapped(name="a", rides=6, days=1, seed=1, model="nissan-leaf-2013"):
+    """Return a car's messages: some rides a day with parking between, on some days, measured by voltage and current."""
+    rng = np.random.default_rng(seed)
+    names = [part for ride in range(rides) for part in (None, f"{name}-{ride}")] + [None]
+    out = [told("vehicle", name, model=model)]
+    for day in range(days):
+        speed = np.concatenate([profile(120, rng) if ride else np.zeros(20) for ride in names])
+        ride_id = np.repeat(np.array(names, dtype=object), [120 if ride else 20 for ride in names])
+        columns = drive(len(speed), speed=speed, ride_id=ride_id, battery_voltage_v=360.0, ambient_c=-5.0)
+        columns["battery_current_a"] = 5 + 0.8 * columns["speed_kmh"]
+        columns["time_s"] += 86400.0 * day
+        out += telemetry(without(columns, "seq"), name)
+    return out
+
+
+def test_the_first_model_does_as_if_it_were_alone():
+    messages = shift(7)
+    alone = Pipeline(BASIC_PHYSICAL)
+    expected = alone.push(messages) + alone.finish()
+    pipeline, forecasts, errors = served(messages)
+    assert forecasts == expected
+    assert errors
+    own, more = alone.take_rides(), pipeline.take_rides()
+    pd.testing.assert_frame_equal(own, more[list(own)], check_exact=True)
+    assert {"effect_cold_rolling", "effect_accessories"} <= set(more) - set(own)
+    assert [one._replace(shadows_kwh=()) for one in pipeline.status()].__repr__() == repr(alone.status())
+    assert alone.model_errors() == []
+    assert set(pipeline.quality()) - set(alone.quality()) == {"unpredicted_by_shadow", "shadow_faults"}
+
+
+@given(seed=st.integers(0, 200), cuts=st.lists(st.integers(0, 420), max_size=10))
+def test_any_chunking_tells_the_same_of_models(seed, cuts):
+    messages = shift(seed)
+    whole, forecasts, errors = served(messages)
+    parts, *same = served(messages, cuts)
+    assert same == [forecasts, errors]
+    assert parts.shadows.errors() == whole.shadows.errors()
+    assert repr(parts.status()) == repr(whole.status())
+
+
+@given(seed=st.integers(0, 100), at=st.integers(0, 420))
+def test_a_restart_is_no_interruption_of_running_errors(seed, at):
+    messages = shift(seed)
+    _, forecasts, errors = served(messages)
+    first = Pipeline(BASIC_PHYSICAL, shadows=SHADOWS)
+    out, said = first.push(messages[:at]), first.model_errors()
+    kept = first.snapshot()
+    second = Pipeline(BASIC_PHYSICAL, shadows=SHADOWS)
+    second.restore(kept)
+    assert second.snapshot() == kept
+    out += second.push(messages[at:]) + second.finish()
+    assert out == forecasts
+    assert said + second.model_errors() == errors
+
+
+@given(seed=st.integers(0, 100))
+def test_other_vehicles_change_nothing_in_what_a_vehicle_contributes(seed):
+    streams = [lapped(name, 3, 2, seed + place, name) for place, name in enumerate(MODELS)]
+    pipeline, _, _ = served(mixed(streams, seed))
+    together = {e.model: {m.vehicle_model: m for m in e.by_vehicle_model} for e in pipeline.shadows.errors()}
+    for name, stream in zip(MODELS, streams, strict=True):
+        alone, _, _ = served(stream)
+        for errors in alone.shadows.errors():
+            assert errors.by_vehicle_model == [together[errors.model][name]]
+            assert errors.overall == msgspec.structs.replace(together[errors.model][name], vehicle_model=None)
+
+
+def test_running_errors_are_those_of_the_ride_table():
+    pipeline, _, messages = served([*lapped(days=3), *lapped("b", seed=50, model="kia-soul-ev-2015")])
+    rides = pipeline.take_rides()
+    rides = rides[rides["fit_for_training"]]
+    measured = rides["energy_kwh"].to_numpy()
+    off = {f"{m.name}/{m.version}": m.predict(rides) - measured for m in (BASIC_PHYSICAL, *SHADOWS)}
+    first = np.abs(off["basic_physical/1"])
+    for errors in pipeline.shadows.errors():
+        error = off[errors.model]
+        for told_of, rows in [
+            (errors.overall, slice(None)),
+            *((part, (rides["vehicle_model"] == part.vehicle_model).to_numpy()) for part in errors.by_vehicle_model),
+        ]:
+            assert told_of.rides == len(error[rows])
+            assert told_of.mae_kwh == pytest.approx(np.abs(error[rows]).mean())
+            assert told_of.bias_kwh == pytest.approx(error[rows].mean())
+            assert told_of.mae_pct == pytest.approx(100 * np.abs(error[rows]).sum() / measured[rows].sum())
+            if errors.model != errors.first:
+                assert told_of.gain.mean_kwh == pytest.approx((first[rows] - np.abs(error[rows])).mean())
+                assert told_of.gain.rides == told_of.rides
+                days = rides[["vehicle_id", "date"]][rows].drop_duplicates()
+                assert told_of.gain.vehicle_days == len(days)
+    assert pipeline.shadows.errors()[0].overall.gain is None
+    assert decoded(messages)[-3:] == pipeline.shadows.errors()
+
+
+def test_a_vehicle_day_counts_when_it_has_ended():
+    _, _, messages = served(lapped(rides=4, days=2))
+    told_of = decoded(messages, "extended_physical/2")
+    assert [errors.overall.rides for errors in told_of] == [1, 2, 3, 4, 5, 6, 7, 8, 8]
+    assert [errors.overall.gain.vehicle_days for errors in told_of] == [0, 0, 0, 0, 1, 1, 1, 1, 2]
+    assert [errors.overall.gain.rides for errors in told_of] == [0, 0, 0, 0, 4, 4, 4, 4, 8]
+    assert {errors.overall.gain.verdict for errors in told_of} == {"not told"}
+    times = [errors.time_s for errors in told_of]
+    assert times == sorted(times)
+    assert times[0] == pytest.approx(START + 3 * 140, abs=3)
+
+
+def test_keys_tell_models_of_one_name_apart_and_carry_the_prefix():
+    _, _, messages = served(lapped(rides=1), prefix="montreal/")
+    names = ("basic_physical/1", "extended_physical/1", "extended_physical/2")
+    assert [message.key for message in messages] == [f"montreal/models/{name}/errors" for name in names] * 2
+    assert all(
+        message.receipt_ns == int(errors.time_s * 1e9)
+        for message, errors in zip(messages, decoded(messages), strict=True)
+    )
+
+
+def test_behind_time_the_newest_of_each_model_is_told():
+    _, _, errors = served(lapped())
+    late = Pipeline(BASIC_PHYSICAL, shadows=SHADOWS)
+    late.push(lapped())
+    late.finish()
+    assert late.model_errors(newest_only=True) == errors[-3:]
+    assert late.model_errors(newest_only=True) == []
+
+
+def test_the_same_model_twice_is_refused_in_one_line():
+    with pytest.raises(ModelError, match=r"^model extended_physical/1 is given twice: [^\n]+$"):
+        Pipeline(EXTENDED_PHYSICAL, shadows=[BASIC_PHYSICAL, EXTENDED_PHYSICAL])
+
+
+def fails(name):
+    """Return a model that no ride can be predicted with, as its code raises."""
+
+    class Failing(LinearModel):
+        """Raises whatever it is asked."""
+
+        def predict(self, _):
+            raise ZeroDivisionError
+
+    fields = {field: getattr(BASIC_PHYSICAL, field) for field in BASIC_PHYSICAL.__struct_fields__}
+    return Failing(**{**fields, "name": name})
+
+
+def test_a_shadow_that_does_not_fit_is_counted_and_the_others_are_served():
+    leaves = msgspec.structs.replace(EXTENDED_PHYSICAL, name="leaves", fits={"bmw-i3-2014": WARM.fits[ANY]})
+    leaves = msgspec.structs.replace(leaves, terms=WARM.terms)
+    messages = lapped()
+    alone = Pipeline(BASIC_PHYSICAL)
+    expected = alone.push(messages) + alone.finish()
+    pipeline, forecasts, _ = served(messages, shadows=[leaves, fails("broken"), EXTENDED_PHYSICAL])
+    assert forecasts == expected
+    quality = pipeline.quality()
+    assert quality["unpredicted_by_shadow"] == {"leaves/1": 6, "broken/1": 6, "extended_physical/1": 0}
+    assert list(quality["shadow_faults"]) == ["model broken/1: ZeroDivisionError"]
+    first, *others = (errors.overall for errors in pipeline.shadows.errors())
+    assert [one.rides for one in (first, *others)] == [6, 0, 0, 6]
+    assert [one.unpredicted_rides for one in others] == [6, 6, 0]
+    assert (others[0].mae_kwh, others[0].gain.mean_kwh, others[0].gain.vehicle_days) == (None, None, 0)
+    assert others[2].gain.rides == 6
+    assert all(math.isnan(one.shadows_kwh[0]) for one in pipeline.status())
+
+
+def test_an_effect_that_only_a_shadow_has_may_fail(monkeypatch):
+    @effects.effect(coefficient="mood", unit="W", low=0, high=1, source="none, it is made up")
+    def moody(speed):
+        """Fails in service: P = 1 W."""
+        raise OverflowError(speed)
+
+    monkeypatch.setitem(registry._library, "moody", moody)
+    term = Term(name="mood", columns=("effect_moody",), unit="1")
+    shadow = LinearModel(name="s", version="1", recipe="s", terms=(term,), fits={ANY: Fit(coefficients=(1.0,))})
+    messages = lapped()
+    alone = Pipeline(BASIC_PHYSICAL)
+    expected = alone.push(messages) + alone.finish()
+    pipeline, forecasts, _ = served(messages, shadows=[shadow, EXTENDED_PHYSICAL])
+    assert forecasts == expected
+    quality = pipeline.quality()
+    assert quality["unpredicted_by_shadow"] == {"s/1": 6, "extended_physical/1": 0}
+    assert list(quality["shadow_faults"]) == ["effect moody: OverflowError"]
+
+
+def ended(rng, rides, model="m", first=0.1, second=0.1, cars=10):
+    """Return rides of a fleet, measured, with the errors of two models whose spreads are given. [kWh]"""
+    lane = np.arange(rides) % cars
+    start = START + 86400.0 * (np.arange(rides) // (5 * cars))
+    measured = rng.uniform(0.5, 2.0, rides)
+    predicted = [measured + rng.normal(0.0, spread, rides) for spread in (first, second)]
+    return Ended(lane, start, start + 600.0, [model] * rides, measured, predicted)
+
+
+@pytest.mark.parametrize(("spread", "verdict"), [(0.05, "better"), (0.1, "not told"), (0.2, "worse")])
+def test_what_is_planted_is_told(rng, spread, verdict):
+    shadows = Shadows([BASIC_PHYSICAL, EXTENDED_PHYSICAL])
+    shadows.count(ended(rng, 2500, second=spread))
+    gain = shadows.errors()[1].overall.gain
+    assert gain.verdict == verdict
+    truth = math.sqrt(2 / math.pi) * (0.1 - spread)
+    assert gain.lower_kwh < truth < gain.upper_kwh
+    assert gain.vehicle_days == 500 - 10
+    shadows.close()
+    assert shadows.errors()[1].overall.gain.vehicle_days == 500
+
+
+def test_models_of_the_same_predictions_are_never_told_apart(rng):
+    shadows = Shadows([BASIC_PHYSICAL, EXTENDED_PHYSICAL])
+    rides = ended(rng, 3000)
+    shadows.count(rides._replace(predicted=[rides.predicted[0]] * 2))
+    assert shadows.errors()[1].overall.gain.verdict == "not told"
+
+
+def test_vehicle_models_without_end_are_counted_among_all_only(rng):
+    shadows = Shadows([BASIC_PHYSICAL, EXTENDED_PHYSICAL])
+    rides = ended(rng, 200, cars=1)
+    shadows.count(rides._replace(vehicle_model=[None, *(f"car {i}" for i in range(199))]))
+    shadows.close()
+    errors = shadows.errors()[1]
+    assert len(errors.by_vehicle_model) == MOST_VEHICLE_MODELS
+    assert errors.overall.rides == errors.overall.gain.rides == 200
+
+
+def test_running_errors_go_on_with_models_that_are_still_there():
+    messages = lapped()
+    pipeline, _, _ = served(messages)
+    kept = pipeline.snapshot()
+    with pytest.raises(SocastError, match="other effects; start without it"):
+        Pipeline(BASIC_PHYSICAL, shadows=[EXTENDED_PHYSICAL]).restore(kept)
+    renewed = msgspec.structs.replace(WARM, version="3")
+    other = Pipeline(BASIC_PHYSICAL, shadows=[EXTENDED_PHYSICAL, renewed])
+    other.restore(kept)
+    assert [errors.overall.rides for errors in other.shadows.errors()] == [6, 6, 0]
+    assert other.shadows.errors()[1] == pipeline.shadows.errors()[1]
+    other.push(lapped(days=2))
+    assert other.shadows.errors()[2].overall.rides > 0
+
+
+def test_against_another_first_model_running_errors_begin_anew():
+    pipeline, _, _ = served(lapped())
+    other = Pipeline(msgspec.structs.replace(BASIC_PHYSICAL, version="9"), shadows=SHADOWS)
+    other.restore(pipeline.snapshot())
+    assert {errors.overall.rides for errors in other.shadows.errors()} == {0}
+    assert other.quality()["rides"] == 6
+
+
+def test_a_snapshot_without_shadows_is_taken_up_with_some_of_the_same_effects():
+    alone = Pipeline(EXTENDED_PHYSICAL)
+    alone.push(lapped()[:-40])
+    beside = Pipeline(EXTENDED_PHYSICAL, shadows=[BASIC_PHYSICAL])
+    beside.restore(alone.snapshot())
+    beside.finish()
+    assert beside.shadows.errors()[1].overall.rides == 1
+
+
+def test_a_standing_ends_a_day_for_a_ride_that_it_did_not_predict():
+    standing = Standing(EXTENDED_PHYSICAL, 0.95)
+    standing.add(3, 10.0, None, 0.1, 0.3, 1.0)
+    standing.add(3, 11.0, None, math.nan, 0.3, 1.0)
+    gain = standing.errors("first/1", 0.0).overall.gain
+    assert (gain.rides, gain.vehicle_days, gain.mean_kwh) == (1, 1, pytest.approx(0.2))

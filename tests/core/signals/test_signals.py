@@ -1,0 +1,198 @@
+"""Derived columns: what effects ask for by name."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from core.cleaning.quality import Quality
+from core.columns import GRAVITY, SIGNALS
+from core.signals.signals import STEEPEST, Signals, ambient_quality
+from core.signals.weather import Stations
+from core.wire.messages import Weather
+from tests.support.telemetry import PERIOD, START, cleaned, drive, picked
+
+N = 200
+START_OF_DAY = START - 8 * 3600
+
+
+def signals_of(columns=None, weather=None, parameters=None):
+    clean = cleaned(drive(N) if columns is None else columns)
+    stations = Stations()
+    if weather is not None:
+        stations.observe(Weather("s", 0.0, 45.5, -73.6, **weather))
+    sky = stations.sky(clean.time, clean.latitude, clean.longitude)
+    n = len(clean.dt)
+    own = () if parameters is None else (np.full(n, value) for value in parameters)
+    return Signals(clean, sky, np.full(n, 1500.0), np.ones(n), *own)
+
+
+def test_every_column_of_the_nomenclature_is_there_in_the_right_shape():
+    signals = signals_of()
+    assert len(signals) == len(SIGNALS)
+    for column in SIGNALS:
+        values = signals[column.name]
+        assert values.shape == (N,)
+        known = values[~np.isnan(values)]
+        assert np.all((known >= column.low - 1e-9) & (known <= column.high + 1e-9)), column.name
+
+
+def test_a_column_that_does_not_exist_is_a_mistake():
+    with pytest.raises(AttributeError):
+        signals_of()["warp"]
+
+
+def test_grade_times_run_is_the_climb():
+    base = drive(N)
+    signals = signals_of(base | {"elevation_m": 100 + 0.03 * base["metres"]})
+    clean = signals.clean
+    assert np.sum(signals["grade"] * clean.speed * clean.travel) == pytest.approx(clean.climb.sum())
+    assert clean.climb.sum() > 20
+
+
+def test_a_cliff_is_no_road():
+    base = drive(N, speed=10.0)
+    assert (
+        np.abs(signals_of(base | {"elevation_m": np.where(np.arange(N) < 100, 0.0, 5000.0)})["grade"]).max() == STEEPEST
+    )
+
+
+@pytest.mark.parametrize(
+    ("celsius", "elevation", "expected"), [(15.0, 0.0, 1.225), (-20.0, 0.0, 1.3943), (15.0, 1000.0, 1.0880)]
+)
+def test_air_density_is_that_of_the_standard_atmosphere(celsius, elevation, expected):
+    base = drive(N, ambient_c=celsius, elevation_m=elevation)
+    assert signals_of(base)["air_density"][-1] == pytest.approx(expected, rel=2e-4)
+
+
+def test_moist_air_and_low_pressure_are_lighter():
+    base = drive(N, ambient_c=30.0)
+    dry = signals_of(base)["air_density"][-1]
+    moist = signals_of(base, {"humidity_pct": 100.0})["air_density"][-1]
+    assert moist / dry == pytest.approx(1 - 0.378 * 4243 / 101325, abs=1e-4)
+    low = signals_of(base, {"pressure_hpa": 950.0})["air_density"][-1]
+    assert low / dry == pytest.approx(950 / 1013.25)
+
+
+@given(st.floats(0, 360), st.floats(0, 360))
+def test_wind_keeps_its_strength_however_the_car_is_headed(source, bearing):
+    base = drive(30, speed=15.0)
+    angle = np.radians(bearing)
+    base["latitude_deg"] = 45.5 + np.degrees(base["metres"] * np.cos(angle) / 6_371_008.8)
+    base["longitude_deg"] = -73.6 + np.degrees(base["metres"] * np.sin(angle) / 6_371_008.8 / np.cos(np.radians(45.5)))
+    signals = signals_of(base, {"wind_speed_kmh": 36.0, "wind_from_deg": source})
+    head, cross = signals["headwind"][-1], signals["crosswind"][-1]
+    assert np.hypot(head, cross) == pytest.approx(10.0)
+    assert head == pytest.approx(10 * np.cos(np.radians(source - bearing)), abs=0.05)
+    assert cross == pytest.approx(10 * np.sin(np.radians(source - bearing)), abs=0.05)
+
+
+def test_what_is_unknown_is_what_the_docstring_says():
+    signals = signals_of()
+    for name, expected in (
+        ("headwind", 0),
+        ("crosswind", 0),
+        ("precipitation", 0),
+        ("ambient", 288.15),
+        ("occupants", 1),
+    ):
+        assert np.all(signals[name] == expected), name
+    assert np.all(signals["mass"] == 1575.0)
+    for name, expected in (
+        *dict.fromkeys(("solar", "odometer", "water", "snow", "vapour_pressure"), 0).items(),
+        ("charge", 0.5),
+        ("pack_temperature", 288.15),
+        ("parked", 8 * 3600),
+    ):
+        assert np.all(signals[name] == expected), name
+    for name in ("humidity", "soc", "battery_temperature", "hvac", "current", "rolling_resistance", "drag_area"):
+        assert np.all(np.isnan(signals[name])), name
+
+
+def test_the_source_of_the_outside_temperature_is_noted():
+    base = drive(N, ambient_c=5.0)
+    base["ambient_c"][50:] = np.nan
+    for weather, bit in (({"temperature_c": -8.0}, Quality.AMBIENT_FILLED), (None, Quality.AMBIENT_ASSUMED)):
+        signals = signals_of(base, weather)
+        bits = ambient_quality(signals.clean, signals.sky) & (Quality.AMBIENT_FILLED | Quality.AMBIENT_ASSUMED)
+        assert np.all(bits[:50] == 0)
+        assert np.all(bits[50:] == bit)
+        assert signals["ambient"][-1] == pytest.approx(265.15 if weather else 288.15)
+
+
+def test_signals_are_row_by_row():
+    base = drive(N, elevation_m=30.0)
+    weather = {"wind_speed_kmh": 20.0, "wind_from_deg": 10.0, "precipitation_mm": 2.0, "humidity_pct": 60.0}
+    whole = signals_of(base, weather, (0.01, 0.7))
+    parts = whole.clean._replace(**{name: column[50:] for name, column in whole.clean._asdict().items()})
+    sky = type(whole.sky)(*(column[50:] for column in whole.sky))
+    own = (whole[name][50:] for name in ("accessory_scale", "rolling_resistance", "drag_area"))
+    part = Signals(parts, sky, whole.mass_kg[50:], *own)
+    for column in SIGNALS:
+        assert np.array_equal(whole[column.name][50:], part[column.name], equal_nan=True), column.name
+
+
+def test_stops_in_a_ride_are_counted_once():
+    base = drive(N, seed=3)
+    signals = signals_of(picked(base, np.arange(N)))
+    stops = signals["stop_rate"] * signals["dt"]
+    assert stops.sum() == signals.clean.stop[1:].sum() > 2
+
+
+# What candidate effects ask for
+
+
+def test_traction_is_the_force_balance_of_the_cars_own_parameters():
+    base = drive(N, seed=3)
+    signals = signals_of(base | {"elevation_m": 100 + 0.03 * base["metres"]}, None, (0.01, 0.7))
+    v, a, sine = signals["speed"], signals["acceleration"], signals["grade"]
+    weight = 1575 * GRAVITY
+    expected = 1575 * a + weight * (0.01 * np.sqrt(1 - sine**2) + sine) + 0.5 * 1.225 * 0.7 * v**2
+    moving = v > 0
+    assert moving.sum() > 100
+    assert (~moving).sum() > 5
+    assert signals["traction"][moving] == pytest.approx(expected[moving])
+    assert np.all(signals["traction"][~moving] == 0)
+    assert signals["tyre_load"] == pytest.approx(weight * np.cos(np.arcsin(sine)))
+    assert signals["traction"].min() < -500
+
+
+def test_the_energy_of_traction_at_steady_speed_is_that_of_the_road_load():
+    """1575 kg at 72 km/h on the level: 0.010 of 15.4 kN and 1/2 1.225 0.7 20^2 = 326 N."""
+    signals = signals_of(drive(N, speed=20.0), None, (0.01, 0.7))
+    assert signals["traction"][-1] == pytest.approx(0.010 * 1575 * GRAVITY + 0.5 * 1.225 * 0.7 * 400, rel=1e-6)
+
+
+def test_what_the_car_says_is_believed_before_any_guess():
+    base = drive(N, soc_pct=80.0, battery_temperature_c=-4.0, odometer_km=1234.0, ambient_c=7.0)
+    signals = signals_of(base, {"solar_w_m2": 300.0})
+    for name, value in (("charge", 0.8), ("pack_temperature", 269.15), ("odometer", 1.234e6), ("solar", 300.0)):
+        assert signals[name][-1] == pytest.approx(value), name
+
+
+def test_vapour_pressure_at_30_degrees_and_70_percent():
+    """Saturation is 4243 Pa by the steam tables."""
+    signals = signals_of(drive(N, ambient_c=30.0), {"humidity_pct": 70.0})
+    assert signals["vapour_pressure"][-1] == pytest.approx(0.7 * 4243, rel=4e-3)
+
+
+@pytest.mark.parametrize(
+    ("clock", "low", "high"),
+    [(16, 0.0, 0.0), (21.3, 0.0, 0.0), (21.6, 0.02, 0.3), (22.0, 0.5, 0.95), (23, 1.0, 1.0), (4, 1.0, 1.0)],
+)
+def test_darkness_falls_in_montreal_at_a_quarter_to_five_in_january(clock, low, high):
+    base = drive(N)
+    base["time_s"] = START_OF_DAY + 3600 * clock + PERIOD * np.arange(N)
+    dark = signals_of(base)["darkness"]
+    assert low <= dark[0] <= high
+    nowhere = signals_of(base | {"latitude_deg": np.full(N, np.nan), "longitude_deg": np.full(N, np.nan)})
+    assert np.all(nowhere["darkness"] == 0)
+
+
+def test_rain_stays_on_the_road_and_dries():
+    wet = signals_of(drive(N, ambient_c=8.0), {"precipitation_mm": 2.0, "temperature_c": 8.0})
+    assert wet["water"][-1] > 0.0005
+    assert np.all(wet["snow"] == 0)
+    white = signals_of(drive(N, ambient_c=-8.0), {"precipitation_mm": 2.0, "temperature_c": -8.0})
+    assert white["snow"][-1] > 0.001
+    assert np.all(white["water"] == 0)

@@ -1,0 +1,232 @@
+"""The weather that a car meets."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from core.signals.weather import CLEARING, DRYING, KEPT, THAWING, Sky, Stations, held, snow_left, water_left
+from core.wire.messages import Weather
+from tests.support.telemetry import PERIOD, PLACE, START, drive, leaf, observed, ran, telemetry, without
+
+
+def station(name="yul", time=0.0, place=PLACE, **fields):
+    return Weather(name, time, *map(float, place), **fields)
+
+
+def sky_at(stations, time, place=PLACE) -> Sky:
+    latitude, longitude = np.radians(place)
+    return stations.sky(np.atleast_1d(np.float64(time)), np.atleast_1d(latitude), np.atleast_1d(longitude))
+
+
+@given(st.lists(st.tuples(st.integers(0, 40), st.integers(-20, 30)), min_size=1, max_size=30), st.integers(0, 40))
+def test_the_latest_observation_that_is_not_from_the_future_in_whatever_order_they_came(observations, now):
+    stations = Stations()
+    latest = {}
+    for time, temperature in observations:
+        stations.observe(station(time=float(time), temperature_c=float(temperature)))
+        latest[time] = temperature
+    past = [time for time in latest if time <= now]
+    expected = latest[max(past)] if past else np.nan
+    assert sky_at(stations, now).ambient[0] - 273.15 == pytest.approx(expected, nan_ok=True)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_the_nearest_station_that_knows_anything_yet(seed):
+    rng = np.random.default_rng(seed)
+    stations = Stations()
+    places = rng.uniform([44, -75], [47, -72], (6, 2))
+    begins = rng.integers(0, 10, 6)
+    for i, (place, begin) in enumerate(zip(places, begins, strict=True)):
+        stations.observe(station(f"s{i}", float(begin), place, temperature_c=float(i)))
+    for now in range(10):
+        car = rng.uniform([44, -75], [47, -72])
+        north = places[:, 0] - car[0]
+        east = (places[:, 1] - car[1]) * np.cos(np.radians(places[:, 0]))
+        far = np.where(begins <= now, np.hypot(north, east), np.inf)
+        expected = np.argmin(far) if np.isfinite(far.min()) else np.nan
+        assert sky_at(stations, now, car).ambient[0] - 273.15 == pytest.approx(expected, nan_ok=True)
+
+
+def test_a_car_without_a_fix_is_served_by_a_station():
+    stations = Stations()
+    stations.observe(station(temperature_c=4.0))
+    sky = stations.sky(np.array([1.0]), np.array([np.nan]), np.array([np.nan]))
+    assert sky.ambient[0] == pytest.approx(277.15)
+
+
+def test_the_date_line_does_not_hide_the_nearest_station():
+    stations = Stations()
+    stations.observe(station("far", place=(0.0, 170.0), temperature_c=1.0))
+    stations.observe(station("near", place=(0.0, -179.9), temperature_c=2.0))
+    assert sky_at(stations, 1.0, (0.0, 179.9)).ambient[0] == pytest.approx(275.15)
+
+
+@pytest.mark.parametrize(("source", "north", "east"), [(0, 1, 0), (90, 0, 1), (180, -1, 0), (270, 0, -1)])
+def test_wind_is_given_by_where_it_comes_from(source, north, east):
+    stations = Stations()
+    stations.observe(station(wind_speed_kmh=36.0, wind_from_deg=float(source)))
+    sky = sky_at(stations, 1.0)
+    assert sky.wind_speed[0] == pytest.approx(10.0)
+    assert (sky.wind_north[0], sky.wind_east[0]) == pytest.approx((10.0 * north, 10.0 * east), abs=1e-9)
+
+
+def test_precipitation_is_spread_over_the_time_since_the_last_observation():
+    stations = Stations()
+    stations.observe(station(time=0.0, precipitation_mm=1.8))
+    assert sky_at(stations, 1.0).precipitation[0] * 3.6e6 == pytest.approx(1.8)  # over an hour, for want of better
+    stations.observe(station(time=1800.0, precipitation_mm=1.8))
+    assert sky_at(stations, 1800.0).precipitation[0] * 3.6e6 == pytest.approx(3.6)
+
+
+def test_a_value_that_is_out_of_range_is_unknown():
+    stations = Stations()
+    stations.observe(station(temperature_c=1e6, wind_speed_kmh=-4.0, wind_from_deg=1e300, humidity_pct=400.0))
+    stations.observe(station("b", precipitation_mm=-1.0, pressure_hpa=0.0, solar_w_m2=1e9))
+    for name, values in sky_at(stations, 1.0)._asdict().items():
+        assert values[0] == 0 if name in ("observed", "water", "snow") else np.isnan(values[0]), name
+    for values in sky_at(Stations(), 1.0):
+        assert np.isnan(values[0])
+
+
+@pytest.mark.parametrize("place", [(1e308, 0.0), (0.0, 1e308), (91.0, 0.0), (0.0, 400.0)])
+def test_a_station_that_is_nowhere_is_no_station(place):
+    stations = Stations()
+    assert not stations.observe(station("lost", place=place, temperature_c=1.0))
+    pipeline, _ = ran([observed(place=place), observed()])
+    assert pipeline.quality()["received"]["weather"] == 1
+    assert pipeline.quality()["undecodable"] == {"out_of_range": 1}
+    assert np.isnan(sky_at(stations, 1.0, (0.0, 0.0)).ambient[0])
+
+
+def test_a_station_that_moves_is_where_it_is_now():
+    stations = Stations()
+    stations.observe(station("ship", 0.0, (0.0, 0.0), temperature_c=1.0))
+    stations.observe(station("quay", 0.0, (10.0, 10.0), temperature_c=2.0))
+    stations.observe(station("ship", 10.0, (10.0, 20.0), temperature_c=3.0))
+    assert sky_at(stations, 11.0, (10.0, 19.0)).ambient[0] == pytest.approx(276.15)
+
+
+def test_only_so_much_is_kept():
+    stations = Stations()
+    for hour in range(3 * KEPT):
+        stations.observe(station(time=3600.0 * hour, temperature_c=1.0))
+    assert len(stations.dump()[0][1]) == KEPT
+
+
+def test_dump_and_load_are_exact():
+    stations = Stations()
+    stations.observe(station(time=3.0, temperature_c=1.25, wind_speed_kmh=7.0, wind_from_deg=200.0))
+    again = Stations()
+    again.load(stations.dump())
+    assert again.dump() == stations.dump()
+    for one, other in zip(sky_at(stations, 9.0), sky_at(again, 9.0), strict=True):
+        assert np.array_equal(one, other, equal_nan=True)
+
+
+def test_the_outside_temperature_is_filled_and_counted():
+    columns = without(drive(100, speed=10.0), "metres")
+    columns["ambient_c"] = np.full(100, -3.0)
+    columns["ambient_c"][20:60] = np.nan
+    messages = telemetry(columns)
+    warm = observed(time=START + 30 * PERIOD, temperature_c=7.0)
+    pipeline, _ = ran([leaf(), *messages[:40], warm, *messages[40:]])
+    quality = pipeline.quality()["samples"]
+    assert quality["ambient_assumed"] == 20  # no station had been heard of
+    assert quality["ambient_filled"] == 20
+    mean = (-3.0 * 59 + 15.0 * 20 + 7.0 * 20) / 99  # the first row stands for no time
+    assert pipeline.take_rides()["ambient_c"][0] == pytest.approx(mean)
+
+
+def test_an_observation_serves_the_rows_that_come_after_it_and_no_earlier_time():
+    columns = without(drive(100, speed=10.0), "metres")
+    messages = telemetry(columns)
+    future = observed(time=START + 80 * PERIOD, temperature_c=7.0, wind_speed_kmh=18.0, wind_from_deg=90.0)
+    pipeline, _ = ran([leaf(), future, *messages])
+    rides = pipeline.take_rides()
+    assert rides["quality_ambient_filled"][0] == 20
+    assert rides["wind_speed_kmh"][0] == pytest.approx(18.0)
+    assert rides["wind_from_deg"][0] == pytest.approx(90.0)
+
+
+# What lies on the road
+
+HOUR = 3600.0
+
+
+def road_at(stations, time):
+    """Rain and snow on the road, in mm."""
+    sky = sky_at(stations, time)
+    weather = sky.ambient, sky.precipitation, time - sky.observed
+    return float(water_left(sky.water, *weather)[0]) * 1e3, float(snow_left(sky.snow, *weather)[0]) * 1e3
+
+
+@given(st.floats(0, 1e-2), st.floats(0, 1e-5), st.floats(0, 1e5), st.floats(0, 1e5), st.floats(60, 1e5))
+def test_a_store_after_two_times_is_the_store_after_both(depth, rate, first, second, memory):
+    at_once = held(depth, rate, first + second, memory)
+    assert held(held(depth, rate, first, memory), rate, second, memory) == pytest.approx(at_once, abs=1e-12)
+    assert 0 <= at_once <= max(depth, rate * memory) + 1e-15
+
+
+def observed_hourly(millimetres, celsius):
+    stations = Stations()
+    for i, (fell, degrees) in enumerate(zip(millimetres, celsius, strict=True)):
+        stations.observe(station(time=HOUR * i, precipitation_mm=fell, temperature_c=degrees))
+    return stations
+
+
+def test_an_hour_of_rain_and_what_is_left_two_hours_later():
+    """2 mm in an hour into a store that loses 1/e in an hour: 2 (1 - 1/e) mm; two hours later e^-2 of it."""
+    stations = observed_hourly([0, 2, 0, 0], [9] * 4)
+    after = 2 * (1 - np.exp(-HOUR / DRYING)) * DRYING / HOUR
+    assert road_at(stations, HOUR - 1)[0] == 0
+    assert road_at(stations, HOUR) == (pytest.approx(after), 0)
+    assert road_at(stations, 3 * HOUR)[0] == pytest.approx(after * np.exp(-2 * HOUR / DRYING))
+    assert road_at(stations, 3 * HOUR + 1800)[0] == pytest.approx(after * np.exp(-2.5 * HOUR / DRYING))
+
+
+def test_rain_that_goes_on_comes_to_a_balance_without_steps():
+    stations = observed_hourly([3] * 12, [9] * 12)
+    balance = 3 * DRYING / HOUR
+    depths = [road_at(stations, time)[0] for time in np.arange(6 * HOUR, 11 * HOUR, 300)]
+    assert depths == pytest.approx([balance] * len(depths), rel=0.01)
+
+
+def test_snow_falls_below_one_degree_lies_in_frost_and_melts_in_a_thaw():
+    frost = observed_hourly([0, 2, 0, 0, 0], [-6] * 5)
+    lying = 2 * (1 - np.exp(-HOUR / CLEARING)) * CLEARING / HOUR
+    assert road_at(frost, HOUR) == (0, pytest.approx(lying))
+    assert road_at(frost, 4 * HOUR)[1] == pytest.approx(lying * np.exp(-3 * HOUR / CLEARING))
+    thaw = observed_hourly([0, 2, 0, 0, 0], [-6, -6, 4, 4, 4])
+    assert road_at(thaw, 4 * HOUR)[1] == pytest.approx(lying * np.exp(-3 * HOUR / THAWING))
+    assert road_at(observed_hourly([0, 2], [3, 3]), HOUR)[1] == 0
+
+
+def test_an_unknown_temperature_makes_rain_and_an_unknown_amount_none():
+    stations = Stations()
+    stations.observe(station(time=0.0, precipitation_mm=1.0))
+    assert road_at(stations, 1.0)[0] > 0.5
+    assert road_at(stations, 1.0)[1] == 0
+    stations.observe(station("b", time=0.0, temperature_c=3.0))
+    assert road_at(observed_hourly([None, None], [3, -3]), HOUR) == (0, 0)
+
+
+def test_the_road_remembers_in_whatever_order_observations_came():
+    rain = np.random.default_rng(3).choice([0.0, 0.0, 1.5], 20)
+    cold = np.random.default_rng(4).normal(1.0, 4.0, 20)
+    in_order = observed_hourly(rain, cold)
+    shuffled = Stations()
+    order = [0, *(1 + np.random.default_rng(5).permutation(19))]
+    told = [station(time=HOUR * i, precipitation_mm=rain[i], temperature_c=cold[i]) for i in range(20)]
+    for i in order:
+        shuffled.observe(told[i])
+    for i in range(20):  # once all have come, each is told again: how much fell in its own hour is known now
+        shuffled.observe(told[i])
+    assert repr(shuffled.dump()) == repr(in_order.dump())
+
+
+def test_an_observation_older_than_all_that_is_kept_changes_nothing():
+    stations = observed_hourly([1.0] * (KEPT + 5), [-3.0] * (KEPT + 5))
+    before = repr(stations.dump())
+    assert stations.observe(station(time=0.5, precipitation_mm=500.0, temperature_c=-3.0))
+    assert repr(stations.dump()) == before

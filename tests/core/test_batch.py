@@ -1,0 +1,31 @@
+"""Batches and lanes."""
+
+import numpy as np
+
+from core.batch import Lanes, grown
+from tests.support.telemetry import decoded, drive, telemetry
+
+
+def test_lanes_are_opened_in_the_order_of_first_sight():
+    lanes = Lanes(["x"])
+    assert [lanes.lane(name) for name in ("b", "a", "b", "x", "a")] == [1, 2, 1, 0, 2]
+    assert lanes.names == ["x", "b", "a"]
+    assert len(lanes) == 3
+
+
+def test_rows_are_a_view():
+    batch = decoded(telemetry(drive(10)))
+    part = batch.rows(3, 7)
+    assert part.size == 4
+    assert all(np.shares_memory(whole, view) for whole, view in zip(batch, part, strict=True))
+    assert np.array_equal(part.stamp, batch.stamp[3:7])
+
+
+def test_growing_keeps_what_was_there_and_fills_the_rest():
+    array = np.arange(6.0).reshape(3, 2)
+    assert grown(array, 3) is array
+    larger = grown(array, 4, -1.0)
+    assert larger.shape == (6, 2)
+    assert np.array_equal(larger[:3], array)
+    assert np.all(larger[3:] == -1.0)
+    assert len(grown(array, 100)) == 100

@@ -1,0 +1,153 @@
+"""The one list of steps: counters, status, and taking up where it was left."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from core.cleaning.quality import CAUSES
+from core.errors import SettingsError, SocastError
+from core.models import BASIC_PHYSICAL
+from core.pipeline import Pipeline
+from core.settings import Settings
+from tests.support.telemetry import START, drive, leaf, observed, ran, telemetry, told
+
+
+def full(n=200, seed=4):
+    columns = drive(n, seed=seed, battery_voltage_v=360.0, battery_current_a=30.0)
+    return columns | {"soc_pct": np.round(80 - 0.01 * np.arange(n), 1)}
+
+
+def test_counters_add_up_to_what_was_sent():
+    messages = [
+        leaf(),
+        observed(),
+        told("plan", shift_end_s=START + 7200.0, reserve_soc_pct=10.0, legs=[]),
+        *telemetry(full()),
+    ]
+    messages.append(messages[-1]._replace(payload=b"{"))
+    pipeline, out = ran(messages)
+    quality = pipeline.quality()
+    assert quality["received"] == {"telemetry": 200, "vehicle": 1, "weather": 1, "plan": 1}
+    assert quality["undecodable"] == {"not_json": 1}
+    assert set(quality["samples"]) == set(CAUSES)
+    assert quality["vehicles"] == 1
+    assert quality["rides"] == 1
+    assert len(out) > 10
+
+
+def test_status_is_the_newest_of_every_vehicle_heard_of():
+    messages = [leaf("a"), leaf("b"), *telemetry(full(), "a"), told("ride", "c", ride_id="x", event="start")]
+    pipeline = Pipeline()
+    pipeline.push(messages)
+    (status,) = pipeline.status()
+    assert (status.vehicle_id, status.vehicle_model, status.ride_id) == ("a", "nissan-leaf-2013", "r1")
+    assert status.soc_pct == pytest.approx(78.0)
+    assert status.ride_distance_km == pytest.approx(full()["metres"][-1] / 1000)
+    assert status.measured_kwh == pytest.approx(10.8 * 199 * 3 / 3600)
+    assert set(status.quality) == {"repaired_time", "rejected_speed", "duplicate", "gap", "out_of_range"}
+
+
+def test_an_unknown_car_is_measured_and_not_predicted_and_the_reason_counted():
+    pipeline, _ = ran([told("vehicle", model="horse"), *telemetry(full())])
+    ride = pipeline.take_rides().iloc[0]
+    assert ride["vehicle_model"] == "horse"
+    assert ride["energy_kwh"] > 0
+    assert np.isnan(ride["mass_kg"])
+    assert pipeline.quality()["unpredictable"] == {"unknown_vehicle_model": 1}
+
+
+def test_a_limit_that_is_exceeded_is_named():
+    with pytest.raises(SettingsError, match=r"window is 99, but must be from 1 to 8"):
+        Pipeline(settings=Settings(window=99))
+
+
+def test_what_is_no_snapshot_is_said_in_one_line():
+    pipeline = Pipeline()
+    other = Pipeline(model=BASIC_PHYSICAL)
+    for bad in (
+        b"",
+        b"\xff" * 40,
+        msgspec.msgpack.encode([1]),
+        msgspec.msgpack.encode({"version": 1}),
+        other.snapshot(),
+    ):
+        with pytest.raises(SocastError) as error:
+            pipeline.restore(bad)
+        assert "\n" not in str(error.value)
+
+
+def test_a_snapshot_made_under_other_settings_is_refused_or_goes_on_under_the_new_ones():
+    pipeline = Pipeline()
+    pipeline.push([leaf(), *telemetry(full())])
+    other = Pipeline(settings=Settings(forecast_time=60.0))
+    other.restore(pipeline.snapshot())
+    assert other.settings.forecast_time == 60.0
+    assert len(other.status()) == 1
+
+
+def test_the_prediction_of_a_ride_is_that_of_the_model_over_its_table():
+    pipeline, _ = ran([leaf(), *telemetry(full())])
+    rides = pipeline.take_rides()
+    predicted = pipeline.model.predict(rides)
+    assert 0.05 < predicted[0] / rides["distance_km"][0] < 0.35
+
+
+def test_effects_beside_those_of_the_model_are_summed_and_change_nothing():
+    messages = [leaf(), *telemetry(full())]
+    plain, out = ran(messages)
+    more, same = ran(messages, also=["climbing_up", "rolling"])
+    assert same == out
+    rides = more.take_rides()
+    assert "effect_climbing_up" in rides
+    assert rides.columns.is_unique
+    shared = list(plain.take_rides())
+    assert set(shared) <= set(rides)
+
+
+def test_without_tables_nothing_is_kept():
+    columns = full(400)
+    columns["ride_id"] = np.repeat(np.array([f"r{i}" for i in range(20)], dtype=object), 20)
+    pipeline, _ = ran([leaf(), *telemetry(columns)], keep_tables=False)
+    assert pipeline.take_rides().empty
+    assert pipeline.take_windows().empty
+    assert pipeline.quality()["rides"] == 20
+
+
+def test_names_of_rides_do_not_pile_up():
+    pipeline = Pipeline(keep_tables=False)
+    columns = drive(12_000, speed=10.0)
+    columns["ride_id"] = np.array([f"r{i // 2}" for i in range(12_000)], dtype=object)
+    columns["ride_id"][:6000] = np.array([f"x{i}" for i in range(6000)], dtype=object)
+    messages = telemetry(columns)
+    out = [forecast for start in range(0, 12_000, 3000) for forecast in pipeline.push(messages[start : start + 3000])]
+    for start in range(0, 12_000, 3000):
+        more = [
+            m._replace(payload=m.payload.replace(b'"r', b'"y').replace(b'"x', b'"z'))
+            for m in messages[start : start + 3000]
+        ]
+        out += pipeline.push(more)
+    assert len(pipeline.decoder.rides) < 16_000
+    assert all(msgspec.json.decode(message.payload)["ride_id"] for message in out)
+
+
+def test_a_snapshot_that_was_damaged_anywhere_is_refused():
+    kept = Pipeline()
+    kept.push([leaf(), *telemetry(drive(30))])
+    content = kept.snapshot()
+    for at in (0, 40, len(content) // 2, len(content) - 1):
+        damaged = content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :]
+        with pytest.raises(SocastError, match="damaged"):
+            Pipeline().restore(damaged)
+    with pytest.raises(SocastError, match="damaged"):
+        Pipeline().restore(content[:-10])
+
+
+def test_who_wants_tables_only_gets_the_same_tables_and_keeps_no_forecasts():
+    sent = [leaf(), *telemetry(drive(300))]
+    whole, tables = Pipeline(), Pipeline(keep_forecasts=False)
+    whole.push(sent)
+    tables.take(sent)
+    assert tables.forecasts() == []
+    for pipeline in (whole, tables):
+        pipeline.finish()
+    assert whole.take_rides().equals(tables.take_rides())

@@ -1,0 +1,270 @@
+"""The ride table: the paper's Table 1, and measured energy with an honest uncertainty."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from core.cleaning.quality import CAUSES
+from core.totals.tables import CAPACITY_GAIN, HISTOGRAM, METER_GAIN, is_winter
+from core.vehicles import load_catalogue
+from tests.support.telemetry import PERIOD, START, drive, leaf, observed, ran, telemetry, told, without
+
+CAPACITY = (
+    load_catalogue()["nissan-leaf-2013"].usable_capacity_kwh
+    or load_catalogue()["nissan-leaf-2013"].nominal_capacity_kwh
+)
+
+TABLE_1 = {
+    "Distance": "distance_km",
+    "Average Speed": "average_speed_kmh",
+    "Gained Altitude": "gained_m",
+    "Lost Altitude": "lost_m",
+    "Duration seconds": "duration_s",
+    "Temperature": "ambient_c",
+    "Wind Speed": "wind_speed_kmh",
+    "Wind Direction": "wind_from_deg",
+    "Starting SOC": "soc_start_pct",
+    "Ending SOC": "soc_end_pct",
+    "Vehicle Id": "vehicle_id",
+    "Vehicle Model": "vehicle_model",
+    "Date": "date",
+    "Driver Id": "driver_id",
+    "Time since last charge": "time_since_charge_s",
+    "Odometer": "odometer_km",
+    "Precipitation": "precipitation_mm_h",
+    "Nominal capacity": "nominal_capacity_kwh",
+    "Vehicle positions": "latitude_start_deg",
+    "Winter": "winter",
+    "Summer": "summer",
+}
+
+
+def rides_of(columns, *others, **options):
+    pipeline, _ = ran([leaf(), *others, *telemetry(columns)], **options)
+    return pipeline.take_rides()
+
+
+def test_every_term_of_table_1_is_there_with_a_sensible_value():
+    n = 600
+    columns = drive(n, seed=4, odometer_km=41_000.0, soc_pct=np.round(80 - 0.01 * np.arange(n), 1), charging=False)
+    columns["elevation_m"] = 50 + columns["metres"] / 100
+    before = drive(20, speed=0.0, soc_pct=80.0, odometer_km=41_000.0, charging=True, elevation_m=50.0)
+    before["time_s"] -= 20 * PERIOD
+    before["seq"] -= 20
+    before["ride_id"][:] = None
+    both = {name: np.concatenate([before[name], columns[name]]) for name in columns}
+    both["seq"] += 20
+    weather = observed(
+        time=START - 900, temperature_c=-7.0, wind_speed_kmh=15.0, wind_from_deg=270.0, precipitation_mm=0.4
+    )
+    driver = told("ride", ride_id="r1", event="start", driver_id="ana")
+    rides = rides_of(both, weather, driver)
+    assert len(rides) == 1
+    ride = rides.iloc[0]
+    assert not ride[list(TABLE_1.values())].isna().any()
+    assert len(HISTOGRAM) == 21
+    assert set(HISTOGRAM) <= set(rides)
+    metres = columns["metres"][-1]
+    expected = {
+        "distance_km": metres / 1000,
+        "average_speed_kmh": metres / (PERIOD * (n - 1)) * 3.6,
+        "lost_m": 0.0,
+        "duration_s": PERIOD * (n - 1),
+        "ambient_c": -7.0,
+        "wind_speed_kmh": 15.0,
+        "wind_from_deg": 270.0,
+        "soc_start_pct": 80.0,
+        "soc_end_pct": 74.0,
+        "time_since_charge_s": PERIOD * n,
+        "odometer_km": 41_000.0,
+        "precipitation_mm_h": 0.4,
+        "nominal_capacity_kwh": 24.0,
+        "latitude_start_deg": 45.5,
+        "longitude_end_deg": -73.6,
+    }
+    for name, value in expected.items():
+        assert ride[name] == pytest.approx(value, abs=1e-6), name
+    assert ride["gained_m"] == pytest.approx(metres / 100, abs=4)
+    named = ("vehicle_id", "vehicle_model", "date", "driver_id", "winter", "summer", "ride_id")
+    assert ride[list(named)].tolist() == ["a", "nissan-leaf-2013", "2024-01-15", "ana", 1, 0, "r1"]
+
+
+def test_names_and_types_do_not_depend_on_what_is_known():
+    empty, _ = ran([])
+    full = rides_of(drive(100, speed=10.0))
+    assert list(empty.take_rides()) == list(full)
+    named = rides_of(drive(100, speed=10.0, soc_pct=50.0), told("ride", ride_id="r1", event="start", driver_id="ana"))
+    assert named.dtypes.equals(full.dtypes)
+    assert {f"quality_{cause}" for cause in CAUSES} <= set(full)
+    assert full.columns.is_unique
+    for name in ("energy_vi_kwh", "energy_soc_kwh", "energy_kwh", "energy_sd_kwh", "fit_for_training", "unfit_reason"):
+        assert name in full
+
+
+@given(st.dates(min_value=pd.Timestamp("2000-01-01").date(), max_value=pd.Timestamp("2100-01-01").date()))
+def test_winter_is_when_winter_tyres_are_mandatory(day):
+    middle = pd.Timestamp(day).timestamp() + 43_200
+    in_winter = (day.month, day.day) >= (12, 15) or (day.month, day.day) <= (3, 15)
+    assert is_winter(np.array([middle])).tolist() == [int(in_winter)]
+
+
+def test_energy_of_power_is_believed_before_that_of_steps():
+    n = 400
+    columns = drive(n, speed=10.0, battery_voltage_v=360.0, battery_current_a=25.0)
+    columns["soc_pct"] = 90 - np.floor(np.arange(n) / 60)
+    ride = rides_of(columns).iloc[0]
+    assert ride["energy_vi_kwh"] == pytest.approx(9.0 * PERIOD * (n - 1) / 3600)
+    assert ride["energy_kwh"] == ride["energy_vi_kwh"]
+    assert ride["energy_sd_kwh"] == ride["energy_vi_sd_kwh"] < ride["energy_soc_sd_kwh"]
+
+
+def test_energy_of_steps_serves_where_power_is_known_for_less_than_half():
+    n = 400
+    columns = drive(n, speed=10.0, battery_voltage_v=360.0, battery_current_a=25.0)
+    columns["soc_pct"] = 90 - 0.02 * np.arange(n)
+    columns["battery_current_a"][150:] = np.nan
+    ride = rides_of(columns).iloc[0]
+    assert np.isnan(ride["energy_vi_kwh"])
+    assert ride["energy_kwh"] == ride["energy_soc_kwh"] == pytest.approx(0.02 * (n - 1) / 100 * CAPACITY)
+    columns["battery_current_a"][150:300] = 25.0
+    ride = rides_of(columns).iloc[0]
+    assert ride["energy_vi_kwh"] == pytest.approx(9.0 * PERIOD * (n - 1) / 3600, rel=1e-3)  # the rest as the mean
+    assert ride["energy_vi_sd_kwh"] > 0.1 * ride["energy_vi_kwh"]
+
+
+def test_no_measurement_is_no_number():
+    ride = rides_of(drive(100, speed=10.0)).iloc[0]
+    assert ride[["energy_vi_kwh", "energy_soc_kwh", "energy_kwh", "energy_sd_kwh"]].isna().all()
+    assert ride["unfit_reason"] == "no_measured_energy"
+    unknown, _ = ran(telemetry(drive(100, speed=10.0, soc_pct=50.0)))
+    assert np.isnan(unknown.take_rides()["energy_kwh"][0])  # steps of an unknown capacity
+
+
+@pytest.mark.parametrize("quantum", [0.1, 0.5, 1.0])
+def test_the_uncertainty_of_quantised_steps_is_honest(quantum):
+    """Rides that draw at random from a battery of the nominal capacity: the error of SOC energy over its stated sd."""
+    rng = np.random.default_rng(int(10 * quantum))
+    score = []
+    for seed in range(60):
+        n = int(rng.integers(60, 300))
+        start, drawn = rng.uniform(60, 95), rng.uniform(2.5, 8.0)
+        true = start - drawn * np.arange(n) / (n - 1)
+        columns = without(drive(n, seed=seed, speed=10.0), "latitude_deg", "longitude_deg")
+        columns["soc_pct"] = np.floor(true / quantum) * quantum
+        ride = rides_of(columns).iloc[0]
+        sd = np.sqrt(
+            ride["energy_soc_sd_kwh"] ** 2 - (CAPACITY_GAIN * ride["energy_soc_kwh"]) ** 2
+        )  # its part of the quantum
+        score.append((ride["energy_soc_kwh"] - drawn / 100 * CAPACITY) / sd)
+    assert np.mean(score) == pytest.approx(0, abs=0.4)
+    assert np.std(score) == pytest.approx(1, abs=0.25)
+    assert np.mean(np.abs(score) < 1.96) > 0.9
+
+
+def test_the_uncertainty_of_power_with_holes_is_honest():
+    """A share of the samples lacks current, in bursts: the filled energy against the whole."""
+    rng = np.random.default_rng(3)
+    score = []
+    for seed in range(40):
+        n = 300
+        columns = drive(n, seed=seed, battery_voltage_v=360.0)
+        columns["battery_current_a"] = 3.0 + 1.2 * columns["speed_kmh"]
+        true = np.trapezoid(360.0 * columns["battery_current_a"]) * PERIOD / 3.6e6
+        at = int(rng.integers(0, 200))
+        columns["battery_current_a"][at : at + int(rng.integers(20, 100))] = np.nan
+        ride = rides_of(columns).iloc[0]
+        score.append((ride["energy_vi_kwh"] - true) / ride["energy_vi_sd_kwh"])
+    assert np.mean(np.abs(score) < 2) > 0.9
+    assert np.std(score) > 0.2  # nor is it so wide that it says nothing
+
+
+def test_the_window_table_has_what_the_ride_table_measures():
+    pipeline, _ = ran([leaf(), *telemetry(drive(200, speed=10.0, soc_pct=80.0))])
+    windows, rides = pipeline.take_windows(), pipeline.take_rides()
+    same = [name for name in rides if name in windows]
+    assert {"distance_km", "energy_kwh", "energy_sd_kwh", "rolling_resistance", "drag_area_m2", *HISTOGRAM} <= set(same)
+    assert (windows["ride_key"] == rides["ride_key"][0]).all()
+    assert pipeline.take_rides().empty
+    assert pipeline.take_windows().empty
+
+
+def test_rides_and_windows_come_once_whenever_they_are_taken():
+    columns = drive(300, speed=10.0)
+    columns["ride_id"] = np.repeat(np.array(["A", "B", "C"], dtype=object), 100)
+    messages = [leaf(), *telemetry(columns)]
+    whole, _ = ran(messages)
+    pipeline, _ = ran([])
+    taken, windows = [], []
+    for start in range(0, len(messages), 40):
+        pipeline.push(messages[start : start + 40])
+        taken.append(pipeline.take_rides())
+        windows.append(pipeline.take_windows())
+    pipeline.finish()
+    taken.append(pipeline.take_rides())
+    windows.append(pipeline.take_windows())
+    together = pd.concat([part for part in taken if len(part)], ignore_index=True)
+    pd.testing.assert_frame_equal(together, whole.take_rides())
+    windowed = pd.concat([part for part in windows if len(part)], ignore_index=True)
+    pd.testing.assert_frame_equal(windowed, whole.take_windows())
+
+
+@pytest.mark.parametrize("year", [1971, 2024, 2100])
+def test_a_ride_of_any_time_that_is_believed_has_a_date(year):
+    columns = drive(60, speed=10.0)
+    columns["time_s"] += pd.Timestamp(f"{year}-06-01").timestamp() - columns["time_s"][0]
+    assert rides_of(columns)["date"].tolist() == [f"{year}-06-01"]
+
+
+def test_a_time_beyond_all_calendars_is_no_time():
+    columns = drive(60, speed=10.0)
+    columns["time_s"] += 5e10
+    assert rides_of(columns).empty
+
+
+@pytest.mark.parametrize("memory", [2.0, 6.0, 20.0])
+def test_the_uncertainty_of_power_between_samples_is_honest(memory):
+    """Power that wanders with a memory of some seconds, seen every 3 s: the error over its stated sd."""
+    rng = np.random.default_rng(int(memory))
+    score = []
+    for seed in range(60):
+        n, fine = 200, 30
+        noise = rng.normal(size=n * fine)
+        keep = np.exp(-PERIOD / fine / memory)
+        power = np.empty(n * fine)
+        power[0] = 0.0
+        for i in range(1, n * fine):
+            power[i] = keep * power[i - 1] + np.sqrt(1 - keep * keep) * noise[i]
+        power = 15e3 + 10e3 * power
+        true = np.trapezoid(power[: (n - 1) * fine + 1]) * PERIOD / fine / 3.6e6
+        columns = drive(n, seed=seed, speed=10.0, battery_voltage_v=360.0)
+        columns["battery_current_a"] = power[::fine] / 360.0
+        ride = rides_of(columns).iloc[0]
+        sd = np.sqrt(ride["energy_vi_sd_kwh"] ** 2 - (METER_GAIN * ride["energy_vi_kwh"]) ** 2)
+        score.append((ride["energy_vi_kwh"] - true) / sd)
+    assert 0.55 < np.std(score) < 1.25
+    assert np.mean(np.abs(score) < 1.96) > 0.88
+
+
+@pytest.mark.parametrize(("at", "fit"), [((0, 40), False), ((260, 300), False), ((0, 5), True), ((100, 140), True)])
+def test_a_ride_that_begins_or_ends_in_a_gap_says_so(at, fit):
+    """Samples before and after tell that the logger was on; those of the ride's edge are lost."""
+    columns = drive(500, speed=np.r_[np.zeros(100), np.full(300, 12.0), np.zeros(100)])
+    columns |= {"battery_voltage_v": np.full(500, 360.0), "battery_current_a": np.full(500, 30.0)}
+    columns["ride_id"] = np.r_[[None] * 100, ["r1"] * 300, [None] * 100].astype(object)
+    whole = rides_of(columns).iloc[0]
+    lost = np.r_[100 + at[0] : 100 + at[1]]
+    cut = rides_of({name: np.delete(values, lost) for name, values in columns.items()}).iloc[0]
+    assert whole["fit_for_training"]
+    assert cut["fit_for_training"] == fit
+    assert (cut["unfit_reason"] == "cut_by_gap") != fit
+    missing = whole["energy_kwh"] - cut["energy_kwh"]
+    assert abs(missing) < 2.0 * cut["energy_sd_kwh"]
+
+
+def test_a_car_that_never_said_what_it_is_has_a_reason():
+    pipeline, _ = ran(telemetry(drive(200, soc_pct=np.linspace(80, 78, 200).round(1))))
+    ride = pipeline.take_rides().iloc[0]
+    assert ride["unfit_reason"] == "unknown_capacity"
+    assert pipeline.quality()["unpredicted"] == {"no_vehicle_message": 1}

@@ -1,0 +1,86 @@
+"""Which car is which kind, as of each row."""
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from core.vehicles import load_catalogue
+from core.vehicles.fleet import PARAMETERS, UNKNOWN, Cars
+from core.wire.messages import Vehicle
+from tests.support.telemetry import chunked, drive, leaf, ran, telemetry, told
+
+
+def vehicle(model="nissan-leaf-2013", **fields):
+    return Vehicle("a", 0.0, model, **fields)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_message_applies_from_its_row_on_in_its_lane_alone(seed):
+    rng = np.random.default_rng(seed)
+    lane = rng.integers(0, 4, 50)
+    models = list(load_catalogue())
+    changes = sorted((int(rng.integers(0, 51)), int(rng.integers(0, 4)), i) for i in range(6))
+    told = [(row, who, vehicle(models[i])) for row, who, i in changes]
+    cars = Cars()
+    kinds = cars.kinds(lane, told, 4)
+    now = dict.fromkeys(range(4))
+    for row in range(50):
+        now |= {who: models[i] for at, who, i in changes if at == row}
+        assert cars.name(int(kinds[row])) == now[lane[row]]
+    now |= {who: models[i] for at, who, i in changes if at == 50}
+    assert [cars.name(int(kind)) for kind in cars.of_lane[:4]] == list(now.values())
+
+
+def test_equal_cars_share_a_kind_and_overrides_make_another():
+    cars = Cars()
+    messages = [vehicle(), msgspec.structs.replace(vehicle(), vehicle_id="b", time_s=9.0), vehicle(mass_kg=1700.0)]
+    cars.kinds(np.zeros(0, int), [(0, lane, message) for lane, message in enumerate(messages)], 3)
+    assert cars.of_lane[:3].tolist() == [1, 1, 2]
+    assert cars.parameters[:, PARAMETERS.index("mass_kg")][2] == 1700.0
+
+
+def test_a_car_that_cannot_be_predicted_is_counted_by_reason_and_keeps_its_name():
+    cars = Cars()
+    cars.kinds(np.zeros(0, int), [(0, 0, vehicle("horse")), (0, 1, vehicle(mass_kg=1.0)), (0, 2, vehicle("horse"))], 3)
+    assert dict(cars.unpredictable) == {"unknown_vehicle_model": 2, "override_out_of_range": 1}
+    assert cars.name(int(cars.of_lane[0])) == "horse"
+    assert cars.name(UNKNOWN) is None
+    assert np.isnan(cars.parameters[1:]).all()
+
+
+def test_dump_and_load_are_exact():
+    cars = Cars()
+    cars.kinds(np.zeros(0, int), [(0, 0, vehicle()), (0, 1, vehicle("horse")), (0, 2, vehicle(mass_kg=1700.5))], 3)
+    again = Cars()
+    again.load(msgspec.msgpack.decode(msgspec.msgpack.encode(cars.dump())))
+    assert np.array_equal(again.parameters, cars.parameters, equal_nan=True)
+    assert np.array_equal(again.of_lane, cars.of_lane)
+    assert again.messages == cars.messages
+    assert again.unpredictable == cars.unpredictable
+    assert again.kinds(np.array([2]), [], 3).tolist() == [3]
+
+
+@pytest.mark.parametrize("cuts", [(), (101,), (100, 102), (51, 53, 101, 150)])
+def test_a_message_in_mid_batch_applies_from_its_row_on_however_it_is_cut(cuts):
+    messages = telemetry(drive(200, speed=10.0))
+    messages.insert(100, told("vehicle", model="tesla-model-x"))
+    messages.insert(50, leaf())
+    pipeline, out = ran(messages, cuts)
+    assert chunked(messages, cuts)
+    whole, expected = ran(messages)
+    assert out == expected
+    assert pipeline.take_rides().equals(whole.take_rides())
+    rolling = pipeline.ledger
+    assert rolling is not whole.ledger
+
+
+def test_mass_of_the_car_enters_its_effects_from_the_row_on():
+    messages = telemetry(drive(200, speed=10.0))
+    light, _ = ran([leaf(), *messages])
+    heavy, _ = ran([leaf(mass_kg=2 * 1493.0 + 75.0), *messages])
+    both, _ = ran([leaf(), *messages[:100], leaf(mass_kg=2 * 1493.0 + 75.0), *messages[100:]])
+    rolling = [p.take_rides()["effect_rolling"][0] for p in (light, both, heavy)]
+    assert rolling[0] < rolling[1] < rolling[2]
+    assert rolling[1] == pytest.approx((rolling[0] * 99 + rolling[2] * 100) / 199)

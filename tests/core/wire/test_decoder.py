@@ -1,0 +1,217 @@
+"""Payloads to columns: units, unknowns, and what is lost by cause."""
+
+import json
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from core.batch import NO_RIDE, RIDE_UNKNOWN, Lanes
+from core.wire.decoder import Decoder
+from core.wire.messages import KINDS, Message, Telemetry, Vehicle, Weather, address, encode, schema
+from tests.support.telemetry import chunked, drive, leaf, observed, telemetry, told
+
+KEY = "fleet/a/telemetry"
+
+
+def sample(**fields):
+    return Message(KEY, json.dumps({"vehicle_id": "a", "time_s": 1.7e9} | fields).encode(), 0)
+
+
+def decode(*messages):
+    decoder = Decoder(Lanes())
+    batch, events = decoder.decode(messages)
+    return decoder, batch, events
+
+
+WIRE = {
+    "latitude_deg": (180.0, "latitude", np.pi),
+    "longitude_deg": (-90.0, "longitude", -np.pi / 2),
+    "elevation_m": (12.5, "elevation", 12.5),
+    "speed_kmh": (36.0, "speed", 10.0),
+    "odometer_km": (1.5, "odometer", 1500.0),
+    "soc_pct": (50.0, "soc", 0.5),
+    "battery_voltage_v": (360.0, "voltage", 360.0),
+    "battery_current_a": (-20.0, "current", -20.0),
+    "battery_temperature_c": (20.0, "battery_temperature", 293.15),
+    "ambient_c": (-10.0, "ambient", 263.15),
+    "hvac_w": (500.0, "hvac", 500.0),
+    "occupants": (2, "occupants", 2.0),
+    "charging": (True, "charging", 1.0),
+    "seq": (7, "seq", 7.0),
+}
+
+
+@pytest.mark.parametrize("field", WIRE)
+@pytest.mark.parametrize("others", [0, 1, 700], ids=["alone", "one other", "a block"])
+def test_units_change_here_and_unknown_is_never_zero(field, others):
+    sent, column, expected = WIRE[field]
+    messages = [sample(**{field: sent}), sample(**{field: None}), *[sample()] * others]
+    _, batch, _ = decode(*messages)
+    values = getattr(batch, column)
+    assert values[0] == pytest.approx(expected)
+    assert np.all(np.isnan(values[1:]))
+
+
+def test_every_field_of_the_contract_is_decoded():
+    assert {"vehicle_id", "time_s", "ride_id", *WIRE} == set(Telemetry.__struct_fields__)
+
+
+def test_rides_are_named_none_or_not_spoken_of():
+    _, batch, _ = decode(sample(ride_id="x"), sample(ride_id=None), sample(), sample(ride_id="y"), sample(ride_id="x"))
+    assert batch.ride.tolist() == [0, NO_RIDE, RIDE_UNKNOWN, 1, 0]
+
+
+BAD = {
+    "unknown_key": [
+        Message("fleet/a/lunch", b"{}", 0),
+        Message("a", b"{}", 0),
+        Message("fleet/a b/telemetry", b"{}", 0),
+    ],
+    "not_json": [
+        Message(KEY, payload, 0) for payload in (b"", b"{", b"\xff\xfe", b"NaN", b'{"time_s": NaN}', b"{" * 9999)
+    ],
+    "wrong_type": [
+        sample(time_s="now"),
+        sample(seq=-1),
+        sample(seq=2**63),
+        sample(seq=1.5),
+        sample(occupants=-2),
+        sample(ride_id=5),
+        sample(charging="yes"),
+        sample(speed_kmh=[1]),
+        Message(KEY, b'{"vehicle_id": "a"}', 0),
+        Message(KEY, b"3", 0),
+        Message(KEY, b"null", 0),
+        Message(KEY, b'"a"', 0),
+    ],
+    "key_mismatch": [sample(vehicle_id="b"), sample(vehicle_id="")],
+}
+
+
+@pytest.mark.parametrize("cause", BAD)
+def test_what_is_lost_is_counted_by_cause(cause):
+    good = sample(speed_kmh=1.0)
+    for bad in BAD[cause]:
+        decoder, batch, events = decode(good, bad, good)
+        assert dict(decoder.rejected) == {cause: 1}, bad
+        assert batch.size == decoder.received["telemetry"] == 2
+        assert events == []
+
+
+def test_a_list_is_its_samples_and_the_bad_ones_are_counted():
+    one, two = (json.loads(sample(seq=i).payload) for i in (1, 2))
+    gateway = Message(KEY, json.dumps([one, {"vehicle_id": "b", "time_s": 1.0}, 5, two, {"time_s": 3}]).encode(), 0)
+    decoder, batch, _ = decode(gateway)
+    assert batch.seq.tolist() == [1.0, 2.0]
+    assert dict(decoder.rejected) == {"key_mismatch": 1, "wrong_type": 2}
+    decoder, batch, _ = decode(Message(KEY, b"[]", 0))
+    assert batch.size == 0
+    assert dict(decoder.rejected) == {"empty_list": 1}
+
+
+@given(st.lists(st.integers(1, 5), min_size=1, max_size=12), st.integers(1, 40))
+def test_lists_of_a_gateway_are_single_samples(sizes, seed):
+    messages = telemetry(drive(sum(sizes), seed=seed, soc_pct=50.0))
+    at = np.cumsum([0, *sizes])
+    lists = [Message(KEY, b"[" + b",".join(m.payload for m in messages[a:b]) + b"]", 0) for a, b in pairwise(at)]
+    for one, other in zip(decode(*messages)[1], decode(*lists)[1], strict=True):
+        assert np.array_equal(one, other, equal_nan=True)
+
+
+def test_events_say_before_which_row_they_came():
+    _, batch, events = decode(
+        leaf(), sample(), observed(), sample(), sample(), told("ride", ride_id="x", event="start")
+    )
+    assert batch.size == 3
+    assert [(event.row, event.lane) for event in events] == [(0, 0), (1, -1), (3, 0)]
+    assert [type(event.value).__name__ for event in events] == ["Vehicle", "Weather", "Ride"]
+
+
+MIXED = [
+    sample(vehicle_id="b"),
+    leaf(),
+    observed(),
+    told("plan", shift_end_s=1.7e9, reserve_soc_pct=20.0, legs=[]),
+    told("ride", ride_id="x", event="start"),
+    told("ride", ride_id="x", event="lunch"),
+    sample()._replace(key="fleet/b/telemetry"),
+    sample()._replace(key="fleet/b/lunch"),
+    *(Message(KEY, payload, 0) for payload in (b"[]", b"[", b"3", b"", b"[" + sample(seq=1).payload + b", 7]")),
+]
+"""Messages of every kind, good and bad, beside plain samples."""
+
+
+@given(st.lists(st.integers(0, 1300), max_size=6), st.lists(st.integers(0, 1200), max_size=40), st.integers(0, 2**32))
+def test_chunks_decode_as_the_whole(cuts, places, seed):
+    messages = telemetry(drive(1200, seed=2))
+    random = np.random.default_rng(seed)
+    for place in places:
+        messages.insert(place, MIXED[random.integers(len(MIXED))])
+    one, other = Decoder(Lanes()), Decoder(Lanes())
+    whole, events = one.decode(messages)
+    parts, found, rows = [], [], 0
+    for chunk in chunked(messages, cuts):
+        batch, own = other.decode(chunk)
+        parts.append(batch)
+        found += [event._replace(row=event.row + rows) for event in own]
+        rows += batch.size
+    for i, column in enumerate(whole):
+        assert np.array_equal(column, np.concatenate([part[i] for part in parts]), equal_nan=True)
+    assert found == events
+    assert (one.received, one.rejected, one.lanes.names) == (other.received, other.rejected, other.lanes.names)
+
+
+def test_a_prefix_and_a_new_field_are_no_matter():
+    message = sample(speed_kmh=3.6, colour="red")._replace(key="montreal/east/fleet/a/telemetry")
+    decoder, batch, _ = decode(message)
+    assert batch.speed[0] == pytest.approx(1.0)
+    assert decoder.lanes.names == ["a"]
+
+
+def test_duplicate_keys_take_the_last():
+    _, batch, _ = decode(Message(KEY, b'{"vehicle_id":"a","time_s":1,"speed_kmh":7.2,"speed_kmh":3.6}', 0))
+    assert batch.speed[0] == pytest.approx(1.0)
+
+
+def test_names_of_rides_that_are_kept_survive_and_the_others_go():
+    decoder = Decoder(Lanes())
+    _, batch = 0, decoder.decode([sample(ride_id=f"r{i}") for i in range(5)])[0]
+    decoder.rides.keep({1.0, 3.0})
+    assert [decoder.rides.name_of.get(code) for code in range(5)] == [None, "r1", None, "r3", None]
+    again = decoder.decode([sample(ride_id=name) for name in ("r1", "r0", "r3")])[0]
+    assert again.ride.tolist() == [1, 5, 3]
+    assert batch.ride.tolist() == [0, 1, 2, 3, 4]
+
+
+def test_wire_structs_round_trip():
+    for struct, message in ((Vehicle, leaf(mass_kg=1600.5)), (Weather, observed(temperature_c=-1.25))):
+        value = msgspec.json.decode(message.payload, type=struct)
+        assert msgspec.json.decode(encode(value), type=struct) == value
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_schemas_are_plain(kind):
+    text = json.dumps(schema(kind))
+    assert "$ref" not in text
+    assert "anyOf" not in text
+    assert set(schema(kind)["properties"]) == set(KINDS[kind].__struct_fields__)
+
+
+@given(st.text(max_size=30))
+def test_an_address_is_of_the_contract_or_none(text):
+    for key in (text, f"fleet/{text}/telemetry", f"weather/{text}", f"fleet/a/{text}"):
+        found = address(key)
+        assert found is None or (found.kind in KINDS and 0 < len(found.identity) <= 64)
+
+
+def test_an_empty_list_and_a_ride_that_neither_starts_nor_ends_are_counted():
+    decoder = Decoder(Lanes())
+    ride = b'{"vehicle_id": "a", "time_s": 1.0, "ride_id": "r", "event": "%s"}'
+    sent = [("telemetry", b"[]"), ("ride", ride % b"start"), ("ride", ride % b"lunch")]
+    batch, events = decoder.decode([Message(f"fleet/a/{kind}", payload, 0) for kind, payload in sent])
+    assert (batch.size, len(events)) == (0, 1)
+    assert decoder.rejected == {"empty_list": 1, "wrong_type": 1}

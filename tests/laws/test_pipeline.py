@@ -1,0 +1,322 @@
+"""The laws: over generated data with every fault, live is replay, to the bit."""
+
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from core import models
+from core.pipeline import Pipeline
+from core.wire.messages import Message
+from tests.support.fleet_days import CARS as FLEET
+from tests.support.fleet_days import DAY as ONE_DAY
+from tests.support.fleet_days import DAYS, SETTINGS, START, again, days, forecasts, merged, plan
+from tests.support.fleet_days import shift as planned_shift
+from tests.support.telemetry import PERIOD, chunked, drive, leaf, observed, picked, ran, telemetry, told, without
+
+CARS = ("a", "b", "c")
+
+
+def car(name, seed, n=120):
+    """Return the messages of one car and shift: faults of every kind, rides, and what dispatch says."""
+    rng = np.random.default_rng(seed)
+    columns = drive(n, seed=seed, elevation_m=40.0, battery_voltage_v=360.0)
+    columns["battery_current_a"] = 5 + columns["speed_kmh"]
+    columns["soc_pct"] = np.round(90 - 0.02 * np.arange(n), 1)
+    columns["odometer_km"] = np.round(9000 + columns["metres"] / 1000, 1)
+    columns["ambient_c"] = np.where(rng.random(n) < 0.5, np.nan, -5.0)
+    columns["ride_id"] = np.array([("A", "B", None, "A")[4 * i // n] for i in range(n)], dtype=object)
+    columns["time_s"] = columns["time_s"] + rng.normal(0, 0.5, n)
+    columns["speed_kmh"][rng.random(n) < 0.05] = 1400.0
+    columns["latitude_deg"][rng.random(n) < 0.05] = 0.0
+    columns["latitude_deg"][40:52] = columns["latitude_deg"][39]
+    columns["soc_pct"][rng.random(n) < 0.05] = 400.0
+    order = np.argsort(np.arange(n) + rng.normal(0, 0.4, n))
+    order = np.repeat(order, rng.choice([0, 1, 2], n, p=[0.08, 0.84, 0.08]))
+    columns = picked(columns, order)
+    if seed % 3 == 1:
+        columns = without(columns, "seq", "ride_id")
+    if seed % 3 == 2:
+        columns = without(columns, "speed_kmh", "battery_current_a")
+    messages = telemetry(columns, name)
+    messages.insert(n // 2, leaf(name, mass_kg=1600.0))
+    messages.insert(5, told("ride", name, ride_id="A", event="start", driver_id=f"driver of {name}"))
+    bad = Message(f"fleet/{name}/telemetry", b'{"vehicle_id": 5}', 0)
+    return [leaf(name), *messages[:50], bad, *messages[50:]]
+
+
+def mixed(streams, seed):
+    """Return streams merged at random, each in its own order."""
+    rng = np.random.default_rng(seed)
+    owners = np.repeat(np.arange(len(streams)), [len(stream) for stream in streams])
+    rng.shuffle(owners)
+    iterators = [iter(stream) for stream in streams]
+    return [next(iterators[owner]) for owner in owners]
+
+
+def shift(seed):
+    weather = [
+        observed(time=1_705_305_000.0 + 120 * i, temperature_c=-i, wind_speed_kmh=5.0 * i, wind_from_deg=30.0 * i)
+        for i in range(4)
+    ]
+    return mixed([*(car(name, seed + i) for i, name in enumerate(CARS)), weather], seed)
+
+
+def same(one, other):
+    """Compare tables, counters and status of two pipelines, to the bit."""
+    pd.testing.assert_frame_equal(one.take_rides(), other.take_rides(), check_exact=True)
+    pd.testing.assert_frame_equal(one.take_windows(), other.take_windows(), check_exact=True)
+    assert one.quality() == other.quality()
+    assert repr(one.status()) == repr(other.status())
+
+
+@given(seed=st.integers(0, 200), cuts=st.lists(st.integers(0, 420), max_size=10))
+def test_any_chunking_is_the_whole(seed, cuts):
+    messages = shift(seed)
+    whole, expected = ran(messages)
+    parts, out = ran(messages, cuts)
+    assert out == expected
+    assert len(out) > 20
+    same(parts, whole)
+
+
+def test_one_message_at_a_time_is_the_whole():
+    messages = shift(5)
+    whole, expected = ran(messages)
+    single, out = ran(messages, range(len(messages)))
+    assert out == expected
+    same(single, whole)
+
+
+@given(seed=st.integers(0, 200))
+def test_other_vehicles_change_nothing_for_a_vehicle(seed):
+    streams = [car(name, seed + i) for i, name in enumerate(CARS)]
+    together, out = ran(mixed(streams, seed))
+    rides, windows = together.take_rides(), together.take_windows()
+    for name, stream in zip(CARS, streams, strict=True):
+        alone, expected = ran(stream)
+        assert [message for message in out if message.key == f"fleet/{name}/forecast"] == expected
+        mine = rides[rides["vehicle_id"] == name].reset_index(drop=True)
+        pd.testing.assert_frame_equal(mine, alone.take_rides(), check_exact=True)
+        mine = windows[windows["vehicle_id"] == name].reset_index(drop=True)
+        pd.testing.assert_frame_equal(mine, alone.take_windows(), check_exact=True)
+
+
+@given(seed=st.integers(0, 200), at=st.integers(0, 420))
+def test_a_restart_in_mid_ride_is_no_interruption(seed, at):
+    messages = shift(seed)
+    whole, expected = ran(messages)
+    first = Pipeline()
+    out = first.push(messages[:at])
+    rides, windows = first.take_rides(), first.take_windows()
+    kept = first.snapshot()
+    second = Pipeline()
+    second.restore(kept)
+    assert second.snapshot() == kept
+    assert repr(second.status()) == repr(first.status())
+    out += second.push(messages[at:]) + second.finish()
+    assert out == expected
+    later = second.take_rides(), second.take_windows()
+    for before, after, table in zip((rides, windows), later, (whole.take_rides(), whole.take_windows()), strict=True):
+        together = pd.concat([part for part in (before, after) if len(part)], ignore_index=True)
+        pd.testing.assert_frame_equal(together, table, check_exact=True)
+    assert second.quality() == whole.quality()
+
+
+def test_a_snapshot_does_not_share_memory_with_what_goes_on():
+    messages = shift(3)
+    first = Pipeline()
+    first.push(messages[:200])
+    kept = first.snapshot()
+    first.push(messages[200:])
+    second = Pipeline()
+    second.restore(kept)
+    assert second.snapshot() == kept
+    second.push(messages[200:])
+    assert second.snapshot() == first.snapshot()
+
+
+def test_predict_never_learns():
+    pipeline, _ = ran(shift(2))
+    rides = pipeline.take_rides()
+    before = models.encode(pipeline.model)
+    columns = {name: rides[name].to_numpy(float) for name in pipeline.model.needs}
+    for column in columns.values():
+        column.flags.writeable = False
+    first = pipeline.model.predict(columns)
+    assert np.array_equal(first, pipeline.model.predict(columns), equal_nan=True)
+    assert models.encode(pipeline.model) == before
+    parts = [
+        pipeline.model.predict({name: column[i : i + 1] for name, column in columns.items()}) for i in range(len(rides))
+    ]
+    assert np.array_equal(np.concatenate(parts), first, equal_nan=True)
+
+
+@pytest.mark.parametrize("model", models.KNOWN.values(), ids=lambda model: model.name)
+def test_a_model_file_comes_back_exactly(model):
+    assert models.decode(models.encode(model)) == model
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=5, max_size=5))
+def test_coefficients_come_back_to_the_bit(values):
+    fits = {models.ANY: models.Fit(coefficients=tuple(values))}
+    model = msgspec.structs.replace(models.EXTENDED_PHYSICAL, fits=fits)
+    assert models.decode(models.encode(model)) == model
+
+
+def test_messages_are_never_changed():
+    messages = shift(1)
+    copies = [Message(m.key, bytes(bytearray(m.payload)), m.receipt_ns) for m in messages]
+    ran(tuple(messages))
+    assert messages == copies
+
+
+def test_lists_of_a_gateway_are_single_samples():
+    stream = [
+        message
+        for message in car("a", 0)
+        if message.key.endswith("telemetry") and b'vehicle_id": 5' not in message.payload
+    ]
+    edges = [*range(0, len(stream), 7), len(stream)]
+    lists = [
+        Message(stream[a].key, b"[" + b",".join(m.payload for m in stream[a:b]) + b"]", 0) for a, b in pairwise(edges)
+    ]
+    one, expected = ran([leaf(), *stream])
+    other, out = ran([leaf(), *lists])
+    assert out == expected
+    same(other, one)
+
+
+def test_an_outlived_weather_station_and_a_late_vehicle_message_are_found_by_row_not_by_batch():
+    columns = drive(200, speed=10.0)
+    messages = telemetry(columns)
+    for at, message in (
+        (150, observed(time=columns["time_s"][100], temperature_c=3.0)),
+        (120, leaf()),
+        (60, leaf(mass_kg=2000.0)),
+    ):
+        messages.insert(at, message)
+    whole, expected = ran(messages)
+    for cut in range(55, 156, 5):
+        other, out = ran(messages, [cut])
+        assert out == expected
+        assert chunked(messages, [cut])
+        assert other.quality() == whole.quality()
+
+
+def test_time_of_receipt_has_no_say():
+    messages = shift(4)
+    _, expected = ran(messages)
+    _, out = ran([message._replace(receipt_ns=7 * i) for i, message in enumerate(messages)])
+    assert out == expected
+
+
+def test_a_round_trip_over_hills_never_costs_less_than_the_level_road():
+    base = drive(800, speed=12.0)
+    level, _ = ran([leaf(), *telemetry(base | {"elevation_m": np.full(800, 50.0)})])
+    hill = 50 + 60 * np.sin(np.pi * np.arange(800) / 799) ** 2
+    hilly, _ = ran([leaf(), *telemetry(base | {"elevation_m": hill})])
+    one, other = hilly.take_rides(), level.take_rides()
+    climb = one["gained_m"][0] - one["lost_m"][0]
+    assert abs(climb) < 3.5
+    assert float(hilly.model.predict(one)[0]) > float(level.model.predict(other)[0]) - 0.02
+    assert one["duration_s"][0] == PERIOD * 799
+
+
+# the same with forecasts of the charge, over nights, with plans and drivers
+
+DRIVEN = ("a", "c", "f")
+TWO_DAYS = len(days((DAYS, DAYS + 1), DRIVEN))
+MORE = 12
+"""Plans that come at any time beside those that shifts begin with."""
+
+
+def two_days(seed, cars=DRIVEN):
+    """Return the messages of two days of some cars, among them plans and drivers that come at any time."""
+    rng = np.random.default_rng(seed)
+    parts = []
+    for day in (DAYS, DAYS + 1):
+        streams = [planned_shift(car, day) for car in cars]
+        begin = START + ONE_DAY * day
+        for number in range(MORE):
+            car, time = cars[int(rng.integers(len(cars)))], begin + float(rng.uniform(-60.0, 7500.0))
+            streams.append(
+                [(time, plan(car, day, time, int(rng.integers(1, 8)), shift_end_s=begin + 7200.0 + 60.0 * number))]
+            )
+            streams.append(
+                [(time + 5.0, told("ride", car, time, ride_id="x", event="start", driver_id=f"d{number % 2}"))]
+            )
+        parts += merged(*streams)
+    return parts
+
+
+def pushed(pipeline, messages, cuts=()):
+    """Send messages through a pipeline; return what it told, and its state."""
+    out = [forecast for chunk in chunked(messages, cuts) for forecast in pipeline.push(chunk)]
+    pipeline.take_rides()
+    pipeline.take_windows()
+    return out, pipeline.snapshot()
+
+
+@given(seed=st.integers(0, 200), cuts=st.lists(st.integers(0, TWO_DAYS + 48), max_size=12))
+def test_any_chunking_foretells_and_learns_the_same(seed, cuts):
+    messages = two_days(seed)
+    whole, state = pushed(again(), messages)
+    parts, after = pushed(again(), messages, cuts)
+    assert parts == whole
+    assert after == state
+    assert any(each.soc_end_of_shift_pct for each in forecasts(whole, "c").values())
+
+
+def test_one_message_at_a_time_foretells_and_learns_the_same():
+    messages = two_days(3)
+    messages = messages[: len(messages) // 2 + 100]
+    assert pushed(again(), messages, range(len(messages))) == pushed(again(), messages)
+
+
+@given(seed=st.integers(0, 200), at=st.integers(0, TWO_DAYS + 48), near=st.sampled_from(["any", "midnight", "plan"]))
+def test_a_restart_at_any_time_is_no_interruption_of_what_is_foretold(seed, at, near):
+    messages = two_days(seed)
+    if near == "midnight":  # of the second day nothing has been heard, or a few samples of each
+        at = len(two_days(seed)) // 2 + at % 12 - 1
+    elif near == "plan":  # came last, and no sample after it
+        plans = [i + 1 for i, message in enumerate(messages) if message.key.endswith("plan")]
+        at = plans[at % len(plans)]
+    whole, state = pushed(again(), messages)
+    first = again()
+    out, kept = pushed(first, messages[:at])
+    second = Pipeline(settings=SETTINGS)
+    second.restore(kept)
+    assert second.snapshot() == kept
+    later, after = pushed(second, messages[at:])
+    assert out + later == whole
+    assert after == state
+
+
+def test_a_restart_after_every_message_about_a_night_is_none():
+    messages = two_days(1)
+    middle = len(messages) // 2
+    whole, state = pushed(again(), messages[: middle + 20])
+    pipeline = again()
+    out, kept = pushed(pipeline, messages[: middle - 20])
+    for message in messages[middle - 20 : middle + 20]:
+        pipeline = Pipeline(settings=SETTINGS)
+        pipeline.restore(kept)
+        more, kept = pushed(pipeline, [message])
+        out += more
+    assert (out, kept) == (whole, state)
+
+
+@given(seed=st.integers(0, 200), car=st.sampled_from(DRIVEN))
+def test_on_the_same_day_other_vehicles_change_nothing_of_what_is_foretold(seed, car):
+    messages = two_days(seed)
+    today = messages[: len(messages) // 2]
+    together = [m for m in again().push(today) if f"/{car}/" in m.key]
+    alone = again().push([m for m in today if f"/{car}/" in m.key])
+    others = merged(*(planned_shift(other, DAYS) for other in FLEET if other != car))
+    assert together == alone
+    assert [m for m in again().push(others + [m for m in today if f"/{car}/" in m.key]) if f"/{car}/" in m.key] == alone

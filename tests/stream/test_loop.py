@@ -1,0 +1,278 @@
+"""The one loop: what it forecasts does not depend on where the messages come from, and it leaves nothing behind."""
+
+import io
+import json
+import logging
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from threading import Event
+
+import pytest
+
+from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
+from core.pipeline import Pipeline
+from core.wire.messages import Message
+from stream.loop import run, stopping
+from stream.mcap_writer import McapSink, McapSource
+from stream.memory import MemorySink, MemorySource
+from stream.recorder import Recorder
+from stream.source import until
+from stream.structured_log import Lines, flat, write_lines
+from stream.zenoh_pubsub import ZenohSource
+from stream.zenoh_session import Connection, Node
+from tests.support.recorded_shift import shift
+
+Told = tuple[list[Message], list[Message], str]
+
+
+def pipeline_of(models) -> Pipeline:
+    first, *shadows = models
+    return Pipeline(first, shadows=shadows)
+
+
+def told(sink: MemorySink, pipeline: Pipeline) -> Told:
+    """Return the forecasts, how models fared, and the rides."""
+    forecasts = [message for message in sink.messages if message.key.endswith("/forecast")]
+    errors = [message for message in sink.messages if message.key.startswith("models/")]
+    assert len(forecasts) + len(errors) == len(sink.messages)
+    return forecasts, errors, pipeline.take_rides().to_json()
+
+
+def through(source, models) -> Told:
+    pipeline, sink = pipeline_of(models), MemorySink()
+    tally = run(source, pipeline, [sink])
+    assert sink.closed
+    found = told(sink, pipeline)
+    assert (tally.forecasts, tally.model_errors) == (len(found[0]), len(found[1]))
+    return found
+
+
+@pytest.fixture(scope="module", params=[1, 2], ids=["one model", "and a shadow"])
+def models(request):
+    return (EXTENDED_PHYSICAL, BASIC_PHYSICAL)[: request.param]
+
+
+@pytest.fixture(scope="module")
+def reference(models) -> Told:
+    found = through(MemorySource(shift()), models)
+    assert len(found[0]) > 50
+    assert len(found[1]) == (2 * (9 + 1) if len(models) > 1 else 0)  # after each ride, and after the last day
+    return found
+
+
+@pytest.mark.parametrize("chunk", [1, 7, 100_000])
+def test_memory_in_any_chunks_is_the_same(reference, models, chunk):
+    assert through(MemorySource(shift(), chunk), models) == reference
+
+
+def test_replay_is_the_same(reference, models, tmp_path: Path):
+    with McapSink(tmp_path / "shift.mcap", 10_000) as sink:
+        sink.put(shift())
+    assert through(McapSource(tmp_path / "shift.mcap"), models) == reference
+
+
+def test_how_models_fare_is_recorded_with_its_schema(tmp_path: Path):
+    run(MemorySource(shift()), pipeline_of([EXTENDED_PHYSICAL, BASIC_PHYSICAL]), [McapSink(tmp_path / "out.mcap")])
+    source = McapSource(tmp_path / "out.mcap")
+    kept = [message for block in source for message in block if message.key.startswith("models/")]
+    assert {message.key for message in kept} == {
+        "models/extended_physical/1/errors",
+        "models/basic_physical/1/errors",
+    }
+    assert source.schemas["models/basic_physical/1/errors"] == "ModelErrors"
+    last = json.loads(kept[-1].payload)
+    assert last["overall"]["rides"] == last["overall"]["gain"]["rides"] == 9
+    assert kept[-1].receipt_ns == int(last["time_s"] * 1e9)
+
+
+def test_in_service_the_newest_of_each_model_is_handed_on_once_in_a_while():
+    sink, now = MemorySink(), [0.0]
+
+    def watch(_):
+        now[0] += 0.5
+
+    pipeline = pipeline_of([EXTENDED_PHYSICAL, BASIC_PHYSICAL])
+    run(MemorySource(shift(), 1), pipeline, [sink], publish_s=200.0, watch=watch, clock=lambda: now[0])
+    rides = [
+        json.loads(message.payload)["overall"]["rides"] for message in sink.messages if "models/basic" in message.key
+    ]
+    assert rides == [3, 6, 9]
+
+
+PUBLISH = """
+import sys, time
+from stream.mcap_writer import McapSource
+from stream.zenoh_pubsub import ZenohSink
+from stream.zenoh_session import Connection, Node
+with Node(Connection(connect=(sys.argv[1],))) as node:
+    sink = ZenohSink(node)
+    deadline = time.monotonic() + 20
+    while not sink.heard() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    for block in McapSource(sys.argv[2]):
+        sink.put(block)
+    sink.close()
+"""
+
+
+def test_live_over_zenoh_is_the_same_and_so_is_its_recording(reference, models, tmp_path: Path):
+    sent, stop = shift(), Event()
+    with McapSink(tmp_path / "shift.mcap") as sink:
+        sink.put(sent)
+    recorder, pipeline, heard = Recorder(tmp_path / "live"), pipeline_of(models), MemorySink()
+    deadline = time.monotonic() + 30
+    with Node(Connection(listen=("tcp/127.0.0.1:0",))) as node:
+        source = ZenohSource(node, stop)
+        with subprocess.Popen([sys.executable, "-c", PUBLISH, node.endpoints[0], tmp_path / "shift.mcap"]) as publisher:
+
+            def watch(tally) -> None:
+                if tally.received >= len(sent) or time.monotonic() > deadline:
+                    stop.set()
+
+            tally = run(source, pipeline, [heard], recorder=recorder, watch=watch)
+            assert publisher.wait(10) == 0
+    assert (tally.received, tally.missed) == (len(sent), 0)
+    assert told(heard, pipeline) == reference
+    (file,) = recorder.files
+    again = [m for block in McapSource(file) for m in block]
+    assert [(m.key, m.payload) for m in again] == [(m.key, m.payload) for m in sent]
+    assert through(McapSource(file), models) == reference
+
+
+class Breaks:
+    """A pipeline that breaks at the third list."""
+
+    def __init__(self) -> None:
+        self.seen = 0
+        self.due = []
+
+    def take(self, messages):
+        self.seen += 1
+        if self.seen == 3:
+            raise ZeroDivisionError
+        self.due += [Message("fleet/a/forecast", b"{}", m.receipt_ns) for m in messages]
+
+    def forecasts(self, *, newest_only=False):
+        due, self.due = self.due, []
+        return due[-1:] if newest_only else due
+
+    def model_errors(self, **_):
+        return []
+
+    def finish(self):
+        return [Message("fleet/a/forecast", b"the last", 0)]
+
+    def quality(self):
+        return {}
+
+
+def test_what_breaks_the_pipeline_is_on_disk_and_everything_is_closed(tmp_path: Path):
+    sent, sink = shift(20), MemorySink()
+    with pytest.raises(ZeroDivisionError):
+        run(MemorySource(sent, 10), Breaks(), [sink], recorder=Recorder(tmp_path))
+    (file,) = tmp_path.iterdir()
+    source = McapSource(file)
+    assert [m for block in source for m in block] == sent[:30]
+    assert not source.losses
+    assert sink.closed
+    assert len(sink.messages) == 20
+
+
+def test_the_last_forecasts_are_handed_on():
+    sink = MemorySink()
+    tally = run(MemorySource(shift(2), 100), Breaks(), [sink])
+    assert sink.messages[-1].payload == b"the last"
+    assert tally.forecasts == len(sink.messages)
+    assert tally.received == len(shift(2))
+
+
+def lines(as_json: bool, **settings) -> list[str]:
+    text = io.StringIO()
+    write_lines(as_json=as_json, to=text)
+    try:
+        run(MemorySource(shift(50), 40), Pipeline(), **settings)
+    finally:
+        logging.getLogger("socast").handlers.clear()
+        logging.getLogger("socast").propagate = True
+    return text.getvalue().splitlines()
+
+
+def test_counters_are_logged_now_and_then_and_at_the_end():
+    ticks = iter(range(10_000))
+    logged = [json.loads(line) for line in lines(as_json=True, report_s=5.0, clock=lambda: float(next(ticks)))]
+    assert [line["event"] for line in logged[:-1]] == ["running"] * (len(logged) - 1)
+    assert len(logged) > 1
+    last = logged[-1]
+    assert last["event"] == "finished"
+    assert last["messages"] == len(shift(50))
+    assert last["received.weather"] == 1
+    assert sum(count for name, count in last.items() if name.startswith("undecodable.")) == 1
+    assert last["missed"] == 0
+
+
+def test_a_line_is_keys_and_values():
+    (line,) = lines(as_json=False)
+    pairs = dict(pair.split("=", 1) for pair in line.split(" "))
+    assert pairs["level"] == "info"
+    assert pairs["event"] == "finished"
+    assert int(pairs["messages"]) == len(shift(50))
+
+
+def test_a_number_that_json_lacks_is_null_in_a_json_line():
+    record = logging.LogRecord("socast", logging.INFO, "", 0, "ride", None, None)
+    record.fields = {"ambient_c": float("nan"), "distance_km": 1.5}
+    told = json.loads(Lines(as_json=True).format(record), parse_constant=pytest.fail)
+    assert (told["ambient_c"], told["distance_km"]) == (None, 1.5)
+
+
+def test_counters_of_nothing_are_left_out():
+    assert flat({"a": {"b": {"c": 1, "d": 0}}, "e": 2, "f": {}}) == {"a.b.c": 1, "e": 2}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_source_and_not_the_loop(number):
+    before = signal.getsignal(number)
+    sink = MemorySink()
+    with stopping() as stop:
+
+        def watch(tally) -> None:
+            if tally.received == 10:
+                os.kill(os.getpid(), number)
+
+        tally = run(until(MemorySource(shift(20), 5), stop), Plain(), [sink], watch=watch)
+    assert tally.received == 10
+    assert sink.messages[-1].payload == b"the last"
+    assert signal.getsignal(number) is before
+
+
+class Plain(Breaks):
+    """The same without the break."""
+
+    def take(self, messages):
+        self.due += [Message("fleet/a/forecast", b"{}", m.receipt_ns) for m in messages]
+
+
+def test_who_listens_is_given_the_newest_forecasts_once_in_a_while_and_the_last_ones_at_the_end():
+    sent, sink, now = shift(20), MemorySink(), [0.0]
+
+    def watch(_):
+        now[0] += 0.05
+
+    run(MemorySource(sent, 1), Plain(), [sink], publish_s=0.2, watch=watch, clock=lambda: now[0])
+    times = [m.receipt_ns for m in sink.messages[:-1]]
+    assert times[0] == sent[0].receipt_ns
+    assert times[-1] == sent[-1].receipt_ns
+    assert len(sent) / 5 <= len(times) <= len(sent) / 4 + 2
+    assert times == sorted(times)
+
+
+def test_a_second_interrupt_is_not_waited_for():
+    with stopping() as stop:
+        os.kill(os.getpid(), signal.SIGINT)
+        assert stop.is_set()
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)

@@ -1,0 +1,248 @@
+"""Over real sessions on loopback: nothing lost, nothing out of order, misses counted."""
+
+import logging
+import subprocess
+import sys
+import time
+from itertools import pairwise
+from pathlib import Path
+from threading import Event, Thread
+
+import pytest
+import zenoh
+
+from core.errors import SettingsError
+from core.wire.messages import Message
+from stream.zenoh_pubsub import ZenohSink, ZenohSource
+from stream.zenoh_session import Connection, Node, free_port
+from tests.support.zenoh_sessions import eventually, router
+
+KEYS = ("fleet/a/telemetry", "fleet/b/telemetry", "weather/yul")
+
+
+def messages(count: int, keys=KEYS) -> list[Message]:
+    return [Message(keys[i % len(keys)], b'{"n":%d}' % i, i) for i in range(count)]
+
+
+def received(source: ZenohSource, stop: Event, count: int, seconds: float = 10.0) -> list[Message]:
+    """Drain until `count` messages are there, or long enough has passed; then stop, and drain to the end."""
+    out: list[Message] = []
+    deadline = time.monotonic() + seconds
+    for block in source:
+        out += block
+        if len(out) >= count or time.monotonic() > deadline:
+            stop.set()
+    return out
+
+
+def of(space: str, messages: list[Message]) -> list[tuple[str, bytes]]:
+    return [(m.key, m.payload) for m in messages if m.key.startswith(f"{space}/")]
+
+
+def test_everything_arrives_in_order_across_the_keys_of_a_space():
+    sent, stop = messages(6000), Event()
+    with router() as (node, endpoint):
+        source = ZenohSource(node, stop)
+        with Node(Connection(connect=(endpoint,))) as client:
+            sink = ZenohSink(client)
+            assert eventually(sink.heard)
+            sink.put(sent)
+            got = received(source, stop, len(sent))
+            sink.close()
+    assert len(got) == len(sent)
+    assert of("fleet", got) == of("fleet", sent)
+    assert of("weather", got) == of("weather", sent)
+    assert all(a.receipt_ns <= b.receipt_ns for a, b in pairwise(got))
+    assert source.missed == 0
+
+
+def test_what_is_published_just_before_closing_is_not_lost():
+    sent, stop = messages(30_000), Event()
+    with router() as (node, endpoint):
+        source = ZenohSource(node, stop)
+
+        def publish() -> None:
+            with Node(Connection(connect=(endpoint,))) as client:
+                sink = ZenohSink(client)
+                eventually(sink.heard)
+                sink.put(sent)
+                sink.close()
+
+        thread = Thread(target=publish)
+        thread.start()
+        got = received(source, stop, len(sent))
+        thread.join()
+    assert len(got) == len(sent)
+    assert of("fleet", got) == of("fleet", sent)
+
+
+def test_what_is_queued_when_told_to_stop_is_still_yielded():
+    sent, stop = messages(500), Event()
+    with router() as (node, endpoint):
+        source = ZenohSource(node, stop)
+        arrived: list[zenoh.Sample] = []
+        node.session.declare_subscriber("**", arrived.append)
+        with Node(Connection(connect=(endpoint,))) as client:
+            sink = ZenohSink(client)
+            assert eventually(sink.heard)
+            sink.put(sent)
+            assert eventually(lambda: len(arrived) == len(sent))
+        stop.set()
+        got = [m for block in source for m in block]
+    assert of("fleet", got) == of("fleet", sent)
+    assert [(m.key, m.payload) for m in got] == of("weather", sent) + of("fleet", sent)  # what is queued: weather first
+
+
+def test_a_late_subscriber_is_told_the_newest_of_each_key():
+    stop = Event()
+    with router() as (node, endpoint), Node(Connection(connect=(endpoint,))) as client:
+        sink = ZenohSink(client)
+        sink.put([Message("fleet/a/vehicle", b'{"model":"x"}', 0)])
+        source = ZenohSource(node, stop)
+        got = received(source, stop, 1)
+    assert [(m.key, m.payload) for m in got] == [("fleet/a/vehicle", b'{"model":"x"}')]
+
+
+def test_samples_that_no_publisher_can_send_again_are_counted_as_missed():
+    stop = Event()
+    with router() as (node, endpoint), Node(Connection(connect=(endpoint,))) as client:
+        source = ZenohSource(node, stop)
+        for key in KEYS[1:]:
+            publisher = client.session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
+            assert eventually(lambda publisher=publisher: publisher.matching_status.matching)
+            for number in (0, 1, 5, 6, 9):
+                publisher.put(b"%d" % number, source_info=zenoh.SourceInfo(publisher.id, number))
+        got = received(source, stop, 10)
+    for space in ("fleet", "weather"):
+        assert [payload for _, payload in of(space, got)] == [b"0", b"1", b"5", b"6", b"9"]
+    assert source.missed == 2 * 5
+
+
+def test_plain_publishers_of_a_burst_lose_nothing_at_the_embedded_router():
+    count, stop = 20_000, Event()
+    code = (
+        "import sys, time, zenoh\n"
+        "c = zenoh.Config(); c.insert_json5('mode', '\"client\"')\n"
+        "c.insert_json5('connect/endpoints', f'[\"{sys.argv[1]}\"]')\n"
+        "c.insert_json5('scouting/multicast/enabled', 'false')\n"
+        "s = zenoh.open(c)\n"
+        "p = s.declare_publisher(sys.argv[2], congestion_control=zenoh.CongestionControl.BLOCK)\n"
+        "while not p.matching_status.matching: time.sleep(0.01)\n"
+        "for _ in range(int(sys.argv[3])): p.put(b'{}')\n"
+        "s.close()\n"
+    )
+    with router() as (node, endpoint):
+        source = ZenohSource(node, stop)
+        children = [subprocess.Popen([sys.executable, "-c", code, endpoint, key, str(count)]) for key in KEYS]
+        got = received(source, stop, count * len(KEYS), 60.0)
+        assert [child.wait(30) for child in children] == [0, 0, 0]
+    assert len(got) == count * len(KEYS)
+
+
+def test_a_router_that_stamps_for_plain_publishers_is_warned_of(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    (tmp_path / "stamping.json5").write_text("{timestamping: {enabled: {router: true, peer: false, client: false}}}")
+    stop = Event()
+    with router(config=tmp_path / "stamping.json5") as (node, endpoint), caplog.at_level(logging.WARNING):
+        source = ZenohSource(node, stop)
+        with Node(Connection(connect=(endpoint,))) as client:
+            publisher = client.session.declare_publisher(KEYS[0])
+            assert eventually(lambda: publisher.matching_status.matching)
+            publisher.put(b"{}")
+            assert len(received(source, stop, 1)) == 1
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
+    assert "timestamping" in caplog.text
+
+
+def test_without_recovery_everything_arrives_too():
+    sent, stop = messages(1000), Event()
+    with router(recovery=False) as (node, endpoint):
+        source = ZenohSource(node, stop)
+        with Node(Connection(connect=(endpoint,))) as client:
+            sink = ZenohSink(client)
+            assert eventually(sink.heard)
+            sink.put(sent)
+            got = received(source, stop, len(sent))
+    assert sorted(m.payload for m in got) == sorted(m.payload for m in sent)
+
+
+@pytest.mark.parametrize("recovery", [True, False])
+@pytest.mark.parametrize("prefix", ["", "montreal/"])
+def test_what_is_of_another_prefix_or_no_fleet_does_not_arrive(prefix, recovery):
+    others = [
+        f"{prefix}quebec/fleet/a/telemetry",
+        "toronto/fleet/a/telemetry",
+        f"{prefix}lights/a",
+        f"{prefix}fleets/a",
+    ]
+    others += ["toronto/weather/yul", *(KEYS if prefix else ())]
+    stop = Event()
+    with router(prefix=prefix, recovery=recovery) as (node, endpoint):
+        source = ZenohSource(node, stop)
+        with Node(Connection(connect=(endpoint,))) as client:
+            ours, theirs = ZenohSink(client, prefix), ZenohSink(client)
+            assert eventually(ours.heard)
+            theirs.put(messages(len(others), others))
+            ours.put(messages(3))
+            got = received(source, stop, 3)
+    assert sorted(m.key for m in got) == [f"{prefix}{key}" for key in KEYS]
+
+
+def test_a_prefix_shuts_out_other_fleets():
+    stop = Event()
+    with router(prefix="montreal") as (node, endpoint):
+        source = ZenohSource(node, stop)
+        with Node(Connection(connect=(endpoint,))) as client:
+            ours, theirs = ZenohSink(client, "montreal/"), ZenohSink(client, "quebec/")
+            assert eventually(ours.heard)
+            assert not theirs.heard()
+            theirs.put(messages(3))
+            ours.put(messages(3))
+            got = received(source, stop, 3)
+    assert sorted(m.key for m in got) == [f"montreal/{key}" for key in KEYS]
+
+
+def test_what_a_node_publishes_does_not_come_back_to_it():
+    stop = Event()
+    with router() as (node, endpoint):
+        source = ZenohSource(node, stop)
+        ZenohSink(node).put([Message("fleet/a/forecast", b"{}", 0)])
+        with Node(Connection(connect=(endpoint,))) as client:
+            sink = ZenohSink(client)
+            assert eventually(sink.heard)
+            sink.put(messages(1))
+            got = received(source, stop, 1)
+    assert [m.key for m in got] == [KEYS[0]]
+
+
+def test_a_silent_source_looks_up():
+    stop = Event()
+    with router() as (node, _):
+        assert next(iter(ZenohSource(node, stop))) == []
+
+
+def test_a_consumer_outlives_its_router(caplog: pytest.LogCaptureFixture):
+    port, stop = free_port(), Event()
+    endpoint = f"tcp/127.0.0.1:{port}"
+    at_it = Connection(listen=(endpoint,), mode="router")
+    with Node(at_it) as before, Node(Connection(connect=(endpoint,))) as consumer:
+        source = ZenohSource(consumer, stop)
+        caplog.set_level(logging.INFO)
+        assert next(iter(source)) == []
+        before.close()
+        silence, deadline = iter(source), time.monotonic() + 10
+        while "router lost" not in caplog.text and time.monotonic() < deadline:
+            assert next(silence) == []
+        with Node(at_it) as after:
+            sink = ZenohSink(after)
+            assert eventually(sink.heard)
+            sink.put(messages(3))
+            got = received(source, stop, 3)
+    assert "router lost" in caplog.text
+    assert sorted(m.key for m in got) == list(KEYS)
+
+
+def test_publishing_on_a_closed_node_is_one_line():
+    with router() as (node, _):
+        sink = ZenohSink(node)
+    with pytest.raises(SettingsError, match="cannot publish"):
+        sink.put(messages(1))

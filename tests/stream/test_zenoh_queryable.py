@@ -1,0 +1,182 @@
+"""Questions over real sessions on loopback: answered, refused in words, and never in the way of telemetry."""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Event
+
+import msgspec
+import pytest
+
+from core.errors import AskError, SettingsError
+from core.wire.messages import Leg, Message, Outlook, encode
+from stream.zenoh_pubsub import ZenohSink, ZenohSource
+from stream.zenoh_queryable import WAITING, ZenohQueries, ask
+from stream.zenoh_session import Connection, Node
+from tests.support.outlooks import NOW, PLANNED
+from tests.support.zenoh_sessions import eventually, live, router
+
+RIDE = {"distance_km": "18", "duration_s": "1500"}
+
+
+@pytest.fixture(scope="module")
+def service():
+    """Return one consumer for all that is asked of it."""
+    with live() as running:
+        yield running
+
+
+@contextmanager
+def unattended() -> Iterator[tuple[ZenohQueries, Node]]:
+    """Give questions that nobody looks at, and a client."""
+    with (
+        router() as (node, endpoint),
+        ZenohQueries(node) as queries,
+        Node(Connection(connect=(endpoint,))) as client,
+    ):
+        yield queries, client
+
+
+def test_a_question_is_answered_while_telemetry_is_silent(service):
+    consumer, desk, client = service
+    before = desk.answered
+    told = msgspec.json.decode(ask(client, "taxi-7", RIDE | {"gained_m": "40"}), type=Outlook)
+    assert (told.vehicle_id, told.asked.distance_km, told.asked.duration_s) == ("taxi-7", 18.0, 1500.0)
+    assert consumer.asked[-1] == ("taxi-7", Leg(18.0, 1500.0, 40.0), None)
+    assert desk.answered == before + 1
+
+
+@pytest.mark.parametrize("between", "&;")
+def test_a_selector_may_be_written_either_way(service, between):
+    _, _, client = service
+    (reply,) = client.session.get(f"fleet/taxi-7/outlook?distance_km=18{between}duration_s=1500{between}gained_m=40")
+    assert str(reply.ok.key_expr) == "fleet/taxi-7/outlook"
+    assert json.loads(reply.ok.payload.to_bytes())["asked"]["distance_km"] == 18.0
+
+
+def test_a_plan_that_comes_with_the_question_is_answered(service):
+    _, _, client = service
+    sent = {"shift_end_s": NOW + 3600.0, "reserve_soc_pct": 30.0, "legs": [{"distance_km": 7.0, "duration_s": 700}]}
+    told = msgspec.json.decode(ask(client, "taxi-7", {}, json.dumps(sent).encode()), type=Outlook)
+    assert [leg.distance_km for leg in told.legs] == [7.0]
+
+
+def plan(**changed) -> bytes:
+    return encode(msgspec.structs.replace(PLANNED, **changed))
+
+
+BAD = {
+    "a negative distance": ("taxi-7", RIDE | {"distance_km": "-3"}, None, "distance_km is -3, must be 0 to 1000"),
+    "text": ("taxi-7", RIDE | {"distance_km": "far"}, None, "distance_km is 'far'"),
+    "a parameter that is not known": ("taxi-7", {"lunch": "1"}, None, "'lunch' is no parameter"),
+    "a vehicle that is not known": ("taxi-9", RIDE, None, "taxi-9 is not known"),
+    "every vehicle": ("*", RIDE, None, "the vehicle is '*'; give one name"),
+    "a plan in the past": ("taxi-7", {}, plan(shift_end_s=NOW - 7200.0), "2.0 h before"),
+    "10,000 legs": ("taxi-7", {}, plan(legs=[Leg(1.0, 60.0)] * 10_000), "10000 legs, at most 500"),
+    "a negative leg": ("taxi-7", {}, plan(legs=[Leg(-1.0, 60.0)]), "leg 1 of the plan: distance_km is -1"),
+    "rubbish": ("taxi-7", {}, b"\x00\xff" * 5000, "no plan"),
+    "a plan of another vehicle": ("taxi-8", {}, plan(), "of 'taxi-7', the question of taxi-8"),
+    "what breaks the answerer": ("taxi-0", RIDE, None, "cannot be answered"),
+}
+
+
+@pytest.mark.parametrize("wrong", BAD)
+def test_what_is_wrong_is_told_and_the_consumer_lives_on(service, wrong):
+    _, desk, client = service
+    vehicle, parameters, payload, told = BAD[wrong]
+    refused = sum(desk.refused.values())
+    with pytest.raises(AskError) as caught:
+        ask(client, vehicle, parameters, payload)
+    assert told in str(caught.value)
+    assert sum(desk.refused.values()) == refused + 1
+    assert json.loads(ask(client, "taxi-7", RIDE))["vehicle_id"] == "taxi-7"
+
+
+def test_telemetry_goes_on_through_bad_questions(service):
+    consumer, _, client = service
+    sink, sent = ZenohSink(client), [Message("fleet/a/telemetry", b"%d" % i, 0) for i in range(50)]
+    assert eventually(sink.heard)
+    consumer.taken.clear()
+    for message in sent:
+        client.session.get("fleet/taxi-0/outlook?what=now")
+        sink.put([message])
+    assert eventually(lambda: len(consumer.taken) == len(sent))
+    assert [m.payload for m in consumer.taken] == [m.payload for m in sent]
+    assert json.loads(ask(client, "taxi-7", {}))["asked"] is None
+
+
+def test_a_prefix_is_put_before_and_other_fleets_are_not_answered_for():
+    with live("montreal") as (consumer, _, client):
+        assert json.loads(ask(client, "taxi-7", RIDE))["vehicle_id"] == "taxi-7"
+        assert [vehicle for vehicle, _, _ in consumer.asked] == ["taxi-7"]
+        assert list(client.session.get("fleet/taxi-7/outlook")) == []
+
+
+def test_more_questions_than_can_wait_hold_nothing_up():
+    """The oldest end at once and without an answer, the newest are answered, and telemetry passes all the while."""
+    got: list[Message] = []
+    with router() as (node, endpoint), ZenohQueries(node) as queries, Node(Connection(connect=(endpoint,))) as client:
+        source, sink = iter(ZenohSource(node, Event())), ZenohSink(client)
+        assert eventually(sink.heard)
+        asked = [client.session.get(f"fleet/taxi-{i}/outlook", timeout=60.0) for i in range(WAITING + 10)]
+        sink.put([Message("fleet/a/telemetry", b"{}", 0)])
+        assert eventually(lambda: got or got.extend(next(source)))
+        assert [list(replies) for replies in asked[:10]] == [[]] * 10
+        waiting = queries.pending()
+        assert [query.vehicle for query in waiting] == [f"taxi-{i}" for i in range(10, WAITING + 10)]
+        for query in waiting:
+            query.reply(query.vehicle.encode())
+        answers = [reply.ok.payload.to_bytes().decode() for replies in asked[10:] for reply in replies]
+    assert answers == [query.vehicle for query in waiting]
+    assert queries.unsent == 0
+
+
+def test_when_closed_what_waits_ends_without_an_answer():
+    with unattended() as (queries, client):
+        replies = client.session.get("fleet/taxi-7/outlook", timeout=60.0)
+        seen: list = []
+        assert eventually(lambda: seen.extend(queries.pending()) or seen)
+        unseen = client.session.get("fleet/taxi-8/outlook", timeout=60.0)
+        seen[0].reply(b"the last")
+        queries.close()
+        queries.close()
+        assert [reply.ok.payload.to_bytes() for reply in replies] == [b"the last"]
+        assert list(unseen) == []
+        assert queries.pending() == []
+
+
+def test_an_asker_that_has_gone_is_no_failure():
+    with router() as (node, endpoint), ZenohQueries(node) as queries:
+        seen: list = []
+        with Node(Connection(connect=(endpoint,))) as client:
+            client.session.get("fleet/taxi-7/outlook", timeout=60.0)
+            assert eventually(lambda: seen.extend(queries.pending()) or seen)
+        seen[0].reply(b"{}")
+        seen[0].refuse("too late")
+        with Node(Connection(connect=(endpoint,))) as client:
+            replies = client.session.get("fleet/taxi-8/outlook", timeout=60.0)
+            assert eventually(lambda: seen.extend(queries.pending()) or len(seen) == 2)
+            seen[1].refuse("no")
+            assert [reply.err.payload.to_bytes() for reply in replies] == [b'{"error":"no"}']
+
+
+def test_where_nobody_answers_that_is_told():
+    with (
+        router() as (_, endpoint),
+        Node(Connection(connect=(endpoint,), prefix="montreal")) as client,
+        pytest.raises(SettingsError, match="nobody answers montreal/fleet/taxi-7/outlook; start `socast live`"),
+    ):
+        ask(client, "taxi-7", RIDE)
+
+
+def test_an_answer_that_does_not_come_in_time_is_not_waited_for():
+    with unattended() as (queries, client):
+        with pytest.raises(SettingsError, match=r"not answered within 0.2 s"):
+            ask(client, "taxi-7", RIDE, timeout_s=0.2)
+        (late,) = queries.pending()
+        late.reply(b"{}")  # to nobody
+        replies = client.session.get("fleet/taxi-7/outlook", timeout=60.0)
+        seen: list = []
+        assert eventually(lambda: seen.extend(queries.pending()) or seen)
+        seen[0].reply(b"in time")
+        assert [reply.ok.payload.to_bytes() for reply in replies] == [b"in time"]

@@ -1,0 +1,89 @@
+"""Sessions on loopback: they listen where they are told, and settings are refused in one line."""
+
+import re
+import socket
+from pathlib import Path
+
+import pytest
+
+from core.errors import SettingsError
+from stream.zenoh_session import Connection, Node, _config, _endpoints, free_port
+from tests.support.zenoh_sessions import router
+
+
+@pytest.mark.parametrize("prefix", ["a/**", "*", "a b?", "a//b", "a$*", "a#b", "a\nb"])
+def test_a_prefix_that_is_no_plain_chunks_is_one_line(prefix):
+    with pytest.raises(SettingsError, match="plain chunks") as caught:
+        Node(Connection(listen=("tcp/127.0.0.1:0",), prefix=prefix))
+    assert repr(prefix) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("mode", [None, "peer", "router", "client"])
+def test_nothing_listens_beyond_loopback_unless_asked(mode):
+    assert all(end.startswith("tcp/127.0.0.1:") for end in _endpoints(_config(Connection(mode=mode))))
+    assert _endpoints(_config(Connection(mode="router", listen=("tcp/0.0.0.0:7447",)))) == ["tcp/0.0.0.0:7447"]
+
+
+@pytest.mark.parametrize("mode", ["peer", "router"])
+@pytest.mark.parametrize(
+    ("said", "where"),
+    [
+        ("/* listen: to nobody */", None),
+        ("listen: {timeout_ms: 5}", None),
+        ("id: 'a115e4'", None),
+        ('listen: {endpoints: ["tcp/0.0.0.0:7555"]}', ["tcp/0.0.0.0:7555"]),
+        (r'"list\u0065n": {endpoints: ["tcp/0.0.0.0:7555"]}', ["tcp/0.0.0.0:7555"]),
+        ("listen: {endpoints: []}", []),
+    ],
+)
+def test_only_endpoints_in_the_file_make_it_say_where_to_listen(said, where, mode, tmp_path):
+    file = tmp_path / "node.json5"
+    file.write_text(f"{{{said}}}")
+    ends = _endpoints(_config(Connection(config=file, mode=mode)))
+    if where is None:
+        assert [end.rpartition(":")[0] for end in ends] == ["tcp/127.0.0.1"]
+    else:
+        assert ends == where
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"connect": ("tcp/127.0.0.1:1",)}, "tcp/127.0.0.1:1"),
+        ({"connect": ("router.example",)}, "router.example"),
+        ({"mode": "queen"}, "queen"),
+        ({"config": Path("/nowhere.json5")}, "/nowhere.json5"),
+    ],
+)
+def test_a_connection_that_cannot_be_had_is_one_line(settings, told):
+    with pytest.raises(SettingsError, match=told) as caught:
+        Node(Connection(**settings))
+    assert "\n" not in str(caught.value)
+    assert ".cargo" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("mode", "connect"), [(None, ()), ("peer", ()), ("router", ("tcp/127.0.0.1:1",))])
+def test_a_taken_port_is_one_line_that_tells_to_choose_another(mode, connect):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(SettingsError, match=str(port)) as caught:
+            Node(Connection(listen=(f"tcp/127.0.0.1:{port}",), connect=connect, mode=mode))
+    assert re.fullmatch(rf"cannot listen at tcp/127\.0\.0\.1:{port}: .*in use.*another endpoint.*", str(caught.value))
+
+
+def test_where_nobody_is_to_connect_to_listening_is_not_blamed():
+    listen = (f"tcp/127.0.0.1:{free_port()}",)
+    with pytest.raises(SettingsError, match="is a router listening there"):
+        Node(Connection(connect=("tcp/127.0.0.1:1",), listen=listen))
+
+
+def test_the_command_line_goes_before_the_configuration_file(tmp_path: Path):
+    file = tmp_path / "node.json5"
+    file.write_text('{mode: "client", /* the depot */ connect: {endpoints: ["tcp/127.0.0.1:1"]}}')
+    with pytest.raises(SettingsError, match=r"127\.0\.0\.1:1\D"):
+        Node(Connection(config=file))
+    with router() as (_, endpoint), Node(Connection(config=file, connect=(endpoint,))) as client:
+        assert client.endpoints == []

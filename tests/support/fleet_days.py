@@ -1,0 +1,138 @@
+"""Days of a small fleet that drives by plan, and a pipeline that has learned from some of them."""
+
+from functools import cache
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from core.forecast.day_rollover import LATELY
+from core.pipeline import Pipeline
+from core.settings import Settings
+from core.wire.messages import Forecast, Message
+from stream.mcap_writer import McapSink
+from tests.support.telemetry import START, Columns, leaf, observed, telemetry, told
+
+CARS = ("a", "b", "c", "d", "e", "f")
+DAYS = 5
+"""That are learned from."""
+DAY = 86_400.0
+PERIOD = 15.0
+LEGS, LEG, RIDE = 8, 900.0, 600.0
+"""Legs of a shift, and the time of each with its pause, and without it. [s]"""
+SHIFT = LEGS * LEG
+CAPACITY = 21.6
+"""About what the battery holds. [kWh]"""
+SETTINGS = Settings(period=PERIOD, forecast_time=60.0)
+RESERVE = 20.0
+
+
+def speeds(car: str, day: int) -> np.ndarray:
+    """Return the speed of each leg, (LEGS,). [m/s]"""
+    return np.random.default_rng([ord(car), day]).uniform(8.0, 14.0, LEGS)
+
+
+def takes(car: str, day: int) -> float:
+    """Return the logarithm of what a car takes on a day, over 0.16 kWh/km: what it always does, and the day."""
+    return float(0.15 * np.sin(ord(car)) + 0.05 * np.random.default_rng([ord(car), day, 1]).normal())
+
+
+def columns(car: str, day: int, quantum: float = 0.5, hours: float = SHIFT / 3600.0) -> Columns:
+    """Return the samples of a shift, without a fault: legs that begin every quarter of an hour, and pauses."""
+    passed = PERIOD * np.arange(int(3600.0 * hours / PERIOD) + 1)
+    leg = np.minimum(passed // LEG, LEGS - 1).astype(int)
+    riding = (passed % LEG < RIDE) & (passed < SHIFT)
+    into = np.minimum(passed % LEG, RIDE - passed % LEG)
+    speed = np.where(riding, np.select([into == 0.0, into <= PERIOD], [0.0, 4.0], speeds(car, day)[leg]), 0.0)
+    metres = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * PERIOD)])
+    used = np.exp(takes(car, day)) * 0.16 * metres / 1000.0 + 0.3 * passed / 3600.0
+    soc = 95.0 - 100.0 * used / CAPACITY
+    names = np.array([f"{car}-{day}-{number}" for number in leg], dtype=object)
+    names[~riding] = None
+    begin = START + DAY * day + 7.0 * CARS.index(car)
+    made = {
+        "time_s": begin + passed,
+        "seq": np.arange(len(passed)),
+        "ride_id": names,
+        "speed_kmh": 3.6 * speed,
+        "soc_pct": np.round(soc / quantum) * quantum,
+        "ambient_c": np.full(len(passed), 10.0 - 2.0 * (day % 3)),
+        "metres": metres,
+    }
+    if car in "ab":
+        power = 1000.0 * np.diff(used, prepend=0.0) * 3600.0 / PERIOD
+        made |= {"battery_voltage_v": np.full(len(passed), 360.0), "battery_current_a": power / 360.0}
+    return made
+
+
+def plan(car: str, day: int, time: float, last: int = LEGS, **changed) -> Message:
+    """Return the plan of the last legs of a shift."""
+    begin = START + DAY * day
+    left = [{"distance_km": RIDE * v / 1000.0, "duration_s": RIDE} for v in speeds(car, day)[LEGS - last :].tolist()]
+    fields = {"shift_end_s": begin + SHIFT, "reserve_soc_pct": RESERVE, "legs": left}
+    return told("plan", car, time, **(fields | changed))
+
+
+def shift(car: str, day: int, sent: Columns | None = None, planned: bool = True) -> list:
+    """Return the messages of a shift: the plan and the driver after the first sample."""
+    sent = columns(car, day) if sent is None else sent
+    begin = float(sent["time_s"][0])
+    samples = telemetry(sent, car)
+    drives = told(
+        "ride", car, begin, ride_id=f"{car}-{day}-0", event="start", driver_id=f"driver {(ord(car) + day) % 3}"
+    )
+    first = [samples[0], *([plan(car, day, begin)] if planned else []), drives]
+    times = [begin] * len(first) + sent["time_s"][1:].tolist()
+    return list(zip(times, [*first, *samples[1:]], strict=True))
+
+
+def merged(*streams: list) -> list:
+    """Return messages of several streams by time; those of one stay in order."""
+    return [message for _, message in sorted((each for stream in streams for each in stream), key=lambda each: each[0])]
+
+
+def days(numbers, cars=CARS, **options) -> list:
+    """Return the messages of whole days."""
+    return [m for day in numbers for m in merged(*(shift(car, day, **options) for car in cars))]
+
+
+def night(day: int, car: str = "f") -> list[Message]:
+    """Return the samples of a car that rests in the morning of a day, alone, until the others are forgotten."""
+    passed = PERIOD * np.arange(LATELY[1] + 2)
+    begun = {name: np.repeat(values[:1], len(passed)) for name, values in columns(car, day).items()}
+    begun["time_s"] = begun["time_s"] - 3600.0 - passed[::-1]
+    begun["seq"] = np.arange(len(passed))
+    begun["ride_id"][:] = None
+    return telemetry(begun, car)
+
+
+@cache
+def learned(number: int = DAYS, planned: bool = True) -> bytes:
+    """Return the snapshot of a pipeline that has learned from some days, with the next one just begun."""
+    pipeline = Pipeline(settings=SETTINGS)
+    pipeline.push([observed(temperature_c=10.0), *(leaf(car) for car in CARS), *days(range(number), planned=planned)])
+    pipeline.push(night(number))
+    pipeline.take_rides()
+    pipeline.take_windows()
+    return pipeline.snapshot()
+
+
+def again(number: int = DAYS, planned: bool = True, settings: Settings = SETTINGS, **options) -> Pipeline:
+    """Return a pipeline that has learned from some days."""
+    pipeline = Pipeline(settings=settings, **options)
+    pipeline.restore(learned(number, planned))
+    return pipeline
+
+
+def forecasts(messages: list, car: str) -> dict[float, Forecast]:
+    """Return the forecasts of a car by time."""
+    found = [msgspec.json.decode(m.payload, type=Forecast) for m in messages if m.key == f"fleet/{car}/forecast"]
+    return {each.time_s: each for each in found}
+
+
+def recorded(path: Path, numbers) -> None:
+    """Write a recording of whole days, each message received a moment after the one before."""
+    messages = [observed(temperature_c=10.0), *(leaf(car) for car in CARS), *days(numbers)]
+    begin = START + DAY * min(numbers)
+    with McapSink(path) as sink:
+        sink.put([m._replace(receipt_ns=int(begin * 1e9) + i * 10**7) for i, m in enumerate(messages)])

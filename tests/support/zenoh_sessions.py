@@ -1,0 +1,70 @@
+"""Real Zenoh sessions on loopback, for tests."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from threading import Event, Thread
+from typing import Any
+
+from core.wire.messages import Message
+from stream.loop import run
+from stream.query_service import Desk
+from stream.zenoh_pubsub import ZenohSource
+from stream.zenoh_queryable import ZenohQueries
+from stream.zenoh_session import Connection, Node
+from tests.support.outlooks import Fleet
+
+
+@contextmanager
+def router(**settings: Any) -> Iterator[tuple[Node, str]]:
+    """Give a node that listens at a free port, and where."""
+    with Node(Connection(listen=("tcp/127.0.0.1:0",), **settings)) as node:
+        yield node, node.endpoints[0]
+
+
+def eventually(condition: Callable[[], object], seconds: float = 60.0) -> bool:
+    """Return whether something comes true in time."""
+    deadline = time.monotonic() + seconds
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.005)
+    return bool(condition())
+
+
+class Consumer(Fleet):
+    """Takes telemetry and answers, as the pipeline does."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.taken: list[Message] = []
+
+    def take(self, messages) -> None:
+        self.taken += messages
+
+    def forecasts(self, **_) -> list[Message]:
+        return []
+
+    model_errors = forecasts
+
+    def finish(self) -> list[Message]:
+        return []
+
+    def quality(self) -> dict:
+        return {}
+
+
+@contextmanager
+def live(prefix: str = "") -> Iterator[tuple[Consumer, Desk, Node]]:
+    """Give a consumer whose loop runs in a thread, its desk, and a client at its router."""
+    stop, consumer = Event(), Consumer()
+    with router(prefix=prefix) as (node, endpoint), ZenohQueries(node) as queries:
+        desk = Desk(queries, consumer)
+        source = ZenohSource(node, stop)
+        thread = Thread(target=run, args=(source, consumer), kwargs={"watch": desk})
+        thread.start()
+        try:
+            with Node(Connection(connect=(endpoint,), prefix=prefix)) as client:
+                yield consumer, desk, client
+        finally:
+            stop.set()
+            thread.join(20)
+    assert not thread.is_alive()

@@ -1,0 +1,274 @@
+"""`socast add` and `socast diagnose`: the loop as a person goes through it, and one line for what cannot be done."""
+
+import json
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from core import models
+from core.diagnose import diagnosis as diagnosing
+from tests.support.commands import done, refused
+from tests.support.diagnosis_result import diagnosis, missing, nothing_missing
+from tests.support.planted_windows import base_model, planted
+
+OWN = '''"""An effect of one's own."""
+
+from core.effects import effect
+
+
+@effect(coefficient="{coefficient}", unit="{unit}", low=0, high=1, source="nobody")
+def my_effect(speed):
+    """Something: P = F v."""
+    {body}
+'''
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A folder with tables in which cold tyres are planted, and the base as a model file."""
+    path = tmp_path_factory.mktemp("planted")
+    rides, windows = planted({"effect_cold_rolling": 1e-4})
+    (path / "tables").mkdir()
+    rides.to_parquet(path / "tables" / "rides.parquet")
+    windows.to_parquet(path / "tables" / "windows.parquet")
+    models.save(base_model(rides), path / "base.json")
+    return path
+
+
+@pytest.fixture
+def here(folder, tmp_path) -> Path:
+    """The same, with a model file that a test may change."""
+    (tmp_path / "tables").symlink_to(folder / "tables")
+    (tmp_path / "base.json").write_bytes((folder / "base.json").read_bytes())
+    return tmp_path
+
+
+def adding(here: Path, effect: str, *more: object) -> tuple[object, ...]:
+    return "add", effect, "--model", here / "base.json", "--data", here / "tables", "-o", here / "m2.json", *more
+
+
+def test_an_effect_is_diagnosed_and_added_as_the_diagnosis_says(here, capsys):
+    done(
+        "diagnose", here / "tables", "--model", here / "base.json", "--json", here / "d.json", "--html", here / "d.html"
+    )
+    told = capsys.readouterr().out
+    result = json.loads((here / "d.json").read_text())
+    assert result["verdict"] == "cold_rolling"
+    assert {"model", "data", "error", "slices", "missing", "candidates", "structure", "steps"} <= set(result)
+    assert "cold tyres: rolling resistance grows by" in told
+    command = result["missing"][0]["command"]
+    assert command in told
+    program, *arguments = shlex.split(command)
+    assert program == "socast"
+    done(*arguments)
+    told = capsys.readouterr().out
+    assert "cold_rolling helps: a gain of" in told
+    assert "vehicles held out" in told
+    assert "By outside temperature" in told
+    model = models.load(arguments[-1])
+    assert model.terms[-1].name == "cold_rolling"
+    assert model.interval is not None
+    assert "Cold tyres" in (here / "d.html").read_text()
+    rides = pd.read_parquet(here / "tables" / "rides.parquet")
+    error = [np.abs(m.predict(rides) - rides["energy_kwh"]).mean() for m in (models.load(here / "base.json"), model)]
+    assert error[1] < 0.5 * error[0]
+
+
+def test_an_effect_that_does_not_help_is_refused_and_the_attempt_kept(here, capsys):
+    told = refused(capsys, *adding(here, "headwind"))
+    assert "headwind is not added: " in told
+    assert "add it all the same with --force" in told
+    assert f"the attempt is in the history of {here / 'base.json'}" in told
+    assert not (here / "m2.json").exists()
+    kept = models.load(here / "base.json")
+    assert kept.history[-1]["action"] == "refused"
+    assert sorted(path.name for path in here.iterdir()) == ["base.json", "tables"]
+    done(*adding(here, "headwind", "--force", "--json", here / "trial.json"))
+    assert (
+        "warning" in capsys.readouterr().out
+        or json.loads((here / "trial.json").read_text())["coefficient"]["plausible"]
+    )
+    model = models.load(here / "m2.json")
+    assert [entry["action"] for entry in model.history] == ["fit", "refused", "add"]
+    assert model.history[-1]["forced"]
+
+
+def test_a_scope_is_a_term_of_its_own(here):
+    done(*adding(here, "cold_rolling", "--scope", "vehicle=taxi-2", "--force"))
+    assert models.load(here / "m2.json").terms[-1].columns == ("effect_cold_rolling", "vehicle=taxi-2")
+
+
+@pytest.mark.parametrize(
+    ("effect", "more", "said"),
+    [
+        ("cold_roling", (), "effect 'cold_roling' is unknown: did you mean cold_rolling"),
+        ("rolling", (), "is in model base already"),
+        ("payload", (), "payload is not in the tables: make them anew"),
+        ("wet_road", ("--scope", "since=2018-13-01"), "'2018-13-01' is no date"),
+        ("wet_road", ("--scope", "taxi-1"), "scope 'taxi-1' is none: write vehicle=ID or since=YYYY-MM-DD"),
+        ("wet_road", ("--scope", "vehicle=taxi-7"), "rides are of taxi-0, taxi-1, taxi-2, taxi-3"),
+    ],
+)
+def test_what_cannot_be_added_is_one_line(effect, more, said, here, capsys):
+    assert said in refused(capsys, *adding(here, effect, *more))
+
+
+def changed(here: Path, name: str, change) -> Path:
+    """Return a folder of tables of which one is changed."""
+    path = here / "changed"
+    path.mkdir()
+    for each in ("rides", "windows"):
+        table = pd.read_parquet(here / "tables" / f"{each}.parquet")
+        (change(table) if name in {each, "both"} else table).to_parquet(path / f"{each}.parquet")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "said"),
+    [
+        ("both", lambda t: t[t["ride_key"].isin(["taxi-0#0", "taxi-0#1"])], "2 rides with measured energy to diagnose"),
+        ("both", lambda t: t.assign(energy_kwh=np.nan, energy_vi_kwh=np.nan), "0 rides with measured energy"),
+        ("both", lambda t: t.assign(vehicle_model="tesla-model-s"), "model base was fitted to kia-soul-ev-2015"),
+        ("windows", lambda t: t.drop(columns="ambient_c"), "column 'ambient_c' is missing in the window table"),
+        ("rides", lambda t: t.drop(columns="energy_sd_kwh"), "column 'energy_sd_kwh' is missing in the ride table"),
+        ("windows", lambda t: t.assign(ride_key="x"), "no window belongs to any of the rides"),
+        ("rides", lambda t: pd.concat([t, t]), "is in the ride table twice"),
+    ],
+)
+@pytest.mark.parametrize("command", ["diagnose", "add"])
+def test_tables_that_cannot_be_diagnosed_are_one_line(command, name, change, said, here, capsys):
+    tables = changed(here, name, change)
+    if command == "diagnose":
+        told = refused(capsys, "diagnose", tables, "--model", here / "base.json")
+    else:
+        told = refused(
+            capsys, "add", "wet_road", "--model", here / "base.json", "--data", tables, "-o", here / "m.json"
+        )
+    assert said in told
+
+
+def test_what_is_no_input_is_one_line(here, capsys):
+    base = here / "base.json"
+    lone = here / "lone"
+    lone.mkdir()
+    (lone / "rides.parquet").write_bytes((here / "tables" / "rides.parquet").read_bytes())
+    assert "holds no windows.parquet" in refused(capsys, "diagnose", lone, "--model", base)
+    assert "is not there" in refused(capsys, "diagnose", here / "nothing", "--model", base)
+    (here / "a.mcap").write_bytes(b"")
+    assert "give recordings or tables" in refused(capsys, "diagnose", here / "a.mcap", here / "tables", "--model", base)
+    assert "a.mcap" in refused(capsys, "diagnose", here / "a.mcap", "--model", base)
+    assert "is given twice" in refused(capsys, "diagnose", here / "a.mcap", here / "a.mcap", "--model", base)
+    assert "give --auto and -o M2 together" in refused(capsys, "diagnose", here / "tables", "--model", base, "--auto")
+    assert "cannot read a model" in refused(capsys, "diagnose", here / "tables", "--model", here / "no.json")
+    written = refused(capsys, "diagnose", here / "tables", "--model", base, "--json", here / "no" / "d.json")
+    assert "cannot be written" in written
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("def (", "not Python"),
+        (OWN.format(coefficient="c", unit="N", body="return speed * 1j"), "my_effect"),
+        (OWN.format(coefficient="c", unit="kg", body="return speed"), "my_effect"),
+        (OWN.format(coefficient="c", unit="N", body="return speed[:1].repeat(2)"), "my_effect"),
+        (OWN.format(coefficient="c", unit="N", body="return speed * float('nan')"), "my_effect"),
+        (OWN.format(coefficient="c", unit="N", body="return speed") + "\nimport socket\n", "imports socket"),
+    ],
+)
+@pytest.mark.parametrize("command", ["diagnose", "add"])
+def test_a_damaged_effect_file_is_one_line(command, text, said, here, capsys):
+    file = here / "mine.py"
+    file.write_text(text)
+    given = {
+        "diagnose": ("diagnose", here / "tables", "--model", here / "base.json"),
+        "add": adding(here, "my_effect"),
+    }[command]
+    told = refused(capsys, *given, "--effects", file)
+    assert str(file) in told
+    assert said in told
+
+
+# ---- the loop, with diagnoses made up
+
+
+@pytest.fixture
+def made_up(monkeypatch) -> list[dict[str, object]]:
+    """Diagnoses that the loop is given, one after another."""
+    results: list[dict[str, object]] = []
+    monkeypatch.setattr(diagnosing, "diagnose", lambda *_, **__: results.pop(0))
+    return results
+
+
+def cold(variant: str = "cold_rolling") -> dict[str, object]:
+    return diagnosis(missing=[missing(variant=variant, columns=[f"effect_{variant}"])])
+
+
+def test_the_loop_adds_until_nothing_is_missing(made_up, here, capsys):
+    made_up += [cold(), nothing_missing()]
+    done(
+        "diagnose",
+        here / "tables",
+        "--model",
+        here / "base.json",
+        "--auto",
+        "-o",
+        here / "m2.json",
+        "--json",
+        here / "d",
+    )
+    told = capsys.readouterr().out
+    assert (
+        told.index("Step 1") < told.index("cold_rolling helps") < told.index("Step 2") < told.index("History of base")
+    )
+    assert "Nothing more is to be gained." in told
+    assert [entry["action"] for entry in models.load(here / "m2.json").history] == ["fit", "add"]
+    assert json.loads((here / "d").read_text())["verdict"] is None
+    assert models.load(here / "base.json").history[-1]["action"] == "fit"
+
+
+def test_the_loop_ends_where_an_effect_does_not_help(made_up, here, capsys):
+    made_up += [diagnosis(missing=[missing(variant="headwind", columns=["effect_headwind"])])]
+    done("diagnose", here / "tables", "--model", here / "base.json", "--auto", "-o", here / "m2.json")
+    assert "The loop ends here" in capsys.readouterr().out
+    model = models.load(here / "m2.json")
+    assert model.history[-1]["action"] == "refused"
+    assert model.terms == models.load(here / "base.json").terms
+
+
+def test_the_loop_keeps_what_it_has_where_an_effect_cannot_be_added(made_up, here, capsys):
+    made_up += [
+        cold(),
+        diagnosis(verdict="brake_drag", missing=[missing(effect="brake_drag", columns=["effect_brake_drag"])]),
+    ]
+    done("diagnose", here / "tables", "--model", here / "base.json", "--auto", "-o", here / "m2.json")
+    assert "The loop ends here: model base can take up all of brake_drag" in " ".join(capsys.readouterr().out.split())
+    assert models.load(here / "m2.json").terms[-1].name == "cold_rolling"
+
+
+def test_days_set_apart_are_not_looked_at_again(here, capsys, monkeypatch):
+    done(*adding(here, "cold_rolling"))
+    apart = models.load(here / "m2.json").history[-1]["final"]["dates"]
+    seen = []
+    monkeypatch.setattr(
+        diagnosing, "diagnose", lambda rides, windows, *_, **__: (seen.append((rides, windows)), nothing_missing())[1]
+    )
+    capsys.readouterr()
+    done("diagnose", here / "tables", "--model", here / "m2.json")
+    assert f"Not looked at: rides of {', '.join(apart)}" in capsys.readouterr().out
+    rides, windows = seen[0]
+    assert not set(rides["date"]) & set(apart)
+    assert set(windows["ride_key"]) == set(rides["ride_key"])
+    done("diagnose", here / "tables", "--model", here / "base.json")
+    assert set(apart) <= set(seen[1][0]["date"])
+
+
+def test_a_suggestion_is_written_where_it_is_wanted(made_up, here, capsys):
+    made_up += [diagnosis(), nothing_missing()]
+    done("diagnose", here / "tables", "--model", here / "base.json", "--suggest", here / "mine.py")
+    assert (here / "mine.py").read_text() == diagnosis()["suggestion_file"]
+    assert f"socast effects check {here / 'mine.py'}" in capsys.readouterr().out.replace("\n", "")
+    done("diagnose", here / "tables", "--model", here / "base.json", "--suggest", here / "none.py")
+    assert not (here / "none.py").exists()

@@ -1,0 +1,138 @@
+"""`socast ask`: the answer first, the figures that it rests on, and one line where there is none."""
+
+import io
+import json
+
+import pytest
+from rich.console import Console
+
+from core.wire.messages import Interval, LegOutlook
+from stream.zenoh_session import free_port
+from tests.support.commands import done, refused
+from tests.support.outlooks import NOW, OUTLOOK, outlook
+from tests.support.zenoh_sessions import live
+from tests.tools.test_cli import consumer, logged  # noqa: F401 - a fixture among them
+from tools.commands.ask import figures, show, verdict
+
+RIDE = ("--distance-km", "18", "--duration-s", "1500")
+NOTHING_AFTER = {"reserve_risk": None, "soc_end_of_shift_pct": None, "shift_end_s": None, "legs": []}
+
+
+def arriving(mean: float, p05: float, p95: float) -> LegOutlook:
+    return LegOutlook(18.0, 1500.0, Interval(3.1, 2.7, 3.6), Interval(mean, p05, p95))
+
+
+@pytest.mark.parametrize(
+    ("risk", "word", "words"),
+    [
+        (0.0, "YES", "taxi-7 can take 18 km in 25 min and finish above its reserve of 20 %: the risk is under 1 %"),
+        (0.049, "YES", "the risk is 5 %"),
+        (0.05, "UNCERTAIN", "taxi-7 may not be able to take 18 km"),
+        (0.5, "UNCERTAIN", "the risk is 50 %"),
+        (0.51, "NO", "taxi-7 cannot take 18 km in 25 min and finish above its reserve of 20 %: the risk is 51 %"),
+        (1.0, "NO", "the risk is over 99 %"),
+    ],
+)
+def test_the_answer_follows_the_risk(risk, word, words):
+    told, sentence = verdict(outlook(reserve_risk=risk))
+    assert told == word
+    assert words in sentence
+
+
+def test_without_a_ride_the_answer_is_of_the_shift():
+    assert verdict(outlook(asked=None)) == (
+        "YES",
+        "taxi-7 can finish its shift above its reserve of 20 %: the risk is 2 %",
+    )
+
+
+@pytest.mark.parametrize(
+    ("asked", "word"),
+    [
+        (arriving(61.2, 57.0, 65.0), "YES"),
+        (arriving(22.0, 19.0, 25.0), "UNCERTAIN"),
+        (arriving(18.0, 15.0, 21.0), "NO"),
+    ],
+)
+def test_where_the_rest_of_the_shift_is_not_known_the_answer_is_of_the_ride(asked, word):
+    told, sentence = verdict(outlook(asked=asked, **NOTHING_AFTER))
+    assert told == word
+    assert "arrive above its reserve of 20 %; the rest of its shift is not known" in sentence
+
+
+def test_where_nothing_is_known_no_answer_is_made_up():
+    unknown = outlook(asked=LegOutlook(18.0, 1500.0, None, None), why_not="the car tells no SOC", **NOTHING_AFTER)
+    assert verdict(unknown)[0] == "NOT KNOWN"
+    assert verdict(outlook(asked=None, **NOTHING_AFTER))[0] == "NOT KNOWN"
+    assert list(figures(unknown))[-1] == ("not known", "the car tells no SOC")
+
+
+def test_the_figures_are_those_of_the_outlook():
+    assert dict(figures(OUTLOOK)) == {
+        "at arrival": "61 % (57 to 65), 41 points above the reserve",
+        "end of shift": "31 % (24 to 38) at 14:00 UTC, 11 points above the reserve",
+        "energy": "3.10 kWh (2.70 to 3.60)",
+        "then planned": "2 legs, 30 km, 4.0 kWh",
+        "now": "72.0 ± 0.4 % of 38.2 ± 0.6 kWh, by a sample of 2024-01-15 12:00 UTC",
+        "this car today": "takes 104 % of what hybrid/2 says",
+    }
+
+
+@pytest.mark.parametrize("without", ["soc_pct", "soc_sd_pct", "usable_capacity_kwh", "usable_capacity_sd_kwh"])
+def test_what_is_not_known_is_left_out(without):
+    console = Console(file=io.StringIO(), width=120)
+    show(outlook(**{without: None}), console)
+    told = console.file.getvalue()
+    assert told.startswith("YES: taxi-7 can take 18 km")
+    assert "None" not in told
+    assert "nan" not in told
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("taxi 7",), "'taxi 7'"),
+        (("taxi-7", "--distance-km", "18"), "duration_s is not given"),
+        (("taxi-7", "--distance-km=-3", "--duration-s", "1500"), "distance_km is -3"),
+        (("taxi-7", "--distance-km", "nan", "--duration-s", "1500"), "'nan'"),
+        (("taxi-7", *RIDE, "--plan", "nowhere.json"), "nowhere.json cannot be read"),
+        (("taxi-7", *RIDE, "--plan", "{tmp}/rubbish.json"), "no plan"),
+        (("taxi-7", "--plan", "{tmp}/empty.json"), "empty.json is empty; "),
+        (("taxi-7", *RIDE, "--timeout-s", "0"), "--timeout-s is 0"),
+        (("taxi-7", *RIDE, "--timeout-s", "nan"), "--timeout-s is nan"),
+        (("taxi-7", *RIDE, "--json", "/nowhere/x.json"), "/nowhere/x.json"),
+        (("taxi-7", *RIDE, "--prefix", "a/**"), "'a/**'"),
+        (("taxi-7", *RIDE), "cannot be joined"),
+    ],
+)
+def test_what_cannot_be_asked_is_one_line(arguments, told, tmp_path, capsys):
+    (tmp_path / "rubbish.json").write_text("lunch at noon")
+    (tmp_path / "empty.json").touch()
+    given = [argument.replace("{tmp}", str(tmp_path)) for argument in arguments]
+    assert told in refused(capsys, "ask", *given, "--connect", f"tcp/127.0.0.1:{free_port()}")
+
+
+def test_a_live_consumer_is_asked(tmp_path, capsys):
+    plan = {"shift_end_s": NOW + 3600.0, "reserve_soc_pct": 30.0, "legs": [{"distance_km": 7.0, "duration_s": 700}]}
+    (tmp_path / "plan.json").write_text(json.dumps(plan))
+    (tmp_path / "old.json").write_text(json.dumps(plan | {"shift_end_s": NOW - 3600.0}))
+    with live("montreal") as (_, _, client):
+        at = ("--prefix", "montreal", "--connect", client.connection.connect[0])
+        done("ask", "taxi-7", *RIDE, "--plan", tmp_path / "plan.json", "--json", tmp_path / "told.json", *at)
+        assert "taxi-7 can take 18 km in 25 min" in capsys.readouterr().out
+        assert "1.0 h before" in refused(capsys, "ask", "taxi-7", "--plan", tmp_path / "old.json", *at)
+        assert "taxi-9 is not known" in refused(capsys, "ask", "taxi-9", *RIDE, *at)
+        assert "nobody answers" in refused(capsys, "ask", "taxi-7", *RIDE, *at, "--prefix", "quebec")
+    told = json.loads((tmp_path / "told.json").read_text())
+    assert (told["asked"]["distance_km"], [leg["distance_km"] for leg in told["legs"]]) == (18.0, [7.0])
+
+
+def test_the_service_answers_in_words_and_counts_what_it_was_asked(consumer, capsys):  # noqa: F811 - the fixture
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    process, log = consumer("--listen", endpoint)
+    told = refused(capsys, "ask", "taxi-9", *RIDE, "--connect", endpoint, "--timeout-s", "30")
+    assert "nobody answers" not in told
+    process.terminate()
+    assert process.wait(20) == 0
+    (asked,) = (line for line in logged(log) if line["event"] == "asked")
+    assert sum(count for name, count in asked.items() if name.startswith("refused.")) == 1

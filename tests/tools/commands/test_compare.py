@@ -1,0 +1,341 @@
+"""`socast compare`, as a person meets it: tables, pages and traces, and one line for what cannot be compared."""
+
+import json
+import re
+import shlex
+
+import msgspec
+import pandas as pd
+import pytest
+
+from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, Term, save
+from tests.support.paths import ROOT
+from tests.tools.report.test_evaluation import read
+from tools.cli import main
+from tools.commands.tables import in_memory
+from tools.report.comparison.figures import model_style
+
+SHIFT = ROOT / "recordings" / "shift.mcap"
+MODELS = ("--model", "extended_physical", "--model", "basic_physical")
+ODD = "<b>R&D's 'best'</b>"
+
+
+@pytest.fixture(scope="module")
+def shift():
+    return in_memory([SHIFT], EXTENDED_PHYSICAL.effects)
+
+
+@pytest.fixture(scope="module")
+def folder(shift, tmp_path_factory):
+    """Return tables of the recorded shift."""
+    made = tmp_path_factory.mktemp("tables")
+    for name, table in zip(("rides", "windows"), shift, strict=True):
+        table.to_parquet(made / f"{name}.parquet")
+    return made
+
+
+@pytest.fixture(scope="module")
+def result(folder, tmp_path_factory):
+    """Return what --json has of two models."""
+    return as_json(tmp_path_factory.mktemp("result"), folder, *MODELS)
+
+
+@pytest.fixture
+def halves(shift, tmp_path):
+    """Return the shift's rides in two folders."""
+    rides, _ = shift
+    parts = []
+    for i in (0, 1):
+        parts.append(tmp_path / f"half {i}")
+        parts[i].mkdir()
+        rides[rides.index % 2 == i].to_parquet(parts[i] / "rides.parquet")
+    return parts
+
+
+def ran(capsys, *arguments):
+    """Return what a command prints."""
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in ("compare", *arguments)])
+    printed = capsys.readouterr()
+    assert not ended.value.code, printed.err
+    return printed.out
+
+
+def refused(capsys, *arguments):
+    """Return the one line of a command that is refused."""
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in ("compare", *arguments)])
+    told = capsys.readouterr().err
+    assert ended.value.code == 2
+    assert re.fullmatch(r"socast: [^\n]+\n", told), told
+    return told
+
+
+def as_json(path, *arguments):
+    with pytest.raises(SystemExit):
+        main([str(argument) for argument in ("compare", *arguments, "--json", path / "c.json")])
+    return json.loads((path / "c.json").read_text())
+
+
+def changed(folder, tmp_path, change):
+    """Return a folder with changed rides beside the same windows."""
+    change(pd.read_parquet(folder / "rides.parquet")).to_parquet(tmp_path / "rides.parquet")
+    (tmp_path / "windows.parquet").write_bytes((folder / "windows.parquet").read_bytes())
+    return tmp_path
+
+
+def page(path):
+    """Return a page, read, that loads nothing and holds figures."""
+    text = path.read_text()
+    found = read(text)
+    assert found.loaded == []
+    assert set(found.links) <= set(found.ids)
+    assert len(found.ids) == len(set(found.ids))
+    assert "default-src &#x27;none&#x27;" in text
+    return found
+
+
+def test_models_are_compared_and_written(folder, tmp_path, capsys):
+    out = ran(capsys, folder, *MODELS, "--json", tmp_path / "c.json", "--html", tmp_path / "c.html")
+    found = json.loads((tmp_path / "c.json").read_text())
+    about = found["about"]
+    assert about["rides"] + sum(about["left_out"].values()) == about["read"] == 57
+    assert f"{about['rides']} of 57 rides" in out
+    assert "Left out: 4 too short" in out
+    assert out.index("Errors by temperature") < out.index("How far off the models are")
+    for name, own in found["models"].items():
+        assert f"{own['mae_kwh']['value']:.3f} ± " in out, name
+        assert set(own["by"]) >= {
+            "distance",
+            "temperature",
+            "speed",
+            "season",
+            "time of day",
+            "wind",
+            "vehicle",
+            "driver",
+        }
+        assert set(own["within"]) == {"5", "10", "15"}
+    assert found["pairs"][0]["p_holm"] < 0.05
+    ids = page(tmp_path / "c.html").ids
+    assert {"models", "places", "worst", "figure-scatter-0", "figure-scatter-1", "figure-by-0"} <= set(ids)
+
+
+def test_every_worst_ride_is_one_command_away_from_its_trace(result, tmp_path, capsys):
+    for own in result["models"].values():
+        assert len(own["worst"]["absolute"]) == 10
+        for ride in (own["worst"]["absolute"][0], own["worst"]["relative"][-1]):
+            words = shlex.split(ride["command"])
+            assert words[:2] == ["socast", "compare"]
+            ran(capsys, *words[2:], "--json", tmp_path / "t.json")
+            told = json.loads((tmp_path / "t.json").read_text())["trace"]
+            assert told["ride"]["ride_key"] == ride["ride"]
+            (model,) = told["models"].values()
+            assert model["error_kwh"] == pytest.approx(ride["error_kwh"])
+
+
+def test_commands_are_printed_whole_and_quoted(shift, tmp_path, capsys):
+    rides, _ = shift
+    home = (
+        tmp_path
+        / ("a folder with a name that is longer than a line of the terminal, and so may be broken " * 2).strip()
+    )
+    home.mkdir()
+    rides.to_parquet(home / "rides.parquet")
+    model = tmp_path / f"{ODD[3:8]}.json"
+    save(BASIC_PHYSICAL, model)
+    out = ran(capsys, home, "--model", model)
+    lines = [line for line in out.splitlines() if line.startswith("socast compare")]
+    assert len(lines) >= 10
+    for line in lines:
+        words = shlex.split(line)
+        assert words[2:5] == [str(home), "--model", str(model)]
+        assert words[6] in set(rides["ride_key"])
+
+
+def test_a_trace_shows_where_they_part(folder, result, tmp_path, capsys):
+    ride = result["models"]["extended_physical"]["worst"]["absolute"][0]["ride"]
+    out = ran(capsys, folder, *MODELS, "--ride", ride, "--json", tmp_path / "t.json", "--html", tmp_path / "t.html")
+    found = json.loads((tmp_path / "t.json").read_text())["trace"]
+    for name, own in found["models"].items():
+        assert f"{name} {own['words']}" in " ".join(out.split())
+        place = own["place"]
+        assert ("parts from the measurement at" in own["words"]) == (place is not None)
+        if place:
+            error = [
+                said - true for said, true in zip(own["energy_kwh"], found["windows"]["measured_kwh"], strict=True)
+            ]
+            assert place["error_kwh"] == pytest.approx(sum(error[place["first"] : place["last"] + 1]))
+            assert f"{place['minute']:.1f} min, {place['km']:.1f} km" in own["words"]
+    minutes = [line.split()[0] for line in out.splitlines() if re.match(r" \d+\.\d ", line)]
+    assert minutes == [f"{minute:.1f}" for minute in found["windows"]["end_min"]]
+    figures = {one for one in page(tmp_path / "t.html").ids if one.startswith("figure-")}
+    assert figures == {"figure-along-min", "figure-along-km", "figure-power", "figure-terms-0", "figure-terms-1"}
+
+
+def test_a_recording_gives_what_its_tables_give(result, tmp_path):
+    found = as_json(tmp_path, SHIFT, *MODELS)
+    for name, own in result["models"].items():
+        assert found["models"][name]["mae_kwh"] == own["mae_kwh"]
+    assert found["rides"]["measured_kwh"] == result["rides"]["measured_kwh"]
+
+
+def test_two_sets_are_set_side_by_side(halves, tmp_path, capsys):
+    one, other = halves
+    written = "--json", tmp_path / "c.json", "--html", tmp_path / "c.html"
+    out = ran(capsys, one, "--against", other, "--model", "extended_physical", *written)
+    assert "What is different between the two" in out
+    assert f"First: {one}. Second: {other}" in " ".join(out.split())
+    found = json.loads((tmp_path / "c.json").read_text())["against"]
+    assert found["shared"] == 0
+    own = found["models"]["extended_physical"]
+    sides = [own["explained"], own["unexplained"], found["consumption"]]
+    explained, left, all_of_it = (side["difference"]["value"] for side in sides)
+    assert explained + left == pytest.approx(all_of_it)
+    ids = page(tmp_path / "c.html").ids
+    assert {"against", "contrast", "figure-account-0", "figure-contrast-0-0"} <= set(ids)
+
+
+def test_the_same_rides_twice_do_not_differ(folder, tmp_path, capsys):
+    out = ran(capsys, folder, "--against", folder, "--model", "basic_physical", "--json", tmp_path / "c.json")
+    found = json.loads((tmp_path / "c.json").read_text())
+    assert found["against"]["shared"] == found["about"]["rides"]
+    assert "53 rides are in both" in " ".join(out.split())
+    assert found["against"]["consumption"]["difference"]["value"] == 0.0
+    assert all(entry["difference"]["value"] == 0.0 for entry in found["against"]["properties"])
+
+
+def test_rides_of_several_tables_are_told_apart(halves, folder, capsys, tmp_path):
+    for half in halves:
+        (half / "windows.parquet").write_bytes((folder / "windows.parquet").read_bytes())
+    found = as_json(tmp_path, *halves, "--model", "basic_physical")
+    worst = found["models"]["basic_physical"]["worst"]["absolute"]
+    assert {ride["ride"].partition("/")[0] for ride in worst} == {"0", "1"}
+    for ride in worst[:3]:
+        out = ran(capsys, *shlex.split(ride["command"])[2:])
+        assert f"{ride['measured_kwh']:.3f} kWh" in out
+
+
+def test_names_that_are_no_html_are_shown_as_they_are(shift, tmp_path, capsys):
+    rides, windows = shift
+    odd = {key: f"{ODD}{i}" for i, key in enumerate(rides["vehicle_id"].unique())}
+    home = tmp_path / "odd"
+    home.mkdir()
+    for name, table in (("rides", rides), ("windows", windows)):
+        key = table["vehicle_id"].map(odd) + "#" + table["ride_key"].str.partition("#")[2]
+        table.assign(vehicle_id=table["vehicle_id"].map(odd), ride_key=key).to_parquet(home / f"{name}.parquet")
+    model = tmp_path / "[red]x & y.json"
+    save(BASIC_PHYSICAL, model)
+    out = ran(capsys, home, "--model", model, "--html", tmp_path / "c.html")
+    assert "[red]x & y" in out
+    assert any("[red]x & y" in text for text in page(tmp_path / "c.html").text)
+    ran(capsys, home, "--model", model, "--html", tmp_path / "t.html", "--ride", f"{ODD}0#1")
+    assert any(f"Ride {ODD}0#1" in text for text in page(tmp_path / "t.html").text)
+
+
+def test_files_of_the_same_name_are_told_apart(folder, tmp_path):
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        save(msgspec.structs.replace(BASIC_PHYSICAL, name=name), tmp_path / name / "m.json")
+    names = [str(tmp_path / name / "m.json") for name in ("one", "two")]
+    found = as_json(tmp_path, folder, "--model", names[0], "--model", names[1])
+    assert list(found["models"]) == names
+
+
+def test_an_effect_of_ones_own_is_known_with_its_file(folder, tmp_path, capsys):
+    own = tmp_path / "own.py"
+    own.write_text(
+        '"""Own."""\n\nfrom core.effects import effect\n\n\n'
+        '@effect(coefficient="drag of the brake pads", unit="N", low=0, high=60, source="Barton 2001, p. 3")\n'
+        'def rubbing(speed):\n    """Pads that rub: P = F v."""\n    return speed\n'
+    )
+    model = tmp_path / "own.json"
+    term = {"name": "rubbing", "columns": ["effect_rubbing"], "unit": "N"}
+    made = json.loads(msgspec.json.encode(BASIC_PHYSICAL))
+    made["terms"].append(term)
+    made["fits"]["*"]["coefficients"].append(20.0)
+    model.write_text(json.dumps(made))
+    told = refused(capsys, folder, "--model", model)
+    assert "effect 'rubbing' is unknown" in told
+    told = refused(capsys, folder, "--model", model, "--effects", own)
+    assert "column 'effect_rubbing' is missing in the data: make the tables with this model's effects" in told
+    out = ran(capsys, SHIFT, "--model", model, "--effects", own)
+    assert f"--effects {own}" in out
+
+
+def test_models_can_be_told_apart_without_colours():
+    styles = [model_style(place) for place in range(8)]
+    assert len({(style.dash, style.symbol) for style in styles}) == len(styles)
+
+
+# what cannot be compared
+
+
+def test_no_rides(folder, tmp_path, capsys):
+    home = changed(folder, tmp_path, lambda rides: rides[:0])
+    assert "there are no rides: give tables or recordings that hold some" in refused(capsys, home, *MODELS)
+    assert "is not among 0 rides" in refused(capsys, home, *MODELS, "--ride", "x")
+
+
+def test_a_model_of_another_vehicle(folder, tmp_path, capsys):
+    fit = Fit(coefficients=(1.0,) * 4)
+    save(msgspec.structs.replace(BASIC_PHYSICAL, fits={"bmw-i3-2014": fit}), tmp_path / "i3.json")
+    told = refused(capsys, folder, "--model", tmp_path / "i3.json")
+    assert "model i3 is of bmw-i3-2014, and the rides are of " in told
+
+
+def test_rides_without_measured_energy(folder, tmp_path, capsys):
+    home = changed(folder, tmp_path, lambda rides: rides.assign(energy_kwh=float("nan")))
+    assert "none of 57 rides can be compared (53 no measured energy, 4 too short)" in refused(capsys, home, *MODELS)
+    assert "it has no measured energy to compare with" in refused(capsys, home, *MODELS, "--ride", "taxi-001#1")
+
+
+def test_two_rides(folder, tmp_path, capsys):
+    two = changed(folder, tmp_path, lambda rides: rides[rides["vehicle_id"] == "taxi-001"][1:3])
+    out = ran(capsys, two, *MODELS, "--html", tmp_path / "c.html")
+    assert "2 rides of one car on one day: too few for intervals" in out
+    page(tmp_path / "c.html")
+
+
+def test_a_ride_that_is_not_there(folder, capsys):
+    told = refused(capsys, folder, *MODELS, "--ride", "taxi-1#2")
+    assert "ride 'taxi-1#2' is not among 57 rides: did you mean taxi-001#2" in told
+
+
+def test_tables_without_a_column(folder, tmp_path, capsys):
+    home = changed(folder, tmp_path, lambda rides: rides.drop(columns="effect_climbing"))
+    assert "column 'effect_climbing' is missing in the data" in refused(capsys, home, *MODELS)
+    changed(folder, tmp_path, lambda rides: rides.drop(columns="ambient_c"))
+    assert "column 'ambient_c' is missing in the ride table" in refused(capsys, home, *MODELS)
+
+
+def test_a_trace_without_windows(folder, tmp_path, capsys):
+    home = changed(folder, tmp_path, lambda rides: rides)
+    (home / "windows.parquet").unlink()
+    told = refused(capsys, home, *MODELS, "--ride", "taxi-001#1")
+    assert "holds no windows.parquet; a trace needs the windows that `socast tables` makes" in told
+    (home / "windows.parquet").write_bytes(b"PAR1")
+    assert "windows.parquet: cannot read windows: " in refused(capsys, home, *MODELS, "--ride", "taxi-001#1")
+
+
+def test_commands_that_contradict_themselves(folder, tmp_path, capsys):
+    assert "leave out --against" in refused(capsys, folder, *MODELS, "--against", folder, "--ride", "x")
+    assert "is given twice" in refused(capsys, folder, "--model", "basic_physical", "--model", "basic_physical")
+    assert "is given twice" in refused(capsys, SHIFT, SHIFT, *MODELS)
+    assert "give recordings or tables, not both" in refused(capsys, SHIFT, folder, *MODELS)
+    assert "holds no rides.parquet" in refused(capsys, tmp_path, *MODELS)
+    assert "is read and would be overwritten" in refused(capsys, folder, *MODELS, "--json", folder / "rides.parquet")
+    assert "cannot be written" in refused(capsys, folder, *MODELS, "--html", tmp_path / "no" / "c.html")
+    assert "model 'no' is unknown" in refused(capsys, folder, "--model", "no")
+
+
+def test_a_term_that_is_not_in_the_windows_is_not_made_up(folder, tmp_path, capsys):
+    home = changed(folder, tmp_path, lambda rides: rides.assign(effect_brake_drag=0.01))
+    term = Term(name="brakes", columns=("effect_brake_drag",), unit="N")
+    own = msgspec.structs.replace(
+        BASIC_PHYSICAL, terms=(*BASIC_PHYSICAL.terms, term), fits={"*": Fit(coefficients=(1.0,) * 5)}
+    )
+    save(own, tmp_path / "own.json")
+    ran(capsys, home, "--model", tmp_path / "own.json")
+    told = refused(capsys, home, "--model", tmp_path / "own.json", "--ride", "taxi-001#1")
+    assert "column 'effect_brake_drag' is missing in the data" in told

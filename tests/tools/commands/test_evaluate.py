@@ -1,0 +1,168 @@
+"""`socast evaluate`, as a person meets it: tables printed and written, and one line for what cannot be judged."""
+
+import json
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from core.fit import segment_network
+from tests.core.fit.test_segment_network import windows
+from tests.support import planted_rides
+from tools.cli import main
+from tools.commands.evaluate import read, window_columns
+from tools.terminal.output import writable
+
+QUICK = ("--recipes", "basic_physical,empirical", "--repeats", "2", "--jobs", "1")
+
+
+def fleet(n=240, models=planted_rides.MODELS[:2]):
+    table = planted_rides.rides(n, 2, models)
+    table = table.assign(start_s=table["start_s"] + np.arange(n), ride_key=[f"car#{i}" for i in range(n)])
+    return planted_rides.noisy(table, planted_rides.physical_energy(table))
+
+
+@pytest.fixture
+def folder(tmp_path):
+    fleet().to_parquet(tmp_path / "rides.parquet")
+    return tmp_path
+
+
+def ran(capsys, *arguments):
+    """Return what a command prints."""
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in ("evaluate", *arguments)])
+    printed = capsys.readouterr()
+    assert not ended.value.code, printed.err
+    return printed.out
+
+
+def refused(capsys, *arguments):
+    """Return the one line of a command that is refused."""
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in ("evaluate", *arguments)])
+    told = capsys.readouterr().err
+    assert ended.value.code == 2
+    assert re.fullmatch(r"socast: [^\n]+\n", told), told
+    return told
+
+
+def test_tables_are_printed_and_written(folder, capsys):
+    out = ran(capsys, folder, *QUICK, "--json", folder / "e.json", "--html", folder / "e.html", "--seed", "3")
+    assert "Learned Empirical Model" in out
+    found = json.loads((folder / "e.json").read_text())
+    assert found["about"]["seed"] == 3
+    assert found["about"]["repeats"] == 2
+    assert found["about"]["seconds"] > 0
+    assert set(found["mae"]) == {"basic_physical", "empirical"}
+    assert found["reduction"]["empirical"]["average"] > 0.3
+    for part in ("new_vehicle", "dominates", "coverage", "buffer_kwh"):
+        assert part in found
+    page = (folder / "e.html").read_text()
+    assert "Learned Empirical Model" in page
+
+
+def test_a_file_will_do_and_several_are_one_table(folder, capsys):
+    table = fleet()
+    for name, part in (("a", table.iloc[:120]), ("b", table.iloc[120:])):
+        (folder / name).mkdir()
+        part.to_parquet(folder / name / "rides.parquet")
+    ran(capsys, folder / "rides.parquet", *QUICK, "--json", folder / "one.json")
+    ran(capsys, folder / "b", folder / "a", *QUICK, "--json", folder / "two.json")
+    one, two = (json.loads((folder / name).read_text()) for name in ("one.json", "two.json"))
+    one["about"].pop("seconds")
+    two["about"].pop("seconds")
+    assert one == two
+
+
+def test_ride_keys_of_several_recordings_are_told_apart(folder):
+    files = [folder / "rides.parquet", folder / "rides.parquet"]
+    assert read(files)["ride_key"].nunique() == 2 * len(fleet())
+    assert read(files[:1])["ride_key"].tolist() == fleet()["ride_key"].tolist()
+
+
+def test_the_segment_model_takes_part_where_there_are_windows(folder, capsys):
+    frame, rides, _ = windows(240)
+    frame.to_parquet(folder / "windows.parquet")
+    table = fleet().drop(columns="energy_kwh").merge(rides[["ride_key", "energy_kwh"]], on="ride_key")
+    table.to_parquet(folder / "rides.parquet")
+    ran(capsys, folder, "--recipes", "basic_physical,segment_network", *QUICK[2:], "--json", folder / "e.json")
+    mae = json.loads((folder / "e.json").read_text())["mae"]
+    assert set(mae) == {"basic_physical", "segment_network"}
+
+
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (lambda t: t.drop(columns="effect_climbing"), "'effect_climbing' is missing"),
+        (lambda t: t.drop(columns="vehicle_id"), "'vehicle_id' is missing"),
+        (lambda t: t.head(1), "1 of 1 rides can be judged"),
+        (lambda t: t.assign(energy_kwh=np.nan), "0 of 240 rides can be judged"),
+        (lambda t: t.assign(energy_kwh=None), "0 of 240 rides can be judged"),
+        (lambda t: t.assign(ambient_c="cold"), "holds no numbers"),
+    ],
+)
+def test_a_table_that_cannot_be_judged_is_refused(folder, capsys, spoil, told):
+    spoil(fleet()).to_parquet(folder / "rides.parquet")
+    assert told in refused(capsys, folder, *QUICK)
+
+
+def test_one_car_one_day_or_rides_all_alike_are_judged_as_far_as_they_go(folder, capsys):
+    table = fleet(models=planted_rides.MODELS[:1])
+    for alike in (
+        {"vehicle_id": "one"},
+        {"date": "2018-01-15"},
+        {"vehicle_id": "one", "date": "2018-01-15", "ambient_c": 5.0, "duration_s": 600.0, "winter": 1, "summer": 0},
+        {name: table[name].iloc[0] for name in table if name.startswith(("effect", "speed", "distance", "duration"))},
+    ):
+        table.assign(**alike).to_parquet(folder / "rides.parquet")
+        ran(capsys, folder, *QUICK, "--json", folder / "e.json")
+        assert json.loads((folder / "e.json").read_text())["about"]["notes"]
+
+
+def test_rides_that_are_all_alike_teach_nothing_and_that_is_said(folder, capsys):
+    table = fleet(models=planted_rides.MODELS[:1])
+    first = table.iloc[[0]].drop(columns=["start_s", "ride_id", "ride_key"])
+    alike = table[["start_s", "ride_id", "ride_key"]].merge(first, how="cross")
+    alike.to_parquet(folder / "rides.parquet")
+    told = refused(capsys, folder, "--recipes", "fitted_physical", *QUICK[2:])
+    assert "all" in told
+    assert "alike" in told
+
+
+def test_what_is_no_table_is_refused(folder, capsys):
+    (folder / "x.parquet").write_bytes(b"PAR1 nothing")
+    assert "x.parquet: no Parquet table" in refused(capsys, folder / "x.parquet", *QUICK)
+    assert "is not there" in refused(capsys, folder / "y.parquet", *QUICK)
+    (folder / "empty").mkdir()
+    assert "holds no rides.parquet" in refused(capsys, folder / "empty", *QUICK)
+    pd.DataFrame({"ride_key": ["a"]}).to_parquet(folder / "windows.parquet")
+    assert "windows.parquet: column 'window' is missing" in refused(capsys, folder, *QUICK)
+
+
+def test_what_cannot_be_asked_is_refused(folder, capsys):
+    assert "recipe 'horse' is unknown; known are basic_physical" in refused(capsys, folder, "--recipes", "horse")
+    assert "needs windows.parquet" in refused(capsys, folder, "--recipes", "segment_network")
+    assert "--repeats is 1; give 2 or more" in refused(capsys, folder, "--repeats", "1")
+    assert "--jobs is 0; give 1 or more" in refused(capsys, folder, "--jobs", "0")
+    assert "--seed is -1; give 0 or more" in refused(capsys, folder, "--seed", "-1")
+    assert "overwritten" in refused(capsys, folder, "--json", folder / "rides.parquet")
+    assert "cannot be written" in refused(capsys, folder, "--html", folder / "no" / "e.html")
+    assert "/proc/e.html cannot be written" in refused(capsys, folder, "--html", "/proc/e.html")
+    assert "/proc/version cannot be written" in refused(capsys, folder, "--json", "/proc/version")
+
+
+def test_trying_whether_an_output_can_be_written_leaves_all_as_it_was(tmp_path):
+    kept, new = tmp_path / "kept.json", tmp_path / "new.json"
+    kept.write_text("[]")
+    writable([], kept, new)
+    assert kept.read_text() == "[]"
+    assert not new.exists()
+
+
+def test_windows_are_read_for_their_features_alone(folder):
+    names = {name for product in segment_network.FEATURES for name in product} | {"ride_key", "window"}
+    frame, _, _ = windows(20)
+    frame.assign(energy_vi_kwh=1.0).to_parquet(folder / "windows.parquet")
+    assert set(read([folder / "windows.parquet"], window_columns())) == names

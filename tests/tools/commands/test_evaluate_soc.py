@@ -1,0 +1,282 @@
+"""`socast evaluate-soc`, as a person meets it: tables that fit, a page that needs nothing else, one line of error."""
+
+import json
+import re
+from io import StringIO
+from zoneinfo import ZoneInfo
+
+import pytest
+from rich.console import Console
+
+from core.evaluate.paper.results import plain
+from core.evaluate.soc.report import evaluate_soc
+from core.stats.soc_share import ENOUGH
+from tests.support.paths import ROOT
+from tests.support.soc_frames import told
+from tests.tools.report.test_evaluation import read
+from tools.cli import main
+from tools.commands import evaluate_soc as command
+from tools.commands.import_drives import collect, write
+from tools.importers import ved
+from tools.importers.shifts import strung
+from tools.report.soc import figures as drawn
+from tools.report.soc import page as report
+from tools.report.soc import risk_tables
+from tools.report.soc.tables import against_best, ahead, condition_tables, covered
+
+DATA = ROOT.parent / "shared" / "data"
+SHIFT = ROOT / "recordings" / "shift.mcap"
+ODD = "<b>R&D's 'best'</b>"
+SMALL = told(cars=4, days=8)
+FEW = told(cars=1, days=2, hours=0.4, warm_up=0)
+
+
+@pytest.fixture(scope="module")
+def result():
+    return plain(evaluate_soc(*SMALL))
+
+
+def printed(result):
+    """Return what the terminal shows."""
+    console = Console(width=120, file=StringIO(), color_system=None)
+    report.show(result, console)
+    return console.file.getvalue()
+
+
+def figures(result):
+    """Return all figures of the page, by key."""
+    found = [one for section in report.sections(result) for one in report.illustrations(result, section.key)]
+    return {one.key: one for one in found}
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Return what runs the command on a recording whose pipeline tells of planted shifts."""
+
+    class Planted(command.Pipeline):
+        def __init__(self, *arguments, keep_outlooks, **options):
+            assert keep_outlooks
+            super().__init__(*arguments, **options)
+            self.told = SMALL.outlooks
+
+        def take_outlooks(self):
+            told, self.told = self.told, self.told[:0]
+            return told
+
+        def take_shifts(self):
+            return SMALL.shifts
+
+        def ask(self, vehicle_id):
+            assert vehicle_id in set(SMALL.shifts["vehicle_id"])
+            return super().ask("taxi-001")
+
+    monkeypatch.setattr(command, "Pipeline", Planted)
+
+    def ran(*arguments):
+        with pytest.raises(SystemExit) as ended:
+            main(["evaluate-soc", *map(str, arguments)])
+        return ended.value.code or 0, capsys.readouterr()
+
+    return ran
+
+
+def test_the_command_prints_and_writes_one_result(run, result, tmp_path):
+    code, streams = run(SHIFT, "--json", tmp_path / "s.json", "--html", tmp_path / "s.html")
+    assert code == 0, streams.err
+    assert json.loads((tmp_path / "s.json").read_text()) == result
+    assert printed(result) in streams.out
+    assert f"report in {tmp_path / 's.html'}" in streams.out
+
+
+def test_an_output_that_would_overwrite_the_recording_is_refused(run):
+    code, streams = run(SHIFT, "--json", SHIFT)
+    assert code == 2
+    assert re.fullmatch(r"socast: [^\n]+would be overwritten[^\n]+\n", streams.err)
+
+
+def test_a_recording_too_short_to_learn_from_is_refused_in_one_line(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["evaluate-soc", str(SHIFT)])
+    assert ended.value.code == 2
+    words = r"socast: 7 shifts ended and no forecast of theirs can be judged \(\d+ no interval yet\): [^\n]+\n"
+    assert re.fullmatch(words, capsys.readouterr().err)
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason=f"the public data sets are not at {DATA}")
+def test_real_drives_strung_into_shifts_are_judged_by_what_they_became(tmp_path):
+    drives = collect([DATA / "ved_ev"], lambda path: ved.read_drives(path, ZoneInfo(ved.TIME_ZONE)))
+    shifts = strung(drives, 2.0)
+    write(drives, tmp_path / "ved.mcap", 3.0, shift_hours=2.0)
+    with pytest.raises(SystemExit) as ended:
+        main(["evaluate-soc", str(tmp_path / "ved.mcap"), "--json", str(tmp_path / "s.json")])
+    assert not ended.value.code
+    found = json.loads((tmp_path / "s.json").read_text())
+    assert found["about"]["shifts"] == len(shifts)
+    told = found["forecasts"]
+    assert len(told["hours"]) + sum(found["about"]["left_out"].values()) >= len(shifts)
+    became = {number: shift.drives[-1].rows["soc_pct"][-1] for number, shift in enumerate(shifts)}
+    assert told["soc_end"] == pytest.approx([became[number] for number in told["shift"]], abs=0.5)
+    planned = [row for row, hours in enumerate(told["hours"]) if hours > 0]
+    assert planned
+    assert all(told["rating"][row] is not None and told["model_mean"][row] is not None for row in planned)
+
+
+def test_the_tables_say_what_the_result_does(result):
+    out = printed(result)
+    for hours, own in result["overall"]["hours"].items():
+        (line,) = (line for line in out.splitlines() if line.startswith(f" {hours} h "))
+        assert f"{own['mae_pct']['value']:.2f} ± {own['mae_pct']['ci95']:.2f}" in line
+        assert covered(own["coverage"]) in line
+        assert f"{own['baselines']['rating']['mae_pct']['value']:.2f}" in line
+        assert hours == "0" or against_best(own) in line
+    assert "Judged from 2018-01-03 to 2018-01-08; 8 shifts came before enough was learned" in " ".join(out.split())
+    assert out.index("By temperature") < out.index("Alarms") < out.index("How good the forecasts were")
+    assert [row.name for row in ahead(result).rows] == ["0 h", "1 h", "2 h", "4 h", "6 h", "all"]
+
+
+def test_the_page_loads_nothing_and_has_every_figure(result, tmp_path):
+    report.write(result, tmp_path / "s.html")
+    text = (tmp_path / "s.html").read_text()
+    page = read(text)
+    assert page.loaded == []
+    assert set(page.links) <= set(page.ids)
+    assert len(page.ids) == len(set(page.ids))
+    names = ["error", "coverage", "width", "scatter", "by-0", "by-1", "risk", "example-0"]
+    assert {f"figure-soc-{name}" for name in names} <= set(page.ids)
+
+
+def test_axes_have_units_and_curves_differ_in_more_than_colour(result):
+    for key, one in figures(result).items():
+        layout = one.figure.layout
+        assert re.search(r"\[[^\]]+\]$|^Vehicle model$", layout.xaxis.title.text), key
+        assert re.search(r"\[[^\]]+\]$", layout.yaxis.title.text), key
+        shown = [trace for trace in one.figure.data if trace.showlegend is not False]
+        looks = [(trace.mode, trace.line.dash, trace.marker.symbol, trace.fill) for trace in shown]
+        assert len(set(looks)) == len(looks), key
+
+
+def test_the_scatter_shows_each_shift_once_where_it_belongs(result):
+    inside, outside, _ = drawn.scatter(result).data
+    own = result["overall"]["hours"]["2"]
+    assert len(inside.x) + len(outside.x) == own["n"]
+    assert len(inside.x) / own["n"] == pytest.approx(own["coverage"]["value"])
+
+
+def test_the_risk_is_shown_as_it_was_told_and_as_it_came():
+    result = plain(evaluate_soc(*told(cars=6, days=9)))
+    *traces, equal = drawn.risk(result).data
+    levels, plan = (trace for trace in traces if trace.mode == "markers")
+    few = {"levels" if trace.name.startswith("levels") else "plan" for trace in traces if trace.mode == "lines"}
+    for points, key in ((levels, "levels"), (plan, "plan")):
+        classes = result["reserve"]["reliability"][key]
+        assert list(points.x) == pytest.approx([100.0 * own["told"] for own in classes])
+        shown = [100.0 * own["fell"]["value"] if own["fell"]["clusters"] >= ENOUGH else None for own in classes]
+        assert list(points.y) == shown
+        assert (None in shown) == (key in few)
+    assert any(y is not None for y in levels.y)
+    assert equal.x == equal.y
+
+
+def coverages(*clusters):
+    """Return groups whose shares rest on so many car-days; of one alone there is no interval."""
+    ends = {"low": 0.6, "high": 0.95}
+    return {
+        f"group {n}": {"coverage": {"value": 0.8, "clusters": n} | (ends if n > 1 else dict.fromkeys(ends))}
+        for n in clusters
+    }
+
+
+def test_of_few_car_days_a_figure_shows_the_interval_alone():
+    points, lines = drawn.coverage(coverages(1, 2, ENOUGH - 1, ENOUGH), "Group [1]").data
+    assert points.x == ("group 1", "group 2", "group 29", "group 30")
+    assert points.y == (None, None, None, 80.0)
+    assert lines.mode == "lines"
+    assert lines.x == tuple(x for n in (1, 2, 29) for x in (f"group {n}", f"group {n}", None))
+    assert lines.y == (None, None, None, 60.0, 95.0, None, 60.0, 95.0, None)
+    (alone,) = drawn.coverage(coverages(ENOUGH, 300), "Group [1]").data
+    assert alone.y == (80.0, 80.0)
+
+
+def test_groups_stay_in_their_order_whether_or_not_they_are_too_few():
+    made = drawn.coverage(coverages(40, 2, 50), "Group [1]")
+    assert made.layout.xaxis.categoryarray == ("group 40", "group 2", "group 50")
+
+
+def test_no_interval_of_a_width_or_an_error_goes_below_zero():
+    known = {"value": 4.0, "ci95": 5.0}
+    hours = {
+        hours: {"width_pct": width, "mae_pct": width, "baselines": {}}
+        for hours, width in (("1", known), ("2", {"value": 20.0, "ci95": 1.0}), ("4", {"value": 1.0, "ci95": None}))
+    }
+    result = {"overall": {"hours": hours}}
+    for trace in (drawn.width(result).data[0], figures.errors(result).data[0]):
+        assert trace.error_y.array == (5.0, 1.0, None)
+        assert trace.error_y.arrayminus == (4.0, 1.0, None)
+        assert trace.error_y.symmetric is False
+
+
+def test_against_the_best_nothing_is_said_of_few_car_days(result):
+    of_model = result["by"]["vehicle model"]
+    assert all(own["hours"]["2"]["best"]["vehicle_days"] == own["hours"]["2"]["n"] == 12 for own in of_model)
+    (table,) = (table for table in condition_tables(result) if table.title == "By vehicle model")
+    assert [row.cells[-1].text for row in table.rows] == ["–", "–"]
+    many = plain(evaluate_soc(*told(cars=4, days=17)))
+    (table,) = (table for table in condition_tables(many) if table.title == "By vehicle model")
+    assert all(re.fullmatch(r"[+−][\d.]+ %", row.cells[-1].text) for row in table.rows)
+
+
+def test_alarms_are_told_level_by_level(result):
+    table = risk_tables.alarms(result)
+    names = [row.name for row in table.rows]
+    assert names[-2:] == ["20 to 60 %, 1 h", "20 to 60 %, 2 h"]
+    own = result["reserve"]["overall"]["2"]
+    assert [cell.text for cell in table.rows[-1].cells[:2]] == [str(own["n"]), str(own["fell"])]
+    assert table.rows[-1].cells[2].text.startswith(f"{own['alarms']['caught']}: ")
+    missed = {row.name: int(row.cells[3].text) for row in table.rows}
+    of_plan = result["reserve"]["levels"].get("plan", {})
+    for hours in {"1", "2"} & of_plan.keys():
+        assert missed.get(f"the plan's reserve, {hours} h", 0) == of_plan[hours]["alarms"]["missed"]
+
+
+def test_legs_are_shown_only_where_any_were_asked_about(result):
+    assert "Leg by leg" not in printed(result)
+    bins = [{"bin": name, **result["overall"]["hours"]["1"]} for name in ("below 30", "all")]
+    out = printed(result | {"legs": {"without a charge": bins, "charged later": []}})
+    assert out.count("minutes ahead") == 1
+    (line,) = (line for line in out.splitlines() if line.startswith(" below 30 "))
+    assert covered(bins[0]["coverage"]) in line
+    assert f"{bins[0]['baselines']['rating']['mae_pct']['value']:.2f}" in line
+
+
+def test_of_few_car_days_no_share_is_told(result):
+    out = printed(result)
+    for own in result["by"]["temperature"]:
+        few = own["pooled"]["vehicle_days"] < 30
+        (line,) = (line for line in out.splitlines() if line.startswith(f" {own['bin'].replace('-', '−')} "))
+        assert ("too few" in line) == few
+    assert any(own["pooled"]["vehicle_days"] < 30 for own in result["by"]["temperature"])
+
+
+def test_the_fan_of_an_example_ends_where_the_shift_did(result):
+    for own in result["examples"]:
+        upper, lower, mean, _, became = drawn.fan(own).data
+        assert became.y == (own["soc_end_pct"],)
+        assert all(low <= m <= high for low, m, high in zip(lower.y, mean.y, upper.y, strict=True))
+
+
+def test_few_short_shifts_are_shown_as_far_as_anything_is_known(tmp_path):
+    found = plain(evaluate_soc(*FEW))
+    out = printed(found)
+    assert [row.name for row in ahead(found).rows] == ["0 h", "all"]
+    assert " 0 h " in out
+    report.write(found, tmp_path / "few.html")
+    assert "figure-soc-scatter" not in read((tmp_path / "few.html").read_text()).ids
+
+
+def test_odd_names_are_shown_as_they_are(tmp_path):
+    tables = [table.replace({"taxi-1": ODD, "nissan-leaf-2016": ODD}) for table in SMALL]
+    found = plain(evaluate_soc(*tables))
+    assert "R&D's" in printed(found)
+    assert any("no official rating is known of" in note for note in found["notes"])
+    report.write(found, tmp_path / "odd.html")
+    assert "<b>R&D" not in (tmp_path / "odd.html").read_text()

@@ -1,0 +1,266 @@
+"""`socast fit`: from tables to a model file that forecasts, and one line for what cannot be fitted."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from core import models
+from core.fit.recipes import RECIPES
+from core.models import ANY, LinearModel
+from core.pipeline import Pipeline
+from stream.loop import run
+from stream.mcap_writer import McapSink, McapSource
+from stream.memory import MemorySink, MemorySource
+from tests.support.commands import done, refused
+from tests.support.planted_rides import MODELS, noisy, physical_energy, rides
+from tests.support.pooled_rides import differing, fleet, measured, planted
+from tests.support.recorded_shift import shift
+from tools.commands.fit import ride_files
+
+PAPER = list(RECIPES)[:7]
+
+
+@pytest.fixture(scope="module")
+def table() -> pd.DataFrame:
+    found = rides(900, seed=31)
+    made = noisy(found, physical_energy(found, {"rolling": 1.4}))
+    made.loc[:4, "fit_for_training"] = False
+    made.loc[:4, "unfit_reason"] = "too_long"
+    return made
+
+
+@pytest.fixture(scope="module")
+def folder(table, tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("tables")
+    table.to_parquet(path / "rides.parquet", row_group_size=200)
+    return path
+
+
+def fitted(folder: Path, recipe: str, out: Path, *more: object) -> LinearModel:
+    done("fit", folder, "--recipe", recipe, "-o", out, *more)
+    return models.load(out)
+
+
+@pytest.mark.parametrize("name", PAPER)
+def test_every_recipe_of_the_paper_is_fitted_and_predicts(name, folder, table, tmp_path, capsys):
+    model = fitted(folder, name, tmp_path / "model.json")
+    told = capsys.readouterr().out
+    assert RECIPES[name].title in told
+    assert "895 rides from 2018-01-02 to 2018-12-31" in told
+    assert "left out: 5 too long" in told
+    assert "MAE in sample" in told
+    assert model == RECIPES[name].fit_parquet(folder / "rides.parquet")
+    assert np.isfinite(model.predict(table)).all()
+    for key in model.fits:
+        assert key in told or key == ANY
+
+
+def test_what_was_fitted_is_told_with_units_and_intervals(folder, tmp_path, capsys):
+    model = fitted(folder, "fitted_physical", tmp_path / "model.json", "--json", tmp_path / "told.json")
+    printed = capsys.readouterr().out
+    assert "heating full" in printed
+    assert "±" in printed
+    assert "(held)" in printed
+    told = json.loads((tmp_path / "told.json").read_text())
+    assert told["recipe"] == "fitted_physical"
+    assert told["training"]["rides"] == 895
+    assert told["training"]["left_out"] == {"too_long": 5}
+    assert set(told["fits"]) == {*MODELS, ANY}
+    every = told["fits"][ANY]
+    rolling = every["coefficients"][0]
+    assert rolling["term"] == "rolling"
+    assert rolling["unit"] == "1"
+    assert abs(rolling["value"] - 1.4) < 2.0 * rolling["ci95"]
+    assert every["mae_in_sample_kwh"] < 0.2
+    assert abs(every["curve"]["heating_off_c"] - 10.0) < 4.0
+    assert model.history[0]["mae_in_sample_kwh"][ANY] == every["mae_in_sample_kwh"]
+
+
+def test_several_tables_are_fitted_together(folder, table, tmp_path):
+    half = tmp_path / "half.parquet"
+    table.iloc[:450].to_parquet(half)
+    table.iloc[450:].to_parquet(tmp_path / "rides.parquet")
+    done("fit", half, tmp_path, "--recipe", "hybrid", "-o", tmp_path / "model.json")
+    assert ride_files([half, tmp_path]) == [half, tmp_path / "rides.parquet"]
+    together, whole = models.load(tmp_path / "model.json"), fitted(folder, "hybrid", tmp_path / "whole.json")
+    assert together.training == whole.training
+    np.testing.assert_allclose(together.predict(table), whole.predict(table), rtol=1e-6)
+
+
+def written(table: pd.DataFrame, path: Path) -> Path:
+    table.to_parquet(path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda t: t.drop(columns="odometer_km"), "column 'odometer_km' is missing: make the tables anew"),
+        (lambda t: t.iloc[5:6], "1 rides to fit to, and it needs 86: give more rides"),
+        (lambda t: t.assign(energy_kwh=np.nan), "0 rides to fit to (895 no_measured_energy, 5 too_long left out)"),
+        (lambda t: pd.concat([t.iloc[5:6]] * 100), "all 100 rides are alike: nothing can be learned"),
+        (lambda t: t.assign(energy_kwh=1.0), "energy_kwh is 1 in all 895 rides"),
+        (lambda t: t.assign(lost_m="x"), "column 'lost_m' of the ride table is no number"),
+    ],
+)
+def test_a_table_that_cannot_be_fitted_to_is_one_line(change, said, table, tmp_path, capsys):
+    bad = written(change(table), tmp_path / "bad.parquet")
+    assert said in refused(capsys, "fit", bad, "--recipe", "hybrid", "-o", tmp_path / "model.json")
+    assert not (tmp_path / "model.json").exists()
+
+
+def test_one_vehicle_is_enough(table, tmp_path, capsys):
+    one = table["vehicle_model"] == MODELS[0]
+    car = written(table[one].assign(vehicle_id="a"), tmp_path / "one.parquet")
+    model = fitted(car, "hybrid", tmp_path / "model.json")
+    assert set(model.fits) == {MODELS[0], ANY}
+    assert MODELS[0] in capsys.readouterr().out
+
+
+def test_what_is_no_table_or_no_recipe_is_one_line(folder, table, tmp_path, capsys):
+    out = tmp_path / "model.json"
+    assert "recipe 'hybird' is unknown" in refused(capsys, "fit", folder, "--recipe", "hybird", "-o", out)
+    assert "is not there; name a folder" in refused(capsys, "fit", tmp_path / "no", "--recipe", "hybrid", "-o", out)
+    assert "holds no rides.parquet" in refused(capsys, "fit", tmp_path, "--recipe", "hybrid", "-o", out)
+    (tmp_path / "text.parquet").write_text("distance_km\n")
+    told = refused(capsys, "fit", tmp_path / "text.parquet", "--recipe", "hybrid", "-o", out)
+    assert "text.parquet: no ride table" in told
+    windows = written(table.drop(columns=["winter", "summer"]), tmp_path / "windows.parquet")
+    assert "column 'winter' is missing" in refused(capsys, "fit", windows, "--recipe", "hybrid", "-o", out)
+    told = refused(capsys, "fit", folder, "--recipe", "hybrid", "-o", folder / "rides.parquet")
+    assert "is read and would be overwritten" in told
+    assert "cannot be written" in refused(capsys, "fit", folder, "--recipe", "hybrid", "-o", tmp_path / "a" / "b.json")
+
+
+def test_a_model_file_that_cannot_be_used_is_one_line(tmp_path, capsys):
+    path, recording = tmp_path / "model.json", tmp_path / "shift.mcap"
+    with McapSink(recording) as sink:
+        sink.put(shift(20))
+    content = json.loads(models.encode(models.BASIC_PHYSICAL))
+    for change, said in (
+        ({"format": 1}, "model file of format 1, and this version reads format 2: fit the model anew"),
+        ({"terms": [{"name": "x", "columns": ["distanse_km"], "unit": "1"}]}, "column 'distanse_km' is none that"),
+        ({"terms": [{"name": "x", "columns": ["effect_roling"]}]}, "damaged: Object missing required field `unit`"),
+    ):
+        path.write_text(json.dumps({**content, **change}))
+        assert said in refused(capsys, "replay", recording, "--model", path)
+
+
+# ---- a fitted model in service
+
+
+@pytest.fixture(scope="module", params=["hybrid_interactions", "empirical", "extended_physical"])
+def in_service(request, table) -> LinearModel:
+    return RECIPES[request.param].fit(table, covariance=False)
+
+
+def through(source, model) -> tuple[list, pd.DataFrame]:
+    pipeline, sink = Pipeline(model), MemorySink()
+    run(source, pipeline, [sink])
+    return sink.messages, pipeline.take_rides()
+
+
+def test_live_is_replay_to_the_bit_with_a_fitted_model(in_service, tmp_path):
+    messages = shift()
+    forecasts, table = through(MemorySource(messages), in_service)
+    predicted = [json.loads(m.payload)["ride_energy_predicted_kwh"] for m in forecasts]
+    known = [energy for energy in predicted if energy is not None]
+    assert len(known) > 50
+    assert len(set(known)) > 40
+    assert json.loads(forecasts[0].payload)["model"] == f"{in_service.name}/{in_service.version}"
+    for chunk in (1, 7):
+        again, other = through(MemorySource(messages, chunk), in_service)
+        assert again == forecasts
+        assert other.to_json() == table.to_json()
+    with McapSink(tmp_path / "shift.mcap", 10_000) as sink:
+        sink.put(messages)
+    models.save(in_service, tmp_path / "model.json")
+    assert through(McapSource(tmp_path / "shift.mcap"), models.load(tmp_path / "model.json"))[0] == forecasts
+
+
+def test_restored_in_mid_ride_it_forecasts_as_if_nothing_had_happened(in_service):
+    messages = shift()
+    whole = Pipeline(in_service)
+    whole.push(messages[:700])
+    expected = whole.push(messages[700:])
+    first = Pipeline(in_service)
+    first.push(messages[:700])
+    second = Pipeline(in_service)
+    second.restore(first.snapshot())
+    assert second.push(messages[700:]) == expected
+    assert second.status() == whole.status()
+
+
+def test_the_last_forecast_of_a_ride_is_what_its_row_in_the_table_gives(in_service):
+    pipeline = Pipeline(in_service)
+    pipeline.push(shift())
+    running = {status.vehicle_id: status.predicted_kwh for status in pipeline.status()}
+    pipeline.finish()
+    table = pipeline.take_rides()
+    last = table.groupby("vehicle_id").tail(1)
+    assert len(last) == len(running)
+    for vehicle, energy in zip(last["vehicle_id"], in_service.predict(last), strict=True):
+        assert energy == running[vehicle]
+
+
+def test_replay_and_tables_take_the_file(folder, tmp_path, capsys):
+    fitted(folder, "hybrid", tmp_path / "model.json")
+    with McapSink(tmp_path / "shift.mcap") as sink:
+        sink.put(shift())
+    done("replay", tmp_path / "shift.mcap", "--model", tmp_path / "model.json", "--json", tmp_path / "rides.json")
+    rows = json.loads((tmp_path / "rides.json").read_text())["rides"]
+    assert any(row["predicted_kwh"] is not None for row in rows)
+    assert "predicted" in capsys.readouterr().out
+    done("tables", tmp_path / "shift.mcap", "--model", tmp_path / "model.json", "--out", tmp_path / "made")
+    made = pd.read_parquet(tmp_path / "made" / "rides.parquet")
+    assert np.isfinite(models.load(tmp_path / "model.json").predict(made)).any()
+
+
+@pytest.fixture(scope="module")
+def whole() -> pd.DataFrame:
+    """A table with all that the recipes past the paper ask for."""
+    found = fleet(700, 1)
+    return measured(found, planted(found, differing(MODELS)))
+
+
+def test_a_pooled_model_is_told_of_a_new_car(whole, tmp_path):
+    table = whole
+    new = table["vehicle_model"] == MODELS[0]
+    base = fitted(written(table[~new], tmp_path / "others.parquet"), "pooled_hybrid", tmp_path / "base.json")
+    told = written(table[new].iloc[:40], tmp_path / "new.parquet")
+    done("fit", told, "--adapt", tmp_path / "base.json", "-o", tmp_path / "told.json")
+    model = models.load(tmp_path / "told.json")
+    rest = table[new].iloc[40:]
+    error = [np.abs(each.predict(rest) - rest["energy_kwh"]).mean() for each in (base, model)]
+    assert error[1] < error[0]
+    assert model.version != base.version
+    assert model.history[-1]["action"] == "adapt"
+
+
+def test_fitting_and_telling_exclude_each_other(folder, tmp_path, capsys):
+    assert "--recipe NAME to fit" in refused(capsys, "fit", folder, "-o", tmp_path / "m.json")
+    both = ("fit", folder, "--recipe", "hybrid", "--adapt", tmp_path / "m.json", "-o", tmp_path / "m.json")
+    assert "--recipe NAME to fit" in refused(capsys, *both)
+
+
+@pytest.mark.parametrize("recipe", ["fitted_physical", "hybrid", "boosted_hybrid"])
+def test_single_unknown_values_spoil_nothing(recipe, whole, tmp_path):
+    spoilt = whole.copy()
+    spoilt.loc[20, "duration_s"] = np.nan
+    spoilt.loc[21, "effect_rolling"] = np.nan
+    model = fitted(written(spoilt, tmp_path / "rides.parquet"), recipe, tmp_path / "m.json")
+    assert model.interval is not None
+    assert np.isfinite(model.predict(whole)).all()
+
+
+@pytest.mark.parametrize("recipe", ["fitted_physical", "boosted_hybrid"])
+def test_an_empty_table_is_one_line(recipe, whole, tmp_path, capsys):
+    file = written(whole.iloc[:0], tmp_path / "rides.parquet")
+    assert "0 rides" in refused(capsys, "fit", file, "--recipe", recipe, "-o", tmp_path / "m.json")
+
+
+def test_a_table_given_twice_is_refused(folder, tmp_path, capsys):
+    assert "given twice" in refused(capsys, "fit", folder, folder, "--recipe", "hybrid", "-o", tmp_path / "m.json")

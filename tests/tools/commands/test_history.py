@@ -1,0 +1,143 @@
+"""The history of a model: every attempt, the error falling, in the terminal, as JSON and as a page."""
+
+import json
+from io import StringIO
+from typing import Any
+
+import msgspec
+import pytest
+from rich.console import Console
+
+from core import models
+from core.models import BASIC_PHYSICAL, LinearModel
+from tests.support.commands import done, refused
+from tests.tools.report.test_evaluation import read
+from tools.report import history
+
+
+def attempt(effect: str, action: str, before: float, after: float, **more: Any) -> dict[str, Any]:
+    """Return an entry of the history."""
+    compared = {
+        "rides": 100,
+        "clusters": 30,
+        "mae_before_kwh": before,
+        "mae_after_kwh": after,
+        "fall": 1 - after / before,
+    }
+    compared["change_kwh"] = {"value": after - before, "ci95": 0.01}
+    coefficient = {"value": 1e-4, "ci95": [0.8e-4, 1.2e-4], "unit": "1/K", "low": 2e-5, "high": 3e-4, "plausible": True}
+    return {
+        "action": action, "effect": effect, "columns": [f"effect_{effect}"], "scope": "all", **compared,
+        "gain": {"value": 0.1, "ci95": 0.02}, "of_effect": compared, "on_days": compared, "on_vehicles": None,
+        "final": {"dates": ["2018-05-01"], **compared}, "noise_floor_kwh": 0.2, "accepted": action == "add",
+        "reason": "a gain of 10 ± 2 %" if action == "add" else "it may be chance", "words": f"{effect} in words",
+        "coefficient": coefficient, "by_vehicle_model": {},
+    } | more  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def model() -> LinearModel:
+    """A model to which two effects were added, and one was not."""
+    tried = (
+        {"action": "fit", "recipe": "road_load", "mae_in_sample_kwh": {"*": 0.4, "a": 0.35}},
+        attempt("cold_rolling", "add", 0.42, 0.31),
+        attempt("snow", "refused", 0.31, 0.36),
+        attempt("headwind", "add", 0.31, 0.29, scope="vehicle taxi-003", forced=True),
+    )
+    return msgspec.structs.replace(BASIC_PHYSICAL, name="mine", history=tried)
+
+
+@pytest.fixture
+def path(model, tmp_path):
+    models.save(model, tmp_path / "mine.json")
+    return tmp_path / "mine.json"
+
+
+def printed(what, given) -> str:
+    console = Console(width=120, file=StringIO(), color_system=None)
+    what(given, console)
+    return console.file.getvalue()
+
+
+def test_every_attempt_is_told_in_order(model):
+    told = printed(history.show, model)
+    parts = [
+        "recipe road_load",
+        "1. cold_rolling",
+        "2. snow",
+        "3. headwind",
+        "cold_rolling in words",
+        "snow was refused",
+    ]
+    assert [told.index(part) for part in parts] == sorted(told.index(part) for part in parts)
+    row = next(line for line in told.splitlines() if line.strip().startswith("1. cold_rolling"))
+    assert [word for word in row.split() if word[0].isdigit()] == [
+        "1.",
+        "0.4200",
+        "0.3100",
+        "0.0100",
+        "0.2000",
+        "0.4200",
+        "0.3100",
+    ]
+    said = " ".join(told.split())
+    assert "added by force" in said
+    assert "Added: cold_rolling, headwind (vehicle taxi-003), 1 refused; error 0.4200 -> 0.29 kWh a ride" in said
+    assert "measurement noise alone 0.2 kWh" in said
+
+
+def test_a_model_that_was_only_fitted_has_a_history_too(model):
+    bare = msgspec.structs.replace(model, history=model.history[:1])
+    assert "No effect was tried yet" in printed(history.show, bare)
+    assert "No effect was tried yet" in printed(history.show, BASIC_PHYSICAL)
+    refusals = msgspec.structs.replace(model, history=model.history[2:3])
+    assert "No effect was added, 1 refused; error 0.31 kWh" in " ".join(printed(history.show, refusals).split())
+
+
+def test_the_figure_goes_down_by_steps_and_shows_what_was_refused(model):
+    [one] = history.falling(model)
+    kept, crosses, apart, noise = one.figure.data
+    assert kept.y == (0.42, 0.31, 0.31, 0.29)
+    assert (list(crosses.x), list(crosses.y)) == (["2. snow"], [0.36])
+    assert apart.y == (0.42, 0.31, 0.31, 0.29)
+    assert set(noise.y) == {0.2}
+    assert len({(trace.line.dash, trace.marker.symbol) for trace in (kept, apart, noise)}) == 3
+    assert noise.line.dash != kept.line.dash
+    assert "[kWh]" in one.figure.layout.yaxis.title.text
+
+
+def test_the_command_prints_and_writes(path, capsys):
+    html, file = path.with_suffix(".html"), path.with_name("told.json")
+    done("history", path, "--html", html, "--json", file)
+    assert "error 0.4200 -> 0.29 kWh" in " ".join(capsys.readouterr().out.split())
+    told = json.loads(file.read_text())
+    assert (told["mae_first_kwh"], told["mae_last_kwh"], told["noise_floor_kwh"]) == (0.42, 0.29, 0.2)
+    assert [step["action"] for step in told["steps"]] == ["fit", "add", "refused", "add"]
+    reader = read(html.read_text())
+    assert not reader.loaded
+    assert "figure-falling" in reader.ids
+    assert {"step-1", "step-2", "step-3"} <= set(reader.ids)
+    assert "it may be chance" in " ".join(reader.text)
+
+
+def test_a_history_that_lacks_figures_breaks_nothing(model, tmp_path):
+    entry = attempt("snow", "add", 0.3, 0.2)
+    for key in entry:
+        for changed in ({**entry, key: None}, {k: v for k, v in entry.items() if k != key}):
+            odd = msgspec.structs.replace(model, history=({"action": "fit"}, changed, {"effect": "?"}))
+            printed(history.show, odd)
+            history.write(odd, tmp_path / "page.html")
+
+
+def test_what_has_no_history_is_one_line(path, capsys):
+    assert "cannot read a model" in refused(capsys, "history", path.with_name("no.json"))
+    assert "is read and would be overwritten" in refused(capsys, "history", path, "--html", path)
+
+
+def test_a_trial_is_told_before_and_after(model):
+    told = " ".join(printed(history.show_trial, {**model.history[1], "warnings": ["it is too large"], "conditions": {
+        "distance": [{"where": "below 2 km", **model.history[1]["of_effect"]}]}}).split())  # fmt: skip
+    for part in ("days held out for the effect alone", "days set apart", "By distance", "below 2 km", "−26.2 %",
+                 "warning: it is too large", "cold_rolling helps: a gain of 10 ± 2 %."):  # fmt: skip
+        assert part in told, part
+    assert "snow does not help: it may be chance." in printed(history.show_trial, model.history[2])

@@ -1,0 +1,162 @@
+"""A diagnosis is told as a story and as a page; what is odd or missing in it breaks neither."""
+
+import copy
+from io import StringIO
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from tests.support.diagnosis_result import diagnosis, missing, nothing_missing
+from tests.tools.report.test_evaluation import read
+from tools.commands.diagnose import say_commands, term_of
+from tools.report.diagnosis import page as report
+from tools.report.diagnosis import words
+from tools.report.diagnosis.figures import coefficients, effects, errors, remains, slices
+
+ODD = '<b>R&D\'s "best"</b> [red]model[/red] </script><script>alert(1)</script>'
+
+
+def printed(result, width=120, **more):
+    """Return what the terminal shows, in one line."""
+    console = Console(width=width, file=StringIO(), color_system=None)
+    report.show(result, console, **more)
+    return " ".join(console.file.getvalue().split())
+
+
+def page(result, tmp_path, **more):
+    """Return what the page holds."""
+    report.write(result, tmp_path / "page.html", **more)
+    return read((tmp_path / "page.html").read_text())
+
+
+def test_the_terminal_tells_a_story_in_its_order():
+    told = printed(diagnosis())
+    parts = [
+        "634 rides of 5 vehicles, 10 vehicle-days, 2018-01-15 to 2018-09-13, in 7,428 windows.",
+        "Left out: 12 too short.",
+        "The model is 0.062 kWh off a ride on average, 9.0 % of what rides take; on balance it predicts 0.012 kWh too",
+        "would still seem 0.037 kWh off, 60 % of that",
+        "below 0 °C and longer than 10 km",
+        "0.11 kWh less than elsewhere",
+        "1. cold_rolling@reference=283.15: cold tyres: rolling resistance grows by 1.1 ± 0.2 %",
+        "it explains 3.1 % (2.0 % to 4.2 %)",
+        "coefficient 0.00011 1/K, 95 % interval 9e-05 to 0.00013; plausible",
+        "cannot be told from air_density (r = 0.83): slow drives over a year would tell",
+        "as large, on average, as +1.2 m/s of headwind, or +180 kg",
+        "2. brake_drag: brakes rub with 75 ± 25 N; only in vehicle taxi-003",
+        "NOT plausible (from 0 to 60 N): a finding by itself",
+        "0.055 -> 0.048 -> 0.046 kWh a ride; measurement noise 0.037 kWh",
+        "Structure remains whose cause is not in the library, or too weak to be told from others:",
+        "boosted trees predict 5.0 % of what is left; the named effects take 58 % of it, and should take 80 %",
+        "A term that would fit: P = (average speed)^2 v",
+        "Add cold_rolling, in all vehicles, all the time.",
+    ]
+    places = [told.find(part) for part in parts]
+    assert -1 not in places, parts[places.index(-1)]
+    assert places == sorted(places)
+
+
+def test_where_nothing_is_missing_it_says_so():
+    told = printed(nothing_missing())
+    assert "Nothing that the library knows, beyond chance." in told
+    assert "No kind of ride stands out" in told
+    assert "Nothing is missing that these rides could show." in told
+    assert "asks for one of your own" in printed(nothing_missing() | {"structure_remains": True})
+
+
+def test_what_remains_is_noise_only_where_it_is():
+    noise = diagnosis(structure_remains=False, steps=[{"effect": None, "mae_kwh": 0.038, "noise_floor_kwh": 0.037}])
+    assert "What remains is measurement noise." in words.remains(noise)
+    assert "What remains is measurement noise." not in words.remains(diagnosis(structure_remains=False))
+    assert "What remains is measurement noise." not in words.remains(noise | {"structure_remains": True})
+
+
+def test_the_command_to_run_next_can_be_copied(tmp_path):
+    result = diagnosis()
+    say_commands(result, "models/base.json", [Path("tables one"), Path("b")], [Path("my.py")])
+    command = result["missing"][0]["command"]
+    assert command == (
+        "socast add cold_rolling@reference=283.15 --model models/base.json --data 'tables one' --data b "
+        "--effects my.py -o models/base-cold_rolling.json"
+    )
+    assert "--scope vehicle=taxi-003" in result["missing"][1]["command"]
+    console = Console(width=40, file=StringIO(), color_system=None)
+    report.show(result, console)
+    assert command in console.file.getvalue().splitlines()
+    assert command in " ".join(page(result, tmp_path).text)
+    assert term_of({"effect": "snow"}) == ("snow", [])
+
+
+@pytest.mark.parametrize("result", [diagnosis(), nothing_missing()], ids=["some", "none"])
+def test_the_page_is_whole_and_loads_nothing(result, tmp_path):
+    reader = page(result, tmp_path)
+    assert not reader.loaded
+    assert len(reader.ids) == len(set(reader.ids))
+    assert set(reader.links) - {"main"} <= set(reader.ids)
+
+
+def test_the_page_has_every_figure_and_table(tmp_path):
+    reader = page(diagnosis(), tmp_path, suggested="mine.py")
+    figures = {name.removeprefix("figure-") for name in reader.ids if name.startswith("figure-")}
+    assert figures == {"errors", "slices", "effects", "coefficients", "structure", "shape-0"}
+    text = " ".join(reader.text)
+    for part in ("snow", "not in the data", "1.1 ± 0.2 %", "mine.py holds it, ready to edit", "58.0 %"):
+        assert part in text, part
+
+
+@pytest.mark.parametrize("make", [errors, slices, effects, remains])
+def test_figures_have_axes_with_units_and_are_told_in_black_and_white(make):
+    for one in make(diagnosis()):
+        assert "[" in one.figure.layout.xaxis.title.text
+        assert one.caption
+        for trace in one.figure.data:
+            if trace.type == "scatter":
+                assert trace.marker.symbol or trace.line.dash
+            else:
+                assert trace.marker.pattern.shape is not None
+
+
+def test_intervals_of_figures_are_those_of_the_diagnosis():
+    trace = effects(diagnosis())[0].figure.data[0]
+    assert trace.x[0] == pytest.approx(3.1)
+    assert (trace.error_x.array[0], trace.error_x.arrayminus[0]) == pytest.approx((1.1, 1.1))
+    [own] = coefficients([missing()])
+    assert 0.0 < own.figure.data[0].x[0] < 1.0
+    [outside] = coefficients([diagnosis()["missing"][1]])
+    assert outside.figure.data[0].x[0] > 1.0
+    bias = slices(diagnosis(slices=[{"where": "x", "bias_kwh": 0.1, "ci95": [0.05, 0.2]}]))[0].figure.data[0]
+    assert (bias.error_x.array[0], bias.error_x.arrayminus[0]) == pytest.approx((0.1, 0.05))
+
+
+def keys(value, path=()):
+    """Give the path of everything in a result."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield (*path, key)
+            yield from keys(item, (*path, key))
+    elif isinstance(value, list) and value and isinstance(value[0], dict):
+        yield from keys(value[0], (*path, 0))
+
+
+@pytest.mark.parametrize("path", list(keys(diagnosis())), ids=lambda path: ".".join(map(str, path)))
+def test_a_figure_that_is_not_known_breaks_nothing(path, tmp_path):
+    result = copy.deepcopy(diagnosis())
+    part = result
+    for key in path[:-1]:
+        part = part[key]
+    part[path[-1]] = None
+    printed(result)
+    report.write(result, tmp_path / "page.html")
+    del part[path[-1]]
+    printed(result)
+
+
+def test_odd_names_are_shown_as_they_are(tmp_path):
+    result = diagnosis(missing=[missing(effect=ODD, variant=ODD, words=ODD, scope=f"vehicle {ODD}", group=[ODD, ODD])])
+    result["model"]["name"] = ODD
+    result["slices"][0]["where"] = ODD
+    assert "[red]model[/red]" in printed(result)
+    reader = page(result, tmp_path)
+    assert "alert(1)" in "".join(reader.text)
+    assert not [tag for tag, _ in reader.tags if tag == "b" and ODD in tag]

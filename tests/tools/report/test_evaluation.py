@@ -1,0 +1,391 @@
+"""The report: what it shows, that it says whose figures are whose, and that it stands what is missing or odd."""
+
+import copy
+import re
+from html.parser import HTMLParser
+from io import StringIO
+
+import plotly.graph_objects as go
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from core.errors import SettingsError
+from core.evaluate.paper import published
+from core.evaluate.paper.results import plain
+from tests.support.evaluation_result import CLUSTERS, RECIPES, VEHICLES, evaluation
+from tools.report.cells import PAPER_NOTE, UNKNOWN
+from tools.report.evaluation import figures
+from tools.report.evaluation.illustrations import MAKERS, PAPER_CAPTION, illustrations
+from tools.report.evaluation.sections import sections
+from tools.report.evaluation.terminal import show
+from tools.report.figure_style import style
+from tools.report.page import page, write
+
+FEW_RECIPES = ("basic_physical", "fitted_physical", "hybrid_trees")
+FEW_VEHICLES = ("kia-soul-ev-2015", "nissan-leaf-2016")
+VOID = {"meta", "link", "br", "hr", "img", "input"}
+ODD = '<b>R&D\'s "best"</b> [red]model[/red] </script><script>alert(1)</script>'
+
+
+class Reader(HTMLParser):
+    """Checks that tags are closed in order; keeps ids, links and what would be loaded."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.ids, self.links, self.loaded, self.tags, self.text = [], [], [], [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+        for name, value in attrs:
+            if name == "id":
+                self.ids.append(value)
+            elif name == "href" and value.startswith("#"):
+                self.links.append(value[1:])
+            elif name in {"href", "src", "srcset", "data", "action"}:
+                self.loaded.append(value)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if not {"script", "style"} & set(self.open):
+            self.text.append(data)
+
+
+def read(text):
+    """Return what a page holds."""
+    reader = Reader()
+    reader.feed(text)
+    reader.close()
+    assert reader.open == []
+    return reader
+
+
+def printed(result, width=120):
+    """Return what the terminal shows."""
+    console = Console(width=width, file=StringIO(), color_system=None)
+    show(result, console)
+    return console.file.getvalue()
+
+
+def smaller(value):
+    """Return a result of fewer models and vehicle models, which is quicker to draw."""
+    gone = (set(RECIPES) - set(FEW_RECIPES)) | (set(VEHICLES) - set(FEW_VEHICLES))
+    if isinstance(value, list):
+        return [smaller(item) for item in value if isinstance(item, dict) or item not in gone]
+    if not isinstance(value, dict):
+        return value
+    return {key: smaller(item) for key, item in value.items() if not gone & set(str(key).split("|"))}
+
+
+def drawn(result):
+    """Return all figures of a report, by key."""
+    return {one.key: one for section in MAKERS for one in illustrations(result, section)}
+
+
+@pytest.fixture(scope="module")
+def result():
+    return evaluation()
+
+
+@pytest.fixture(scope="module")
+def html(result):
+    return page(result)
+
+
+@pytest.fixture(scope="module")
+def every_figure(result):
+    return drawn(plain(result))
+
+
+@pytest.fixture(scope="module")
+def terminal(result):
+    return printed(result)
+
+
+def test_the_page_is_well_formed_and_its_links_lead_somewhere(html):
+    reader = read(html)
+    assert len(reader.ids) == len(set(reader.ids))
+    assert set(reader.links) <= set(reader.ids)
+    assert {section.key for section in sections(evaluation())} <= set(reader.links)
+
+
+def test_the_page_loads_nothing(html):
+    reader = read(html)
+    assert reader.loaded == []
+    assert html.count("* plotly.js v") == 1
+    policy = next(attrs["content"] for tag, attrs in reader.tags if attrs.get("http-equiv"))
+    assert policy.startswith("default-src 'none'")
+    assert "http" not in policy
+    assert not re.search(r"@import|url\(", html.partition("</style>")[0])
+
+
+def test_every_figure_has_words_for_those_who_cannot_see_it(html, every_figure):
+    reader = read(html)
+    plots = [attrs for tag, attrs in reader.tags if attrs.get("class") == "plot"]
+    assert len(plots) == len(every_figure) > 20
+    assert all(attrs["role"] == "img" and len(attrs["aria-label"]) > 40 for attrs in plots)
+    assert sum(tag == "figcaption" for tag, _ in reader.tags) == len(plots)
+
+
+def test_every_axis_has_a_title_and_a_unit_where_it_counts(every_figure):
+    for key, one in every_figure.items():
+        axes = [*one.figure.select_xaxes(), *one.figure.select_yaxes()]
+        assert len(axes) >= 2, key
+        for axis in axes:
+            assert axis.title.text, key
+            named = axis.type == "category" or axis.tickvals is not None
+            assert named or re.search(r"\[[^\]]+\]$", axis.title.text), f"{key}: {axis.title.text}"
+
+
+def test_nothing_is_told_by_colour_alone(every_figure):
+    looks = [style(place) for place in range(30)]
+    assert len({(look.dash, look.symbol) for look in looks}) == len(looks)
+    for one in every_figure.values():
+        lines = [
+            t for t in one.figure.data if t.type == "scatter" and t.mode == "lines+markers" and t.xaxis in {None, "x"}
+        ]
+        assert len({(t.line.dash, t.marker.symbol) for t in lines}) == len(lines)
+        patterns = [t.marker.pattern.shape for t in one.figure.data if t.type == "bar"]
+        assert len(set(patterns)) == len(patterns)
+
+
+def test_what_shows_the_papers_figures_says_that_they_are_of_other_data(result, html, every_figure, terminal):
+    beside = [table for section in sections(plain(result)) for table in section.tables if table.beside_paper]
+    assert {f"Table {n}" for n in range(2, 14)} <= set(re.findall(r"Table \d+", " ".join(t.title for t in beside)))
+    assert all(PAPER_NOTE in table.all_notes for table in beside)
+    assert html.count(PAPER_NOTE.replace("'", "&#x27;")) == len(beside)
+    assert terminal.count(PAPER_NOTE) == len(beside)
+    for one in every_figure.values():
+        theirs = "the paper's" in one.figure.to_json()
+        assert theirs == (PAPER_CAPTION in one.caption), one.key
+    assert sum(PAPER_CAPTION in one.caption for one in every_figure.values()) == 3 + len(VEHICLES)
+
+
+def test_the_papers_figures_stand_beside_ours(terminal, html):
+    for figure in ("(0.33 ± 0.0052)", "(118,621)", "(51.75 %)", "(30.75 %)", "(about 12 %)", "1 kWh"):
+        assert figure in terminal
+        assert figure in html
+
+
+def test_figure_3_has_the_papers_averages_as_outlines(every_figure):
+    traces = every_figure["average"].figure.data
+    outlines = [t for t in traces if str(t.marker.symbol).endswith("-open")]
+    assert len(outlines) == len(VEHICLES)
+    shown = [x for x in outlines[0].x if x is not None]
+    assert shown == [published.mae(r, "kia-soul-ev-2015", "average").value for r in list(RECIPES)[:7]]
+
+
+def test_tables_of_errors_are_in_the_papers_layout(result):
+    tables = next(section.tables for section in sections(plain(result)) if section.key == "errors")
+    assert len(tables) == len(RECIPES)
+    assert all(table.columns == (*(f"{c.replace('-', '–')} km" for c in CLUSTERS), "average *") for table in tables)
+    assert all(table.rows[-1].name == "Weighted average" for table in tables)
+    basic = tables[0].rows[0].cells[0]
+    said = result["mae"]["basic_physical"]["kia-soul-ev-2015"]["0-5"]
+    assert basic.text == f"{said['value']:.3f} ± {said['ci95']:.4f}"
+
+
+def test_the_terminal_keeps_to_120_columns_and_has_every_table(result, terminal):
+    assert max(len(line) for line in terminal.splitlines()) <= 120
+    for section in sections(plain(result)):
+        for table in section.tables:
+            assert section.folded or table.title[:60] in terminal
+
+
+def test_the_terminal_ends_with_what_a_reader_looks_for_first(terminal):
+    assert "At a glance" in "".join(terminal.splitlines()[-45:])
+
+
+@pytest.mark.parametrize("where", ["recipe", "vehicle_model", "reason", "driver", "note"])
+def test_names_are_shown_as_they_are(where):
+    result = smaller(evaluation())
+    if where == "recipe":
+        result["recipes"]["hybrid_trees"] = ODD
+    elif where == "vehicle_model":
+        result = renamed(result, FEW_VEHICLES[0], ODD)
+    elif where == "reason":
+        result["about"]["unfit"][ODD] = 7
+    elif where == "driver":
+        for entries in result["by"]["driver"].values():
+            del entries[5:]
+            entries[0]["bin"] = ODD
+    else:
+        result["about"]["notes"] = [ODD]
+    html = page(result)
+    reader = read(html)
+    tags = [tag for tag, _ in reader.tags]
+    assert tags.count("script") == 2 + tags.count("figure")
+    shown = ODD.replace("_", " ")
+    assert shown in "".join(reader.text)
+    assert "[red]" in printed(result, width=400)
+    assert "\\u003cb>" not in html, "a figure would read the tag"
+
+
+def renamed(value, old, new):
+    """Return a result in which a key is another."""
+    if isinstance(value, dict):
+        return {(new if key == old else key): renamed(item, old, new) for key, item in value.items()}
+    if isinstance(value, list):
+        return [renamed(item, old, new) for item in value]
+    return new if value == old else value
+
+
+@pytest.mark.parametrize("part", list(evaluation()))
+def test_any_part_may_be_missing_or_null(part):
+    result = smaller(evaluation())
+    assert drawn({key: value for key, value in result.items() if key != part}) is not None
+    assert "The paper" in printed(result | {part: None})
+
+
+@pytest.mark.parametrize(
+    "part", ["mae", "coverage", "by", "new_vehicle", "few_shot", "difference", "selection", "curve"]
+)
+def test_figures_inside_a_part_may_be_null(part):
+    result = smaller(evaluation())
+    result[part] = nulled(result[part])
+    assert not {key for key in drawn(plain(result)) if key.startswith((part.replace("_", "-"), f"{part}-"))}
+    assert "None" not in printed(result)
+
+
+def nulled(value):
+    """Return a part of a result without a number in it."""
+    if isinstance(value, dict):
+        return {key: nulled(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [nulled(item) for item in value]
+    return value if isinstance(value, str) else None
+
+
+def test_nothing_at_all_is_a_page_too():
+    assert "Evaluation of consumption models" in "".join(read(page({})).text)
+    assert "The paper" in printed({})
+
+
+def test_what_is_not_finite_is_not_shown():
+    result = smaller(evaluation())
+    result["mae"]["hybrid_trees"]["kia-soul-ev-2015"]["0-5"] = {"value": float("nan"), "ci95": float("inf")}
+    assert "nan" not in printed(result).replace("dominan", "")
+    assert "NaN" not in page(result).rpartition("<section")[0].partition("<main")[2]
+
+
+def test_the_result_is_left_as_it_was():
+    result = smaller(evaluation())
+    before = copy.deepcopy(result)
+    page(result)
+    printed(result)
+    assert result == before
+
+
+def test_the_best_of_a_column_stands_out_and_dominance_is_marked(result):
+    table = next(t for s in sections(plain(result)) for t in s.tables if t.title.endswith("(Figure 3)"))
+    assert {row.name for row in table.rows if row.cells[0].strong} == {RECIPES["hybrid_trees"]}
+    for mark, score in (("●", "dominates"), ("○", "dominates_average")):
+        marked = {row.name for row in table.rows if mark in row.cells[0].text}
+        assert marked == {RECIPES[recipe] for recipe in result[score]["kia-soul-ev-2015"]}
+
+
+def test_low_coverage_is_marked():
+    result = smaller(evaluation())
+    result["coverage"]["hybrid_trees"]["cluster"]["0-5"] = 0.849
+    result["coverage"]["hybrid_trees"]["season"]["winter"] = 0.851
+    result["coverage"]["hybrid_trees"]["overall"] = 0.93
+    table = next(t for s in sections(plain(result)) for t in s.tables if t.title.startswith("Rides inside"))
+    cells = dict(zip(table.columns, (cell.text for cell in table.rows[-1].cells), strict=True))
+    assert cells["0–5 km"] == "84.9 % ↓"
+    assert cells["winter"] == "85.1 %"
+    assert cells["overall"] == "93.0 % ↑"
+
+
+def test_the_loss_of_elimination_is_shown(result):
+    table = next(t for s in sections(plain(result)) for t in s.tables if t.title.startswith("Terms that can go"))
+    rows = {row.name.partition(":")[0]: row.cells[-1].text for row in table.rows}
+    assert rows["RFE"] == "+0.0006 ± 0.0005"
+
+
+def test_where_not_all_models_can_have_a_column_the_principal_ones_do():
+    result = evaluation()
+    result["coverage"] = dict.fromkeys(RECIPES, result["coverage"]["hybrid_trees"])
+    chosen = ["basic_physical", "fitted_physical", "hybrid_interactions", "segment_network", "hybrid_trees"]
+    titles = [RECIPES[recipe] for recipe in chosen]
+    tables = {t.title: t for s in sections(plain(result)) for t in s.tables}
+    assert tables["Mean absolute error by distance, kWh"].columns[1:] == tuple(titles)
+    inside = [row.name.partition(": ")[2] for row in tables["At a glance"].rows if row.name.startswith("Rides inside")]
+    assert inside == titles
+    heads = printed(result).partition("Mean absolute error by distance, kWh")[2].splitlines()[2:6]
+    words = {word.strip() for line in heads for word in line.split()}
+    assert words >= {word for title in titles for word in title.split()}
+
+
+def test_what_is_worse_than_the_fitted_physical_model_on_a_new_vehicle_is_marked():
+    result = smaller(evaluation())
+    result["few_shot"]["kia-soul-ev-2015"]["hybrid_trees"][0]["mae"] = 99.0
+    tables = [t for s in sections(plain(result)) if s.key == "transfer" for t in s.tables]
+    table = next(t for t in tables if t.title.startswith("Kia"))
+    marked = [cell.text.endswith("↑") for row in table.rows for cell in row.cells]
+    assert marked.index(True) == table.columns.index(RECIPES["hybrid_trees"])
+    assert sum(marked) == 1
+
+
+def test_splits_say_where_they_differ():
+    result = smaller(evaluation())
+    for key in FEW_VEHICLES:
+        result["splits"]["date"]["hybrid_trees"][key] = 9.0
+    table = next(t for s in sections(plain(result)) if s.key == "splits" for t in s.tables)
+    assert any(note.startswith("They differ on the best model") for note in table.notes)
+    for key in FEW_VEHICLES:
+        result["splits"]["date"]["hybrid_trees"][key] = 0.01
+    table = next(t for s in sections(plain(result)) if s.key == "splits" for t in s.tables)
+    assert any(note.startswith("The same model is best") for note in table.notes)
+
+
+@given(value=st.floats(-50, 50), p=st.floats(0, 1))
+def test_the_difference_matrix_is_antisymmetric(value, p):
+    pairs = {"basic_physical|fitted_physical": {"value": value, "ci95": 0.1, "p": p}}
+    made = figures.difference_matrix({"recipes": RECIPES, "difference": {"x": pairs}}, "x")
+    (heat,) = made.data
+    assert heat.customdata[0][1] == 1000.0 * value == -heat.customdata[1][0]
+    assert heat.z[0][1] == -heat.z[1][0]
+    assert heat.z[0][0] is None
+    assert ("*" in heat.text[0][1]) == (p < 0.05) == ("*" in heat.text[1][0])
+
+
+def test_the_few_shot_axis_shows_none_beside_one(every_figure):
+    made = every_figure["few-shot-0"].figure
+    assert made.layout.xaxis.type == "log"
+    assert list(made.layout.xaxis.ticktext) == ["0", "1", "3", "10", "30", "100"]
+    assert all(x > 0 for trace in made.data for x in trace.x)
+
+
+def test_the_accessory_curve_goes_through_its_choke_points(every_figure):
+    traces = {trace.name: trace for trace in every_figure["curve-0"].figure.data}
+    assert list(traces["choke points"].x) == pytest.approx([-20.0, 12.0, 21.0, 35.0])
+    assert list(traces["choke points"].y) == pytest.approx([4.0, 0.3, 0.3, 1.5])
+    assert set(traces["choke points"].x) <= set(traces["fitted curve"].x)
+
+
+def test_the_same_model_looks_the_same_in_every_figure(every_figure):
+    seen = {}
+    for key in ("relative", "by-distance", "by-temperature", "coverage"):
+        for trace in every_figure[key].figure.data:
+            assert seen.setdefault(trace.name, trace.marker.symbol) == trace.marker.symbol
+
+
+def test_figures_are_plotly_figures(every_figure):
+    assert all(isinstance(one.figure, go.Figure) for one in every_figure.values())
+    assert UNKNOWN not in {trace.name for one in every_figure.values() for trace in one.figure.data}
+
+
+def test_a_page_is_written(tmp_path):
+    path = tmp_path / "report.html"
+    write(smaller(evaluation()), path)
+    assert path.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+
+
+def test_a_page_that_cannot_be_written_is_one_clear_line(tmp_path):
+    with pytest.raises(SettingsError, match=r"report\.html cannot be written: No such file"):
+        write({}, tmp_path / "nowhere" / "report.html")

@@ -1,0 +1,267 @@
+"""The simulator as a whole: deterministic, of the contract, with hidden effects of the size asked for."""
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from collections import Counter
+from dataclasses import replace
+from datetime import UTC, datetime
+from itertools import pairwise
+
+import msgspec
+import pytest
+
+from core.errors import SettingsError
+from core.wire.messages import KINDS, address
+from stream.mcap_reader import McapSource
+from tests.support.paths import ROOT
+from tests.support.simulated import PERFECT, SMALL, SUMMER, WINTER, run, samples
+from tools.commands.simulate import record
+from tools.commands.simulate import simulate as simulate_command
+from tools.simulator.fleet import simulate
+from tools.simulator.hidden import EFFECTS
+from tools.simulator.physics import PARTS, WHEEL
+from tools.simulator.settings import (
+    ALL,
+    NO_FAULTS,
+    PLAIN,
+    Faults,
+    Hidden,
+    Simulation,
+    parse_faults,
+    parse_hidden,
+    parse_models,
+    parse_phenomena,
+    parse_start,
+)
+
+DIGEST = """
+from hashlib import sha256
+from datetime import UTC, datetime
+from tools.simulator import Simulation, simulate
+digest = sha256()
+for message in simulate(Simulation(vehicles=3, start=datetime(2018, 1, 16, 12, tzinfo=UTC), shift_hours=1.0, seed=11)):
+    digest.update(repr(message).encode())
+print(digest.hexdigest())
+"""
+
+
+NIGHT = Simulation(
+    vehicles=6, start=WINTER, shift_hours=10.0, seed=3, faults=NO_FAULTS, models=("nissan-leaf-2016",), charging="night"
+)
+
+
+@pytest.fixture(scope="module")
+def night():
+    return run(NIGHT)
+
+
+@pytest.fixture(scope="module")
+def faulty():
+    return run(Simulation(vehicles=8, days=2, start=datetime(2018, 1, 15, tzinfo=UTC), seed=7))
+
+
+@pytest.fixture(scope="module")
+def perfect():
+    return run(PERFECT)
+
+
+class TestStream:
+    def test_same_seed_same_bytes_whatever_the_hash_seed(self):
+        environment = os.environ | {"PYTHONHASHSEED": "4242"}
+        other = subprocess.run(
+            [sys.executable, "-c", DIGEST], env=environment, capture_output=True, text=True, check=True
+        )
+        digest = hashlib.sha256()
+        for message in simulate(SMALL):
+            digest.update(repr(message).encode())
+        assert other.stdout.strip() == digest.hexdigest()
+
+    def test_another_seed_gives_other_messages(self):
+        assert run(SMALL)[0] != run(replace(SMALL, seed=12))[0]
+
+    def test_a_car_does_not_depend_on_the_others(self, perfect):
+        alone = run(replace(PERFECT, vehicles=1))[0]
+        assert [m for m in alone if "taxi-001" in m.key] == [m for m in perfect[0] if "taxi-001" in m.key]
+
+    def test_a_longer_simulation_begins_like_a_shorter(self, perfect):
+        two, _ = run(replace(PERFECT, days=2))
+        assert two[: len(perfect[0])] == perfect[0]
+
+    def test_in_order_of_receipt_and_all_of_the_contract(self, faulty):
+        messages, truth = faulty
+        assert all(a.receipt_ns <= b.receipt_ns for a, b in pairwise(messages))
+        undecodable = 0
+        for message in messages:
+            try:
+                value = msgspec.json.decode(message.payload, type=KINDS[address(message.key).kind])
+            except (msgspec.MsgspecError, UnicodeDecodeError):
+                undecodable += 1
+                continue
+            assert address(message.key).identity in {getattr(value, "vehicle_id", ""), getattr(value, "station_id", "")}
+        wanted = truth.summary()["faults"]["undecodable"]
+        assert wanted <= undecodable <= wanted + 2  # a broken payload may be sent twice
+
+    def test_rides_plans_and_weather_come_with_the_telemetry(self, perfect):
+        messages, truth = perfect
+        kinds = Counter(address(m.key).kind for m in messages)
+        assert kinds["vehicle"] == 3
+        assert kinds["ride"] == 2 * len(truth.rides)
+        assert kinds["plan"] == len(truth.rides) + 3
+        assert kinds["weather"] >= 6
+        assert address(messages[0].key).kind == "weather"  # something to fill the first sample's air with
+        first = next(json.loads(m.payload) for m in messages if "taxi-001/plan" in m.key)
+        rides = [ride for ride in truth.rides if ride["vehicle_id"] == "taxi-001"]
+        assert len(first["legs"]) == len(rides)
+        assert [leg["distance_km"] for leg in first["legs"]] == pytest.approx(
+            [ride["distance_km"] for ride in rides], rel=0.25
+        )
+
+    def test_written_beside_its_truth(self, tmp_path, capsys):
+        out = tmp_path / "small.mcap"
+        simulate_command(
+            out=out, vehicles=2, start="2018-01-16T12:00", shift_hours=0.5, seed=3, hidden=["headwind:0.05"]
+        )
+        truth = json.loads((tmp_path / "small.truth.json").read_text())
+        messages = [message for block in McapSource(out) for message in block]
+        again = Simulation(vehicles=2, start=WINTER, shift_hours=0.5, seed=3, hidden=(Hidden("headwind", 0.05),))
+        assert messages == list(simulate(again))
+        assert truth["total"]["messages"] == len(messages)
+        assert truth["simulation"]["hidden"] == {"headwind": 0.05}
+        assert "headwind" in capsys.readouterr().out
+
+    def test_nothing_is_written_for_a_wrong_request(self, tmp_path):
+        with pytest.raises(SettingsError, match="no car model is called 'trabant'"):
+            record(replace(SMALL, models=("trabant",)), tmp_path / "x.mcap")
+        assert not list(tmp_path.iterdir())
+
+
+class TestNight:
+    """Cars that charge between shifts alone."""
+
+    def test_nobody_charges_and_an_empty_car_stops(self, night):
+        told = {name: samples(night[0], name) for name in night[1].cars}
+        assert not any(one.charging for own in told.values() for one in own)
+        by_day = run(replace(NIGHT, charging="low"))[0]
+        assert any(one.charging for one in samples(by_day))
+        empty = {name: own[-1].soc_pct < 0.1 for name, own in told.items()}
+        assert any(empty.values())
+        for name, own in told.items():
+            planned = next(json.loads(m.payload)["shift_end_s"] for m in night[0] if m.key == f"fleet/{name}/plan")
+            assert (planned - own[-1].time_s > 60.0) == empty[name], name
+            assert min(one.soc_pct for one in own[:-10]) > 0.0
+
+    def test_the_plan_stays_what_dispatch_asked_for(self, night):
+        messages, truth = night
+        undone = 0
+        for name in truth.cars:
+            plans = [json.loads(m.payload) for m in messages if m.key == f"fleet/{name}/plan"]
+            done = sum(ride["vehicle_id"] == name for ride in truth.rides)
+            assert {plan["shift_end_s"] for plan in plans} == {plans[0]["shift_end_s"]}
+            assert [len(plan["legs"]) for plan in plans] == [len(plans[0]["legs"]) - i for i in range(done + 1)]
+            undone += len(plans[-1]["legs"])
+        assert undone > 0
+
+
+class TestHidden:
+    @pytest.mark.parametrize("effect", sorted(EFFECTS))
+    def test_takes_its_share_of_the_energy(self, effect):
+        warm = {"cabin_cooling", "solar_load", "wet_road", "humidity"}
+        start = SUMMER if effect in warm else WINTER
+        simulation = Simulation(
+            vehicles=5, start=start, shift_hours=1.5, seed=1, faults=NO_FAULTS, hidden=(Hidden(effect, 0.04),)
+        )
+        _, truth = run(simulation)
+        found = truth.summary()["hidden"][effect]
+        assert found["absolute_share"] == pytest.approx(0.04, rel=0.02)
+        assert found["energy_kwh"] == pytest.approx(sum(r["hidden_kwh"][effect] for r in truth.rides), abs=1e-3)
+
+    def test_what_is_hidden_comes_out_of_the_battery(self):
+        plain = Simulation(vehicles=2, start=WINTER, shift_hours=1.5, seed=1, faults=NO_FAULTS)
+        both = replace(plain, hidden=(Hidden("standby", 0.05), Hidden("roof_load", 0.02)))
+        (_, before), (_, after) = run(plain), run(both)
+        hidden = sum(sum(ride["hidden_kwh"].values()) for ride in after.rides)
+        assert hidden / after.summary()["energy_kwh"] == pytest.approx(0.07, rel=0.05)
+        gain = after.summary()["energy_kwh"] - before.summary()["energy_kwh"]
+        assert gain == pytest.approx(hidden, rel=0.03)
+        assert after.summary()["parts_kwh"]["hidden"] == pytest.approx(hidden, rel=1e-3)
+
+    def test_refused_where_it_has_nothing_to_act_on(self):
+        with pytest.raises(SettingsError, match=r"cabin_cooling.*choose other dates"):
+            simulate(replace(SMALL, hidden=(Hidden("cabin_cooling"),)))
+
+    def test_refused_where_it_does_not_exist(self):
+        with pytest.raises(SettingsError, match="no hidden effect is called 'magic'; choose from age"):
+            simulate(replace(SMALL, hidden=(Hidden("magic"),)))
+
+
+class TestSettings:
+    @pytest.mark.parametrize(
+        ("parse", "text", "message"),
+        [
+            (parse_faults, "fog=0.1", "no fault is called 'fog'; choose from jitter"),
+            (parse_faults, "gap=2", "fault gap has rate '2'; give gap=0 to gap=1"),
+            (parse_faults, "gap", "fault gap has rate ''"),
+            (parse_phenomena, "all,-fog", "no phenomenon is called 'fog'"),
+            (parse_hidden, "headwind:x", "has size 'x'"),
+            (parse_start, "yesterday", "'yesterday' is not a date"),
+            (parse_models, " , ", "names none"),
+        ],
+    )
+    def test_a_wrong_word_is_named(self, parse, text, message):
+        with pytest.raises(SettingsError, match=message):
+            parse(text)
+
+    @pytest.mark.parametrize(
+        "change",
+        [
+            {"vehicles": 0},
+            {"days": 0},
+            {"day_step": 0},
+            {"shift_hours": 30.0},
+            {"seed": -1},
+            {"hidden": (Hidden("age", 0.0),)},
+            {"hidden": (Hidden("age"), Hidden("age"))},
+            {"days": 100, "day_step": 100},
+            {"start": datetime(1970, 1, 1, tzinfo=UTC)},
+            {"charging": "never"},
+        ],
+    )
+    def test_sizes_have_limits(self, change):
+        with pytest.raises(SettingsError, match=r"give|choose"):
+            replace(SMALL, **change)
+
+    def test_switches(self):
+        assert parse_phenomena("plain") == PLAIN
+        assert parse_phenomena("all") == ALL
+        assert parse_phenomena("plain,-climate") == PLAIN._replace(climate=False)
+        assert parse_faults("none") == NO_FAULTS
+        assert parse_faults("default") == Faults()
+        assert parse_start("2018-01-15T07:00-05:00") == datetime(2018, 1, 15, 12, tzinfo=UTC)
+        assert set(WHEEL) < set(PARTS)
+
+
+class TestShippedRecording:
+    FOLDER = ROOT / "recordings"
+
+    def test_holds_what_its_truth_and_its_page_say(self):
+        truth = json.loads((self.FOLDER / "shift.truth.json").read_text())
+        messages = [message for block in McapSource(self.FOLDER / "shift.mcap") for message in block]
+        counts, page = truth["total"]["faults"], (self.FOLDER / "README.md").read_text()
+        assert len(messages) == truth["total"]["messages"]
+        kinds = Counter(address(message.key).kind for message in messages)
+        assert kinds["telemetry"] == counts["samples_sent"] + counts["duplicate"]
+        assert kinds["ride"] == 2 * truth["total"]["rides"]
+        assert min(counts[fault] for fault in ("tunnel", "jitter", "duplicate", "gap")) > 4
+        for figure in ("messages", "rides", "distance_km", "energy_kwh"):
+            value = truth["total"][figure]
+            assert (f"{value:,}" if isinstance(value, int) else f"{value:.1f}") in page, figure
+        assert f"--seed {truth['simulation']['seed']}" in page
+
+    def test_is_small_and_short(self):
+        assert (self.FOLDER / "shift.mcap").stat().st_size < 3_000_000
+        truth = json.loads((self.FOLDER / "shift.truth.json").read_text())
+        hours = (max(ride["end_s"] for ride in truth["rides"]) - min(ride["start_s"] for ride in truth["rides"])) / 3600
+        assert 2 < hours < 4

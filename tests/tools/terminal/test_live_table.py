@@ -1,0 +1,56 @@
+"""The live table: what it tells of the shift's end."""
+
+import io
+
+import pytest
+from rich.console import Console
+
+from core.forecast.status import VehicleStatus
+from tests.support.fleet_days import DAY, DAYS, again, forecasts, plan, shift
+from tests.support.telemetry import START
+from tools.terminal.live_table import WARNED, fleet_table
+
+CAR = VehicleStatus("taxi-1", "kia-soul-ev-2015", None, 1.7e9, 64.0, 0.0, float("nan"), float("nan"), {})
+
+
+def row(car, width=80):
+    """Return the line of a car, as a terminal of some width shows it."""
+    console = Console(file=io.StringIO(), width=width)
+    console.print(fleet_table([car], "Live", "", 20))
+    (line,) = [line for line in console.file.getvalue().splitlines() if line.split()[:1] == [car.vehicle_id]]
+    return line
+
+
+@pytest.mark.parametrize("width", [80, 112])
+@pytest.mark.parametrize(("risk", "mark"), [(0.0, False), (WARNED - 1e-9, False), (WARNED, True), (1.0, True)])
+def test_a_car_that_may_well_end_below_its_reserve_is_marked(width, risk, mark):
+    told = row(CAR._replace(end_pct=(34.4, 20.6, 61.0), risk=risk), width)
+    assert "34 21–61" in told
+    assert ("34 21–61!" in told) == mark
+
+
+def test_what_is_not_known_is_a_dash():
+    assert row(CAR).split() == ["taxi-1", "22:13:20", "64.0", "0.00", "-", "-", "-", "-"]
+
+
+def test_the_status_holds_the_newest_forecast_of_each_car():
+    pipeline = again()
+    out = []
+    for car in "bc":
+        out += pipeline.push([m for _, m in shift(car, DAYS)][: 200 if car == "b" else 300])
+    found = {status.vehicle_id: status for status in pipeline.status()}
+    for car in "bc":
+        newest = list(forecasts(out, car).values())[-1]
+        end = newest.soc_end_of_shift_pct
+        assert found[car].end_pct == pytest.approx((end.mean, end.p05, end.p95))
+        assert found[car].risk == pytest.approx(newest.reserve_risk)
+
+
+def test_a_car_with_a_reserve_above_its_charge_is_marked_in_service():
+    pipeline = again()
+    messages = [m for _, m in shift("c", DAYS)][:100]
+    messages[1] = plan("c", DAYS, START + DAY * DAYS, reserve_soc_pct=95.0)
+    pipeline.push(messages)
+    (car,) = [status for status in pipeline.status() if status.vehicle_id == "c"]
+    assert car.risk >= WARNED
+    assert "!" in row(car)

@@ -1,0 +1,199 @@
+"""Several models on the command line: loaded once each, told of in words, on the screen, in JSON and over Zenoh."""
+
+import io
+import json
+import logging
+from pathlib import Path
+
+import msgspec
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from core import models
+from core.errors import ModelError
+from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL, Training
+from core.pipeline import Pipeline
+from core.wire.messages import Gain, ModelErrors, RideErrors
+from stream.loop import Tally
+from stream.mcap_writer import McapSink, McapSource
+from stream.zenoh_session import Connection, Node, free_port
+from tests.support.commands import refused
+from tests.support.recorded_shift import shift
+from tests.tools.test_cli import called, consumer, eventually, logged  # noqa: F401 - a fixture among them
+from tools.commands.live import Keeper
+from tools.terminal.live_table import Screen, fleet_table
+from tools.terminal.model_comparison import fitted_then, line, loaded, models_table, verdict
+
+BOTH = ("--model", "extended_physical", "--model", "basic_physical")
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("standings") / "shift.mcap"
+    with McapSink(path, 20_000) as sink:
+        sink.put(shift())
+    return path
+
+
+def gain(lower, upper, verdict, mean=0.0524):
+    return Gain(rides=1214, vehicle_days=31, mean_kwh=mean, lower_kwh=lower, upper_kwh=upper, verdict=verdict)
+
+
+def fares(told, **fields):
+    rides = RideErrors(
+        vehicle_model=None, rides=1300, unpredicted_rides=2, mae_kwh=0.25, mae_pct=12.5, bias_kwh=-0.1, gain=told
+    )
+    rides = msgspec.structs.replace(rides, **fields)
+    part = msgspec.structs.replace(rides, vehicle_model="nissan-leaf-2013", rides=7)
+    return ModelErrors(model="cold/2", first="warm/1", time_s=0.0, overall=rides, by_vehicle_model=[part])
+
+
+@pytest.mark.parametrize(
+    ("told", "words"),
+    [
+        (gain(None, None, "not told", None), "not yet told:"),
+        (gain(None, None, "not told"), "not yet told:"),
+        (gain(-0.01, 0.0724, "not told"), "not yet told:"),
+        (gain(0.0312, 0.0731, "better"), "better than the first by 0.052 kWh a ride (0.031 to 0.073), over"),
+        (
+            gain(-0.0731, -0.0312, "worse", -0.0524),
+            "worse than the first by 0.052 kWh a ride (0.031 to 0.073), over",
+        ),
+    ],
+)
+def test_a_verdict_is_said_in_words(told, words):
+    assert verdict(told) == f"{words} 1,214 rides of 31 vehicle-days"
+
+
+def printed(what, width=120) -> str:
+    console = Console(file=io.StringIO(), width=width)
+    console.print(what)
+    return console.file.getvalue()
+
+
+def test_the_table_has_a_row_a_model_and_those_of_vehicle_models_where_wanted():
+    told = [fares(None), fares(gain(0.0312, 0.0731, "better"))]
+    short = printed(models_table(told, wide=False), 80)
+    long = printed(models_table(told, wide=True, by_vehicle_model=True), 112)
+    assert "nissan-leaf-2013" not in short
+    assert long.count("nissan-leaf-2013") == 2
+    for figure in ("cold/2", "1,300", "0.250", "0.052 (0.031 to 0.073)", "better"):
+        assert figure in short
+        assert figure in long
+    assert {"12.5", "-0.100", "31"} <= set(long.split())
+    assert "-" in printed(models_table([fares(None, mae_kwh=None)], wide=False)).split()
+
+
+def test_a_log_line_has_figures_with_units_and_nothing_unknown():
+    told = line(fares(gain(None, None, "not told", None)))
+    assert told["model"] == "cold/2"
+    assert (told["mae_kwh"], told["gain_vehicle_days"], told["gain_verdict"]) == (0.25, 31, "not told")
+    assert None not in told.values()
+    assert "gain" not in line(fares(None))
+
+
+def test_rides_of_the_days_that_a_model_was_fitted_to_are_told_of():
+    training = Training(rides=9, first_date="2018-01-02", last_date="2018-01-03", vehicle_models={}, fingerprint="")
+    fitted = msgspec.structs.replace(EXTENDED_PHYSICAL, name="fitted", training=training)
+    rides = pd.DataFrame({"date": ["2018-01-01", "2018-01-02", "2018-01-03", "2018-01-04"]})
+    (told,) = fitted_then([BASIC_PHYSICAL, fitted], rides)
+    assert told.startswith("fitted/1 was fitted to rides of 2018-01-02 to 2018-01-03: 2 of these 4 rides")
+    assert fitted_then([fitted], rides[3:]) == []
+
+
+def test_models_are_loaded_by_name_and_the_usual_one_where_none_is_named():
+    assert loaded(None) == loaded([]) == [EXTENDED_PHYSICAL]
+    assert loaded(["basic_physical", "extended_physical"]) == [BASIC_PHYSICAL, EXTENDED_PHYSICAL]
+    with pytest.raises(ModelError, match="oracle"):
+        loaded(["basic_physical", "oracle"])
+
+
+@pytest.mark.parametrize("command", [["replay", "{rec}"], ["live", "--listen", "tcp/127.0.0.1:0"]])
+def test_the_same_model_twice_is_refused_in_one_line(command, recording, tmp_path, capsys):
+    models.save(BASIC_PHYSICAL, tmp_path / "copy.json")
+    arguments = [argument.format(rec=recording) for argument in command]
+    told = refused(capsys, *arguments, "--model", "basic_physical", "--model", tmp_path / "copy.json")
+    assert "basic_physical/1 is given twice" in told
+
+
+def test_replay_of_several_models_tells_how_each_fares(recording, tmp_path):
+    out, err, code = called("replay", recording, *BOTH, "--out", tmp_path / "f.mcap", "--json", tmp_path / "both.json")
+    assert (code, err) == (0, "")
+    called("replay", recording, "--json", tmp_path / "one.json")
+    both, one = (json.loads((tmp_path / name).read_text()) for name in ("both.json", "one.json"))
+    shadows = [ride.pop("shadows_kwh") for ride in both["rides"]]
+    assert (both["rides"], both["shifts"]) == (one["rides"], one["shifts"])
+    assert all(list(shadow) == ["basic_physical/1"] for shadow in shadows)
+    assert [told["model"] for told in both["models"]] == ["extended_physical/1", "basic_physical/1"]
+    fit = [(ride, shadow) for ride, shadow in zip(both["rides"], shadows, strict=True) if ride["fit_for_training"]]
+    off = [abs(shadow["basic_physical/1"] - ride["energy_kwh"]) for ride, shadow in fit]
+    assert both["models"][1]["overall"]["mae_kwh"] == pytest.approx(sum(off) / len(off))
+    assert both["models"][1]["overall"]["gain"]["vehicle_days"] == 3
+    assert "basic_physical/1" in out
+    assert "basic_physical/1: not yet told: 9 rides of 3 vehicle-days" in out
+    kept = [message for block in McapSource(tmp_path / "f.mcap") for message in block]
+    assert json.loads(kept[-1].payload) == both["models"][1]
+    out, _, code = called("info", tmp_path / "f.mcap", "--json", tmp_path / "info.json")
+    assert code == 0
+    (about,) = json.loads((tmp_path / "info.json").read_text())
+    assert about["vehicles"] == ["car-0", "car-1", "car-2"]
+    assert about["kinds"]["errors"] == 20
+    out, _, code = called("replay", tmp_path / "f.mcap")
+    assert code == 0
+    assert "could not be decoded" not in out
+
+
+def test_live_publishes_how_each_model_fares_and_goes_on_after_a_restart(consumer, recording, tmp_path):  # noqa: F811
+    heard: list[tuple[str, bytes]] = []
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    process, log = consumer("--listen", endpoint, *BOTH, "--state", tmp_path / "state", "--report", "0.05")
+    with Node(Connection(connect=(endpoint,))) as node:
+        keep = lambda sample: heard.append((str(sample.key_expr), sample.payload.to_bytes()))  # noqa: E731
+        with node.session.declare_subscriber("models/**", keep):
+            called("replay", recording, "--connect", endpoint, "--speed", "max")
+            assert eventually(lambda: any(line.get("messages") == len(shift()) for line in logged(log)))
+            assert eventually(lambda: len({key for key, _ in heard}) == 2)
+            process.terminate()
+            assert process.wait(20) == 0
+    newest = {key: json.loads(payload) for key, payload in heard}
+    assert set(newest) == {"models/extended_physical/1/errors", "models/basic_physical/1/errors"}
+    assert newest["models/basic_physical/1/errors"]["overall"]["rides"] == 6
+    lines = logged(log)
+    assert [line["model"] for line in lines if line["event"] == "model"] == ["extended_physical/1", "basic_physical/1"]
+    assert all("shadows_kwh.basic_physical/1" in line for line in lines if line["event"] == "ride")
+    again = Pipeline(EXTENDED_PHYSICAL, shadows=[BASIC_PHYSICAL])
+    again.restore((tmp_path / "state").read_bytes())
+    assert again.shadows.errors()[1].overall.rides == 6
+
+
+def test_a_change_of_verdict_is_logged_once(monkeypatch):
+    logger, records = logging.getLogger("test_standings"), []
+    logger.setLevel(logging.INFO)
+    logger.addFilter(lambda record: records.append(record) or False)
+    monkeypatch.setattr("tools.commands.live._log", logger)
+    pipeline = Pipeline(EXTENDED_PHYSICAL, shadows=[BASIC_PHYSICAL])
+    now = [0.0]
+    keeper = Keeper(pipeline, clock=lambda: now[0])
+    for turn in range(4):
+        for i in range(20):
+            pipeline.shadows.standings[1]._all.add_cluster(5, 1.0 + 0.1 * (i % 5))
+        now[0] += 10.0
+        keeper(Tally())
+        assert len(records) == 1, turn
+    assert records[0].getMessage() == "verdict"
+    assert records[0].fields["gain_verdict"] == "better"
+    assert records[0].fields["gain_vehicle_days"] == 20
+
+
+def test_the_screen_has_a_column_a_shadow_and_the_models_below():
+    pipeline = Pipeline(EXTENDED_PHYSICAL, shadows=[BASIC_PHYSICAL])
+    pipeline.push(shift())
+    assert "by 2" in printed(fleet_table(pipeline.status(), "Live", "", 20, 1))
+    assert "by 2" not in printed(fleet_table(pipeline.status(), "Live", "", 20))
+    console = Console(file=io.StringIO(), width=120, height=40, force_terminal=True)
+    with Screen(pipeline, "Live", console=console, clock=iter(range(0, 100, 10)).__next__) as screen:
+        screen(Tally(received=1, seconds=1.0))
+    shown = console.file.getvalue()
+    assert "basic_physical/1" in shown
+    assert "car-2" in shown

@@ -1,0 +1,57 @@
+"""Recordings as every command opens them: each once, by whatever name."""
+
+import json
+from pathlib import Path
+from shutil import copyfile
+
+import pytest
+
+from core.errors import RecordingError, SettingsError
+from tests.support.commands import done, refused
+from tests.support.paths import ROOT
+from tools.terminal.recordings import opened
+
+SHIFT = ROOT / "recordings" / "shift.mcap"
+AUTUMN = SHIFT.with_name("autumn.mcap")
+COMMANDS = {
+    "evaluate-soc": (SHIFT, SHIFT),
+    "info": (SHIFT, SHIFT),
+    "replay": ("--in-process", SHIFT, SHIFT),
+    "replay --history": ("--in-process", AUTUMN, "--history", SHIFT, "--history", SHIFT),
+    "tables": (SHIFT, SHIFT, "--out", "{tmp}"),
+    "compare": (SHIFT, SHIFT, "--model", "extended_physical", "--model", "basic_physical"),
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_recording_given_twice_is_refused_by_every_command(command, tmp_path, capsys):
+    given = [str(argument).replace("{tmp}", str(tmp_path)) for argument in COMMANDS[command]]
+    assert f"{SHIFT} is given twice" in refused(capsys, command.split()[0], *given)
+
+
+def test_another_name_for_the_same_recording_is_no_other_recording(tmp_path, monkeypatch):
+    link = tmp_path / "link.mcap"
+    link.symlink_to(SHIFT)
+    monkeypatch.chdir(SHIFT.parent)
+    for other in (link, Path("shift.mcap"), Path("..") / SHIFT.parent.name / "shift.mcap"):
+        with pytest.raises(SettingsError, match=r"shift\.mcap is given twice|link\.mcap is given twice"):
+            opened([SHIFT, AUTUMN, other])
+
+
+def test_another_recording_is_opened_beside_the_first(tmp_path):
+    copy = tmp_path / "shift.mcap"
+    copyfile(SHIFT, copy)
+    assert [source.path for source in opened([SHIFT, AUTUMN, copy])] == [SHIFT, AUTUMN, copy]
+
+
+def test_links_in_a_circle_are_told_in_one_line(tmp_path):
+    one, other = tmp_path / "one.mcap", tmp_path / "other.mcap"
+    one.symlink_to(other)
+    other.symlink_to(one)
+    with pytest.raises(RecordingError, match="cannot be read"):
+        opened([one, SHIFT])
+
+
+def test_a_recording_alone_is_read_as_before(tmp_path):
+    done("info", SHIFT, "--json", tmp_path / "told.json")
+    assert json.loads((tmp_path / "told.json").read_text())

@@ -1,0 +1,162 @@
+"""What `socast replay` tells of shifts: forecasts against outcomes."""
+
+import io
+import json
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from tests.support.commands import done
+from tests.support.fleet_days import CARS, DAYS, SHIFT, again, recorded, shift
+from tests.support.soc_frames import told
+from tools.terminal import shift_outcomes
+from tools.terminal.shift_outcomes import AHEAD, NO_INTERVALS, Outcomes, show_outcomes, summary
+
+
+class Recited:
+    """Gives forecasts and shifts in parts, as a pipeline does."""
+
+    def __init__(self, outlooks, shifts, cuts):
+        edges = [-np.inf, *sorted(cuts), np.inf]
+        ended = shifts["end_s"] + 7200.0
+        self._parts = [
+            (outlooks[(outlooks["time_s"] > a) & (outlooks["time_s"] <= b)], shifts[(ended > a) & (ended <= b)])
+            for a, b in pairwise(edges)
+        ]
+        self._at = -1
+
+    def take_outlooks(self):
+        self._at += 1
+        return self._parts[self._at][0] if self._at < len(self._parts) else self._parts[0][0][:0]
+
+    def take_shifts(self):
+        return self._parts[self._at][1] if self._at < len(self._parts) else self._parts[0][1][:0]
+
+    def __len__(self):
+        return len(self._parts)
+
+
+def records(outlooks, shifts, cuts=()):
+    recited = Recited(outlooks.sort_values("time_s", kind="stable"), shifts, cuts)
+    found = Outcomes(recited)
+    for _ in range(len(recited) - 1):
+        found()
+    return found.records()
+
+
+def printed(shifts, width=140):
+    console = Console(file=io.StringIO(), width=width)
+    show_outcomes(console, shifts)
+    return console.file.getvalue()
+
+
+def test_each_shift_is_told_with_what_was_forecast_when():
+    made, ended = told(cars=2, days=3, hours=7.0, warm_up=1)
+    found = records(made, ended)
+    assert [(s["vehicle_id"], s["begin_s"]) for s in found] == sorted(
+        zip(ended["vehicle_id"], ended["begin_s"], strict=True), key=lambda each: each[1]
+    )
+    for shift_ in found:
+        own = made[(made["vehicle_id"] == shift_["vehicle_id"]) & (made["shift_begin_s"] == shift_["begin_s"])]
+        if np.isnan(own["soc_mean_pct"].iloc[0]):
+            assert set(shift_["forecasts"].values()) == {None}
+            continue
+        asked = {"begin": shift_["begin_s"]} | {name: shift_["end_s"] - ahead for name, ahead in AHEAD.items()}
+        for name, time in asked.items():
+            row = own[own["time_s"] <= time].iloc[-1]
+            forecast = shift_["forecasts"][name]
+            assert (forecast["time_s"], forecast["mean"]) == (row["time_s"], row["soc_mean_pct"])
+            assert forecast["held"] == (row["soc_p05_pct"] <= shift_["soc_end_pct"] <= row["soc_p95_pct"])
+    assert json.loads(json.dumps(found)) == found
+
+
+@given(cuts=st.lists(st.floats(1_514_764_800.0, 1_514_764_800.0 + 4 * 86_400.0), max_size=8), rows=st.integers(0, 3000))
+def test_however_it_comes_and_whatever_is_let_go_the_same_is_told(cuts, rows):
+    made, ended = told(cars=3, days=3, warm_up=1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(shift_outcomes, "MOST_ROWS", rows)
+        assert records(made, ended, cuts) == records(made, ended)
+
+
+def test_what_is_let_go_keeps_memory_small(monkeypatch):
+    monkeypatch.setattr(shift_outcomes, "MOST_ROWS", 500)
+    made, ended = told(cars=1, days=10, warm_up=0)
+    found = Outcomes(Recited(made, ended, made["time_s"].to_numpy()[::100]))
+    for _ in range(len(made) // 100):
+        found()
+        assert sum(map(len, found._told)) < 800
+
+
+def test_nothing_is_held_against_a_forecast_before_a_charge_or_of_a_shift_that_goes_on():
+    made, ended = told(cars=1, days=1, warm_up=0)
+    at = ended["end_s"].iloc[0] - 5400.0
+    (shift_,) = records(made, ended.assign(charged_s=at))
+    assert [f["held"] is None for f in shift_["forecasts"].values()] == [True, True, False]
+    assert f"charged {pd.Timestamp(at, unit='s'):%H:%M}" in printed([shift_])
+    (shift_,) = records(made.assign(shift_end_s=made["shift_end_s"] + 3600.0), ended)
+    assert shift_["cut"]
+    assert all(f["held"] is None for f in shift_["forecasts"].values())
+    assert "goes on" in printed([shift_])
+    (shift_,) = records(made, ended.assign(soc_end_pct=np.nan))
+    assert all(f["held"] is None for f in shift_["forecasts"].values())
+
+
+def test_a_forecast_that_was_long_ago_is_none():
+    made, ended = told(cars=1, days=1, warm_up=0)
+    end = ended["end_s"].iloc[0]
+    (shift_,) = records(made[~made["time_s"].between(end - 3600.0 - 700.0, end - 3600.0)], ended)
+    assert shift_["forecasts"]["1h"] is None
+    assert shift_["forecasts"]["2h"] is not None
+    assert "–" in printed([shift_])
+
+
+def test_where_no_interval_is_known_it_is_said_what_to_do():
+    made, ended = told(cars=1, days=2, warm_up=2)
+    assert printed(records(made, ended), 400).strip() == NO_INTERVALS
+    assert "--history" in NO_INTERVALS
+    assert printed([]) == ""
+
+
+def test_the_share_that_held_is_told():
+    made, ended = told(cars=5, days=20, warm_up=0)
+    found = records(made, ended)
+    held = [s["forecasts"]["2h"]["held"] for s in found]
+    assert f"{sum(held)} of {len(held)}" in summary(found)[1]
+    assert 0.8 < np.mean(held) < 0.98
+    assert f"the last 60 of {len(found)} shifts" in printed(found)
+
+
+def test_a_pipeline_is_told_of():
+    pipeline = again(keep_outlooks=True)
+    pipeline.take_shifts()
+    found = Outcomes(pipeline)
+    for _, message in shift("c", DAYS):
+        pipeline.push([message])
+        found()
+    pipeline.finish()
+    shift_ = [s for s in found.records() if s["vehicle_id"] == "c"][-1]
+    assert shift_["end_s"] - shift_["begin_s"] == pytest.approx(SHIFT)
+    assert shift_["forecasts"]["1h"]["p05"] < shift_["soc_end_pct"] < shift_["forecasts"]["1h"]["p95"]
+    assert shift_["forecasts"]["1h"]["held"]
+    assert not shift_["cut"]
+
+
+def test_replay_tells_of_shifts_with_intervals_where_there_is_a_history(tmp_path, capsys):
+    recorded(tmp_path / "before.mcap", range(DAYS))
+    recorded(tmp_path / "now.mcap", [DAYS])
+    replay = ("replay", tmp_path / "now.mcap", "--period-s", 15, "--json", tmp_path / "now.json")
+    done(*replay)
+    assert "--history REC" in capsys.readouterr().out
+    alone = json.loads((tmp_path / "now.json").read_text())
+    done(*replay, "--history", tmp_path / "before.mcap")
+    assert "forecast against outcome" in capsys.readouterr().out
+    both = json.loads((tmp_path / "now.json").read_text())
+    assert both["rides"] == alone["rides"]
+    assert [s["vehicle_id"] for s in both["shifts"]] == list(CARS)
+    assert all(set(s["forecasts"].values()) == {None} for s in alone["shifts"])
+    assert all(s["forecasts"]["begin"] and s["forecasts"]["1h"] for s in both["shifts"])

@@ -1,0 +1,108 @@
+"""Learning from recordings of earlier days: forecasts have intervals at once, and nothing else is different."""
+
+import logging
+
+import pytest
+
+from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
+from core.pipeline import Pipeline
+from tests.support.commands import done, refused
+from tests.support.fleet_days import CARS, DAYS, SETTINGS, forecasts, recorded, shift
+from tests.support.telemetry import leaf, observed
+from tools.terminal.warm_up import learned
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory):
+    """Return recordings of some days: one of the first, one of the others."""
+    folder = tmp_path_factory.mktemp("history")
+    for name, numbers in (("a", range(2)), ("b", range(2, DAYS))):
+        recorded(folder / f"{name}.mcap", numbers)
+    return [folder / "a.mcap", folder / "b.mcap"]
+
+
+def today(pipeline):
+    return pipeline.push([observed(temperature_c=10.0), leaf("c"), *(m for _, m in shift("c", DAYS))])
+
+
+def test_forecasts_have_intervals_at_once(recordings):
+    fresh, pipeline = Pipeline(settings=SETTINGS), Pipeline(settings=SETTINGS)
+    pipeline.learn_from(learned(EXTENDED_PHYSICAL, [], SETTINGS, recordings))
+    before, after = forecasts(today(fresh), "c"), forecasts(today(pipeline), "c")
+    assert before.keys() == after.keys()
+    assert not any(each.soc_end_of_shift_pct for each in before.values())
+    assert all(each.soc_end_of_shift_pct for each in list(after.values())[2:])
+    for time, each in before.items():
+        assert each.ride_energy_predicted_kwh == after[time].ride_energy_predicted_kwh
+        assert each.ride_distance_km == after[time].ride_distance_km
+
+
+def test_rides_and_counters_are_of_today_alone(recordings):
+    fresh, pipeline = Pipeline(settings=SETTINGS), Pipeline(settings=SETTINGS)
+    pipeline.learn_from(learned(EXTENDED_PHYSICAL, [], SETTINGS, recordings))
+    for each in (fresh, pipeline):
+        today(each)
+        each.finish()
+    told, expected = pipeline.quality(), fresh.quality()
+    assert told.pop("vehicles") == len(CARS)
+    expected.pop("vehicles")
+    assert told == expected
+    assert pipeline.take_rides().equals(fresh.take_rides())
+
+
+def test_it_knows_cars_that_do_not_say_again_what_they_are(recordings):
+    pipeline = Pipeline(settings=SETTINGS)
+    pipeline.learn_from(learned(EXTENDED_PHYSICAL, [], SETTINGS, recordings))
+    found = forecasts(pipeline.push([m for _, m in shift("c", DAYS)]), "c")
+    assert list(found.values())[-1].soc_end_of_shift_pct
+
+
+def test_shadows_begin_anew_and_a_restart_goes_on_the_same(recordings):
+    def made():
+        return Pipeline(settings=SETTINGS, shadows=[BASIC_PHYSICAL], keep_tables=False)
+
+    pipeline = made()
+    pipeline.learn_from(learned(EXTENDED_PHYSICAL, [BASIC_PHYSICAL], SETTINGS, recordings))
+    assert all(told.overall.rides == 0 for told in pipeline.shadows.errors())
+    messages = [m for _, m in shift("c", DAYS)]
+    first, state = pipeline.push(messages[:150]), pipeline.snapshot()
+    other = made()
+    other.restore(state)
+    assert first
+    assert pipeline.push(messages[150:]) == other.push(messages[150:])
+
+
+def test_without_recordings_there_is_nothing():
+    assert learned(EXTENDED_PHYSICAL, [], SETTINGS, None) is None
+    assert learned(EXTENDED_PHYSICAL, [], SETTINGS, []) is None
+
+
+@pytest.mark.parametrize("lost", [0, 9_000], ids=["whole", "killed"])
+def test_a_history_that_knows_what_comes_is_refused(capsys, tmp_path, recordings, lost):
+    early, late = recordings
+    for name, numbers in (("later", range(2, DAYS)), ("overlapping", range(DAYS)), ("same", range(2))):
+        recorded(history := tmp_path / f"{name}.mcap", numbers)
+        history.write_bytes(history.read_bytes()[: history.stat().st_size - lost])
+        told = refused(capsys, "replay", early, "--history", history)
+        assert f"{name}.mcap ends at 2024-01-1" in told
+        assert "after what is replayed begins, at 2024-01-15 08:00:00 UTC: " in told
+    assert "a.mcap ends at" in refused(capsys, "replay", early, late, "--history", early)
+    done("replay", late, "--history", early, "--history", tmp_path / "same.mcap")
+
+
+def test_a_history_that_is_none_is_refused_in_a_line(capsys, tmp_path, recordings):
+    assert "nowhere.mcap" in refused(capsys, "live", "--history", tmp_path / "nowhere.mcap")
+    replay = ("replay", recordings[0])
+    assert "nowhere.mcap" in refused(capsys, *replay, "--history", tmp_path / "nowhere.mcap")
+    assert "--history" in refused(capsys, *replay, "--history", recordings[1], "--connect", "tcp/127.0.0.1:1")
+    assert "overwritten" in refused(capsys, *replay, "--history", recordings[1], "--json", recordings[1])
+    logging.getLogger().handlers.clear()
+
+
+def test_a_consumer_with_a_state_to_go_on_from_leaves_the_history_out(capsys, tmp_path):
+    nobody = ("live", "--connect", "tcp/127.0.0.1:1", "--history", tmp_path / "nowhere.mcap")
+    state = tmp_path / "fleet.state"
+    assert "nowhere.mcap" in refused(capsys, *nobody, "--state", state)
+    state.write_bytes(b"")
+    assert "127.0.0.1:1" in refused(capsys, *nobody, "--state", state)
+    logging.getLogger().handlers.clear()

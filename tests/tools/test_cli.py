@@ -1,0 +1,388 @@
+"""The command line, as a person meets it: quick help, one line for an error, a clean end on a signal."""
+
+import json
+import logging
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from importlib import import_module
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from core.errors import SettingsError
+from core.models import EXTENDED_PHYSICAL
+from core.pipeline import Pipeline
+from core.wire.messages import Forecast
+from stream.loop import Tally
+from stream.mcap_writer import McapSink, McapSource
+from stream.zenoh_session import free_port
+from tests.support.commands import refused
+from tests.support.recorded_shift import shift
+from tools.cli import COMMANDS, application, main
+from tools.commands.live import Keeper
+
+SOCAST = [sys.executable, "-m", "tools.cli"]
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("cli") / "shift.mcap"
+    with McapSink(path, 20_000) as sink:
+        sink.put(shift())
+    return path
+
+
+def called(*arguments: object) -> tuple[str, str, int]:
+    """Run a command in this process; return what it printed, what it complained of, and its exit code."""
+    done = subprocess.run([*SOCAST, *map(str, arguments)], capture_output=True, text=True, timeout=60, check=False)
+    return done.stdout, done.stderr, done.returncode
+
+
+def eventually(condition, seconds: float = 90.0) -> bool:
+    deadline = time.monotonic() + seconds
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    return bool(condition())
+
+
+def test_help_loads_nothing_heavy():
+    code = (
+        "import sys; from tools.cli import application\n"
+        "try: application()(['--help'], prog_name='socast')\n"
+        "except SystemExit: pass\n"
+        "print(sorted({'numba', 'pandas', 'zenoh', 'pint', 'mcap', 'scipy'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+    for name, command in COMMANDS.items():
+        assert name in done.stdout
+        assert command.summary.split(",")[0] in done.stdout
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_and_each_of_its_options_is_documented(name):
+    group = typer.main.get_command(application(name))
+    commands = [group.commands[name]]
+    while commands:
+        command = commands.pop()
+        commands += getattr(command, "commands", {}).values()
+        assert command.help, command.name
+        for parameter in command.params:
+            assert getattr(parameter, "help", None), f"{name}: {parameter.name}"
+    loaded = getattr(import_module(COMMANDS[name].module), COMMANDS[name].name)
+    assert loaded is not None
+    assert COMMANDS[name].summary.endswith(".")
+
+
+def test_the_version_is_shown():
+    told = CliRunner().invoke(application(), ["--version"])
+    assert re.fullmatch(r"socast \d+\.\d+\.\d+\n", told.output)
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        ("lunch", "no such command 'lunch'; `socast --help`"),
+        ("lnfo", "did you mean 'info'? `socast --help`"),
+        ("--lunch", "no such option: --lunch; `socast --help`"),
+        ("info", "missing argument 'REC...'; `socast info --help`"),
+        ("effects show", "missing argument 'E'; `socast effects show --help`"),
+        ("simulate", "missing option '--out'; `socast simulate --help`"),
+        ("replay --speed", "option '--speed' requires an argument; `socast replay --help`"),
+        ("ask taxi-7 --distance-km abc", "--distance-km is 'abc', must be a valid number; `socast ask --help`"),
+        ("evaluate . --seed 1.5", "--seed is '1.5', must be a valid integer; `socast evaluate --help`"),
+        ("live --smoothing 0", "--smoothing is '0', must be greater than or equal to 1; `socast live --help`"),
+        ("live --period-s nan", "--period-s is 'nan', must be"),
+    ],
+)
+def test_a_wrong_call_is_one_line_with_what_is_wrong_and_where_to_read_on(call, told, capsys):
+    assert told.lower() in refused(capsys, *call.split()).lower()
+
+
+@pytest.mark.parametrize("call", [[], ["effects"]])
+def test_without_a_command_there_is_help_and_no_error(call, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(call)
+    assert ended.value.code == 2
+    told = capsys.readouterr()
+    assert "Usage: socast" in told.out + told.err
+    assert "socast: " not in told.out + told.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["info", "nowhere.mcap"], "nowhere.mcap"),
+        (["info", "/"], "directory"),
+        (["replay", "{rec}", "--speed", "fast"], "fast"),
+        (["replay", "{rec}", "--speed", "0"], "'0'"),
+        (["replay", "{rec}", "--longest-gap", "-1"], "gap"),
+        (["replay", "{rec}", "--model", "oracle"], "oracle"),
+        (["replay", "{rec}", "--connect", "tcp/127.0.0.1:1"], "127.0.0.1:1"),
+        (["replay", "{rec}", "--connect", "tcp/127.0.0.1:1", "--out", "x.mcap"], "--connect"),
+        (["replay", "{rec}", "--out", "/nowhere/x.mcap"], "/nowhere/x.mcap"),
+        (["replay", "{rec}", "--json", "/nowhere/x.json"], "/nowhere/x.json"),
+        (["replay", "{rec}", "--out", "{rec}"], "overwritten"),
+        (["replay", "{rec}", "--json", "{rec}"], "overwritten"),
+        (["info", "{rec}", "--json", "/nowhere/x.json"], "/nowhere/x.json"),
+        (["tables", "{rec}", "--out", "{tmp}", "--json", "/nowhere/x.json"], "/nowhere/x.json"),
+        (["tables", "{rec}", "--out", "{rec}"], "--out"),
+        (["tables", "{rec}", "--out", "{tmp}/taken"], "rides.parquet"),
+        (["effects", "list", "--json", "/nowhere/x.json"], "/nowhere/x.json"),
+        (["live", "--listen", "tcp/127.0.0.1:0", "--state", "/nowhere/state"], "/nowhere/state"),
+        (["live", "--mode", "queen"], "queen"),
+        (["live", "--connect", "tcp/127.0.0.1:1"], "127.0.0.1:1"),
+        (["live", "--config", "nowhere.json5"], "nowhere.json5"),
+        (["live", "--prefix", "a/**"], "'a/**'"),
+        (["live", "--prefix", "a b?"], "'a b?'"),
+        (["replay", "{rec}", "--prefix", "a/**"], "'a/**'"),
+        (["replay", "{rec}", "--prefix", "a//b", "--connect", "tcp/127.0.0.1:1"], "'a//b'"),
+        (["replay", "{rec}", "--connect", "tcp/127.0.0.1:1", "--smoothing", "1"], "--connect"),
+        (["live", "--record", "/proc/nowhere"], "/proc/nowhere"),
+        (["demo", "nowhere.mcap"], "nowhere.mcap"),
+    ],
+)
+def test_what_cannot_be_done_is_one_line(arguments, told, recording, tmp_path, capsys):
+    (tmp_path / "taken" / "rides.parquet").mkdir(parents=True)
+    kept = recording.read_bytes()
+    assert told in refused(capsys, *(argument.format(rec=recording, tmp=tmp_path) for argument in arguments))
+    assert recording.read_bytes() == kept
+
+
+CLEANING = ["--speed-limit-kmh", "--period-s", "--smoothing", "--least-distance-km"]
+
+
+@pytest.mark.parametrize("option", CLEANING)
+@pytest.mark.parametrize("command", [["tables", "{rec}", "--out", "{tmp}"], ["replay", "{rec}"], ["live"]])
+def test_settings_of_cleaning_are_refused_in_the_unit_in_which_they_are_given(
+    command, option, recording, tmp_path, capsys
+):
+    given = [argument.format(rec=recording, tmp=tmp_path) for argument in command]
+    assert f"{option} is '1000000', must be less than" in refused(capsys, *given, option, "1000000")
+
+
+def test_replay_cleans_as_it_is_told(recording):
+    """With a limit below the cars' 36 km/h every speed is rejected; with one above, the tunnels' only."""
+    rejected = []
+    for limit in ("130", "30"):
+        out, _, code = called("replay", recording, "--speed-limit-kmh", limit)
+        assert code == 0
+        rejected.append(int(re.search(r"speed rejected ([\d,]+)", out)[1].replace(",", "")))
+    assert 0 < 10 * rejected[0] < rejected[1]
+
+
+def test_info_tells_what_is_in_a_recording(recording, tmp_path):
+    out, _, code = called("info", recording, "--json", tmp_path / "info.json")
+    assert code == 0
+    (about,) = json.loads((tmp_path / "info.json").read_text())
+    sent = shift()
+    assert about["messages"] == len(sent)
+    assert about["vehicles"] == ["car-0", "car-1", "car-2"]
+    assert about["stations"] == ["yul"]
+    assert about["topics"]["fleet/car-1/telemetry"]["schema"] == "Telemetry"
+    assert sum(topic["messages"] for topic in about["topics"].values()) == len(sent)
+    assert sum(about["kinds"].values()) == len(sent)
+    assert about["duration_s"] == pytest.approx((sent[-1].receipt_ns - sent[0].receipt_ns) * 1e-9)
+    assert about["losses"] == []
+    assert f"{len(sent):,} messages" in out
+    assert "2018-01-15T12:00:00" in out
+
+
+def test_info_tells_what_is_lost(recording, tmp_path):
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(recording.read_bytes()[:-20_000])
+    out, _, code = called("info", cut)
+    assert code == 0
+    assert "bytes after the last whole chunk are lost" in out
+
+
+def test_replay_forecasts_and_compares(recording, tmp_path):
+    out, err, code = called("replay", recording, "--out", tmp_path / "f.mcap", "--json", tmp_path / "rides.json")
+    assert (code, err) == (0, "")
+    told = json.loads((tmp_path / "rides.json").read_text())
+    rides = told["rides"]
+    assert len(rides) == 9
+    assert [(shift["vehicle_id"], shift["soc_end_pct"]) for shift in told["shifts"]] == [
+        (f"car-{i}", pytest.approx(81.0)) for i in range(3)
+    ]
+    assert "no intervals of the shift's end are known yet" in out
+    assert all(ride["predicted_kwh"] > 0 and ride["energy_kwh"] > 0 for ride in rides)
+    assert "9 rides of 3 cars" in out
+    assert "messages that could not be decoded" in out
+    source = McapSource(tmp_path / "f.mcap")
+    assert {m.key for block in source for m in block} == {f"fleet/car-{i}/forecast" for i in range(3)}
+    assert set(source.schemas.values()) == {Forecast.__name__}
+
+
+def test_replay_puts_forecasts_under_the_prefix_as_the_live_consumer_does(recording, tmp_path):
+    called("replay", recording, "--prefix", "/montreal/", "--out", tmp_path / "f.mcap")
+    assert {m.key.partition("/")[0] for block in McapSource(tmp_path / "f.mcap") for m in block} == {"montreal"}
+
+
+def test_replay_at_a_pace_is_the_same_replay(recording, tmp_path):
+    called("replay", recording, "--json", tmp_path / "max.json")
+    out, _, code = called("replay", recording, "--speed", "20", "--json", tmp_path / "paced.json")
+    assert code == 0
+    assert (tmp_path / "paced.json").read_bytes() == (tmp_path / "max.json").read_bytes()
+    assert "SOC" in out
+
+
+def test_tables_tell_the_same_rides_in_parquet_and_json_and_name_each_loss(recording, tmp_path):
+    cuts = [tmp_path / name / "cut.mcap" for name in ("first", "second")]
+    for at, cut in enumerate(cuts):
+        cut.parent.mkdir()
+        cut.write_bytes(recording.read_bytes()[: -20_000 * (at + 1)])
+    out, err, code = called("tables", *cuts, "--out", tmp_path, "--json", tmp_path / "rides.json")
+    assert code == 0
+    rides = json.loads((tmp_path / "rides.json").read_text(), parse_constant=pytest.fail)
+    table = pd.read_parquet(tmp_path / "rides.parquet")
+    assert [ride["ride_id"] for ride in rides] == table["ride_id"].tolist()
+    assert [ride["distance_km"] for ride in rides] == table["distance_km"].tolist()
+    assert f"{len(rides)} rides" in out
+    lost = json.loads((tmp_path / "quality.json").read_text())["lost"]
+    assert set(lost) == set(map(str, cuts))
+    assert all(f"{cut}: it breaks off" in err for cut in cuts)
+
+
+def test_several_recordings_are_merged(tmp_path):
+    sent = shift()
+    for part in range(2):
+        with McapSink(tmp_path / f"{part}.mcap") as sink:
+            sink.put(sent[part::2])
+    with McapSink(tmp_path / "whole.mcap") as sink:
+        sink.put(sent)
+    called("replay", tmp_path / "0.mcap", tmp_path / "1.mcap", "--json", tmp_path / "parts.json")
+    called("replay", tmp_path / "whole.mcap", "--json", tmp_path / "whole.json")
+    assert (tmp_path / "parts.json").read_bytes() == (tmp_path / "whole.json").read_bytes()
+
+
+@pytest.fixture
+def consumer(tmp_path: Path):
+    """Start live consumers, and see that none outlives its test."""
+    running = []
+
+    def start(*arguments: object) -> tuple[subprocess.Popen, Path]:
+        log = tmp_path / f"{len(running)}.log"
+        command = [*SOCAST, "live", *map(str, arguments), "--json-log"]
+        with log.open("w") as file:
+            running.append(subprocess.Popen(command, stderr=file, stdout=subprocess.DEVNULL))
+        assert eventually(lambda: any(line["event"] == "listening" for line in logged(log)))
+        return running[-1], log
+
+    yield start
+    for process in running:
+        process.kill()
+        process.wait()
+
+
+def logged(log: Path) -> list[dict]:
+    return [json.loads(line) for line in log.read_text().splitlines(keepends=True) if line.endswith("\n")]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_live_ends_cleanly_on_a_signal_and_leaves_nothing_behind(consumer, recording, tmp_path, number):
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    process, log = consumer("--listen", endpoint, "--record", tmp_path / "kept", "--report", "0.05")
+    _, told, code = called("replay", recording, "--connect", endpoint, "--speed", "max")
+    assert code == 0
+    assert f"published {len(shift()):,} messages" in told
+    assert eventually(lambda: any(line.get("messages") == len(shift()) for line in logged(log)))
+    process.send_signal(number)
+    assert process.wait(20) == 0
+    lines = logged(log)
+    finished = next(line for line in lines if line["event"] == "finished")
+    assert finished["messages"] == finished["recorded"] == len(shift())
+    assert (finished["missed"], finished["unrecorded"]) == (0, 0)
+    assert sum(line["event"] == "ride" for line in lines) == 9
+    (kept,) = (tmp_path / "kept").iterdir()
+    source = McapSource(kept)
+    assert [m.payload for block in source for m in block] == [m.payload for m in shift()]
+    assert not source.losses
+
+
+def test_live_cleans_as_it_is_told(consumer, recording):
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    process, log = consumer("--listen", endpoint, "--report", "0.05", "--least-distance-km", "100")
+    called("replay", recording, "--connect", endpoint, "--speed", "max")
+    assert eventually(lambda: any(line.get("messages") == len(shift()) for line in logged(log)))
+    process.terminate()
+    assert process.wait(20) == 0
+    rides = [line for line in logged(log) if line["event"] == "ride"]
+    assert [ride["unfit_reason"] for ride in rides] == ["too_little_distance"] * 9
+
+
+def test_a_killed_consumers_recording_is_read_up_to_its_last_flush(consumer, recording, tmp_path):
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    process, _ = consumer("--listen", endpoint, "--record", tmp_path / "kept", "--flush", "0.1")
+    called("replay", recording, "--connect", endpoint, "--speed", "max")
+
+    def kept() -> int:
+        return sum(len(block) for path in (tmp_path / "kept").glob("*") for block in McapSource(path))
+
+    assert eventually(lambda: kept() == len(shift()))
+    process.send_signal(signal.SIGKILL)
+    process.wait(10)
+    out, _, code = called("replay", *(tmp_path / "kept").iterdir())
+    assert code == 0
+    assert "9 rides of 3 cars" in out
+
+
+def test_a_restarted_consumer_goes_on_where_it_was(consumer, tmp_path):
+    """The state after a restart in the middle of a ride is, to the byte, that of a consumer that was not restarted."""
+    sent = shift(samples=140, cars=1)
+    parts = sent[: len(sent) // 2], sent[len(sent) // 2 :]
+    for number, part in enumerate(parts):
+        with McapSink(tmp_path / f"{number}.mcap") as sink:
+            sink.put(part)
+        endpoint = f"tcp/127.0.0.1:{free_port()}"
+        process, log = consumer("--listen", endpoint, "--state", tmp_path / "state", "--report", "0.05")
+        called("replay", tmp_path / f"{number}.mcap", "--connect", endpoint, "--speed", "max")
+        assert eventually(lambda log=log, part=part: any(line.get("messages") == len(part) for line in logged(log)))
+        process.terminate()
+        assert process.wait(20) == 0
+    assert "restored" in {line["event"] for line in logged(log)}
+    assert "ride" not in {line["event"] for line in logged(log)}  # it is still under way
+    uninterrupted = Pipeline(EXTENDED_PHYSICAL)
+    uninterrupted.push(sent)
+    assert (tmp_path / "state").read_bytes() == uninterrupted.snapshot()
+
+
+def test_a_state_that_cannot_be_kept_is_logged_and_the_cars_are_served_on(tmp_path, caplog, monkeypatch):
+    folder = tmp_path / "state"
+    folder.mkdir()
+    now = [0.0]
+    monkeypatch.setattr(logging.getLogger("socast"), "propagate", True)
+    keeper = Keeper(Pipeline(EXTENDED_PHYSICAL), folder / "cars", lambda: now[0])
+    assert (folder / "cars").exists()
+    shutil.rmtree(folder)
+    now[0] = 1000.0
+    keeper(Tally())
+    assert "state not kept" in caplog.text
+    with pytest.raises(SettingsError, match="cars"):
+        keeper.end()
+
+
+def test_the_demo_shows_cars_then_rides(recording, tmp_path):
+    out, err, code = called("demo", recording, "--seconds", "1", "--json", tmp_path / "demo.json")
+    assert (code, err) == (0, "")
+    called("replay", recording, "--json", tmp_path / "replay.json")
+    demo, replay = (json.loads((tmp_path / f"{name}.json").read_text()) for name in ("demo", "replay"))
+    assert demo == replay["rides"]
+    assert "SOC" in out
+    assert "9 rides of 3 cars" in out
+    assert "0 of the messages sent were missed" in out
+
+
+def test_a_pipe_that_is_closed_is_no_traceback(recording):
+    command = f"{sys.executable} -m tools.cli info {recording} | head -1"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=60, check=False)
+    assert "Traceback" not in done.stderr
+    assert os.linesep in done.stdout
