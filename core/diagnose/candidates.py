@@ -12,7 +12,7 @@ from core.batch import Floats, Ints
 from core.diagnose.dataset import Windows
 from core.effects.declaration import VARIANT
 from core.effects.road_load import ROAD_LOAD
-from core.fit.ride_blocks import numbers
+from core.fit.ride_blocks import get_numbers
 from core.models import LinearModel
 from core.models.features import EFFECT_PREFIX
 
@@ -91,7 +91,7 @@ def least_share(variant: str) -> float:
 
 def read_by(variant: str) -> tuple[str, ...]:
     """Return the columns that an effect, or a variant of one, asks for; none where the library does not have it."""
-    effect = effects.library().get(variant.split(VARIANT, maxsplit=1)[0])
+    effect = effects.get_library().get(variant.split(VARIANT, maxsplit=1)[0])
     return () if effect is None else effect.arguments
 
 
@@ -115,21 +115,21 @@ def library(windows: Windows, model: LinearModel, without: Collection[str] = (),
     inside = set() if scopes else {effects.get(name).base for name in model.effects}
     absent: dict[str, str] = {}
     found: list[tuple[str, str]] = []
-    for name, effect in effects.library().items():
+    for name, effect in effects.get_library().items():
         if name in base or name in without:
             continue
         if name in inside:
             absent[name] = "in the model"
             continue
         there = [v.name for v in (effect, *effect.variants) if f"{EFFECT_PREFIX}{v.name}" in windows.table]
-        columns = {v: numbers(windows.table, f"{EFFECT_PREFIX}{v}") for v in there}
+        columns = {v: get_numbers(windows.table, f"{EFFECT_PREFIX}{v}") for v in there}
         known = [v for v, column in columns.items() if np.isfinite(column).mean() >= KNOWN and np.any(column)]
         if known:
             found += [(name, v) for v in known]
         else:
             absent[name] = "not in the data"
     names = tuple(dict.fromkeys(name for name, _ in found))
-    stacked = [np.nan_to_num(numbers(windows.table, f"{EFFECT_PREFIX}{v}"), nan=0.0) for _, v in found]
+    stacked = [np.nan_to_num(get_numbers(windows.table, f"{EFFECT_PREFIX}{v}"), nan=0.0) for _, v in found]
     return Asked(
         variants=tuple(v for _, v in found),
         effects=np.array([names.index(name) for name, _ in found], dtype=np.int64),

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
 from core.errors import ModelError
-from core.fit.calibration import least_squares_interval
+from core.fit.calibration import add_interval
 from core.fit.fitting import fit_terms
-from core.fit.recipes import LinearRecipe, recipe
-from core.fit.ride_blocks import ENERGY, Frame, names, numbers, trainable
+from core.fit.recipes import LinearRecipe, get_recipe
+from core.fit.ride_blocks import ENERGY, RideFrame, get_names, get_numbers, select_trainable
 from core.models import ANY, LinearModel
 from core.models.features import Columns
 
@@ -107,23 +107,25 @@ def joined(rides: pd.DataFrame, windows: pd.DataFrame) -> pd.DataFrame:
     if len(rides) and not (place >= 0).any():
         raise ModelError("no window belongs to any of the rides: give the windows.parquet that was made with the rides")
     fit = rides["fit_for_training"].to_numpy(dtype=bool, na_value=False) if "fit_for_training" in rides else True
-    good = fit & np.isfinite(numbers(rides, ENERGY))
+    good = fit & np.isfinite(get_numbers(rides, ENERGY))
     by_power = by_meter(rides)
     own = {name: rides[name].to_numpy()[place] for name in OF_THE_RIDE if name in rides}
-    own |= {ENERGY: numbers(windows, "energy_vi_kwh"), ENERGY_SD: numbers(windows, "energy_vi_sd_kwh")}
-    kept = (place >= 0) & (good & by_power)[place] & np.isfinite(own[ENERGY]) & (numbers(windows, "duration_s") > 0.0)
+    own |= {ENERGY: get_numbers(windows, "energy_vi_kwh"), ENERGY_SD: get_numbers(windows, "energy_vi_sd_kwh")}
+    kept = (
+        (place >= 0) & (good & by_power)[place] & np.isfinite(own[ENERGY]) & (get_numbers(windows, "duration_s") > 0.0)
+    )
     others = windows.drop(columns=[name for name in own if name in windows])
     parts = pd.concat([others, pd.DataFrame(own, index=windows.index)], axis=1).loc[kept]
     whole = rides.loc[good & ~by_power, [name for name in parts.columns if name in rides]]
     table = pd.concat([parts, whole], ignore_index=True) if len(whole) else parts
     begin = table.groupby("ride_key", sort=False)["start_s"].transform("min")  # clocks that step interleave rides
-    order = np.lexsort((numbers(table, "start_s"), pd.factorize(table["ride_key"])[0], begin))
+    order = np.lexsort((get_numbers(table, "start_s"), pd.factorize(table["ride_key"])[0], begin))
     return table.iloc[order].sort_values("vehicle_id", kind="stable", ignore_index=True)
 
 
 def by_meter(table: pd.DataFrame) -> NDArray[np.bool_]:
     """Return which rides or windows are measured by voltage and current, not by the state of charge, (n,)."""
-    return np.asarray(numbers(table, ENERGY) == numbers(table, "energy_vi_kwh"))
+    return np.asarray(get_numbers(table, ENERGY) == get_numbers(table, "energy_vi_kwh"))
 
 
 def fitted(name: str, rides: pd.DataFrame, windows: pd.DataFrame, *, covariance: bool = True) -> LinearModel:
@@ -136,12 +138,12 @@ def fitted(name: str, rides: pd.DataFrame, windows: pd.DataFrame, *, covariance:
     ModelError
         For a recipe that is not one of linear terms, and where `joined` or the fit raises.
     """
-    chosen = recipe(name)
+    chosen = get_recipe(name)
     if not isinstance(chosen, LinearRecipe):
         raise ModelError(f"recipe {name} cannot be fitted to windows: choose road_load or one of the paper's")
     table = joined(rides, windows)
-    model = _counted(fit_terms(chosen, Frame(table), covariance=covariance), table, rides)
-    return least_squares_interval(model, rides) if covariance else model
+    model = _counted(fit_terms(chosen, RideFrame(table), covariance=covariance), table, rides)
+    return add_interval(model, rides) if covariance else model
 
 
 def _counted(model: LinearModel, table: pd.DataFrame, rides: pd.DataFrame) -> LinearModel:
@@ -151,11 +153,11 @@ def _counted(model: LinearModel, table: pd.DataFrame, rides: pd.DataFrame) -> Li
     fits, errors = {}, {}
     for key, fit in model.fits.items():
         alone = msgspec.structs.replace(model, fits={ANY: fit})
-        left = np.bincount(ride, numbers(table, ENERGY) - alone.predict(table))[(kind == key) | (key == ANY)]
+        left = np.bincount(ride, get_numbers(table, ENERGY) - alone.predict(table))[(kind == key) | (key == ANY)]
         fits[key] = msgspec.structs.replace(fit, rides=len(left), residual_sd_kwh=float(np.sqrt(np.mean(left**2))))
         errors[key] = float(np.mean(np.abs(left)))
     counts = Counter(name for name in kind.tolist() if isinstance(name, str))
-    _, left_out = trainable(rides, [ENERGY])
+    _, left_out = select_trainable(rides, [ENERGY])
     training = model.training and msgspec.structs.replace(
         model.training, rides=len(kind), vehicle_models=dict(sorted(counts.items())), left_out=dict(left_out)
     )
@@ -172,7 +174,7 @@ def gather(rides: pd.DataFrame, windows: pd.DataFrame, model: LinearModel) -> Wi
         Where there are too few rides or vehicle-days, none has a measured energy, or the model knows none of the
         vehicle models.
     """
-    _, left_out = trainable(rides, [ENERGY])
+    _, left_out = select_trainable(rides, [ENERGY])
     table = joined(rides, windows)
     _check_model(model, table)
     predicted = model.predict(table) if len(table) else np.empty(0)
@@ -190,7 +192,7 @@ def gather(rides: pd.DataFrame, windows: pd.DataFrame, model: LinearModel) -> Wi
             f"{LEAST_RIDES}: give more rides"
         )
     vehicle = pd.factorize(table["vehicle_id"])[0].astype(np.int64)
-    day = pd.factorize(pd.Series(names(table, "vehicle_id")) + " " + pd.Series(names(table, "date")))[0]
+    day = pd.factorize(pd.Series(get_names(table, "vehicle_id")) + " " + pd.Series(get_names(table, "date")))[0]
     if day.max() + 1 < LEAST_DAYS:
         raise ModelError(
             f"all {len(keys)} rides are of {day.max() + 1} vehicle-days, and it takes {LEAST_DAYS} to tell chance from "
@@ -199,11 +201,11 @@ def gather(rides: pd.DataFrame, windows: pd.DataFrame, model: LinearModel) -> Wi
     return Windows(
         table=table,
         rides=rides.set_index("ride_key", drop=False).loc[keys].reset_index(drop=True),
-        measured=numbers(table, ENERGY),
+        measured=get_numbers(table, ENERGY),
         predicted=predicted,
         ride=ride.astype(np.int64),
         vehicle=vehicle,
-        date=pd.factorize(pd.Series(names(table, "date")), sort=True)[0].astype(np.int64),
+        date=pd.factorize(pd.Series(get_names(table, "date")), sort=True)[0].astype(np.int64),
         day=day.astype(np.int64),
         left_out=dict(left_out),
     )
@@ -218,7 +220,7 @@ def _unmeasured(windows: pd.DataFrame, rides: pd.DataFrame, table: pd.DataFrame)
 
 def _check_model(model: LinearModel, table: pd.DataFrame) -> None:
     """Refuse a model that has nothing to say of these vehicles."""
-    kinds = sorted(set(names(table, "vehicle_model")))
+    kinds = sorted(set(get_names(table, "vehicle_model")))
     if kinds and ANY not in model.fits and not set(kinds) & set(model.fits):
         raise ModelError(
             f"model {model.name} is of {', '.join(model.fits)}, and these rides are of {', '.join(kinds)}: "

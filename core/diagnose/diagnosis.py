@@ -30,7 +30,7 @@ from core.diagnose.projection import Base
 from core.diagnose.ranking import LEAST_GAIN, LEVEL, Ranked
 from core.diagnose.residual_structure import Remains
 from core.diagnose.slices.search import slices
-from core.fit.ride_blocks import names, numbers
+from core.fit.ride_blocks import get_names, get_numbers
 from core.models import LinearModel
 from core.models.features import EFFECT_PREFIX
 
@@ -146,13 +146,13 @@ def _data(seen: Windows) -> dict[str, Any]:
     """Return what was diagnosed."""
     metered = by_meter(seen.table)
     measured = "vi" if metered.mean() > MAINLY else "soc" if metered.mean() < 1.0 - MAINLY else "mixed"
-    length = float(np.median(numbers(seen.table, "duration_s")))
+    length = float(np.median(get_numbers(seen.table, "duration_s")))
     resolution = {
         "vi": f"voltage and current, in windows of about {length:.0f} s",
         "soc": f"the state of charge alone, a whole ride at a time, about {length:.0f} s",
         "mixed": "voltage and current in windows of about a minute, or, where they lack, the state of charge by rides",
     }
-    dates = sorted(date for date in names(seen.table, "date") if date)
+    dates = sorted(date for date in get_names(seen.table, "date") if date)
     return {
         "rides": len(seen.rides),
         "windows": len(seen.table),
@@ -219,18 +219,20 @@ def _equivalents(energy: Floats, seen: Windows) -> list[str]:
     table = seen.table
     acts = np.abs(energy) > 0.0
     net, total = float(energy.sum()), float(np.abs(energy).sum())
-    hours = float(numbers(table, "duration_s")[acts].sum()) / 3600.0
+    hours = float(get_numbers(table, "duration_s")[acts].sum()) / 3600.0
     if hours <= 0.0:
         return []
     sign = "±" if abs(net) < ONE_WAY * total else "+" if net > 0.0 else "-"
     said = [f"{sign}{1000.0 * total / hours:,.0f} W"]
-    mass = numbers(table, "mass_kg")
-    road = numbers(table, "effect_rolling") * numbers(table, "rolling_resistance") + numbers(table, "effect_climbing")
+    mass = get_numbers(table, "mass_kg")
+    road = get_numbers(table, "effect_rolling") * get_numbers(table, "rolling_resistance") + get_numbers(
+        table, "effect_climbing"
+    )
     per_kg = float(np.nansum((road / mass)[acts]))
     if per_kg > 0.0:
         said.append(f"{sign}{total / per_kg:,.0f} kg")
-    drag, speed = numbers(table, "effect_aero_drag"), numbers(table, "average_speed_kmh") / 3.6
-    per_wind = float(np.nansum((2.0 * drag * numbers(table, "drag_area_m2") / np.maximum(speed, 1.0))[acts]))
+    drag, speed = get_numbers(table, "effect_aero_drag"), get_numbers(table, "average_speed_kmh") / 3.6
+    per_wind = float(np.nansum((2.0 * drag * get_numbers(table, "drag_area_m2") / np.maximum(speed, 1.0))[acts]))
     if per_wind > 0.0:
         said.append(f"{sign}{total / per_wind:.1f} m/s of headwind")
     return said

@@ -17,7 +17,7 @@ from core.diagnose.dataset import Windows
 from core.diagnose.evidence import by_vehicle_and_day, false_discovery
 from core.diagnose.forward_selection import Named, Search
 from core.diagnose.ranking import LEAST_LEFT
-from core.fit.ride_blocks import names, numbers
+from core.fit.ride_blocks import get_names, get_numbers
 from core.models.features import SINCE_SCOPE, VEHICLE_SCOPE
 
 Mask = NDArray[np.bool_]
@@ -208,13 +208,13 @@ def _sharper(search: Search, everywhere: Asked, scope: tuple[str, ...], at: int,
 
 def _cars(windows: Windows) -> list[tuple[int, str]]:
     """Return code and name of each vehicle."""
-    found = dict(zip(windows.vehicle.tolist(), names(windows.table, "vehicle_id"), strict=True))
+    found = dict(zip(windows.vehicle.tolist(), get_names(windows.table, "vehicle_id"), strict=True))
     return sorted(found.items())
 
 
 def _dates(windows: Windows, count: int | None) -> list[tuple[str, Mask]]:
     """Return dates but the first, all or so many evenly over the windows, and the windows from each on."""
-    start = numbers(windows.table, "start_s")
+    start = get_numbers(windows.table, "start_s")
     days = np.unique(np.floor(start / DAY))[1:]
     if count is not None and len(days) > count:
         wanted = np.quantile(start, np.linspace(0.0, 1.0, count + 2)[1:-1]) / DAY

@@ -12,7 +12,7 @@ from scipy.optimize import nnls
 
 from core.batch import Floats
 from core.diagnose.dataset import Windows, by_meter
-from core.fit.ride_blocks import numbers
+from core.fit.ride_blocks import get_numbers
 from core.totals.tables import CAPACITY_GAIN, METER_GAIN
 
 MEAN_OVER_SD: Final = float(np.sqrt(2.0 / np.pi))
@@ -28,8 +28,8 @@ ROBUST: Final = 3.0
 def measurement_variance(windows: Windows) -> Floats:
     """Return the variance of each window's measured energy, gains left out, (n,). [kWh^2]"""
     table, energy = windows.table, windows.measured
-    power = numbers(table, "energy_vi_sd_kwh") ** 2 - (METER_GAIN * energy) ** 2
-    charge = numbers(table, "energy_soc_sd_kwh") ** 2 - (CAPACITY_GAIN * energy) ** 2
+    power = get_numbers(table, "energy_vi_sd_kwh") ** 2 - (METER_GAIN * energy) ** 2
+    charge = get_numbers(table, "energy_soc_sd_kwh") ** 2 - (CAPACITY_GAIN * energy) ** 2
     return np.maximum(np.where(by_meter(table), power, charge), 0.0)
 
 
@@ -66,9 +66,9 @@ def window_variance(windows: Windows, residual: Floats) -> Floats:
     parts = np.column_stack(
         [
             measurement_variance(windows),
-            (numbers(table, "effect_rolling") * numbers(table, "rolling_resistance")) ** 2,
-            numbers(table, "effect_inertia_positive") ** 2,
-            (numbers(table, "duration_s") / 3.6e6) ** 2,
+            (get_numbers(table, "effect_rolling") * get_numbers(table, "rolling_resistance")) ** 2,
+            get_numbers(table, "effect_inertia_positive") ** 2,
+            (get_numbers(table, "duration_s") / 3.6e6) ** 2,
         ]
     )
     size = np.mean(parts, axis=0)

@@ -23,10 +23,10 @@ from core.batch import Floats
 from core.columns import JOULES_PER_KWH
 from core.diagnose.dataset import Windows
 from core.diagnose.noise import robust, window_variance
-from core.fit.fitting import design
-from core.fit.ride_blocks import names, numbers
+from core.fit.fitting import build_design
+from core.fit.ride_blocks import get_names, get_numbers
 from core.models import ANY, LinearModel, Term
-from core.models.features import ACCESSORIES, EFFECT_PREFIX, Columns
+from core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX, Columns
 
 Rows = NDArray[np.int64]
 
@@ -72,12 +72,12 @@ class Base:
         self._taken = np.zeros(len(windows.measured)) if taken is None else taken
         self.cars = [np.flatnonzero(windows.vehicle == v) for v in range(int(windows.vehicle.max()) + 1)]
         self.kinds = _kinds(windows)
-        curved = any(ACCESSORIES in term.columns for term in model.terms)
+        curved = any(ACCESSORIES_COLUMN in term.columns for term in model.terms)
         physical = tuple(term for term in model.terms if _physical(term))
         others = tuple(term for term in model.terms if not _physical(term))
         self._windows_of_ride = np.bincount(windows.ride).astype(np.float64)
         self._own = np.column_stack([_terms(windows, model, physical, self.kinds), _car(windows, curved)])
-        self._few = np.column_stack([windows.predicted, numbers(windows.table, "duration_s") / 3600.0])
+        self._few = np.column_stack([windows.predicted, get_numbers(windows.table, "duration_s") / 3600.0])
         self._shared = _terms(windows, model, others, self.kinds)
         self._smooth = [_smooth(windows, rows) for rows in self.kinds.values()] if curved else []
         self._weigh()
@@ -230,13 +230,13 @@ def orthonormal(columns: Floats) -> Floats:
 
 def _kinds(windows: Windows) -> dict[str, Rows]:
     """Return the rows of each vehicle model."""
-    name = np.array(names(windows.table, "vehicle_model"), dtype=object)
+    name = np.array(get_names(windows.table, "vehicle_model"), dtype=object)
     return {kind: np.flatnonzero(name == kind) for kind in sorted(set(name))}
 
 
 def _physical(term: Term) -> bool:
     """Tell whether a term is a physical one without more, which each car has of its own."""
-    return bool(term.columns) and term.columns[0].startswith((EFFECT_PREFIX, ACCESSORIES))
+    return bool(term.columns) and term.columns[0].startswith((EFFECT_PREFIX, ACCESSORIES_COLUMN))
 
 
 def _terms(windows: Windows, model: LinearModel, terms: tuple[Term, ...], kinds: dict[str, Rows]) -> Floats:
@@ -245,17 +245,17 @@ def _terms(windows: Windows, model: LinearModel, terms: tuple[Term, ...], kinds:
     for kind, rows in kinds.items():
         fit = model.fits.get(kind) or model.fits[ANY]
         columns = Columns(windows.table, fit.fills, fit.curve.to_curve() if fit.curve else None, rows)
-        out[rows] = design(terms, columns, len(rows))
+        out[rows] = build_design(terms, columns, len(rows))
     return np.nan_to_num(out, nan=0.0)
 
 
 def _car(windows: Windows, curved: bool) -> Floats:
     """Return what cars differ in beside: standby power, hills by sign, the slopes of heating and cooling over time."""
-    hours = numbers(windows.table, "duration_s") / 3600.0
-    always = [hours, np.nan_to_num(numbers(windows.table, "effect_climbing_up"), nan=0.0), _lag(windows)]
+    hours = get_numbers(windows.table, "duration_s") / 3600.0
+    always = [hours, np.nan_to_num(get_numbers(windows.table, "effect_climbing_up"), nan=0.0), _lag(windows)]
     if not curved:
         return np.column_stack(always)
-    ambient = np.nan_to_num(numbers(windows.table, "ambient_c"), nan=15.0)
+    ambient = np.nan_to_num(get_numbers(windows.table, "ambient_c"), nan=15.0)
     cold, hot = np.maximum(18.0 - ambient, 0.0), np.maximum(ambient - 21.0, 0.0)
     return np.column_stack([*always, hours * cold, hours * hot])
 
@@ -265,13 +265,13 @@ def _lag(windows: Windows) -> Floats:
     table = windows.table
     if "power_end_w" not in table:
         return np.zeros(len(table))
-    return np.nan_to_num(numbers(table, "power_end_w") - numbers(table, "power_start_w")) / JOULES_PER_KWH
+    return np.nan_to_num(get_numbers(table, "power_end_w") - get_numbers(table, "power_start_w")) / JOULES_PER_KWH
 
 
 def _smooth(windows: Windows, rows: Rows) -> Floats:
     """Return time times a linear spline of the temperature, with knots every `KNOT_STEP`, (rows, knots). [h]"""
-    hours = numbers(windows.table, "duration_s")[rows] / 3600.0
-    ambient = np.nan_to_num(numbers(windows.table, "ambient_c")[rows], nan=15.0)
+    hours = get_numbers(windows.table, "duration_s")[rows] / 3600.0
+    ambient = np.nan_to_num(get_numbers(windows.table, "ambient_c")[rows], nan=15.0)
     low, high = float(ambient.min()), float(ambient.max())
     knots = np.linspace(low, high, max(2, round((high - low) / KNOT_STEP) + 1)) if high > low else np.array([low])
     step = knots[1] - knots[0] if len(knots) > 1 else 1.0

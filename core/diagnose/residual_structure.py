@@ -19,8 +19,8 @@ from core.diagnose.dataset import Windows
 from core.diagnose.evidence import Clusters, by_vehicle_and_day, false_discovery
 from core.diagnose.forward_selection import Finding, Named, Search
 from core.diagnose.ranking import LEAST_GAIN, LEAST_LEFT, held_out, total
-from core.fit.ride_blocks import numbers
-from core.models.derived_features import sun
+from core.fit.ride_blocks import get_numbers
+from core.models.derived_features import compute_sun_sine
 
 LEAST_TAKEN: Final = 0.8
 """Share of what trees can predict that the named effects must take for nothing to remain."""
@@ -167,7 +167,7 @@ def remains(search: Search, found: Sequence[Finding]) -> Remains:
 def known(windows: Windows) -> Floats:
     """Return what is known of each window, (n, features)."""
     table = windows.table
-    columns = [numbers(table, name) for name, _ in KNOWN]
+    columns = [get_numbers(table, name) for name, _ in KNOWN]
     return np.column_stack([*columns, _sun(windows)])
 
 
@@ -194,7 +194,7 @@ def uneven(search: Search, left: Floats) -> float:
     For a carrier c, the mean over vehicle-days of (sum of c r)^2 / (sum of c^2), over the mean of r^2.
     """
     clusters, table = search.clusters[0], search.base.windows.table
-    carriers = np.column_stack([np.nan_to_num(numbers(table, name), nan=0.0) for name in DAILY])
+    carriers = np.column_stack([np.nan_to_num(get_numbers(table, name), nan=0.0) for name in DAILY])
     weighted = search.base.weighted(carriers)
     size = clusters.sums(weighted**2)
     score = clusters.sums(weighted * left[:, np.newaxis]) ** 2
@@ -255,7 +255,7 @@ def _shapes(windows: Windows) -> tuple[list[str], Floats]:
     functions = dict(_functions(windows))
     names, columns = [], []
     for carrier in CARRIERS:
-        amount = np.nan_to_num(numbers(windows.table, carrier), nan=0.0)
+        amount = np.nan_to_num(get_numbers(windows.table, carrier), nan=0.0)
         for name, values in functions.items():
             names.append(f"{carrier.removeprefix('effect_')} * {name}")
             columns.append(amount * values)
@@ -267,7 +267,7 @@ def _functions(windows: Windows) -> list[tuple[str, Floats]]:
     table = windows.table
     functions: list[tuple[str, Floats]] = []
     for name in ABOUT:
-        values = numbers(table, name)
+        values = get_numbers(table, name)
         if not np.isfinite(values).any():
             continue
         values = np.where(np.isfinite(values), values, np.nanmedian(values))
@@ -285,15 +285,15 @@ def _functions(windows: Windows) -> list[tuple[str, Floats]]:
 def _sun(windows: Windows) -> Floats:
     """Return the sine of the sun's elevation at each window, 0 by night and where the place is not known."""
     table = windows.table
-    place = numbers(table, "latitude_start_deg"), numbers(table, "longitude_start_deg")
-    return np.nan_to_num(sun(numbers(table, "start_s"), *place), nan=0.0)
+    place = get_numbers(table, "latitude_start_deg"), get_numbers(table, "longitude_start_deg")
+    return np.nan_to_num(compute_sun_sine(get_numbers(table, "start_s"), *place), nan=0.0)
 
 
 def _along(windows: Windows, left: Floats) -> list[dict[str, Any]]:
     """Return the mean of what is left of a window along each known thing, by twelfths of the windows."""
     found = []
     for name, unit in KNOWN:
-        values = numbers(windows.table, name)
+        values = get_numbers(windows.table, name)
         there = np.isfinite(values)
         if there.sum() < SHAPE_POINTS * 10:
             continue

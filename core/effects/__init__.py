@@ -4,7 +4,18 @@ This package's own names are what other packages and users' files import.
 """
 
 from core.effects.declaration import Effect, Parameter, effect
-from core.effects.registry import CANDIDATES, get, library, load_file, tabulated, topics
-from core.effects.verification import check
+from core.effects.registry import CANDIDATES, get, get_library, group_by_topic, list_tabulated, load_file
+from core.effects.verification import check_effect
 
-__all__ = ["CANDIDATES", "Effect", "Parameter", "check", "effect", "get", "library", "load_file", "tabulated", "topics"]
+__all__ = [
+    "CANDIDATES",
+    "Effect",
+    "Parameter",
+    "check_effect",
+    "effect",
+    "get",
+    "get_library",
+    "group_by_topic",
+    "list_tabulated",
+    "load_file",
+]

@@ -62,8 +62,8 @@ class Parameter:
             or not low <= self.grid[0] <= self.grid[-1] <= high
         ):
             raise EffectError(
-                f"grid {', '.join(map(plain, self.grid))} of a parameter must ascend, hold its value "
-                f"{plain(self.value)} and stay within its bounds {low:g} to {high:g}"
+                f"grid {', '.join(map(format_shortest, self.grid))} of a parameter must ascend, hold its value "
+                f"{format_shortest(self.value)} and stay within its bounds {low:g} to {high:g}"
             )
 
     @property
@@ -72,7 +72,7 @@ class Parameter:
         return (self.value if self.low is None else self.low, self.value if self.high is None else self.high)
 
 
-def plain(value: float) -> str:
+def format_shortest(value: float) -> str:
     """Return a number as it stands in the name of a variant: the shortest decimal that reads back to it.
 
     Examples
@@ -203,7 +203,7 @@ class Effect:
                     f"{high:g}"
                 )
         constants = {**self.constants, **parameters}
-        moved = [f"{n}={plain(v)}" for n, v in constants.items() if v != self.parameters[n].value]
+        moved = [f"{n}={format_shortest(v)}" for n, v in constants.items() if v != self.parameters[n].value]
         name = VARIANT.join([self.base, ",".join(moved)]) if moved else self.base
         return self if name == self.name else replace(self, name=name, constants=MappingProxyType(constants))
 

@@ -24,7 +24,7 @@ from core.effects.electrics import ELECTRICS
 from core.effects.powertrain import POWERTRAIN
 from core.effects.road_load import ROAD_LOAD
 from core.effects.tyres import TYRES
-from core.effects.verification import check
+from core.effects.verification import check_effect
 from core.errors import EffectError
 
 TIME_LIMIT: Final = 20.0
@@ -58,12 +58,12 @@ _library: dict[str, Effect] = {e.name: e for effects in _SHIPPED.values() for e 
 _brought_by: dict[str, Path] = {}
 
 
-def library() -> Mapping[str, Effect]:
+def get_library() -> Mapping[str, Effect]:
     """Return all effects known now, by name: the product's own, then those loaded from files."""
     return MappingProxyType(_library)
 
 
-def topics() -> Mapping[str, list[Effect]]:
+def group_by_topic() -> Mapping[str, list[Effect]]:
     """Return all effects known now by topic: the product's own, then those of each file by its name."""
     found = {topic: list(effects) for topic, effects in _SHIPPED.items()}
     for name, path in _brought_by.items():
@@ -71,7 +71,7 @@ def topics() -> Mapping[str, list[Effect]]:
     return found
 
 
-def tabulated() -> list[str]:
+def list_tabulated() -> list[str]:
     """Return the names of what tables hold: every effect known now, and after it its variants.
 
     Examples
@@ -247,7 +247,7 @@ def _inspect(name: str) -> None:
     try:
         for found in _run(path):
             try:
-                check(found)
+                check_effect(found)
             except EffectError as error:
                 raise EffectError(f"{path}: {error}") from error
     except EffectError as error:

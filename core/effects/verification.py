@@ -62,7 +62,7 @@ _STANDING: Final = MappingProxyType(
 )
 
 
-def check(effect: Effect) -> None:
+def check_effect(effect: Effect) -> None:
     """Check an effect's units, and its values over ordinary driving.
 
     Parameters

@@ -27,24 +27,24 @@ from core.columns import ZERO_CELSIUS
 from core.models import Curve
 from core.vehicles import ACCESSORIES
 
-LOW, HIGH, WIDTH = -60.0, 60.0, 0.25
+_LOW, _HIGH, _WIDTH = -60.0, 60.0, 0.25
 """Bins of outside temperature. [°C]"""
-BINS: Final = round((HIGH - LOW) / WIDTH)
-CENTRE: Final[Floats] = LOW + WIDTH * (np.arange(BINS, dtype=np.float64) + 0.5)
-LEAST_GAP: Final = 1.0
+_BINS: Final = round((_HIGH - _LOW) / _WIDTH)
+_CENTRE: Final[Floats] = _LOW + _WIDTH * (np.arange(_BINS, dtype=np.float64) + 0.5)
+_LEAST_GAP: Final = 1.0
 """Choke points are at least as far apart. [K]"""
-LEAST_RIDES: Final = 70
+_LEAST_RIDES: Final = 70
 """Ten for each number of the curve; fewer scale the reference curve."""
-LEAST_SPREAD: Final = 10.0
+_LEAST_SPREAD: Final = 10.0
 """Over less than this range of temperatures rides cannot tell five segments; the reference curve is scaled. [K]"""
-GRID: Final = 1.0
+_GRID: Final = 1.0
 """Step of the grid from which the solver starts, at the finest. [K]"""
-GRID_POINTS: Final = 24
-STARTS: Final = 4
+_GRID_POINTS: Final = 24
+_STARTS: Final = 4
 """Grid points from which it starts: the best, then the best of those that are not its neighbours, and so on."""
 
 
-class Temperatures:
+class TemperatureBins:
     """Rides added up by outside temperature.
 
     Parameters
@@ -56,7 +56,7 @@ class Temperatures:
     def __init__(self, beside: int = 0) -> None:
         self.beside = beside
         self.rides = 0
-        self.sums: Floats = np.zeros((BINS, 3 + beside, 3 + beside))
+        self.sums: Floats = np.zeros((_BINS, 3 + beside, 3 + beside))
 
     def add(self, ambient_c: Floats, time: Floats, energy: Floats, columns: Sequence[Floats] = ()) -> None:
         """Add rides; those with an unknown value are passed over.
@@ -76,18 +76,18 @@ class Temperatures:
         known = np.isfinite(ambient_c) & np.isfinite(table).all(axis=0)
         table, ambient = table[:, known], ambient_c[known]
         self.rides += len(ambient)
-        place = np.clip(((ambient - LOW) / WIDTH).astype(np.int64), 0, BINS - 1)
-        table[1] *= ambient - CENTRE[place]
+        place = np.clip(((ambient - _LOW) / _WIDTH).astype(np.int64), 0, _BINS - 1)
+        table[1] *= ambient - _CENTRE[place]
         for i in range(len(table)):
             for j in range(i, len(table)):
-                self.sums[:, i, j] += np.bincount(place, table[i] * table[j], BINS)
+                self.sums[:, i, j] += np.bincount(place, table[i] * table[j], _BINS)
 
     def fit(self) -> Curve:
         """Return the curve of least squares; the reference curve, scaled, where rides are too few or too much alike."""
-        return _fit(self.sums.tobytes(), self.beside, self.rides >= LEAST_RIDES)
+        return _fit(self.sums.tobytes(), self.beside, self.rides >= _LEAST_RIDES)
 
 
-def slopes(curve: Curve, ambient_c: Floats) -> Floats:
+def compute_slopes(curve: Curve, ambient_c: Floats) -> Floats:
     """Return the derivatives of the power by the curve's seven numbers: three levels, four choke points; (n, 7)."""
     knots = np.array([curve.heating_full, curve.heating_off, curve.cooling_on, curve.cooling_full]) - ZERO_CELSIUS
     (standby, heat, cool), (_, d_heat, d_cool) = _shape(knots, ambient_c)
@@ -97,7 +97,7 @@ def slopes(curve: Curve, ambient_c: Floats) -> Floats:
     return np.stack([standby, heat, cool, *moved], axis=1)
 
 
-class Binned(NamedTuple):
+class _BinFactors(NamedTuple):
     """What the solver works on.
 
     Parameters
@@ -117,14 +117,14 @@ class Binned(NamedTuple):
 @lru_cache(maxsize=256)
 def _fit(content: bytes, beside: int, enough: bool) -> Curve:
     """Return the curve for sums of bins; recipes that share a curve ask for it one after the other."""
-    sums = np.frombuffer(content).reshape(BINS, 3 + beside, 3 + beside)
+    sums = np.frombuffer(content).reshape(_BINS, 3 + beside, 3 + beside)
     sums = sums + np.triu(sums, 1).transpose(0, 2, 1)
     used = np.flatnonzero(sums[:, 0, 0] > 0.0)
-    if not enough or (used[-1] - used[0]) * WIDTH < LEAST_SPREAD:
+    if not enough or (used[-1] - used[0]) * _WIDTH < _LEAST_SPREAD:
         return _scaled(sums)
-    low, high = float(CENTRE[used[0]]), float(CENTRE[used[-1]])
-    binned = _binned(sums[used], CENTRE[used])
-    starts = _starts(sums[used], CENTRE[used], low, high)
+    low, high = float(_CENTRE[used[0]]), float(_CENTRE[used[-1]])
+    binned = _binned(sums[used], _CENTRE[used])
+    starts = _starts(sums[used], _CENTRE[used], low, high)
     best = min((_solved(start, binned, low, high) for start in starts), key=lambda result: float(result.cost))
     knots = _knots(best.x, low, high)
     standby, heating, cooling = _levels(knots, binned)[0]
@@ -142,8 +142,8 @@ def _fit(content: bytes, beside: int, enough: bool) -> Curve:
 
 def _scaled(sums: Floats) -> Curve:
     """Return the reference curve times the factor of least squares, the columns as they are."""
-    off = np.divide(sums[:, 0, 1], sums[:, 0, 0], out=np.zeros(BINS), where=sums[:, 0, 0] > 0.0)
-    power = ACCESSORIES.power(CENTRE + off + ZERO_CELSIUS)
+    off = np.divide(sums[:, 0, 1], sums[:, 0, 0], out=np.zeros(_BINS), where=sums[:, 0, 0] > 0.0)
+    power = ACCESSORIES.power(_CENTRE + off + ZERO_CELSIUS)
     own = float(sums[:, 0, 0] @ power**2)
     left = sums[:, 0, -1] - sums[:, 0, 2:-1].sum(axis=1)
     factor = max(float(left @ power) / own, 0.0) if own > 0.0 else 1.0
@@ -158,7 +158,7 @@ def _scaled(sums: Floats) -> Curve:
     )
 
 
-def _binned(sums: Floats, centre: Floats) -> Binned:
+def _binned(sums: Floats, centre: Floats) -> _BinFactors:
     """Return the bins' triangular factors, and the energy without what the columns explain."""
     factors = _factors(sums)
     bins, k, _ = factors.shape
@@ -167,7 +167,7 @@ def _binned(sums: Floats, centre: Floats) -> Binned:
     size = np.sqrt((columns**2).sum(axis=0))
     vectors, values, _ = np.linalg.svd(columns / np.where(size > 0.0, size, 1.0), full_matrices=False)
     projection = vectors[:, values > 1e-6]
-    return Binned(centre, factors, projection, target - projection @ (projection.T @ target))
+    return _BinFactors(centre, factors, projection, target - projection @ (projection.T @ target))
 
 
 def _factors(sums: Floats) -> Floats:
@@ -195,7 +195,7 @@ def _shape(knots: Floats, centre: Floats) -> tuple[Floats, Floats]:
     return np.stack([np.ones(len(centre)), heat, cool]), np.stack([np.zeros(len(centre)), d_heat, d_cool])
 
 
-def _levels(knots: Floats, binned: Binned) -> tuple[Floats, Floats]:
+def _levels(knots: Floats, binned: _BinFactors) -> tuple[Floats, Floats]:
     """Return the levels of least squares at given choke points, none negative, and what is left. [W], [kWh]"""
     level, slope = _shape(knots, binned.centre)
     time, off = binned.factors[:, :, 0, np.newaxis], binned.factors[:, :, 1, np.newaxis]
@@ -213,25 +213,25 @@ def _levels(knots: Floats, binned: Binned) -> tuple[Floats, Floats]:
 def _knots(x: Floats, low: float, high: float) -> Floats:
     """Return choke points between two temperatures, from each one's share of the way that is left. [°C]"""
     knots = np.empty(4)
-    at = low - LEAST_GAP
+    at = low - _LEAST_GAP
     for i, share in enumerate(x):
-        at += LEAST_GAP
-        at += share * (high - at - LEAST_GAP * (3 - i))
+        at += _LEAST_GAP
+        at += share * (high - at - _LEAST_GAP * (3 - i))
         knots[i] = at
     return knots
 
 
 def _shares(knots: Floats, low: float, high: float) -> Floats:
     """Return what `_knots` would make choke points of."""
-    before = np.concatenate([[low - LEAST_GAP], knots[:-1]]) + LEAST_GAP
-    left = high - before - LEAST_GAP * np.arange(3, -1, -1)
+    before = np.concatenate([[low - _LEAST_GAP], knots[:-1]]) + _LEAST_GAP
+    left = high - before - _LEAST_GAP * np.arange(3, -1, -1)
     return np.clip((knots - before) / np.maximum(left, 1e-9), 0.001, 0.999)
 
 
 def _starts(sums: Floats, centre: Floats, low: float, high: float) -> list[Floats]:
     """Return the best points of a coarse grid of choke points, as `_knots` takes them."""
     weight, cross = sums[:, 0, 0], _left(sums, centre)
-    grid = np.arange(low, high + 1e-9, max(GRID, (high - low) / GRID_POINTS))
+    grid = np.arange(low, high + 1e-9, max(_GRID, (high - low) / _GRID_POINTS))
     pairs = np.array(list(combinations(range(len(grid)), 2)))
     ramps = np.array([np.clip((centre - grid[a]) / (grid[b] - grid[a]), 0.0, 1.0) for a, b in pairs])
     heat, cool = 1.0 - ramps, ramps
@@ -250,7 +250,7 @@ def _starts(sums: Floats, centre: Floats, low: float, high: float) -> list[Float
     gain = np.where((levels >= 0.0).all(axis=1), (levels * right).sum(axis=1), -np.inf)
     places = np.concatenate([pairs[cold], pairs[hot]], axis=1)
     best: list[int] = []
-    while len(best) < STARTS and np.isfinite(gain).any():
+    while len(best) < _STARTS and np.isfinite(gain).any():
         best.append(int(np.argmax(gain)))
         gain[np.abs(places - places[best[-1]]).max(axis=1) <= 2] = -np.inf
     return [_shares(grid[places[k]], low, high) for k in best] or [np.full(4, 0.25)]
@@ -276,7 +276,7 @@ def _left(sums: Floats, centre: Floats) -> Floats:
     return sums[:, 0, -1] - sums[:, 0, 2:-1] @ solved[free:]
 
 
-def _solved(start: Floats, binned: Binned, low: float, high: float) -> Any:
+def _solved(start: Floats, binned: _BinFactors, low: float, high: float) -> Any:
     """Return scipy's result from one start: choke points between the coldest and the warmest ride."""
     return least_squares(
         lambda x: _levels(_knots(x, low, high), binned)[1],

@@ -29,25 +29,34 @@ from threadpoolctl import ThreadpoolController
 from core.batch import Floats
 from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError
-from core.fit.accessory_curve import Temperatures, slopes
-from core.fit.regression import CONSTANT, LEAST_GROUPS, Influence, Moments, Scores, Solution, grouped, solve
-from core.fit.ride_blocks import ENERGY, Rides, names, numbers, trainable
+from core.fit.accessory_curve import TemperatureBins, compute_slopes
+from core.fit.regression import (
+    LEAST_GROUPS,
+    NO_VARIATION,
+    ClusterScores,
+    Influence,
+    Moments,
+    Solution,
+    assign_groups,
+    solve,
+)
+from core.fit.ride_blocks import ENERGY, RideSource, get_names, get_numbers, select_trainable
 from core.models import ANY, BASIC_PHYSICAL, VEHICLE, VEHICLE_MODEL, Curve, Fit, LinearModel, Term, Training
-from core.models.derived_features import DERIVED
-from core.models.features import ACCESSORIES, ACCESSORY_NEEDS, EFFECT_PREFIX, FEATURES, Columns, needed
+from core.models.derived_features import DERIVED_COLUMNS
+from core.models.features import ACCESSORIES_COLUMN, ACCESSORY_NEEDS, EFFECT_PREFIX, FEATURES, Columns, list_raw_columns
 from core.vehicles.fleet import PARAMETERS
 
-LEAST_RIDES: Final = 2
+_RIDES_PER_COEFFICIENT: Final = 2
 """Rides for each coefficient that a fit needs."""
-CURVE_NUMBERS: Final = 7
+_CURVE_NUMBERS: Final = 7
 """Numbers of an accessory curve."""
-RESOLUTION: Final = 0.01
-PRIOR_SD: Final = 0.5
-PHYSICS: Final = (*(effect.energy_name for effect in ROAD_LOAD), ACCESSORIES)
+_RESOLUTION: Final = 0.01
+_PRIOR_SD: Final = 0.5
+PHYSICS: Final = (*(effect.energy_name for effect in ROAD_LOAD), ACCESSORIES_COLUMN)
 """First columns of the terms whose coefficient is 1 where physics holds, if it is a pure number."""
 
 
-class Plan(Protocol):
+class FitPlan(Protocol):
     """What is to be fitted, see `core.fit.recipes.LinearRecipe`."""
 
     @property
@@ -64,25 +73,25 @@ class Plan(Protocol):
 
 
 @dataclass
-class Group:
+class _GroupFit:
     """What is known so far of the rides of one vehicle model, or of all."""
 
     rides: int = 0
     known: Counter[str] = field(default_factory=Counter)
     sums: dict[str, float] = field(default_factory=dict)
-    temperatures: Temperatures = field(default_factory=Temperatures)
+    temperatures: TemperatureBins = field(default_factory=TemperatureBins)
     fills: dict[str, float] = field(default_factory=dict)
     curve: Curve | None = None
     moments: Moments = field(default_factory=lambda: Moments(0))
     solution: Solution | None = None
     influence: Influence | None = None
     held: tuple[str, ...] = ()
-    scores: Scores | None = None
+    scores: ClusterScores | None = None
     absolute: float = 0.0
     squared: float = 0.0
 
 
-def design(terms: tuple[Term, ...], columns: Columns, rows: int) -> Floats:
+def build_design(terms: tuple[Term, ...], columns: Columns, rows: int) -> Floats:
     """Return the product of each term's columns, (rows, terms); 1 for a constant."""
     out = np.ones((rows, len(terms)))
     for j, term in enumerate(terms):
@@ -91,7 +100,7 @@ def design(terms: tuple[Term, ...], columns: Columns, rows: int) -> Floats:
     return out
 
 
-def fit_terms(plan: Plan, rides: Rides, *, covariance: bool = True) -> LinearModel:
+def fit_terms(plan: FitPlan, rides: RideSource, *, covariance: bool = True) -> LinearModel:
     """Return the model of a plan, fitted to a ride table.
 
     Parameters
@@ -111,7 +120,7 @@ def fit_terms(plan: Plan, rides: Rides, *, covariance: bool = True) -> LinearMod
     ModelError
         Where a column is missing, no ride can be trained on, there are too few, or nothing varies in them.
     """
-    with one_thread():
+    with limit_to_one_thread():
         fitting = _Fitting(plan, rides, covariance=covariance)
         fitting.survey()
         fitting.solve()
@@ -120,7 +129,7 @@ def fit_terms(plan: Plan, rides: Rides, *, covariance: bool = True) -> LinearMod
         return fitting.model()
 
 
-def one_thread() -> Any:
+def limit_to_one_thread() -> Any:
     """Keep numpy's linear algebra to one thread: matrices are small, and results the same on any number of cores."""
     return _blas().limit(limits=1)
 
@@ -134,22 +143,22 @@ def _blas() -> Any:
 class _Fitting:
     """The passes over the blocks, and what is known after each."""
 
-    def __init__(self, plan: Plan, rides: Rides, *, covariance: bool) -> None:
+    def __init__(self, plan: FitPlan, rides: RideSource, *, covariance: bool) -> None:
         self.plan = plan
         self.covariance = covariance
         self.rides = rides
         self.terms = plan.terms
         read = dict.fromkeys(column for term in plan.terms for column in term.columns)
-        self.curved = ACCESSORIES in read
-        raw = dict.fromkeys(name for column in read for name in needed(column))
+        self.curved = ACCESSORIES_COLUMN in read
+        raw = dict.fromkeys(name for column in read for name in list_raw_columns(column))
         basic = BASIC_PHYSICAL.needs if self.curved else ()
         self.columns = list(dict.fromkeys((*raw, *basic, ENERGY)))
         filled = dict.fromkeys((*read, *(ACCESSORY_NEEDS if self.curved else ())))
         self.road = [t for t in plan.terms if plan.free and t.columns and t.columns[0].startswith(EFFECT_PREFIX)]
-        self.filled = [c for c in filled if (c in FEATURES and c not in PARAMETERS) or c in DERIVED]
+        self.filled = [c for c in filled if (c in FEATURES and c not in PARAMETERS) or c in DERIVED_COLUMNS]
         self.place = next((i for i, term in enumerate(plan.terms) if not term.columns), None)
         self.sloped = [i for i in range(len(plan.terms)) if i != self.place]
-        self.groups: dict[str, Group] = {ANY: self._group()}
+        self.groups: dict[str, _GroupFit] = {ANY: self._group()}
         self.counts: dict[str, int] = {}
         self.only: str | None = None
         self.left_out: Counter[str] = Counter()
@@ -163,7 +172,7 @@ class _Fitting:
                 group = self.groups.setdefault(key, self._group())
                 group.rides += len(rows)
                 self._note(group, Columns(block, rows=rows))
-        least = LEAST_RIDES * (len(self.terms) if self.plan.free else CURVE_NUMBERS if self.curved else 1)
+        least = _RIDES_PER_COEFFICIENT * (len(self.terms) if self.plan.free else _CURVE_NUMBERS if self.curved else 1)
         rides = self.groups[ANY].rides
         if rides < least:
             why = ", ".join(f"{n:,} {reason}" for reason, n in sorted(self.left_out.items()))
@@ -204,9 +213,9 @@ class _Fitting:
             group.squared += float(left @ left)
             if group.influence is not None and "date" in block and "vehicle_id" in block:
                 if group.scores is None:
-                    group.scores = Scores(group.influence.mean, constant=self.place is not None)
+                    group.scores = ClusterScores(group.influence.mean, constant=self.place is not None)
                 table = np.column_stack([table, *self._nuisance(group, columns)])
-                cars = grouped(names(block, "vehicle_id"), names(block, "date"))
+                cars = assign_groups(get_names(block, "vehicle_id"), get_names(block, "date"))
                 group.scores.add(table, left / (1.0 - group.influence.leverage(table)), cars)
 
     def model(self) -> LinearModel:
@@ -239,14 +248,14 @@ class _Fitting:
             history=history,
         )
 
-    def _group(self) -> Group:
+    def _group(self) -> _GroupFit:
         """Return a group of rides of which nothing is known yet."""
-        return Group(temperatures=Temperatures(len(self.road)))
+        return _GroupFit(temperatures=TemperatureBins(len(self.road)))
 
     def _blocks(self, *, note: bool = False) -> Iterator[pd.DataFrame]:
         """Give the blocks with the rides that can be trained on; on the first pass note what they are."""
         for block in self.rides.blocks(self.columns):
-            good, left_out = trainable(block, self.columns)
+            good, left_out = select_trainable(block, self.columns)
             if note:
                 self.left_out.update(left_out)
             if not len(good):
@@ -259,17 +268,17 @@ class _Fitting:
         """Add rides to the fingerprint, and note their dates."""
         for name in self.columns:
             if name != VEHICLE:
-                self.digests[name].update(np.ascontiguousarray(numbers(block, name)).tobytes())
+                self.digests[name].update(np.ascontiguousarray(get_numbers(block, name)).tobytes())
         for name in self.digests.keys() & {VEHICLE, VEHICLE_MODEL}:
-            self.digests[name].update("\n".join([*names(block, name), ""]).encode())
-        dates = [date for date in names(block, "date") if date]
+            self.digests[name].update("\n".join([*get_names(block, name), ""]).encode())
+        dates = [date for date in get_names(block, "date") if date]
         if dates:
             first, last = self.dates
             self.dates = (min(first or min(dates), *dates), max(last, *dates))
 
     def _parts(self, block: pd.DataFrame) -> Iterator[tuple[str, Any]]:
         """Give the rows of each vehicle model, and all of them together."""
-        kinds = np.array(names(block, VEHICLE_MODEL), dtype=object)
+        kinds = np.array(get_names(block, VEHICLE_MODEL), dtype=object)
         for kind in sorted(set(kinds) - {"", ANY}):
             yield kind, np.flatnonzero(kinds == kind)
         yield ANY, np.arange(len(block))
@@ -282,9 +291,9 @@ class _Fitting:
                 if group is not None:
                     curve = None if group.curve is None else group.curve.to_curve()
                     part = block if len(rows) == len(block) else block.iloc[rows]
-                    yield part, key, Columns(part, group.fills, curve), numbers(part, ENERGY)
+                    yield part, key, Columns(part, group.fills, curve), get_numbers(part, ENERGY)
 
-    def _note(self, group: Group, columns: Columns) -> None:
+    def _note(self, group: _GroupFit, columns: Columns) -> None:
         """Add rides to the means that will fill, and to what the basic physical model leaves."""
         for name in self.filled:
             values = columns[name]
@@ -294,25 +303,25 @@ class _Fitting:
         if self.curved:
             energy, time = columns[ENERGY], columns["duration_s"] * columns["accessory_scale"] / 3.6e6
             left = energy if self.road else energy - BASIC_PHYSICAL.predict(columns)
-            road = design(tuple(self.road), columns, len(energy)).T
+            road = build_design(tuple(self.road), columns, len(energy)).T
             group.temperatures.add(columns["ambient_c"], time, left, list(road))
 
     def _design(self, columns: Columns, rows: int) -> Floats:
         """Return the terms but for the constant."""
-        return design(tuple(self.terms[i] for i in self.sloped), columns, rows)
+        return build_design(tuple(self.terms[i] for i in self.sloped), columns, rows)
 
-    def _nuisance(self, group: Group, columns: Columns) -> list[Floats]:
+    def _nuisance(self, group: _GroupFit, columns: Columns) -> list[Floats]:
         """Return what the energy gains by a small change of each number of the accessory curve."""
         if not self.covariance or group.curve is None:
             return []
         time = columns["duration_s"] * columns["accessory_scale"] / 3.6e6
-        return list((slopes(group.curve, columns["ambient_c"]) * time[:, np.newaxis]).T)
+        return list((compute_slopes(group.curve, columns["ambient_c"]) * time[:, np.newaxis]).T)
 
     def _check_varies(self) -> None:
         """Refuse rides that are all the same."""
         moments = self.groups[ANY].moments
         size = np.sqrt(np.diag(moments.sums(centred=False)))
-        varies = np.sqrt(np.maximum(np.diag(moments.scatter), 0.0)) > CONSTANT * size
+        varies = np.sqrt(np.maximum(np.diag(moments.scatter), 0.0)) > NO_VARIATION * size
         if not varies[: len(self.sloped)].any():
             raise ModelError(f"recipe {self.plan.name}: all {moments.rows:,} rides are alike: nothing can be learned")
         if not varies[-1]:
@@ -321,7 +330,7 @@ class _Fitting:
                 "nothing can be learned"
             )
 
-    def _solve(self, group: Group) -> None:
+    def _solve(self, group: _GroupFit) -> None:
         """Solve a group's normal equations, and hold near physics what rides do not tell."""
         constant = self.place is not None
         moments = group.moments.only([*range(len(self.sloped)), -1])
@@ -332,7 +341,7 @@ class _Fitting:
         group.solution = solution
         if self.covariance:
             terms = [self.terms[i].columns for i in self.sloped]
-            beside = terms.index((ACCESSORIES,)) if (ACCESSORIES,) in terms else None
+            beside = terms.index((ACCESSORIES_COLUMN,)) if (ACCESSORIES_COLUMN,) in terms else None
             group.influence = Influence(group.moments, solution, beside)
 
     def _prior(self, moments: Moments, free: Solution) -> tuple[Floats, Floats, tuple[str, ...]]:
@@ -343,22 +352,22 @@ class _Fitting:
         least = max(free.variance, 1e-9 * sums[-1, -1] / moments.rows) if free.freedom > 0 else sums[-1, -1]
         terms = [self.terms[i] for i in self.sloped]
         for k, main in enumerate(terms):
-            if main.unit != "1" or main.columns[0] not in PHYSICS or size[k] >= RESOLUTION * size[-1]:
+            if main.unit != "1" or main.columns[0] not in PHYSICS or size[k] >= _RESOLUTION * size[-1]:
                 continue
             for i, term in enumerate(terms):
                 if term.columns[-len(main.columns) :] == main.columns:
-                    sd = PRIOR_SD * (size[k] / size[i] if size[i] > 0.0 and size[k] > 0.0 else 1.0)
+                    sd = _PRIOR_SD * (size[k] / size[i] if size[i] > 0.0 and size[k] > 0.0 else 1.0)
                     weight[i], toward[i] = least / sd**2, float(i == k)
                     held.append(term.name)
         return weight, toward, tuple(held)
 
-    def _coefficients(self, group: Group) -> tuple[Floats, float]:
+    def _coefficients(self, group: _GroupFit) -> tuple[Floats, float]:
         """Return the coefficients of a group's terms, and its constant."""
         if group.solution is None:
             return np.ones(len(self.sloped)), 0.0
         return group.solution.coefficients, group.solution.constant or 0.0
 
-    def _fit(self, group: Group) -> Fit:
+    def _fit(self, group: _GroupFit) -> Fit:
         """Return what a model file holds of a group."""
         solution, influence, scores = group.solution, group.influence, group.scores
         coefficients, constant = self._coefficients(group)

@@ -29,28 +29,28 @@ from numpy.typing import NDArray
 
 from core.batch import Floats
 
-HOLD: Final = 0.03
+PHYSICS_WEIGHT: Final = 0.03
 """Weight of physics against that of all rides, in the mean. Chosen on simulated fleets of which one vehicle model was
 left out, of 0.003 to 1: with more, thirsty cars are predicted worse, with less, frugal ones."""
-HOLD_RIDES: Final = 10.0
+PHYSICS_RIDES: Final = 10.0
 """Rides that physics counts for besides: with few, the mean is that of physics."""
-APART: Final = (0.005, 0.01, 0.02, 0.04, 0.08)
+SEPARATE_SPREADS: Final = (0.005, 0.01, 0.02, 0.04, 0.08)
 """What is tried as spread of each coefficient by itself, times the root mean square of its column. [kWh]"""
-FACTOR: Final = (0.03, 0.1, 0.2, 0.3)
+FACTOR_SPREADS: Final = (0.03, 0.1, 0.2, 0.3)
 """What is tried as spread of the common factor of a block. [1]"""
-USUAL: Final = (0.02, 0.1, 0.2)
+EXPECTED_SPREADS: Final = (0.02, 0.1, 0.2)
 """Spreads to be expected: apart [kWh], drive [1], climate [1]. A few vehicle models tell little of them."""
-UNSEEN: Final = 1e6
+UNSEEN_COLUMN: Final = 1e6
 """Stands for the size of a column that is 0 in all rides: so large that its coefficient is held where physics has it.
 Its own size is not known, and a guess that is too small would let a single ride of another car set it to anything."""
-LOOSE: Final = np.log(3.0)
+SPREAD_LOG_SD: Final = np.log(3.0)
 """Standard deviation of the logarithm of spreads about those to be expected."""
-ALIKE: Final = 4.0
+EARLY_NOISE_FACTOR: Final = 4.0
 """The first rides of a vehicle model tell as much as so many times fewer: those of one car on one day err alike. Chosen
 on simulated fleets, of 1 to 8; with 1, a few rides can do harm."""
 
 
-class Sums(NamedTuple):
+class NormalEquations(NamedTuple):
     """Weighted normal equations of the rides of one vehicle model.
 
     Parameters
@@ -94,7 +94,7 @@ class Prior(NamedTuple):
     noise: float
 
 
-def add_up(design: Floats, energy: Floats, size: Floats) -> Sums:
+def sum_normal_equations(design: Floats, energy: Floats, size: Floats) -> NormalEquations:
     """Return the sums of some rides.
 
     Parameters
@@ -108,32 +108,32 @@ def add_up(design: Floats, energy: Floats, size: Floats) -> Sums:
     """
     weighted = design / size[:, np.newaxis]
     square = float(energy @ (energy / size))
-    return Sums(design.T @ weighted, weighted.T @ energy, square, float((1.0 / size).sum()), len(energy))
+    return NormalEquations(design.T @ weighted, weighted.T @ energy, square, float((1.0 / size).sum()), len(energy))
 
 
-def columns_scale(groups: Sequence[Sums]) -> Floats:
+def compute_column_scale(groups: Sequence[NormalEquations]) -> Floats:
     """Return the root mean square of each term's column, `UNSEEN` where it is 0."""
     square = np.diag(_averaged(groups)[0])
-    return np.where(square > 0.0, np.sqrt(np.maximum(square, 0.0)), UNSEEN)
+    return np.where(square > 0.0, np.sqrt(np.maximum(square, 0.0)), UNSEEN_COLUMN)
 
 
-def _averaged(groups: Sequence[Sums]) -> tuple[Floats, Floats]:
+def _averaged(groups: Sequence[NormalEquations]) -> tuple[Floats, Floats]:
     """Return X' W X and X' W y of a ride of average weight: rides of all vehicle models have the same say."""
     say = [sums.rides for sums in groups]
     gram = np.average([sums.gram / sums.weight for sums in groups], axis=0, weights=say)
     return gram, np.average([sums.cross / sums.weight for sums in groups], axis=0, weights=say)
 
 
-def common_mean(groups: Sequence[Sums], physics: Floats) -> Floats:
+def compute_common_mean(groups: Sequence[NormalEquations], physics: Floats) -> Floats:
     """Return the mean of the coefficients, held near those of physics."""
-    scale = columns_scale(groups)
+    scale = compute_column_scale(groups)
     gram, cross = _averaged(groups)
     standard = gram / np.outer(scale, scale)
-    hold = HOLD + HOLD_RIDES / sum(sums.rides for sums in groups)
+    hold = PHYSICS_WEIGHT + PHYSICS_RIDES / sum(sums.rides for sums in groups)
     return physics + np.linalg.solve(standard + hold * np.eye(len(scale)), (cross - gram @ physics) / scale) / scale
 
 
-def noise_of(sums: Sums, mean: Floats, scale: Floats) -> float:
+def estimate_noise(sums: NormalEquations, mean: Floats, scale: Floats) -> float:
     """Return the variance of rides' errors over their size, about a fit of their own, held weakly to a mean. [kWh]"""
     own = sums.gram + np.diag(scale**2)
     found = mean + np.linalg.solve(own, sums.cross - sums.gram @ mean)
@@ -141,13 +141,13 @@ def noise_of(sums: Sums, mean: Floats, scale: Floats) -> float:
     return sums.left(found) / max(float(freedom), 1.0)
 
 
-def common_noise(groups: Sequence[Sums], mean: Floats) -> float:
+def estimate_common_noise(groups: Sequence[NormalEquations], mean: Floats) -> float:
     """Return the noise of a vehicle model that is not known: the mean of the others, each with the same say. [kWh]"""
-    scale = columns_scale(groups)
-    return float(np.mean([noise_of(sums, mean, scale) for sums in groups]))
+    scale = compute_column_scale(groups)
+    return float(np.mean([estimate_noise(sums, mean, scale) for sums in groups]))
 
 
-def covariance_of(
+def build_covariance(
     mean: Floats, scale: Floats, blocks: Sequence[NDArray[np.bool_]], apart: float, factors: Sequence[float]
 ) -> Floats:
     """Return the spread between vehicle models: of each coefficient by itself, and of each block by a factor."""
@@ -158,7 +158,7 @@ def covariance_of(
     return spread
 
 
-def posterior(prior: Prior, sums: Sums) -> tuple[Floats, Floats]:
+def compute_posterior(prior: Prior, sums: NormalEquations) -> tuple[Floats, Floats]:
     """Return the mean and the covariance of the coefficients of a vehicle model whose rides were seen."""
     inverse = np.linalg.inv(prior.covariance)
     information = (inverse + inverse.T) / 2.0 + sums.gram / prior.noise
@@ -167,21 +167,23 @@ def posterior(prior: Prior, sums: Sums) -> tuple[Floats, Floats]:
     return found, (covariance + covariance.T) / 2.0
 
 
-def taught(prior: Prior, sums: Sums) -> tuple[Floats, Floats]:
+def compute_early_posterior(prior: Prior, sums: NormalEquations) -> tuple[Floats, Floats]:
     """Return the same of a vehicle model of which the first rides were seen, whose errors are alike."""
-    return posterior(prior._replace(noise=prior.noise * ALIKE), sums)
+    return compute_posterior(prior._replace(noise=prior.noise * EARLY_NOISE_FACTOR), sums)
 
 
-def evidence(prior: Prior, sums: Sums) -> float:
+def compute_log_evidence(prior: Prior, sums: NormalEquations) -> float:
     """Return the logarithm of the probability that a prior gives to rides, but for what is the same for all priors."""
     residual = sums.cross - sums.gram @ prior.mean
-    _, covariance = posterior(prior, sums)
+    _, covariance = compute_posterior(prior, sums)
     fit = sums.left(prior.mean) / prior.noise - residual @ covariance @ residual / prior.noise**2
     _, volume = np.linalg.slogdet(np.eye(len(residual)) + prior.covariance @ sums.gram / prior.noise)
     return float(-0.5 * (fit + volume))
 
 
-def pooled(groups: Mapping[str, Sums], physics: Floats, blocks: Sequence[NDArray[np.bool_]]) -> Prior:
+def estimate_prior(
+    groups: Mapping[str, NormalEquations], physics: Floats, blocks: Sequence[NDArray[np.bool_]]
+) -> Prior:
     """Return what vehicle models have in common, and how far a new one will be from it.
 
     Parameters
@@ -194,33 +196,35 @@ def pooled(groups: Mapping[str, Sums], physics: Floats, blocks: Sequence[NDArray
         Terms that share a factor: drive, climate.
     """
     every = list(groups.values())
-    mean = common_mean(every, physics)
-    noise = common_noise(every, mean)
-    scale = columns_scale(every)
+    mean = compute_common_mean(every, physics)
+    noise = estimate_common_noise(every, mean)
+    scale = compute_column_scale(every)
     apart, *factors = _spreads(every, physics, blocks, scale, noise)
-    return Prior(mean, covariance_of(mean, scale, blocks, apart, factors), noise)
+    return Prior(mean, build_covariance(mean, scale, blocks, apart, factors), noise)
 
 
 def _spreads(
-    groups: Sequence[Sums], physics: Floats, blocks: Sequence[NDArray[np.bool_]], scale: Floats, noise: float
+    groups: Sequence[NormalEquations], physics: Floats, blocks: Sequence[NDArray[np.bool_]], scale: Floats, noise: float
 ) -> tuple[float, ...]:
     """Return the spreads that make most probable what is seen of each vehicle model, from the mean of the others."""
     if len(groups) < 2:
-        return USUAL
-    means = [common_mean([other for other in groups if other is not own], physics) for own in groups]
+        return EXPECTED_SPREADS
+    means = [compute_common_mean([other for other in groups if other is not own], physics) for own in groups]
     farther = 1.0 + 1.0 / (len(groups) - 1)  # the mean of the others is itself off
 
     def probability(spreads: tuple[float, ...]) -> float:
-        told = -0.5 * sum((np.log(s / usual) / LOOSE) ** 2 for s, usual in zip(spreads, USUAL, strict=True))
+        told = -0.5 * sum(
+            (np.log(s / usual) / SPREAD_LOG_SD) ** 2 for s, usual in zip(spreads, EXPECTED_SPREADS, strict=True)
+        )
         for own, mean in zip(groups, means, strict=True):
-            between = covariance_of(mean, scale, blocks, spreads[0], spreads[1:]) * farther
-            told += evidence(Prior(mean, between, noise), own)
+            between = build_covariance(mean, scale, blocks, spreads[0], spreads[1:]) * farther
+            told += compute_log_evidence(Prior(mean, between, noise), own)
         return float(told)
 
-    return max(product(APART, *([FACTOR] * len(blocks))), key=probability)
+    return max(product(SEPARATE_SPREADS, *([FACTOR_SPREADS] * len(blocks))), key=probability)
 
 
-def car_factors(
+def estimate_car_factors(
     vehicles: NDArray[np.object_], predicted: Floats, energy: Floats, size: Floats, noise: float
 ) -> dict[str, float]:
     """Return each car's factor on predictions, shrunk towards 1 as it is uncertain.

@@ -17,30 +17,40 @@ from numpy.typing import NDArray
 
 from core.batch import Floats
 from core.errors import ModelError
-from core.fit.calibration import Held, calibrated, parts
-from core.fit.fitting import design, fit_terms, one_thread
-from core.fit.partial_pooling import Prior, Sums, add_up, car_factors, common_mean, noise_of, pooled, posterior, taught
-from core.fit.ride_blocks import ENERGY, Frame, names, numbers, trainable
+from core.fit.calibration import HeldOutErrors, assign_folds, calibrate_interval
+from core.fit.fitting import build_design, fit_terms, limit_to_one_thread
+from core.fit.partial_pooling import (
+    NormalEquations,
+    Prior,
+    compute_common_mean,
+    compute_early_posterior,
+    compute_posterior,
+    estimate_car_factors,
+    estimate_noise,
+    estimate_prior,
+    sum_normal_equations,
+)
+from core.fit.ride_blocks import ENERGY, RideFrame, get_names, get_numbers, select_trainable
 from core.fit.trees import fit_trees
-from core.models import ANY, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term, stamped
-from core.models.features import Columns, coefficient_unit, needed
-from core.models.interval import Interval, scale_terms
+from core.models import ANY, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term, stamp
+from core.models.features import Columns, derive_coefficient_unit, list_raw_columns
+from core.models.interval import PredictionInterval, compute_scale_terms
 from core.models.trees import Trees
 
-SIZE: Final = "size_kwh"
+SIZE_COLUMN: Final = "size_kwh"
 EFFICIENCY: Final = 1.2
 """Energy out of the battery over energy at the wheels. Estimated: 83 % from battery to wheel."""
-REGAINED: Final = 0.7
+REGENERATION: Final = 0.7
 """Energy into the battery over energy given back at the wheels. Estimated: 83 % again, and some friction braking."""
-ENOUGH: Final = 400
+LEAST_TREE_RIDES: Final = 400
 """Rides of a vehicle model for trees of its own."""
-LEAST_RIDES: Final = 10
+LEAST_POOLED_RIDES: Final = 10
 """Rides that a fit needs; fewer can be told to a model that there is, with `adapt`."""
-FOLDS: Final = 3
+_FOLDS: Final = 3
 """Parts of the rides that are kept back in turn, for the interval."""
 
 
-class Shared(NamedTuple):
+class SharedTerm(NamedTuple):
     """A term whose coefficient vehicle models share in part.
 
     Parameters
@@ -62,40 +72,40 @@ class Shared(NamedTuple):
 _ROLLING: Final = ("effect_rolling", "rolling_resistance")
 _COLD: Final = ("heating_need_k", "accessory_scale")
 
-SHARED: Final = (
-    Shared("rolling", _ROLLING, EFFICIENCY),
-    Shared("rolling, by temperature", (*_ROLLING, "ambient_c")),
-    Shared("rolling, by rain or snow", (*_ROLLING, "precipitation_mm_h")),
-    Shared("rolling, on winter tyres", (*_ROLLING, "winter")),
-    Shared("rolling, by speed squared", (*_ROLLING, "average_speed_kmh", "average_speed_kmh")),
-    Shared("climbing up", ("effect_climbing_up",), EFFICIENCY),
-    Shared("climbing down", ("effect_climbing_down",), REGAINED),
-    Shared("climbing down, by cold", ("effect_climbing_down", "heating_need_k")),
-    Shared("climbing down, by battery's frost", ("effect_climbing_down", "battery_frost_k")),
-    Shared("speeding up", ("effect_inertia_positive",), EFFICIENCY),
-    Shared("slowing", ("effect_inertia_negative",), REGAINED),
-    Shared("slowing, by cold", ("effect_inertia_negative", "heating_need_k")),
-    Shared("slowing, by battery's frost", ("effect_inertia_negative", "battery_frost_k")),
-    Shared("slowing, by battery's fullness", ("effect_inertia_negative", "battery_fullness_pct")),
-    Shared("drag", ("effect_aero_drag", "drag_area_m2"), EFFICIENCY / 2.0),
-    Shared("drag in the wind", ("effect_aero_drag_wind", "drag_area_m2"), EFFICIENCY / 2.0),
-    Shared("drive, by odometer", ("basic_kwh", "odometer_km")),
-    Shared("accessories", ("effect_accessories",), 1.0, climate=True),
-    Shared("constant power", ("effect_auxiliary",), climate=True),
-    Shared("heating", ("duration_s", *_COLD), climate=True),
-    Shared("heating in deep cold", ("duration_s", "deep_cold_k", "accessory_scale"), climate=True),
-    Shared("cooling", ("duration_s", "cooling_need_k", "accessory_scale"), climate=True),
-    Shared("warming up after parking", (*_COLD, "warmed", "soaked"), climate=True),
-    Shared("doors at stops", ("stops", *_COLD), climate=True),
-    Shared("sun", ("duration_s", "sun", "accessory_scale"), climate=True),
-    Shared("heating of the battery", ("duration_s", "battery_frost_k", "nominal_capacity_kwh"), climate=True),
-    Shared("constant power, by odometer", ("effect_auxiliary", "odometer_km"), climate=True),
-    Shared("heating, by odometer", ("duration_s", *_COLD, "odometer_km"), climate=True),
+SHARED_TERMS: Final = (
+    SharedTerm("rolling", _ROLLING, EFFICIENCY),
+    SharedTerm("rolling, by temperature", (*_ROLLING, "ambient_c")),
+    SharedTerm("rolling, by rain or snow", (*_ROLLING, "precipitation_mm_h")),
+    SharedTerm("rolling, on winter tyres", (*_ROLLING, "winter")),
+    SharedTerm("rolling, by speed squared", (*_ROLLING, "average_speed_kmh", "average_speed_kmh")),
+    SharedTerm("climbing up", ("effect_climbing_up",), EFFICIENCY),
+    SharedTerm("climbing down", ("effect_climbing_down",), REGENERATION),
+    SharedTerm("climbing down, by cold", ("effect_climbing_down", "heating_need_k")),
+    SharedTerm("climbing down, by battery's frost", ("effect_climbing_down", "battery_frost_k")),
+    SharedTerm("speeding up", ("effect_inertia_positive",), EFFICIENCY),
+    SharedTerm("slowing", ("effect_inertia_negative",), REGENERATION),
+    SharedTerm("slowing, by cold", ("effect_inertia_negative", "heating_need_k")),
+    SharedTerm("slowing, by battery's frost", ("effect_inertia_negative", "battery_frost_k")),
+    SharedTerm("slowing, by battery's fullness", ("effect_inertia_negative", "battery_fullness_pct")),
+    SharedTerm("drag", ("effect_aero_drag", "drag_area_m2"), EFFICIENCY / 2.0),
+    SharedTerm("drag in the wind", ("effect_aero_drag_wind", "drag_area_m2"), EFFICIENCY / 2.0),
+    SharedTerm("drive, by odometer", ("basic_kwh", "odometer_km")),
+    SharedTerm("accessories", ("effect_accessories",), 1.0, climate=True),
+    SharedTerm("constant power", ("effect_auxiliary",), climate=True),
+    SharedTerm("heating", ("duration_s", *_COLD), climate=True),
+    SharedTerm("heating in deep cold", ("duration_s", "deep_cold_k", "accessory_scale"), climate=True),
+    SharedTerm("cooling", ("duration_s", "cooling_need_k", "accessory_scale"), climate=True),
+    SharedTerm("warming up after parking", (*_COLD, "warmed", "soaked"), climate=True),
+    SharedTerm("doors at stops", ("stops", *_COLD), climate=True),
+    SharedTerm("sun", ("duration_s", "sun", "accessory_scale"), climate=True),
+    SharedTerm("heating of the battery", ("duration_s", "battery_frost_k", "nominal_capacity_kwh"), climate=True),
+    SharedTerm("constant power, by odometer", ("effect_auxiliary", "odometer_km"), climate=True),
+    SharedTerm("heating, by odometer", ("duration_s", *_COLD, "odometer_km"), climate=True),
 )
 """Terms of the pooled recipes. Drag is there in still and in moving air: the wind of a weather station is not that of
 the street. Temperatures and the odometer stand for what a battery yields, and for tyres."""
 
-ASKED: Final = (
+TREE_FEATURES: Final = (
     "ambient_c",
     "average_speed_kmh",
     "duration_s",
@@ -119,7 +129,7 @@ ASKED: Final = (
 """What trees may ask about: conditions of a ride, not its length, so that they hold in the middle of one too."""
 
 
-class Group(NamedTuple):
+class _RideGroup(NamedTuple):
     """Rides of one vehicle model, as its fit sees them; all (n, ...)."""
 
     design: Floats
@@ -130,21 +140,21 @@ class Group(NamedTuple):
     scale_terms: Floats
     distance: Floats
 
-    def sums(self) -> Sums:
+    def sums(self) -> NormalEquations:
         """Return their normal equations."""
-        return add_up(self.design, self.energy, self.size)
+        return sum_normal_equations(self.design, self.energy, self.size)
 
-    def rows(self, which: NDArray[np.bool_]) -> "Group":
+    def rows(self, which: NDArray[np.bool_]) -> "_RideGroup":
         """Return some of the rides."""
         columns: Any = (column[which] for column in self)
-        return Group(*columns)
+        return _RideGroup(*columns)
 
-    def held(self, error: Floats) -> Held:
+    def held(self, error: Floats) -> HeldOutErrors:
         """Return errors with what their scale depends on."""
-        return Held(error, self.scale_terms, self.distance)
+        return HeldOutErrors(error, self.scale_terms, self.distance)
 
 
-class Learned(NamedTuple):
+class _VehicleModelFit(NamedTuple):
     """What was learned of one vehicle model."""
 
     prior: Prior
@@ -153,11 +163,11 @@ class Learned(NamedTuple):
     cars: dict[str, float]
     trees: Trees | None
 
-    def predict(self, rides: Group) -> Floats:
+    def predict(self, rides: _RideGroup) -> Floats:
         """Return the energy of rides. [kWh]"""
         total = rides.design @ self.coefficients
         if self.trees is not None:
-            own = [ASKED.index(name) for name in self.trees.features]
+            own = [TREE_FEATURES.index(name) for name in self.trees.features]
             total = total + self.trees.answer(rides.asked[:, own]) * rides.size
         return total * _factors(self.cars, rides.vehicles)
 
@@ -182,7 +192,7 @@ class PooledRecipe:
 
     name: str
     title: str
-    shared: tuple[Shared, ...] = SHARED
+    shared: tuple[SharedTerm, ...] = SHARED_TERMS
     cars: bool = False
     trees: bool = False
     note: str = ""
@@ -191,7 +201,7 @@ class PooledRecipe:
     @property
     def terms(self) -> tuple[Term, ...]:
         """Terms of the model."""
-        return tuple(Term(name=s.name, columns=s.columns, unit=coefficient_unit(s.columns)) for s in self.shared)
+        return tuple(Term(name=s.name, columns=s.columns, unit=derive_coefficient_unit(s.columns)) for s in self.shared)
 
     def fit(self, rides: pd.DataFrame, *, covariance: bool = True) -> LinearModel:
         """Return a model fitted to the rides of a table that are fit for training, with an interval.
@@ -208,13 +218,13 @@ class PooledRecipe:
         ModelError
             Where a column is missing, or no ride can be trained on.
         """
-        _check(self.name, rides, _raw(self.terms, ASKED))
-        with one_thread():
-            return stamped(self._fitted(rides, covariance=covariance))
+        _check(self.name, rides, _raw(self.terms, TREE_FEATURES))
+        with limit_to_one_thread():
+            return stamp(self._fitted(rides, covariance=covariance))
 
     def _fitted(self, rides: pd.DataFrame, *, covariance: bool) -> LinearModel:
         """Return the model, see `fit`."""
-        start = fit_terms(self, Frame(rides), covariance=False)
+        start = fit_terms(self, RideFrame(rides), covariance=False)
         groups = dict(_groups(start, rides))
         _check_varies(self.name, groups)
         sums = {key: group.sums() for key, group in groups.items()}
@@ -247,31 +257,31 @@ class PooledRecipe:
         """Return a model that was told of some rides, see `adapt`."""
         return adapt(model, rides)
 
-    def _prior(self, sums: dict[str, Sums]) -> Prior:
+    def _prior(self, sums: dict[str, NormalEquations]) -> Prior:
         """Return what the vehicle models have in common."""
         climate = np.array([s.climate for s in self.shared])
         sums = {key: own for key, own in sums.items() if own.rides}
-        return pooled(sums, np.array([s.physics for s in self.shared]), (~climate, climate))
+        return estimate_prior(sums, np.array([s.physics for s in self.shared]), (~climate, climate))
 
-    def _learn(self, prior: Prior, rides: Group) -> Learned:
+    def _learn(self, prior: Prior, rides: _RideGroup) -> _VehicleModelFit:
         """Return what rides of one vehicle model tell of it."""
         own = _own(prior, rides.sums())
-        coefficients, covariance = posterior(own, rides.sums())
+        coefficients, covariance = compute_posterior(own, rides.sums())
         predicted = rides.design @ coefficients
         cars: dict[str, float] = {}
         if self.cars:
-            cars = car_factors(rides.vehicles, predicted, rides.energy, rides.size, own.noise)
+            cars = estimate_car_factors(rides.vehicles, predicted, rides.energy, rides.size, own.noise)
         trees = None
-        if self.trees and len(rides.energy) >= ENOUGH:
+        if self.trees and len(rides.energy) >= LEAST_TREE_RIDES:
             left = rides.energy / _factors(cars, rides.vehicles) - predicted
-            trees = fit_trees(rides.asked, ASKED, left / rides.size, rides.size, SIZE)
-        return Learned(own, coefficients, covariance, cars, trees)
+            trees = fit_trees(rides.asked, TREE_FEATURES, left / rides.size, rides.size, SIZE_COLUMN)
+        return _VehicleModelFit(own, coefficients, covariance, cars, trees)
 
-    def _interval(self, groups: dict[str, Group], sums: dict[str, Sums]) -> Interval | None:
+    def _interval(self, groups: dict[str, _RideGroup], sums: dict[str, NormalEquations]) -> PredictionInterval | None:
         """Return the interval that errors call for: on rides kept back, and on vehicle models kept back."""
         errors = {key: np.empty(len(group.energy)) for key, group in groups.items()}
-        part = {key: parts(len(group.energy), FOLDS) for key, group in groups.items()}
-        for i in range(FOLDS):
+        part = {key: assign_folds(len(group.energy), _FOLDS) for key, group in groups.items()}
+        for i in range(_FOLDS):
             kept = {key: group.rows(part[key] != i) for key, group in groups.items()}
             prior = self._prior({key: own.sums() for key, own in kept.items()})
             for key, group in groups.items():
@@ -282,9 +292,9 @@ class PooledRecipe:
         for key, group in groups.items():
             others = [other for name, other in sums.items() if name != key]
             if others:
-                mean = common_mean(others, np.array([s.physics for s in self.shared]))
+                mean = compute_common_mean(others, np.array([s.physics for s in self.shared]))
                 unseen[key] = group.held(group.energy - group.design @ mean)
-        return calibrated(seen, unseen)
+        return calibrate_interval(seen, unseen)
 
 
 def adapt(model: LinearModel, rides: pd.DataFrame) -> LinearModel:
@@ -312,25 +322,27 @@ def adapt(model: LinearModel, rides: pd.DataFrame) -> LinearModel:
             "fit one of a recipe that pools"
         )
     _check(model.name, rides, _raw(model.terms))
-    good, _ = trainable(rides, [*_raw(model.terms), ENERGY])
+    good, _ = select_trainable(rides, [*_raw(model.terms), ENERGY])
     if not len(good):
         return model
     fits, told = dict(model.fits), {}
-    kinds = np.array(names(good, VEHICLE_MODEL), dtype=object)
+    kinds = np.array(get_names(good, VEHICLE_MODEL), dtype=object)
     for key in sorted(set(kinds) - {""}):
         known = fits.get(key, general)
         group = _linear_part(model, key, good.iloc[np.flatnonzero(kinds == key)], known.fills)
         noise = known.noise_kwh or general.noise_kwh
         prior = Prior(np.array(known.coefficients), np.array(known.covariance or general.covariance), noise)
         rides_before = known.rides if key in model.fits else 0
-        with one_thread():
-            fits[key] = _fit(known, prior, *taught(prior, group.sums()), rides=rides_before + len(group.energy))
+        with limit_to_one_thread():
+            fits[key] = _fit(
+                known, prior, *compute_early_posterior(prior, group.sums()), rides=rides_before + len(group.energy)
+            )
         told[key] = len(group.energy)
     history = (*model.history, {"action": "adapt", "rides": told})
-    return stamped(msgspec.structs.replace(model, fits=fits, history=history))
+    return stamp(msgspec.structs.replace(model, fits=fits, history=history))
 
 
-def _linear_part(model: LinearModel, key: str, rides: pd.DataFrame, fills: dict[str, float]) -> Group:
+def _linear_part(model: LinearModel, key: str, rides: pd.DataFrame, fills: dict[str, float]) -> _RideGroup:
     """Return rides of a vehicle model, with the energy that the model's terms have to tell: without trees and cars."""
     group = _group(model.terms, rides, fills)
     energy = group.energy / _factors(model.cars, group.vehicles)
@@ -341,7 +353,9 @@ def _linear_part(model: LinearModel, key: str, rides: pd.DataFrame, fills: dict[
 def _raw(terms: tuple[Term, ...], asked: tuple[str, ...] = ()) -> list[str]:
     """Return the columns of the ride table that terms, the size of a ride and what is asked are made of."""
     read = [column for term in terms for column in term.columns]
-    return list(dict.fromkeys(raw for column in (*read, SIZE, "distance_km", *asked) for raw in needed(column)))
+    return list(
+        dict.fromkeys(raw for column in (*read, SIZE_COLUMN, "distance_km", *asked) for raw in list_raw_columns(column))
+    )
 
 
 def _check(name: str, rides: pd.DataFrame, columns: list[str]) -> None:
@@ -350,12 +364,12 @@ def _check(name: str, rides: pd.DataFrame, columns: list[str]) -> None:
         raise ModelError(f"model {name}: column {missing[0]!r} is missing in the rides: make the tables anew")
 
 
-def _check_varies(name: str, groups: dict[str, Group]) -> None:
+def _check_varies(name: str, groups: dict[str, _RideGroup]) -> None:
     """Refuse rides that are too few, or of which nothing can be learned."""
     energy = np.concatenate([group.energy for group in groups.values()])
-    if len(energy) < LEAST_RIDES:
+    if len(energy) < LEAST_POOLED_RIDES:
         raise ModelError(
-            f"recipe {name}: {len(energy)} rides to fit to, and it needs {LEAST_RIDES}: give more rides, or "
+            f"recipe {name}: {len(energy)} rides to fit to, and it needs {LEAST_POOLED_RIDES}: give more rides, or "
             "`--adapt` a model to them"
         )
     if not np.ptp(energy) > 0.0:
@@ -364,25 +378,27 @@ def _check_varies(name: str, groups: dict[str, Group]) -> None:
         )
 
 
-def _groups(model: LinearModel, rides: pd.DataFrame) -> Iterator[tuple[str, Group]]:
+def _groups(model: LinearModel, rides: pd.DataFrame) -> Iterator[tuple[str, _RideGroup]]:
     """Give the rides that can be trained on, by vehicle model."""
-    good, _ = trainable(rides, [*_raw(model.terms, ASKED), ENERGY])
-    kinds = np.array(names(good, VEHICLE_MODEL), dtype=object)
+    good, _ = select_trainable(rides, [*_raw(model.terms, TREE_FEATURES), ENERGY])
+    kinds = np.array(get_names(good, VEHICLE_MODEL), dtype=object)
     for key in sorted(set(kinds)):
         fills = model.fits[key if key in model.fits else ANY].fills
-        yield (key or ANY, _group(model.terms, good.iloc[np.flatnonzero(kinds == key)], fills, ASKED))
+        yield (key or ANY, _group(model.terms, good.iloc[np.flatnonzero(kinds == key)], fills, TREE_FEATURES))
 
 
-def _group(terms: tuple[Term, ...], rides: pd.DataFrame, fills: dict[str, float], asked: tuple[str, ...] = ()) -> Group:
+def _group(
+    terms: tuple[Term, ...], rides: pd.DataFrame, fills: dict[str, float], asked: tuple[str, ...] = ()
+) -> _RideGroup:
     """Return some rides as a fit sees them; trees see what is unknown as such."""
     filled, plain = Columns(rides, fills), Columns(rides)
-    return Group(
-        design=design(terms, filled, len(rides)),
+    return _RideGroup(
+        design=build_design(terms, filled, len(rides)),
         asked=np.column_stack([np.empty((len(rides), 0)), *(plain[name] for name in asked)]),
-        energy=numbers(rides, ENERGY),
-        size=filled[SIZE],
-        vehicles=np.array(names(rides, VEHICLE), dtype=object),
-        scale_terms=scale_terms(filled),
+        energy=get_numbers(rides, ENERGY),
+        size=filled[SIZE_COLUMN],
+        vehicles=np.array(get_names(rides, VEHICLE), dtype=object),
+        scale_terms=compute_scale_terms(filled),
         distance=filled["distance_km"],
     )
 
@@ -392,12 +408,12 @@ def _factors(cars: dict[str, float], vehicles: NDArray[np.object_]) -> Floats:
     return np.array([cars.get(vehicle, 1.0) for vehicle in vehicles])
 
 
-def _own(prior: Prior, sums: Sums) -> Prior:
+def _own(prior: Prior, sums: NormalEquations) -> Prior:
     """Return the prior with the noise of a vehicle model's own rides, where they are enough to tell it."""
     if sums.rides < 2 * len(prior.mean):
         return prior
     scale = np.sqrt(np.maximum(np.diag(sums.gram) / sums.weight, 1e-12))
-    return prior._replace(noise=noise_of(sums, prior.mean, scale))
+    return prior._replace(noise=estimate_noise(sums, prior.mean, scale))
 
 
 def _fit(start: Fit, prior: Prior, mean: Floats, covariance: Floats, **changes: Any) -> Fit:
@@ -411,7 +427,7 @@ def _fit(start: Fit, prior: Prior, mean: Floats, covariance: Floats, **changes: 
     return msgspec.structs.replace(found, **changes)
 
 
-ADVANCED: Final = (
+POOLED_RECIPES: Final = (
     PooledRecipe(
         "pooled_hybrid",
         "Pooled Hybrid Model",

@@ -16,12 +16,12 @@ import pandas as pd
 
 from core.errors import ModelError
 from core.fit.calibration import NEEDS as INTERVAL_NEEDS
-from core.fit.calibration import least_squares_interval
+from core.fit.calibration import add_interval
 from core.fit.fitting import fit_terms
-from core.fit.pooled import ADVANCED
-from core.fit.ride_blocks import ENERGY, Frame, Parquet
-from core.models import BASIC_TERMS, LinearModel, Term, physical_term
-from core.models.features import ACCESSORIES, FEATURES, coefficient_unit
+from core.fit.pooled import POOLED_RECIPES
+from core.fit.ride_blocks import ENERGY, RideFrame, RideParquet
+from core.models import BASIC_TERMS, LinearModel, Term, make_physical_term
+from core.models.features import ACCESSORIES_COLUMN, FEATURES, derive_coefficient_unit
 
 INTERVAL_RIDES: Final = 20_000
 """Rides that are enough to tell how far off predictions are."""
@@ -70,23 +70,23 @@ class LinearRecipe:
 
         With the covariance, the model has an interval too.
         """
-        model = fit_terms(self, Frame(rides), covariance=covariance)
-        return least_squares_interval(model, rides, fitted=self.free) if covariance else model
+        model = fit_terms(self, RideFrame(rides), covariance=covariance)
+        return add_interval(model, rides, fitted=self.free) if covariance else model
 
     def fit_parquet(self, *paths: str | Path, covariance: bool = True) -> LinearModel:
         """Return a model fitted to Parquet files of rides, in memory that does not grow with them.
 
         With the covariance, the model has an interval too, calibrated on at most `INTERVAL_RIDES` of them.
         """
-        rides = Parquet(tuple(Path(path) for path in paths))
+        rides = RideParquet(tuple(Path(path) for path in paths))
         model = fit_terms(self, rides, covariance=covariance)
         if not covariance:
             return model
         some = rides.thinned(INTERVAL_RIDES, [*model.needs, *INTERVAL_NEEDS, ENERGY])
-        return least_squares_interval(model, some, fitted=self.free)
+        return add_interval(model, some, fitted=self.free)
 
 
-def term(*columns: str) -> Term:
+def make_term(*columns: str) -> Term:
     """Return the term that is a product of columns, named for them.
 
     Examples
@@ -95,22 +95,22 @@ def term(*columns: str) -> Term:
     Term(name='odometer_km * climbing', columns=('odometer_km', 'effect_climbing'), unit='1/km')
     """
     name = " * ".join(column.removeprefix("effect_") for column in columns) or "constant"
-    return Term(name=name, columns=columns, unit=coefficient_unit(columns))
+    return Term(name=name, columns=columns, unit=derive_coefficient_unit(columns))
 
 
-def product(one: str, other: Term) -> Term:
+def make_product(one: str, other: Term) -> Term:
     """Return the interaction of a column with a term."""
     columns = (one, *other.columns)
-    return Term(name=f"{one} * {other.name}", columns=columns, unit=coefficient_unit(columns))
+    return Term(name=f"{one} * {other.name}", columns=columns, unit=derive_coefficient_unit(columns))
 
 
-CONSTANT: Final = term()
-ACCESSORY_TERM: Final = physical_term("accessories", (ACCESSORIES,))
+CONSTANT_TERM: Final = make_term()
+ACCESSORY_TERM: Final = make_physical_term("accessories", (ACCESSORIES_COLUMN,))
 FITTED_TERMS: Final = (
-    physical_term("rolling", ("effect_rolling", "rolling_resistance")),
-    physical_term("aero_drag_wind", ("effect_aero_drag_wind", "drag_area_m2")),
-    physical_term("inertia", ("effect_inertia",)),
-    physical_term("climbing", ("effect_climbing",)),
+    make_physical_term("rolling", ("effect_rolling", "rolling_resistance")),
+    make_physical_term("aero_drag_wind", ("effect_aero_drag_wind", "drag_area_m2")),
+    make_physical_term("inertia", ("effect_inertia",)),
+    make_physical_term("climbing", ("effect_climbing",)),
     ACCESSORY_TERM,
 )
 """Terms of eq. (2), in its order: distance, air with wind, acceleration, height, accessories over time."""
@@ -118,18 +118,18 @@ BASIC_PART: Final = FITTED_TERMS[:-1]
 """Of those, the terms of the basic physical model."""
 
 ROAD_LOAD_TERMS: Final = (
-    physical_term("rolling", ("effect_rolling", "rolling_resistance")),
-    physical_term("climbing", ("effect_climbing",)),
-    physical_term("aero_drag", ("effect_aero_drag", "drag_area_m2")),
-    physical_term("inertia_positive", ("effect_inertia_positive",)),
-    physical_term("inertia_negative", ("effect_inertia_negative",)),
-    physical_term("braking", ("effect_braking",)),
+    make_physical_term("rolling", ("effect_rolling", "rolling_resistance")),
+    make_physical_term("climbing", ("effect_climbing",)),
+    make_physical_term("aero_drag", ("effect_aero_drag", "drag_area_m2")),
+    make_physical_term("inertia_positive", ("effect_inertia_positive",)),
+    make_physical_term("inertia_negative", ("effect_inertia_negative",)),
+    make_physical_term("braking", ("effect_braking",)),
 )
 """The base of diagnosis but for the accessories: standard air, no wind, kinetic energy and braking by sign."""
 
-HISTOGRAM: Final = tuple(name for name in FEATURES if name.startswith("speed_"))
+HISTOGRAM_COLUMNS: Final = tuple(name for name in FEATURES if name.startswith("speed_"))
 EMPIRICAL_TERMS: Final = tuple(
-    term(name)
+    make_term(name)
     for name in (
         "distance_km",
         "average_speed_kmh",
@@ -147,24 +147,24 @@ EMPIRICAL_TERMS: Final = tuple(
         "nominal_capacity_kwh",
         "winter",
         "summer",
-        *HISTOGRAM,
+        *HISTOGRAM_COLUMNS,
     )
 )
 """Table 1 of the paper, without names, dates and places, and without the ending SOC, which holds the answer.
 
 The wind's direction is its cosine and sine, as 359 and 1 degree are neighbours.
 """
-SQUARES: Final = tuple(term(*t.columns, *t.columns) for t in EMPIRICAL_TERMS if t.name not in {"winter", "summer"})
+SQUARES: Final = tuple(make_term(*t.columns, *t.columns) for t in EMPIRICAL_TERMS if t.name not in {"winter", "summer"})
 """The square of each empirical term; those of winter and summer, 0 or 1, would be themselves."""
 SPEED_PRODUCTS: Final = tuple(
-    term("average_speed_kmh", other) for other in ("lost_m", "odometer_km", "distance_km", "winter", "summer")
+    make_term("average_speed_kmh", other) for other in ("lost_m", "odometer_km", "distance_km", "winter", "summer")
 )
 """Average speed times five others, section 4.6.1."""
 HYBRID_TERMS: Final = (*FITTED_TERMS, *EMPIRICAL_TERMS)
 HYBRID_PRODUCTS: Final = (
-    *(product("odometer_km", other) for other in FITTED_TERMS),
-    *(product("lost_m", other) for other in BASIC_PART),
-    *(product(season, other) for season in ("winter", "summer") for other in FITTED_TERMS),
+    *(make_product("odometer_km", other) for other in FITTED_TERMS),
+    *(make_product("lost_m", other) for other in BASIC_PART),
+    *(make_product(season, other) for season in ("winter", "summer") for other in FITTED_TERMS),
 )
 """Interactions of section 4.6.2."""
 
@@ -184,22 +184,22 @@ RECIPES: Final[Mapping[str, Recipe]] = MappingProxyType(
             LinearRecipe(
                 "empirical",
                 "Learned Empirical Model (No Interaction Terms)",
-                (*EMPIRICAL_TERMS, CONSTANT),
+                (*EMPIRICAL_TERMS, CONSTANT_TERM),
                 note="without the ending SOC, which holds the answer",
             ),
             LinearRecipe(
                 "empirical_interactions",
                 "Learned Empirical Model (Interaction Terms)",
-                (*EMPIRICAL_TERMS, *SQUARES, *SPEED_PRODUCTS, CONSTANT),
+                (*EMPIRICAL_TERMS, *SQUARES, *SPEED_PRODUCTS, CONSTANT_TERM),
                 note="without the ending SOC, which holds the answer",
             ),
-            LinearRecipe("hybrid", "Hybrid Model (No Interaction Terms)", (*HYBRID_TERMS, CONSTANT)),
+            LinearRecipe("hybrid", "Hybrid Model (No Interaction Terms)", (*HYBRID_TERMS, CONSTANT_TERM)),
             LinearRecipe(
                 "hybrid_interactions",
                 "Hybrid Model (Interaction Terms)",
-                (*HYBRID_TERMS, *HYBRID_PRODUCTS, CONSTANT),
+                (*HYBRID_TERMS, *HYBRID_PRODUCTS, CONSTANT_TERM),
             ),
-            *ADVANCED,
+            *POOLED_RECIPES,
             LinearRecipe(
                 "road_load",
                 "Road Load, Accessories by Temperature",
@@ -209,7 +209,7 @@ RECIPES: Final[Mapping[str, Recipe]] = MappingProxyType(
             LinearRecipe(
                 "road_load_constant",
                 "Road Load, Constant Auxiliaries",
-                (*ROAD_LOAD_TERMS, term("effect_auxiliary")),
+                (*ROAD_LOAD_TERMS, make_term("effect_auxiliary")),
                 by_windows=True,
             ),
         )
@@ -218,7 +218,7 @@ RECIPES: Final[Mapping[str, Recipe]] = MappingProxyType(
 """Recipes by name, in the paper's order, then those past it."""
 
 
-def recipe(name: str) -> Recipe:
+def get_recipe(name: str) -> Recipe:
     """Return a recipe by name.
 
     Raises

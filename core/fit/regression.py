@@ -32,11 +32,11 @@ Below it lie what is collinear by construction (rounding leaves 1e-14) and what 
 the grade: rolling resistance against the distance of a car whose load is not known (1e-5), climbing against gained and
 lost altitude (1e-6 to 1e-3). Above 3e-4 come products and squares of speed and distance, which tell something.
 """
-CONSTANT: Final = 1e-9
+NO_VARIATION: Final = 1e-9
 """Standard deviation over root mean square below which a column does not vary."""
 GROUPS: Final = 2048
 """Groups into which clusters are hashed: a few clusters in one group are still one cluster, only a larger one."""
-MOST: Final = 0.95
+_MOST_LEVERAGE: Final = 0.95
 """The most leverage that is believed: a ride that is a group of its own and tells a coefficient alone has 1."""
 LEAST_GROUPS: Final = 30
 """Fewer groups than this cannot tell a covariance; then it is the classical one."""
@@ -149,14 +149,14 @@ def solve(moments: Moments, *, constant: bool, weight: Floats | None = None, tow
     toward = np.zeros(p) if toward is None else toward
     sums = moments.sums(centred=constant)
     gram, cross, own = sums[:p, :p], sums[:p, p], float(sums[p, p])
-    inverse, rank = pseudo_inverse(gram + np.diag(weight), np.sqrt(moments.rows) * moments.mean[:p])
+    inverse, rank = compute_pseudo_inverse(gram + np.diag(weight), np.sqrt(moments.rows) * moments.mean[:p])
     coefficients = inverse @ (cross + weight * toward)
     residual = max(float(own - 2.0 * coefficients @ cross + coefficients @ gram @ coefficients), 0.0)
     offset = float(moments.mean[p] - moments.mean[:p] @ coefficients) if constant else None
     return Solution(coefficients, offset, rank, residual, moments.rows, weight)
 
 
-def pseudo_inverse(gram: Floats, size: Floats) -> tuple[Floats, int]:
+def compute_pseudo_inverse(gram: Floats, size: Floats) -> tuple[Floats, int]:
     """Return the inverse of sums of products over the directions that carry information, and their number.
 
     Parameters
@@ -166,7 +166,7 @@ def pseudo_inverse(gram: Floats, size: Floats) -> tuple[Floats, int]:
         Of each column's mean, in the scale of the root of `gram`'s diagonal: what is small against it is rounding.
     """
     scale = np.sqrt(np.maximum(np.diag(gram), 0.0))
-    varies = np.flatnonzero(scale > CONSTANT * np.hypot(scale, size))
+    varies = np.flatnonzero(scale > NO_VARIATION * np.hypot(scale, size))
     inverse = np.zeros_like(gram)
     if not len(varies):
         return inverse, 0
@@ -202,7 +202,7 @@ class Influence:
             mix[beside, p:] = -gram[beside, p:] / gram[beside, beside]
         weight = np.concatenate([solution.weight, np.zeros(width - p)])
         mean = moments.mean[:width]
-        inverse = pseudo_inverse(mix.T @ gram @ mix + np.diag(weight), np.sqrt(moments.rows) * mean)[0]
+        inverse = compute_pseudo_inverse(mix.T @ gram @ mix + np.diag(weight), np.sqrt(moments.rows) * mean)[0]
         change = inverse[:p] @ mix.T
         pulled = inverse[:p, :p] * np.sqrt(solution.weight)
         self.mean: Floats = mean if centred else np.zeros(width)
@@ -225,13 +225,13 @@ class Influence:
         taken = (((columns - self.mean) @ self._half) ** 2).sum(axis=1)
         if self.solution.constant is not None:
             taken += 1.0 / self.solution.rows
-        return np.clip(taken, 0.0, MOST)
+        return np.clip(taken, 0.0, _MOST_LEVERAGE)
 
     def classical(self) -> Floats:
         """Return the covariance of (coefficients, constant) where errors are independent and alike."""
         return (self._change @ self._meat @ self._change.T + self._pulled) * self.solution.variance
 
-    def robust(self, scores: "Scores") -> Floats:
+    def robust(self, scores: "ClusterScores") -> Floats:
         """Return the covariance of (coefficients, constant) where errors depend on each other within groups [2]_.
 
         Parameters
@@ -251,7 +251,7 @@ def _root(matrix: Floats) -> Floats:
     return by[:, np.newaxis] * vectors * np.sqrt(np.maximum(values, 0.0))
 
 
-class Scores:
+class ClusterScores:
     """Sums over groups of rows of each column times the residual: what a cluster-robust covariance is made of.
 
     Parameters
@@ -293,7 +293,7 @@ class Scores:
         self._seen[found] = True
 
 
-def grouped(vehicles: Sequence[str], dates: Sequence[str]) -> Ints:
+def assign_groups(vehicles: Sequence[str], dates: Sequence[str]) -> Ints:
     """Return the group of each ride: rides of one vehicle on one day are always in the same."""
     keys = [f"{vehicle}/{date}" for vehicle, date in zip(vehicles, dates, strict=True)]
     group = {key: crc32(key.encode()) % GROUPS for key in set(keys)}

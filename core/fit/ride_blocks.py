@@ -17,13 +17,13 @@ from core.models.features import EFFECT_PREFIX
 from core.vehicles.fleet import PARAMETERS
 
 ENERGY: Final = "energy_kwh"
-BLOCK: Final = 8192
+_BLOCK: Final = 8192
 """Rides at a time."""
 OPTIONAL: Final = ("fit_for_training", "unfit_reason", "vehicle_model", "vehicle_id", "date")
 """Columns that are read where they are there: which rides to leave out, and how to group the others."""
 
 
-class Rides(Protocol):
+class RideSource(Protocol):
     """A ride table that can be gone through any number of times."""
 
     def blocks(self, columns: Sequence[str]) -> Iterator[pd.DataFrame]:
@@ -37,7 +37,7 @@ class Rides(Protocol):
 
 
 @dataclass(frozen=True)
-class Frame:
+class RideFrame:
     """A ride table in memory."""
 
     table: pd.DataFrame
@@ -45,12 +45,12 @@ class Frame:
     def blocks(self, columns: Sequence[str]) -> Iterator[pd.DataFrame]:
         """Give its rows, see `Rides`."""
         names = _present(columns, self.table.columns, "the ride table")
-        for start in range(0, len(self.table), BLOCK):
-            yield self.table.iloc[start : start + BLOCK][names]
+        for start in range(0, len(self.table), _BLOCK):
+            yield self.table.iloc[start : start + _BLOCK][names]
 
 
 @dataclass(frozen=True)
-class Parquet:
+class RideParquet:
     """A ride table in Parquet files, read by row groups."""
 
     paths: tuple[Path, ...]
@@ -94,7 +94,7 @@ def _read(path: Path, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
     try:
         with pq.ParquetFile(path, pre_buffer=False) as file:
             names = None if columns is None else _present(columns, file.schema_arrow.names, str(path))
-            for batch in file.iter_batches(batch_size=BLOCK, columns=names):
+            for batch in file.iter_batches(batch_size=_BLOCK, columns=names):
                 yield batch.to_pandas()
             if not file.metadata.num_rows:
                 yield file.schema_arrow.empty_table().to_pandas()
@@ -116,7 +116,7 @@ def _present(columns: Sequence[str], there: Sequence[str] | pd.Index, where: str
     return [name for name in wanted if name in known]
 
 
-def trainable(block: pd.DataFrame, columns: Sequence[str]) -> tuple[pd.DataFrame, Counter[str]]:
+def select_trainable(block: pd.DataFrame, columns: Sequence[str]) -> tuple[pd.DataFrame, Counter[str]]:
     """Return the rides of a block that can be trained on, and the others by reason.
 
     Left out are rides that are unfit for training, have no measured energy, or are of a car whose parameters, and so
@@ -126,8 +126,8 @@ def trainable(block: pd.DataFrame, columns: Sequence[str]) -> tuple[pd.DataFrame
     reason = np.full(len(block), "", dtype=object)
     for name in columns:
         if name.startswith(EFFECT_PREFIX) or name in PARAMETERS:
-            reason[~np.isfinite(numbers(block, name))] = "unknown_vehicle_or_effect"
-    reason[~np.isfinite(numbers(block, ENERGY))] = "no_measured_energy"
+            reason[~np.isfinite(get_numbers(block, name))] = "unknown_vehicle_or_effect"
+    reason[~np.isfinite(get_numbers(block, ENERGY))] = "no_measured_energy"
     if "fit_for_training" in block:
         unfit = ~block["fit_for_training"].to_numpy(dtype=bool, na_value=False)
         why = block["unfit_reason"].fillna("unfit").to_numpy(dtype=object) if "unfit_reason" in block else "unfit"
@@ -137,7 +137,7 @@ def trainable(block: pd.DataFrame, columns: Sequence[str]) -> tuple[pd.DataFrame
     return (block.loc[~left] if left.any() else block), left_out
 
 
-def numbers(block: pd.DataFrame, name: str) -> Floats:
+def get_numbers(block: pd.DataFrame, name: str) -> Floats:
     """Return a column as float, NaN where it is unknown.
 
     Raises
@@ -151,7 +151,7 @@ def numbers(block: pd.DataFrame, name: str) -> Floats:
         raise ModelError(f"column {name!r} of the ride table is no number: {error}: make the tables anew") from error
 
 
-def names(block: pd.DataFrame, column: str) -> list[str]:
+def get_names(block: pd.DataFrame, column: str) -> list[str]:
     """Return a column of text, empty where it is unknown or absent."""
     if column not in block:
         return [""] * len(block)

@@ -31,7 +31,7 @@ from core.batch import Floats
 from core.errors import ModelError
 from core.fit.regression import Moments, solve
 
-FEATURES: Final = (
+SEGMENT_FEATURES: Final = (
     ("duration_s",),
     ("distance_km",),
     ("average_speed_kmh",),
@@ -54,9 +54,9 @@ EPOCHS: Final = 20
 BATCH: Final = 500
 RATE: Final = 0.005
 """Of learning, by Adam; a smaller rate over more epochs was no better, and slower."""
-MOST: Final = 20_000
+MOST_WINDOWS: Final = 20_000
 """Windows of a vehicle model that a network is trained on; of more, those of rides drawn at random."""
-LEAST: Final = 50
+LEAST_NETWORK_RIDES: Final = 50
 """Rides that a network needs."""
 
 Ordinals = np.ndarray[Any, np.dtype[np.int64]]
@@ -108,7 +108,7 @@ class Segments:
         return np.repeat(begin, count) + within, ride
 
 
-def segments(windows: pd.DataFrame) -> Segments:
+def build_segments(windows: pd.DataFrame) -> Segments:
     """Return the micro-segments of a window table.
 
     Raises
@@ -116,12 +116,12 @@ def segments(windows: pd.DataFrame) -> Segments:
     ModelError
         Where a column is missing.
     """
-    needed = dict.fromkeys(("ride_key", "window", *(name for product in FEATURES for name in product)))
+    needed = dict.fromkeys(("ride_key", "window", *(name for product in SEGMENT_FEATURES for name in product)))
     if missing := [name for name in needed if name not in windows]:
         raise ModelError(f"column {missing[0]!r} is missing in the window table: make it with `socast tables`")
     order = windows.sort_values(["ride_key", "window"], kind="stable")
     keys, first = np.unique(order["ride_key"].to_numpy(dtype=object).astype(str), return_index=True)
-    columns = [order[list(product)].to_numpy(np.float64).prod(axis=1) for product in FEATURES]
+    columns = [order[list(product)].to_numpy(np.float64).prod(axis=1) for product in SEGMENT_FEATURES]
     return Segments(
         keys=pd.Index(keys),
         first=np.append(first, len(order)).astype(np.int64),
@@ -191,10 +191,12 @@ class SegmentRecipe:
         ModelError
             Where there are too few rides even together.
         """
-        if (found := self._rides(rides)) < LEAST:
-            raise ModelError(f"{found:,} rides have windows, and a network needs {LEAST}: give more rides")
+        if (found := self._rides(rides)) < LEAST_NETWORK_RIDES:
+            raise ModelError(
+                f"{found:,} rides have windows, and a network needs {LEAST_NETWORK_RIDES}: give more rides"
+            )
         groups = {str(name): own for name, own in rides.groupby("vehicle_model", sort=True)}
-        networks = {name: self._network(own) for name, own in groups.items() if self._rides(own) >= LEAST}
+        networks = {name: self._network(own) for name, own in groups.items() if self._rides(own) >= LEAST_NETWORK_RIDES}
         return SegmentModel(self.segments, networks, partial(self._network, rides))
 
     def _rides(self, rides: pd.DataFrame) -> int:
@@ -206,10 +208,12 @@ class SegmentRecipe:
         features, energy = self.segments.features[at].copy(), rides["energy_kwh"].to_numpy(np.float64)
         features[:, np.isnan(features).all(axis=0)] = 0.0  # what nobody measured tells nothing
         mean, scale = np.nanmean(features, axis=0), np.nanstd(features, axis=0)
-        target = shared_out(np.where(np.isnan(features), mean, features), self.segments.duration[at], ride, energy)
+        target = share_out_energy(
+            np.where(np.isnan(features), mean, features), self.segments.duration[at], ride, energy
+        )
         rng = np.random.default_rng(self.seed)
         drawn = np.zeros(len(rides), dtype=bool)
-        drawn[rng.permutation(len(rides))[: max(round(len(rides) * MOST / len(at)), 1)]] = True
+        drawn[rng.permutation(len(rides))[: max(round(len(rides) * MOST_WINDOWS / len(at)), 1)]] = True
         kept = drawn[ride]
         untrained = MLPRegressor(
             hidden_layer_sizes=HIDDEN,
@@ -228,7 +232,7 @@ class SegmentRecipe:
         return network
 
 
-def shared_out(features: Floats, duration: Floats, ride: Ordinals, energy: Floats) -> Floats:
+def share_out_energy(features: Floats, duration: Floats, ride: Ordinals, energy: Floats) -> Floats:
     """Return the energy of each micro-segment, such that those of a ride add up to what the ride took.
 
     Parameters

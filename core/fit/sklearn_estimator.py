@@ -9,7 +9,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from core.batch import Floats
 from core.errors import ModelError
-from core.fit.recipes import recipe as named
+from core.fit.recipes import get_recipe as named
 from core.fit.ride_blocks import ENERGY
 from core.models import LinearModel
 

@@ -15,26 +15,26 @@ from core.models.trees import LEAF, Trees
 
 TREES: Final = 40
 LEAVES: Final = 12
-LEAST_RIDES: Final = 40
+_LEAST_LEAF_RIDES: Final = 40
 """Rides that a leaf stands for, at the least."""
 LEARNING_RATE: Final = 0.15
 SHRINKAGE: Final = 5.0
 """Rides that a leaf is shrunk by, as if that many had been answered with 0."""
-BINS: Final = 63
+_BINS: Final = 63
 """Thresholds that are tried of each feature."""
-MOST: Final = float(np.finfo(np.float64).max)
+_MOST: Final = float(np.finfo(np.float64).max)
 """Stands for an infinite threshold, which no JSON has: all that is known goes left."""
 
 
-def boosted(learning_rate: float = LEARNING_RATE, trees: int = TREES) -> HistGradientBoostingRegressor:
+def make_booster(learning_rate: float = LEARNING_RATE, trees: int = TREES) -> HistGradientBoostingRegressor:
     """Return the estimator, unfitted: least squares, without early stopping, the same for the same rides."""
     return HistGradientBoostingRegressor(
         max_iter=trees,
         learning_rate=learning_rate,
         max_leaf_nodes=LEAVES,
-        min_samples_leaf=LEAST_RIDES,
+        min_samples_leaf=_LEAST_LEAF_RIDES,
         l2_regularization=SHRINKAGE,
-        max_bins=BINS,
+        max_bins=_BINS,
         early_stopping=False,
         random_state=0,
     )
@@ -58,14 +58,14 @@ def fit_trees(table: Floats, names: tuple[str, ...], target: Floats, weight: Flo
     """
     telling = [i for i in range(len(names)) if _tells(table[:, i])]
     if not telling:
-        return constant(float(np.average(target, weights=weight)), per)
+        return make_constant_trees(float(np.average(target, weights=weight)), per)
     coarse = np.column_stack([_coarse(table[:, i]) for i in telling])
     with threadpool_limits(1):
-        model = boosted().fit(coarse, target, sample_weight=weight / weight.mean())
-    return exported(model, tuple(names[i] for i in telling), per)
+        model = make_booster().fit(coarse, target, sample_weight=weight / weight.mean())
+    return export_trees(model, tuple(names[i] for i in telling), per)
 
 
-def constant(answer: float, per: str = "") -> Trees:
+def make_constant_trees(answer: float, per: str = "") -> Trees:
     """Return trees that ask nothing."""
     none: tuple[Any, ...] = ()
     return Trees(
@@ -91,13 +91,13 @@ def _tells(column: Floats) -> bool:
 def _coarse(column: Floats) -> Floats:
     """Return a feature rounded to one of at most `BINS` values: where scikit-learn bins it, weights make that slow."""
     known = ~np.isnan(column)
-    values = np.unique(np.quantile(column[known], np.linspace(0.0, 1.0, BINS)))
+    values = np.unique(np.quantile(column[known], np.linspace(0.0, 1.0, _BINS)))
     rounded = column.copy()
     rounded[known] = values[np.searchsorted((values[1:] + values[:-1]) / 2.0, column[known])]
     return rounded
 
 
-def exported(model: HistGradientBoostingRegressor, features: tuple[str, ...], per: str = "") -> Trees:
+def export_trees(model: HistGradientBoostingRegressor, features: tuple[str, ...], per: str = "") -> Trees:
     """Return the trees of a fitted estimator, whose predictions they repeat.
 
     Parameters
@@ -120,7 +120,7 @@ def exported(model: HistGradientBoostingRegressor, features: tuple[str, ...], pe
         baseline=float(np.ravel(model._baseline_prediction)[0]),  # noqa: SLF001
         roots=tuple(roots.tolist()),
         feature=tuple(np.where(leaf, LEAF, every["feature_idx"]).astype(int).tolist()),
-        threshold=tuple(np.where(leaf, 0.0, np.clip(every["num_threshold"], -MOST, MOST)).tolist()),
+        threshold=tuple(np.where(leaf, 0.0, np.clip(every["num_threshold"], -_MOST, _MOST)).tolist()),
         left=tuple(np.where(leaf, 0, every["left"] + shift).astype(int).tolist()),
         right=tuple(np.where(leaf, 0, every["right"] + shift).astype(int).tolist()),
         missing_left=tuple(np.where(leaf, 0, every["missing_go_to_left"]).astype(int).tolist()),

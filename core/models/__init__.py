@@ -4,14 +4,14 @@ A model is a sum of terms over columns of the ride table; see `core.models.linea
 other packages import.
 """
 
-from core.models.file import decode, encode, load, save, stamped
+from core.models.file import decode_model, encode_model, load, save, stamp
 from core.models.linear import (
     ANY,
     BASIC_PHYSICAL,
     BASIC_TERMS,
+    BUILT_IN_MODELS,
     EXTENDED_PHYSICAL,
     FORMAT,
-    KNOWN,
     VEHICLE,
     VEHICLE_MODEL,
     Curve,
@@ -20,16 +20,16 @@ from core.models.linear import (
     Model,
     Term,
     Training,
-    physical_term,
+    make_physical_term,
 )
 
 __all__ = [
     "ANY",
     "BASIC_PHYSICAL",
     "BASIC_TERMS",
+    "BUILT_IN_MODELS",
     "EXTENDED_PHYSICAL",
     "FORMAT",
-    "KNOWN",
     "VEHICLE",
     "VEHICLE_MODEL",
     "Curve",
@@ -38,10 +38,10 @@ __all__ = [
     "Model",
     "Term",
     "Training",
-    "decode",
-    "encode",
+    "decode_model",
+    "encode_model",
     "load",
-    "physical_term",
+    "make_physical_term",
     "save",
-    "stamped",
+    "stamp",
 ]

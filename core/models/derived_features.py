@@ -18,7 +18,7 @@ DEEP_COLD_BELOW: Final = -5.0
 """Outside temperature below which heat pumps give up and heaters reach their limit. [°C] Estimated."""
 COOLING_ABOVE: Final = 21.0
 """Outside temperature above which a cabin is cooled. [°C]"""
-WARM_UP: Final = 600.0
+CABIN_WARM_UP: Final = 600.0
 """Time constant in which a cabin's air and trim reach their temperature. [s] Estimated."""
 SOAK: Final = 7200.0
 """Time constant in which a parked car takes on the temperature outside. [s] Estimated."""
@@ -32,7 +32,7 @@ DRIVE_OVER_ROLLING: Final = 1.3
 """Energy to drive in town over that of rolling resistance alone, some average. [1]"""
 
 
-class Derived(NamedTuple):
+class DerivedColumn(NamedTuple):
     """A column made of others.
 
     Parameters
@@ -50,42 +50,42 @@ class Derived(NamedTuple):
     make: Callable[..., Floats]
 
 
-def heating_need(ambient_c: Floats) -> Floats:
+def compute_heating_need(ambient_c: Floats) -> Floats:
     """Return how much colder it is outside than where heating begins. [K]"""
     return np.maximum(HEATING_BELOW - ambient_c, 0.0)
 
 
-def deep_cold(ambient_c: Floats) -> Floats:
+def compute_deep_cold(ambient_c: Floats) -> Floats:
     """Return how much colder it is outside than where heat pumps give up. [K]"""
     return np.maximum(DEEP_COLD_BELOW - ambient_c, 0.0)
 
 
-def cooling_need(ambient_c: Floats) -> Floats:
+def compute_cooling_need(ambient_c: Floats) -> Floats:
     """Return how much warmer it is outside than where cooling begins. [K]"""
     return np.maximum(ambient_c - COOLING_ABOVE, 0.0)
 
 
-def warmed(duration_s: Floats) -> Floats:
+def compute_warm_up_share(duration_s: Floats) -> Floats:
     """Return the share of the warming up of a cabin that is done, 1 - exp(-t / `WARM_UP`). [1]"""
-    return -np.expm1(-duration_s / WARM_UP)
+    return -np.expm1(-duration_s / CABIN_WARM_UP)
 
 
-def soaked(parked_s: Floats) -> Floats:
+def compute_soak_share(parked_s: Floats) -> Floats:
     """Return the share of the way to the outside's temperature that a parked car went, 1 - exp(-t / `SOAK`). [1]"""
     return -np.expm1(-parked_s / SOAK)
 
 
-def battery_frost(battery_temperature_c: Floats) -> Floats:
+def compute_battery_frost(battery_temperature_c: Floats) -> Floats:
     """Return how much colder the battery was at the start than where it takes charge well. [K]"""
     return np.maximum(BATTERY_FROST - battery_temperature_c, 0.0)
 
 
-def battery_fullness(soc_start_pct: Floats) -> Floats:
+def compute_battery_fullness(soc_start_pct: Floats) -> Floats:
     """Return how much fuller the battery was at the start than where it takes any charge. [%]"""
     return np.maximum(soc_start_pct - BATTERY_FULL, 0.0)
 
 
-def sun(start_s: Floats, latitude_deg: Floats, longitude_deg: Floats) -> Floats:
+def compute_sun_sine(start_s: Floats, latitude_deg: Floats, longitude_deg: Floats) -> Floats:
     """Return the sine of the sun's elevation, 0 by night. [1]
 
     Notes
@@ -110,19 +110,19 @@ def sun(start_s: Floats, latitude_deg: Floats, longitude_deg: Floats) -> Floats:
     return np.maximum(height, 0.0)
 
 
-def basic_energy(
+def compute_basic_energy(
     rolling: Floats, rolling_resistance: Floats, climbing: Floats, drag: Floats, drag_area: Floats, inertia: Floats
 ) -> Floats:
     """Return the energy at the wheels, as the basic physical model has it. [kWh]"""
     return rolling * rolling_resistance + climbing + drag * drag_area + inertia
 
 
-def size(rolling: Floats, rolling_resistance: Floats, accessories: Floats) -> Floats:
+def compute_size(rolling: Floats, rolling_resistance: Floats, accessories: Floats) -> Floats:
     """Return about how much a ride takes, never less than `SMALLEST_RIDE`: what its error grows with. [kWh]"""
     return SMALLEST_RIDE + DRIVE_OVER_ROLLING * rolling * rolling_resistance + accessories
 
 
-def per_distance(amount: Floats, distance_km: Floats) -> Floats:
+def divide_by_distance(amount: Floats, distance_km: Floats) -> Floats:
     """Return an amount over the distance; NaN where none was driven. [1/km]"""
     return np.divide(amount, distance_km, out=np.full(len(amount), np.nan), where=distance_km > 0.0)
 
@@ -131,28 +131,28 @@ _SUN = ("start_s", "latitude_start_deg", "longitude_start_deg")
 _ROLLING = ("effect_rolling", "rolling_resistance")
 _BASIC = (*_ROLLING, "effect_climbing", "effect_aero_drag", "drag_area_m2", "effect_inertia")
 
-DERIVED: Final[Mapping[str, Derived]] = MappingProxyType(
+DERIVED_COLUMNS: Final[Mapping[str, DerivedColumn]] = MappingProxyType(
     {
         # 359 and 1 degree are neighbours, as no line can tell
-        "wind_from_north": Derived(("wind_from_deg",), "1", lambda degrees: np.cos(degrees * (np.pi / 180.0))),
-        "wind_from_east": Derived(("wind_from_deg",), "1", lambda degrees: np.sin(degrees * (np.pi / 180.0))),
-        "heating_need_k": Derived(("ambient_c",), "K", heating_need),
-        "deep_cold_k": Derived(("ambient_c",), "K", deep_cold),
-        "cooling_need_k": Derived(("ambient_c",), "K", cooling_need),
-        "warmed": Derived(("duration_s",), "1", warmed),
-        "soaked": Derived(("parked_s",), "1", soaked),
-        "battery_frost_k": Derived(("battery_temperature_c",), "K", battery_frost),
-        "battery_fullness_pct": Derived(("soc_start_pct",), "percent", battery_fullness),
-        "sun": Derived(_SUN, "1", sun),
-        "basic_kwh": Derived(_BASIC, "kWh", basic_energy),
-        "size_kwh": Derived((*_ROLLING, "effect_accessories"), "kWh", size),
-        "stops_per_km": Derived(("stops", "distance_km"), "(1/km)", per_distance),
-        "uphill_per_km": Derived(("effect_climbing_up", "distance_km"), "(kWh/km)", per_distance),
-        "downhill_per_km": Derived(("effect_climbing_down", "distance_km"), "(kWh/km)", per_distance),
-        "speeding_up_per_km": Derived(("effect_inertia_positive", "distance_km"), "(kWh/km)", per_distance),
-        "slowing_per_km": Derived(("effect_inertia_negative", "distance_km"), "(kWh/km)", per_distance),
-        "drag_per_km": Derived(("effect_aero_drag", "distance_km"), "(kWh/m^2/km)", per_distance),
-        "wind_drag_per_km": Derived(("effect_aero_drag_wind", "distance_km"), "(kWh/m^2/km)", per_distance),
+        "wind_from_north": DerivedColumn(("wind_from_deg",), "1", lambda degrees: np.cos(degrees * (np.pi / 180.0))),
+        "wind_from_east": DerivedColumn(("wind_from_deg",), "1", lambda degrees: np.sin(degrees * (np.pi / 180.0))),
+        "heating_need_k": DerivedColumn(("ambient_c",), "K", compute_heating_need),
+        "deep_cold_k": DerivedColumn(("ambient_c",), "K", compute_deep_cold),
+        "cooling_need_k": DerivedColumn(("ambient_c",), "K", compute_cooling_need),
+        "warmed": DerivedColumn(("duration_s",), "1", compute_warm_up_share),
+        "soaked": DerivedColumn(("parked_s",), "1", compute_soak_share),
+        "battery_frost_k": DerivedColumn(("battery_temperature_c",), "K", compute_battery_frost),
+        "battery_fullness_pct": DerivedColumn(("soc_start_pct",), "percent", compute_battery_fullness),
+        "sun": DerivedColumn(_SUN, "1", compute_sun_sine),
+        "basic_kwh": DerivedColumn(_BASIC, "kWh", compute_basic_energy),
+        "size_kwh": DerivedColumn((*_ROLLING, "effect_accessories"), "kWh", compute_size),
+        "stops_per_km": DerivedColumn(("stops", "distance_km"), "(1/km)", divide_by_distance),
+        "uphill_per_km": DerivedColumn(("effect_climbing_up", "distance_km"), "(kWh/km)", divide_by_distance),
+        "downhill_per_km": DerivedColumn(("effect_climbing_down", "distance_km"), "(kWh/km)", divide_by_distance),
+        "speeding_up_per_km": DerivedColumn(("effect_inertia_positive", "distance_km"), "(kWh/km)", divide_by_distance),
+        "slowing_per_km": DerivedColumn(("effect_inertia_negative", "distance_km"), "(kWh/km)", divide_by_distance),
+        "drag_per_km": DerivedColumn(("effect_aero_drag", "distance_km"), "(kWh/m^2/km)", divide_by_distance),
+        "wind_drag_per_km": DerivedColumn(("effect_aero_drag_wind", "distance_km"), "(kWh/m^2/km)", divide_by_distance),
     }
 )
 """Every derived column, by name."""

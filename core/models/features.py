@@ -18,11 +18,11 @@ from core import effects
 from core.batch import Floats
 from core.columns import ZERO_CELSIUS
 from core.errors import ModelError
-from core.models.derived_features import DERIVED
+from core.models.derived_features import DERIVED_COLUMNS
 from core.vehicles import AccessoryCurve
 
 EFFECT_PREFIX: Final = "effect_"
-ACCESSORIES: Final = "accessories_kwh"
+ACCESSORIES_COLUMN: Final = "accessories_kwh"
 """Energy of climate control and all else on board by a model's own curve; needs a curve, unlike other columns."""
 VEHICLE_SCOPE: Final = "vehicle="
 """How the name of a column begins that is 1 for one vehicle; its identity follows."""
@@ -94,7 +94,7 @@ def is_scope(column: str) -> bool:
     return column.startswith((VEHICLE_SCOPE, SINCE_SCOPE))
 
 
-def beginning(column: str) -> float:
+def parse_since(column: str) -> float:
     """Return when a scope `since=DATE` begins, as a Unix time. [s]
 
     Raises
@@ -117,7 +117,7 @@ def beginning(column: str) -> float:
     return datetime(day.year, day.month, day.day, tzinfo=UTC).timestamp()
 
 
-def needed(column: str) -> tuple[str, ...]:
+def list_raw_columns(column: str) -> tuple[str, ...]:
     """Return the columns of the ride table that a column is made of: itself, unless it is derived.
 
     Examples
@@ -125,14 +125,14 @@ def needed(column: str) -> tuple[str, ...]:
     >>> needed("wind_from_east")
     ('wind_from_deg',)
     """
-    if column == ACCESSORIES:
+    if column == ACCESSORIES_COLUMN:
         return ACCESSORY_NEEDS
     if is_scope(column):
         return ("vehicle_id",) if column.startswith(VEHICLE_SCOPE) else ("start_s",)
-    return DERIVED[column].needs if column in DERIVED else (column,)
+    return DERIVED_COLUMNS[column].needs if column in DERIVED_COLUMNS else (column,)
 
 
-def unit(column: str) -> str:
+def get_unit(column: str) -> str:
     """Return the unit of a column, as pint spells it.
 
     Raises
@@ -142,7 +142,7 @@ def unit(column: str) -> str:
     EffectError
         Where it is of an effect that is unknown.
     """
-    if column == ACCESSORIES:
+    if column == ACCESSORIES_COLUMN:
         return "kWh"
     if column.startswith(EFFECT_PREFIX):
         declared = effects.get(column.removeprefix(EFFECT_PREFIX)).unit
@@ -150,8 +150,8 @@ def unit(column: str) -> str:
     if is_scope(column):
         _check_scope(column)
         return "1"
-    if column in DERIVED:
-        return DERIVED[column].unit
+    if column in DERIVED_COLUMNS:
+        return DERIVED_COLUMNS[column].unit
     if column in FEATURES:
         return FEATURES[column]
     if column.startswith(ANSWERS):
@@ -162,12 +162,12 @@ def unit(column: str) -> str:
 def _check_scope(column: str) -> None:
     """Refuse a scope that names no date, or no vehicle."""
     if column.startswith(SINCE_SCOPE):
-        beginning(column)
+        parse_since(column)
     elif not column.removeprefix(VEHICLE_SCOPE).strip():
         raise ModelError(f"scope {column!r} names no vehicle: write vehicle=ID, with an ID of the ride table")
 
 
-def coefficient_unit(columns: tuple[str, ...]) -> str:
+def derive_coefficient_unit(columns: tuple[str, ...]) -> str:
     """Return the unit of the coefficient of a product of columns that is an energy in kWh, as pint spells it.
 
     Examples
@@ -183,7 +183,7 @@ def coefficient_unit(columns: tuple[str, ...]) -> str:
             above.append(effects.get(column.removeprefix(EFFECT_PREFIX)).unit)
             below.append("kWh")
         else:
-            below.append(unit(column))
+            below.append(get_unit(column))
     for name in list(above):
         if name == "1" or name in below:
             above.remove(name)
@@ -233,17 +233,19 @@ class Columns(Mapping[str, Floats]):
 
     def _make(self, name: str) -> Floats:
         """Return a column as the table has it, or made of others."""
-        if name == ACCESSORIES:
+        if name == ACCESSORIES_COLUMN:
             if self.curve is None:
-                raise ModelError(f"{ACCESSORIES} needs an accessory curve, and this fit has none: fit the model anew")
+                raise ModelError(
+                    f"{ACCESSORIES_COLUMN} needs an accessory curve, and this fit has none: fit the model anew"
+                )
             duration, ambient, scale = (self[needed] for needed in ACCESSORY_NEEDS)
             return duration * self.curve.power(ambient + ZERO_CELSIUS) * scale / 3.6e6
         if name.startswith(VEHICLE_SCOPE):
             return (self._raw("vehicle_id", object) == name.removeprefix(VEHICLE_SCOPE)).astype(np.float64)
         if name.startswith(SINCE_SCOPE):
-            return (self["start_s"] >= beginning(name)).astype(np.float64)
-        if name in DERIVED:
-            return DERIVED[name].make(*(self[needed] for needed in DERIVED[name].needs))
+            return (self["start_s"] >= parse_since(name)).astype(np.float64)
+        if name in DERIVED_COLUMNS:
+            return DERIVED_COLUMNS[name].make(*(self[needed] for needed in DERIVED_COLUMNS[name].needs))
         return self._raw(name, np.float64)
 
     def _raw(self, name: str, kind: type) -> NDArray[Any]:
@@ -252,7 +254,7 @@ class Columns(Mapping[str, Floats]):
         return column if self.rows is None else column[self.rows]
 
     def __contains__(self, name: object) -> bool:
-        return isinstance(name, str) and all(column in self.table for column in needed(name))
+        return isinstance(name, str) and all(column in self.table for column in list_raw_columns(name))
 
     def __iter__(self) -> Iterator[Any]:
         return iter(self.table)

@@ -10,20 +10,20 @@ from typing import Any, Final
 import msgspec
 
 from core.errors import EffectError, ModelError
-from core.models.features import ACCESSORIES, unit
-from core.models.linear import FORMAT, KNOWN, Curve, Fit, LinearModel
+from core.models.features import ACCESSORIES_COLUMN, get_unit
+from core.models.linear import BUILT_IN_MODELS, FORMAT, Curve, Fit, LinearModel
 
 _NUMBERS: Final = re.compile(rb"\[\n\s+([-+.\deE,\s]+?)\n\s+\]")
 """An array of numbers, one a line; no string matches, as JSON's strings have no line breaks."""
 
 
-def readable(content: bytes) -> bytes:
+def _format_json(content: bytes) -> bytes:
     """Return JSON for people: indented, but an array of numbers on one line."""
     lines = msgspec.json.format(content, indent=2)
     return _NUMBERS.sub(lambda found: b"[" + b" ".join(found[1].split()) + b"]", lines) + b"\n"
 
 
-def parsed(content: bytes, version: int) -> Any:
+def _parse(content: bytes, version: int) -> Any:
     """Return a file's JSON, of the format that is wanted.
 
     Raises
@@ -62,21 +62,21 @@ def load(name_or_path: str | Path) -> LinearModel:
     >>> load("basic_physical").effects
     ('rolling', 'climbing', 'aero_drag', 'inertia')
     """
-    if (known := KNOWN.get(str(name_or_path))) is not None:
+    if (known := BUILT_IN_MODELS.get(str(name_or_path))) is not None:
         return known
     path = Path(name_or_path)
     if not path.suffix and not path.exists():
         raise ModelError(
-            f"model {str(path)!r} is unknown: known are {', '.join(KNOWN)}; else give the path of a model file"
+            f"model {str(path)!r} is unknown: known are {', '.join(BUILT_IN_MODELS)}; else give the path of a model file"
         )
     try:
         content = path.read_bytes()
     except OSError as error:
         raise ModelError(
-            f"{path}: cannot read a model: {error.strerror}; name a model file, or one of {', '.join(KNOWN)}"
+            f"{path}: cannot read a model: {error.strerror}; name a model file, or one of {', '.join(BUILT_IN_MODELS)}"
         ) from error
     try:
-        return decode(content)
+        return decode_model(content)
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from error
 
@@ -89,7 +89,7 @@ def save(model: LinearModel, path: str | Path) -> None:
     ModelError
         Where a coefficient is not finite, or the file cannot be written.
     """
-    content = encode(model)
+    content = encode_model(model)
     try:
         Path(path).write_bytes(content)
     except OSError as error:
@@ -98,19 +98,19 @@ def save(model: LinearModel, path: str | Path) -> None:
         ) from error
 
 
-def encode(model: LinearModel) -> bytes:
+def encode_model(model: LinearModel) -> bytes:
     """Return the model file's content; floats as the shortest text that reads back to the same number."""
-    check(model)
-    return readable(msgspec.json.encode(model))
+    check_model(model)
+    return _format_json(msgspec.json.encode(model))
 
 
-def stamped(model: LinearModel) -> LinearModel:
+def stamp(model: LinearModel) -> LinearModel:
     """Return a model with a version that follows from all else that its file holds."""
-    content = encode(msgspec.structs.replace(model, version=""))
+    content = encode_model(msgspec.structs.replace(model, version=""))
     return msgspec.structs.replace(model, version=sha256(content).hexdigest()[:12])
 
 
-def decode(content: bytes) -> LinearModel:
+def decode_model(content: bytes) -> LinearModel:
     """Return the model that a file's content holds.
 
     Raises
@@ -118,16 +118,16 @@ def decode(content: bytes) -> LinearModel:
     ModelError
         Where it is not JSON, is no model, is of another version, or names a column or an effect that is unknown.
     """
-    raw = parsed(content, FORMAT)
+    raw = _parse(content, FORMAT)
     try:
         model = msgspec.convert(raw, LinearModel)
     except msgspec.ValidationError as error:
         raise ModelError(f"model file is damaged: {error}") from error
-    check(model)
+    check_model(model)
     return model
 
 
-def check(model: LinearModel) -> None:
+def check_model(model: LinearModel) -> None:
     """Check names that stand once, columns and effects that exist, and that every fit fits the terms.
 
     Raises
@@ -155,7 +155,7 @@ def _check_columns(what: str, columns: tuple[str, ...]) -> None:
     """Check that columns are known, and hold no answer."""
     for column in columns:
         try:
-            unit(column)
+            get_unit(column)
         except (EffectError, ModelError) as error:
             raise ModelError(f"{what}: {error}") from error
 
@@ -167,8 +167,10 @@ def _check_fit(what: str, fit: Fit, model: LinearModel) -> None:
         raise ModelError(f"{what} has {len(fit.coefficients)} coefficients for {n} terms: fit the model anew")
     for term, coefficient in zip(model.terms, fit.coefficients, strict=True):
         _check_finite(f"{what}: coefficient of {term.name!r}", coefficient)
-        if ACCESSORIES in term.columns and fit.curve is None:
-            raise ModelError(f"{what} has no curve, and term {term.name!r} reads {ACCESSORIES}: fit the model anew")
+        if ACCESSORIES_COLUMN in term.columns and fit.curve is None:
+            raise ModelError(
+                f"{what} has no curve, and term {term.name!r} reads {ACCESSORIES_COLUMN}: fit the model anew"
+            )
     if fit.covariance is not None:
         if [len(row) for row in fit.covariance] != [n] * n:
             raise ModelError(f"{what}: its covariance is not {n} by {n}: fit the model anew")

@@ -19,7 +19,7 @@ import numpy as np
 
 from core.batch import Floats
 from core.errors import ModelError
-from core.models.features import Columns, needed
+from core.models.features import Columns, list_raw_columns
 
 SCALE_TERMS: Final = ("constant", "size_kwh", "size_kwh * heating_need_k")
 """What the scale of an error is a sum of: measuring, length, cold."""
@@ -27,7 +27,7 @@ ANY: Final = "*"
 """Stands for every vehicle model without a scale of its own, and so for those never seen."""
 
 
-class Interval(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PredictionInterval(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Where the energy of a ride may lie about its prediction.
 
     Parameters
@@ -78,7 +78,10 @@ class Interval(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     def needs(self) -> tuple[str, ...]:
         """Columns of the ride table that it reads."""
         own = ("vehicle_model",) if set(self.scales) != {ANY} else ()
-        return (*dict.fromkeys((*needed("size_kwh"), *needed("heating_need_k"), "distance_km")), *own)
+        return (
+            *dict.fromkeys((*list_raw_columns("size_kwh"), *list_raw_columns("heating_need_k"), "distance_km")),
+            *own,
+        )
 
     def bounds(self, prediction: Floats, columns: Mapping[str, Any], level: float) -> tuple[Floats, Floats]:
         """Return bounds between which the energy of rides lies with a probability, as much below as above them.
@@ -117,7 +120,7 @@ class Interval(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
     def scale(self, columns: Columns) -> Floats:
         """Return the scale of the error of rides, (n,). [kWh]"""
-        terms = scale_terms(columns)
+        terms = compute_scale_terms(columns)
         own = np.array(self.scales[ANY])
         if set(self.scales) == {ANY}:
             return terms @ own
@@ -129,7 +132,7 @@ class Interval(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         return np.einsum("ij,ij->i", terms, np.array([factors[model] for model in models]).reshape(-1, len(own)))
 
 
-def scale_terms(columns: Columns) -> Floats:
+def compute_scale_terms(columns: Columns) -> Floats:
     """Return what the scale of an error is a sum of, (n, 3). [1], [kWh], [kWh K]"""
     size = columns["size_kwh"]
     return np.column_stack([np.ones(len(size)), size, size * columns["heating_need_k"]])

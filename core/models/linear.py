@@ -16,8 +16,8 @@ import numpy as np
 
 from core.batch import Floats
 from core.errors import ModelError
-from core.models.features import EFFECT_PREFIX, Columns, Table, needed
-from core.models.interval import Interval
+from core.models.features import EFFECT_PREFIX, Columns, Table, list_raw_columns
+from core.models.interval import PredictionInterval
 from core.models.trees import Trees
 from core.vehicles import AccessoryCurve
 
@@ -109,7 +109,7 @@ class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     held : tuple of str
         Terms that whole rides do not tell, whose coefficients are held near those of physics.
     noise_kwh : float, optional
-        Variance of the error over the ride's size (`core.models.derived_features.size`), where rides were weighed by it. [kWh]
+        Variance of the error over the ride's size (`core.models.derived_features.compute_size`), where rides were weighed by it. [kWh]
     """
 
     coefficients: tuple[float, ...]
@@ -185,7 +185,7 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     fits: dict[str, Fit]
     cars: dict[str, float] = {}
     correction: dict[str, Trees] | None = None
-    interval: Interval | None = None
+    interval: PredictionInterval | None = None
     training: Training | None = None
     history: tuple[dict[str, Any], ...] = ()
 
@@ -195,7 +195,7 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         read = [column for term in self.terms for column in term.columns]
         for trees in (self.correction or {}).values():
             read += trees.needs
-        found = [raw for column in read for raw in needed(column)]
+        found = [raw for column in read for raw in list_raw_columns(column)]
         if self._groups:
             found.append(VEHICLE_MODEL)
         if self.cars:
@@ -313,7 +313,7 @@ def _length(columns: Table, needs: tuple[str, ...]) -> int:
     return len(columns[names[0]]) if names else 0
 
 
-def physical_term(name: str, columns: tuple[str, ...]) -> Term:
+def make_physical_term(name: str, columns: tuple[str, ...]) -> Term:
     """Return a term whose coefficient is 1 where physics holds."""
     return Term(name=name, columns=columns, unit="1")
 
@@ -324,12 +324,12 @@ def _as_physics_has_it(terms: tuple[Term, ...]) -> dict[str, Fit]:
 
 
 BASIC_TERMS: Final = (
-    physical_term("rolling", ("effect_rolling", "rolling_resistance")),
-    physical_term("climbing", ("effect_climbing",)),
-    physical_term("aero_drag", ("effect_aero_drag", "drag_area_m2")),
-    physical_term("inertia", ("effect_inertia",)),
+    make_physical_term("rolling", ("effect_rolling", "rolling_resistance")),
+    make_physical_term("climbing", ("effect_climbing",)),
+    make_physical_term("aero_drag", ("effect_aero_drag", "drag_area_m2")),
+    make_physical_term("inertia", ("effect_inertia",)),
 )
-_EXTENDED_TERMS: Final = (*BASIC_TERMS, physical_term("accessories", ("effect_accessories",)))
+_EXTENDED_TERMS: Final = (*BASIC_TERMS, make_physical_term("accessories", ("effect_accessories",)))
 
 BASIC_PHYSICAL: Final = LinearModel(
     name="basic_physical",
@@ -349,5 +349,7 @@ EXTENDED_PHYSICAL: Final = LinearModel(
 )
 """Extended physical model, section 4.2 of the paper, with the reference accessory curve; `core.fit` fits a curve."""
 
-KNOWN: Final[Mapping[str, LinearModel]] = MappingProxyType({m.name: m for m in (BASIC_PHYSICAL, EXTENDED_PHYSICAL)})
+BUILT_IN_MODELS: Final[Mapping[str, LinearModel]] = MappingProxyType(
+    {m.name: m for m in (BASIC_PHYSICAL, EXTENDED_PHYSICAL)}
+)
 """Models that need no fitting and come with the product, by name."""

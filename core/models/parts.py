@@ -12,7 +12,7 @@ CORRECTION: Final = "learned correction"
 """Name of the part that the boosted trees of a model say."""
 
 
-def parts(model: LinearModel, table: Table) -> dict[str, Floats]:
+def predict_parts(model: LinearModel, table: Table) -> dict[str, Floats]:
     """Return the energy of each term of a model, and of its correction by trees where it has one.
 
     Parameters

@@ -8,7 +8,7 @@ import numpy as np
 
 from core.batch import Floats, grown
 from core.models import Model
-from core.stats.confidence_sequence import Clusters
+from core.stats.confidence_sequence import ClusterMoments
 from core.wire.messages import Gain, ModelErrors, RideErrors
 
 _BOOK: Final = 4  # of a vehicle: day, vehicle model, rides and fall of the absolute error of the cluster in progress
@@ -31,7 +31,7 @@ class Score:
         self.vehicle_model, self._level = vehicle_model, level
         # rides, rides without a prediction, sums of absolute error, of error and of measured energy
         self._sums: list[float] = list(state[0]) if state else [0.0] * 5
-        self._clusters = Clusters(state[1]) if state else Clusters()
+        self._clusters = ClusterMoments(state[1]) if state else ClusterMoments()
         self._told: RideErrors | None = None
 
     @property

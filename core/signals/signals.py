@@ -107,7 +107,7 @@ def ambient(signals: Signals) -> Floats:
     return np.where(unknown, np.where(np.isnan(station), STANDARD_AMBIENT, station), own)
 
 
-def air_density(signals: Signals) -> Floats:
+def compute_air_density(signals: Signals) -> Floats:
     """Return the density of moist air at the car. [kg/m^3]
 
     Notes
@@ -127,7 +127,7 @@ def vapour_pressure(signals: Signals) -> Floats:
     return 611.2 * np.exp(17.62 * celsius / (243.12 + celsius)) * np.nan_to_num(signals.sky.humidity)
 
 
-def headwind(signals: Signals) -> Floats:
+def compute_headwind(signals: Signals) -> Floats:
     """Return the wind against the direction of travel. [m/s]"""
     heading, sky = signals.clean.heading, signals.sky
     return np.nan_to_num(sky.wind_north * np.cos(heading) + sky.wind_east * np.sin(heading))
@@ -194,7 +194,7 @@ def water(signals: Signals) -> Floats:
     return np.nan_to_num(water_left(sky.water, sky.ambient, sky.precipitation, signals.clean.time - sky.observed))
 
 
-def snow(signals: Signals) -> Floats:
+def compute_snow(signals: Signals) -> Floats:
     """Return the snow on the road, as melted water, see `core.signals.weather`. [m]"""
     sky = signals.sky
     return np.nan_to_num(snow_left(sky.snow, sky.ambient, sky.precipitation, signals.clean.time - sky.observed))
@@ -203,8 +203,8 @@ def snow(signals: Signals) -> Floats:
 _DERIVED: Final[dict[str, Callable[[Signals], Floats]]] = {
     "grade": grade,
     "ambient": ambient,
-    "air_density": air_density,
-    "headwind": headwind,
+    "air_density": compute_air_density,
+    "headwind": compute_headwind,
     "crosswind": crosswind,
     "mass": mass,
     "occupants": occupants,
@@ -220,7 +220,7 @@ _DERIVED: Final[dict[str, Callable[[Signals], Floats]]] = {
     "pack_temperature": pack_temperature,
     "vapour_pressure": vapour_pressure,
     "water": water,
-    "snow": snow,
+    "snow": compute_snow,
     "darkness": darkness,
 }
 """Columns that are not simply those of `Clean`."""

@@ -28,12 +28,12 @@ CLUSTER: Final = ("vehicle_id", "date")
 """Rides that agree in these are alike."""
 
 
-def vehicle_days(rides: pd.DataFrame) -> Codes:
+def assign_vehicle_days(rides: pd.DataFrame) -> Codes:
     """Return the cluster of each ride, from 0."""
     return np.asarray(rides.groupby(list(CLUSTER), sort=False, dropna=False).ngroup(), dtype=np.int64)
 
 
-def clustered_mean(values: Floats, clusters: Codes) -> Estimate:
+def compute_clustered_mean(values: Floats, clusters: Codes) -> Estimate:
     """Return a mean with the standard error that allows for rides of a cluster being alike.
 
     Parameters
@@ -67,7 +67,7 @@ def clustered_mean(values: Floats, clusters: Codes) -> Estimate:
     return Estimate(mean, error, float(round(1.0 / inverse, 9)))
 
 
-def clustered_ratio(above: Floats, below: Floats, clusters: Codes) -> Estimate:
+def compute_clustered_ratio(above: Floats, below: Floats, clusters: Codes) -> Estimate:
     """Return a sum over a sum, such as energy over distance, with its clustered standard error by linearisation.
 
     Examples
@@ -79,11 +79,11 @@ def clustered_ratio(above: Floats, below: Floats, clusters: Codes) -> Estimate:
     if total <= 0.0:
         return UNKNOWN
     ratio = float(np.sum(above)) / total
-    found = clustered_mean((above - ratio * below) * (len(below) / total), clusters)
+    found = compute_clustered_mean((above - ratio * below) * (len(below) / total), clusters)
     return found._replace(value=ratio)
 
 
-def less(one: Estimate, other: Estimate) -> Estimate:
+def subtract(one: Estimate, other: Estimate) -> Estimate:
     """Return the difference of two independent estimates, with Satterthwaite's degrees of freedom.
 
     Examples

@@ -16,18 +16,18 @@ that is looked at once, at about 9 / `MIXTURE` = 180 clusters. A larger one woul
 too few for their mean to be normal: of skew ones it would then miss too often."""
 
 
-class Interval(NamedTuple):
+class MeanInterval(NamedTuple):
     """Between what and what a mean lies."""
 
     lower: float
     upper: float
 
 
-EVERYWHERE: Final = Interval(-inf, inf)
+EVERYWHERE: Final = MeanInterval(-inf, inf)
 """What is known of a mean of which too little has been seen."""
 
 
-def reach(clusters: int, level: float = LEVEL) -> float:
+def compute_reach(clusters: int, level: float = LEVEL) -> float:
     """Return how many standard deviations of a cluster the mean of clusters may be off, at any time.
 
     Parameters
@@ -74,7 +74,7 @@ def reach(clusters: int, level: float = LEVEL) -> float:
     return sqrt((growth - 1.0) / (1.0 - growth / spread)) if growth < spread else inf
 
 
-class Clusters:
+class ClusterMoments:
     """Running sums of clusters that have ended, each with its size and its total.
 
     Parameters
@@ -109,7 +109,7 @@ class Clusters:
         for place, value in enumerate((1.0, size, total, size * size, size * total, total * total)):
             self.state[place] += value
 
-    def interval(self, level: float = LEVEL) -> Interval:
+    def interval(self, level: float = LEVEL) -> MeanInterval:
         """Return between what and what the mean lies, at all times at once with a probability.
 
         Notes
@@ -123,7 +123,7 @@ class Clusters:
         E. C. Fieller, "Some problems in interval estimation", JRSS B 16 (1954) 175.
         """
         count = self.state[0]
-        off = reach(self.count, level) ** 2
+        off = compute_reach(self.count, level) ** 2
         if off == inf:
             return EVERYWHERE
         size, total, size_size, size_total, total_total = (moment / count for moment in self.state[1:])
@@ -135,4 +135,4 @@ class Clusters:
         if a <= 0.0 or root < 0.0:
             return EVERYWHERE
         half = sqrt(root) / a
-        return Interval(b / a - half, b / a + half)
+        return MeanInterval(b / a - half, b / a + half)

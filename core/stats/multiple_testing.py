@@ -27,12 +27,12 @@ SIGNIFICANCE: Final = 0.05
 Pair = tuple[str, str]
 
 
-def pairs(names: Sequence[str]) -> list[Pair]:
+def list_pairs(names: Sequence[str]) -> list[Pair]:
     """Return every pair of models once, in order."""
     return list(combinations(names, 2))
 
 
-def holm(p: Floats) -> Floats:
+def adjust_holm(p: Floats) -> Floats:
     """Return probabilities adjusted for there being several.
 
     Parameters
@@ -52,13 +52,13 @@ def holm(p: Floats) -> Floats:
     return adjusted
 
 
-def adjusted(differences: Mapping[Pair, Estimate]) -> dict[Pair, float]:
+def adjust_differences(differences: Mapping[Pair, Estimate]) -> dict[Pair, float]:
     """Return the probability of each difference, adjusted over all of them."""
-    found = holm(np.array([difference.p for difference in differences.values()]))
+    found = adjust_holm(np.array([difference.p for difference in differences.values()]))
     return dict(zip(differences, found.tolist(), strict=True))
 
 
-def dominating(errors: Mapping[str, float], differences: Mapping[Pair, Estimate]) -> list[str]:
+def select_dominating(errors: Mapping[str, float], differences: Mapping[Pair, Estimate]) -> list[str]:
     """Return the models that none is significantly better than the best of which: it dominates, or they co-dominate.
 
     Parameters
@@ -77,7 +77,7 @@ def dominating(errors: Mapping[str, float], differences: Mapping[Pair, Estimate]
     if not known:
         return []
     best = known[0][1]
-    p = adjusted(differences)
+    p = adjust_differences(differences)
     worse = {
         a if b == best else b for (a, b), chance in p.items() if best in {a, b} and chance < SIGNIFICANCE
     }  # NaN is not below

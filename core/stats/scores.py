@@ -69,7 +69,7 @@ class Estimate(NamedTuple):
 UNKNOWN: Final = Estimate(nan, nan, nan)
 
 
-def over_repeats(values: Floats, overlap: float) -> Estimate:
+def average_over_repeats(values: Floats, overlap: float) -> Estimate:
     """Return the mean over repeats, with the standard error that allows for their overlap.
 
     Parameters
@@ -92,7 +92,7 @@ def over_repeats(values: Floats, overlap: float) -> Estimate:
     return Estimate(float(np.mean(known)), error, repeats - 1)
 
 
-def combined(parts: Sequence[Estimate], weights: Sequence[float] | None = None) -> Estimate:
+def combine_strata(parts: Sequence[Estimate], weights: Sequence[float] | None = None) -> Estimate:
     """Return the weighted mean of independent estimates: of strata, so post-stratified (Holt and Smith 1979).
 
     The variance is that given the number of rides in each stratum, the sum of W² var; its degrees of freedom are
@@ -122,7 +122,7 @@ def combined(parts: Sequence[Estimate], weights: Sequence[float] | None = None) 
     return Estimate(value, sqrt(variance), variance**2 / spread if spread > 0.0 else nan if isnan(variance) else inf)
 
 
-def group_means(values: Floats, groups: Codes, count: int) -> Floats:
+def compute_group_means(values: Floats, groups: Codes, count: int) -> Floats:
     """Return the mean of each group.
 
     Parameters
@@ -143,7 +143,7 @@ def group_means(values: Floats, groups: Codes, count: int) -> Floats:
     return np.divide(sums, rides, out=np.full(count, np.nan), where=rides > 0)
 
 
-def buffer(measured: Floats, predicted: Floats, share: float) -> float:
+def compute_buffer(measured: Floats, predicted: Floats, share: float) -> float:
     """Return the least reserve that is enough for a share of rides: measured <= predicted + buffer. [kWh]
 
     Negative where so many rides take less than predicted; NaN without rides.
@@ -157,33 +157,33 @@ def buffer(measured: Floats, predicted: Floats, share: float) -> float:
     return float(excess[ceil(share * len(excess) - 1e-9) - 1]) if len(excess) else nan
 
 
-def bands(measured: Floats, predicted: Floats) -> dict[str, float]:
+def compute_band_shares(measured: Floats, predicted: Floats) -> dict[str, float]:
     """Return the share of rides whose error is within 5, 10 and 15 % of what was measured."""
     error, limit = np.abs(predicted - measured), np.abs(measured) / 100.0
     return {str(band): float(np.mean(error <= band * limit)) if len(error) else nan for band in BANDS}
 
 
-def bias(measured: Floats, predicted: Floats) -> float:
+def compute_bias(measured: Floats, predicted: Floats) -> float:
     """Return the mean of predicted less measured. [kWh]"""
     return float(np.mean(predicted - measured)) if len(measured) else nan
 
 
-def mean_absolute_error(measured: Floats, predicted: Floats) -> float:
+def compute_mae(measured: Floats, predicted: Floats) -> float:
     """Return the mean absolute error. [kWh]"""
     return float(np.mean(np.abs(predicted - measured))) if len(measured) else nan
 
 
-def root_mean_square(measured: Floats, predicted: Floats) -> float:
+def compute_rmse(measured: Floats, predicted: Floats) -> float:
     """Return the root of the mean square error. [kWh]"""
     return sqrt(float(np.mean((predicted - measured) ** 2))) if len(measured) else nan
 
 
-def coverage(measured: Floats, lower: Floats, upper: Floats) -> float:
+def compute_coverage(measured: Floats, lower: Floats, upper: Floats) -> float:
     """Return the share of rides inside their intervals, ends included."""
     return float(np.mean((lower <= measured) & (measured <= upper))) if len(measured) else nan
 
 
-def by_bin(
+def compute_bin_errors(
     measured: Floats, predicted: Floats, groups: Codes, labels: Sequence[str]
 ) -> list[dict[str, float | int | str]]:
     """Return the errors in each bin that has any predictions.
@@ -205,9 +205,9 @@ def by_bin(
     for code, label in enumerate(labels):
         true, said = measured[groups == code], predicted[groups == code]
         if len(true):
-            error = mean_absolute_error(true, said)
+            error = compute_mae(true, said)
             used = float(np.mean(true))
             relative = error / used if used > 0.0 else nan
-            n, off = len(true), bias(true, said)
+            n, off = len(true), compute_bias(true, said)
             found.append({"bin": label, "n": n, "bias": off, "mae": error, "relative": relative})
     return found

@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from core.stats.clustered import clustered_mean
+from core.stats.clustered import compute_clustered_mean
 from core.stats.scores import Codes
 
-ENOUGH: Final = 30
+LEAST_CLUSTERS: Final = 30
 """Of fewer clusters a share tells too little to be shown as a figure."""
 
 
-def clustered_share(holds: NDArray[np.bool_], clusters: Codes) -> dict[str, float]:
+def compute_clustered_share(holds: NDArray[np.bool_], clusters: Codes) -> dict[str, float]:
     """Return a share with the 95 % interval that allows for cases of a cluster being alike.
 
     Parameters
@@ -47,7 +47,7 @@ def clustered_share(holds: NDArray[np.bool_], clusters: Codes) -> dict[str, floa
     >>> [round(found[name], 2) for name in ("value", "low", "high")]
     [0.9, 0.7, 0.97]
     """
-    estimate, count = clustered_mean(holds.astype(np.float64), clusters), len(np.unique(clusters))
+    estimate, count = compute_clustered_mean(holds.astype(np.float64), clusters), len(np.unique(clusters))
     n, share = float(len(holds)), estimate.value
     if not n or not estimate.freedom > 0.0:
         return {"value": share, "low": nan, "high": nan, "clusters": count}
@@ -57,11 +57,11 @@ def clustered_share(holds: NDArray[np.bool_], clusters: Codes) -> dict[str, floa
         n = min(n, n * alone / estimate.error**2 * stretch**2)
     else:
         n = float(count)
-    low, high = wilson(share, n)
+    low, high = compute_wilson_interval(share, n)
     return {"value": share, "low": low, "high": high, "clusters": count}
 
 
-def wilson(share: float, n: float) -> tuple[float, float]:
+def compute_wilson_interval(share: float, n: float) -> tuple[float, float]:
     """Return the ends of Wilson's 95 % interval of a share of n cases.
 
     Examples

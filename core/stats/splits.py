@@ -34,7 +34,7 @@ class Split(NamedTuple):
     test: Positions
 
 
-def by_ride(
+def split_by_ride(
     strata: Sequence[tuple[str, int]], seed: int, repeats: int = REPEATS, test_share: float = TEST_SHARE
 ) -> list[Split]:
     """Return splits drawn at random within each stratum, as section 5 of the paper.
@@ -68,7 +68,9 @@ def by_ride(
     return splits
 
 
-def by_vehicle(vehicle_models: Sequence[str], vehicles: Sequence[str], seed: int, folds: int = FOLDS) -> list[Split]:
+def split_by_vehicle(
+    vehicle_models: Sequence[str], vehicles: Sequence[str], seed: int, folds: int = FOLDS
+) -> list[Split]:
     """Return splits that hold out whole cars; over all splits each car is held out once.
 
     Parameters
@@ -97,7 +99,7 @@ def by_vehicle(vehicle_models: Sequence[str], vehicles: Sequence[str], seed: int
     return [_split(fold == i) for i in range(folds) if np.any(fold == i)]
 
 
-def by_date(dates: Sequence[str], test_share: float = TEST_SHARE) -> list[Split]:
+def split_by_date(dates: Sequence[str], test_share: float = TEST_SHARE) -> list[Split]:
     """Return the one split that trains on the first dates and tests on the last.
 
     Parameters

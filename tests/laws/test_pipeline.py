@@ -143,29 +143,29 @@ def test_a_snapshot_does_not_share_memory_with_what_goes_on():
 def test_predict_never_learns():
     pipeline, _ = ran(shift(2))
     rides = pipeline.take_rides()
-    before = models.encode(pipeline.model)
+    before = models.encode_model(pipeline.model)
     columns = {name: rides[name].to_numpy(float) for name in pipeline.model.needs}
     for column in columns.values():
         column.flags.writeable = False
     first = pipeline.model.predict(columns)
     assert np.array_equal(first, pipeline.model.predict(columns), equal_nan=True)
-    assert models.encode(pipeline.model) == before
+    assert models.encode_model(pipeline.model) == before
     parts = [
         pipeline.model.predict({name: column[i : i + 1] for name, column in columns.items()}) for i in range(len(rides))
     ]
     assert np.array_equal(np.concatenate(parts), first, equal_nan=True)
 
 
-@pytest.mark.parametrize("model", models.KNOWN.values(), ids=lambda model: model.name)
+@pytest.mark.parametrize("model", models.BUILT_IN_MODELS.values(), ids=lambda model: model.name)
 def test_a_model_file_comes_back_exactly(model):
-    assert models.decode(models.encode(model)) == model
+    assert models.decode_model(models.encode_model(model)) == model
 
 
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=5, max_size=5))
 def test_coefficients_come_back_to_the_bit(values):
     fits = {models.ANY: models.Fit(coefficients=tuple(values))}
     model = msgspec.structs.replace(models.EXTENDED_PHYSICAL, fits=fits)
-    assert models.decode(models.encode(model)) == model
+    assert models.decode_model(models.encode_model(model)) == model
 
 
 def test_messages_are_never_changed():

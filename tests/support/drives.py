@@ -54,7 +54,7 @@ def drives(
     signals = _signals(start, day, ride, car, own, seed)
     speed, dt = signals["speed"], signals["dt"]
     energies = {
-        f"effect_{name}": _summed(effects.get(name).power(signals) * dt) / 3.6e6 for name in effects.tabulated()
+        f"effect_{name}": _summed(effects.get(name).power(signals) * dt) / 3.6e6 for name in effects.list_tabulated()
     }
     mean = {name: _summed(values) / STRETCHES for name, values in signals.items()}
     return pd.DataFrame(

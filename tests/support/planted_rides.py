@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 
 from core.columns import GRAVITY, KMH, ZERO_CELSIUS
-from core.fit.fitting import design
-from core.fit.recipes import FITTED_TERMS, HISTOGRAM
+from core.fit.fitting import build_design
+from core.fit.recipes import FITTED_TERMS, HISTOGRAM_COLUMNS
 from core.models.features import Columns
 from core.vehicles import AccessoryCurve, load_catalogue
 
@@ -42,7 +42,7 @@ def rides(n: int, seed: int = 1, models: Sequence[str] = MODELS, cars: int = 8) 
     wind, towards = rng.gamma(2.0, 7.0, n), rng.uniform(0.0, 360.0, n)
     headwind = wind * np.cos(np.radians(towards - rng.uniform(0.0, 360.0, n)))
     metres, v = 1000.0 * distance, speed * 1.3 * KMH
-    shares = rng.dirichlet(np.ones(len(HISTOGRAM)) * 0.3, n)
+    shares = rng.dirichlet(np.ones(len(HISTOGRAM_COLUMNS)) * 0.3, n)
     shares = shares / shares.sum(axis=1, keepdims=True)
     winter = ((day < 74) | (day > 348)).astype(np.int64)
     dates = (np.datetime64("2018-01-01") + day).astype(str)
@@ -69,7 +69,7 @@ def rides(n: int, seed: int = 1, models: Sequence[str] = MODELS, cars: int = 8) 
         "time_since_charge_s": np.where(rng.random(n) < 0.05, np.nan, rng.exponential(20_000.0, n)),
         "odometer_km": 20_000.0 * (1 + car) + 50.0 * day,
         "occupants": rng.integers(1, 4, n).astype(float),
-        **dict(zip(HISTOGRAM, (shares * distance[:, np.newaxis]).T, strict=True)),
+        **dict(zip(HISTOGRAM_COLUMNS, (shares * distance[:, np.newaxis]).T, strict=True)),
         "effect_rolling": mass * GRAVITY * metres / 3.6e6,
         "effect_climbing": mass * GRAVITY * (gained - lost) / 3.6e6,
         "effect_aero_drag": 0.5 * 1.225 * v**2 * metres / 3.6e6,
@@ -89,7 +89,7 @@ def physical_energy(
 ) -> np.ndarray:
     """Return the energy by equation (2), coefficients 1 but for those that are given."""
     given = {term.name: 1.0 for term in FITTED_TERMS} | dict(coefficients or {})
-    made = design(FITTED_TERMS, Columns(table, {}, curve), len(table))
+    made = build_design(FITTED_TERMS, Columns(table, {}, curve), len(table))
     return made @ [given[term.name] for term in FITTED_TERMS]
 
 

@@ -8,9 +8,9 @@ import pandas as pd
 from core.columns import GRAVITY
 from core.effects.road_load import ROAD_LOAD
 from core.fit.fitting import fit_terms
-from core.fit.recipes import LinearRecipe, term
-from core.fit.ride_blocks import Frame
-from core.models import LinearModel, physical_term
+from core.fit.recipes import LinearRecipe, make_term
+from core.fit.ride_blocks import RideFrame
+from core.models import LinearModel, make_physical_term
 from core.models.features import FEATURES, Columns
 
 KINDS = ("kia-soul-ev-2015", "nissan-leaf-2016")
@@ -18,12 +18,12 @@ BASE = {"rolling": 1.1, "climbing": 0.95, "aero_drag": 1.05, "inertia_positive":
 AUXILIARY = 600.0
 """Constant power of every car. [W]"""
 TERMS = (
-    physical_term("rolling", ("effect_rolling", "rolling_resistance")),
-    physical_term("climbing", ("effect_climbing",)),
-    physical_term("aero_drag", ("effect_aero_drag", "drag_area_m2")),
-    physical_term("inertia_positive", ("effect_inertia_positive",)),
-    physical_term("inertia_negative", ("effect_inertia_negative",)),
-    term("effect_auxiliary"),
+    make_physical_term("rolling", ("effect_rolling", "rolling_resistance")),
+    make_physical_term("climbing", ("effect_climbing",)),
+    make_physical_term("aero_drag", ("effect_aero_drag", "drag_area_m2")),
+    make_physical_term("inertia_positive", ("effect_inertia_positive",)),
+    make_physical_term("inertia_negative", ("effect_inertia_negative",)),
+    make_term("effect_auxiliary"),
 )
 START = 1_514_764_800.0
 """1 January 2018, midnight UTC."""
@@ -126,4 +126,4 @@ def _rides(table: pd.DataFrame, dates: np.ndarray) -> pd.DataFrame:
 
 def base_model(rides: pd.DataFrame) -> LinearModel:
     """Return the base, fitted to whole rides."""
-    return fit_terms(LinearRecipe("base", "", TERMS), Frame(rides))
+    return fit_terms(LinearRecipe("base", "", TERMS), RideFrame(rides))

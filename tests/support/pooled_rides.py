@@ -3,14 +3,14 @@
 import numpy as np
 import pandas as pd
 
-from core.fit.fitting import design
-from core.fit.pooled import SHARED, PooledRecipe
+from core.fit.fitting import build_design
+from core.fit.pooled import SHARED_TERMS, PooledRecipe
 from core.models.features import Columns
 from tests.support.planted_rides import rides
 
 TERMS = PooledRecipe("planted", "Planted").terms
-CLIMATE = np.array([term.climate for term in SHARED])
-PHYSICS = np.array([term.physics for term in SHARED])
+CLIMATE = np.array([term.climate for term in SHARED_TERMS])
+PHYSICS = np.array([term.physics for term in SHARED_TERMS])
 
 
 def fleet(n: int, seed: int = 1, cars: int = 8, **kwargs) -> pd.DataFrame:
@@ -37,14 +37,14 @@ def fleet(n: int, seed: int = 1, cars: int = 8, **kwargs) -> pd.DataFrame:
 def planted(table: pd.DataFrame, coefficients: dict[str, np.ndarray]) -> np.ndarray:
     """Return the energy by the shared terms, with coefficients for each vehicle model."""
     columns = Columns(table, {"soaked": 0.3, "battery_frost_k": 0.0})
-    made = design(TERMS, columns, len(table))
+    made = build_design(TERMS, columns, len(table))
     return np.einsum("ij,ij->i", made, np.array([coefficients[kind] for kind in table["vehicle_model"]]))
 
 
 def differing(models, seed: int = 3, drive: float = 0.1, climate: float = 0.2) -> dict[str, np.ndarray]:
     """Return coefficients of vehicle models that differ by a factor on the drive and one on the climate."""
     rng = np.random.default_rng(seed)
-    common = PHYSICS + np.where([term.name == "constant power" for term in SHARED], 300.0, 0.0)
+    common = PHYSICS + np.where([term.name == "constant power" for term in SHARED_TERMS], 300.0, 0.0)
     return {
         model: common * np.where(CLIMATE, 1.0 + rng.normal(0.0, climate), 1.0 + rng.normal(0.0, drive))
         for model in models

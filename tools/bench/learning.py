@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from sklearn.linear_model import LinearRegression
 
 from core import effects
-from core.fit.fitting import design
+from core.fit.fitting import build_design
 from core.fit.recipes import RECIPES, LinearRecipe
 from core.models import ANY, LinearModel
 from core.models.features import Columns
@@ -91,7 +91,7 @@ def fitting_memory() -> Measure:
 def _simulated() -> pd.DataFrame:
     """Return the ride table of a day of a small fleet."""
     start = datetime(2018, 1, 16, 12, tzinfo=UTC)
-    pipeline = Pipeline(also=list(effects.library()), keep_forecasts=False)
+    pipeline = Pipeline(also=list(effects.get_library()), keep_forecasts=False)
     messages = list(simulate(Simulation(vehicles=12, start=start, shift_hours=4.0, seed=5)))
     for block in blocks(messages, BLOCK):
         pipeline.take(block)
@@ -129,7 +129,7 @@ def _plain(model: LinearModel, path: Path) -> float:
     for key, fit in model.fits.items():
         own = rides if key == ANY else rides[rides["vehicle_model"] == key]
         curve = None if fit.curve is None else fit.curve.to_curve()
-        table = design(model.terms, Columns(own, fit.fills, curve), len(own))
+        table = build_design(model.terms, Columns(own, fit.fills, curve), len(own))
         energy = own["energy_kwh"].to_numpy()
         took += seconds(lambda table=table, energy=energy: LinearRegression().fit(table, energy))  # type: ignore[misc]
     return took

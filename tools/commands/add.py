@@ -12,7 +12,7 @@ from core.diagnose.dataset import gather, joined
 from core.diagnose.noise import ride_floor
 from core.diagnose.ranking import LEAST_GAIN
 from core.errors import ModelError
-from core.models import KNOWN, LinearModel
+from core.models import BUILT_IN_MODELS, LinearModel
 from tools.commands.diagnose import LeastGain, read_files, read_tables
 from tools.terminal.output import EffectFiles, JsonFile, model_files, printer, writable, write_json
 
@@ -54,7 +54,7 @@ def add_effect(
 
 def _refused(chosen: LinearModel, given: str, added: add.Added) -> str:
     """Log the attempt in the model's own file, and return what to tell."""
-    kept = "" if given in KNOWN else _log(add.logged(chosen, added.trial), Path(given))
+    kept = "" if given in BUILT_IN_MODELS else _log(add.logged(chosen, added.trial), Path(given))
     return f"{added.trial['effect']} is not added: {added.trial['reason']}{kept}; add it all the same with --force"
 
 
@@ -63,7 +63,7 @@ def _log(model: LinearModel, path: Path) -> str:
     file = path.resolve()
     beside = file.with_name(f"{file.name}.new")
     try:
-        beside.write_bytes(models.encode(model))
+        beside.write_bytes(models.encode_model(model))
         beside.replace(file)
     except OSError as error:
         return f" (and {path} cannot take the attempt into its history: {error.strerror})"

@@ -16,7 +16,7 @@ from core.evaluate.compare.datasets import contrast
 from core.evaluate.compare.models import Sample, compare, sample
 from core.evaluate.compare.ride_trace import find, trace
 from core.evaluate.paper.results import plain
-from core.models import KNOWN, LinearModel
+from core.models import BUILT_IN_MODELS, LinearModel
 from tools.commands.evaluate import KEY, read
 from tools.commands.fit import RECORDING, Rides, inputs, ride_files
 from tools.commands.tables import WINDOWS, in_memory
@@ -74,7 +74,7 @@ def named(given: Sequence[str]) -> dict[str, LinearModel]:
     """
     if twice := [name for i, name in enumerate(given) if name in given[:i]]:
         raise SettingsError(f"--model {twice[0]} is given twice; give it once")
-    short = [name if name in KNOWN else Path(name).stem for name in given]
+    short = [name if name in BUILT_IN_MODELS else Path(name).stem for name in given]
     labels = [name if short.count(label) > 1 else label for name, label in zip(given, short, strict=True)]
     return {label: models.load(name) for label, name in zip(labels, given, strict=True)}
 

@@ -20,8 +20,8 @@ from core.diagnose.ranking import LEAST_GAIN
 from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError, SettingsError
 from core.evaluate.paper.results import plain
-from core.fit.ride_blocks import names
-from core.models import KNOWN, VEHICLE, VEHICLE_MODEL, LinearModel
+from core.fit.ride_blocks import get_names
+from core.models import BUILT_IN_MODELS, VEHICLE, VEHICLE_MODEL, LinearModel
 from core.models.features import EFFECT_PREFIX, FEATURES, is_scope
 from tools.commands.evaluate import KEY, read
 from tools.commands.fit import RECORDING, Rides, inputs
@@ -86,7 +86,7 @@ def diagnose_rides(
 
 def lacking(files: Sequence[Path], windows: pd.DataFrame) -> list[str]:
     """Return the effects of one's own that tables were made without."""
-    own = [effect.name for path in files for effect in effects.topics().get(path.name, ())]
+    own = [effect.name for path in files for effect in effects.group_by_topic().get(path.name, ())]
     return [name for name in own if f"{EFFECT_PREFIX}{name}" not in windows]
 
 
@@ -125,7 +125,7 @@ def read_tables(given: Sequence[Path], model: LinearModel) -> tuple[pd.DataFrame
     """
     files = inputs(given)
     if files[0].suffix == RECORDING:
-        return _checked(model, *in_memory(files, [*model.effects, *effects.tabulated()]))
+        return _checked(model, *in_memory(files, [*model.effects, *effects.list_tabulated()]))
     beside = [file.with_name(WINDOWS) for file in files]
     for file in beside:
         if not file.is_file():
@@ -143,7 +143,7 @@ def check_vehicles(model: LinearModel, rides: pd.DataFrame) -> None:
     ModelError
     """
     known = set(model.training.vehicle_models) if model.training else set()
-    there = {name for name in names(rides, VEHICLE_MODEL) if name}
+    there = {name for name in get_names(rides, VEHICLE_MODEL) if name}
     if known and there and not known & there:
         raise ModelError(
             f"model {model.name} was fitted to {', '.join(sorted(known))}, and these rides are of "
@@ -153,13 +153,13 @@ def check_vehicles(model: LinearModel, rides: pd.DataFrame) -> None:
 
 def before(rides: pd.DataFrame, windows: pd.DataFrame, apart: tuple[str, ...]) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the tables without the days that are set apart."""
-    kept = rides.loc[~np.isin(np.asarray(names(rides, "date"), dtype=str), list(apart))]
+    kept = rides.loc[~np.isin(np.asarray(get_names(rides, "date"), dtype=str), list(apart))]
     return kept, windows.loc[windows["ride_key"].isin(kept["ride_key"])]
 
 
 def say_commands(result: dict[str, Any], model: str, given: Sequence[Path], brought: Sequence[Path] = ()) -> None:
     """Enter, with each effect that is missing, the command that adds it."""
-    stem = model if model in KNOWN else str(Path(model).with_suffix(""))
+    stem = model if model in BUILT_IN_MODELS else str(Path(model).with_suffix(""))
     for found in result.get("missing") or ():
         name, scopes = term_of(found)
         words = ["socast", "add", name, "--model", model]
@@ -188,7 +188,7 @@ def _not_set_apart(
     model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame, console: Console
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the tables without days that the model's history has set apart, and say so."""
-    apart = final_days(model.history, names(rides, "date")) if any(e.get("final") for e in model.history) else ()
+    apart = final_days(model.history, get_names(rides, "date")) if any(e.get("final") for e in model.history) else ()
     if apart:
         told = f"Not looked at: rides of {', '.join(apart)}, which the model's history has set apart."
         console.print(told, markup=False, highlight=False, soft_wrap=True)
@@ -202,7 +202,7 @@ def _auto(
     from tools.report import history  # noqa: PLC0415 - figures take seconds to import
     from tools.report.diagnosis import page  # noqa: PLC0415 - figures take seconds to import
 
-    apart = final_days(model.history, names(rides, "date"))
+    apart = final_days(model.history, get_names(rides, "date"))
     seen = before(rides, windows, apart)
     rows, floor = joined(rides, windows), ride_floor(gather(rides, windows, model))
     for step in range(1, MOST_STEPS + 1):

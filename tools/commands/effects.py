@@ -24,7 +24,7 @@ MEANINGS = {column.name: column for column in SIGNALS}
 @app.command("list")
 def list_effects(_: EffectFiles = None, json_file: JsonFile = None) -> None:
     """List every effect by topic: formula, coefficient with unit and plausible range."""
-    topics = effects.topics()
+    topics = effects.group_by_topic()
     table = _table()
     for topic, found in topics.items():
         table.add_section()
@@ -43,7 +43,7 @@ def show(
 ) -> None:
     """Show all that is declared of an effect: source, what it is confused with, what shows it, its parameters."""
     effect = effects.get(name)
-    topic = next(topic for topic, found in effects.topics().items() if effect.base in [e.name for e in found])
+    topic = next(topic for topic, found in effects.group_by_topic().items() if effect.base in [e.name for e in found])
     table = Table(show_header=False, box=None, pad_edge=False)
     table.add_column(no_wrap=True, style="bold")
     table.add_column(ratio=1)

@@ -64,7 +64,9 @@ def evaluate_tables(
 
 def window_columns() -> list[str]:
     """Return the columns of the window table that are read."""
-    return list(dict.fromkeys([KEY, "window", *(name for product in segment_network.FEATURES for name in product)]))
+    return list(
+        dict.fromkeys([KEY, "window", *(name for product in segment_network.SEGMENT_FEATURES for name in product)])
+    )
 
 
 def read(files: Sequence[Path], columns: Sequence[str] | None = None) -> pd.DataFrame:

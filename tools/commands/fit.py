@@ -16,10 +16,10 @@ from core.columns import ZERO_CELSIUS
 from core.diagnose.dataset import fitted
 from core.errors import SettingsError
 from core.fit.pooled import adapt
-from core.fit.recipes import RECIPES, LinearRecipe, Recipe, recipe
-from core.fit.ride_blocks import Parquet
+from core.fit.recipes import RECIPES, LinearRecipe, Recipe, get_recipe
+from core.fit.ride_blocks import RideParquet
 from core.models import ANY, Curve, Fit, LinearModel, Term
-from core.models.features import ACCESSORIES, EFFECT_PREFIX
+from core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX
 from tools.commands.tables import RIDES, WINDOWS
 from tools.terminal.output import JsonFile, printer, writable, write_json
 from tools.terminal.recordings import refuse_twice
@@ -55,10 +55,10 @@ def fit(
     if (recipe_name is None) == (adapt_to is None):
         raise SettingsError("give --recipe NAME to fit a model, or --adapt MODEL.json to tell one of more rides")
     base = None if adapt_to is None else models.load(adapt_to)
-    chosen = recipe(recipe_name or (base.recipe if base else ""))
+    chosen = get_recipe(recipe_name or (base.recipe if base else ""))
     files = ride_files(tables)
     writable(files, out, json_file)
-    model = _fitted(chosen, files) if base is None else adapt(base, Parquet(tuple(files)).table())
+    model = _fitted(chosen, files) if base is None else adapt(base, RideParquet(tuple(files)).table())
     models.save(model, out)
     write_json(json_file, summary(model, chosen.title))
     show(model, chosen.title, printer())
@@ -105,9 +105,9 @@ def _fitted(chosen: Recipe, files: Sequence[Path]) -> LinearModel:
     if isinstance(chosen, LinearRecipe):
         beside = [file.with_name(WINDOWS) for file in files]
         if chosen.by_windows and all(file.is_file() for file in beside):
-            return fitted(chosen.name, Parquet(tuple(files)).table(), Parquet(tuple(beside)).table())
+            return fitted(chosen.name, RideParquet(tuple(files)).table(), RideParquet(tuple(beside)).table())
         return chosen.fit_parquet(*files)
-    return chosen.fit(Parquet(tuple(files)).table())
+    return chosen.fit(RideParquet(tuple(files)).table())
 
 
 def intervals(model: LinearModel, found: Fit) -> Iterator[tuple[Term, float, float | None]]:
@@ -186,7 +186,7 @@ def show(model: LinearModel, title: str, console: Console) -> None:
 
 def _physical(term: Term) -> bool:
     """Tell whether a term is a physical one, whose coefficient is 1 where physics holds."""
-    return bool(term.columns) and term.columns[0].startswith((EFFECT_PREFIX, ACCESSORIES))
+    return bool(term.columns) and term.columns[0].startswith((EFFECT_PREFIX, ACCESSORIES_COLUMN))
 
 
 def _show_coefficients(model: LinearModel, console: Console) -> None:

@@ -67,7 +67,7 @@ def tables(
     json_file: JsonFile = None,
 ) -> None:
     """Clean recordings and sum them up: one row a ride, one row a window, and what was rejected, by cause."""
-    pipeline = Pipeline(models.load(model), settings, also=effects.tabulated(), keep_forecasts=False)
+    pipeline = Pipeline(models.load(model), settings, also=effects.list_tabulated(), keep_forecasts=False)
     sources = opened(recordings)
     folder = _folder(out)
     read = [*recordings, *model_files([model]), *(effects_file or ())]

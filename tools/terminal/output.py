@@ -14,7 +14,7 @@ from rich.console import Console
 
 from core import effects
 from core.errors import SettingsError
-from core.models import KNOWN
+from core.models import BUILT_IN_MODELS
 
 
 def _load(files: list[Path] | None) -> list[Path] | None:
@@ -81,7 +81,7 @@ def report(name: str, result: Any, html_file: Path | None, **options: Any) -> No
 
 def model_files(given: Iterable[str]) -> list[Path]:
     """Return the files among models that the command line names."""
-    return [Path(name) for name in given if name not in KNOWN]
+    return [Path(name) for name in given if name not in BUILT_IN_MODELS]
 
 
 def writable(inputs: Iterable[Path], *outputs: Path | None) -> None:

@@ -38,12 +38,12 @@ from core.diagnose.ranking import LEAST_GAIN, LEVEL
 from core.effects import Effect
 from core.errors import ModelError
 from core.evaluate.paper.results import plain
-from core.fit.calibration import least_squares_interval
-from core.fit.fitting import design
-from core.fit.ride_blocks import ENERGY, names, numbers, trainable
+from core.fit.calibration import add_interval
+from core.fit.fitting import build_design
+from core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
 from core.formatting import rounded
-from core.models import ANY, VEHICLE_MODEL, LinearModel, Term, stamped
-from core.models.features import EFFECT_PREFIX, VEHICLE_SCOPE, Columns, is_scope, needed
+from core.models import ANY, VEHICLE_MODEL, LinearModel, Term, stamp
+from core.models.features import EFFECT_PREFIX, VEHICLE_SCOPE, Columns, is_scope, list_raw_columns
 
 ADDED: Final = "add"
 REFUSED: Final = "refused"
@@ -116,7 +116,7 @@ def add(
     change = _change(model, term)
     made = _refitted(model, change, found, seed)
     judged, by_condition = _judged(change, found, _apart(model, found, at_work), seed, declared.sign)
-    judged["noise_floor_kwh"] = noise_floor(numbers(found.table, "sd")) if floor is None else floor
+    judged["noise_floor_kwh"] = noise_floor(get_numbers(found.table, "sd")) if floor is None else floor
     judged |= _verdict(judged, least)
     grown = _named(made.after, model, found)
     entry = plain(
@@ -135,11 +135,11 @@ def add(
     )
     grown = msgspec.structs.replace(grown, history=(*model.history, entry))
     if rides is not None:
-        grown = least_squares_interval(grown, rides)
+        grown = add_interval(grown, rides)
     notes = [f"{key}: {line}" for key, value in made.coefficients.items() if (line := warning(declared, value))]
     words = {key: in_words(declared, value) for key, value in entry["by_vehicle_model"].items()}
     beside = {"conditions": by_condition, "words_by_vehicle_model": words, "warnings": notes}
-    return Added(stamped(grown), entry | beside)
+    return Added(stamp(grown), entry | beside)
 
 
 def logged(model: LinearModel, trial: dict[str, Any]) -> LinearModel:
@@ -152,7 +152,7 @@ def forced(added: Added) -> Added:
     """Return an effect that was refused as one that was added all the same."""
     last = {**added.model.history[-1], "action": ADDED, "forced": True}
     model = msgspec.structs.replace(added.model, history=(*added.model.history[:-1], last))
-    return Added(stamped(model), added.trial | {"action": ADDED, "forced": True})
+    return Added(stamp(model), added.trial | {"action": ADDED, "forced": True})
 
 
 def _change(model: LinearModel, term: Term) -> Change:
@@ -169,18 +169,20 @@ def _rows(model: LinearModel, term: Term, joined: pd.DataFrame, rides: pd.DataFr
         if rides is None:
             raise ModelError(f"model {model.name} has terms that hold for whole rides only: give the ride table too")
         rows = rides
-    raw = dict.fromkeys(name for each in (*model.terms, term) for column in each.columns for name in needed(column))
+    raw = dict.fromkeys(
+        name for each in (*model.terms, term) for column in each.columns for name in list_raw_columns(column)
+    )
     if missing := [name for name in raw if name not in rows]:
         effect = missing[0].removeprefix(EFFECT_PREFIX)
         own = ", with --effects FILE if it is your own" if missing[0].startswith(EFFECT_PREFIX) else ""
         raise ModelError(f"{effect} is not in the tables: make them anew, with `socast tables`{own}")
-    good, _ = trainable(rows, [*raw, ENERGY])
+    good, _ = select_trainable(rows, [*raw, ENERGY])
     return good.reset_index(drop=True)
 
 
 def _at_work(declared: Effect, term: Term, found: Rides) -> Mask:
     """Return at which rides the effect is at work, where it is at any."""
-    own = found.by_ride(np.abs(design((term,), Columns(found.rows), len(found.rows))[:, 0]))
+    own = found.by_ride(np.abs(build_design((term,), Columns(found.rows), len(found.rows))[:, 0]))
     at_work: Mask = own > 0.0
     if at_work.any():
         return at_work
@@ -297,8 +299,8 @@ def _verdict(judged: dict[str, Any], least: float) -> dict[str, Any]:
 def _named(made: LinearModel, model: LinearModel, found: Rides) -> LinearModel:
     """Return a fitted model under the name of another, its rides counted as such."""
     count = {str(key): int(n) for key, n in found.table[VEHICLE_MODEL].value_counts().sort_index().items()}
-    left = numbers(found.table, "measured") - found.by_ride(made.predict(found.rows))
-    kinds = np.array(names(found.table, VEHICLE_MODEL), dtype=object)
+    left = get_numbers(found.table, "measured") - found.by_ride(made.predict(found.rows))
+    kinds = np.array(get_names(found.table, VEHICLE_MODEL), dtype=object)
     fits = {}
     for key, fit in made.fits.items():
         own = left if key == ANY else left[kinds == key]

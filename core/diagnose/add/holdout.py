@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from core.batch import Floats, Ints
 from core.diagnose.add.refit import Change, refit_with, unnamed
 from core.errors import ModelError
-from core.fit.ride_blocks import ENERGY, names, numbers
+from core.fit.ride_blocks import ENERGY, get_names, get_numbers
 from core.models import VEHICLE_MODEL
-from core.stats.clustered import clustered_mean, vehicle_days
+from core.stats.clustered import assign_vehicle_days, compute_clustered_mean
 from core.stats.scores import UNKNOWN
-from core.stats.splits import by_vehicle
+from core.stats.splits import split_by_vehicle
 
 FOLDS: Final = 5
 LEAST_DATES: Final = 20
@@ -71,7 +71,7 @@ class Rides(NamedTuple):
     @property
     def dates(self) -> list[str]:
         """Date of each ride, ISO."""
-        return names(self.table, "date")
+        return get_names(self.table, "date")
 
 
 def sums(group: Ints, values: Floats, count: int) -> Floats:
@@ -104,20 +104,20 @@ def rides_of(rows: pd.DataFrame, rides: pd.DataFrame | None = None) -> Rides:
     def total(values: Floats) -> Floats:
         return sums(ride, values, len(keys))
 
-    duration, distance = numbers(rows, "duration_s"), total(numbers(rows, "distance_km"))
+    duration, distance = get_numbers(rows, "duration_s"), total(get_numbers(rows, "distance_km"))
     known = np.maximum(total(duration), 1e-9)
-    sd = np.sqrt(total(numbers(rows, ENERGY_SD) ** 2)) if ENERGY_SD in rows else np.full(len(keys), np.nan)
+    sd = np.sqrt(total(get_numbers(rows, ENERGY_SD) ** 2)) if ENERGY_SD in rows else np.full(len(keys), np.nan)
     if rides is not None and ENERGY_SD in rides and "ride_key" in rides:
-        sd = numbers(rides.set_index("ride_key").reindex(keys), ENERGY_SD)
+        sd = get_numbers(rides.set_index("ride_key").reindex(keys), ENERGY_SD)
     return Rides(
         rows,
         ride,
         table.assign(
-            measured=total(numbers(rows, ENERGY)),
+            measured=total(get_numbers(rows, ENERGY)),
             sd=sd,
             distance_km=distance,
             speed_kmh=distance / known * 3600.0,
-            ambient_c=total(numbers(rows, "ambient_c") * duration) / known,
+            ambient_c=total(get_numbers(rows, "ambient_c") * duration) / known,
         ),
     )
 
@@ -138,7 +138,7 @@ def day_folds(rides: Rides, seed: int) -> list[Mask]:
     """Return parts of the rides, to be held out in turn: whole days, or vehicles' days where there are few days."""
     days = rides.dates
     if len(set(days)) < LEAST_DATES:
-        days = [f"{vehicle} {day}" for vehicle, day in zip(names(rides.table, "vehicle_id"), days, strict=True)]
+        days = [f"{vehicle} {day}" for vehicle, day in zip(get_names(rides.table, "vehicle_id"), days, strict=True)]
     groups = sorted(set(days))
     if len(groups) < 2:
         return []
@@ -150,11 +150,11 @@ def day_folds(rides: Rides, seed: int) -> list[Mask]:
 
 def vehicle_folds(rides: Rides, seed: int) -> list[Mask]:
     """Return parts of the rides by vehicle, to be held out in turn; none of one vehicle alone."""
-    kinds, vehicles = names(rides.table, VEHICLE_MODEL), names(rides.table, "vehicle_id")
+    kinds, vehicles = get_names(rides.table, VEHICLE_MODEL), get_names(rides.table, "vehicle_id")
     few = few_vehicles(rides.table)
     pooled = ["" if kind in few else kind for kind in kinds]
     every = np.arange(len(kinds))
-    masks = [np.isin(every, split.test) for split in by_vehicle(pooled, vehicles, seed, FOLDS)]
+    masks = [np.isin(every, split.test) for split in split_by_vehicle(pooled, vehicles, seed, FOLDS)]
     return [mask for mask in masks if not mask.all()]
 
 
@@ -211,14 +211,14 @@ def comparison(table: pd.DataFrame, before: Floats, after: Floats) -> dict[str, 
         interval, NaN where there is one cluster only.
     """
     known = np.isfinite(before) & np.isfinite(after)
-    measured = numbers(table, "measured")[known]
+    measured = get_numbers(table, "measured")[known]
     worse, better = np.abs(before[known] - measured), np.abs(after[known] - measured)
     if not len(measured):
         errors = dict.fromkeys(("mae_before_kwh", "mae_after_kwh", "fall"), float("nan"))
         return {"rides": 0, "clusters": 0, **errors, "change_kwh": UNKNOWN.figures()}
     change = better - worse
-    clusters = vehicle_days(table.loc[known])
-    found = clustered_mean(change, clusters)
+    clusters = assign_vehicle_days(table.loc[known])
+    found = compute_clustered_mean(change, clusters)
     mae = float(worse.mean())
     return {
         "rides": len(measured),
@@ -244,8 +244,8 @@ LEAST: Final = 10
 
 def conditions(table: pd.DataFrame, before: Floats, after: Floats) -> dict[str, list[dict[str, Any]]]:
     """Return the comparison by outside temperature, distance, speed and vehicle, of bins with `LEAST` rides."""
-    bins = {what: _bins(numbers(table, column), cuts, unit) for column, (what, cuts, unit) in CONDITIONS.items()}
-    vehicles = np.array(names(table, "vehicle_id"), dtype=object)
+    bins = {what: _bins(get_numbers(table, column), cuts, unit) for column, (what, cuts, unit) in CONDITIONS.items()}
+    vehicles = np.array(get_names(table, "vehicle_id"), dtype=object)
     bins["vehicle"] = [(str(name), vehicles == name) for name in sorted(set(vehicles))]
     return {
         what: [

@@ -27,12 +27,12 @@ from core.diagnose.dataset import Windows
 from core.diagnose.evidence import Clusters, by_vehicle_and_day
 from core.diagnose.projection import Base, orthonormal
 from core.diagnose.ranking import total
-from core.fit.fitting import design, fit_terms, one_thread
+from core.fit.fitting import build_design, fit_terms, limit_to_one_thread
 from core.fit.recipes import LinearRecipe
-from core.fit.ride_blocks import ENERGY, Frame, names, numbers
+from core.fit.ride_blocks import ENERGY, RideFrame, get_names, get_numbers
 from core.models import ANY, VEHICLE_MODEL, Fit, LinearModel, Term
 from core.models.features import EFFECT_PREFIX, Columns
-from core.stats.clustered import vehicle_days
+from core.stats.clustered import assign_vehicle_days
 
 LEAST_LEFT: Final = 1e-5
 """Share of a column that must be left off the model's own terms for it to have a coefficient."""
@@ -98,7 +98,7 @@ class Refitted(NamedTuple):
 
 def refit(terms: tuple[Term, ...], rows: pd.DataFrame, *, covariance: bool = False) -> LinearModel:
     """Return terms fitted to windows or rides."""
-    return fit_terms(LinearRecipe("diagnosed", "", terms), Frame(rows), covariance=covariance)
+    return fit_terms(LinearRecipe("diagnosed", "", terms), RideFrame(rows), covariance=covariance)
 
 
 def refit_with(
@@ -122,14 +122,16 @@ def refit_with(
         With a coefficient of 0 without an error where the model's own terms can take up the whole of the term.
     """
     asked = unnamed(rows, pooled)
-    with one_thread():
+    with limit_to_one_thread():
         plain = refit(change.base, asked)
         base = Base(windows_of(rows), plain)
         before = plain
         if change.effects:
             before = _around(change.base, change.effects, asked, _estimates(base, change.effects), covariance=False)
         terms = (*change.effects, change.added)
-        base = base.weighed_anew(np.nan_to_num(design(terms, Columns(base.windows.table), len(base.windows.table))))
+        base = base.weighed_anew(
+            np.nan_to_num(build_design(terms, Columns(base.windows.table), len(base.windows.table)))
+        )
         found = _estimates(base, terms)
         after = _around(change.base, terms, asked, found, covariance=covariance)
     return Refitted(before, msgspec.structs.replace(after, training=plain.training), found[-1])
@@ -148,12 +150,12 @@ def windows_of(rows: pd.DataFrame) -> Windows:
     return Windows(
         table=rows,
         rides=rows.iloc[np.unique(ride, return_index=True)[1]].reset_index(drop=True),
-        measured=numbers(rows, ENERGY),
+        measured=get_numbers(rows, ENERGY),
         predicted=np.zeros(len(rows)),
         ride=ride.astype(np.int64),
         vehicle=pd.factorize(rows["vehicle_id"])[0].astype(np.int64),
-        date=pd.factorize(pd.Series(names(rows, "date")), sort=True)[0].astype(np.int64),
-        day=vehicle_days(rows),
+        date=pd.factorize(pd.Series(get_names(rows, "date")), sort=True)[0].astype(np.int64),
+        day=assign_vehicle_days(rows),
         left_out={},
     )
 
@@ -167,8 +169,8 @@ def _around(
     covariance: bool,
 ) -> LinearModel:
     """Return a model whose last coefficients are given, and whose others are fitted around them."""
-    kinds = np.array(names(rows, VEHICLE_MODEL), dtype=object)
-    columns = design(added, Columns(rows), len(rows))
+    kinds = np.array(get_names(rows, VEHICLE_MODEL), dtype=object)
+    columns = build_design(added, Columns(rows), len(rows))
     value = np.array([[own.get(kind, own[ANY]).value for own in found] for kind in kinds]).reshape(columns.shape)
     common = np.array([own[ANY].value for own in found])
     made = refit(terms, _less(rows, (value * columns).sum(axis=1)), covariance=covariance)
@@ -184,7 +186,7 @@ def _around(
 
 def _less(rows: pd.DataFrame, energy: Floats) -> pd.DataFrame:
     """Return rows whose measured energy is less by some."""
-    return rows.assign(**{ENERGY: numbers(rows, ENERGY) - energy})
+    return rows.assign(**{ENERGY: get_numbers(rows, ENERGY) - energy})
 
 
 def _estimates(
@@ -193,7 +195,7 @@ def _estimates(
     """Return the coefficients of terms beside each other, of each by vehicle model, `*` for all; from some rows."""
     rows = base.windows.table
     at = np.flatnonzero(np.ones(len(rows), np.bool_) if within is None else within)
-    columns = design(terms, Columns(rows), len(rows))
+    columns = build_design(terms, Columns(rows), len(rows))
     left, size = base.off(columns), (base.weighted(columns) ** 2).sum(axis=0)
     return [_estimate(base, left, place, float(size[place]), at) for place in range(len(terms))]
 
@@ -252,7 +254,7 @@ def with_effects_held_out(
     """
     terms = (*change.effects, change.added)
     before, after = (np.full(len(rows), np.nan) for _ in range(2))
-    with one_thread():
+    with limit_to_one_thread():
         plain = refit(change.base, rows)
         base = Base(windows_of(rows), plain)
         for fold in folds:
@@ -297,9 +299,9 @@ def proof(change: Change, rows: pd.DataFrame, *, sign: int, seed: int) -> Proof:
     seed : int
         Of the folds.
     """
-    with one_thread():
+    with limit_to_one_thread():
         base = Base(windows_of(rows), refit(change.base, rows))
-        asked = design((*change.effects, change.added), Columns(rows), len(rows))
+        asked = build_design((*change.effects, change.added), Columns(rows), len(rows))
         left = base.off(asked)
         column, residual = _off(left[:, :-1], left[:, -1], base.residual)
     windows = base.windows
@@ -351,7 +353,7 @@ def _with(terms: tuple[Term, ...], fit: Fit, added: Sequence[Estimate], rows: pd
     covariance: Any = None
     if fit.covariance is not None:
         curve = None if fit.curve is None else fit.curve.to_curve()
-        table = design(terms, Columns(rows, fit.fills, curve), len(rows))
+        table = build_design(terms, Columns(rows, fit.fills, curve), len(rows))
         moved = -np.linalg.lstsq(table, columns, rcond=1e-9)[0]
         change = np.vstack([moved, np.eye(len(added))])
         whole = np.pad(np.array(fit.covariance), (0, len(added)))

@@ -7,16 +7,18 @@ from core import effects
 from core.errors import ModelError
 from core.models import LinearModel, Term
 from core.models.features import (
-    ACCESSORIES,
+    ACCESSORIES_COLUMN,
     EFFECT_PREFIX,
     SINCE_SCOPE,
     VEHICLE_SCOPE,
-    coefficient_unit,
+    derive_coefficient_unit,
+    get_unit,
     is_scope,
-    unit,
 )
 
-_AMOUNTS: Final = frozenset({"distance_km", "duration_s", "gained_m", "lost_m", "stops", "basic_kwh", ACCESSORIES})
+_AMOUNTS: Final = frozenset(
+    {"distance_km", "duration_s", "gained_m", "lost_m", "stops", "basic_kwh", ACCESSORIES_COLUMN}
+)
 """Columns of which a ride's is the sum of its windows', beside `effect_*` and the histogram of speeds."""
 _ALIKE: Final = frozenset(
     {
@@ -56,7 +58,7 @@ def scoped(effect: str, scopes: Sequence[str] = ()) -> tuple[str, ...]:
     for scope, kind in zip(scopes, kinds, strict=True):
         if not is_scope(scope):
             raise ModelError(f"scope {scope!r} is none: write {VEHICLE_SCOPE}ID or {SINCE_SCOPE}YYYY-MM-DD")
-        unit(scope)
+        get_unit(scope)
         if kinds.count(kind) > 1:
             raise ModelError(f"scope {scope!r}: two of this kind are given: add the effect once for each")
     return (found.energy_name, *scopes)
@@ -105,4 +107,4 @@ def effect_term(model: LinearModel, effect: str, columns: tuple[str, ...]) -> Te
                 f"effect {effect} is in model {model.name} already, as the term {term.name!r}: choose another, or give "
                 "it a --scope"
             )
-    return Term(name=", ".join([effect, *scopes]), columns=columns, unit=coefficient_unit(columns))
+    return Term(name=", ".join([effect, *scopes]), columns=columns, unit=derive_coefficient_unit(columns))

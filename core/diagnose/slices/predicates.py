@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from core.batch import Floats
-from core.fit.ride_blocks import names, numbers
+from core.fit.ride_blocks import get_names, get_numbers
 
 Masks = NDArray[np.bool_]
 
@@ -153,7 +153,7 @@ def start_s(rides: pd.DataFrame) -> Floats:
 def dates(rides: pd.DataFrame) -> NDArray[np.str_]:
     """Return the UTC date of each ride, (n,) str, ISO; empty where it is unknown."""
     if "date" in rides:
-        return np.array(names(rides, "date"), dtype=np.str_)
+        return np.array(get_names(rides, "date"), dtype=np.str_)
     began = start_s(rides)
     known = np.isfinite(began)
     found = np.full(len(rides), "", dtype="<U10")
@@ -164,7 +164,7 @@ def dates(rides: pd.DataFrame) -> NDArray[np.str_]:
 def _all(rides: pd.DataFrame) -> Iterator[tuple[Condition, NDArray[np.bool_]]]:
     """Give every condition there is on some rides, whether it tells them apart or not."""
     for column, title in NAMES:
-        yield from _named(np.array(names(rides, column), dtype=np.str_), column, title)
+        yield from _named(np.array(get_names(rides, column), dtype=np.str_), column, title)
     for scale in SCALES:
         if scale.column in rides:
             yield from _compared(_numbers(rides, scale.column) / scale.size, scale)
@@ -241,4 +241,4 @@ def _periods(day: NDArray[np.str_]) -> Iterator[tuple[Condition, NDArray[np.bool
 
 def _numbers(rides: pd.DataFrame, column: str) -> Floats:
     """Return a column as (n,) float, NaN where it is unknown or absent."""
-    return numbers(rides, column) if column in rides else np.full(len(rides), np.nan)
+    return get_numbers(rides, column) if column in rides else np.full(len(rides), np.nan)

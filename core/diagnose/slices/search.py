@@ -29,7 +29,7 @@ from scipy import stats
 from core.batch import Floats, Ints
 from core.diagnose.slices.contrast import contrast
 from core.diagnose.slices.predicates import Condition, Masks, conditions, dates, start_s
-from core.fit.ride_blocks import names
+from core.fit.ride_blocks import get_names
 from core.stats.scores import Estimate
 
 LONGEST: Final = 3
@@ -139,7 +139,7 @@ def _in_order(rides: pd.DataFrame, error: Floats) -> tuple[pd.DataFrame, Floats,
     """Return rides of known error by vehicle, date and time, so that the order of the table does not matter."""
     kept = np.isfinite(error)
     rides, error = rides.loc[kept], error[kept]
-    keys = pd.Series(names(rides, "vehicle_id"), dtype=object) + " " + pd.Series(dates(rides), dtype=object)
+    keys = pd.Series(get_names(rides, "vehicle_id"), dtype=object) + " " + pd.Series(dates(rides), dtype=object)
     day = pd.factorize(keys, sort=True)[0].astype(np.int64)
     order = np.lexsort((error, start_s(rides), day))
     return rides.iloc[order], error[order], day[order]

@@ -16,8 +16,8 @@ from core.evaluate.binning import conditions
 from core.evaluate.compare.models import Sample, false_discovery_rates
 from core.evaluate.ride_filter import SAME
 from core.models import LinearModel
-from core.models.parts import parts
-from core.stats.clustered import clustered_mean, clustered_ratio, less
+from core.models.parts import predict_parts
+from core.stats.clustered import compute_clustered_mean, compute_clustered_ratio, subtract
 from core.stats.scores import Estimate
 
 PROPERTIES: Final = (
@@ -65,7 +65,7 @@ def contrast(first: Sample, second: Sample, models: Mapping[str, LinearModel]) -
 
 def _each(one: Estimate, other: Estimate) -> dict[str, Any]:
     """Return two estimates and their difference, with its interval and probability."""
-    apart = less(other, one)
+    apart = subtract(other, one)
     return {"first": one.figures(), "second": other.figures(), "difference": apart.figures(), "p": apart.p}
 
 
@@ -77,7 +77,7 @@ def _shared(one: pd.DataFrame, other: pd.DataFrame) -> int:
 
 def _per_distance(found: Sample, energy: Floats) -> Estimate:
     """Return an energy over the distance. [kWh/100 km]"""
-    return clustered_ratio(100.0 * energy, found.rides["distance_km"].to_numpy(np.float64), found.clusters)
+    return compute_clustered_ratio(100.0 * energy, found.rides["distance_km"].to_numpy(np.float64), found.clusters)
 
 
 def _properties(first: Sample, second: Sample) -> list[dict[str, Any]]:
@@ -92,7 +92,7 @@ def _properties(first: Sample, second: Sample) -> list[dict[str, Any]]:
         if not all(each.any() for each in known):
             continue
         one, other = (
-            clustered_mean(value[at], own.clusters[at])
+            compute_clustered_mean(value[at], own.clusters[at])
             for value, at, own in zip(values, known, (first, second), strict=True)
         )
         spread = float(np.sqrt(np.mean([np.var(value[at]) for value, at in zip(values, known, strict=True)])))
@@ -116,13 +116,13 @@ def _model(label: str, model: LinearModel, first: Sample, second: Sample) -> dic
     """Return how a model does on both sets, and how much of their difference in consumption it explains."""
     both = (first, second)
     error = [own.predicted[label] - own.measured for own in both]
-    said = [parts(model, own.rides) for own in both]
+    said = [predict_parts(model, own.rides) for own in both]
     terms = [
         {"name": name, **_each(*(_per_distance(own, each[name]) for own, each in zip(both, said, strict=True)))}
         for name in said[0]
     ]
-    one, other = (clustered_mean(off, own.clusters) for off, own in zip(error, both, strict=True))
-    size, otherwise = (clustered_mean(np.abs(off), own.clusters) for off, own in zip(error, both, strict=True))
+    one, other = (compute_clustered_mean(off, own.clusters) for off, own in zip(error, both, strict=True))
+    size, otherwise = (compute_clustered_mean(np.abs(off), own.clusters) for off, own in zip(error, both, strict=True))
     return {
         "bias_kwh": _each(one, other),
         "mae_kwh": _each(size, otherwise),
@@ -155,11 +155,11 @@ def _bins(first: Sample, second: Sample, one: Floats, other: Floats, at: tuple[I
     sets = [(own, off, rows) for own, off, rows in zip((first, second), (one, other), at, strict=True)]
     kilometres = [own.rides["distance_km"].to_numpy(np.float64) for own in (first, second)]
     return {
-        "bias_kwh": _each(*(clustered_mean(off[rows], own.clusters[rows]) for own, off, rows in sets)),
-        "mae_kwh": _each(*(clustered_mean(np.abs(off[rows]), own.clusters[rows]) for own, off, rows in sets)),
+        "bias_kwh": _each(*(compute_clustered_mean(off[rows], own.clusters[rows]) for own, off, rows in sets)),
+        "mae_kwh": _each(*(compute_clustered_mean(np.abs(off[rows]), own.clusters[rows]) for own, off, rows in sets)),
         "consumption": _each(
             *(
-                clustered_ratio(100.0 * own.measured[rows], km[rows], own.clusters[rows])
+                compute_clustered_ratio(100.0 * own.measured[rows], km[rows], own.clusters[rows])
                 for (own, _, rows), km in zip(sets, kilometres, strict=True)
             )
         ),

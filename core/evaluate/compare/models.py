@@ -18,7 +18,7 @@ from core.evaluate.binning import conditions
 from core.evaluate.ride_filter import reasons
 from core.models import ANY, LinearModel
 from core.stats import multiple_testing, scores
-from core.stats.clustered import clustered_mean, clustered_ratio, vehicle_days
+from core.stats.clustered import assign_vehicle_days, compute_clustered_mean, compute_clustered_ratio
 from core.stats.scores import Codes, Estimate
 
 WORST: Final = 10
@@ -107,7 +107,7 @@ def sample(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> Sample:
         rides=kept,
         measured=kept["energy_kwh"].to_numpy(np.float64),
         predicted={label: energy[known] for label, energy in found.items()},
-        clusters=vehicle_days(kept),
+        clusters=assign_vehicle_days(kept),
         read=len(rides),
         left_out=left_out,
         notes=_notes(kept, models),
@@ -151,7 +151,7 @@ def _notes(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> tuple[str,
                     f"{label} was fitted to rides from {trained.first_date} to {trained.last_date}; {n:,} of these "
                     "may be among them, and its error on others is larger: `socast evaluate` tells"
                 )
-    days = len(np.unique(vehicle_days(rides)))
+    days = len(np.unique(assign_vehicle_days(rides)))
     if days == 1:
         notes.append(f"{len(rides):,} rides of one car on one day: too few for intervals")
     if "driver_id" not in rides or rides["driver_id"].isna().all():
@@ -204,8 +204,8 @@ def about(found: Sample) -> dict[str, Any]:
         "first_date": str(rides["date"].min()),
         "last_date": str(rides["date"].max()),
         "measured": measured,
-        "consumption_kwh": clustered_mean(found.measured, found.clusters).figures(),
-        "per_100km_kwh": clustered_ratio(100.0 * found.measured, distance, found.clusters).figures(),
+        "consumption_kwh": compute_clustered_mean(found.measured, found.clusters).figures(),
+        "per_100km_kwh": compute_clustered_ratio(100.0 * found.measured, distance, found.clusters).figures(),
     }
 
 
@@ -213,15 +213,15 @@ def figures(found: Sample, predicted: Floats) -> dict[str, Any]:
     """Return how far off predictions are: `mae_kwh`, `bias_kwh`, `rmse_kwh`, `relative`, shares `within` bands."""
     error = predicted - found.measured
     used = float(np.mean(found.measured))
-    size, off = clustered_mean(np.abs(error), found.clusters), clustered_mean(error, found.clusters)
+    size, off = compute_clustered_mean(np.abs(error), found.clusters), compute_clustered_mean(error, found.clusters)
     return {
         "rides": len(error),
         "mae_kwh": size.figures(),
         "bias_kwh": off.figures(),
-        "rmse_kwh": scores.root_mean_square(found.measured, predicted),
+        "rmse_kwh": scores.compute_rmse(found.measured, predicted),
         "relative": size.value / used if used > 0.0 else np.nan,
         "relative_bias": off.value / used if used > 0.0 else np.nan,
-        "within": scores.bands(found.measured, predicted),
+        "within": scores.compute_band_shares(found.measured, predicted),
     }
 
 
@@ -242,7 +242,7 @@ def by_condition(found: Sample, predicted: Floats) -> dict[str, list[dict[str, A
         entries = made.setdefault(name, [])
         for code in np.unique(codes[codes >= 0]).tolist():
             rows = np.flatnonzero(codes == code)
-            off = clustered_mean(error[rows], found.clusters[rows])
+            off = compute_clustered_mean(error[rows], found.clusters[rows])
             entries.append({"bin": labels[code], **_bin(error[rows], found.measured[rows], found.clusters[rows], off)})
             p.append(off.p)
     q = iter(false_discovery_rates(np.array(p)).tolist())
@@ -291,9 +291,10 @@ def pairs(found: Sample) -> list[dict[str, Any]]:
     """
     error = {label: np.abs(energy - found.measured) for label, energy in found.predicted.items()}
     apart = {
-        (a, b): clustered_mean(error[a] - error[b], found.clusters) for a, b in multiple_testing.pairs(list(error))
+        (a, b): compute_clustered_mean(error[a] - error[b], found.clusters)
+        for a, b in multiple_testing.list_pairs(list(error))
     }
-    adjusted = multiple_testing.adjusted(apart)
+    adjusted = multiple_testing.adjust_differences(apart)
     return [
         {"a": a, "b": b, "difference_kwh": off.figures(), "p": off.p, "p_holm": adjusted[a, b]}
         for (a, b), off in apart.items()

@@ -19,7 +19,7 @@ from core.errors import ModelError
 from core.evaluate.compare.models import KEYS, TOLD
 from core.evaluate.compare.running import so_far
 from core.models import LinearModel
-from core.models.parts import parts
+from core.models.parts import predict_parts
 
 LEAST_SHARE: Final = 0.5
 """Of a ride's error, for the span that holds it to be a place where model and measurement part."""
@@ -177,7 +177,7 @@ def _model(
             f"{label} is no sum over windows: what a window adds to its prediction of the ride so far is shown, and "
             f"{running[0]:+.3f} kWh are said before anything is driven"
         )
-    added, said_by = np.diff(running), parts(model, columns)
+    added, said_by = np.diff(running), predict_parts(model, columns)
     error = added - made["measured_kwh"]
     place = parting(error, made, said - float(made["measured_kwh"].sum()))
     return {

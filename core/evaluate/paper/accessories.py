@@ -9,7 +9,7 @@ from core.errors import SocastError
 from core.evaluate.ride_filter import LEAST, Judged
 from core.fit.recipes import RECIPES
 from core.models import BASIC_PHYSICAL
-from core.stats.scores import group_means
+from core.stats.scores import compute_group_means
 
 RECIPE: Final = "extended_physical"
 BIN_K: Final = 2.0
@@ -42,7 +42,7 @@ def figure_1(judged: Judged) -> dict[str, Any]:
         codes = (ambient[own] // BIN_K).astype(np.int64)
         first, bins = int(codes.min()), int(np.ptp(codes)) + 1
         rides = np.bincount(codes - first, minlength=bins)
-        sums = [group_means(values[own], codes - first, bins) for values in (ambient, beyond, time)]
+        sums = [compute_group_means(values[own], codes - first, bins) for values in (ambient, beyond, time)]
         points = [
             {"ambient_c": sums[0][b], "power_w": sums[1][b] / sums[2][b], "rides": int(rides[b])}
             for b in range(bins)

@@ -79,7 +79,8 @@ def by(held: HeldOut, judged: Judged) -> dict[str, dict[str, list[dict[str, Any]
     energy = judged.energy[rows]
     return {
         name: {
-            recipe: scores.by_bin(energy, held.all_of(recipe), _enough(codes, rows), labels) for recipe in held.recipes
+            recipe: scores.compute_bin_errors(energy, held.all_of(recipe), _enough(codes, rows), labels)
+            for recipe in held.recipes
         }
         for name, (codes, labels) in bins(judged).items()
     }
@@ -93,9 +94,9 @@ def overall(held: HeldOut, judged: Judged) -> dict[str, Any]:
     for recipe in held.recipes:
         said = held.all_of(recipe)
         own = [(name, model == i) for i, name in enumerate(judged.vehicle_models)]
-        found["bias"][recipe] = {name: scores.bias(energy[at], said[at]) for name, at in own}
-        found["rmse"][recipe] = {name: scores.root_mean_square(energy[at], said[at]) for name, at in own}
-        found["bands"][recipe] = scores.bands(energy, said)
+        found["bias"][recipe] = {name: scores.compute_bias(energy[at], said[at]) for name, at in own}
+        found["rmse"][recipe] = {name: scores.compute_rmse(energy[at], said[at]) for name, at in own}
+        found["bands"][recipe] = scores.compute_band_shares(energy, said)
         found["buffer_kwh"][recipe] = _buffers(energy, said)
         found["buffer_by_cluster"][recipe] = {
             name: _buffers(energy[cluster == i], said[cluster == i])
@@ -106,7 +107,7 @@ def overall(held: HeldOut, judged: Judged) -> dict[str, Any]:
 
 
 def _buffers(measured: Floats, predicted: Floats) -> dict[str, float]:
-    return {str(share): scores.buffer(measured, predicted, share / 100.0) for share in SHARES}
+    return {str(share): scores.compute_buffer(measured, predicted, share / 100.0) for share in SHARES}
 
 
 def coverages(held: HeldOut, judged: Judged) -> dict[str, dict[str, Any]]:
@@ -122,7 +123,7 @@ def coverages(held: HeldOut, judged: Judged) -> dict[str, dict[str, Any]]:
         lower, upper = held.all_bounds(recipe)
         inside = ((lower <= energy) & (energy <= upper)).astype(np.float64)
         found[recipe] = {
-            "overall": scores.coverage(energy, lower, upper),
+            "overall": scores.compute_coverage(energy, lower, upper),
             "cluster": _shares(inside, _enough(judged.cluster, rows), CLUSTERS),
             "season": _shares(inside, _enough(season, rows), seasons),
             "vehicle_model": _shares(inside, _enough(judged.model, rows), judged.vehicle_models),
@@ -133,5 +134,5 @@ def coverages(held: HeldOut, judged: Judged) -> dict[str, dict[str, Any]]:
 
 def _shares(inside: Floats, groups: Codes, names: Sequence[str]) -> dict[str, float]:
     """Return the share inside, of each group that has any."""
-    means = scores.group_means(inside, groups, len(names))
+    means = scores.compute_group_means(inside, groups, len(names))
     return {name: float(mean) for name, mean in zip(names, means, strict=True) if not np.isnan(mean)}

@@ -9,7 +9,7 @@ import numpy as np
 from core.batch import Floats
 from core.evaluate.paper.runs import Prediction
 from core.evaluate.ride_filter import CLUSTERS, LEAST, SCORED, Judged
-from core.stats.scores import Codes, Estimate, combined, group_means, over_repeats
+from core.stats.scores import Codes, Estimate, average_over_repeats, combine_strata, compute_group_means
 
 SILENT: Final = 0.05
 """Share of the rides for which a recipe may have no prediction before it is left out of the comparison."""
@@ -115,7 +115,9 @@ def cells(held: HeldOut, judged: Judged, values: Sequence[Floats]) -> Floats:
     for repeat, (rows, value) in enumerate(zip(held.rows, values, strict=True)):
         groups = judged.model[rows] * SCORED + judged.cluster[rows]
         groups[judged.cluster[rows] >= SCORED] = -1
-        found[repeat] = np.where(enough, group_means(value, groups, models * SCORED).reshape(models, SCORED), np.nan)
+        found[repeat] = np.where(
+            enough, compute_group_means(value, groups, models * SCORED).reshape(models, SCORED), np.nan
+        )
     return found
 
 
@@ -127,18 +129,18 @@ def errors(held: HeldOut, judged: Judged, recipe: str) -> list[Floats]:
 def grid(means: Floats, overlap: float) -> list[list[Estimate]]:
     """Return estimates over repeats, by vehicle model and cluster, of what `cells` gives."""
     _, models, count = means.shape
-    return [[over_repeats(means[:, m, c], overlap) for c in range(count)] for m in range(models)]
+    return [[average_over_repeats(means[:, m, c], overlap) for c in range(count)] for m in range(models)]
 
 
 def averages(found: list[list[Estimate]]) -> list[Estimate]:
     """Return the post-stratified average over clusters, of each vehicle model."""
-    return [combined(row) for row in found]
+    return [combine_strata(row) for row in found]
 
 
 def weighted(found: list[list[Estimate]], judged: Judged) -> list[Estimate]:
     """Return the mean over vehicle models, weighted by their rides, of each cluster."""
     count = judged.count()
-    return [combined([row[c] for row in found], count[:, c].tolist()) for c in range(SCORED)]
+    return [combine_strata([row[c] for row in found], count[:, c].tolist()) for c in range(SCORED)]
 
 
 def table(found: list[list[Estimate]], judged: Judged) -> dict[str, Any]:

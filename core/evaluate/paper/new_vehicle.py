@@ -23,7 +23,7 @@ from core.evaluate.paper.held_out import HeldOut
 from core.evaluate.paper.results import REFERENCE, pooled_average, reductions
 from core.evaluate.paper.runs import Fittable, Fitted
 from core.evaluate.ride_filter import LEAST, SCORED, Judged
-from core.stats.scores import group_means, over_repeats
+from core.stats.scores import average_over_repeats, compute_group_means
 from core.stats.splits import Positions, Split
 
 COUNTS: Final = (0, 1, 3, 10, 30, 100)
@@ -105,7 +105,7 @@ def tables_12_and_13(held: Mapping[str, HeldOut], judged: Judged) -> dict[str, d
 def _consumption(judged: Judged, model: int) -> float:
     """Return the mean energy of a ride, averaged over the clusters that are scored. [kWh]"""
     own = judged.model == model
-    means = group_means(judged.energy[own], judged.cluster[own], SCORED)
+    means = compute_group_means(judged.energy[own], judged.cluster[own], SCORED)
     return float(means[judged.count()[model, :SCORED] >= LEAST].mean())
 
 
@@ -182,7 +182,7 @@ def _average(error: Floats, judged: Judged, tested: Positions) -> float:
     """Return the mean over clusters, of rides of one vehicle model. [kWh]"""
     known = ~np.isnan(error)
     enough = judged.count()[judged.model[tested[0]], :SCORED] >= LEAST
-    means = group_means(error[known], judged.cluster[tested[known]], SCORED)[enough]
+    means = compute_group_means(error[known], judged.cluster[tested[known]], SCORED)[enough]
     return float(np.nanmean(means)) if np.any(~np.isnan(means)) else np.nan
 
 
@@ -194,7 +194,7 @@ def curves(found: Mapping[tuple[str, str], Floats | str]) -> tuple[dict[str, Any
         if isinstance(errors, str):
             notes.append(f"{learner} on a few rides of {name}: {errors}")
             continue
-        points = [over_repeats(errors[:, j], 0.0).figures() for j in range(errors.shape[1])]
+        points = [average_over_repeats(errors[:, j], 0.0).figures() for j in range(errors.shape[1])]
         table.setdefault(name, {})[learner] = [
             {"rides": count, "mae": point["value"], "ci95": point["ci95"]}
             for count, point in zip(COUNTS, points, strict=False)

@@ -17,9 +17,9 @@ from core.evaluate.paper.held_out import HeldOut, held_out
 from core.evaluate.paper.runs import Fittable, Prediction, Progress, in_parallel, plan
 from core.evaluate.ride_filter import Judged, judged
 from core.fit.recipes import RECIPES
-from core.fit.segment_network import SegmentRecipe, segments
-from core.models.features import needed
-from core.stats.splits import REPEATS, TEST_SHARE, Split, by_date, by_ride, by_vehicle
+from core.fit.segment_network import SegmentRecipe, build_segments
+from core.models.features import list_raw_columns
+from core.stats.splits import REPEATS, TEST_SHARE, Split, split_by_date, split_by_ride, split_by_vehicle
 
 SEGMENTS: Final = "segment_network"
 """Name of the reference that needs the window table."""
@@ -51,7 +51,7 @@ def chosen(names: str | None, windows: pd.DataFrame | None, seed: int = 0) -> di
     """
     known: dict[str, Fittable] = dict(RECIPES)
     if windows is not None:
-        known[SEGMENTS] = SegmentRecipe(segments(windows), seed)
+        known[SEGMENTS] = SegmentRecipe(build_segments(windows), seed)
     if names is None:
         return known
     wanted = dict.fromkeys(name.strip() for name in names.split(",") if name.strip())
@@ -123,7 +123,7 @@ def _check_columns(recipes: Mapping[str, Fittable], table: Judged) -> None:
     """Refuse, before minutes of work, a table that lacks a column of a recipe's terms."""
     for name, recipe in recipes.items():
         for term in getattr(recipe, "terms", ()):
-            for column in (raw for read in term.columns for raw in needed(read)):
+            for column in (raw for read in term.columns for raw in list_raw_columns(read)):
                 if column not in table.rides:
                     raise ModelError(
                         f"column {column!r} is missing in the ride table, and recipe {name} reads it: make the tables "
@@ -136,9 +136,9 @@ def _splits(table: Judged, seed: int, repeats: int) -> dict[Kind, dict[Any, Spli
     rides = table.rides
     models, cars, dates = (rides[name].astype(str).tolist() for name in ("vehicle_model", "vehicle_id", "date"))
     return {
-        "ride": dict(enumerate(by_ride(list(zip(models, table.cluster.tolist(), strict=True)), seed, repeats))),
-        "vehicle": dict(enumerate(by_vehicle(models, cars, seed))),
-        "date": dict(enumerate(by_date(dates))),
+        "ride": dict(enumerate(split_by_ride(list(zip(models, table.cluster.tolist(), strict=True)), seed, repeats))),
+        "vehicle": dict(enumerate(split_by_vehicle(models, cars, seed))),
+        "date": dict(enumerate(split_by_date(dates))),
         "new": new_vehicle.left_out(table),
     }
 

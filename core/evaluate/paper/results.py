@@ -10,7 +10,7 @@ from core.batch import Floats
 from core.evaluate.paper.held_out import HeldOut, averages, cells, errors, grid, table, weighted
 from core.evaluate.ride_filter import CLUSTERS, SCORED, Judged
 from core.stats import multiple_testing
-from core.stats.scores import Estimate, combined, group_means, over_repeats
+from core.stats.scores import Estimate, average_over_repeats, combine_strata, compute_group_means
 
 REFERENCE: Final = "basic_physical"
 """Recipe that reductions are against."""
@@ -50,7 +50,9 @@ def tables_2_and_3(judged: Judged) -> dict[str, Any]:
     """Return `rides` and `consumption`: number and mean energy of rides by vehicle model and cluster."""
     models, many = len(judged.vehicle_models), len(CLUSTERS)
     count = judged.count()
-    means = group_means(judged.energy, judged.model * many + judged.cluster, models * many).reshape(models, many)
+    means = compute_group_means(judged.energy, judged.model * many + judged.cluster, models * many).reshape(
+        models, many
+    )
     rides, consumption = {}, {}
     for i, name in enumerate(judged.vehicle_models):
         rides[name] = {**dict(zip(CLUSTERS, count[i].tolist(), strict=True)), "total": int(count[i].sum())}
@@ -110,21 +112,21 @@ def difference_scores(held: HeldOut, judged: Judged) -> dict[str, Any]:
     """
     ridden = {r: _per_ride(held, judged, errors(held, judged, r)) for r in held.recipes}
     scored = {r: cells(held, judged, errors(held, judged, r)) for r in held.recipes}
-    pairs = multiple_testing.pairs(held.recipes)
+    pairs = multiple_testing.list_pairs(held.recipes)
     by_model: list[tuple[dict[Any, Estimate], dict[Any, Estimate]]] = []
     for m in range(len(judged.vehicle_models)):
-        rides = {(a, b): over_repeats(ridden[a][:, m] - ridden[b][:, m], held.overlap) for a, b in pairs}
+        rides = {(a, b): average_over_repeats(ridden[a][:, m] - ridden[b][:, m], held.overlap) for a, b in pairs}
         average = {
-            (a, b): combined(
-                [over_repeats(scored[a][:, m, c] - scored[b][:, m, c], held.overlap) for c in range(SCORED)]
+            (a, b): combine_strata(
+                [average_over_repeats(scored[a][:, m, c] - scored[b][:, m, c], held.overlap) for c in range(SCORED)]
             )
             for a, b in pairs
         }
         by_model.append((rides, average))
     weights = judged.count().sum(axis=1).tolist()
     together = (
-        {pair: combined([of[0][pair] for of in by_model], weights) for pair in pairs},
-        {pair: combined([of[1][pair] for of in by_model]) for pair in pairs},
+        {pair: combine_strata([of[0][pair] for of in by_model], weights) for pair in pairs},
+        {pair: combine_strata([of[1][pair] for of in by_model]) for pair in pairs},
     )
     found: dict[str, Any] = {"difference": {}, "dominates": {}, "dominates_average": {}}
     names = [*judged.vehicle_models, ALL]
@@ -132,9 +134,9 @@ def difference_scores(held: HeldOut, judged: Judged) -> dict[str, Any]:
         own = slice(i, i + 1) if name != ALL else slice(None)
         found["difference"][name] = _pairs(rides, average)
         mean = {r: _mean(ridden[r][:, own], weights[own]) for r in held.recipes}
-        found["dominates"][name] = multiple_testing.dominating(mean, rides)
-        mean = {r: combined(averages(grid(scored[r][:, own], held.overlap))).value for r in held.recipes}
-        found["dominates_average"][name] = multiple_testing.dominating(mean, average)
+        found["dominates"][name] = multiple_testing.select_dominating(mean, rides)
+        mean = {r: combine_strata(averages(grid(scored[r][:, own], held.overlap))).value for r in held.recipes}
+        found["dominates_average"][name] = multiple_testing.select_dominating(mean, average)
     return found
 
 
@@ -142,19 +144,19 @@ def _per_ride(held: HeldOut, judged: Judged, values: Sequence[Floats]) -> Floats
     """Return means over the rides of each vehicle model, (repeats, vehicle models)."""
     models = len(judged.vehicle_models)
     return np.array(
-        [group_means(value, judged.model[rows], models) for rows, value in zip(held.rows, values, strict=True)]
+        [compute_group_means(value, judged.model[rows], models) for rows, value in zip(held.rows, values, strict=True)]
     )
 
 
 def _mean(values: Floats, weights: Sequence[float]) -> float:
     """Return the mean over repeats, then over vehicle models by their rides, of what is known."""
-    parts = [over_repeats(values[:, m], 0.0) for m in range(values.shape[1])]
-    return combined(parts, weights).value
+    parts = [average_over_repeats(values[:, m], 0.0) for m in range(values.shape[1])]
+    return combine_strata(parts, weights).value
 
 
 def _pairs(rides: Mapping[Any, Estimate], average: Mapping[Any, Estimate]) -> dict[str, Any]:
     """Return the differences of all pairs, by `a|b`."""
-    p, p_average = multiple_testing.adjusted(rides), multiple_testing.adjusted(average)
+    p, p_average = multiple_testing.adjust_differences(rides), multiple_testing.adjust_differences(average)
     return {
         "|".join(pair): {
             **rides[pair].figures(),

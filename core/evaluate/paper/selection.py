@@ -26,14 +26,14 @@ from sklearn.model_selection import KFold
 
 from core.batch import Floats
 from core.evaluate.ride_filter import Judged
-from core.fit.fitting import design
+from core.fit.fitting import build_design
 from core.fit.recipes import LinearRecipe
 from core.fit.regression import Moments, solve
 from core.models import ANY, Term
 from core.models.features import Columns
 from core.stats.multiple_testing import SIGNIFICANCE
-from core.stats.scores import Codes, Estimate, over_repeats
-from core.stats.splits import Positions, Split, by_ride
+from core.stats.scores import Codes, Estimate, average_over_repeats
+from core.stats.splits import Positions, Split, split_by_ride
 
 RECIPE: Final = "hybrid"
 MOST: Final = 20_000
@@ -177,10 +177,10 @@ def losses(design: Design, removed: Sequence[Codes], seed: int) -> list[Estimate
     """
     p = design.table.shape[1] - 1
     kept = [np.arange(p), *(np.setdiff1d(np.arange(p), gone) for gone in removed)]
-    splits = by_ride(design.strata, seed, REPEATS)
+    splits = split_by_ride(design.strata, seed, REPEATS)
     errors = np.array([_errors(design, kept, split) for split in splits])  # (repeats, sets of terms)
     overlap = float(np.mean([len(s.test) / len(s.train) for s in splits]))
-    return [over_repeats(errors[:, i] - errors[:, 0], overlap) for i in range(1, len(kept))]
+    return [average_over_repeats(errors[:, i] - errors[:, 0], overlap) for i in range(1, len(kept))]
 
 
 def _errors(design: Design, kept: Sequence[Codes], split: Split) -> Floats:
@@ -204,7 +204,7 @@ def _halves(judged: Judged, terms: int, seed: int) -> tuple[Positions, Split]:
     rides = np.flatnonzero(enough[judged.model])
     rides = np.sort(np.random.default_rng(seed).permutation(rides)[:MOST])
     strata = [(judged.vehicle_models[judged.model[i]], int(judged.cluster[i])) for i in rides.tolist()]
-    return rides, by_ride(strata, seed, repeats=1, test_share=0.5)[0]
+    return rides, split_by_ride(strata, seed, repeats=1, test_share=0.5)[0]
 
 
 def _design(recipe: LinearRecipe, terms: tuple[Term, ...], judged: Judged, rides: Positions, halves: Split) -> Design:
@@ -220,7 +220,7 @@ def _design(recipe: LinearRecipe, terms: tuple[Term, ...], judged: Judged, rides
         fit = fits.get(name, fits[ANY])
         curve = None if fit.curve is None else fit.curve.to_curve()
         of: Any = table.iloc[own]
-        part = design(terms, Columns(of, fit.fills, curve), len(own))
+        part = build_design(terms, Columns(of, fit.fills, curve), len(own))
         first = part[ranks[own]]
         scale = first.std(axis=0)
         varies = scale > 1e-9 * np.abs(first).max(axis=0, initial=0.0)

@@ -18,9 +18,9 @@ from core.evaluate.soc.cases import HOURS, KEY, Judged, judged
 from core.evaluate.soc.examples import examples
 from core.evaluate.soc.legs import MINUTES
 from core.evaluate.soc.reserve_risk import reserve
-from core.stats.clustered import clustered_mean
+from core.stats.clustered import compute_clustered_mean
 from core.stats.scores import Codes
-from core.stats.soc_share import clustered_share
+from core.stats.soc_share import compute_clustered_share
 
 NOMINAL: Final = 0.90
 """Share of outcomes that the interval is meant to hold."""
@@ -127,12 +127,12 @@ def figures(cases: pd.DataFrame) -> dict[str, Any]:
         "n": len(cases),
         "shifts": len(cases[KEY].drop_duplicates()),
         "vehicle_days": len(np.unique(clusters)),
-        "mae_pct": clustered_mean(error, clusters).figures(),
-        "bias_pct": clustered_mean(mean - became, clusters).figures(),
-        "coverage": clustered_share((low <= became) & (became <= high), clusters),
+        "mae_pct": compute_clustered_mean(error, clusters).figures(),
+        "bias_pct": compute_clustered_mean(mean - became, clusters).figures(),
+        "coverage": compute_clustered_share((low <= became) & (became <= high), clusters),
         "below": float(np.mean(became < low)),
         "above": float(np.mean(became > high)),
-        "width_pct": clustered_mean(high - low, clusters).figures(),
+        "width_pct": compute_clustered_mean(high - low, clusters).figures(),
         "baselines": {name: _against(_numbers(cases, name), became, error, clusters) for name in BASELINES},
         "best": _best(cases, became, error, clusters),
     }
@@ -144,10 +144,10 @@ def _against(expected: Floats, became: Floats, error: Floats, clusters: Codes) -
     its, own, of = np.abs(expected - became)[known], error[known], clusters[known]
     return {
         "n": int(known.sum()),
-        "mae_pct": clustered_mean(its, of).figures(),
-        "bias_pct": clustered_mean((expected - became)[known], of).figures(),
-        "forecast_mae_pct": clustered_mean(own, of).figures(),
-        "less_pct": clustered_mean(its - own, of).figures(),
+        "mae_pct": compute_clustered_mean(its, of).figures(),
+        "bias_pct": compute_clustered_mean((expected - became)[known], of).figures(),
+        "forecast_mae_pct": compute_clustered_mean(own, of).figures(),
+        "less_pct": compute_clustered_mean(its - own, of).figures(),
         "share_less": _share_less(its, own),
     }
 

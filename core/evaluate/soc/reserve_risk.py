@@ -20,9 +20,9 @@ from scipy.special import ndtr, ndtri
 from core.batch import Floats
 from core.evaluate.soc.baselines import BASELINES, risk_by_earlier
 from core.evaluate.soc.cases import HOURS, KEY
-from core.stats.clustered import clustered_ratio
+from core.stats.clustered import compute_clustered_ratio
 from core.stats.scores import Codes
-from core.stats.soc_share import clustered_share
+from core.stats.soc_share import compute_clustered_share
 
 LEVELS: Final = (20, 30, 40, 50, 60)
 """Levels that stand in for a reserve. [%]"""
@@ -174,7 +174,7 @@ def worth(rows: pd.DataFrame) -> dict[str, Any]:
 
 def skill(own: Floats, reference: Floats, clusters: Codes) -> dict[str, float]:
     """Return by how much, as a share, a mean square is below that of a reference, with half its 95 % interval."""
-    return clustered_ratio(reference - own, reference, clusters).figures()
+    return compute_clustered_ratio(reference - own, reference, clusters).figures()
 
 
 def alarms(risk: Floats, fell: NDArray[np.bool_], clusters: Codes) -> dict[str, Any]:
@@ -192,8 +192,8 @@ def alarms(risk: Floats, fell: NDArray[np.bool_], clusters: Codes) -> dict[str, 
         "caught": int(np.sum(warned & fell)),
         "missed": int(np.sum(~warned & fell)),
         "false_alarms": int(np.sum(warned & ~fell)),
-        "hit_rate": clustered_share(warned[fell], clusters[fell]),
-        "false_alarm_rate": clustered_share(warned[~fell], clusters[~fell]),
+        "hit_rate": compute_clustered_share(warned[fell], clusters[fell]),
+        "false_alarm_rate": compute_clustered_share(warned[~fell], clusters[~fell]),
     }
 
 
@@ -212,7 +212,7 @@ def reliability(rows: pd.DataFrame) -> list[dict[str, Any]]:
     for code, (low, high) in enumerate(pairwise(BINS)):
         mine = place == code
         if mine.any():
-            fell = clustered_share(rows["fell"].to_numpy(bool)[mine], clusters[mine])
+            fell = compute_clustered_share(rows["fell"].to_numpy(bool)[mine], clusters[mine])
             shifts = int(rows["shift"][mine].nunique())
             told = float(risk[mine].mean())
             found.append({"low": low, "high": high, "n": int(mine.sum()), "shifts": shifts, "told": told, "fell": fell})

@@ -10,8 +10,8 @@ from core.diagnose.candidates import LEAST_IN_BENDS, LEAST_SHARE, library
 from core.effects.road_load import ROAD_LOAD
 from core.fit.fitting import fit_terms
 from core.fit.recipes import ROAD_LOAD_TERMS, LinearRecipe
-from core.fit.ride_blocks import Frame
-from core.models import physical_term
+from core.fit.ride_blocks import RideFrame
+from core.models import make_physical_term
 from tests.support.drives import drives, measured, seen
 
 
@@ -27,7 +27,7 @@ def with_columns(windows, **columns):
 def test_all_that_the_library_holds_beside_the_base_is_asked_for_or_said_to_be_absent(found):
     asked = library(*found)
     base = {effect.name for effect in ROAD_LOAD}
-    assert set(asked.names) | set(asked.absent) == set(effects.library()) - base
+    assert set(asked.names) | set(asked.absent) == set(effects.get_library()) - base
     assert not set(asked.names) & set(asked.absent)
     assert {"cold_rolling", "headwind", "wet_road", "payload", "solar_load"} <= set(asked.names)
     assert asked.scope == ()
@@ -54,8 +54,8 @@ def test_what_is_not_to_be_asked_for_is_not(found):
 @pytest.mark.parametrize("variant", ["cold_rolling", "cold_rolling@reference=283.15"])
 def test_what_the_model_has_is_asked_for_in_places_only(found, variant):
     windows = found[0]
-    terms = (*ROAD_LOAD_TERMS, physical_term(variant, (f"effect_{variant}",)))
-    model = fit_terms(LinearRecipe("more", "", terms), Frame(windows.table), covariance=False)
+    terms = (*ROAD_LOAD_TERMS, make_physical_term(variant, (f"effect_{variant}",)))
+    model = fit_terms(LinearRecipe("more", "", terms), RideFrame(windows.table), covariance=False)
     everywhere, places = library(windows, model), library(windows, model, scopes=True)
     assert everywhere.absent["cold_rolling"] == "in the model"
     assert "cold_rolling" not in everywhere.names

@@ -16,7 +16,7 @@ from core.diagnose.dataset import LEAST_RIDES, fitted, gather
 from core.diagnose.diagnosis import declared, diagnose
 from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError
-from core.models.features import needed
+from core.models.features import list_raw_columns
 from tests.support.diagnosis_result import diagnosis as made_up
 from tests.support.drives import drives, measured
 from tools.bench.hidden import cases
@@ -113,7 +113,7 @@ class TestPromise:
     def test_every_effect_of_the_library_is_accounted_for_once(self, found):
         names = [row["effect"] for row in found["candidates"]]
         assert len(names) == len(set(names))
-        assert set(names) == set(effects.library()) - {effect.name for effect in ROAD_LOAD}
+        assert set(names) == set(effects.get_library()) - {effect.name for effect in ROAD_LOAD}
         for row in found["candidates"]:
             asked = row["gain"] is not None
             assert asked == (row["status"] in {"missing", "not needed", "not there", "wrong sign"}), row
@@ -141,7 +141,7 @@ class TestWhatWasHidden:
         assert first["group"][0] == HIDDEN
         assert first["scope"] == "all"
         assert first["columns"] == [f"effect_{first['variant']}"]
-        assert needed(first["columns"][0])
+        assert list_raw_columns(first["columns"][0])
         assert first["q"] < 0.01
         (row,) = (row for row in found["candidates"] if row["effect"] == HIDDEN)
         assert row["status"] == "missing"

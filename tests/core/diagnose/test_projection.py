@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.diagnose.projection import Base, orthonormal
-from core.models.features import ACCESSORIES, Columns
+from core.models.features import ACCESSORIES_COLUMN, Columns
 from tests.support.drives import based, drives, measured, seen, with_energy
 
 NOISE = 0.004
@@ -87,7 +87,7 @@ def test_the_accessories_of_the_models_own_curve_are_taken_up():
     found, model = seen(measured(drives()))
     fit = next(iter(model.fits.values()))
     base = Base(found, model)
-    curve = Columns(found.table, fit.fills, fit.curve.to_curve())[ACCESSORIES]
+    curve = Columns(found.table, fit.fills, fit.curve.to_curve())[ACCESSORIES_COLUMN]
     assert untaken(base, curve[:, np.newaxis])[0] < 1e-9
 
 

@@ -84,7 +84,7 @@ def found(car: str) -> Found:
 
 def tables(drives, settings: Settings) -> Tables:
     """Return what `socast tables` makes of drives."""
-    pipeline = Pipeline(settings=settings, also=list(effects.tabulated()), keep_forecasts=False)
+    pipeline = Pipeline(settings=settings, also=list(effects.list_tabulated()), keep_forecasts=False)
     pipeline.push(messages(drives, PERIOD))
     pipeline.finish()
     return Tables(pipeline.take_rides(), pipeline.take_windows())
@@ -138,7 +138,7 @@ def test_the_measured_climate_power_plays_no_part_in_what_is_diagnosed(car):
         assert other["hvac_kwh"].notna().any()
         read = [name for name in one if name != "hvac_kwh" and not name.startswith("quality_")]
         pd.testing.assert_frame_equal(one[read], other[read])
-    assert not [name for name in effects.tabulated() if "hvac" in effects.get(name).arguments]
+    assert not [name for name in effects.list_tabulated() if "hvac" in effects.get(name).arguments]
     assert not [term for term in found(car).model.terms if "accessor" in " ".join(term.columns)]
 
 

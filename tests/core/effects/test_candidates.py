@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from core.columns import SIGNALS
-from core.effects import CANDIDATES, check, get, library, tabulated, topics
+from core.effects import CANDIDATES, check_effect, get, get_library, group_by_topic, list_tabulated
 from core.effects.road_load import ROAD_LOAD
 from core.effects.verification import ORDINARY
 from core.errors import EffectError
@@ -35,14 +35,14 @@ def rows(seed: int, count: int) -> dict[str, np.ndarray]:
 def test_every_phenomenon_is_there_once():
     assert sorted(each.name for each in EACH) == sorted(WANTED)
     assert len(WANTED) == 28
-    assert list(library())[: len(ROAD_LOAD) + len(EACH)] == [e.name for e in (*ROAD_LOAD, *EACH)]
-    assert list(topics())[: 1 + len(CANDIDATES)] == ["road load", *CANDIDATES]
-    assert [each.name for found in topics().values() for each in found] == list(library())
+    assert list(get_library())[: len(ROAD_LOAD) + len(EACH)] == [e.name for e in (*ROAD_LOAD, *EACH)]
+    assert list(group_by_topic())[: 1 + len(CANDIDATES)] == ["road load", *CANDIDATES]
+    assert [each.name for found in group_by_topic().values() for each in found] == list(get_library())
 
 
 @ALL
 def test_unit_shape_and_values_are_right(each):
-    check(each)
+    check_effect(each)
 
 
 @ALL
@@ -118,7 +118,7 @@ def test_in_mild_still_weather_by_day_nearly_all_are_silent():
 # Confusions
 
 
-@pytest.mark.parametrize("each", library().values(), ids=lambda e: e.name)
+@pytest.mark.parametrize("each", get_library().values(), ids=lambda e: e.name)
 def test_confusions_are_of_known_effects_and_mutual(each):
     for name in each.confused_with:
         assert name != each.name
@@ -154,7 +154,7 @@ def test_variants_are_the_function_at_other_values():
             assert get(variant.name).constants == variant.constants
             assert (variant.base, variant.energy_name) == (each.name, f"effect_{variant.name}")
             seen += 1
-    assert seen + len(library()) == len(tabulated()) == len(set(tabulated()))
+    assert seen + len(get_library()) == len(list_tabulated()) == len(set(list_tabulated()))
 
 
 def test_a_variant_is_found_by_any_values_within_bounds_under_its_own_name():

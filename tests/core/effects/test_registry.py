@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 
 from core import effects
 from core.columns import SIGNALS
-from core.effects import get, library, load_file, registry, tabulated, topics
+from core.effects import get, get_library, group_by_topic, list_tabulated, load_file, registry
 from core.errors import EffectError, SettingsError
 from tests.support.one_row import power
 from tools.cli import main
@@ -63,14 +63,14 @@ def test_loading_again_replaces_what_the_file_brought(write):
     load_file(write(GOOD))
     (found,) = load_file(write(GOOD.replace("door_loss", "gate_loss")))
     assert get("gate_loss") is found
-    assert "door_loss" not in library()
+    assert "door_loss" not in get_library()
 
 
 def test_a_name_that_is_taken_is_refused_and_the_library_unchanged(write):
-    before = dict(library())
+    before = dict(get_library())
     with pytest.raises(EffectError, match="effect 'rolling' is in the library already: give yours another name"):
         load_file(write(GOOD.replace("door_loss", "rolling")))
-    assert dict(library()) == before
+    assert dict(get_library()) == before
     load_file(write(GOOD))
     with pytest.raises(EffectError, match="effect 'door_loss' is in the library already"):
         load_file(write(GOOD, "theirs.py"))
@@ -122,13 +122,13 @@ def test_a_name_that_is_taken_is_refused_and_the_library_unchanged(write):
 )
 def test_a_bad_file_is_told_of_in_one_line(write, text, said):
     path = write(text)
-    before = dict(library())
+    before = dict(get_library())
     with pytest.raises(EffectError) as caught:
         load_file(path)
     assert str(caught.value).startswith(str(path))
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
-    assert dict(library()) == before
+    assert dict(get_library()) == before
 
 
 @pytest.mark.parametrize(
@@ -156,8 +156,8 @@ def test_list_shows_every_effect_by_topic_and_writes_json(tmp_path):
     done = CliRunner().invoke(app, ["list", "--json", str(tmp_path / "effects.json")])
     assert done.exit_code == 0
     written = json.loads((tmp_path / "effects.json").read_text())
-    assert [row["name"] for row in written] == list(library())
-    assert list(dict.fromkeys(row["topic"] for row in written)) == list(topics())
+    assert [row["name"] for row in written] == list(get_library())
+    assert list(dict.fromkeys(row["topic"] for row in written)) == list(group_by_topic())
     for row in written:
         assert row["name"] in done.stdout
         assert row["topic"] in done.stdout
@@ -166,10 +166,10 @@ def test_list_shows_every_effect_by_topic_and_writes_json(tmp_path):
         assert row["sign"] in (-1, 0, 1)
     assert written[0]["plausible"] == [0.004, 0.025]
     assert "[m^2]" in done.stdout
-    assert [name for row in written for name in row["tabulated"]] == [f"effect_{name}" for name in tabulated()]
+    assert [name for row in written for name in row["tabulated"]] == [f"effect_{name}" for name in list_tabulated()]
 
 
-@pytest.mark.parametrize("name", [*library(), "cold_rolling@reference=283.15"])
+@pytest.mark.parametrize("name", [*get_library(), "cold_rolling@reference=283.15"])
 def test_show_tells_all_that_is_declared(name):
     effect = get(name)
     done = CliRunner().invoke(app, ["show", name])
@@ -191,17 +191,17 @@ def test_ones_own_effects_are_listed_and_shown_under_their_file(write):
     shown = CliRunner().invoke(app, ["show", "door_loss", "--effects", str(path)])
     assert "door_loss (mine.py)" in shown.stdout
     assert "cabin_heating" in shown.stdout
-    assert "door_loss" in tabulated()
+    assert "door_loss" in list_tabulated()
 
 
-@pytest.mark.parametrize("origin", [None, *library()])
+@pytest.mark.parametrize("origin", [None, *get_library()])
 def test_a_new_file_passes_its_check_and_does_what_its_origin_does(tmp_path, origin):
     path = tmp_path / "begun.py"
     done = CliRunner().invoke(app, ["new", str(path), *(["--from", origin] if origin else [])])
     assert done.exit_code == 0
     assert f"socast effects check {path}" in " ".join(done.stdout.split())
     (found,) = registry._run(path)
-    effects.check(found)
+    effects.check_effect(found)
     if origin is None:
         assert found.name == "my_effect"
         assert found.variants

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from core.columns import GRAVITY
-from core.effects import check, get, library
+from core.effects import check_effect, get, get_library
 from core.effects.road_load import ROAD_LOAD, STANDARD_AIR_DENSITY
 from core.effects.verification import ORDINARY
 from core.vehicles import ACCESSORIES
@@ -33,7 +33,7 @@ def power(name: str, **columns: float) -> float:
 
 @ALL
 def test_unit_shape_and_values_are_right(each):
-    check(each)
+    check_effect(each)
 
 
 @ALL
@@ -66,9 +66,9 @@ def test_an_unknown_argument_gives_nan_in_its_row_alone(each, argument):
 
 
 def test_the_library_is_the_road_load_by_name_and_cannot_be_changed():
-    assert list(library())[: len(ROAD_LOAD)] == [e.name for e in ROAD_LOAD]
+    assert list(get_library())[: len(ROAD_LOAD)] == [e.name for e in ROAD_LOAD]
     with pytest.raises(TypeError):
-        library()["rolling"] = None
+        get_library()["rolling"] = None
 
 
 # Closed forms

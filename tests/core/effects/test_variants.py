@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from core.columns import JOULES_PER_KWH
-from core.effects import get, library, tabulated
+from core.effects import get, get_library, list_tabulated
 from core.pipeline import Pipeline
 from tests.support.telemetry import drive, leaf, observed, ran, telemetry, without
 
@@ -56,7 +56,7 @@ MESSAGES = shift()
 @pytest.fixture(scope="module")
 def whole():
     """The tables of the shift with every effect and variant."""
-    pipeline, _ = ran(MESSAGES, also=tabulated())
+    pipeline, _ = ran(MESSAGES, also=list_tabulated())
     return pipeline.take_rides(), pipeline.take_windows()
 
 
@@ -65,13 +65,13 @@ def test_tables_have_a_column_for_every_effect_and_every_variant(whole):
         assert [name for name in table if name.startswith("effect_")][: 5] == [
             *("effect_rolling", "effect_climbing", "effect_aero_drag", "effect_inertia", "effect_accessories")
         ]  # fmt: skip
-        assert {f"effect_{name}" for name in tabulated()} <= set(table)
+        assert {f"effect_{name}" for name in list_tabulated()} <= set(table)
         assert table.columns.is_unique
 
 
 def test_every_effect_is_known_and_at_work_in_a_shift_of_all_weathers(whole):
     rides, windows = whole
-    for name in tabulated():
+    for name in list_tabulated():
         assert np.isfinite(rides[f"effect_{name}"]).all(), name
         assert np.isfinite(windows[f"effect_{name}"]).all(), name
         assert (rides[f"effect_{name}"] != 0).any(), name
@@ -79,7 +79,7 @@ def test_every_effect_is_known_and_at_work_in_a_shift_of_all_weathers(whole):
 
 def test_windows_add_up_to_their_ride(whole):
     rides, windows = whole
-    names = [f"effect_{name}" for name in tabulated()]
+    names = [f"effect_{name}" for name in list_tabulated()]
     summed = windows.groupby("ride_key")[names].sum().loc[rides["ride_key"]]
     assert summed.to_numpy() == pytest.approx(rides[names].to_numpy(), rel=1e-9, abs=1e-9)
 
@@ -87,16 +87,16 @@ def test_windows_add_up_to_their_ride(whole):
 @given(cuts=st.lists(st.integers(0, len(MESSAGES)), max_size=8))
 @settings(max_examples=8)
 def test_any_chunking_is_the_whole_for_every_effect_and_variant(whole, cuts):
-    parts, _ = ran(MESSAGES, cuts, also=tabulated(), keep_forecasts=False)
+    parts, _ = ran(MESSAGES, cuts, also=list_tabulated(), keep_forecasts=False)
     pd.testing.assert_frame_equal(parts.take_rides(), whole[0], check_exact=True)
     pd.testing.assert_frame_equal(parts.take_windows(), whole[1], check_exact=True)
 
 
 def test_a_restart_on_a_wet_road_is_no_interruption(whole):
-    first = Pipeline(also=tabulated())
+    first = Pipeline(also=list_tabulated())
     first.push(MESSAGES[:150])
     windows = first.take_windows()
-    second = Pipeline(also=tabulated())
+    second = Pipeline(also=list_tabulated())
     second.restore(first.snapshot())
     second.push(MESSAGES[150:])
     second.finish()
@@ -107,7 +107,7 @@ def test_a_restart_on_a_wet_road_is_no_interruption(whole):
 def test_a_variants_column_is_the_effect_at_the_other_value(whole):
     """Colder than 5 °C for the whole ride, each reference 5 K higher adds the same."""
     cold = without(drive(100, speed=10.0, ambient_c=-20.0), "metres")
-    pipeline, _ = ran([leaf(), *telemetry(cold)], also=tabulated())
+    pipeline, _ = ran([leaf(), *telemetry(cold)], also=list_tabulated())
     ride = pipeline.take_rides().iloc[0]
     at = [ride[f"effect_cold_rolling@reference={t}"] for t in (278.15, 283.15, 288.15)]
     at.append(ride["effect_cold_rolling"])
@@ -157,5 +157,5 @@ def test_a_place_that_is_lost_in_a_tunnel_at_night_keeps_its_darkness():
 
 
 def test_every_candidate_is_in_the_library_that_tables_use():
-    assert set(library()) <= set(tabulated())
-    assert all(get(name).name == name for name in tabulated())
+    assert set(get_library()) <= set(list_tabulated())
+    assert all(get(name).name == name for name in list_tabulated())

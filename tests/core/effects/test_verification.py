@@ -3,7 +3,7 @@
 import pytest
 
 from core.columns import SIGNALS
-from core.effects import Effect, check
+from core.effects import Effect, check_effect
 from core.effects.declaration import SIGNAL_UNITS
 from core.effects.verification import ORDINARY
 from core.errors import EffectError
@@ -29,7 +29,7 @@ def refusal(text: str) -> str:
     exec(text, names)
     (found,) = [value for value in names.values() if isinstance(value, Effect)]
     with pytest.raises(EffectError) as caught:
-        check(found)
+        check_effect(found)
     assert "\n" not in str(caught.value)
     return str(caught.value)
 

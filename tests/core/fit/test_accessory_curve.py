@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from core.columns import ZERO_CELSIUS
-from core.fit.accessory_curve import Temperatures, slopes
+from core.fit.accessory_curve import TemperatureBins, compute_slopes
 from core.fit.recipes import RECIPES
 from core.models import Curve
 from core.vehicles import ACCESSORIES, AccessoryCurve
@@ -69,10 +69,10 @@ def test_without_noise_they_come_back_exactly():
     np.testing.assert_allclose(levels(found), levels(CURVES[0]), rtol=0.01)
 
 
-def temperatures(curve, n=5000, low=-30.0, high=30.0, seed=0, noise=0.02) -> Temperatures:
+def temperatures(curve, n=5000, low=-30.0, high=30.0, seed=0, noise=0.02) -> TemperatureBins:
     rng = np.random.default_rng(seed)
     ambient, time = rng.uniform(low, high, n), rng.uniform(100.0, 2000.0, n) / 3.6e6
-    found = Temperatures()
+    found = TemperatureBins()
     for part in np.array_split(np.arange(n), 3):
         power = curve.power(ambient[part] + ZERO_CELSIUS)
         found.add(ambient[part], time[part], time[part] * power + rng.normal(0.0, noise, len(part)))
@@ -83,7 +83,7 @@ def test_the_curve_does_not_depend_on_how_rides_are_cut_nor_on_when_it_is_asked_
     assert temperatures(CURVES[0]).fit() == temperatures(CURVES[0]).fit()
     rng = np.random.default_rng(1)
     ambient, time, energy = rng.uniform(-30, 30, 900), rng.random(900), rng.random(900)
-    whole, parts = Temperatures(), Temperatures()
+    whole, parts = TemperatureBins(), TemperatureBins()
     whole.add(ambient, time, energy)
     for part in np.array_split(np.arange(900), 7):
         parts.add(ambient[part], time[part], energy[part])
@@ -111,7 +111,7 @@ def test_few_rides_scale_the_reference_curve_and_their_road_load_may_be_all_zero
     ambient, time = rng.uniform(-20.0, 25.0, 300), rng.uniform(0.5, 1.0, 300) / 3600.0
     energy = 1.5 * time * ACCESSORIES.power(ambient + ZERO_CELSIUS)
     for rides_, exact in ((60, True), (300, False)):
-        found = Temperatures(beside=2)
+        found = TemperatureBins(beside=2)
         flat = np.zeros(rides_)
         found.add(ambient[:rides_], time[:rides_], energy[:rides_], [flat, flat])
         curve = found.fit()
@@ -121,13 +121,13 @@ def test_few_rides_scale_the_reference_curve_and_their_road_load_may_be_all_zero
 
 
 def test_no_ride_with_a_temperature_leaves_the_reference_curve():
-    nothing = Temperatures()
+    nothing = TemperatureBins()
     nothing.add(np.array([np.nan]), np.ones(1), np.ones(1))
     assert levels(nothing.fit()) == pytest.approx(levels(ACCESSORIES))
 
 
 def test_power_that_is_negative_is_not_believed():
-    cold = Temperatures()
+    cold = TemperatureBins()
     rng = np.random.default_rng(3)
     ambient = rng.uniform(-30.0, 30.0, 500)
     cold.add(ambient, np.full(500, 1e-4), -0.1 * np.ones(500))
@@ -143,7 +143,7 @@ def test_slopes_are_derivatives(number):
     ambient = np.linspace(-29.7, 29.8, 200)
     h = 1e-4
     above, below = (moved(curve, number, by).power(ambient + ZERO_CELSIUS) for by in (h, -h))
-    np.testing.assert_allclose(slopes(curve, ambient)[:, number], (above - below) / (2.0 * h), atol=1e-4)
+    np.testing.assert_allclose(compute_slopes(curve, ambient)[:, number], (above - below) / (2.0 * h), atol=1e-4)
 
 
 def moved(curve: Curve, number: int, by: float) -> AccessoryCurve:

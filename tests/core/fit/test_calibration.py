@@ -8,13 +8,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from core.errors import ModelError
-from core.fit.calibration import LEAST_RIDES, LEVELS, Held, calibrated, least_squares_interval, parts
+from core.fit.calibration import (
+    LEAST_CALIBRATION_RIDES,
+    QUANTILE_LEVELS,
+    HeldOutErrors,
+    add_interval,
+    assign_folds,
+    calibrate_interval,
+)
 from core.fit.fitting import fit_terms
-from core.fit.recipes import RECIPES, LinearRecipe, term
-from core.fit.ride_blocks import Frame
-from core.models import BASIC_PHYSICAL, decode, encode
+from core.fit.recipes import RECIPES, LinearRecipe, make_term
+from core.fit.ride_blocks import RideFrame
+from core.models import BASIC_PHYSICAL, decode_model, encode_model
 from core.models.features import Columns
-from core.models.interval import ANY, Interval
+from core.models.interval import ANY, PredictionInterval
 from tests.support.planted_rides import MODELS
 from tests.support.pooled_rides import differing, fleet, measured, planted
 
@@ -30,15 +37,15 @@ def heteroscedastic(n: int, seed: int) -> pd.DataFrame:
     return table.assign(energy_kwh=BASIC_PHYSICAL.predict(table) + sd * (random.gamma(4.0, 0.5, n) - 2.0))
 
 
-def inside(table: pd.DataFrame, interval: Interval, level: float = 0.9) -> np.ndarray:
+def inside(table: pd.DataFrame, interval: PredictionInterval, level: float = 0.9) -> np.ndarray:
     lower, upper = interval.bounds(BASIC_PHYSICAL.predict(table), table, level)
     energy = table["energy_kwh"].to_numpy()
     return (lower <= energy) & (energy <= upper)
 
 
 @pytest.fixture(scope="module")
-def interval() -> Interval:
-    found = least_squares_interval(BASIC_PHYSICAL, heteroscedastic(6000, 1), fitted=False).interval
+def interval() -> PredictionInterval:
+    found = add_interval(BASIC_PHYSICAL, heteroscedastic(6000, 1), fitted=False).interval
     assert found is not None
     return found
 
@@ -103,7 +110,7 @@ def test_rows_have_the_same_bounds_alone(interval):
 
 def test_model_files_keep_it_exactly(interval):
     model = msgspec.structs.replace(BASIC_PHYSICAL, interval=interval)
-    assert decode(encode(model)).interval == interval
+    assert decode_model(encode_model(model)).interval == interval
     table = heteroscedastic(10, 8)
     assert (model.predict_interval(table, 0.9)[0] < model.predict(table)).all()
 
@@ -126,28 +133,28 @@ def test_what_is_no_interval_is_refused(change, said):
         "levels": (0.1, 0.9),
         "quantiles": ((-1.0, 1.0),),
     }
-    assert Interval(**good).rides == 0
+    assert PredictionInterval(**good).rides == 0
     with pytest.raises(ValueError, match=said):
-        Interval(**(good | change))
+        PredictionInterval(**(good | change))
 
 
 def test_too_few_rides_give_no_interval():
-    assert least_squares_interval(BASIC_PHYSICAL, heteroscedastic(LEAST_RIDES - 1, 1), fitted=False).interval is None
+    assert add_interval(BASIC_PHYSICAL, heteroscedastic(LEAST_CALIBRATION_RIDES - 1, 1), fitted=False).interval is None
 
 
 @settings(max_examples=15, deadline=None)
-@given(seed=st.integers(0, 10_000), rides=st.integers(LEAST_RIDES, 3000), heavy=st.booleans())
+@given(seed=st.integers(0, 10_000), rides=st.integers(LEAST_CALIBRATION_RIDES, 3000), heavy=st.booleans())
 def test_errors_of_any_distribution_are_covered(seed, rides, heavy):
     random = np.random.default_rng(seed)
     draw = random.standard_t if heavy else random.chisquare
     size = random.uniform(0.1, 5.0, rides)
     terms = np.column_stack([np.ones(rides), size, size * random.uniform(0.0, 30.0, rides)])
-    held = Held(size * draw(2, rides), terms, random.uniform(0.0, 30.0, rides))
-    found = calibrated({"a": held}, {})
+    held = HeldOutErrors(size * draw(2, rides), terms, random.uniform(0.0, 30.0, rides))
+    found = calibrate_interval({"a": held}, {})
     assert found is not None
     scale = terms @ np.array(found.scales["a"])
     row = np.array(found.quantiles)[np.searchsorted(found.distances_km, held.distance, side="right") - 1]
-    low, high = row[:, LEVELS.index(0.05)], row[:, LEVELS.index(0.95)]
+    low, high = row[:, QUANTILE_LEVELS.index(0.05)], row[:, QUANTILE_LEVELS.index(0.95)]
     covered = ((low * scale <= held.error) & (held.error <= high * scale)).mean()
     assert 0.89 < covered < 0.96
 
@@ -155,7 +162,13 @@ def test_errors_of_any_distribution_are_covered(seed, rides, heavy):
 PLAIN = LinearRecipe(
     "plain",
     "Plain",
-    (term("effect_rolling"), term("effect_aero_drag"), term("distance_km"), term("distance_km", "winter"), term()),
+    (
+        make_term("effect_rolling"),
+        make_term("effect_aero_drag"),
+        make_term("distance_km"),
+        make_term("distance_km", "winter"),
+        make_term(),
+    ),
 )
 
 
@@ -167,22 +180,22 @@ def small() -> pd.DataFrame:
 
 def test_leverage_gives_the_error_of_a_fit_without_the_ride(small, monkeypatch):
     seen = {}
-    monkeypatch.setattr("core.fit.calibration.calibrated", lambda own, other: seen.update(own=own, other=other))
-    model = fit_terms(PLAIN, Frame(small))
-    least_squares_interval(model, small)
+    monkeypatch.setattr("core.fit.calibration.calibrate_interval", lambda own, other: seen.update(own=own, other=other))
+    model = fit_terms(PLAIN, RideFrame(small))
+    add_interval(model, small)
     own = small[small["vehicle_model"] == MODELS[1]]
     for i in (0, 17, len(own) - 1):
-        without = fit_terms(PLAIN, Frame(own.drop(index=own.index[i])))
+        without = fit_terms(PLAIN, RideFrame(own.drop(index=own.index[i])))
         expected = own["energy_kwh"].iloc[i] - without.predict(own.iloc[i : i + 1])[0]
         assert seen["own"][MODELS[1]].error[i] == pytest.approx(expected, rel=1e-6)
 
 
 def test_so_it_does_for_a_fit_without_the_vehicle_model(small, monkeypatch):
     seen = {}
-    monkeypatch.setattr("core.fit.calibration.calibrated", lambda own, other: seen.update(own=own, other=other))
-    least_squares_interval(fit_terms(PLAIN, Frame(small)), small)
+    monkeypatch.setattr("core.fit.calibration.calibrate_interval", lambda own, other: seen.update(own=own, other=other))
+    add_interval(fit_terms(PLAIN, RideFrame(small)), small)
     own = small["vehicle_model"] == MODELS[1]
-    expected = small["energy_kwh"][own] - fit_terms(PLAIN, Frame(small[~own])).predict(small[own])
+    expected = small["energy_kwh"][own] - fit_terms(PLAIN, RideFrame(small[~own])).predict(small[own])
     np.testing.assert_allclose(seen["other"][MODELS[1]].error, expected, rtol=1e-6, atol=1e-9)
 
 
@@ -206,5 +219,5 @@ def test_intervals_of_vehicle_models_never_seen_are_wider_and_cover_more_than_th
 
 
 def test_parts_are_of_equal_size_and_the_same_at_every_call():
-    assert np.bincount(parts(103, 5)).tolist() == [21, 21, 21, 20, 20]
-    assert parts(103, 5).tolist() == parts(103, 5).tolist()
+    assert np.bincount(assign_folds(103, 5)).tolist() == [21, 21, 21, 20, 20]
+    assert assign_folds(103, 5).tolist() == assign_folds(103, 5).tolist()

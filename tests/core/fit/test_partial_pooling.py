@@ -8,17 +8,17 @@ from scipy.stats import multivariate_normal
 
 from core.fit.partial_pooling import (
     Prior,
-    add_up,
-    car_factors,
-    columns_scale,
-    common_mean,
-    common_noise,
-    covariance_of,
-    evidence,
-    noise_of,
-    pooled,
-    posterior,
-    taught,
+    build_covariance,
+    compute_column_scale,
+    compute_common_mean,
+    compute_early_posterior,
+    compute_log_evidence,
+    compute_posterior,
+    estimate_car_factors,
+    estimate_common_noise,
+    estimate_noise,
+    estimate_prior,
+    sum_normal_equations,
 )
 
 BLOCKS = (np.array([True, True, True, False]), np.array([False, False, False, True]))
@@ -48,7 +48,7 @@ def test_the_posterior_is_that_of_conditioning_a_gaussian(seed, rides):
     design, energy, size = some(rides, before.mean * 1.2, seed)
     own = design @ before.covariance @ design.T + np.diag(before.noise * size)
     gain = before.covariance @ design.T @ np.linalg.inv(own)
-    found, covariance = posterior(before, add_up(design, energy, size))
+    found, covariance = compute_posterior(before, sum_normal_equations(design, energy, size))
     np.testing.assert_allclose(found, before.mean + gain @ (energy - design @ before.mean), rtol=1e-6, atol=1e-9)
     expected = before.covariance - gain @ design @ before.covariance
     np.testing.assert_allclose(covariance, expected, rtol=1e-5, atol=1e-8)
@@ -59,50 +59,50 @@ def test_the_posterior_is_that_of_conditioning_a_gaussian(seed, rides):
 def test_rides_tell_the_same_one_after_the_other_as_all_at_once(seed):
     before = prior(seed)
     design, energy, size = some(20, before.mean, seed)
-    at_once = posterior(before, add_up(design, energy, size))
-    first = posterior(before, add_up(design[:7], energy[:7], size[:7]))
-    then = posterior(Prior(*first, before.noise), add_up(design[7:], energy[7:], size[7:]))
+    at_once = compute_posterior(before, sum_normal_equations(design, energy, size))
+    first = compute_posterior(before, sum_normal_equations(design[:7], energy[:7], size[:7]))
+    then = compute_posterior(Prior(*first, before.noise), sum_normal_equations(design[7:], energy[7:], size[7:]))
     np.testing.assert_allclose(then[0], at_once[0], rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(then[1], at_once[1], rtol=1e-5, atol=1e-9)
 
 
 def test_evidence_is_the_probability_of_the_energies_but_for_a_constant():
     design, energy, size = some(12, np.array([1.1, 0.7, 0.4, 0.002]), 4)
-    sums = add_up(design, energy, size)
+    sums = sum_normal_equations(design, energy, size)
     told, truth = [], []
     for seed in range(5):
         before = prior(seed)
         own = design @ before.covariance @ design.T + np.diag(before.noise * size)
-        told.append(evidence(before, sums))
+        told.append(compute_log_evidence(before, sums))
         truth.append(multivariate_normal(design @ before.mean, own).logpdf(energy))
     np.testing.assert_allclose(np.diff(told), np.diff(truth), rtol=1e-6)
 
 
 def test_many_rides_outweigh_the_prior():
     own = np.array([1.4, 0.6, 0.9, 0.004])
-    found, covariance = posterior(prior(), add_up(*some(20_000, own, 5)))
+    found, covariance = compute_posterior(prior(), sum_normal_equations(*some(20_000, own, 5)))
     np.testing.assert_allclose(found, own, rtol=0.05)
     assert (np.abs(found - own) < 4.0 * np.sqrt(np.diag(covariance))).all()
 
 
 def test_the_first_rides_of_a_vehicle_model_count_less_than_later_ones():
-    sums = add_up(*some(3, np.array([1.4, 0.6, 0.9, 0.004]), 6))
+    sums = sum_normal_equations(*some(3, np.array([1.4, 0.6, 0.9, 0.004]), 6))
     before = prior()
-    late, early = posterior(before, sums), taught(before, sums)
+    late, early = compute_posterior(before, sums), compute_early_posterior(before, sums)
     assert np.trace(early[1][:3, :3]) > np.trace(late[1][:3, :3])
 
 
 def test_noise_comes_back():
-    sums = add_up(*some(4000, np.array([1.0, 0.8, 0.5, 0.003]), 7, noise=0.02))
-    scale = columns_scale([sums])
-    assert noise_of(sums, PHYSICS, scale) == pytest.approx(0.02, rel=0.06)
-    assert common_noise([sums, sums], PHYSICS) == pytest.approx(0.02, rel=0.06)
+    sums = sum_normal_equations(*some(4000, np.array([1.0, 0.8, 0.5, 0.003]), 7, noise=0.02))
+    scale = compute_column_scale([sums])
+    assert estimate_noise(sums, PHYSICS, scale) == pytest.approx(0.02, rel=0.06)
+    assert estimate_common_noise([sums, sums], PHYSICS) == pytest.approx(0.02, rel=0.06)
 
 
 def test_the_mean_of_few_rides_is_that_of_physics_and_of_many_their_own():
     own = np.array([1.5, 1.5, 1.5, 0.0])
-    few = common_mean([add_up(*some(1, own, 8))], PHYSICS)
-    many = common_mean([add_up(*some(50_000, own, 8))], PHYSICS)
+    few = compute_common_mean([sum_normal_equations(*some(1, own, 8))], PHYSICS)
+    many = compute_common_mean([sum_normal_equations(*some(50_000, own, 8))], PHYSICS)
     assert np.abs(few - PHYSICS)[:3].max() < 0.3
     assert np.abs(many - own)[:3].max() < 0.2
 
@@ -110,7 +110,9 @@ def test_the_mean_of_few_rides_is_that_of_physics_and_of_many_their_own():
 def test_vehicle_models_with_more_rides_have_more_of_a_say():
     low, high = np.array([1.0, 1.0, 1.0, 0.0]), np.array([2.0, 2.0, 2.0, 0.0])
     means = [
-        common_mean([add_up(*some(1000, low, 1)), add_up(*some(rides, high, 2))], PHYSICS)[:3].mean()
+        compute_common_mean(
+            [sum_normal_equations(*some(1000, low, 1)), sum_normal_equations(*some(rides, high, 2))], PHYSICS
+        )[:3].mean()
         for rides in (10, 300, 1000, 30_000)
     ]
     assert means == sorted(means)
@@ -125,8 +127,8 @@ def test_how_much_vehicle_models_differ_is_told_from_what_is_seen_of_them(factor
     groups = {}
     for i, off in enumerate(random.normal(0.0, 1.0, 12)):
         own = common * np.where(BLOCKS[0], 1.0 + factor * off, 1.0)
-        groups[str(i)] = add_up(*some(2000, own, 100 + i))
-    found = pooled(groups, PHYSICS, BLOCKS)
+        groups[str(i)] = sum_normal_equations(*some(2000, own, 100 + i))
+    found = estimate_prior(groups, PHYSICS, BLOCKS)
     direction = np.where(BLOCKS[0], found.mean, 0.0)
     spread = np.sqrt(direction @ np.linalg.lstsq(found.covariance, direction, rcond=None)[0]) ** -1
     assert spread == pytest.approx(factor, rel=0.6)
@@ -139,7 +141,9 @@ def test_how_much_vehicle_models_differ_is_told_from_what_is_seen_of_them(factor
 
 
 def test_one_vehicle_model_alone_can_be_learned_from():
-    found = pooled({"only": add_up(*some(500, np.array([1.2, 0.8, 0.6, 0.003]), 3))}, PHYSICS, BLOCKS)
+    found = estimate_prior(
+        {"only": sum_normal_equations(*some(500, np.array([1.2, 0.8, 0.6, 0.003]), 3))}, PHYSICS, BLOCKS
+    )
     assert np.isfinite(found.covariance).all()
     assert (np.linalg.eigvalsh(found.covariance) > 0.0).all()
 
@@ -147,17 +151,21 @@ def test_one_vehicle_model_alone_can_be_learned_from():
 def test_a_term_that_no_ride_has_is_left_at_physics():
     design, energy, size = some(500, np.array([1.2, 0.8, 0.6, 0.003]), 3)
     design[:, 2] = 0.0
-    found = pooled({"a": add_up(design, energy, size), "b": add_up(design, energy, size)}, PHYSICS, BLOCKS)
+    found = estimate_prior(
+        {"a": sum_normal_equations(design, energy, size), "b": sum_normal_equations(design, energy, size)},
+        PHYSICS,
+        BLOCKS,
+    )
     assert found.mean[2] == PHYSICS[2]
-    after, _ = posterior(found, add_up(design, energy, size))
+    after, _ = compute_posterior(found, sum_normal_equations(design, energy, size))
     assert np.isfinite(after).all()
 
 
 def test_a_block_that_shares_a_factor_is_known_as_a_whole_from_one_ride():
     mean, scale = np.array([1.2, 0.8, 0.6, 0.003]), np.ones(4)
-    before = Prior(mean, covariance_of(mean, scale, BLOCKS, 1e-4, (0.3, 0.3)), 1e-6)
+    before = Prior(mean, build_covariance(mean, scale, BLOCKS, 1e-4, (0.3, 0.3)), 1e-6)
     design = np.array([[1.0, 0.0, 0.0, 0.0]])
-    found, _ = posterior(before, add_up(design, np.array([1.2 * 1.25]), np.ones(1)))
+    found, _ = compute_posterior(before, sum_normal_equations(design, np.array([1.2 * 1.25]), np.ones(1)))
     np.testing.assert_allclose(found[:3], mean[:3] * 1.25, rtol=1e-3)
     assert found[3] == pytest.approx(mean[3])
 
@@ -173,21 +181,21 @@ def cars(factors: np.ndarray, rides: int, seed: int = 0):
 
 def test_factors_of_cars_come_back():
     truth = np.random.default_rng(2).normal(1.0, 0.08, 30)
-    found = car_factors(*cars(truth, 200))
+    found = estimate_car_factors(*cars(truth, 200))
     np.testing.assert_allclose([found[f"taxi-{i}"] for i in range(30)], truth, atol=0.02)
 
 
 def test_factors_of_few_rides_are_shrunk_and_shrinking_helps():
     truth = np.random.default_rng(2).normal(1.0, 0.05, 300)
     names, predicted, energy, size, noise = cars(truth, 3)
-    found = np.array([car_factors(names, predicted, energy, size, noise)[f"taxi-{i}"] for i in range(300)])
+    found = np.array([estimate_car_factors(names, predicted, energy, size, noise)[f"taxi-{i}"] for i in range(300)])
     raw = np.array([energy[i * 3 : i * 3 + 3].sum() / predicted[i * 3 : i * 3 + 3].sum() for i in range(300)])
     assert np.std(found) < np.std(raw)
     assert np.mean((found - truth) ** 2) < 0.8 * min(np.mean((raw - truth) ** 2), np.var(truth) + 1e-9)
 
 
 def test_cars_that_are_alike_have_no_factor():
-    factors = [car_factors(*cars(np.ones(20), 50, seed)) for seed in range(6)]
+    factors = [estimate_car_factors(*cars(np.ones(20), 50, seed)) for seed in range(6)]
     assert sum(not found for found in factors) >= 2
     assert all(abs(factor - 1.0) < 0.02 for found in factors for factor in found.values())
-    assert car_factors(*cars(np.array([1.3]), 50)) == {}
+    assert estimate_car_factors(*cars(np.array([1.3]), 50)) == {}

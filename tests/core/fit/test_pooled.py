@@ -6,14 +6,14 @@ import pandas as pd
 import pytest
 
 from core.errors import ModelError
-from core.fit.pooled import ADVANCED, ASKED, EFFICIENCY, LEAST_RIDES, SHARED, adapt
+from core.fit.pooled import EFFICIENCY, LEAST_POOLED_RIDES, POOLED_RECIPES, SHARED_TERMS, TREE_FEATURES, adapt
 from core.fit.recipes import RECIPES
-from core.models import ANY, BASIC_PHYSICAL, decode, encode
-from core.models.features import ANSWERS, Columns, needed
+from core.models import ANY, BASIC_PHYSICAL, decode_model, encode_model
+from core.models.features import ANSWERS, Columns, list_raw_columns
 from tests.support.planted_rides import MODELS
 from tests.support.pooled_rides import PHYSICS, differing, fleet, measured, planted
 
-POOLED, BOOSTED = ADVANCED
+POOLED, BOOSTED = POOLED_RECIPES
 
 
 def mae(model, table: pd.DataFrame) -> float:
@@ -68,10 +68,10 @@ def test_intervals_cover_new_rides(models, halves):
 
 def test_model_files_are_exact(models, halves):
     for model in models.values():
-        again = decode(encode(model))
+        again = decode_model(encode_model(model))
         assert again == model
         assert again.predict(halves[1]).tobytes() == model.predict(halves[1]).tobytes()
-    assert len(encode(models["boosted_hybrid"])) < 400_000
+    assert len(encode_model(models["boosted_hybrid"])) < 400_000
 
 
 def test_fitting_again_gives_the_same_model(models, halves):
@@ -86,7 +86,11 @@ def test_rows_are_predicted_one_by_one_as_all_together(models, halves):
 
 
 def test_no_feature_holds_the_answer():
-    read = {raw for column in (*ASKED, *(c for term in SHARED for c in term.columns)) for raw in needed(column)}
+    read = {
+        raw
+        for column in (*TREE_FEATURES, *(c for term in SHARED_TERMS for c in term.columns))
+        for raw in list_raw_columns(column)
+    }
     assert not [column for column in read if column.startswith(ANSWERS)]
 
 
@@ -124,7 +128,7 @@ def test_rides_of_a_new_vehicle_model_make_it_known(table):
     assert told.predict(others).tobytes() == start.predict(others).tobytes()
     assert (told.fits[MODELS[0]].rides, told.version != start.version) == (30, True)
     assert told.history[-1] == {"action": "adapt", "rides": {MODELS[0]: 30}}
-    assert decode(encode(told)) == told
+    assert decode_model(encode_model(told)) == told
 
 
 def test_a_new_vehicle_model_is_surer_with_each_ride(table):
@@ -182,13 +186,16 @@ def test_one_vehicle_model_alone_can_be_learned(table):
         (lambda t: t.drop(columns="parked_s"), "column 'parked_s' is missing in the rides: make the tables anew"),
         (lambda t: t.drop(columns="energy_kwh"), "column 'energy_kwh' is missing"),
         (lambda t: t.iloc[:0], "0 rides to fit to"),
-        (lambda t: t.iloc[: LEAST_RIDES - 1], f"{LEAST_RIDES - 1} rides to fit to, and it needs {LEAST_RIDES}"),
+        (
+            lambda t: t.iloc[: LEAST_POOLED_RIDES - 1],
+            f"{LEAST_POOLED_RIDES - 1} rides to fit to, and it needs {LEAST_POOLED_RIDES}",
+        ),
         (lambda t: t.assign(energy_kwh=np.nan), "0 rides to fit to .*no_measured_energy"),
         (lambda t: t.assign(energy_kwh=1.5), "energy_kwh is 1.5 in all 200 rides: nothing can be learned"),
     ],
 )
 def test_rides_that_cannot_be_learned_from_are_refused(table, change, said):
-    for recipe in ADVANCED:
+    for recipe in POOLED_RECIPES:
         with pytest.raises(ModelError, match=said):
             recipe.fit(change(table.iloc[:200]))
 
@@ -231,7 +238,7 @@ def test_a_term_that_no_ride_showed_is_held_where_physics_has_it(table):
     new["ambient_c"] = np.where(np.arange(30) == 0, -15.0, 15.0)
     told = adapt(model, new)
     place = [term.name for term in model.terms].index("heating in deep cold")
-    assert told.fits[MODELS[0]].coefficients[place] == pytest.approx(SHARED[place].physics, abs=1e-6)
+    assert told.fits[MODELS[0]].coefficients[place] == pytest.approx(SHARED_TERMS[place].physics, abs=1e-6)
 
 
 def test_the_version_tells_models_of_other_cars_apart(table):

@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 
 from core.errors import ModelError
-from core.fit.recipes import BASIC_PART, FITTED_TERMS, HISTOGRAM, RECIPES, LinearRecipe, recipe
-from core.models import ANY, BASIC_PHYSICAL, decode, encode
+from core.fit.recipes import BASIC_PART, FITTED_TERMS, HISTOGRAM_COLUMNS, RECIPES, LinearRecipe, get_recipe
+from core.models import ANY, BASIC_PHYSICAL, decode_model, encode_model
 from core.models.features import ANSWERS
 from tests.support.planted_rides import MODELS, noisy, physical_energy, rides
 
@@ -55,7 +55,7 @@ def test_terms_are_those_of_the_paper():
     added = {f"{by} * {name}" for by in ("odometer_km", "winter", "summer") for name in physical}
     added |= {f"lost_m * {term.name}" for term in BASIC_PART}
     assert names(RECIPES["hybrid_interactions"]) == hybrid | added
-    assert len(HISTOGRAM) == 21
+    assert len(HISTOGRAM_COLUMNS) == 21
     assert all("constant" not in names(RECIPES[name]) for name in ("basic_physical", "fitted_physical"))
 
 
@@ -91,7 +91,7 @@ def test_in_sample_a_model_with_more_terms_is_never_worse(fleet, models):
 
 @pytest.mark.parametrize("name", PAPER)
 def test_a_fitted_model_is_an_exact_file(name, fleet, models):
-    read = decode(encode(models[name]))
+    read = decode_model(encode_model(models[name]))
     assert read == models[name]
     assert read.predict(fleet).tobytes() == models[name].predict(fleet).tobytes()
 
@@ -254,4 +254,4 @@ def test_what_cannot_be_learned_from_is_refused_in_one_line(change, said, fleet)
 
 def test_an_unknown_recipe_is_named_with_those_there_are():
     with pytest.raises(ModelError, match="recipe 'hybird' is unknown: known are basic_physical, extended_physical"):
-        recipe("hybird")
+        get_recipe("hybird")

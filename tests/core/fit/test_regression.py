@@ -13,7 +13,7 @@ from sklearn.linear_model import LinearRegression
 from sklearn.model_selection import KFold, cross_val_score
 
 from core.errors import ModelError
-from core.fit.regression import GROUPS, Influence, Moments, Scores, grouped, solve
+from core.fit.regression import GROUPS, ClusterScores, Influence, Moments, assign_groups, solve
 from core.fit.sklearn_estimator import RecipeRegressor
 from tests.support.planted_rides import noisy, physical_energy, rides
 
@@ -124,8 +124,8 @@ def covered(seed: int, *, robust: bool) -> np.ndarray:
     covariance = influence.classical()
     if robust:
         left = (y - x @ solution.coefficients - solution.constant) / (1.0 - influence.leverage(x))
-        scores = Scores(influence.mean, constant=True)
-        group = grouped([f"c{i}" for i in car], [f"d{i}" for i in day])
+        scores = ClusterScores(influence.mean, constant=True)
+        group = assign_groups([f"c{i}" for i in car], [f"d{i}" for i in day])
         for part in np.array_split(np.arange(n), 5):
             scores.add(x[part], left[part], group[part])
         covariance = influence.robust(scores)
@@ -149,7 +149,7 @@ def test_errors_that_hang_together_within_a_day_are_not_taken_for_independent():
     moments = moments_of(np.column_stack([by_day, y]))
     solution = solve(moments, constant=True)
     influence = Influence(moments, solution)
-    scores = Scores(influence.mean, constant=True)
+    scores = ClusterScores(influence.mean, constant=True)
     left = y - by_day * solution.coefficients[0] - solution.constant
     scores.add(by_day[:, np.newaxis], left, np.repeat(np.arange(60), 20))
     assert influence.robust(scores)[0, 0] > 8.0 * influence.classical()[0, 0]
@@ -167,11 +167,11 @@ def test_classical_covariance_is_that_of_the_textbook():
 def test_rides_of_a_car_and_day_are_in_one_group_wherever_they_stand():
     keys = [("a", "1"), ("b", "1"), ("a", "2"), ("a", "1")]
     cars, days = zip(*keys, strict=True)
-    group = grouped(cars, days)
+    group = assign_groups(cars, days)
     assert group[0] == group[3]
     assert len(set(group.tolist())) == 3
     assert (group < GROUPS).all()
-    assert grouped(cars[2:], days[2:]).tolist() == group[2:].tolist()
+    assert assign_groups(cars[2:], days[2:]).tolist() == group[2:].tolist()
 
 
 def test_a_recipe_is_a_scikit_learn_estimator():

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from core.errors import ModelError
-from core.fit.segment_network import FEATURES, SegmentRecipe, segments, shared_out
+from core.fit.segment_network import SEGMENT_FEATURES, SegmentRecipe, build_segments, share_out_energy
 
 
 def windows(rides=300, seed=1, models=("leaf", "soul")):
@@ -14,7 +14,7 @@ def windows(rides=300, seed=1, models=("leaf", "soul")):
     count = rng.integers(2, 9, rides)
     ride = np.repeat(np.arange(rides), count)
     n = len(ride)
-    names = dict.fromkeys(name for product in FEATURES for name in product)
+    names = dict.fromkeys(name for product in SEGMENT_FEATURES for name in product)
     table = pd.DataFrame({name: rng.gamma(2.0, 0.05, n) for name in names})
     table["duration_s"], table["ambient_c"] = rng.uniform(20.0, 60.0, n), rng.uniform(-25.0, 25.0, rides)[ride]
     table["ride_key"] = [f"car#{i}" for i in ride]
@@ -36,7 +36,7 @@ def test_what_a_ride_took_is_shared_out_and_nothing_is_lost(table):
     frame, rides, _ = table
     ride = frame["ride_key"].str.removeprefix("car#").astype(int).to_numpy()
     features, energy = frame[["effect_climbing_up", "distance_km"]].to_numpy(), rides["energy_kwh"].to_numpy()
-    shares = shared_out(features, frame["duration_s"].to_numpy(), ride, energy)
+    shares = share_out_energy(features, frame["duration_s"].to_numpy(), ride, energy)
     np.testing.assert_allclose(np.bincount(ride, weights=shares), energy, rtol=1e-9)
 
 
@@ -45,14 +45,14 @@ def test_what_is_linear_is_shared_out_exactly(table):
     ride = frame["ride_key"].str.removeprefix("car#").astype(int).to_numpy()
     features = frame[["effect_climbing_up", "distance_km"]].to_numpy()
     true = features @ [0.7, 0.2] + 0.01
-    found = shared_out(features, frame["duration_s"].to_numpy(), ride, np.bincount(ride, weights=true))
+    found = share_out_energy(features, frame["duration_s"].to_numpy(), ride, np.bincount(ride, weights=true))
     np.testing.assert_allclose(found, true, rtol=1e-6)
 
 
 def test_a_planted_relation_that_is_not_linear_is_learnt(table):
     frame, rides, _ = table
     train, test = rides.iloc[::2], rides.iloc[1::2]
-    said = SegmentRecipe(segments(frame)).fit(train).predict(test)
+    said = SegmentRecipe(build_segments(frame)).fit(train).predict(test)
     error = np.abs(said - test["energy_kwh"]).mean()
     assert error < 0.35 * np.abs(test["energy_kwh"] - train["energy_kwh"].mean()).mean()
     assert not np.isnan(said).any()
@@ -60,7 +60,7 @@ def test_a_planted_relation_that_is_not_linear_is_learnt(table):
 
 def test_the_same_seed_learns_the_same_and_predictions_are_by_ride(table):
     frame, rides, _ = table
-    recipe = SegmentRecipe(segments(frame.sample(frac=1.0, random_state=3)))
+    recipe = SegmentRecipe(build_segments(frame.sample(frac=1.0, random_state=3)))
     one, two = (recipe.fit(rides.iloc[:200]) for _ in range(2))
     said = one.predict(rides)
     np.testing.assert_array_equal(said, two.predict(rides))
@@ -70,7 +70,7 @@ def test_the_same_seed_learns_the_same_and_predictions_are_by_ride(table):
 
 def test_a_vehicle_model_that_was_not_seen_is_predicted_by_all_others_together(table):
     frame, rides, _ = table
-    model = SegmentRecipe(segments(frame)).fit(rides)
+    model = SegmentRecipe(build_segments(frame)).fit(rides)
     new = model.predict(rides.assign(vehicle_model="horse"))
     assert not np.isnan(new).any()
     assert not np.array_equal(new, model.predict(rides))
@@ -81,18 +81,18 @@ def test_a_ride_without_windows_is_not_guessed_and_an_unknown_value_is_no_obstac
     frame = frame[frame["ride_key"] != "car#7"].copy()
     frame.loc[frame.index[::5], "precipitation_mm_h"] = np.nan
     frame["wind_speed_kmh"] = np.nan
-    said = SegmentRecipe(segments(frame)).fit(rides).predict(rides)
+    said = SegmentRecipe(build_segments(frame)).fit(rides).predict(rides)
     assert np.flatnonzero(np.isnan(said)).tolist() == [7]
 
 
 def test_too_few_rides_and_missing_columns_are_refused_in_one_line(table):
     frame, rides, _ = table
     with pytest.raises(ModelError, match="needs 50: give more rides"):
-        SegmentRecipe(segments(frame)).fit(rides.iloc[:20])
+        SegmentRecipe(build_segments(frame)).fit(rides.iloc[:20])
     with pytest.raises(ModelError, match="'stops' is missing in the window table"):
-        segments(frame.drop(columns="stops"))
+        build_segments(frame.drop(columns="stops"))
 
 
 def test_no_feature_holds_the_answer():
-    names = {name for product in FEATURES for name in product}
+    names = {name for product in SEGMENT_FEATURES for name in product}
     assert not any(name.startswith(("energy", "soc", "hvac")) for name in names)

@@ -7,60 +7,65 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.models import BASIC_PHYSICAL, derived_features
-from core.models.derived_features import DERIVED
-from core.models.features import Columns, needed, unit
+from core.models.derived_features import DERIVED_COLUMNS
+from core.models.features import Columns, get_unit, list_raw_columns
 from tests.support.pooled_rides import fleet
 
 TABLE = fleet(200, 1)
 NUMBERS = st.floats(-60.0, 60.0)
 
 
-@pytest.mark.parametrize("name", DERIVED)
+@pytest.mark.parametrize("name", DERIVED_COLUMNS)
 def test_each_is_made_row_by_row_of_what_it_needs_alone(name):
     filled = TABLE.fillna({"battery_temperature_c": 3.0})
-    own = {column: filled[column] for column in needed(name)}
+    own = {column: filled[column] for column in list_raw_columns(name)}
     whole = Columns(own)[name]
     rows = np.array([5, 3, 120])
     assert Columns(own, rows=rows)[name].tobytes() == whole[rows].tobytes()
     assert np.isfinite(whole[np.isfinite(np.column_stack(list(own.values()))).all(axis=1)]).all()
 
 
-@pytest.mark.parametrize("name", DERIVED)
+@pytest.mark.parametrize("name", DERIVED_COLUMNS)
 def test_what_is_unknown_makes_it_unknown(name):
-    for column in needed(name):
+    for column in list_raw_columns(name):
         blind = TABLE.assign(**{column: np.nan})
         assert np.isnan(Columns(blind)[name]).all()
 
 
-@pytest.mark.parametrize("name", DERIVED)
+@pytest.mark.parametrize("name", DERIVED_COLUMNS)
 def test_units_are_units(name):
-    assert pint.UnitRegistry().Unit(unit(name).replace("percent", "1")) is not None
+    assert pint.UnitRegistry().Unit(get_unit(name).replace("percent", "1")) is not None
 
 
 @given(temperature=NUMBERS)
 def test_a_cabin_is_never_heated_and_cooled_at_once(temperature):
     outside = np.array([temperature])
-    heating, cooling = derived_features.heating_need(outside)[0], derived_features.cooling_need(outside)[0]
+    heating, cooling = (
+        derived_features.compute_heating_need(outside)[0],
+        derived_features.compute_cooling_need(outside)[0],
+    )
     assert heating >= 0.0
     assert cooling >= 0.0
     assert heating * cooling == 0.0
-    assert derived_features.deep_cold(outside)[0] <= heating
+    assert derived_features.compute_deep_cold(outside)[0] <= heating
 
 
 @given(time=st.floats(0.0, 1e7), more=st.floats(0.0, 1e6))
 def test_warming_up_and_cooling_down_go_from_nothing_to_all(time, more):
-    for made in (derived_features.warmed, derived_features.soaked):
+    for made in (derived_features.compute_warm_up_share, derived_features.compute_soak_share):
         early, late = made(np.array([time, time + more]))
         assert 0.0 <= early <= late <= 1.0
-    assert derived_features.warmed(np.array([derived_features.WARM_UP]))[0] == pytest.approx(1.0 - np.exp(-1.0))
+    assert derived_features.compute_warm_up_share(np.array([derived_features.CABIN_WARM_UP]))[0] == pytest.approx(
+        1.0 - np.exp(-1.0)
+    )
 
 
 def test_the_sun_of_montreal():
     noon, midnight = 1529596800.0, 1529640000.0  # 21 June 2018, 16:00 UTC, and twelve hours on
-    heights = derived_features.sun(np.array([noon, midnight]), np.full(2, 45.5), np.full(2, -73.6))
+    heights = derived_features.compute_sun_sine(np.array([noon, midnight]), np.full(2, 45.5), np.full(2, -73.6))
     assert np.degrees(np.arcsin(heights[0])) == pytest.approx(67.0, abs=4.0)
     assert heights[1] == 0.0
-    december = derived_features.sun(
+    december = derived_features.compute_sun_sine(
         np.array([1545411600.0]), np.array([45.5]), np.array([-73.6])
     )  # 21 December 2018, 17:00 UTC
     assert np.degrees(np.arcsin(december[0])) == pytest.approx(21.0, abs=4.0)
@@ -78,5 +83,5 @@ def test_a_ride_has_a_size_even_where_it_goes_nowhere():
 
 
 def test_battery_full_or_cold():
-    assert derived_features.battery_fullness(np.array([50.0, 88.0, 98.0])).tolist() == [0.0, 0.0, 10.0]
-    assert derived_features.battery_frost(np.array([25.0, 5.0, -5.0])).tolist() == [0.0, 0.0, 10.0]
+    assert derived_features.compute_battery_fullness(np.array([50.0, 88.0, 98.0])).tolist() == [0.0, 0.0, 10.0]
+    assert derived_features.compute_battery_frost(np.array([25.0, 5.0, -5.0])).tolist() == [0.0, 0.0, 10.0]

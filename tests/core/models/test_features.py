@@ -8,8 +8,8 @@ import pytest
 from core.columns import ZERO_CELSIUS
 from core.errors import EffectError, ModelError
 from core.fit.recipes import RECIPES
-from core.models.derived_features import DERIVED
-from core.models.features import FEATURES, Columns, beginning, coefficient_unit, needed, unit
+from core.models.derived_features import DERIVED_COLUMNS
+from core.models.features import FEATURES, Columns, derive_coefficient_unit, get_unit, list_raw_columns, parse_since
 from core.pipeline import Pipeline
 from core.totals.tables import model_columns
 from tests.support.planted_rides import PLANTED, rides
@@ -24,9 +24,9 @@ def units() -> pint.UnitRegistry:
 
 @pytest.mark.parametrize("columns", TERMS, ids="*".join)
 def test_coefficient_times_columns_is_an_energy(columns, units):
-    total = units.Quantity(1.0, coefficient_unit(columns))
+    total = units.Quantity(1.0, derive_coefficient_unit(columns))
     for column in columns:
-        total = total * units.Quantity(1.0, "dimensionless" if unit(column) == "1" else unit(column))
+        total = total * units.Quantity(1.0, "dimensionless" if get_unit(column) == "1" else get_unit(column))
     assert total.check("[energy]")
     assert total.to("kWh").magnitude == pytest.approx(1.0)
 
@@ -35,15 +35,15 @@ def test_coefficient_times_columns_is_an_energy(columns, units):
 def test_what_holds_the_answer_is_no_feature(column):
     assert column not in FEATURES
     with pytest.raises(ModelError, match="holds what is to be predicted"):
-        unit(column)
+        get_unit(column)
 
 
 @pytest.mark.parametrize("column", ["distance", "vehicle_id", "", "quality_gap", "unfit_reason"])
 def test_unknown_columns_are_named(column):
     with pytest.raises(ModelError, match=f"column {column!r} is none that a model can read"):
-        unit(column)
+        get_unit(column)
     with pytest.raises(EffectError, match="effect 'nothing' is unknown"):
-        unit("effect_nothing")
+        get_unit("effect_nothing")
 
 
 def test_every_feature_is_a_number_in_the_ride_table_and_known_in_mid_ride():
@@ -53,7 +53,7 @@ def test_every_feature_is_a_number_in_the_ride_table_and_known_in_mid_ride():
     for column in FEATURES:
         assert pd.api.types.is_numeric_dtype(table[column]), column
         assert column in running, column
-    for column in (name for derived in DERIVED for name in needed(derived)):
+    for column in (name for derived in DERIVED_COLUMNS for name in list_raw_columns(derived)):
         assert column in FEATURES or column.startswith("effect_"), column
 
 
@@ -93,9 +93,9 @@ def test_a_scope_is_one_where_a_term_holds_and_zero_elsewhere():
     assert Columns(table)["vehicle=a"].tolist() == [1.0, 0.0, 0.0, 1.0]
     assert Columns(table)["since=2018-06-01"].tolist() == [0.0, 1.0, 1.0, 0.0]
     assert Columns(table, rows=np.array([1, 3]))["vehicle=a"].tolist() == [0.0, 1.0]
-    assert beginning("since=2018-06-01") == MIDNIGHT
-    assert (needed("vehicle=a"), needed("since=2018-06-01")) == (("vehicle_id",), ("start_s",))
-    assert coefficient_unit(("effect_cold_rolling", "vehicle=a", "since=2018-06-01")) == "1/K"
+    assert parse_since("since=2018-06-01") == MIDNIGHT
+    assert (list_raw_columns("vehicle=a"), list_raw_columns("since=2018-06-01")) == (("vehicle_id",), ("start_s",))
+    assert derive_coefficient_unit(("effect_cold_rolling", "vehicle=a", "since=2018-06-01")) == "1/K"
 
 
 @pytest.mark.parametrize(
@@ -111,12 +111,12 @@ def test_a_scope_is_one_where_a_term_holds_and_zero_elsewhere():
 )
 def test_a_damaged_scope_is_told(scope, said):
     with pytest.raises(ModelError, match=said):
-        unit(scope)
+        get_unit(scope)
 
 
 def test_a_vehicle_may_be_called_anything():
     table = pd.DataFrame({"vehicle_id": ["vehicle=a=b", "since=2018-06-01", "é 1"]})
     for i, name in enumerate(table["vehicle_id"]):
-        assert unit(f"vehicle={name}") == "1"
+        assert get_unit(f"vehicle={name}") == "1"
         assert Columns(table)[f"vehicle={name}"].argmax() == i
         assert Columns(table)[f"vehicle={name}"].sum() == 1.0

@@ -12,14 +12,14 @@ from core.errors import ModelError
 from core.models import (
     ANY,
     BASIC_PHYSICAL,
+    BUILT_IN_MODELS,
     FORMAT,
-    KNOWN,
     Fit,
     LinearModel,
     Term,
     Training,
-    decode,
-    encode,
+    decode_model,
+    encode_model,
     load,
     save,
 )
@@ -81,10 +81,10 @@ def models(draw):
 
 @given(models())
 def test_model_file_is_an_exact_round_trip(model):
-    content = encode(model)
-    read = decode(content)
+    content = encode_model(model)
+    read = decode_model(content)
     assert read == model
-    assert encode(read) == content
+    assert encode_model(read) == content
     for key, fit in model.fits.items():
         assert [c.hex() for c in read.fits[key].coefficients] == [c.hex() for c in fit.coefficients]
     assert json.loads(content) == json.loads(msgspec.json.encode(model))
@@ -98,13 +98,13 @@ def test_a_fleet_saved_and_loaded_predicts_the_same_to_the_bit(tmp_path):
 
 
 def test_numbers_of_a_fit_stand_on_one_line():
-    lines = encode(FLEET).decode().splitlines()
+    lines = encode_model(FLEET).decode().splitlines()
     assert '      "coefficients": [0.2, 0.001, 1.0, 0.05],' in lines
     odd = msgspec.structs.replace(FLEET, history=({"said": "[\n 1,\n 2\n ]"},))
-    assert decode(encode(odd)) == odd
+    assert decode_model(encode_model(odd)) == odd
 
 
-@pytest.mark.parametrize("model", KNOWN.values(), ids=lambda m: m.name)
+@pytest.mark.parametrize("model", BUILT_IN_MODELS.values(), ids=lambda m: m.name)
 def test_saved_and_loaded_it_predicts_the_same(model, tmp_path):
     save(model, tmp_path / "model.json")
     read = load(tmp_path / "model.json")
@@ -122,15 +122,15 @@ def test_model_file_is_read_by_people(tmp_path):
 
 
 def changed(**changes) -> bytes:
-    return json.dumps({**json.loads(encode(BASIC_PHYSICAL)), **changes}).encode()
+    return json.dumps({**json.loads(encode_model(BASIC_PHYSICAL)), **changes}).encode()
 
 
 def fleet_file(**changes) -> bytes:
-    return json.dumps({**json.loads(encode(FLEET)), **changes}).encode()
+    return json.dumps({**json.loads(encode_model(FLEET)), **changes}).encode()
 
 
 def fit_file(**changes) -> bytes:
-    fit = {**json.loads(encode(FLEET))["fits"]["leaf"], **changes}
+    fit = {**json.loads(encode_model(FLEET))["fits"]["leaf"], **changes}
     return fleet_file(fits={ANY: fit})
 
 
@@ -152,7 +152,7 @@ FORMAT_1 = json.dumps(
     [
         (b"", "not JSON"),
         (b"\xff\xfe", "not JSON"),
-        (encode(BASIC_PHYSICAL)[:100], "not JSON"),
+        (encode_model(BASIC_PHYSICAL)[:100], "not JSON"),
         (b"[]", "no model file: it has no 'format'"),
         (b'{"a": 1}', "no model file: it has no 'format'"),
         (FORMAT_1, "model file of format 1, and this version reads format 2: fit the model anew"),

@@ -12,7 +12,7 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 from threadpoolctl import threadpool_limits
 
 from core.errors import ModelError
-from core.fit.trees import LEAVES, TREES, boosted, exported, fit_trees
+from core.fit.trees import LEAVES, TREES, export_trees, fit_trees, make_booster
 from core.models.trees import LEAF, Trees
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -56,22 +56,22 @@ def test_prediction_is_that_of_scikit_learn(seed, unknown, loss):
     model = HistGradientBoostingRegressor(loss=loss, max_iter=15, min_samples_leaf=5, random_state=0)
     model.fit(table, answers(table, seed))
     asked = np.concatenate([table, features(300, seed + 7, 0.3), features(20, seed + 9) * 1e6])
-    trees = exported(model, NAMES)
+    trees = export_trees(model, NAMES)
     np.testing.assert_allclose(trees.answer(asked), model.predict(asked), rtol=0.0, atol=1e-10)
 
 
 def test_a_feature_known_in_training_and_unknown_later_goes_where_scikit_learn_sends_it():
     table = features(500, 3, unknown=0.0)
-    model = boosted().fit(table, answers(table, 3))
+    model = make_booster().fit(table, answers(table, 3))
     table[::3, 0] = np.nan
-    np.testing.assert_allclose(exported(model, NAMES).answer(table), model.predict(table), atol=1e-10)
+    np.testing.assert_allclose(export_trees(model, NAMES).answer(table), model.predict(table), atol=1e-10)
 
 
 def test_where_all_that_is_known_goes_left_the_file_can_say_so():
     table = np.where(np.random.default_rng(0).random((400, 1)) < 0.5, np.nan, 5.0)
     target = np.isnan(table[:, 0]) * 1.0
-    model = boosted().fit(table, target)
-    trees = exported(model, NAMES[:1])
+    model = make_booster().fit(table, target)
+    trees = export_trees(model, NAMES[:1])
     assert msgspec.json.decode(msgspec.json.encode(trees), type=Trees) == trees
     np.testing.assert_allclose(trees.answer(table), model.predict(table), atol=1e-10)
     assert abs(trees.answer(table) - target).max() < 0.1

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from core.stats.confidence_sequence import EVERYWHERE, LEVEL, MIXTURE, Clusters, Interval, reach
+from core.stats.confidence_sequence import EVERYWHERE, LEVEL, MIXTURE, ClusterMoments, MeanInterval, compute_reach
 
 LENGTH = 400
 RUNS = 1500
@@ -18,7 +18,7 @@ some = st.lists(st.tuples(st.integers(1, 30), st.floats(-50.0, 50.0)), min_size=
 
 
 def filled(clusters):
-    sums = Clusters()
+    sums = ClusterMoments()
     for size, total in clusters:
         sums.add(size, total)
     return sums
@@ -62,7 +62,7 @@ def missed(draw, widths, seed=1):
     return misses / RUNS
 
 
-ALWAYS = np.array([reach(t) for t in range(1, LENGTH + 1)])
+ALWAYS = np.array([compute_reach(t) for t in range(1, LENGTH + 1)])
 ONCE = 1.96 / np.sqrt(np.arange(1, LENGTH + 1))
 SEEN = np.isfinite(ALWAYS)
 
@@ -77,23 +77,23 @@ def test_an_interval_that_is_to_be_looked_at_once_does_not():
 
 
 def test_a_level_is_kept_for_several_models_together():
-    assert missed(normal, np.array([reach(t, 1.0 - (1.0 - LEVEL) / 5) for t in range(1, LENGTH + 1)])) <= 0.02
+    assert missed(normal, np.array([compute_reach(t, 1.0 - (1.0 - LEVEL) / 5) for t in range(1, LENGTH + 1)])) <= 0.02
 
 
 def test_for_many_clusters_it_is_the_asymptotic_sequence():
     for t in (1_000, 100_000):
         spread = t * MIXTURE + 1
         published = sqrt(2 * spread / (t * t * MIXTURE) * log(sqrt(spread) / (1 - LEVEL)))
-        assert reach(t) == pytest.approx(published, rel=20.0 / t)
+        assert compute_reach(t) == pytest.approx(published, rel=20.0 / t)
 
 
 def test_it_shrinks_as_clusters_come_and_is_infinite_before_there_are_enough():
-    widths = [reach(t) for t in range(2000)]
+    widths = [compute_reach(t) for t in range(2000)]
     first = next(t for t, width in enumerate(widths) if width < inf)
     assert 10 < first < 20
     assert widths[:first] == [inf] * first
     assert all(a > b for a, b in zip(widths[first:], widths[first + 1 :], strict=False))
-    assert reach(50, 0.99) > reach(50, 0.95)
+    assert compute_reach(50, 0.99) > compute_reach(50, 0.95)
 
 
 @given(some)
@@ -124,17 +124,17 @@ def test_what_differs_by_the_same_in_every_ride_is_known_exactly(sizes, gain):
 
 
 def test_models_that_are_the_same_are_not_told_apart():
-    assert filled([(7, 0.0)] * 50).interval() == Interval(0.0, 0.0)
+    assert filled([(7, 0.0)] * 50).interval() == MeanInterval(0.0, 0.0)
 
 
 def test_nothing_is_known_of_nothing():
-    assert isnan(Clusters().mean)
-    assert Clusters().interval() == EVERYWHERE
+    assert isnan(ClusterMoments().mean)
+    assert ClusterMoments().interval() == EVERYWHERE
 
 
 def test_it_goes_on_from_its_state():
     whole, half = filled([(3, 0.5), (4, -0.25)] * 10), filled([(3, 0.5), (4, -0.25)] * 5)
-    again = Clusters(half.state)
+    again = ClusterMoments(half.state)
     for size, total in [(3, 0.5), (4, -0.25)] * 5:
         again.add(size, total)
     assert again.state == whole.state

@@ -10,21 +10,21 @@ from hypothesis.extra.numpy import arrays
 from scipy import stats
 
 from core.stats import scores
-from core.stats.multiple_testing import adjusted, dominating, holm, pairs
-from core.stats.scores import Estimate, combined, over_repeats
-from core.stats.splits import by_ride
+from core.stats.multiple_testing import adjust_differences, adjust_holm, list_pairs, select_dominating
+from core.stats.scores import Estimate, average_over_repeats, combine_strata
+from core.stats.splits import split_by_ride
 
 ENERGIES = arrays(np.float64, st.integers(1, 60), elements=st.floats(-5.0, 50.0))
 
 
 def repeated(values, seed, repeats=10):
     """Return the means of the test halves of the splits that the protocol draws."""
-    return np.array([values[s.test].mean(axis=0) for s in by_ride([("a", 0)] * len(values), seed, repeats)])
+    return np.array([values[s.test].mean(axis=0) for s in split_by_ride([("a", 0)] * len(values), seed, repeats)])
 
 
 def test_the_interval_over_repeats_is_that_of_the_corrected_variance():
     values = np.array([0.3, 0.5, 0.4, 0.6])
-    found = over_repeats(values, 0.25)
+    found = average_over_repeats(values, 0.25)
     assert found.value == pytest.approx(0.45)
     assert found.error == pytest.approx(sqrt((1 / 4 + 0.25) * np.var(values, ddof=1)))
     assert found.ci95 == pytest.approx(stats.t.ppf(0.975, 3) * found.error)
@@ -32,16 +32,16 @@ def test_the_interval_over_repeats_is_that_of_the_corrected_variance():
 
 
 def test_one_repeat_has_a_value_and_no_interval_and_none_has_neither():
-    assert over_repeats(np.array([2.0]), 0.25).value == 2.0
-    assert np.isnan(over_repeats(np.array([2.0, np.nan]), 0.25).ci95)
-    assert np.isnan(over_repeats(np.array([np.nan]), 0.25).value)
+    assert average_over_repeats(np.array([2.0]), 0.25).value == 2.0
+    assert np.isnan(average_over_repeats(np.array([2.0, np.nan]), 0.25).ci95)
+    assert np.isnan(average_over_repeats(np.array([np.nan]), 0.25).value)
 
 
 def test_the_interval_of_the_error_holds_the_truth_as_often_as_it_says():
     rng = np.random.default_rng(1)
     truth, hits, plain = sqrt(2 / np.pi), 0, 0
     for seed in range(300):
-        found = over_repeats(repeated(np.abs(rng.normal(size=200)), seed), 0.25)
+        found = average_over_repeats(repeated(np.abs(rng.normal(size=200)), seed), 0.25)
         hits += abs(found.value - truth) <= found.ci95
         plain += abs(found.value - truth) <= found.ci95 * sqrt(0.1 / 0.35)
     assert 0.92 <= hits / 300 <= 0.98
@@ -53,37 +53,37 @@ def test_the_post_stratified_interval_holds_the_truth_as_often_as_it_says():
     sizes, centres, hits = (15, 60, 400), (1.0, 2.0, 5.0), 0
     for seed in range(300):
         strata = [rng.normal(c, c, size=n) for n, c in zip(sizes, centres, strict=True)]
-        found = combined([over_repeats(repeated(values, seed), 0.25) for values in strata])
+        found = combine_strata([average_over_repeats(repeated(values, seed), 0.25) for values in strata])
         hits += abs(found.value - np.mean(centres)) <= found.ci95
     assert 0.91 <= hits / 300 <= 0.99
 
 
 def test_independent_parts_combine_as_textbooks_have_it():
     parts = [Estimate(1.0, 0.3, 9), Estimate(4.0, 0.4, 4), Estimate(np.nan, np.nan, np.nan)]
-    found = combined(parts, [1.0, 3.0, 50.0])
+    found = combine_strata(parts, [1.0, 3.0, 50.0])
     assert found.value == pytest.approx(0.25 * 1.0 + 0.75 * 4.0)
     a, b = (0.25 * 0.3) ** 2, (0.75 * 0.4) ** 2
     assert found.error == pytest.approx(sqrt(a + b))
     assert found.freedom == pytest.approx((a + b) ** 2 / (a**2 / 9 + b**2 / 4))
-    assert combined([parts[0]]) == pytest.approx(parts[0])
-    assert np.isnan(combined(parts[2:]).value)
-    assert np.isnan(combined([]).value)
+    assert combine_strata([parts[0]]) == pytest.approx(parts[0])
+    assert np.isnan(combine_strata(parts[2:]).value)
+    assert np.isnan(combine_strata([]).value)
 
 
 def test_a_part_without_an_interval_leaves_none():
-    found = combined([Estimate(1.0, 0.3, 9), Estimate(2.0, np.nan, 0)])
+    found = combine_strata([Estimate(1.0, 0.3, 9), Estimate(2.0, np.nan, 0)])
     assert found.value == 1.5
     assert np.isnan(found.ci95)
 
 
 def test_parts_without_any_spread_have_an_interval_of_zero():
-    assert combined([Estimate(1.0, 0.0, 9), Estimate(2.0, 0.0, 9)]).ci95 == 0.0
+    assert combine_strata([Estimate(1.0, 0.0, 9), Estimate(2.0, 0.0, 9)]).ci95 == 0.0
 
 
 @given(ENERGIES, st.sampled_from([0.5, 0.9, 0.95, 0.99, 1.0]))
 def test_the_buffer_is_the_least_that_is_enough(measured, share):
     predicted = np.full(len(measured), 3.0)
-    found = scores.buffer(measured, predicted, share)
+    found = scores.compute_buffer(measured, predicted, share)
     excess = measured - predicted
     assert np.mean(excess <= found) >= share - 1e-12
     assert np.mean(excess < found) < share
@@ -92,34 +92,37 @@ def test_the_buffer_is_the_least_that_is_enough(measured, share):
 def test_bands_and_coverage_count_their_ends():
     measured = np.array([100.0, 100.0, 100.0, 100.0])
     predicted = np.array([105.0, 90.0, 115.0, 116.0])
-    assert scores.bands(measured, predicted) == {"5": 0.25, "10": 0.5, "15": 0.75}
-    assert scores.coverage(measured, np.array([100.0, 99.0, 101.0, 0.0]), np.array([120.0, 100.0, 110.0, 99.0])) == 0.5
+    assert scores.compute_band_shares(measured, predicted) == {"5": 0.25, "10": 0.5, "15": 0.75}
+    assert (
+        scores.compute_coverage(measured, np.array([100.0, 99.0, 101.0, 0.0]), np.array([120.0, 100.0, 110.0, 99.0]))
+        == 0.5
+    )
 
 
 @given(ENERGIES)
 def test_the_square_error_is_bias_and_spread(measured):
     predicted = np.linspace(-1.0, 4.0, len(measured))
     error = predicted - measured
-    square = scores.bias(measured, predicted) ** 2 + np.var(error)
-    assert scores.root_mean_square(measured, predicted) == pytest.approx(sqrt(square))
-    assert abs(scores.bias(measured, predicted)) <= scores.mean_absolute_error(measured, predicted) + 1e-12
-    assert scores.mean_absolute_error(measured, predicted) <= scores.root_mean_square(measured, predicted) + 1e-12
+    square = scores.compute_bias(measured, predicted) ** 2 + np.var(error)
+    assert scores.compute_rmse(measured, predicted) == pytest.approx(sqrt(square))
+    assert abs(scores.compute_bias(measured, predicted)) <= scores.compute_mae(measured, predicted) + 1e-12
+    assert scores.compute_mae(measured, predicted) <= scores.compute_rmse(measured, predicted) + 1e-12
 
 
 def test_means_of_groups_leave_out_what_is_in_none():
-    found = scores.group_means(np.array([1.0, 3.0, 8.0, 100.0, 7.0]), np.array([0, 0, 2, 3, -1]), 3)
+    found = scores.compute_group_means(np.array([1.0, 3.0, 8.0, 100.0, 7.0]), np.array([0, 0, 2, 3, -1]), 3)
     np.testing.assert_array_equal(found, [2.0, np.nan, 8.0])
 
 
 def test_bins_tell_the_sign_of_the_bias_and_the_share_of_the_consumption():
     measured, predicted = np.array([1.0, 3.0, 9.0]), np.array([2.0, 4.0, 9.0])
-    found = scores.by_bin(measured, predicted, np.array([0, 0, -1]), ("short", "long"))
+    found = scores.compute_bin_errors(measured, predicted, np.array([0, 0, -1]), ("short", "long"))
     assert found == [{"bin": "short", "n": 2, "bias": 1.0, "mae": 1.0, "relative": 0.5}]
 
 
 @given(arrays(np.float64, st.integers(1, 20), elements=st.floats(0.0, 1.0)))
 def test_adjusted_probabilities_keep_their_order_and_are_no_smaller(p):
-    found = holm(p)
+    found = adjust_holm(p)
     assert np.all(found >= p)
     assert np.all(found <= np.minimum(p * len(p), 1.0) + 1e-12)
     order = np.argsort(p, kind="stable")
@@ -130,8 +133,10 @@ def compared(error, seed):
     """Return what the difference score says of models whose absolute errors are the columns."""
     names = [f"m{i}" for i in range(error.shape[1])]
     means = repeated(error, seed)
-    found = {(a, b): over_repeats(means[:, int(a[1])] - means[:, int(b[1])], 0.25) for a, b in pairs(names)}
-    return dominating(dict(zip(names, means.mean(axis=0), strict=True)), found), adjusted(found)
+    found = {
+        (a, b): average_over_repeats(means[:, int(a[1])] - means[:, int(b[1])], 0.25) for a, b in list_pairs(names)
+    }
+    return select_dominating(dict(zip(names, means.mean(axis=0), strict=True)), found), adjust_differences(found)
 
 
 def test_the_difference_score_finds_a_planted_better_model_and_says_who_shares_its_place():
@@ -163,5 +168,5 @@ def test_models_that_say_the_same_co_dominate():
 
 
 def test_a_model_of_unknown_error_is_in_no_place():
-    assert dominating({"a": np.nan, "b": 1.0}, {("a", "b"): scores.UNKNOWN}) == ["b"]
-    assert dominating({}, {}) == []
+    assert select_dominating({"a": np.nan, "b": 1.0}, {("a", "b"): scores.UNKNOWN}) == ["b"]
+    assert select_dominating({}, {}) == []

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from core.stats.soc_share import clustered_share
+from core.stats.soc_share import compute_clustered_share
 
 
 @given(
@@ -17,7 +17,7 @@ from core.stats.soc_share import clustered_share
 @settings(max_examples=100, deadline=None)
 def test_a_clustered_share_is_within_its_interval(hits, seed, clusters):
     of = np.random.default_rng(seed).integers(0, clusters, len(hits))
-    found = clustered_share(np.array(hits), of)
+    found = compute_clustered_share(np.array(hits), of)
     assert found["value"] == np.mean(hits)
     if len(np.unique(of)) > 1:
         assert 0.0 <= found["low"] <= found["value"] <= found["high"] <= 1.0
@@ -27,7 +27,7 @@ def test_a_clustered_share_is_within_its_interval(hits, seed, clusters):
 
 @pytest.mark.parametrize(("hits", "n"), [(0, 12), (7, 12), (12, 12), (270, 300)])
 def test_of_single_cases_it_is_the_interval_of_wilson(hits, n):
-    found = clustered_share(np.arange(n) < hits, np.arange(n))
+    found = compute_clustered_share(np.arange(n) < hits, np.arange(n))
     assert found["clusters"] == n
     known = stats.binomtest(hits, n).proportion_ci(method="wilson")
     assert (found["low"], found["high"]) == pytest.approx((known.low, known.high))
@@ -39,13 +39,13 @@ def test_it_covers_the_truth_where_cases_of_a_cluster_are_alike():
     inside = 0
     for _ in range(400):
         share = rng.beta(9.0, 1.0, 80)
-        found = clustered_share(rng.random(400) < share[clusters], clusters)
+        found = compute_clustered_share(rng.random(400) < share[clusters], clusters)
         inside += found["low"] <= 0.9 <= found["high"]
     assert 0.93 <= inside / 400 <= 0.995
 
 
 def test_cases_that_are_alike_tell_no_more_than_one_of_them():
     hits = np.arange(40) < 30
-    alone = clustered_share(hits, np.arange(40))
-    alike = clustered_share(np.repeat(hits, 5), np.repeat(np.arange(40), 5))
+    alone = compute_clustered_share(hits, np.arange(40))
+    alike = compute_clustered_share(np.repeat(hits, 5), np.repeat(np.arange(40), 5))
     assert alike == pytest.approx(alone, rel=0.02)

@@ -63,7 +63,7 @@ def without_power(message):
 
 def whole_way(simulation, measurement):
     messages = list(simulate(simulation))
-    pipeline = Pipeline(also=effects.tabulated(), keep_forecasts=False)
+    pipeline = Pipeline(also=effects.list_tabulated(), keep_forecasts=False)
     pipeline.take(messages if measurement == "vi" else [without_power(message) for message in messages])
     pipeline.finish()
     return pipeline.take_rides(), pipeline.take_windows()
@@ -136,7 +136,7 @@ class TestNames:
         assert set(EFFECTS) == set(OTHER_SHAPES)
         assert set(RIGHT) | set(ABSORBED) <= set(EFFECTS)
         for effect in EFFECTS:
-            assert all(name in effects.library() for name in right(effect))
+            assert all(name in effects.get_library() for name in right(effect))
         assert stem("snow~other") == "snow"
         assert right("snow~other") == ("snow",)
 

@@ -162,7 +162,7 @@ def test_trying_whether_an_output_can_be_written_leaves_all_as_it_was(tmp_path):
 
 
 def test_windows_are_read_for_their_features_alone(folder):
-    names = {name for product in segment_network.FEATURES for name in product} | {"ride_key", "window"}
+    names = {name for product in segment_network.SEGMENT_FEATURES for name in product} | {"ride_key", "window"}
     frame, _, _ = windows(20)
     frame.assign(energy_vi_kwh=1.0).to_parquet(folder / "windows.parquet")
     assert set(read([folder / "windows.parquet"], window_columns())) == names

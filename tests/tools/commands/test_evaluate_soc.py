@@ -10,7 +10,7 @@ from rich.console import Console
 
 from core.evaluate.paper.results import plain
 from core.evaluate.soc.report import evaluate_soc
-from core.stats.soc_share import ENOUGH
+from core.stats.soc_share import LEAST_CLUSTERS
 from tests.support.paths import ROOT
 from tests.support.soc_frames import told
 from tests.tools.report.test_evaluation import read
@@ -170,7 +170,7 @@ def test_the_risk_is_shown_as_it_was_told_and_as_it_came():
     for points, key in ((levels, "levels"), (plan, "plan")):
         classes = result["reserve"]["reliability"][key]
         assert list(points.x) == pytest.approx([100.0 * own["told"] for own in classes])
-        shown = [100.0 * own["fell"]["value"] if own["fell"]["clusters"] >= ENOUGH else None for own in classes]
+        shown = [100.0 * own["fell"]["value"] if own["fell"]["clusters"] >= LEAST_CLUSTERS else None for own in classes]
         assert list(points.y) == shown
         assert (None in shown) == (key in few)
     assert any(y is not None for y in levels.y)
@@ -187,13 +187,13 @@ def coverages(*clusters):
 
 
 def test_of_few_car_days_a_figure_shows_the_interval_alone():
-    points, lines = drawn.coverage(coverages(1, 2, ENOUGH - 1, ENOUGH), "Group [1]").data
+    points, lines = drawn.coverage(coverages(1, 2, LEAST_CLUSTERS - 1, LEAST_CLUSTERS), "Group [1]").data
     assert points.x == ("group 1", "group 2", "group 29", "group 30")
     assert points.y == (None, None, None, 80.0)
     assert lines.mode == "lines"
     assert lines.x == tuple(x for n in (1, 2, 29) for x in (f"group {n}", f"group {n}", None))
     assert lines.y == (None, None, None, 60.0, 95.0, None, 60.0, 95.0, None)
-    (alone,) = drawn.coverage(coverages(ENOUGH, 300), "Group [1]").data
+    (alone,) = drawn.coverage(coverages(LEAST_CLUSTERS, 300), "Group [1]").data
     assert alone.y == (80.0, 80.0)
 
 

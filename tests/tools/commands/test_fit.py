@@ -139,7 +139,7 @@ def test_a_model_file_that_cannot_be_used_is_one_line(tmp_path, capsys):
     path, recording = tmp_path / "model.json", tmp_path / "shift.mcap"
     with McapSink(recording) as sink:
         sink.put(shift(20))
-    content = json.loads(models.encode(models.BASIC_PHYSICAL))
+    content = json.loads(models.encode_model(models.BASIC_PHYSICAL))
     for change, said in (
         ({"format": 1}, "model file of format 1, and this version reads format 2: fit the model anew"),
         ({"terms": [{"name": "x", "columns": ["distanse_km"], "unit": "1"}]}, "column 'distanse_km' is none that"),

@@ -14,7 +14,7 @@ from core.batch import Lanes
 from core.cleaning.kernel import Cleaner
 from core.cleaning.quality import CAUSES, Quality
 from core.columns import EARTH_RADIUS, KMH
-from core.effects import library
+from core.effects import get_library
 from core.evaluate.paper.protocol import chosen, evaluate
 from core.pipeline import Pipeline
 from core.settings import Settings
@@ -63,7 +63,7 @@ def imported(name: str) -> Imported:
     folder, read, settings = readers()[name]
     drives = collect([DATA / folder], read)
     sent = messages(drives, PERIOD)
-    pipeline = Pipeline(settings=settings, also=list(library()))
+    pipeline = Pipeline(settings=settings, also=list(get_library()))
     pipeline.push(sent)
     pipeline.finish()
     return Imported(drives, sent, settings, pipeline, pipeline.take_rides(), pipeline.take_windows())
@@ -208,7 +208,7 @@ def test_recording_and_memory_are_the_same(name, tmp_path):
     write(found.drives, tmp_path / "a.mcap", PERIOD)
     write(found.drives, tmp_path / "b.mcap", PERIOD)
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
-    replayed = Pipeline(settings=found.settings, also=list(library()))
+    replayed = Pipeline(settings=found.settings, also=list(get_library()))
     for block in McapSource(tmp_path / "a.mcap"):
         replayed.push(block)
     replayed.finish()

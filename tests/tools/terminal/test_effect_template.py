@@ -33,7 +33,7 @@ def test_the_text_is_a_file_that_passes_its_check(tmp_path, text):
     path = tmp_path / "suggested.py"
     path.write_text(text)
     (found,) = registry._run(path)
-    effects.check(found)
+    effects.check_effect(found)
     assert all(len(line) <= 130 for line in text.splitlines())
 
 

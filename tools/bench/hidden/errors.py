@@ -7,10 +7,10 @@ import numpy as np
 
 from core.batch import Floats, Ints
 from core.diagnose.dataset import Windows
-from core.fit.fitting import design
-from core.fit.ride_blocks import names, numbers
+from core.fit.fitting import build_design
+from core.fit.ride_blocks import get_names, get_numbers
 from core.models import ANY, LinearModel, Term
-from core.models.features import ACCESSORIES, Columns
+from core.models.features import ACCESSORIES_COLUMN, Columns
 
 FOLDS: Final = 5
 HEATING: Final = 18.0
@@ -55,14 +55,14 @@ def errors(
     For each vehicle model. In place of the accessory curve stand a standby power, one that grows with the cold and one
     that grows with the heat, so that all three are linear and none is better for a search that went otherwise.
     """
-    kinds = np.array(names(windows.table, "vehicle_model"), dtype=object)
+    kinds = np.array(get_names(windows.table, "vehicle_model"), dtype=object)
     days = int(windows.day.max()) + 1
     fold = (np.random.default_rng([seed, 8]).permutation(days) % FOLDS)[windows.day]
     predicted = np.empty((3, len(hidden)))
     for kind in sorted(set(kinds)):
         rows = np.flatnonzero(kinds == kind)
         base = _base(windows, model, str(kind), rows)
-        more = design(tuple(_term(columns) for columns in named), Columns(windows.table, rows=rows), len(rows))
+        more = build_design(tuple(_term(columns) for columns in named), Columns(windows.table, rows=rows), len(rows))
         energy = windows.measured[rows]
         predicted[0, rows] = held_out(base, energy, fold[rows])
         predicted[1, rows] = held_out(np.column_stack([base, np.nan_to_num(more)]), energy, fold[rows])
@@ -89,12 +89,12 @@ def least_squares(columns: Floats, energy: Floats) -> Floats:
 def _base(windows: Windows, model: LinearModel, kind: str, rows: Ints) -> Floats:
     """Return a model's own columns for one vehicle model, (rows, k)."""
     fit = model.fits.get(kind) or model.fits[ANY]
-    terms = tuple(term for term in model.terms if ACCESSORIES not in term.columns)
-    own = np.nan_to_num(design(terms, Columns(windows.table, fit.fills, None, rows), len(rows)))
+    terms = tuple(term for term in model.terms if ACCESSORIES_COLUMN not in term.columns)
+    own = np.nan_to_num(build_design(terms, Columns(windows.table, fit.fills, None, rows), len(rows)))
     if len(terms) == len(model.terms):
         return own
-    hours = numbers(windows.table, "duration_s")[rows] / 3600.0
-    ambient = np.nan_to_num(numbers(windows.table, "ambient_c")[rows], nan=15.0)
+    hours = get_numbers(windows.table, "duration_s")[rows] / 3600.0
+    ambient = np.nan_to_num(get_numbers(windows.table, "ambient_c")[rows], nan=15.0)
     power = np.column_stack(
         [np.ones(len(hours)), np.maximum(HEATING - ambient, 0.0), np.maximum(ambient - COOLING, 0.0)]
     )

@@ -12,7 +12,7 @@ from core import effects
 from core.batch import Floats, Ints
 from core.diagnose.dataset import Windows, fitted, gather
 from core.diagnose.projection import Base
-from core.fit.fitting import design
+from core.fit.fitting import build_design
 from core.models import Term
 from core.models.features import Columns
 from tools.bench.hidden.cases import Case, right
@@ -218,7 +218,7 @@ def _off(base: Base, columns: Sequence[Sequence[str]]) -> Floats:
     """Return products of columns, weighted, off what the model's own terms can take up."""
     terms = tuple(Term(name=str(i), columns=tuple(each), unit="1") for i, each in enumerate(columns))
     table = base.windows.table
-    return base.off(np.nan_to_num(design(terms, Columns(table), len(table))))
+    return base.off(np.nan_to_num(build_design(terms, Columns(table), len(table))))
 
 
 def _short(found: dict[str, Any]) -> Record:

@@ -204,7 +204,7 @@ def record(drives: Drives, messages: Sequence[Message] | None = None) -> Recordi
     recording = Recording(
         batch, car, number, kind, lanes.names, decoder.rides.name_of,
         {f"{ride.vehicle_id}/{ride.ride_id}": ride.driver_id for ride in drives_of if ride.driver_id is not None},
-        cars, nowhere, [], np.empty(0), [effects.get(name) for name in effects.tabulated()],
+        cars, nowhere, [], np.empty(0), [effects.get(name) for name in effects.list_tabulated()],
     )  # fmt: skip
     clean = _cleaned(_filled(batch, measured, "vi", car, number), len(lanes), nowhere)
     recording.timing = clean.dt

@@ -17,7 +17,7 @@ import numpy as np
 from core.batch import Floats
 from core.diagnose.candidates import library
 from core.diagnose.dataset import Windows
-from core.fit.fitting import design
+from core.fit.fitting import build_design
 from core.models import ANY, LinearModel
 from core.models.features import Columns
 
@@ -31,7 +31,7 @@ def candidates(windows: Windows, model: LinearModel) -> Floats:
     """Return a model's own columns, then all that diagnosis asks of, (n, k). [kWh per unit]"""
     fit = model.fits[ANY]
     columns = Columns(windows.table, fit.fills, fit.curve.to_curve() if fit.curve else None)
-    own = design(model.terms, columns, len(windows.measured))
+    own = build_design(model.terms, columns, len(windows.measured))
     return np.nan_to_num(np.column_stack([own, library(windows, model).columns]))
 
 

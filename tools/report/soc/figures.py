@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 
 from core.evaluate.soc.baselines import BASELINES
 from core.evaluate.soc.report import NOMINAL
-from core.stats.soc_share import ENOUGH
+from core.stats.soc_share import LEAST_CLUSTERS
 from tools.report.comparison.figures import drawn
 from tools.report.evaluation.illustrations import Illustration
 from tools.report.evaluation.result import Result, mapping, number, part, vehicle_name
@@ -24,7 +24,7 @@ MOST_POINTS: Final = 2000
 BEFORE: Final = "Time before the shift's end [h]"
 CHARGE: Final = "State of charge [%]"
 WIDE: Final = "Intervals far wider than the figure, of few shifts, are left out."
-FEW: Final = f"A line without a point: the interval of fewer than {ENOUGH} car-days, too few to tell."
+FEW: Final = f"A line without a point: the interval of fewer than {LEAST_CLUSTERS} car-days, too few to tell."
 SHADE: Final = "rgba(128,128,128,0.25)"
 
 
@@ -114,7 +114,7 @@ def coverage(found: Mapping[str, Any], axis: str) -> go.Figure:
 
 def _points(name: str, look: Style, x: Sequence[Any], shares: Sequence[Any]) -> list[Any]:
     """Return shares as points with their intervals, and the intervals alone of those too few to tell."""
-    enough = [(number(part(share, "clusters")) or 0.0) >= ENOUGH for share in shares]
+    enough = [(number(part(share, "clusters")) or 0.0) >= LEAST_CLUSTERS for share in shares]
     told = [_percent(share, "value") if known else None for share, known in zip(shares, enough, strict=True)]
     points = curve(name, look, list(x), told).update(mode="markers", error_y=_bars(shares))
     alone = [

@@ -5,7 +5,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from core.evaluate.soc.baselines import BASELINES
-from core.stats.soc_share import ENOUGH
+from core.stats.soc_share import LEAST_CLUSTERS
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, change, count, percent
 from tools.report.comparison.tables import off, within
 from tools.report.evaluation.result import Result, mapping, number, part, vehicle_name
@@ -22,7 +22,7 @@ PERCENT_NOTE: Final = (
 )
 TOO_FEW: Final = "too few to tell"
 SHARE_NOTE: Final = (
-    f"In parentheses: 95 % interval (Wilson, clustered). Too few to tell: of fewer than {ENOUGH} car-days there is the "
+    f"In parentheses: 95 % interval (Wilson, clustered). Too few to tell: of fewer than {LEAST_CLUSTERS} car-days there is the "
     "interval alone."
 )
 COVERAGE_NOTE: Final = f"Coverage: share of outcomes inside the 90 % interval. {SHARE_NOTE}"
@@ -34,7 +34,7 @@ LEG_NOTE: Final = (
 )
 BEST_NOTE: Final = (
     "To best: by how much the error is below or above that of the best baseline, where all have an answer. A dash: "
-    f"fewer than {ENOUGH} car-days are too few to tell, and at the end everybody reads the display."
+    f"fewer than {LEAST_CLUSTERS} car-days are too few to tell, and at the end everybody reads the display."
 )
 
 
@@ -81,7 +81,7 @@ def covered(share: Any) -> str:
     low, high, found = number(part(share, "low")), number(part(share, "high")), number(part(share, "clusters"))
     if not found:
         return UNKNOWN
-    told = percent(number(share)) if found >= ENOUGH else TOO_FEW
+    told = percent(number(share)) if found >= LEAST_CLUSTERS else TOO_FEW
     return told + ("" if low is None or high is None else f" ({100 * low:.1f}–{100 * high:.1f})")
 
 
@@ -95,7 +95,7 @@ def against_best(own: Mapping[str, Any]) -> str:
     ('−25.0 %', '–', '–')
     """
     best = mapping(own, "best")
-    if not best or best["vehicle_days"] < ENOUGH:
+    if not best or best["vehicle_days"] < LEAST_CLUSTERS:
         return UNKNOWN
     return change(number(part(best, "forecast_mae_pct")), number(part(best, "mae_pct")))
 

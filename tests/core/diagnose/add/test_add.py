@@ -12,8 +12,8 @@ from core.diagnose.add.holdout import comparison, day_folds, final_days, noise_f
 from core.diagnose.add.terms import additive, scope_in_words, scoped
 from core.diagnose.dataset import joined
 from core.errors import EffectError, ModelError
-from core.fit.recipes import RECIPES, term
-from core.models import ANY, BASIC_PHYSICAL, LinearModel, Term, decode, encode
+from core.fit.recipes import RECIPES, make_term
+from core.models import ANY, BASIC_PHYSICAL, LinearModel, Term, decode_model, encode_model
 from core.pipeline import Pipeline
 from tests.support.planted_windows import AUXILIARY, BASE, KINDS, START, base_model, planted
 from tests.support.telemetry import drive, leaf, telemetry
@@ -108,7 +108,7 @@ def test_a_decoy_is_refused_and_the_attempt_is_kept(cold, added):
     assert kept.history[-1]["action"] == "refused"
     assert kept.terms == added.model.terms
     assert kept.version == added.model.version
-    assert decode(encode(kept)) == kept
+    assert decode_model(encode_model(kept)) == kept
     taken = forced(found).model
     assert taken.history[-1]["action"] == "add"
     assert taken.history[-1]["forced"]
@@ -136,7 +136,7 @@ def test_an_effect_of_one_vehicle_or_from_a_date_on_is_recovered_within_its_scop
     assert low < 2e-4 < high
     term = found.model.terms[-1]
     assert term == Term(name=f"cold_rolling, {scope}", columns=("effect_cold_rolling", scope), unit="1/K")
-    assert decode(encode(found.model)) == found.model
+    assert decode_model(encode_model(found.model)) == found.model
     assert (found.trial["on_vehicles"] is None) == scope.startswith("vehicle")
     rides = tables[0].assign(vehicle_id="another", start_s=START)
     without = found.model.predict(rides.assign(effect_cold_rolling=0.0))
@@ -228,11 +228,11 @@ def test_one_vehicle_on_one_day_cannot_be_judged():
 def test_a_model_with_a_constant_is_fitted_to_whole_rides(cold):
     rides, windows = cold
     assert additive(BASIC_PHYSICAL.terms)
-    assert not additive((term("average_speed_kmh"),))
-    assert not additive((term("distance_km", "distance_km"),))
+    assert not additive((make_term("average_speed_kmh"),))
+    assert not additive((make_term("distance_km", "distance_km"),))
     assert not additive(RECIPES["hybrid"].terms)
     with_constant = LinearModel(
-        name="constant", version="1", recipe="x", terms=(*base_model(rides).terms, term()), fits={}, history=()
+        name="constant", version="1", recipe="x", terms=(*base_model(rides).terms, make_term()), fits={}, history=()
     )
     found = add(with_constant, "cold_rolling", scoped("cold_rolling"), joined(rides, windows), rides=rides)
     assert found.trial["windows"] == found.trial["rides"]
@@ -306,7 +306,7 @@ def test_days_that_were_set_apart_stay_so_and_new_days_are_set_apart_anew():
 
 @pytest.mark.parametrize("scope", ["since=2018-13-01", "vehicle=", "since=now"])
 def test_a_model_file_with_a_damaged_scope_is_refused_in_one_line(scope, added, tmp_path):
-    content = json.loads(encode(added.model))
+    content = json.loads(encode_model(added.model))
     content["terms"][-1]["columns"].append(scope)
     (tmp_path / "bad.json").write_text(json.dumps(content))
     with pytest.raises(ModelError) as told:

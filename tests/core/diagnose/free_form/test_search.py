@@ -223,7 +223,7 @@ def checked(term, path):
     """Return the effect of a term, from its file, checked: its power is in watt by pint."""
     path.write_text(file(term, -0.123, 4000), encoding="utf-8")
     (found,) = registry._run(path)
-    effects.check(found)
+    effects.check_effect(found)
     return found
 
 

@@ -13,11 +13,11 @@ from core.evaluate.compare.datasets import contrast
 from core.evaluate.compare.models import compare, pairs, sample, worst
 from core.evaluate.compare.ride_trace import find, parting, trace
 from core.evaluate.compare.running import so_far
-from core.fit.recipes import FITTED_TERMS, recipe
+from core.fit.recipes import FITTED_TERMS, get_recipe
 from core.models import ANY, BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, LinearModel, Term
 from core.models.features import FEATURES
-from core.models.parts import CORRECTION, parts
-from core.stats.clustered import clustered_mean, clustered_ratio, less, vehicle_days
+from core.models.parts import CORRECTION, predict_parts
+from core.stats.clustered import assign_vehicle_days, compute_clustered_mean, compute_clustered_ratio, subtract
 from core.stats.scores import Estimate
 from tests.support import planted_rides
 from tests.support.linear_models import STUMP
@@ -57,7 +57,7 @@ def shift():
 
 def test_of_independent_rides_the_interval_is_the_classical_one():
     values = np.random.default_rng(1).normal(2.0, 1.0, 50)
-    found = clustered_mean(values, np.arange(50))
+    found = compute_clustered_mean(values, np.arange(50))
     assert found.error == pytest.approx(values.std(ddof=1) / np.sqrt(50))
     assert found.freedom == pytest.approx(49)
 
@@ -67,7 +67,10 @@ def test_rides_that_repeat_others_of_their_cluster_are_no_news(seed):
     rng = np.random.default_rng(seed)
     clusters = rng.integers(0, 6, 40)
     values = rng.normal(clusters, 1.0)
-    once, thrice = clustered_mean(values, clusters), clustered_mean(np.repeat(values, 3), np.repeat(clusters, 3))
+    once, thrice = (
+        compute_clustered_mean(values, clusters),
+        compute_clustered_mean(np.repeat(values, 3), np.repeat(clusters, 3)),
+    )
     assert thrice == pytest.approx(once)
 
 
@@ -77,7 +80,7 @@ def test_the_interval_holds_the_truth_where_a_plain_one_does_not():
     for _ in range(draws):
         clusters = np.repeat(np.arange(12), rng.integers(2, 40, 12))
         values = rng.normal(0.0, 0.1, 12)[clusters] + rng.normal(0.0, 0.2, len(clusters))
-        found = clustered_mean(values, clusters)
+        found = compute_clustered_mean(values, clusters)
         held += abs(found.value) <= found.ci95
         plain += abs(found.value) <= 1.96 * values.std(ddof=1) / np.sqrt(len(values))
     assert 0.91 < held / draws < 0.98
@@ -87,30 +90,33 @@ def test_the_interval_holds_the_truth_where_a_plain_one_does_not():
 def test_the_standard_error_is_right_on_average_whatever_the_sizes_of_clusters():
     rng = np.random.default_rng(6)
     clusters = np.repeat(np.arange(4), [1, 3, 8, 20])
-    squares = [clustered_mean(rng.normal(0.0, 1.0, 32), clusters).error ** 2 for _ in range(4000)]
+    squares = [compute_clustered_mean(rng.normal(0.0, 1.0, 32), clusters).error ** 2 for _ in range(4000)]
     assert np.mean(squares) == pytest.approx(1.0 / 32.0, rel=0.08)
 
 
 def test_of_one_cluster_there_is_no_interval():
-    assert np.isnan(clustered_mean(np.ones(5), np.zeros(5, np.int64)).ci95)
+    assert np.isnan(compute_clustered_mean(np.ones(5), np.zeros(5, np.int64)).ci95)
 
 
 @given(seeds)
 def test_a_ratio_is_that_of_sums_and_knows_no_unit(seed):
     rng = np.random.default_rng(seed)
     above, below, clusters = rng.gamma(2.0, 1.0, 30), rng.gamma(2.0, 5.0, 30), rng.integers(0, 5, 30)
-    found, scaled = clustered_ratio(above, below, clusters), clustered_ratio(100.0 * above, below, clusters)
+    found, scaled = (
+        compute_clustered_ratio(above, below, clusters),
+        compute_clustered_ratio(100.0 * above, below, clusters),
+    )
     assert found.value == pytest.approx(above.sum() / below.sum())
     assert (scaled.value, scaled.ci95) == pytest.approx((100.0 * found.value, 100.0 * found.ci95))
-    assert clustered_ratio(3.0 * below, below, clusters).error == pytest.approx(0.0, abs=1e-12)
+    assert compute_clustered_ratio(3.0 * below, below, clusters).error == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_difference_is_less_sure_than_either():
     one, other = Estimate(3.0, 0.3, 10.0), Estimate(1.0, 0.4, 20.0)
-    apart = less(one, other)
+    apart = subtract(one, other)
     assert (apart.value, apart.error) == (2.0, 0.5)
     assert 10.0 <= apart.freedom <= 30.0
-    assert less(other, one).value == -2.0
+    assert subtract(other, one).value == -2.0
 
 
 # conditions
@@ -252,7 +258,7 @@ def test_a_column_that_is_unknown_in_all_rides_is_named():
 
 def test_two_rides_are_compared_without_intervals():
     rides = planted(300).sort_values(["vehicle_id", "date"])
-    days = vehicle_days(rides)
+    days = assign_vehicle_days(rides)
     two = rides[days == days[np.flatnonzero(np.diff(days) == 0)[0]]][:2]
     found = compared(two, m=EXTENDED_PHYSICAL)
     assert np.isnan(found["models"]["m"]["mae_kwh"]["ci95"])
@@ -266,9 +272,9 @@ def test_two_rides_are_compared_without_intervals():
 @pytest.mark.parametrize("cars", [{}, {"tesla-model-s-1": 1.2, "nissan-leaf-2013-3": 0.9}])
 def test_parts_add_up_to_the_prediction(correction, cars):
     rides = planted(240)
-    fitted = recipe("fitted_physical").fit(rides, covariance=False)
+    fitted = get_recipe("fitted_physical").fit(rides, covariance=False)
     model = msgspec.structs.replace(fitted, correction=correction, cars=cars)
-    found = parts(model, rides)
+    found = predict_parts(model, rides)
     assert list(found) == [term.name for term in FITTED_TERMS] + [CORRECTION] * (correction is not None)
     np.testing.assert_allclose(sum(found.values()), model.predict(rides), rtol=1e-9)
 
@@ -276,7 +282,7 @@ def test_parts_add_up_to_the_prediction(correction, cars):
 def test_a_car_without_a_fit_has_no_parts():
     rides = planted(40)
     one = model("one", FITTED_TERMS[:-1], [1.0] * 4, key="tesla-model-s")
-    found = parts(one, rides)["rolling"]
+    found = predict_parts(one, rides)["rolling"]
     np.testing.assert_array_equal(np.isnan(found), rides["vehicle_model"] != "tesla-model-s")
 
 

@@ -5,13 +5,15 @@ import pytest
 
 from core.evaluate.paper.selection import ByVehicleModel, plan, removable
 from core.evaluate.ride_filter import judged
-from core.fit.recipes import LinearRecipe, term
+from core.fit.recipes import LinearRecipe, make_term
 from tests.support import planted_rides
 
 MODELS = ("kia-soul-ev-2015", "tesla-model-s")
 PLANTED = ("distance_km", "gained_m", "duration_s")
 DECOYS = ("odometer_km", "soc_start_pct", "wind_speed_kmh", "precipitation_mm_h")
-RECIPE = LinearRecipe("hybrid", "Hybrid", (*(term(c) for c in (*PLANTED, *DECOYS, "nominal_capacity_kwh")), term()))
+RECIPE = LinearRecipe(
+    "hybrid", "Hybrid", (*(make_term(c) for c in (*PLANTED, *DECOYS, "nominal_capacity_kwh")), make_term())
+)
 
 
 def fleet(n=2400, seed=1):
@@ -53,14 +55,14 @@ def test_the_loss_of_all_that_go_is_that_of_the_last_step(found):
 
 
 def test_where_nothing_can_go_there_is_no_loss():
-    recipe = LinearRecipe("hybrid", "Hybrid", (*(term(c) for c in PLANTED), term()))
+    recipe = LinearRecipe("hybrid", "Hybrid", (*(make_term(c) for c in PLANTED), make_term()))
     rfe = removable(recipe, judged(fleet()), seed=2)["rfe"]
     assert rfe["removed"] == []
     assert rfe["loss"] is None
 
 
 def test_of_collinear_terms_one_can_go_and_costs_nothing():
-    recipe = LinearRecipe("hybrid", "Hybrid", (*(term(c) for c in (*PLANTED, "winter", "summer")), term()))
+    recipe = LinearRecipe("hybrid", "Hybrid", (*(make_term(c) for c in (*PLANTED, "winter", "summer")), make_term()))
     table = fleet()
     table["energy_kwh"] += 0.5 * table["winter"]
     steps = {step["term"]: step["loss"] for step in removable(recipe, judged(table), seed=2)["rfe"]["steps"]}
