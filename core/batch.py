@@ -1,5 +1,6 @@
 """A batch of samples as columns, and the lanes that say whose row each is."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -57,8 +58,8 @@ class Batch(NamedTuple):
 class Lanes:
     """The vehicles seen so far, each with a small integer that indexes every state array."""
 
-    def __init__(self, names: list[str] | None = None) -> None:
-        self.names: list[str] = list(names or ())
+    def __init__(self, names: Sequence[str] = ()) -> None:
+        self.names: list[str] = list(names)
         self._of = {name: lane for lane, name in enumerate(self.names)}
 
     def __len__(self) -> int:
@@ -75,6 +76,11 @@ class Lanes:
             lane = self._of[name] = len(self.names)
             self.names.append(name)
         return lane
+
+    def load(self, names: Sequence[str]) -> None:
+        """Replace all vehicles by those of these names, in their order."""
+        self.names[:] = names
+        self._of = {name: lane for lane, name in enumerate(self.names)}
 
 
 def grown(array: NDArray[Any], rows: int, fill: Any = 0) -> NDArray[Any]:

@@ -30,6 +30,7 @@ from core.signals.signals import Signals, ambient_quality
 from core.signals.weather import Stations
 from core.snapshot import opened, sealed
 from core.totals.accumulator import Ledger, Sums, Totals, amounts
+from core.totals.context import RunContext
 from core.totals.tables import ride_table, text, unfit_reason, window_table
 from core.vehicles.fleet import Cars
 from core.wire.decoder import Decoder, Event
@@ -100,12 +101,11 @@ class Pipeline:
         keep_tables: bool = True,
         keep_outlooks: bool = False,
     ) -> None:
-        self.model = model
-        self.settings = checked(settings)
         self.prefix = prefix
         self.keep_forecasts = keep_forecasts
         self.keep_tables = keep_tables
         self.keep_outlooks = keep_outlooks
+        self.settings = checked(settings)
         self.lanes = Lanes()
         self.decoder = Decoder(self.lanes)
         self.cleaner = Cleaner(self.settings)
@@ -117,7 +117,8 @@ class Pipeline:
         self.effects = [effects.get(name) for name in served | beside]
         self._served = len(served)
         self.ledger = Ledger(len(self.effects))
-        self.foresight = Foresight(model, self.cars, self._effect_names, self.settings, self.ledger.width)
+        self.context = RunContext(self.lanes, self.cars, [effect.name for effect in self.effects], self.settings, model)
+        self.foresight = Foresight(self.context, self.ledger.width)
         self._gathered = Gathered(self.ledger.none())
         self._drivers: dict[str, str] = {}
         self._planned: dict[int, float] = {}
@@ -214,8 +215,7 @@ class Pipeline:
         if newest_only:
             last = due.newest()
             due, rows = due.rows(last), rows.rows(last)
-        version = f"{self.model.name}/{self.model.version}"
-        return forecasts(due, rows, self.lanes.names, self._ride_names(due), self.cars, version, self.prefix)
+        return forecasts(due, rows, self._ride_names(due), self.context, self.prefix)
 
     def model_errors(self, *, newest_only: bool = False) -> list[Message]:
         """Return how each model fares, where there are shadows: after each ride that ended since the last call.
@@ -233,7 +233,7 @@ class Pipeline:
         sums = self.ledger.close()
         self._keep(sums)
         if self.keep_forecasts:
-            self.foresight.follow(sums, [], [], self.lanes.names)
+            self.foresight.follow(sums, [], [])
             self.foresight.finish()
         if self.shadows:
             self.shadows.close()
@@ -245,8 +245,7 @@ class Pipeline:
         Call it before the first message, with one that sums the same effects in the same order.
         """
         earlier._foresee()  # noqa: SLF001 - another of this class
-        self.lanes = Lanes(earlier.lanes.names)
-        self.decoder = Decoder(self.lanes)
+        self.lanes.load(earlier.lanes.names)
         self.cars.load(earlier.cars.dump())
         self.cars.unpredictable.clear()
         self.foresight.learn_from(earlier.foresight)
@@ -256,7 +255,7 @@ class Pipeline:
         taken, self._rides = self._rides, []
         totals = joined([closed.totals for closed in taken], self.ledger.none())
         ride_names = [name for closed in taken for name in closed.names]
-        table = ride_table(totals, self.lanes.names, ride_names, self.cars, self._effect_names, self.settings)
+        table = ride_table(totals, ride_names, self.context)
         rides = zip(table["vehicle_id"], ride_names, strict=True)
         table.insert(4, "driver_id", text([self._drivers.get(f"{vehicle}/{name}") for vehicle, name in rides]))
         return table
@@ -264,18 +263,18 @@ class Pipeline:
     def take_windows(self) -> pd.DataFrame:
         """Return the windows that have ended since the last call, as `core.totals.tables.window_table` has them."""
         taken, self._windows = self._windows, []
-        return window_table(joined(taken, self.ledger.none()), self.lanes.names, self.cars, self._effect_names)
+        return window_table(joined(taken, self.ledger.none()), self.context)
 
     def take_outlooks(self) -> pd.DataFrame:
         """Return the forecasts of the charge since the last call, see `core.forecast.tables.outlook_table`."""
         self._foresee()
         taken, self._told = self._told, []
-        return outlook_table(taken, self.lanes.names, self.cars)
+        return outlook_table(taken, self.context)
 
     def take_shifts(self) -> pd.DataFrame:
         """Return the shifts that have ended since the last call, as `core.forecast.tables.shift_table` has them."""
         self._foresee()
-        return shift_table(self.foresight.take_shifts(), self.lanes.names, self.cars)
+        return shift_table(self.foresight.take_shifts(), self.context)
 
     def ask(self, vehicle_id: str, leg: Leg | None = None, plan: Plan | None = None) -> Outlook:
         """Return what is expected of the rest of a vehicle's shift; nothing, where that ended in silence meanwhile.
@@ -297,8 +296,7 @@ class Pipeline:
         lane = self.lanes.find(vehicle_id)
         if lane is None or lane >= len(self.foresight.state) or not self.foresight.state["heard"][lane]:
             raise AskError(f"vehicle {vehicle_id!r} has sent nothing so far: give one that has", "unknown_vehicle")
-        version = f"{self.model.name}/{self.model.version}"
-        told = answer(self.foresight, self.cars, lane, vehicle_id, version, leg, plan)
+        told = answer(self.foresight, lane, leg, plan)
         silent = self.calendar.silence(lane)
         return silenced(told, silent) if silent > BETWEEN_SHIFTS else told
 
@@ -326,9 +324,9 @@ class Pipeline:
         self._foresee()
         lanes = np.flatnonzero(self.cleaner.state["samples"][: len(self.lanes)] > 0.0)
         totals = self.ledger.running(lanes)
-        predicted = self.shadows.predictions(totals, self.lanes.names, self.cars, self._effect_names)
+        predicted = self.shadows.predictions(totals, self.context)
         ends = grown(self.foresight.ends, len(self.lanes), np.nan)[lanes]
-        return statuses(totals, self.lanes.names, self._ride_names(totals), self.cars, predicted, ends)
+        return statuses(totals, self._ride_names(totals), self.context, predicted, ends)
 
     def snapshot(self) -> bytes:
         """Return the state of every vehicle, from which `restore` goes on as if nothing had happened.
@@ -337,8 +335,8 @@ class Pipeline:
         """
         self._foresee()
         state = {
-            "model": f"{self.model.name}/{self.model.version}",
-            "effects": self._effect_names,
+            "model": self.context.model_label,
+            "effects": self.context.effects,
             "lanes": self.lanes.names,
             "cleaner": self.cleaner.state.tobytes(),
             "ledger": self.ledger.books.tobytes(),
@@ -372,8 +370,8 @@ class Pipeline:
         SocastError
             Where it is no snapshot, or one of another version or list of effects.
         """
-        state = opened(snapshot, self._effect_names)
-        self.lanes = Lanes(state["lanes"])
+        state = opened(snapshot, list(self.context.effects))
+        self.lanes.load(state["lanes"])
         self.decoder = Decoder(self.lanes)
         self.decoder.rides.update({name: code for code, name in state["rides"]})
         self.decoder.rides.name_of = dict(state["rides"])
@@ -395,8 +393,9 @@ class Pipeline:
             self.shadows.load(state["shadows"])
 
     @property
-    def _effect_names(self) -> list[str]:
-        return [effect.name for effect in self.effects]
+    def model(self) -> Model:
+        """Makes the published predictions."""
+        return self.context.model
 
     def _advance(self, batch: Batch, start: int, stop: int, told: list[tuple[int, int, Vehicle]]) -> None:
         """Take the rows between two observations of the weather through the steps, a block at a time."""
@@ -415,7 +414,7 @@ class Pipeline:
         if not self._gathered:
             return
         sums, plans, drivers = self._gathered.take(end)
-        rows = self.foresight.follow(sums, plans, drivers, self.lanes.names)
+        rows = self.foresight.follow(sums, plans, drivers)
         if len(sums.running.lane):
             self._due.append(Due(sums.running, rows))
             if self.keep_outlooks:
@@ -453,14 +452,14 @@ class Pipeline:
                 self._windows.append(_owned(sums.windows))
             return
         self._ended += len(rides.lane)
-        reasons = unfit_reason(rides, self.cars, self.settings)
+        reasons = unfit_reason(rides, self.context)
         kinds = rides.at_last("kind").astype(np.int64).tolist()
         self._unpredicted.update(why for why in map(self.cars.unpredicted, kinds) if why is not None)
         self._unfit.update(reason for reason in reasons.tolist() if reason is not None)
         names = self._ride_names(rides)
         if self.shadows:
             fit = np.array([reason is None for reason in reasons])
-            self.shadows.add(rides, fit, self.lanes.names, self.cars, self._effect_names)
+            self.shadows.add(rides, fit, self.context)
         if self.keep_tables:
             self._rides.append(Closed(_owned(rides), names))
             self._windows.append(_owned(sums.windows))

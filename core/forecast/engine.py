@@ -20,11 +20,9 @@ from core.forecast.learning.fleet import Lessons
 from core.forecast.learning.forecast_errors import Note, ShiftLog
 from core.forecast.outlook import Known
 from core.forecast.plan_tracker import Arrival, Courses, Driving, ride_km
-from core.models import Model
-from core.settings import Settings
 from core.totals.accumulator import Sums, Totals
+from core.totals.context import RunContext
 from core.totals.tables import model_columns
-from core.vehicles.fleet import Cars
 
 SEEN: Final = (
     *("soc", "soc_sd", "mean", "p05", "p95", "risk", "range", "range_p05", "range_p95", "expected", "spread"),
@@ -71,12 +69,7 @@ class Foresight:
 
     Parameters
     ----------
-    model : Model
-        Makes the predictions.
-    cars : Cars
-    effects : sequence of str
-        Whose energies are summed.
-    settings : Settings
+    context : RunContext
     width : int
         Amounts that are summed of a ride.
 
@@ -87,17 +80,15 @@ class Foresight:
         ending below the reserve; NaN before there is one, also after a restart. [1]
     """
 
-    def __init__(self, model: Model, cars: Cars, effects: Sequence[str], settings: Settings, width: int) -> None:
-        self._model, self._cars, self._effects = model, cars, list(effects)
-        self.lessons = Lessons(model, cars, self._effects, settings, width)
+    def __init__(self, context: RunContext, width: int) -> None:
+        self.context, self._cars = context, context.cars
+        self.lessons = Lessons(context, width)
         self.courses, self.log = Courses(), ShiftLog()
         self.state = soc_filter.new_state(0)
         self.ends = np.zeros((0, len(_END)))
         self.closed: list[NDArray[np.void]] = []
 
-    def follow(
-        self, sums: Sums, arrivals: Sequence[Arrival], drivings: Sequence[Driving], names: Sequence[str]
-    ) -> Rows:
+    def follow(self, sums: Sums, arrivals: Sequence[Arrival], drivings: Sequence[Driving]) -> Rows:
         """Take what a batch brought; return what is told at each of its running rows.
 
         Parameters
@@ -107,10 +98,8 @@ class Foresight:
             Plans that came.
         drivings : sequence of Driving
             Who drives.
-        names : sequence of str
-            Vehicle of each lane.
         """
-        lanes = len(names)
+        lanes = len(self.context.lanes)
         if len(self.state) < lanes:
             self.state = grown(self.state, lanes, soc_filter.new_state(1)[0])
         self.ends = grown(self.ends, lanes, np.nan)
@@ -119,7 +108,7 @@ class Foresight:
         parts = sums.rides, sums.rests, sums.running
         whole = joined(parts, sums.running)
         ends = np.cumsum([len(part.lane) for part in parts])
-        predicted = self._predict(whole, names)
+        predicted = self._predict(whole)
         of_rides, of_rests, of_running = np.split(predicted, ends[:-1])
         self.lessons.rides(sums.rides, of_rides)
         self.lessons.rests(sums.rests, of_rests)
@@ -134,11 +123,12 @@ class Foresight:
         self._judge(sums.running, rows, shifts, at)
         return rows
 
-    def _predict(self, totals: Totals, names: Sequence[str]) -> Floats:
+    def _predict(self, totals: Totals) -> Floats:
         """Return the energy that the model predicts of totals. [kWh]"""
         if not len(totals.lane):
             return np.empty(0)
-        return self._model.predict(model_columns(totals, self._cars, self._effects, self._model.needs, names))
+        model = self.context.model
+        return model.predict(model_columns(totals, self.context, model.needs))
 
     def _events(
         self, totals: Totals, predicted: Floats, ended: int, drivings: Sequence[Driving]

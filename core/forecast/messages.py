@@ -10,8 +10,8 @@ from core.batch import Floats
 from core.cleaning.quality import CAUSES, FORECAST_CAUSES, Quality
 from core.forecast.engine import Rows
 from core.totals.accumulator import Totals
+from core.totals.context import RunContext
 from core.totals.tables import measured_energy
-from core.vehicles.fleet import Cars
 from core.wire.messages import Forecast, Interval, Message, QualityCounts, encode
 
 _COUNTED: Final = {
@@ -36,10 +36,8 @@ def counted(totals: Totals) -> dict[str, list[int]]:
 def forecasts(
     running: Totals,
     rows: Rows,
-    names: Sequence[str],
     ride_names: Sequence[str | None],
-    cars: Cars,
-    version: str,
+    context: RunContext,
     prefix: str,
 ) -> list[Message]:
     """Return one message a row of running totals, under `{prefix}fleet/{vehicle}/forecast`.
@@ -47,9 +45,10 @@ def forecasts(
     The time of receipt is the event time of the sample that the forecast rests on. Outside of rides there is no energy,
     and what nobody knows yet is null.
     """
+    names, version = context.vehicle_ids, context.model_label
     riding = running.ride >= 0
     predicted = np.where(riding, rows.predicted, np.nan).tolist()
-    measured = np.where(riding, measured_energy(running, cars)[0], np.nan).tolist()
+    measured = np.where(riding, measured_energy(running, context.cars)[0], np.nan).tolist()
     counts = [QualityCounts(*row) for row in zip(*counted(running).values(), strict=True)]
     told = (("soc", 100.0), ("soc_sd", 100.0), ("risk", 1.0))
     soc, soc_sd, risk = ((scale * rows.at(name)).tolist() for name, scale in told)

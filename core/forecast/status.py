@@ -9,8 +9,8 @@ import numpy as np
 from core.batch import Floats
 from core.forecast.messages import counted, known
 from core.totals.accumulator import Totals
+from core.totals.context import RunContext
 from core.totals.tables import measured_energy
-from core.vehicles.fleet import Cars
 
 
 class VehicleStatus(NamedTuple):
@@ -36,9 +36,8 @@ class VehicleStatus(NamedTuple):
 
 def statuses(
     running: Totals,
-    names: Sequence[str],
     ride_names: Sequence[str | None],
-    cars: Cars,
+    context: RunContext,
     predicted: Sequence[Floats],
     ends: Floats,
 ) -> list[VehicleStatus]:
@@ -48,15 +47,14 @@ def statuses(
     ----------
     running : Totals
         Of n rides in progress.
-    names : sequence of str
-        Vehicle of each lane.
     ride_names : sequence of n (str or None)
-    cars : Cars
+    context : RunContext
     predicted : sequence of (n,) float
         By each model, the first first. [kWh]
     ends : (n, 4) float
         Charge at the shift's end: mean, 5th and 95th percentile; and the risk of ending below the reserve. [1]
     """
+    names, cars = context.vehicle_ids, context.cars
     riding = running.ride >= 0
     own, *shadows = (np.where(riding, energy, np.nan).tolist() for energy in predicted)
     measured = np.where(riding, measured_energy(running, cars)[0], np.nan).tolist()

@@ -11,8 +11,8 @@ from core.batch import Floats, Ints
 from core.columns import ZERO_CELSIUS
 from core.forecast.engine import Rows
 from core.totals.accumulator import Totals
+from core.totals.context import RunContext
 from core.totals.tables import text
-from core.vehicles.fleet import Cars
 
 
 class Told(NamedTuple):
@@ -29,13 +29,14 @@ class Told(NamedTuple):
         return cls(running.lane, running.at_last("kind").astype(np.int64), running.at_last("time"), rows)
 
 
-def outlook_table(parts: Sequence[Told], names: Sequence[str], cars: Cars) -> pd.DataFrame:
+def outlook_table(parts: Sequence[Told], context: RunContext) -> pd.DataFrame:
     """Return a row a forecast of the charge at a shift's end.
 
     Columns: `vehicle_id`, `vehicle_model`, `time_s`, `shift` (its ordinal), `shift_begin_s`, `shift_end_s` (as planned,
     or as the car's shifts go), `planned`, `soc_pct` (filtered), `soc_mean_pct`, `soc_p05_pct`, `soc_p95_pct` (at the
     end; NaN where not known), `reserve_soc_pct`, `reserve_risk`, `ahead_km`, `ambient_c`, `soc_begin_pct`, `shift_km`.
     """
+    names, cars = context.vehicle_ids, context.cars
     lane = np.concatenate([part.lane for part in parts]) if parts else np.zeros(0, np.int64)
     kind = np.concatenate([part.kind for part in parts]) if parts else np.zeros(0, np.int64)
     time = np.concatenate([part.time for part in parts]) if parts else np.zeros(0)
@@ -63,13 +64,14 @@ def outlook_table(parts: Sequence[Told], names: Sequence[str], cars: Cars) -> pd
     )
 
 
-def shift_table(shifts: NDArray[np.void], names: Sequence[str], cars: Cars) -> pd.DataFrame:
+def shift_table(shifts: NDArray[np.void], context: RunContext) -> pd.DataFrame:
     """Return a row a shift that has ended.
 
     Columns: `vehicle_id`, `vehicle_model`, `shift`, `begin_s`, `end_s` (of its last sample), `soc_begin_pct`,
     `soc_end_pct`, `soc_lowest_pct` (as reported, while it did not charge), `distance_km`, `ride_km`, `charged_s` (last
     time at which it charged after it had set out, NaN for never), `ambient_c`, `capacity_kwh` (nominal usable).
     """
+    names, cars = context.vehicle_ids, context.cars
     lane = shifts["lane"].astype(np.int64)
     kinds = cars.of_lane[lane]
     hours = shifts["hours"]

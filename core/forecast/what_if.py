@@ -23,7 +23,6 @@ from core.forecast import outlook, soc_filter
 from core.forecast.outlook import RESERVE, Ahead, Known, Legs, Outcome, Usual
 from core.forecast.plan_checks import refusal
 from core.forecast.plan_tracker import LONGEST_SHIFT
-from core.vehicles.fleet import Cars
 from core.wire.messages import Interval, Leg, LegOutlook, Outlook, Plan
 
 if TYPE_CHECKING:
@@ -39,11 +38,11 @@ class Prospect:
     Parameters
     ----------
     foresight : Foresight
-    cars : Cars
     lane : int
     """
 
-    def __init__(self, foresight: "Foresight", cars: Cars, lane: int) -> None:
+    def __init__(self, foresight: "Foresight", lane: int) -> None:
+        cars = foresight.context.cars
         self.state = foresight.state[lane]
         told = np.empty(len(soc_filter.TOLD))
         soc_filter.tell(self.state, told)
@@ -167,20 +166,13 @@ def falling(charge: Floats, spent: Floats) -> Floats:
     return out
 
 
-def answer(
-    foresight: "Foresight", cars: Cars, lane: int, name: str, version: str, leg: Leg | None, plan: Plan | None
-) -> Outlook:
+def answer(foresight: "Foresight", lane: int, leg: Leg | None, plan: Plan | None) -> Outlook:
     """Return what is expected of the rest of a shift.
 
     Parameters
     ----------
     foresight : Foresight
-    cars : Cars
     lane : int
-    name : str
-        Of the vehicle.
-    version : str
-        Name and version of the model.
     leg : Leg, optional
         That is asked for.
     plan : Plan, optional
@@ -191,7 +183,7 @@ def answer(
     AskError
         For a plan that cannot be used, or is of a later shift than the one under way.
     """
-    now = Prospect(foresight, cars, lane)
+    now = Prospect(foresight, lane)
     if plan is not None and (refused := refusal(plan, now.time, LONGEST_SHIFT)) is not None:
         raise AskError(refused.words, refused.cause)
     courses = foresight.courses
@@ -205,9 +197,9 @@ def answer(
     danger = float(outlook.risk(raw, ahead.reserve, errors)[0])
     capacity = float(now.known.capacity[0] * np.exp(now.state["c"]))
     return Outlook(
-        vehicle_id=name,
+        vehicle_id=foresight.context.vehicle_ids[lane],
         time_s=now.time,
-        model=version,
+        model=foresight.context.model_label,
         soc_pct=_known(100.0 * now.told["soc"]),
         soc_sd_pct=_known(100.0 * max(float(np.sqrt(now.told["variance"])), soc_filter.FLOOR)),
         usable_capacity_kwh=_known(capacity),

@@ -17,11 +17,11 @@ from core.models.linear import (
     Curve,
     Fit,
     LinearModel,
-    Model,
     Term,
     Training,
     make_physical_term,
 )
+from core.totals.context import Model
 
 __all__ = [
     "ANY",

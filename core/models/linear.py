@@ -9,7 +9,7 @@ product. What is fitted past that (accessory curve, factors of single cars, boos
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, Final, Protocol, cast
+from typing import Any, Final, cast
 
 import msgspec
 import numpy as np
@@ -28,29 +28,6 @@ ANY: Final = "*"
 """Stands for every vehicle model that has no fit of its own."""
 VEHICLE_MODEL: Final = "vehicle_model"
 VEHICLE: Final = "vehicle_id"
-
-
-class Model(Protocol):
-    """What predicts the energy of rides, or of any part of one."""
-
-    @property
-    def name(self) -> str:
-        """What people call it."""
-
-    @property
-    def version(self) -> str:
-        """Tells it from its predecessors of the same name."""
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """Columns of the ride table that it reads."""
-
-    @property
-    def effects(self) -> tuple[str, ...]:
-        """Names of the effects whose energy it reads."""
-
-    def predict(self, columns: Table) -> Floats:
-        """Return the energy in kWh, one a row, NaN where it cannot tell."""
 
 
 class Term(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

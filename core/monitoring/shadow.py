@@ -5,7 +5,7 @@ proves itself here before it is switched on.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import isfinite
 from typing import Any, Final, NamedTuple
 
@@ -16,13 +16,12 @@ from core.batch import Floats, Ints
 from core.effects.declaration import Effect
 from core.errors import ModelError
 from core.models import Model
-from core.models.features import Table
 from core.monitoring.running_error import Standing
 from core.signals.signals import Signals
 from core.stats.confidence_sequence import LEVEL
 from core.totals.accumulator import Totals
+from core.totals.context import RunContext
 from core.totals.tables import measured_energy, model_columns
-from core.vehicles.fleet import Cars
 from core.wire.messages import Message, ModelErrors, encode, model_identity
 
 DAY: Final = 86400.0
@@ -89,12 +88,12 @@ class Shadows:
         """Return how many run beside the first."""
         return len(self.standings) - 1
 
-    def predictions(self, totals: Totals, names: Sequence[str], cars: Cars, effects: Sequence[str]) -> list[Floats]:
+    def predictions(self, totals: Totals, context: RunContext) -> list[Floats]:
         """Return the energy that each model predicts of rides, NaN where it cannot tell. [kWh]"""
         needs = dict.fromkeys(name for standing in self.standings for name in standing.model.needs)
-        return self.predict(model_columns(totals, cars, effects, tuple(needs), names), len(totals.lane))
+        return self.predict(model_columns(totals, context, tuple(needs)), len(totals.lane))
 
-    def predict(self, columns: Table, rows: int) -> list[Floats]:
+    def predict(self, columns: Mapping[str, Any], rows: int) -> list[Floats]:
         """Return the energy that each model predicts from columns of the ride table; NaN where it fails. [kWh]"""
         return [self._tried(standing, columns, rows) for standing in self.standings]
 
@@ -106,11 +105,9 @@ class Shadows:
             self.faults[f"effect {effect.name}: {type(fault).__name__}"] += 1
             return np.full(signals.clean.dt.shape, np.nan)
 
-    def add(
-        self, rides: Totals, fit: NDArray[np.bool_], names: Sequence[str], cars: Cars, effects: Sequence[str]
-    ) -> None:
+    def add(self, rides: Totals, fit: NDArray[np.bool_], context: RunContext) -> None:
         """Take rides that have ended, of which some are fit for training."""
-        measured = measured_energy(rides, cars)[0]
+        measured = measured_energy(rides, context.cars)[0]
         rows = np.flatnonzero(fit & np.isfinite(measured))
         if not len(rows):
             return
@@ -121,9 +118,9 @@ class Shadows:
                 taken.lane,
                 taken.at_first("time"),
                 taken.at_last("time"),
-                [cars.name(kind) for kind in kinds],
+                [context.cars.name(kind) for kind in kinds],
                 measured[rows],
-                self.predictions(taken, names, cars, effects),
+                self.predictions(taken, context),
             )
         )
 
@@ -211,7 +208,7 @@ class Shadows:
                 standing.open_groups(self._groups)
         return self._groups.index(name)
 
-    def _tried(self, standing: Standing, columns: Table, rows: int) -> Floats:
+    def _tried(self, standing: Standing, columns: Mapping[str, Any], rows: int) -> Floats:
         """Return what a model predicts; NaN, counted, where it fails."""
         try:
             return standing.model.predict(columns)

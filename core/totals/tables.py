@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from core.batch import Floats
 from core.cleaning.quality import CAUSES
 from core.columns import JOULES_PER_KWH, KMH, ZERO_CELSIUS
-from core.settings import Settings
 from core.totals.accumulator import AMOUNTS, BINS, Totals
+from core.totals.context import RunContext
 from core.vehicles.fleet import PARAMETERS, Cars
 
 METER_GAIN: Final = 0.01
@@ -36,22 +36,17 @@ HISTOGRAM: Final = tuple(f"speed_{5 * i}_{5 * i + 5}_km" for i in range(BINS))
 """Distance driven at each speed, in km: 0 to 5 km/h and so on; the last column holds all that is faster."""
 
 
-def model_columns(
-    totals: Totals, cars: Cars, effects: Sequence[str], needs: Sequence[str] = (), names: Sequence[str] = ()
-) -> dict[str, Any]:
+def model_columns(totals: Totals, context: RunContext, needs: Sequence[str] = ()) -> dict[str, Any]:
     """Return what a model reads, of rides that have ended or are in progress.
 
     Parameters
     ----------
     totals : Totals
         Of n rides, so far.
-    cars : Cars
-    effects : sequence of str
-        Whose energies were summed.
+    context : RunContext
+        Its effects are those whose energies were summed.
     needs : sequence of str
         Columns of the ride table that are wanted beside effects' energies and cars' parameters.
-    names : sequence of str
-        Vehicle of each lane.
 
     Returns
     -------
@@ -59,8 +54,9 @@ def model_columns(
         Effects' energies in kWh per unit of coefficient and the cars' parameters; where `needs` names more, all other
         columns of the ride table that are known in mid-ride.
     """
-    first = len(AMOUNTS)
-    columns = {f"effect_{name}": totals.amounts[:, first + i] / JOULES_PER_KWH for i, name in enumerate(effects)}
+    first, cars = len(AMOUNTS), context.cars
+    effects = enumerate(context.effects)
+    columns = {f"effect_{name}": totals.amounts[:, first + i] / JOULES_PER_KWH for i, name in effects}
     kinds = totals.at_last("kind").astype(np.int64)
     own = cars.parameters[kinds]
     columns |= {name: own[:, i] for i, name in enumerate(PARAMETERS)}
@@ -73,7 +69,7 @@ def model_columns(
         "vehicle_model": np.array([cars.name(kind) for kind in kinds.tolist()], dtype=object),
     }
     if "vehicle_id" in needs:
-        texts["vehicle_id"] = np.array([names[lane] for lane in totals.lane.tolist()], dtype=object)
+        texts["vehicle_id"] = np.array([context.vehicle_ids[lane] for lane in totals.lane.tolist()], dtype=object)
     return columns | _physical(totals, cars) | texts
 
 
@@ -125,11 +121,12 @@ def lost_time(totals: Totals) -> Floats:
     return totals.at_first("lost") + totals.at_last("lost")
 
 
-def unfit_reason(totals: Totals, cars: Cars, settings: Settings) -> NDArray[np.object_]:
+def unfit_reason(totals: Totals, context: RunContext) -> NDArray[np.object_]:
     """Return why a ride is unfit for training, `None` where it is fit, after section 3 of the paper.
 
     Beyond the paper: rides that begin or end in a gap of more than a tenth of them, and what nobody can measure.
     """
+    cars, settings = context.cars, context.settings
     duration = totals.amount("duration")
     unmeasured = np.isnan(measured_energy(totals, cars)[0])
     reason = np.full(len(duration), None, dtype=object)
@@ -217,26 +214,23 @@ def _physical(totals: Totals, cars: Cars) -> dict[str, Floats]:
     return columns | {name: histogram[:, i] for i, name in enumerate(HISTOGRAM)}
 
 
-def window_table(totals: Totals, names: Sequence[str], cars: Cars, effects: Sequence[str]) -> pd.DataFrame:
+def window_table(totals: Totals, context: RunContext) -> pd.DataFrame:
     """Return the window table: one row a window, its ride by `ride_key`."""
     kinds = totals.at_last("kind").astype(np.int64)
     own = {
-        "ride_key": text(_ride_keys(totals, names)),
+        "ride_key": text(_ride_keys(totals, context.vehicle_ids)),
         "window": totals.window,
-        "vehicle_id": _named(totals.lane, names.__getitem__),
-        "vehicle_model": _named(kinds, cars.name),
+        "vehicle_id": _named(totals.lane, context.vehicle_ids.__getitem__),
+        "vehicle_model": _named(kinds, context.cars.name),
     }
     edges = {"power_start_w": totals.at_first("power"), "power_end_w": totals.at_last("power")}
-    return pd.DataFrame(own | edges | _physical(totals, cars) | model_columns(totals, cars, effects))
+    return pd.DataFrame(own | edges | _physical(totals, context.cars) | model_columns(totals, context))
 
 
 def ride_table(
     totals: Totals,
-    names: Sequence[str],
     ride_names: Sequence[str | None],
-    cars: Cars,
-    effects: Sequence[str],
-    settings: Settings,
+    context: RunContext,
 ) -> pd.DataFrame:
     """Return the ride table: one row a ride, with every term of the paper's Table 1 but the driver.
 
@@ -244,35 +238,30 @@ def ride_table(
     ----------
     totals : Totals
         Of n rides.
-    names : sequence of str
-        Vehicle of each lane.
     ride_names : sequence of n (str or None)
         As the logger named them; a ride without a name gets its vehicle's and its ordinal.
-    cars : Cars
-    effects : sequence of str
-        Whose energies were summed.
-    settings : Settings
-        Thresholds of what is fit for training.
+    context : RunContext
+        Its settings have the thresholds of what is fit for training.
     """
-    physical = _physical(totals, cars)
+    physical = _physical(totals, context.cars)
     kinds = totals.at_last("kind").astype(np.int64)
-    keys = _ride_keys(totals, names)
+    keys = _ride_keys(totals, context.vehicle_ids)
     start = physical["start_s"]
     winter = is_winter(start)
-    reason = unfit_reason(totals, cars, settings)
+    reason = unfit_reason(totals, context)
     quality = {f"quality_{cause}": totals.quality[:, i].astype(np.int64) for i, cause in enumerate(CAUSES)}
     own = {
         "ride_id": text([name or key for name, key in zip(ride_names, keys, strict=True)]),
         "ride_key": text(keys),
-        "vehicle_id": _named(totals.lane, names.__getitem__),
-        "vehicle_model": _named(kinds, cars.name),
+        "vehicle_id": _named(totals.lane, context.vehicle_ids.__getitem__),
+        "vehicle_model": _named(kinds, context.cars.name),
         "date": text([_date(time) for time in start]),
         "winter": winter,
         "summer": 1 - winter,
         "fit_for_training": np.array([why is None for why in reason], np.bool_),
         "unfit_reason": text(reason.tolist()),
     }
-    return pd.DataFrame(own | physical | model_columns(totals, cars, effects) | quality)
+    return pd.DataFrame(own | physical | model_columns(totals, context) | quality)
 
 
 def text(values: Sequence[str | None]) -> pd.Series:

@@ -20,11 +20,10 @@ from core.forecast.learning.leg_energy import TEMPERATURES, Tables
 from core.forecast.learning.ride_stats import Habits
 from core.forecast.outlook import Usual
 from core.forecast.soc_filter import WARMING
-from core.models import Model
-from core.settings import Settings
 from core.totals.accumulator import Totals
+from core.totals.context import RunContext
 from core.totals.tables import energy_by_soc, measured_energy, unfit_reason
-from core.vehicles.fleet import UNKNOWN, Cars
+from core.vehicles.fleet import UNKNOWN
 
 TELLING: Final = (None, "too_long")
 """Why rides may be unfit for training and yet are learned from: errands of hours are part of shifts."""
@@ -43,11 +42,7 @@ class Lessons:
 
     Parameters
     ----------
-    model : Model
-    cars : Cars
-    effects : sequence of str
-        Whose energies are summed.
-    settings : Settings
+    context : RunContext
     width : int
         Amounts that are summed of a ride.
 
@@ -57,8 +52,8 @@ class Lessons:
         Mean and variance of the logarithm of what each car will take over what is predicted, on a new shift.
     """
 
-    def __init__(self, model: Model, cars: Cars, effects: Sequence[str], settings: Settings, width: int) -> None:
-        self._model, self._cars, self._effects, self._settings = model, cars, list(effects), settings
+    def __init__(self, context: RunContext, width: int) -> None:
+        self._context, self._cars = context, context.cars
         self.habits, self.scales, self.conformal, self.lean = Habits(width), Scales(), Conformal(), Lean()
         self.prior = np.zeros((0, 2))
         self._shifts = np.zeros((0, 2))
@@ -75,7 +70,7 @@ class Lessons:
     def rides(self, rides: Totals, predicted: Floats) -> None:
         """Learn from rides that have ended and are fit for it."""
         if len(rides.lane):
-            fit = np.array([why in TELLING for why in unfit_reason(rides, self._cars, self._settings)])
+            fit = np.array([why in TELLING for why in unfit_reason(rides, self._context)])
             plugged = rides.at_last("since_charge") - rides.amount("duration")
             fit &= ~(rides.at_last("parked") > SOAKED) & ~(plugged < WARMING)
             self._learn(self.habits.ridden, rides, predicted, measured_energy(rides, self._cars)[0], fit)
@@ -138,7 +133,7 @@ class Lessons:
 
     def _settle(self) -> None:
         """Make of what was learned what forecasts read."""
-        self.habits.settle(self._model, self._cars, self._effects)
+        self.habits.settle(self._context)
         self.conformal.settle()
         self.lean.settle()
         for lane in range(len(self.prior)):

@@ -16,9 +16,8 @@ from core.columns import ZERO_CELSIUS
 from core.forecast.learning.leg_energy import PACES, TEMPERATURES, Tables, tents
 from core.forecast.learning.tabulated import BESIDE, CELLS, READ, TERMS, Rests, fitted, tabulated
 from core.forecast.soc_filter import NOISE
-from core.models import Model
 from core.totals.accumulator import AMOUNTS, EDGES, Totals
-from core.vehicles.fleet import Cars
+from core.totals.context import RunContext
 
 LEAST_RIDES: Final = 40
 """Rides of a vehicle model below which nothing is expected of it."""
@@ -129,14 +128,14 @@ class Habits:
             self._sums[model] = Learned.none(self._width)
         return self._sums[model]
 
-    def settle(self, model: Model, cars: Cars, effects: Sequence[str]) -> None:
-        """Make tables of all that was learned, for forecasts by this model."""
+    def settle(self, context: RunContext) -> None:
+        """Make tables of all that was learned, for forecasts by the model of `context`."""
         self.tables = {}
         for name, own in self._sums.items():
             if own.counts[0] < LEAST_RIDES:
                 continue
             rests = Rests(own.rests, own.still, float(own.counts[1]))
-            found = tabulated(own.rides, rests, own.edges, model, cars, effects)
+            found = tabulated(own.rides, rests, own.edges, context)
             if found is not None:
                 self.tables[name] = fitted(found, own.equations)
 

@@ -7,17 +7,17 @@ sums of their terms. A car that waits takes the mean power of those that stood; 
 rests took beyond that.
 """
 
-from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats, Ints
+from core.batch import Floats, Ints, Lanes
 from core.forecast.learning.leg_energy import PACES, TEMPERATURES, TYPICAL_KM, Tables
-from core.models import Model
 from core.totals.accumulator import AMOUNTS, EDGES, Totals
+from core.totals.context import RunContext
 from core.totals.tables import model_columns
-from core.vehicles.fleet import PARAMETERS, Cars
+from core.vehicles.fleet import PARAMETERS
 
 CELLS: Final = len(PACES) * len(TEMPERATURES)
 TERMS: Final = CELLS + 3
@@ -90,9 +90,7 @@ class Rests(NamedTuple):
         return float((self.still[:, 1].sum() + PRIOR_HOURS) / (self.number + 1.0))
 
 
-def tabulated(
-    rides: Floats, rests: Rests, edges: Floats, model: Model, cars: Cars, effects: Sequence[str]
-) -> Tables | None:
+def tabulated(rides: Floats, rests: Rests, edges: Floats, context: RunContext) -> Tables | None:
     """Return what is expected of a vehicle model, None where the model cannot tell.
 
     Parameters
@@ -102,10 +100,7 @@ def tabulated(
     rests : Rests
     edges : (2, edges) float
         First and last of some ride, for what a model reads of it.
-    model : Model
-    cars : Cars
-    effects : sequence of str
-        Whose energies are summed.
+    context : RunContext
     """
     grid, amounts = rides[:, -len(BESIDE) :].reshape(*_SHAPE, -1), rides[:, : -len(BESIDE)]
     ridden, rested = grid.sum(axis=0), rests.beside()
@@ -114,12 +109,12 @@ def tabulated(
     known = amounts[:, _DISTANCE] > LEAST_DISTANCE
     typical = amounts[known] * (1000.0 * TYPICAL_KM / amounts[known, _DISTANCE])[:, np.newaxis]
     predicted = np.full(CELLS, np.nan)
-    predicted[known] = _predicted(typical, edges, model, cars, effects) / TYPICAL_KM
+    predicted[known] = _predicted(typical, edges, context) / TYPICAL_KM
     if not np.isfinite(predicted).any():
         return None
     by_pace = amounts.reshape(*_SHAPE, -1).sum(axis=1)
     standing, approach = rests.power()
-    up, down = _per_metre(typical.mean(axis=0), edges, model, cars, effects)
+    up, down = _per_metre(typical.mean(axis=0), edges, context)
     riding, waiting = _level(ridden, factor, power), _level(rested, factor, power)
     km = np.maximum(amounts[:, _DISTANCE].reshape(_SHAPE).sum(axis=0) / 1000.0, 1e-9)
     return Tables(
@@ -206,28 +201,29 @@ def _ratio(above: Floats, below: Floats, weight: float, middle: float) -> Floats
     return np.asarray((above + weight * middle) / (below + weight))
 
 
-def _predicted(amounts: Floats, edges: Floats, model: Model, cars: Cars, effects: Sequence[str]) -> Floats:
+def _predicted(amounts: Floats, edges: Floats, context: RunContext) -> Floats:
     """Return the energy of rides of these amounts, (n,), that begin and end as a known one did. [kWh]"""
     n = len(amounts)
     zero: Ints = np.zeros(n, np.int64)
     first, last = np.repeat(edges[:1], n, axis=0), np.repeat(edges[1:], n, axis=0)
     totals = Totals(zero, zero, zero, zero, amounts, first, last, np.zeros((n, 1)))
-    return model.predict(model_columns(totals, cars, effects, model.needs, [""]))
+    unnamed = replace(context, lanes=Lanes([""]))
+    return context.model.predict(model_columns(totals, unnamed, context.model.needs))
 
 
-def _per_metre(typical: Floats, edges: Floats, model: Model, cars: Cars, effects: Sequence[str]) -> tuple[float, float]:
+def _per_metre(typical: Floats, edges: Floats, context: RunContext) -> tuple[float, float]:
     """Return what a metre gained adds to the energy of a ride, and what a metre lost does. [kWh/m]"""
     kind = int(edges[1, EDGES.index("kind")])
-    weight = GRAVITY * float(cars.parameters[kind, PARAMETERS.index("mass_kg")])
+    weight = GRAVITY * float(context.cars.parameters[kind, PARAMETERS.index("mass_kg")])
     rows = np.repeat(typical[np.newaxis], 3, axis=0)
     rows[1, _GAINED] += HILL
     rows[2, _LOST] += HILL
     for name, (up, down) in _CLIMBS.items():
-        if name in effects:
-            place = len(AMOUNTS) + list(effects).index(name)
+        if name in context.effects:
+            place = len(AMOUNTS) + list(context.effects).index(name)
             rows[1, place] += up * weight * HILL
             rows[2, place] += down * weight * HILL
-    level, gained, lost = _predicted(rows, edges, model, cars, effects)
+    level, gained, lost = _predicted(rows, edges, context)
     return float(gained - level) / HILL, float(lost - level) / HILL
 
 

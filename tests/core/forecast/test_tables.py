@@ -81,11 +81,11 @@ def test_a_shift_ends_when_the_next_begins():
 
 def test_without_rows_there_are_columns():
     pipeline = again()
-    empty = outlook_table([], pipeline.lanes.names, pipeline.cars)
+    empty = outlook_table([], pipeline.context)
     _, _, table = driven()
     assert list(empty) == list(table)
     assert len(empty) == 0
-    assert len(shift_table(np.zeros(0, CLOSED_SHIFT), pipeline.lanes.names, pipeline.cars)) == 0
+    assert len(shift_table(np.zeros(0, CLOSED_SHIFT), pipeline.context)) == 0
     pipeline.push(days([DAYS], "a"))
     assert pipeline.take_outlooks().empty
     assert pipeline.take_shifts().empty

@@ -49,7 +49,7 @@ def test_unknown_columns_are_named(column):
 def test_every_feature_is_a_number_in_the_ride_table_and_known_in_mid_ride():
     pipeline = Pipeline()
     table = pipeline.take_rides()
-    running = model_columns(pipeline.ledger.running(np.empty(0, np.int64)), pipeline.cars, [], ["winter", "vehicle_id"])
+    running = model_columns(pipeline.ledger.running(np.empty(0, np.int64)), pipeline.context, ["winter", "vehicle_id"])
     for column in FEATURES:
         assert pd.api.types.is_numeric_dtype(table[column]), column
         assert column in running, column

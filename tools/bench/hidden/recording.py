@@ -18,11 +18,13 @@ from core.batch import Batch, Floats, Ints, Lanes
 from core.cleaning.kernel import Clean, Cleaner
 from core.columns import JOULES_PER_KWH
 from core.effects import Effect
+from core.models import EXTENDED_PHYSICAL
 from core.pipeline import BLOCK
 from core.settings import Settings
 from core.signals.signals import Signals, ambient_quality
 from core.signals.weather import Sky, Stations
 from core.totals.accumulator import AMOUNTS, Ledger, Totals, amounts
+from core.totals.context import RunContext
 from core.totals.tables import ride_table, text, window_table
 from core.vehicles.fleet import Cars
 from core.wire.decoder import Decoder
@@ -172,10 +174,11 @@ class Recording:
         """Return the tables of totals."""
         columns = [effect.name for effect in self.effects]
         ride_names = [self.names.get(code) for code in rides.at_last("code").tolist()]
-        table = ride_table(rides, self.lanes, ride_names, self.cars, columns, Settings())
+        context = RunContext(Lanes(self.lanes), self.cars, columns, Settings(), EXTENDED_PHYSICAL)
+        table = ride_table(rides, ride_names, context)
         keys = zip(table["vehicle_id"], ride_names, strict=True)
         table.insert(4, "driver_id", text([self.drivers.get(f"{vehicle}/{name}") for vehicle, name in keys]))
-        window = window_table(windows, self.lanes, self.cars, columns)
+        window = window_table(windows, context)
         energies = windows.amounts[:, len(AMOUNTS) + len(columns) :]
         truth = {name: energies[:, index] / JOULES_PER_KWH for index, name in enumerate(hidden)}
         return Tables(table, window, window[["ride_key", "window"]].assign(**truth))

@@ -119,7 +119,7 @@ def test_what_is_pending_survives_a_dump():
     pipeline.push(days([DAYS], "abc"))
     pipeline.push([m for _, m in shift("d", DAYS)][:200])
     lessons = pipeline.foresight.lessons
-    other = Lessons(pipeline.model, pipeline.cars, pipeline._effect_names, pipeline.settings, pipeline.ledger.width)
+    other = Lessons(pipeline.context, pipeline.ledger.width)
     other.load(lessons.dump())
     assert repr(other.dump()) == repr(lessons.dump())
     assert effective(other) == effective(lessons)

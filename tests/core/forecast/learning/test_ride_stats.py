@@ -144,7 +144,7 @@ def test_what_was_dumped_is_there_again_and_settles_to_the_same():
     other = Habits(pipeline.ledger.width)
     other.load(lessons.habits.dump())
     assert repr(other.tables) == repr(lessons.habits.tables)
-    other.settle(pipeline.model, pipeline.cars, [effect.name for effect in pipeline.effects])
+    other.settle(pipeline.context)
     assert repr(other.tables) == repr(lessons.habits.tables)
 
 
@@ -201,6 +201,6 @@ def test_tables_are_those_of_averages_fitted_to_what_rides_took():
     plain.load(habits.dump())
     equations = plain._sums[MODEL].equations.copy()
     plain._sums[MODEL].equations[:] = 0.0
-    plain.settle(pipeline.model, pipeline.cars, [effect.name for effect in pipeline.effects])
+    plain.settle(pipeline.context)
     assert repr(plain.tables[MODEL]) != repr(habits.tables[MODEL])
     assert repr(fitted(plain.tables[MODEL], equations)) == repr(habits.tables[MODEL])
