@@ -1,5 +1,7 @@
 """Settings and fixtures of every test."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import settings
@@ -8,7 +10,36 @@ settings.register_profile("quick", max_examples=15, deadline=None, derandomize=T
 settings.load_profile("quick")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile the kernels once, before parallel workers would each compile them."""
+    if getattr(config.option, "numprocesses", None) and not config.option.collectonly:
+        from tests.support.kernels import compile_kernels  # noqa: PLC0415 - workers must not import it
+
+        compile_kernels()
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     """Return a generator of random numbers that is the same for every test."""
     return np.random.default_rng(7)
+
+
+@pytest.fixture(scope="session")
+def shift_tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder that `socast tables recordings/shift.mcap` writes; tests do not change it."""
+    return _tables(tmp_path_factory, "shift")
+
+
+@pytest.fixture(scope="session")
+def autumn_tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder that `socast tables recordings/autumn.mcap` writes; tests do not change it."""
+    return _tables(tmp_path_factory, "autumn")
+
+
+def _tables(factory: pytest.TempPathFactory, name: str) -> Path:
+    """Return the tables of a recording that the repository holds."""
+    from tests.support.commands import done  # noqa: PLC0415 - commands take seconds to import
+    from tests.support.paths import RECORDINGS  # noqa: PLC0415
+    from tests.support.shared_files import make_once  # noqa: PLC0415
+
+    return make_once(factory, name, lambda folder: done("tables", RECORDINGS / f"{name}.mcap", "--out", folder))

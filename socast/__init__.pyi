@@ -1,0 +1,83 @@
+from .diagnosis import Added as Added
+from .diagnosis import add_effect as add_effect
+from .diagnosis import diagnose as diagnose
+from .effects import Effect as Effect
+from .effects import Parameter as Parameter
+from .effects import check_effect as check_effect
+from .effects import effect as effect
+from .effects import get_effect as get_effect
+from .effects import list_effects as list_effects
+from .effects import load_effects as load_effects
+from .errors import AskError as AskError
+from .errors import CatalogueError as CatalogueError
+from .errors import EffectError as EffectError
+from .errors import ImportFileError as ImportFileError
+from .errors import ModelError as ModelError
+from .errors import RecordingError as RecordingError
+from .errors import SettingsError as SettingsError
+from .errors import SocastError as SocastError
+from .evaluation import compare_datasets as compare_datasets
+from .evaluation import compare_models as compare_models
+from .evaluation import evaluate_recipes as evaluate_recipes
+from .evaluation import evaluate_soc_forecasts as evaluate_soc_forecasts
+from .evaluation import trace_ride as trace_ride
+from .models import LinearModel as LinearModel
+from .models import RecipeRegressor as RecipeRegressor
+from .models import fit_model as fit_model
+from .models import list_recipes as list_recipes
+from .models import load_model as load_model
+from .models import save_model as save_model
+from .models import stamp_model as stamp_model
+from .pipeline import Message as Message
+from .pipeline import Pipeline as Pipeline
+from .pipeline import Settings as Settings
+from .recordings import Tables as Tables
+from .recordings import make_tables as make_tables
+from .recordings import read_forecasts as read_forecasts
+from .recordings import read_messages as read_messages
+from .recordings import read_samples as read_samples
+from .recordings import read_tables as read_tables
+from .simulation import simulate_fleet as simulate_fleet
+
+__all__ = [
+    "Added",
+    "AskError",
+    "CatalogueError",
+    "Effect",
+    "EffectError",
+    "ImportFileError",
+    "LinearModel",
+    "Message",
+    "ModelError",
+    "Parameter",
+    "Pipeline",
+    "RecipeRegressor",
+    "RecordingError",
+    "Settings",
+    "SettingsError",
+    "SocastError",
+    "Tables",
+    "add_effect",
+    "check_effect",
+    "compare_datasets",
+    "compare_models",
+    "diagnose",
+    "effect",
+    "evaluate_recipes",
+    "evaluate_soc_forecasts",
+    "fit_model",
+    "get_effect",
+    "list_effects",
+    "list_recipes",
+    "load_effects",
+    "load_model",
+    "make_tables",
+    "read_forecasts",
+    "read_messages",
+    "read_samples",
+    "read_tables",
+    "save_model",
+    "simulate_fleet",
+    "stamp_model",
+    "trace_ride",
+]

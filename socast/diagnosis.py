@@ -1,0 +1,89 @@
+"""Find the physical effect that a model lacks, add it, and test whether it helps."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import pandas as pd
+
+from core.diagnose.add.add import Added
+from core.diagnose.add.add import add as _add
+from core.diagnose.add.terms import scoped as _scoped
+from core.diagnose.dataset import gather as _gather
+from core.diagnose.dataset import joined as _join
+from core.diagnose.diagnosis import diagnose as _diagnose
+from core.diagnose.noise import ride_floor as _ride_floor
+from core.diagnose.ranking import LEAST_GAIN
+from core.evaluate.paper.results import plain as _plain
+from core.models import LinearModel
+
+__all__ = ["Added", "add_effect", "diagnose"]
+
+
+def diagnose(
+    rides: pd.DataFrame, windows: pd.DataFrame, model: LinearModel, *, least_gain: float = LEAST_GAIN
+) -> dict[str, Any]:
+    """Return where a model errs, which physical effects it lacks, and what remains unexplained.
+
+    Parameters
+    ----------
+    rides, windows : DataFrame
+        The two tables of the same rides, with every candidate effect as a column.
+    model : LinearModel
+        The model to diagnose.
+    least_gain : float
+        Fall of the squared error below which an effect is not reported. [1]
+
+    Returns
+    -------
+    dict
+        What `socast diagnose --json` writes.
+
+    Raises
+    ------
+    ModelError
+        Where a column is missing, or the model is not a sum of terms.
+    """
+    result: dict[str, Any] = _plain(_diagnose(rides, windows, model, least_gain=least_gain))
+    return result
+
+
+def add_effect(
+    model: LinearModel,
+    effect: str,
+    rides: pd.DataFrame,
+    windows: pd.DataFrame,
+    *,
+    scope: Sequence[str] = (),
+    least_gain: float = LEAST_GAIN,
+) -> Added:
+    """Add an effect to a model, refit the model, and test it on held-out days and vehicles.
+
+    Parameters
+    ----------
+    model : LinearModel
+        A sum of terms. It is not changed.
+    effect : str
+        Name of an effect, or of a variant such as `cold_rolling@reference=283.15`.
+    rides, windows : DataFrame
+        The two tables of the same rides.
+    scope : sequence of str
+        Where the effect holds: `vehicle=ID`, `since=YYYY-MM-DD`, or both; by default everywhere.
+    least_gain : float
+        Fall of the error below which the effect is not accepted. [1]
+
+    Returns
+    -------
+    Added
+        `model` with the effect, refitted, and `trial`: the error before and after. `trial["accepted"]` tells whether
+        the effect helps, and `trial["reason"]` why.
+
+    Raises
+    ------
+    EffectError
+        Where the effect is unknown.
+    ModelError
+        Where the effect is in the model already or nowhere at work in these rides.
+    """
+    floor = _ride_floor(_gather(rides, windows, model))
+    columns = _scoped(effect, scope)
+    return _add(model, effect, columns, _join(rides, windows), rides=rides, floor=floor, least=least_gain)

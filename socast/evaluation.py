@@ -1,0 +1,173 @@
+"""Evaluate models and forecasts on measured rides.
+
+Every function returns the dict that the command of the same purpose writes with `--json`.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from core.evaluate.compare.datasets import contrast as _contrast
+from core.evaluate.compare.models import compare as _compare
+from core.evaluate.compare.models import sample as _sample
+from core.evaluate.compare.ride_trace import find as _find
+from core.evaluate.compare.ride_trace import trace as _trace
+from core.evaluate.paper.protocol import chosen as _choose_recipes
+from core.evaluate.paper.protocol import evaluate as _evaluate
+from core.evaluate.paper.results import plain as _plain
+from core.models import EXTENDED_PHYSICAL, LinearModel
+from core.pipeline import Pipeline
+from core.stats.splits import REPEATS
+from stream.mcap_reader import McapSource
+from stream.source import merged
+from tools.commands.evaluate_soc import Told as _SocForecasts
+
+__all__ = ["compare_datasets", "compare_models", "evaluate_recipes", "evaluate_soc_forecasts", "trace_ride"]
+
+
+def evaluate_recipes(
+    rides: pd.DataFrame,
+    recipes: Sequence[str] | None = None,
+    windows: pd.DataFrame | None = None,
+    *,
+    seed: int = 0,
+    repeats: int = REPEATS,
+    jobs: int = 1,
+) -> dict[str, Any]:
+    """Fit recipes on splits of rides and return their errors on the rides held out.
+
+    Parameters
+    ----------
+    rides : (n, columns) DataFrame
+        A ride table.
+    recipes : sequence of str, optional
+        Names of recipes; by default all.
+    windows : (m, columns) DataFrame, optional
+        The window table; the segment model takes part where it is given.
+    seed : int
+        Seed of splits and draws. The same seed gives the same result.
+    repeats : int
+        Number of random splits by ride.
+    jobs : int
+        Number of processes.
+
+    Returns
+    -------
+    dict
+        Errors by recipe, split, vehicle model and condition.
+
+    Raises
+    ------
+    ModelError
+        Where the rides cannot be evaluated.
+    SettingsError
+        Where a recipe is unknown.
+    """
+    names = None if recipes is None else ",".join(recipes)
+    return _evaluate(rides, _choose_recipes(names, windows, seed), seed=seed, repeats=repeats, jobs=jobs)
+
+
+def compare_models(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> dict[str, Any]:
+    """Compare models with the measured energy of rides, on the rides that every model predicts.
+
+    Parameters
+    ----------
+    rides : (n, columns) DataFrame
+        A ride table.
+    models : mapping of str to LinearModel
+        Models by the label that the result uses.
+
+    Returns
+    -------
+    dict
+        Error, bias, shares of rides within 5, 10 and 15 %, errors by condition, and the worst rides of each model.
+
+    Raises
+    ------
+    ModelError
+        Where a column is missing, or no ride can be compared.
+
+    Examples
+    --------
+    >>> import socast
+    >>> tables = socast.make_tables("recordings/shift.mcap")
+    >>> result = compare_models(tables.rides, {"basic": socast.load_model("basic_physical")})
+    >>> sorted(result["models"])
+    ['basic']
+    """
+    result: dict[str, Any] = _plain(_compare(_sample(rides, models)))
+    return result
+
+
+def compare_datasets(first: pd.DataFrame, second: pd.DataFrame, models: Mapping[str, LinearModel]) -> dict[str, Any]:
+    """Return how two ride tables differ and how much of the difference each term of a model explains.
+
+    Parameters
+    ----------
+    first, second : DataFrame
+        Ride tables.
+    models : mapping of str to LinearModel
+        Models by the label that the result uses.
+
+    Raises
+    ------
+    ModelError
+        Where a column is missing, or no ride can be compared.
+    """
+    result: dict[str, Any] = _plain(_contrast(_sample(first, models), _sample(second, models), models))
+    return result
+
+
+def trace_ride(
+    rides: pd.DataFrame, windows: pd.DataFrame, ride: str, models: Mapping[str, LinearModel]
+) -> dict[str, Any]:
+    """Return measured and predicted power and energy of one ride, window by window.
+
+    Parameters
+    ----------
+    rides, windows : DataFrame
+        The two tables of the same rides.
+    ride : str
+        The `ride_key` or the `ride_id` of a ride.
+    models : mapping of str to LinearModel
+        Models by the label that the result uses.
+
+    Raises
+    ------
+    ModelError
+        Where there is no such ride, or the identifier names several rides.
+    """
+    row = _find(rides, ride)
+    result: dict[str, Any] = _plain(_trace(row, windows, models))
+    return result
+
+
+def evaluate_soc_forecasts(*recordings: str | Path, model: LinearModel = EXTENDED_PHYSICAL) -> dict[str, Any]:
+    """Replay recordings and evaluate the forecasts of the state of charge at each shift's end.
+
+    Fleet statistics are learned during the replay, so every forecast rests only on what came before it.
+
+    Parameters
+    ----------
+    *recordings : str or Path
+        MCAP files of several weeks, merged in the order of receipt.
+    model : LinearModel
+        The model that makes the forecasts.
+
+    Raises
+    ------
+    RecordingError
+        Where a file cannot be read.
+    ModelError
+        Where no forecast can be evaluated: give recordings of more days.
+    """
+    collector = _SocForecasts(Pipeline(model, keep_outlooks=True))
+    for messages in merged([McapSource(path) for path in recordings]):
+        collector.pipeline.take(messages)
+        collector.pipeline.forecasts()
+        collector()
+    collector.pipeline.finish()
+    result: dict[str, Any] = _plain(collector.evaluated())
+    return result

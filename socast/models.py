@@ -1,0 +1,127 @@
+"""Fit, load and save consumption models."""
+
+from pathlib import Path
+
+import pandas as pd
+
+from core.diagnose.dataset import fitted as _fit_windows
+from core.fit.recipes import RECIPES as _RECIPES
+from core.fit.recipes import LinearRecipe as _LinearRecipe
+from core.fit.recipes import recipe as _get_recipe
+from core.fit.sklearn_estimator import RecipeRegressor
+from core.models import LinearModel
+from core.models import load as _load
+from core.models import save as _save
+from core.models import stamped as _stamped
+
+__all__ = [
+    "LinearModel",
+    "RecipeRegressor",
+    "fit_model",
+    "list_recipes",
+    "load_model",
+    "save_model",
+    "stamp_model",
+]
+
+
+def list_recipes() -> dict[str, str]:
+    """Return the name and the title of every recipe that `fit_model` fits.
+
+    Examples
+    --------
+    >>> "fitted_physical" in list_recipes()
+    True
+    """
+    return {name: recipe.title for name, recipe in _RECIPES.items()}
+
+
+def fit_model(rides: pd.DataFrame, recipe: str = "hybrid", windows: pd.DataFrame | None = None) -> LinearModel:
+    """Fit a model to measured rides.
+
+    Parameters
+    ----------
+    rides : (n, columns) DataFrame
+        A ride table. Rides that are unfit for training are left out.
+    recipe : str
+        A name that `list_recipes` returns.
+    windows : (m, columns) DataFrame, optional
+        The window table of the same rides. The recipes `road_load` and `road_load_constant` are fitted to windows
+        where they are given; the other recipes do not read them.
+
+    Returns
+    -------
+    LinearModel
+        One fit for each vehicle model with enough rides, and one for every other vehicle model.
+
+    Raises
+    ------
+    ModelError
+        Where the recipe is unknown, a column is missing, or there are too few rides.
+
+    Examples
+    --------
+    >>> import socast
+    >>> tables = socast.make_tables("recordings/shift.mcap")
+    >>> socast.fit_model(tables.rides, "basic_physical").recipe
+    'basic_physical'
+    """
+    chosen = _get_recipe(recipe)
+    if windows is not None and isinstance(chosen, _LinearRecipe) and chosen.by_windows:
+        return _fit_windows(recipe, rides, windows)
+    return chosen.fit(rides)
+
+
+def load_model(name_or_path: str | Path) -> LinearModel:
+    """Return a model by name, or from its file.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        `basic_physical`, `extended_physical` or the path of a model file.
+
+    Raises
+    ------
+    ModelError
+        Where there is no such model, or the file is damaged, of another format version, or edited after it was
+        written. `stamp_model` accepts an edited model on purpose.
+
+    Examples
+    --------
+    >>> load_model("basic_physical").effects
+    ('rolling', 'climbing', 'aero_drag', 'inertia')
+    """
+    return _load(name_or_path)
+
+
+def save_model(model: LinearModel, path: str | Path) -> None:
+    """Write a model to a JSON file, from which `load_model` reads exactly the same model.
+
+    Parameters
+    ----------
+    model : LinearModel
+    path : str or Path
+        The file to write; an existing file is replaced.
+
+    Raises
+    ------
+    ModelError
+        Where a coefficient is not finite, or the file cannot be written.
+    """
+    _save(model, path)
+
+
+def stamp_model(model: LinearModel) -> LinearModel:
+    """Return the model with the version that follows from its content.
+
+    Parameters
+    ----------
+    model : LinearModel
+        A model that was changed in Python, for example with `msgspec.structs.replace`.
+
+    Examples
+    --------
+    >>> stamp_model(load_model("basic_physical")).version == load_model("basic_physical").version
+    False
+    """
+    return _stamped(model)

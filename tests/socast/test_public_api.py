@@ -1,0 +1,137 @@
+"""The public interface is exactly what `__all__` lists, and importing it costs only what is used."""
+
+import inspect
+import subprocess
+import sys
+
+import pandas as pd
+import pytest
+
+import socast
+from tests.support.paths import SHIFT
+
+EXPORTS = [
+    "Added",
+    "AskError",
+    "CatalogueError",
+    "Effect",
+    "EffectError",
+    "ImportFileError",
+    "LinearModel",
+    "Message",
+    "ModelError",
+    "Parameter",
+    "Pipeline",
+    "RecipeRegressor",
+    "RecordingError",
+    "Settings",
+    "SettingsError",
+    "SocastError",
+    "Tables",
+    "add_effect",
+    "check_effect",
+    "compare_datasets",
+    "compare_models",
+    "diagnose",
+    "effect",
+    "evaluate_recipes",
+    "evaluate_soc_forecasts",
+    "fit_model",
+    "get_effect",
+    "list_effects",
+    "list_recipes",
+    "load_effects",
+    "load_model",
+    "make_tables",
+    "read_forecasts",
+    "read_messages",
+    "read_samples",
+    "read_tables",
+    "save_model",
+    "simulate_fleet",
+    "stamp_model",
+    "trace_ride",
+]
+HEAVY = {"numba", "pandas", "plotly", "scipy", "sklearn", "typer", "zenoh"}
+
+
+@pytest.fixture(scope="module")
+def tables():
+    return socast.make_tables(SHIFT)
+
+
+def test_exports_are_fixed():
+    assert sorted(socast.__all__) == EXPORTS
+    assert set(EXPORTS) <= set(dir(socast))
+
+
+@pytest.mark.parametrize("name", EXPORTS)
+def test_every_export_is_documented(name):
+    doc = inspect.getdoc(getattr(socast, name))
+    assert doc
+    assert doc.splitlines()[0].endswith(".")
+
+
+@pytest.mark.parametrize("name", EXPORTS)
+def test_every_parameter_of_a_function_is_documented(name):
+    exported = getattr(socast, name)
+    if inspect.isfunction(exported) and exported.__module__.startswith("socast"):
+        parameters = set(inspect.signature(exported).parameters)
+        assert all(parameter in exported.__doc__ for parameter in parameters)
+
+
+def test_unknown_name_raises_attribute_error():
+    with pytest.raises(AttributeError, match="horse"):
+        socast.horse  # noqa: B018
+
+
+def test_importing_effect_loads_no_heavy_library():
+    code = "import sys; from socast import effect; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not HEAVY & set(done.stdout.split())
+
+
+def test_tables_equal_those_of_the_command(tables, shift_tables):
+    written = socast.read_tables(shift_tables)
+    pd.testing.assert_frame_equal(tables.rides, written.rides, check_dtype=False)
+    pd.testing.assert_frame_equal(tables.windows, written.windows, check_dtype=False)
+
+
+def test_samples_are_as_sent(tables):
+    samples = socast.read_samples(SHIFT)
+    assert len(samples) == tables.quality["received"]["telemetry"]
+    assert samples["speed"].max() > 900.0 / 3.6
+    assert samples["vehicle_id"].nunique() == 7
+
+
+def test_pipeline_gives_forecasts_as_table():
+    pipeline = socast.Pipeline(socast.load_model("extended_physical"))
+    forecasts = socast.read_forecasts(pipeline.push(list(socast.read_messages(SHIFT))))
+    assert {"vehicle_id", "soc_pct", "ride_energy_predicted_kwh"} <= set(forecasts)
+    assert len(forecasts) > 100
+
+
+def test_model_round_trip(tables, tmp_path):
+    model = socast.fit_model(tables.rides, "basic_physical")
+    socast.save_model(model, tmp_path / "model.json")
+    assert socast.load_model(tmp_path / "model.json") == model
+
+
+def test_loop_of_diagnosis_lowers_the_error(autumn_tables):
+    rides, windows, _ = socast.read_tables(autumn_tables)
+    base = socast.fit_model(rides, "road_load", windows)
+    (first, *_) = socast.diagnose(rides, windows, base)["missing"]
+    assert first["effect"] == "headwind"
+    added = socast.add_effect(base, "headwind", rides, windows)
+    assert added.trial["accepted"]
+    compared = socast.compare_models(rides, {"base": base, "with": added.model})
+    error = {label: own["mae_kwh"]["value"] for label, own in compared["models"].items()}
+    assert error["with"] < error["base"]
+    assert socast.trace_ride(rides, windows, rides["ride_key"].iloc[0], {"base": base})
+    assert socast.compare_datasets(rides, rides, {"base": base})
+
+
+def test_simulated_fleet_is_a_recording_with_its_truth(tmp_path):
+    summary = socast.simulate_fleet(tmp_path / "fleet.mcap", vehicles=1, shift_hours=0.5, seed=3)
+    assert summary["messages"] == sum(1 for _ in socast.read_messages(tmp_path / "fleet.mcap"))
+    assert (tmp_path / "fleet.truth.json").exists()

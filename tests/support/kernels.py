@@ -1,0 +1,22 @@
+"""Compile every numba kernel that tests use, so that parallel workers find them in the cache."""
+
+import subprocess
+import sys
+
+from tests.support.paths import ROOT
+
+CODE = """
+import tempfile
+import socast
+pipeline = socast.Pipeline(socast.load_model("extended_physical"), also=["cold_rolling"], keep_outlooks=True)
+pipeline.push(list(socast.read_messages("recordings/shift.mcap")))
+pipeline.finish()
+pipeline.take_rides()
+with tempfile.TemporaryDirectory() as folder:
+    socast.simulate_fleet(f"{folder}/fleet.mcap", vehicles=1, shift_hours=0.5)
+"""
+
+
+def compile_kernels() -> None:
+    """Run a recording through the pipeline in a process of its own, which leaves the compiled kernels in the cache."""
+    subprocess.run([sys.executable, "-c", CODE], cwd=ROOT, check=True, capture_output=True)
