@@ -1,14 +1,23 @@
 # The two commands: make demo, make test. Everything runs in .venv, installed from requirements.lock.
-PYTHON ?= python3.11
+
+# Versions of Python that the wheels of requirements.lock serve, newest first; `make lock` checks them.
+PYTHONS := 3.14 3.13 3.12 3.11
+# The newest of them on this machine that can make a virtual environment; `make PYTHON=...` names another.
+PYTHON ?= $(shell for version in $(PYTHONS); do \
+  python$$version -c 'import ensurepip, venv' 2>/dev/null && echo python$$version && break; done)
 BIN := .venv/bin
 INSTALLED := .venv/installed
+PIP_COMPILE := $(BIN)/pip-compile --quiet --extra dev --allow-unsafe --generate-hashes --strip-extras \
+  --no-emit-index-url --no-emit-trusted-host --no-emit-find-links --no-header
 
-.PHONY: demo test check bench bench-hidden lock clean
+.PHONY: demo test check docs bench bench-hidden lock clean
 .DEFAULT_GOAL := test
 
-# setuptools warns that it will drop `compat` one day: nothing that who runs this can do about.
+# setuptools warns that it will drop `compat` one day; a user of this file can do nothing about it.
 $(INSTALLED): requirements.lock pyproject.toml
-	@command -v $(PYTHON) >/dev/null || { echo "socast needs $(PYTHON); name another with make PYTHON=..."; exit 1; }
+	@test -n "$(PYTHON)" && command -v "$(PYTHON)" >/dev/null || { \
+	  echo "socast needs one of Python $(PYTHONS) with the venv module; install it, or name one: make PYTHON=..."; exit 1; }
+	@echo "installing into .venv with $$($(PYTHON) --version) from $$(command -v $(PYTHON))"
 	$(PYTHON) -m venv --clear .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation \
@@ -18,14 +27,17 @@ $(INSTALLED): requirements.lock pyproject.toml
 demo: $(INSTALLED)  ## a shift of several cars, live over Zenoh, in this terminal
 	$(BIN)/socast demo
 
-test: $(INSTALLED)  ## the whole test suite
-	$(BIN)/python -m pytest
+test: $(INSTALLED)  ## the whole test suite, in parallel
+	$(BIN)/python -m pytest -n auto --dist loadscope
 
-check: $(INSTALLED)  ## lint, types and the examples in docstrings
+check: $(INSTALLED) docs  ## lint, types, the examples in docstrings and the documentation
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest --doctest-modules core stream tools
+	$(BIN)/python -m pytest -n auto --doctest-modules core socast stream tools
+
+docs: $(INSTALLED)  ## the documentation, into build/docs; a warning is an error
+	$(BIN)/sphinx-build -W --keep-going -n -q -j auto -b html docs build/docs
 
 bench: $(INSTALLED)  ## ratios of speed, into bench.json and BENCHMARKS.md
 	$(BIN)/python -m tools.bench
@@ -34,9 +46,11 @@ bench-hidden: $(INSTALLED)  ## whether diagnosis finds what a simulation hides, 
 	$(BIN)/python -m tools.bench.hidden $(OPTIONS)
 
 lock: $(INSTALLED)  ## pin anew what pyproject.toml asks for
-	$(BIN)/pip-compile --quiet --extra dev --allow-unsafe --generate-hashes --strip-extras --no-emit-index-url \
-	  --no-emit-trusted-host --no-emit-find-links --no-header -o requirements.lock pyproject.toml
+	$(PIP_COMPILE) -o requirements.lock pyproject.toml
+	for version in $(PYTHONS); do \
+	  $(BIN)/pip install --quiet --dry-run --no-deps --ignore-installed --python-version $$version --only-binary=:all: \
+	    --require-hashes --target build/lock -r requirements.lock && echo "the lock file serves Python $$version"; done
 
 clean:
-	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis bench.json bench-hidden.json
+	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis build bench.json bench-hidden.json
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -25,7 +25,7 @@ from tools.terminal.live_table import Screen, ride_records, show_rides, with_pre
 from tools.terminal.model_comparison import USUAL
 from tools.terminal.output import JsonFile, ModelName, printer, writable, write_json
 
-SHIFT = Path(__file__).parent.parent / "recordings" / "shift.mcap"
+SHIFT = Path(__file__).parents[2] / "recordings" / "shift.mcap"
 """The recording that comes with the product."""
 QUIET_S = 2.0
 """Silence after the publisher has ended that means nothing more will come. [s]"""

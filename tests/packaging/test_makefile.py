@@ -1,4 +1,4 @@
-"""What `make` does in a stranger's terminal."""
+"""`make` installs without output and reports errors."""
 
 import shutil
 import subprocess
@@ -18,7 +18,7 @@ def install(tmp_path):
     """Return a function that installs a copy of the tree as the Makefile does, in an environment of its own."""
     for name in ("Makefile", "README.md", "pyproject.toml", "requirements.lock"):
         shutil.copy(ROOT / name, tmp_path)
-    for name in ("core", "stream", "tools"):
+    for name in ("core", "recordings", "socast", "stream", "tools"):
         shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", tmp_path / ".venv"], check=True, timeout=60)
     ours = Path(find_spec("setuptools").origin).parent.parent
@@ -39,14 +39,43 @@ def install(tmp_path):
     return run
 
 
-def test_installing_says_nothing_where_all_is_well(install, tmp_path):
+def test_install_prints_nothing_on_success(install, tmp_path):
     done = install()
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     assert (tmp_path / ".venv" / "bin" / "socast").exists()
 
 
-def test_installing_still_tells_of_an_error(install, tmp_path):
+def test_install_reports_an_error(install, tmp_path):
     (tmp_path / "pyproject.toml").write_text("[project]\nname = 7\n")
     done = install()
     assert done.returncode != 0
     assert "invalid pyproject.toml config" in done.stdout + done.stderr
+
+
+def make(tmp_path, path, *arguments):
+    """Run make with a PATH of our own and return what it printed."""
+    shutil.copy(ROOT / "Makefile", tmp_path)
+    (tmp_path / "pyproject.toml").touch()
+    (tmp_path / "requirements.lock").touch()
+    command = [shutil.which("make"), "--dry-run", ".venv/installed", *arguments]
+    return subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, check=False, env={"PATH": f"{path}:/usr/bin:/bin"}
+    )
+
+
+def fake_python(folder, version, code):
+    """Put a `python3.X` on the path that ends with an exit code, as one without the venv module does."""
+    file = folder / f"python{version}"
+    file.write_text(f"#!/bin/sh\nexit {code}\n")
+    file.chmod(0o755)
+
+
+def test_newest_usable_python_is_taken(tmp_path):
+    for version, code in (("3.14", 1), ("3.13", 0), ("3.12", 0)):
+        fake_python(tmp_path, version, code)
+    assert "python3.13 -m venv" in make(tmp_path, tmp_path).stdout
+
+
+def test_python_of_the_user_is_taken(tmp_path):
+    fake_python(tmp_path, "3.13", 0)
+    assert "python3.12 -m venv" in make(tmp_path, tmp_path, "PYTHON=python3.12").stdout
