@@ -2,10 +2,9 @@
 
 from pathlib import Path
 
-from core.effects import Effect, Parameter, effect
-from core.effects import check as check_effect
+from core.effects import Effect, Parameter, check_effect, effect
 from core.effects import get as get_effect
-from core.effects import library as _library
+from core.effects import get_library as _get_library
 from core.effects import load_file as _load_file
 
 __all__ = ["Effect", "Parameter", "check_effect", "effect", "get_effect", "list_effects", "load_effects"]
@@ -24,7 +23,7 @@ def list_effects() -> list[Effect]:
     >>> [effect.name for effect in list_effects()][:3]
     ['rolling', 'climbing', 'climbing_up']
     """
-    return list(_library().values())
+    return list(_get_library().values())
 
 
 def load_effects(path: str | Path) -> list[Effect]:

@@ -7,12 +7,12 @@ import pandas as pd
 from core.diagnose.dataset import fitted as _fit_windows
 from core.fit.recipes import RECIPES as _RECIPES
 from core.fit.recipes import LinearRecipe as _LinearRecipe
-from core.fit.recipes import recipe as _get_recipe
+from core.fit.recipes import get_recipe as _get_recipe
 from core.fit.sklearn_estimator import RecipeRegressor
 from core.models import LinearModel
 from core.models import load as _load
 from core.models import save as _save
-from core.models import stamped as _stamped
+from core.models import stamp as _stamp
 
 __all__ = [
     "LinearModel",
@@ -124,4 +124,4 @@ def stamp_model(model: LinearModel) -> LinearModel:
     >>> stamp_model(load_model("basic_physical")).version == load_model("basic_physical").version
     False
     """
-    return _stamped(model)
+    return _stamp(model)

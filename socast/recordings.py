@@ -164,7 +164,7 @@ def make_tables(
     >>> set(tables.windows["ride_key"]) <= set(tables.rides["ride_key"])
     True
     """
-    wanted = effects.tabulated() if also is None else list(also)
+    wanted = effects.list_tabulated() if also is None else list(also)
     pipeline = Pipeline(model, settings or Settings(), also=wanted, keep_forecasts=False)
     for messages in _blocks(recordings):
         pipeline.take(messages)
