@@ -5,18 +5,18 @@ proves itself here before it is switched on.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import isfinite
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
 from core.effects.declaration import Effect
 from core.errors import ModelError
 from core.models import Model
-from core.models.features import Table
 from core.monitoring.running_error import Standing
 from core.signals.signals import Signals
 from core.stats.confidence_sequence import LEVEL
@@ -94,7 +94,7 @@ class Shadows:
         needs = dict.fromkeys(name for standing in self.standings for name in standing.model.needs)
         return self.predict(model_columns(totals, context, tuple(needs)), len(totals.lane))
 
-    def predict(self, columns: Table, rows: int) -> list[Floats]:
+    def predict(self, columns: Mapping[str, Any] | pd.DataFrame, rows: int) -> list[Floats]:
         """Return the energy that each model predicts from columns of the ride table; NaN where it fails. [kWh]"""
         return [self._tried(standing, columns, rows) for standing in self.standings]
 
@@ -209,7 +209,7 @@ class Shadows:
                 standing.open_groups(self._groups)
         return self._groups.index(name)
 
-    def _tried(self, standing: Standing, columns: Table, rows: int) -> Floats:
+    def _tried(self, standing: Standing, columns: Mapping[str, Any] | pd.DataFrame, rows: int) -> Floats:
         """Return what a model predicts; NaN, counted, where it fails."""
         try:
             return standing.model.predict(columns)
