@@ -1,14 +1,14 @@
 """The command line: `socast COMMAND`.
 
-Each command is a function, or a family of them, in its own file, and is loaded only when it is called: what reads
-recordings, compiles and plots takes seconds to import, and `socast --help` should not.
+Each command is a function, or a group of functions, in a file of its own. The file is imported only when its command
+is called, because numba, pandas and Zenoh take seconds to import and `socast --help` needs none of them.
 """
 
+import inspect
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
-from importlib.metadata import version
 from typing import Annotated, Any, Final, NamedTuple
 
 import typer
@@ -17,14 +17,16 @@ from core.errors import SocastError
 
 
 class Command(NamedTuple):
-    """Where a command is, and what it is for.
+    """The place and the summary of a command.
 
     Parameters
     ----------
     module : str
+        Module that defines the command.
     name : str
-        Of a function, or of a `typer.Typer` that has commands of its own.
+        Name of a function, or of a `typer.Typer` that has commands of its own.
     summary : str
+        One sentence for `socast --help`.
     """
 
     module: str
@@ -33,105 +35,175 @@ class Command(NamedTuple):
 
 
 UsageError: Any = typer.BadParameter.__base__
-"""What typer raises where a call is wrong: an unknown command or option, a missing one, or a wrong value."""
+"""What typer raises for a wrong call: an unknown command or option, a missing one, or a wrong value."""
 
 COMMANDS: Final = {
-    "demo": Command("tools.commands.demo", "demo", "Watch a recorded shift as if it were live, in under a minute."),
-    "live": Command("tools.commands.live", "live", "Listen to cars over Zenoh, forecast and record."),
-    "ask": Command(
-        "tools.commands.ask", "ask_outlook", "Ask a live consumer whether a car can take a ride and finish."
-    ),
-    "replay": Command("tools.commands.replay", "replay", "Replay recordings, through the model or to a router."),
-    "info": Command("tools.commands.info", "info", "Tell what recordings hold, and what is lost."),
-    "tables": Command("tools.commands.tables", "tables", "Turn recordings into ride and window tables."),
-    "fit": Command(
-        "tools.commands.fit", "fit", "Fit a model to ride tables, by one of the paper's recipes or past them."
-    ),
-    "evaluate": Command("tools.commands.evaluate", "evaluate_tables", "Judge models as the paper does, and past it."),
+    "demo": Command("tools.commands.demo", "demo", "Show a recorded shift as if it were live, in under a minute."),
+    "live": Command("tools.commands.live", "live", "Forecast and record cars that send telemetry over Zenoh."),
+    "ask": Command("tools.commands.ask", "ask_outlook", "Ask a live consumer whether a car can take a ride."),
+    "replay": Command("tools.commands.replay", "replay", "Replay recordings through a model or to a router."),
+    "info": Command("tools.commands.info", "info", "Show what recordings contain and what is lost."),
+    "tables": Command("tools.commands.tables", "tables", "Make ride and window tables from recordings."),
+    "fit": Command("tools.commands.fit", "fit", "Fit a model to ride tables."),
+    "evaluate": Command("tools.commands.evaluate", "evaluate_tables", "Evaluate models on held-out rides of tables."),
     "evaluate-soc": Command(
-        "tools.commands.evaluate_soc",
-        "evaluate_recordings",
-        "Judge forecasts of the state of charge at the shift's end.",
+        "tools.commands.evaluate_soc", "evaluate_recordings", "Evaluate forecasts of the charge at the shift's end."
     ),
-    "compare": Command(
-        "tools.commands.compare", "compare_models", "Show models against what rides measured, and where they part."
-    ),
+    "compare": Command("tools.commands.compare", "compare_models", "Compare models with the measured energy of rides."),
     "diagnose": Command(
-        "tools.commands.diagnose", "diagnose_rides", "Find where a model fails, and which effect it lacks."
+        "tools.commands.diagnose", "diagnose_rides", "Find where a model fails and which effect it lacks."
     ),
-    "add": Command("tools.commands.add", "add_effect", "Add an effect to a model, if it helps on held-out rides."),
-    "history": Command(
-        "tools.commands.history", "show_history", "Tell a model's history: its error falling step by step."
-    ),
+    "add": Command("tools.commands.add", "add_effect", "Add an effect to a model if it helps on held-out rides."),
+    "history": Command("tools.commands.history", "show_history", "Show how the error of a model fell, step by step."),
     "simulate": Command(
-        "tools.commands.simulate", "simulate", "Simulate a fleet of electric taxis, with faulty loggers."
+        "tools.commands.simulate", "simulate", "Simulate a fleet of electric taxis with faulty loggers."
     ),
-    "import": Command("tools.commands.import_drives", "app", "Turn public data sets of real drives into recordings."),
+    "import": Command("tools.commands.import_drives", "app", "Convert public data sets of real drives to recordings."),
     "effects": Command("tools.commands.effects", "app", "List the physical effects of models, or check your own."),
 }
 """Every command, in the order of `socast --help`."""
 
+HELP_WIDTH: Final = 100
+"""Largest width of help texts. [columns]"""
+COMPLETION: Final = "_SOCAST_COMPLETE"
+"""Environment variable with which a shell asks for completions."""
+CLOSED_PIPE: Final = 141
+"""Exit code after standard output was closed: that of a process that SIGPIPE ended, 128 + 13."""
+
 
 def application(chosen: str | None = None) -> typer.Typer:
-    """Return the command line, with one command loaded and the others by name only.
+    """Return the command line with one command imported and the others known by name only.
 
     Parameters
     ----------
     chosen : str, optional
-        The command that is called; none where only help is wanted.
+        The command that is called; None where only the general help is wanted.
+
+    Returns
+    -------
+    typer.Typer
     """
     app = typer.Typer(
         name="socast",
         no_args_is_help=True,
-        add_completion=False,
+        rich_markup_mode=None,  # boxes cut options off at 80 columns, and rich takes longer to import than the rest
         pretty_exceptions_enable=False,
-        help="Live consumption predictions from electric-car telemetry: clean, explain, forecast.",
-        epilog="`socast COMMAND --help` tells more.",
+        context_settings={"max_content_width": HELP_WIDTH},
+        help="Forecast the consumption of electric cars from live telemetry, and explain it.",
+        epilog="`socast COMMAND --help` shows the options and examples of a command.",
     )
     app.callback()(_options)
     for name, command in COMMANDS.items():
         if name != chosen:
-            app.command(name, help=command.summary)(_unloaded)
+            app.command(name, help=command.summary, short_help=command.summary)(_unloaded)
             continue
         loaded = getattr(import_module(command.module), command.name)
         if isinstance(loaded, typer.Typer):
-            app.add_typer(loaded, name=name)
+            for each in loaded.registered_commands:
+                each.help = help_text(each.callback)
+            app.add_typer(loaded, name=name, short_help=command.summary)
         else:
-            app.command(name)(loaded)
+            app.command(name, help=help_text(loaded), short_help=command.summary)(loaded)
     return app
 
 
+def help_text(command: Callable[..., Any] | None) -> str:
+    r"""Return the help text of a command: the prose of its docstring, then its examples, one command a line.
+
+    Parameters
+    ----------
+    command : callable
+        Its docstring has an `Examples` section in numpydoc's form, whose lines stay as they are; other sections are for
+        readers of the code and are left out.
+
+    Returns
+    -------
+    str
+        `\b` before a paragraph keeps typer from wrapping it.
+
+    Examples
+    --------
+    >>> def look() -> None:
+    ...     '''Look at a file.
+    ...
+    ...     Examples
+    ...     --------
+    ...     socast look a.mcap
+    ...     '''
+    >>> help_text(look)
+    'Look at a file.\n\n\x08\nExamples:\n  socast look a.mcap'
+    """
+    lines = (inspect.getdoc(command) or "").splitlines()
+    rules = [i for i, line in enumerate(lines) if line and not line.strip("-")]
+    ends = [*(rule - 1 for rule in rules), len(lines)]
+    parts = ["\n".join(lines[: ends[0]]).strip()]
+    for rule, end in zip(rules, ends[1:], strict=True):
+        if lines[rule - 1] == "Examples":
+            parts.append("\n".join(["\b", "Examples:", *(f"  {line}" for line in lines[rule + 1 : end] if line)]))
+    return "\n\n".join(parts)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line; an error that a person can mend is one line on standard error, with exit code 2."""
+    """Run the command line; an error that a person can correct is one line on standard error, with exit code 2.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Words after `socast`; by default those of the process.
+
+    Raises
+    ------
+    SystemExit
+        Always, with the exit code.
+    """
     given = list(sys.argv[1:] if arguments is None else arguments)
-    chosen = next((word for word in given if not word.startswith("-")), None)
+    chosen = next((word for word in _completed(os.environ) or given if not word.startswith("-")), None)
     try:
-        raise SystemExit(application(chosen)(given, prog_name="socast", standalone_mode=False) or 0)
+        code = application(chosen)(given, prog_name="socast", standalone_mode=False) or 0
+        sys.stdout.flush()
     except (SocastError, UsageError) as error:
-        if told := _usage(error, chosen) if isinstance(error, UsageError) else str(error):
-            print(f"socast: {' '.join(told.split())}", file=sys.stderr)
+        print(_usage(error, chosen) if isinstance(error, UsageError) else _one_line(str(error)), file=sys.stderr)
         raise SystemExit(2) from None
     except KeyboardInterrupt:
         raise SystemExit(130) from None
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # so that the interpreter's last flush is quiet
-        raise SystemExit(1) from None
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the interpreter's last flush stays silent
+        raise SystemExit(CLOSED_PIPE) from None
+    raise SystemExit(code)
+
+
+def _completed(environment: Mapping[str, str]) -> list[str]:
+    """Return the words after `socast` that a shell asks to complete; none where it does not ask."""
+    if COMPLETION not in environment:
+        return []
+    line = environment.get("COMP_WORDS") or environment.get("_TYPER_COMPLETE_ARGS", "")
+    return line.split()[1:]
 
 
 def _usage(error: UsageError, chosen: str | None) -> str:
-    """Return what is wrong with a call: value, limit and where to read on; nothing where help was shown instead."""
+    """Return what is wrong with a call: value, limit and where to read on; the help text where no command is given."""
+    if error.ctx and error.message == error.ctx.get_help():
+        return str(error.message)
     words = error.format_message().rstrip(".")
     wrong: list[dict[str, Any]] = getattr(error.__cause__, "errors", list)()
     if wrong:  # typer leaves the value out
         name, wanted = error.param.get_error_hint().strip("'"), wrong[0]["msg"].partition(",")[0]
         words = f"{name} is '{wrong[0]['input']}', {wanted.replace('Input should', 'must')}"
     command = error.ctx.command_path if error.ctx else f"socast {chosen}" if chosen in COMMANDS else "socast"
-    return words and f"{words[0].lower()}{words[1:]}{'' if words.endswith('?') else ';'} `{command} --help` tells more"
+    mark = "" if words.endswith("?") else ";"
+    return _one_line(f"{words[0].lower()}{words[1:]}{mark} `{command} --help` lists the options")
+
+
+def _one_line(message: str) -> str:
+    """Return an error message as the one line that a person reads."""
+    return f"socast: {' '.join(message.split())}"
 
 
 def _show_version(wanted: bool) -> None:
     """Print the version and end."""
     if wanted:
+        from importlib.metadata import version  # noqa: PLC0415 - takes 40 ms to import
+
         print(f"socast {version('socast')}")
         raise typer.Exit
 

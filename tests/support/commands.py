@@ -1,24 +1,51 @@
-"""Commands as a person gives them, in this process."""
+"""Commands as a person gives them, in this process or in one of their own."""
 
+import logging
 import re
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Final
 
 import pytest
 
 from tools.cli import main
 
+SOCAST: Final = (sys.executable, "-m", "tools.cli")
+"""What starts the command line in a process of its own."""
+
+
+@contextmanager
+def _exit_code(arguments: Sequence[object]) -> Iterator[object]:
+    """Run a command in this process, give its exit code, and undo what it sets about the log."""
+    log = logging.getLogger("socast")
+    before = log.handlers, log.level, log.propagate
+    try:
+        with pytest.raises(SystemExit) as ended:
+            main([str(argument) for argument in arguments])
+        yield ended.value.code
+    finally:
+        log.handlers, log.propagate = before[0], before[2]
+        log.setLevel(before[1])
+
 
 def done(*arguments: object) -> None:
-    """Run a command that succeeds."""
-    with pytest.raises(SystemExit) as ended:
-        main([str(argument) for argument in arguments])
-    assert ended.value.code == 0
+    """Run a command in this process and check that it succeeds."""
+    with _exit_code(arguments) as code:
+        assert code == 0
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """Return the one line that a refused command prints."""
-    with pytest.raises(SystemExit) as ended:
-        main([str(argument) for argument in arguments])
-    assert ended.value.code == 2
-    told = capsys.readouterr().err
-    assert re.fullmatch(r"socast: [^\n]+\n", told), told
-    return told
+    """Run a command in this process, check that it is refused, and return the one line that it prints."""
+    with _exit_code(arguments) as code:
+        assert code == 2
+    message = capsys.readouterr().err
+    assert re.fullmatch(r"socast: [^\n]+\n", message), message
+    return message
+
+
+def called(*arguments: object) -> tuple[str, str, int]:
+    """Run a command in a process of its own; return its standard output, its standard error and its exit code."""
+    ended = subprocess.run([*SOCAST, *map(str, arguments)], capture_output=True, text=True, timeout=60, check=False)
+    return ended.stdout, ended.stderr, ended.returncode

@@ -4,11 +4,11 @@ import json
 import logging
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
 import sys
-import time
 from importlib import import_module
 from pathlib import Path
 
@@ -24,12 +24,12 @@ from core.wire.messages import Forecast
 from stream.loop import Tally
 from stream.mcap_writer import McapSink, McapSource
 from stream.zenoh_session import free_port
-from tests.support.commands import refused
+from tests.support.commands import SOCAST, called, refused
+from tests.support.live_consumers import consumers, logged
 from tests.support.recorded_shift import shift
-from tools.cli import COMMANDS, application, main
+from tests.support.zenoh_sessions import eventually
+from tools.cli import COMMANDS, COMPLETION, application, main
 from tools.commands.live import Keeper
-
-SOCAST = [sys.executable, "-m", "tools.cli"]
 
 
 @pytest.fixture(scope="module")
@@ -40,31 +40,61 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def called(*arguments: object) -> tuple[str, str, int]:
-    """Run a command in this process; return what it printed, what it complained of, and its exit code."""
-    done = subprocess.run([*SOCAST, *map(str, arguments)], capture_output=True, text=True, timeout=60, check=False)
-    return done.stdout, done.stderr, done.returncode
+HEAVY = {"joblib", "mcap", "numba", "pandas", "pint", "plotly", "scipy", "sklearn", "zenoh"}
 
 
-def eventually(condition, seconds: float = 90.0) -> bool:
-    deadline = time.monotonic() + seconds
-    while not condition() and time.monotonic() < deadline:
-        time.sleep(0.01)
-    return bool(condition())
-
-
-def test_help_loads_nothing_heavy():
+@pytest.mark.parametrize(
+    ("call", "not_imported"),
+    [("--help", {*HEAVY, "numpy", "rich"}), ("--version", {*HEAVY, "numpy", "rich"}), ("effects list", HEAVY)],
+)
+def test_short_commands_import_no_heavy_package(call, not_imported):
     code = (
-        "import sys; from tools.cli import application\n"
-        "try: application()(['--help'], prog_name='socast')\n"
-        "except SystemExit: pass\n"
-        "print(sorted({'numba', 'pandas', 'zenoh', 'pint', 'mcap', 'scipy'} & set(sys.modules)))"
+        "import sys; from tools.cli import main\n"
+        f"try: main({call.split()})\n"
+        "except SystemExit as ended: assert ended.code == 0\n"
+        f"print(sorted({not_imported} & set(sys.modules)))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
-    assert done.stdout.splitlines()[-1] == "[]"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert ended.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_help_lists_every_command_with_its_whole_summary(width):
+    shown = CliRunner().invoke(application(), ["--help"], env={"COLUMNS": str(width)}).output
     for name, command in COMMANDS.items():
-        assert name in done.stdout
-        assert command.summary.split(",")[0] in done.stdout
+        assert f"  {name} " in shown
+        assert command.summary in shown
+
+
+@pytest.mark.parametrize(
+    ("words", "offered", "not_offered"),
+    [
+        ("socast ", set(COMMANDS), set()),
+        ("socast eval", {"evaluate", "evaluate-soc"}, {"live"}),
+        ("socast effects ", {"list", "show", "check", "new"}, {"live"}),
+        ("socast live --rec", {"--record", "--record-mb", "--recovery"}, {"--state"}),
+        ("socast effects show --", {"--json", "--effects"}, {"--html"}),
+    ],
+)
+def test_shell_completes_commands_subcommands_and_options(words, offered, not_offered):
+    before, _, _ = words.rpartition(" ")
+    environment = {"COMP_WORDS": words, "COMP_CWORD": str(len(before.split())), COMPLETION: "complete_bash"}
+    ended = subprocess.run(
+        SOCAST, env=os.environ | environment, capture_output=True, text=True, timeout=60, check=False
+    )
+    completions = set(ended.stdout.split())
+    assert offered <= completions
+    assert not not_offered & completions
+
+
+def test_completion_is_installed_for_the_shell_that_asks(tmp_path):
+    script = tmp_path / "bash"
+    script.write_text(f"#!/bin/bash\n{shlex.join(SOCAST)} --install-completion\n")
+    subprocess.run(
+        ["bash", script], env=os.environ | {"HOME": str(tmp_path)}, capture_output=True, timeout=60, check=True
+    )
+    assert COMPLETION in (tmp_path / ".bash_completions" / "socast.sh").read_text()
+    assert ".bash_completions/socast.sh" in (tmp_path / ".bashrc").read_text()
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -266,25 +296,8 @@ def test_several_recordings_are_merged(tmp_path):
 
 @pytest.fixture
 def consumer(tmp_path: Path):
-    """Start live consumers, and see that none outlives its test."""
-    running = []
-
-    def start(*arguments: object) -> tuple[subprocess.Popen, Path]:
-        log = tmp_path / f"{len(running)}.log"
-        command = [*SOCAST, "live", *map(str, arguments), "--json-log"]
-        with log.open("w") as file:
-            running.append(subprocess.Popen(command, stderr=file, stdout=subprocess.DEVNULL))
-        assert eventually(lambda: any(line["event"] == "listening" for line in logged(log)))
-        return running[-1], log
-
-    yield start
-    for process in running:
-        process.kill()
-        process.wait()
-
-
-def logged(log: Path) -> list[dict]:
-    return [json.loads(line) for line in log.read_text().splitlines(keepends=True) if line.endswith("\n")]
+    with consumers(tmp_path) as start:
+        yield start
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -17,8 +17,21 @@ from tools.bench.learning import fitting, fitting_memory
 from tools.bench.live import live
 from tools.bench.measures import Measure, memory, replay, scale
 from tools.bench.nights import nights
+from tools.bench.startup import effects_start, help_start, version_start
 
-MEASURES: tuple[Callable[[], Measure], ...] = (live, replay, memory, scale, filters, nights, fitting, fitting_memory)
+MEASURES: tuple[Callable[[], Measure], ...] = (
+    live,
+    replay,
+    memory,
+    scale,
+    filters,
+    nights,
+    fitting,
+    fitting_memory,
+    help_start,
+    version_start,
+    effects_start,
+)
 ROOT = Path(__file__).parent.parent.parent
 
 

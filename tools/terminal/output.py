@@ -12,15 +12,16 @@ import msgspec
 import typer
 from rich.console import Console
 
-from core import effects
 from core.errors import SettingsError
-from core.models import BUILT_IN_MODELS
 
 
 def _load(files: list[Path] | None) -> list[Path] | None:
     """Load effects before the command begins, so that it knows them."""
-    for file in files or ():
-        effects.load_file(file)
+    if files:
+        from core import effects  # noqa: PLC0415 - takes 0.2 s to import, and most commands are given no file
+
+        for file in files:
+            effects.load_file(file)
     return files
 
 
@@ -81,6 +82,8 @@ def report(name: str, result: Any, html_file: Path | None, **options: Any) -> No
 
 def model_files(given: Iterable[str]) -> list[Path]:
     """Return the files among models that the command line names."""
+    from core.models import BUILT_IN_MODELS  # noqa: PLC0415 - imports numba, which `socast effects` does without
+
     return [Path(name) for name in given if name not in BUILT_IN_MODELS]
 
 

@@ -9,13 +9,19 @@ from rich.console import Console
 from core.wire.messages import Interval, LegOutlook
 from stream.zenoh_session import free_port
 from tests.support.commands import done, refused
+from tests.support.live_consumers import consumers, logged
 from tests.support.outlooks import NOW, OUTLOOK, outlook
 from tests.support.zenoh_sessions import live
-from tests.tools.test_cli import consumer, logged  # noqa: F401 - a fixture among them
 from tools.commands.ask import figures, show, verdict
 
 RIDE = ("--distance-km", "18", "--duration-s", "1500")
 NOTHING_AFTER = {"reserve_risk": None, "soc_end_of_shift_pct": None, "shift_end_s": None, "legs": []}
+
+
+@pytest.fixture
+def consumer(tmp_path):
+    with consumers(tmp_path) as start:
+        yield start
 
 
 def arriving(mean: float, p05: float, p95: float) -> LegOutlook:
@@ -127,7 +133,7 @@ def test_a_live_consumer_is_asked(tmp_path, capsys):
     assert (told["asked"]["distance_km"], [leg["distance_km"] for leg in told["legs"]]) == (18.0, [7.0])
 
 
-def test_the_service_answers_in_words_and_counts_what_it_was_asked(consumer, capsys):  # noqa: F811 - the fixture
+def test_the_service_answers_in_words_and_counts_what_it_was_asked(consumer, capsys):
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     process, log = consumer("--listen", endpoint)
     told = refused(capsys, "ask", "taxi-9", *RIDE, "--connect", endpoint, "--timeout-s", "30")

@@ -18,9 +18,10 @@ from core.wire.messages import Gain, ModelErrors, RideErrors
 from stream.loop import Tally
 from stream.mcap_writer import McapSink, McapSource
 from stream.zenoh_session import Connection, Node, free_port
-from tests.support.commands import refused
+from tests.support.commands import called, refused
+from tests.support.live_consumers import consumers, logged
 from tests.support.recorded_shift import shift
-from tests.tools.test_cli import called, consumer, eventually, logged  # noqa: F401 - a fixture among them
+from tests.support.zenoh_sessions import eventually
 from tools.commands.live import Keeper
 from tools.terminal.live_table import Screen, fleet_table
 from tools.terminal.model_comparison import fitted_then, line, loaded, models_table, verdict
@@ -34,6 +35,12 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with McapSink(path, 20_000) as sink:
         sink.put(shift())
     return path
+
+
+@pytest.fixture
+def consumer(tmp_path):
+    with consumers(tmp_path) as start:
+        yield start
 
 
 def gain(lower, upper, verdict, mean=0.0524):
@@ -144,7 +151,7 @@ def test_replay_of_several_models_tells_how_each_fares(recording, tmp_path):
     assert "could not be decoded" not in out
 
 
-def test_live_publishes_how_each_model_fares_and_goes_on_after_a_restart(consumer, recording, tmp_path):  # noqa: F811
+def test_live_publishes_how_each_model_fares_and_goes_on_after_a_restart(consumer, recording, tmp_path):
     heard: list[tuple[str, bytes]] = []
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     process, log = consumer("--listen", endpoint, *BOTH, "--state", tmp_path / "state", "--report", "0.05")

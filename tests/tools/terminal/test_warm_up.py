@@ -1,7 +1,5 @@
 """Learning from recordings of earlier days: forecasts have intervals at once, and nothing else is different."""
 
-import logging
-
 import pytest
 
 from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
@@ -96,7 +94,6 @@ def test_a_history_that_is_none_is_refused_in_a_line(capsys, tmp_path, recording
     assert "nowhere.mcap" in refused(capsys, *replay, "--history", tmp_path / "nowhere.mcap")
     assert "--history" in refused(capsys, *replay, "--history", recordings[1], "--connect", "tcp/127.0.0.1:1")
     assert "overwritten" in refused(capsys, *replay, "--history", recordings[1], "--json", recordings[1])
-    logging.getLogger().handlers.clear()
 
 
 def test_a_consumer_with_a_state_to_go_on_from_leaves_the_history_out(capsys, tmp_path):
@@ -105,4 +102,3 @@ def test_a_consumer_with_a_state_to_go_on_from_leaves_the_history_out(capsys, tm
     assert "nowhere.mcap" in refused(capsys, *nobody, "--state", state)
     state.write_bytes(b"")
     assert "127.0.0.1:1" in refused(capsys, *nobody, "--state", state)
-    logging.getLogger().handlers.clear()
