@@ -191,7 +191,8 @@ def with_predictions(rides: pd.DataFrame, models: Shadows) -> pd.DataFrame:
     `predicted_kwh` is that of the first model, `error_pct` its error, of the measured energy; where there are shadows,
     `shadows_kwh` is a dict of what each predicts, by name and version.
     """
-    predicted, *others = models.predict(rides, len(rides))
+    columns = {str(name): column for name, column in rides.items()}
+    predicted, *others = models.predict(columns, len(rides))
     if others:
         labels = [standing.label for standing in models.standings[1:]]
         rows = zip(*(energies.tolist() for energies in others), strict=True)
