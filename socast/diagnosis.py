@@ -13,7 +13,7 @@ from core.diagnose.dataset import joined as _join
 from core.diagnose.diagnosis import diagnose as _diagnose
 from core.diagnose.noise import ride_floor as _ride_floor
 from core.diagnose.ranking import LEAST_GAIN
-from core.evaluate.paper.results import plain as _plain
+from core.evaluate.paper.results import to_json_values as _plain
 from core.models import LinearModel
 
 __all__ = ["Added", "add_effect", "diagnose"]

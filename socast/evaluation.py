@@ -9,14 +9,14 @@ from typing import Any
 
 import pandas as pd
 
-from core.evaluate.compare.datasets import contrast as _contrast
-from core.evaluate.compare.models import compare as _compare
-from core.evaluate.compare.models import sample as _sample
-from core.evaluate.compare.ride_trace import find as _find
-from core.evaluate.compare.ride_trace import trace as _trace
-from core.evaluate.paper.protocol import chosen as _choose_recipes
+from core.evaluate.compare.datasets import compare_datasets as _contrast
+from core.evaluate.compare.models import compare_predictions as _compare
+from core.evaluate.compare.models import select_rides as _sample
+from core.evaluate.compare.ride_trace import find_ride as _find
+from core.evaluate.compare.ride_trace import trace_ride as _trace
 from core.evaluate.paper.protocol import evaluate as _evaluate
-from core.evaluate.paper.results import plain as _plain
+from core.evaluate.paper.protocol import select_recipes as _choose_recipes
+from core.evaluate.paper.results import to_json_values as _plain
 from core.models import EXTENDED_PHYSICAL, LinearModel
 from core.pipeline import Pipeline
 from core.stats.splits import REPEATS

@@ -16,11 +16,11 @@ CLUSTER_KM: Final = 5.0
 """Width of a cluster, section 3 of the paper; the lower end belongs to it. [km]"""
 CLUSTERS: Final = ("0-5", "5-10", "10-15", "15-20", "20-25", "25-30", "30+")
 """Of Tables 2 and 3. [km]"""
-SCORED: Final = 5
+SCORED_CLUSTERS: Final = 5
 """The first ones, which Tables 4 to 11 have."""
-LEAST: Final = 10
+LEAST_RIDES: Final = 10
 """Rides of a vehicle model in a cluster for its error to be given."""
-NEEDED: Final = (
+NEEDED_COLUMNS: Final = (
     "vehicle_id",
     "vehicle_model",
     "date",
@@ -33,14 +33,14 @@ NEEDED: Final = (
     "unfit_reason",
 )
 """Columns of the ride table that judging needs, whatever the models need."""
-NUMBERS: Final = ("start_s", "winter", "distance_km", "ambient_c", "energy_kwh")
+NUMERIC_COLUMNS: Final = ("start_s", "winter", "distance_km", "ambient_c", "energy_kwh")
 """Those of them that are numbers."""
-SAME: Final = ("vehicle_id", "start_s", "distance_km", "energy_kwh")
+IDENTITY_COLUMNS: Final = ("vehicle_id", "start_s", "distance_km", "energy_kwh")
 """Rides that agree in these are one ride that was read twice; it must not be on both sides of a split."""
 
 
 @dataclass(frozen=True)
-class Judged:
+class EvaluatedRides:
     """Rides that models are trained and tested on.
 
     Parameters
@@ -79,7 +79,7 @@ class Judged:
         return self.rides.drop(columns=[name for name in self.rides if str(name).startswith(ANSWERS)])
 
 
-def judged(rides: pd.DataFrame) -> Judged:
+def filter_rides(rides: pd.DataFrame) -> EvaluatedRides:
     """Return what of a ride table can be judged.
 
     Parameters
@@ -92,41 +92,41 @@ def judged(rides: pd.DataFrame) -> Judged:
     ModelError
         Where a column is missing, or no cluster of any vehicle model has enough rides.
     """
-    reason = reasons(rides)
+    reason = find_exclusion_reasons(rides)
     kept = rides[reason.isna()].sort_values(["vehicle_id", "start_s"], kind="stable", ignore_index=True)
     unfit = {str(why): int(n) for why, n in reason.value_counts().sort_index().items()}
     names = sorted(kept["vehicle_model"].unique())
-    found = Judged(
+    found = EvaluatedRides(
         rides=kept,
         read=len(rides),
         unfit=unfit,
         vehicle_models=tuple(names),
         model=pd.Categorical(kept["vehicle_model"], categories=names).codes.astype(np.int64),
-        cluster=clusters(kept["distance_km"].to_numpy(np.float64)),
+        cluster=assign_distance_clusters(kept["distance_km"].to_numpy(np.float64)),
         energy=kept["energy_kwh"].to_numpy(np.float64),
     )
-    most = int(found.count()[:, :SCORED].max(initial=0))
-    if most < LEAST:
+    most = int(found.count()[:, :SCORED_CLUSTERS].max(initial=0))
+    if most < LEAST_RIDES:
         told = ", ".join(f"{n:,} {why.replace('_', ' ')}" for why, n in unfit.items()) or "none"
         raise ModelError(
             f"{len(kept):,} of {len(rides):,} rides can be judged, at most {most} of a vehicle model in a cluster of "
-            f"{CLUSTER_KM:g} km, and it takes {LEAST}: give more rides (left out: {told})"
+            f"{CLUSTER_KM:g} km, and it takes {LEAST_RIDES}: give more rides (left out: {told})"
         )
     return found
 
 
-def clusters(distance_km: Floats) -> Codes:
+def assign_distance_clusters(distance_km: Floats) -> Codes:
     """Return the cluster of each distance, as a position in `CLUSTERS`.
 
     Examples
     --------
-    >>> [CLUSTERS[i] for i in clusters(np.array([0.4, 4.99, 5.0, 31.0, 400.0]))]
+    >>> [CLUSTERS[i] for i in assign_distance_clusters(np.array([0.4, 4.99, 5.0, 31.0, 400.0]))]
     ['0-5', '0-5', '5-10', '30+', '30+']
     """
     return np.clip(distance_km // CLUSTER_KM, 0, len(CLUSTERS) - 1).astype(np.int64)
 
 
-def reasons(rides: pd.DataFrame) -> "pd.Series[Any]":
+def find_exclusion_reasons(rides: pd.DataFrame) -> "pd.Series[Any]":
     """Return why each ride is left out, NaN where it is not.
 
     Raises
@@ -134,9 +134,9 @@ def reasons(rides: pd.DataFrame) -> "pd.Series[Any]":
     ModelError
         Where a column is missing, or holds no numbers.
     """
-    if missing := [name for name in NEEDED if name not in rides]:
+    if missing := [name for name in NEEDED_COLUMNS if name not in rides]:
         raise ModelError(f"column {missing[0]!r} is missing in the ride table: make it with `socast tables`")
-    for name in NUMBERS:
+    for name in NUMERIC_COLUMNS:
         _finite(rides, (name,))
     reason = rides["unfit_reason"].where(~rides["fit_for_training"].astype(bool), None).astype(object)
     reason[reason.isna() & ~rides["fit_for_training"].astype(bool)] = "unfit"
@@ -144,7 +144,7 @@ def reasons(rides: pd.DataFrame) -> "pd.Series[Any]":
         ("no_vehicle_model", rides["vehicle_model"].isna()),
         ("no_measured_energy", ~_finite(rides, ("energy_kwh",))),
         ("no_distance_or_time", ~_finite(rides, ("distance_km", "start_s"))),
-        ("twice", rides.duplicated(list(SAME))),
+        ("twice", rides.duplicated(list(IDENTITY_COLUMNS))),
     ):
         reason[reason.isna() & applies] = why
     return reason

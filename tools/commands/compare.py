@@ -12,10 +12,10 @@ import typer
 
 from core import models
 from core.errors import ModelError, SettingsError
-from core.evaluate.compare.datasets import contrast
-from core.evaluate.compare.models import Sample, compare, sample
-from core.evaluate.compare.ride_trace import find, trace
-from core.evaluate.paper.results import plain
+from core.evaluate.compare.datasets import compare_datasets
+from core.evaluate.compare.models import ComparedRides, compare_predictions, select_rides
+from core.evaluate.compare.ride_trace import find_ride, trace_ride
+from core.evaluate.paper.results import to_json_values
 from core.models import BUILT_IN_MODELS, LinearModel
 from tools.commands.evaluate import KEY, read
 from tools.commands.fit import RECORDING, Rides, inputs, ride_files
@@ -52,12 +52,12 @@ def compare_models(
     if ride is not None:
         result: dict[str, Any] = {"trace": _trace(rides, ride, chosen)}
     else:
-        found = sample(_rides(rides, chosen), chosen)
-        result = compare(found)
+        found = select_rides(_rides(rides, chosen), chosen)
+        result = compare_predictions(found)
         _say_commands(result, _words(rides, effects_file or ()), dict(zip(chosen, model, strict=True)))
         if against:
             result["against"] = _against(found, rides, against, chosen)
-    result = plain(result)
+    result = to_json_values(result)
     write_json(json_file, result)
     report("comparison.page", result, html_file)
 
@@ -98,12 +98,12 @@ def _trace(given: Sequence[Path], name: str, chosen: Mapping[str, LinearModel]) 
     """Return the trace of a ride."""
     if _recorded(given):
         rides, windows = _summed(given, chosen)
-        return trace(find(rides, name), windows, chosen)
+        return trace_ride(find_ride(rides, name), windows, chosen)
     files = ride_files(given)
-    row = find(read(files), name)
+    row = find_ride(read(files), name)
     if KEY not in row:
         raise ModelError(f"column {KEY!r} is missing in the ride table: make it anew, with `socast tables`")
-    return trace(row, _windows(files, str(row[KEY].iloc[0])), chosen)
+    return trace_ride(row, _windows(files, str(row[KEY].iloc[0])), chosen)
 
 
 def _windows(files: Sequence[Path], key: str) -> pd.DataFrame:
@@ -121,17 +121,17 @@ def _windows(files: Sequence[Path], key: str) -> pd.DataFrame:
 
 
 def _against(
-    found: Sample, rides: Sequence[Path], against: Sequence[Path], chosen: Mapping[str, LinearModel]
+    found: ComparedRides, rides: Sequence[Path], against: Sequence[Path], chosen: Mapping[str, LinearModel]
 ) -> dict[str, Any]:
     """Return what is different about other rides, and how models do on them."""
-    other = sample(_rides(against, chosen), chosen)
-    second = compare(other)
+    other = select_rides(_rides(against, chosen), chosen)
+    second = compare_predictions(other)
     return {
         "first": " ".join(map(str, rides)),
         "second": " ".join(map(str, against)),
         "about": second["about"],
         "second_models": second["models"],
-        **contrast(found, other, chosen),
+        **compare_datasets(found, other, chosen),
     }
 
 

@@ -19,7 +19,7 @@ from core.diagnose.noise import ride_floor
 from core.diagnose.ranking import LEAST_GAIN
 from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError, SettingsError
-from core.evaluate.paper.results import plain
+from core.evaluate.paper.results import to_json_values
 from core.fit.ride_blocks import get_names
 from core.models import BUILT_IN_MODELS, VEHICLE, VEHICLE_MODEL, LinearModel
 from core.models.features import EFFECT_PREFIX, FEATURES, is_scope
@@ -180,7 +180,7 @@ def _diagnosed(model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame, l
     """Return the diagnosis, as JSON has it."""
     from core.diagnose.diagnosis import diagnose  # noqa: PLC0415 - boosted trees take a second to import
 
-    found: dict[str, Any] = plain(diagnose(rides, windows, model, least_gain=least_gain))
+    found: dict[str, Any] = to_json_values(diagnose(rides, windows, model, least_gain=least_gain))
     return found
 
 

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from core.errors import ModelError, SettingsError
-from core.evaluate.paper.protocol import SEGMENTS, chosen, evaluate
+from core.evaluate.paper.protocol import SEGMENTS, evaluate, select_recipes
 from core.fit import segment_network
 from core.fit.recipes import RECIPES
 from core.stats.splits import REPEATS
@@ -54,7 +54,7 @@ def evaluate_tables(
     writable([*files, *beside], json_file, html_file)
     rides = read(files)
     windows = read(beside, window_columns()) if all(file.is_file() for file in beside) else None
-    wanted = chosen(recipes, windows, seed)
+    wanted = select_recipes(recipes, windows, seed)
     with running() as step:
         result = evaluate(rides, wanted, seed=seed, repeats=repeats, jobs=jobs or joblib.cpu_count(), progress=step)
     result["about"]["seconds"] = round(time.perf_counter() - began, 1)

@@ -5,8 +5,8 @@ from typing import Any
 import pandas as pd
 
 from core import models
-from core.evaluate.paper.results import plain
-from core.evaluate.soc.legs import OF_RIDES, Questions, leg_cases
+from core.evaluate.paper.results import to_json_values
+from core.evaluate.soc.legs import RIDE_COLUMNS, LegRecorder, match_legs_to_rides
 from core.evaluate.soc.report import evaluate_soc
 from core.pipeline import Pipeline
 from core.settings import Settings
@@ -27,14 +27,14 @@ class Told:
 
     def __init__(self, pipeline: Pipeline) -> None:
         self.pipeline = pipeline
-        self._questions = Questions(pipeline.ask)
+        self._questions = LegRecorder(pipeline.ask)
         self._outlooks: list[pd.DataFrame] = []
         self._rides: list[pd.DataFrame] = []
 
     def __call__(self) -> None:
         """Take what was told since the last call, and ask about legs."""
         self._outlooks.append(self.pipeline.take_outlooks())
-        self._rides.append(self.pipeline.take_rides()[["vehicle_id", "distance_km", *OF_RIDES]])
+        self._rides.append(self.pipeline.take_rides()[["vehicle_id", "distance_km", *RIDE_COLUMNS]])
         self.pipeline.take_windows()
         self._questions(self._outlooks[-1])
 
@@ -42,7 +42,7 @@ class Told:
         """Return how good all that was told is, see `core.evaluate.soc.report.evaluate_soc`."""
         self()
         shifts = self.pipeline.take_shifts()
-        legs = leg_cases(self._questions.table(), pd.concat(self._rides), shifts)
+        legs = match_legs_to_rides(self._questions.table(), pd.concat(self._rides), shifts)
         return evaluate_soc(pd.concat(self._outlooks, ignore_index=True), shifts, legs)
 
 
@@ -66,6 +66,6 @@ def evaluate_recordings(
     told = Told(Pipeline(models.load(model), settings, keep_outlooks=True))
     forecast(told.pipeline, sources, also=told)
     warn_of_losses(sources)
-    result = plain(told.evaluated())
+    result = to_json_values(told.evaluated())
     write_json(json_file, result)
     report("soc.page", result, html_file)

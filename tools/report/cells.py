@@ -2,8 +2,8 @@
 
 from typing import Any, Final, NamedTuple
 
-from core.evaluate.paper.published import Published
-from tools.report.evaluation.result import half_width, number
+from core.evaluate.paper.published import PublishedFigure
+from tools.report.evaluation.result import get_half_width, get_number
 
 PAPER_NOTE: Final = (
     "In parentheses: the paper's figures, of its own company's rides: other data than these, for orientation only."
@@ -73,15 +73,15 @@ class ReportTable(NamedTuple):
         return (*self.notes, PAPER_NOTE) if self.beside_paper else self.notes
 
 
-def kwh(value: Any) -> str:
+def format_energy(value: Any) -> str:
     """Return an energy, with its interval where it has one.
 
     Examples
     --------
-    >>> kwh({"value": 0.3312, "ci95": 0.0052}), kwh(1.25), kwh(None)
+    >>> format_energy({"value": 0.3312, "ci95": 0.0052}), format_energy(1.25), format_energy(None)
     ('0.331 ± 0.0052', '1.250', '–')
     """
-    known, ci95 = number(value), half_width(value)
+    known, ci95 = get_number(value), get_half_width(value)
     if known is None:
         return UNKNOWN
     if ci95 is None:
@@ -89,36 +89,36 @@ def kwh(value: Any) -> str:
     return f"{known:.3f} ± {ci95:.{4 if ci95 < 0.00995 else 3}f}"
 
 
-def signed(value: Any, digits: int = 3) -> str:
+def format_signed(value: Any, digits: int = 3) -> str:
     """Return an energy that may be of either sign.
 
     Examples
     --------
-    >>> signed(0.02), signed(-0.02)
+    >>> format_signed(0.02), format_signed(-0.02)
     ('+0.020', '−0.020')
     """
-    known = number(value)
+    known = get_number(value)
     return UNKNOWN if known is None else f"{known:+.{digits}f}".replace("-", "−")
 
 
-def percent(share: Any, digits: int = 1) -> str:
+def format_percent(share: Any, digits: int = 1) -> str:
     """Return a share as a percentage.
 
     Examples
     --------
-    >>> percent(0.517), percent(None)
+    >>> format_percent(0.517), format_percent(None)
     ('51.7 %', '–')
     """
-    known = number(share)
+    known = get_number(share)
     return UNKNOWN if known is None else f"{100.0 * known:.{digits}f} %".replace("-", "−")
 
 
-def change(value: float | None, reference: float | None) -> str:
+def format_change(value: float | None, reference: float | None) -> str:
     """Return by how much a figure is above a reference.
 
     Examples
     --------
-    >>> change(1.1, 1.0), change(0.9, 1.0)
+    >>> format_change(1.1, 1.0), format_change(0.9, 1.0)
     ('+10.0 %', '−10.0 %')
     """
     if value is None or not reference:
@@ -126,19 +126,19 @@ def change(value: float | None, reference: float | None) -> str:
     return f"{100.0 * (value / reference - 1.0):+.1f} %".replace("-", "−")
 
 
-def count(value: Any) -> str:
+def format_count(value: Any) -> str:
     """Return a number of things.
 
     Examples
     --------
-    >>> count(12772.0)
+    >>> format_count(12772.0)
     '12,772'
     """
-    known = number(value)
+    known = get_number(value)
     return UNKNOWN if known is None else f"{known:,.0f}"
 
 
-def printed(figure: Published | None) -> str:
+def format_published(figure: PublishedFigure | None) -> str:
     """Return a figure of the paper as it was printed, empty where it has none."""
     return "" if figure is None else figure.text
 

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from tools.report.evaluation.result import WAYS, Result, recipes, title, vehicle_models
+from tools.report.evaluation.result import WAYS, Result, get_recipes, get_title, list_vehicle_models
 
 COLOURS: Final = (
     "#8a8a8a",
@@ -63,40 +63,40 @@ class Style(NamedTuple):
     pattern: str
 
 
-def style(place: int) -> Style:
+def get_style(place: int) -> Style:
     """Return the style of the model or vehicle model at a place in its order."""
     return Style(*(kinds[place % len(kinds)] for kinds in (COLOURS, DASHES, SYMBOLS, PATTERNS)))
 
 
-def recipe_style(result: Result, recipe: str) -> Style:
+def get_recipe_style(result: Result, recipe: str) -> Style:
     """Return the style of a model, the same in every figure."""
-    names = [*recipes(result), *WAYS]
-    return style(names.index(recipe) if recipe in names else len(names))
+    names = [*get_recipes(result), *WAYS]
+    return get_style(names.index(recipe) if recipe in names else len(names))
 
 
-def vehicle_style(result: Result, vehicle_model: str) -> Style:
+def get_vehicle_style(result: Result, vehicle_model: str) -> Style:
     """Return the style of a vehicle model, the same in every figure."""
-    keys = vehicle_models(result)
-    return style(2 + (keys.index(vehicle_model) if vehicle_model in keys else len(keys)))
+    keys = list_vehicle_models(result)
+    return get_style(2 + (keys.index(vehicle_model) if vehicle_model in keys else len(keys)))
 
 
-def label(text: str) -> str:
+def escape_label(text: str) -> str:
     """Return text that plotly shows as it is: it reads some tags."""
     return escape(text, quote=False)
 
 
-def recipe_label(result: Result, recipe: str, width: int = 30) -> str:
+def format_recipe_label(result: Result, recipe: str, width: int = 30) -> str:
     """Return the title of a model, in lines of about a width."""
     lines = [""]
-    for word in title(result, recipe).split():
+    for word in get_title(result, recipe).split():
         if lines[-1] and len(lines[-1]) + len(word) >= width:
             lines.append(word)
         else:
             lines[-1] = f"{lines[-1]} {word}".strip()
-    return "<br>".join(label(line) for line in lines)
+    return "<br>".join(escape_label(line) for line in lines)
 
 
-def figure(traces: list[Any], height: int = 420) -> go.Figure:
+def make_figure(traces: list[Any], height: int = 420) -> go.Figure:
     """Return a figure of traces in the common layout.
 
     Parameters
@@ -106,16 +106,16 @@ def figure(traces: list[Any], height: int = 420) -> go.Figure:
     height : int
         Of the plot and its axes; the page adds that of the legend. [px]
     """
-    return laid_out(go.Figure(traces), height)
+    return apply_layout(go.Figure(traces), height)
 
 
-def stacked(titles: tuple[str, ...], height: int) -> go.Figure:
+def make_stacked_figure(titles: tuple[str, ...], height: int) -> go.Figure:
     """Return an empty figure of plots one above the other, with the same axis of x."""
     made = make_subplots(rows=len(titles), cols=1, subplot_titles=titles, vertical_spacing=0.16)
-    return laid_out(made, height)
+    return apply_layout(made, height)
 
 
-def laid_out(made: go.Figure, height: int) -> go.Figure:
+def apply_layout(made: go.Figure, height: int) -> go.Figure:
     """Return a figure in the common layout."""
     made.update_layout(
         template=None,
@@ -132,7 +132,7 @@ def laid_out(made: go.Figure, height: int) -> go.Figure:
     return made
 
 
-def curve(
+def draw_curve(
     name: str, look: Style, x: list[Any], y: list[Any], ci95: list[float | None] | None = None, **more: Any
 ) -> Any:
     """Return a line with markers, with error bars where the half widths of intervals are given."""
@@ -149,7 +149,7 @@ def curve(
     )
 
 
-def bars(name: str, look: Style, y: list[Any], x: list[Any], **more: Any) -> go.Bar:
+def draw_bars(name: str, look: Style, y: list[Any], x: list[Any], **more: Any) -> go.Bar:
     """Return horizontal bars with a pattern of their own."""
     marker = {
         "color": look.colour,
@@ -159,7 +159,7 @@ def bars(name: str, look: Style, y: list[Any], x: list[Any], **more: Any) -> go.
     return go.Bar(name=name, x=x, y=y, orientation="h", marker=marker, **more)
 
 
-def dots(
+def draw_dots(
     name: str,
     look: Style,
     x: list[Any],
@@ -175,7 +175,7 @@ def dots(
     return go.Scatter(name=name, x=x, y=y, mode="markers", marker=marker, error_x=spread)
 
 
-def reference_line(made: go.Figure, text: str, x: float) -> None:
+def add_reference_line(made: go.Figure, text: str, x: float) -> None:
     """Draw a dashed line upwards through a figure, and above it what it stands for."""
     above = {"text": text, "textangle": 0, "yref": "paper", "y": 1.0, "yanchor": "bottom", "xanchor": "left"}
     made.add_vline(x=x, line=REFERENCE_LINE, annotation=above)

@@ -8,16 +8,16 @@ import plotly.graph_objects as go
 from rich.console import Console
 from rich.text import Text
 
-from core.evaluate.paper.results import plain
+from core.evaluate.paper.results import to_json_values
 from core.models import LinearModel
-from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, change, count, signed
+from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_change, format_count, format_signed
 from tools.report.diagnosis.words import coefficient, energy
 from tools.report.evaluation.illustrations import Illustration
-from tools.report.evaluation.result import half_width, mapping, number
+from tools.report.evaluation.result import get_half_width, get_mapping, get_number
 from tools.report.evaluation.sections import Section
 from tools.report.evaluation.terminal import print_section
-from tools.report.figure_style import REFERENCE_LINE, curve, figure, label, style
-from tools.report.page import document, save
+from tools.report.figure_style import REFERENCE_LINE, draw_curve, escape_label, get_style, make_figure
+from tools.report.page import render_document, save
 
 Entry = Mapping[str, Any]
 
@@ -41,7 +41,7 @@ HISTORY_NOTE: Final = (
 
 def show_trial(trial: Any, console: Console) -> None:
     """Print what came of an effect that was tried."""
-    found = plain(trial)
+    found = to_json_values(trial)
     for section in trial_sections(found):
         print_section(section, console)
     console.print()
@@ -55,8 +55,8 @@ def show_trial(trial: Any, console: Console) -> None:
 def coefficient_lines(found: Entry) -> list[str]:
     """Return the coefficient in words and figures, and those of vehicle models that differ."""
     lines = [str(found.get("words") or ""), coefficient(found)]
-    own = mapping(found, "by_vehicle_model")
-    said = mapping(found, "words_by_vehicle_model")
+    own = get_mapping(found, "by_vehicle_model")
+    said = get_mapping(found, "words_by_vehicle_model")
     lines += [f"{key}: {said.get(key, '')} ({coefficient({'coefficient': value})})" for key, value in own.items()]
     return [line for line in lines if line]
 
@@ -69,13 +69,13 @@ def _outcome(found: Entry) -> str:
 
 def trial_sections(found: Entry) -> list[Section]:
     """Return the tables of a trial."""
-    judged = [(what, mapping(found, key)) for key, what in HELD_OUT.items() if mapping(found, key)]
+    judged = [(what, get_mapping(found, key)) for key, what in HELD_OUT.items() if get_mapping(found, key)]
     rows = tuple(_compared(what, one) for what, one in judged)
     floor = f"Measurement noise alone: {energy(found.get('noise_floor_kwh'))}. {JUDGED_NOTE}"
     heads = ("rides", "vehicle-days", "before, kWh", "after, kWh", "change, kWh", "change")
     title = f"{found.get('effect')}{_scope(found)}: before and after"
     tables = [ReportTable("Mean absolute error of a ride", "judged on", heads, rows, (floor,))]
-    parts = mapping(found, "conditions")
+    parts = get_mapping(found, "conditions")
     for what, bins in parts.items():
         own = tuple(_compared(str(one.get("where")), one) for one in bins)
         tables.append(ReportTable(f"By {what}, days held out", what, heads, own))
@@ -84,16 +84,16 @@ def trial_sections(found: Entry) -> list[Section]:
 
 def _compared(name: str, one: Entry) -> Row:
     """Return errors before and after."""
-    was, now = number(one.get("mae_before_kwh")), number(one.get("mae_after_kwh"))
+    was, now = get_number(one.get("mae_before_kwh")), get_number(one.get("mae_after_kwh"))
     return Row(
         name,
         (
-            Cell(count(one.get("rides"))),
-            Cell(count(one.get("clusters"))),
+            Cell(format_count(one.get("rides"))),
+            Cell(format_count(one.get("clusters"))),
             Cell(_error(was)),
             Cell(_error(now)),
             Cell(_spread(one.get("change_kwh"))),
-            Cell(change(now, was)),
+            Cell(format_change(now, was)),
         ),
     )
 
@@ -135,7 +135,9 @@ def write(model: LinearModel, path: Path) -> None:
         text = " ".join(f"{line}." for line in (*coefficient_lines(entry), _outcome(entry).removesuffix(".")))
         shown.append(Section(f"step-{i}", f"{i}. {section.title}", text, section.tables))
     made_by = "<p>Made by <code>socast history</code>.</p>"
-    save(document(_title(model), "", shown, lambda key: falling(model) if key == "history" else [], made_by), path)
+    save(
+        render_document(_title(model), "", shown, lambda key: falling(model) if key == "history" else [], made_by), path
+    )
 
 
 def _title(model: LinearModel) -> str:
@@ -152,7 +154,7 @@ def told(model: LinearModel) -> str:
     names = ", ".join(f"{step.get('effect')}{_scope(step)}" for step in taken)
     said = f"Added: {names}" if taken else "No effect was added"
     refused = len(tried) - len(taken)
-    beside = f", {count(refused)} refused" if refused else ""
+    beside = f", {format_count(refused)} refused" if refused else ""
     last = taken[-1].get("mae_after_kwh") if taken else None
     fall = f"error {_error(first)} -> {energy(last)}" if taken else f"error {energy(first)}"
     return f"{said}{beside}; {fall} a ride on held-out days; measurement noise alone {energy(floor)}."
@@ -169,7 +171,7 @@ def _step(place: int, entry: Entry) -> Row:
     """Return a row of the history."""
     action = str(entry.get("action"))
     if action not in {"add", "refused"}:
-        fitted = [value for value in mapping(entry, "mae_in_sample_kwh").values() if number(value) is not None]
+        fitted = [value for value in get_mapping(entry, "mae_in_sample_kwh").values() if get_number(value) is not None]
         said = f"recipe {entry['recipe']}" if entry.get("recipe") else ""
         inside = f"error in sample {_error(max(fitted))} kWh at most" if fitted else ""
         blank = tuple(Cell("") for _ in range(5))
@@ -177,7 +179,7 @@ def _step(place: int, entry: Entry) -> Row:
             f"{place}. {', '.join(each for each in (said or action, inside) if each)}", (Cell(_past(action)), *blank)
         )
     done = "added by force" if entry.get("forced") else "added" if action == "add" else "refused"
-    final = mapping(entry, "final")
+    final = get_mapping(entry, "final")
     return Row(
         f"{place}. {entry.get('effect')}{_scope(entry)}",
         (
@@ -214,7 +216,7 @@ def _finding(entry: Entry) -> str:
     name = f"{entry.get('effect')}{_scope(entry)}"
     if entry["action"] == "refused":
         return f"{name} was refused: {entry.get('reason')}"
-    plausible = mapping(entry, "coefficient").get("plausible", True)
+    plausible = get_mapping(entry, "coefficient").get("plausible", True)
     forced = f"; added by force, although {entry.get('reason')}" if entry.get("forced") else ""
     return f"{entry.get('words') or name}{'' if plausible else ' (not plausible)'}{forced}"
 
@@ -225,30 +227,30 @@ def falling(model: LinearModel) -> list[Illustration]:
     if not tried:
         return []
     names, errors = ["at first"], [tried[0].get("mae_before_kwh")]
-    final = [mapping(tried[0], "final").get("mae_before_kwh")]
+    final = [get_mapping(tried[0], "final").get("mae_before_kwh")]
     refused_at, refused, floors = [], [], [tried[0].get("noise_floor_kwh")]
     for i, step in enumerate(tried, start=1):
         taken = step["action"] == "add"
-        names.append(label(f"{i}. {step.get('effect')}{_scope(step)}"))
+        names.append(escape_label(f"{i}. {step.get('effect')}{_scope(step)}"))
         errors.append(step.get("mae_after_kwh") if taken else errors[-1])
-        final.append(mapping(step, "final").get("mae_after_kwh") if taken else final[-1])
+        final.append(get_mapping(step, "final").get("mae_after_kwh") if taken else final[-1])
         floors.append(step.get("noise_floor_kwh"))
         if not taken:
             refused_at.append(names[-1])
             refused.append(step.get("mae_after_kwh"))
     traces = [
-        curve("held-out days", style(5), names, errors),
+        draw_curve("held-out days", get_style(5), names, errors),
         go.Scatter(
             name="refused",
             x=refused_at,
             y=refused,
             mode="markers",
-            marker={"symbol": "x-open", "size": 11, "color": style(3).colour},
+            marker={"symbol": "x-open", "size": 11, "color": get_style(3).colour},
         ),
-        curve("days set apart", style(4), names, final),
+        draw_curve("days set apart", get_style(4), names, final),
         go.Scatter(name="measurement noise", x=names, y=floors, mode="lines", line=REFERENCE_LINE),
     ]
-    made = figure([trace for trace in traces if any(y is not None for y in trace.y or ())], 420)
+    made = make_figure([trace for trace in traces if any(y is not None for y in trace.y or ())], 420)
     made.update_layout(showlegend=True)
     made.update_xaxes(title_text="Effect tried", type="category")
     made.update_yaxes(title_text="Mean absolute error of a ride [kWh]", rangemode="tozero")
@@ -262,13 +264,13 @@ def _scope(entry: Entry) -> str:
 
 
 def _error(value: Any) -> str:
-    known = number(value)
+    known = get_number(value)
     return UNKNOWN if known is None else f"{known:.4f}"
 
 
 def _spread(value: Any) -> str:
     """Return a change with its interval."""
-    known, half = number(value), half_width(value)
+    known, half = get_number(value), get_half_width(value)
     if known is None:
         return UNKNOWN
-    return signed(known, 4) + ("" if half is None else f" ± {half:.4f}")
+    return format_signed(known, 4) + ("" if half is None else f" ± {half:.4f}")

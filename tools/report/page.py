@@ -11,11 +11,11 @@ from plotly.offline import get_plotlyjs
 
 from core.errors import SettingsError
 from core.evaluate.paper import published
-from core.evaluate.paper.results import plain
+from core.evaluate.paper.results import to_json_values
 from tools.report.cells import Cell, ReportTable, Row
-from tools.report.evaluation.illustrations import Illustration, illustrations
-from tools.report.evaluation.result import Result, mapping
-from tools.report.evaluation.sections import Section, sections
+from tools.report.evaluation.illustrations import Illustration, build_illustrations
+from tools.report.evaluation.result import Result, get_mapping
+from tools.report.evaluation.sections import Section, build_sections
 
 TITLE: Final = "Evaluation of consumption models"
 
@@ -41,7 +41,7 @@ def write(result: Any, path: Path) -> None:
     SettingsError
         Where the file cannot be written.
     """
-    save(page(result), path)
+    save(render_page(result), path)
 
 
 def save(text: str, path: Path) -> None:
@@ -60,13 +60,15 @@ def save(text: str, path: Path) -> None:
         ) from error
 
 
-def page(result: Any) -> str:
+def render_page(result: Any) -> str:
     """Return the page."""
-    found = plain(result)
-    return document(TITLE, _lead(found), sections(found), lambda key: illustrations(found, key), _foot(found))
+    found = to_json_values(result)
+    return render_document(
+        TITLE, _lead(found), build_sections(found), lambda key: build_illustrations(found, key), _foot(found)
+    )
 
 
-def document(
+def render_document(
     title: str, lead: str, shown: Sequence[Section], drawn: Callable[[str], Sequence[Illustration]], foot: str
 ) -> str:
     """Return a page of sections.
@@ -115,10 +117,10 @@ def _shipped(name: str) -> str:
 
 def _lead(result: Result) -> str:
     """Return what was evaluated, and what stands beside it."""
-    about = mapping(result, "about")
+    about = get_mapping(result, "about")
     rides = f"{about['fit']:,} rides. " if isinstance(about.get("fit"), int | float) else ""
     text = (
-        f"{rides}Figures in parentheses and outlines are those of “{published.paper().title}”, of its own company's "
+        f"{rides}Figures in parentheses and outlines are those of “{published.load_paper().title}”, of its own company's "
         "rides: other data than these, so they are for orientation only."
     )
     return f"<p>{escape(text)}</p>"
@@ -126,7 +128,7 @@ def _lead(result: Result) -> str:
 
 def _foot(result: Result) -> str:
     """Return what the evaluation says was left out, and what made the page."""
-    about = mapping(result, "about")
+    about = get_mapping(result, "about")
     notes = [*(result.get("notes") or ()), *(about.get("notes") or ())]
     told = "".join(f"<li>{escape(str(note))}</li>" for note in notes)
     return (f"<ul>{told}</ul>" if told else "") + "<p>Made by <code>socast evaluate</code>.</p>"

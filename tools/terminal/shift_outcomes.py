@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from core.evaluate.soc.cases import CUT, KEY, NEAR
+from core.evaluate.soc.cases import CUT_SHORT_MARGIN, MOST_FORECAST_AGE, SHIFT_KEY
 from core.pipeline import Pipeline
 
 AHEAD: Final = {"2h": 7200.0, "1h": 3600.0}
@@ -74,9 +74,9 @@ class Outcomes:
         if not self._told:
             return
         told, ended = pd.concat(self._told), pd.concat(self._ended)
-        of_shifts = dict(iter(told.groupby(KEY, sort=False)))
+        of_shifts = dict(iter(told.groupby(SHIFT_KEY, sort=False)))
         for _, shift in ended.iterrows():
-            own = of_shifts.pop(tuple(shift[name] for name in KEY), told[:0])
+            own = of_shifts.pop(tuple(shift[name] for name in SHIFT_KEY), told[:0])
             self._records.append(_record(shift, own, self._newest))
         left = [_needed(own) for own in of_shifts.values()]
         self._told, self._ended = [told[:0], *left], [ended[:0]]
@@ -85,7 +85,7 @@ class Outcomes:
 
 def _needed(told: pd.DataFrame) -> pd.DataFrame:
     """Return those forecasts of a shift in progress that may still be told of: the first, and the newest."""
-    late = told["time_s"] >= told["time_s"].iloc[-1] - max(AHEAD.values()) - NEAR
+    late = told["time_s"] >= told["time_s"].iloc[-1] - max(AHEAD.values()) - MOST_FORECAST_AGE
     late.iloc[0] = True
     kept: pd.DataFrame = told.loc[late]
     return kept
@@ -94,16 +94,16 @@ def _needed(told: pd.DataFrame) -> pd.DataFrame:
 def _record(shift: "pd.Series[Any]", told: pd.DataFrame, newest: float) -> dict[str, Any]:
     """Return what is told of a shift and its forecasts, which are in the order of time."""
     time = told["time_s"].to_numpy(np.float64)
-    places = {"begin": 0 if len(time) and time[0] <= shift["begin_s"] + NEAR else -1}
+    places = {"begin": 0 if len(time) and time[0] <= shift["begin_s"] + MOST_FORECAST_AGE else -1}
     for name, ahead in AHEAD.items():
         at = shift["end_s"] - ahead
         place = int(np.searchsorted(time, at, side="right")) - 1
-        places[name] = place if place >= 0 and time[place] >= at - NEAR else -1
+        places[name] = place if place >= 0 and time[place] >= at - MOST_FORECAST_AGE else -1
     names = ("vehicle_id", "vehicle_model", "begin_s", "end_s", "soc_begin_pct", "soc_end_pct", "charged_s")
     own = {name: None if pd.isna(shift[name]) else shift[name] for name in names}
     planned = told["shift_end_s"][told["planned"].astype(bool)]
-    late = len(planned) > 0 and planned.iloc[-1] > shift["end_s"] + CUT
-    own["cut"] = bool(late and newest - shift["end_s"] < NEAR)
+    late = len(planned) > 0 and planned.iloc[-1] > shift["end_s"] + CUT_SHORT_MARGIN
+    own["cut"] = bool(late and newest - shift["end_s"] < MOST_FORECAST_AGE)
     return own | {
         "forecasts": {name: _told(told.iloc[place], own) if place >= 0 else None for name, place in places.items()}
     }

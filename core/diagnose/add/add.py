@@ -37,7 +37,7 @@ from core.diagnose.add.terms import additive, effect_term, scope_in_words
 from core.diagnose.ranking import LEAST_GAIN, LEVEL
 from core.effects import Effect
 from core.errors import ModelError
-from core.evaluate.paper.results import plain
+from core.evaluate.paper.results import to_json_values
 from core.fit.calibration import add_interval
 from core.fit.fitting import build_design
 from core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
@@ -119,7 +119,7 @@ def add(
     judged["noise_floor_kwh"] = noise_floor(get_numbers(found.table, "sd")) if floor is None else floor
     judged |= _verdict(judged, least)
     grown = _named(made.after, model, found)
-    entry = plain(
+    entry = to_json_values(
         {
             "action": ADDED if judged["accepted"] else REFUSED,
             "effect": effect,

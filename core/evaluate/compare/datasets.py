@@ -12,9 +12,9 @@ import numpy as np
 import pandas as pd
 
 from core.batch import Floats, Ints
-from core.evaluate.binning import conditions
-from core.evaluate.compare.models import Sample, false_discovery_rates
-from core.evaluate.ride_filter import SAME
+from core.evaluate.binning import bin_rides
+from core.evaluate.compare.models import ComparedRides, compute_false_discovery_rates
+from core.evaluate.ride_filter import IDENTITY_COLUMNS
 from core.models import LinearModel
 from core.models.parts import predict_parts
 from core.stats.clustered import compute_clustered_mean, compute_clustered_ratio, subtract
@@ -34,11 +34,11 @@ PROPERTIES: Final = (
     ("state of charge at the start", "%", "soc_start_pct", ""),
 )
 """What rides may differ in: name, unit, column, and the column that it is a ratio to."""
-SECONDS: Final = 60.0
+SECONDS_PER_MINUTE: Final = 60.0
 """In a minute."""
 
 
-def contrast(first: Sample, second: Sample, models: Mapping[str, LinearModel]) -> dict[str, Any]:
+def compare_datasets(first: ComparedRides, second: ComparedRides, models: Mapping[str, LinearModel]) -> dict[str, Any]:
     """Return what is different between two sets of rides; differences are second less first.
 
     Parameters
@@ -71,16 +71,16 @@ def _each(one: Estimate, other: Estimate) -> dict[str, Any]:
 
 def _shared(one: pd.DataFrame, other: pd.DataFrame) -> int:
     """Return the number of rides that both sets have."""
-    both = one[list(SAME)].merge(other[list(SAME)], how="inner", on=list(SAME))
+    both = one[list(IDENTITY_COLUMNS)].merge(other[list(IDENTITY_COLUMNS)], how="inner", on=list(IDENTITY_COLUMNS))
     return len(both)
 
 
-def _per_distance(found: Sample, energy: Floats) -> Estimate:
+def _per_distance(found: ComparedRides, energy: Floats) -> Estimate:
     """Return an energy over the distance. [kWh/100 km]"""
     return compute_clustered_ratio(100.0 * energy, found.rides["distance_km"].to_numpy(np.float64), found.clusters)
 
 
-def _properties(first: Sample, second: Sample) -> list[dict[str, Any]]:
+def _properties(first: ComparedRides, second: ComparedRides) -> list[dict[str, Any]]:
     """Return what the rides of the sets are like; first what differs most, by the spread between rides."""
     found = []
     for name, unit, column, per in PROPERTIES:
@@ -98,7 +98,7 @@ def _properties(first: Sample, second: Sample) -> list[dict[str, Any]]:
         spread = float(np.sqrt(np.mean([np.var(value[at]) for value, at in zip(values, known, strict=True)])))
         apart = abs(other.value - one.value) / spread if spread > 0.0 else 0.0
         found.append({"name": name, "unit": unit, **_each(one, other), "in_spreads": apart})
-    q = false_discovery_rates(np.array([entry["p"] for entry in found], dtype=np.float64))
+    q = compute_false_discovery_rates(np.array([entry["p"] for entry in found], dtype=np.float64))
     told = [entry | {"q": float(rate)} for entry, rate in zip(found, q, strict=True)]
     return sorted(told, key=lambda entry: -entry["in_spreads"])
 
@@ -109,10 +109,10 @@ def _values(rides: pd.DataFrame, column: str, per: str) -> Floats:
     if per:
         below = rides[per].to_numpy(np.float64)
         return np.divide(values, below, out=np.full(len(values), np.nan), where=below > 0.0)
-    return values / SECONDS if column == "duration_s" else values
+    return values / SECONDS_PER_MINUTE if column == "duration_s" else values
 
 
-def _model(label: str, model: LinearModel, first: Sample, second: Sample) -> dict[str, Any]:
+def _model(label: str, model: LinearModel, first: ComparedRides, second: ComparedRides) -> dict[str, Any]:
     """Return how a model does on both sets, and how much of their difference in consumption it explains."""
     both = (first, second)
     error = [own.predicted[label] - own.measured for own in both]
@@ -133,24 +133,28 @@ def _model(label: str, model: LinearModel, first: Sample, second: Sample) -> dic
     }
 
 
-def _by_condition(first: Sample, second: Sample, one: Floats, other: Floats) -> dict[str, list[dict[str, Any]]]:
+def _by_condition(
+    first: ComparedRides, second: ComparedRides, one: Floats, other: Floats
+) -> dict[str, list[dict[str, Any]]]:
     """Return bias, error and `consumption` of both sets in each bin that either has, and `q` of the bias."""
     together = pd.concat([first.rides, second.rides], ignore_index=True)
     here = np.arange(len(together)) < len(first.rides)
     made: dict[str, list[dict[str, Any]]] = {}
-    for name, (codes, labels) in conditions(together).items():
+    for name, (codes, labels) in bin_rides(together).items():
         for code in np.unique(codes[codes >= 0]).tolist():
             at = np.flatnonzero(codes[here] == code), np.flatnonzero(codes[~here] == code)
             entry = {"bin": labels[code], "n": [len(rows) for rows in at]}
             made.setdefault(name, []).append(entry | _bins(first, second, one, other, at))
     entries = [entry for found in made.values() for entry in found]
-    q = false_discovery_rates(np.array([entry["bias_kwh"]["p"] for entry in entries], dtype=np.float64))
+    q = compute_false_discovery_rates(np.array([entry["bias_kwh"]["p"] for entry in entries], dtype=np.float64))
     for entry, rate in zip(entries, q.tolist(), strict=True):
         entry["q"] = rate
     return made
 
 
-def _bins(first: Sample, second: Sample, one: Floats, other: Floats, at: tuple[Ints, Ints]) -> dict[str, Any]:
+def _bins(
+    first: ComparedRides, second: ComparedRides, one: Floats, other: Floats, at: tuple[Ints, Ints]
+) -> dict[str, Any]:
     """Return bias, error and consumption of the rides of a bin, in both sets."""
     sets = [(own, off, rows) for own, off, rows in zip((first, second), (one, other), at, strict=True)]
     kilometres = [own.rides["distance_km"].to_numpy(np.float64) for own in (first, second)]

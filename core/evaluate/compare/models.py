@@ -14,25 +14,25 @@ from scipy.stats import false_discovery_control
 
 from core.batch import Floats
 from core.errors import ModelError
-from core.evaluate.binning import conditions
-from core.evaluate.ride_filter import reasons
+from core.evaluate.binning import bin_rides
+from core.evaluate.ride_filter import find_exclusion_reasons
 from core.models import ANY, LinearModel
 from core.stats import multiple_testing, scores
 from core.stats.clustered import assign_vehicle_days, compute_clustered_mean, compute_clustered_ratio
 from core.stats.scores import Codes, Estimate
 
-WORST: Final = 10
+MOST_WORST_RIDES: Final = 10
 """Rides that are named."""
-WELL_KNOWN: Final = 0.2
+MOST_RELATIVE_SD: Final = 0.2
 """Standard uncertainty over energy of a ride, at most, for its relative error to mean anything."""
-KEYS: Final = ("ride_key", "ride_id")
+RIDE_NAME_COLUMNS: Final = ("ride_key", "ride_id")
 """Columns that name a ride, the better one first."""
-TOLD: Final = ("vehicle_id", "vehicle_model", "date", "distance_km", "ambient_c", "average_speed_kmh")
+RIDE_PROPERTIES: Final = ("vehicle_id", "vehicle_model", "date", "distance_km", "ambient_c", "average_speed_kmh")
 """What is told of a ride."""
 
 
 @dataclass(frozen=True)
-class Sample:
+class ComparedRides:
     """Rides with measured and predicted energies.
 
     Parameters
@@ -64,11 +64,11 @@ class Sample:
     @property
     def keys(self) -> list[str]:
         """What names each ride."""
-        named = next((name for name in KEYS if name in self.rides), None)
+        named = next((name for name in RIDE_NAME_COLUMNS if name in self.rides), None)
         return self.rides.index.astype(str).tolist() if named is None else self.rides[named].astype(str).tolist()
 
 
-def sample(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> Sample:
+def select_rides(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> ComparedRides:
     """Return the rides of a table that can be judged, with the energies that models predict.
 
     Parameters
@@ -85,15 +85,15 @@ def sample(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> Sample:
     """
     if rides.empty:
         raise ModelError("there are no rides: give tables or recordings that hold some")
-    reason = reasons(rides)
+    reason = find_exclusion_reasons(rides)
     left_out = {str(why).replace("_", " "): int(n) for why, n in reason.value_counts().sort_index().items()}
     kept = rides[reason.isna()].reset_index(drop=True)
     if kept.empty:
         raise ModelError(
-            f"none of {len(rides):,} rides can be compared ({counted(left_out)}): give rides that are fit for training "
+            f"none of {len(rides):,} rides can be compared ({format_exclusions(left_out)}): give rides that are fit for training "
             "and have a measured energy"
         )
-    found = {label: _predicted(label, model, kept) for label, model in models.items()}
+    found = {label: _predict(label, model, kept) for label, model in models.items()}
     known = np.ones(len(kept), np.bool_)
     for label, energy in found.items():
         own = ~np.isfinite(energy) & known
@@ -101,9 +101,11 @@ def sample(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> Sample:
             left_out[f"not predicted by {label}"] = int(own.sum())
         known &= ~own
     if not known.any():
-        raise ModelError(f"there is no ride that every model predicts ({counted(left_out)}): compare fewer at a time")
+        raise ModelError(
+            f"there is no ride that every model predicts ({format_exclusions(left_out)}): compare fewer at a time"
+        )
     kept = kept[known].reset_index(drop=True)
-    return Sample(
+    return ComparedRides(
         rides=kept,
         measured=kept["energy_kwh"].to_numpy(np.float64),
         predicted={label: energy[known] for label, energy in found.items()},
@@ -114,12 +116,12 @@ def sample(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> Sample:
     )
 
 
-def counted(left_out: Mapping[str, int]) -> str:
+def format_exclusions(left_out: Mapping[str, int]) -> str:
     """Return how many rides were left out and why, in words."""
     return ", ".join(f"{n:,} {why}" for why, n in left_out.items()) or "none left out"
 
 
-def _predicted(label: str, model: LinearModel, rides: pd.DataFrame) -> Floats:
+def _predict(label: str, model: LinearModel, rides: pd.DataFrame) -> Floats:
     """Return a model's predictions, refusing a model that has none of these cars."""
     cars = sorted(rides["vehicle_model"].unique())
     if ANY not in model.fits and not any(car in model.fits for car in cars):
@@ -159,22 +161,23 @@ def _notes(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> tuple[str,
     return tuple(notes)
 
 
-def compare(found: Sample) -> dict[str, Any]:
+def compare_predictions(found: ComparedRides) -> dict[str, Any]:
     """Return how models compare with what rides measured.
 
     Returns
     -------
     dict
-        `about` the rides; `models`, by name: `figures` of each, `by` condition, `worst` rides; `pairs` of models;
+        `describe_rides` the rides; `models`, by name: `compute_errors` of each, `by` condition, `find_worst_rides` rides; `compare_pairs` of models;
         `rides`, with the energies of each.
     """
     return {
-        "about": about(found),
+        "about": describe_rides(found),
         "models": {
-            label: figures(found, energy) | {"by": by_condition(found, energy), "worst": worst(found, energy)}
+            label: compute_errors(found, energy)
+            | {"by": compute_errors_by_condition(found, energy), "worst": find_worst_rides(found, energy)}
             for label, energy in found.predicted.items()
         },
-        "pairs": pairs(found),
+        "pairs": compare_pairs(found),
         "rides": {
             "key": found.keys,
             "vehicle_model": found.rides["vehicle_model"].tolist(),
@@ -185,7 +188,7 @@ def compare(found: Sample) -> dict[str, Any]:
     }
 
 
-def about(found: Sample) -> dict[str, Any]:
+def describe_rides(found: ComparedRides) -> dict[str, Any]:
     """Return what was compared."""
     rides = found.rides
     distance = rides["distance_km"].to_numpy(np.float64)
@@ -209,7 +212,7 @@ def about(found: Sample) -> dict[str, Any]:
     }
 
 
-def figures(found: Sample, predicted: Floats) -> dict[str, Any]:
+def compute_errors(found: ComparedRides, predicted: Floats) -> dict[str, Any]:
     """Return how far off predictions are: `mae_kwh`, `bias_kwh`, `rmse_kwh`, `relative`, shares `within` bands."""
     error = predicted - found.measured
     used = float(np.mean(found.measured))
@@ -225,7 +228,7 @@ def figures(found: Sample, predicted: Floats) -> dict[str, Any]:
     }
 
 
-def by_condition(found: Sample, predicted: Floats) -> dict[str, list[dict[str, Any]]]:
+def compute_errors_by_condition(found: ComparedRides, predicted: Floats) -> dict[str, list[dict[str, Any]]]:
     """Return errors in each bin of each condition.
 
     Returns
@@ -238,14 +241,14 @@ def by_condition(found: Sample, predicted: Floats) -> dict[str, list[dict[str, A
     error = predicted - found.measured
     made: dict[str, list[dict[str, Any]]] = {}
     p: list[float] = []
-    for name, (codes, labels) in conditions(found.rides).items():
+    for name, (codes, labels) in bin_rides(found.rides).items():
         entries = made.setdefault(name, [])
         for code in np.unique(codes[codes >= 0]).tolist():
             rows = np.flatnonzero(codes == code)
             off = compute_clustered_mean(error[rows], found.clusters[rows])
             entries.append({"bin": labels[code], **_bin(error[rows], found.measured[rows], found.clusters[rows], off)})
             p.append(off.p)
-    q = iter(false_discovery_rates(np.array(p)).tolist())
+    q = iter(compute_false_discovery_rates(np.array(p)).tolist())
     for entry in (entry for entries in made.values() for entry in entries):
         entry["q"] = next(q)
     return made
@@ -265,12 +268,12 @@ def _bin(error: Floats, measured: Floats, clusters: Codes, off: Estimate) -> dic
     }
 
 
-def false_discovery_rates(p: Floats) -> Floats:
+def compute_false_discovery_rates(p: Floats) -> Floats:
     """Return Benjamini and Hochberg's q-values; NaN where there was nothing to test.
 
     Examples
     --------
-    >>> false_discovery_rates(np.array([0.01, np.nan, 0.04])).tolist()
+    >>> compute_false_discovery_rates(np.array([0.01, np.nan, 0.04])).tolist()
     [0.02, nan, 0.04]
     """
     q = np.full(len(p), np.nan)
@@ -280,7 +283,7 @@ def false_discovery_rates(p: Floats) -> Floats:
     return q
 
 
-def pairs(found: Sample) -> list[dict[str, Any]]:
+def compare_pairs(found: ComparedRides) -> list[dict[str, Any]]:
     """Return, of each pair of models, by how much their mean absolute errors differ on the same rides.
 
     Returns
@@ -301,10 +304,10 @@ def pairs(found: Sample) -> list[dict[str, Any]]:
     ]
 
 
-def worst(found: Sample, predicted: Floats) -> dict[str, list[dict[str, Any]]]:
+def find_worst_rides(found: ComparedRides, predicted: Floats) -> dict[str, list[dict[str, Any]]]:
     """Return the rides of largest error, `absolute` and `relative` to what was measured, worst first.
 
-    Of the latter those whose energy is known within `WELL_KNOWN`: one downhill may take next to nothing.
+    Of the latter those whose energy is known within `MOST_RELATIVE_SD`: one downhill may take next to nothing.
     """
     error = predicted - found.measured
     size = np.abs(found.measured)
@@ -315,7 +318,7 @@ def worst(found: Sample, predicted: Floats) -> dict[str, list[dict[str, Any]]]:
     keys = found.keys
 
     def told(row: int) -> dict[str, Any]:
-        own = {name: found.rides[name].iloc[row] for name in TOLD if name in found.rides}
+        own = {name: found.rides[name].iloc[row] for name in RIDE_PROPERTIES if name in found.rides}
         return {
             "ride": keys[row],
             **own,
@@ -327,7 +330,7 @@ def worst(found: Sample, predicted: Floats) -> dict[str, list[dict[str, Any]]]:
 
     def first(values: Floats) -> list[dict[str, Any]]:
         order = np.argsort(-np.abs(values), kind="stable")  # NaN last
-        return [told(row) for row in order[:WORST].tolist() if not np.isnan(values[row])]
+        return [told(row) for row in order[:MOST_WORST_RIDES].tolist() if not np.isnan(values[row])]
 
-    known = np.nan_to_num(spread) <= WELL_KNOWN * size
+    known = np.nan_to_num(spread) <= MOST_RELATIVE_SD * size
     return {"absolute": first(error), "relative": first(np.where(known, relative, np.nan))}

@@ -16,26 +16,26 @@ import pandas as pd
 
 from core.batch import Floats
 from core.errors import ModelError
-from core.evaluate.compare.models import KEYS, TOLD
-from core.evaluate.compare.running import so_far
+from core.evaluate.compare.models import RIDE_NAME_COLUMNS, RIDE_PROPERTIES
+from core.evaluate.compare.running import accumulate_windows
 from core.models import LinearModel
 from core.models.parts import predict_parts
 
 LEAST_SHARE: Final = 0.5
 """Of a ride's error, for the span that holds it to be a place where model and measurement part."""
-MOST_TIME: Final = 0.5
+MOST_TIME_SHARE: Final = 0.5
 """Share of a ride that such a place may take."""
-LEAST: Final = 2
+LEAST_WINDOWS: Final = 2
 """Windows that are a trace."""
 LEAST_SLOPE: Final = 0.5
 """Below it a road is called level. [%]"""
-APART: Final = (0.01, 0.02)
+SUM_TOLERANCE: Final = (0.01, 0.02)
 """A sum of windows that is further than this from a ride's energy is said to be another. [kWh], [1]"""
 WINDOW_COLUMNS: Final = ("ride_key", "window", "duration_s", "distance_km", "energy_vi_kwh", "energy_soc_kwh")
 """Columns of the window table that a trace needs, whatever the models need."""
 
 
-def find(rides: pd.DataFrame, name: str) -> pd.DataFrame:
+def find_ride(rides: pd.DataFrame, name: str) -> pd.DataFrame:
     """Return the ride of a key or an identifier, as a table of one row.
 
     Raises
@@ -43,7 +43,7 @@ def find(rides: pd.DataFrame, name: str) -> pd.DataFrame:
     ModelError
         Where there is none, with the names that come close; where several rides have that identifier.
     """
-    columns = [column for column in KEYS if column in rides]
+    columns = [column for column in RIDE_NAME_COLUMNS if column in rides]
     if rides.empty or not columns:
         raise ModelError(f"ride {name!r} is not among {len(rides):,} rides: give tables or recordings that hold it")
     for column in columns:
@@ -61,7 +61,7 @@ def find(rides: pd.DataFrame, name: str) -> pd.DataFrame:
     raise ModelError(f"ride {name!r} is not among {len(rides):,} rides: {hint}")
 
 
-def trace(ride: pd.DataFrame, windows: pd.DataFrame, models: Mapping[str, LinearModel]) -> dict[str, Any]:
+def trace_ride(ride: pd.DataFrame, windows: pd.DataFrame, models: Mapping[str, LinearModel]) -> dict[str, Any]:
     """Return what a ride measured and what models say of it, window by window.
 
     Parameters
@@ -91,11 +91,13 @@ def trace(ride: pd.DataFrame, windows: pd.DataFrame, models: Mapping[str, Linear
     own = windows[windows["ride_key"].astype(str) == key].sort_values("window", kind="stable", ignore_index=True)
     if not np.isfinite(ride["energy_kwh"].iloc[0]):
         raise ModelError(f"ride {key}: it has no measured energy to compare with: choose another ride")
-    if len(own) < LEAST:
-        raise ModelError(f"ride {key}: it has {len(own)} windows, and a trace takes {LEAST}: choose a longer ride")
+    if len(own) < LEAST_WINDOWS:
+        raise ModelError(
+            f"ride {key}: it has {len(own)} windows, and a trace takes {LEAST_WINDOWS}: choose a longer ride"
+        )
     notes: list[str] = []
     measured = _measured(ride, own, notes)
-    columns = so_far(ride, own)
+    columns = accumulate_windows(ride, own)
     made = _windows(own, measured)
     found = {label: _model(label, model, ride, columns, own, made, notes) for label, model in models.items()}
     return {"ride": _ride(ride), "windows": made, "models": found, "notes": notes}
@@ -103,7 +105,7 @@ def trace(ride: pd.DataFrame, windows: pd.DataFrame, models: Mapping[str, Linear
 
 def _ride(ride: pd.DataFrame) -> dict[str, Any]:
     """Return what is told of a ride."""
-    names = (*KEYS, *TOLD, "duration_s", "energy_kwh", "energy_sd_kwh", "unfit_reason")
+    names = (*RIDE_NAME_COLUMNS, *RIDE_PROPERTIES, "duration_s", "energy_kwh", "energy_sd_kwh", "unfit_reason")
     return {name: ride[name].iloc[0] for name in names if name in ride and not pd.isna(ride[name].iloc[0])}
 
 
@@ -125,14 +127,14 @@ def _measured(ride: pd.DataFrame, own: pd.DataFrame, notes: list[str]) -> Floats
         notes.append(f"{np.count_nonzero(~known)} of {len(known)} windows were not measured, and take the mean power")
         energy = np.where(known, energy, duration * (energy[known].sum() / duration[known].sum()))
     added = float(energy.sum())
-    if _apart(added, total):
+    if _differ(added, total):
         notes.append(f"the windows add up to {added:.3f} kWh, and the ride's own figure is {total:.3f} kWh")
     return energy + (total - added) * duration / duration.sum()
 
 
-def _apart(one: float, other: float) -> bool:
-    """Tell whether two energies differ by more than `APART`."""
-    absolute, relative = APART
+def _differ(one: float, other: float) -> bool:
+    """Tell whether two energies differ by more than `SUM_TOLERANCE`."""
+    absolute, relative = SUM_TOLERANCE
     return abs(one - other) > absolute + relative * abs(other)
 
 
@@ -166,20 +168,20 @@ def _model(
     if not np.isfinite(said):
         car = ride["vehicle_model"].iloc[0]
         raise ModelError(f"model {label} has no prediction of this ride, of a {car}: give a model with a fit for it")
-    if not np.isfinite(running).all() or _apart(float(running[-1]), said):
+    if not np.isfinite(running).all() or _differ(float(running[-1]), said):
         raise ModelError(
             f"model {label} cannot be followed along the ride: by its windows it comes to {running[-1]:.3f} kWh, not "
             f"{said:.3f} kWh; make the tables anew, with `socast tables`"
         )
     alone = float(model.predict(_as_rides(ride, own)).sum())
-    if not np.isfinite(alone) or _apart(alone, said):
+    if not np.isfinite(alone) or _differ(alone, said):
         notes.append(
             f"{label} is no sum over windows: what a window adds to its prediction of the ride so far is shown, and "
             f"{running[0]:+.3f} kWh are said before anything is driven"
         )
     added, said_by = np.diff(running), predict_parts(model, columns)
     error = added - made["measured_kwh"]
-    place = parting(error, made, said - float(made["measured_kwh"].sum()))
+    place = locate_divergence(error, made, said - float(made["measured_kwh"].sum()))
     return {
         "predicted_kwh": said,
         "error_kwh": said - float(ride["energy_kwh"].iloc[0]),
@@ -188,7 +190,7 @@ def _model(
         "terms": {name: np.diff(energy) for name, energy in said_by.items()},
         "start_terms": {name: float(energy[0]) for name, energy in said_by.items()},
         "place": place,
-        "words": in_words(place, error, made, float(running[0]), ride),
+        "words": describe_divergence(place, error, made, float(running[0]), ride),
     }
 
 
@@ -197,7 +199,7 @@ def _as_rides(ride: pd.DataFrame, own: pd.DataFrame) -> pd.DataFrame:
     return own.assign(**{str(name): ride[name].iloc[0] for name in ride.columns if name not in own})
 
 
-def parting(error: Floats, made: Mapping[str, Floats], total: float) -> dict[str, Any] | None:
+def locate_divergence(error: Floats, made: Mapping[str, Floats], total: float) -> dict[str, Any] | None:
     """Return the span of windows that holds the most of a ride's error beyond its share of the time.
 
     Parameters
@@ -205,7 +207,7 @@ def parting(error: Floats, made: Mapping[str, Floats], total: float) -> dict[str
     error : (n,) float
         Predicted less measured energy of each window. [kWh]
     made : mapping
-        Of the windows, as `trace` has them.
+        Of the windows, as `trace_ride` has them.
     total : float
         Error of the whole ride, what was said before its first window included. [kWh]
 
@@ -218,7 +220,7 @@ def parting(error: Floats, made: Mapping[str, Floats], total: float) -> dict[str
     Examples
     --------
     >>> windows = {"duration_s": np.full(5, 60.0), "distance_km": np.ones(5)}
-    >>> found = parting(np.array([0.0, 0.0, 0.3, 0.2, 0.0]), windows, 0.5)
+    >>> found = locate_divergence(np.array([0.0, 0.0, 0.3, 0.2, 0.0]), windows, 0.5)
     >>> found["first"], found["last"], found["minute"], found["share"]
     (2, 3, 2.0, 1.0)
     """
@@ -232,7 +234,7 @@ def parting(error: Floats, made: Mapping[str, Floats], total: float) -> dict[str
         return None
     rows = slice(first, last)
     share, of_time = float(error[rows].sum()) / total, float(duration[rows].sum() / duration.sum())
-    if share < LEAST_SHARE or of_time > MOST_TIME:
+    if share < LEAST_SHARE or of_time > MOST_TIME_SHARE:
         return None
     kilometres, seconds = float(distance[rows].sum()), float(duration[rows].sum())
     place = {
@@ -254,7 +256,7 @@ def parting(error: Floats, made: Mapping[str, Floats], total: float) -> dict[str
     return place
 
 
-def in_words(
+def describe_divergence(
     place: Mapping[str, Any] | None, error: Floats, made: Mapping[str, Floats], start: float, ride: pd.DataFrame
 ) -> str:
     """Say where prediction and measurement part, and whether that is beyond the measurement's uncertainty."""

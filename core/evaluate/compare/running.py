@@ -28,7 +28,7 @@ LAST: Final = frozenset(
 """Columns that are of the last sample; what is left is the same all along a ride."""
 
 
-def so_far(ride: pd.DataFrame, windows: pd.DataFrame) -> pd.DataFrame:
+def accumulate_windows(ride: pd.DataFrame, windows: pd.DataFrame) -> pd.DataFrame:
     """Return the columns of a ride at its beginning and after each of its windows.
 
     Parameters

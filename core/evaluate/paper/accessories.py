@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 
 from core.errors import SocastError
-from core.evaluate.ride_filter import LEAST, Judged
+from core.evaluate.ride_filter import LEAST_RIDES, EvaluatedRides
 from core.fit.recipes import RECIPES
 from core.models import BASIC_PHYSICAL
 from core.stats.scores import compute_group_means
@@ -16,7 +16,7 @@ BIN_K: Final = 2.0
 """Width of a bin of outside temperature. [K]"""
 
 
-def figure_1(judged: Judged) -> dict[str, Any]:
+def compute_figure_1(judged: EvaluatedRides) -> dict[str, Any]:
     """Return, of each vehicle model, what its rides took beyond the basic physical model, and the fitted curve.
 
     Returns
@@ -46,7 +46,7 @@ def figure_1(judged: Judged) -> dict[str, Any]:
         points = [
             {"ambient_c": sums[0][b], "power_w": sums[1][b] / sums[2][b], "rides": int(rides[b])}
             for b in range(bins)
-            if rides[b] >= LEAST
+            if rides[b] >= LEAST_RIDES
         ]
         found[name] = {"points": points, "curve": msgspec.to_builtins(fits[name].curve)}
     return found

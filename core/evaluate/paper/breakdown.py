@@ -7,22 +7,22 @@ import numpy as np
 import pandas as pd
 
 from core.batch import Floats
-from core.evaluate.paper.held_out import HeldOut
-from core.evaluate.ride_filter import CLUSTERS, LEAST, Judged
+from core.evaluate.paper.held_out import HeldOutPredictions
+from core.evaluate.ride_filter import CLUSTERS, LEAST_RIDES, EvaluatedRides
 from core.stats import scores
 from core.stats.scores import Codes
 
 TEMPERATURES: Final = tuple(range(-35, 45, 5))
 """Ends of the bins of outside temperature; the first and last one are open. [°C]"""
-DRIVER_RIDES: Final = 30
+LEAST_DRIVER_RIDES: Final = 30
 """Rides for a driver to be a bin of his own."""
-SHARES: Final = (95, 99)
+BUFFER_SHARES: Final = (95, 99)
 """Rides that a buffer is to keep above their reserve. [%]"""
 
 Bins = tuple[Codes, tuple[str, ...]]
 
 
-def bins(judged: Judged) -> dict[str, Bins]:
+def bin_evaluated_rides(judged: EvaluatedRides) -> dict[str, Bins]:
     """Return what errors are shown against: of each ride its bin, -1 where it is in none, and the bins' names."""
     rides = judged.rides
     return {
@@ -51,7 +51,7 @@ def _driver(rides: pd.DataFrame) -> Bins:
     if "driver_id" not in rides:
         return np.full(len(rides), -1, dtype=np.int64), ()
     count = rides["driver_id"].value_counts()
-    names = sorted(str(name) for name, n in count.items() if n >= DRIVER_RIDES)
+    names = sorted(str(name) for name, n in count.items() if n >= LEAST_DRIVER_RIDES)
     return pd.Categorical(rides["driver_id"], categories=names).codes.astype(np.int64), tuple(names)
 
 
@@ -67,11 +67,13 @@ def _enough(codes: Codes, rows: Codes) -> Codes:
     """
     own = codes[np.unique(rows)]
     rides = np.bincount(own[own >= 0], minlength=int(codes.max(initial=0)) + 1)
-    return np.where((codes >= 0) & (rides[np.maximum(codes, 0)] >= LEAST), codes, -1)[rows]
+    return np.where((codes >= 0) & (rides[np.maximum(codes, 0)] >= LEAST_RIDES), codes, -1)[rows]
 
 
-def by(held: HeldOut, judged: Judged) -> dict[str, dict[str, list[dict[str, Any]]]]:
-    """Return errors against each of `bins`, of each recipe.
+def compute_errors_by_bin(
+    held: HeldOutPredictions, judged: EvaluatedRides
+) -> dict[str, dict[str, list[dict[str, Any]]]]:
+    """Return errors against each of `bin_evaluated_rides`, of each recipe.
 
     A ride that was held out in several repeats is counted in each, so `n` is of predictions.
     """
@@ -82,11 +84,11 @@ def by(held: HeldOut, judged: Judged) -> dict[str, dict[str, list[dict[str, Any]
             recipe: scores.compute_bin_errors(energy, held.all_of(recipe), _enough(codes, rows), labels)
             for recipe in held.recipes
         }
-        for name, (codes, labels) in bins(judged).items()
+        for name, (codes, labels) in bin_evaluated_rides(judged).items()
     }
 
 
-def overall(held: HeldOut, judged: Judged) -> dict[str, Any]:
+def compute_overall_errors(held: HeldOutPredictions, judged: EvaluatedRides) -> dict[str, Any]:
     """Return `bias` and `rmse` by vehicle model, relative-error `bands`, `buffer_kwh`, and the same by cluster."""
     rows = held.pooled
     energy, model, cluster = judged.energy[rows], judged.model[rows], _enough(judged.cluster, rows)
@@ -107,13 +109,13 @@ def overall(held: HeldOut, judged: Judged) -> dict[str, Any]:
 
 
 def _buffers(measured: Floats, predicted: Floats) -> dict[str, float]:
-    return {str(share): scores.compute_buffer(measured, predicted, share / 100.0) for share in SHARES}
+    return {str(share): scores.compute_buffer(measured, predicted, share / 100.0) for share in BUFFER_SHARES}
 
 
-def coverages(held: HeldOut, judged: Judged) -> dict[str, dict[str, Any]]:
+def compute_interval_coverage(held: HeldOutPredictions, judged: EvaluatedRides) -> dict[str, dict[str, Any]]:
     """Return, of recipes that have intervals, the share of rides inside them, and their mean width.
 
-    `overall`, `cluster`, `season` and `vehicle_model` are shares of rides, where at least `LEAST` were held out.
+    `compute_overall_errors`, `cluster`, `season` and `vehicle_model` are shares of rides, where at least `LEAST` were held out.
     """
     rows = held.pooled
     energy = judged.energy[rows]

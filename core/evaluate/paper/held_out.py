@@ -8,15 +8,15 @@ import numpy as np
 
 from core.batch import Floats
 from core.evaluate.paper.runs import Prediction
-from core.evaluate.ride_filter import CLUSTERS, LEAST, SCORED, Judged
+from core.evaluate.ride_filter import CLUSTERS, LEAST_RIDES, SCORED_CLUSTERS, EvaluatedRides
 from core.stats.scores import Codes, Estimate, average_over_repeats, combine_strata, compute_group_means
 
-SILENT: Final = 0.05
+MOST_UNPREDICTED: Final = 0.05
 """Share of the rides for which a recipe may have no prediction before it is left out of the comparison."""
 
 
 @dataclass(frozen=True)
-class HeldOut:
+class HeldOutPredictions:
     """Predictions of every recipe for the same rides, over repeats or folds.
 
     Parameters
@@ -56,7 +56,7 @@ class HeldOut:
         return np.concatenate([np.zeros((2, 0)), *self.bounds[recipe]], axis=1)
 
 
-def held_out(said: Mapping[str, Sequence[Prediction]], rides: int) -> HeldOut:
+def select_comparable(said: Mapping[str, Sequence[Prediction]], rides: int) -> HeldOutPredictions:
     """Return the predictions of those recipes that can be compared, for the rides that all of them predict.
 
     Parameters
@@ -73,8 +73,10 @@ def held_out(said: Mapping[str, Sequence[Prediction]], rides: int) -> HeldOut:
         missing, of = sum(int(s.sum()) for s in silent), sum(len(s) for s in silent)
         if problem := next((p.problem for p in predictions if p.problem), ""):
             notes.append(f"{name}: {problem}")
-        elif missing > SILENT * of:
-            notes.append(f"{name}: no prediction for {missing / of:.1%} of the rides, over the limit of {SILENT:.0%}")
+        elif missing > MOST_UNPREDICTED * of:
+            notes.append(
+                f"{name}: no prediction for {missing / of:.1%} of the rides, over the limit of {MOST_UNPREDICTED:.0%}"
+            )
         else:
             kept.append(name)
             if missing:
@@ -83,7 +85,7 @@ def held_out(said: Mapping[str, Sequence[Prediction]], rides: int) -> HeldOut:
     told = [np.all([~np.isnan(said[name][i].energy) for name in kept], axis=0) for i in range(repeats) if kept]
     first = said[kept[0]] if kept else ()
     tested = [len(p.rows) for p in first]
-    return HeldOut(
+    return HeldOutPredictions(
         recipes=tuple(kept),
         rows=tuple(p.rows[t] for p, t in zip(first, told, strict=True)),
         energy={name: tuple(p.energy[t] for p, t in zip(said[name], told, strict=True)) for name in kept},
@@ -97,7 +99,7 @@ def held_out(said: Mapping[str, Sequence[Prediction]], rides: int) -> HeldOut:
     )
 
 
-def cells(held: HeldOut, judged: Judged, values: Sequence[Floats]) -> Floats:
+def compute_cell_means(held: HeldOutPredictions, judged: EvaluatedRides, values: Sequence[Floats]) -> Floats:
     """Return means by repeat, vehicle model and cluster.
 
     Parameters
@@ -110,47 +112,49 @@ def cells(held: HeldOut, judged: Judged, values: Sequence[Floats]) -> Floats:
     (repeats, vehicle models, clusters) float
         Of the clusters that are scored; NaN where the table has too few rides for a figure.
     """
-    models, enough = len(judged.vehicle_models), judged.count()[:, :SCORED] >= LEAST
-    found = np.full((len(values), models, SCORED), np.nan)
+    models, enough = len(judged.vehicle_models), judged.count()[:, :SCORED_CLUSTERS] >= LEAST_RIDES
+    found = np.full((len(values), models, SCORED_CLUSTERS), np.nan)
     for repeat, (rows, value) in enumerate(zip(held.rows, values, strict=True)):
-        groups = judged.model[rows] * SCORED + judged.cluster[rows]
-        groups[judged.cluster[rows] >= SCORED] = -1
+        groups = judged.model[rows] * SCORED_CLUSTERS + judged.cluster[rows]
+        groups[judged.cluster[rows] >= SCORED_CLUSTERS] = -1
         found[repeat] = np.where(
-            enough, compute_group_means(value, groups, models * SCORED).reshape(models, SCORED), np.nan
+            enough,
+            compute_group_means(value, groups, models * SCORED_CLUSTERS).reshape(models, SCORED_CLUSTERS),
+            np.nan,
         )
     return found
 
 
-def errors(held: HeldOut, judged: Judged, recipe: str) -> list[Floats]:
+def compute_absolute_errors(held: HeldOutPredictions, judged: EvaluatedRides, recipe: str) -> list[Floats]:
     """Return the absolute errors of a recipe, by repeat. [kWh]"""
     return [np.abs(said - judged.energy[rows]) for rows, said in zip(held.rows, held.energy[recipe], strict=True)]
 
 
-def grid(means: Floats, overlap: float) -> list[list[Estimate]]:
-    """Return estimates over repeats, by vehicle model and cluster, of what `cells` gives."""
+def estimate_cells(means: Floats, overlap: float) -> list[list[Estimate]]:
+    """Return estimates over repeats, by vehicle model and cluster, of what `compute_cell_means` gives."""
     _, models, count = means.shape
     return [[average_over_repeats(means[:, m, c], overlap) for c in range(count)] for m in range(models)]
 
 
-def averages(found: list[list[Estimate]]) -> list[Estimate]:
+def average_over_clusters(found: list[list[Estimate]]) -> list[Estimate]:
     """Return the post-stratified average over clusters, of each vehicle model."""
     return [combine_strata(row) for row in found]
 
 
-def weighted(found: list[list[Estimate]], judged: Judged) -> list[Estimate]:
+def average_over_vehicle_models(found: list[list[Estimate]], judged: EvaluatedRides) -> list[Estimate]:
     """Return the mean over vehicle models, weighted by their rides, of each cluster."""
     count = judged.count()
-    return [combine_strata([row[c] for row in found], count[:, c].tolist()) for c in range(SCORED)]
+    return [combine_strata([row[c] for row in found], count[:, c].tolist()) for c in range(SCORED_CLUSTERS)]
 
 
-def table(found: list[list[Estimate]], judged: Judged) -> dict[str, Any]:
-    """Return a table of the paper: vehicle model to cluster to figure, `average`, and the row `weighted`."""
-    average = averages(found)
+def tabulate_estimates(found: list[list[Estimate]], judged: EvaluatedRides) -> dict[str, Any]:
+    """Return a table of the paper: vehicle model to cluster to figure, `average`, and the row `average_over_vehicle_models`."""
+    average = average_over_clusters(found)
     rows: dict[str, Any] = {}
     for model, row, mean in zip(judged.vehicle_models, found, average, strict=True):
         rows[model] = {**_row(row), "average": mean.figures()}
-    return rows | {"weighted": _row(weighted(found, judged))}
+    return rows | {"weighted": _row(average_over_vehicle_models(found, judged))}
 
 
 def _row(estimates: Sequence[Estimate]) -> dict[str, dict[str, float]]:
-    return {name: estimate.figures() for name, estimate in zip(CLUSTERS[:SCORED], estimates, strict=True)}
+    return {name: estimate.figures() for name, estimate in zip(CLUSTERS[:SCORED_CLUSTERS], estimates, strict=True)}

@@ -19,29 +19,29 @@ import pandas as pd
 
 from core.batch import Floats
 from core.errors import SocastError
-from core.evaluate.paper.held_out import HeldOut
-from core.evaluate.paper.results import REFERENCE, pooled_average, reductions
-from core.evaluate.paper.runs import Fittable, Fitted
-from core.evaluate.ride_filter import LEAST, SCORED, Judged
+from core.evaluate.paper.held_out import HeldOutPredictions
+from core.evaluate.paper.results import REFERENCE, compute_pooled_average, compute_reductions
+from core.evaluate.paper.runs import EvaluatedRecipe, FittedModel
+from core.evaluate.ride_filter import LEAST_RIDES, SCORED_CLUSTERS, EvaluatedRides
 from core.stats.scores import average_over_repeats, compute_group_means
 from core.stats.splits import Positions, Split
 
-COUNTS: Final = (0, 1, 3, 10, 30, 100)
+RIDE_COUNTS: Final = (0, 1, 3, 10, 30, 100)
 """Rides of the new vehicle model that are shown."""
 DRAWS: Final = 10
 """How often they are drawn anew."""
-TO_BEAT: Final = "fitted_physical"
+BENCHMARK: Final = "fitted_physical"
 """Recipe of the line to beat, and that line."""
-OTHERS: Final = "fitted_physical_others"
+BENCHMARK_UNCHANGED: Final = "fitted_physical_others"
 """It as it was trained on the others, whatever is shown."""
-REFITTED: Final = "fitted_physical_refitted"
+BENCHMARK_REFITTED: Final = "fitted_physical_refitted"
 """It refitted with the new rides among those of the others."""
 
 
 class Adaptable(Protocol):
     """A recipe whose models can be told of a few rides of a vehicle model that they do not know."""
 
-    def adapt(self, model: Any, rides: pd.DataFrame) -> Fitted:
+    def adapt(self, model: Any, rides: pd.DataFrame) -> FittedModel:
         """Return the model, changed as these rides suggest."""
 
 
@@ -58,22 +58,24 @@ class Learner(NamedTuple):
     """
 
     name: str
-    recipe: Fittable
+    recipe: EvaluatedRecipe
     way: str
 
 
-def left_out(judged: Judged) -> dict[str, Split]:
+def split_by_vehicle_model(judged: EvaluatedRides) -> dict[str, Split]:
     """Return, for each vehicle model, the split that trains on all others; none where there are no others."""
     if len(judged.vehicle_models) < 2:
         return {}
     return {
         name: Split(np.flatnonzero(judged.model != i), np.flatnonzero(judged.model == i))
         for i, name in enumerate(judged.vehicle_models)
-        if np.any(judged.count()[i, :SCORED] >= LEAST)
+        if np.any(judged.count()[i, :SCORED_CLUSTERS] >= LEAST_RIDES)
     }
 
 
-def tables_12_and_13(held: Mapping[str, HeldOut], judged: Judged) -> dict[str, dict[str, dict[str, float]]]:
+def compute_tables_12_and_13(
+    held: Mapping[str, HeldOutPredictions], judged: EvaluatedRides
+) -> dict[str, dict[str, dict[str, float]]]:
     """Return, of each recipe and left-out vehicle model, `mae`, `relative`, `basic` and `reduction`, and their means.
 
     Parameters
@@ -86,9 +88,9 @@ def tables_12_and_13(held: Mapping[str, HeldOut], judged: Judged) -> dict[str, d
         [r for r in next(iter(held.values())).recipes if all(r in h.recipes for h in held.values())] if held else []
     )
     at = {name: judged.vehicle_models.index(name) for name in held}
-    means = {r: [pooled_average(held[name], judged, r)[at[name]] for name in held] for r in recipes}
+    means = {r: [compute_pooled_average(held[name], judged, r)[at[name]] for name in held] for r in recipes}
     used = [_consumption(judged, i) for i in at.values()]
-    reduced = reductions(means, list(held))
+    reduced = compute_reductions(means, list(held))
     found: dict[str, dict[str, dict[str, float]]] = {}
     for recipe in recipes:
         rows = {}
@@ -102,45 +104,54 @@ def tables_12_and_13(held: Mapping[str, HeldOut], judged: Judged) -> dict[str, d
     return found
 
 
-def _consumption(judged: Judged, model: int) -> float:
+def _consumption(judged: EvaluatedRides, model: int) -> float:
     """Return the mean energy of a ride, averaged over the clusters that are scored. [kWh]"""
     own = judged.model == model
-    means = compute_group_means(judged.energy[own], judged.cluster[own], SCORED)
-    return float(means[judged.count()[model, :SCORED] >= LEAST].mean())
+    means = compute_group_means(judged.energy[own], judged.cluster[own], SCORED_CLUSTERS)
+    return float(means[judged.count()[model, :SCORED_CLUSTERS] >= LEAST_RIDES].mean())
 
 
-def learners(recipes: Mapping[str, Fittable]) -> list[Learner]:
+def list_learners(recipes: Mapping[str, EvaluatedRecipe]) -> list[Learner]:
     """Return who takes part: the line to beat in both ways, and every recipe that can adapt."""
     found = []
-    if TO_BEAT in recipes:
-        found = [Learner(OTHERS, recipes[TO_BEAT], "unchanged"), Learner(REFITTED, recipes[TO_BEAT], "refitted")]
+    if BENCHMARK in recipes:
+        found = [
+            Learner(BENCHMARK_UNCHANGED, recipes[BENCHMARK], "unchanged"),
+            Learner(BENCHMARK_REFITTED, recipes[BENCHMARK], "refitted"),
+        ]
     return found + [Learner(name, recipe, "adapted") for name, recipe in recipes.items() if hasattr(recipe, "adapt")]
 
 
-def counts(rides: int) -> tuple[int, ...]:
+def select_ride_counts(rides: int) -> tuple[int, ...]:
     """Return how many rides are shown, so that at least half of them are left to test on.
 
-    >>> counts(1000), counts(30)
+    >>> select_ride_counts(1000), select_ride_counts(30)
     ((0, 1, 3, 10, 30, 100), (0, 1, 3, 10))
     """
-    return tuple(count for count in COUNTS if 2 * count <= rides)
+    return tuple(count for count in RIDE_COUNTS if 2 * count <= rides)
 
 
-def draws(own: Positions, name: str, seed: int, number: int) -> list[Positions]:
+def draw_rides(own: Positions, name: str, seed: int, number: int) -> list[Positions]:
     """Return rides in random order, of which the first are shown and those after the largest count are tested."""
     return [np.random.default_rng([seed, crc32(name.encode()), draw]).permutation(own) for draw in range(number)]
 
 
-def plan(learners: Sequence[Learner], judged: Judged, seed: int) -> dict[tuple[str, str], Callable[[], Any]]:
+def plan_learning_curves(
+    learners: Sequence[Learner], judged: EvaluatedRides, seed: int
+) -> dict[tuple[str, str], Callable[[], Any]]:
     """Return the calls that make the curves, by vehicle model and learner."""
     return {
-        (name, learner.name): partial(curve, learner, judged, split, draws(split.test, name, seed, DRAWS))
-        for name, split in left_out(judged).items()
+        (name, learner.name): partial(
+            compute_learning_curve, learner, judged, split, draw_rides(split.test, name, seed, DRAWS)
+        )
+        for name, split in split_by_vehicle_model(judged).items()
         for learner in learners
     }
 
 
-def curve(learner: Learner, judged: Judged, split: Split, orders: Sequence[Positions]) -> Floats | str:
+def compute_learning_curve(
+    learner: Learner, judged: EvaluatedRides, split: Split, orders: Sequence[Positions]
+) -> Floats | str:
     """Return the errors of a learner, (draws, counts) in kWh, or why there are none.
 
     Parameters
@@ -150,9 +161,9 @@ def curve(learner: Learner, judged: Judged, split: Split, orders: Sequence[Posit
     split : Split
         Trains on the others, tests on the new vehicle model.
     orders : sequence of (n,) int64
-        Of `draws`.
+        Of `draw_rides`.
     """
-    shown = counts(len(split.test))
+    shown = select_ride_counts(len(split.test))
     asked = judged.questions()
     try:
         start = learner.recipe.fit(judged.rides.iloc[split.train])
@@ -160,7 +171,7 @@ def curve(learner: Learner, judged: Judged, split: Split, orders: Sequence[Posit
         for i, order in enumerate(orders):
             tested = np.sort(order[shown[-1] :])
             for j, count in enumerate(shown):
-                model = _told(learner, start, judged, split, np.sort(order[:count]))
+                model = _train(learner, start, judged, split, np.sort(order[:count]))
                 error = np.abs(model.predict(asked.iloc[tested]) - judged.energy[tested])
                 found[i, j] = _average(error, judged, tested)
     except SocastError as problem:
@@ -168,7 +179,7 @@ def curve(learner: Learner, judged: Judged, split: Split, orders: Sequence[Posit
     return found
 
 
-def _told(learner: Learner, start: Fitted, judged: Judged, split: Split, new: Positions) -> Fitted:
+def _train(learner: Learner, start: FittedModel, judged: EvaluatedRides, split: Split, new: Positions) -> FittedModel:
     """Return a model that was shown some rides."""
     if learner.way == "unchanged" or not len(new):
         return start
@@ -178,15 +189,15 @@ def _told(learner: Learner, start: Fitted, judged: Judged, split: Split, new: Po
     return adaptable.adapt(start, judged.rides.iloc[new])
 
 
-def _average(error: Floats, judged: Judged, tested: Positions) -> float:
+def _average(error: Floats, judged: EvaluatedRides, tested: Positions) -> float:
     """Return the mean over clusters, of rides of one vehicle model. [kWh]"""
     known = ~np.isnan(error)
-    enough = judged.count()[judged.model[tested[0]], :SCORED] >= LEAST
-    means = compute_group_means(error[known], judged.cluster[tested[known]], SCORED)[enough]
+    enough = judged.count()[judged.model[tested[0]], :SCORED_CLUSTERS] >= LEAST_RIDES
+    means = compute_group_means(error[known], judged.cluster[tested[known]], SCORED_CLUSTERS)[enough]
     return float(np.nanmean(means)) if np.any(~np.isnan(means)) else np.nan
 
 
-def curves(found: Mapping[tuple[str, str], Floats | str]) -> tuple[dict[str, Any], list[str]]:
+def tabulate_learning_curves(found: Mapping[tuple[str, str], Floats | str]) -> tuple[dict[str, Any], list[str]]:
     """Return the curves by vehicle model and learner, and notes of what failed."""
     table: dict[str, Any] = {}
     notes = []
@@ -197,14 +208,14 @@ def curves(found: Mapping[tuple[str, str], Floats | str]) -> tuple[dict[str, Any
         points = [average_over_repeats(errors[:, j], 0.0).figures() for j in range(errors.shape[1])]
         table.setdefault(name, {})[learner] = [
             {"rides": count, "mae": point["value"], "ci95": point["ci95"]}
-            for count, point in zip(COUNTS, points, strict=False)
+            for count, point in zip(RIDE_COUNTS, points, strict=False)
         ]
-    return {name: _to_beat(rows) | rows for name, rows in table.items()}, notes
+    return {name: _select_benchmark(rows) | rows for name, rows in table.items()}, notes
 
 
-def _to_beat(rows: Mapping[str, list[dict[str, Any]]]) -> dict[str, list[dict[str, Any]]]:
+def _select_benchmark(rows: Mapping[str, list[dict[str, Any]]]) -> dict[str, list[dict[str, Any]]]:
     """Return the line to beat: at each point the better of both ways."""
-    if OTHERS not in rows or REFITTED not in rows:
+    if BENCHMARK_UNCHANGED not in rows or BENCHMARK_REFITTED not in rows:
         return {}
-    pairs = zip(rows[OTHERS], rows[REFITTED], strict=True)
-    return {TO_BEAT: [min(pair, key=lambda point: float(point["mae"])) for pair in pairs]}
+    pairs = zip(rows[BENCHMARK_UNCHANGED], rows[BENCHMARK_REFITTED], strict=True)
+    return {BENCHMARK: [min(pair, key=lambda point: float(point["mae"])) for pair in pairs]}

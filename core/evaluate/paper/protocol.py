@@ -12,10 +12,10 @@ import pandas as pd
 
 from core.errors import ModelError, SettingsError
 from core.evaluate.paper import breakdown, new_vehicle, results, selection
-from core.evaluate.paper.accessories import figure_1
-from core.evaluate.paper.held_out import HeldOut, held_out
-from core.evaluate.paper.runs import Fittable, Prediction, Progress, in_parallel, plan
-from core.evaluate.ride_filter import Judged, judged
+from core.evaluate.paper.accessories import compute_figure_1
+from core.evaluate.paper.held_out import HeldOutPredictions, select_comparable
+from core.evaluate.paper.runs import EvaluatedRecipe, Prediction, Progress, plan_runs, run_in_parallel
+from core.evaluate.ride_filter import EvaluatedRides, filter_rides
 from core.fit.recipes import RECIPES
 from core.fit.segment_network import SegmentRecipe, build_segments
 from core.models.features import list_raw_columns
@@ -32,7 +32,7 @@ Run = tuple[Kind, Hashable, str]
 """Kind of split, which of them, and recipe."""
 
 
-def chosen(names: str | None, windows: pd.DataFrame | None, seed: int = 0) -> dict[str, Fittable]:
+def select_recipes(names: str | None, windows: pd.DataFrame | None, seed: int = 0) -> dict[str, EvaluatedRecipe]:
     """Return recipes to judge by their names.
 
     Parameters
@@ -49,7 +49,7 @@ def chosen(names: str | None, windows: pd.DataFrame | None, seed: int = 0) -> di
     SettingsError
         Where a name is unknown, or the segment model is asked for and there are no windows.
     """
-    known: dict[str, Fittable] = dict(RECIPES)
+    known: dict[str, EvaluatedRecipe] = dict(RECIPES)
     if windows is not None:
         known[SEGMENTS] = SegmentRecipe(build_segments(windows), seed)
     if names is None:
@@ -67,7 +67,7 @@ def chosen(names: str | None, windows: pd.DataFrame | None, seed: int = 0) -> di
 
 def evaluate(
     rides: pd.DataFrame,
-    recipes: Mapping[str, Fittable],
+    recipes: Mapping[str, EvaluatedRecipe],
     *,
     seed: int = 0,
     repeats: int = REPEATS,
@@ -81,7 +81,7 @@ def evaluate(
     rides : DataFrame
         As `core.totals.tables.ride_table` makes it.
     recipes : mapping of str to Fittable
-        Those of `chosen`.
+        Those of `select_recipes`.
     seed : int
         Of splits and draws.
     repeats : int
@@ -96,30 +96,30 @@ def evaluate(
     ModelError
         Where the table cannot be judged, lacks a column that a recipe reads, or no recipe can be fitted to it.
     """
-    table = judged(rides)
+    table = filter_rides(rides)
     _check_columns(recipes, table)
     splits = _splits(table, seed, repeats)
     calls: dict[Any, Callable[[], Any]] = {
-        (kind, *run): call for kind, own in splits.items() for run, call in plan(recipes, table, own).items()
+        (kind, *run): call for kind, own in splits.items() for run, call in plan_runs(recipes, table, own).items()
     }
-    few = new_vehicle.plan(new_vehicle.learners(recipes), table, seed)
+    few = new_vehicle.plan_learning_curves(new_vehicle.list_learners(recipes), table, seed)
     calls |= {("few", *key): call for key, call in few.items()}
-    calls |= {("selection", name): call for name, call in selection.plan(table, recipes, seed).items()}
-    done = in_parallel(calls, jobs, progress)
+    calls |= {("selection", name): call for name, call in selection.plan_selection(table, recipes, seed).items()}
+    done = run_in_parallel(calls, jobs, progress)
     held = {kind: _held(done, kind, splits[kind], recipes, table) for kind in ("ride", "vehicle", "date")}
     if not held["ride"].recipes:
         raise ModelError(f"no recipe can be judged: {held['ride'].notes[0]}")
     new = {name: _held(done, "new", {name: split}, recipes, table) for name, split in splits["new"].items()}
-    curves, failed = new_vehicle.curves({key: done["few", *key] for key in few})
+    curves, failed = new_vehicle.tabulate_learning_curves({key: done["few", *key] for key in few})
     found = _tables(table, held, new, seed, repeats)
     found["few_shot"] = curves
     found["selection"] = next((value for key, value in done.items() if key[0] == "selection"), {})
     found["recipes"] = {name: recipe.title for name, recipe in recipes.items() if name in held["ride"].recipes}
     found["about"]["notes"] = _notes(splits, held, new) + failed
-    return results.plain(found)
+    return results.to_json_values(found)
 
 
-def _check_columns(recipes: Mapping[str, Fittable], table: Judged) -> None:
+def _check_columns(recipes: Mapping[str, EvaluatedRecipe], table: EvaluatedRides) -> None:
     """Refuse, before minutes of work, a table that lacks a column of a recipe's terms."""
     for name, recipe in recipes.items():
         for term in getattr(recipe, "terms", ()):
@@ -131,7 +131,7 @@ def _check_columns(recipes: Mapping[str, Fittable], table: Judged) -> None:
                     )
 
 
-def _splits(table: Judged, seed: int, repeats: int) -> dict[Kind, dict[Any, Split]]:
+def _splits(table: EvaluatedRides, seed: int, repeats: int) -> dict[Kind, dict[Any, Split]]:
     """Return all splits, by kind."""
     rides = table.rides
     models, cars, dates = (rides[name].astype(str).tolist() for name in ("vehicle_model", "vehicle_id", "date"))
@@ -139,7 +139,7 @@ def _splits(table: Judged, seed: int, repeats: int) -> dict[Kind, dict[Any, Spli
         "ride": dict(enumerate(split_by_ride(list(zip(models, table.cluster.tolist(), strict=True)), seed, repeats))),
         "vehicle": dict(enumerate(split_by_vehicle(models, cars, seed))),
         "date": dict(enumerate(split_by_date(dates))),
-        "new": new_vehicle.left_out(table),
+        "new": new_vehicle.split_by_vehicle_model(table),
     }
 
 
@@ -147,47 +147,53 @@ def _held(
     done: Mapping[Any, Prediction],
     kind: Kind,
     splits: Mapping[Hashable, Split],
-    recipes: Mapping[str, Fittable],
-    table: Judged,
-) -> HeldOut:
+    recipes: Mapping[str, EvaluatedRecipe],
+    table: EvaluatedRides,
+) -> HeldOutPredictions:
     """Return what was said on splits of a kind, by recipes in order."""
-    return held_out({name: [done[kind, key, name] for key in splits] for name in recipes}, len(table.rides))
+    return select_comparable({name: [done[kind, key, name] for key in splits] for name in recipes}, len(table.rides))
 
 
 def _tables(
-    table: Judged, held: Mapping[Kind, HeldOut], new: Mapping[Any, HeldOut], seed: int, repeats: int
+    table: EvaluatedRides,
+    held: Mapping[Kind, HeldOutPredictions],
+    new: Mapping[Any, HeldOutPredictions],
+    seed: int,
+    repeats: int,
 ) -> dict[str, Any]:
     """Return everything that follows from predictions."""
     ride = held["ride"]
-    found: dict[str, Any] = {"about": results.about(table, seed, repeats, TEST_SHARE)}
-    found |= results.tables_2_and_3(table)
-    found |= results.tables_4_to_11(ride, table)
-    found |= results.difference_scores(ride, table)
-    found |= breakdown.overall(ride, table)
-    found["by"] = breakdown.by(ride, table)
-    found["coverage"] = breakdown.coverages(ride, table)
+    found: dict[str, Any] = {"about": results.describe_evaluation(table, seed, repeats, TEST_SHARE)}
+    found |= results.compute_tables_2_and_3(table)
+    found |= results.compute_tables_4_to_11(ride, table)
+    found |= results.compute_difference_scores(ride, table)
+    found |= breakdown.compute_overall_errors(ride, table)
+    found["by"] = breakdown.compute_errors_by_bin(ride, table)
+    found["coverage"] = breakdown.compute_interval_coverage(ride, table)
     for kind in ("vehicle", "date"):
-        for recipe, figures in breakdown.coverages(held[kind], table).items():
+        for recipe, figures in breakdown.compute_interval_coverage(held[kind], table).items():
             found["coverage"].setdefault(recipe, {})[f"by_{kind}"] = figures["overall"]
-    for recipe, figures in breakdown.coverages(together(new), table).items():
+    for recipe, figures in breakdown.compute_interval_coverage(concatenate_held_out(new), table).items():
         found["coverage"].setdefault(recipe, {})["new_vehicle"] = figures["overall"]
     found["splits"] = {"ride": _averages(found["mae"], table)} | {
         kind: {
-            recipe: dict(zip(table.vehicle_models, results.pooled_average(held[kind], table, recipe), strict=True))
+            recipe: dict(
+                zip(table.vehicle_models, results.compute_pooled_average(held[kind], table, recipe), strict=True)
+            )
             for recipe in held[kind].recipes
         }
         for kind in ("vehicle", "date")
     }
-    found["new_vehicle"] = new_vehicle.tables_12_and_13(new, table)
-    found["curve"] = figure_1(table)
+    found["new_vehicle"] = new_vehicle.compute_tables_12_and_13(new, table)
+    found["curve"] = compute_figure_1(table)
     return found
 
 
-def together(parts: Mapping[Any, HeldOut]) -> HeldOut:
+def concatenate_held_out(parts: Mapping[Any, HeldOutPredictions]) -> HeldOutPredictions:
     """Return predictions of several kinds of splits as those of one, for the recipes that are in all of them."""
     held = list(parts.values())
     recipes = tuple(r for r in held[0].recipes if all(r in h.recipes for h in held)) if held else ()
-    return HeldOut(
+    return HeldOutPredictions(
         recipes=recipes,
         rows=tuple(rows for h in held for rows in h.rows),
         energy={r: tuple(energy for h in held for energy in h.energy[r]) for r in recipes},
@@ -197,12 +203,14 @@ def together(parts: Mapping[Any, HeldOut]) -> HeldOut:
     )
 
 
-def _averages(mae: Mapping[str, Any], table: Judged) -> dict[str, dict[str, float]]:
+def _averages(mae: Mapping[str, Any], table: EvaluatedRides) -> dict[str, dict[str, float]]:
     """Return the starred averages alone."""
     return {recipe: {m: rows[m]["average"]["value"] for m in table.vehicle_models} for recipe, rows in mae.items()}
 
 
-def _notes(splits: Mapping[Kind, Any], held: Mapping[Kind, HeldOut], new: Mapping[Any, HeldOut]) -> list[str]:
+def _notes(
+    splits: Mapping[Kind, Any], held: Mapping[Kind, HeldOutPredictions], new: Mapping[Any, HeldOutPredictions]
+) -> list[str]:
     """Return what was left out and why; of recipes that have no part in anything, once."""
     notes = []
     for kind, why in (("vehicle", ONE_CAR), ("date", ONE_DATE), ("new", ONE_VEHICLE_MODEL)):

@@ -23,7 +23,7 @@ PHYSICAL: Final = "basic_physical"
 Quantity = Literal["rides", "consumption", "test_consumption", "mae", "new_vehicle_mae", "new_vehicle_relative"]
 
 
-class Published(NamedTuple):
+class PublishedFigure(NamedTuple):
     """A figure of the paper.
 
     Parameters
@@ -75,7 +75,7 @@ class PaperTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     rows: dict[str, dict[str, str]]
 
 
-class Statement(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class PaperStatement(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A figure in the text of the paper, in its unit; what it is of, in our words."""
 
     value: float
@@ -84,7 +84,7 @@ class Statement(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     says: str
 
 
-class Finding(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PaperFinding(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A finding in the text that is no figure, in our words.
 
     Parameters
@@ -115,47 +115,47 @@ class Paper(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     title: str
     vehicle_models: dict[str, PaperModel]
     tables: tuple[PaperTable, ...]
-    statements: dict[str, Statement]
-    findings: tuple[Finding, ...]
+    statements: dict[str, PaperStatement]
+    findings: tuple[PaperFinding, ...]
 
 
 @cache
-def paper() -> Paper:
+def load_paper() -> Paper:
     """Return all that is kept of the paper.
 
     Examples
     --------
-    >>> [table.number for table in paper().tables if table.quantity == "mae"]
+    >>> [table.number for table in load_paper().tables if table.quantity == "mae"]
     [5, 6, 7, 8, 9, 10, 11]
     """
     text = resources.files("core.evaluate.paper").joinpath("paper.toml").read_text(encoding="utf-8")
     return msgspec.convert(tomllib.loads(text), Paper)
 
 
-def paper_key(vehicle_model: str) -> str | None:
+def find_paper_key(vehicle_model: str) -> str | None:
     """Return the paper's vehicle model that one of the catalogue may be set beside, None where it has none.
 
     Examples
     --------
-    >>> paper_key("nissan-leaf-2016"), paper_key("bmw-i3-2014")
+    >>> find_paper_key("nissan-leaf-2016"), find_paper_key("bmw-i3-2014")
     ('nissan-leaf', None)
     """
     if vehicle_model == WEIGHTED:
         return WEIGHTED
-    return next((key for key, model in paper().vehicle_models.items() if vehicle_model in model.catalogue), None)
+    return next((key for key, model in load_paper().vehicle_models.items() if vehicle_model in model.catalogue), None)
 
 
-def rides(vehicle_model: str, cluster: str) -> Published | None:
+def get_ride_count(vehicle_model: str, cluster: str) -> PublishedFigure | None:
     """Return the number of rides, Table 2; the cluster may be `total`."""
     return _figure("rides", vehicle_model, cluster)
 
 
-def consumption(vehicle_model: str, cluster: str) -> Published | None:
+def get_consumption(vehicle_model: str, cluster: str) -> PublishedFigure | None:
     """Return the mean consumption of a ride in kWh, Table 3; the cluster may be `AVERAGE`."""
     return _figure("consumption", vehicle_model, cluster)
 
 
-def consumption_in_tests(vehicle_model: str, cluster: str) -> Published | None:
+def get_test_consumption(vehicle_model: str, cluster: str) -> PublishedFigure | None:
     """Return the mean consumption of a ride of the test sets in kWh, Table 4.
 
     Parameters
@@ -168,7 +168,7 @@ def consumption_in_tests(vehicle_model: str, cluster: str) -> Published | None:
     return _figure("test_consumption", vehicle_model, cluster)
 
 
-def mae(recipe: str, vehicle_model: str, cluster: str) -> Published | None:
+def get_mae(recipe: str, vehicle_model: str, cluster: str) -> PublishedFigure | None:
     """Return a mean absolute error in kWh, Tables 5 to 11; None where the paper has none.
 
     Parameters
@@ -182,88 +182,88 @@ def mae(recipe: str, vehicle_model: str, cluster: str) -> Published | None:
 
     Examples
     --------
-    >>> mae("hybrid_interactions", "kia-soul-ev-2015", "average")
-    Published(value=0.36, ci95=0.024, text='0.36 ± 0.024', table=11)
+    >>> get_mae("hybrid_interactions", "kia-soul-ev-2015", "average")
+    PublishedFigure(value=0.36, ci95=0.024, text='0.36 ± 0.024', table=11)
     """
     return _figure("mae", vehicle_model, cluster, recipe)
 
 
-def new_vehicle_mae(recipe: str, vehicle_model: str) -> Published | None:
+def get_new_vehicle_mae(recipe: str, vehicle_model: str) -> PublishedFigure | None:
     """Return the error in kWh on a vehicle model left out of training, Table 12."""
     return _figure("new_vehicle_mae", vehicle_model, recipe)
 
 
-def new_vehicle_relative(recipe: str, vehicle_model: str) -> Published | None:
+def get_new_vehicle_relative_error(recipe: str, vehicle_model: str) -> PublishedFigure | None:
     """Return the error over the consumption on a vehicle model left out of training, Table 13."""
     return _figure("new_vehicle_relative", vehicle_model, recipe)
 
 
-def table_of(recipe: str) -> int | None:
+def get_table_number(recipe: str) -> int | None:
     """Return the number of the table that holds a recipe's errors."""
-    return next((table.number for table in paper().tables if table.recipe == recipe), None)
+    return next((table.number for table in load_paper().tables if table.recipe == recipe), None)
 
 
-def reduction(recipe: str, vehicle_model: str) -> float | None:
+def get_reduction(recipe: str, vehicle_model: str) -> float | None:
     """Return by what share a recipe's average error is below that of the basic physical model.
 
     The paper does not print it: it follows from the averages of Tables 5 to 11, which are rounded to 0.01 kWh.
     """
-    return _reduction(mae(PHYSICAL, vehicle_model, AVERAGE), mae(recipe, vehicle_model, AVERAGE))
+    return _reduction(get_mae(PHYSICAL, vehicle_model, AVERAGE), get_mae(recipe, vehicle_model, AVERAGE))
 
 
-def new_vehicle_reduction(recipe: str, vehicle_model: str) -> float | None:
+def get_new_vehicle_reduction(recipe: str, vehicle_model: str) -> float | None:
     """Return the same share on a vehicle model left out of training, as it follows from Table 12."""
-    return _reduction(new_vehicle_mae(PHYSICAL, vehicle_model), new_vehicle_mae(recipe, vehicle_model))
+    return _reduction(get_new_vehicle_mae(PHYSICAL, vehicle_model), get_new_vehicle_mae(recipe, vehicle_model))
 
 
-def relative(recipe: str, cluster: str) -> float | None:
+def get_relative_error(recipe: str, cluster: str) -> float | None:
     """Return a point of the paper's Figure 2: error over consumption, all vehicle models together.
 
     The paper prints it as a curve only: it follows from the weighted rows of Table 4 and Tables 5 to 11.
     """
-    error, of = mae(recipe, WEIGHTED, cluster), consumption_in_tests(WEIGHTED, cluster)
+    error, of = get_mae(recipe, WEIGHTED, cluster), get_test_consumption(WEIGHTED, cluster)
     return None if error is None or of is None else error.value / of.value
 
 
-def statement(name: str) -> Statement:
+def get_statement(name: str) -> PaperStatement:
     """Return a figure of the text by its name in `paper.toml`.
 
     Examples
     --------
-    >>> statement("buffer").value
+    >>> get_statement("buffer").value
     1.0
     """
-    return paper().statements[name]
+    return load_paper().statements[name]
 
 
-def findings(name: str) -> tuple[Finding, ...]:
+def get_findings(name: str) -> tuple[PaperFinding, ...]:
     """Return the findings of a name: `dominates`, `rfecv`, `rfe`, `new_vehicle`."""
-    return tuple(finding for finding in paper().findings if finding.name == name)
+    return tuple(finding for finding in load_paper().findings if finding.name == name)
 
 
-def _reduction(reference: Published | None, error: Published | None) -> float | None:
+def _reduction(reference: PublishedFigure | None, error: PublishedFigure | None) -> float | None:
     """Return the share by which an error is below a reference."""
     return None if reference is None or error is None else 1.0 - error.value / reference.value
 
 
-def _figure(quantity: Quantity, vehicle_model: str, column: str, recipe: str | None = None) -> Published | None:
+def _figure(quantity: Quantity, vehicle_model: str, column: str, recipe: str | None = None) -> PublishedFigure | None:
     """Return a figure by its quantity, row and column, None where the paper leaves it out."""
-    row = paper_key(vehicle_model)
+    row = find_paper_key(vehicle_model)
     return None if row is None else _figures().get((quantity, recipe, row, column))
 
 
 @cache
-def _figures() -> Mapping[tuple[str, str | None, str, str], Published]:
+def _figures() -> Mapping[tuple[str, str | None, str, str], PublishedFigure]:
     """Return every figure of the tables by quantity, recipe, row and column."""
     return {
         (table.quantity, table.recipe, row, column): _published(text, table.number)
-        for table in paper().tables
+        for table in load_paper().tables
         for row, cells in table.rows.items()
         for column, text in cells.items()
     }
 
 
-def _published(text: str, table: int) -> Published:
+def _published(text: str, table: int) -> PublishedFigure:
     """Return a figure from its text: `value` or `value ± ci95`."""
     value, _, ci95 = text.partition(" ± ")
-    return Published(float(value), float(ci95) if ci95 else None, text, table)
+    return PublishedFigure(float(value), float(ci95) if ci95 else None, text, table)

@@ -7,8 +7,16 @@ import numpy as np
 import pandas as pd
 
 from core.batch import Floats
-from core.evaluate.paper.held_out import HeldOut, averages, cells, errors, grid, table, weighted
-from core.evaluate.ride_filter import CLUSTERS, SCORED, Judged
+from core.evaluate.paper.held_out import (
+    HeldOutPredictions,
+    average_over_clusters,
+    average_over_vehicle_models,
+    compute_absolute_errors,
+    compute_cell_means,
+    estimate_cells,
+    tabulate_estimates,
+)
+from core.evaluate.ride_filter import CLUSTERS, SCORED_CLUSTERS, EvaluatedRides
 from core.stats import multiple_testing
 from core.stats.scores import Estimate, average_over_repeats, combine_strata, compute_group_means
 
@@ -18,7 +26,7 @@ ALL: Final = "all"
 """Stands for all vehicle models together in the difference score."""
 
 
-def about(judged: Judged, seed: int, repeats: int, test_share: float) -> dict[str, Any]:
+def describe_evaluation(judged: EvaluatedRides, seed: int, repeats: int, test_share: float) -> dict[str, Any]:
     """Return what was evaluated."""
     dates = judged.rides["date"]
     return {
@@ -29,7 +37,7 @@ def about(judged: Judged, seed: int, repeats: int, test_share: float) -> dict[st
         "repeats": repeats,
         "test_share": test_share,
         "vehicle_models": list(judged.vehicle_models),
-        "clusters": list(CLUSTERS[:SCORED]),
+        "clusters": list(CLUSTERS[:SCORED_CLUSTERS]),
         "first_date": str(dates.min()),
         "last_date": str(dates.max()),
         "energy_source": _sources(judged.rides),
@@ -46,7 +54,7 @@ def _sources(rides: pd.DataFrame) -> dict[str, float]:
     return found
 
 
-def tables_2_and_3(judged: Judged) -> dict[str, Any]:
+def compute_tables_2_and_3(judged: EvaluatedRides) -> dict[str, Any]:
     """Return `rides` and `consumption`: number and mean energy of rides by vehicle model and cluster."""
     models, many = len(judged.vehicle_models), len(CLUSTERS)
     count = judged.count()
@@ -61,28 +69,38 @@ def tables_2_and_3(judged: Judged) -> dict[str, Any]:
     return {"rides": rides, "consumption": consumption}
 
 
-def tables_4_to_11(held: HeldOut, judged: Judged) -> dict[str, Any]:
+def compute_tables_4_to_11(held: HeldOutPredictions, judged: EvaluatedRides) -> dict[str, Any]:
     """Return `test_consumption`, `mae`, and what follows from them: `reduction` and `relative`."""
-    used = grid(cells(held, judged, [judged.energy[rows] for rows in held.rows]), held.overlap)
-    grids = {r: grid(cells(held, judged, errors(held, judged, r)), held.overlap) for r in held.recipes}
+    used = estimate_cells(compute_cell_means(held, judged, [judged.energy[rows] for rows in held.rows]), held.overlap)
+    grids = {
+        r: estimate_cells(compute_cell_means(held, judged, compute_absolute_errors(held, judged, r)), held.overlap)
+        for r in held.recipes
+    }
     found: dict[str, Any] = {
-        "test_consumption": table(used, judged),
-        "mae": {recipe: table(estimates, judged) for recipe, estimates in grids.items()},
+        "test_consumption": tabulate_estimates(used, judged),
+        "mae": {recipe: tabulate_estimates(estimates, judged) for recipe, estimates in grids.items()},
         "relative": {
             recipe: {
                 name: error.value / mean.value
                 for name, error, mean in zip(
-                    CLUSTERS[:SCORED], weighted(estimates, judged), weighted(used, judged), strict=True
+                    CLUSTERS[:SCORED_CLUSTERS],
+                    average_over_vehicle_models(estimates, judged),
+                    average_over_vehicle_models(used, judged),
+                    strict=True,
                 )
             }
             for recipe, estimates in grids.items()
         },
     }
-    means = {recipe: [average.value for average in averages(estimates)] for recipe, estimates in grids.items()}
-    return found | {"reduction": reductions(means, judged.vehicle_models)}
+    means = {
+        recipe: [average.value for average in average_over_clusters(estimates)] for recipe, estimates in grids.items()
+    }
+    return found | {"reduction": compute_reductions(means, judged.vehicle_models)}
 
 
-def reductions(means: Mapping[str, Sequence[float]], vehicle_models: Sequence[str]) -> dict[str, dict[str, float]]:
+def compute_reductions(
+    means: Mapping[str, Sequence[float]], vehicle_models: Sequence[str]
+) -> dict[str, dict[str, float]]:
     """Return by what share the error of each recipe is below the reference's, and the mean over vehicle models.
 
     Parameters
@@ -103,22 +121,25 @@ def reductions(means: Mapping[str, Sequence[float]], vehicle_models: Sequence[st
     return found
 
 
-def difference_scores(held: HeldOut, judged: Judged) -> dict[str, Any]:
+def compute_difference_scores(held: HeldOutPredictions, judged: EvaluatedRides) -> dict[str, Any]:
     """Return `difference` and `dominates` of each vehicle model and of all together.
 
     `value`, `ci95` and `p` of a pair `a|b` are of the mean over rides of the error of a less that of b, and `average`
     holds the same for the post-stratified average over clusters, the starred one; `p` is adjusted over all pairs. Who
     dominates follows from the mean over rides, `dominates_average` from the starred average.
     """
-    ridden = {r: _per_ride(held, judged, errors(held, judged, r)) for r in held.recipes}
-    scored = {r: cells(held, judged, errors(held, judged, r)) for r in held.recipes}
+    ridden = {r: _per_ride(held, judged, compute_absolute_errors(held, judged, r)) for r in held.recipes}
+    scored = {r: compute_cell_means(held, judged, compute_absolute_errors(held, judged, r)) for r in held.recipes}
     pairs = multiple_testing.list_pairs(held.recipes)
     by_model: list[tuple[dict[Any, Estimate], dict[Any, Estimate]]] = []
     for m in range(len(judged.vehicle_models)):
         rides = {(a, b): average_over_repeats(ridden[a][:, m] - ridden[b][:, m], held.overlap) for a, b in pairs}
         average = {
             (a, b): combine_strata(
-                [average_over_repeats(scored[a][:, m, c] - scored[b][:, m, c], held.overlap) for c in range(SCORED)]
+                [
+                    average_over_repeats(scored[a][:, m, c] - scored[b][:, m, c], held.overlap)
+                    for c in range(SCORED_CLUSTERS)
+                ]
             )
             for a, b in pairs
         }
@@ -135,12 +156,15 @@ def difference_scores(held: HeldOut, judged: Judged) -> dict[str, Any]:
         found["difference"][name] = _pairs(rides, average)
         mean = {r: _mean(ridden[r][:, own], weights[own]) for r in held.recipes}
         found["dominates"][name] = multiple_testing.select_dominating(mean, rides)
-        mean = {r: combine_strata(averages(grid(scored[r][:, own], held.overlap))).value for r in held.recipes}
+        mean = {
+            r: combine_strata(average_over_clusters(estimate_cells(scored[r][:, own], held.overlap))).value
+            for r in held.recipes
+        }
         found["dominates_average"][name] = multiple_testing.select_dominating(mean, average)
     return found
 
 
-def _per_ride(held: HeldOut, judged: Judged, values: Sequence[Floats]) -> Floats:
+def _per_ride(held: HeldOutPredictions, judged: EvaluatedRides, values: Sequence[Floats]) -> Floats:
     """Return means over the rides of each vehicle model, (repeats, vehicle models)."""
     models = len(judged.vehicle_models)
     return np.array(
@@ -167,30 +191,30 @@ def _pairs(rides: Mapping[Any, Estimate], average: Mapping[Any, Estimate]) -> di
     }
 
 
-def plain(value: Any) -> Any:
+def to_json_values(value: Any) -> Any:
     """Return a result as JSON has it: plain numbers, None for what is not known.
 
     Examples
     --------
-    >>> plain({"a": np.float64(1.5), "b": [float("nan"), np.int64(2)]})
+    >>> to_json_values({"a": np.float64(1.5), "b": [float("nan"), np.int64(2)]})
     {'a': 1.5, 'b': [None, 2]}
     """
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): to_json_values(item) for key, item in value.items()}
     if isinstance(value, list | tuple | np.ndarray):
-        return [plain(item) for item in value]
+        return [to_json_values(item) for item in value]
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-def pooled_average(held: HeldOut, judged: Judged, recipe: str) -> list[float]:
+def compute_pooled_average(held: HeldOutPredictions, judged: EvaluatedRides, recipe: str) -> list[float]:
     """Return the error over all folds together, averaged over clusters, of each vehicle model. [kWh]
 
     A cluster counts where the table has rides enough and the folds held out any of them.
     """
     rows = held.pooled
     error = np.abs(held.all_of(recipe) - judged.energy[rows])
-    once = HeldOut(held.recipes, (rows,), {}, {}, held.overlap, ())
-    means: Floats = cells(once, judged, [error])[0]
+    once = HeldOutPredictions(held.recipes, (rows,), {}, {}, held.overlap, ())
+    means: Floats = compute_cell_means(once, judged, [error])[0]
     return [float(row[~np.isnan(row)].mean()) if np.any(~np.isnan(row)) else np.nan for row in means]

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from core.batch import Floats
 from core.errors import SocastError
-from core.evaluate.ride_filter import Judged
+from core.evaluate.ride_filter import EvaluatedRides
 from core.stats.splits import Positions, Split
 
 LEVEL: Final = 0.9
@@ -28,14 +28,14 @@ Key = TypeVar("Key", bound=Hashable)
 Result = TypeVar("Result")
 
 
-class Fitted(Protocol):
+class FittedModel(Protocol):
     """What a recipe gives: a model."""
 
     def predict(self, columns: Any) -> Floats:
         """Return the energy of rides. [kWh]"""
 
 
-class Fittable(Protocol):
+class EvaluatedRecipe(Protocol):
     """What is judged: a recipe, as a black box."""
 
     @property
@@ -46,7 +46,7 @@ class Fittable(Protocol):
     def title(self) -> str:
         """For people, as the paper has it."""
 
-    def fit(self, rides: pd.DataFrame) -> Fitted:
+    def fit(self, rides: pd.DataFrame) -> FittedModel:
         """Return a model of these rides."""
 
 
@@ -72,7 +72,7 @@ class Prediction(NamedTuple):
     problem: str = ""
 
 
-def predicted(recipe: Fittable, judged: Judged, split: Split) -> Prediction:
+def fit_and_predict(recipe: EvaluatedRecipe, judged: EvaluatedRides, split: Split) -> Prediction:
     """Fit a recipe to the one side of a split and let it predict the other, of which it does not see the answer."""
     try:
         model = recipe.fit(judged.rides.iloc[split.train])
@@ -86,7 +86,7 @@ def predicted(recipe: Fittable, judged: Judged, split: Split) -> Prediction:
         return Prediction(split.test, np.full(len(split.test), np.nan), problem=str(error))
 
 
-def in_parallel(
+def run_in_parallel(
     calls: Mapping[Key, Callable[[], Result]], jobs: int = 1, progress: Progress | None = None
 ) -> dict[Key, Result]:
     """Return what calls give, by their keys.
@@ -99,7 +99,7 @@ def in_parallel(
         Processes; 1 is this one.
     progress : callable, optional
     """
-    tell = progress or _silent
+    tell = progress or _ignore_progress
     found: dict[Key, Result] = {}
     tell(0, len(calls))
     if jobs == 1:
@@ -115,12 +115,12 @@ def in_parallel(
     return found
 
 
-def plan(
-    recipes: Mapping[str, Fittable], judged: Judged, splits: Mapping[Hashable, Split]
+def plan_runs(
+    recipes: Mapping[str, EvaluatedRecipe], judged: EvaluatedRides, splits: Mapping[Hashable, Split]
 ) -> dict[tuple[Hashable, str], Callable[[], Prediction]]:
     """Return the calls that judge every recipe on every split, by split and recipe; the last recipes first."""
     return {
-        (key, name): partial(predicted, recipe, judged, split)
+        (key, name): partial(fit_and_predict, recipe, judged, split)
         for name, recipe in reversed(list(recipes.items()))
         for key, split in splits.items()
     }
@@ -132,5 +132,5 @@ def _in_one_thread(call: Callable[[], Result]) -> Result:
         return call()
 
 
-def _silent(_done: int, _of: int) -> None:
+def _ignore_progress(_done: int, _of: int) -> None:
     """Tell nobody."""

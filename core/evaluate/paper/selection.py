@@ -25,7 +25,7 @@ from sklearn.feature_selection import RFE, RFECV
 from sklearn.model_selection import KFold
 
 from core.batch import Floats
-from core.evaluate.ride_filter import Judged
+from core.evaluate.ride_filter import EvaluatedRides
 from core.fit.fitting import build_design
 from core.fit.recipes import LinearRecipe
 from core.fit.regression import Moments, solve
@@ -36,22 +36,22 @@ from core.stats.scores import Codes, Estimate, average_over_repeats
 from core.stats.splits import Positions, Split, split_by_ride
 
 RECIPE: Final = "hybrid"
-MOST: Final = 20_000
+MOST_RIDES: Final = 20_000
 """Rides that are used; of more, some drawn at random."""
-RIDES_A_TERM: Final = 10
+RIDES_PER_TERM: Final = 10
 """Rides for each term that a vehicle model needs in either half to take part."""
 FOLDS: Final = 5
 """Of the cross-validation."""
 REPEATS: Final = 10
 """Splits of the half that judges."""
-KEPT: Final = 1e100
+KEPT_IMPORTANCE: Final = 1e100
 """Importance of what is not to be eliminated."""
 
 
-class ByVehicleModel(RegressorMixin, BaseEstimator):  # type: ignore[misc]
+class VehicleModelRegression(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     """Least squares with a constant, for each vehicle model on its own.
 
-    The first column is the position of the vehicle model; its importance is `KEPT`, so that elimination keeps it.
+    The first column is the position of the vehicle model; its importance is `KEPT_IMPORTANCE`, so that elimination keeps it.
     """
 
     def fit(self, x: Floats, y: Floats) -> Self:
@@ -65,7 +65,7 @@ class ByVehicleModel(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             solution = solve(moments, constant=True)
             self.coefficients_[int(model)] = (solution.coefficients, solution.constant or 0.0)
             squares += np.sum(own) * solution.coefficients**2
-        self.importance_ = np.append(KEPT, np.sqrt(squares / len(x)))
+        self.importance_ = np.append(KEPT_IMPORTANCE, np.sqrt(squares / len(x)))
         return self
 
     def predict(self, x: Floats) -> Floats:
@@ -99,13 +99,13 @@ class Design(NamedTuple):
         return Design(self.table[rows], self.energy[rows], [self.strata[i] for i in rows.tolist()])
 
 
-def plan(judged: Judged, recipes: Mapping[str, Any], seed: int) -> dict[str, Callable[[], Any]]:
+def plan_selection(judged: EvaluatedRides, recipes: Mapping[str, Any], seed: int) -> dict[str, Callable[[], Any]]:
     """Return the call that finds which terms can go, by recipe; none where the recipe is not judged."""
     recipe = recipes.get(RECIPE)
-    return {RECIPE: partial(removable, recipe, judged, seed)} if isinstance(recipe, LinearRecipe) else {}
+    return {RECIPE: partial(find_removable_terms, recipe, judged, seed)} if isinstance(recipe, LinearRecipe) else {}
 
 
-def removable(recipe: LinearRecipe, judged: Judged, seed: int) -> dict[str, Any]:
+def find_removable_terms(recipe: LinearRecipe, judged: EvaluatedRides, seed: int) -> dict[str, Any]:
     """Return which terms can be taken out of a recipe.
 
     Returns
@@ -125,17 +125,17 @@ def removable(recipe: LinearRecipe, judged: Judged, seed: int) -> dict[str, Any]
     varies = np.ptp(whole.table[:, 1:], axis=0) > 0.0
     whole = whole._replace(table=whole.table[:, np.append(True, varies)])
     names = np.array([term.name for term in terms])
-    found = ranked(whole.part(halves.train), names[varies].tolist(), seed)
-    return {"constant": names[~varies].tolist()} | _priced(found, names[varies], whole.part(halves.test), seed)
+    found = rank_terms(whole.part(halves.train), names[varies].tolist(), seed)
+    return {"constant": names[~varies].tolist()} | _add_losses(found, names[varies], whole.part(halves.test), seed)
 
 
-def ranked(rides: Design, names: Sequence[str], seed: int) -> dict[str, Any]:
+def rank_terms(rides: Design, names: Sequence[str], seed: int) -> dict[str, Any]:
     """Return what elimination says: `order` in which terms go, those `cut` by cross-validation, and its `scores`."""
     options: dict[str, Any] = {"importance_getter": "importance_"}
-    order = RFE(ByVehicleModel(), n_features_to_select=2, **options).fit(rides.table, rides.energy)
+    order = RFE(VehicleModelRegression(), n_features_to_select=2, **options).fit(rides.table, rides.energy)
     folds = KFold(FOLDS, shuffle=True, random_state=seed)
     score = "neg_mean_absolute_error"
-    tried = RFECV(ByVehicleModel(), cv=folds, scoring=score, min_features_to_select=2, **options)
+    tried = RFECV(VehicleModelRegression(), cv=folds, scoring=score, min_features_to_select=2, **options)
     tried.fit(rides.table, rides.energy)
     results = tried.cv_results_
     return {
@@ -148,10 +148,10 @@ def ranked(rides: Design, names: Sequence[str], seed: int) -> dict[str, Any]:
     }
 
 
-def _priced(found: Mapping[str, Any], names: NDArray[np.str_], design: Design, seed: int) -> dict[str, Any]:
+def _add_losses(found: Mapping[str, Any], names: NDArray[np.str_], design: Design, seed: int) -> dict[str, Any]:
     """Return `rfecv` and `rfe` with what they cost on rides that had no say in them."""
     order = found["order"]
-    price, *steps = losses(design, [found["cut"], *(order[: i + 1] for i in range(len(order)))], seed)
+    price, *steps = compute_losses(design, [found["cut"], *(order[: i + 1] for i in range(len(order)))], seed)
     gone = next((i for i, loss in enumerate(steps) if loss.value > 0.0 and loss.p < SIGNIFICANCE), len(steps))
     return {
         "rfecv": {"removed": names[found["cut"]].tolist(), "scores": found["scores"], "loss": _figures(price)},
@@ -165,7 +165,7 @@ def _priced(found: Mapping[str, Any], names: NDArray[np.str_], design: Design, s
     }
 
 
-def losses(design: Design, removed: Sequence[Codes], seed: int) -> list[Estimate]:
+def compute_losses(design: Design, removed: Sequence[Codes], seed: int) -> list[Estimate]:
     """Return by how much the error grows when terms are taken out, over splits of these rides.
 
     Parameters
@@ -198,16 +198,18 @@ def _errors(design: Design, kept: Sequence[Codes], split: Split) -> Floats:
     return found / len(test.energy)
 
 
-def _halves(judged: Judged, terms: int, seed: int) -> tuple[Positions, Split]:
+def _halves(judged: EvaluatedRides, terms: int, seed: int) -> tuple[Positions, Split]:
     """Return the rides that take part, and the half of them that ranks (`train`) and the one that judges (`test`)."""
-    enough = np.bincount(judged.model) >= 2 * RIDES_A_TERM * terms
+    enough = np.bincount(judged.model) >= 2 * RIDES_PER_TERM * terms
     rides = np.flatnonzero(enough[judged.model])
-    rides = np.sort(np.random.default_rng(seed).permutation(rides)[:MOST])
+    rides = np.sort(np.random.default_rng(seed).permutation(rides)[:MOST_RIDES])
     strata = [(judged.vehicle_models[judged.model[i]], int(judged.cluster[i])) for i in rides.tolist()]
     return rides, split_by_ride(strata, seed, repeats=1, test_share=0.5)[0]
 
 
-def _design(recipe: LinearRecipe, terms: tuple[Term, ...], judged: Judged, rides: Positions, halves: Split) -> Design:
+def _design(
+    recipe: LinearRecipe, terms: tuple[Term, ...], judged: EvaluatedRides, rides: Positions, halves: Split
+) -> Design:
     """Return rides as the recipe's fit to the half that ranks would see them."""
     table = judged.rides.iloc[rides]
     fits = recipe.fit(table.iloc[halves.train]).fits

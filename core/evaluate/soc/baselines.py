@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from core.batch import Floats
-from core.evaluate.soc.cases import KEY, keyed
+from core.evaluate.soc.cases import SHIFT_KEY, normalise_keys
 from core.vehicles import load_catalogue
 
 BASELINES: Final[Mapping[str, str]] = MappingProxyType(
@@ -28,19 +28,19 @@ BASELINES: Final[Mapping[str, str]] = MappingProxyType(
     }
 )
 """What a person would use -> what it is called."""
-SETTLED: Final = 900.0
+LEAST_PACE_TIME: Final = 900.0
 """Nobody carries on a pace that was seen for less time. [s]"""
-REMEMBERED: Final = 20
+LEAST_ERRORS: Final = 20
 """Shifts from which on somebody knows how far off a reckoning is: as many as an interval asks for."""
 
 
-def baselines(cases: pd.DataFrame, outlooks: pd.DataFrame, shifts: pd.DataFrame) -> pd.DataFrame:
+def compute_baselines(cases: pd.DataFrame, outlooks: pd.DataFrame, shifts: pd.DataFrame) -> pd.DataFrame:
     """Return what each baseline expects at the shift's end.
 
     Parameters
     ----------
     cases : DataFrame
-        Of `core.evaluate.soc.cases.judged`.
+        Of `core.evaluate.soc.cases.select_cases`.
     outlooks, shifts : DataFrame
         All that the pipeline told.
 
@@ -53,13 +53,13 @@ def baselines(cases: pd.DataFrame, outlooks: pd.DataFrame, shifts: pd.DataFrame)
     return pd.DataFrame({name: np.clip(found[name], 0.0, 100.0) for name in BASELINES})
 
 
-def leg_baselines(cases: pd.DataFrame, shifts: pd.DataFrame) -> pd.DataFrame:
+def compute_leg_baselines(cases: pd.DataFrame, shifts: pd.DataFrame) -> pd.DataFrame:
     """Return what each baseline expects at a leg's end; the car's own pace says nothing of legs.
 
     Parameters
     ----------
     cases : DataFrame
-        Of `core.evaluate.soc.legs.leg_cases`.
+        Of `core.evaluate.soc.legs.match_legs_to_rides`.
     shifts : DataFrame
         All that ended.
 
@@ -77,13 +77,13 @@ def _by_rates(cases: pd.DataFrame, shifts: pd.DataFrame) -> dict[str, Floats]:
     rating = [
         known.rated_kwh_per_km if (known := load_catalogue().get(key)) else None for key in cases["vehicle_model"]
     ]
-    rates = {"model_mean": mean_consumption(cases, shifts), "rating": np.array(rating, dtype=np.float64)}
+    rates = {"model_mean": compute_mean_consumption(cases, shifts), "rating": np.array(rating, dtype=np.float64)}
     km, capacity = (cases[name].to_numpy(np.float64) for name in ("ahead_km", "capacity_kwh"))
     soc = cases["soc_pct"].to_numpy(np.float64)
     return {name: soc - 100.0 * rate * km / capacity for name, rate in rates.items()}
 
 
-def mean_consumption(cases: pd.DataFrame, shifts: pd.DataFrame) -> Floats:
+def compute_mean_consumption(cases: pd.DataFrame, shifts: pd.DataFrame) -> Floats:
     """Return the mean consumption of each case's vehicle model, over shifts that ended before its own began.
 
     Shifts in which the car charged, or nobody had a ride, tell nothing.
@@ -104,7 +104,7 @@ def mean_consumption(cases: pd.DataFrame, shifts: pd.DataFrame) -> Floats:
     return found.sort_values("place")["rate"].to_numpy(np.float64)
 
 
-def risk_by_earlier(expected: Floats, became: Floats, time: Floats, ended: Floats, levels: Floats) -> Floats:
+def compute_empirical_risk(expected: Floats, became: Floats, time: Floats, ended: Floats, levels: Floats) -> Floats:
     """Return the probability of ending below levels, by how far off the same reckoning was before.
 
     Parameters
@@ -120,12 +120,12 @@ def risk_by_earlier(expected: Floats, became: Floats, time: Floats, ended: Float
     -------
     (n, levels) float64
         Share of those that were known by then whose error would lead below, half a one more among one more; NaN where
-        fewer than `REMEMBERED` were known.
+        fewer than `LEAST_ERRORS` were known.
 
     Examples
     --------
     >>> n = np.arange(30.0)
-    >>> risk_by_earlier(np.full(30, 50.0), 50.0 - n % 2, n, n + 0.5, np.full((30, 1), 49.5))[-1].round(2).tolist()
+    >>> compute_empirical_risk(np.full(30, 50.0), 50.0 - n % 2, n, n + 0.5, np.full((30, 1), 49.5))[-1].round(2).tolist()
     [0.48]
     """
     known = np.flatnonzero(np.isfinite(expected))
@@ -137,7 +137,7 @@ def risk_by_earlier(expected: Floats, became: Floats, time: Floats, ended: Float
         while following is not None and ended[following] <= time[row]:
             insort(errors, float(became[following] - expected[following]))
             following = next(coming, None)
-        if len(errors) >= REMEMBERED:
+        if len(errors) >= LEAST_ERRORS:
             worse = [bisect_left(errors, float(level - expected[row])) for level in levels[row]]
             out[row] = (np.array(worse) + 0.5) / (len(errors) + 1.0)
     return out
@@ -149,7 +149,7 @@ def _linear(cases: pd.DataFrame, outlooks: pd.DataFrame) -> Floats:
     time, soc = cases["time_s"].to_numpy(np.float64), cases["soc_pct"].to_numpy(np.float64)
     left = np.maximum(cases["shift_end_s"].to_numpy(np.float64) - time, 0.0)
     passed = time - since
-    pace = np.divide(soc_then - soc, passed, out=np.full(len(cases), np.nan), where=passed >= SETTLED)
+    pace = np.divide(soc_then - soc, passed, out=np.full(len(cases), np.nan), where=passed >= LEAST_PACE_TIME)
     found: Floats = soc - pace * left
     return found
 
@@ -157,9 +157,9 @@ def _linear(cases: pd.DataFrame, outlooks: pd.DataFrame) -> Floats:
 def _begun(cases: pd.DataFrame, outlooks: pd.DataFrame) -> tuple[Floats, Floats]:
     """Return when the pace began, [s], and the state of charge then, [%]: with the shift, or first after a charge."""
     begun = cases[["begin_s", "soc_begin_pct"]].to_numpy(np.float64, copy=True)
-    asked = cases[[*KEY, "charged_s"]].assign(place=np.arange(len(cases))).dropna(subset="charged_s")
-    told = keyed(outlooks)[[*KEY, "time_s", "soc_pct"]].sort_values("time_s", kind="stable")
+    asked = cases[[*SHIFT_KEY, "charged_s"]].assign(place=np.arange(len(cases))).dropna(subset="charged_s")
+    told = normalise_keys(outlooks)[[*SHIFT_KEY, "time_s", "soc_pct"]].sort_values("time_s", kind="stable")
     asked = asked.sort_values("charged_s", kind="stable")
-    found = pd.merge_asof(asked, told, left_on="charged_s", right_on="time_s", by=KEY, direction="forward")
+    found = pd.merge_asof(asked, told, left_on="charged_s", right_on="time_s", by=SHIFT_KEY, direction="forward")
     begun[found["place"].to_numpy()] = found[["time_s", "soc_pct"]].to_numpy(np.float64)
     return begun[:, 0], begun[:, 1]

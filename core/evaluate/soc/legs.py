@@ -11,25 +11,25 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from core.evaluate.soc.cases import DAY, KEY, keyed
+from core.evaluate.soc.cases import DAY, SHIFT_KEY, normalise_keys
 from core.forecast.plan_tracker import SHORTEST_RIDE
 from core.wire.messages import Outlook
 
-EVERY: Final = 1800.0
+QUERY_INTERVAL: Final = 1800.0
 """Time between two questions about a car. [s]"""
 MINUTES: Final = (30, 60, 120, 240)
 """Ends of the bands of the time from a question to the leg's end; the first and last band are open. [min]"""
-ASKED: Final = [*KEY, "time_s", "leg", "ahead_km", "soc_pct", "soc_mean_pct", "soc_p05_pct", "soc_p95_pct"]
+LEG_COLUMNS: Final = [*SHIFT_KEY, "time_s", "leg", "ahead_km", "soc_pct", "soc_mean_pct", "soc_p05_pct", "soc_p95_pct"]
 """Of each leg that was asked about: when; its place, from 0; kilometres of legs up to its end; the charge then, and
 what was told of that at its end."""
 
-OF_RIDES: Final = {"end_s": "ride_end_s", "soc_end_pct": "soc_end_pct", "time_since_charge_s": "since_charge_s"}
+RIDE_COLUMNS: Final = {"end_s": "ride_end_s", "soc_end_pct": "soc_end_pct", "time_since_charge_s": "since_charge_s"}
 """Columns of rides that judging needs, and what they are called here."""
-OF_SHIFTS: Final = ["vehicle_model", "begin_s", "end_s", "charged_s", "capacity_kwh"]
+LEG_SHIFT_COLUMNS: Final = ["vehicle_model", "begin_s", "end_s", "charged_s", "capacity_kwh"]
 """The same of shifts."""
 
 
-class Questions:
+class LegRecorder:
     """Questions put while a pipeline goes, and the answers.
 
     Parameters
@@ -54,14 +54,14 @@ class Questions:
         known = told[told["planned"].astype(bool) & told["soc_mean_pct"].notna()]
         for vehicle, shift, time in known.groupby("vehicle_id")[["shift", "time_s"]].last().itertuples():
             before = self._last.get(vehicle)
-            if before is None or before[0] != shift or time >= before[1] + EVERY:
+            if before is None or before[0] != shift or time >= before[1] + QUERY_INTERVAL:
                 self._last[vehicle] = shift, time
                 self._rows += _rows(vehicle, shift, self._ask(vehicle))
 
     def table(self) -> pd.DataFrame:
-        """Return a row a leg that was asked about, `ASKED`."""
-        numbers = dict.fromkeys(ASKED[len(KEY) :], np.float64) | {"leg": np.int64}
-        return keyed(pd.DataFrame(self._rows, columns=ASKED).astype(numbers))
+        """Return a row a leg that was asked about, `LEG_COLUMNS`."""
+        numbers = dict.fromkeys(LEG_COLUMNS[len(SHIFT_KEY) :], np.float64) | {"leg": np.int64}
+        return normalise_keys(pd.DataFrame(self._rows, columns=LEG_COLUMNS).astype(numbers))
 
 
 def _rows(vehicle: str, shift: int, answer: Outlook) -> Iterator[tuple[Any, ...]]:
@@ -74,7 +74,7 @@ def _rows(vehicle: str, shift: int, answer: Outlook) -> Iterator[tuple[Any, ...]
             yield vehicle, shift, answer.time_s, place, km, answer.soc_pct, *told
 
 
-def leg_cases(asked: pd.DataFrame, rides: pd.DataFrame, shifts: pd.DataFrame) -> pd.DataFrame:
+def match_legs_to_rides(asked: pd.DataFrame, rides: pd.DataFrame, shifts: pd.DataFrame) -> pd.DataFrame:
     """Return the legs that are judged, each with the ride that it became.
 
     That is the next ride to end after the question for the first leg, and so on; false starts are none. Rides of
@@ -92,11 +92,11 @@ def leg_cases(asked: pd.DataFrame, rides: pd.DataFrame, shifts: pd.DataFrame) ->
     Returns
     -------
     DataFrame
-        `ASKED`, the values of `OF_RIDES` of the ride, and `OF_SHIFTS` of the shift; `minutes` from the question to the
+        `LEG_COLUMNS`, the values of `RIDE_COLUMNS` of the ride, and `LEG_SHIFT_COLUMNS` of the shift; `minutes` from the question to the
         ride's end, whether the car `charges` later in the shift, and `cluster`, the same for all of a car on a day.
     """
     driven = rides[rides["distance_km"] >= SHORTEST_RIDE].astype({"vehicle_id": "str"})
-    driven = driven.rename(columns=OF_RIDES)[["vehicle_id", *OF_RIDES.values()]]
+    driven = driven.rename(columns=RIDE_COLUMNS)[["vehicle_id", *RIDE_COLUMNS.values()]]
     driven = driven.sort_values("ride_end_s", kind="stable", ignore_index=True)
     driven["place"] = driven.groupby("vehicle_id").cumcount()
     before = driven[["vehicle_id", "ride_end_s", "place"]]
@@ -104,7 +104,7 @@ def leg_cases(asked: pd.DataFrame, rides: pd.DataFrame, shifts: pd.DataFrame) ->
     cases = pd.merge_asof(cases, before, left_on="time_s", right_on="ride_end_s", by="vehicle_id")
     cases["place"] = cases["place"].fillna(-1.0).astype(np.int64) + 1 + cases["leg"]
     cases = cases.drop(columns="ride_end_s").merge(driven, on=["vehicle_id", "place"])
-    cases = cases.merge(keyed(shifts)[[*KEY, *OF_SHIFTS]], on=KEY)
+    cases = cases.merge(normalise_keys(shifts)[[*SHIFT_KEY, *LEG_SHIFT_COLUMNS]], on=SHIFT_KEY)
     charged = cases["ride_end_s"] - cases["since_charge_s"] > cases["time_s"]
     cases = cases[(cases["ride_end_s"] <= cases["end_s"]) & ~charged & cases["soc_end_pct"].notna()]
     day = np.floor(cases["begin_s"] / DAY)

@@ -12,12 +12,12 @@ import pandas as pd
 
 from core.batch import Floats
 from core.errors import ModelError
-from core.evaluate.binning import between
-from core.evaluate.soc.baselines import BASELINES, baselines, leg_baselines
-from core.evaluate.soc.cases import HOURS, KEY, Judged, judged
-from core.evaluate.soc.examples import examples
+from core.evaluate.binning import bin_values
+from core.evaluate.soc.baselines import BASELINES, compute_baselines, compute_leg_baselines
+from core.evaluate.soc.cases import HOURS_AHEAD, SHIFT_KEY, ForecastCases, select_cases
+from core.evaluate.soc.examples import select_examples
 from core.evaluate.soc.legs import MINUTES
-from core.evaluate.soc.reserve_risk import reserve
+from core.evaluate.soc.reserve_risk import evaluate_reserve_risk
 from core.stats.clustered import compute_clustered_mean
 from core.stats.scores import Codes
 from core.stats.soc_share import compute_clustered_share
@@ -38,7 +38,7 @@ def evaluate_soc(outlooks: pd.DataFrame, shifts: pd.DataFrame, legs: pd.DataFram
     shifts : DataFrame
         Every shift that has ended, as `Pipeline.take_shifts` has them.
     legs : DataFrame, optional
-        Single legs that were asked about, of `core.evaluate.soc.legs.leg_cases`.
+        Single legs that were asked about, of `core.evaluate.soc.legs.match_legs_to_rides`.
 
     Returns
     -------
@@ -51,19 +51,19 @@ def evaluate_soc(outlooks: pd.DataFrame, shifts: pd.DataFrame, legs: pd.DataFram
     ModelError
         Where no forecast can be judged.
     """
-    found = judged(outlooks, shifts)
+    found = select_cases(outlooks, shifts)
     if not len(found.cases):
         why = ", ".join(f"{count} {reason}" for reason, count in found.left_out.items()) or "none made"
         raise ModelError(
             f"{found.shifts} shifts ended and no forecast of theirs can be judged ({why}): give recordings of more days"
         )
-    cases = pd.concat([found.cases, baselines(found.cases, outlooks, shifts)], axis=1)
+    cases = pd.concat([found.cases, compute_baselines(found.cases, outlooks, shifts)], axis=1)
     return {
         "about": _about(found),
-        "overall": told(cases),
-        "by": by_condition(cases),
-        "reserve": reserve(cases),
-        "legs": {} if legs is None or not len(legs) else of_legs(legs, shifts),
+        "overall": compute_figures_by_time(cases),
+        "by": compute_figures_by_condition(cases),
+        "reserve": evaluate_reserve_risk(cases),
+        "legs": {} if legs is None or not len(legs) else compute_leg_figures(legs, shifts),
         "forecasts": {
             "vehicle_id": cases["vehicle_id"].tolist(),
             "shift": cases["shift"].tolist(),
@@ -71,33 +71,37 @@ def evaluate_soc(outlooks: pd.DataFrame, shifts: pd.DataFrame, legs: pd.DataFram
             **{name: cases[f"{name}_pct"].tolist() for name in ("soc", "soc_mean", "soc_p05", "soc_p95", "soc_end")},
             **{name: cases[name].tolist() for name in BASELINES},
         },
-        "examples": examples(cases, outlooks),
+        "examples": select_examples(cases, outlooks),
         "notes": _notes(cases),
     }
 
 
-def told(cases: pd.DataFrame) -> dict[str, Any]:
+def compute_figures_by_time(cases: pd.DataFrame) -> dict[str, Any]:
     """Return the figures of cases, `pooled` over times ahead and in `hours` for each that has any."""
-    each = {str(hours): cases[cases["hours"] == hours] for hours in HOURS}
-    return {"pooled": figures(cases), "hours": {hours: figures(own) for hours, own in each.items() if len(own)}}
+    each = {str(hours): cases[cases["hours"] == hours] for hours in HOURS_AHEAD}
+    return {
+        "pooled": compute_forecast_figures(cases),
+        "hours": {hours: compute_forecast_figures(own) for hours, own in each.items() if len(own)},
+    }
 
 
-def of_legs(legs: pd.DataFrame, shifts: pd.DataFrame) -> dict[str, list[dict[str, Any]]]:
+def compute_leg_figures(legs: pd.DataFrame, shifts: pd.DataFrame) -> dict[str, list[dict[str, Any]]]:
     """Return the figures of legs by the time until their end, of shifts `without a charge` after them and with one."""
-    cases = pd.concat([legs, leg_baselines(legs, shifts)], axis=1)
+    cases = pd.concat([legs, compute_leg_baselines(legs, shifts)], axis=1)
     found = {}
     for name, own in {"without a charge": cases[~cases["charges"]], "charged later": cases[cases["charges"]]}.items():
-        band = between(own["minutes"].to_numpy(np.float64), MINUTES)
+        band = bin_values(own["minutes"].to_numpy(np.float64), MINUTES)
         bins = [
-            {"bin": band.labels[code], **figures(own[band.codes == code])} for code in np.unique(band.codes).tolist()
+            {"bin": band.labels[code], **compute_forecast_figures(own[band.codes == code])}
+            for code in np.unique(band.codes).tolist()
         ]
-        found[name] = [*bins, {"bin": "all", **figures(own)}] if bins else []
+        found[name] = [*bins, {"bin": "all", **compute_forecast_figures(own)}] if bins else []
     return found
 
 
-def by_condition(cases: pd.DataFrame) -> dict[str, list[dict[str, Any]]]:
+def compute_figures_by_condition(cases: pd.DataFrame) -> dict[str, list[dict[str, Any]]]:
     """Return the figures in each band of temperature, of each vehicle model, with and without a plan."""
-    band = between(cases["ambient_c"].to_numpy(np.float64), TEMPERATURES)
+    band = bin_values(cases["ambient_c"].to_numpy(np.float64), TEMPERATURES)
     model = pd.Categorical(cases["vehicle_model"])
     bins = {
         "temperature": (band.codes, band.labels),
@@ -105,12 +109,15 @@ def by_condition(cases: pd.DataFrame) -> dict[str, list[dict[str, Any]]]:
         "plan": (np.where(cases["planned"].to_numpy(bool), 0, 1), ("planned", "by habit")),
     }
     return {
-        name: [{"bin": labels[code], **told(cases[codes == code])} for code in np.unique(codes[codes >= 0]).tolist()]
+        name: [
+            {"bin": labels[code], **compute_figures_by_time(cases[codes == code])}
+            for code in np.unique(codes[codes >= 0]).tolist()
+        ]
         for name, (codes, labels) in bins.items()
     }
 
 
-def figures(cases: pd.DataFrame) -> dict[str, Any]:
+def compute_forecast_figures(cases: pd.DataFrame) -> dict[str, Any]:
     """Return error, coverage and width of forecasts, and how baselines do on the same ones.
 
     Returns
@@ -125,7 +132,7 @@ def figures(cases: pd.DataFrame) -> dict[str, Any]:
     error = np.abs(mean - became)
     return {
         "n": len(cases),
-        "shifts": len(cases[KEY].drop_duplicates()),
+        "shifts": len(cases[SHIFT_KEY].drop_duplicates()),
         "vehicle_days": len(np.unique(clusters)),
         "mae_pct": compute_clustered_mean(error, clusters).figures(),
         "bias_pct": compute_clustered_mean(mean - became, clusters).figures(),
@@ -174,13 +181,13 @@ def _share_less(its: Floats, own: Floats) -> float:
     return 1.0 - float(own.mean() / its.mean()) if len(its) and its.mean() > 0.0 else nan
 
 
-def _about(found: Judged) -> dict[str, Any]:
+def _about(found: ForecastCases) -> dict[str, Any]:
     """Return what was judged."""
     cases = found.cases
     dates = pd.to_datetime(cases["begin_s"], unit="s").dt.strftime("%Y-%m-%d")
     return {
         "shifts": found.shifts,
-        "judged_shifts": len(cases[KEY].drop_duplicates()),
+        "judged_shifts": len(cases[SHIFT_KEY].drop_duplicates()),
         "warm_up_shifts": found.warm_up,
         "forecasts": len(cases),
         "left_out": found.left_out,

@@ -6,7 +6,7 @@ follows from its interval: two halves of a normal distribution meet at the mean,
 `soc_p05_pct`, the upper one with 5 % above `soc_p95_pct`.
 
 What a person would expect comes without a risk. It is given the one that a person has who remembers how far the same
-reckoning was off so far, see `core.evaluate.soc.baselines.risk_by_earlier`.
+reckoning was off so far, see `core.evaluate.soc.baselines.compute_empirical_risk`.
 """
 
 from itertools import pairwise
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from core.batch import Floats
-from core.evaluate.soc.baselines import BASELINES, risk_by_earlier
-from core.evaluate.soc.cases import HOURS, KEY
+from core.evaluate.soc.baselines import BASELINES, compute_empirical_risk
+from core.evaluate.soc.cases import HOURS_AHEAD, SHIFT_KEY
 from core.stats.clustered import compute_clustered_ratio
 from core.stats.scores import Codes
 from core.stats.soc_share import compute_clustered_share
@@ -36,35 +36,35 @@ BOUND: Final = float(ndtri(0.95))
 """Standard deviations from the mean of a normal distribution to its 95th percentile."""
 
 
-def reserve(cases: pd.DataFrame) -> dict[str, Any]:
+def evaluate_reserve_risk(cases: pd.DataFrame) -> dict[str, Any]:
     """Return whether risks hold, and what alarms are worth.
 
     Parameters
     ----------
     cases : DataFrame
-        Of `core.evaluate.soc.cases.judged`, with what each baseline expects.
+        Of `core.evaluate.soc.cases.select_cases`, with what each baseline expects.
 
     Returns
     -------
     dict
-        `alarm`, the risk from which on there is one; `reliability` by class of risk, all times ahead pooled, of the
-        plan's reserve and of all other `levels`; what risks were worth (`worth`) by level and time ahead, `levels`, and
+        `alarm`, the risk from which on there is one; `compute_reliability` by class of risk, all times ahead pooled, of the
+        plan's reserve and of all other `levels`; what risks were worth (`evaluate_risk`) by level and time ahead, `levels`, and
         by time ahead, `overall`, without the plan's. A case is a forecast and a level that the car was not below when
         it was made; at the end itself nothing is open.
     """
-    rows = asked(cases)
-    hours = [h for h in HOURS if h > 0]
+    rows = tabulate_levels(cases)
+    hours = [h for h in HOURS_AHEAD if h > 0]
     of_levels = rows[rows["level"] != PLANNED]
     each = {name: rows[rows["level"] == name] for name in (PLANNED, *map(str, LEVELS))}
     return {
         "alarm": ALARM,
-        "reliability": {PLANNED: reliability(each[PLANNED]), "levels": reliability(of_levels)},
-        "levels": {name: by_hours(own, hours) for name, own in each.items() if len(own)},
-        "overall": by_hours(of_levels, hours),
+        "reliability": {PLANNED: compute_reliability(each[PLANNED]), "levels": compute_reliability(of_levels)},
+        "levels": {name: evaluate_by_hours(own, hours) for name, own in each.items() if len(own)},
+        "overall": evaluate_by_hours(of_levels, hours),
     }
 
 
-def asked(cases: pd.DataFrame) -> pd.DataFrame:
+def tabulate_levels(cases: pd.DataFrame) -> pd.DataFrame:
     """Return a row a forecast and a level that it is asked about.
 
     Columns: `level`, `hours`, `shift` and `cluster` (int, alike for those of the same), `fell` (whether the charge was
@@ -72,11 +72,11 @@ def asked(cases: pd.DataFrame) -> pd.DataFrame:
     """
     open_ = cases[cases["hours"] > 0].reset_index(drop=True)
     told = {PLANNED: (_numbers(open_, "reserve_soc_pct"), _numbers(open_, "reserve_risk"))}
-    told |= {str(level): (np.full(len(open_), float(level)), risk_below(open_, level)) for level in LEVELS}
+    told |= {str(level): (np.full(len(open_), float(level)), compute_risk_below(open_, level)) for level in LEVELS}
     levels = np.column_stack([level for level, _ in told.values()])
     persons = {name: _by_hour(open_, name, levels) for name in BASELINES}
     lowest, soc = _lowest(open_), _numbers(open_, "soc_pct")
-    shift = open_.groupby(KEY, sort=False).ngroup()
+    shift = open_.groupby(SHIFT_KEY, sort=False).ngroup()
     parts = []
     for place, (name, (level, risk)) in enumerate(told.items()):
         part = pd.DataFrame(
@@ -94,11 +94,13 @@ def _by_hour(cases: pd.DataFrame, baseline: str, levels: Floats) -> Floats:
     for rows in cases.groupby("hours").indices.values():
         own = cases.iloc[rows]
         expected, became = _numbers(own, baseline), _numbers(own, "soc_end_pct")
-        out[rows] = risk_by_earlier(expected, became, _numbers(own, "time_s"), _numbers(own, "end_s"), levels[rows])
+        out[rows] = compute_empirical_risk(
+            expected, became, _numbers(own, "time_s"), _numbers(own, "end_s"), levels[rows]
+        )
     return out
 
 
-def risk_below(cases: pd.DataFrame, level: float) -> Floats:
+def compute_risk_below(cases: pd.DataFrame, level: float) -> Floats:
     """Return the probability of ending below a level, by the interval.
 
     Parameters
@@ -116,7 +118,7 @@ def risk_below(cases: pd.DataFrame, level: float) -> Floats:
     Examples
     --------
     >>> known = pd.DataFrame({"soc_mean_pct": [30.0], "soc_p05_pct": [20.0], "soc_p95_pct": [35.0]})
-    >>> [round(float(risk_below(known, level)[0]), 3) for level in (20.0, 30.0, 35.0)]
+    >>> [round(float(compute_risk_below(known, level)[0]), 3) for level in (20.0, 30.0, 35.0)]
     [0.05, 0.5, 0.95]
     """
     mean, low, high = (_numbers(cases, f"soc_{name}_pct") for name in ("mean", "p05", "p95"))
@@ -126,22 +128,22 @@ def risk_below(cases: pd.DataFrame, level: float) -> Floats:
     return risk
 
 
-def by_hours(rows: pd.DataFrame, hours: list[int]) -> dict[str, Any]:
+def evaluate_by_hours(rows: pd.DataFrame, hours: list[int]) -> dict[str, Any]:
     """Return what risks and alarms were worth at each time ahead that has cases, and `pooled` over all."""
-    found = {str(h): worth(own) for h in hours if len(own := rows[rows["hours"] == h])}
-    return found | ({"pooled": worth(rows)} if len(rows) else {})
+    found = {str(h): evaluate_risk(own) for h in hours if len(own := rows[rows["hours"] == h])}
+    return found | ({"pooled": evaluate_risk(rows)} if len(rows) else {})
 
 
-def worth(rows: pd.DataFrame) -> dict[str, Any]:
+def evaluate_risk(rows: pd.DataFrame) -> dict[str, Any]:
     """Return what the risks of some cases were worth, and alarms by them.
 
     Returns
     -------
     dict
-        `n` cases, of `shifts`, of which so many `fell`; the `alarms` (see `alarms`); `brier` score of the risk,
-        `brier_base` of one who tells all the share of those that fell, and `skill` over it; of each of `baselines`,
-        where it has a risk, `n`, `fell`, `brier`, `alarms`, the forecasts' own `forecast_brier` and `forecast_alarms`
-        there, and their `skill` over it.
+        `n` cases, of `shifts`, of which so many `fell`; the `evaluate_alarms` (see `evaluate_alarms`); `brier` score of the risk,
+        `brier_base` of one who tells all the share of those that fell, and `compute_skill` over it; of each of `baselines`,
+        where it has a risk, `n`, `fell`, `brier`, `evaluate_alarms`, the forecasts' own `forecast_brier` and `forecast_alarms`
+        there, and their `compute_skill` over it.
     """
     fell, risk = rows["fell"].to_numpy(bool), _numbers(rows, "risk")
     clusters = rows["cluster"].to_numpy(np.int64)
@@ -156,28 +158,28 @@ def worth(rows: pd.DataFrame) -> dict[str, Any]:
             "fell": int(fell[known].sum()),
             "brier": float(lost.mean()) if known.any() else np.nan,
             "forecast_brier": float(own[known].mean()) if known.any() else np.nan,
-            "skill": skill(own[known], lost, clusters[known]),
-            "alarms": alarms(its[known], fell[known], clusters[known]),
-            "forecast_alarms": alarms(risk[known], fell[known], clusters[known]),
+            "skill": compute_skill(own[known], lost, clusters[known]),
+            "alarms": evaluate_alarms(its[known], fell[known], clusters[known]),
+            "forecast_alarms": evaluate_alarms(risk[known], fell[known], clusters[known]),
         }
     return {
         "n": len(rows),
         "shifts": int(rows["shift"].nunique()),
         "fell": int(fell.sum()),
-        "alarms": alarms(risk, fell, clusters),
+        "alarms": evaluate_alarms(risk, fell, clusters),
         "brier": float(own.mean()),
         "brier_base": share * (1.0 - share),
-        "skill": skill(own, (share - fell) ** 2, clusters),
+        "skill": compute_skill(own, (share - fell) ** 2, clusters),
         "baselines": persons,
     }
 
 
-def skill(own: Floats, reference: Floats, clusters: Codes) -> dict[str, float]:
+def compute_skill(own: Floats, reference: Floats, clusters: Codes) -> dict[str, float]:
     """Return by how much, as a share, a mean square is below that of a reference, with half its 95 % interval."""
     return compute_clustered_ratio(reference - own, reference, clusters).figures()
 
 
-def alarms(risk: Floats, fell: NDArray[np.bool_], clusters: Codes) -> dict[str, Any]:
+def evaluate_alarms(risk: Floats, fell: NDArray[np.bool_], clusters: Codes) -> dict[str, Any]:
     """Return what alarms were worth.
 
     Returns
@@ -197,7 +199,7 @@ def alarms(risk: Floats, fell: NDArray[np.bool_], clusters: Codes) -> dict[str, 
     }
 
 
-def reliability(rows: pd.DataFrame) -> list[dict[str, Any]]:
+def compute_reliability(rows: pd.DataFrame) -> list[dict[str, Any]]:
     """Return, of each class of told risk that has cases, how many there are and how often they fell.
 
     Returns

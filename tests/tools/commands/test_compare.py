@@ -13,7 +13,7 @@ from tests.support.paths import ROOT
 from tests.tools.report.test_evaluation import read
 from tools.cli import main
 from tools.commands.tables import in_memory
-from tools.report.comparison.figures import model_style
+from tools.report.comparison.figures import get_model_style
 
 SHIFT = ROOT / "recordings" / "shift.mcap"
 MODELS = ("--model", "extended_physical", "--model", "basic_physical")
@@ -264,7 +264,7 @@ def test_an_effect_of_ones_own_is_known_with_its_file(folder, tmp_path, capsys):
 
 
 def test_models_can_be_told_apart_without_colours():
-    styles = [model_style(place) for place in range(8)]
+    styles = [get_model_style(place) for place in range(8)]
     assert len({(style.dash, style.symbol) for style in styles}) == len(styles)
 
 

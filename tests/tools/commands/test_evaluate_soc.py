@@ -8,7 +8,7 @@ from zoneinfo import ZoneInfo
 import pytest
 from rich.console import Console
 
-from core.evaluate.paper.results import plain
+from core.evaluate.paper.results import to_json_values
 from core.evaluate.soc.report import evaluate_soc
 from core.stats.soc_share import LEAST_CLUSTERS
 from tests.support.paths import ROOT
@@ -22,7 +22,7 @@ from tools.importers.shifts import strung
 from tools.report.soc import figures as drawn
 from tools.report.soc import page as report
 from tools.report.soc import risk_tables
-from tools.report.soc.tables import against_best, ahead, condition_tables, covered
+from tools.report.soc.tables import compare_with_best, format_share, tabulate_by_time, tabulate_conditions
 
 DATA = ROOT.parent / "shared" / "data"
 SHIFT = ROOT / "recordings" / "shift.mcap"
@@ -33,7 +33,7 @@ FEW = told(cars=1, days=2, hours=0.4, warm_up=0)
 
 @pytest.fixture(scope="module")
 def result():
-    return plain(evaluate_soc(*SMALL))
+    return to_json_values(evaluate_soc(*SMALL))
 
 
 def printed(result):
@@ -45,7 +45,9 @@ def printed(result):
 
 def figures(result):
     """Return all figures of the page, by key."""
-    found = [one for section in report.sections(result) for one in report.illustrations(result, section.key)]
+    found = [
+        one for section in report.build_sections(result) for one in report.build_illustrations(result, section.key)
+    ]
     return {one.key: one for one in found}
 
 
@@ -126,12 +128,12 @@ def test_the_tables_say_what_the_result_does(result):
     for hours, own in result["overall"]["hours"].items():
         (line,) = (line for line in out.splitlines() if line.startswith(f" {hours} h "))
         assert f"{own['mae_pct']['value']:.2f} ± {own['mae_pct']['ci95']:.2f}" in line
-        assert covered(own["coverage"]) in line
+        assert format_share(own["coverage"]) in line
         assert f"{own['baselines']['rating']['mae_pct']['value']:.2f}" in line
-        assert hours == "0" or against_best(own) in line
+        assert hours == "0" or compare_with_best(own) in line
     assert "Judged from 2018-01-03 to 2018-01-08; 8 shifts came before enough was learned" in " ".join(out.split())
     assert out.index("By temperature") < out.index("Alarms") < out.index("How good the forecasts were")
-    assert [row.name for row in ahead(result).rows] == ["0 h", "1 h", "2 h", "4 h", "6 h", "all"]
+    assert [row.name for row in tabulate_by_time(result).rows] == ["0 h", "1 h", "2 h", "4 h", "6 h", "all"]
 
 
 def test_the_page_loads_nothing_and_has_every_figure(result, tmp_path):
@@ -156,15 +158,15 @@ def test_axes_have_units_and_curves_differ_in_more_than_colour(result):
 
 
 def test_the_scatter_shows_each_shift_once_where_it_belongs(result):
-    inside, outside, _ = drawn.scatter(result).data
+    inside, outside, _ = drawn.draw_scatter(result).data
     own = result["overall"]["hours"]["2"]
     assert len(inside.x) + len(outside.x) == own["n"]
     assert len(inside.x) / own["n"] == pytest.approx(own["coverage"]["value"])
 
 
 def test_the_risk_is_shown_as_it_was_told_and_as_it_came():
-    result = plain(evaluate_soc(*told(cars=6, days=9)))
-    *traces, equal = drawn.risk(result).data
+    result = to_json_values(evaluate_soc(*told(cars=6, days=9)))
+    *traces, equal = drawn.draw_risk(result).data
     levels, plan = (trace for trace in traces if trace.mode == "markers")
     few = {"levels" if trace.name.startswith("levels") else "plan" for trace in traces if trace.mode == "lines"}
     for points, key in ((levels, "levels"), (plan, "plan")):
@@ -187,18 +189,18 @@ def coverages(*clusters):
 
 
 def test_of_few_car_days_a_figure_shows_the_interval_alone():
-    points, lines = drawn.coverage(coverages(1, 2, LEAST_CLUSTERS - 1, LEAST_CLUSTERS), "Group [1]").data
+    points, lines = drawn.draw_coverage(coverages(1, 2, LEAST_CLUSTERS - 1, LEAST_CLUSTERS), "Group [1]").data
     assert points.x == ("group 1", "group 2", "group 29", "group 30")
     assert points.y == (None, None, None, 80.0)
     assert lines.mode == "lines"
     assert lines.x == tuple(x for n in (1, 2, 29) for x in (f"group {n}", f"group {n}", None))
     assert lines.y == (None, None, None, 60.0, 95.0, None, 60.0, 95.0, None)
-    (alone,) = drawn.coverage(coverages(LEAST_CLUSTERS, 300), "Group [1]").data
+    (alone,) = drawn.draw_coverage(coverages(LEAST_CLUSTERS, 300), "Group [1]").data
     assert alone.y == (80.0, 80.0)
 
 
 def test_groups_stay_in_their_order_whether_or_not_they_are_too_few():
-    made = drawn.coverage(coverages(40, 2, 50), "Group [1]")
+    made = drawn.draw_coverage(coverages(40, 2, 50), "Group [1]")
     assert made.layout.xaxis.categoryarray == ("group 40", "group 2", "group 50")
 
 
@@ -209,7 +211,7 @@ def test_no_interval_of_a_width_or_an_error_goes_below_zero():
         for hours, width in (("1", known), ("2", {"value": 20.0, "ci95": 1.0}), ("4", {"value": 1.0, "ci95": None}))
     }
     result = {"overall": {"hours": hours}}
-    for trace in (drawn.width(result).data[0], figures.errors(result).data[0]):
+    for trace in (drawn.draw_width(result).data[0], drawn.draw_errors(result).data[0]):
         assert trace.error_y.array == (5.0, 1.0, None)
         assert trace.error_y.arrayminus == (4.0, 1.0, None)
         assert trace.error_y.symmetric is False
@@ -218,15 +220,15 @@ def test_no_interval_of_a_width_or_an_error_goes_below_zero():
 def test_against_the_best_nothing_is_said_of_few_car_days(result):
     of_model = result["by"]["vehicle model"]
     assert all(own["hours"]["2"]["best"]["vehicle_days"] == own["hours"]["2"]["n"] == 12 for own in of_model)
-    (table,) = (table for table in condition_tables(result) if table.title == "By vehicle model")
+    (table,) = (table for table in tabulate_conditions(result) if table.title == "By vehicle model")
     assert [row.cells[-1].text for row in table.rows] == ["–", "–"]
-    many = plain(evaluate_soc(*told(cars=4, days=17)))
-    (table,) = (table for table in condition_tables(many) if table.title == "By vehicle model")
+    many = to_json_values(evaluate_soc(*told(cars=4, days=17)))
+    (table,) = (table for table in tabulate_conditions(many) if table.title == "By vehicle model")
     assert all(re.fullmatch(r"[+−][\d.]+ %", row.cells[-1].text) for row in table.rows)
 
 
 def test_alarms_are_told_level_by_level(result):
-    table = risk_tables.alarms(result)
+    table = risk_tables.tabulate_alarms(result)
     names = [row.name for row in table.rows]
     assert names[-2:] == ["20 to 60 %, 1 h", "20 to 60 %, 2 h"]
     own = result["reserve"]["overall"]["2"]
@@ -244,7 +246,7 @@ def test_legs_are_shown_only_where_any_were_asked_about(result):
     out = printed(result | {"legs": {"without a charge": bins, "charged later": []}})
     assert out.count("minutes ahead") == 1
     (line,) = (line for line in out.splitlines() if line.startswith(" below 30 "))
-    assert covered(bins[0]["coverage"]) in line
+    assert format_share(bins[0]["coverage"]) in line
     assert f"{bins[0]['baselines']['rating']['mae_pct']['value']:.2f}" in line
 
 
@@ -259,15 +261,15 @@ def test_of_few_car_days_no_share_is_told(result):
 
 def test_the_fan_of_an_example_ends_where_the_shift_did(result):
     for own in result["examples"]:
-        upper, lower, mean, _, became = drawn.fan(own).data
+        upper, lower, mean, _, became = drawn.draw_example(own).data
         assert became.y == (own["soc_end_pct"],)
         assert all(low <= m <= high for low, m, high in zip(lower.y, mean.y, upper.y, strict=True))
 
 
 def test_few_short_shifts_are_shown_as_far_as_anything_is_known(tmp_path):
-    found = plain(evaluate_soc(*FEW))
+    found = to_json_values(evaluate_soc(*FEW))
     out = printed(found)
-    assert [row.name for row in ahead(found).rows] == ["0 h", "all"]
+    assert [row.name for row in tabulate_by_time(found).rows] == ["0 h", "all"]
     assert " 0 h " in out
     report.write(found, tmp_path / "few.html")
     assert "figure-soc-scatter" not in read((tmp_path / "few.html").read_text()).ids
@@ -275,7 +277,7 @@ def test_few_short_shifts_are_shown_as_far_as_anything_is_known(tmp_path):
 
 def test_odd_names_are_shown_as_they_are(tmp_path):
     tables = [table.replace({"taxi-1": ODD, "nissan-leaf-2016": ODD}) for table in SMALL]
-    found = plain(evaluate_soc(*tables))
+    found = to_json_values(evaluate_soc(*tables))
     assert "R&D's" in printed(found)
     assert any("no official rating is known of" in note for note in found["notes"])
     report.write(found, tmp_path / "odd.html")

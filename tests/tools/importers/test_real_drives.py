@@ -15,7 +15,7 @@ from core.cleaning.kernel import Cleaner
 from core.cleaning.quality import CAUSES, Quality
 from core.columns import EARTH_RADIUS, KMH
 from core.effects import get_library
-from core.evaluate.paper.protocol import chosen, evaluate
+from core.evaluate.paper.protocol import evaluate, select_recipes
 from core.pipeline import Pipeline
 from core.settings import Settings
 from core.wire.decoder import Decoder
@@ -217,7 +217,7 @@ def test_recording_and_memory_are_the_same(name, tmp_path):
 
 def by_date(name: str, recipes: str) -> dict[str, float]:
     """Return each recipe's average error on the last fifth of the dates [kWh]."""
-    result = evaluate(imported(name).rides, chosen(recipes, None, 0), repeats=2)
+    result = evaluate(imported(name).rides, select_recipes(recipes, None, 0), repeats=2)
     return {recipe: next(iter(errors.values())) for recipe, errors in result["splits"]["date"].items()}
 
 

@@ -13,15 +13,15 @@ from rich.console import Console
 
 from core.errors import SettingsError
 from core.evaluate.paper import published
-from core.evaluate.paper.results import plain
+from core.evaluate.paper.results import to_json_values
 from tests.support.evaluation_result import CLUSTERS, RECIPES, VEHICLES, evaluation
 from tools.report.cells import PAPER_NOTE, UNKNOWN
 from tools.report.evaluation import figures
-from tools.report.evaluation.illustrations import MAKERS, PAPER_CAPTION, illustrations
-from tools.report.evaluation.sections import sections
+from tools.report.evaluation.illustrations import MAKERS, PAPER_CAPTION, build_illustrations
+from tools.report.evaluation.sections import build_sections
 from tools.report.evaluation.terminal import show
-from tools.report.figure_style import style
-from tools.report.page import page, write
+from tools.report.figure_style import get_style
+from tools.report.page import render_page, write
 
 FEW_RECIPES = ("basic_physical", "fitted_physical", "hybrid_trees")
 FEW_VEHICLES = ("kia-soul-ev-2015", "nissan-leaf-2016")
@@ -84,7 +84,7 @@ def smaller(value):
 
 def drawn(result):
     """Return all figures of a report, by key."""
-    return {one.key: one for section in MAKERS for one in illustrations(result, section)}
+    return {one.key: one for section in MAKERS for one in build_illustrations(result, section)}
 
 
 @pytest.fixture(scope="module")
@@ -94,12 +94,12 @@ def result():
 
 @pytest.fixture(scope="module")
 def html(result):
-    return page(result)
+    return render_page(result)
 
 
 @pytest.fixture(scope="module")
 def every_figure(result):
-    return drawn(plain(result))
+    return drawn(to_json_values(result))
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +111,7 @@ def test_the_page_is_well_formed_and_its_links_lead_somewhere(html):
     reader = read(html)
     assert len(reader.ids) == len(set(reader.ids))
     assert set(reader.links) <= set(reader.ids)
-    assert {section.key for section in sections(evaluation())} <= set(reader.links)
+    assert {section.key for section in build_sections(evaluation())} <= set(reader.links)
 
 
 def test_the_page_loads_nothing(html):
@@ -143,7 +143,7 @@ def test_every_axis_has_a_title_and_a_unit_where_it_counts(every_figure):
 
 
 def test_nothing_is_told_by_colour_alone(every_figure):
-    looks = [style(place) for place in range(30)]
+    looks = [get_style(place) for place in range(30)]
     assert len({(look.dash, look.symbol) for look in looks}) == len(looks)
     for one in every_figure.values():
         lines = [
@@ -155,7 +155,9 @@ def test_nothing_is_told_by_colour_alone(every_figure):
 
 
 def test_what_shows_the_papers_figures_says_that_they_are_of_other_data(result, html, every_figure, terminal):
-    beside = [table for section in sections(plain(result)) for table in section.tables if table.beside_paper]
+    beside = [
+        table for section in build_sections(to_json_values(result)) for table in section.tables if table.beside_paper
+    ]
     assert {f"Table {n}" for n in range(2, 14)} <= set(re.findall(r"Table \d+", " ".join(t.title for t in beside)))
     assert all(PAPER_NOTE in table.all_notes for table in beside)
     assert html.count(PAPER_NOTE.replace("'", "&#x27;")) == len(beside)
@@ -177,11 +179,11 @@ def test_figure_3_has_the_papers_averages_as_outlines(every_figure):
     outlines = [t for t in traces if str(t.marker.symbol).endswith("-open")]
     assert len(outlines) == len(VEHICLES)
     shown = [x for x in outlines[0].x if x is not None]
-    assert shown == [published.mae(r, "kia-soul-ev-2015", "average").value for r in list(RECIPES)[:7]]
+    assert shown == [published.get_mae(r, "kia-soul-ev-2015", "average").value for r in list(RECIPES)[:7]]
 
 
 def test_tables_of_errors_are_in_the_papers_layout(result):
-    tables = next(section.tables for section in sections(plain(result)) if section.key == "errors")
+    tables = next(section.tables for section in build_sections(to_json_values(result)) if section.key == "errors")
     assert len(tables) == len(RECIPES)
     assert all(table.columns == (*(f"{c.replace('-', '–')} km" for c in CLUSTERS), "average *") for table in tables)
     assert all(table.rows[-1].name == "Weighted average" for table in tables)
@@ -192,7 +194,7 @@ def test_tables_of_errors_are_in_the_papers_layout(result):
 
 def test_the_terminal_keeps_to_120_columns_and_has_every_table(result, terminal):
     assert max(len(line) for line in terminal.splitlines()) <= 120
-    for section in sections(plain(result)):
+    for section in build_sections(to_json_values(result)):
         for table in section.tables:
             assert section.folded or table.title[:60] in terminal
 
@@ -216,7 +218,7 @@ def test_names_are_shown_as_they_are(where):
             entries[0]["bin"] = ODD
     else:
         result["about"]["notes"] = [ODD]
-    html = page(result)
+    html = render_page(result)
     reader = read(html)
     tags = [tag for tag, _ in reader.tags]
     assert tags.count("script") == 2 + tags.count("figure")
@@ -248,7 +250,7 @@ def test_any_part_may_be_missing_or_null(part):
 def test_figures_inside_a_part_may_be_null(part):
     result = smaller(evaluation())
     result[part] = nulled(result[part])
-    assert not {key for key in drawn(plain(result)) if key.startswith((part.replace("_", "-"), f"{part}-"))}
+    assert not {key for key in drawn(to_json_values(result)) if key.startswith((part.replace("_", "-"), f"{part}-"))}
     assert "None" not in printed(result)
 
 
@@ -262,7 +264,7 @@ def nulled(value):
 
 
 def test_nothing_at_all_is_a_page_too():
-    assert "Evaluation of consumption models" in "".join(read(page({})).text)
+    assert "Evaluation of consumption models" in "".join(read(render_page({})).text)
     assert "The paper" in printed({})
 
 
@@ -270,19 +272,19 @@ def test_what_is_not_finite_is_not_shown():
     result = smaller(evaluation())
     result["mae"]["hybrid_trees"]["kia-soul-ev-2015"]["0-5"] = {"value": float("nan"), "ci95": float("inf")}
     assert "nan" not in printed(result).replace("dominan", "")
-    assert "NaN" not in page(result).rpartition("<section")[0].partition("<main")[2]
+    assert "NaN" not in render_page(result).rpartition("<section")[0].partition("<main")[2]
 
 
 def test_the_result_is_left_as_it_was():
     result = smaller(evaluation())
     before = copy.deepcopy(result)
-    page(result)
+    render_page(result)
     printed(result)
     assert result == before
 
 
 def test_the_best_of_a_column_stands_out_and_dominance_is_marked(result):
-    table = next(t for s in sections(plain(result)) for t in s.tables if t.title.endswith("(Figure 3)"))
+    table = next(t for s in build_sections(to_json_values(result)) for t in s.tables if t.title.endswith("(Figure 3)"))
     assert {row.name for row in table.rows if row.cells[0].strong} == {RECIPES["hybrid_trees"]}
     for mark, score in (("●", "dominates"), ("○", "dominates_average")):
         marked = {row.name for row in table.rows if mark in row.cells[0].text}
@@ -294,7 +296,9 @@ def test_low_coverage_is_marked():
     result["coverage"]["hybrid_trees"]["cluster"]["0-5"] = 0.849
     result["coverage"]["hybrid_trees"]["season"]["winter"] = 0.851
     result["coverage"]["hybrid_trees"]["overall"] = 0.93
-    table = next(t for s in sections(plain(result)) for t in s.tables if t.title.startswith("Rides inside"))
+    table = next(
+        t for s in build_sections(to_json_values(result)) for t in s.tables if t.title.startswith("Rides inside")
+    )
     cells = dict(zip(table.columns, (cell.text for cell in table.rows[-1].cells), strict=True))
     assert cells["0–5 km"] == "84.9 % ↓"
     assert cells["winter"] == "85.1 %"
@@ -302,7 +306,9 @@ def test_low_coverage_is_marked():
 
 
 def test_the_loss_of_elimination_is_shown(result):
-    table = next(t for s in sections(plain(result)) for t in s.tables if t.title.startswith("Terms that can go"))
+    table = next(
+        t for s in build_sections(to_json_values(result)) for t in s.tables if t.title.startswith("Terms that can go")
+    )
     rows = {row.name.partition(":")[0]: row.cells[-1].text for row in table.rows}
     assert rows["RFE"] == "+0.0006 ± 0.0005"
 
@@ -312,7 +318,7 @@ def test_where_not_all_models_can_have_a_column_the_principal_ones_do():
     result["coverage"] = dict.fromkeys(RECIPES, result["coverage"]["hybrid_trees"])
     chosen = ["basic_physical", "fitted_physical", "hybrid_interactions", "segment_network", "hybrid_trees"]
     titles = [RECIPES[recipe] for recipe in chosen]
-    tables = {t.title: t for s in sections(plain(result)) for t in s.tables}
+    tables = {t.title: t for s in build_sections(to_json_values(result)) for t in s.tables}
     assert tables["Mean absolute error by distance, kWh"].columns[1:] == tuple(titles)
     inside = [row.name.partition(": ")[2] for row in tables["At a glance"].rows if row.name.startswith("Rides inside")]
     assert inside == titles
@@ -324,7 +330,7 @@ def test_where_not_all_models_can_have_a_column_the_principal_ones_do():
 def test_what_is_worse_than_the_fitted_physical_model_on_a_new_vehicle_is_marked():
     result = smaller(evaluation())
     result["few_shot"]["kia-soul-ev-2015"]["hybrid_trees"][0]["mae"] = 99.0
-    tables = [t for s in sections(plain(result)) if s.key == "transfer" for t in s.tables]
+    tables = [t for s in build_sections(to_json_values(result)) if s.key == "transfer" for t in s.tables]
     table = next(t for t in tables if t.title.startswith("Kia"))
     marked = [cell.text.endswith("↑") for row in table.rows for cell in row.cells]
     assert marked.index(True) == table.columns.index(RECIPES["hybrid_trees"])
@@ -335,18 +341,18 @@ def test_splits_say_where_they_differ():
     result = smaller(evaluation())
     for key in FEW_VEHICLES:
         result["splits"]["date"]["hybrid_trees"][key] = 9.0
-    table = next(t for s in sections(plain(result)) if s.key == "splits" for t in s.tables)
+    table = next(t for s in build_sections(to_json_values(result)) if s.key == "splits" for t in s.tables)
     assert any(note.startswith("They differ on the best model") for note in table.notes)
     for key in FEW_VEHICLES:
         result["splits"]["date"]["hybrid_trees"][key] = 0.01
-    table = next(t for s in sections(plain(result)) if s.key == "splits" for t in s.tables)
+    table = next(t for s in build_sections(to_json_values(result)) if s.key == "splits" for t in s.tables)
     assert any(note.startswith("The same model is best") for note in table.notes)
 
 
 @given(value=st.floats(-50, 50), p=st.floats(0, 1))
 def test_the_difference_matrix_is_antisymmetric(value, p):
     pairs = {"basic_physical|fitted_physical": {"value": value, "ci95": 0.1, "p": p}}
-    made = figures.difference_matrix({"recipes": RECIPES, "difference": {"x": pairs}}, "x")
+    made = figures.draw_difference_matrix({"recipes": RECIPES, "difference": {"x": pairs}}, "x")
     (heat,) = made.data
     assert heat.customdata[0][1] == 1000.0 * value == -heat.customdata[1][0]
     assert heat.z[0][1] == -heat.z[1][0]

@@ -6,10 +6,25 @@ from typing import Any, Final
 import plotly.graph_objects as go
 
 from core.stats.scores import BANDS
-from tools.report.comparison.tables import UNITS, entries, models, most_sure, told_apart
+from tools.report.comparison.tables import (
+    UNITS,
+    index_bins,
+    list_models,
+    list_varying_conditions,
+    select_most_significant,
+)
 from tools.report.evaluation.illustrations import Illustration
-from tools.report.evaluation.result import Result, half_width, mapping, number, part
-from tools.report.figure_style import REFERENCE_LINE, Style, curve, dots, figure, label, stacked, style
+from tools.report.evaluation.result import Result, get_half_width, get_mapping, get_number, get_part
+from tools.report.figure_style import (
+    REFERENCE_LINE,
+    Style,
+    draw_curve,
+    draw_dots,
+    escape_label,
+    get_style,
+    make_figure,
+    make_stacked_figure,
+)
 
 MOST_POINTS: Final = 2000
 """Rides that a scatter shows."""
@@ -22,26 +37,26 @@ PLACES: Final = (2, 4, 5, 3, 7, 6, 9, 10, 11, 8)
 """Of models in the order of styles, neighbours apart; grey is for what was measured."""
 
 
-def drawn(biases: Sequence[Any], among: Sequence[Any]) -> list[float | None]:
+def select_interval_widths(biases: Sequence[Any], among: Sequence[Any]) -> list[float | None]:
     """Return the half widths of intervals, None for those so wide that nothing else could be seen."""
-    most = WIDEST * max((abs(number(bias) or 0.0) for bias in among), default=0.0)
-    widths = [half_width(bias) for bias in biases]
+    most = WIDEST * max((abs(get_number(bias) or 0.0) for bias in among), default=0.0)
+    widths = [get_half_width(bias) for bias in biases]
     return [width if width is not None and width <= most else None for width in widths]
 
 
-def model_style(place: int) -> Style:
+def get_model_style(place: int) -> Style:
     """Return the style of the model at a place on the command line, the same in every figure."""
-    return style(PLACES[place % len(PLACES)])
+    return get_style(PLACES[place % len(PLACES)])
 
 
-def look(result: Result, model: str) -> Style:
+def get_look(result: Result, model: str) -> Style:
     """Return the style of a model."""
-    return model_style(models(result).index(model))
+    return get_model_style(list_models(result).index(model))
 
 
-def scatters(result: Result) -> list[Illustration]:
+def illustrate_scatters(result: Result) -> list[Illustration]:
     """Return predicted against measured energy of each model."""
-    rides = len(part(result, "rides", "measured_kwh") or ())
+    rides = len(get_part(result, "rides", "measured_kwh") or ())
     every = -(-rides // MOST_POINTS)
     some = "" if every <= 1 else f" Every {every}th of {rides:,} rides is shown."
     caption = (
@@ -50,22 +65,26 @@ def scatters(result: Result) -> list[Illustration]:
     )
     return [
         Illustration(
-            f"scatter-{i}", f"{model}: predicted against measured", caption, scatter(result, model, every), small=True
+            f"scatter-{i}",
+            f"{model}: predicted against measured",
+            caption,
+            draw_scatter(result, model, every),
+            small=True,
         )
-        for i, model in enumerate(models(result))
+        for i, model in enumerate(list_models(result))
     ]
 
 
-def scatter(result: Result, model: str, every: int = 1) -> go.Figure:
+def draw_scatter(result: Result, model: str, every: int = 1) -> go.Figure:
     """Return the energies of rides with the bands of relative error about them."""
-    rides = mapping(result, "rides")
+    rides = get_mapping(result, "rides")
     measured, predicted = list(rides["measured_kwh"])[::every], list(rides["predicted_kwh"][model])[::every]
-    own = look(result, model)
+    own = get_look(result, model)
     points = go.Scatter(
         name="ride",
         x=measured,
         y=predicted,
-        text=[label(str(key)) for key in list(rides["key"])[::every]],
+        text=[escape_label(str(key)) for key in list(rides["key"])[::every]],
         mode="markers",
         marker={"symbol": f"{own.symbol}-open", "size": 5, "color": own.colour, "line": {"width": 1}},
         hovertemplate="%{text}: measured %{x:.3f}, predicted %{y:.3f} kWh<extra></extra>",
@@ -76,7 +95,7 @@ def scatter(result: Result, model: str, every: int = 1) -> go.Figure:
         for sign in (1.0, -1.0):
             line = {"width": 1, "dash": dash, "color": REFERENCE_LINE["color"]}
             lines.append(_line(f"±{band} %", sign * band / 100.0, [0.0, ends[1]], line, shown=sign > 0.0))
-    made = figure([points, *lines], 400)
+    made = make_figure([points, *lines], 400)
     made.update_xaxes(title_text="Measured energy of a ride [kWh]")
     made.update_yaxes(title_text="Predicted energy of a ride [kWh]")
     return made
@@ -92,32 +111,43 @@ def _line(
     )
 
 
-def conditions(result: Result) -> list[Illustration]:
+def illustrate_conditions(result: Result) -> list[Illustration]:
     """Return bias and error of all models by each condition."""
     caption = f"Above, mean of predicted less measured, with 95 % intervals; below, the mean absolute error. {LEFT_OUT}"
     return [
-        Illustration(f"by-{i}", f"Bias and error by {name}", caption, by_condition(result, name), small=True)
-        for i, name in enumerate(told_apart(result))
+        Illustration(
+            f"by-{i}", f"Bias and error by {name}", caption, draw_errors_by_condition(result, name), small=True
+        )
+        for i, name in enumerate(list_varying_conditions(result))
     ]
 
 
-def by_condition(result: Result, name: str) -> go.Figure:
+def draw_errors_by_condition(result: Result, name: str) -> go.Figure:
     """Return bias above and mean absolute error below, of all models."""
-    made = stacked(("bias, kWh a ride", "mean absolute error, kWh a ride"), 560)
-    found = {model: entries(part(own, "by", name)) for model, own in mapping(result, "models").items()}
-    shown = most_sure([{key: part(e, "bias_kwh") for key, e in own.items()} for own in found.values()])
-    among = [part(entry, "bias_kwh") for own in found.values() for entry in own.values()]
+    made = make_stacked_figure(("bias, kWh a ride", "mean absolute error, kWh a ride"), 560)
+    found = {model: index_bins(get_part(own, "by", name)) for model, own in get_mapping(result, "models").items()}
+    shown = select_most_significant(
+        [{key: get_part(e, "bias_kwh") for key, e in own.items()} for own in found.values()]
+    )
+    among = [get_part(entry, "bias_kwh") for own in found.values() for entry in own.values()]
     for model, own in found.items():
         bins = [key for key in shown if key in own]
-        x = [label(key) for key in bins]
-        bias = [part(own, key, "bias_kwh") for key in bins]
-        look_of = look(result, model)
-        above = curve(label(model), look_of, x, [number(one) for one in bias], drawn(bias, among), legendgroup=model)
-        below = curve(
-            label(model),
+        x = [escape_label(key) for key in bins]
+        bias = [get_part(own, key, "bias_kwh") for key in bins]
+        look_of = get_look(result, model)
+        above = draw_curve(
+            escape_label(model),
             look_of,
             x,
-            [number(part(own, key, "mae_kwh")) for key in bins],
+            [get_number(one) for one in bias],
+            select_interval_widths(bias, among),
+            legendgroup=model,
+        )
+        below = draw_curve(
+            escape_label(model),
+            look_of,
+            x,
+            [get_number(get_part(own, key, "mae_kwh")) for key in bins],
             legendgroup=model,
             showlegend=False,
         )
@@ -125,14 +155,14 @@ def by_condition(result: Result, name: str) -> go.Figure:
         made.add_trace(below, row=2, col=1)
     made.add_hline(y=0.0, line={**REFERENCE_LINE, "width": 1}, row=1, col=1)
     unit = f" [{UNITS[name]}]" if name in UNITS else ""
-    made.update_xaxes(type="category", categoryorder="array", categoryarray=[label(key) for key in shown])
+    made.update_xaxes(type="category", categoryorder="array", categoryarray=[escape_label(key) for key in shown])
     made.update_xaxes(title_text=f"{name.capitalize()}{unit}", row=2, col=1)
     made.update_yaxes(title_text="[kWh]")
     made.update_yaxes(rangemode="tozero", row=2, col=1)
     return made
 
 
-def accounts(result: Result) -> list[Illustration]:
+def illustrate_terms(result: Result) -> list[Illustration]:
     """Return, of each model, the terms of the difference in consumption between two sets of rides."""
     caption = (
         "Second set less first: what each term of the model makes of the difference, what it makes in all, and what "
@@ -140,25 +170,28 @@ def accounts(result: Result) -> list[Illustration]:
     )
     return [
         Illustration(
-            f"account-{i}", f"{model}: the difference in consumption, term by term", caption, account(result, model)
+            f"account-{i}",
+            f"{model}: the difference in consumption, term by term",
+            caption,
+            draw_difference_terms(result, model),
         )
-        for i, model in enumerate(mapping(result, "against", "models"))
+        for i, model in enumerate(get_mapping(result, "against", "models"))
     ]
 
 
-def account(result: Result, model: str) -> go.Figure:
+def draw_difference_terms(result: Result, model: str) -> go.Figure:
     """Return the terms of a difference in consumption, from the top: measured, predicted, the rest, the terms."""
-    own = mapping(result, "against", "models", model)
+    own = get_mapping(result, "against", "models", model)
     rows = [
-        ("measured", part(result, "against", "consumption", "difference")),
-        ("predicted", part(own, "explained", "difference")),
-        ("measured less predicted", part(own, "unexplained", "difference")),
-        *((str(term["name"]), term["difference"]) for term in part(own, "terms") or ()),
+        ("measured", get_part(result, "against", "consumption", "difference")),
+        ("predicted", get_part(own, "explained", "difference")),
+        ("measured less predicted", get_part(own, "unexplained", "difference")),
+        *((str(term["name"]), term["difference"]) for term in get_part(own, "terms") or ()),
     ]
     rows.reverse()
-    x, spread = [number(value) for _, value in rows], [half_width(value) for _, value in rows]
-    made = figure(
-        [dots("second less first", look(result, model), x, [label(name) for name, _ in rows], spread)],
+    x, spread = [get_number(value) for _, value in rows], [get_half_width(value) for _, value in rows]
+    made = make_figure(
+        [draw_dots("second less first", get_look(result, model), x, [escape_label(name) for name, _ in rows], spread)],
         120 + 26 * len(rows),
     )
     made.add_vline(x=0.0, line={**REFERENCE_LINE, "width": 1})
@@ -168,28 +201,32 @@ def account(result: Result, model: str) -> go.Figure:
     return made
 
 
-def contrasts(result: Result) -> list[Illustration]:
+def illustrate_datasets(result: Result) -> list[Illustration]:
     """Return the bias of each model on both sets of rides, by each condition."""
     caption = f"Mean of predicted less measured on each of the two sets of rides, with 95 % intervals. {LEFT_OUT}"
     return [
-        Illustration(f"contrast-{i}-{j}", f"{model}: bias by {name}", caption, contrast(name, bins), small=True)
-        for i, (model, own) in enumerate(mapping(result, "against", "models").items())
-        for j, (name, bins) in enumerate(mapping(own, "by").items())
+        Illustration(
+            f"contrast-{i}-{j}", f"{model}: bias by {name}", caption, draw_bias_of_datasets(name, bins), small=True
+        )
+        for i, (model, own) in enumerate(get_mapping(result, "against", "models").items())
+        for j, (name, bins) in enumerate(get_mapping(own, "by").items())
     ]
 
 
-def contrast(name: str, bins: Sequence[Mapping[str, Any]]) -> go.Figure:
+def draw_bias_of_datasets(name: str, bins: Sequence[Mapping[str, Any]]) -> go.Figure:
     """Return the bias of one model on both sets of rides."""
-    shown = most_sure([{str(e["bin"]): part(e, "bias_kwh", "difference") for e in bins}])
+    shown = select_most_significant([{str(e["bin"]): get_part(e, "bias_kwh", "difference") for e in bins}])
     kept = [entry for entry in bins if str(entry["bin"]) in shown]
-    x = [label(str(entry["bin"])) for entry in kept]
-    sides = {side: [part(entry, "bias_kwh", side) for entry in kept] for side in ("first", "second")}
+    x = [escape_label(str(entry["bin"])) for entry in kept]
+    sides = {side: [get_part(entry, "bias_kwh", side) for entry in kept] for side in ("first", "second")}
     among = [bias for own in sides.values() for bias in own]
     traces = [
-        curve(side, model_style(place), x, [number(bias) for bias in own], drawn(own, among))
+        draw_curve(
+            side, get_model_style(place), x, [get_number(bias) for bias in own], select_interval_widths(own, among)
+        )
         for place, (side, own) in enumerate(sides.items())
     ]
-    made = figure(traces, 320)
+    made = make_figure(traces, 320)
     made.add_hline(y=0.0, line={**REFERENCE_LINE, "width": 1})
     unit = f" [{UNITS[name]}]" if name in UNITS else ""
     made.update_xaxes(title_text=f"{name.capitalize()}{unit}", type="category")

@@ -7,16 +7,16 @@ from typing import Any, Final
 from rich.console import Console
 from rich.text import Text
 
-from core.evaluate.paper.results import plain
-from tools.report.cells import count, percent
+from core.evaluate.paper.results import to_json_values
+from tools.report.cells import format_count, format_percent
 from tools.report.comparison import figures, tables
 from tools.report.comparison import trace as traced
 from tools.report.evaluation.data_tables import MEASURED_BY
 from tools.report.evaluation.illustrations import Illustration
-from tools.report.evaluation.result import Result, mapping, number, part
+from tools.report.evaluation.result import Result, get_mapping, get_number, get_part
 from tools.report.evaluation.sections import Section
 from tools.report.evaluation.terminal import print_section
-from tools.report.page import document, save
+from tools.report.page import render_document, save
 
 TITLE: Final = "Models against measurement"
 MODELS: Final = "models"
@@ -34,12 +34,12 @@ def show(result: Any, console: Console) -> None:
     console : Console
         At least 120 columns wide.
     """
-    found = plain(result)
+    found = to_json_values(result)
     if "trace" in found:
-        for section in reversed(trace_sections(found["trace"])):
+        for section in reversed(build_trace_sections(found["trace"])):
             print_section(section, console)
         return
-    shown = [section for section in sections(found, commands=False) if section.key in ORDER]
+    shown = [section for section in build_sections(found, commands=False) if section.key in ORDER]
     for section in sorted(shown, key=lambda section: ORDER.index(section.key)):
         print_section(section, console)
         if section.key == "worst":
@@ -50,26 +50,28 @@ def show(result: Any, console: Console) -> None:
 
 def write(result: Any, path: Path) -> None:
     """Write a comparison, or the trace of a ride, as a page that needs nothing else."""
-    found = plain(result)
+    found = to_json_values(result)
     made_by = "<p>Made by <code>socast compare</code>.</p>"
     if "trace" in found:
-        drawn = traced.illustrations(found["trace"])
-        ride = part(found, "trace", "ride")
+        drawn = traced.build_illustrations(found["trace"])
+        ride = get_part(found, "trace", "ride")
         title = f"Ride {ride.get('ride_key') or ride.get('ride_id')}"
-        page = document(title, "", trace_sections(found["trace"]), lambda key: drawn if key == "trace" else [], made_by)
+        page = render_document(
+            title, "", build_trace_sections(found["trace"]), lambda key: drawn if key == "trace" else [], made_by
+        )
     else:
         notes = "".join(f"<li>{escape(note)}</li>" for note in found["notes"])
-        page = document(
+        page = render_document(
             TITLE,
             "",
-            sections(found, commands=True),
-            lambda key: illustrations(found, key),
+            build_sections(found, commands=True),
+            lambda key: build_illustrations(found, key),
             f"<ul>{notes}</ul>{made_by}",
         )
     save(page, path)
 
 
-def sections(result: Result, *, commands: bool) -> list[Section]:
+def build_sections(result: Result, *, commands: bool) -> list[Section]:
     """Return the sections of a comparison that have something to show.
 
     Parameters
@@ -79,85 +81,90 @@ def sections(result: Result, *, commands: bool) -> list[Section]:
     commands : bool
         For a page, which has room for the commands that show rides, and for the worst rides of every model.
     """
-    names = tables.models(result)
+    names = tables.list_models(result)
     worst = [
         table
         for name in (names if commands else names[:1])
-        for table in tables.worst_tables(result, name, commands=commands)
+        for table in tables.tabulate_worst_rides(result, name, commands=commands)
     ]
-    against = mapping(result, "against")
+    against = get_mapping(result, "against")
     sides = f"First: {against['first']}. Second: {against['second']}: {_about(against['about'])}" if against else ""
     found = [
         Section(
             MODELS,
             "The models",
             _about(result["about"]),
-            [tables.overall(result), *([tables.paired(result)] if result.get("pairs") else [])],
+            [tables.tabulate_models(result), *([tables.tabulate_pairs(result)] if result.get("pairs") else [])],
         ),
         Section(
-            "against", "What is different between the two", sides + _shared(against), tables.contrast_tables(result)
+            "against", "What is different between the two", sides + _shared(against), tables.tabulate_datasets(result)
         ),
         Section(
             "contrast",
             "The two by condition",
             "Bias of each model on both sets of rides.",
-            [table for name in names for table in tables.contrast_conditions(result, name)],
+            [table for name in names for table in tables.tabulate_datasets_by_condition(result, name)],
             folded=True,
         ),
-        Section("places", "Where the models err", "", tables.condition_tables(result)),
+        Section("places", "Where the models err", "", tables.tabulate_conditions(result)),
         Section("worst", "The worst rides", "Each is one command away from its trace.", worst),
     ]
     return [section for section in found if any(table.rows for table in section.tables)]
 
 
-def illustrations(result: Result, key: str) -> list[Illustration]:
+def build_illustrations(result: Result, key: str) -> list[Illustration]:
     """Return the figures of a section."""
     if key == MODELS:
-        return figures.scatters(result)
+        return figures.illustrate_scatters(result)
     if key == "places":
-        return figures.conditions(result)
+        return figures.illustrate_conditions(result)
     if key == "against":
-        return figures.accounts(result)
-    return figures.contrasts(result) if key == "contrast" else []
+        return figures.illustrate_terms(result)
+    return figures.illustrate_datasets(result) if key == "contrast" else []
 
 
-def trace_sections(found: Result) -> list[Section]:
+def build_trace_sections(found: Result) -> list[Section]:
     """Return the sections of a trace."""
     return [
-        Section("trace", "Prediction and measurement along the ride", traced.about(found), [traced.summary(found)]),
-        Section("terms", "What the predictions are made of", "", traced.terms(found)),
-        Section("windows", "Window by window", "", [traced.windows(found)]),
+        Section(
+            "trace",
+            "Prediction and measurement along the ride",
+            traced.describe_ride(found),
+            [traced.tabulate_models(found)],
+        ),
+        Section("terms", "What the predictions are made of", "", traced.tabulate_terms(found)),
+        Section("windows", "Window by window", "", [traced.tabulate_windows(found)]),
     ]
 
 
 def _about(about: Result) -> str:
     """Return what was compared, in words."""
-    left = ", ".join(f"{count(n)} {why}" for why, n in mapping(about, "left_out").items())
-    measured = {MEASURED_BY[name]: share for name, share in mapping(about, "measured").items() if number(share)}
-    by = ", ".join(f"{name} {percent(share, 0)}" for name, share in measured.items())
+    left = ", ".join(f"{format_count(n)} {why}" for why, n in get_mapping(about, "left_out").items())
+    measured = {MEASURED_BY[name]: share for name, share in get_mapping(about, "measured").items() if get_number(share)}
+    by = ", ".join(f"{name} {format_percent(share, 0)}" for name, share in measured.items())
     cars = f"{_counted(about['vehicles'], 'car')}, {_counted(about['vehicle_days'], 'car-day')}"
     return (
-        f"{count(about['rides'])} of {count(about['read'])} rides from {about['first_date']} to {about['last_date']}: "
+        f"{format_count(about['rides'])} of {format_count(about['read'])} rides from {about['first_date']} to {about['last_date']}: "
         f"{cars}. Left out: {left or 'none'}. "
-        f"Mean consumption {tables.within(about['consumption_kwh'], 3)} kWh a ride, "
-        f"{tables.within(about['per_100km_kwh'])} kWh/100 km. Energy measured by: {by or 'not told'}."
+        f"Mean consumption {tables.format_estimate(about['consumption_kwh'], 3)} kWh a ride, "
+        f"{tables.format_estimate(about['per_100km_kwh'])} kWh/100 km. Energy measured by: {by or 'not told'}."
     )
 
 
 def _counted(n: int, thing: str) -> str:
-    return f"{count(n)} {thing}{'' if n == 1 else 's'}"
+    return f"{format_count(n)} {thing}{'' if n == 1 else 's'}"
 
 
 def _shared(against: Result) -> str:
     """Return a warning where rides are in both sets."""
-    shared = number(against.get("shared"))
-    return f" {count(shared)} rides are in both: intervals of differences are too wide." if shared else ""
+    shared = get_number(against.get("shared"))
+    return f" {format_count(shared)} rides are in both: intervals of differences are too wide." if shared else ""
 
 
 def _print_commands(result: Result, console: Console) -> None:
     """Print the commands that show the worst rides, in one line each, to be copied."""
-    names = tables.models(result)
-    found = mapping(result, "models", names[0], "worst")
+    names = tables.list_models(result)
+    found = get_mapping(result, "models", names[0], "worst")
     lines = dict.fromkeys(str(ride["command"]) for rides in found.values() for ride in rides if "command" in ride)
     console.print()
     for line in lines:

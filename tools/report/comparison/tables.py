@@ -4,11 +4,21 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Final
 
-from core.evaluate.compare.models import WELL_KNOWN
+from core.evaluate.compare.models import MOST_RELATIVE_SD
 from core.stats.multiple_testing import SIGNIFICANCE
 from core.stats.scores import BANDS
-from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, count, kwh, mark_least, percent, signed
-from tools.report.evaluation.result import Result, half_width, mapping, number, part, vehicle_name
+from tools.report.cells import (
+    UNKNOWN,
+    Cell,
+    ReportTable,
+    Row,
+    format_count,
+    format_energy,
+    format_percent,
+    format_signed,
+    mark_least,
+)
+from tools.report.evaluation.result import Result, get_half_width, get_mapping, get_number, get_part, get_vehicle_name
 
 UNITS: Final[Mapping[str, str]] = MappingProxyType(
     {"distance": "km", "temperature": "°C", "speed": "km/h", "wind": "km/h", "time of day": "h"}
@@ -29,45 +39,45 @@ SURE_NOTE: Final = (
 HOUR_NOTE: Final = "Time of day by the sun's zone: UTC + longitude / 15°, rounded to hours."
 
 
-def models(result: Result) -> list[str]:
+def list_models(result: Result) -> list[str]:
     """Return the names of the models, in their order."""
-    return list(mapping(result, "models"))
+    return list(get_mapping(result, "models"))
 
 
-def off(estimate: Any, digits: int = 3) -> str:
+def format_difference(estimate: Any, digits: int = 3) -> str:
     """Return a difference with its sign, and its interval where it has one.
 
     Examples
     --------
-    >>> off({"value": 0.0123, "ci95": 0.004}), off({"value": -1.25, "ci95": None}, 1)
+    >>> format_difference({"value": 0.0123, "ci95": 0.004}), format_difference({"value": -1.25, "ci95": None}, 1)
     ('+0.012 ± 0.004', '−1.2')
     """
-    width = half_width(estimate)
-    return signed(estimate, digits) + ("" if width is None else f" ± {width:.{digits}f}")
+    width = get_half_width(estimate)
+    return format_signed(estimate, digits) + ("" if width is None else f" ± {width:.{digits}f}")
 
 
-def within(estimate: Any, digits: int = 1) -> str:
+def format_estimate(estimate: Any, digits: int = 1) -> str:
     """Return a figure and its interval where it has one."""
-    known, width = number(estimate), half_width(estimate)
+    known, width = get_number(estimate), get_half_width(estimate)
     if known is None:
         return UNKNOWN
     return f"{known:.{digits}f}".replace("-", "−") + ("" if width is None else f" ± {width:.{digits}f}")
 
 
-def overall(result: Result) -> ReportTable:
+def tabulate_models(result: Result) -> ReportTable:
     """Return how far off each model is."""
-    found = mapping(result, "models")
-    errors = [number(part(own, "mae_kwh")) for own in found.values()]
-    first = mark_least([Cell(_share(kwh, own, "mae_kwh", "relative")) for own in found.values()], errors)
+    found = get_mapping(result, "models")
+    errors = [get_number(get_part(own, "mae_kwh")) for own in found.values()]
+    first = mark_least([Cell(_share(format_energy, own, "mae_kwh", "relative")) for own in found.values()], errors)
     rows = tuple(
         Row(
             name,
             (
-                Cell(count(part(own, "rides"))),
+                Cell(format_count(get_part(own, "rides"))),
                 error,
-                Cell(_share(off, own, "bias_kwh", "relative_bias")),
-                Cell(kwh(part(own, "rmse_kwh"))),
-                *(Cell(percent(part(own, "within", str(band)))) for band in BANDS),
+                Cell(_share(format_difference, own, "bias_kwh", "relative_bias")),
+                Cell(format_energy(get_part(own, "rmse_kwh"))),
+                *(Cell(format_percent(get_part(own, "within", str(band)))) for band in BANDS),
             ),
         )
         for (name, own), error in zip(found.items(), first, strict=True)
@@ -83,70 +93,74 @@ def overall(result: Result) -> ReportTable:
 
 def _share(shown: Callable[[Any], str], own: Mapping[str, Any], name: str, relative: str) -> str:
     """Return a figure, and its share of consumption."""
-    return f"{shown(own.get(name))} ({percent(own.get(relative))})"
+    return f"{shown(own.get(name))} ({format_percent(own.get(relative))})"
 
 
-def paired(result: Result) -> ReportTable:
+def tabulate_pairs(result: Result) -> ReportTable:
     """Return the differences of errors between models, on the same rides."""
     rows = tuple(
         Row(
             f"{pair['a']} less {pair['b']}",
             (
-                Cell(off(pair["difference_kwh"]), strong=(number(pair["p_holm"]) or 0.0) < SIGNIFICANCE),
-                Cell(probability(pair["p_holm"])),
+                Cell(
+                    format_difference(pair["difference_kwh"]), strong=(get_number(pair["p_holm"]) or 0.0) < SIGNIFICANCE
+                ),
+                Cell(format_probability(pair["p_holm"])),
                 Cell(_better(pair)),
             ),
         )
-        for pair in part(result, "pairs") or ()
+        for pair in get_part(result, "pairs") or ()
     )
     note = "Mean over rides of the difference of absolute errors. p: by Holm over all pairs. Bold: beyond chance."
     heads = ("difference of MAE, kWh", "p", "less error")
     return ReportTable("Models on the same rides, pair by pair", "pair", heads, rows, (note, INTERVAL_NOTE))
 
 
-def probability(value: Any) -> str:
+def format_probability(value: Any) -> str:
     """Return a probability.
 
     Examples
     --------
-    >>> probability(0.0000001), probability(0.034), probability(None)
+    >>> format_probability(0.0000001), format_probability(0.034), format_probability(None)
     ('< 0.001', '0.034', '–')
     """
-    known = number(value)
+    known = get_number(value)
     least = 0.001
     return UNKNOWN if known is None else f"< {least}" if known < least else f"{known:.3f}"
 
 
 def _better(pair: Mapping[str, Any]) -> str:
     """Return which model of a pair has less error, where that is beyond chance."""
-    chance, apart = number(pair["p_holm"]), number(pair["difference_kwh"])
+    chance, apart = get_number(pair["p_holm"]), get_number(pair["difference_kwh"])
     if chance is None or apart is None or chance >= SIGNIFICANCE:
         return "cannot be told"
     return str(pair["a"] if apart < 0.0 else pair["b"])
 
 
-def condition_tables(result: Result) -> list[ReportTable]:
+def tabulate_conditions(result: Result) -> list[ReportTable]:
     """Return the errors of all models by each condition."""
-    return [by_condition(result, name) for name in told_apart(result)]
+    return [tabulate_errors_by_condition(result, name) for name in list_varying_conditions(result)]
 
 
-def told_apart(result: Result) -> list[str]:
+def list_varying_conditions(result: Result) -> list[str]:
     """Return the conditions that the rides differ in: those of more than one bin."""
-    found = [mapping(own, "by") for own in mapping(result, "models").values()]
+    found = [get_mapping(own, "by") for own in get_mapping(result, "models").values()]
     return list(dict.fromkeys(name for by in found for name, bins in by.items() if len(bins) > 1))
 
 
-def by_condition(result: Result, name: str) -> ReportTable:
+def tabulate_errors_by_condition(result: Result, name: str) -> ReportTable:
     """Return bias and error of all models in the bins of a condition."""
-    by_model = {model: entries(part(own, "by", name)) for model, own in mapping(result, "models").items()}
+    by_model = {model: index_bins(get_part(own, "by", name)) for model, own in get_mapping(result, "models").items()}
     first = next(iter(by_model.values()))
-    shown = most_sure([{label: part(e, "bias_kwh") for label, e in own.items()} for own in by_model.values()])
+    shown = select_most_significant(
+        [{label: get_part(e, "bias_kwh") for label, e in own.items()} for own in by_model.values()]
+    )
     rows = tuple(
         Row(
             label,
             (
-                Cell(count(first[label].get("n"))),
-                Cell(count(first[label].get("vehicle_days"))),
+                Cell(format_count(first[label].get("n"))),
+                Cell(format_count(first[label].get("vehicle_days"))),
                 *(_bias_and_error(found.get(label), share=len(by_model) <= FEW) for found in by_model.values()),
             ),
         )
@@ -158,20 +172,20 @@ def by_condition(result: Result, name: str) -> ReportTable:
     if len(shown) < len(first):
         notes.append(f"{len(shown)} of {len(first)}: those that are most surely off; the others are in --json.")
     heads = ("rides", "car-days", *(f"{model}: bias (MAE), kWh" for model in by_model))
-    return ReportTable(f"Errors by {name}", titled(name), heads, rows, tuple(notes))
+    return ReportTable(f"Errors by {name}", format_condition(name), heads, rows, tuple(notes))
 
 
-def titled(name: str) -> str:
+def format_condition(name: str) -> str:
     """Return a condition with its unit."""
     return f"{name}, {UNITS[name]}" if name in UNITS else name
 
 
-def entries(found: Any) -> dict[str, Mapping[str, Any]]:
+def index_bins(found: Any) -> dict[str, Mapping[str, Any]]:
     """Return bins by name."""
     return {str(entry["bin"]): entry for entry in found or ()}
 
 
-def most_sure(found: Sequence[Mapping[str, Any]]) -> list[str]:
+def select_most_significant(found: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the bins that are shown, in their order.
 
     Parameters
@@ -182,16 +196,16 @@ def most_sure(found: Sequence[Mapping[str, Any]]) -> list[str]:
     labels = list(dict.fromkeys(label for own in found for label in own))
 
     def sure(label: str) -> float:
-        known = [(number(part(own, label)), half_width(part(own, label))) for own in found]
+        known = [(get_number(get_part(own, label)), get_half_width(get_part(own, label))) for own in found]
         return max((abs(bias) / width for bias, width in known if bias is not None and width), default=0.0)
 
     kept = set(sorted(labels, key=sure, reverse=True)[:MOST_BINS])
     return [label for label in labels if label in kept]
 
 
-def is_sure(entry: Mapping[str, Any] | None) -> bool:
+def is_significant(entry: Mapping[str, Any] | None) -> bool:
     """Tell whether a finding is beyond chance among all that were looked at."""
-    q = number(part(entry, "q"))
+    q = get_number(get_part(entry, "q"))
     return q is not None and q < SIGNIFICANCE
 
 
@@ -199,21 +213,21 @@ def _bias_and_error(entry: Mapping[str, Any] | None, *, share: bool) -> Cell:
     """Return the figures of a bin, with the error's share of consumption where there is room."""
     if entry is None:
         return Cell("")
-    mark = " *" if is_sure(entry) else ""
-    error = kwh(entry.get("mae_kwh")) + (f", {percent(entry.get('relative'), 0)}" if share else "")
-    return Cell(f"{off(entry.get('bias_kwh'))}{mark} ({error})", strong=bool(mark))
+    mark = " *" if is_significant(entry) else ""
+    error = format_energy(entry.get("mae_kwh")) + (f", {format_percent(entry.get('relative'), 0)}" if share else "")
+    return Cell(f"{format_difference(entry.get('bias_kwh'))}{mark} ({error})", strong=bool(mark))
 
 
-def worst_tables(result: Result, model: str, *, commands: bool) -> list[ReportTable]:
+def tabulate_worst_rides(result: Result, model: str, *, commands: bool) -> list[ReportTable]:
     """Return the rides of a model's largest errors, with the command that shows each where there is room."""
-    found = mapping(result, "models", model, "worst")
+    found = get_mapping(result, "models", model, "worst")
     return [
-        _worst(f"{model}: the largest errors, kWh", part(found, "absolute") or (), commands=commands),
+        _worst(f"{model}: the largest errors, kWh", get_part(found, "absolute") or (), commands=commands),
         _worst(
             f"{model}: the largest errors over what the ride took, kWh",
-            part(found, "relative") or (),
+            get_part(found, "relative") or (),
             commands=commands,
-        )._replace(notes=(f"Of rides whose energy was measured to within {percent(WELL_KNOWN, 0)}.",)),
+        )._replace(notes=(f"Of rides whose energy was measured to within {format_percent(MOST_RELATIVE_SD, 0)}.",)),
     ]
 
 
@@ -222,12 +236,12 @@ def _worst(title: str, rides: Sequence[Mapping[str, Any]], *, commands: bool) ->
         Row(
             str(ride["ride"]),
             (
-                Cell(vehicle_name(str(ride.get("vehicle_model")))),
+                Cell(get_vehicle_name(str(ride.get("vehicle_model")))),
                 Cell(str(ride.get("date"))),
-                *(Cell(within(ride.get(name))) for name in ("distance_km", "average_speed_kmh", "ambient_c")),
-                *(Cell(within(ride.get(name), 3)) for name in ("measured_kwh", "predicted_kwh")),
-                Cell(signed(ride.get("error_kwh"))),
-                Cell(percent(ride.get("relative"), 0)),
+                *(Cell(format_estimate(ride.get(name))) for name in ("distance_km", "average_speed_kmh", "ambient_c")),
+                *(Cell(format_estimate(ride.get(name), 3)) for name in ("measured_kwh", "predicted_kwh")),
+                Cell(format_signed(ride.get("error_kwh"))),
+                Cell(format_percent(ride.get("relative"), 0)),
                 *([Cell(str(ride.get("command", "")))] if commands else []),
             ),
         )
@@ -237,13 +251,13 @@ def _worst(title: str, rides: Sequence[Mapping[str, Any]], *, commands: bool) ->
     return ReportTable(title, "ride", (*heads, "its trace") if commands else heads, rows)
 
 
-def contrast_tables(result: Result) -> list[ReportTable]:
+def tabulate_datasets(result: Result) -> list[ReportTable]:
     """Return what is different between two sets of rides: the rides, what they took, and each model's account of it."""
-    against = mapping(result, "against")
+    against = get_mapping(result, "against")
     if not against:
         return []
-    rides = _sides("How the rides differ", "what", part(against, "properties") or (), _property, within)
-    accounts = [account(against, model) for model in mapping(against, "models")]
+    rides = _sides("How the rides differ", "what", get_part(against, "properties") or (), _property, format_estimate)
+    accounts = [tabulate_difference_terms(against, model) for model in get_mapping(against, "models")]
     errors = _errors(against)
     note = "Marked *: beyond chance, 1 in 20 of these being expected to be a false finding. Most different first."
     return [rides._replace(notes=(note, INTERVAL_NOTE)), *accounts, errors]
@@ -251,7 +265,7 @@ def contrast_tables(result: Result) -> list[ReportTable]:
 
 def _property(entry: Mapping[str, Any]) -> str:
     unit = "" if entry["unit"] == "1" else f", {entry['unit']}"
-    return f"{entry['name']}{unit}{' *' if is_sure(entry) else ''}"
+    return f"{entry['name']}{unit}{' *' if is_significant(entry) else ''}"
 
 
 def _sides(
@@ -268,7 +282,7 @@ def _sides(
             (
                 Cell(shown(entry["first"])),
                 Cell(shown(entry["second"])),
-                Cell(off(entry["difference"], 1), strong=is_sure(entry)),
+                Cell(format_difference(entry["difference"], 1), strong=is_significant(entry)),
             ),
         )
         for entry in found
@@ -276,20 +290,24 @@ def _sides(
     return ReportTable(title, corner, ("first", "second", "second less first"), rows)
 
 
-def account(against: Result, model: str) -> ReportTable:
+def tabulate_difference_terms(against: Result, model: str) -> ReportTable:
     """Return the difference in consumption as a model explains it, term by term."""
-    own = mapping(against, "models", model)
+    own = get_mapping(against, "models", model)
     sums = [
-        ("predicted", mapping(own, "explained")),
-        ("measured", mapping(against, "consumption")),
-        ("measured less predicted", mapping(own, "unexplained")),
+        ("predicted", get_mapping(own, "explained")),
+        ("measured", get_mapping(against, "consumption")),
+        ("measured less predicted", get_mapping(own, "unexplained")),
     ]
     entries = [
-        *({**entry, "name": f"of it {entry['name']}"} for entry in part(own, "terms") or ()),
+        *({**entry, "name": f"of it {entry['name']}"} for entry in get_part(own, "terms") or ()),
         *({**entry, "name": name} for name, entry in sums),
     ]
     table = _sides(
-        f"{model}: what it makes of the difference, kWh per 100 km", "part", entries, lambda e: str(e["name"]), within
+        f"{model}: what it makes of the difference, kWh per 100 km",
+        "part",
+        entries,
+        lambda e: str(e["name"]),
+        format_estimate,
     )
     rows = tuple(row._replace(total=not row.name.startswith("of it ")) for row in table.rows)
     note = "The terms add up to what is predicted. The last row is what the model does not explain, or chance."
@@ -299,14 +317,14 @@ def account(against: Result, model: str) -> ReportTable:
 def _errors(against: Result) -> ReportTable:
     """Return bias and error of each model on both sets."""
     rows = []
-    for model, own in mapping(against, "models").items():
-        bias, error = mapping(own, "bias_kwh"), mapping(own, "mae_kwh")
-        for name, entry, shown in (("bias", bias, off), ("MAE", error, kwh)):
-            sure = (number(entry.get("p")) or 1.0) < SIGNIFICANCE
+    for model, own in get_mapping(against, "models").items():
+        bias, error = get_mapping(own, "bias_kwh"), get_mapping(own, "mae_kwh")
+        for name, entry, shown in (("bias", bias, format_difference), ("MAE", error, format_energy)):
+            sure = (get_number(entry.get("p")) or 1.0) < SIGNIFICANCE
             cells = (
                 Cell(shown(entry["first"])),
                 Cell(shown(entry["second"])),
-                Cell(off(entry["difference"]), strong=sure),
+                Cell(format_difference(entry["difference"]), strong=sure),
             )
             rows.append(Row(f"{model}: {name}", cells))
     heads = ("first", "second", "second less first")
@@ -314,12 +332,14 @@ def _errors(against: Result) -> ReportTable:
     return ReportTable("Errors on both, kWh a ride", "model", heads, tuple(rows), (note, INTERVAL_NOTE))
 
 
-def contrast_conditions(result: Result, model: str) -> list[ReportTable]:
+def tabulate_datasets_by_condition(result: Result, model: str) -> list[ReportTable]:
     """Return the bias of a model on both sets of rides by each condition."""
-    found = mapping(result, "against", "models", model, "by")
+    found = get_mapping(result, "against", "models", model, "by")
     tables = []
     for name, bins in found.items():
-        shown = most_sure([{str(entry["bin"]): part(entry, "bias_kwh", "difference") for entry in bins}])
+        shown = select_most_significant(
+            [{str(entry["bin"]): get_part(entry, "bias_kwh", "difference") for entry in bins}]
+        )
         rows = tuple(_both(entry) for entry in bins if str(entry["bin"]) in shown)
         heads = (
             "rides",
@@ -330,20 +350,22 @@ def contrast_conditions(result: Result, model: str) -> list[ReportTable]:
             "kWh/100 km: second less first",
         )
         tables.append(
-            ReportTable(f"{model}: by {name}, kWh a ride", titled(name), heads, rows, (SURE_NOTE, INTERVAL_NOTE))
+            ReportTable(
+                f"{model}: by {name}, kWh a ride", format_condition(name), heads, rows, (SURE_NOTE, INTERVAL_NOTE)
+            )
         )
     return tables
 
 
 def _both(entry: Mapping[str, Any]) -> Row:
     bias = entry["bias_kwh"]
-    mark = " *" if is_sure(entry) else ""
+    mark = " *" if is_significant(entry) else ""
     cells = (
-        Cell(" / ".join(count(n) for n in entry["n"])),
-        Cell(off(bias["first"])),
-        Cell(off(bias["second"])),
-        Cell(off(bias["difference"]) + mark, strong=bool(mark)),
-        Cell(off(part(entry, "mae_kwh", "difference"))),
-        Cell(off(part(entry, "consumption", "difference"), 1)),
+        Cell(" / ".join(format_count(n) for n in entry["n"])),
+        Cell(format_difference(bias["first"])),
+        Cell(format_difference(bias["second"])),
+        Cell(format_difference(bias["difference"]) + mark, strong=bool(mark)),
+        Cell(format_difference(get_part(entry, "mae_kwh", "difference"))),
+        Cell(format_difference(get_part(entry, "consumption", "difference"), 1)),
     )
     return Row(str(entry["bin"]), cells)

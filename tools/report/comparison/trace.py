@@ -6,12 +6,12 @@ from typing import Any, Final
 
 import plotly.graph_objects as go
 
-from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, kwh, percent, signed
-from tools.report.comparison.figures import model_style
-from tools.report.comparison.tables import within
+from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_energy, format_percent, format_signed
+from tools.report.comparison.figures import get_model_style
+from tools.report.comparison.tables import format_estimate
 from tools.report.evaluation.illustrations import Illustration
-from tools.report.evaluation.result import Result, mapping, number, part
-from tools.report.figure_style import Style, figure, label, stacked, style
+from tools.report.evaluation.result import Result, get_mapping, get_number, get_part
+from tools.report.figure_style import Style, escape_label, get_style, make_figure, make_stacked_figure
 
 MEASURED: Final = Style("#8a8a8a", "solid", "circle", "")
 MOST_TERMS: Final = 6
@@ -27,56 +27,63 @@ SECONDS: Final = 3600.0
 """In an hour."""
 
 
-def about(found: Result) -> str:
+def describe_ride(found: Result) -> str:
     """Return which ride it is, in words."""
-    ride = mapping(found, "ride")
+    ride = get_mapping(found, "ride")
     names = [str(ride[name]) for name in ("vehicle_model", "date") if ride.get(name)]
-    sd = number(ride.get("energy_sd_kwh"))
+    sd = get_number(ride.get("energy_sd_kwh"))
     spread = "" if sd is None else f" ± {sd:.3f} (its own standard uncertainty)"
     conditions = (
-        f"{within(ride.get('distance_km'))} km in {within((number(ride.get('duration_s')) or 0.0) / 60.0)} min at "
-        f"{within(ride.get('ambient_c'))} °C, {kwh(ride.get('energy_kwh'))} kWh{spread}"
+        f"{format_estimate(ride.get('distance_km'))} km in {format_estimate((get_number(ride.get('duration_s')) or 0.0) / 60.0)} min at "
+        f"{format_estimate(ride.get('ambient_c'))} °C, {format_energy(ride.get('energy_kwh'))} kWh{spread}"
     )
     unfit = f"; unfit for training: {str(ride['unfit_reason']).replace('_', ' ')}" if ride.get("unfit_reason") else ""
     return f"{', '.join([*names, conditions])}{unfit}."
 
 
-def summary(found: Result) -> ReportTable:
+def tabulate_models(found: Result) -> ReportTable:
     """Return what each model says of the ride, and where it parts from the measurement."""
-    measured = number(part(found, "ride", "energy_kwh"))
+    measured = get_number(get_part(found, "ride", "energy_kwh"))
     rows = []
-    for name, own in mapping(found, "models").items():
-        error = number(own.get("error_kwh"))
+    for name, own in get_mapping(found, "models").items():
+        error = get_number(own.get("error_kwh"))
         share = None if error is None or not measured else error / abs(measured)
-        cells = (Cell(kwh(own.get("predicted_kwh"))), Cell(signed(error)), Cell(percent(share, 0)))
+        cells = (
+            Cell(format_energy(own.get("predicted_kwh"))),
+            Cell(format_signed(error)),
+            Cell(format_percent(share, 0)),
+        )
         rows.append(Row(name, cells))
-    notes = [f"{name} {own['words']}." for name, own in mapping(found, "models").items()]
+    notes = [f"{name} {own['words']}." for name, own in get_mapping(found, "models").items()]
     heads = ("predicted, kWh", "error, kWh", "of measured")
     return ReportTable(
-        "The ride as models have it", "model", heads, tuple(rows), (*notes, *(part(found, "notes") or ()))
+        "The ride as models have it", "model", heads, tuple(rows), (*notes, *(get_part(found, "notes") or ()))
     )
 
 
-def terms(found: Result) -> list[ReportTable]:
+def tabulate_terms(found: Result) -> list[ReportTable]:
     """Return each model's terms: over the ride, and where it parts from the measurement."""
-    return [_terms(name, own) for name, own in mapping(found, "models").items()]
+    return [_terms(name, own) for name, own in get_mapping(found, "models").items()]
 
 
 def _terms(model: str, own: Mapping[str, Any]) -> ReportTable:
     """Return the terms of a model, the largest first."""
-    place = part(own, "place")
+    place = get_part(own, "place")
     at = slice(place["first"], place["last"] + 1) if place else slice(0, 0)
-    start = mapping(own, "start_terms")
+    start = get_mapping(own, "start_terms")
     figures = {
         name: (start[name] + sum(energy), start[name], sum(list(energy)[at]))
-        for name, energy in mapping(own, "terms").items()
+        for name, energy in get_mapping(own, "terms").items()
     }
     shown = [name for name, told in figures.items() if max(map(abs, told)) >= LEAST_SHOWN]
     order = sorted(shown, key=lambda name: -abs(figures[name][0]))
     columns = [True, any(start[name] for name in shown), bool(place)]
     heads = ("whole ride", "before anything is driven", f"where it parts, {place['minutes']:.1f} min" if place else "")
     rows = tuple(
-        Row(name, tuple(Cell(signed(told)) for told, wanted in zip(figures[name], columns, strict=True) if wanted))
+        Row(
+            name,
+            tuple(Cell(format_signed(told)) for told, wanted in zip(figures[name], columns, strict=True) if wanted),
+        )
         for name in order
     )
     small = len(figures) - len(shown)
@@ -90,10 +97,10 @@ def _terms(model: str, own: Mapping[str, Any]) -> ReportTable:
     )
 
 
-def windows(found: Result) -> ReportTable:
+def tabulate_windows(found: Result) -> ReportTable:
     """Return the ride window by window."""
-    own = mapping(found, "windows")
-    models = mapping(found, "models")
+    own = get_mapping(found, "windows")
+    models = get_mapping(found, "models")
     energy = {name: list(model["energy_kwh"]) for name, model in models.items()}
     errors = {name: list(_running(found, name)) for name in models}
     rows = []
@@ -102,11 +109,11 @@ def windows(found: Result) -> ReportTable:
     ):
         marks = {name: _mark(model, i) for name, model in models.items()}
         cells = (
-            Cell(within(km)),
-            Cell(within(SECONDS * driven / seconds, 0) if seconds else UNKNOWN),
-            Cell(within(_kw(measured, seconds))),
-            *(Cell(within(_kw(energy[name][i], seconds))) for name in models),
-            *(Cell(f"{signed(errors[name][i])}{marks[name]}", strong=bool(marks[name])) for name in models),
+            Cell(format_estimate(km)),
+            Cell(format_estimate(SECONDS * driven / seconds, 0) if seconds else UNKNOWN),
+            Cell(format_estimate(_kw(measured, seconds))),
+            *(Cell(format_estimate(_kw(energy[name][i], seconds))) for name in models),
+            *(Cell(f"{format_signed(errors[name][i])}{marks[name]}", strong=bool(marks[name])) for name in models),
         )
         rows.append(Row(f"{minute:.1f}", cells))
     heads = (
@@ -119,7 +126,7 @@ def windows(found: Result) -> ReportTable:
 
 
 def _mark(model: Mapping[str, Any], window: int) -> str:
-    place = part(model, "place")
+    place = get_part(model, "place")
     return f" {HERE}" if place and place["first"] <= window <= place["last"] else ""
 
 
@@ -129,12 +136,14 @@ def _kw(energy_kwh: float, seconds: float) -> float | None:
 
 def _running(found: Result, model: str) -> Sequence[float]:
     """Return the error so far after each window, what was said before the first one included. [kWh]"""
-    own = mapping(found, "models", model)
-    apart = [said - true for said, true in zip(own["energy_kwh"], part(found, "windows", "measured_kwh"), strict=True)]
+    own = get_mapping(found, "models", model)
+    apart = [
+        said - true for said, true in zip(own["energy_kwh"], get_part(found, "windows", "measured_kwh"), strict=True)
+    ]
     return list(accumulate(apart, initial=own["start_kwh"]))[1:]
 
 
-def illustrations(found: Result) -> list[Illustration]:
+def build_illustrations(found: Result) -> list[Illustration]:
     """Return energy and error along the ride, its power, and the terms of each model."""
     note = "Shaded: where the first model and the measurement part."
     along = [
@@ -142,76 +151,80 @@ def illustrations(found: Result) -> list[Illustration]:
             f"along-{axis.removeprefix('end_')}",
             f"Energy and error against {name}",
             f"{caption} {note}",
-            cumulative(found, axis),
+            draw_cumulative(found, axis),
         )
         for axis, name, caption in (
             ("end_min", "time", "Energy used so far, measured and predicted, and predicted less measured."),
             ("end_km", "distance", "The same against the distance driven."),
         )
     ]
-    power = Illustration("power", "Power along the ride", f"Mean power of each window. {note}", powers(found))
+    power = Illustration("power", "Power along the ride", f"Mean power of each window. {note}", draw_powers(found))
     stacks = [
         Illustration(
             f"terms-{i}",
             f"{name}: what its prediction is made of",
             "Mean power of each term in each window, stacked; the line is what was measured.",
-            stack(found, name),
+            draw_terms(found, name),
         )
-        for i, name in enumerate(mapping(found, "models"))
+        for i, name in enumerate(get_mapping(found, "models"))
     ]
     return [*along, power, *stacks]
 
 
 def _ends(found: Result, axis: str) -> list[float]:
     """Return the beginnings of windows, and the end of the last."""
-    return [0.0, *part(found, "windows", axis)]
+    return [0.0, *get_part(found, "windows", axis)]
 
 
-def cumulative(found: Result, axis: str) -> go.Figure:
+def draw_cumulative(found: Result, axis: str) -> go.Figure:
     """Return energy so far above, and error so far below."""
-    made = stacked(("energy so far, kWh", "error so far, kWh"), 600)
+    made = make_stacked_figure(("energy so far, kWh", "error so far, kWh"), 600)
     x = _ends(found, axis)
     made.add_trace(
-        _steps("measured", MEASURED, x, _sums(part(found, "windows", "measured_kwh")), width=3), row=1, col=1
+        _steps("measured", MEASURED, x, _sums(get_part(found, "windows", "measured_kwh")), width=3), row=1, col=1
     )
-    for place, (name, own) in enumerate(mapping(found, "models").items()):
-        look = model_style(place)
-        made.add_trace(_steps(label(name), look, x, _sums(own["energy_kwh"], own["start_kwh"])), row=1, col=1)
+    for place, (name, own) in enumerate(get_mapping(found, "models").items()):
+        look = get_model_style(place)
+        made.add_trace(_steps(escape_label(name), look, x, _sums(own["energy_kwh"], own["start_kwh"])), row=1, col=1)
         error = [own["start_kwh"], *_running(found, name)]
-        made.add_trace(_steps(label(name), look, x, error, showlegend=False), row=2, col=1)
+        made.add_trace(_steps(escape_label(name), look, x, error, showlegend=False), row=2, col=1)
     _shade(made, found, x)
     made.update_xaxes(title_text=AXES[axis], row=2, col=1)
     made.update_yaxes(title_text="[kWh]")
     return made
 
 
-def powers(found: Result) -> go.Figure:
+def draw_powers(found: Result) -> go.Figure:
     """Return mean power of each window, measured and predicted."""
     x = _ends(found, "end_min")
-    traces = [_stairs("measured", MEASURED, x, _power(found, part(found, "windows", "measured_kwh")), width=3)]
-    for place, (name, own) in enumerate(mapping(found, "models").items()):
-        traces.append(_stairs(label(name), model_style(place), x, _power(found, own["energy_kwh"])))
-    made = figure(traces, 400)
+    traces = [_stairs("measured", MEASURED, x, _power(found, get_part(found, "windows", "measured_kwh")), width=3)]
+    for place, (name, own) in enumerate(get_mapping(found, "models").items()):
+        traces.append(_stairs(escape_label(name), get_model_style(place), x, _power(found, own["energy_kwh"])))
+    made = make_figure(traces, 400)
     _shade(made, found, x)
     made.update_xaxes(title_text=AXES["end_min"])
     made.update_yaxes(title_text="Mean power of a window [kW]")
     return made
 
 
-def stack(found: Result, model: str) -> go.Figure:
+def draw_terms(found: Result, model: str) -> go.Figure:
     """Return the terms of a model, stacked, and what was measured."""
     ends = _ends(found, "end_min")
     middle = [(a + b) / 2.0 for a, b in pairwise(ends)]
     width = [0.92 * (b - a) for a, b in pairwise(ends)]
     traces: list[Any] = []
-    order = list(dict.fromkeys(name for own in mapping(found, "models").values() for name in _largest(own["terms"])))
-    for name, energy in _largest(mapping(found, "models", model, "terms")).items():
-        look = style(1 + order.index(name))  # a term has one pattern, whichever model it is of
+    order = list(
+        dict.fromkeys(name for own in get_mapping(found, "models").values() for name in _largest(own["terms"]))
+    )
+    for name, energy in _largest(get_mapping(found, "models", model, "terms")).items():
+        look = get_style(1 + order.index(name))  # a term has one pattern, whichever model it is of
         pattern = {"shape": look.pattern, "fillmode": "replace", "size": 6, "solidity": 0.5}
         marker = {"color": look.colour, "pattern": pattern, "line": {"color": look.colour, "width": 1}}
-        traces.append(go.Bar(name=label(name), x=middle, y=_power(found, energy), width=width, marker=marker))
-    traces.append(_stairs("measured", MEASURED, ends, _power(found, part(found, "windows", "measured_kwh")), width=3))
-    made = figure(traces, 420)
+        traces.append(go.Bar(name=escape_label(name), x=middle, y=_power(found, energy), width=width, marker=marker))
+    traces.append(
+        _stairs("measured", MEASURED, ends, _power(found, get_part(found, "windows", "measured_kwh")), width=3)
+    )
+    made = make_figure(traces, 420)
     made.update_layout(barmode="relative")
     made.update_xaxes(title_text=AXES["end_min"])
     made.update_yaxes(title_text="Mean power of a window [kW]")
@@ -233,7 +246,9 @@ def _sums(values: Sequence[float], start: float = 0.0) -> list[float]:
 
 def _power(found: Result, energy: Sequence[float]) -> list[float | None]:
     """Return the mean power of each window. [kW]"""
-    return [_kw(value, seconds) for value, seconds in zip(energy, part(found, "windows", "duration_s"), strict=True)]
+    return [
+        _kw(value, seconds) for value, seconds in zip(energy, get_part(found, "windows", "duration_s"), strict=True)
+    ]
 
 
 def _steps(
@@ -255,7 +270,7 @@ def _stairs(name: str, look: Style, x: Sequence[float], y: Sequence[Any], *, wid
 
 def _shade(made: go.Figure, found: Result, x: Sequence[float]) -> None:
     """Shade the windows in which the first model and the measurement part."""
-    first = next(iter(mapping(found, "models").values()))
-    if place := part(first, "place"):
+    first = next(iter(get_mapping(found, "models").values()))
+    if place := get_part(first, "place"):
         shade = {"fillcolor": "rgba(138,138,138,0.25)", "line": {"width": 0}, "layer": "below"}
         made.add_vrect(x0=x[place["first"]], x1=x[place["last"] + 1], **shade)

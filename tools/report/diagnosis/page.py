@@ -10,13 +10,13 @@ from rich.console import Console
 from rich.padding import Padding
 from rich.text import Text
 
-from core.evaluate.paper.results import plain
+from core.evaluate.paper.results import to_json_values
 from tools.report.diagnosis import figures, tables, words
 from tools.report.evaluation.illustrations import Illustration
-from tools.report.evaluation.result import Result, mapping
+from tools.report.evaluation.result import Result, get_mapping
 from tools.report.evaluation.sections import Section
 from tools.report.evaluation.terminal import print_section
-from tools.report.page import document, save
+from tools.report.page import render_document, save
 
 DRAWN: Final[Mapping[str, Callable[[Result], list[Illustration]]]] = MappingProxyType(
     {"error": figures.errors, "slices": figures.slices, "missing": figures.effects, "remains": figures.remains}
@@ -36,8 +36,8 @@ def show(result: Any, console: Console, *, suggested: str | None = None) -> None
     suggested : str, optional
         The file that the suggestion was written to.
     """
-    found = plain(result)
-    model = mapping(found, "model")
+    found = to_json_values(result)
+    model = get_mapping(found, "model")
     head(f"Diagnosis of {model.get('name')}, version {model.get('version')}", console)
     say(words.data(found), console)
     head("How far off", console)
@@ -57,7 +57,7 @@ def show(result: Any, console: Console, *, suggested: str | None = None) -> None
 
 def show_step(result: Any, step: int, console: Console) -> None:
     """Print in a few lines what a step of the loop found."""
-    found = plain(result)
+    found = to_json_values(result)
     head(f"Step {step}", console)
     first = next((m for m in found.get("missing") or () if m.get("effect") == found.get("verdict")), None)
     if first is None:
@@ -97,11 +97,11 @@ def _show_missing(found: Result, console: Console) -> None:
 
 def write(result: Any, path: Path, *, suggested: str | None = None) -> None:
     """Write a diagnosis as a page that needs nothing else."""
-    found = plain(result)
-    model = mapping(found, "model")
+    found = to_json_values(result)
+    model = get_mapping(found, "model")
     title = f"Diagnosis of {model.get('name')}, version {model.get('version')}"
     lead = "".join(f"<p>{escape(line)}</p>" for line in (*words.data(found), *words.verdict(found)))
-    page = document(
+    page = render_document(
         title,
         lead,
         sections(found, suggested),

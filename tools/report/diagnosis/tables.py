@@ -2,9 +2,9 @@
 
 from typing import Any, Final
 
-from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, count, percent, signed
+from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count, format_percent, format_signed
 from tools.report.diagnosis import words
-from tools.report.evaluation.result import Result, mapping, number
+from tools.report.evaluation.result import Result, get_mapping, get_number
 
 BIAS_NOTE: Final = (
     "Bias: predicted less measured, less that of all other rides. Slices are found on half of the vehicle-days and "
@@ -25,7 +25,7 @@ def slices(result: Result) -> ReportTable:
         Row(
             str(found.get("where")),
             (
-                Cell(count(found.get("rides"))),
+                Cell(format_count(found.get("rides"))),
                 Cell(_spread(found.get("bias_kwh"), found.get("ci95"))),
                 Cell(words.slice_(found)),
                 Cell(_plain(found.get("mae_kwh"))),
@@ -45,10 +45,10 @@ def missing(result: Result) -> ReportTable:
             f"{place}. {words.name(found)}",
             (
                 Cell("all" if found.get("scope") in {None, "all"} else str(found["scope"])),
-                Cell(percent(found.get("gain")), strong=place == 1),
-                Cell(percent(found.get("energy_share"))),
+                Cell(format_percent(found.get("gain")), strong=place == 1),
+                Cell(format_percent(found.get("energy_share"))),
                 Cell(_coefficient(found)),
-                Cell("yes" if mapping(found, "coefficient").get("plausible") else "NO"),
+                Cell("yes" if get_mapping(found, "coefficient").get("plausible") else "NO"),
                 Cell(_small(found.get("q"))),
                 Cell(", ".join(str(e) for e in found.get("group") or () if e != found.get("effect")) or "–"),
             ),
@@ -68,7 +68,7 @@ def candidates(result: Result) -> ReportTable:
                 Cell("all" if found.get("scope") in {None, "all"} else str(found["scope"])),
                 Cell(_fixed(found.get("z"))),
                 Cell(_small(found.get("q"))),
-                Cell(percent(found.get("gain"), 2)),
+                Cell(format_percent(found.get("gain"), 2)),
                 Cell(str(found.get("status")), strong=found.get("status") == "missing"),
             ),
         )
@@ -80,19 +80,19 @@ def candidates(result: Result) -> ReportTable:
 
 def errors(result: Result) -> ReportTable:
     """Return the errors and the noise floor."""
-    found = mapping(result, "error")
+    found = get_mapping(result, "error")
     told = (
         ("as given", found.get("mae_kwh")),
         ("its terms fitted to these rides", found.get("mae_refitted_kwh")),
         ("measurement noise alone", found.get("noise_floor_kwh")),
     )
-    rows = tuple(Row(what, (Cell(_plain(value)),)) for what, value in told if number(value) is not None)
+    rows = tuple(Row(what, (Cell(_plain(value)),)) for what, value in told if get_number(value) is not None)
     return ReportTable("Mean absolute error of a ride", "model", ("kWh",), rows)
 
 
 def structure(result: Result) -> ReportTable:
     """Return how much of what is left can be predicted, before and after the named effects, or is of a plain shape."""
-    found = mapping(result, "structure")
+    found = get_mapping(result, "structure")
     told = (
         ("predictable share before the named effects", found.get("before")),
         ("predictable share after them", found.get("after")),
@@ -103,15 +103,15 @@ def structure(result: Result) -> ReportTable:
             found.get("gain") if "shape" in (found.get("signs") or ()) else None,
         ),
     )
-    rows = tuple(Row(what, (Cell(percent(value)),)) for what, value in told if number(value) is not None)
+    rows = tuple(Row(what, (Cell(format_percent(value)),)) for what, value in told if get_number(value) is not None)
     note = "Share of the variance of what is left that boosted trees predict on days that they were not fitted to."
     return ReportTable("What remains", "structure", ("share",), rows, (note,))
 
 
 def _coefficient(found: Any) -> str:
     """Return a coefficient with its interval and unit."""
-    own = mapping(found, "coefficient")
-    value, limits = number(own.get("value")), words.ends(own.get("ci95"))
+    own = get_mapping(found, "coefficient")
+    value, limits = get_number(own.get("value")), words.ends(own.get("ci95"))
     if value is None:
         return UNKNOWN
     unit = "" if own.get("unit") in {None, "1"} else f" {own['unit']}"
@@ -121,19 +121,19 @@ def _coefficient(found: Any) -> str:
 def _spread(value: Any, ci95: Any) -> str:
     """Return a bias with its interval, which is half a width or two ends."""
     limits = words.ends(ci95)
-    half = (limits[1] - limits[0]) / 2.0 if limits else number(ci95)
-    return signed(value) + ("" if half is None else f" ± {half:.2g}")
+    half = (limits[1] - limits[0]) / 2.0 if limits else get_number(ci95)
+    return format_signed(value) + ("" if half is None else f" ± {half:.2g}")
 
 
 def _plain(value: Any) -> str:
-    known = number(value)
+    known = get_number(value)
     return UNKNOWN if known is None else f"{known:.3g}"
 
 
 def _small(value: Any) -> str:
-    known = number(value)
+    known = get_number(value)
     return UNKNOWN if known is None else f"{known:.2g}"
 
 
 def _fixed(value: Any) -> str:
-    return signed(value, 1)
+    return format_signed(value, 1)

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from typing import Any
 
-from tools.report.cells import count, percent
+from tools.report.cells import format_count, format_percent
 from tools.report.evaluation.data_tables import MEASURED_BY
-from tools.report.evaluation.result import Result, mapping, number
+from tools.report.evaluation.result import Result, get_mapping, get_number
 
 LEAST_BIAS = 5e-4
 """Bias of a ride below which none is told. [kWh]"""
@@ -21,7 +21,7 @@ def energy(value: Any) -> str:
     >>> energy(0.06234), energy(None)
     ('0.0623 kWh', 'unknown')
     """
-    known = number(value)
+    known = get_number(value)
     return "unknown" if known is None else f"{known:.3g} kWh"
 
 
@@ -29,47 +29,47 @@ def ends(value: Any) -> tuple[float, float] | None:
     """Return lower and upper end of an interval, None where it has none."""
     if not isinstance(value, list | tuple) or len(value) != 2:
         return None
-    low, high = map(number, value)
+    low, high = map(get_number, value)
     return None if low is None or high is None else (low, high)
 
 
 def data(result: Result) -> list[str]:
     """Say what was looked at."""
-    found = mapping(result, "data")
+    found = get_mapping(result, "data")
     measured = MEASURED_BY.get(str(found.get("measured")), "voltage and current or state of charge")
     said = str(found.get("resolution") or measured)
     seen = (
-        f"{count(found.get('rides'))} rides of {_plural(found.get('vehicles'), 'vehicle')}, "
+        f"{format_count(found.get('rides'))} rides of {_plural(found.get('vehicles'), 'vehicle')}, "
         f"{_plural(found.get('days'), 'vehicle-day')}, {found.get('first_date')} to {found.get('last_date')}, in "
-        f"{count(found.get('windows'))} windows."
+        f"{format_count(found.get('windows'))} windows."
     )
     lines = [seen, f"How the energy was measured: {said}."]
-    if left := mapping(found, "left_out"):
-        told = ", ".join(f"{count(n)} {str(why).replace('_', ' ')}" for why, n in left.items())
+    if left := get_mapping(found, "left_out"):
+        told = ", ".join(f"{format_count(n)} {str(why).replace('_', ' ')}" for why, n in left.items())
         lines.append(f"Left out: {told}.")
     return lines
 
 
 def error(result: Result) -> list[str]:
     """Say how far off the model is, and how much of that is the measurement's own noise."""
-    found = mapping(result, "error")
-    mae, floor, refitted = (number(found.get(key)) for key in ("mae_kwh", "noise_floor_kwh", "mae_refitted_kwh"))
-    share = number(found.get("relative"))
-    of = f", {percent(share)} of what rides take" if share is not None else ""
+    found = get_mapping(result, "error")
+    mae, floor, refitted = (get_number(found.get(key)) for key in ("mae_kwh", "noise_floor_kwh", "mae_refitted_kwh"))
+    share = get_number(found.get("relative"))
+    of = f", {format_percent(share)} of what rides take" if share is not None else ""
     lines = [f"The model is {energy(mae)} off a ride on average{of}{_bias(found.get('bias_kwh'))}."]
     if refitted is not None:
         lines.append(f"The same terms, fitted to these rides, would be {energy(refitted)} off.")
     if mae and floor is not None:
         lines.append(
             f"Measurement noise: a model without any error would still seem {energy(floor)} off, "
-            f"{percent(min(floor / mae, 1.0), 0)} of that."
+            f"{format_percent(min(floor / mae, 1.0), 0)} of that."
         )
     return lines
 
 
 def _bias(value: Any) -> str:
     """Say to which side a model errs."""
-    bias = number(value)
+    bias = get_number(value)
     if bias is None or abs(bias) < LEAST_BIAS:
         return ""
     side = "too much" if bias > 0.0 else "too little"
@@ -78,7 +78,7 @@ def _bias(value: Any) -> str:
 
 def slice_(found: Mapping[str, Any]) -> str:
     """Say what is special about a slice."""
-    bias = number(found.get("bias_kwh")) or 0.0
+    bias = get_number(found.get("bias_kwh")) or 0.0
     return f"{energy(abs(bias))} {'more' if bias > 0.0 else 'less'} than elsewhere"
 
 
@@ -105,25 +105,27 @@ def name(found: Mapping[str, Any]) -> str:
 def worth(found: Mapping[str, Any]) -> str:
     """Say what an effect explains."""
     limits = ends(found.get("gain_ci95"))
-    between = f" ({percent(limits[0])} to {percent(limits[1])})" if limits else ""
+    between = f" ({format_percent(limits[0])} to {format_percent(limits[1])})" if limits else ""
     of = f" of {found['gain_of']}" if found.get("gain_of") else ""
-    said = [f"it explains {percent(found.get('gain'))}{between} of the squared error{of} on days it was not fitted to"]
-    if number(found.get("energy_share")) is not None:
-        said.append(f"it moves {percent(found['energy_share'])} of all energy")
-    if (q := number(found.get("q"))) is not None:
+    said = [
+        f"it explains {format_percent(found.get('gain'))}{between} of the squared error{of} on days it was not fitted to"
+    ]
+    if get_number(found.get("energy_share")) is not None:
+        said.append(f"it moves {format_percent(found['energy_share'])} of all energy")
+    if (q := get_number(found.get("q"))) is not None:
         said.append(f"q = {q:.2g}")
     return ", ".join(said)
 
 
 def coefficient(found: Mapping[str, Any]) -> str:
     """Say what an effect's coefficient is, and whether that is plausible."""
-    own = mapping(found, "coefficient")
-    value, limits = number(own.get("value")), ends(own.get("ci95"))
+    own = get_mapping(found, "coefficient")
+    value, limits = get_number(own.get("value")), ends(own.get("ci95"))
     if value is None:
         return ""
     unit = "" if own.get("unit") in {None, "1"} else f" {own['unit']}"
     between = f", 95 % interval {limits[0]:.3g} to {limits[1]:.3g}" if limits else ""
-    low, high = number(own.get("low")), number(own.get("high"))
+    low, high = get_number(own.get("low")), get_number(own.get("high"))
     if low is None or high is None:
         return f"coefficient {value:.3g}{unit}{between}"
     wide = f"{low:g} to {high:g}{unit}"
@@ -135,7 +137,7 @@ def told_apart(found: Mapping[str, Any]) -> list[str]:
     """Say what an effect cannot be told from, and what would tell."""
     lines = []
     for other in found.get("separate") or ():
-        r = number(other.get("correlation"))
+        r = get_number(other.get("correlation"))
         alike = "" if r is None else f" (r = {r:.2f})"
         shown = f": {other['data']} would tell" if other.get("data") else ""
         lines.append(f"cannot be told from {other.get('effect')}{alike}{shown}")
@@ -156,11 +158,11 @@ def missing(found: Mapping[str, Any]) -> list[str]:
 
 def remains(result: Result) -> list[str]:
     """Say what is left once the named effects are in."""
-    steps = [step for step in result.get("steps") or () if number(step.get("mae_kwh")) is not None]
+    steps = [step for step in result.get("steps") or () if get_number(step.get("mae_kwh")) is not None]
     lines = []
     if steps:
-        last, floor = number(steps[-1]["mae_kwh"]) or 0.0, number(steps[-1].get("noise_floor_kwh"))
-        said = " -> ".join(f"{number(step['mae_kwh']):.3g}" for step in steps)
+        last, floor = get_number(steps[-1]["mae_kwh"]) or 0.0, get_number(steps[-1].get("noise_floor_kwh"))
+        said = " -> ".join(f"{get_number(step['mae_kwh']):.3g}" for step in steps)
         lines.append(
             f"Error with the named effects, held-out days: {said} kWh a ride; measurement noise {energy(floor)}."
         )
@@ -168,7 +170,7 @@ def remains(result: Result) -> list[str]:
             lines.append("What remains is measurement noise.")
     if result.get("structure_remains"):
         lines.append("Structure remains whose cause is not in the library, or too weak to be told from others:")
-        lines += signs(mapping(result, "structure"))
+        lines += signs(get_mapping(result, "structure"))
     elif "structure_remains" in result:
         all_of_it = ": the named effects are all that these data show" if result.get("missing") else ""
         lines.append(f"No structure remains that could be predicted{all_of_it}.")
@@ -177,18 +179,20 @@ def remains(result: Result) -> list[str]:
 
 def signs(structure: Mapping[str, Any]) -> list[str]:
     """Say what speaks for there being more than was named."""
-    spoken, taken = structure.get("signs") or (), number(structure.get("taken"))
-    least = percent(structure.get("least"), 0)
-    share = "" if taken is None else f"; the named effects take {percent(taken, 0)} of it, and should take {least}"
+    spoken, taken = structure.get("signs") or (), get_number(structure.get("taken"))
+    least = format_percent(structure.get("least"), 0)
+    share = (
+        "" if taken is None else f"; the named effects take {format_percent(taken, 0)} of it, and should take {least}"
+    )
     said = {
-        "trees": f"boosted trees predict {percent(number(structure.get('after')))} of what is left{share}",
+        "trees": f"boosted trees predict {format_percent(get_number(structure.get('after')))} of what is left{share}",
         "shape": f"a plain shape is left, {plain_shape(str(structure.get('shape')))}, that explains "
-        f"{percent(number(structure.get('gain')))} of the squared error on held-out days{share}",
+        f"{format_percent(get_number(structure.get('gain')))} of the squared error on held-out days{share}",
         "better": "; ".join(
             f"{plain_shape(str(shape))} explains more than {effect} in its place: the name may be that of a stand-in"
             for effect, shape in dict(structure.get("better") or {}).items()
         ),
-        "days": f"days differ {number(structure.get('days')) or 0.0:.1f} times as much as by chance: something of the "
+        "days": f"days differ {get_number(structure.get('days')) or 0.0:.1f} times as much as by chance: something of the "
         "day, or of its driver, is not known",
     }
     return [f"- {said[sign]}" for sign in spoken if sign in said]
@@ -226,4 +230,4 @@ def verdict(result: Result) -> list[str]:
 
 def _plural(number_: Any, what: str) -> str:
     """Return a number of things."""
-    return f"{count(number_)} {what}{'' if number(number_) == 1 else 's'}"
+    return f"{format_count(number_)} {what}{'' if get_number(number_) == 1 else 's'}"

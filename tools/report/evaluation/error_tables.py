@@ -7,20 +7,30 @@ from typing import Any, Final
 from core.evaluate.paper import published
 from core.evaluate.paper.published import AVERAGE, PHYSICAL
 from core.stats.multiple_testing import SIGNIFICANCE
-from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, kwh, mark_least, percent, printed, signed
-from tools.report.evaluation.data_tables import by_cluster
+from tools.report.cells import (
+    UNKNOWN,
+    Cell,
+    ReportTable,
+    Row,
+    format_energy,
+    format_percent,
+    format_published,
+    format_signed,
+    mark_least,
+)
+from tools.report.evaluation.data_tables import tabulate_by_cluster
 from tools.report.evaluation.result import (
     Result,
-    average_error,
-    clusters,
-    mapping,
-    mean,
-    number,
-    part,
-    recipes,
-    title,
-    vehicle_models,
-    vehicle_name,
+    compute_mean,
+    get_average_error,
+    get_mapping,
+    get_number,
+    get_part,
+    get_recipes,
+    get_title,
+    get_vehicle_name,
+    list_clusters,
+    list_vehicle_models,
 )
 
 INTERVAL_NOTE: Final = (
@@ -36,89 +46,103 @@ DOMINATES_NOTE: Final = (
 )
 
 
-def error_tables(result: Result) -> list[ReportTable]:
+def tabulate_all_errors(result: Result) -> list[ReportTable]:
     """Return a table of errors for each model, in the paper's layout."""
-    return [table for recipe in recipes(result) if (table := errors(result, recipe)).rows]
+    return [table for recipe in get_recipes(result) if (table := tabulate_errors(result, recipe)).rows]
 
 
-def errors(result: Result, recipe: str) -> ReportTable:
+def tabulate_errors(result: Result, recipe: str) -> ReportTable:
     """Return the mean absolute errors of a model by vehicle model and cluster, as Tables 5 to 11."""
-    number_there = published.table_of(recipe)
+    number_there = published.get_table_number(recipe)
     where = f" (Table {number_there})" if number_there else " (not in the paper)"
-    table = by_cluster(
+    table = tabulate_by_cluster(
         result,
-        mapping(result, "mae", recipe),
-        f"{title(result, recipe)}: mean absolute error, kWh{where}",
-        lambda key, cluster: published.mae(recipe, key, cluster),
+        get_mapping(result, "mae", recipe),
+        f"{get_title(result, recipe)}: mean absolute error, kWh{where}",
+        lambda key, cluster: published.get_mae(recipe, key, cluster),
     )
     weighted = "Weighted average: over vehicle models, by their rides in the cluster"
     paper = "; the paper's rows agree better with weights by all rides of the model" if number_there else ""
     return table._replace(notes=(*table.notes, INTERVAL_NOTE, f"{weighted}{paper}."))
 
 
-def summary_tables(result: Result) -> list[ReportTable]:
+def tabulate_summaries(result: Result) -> list[ReportTable]:
     """Return the average errors, the relative ones, bias, root mean square and bands of all models."""
-    found = (summary(result), reductions(result), relative(result), bias_and_spread(result), bands(result))
+    found = (
+        tabulate_average_errors(result),
+        tabulate_reductions(result),
+        tabulate_relative_errors(result),
+        tabulate_bias_and_rmse(result),
+        tabulate_bands(result),
+    )
     return [table for table in found if table.rows]
 
 
-def summary(result: Result) -> ReportTable:
+def tabulate_average_errors(result: Result) -> ReportTable:
     """Return the average error of each model on each vehicle model, as Figure 3, and who dominates."""
-    keys, found = vehicle_models(result), [r for r in recipes(result) if mapping(result, "mae", r)]
+    keys, found = list_vehicle_models(result), [r for r in get_recipes(result) if get_mapping(result, "mae", r)]
     columns = [
         mark_least(
-            [_average_cell(result, recipe, key) for recipe in found], [average_error(result, r, key) for r in found]
+            [_average_cell(result, recipe, key) for recipe in found], [get_average_error(result, r, key) for r in found]
         )
         for key in keys
     ]
-    rows = tuple(Row(title(result, recipe), tuple(column[i] for column in columns)) for i, recipe in enumerate(found))
+    rows = tuple(
+        Row(get_title(result, recipe), tuple(column[i] for column in columns)) for i, recipe in enumerate(found)
+    )
     notes = ["Bold: the least of its column. ± is half of the 95 % confidence interval."]
-    if mapping(result, "dominates"):
+    if get_mapping(result, "dominates"):
         notes.append(DOMINATES_NOTE)
-        notes += [_said(result, finding) for finding in published.findings("dominates")]
-    heads = tuple(vehicle_name(key) for key in keys)
+        notes += [_said(result, finding) for finding in published.get_findings("dominates")]
+    heads = tuple(get_vehicle_name(key) for key in keys)
     return ReportTable("Average error over clusters, kWh (Figure 3)", "model", heads, rows, tuple(notes))
 
 
-def reductions(result: Result) -> ReportTable:
+def tabulate_reductions(result: Result) -> ReportTable:
     """Return by how much each model's average error is below that of the basic physical model."""
-    found = mapping(result, "reduction")
-    keys = vehicle_models(result)
-    names = [recipe for recipe in recipes(result) if recipe in found and recipe != PHYSICAL]
+    found = get_mapping(result, "reduction")
+    keys = list_vehicle_models(result)
+    names = [recipe for recipe in get_recipes(result) if recipe in found and recipe != PHYSICAL]
     rows = tuple(
         Row(
-            title(result, recipe),
+            get_title(result, recipe),
             (
-                *(Cell(percent(part(found, recipe, k)), _share(published.reduction(recipe, k))) for k in keys),
-                Cell(percent(part(found, recipe, AVERAGE)), _share(paper_reduction(recipe))),
+                *(
+                    Cell(format_percent(get_part(found, recipe, k)), _share(published.get_reduction(recipe, k)))
+                    for k in keys
+                ),
+                Cell(format_percent(get_part(found, recipe, AVERAGE)), _share(compute_paper_reduction(recipe))),
             ),
         )
         for recipe in names
     )
-    said = percent(published.statement("reduction").value, 2)
+    said = format_percent(published.get_statement("reduction").value, 2)
     note = (
         f"The paper's follow from its rounded averages; its text says {said} on average for the hybrid model with "
         "interaction terms. Its average is over its four vehicle models."
     )
-    heads = (*(vehicle_name(key) for key in keys), "average")
+    heads = (*(get_vehicle_name(key) for key in keys), "average")
     return ReportTable("Reduction of the average error against the basic physical model", "model", heads, rows, (note,))
 
 
-def paper_reduction(recipe: str) -> float | None:
+def compute_paper_reduction(recipe: str) -> float | None:
     """Return the mean over the paper's vehicle models of its reductions."""
-    models = published.paper().vehicle_models.values()
-    return mean(published.reduction(recipe, model.catalogue[0]) for model in models)
+    models = published.load_paper().vehicle_models.values()
+    return compute_mean(published.get_reduction(recipe, model.catalogue[0]) for model in models)
 
 
-def relative(result: Result) -> ReportTable:
+def tabulate_relative_errors(result: Result) -> ReportTable:
     """Return error over consumption by cluster, as Figure 2."""
-    found = mapping(result, "relative")
-    columns = clusters(result, found.values())
-    names = [recipe for recipe in recipes(result) if recipe in found]
+    found = get_mapping(result, "relative")
+    columns = list_clusters(result, found.values())
+    names = [recipe for recipe in get_recipes(result) if recipe in found]
     rows = tuple(
         Row(
-            title(result, recipe),
-            tuple(Cell(percent(part(found, recipe, c)), _share(published.relative(recipe, c))) for c in columns),
+            get_title(result, recipe),
+            tuple(
+                Cell(format_percent(get_part(found, recipe, c)), _share(published.get_relative_error(recipe, c)))
+                for c in columns
+            ),
         )
         for recipe in names
     )
@@ -128,82 +152,84 @@ def relative(result: Result) -> ReportTable:
     return ReportTable(name, "model", heads, rows, (note,))
 
 
-def bias_and_spread(result: Result) -> ReportTable:
+def tabulate_bias_and_rmse(result: Result) -> ReportTable:
     """Return bias and root mean square error of each model on each vehicle model."""
-    keys = vehicle_models(result)
-    names = [r for r in recipes(result) if mapping(result, "bias", r) or mapping(result, "rmse", r)]
+    keys = list_vehicle_models(result)
+    names = [r for r in get_recipes(result) if get_mapping(result, "bias", r) or get_mapping(result, "rmse", r)]
     rows = tuple(
         Row(
-            title(result, recipe),
+            get_title(result, recipe),
             tuple(
-                Cell(f"{kwh(part(result, 'rmse', recipe, key))} ({signed(part(result, 'bias', recipe, key))})")
+                Cell(
+                    f"{format_energy(get_part(result, 'rmse', recipe, key))} ({format_signed(get_part(result, 'bias', recipe, key))})"
+                )
                 for key in keys
             ),
         )
         for recipe in names
     )
     note = "In parentheses, bias: mean of predicted less measured. A ride counts once for each draw that tests it."
-    heads = tuple(vehicle_name(key) for key in keys)
+    heads = tuple(get_vehicle_name(key) for key in keys)
     return ReportTable("Root mean square error and bias, kWh", "model", heads, rows, (note,))
 
 
-def bands(result: Result) -> ReportTable:
+def tabulate_bands(result: Result) -> ReportTable:
     """Return the share of rides within bands of relative error."""
-    found = mapping(result, "bands")
-    limits = list(dict.fromkeys(limit for row in found.values() for limit in mapping(row)))
+    found = get_mapping(result, "bands")
+    limits = list(dict.fromkeys(limit for row in found.values() for limit in get_mapping(row)))
     rows = tuple(
-        Row(title(result, recipe), tuple(Cell(percent(part(found, recipe, limit))) for limit in limits))
-        for recipe in recipes(result)
+        Row(get_title(result, recipe), tuple(Cell(format_percent(get_part(found, recipe, limit))) for limit in limits))
+        for recipe in get_recipes(result)
         if recipe in found
     )
     heads = tuple(f"within ±{limit} %" for limit in limits)
     return ReportTable("Rides predicted within a band of what they took", "model", heads, rows)
 
 
-def differences(result: Result, vehicle_model: str) -> ReportTable:
+def tabulate_differences(result: Result, vehicle_model: str) -> ReportTable:
     """Return the difference scores of a vehicle model: row's error less column's."""
-    found = mapping(result, "difference", vehicle_model)
-    names = [a for a in recipes(result) if any(difference(found, a, b) for b in recipes(result))]
+    found = get_mapping(result, "difference", vehicle_model)
+    names = [a for a in get_recipes(result) if any(get_difference(found, a, b) for b in get_recipes(result))]
     rows = tuple(
-        Row(f"{i}  {title(result, a)}", tuple(_difference_cell(found, a, b) for b in names))
+        Row(f"{i}  {get_title(result, a)}", tuple(_difference_cell(found, a, b) for b in names))
         for i, a in enumerate(names, start=1)
     )
     note = f"Row's error less column's, so negative where the row's model is better. * significant, p < {SIGNIFICANCE}."
     heads = tuple(str(i) for i in range(1, len(names) + 1))
-    name = f"Difference score, {vehicle_name(vehicle_model)}, kWh"
+    name = f"Difference score, {get_vehicle_name(vehicle_model)}, kWh"
     return ReportTable(name, "model", heads, rows, (note,))
 
 
-def difference(found: Any, a: str, b: str) -> tuple[float, float | None] | None:
+def get_difference(found: Any, a: str, b: str) -> tuple[float, float | None] | None:
     """Return error of a less error of b [kWh] and its probability under no difference, whichever way it is kept."""
     for key, sign in ((f"{a}|{b}", 1.0), (f"{b}|{a}", -1.0)):
-        value = number(part(found, key))
+        value = get_number(get_part(found, key))
         if value is not None:
-            return sign * value, number(part(found, key, "p"))
+            return sign * value, get_number(get_part(found, key, "p"))
     return None
 
 
 def _difference_cell(found: Any, a: str, b: str) -> Cell:
-    known = difference(found, a, b)
+    known = get_difference(found, a, b)
     if known is None:
         return Cell("" if a == b else UNKNOWN)
     value, p = known
     significant = p is not None and p < SIGNIFICANCE
-    return Cell(f"{signed(value)}{'*' if significant else ''}", strong=significant)
+    return Cell(f"{format_signed(value)}{'*' if significant else ''}", strong=significant)
 
 
 def _average_cell(result: Result, recipe: str, key: str) -> Cell:
-    marks = "".join(mark for score, mark in DOMINATES.items() if recipe in (part(result, score, key) or ()))
-    text = f"{kwh(part(result, 'mae', recipe, key, AVERAGE))} {marks}".rstrip()
-    return Cell(text, printed(published.mae(recipe, key, AVERAGE)))
+    marks = "".join(mark for score, mark in DOMINATES.items() if recipe in (get_part(result, score, key) or ()))
+    text = f"{format_energy(get_part(result, 'mae', recipe, key, AVERAGE))} {marks}".rstrip()
+    return Cell(text, format_published(published.get_mae(recipe, key, AVERAGE)))
 
 
 def _share(value: float | None) -> str:
-    return "" if value is None else percent(value)
+    return "" if value is None else format_percent(value)
 
 
-def _said(result: Result, finding: published.Finding) -> str:
+def _said(result: Result, finding: published.PaperFinding) -> str:
     """Return a sentence on what the paper found, of which vehicle model and about which models."""
     key = finding.vehicle_model
-    where = "" if key is None else f" on the {published.paper().vehicle_models[key].name}"
-    return f"The paper{where}: {', '.join(title(result, recipe) for recipe in finding.recipes)}: {finding.says}."
+    where = "" if key is None else f" on the {published.load_paper().vehicle_models[key].name}"
+    return f"The paper{where}: {', '.join(get_title(result, recipe) for recipe in finding.recipes)}: {finding.says}."

@@ -12,40 +12,48 @@ from core.evaluate.paper import published
 from core.evaluate.paper.published import AVERAGE, PHYSICAL
 from core.stats.multiple_testing import SIGNIFICANCE
 from core.vehicles import AccessoryCurve
-from tools.report.evaluation.error_tables import difference
+from tools.report.evaluation.error_tables import get_difference
 from tools.report.evaluation.result import (
     FITTED,
     Result,
-    clusters,
-    half_width,
-    mapping,
-    number,
-    part,
-    principal,
-    recipes,
-    vehicle_models,
-    vehicle_name,
+    get_half_width,
+    get_mapping,
+    get_number,
+    get_part,
+    get_recipes,
+    get_vehicle_name,
+    list_clusters,
+    list_vehicle_models,
+    select_principal,
 )
-from tools.report.evaluation.selection_tables import terms
-from tools.report.evaluation.split_tables import SPLITS, means_by_split
-from tools.report.evaluation.transfer_tables import seen
-from tools.report.evaluation.use_tables import AXES, LEAST_COVERAGE, MANY_BINS, NOMINAL, bin_name, bins, entries
+from tools.report.evaluation.selection_tables import format_terms
+from tools.report.evaluation.split_tables import SPLITS, compute_means_by_split
+from tools.report.evaluation.transfer_tables import get_few_shot_errors
+from tools.report.evaluation.use_tables import (
+    AXES,
+    LEAST_COVERAGE,
+    MANY_BINS,
+    NOMINAL,
+    format_bin,
+    get_bin_errors,
+    list_bins,
+)
 from tools.report.figure_style import (
     DIVERGING,
     PAPER_NAME,
     REFERENCE_LINE,
     Style,
-    bars,
-    curve,
-    dots,
-    figure,
-    label,
-    recipe_label,
-    recipe_style,
-    reference_line,
-    stacked,
-    style,
-    vehicle_style,
+    add_reference_line,
+    draw_bars,
+    draw_curve,
+    draw_dots,
+    escape_label,
+    format_recipe_label,
+    get_recipe_style,
+    get_style,
+    get_vehicle_style,
+    make_figure,
+    make_stacked_figure,
 )
 
 NO_RIDES = 0.3
@@ -58,18 +66,20 @@ AXIS_UNITS: Mapping[str, str] = {"distance": "Distance [km]", "temperature": "Ou
 """Titles of axes that have a unit."""
 
 
-def accessory_curve(result: Result, vehicle_model: str) -> go.Figure:
+def draw_accessory_curve(result: Result, vehicle_model: str) -> go.Figure:
     """Return accessory power against outside temperature: bins, and the curve with its choke points. Figure 1."""
-    look = vehicle_style(result, vehicle_model)
+    look = get_vehicle_style(result, vehicle_model)
     traces: list[Any] = []
-    points = [p for p in part(result, "curve", vehicle_model, "points") or () if number(p.get("power_w")) is not None]
+    points = [
+        p for p in get_part(result, "curve", vehicle_model, "points") or () if get_number(p.get("power_w")) is not None
+    ]
     if points:
         traces.append(_points(points, look))
-    found = {name: number(value) for name, value in mapping(result, "curve", vehicle_model, "curve").items()}
+    found = {name: get_number(value) for name, value in get_mapping(result, "curve", vehicle_model, "curve").items()}
     if found and None not in found.values():
         seen_at = [p["ambient_c"] for p in points]
         traces += _five_segments(AccessoryCurve(**found), look, seen_at)  # type: ignore[arg-type]
-    made = figure(traces, 340)
+    made = make_figure(traces, 340)
     made.update_xaxes(title_text="Outside temperature [°C]")
     powers = [0.0, *(y for trace in traces for y in trace.y)]
     room = 0.12 * (max(powers) - min(powers))
@@ -79,7 +89,7 @@ def accessory_curve(result: Result, vehicle_model: str) -> go.Figure:
 
 def _points(points: Sequence[Mapping[str, Any]], look: Style) -> go.Scatter:
     """Return the binned points, larger where more rides are in them."""
-    rides = np.array([number(p.get("rides")) or 1.0 for p in points])
+    rides = np.array([get_number(p.get("rides")) or 1.0 for p in points])
     return go.Scatter(
         name="mean of a bin",
         x=[p["ambient_c"] for p in points],
@@ -122,51 +132,59 @@ def _five_segments(fitted: AccessoryCurve, look: Style, ambient_c: Sequence[floa
     ]
 
 
-def relative(result: Result) -> go.Figure:
+def draw_relative_errors(result: Result) -> go.Figure:
     """Return error over consumption against distance: here above, the paper's below. Figure 2."""
-    found = mapping(result, "relative")
-    columns = clusters(result, found.values())
-    made = stacked(("here", PAPER_NAME), 680)
-    for recipe in (name for name in recipes(result) if name in found):
-        look, name = recipe_style(result, recipe), recipe_label(result, recipe)
-        here = [_times(number(part(found, recipe, c)), 100.0) for c in columns]
-        theirs = [_times(published.relative(recipe, c), 100.0) for c in columns]
-        made.add_trace(curve(name, look, _dashes(columns), here, legendgroup=recipe), row=1, col=1)
+    found = get_mapping(result, "relative")
+    columns = list_clusters(result, found.values())
+    made = make_stacked_figure(("here", PAPER_NAME), 680)
+    for recipe in (name for name in get_recipes(result) if name in found):
+        look, name = get_recipe_style(result, recipe), format_recipe_label(result, recipe)
+        here = [_times(get_number(get_part(found, recipe, c)), 100.0) for c in columns]
+        theirs = [_times(published.get_relative_error(recipe, c), 100.0) for c in columns]
+        made.add_trace(draw_curve(name, look, _dashes(columns), here, legendgroup=recipe), row=1, col=1)
         if any(value is not None for value in theirs):
-            below = curve(name, look, _dashes(columns), theirs, legendgroup=recipe, showlegend=False)
+            below = draw_curve(name, look, _dashes(columns), theirs, legendgroup=recipe, showlegend=False)
             made.add_trace(below, row=2, col=1)
     made.update_xaxes(title_text="Distance [km]", type="category")
     made.update_yaxes(title_text="Error over consumption [%]", type="log", tickvals=PERCENT_TICKS, matches="y")
     return made
 
 
-def average_errors(result: Result) -> go.Figure:
+def draw_average_errors(result: Result) -> go.Figure:
     """Return the average error of each model on each vehicle model, the paper's as outlines. Figure 3."""
-    names = [recipe for recipe in recipes(result) if mapping(result, "mae", recipe)]
-    keys = vehicle_models(result)
+    names = [recipe for recipe in get_recipes(result) if get_mapping(result, "mae", recipe)]
+    keys = list_vehicle_models(result)
     traces: list[Any] = []
     for i, key in enumerate(keys):
-        look, rows = vehicle_style(result, key), [place + _offset(i, len(keys)) for place in range(len(names))]
-        cells = [part(result, "mae", recipe, key, AVERAGE) for recipe in names]
+        look, rows = get_vehicle_style(result, key), [place + _offset(i, len(keys)) for place in range(len(names))]
+        cells = [get_part(result, "mae", recipe, key, AVERAGE) for recipe in names]
         traces.append(
-            dots(label(vehicle_name(key)), look, [number(c) for c in cells], rows, [half_width(c) for c in cells])
+            draw_dots(
+                escape_label(get_vehicle_name(key)),
+                look,
+                [get_number(c) for c in cells],
+                rows,
+                [get_half_width(c) for c in cells],
+            )
         )
-        theirs = [published.mae(recipe, key, AVERAGE) for recipe in names]
+        theirs = [published.get_mae(recipe, key, AVERAGE) for recipe in names]
         if any(theirs):
             values = [None if f is None else f.value for f in theirs]
-            traces.append(dots(f"{label(vehicle_name(key))}, {PAPER_NAME}", look, values, rows, outline=True))
+            traces.append(
+                draw_dots(f"{escape_label(get_vehicle_name(key))}, {PAPER_NAME}", look, values, rows, outline=True)
+            )
     return _by_model(result, names, traces, "Average error over clusters [kWh]", 16 + 10 * len(keys))
 
 
-def splits(result: Result) -> go.Figure:
+def draw_splits(result: Result) -> go.Figure:
     """Return the average error of each model by what was held out."""
-    present = [split for split in SPLITS if mapping(result, "splits", split)]
-    found = {recipe: means_by_split(result, recipe, present) for recipe in recipes(result)}
+    present = [split for split in SPLITS if get_mapping(result, "splits", split)]
+    found = {recipe: compute_means_by_split(result, recipe, present) for recipe in get_recipes(result)}
     names = [recipe for recipe, values in found.items() if values and values[0] is not None]
     traces = [
-        dots(
+        draw_dots(
             f"by {split}",
-            style(3 * i + 2),
+            get_style(3 * i + 2),
             [found[recipe][i] for recipe in names],
             [place + _offset(i, len(present)) for place in range(len(names))],
         )
@@ -175,16 +193,16 @@ def splits(result: Result) -> go.Figure:
     return _by_model(result, names, traces, "Average error, mean over vehicle models [kWh]", 34)
 
 
-def bands(result: Result) -> go.Figure:
+def draw_bands(result: Result) -> go.Figure:
     """Return the share of rides within bands of relative error, of each model."""
-    found = mapping(result, "bands")
-    names = [recipe for recipe in recipes(result) if recipe in found]
-    limits = list(dict.fromkeys(limit for recipe in names for limit in mapping(found, recipe)))
+    found = get_mapping(result, "bands")
+    names = [recipe for recipe in get_recipes(result) if recipe in found]
+    limits = list(dict.fromkeys(limit for recipe in names for limit in get_mapping(found, recipe)))
     traces = [
-        dots(
+        draw_dots(
             f"within ±{limit} %",
-            style(3 * i + 2),
-            [_times(number(part(found, recipe, limit)), 100.0) for recipe in names],
+            get_style(3 * i + 2),
+            [_times(get_number(get_part(found, recipe, limit)), 100.0) for recipe in names],
             list(range(len(names))),
         )
         for i, limit in enumerate(limits)
@@ -192,38 +210,45 @@ def bands(result: Result) -> go.Figure:
     return _by_model(result, names, traces, "Share of rides [%]", 34)
 
 
-def buffers(result: Result) -> go.Figure:
+def draw_buffers(result: Result) -> go.Figure:
     """Return the reserve that keeps a share of rides above theirs, of each model."""
-    found = mapping(result, "buffer_kwh")
-    names = [recipe for recipe in recipes(result) if mapping(found, recipe)]
-    shares = list(dict.fromkeys(share for recipe in names for share in mapping(found, recipe)))
-    rows = [recipe_label(result, recipe) for recipe in names]
+    found = get_mapping(result, "buffer_kwh")
+    names = [recipe for recipe in get_recipes(result) if get_mapping(found, recipe)]
+    shares = list(dict.fromkeys(share for recipe in names for share in get_mapping(found, recipe)))
+    rows = [format_recipe_label(result, recipe) for recipe in names]
     traces: list[Any] = [
-        bars(f"{share} % of rides", style(2 * i + 1), rows, [number(part(found, recipe, share)) for recipe in names])
+        draw_bars(
+            f"{share} % of rides",
+            get_style(2 * i + 1),
+            rows,
+            [get_number(get_part(found, recipe, share)) for recipe in names],
+        )
         for i, share in enumerate(shares)
     ]
-    made = figure(traces, 90 + 44 * len(names))
-    said = published.statement("buffer").value
-    reference_line(made, f"{said:g} kWh: the paper's company, other data", said)
+    made = make_figure(traces, 90 + 44 * len(names))
+    said = published.get_statement("buffer").value
+    add_reference_line(made, f"{said:g} kWh: the paper's company, other data", said)
     made.update_xaxes(title_text="Buffer [kWh]", rangemode="tozero")
     made.update_yaxes(title_text="Model", type="category", autorange="reversed")
     return made
 
 
-def errors_by(result: Result, axis: str) -> go.Figure:
+def draw_errors_by(result: Result, axis: str) -> go.Figure:
     """Return mean absolute error above and bias below, against distance, temperature, season or driver."""
-    shown, labels = set(principal(result)) - {PHYSICAL}, bins(result, axis)
+    shown, labels = set(select_principal(result)) - {PHYSICAL}, list_bins(result, axis)
     ranked = len(labels) > MANY_BINS
-    made = stacked(("mean absolute error", "bias: predicted less measured"), 640)
-    for recipe in (name for name in recipes(result) if entries(result, axis, name)):
-        look, found = recipe_style(result, recipe), {str(e["bin"]): e for e in entries(result, axis, recipe)}
+    made = make_stacked_figure(("mean absolute error", "bias: predicted less measured"), 640)
+    for recipe in (name for name in get_recipes(result) if get_bin_errors(result, axis, name)):
+        look, found = get_recipe_style(result, recipe), {str(e["bin"]): e for e in get_bin_errors(result, axis, recipe)}
         for row, figure_name in enumerate(("mae", "bias"), start=1):
-            values = [number(part(found, name, figure_name)) for name in labels]
-            x: list[Any] = [label(bin_name(axis, name)) for name in labels]
+            values = [get_number(get_part(found, name, figure_name)) for name in labels]
+            x: list[Any] = [escape_label(format_bin(axis, name)) for name in labels]
             if ranked:
                 values = [*sorted(value for value in values if value is not None)]
                 x = list(range(1, len(values) + 1))
-            trace = curve(recipe_label(result, recipe), look, x, values, legendgroup=recipe, showlegend=row == 1)
+            trace = draw_curve(
+                format_recipe_label(result, recipe), look, x, values, legendgroup=recipe, showlegend=row == 1
+            )
             trace.update(mode="markers" if axis == "season" else "lines" if ranked else "lines+markers")
             trace.update(visible=True if recipe in shown else "legendonly", offsetgroup=recipe)
             made.add_trace(trace, row=row, col=1)
@@ -235,21 +260,23 @@ def errors_by(result: Result, axis: str) -> go.Figure:
     return made
 
 
-def coverage(result: Result) -> go.Figure:
+def draw_coverage(result: Result) -> go.Figure:
     """Return the share of rides inside their interval: overall, by cluster, by season, by vehicle model."""
-    found = mapping(result, "coverage")
-    names = [recipe for recipe in recipes(result) if mapping(found, recipe)]
-    distances = clusters(result, (mapping(found, recipe, "cluster") for recipe in names))
+    found = get_mapping(result, "coverage")
+    names = [recipe for recipe in get_recipes(result) if get_mapping(found, recipe)]
+    distances = list_clusters(result, (get_mapping(found, recipe, "cluster") for recipe in names))
     traces = []
     for recipe in names:
-        values = {"overall": part(found, recipe, "overall")}
-        values |= {f"{_dash(c)} km": part(found, recipe, "cluster", c) for c in distances}
-        values |= dict(mapping(found, recipe, "season"))
-        values |= {label(vehicle_name(key)): v for key, v in mapping(found, recipe, "vehicle_model").items()}
-        shares = [_times(number(value), 100.0) for value in values.values()]
-        trace = curve(recipe_label(result, recipe), recipe_style(result, recipe), list(values), shares)
+        values = {"overall": get_part(found, recipe, "overall")}
+        values |= {f"{_dash(c)} km": get_part(found, recipe, "cluster", c) for c in distances}
+        values |= dict(get_mapping(found, recipe, "season"))
+        values |= {
+            escape_label(get_vehicle_name(key)): v for key, v in get_mapping(found, recipe, "vehicle_model").items()
+        }
+        shares = [_times(get_number(value), 100.0) for value in values.values()]
+        trace = draw_curve(format_recipe_label(result, recipe), get_recipe_style(result, recipe), list(values), shares)
         traces.append(trace.update(mode="markers", offsetgroup=recipe))
-    made = figure(traces, 400)
+    made = make_figure(traces, 400)
     made.update_layout(scattermode="group", scattergap=0.5)
     for share in (NOMINAL, LEAST_COVERAGE):
         made.add_hline(y=100.0 * share, line=REFERENCE_LINE)
@@ -259,38 +286,42 @@ def coverage(result: Result) -> go.Figure:
     return made
 
 
-def new_vehicle(result: Result, vehicle_model: str) -> go.Figure:
+def draw_new_vehicle(result: Result, vehicle_model: str) -> go.Figure:
     """Return each model's error on a vehicle model that was left out of training, the paper's as outlines."""
-    found = mapping(result, "new_vehicle")
-    names = [recipe for recipe in recipes(result) if number(part(found, recipe, vehicle_model, "mae")) is not None]
-    rows = [recipe_label(result, recipe) for recipe in names]
-    look = vehicle_style(result, vehicle_model)
-    errors = [number(part(found, recipe, vehicle_model, "mae")) for recipe in names]
-    traces: list[Any] = [bars("here", look._replace(pattern=""), rows, errors, opacity=0.5)]
-    theirs = [published.new_vehicle_mae(recipe, vehicle_model) for recipe in names]
+    found = get_mapping(result, "new_vehicle")
+    names = [
+        recipe
+        for recipe in get_recipes(result)
+        if get_number(get_part(found, recipe, vehicle_model, "mae")) is not None
+    ]
+    rows = [format_recipe_label(result, recipe) for recipe in names]
+    look = get_vehicle_style(result, vehicle_model)
+    errors = [get_number(get_part(found, recipe, vehicle_model, "mae")) for recipe in names]
+    traces: list[Any] = [draw_bars("here", look._replace(pattern=""), rows, errors, opacity=0.5)]
+    theirs = [published.get_new_vehicle_mae(recipe, vehicle_model) for recipe in names]
     if any(theirs):
         values = [None if f is None else f.value for f in theirs]
-        traces.append(dots(PAPER_NAME, look._replace(symbol="diamond"), values, rows, outline=True))
-    made = figure(traces, 90 + 32 * len(names))
-    if (line := number(part(found, FITTED, vehicle_model, "mae"))) is not None:
-        reference_line(made, "fitted physical", line)
+        traces.append(draw_dots(PAPER_NAME, look._replace(symbol="diamond"), values, rows, outline=True))
+    made = make_figure(traces, 90 + 32 * len(names))
+    if (line := get_number(get_part(found, FITTED, vehicle_model, "mae"))) is not None:
+        add_reference_line(made, "fitted physical", line)
     made.update_xaxes(title_text="Mean absolute error [kWh]", rangemode="tozero")
     made.update_yaxes(title_text="Model", type="category", autorange="reversed")
     return made
 
 
-def few_shot(result: Result, vehicle_model: str) -> go.Figure:
+def draw_few_shot(result: Result, vehicle_model: str) -> go.Figure:
     """Return the error on a new vehicle model against the number of its rides seen, the fitted physical model thick."""
     traces, numbers = [], set()
-    for recipe in mapping(result, "few_shot", vehicle_model):
-        points = seen(result, vehicle_model, recipe)
+    for recipe in get_mapping(result, "few_shot", vehicle_model):
+        points = get_few_shot_errors(result, vehicle_model, recipe)
         numbers |= set(points)
         x = [n or NO_RIDES for n in points]
-        spreads = [half_width(point) for point in points.values()]
-        name = recipe_label(result, recipe)
-        trace = curve(name, recipe_style(result, recipe), x, [number(p) for p in points.values()], spreads)
+        spreads = [get_half_width(point) for point in points.values()]
+        name = format_recipe_label(result, recipe)
+        trace = draw_curve(name, get_recipe_style(result, recipe), x, [get_number(p) for p in points.values()], spreads)
         traces.append(trace.update(line={"width": 4}) if recipe == FITTED else trace)
-    made = figure(traces, 360)
+    made = make_figure(traces, 360)
     made.update_layout(showlegend=True)
     ticks = sorted(numbers)
     made.update_xaxes(
@@ -303,19 +334,19 @@ def few_shot(result: Result, vehicle_model: str) -> go.Figure:
     return made
 
 
-def elimination(result: Result) -> go.Figure:
+def draw_elimination(result: Result) -> go.Figure:
     """Return the cross-validated error against the number of terms, and the loss as terms go one after the other."""
-    scores = [s for s in part(result, "selection", "rfecv", "scores") or () if number(s.get("mae")) is not None]
-    steps = [s for s in part(result, "selection", "rfe", "steps") or () if number(s.get("loss")) is not None]
-    made = stacked(("RFECV: cross-validated error", "RFE: error more than with all terms"), 640)
+    scores = [s for s in get_part(result, "selection", "rfecv", "scores") or () if get_number(s.get("mae")) is not None]
+    steps = [s for s in get_part(result, "selection", "rfe", "steps") or () if get_number(s.get("loss")) is not None]
+    made = make_stacked_figure(("RFECV: cross-validated error", "RFE: error more than with all terms"), 640)
     if scores:
-        trace = curve("RFECV", style(2), [s["terms"] for s in scores], [s["mae"] for s in scores])
+        trace = draw_curve("RFECV", get_style(2), [s["terms"] for s in scores], [s["mae"] for s in scores])
         made.add_trace(trace.update(showlegend=False), row=1, col=1)
     if steps:
         losses = [s["loss"] for s in steps]
-        x, y = list(range(1, len(steps) + 1)), [number(loss) for loss in losses]
-        trace = curve("RFE", style(4), x, y, [half_width(loss) for loss in losses])
-        trace.update(showlegend=False, text=[label(terms([s.get("term")])) for s in steps])
+        x, y = list(range(1, len(steps) + 1)), [get_number(loss) for loss in losses]
+        trace = draw_curve("RFE", get_style(4), x, y, [get_half_width(loss) for loss in losses])
+        trace.update(showlegend=False, text=[escape_label(format_terms([s.get("term")])) for s in steps])
         made.add_trace(trace, row=2, col=1)
     made.update_xaxes(title_text="Terms kept [number]", row=1)
     made.update_xaxes(title_text="Terms gone [number]", row=2)
@@ -324,14 +355,14 @@ def elimination(result: Result) -> go.Figure:
     return made
 
 
-def difference_matrix(result: Result, vehicle_model: str) -> go.Figure:
+def draw_difference_matrix(result: Result, vehicle_model: str) -> go.Figure:
     """Return the difference scores of all pairs in Wh: row's error less column's, significant ones with a star.
 
     Shades follow the square root of the difference, so that the small ones between good models can be told apart.
     """
-    found = mapping(result, "difference", vehicle_model)
-    names = [r for r in recipes(result) if any(difference(found, r, other) for other in recipes(result))]
-    scores = [[difference(found, a, b) for b in names] for a in names]
+    found = get_mapping(result, "difference", vehicle_model)
+    names = [r for r in get_recipes(result) if any(get_difference(found, r, other) for other in get_recipes(result))]
+    scores = [[get_difference(found, a, b) for b in names] for a in names]
     values = [[None if score is None else 1000.0 * score[0] for score in row] for row in scores]
     shades = [[None if v is None else math.copysign(math.sqrt(abs(v)), v) for v in row] for row in values]
     most = max((abs(shade) for row in shades for shade in row if shade is not None), default=1.0)
@@ -339,7 +370,7 @@ def difference_matrix(result: Result, vehicle_model: str) -> go.Figure:
         z=shades,
         customdata=values,
         x=[str(i) for i in range(1, len(names) + 1)],
-        y=[f"{recipe_label(result, recipe)} · {i}" for i, recipe in enumerate(names, start=1)],
+        y=[f"{format_recipe_label(result, recipe)} · {i}" for i, recipe in enumerate(names, start=1)],
         text=[[_score(score) for score in row] for row in scores],
         texttemplate="%{text}",
         colorscale=DIVERGING,
@@ -350,7 +381,7 @@ def difference_matrix(result: Result, vehicle_model: str) -> go.Figure:
         showscale=False,
         hovertemplate="%{y}<br>less %{x}: %{customdata:.1f} Wh<extra></extra>",
     )
-    made = figure([heat], 80 + 38 * len(names))
+    made = make_figure([heat], 80 + 38 * len(names))
     made.update_layout(margin={"t": 60, "b": 10})
     made.update_xaxes(title_text="Model, numbered as on the left", type="category", side="top", showgrid=False)
     made.update_yaxes(title_text="Model", type="category", autorange="reversed", showgrid=False)
@@ -368,12 +399,12 @@ def _score(score: tuple[float, float | None] | None) -> str:
 
 def _by_model(result: Result, names: Sequence[str], traces: list[Any], unit: str, row_height: int) -> go.Figure:
     """Return dots in a row for each model."""
-    made = figure(traces, 90 + row_height * len(names))
+    made = make_figure(traces, 90 + row_height * len(names))
     made.update_xaxes(title_text=unit, rangemode="tozero")
     made.update_yaxes(
         title_text="Model",
         tickvals=list(range(len(names))),
-        ticktext=[recipe_label(result, recipe) for recipe in names],
+        ticktext=[format_recipe_label(result, recipe) for recipe in names],
         range=[len(names) - 0.4, -0.6],
     )
     return made
@@ -389,7 +420,7 @@ def _times(value: float | None, factor: float) -> float | None:
 
 
 def _dash(cluster: str) -> str:
-    return label(cluster.replace("-", "–"))
+    return escape_label(cluster.replace("-", "–"))
 
 
 def _dashes(columns: Sequence[str]) -> list[str]:

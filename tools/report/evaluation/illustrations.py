@@ -12,15 +12,15 @@ from tools.report.evaluation.result import (
     ALL,
     FITTED,
     Result,
-    best,
-    mapping,
-    number,
-    part,
-    title,
-    vehicle_models,
-    vehicle_name,
+    find_best,
+    get_mapping,
+    get_number,
+    get_part,
+    get_title,
+    get_vehicle_name,
+    list_vehicle_models,
 )
-from tools.report.evaluation.use_tables import AXES, MANY_BINS, bins
+from tools.report.evaluation.use_tables import AXES, MANY_BINS, list_bins
 
 PAPER_CAPTION: Final = (
     "The paper's figures are of its own company's rides: other data than these, for orientation only."
@@ -50,7 +50,7 @@ class Illustration(NamedTuple):
     small: bool = False
 
 
-def illustrations(result: Result, section: str) -> list[Illustration]:
+def build_illustrations(result: Result, section: str) -> list[Illustration]:
     """Return the figures of a section that have something to show."""
     made = MAKERS.get(section)
     return [one for one in made(result) if any(_has_points(trace) for trace in one.figure.data)] if made else []
@@ -67,38 +67,38 @@ def _data(result: Result) -> list[Illustration]:
     return [
         Illustration(
             f"curve-{i}",
-            f"{vehicle_name(key)}: accessory power against outside temperature (Figure 1)",
+            f"{get_vehicle_name(key)}: accessory power against outside temperature (Figure 1)",
             "Of a car whose accessory scale is 1. Open circles: mean of a bin of temperature, larger with more rides. "
             "Line: the fitted curve of five segments. Diamonds: its choke points, with their temperatures.",
-            figures.accessory_curve(result, key),
+            figures.draw_accessory_curve(result, key),
             small=True,
         )
-        for i, key in enumerate(vehicle_models(result))
-        if mapping(result, "curve", key)
+        for i, key in enumerate(list_vehicle_models(result))
+        if get_mapping(result, "curve", key)
     ]
 
 
 def _summary(result: Result) -> list[Illustration]:
-    winner = title(result, best(result) or "")
+    winner = get_title(result, find_best(result) or "")
     return [
         Illustration(
             "average",
             "Average error of each model on each vehicle model (Figure 3)",
             f"Filled: here, with 95 % confidence intervals. Outlines: the paper's. Least: {winner}. {PAPER_CAPTION}",
-            figures.average_errors(result),
+            figures.draw_average_errors(result),
         ),
         Illustration(
             "relative",
             "Error over consumption against distance (Figure 2)",
             "All vehicle models together, weighted by their rides; logarithmic. Above: here. Below, on the same "
             f"scale: the paper's, as they follow from its tables. {PAPER_CAPTION}",
-            figures.relative(result),
+            figures.draw_relative_errors(result),
         ),
         Illustration(
             "bands",
             "Rides predicted within a band of what they took",
             "Share of rides whose error is within 5, 10 and 15 % of the measured energy; further right is better.",
-            figures.bands(result),
+            figures.draw_bands(result),
         ),
     ]
 
@@ -107,19 +107,19 @@ def _difference(result: Result) -> list[Illustration]:
     return [
         Illustration(
             f"difference-{i}",
-            f"{vehicle_name(key)}: difference score",
+            f"{get_vehicle_name(key)}: difference score",
             "Row's error less column's in Wh, mean over the same test rides: negative where the row is better. "
             f"* p < {SIGNIFICANCE}, adjusted for the number of pairs. {_dominating(result, key)}",
-            figures.difference_matrix(result, key),
+            figures.draw_difference_matrix(result, key),
         )
-        for i, key in enumerate((ALL, *vehicle_models(result)))
-        if mapping(result, "difference", key)
+        for i, key in enumerate((ALL, *list_vehicle_models(result)))
+        if get_mapping(result, "difference", key)
     ]
 
 
 def _dominating(result: Result, key: str) -> str:
     """Return who dominates, as a sentence."""
-    names = [title(result, recipe) for recipe in part(result, "dominates", key) or ()]
+    names = [get_title(result, recipe) for recipe in get_part(result, "dominates", key) or ()]
     if not names:
         return ""
     return f"{names[0]} dominates." if len(names) == 1 else f"{' and '.join(names)} co-dominate."
@@ -130,11 +130,11 @@ def _places(result: Result) -> list[Illustration]:
         Illustration(
             f"by-{axis}",
             f"Errors by {AXES[axis]}",
-            _by_caption(len(bins(result, axis)) > MANY_BINS),
-            figures.errors_by(result, axis),
+            _by_caption(len(list_bins(result, axis)) > MANY_BINS),
+            figures.draw_errors_by(result, axis),
         )
         for axis in AXES
-        if mapping(result, "by", axis)
+        if get_mapping(result, "by", axis)
     ]
 
 
@@ -151,14 +151,14 @@ def _reserve(result: Result) -> list[Illustration]:
             "coverage",
             "Rides inside their 90 % prediction interval",
             "Dashed: the nominal 90 %, and the 85 % that no cluster or season should fall below.",
-            figures.coverage(result),
+            figures.draw_coverage(result),
         ),
         Illustration(
             "buffers",
             "Buffer that keeps rides above their reserve",
             "Energy to keep in hand so that 95 % and 99 % of rides take no more than predicted and that. Dashed: the "
             f"paper's company; of how many rides is not said. {PAPER_CAPTION}",
-            figures.buffers(result),
+            figures.draw_buffers(result),
         ),
     ]
 
@@ -170,36 +170,38 @@ def _splits(result: Result) -> list[Illustration]:
             "Average error by what is held out",
             "Mean over vehicle models. The further the three markers of a model are apart, the more it owes to cars "
             "and days that it has seen.",
-            figures.splits(result),
+            figures.draw_splits(result),
         )
     ]
 
 
 def _transfer(result: Result) -> list[Illustration]:
-    keys = vehicle_models(result)
-    beside = any(published.new_vehicle_mae(FITTED, key) for key in keys)
+    keys = list_vehicle_models(result)
+    beside = any(published.get_new_vehicle_mae(FITTED, key) for key in keys)
     left_out = [
         Illustration(
             f"new-vehicle-{i}",
-            f"{vehicle_name(key)} left out of training (Table 12)",
+            f"{get_vehicle_name(key)} left out of training (Table 12)",
             "Bars: here. Dashed: the fitted physical model, the line to beat. "
             + (f"Open diamonds: the paper's. {PAPER_CAPTION}" if beside else ""),
-            figures.new_vehicle(result, key),
+            figures.draw_new_vehicle(result, key),
             small=True,
         )
         for i, key in enumerate(keys)
-        if any(number(part(found, key, "mae")) is not None for found in mapping(result, "new_vehicle").values())
+        if any(
+            get_number(get_part(found, key, "mae")) is not None for found in get_mapping(result, "new_vehicle").values()
+        )
     ]
     few = [
         Illustration(
             f"few-shot-{i}",
-            f"{vehicle_name(key)}: error after some of its rides",
+            f"{get_vehicle_name(key)}: error after some of its rides",
             "From no ride of the new vehicle model to many, on a logarithmic axis, with 95 % confidence intervals. "
             "Thick: the fitted physical model, the line to beat.",
-            figures.few_shot(result, key),
+            figures.draw_few_shot(result, key),
             small=True,
         )
-        for i, key in enumerate(mapping(result, "few_shot"))
+        for i, key in enumerate(get_mapping(result, "few_shot"))
     ]
     return left_out + few
 
@@ -212,7 +214,7 @@ def _selection(result: Result) -> list[Illustration]:
             "Above: cross-validated error of the hybrid model by the number of terms left, on the rides that choose. "
             "Below: what it costs to take out one term after the other, on the other rides, with 95 % confidence "
             "intervals.",
-            figures.elimination(result),
+            figures.draw_elimination(result),
         )
     ]
 

@@ -32,12 +32,12 @@ NOT_CLUSTERS: Final = ("total", AVERAGE)
 """Columns beside the clusters of distance."""
 
 
-def part(result: Any, *path: str) -> Any:
+def get_part(result: Any, *path: str) -> Any:
     """Return what is found along a path of keys, None where the path ends early.
 
     Examples
     --------
-    >>> part({"mae": {"hybrid": {"a": 1.0}}}, "mae", "hybrid", "a"), part({"mae": None}, "mae", "hybrid")
+    >>> get_part({"mae": {"hybrid": {"a": 1.0}}}, "mae", "hybrid", "a"), get_part({"mae": None}, "mae", "hybrid")
     (1.0, None)
     """
     for key in path:
@@ -47,57 +47,59 @@ def part(result: Any, *path: str) -> Any:
     return result
 
 
-def mapping(result: Any, *path: str) -> Mapping[str, Any]:
+def get_mapping(result: Any, *path: str) -> Mapping[str, Any]:
     """Return the mapping along a path of keys, an empty one where there is none."""
-    found = part(result, *path)
+    found = get_part(result, *path)
     return found if isinstance(found, Mapping) else {}
 
 
-def number(value: Any) -> float | None:
+def get_number(value: Any) -> float | None:
     """Return a figure: a number as it is, or the `value` of an estimate."""
     if isinstance(value, Mapping):
         value = value.get("value")
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
-def half_width(value: Any) -> float | None:
+def get_half_width(value: Any) -> float | None:
     """Return the half width of an estimate's 95 % confidence interval, None where it has none."""
-    return number(value.get("ci95")) if isinstance(value, Mapping) else None
+    return get_number(value.get("ci95")) if isinstance(value, Mapping) else None
 
 
-def mean(values: Iterable[float | None]) -> float | None:
+def compute_mean(values: Iterable[float | None]) -> float | None:
     """Return the plain mean of what is known, None where nothing is."""
     known = [value for value in values if value is not None]
     return sum(known) / len(known) if known else None
 
 
-def recipes(result: Result) -> dict[str, str]:
+def get_recipes(result: Result) -> dict[str, str]:
     """Return the titles of the models by recipe, in their order."""
-    titles = mapping(result, "recipes")
-    return {str(name): str(title or name) for name, title in titles.items()} or {n: n for n in mapping(result, "mae")}
+    titles = get_mapping(result, "recipes")
+    return {str(name): str(title or name) for name, title in titles.items()} or {
+        n: n for n in get_mapping(result, "mae")
+    }
 
 
-def title(result: Result, recipe: str) -> str:
+def get_title(result: Result, recipe: str) -> str:
     """Return the title of a model."""
     if recipe in WAYS:
-        return f"{title(result, FITTED)}, {WAYS[recipe]}"
-    return recipes(result).get(recipe, recipe)
+        return f"{get_title(result, FITTED)}, {WAYS[recipe]}"
+    return get_recipes(result).get(recipe, recipe)
 
 
-def vehicle_models(result: Result) -> list[str]:
+def list_vehicle_models(result: Result) -> list[str]:
     """Return the keys of the vehicle models, in their order."""
-    named = part(result, "about", "vehicle_models")
-    found = list(named) if named else list(mapping(result, "rides"))
-    rows = found or [key for recipe in mapping(result, "mae").values() for key in mapping(recipe)]
+    named = get_part(result, "about", "vehicle_models")
+    found = list(named) if named else list(get_mapping(result, "rides"))
+    rows = found or [key for recipe in get_mapping(result, "mae").values() for key in get_mapping(recipe)]
     return [str(key) for key in dict.fromkeys(rows) if key != WEIGHTED]
 
 
-def vehicle_name(key: str) -> str:
+def get_vehicle_name(key: str) -> str:
     """Return what people call a vehicle model: the catalogue's name without its battery, or the key.
 
     Examples
     --------
-    >>> vehicle_name("kia-soul-ev-2015"), vehicle_name("horse")
+    >>> get_vehicle_name("kia-soul-ev-2015"), get_vehicle_name("horse")
     ('Kia Soul EV 2015', 'horse')
     """
     if key == ALL:
@@ -106,39 +108,39 @@ def vehicle_name(key: str) -> str:
     return known.name.partition(",")[0] if known else key
 
 
-def clusters(result: Result, rows: Iterable[Any]) -> list[str]:
+def list_clusters(result: Result, rows: Iterable[Any]) -> list[str]:
     """Return the clusters of distance that have a figure in any of the rows, shortest first."""
     filled = {
         cluster
         for row in rows
-        for cluster, value in mapping(row).items()
-        if cluster not in NOT_CLUSTERS and number(value) is not None
+        for cluster, value in get_mapping(row).items()
+        if cluster not in NOT_CLUSTERS and get_number(value) is not None
     }
-    order = {str(name): place for place, name in enumerate(part(result, "about", "clusters") or ())}
+    order = {str(name): place for place, name in enumerate(get_part(result, "about", "clusters") or ())}
     return sorted(filled, key=lambda name: (order.get(name, len(order)), _lower_end(name), name))
 
 
-def average_error(result: Result, recipe: str, vehicle_model: str) -> float | None:
+def get_average_error(result: Result, recipe: str, vehicle_model: str) -> float | None:
     """Return the average error of a model on a vehicle model. [kWh]"""
-    return number(part(result, "mae", recipe, vehicle_model, AVERAGE))
+    return get_number(get_part(result, "mae", recipe, vehicle_model, AVERAGE))
 
 
-def overall_error(result: Result, recipe: str) -> float | None:
+def compute_overall_error(result: Result, recipe: str) -> float | None:
     """Return the plain mean over vehicle models of a model's average error. [kWh]"""
-    return mean(average_error(result, recipe, key) for key in vehicle_models(result))
+    return compute_mean(get_average_error(result, recipe, key) for key in list_vehicle_models(result))
 
 
-def best(result: Result) -> str | None:
+def find_best(result: Result) -> str | None:
     """Return the model of least error."""
-    errors = {recipe: overall_error(result, recipe) for recipe in recipes(result)}
+    errors = {recipe: compute_overall_error(result, recipe) for recipe in get_recipes(result)}
     known = {recipe: error for recipe, error in errors.items() if error is not None}
     return min(known, key=known.__getitem__, default=None)
 
 
-def principal(result: Result) -> list[str]:
+def select_principal(result: Result) -> list[str]:
     """Return the models that have a column where not all can: the milestones, the best, and the segment model."""
-    chosen = {PHYSICAL, FITTED, INTERACTIONS, SEGMENTS, best(result)}
-    return [recipe for recipe in recipes(result) if recipe in chosen]
+    chosen = {PHYSICAL, FITTED, INTERACTIONS, SEGMENTS, find_best(result)}
+    return [recipe for recipe in get_recipes(result) if recipe in chosen]
 
 
 def _lower_end(cluster: str) -> float:

@@ -3,29 +3,29 @@
 from typing import NamedTuple
 
 from core.evaluate.paper import published
-from core.evaluate.paper.published import AVERAGE, PHYSICAL, Statement
-from tools.report.cells import Cell, ReportTable, Row, change, kwh, percent
-from tools.report.evaluation.data_tables import data_tables
-from tools.report.evaluation.error_tables import differences, error_tables, summary_tables
+from core.evaluate.paper.published import AVERAGE, PHYSICAL, PaperStatement
+from tools.report.cells import Cell, ReportTable, Row, format_change, format_energy, format_percent
+from tools.report.evaluation.data_tables import tabulate_data
+from tools.report.evaluation.error_tables import tabulate_all_errors, tabulate_differences, tabulate_summaries
 from tools.report.evaluation.result import (
     ALL,
     FITTED,
     INTERACTIONS,
     Result,
-    best,
-    mapping,
-    mean,
-    number,
-    overall_error,
-    part,
-    principal,
-    title,
-    vehicle_models,
+    compute_mean,
+    compute_overall_error,
+    find_best,
+    get_mapping,
+    get_number,
+    get_part,
+    get_title,
+    list_vehicle_models,
+    select_principal,
 )
-from tools.report.evaluation.selection_tables import selection_tables
-from tools.report.evaluation.split_tables import split_tables
-from tools.report.evaluation.transfer_tables import transfer_tables
-from tools.report.evaluation.use_tables import place_tables, reserve_tables
+from tools.report.evaluation.selection_tables import tabulate_selection
+from tools.report.evaluation.split_tables import tabulate_all_splits
+from tools.report.evaluation.transfer_tables import tabulate_transfer
+from tools.report.evaluation.use_tables import tabulate_places, tabulate_reserve
 
 
 class Section(NamedTuple):
@@ -50,23 +50,23 @@ class Section(NamedTuple):
     folded: bool = False
 
 
-def sections(result: Result) -> list[Section]:
+def build_sections(result: Result) -> list[Section]:
     """Return the sections that have something to show."""
-    matrices = [differences(result, key) for key in (ALL, *vehicle_models(result))]
+    matrices = [tabulate_differences(result, key) for key in (ALL, *list_vehicle_models(result))]
     found = [
-        Section("glance", "At a glance", "", [glance(result)]),
-        Section("data", "Rides", "Which rides are judged, and what they took.", data_tables(result)),
+        Section("glance", "At a glance", "", [tabulate_overview(result)]),
+        Section("data", "Rides", "Which rides are judged, and what they took.", tabulate_data(result)),
         Section(
             "summary",
             "The models side by side",
             "Average error of each model on each vehicle model, and which of them are better beyond chance.",
-            summary_tables(result),
+            tabulate_summaries(result),
         ),
         Section(
             "errors",
             "Errors by distance, model by model",
             "Each model is trained on a draw of the rides of every cluster and tested on the others, several times.",
-            error_tables(result),
+            tabulate_all_errors(result),
         ),
         Section(
             "difference",
@@ -79,52 +79,55 @@ def sections(result: Result) -> list[Section]:
             "places",
             "Where the models err",
             "Errors by distance, outside temperature, season and driver.",
-            place_tables(result),
+            tabulate_places(result),
         ),
         Section(
             "reserve",
             "Intervals and the dispatcher's reserve",
             "How often the measured energy is inside its interval, and what to keep in hand.",
-            reserve_tables(result),
+            tabulate_reserve(result),
         ),
         Section(
             "splits",
             "Other ways to hold rides out",
             "A model may know a car or a day that it has seen: errors where whole cars or the last dates are unseen.",
-            split_tables(result),
+            tabulate_all_splits(result),
         ),
         Section(
             "transfer",
             "New vehicle models",
             "A vehicle model is left out of training, then some of its rides are let in.",
-            transfer_tables(result),
+            tabulate_transfer(result),
         ),
         Section(
             "selection",
             "Terms that can go",
             "Recursive elimination of the hybrid model's terms.",
-            selection_tables(result),
+            tabulate_selection(result),
         ),
     ]
     return [section for section in found if any(table.rows for table in section.tables)]
 
 
-def glance(result: Result) -> ReportTable:
+def tabulate_overview(result: Result) -> ReportTable:
     """Return the figures that a reader looks for first, with the paper's beside them."""
-    found = mapping(result, "coverage")
+    found = get_mapping(result, "coverage")
     rows = [
-        _reduced(result, INTERACTIONS, published.statement("reduction")),
-        None if best(result) == INTERACTIONS else _reduced(result, best(result), None),
-        _past_the_paper(result),
+        _reduced(result, INTERACTIONS, published.get_statement("reduction")),
+        None if find_best(result) == INTERACTIONS else _reduced(result, find_best(result), None),
+        _beyond_the_paper(result),
         _unbeaten(result),
-        _relative(result, "0-5", published.statement("relative_error_short")),
-        _relative(result, "20-25", published.statement("relative_error_long")),
-        _new_vehicle(result, FITTED, published.statement("new_vehicle_reduction")),
+        _relative(result, "0-5", published.get_statement("relative_error_short")),
+        _relative(result, "20-25", published.get_statement("relative_error_long")),
+        _new_vehicle(result, FITTED, published.get_statement("new_vehicle_reduction")),
         _new_vehicle(result, _best_new_vehicle(result), None),
         _buffer(result),
         *(
-            _row(f"Rides inside their 90 % interval: {title(result, recipe)}", percent(part(found, recipe, "overall")))
-            for recipe in principal(result)
+            _row(
+                f"Rides inside their 90 % interval: {get_title(result, recipe)}",
+                format_percent(get_part(found, recipe, "overall")),
+            )
+            for recipe in select_principal(result)
             if recipe in found
         ),
     ]
@@ -135,65 +138,67 @@ def _row(name: str, here: str, paper: str = "") -> Row:
     return Row(name, (Cell(here, paper),))
 
 
-def _reduced(result: Result, recipe: str | None, said: Statement | None) -> Row | None:
+def _reduced(result: Result, recipe: str | None, said: PaperStatement | None) -> Row | None:
     """Return how far a model's error is below that of the basic physical model."""
-    share = number(part(result, "reduction", recipe or "", AVERAGE))
+    share = get_number(get_part(result, "reduction", recipe or "", AVERAGE))
     if recipe is None or share is None:
         return None
-    label = f"Error below that of the basic physical model: {title(result, recipe)}"
-    return _row(label, percent(share), "" if said is None else percent(said.value, 2))
+    label = f"Error below that of the basic physical model: {get_title(result, recipe)}"
+    return _row(label, format_percent(share), "" if said is None else format_percent(said.value, 2))
 
 
-def _past_the_paper(result: Result) -> Row | None:
+def _beyond_the_paper(result: Result) -> Row | None:
     """Return how far the best model is from the paper's best."""
-    winner, reference = best(result), overall_error(result, INTERACTIONS)
+    winner, reference = find_best(result), compute_overall_error(result, INTERACTIONS)
     if winner is None or winner == INTERACTIONS or reference is None:
         return None
-    label = f"Average error of {title(result, winner)} against {title(result, INTERACTIONS)}"
-    return _row(label, change(overall_error(result, winner), reference))
+    label = f"Average error of {get_title(result, winner)} against {get_title(result, INTERACTIONS)}"
+    return _row(label, format_change(compute_overall_error(result, winner), reference))
 
 
 def _unbeaten(result: Result) -> Row | None:
     """Return the models that none is significantly better than, on any vehicle model."""
-    found = [part(result, "dominates", key) or () for key in vehicle_models(result)]
-    names = [title(result, r) for r in (found[0] if found else ()) if all(r in of for of in found)]
-    said = f"{title(result, INTERACTIONS)}, or it and others"
+    found = [get_part(result, "dominates", key) or () for key in list_vehicle_models(result)]
+    names = [get_title(result, r) for r in (found[0] if found else ()) if all(r in of for of in found)]
+    said = f"{get_title(result, INTERACTIONS)}, or it and others"
     return _row("Dominates or co-dominates on every vehicle model", "; ".join(names) or "none", said) if found else None
 
 
-def _relative(result: Result, cluster: str, said: Statement) -> Row | None:
+def _relative(result: Result, cluster: str, said: PaperStatement) -> Row | None:
     """Return error over consumption in a cluster."""
-    share = number(part(result, "relative", INTERACTIONS, cluster))
-    label = f"Error over consumption, rides of {cluster.replace('-', '–')} km: {title(result, INTERACTIONS)}"
-    return None if share is None else _row(label, percent(share), f"about {percent(said.value, 0)}")
+    share = get_number(get_part(result, "relative", INTERACTIONS, cluster))
+    label = f"Error over consumption, rides of {cluster.replace('-', '–')} km: {get_title(result, INTERACTIONS)}"
+    return None if share is None else _row(label, format_percent(share), f"about {format_percent(said.value, 0)}")
 
 
-def _new_vehicle(result: Result, recipe: str | None, said: Statement | None) -> Row | None:
+def _new_vehicle(result: Result, recipe: str | None, said: PaperStatement | None) -> Row | None:
     """Return how far a model's error on unseen vehicle models is below that of the basic physical model."""
     share = None if recipe is None else _left_out(result, recipe)
     if recipe is None or share is None:
         return None
-    label = f"Error below that of the basic physical model, vehicle model unseen: {title(result, recipe)}"
-    return _row(label, percent(share), "" if said is None else percent(said.value, 2))
+    label = f"Error below that of the basic physical model, vehicle model unseen: {get_title(result, recipe)}"
+    return _row(label, format_percent(share), "" if said is None else format_percent(said.value, 2))
 
 
 def _best_new_vehicle(result: Result) -> str | None:
     """Return the model that does best on unseen vehicle models, None where that is the fitted physical one."""
-    shares = {recipe: _left_out(result, recipe) for recipe in mapping(result, "new_vehicle") if recipe != PHYSICAL}
+    shares = {recipe: _left_out(result, recipe) for recipe in get_mapping(result, "new_vehicle") if recipe != PHYSICAL}
     known = {recipe: share for recipe, share in shares.items() if share is not None}
     found = max(known, key=known.__getitem__, default=None)
     return None if found == FITTED else found
 
 
 def _left_out(result: Result, recipe: str) -> float | None:
-    return mean(number(part(result, "new_vehicle", recipe, key, "reduction")) for key in vehicle_models(result))
+    return compute_mean(
+        get_number(get_part(result, "new_vehicle", recipe, key, "reduction")) for key in list_vehicle_models(result)
+    )
 
 
 def _buffer(result: Result) -> Row | None:
     """Return the reserve that the paper's best model asks for."""
-    found = mapping(result, "buffer_kwh", INTERACTIONS)
+    found = get_mapping(result, "buffer_kwh", INTERACTIONS)
     if not found:
         return None
-    here = ", ".join(f"{kwh(energy)} kWh for {share} % of rides" for share, energy in found.items())
-    said = published.statement("buffer")
-    return _row(f"Buffer: {title(result, INTERACTIONS)}", here, f"{said.value:g} kWh, share not said")
+    here = ", ".join(f"{format_energy(energy)} kWh for {share} % of rides" for share, energy in found.items())
+    said = published.get_statement("buffer")
+    return _row(f"Buffer: {get_title(result, INTERACTIONS)}", here, f"{said.value:g} kWh, share not said")

@@ -4,28 +4,33 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from core.evaluate.paper import published
-from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, signed
-from tools.report.evaluation.result import Result, mapping, number, part
+from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_signed
+from tools.report.evaluation.result import Result, get_mapping, get_number, get_part
 
 BEYOND: Final = 3
 """Terms that are told of after the last one that can go."""
 
 
-def selection_tables(result: Result) -> list[ReportTable]:
+def tabulate_selection(result: Result) -> list[ReportTable]:
     """Return which terms elimination took out, and what taking out one after the other costs."""
-    return [table for table in (removed(result), steps(result)) if table.rows]
+    return [table for table in (tabulate_removed_terms(result), tabulate_steps(result)) if table.rows]
 
 
-def removed(result: Result) -> ReportTable:
+def tabulate_removed_terms(result: Result) -> ReportTable:
     """Return the terms that elimination took out, with cross-validation and without."""
-    found = mapping(result, "selection")
+    found = get_mapping(result, "selection")
     rows: list[Row] = []
     if found.get("constant"):
-        rows.append(Row("none needed: these do not vary", (Cell(terms(found["constant"])), Cell(""))))
+        rows.append(Row("none needed: these do not vary", (Cell(format_terms(found["constant"])), Cell(""))))
     for name, label in (("rfecv", "RFECV: least cross-validated error"), ("rfe", "RFE: no significant loss")):
-        if mapping(found, name):
-            theirs = terms([term.replace("_", " ") for finding in published.findings(name) for term in finding.terms])
-            cells = (Cell(terms(part(found, name, "removed") or ()), theirs), Cell(_loss(part(found, name, "loss"))))
+        if get_mapping(found, name):
+            theirs = format_terms(
+                [term.replace("_", " ") for finding in published.get_findings(name) for term in finding.terms]
+            )
+            cells = (
+                Cell(format_terms(get_part(found, name, "removed") or ()), theirs),
+                Cell(_loss(get_part(found, name, "loss"))),
+            )
             rows.append(Row(label, cells))
     note = (
         "Half of the rides choose the terms, the other half tell what taking them out costs: mean absolute error more."
@@ -34,31 +39,31 @@ def removed(result: Result) -> ReportTable:
     return ReportTable("Terms that can go (sections 5.2.1 and 5.2.2)", "elimination", heads, tuple(rows), (note,))
 
 
-def steps(result: Result) -> ReportTable:
+def tabulate_steps(result: Result) -> ReportTable:
     """Return what it costs to take out one term after the other, up to a few beyond those that can go."""
-    found = part(result, "selection", "rfe", "steps") or []
-    count = len(part(result, "selection", "rfe", "removed") or ()) + BEYOND
+    found = get_part(result, "selection", "rfe", "steps") or []
+    count = len(get_part(result, "selection", "rfe", "removed") or ()) + BEYOND
     rows = tuple(
-        Row(f"{i}  {terms([step.get('term')])}", (Cell(_loss(step.get("loss"))), Cell(_p(step.get("loss")))))
+        Row(f"{i}  {format_terms([step.get('term')])}", (Cell(_loss(step.get("loss"))), Cell(_p(step.get("loss")))))
         for i, step in enumerate(found[:count], start=1)
     )
     note = "Loss: mean absolute error more than with all terms, this one and all above gone."
     return ReportTable("Terms in the order in which they go", "term", ("loss, kWh", "p"), rows, (note,))
 
 
-def terms(names: Sequence[Any]) -> str:
+def format_terms(names: Sequence[Any]) -> str:
     """Return names of terms as a list, `none` where there is none."""
     return ", ".join(str(name) for name in names) or "none"
 
 
 def _loss(loss: Any) -> str:
     """Return a difference of errors, with its interval where it has one."""
-    value, ci95 = number(loss), number(part(loss, "ci95"))
+    value, ci95 = get_number(loss), get_number(get_part(loss, "ci95"))
     if value is None:
         return UNKNOWN
-    return signed(value, 4) if ci95 is None else f"{signed(value, 4)} ± {ci95:.4f}"
+    return format_signed(value, 4) if ci95 is None else f"{format_signed(value, 4)} ± {ci95:.4f}"
 
 
 def _p(loss: Mapping[str, Any] | None) -> str:
-    p = number(part(loss, "p"))
+    p = get_number(get_part(loss, "p"))
     return UNKNOWN if p is None else "< 0.001" if p < 0.001 else f"{p:.3f}"

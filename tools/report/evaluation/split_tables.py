@@ -2,45 +2,46 @@
 
 from typing import Final
 
-from tools.report.cells import Cell, ReportTable, Row, change, kwh, mark_least
+from tools.report.cells import Cell, ReportTable, Row, format_change, format_energy, mark_least
 from tools.report.evaluation.result import (
     Result,
-    mapping,
-    mean,
-    number,
-    part,
-    recipes,
-    title,
-    vehicle_models,
-    vehicle_name,
+    compute_mean,
+    get_mapping,
+    get_number,
+    get_part,
+    get_recipes,
+    get_title,
+    get_vehicle_name,
+    list_vehicle_models,
 )
 
 SPLITS: Final = ("ride", "vehicle", "date")
 """What is held out together; the first is the paper's."""
 
 
-def split_tables(result: Result) -> list[ReportTable]:
+def tabulate_all_splits(result: Result) -> list[ReportTable]:
     """Return the average errors by what was held out, and the changes by vehicle model."""
-    present = [split for split in SPLITS if mapping(result, "splits", split)]
+    present = [split for split in SPLITS if get_mapping(result, "splits", split)]
     if not present:
         return []
-    changed = [changes(result, split) for split in present[1:] if present[0] == SPLITS[0]]
-    return [splits(result, present), *changed]
+    changed = [tabulate_changes(result, split) for split in present[1:] if present[0] == SPLITS[0]]
+    return [tabulate_splits(result, present), *changed]
 
 
-def splits(result: Result, present: list[str]) -> ReportTable:
+def tabulate_splits(result: Result, present: list[str]) -> ReportTable:
     """Return the average errors side by side, over the vehicle models of which every split has a figure."""
-    means = {recipe: means_by_split(result, recipe, present) for recipe in recipes(result)}
+    means = {recipe: compute_means_by_split(result, recipe, present) for recipe in get_recipes(result)}
     names = [recipe for recipe, found in means.items() if found[0] is not None]
     columns = [
-        mark_least([Cell(kwh(means[r][i])) for r in names], [means[r][i] for r in names]) for i in range(len(present))
+        mark_least([Cell(format_energy(means[r][i])) for r in names], [means[r][i] for r in names])
+        for i in range(len(present))
     ]
     rows = tuple(
         Row(
-            title(result, recipe),
+            get_title(result, recipe),
             (
                 *(column[place] for column in columns),
-                *(Cell(change(value, means[recipe][0])) for value in means[recipe][1:]),
+                *(Cell(format_change(value, means[recipe][0])) for value in means[recipe][1:]),
             ),
         )
         for place, recipe in enumerate(names)
@@ -50,50 +51,51 @@ def splits(result: Result, present: list[str]) -> ReportTable:
         "Mean over vehicle models of the average error; bold: the least of its column.",
         "By ride: drawn within each cluster, as in the paper; rides of one car and one day stand on both sides.",
         "By vehicle: whole cars are held out. By date: the last dates are.",
-        disagreement(result, present),
+        describe_best_models(result, present),
     )
     return ReportTable("Held out by ride, by vehicle, by date: average error, kWh", "model", heads, rows, notes)
 
 
-def changes(result: Result, split: str) -> ReportTable:
+def tabulate_changes(result: Result, split: str) -> ReportTable:
     """Return by how much errors grow on each vehicle model where cars or dates are held out instead of rides."""
-    keys = vehicle_models(result)
+    keys = list_vehicle_models(result)
     rows = tuple(
         Row(
-            title(result, recipe),
+            get_title(result, recipe),
             tuple(
-                Cell(change(_error(result, split, recipe, key), _error(result, SPLITS[0], recipe, key))) for key in keys
+                Cell(format_change(_error(result, split, recipe, key), _error(result, SPLITS[0], recipe, key)))
+                for key in keys
             ),
         )
-        for recipe in recipes(result)
-        if mapping(result, "splits", split, recipe)
+        for recipe in get_recipes(result)
+        if get_mapping(result, "splits", split, recipe)
     )
-    heads = tuple(vehicle_name(key) for key in keys)
+    heads = tuple(get_vehicle_name(key) for key in keys)
     return ReportTable(f"Held out by {split}: average error against that by ride", "model", heads, rows)
 
 
-def disagreement(result: Result, present: list[str]) -> str:
+def describe_best_models(result: Result, present: list[str]) -> str:
     """Return a sentence: which model is best by each split."""
     winners: dict[str, str] = {}
     for place, split in enumerate(present):
-        errors = {recipe: means_by_split(result, recipe, present)[place] for recipe in recipes(result)}
+        errors = {recipe: compute_means_by_split(result, recipe, present)[place] for recipe in get_recipes(result)}
         known = {recipe: error for recipe, error in errors.items() if error is not None}
         if known:
-            winners[split] = title(result, min(known, key=known.__getitem__))
+            winners[split] = get_title(result, min(known, key=known.__getitem__))
     if len(set(winners.values())) <= 1:
         return f"The same model is best by each: {next(iter(winners.values()), 'none')}."
     return "They differ on the best model: " + "; ".join(f"by {s}, {name}" for s, name in winners.items()) + "."
 
 
-def means_by_split(result: Result, recipe: str, present: list[str]) -> list[float | None]:
+def compute_means_by_split(result: Result, recipe: str, present: list[str]) -> list[float | None]:
     """Return the mean error by each split, over the vehicle models of which all have one."""
     shared = [
         key
-        for key in vehicle_models(result)
+        for key in list_vehicle_models(result)
         if all(_error(result, split, recipe, key) is not None for split in present)
     ]
-    return [mean(_error(result, split, recipe, key) for key in shared) for split in present]
+    return [compute_mean(_error(result, split, recipe, key) for key in shared) for split in present]
 
 
 def _error(result: Result, split: str, recipe: str, key: str) -> float | None:
-    return number(part(result, "splits", split, recipe, key))
+    return get_number(get_part(result, "splits", split, recipe, key))

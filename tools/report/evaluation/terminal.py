@@ -8,9 +8,9 @@ from rich.table import Table
 from rich.text import Text
 
 from core.evaluate.paper import published
-from core.evaluate.paper.results import plain
+from core.evaluate.paper.results import to_json_values
 from tools.report.cells import PAPER_NOTE, Cell, ReportTable
-from tools.report.evaluation.sections import Section, sections
+from tools.report.evaluation.sections import Section, build_sections
 
 LAST: Final = "glance"
 """The section that ends the output, where the eye is."""
@@ -26,10 +26,10 @@ def show(result: Any, console: Console) -> None:
     console : Console
         At least 120 columns wide, for tables that do not wrap.
     """
-    shown = [section for section in sections(plain(result)) if not section.folded]
+    shown = [section for section in build_sections(to_json_values(result)) if not section.folded]
     for section in sorted(shown, key=lambda section: section.key == LAST):
         print_section(section, console)
-    for line in _notes(plain(result)):
+    for line in _notes(to_json_values(result)):
         console.print(Text(line, style="yellow"))
 
 
@@ -74,4 +74,4 @@ def _notes(result: Any) -> list[str]:
     """Return what the evaluation itself says was left out."""
     about = result.get("about") or {}
     notes = [str(note) for note in (*(result.get("notes") or ()), *(about.get("notes") or ()))]
-    return [*notes, f"“The paper” is “{published.paper().title}”."]
+    return [*notes, f"“The paper” is “{published.load_paper().title}”."]

@@ -4,45 +4,48 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from core.evaluate.paper import published
-from core.evaluate.paper.published import Published
-from tools.report.cells import Cell, ReportTable, Row, kwh, mark_least, percent, printed
+from core.evaluate.paper.published import PublishedFigure
+from tools.report.cells import Cell, ReportTable, Row, format_energy, format_percent, format_published, mark_least
 from tools.report.evaluation.result import (
     FITTED,
     WAYS,
     Result,
-    mapping,
-    mean,
-    number,
-    part,
-    recipes,
-    title,
-    vehicle_models,
-    vehicle_name,
+    compute_mean,
+    get_mapping,
+    get_number,
+    get_part,
+    get_recipes,
+    get_title,
+    get_vehicle_name,
+    list_vehicle_models,
 )
 
 WORSE = " ↑"
 """Marks an error above that of the fitted physical model."""
 
 
-def transfer_tables(result: Result) -> list[ReportTable]:
+def tabulate_transfer(result: Result) -> list[ReportTable]:
     """Return Tables 12 and 13 and the few-shot curves of each vehicle model."""
-    tables = [new_vehicle(result), new_vehicle_relative(result)]
-    tables += [few_shot(result, key) for key in mapping(result, "few_shot")]
+    tables = [tabulate_new_vehicle(result), tabulate_new_vehicle_relative(result)]
+    tables += [tabulate_few_shot(result, key) for key in get_mapping(result, "few_shot")]
     return [table for table in tables if table.rows]
 
 
-def new_vehicle(result: Result) -> ReportTable:
+def tabulate_new_vehicle(result: Result) -> ReportTable:
     """Return the errors on a vehicle model that was left out of training, Table 12."""
     names, keys = _tested(result)
 
     def cell(recipe: str, key: str) -> Cell:
         error, fitted = _left_out(result, recipe, key, "mae"), _left_out(result, FITTED, key, "mae")
         worse = error is not None and fitted is not None and error > fitted
-        return Cell(kwh(error) + (WORSE if worse else ""), printed(published.new_vehicle_mae(recipe, key)))
+        return Cell(
+            format_energy(error) + (WORSE if worse else ""),
+            format_published(published.get_new_vehicle_mae(recipe, key)),
+        )
 
-    reduced = [mean(_left_out(result, recipe, key, "reduction") for key in keys) for recipe in names]
-    last = [Cell(percent(share), _percent(_paper_reduction(r))) for share, r in zip(reduced, names, strict=True)]
-    said = percent(published.statement("new_vehicle_reduction").value, 2)
+    reduced = [compute_mean(_left_out(result, recipe, key, "reduction") for key in keys) for recipe in names]
+    last = [Cell(format_percent(share), _percent(_paper_reduction(r))) for share, r in zip(reduced, names, strict=True)]
+    said = format_percent(published.get_statement("new_vehicle_reduction").value, 2)
     notes = (
         "Trained on all other vehicle models, tested on all rides of this one. Bold: the least of its column.",
         "The paper leaves the LEAF out of training for the other cars; here all others train.",
@@ -51,29 +54,29 @@ def new_vehicle(result: Result) -> ReportTable:
         f"The paper's reductions follow from its rounded Table 12; its text says {said} for the fitted one.",
     )
     rows = _rows(result, names, keys, cell, "mae", last)
-    heads = (*(vehicle_name(key) for key in keys), "reduction")
+    heads = (*(get_vehicle_name(key) for key in keys), "reduction")
     name = "New vehicle model, none of its rides seen: mean absolute error, kWh (Table 12)"
     return ReportTable(name, "model", heads, rows, notes)
 
 
-def new_vehicle_relative(result: Result) -> ReportTable:
+def tabulate_new_vehicle_relative(result: Result) -> ReportTable:
     """Return error over consumption on a vehicle model that was left out of training, Table 13."""
     names, keys = _tested(result)
 
     def cell(recipe: str, key: str) -> Cell:
-        share = percent(_left_out(result, recipe, key, "relative"))
-        return Cell(share, _as_percent(published.new_vehicle_relative(recipe, key)))
+        share = format_percent(_left_out(result, recipe, key, "relative"))
+        return Cell(share, _as_percent(published.get_new_vehicle_relative_error(recipe, key)))
 
     rows = _rows(result, names, keys, cell, "relative", [])
-    heads = tuple(vehicle_name(key) for key in keys)
+    heads = tuple(get_vehicle_name(key) for key in keys)
     name = "New vehicle model, none of its rides seen: error over consumption (Table 13)"
     return ReportTable(name, "model", heads, rows, ("Bold: the least of its column.",))
 
 
-def few_shot(result: Result, vehicle_model: str) -> ReportTable:
+def tabulate_few_shot(result: Result, vehicle_model: str) -> ReportTable:
     """Return the error on a new vehicle model against the number of its rides that were seen."""
-    names = list(mapping(result, "few_shot", vehicle_model))
-    points = {recipe: seen(result, vehicle_model, recipe) for recipe in names}
+    names = list(get_mapping(result, "few_shot", vehicle_model))
+    points = {recipe: get_few_shot_errors(result, vehicle_model, recipe) for recipe in names}
     line = points.get(FITTED, {})
     rows = tuple(
         Row(
@@ -85,17 +88,17 @@ def few_shot(result: Result, vehicle_model: str) -> ReportTable:
     notes = [f"{WORSE.strip()}: above the fitted extended physical model after as many rides, the line to beat."]
     if any(way in names for way in WAYS):
         notes.append(f"The line to beat is the better of two at each point: {' and '.join(WAYS.values())}.")
-    name = f"{vehicle_name(vehicle_model)} as a new vehicle model: mean absolute error, kWh"
-    return ReportTable(name, "rides seen", tuple(title(result, recipe) for recipe in names), rows, tuple(notes))
+    name = f"{get_vehicle_name(vehicle_model)} as a new vehicle model: mean absolute error, kWh"
+    return ReportTable(name, "rides seen", tuple(get_title(result, recipe) for recipe in names), rows, tuple(notes))
 
 
-def seen(result: Result, vehicle_model: str, recipe: str) -> dict[int, Mapping[str, Any]]:
+def get_few_shot_errors(result: Result, vehicle_model: str, recipe: str) -> dict[int, Mapping[str, Any]]:
     """Return the few-shot errors of a model by the number of rides seen, `value` and `ci95` in kWh."""
     made: dict[int, Mapping[str, Any]] = {}
-    for point in part(result, "few_shot", vehicle_model, recipe) or ():
-        rides, error = number(part(point, "rides")), part(point, "mae")
-        if rides is not None and number(error) is not None:
-            made[int(rides)] = {"value": number(error), "ci95": number(part(point, "ci95"))}
+    for point in get_part(result, "few_shot", vehicle_model, recipe) or ():
+        rides, error = get_number(get_part(point, "rides")), get_part(point, "mae")
+        if rides is not None and get_number(error) is not None:
+            made[int(rides)] = {"value": get_number(error), "ci95": get_number(get_part(point, "ci95"))}
     return made
 
 
@@ -112,25 +115,27 @@ def _rows(
         mark_least([cell(r, key) for r in names], [_left_out(result, r, key, figure) for r in names]) for key in keys
     ]
     return tuple(
-        Row(title(result, recipe), (*(column[i] for column in columns), *last[i : i + 1]))
+        Row(get_title(result, recipe), (*(column[i] for column in columns), *last[i : i + 1]))
         for i, recipe in enumerate(names)
     )
 
 
 def _tested(result: Result) -> tuple[list[str], list[str]]:
     """Return the models and vehicle models that were tested so."""
-    found = mapping(result, "new_vehicle")
-    names = [recipe for recipe in recipes(result) if mapping(found, recipe)]
-    return names, [key for key in vehicle_models(result) if any(key in mapping(found, recipe) for recipe in names)]
+    found = get_mapping(result, "new_vehicle")
+    names = [recipe for recipe in get_recipes(result) if get_mapping(found, recipe)]
+    return names, [
+        key for key in list_vehicle_models(result) if any(key in get_mapping(found, recipe) for recipe in names)
+    ]
 
 
 def _left_out(result: Result, recipe: str, key: str, figure: str) -> float | None:
-    return number(part(result, "new_vehicle", recipe, key, figure))
+    return get_number(get_part(result, "new_vehicle", recipe, key, figure))
 
 
 def _paper_reduction(recipe: str) -> float | None:
-    models = published.paper().vehicle_models.values()
-    return mean(published.new_vehicle_reduction(recipe, model.catalogue[0]) for model in models)
+    models = published.load_paper().vehicle_models.values()
+    return compute_mean(published.get_new_vehicle_reduction(recipe, model.catalogue[0]) for model in models)
 
 
 def _against(point: Mapping[str, Any] | None, fitted: Mapping[str, Any] | None) -> Cell:
@@ -138,12 +143,12 @@ def _against(point: Mapping[str, Any] | None, fitted: Mapping[str, Any] | None) 
     if point is None:
         return Cell("")
     worse = fitted is not None and point["value"] > fitted["value"]
-    return Cell(kwh(point) + (WORSE if worse else ""))
+    return Cell(format_energy(point) + (WORSE if worse else ""))
 
 
 def _percent(share: float | None) -> str:
-    return "" if share is None else percent(share)
+    return "" if share is None else format_percent(share)
 
 
-def _as_percent(figure: Published | None) -> str:
-    return "" if figure is None else percent(figure.value, 0)
+def _as_percent(figure: PublishedFigure | None) -> str:
+    return "" if figure is None else format_percent(figure.value, 0)

@@ -6,18 +6,27 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from core.evaluate.paper import published
-from tools.report.cells import Cell, ReportTable, Row, count, kwh, mark_least, percent, signed
+from tools.report.cells import (
+    Cell,
+    ReportTable,
+    Row,
+    format_count,
+    format_energy,
+    format_percent,
+    format_signed,
+    mark_least,
+)
 from tools.report.evaluation.result import (
     Result,
-    clusters,
-    mapping,
-    number,
-    part,
-    principal,
-    recipes,
-    title,
-    vehicle_models,
-    vehicle_name,
+    get_mapping,
+    get_number,
+    get_part,
+    get_recipes,
+    get_title,
+    get_vehicle_name,
+    list_clusters,
+    list_vehicle_models,
+    select_principal,
 )
 
 AXES: Final[Mapping[str, str]] = MappingProxyType(
@@ -43,86 +52,105 @@ COVERAGE_RANGE: Final = (0.88, 0.92)
 """Of a 90 % interval over all rides."""
 
 
-def place_tables(result: Result) -> list[ReportTable]:
+def tabulate_places(result: Result) -> list[ReportTable]:
     """Return the errors by distance, temperature, season and driver."""
-    found = [axis for axis in AXES if mapping(result, "by", axis)]
-    tables = [spread(result, axis) if len(bins(result, axis)) > MANY_BINS else by_bin(result, axis) for axis in found]
+    found = [axis for axis in AXES if get_mapping(result, "by", axis)]
+    tables = [
+        tabulate_spread(result, axis)
+        if len(list_bins(result, axis)) > MANY_BINS
+        else tabulate_errors_by_bin(result, axis)
+        for axis in found
+    ]
     return [table for table in tables if table.rows]
 
 
-def bins(result: Result, axis: str) -> list[str]:
+def list_bins(result: Result, axis: str) -> list[str]:
     """Return the names of the bins of an axis, in their order."""
-    return list(dict.fromkeys(str(b["bin"]) for recipe in recipes(result) for b in entries(result, axis, recipe)))
+    return list(
+        dict.fromkeys(str(b["bin"]) for recipe in get_recipes(result) for b in get_bin_errors(result, axis, recipe))
+    )
 
 
-def bin_name(axis: str, name: str) -> str:
+def format_bin(axis: str, name: str) -> str:
     """Return the name of a bin as people write it.
 
     Examples
     --------
-    >>> bin_name("distance", "0-5"), bin_name("temperature", "-10 to -5")
+    >>> format_bin("distance", "0-5"), format_bin("temperature", "-10 to -5")
     ('0–5', '−10 to −5')
     """
     return name.replace("-", {"distance": "–", "temperature": "−"}.get(axis, "-")).removesuffix(" °C")
 
 
-def entries(result: Result, axis: str, recipe: str) -> list[Mapping[str, Any]]:
+def get_bin_errors(result: Result, axis: str, recipe: str) -> list[Mapping[str, Any]]:
     """Return the errors of a model along an axis, bin by bin."""
-    found = part(result, "by", axis, recipe)
+    found = get_part(result, "by", axis, recipe)
     return [entry for entry in found or () if isinstance(entry, Mapping) and "bin" in entry]
 
 
-def by_bin(result: Result, axis: str) -> ReportTable:
+def tabulate_errors_by_bin(result: Result, axis: str) -> ReportTable:
     """Return mean absolute error and bias in each bin, of the principal models."""
-    names = [recipe for recipe in principal(result) if entries(result, axis, recipe)]
-    found = {recipe: {str(entry["bin"]): entry for entry in entries(result, axis, recipe)} for recipe in names}
+    names = [recipe for recipe in select_principal(result) if get_bin_errors(result, axis, recipe)]
+    found = {recipe: {str(entry["bin"]): entry for entry in get_bin_errors(result, axis, recipe)} for recipe in names}
     rows = tuple(
         Row(
-            bin_name(axis, label),
+            format_bin(axis, label),
             (Cell(_rides(found, label)), *(_error_and_bias(found[recipe].get(label)) for recipe in names)),
         )
-        for label in bins(result, axis)
+        for label in list_bins(result, axis)
     )
-    heads = ("predictions", *(title(result, recipe) for recipe in names))
+    heads = ("predictions", *(get_title(result, recipe) for recipe in names))
     note = "In parentheses, bias: mean of predicted less measured."
     return ReportTable(
         f"Mean absolute error by {AXES[axis]}, kWh", f"{AXES[axis]}{UNITS.get(axis, '')}", heads, rows, (note,)
     )
 
 
-def spread(result: Result, axis: str) -> ReportTable:
+def tabulate_spread(result: Result, axis: str) -> ReportTable:
     """Return how errors spread over many bins, such as drivers."""
     rows = []
-    for recipe in recipes(result):
-        errors = [mae for entry in entries(result, axis, recipe) if (mae := number(entry.get("mae"))) is not None]
+    for recipe in get_recipes(result):
+        errors = [
+            mae for entry in get_bin_errors(result, axis, recipe) if (mae := get_number(entry.get("mae"))) is not None
+        ]
         if len(errors) > 1:
             deciles = quantiles(errors, n=10, method="inclusive")
             figures = (min(errors), deciles[0], deciles[4], deciles[8], max(errors))
-            rows.append(Row(title(result, recipe), (Cell(count(len(errors))), *(Cell(kwh(f)) for f in figures))))
+            rows.append(
+                Row(
+                    get_title(result, recipe),
+                    (Cell(format_count(len(errors))), *(Cell(format_energy(f)) for f in figures)),
+                )
+            )
     heads = (f"{AXES[axis]}s", "least", "10 % are below", "half are below", "90 % are below", "most")
     return ReportTable(f"Mean absolute error by {AXES[axis]}, kWh", "model", heads, tuple(rows))
 
 
-def reserve_tables(result: Result) -> list[ReportTable]:
+def tabulate_reserve(result: Result) -> list[ReportTable]:
     """Return the coverage of intervals and the reserve that keeps rides above theirs."""
-    found = (coverage(result), coverage_unseen(result), buffers(result), buffers_by_cluster(result))
+    found = (
+        tabulate_coverage(result),
+        tabulate_coverage_unseen(result),
+        tabulate_buffers(result),
+        tabulate_buffers_by_cluster(result),
+    )
     return [table for table in found if table.rows]
 
 
-def coverage(result: Result) -> ReportTable:
+def tabulate_coverage(result: Result) -> ReportTable:
     """Return the share of rides inside their 90 % interval: overall, by cluster, by season."""
-    found = mapping(result, "coverage")
-    names = [recipe for recipe in recipes(result) if mapping(found, recipe)]
-    distances = clusters(result, (mapping(found, recipe, "cluster") for recipe in names))
-    seasons = list(dict.fromkeys(season for recipe in names for season in mapping(found, recipe, "season")))
+    found = get_mapping(result, "coverage")
+    names = [recipe for recipe in get_recipes(result) if get_mapping(found, recipe)]
+    distances = list_clusters(result, (get_mapping(found, recipe, "cluster") for recipe in names))
+    seasons = list(dict.fromkeys(season for recipe in names for season in get_mapping(found, recipe, "season")))
     rows = tuple(
         Row(
-            title(result, recipe),
+            get_title(result, recipe),
             (
-                _covered(part(found, recipe, "overall"), *COVERAGE_RANGE),
-                *(_covered(part(found, recipe, "cluster", c), LEAST_COVERAGE) for c in distances),
-                *(_covered(part(found, recipe, "season", s), LEAST_COVERAGE) for s in seasons),
-                Cell(kwh(part(found, recipe, "width_kwh"))),
+                _covered(get_part(found, recipe, "overall"), *COVERAGE_RANGE),
+                *(_covered(get_part(found, recipe, "cluster", c), LEAST_COVERAGE) for c in distances),
+                *(_covered(get_part(found, recipe, "season", s), LEAST_COVERAGE) for s in seasons),
+                Cell(format_energy(get_part(found, recipe, "width_kwh"))),
             ),
         )
         for recipe in names
@@ -130,29 +158,29 @@ def coverage(result: Result) -> ReportTable:
     heads = ("overall", *(f"{c} km".replace("-", "–") for c in distances), *seasons, "width, kWh")
     low, high = COVERAGE_RANGE
     note = (
-        f"↓ or ↑: outside of {percent(low, 0)} to {percent(high, 0)} overall, or below {percent(LEAST_COVERAGE, 0)} in "
+        f"↓ or ↑: outside of {format_percent(low, 0)} to {format_percent(high, 0)} overall, or below {format_percent(LEAST_COVERAGE, 0)} in "
         "a cluster or season. Width: mean of upper less lower end."
     )
     return ReportTable("Rides inside their 90 % prediction interval", "model", heads, rows, (note,))
 
 
-def coverage_unseen(result: Result) -> ReportTable:
+def tabulate_coverage_unseen(result: Result) -> ReportTable:
     """Return the share of rides inside their interval by vehicle model, and where cars, dates or models are unseen."""
-    found = mapping(result, "coverage")
-    names = [recipe for recipe in recipes(result) if mapping(found, recipe)]
-    keys = [k for k in vehicle_models(result) if any(k in mapping(found, r, "vehicle_model") for r in names)]
-    unseen = {kind: head for kind, head in UNSEEN.items() if any(kind in mapping(found, r) for r in names)}
+    found = get_mapping(result, "coverage")
+    names = [recipe for recipe in get_recipes(result) if get_mapping(found, recipe)]
+    keys = [k for k in list_vehicle_models(result) if any(k in get_mapping(found, r, "vehicle_model") for r in names)]
+    unseen = {kind: head for kind, head in UNSEEN.items() if any(kind in get_mapping(found, r) for r in names)}
     rows = tuple(
         Row(
-            title(result, recipe),
+            get_title(result, recipe),
             (
-                *(_covered(part(found, recipe, "vehicle_model", key), LEAST_COVERAGE) for key in keys),
-                *(_covered(part(found, recipe, kind), *COVERAGE_RANGE) for kind in unseen),
+                *(_covered(get_part(found, recipe, "vehicle_model", key), LEAST_COVERAGE) for key in keys),
+                *(_covered(get_part(found, recipe, kind), *COVERAGE_RANGE) for kind in unseen),
             ),
         )
         for recipe in names
     )
-    heads = (*(vehicle_name(key) for key in keys), *unseen.values())
+    heads = (*(get_vehicle_name(key) for key in keys), *unseen.values())
     return ReportTable(
         "Rides inside their 90 % prediction interval, by vehicle model and where something is unseen",
         "model",
@@ -162,17 +190,20 @@ def coverage_unseen(result: Result) -> ReportTable:
     )
 
 
-def buffers(result: Result) -> ReportTable:
+def tabulate_buffers(result: Result) -> ReportTable:
     """Return the energy in hand that keeps 95 % and 99 % of rides above their reserve."""
-    found = mapping(result, "buffer_kwh")
-    names = [recipe for recipe in recipes(result) if mapping(found, recipe)]
-    shares = list(dict.fromkeys(share for recipe in names for share in mapping(found, recipe)))
+    found = get_mapping(result, "buffer_kwh")
+    names = [recipe for recipe in get_recipes(result) if get_mapping(found, recipe)]
+    shares = list(dict.fromkeys(share for recipe in names for share in get_mapping(found, recipe)))
     columns = [
-        mark_least([Cell(kwh(part(found, r, share))) for r in names], [number(part(found, r, share)) for r in names])
+        mark_least(
+            [Cell(format_energy(get_part(found, r, share))) for r in names],
+            [get_number(get_part(found, r, share)) for r in names],
+        )
         for share in shares
     ]
-    rows = tuple(Row(title(result, recipe), tuple(c[i] for c in columns)) for i, recipe in enumerate(names))
-    said = published.statement("buffer")
+    rows = tuple(Row(get_title(result, recipe), tuple(c[i] for c in columns)) for i, recipe in enumerate(names))
+    said = published.get_statement("buffer")
     note = (
         f"The paper's company came down to {said.value:g} kWh with the hybrid model with interaction terms, on its own "
         "rides, which are other data than these; the paper does not say how many rides that covers. Bold: the least."
@@ -181,32 +212,35 @@ def buffers(result: Result) -> ReportTable:
     return ReportTable("Buffer that keeps rides above their reserve, kWh", "model", heads, rows, (note,))
 
 
-def buffers_by_cluster(result: Result) -> ReportTable:
+def tabulate_buffers_by_cluster(result: Result) -> ReportTable:
     """Return the same by distance, of the larger share of rides, of the principal models."""
-    found = mapping(result, "buffer_by_cluster")
-    names = [recipe for recipe in principal(result) if mapping(found, recipe)]
-    shares = [share for recipe in names for row in mapping(found, recipe).values() for share in mapping(row)]
+    found = get_mapping(result, "buffer_by_cluster")
+    names = [recipe for recipe in select_principal(result) if get_mapping(found, recipe)]
+    shares = [share for recipe in names for row in get_mapping(found, recipe).values() for share in get_mapping(row)]
     if not shares:
         return ReportTable("", "", (), ())
     most = max(shares, key=float)
-    at = {recipe: {c: part(found, recipe, c, most) for c in mapping(found, recipe)} for recipe in names}
-    distances = clusters(result, at.values())
-    rows = tuple(Row(title(result, recipe), tuple(Cell(kwh(at[recipe].get(c))) for c in distances)) for recipe in names)
+    at = {recipe: {c: get_part(found, recipe, c, most) for c in get_mapping(found, recipe)} for recipe in names}
+    distances = list_clusters(result, at.values())
+    rows = tuple(
+        Row(get_title(result, recipe), tuple(Cell(format_energy(at[recipe].get(c))) for c in distances))
+        for recipe in names
+    )
     heads = tuple(f"{c} km".replace("-", "–") for c in distances)
     return ReportTable(f"Buffer for {most} % of rides by distance, kWh", "model", heads, rows)
 
 
 def _rides(found: Mapping[str, Mapping[str, Mapping[str, Any]]], label: str) -> str:
     """Return the rides of a bin, of whichever model tells."""
-    return count(next((entries[label].get("n") for entries in found.values() if label in entries), None))
+    return format_count(next((entries[label].get("n") for entries in found.values() if label in entries), None))
 
 
 def _error_and_bias(entry: Mapping[str, Any] | None) -> Cell:
-    return Cell("" if entry is None else f"{kwh(entry.get('mae'))} ({signed(entry.get('bias'))})")
+    return Cell("" if entry is None else f"{format_energy(entry.get('mae'))} ({format_signed(entry.get('bias'))})")
 
 
 def _covered(share: Any, least: float, most: float = 1.0) -> Cell:
     """Return a share, marked where it is outside of its limits."""
-    known = number(share)
+    known = get_number(share)
     mark = "" if known is None or least <= known <= most else " ↓" if known < least else " ↑"
-    return Cell(f"{percent(share)}{mark}", strong=bool(mark))
+    return Cell(f"{format_percent(share)}{mark}", strong=bool(mark))

@@ -8,14 +8,14 @@ import plotly.graph_objects as go
 from core.evaluate.soc.baselines import BASELINES
 from core.evaluate.soc.report import NOMINAL
 from core.stats.soc_share import LEAST_CLUSTERS
-from tools.report.comparison.figures import drawn
+from tools.report.comparison.figures import select_interval_widths
 from tools.report.evaluation.illustrations import Illustration
-from tools.report.evaluation.result import Result, mapping, number, part, vehicle_name
-from tools.report.figure_style import REFERENCE_LINE, Style, curve, figure, label, style
-from tools.report.soc.tables import SHOWN_AT, bin_name
+from tools.report.evaluation.result import Result, get_mapping, get_number, get_part, get_vehicle_name
+from tools.report.figure_style import REFERENCE_LINE, Style, draw_curve, escape_label, get_style, make_figure
+from tools.report.soc.tables import SHOWN_AT, format_bin
 
-FORECAST: Final = style(5)
-LOOKS: Final = {"linear": style(4), "model_mean": style(2), "rating": style(0)}
+FORECAST: Final = get_style(5)
+LOOKS: Final = {"linear": get_style(4), "model_mean": get_style(2), "rating": get_style(0)}
 """Of the baselines."""
 AIMED: Final = (88.0, 92.0)
 """Between these the coverage should be. [%]"""
@@ -28,7 +28,7 @@ FEW: Final = f"A line without a point: the interval of fewer than {LEAST_CLUSTER
 SHADE: Final = "rgba(128,128,128,0.25)"
 
 
-def of_time(result: Result) -> list[Illustration]:
+def illustrate_time(result: Result) -> list[Illustration]:
     """Return error, coverage and width by the time ahead, and forecasts against what they became."""
     aim = f"{AIMED[0]:.0f} and {AIMED[1]:.0f} %"
     shown = [
@@ -36,62 +36,70 @@ def of_time(result: Result) -> list[Illustration]:
             "soc-error",
             "Error by time ahead",
             f"Mean absolute error of the forecast and of what a person would expect, with 95 % intervals. {WIDE}",
-            errors(result),
+            draw_errors(result),
             small=True,
         ),
         Illustration(
             "soc-coverage",
             "Coverage by time ahead",
             f"Share of outcomes inside the 90 % interval, with its own 95 % interval; broken lines at {aim}. {FEW}",
-            coverage(_hours(result), BEFORE),
+            draw_coverage(_hours(result), BEFORE),
             small=True,
         ),
         Illustration(
             "soc-width",
             "Width by time ahead",
             f"Mean width of the 90 % interval, with 95 % intervals of that mean. {WIDE}",
-            width(result),
+            draw_width(result),
             small=True,
         ),
     ]
-    if SHOWN_AT in mapping(result, "overall", "hours"):
+    if SHOWN_AT in get_mapping(result, "overall", "hours"):
         caption = (
             f"A point is a shift, {SHOWN_AT} h before its end; on the line forecast and outcome agree. Crosses are "
             "outside their 90 % interval."
         )
         shown.append(
             Illustration(
-                "soc-scatter", f"Forecast against outcome, {SHOWN_AT} h ahead", caption, scatter(result), small=True
+                "soc-scatter",
+                f"Forecast against outcome, {SHOWN_AT} h ahead",
+                caption,
+                draw_scatter(result),
+                small=True,
             )
         )
     return shown
 
 
 def _hours(result: Result) -> dict[str, Any]:
-    return dict(mapping(result, "overall", "hours"))
+    return dict(get_mapping(result, "overall", "hours"))
 
 
-def errors(result: Result) -> go.Figure:
+def draw_errors(result: Result) -> go.Figure:
     """Return the mean absolute error of forecasts and baselines against the time ahead."""
     found = _hours(result)
     x = [int(hours) for hours in found]
-    lines = {"forecast": (FORECAST, [part(own, "mae_pct") for own in found.values()])}
+    lines = {"forecast": (FORECAST, [get_part(own, "mae_pct") for own in found.values()])}
     lines |= {
-        meaning: (LOOKS[name], [part(own, "baselines", name, "mae_pct") for own in found.values()])
+        meaning: (LOOKS[name], [get_part(own, "baselines", name, "mae_pct") for own in found.values()])
         for name, meaning in BASELINES.items()
     }
     among = [value for _, values in lines.values() for value in values]
     traces = [
-        _from_zero(curve(label(name), look, x, [number(v) for v in values], drawn(values, among)))
+        _from_zero(
+            draw_curve(
+                escape_label(name), look, x, [get_number(v) for v in values], select_interval_widths(values, among)
+            )
+        )
         for name, (look, values) in lines.items()
     ]
-    made = figure(traces, 380)
+    made = make_figure(traces, 380)
     made.update_xaxes(title_text=BEFORE, tickvals=x)
     made.update_yaxes(title_text="Mean absolute error [% of charge]", rangemode="tozero")
     return made
 
 
-def coverage(found: Mapping[str, Any], axis: str) -> go.Figure:
+def draw_coverage(found: Mapping[str, Any], axis: str) -> go.Figure:
     """Return the coverage in each of some groups, with its interval, against what it should be.
 
     Parameters
@@ -101,8 +109,8 @@ def coverage(found: Mapping[str, Any], axis: str) -> go.Figure:
     axis : str
         What the groups are, with the unit.
     """
-    x, shares = [label(name) for name in found], [part(own, "coverage") for own in found.values()]
-    made = figure(_points("coverage", FORECAST, x, shares), 380)
+    x, shares = [escape_label(name) for name in found], [get_part(own, "coverage") for own in found.values()]
+    made = make_figure(_points("coverage", FORECAST, x, shares), 380)
     for share in AIMED:
         made.add_hline(y=share, line=REFERENCE_LINE)
     made.add_hline(y=100.0 * NOMINAL, line={**REFERENCE_LINE, "dash": "solid", "width": 1})
@@ -114,9 +122,9 @@ def coverage(found: Mapping[str, Any], axis: str) -> go.Figure:
 
 def _points(name: str, look: Style, x: Sequence[Any], shares: Sequence[Any]) -> list[Any]:
     """Return shares as points with their intervals, and the intervals alone of those too few to tell."""
-    enough = [(number(part(share, "clusters")) or 0.0) >= LEAST_CLUSTERS for share in shares]
+    enough = [(get_number(get_part(share, "clusters")) or 0.0) >= LEAST_CLUSTERS for share in shares]
     told = [_percent(share, "value") if known else None for share, known in zip(shares, enough, strict=True)]
-    points = curve(name, look, list(x), told).update(mode="markers", error_y=_bars(shares))
+    points = draw_curve(name, look, list(x), told).update(mode="markers", error_y=_bars(shares))
     alone = [
         (place, [_percent(share, end) for end in ("low", "high")])
         for place, share, known in zip(x, shares, enough, strict=True)
@@ -149,7 +157,7 @@ def _bars(shares: Sequence[Any]) -> dict[str, Any]:
 
 
 def _percent(share: Any, end: str) -> float | None:
-    known = number(part(share, end))
+    known = get_number(get_part(share, end))
     return None if known is None else 100.0 * known
 
 
@@ -159,22 +167,22 @@ def _reach(share: Any, end: str) -> float:
     return 0.0 if value is None or known is None else abs(known - value)
 
 
-def width(result: Result) -> go.Figure:
+def draw_width(result: Result) -> go.Figure:
     """Return the width of the interval against the time ahead."""
     found = _hours(result)
-    widths = [part(own, "width_pct") for own in found.values()]
+    widths = [get_part(own, "width_pct") for own in found.values()]
     x = [int(hours) for hours in found]
-    trace = curve("width", FORECAST, x, [number(w) for w in widths], drawn(widths, widths))
-    made = figure([_from_zero(trace)], 380)
+    trace = draw_curve("width", FORECAST, x, [get_number(w) for w in widths], select_interval_widths(widths, widths))
+    made = make_figure([_from_zero(trace)], 380)
     made.update_layout(showlegend=False)
     made.update_xaxes(title_text=BEFORE, tickvals=x)
     made.update_yaxes(title_text="Width of the 90 % interval [% of charge]", rangemode="tozero")
     return made
 
 
-def scatter(result: Result) -> go.Figure:
+def draw_scatter(result: Result) -> go.Figure:
     """Return forecasts against what they became, at one time ahead; which were outside of their interval stands out."""
-    told = mapping(result, "forecasts")
+    told = get_mapping(result, "forecasts")
     rows = [i for i, hours in enumerate(told["hours"]) if str(hours) == SHOWN_AT]
     rows = rows[:: -(-len(rows) // MOST_POINTS)]
     mean, low, high, became = (told[name] for name in ("soc_mean", "soc_p05", "soc_p95", "soc_end"))
@@ -185,7 +193,7 @@ def scatter(result: Result) -> go.Figure:
             name=name,
             x=[mean[row] for row in own],
             y=[became[row] for row in own],
-            text=[label(f"{told['vehicle_id'][row]}, shift {told['shift'][row]}") for row in own],
+            text=[escape_label(f"{told['vehicle_id'][row]}, shift {told['shift'][row]}") for row in own],
             mode="markers",
             marker={"symbol": symbol, "size": 7, "color": look.colour, "line": {"width": 1}},
             hovertemplate="%{text}: forecast %{x:.1f}, became %{y:.1f} %<extra></extra>",
@@ -198,74 +206,76 @@ def scatter(result: Result) -> go.Figure:
     ends = [min(min(mean[row], became[row]) for row in rows), max(max(mean[row], became[row]) for row in rows)]
     line = {"width": 1.5, "color": REFERENCE_LINE["color"]}
     traces.append(go.Scatter(name="equal", x=ends, y=ends, mode="lines", line=line, hoverinfo="skip"))
-    made = figure(traces, 400)
+    made = make_figure(traces, 400)
     made.update_xaxes(title_text="Forecast of the state of charge at the end [%]")
     made.update_yaxes(title_text="State of charge at the end [%]")
     return made
 
 
-def of_conditions(result: Result) -> list[Illustration]:
+def illustrate_conditions(result: Result) -> list[Illustration]:
     """Return the coverage by temperature and vehicle model, all times ahead pooled."""
     axes = {"temperature": "Mean outside temperature of the shift [°C]", "vehicle model": "Vehicle model"}
     caption = f"Share of outcomes inside the 90 % interval, all times ahead pooled, with its own 95 % interval. {FEW}"
     shown = []
     for i, (name, axis) in enumerate(axes.items()):
-        bins = {bin_name(name, str(own["bin"])): part(own, "pooled") for own in part(result, "by", name) or ()}
+        bins = {
+            format_bin(name, str(own["bin"])): get_part(own, "pooled") for own in get_part(result, "by", name) or ()
+        }
         if len(bins) > 1:
-            made = coverage(bins, axis)
+            made = draw_coverage(bins, axis)
             shown.append(Illustration(f"soc-by-{i}", f"Coverage by {name}", caption, made, small=True))
     return shown
 
 
-def of_risk(result: Result) -> list[Illustration]:
+def illustrate_risk(result: Result) -> list[Illustration]:
     """Return told risk against what happened."""
     caption = (
         "A point is a class of told risk, all times ahead pooled, with the 95 % interval of what happened; on the line "
         f"a risk holds. Right of the broken line there is an alarm. {FEW}"
     )
-    return [Illustration("soc-risk", "Told risk against what happened", caption, risk(result), small=True)]
+    return [Illustration("soc-risk", "Told risk against what happened", caption, draw_risk(result), small=True)]
 
 
-def risk(result: Result) -> go.Figure:
+def draw_risk(result: Result) -> go.Figure:
     """Return how often shifts ended below a level against the risk that was told."""
     names = {"levels": (FORECAST, "levels"), "plan": (LOOKS["linear"], "the plan's reserve")}
     traces: list[Any] = []
     for key, (look, name) in names.items():
-        classes = part(result, "reserve", "reliability", key) or ()
+        classes = get_part(result, "reserve", "reliability", key) or ()
         told = [100.0 * own["told"] for own in classes]
-        points, *alone = _points(name, look, told, [part(own, "fell") for own in classes])
+        points, *alone = _points(name, look, told, [get_part(own, "fell") for own in classes])
         points.update(text=[f"{own['n']:,} cases" for own in classes])
         points.update(hovertemplate="%{text}: told %{x:.1f}, fell %{y:.1f} %<extra></extra>")
         traces += [points, *alone]
     line = {"width": 1.5, "color": REFERENCE_LINE["color"]}
     equal = go.Scatter(name="equal", x=[0, 100], y=[0, 100], mode="lines", line=line, hoverinfo="skip")
-    made = figure([*traces, equal], 400)
+    made = make_figure([*traces, equal], 400)
     made.add_vline(x=100.0 * result["reserve"]["alarm"], line=REFERENCE_LINE)
     made.update_xaxes(title_text="Told risk of falling below [%]")
     made.update_yaxes(title_text="Share that fell below [%]")
     return made
 
 
-def of_examples(result: Result) -> list[Illustration]:
+def illustrate_examples(result: Result) -> list[Illustration]:
     """Return shifts as examples."""
     caption = (
         "The state of charge as it fell, and the forecast of the end as it was at each moment: its mean, and shaded "
         "its 90 % interval. The star is what it became, the broken line the reserve."
     )
     return [
-        Illustration(f"soc-example-{i}", _title(own), caption, fan(own), small=True)
-        for i, own in enumerate(part(result, "examples") or ())
+        Illustration(f"soc-example-{i}", _title(own), caption, draw_example(own), small=True)
+        for i, own in enumerate(get_part(result, "examples") or ())
     ]
 
 
 def _title(own: Mapping[str, Any]) -> str:
-    ambient = number(own["ambient_c"])
+    ambient = get_number(own["ambient_c"])
     warmth = "" if ambient is None else f", {ambient:.0f} °C".replace("-", "−")
-    car = f"{own['vehicle_id']} ({vehicle_name(own['vehicle_model'])})"
+    car = f"{own['vehicle_id']} ({get_vehicle_name(own['vehicle_model'])})"
     return f"{own['why'].capitalize()}: {car}, {own['date']}{warmth}"
 
 
-def fan(own: Mapping[str, Any]) -> go.Figure:
+def draw_example(own: Mapping[str, Any]) -> go.Figure:
     """Return a shift: its state of charge, and how the forecast of its end narrowed."""
     x: Sequence[Any] = own["hours_ahead"]
     thin = {"width": 1, "color": FORECAST.colour}
@@ -273,13 +283,13 @@ def fan(own: Mapping[str, Any]) -> go.Figure:
     lower = go.Scatter(
         name="90 % interval", x=x, y=own["soc_p05_pct"], mode="lines", line=thin, fill="tonexty", fillcolor=SHADE
     )
-    mean = curve("forecast of the end", FORECAST, list(x), own["soc_mean_pct"]).update(mode="lines")
-    soc = curve("state of charge", LOOKS["model_mean"], list(x), own["soc_pct"]).update(mode="lines")
+    mean = draw_curve("forecast of the end", FORECAST, list(x), own["soc_mean_pct"]).update(mode="lines")
+    soc = draw_curve("state of charge", LOOKS["model_mean"], list(x), own["soc_pct"]).update(mode="lines")
     became = go.Scatter(
         name="the end", x=[0.0], y=[own["soc_end_pct"]], mode="markers", marker={"symbol": "star", "size": 13}
     )
-    made = figure([upper, lower, mean, soc, became.update(marker_color=LOOKS["linear"].colour)], 360)
-    if (reserve := number(own["reserve_soc_pct"])) is not None:
+    made = make_figure([upper, lower, mean, soc, became.update(marker_color=LOOKS["linear"].colour)], 360)
+    if (reserve := get_number(own["reserve_soc_pct"])) is not None:
         made.add_hline(y=reserve, line=REFERENCE_LINE)
     made.update_xaxes(title_text=BEFORE, autorange="reversed")
     made.update_yaxes(title_text=CHARGE, rangemode="tozero")

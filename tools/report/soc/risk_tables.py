@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-from core.evaluate.soc.baselines import BASELINES, REMEMBERED
+from core.evaluate.soc.baselines import BASELINES, LEAST_ERRORS
 from core.evaluate.soc.reserve_risk import ALARM, LEVELS, PLANNED
-from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, count, percent
-from tools.report.evaluation.result import Result, half_width, mapping, number, part
-from tools.report.soc.tables import HEADS, SHARE_NOTE, covered
+from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count, format_percent
+from tools.report.evaluation.result import Result, get_half_width, get_mapping, get_number, get_part
+from tools.report.soc.tables import HEADS, SHARE_NOTE, format_share
 
 SHOWN: Final = ("1", "2")
 """Times ahead at which alarms are shown. [h]"""
@@ -16,7 +16,7 @@ LEVEL_NOTE: Final = (
     "yet below. The risk is read from the interval, as two halves of a normal distribution that meet at the mean."
 )
 ALARM_NOTE: Final = (
-    f"An alarm is a risk of {percent(ALARM, 0)} or more. Caught: of the cases that fell below, those with an alarm; "
+    f"An alarm is a risk of {format_percent(ALARM, 0)} or more. Caught: of the cases that fell below, those with an alarm; "
     "false alarms: of those that did not, those with one. Left out: rows in which none fell and none had an alarm."
 )
 BRIER_NOTE: Final = (
@@ -25,82 +25,82 @@ BRIER_NOTE: Final = (
 )
 PERSON_NOTE: Final = (
     f"{'; '.join(f'{HEADS[name]}: {meaning}' for name, meaning in BASELINES.items())}. A person's risk is by how far "
-    f"the same reckoning was off before, once {REMEMBERED} shifts have ended; ours is of the same cases."
+    f"the same reckoning was off before, once {LEAST_ERRORS} shifts have ended; ours is of the same cases."
 )
 
 
-def about(result: Result) -> str:
+def describe_reserve(result: Result) -> str:
     """Return what was at stake, in words."""
-    own = mapping(result, "reserve", "levels", PLANNED, "pooled")
+    own = get_mapping(result, "reserve", "levels", PLANNED, "pooled")
     if not own:
         return "No plan named a reserve."
     fell, n = int(own["fell"]), int(own["n"])
-    return f"Of {count(n)} forecasts, {count(fell)} were of shifts that fell below the reserve of their plan later."
+    return f"Of {format_count(n)} forecasts, {format_count(fell)} were of shifts that fell below the reserve of their plan later."
 
 
-def tables(result: Result) -> list[ReportTable]:
+def tabulate_risk(result: Result) -> list[ReportTable]:
     """Return the tables of the section."""
-    of_plan = reliability(result, PLANNED, "Told risk of falling below the plan's reserve", ())
-    of_levels = reliability(result, "levels", "Risk of falling below other levels", (LEVEL_NOTE,))
-    return [table for table in (of_plan, of_levels, alarms(result), persons(result)) if table.rows]
+    of_plan = tabulate_reliability(result, PLANNED, "Told risk of falling below the plan's reserve", ())
+    of_levels = tabulate_reliability(result, "levels", "Risk of falling below other levels", (LEVEL_NOTE,))
+    return [table for table in (of_plan, of_levels, tabulate_alarms(result), tabulate_baselines(result)) if table.rows]
 
 
-def reliability(result: Result, key: str, title: str, notes: tuple[str, ...]) -> ReportTable:
+def tabulate_reliability(result: Result, key: str, title: str, notes: tuple[str, ...]) -> ReportTable:
     """Return how often shifts fell below levels, by the risk that was told."""
     rows = tuple(
         Row(
-            f"{percent(own['low'], 0)} to {percent(own['high'], 0)}",
+            f"{format_percent(own['low'], 0)} to {format_percent(own['high'], 0)}",
             (
-                Cell(count(own["n"])),
-                Cell(count(own["shifts"])),
-                Cell(percent(own["told"])),
-                Cell(covered(own["fell"])),
+                Cell(format_count(own["n"])),
+                Cell(format_count(own["shifts"])),
+                Cell(format_percent(own["told"])),
+                Cell(format_share(own["fell"])),
             ),
         )
-        for own in part(result, "reserve", "reliability", key) or ()
+        for own in get_part(result, "reserve", "reliability", key) or ()
     )
     heads = ("cases", "shifts", "told, on average", "fell below")
     return ReportTable(title, "risk", heads, rows, (*notes, SHARE_NOTE))
 
 
-def alarms(result: Result) -> ReportTable:
+def tabulate_alarms(result: Result) -> ReportTable:
     """Return what alarms were worth, at each level, and time ahead."""
-    of_levels = mapping(result, "reserve", "levels")
-    found = [(level_name(level), own, False) for level, own in of_levels.items()]
-    found.append((f"{LEVELS[0]} to {LEVELS[-1]} %", mapping(result, "reserve", "overall"), True))
+    of_levels = get_mapping(result, "reserve", "levels")
+    found = [(format_level(level), own, False) for level, own in of_levels.items()]
+    found.append((f"{LEVELS[0]} to {LEVELS[-1]} %", get_mapping(result, "reserve", "overall"), True))
     rows = tuple(
         Row(f"{name}, {hours} h", _alarms(own[hours]), total)
         for name, own, total in found
         for hours in SHOWN
-        if hours in own and (own[hours]["fell"] or part(own[hours], "alarms", "false_alarms"))
+        if hours in own and (own[hours]["fell"] or get_part(own[hours], "alarms", "false_alarms"))
     )
     heads = ("cases", "fell below", "caught", "missed", "false alarms")
     return ReportTable("Alarms", "level, before the end", heads, rows, (ALARM_NOTE, SHARE_NOTE))
 
 
 def _alarms(own: Mapping[str, Any]) -> tuple[Cell, ...]:
-    told = mapping(own, "alarms")
+    told = get_mapping(own, "alarms")
     return (
-        Cell(count(own["n"])),
-        Cell(count(own["fell"])),
+        Cell(format_count(own["n"])),
+        Cell(format_count(own["fell"])),
         Cell(_counted(told["caught"], told["hit_rate"])),
-        Cell(count(told["missed"])),
+        Cell(format_count(told["missed"])),
         Cell(_counted(told["false_alarms"], told["false_alarm_rate"])),
     )
 
 
 def _counted(some: int, share: Any) -> str:
-    rate = covered(share)
-    return UNKNOWN if rate == UNKNOWN else f"{count(some)}: {rate}"
+    rate = format_share(share)
+    return UNKNOWN if rate == UNKNOWN else f"{format_count(some)}: {rate}"
 
 
-def persons(result: Result) -> ReportTable:
+def tabulate_baselines(result: Result) -> ReportTable:
     """Return how the risk fares against that of what a person would reckon."""
     rows = tuple(
         Row(f"{HEADS[name]}, {hours} h", _person(own))
         for hours in SHOWN
         for name in BASELINES
-        if (own := mapping(result, "reserve", "overall", hours, "baselines", name)) and own["fell"]
+        if (own := get_mapping(result, "reserve", "overall", hours, "baselines", name)) and own["fell"]
     )
     heads = (
         "cases",
@@ -118,30 +118,32 @@ def persons(result: Result) -> ReportTable:
 
 
 def _person(own: Mapping[str, Any]) -> tuple[Cell, ...]:
-    counts = [part(own, whose, what) for what in ("caught", "false_alarms") for whose in ("alarms", "forecast_alarms")]
+    counts = [
+        get_part(own, whose, what) for what in ("caught", "false_alarms") for whose in ("alarms", "forecast_alarms")
+    ]
     return (
-        Cell(count(own["n"])),
-        Cell(count(own["fell"])),
+        Cell(format_count(own["n"])),
+        Cell(format_count(own["fell"])),
         *(Cell(f"{own[name]:.4f}") for name in ("brier", "forecast_brier")),
-        Cell(skill(own["skill"])),
-        *(Cell(count(n)) for n in counts),
+        Cell(format_skill(own["skill"])),
+        *(Cell(format_count(n)) for n in counts),
     )
 
 
-def skill(told: Any) -> str:
+def format_skill(told: Any) -> str:
     """Return a skill with its interval.
 
     Examples
     --------
-    >>> skill({"value": 0.412, "ci95": 0.12})
+    >>> format_skill({"value": 0.412, "ci95": 0.12})
     '+41 ± 12 %'
     """
-    value, ci95 = number(told), half_width(told)
+    value, ci95 = get_number(told), get_half_width(told)
     if value is None:
         return UNKNOWN
     return f"{100 * value:+.0f}{'' if ci95 is None else f' ± {100 * ci95:.0f}'} %".replace("-", "−")
 
 
-def level_name(level: str) -> str:
+def format_level(level: str) -> str:
     """Return what people call a level of reserve."""
     return "the plan's reserve" if level == PLANNED else f"{level} %"

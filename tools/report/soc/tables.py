@@ -6,9 +6,9 @@ from typing import Any, Final
 
 from core.evaluate.soc.baselines import BASELINES
 from core.stats.soc_share import LEAST_CLUSTERS
-from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, change, count, percent
-from tools.report.comparison.tables import off, within
-from tools.report.evaluation.result import Result, mapping, number, part, vehicle_name
+from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_change, format_count, format_percent
+from tools.report.comparison.tables import format_difference, format_estimate
+from tools.report.evaluation.result import Result, get_mapping, get_number, get_part, get_vehicle_name
 
 HEADS: Final[Mapping[str, str]] = MappingProxyType({"linear": "pace", "model_mean": "kWh/km", "rating": "rating"})
 """Of the baselines, in the columns of their errors."""
@@ -38,11 +38,11 @@ BEST_NOTE: Final = (
 )
 
 
-def ahead(result: Result) -> ReportTable:
+def tabulate_by_time(result: Result) -> ReportTable:
     """Return errors, coverage and width by the time ahead."""
-    found = mapping(result, "overall", "hours")
+    found = get_mapping(result, "overall", "hours")
     rows = [Row(f"{hours} h", _cells(own if hours != "0" else {**own, "best": None})) for hours, own in found.items()]
-    rows.append(Row("all", _cells(mapping(result, "overall", "pooled")), total=True))
+    rows.append(Row("all", _cells(get_mapping(result, "overall", "pooled")), total=True))
     heads = (*FIGURES, *HEADS.values(), "to best")
     meanings = "; ".join(f"{HEADS[name]}: {meaning}" for name, meaning in BASELINES.items())
     notes = (PERCENT_NOTE, COVERAGE_NOTE, f"Baselines, of which the MAE is shown: {meanings}.", BEST_NOTE)
@@ -53,59 +53,63 @@ def ahead(result: Result) -> ReportTable:
 def _cells(own: Mapping[str, Any]) -> tuple[Cell, ...]:
     return (
         *_figures(own),
-        *(Cell(within(number(part(own, "baselines", name, "mae_pct")), 2)) for name in BASELINES),
-        Cell(against_best(own)),
+        *(Cell(format_estimate(get_number(get_part(own, "baselines", name, "mae_pct")), 2)) for name in BASELINES),
+        Cell(compare_with_best(own)),
     )
 
 
 def _figures(own: Mapping[str, Any]) -> tuple[Cell, ...]:
     return (
-        Cell(count(own["n"])),
-        Cell(within(own["mae_pct"], 2), strong=True),
-        Cell(off(own["bias_pct"], 2)),
-        Cell(covered(own["coverage"])),
-        Cell(within(number(own["width_pct"]), 1)),
+        Cell(format_count(own["n"])),
+        Cell(format_estimate(own["mae_pct"], 2), strong=True),
+        Cell(format_difference(own["bias_pct"], 2)),
+        Cell(format_share(own["coverage"])),
+        Cell(format_estimate(get_number(own["width_pct"]), 1)),
     )
 
 
-def covered(share: Any) -> str:
+def format_share(share: Any) -> str:
     """Return a share with its interval, and without itself where there are too few to tell.
 
     Examples
     --------
-    >>> covered({"value": 0.9, "low": 0.871, "high": 0.92, "clusters": 300})
+    >>> format_share({"value": 0.9, "low": 0.871, "high": 0.92, "clusters": 300})
     '90.0 % (87.1–92.0)'
-    >>> covered({"value": 0.571, "low": 0.25, "high": 0.842, "clusters": 7})
+    >>> format_share({"value": 0.571, "low": 0.25, "high": 0.842, "clusters": 7})
     'too few to tell (25.0–84.2)'
     """
-    low, high, found = number(part(share, "low")), number(part(share, "high")), number(part(share, "clusters"))
+    low, high, found = (
+        get_number(get_part(share, "low")),
+        get_number(get_part(share, "high")),
+        get_number(get_part(share, "clusters")),
+    )
     if not found:
         return UNKNOWN
-    told = percent(number(share)) if found >= LEAST_CLUSTERS else TOO_FEW
+    told = format_percent(get_number(share)) if found >= LEAST_CLUSTERS else TOO_FEW
     return told + ("" if low is None or high is None else f" ({100 * low:.1f}–{100 * high:.1f})")
 
 
-def against_best(own: Mapping[str, Any]) -> str:
+def compare_with_best(own: Mapping[str, Any]) -> str:
     """Return by how much the forecasts' error is below or above the best baseline's, where there are enough to tell.
 
     Examples
     --------
     >>> best = {"forecast_mae_pct": 0.9, "mae_pct": 1.2, "vehicle_days": 30}
-    >>> against_best({"best": best}), against_best({"best": best | {"vehicle_days": 29}}), against_best({"best": None})
+    >>> compare_with_best({"best": best}), compare_with_best({"best": best | {"vehicle_days": 29}}), compare_with_best({"best": None})
     ('−25.0 %', '–', '–')
     """
-    best = mapping(own, "best")
+    best = get_mapping(own, "best")
     if not best or best["vehicle_days"] < LEAST_CLUSTERS:
         return UNKNOWN
-    return change(number(part(best, "forecast_mae_pct")), number(part(best, "mae_pct")))
+    return format_change(get_number(get_part(best, "forecast_mae_pct")), get_number(get_part(best, "mae_pct")))
 
 
-def condition_tables(result: Result) -> list[ReportTable]:
+def tabulate_conditions(result: Result) -> list[ReportTable]:
     """Return the figures by each condition that the shifts differ in."""
     heads = ("car-days", *FIGURES, f"MAE, {SHOWN_AT} h", f"to best, {SHOWN_AT} h")
     found = []
-    for name, bins in mapping(result, "by").items():
-        rows = tuple(Row(bin_name(name, str(own["bin"])), _of_bin(own)) for own in bins)
+    for name, bins in get_mapping(result, "by").items():
+        rows = tuple(Row(format_bin(name, str(own["bin"])), _of_bin(own)) for own in bins)
         unit = ", °C" if name == "temperature" else ""
         notes = (PERCENT_NOTE, "All times ahead are pooled, but in the last two columns.", COVERAGE_NOTE, BEST_NOTE)
         if len(rows) > 1:
@@ -114,16 +118,16 @@ def condition_tables(result: Result) -> list[ReportTable]:
 
 
 def _of_bin(own: Mapping[str, Any]) -> tuple[Cell, ...]:
-    pooled, at = mapping(own, "pooled"), mapping(own, "hours", SHOWN_AT)
+    pooled, at = get_mapping(own, "pooled"), get_mapping(own, "hours", SHOWN_AT)
     return (
-        Cell(count(pooled["vehicle_days"])),
+        Cell(format_count(pooled["vehicle_days"])),
         *_figures(pooled),
-        Cell(within(number(at.get("mae_pct")), 2)),
-        Cell(against_best(at)),
+        Cell(format_estimate(get_number(at.get("mae_pct")), 2)),
+        Cell(compare_with_best(at)),
     )
 
 
-def leg_tables(result: Result) -> list[ReportTable]:
+def tabulate_legs(result: Result) -> list[ReportTable]:
     """Return the figures of single legs by the time until their end, without a charge after them, and with one."""
     heads = (*FIGURES, *(HEADS[name] for name in LEG_BASELINES))
     titles = {
@@ -131,7 +135,7 @@ def leg_tables(result: Result) -> list[ReportTable]:
         "charged later": "The same where the car charged later in the shift",
     }
     notes = (LEG_NOTE, PERCENT_NOTE, COVERAGE_NOTE)
-    found = mapping(result, "legs")
+    found = get_mapping(result, "legs")
     return [
         ReportTable(title, "minutes ahead", heads, tuple(map(_leg_row, found[key])), notes)
         for key, title in titles.items()
@@ -140,10 +144,12 @@ def leg_tables(result: Result) -> list[ReportTable]:
 
 
 def _leg_row(own: Mapping[str, Any]) -> Row:
-    theirs = (Cell(within(number(part(own, "baselines", name, "mae_pct")), 2)) for name in LEG_BASELINES)
+    theirs = (
+        Cell(format_estimate(get_number(get_part(own, "baselines", name, "mae_pct")), 2)) for name in LEG_BASELINES
+    )
     return Row(own["bin"], (*_figures(own), *theirs), total=own["bin"] == "all")
 
 
-def bin_name(condition: str, name: str) -> str:
+def format_bin(condition: str, name: str) -> str:
     """Return what people call a bin of a condition."""
-    return vehicle_name(name) if condition == "vehicle model" else name.replace("-", "−")
+    return get_vehicle_name(name) if condition == "vehicle model" else name.replace("-", "−")

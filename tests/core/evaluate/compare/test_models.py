@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.errors import ModelError
-from core.evaluate.binning import conditions, local_hour
-from core.evaluate.compare.datasets import contrast
-from core.evaluate.compare.models import compare, pairs, sample, worst
-from core.evaluate.compare.ride_trace import find, parting, trace
-from core.evaluate.compare.running import so_far
+from core.evaluate.binning import bin_rides, compute_local_hour
+from core.evaluate.compare.datasets import compare_datasets
+from core.evaluate.compare.models import compare_pairs, compare_predictions, find_worst_rides, select_rides
+from core.evaluate.compare.ride_trace import find_ride, locate_divergence, trace_ride
+from core.evaluate.compare.running import accumulate_windows
 from core.fit.recipes import FITTED_TERMS, get_recipe
 from core.models import ANY, BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, LinearModel, Term
 from core.models.features import FEATURES
@@ -44,7 +44,7 @@ def model(name, terms, coefficients, key=ANY):
 
 
 def compared(rides, **models):
-    return compare(sample(rides, models))
+    return compare_predictions(select_rides(rides, models))
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +125,7 @@ def test_a_difference_is_less_sure_than_either():
 def test_each_ride_is_in_one_bin_of_what_is_known():
     rides = planted(200)
     rides.loc[3, "wind_speed_kmh"] = np.nan
-    found = conditions(rides)
+    found = bin_rides(rides)
     assert "driver" not in found
     assert "time of day" not in found  # these rides have no place
     for name, (codes, labels) in found.items():
@@ -139,7 +139,7 @@ def test_each_ride_is_in_one_bin_of_what_is_known():
 
 @given(st.floats(1.4e9, 1.9e9), st.floats(-180.0, 180.0))
 def test_the_local_hour_is_that_of_the_sun_within_half_an_hour(start, longitude):
-    hour = local_hour(np.array([start]), np.array([longitude]))[0]
+    hour = compute_local_hour(np.array([start]), np.array([longitude]))[0]
     solar = (start / 3600.0 + longitude / 15.0) % 24.0
     assert 0.0 <= hour < 24.0
     assert abs((hour - solar + 12.0) % 24.0 - 12.0) <= 0.5 + 1e-6
@@ -196,7 +196,10 @@ def test_models_are_told_apart_on_the_same_rides():
     rides = planted()
     better = EXTENDED_PHYSICAL
     worse = model("worse", better.terms, [1.3, 1.0, 1.0, 1.0, 1.0])
-    found = {(p["a"], p["b"]): p for p in pairs(sample(rides, {"better": better, "worse": worse, "same": better}))}
+    found = {
+        (p["a"], p["b"]): p
+        for p in compare_pairs(select_rides(rides, {"better": better, "worse": worse, "same": better}))
+    }
     assert found["better", "same"]["difference_kwh"] == {"value": 0.0, "ci95": 0.0}
     assert found["better", "same"]["p_holm"] == 1.0
     apart = found["better", "worse"]
@@ -227,7 +230,7 @@ def test_the_worst_rides_come_first_and_relative_ones_are_well_measured():
     rides = planted(100)
     rides.loc[7, "energy_kwh"] += 5.0
     rides.loc[8, ["energy_kwh", "energy_sd_kwh"]] = [0.001, 0.1]  # next to nothing: no ratio means anything
-    found = worst(sample(rides, {"m": EXTENDED_PHYSICAL}), EXTENDED_PHYSICAL.predict(rides))
+    found = find_worst_rides(select_rides(rides, {"m": EXTENDED_PHYSICAL}), EXTENDED_PHYSICAL.predict(rides))
     assert found["absolute"][0]["ride"] == "car#7"
     assert found["absolute"][0]["error_kwh"] == pytest.approx(-5.0, abs=0.5)
     for rank in found.values():
@@ -241,19 +244,19 @@ def test_a_model_of_other_cars_is_refused():
     rides = planted(50)
     other = model("other", EXTENDED_PHYSICAL.terms, [1.0] * 5, key="bmw-i3-2014")
     with pytest.raises(ModelError, match=r"model other is of bmw-i3-2014, and the rides are of kia-soul-ev-2015, .*\*"):
-        sample(rides, {"other": other})
+        select_rides(rides, {"other": other})
 
 
 def test_rides_without_measured_energy_are_refused():
     with pytest.raises(ModelError, match=r"none of 20 rides can be compared \(20 no measured energy\): give rides"):
-        sample(planted(20).assign(energy_kwh=np.nan), {"m": EXTENDED_PHYSICAL})
+        select_rides(planted(20).assign(energy_kwh=np.nan), {"m": EXTENDED_PHYSICAL})
 
 
 def test_a_column_that_is_unknown_in_all_rides_is_named():
     rides = planted(20).assign(odometer_km=np.nan)
     needy = model("needy", [Term(name="o", columns=("odometer_km",), unit="kWh/km")], [1.0])
     with pytest.raises(ModelError, match=r"needy predicts none of 20 rides: column 'odometer_km' is unknown"):
-        sample(rides, {"needy": needy})
+        select_rides(rides, {"needy": needy})
 
 
 def test_two_rides_are_compared_without_intervals():
@@ -294,7 +297,7 @@ def test_the_ride_so_far_ends_as_the_ride(shift):
     for i in range(0, len(rides), 5):
         ride = rides.iloc[[i]].reset_index(drop=True)
         own = windows[windows["ride_key"] == ride["ride_key"].iloc[0]]
-        found = so_far(ride, own)
+        found = accumulate_windows(ride, own)
         for name in (name for name in FEATURES if name in ride):
             tolerance = {"rtol": 0.02} if name in {"wind_from_deg", "wind_speed_kmh"} else {"rtol": 1e-9, "atol": 1e-9}
             np.testing.assert_allclose(found[name].iloc[-1], ride[name].iloc[0], err_msg=name, **tolerance)
@@ -303,8 +306,8 @@ def test_the_ride_so_far_ends_as_the_ride(shift):
 
 def test_a_trace_adds_up(shift):
     rides, windows = shift
-    ride = find(rides[rides["distance_km"] > 5.0], rides.loc[rides["distance_km"] > 5.0, "ride_key"].iloc[0])
-    found = trace(ride, windows, {"plain": EXTENDED_PHYSICAL, "with": _with_constant()})
+    ride = find_ride(rides[rides["distance_km"] > 5.0], rides.loc[rides["distance_km"] > 5.0, "ride_key"].iloc[0])
+    found = trace_ride(ride, windows, {"plain": EXTENDED_PHYSICAL, "with": _with_constant()})
     assert found["windows"]["measured_kwh"].sum() == pytest.approx(ride["energy_kwh"].iloc[0])
     assert found["windows"]["end_km"][-1] == pytest.approx(ride["distance_km"].iloc[0])
     for name, own in found["models"].items():
@@ -327,48 +330,48 @@ def _with_constant():
 
 def test_windows_without_a_column_that_a_model_needs_are_refused(shift):
     rides, windows = shift
-    ride = find(rides, rides.loc[rides["distance_km"] > 5.0, "ride_key"].iloc[0])
+    ride = find_ride(rides, rides.loc[rides["distance_km"] > 5.0, "ride_key"].iloc[0])
     with pytest.raises(ModelError, match="column 'effect_climbing' is missing in the data: make the tables"):
-        trace(ride, windows.drop(columns="effect_climbing"), {"m": BASIC_PHYSICAL})
+        trace_ride(ride, windows.drop(columns="effect_climbing"), {"m": BASIC_PHYSICAL})
 
 
 def test_a_ride_that_nothing_measured_has_no_trace(shift):
     rides, windows = shift
-    ride = find(rides, rides["ride_key"].iloc[0]).assign(energy_kwh=np.nan)
+    ride = find_ride(rides, rides["ride_key"].iloc[0]).assign(energy_kwh=np.nan)
     with pytest.raises(ModelError, match="it has no measured energy to compare with"):
-        trace(ride, windows, {"m": BASIC_PHYSICAL})
+        trace_ride(ride, windows, {"m": BASIC_PHYSICAL})
 
 
 def test_a_ride_is_found_by_key_and_identifier_and_else_names_that_are_close_are_told(shift):
     rides, _ = shift
     key, name = rides["ride_key"].iloc[4], rides["ride_id"].iloc[4]
-    assert find(rides, key)["ride_id"].iloc[0] == name
-    assert find(rides, name)["ride_key"].iloc[0] == key
+    assert find_ride(rides, key)["ride_id"].iloc[0] == name
+    assert find_ride(rides, name)["ride_key"].iloc[0] == key
     with pytest.raises(ModelError, match=r"ride 'taxi-01#0' is not among \d+ rides: did you mean taxi-001#0"):
-        find(rides, "taxi-01#0")
+        find_ride(rides, "taxi-01#0")
     twice = pd.concat([rides, rides.assign(ride_key="other#" + rides["ride_key"])])
     with pytest.raises(ModelError, match="2 rides are named so: give the ride_key"):
-        find(twice, name)
+        find_ride(twice, name)
 
 
 def test_a_ride_measured_by_its_state_of_charge_is_followed_in_steps(shift):
     rides, windows = shift
     soc = rides[(rides["energy_kwh"] == rides["energy_soc_kwh"]) & (rides["distance_km"] > 3.0)]
-    found = trace(find(rides, soc["ride_key"].iloc[0]), windows, {"m": EXTENDED_PHYSICAL})
+    found = trace_ride(find_ride(rides, soc["ride_key"].iloc[0]), windows, {"m": EXTENDED_PHYSICAL})
     assert found["notes"][0].startswith("measured by the state of charge: in steps")
     assert found["windows"]["measured_kwh"].sum() == pytest.approx(soc["energy_kwh"].iloc[0])
 
 
 def test_windows_that_were_not_measured_take_the_mean_power(shift):
     rides, windows = shift
-    ride = find(rides, rides.loc[rides["energy_kwh"] == rides["energy_vi_kwh"], "ride_key"].iloc[3])
+    ride = find_ride(rides, rides.loc[rides["energy_kwh"] == rides["energy_vi_kwh"], "ride_key"].iloc[3])
     own = windows.index[windows["ride_key"] == ride["ride_key"].iloc[0]]
     gone = windows.assign(energy_vi_kwh=windows["energy_vi_kwh"].mask(windows.index == own[1]))
-    found = trace(ride, gone, {"m": EXTENDED_PHYSICAL})
+    found = trace_ride(ride, gone, {"m": EXTENDED_PHYSICAL})
     assert any(note.startswith(f"1 of {len(own)} windows were not measured") for note in found["notes"])
     assert found["windows"]["measured_kwh"].sum() == pytest.approx(ride["energy_kwh"].iloc[0])
     with pytest.raises(ModelError, match="none of the windows of this ride has a measured energy"):
-        trace(ride, windows.assign(energy_vi_kwh=np.nan), {"m": EXTENDED_PHYSICAL})
+        trace_ride(ride, windows.assign(energy_vi_kwh=np.nan), {"m": EXTENDED_PHYSICAL})
 
 
 @given(seeds, st.integers(0, 15), st.integers(2, 6), st.sampled_from([-1.0, 1.0]))
@@ -377,7 +380,7 @@ def test_the_place_where_they_part_is_where_it_was_planted(seed, first, length, 
     windows = {"duration_s": rng.uniform(50.0, 70.0, 24), "distance_km": rng.uniform(0.2, 1.2, 24)}
     error = sign * 0.004 + rng.normal(0.0, 0.001, 24)  # all along, and here
     error[first : first + length] += 0.1 * sign
-    found = parting(error, windows, float(error.sum()))
+    found = locate_divergence(error, windows, float(error.sum()))
     assert (found["first"], found["last"]) == (first, first + length - 1)
     assert found["share"] == pytest.approx(0.1 * length / (0.1 * length + 0.1), abs=0.1)
     assert found["minute"] == pytest.approx(windows["duration_s"][:first].sum() / 60.0)
@@ -387,7 +390,7 @@ def test_the_place_where_they_part_is_where_it_was_planted(seed, first, length, 
 @given(st.floats(-1.0, 1.0))
 def test_a_steady_error_has_no_such_place(rate):
     windows = {"duration_s": np.full(20, 60.0), "distance_km": np.ones(20)}
-    assert parting(np.full(20, rate), windows, 20.0 * rate) is None
+    assert locate_divergence(np.full(20, rate), windows, 20.0 * rate) is None
 
 
 # two sets of rides
@@ -396,8 +399,8 @@ def test_a_steady_error_has_no_such_place(rate):
 def test_the_account_of_a_difference_comes_out_even():
     rides = planted(500)
     models = {"m": EXTENDED_PHYSICAL}
-    cold, warm = (sample(rides[rides["winter"] == w], models) for w in (1, 0))
-    found, turned = contrast(warm, cold, models), contrast(cold, warm, models)
+    cold, warm = (select_rides(rides[rides["winter"] == w], models) for w in (1, 0))
+    found, turned = compare_datasets(warm, cold, models), compare_datasets(cold, warm, models)
     own = found["models"]["m"]
     for side in ("first", "second", "difference"):
         value = lambda entry, side=side: entry[side]["value"]  # noqa: E731 - short
@@ -417,8 +420,8 @@ def test_what_a_model_does_not_know_is_left_unexplained_and_what_it_knows_is_not
         rides["energy_kwh"] += (
             (rides["winter"] == 1) * (factor - 1.0) * rides["effect_rolling"] * rides["rolling_resistance"]
         )
-        summer, winter = (sample(rides[rides["winter"] == w], models) for w in (0, 1))
-        found = contrast(summer, winter, models)
+        summer, winter = (select_rides(rides[rides["winter"] == w], models) for w in (0, 1))
+        found = compare_datasets(summer, winter, models)
         left = found["models"]["m"]["unexplained"]["difference"]
         assert found["consumption"]["difference"]["value"] > 3.0  # it is winter, which the model knows of
         truth = (
@@ -432,5 +435,5 @@ def test_what_a_model_does_not_know_is_left_unexplained_and_what_it_knows_is_not
 def test_rides_in_both_sets_are_counted():
     models = {"m": EXTENDED_PHYSICAL}
     rides = planted(60)
-    found = contrast(sample(rides[:40], models), sample(rides[20:], models), models)
+    found = compare_datasets(select_rides(rides[:40], models), select_rides(rides[20:], models), models)
     assert found["shared"] == 20

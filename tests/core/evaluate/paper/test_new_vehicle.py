@@ -9,10 +9,19 @@ import pytest
 
 from core.errors import ModelError
 from core.evaluate.paper import new_vehicle
-from core.evaluate.paper.held_out import held_out
-from core.evaluate.paper.new_vehicle import Learner, counts, curve, curves, draws, learners, left_out, tables_12_and_13
-from core.evaluate.paper.runs import predicted
-from core.evaluate.ride_filter import CLUSTERS, LEAST, judged
+from core.evaluate.paper.held_out import select_comparable
+from core.evaluate.paper.new_vehicle import (
+    Learner,
+    compute_learning_curve,
+    compute_tables_12_and_13,
+    draw_rides,
+    list_learners,
+    select_ride_counts,
+    split_by_vehicle_model,
+    tabulate_learning_curves,
+)
+from core.evaluate.paper.runs import fit_and_predict
+from core.evaluate.ride_filter import CLUSTERS, LEAST_RIDES, filter_rides
 from tests.support import planted_rides
 
 MODELS = ("kia-soul-ev-2015", "nissan-leaf-2013", "tesla-model-s")
@@ -59,11 +68,11 @@ def table():
     rides = planted_rides.rides(1500, 4, MODELS)
     rng = np.random.default_rng(4)
     energy = rides["vehicle_model"].map(PER_KM) * rides["distance_km"] + rng.normal(0.0, 0.01, len(rides))
-    return judged(rides.assign(energy_kwh=energy, start_s=rides["start_s"] + np.arange(1500)))
+    return filter_rides(rides.assign(energy_kwh=energy, start_s=rides["start_s"] + np.arange(1500)))
 
 
 def test_a_vehicle_model_is_tested_whole_and_never_trained_on(table):
-    splits = left_out(table)
+    splits = split_by_vehicle_model(table)
     assert set(splits) == set(MODELS)
     for name, split in splits.items():
         models = table.rides["vehicle_model"].to_numpy()
@@ -75,17 +84,19 @@ def test_a_vehicle_model_is_tested_whole_and_never_trained_on(table):
 def test_tables_12_and_13_are_averages_over_clusters_against_the_basic_model(table):
     recipes = {"basic_physical": Fixed("basic_physical", 0.1), "per_km": PerKm()}
     held = {
-        name: held_out({r: [predicted(recipe, table, split)] for r, recipe in recipes.items()}, len(table.rides))
-        for name, split in left_out(table).items()
+        name: select_comparable(
+            {r: [fit_and_predict(recipe, table, split)] for r, recipe in recipes.items()}, len(table.rides)
+        )
+        for name, split in split_by_vehicle_model(table).items()
     }
-    found = tables_12_and_13(held, table)
+    found = compute_tables_12_and_13(held, table)
     for name in MODELS:
         own = table.rides[table.rides["vehicle_model"] == name]
         cluster = pd.cut(own["distance_km"], [0, 5, 10, 15, 20, 25], right=False, labels=CLUSTERS[:5])
         means = (
             own["distance_km"]
             .groupby(cluster, observed=True)
-            .mean()[own.groupby(cluster, observed=True).size() >= LEAST]
+            .mean()[own.groupby(cluster, observed=True).size() >= LEAST_RIDES]
         )
         basic, row = (PER_KM[name] - 0.1) * means.mean(), found["per_km"][name]
         others = table.rides[table.rides["vehicle_model"] != name]
@@ -101,7 +112,7 @@ def test_tables_12_and_13_are_averages_over_clusters_against_the_basic_model(tab
 
 def test_the_fitted_physical_model_takes_part_in_both_ways_and_who_can_adapt():
     recipes = {"fitted_physical": Fixed("fitted_physical", 0.2), "per_km": PerKm(), "other": Fixed("other", 0.1)}
-    assert [(learner.name, learner.way) for learner in learners(recipes)] == [
+    assert [(learner.name, learner.way) for learner in list_learners(recipes)] == [
         ("fitted_physical_others", "unchanged"),
         ("fitted_physical_refitted", "refitted"),
         ("per_km", "adapted"),
@@ -110,21 +121,23 @@ def test_the_fitted_physical_model_takes_part_in_both_ways_and_who_can_adapt():
 
 def test_rides_shown_are_nested_the_same_for_all_and_never_tested():
     own = np.arange(100, 700)
-    for order in draws(own, "leaf", 3, number=4):
+    for order in draw_rides(own, "leaf", 3, number=4):
         assert np.array_equal(np.sort(order), own)
-    assert all(np.array_equal(a, b) for a, b in zip(draws(own, "leaf", 3, 4), draws(own, "leaf", 3, 4), strict=True))
-    assert not np.array_equal(*draws(own, "leaf", 3, 2))
-    assert counts(300) == (0, 1, 3, 10, 30, 100)
-    assert counts(60) == (0, 1, 3, 10, 30)
-    assert counts(1) == (0,)
+    assert all(
+        np.array_equal(a, b) for a, b in zip(draw_rides(own, "leaf", 3, 4), draw_rides(own, "leaf", 3, 4), strict=True)
+    )
+    assert not np.array_equal(*draw_rides(own, "leaf", 3, 2))
+    assert select_ride_counts(300) == (0, 1, 3, 10, 30, 100)
+    assert select_ride_counts(60) == (0, 1, 3, 10, 30)
+    assert select_ride_counts(1) == (0,)
 
 
 def test_rides_that_are_tested_are_the_same_at_every_point(table, monkeypatch):
-    split = left_out(table)[MODELS[0]]
+    split = split_by_vehicle_model(table)[MODELS[0]]
     tested, shown = [], []
     monkeypatch.setattr(Rate, "predict", lambda _, rides: tested.append(rides.index) or np.zeros(len(rides)))
     monkeypatch.setattr(PerKm, "adapt", lambda _, model, rides: shown.append(set(rides.index)) or model)
-    curve(Learner("per_km", PerKm(), "adapted"), table, split, draws(split.test, MODELS[0], 1, 2))
+    compute_learning_curve(Learner("per_km", PerKm(), "adapted"), table, split, draw_rides(split.test, MODELS[0], 1, 2))
     for i in range(2):
         points, own = tested[6 * i : 6 * i + 6], shown[5 * i : 5 * i + 5]
         assert all(points[0].equals(point) for point in points)
@@ -134,12 +147,12 @@ def test_rides_that_are_tested_are_the_same_at_every_point(table, monkeypatch):
 
 
 def test_a_few_rides_teach_what_is_planted(table):
-    split = left_out(table)[MODELS[2]]
-    orders = draws(split.test, MODELS[2], 1, 5)
+    split = split_by_vehicle_model(table)[MODELS[2]]
+    orders = draw_rides(split.test, MODELS[2], 1, 5)
     recipe = PerKm()
-    adapted = curve(Learner("adapted", recipe, "adapted"), table, split, orders)
-    unchanged = curve(Learner("unchanged", PerKm(), "unchanged"), table, split, orders)
-    refitted = curve(Learner("refitted", PerKm(), "refitted"), table, split, orders)
+    adapted = compute_learning_curve(Learner("adapted", recipe, "adapted"), table, split, orders)
+    unchanged = compute_learning_curve(Learner("unchanged", PerKm(), "unchanged"), table, split, orders)
+    refitted = compute_learning_curve(Learner("refitted", PerKm(), "refitted"), table, split, orders)
     assert adapted.shape == (5, 6)
     np.testing.assert_allclose(adapted[:, 0], unchanged[:, 0])
     np.testing.assert_allclose(unchanged, unchanged[:, :1] * np.ones(6))
@@ -154,30 +167,32 @@ def test_curves_have_intervals_over_draws_and_say_what_failed(table):
         def adapt(self, _model, _rides):
             raise ModelError("too few rides: give more")
 
-    split = left_out(table)[MODELS[0]]
-    orders = draws(split.test, MODELS[0], 1, 4)
+    split = split_by_vehicle_model(table)[MODELS[0]]
+    orders = draw_rides(split.test, MODELS[0], 1, 4)
     found = {
-        (MODELS[0], name): curve(Learner(name, recipe, "adapted"), table, split, orders)
+        (MODELS[0], name): compute_learning_curve(Learner(name, recipe, "adapted"), table, split, orders)
         for name, recipe in (("good", PerKm()), ("broken", Broken()))
     }
-    told, notes = curves(found)
+    told, notes = tabulate_learning_curves(found)
     assert list(told[MODELS[0]]) == ["good"]
     points = told[MODELS[0]]["good"]
-    assert [point["rides"] for point in points] == list(new_vehicle.COUNTS)
+    assert [point["rides"] for point in points] == list(new_vehicle.RIDE_COUNTS)
     assert points[0]["ci95"] < points[1]["ci95"], "without rides of its own only the test differs between draws"
     assert notes == ["broken on a few rides of kia-soul-ev-2015: too few rides: give more"]
 
 
 def test_the_line_to_beat_is_the_better_way_at_each_point():
     others, refitted = np.full((3, 6), 0.2), np.tile([0.2, 0.3, 0.4, 0.3, 0.1, 0.05], (3, 1))
-    told, _ = curves({("leaf", new_vehicle.OTHERS): others, ("leaf", new_vehicle.REFITTED): refitted})
+    told, _ = tabulate_learning_curves(
+        {("leaf", new_vehicle.BENCHMARK_UNCHANGED): others, ("leaf", new_vehicle.BENCHMARK_REFITTED): refitted}
+    )
     assert [p["mae"] for p in told["leaf"]["fitted_physical"]] == pytest.approx([0.2, 0.2, 0.2, 0.2, 0.1, 0.05])
     assert list(told["leaf"]) == ["fitted_physical", "fitted_physical_others", "fitted_physical_refitted"]
 
 
 def test_one_vehicle_model_alone_has_no_others():
     rides = planted_rides.rides(200, 4, MODELS[:1]).assign(energy_kwh=1.0)
-    alone = judged(rides.assign(start_s=np.arange(200.0)))
-    assert left_out(alone) == {}
-    assert new_vehicle.plan(learners({"per_km": PerKm()}), alone, seed=1) == {}
-    assert tables_12_and_13({}, alone) == {}
+    alone = filter_rides(rides.assign(start_s=np.arange(200.0)))
+    assert split_by_vehicle_model(alone) == {}
+    assert new_vehicle.plan_learning_curves(list_learners({"per_km": PerKm()}), alone, seed=1) == {}
+    assert compute_tables_12_and_13({}, alone) == {}

@@ -10,11 +10,11 @@ import pytest
 
 from core.columns import ZERO_CELSIUS
 from core.errors import ModelError, SettingsError
-from core.evaluate.paper.accessories import figure_1
-from core.evaluate.paper.held_out import held_out
-from core.evaluate.paper.protocol import chosen, evaluate
+from core.evaluate.paper.accessories import compute_figure_1
+from core.evaluate.paper.held_out import select_comparable
+from core.evaluate.paper.protocol import evaluate, select_recipes
 from core.evaluate.paper.runs import Prediction
-from core.evaluate.ride_filter import CLUSTERS, LEAST, judged
+from core.evaluate.ride_filter import CLUSTERS, LEAST_RIDES, filter_rides
 from core.stats.splits import Split
 from core.vehicles import AccessoryCurve
 from tests.support import planted_rides
@@ -157,8 +157,8 @@ def test_the_planted_best_dominates_and_equals_share_its_place(rides, result):
 
 
 def test_a_cluster_of_few_rides_has_no_figure(result):
-    few = [(m, c) for m in MODELS for c in CLUSTERS[:5] if 0 < result["rides"][m][c] < LEAST]
-    many = [(m, c) for m in MODELS for c in CLUSTERS[:5] if result["rides"][m][c] >= LEAST]
+    few = [(m, c) for m in MODELS for c in CLUSTERS[:5] if 0 < result["rides"][m][c] < LEAST_RIDES]
+    many = [(m, c) for m in MODELS for c in CLUSTERS[:5] if result["rides"][m][c] >= LEAST_RIDES]
     assert few
     assert many
     for model, cluster in few:
@@ -220,7 +220,7 @@ def test_splits_by_vehicle_and_by_date_hold_out_cars_and_days(rides):
 
 
 def test_the_same_seed_gives_the_same_whatever_the_processes_and_the_order_of_rides():
-    table, wanted = fleet(400, models=MODELS[:1]), chosen("basic_physical,empirical", None)
+    table, wanted = fleet(400, models=MODELS[:1]), select_recipes("basic_physical,empirical", None)
     one = evaluate(table, wanted, seed=7, repeats=2)
     assert evaluate(table.sample(frac=1.0, random_state=1), wanted, seed=7, repeats=2, jobs=2) == one
     assert evaluate(table, wanted, seed=8, repeats=2)["mae"] != one["mae"]
@@ -242,13 +242,13 @@ def test_all_recipes_are_judged_by_the_rides_that_all_of_them_predict():
     whole = Prediction(split.test, np.ones(100))
     holes = np.ones(100)
     holes[[3, 7]] = np.nan
-    found = held_out({"a": [whole], "b": [Prediction(split.test, holes)]}, 200)
+    found = select_comparable({"a": [whole], "b": [Prediction(split.test, holes)]}, 200)
     assert found.recipes == ("a", "b")
     assert set(range(100)) - set(found.rows[0].tolist()) == {3, 7}
     assert len(found.energy["a"][0]) == len(found.energy["b"][0]) == 98
     assert found.notes == ("b: no prediction for 2.00% of the rides; no recipe is judged by these",)
     holes[:20] = np.nan
-    found = held_out({"a": [whole], "b": [Prediction(split.test, holes)]}, 200)
+    found = select_comparable({"a": [whole], "b": [Prediction(split.test, holes)]}, 200)
     assert found.recipes == ("a",)
     assert len(found.rows[0]) == 100
 
@@ -272,7 +272,7 @@ def test_rides_that_cannot_be_judged_are_counted_by_reason(rides):
     table.loc[:4, ["fit_for_training", "unfit_reason"]] = [False, "too_short"]
     table.loc[5:6, "energy_kwh"] = np.nan
     table.loc[7, "vehicle_model"] = None
-    found = judged(pd.concat([table, table.iloc[20:23]]))
+    found = filter_rides(pd.concat([table, table.iloc[20:23]]))
     assert found.unfit == {"no_measured_energy": 2, "no_vehicle_model": 1, "too_short": 5, "twice": 3}
     assert len(found.rides) == 60 - 8
     assert found.read == 63
@@ -295,21 +295,21 @@ def test_a_table_that_cannot_be_judged_is_refused_in_one_line(rides, spoil, told
 
 
 def test_recipes_are_chosen_by_name_in_the_order_of_the_paper():
-    assert list(chosen("hybrid, basic_physical", None)) == ["basic_physical", "hybrid"]
+    assert list(select_recipes("hybrid, basic_physical", None)) == ["basic_physical", "hybrid"]
     for names, told in (
         ("horse", "'horse' is unknown; known are basic_physical"),
         (" ,", "no recipe is named"),
         ("segment_network", "needs windows.parquet"),
     ):
         with pytest.raises(SettingsError, match=told):
-            chosen(names, None)
+            select_recipes(names, None)
 
 
 def test_figure_1_has_the_planted_curve_and_points_upon_it():
     table = planted_rides.rides(3000, 5, MODELS[:1])
     table = table.assign(effect_aero_drag_wind=table["effect_aero_drag"], start_s=table["start_s"] + np.arange(3000))
     table = planted_rides.noisy(table, planted_rides.physical_energy(table), of_day=0.0)
-    found = figure_1(judged(table))[MODELS[0]]
+    found = compute_figure_1(filter_rides(table))[MODELS[0]]
     planted, fitted = planted_rides.PLANTED, AccessoryCurve(**found["curve"])
     assert sum(point["rides"] for point in found["points"]) <= 3000
     assert len(found["points"]) > 20

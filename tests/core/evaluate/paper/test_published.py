@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from core.evaluate.paper import published
-from core.evaluate.paper.published import AVERAGE, PHYSICAL, WEIGHTED, paper
+from core.evaluate.paper.published import AVERAGE, PHYSICAL, WEIGHTED, load_paper
 from core.vehicles import load_catalogue
 
 CLUSTERS = ("0-5", "5-10", "10-15", "15-20", "20-25")
@@ -21,29 +21,31 @@ RECIPES = (
     "hybrid",
     "hybrid_interactions",
 )
-KEYS = tuple(model.catalogue[0] for model in paper().vehicle_models.values())
+KEYS = tuple(model.catalogue[0] for model in load_paper().vehicle_models.values())
 each_recipe = pytest.mark.parametrize("recipe", RECIPES)
 each_model = pytest.mark.parametrize("key", KEYS)
 
 
 def row(recipe, key):
     """Return the errors of a model that the paper has, by cluster."""
-    found = {c: published.mae(recipe, key, c) for c in CLUSTERS}
+    found = {c: published.get_mae(recipe, key, c) for c in CLUSTERS}
     return {c: figure for c, figure in found.items() if figure is not None}
 
 
 def weighted_mean(recipe, cluster, rides_of):
     """Return the mean over vehicle models, weighted as told."""
-    of = {key: published.mae(recipe, key, cluster) for key in KEYS}
+    of = {key: published.get_mae(recipe, key, cluster) for key in KEYS}
     known = {key: figure.value for key, figure in of.items() if figure is not None}
-    weights = [published.rides(key, rides_of).value for key in known]
+    weights = [published.get_ride_count(key, rides_of).value for key in known]
     return np.average(list(known.values()), weights=weights)
 
 
 def test_every_table_is_there_once_and_every_figure_can_be_read():
-    assert [table.number for table in paper().tables] == list(range(2, 14))
-    assert [published.table_of(recipe) for recipe in RECIPES] == list(range(5, 12))
-    assert len(published._figures()) == sum(len(cells) for table in paper().tables for cells in table.rows.values())
+    assert [table.number for table in load_paper().tables] == list(range(2, 14))
+    assert [published.get_table_number(recipe) for recipe in RECIPES] == list(range(5, 12))
+    assert len(published._figures()) == sum(
+        len(cells) for table in load_paper().tables for cells in table.rows.values()
+    )
     assert all(figure.value >= 0 for figure in published._figures().values())
 
 
@@ -53,20 +55,22 @@ def test_only_errors_and_consumption_of_tests_have_intervals():
 
 
 def test_vehicle_models_are_in_the_catalogue():
-    keys = [key for model in paper().vehicle_models.values() for key in model.catalogue]
+    keys = [key for model in load_paper().vehicle_models.values() for key in model.catalogue]
     assert set(keys) <= set(load_catalogue())
     assert len(keys) == len(set(keys))
-    assert published.mae("hybrid", "nissan-leaf-2013", "0-5") == published.mae("hybrid", "nissan-leaf-2016", "0-5")
+    assert published.get_mae("hybrid", "nissan-leaf-2013", "0-5") == published.get_mae(
+        "hybrid", "nissan-leaf-2016", "0-5"
+    )
 
 
 def test_what_the_paper_lacks_is_none():
-    assert published.mae("hybrid", "bmw-i3-2014", "0-5") is None
-    assert published.mae("segment_network", "tesla-model-s", "0-5") is None
-    assert published.mae("hybrid", "nissan-leaf-2016", "15-20") is None
-    assert published.mae("hybrid", "kia-soul-ev-2015", "25-30") is None
-    assert published.relative("segment_network", "0-5") is None
-    assert published.reduction("hybrid", "bmw-i3-2014") is None
-    assert published.table_of("segment_network") is None
+    assert published.get_mae("hybrid", "bmw-i3-2014", "0-5") is None
+    assert published.get_mae("segment_network", "tesla-model-s", "0-5") is None
+    assert published.get_mae("hybrid", "nissan-leaf-2016", "15-20") is None
+    assert published.get_mae("hybrid", "kia-soul-ev-2015", "25-30") is None
+    assert published.get_relative_error("segment_network", "0-5") is None
+    assert published.get_reduction("hybrid", "bmw-i3-2014") is None
+    assert published.get_table_number("segment_network") is None
 
 
 def test_no_cell_of_the_tables_is_missing():
@@ -77,21 +81,23 @@ def test_no_cell_of_the_tables_is_missing():
 
 @each_model
 def test_table_2_totals_are_sums(key):
-    assert published.rides(key, "total").value == sum(published.rides(key, c).value for c in (*CLUSTERS, *FURTHER))
+    assert published.get_ride_count(key, "total").value == sum(
+        published.get_ride_count(key, c).value for c in (*CLUSTERS, *FURTHER)
+    )
 
 
 def test_table_2_adds_up_to_the_rides_before_any_was_removed():
     """The text removes 28,283 of 193,347 rides; Table 2 should hold 165,064, and holds 28,283 too many."""
-    total = sum(published.rides(key, "total").value for key in KEYS)
-    assert total == published.statement("rides").value
-    assert total - published.statement("rides_removed").value == 165_064
+    total = sum(published.get_ride_count(key, "total").value for key in KEYS)
+    assert total == published.get_statement("rides").value
+    assert total - published.get_statement("rides_removed").value == 165_064
 
 
 @each_model
 def test_table_3_averages_are_plain_means(key):
-    means = [published.consumption(key, c) for c in (*CLUSTERS, *FURTHER)]
+    means = [published.get_consumption(key, c) for c in (*CLUSTERS, *FURTHER)]
     mean = np.mean([figure.value for figure in means if figure is not None])
-    assert published.consumption(key, AVERAGE).value == pytest.approx(mean, abs=0.0051)
+    assert published.get_consumption(key, AVERAGE).value == pytest.approx(mean, abs=0.0051)
 
 
 @each_recipe
@@ -99,7 +105,7 @@ def test_table_3_averages_are_plain_means(key):
 def test_averages_of_errors_are_plain_means_to_within_rounding(recipe, key):
     """Rounding to 0.01 kWh allows 0.01 kWh; the largest difference is 0.0067 kWh."""
     mean = np.mean([figure.value for figure in row(recipe, key).values()])
-    assert published.mae(recipe, key, AVERAGE).value == pytest.approx(mean, abs=0.007)
+    assert published.get_mae(recipe, key, AVERAGE).value == pytest.approx(mean, abs=0.007)
 
 
 def test_intervals_of_averages_are_narrower_than_independent_clusters_give():
@@ -109,7 +115,7 @@ def test_intervals_of_averages_are_narrower_than_independent_clusters_give():
         for key in KEYS:
             cells = row(recipe, key).values()
             plain = np.sqrt(sum(figure.ci95**2 for figure in cells)) / len(cells)
-            ratios.append(published.mae(recipe, key, AVERAGE).ci95 / plain)
+            ratios.append(published.get_mae(recipe, key, AVERAGE).ci95 / plain)
     assert min(ratios) == pytest.approx(0.226, abs=0.001)
     assert max(ratios) == pytest.approx(0.681, abs=0.001)
 
@@ -119,7 +125,7 @@ def test_weighted_rows_follow_all_rides_of_a_vehicle_model_rather_than_those_of_
     by_all, by_cluster = [], []
     for recipe in RECIPES:
         for cluster in CLUSTERS:
-            said = published.mae(recipe, WEIGHTED, cluster).value
+            said = published.get_mae(recipe, WEIGHTED, cluster).value
             by_all.append(abs(weighted_mean(recipe, cluster, "total") - said))
             by_cluster.append(abs(weighted_mean(recipe, cluster, cluster) - said))
     assert max(by_all) == pytest.approx(0.0395, abs=0.0001)
@@ -129,37 +135,38 @@ def test_weighted_rows_follow_all_rides_of_a_vehicle_model_rather_than_those_of_
 
 def test_the_reduction_in_the_text_is_a_little_less_than_the_tables_give():
     """Text 51.75 %, Tables 5 and 11 52.04 %: 0.29 points, as much as rounding to 0.01 kWh explains."""
-    mean = np.mean([published.reduction("hybrid_interactions", key) for key in KEYS])
-    assert mean - published.statement("reduction").value == pytest.approx(0.0029, abs=0.0001)
-    rounding = np.mean([0.005 / published.mae(PHYSICAL, key, AVERAGE).value for key in KEYS])
-    assert mean - published.statement("reduction").value < 2 * rounding
+    mean = np.mean([published.get_reduction("hybrid_interactions", key) for key in KEYS])
+    assert mean - published.get_statement("reduction").value == pytest.approx(0.0029, abs=0.0001)
+    rounding = np.mean([0.005 / published.get_mae(PHYSICAL, key, AVERAGE).value for key in KEYS])
+    assert mean - published.get_statement("reduction").value < 2 * rounding
 
 
 def test_the_reduction_on_new_vehicles_in_the_text_is_a_little_less_than_table_12_gives():
     """Text 30.75 %, Table 12 31.02 %: 0.27 points."""
-    mean = np.mean([published.new_vehicle_reduction("fitted_physical", key) for key in KEYS])
-    assert mean - published.statement("new_vehicle_reduction").value == pytest.approx(0.0027, abs=0.0001)
+    mean = np.mean([published.get_new_vehicle_reduction("fitted_physical", key) for key in KEYS])
+    assert mean - published.get_statement("new_vehicle_reduction").value == pytest.approx(0.0027, abs=0.0001)
 
 
 def test_as_much_as_44_percent_is_not_the_most_that_the_tables_give():
     """By Tables 5 and 7 the fitted physical model falls by 56.7 % on the LEAF; 44 % is the Model S."""
-    most = max(published.reduction("fitted_physical", key) for key in KEYS)
-    assert most - published.statement("reduction_fitted").value == pytest.approx(0.127, abs=0.001)
-    assert published.reduction("fitted_physical", "tesla-model-s") == pytest.approx(0.44, abs=0.003)
-    best = max(published.reduction("hybrid_interactions", key) for key in KEYS)
-    assert best == pytest.approx(published.statement("reduction_best").value, abs=0.002)
+    most = max(published.get_reduction("fitted_physical", key) for key in KEYS)
+    assert most - published.get_statement("reduction_fitted").value == pytest.approx(0.127, abs=0.001)
+    assert published.get_reduction("fitted_physical", "tesla-model-s") == pytest.approx(0.44, abs=0.003)
+    best = max(published.get_reduction("hybrid_interactions", key) for key in KEYS)
+    assert best == pytest.approx(published.get_statement("reduction_best").value, abs=0.002)
 
 
 def test_the_relative_errors_in_the_text_are_those_of_the_best_model():
-    short, long = (published.relative("hybrid_interactions", c) for c in ("0-5", "20-25"))
-    assert short == pytest.approx(published.statement("relative_error_short").value, abs=0.02)
-    assert long == pytest.approx(published.statement("relative_error_long").value, abs=0.004)
+    short, long = (published.get_relative_error("hybrid_interactions", c) for c in ("0-5", "20-25"))
+    assert short == pytest.approx(published.get_statement("relative_error_short").value, abs=0.02)
+    assert long == pytest.approx(published.get_statement("relative_error_long").value, abs=0.004)
 
 
 def test_the_basic_physical_model_differs_between_tables_5_and_12_although_nothing_is_trained():
     """Up to 0.05 kWh, on the LEAF: Table 12 takes all rides, Table 5 the test sets."""
     differences = [
-        published.new_vehicle_mae(PHYSICAL, key).value - published.mae(PHYSICAL, key, AVERAGE).value for key in KEYS
+        published.get_new_vehicle_mae(PHYSICAL, key).value - published.get_mae(PHYSICAL, key, AVERAGE).value
+        for key in KEYS
     ]
     assert np.round(differences, 3).tolist() == [0.0, -0.05, 0.02, -0.01]
 
@@ -168,30 +175,31 @@ def test_table_13_is_table_12_over_about_the_consumption_of_table_4():
     """The consumption that the two imply is that of Table 4 within 6 %, as two digits allow."""
     for key in KEYS:
         ratios = [
-            published.new_vehicle_mae(recipe, key).value / published.new_vehicle_relative(recipe, key).value
+            published.get_new_vehicle_mae(recipe, key).value
+            / published.get_new_vehicle_relative_error(recipe, key).value
             for recipe in RECIPES
         ]
-        assert np.mean(ratios) == pytest.approx(published.consumption_in_tests(key, AVERAGE).value, rel=0.06)
+        assert np.mean(ratios) == pytest.approx(published.get_test_consumption(key, AVERAGE).value, rel=0.06)
 
 
 def test_each_model_is_no_worse_than_the_one_before_it_on_average():
     """As section 5.1 says; but on the LEAF the empirical model is 0.02 kWh worse than the fitted physical one."""
-    means = [np.mean([published.mae(recipe, key, AVERAGE).value for key in KEYS]) for recipe in RECIPES]
+    means = [np.mean([published.get_mae(recipe, key, AVERAGE).value for key in KEYS]) for recipe in RECIPES]
     assert means == sorted(means, reverse=True)
-    leaf = [published.mae(recipe, "nissan-leaf-2016", AVERAGE).value for recipe in ("fitted_physical", "empirical")]
+    leaf = [published.get_mae(recipe, "nissan-leaf-2016", AVERAGE).value for recipe in ("fitted_physical", "empirical")]
     assert leaf[1] - leaf[0] == pytest.approx(0.02)
 
 
 def test_on_new_vehicles_the_fitted_physical_model_is_best_but_on_the_leaf():
     for key in KEYS:
-        errors = {recipe: published.new_vehicle_mae(recipe, key).value for recipe in RECIPES}
+        errors = {recipe: published.get_new_vehicle_mae(recipe, key).value for recipe in RECIPES}
         best = min(errors, key=errors.get)
         assert best == ("hybrid_interactions" if key.startswith("nissan-leaf") else "fitted_physical")
 
 
 def test_findings_name_recipes_of_the_paper():
-    assert {recipe for finding in paper().findings for recipe in finding.recipes} <= set(RECIPES)
-    assert {finding.vehicle_model for finding in paper().findings} <= {None, *paper().vehicle_models}
-    assert [finding.terms for finding in published.findings("rfecv")] == [("time_since_charge",)]
-    assert [finding.terms for finding in published.findings("rfe")] == [("precipitation", "gained_altitude")]
-    assert "Predicting Electric Vehicle Consumption" in paper().title
+    assert {recipe for finding in load_paper().findings for recipe in finding.recipes} <= set(RECIPES)
+    assert {finding.vehicle_model for finding in load_paper().findings} <= {None, *load_paper().vehicle_models}
+    assert [finding.terms for finding in published.get_findings("rfecv")] == [("time_since_charge",)]
+    assert [finding.terms for finding in published.get_findings("rfe")] == [("precipitation", "gained_altitude")]
+    assert "Predicting Electric Vehicle Consumption" in load_paper().title

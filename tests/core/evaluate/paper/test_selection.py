@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from core.evaluate.paper.selection import ByVehicleModel, plan, removable
-from core.evaluate.ride_filter import judged
+from core.evaluate.paper.selection import VehicleModelRegression, find_removable_terms, plan_selection
+from core.evaluate.ride_filter import filter_rides
 from core.fit.recipes import LinearRecipe, make_term
 from tests.support import planted_rides
 
@@ -26,7 +26,7 @@ def fleet(n=2400, seed=1):
 
 @pytest.fixture(scope="module")
 def found():
-    return removable(RECIPE, judged(fleet()), seed=2)
+    return find_removable_terms(RECIPE, filter_rides(fleet()), seed=2)
 
 
 def test_decoys_go_and_what_was_planted_stays(found):
@@ -56,7 +56,7 @@ def test_the_loss_of_all_that_go_is_that_of_the_last_step(found):
 
 def test_where_nothing_can_go_there_is_no_loss():
     recipe = LinearRecipe("hybrid", "Hybrid", (*(make_term(c) for c in PLANTED), make_term()))
-    rfe = removable(recipe, judged(fleet()), seed=2)["rfe"]
+    rfe = find_removable_terms(recipe, filter_rides(fleet()), seed=2)["rfe"]
     assert rfe["removed"] == []
     assert rfe["loss"] is None
 
@@ -65,7 +65,9 @@ def test_of_collinear_terms_one_can_go_and_costs_nothing():
     recipe = LinearRecipe("hybrid", "Hybrid", (*(make_term(c) for c in (*PLANTED, "winter", "summer")), make_term()))
     table = fleet()
     table["energy_kwh"] += 0.5 * table["winter"]
-    steps = {step["term"]: step["loss"] for step in removable(recipe, judged(table), seed=2)["rfe"]["steps"]}
+    steps = {
+        step["term"]: step["loss"] for step in find_removable_terms(recipe, filter_rides(table), seed=2)["rfe"]["steps"]
+    }
     first, second = (name for name in steps if name in {"winter", "summer"})
     before = list(steps)[list(steps).index(first) - 1]
     assert steps[first]["value"] == pytest.approx(steps[before]["value"], abs=1e-9)
@@ -76,7 +78,7 @@ def test_each_vehicle_model_has_coefficients_of_its_own():
     rng = np.random.default_rng(3)
     model, x = rng.integers(0, 2, 200).astype(float), rng.normal(size=(200, 2))
     y = np.where(model == 0, 1.0 + 2.0 * x[:, 0], -1.0 + 5.0 * x[:, 0])
-    fitted = ByVehicleModel().fit(np.column_stack([model, x]), y)
+    fitted = VehicleModelRegression().fit(np.column_stack([model, x]), y)
     np.testing.assert_allclose(fitted.predict(np.column_stack([model, x])), y, atol=1e-9)
     assert np.isnan(fitted.predict(np.array([[7.0, 0.0, 0.0]])))
     first, one, other = fitted.importance_
@@ -85,10 +87,10 @@ def test_each_vehicle_model_has_coefficients_of_its_own():
 
 
 def test_without_rides_enough_or_the_recipe_nothing_is_said():
-    assert removable(RECIPE, judged(fleet(200)), seed=2) == {}
-    assert plan(judged(fleet(200)), {"basic_physical": RECIPE}, seed=2) == {}
-    assert list(plan(judged(fleet(200)), {"hybrid": RECIPE}, seed=2)) == ["hybrid"]
+    assert find_removable_terms(RECIPE, filter_rides(fleet(200)), seed=2) == {}
+    assert plan_selection(filter_rides(fleet(200)), {"basic_physical": RECIPE}, seed=2) == {}
+    assert list(plan_selection(filter_rides(fleet(200)), {"hybrid": RECIPE}, seed=2)) == ["hybrid"]
 
 
 def test_the_same_seed_says_the_same(found):
-    assert removable(RECIPE, judged(fleet()), seed=2) == found
+    assert find_removable_terms(RECIPE, filter_rides(fleet()), seed=2) == found

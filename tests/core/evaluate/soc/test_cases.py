@@ -6,9 +6,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.evaluate.soc.baselines import REMEMBERED, SETTLED, baselines, mean_consumption, risk_by_earlier
-from core.evaluate.soc.cases import judged
-from core.evaluate.soc.reserve_risk import risk_below
+from core.evaluate.soc.baselines import (
+    LEAST_ERRORS,
+    LEAST_PACE_TIME,
+    compute_baselines,
+    compute_empirical_risk,
+    compute_mean_consumption,
+)
+from core.evaluate.soc.cases import select_cases
+from core.evaluate.soc.reserve_risk import compute_risk_below
 from core.vehicles import load_catalogue
 from tests.support.soc_frames import CAPACITY, told
 
@@ -17,8 +23,8 @@ PERCENT = st.floats(0.0, 100.0)
 
 def based(frames):
     """Return the cases of frames and what each baseline expects."""
-    cases = judged(*frames).cases
-    return cases, baselines(cases, *frames)
+    cases = select_cases(*frames).cases
+    return cases, compute_baselines(cases, *frames)
 
 
 def test_the_pace_so_far_is_exact_where_it_never_changes():
@@ -43,7 +49,7 @@ def test_after_a_charge_the_pace_begins_anew():
 
 
 def test_a_pace_is_not_carried_on_before_it_was_seen():
-    frames = told(cars=1, days=1, hours=2.0 + SETTLED / 3600.0 / 2.0, warm_up=0)
+    frames = told(cars=1, days=1, hours=2.0 + LEAST_PACE_TIME / 3600.0 / 2.0, warm_up=0)
     cases, found = based(frames)
     assert dict(zip(cases["hours"], np.isfinite(found["linear"]), strict=True)) == {0: True, 1: True, 2: False}
 
@@ -75,8 +81,8 @@ def test_mean_consumption_is_that_of_shifts_that_had_ended(seed, unknown):
     lost = rng.random(len(frames.shifts)) < unknown
     shifts = frames.shifts.assign(charged_s=np.where(lost, frames.shifts["begin_s"], np.nan))
     shifts["ride_km"] = np.where(rng.random(len(shifts)) < unknown, 0.0, shifts["ride_km"])
-    cases = judged(frames.outlooks, shifts).cases
-    found = mean_consumption(cases, shifts)
+    cases = select_cases(frames.outlooks, shifts).cases
+    found = compute_mean_consumption(cases, shifts)
     for case, rate in zip(cases.to_dict("records"), found, strict=True):
         known = shifts[
             (shifts["end_s"] <= case["begin_s"])
@@ -96,14 +102,14 @@ def interval(mean, below, above):
 @given(mean=PERCENT, below=st.floats(0.01, 30.0), above=st.floats(0.01, 30.0), levels=st.tuples(PERCENT, PERCENT))
 def test_the_risk_follows_from_the_interval(mean, below, above, levels):
     cases = interval(mean, below, above)
-    ends = [float(risk_below(cases, level)[0]) for level in (mean - below, mean, mean + above)]
+    ends = [float(compute_risk_below(cases, level)[0]) for level in (mean - below, mean, mean + above)]
     assert ends == pytest.approx([0.05, 0.5, 0.95], abs=1e-6)
-    low, high = (float(risk_below(cases, level)[0]) for level in sorted(levels))
+    low, high = (float(compute_risk_below(cases, level)[0]) for level in sorted(levels))
     assert 0.0 <= low <= high <= 1.0
 
 
 def test_without_a_width_there_is_no_doubt():
-    assert [float(risk_below(interval(30.0, 0.0, 0.0), level)[0]) for level in (29.0, 31.0)] == [0.0, 1.0]
+    assert [float(compute_risk_below(interval(30.0, 0.0, 0.0), level)[0]) for level in (29.0, 31.0)] == [0.0, 1.0]
 
 
 @given(seed=st.integers(0, 10_000), lost=st.floats(0.0, 0.4))
@@ -115,10 +121,10 @@ def test_a_persons_risk_is_by_errors_that_were_known_by_then(seed, lost):
     became, time = rng.integers(20, 60, n).astype(float), rng.uniform(0.0, 100.0, n)
     ended = time + rng.uniform(0.0, 20.0, n)
     levels = rng.uniform(10.0, 70.0, (n, 3))
-    found = risk_by_earlier(expected, became, time, ended, levels)
+    found = compute_empirical_risk(expected, became, time, ended, levels)
     for row in range(n):
         errors = (became - expected)[(ended <= time[row]) & np.isfinite(expected)]
-        if np.isnan(expected[row]) or len(errors) < REMEMBERED:
+        if np.isnan(expected[row]) or len(errors) < LEAST_ERRORS:
             assert np.isnan(found[row]).all()
         else:
             below = (expected[row] + errors[:, np.newaxis] < levels[row]).sum(axis=0)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.evaluate.soc.legs import EVERY, Questions, leg_cases
+from core.evaluate.soc.legs import QUERY_INTERVAL, LegRecorder, match_legs_to_rides
 from core.evaluate.soc.report import evaluate_soc
 from core.wire.messages import Interval, LegOutlook, Outlook
 from tests.support.soc_frames import CAPACITY, told
@@ -55,7 +55,7 @@ def shifts(hours=8.0, charged=np.nan):
 
 
 def test_each_leg_is_held_against_the_ride_that_it_became():
-    found = leg_cases(asked(), rides(-1.0, 1.0, 2.0, 3.5, 4.0), shifts())
+    found = match_legs_to_rides(asked(), rides(-1.0, 1.0, 2.0, 3.5, 4.0), shifts())
     assert found["leg"].tolist() == [0, 1, 2]
     assert found["minutes"].tolist() == [60.0, 120.0, 210.0]
     assert found["soc_end_pct"].tolist() == [60.0, 50.0, 35.0]
@@ -63,19 +63,19 @@ def test_each_leg_is_held_against_the_ride_that_it_became():
 
 
 def test_a_ride_that_ended_as_the_question_came_is_no_leg_of_its_answer():
-    assert leg_cases(asked(legs=1), rides(0.0, 1.0), shifts())["minutes"].tolist() == [60.0]
+    assert match_legs_to_rides(asked(legs=1), rides(0.0, 1.0), shifts())["minutes"].tolist() == [60.0]
 
 
 def test_a_false_start_is_no_leg():
     both = pd.concat([rides(0.5, km=0.1), rides(1.0)])
-    assert leg_cases(asked(legs=1), both, shifts())["minutes"].tolist() == [60.0]
+    assert match_legs_to_rides(asked(legs=1), both, shifts())["minutes"].tolist() == [60.0]
 
 
 def test_legs_that_were_never_driven_or_in_the_next_shift_are_left_out():
-    assert len(leg_cases(asked(legs=3), rides(1.0), shifts())) == 1
-    assert len(leg_cases(asked(legs=3), rides(1.0, 20.0, 21.0), shifts())) == 1
+    assert len(match_legs_to_rides(asked(legs=3), rides(1.0), shifts())) == 1
+    assert len(match_legs_to_rides(asked(legs=3), rides(1.0, 20.0, 21.0), shifts())) == 1
     other = rides(1.0).assign(vehicle_id="taxi-2")
-    assert leg_cases(asked(legs=3), other, shifts()).empty
+    assert match_legs_to_rides(asked(legs=3), other, shifts()).empty
 
 
 @given(hour=st.integers(0, 5), past=st.floats(0.05, 0.95))
@@ -84,10 +84,10 @@ def test_up_to_the_next_charge_and_not_across_it(hour, past):
     charged = hour + past
     ends = np.arange(1.0, 7.0)
     since = np.where(ends > charged, HOUR * (ends - charged), np.nan)
-    found = leg_cases(asked(legs=6), rides(*ends, since_charge=since), shifts(charged=charged))
+    found = match_legs_to_rides(asked(legs=6), rides(*ends, since_charge=since), shifts(charged=charged))
     assert found["minutes"].tolist() == (60.0 * ends[ends <= charged]).tolist()
     assert found["charges"].all()
-    later = leg_cases(asked(BEGIN + HOUR * charged + 1.0, legs=6), rides(*ends, since_charge=since), shifts())
+    later = match_legs_to_rides(asked(BEGIN + HOUR * charged + 1.0, legs=6), rides(*ends, since_charge=since), shifts())
     assert len(later) == np.sum(ends > charged)
 
 
@@ -101,22 +101,22 @@ def test_cars_are_asked_every_half_hour_of_a_planned_shift():
         times.append(float(part["time_s"].iloc[-1]))
         return outlook(times[-1], (60.0, None))
 
-    questions = Questions(ask)
+    questions = LegRecorder(ask)
     for _, part in table.groupby(np.arange(len(table)) // 7):
         questions(part)
         questions(part.assign(planned=False, time_s=part["time_s"] + 1e6))
     gaps = np.diff(times)
-    assert (gaps >= EVERY).all()
-    assert np.median(gaps) < EVERY + 7 * 60.0 + 1.0
+    assert (gaps >= QUERY_INTERVAL).all()
+    assert np.median(gaps) < QUERY_INTERVAL + 7 * 60.0 + 1.0
     assert len(times) == len(questions.table())  # a leg of which nothing is known is not told of
     assert set(questions.table()["shift"]) == {0, 1}
     assert (questions.table()["soc_mean_pct"] == 60.0).all()
 
 
 def test_without_questions_there_are_no_legs():
-    none = Questions(lambda _: outlook(BEGIN)).table()
-    assert leg_cases(none, rides(1.0), shifts()).empty
-    assert leg_cases(asked(), rides(), shifts()).empty
+    none = LegRecorder(lambda _: outlook(BEGIN)).table()
+    assert match_legs_to_rides(none, rides(1.0), shifts()).empty
+    assert match_legs_to_rides(asked(), rides(), shifts()).empty
 
 
 def test_figures_of_legs_are_those_planted():

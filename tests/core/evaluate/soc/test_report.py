@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from core.errors import ModelError
-from core.evaluate.paper.results import plain
-from core.evaluate.soc.cases import CHARGED, CUT_SHORT, HOURS, SILENT, UNREPORTED, WARM_UP, judged
+from core.evaluate.paper.results import to_json_values
+from core.evaluate.soc.cases import CHARGED, CUT_SHORT, HOURS_AHEAD, SILENT, UNREPORTED, WARM_UP, select_cases
 from core.evaluate.soc.report import evaluate_soc
 from tests.support.soc_frames import CAPACITY, DAY_ONE, MODELS, SPREAD, told
 
@@ -36,14 +36,16 @@ def overall(frames):
 
 def test_each_shift_gives_one_forecast_at_each_time_ahead(result):
     shifts = 12 * 38
-    assert {hours: own["n"] for hours, own in result["overall"]["hours"].items()} == {str(h): shifts for h in HOURS}
-    assert result["overall"]["pooled"]["n"] == shifts * len(HOURS)
+    assert {hours: own["n"] for hours, own in result["overall"]["hours"].items()} == {
+        str(h): shifts for h in HOURS_AHEAD
+    }
+    assert result["overall"]["pooled"]["n"] == shifts * len(HOURS_AHEAD)
     assert result["about"] | {"left_out": None} == {
         "shifts": 480, "judged_shifts": shifts, "warm_up_shifts": 24, "forecasts": shifts * 5, "left_out": None,
         "vehicles": 12, "vehicle_days": shifts, "vehicle_models": sorted(MODELS), "first_date": "2018-01-03",
         "last_date": "2018-02-09",
     }  # fmt: skip
-    assert result["about"]["left_out"] == {WARM_UP: 24 * len(HOURS)}
+    assert result["about"]["left_out"] == {WARM_UP: 24 * len(HOURS_AHEAD)}
 
 
 def test_a_calibrated_interval_is_found_calibrated(result):
@@ -93,12 +95,12 @@ def test_conditions_hold_every_case_once(result):
 
 def test_the_order_of_rows_tells_nothing(frames, result):
     mixed = [table.sample(frac=1.0, random_state=3).reset_index(drop=True) for table in frames]
-    assert plain(evaluate_soc(*mixed)) == plain(result)
+    assert to_json_values(evaluate_soc(*mixed)) == to_json_values(result)
 
 
 def test_the_result_is_json_without_nan(result):
-    assert msgspec.json.decode(msgspec.json.encode(plain(result))) == plain(result)
-    assert b"NaN" not in msgspec.json.encode(plain(result))
+    assert msgspec.json.decode(msgspec.json.encode(to_json_values(result))) == to_json_values(result)
+    assert b"NaN" not in msgspec.json.encode(to_json_values(result))
 
 
 @given(seconds=st.floats(0.0, 590.0), hours=st.sampled_from([2.5, 4.5, 8.0]))
@@ -106,9 +108,9 @@ def test_the_result_is_json_without_nan(result):
 def test_the_newest_forecast_by_a_moment_is_judged_and_none_from_after_it(seconds, hours):
     frames = told(cars=2, days=3, hours=hours, warm_up=0)
     outlooks = frames.outlooks.assign(time_s=frames.outlooks["time_s"] - seconds)
-    cases = judged(outlooks, frames.shifts).cases
+    cases = select_cases(outlooks, frames.shifts).cases
     age = cases["end_s"] - 3600.0 * cases["hours"] - cases["time_s"]
-    assert set(cases["hours"]) == {h for h in HOURS if h < hours}
+    assert set(cases["hours"]) == {h for h in HOURS_AHEAD if h < hours}
     assert (age >= 0.0).all()
     assert (age[cases["hours"] > 0] <= 60.0 + 1e-6).all()
     assert age[cases["hours"] == 0].to_numpy() == pytest.approx(seconds, abs=1e-6)
@@ -117,32 +119,32 @@ def test_the_newest_forecast_by_a_moment_is_judged_and_none_from_after_it(second
 def test_a_forecast_is_not_judged_where_the_car_charged_after_it():
     frames = told(cars=1, days=1, warm_up=0)
     begin = frames.shifts["begin_s"].iloc[0]
-    found = judged(*changed(frames, charged_s=begin + 3.5 * 3600.0))
+    found = select_cases(*changed(frames, charged_s=begin + 3.5 * 3600.0))
     assert found.cases["hours"].tolist() == [0, 1, 2]
     assert found.left_out == {CHARGED: 2}
     at_the_end = changed(frames, charged_s=frames.shifts["end_s"])
-    assert judged(*at_the_end).left_out == {CHARGED: len(HOURS)}
+    assert select_cases(*at_the_end).left_out == {CHARGED: len(HOURS_AHEAD)}
 
 
 def test_a_car_that_was_silent_is_counted():
     frames = told(cars=1, days=1, warm_up=0)
     ahead = frames.shifts["end_s"].iloc[0] - frames.outlooks["time_s"]
-    found = judged(frames.outlooks[~ahead.between(3599.0, 3600.0 + 1200.0)], frames.shifts)
+    found = select_cases(frames.outlooks[~ahead.between(3599.0, 3600.0 + 1200.0)], frames.shifts)
     assert found.cases["hours"].tolist() == [0, 2, 4, 6]
     assert found.left_out == {SILENT: 1}
 
 
 def test_a_shift_without_a_state_of_charge_at_its_end_is_counted():
     frames = changed(told(cars=1, days=2, warm_up=0), soc_end_pct=[np.nan, 40.0])
-    found = judged(*frames)
-    assert found.left_out == {UNREPORTED: len(HOURS)}
+    found = select_cases(*frames)
+    assert found.left_out == {UNREPORTED: len(HOURS_AHEAD)}
     assert found.warm_up == 0
 
 
 def test_a_shift_that_the_recording_cuts_is_counted_but_one_that_ends_early_is_judged():
     frames = told(cars=1, days=2, warm_up=0)
-    found = judged(frames.outlooks.assign(shift_end_s=frames.outlooks["shift_end_s"] + 3600.0), frames.shifts)
-    assert found.left_out == {CUT_SHORT: len(HOURS)}
+    found = select_cases(frames.outlooks.assign(shift_end_s=frames.outlooks["shift_end_s"] + 3600.0), frames.shifts)
+    assert found.left_out == {CUT_SHORT: len(HOURS_AHEAD)}
     assert set(found.cases["shift"]) == {0}
 
 

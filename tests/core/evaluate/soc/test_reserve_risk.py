@@ -4,9 +4,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.evaluate.soc.baselines import BASELINES, baselines
-from core.evaluate.soc.cases import judged
-from core.evaluate.soc.reserve_risk import LEVELS, PLANNED, alarms, asked, reliability, reserve, worth
+from core.evaluate.soc.baselines import BASELINES, compute_baselines
+from core.evaluate.soc.cases import select_cases
+from core.evaluate.soc.reserve_risk import (
+    LEVELS,
+    PLANNED,
+    compute_reliability,
+    evaluate_alarms,
+    evaluate_reserve_risk,
+    evaluate_risk,
+    tabulate_levels,
+)
 from tests.support.soc_frames import told
 
 N = 20_000
@@ -14,8 +22,8 @@ N = 20_000
 
 def based(frames):
     """Return the cases of frames, with what each baseline expects."""
-    cases = judged(*frames).cases
-    return pd.concat([cases, baselines(cases, *frames)], axis=1)
+    cases = select_cases(*frames).cases
+    return pd.concat([cases, compute_baselines(cases, *frames)], axis=1)
 
 
 def rows(risk, fell, person=np.nan):
@@ -31,13 +39,13 @@ def cases():
 
 @pytest.fixture(scope="module")
 def found(cases):
-    return reserve(cases)
+    return evaluate_reserve_risk(cases)
 
 
 def test_alarms_counted_by_hand():
     risk = np.array([0.9, 0.04, 0.05, 0.0])
     fell = np.array([True, True, False, False])
-    counted = alarms(risk, fell, np.arange(4))
+    counted = evaluate_alarms(risk, fell, np.arange(4))
     assert {name: counted[name] for name in ("caught", "missed", "false_alarms")} == {
         "caught": 1, "missed": 1, "false_alarms": 1,
     }  # fmt: skip
@@ -45,7 +53,7 @@ def test_alarms_counted_by_hand():
 
 
 def test_scores_by_hand():
-    own = worth(rows(np.array([0.9, 0.0]), np.array([True, False]), 0.5))
+    own = evaluate_risk(rows(np.array([0.9, 0.0]), np.array([True, False]), 0.5))
     assert own["brier"] == pytest.approx(0.1**2 / 2)
     assert own["brier_base"] == 0.25
     assert own["skill"]["value"] == pytest.approx(1.0 - 0.005 / 0.25)
@@ -56,7 +64,7 @@ def test_scores_by_hand():
 
 
 def test_a_case_is_a_level_that_the_car_is_still_above(cases):
-    table = asked(cases)
+    table = tabulate_levels(cases)
     ahead = cases[cases["hours"] > 0]
     assert set(table["hours"]) == {1, 2, 4, 6}
     for level in LEVELS:
@@ -69,15 +77,17 @@ def test_a_case_is_a_level_that_the_car_is_still_above(cases):
 
 def test_a_dip_counts_unless_it_may_have_been_before_a_charge(cases):
     dipped = cases.assign(soc_pct=50.0, soc_end_pct=35.0, soc_lowest_pct=15.0)
-    fell = asked(dipped)[lambda table: table["level"].isin(["20", "30"])]["fell"]
+    fell = tabulate_levels(dipped)[lambda table: table["level"].isin(["20", "30"])]["fell"]
     assert fell.all()
-    assert not asked(dipped.assign(charged_s=1.0))[lambda table: table["level"].isin(["20", "30"])]["fell"].any()
+    assert not tabulate_levels(dipped.assign(charged_s=1.0))[lambda table: table["level"].isin(["20", "30"])][
+        "fell"
+    ].any()
 
 
 def test_a_risk_that_holds_is_found_to_hold():
     rng = np.random.default_rng(4)
     risk = rng.beta(0.5, 0.5, N)
-    classes = reliability(rows(risk, rng.random(N) < risk))
+    classes = compute_reliability(rows(risk, rng.random(N) < risk))
     assert sum(own["n"] for own in classes) == N
     assert all(own["low"] <= own["told"] <= own["high"] for own in classes)
     holds = [own["fell"]["low"] <= own["told"] <= own["fell"]["high"] for own in classes]
@@ -88,13 +98,13 @@ def test_a_risk_told_half_as_large_as_it_is_is_found_out():
     rng = np.random.default_rng(4)
     risk = rng.uniform(0.02, 0.5, N)
     fell = rng.random(N) < 2.0 * risk
-    for own in reliability(rows(risk, fell)):
+    for own in compute_reliability(rows(risk, fell)):
         assert own["fell"]["low"] > own["told"]
-    assert worth(rows(risk, fell, 2.0 * risk))["baselines"]["linear"]["skill"]["value"] < 0.0
+    assert evaluate_risk(rows(risk, fell, 2.0 * risk))["baselines"]["linear"]["skill"]["value"] < 0.0
 
 
 def test_sure_forecasts_catch_all_and_raise_no_false_alarm():
-    found = reserve(based(told(cars=8, days=20, sd_an_hour=1e-6)))
+    found = evaluate_reserve_risk(based(told(cars=8, days=20, sd_an_hour=1e-6)))
     assert set(found["levels"]) == {PLANNED, *map(str, LEVELS)}
     for of in found["levels"].values():
         for own in of.values():
@@ -116,7 +126,7 @@ def test_a_calibrated_forecast_is_found_reliable(found):
 
 
 def test_a_forecast_better_than_a_persons_is_said_to_be_so():
-    overall = reserve(based(told(cars=12, days=40, sd_an_hour=0.2)))["overall"]
+    overall = evaluate_reserve_risk(based(told(cars=12, days=40, sd_an_hour=0.2)))["overall"]
     for hours in ("1", "2", "4"):
         for person in overall[hours]["baselines"].values():
             assert person["skill"]["value"] - person["skill"]["ci95"] > 0.2
@@ -124,6 +134,6 @@ def test_a_forecast_better_than_a_persons_is_said_to_be_so():
 
 
 def test_an_interval_far_too_narrow_costs_its_skill(found):
-    narrow = reserve(based(told(cars=12, days=40, narrow=0.2)))
+    narrow = evaluate_reserve_risk(based(told(cars=12, days=40, narrow=0.2)))
     assert narrow["overall"]["4"]["brier"] > found["overall"]["4"]["brier"]
     assert narrow["overall"]["4"]["alarms"]["missed"] > found["overall"]["4"]["alarms"]["missed"]
