@@ -1,7 +1,7 @@
 """A batch of samples as columns, and the lanes that say whose row each is."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,16 @@ NO_RIDE = -1
 """Ride code of a sample whose logger says that no ride is in progress."""
 RIDE_UNKNOWN = -2
 """Ride code of a sample whose logger does not speak of rides."""
+
+
+class Stateful(Protocol):
+    """A component whose state outlives the process: it writes the state itself and takes it up itself."""
+
+    def dump(self) -> Any:
+        """Return the state as values that MessagePack can hold."""
+
+    def load(self, state: Any) -> None:
+        """Replace the state by one that `dump` returned."""
 
 
 class Batch(NamedTuple):
@@ -77,9 +87,13 @@ class Lanes:
             self.names.append(name)
         return lane
 
-    def load(self, names: Sequence[str]) -> None:
-        """Replace all vehicles by those of these names, in their order."""
-        self.names[:] = names
+    def dump(self) -> list[str]:
+        """Return the names of the vehicles in the order of their lanes."""
+        return list(self.names)
+
+    def load(self, state: Sequence[str]) -> None:
+        """Replace all vehicles by those that `dump` returned."""
+        self.names[:] = state
         self._of = {name: lane for lane, name in enumerate(self.names)}
 
 

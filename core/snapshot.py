@@ -10,7 +10,7 @@ from core.cleaning.quality import CAUSES
 from core.errors import SocastError
 from core.totals.accumulator import AMOUNTS, EDGES
 
-SNAPSHOT: Final = 5
+SNAPSHOT: Final = 6
 """Version of the snapshot."""
 FIELDS: Final = [*(STATE.names or ()), *AMOUNTS, *EDGES, *CAUSES]
 """What a snapshot's arrays are made of."""

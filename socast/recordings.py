@@ -101,7 +101,7 @@ def read_samples(*recordings: str | Path) -> pd.DataFrame:
     if samples.empty:
         raise RecordingError(f"{', '.join(map(str, recordings)) or 'no recording'}: no telemetry: give recordings")
     vehicles = samples.pop("lane").map(dict(enumerate(decoder.lanes.names)))
-    rides = samples.pop("ride").map(decoder.rides.name_of)
+    rides = decoder.rides.names(samples.pop("ride"))
     samples.insert(0, "vehicle_id", vehicles)
     samples.insert(1, "ride_id", rides)
     return samples

@@ -170,6 +170,26 @@ class Cleaner:
         lane, ride, window, quality = out[: _TO_INT - 1].astype(np.int64)
         return Clean(lane, ride, window, quality, out[_TO_INT - 1] != 0.0, *out[_TO_INT:])
 
+    def heard(self, lane: int) -> bool:
+        """Return whether a sample of a lane has been accepted."""
+        return lane < len(self.state) and bool(self.state["samples"][lane] > 0.0)
+
+    def lanes_heard(self) -> Ints:
+        """Return the lanes of which a sample has been accepted."""
+        return np.flatnonzero(self.state["samples"] > 0.0)
+
+    def ride_codes(self) -> Floats:
+        """Return the code of the ride in progress in each lane, `NO_RIDE` where there is none."""
+        return np.asarray(self.state["code"])
+
+    def dump(self) -> bytes:
+        """Return the state of every lane as bytes."""
+        return self.state.tobytes()
+
+    def load(self, state: bytes) -> None:
+        """Replace the state by one that `dump` returned."""
+        self.state = np.frombuffer(state, STATE).copy()
+
 
 @njit(cache=True)
 def kernel(columns: Any, state: Any, settings: Any, rows: Any, cells: Any, out: Any) -> None:

@@ -44,7 +44,7 @@ from core.fit.ride_blocks import ENERGY, RideSource, get_names, get_numbers, sel
 from core.models import ANY, BASIC_PHYSICAL, VEHICLE, VEHICLE_MODEL, Curve, Fit, LinearModel, Term, Training
 from core.models.derived_features import DERIVED_COLUMNS
 from core.models.features import ACCESSORIES_COLUMN, ACCESSORY_NEEDS, EFFECT_PREFIX, FEATURES, Columns, list_raw_columns
-from core.vehicles.fleet import PARAMETERS
+from core.vehicles.fleet import CarParameters
 
 _RIDES_PER_COEFFICIENT: Final = 2
 """Rides for each coefficient that a fit needs."""
@@ -155,7 +155,7 @@ class _Fitting:
         self.columns = list(dict.fromkeys((*raw, *basic, ENERGY)))
         filled = dict.fromkeys((*read, *(ACCESSORY_NEEDS if self.curved else ())))
         self.road = [t for t in plan.terms if plan.free and t.columns and t.columns[0].startswith(EFFECT_PREFIX)]
-        self.filled = [c for c in filled if (c in FEATURES and c not in PARAMETERS) or c in DERIVED_COLUMNS]
+        self.filled = [c for c in filled if (c in FEATURES and c not in CarParameters._fields) or c in DERIVED_COLUMNS]
         self.place = next((i for i, term in enumerate(plan.terms) if not term.columns), None)
         self.sloped = [i for i in range(len(plan.terms)) if i != self.place]
         self.groups: dict[str, _GroupFit] = {ANY: self._group()}

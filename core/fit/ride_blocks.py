@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from core.batch import Floats
 from core.errors import ModelError
 from core.models.features import EFFECT_PREFIX
-from core.vehicles.fleet import PARAMETERS
+from core.vehicles.fleet import CarParameters
 
 ENERGY: Final = "energy_kwh"
 _BLOCK: Final = 8192
@@ -125,7 +125,7 @@ def select_trainable(block: pd.DataFrame, columns: Sequence[str]) -> tuple[pd.Da
     left_out: Counter[str] = Counter()
     reason = np.full(len(block), "", dtype=object)
     for name in columns:
-        if name.startswith(EFFECT_PREFIX) or name in PARAMETERS:
+        if name.startswith(EFFECT_PREFIX) or name in CarParameters._fields:
             reason[~np.isfinite(get_numbers(block, name))] = "unknown_vehicle_or_effect"
     reason[~np.isfinite(get_numbers(block, ENERGY))] = "no_measured_energy"
     if "fit_for_training" in block:

@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 from core.batch import Floats, Ints, grown
 from core.columns import JOULES_PER_KWH, ZERO_CELSIUS
 from core.forecast import outlook, soc_filter
-from core.forecast.gathered import joined
 from core.forecast.learning.car_driver import Habit, code_of
 from core.forecast.learning.fleet import Lessons
 from core.forecast.learning.forecast_errors import Note, ShiftLog
 from core.forecast.outlook import Known
 from core.forecast.plan_tracker import Arrival, Courses, Driving, ride_km
-from core.totals.accumulator import Sums, Totals
+from core.totals.accumulator import Sums, Totals, join_totals
 from core.totals.context import RunContext
 from core.totals.tables import model_columns
 
@@ -106,7 +105,7 @@ class Foresight:
         self.log.grow(lanes)
         self.lessons.grow(lanes)
         parts = sums.rides, sums.rests, sums.running
-        whole = joined(parts, sums.running)
+        whole = join_totals(parts, sums.running)
         ends = np.cumsum([len(part.lane) for part in parts])
         predicted = self._predict(whole)
         of_rides, of_rests, of_running = np.split(predicted, ends[:-1])

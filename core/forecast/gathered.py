@@ -4,12 +4,8 @@ Batches may be small, and observations of the weather cut them into pieces of a 
 not depend on where they are cut, so they are taken together.
 """
 
-from collections.abc import Sequence
-
-import numpy as np
-
 from core.forecast.plan_tracker import Arrival, Driving
-from core.totals.accumulator import Sums, Totals
+from core.totals.accumulator import Sums, Totals, join_totals
 
 
 class Gathered:
@@ -63,12 +59,8 @@ class Gathered:
         plans = [each for each in now if isinstance(each, Arrival)]
         drivers = [each for each in now if isinstance(each, Driving)]
         none = self._none
-        return Sums(joined(rides, none), joined(rests, none), none, joined(running, none)), plans, drivers
-
-
-def joined(parts: Sequence[Totals], none: Totals) -> Totals:
-    """Return totals one after another; `none` where there are none."""
-    some = [part for part in parts if len(part.lane)]
-    if len(some) < 2:
-        return some[0] if some else none
-    return Totals(*(np.concatenate(columns) for columns in zip(*some, strict=True)))
+        return (
+            Sums(join_totals(rides, none), join_totals(rests, none), none, join_totals(running, none)),
+            plans,
+            drivers,
+        )

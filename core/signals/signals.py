@@ -20,6 +20,7 @@ from core.columns import GRAVITY, SIGNALS, STANDARD_AIR_DENSITY, ZERO_CELSIUS
 from core.signals.sun import sine_of_elevation
 from core.signals.weather import Sky, snow_left, water_left
 from core.vehicles import OCCUPANT_MASS
+from core.vehicles.fleet import CarParameters
 
 STANDARD_AMBIENT: Final = ZERO_CELSIUS + 15.0
 """Temperature of the standard atmosphere at sea level. [K] ISO 2533:1975."""
@@ -46,25 +47,19 @@ class Signals(Mapping[str, Floats]):
         n rows.
     sky : Sky
         Weather at the rows.
-    mass_kg, accessory_scale, rolling_resistance, drag_area : (n,) float
-        The cars' own parameters, NaN where unknown, as is all of one that is left out.
+    car : CarParameters
+        Parameters of the car at each row.
     """
 
-    def __init__(
-        self,
-        clean: Clean,
-        sky: Sky,
-        mass_kg: Floats,
-        accessory_scale: Floats,
-        rolling_resistance: Floats | None = None,
-        drag_area: Floats | None = None,
-    ) -> None:
+    def __init__(self, clean: Clean, sky: Sky, car: CarParameters) -> None:
         self.clean = clean
         self.sky = sky
-        self.mass_kg = mass_kg
-        self._made: dict[str, Floats] = {"accessory_scale": accessory_scale}
-        for name, own in (("rolling_resistance", rolling_resistance), ("drag_area", drag_area)):
-            self._made[name] = np.full(len(clean.dt), np.nan) if own is None else own
+        self.car = car
+        self._made: dict[str, Floats] = {
+            "accessory_scale": car.accessory_scale,
+            "rolling_resistance": car.rolling_resistance,
+            "drag_area": car.drag_area_m2,
+        }
 
     def __getitem__(self, name: str) -> Floats:
         made = self._made.get(name)
@@ -141,7 +136,7 @@ def crosswind(signals: Signals) -> Floats:
 
 def mass(signals: Signals) -> Floats:
     """Return kerb mass and people aboard. [kg]"""
-    return signals.mass_kg + OCCUPANT_MASS * signals["occupants"]
+    return signals.car.mass_kg + OCCUPANT_MASS * signals["occupants"]
 
 
 def occupants(signals: Signals) -> Floats:

@@ -115,6 +115,14 @@ class Totals(NamedTuple):
         return self.last[:, EDGES.index(name)]
 
 
+def join_totals(parts: Sequence[Totals], none: Totals) -> Totals:
+    """Return totals one after another; `none` where there are none."""
+    some = [part for part in parts if len(part.lane)]
+    if len(some) < 2:
+        return some[0] if some else none
+    return Totals(*(np.concatenate(columns) for columns in zip(*some, strict=True)))
+
+
 class Sums(NamedTuple):
     """What a batch brought to a close, and what is due; a rest is the time between two rides."""
 
@@ -191,8 +199,16 @@ class Ledger:
         self.books = self._new(len(self.books))
         return Sums(rides, rests, windows, self.none())
 
+    def dump(self) -> bytes:
+        """Return the open totals of every lane as bytes."""
+        return self.books.tobytes()
+
+    def load(self, state: bytes) -> None:
+        """Replace the open totals by those that `dump` returned, made with as many effects."""
+        self.books = np.frombuffer(state).reshape(-1, self.books.shape[1]).copy()
+
     def none(self) -> Totals:
-        """Return no rows."""
+        """Return totals without rows."""
         return self.read(np.empty((0, _BEFORE + self.books.shape[1])))
 
     def running(self, lanes: Ints) -> Totals:

@@ -17,7 +17,8 @@ from core.cleaning.quality import CAUSES
 from core.columns import JOULES_PER_KWH, KMH, ZERO_CELSIUS
 from core.totals.accumulator import AMOUNTS, BINS, Totals
 from core.totals.context import RunContext
-from core.vehicles.fleet import PARAMETERS, Cars
+from core.vehicles.fleet import Cars
+from core.wire.rides import RideDrivers
 
 METER_GAIN: Final = 0.01
 """Standard uncertainty of a car's own voltage times current, as a share. Estimated: sensors of class 0.5 % each."""
@@ -58,8 +59,7 @@ def model_columns(totals: Totals, context: RunContext, needs: Sequence[str] = ()
     effects = enumerate(context.effects)
     columns = {f"effect_{name}": totals.amounts[:, first + i] / JOULES_PER_KWH for i, name in effects}
     kinds = totals.at_last("kind").astype(np.int64)
-    own = cars.parameters[kinds]
-    columns |= {name: own[:, i] for i, name in enumerate(PARAMETERS)}
+    columns |= cars.parameters_of(kinds)._asdict()
     if all(name in columns for name in needs):
         return columns
     winter = is_winter(totals.at_first("time"))
@@ -230,9 +230,10 @@ def window_table(totals: Totals, context: RunContext) -> pd.DataFrame:
 def ride_table(
     totals: Totals,
     ride_names: Sequence[str | None],
+    drivers: RideDrivers,
     context: RunContext,
 ) -> pd.DataFrame:
-    """Return the ride table: one row a ride, with every term of the paper's Table 1 but the driver.
+    """Return the ride table: one row a ride, with every term of the paper's Table 1.
 
     Parameters
     ----------
@@ -240,6 +241,8 @@ def ride_table(
         Of n rides.
     ride_names : sequence of n (str or None)
         As the logger named them; a ride without a name gets its vehicle's and its ordinal.
+    drivers : RideDrivers
+        Drivers of rides, as dispatch reported them.
     context : RunContext
         Its settings have the thresholds of what is fit for training.
     """
@@ -250,11 +253,14 @@ def ride_table(
     winter = is_winter(start)
     reason = unfit_reason(totals, context)
     quality = {f"quality_{cause}": totals.quality[:, i].astype(np.int64) for i, cause in enumerate(CAUSES)}
+    vehicle_ids = [context.vehicle_ids[lane] for lane in totals.lane.tolist()]
+    named = zip(vehicle_ids, ride_names, strict=True)
     own = {
         "ride_id": text([name or key for name, key in zip(ride_names, keys, strict=True)]),
         "ride_key": text(keys),
-        "vehicle_id": _named(totals.lane, context.vehicle_ids.__getitem__),
+        "vehicle_id": text(vehicle_ids),
         "vehicle_model": _named(kinds, context.cars.name),
+        "driver_id": text([drivers.find(vehicle_id, name) for vehicle_id, name in named]),
         "date": text([_date(time) for time in start]),
         "winter": winter,
         "summer": 1 - winter,

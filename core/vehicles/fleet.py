@@ -16,8 +16,24 @@ UNKNOWN: Final = 0
 SILENT: Final = "no_vehicle_message"
 """Reason: the car has not said what it is."""
 
-PARAMETERS: Final = ("mass_kg", "rolling_resistance", "drag_area_m2", "nominal_capacity_kwh", "accessory_scale")
-"""What the ride table records of a car, under these names."""
+
+class CarParameters(NamedTuple):
+    """Parameters of the car at each row, (n,) float64 each, NaN where unknown; the ride table has columns of these names.
+
+    Parameters
+    ----------
+    mass_kg : Kerb mass. [kg]
+    rolling_resistance : Coefficient of warm tyres on dry asphalt. [1]
+    drag_area_m2 : Drag coefficient times frontal area. [m^2]
+    nominal_capacity_kwh : Rated energy of the new battery. [kWh]
+    accessory_scale : Accessory power over that of the reference curve. [1]
+    """
+
+    mass_kg: Floats
+    rolling_resistance: Floats
+    drag_area_m2: Floats
+    nominal_capacity_kwh: Floats
+    accessory_scale: Floats
 
 
 class Change(NamedTuple):
@@ -37,7 +53,7 @@ class Cars:
     def __init__(self) -> None:
         self.messages: list[Vehicle | None] = [None]
         self.models: list[VehicleModel | None] = [None]
-        self.parameters: Floats = np.full((1, len(PARAMETERS)), np.nan)
+        self.parameters: Floats = np.full((1, len(CarParameters._fields)), np.nan)
         self.capacity: Floats = np.full(1, np.nan)
         self.of_lane: Ints = np.zeros(0, np.int64)
         self.unpredictable: Counter[str] = Counter()
@@ -52,6 +68,10 @@ class Cars:
     def unpredicted(self, kind: int) -> str | None:
         """Return why no energy is predicted for a car of this kind, `None` where it is."""
         return SILENT if kind == UNKNOWN else self._reasons[kind]
+
+    def parameters_of(self, kinds: Ints) -> CarParameters:
+        """Return the parameters of cars of some kinds, (n,) each."""
+        return CarParameters(*self.parameters.take(kinds, axis=0).T)
 
     def is_one(self, lane: int, message: Vehicle) -> bool:
         """Tell whether a message says of a car what is known of it."""
@@ -95,9 +115,9 @@ class Cars:
         kind = len(self.models)
         self._reasons.append(found if isinstance(found, str) else None)
         if isinstance(found, str):
-            row, capacity, model = [np.nan] * len(PARAMETERS), np.nan, None
+            row, capacity, model = [np.nan] * len(CarParameters._fields), np.nan, None
         else:
-            row, model = [getattr(found, name) for name in PARAMETERS], found
+            row, model = [getattr(found, name) for name in CarParameters._fields], found
             capacity = found.usable_capacity_kwh or found.nominal_capacity_kwh
         self.models.append(model)
         self.messages.append(told)

@@ -10,9 +10,10 @@ from typing import Any, Final, NamedTuple
 import msgspec
 import numpy as np
 
-from core.batch import NO_RIDE, RIDE_UNKNOWN, Batch, Floats, Lanes
+from core.batch import Batch, Floats, Lanes
 from core.columns import KMH, ZERO_CELSIUS
 from core.wire.messages import KINDS, OF_VEHICLES, Message, Telemetry, Wire, address, identity
+from core.wire.rides import RideNames
 
 
 class Event(NamedTuple):
@@ -21,29 +22,6 @@ class Event(NamedTuple):
     row: int
     lane: int
     value: Wire
-
-
-class RideNames(dict[Any, float]):
-    """Ride name -> code, opening a code for a name not seen before, and back."""
-
-    def __init__(self) -> None:
-        super().__init__({None: NO_RIDE, msgspec.UNSET: RIDE_UNKNOWN})
-        self.name_of: dict[float, str | None] = {NO_RIDE: None}
-        self.opened = 0
-
-    def __missing__(self, name: str) -> float:
-        code = self[name] = float(self.opened)
-        self.name_of[code] = name
-        self.opened += 1
-        return code
-
-    def keep(self, codes: set[float]) -> None:
-        """Forget all names but those of some codes."""
-        names = {code: name for code, name in self.name_of.items() if code in codes}
-        self.clear()
-        self.update({None: NO_RIDE, msgspec.UNSET: RIDE_UNKNOWN})
-        self.update({name: code for code, name in names.items()})
-        self.name_of = {NO_RIDE: None, **names}
 
 
 _NUMERIC: Final = Telemetry.__struct_fields__[3:]
@@ -99,6 +77,17 @@ class Decoder:
             rows += tables[-1].shape[1]
         self.received["telemetry"] += rows
         return _batch(tables), events
+
+    def dump(self) -> Any:
+        """Return the names of rides and the counters as plain lists."""
+        return [self.rides.dump(), dict(self.received), dict(self.rejected)]
+
+    def load(self, state: Any) -> None:
+        """Replace the state by one that `dump` returned, made with the same lanes."""
+        rides, received, rejected = state
+        self.rides.load(rides)
+        self.received, self.rejected = Counter(received), Counter(rejected)
+        self._lane_of_key.clear()
 
     def refuse(self, kind: str, cause: str) -> None:
         """Count as rejected what had been counted as received."""

@@ -17,7 +17,6 @@ from core.forecast.learning.leg_energy import PACES, TEMPERATURES, TYPICAL_KM, T
 from core.totals.accumulator import AMOUNTS, EDGES, Totals
 from core.totals.context import RunContext
 from core.totals.tables import model_columns
-from core.vehicles.fleet import PARAMETERS
 
 CELLS: Final = len(PACES) * len(TEMPERATURES)
 TERMS: Final = CELLS + 3
@@ -214,7 +213,7 @@ def _predicted(amounts: Floats, edges: Floats, context: RunContext) -> Floats:
 def _per_metre(typical: Floats, edges: Floats, context: RunContext) -> tuple[float, float]:
     """Return what a metre gained adds to the energy of a ride, and what a metre lost does. [kWh/m]"""
     kind = int(edges[1, EDGES.index("kind")])
-    weight = GRAVITY * float(context.cars.parameters[kind, PARAMETERS.index("mass_kg")])
+    weight = GRAVITY * float(context.cars.parameters_of(np.array([kind])).mass_kg[0])
     rows = np.repeat(typical[np.newaxis], 3, axis=0)
     rows[1, _GAINED] += HILL
     rows[2, _LOST] += HILL

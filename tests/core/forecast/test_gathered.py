@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import core.pipeline
-from core.forecast.gathered import Gathered, joined
+from core.forecast.gathered import Gathered
 from core.forecast.plan_tracker import Arrival, Driving
-from core.totals.accumulator import Ledger
+from core.totals.accumulator import Ledger, join_totals
 from tests.support.fleet_days import CARS, DAYS, again, merged, plan, shift
 from tests.support.telemetry import START, chunked, leaf, observed, told
 
@@ -111,5 +111,5 @@ def test_what_was_said_later_waits_and_rows_are_those_of_the_batch():
 
 def test_nothing_joined_is_nothing():
     none = Ledger(3).none()
-    assert joined([], none) is none
-    assert joined([none, none], none) is none
+    assert join_totals([], none) is none
+    assert join_totals([none, none], none) is none

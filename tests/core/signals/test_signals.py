@@ -9,6 +9,7 @@ from core.cleaning.quality import Quality
 from core.columns import GRAVITY, SIGNALS
 from core.signals.signals import STEEPEST, Signals, ambient_quality
 from core.signals.weather import Stations
+from core.vehicles.fleet import CarParameters
 from core.wire.messages import Weather
 from tests.support.telemetry import PERIOD, START, cleaned, drive, picked
 
@@ -23,8 +24,9 @@ def signals_of(columns=None, weather=None, parameters=None):
         stations.observe(Weather("s", 0.0, 45.5, -73.6, **weather))
     sky = stations.sky(clean.time, clean.latitude, clean.longitude)
     n = len(clean.dt)
-    own = () if parameters is None else (np.full(n, value) for value in parameters)
-    return Signals(clean, sky, np.full(n, 1500.0), np.ones(n), *own)
+    rolling_resistance, drag_area = (np.nan, np.nan) if parameters is None else parameters
+    car = CarParameters(1500.0, rolling_resistance, drag_area, np.nan, 1.0)
+    return Signals(clean, sky, CarParameters(*(np.full(n, value) for value in car)))
 
 
 def test_every_column_of_the_nomenclature_is_there_in_the_right_shape():
@@ -126,8 +128,7 @@ def test_signals_are_row_by_row():
     whole = signals_of(base, weather, (0.01, 0.7))
     parts = whole.clean._replace(**{name: column[50:] for name, column in whole.clean._asdict().items()})
     sky = type(whole.sky)(*(column[50:] for column in whole.sky))
-    own = (whole[name][50:] for name in ("accessory_scale", "rolling_resistance", "drag_area"))
-    part = Signals(parts, sky, whole.mass_kg[50:], *own)
+    part = Signals(parts, sky, CarParameters(*(column[50:] for column in whole.car)))
     for column in SIGNALS:
         assert np.array_equal(whole[column.name][50:], part[column.name], equal_nan=True), column.name
 

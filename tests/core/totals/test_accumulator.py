@@ -11,6 +11,7 @@ from core.signals.weather import Stations
 from core.totals.accumulator import AMOUNTS, BINS, Ledger
 from core.totals.tables import HISTOGRAM
 from core.vehicles import load_catalogue
+from core.vehicles.fleet import CarParameters
 from tests.support.telemetry import PERIOD, cleaned, drive, joined, leaf, observed, ran, telemetry, without
 
 N = 500
@@ -70,7 +71,8 @@ def test_effects_are_the_integral_of_their_power():
     stations = Stations()
     sky = stations.sky(clean.time, clean.latitude, clean.longitude)
     model = load_catalogue()["nissan-leaf-2013"]
-    signals = Signals(clean, sky, np.full(N, model.mass_kg), np.full(N, model.accessory_scale))
+    car = CarParameters(*(np.full(N, getattr(model, name)) for name in CarParameters._fields))
+    signals = Signals(clean, sky, car)
     for name in ("rolling", "climbing", "aero_drag", "inertia", "accessories"):
         effect = effects.get(name)
         over = clean.travel if effect.per == "distance" else clean.dt
@@ -203,7 +205,7 @@ def test_a_ledger_has_a_place_for_everything():
 def summed(columns, monkeypatch):
     """Return what became of a car's samples: rides, rests, windows and running totals."""
     pipeline, kept = Pipeline(keep_forecasts=False), []  # without nights, a list is a batch
-    monkeypatch.setattr(pipeline, "_keep", kept.append)
+    monkeypatch.setattr(pipeline, "_take_closed", kept.append)
     pipeline.take([leaf(), *telemetry(columns)])
     (sums,) = kept
     return sums

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.vehicles import load_catalogue
-from core.vehicles.fleet import PARAMETERS, UNKNOWN, Cars
+from core.vehicles.fleet import UNKNOWN, CarParameters, Cars
 from core.wire.messages import Vehicle
 from tests.support.telemetry import chunked, drive, leaf, ran, telemetry, told
 
@@ -38,7 +38,7 @@ def test_equal_cars_share_a_kind_and_overrides_make_another():
     messages = [vehicle(), msgspec.structs.replace(vehicle(), vehicle_id="b", time_s=9.0), vehicle(mass_kg=1700.0)]
     cars.kinds(np.zeros(0, int), [(0, lane, message) for lane, message in enumerate(messages)], 3)
     assert cars.of_lane[:3].tolist() == [1, 1, 2]
-    assert cars.parameters[:, PARAMETERS.index("mass_kg")][2] == 1700.0
+    assert cars.parameters[:, CarParameters._fields.index("mass_kg")][2] == 1700.0
 
 
 def test_a_car_that_cannot_be_predicted_is_counted_by_reason_and_keeps_its_name():

@@ -25,10 +25,11 @@ from core.signals.signals import Signals, ambient_quality
 from core.signals.weather import Sky, Stations
 from core.totals.accumulator import AMOUNTS, Ledger, Totals, amounts
 from core.totals.context import RunContext
-from core.totals.tables import ride_table, text, window_table
+from core.totals.tables import ride_table, window_table
 from core.vehicles.fleet import Cars
 from core.wire.decoder import Decoder
 from core.wire.messages import Message, Ride, Vehicle, Weather, encode
+from core.wire.rides import RideDrivers, RideNames
 from tools.bench.hidden.drives import (
     CURRENT_MARK,
     SOC_MARK,
@@ -103,10 +104,9 @@ class Recording:
         Kind of car of each row.
     lanes : list of str
         Vehicles.
-    names : mapping of float to str
-        Ride names by code.
-    drivers : mapping of str to str
-        By `vehicle/ride`.
+    names : RideNames
+        Names of rides by code.
+    drivers : RideDrivers
     cars : Cars
     sky : Sky
         Weather that each row meets.
@@ -123,8 +123,8 @@ class Recording:
     number: Ints
     kind: Ints
     lanes: list[str]
-    names: dict[float, str | None]
-    drivers: dict[str, str]
+    names: RideNames
+    drivers: RideDrivers
     cars: Cars
     sky: Sky
     rates: list[Floats]
@@ -173,11 +173,9 @@ class Recording:
     def _named(self, rides: Totals, windows: Totals, hidden: Sequence[str]) -> Tables:
         """Return the tables of totals."""
         columns = [effect.name for effect in self.effects]
-        ride_names = [self.names.get(code) for code in rides.at_last("code").tolist()]
+        ride_names = self.names.names(rides.at_last("code").tolist())
         context = RunContext(Lanes(self.lanes), self.cars, columns, Settings(), EXTENDED_PHYSICAL)
-        table = ride_table(rides, ride_names, context)
-        keys = zip(table["vehicle_id"], ride_names, strict=True)
-        table.insert(4, "driver_id", text([self.drivers.get(f"{vehicle}/{name}") for vehicle, name in keys]))
+        table = ride_table(rides, ride_names, self.drivers, context)
         window = window_table(windows, context)
         energies = windows.amounts[:, len(AMOUNTS) + len(columns) :]
         truth = {name: energies[:, index] / JOULES_PER_KWH for index, name in enumerate(hidden)}
@@ -199,14 +197,16 @@ def record(drives: Drives, messages: Sequence[Message] | None = None) -> Recordi
     cars = Cars()
     told = [(event.row, event.lane, event.value) for event in events if isinstance(event.value, Vehicle)]
     kind = cars.kinds(batch.lane, told, len(lanes))
-    drives_of = [event.value for event in events if isinstance(event.value, Ride)]
+    drivers = RideDrivers()
+    for event in events:
+        if isinstance(event.value, Ride):
+            drivers.observe(event.value, len(lanes))
     order = np.array([drives.vehicles.index(name) for name in lanes.names])
     car, number = order[batch.lane], _numbers(batch)
     measured = drives.measured()
     nowhere = Sky(*np.full((len(Sky._fields), batch.size), np.nan))
     recording = Recording(
-        batch, car, number, kind, lanes.names, decoder.rides.name_of,
-        {f"{ride.vehicle_id}/{ride.ride_id}": ride.driver_id for ride in drives_of if ride.driver_id is not None},
+        batch, car, number, kind, lanes.names, decoder.rides, drivers,
         cars, nowhere, [], np.empty(0), [effects.get(name) for name in effects.list_tabulated()],
     )  # fmt: skip
     clean = _cleaned(_filled(batch, measured, "vi", car, number), len(lanes), nowhere)
@@ -230,8 +230,7 @@ def _cleaned(batch: Batch, lanes: int, sky: Sky) -> Clean:
 
 def _signals(clean: Clean, sky: Sky, cars: Cars, kind: Ints, rows: slice) -> Signals:
     """Return what effects ask for, of some rows, of which `clean` has no others."""
-    mass, rolling_resistance, drag_area, _, scale = cars.parameters.take(kind[rows], axis=0).T
-    return Signals(clean, Sky(*(column[rows] for column in sky)), mass, scale, rolling_resistance, drag_area)
+    return Signals(clean, Sky(*(column[rows] for column in sky)), cars.parameters_of(kind[rows]))
 
 
 def _time(effect: Effect, clean: Clean) -> Floats:

@@ -1,0 +1,54 @@
+"""Totals of closed rides and windows, kept until a table is made of them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from core.totals.accumulator import Sums, Totals, join_totals
+
+
+class ClosedTotals:
+    """Keep the totals of closed rides and windows until they are taken.
+
+    Parameters
+    ----------
+    none : Totals
+        Totals without rows.
+    """
+
+    def __init__(self, none: Totals) -> None:
+        self._none = none
+        self._rides: list[Totals] = []
+        self._ride_names: list[str | None] = []
+        self._windows: list[Totals] = []
+
+    def add(self, sums: Sums, ride_names: Sequence[str | None]) -> None:
+        """Keep what a batch closed.
+
+        Parameters
+        ----------
+        sums : Sums
+        ride_names : sequence of str or None
+            Name of each of its rides.
+        """
+        if len(sums.rides.lane):
+            self._rides.append(_copy(sums.rides))
+            self._ride_names += ride_names
+        if len(sums.windows.lane):
+            self._windows.append(_copy(sums.windows))
+
+    def take_rides(self) -> tuple[Totals, list[str | None]]:
+        """Return the rides and their names that were kept since the last call."""
+        rides, self._rides = self._rides, []
+        names, self._ride_names = self._ride_names, []
+        return join_totals(rides, self._none), names
+
+    def take_windows(self) -> Totals:
+        """Return the windows that were kept since the last call."""
+        windows, self._windows = self._windows, []
+        return join_totals(windows, self._none)
+
+
+def _copy(totals: Totals) -> Totals:
+    """Return a copy, as a view would keep the memory of a whole block."""
+    return Totals(*(np.array(part) for part in totals))  # type: ignore[arg-type]
