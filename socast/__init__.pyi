@@ -1,4 +1,4 @@
-from .diagnosis import Added as Added
+from .diagnosis import AdditionTrial as AdditionTrial
 from .diagnosis import add_effect as add_effect
 from .diagnosis import diagnose as diagnose
 from .effects import Effect as Effect
@@ -40,7 +40,7 @@ from .recordings import read_tables as read_tables
 from .simulation import simulate_fleet as simulate_fleet
 
 __all__ = [
-    "Added",
+    "AdditionTrial",
     "AskError",
     "CatalogueError",
     "Effect",

@@ -5,18 +5,18 @@ from typing import Any
 
 import pandas as pd
 
-from core.diagnose.add.add import Added
-from core.diagnose.add.add import add as _add
-from core.diagnose.add.terms import scoped as _scoped
-from core.diagnose.dataset import gather as _gather
-from core.diagnose.dataset import joined as _join
+from core.diagnose.add.add import AdditionTrial
+from core.diagnose.add.add import add_effect as _add
+from core.diagnose.add.terms import build_term_columns as _build_term_columns
+from core.diagnose.dataset import gather_windows as _gather
+from core.diagnose.dataset import join_tables as _join
 from core.diagnose.diagnosis import diagnose as _diagnose
-from core.diagnose.noise import ride_floor as _ride_floor
+from core.diagnose.noise import compute_ride_noise_floor as _compute_noise_floor
 from core.diagnose.ranking import LEAST_GAIN
 from core.evaluate.paper.results import to_json_values as _plain
 from core.models import LinearModel
 
-__all__ = ["Added", "add_effect", "diagnose"]
+__all__ = ["AdditionTrial", "add_effect", "diagnose"]
 
 
 def diagnose(
@@ -55,7 +55,7 @@ def add_effect(
     *,
     scope: Sequence[str] = (),
     least_gain: float = LEAST_GAIN,
-) -> Added:
+) -> AdditionTrial:
     """Add an effect to a model, refit the model, and test it on held-out days and vehicles.
 
     Parameters
@@ -73,7 +73,7 @@ def add_effect(
 
     Returns
     -------
-    Added
+    AdditionTrial
         `model` with the effect, refitted, and `trial`: the error before and after. `trial["accepted"]` tells whether
         the effect helps, and `trial["reason"]` why.
 
@@ -84,6 +84,6 @@ def add_effect(
     ModelError
         Where the effect is in the model already or nowhere at work in these rides.
     """
-    floor = _ride_floor(_gather(rides, windows, model))
-    columns = _scoped(effect, scope)
+    floor = _compute_noise_floor(_gather(rides, windows, model))
+    columns = _build_term_columns(effect, scope)
     return _add(model, effect, columns, _join(rides, windows), rides=rides, floor=floor, least=least_gain)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from core.diagnose.dataset import fitted as _fit_windows
+from core.diagnose.dataset import fit_to_windows as _fit_windows
 from core.fit.recipes import RECIPES as _RECIPES
 from core.fit.recipes import LinearRecipe as _LinearRecipe
 from core.fit.recipes import get_recipe as _get_recipe

@@ -28,7 +28,7 @@ KNOWN: Final = 0.5
 
 
 @dataclass(frozen=True)
-class Asked:
+class Candidates:
     """Candidates: k columns of what each would take of each of n windows, per unit of its coefficient.
 
     Parameters
@@ -47,7 +47,7 @@ class Asked:
         Energy of the windows that are asked of, 0 of all others. [kWh]
     scope : tuple of str
         Indicator columns, `vehicle=...` or `since=...`, where the effects are asked of in a place only.
-    absent : dict of str to str
+    excluded : dict of str to str
         Effects that are not asked of, and why.
     """
 
@@ -58,27 +58,27 @@ class Asked:
     columns: Floats
     measured: Floats
     scope: tuple[str, ...]
-    absent: dict[str, str]
+    excluded: dict[str, str]
 
-    def within(self, rows: NDArray[np.bool_], scope: tuple[str, ...]) -> "Asked":
+    def restrict_to(self, rows: NDArray[np.bool_], scope: tuple[str, ...]) -> "Candidates":
         """Return the same asked of some windows only, (n,) bool."""
         return replace(self, columns=self.columns * rows[:, np.newaxis], measured=self.measured * rows, scope=scope)
 
     @property
-    def least(self) -> Floats:
+    def least_coefficients(self) -> Floats:
         """Coefficient with which each would be worth a name, (k,), see `least_coefficients`."""
-        return least_coefficients(self.variants, self.columns, self.measured)
+        return compute_least_coefficients(self.variants, self.columns, self.measured)
 
 
-def least_coefficients(variants: Sequence[str], columns: Floats, measured: Floats) -> Floats:
+def compute_least_coefficients(variants: Sequence[str], columns: Floats, measured: Floats) -> Floats:
     """Return the coefficient with which each variant takes `least_share` of the energy, either sign counted, (k,)."""
     size = np.abs(columns).sum(axis=0)
     out = np.full(len(size), np.inf)
-    wanted = np.array([least_share(variant) for variant in variants]) * float(measured.sum())
+    wanted = np.array([compute_least_share(variant) for variant in variants]) * float(measured.sum())
     return np.divide(wanted, size, out=out, where=size > 0.0)
 
 
-def least_share(variant: str) -> float:
+def compute_least_share(variant: str) -> float:
     """Return the share of the energy that an effect must take beyond doubt, which samples may feign.
 
     Examples
@@ -86,16 +86,18 @@ def least_share(variant: str) -> float:
     >>> least_share("headwind"), least_share("cornering")
     (0.003, 0.01)
     """
-    return LEAST_IN_BENDS if BENDS in read_by(variant) else LEAST_SHARE
+    return LEAST_IN_BENDS if BENDS in list_input_columns(variant) else LEAST_SHARE
 
 
-def read_by(variant: str) -> tuple[str, ...]:
+def list_input_columns(variant: str) -> tuple[str, ...]:
     """Return the columns that an effect, or a variant of one, asks for; none where the library does not have it."""
     effect = effects.get_library().get(variant.split(VARIANT, maxsplit=1)[0])
     return () if effect is None else effect.arguments
 
 
-def library(windows: Windows, model: LinearModel, without: Collection[str] = (), scopes: bool = False) -> Asked:
+def build_candidates(
+    windows: Windows, model: LinearModel, without: Collection[str] = (), scopes: bool = False
+) -> Candidates:
     """Return the library's effects that a model lacks.
 
     Parameters
@@ -113,13 +115,13 @@ def library(windows: Windows, model: LinearModel, without: Collection[str] = (),
     """
     base = {effect.name for effect in ROAD_LOAD}
     inside = set() if scopes else {effects.get(name).base for name in model.effects}
-    absent: dict[str, str] = {}
+    excluded: dict[str, str] = {}
     found: list[tuple[str, str]] = []
     for name, effect in effects.get_library().items():
         if name in base or name in without:
             continue
         if name in inside:
-            absent[name] = "in the model"
+            excluded[name] = "in the model"
             continue
         there = [v.name for v in (effect, *effect.variants) if f"{EFFECT_PREFIX}{v.name}" in windows.table]
         columns = {v: get_numbers(windows.table, f"{EFFECT_PREFIX}{v}") for v in there}
@@ -127,10 +129,10 @@ def library(windows: Windows, model: LinearModel, without: Collection[str] = (),
         if known:
             found += [(name, v) for v in known]
         else:
-            absent[name] = "not in the data"
+            excluded[name] = "not in the data"
     names = tuple(dict.fromkeys(name for name, _ in found))
     stacked = [np.nan_to_num(get_numbers(windows.table, f"{EFFECT_PREFIX}{v}"), nan=0.0) for _, v in found]
-    return Asked(
+    return Candidates(
         variants=tuple(v for _, v in found),
         effects=np.array([names.index(name) for name, _ in found], dtype=np.int64),
         names=names,
@@ -138,5 +140,5 @@ def library(windows: Windows, model: LinearModel, without: Collection[str] = (),
         columns=np.column_stack(stacked) if stacked else np.empty((len(windows.measured), 0)),
         measured=windows.measured,
         scope=(),
-        absent=absent,
+        excluded=excluded,
     )

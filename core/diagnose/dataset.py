@@ -26,7 +26,7 @@ from core.fit.ride_blocks import ENERGY, RideFrame, get_names, get_numbers, sele
 from core.models import ANY, LinearModel
 from core.models.features import Columns
 
-OF_THE_RIDE: Final = ("ride_id", "date", "winter", "summer", "fit_for_training", "unfit_reason")
+RIDE_COLUMNS: Final = ("ride_id", "date", "winter", "summer", "fit_for_training", "unfit_reason")
 """Columns of the ride table that its windows are given."""
 ENERGY_SD: Final = "energy_sd_kwh"
 LEAST_RIDES: Final = 20
@@ -78,7 +78,7 @@ class Windows:
         return np.asarray(np.bincount(self.ride, values, len(self.rides)), dtype=np.float64)
 
 
-def joined(rides: pd.DataFrame, windows: pd.DataFrame) -> pd.DataFrame:
+def join_tables(rides: pd.DataFrame, windows: pd.DataFrame) -> pd.DataFrame:
     """Return what is measured of rides fit for training: their windows, or the ride itself where no meter measures.
 
     Parameters
@@ -108,8 +108,8 @@ def joined(rides: pd.DataFrame, windows: pd.DataFrame) -> pd.DataFrame:
         raise ModelError("no window belongs to any of the rides: give the windows.parquet that was made with the rides")
     fit = rides["fit_for_training"].to_numpy(dtype=bool, na_value=False) if "fit_for_training" in rides else True
     good = fit & np.isfinite(get_numbers(rides, ENERGY))
-    by_power = by_meter(rides)
-    own = {name: rides[name].to_numpy()[place] for name in OF_THE_RIDE if name in rides}
+    by_power = is_metered(rides)
+    own = {name: rides[name].to_numpy()[place] for name in RIDE_COLUMNS if name in rides}
     own |= {ENERGY: get_numbers(windows, "energy_vi_kwh"), ENERGY_SD: get_numbers(windows, "energy_vi_sd_kwh")}
     kept = (
         (place >= 0) & (good & by_power)[place] & np.isfinite(own[ENERGY]) & (get_numbers(windows, "duration_s") > 0.0)
@@ -123,12 +123,12 @@ def joined(rides: pd.DataFrame, windows: pd.DataFrame) -> pd.DataFrame:
     return table.iloc[order].sort_values("vehicle_id", kind="stable", ignore_index=True)
 
 
-def by_meter(table: pd.DataFrame) -> NDArray[np.bool_]:
+def is_metered(table: pd.DataFrame) -> NDArray[np.bool_]:
     """Return which rides or windows are measured by voltage and current, not by the state of charge, (n,)."""
     return np.asarray(get_numbers(table, ENERGY) == get_numbers(table, "energy_vi_kwh"))
 
 
-def fitted(name: str, rides: pd.DataFrame, windows: pd.DataFrame, *, covariance: bool = True) -> LinearModel:
+def fit_to_windows(name: str, rides: pd.DataFrame, windows: pd.DataFrame, *, covariance: bool = True) -> LinearModel:
     """Return a recipe of linear terms fitted to windows in place of rides.
 
     Windows tell apart what rides only add up: the energy of speeding up and of slowing, the minute from the kilometre.
@@ -141,7 +141,7 @@ def fitted(name: str, rides: pd.DataFrame, windows: pd.DataFrame, *, covariance:
     chosen = get_recipe(name)
     if not isinstance(chosen, LinearRecipe):
         raise ModelError(f"recipe {name} cannot be fitted to windows: choose road_load or one of the paper's")
-    table = joined(rides, windows)
+    table = join_tables(rides, windows)
     model = _counted(fit_terms(chosen, RideFrame(table), covariance=covariance), table, rides)
     return add_interval(model, rides) if covariance else model
 
@@ -165,7 +165,7 @@ def _counted(model: LinearModel, table: pd.DataFrame, rides: pd.DataFrame) -> Li
     return msgspec.structs.replace(model, training=training, fits=fits, history=history)
 
 
-def gather(rides: pd.DataFrame, windows: pd.DataFrame, model: LinearModel) -> Windows:
+def gather_windows(rides: pd.DataFrame, windows: pd.DataFrame, model: LinearModel) -> Windows:
     """Return what is to be diagnosed.
 
     Raises
@@ -175,7 +175,7 @@ def gather(rides: pd.DataFrame, windows: pd.DataFrame, model: LinearModel) -> Wi
         vehicle models.
     """
     _, left_out = select_trainable(rides, [ENERGY])
-    table = joined(rides, windows)
+    table = join_tables(rides, windows)
     _check_model(model, table)
     predicted = model.predict(table) if len(table) else np.empty(0)
     known = np.isfinite(predicted)
@@ -214,8 +214,8 @@ def gather(rides: pd.DataFrame, windows: pd.DataFrame, model: LinearModel) -> Wi
 def _unmeasured(windows: pd.DataFrame, rides: pd.DataFrame, table: pd.DataFrame) -> int:
     """Return how many windows of rides by meter are left out, as the meter was silent."""
     own = rides.loc[rides["ride_key"].isin(table["ride_key"])]
-    metered = windows["ride_key"].isin(own.loc[by_meter(own), "ride_key"])
-    return int(metered.sum()) - int(by_meter(table).sum())
+    metered = windows["ride_key"].isin(own.loc[is_metered(own), "ride_key"])
+    return int(metered.sum()) - int(is_metered(table).sum())
 
 
 def _check_model(model: LinearModel, table: pd.DataFrame) -> None:

@@ -17,19 +17,19 @@ from threadpoolctl import threadpool_limits
 from core import effects
 from core.batch import Floats
 from core.diagnose import residual_structure
-from core.diagnose.add.coefficients import told
-from core.diagnose.add.refit import Estimate
-from core.diagnose.candidates import Asked, library
-from core.diagnose.dataset import Windows, by_meter, gather
-from core.diagnose.evidence import Clusters
-from core.diagnose.forward_selection import Finding, Search
-from core.diagnose.free_form.search import Suggestion, free_form
-from core.diagnose.local_effects import local
-from core.diagnose.noise import ride_floor
-from core.diagnose.projection import Base
-from core.diagnose.ranking import LEAST_GAIN, LEVEL, Ranked
-from core.diagnose.residual_structure import Remains
-from core.diagnose.slices.search import slices
+from core.diagnose.add.coefficients import describe_coefficient
+from core.diagnose.add.refit import CoefficientEstimate
+from core.diagnose.candidates import Candidates, build_candidates
+from core.diagnose.dataset import Windows, gather_windows, is_metered
+from core.diagnose.evidence import ClusterSums
+from core.diagnose.forward_selection import ForwardSelection, MissingEffect
+from core.diagnose.free_form.search import Suggestion, suggest_term
+from core.diagnose.local_effects import select_local_effects
+from core.diagnose.noise import compute_ride_noise_floor
+from core.diagnose.projection import BaseProjection
+from core.diagnose.ranking import LEAST_GAIN, LEVEL, Ranking
+from core.diagnose.residual_structure import ResidualStructure
+from core.diagnose.slices.search import find_slices
 from core.fit.ride_blocks import get_names, get_numbers
 from core.models import LinearModel
 from core.models.features import EFFECT_PREFIX
@@ -91,46 +91,46 @@ def diagnose(
         Where there is too little to diagnose, see `core.diagnose.dataset.gather`.
     """
     with threadpool_limits(1):  # matrices are small: threads would wait for each other, and sums depend on their number
-        return _diagnosed(gather(rides, windows, model), model, without, least_gain, places=places, seed=seed)
+        return _diagnosed(gather_windows(rides, windows, model), model, without, least_gain, places=places, seed=seed)
 
 
 def _diagnosed(
     seen: Windows, model: LinearModel, without: Collection[str], least_gain: float, *, places: bool, seed: int
 ) -> dict[str, Any]:
     """Return what a model lacks, see `diagnose`."""
-    base, asked = Base(seen, model), library(seen, model, without)
-    search = Search(base, asked, [Clusters(seen.day), Clusters(seen.date)], least_gain, MOST, seed)
-    first = search.rank()
-    search.forward()
+    base, asked = BaseProjection(seen, model), build_candidates(seen, model, without)
+    selection = ForwardSelection(base, asked, [ClusterSums(seen.day), ClusterSums(seen.date)], least_gain, MOST, seed)
+    first = selection.rank()
+    selection.select_all()
     if places and int(seen.day.max()) + 1 >= FEW_DAYS:
-        local(search, declared(library(seen, model, without, scopes=True)))
-    base = search.base
-    found = search.findings()
-    remains = residual_structure.remains(search, found)
+        select_local_effects(selection, keep_declared_values(build_candidates(seen, model, without, scopes=True)))
+    base = selection.base
+    found = selection.list_missing_effects()
+    remains = residual_structure.measure_residual_structure(selection, found)
     unknown = set(remains.signs) - {"better"}
-    suggested = _suggested(base, search, search.left(search.off())) if unknown else None
-    floor = ride_floor(seen)
-    verdict = found[0].named.effect if found else None
+    suggested = _suggested(base, selection, selection.compute_residual(selection.build_basis())) if unknown else None
+    floor = compute_ride_noise_floor(seen)
+    verdict = found[0].selected.effect if found else None
     return {
         "model": {"name": model.name, "version": model.version, "recipe": model.recipe},
         "data": _data(seen),
         "error": _error(seen, base, floor),
-        "slices": slices(seen.rides, seen.by_ride(seen.predicted - seen.measured), seed=seed),
+        "slices": find_slices(seen.rides, seen.by_ride(seen.predicted - seen.measured), seed=seed),
         "missing": [_missing(finding, seen) for finding in found],
         "candidates": _candidates(first, found),
         "verdict": verdict,
-        "structure_remains": remains.there,
+        "structure_remains": remains.exists,
         "structure": _structure(remains),
         "suggestion": None if suggested is None else suggested.formula,
         "suggestion_file": None if suggested is None else suggested.file,
-        "steps": _steps(search, found, floor),
+        "steps": _steps(selection, found, floor),
     }
 
 
-def declared(asked: Asked) -> Asked:
+def keep_declared_values(asked: Candidates) -> Candidates:
     """Return the effects of what is asked at the values of their parameters that they are declared with."""
     kept = [i for i, variant in enumerate(asked.variants) if variant == asked.names[int(asked.effects[i])]]
-    return Asked(
+    return Candidates(
         variants=tuple(asked.variants[i] for i in kept),
         effects=np.arange(len(kept), dtype=np.int64),
         names=tuple(asked.variants[i] for i in kept),
@@ -138,13 +138,13 @@ def declared(asked: Asked) -> Asked:
         columns=asked.columns[:, kept],
         measured=asked.measured,
         scope=asked.scope,
-        absent=asked.absent,
+        excluded=asked.excluded,
     )
 
 
 def _data(seen: Windows) -> dict[str, Any]:
     """Return what was diagnosed."""
-    metered = by_meter(seen.table)
+    metered = is_metered(seen.table)
     measured = "vi" if metered.mean() > MAINLY else "soc" if metered.mean() < 1.0 - MAINLY else "mixed"
     length = float(np.median(get_numbers(seen.table, "duration_s")))
     resolution = {
@@ -167,10 +167,10 @@ def _data(seen: Windows) -> dict[str, Any]:
     }
 
 
-def _error(seen: Windows, base: Base, floor: float) -> dict[str, float]:
+def _error(seen: Windows, base: BaseProjection, floor: float) -> dict[str, float]:
     """Return how far off the model is, per ride."""
     error, used = seen.by_ride(seen.predicted - seen.measured), seen.by_ride(seen.measured)
-    refitted = seen.by_ride(base.energy(base.residual))
+    refitted = seen.by_ride(base.convert_to_energy(base.residual))
     mae = float(np.mean(np.abs(error)))
     return {
         "mae_kwh": mae,
@@ -181,12 +181,12 @@ def _error(seen: Windows, base: Base, floor: float) -> dict[str, float]:
     }
 
 
-def _missing(finding: Finding, seen: Windows) -> dict[str, Any]:
+def _missing(finding: MissingEffect, seen: Windows) -> dict[str, Any]:
     """Return an effect that is missing."""
-    named, evidence = finding.named, finding.evidence
+    named, evidence = finding.selected, finding.evidence
     effect = effects.get(named.variant)
     value = float(evidence.coefficient[0])
-    low, high = evidence.interval(0)
+    low, high = evidence.compute_interval(0)
     energy = named.column[:, 0] * value
     half = NORMAL * finding.gain_error
     return {
@@ -202,7 +202,9 @@ def _missing(finding: Finding, seen: Windows) -> dict[str, Any]:
         "q": named.q,
         "p": float(evidence.p[0]),
         "z": float(evidence.z[0]),
-        "coefficient": told(effect, Estimate(value, float(evidence.error[0]), float(evidence.freedom[0]))),
+        "coefficient": describe_coefficient(
+            effect, CoefficientEstimate(value, float(evidence.error[0]), float(evidence.freedom[0]))
+        ),
         "words": effect.in_words(value, (high - low) / 2.0),
         "equivalents": _equivalents(energy, seen),
         "separate": [
@@ -238,7 +240,7 @@ def _equivalents(energy: Floats, seen: Windows) -> list[str]:
     return said
 
 
-def _candidates(first: Ranked, found: list[Finding]) -> list[dict[str, Any]]:
+def _candidates(first: Ranking, found: list[MissingEffect]) -> list[dict[str, Any]]:
     """Return all effects that were asked of everywhere, as they stood before any was named."""
     rows: list[dict[str, Any]] = []
     for e, (name, at) in enumerate(zip(first.asked.names, first.best.tolist(), strict=True)):
@@ -249,33 +251,33 @@ def _candidates(first: Ranked, found: list[Finding]) -> list[dict[str, Any]]:
                 "z": float(first.evidence.z[at]),
                 "p": float(first.evidence.p[at]),
                 "q": float(first.q[e]),
-                "gain": first.gain(at)[0],
+                "gain": first.compute_gain(at)[0],
             }
         rows.append(row | {"status": _status(name, row, int(first.asked.sign[at]), found)})
     rows.sort(key=lambda row: -(row["gain"] if row["gain"] is not None else -1.0))
     empty = dict.fromkeys(("z", "p", "q", "gain"))
     absent = [
         {"effect": name, "variant": name, "scope": "all", **empty, "status": why}
-        for name, why in first.asked.absent.items()
+        for name, why in first.asked.excluded.items()
     ]
     return rows + absent
 
 
-def _status(name: str, row: dict[str, Any], sign: int, found: list[Finding]) -> str:
+def _status(name: str, row: dict[str, Any], sign: int, found: list[MissingEffect]) -> str:
     """Return what became of a candidate."""
-    if name in {finding.named.effect for finding in found}:
+    if name in {finding.selected.effect for finding in found}:
         return "missing"
     if row["z"] is None:
         return "cannot be told from the model"
     for finding in found:
         if name in {rival for rival, _ in finding.rivals}:
-            return f"cannot be told from {finding.named.effect}"
+            return f"cannot be told from {finding.selected.effect}"
     if sign * row["z"] < -SURELY:
         return "wrong sign"
     return "not needed" if row["q"] < LEVEL else "not there"
 
 
-def _structure(remains: Remains) -> dict[str, Any]:
+def _structure(remains: ResidualStructure) -> dict[str, Any]:
     """Return what is left after the named effects."""
     return {
         "before": remains.before,
@@ -293,31 +295,35 @@ def _structure(remains: Remains) -> dict[str, Any]:
     }
 
 
-def _suggested(base: Base, search: Search, left: Floats) -> Suggestion | None:
+def _suggested(base: BaseProjection, selection: ForwardSelection, left: Floats) -> Suggestion | None:
     """Return a free-form term for what is left, where one explains enough."""
     seen = base.windows
-    columns = np.column_stack([base.plain(), *(named.column for named in search.named)])
-    return free_form(seen.table, base.energy(left), base.weight, seen.day, columns, least_gain=WORTH_A_TERM)
+    columns = np.column_stack([base.get_unweighted_columns(), *(named.column for named in selection.selected)])
+    return suggest_term(
+        seen.table, base.convert_to_energy(left), base.weight, seen.day, columns, least_gain=WORTH_A_TERM
+    )
 
 
-def _steps(search: Search, found: list[Finding], floor: float) -> list[dict[str, Any]]:
+def _steps(selection: ForwardSelection, found: list[MissingEffect], floor: float) -> list[dict[str, Any]]:
     """Return the error per ride as effects are added one by one, each fitted to other vehicle-days."""
-    base, seen = search.base, search.base.windows
-    named, search.named = search.named, []
+    base, seen = selection.base, selection.base.windows
+    named, selection.selected = selection.selected, []
     rows = []
     for finding in (None, *found):
         if finding is not None:
-            search.named = [*search.named, finding.named]
-        off = search.off()
-        left = search.held_out(off)
-        error = seen.by_ride(base.energy(left))
+            selection.selected = [*selection.selected, finding.selected]
+        off = selection.build_basis()
+        left = selection.compute_held_out_residual(off)
+        error = seen.by_ride(base.convert_to_energy(left))
         rows.append(
             {
-                "effect": None if finding is None else finding.named.effect,
-                "scope": "all" if finding is None else " ".join(finding.named.asked.scope).replace("=", " ") or "all",
+                "effect": None if finding is None else finding.selected.effect,
+                "scope": "all"
+                if finding is None
+                else " ".join(finding.selected.asked.scope).replace("=", " ") or "all",
                 "mae_kwh": float(np.mean(np.abs(error))),
                 "noise_floor_kwh": floor,
             }
         )
-    search.named = named
+    selection.selected = named
     return rows

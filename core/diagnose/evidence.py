@@ -31,7 +31,7 @@ MOST_DISTORTED: Final = 3.0
 """Standard deviations of a distortion that are the most that is to be feared of it."""
 
 
-class Clusters:
+class ClusterSums:
     """Vehicle-days, to sum over.
 
     Parameters
@@ -46,11 +46,11 @@ class Clusters:
         self._order = np.argsort(code, kind="stable")
         self._starts = np.flatnonzero(np.r_[True, np.diff(code[self._order]) > 0])
 
-    def folds(self, seed: int) -> Ints:
+    def assign_folds(self, seed: int) -> Ints:
         """Return into which of at most `FOLDS` parts each is dealt, (count,)."""
         return np.random.default_rng(seed).permutation(self.count) % min(FOLDS, self.count)
 
-    def sums(self, values: Floats) -> Floats:
+    def sum_by_cluster(self, values: Floats) -> Floats:
         """Return the sum over each, (count, ...)."""
         return np.asarray(np.add.reduceat(values[self._order], self._starts, axis=0))
 
@@ -75,7 +75,7 @@ class Evidence(NamedTuple):
     z: Floats
     p: Floats
 
-    def distorted(self, most: Floats) -> "Evidence":
+    def allow_for_distortion(self, most: Floats) -> "Evidence":
         """Return the same with errors that hold what samples distort of coefficients too, `most` either way at most.
 
         Notes
@@ -84,17 +84,17 @@ class Evidence(NamedTuple):
         """
         return self._replace(error=np.hypot(self.error, most / MOST_DISTORTED))
 
-    def interval(self, at: int, level: float = 0.95) -> tuple[float, float]:
+    def compute_interval(self, at: int, level: float = 0.95) -> tuple[float, float]:
         """Return the confidence interval of a candidate's coefficient."""
         half = float(stats.t.ppf(0.5 + level / 2.0, self.freedom[at]) * self.error[at])
         return float(self.coefficient[at]) - half, float(self.coefficient[at]) + half
 
 
-def by_vehicle_and_day(
-    residual: Floats, candidates: Floats, sign: Ints, clusters: Sequence[Clusters], least: Floats | None = None
+def compute_worst_case_evidence(
+    residual: Floats, candidates: Floats, sign: Ints, clusters: Sequence[ClusterSums], least: Floats | None = None
 ) -> Evidence:
     """Return the evidence by the clusters that are least sure of each candidate, see `weigh`."""
-    found = [weigh(residual, candidates, sign, each, least) for each in clusters]
+    found = [compute_evidence(residual, candidates, sign, each, least) for each in clusters]
     worst = np.argmax([each.p for each in found], axis=0)
     widest = np.argmax([each.error * stats.t.ppf(0.975, each.freedom) for each in found], axis=0)
     error, freedom = (np.choose(widest, [getattr(each, name) for each in found]) for name in ("error", "freedom"))
@@ -102,8 +102,8 @@ def by_vehicle_and_day(
     return Evidence(found[0].coefficient, error, freedom, z, p)
 
 
-def weigh(
-    residual: Floats, candidates: Floats, sign: Ints, clusters: Clusters, least: Floats | None = None
+def compute_evidence(
+    residual: Floats, candidates: Floats, sign: Ints, clusters: ClusterSums, least: Floats | None = None
 ) -> Evidence:
     """Return the evidence for each candidate.
 
@@ -119,8 +119,8 @@ def weigh(
     """
     size = np.maximum((candidates**2).sum(axis=0), 1e-300)
     coefficient = candidates.T @ residual / size
-    share = clusters.sums(candidates**2) / size
-    scores = clusters.sums(candidates * (residual[:, np.newaxis] - candidates * coefficient))
+    share = clusters.sum_by_cluster(candidates**2) / size
+    scores = clusters.sum_by_cluster(candidates * (residual[:, np.newaxis] - candidates * coefficient))
     scores /= 1.0 - np.minimum(share, ALL_OF_IT)
     alone = share.max(axis=0) > ALL_OF_IT
     error = np.where(alone, np.inf, np.sqrt((scores**2).sum(axis=0)) / size)

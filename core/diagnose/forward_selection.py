@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats
-from core.diagnose.candidates import Asked, read_by
-from core.diagnose.evidence import Clusters, Evidence, by_vehicle_and_day
-from core.diagnose.projection import Base, orthonormal
-from core.diagnose.ranking import LEVEL, Ranked, correlation, rank, total
+from core.diagnose.candidates import Candidates, list_input_columns
+from core.diagnose.evidence import ClusterSums, Evidence, compute_worst_case_evidence
+from core.diagnose.projection import BaseProjection, orthonormalise
+from core.diagnose.ranking import LEVEL, Ranking, compute_correlation, rank_candidates, sum_over_clusters
 
 Mask = NDArray[np.bool_]
 
-TOLD_APART: Final = 0.7
+INDISTINGUISHABLE: Final = 0.7
 """Correlation, off the model, from which on data do not tell two candidates apart."""
 EXPLAINED_AWAY: Final = 0.4
 """Correlation from which on a rival that is not needed once the other is named is one of its group too."""
@@ -38,7 +38,7 @@ NEEDED: Final = 0.05
 
 
 @dataclass(frozen=True)
-class Named:
+class SelectedEffect:
     """An effect that was found missing.
 
     Parameters
@@ -51,7 +51,7 @@ class Named:
         Of its name when it was found, adjusted for all that was asked.
     """
 
-    asked: Asked
+    asked: Candidates
     at: int
     q: float
 
@@ -77,12 +77,12 @@ class Named:
 
 
 @dataclass(frozen=True)
-class Finding:
+class MissingEffect:
     """What is known of a named effect, beside all others that are named.
 
     Parameters
     ----------
-    named : Named
+    selected : SelectedEffect
     evidence : Evidence
         Of it alone.
     gain, gain_error : float
@@ -94,7 +94,7 @@ class Finding:
         Effects that data do not tell it from, with their correlation.
     """
 
-    named: Named
+    selected: SelectedEffect
     evidence: Evidence
     gain: float
     gain_error: float
@@ -102,7 +102,7 @@ class Finding:
     rivals: list[tuple[str, float]]
 
 
-class Search:
+class ForwardSelection:
     """Effects named so far, and what they leave.
 
     Parameters
@@ -119,26 +119,32 @@ class Search:
     """
 
     def __init__(
-        self, base: Base, asked: Asked, clusters: Sequence[Clusters], least_gain: float, most: int, seed: int
+        self,
+        base: BaseProjection,
+        asked: Candidates,
+        clusters: Sequence[ClusterSums],
+        least_gain: float,
+        most: int,
+        seed: int,
     ) -> None:
         self.base, self.asked, self.clusters = base, asked, clusters
         self._first = base
         self.least_gain, self.most, self.seed = least_gain, most, seed
-        self.named: list[Named] = []
+        self.selected: list[SelectedEffect] = []
         self.dropped: set[tuple[str, tuple[str, ...]]] = set()
 
-    def off(self, without: Named | None = None) -> Floats:
+    def build_basis(self, without: SelectedEffect | None = None) -> Floats:
         """Return an orthonormal basis of the effects named so far, but for one, (n, m)."""
-        columns = [self.base.off(each.column) for each in self.named if each is not without]
-        return orthonormal(np.column_stack(columns)) if columns else np.empty((len(self.base.residual), 0))
+        columns = [self.base.project_out(each.column) for each in self.selected if each is not without]
+        return orthonormalise(np.column_stack(columns)) if columns else np.empty((len(self.base.residual), 0))
 
-    def left(self, off: Floats) -> Floats:
+    def compute_residual(self, off: Floats) -> Floats:
         """Return what the model and a basis leave, (n,)."""
         return np.asarray(self.base.residual - off @ (off.T @ self.base.residual))
 
-    def held_out(self, off: Floats) -> Floats:
+    def compute_held_out_residual(self, off: Floats) -> Floats:
         """Return what is left of each fold of vehicle-days by a basis that was fitted to the others, (n,)."""
-        residual, fold = self.base.residual, self.clusters[0].folds(self.seed)[self.clusters[0].code]
+        residual, fold = self.base.residual, self.clusters[0].assign_folds(self.seed)[self.clusters[0].code]
         left = residual.copy()
         for k in range(int(fold.max()) + 1 if off.shape[1] else 0):
             here = fold == k
@@ -146,89 +152,97 @@ class Search:
             left[here] -= off[here] @ fitted
         return left
 
-    def rank(self, asked: Asked | None = None, without: Named | None = None) -> Ranked:
+    def rank(self, asked: Candidates | None = None, without: SelectedEffect | None = None) -> Ranking:
         """Return how candidates rank on what is left."""
-        off = self.off(without)
-        return rank(self.base, self.left(off), asked or self.asked, self.clusters, off, self.seed)
+        off = self.build_basis(without)
+        return rank_candidates(
+            self.base, self.compute_residual(off), asked or self.asked, self.clusters, off, self.seed
+        )
 
-    def forward(self) -> None:
+    def select_all(self) -> None:
         """Name effects until none is significant and worth it."""
-        while len(self.named) < self.most:
+        while len(self.selected) < self.most:
             ranked = self.rank()
-            found = (Named(ranked.asked, v, float(ranked.q[ranked.asked.effects[v]])) for v in ranked.significant())
-            best = next((named for named in found if self.fresh(named) and self.worth(named)), None)
+            found = (
+                SelectedEffect(ranked.asked, v, float(ranked.q[ranked.asked.effects[v]])) for v in ranked.significant()
+            )
+            best = next((named for named in found if self.is_new(named) and self.is_worthwhile(named)), None)
             if best is None:
                 return
-            self.take(best)
+            self.select(best)
 
-    def take(self, named: Named) -> None:
+    def select(self, named: SelectedEffect) -> None:
         """Name an effect, and drop those that are not needed beside it."""
-        self.named.append(named)
-        for other in list(self.named[:-1]):
-            evidence, _, _ = self.beside(other)
+        self.selected.append(named)
+        for other in list(self.selected[:-1]):
+            evidence, _, _ = self.compare_with_others(other)
             if evidence.p[0] > NEEDED:
-                self.named.remove(other)
+                self.selected.remove(other)
                 self.dropped.add((other.effect, other.asked.scope))
-        if self.named:
-            self.base = self.base.weighed_anew(np.column_stack([each.column for each in self.named]))
+        if self.selected:
+            self.base = self.base.reweight(np.column_stack([each.column for each in self.selected]))
 
-    def beside(self, named: Named) -> tuple[Evidence, Floats, Floats]:
+    def compare_with_others(self, named: SelectedEffect) -> tuple[Evidence, Floats, Floats]:
         """Return the evidence for a named effect beside the others, its column off them, and what they leave."""
-        off = self.off(named)
-        column = self.base.off(named.column)
+        off = self.build_basis(named)
+        column = self.base.project_out(named.column)
         column -= off @ (off.T @ column)
-        left = self.left(off)
-        sign, least = named.asked.sign[[named.at]], named.asked.least[[named.at]]
-        return by_vehicle_and_day(left, column, sign, self.clusters, least), column[:, 0], left
+        left = self.compute_residual(off)
+        sign, least = named.asked.sign[[named.at]], named.asked.least_coefficients[[named.at]]
+        return compute_worst_case_evidence(left, column, sign, self.clusters, least), column[:, 0], left
 
-    def findings(self) -> list[Finding]:
+    def list_missing_effects(self) -> list[MissingEffect]:
         """Return what is known of each named effect, most gain first."""
         found = []
-        for named in self.named:
-            evidence, column, left = self.beside(named)
-            gain = self.gain(column, left, int(named.asked.sign[named.at]))
-            least = named.asked.least[[named.at]]
-            found.append(Finding(named, evidence.distorted(least), *gain, self._rivals(named)))
+        for named in self.selected:
+            evidence, column, left = self.compare_with_others(named)
+            gain = self.compute_gain(column, left, int(named.asked.sign[named.at]))
+            least = named.asked.least_coefficients[[named.at]]
+            found.append(MissingEffect(named, evidence.allow_for_distortion(least), *gain, self._rivals(named)))
         return sorted(found, key=lambda finding: -finding.gain)
 
-    def gain(self, column: Floats, left: Floats, sign: int, rows: Mask | None = None) -> tuple[float, float, str]:
+    def compute_gain(
+        self, column: Floats, left: Floats, sign: int, rows: Mask | None = None
+    ) -> tuple[float, float, str]:
         """Return the fall of the squared error on held-out vehicle-days, its error, and of what, see `Finding`.
 
         As a share of all squared error, or of that of some rows.
         """
         windows, clusters = self.base.windows, self.clusters[0]
         rows = np.ones(len(left), np.bool_) if rows is None else rows
-        after = left - column * self.cross_fitted(column, left, sign)
-        of_windows = total(clusters.sums(left**2 - after**2) / max(float(left[rows] @ left[rows]), 1e-300))
-        before, then = (windows.by_ride(self.base.energy(values)) for values in (left, after))
+        after = left - column * self.cross_fit_coefficients(column, left, sign)
+        of_windows = sum_over_clusters(
+            clusters.sum_by_cluster(left**2 - after**2) / max(float(left[rows] @ left[rows]), 1e-300)
+        )
+        before, then = (windows.by_ride(self.base.convert_to_energy(values)) for values in (left, after))
         fall = np.bincount(windows.day_of_ride, before**2 - then**2)
         here = before[windows.by_ride(rows.astype(np.float64)) > 0.0]
-        of_rides = total(fall / max(float(here @ here), 1e-300))
+        of_rides = sum_over_clusters(fall / max(float(here @ here), 1e-300))
         return (*of_rides, "rides") if of_rides[0] >= of_windows[0] else (*of_windows, "windows")
 
-    def cross_fitted(self, column: Floats, left: Floats, sign: int) -> Floats:
+    def cross_fit_coefficients(self, column: Floats, left: Floats, sign: int) -> Floats:
         """Return for each window the coefficient of an effect by the other folds of vehicle-days, (n,)."""
         clusters = self.clusters[0]
-        folds = clusters.folds(self.seed)
-        size, cross = clusters.sums(column**2), clusters.sums(column * left)
+        folds = clusters.assign_folds(self.seed)
+        size, cross = clusters.sum_by_cluster(column**2), clusters.sum_by_cluster(column * left)
         rest = size.sum() - np.bincount(folds, size), cross.sum() - np.bincount(folds, cross)
         fitted = np.divide(rest[1], rest[0], out=np.zeros_like(rest[1]), where=rest[0] > 0.0)
         return np.asarray(np.where(sign * fitted < 0.0, 0.0, fitted)[folds][clusters.code])
 
-    def worth(self, named: Named) -> bool:
+    def is_worthwhile(self, named: SelectedEffect) -> bool:
         """Tell whether an effect explains enough on held-out days, beside those named so far.
 
         Of the squared error where it was looked for: that of one car cannot explain others'.
         """
-        _, column, left = self.beside(named)
-        return self.gain(column, left, int(named.asked.sign[named.at]), named.rows)[0] >= self.least_gain
+        _, column, left = self.compare_with_others(named)
+        return self.compute_gain(column, left, int(named.asked.sign[named.at]), named.rows)[0] >= self.least_gain
 
-    def fresh(self, named: Named) -> bool:
+    def is_new(self, named: SelectedEffect) -> bool:
         """Tell whether an effect is not named yet, and was not dropped before."""
-        taken = {(each.effect, each.asked.scope) for each in self.named} | self.dropped
+        taken = {(each.effect, each.asked.scope) for each in self.selected} | self.dropped
         return (named.effect, named.asked.scope) not in taken
 
-    def _rivals(self, named: Named) -> list[tuple[str, float]]:
+    def _rivals(self, named: SelectedEffect) -> list[tuple[str, float]]:
         """Return the effects that would do as well in the place of a named one, with their correlation.
 
         A doubt needs less than a name: rivals need not be there beyond all that was asked, only beyond chance. And a
@@ -238,21 +252,21 @@ class Search:
         fair.base = self._first
         instead, beside = fair.rank(named.asked, without=named), fair.rank(named.asked)
         mine = instead.gains[:, named.at]
-        taken = {each.effect for each in self.named}
+        taken = {each.effect for each in self.selected}
         found = []
         for effect, other in enumerate(instead.best.tolist()):
             if other < 0 or instead.asked.names[effect] in taken or instead.evidence.p[other] > DOUBT:
                 continue
-            r = correlation(instead.projected[:, named.at], instead.projected[:, other])
-            behind, error = total(mine - instead.gains[:, other])
+            r = compute_correlation(instead.projected[:, named.at], instead.projected[:, other])
+            behind, error = sum_over_clusters(mine - instead.gains[:, other])
             away = abs(r) > EXPLAINED_AWAY and not beside.q[effect] < LEVEL
-            alike = (abs(r) > TOLD_APART or away) and behind < CLEARLY * error
+            alike = (abs(r) > INDISTINGUISHABLE or away) and behind < CLEARLY * error
             if alike or self._blurred(named.variant, instead, named.at, other):
                 found.append((instead.asked.names[effect], r))
         return sorted(found, key=lambda pair: -abs(pair[1]))
 
     @staticmethod
-    def _blurred(variant: str, ranked: Ranked, mine: int, other: int) -> bool:
+    def _blurred(variant: str, ranked: Ranking, mine: int, other: int) -> bool:
         """Tell whether a rival explains less than a named effect only because it is known less exactly.
 
         Notes
@@ -262,14 +276,14 @@ class Search:
         the rival may be the cause where r^2 times what it explains, over what the other does, is ρ^2 or more.
         Attenuation by errors in variables: Fuller, Measurement Error Models, Wiley 1987, section 1.1.
         """
-        if not inexact(ranked.asked.variants[other]) or inexact(variant):
+        if not is_inexact(ranked.asked.variants[other]) or is_inexact(variant):
             return False
-        r = correlation(ranked.projected[:, mine], ranked.projected[:, other])
+        r = compute_correlation(ranked.projected[:, mine], ranked.projected[:, other])
         explained, least = float(ranked.gains[:, other].sum()), FAITHFUL**2 * float(ranked.gains[:, mine].sum())
         return r > 0.0 and explained > 0.0 and r**2 * explained > least
 
 
-def inexact(variant: str) -> bool:
+def is_inexact(variant: str) -> bool:
     """Tell whether an effect rests on forces, which samples every few seconds tell inexactly.
 
     Examples
@@ -277,4 +291,4 @@ def inexact(variant: str) -> bool:
     >>> inexact("cold_regen_limit"), inexact("cold_rolling")
     (True, False)
     """
-    return not FORCES.isdisjoint(read_by(variant))
+    return not FORCES.isdisjoint(list_input_columns(variant))

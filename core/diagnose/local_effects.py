@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
-from core.diagnose.candidates import Asked, least_coefficients
+from core.diagnose.candidates import Candidates, compute_least_coefficients
 from core.diagnose.dataset import Windows
-from core.diagnose.evidence import by_vehicle_and_day, false_discovery
-from core.diagnose.forward_selection import Named, Search
+from core.diagnose.evidence import compute_worst_case_evidence, false_discovery
+from core.diagnose.forward_selection import ForwardSelection, SelectedEffect
 from core.diagnose.ranking import LEAST_LEFT
 from core.fit.ride_blocks import get_names, get_numbers
 from core.models.features import SINCE_SCOPE, VEHICLE_SCOPE
@@ -37,7 +37,7 @@ LEAST_WINDOWS: Final = 40
 """Windows on either side of a place's border."""
 
 
-class Place(NamedTuple):
+class ScopedWindows(NamedTuple):
     """Some of the windows.
 
     Parameters
@@ -54,28 +54,28 @@ class Place(NamedTuple):
     car: int | None
 
 
-def places(windows: Windows) -> Iterator[Place]:
+def list_scopes(windows: Windows) -> Iterator[ScopedWindows]:
     """Give each vehicle, all windows after each of some dates, and each vehicle's after each of them."""
     dates = [(SINCE_SCOPE + date, later) for date, later in _dates(windows, DATES)]
     every = np.ones(len(windows.measured), np.bool_)
     for name, later in dates:
-        yield from _parted(Place((name,), later, None), every)
+        yield from _parted(ScopedWindows((name,), later, None), every)
     cars = _cars(windows)
     for code, car in cars if len(cars) > 1 else []:
         here = windows.vehicle == code
-        yield from _parted(Place((VEHICLE_SCOPE + car,), here, code), every)
+        yield from _parted(ScopedWindows((VEHICLE_SCOPE + car,), here, code), every)
         for name, later in dates:
-            yield from _parted(Place((VEHICLE_SCOPE + car, name), here & later, code), here)
+            yield from _parted(ScopedWindows((VEHICLE_SCOPE + car, name), here & later, code), here)
 
 
-def _parted(place: Place, whole: Mask) -> Iterator[Place]:
+def _parted(place: ScopedWindows, whole: Mask) -> Iterator[ScopedWindows]:
     """Give a place that has windows enough on either side of its border."""
     inside = int(place.rows.sum())
     if inside >= LEAST_WINDOWS and int(whole.sum()) - inside >= LEAST_WINDOWS:
         yield place
 
 
-def local(search: Search, everywhere: Asked) -> None:
+def select_local_effects(selection: ForwardSelection, everywhere: Candidates) -> None:
     """Name effects that hold in some place only, one after the other, until none is there beyond chance.
 
     Parameters
@@ -85,14 +85,14 @@ def local(search: Search, everywhere: Asked) -> None:
     everywhere : Asked
         Effects to ask of, at the values that they are declared with.
     """
-    while len(search.named) < search.most:
-        found = _best(search, everywhere)
+    while len(selection.selected) < selection.most:
+        found = _best(selection, everywhere)
         if found is None:
             return
-        search.take(found)
+        selection.select(found)
 
 
-class Tried(NamedTuple):
+class _Trial(NamedTuple):
     """What a candidate in a place is worth.
 
     Parameters
@@ -113,23 +113,23 @@ class Tried(NamedTuple):
     fall: float
 
 
-def _best(search: Search, everywhere: Asked) -> Named | None:
+def _best(selection: ForwardSelection, everywhere: Candidates) -> SelectedEffect | None:
     """Return the effect and place that explain most, of those that are there beyond chance."""
-    off = search.off()
-    left = search.left(off)
-    fleet = search.base.off(everywhere.columns)
+    off = selection.build_basis()
+    left = selection.compute_residual(off)
+    fleet = selection.base.project_out(everywhere.columns)
     fleet -= off @ (off.T @ fleet)
-    families: dict[tuple[bool, bool], list[Tried]] = {}
-    for place in places(search.base.windows):
+    families: dict[tuple[bool, bool], list[_Trial]] = {}
+    for place in list_scopes(selection.base.windows):
         kind = place.car is not None, _since(place.scope) is not None
-        families.setdefault(kind, []).extend(_tried(search, everywhere, place, off, left, fleet))
-    good: list[tuple[Tried, float]] = []
+        families.setdefault(kind, []).extend(_tried(selection, everywhere, place, off, left, fleet))
+    good: list[tuple[_Trial, float]] = []
     for tried in families.values():
         q = false_discovery(np.array([each.p for each in tried]))
         good += [(each, float(chance)) for each, chance in zip(tried, q, strict=True) if chance < LEVEL]
     for each, chance in sorted(good, key=lambda pair: -pair[0].fall):
-        named = Named(_sharper(search, everywhere, each.scope, each.at, off, left), each.at, chance)
-        if search.fresh(named) and search.worth(named):
+        named = SelectedEffect(_sharper(selection, everywhere, each.scope, each.at, off, left), each.at, chance)
+        if selection.is_new(named) and selection.is_worthwhile(named):
             return named
     return None
 
@@ -139,41 +139,43 @@ def _since(scope: tuple[str, ...]) -> str | None:
     return next((name for name in scope if name.startswith(SINCE_SCOPE)), None)
 
 
-def _glance(search: Search, everywhere: Asked, place: Place, left: Floats) -> Ints:
+def _glance(selection: ForwardSelection, everywhere: Candidates, place: ScopedWindows, left: Floats) -> Ints:
     """Return the candidates that might be there, by their own car's columns alone where the place is of one car."""
     if place.car is None:
         return np.arange(len(everywhere.names))
-    own = search.base.cars[place.car]
-    columns = search.base.within(everywhere.columns[own] * place.rows[own][:, np.newaxis], place.car)
+    own = selection.base.cars[place.car]
+    columns = selection.base.project_out_for_car(everywhere.columns[own] * place.rows[own][:, np.newaxis], place.car)
     here = left[own]
     size = np.maximum((columns**2).sum(axis=0), 1e-300)
     return np.flatnonzero((columns.T @ here) ** 2 / size > GLANCE**2 * float(np.mean(left**2)))
 
 
-def _tried(search: Search, everywhere: Asked, place: Place, off: Floats, left: Floats, fleet: Floats) -> list[Tried]:
+def _tried(
+    selection: ForwardSelection, everywhere: Candidates, place: ScopedWindows, off: Floats, left: Floats, fleet: Floats
+) -> list[_Trial]:
     """Return what each candidate in a place is worth.
 
     One car is held against its siblings: what they all show, as what samples distort, is no matter of its own.
     """
-    chosen = _glance(search, everywhere, place, left)
+    chosen = _glance(selection, everywhere, place, left)
     p, fall = np.ones(len(everywhere.names)), np.zeros(len(everywhere.names))
     if len(chosen):
         asked = everywhere.columns[:, chosen] * place.rows[:, np.newaxis]
-        columns = search.base.off(asked)
+        columns = selection.base.project_out(asked)
         columns -= off @ (off.T @ columns)
         if place.car is not None:
             columns = _beside(columns, fleet[:, chosen])
         size = (columns**2).sum(axis=0)
-        told = size > LEAST_LEFT * (search.base.weighted(asked) ** 2).sum(axis=0)
+        told = size > LEAST_LEFT * (selection.base.apply_weights(asked) ** 2).sum(axis=0)
         kept, columns = chosen[told], columns[:, told]
         variants = [everywhere.variants[at] for at in kept]
-        least = least_coefficients(variants, asked[:, told], everywhere.measured * place.rows)
+        least = compute_least_coefficients(variants, asked[:, told], everywhere.measured * place.rows)
         if len(kept):
-            p[kept] = by_vehicle_and_day(left, columns, everywhere.sign[kept], search.clusters, least).p
+            p[kept] = compute_worst_case_evidence(left, columns, everywhere.sign[kept], selection.clusters, least).p
             fall[kept] = (columns.T @ left) ** 2 / size[told]
     if _since(place.scope) is not None:
         fall -= DATED * float(np.mean(left**2))
-    return [Tried(place.scope, at, float(p[at]), float(fall[at])) for at in range(len(p))]
+    return [_Trial(place.scope, at, float(p[at]), float(fall[at])) for at in range(len(p))]
 
 
 def _beside(columns: Floats, others: Floats) -> Floats:
@@ -183,26 +185,28 @@ def _beside(columns: Floats, others: Floats) -> Floats:
     return np.asarray(columns - others * share)
 
 
-def _sharper(search: Search, everywhere: Asked, scope: tuple[str, ...], at: int, off: Floats, left: Floats) -> Asked:
+def _sharper(
+    selection: ForwardSelection, everywhere: Candidates, scope: tuple[str, ...], at: int, off: Floats, left: Floats
+) -> Candidates:
     """Return what is asked of in a place, from the very date that explains most where a date is part of it."""
-    windows = search.base.windows
+    windows = selection.base.windows
     begin = _since(scope)
     of_car = next((code for code, name in _cars(windows) if VEHICLE_SCOPE + name in scope), None)
     here = np.ones(len(left), np.bool_) if of_car is None else windows.vehicle == of_car
     if begin is None:
-        return everywhere.within(here, scope)
+        return everywhere.restrict_to(here, scope)
     whole = everywhere.columns[:, [at]]
     best, most = everywhere, -1.0
     for date, later in _dates(windows, None):
         rows = here & later
         if not LEAST_WINDOWS <= rows.sum() <= here.sum() - LEAST_WINDOWS:
             continue
-        column = search.base.off(whole * rows[:, np.newaxis])[:, 0]
+        column = selection.base.project_out(whole * rows[:, np.newaxis])[:, 0]
         column -= off @ (off.T @ column)
         fall = float(column @ left) ** 2 / max(float(column @ column), 1e-300)
         if fall > most:
             place = tuple(SINCE_SCOPE + date if name == begin else name for name in scope)
-            best, most = everywhere.within(rows, place), fall
+            best, most = everywhere.restrict_to(rows, place), fall
     return best
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from core.batch import Floats
-from core.diagnose.dataset import Windows, by_meter
+from core.diagnose.dataset import Windows, is_metered
 from core.fit.ride_blocks import get_numbers
 from core.totals.tables import CAPACITY_GAIN, METER_GAIN
 
@@ -25,25 +25,25 @@ ROBUST: Final = 3.0
 """Standard deviations from which on a residual counts less, after Huber."""
 
 
-def measurement_variance(windows: Windows) -> Floats:
+def compute_measurement_variance(windows: Windows) -> Floats:
     """Return the variance of each window's measured energy, gains left out, (n,). [kWh^2]"""
     table, energy = windows.table, windows.measured
     power = get_numbers(table, "energy_vi_sd_kwh") ** 2 - (METER_GAIN * energy) ** 2
     charge = get_numbers(table, "energy_soc_sd_kwh") ** 2 - (CAPACITY_GAIN * energy) ** 2
-    return np.maximum(np.where(by_meter(table), power, charge), 0.0)
+    return np.maximum(np.where(is_metered(table), power, charge), 0.0)
 
 
-def ride_floor(windows: Windows) -> float:
+def compute_ride_noise_floor(windows: Windows) -> float:
     """Return the mean absolute error per ride that a model without any error would have. [kWh]
 
     Notes
     -----
     For Gaussian errors sqrt(2/π) of the standard deviation.
     """
-    return float(np.mean(MEAN_OVER_SD * np.sqrt(windows.by_ride(measurement_variance(windows)))))
+    return float(np.mean(MEAN_OVER_SD * np.sqrt(windows.by_ride(compute_measurement_variance(windows)))))
 
 
-def window_variance(windows: Windows, residual: Floats) -> Floats:
+def estimate_window_variance(windows: Windows, residual: Floats) -> Floats:
     """Return the variance of what a model leaves of each window: its measurement's, and what grows with the drive.
 
     Parameters
@@ -65,7 +65,7 @@ def window_variance(windows: Windows, residual: Floats) -> Floats:
     table = windows.table
     parts = np.column_stack(
         [
-            measurement_variance(windows),
+            compute_measurement_variance(windows),
             (get_numbers(table, "effect_rolling") * get_numbers(table, "rolling_resistance")) ** 2,
             get_numbers(table, "effect_inertia_positive") ** 2,
             (get_numbers(table, "duration_s") / 3.6e6) ** 2,
@@ -82,7 +82,7 @@ def window_variance(windows: Windows, residual: Floats) -> Floats:
     return np.maximum(variance, LEAST_SHARE * middle)
 
 
-def robust(standardised: Floats) -> Floats:
+def compute_robust_weights(standardised: Floats) -> Floats:
     """Return the share of its weight that each residual keeps: all up to `ROBUST`, less beyond (Huber 1964)."""
     middle = float(np.median(np.abs(standardised))) / 0.6745
     if middle <= 0.0:

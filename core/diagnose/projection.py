@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from core.batch import Floats
 from core.columns import JOULES_PER_KWH
 from core.diagnose.dataset import Windows
-from core.diagnose.noise import robust, window_variance
+from core.diagnose.noise import compute_robust_weights, estimate_window_variance
 from core.fit.fitting import build_design
 from core.fit.ride_blocks import get_names, get_numbers
 from core.models import ANY, LinearModel, Term
@@ -46,7 +46,7 @@ LEAST_OF_MEAN: Final = 0.3
 """Least variance of a ride's mean over that of independent windows, where windows make up for each other."""
 
 
-class Base:
+class BaseProjection:
     """A model's own columns, and the projection off them under weights.
 
     Parameters
@@ -85,23 +85,23 @@ class Base:
     def _weigh(self) -> None:
         """Find weights, the projection under them, and what it leaves, in turn."""
         energy = self.windows.measured[:, np.newaxis]
-        self.weight, self.alike = np.ones(len(energy)), 0.0
+        self.weight, self.ride_correlation = np.ones(len(energy)), 0.0
         for _ in range(ROUNDS):
             self._project()
-            standardised = self._unmixed(self.off(energy - self._taken[:, np.newaxis])[:, 0])
+            standardised = self._unmixed(self.project_out(energy - self._taken[:, np.newaxis])[:, 0])
             left = standardised / np.sqrt(self.weight)
-            variance = window_variance(self.windows, left)
-            self.weight = robust(left / np.sqrt(variance)) ** 2 / variance
-            self.alike = self._correlation(left * np.sqrt(self.weight))
+            variance = estimate_window_variance(self.windows, left)
+            self.weight = compute_robust_weights(left / np.sqrt(variance)) ** 2 / variance
+            self.ride_correlation = self._correlation(left * np.sqrt(self.weight))
         self._project()
-        self.residual = self.off(energy)[:, 0]
+        self.residual = self.project_out(energy)[:, 0]
 
-    def weighed_anew(self, columns: Floats) -> "Base":
+    def reweight(self, columns: Floats) -> "BaseProjection":
         """Return the same with weights that are found beside effects, (n, k), as large as they are. [kWh per unit]"""
         base = self
         for _ in range(ANEW):
-            size, *_ = np.linalg.lstsq(base.off(columns), base.residual, rcond=None)
-            base = Base(self.windows, self._model, columns @ size)
+            size, *_ = np.linalg.lstsq(base.project_out(columns), base.residual, rcond=None)
+            base = BaseProjection(self.windows, self._model, columns @ size)
         return base
 
     def _correlation(self, standardised: Floats) -> float:
@@ -114,14 +114,16 @@ class Base:
 
     def _of_mean(self, count: Floats) -> Floats:
         """Return the variance of the mean of so many windows of a ride, over that of their differences."""
-        return np.asarray(np.maximum((1.0 + (count - 1.0) * self.alike) / (1.0 - self.alike), LEAST_OF_MEAN))
+        return np.asarray(
+            np.maximum((1.0 + (count - 1.0) * self.ride_correlation) / (1.0 - self.ride_correlation), LEAST_OF_MEAN)
+        )
 
-    def weighted(self, columns: Floats) -> Floats:
+    def apply_weights(self, columns: Floats) -> Floats:
         """Return columns such that, if the weights are right, errors are alike everywhere and independent, (n, k)."""
         scaled = columns * np.sqrt(self.weight)[:, np.newaxis]
         return self._mixed(scaled, 1.0 / np.sqrt(self._of_mean(self._windows_of_ride)) - 1.0)
 
-    def energy(self, values: Floats) -> Floats:
+    def convert_to_energy(self, values: Floats) -> Floats:
         """Return weighted values as energies again, (n,). [kWh]"""
         return self._unmixed(values) / np.sqrt(self.weight)
 
@@ -132,7 +134,7 @@ class Base:
 
     def _mixed(self, columns: Floats, more: Floats) -> Floats:
         """Return columns with so much more of the mean of their ride, (n, k)."""
-        if self.alike == 0.0:
+        if self.ride_correlation == 0.0:
             return columns
         starts = np.flatnonzero(np.r_[True, np.diff(self.windows.ride) != 0])
         mean = np.add.reduceat(columns, starts, axis=0) / self._windows_of_ride[:, np.newaxis]
@@ -140,25 +142,27 @@ class Base:
 
     def _project(self) -> None:
         """Find orthonormal bases of each car's own columns, and of the shared ones beside them."""
-        own = self.weighted(self._own)
+        own = self.apply_weights(self._own)
         self._bases = []
         pooled = []
-        few = self.weighted(self._few)
+        few = self.apply_weights(self._few)
         for rows in self.cars:
             if len(rows) >= WINDOWS_PER_COLUMN * own.shape[1]:
-                self._bases.append((rows, orthonormal(own[rows])))
+                self._bases.append((rows, orthonormalise(own[rows])))
             else:
-                self._bases.append((rows, orthonormal(few[rows])))
+                self._bases.append((rows, orthonormalise(few[rows])))
                 pooled.append(rows)
         shared = [self._by_kind(own, np.concatenate(pooled))] if pooled else []
-        shared += [self._by_kind(self.weighted(self._shared), np.arange(len(own)))] if self._shared.shape[1] else []
+        shared += (
+            [self._by_kind(self.apply_weights(self._shared), np.arange(len(own)))] if self._shared.shape[1] else []
+        )
         shared += [
-            self.weighted(_placed(block, rows, len(own)))
+            self.apply_weights(_placed(block, rows, len(own)))
             for block, rows in zip(self._smooth, self.kinds.values(), strict=False)
         ]
         self._common = np.empty((len(own), 0))
         if shared:
-            self._common = orthonormal(self._off_cars(np.column_stack(shared)))
+            self._common = orthonormalise(self._off_cars(np.column_stack(shared)))
 
     def _by_kind(self, columns: Floats, rows: Rows) -> Floats:
         """Return columns of their own for each vehicle model, zero outside of `rows`."""
@@ -174,7 +178,7 @@ class Base:
             left[rows] -= basis @ (basis.T @ left[rows])
         return left
 
-    def off(self, columns: Floats) -> Floats:
+    def project_out(self, columns: Floats) -> Floats:
         """Return what the model cannot take up of columns, weighted.
 
         Parameters
@@ -187,10 +191,10 @@ class Base:
         (n, k) float
             [1 per unit of a coefficient]
         """
-        left = self._off_cars(self.weighted(columns))
+        left = self._off_cars(self.apply_weights(columns))
         return np.asarray(left - self._common @ (self._common.T @ left))
 
-    def within(self, columns: Floats, car: int) -> Floats:
+    def project_out_for_car(self, columns: Floats, car: int) -> Floats:
         """Return what one car's own columns leave of columns at its windows that are zero elsewhere, weighted."""
         rows = self.cars[car]
         starts = np.flatnonzero(np.r_[True, np.diff(self.windows.ride[rows]) != 0])
@@ -202,7 +206,7 @@ class Base:
         basis = next((each for own, each in self._bases if own is rows), None)
         return left if basis is None else left - basis @ (basis.T @ left)
 
-    def plain(self) -> Floats:
+    def get_unweighted_columns(self) -> Floats:
         """Return the model's own columns for each vehicle model, neither weighted nor of each car, (n, k). [kWh]"""
         every = np.arange(len(self._own))
         blocks = [self._by_kind(self._own, every)]
@@ -213,12 +217,12 @@ class Base:
         return np.column_stack(blocks)
 
     @property
-    def columns(self) -> int:
+    def rank(self) -> int:
         """How many coefficients it stands for."""
         return sum(basis.shape[1] for _, basis in self._bases) + self._common.shape[1]
 
 
-def orthonormal(columns: Floats) -> Floats:
+def orthonormalise(columns: Floats) -> Floats:
     """Return an orthonormal basis of the span of columns, (n, rank)."""
     size = np.sqrt((columns**2).sum(axis=0))
     scaled = columns[:, size > 0.0] / size[size > 0.0]

@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 
 from core.batch import Floats, Ints
-from core.diagnose.candidates import Asked
-from core.diagnose.evidence import Clusters, Evidence, by_vehicle_and_day, false_discovery
-from core.diagnose.projection import Base
+from core.diagnose.candidates import Candidates
+from core.diagnose.evidence import ClusterSums, Evidence, compute_worst_case_evidence, false_discovery
+from core.diagnose.projection import BaseProjection
 
 LEAST_LEFT: Final = 0.03
 """Share of a candidate's size that the model must be unable to take up, for it to be told from the model."""
@@ -20,7 +20,7 @@ LEVEL: Final = 0.05
 
 
 @dataclass(frozen=True)
-class Ranked:
+class Ranking:
     """What a step of diagnosis found of all candidates.
 
     Parameters
@@ -39,7 +39,7 @@ class Ranked:
         Fall of the squared weighted error on held-out vehicle-days, as a share of all of it.
     """
 
-    asked: Asked
+    asked: Candidates
     projected: Floats
     evidence: Evidence
     left: Floats
@@ -47,9 +47,9 @@ class Ranked:
     q: Floats
     gains: Floats
 
-    def gain(self, at: int) -> tuple[float, float]:
+    def compute_gain(self, at: int) -> tuple[float, float]:
         """Return the held-out gain of a candidate, and its standard error."""
-        return total(self.gains[:, at])
+        return sum_over_clusters(self.gains[:, at])
 
     def significant(self) -> list[int]:
         """Return the best variants of the effects that are there beyond chance, the surest first.
@@ -60,7 +60,9 @@ class Ranked:
         return sorted(found, key=lambda v: float(self.evidence.p[v]))
 
 
-def rank(base: Base, residual: Floats, asked: Asked, clusters: Sequence[Clusters], off: Floats, seed: int) -> Ranked:
+def rank_candidates(
+    base: BaseProjection, residual: Floats, asked: Candidates, clusters: Sequence[ClusterSums], off: Floats, seed: int
+) -> Ranking:
     """Return what each candidate explains of a residual.
 
     Parameters
@@ -76,25 +78,27 @@ def rank(base: Base, residual: Floats, asked: Asked, clusters: Sequence[Clusters
     seed : int
         Of the dealing into folds.
     """
-    projected = base.off(asked.columns)
+    projected = base.project_out(asked.columns)
     projected -= off @ (off.T @ projected)
-    size = (base.weighted(asked.columns) ** 2).sum(axis=0)
+    size = (base.apply_weights(asked.columns) ** 2).sum(axis=0)
     left = np.divide((projected**2).sum(axis=0), size, out=np.zeros(len(size)), where=size > 0.0)
-    evidence = by_vehicle_and_day(residual, projected, asked.sign, clusters, asked.least)
-    gains = held_out(residual, projected, asked.sign, clusters[0], seed)
+    evidence = compute_worst_case_evidence(residual, projected, asked.sign, clusters, asked.least_coefficients)
+    gains = compute_held_out_gains(residual, projected, asked.sign, clusters[0], seed)
     told = left > LEAST_LEFT
     best, p = np.full(len(asked.names), -1, dtype=np.int64), np.full(len(asked.names), np.nan)
     for e in range(len(asked.names)):
         mine = np.flatnonzero((asked.effects == e) & told)
         if len(mine):
             best[e] = mine[np.argmax(gains[:, mine].sum(axis=0))]
-            p[e] = simes(evidence.p[mine])
+            p[e] = combine_by_simes(evidence.p[mine])
     q = np.full(len(p), np.nan)
     q[best >= 0] = false_discovery(p[best >= 0])
-    return Ranked(asked, projected, evidence, left, best, q, gains)
+    return Ranking(asked, projected, evidence, left, best, q, gains)
 
 
-def held_out(residual: Floats, candidates: Floats, sign: Ints, clusters: Clusters, seed: int) -> Floats:
+def compute_held_out_gains(
+    residual: Floats, candidates: Floats, sign: Ints, clusters: ClusterSums, seed: int
+) -> Floats:
     """Return the fall of the squared error by each candidate on vehicle-days that its coefficient was not fitted to.
 
     Returns
@@ -108,9 +112,9 @@ def held_out(residual: Floats, candidates: Floats, sign: Ints, clusters: Cluster
     extrapolates to it, and its failure there would be credited to whatever effect mimics that. `socast add` refits
     everything without the days that it is judged on.
     """
-    fold = clusters.folds(seed)
-    size = clusters.sums(candidates**2)
-    cross = clusters.sums(candidates * residual[:, np.newaxis])
+    fold = clusters.assign_folds(seed)
+    size = clusters.sum_by_cluster(candidates**2)
+    cross = clusters.sum_by_cluster(candidates * residual[:, np.newaxis])
     by_fold = np.eye(int(fold.max()) + 1)[fold].T
     size_rest, cross_rest = size.sum(axis=0) - by_fold @ size, cross.sum(axis=0) - by_fold @ cross
     fitted = np.divide(cross_rest, size_rest, out=np.zeros_like(cross_rest), where=size_rest > 0.0)
@@ -118,7 +122,7 @@ def held_out(residual: Floats, candidates: Floats, sign: Ints, clusters: Cluster
     return np.asarray((2.0 * fitted * cross - fitted**2 * size) / (residual @ residual))
 
 
-def simes(p: Floats) -> float:
+def combine_by_simes(p: Floats) -> float:
     """Return the probability that several tests of one effect find it by chance (Simes 1986).
 
     Examples
@@ -130,13 +134,13 @@ def simes(p: Floats) -> float:
     return float(np.min(ordered * len(p) / np.arange(1, len(p) + 1)))
 
 
-def correlation(one: Floats, other: Floats) -> float:
+def compute_correlation(one: Floats, other: Floats) -> float:
     """Return the correlation of two projected candidates."""
     size = float(np.sqrt((one @ one) * (other @ other)))
     return float(one @ other) / size if size > 0.0 else 0.0
 
 
-def total(values: Floats) -> tuple[float, float]:
+def sum_over_clusters(values: Floats) -> tuple[float, float]:
     """Return the sum over clusters and its standard error."""
     count = len(values)
     spread = float(((values - values.mean()) ** 2).sum()) * count / max(count - 1, 1)

@@ -16,9 +16,9 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 
 from core.batch import Floats, Ints
 from core.diagnose.dataset import Windows
-from core.diagnose.evidence import Clusters, by_vehicle_and_day, false_discovery
-from core.diagnose.forward_selection import Finding, Named, Search
-from core.diagnose.ranking import LEAST_GAIN, LEAST_LEFT, held_out, total
+from core.diagnose.evidence import ClusterSums, compute_worst_case_evidence, false_discovery
+from core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectedEffect
+from core.diagnose.ranking import LEAST_GAIN, LEAST_LEFT, compute_held_out_gains, sum_over_clusters
 from core.fit.ride_blocks import get_numbers
 from core.models.derived_features import compute_sun_sine
 
@@ -43,7 +43,7 @@ DAILY: Final = ("duration_s", "effect_rolling", "effect_aero_drag")
 TREE_FOLDS: Final = 4
 SHAPE_POINTS: Final = 12
 
-KNOWN: Final[tuple[tuple[str, str], ...]] = (
+FEATURES: Final[tuple[tuple[str, str], ...]] = (
     ("ambient_c", "°C"),
     ("average_speed_kmh", "km/h"),
     ("precipitation_mm_h", "mm/h"),
@@ -79,7 +79,7 @@ CARRIERS: Final = (
 """What an unknown cause may grow with: time, distance, speed, speeding up, slowing, hills, stops."""
 
 
-class Remains(NamedTuple):
+class ResidualStructure(NamedTuple):
     """What is left after the effects that are named.
 
     Parameters
@@ -88,7 +88,7 @@ class Remains(NamedTuple):
         Share of the squared error that trees predict on held-out vehicle-days, without and with the named effects.
     error : float
         Standard error of `after`.
-    named : float
+    explained : float
         Share of the squared error of windows that the named effects explain on held-out vehicle-days.
     shape, q, gain : str, float, float
         Of the shapes that are left beyond chance that of most gain, or, where none is, the surest; its probability by
@@ -107,7 +107,7 @@ class Remains(NamedTuple):
     before: float
     after: float
     error: float
-    named: float
+    explained: float
     shape: str
     q: float
     gain: float
@@ -119,17 +119,17 @@ class Remains(NamedTuple):
     @property
     def taken(self) -> float:
         """Share of what trees, or the shape that is left, can explain that the named effects take."""
-        by_trees = 1.0 - max(self.after, 0.0) / self.before if self.before > 0.0 and self.sure else 1.0
-        by_shape = self.named / (self.named + self.gain) if self.q < LEVEL and self.gain > 0.0 else 1.0
+        by_trees = 1.0 - max(self.after, 0.0) / self.before if self.before > 0.0 and self.is_predictable else 1.0
+        by_shape = self.explained / (self.explained + self.gain) if self.q < LEVEL and self.gain > 0.0 else 1.0
         return min(by_trees, by_shape)
 
     @property
-    def sure(self) -> bool:
+    def is_predictable(self) -> bool:
         """Whether trees predict anything after the effects are named."""
         return self.after > max(LEAST_PREDICTED, SURE * self.error)
 
     @property
-    def there(self) -> bool:
+    def exists(self) -> bool:
         """Whether structure remains."""
         return bool(self.signs)
 
@@ -138,42 +138,44 @@ class Remains(NamedTuple):
         """What speaks for it: `trees`, `shape`, `better`, `days`."""
         shape = self.q < LEVEL and self.gain > LEAST_GAIN
         return [
-            *(["trees"] if self.sure and self.taken < LEAST_TAKEN else []),
+            *(["trees"] if self.is_predictable and self.taken < LEAST_TAKEN else []),
             *(["shape"] if shape and self.taken < LEAST_TAKEN else []),
             *(["better"] if self.better else []),
             *(["days"] if self.days > self.most_days else []),
         ]
 
 
-def remains(search: Search, found: Sequence[Finding]) -> Remains:
+def measure_residual_structure(selection: ForwardSelection, found: Sequence[MissingEffect]) -> ResidualStructure:
     """Return what is left by the effects that were found."""
-    base, clusters = search.base, search.clusters
-    off = search.off()
-    left = search.left(off)
-    features = known(base.windows)
-    before = predicted(features, base.residual, clusters[0], search.seed)
-    after = predicted(features, left, clusters[0], search.seed) if found else before
-    shapes = Shapes(search)
-    explained, _ = total(clusters[0].sums(base.residual**2 - search.held_out(off) ** 2))
+    base, clusters = selection.base, selection.clusters
+    off = selection.build_basis()
+    left = selection.compute_residual(off)
+    features = collect_features(base.windows)
+    before = compute_predictable_share(features, base.residual, clusters[0], selection.seed)
+    after = compute_predictable_share(features, left, clusters[0], selection.seed) if found else before
+    shapes = PlainShapes(selection)
+    explained, _ = sum_over_clusters(
+        clusters[0].sum_by_cluster(base.residual**2 - selection.compute_held_out_residual(off) ** 2)
+    )
     share = max(explained / max(float(base.residual @ base.residual), 1e-300), 0.0)
-    better = {each.named.effect: shape for each in found if (shape := shapes.instead_of(each.named))}
-    shape, q, gain = shapes.most(off, left)
-    along = _along(base.windows, base.energy(left))
-    days = uneven(search, left)
+    better = {each.selected.effect: shape for each in found if (shape := shapes.find_replacement(each.selected))}
+    shape, q, gain = shapes.find_strongest(off, left)
+    along = _along(base.windows, base.convert_to_energy(left))
+    days = compute_day_variance_ratio(selection, left)
     most = max(1.0 + SURE_OF_DAYS * float(np.sqrt(2.0 / clusters[0].count)), UNEVEN)
-    return Remains(before[0], after[0], after[1], share, shape, q, gain, days, most, better, along)
+    return ResidualStructure(before[0], after[0], after[1], share, shape, q, gain, days, most, better, along)
 
 
-def known(windows: Windows) -> Floats:
+def collect_features(windows: Windows) -> Floats:
     """Return what is known of each window, (n, features)."""
     table = windows.table
-    columns = [get_numbers(table, name) for name, _ in KNOWN]
+    columns = [get_numbers(table, name) for name, _ in FEATURES]
     return np.column_stack([*columns, _sun(windows)])
 
 
-def predicted(features: Floats, left: Floats, clusters: Clusters, seed: int) -> tuple[float, float]:
+def compute_predictable_share(features: Floats, left: Floats, clusters: ClusterSums, seed: int) -> tuple[float, float]:
     """Return the share of a squared residual that trees predict on held-out vehicle-days, and its standard error."""
-    fold = clusters.folds(seed)[clusters.code] % TREE_FOLDS
+    fold = clusters.assign_folds(seed)[clusters.code] % TREE_FOLDS
     said = np.zeros(len(left))
     for k in range(int(fold.max()) + 1):
         there = np.isfinite(features[fold != k]).any(axis=0)
@@ -183,53 +185,53 @@ def predicted(features: Floats, left: Floats, clusters: Clusters, seed: int) -> 
         said[fold == k] = trees.fit(features[fold != k][:, there], left[fold != k]).predict(
             features[fold == k][:, there]
         )
-    return total(clusters.sums(left**2 - (left - said) ** 2) / max(float(left @ left), 1e-300))
+    return sum_over_clusters(clusters.sum_by_cluster(left**2 - (left - said) ** 2) / max(float(left @ left), 1e-300))
 
 
-def uneven(search: Search, left: Floats) -> float:
+def compute_day_variance_ratio(selection: ForwardSelection, left: Floats) -> float:
     """Return how much more vehicle-days differ than chance has it, by the carrier that shows it most.
 
     Notes
     -----
     For a carrier c, the mean over vehicle-days of (sum of c r)^2 / (sum of c^2), over the mean of r^2.
     """
-    clusters, table = search.clusters[0], search.base.windows.table
+    clusters, table = selection.clusters[0], selection.base.windows.table
     carriers = np.column_stack([np.nan_to_num(get_numbers(table, name), nan=0.0) for name in DAILY])
-    weighted = search.base.weighted(carriers)
-    size = clusters.sums(weighted**2)
-    score = clusters.sums(weighted * left[:, np.newaxis]) ** 2
+    weighted = selection.base.apply_weights(carriers)
+    size = clusters.sum_by_cluster(weighted**2)
+    score = clusters.sum_by_cluster(weighted * left[:, np.newaxis]) ** 2
     ratio = np.divide(score, size, out=np.zeros_like(size), where=size > 0.0)
     return float(ratio.mean(axis=0).max() / max(float(np.mean(left**2)), 1e-300))
 
 
-class Shapes:
+class PlainShapes:
     """Plain shapes, off a model."""
 
-    def __init__(self, search: Search) -> None:
-        self.search = search
-        self.names, columns = _shapes(search.base.windows)
-        projected = search.base.off(columns)
-        told = (projected**2).sum(axis=0) > LEAST_LEFT * (search.base.weighted(columns) ** 2).sum(axis=0)
+    def __init__(self, selection: ForwardSelection) -> None:
+        self.selection = selection
+        self.names, columns = _shapes(selection.base.windows)
+        projected = selection.base.project_out(columns)
+        told = (projected**2).sum(axis=0) > LEAST_LEFT * (selection.base.apply_weights(columns) ** 2).sum(axis=0)
         self.names = [name for name, kept in zip(self.names, told, strict=True) if kept]
         self.projected = projected[:, told]
 
-    def most(self, off: Floats, left: Floats) -> tuple[str, float, float]:
+    def find_strongest(self, off: Floats, left: Floats) -> tuple[str, float, float]:
         """Return the shape of most gain of those that are in a residual beyond chance, its q, and its gain."""
         shapes, free = self._off(off)
         if not len(free):
             return "", 1.0, 0.0
         either = np.zeros(len(free), dtype=np.int64)
-        q = false_discovery(by_vehicle_and_day(left, shapes, either, self.search.clusters).p)
-        gain = held_out(left, shapes, either, self.search.clusters[0], self.search.seed).sum(axis=0)
+        q = false_discovery(compute_worst_case_evidence(left, shapes, either, self.selection.clusters).p)
+        gain = compute_held_out_gains(left, shapes, either, self.selection.clusters[0], self.selection.seed).sum(axis=0)
         best = int(np.argmax(np.where(q < LEVEL, gain, -1.0))) if (q < LEVEL).any() else int(np.argmin(q))
         return self.names[free[best]], float(q[best]), float(gain[best])
 
-    def instead_of(self, named: Named) -> str:
+    def find_replacement(self, named: SelectedEffect) -> str:
         """Return the shape that explains clearly more than a named effect would in its place; empty where none does."""
-        search = self.search
-        off = search.off(named)
-        left = search.left(off)
-        column = search.base.off(named.column)
+        selection = self.selection
+        off = selection.build_basis(named)
+        left = selection.compute_residual(off)
+        column = selection.base.project_out(named.column)
         column -= off @ (off.T @ column)
         shapes, free = self._off(off)
         size = np.sqrt((shapes**2).sum(axis=0) * float((column**2).sum()))
@@ -237,9 +239,9 @@ class Shapes:
         if not alike.any():
             return ""
         either = np.zeros(int(alike.sum()), dtype=np.int64)
-        mine = held_out(left, column, either[:1], search.clusters[0], search.seed)
-        more = held_out(left, shapes[:, alike], either, search.clusters[0], search.seed) - mine
-        ahead = np.array([value / error if error > 0.0 else 0.0 for value, error in map(total, more.T)])
+        mine = compute_held_out_gains(left, column, either[:1], selection.clusters[0], selection.seed)
+        more = compute_held_out_gains(left, shapes[:, alike], either, selection.clusters[0], selection.seed) - mine
+        ahead = np.array([value / error if error > 0.0 else 0.0 for value, error in map(sum_over_clusters, more.T)])
         best = int(np.argmax(ahead))
         return self.names[free[np.flatnonzero(alike)[best]]] if ahead[best] > CLEARLY else ""
 
@@ -292,7 +294,7 @@ def _sun(windows: Windows) -> Floats:
 def _along(windows: Windows, left: Floats) -> list[dict[str, Any]]:
     """Return the mean of what is left of a window along each known thing, by twelfths of the windows."""
     found = []
-    for name, unit in KNOWN:
+    for name, unit in FEATURES:
         values = get_numbers(windows.table, name)
         there = np.isfinite(values)
         if there.sum() < SHAPE_POINTS * 10:

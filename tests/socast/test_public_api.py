@@ -11,7 +11,7 @@ import socast
 from tests.support.paths import SHIFT
 
 EXPORTS = [
-    "Added",
+    "AdditionTrial",
     "AskError",
     "CatalogueError",
     "Effect",

@@ -3,7 +3,7 @@
 from typing import Any
 
 
-def missing(**changes: Any) -> dict[str, Any]:
+def make_missing_effect(**changes: Any) -> dict[str, Any]:
     """Return an effect that is missing."""
     return {
         "effect": "cold_rolling",
@@ -25,9 +25,9 @@ def missing(**changes: Any) -> dict[str, Any]:
     } | changes  # fmt: skip
 
 
-def diagnosis(**changes: Any) -> dict[str, Any]:
+def make_diagnosis(**changes: Any) -> dict[str, Any]:
     """Return a whole diagnosis: two effects missing, and structure that none explains."""
-    of_one = missing(
+    of_one = make_missing_effect(
         effect="brake_drag", variant="brake_drag", group=["brake_drag"], scope="vehicle taxi-003",
         columns=["effect_brake_drag", "vehicle=taxi-003"], gain=0.006, gain_ci95=[0.001, 0.011], energy_share=0.004,
         q=0.02, coefficient={"value": 75.0, "ci95": [50.0, 100.0], "unit": "N", "low": 0.0, "high": 60.0,
@@ -48,7 +48,7 @@ def diagnosis(**changes: Any) -> dict[str, Any]:
             {"where": "below 0 °C and longer than 10 km", "conditions": ["below 0 °C", "longer than 10 km"],
              "rides": 71, "bias_kwh": -0.11, "ci95": 0.04, "mae_kwh": 0.13, "q": 0.001},
         ],
-        "missing": [missing(), of_one],
+        "missing": [make_missing_effect(), of_one],
         "candidates": [
             {"effect": "cold_rolling", "variant": "cold_rolling@reference=283.15", "scope": "all", "z": 6.1,
              "p": 1e-5, "q": 2e-4, "gain": 0.031, "status": "missing"},
@@ -75,9 +75,9 @@ def diagnosis(**changes: Any) -> dict[str, Any]:
     } | changes  # fmt: skip
 
 
-def nothing_missing() -> dict[str, Any]:
+def make_empty_diagnosis() -> dict[str, Any]:
     """Return a diagnosis that finds nothing."""
-    whole = diagnosis()
+    whole = make_diagnosis()
     return whole | {
         "slices": [], "missing": [], "verdict": None, "structure_remains": False, "suggestion": None,
         "suggestion_file": None, "steps": whole["steps"][:1],

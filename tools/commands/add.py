@@ -7,9 +7,9 @@ import typer
 
 from core import models
 from core.diagnose.add import add
-from core.diagnose.add.terms import scoped
-from core.diagnose.dataset import gather, joined
-from core.diagnose.noise import ride_floor
+from core.diagnose.add.terms import build_term_columns
+from core.diagnose.dataset import gather_windows, join_tables
+from core.diagnose.noise import compute_ride_noise_floor
 from core.diagnose.ranking import LEAST_GAIN
 from core.errors import ModelError
 from core.models import BUILT_IN_MODELS, LinearModel
@@ -35,26 +35,28 @@ def add_effect(
     from tools.report import history  # noqa: PLC0415 - figures take seconds to import
 
     chosen = models.load(model)
-    columns = scoped(effect, scope or ())
+    columns = build_term_columns(effect, scope or ())
     writable([*read_files(data), *model_files([model]), *(effects_file or ())], out, json_file)
     rides, windows = read_tables(data, chosen)
-    floor = ride_floor(gather(rides, windows, chosen))
-    added = add.add(chosen, effect, columns, joined(rides, windows), rides=rides, floor=floor, least=least_gain)
+    floor = compute_ride_noise_floor(gather_windows(rides, windows, chosen))
+    added = add.add_effect(
+        chosen, effect, columns, join_tables(rides, windows), rides=rides, floor=floor, least=least_gain
+    )
     write_json(json_file, added.trial)
     console = printer()
-    history.show_trial(added.trial, console)
+    history.print_trial(added.trial, console)
     if not added.trial["accepted"]:
         if not force:
             raise ModelError(_refused(chosen, model, added))
-        added = add.forced(added)
+        added = add.force_addition(added)
     models.save(added.model, out)
     told = f"{out}: {chosen.name} with {effect}, version {added.model.version}; socast history {out} tells its steps"
     console.print(told, markup=False, highlight=False, soft_wrap=True)
 
 
-def _refused(chosen: LinearModel, given: str, added: add.Added) -> str:
+def _refused(chosen: LinearModel, given: str, added: add.AdditionTrial) -> str:
     """Log the attempt in the model's own file, and return what to tell."""
-    kept = "" if given in BUILT_IN_MODELS else _log(add.logged(chosen, added.trial), Path(given))
+    kept = "" if given in BUILT_IN_MODELS else _log(add.log_attempt(chosen, added.trial), Path(given))
     return f"{added.trial['effect']} is not added: {added.trial['reason']}{kept}; add it all the same with --force"
 
 

@@ -12,10 +12,10 @@ from rich.console import Console
 
 from core import effects, models
 from core.diagnose.add import add
-from core.diagnose.add.holdout import final_days
-from core.diagnose.add.terms import scoped
-from core.diagnose.dataset import gather, joined
-from core.diagnose.noise import ride_floor
+from core.diagnose.add.holdout import select_final_days
+from core.diagnose.add.terms import build_term_columns
+from core.diagnose.dataset import gather_windows, join_tables
+from core.diagnose.noise import compute_ride_noise_floor
 from core.diagnose.ranking import LEAST_GAIN
 from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError, SettingsError
@@ -188,7 +188,9 @@ def _not_set_apart(
     model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame, console: Console
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the tables without days that the model's history has set apart, and say so."""
-    apart = final_days(model.history, get_names(rides, "date")) if any(e.get("final") for e in model.history) else ()
+    apart = (
+        select_final_days(model.history, get_names(rides, "date")) if any(e.get("final") for e in model.history) else ()
+    )
     if apart:
         told = f"Not looked at: rides of {', '.join(apart)}, which the model's history has set apart."
         console.print(told, markup=False, highlight=False, soft_wrap=True)
@@ -202,25 +204,27 @@ def _auto(
     from tools.report import history  # noqa: PLC0415 - figures take seconds to import
     from tools.report.diagnosis import page  # noqa: PLC0415 - figures take seconds to import
 
-    apart = final_days(model.history, get_names(rides, "date"))
+    apart = select_final_days(model.history, get_names(rides, "date"))
     seen = before(rides, windows, apart)
-    rows, floor = joined(rides, windows), ride_floor(gather(rides, windows, model))
+    rows, floor = join_tables(rides, windows), compute_ride_noise_floor(gather_windows(rides, windows, model))
     for step in range(1, MOST_STEPS + 1):
         result = _diagnosed(model, *seen, least_gain)
-        page.show_step(result, step, console)
+        page.print_step(result, step, console)
         found = next((m for m in result.get("missing") or () if m["effect"] == result.get("verdict")), None)
         if found is None:
             break
         name, scopes = term_of(found)
         try:
-            added = add.add(model, name, scoped(name, scopes), rows, rides=rides, floor=floor, least=least_gain)
+            added = add.add_effect(
+                model, name, build_term_columns(name, scopes), rows, rides=rides, floor=floor, least=least_gain
+            )
         except ModelError as error:
-            page.say([f"The loop ends here: {error}"], console)
+            page.print_lines([f"The loop ends here: {error}"], console)
             break
-        history.show_trial(added.trial, console)
+        history.print_trial(added.trial, console)
         if not added.trial["accepted"]:
-            model = add.logged(model, added.trial)
-            page.say(["The loop ends here: what the diagnosis names does not help on held-out rides."], console)
+            model = add.log_attempt(model, added.trial)
+            page.print_lines(["The loop ends here: what the diagnosis names does not help on held-out rides."], console)
             break
         model = added.model
     history.show(model, console)

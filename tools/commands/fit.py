@@ -13,7 +13,7 @@ from scipy.special import stdtrit
 
 from core import models
 from core.columns import ZERO_CELSIUS
-from core.diagnose.dataset import fitted
+from core.diagnose.dataset import fit_to_windows
 from core.errors import SettingsError
 from core.fit.pooled import adapt
 from core.fit.recipes import RECIPES, LinearRecipe, Recipe, get_recipe
@@ -105,7 +105,7 @@ def _fitted(chosen: Recipe, files: Sequence[Path]) -> LinearModel:
     if isinstance(chosen, LinearRecipe):
         beside = [file.with_name(WINDOWS) for file in files]
         if chosen.by_windows and all(file.is_file() for file in beside):
-            return fitted(chosen.name, RideParquet(tuple(files)).table(), RideParquet(tuple(beside)).table())
+            return fit_to_windows(chosen.name, RideParquet(tuple(files)).table(), RideParquet(tuple(beside)).table())
         return chosen.fit_parquet(*files)
     return chosen.fit(RideParquet(tuple(files)).table())
 

@@ -20,5 +20,5 @@ def show_history(
 
     chosen = models.load(model)
     writable([Path(model)], html_file, json_file)
-    write_json(json_file, history.summary(chosen))
+    write_json(json_file, history.summarise(chosen))
     report("history", chosen, html_file)

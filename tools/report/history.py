@@ -11,7 +11,7 @@ from rich.text import Text
 from core.evaluate.paper.results import to_json_values
 from core.models import LinearModel
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_change, format_count, format_signed
-from tools.report.diagnosis.words import coefficient, energy
+from tools.report.diagnosis.sentences import describe_coefficient, format_energy
 from tools.report.evaluation.illustrations import Illustration
 from tools.report.evaluation.result import get_half_width, get_mapping, get_number
 from tools.report.evaluation.sections import Section
@@ -39,25 +39,27 @@ HISTORY_NOTE: Final = (
 )
 
 
-def show_trial(trial: Any, console: Console) -> None:
+def print_trial(trial: Any, console: Console) -> None:
     """Print what came of an effect that was tried."""
     found = to_json_values(trial)
-    for section in trial_sections(found):
+    for section in build_trial_sections(found):
         print_section(section, console)
     console.print()
-    for line in coefficient_lines(found):
+    for line in describe_coefficients(found):
         console.print(Text(line))
     for line in found.get("warnings") or ():
         console.print(Text(f"warning: {line}", style="yellow"))
     console.print(Text(_outcome(found), style="bold"))
 
 
-def coefficient_lines(found: Entry) -> list[str]:
+def describe_coefficients(found: Entry) -> list[str]:
     """Return the coefficient in words and figures, and those of vehicle models that differ."""
-    lines = [str(found.get("words") or ""), coefficient(found)]
+    lines = [str(found.get("words") or ""), describe_coefficient(found)]
     own = get_mapping(found, "by_vehicle_model")
     said = get_mapping(found, "words_by_vehicle_model")
-    lines += [f"{key}: {said.get(key, '')} ({coefficient({'coefficient': value})})" for key, value in own.items()]
+    lines += [
+        f"{key}: {said.get(key, '')} ({describe_coefficient({'coefficient': value})})" for key, value in own.items()
+    ]
     return [line for line in lines if line]
 
 
@@ -67,11 +69,11 @@ def _outcome(found: Entry) -> str:
     return f"{found.get('effect')}{_scope(found)} {helps}: {found.get('reason')}."
 
 
-def trial_sections(found: Entry) -> list[Section]:
+def build_trial_sections(found: Entry) -> list[Section]:
     """Return the tables of a trial."""
     judged = [(what, get_mapping(found, key)) for key, what in HELD_OUT.items() if get_mapping(found, key)]
     rows = tuple(_compared(what, one) for what, one in judged)
-    floor = f"Measurement noise alone: {energy(found.get('noise_floor_kwh'))}. {JUDGED_NOTE}"
+    floor = f"Measurement noise alone: {format_energy(found.get('noise_floor_kwh'))}. {JUDGED_NOTE}"
     heads = ("rides", "vehicle-days", "before, kWh", "after, kWh", "change, kWh", "change")
     title = f"{found.get('effect')}{_scope(found)}: before and after"
     tables = [ReportTable("Mean absolute error of a ride", "judged on", heads, rows, (floor,))]
@@ -98,9 +100,9 @@ def _compared(name: str, one: Entry) -> Row:
     )
 
 
-def summary(model: LinearModel) -> dict[str, Any]:
+def summarise(model: LinearModel) -> dict[str, Any]:
     """Return a model's history, as JSON has it."""
-    steps = attempts(model)
+    steps = list_attempts(model)
     taken = [step for step in steps if step["action"] == "add"]
     return {
         "model": model.name,
@@ -113,30 +115,31 @@ def summary(model: LinearModel) -> dict[str, Any]:
     }
 
 
-def attempts(model: LinearModel) -> list[Entry]:
+def list_attempts(model: LinearModel) -> list[Entry]:
     """Return the effects that were tried, oldest first."""
     return [entry for entry in model.history if entry.get("action") in {"add", "refused"}]
 
 
 def show(model: LinearModel, console: Console) -> None:
     """Print a model's history."""
-    print_section(Section("history", _title(model), "", [table(model)]), console)
+    print_section(Section("history", _title(model), "", [tabulate_history(model)]), console)
     for i, entry in enumerate(model.history):
-        if entry in attempts(model):
+        if entry in list_attempts(model):
             console.print(Text(f"{i}. {_finding(entry)}"))
-    console.print(Text(told(model), style="bold"))
+    console.print(Text(describe_progress(model), style="bold"))
 
 
 def write(model: LinearModel, path: Path) -> None:
     """Write a model's history as a page that needs nothing else."""
-    shown = [Section("history", "Step by step", told(model), [table(model)])]
-    for i, entry in enumerate(attempts(model), start=1):
-        section = trial_sections(entry)[0]
-        text = " ".join(f"{line}." for line in (*coefficient_lines(entry), _outcome(entry).removesuffix(".")))
+    shown = [Section("history", "Step by step", describe_progress(model), [tabulate_history(model)])]
+    for i, entry in enumerate(list_attempts(model), start=1):
+        section = build_trial_sections(entry)[0]
+        text = " ".join(f"{line}." for line in (*describe_coefficients(entry), _outcome(entry).removesuffix(".")))
         shown.append(Section(f"step-{i}", f"{i}. {section.title}", text, section.tables))
     made_by = "<p>Made by <code>socast history</code>.</p>"
     save(
-        render_document(_title(model), "", shown, lambda key: falling(model) if key == "history" else [], made_by), path
+        render_document(_title(model), "", shown, lambda key: draw_errors(model) if key == "history" else [], made_by),
+        path,
     )
 
 
@@ -144,9 +147,9 @@ def _title(model: LinearModel) -> str:
     return f"History of {model.name}, version {model.version}"
 
 
-def told(model: LinearModel) -> str:
+def describe_progress(model: LinearModel) -> str:
     """Say how far the error fell."""
-    tried = attempts(model)
+    tried = list_attempts(model)
     if not tried:
         return "No effect was tried yet: socast diagnose tells what is missing, socast add adds it."
     taken = [step for step in tried if step["action"] == "add"]
@@ -156,15 +159,15 @@ def told(model: LinearModel) -> str:
     refused = len(tried) - len(taken)
     beside = f", {format_count(refused)} refused" if refused else ""
     last = taken[-1].get("mae_after_kwh") if taken else None
-    fall = f"error {_error(first)} -> {energy(last)}" if taken else f"error {energy(first)}"
-    return f"{said}{beside}; {fall} a ride on held-out days; measurement noise alone {energy(floor)}."
+    fall = f"error {_error(first)} -> {format_energy(last)}" if taken else f"error {format_energy(first)}"
+    return f"{said}{beside}; {fall} a ride on held-out days; measurement noise alone {format_energy(floor)}."
 
 
-def table(model: LinearModel) -> ReportTable:
+def tabulate_history(model: LinearModel) -> ReportTable:
     """Return every step of a model's history."""
     rows = tuple(_step(i, entry) for i, entry in enumerate(model.history))
     heads = ("done", "before, kWh", "after, kWh", "change, kWh", "noise, kWh", "set apart, kWh")
-    return ReportTable("", "step", heads, rows, (HISTORY_NOTE,) if attempts(model) else ())
+    return ReportTable("", "step", heads, rows, (HISTORY_NOTE,) if list_attempts(model) else ())
 
 
 def _step(place: int, entry: Entry) -> Row:
@@ -221,9 +224,9 @@ def _finding(entry: Entry) -> str:
     return f"{entry.get('words') or name}{'' if plausible else ' (not plausible)'}{forced}"
 
 
-def falling(model: LinearModel) -> list[Illustration]:
+def draw_errors(model: LinearModel) -> list[Illustration]:
     """Return the error step by step, every attempt included, above the noise."""
-    tried = attempts(model)
+    tried = list_attempts(model)
     if not tried:
         return []
     names, errors = ["at first"], [tried[0].get("mae_before_kwh")]

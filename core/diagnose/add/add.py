@@ -18,22 +18,28 @@ import numpy as np
 import pandas as pd
 
 from core import effects
-from core.diagnose.add.coefficients import in_words, told, warning
+from core.diagnose.add.coefficients import describe_coefficient, put_in_words, warn_if_implausible
 from core.diagnose.add.holdout import (
     Mask,
-    Rides,
-    comparison,
-    conditions,
-    day_folds,
-    few_vehicles,
-    final_days,
-    held_out,
-    noise_floor,
-    rides_of,
-    vehicle_folds,
+    RideRows,
+    compare_by_condition,
+    compare_errors,
+    compute_noise_floor,
+    group_rows_by_ride,
+    list_sparse_vehicle_models,
+    predict_held_out,
+    select_final_days,
+    split_into_day_folds,
+    split_into_vehicle_folds,
 )
-from core.diagnose.add.refit import Change, Refitted, proof, refit_with, with_effects_held_out
-from core.diagnose.add.terms import additive, effect_term, scope_in_words
+from core.diagnose.add.refit import (
+    RefittedPair,
+    TermAddition,
+    assess_addition,
+    predict_with_effects_held_out,
+    refit_with,
+)
+from core.diagnose.add.terms import build_effect_term, describe_scope, is_additive
 from core.diagnose.ranking import LEAST_GAIN, LEVEL
 from core.effects import Effect
 from core.errors import ModelError
@@ -55,7 +61,7 @@ BESIDE: Final = ("conditions", "words_by_vehicle_model", "warnings")
 """What a trial has and the history has not."""
 
 
-class Added(NamedTuple):
+class AdditionTrial(NamedTuple):
     """An effect that was tried.
 
     Parameters
@@ -71,7 +77,7 @@ class Added(NamedTuple):
     trial: dict[str, Any]
 
 
-def add(
+def add_effect(
     model: LinearModel,
     effect: str,
     columns: Sequence[str],
@@ -81,7 +87,7 @@ def add(
     floor: float | None = None,
     seed: int = 0,
     least: float = LEAST_GAIN,
-) -> Added:
+) -> AdditionTrial:
     """Return a model with one more effect, and what came of it.
 
     Parameters
@@ -110,13 +116,13 @@ def add(
         the model is no sum of terms, and where there is too little to hold out.
     """
     declared = effects.get(effect)
-    term = effect_term(model, effect, tuple(columns))
-    found = rides_of(_rows(model, term, joined, rides), rides)
+    term = build_effect_term(model, effect, tuple(columns))
+    found = group_rows_by_ride(_rows(model, term, joined, rides), rides)
     at_work = _at_work(declared, term, found)
     change = _change(model, term)
     made = _refitted(model, change, found, seed)
     judged, by_condition = _judged(change, found, _apart(model, found, at_work), seed, declared.sign)
-    judged["noise_floor_kwh"] = noise_floor(get_numbers(found.table, "sd")) if floor is None else floor
+    judged["noise_floor_kwh"] = compute_noise_floor(get_numbers(found.table, "sd")) if floor is None else floor
     judged |= _verdict(judged, least)
     grown = _named(made.after, model, found)
     entry = to_json_values(
@@ -124,7 +130,7 @@ def add(
             "action": ADDED if judged["accepted"] else REFUSED,
             "effect": effect,
             "columns": list(columns),
-            "scope": scope_in_words(columns),
+            "scope": describe_scope(columns),
             **judged,
             **_coefficients(declared, made),
             "least_gain": least,
@@ -136,36 +142,38 @@ def add(
     grown = msgspec.structs.replace(grown, history=(*model.history, entry))
     if rides is not None:
         grown = add_interval(grown, rides)
-    notes = [f"{key}: {line}" for key, value in made.coefficients.items() if (line := warning(declared, value))]
-    words = {key: in_words(declared, value) for key, value in entry["by_vehicle_model"].items()}
+    notes = [
+        f"{key}: {line}" for key, value in made.coefficients.items() if (line := warn_if_implausible(declared, value))
+    ]
+    words = {key: put_in_words(declared, value) for key, value in entry["by_vehicle_model"].items()}
     beside = {"conditions": by_condition, "words_by_vehicle_model": words, "warnings": notes}
-    return Added(stamp(grown), entry | beside)
+    return AdditionTrial(stamp(grown), entry | beside)
 
 
-def logged(model: LinearModel, trial: dict[str, Any]) -> LinearModel:
+def log_attempt(model: LinearModel, trial: dict[str, Any]) -> LinearModel:
     """Return a model whose history has an attempt that changed nothing of it."""
     entry = {key: value for key, value in trial.items() if key not in BESIDE}
     return msgspec.structs.replace(model, history=(*model.history, entry))
 
 
-def forced(added: Added) -> Added:
+def force_addition(added: AdditionTrial) -> AdditionTrial:
     """Return an effect that was refused as one that was added all the same."""
     last = {**added.model.history[-1], "action": ADDED, "forced": True}
     model = msgspec.structs.replace(added.model, history=(*added.model.history[:-1], last))
-    return Added(stamp(model), added.trial | {"action": ADDED, "forced": True})
+    return AdditionTrial(stamp(model), added.trial | {"action": ADDED, "forced": True})
 
 
-def _change(model: LinearModel, term: Term) -> Change:
+def _change(model: LinearModel, term: Term) -> TermAddition:
     """Return the model's own terms, the effects that were added to it, and the one that is to be."""
     before = [tuple(entry.get("columns", ())) for entry in model.history if entry.get("action") == ADDED]
     own = tuple(each for each in model.terms if each.columns not in before)
-    return Change(own, tuple(each for each in model.terms if each.columns in before), term)
+    return TermAddition(own, tuple(each for each in model.terms if each.columns in before), term)
 
 
 def _rows(model: LinearModel, term: Term, joined: pd.DataFrame, rides: pd.DataFrame | None) -> pd.DataFrame:
     """Return what terms are fitted to: windows, or rides where only of these they hold."""
     rows = joined
-    if not additive(model.terms):
+    if not is_additive(model.terms):
         if rides is None:
             raise ModelError(f"model {model.name} has terms that hold for whole rides only: give the ride table too")
         rows = rides
@@ -180,7 +188,7 @@ def _rows(model: LinearModel, term: Term, joined: pd.DataFrame, rides: pd.DataFr
     return good.reset_index(drop=True)
 
 
-def _at_work(declared: Effect, term: Term, found: Rides) -> Mask:
+def _at_work(declared: Effect, term: Term, found: RideRows) -> Mask:
     """Return at which rides the effect is at work, where it is at any."""
     own = found.by_ride(np.abs(build_design((term,), Columns(found.rows), len(found.rows))[:, 0]))
     at_work: Mask = own > 0.0
@@ -193,16 +201,16 @@ def _at_work(declared: Effect, term: Term, found: Rides) -> Mask:
     raise ModelError(f"{declared.name} is nowhere at work in these {len(at_work):,} rides{shown}")
 
 
-def _reach(found: Rides, column: str) -> str:
+def _reach(found: RideRows, column: str) -> str:
     """Return which vehicles, or days, there are."""
     if column.startswith(VEHICLE_SCOPE):
         return ", ".join(sorted(set(found.table["vehicle_id"])))
     return f"{min(found.dates)} to {max(found.dates)}"
 
 
-def _refitted(model: LinearModel, change: Change, found: Rides, seed: int) -> Refitted:
+def _refitted(model: LinearModel, change: TermAddition, found: RideRows, seed: int) -> RefittedPair:
     """Return the model without and with the effect, where there is enough to judge it by."""
-    if not day_folds(found, seed):
+    if not split_into_day_folds(found, seed):
         raise ModelError(
             f"all {len(found.table):,} rides are of one vehicle on one day, and none can be held out: give more days"
         )
@@ -215,23 +223,23 @@ def _refitted(model: LinearModel, change: Change, found: Rides, seed: int) -> Re
     return made
 
 
-def _coefficients(declared: Effect, made: Refitted) -> dict[str, Any]:
+def _coefficients(declared: Effect, made: RefittedPair) -> dict[str, Any]:
     """Return the coefficient of the effect, what it means, and those of vehicle models that have their own."""
-    values = {key: told(declared, estimate) for key, estimate in made.coefficients.items()}
+    values = {key: describe_coefficient(declared, estimate) for key, estimate in made.coefficients.items()}
     own = {key: value for key, value in values.items() if key != ANY}
-    return {"coefficient": values[ANY], "words": in_words(declared, values[ANY]), "by_vehicle_model": own}
+    return {"coefficient": values[ANY], "words": put_in_words(declared, values[ANY]), "by_vehicle_model": own}
 
 
 def _judged(
-    change: Change, found: Rides, final: tuple[str, ...], seed: int, sign: int
+    change: TermAddition, found: RideRows, final: tuple[str, ...], seed: int, sign: int
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return what the trial tells, and the comparison by conditions."""
     own = found.only(~_on(found, final))
-    folds = day_folds(own, seed)
-    alone = with_effects_held_out(change, own.rows, [fold[own.ride] for fold in folds])
+    folds = split_into_day_folds(own, seed)
+    alone = predict_with_effects_held_out(change, own.rows, [fold[own.ride] for fold in folds])
     before, after = map(own.by_ride, alone)
-    of_effect = comparison(own.table, before, after)
-    shown = proof(change, own.rows, sign=sign, seed=seed)
+    of_effect = compare_errors(own.table, before, after)
+    shown = assess_addition(change, own.rows, sign=sign, seed=seed)
     judged = {
         "rides": len(found.table),
         "windows": len(found.rows),
@@ -242,36 +250,36 @@ def _judged(
         "p": shown.p,
         **{key: of_effect[key] for key in ("mae_before_kwh", "mae_after_kwh", "change_kwh")},
         "of_effect": of_effect,
-        "on_days": comparison(own.table, *held_out(change, own, folds)),
+        "on_days": compare_errors(own.table, *predict_held_out(change, own, folds)),
         "on_vehicles": _on_vehicles(change, own, seed),
         "final": _final(change, found, final) if final else None,
     }
-    return judged, conditions(own.table, before, after)
+    return judged, compare_by_condition(own.table, before, after)
 
 
-def _on_vehicles(change: Change, own: Rides, seed: int) -> dict[str, Any] | None:
+def _on_vehicles(change: TermAddition, own: RideRows, seed: int) -> dict[str, Any] | None:
     """Return the comparison on vehicles that were held out; nothing where an effect is one vehicle's own."""
-    folds = vehicle_folds(own, seed)
+    folds = split_into_vehicle_folds(own, seed)
     if not folds or any(column.startswith(VEHICLE_SCOPE) for column in change.added.columns):
         return None
-    return comparison(own.table, *held_out(change, own, folds, few_vehicles(own.table)))
+    return compare_errors(own.table, *predict_held_out(change, own, folds, list_sparse_vehicle_models(own.table)))
 
 
-def _apart(model: LinearModel, found: Rides, at_work: Mask) -> tuple[str, ...]:
+def _apart(model: LinearModel, found: RideRows, at_work: Mask) -> tuple[str, ...]:
     """Return the days that are set apart, none where too little of the effect would be left."""
-    final = final_days(model.history, found.dates)
+    final = select_final_days(model.history, found.dates)
     return () if (at_work & _on(found, final)).sum() > MOST_APART * at_work.sum() else final
 
 
-def _on(found: Rides, days: Sequence[str]) -> Mask:
+def _on(found: RideRows, days: Sequence[str]) -> Mask:
     """Return which rides are of some days."""
     return np.isin(np.asarray(found.dates, dtype=str), list(days))
 
 
-def _final(change: Change, found: Rides, days: tuple[str, ...]) -> dict[str, Any]:
+def _final(change: TermAddition, found: RideRows, days: tuple[str, ...]) -> dict[str, Any]:
     """Return the comparison on the days that were set apart."""
-    said = held_out(change, found, [_on(found, days)])
-    return {"dates": list(days), **comparison(found.table, *said)}
+    said = predict_held_out(change, found, [_on(found, days)])
+    return {"dates": list(days), **compare_errors(found.table, *said)}
 
 
 def _verdict(judged: dict[str, Any], least: float) -> dict[str, Any]:
@@ -296,7 +304,7 @@ def _verdict(judged: dict[str, Any], least: float) -> dict[str, Any]:
     return {"accepted": False, "reason": reason}
 
 
-def _named(made: LinearModel, model: LinearModel, found: Rides) -> LinearModel:
+def _named(made: LinearModel, model: LinearModel, found: RideRows) -> LinearModel:
     """Return a fitted model under the name of another, its rides counted as such."""
     count = {str(key): int(n) for key, n in found.table[VEHICLE_MODEL].value_counts().sort_index().items()}
     left = get_numbers(found.table, "measured") - found.by_ride(made.predict(found.rows))

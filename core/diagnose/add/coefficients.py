@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 from typing import Any
 
-from core.diagnose.add.refit import Estimate
+from core.diagnose.add.refit import CoefficientEstimate
 from core.effects.declaration import Effect
 
 
-def told(declared: Effect, found: Estimate) -> dict[str, Any]:
+def describe_coefficient(declared: Effect, found: CoefficientEstimate) -> dict[str, Any]:
     """Return a coefficient as JSON has it.
 
     Returns
@@ -26,7 +26,7 @@ def told(declared: Effect, found: Estimate) -> dict[str, Any]:
     }
 
 
-def warning(declared: Effect, found: Estimate) -> str:
+def warn_if_implausible(declared: Effect, found: CoefficientEstimate) -> str:
     """Return what an implausible coefficient may mean, nothing where it is plausible."""
     value, low, high = found.value, declared.low, declared.high
     if low <= value <= high:
@@ -44,7 +44,7 @@ def warning(declared: Effect, found: Estimate) -> str:
     return f"coefficient {value:.3g}{unit} is outside its plausible range, {low:g} to {high:g}{unit}: {what}; {why}"
 
 
-def in_words(declared: Effect, found: Mapping[str, Any]) -> str:
+def put_in_words(declared: Effect, found: Mapping[str, Any]) -> str:
     """Return what a coefficient, as `told` has it, means to people."""
     low, high = found["ci95"]
     return declared.in_words(found["value"], (high - low) / 2.0)

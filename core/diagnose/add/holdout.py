@@ -19,7 +19,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
-from core.diagnose.add.refit import Change, refit_with, unnamed
+from core.diagnose.add.refit import TermAddition, hide_vehicle_models, refit_with
 from core.errors import ModelError
 from core.fit.ride_blocks import ENERGY, get_names, get_numbers
 from core.models import VEHICLE_MODEL
@@ -39,7 +39,7 @@ GAUSSIAN: Final = float(np.sqrt(2.0 / np.pi))
 Mask = NDArray[np.bool_]
 
 
-class Rides(NamedTuple):
+class RideRows(NamedTuple):
     """Rows to fit to, and the rides that they are of.
 
     Parameters
@@ -58,13 +58,13 @@ class Rides(NamedTuple):
 
     def by_ride(self, values: Floats) -> Floats:
         """Return the sum of each ride."""
-        return sums(self.ride, values, len(self.table))
+        return sum_groups(self.ride, values, len(self.table))
 
-    def only(self, kept: Mask) -> "Rides":
+    def only(self, kept: Mask) -> "RideRows":
         """Return some of the rides."""
         place = np.cumsum(kept) - 1
         at = kept[self.ride]
-        return Rides(
+        return RideRows(
             self.rows.loc[at].reset_index(drop=True), place[self.ride[at]].astype(np.int64), self.table.loc[kept]
         )
 
@@ -74,12 +74,12 @@ class Rides(NamedTuple):
         return get_names(self.table, "date")
 
 
-def sums(group: Ints, values: Floats, count: int) -> Floats:
+def sum_groups(group: Ints, values: Floats, count: int) -> Floats:
     """Return the sum of each group's values, (count,)."""
     return np.bincount(group, values, count).astype(np.float64)
 
 
-def rides_of(rows: pd.DataFrame, rides: pd.DataFrame | None = None) -> Rides:
+def group_rows_by_ride(rows: pd.DataFrame, rides: pd.DataFrame | None = None) -> RideRows:
     """Return the rides that windows are of.
 
     Parameters
@@ -102,14 +102,14 @@ def rides_of(rows: pd.DataFrame, rides: pd.DataFrame | None = None) -> Rides:
     table = rows.iloc[first][["vehicle_id", VEHICLE_MODEL, "date"]].reset_index(drop=True)
 
     def total(values: Floats) -> Floats:
-        return sums(ride, values, len(keys))
+        return sum_groups(ride, values, len(keys))
 
     duration, distance = get_numbers(rows, "duration_s"), total(get_numbers(rows, "distance_km"))
     known = np.maximum(total(duration), 1e-9)
     sd = np.sqrt(total(get_numbers(rows, ENERGY_SD) ** 2)) if ENERGY_SD in rows else np.full(len(keys), np.nan)
     if rides is not None and ENERGY_SD in rides and "ride_key" in rides:
         sd = get_numbers(rides.set_index("ride_key").reindex(keys), ENERGY_SD)
-    return Rides(
+    return RideRows(
         rows,
         ride,
         table.assign(
@@ -122,7 +122,7 @@ def rides_of(rows: pd.DataFrame, rides: pd.DataFrame | None = None) -> Rides:
     )
 
 
-def noise_floor(sd: Floats) -> float:
+def compute_noise_floor(sd: Floats) -> float:
     """Return the mean absolute error of a model that is right, by the measurement's own noise alone. [kWh]
 
     Parameters
@@ -134,7 +134,7 @@ def noise_floor(sd: Floats) -> float:
     return float(GAUSSIAN * known.mean()) if len(known) else float("nan")
 
 
-def day_folds(rides: Rides, seed: int) -> list[Mask]:
+def split_into_day_folds(rides: RideRows, seed: int) -> list[Mask]:
     """Return parts of the rides, to be held out in turn: whole days, or vehicles' days where there are few days."""
     days = rides.dates
     if len(set(days)) < LEAST_DATES:
@@ -148,24 +148,24 @@ def day_folds(rides: Rides, seed: int) -> list[Mask]:
     return [fold == i for i in range(min(FOLDS, len(groups)))]
 
 
-def vehicle_folds(rides: Rides, seed: int) -> list[Mask]:
+def split_into_vehicle_folds(rides: RideRows, seed: int) -> list[Mask]:
     """Return parts of the rides by vehicle, to be held out in turn; none of one vehicle alone."""
     kinds, vehicles = get_names(rides.table, VEHICLE_MODEL), get_names(rides.table, "vehicle_id")
-    few = few_vehicles(rides.table)
+    few = list_sparse_vehicle_models(rides.table)
     pooled = ["" if kind in few else kind for kind in kinds]
     every = np.arange(len(kinds))
     masks = [np.isin(every, split.test) for split in split_by_vehicle(pooled, vehicles, seed, FOLDS)]
     return [mask for mask in masks if not mask.all()]
 
 
-def few_vehicles(table: pd.DataFrame) -> set[str]:
+def list_sparse_vehicle_models(table: pd.DataFrame) -> set[str]:
     """Return the vehicle models with too few vehicles to do without one of them."""
     count = table.groupby(VEHICLE_MODEL)["vehicle_id"].nunique()
     return {str(name) for name, n in count.items() if n < OWN_FIT}
 
 
-def held_out(
-    change: Change, rides: Rides, folds: Sequence[Mask], pooled: Collection[str] = ()
+def predict_held_out(
+    change: TermAddition, rides: RideRows, folds: Sequence[Mask], pooled: Collection[str] = ()
 ) -> tuple[Floats, Floats]:
     """Return the predictions of rides by models fitted without them: one without a term, one with it.
 
@@ -186,14 +186,14 @@ def held_out(
     before, after = (np.full(len(rides.table), np.nan) for _ in range(2))
     for fold in folds:
         test = rides.only(fold)
-        asked = unnamed(test.rows, pooled)
+        asked = hide_vehicle_models(test.rows, pooled)
         models = refit_with(change, rides.only(~fold).rows, pooled=pooled)
         before[fold] = test.by_ride(models.before.predict(asked))
         after[fold] = test.by_ride(models.after.predict(asked))
     return before, after
 
 
-def comparison(table: pd.DataFrame, before: Floats, after: Floats) -> dict[str, Any]:
+def compare_errors(table: pd.DataFrame, before: Floats, after: Floats) -> dict[str, Any]:
     """Return two models' errors on the same rides, and their mean difference with its interval.
 
     Parameters
@@ -242,14 +242,14 @@ LEAST: Final = 10
 """Rides for a condition to be told of."""
 
 
-def conditions(table: pd.DataFrame, before: Floats, after: Floats) -> dict[str, list[dict[str, Any]]]:
+def compare_by_condition(table: pd.DataFrame, before: Floats, after: Floats) -> dict[str, list[dict[str, Any]]]:
     """Return the comparison by outside temperature, distance, speed and vehicle, of bins with `LEAST` rides."""
     bins = {what: _bins(get_numbers(table, column), cuts, unit) for column, (what, cuts, unit) in CONDITIONS.items()}
     vehicles = np.array(get_names(table, "vehicle_id"), dtype=object)
     bins["vehicle"] = [(str(name), vehicles == name) for name in sorted(set(vehicles))]
     return {
         what: [
-            {"where": label, **comparison(table.loc[here], before[here], after[here])}
+            {"where": label, **compare_errors(table.loc[here], before[here], after[here])}
             for label, here in parts
             if here.sum() >= LEAST
         ]
@@ -266,7 +266,7 @@ def _bins(values: Floats, cuts: tuple[float, ...], unit: str) -> list[tuple[str,
     return [(label, code == i) for i, label in enumerate(labels)]
 
 
-def final_days(history: Sequence[Mapping[str, Any]], dates: Sequence[str]) -> tuple[str, ...]:
+def select_final_days(history: Sequence[Mapping[str, Any]], dates: Sequence[str]) -> tuple[str, ...]:
     """Return the days that are set apart: none of fewer than `LEAST_DATES` dates, all of which are needed.
 
     Those of the model's history, where the rides have any of them; else every fifth date. The last fifth would be of

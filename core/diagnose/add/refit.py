@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from core.batch import Floats, Ints
-from core.diagnose.candidates import least_coefficients
+from core.diagnose.candidates import compute_least_coefficients
 from core.diagnose.dataset import Windows
-from core.diagnose.evidence import Clusters, by_vehicle_and_day
-from core.diagnose.projection import Base, orthonormal
-from core.diagnose.ranking import total
+from core.diagnose.evidence import ClusterSums, compute_worst_case_evidence
+from core.diagnose.projection import BaseProjection, orthonormalise
+from core.diagnose.ranking import sum_over_clusters
 from core.fit.fitting import build_design, fit_terms, limit_to_one_thread
 from core.fit.recipes import LinearRecipe
 from core.fit.ride_blocks import ENERGY, RideFrame, get_names, get_numbers
@@ -42,7 +42,7 @@ LEAST_FREEDOM: Final = 2.0
 Rows = NDArray[np.int64]
 
 
-class Estimate(NamedTuple):
+class CoefficientEstimate(NamedTuple):
     """A coefficient, and how sure it is.
 
     Parameters
@@ -63,7 +63,7 @@ class Estimate(NamedTuple):
         return float(stdtrit(max(self.freedom, 1.0), 0.975) * self.error)
 
 
-class Change(NamedTuple):
+class TermAddition(NamedTuple):
     """A term to be added to a model.
 
     Parameters
@@ -81,7 +81,7 @@ class Change(NamedTuple):
     added: Term
 
 
-class Refitted(NamedTuple):
+class RefittedPair(NamedTuple):
     """A model without and with a term, fitted to the same rows.
 
     Parameters
@@ -93,7 +93,7 @@ class Refitted(NamedTuple):
 
     before: LinearModel
     after: LinearModel
-    coefficients: dict[str, Estimate]
+    coefficients: dict[str, CoefficientEstimate]
 
 
 def refit(terms: tuple[Term, ...], rows: pd.DataFrame, *, covariance: bool = False) -> LinearModel:
@@ -102,8 +102,8 @@ def refit(terms: tuple[Term, ...], rows: pd.DataFrame, *, covariance: bool = Fal
 
 
 def refit_with(
-    change: Change, rows: pd.DataFrame, *, pooled: Collection[str] = (), covariance: bool = False
-) -> Refitted:
+    change: TermAddition, rows: pd.DataFrame, *, pooled: Collection[str] = (), covariance: bool = False
+) -> RefittedPair:
     """Return a model fitted without and with a term.
 
     Parameters
@@ -121,30 +121,28 @@ def refit_with(
     Refitted
         With a coefficient of 0 without an error where the model's own terms can take up the whole of the term.
     """
-    asked = unnamed(rows, pooled)
+    asked = hide_vehicle_models(rows, pooled)
     with limit_to_one_thread():
         plain = refit(change.base, asked)
-        base = Base(windows_of(rows), plain)
+        base = BaseProjection(convert_to_windows(rows), plain)
         before = plain
         if change.effects:
             before = _around(change.base, change.effects, asked, _estimates(base, change.effects), covariance=False)
         terms = (*change.effects, change.added)
-        base = base.weighed_anew(
-            np.nan_to_num(build_design(terms, Columns(base.windows.table), len(base.windows.table)))
-        )
+        base = base.reweight(np.nan_to_num(build_design(terms, Columns(base.windows.table), len(base.windows.table))))
         found = _estimates(base, terms)
         after = _around(change.base, terms, asked, found, covariance=covariance)
-    return Refitted(before, msgspec.structs.replace(after, training=plain.training), found[-1])
+    return RefittedPair(before, msgspec.structs.replace(after, training=plain.training), found[-1])
 
 
-def unnamed(rows: pd.DataFrame, kinds: Collection[str]) -> pd.DataFrame:
+def hide_vehicle_models(rows: pd.DataFrame, kinds: Collection[str]) -> pd.DataFrame:
     """Return rows in which some vehicle models are as if they were not known."""
     if not kinds:
         return rows
     return rows.assign(**{VEHICLE_MODEL: rows[VEHICLE_MODEL].where(~rows[VEHICLE_MODEL].isin(list(kinds)), "")})
 
 
-def windows_of(rows: pd.DataFrame) -> Windows:
+def convert_to_windows(rows: pd.DataFrame) -> Windows:
     """Return rows as diagnosis wants them, with nothing predicted."""
     ride = pd.factorize(rows["ride_key"])[0]
     return Windows(
@@ -164,7 +162,7 @@ def _around(
     terms: tuple[Term, ...],
     added: tuple[Term, ...],
     rows: pd.DataFrame,
-    found: Sequence[Mapping[str, Estimate]],
+    found: Sequence[Mapping[str, CoefficientEstimate]],
     *,
     covariance: bool,
 ) -> LinearModel:
@@ -190,26 +188,28 @@ def _less(rows: pd.DataFrame, energy: Floats) -> pd.DataFrame:
 
 
 def _estimates(
-    base: Base, terms: tuple[Term, ...], within: NDArray[np.bool_] | None = None
-) -> list[dict[str, Estimate]]:
+    base: BaseProjection, terms: tuple[Term, ...], within: NDArray[np.bool_] | None = None
+) -> list[dict[str, CoefficientEstimate]]:
     """Return the coefficients of terms beside each other, of each by vehicle model, `*` for all; from some rows."""
     rows = base.windows.table
     at = np.flatnonzero(np.ones(len(rows), np.bool_) if within is None else within)
     columns = build_design(terms, Columns(rows), len(rows))
-    left, size = base.off(columns), (base.weighted(columns) ** 2).sum(axis=0)
+    left, size = base.project_out(columns), (base.apply_weights(columns) ** 2).sum(axis=0)
     return [_estimate(base, left, place, float(size[place]), at) for place in range(len(terms))]
 
 
-def _estimate(base: Base, left: Floats, place: int, size: float, rows: Rows) -> dict[str, Estimate]:
+def _estimate(
+    base: BaseProjection, left: Floats, place: int, size: float, rows: Rows
+) -> dict[str, CoefficientEstimate]:
     """Return the coefficient of one of several columns, by vehicle model."""
     common = _alone(base, left, place, rows)
     if common is None or float((left[:, place] ** 2).sum()) <= LEAST_LEFT * size:
-        return {ANY: Estimate(0.0, nan, 0.0)}
+        return {ANY: CoefficientEstimate(0.0, nan, 0.0)}
     own = {kind: _alone(base, left, place, np.intersect1d(at, rows)) for kind, at in base.kinds.items()}
     return _pooled(common, {key: each for key, each in own.items() if each and each.freedom >= LEAST_FREEDOM})
 
 
-def _alone(base: Base, left: Floats, place: int, at: Rows) -> Estimate | None:
+def _alone(base: BaseProjection, left: Floats, place: int, at: Rows) -> CoefficientEstimate | None:
     """Return the coefficient of a column beside the others, from some rows; None where they tell nothing of it."""
     if not len(at):
         return None
@@ -218,25 +218,25 @@ def _alone(base: Base, left: Floats, place: int, at: Rows) -> Estimate | None:
     if size <= LEAST_LEFT * float(left[:, place] @ left[:, place]):
         return None
     clusters = [_renumbered(code[at]) for code in (base.windows.day, base.windows.date)]
-    found = by_vehicle_and_day(residual, column[:, np.newaxis], np.zeros(1, dtype=np.int64), clusters)
+    found = compute_worst_case_evidence(residual, column[:, np.newaxis], np.zeros(1, dtype=np.int64), clusters)
     value = float(found.coefficient[0])
     alone = sqrt(float(np.mean((residual - value * column) ** 2)) / size)  # the error, were windows independent
-    return Estimate(value, max(float(found.error[0]), alone), float(found.freedom[0]))
+    return CoefficientEstimate(value, max(float(found.error[0]), alone), float(found.freedom[0]))
 
 
-def _renumbered(code: Ints) -> Clusters:
+def _renumbered(code: Ints) -> ClusterSums:
     """Return clusters of which some may have no rows."""
-    return Clusters(np.unique(code, return_inverse=True)[1].astype(np.int64))
+    return ClusterSums(np.unique(code, return_inverse=True)[1].astype(np.int64))
 
 
 def _off(others: Floats, *columns: Floats) -> list[Floats]:
     """Return what is left of columns off others."""
-    basis = orthonormal(others) if others.shape[1] else others
+    basis = orthonormalise(others) if others.shape[1] else others
     return [column - basis @ (basis.T @ column) for column in columns]
 
 
-def with_effects_held_out(
-    change: Change, rows: pd.DataFrame, folds: Sequence[NDArray[np.bool_]]
+def predict_with_effects_held_out(
+    change: TermAddition, rows: pd.DataFrame, folds: Sequence[NDArray[np.bool_]]
 ) -> tuple[Floats, Floats]:
     """Return the predictions of rows where only effects' coefficients are found without them, all else with them.
 
@@ -256,7 +256,7 @@ def with_effects_held_out(
     before, after = (np.full(len(rows), np.nan) for _ in range(2))
     with limit_to_one_thread():
         plain = refit(change.base, rows)
-        base = Base(windows_of(rows), plain)
+        base = BaseProjection(convert_to_windows(rows), plain)
         for fold in folds:
             found = _estimates(base, terms, ~fold)
             known = plain
@@ -268,7 +268,7 @@ def with_effects_held_out(
     return before, after
 
 
-class Proof(NamedTuple):
+class AdditionEvidence(NamedTuple):
     """Whether a term is there.
 
     Parameters
@@ -286,7 +286,7 @@ class Proof(NamedTuple):
     half: float
 
 
-def proof(change: Change, rows: pd.DataFrame, *, sign: int, seed: int) -> Proof:
+def assess_addition(change: TermAddition, rows: pd.DataFrame, *, sign: int, seed: int) -> AdditionEvidence:
     """Return whether rows show a term that a model lacks, as `core.diagnose.forward_selection` asks it.
 
     Parameters
@@ -300,34 +300,36 @@ def proof(change: Change, rows: pd.DataFrame, *, sign: int, seed: int) -> Proof:
         Of the folds.
     """
     with limit_to_one_thread():
-        base = Base(windows_of(rows), refit(change.base, rows))
+        base = BaseProjection(convert_to_windows(rows), refit(change.base, rows))
         asked = build_design((*change.effects, change.added), Columns(rows), len(rows))
-        left = base.off(asked)
+        left = base.project_out(asked)
         column, residual = _off(left[:, :-1], left[:, -1], base.residual)
     windows = base.windows
-    clusters = [Clusters(windows.day), Clusters(windows.date)]
+    clusters = [ClusterSums(windows.day), ClusterSums(windows.date)]
     if clusters[0].count < 2 or not column.any():
-        return Proof(1.0, 0.0, nan)
-    worth = least_coefficients([change.added.columns[0].removeprefix(EFFECT_PREFIX)], asked[:, -1:], windows.measured)
-    found = by_vehicle_and_day(residual, column[:, np.newaxis], np.array([sign]), clusters, worth)
+        return AdditionEvidence(1.0, 0.0, nan)
+    worth = compute_least_coefficients(
+        [change.added.columns[0].removeprefix(EFFECT_PREFIX)], asked[:, -1:], windows.measured
+    )
+    found = compute_worst_case_evidence(residual, column[:, np.newaxis], np.array([sign]), clusters, worth)
     after = residual - column * _cross_fitted(column, residual, sign, clusters[0], seed)
-    of_windows = clusters[0].sums(residual**2 - after**2) / float(residual @ residual)
-    rides = [windows.by_ride(base.energy(values)) for values in (residual, after)]
+    of_windows = clusters[0].sum_by_cluster(residual**2 - after**2) / float(residual @ residual)
+    rides = [windows.by_ride(base.convert_to_energy(values)) for values in (residual, after)]
     fall = np.bincount(windows.day_of_ride, rides[0] ** 2 - rides[1] ** 2, clusters[0].count)
-    gain, error = max(total(of_windows), total(fall / float(rides[0] @ rides[0])))
-    return Proof(float(found.p[0]), gain, float(stdtrit(clusters[0].count - 1, 0.975) * error))
+    gain, error = max(sum_over_clusters(of_windows), sum_over_clusters(fall / float(rides[0] @ rides[0])))
+    return AdditionEvidence(float(found.p[0]), gain, float(stdtrit(clusters[0].count - 1, 0.975) * error))
 
 
-def _cross_fitted(column: Floats, residual: Floats, sign: int, clusters: Clusters, seed: int) -> Floats:
+def _cross_fitted(column: Floats, residual: Floats, sign: int, clusters: ClusterSums, seed: int) -> Floats:
     """Return for each row the coefficient of a column by the other folds of vehicle-days, 0 for the wrong sign."""
-    fold = clusters.folds(seed)[clusters.code]
+    fold = clusters.assign_folds(seed)[clusters.code]
     size, cross = np.bincount(fold, column**2), np.bincount(fold, column * residual)
     rest = size.sum() - size
     fitted = np.divide(cross.sum() - cross, rest, out=np.zeros(len(rest)), where=rest > 0.0)
     return np.asarray(np.where(sign * fitted < 0.0, 0.0, fitted)[fold])
 
 
-def _pooled(common: Estimate, own: dict[str, Estimate]) -> dict[str, Estimate]:
+def _pooled(common: CoefficientEstimate, own: dict[str, CoefficientEstimate]) -> dict[str, CoefficientEstimate]:
     """Return the common coefficient, and of vehicle models that differ by more than chance their own, drawn to it."""
     if len(own) < 2:
         return {ANY: common}
@@ -341,14 +343,18 @@ def _pooled(common: Estimate, own: dict[str, Estimate]) -> dict[str, Estimate]:
     weight = 1.0 / (variance + between)
     mean = float(weight @ value / weight.sum())
     freedom = min(e.freedom for e in own.values())
-    found = {ANY: Estimate(mean, float(1.0 / np.sqrt(weight.sum())), max(len(own) - 1.0, freedom))}
+    found = {ANY: CoefficientEstimate(mean, float(1.0 / np.sqrt(weight.sum())), max(len(own) - 1.0, freedom))}
     for kind, each in own.items():
         share = between / (between + each.error**2)
-        found[kind] = Estimate(mean + share * (each.value - mean), float(np.sqrt(share)) * each.error, each.freedom)
+        found[kind] = CoefficientEstimate(
+            mean + share * (each.value - mean), float(np.sqrt(share)) * each.error, each.freedom
+        )
     return found
 
 
-def _with(terms: tuple[Term, ...], fit: Fit, added: Sequence[Estimate], rows: pd.DataFrame, columns: Floats) -> Fit:
+def _with(
+    terms: tuple[Term, ...], fit: Fit, added: Sequence[CoefficientEstimate], rows: pd.DataFrame, columns: Floats
+) -> Fit:
     """Return a fit with the coefficients of the terms that its energy was taken less of, and its covariance."""
     covariance: Any = None
     if fit.covariance is not None:

@@ -40,7 +40,7 @@ _ALIKE: Final = frozenset(
 """Columns that are the same, or nearly, in all windows of a ride."""
 
 
-def scoped(effect: str, scopes: Sequence[str] = ()) -> tuple[str, ...]:
+def build_term_columns(effect: str, scopes: Sequence[str] = ()) -> tuple[str, ...]:
     """Return the columns of the term of an effect that holds within scopes.
 
     Raises
@@ -64,7 +64,7 @@ def scoped(effect: str, scopes: Sequence[str] = ()) -> tuple[str, ...]:
     return (found.energy_name, *scopes)
 
 
-def scope_in_words(columns: Sequence[str]) -> str:
+def describe_scope(columns: Sequence[str]) -> str:
     """Return for whom and since when a term holds.
 
     Examples
@@ -75,7 +75,7 @@ def scope_in_words(columns: Sequence[str]) -> str:
     return ", ".join(column.replace("=", " ", 1) for column in columns if is_scope(column)) or "all"
 
 
-def additive(terms: Sequence[Term]) -> bool:
+def is_additive(terms: Sequence[Term]) -> bool:
     """Tell whether what terms give to the windows of a ride adds up to what they give to the ride.
 
     A constant does not, nor does the square of a distance.
@@ -91,7 +91,7 @@ def _adds(column: str) -> bool:
     return _is_amount(column) or column in _ALIKE or is_scope(column)
 
 
-def effect_term(model: LinearModel, effect: str, columns: tuple[str, ...]) -> Term:
+def build_effect_term(model: LinearModel, effect: str, columns: tuple[str, ...]) -> Term:
     """Return the term of the effect, where the model can take it."""
     if model.correction or model.cars:
         what = "boosted trees" if model.correction else "factors of single cars"

@@ -26,7 +26,7 @@ from scipy import stats
 from core.batch import Floats, Ints
 from core.diagnose.free_form import suggestion
 from core.diagnose.free_form.building_blocks import CARRIERS, VARIABLES, Carrier
-from core.diagnose.free_form.terms import FreeTerm, Modulator, modulators
+from core.diagnose.free_form.terms import FreeTerm, Modulator, list_modulators
 
 PIECES: Final = 10
 """Parts into which the clusters are dealt."""
@@ -113,8 +113,8 @@ class _Search:
     def __init__(self, data: _Data, windows: pd.DataFrame) -> None:
         self.data = data
         values = {variable.name: variable.value(windows) for variable in VARIABLES}
-        self.modulators = [each for variable in VARIABLES for each in modulators(variable, values[variable.name])]
-        self.values = np.array([each.of(values[each.variable.name]) for each in self.modulators])
+        self.modulators = [each for variable in VARIABLES for each in list_modulators(variable, values[variable.name])]
+        self.values = np.array([each.evaluate(values[each.variable.name]) for each in self.modulators])
         self.energies = {carrier.name: carrier.energy(windows) for carrier in CARRIERS}
         self.made: dict[tuple[str, str, str, float], tuple[list[FreeTerm], _Sums]] = {}
         self.terms: list[FreeTerm] = []
@@ -152,7 +152,7 @@ class _Search:
         return terms, _summed(columns, self.data)
 
 
-def free_form(
+def suggest_term(
     windows: pd.DataFrame,
     residual: Floats,
     weight: Floats,
@@ -202,14 +202,14 @@ def free_form(
     column[order] = search.column(term)
     return Suggestion(
         term=term,
-        formula=suggestion.formula(term),
+        formula=suggestion.format_formula(term),
         coefficient=coefficient,
         ci95=(coefficient - error, coefficient + error),
-        unit=suggestion.unit(term),
+        unit=suggestion.derive_unit(term),
         gain=gain,
         gain_ci95=(gain - half, gain + half),
         column=column,
-        file=suggestion.file(term, coefficient, len(order)),
+        file=suggestion.format_source_file(term, coefficient, len(order)),
     )
 
 
@@ -311,7 +311,7 @@ def _choose(search: _Search, pieces: Ints) -> FreeTerm | None:
     best = int(np.argmax(sure))
     if sure[best] <= 0.0:
         return None
-    plainer = [i for i, term in enumerate(terms) if term.plainer_than(terms[best])]
+    plainer = [i for i, term in enumerate(terms) if term.is_plainer_than(terms[best])]
     lost = falls[:, [best]] - falls[:, plainer]
     doubt = np.array([1.0 if terms[i].variables == terms[best].variables else MORE for i in plainer])
     enough = lost.sum(axis=0) <= np.maximum(doubt * _error(lost), SLIGHT * total[best])

@@ -20,14 +20,14 @@ class _Written(NamedTuple):
     parameter: Parameter | None = None
 
 
-def formula(term: FreeTerm) -> str:
+def format_formula(term: FreeTerm) -> str:
     """Return the power of a term, times a coefficient c."""
     written = [_write(each) for each in term.modulators]
     factors = ["c", *(each.formula for each in written), *([term.carrier.symbol] if term.carrier.symbol else [])]
     return ", ".join([f"P = {' · '.join(factors)}", *(each.said for each in written if each.said)])
 
 
-def unit(term: FreeTerm) -> str:
+def derive_unit(term: FreeTerm) -> str:
     """Return the unit of the coefficient of a term, with which its power is in watt, as pint spells it."""
     found = term.carrier.unit
     for each in term.modulators:
@@ -38,12 +38,12 @@ def unit(term: FreeTerm) -> str:
     return found
 
 
-def name(term: FreeTerm) -> str:
+def name_term(term: FreeTerm) -> str:
     """Return what the effect of a term is called."""
     return "_and_".join([f"suggested_{term.carrier.name}", *sorted(term.variables)])
 
 
-def file(term: FreeTerm, coefficient: float, windows: int) -> str:
+def format_source_file(term: FreeTerm, coefficient: float, windows: int) -> str:
     """Return the text of a Python file with the effect, which passes `socast effects check`.
 
     Parameters
@@ -60,14 +60,14 @@ def file(term: FreeTerm, coefficient: float, windows: int) -> str:
     meanings = ", ".join(f"{each.variable.meaning} {each.variable.symbol}" for each in term.modulators)
     bounds = sorted((float(f"{coefficient / ROOM_FOR:.2g}"), float(f"{coefficient * ROOM_FOR:.2g}")))
     return render(
-        name(term),
+        name_term(term),
         arguments=tuple(dict.fromkeys(arguments)) or ("dt",),
         body=f"return {' * '.join(code) or 'np.ones_like(dt)'}",
         documentation="\n\n".join(
-            ["Say what it is.", formula(term), *([f"With {meanings}."] if meanings else [])],
+            ["Say what it is.", format_formula(term), *([f"With {meanings}."] if meanings else [])],
         ),
         coefficient="say what c is",
-        unit=unit(term),
+        unit=derive_unit(term),
         low=bounds[0],
         high=bounds[1],
         source=f"suggested by {windows:,} windows of driving; range: a fifth to five times what they say. Say here "

@@ -40,7 +40,7 @@ class Modulator(NamedTuple):
     at: float = 0.0
     grid: tuple[float, ...] = ()
 
-    def of(self, x: Floats) -> Floats:
+    def evaluate(self, x: Floats) -> Floats:
         """Return its values, of those of its variable."""
         return SHAPES[self.shape](x, self.at)
 
@@ -80,7 +80,7 @@ class FreeTerm(NamedTuple):
         """Names of what it depends on beside its carrier."""
         return frozenset(each.variable.name for each in self.modulators)
 
-    def plainer_than(self, other: "FreeTerm") -> bool:
+    def is_plainer_than(self, other: "FreeTerm") -> bool:
         """Tell whether it says less than another, of the same.
 
         Of the same carrier; or of any, where the other depends on speed beside: carriers differ by that above all.
@@ -90,7 +90,7 @@ class FreeTerm(NamedTuple):
         return same and self.variables <= known and self.effort < other.effort
 
 
-def modulators(variable: Variable, x: Floats) -> Iterator[Modulator]:
+def list_modulators(variable: Variable, x: Floats) -> Iterator[Modulator]:
     """Give the functions of a variable that are tried, limits and scales from a grid of its quantiles.
 
     Parameters
@@ -101,7 +101,7 @@ def modulators(variable: Variable, x: Floats) -> Iterator[Modulator]:
     """
     if np.ptp(x) == 0.0:
         return
-    grid = limits(x, variable.unit)
+    grid = choose_limits(x, variable.unit)
     for shape in variable.shapes:
         if shape not in LIMITED:
             yield Modulator(variable, shape)
@@ -111,7 +111,7 @@ def modulators(variable: Variable, x: Floats) -> Iterator[Modulator]:
             yield Modulator(variable, shape, at, ats)
 
 
-def limits(x: Floats, unit: str) -> tuple[float, ...]:
+def choose_limits(x: Floats, unit: str) -> tuple[float, ...]:
     """Return rounded quantiles of a variable within its values, ascending; those above the least, where many have that.
 
     Examples

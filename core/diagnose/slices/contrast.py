@@ -86,7 +86,7 @@ class _Sums(NamedTuple):
         return self.rides.max(axis=1) < self.rides.sum(axis=1)
 
 
-def contrast(masks: NDArray[np.bool_], error: Floats, starts: Ints) -> Contrast:
+def compute_contrast(masks: NDArray[np.bool_], error: Floats, starts: Ints) -> Contrast:
     """Return the mean error of slices against the rest.
 
     Parameters

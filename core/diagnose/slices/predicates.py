@@ -33,7 +33,7 @@ VAGUE: Final = 1.5
 """Conditions that a season, a date or the battery's temperature counts for: the weather's says more."""
 
 
-class Condition(NamedTuple):
+class RideCondition(NamedTuple):
     """Something that holds for some rides.
 
     Parameters
@@ -51,7 +51,7 @@ class Condition(NamedTuple):
     effort: float = 1.0
 
 
-class Scale(NamedTuple):
+class ConditionScale(NamedTuple):
     """How a person speaks of a column.
 
     Parameters
@@ -79,36 +79,36 @@ class Scale(NamedTuple):
     effort: float = 1.0
 
 
-SCALES: Final = (
-    Scale("ambient_c", "colder than {} °C", "warmer than {} °C", (5.0, 2.0, 1.0)),
-    Scale("distance_km", "shorter than {} km", "longer than {} km", (5.0, 2.0, 1.0, 0.5)),
-    Scale("average_speed_kmh", "slower than {} km/h", "faster than {} km/h", (10.0, 5.0, 2.0)),
-    Scale("gained_m", "gaining less than {} m", "gaining more than {} m", (100.0, 50.0, 20.0, 10.0)),
-    Scale("lost_m", "losing less than {} m", "losing more than {} m", (100.0, 50.0, 20.0, 10.0)),
-    Scale("stops", "fewer than {} stops", "{} stops or more", (10.0, 5.0, 2.0, 1.0)),
-    Scale("wind_speed_kmh", "wind below {} km/h", "wind above {} km/h", (10.0, 5.0, 2.0)),
-    Scale(
+CONDITION_SCALES: Final = (
+    ConditionScale("ambient_c", "colder than {} °C", "warmer than {} °C", (5.0, 2.0, 1.0)),
+    ConditionScale("distance_km", "shorter than {} km", "longer than {} km", (5.0, 2.0, 1.0, 0.5)),
+    ConditionScale("average_speed_kmh", "slower than {} km/h", "faster than {} km/h", (10.0, 5.0, 2.0)),
+    ConditionScale("gained_m", "gaining less than {} m", "gaining more than {} m", (100.0, 50.0, 20.0, 10.0)),
+    ConditionScale("lost_m", "losing less than {} m", "losing more than {} m", (100.0, 50.0, 20.0, 10.0)),
+    ConditionScale("stops", "fewer than {} stops", "{} stops or more", (10.0, 5.0, 2.0, 1.0)),
+    ConditionScale("wind_speed_kmh", "wind below {} km/h", "wind above {} km/h", (10.0, 5.0, 2.0)),
+    ConditionScale(
         "precipitation_mm_h",
         "rain or snow below {} mm/h",
         "rain or snow above {} mm/h",
         at=(0.1, 0.2, 0.5, 1.0, 2.0, 5.0),
     ),
-    Scale(
+    ConditionScale(
         "parked_s",
         "parked for less than {} h before",
         "parked for more than {} h before",
         at=(0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 12.0, 24.0),
         size=3600.0,
     ),
-    Scale("soc_start_pct", "battery below {} % at the start", "battery above {} % at the start", (10.0, 5.0)),
-    Scale(
+    ConditionScale("soc_start_pct", "battery below {} % at the start", "battery above {} % at the start", (10.0, 5.0)),
+    ConditionScale(
         "battery_temperature_c",
         "battery colder than {} °C",
         "battery warmer than {} °C",
         (5.0, 2.0, 1.0),
         effort=VAGUE,
     ),
-    Scale("occupants", "fewer than {} people aboard", "{} people aboard or more", (1.0,)),
+    ConditionScale("occupants", "fewer than {} people aboard", "{} people aboard or more", (1.0,)),
 )
 NAMES: Final = (
     ("vehicle_id", "vehicle"),
@@ -118,7 +118,7 @@ NAMES: Final = (
 """Columns of names, and what is said before a name that has no letters."""
 
 
-def conditions(rides: pd.DataFrame) -> tuple[list[Condition], Masks]:
+def list_conditions(rides: pd.DataFrame) -> tuple[list[RideCondition], Masks]:
     """Return the conditions that tell some of the rides from the others.
 
     Parameters
@@ -133,7 +133,7 @@ def conditions(rides: pd.DataFrame) -> tuple[list[Condition], Masks]:
     (c, n) bool
         For which rides each holds.
     """
-    found: list[Condition] = []
+    found: list[RideCondition] = []
     masks: list[NDArray[np.bool_]] = []
     seen: set[bytes] = set()
     for condition, mask in _all(rides):
@@ -145,54 +145,54 @@ def conditions(rides: pd.DataFrame) -> tuple[list[Condition], Masks]:
     return found, np.array(masks, dtype=np.bool_).reshape(len(found), len(rides))
 
 
-def start_s(rides: pd.DataFrame) -> Floats:
+def read_start_s(rides: pd.DataFrame) -> Floats:
     """Return the Unix time at which each ride began, (n,) float. [s]"""
     return _numbers(rides, "start_s")
 
 
-def dates(rides: pd.DataFrame) -> NDArray[np.str_]:
+def read_dates(rides: pd.DataFrame) -> NDArray[np.str_]:
     """Return the UTC date of each ride, (n,) str, ISO; empty where it is unknown."""
     if "date" in rides:
         return np.array(get_names(rides, "date"), dtype=np.str_)
-    began = start_s(rides)
+    began = read_start_s(rides)
     known = np.isfinite(began)
     found = np.full(len(rides), "", dtype="<U10")
     found[known] = [datetime.fromtimestamp(time, UTC).date().isoformat() for time in began[known].tolist()]
     return found
 
 
-def _all(rides: pd.DataFrame) -> Iterator[tuple[Condition, NDArray[np.bool_]]]:
+def _all(rides: pd.DataFrame) -> Iterator[tuple[RideCondition, NDArray[np.bool_]]]:
     """Give every condition there is on some rides, whether it tells them apart or not."""
     for column, title in NAMES:
         yield from _named(np.array(get_names(rides, column), dtype=np.str_), column, title)
-    for scale in SCALES:
+    for scale in CONDITION_SCALES:
         if scale.column in rides:
             yield from _compared(_numbers(rides, scale.column) / scale.size, scale)
     for season in ("winter", "summer"):
         if season in rides:
-            yield Condition(f"in {season}", "season", VAGUE), _numbers(rides, season) > 0.5
+            yield RideCondition(f"in {season}", "season", VAGUE), _numbers(rides, season) > 0.5
     yield from _hours(rides)
-    yield from _periods(dates(rides))
+    yield from _periods(read_dates(rides))
 
 
-def _named(column: NDArray[np.str_], kind: str, title: str) -> Iterator[tuple[Condition, NDArray[np.bool_]]]:
+def _named(column: NDArray[np.str_], kind: str, title: str) -> Iterator[tuple[RideCondition, NDArray[np.bool_]]]:
     """Give one condition a name that is common enough."""
     found, code, rides = np.unique(column, return_inverse=True, return_counts=True)
     for i, (name, count) in enumerate(zip(found.tolist(), rides.tolist(), strict=True)):
         if name and count >= FEWEST:
             said = name if any(letter.isalpha() for letter in name) else f"{title} {name}"
-            yield Condition(said, kind), code == i
+            yield RideCondition(said, kind), code == i
 
 
-def _compared(values: Floats, scale: Scale) -> Iterator[tuple[Condition, NDArray[np.bool_]]]:
+def _compared(values: Floats, scale: ConditionScale) -> Iterator[tuple[RideCondition, NDArray[np.bool_]]]:
     """Give both sides of each threshold of a column."""
-    for threshold in thresholds(values, scale):
+    for threshold in choose_thresholds(values, scale):
         said = f"{threshold:g}"
-        yield Condition(scale.below.format(said), f"{scale.column} <", scale.effort), values < threshold
-        yield Condition(scale.above.format(said), f"{scale.column} >", scale.effort), values >= threshold
+        yield RideCondition(scale.below.format(said), f"{scale.column} <", scale.effort), values < threshold
+        yield RideCondition(scale.above.format(said), f"{scale.column} >", scale.effort), values >= threshold
 
 
-def thresholds(values: Floats, scale: Scale) -> list[float]:
+def choose_thresholds(values: Floats, scale: ConditionScale) -> list[float]:
     """Return round numbers that part values, ascending.
 
     Examples
@@ -218,25 +218,25 @@ def thresholds(values: Floats, scale: Scale) -> list[float]:
     return found
 
 
-def _hours(rides: pd.DataFrame) -> Iterator[tuple[Condition, NDArray[np.bool_]]]:
+def _hours(rides: pd.DataFrame) -> Iterator[tuple[RideCondition, NDArray[np.bool_]]]:
     """Give times of the day, by the mean sun where a ride began, or by UTC where nobody knows where that was."""
     longitude = np.nan_to_num(_numbers(rides, "longitude_start_deg"))
-    hour = (start_s(rides) / 3600.0 + longitude / 15.0) % 24.0
+    hour = (read_start_s(rides) / 3600.0 + longitude / 15.0) % 24.0
     for length in HOURS:
         for first in range(0, 24, 3):
             words = f"between {first} and {(first + length) % 24} h"
-            yield Condition(words, "hour"), (hour - first) % 24.0 < length
+            yield RideCondition(words, "hour"), (hour - first) % 24.0 < length
 
 
-def _periods(day: NDArray[np.str_]) -> Iterator[tuple[Condition, NDArray[np.bool_]]]:
+def _periods(day: NDArray[np.str_]) -> Iterator[tuple[RideCondition, NDArray[np.bool_]]]:
     """Give the times before a date and since it: every date there is, or those that part the rides into like parts."""
     known = np.sort(day[day != ""])
     found = np.unique(known)
     if len(found) > MOST_DATES:
         found = np.unique(known[(np.linspace(0.0, 1.0, MOST_DATES + 2)[1:-1] * len(known)).astype(np.int64)])
     for date in found.tolist():
-        yield Condition(f"before {date}", "date <", VAGUE), (day < date) & (day != "")
-        yield Condition(f"since {date}", "date >", VAGUE), day >= date
+        yield RideCondition(f"before {date}", "date <", VAGUE), (day < date) & (day != "")
+        yield RideCondition(f"since {date}", "date >", VAGUE), day >= date
 
 
 def _numbers(rides: pd.DataFrame, column: str) -> Floats:

@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from core.batch import Floats, Ints
-from core.diagnose.slices.contrast import contrast
-from core.diagnose.slices.predicates import Condition, Masks, conditions, dates, start_s
+from core.diagnose.slices.contrast import compute_contrast
+from core.diagnose.slices.predicates import Masks, RideCondition, list_conditions, read_dates, read_start_s
 from core.fit.ride_blocks import get_names
 from core.stats.scores import Estimate
 
@@ -88,7 +88,7 @@ class Slice(NamedTuple):
     sign: int
 
 
-class Finding(NamedTuple):
+class ConfirmedSlice(NamedTuple):
     """A slice, the half that it was found on, and its figures in the other."""
 
     found: Slice
@@ -96,7 +96,7 @@ class Finding(NamedTuple):
     figures: dict[str, Any]
 
 
-def slices(
+def find_slices(
     rides: pd.DataFrame, error: Floats, *, seed: int = 0, most: int = 8, level: float = 0.05
 ) -> list[dict[str, Any]]:
     """Return the slices of the rides on which a model's bias is another than on the rest, the surest first.
@@ -123,14 +123,14 @@ def slices(
     """
     error = np.asarray(error, dtype=np.float64)
     rides, error, day = _in_order(rides, error)
-    known, masks = conditions(rides)
+    known, masks = list_conditions(rides)
     if not known:
         return []
     first = _dealt(day, seed)[day]
     halves = _half(masks, error, day, first), _half(masks, error, day, ~first)
-    found: list[Finding] = []
+    found: list[ConfirmedSlice] = []
     for one, other in (halves, halves[::-1]):
-        found += _confirmed(search(one, known, most), one, other, level / 2.0)
+        found += _confirmed(search_slices(one, known, most), one, other, level / 2.0)
     found.sort(key=lambda finding: -finding.found.score)
     return [_told(each, known) for each in _distinct(found, halves, known)[:most]]
 
@@ -139,9 +139,9 @@ def _in_order(rides: pd.DataFrame, error: Floats) -> tuple[pd.DataFrame, Floats,
     """Return rides of known error by vehicle, date and time, so that the order of the table does not matter."""
     kept = np.isfinite(error)
     rides, error = rides.loc[kept], error[kept]
-    keys = pd.Series(get_names(rides, "vehicle_id"), dtype=object) + " " + pd.Series(dates(rides), dtype=object)
+    keys = pd.Series(get_names(rides, "vehicle_id"), dtype=object) + " " + pd.Series(read_dates(rides), dtype=object)
     day = pd.factorize(keys, sort=True)[0].astype(np.int64)
-    order = np.lexsort((error, start_s(rides), day))
+    order = np.lexsort((error, read_start_s(rides), day))
     return rides.iloc[order], error[order], day[order]
 
 
@@ -157,7 +157,7 @@ def _half(masks: Masks, error: Floats, day: Ints, kept: NDArray[np.bool_]) -> Ha
     return Half(masks[:, kept], error[kept], starts)
 
 
-def search(half: Half, known: Sequence[Condition], most: int) -> list[Slice]:
+def search_slices(half: Half, known: Sequence[RideCondition], most: int) -> list[Slice]:
     """Return the slices of a half that are worth a test, best first, each for what those before it leave.
 
     Parameters
@@ -181,7 +181,7 @@ def search(half: Half, known: Sequence[Condition], most: int) -> list[Slice]:
         plain = np.where(allowed, signs * _plain_score(masks, left), -np.inf)
         near = np.argsort(-plain, kind="stable")[:FINALISTS]
         near = near[allowed[near]]
-        score = _penalised(signs[near] * contrast(masks[near], left, half.starts).score(), effort[near])
+        score = _penalised(signs[near] * compute_contrast(masks[near], left, half.starts).score(), effort[near])
         if score.max() < LEAST_SCORE:
             break
         best = int(near[np.argmax(score)])
@@ -191,13 +191,13 @@ def search(half: Half, known: Sequence[Condition], most: int) -> list[Slice]:
     return chosen
 
 
-def _pool(half: Half, known: Sequence[Condition]) -> list[tuple[int, ...]]:
+def _pool(half: Half, known: Sequence[RideCondition]) -> list[tuple[int, ...]]:
     """Return every slice that the beam search comes by."""
     pool: list[tuple[int, ...]] = []
     longer: list[tuple[int, ...]] = [(i,) for i in range(len(known))]
     while longer:
         masks = np.array([_mask(half.masks, each) for each in longer])
-        certain = np.abs(contrast(masks, half.error, half.starts).score())
+        certain = np.abs(compute_contrast(masks, half.error, half.starts).score())
         score = _penalised(certain, _effort(longer, known))
         worth = np.argsort(-score, kind="stable")[: np.count_nonzero(score > 0.0)]
         # of two halves that one condition parts, the one that is off is the one to name
@@ -224,7 +224,7 @@ def _beam(masks: Masks, score: Floats, error: Floats) -> list[int]:
 
 
 def _children(
-    parents: Sequence[tuple[int, ...]], masks: Masks, half: Half, known: Sequence[Condition]
+    parents: Sequence[tuple[int, ...]], masks: Masks, half: Half, known: Sequence[RideCondition]
 ) -> list[tuple[int, ...]]:
     """Return slices with a condition more, of each parent those that look best at a glance."""
     error = (half.error - half.error.mean()).astype(np.float32)
@@ -273,7 +273,7 @@ def _further(masks: Masks, error: Floats) -> NDArray[np.bool_]:
     return np.abs(total) * (len(error) - rides) >= np.abs(error.sum() - total) * rides
 
 
-def _effort(found: Sequence[tuple[int, ...]], known: Sequence[Condition]) -> Floats:
+def _effort(found: Sequence[tuple[int, ...]], known: Sequence[RideCondition]) -> Floats:
     """Return how many conditions slices count for, (k,)."""
     return np.array([sum(known[i].effort for i in each) for each in found], dtype=np.float64)
 
@@ -300,12 +300,12 @@ def _overlap(masks: Masks, mask: NDArray[np.bool_]) -> Floats:
     return np.maximum(_jaccard(masks, mask), _jaccard(masks, ~mask))
 
 
-def _confirmed(found: Sequence[Slice], one: Half, other: Half, level: float) -> list[Finding]:
+def _confirmed(found: Sequence[Slice], one: Half, other: Half, level: float) -> list[ConfirmedSlice]:
     """Return the slices, found on one half, that the other confirms at a level, each with its figures there."""
     if not found:
         return []
     masks = np.array([_mask(other.masks, each.conditions) for each in found])
-    told = contrast(masks, other.error, other.starts)
+    told = compute_contrast(masks, other.error, other.starts)
     enough = (told.freedom > 0.0) & (masks.sum(axis=1) >= LEAST_RIDES)
     signed = np.array([each.sign for each in found]) * told.difference / told.error
     q = stats.false_discovery_control(np.where(enough, stats.t.sf(signed, np.maximum(told.freedom, 1.0)), 1.0))
@@ -319,20 +319,22 @@ def _confirmed(found: Sequence[Slice], one: Half, other: Half, level: float) -> 
             "mae_kwh": float(np.abs(other.error[masks[i]]).mean()),
             "q": min(2.0 * float(q[i]), 1.0),
         }
-        kept.append(Finding(found[i], one, figures))
+        kept.append(ConfirmedSlice(found[i], one, figures))
     return kept
 
 
-def _distinct(found: Sequence[Finding], halves: Sequence[Half], known: Sequence[Condition]) -> list[Finding]:
+def _distinct(
+    found: Sequence[ConfirmedSlice], halves: Sequence[Half], known: Sequence[RideCondition]
+) -> list[ConfirmedSlice]:
     """Return findings without those that are one with a finding before, or that it accounts for where it was found."""
-    kept: list[Finding] = []
+    kept: list[ConfirmedSlice] = []
     for each in found:
         earlier = [other.found.conditions for other in kept]
         if earlier and max(_shared(each.found.conditions, other, halves) for other in earlier) >= SAME:
             continue
         left = _left(each.half.error, np.array([_mask(each.half.masks, other) for other in earlier]))
         mask = _mask(each.half.masks, each.found.conditions)[None, :]
-        score = each.found.sign * contrast(mask, left, each.half.starts).score()
+        score = each.found.sign * compute_contrast(mask, left, each.half.starts).score()
         if _penalised(score, _effort([each.found.conditions], known))[0] >= LEAST_SCORE:
             kept.append(each)
     return kept
@@ -344,7 +346,7 @@ def _shared(one: Sequence[int], other: Sequence[int], halves: Sequence[Half]) ->
     return float(_overlap(masks[0][None, :], masks[1])[0])
 
 
-def _told(finding: Finding, known: Sequence[Condition]) -> dict[str, Any]:
+def _told(finding: ConfirmedSlice, known: Sequence[RideCondition]) -> dict[str, Any]:
     """Return a slice as a result has it."""
     words = [known[i].words for i in finding.found.conditions]
     return {"where": ", ".join(words), "conditions": words, **finding.figures}

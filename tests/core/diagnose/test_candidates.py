@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from core import effects
-from core.diagnose.candidates import LEAST_IN_BENDS, LEAST_SHARE, library
+from core.diagnose.candidates import LEAST_IN_BENDS, LEAST_SHARE, build_candidates
 from core.effects.road_load import ROAD_LOAD
 from core.fit.fitting import fit_terms
 from core.fit.recipes import ROAD_LOAD_TERMS, LinearRecipe
 from core.fit.ride_blocks import RideFrame
 from core.models import make_physical_term
-from tests.support.drives import drives, measured, seen
+from tests.support.synthetic_windows import gather_with_model, make_tables, make_windows
 
 
 @pytest.fixture(scope="module")
 def found():
-    return seen(measured(drives(cars=2, days=8)))
+    return gather_with_model(make_tables(make_windows(cars=2, days=8)))
 
 
 def with_columns(windows, **columns):
@@ -25,16 +25,16 @@ def with_columns(windows, **columns):
 
 
 def test_all_that_the_library_holds_beside_the_base_is_asked_for_or_said_to_be_absent(found):
-    asked = library(*found)
+    asked = build_candidates(*found)
     base = {effect.name for effect in ROAD_LOAD}
-    assert set(asked.names) | set(asked.absent) == set(effects.get_library()) - base
-    assert not set(asked.names) & set(asked.absent)
+    assert set(asked.names) | set(asked.excluded) == set(effects.get_library()) - base
+    assert not set(asked.names) & set(asked.excluded)
     assert {"cold_rolling", "headwind", "wet_road", "payload", "solar_load"} <= set(asked.names)
     assert asked.scope == ()
 
 
 def test_columns_are_those_of_the_table_at_each_value_of_a_parameter(found):
-    asked = library(*found)
+    asked = build_candidates(*found)
     assert asked.columns.shape == (len(found[0].measured), len(asked.variants))
     for at, variant in enumerate(asked.variants):
         np.testing.assert_array_equal(asked.columns[:, at], found[0].table[f"effect_{variant}"])
@@ -45,10 +45,10 @@ def test_columns_are_those_of_the_table_at_each_value_of_a_parameter(found):
 
 
 def test_what_is_not_to_be_asked_for_is_not(found):
-    asked = library(*found, without=("cold_rolling", "headwind"))
-    assert not {"cold_rolling", "headwind"} & {*asked.names, *asked.absent}
+    asked = build_candidates(*found, without=("cold_rolling", "headwind"))
+    assert not {"cold_rolling", "headwind"} & {*asked.names, *asked.excluded}
     assert not any(variant.startswith("cold_rolling") for variant in asked.variants)
-    assert set(library(*found).names) - set(asked.names) == {"cold_rolling", "headwind"}
+    assert set(build_candidates(*found).names) - set(asked.names) == {"cold_rolling", "headwind"}
 
 
 @pytest.mark.parametrize("variant", ["cold_rolling", "cold_rolling@reference=283.15"])
@@ -56,11 +56,11 @@ def test_what_the_model_has_is_asked_for_in_places_only(found, variant):
     windows = found[0]
     terms = (*ROAD_LOAD_TERMS, make_physical_term(variant, (f"effect_{variant}",)))
     model = fit_terms(LinearRecipe("more", "", terms), RideFrame(windows.table), covariance=False)
-    everywhere, places = library(windows, model), library(windows, model, scopes=True)
-    assert everywhere.absent["cold_rolling"] == "in the model"
+    everywhere, places = build_candidates(windows, model), build_candidates(windows, model, scopes=True)
+    assert everywhere.excluded["cold_rolling"] == "in the model"
     assert "cold_rolling" not in everywhere.names
     assert "cold_rolling" in places.names
-    assert "cold_rolling" not in places.absent
+    assert "cold_rolling" not in places.excluded
 
 
 def test_an_effect_that_is_hardly_known_or_never_acts_is_not_in_the_data(found):
@@ -69,23 +69,23 @@ def test_an_effect_that_is_hardly_known_or_never_acts_is_not_in_the_data(found):
     mostly = np.where(np.arange(n) < 0.6 * n, np.nan, 1.0)
     table = windows.table.drop(columns="effect_payload")
     table = table.assign(effect_headwind=np.nan, effect_night_lights=0.0, effect_age=mostly)
-    asked = library(replace(windows, table=table), model)
-    assert {asked.absent[name] for name in ("payload", "headwind", "night_lights", "age")} == {"not in the data"}
+    asked = build_candidates(replace(windows, table=table), model)
+    assert {asked.excluded[name] for name in ("payload", "headwind", "night_lights", "age")} == {"not in the data"}
     assert np.isfinite(asked.columns).all()
 
 
 def test_where_an_effect_is_not_known_it_takes_nothing(found):
     windows, model = found
     some = windows.table["effect_headwind"].where(np.arange(len(windows.table)) % 4 > 0)
-    asked = library(with_columns(windows, effect_headwind=some), model)
+    asked = build_candidates(with_columns(windows, effect_headwind=some), model)
     column = asked.columns[:, asked.variants.index("headwind")]
     np.testing.assert_array_equal(column, some.fillna(0.0))
 
 
 def test_in_a_place_columns_are_the_same_and_elsewhere_nothing(found):
-    asked = library(*found)
+    asked = build_candidates(*found)
     here = found[0].vehicle == 1
-    inside = asked.within(here, ("vehicle=taxi-1",))
+    inside = asked.restrict_to(here, ("vehicle=taxi-1",))
     np.testing.assert_array_equal(inside.columns[here], asked.columns[here])
     assert not inside.columns[~here].any()
     assert inside.scope == ("vehicle=taxi-1",)
@@ -94,23 +94,23 @@ def test_in_a_place_columns_are_the_same_and_elsewhere_nothing(found):
 
 
 def test_the_least_coefficient_takes_the_least_share_of_the_energy_where_it_is_asked_for(found):
-    asked = library(*found)
+    asked = build_candidates(*found)
     for each, rows in (
         (asked, slice(None)),
-        (asked.within(found[0].vehicle == 1, ("vehicle=taxi-1",)), found[0].vehicle == 1),
+        (asked.restrict_to(found[0].vehicle == 1, ("vehicle=taxi-1",)), found[0].vehicle == 1),
     ):
-        taken = np.abs(each.columns * each.least).sum(axis=0)
+        taken = np.abs(each.columns * each.least_coefficients).sum(axis=0)
         share = np.where(np.array(each.variants) == "cornering", LEAST_IN_BENDS, LEAST_SHARE)
         np.testing.assert_allclose(taken, share * found[0].measured[rows].sum())
-    nothing = asked.within(np.zeros(len(found[0].measured), dtype=bool), ("vehicle=none",))
-    assert np.isinf(nothing.least).all()
+    nothing = asked.restrict_to(np.zeros(len(found[0].measured), dtype=bool), ("vehicle=none",))
+    assert np.isinf(nothing.least_coefficients).all()
 
 
 def test_of_a_library_that_is_not_in_the_data_nothing_is_asked(found):
     windows, model = found
     base = {effect.energy_name for effect in ROAD_LOAD}
     gone = [name for name in windows.table if name.startswith("effect_") and name not in base]
-    asked = library(replace(windows, table=windows.table.drop(columns=gone)), model)
+    asked = build_candidates(replace(windows, table=windows.table.drop(columns=gone)), model)
     assert asked.names == asked.variants == ()
     assert asked.columns.shape == (len(windows.measured), 0)
-    assert set(asked.absent.values()) == {"not in the data"}
+    assert set(asked.excluded.values()) == {"not in the data"}

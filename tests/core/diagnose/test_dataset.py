@@ -5,21 +5,29 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.diagnose.dataset import LEAST_DAYS, LEAST_RIDES, OF_THE_RIDE, by_meter, fitted, gather, joined
+from core.diagnose.dataset import (
+    LEAST_DAYS,
+    LEAST_RIDES,
+    RIDE_COLUMNS,
+    fit_to_windows,
+    gather_windows,
+    is_metered,
+    join_tables,
+)
 from core.errors import ModelError
-from tests.support.drives import drives, measured
+from tests.support.synthetic_windows import make_tables, make_windows
 
 CARS, DAYS, RIDES, WINDOWS = 3, 6, 3, 8
 
 
 @pytest.fixture
 def tables():
-    return measured(drives(CARS, DAYS, RIDES, WINDOWS))
+    return make_tables(make_windows(CARS, DAYS, RIDES, WINDOWS))
 
 
 @pytest.fixture(scope="module")
 def model():
-    return fitted("road_load", *measured(drives(CARS, DAYS, RIDES, WINDOWS)))
+    return fit_to_windows("road_load", *make_tables(make_windows(CARS, DAYS, RIDES, WINDOWS)))
 
 
 def of(rides, *keys):
@@ -29,18 +37,18 @@ def of(rides, *keys):
 def test_windows_are_in_order_of_vehicle_and_time_with_what_is_known_of_their_ride(tables):
     rides, windows = tables
     shuffled = windows.sample(frac=1.0, random_state=3)
-    found = joined(rides.sample(frac=1.0, random_state=4), shuffled)
+    found = join_tables(rides.sample(frac=1.0, random_state=4), shuffled)
     assert len(found) == CARS * DAYS * RIDES * WINDOWS
     assert list(found.index) == list(range(len(found)))
     pd.testing.assert_frame_equal(found, found.sort_values(["vehicle_id", "start_s"], ignore_index=True))
     own = rides.set_index("ride_key").loc[found["ride_key"]]
-    for name in OF_THE_RIDE:
+    for name in RIDE_COLUMNS:
         assert found[name].tolist() == own[name].tolist(), name
 
 
 def test_what_a_ride_is_told_for_stands_before_what_its_windows_say(tables):
     rides, windows = tables
-    found = joined(rides, windows.assign(winter=7))
+    found = join_tables(rides, windows.assign(winter=7))
     assert set(found["winter"]) == {0, 1}
 
 
@@ -49,7 +57,7 @@ def test_rides_unfit_for_training_or_without_a_measured_energy_are_left_out(tabl
     rides.loc[of(rides, "taxi-0#0"), ["fit_for_training", "unfit_reason"]] = False, "too_short"
     rides.loc[of(rides, "taxi-1#1"), "fit_for_training"] = False
     rides.loc[of(rides, "taxi-2#2"), "energy_kwh"] = np.nan
-    found = joined(rides, windows)
+    found = join_tables(rides, windows)
     gone = {"taxi-0#0", "taxi-1#1", "taxi-2#2"}
     assert set(windows["ride_key"]) - set(found["ride_key"]) == gone
     assert len(found) == len(windows) - len(gone) * WINDOWS
@@ -59,7 +67,7 @@ def test_a_window_without_a_measured_energy_or_without_time_is_left_out(tables):
     rides, windows = tables
     windows.loc[5, ["energy_kwh", "energy_vi_kwh"]] = np.nan
     windows.loc[17, "duration_s"] = 0.0
-    found = joined(rides, windows)
+    found = join_tables(rides, windows)
     assert len(found) == len(windows) - 2
     assert np.isfinite(found["energy_kwh"]).all()
     assert (found["duration_s"] > 0.0).all()
@@ -71,21 +79,21 @@ def test_where_only_the_state_of_charge_is_known_the_ride_stands_for_its_windows
     for table, rows in ((windows, by_charge), (rides, rides["vehicle_id"] == "taxi-1")):
         table.loc[rows, "energy_kwh"] = table.loc[rows, "energy_soc_kwh"]
         table.loc[rows, "energy_vi_kwh"] = np.nan
-    found = joined(rides, windows)
+    found = join_tables(rides, windows)
     theirs = found[found["vehicle_id"] == "taxi-1"]
     own = rides[rides["vehicle_id"] == "taxi-1"]
     assert theirs["ride_key"].tolist() == own["ride_key"].tolist()
     np.testing.assert_array_equal(theirs["energy_kwh"], own["energy_soc_kwh"])
     np.testing.assert_array_equal(theirs["effect_rolling"], own["effect_rolling"])
-    assert not by_meter(theirs).any()
-    assert by_meter(found[found["vehicle_id"] != "taxi-1"]).all()
+    assert not is_metered(theirs).any()
+    assert is_metered(found[found["vehicle_id"] != "taxi-1"]).all()
     assert len(found) == len(windows) - by_charge.sum() + len(own)
 
 
 def test_a_window_by_the_state_of_charge_in_a_metered_ride_does_not_count(tables):
     rides, windows = tables
     windows.loc[3, ["energy_kwh", "energy_vi_kwh"]] = windows.loc[3, "energy_soc_kwh"], np.nan
-    assert len(joined(rides, windows)) == len(windows) - 1
+    assert len(join_tables(rides, windows)) == len(windows) - 1
 
 
 @pytest.mark.parametrize("name", ["ride_key", "vehicle_id", "start_s", "energy_kwh"])
@@ -95,27 +103,27 @@ def test_a_column_that_is_missing_is_named_with_its_table(tables, name, which):
         t.drop(columns=name) if w == which else t for t, w in zip(tables, ("ride", "window"), strict=True)
     )
     with pytest.raises(ModelError, match=f"the {which} table has no column '{name}': make the tables anew"):
-        joined(rides, windows)
+        join_tables(rides, windows)
 
 
 def test_tables_that_do_not_belong_together_are_refused(tables):
     rides, windows = tables
     with pytest.raises(ModelError, match=r"no window belongs to any of the rides: give the windows\.parquet"):
-        joined(rides, windows.assign(ride_key="van-" + windows["ride_key"]))
+        join_tables(rides, windows.assign(ride_key="van-" + windows["ride_key"]))
     with pytest.raises(ModelError, match="ride taxi-0#0 is in the ride table twice: give each recording's tables once"):
-        joined(pd.concat([rides, rides.iloc[:1]]), windows)
+        join_tables(pd.concat([rides, rides.iloc[:1]]), windows)
 
 
 def test_joining_changes_neither_table(tables):
     before = [table.copy(deep=True) for table in tables]
-    joined(*tables)
+    join_tables(*tables)
     for table, was in zip(tables, before, strict=True):
         pd.testing.assert_frame_equal(table, was)
 
 
 class TestGather:
     def test_codes_and_sums_are_those_of_the_table(self, tables, model):
-        found = gather(*tables, model)
+        found = gather_windows(*tables, model)
         table = found.table
         assert len(found.rides) == CARS * DAYS * RIDES
         keys = found.rides["ride_key"].to_numpy()
@@ -137,7 +145,7 @@ class TestGather:
         rides.loc[of(rides, "taxi-2#2"), "energy_kwh"] = np.nan
         windows.loc[of(windows, "taxi-1#3"), "effect_climbing"] = np.nan
         rides.loc[of(rides, "taxi-1#3"), "effect_climbing"] = np.nan
-        found = gather(rides, windows, model)
+        found = gather_windows(rides, windows, model)
         assert found.left_out == {"too_short": 2, "no_measured_energy": 1, "not predicted": 1}
         assert len(found.rides) == len(rides) - 4
         assert np.isfinite(found.predicted).all()
@@ -150,7 +158,7 @@ class TestGather:
         with pytest.raises(
             ModelError, match=rf"^{LEAST_RIDES - 1} rides .*\({(~few).sum()} too short left out\)"
         ) as said:
-            gather(rides, windows, model)
+            gather_windows(rides, windows, model)
         assert f"it takes {LEAST_RIDES}: give more rides" in str(said.value)
         assert "\n" not in str(said.value)
 
@@ -158,34 +166,34 @@ class TestGather:
         rides, windows = tables
         nothing = {"energy_kwh": np.nan, "energy_vi_kwh": np.nan}
         with pytest.raises(ModelError, match=rf"^0 rides .*\({len(rides)} no measured energy left out\)"):
-            gather(rides.assign(**nothing), windows.assign(**nothing), model)
+            gather_windows(rides.assign(**nothing), windows.assign(**nothing), model)
 
     def test_an_empty_table_is_refused(self, tables, model):
         rides, windows = tables
         with pytest.raises(ModelError, match=r"^0 rides with measured energy to diagnose, and it takes"):
-            gather(rides.iloc[:0], windows.iloc[:0], model)
+            gather_windows(rides.iloc[:0], windows.iloc[:0], model)
 
     def test_rides_of_too_few_days_are_refused(self, model):
-        rides, windows = measured(drives(cars=1, days=LEAST_DAYS - 1, rides=5))
+        rides, windows = make_tables(make_windows(cars=1, days=LEAST_DAYS - 1, rides=5))
         with pytest.raises(
             ModelError, match=f"25 rides are of {LEAST_DAYS - 1} vehicle-days, and it takes {LEAST_DAYS}"
         ):
-            gather(rides, windows, model)
-        rides, windows = measured(drives(cars=1, days=LEAST_DAYS, rides=5))
-        assert gather(rides, windows, model).day.max() + 1 == LEAST_DAYS
+            gather_windows(rides, windows, model)
+        rides, windows = make_tables(make_windows(cars=1, days=LEAST_DAYS, rides=5))
+        assert gather_windows(rides, windows, model).day.max() + 1 == LEAST_DAYS
 
     def test_a_model_of_other_vehicles_is_refused(self, tables, model):
         own = msgspec.structs.replace(model, fits={"tesla-model-s": next(iter(model.fits.values()))})
         with pytest.raises(
             ModelError, match=r"is of tesla-model-s, and these rides are of kia-soul-ev-2015: give a model"
         ):
-            gather(*tables, own)
+            gather_windows(*tables, own)
 
 
 class TestFitted:
     def test_windows_tell_what_rides_only_add_up(self):
-        tables = measured(drives(), noise=0.001)
-        found = fitted("road_load", *tables)
+        tables = make_tables(make_windows(), noise=0.001)
+        found = fit_to_windows("road_load", *tables)
         names = [term.name for term in found.terms]
         fit = found.fits["kia-soul-ev-2015"]
         coefficients = dict(zip(names, fit.coefficients, strict=True))
@@ -196,4 +204,4 @@ class TestFitted:
     @pytest.mark.parametrize("name", ["pooled_hybrid", "boosted_hybrid"])
     def test_a_recipe_that_is_no_sum_of_terms_is_refused(self, tables, name):
         with pytest.raises(ModelError, match=rf"recipe {name} cannot be fitted to windows: choose road_load"):
-            fitted(name, *tables)
+            fit_to_windows(name, *tables)

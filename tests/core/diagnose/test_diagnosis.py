@@ -11,14 +11,14 @@ import pandas as pd
 import pytest
 
 from core import effects
-from core.diagnose.candidates import library
-from core.diagnose.dataset import LEAST_RIDES, fitted, gather
-from core.diagnose.diagnosis import declared, diagnose
+from core.diagnose.candidates import build_candidates
+from core.diagnose.dataset import LEAST_RIDES, fit_to_windows, gather_windows
+from core.diagnose.diagnosis import diagnose, keep_declared_values
 from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError
 from core.models.features import list_raw_columns
-from tests.support.diagnosis_result import diagnosis as made_up
-from tests.support.drives import drives, measured
+from tests.support.diagnosis_result import make_diagnosis as made_up
+from tests.support.synthetic_windows import make_tables, make_windows
 from tools.bench.hidden import cases
 from tools.bench.hidden.cases import Case, Source
 from tools.simulator.settings import Hidden
@@ -46,7 +46,7 @@ def recorded(source):
 
 @pytest.fixture(scope="module")
 def model(recorded):
-    return fitted("road_load", *recorded)
+    return fit_to_windows("road_load", *recorded)
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +57,7 @@ def found(recorded, model):
 @pytest.fixture(scope="module")
 def of_nothing(source):
     tables = source.tables(Case(5))
-    return diagnose(tables.rides, tables.windows, fitted("road_load", tables.rides, tables.windows))
+    return diagnose(tables.rides, tables.windows, fit_to_windows("road_load", tables.rides, tables.windows))
 
 
 def plain(value):
@@ -90,7 +90,7 @@ class TestPromise:
             msgspec.json.encode(each)
 
     def test_the_data_and_the_model_are_those_given(self, found, recorded, model):
-        seen = gather(*recorded, model)
+        seen = gather_windows(*recorded, model)
         data = found["data"]
         assert (data["rides"], data["windows"]) == (len(seen.rides), len(seen.table))
         assert (data["vehicles"], data["measured"]) == (4, "vi")
@@ -103,7 +103,7 @@ class TestPromise:
         assert found["model"] == {"name": model.name, "version": model.version, "recipe": "road_load"}
 
     def test_errors_are_of_rides_and_above_the_floor(self, found, recorded, model):
-        seen, error = gather(*recorded, model), found["error"]
+        seen, error = gather_windows(*recorded, model), found["error"]
         off = np.bincount(seen.ride, seen.predicted - seen.measured)
         assert error["mae_kwh"] == pytest.approx(np.mean(np.abs(off)))
         assert error["bias_kwh"] == pytest.approx(np.mean(off))
@@ -191,8 +191,8 @@ def test_where_nothing_is_hidden_nothing_is_named(of_nothing):
 @pytest.fixture(scope="module")
 def small():
     """Tables of two cars, and a model fitted to them."""
-    tables = measured(drives(cars=2, days=8))
-    return tables, fitted("road_load", *tables, covariance=False)
+    tables = make_tables(make_windows(cars=2, days=8))
+    return tables, fit_to_windows("road_load", *tables, covariance=False)
 
 
 class TestTooLittle:
@@ -242,8 +242,8 @@ class TestTooLittle:
 
 def test_of_variants_places_are_asked_for_the_declared_one(small):
     tables, model = small
-    asked = library(gather(*tables, model), model)
-    found = declared(asked)
+    asked = build_candidates(gather_windows(*tables, model), model)
+    found = keep_declared_values(asked)
     assert found.variants == found.names == tuple(name for name in asked.names if name in asked.variants)
     np.testing.assert_array_equal(found.effects, np.arange(len(found.names)))
     for at, name in enumerate(found.names):
@@ -253,9 +253,9 @@ def test_of_variants_places_are_asked_for_the_declared_one(small):
 def test_where_only_the_state_of_charge_is_known_rides_are_diagnosed():
     rides, windows = (
         table.assign(energy_vi_kwh=np.nan, energy_soc_kwh=table["energy_kwh"])
-        for table in measured(drives(cars=3, days=12), {"headwind": 0.10})
+        for table in make_tables(make_windows(cars=3, days=12), {"headwind": 0.10})
     )
-    model = fitted("road_load", rides, windows, covariance=False)
+    model = fit_to_windows("road_load", rides, windows, covariance=False)
     found = diagnose(rides, windows, model, places=False)
     assert found["data"]["measured"] == "soc"
     assert found["data"]["windows"] == found["data"]["rides"] == len(rides)

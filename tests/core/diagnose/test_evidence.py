@@ -6,7 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from core.diagnose.evidence import FOLDS, Clusters, Evidence, by_vehicle_and_day, false_discovery, weigh
+from core.diagnose.evidence import (
+    FOLDS,
+    ClusterSums,
+    Evidence,
+    compute_evidence,
+    compute_worst_case_evidence,
+    false_discovery,
+)
 
 EITHER = np.zeros(1, dtype=np.int64)
 LEVEL = 0.05
@@ -44,7 +51,7 @@ def test_chance_passes_as_often_as_the_level_says(sign, level):
 
     def draw(rng):
         residual, candidates = null(code, rng)
-        return weigh(residual, candidates, np.full(20, sign), Clusters(code)).p
+        return compute_evidence(residual, candidates, np.full(20, sign), ClusterSums(code)).p
 
     assert 0.6 * level < share_below(level, draw, 200) < 1.3 * level
 
@@ -61,7 +68,7 @@ def test_a_candidate_that_acts_on_a_few_days_only_does_not_pass_too_often(acting
     def draw(rng):
         residual, candidates = null(code, rng)
         few = np.where((code < acting)[:, np.newaxis], 1.0 + 0.1 * candidates, 0.0)
-        found = weigh(residual, few, np.zeros(20, dtype=np.int64), Clusters(code))
+        found = compute_evidence(residual, few, np.zeros(20, dtype=np.int64), ClusterSums(code))
         assert (found.freedom < acting).all()
         return found.p
 
@@ -71,7 +78,7 @@ def test_a_candidate_that_acts_on_a_few_days_only_does_not_pass_too_often(acting
 def test_of_what_acts_in_one_cluster_only_nothing_tells_the_error(rng):
     code = days(30)
     alone = np.where(code == 7, 1.0 + rng.random(len(code)), 0.0)[:, np.newaxis]
-    found = weigh(3.0 * alone[:, 0] + rng.normal(size=len(code)), alone, EITHER, Clusters(code))
+    found = compute_evidence(3.0 * alone[:, 0] + rng.normal(size=len(code)), alone, EITHER, ClusterSums(code))
     assert found.coefficient[0] == pytest.approx(3.0, abs=0.5)
     assert found.p[0] > 0.5
 
@@ -79,16 +86,16 @@ def test_of_what_acts_in_one_cluster_only_nothing_tells_the_error(rng):
 def test_errors_that_all_cars_share_on_a_date_are_seen_for_what_they_are():
     """Vehicle-days alone would pass weather that is wrong for all cars of a date."""
     car, date = np.repeat(np.arange(6), 30 * 8), np.tile(np.repeat(np.arange(30), 8), 6)
-    clusters = [Clusters(car * 30 + date), Clusters(date)]
+    clusters = [ClusterSums(car * 30 + date), ClusterSums(date)]
     sign = np.zeros(10, dtype=np.int64)
 
     def draw(rng, which):
         weather = rng.normal(size=(30, 10))[date] + 0.3 * rng.normal(size=(len(car), 10))
         residual = rng.normal(size=len(car)) + rng.normal(size=30)[date]
         if which is not None:
-            return weigh(residual, weather, sign, clusters[which]).p
-        both = by_vehicle_and_day(residual, weather, sign, clusters)
-        each = [weigh(residual, weather, sign, one) for one in clusters]
+            return compute_evidence(residual, weather, sign, clusters[which]).p
+        both = compute_worst_case_evidence(residual, weather, sign, clusters)
+        each = [compute_evidence(residual, weather, sign, one) for one in clusters]
         np.testing.assert_array_equal(both.p, np.maximum(each[0].p, each[1].p))
         half = [one.error * stats.t.ppf(0.975, one.freedom) for one in each]
         np.testing.assert_allclose(both.error * stats.t.ppf(0.975, both.freedom), np.maximum(*half))
@@ -103,12 +110,12 @@ def test_the_coefficient_is_that_of_least_squares_and_its_interval_holds_it_as_o
     for seed in range(300):
         residual, candidates = null(code, np.random.default_rng(seed), 1)
         residual = residual + true * candidates[:, 0]
-        found = weigh(residual, candidates, EITHER, Clusters(code))
+        found = compute_evidence(residual, candidates, EITHER, ClusterSums(code))
         expected = np.linalg.lstsq(candidates, residual, rcond=None)[0]
         np.testing.assert_allclose(found.coefficient, expected)
-        low, high = found.interval(0)
+        low, high = found.compute_interval(0)
         held.append(low < true < high)
-        wide = found.interval(0, 0.99)
+        wide = found.compute_interval(0, 0.99)
         assert wide[0] < low < found.coefficient[0] < high < wide[1]
     assert 0.92 < np.mean(held) < 0.985
 
@@ -117,7 +124,9 @@ def test_an_effect_that_is_there_passes_and_of_the_sign_that_physics_forbids_nev
     code = days()
     residual, candidates = null(code, np.random.default_rng(1), 1)
     residual = residual + candidates[:, 0]
-    right, wrong, either = (weigh(residual, candidates, np.array([sign]), Clusters(code)).p[0] for sign in (1, -1, 0))
+    right, wrong, either = (
+        compute_evidence(residual, candidates, np.array([sign]), ClusterSums(code)).p[0] for sign in (1, -1, 0)
+    )
     assert right < 1e-6
     assert wrong == pytest.approx(1.0 - right)
     assert either == pytest.approx(2.0 * right)
@@ -130,7 +139,7 @@ def test_an_effect_no_larger_than_what_is_not_worth_a_name_passes_no_more_often_
     def draw(rng, size):
         residual, candidates = null(code, rng)
         found = [
-            weigh(residual + size * each[:, 0], each, np.array([sign]), Clusters(code), least[:1]).p
+            compute_evidence(residual + size * each[:, 0], each, np.array([sign]), ClusterSums(code), least[:1]).p
             for each in np.split(candidates, 20, axis=1)
         ]
         return np.concatenate(found)
@@ -142,17 +151,17 @@ def test_an_effect_no_larger_than_what_is_not_worth_a_name_passes_no_more_often_
 
 def test_what_samples_distort_widens_the_interval_and_says_nothing_of_chance(rng):
     residual, candidates = null(days(), rng)
-    plain = weigh(residual, candidates, np.ones(20, dtype=np.int64), Clusters(days()))
-    wide = plain.distorted(3.0 * plain.error)
+    plain = compute_evidence(residual, candidates, np.ones(20, dtype=np.int64), ClusterSums(days()))
+    wide = plain.allow_for_distortion(3.0 * plain.error)
     np.testing.assert_allclose(wide.error, np.sqrt(2.0) * plain.error)
     np.testing.assert_array_equal(wide.p, plain.p)
-    assert np.diff(wide.interval(0)) > 1.4 * np.diff(plain.interval(0))
-    np.testing.assert_array_equal(plain.distorted(np.zeros(20)).error, plain.error)
+    assert np.diff(wide.compute_interval(0)) > 1.4 * np.diff(plain.compute_interval(0))
+    np.testing.assert_array_equal(plain.allow_for_distortion(np.zeros(20)).error, plain.error)
 
 
 def test_a_candidate_of_nothing_is_no_evidence():
     code = days(10)
-    found = weigh(np.random.default_rng(2).normal(size=200), np.zeros((200, 1)), EITHER, Clusters(code))
+    found = compute_evidence(np.random.default_rng(2).normal(size=200), np.zeros((200, 1)), EITHER, ClusterSums(code))
     assert found.coefficient[0] == 0.0
     assert found.p[0] == pytest.approx(1.0)
 
@@ -163,9 +172,9 @@ def test_evidence_knows_no_units_and_no_order_of_rows(seed, one, other):
     code = days(12, 5)
     residual, candidates = null(code, rng, 3)
     sign = np.array([0, 1, -1])
-    found = weigh(residual, candidates, sign, Clusters(code))
+    found = compute_evidence(residual, candidates, sign, ClusterSums(code))
     order = rng.permutation(len(code))
-    moved = weigh(one * residual[order], other * candidates[order], sign, Clusters(code[order]))
+    moved = compute_evidence(one * residual[order], other * candidates[order], sign, ClusterSums(code[order]))
     np.testing.assert_allclose(moved.z, found.z, rtol=1e-8)
     np.testing.assert_allclose(moved.p, found.p, rtol=1e-8)
     np.testing.assert_allclose(moved.coefficient, found.coefficient * one / other, rtol=1e-8)
@@ -177,17 +186,17 @@ class TestClusters:
         code = rng.permutation(np.r_[np.arange(9), rng.integers(0, 9, 60)])
         values = rng.normal(size=(69, 2))
         expected = [values[code == each].sum(axis=0) for each in range(9)]
-        np.testing.assert_allclose(Clusters(code).sums(values), expected)
-        np.testing.assert_allclose(Clusters(code).sums(values[:, 0]), np.array(expected)[:, 0])
+        np.testing.assert_allclose(ClusterSums(code).sum_by_cluster(values), expected)
+        np.testing.assert_allclose(ClusterSums(code).sum_by_cluster(values[:, 0]), np.array(expected)[:, 0])
 
     @pytest.mark.parametrize("count", [2, 7, 10, 11, 64])
     def test_folds_are_dealt_evenly_and_the_same_for_a_seed(self, count):
-        clusters = Clusters(np.arange(count))
-        dealt = np.bincount(clusters.folds(3))
+        clusters = ClusterSums(np.arange(count))
+        dealt = np.bincount(clusters.assign_folds(3))
         assert len(dealt) == min(FOLDS, count)
         assert np.ptp(dealt) <= 1
-        np.testing.assert_array_equal(clusters.folds(3), Clusters(np.arange(count)).folds(3))
-        assert count < FOLDS or not np.array_equal(clusters.folds(3), clusters.folds(4))
+        np.testing.assert_array_equal(clusters.assign_folds(3), ClusterSums(np.arange(count)).assign_folds(3))
+        assert count < FOLDS or not np.array_equal(clusters.assign_folds(3), clusters.assign_folds(4))
 
 
 probabilities = st.lists(st.floats(0.0, 1.0), min_size=1, max_size=30).map(np.array)

@@ -5,25 +5,31 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.diagnose.candidates import Asked, library
-from core.diagnose.evidence import Clusters
-from core.diagnose.forward_selection import Named, Search
-from core.diagnose.projection import Base
-from tests.support.drives import drives, measured, only, seen, sized
+from core.diagnose.candidates import Candidates, build_candidates
+from core.diagnose.evidence import ClusterSums
+from core.diagnose.forward_selection import ForwardSelection, SelectedEffect
+from core.diagnose.projection import BaseProjection
+from tests.support.synthetic_windows import (
+    compute_coefficients,
+    gather_with_model,
+    keep_only,
+    make_tables,
+    make_windows,
+)
 
 LEAST_GAIN = 0.002
 
 
-def search(shares, *names, most=6, least_gain=LEAST_GAIN, seed=1, twin=0.0, **errors) -> Search:
+def search(shares, *names, most=6, least_gain=LEAST_GAIN, seed=1, twin=0.0, **errors) -> ForwardSelection:
     """Return a search that has not begun; `twin` adds a candidate that is the first with so much of another one."""
-    windows, model = seen(measured(drives(), shares, seed=seed, **({"of_day": 0.02} | errors)))
-    base, asked = Base(windows, model), library(windows, model)
-    asked = only(asked, *names) if names else asked
-    clusters = [Clusters(base.windows.day), Clusters(base.windows.date)]
-    return Search(base, with_twin(asked, twin) if twin else asked, clusters, least_gain, most, 0)
+    windows, model = gather_with_model(make_tables(make_windows(), shares, seed=seed, **({"of_day": 0.02} | errors)))
+    base, asked = BaseProjection(windows, model), build_candidates(windows, model)
+    asked = keep_only(asked, *names) if names else asked
+    clusters = [ClusterSums(base.windows.day), ClusterSums(base.windows.date)]
+    return ForwardSelection(base, with_twin(asked, twin) if twin else asked, clusters, least_gain, most, 0)
 
 
-def with_twin(asked: Asked, other: float) -> Asked:
+def with_twin(asked: Candidates, other: float) -> Candidates:
     first, size = asked.columns[:, 0], np.std(asked.columns[:, 0])
     twin = first + other * size * np.random.default_rng(3).normal(size=len(first))
     return replace(
@@ -36,8 +42,8 @@ def with_twin(asked: Asked, other: float) -> Asked:
     )
 
 
-def named(search: Search) -> set[str]:
-    return {each.effect for each in search.named}
+def named(search: ForwardSelection) -> set[str]:
+    return {each.effect for each in search.selected}
 
 
 @pytest.mark.parametrize(
@@ -45,22 +51,22 @@ def named(search: Search) -> set[str]:
 )
 def test_what_was_planted_is_named_and_no_decoy_is(effect):
     found = search({effect: 0.06})
-    found.forward()
+    found.select_all()
     assert named(found) == {effect}
-    (finding,) = found.findings()
-    low, high = finding.evidence.interval(0, 0.999)
-    if "@" not in finding.named.variant:
-        assert low < sized(drives(), {effect: 0.06})[effect] < high
+    (finding,) = found.list_missing_effects()
+    low, high = finding.evidence.compute_interval(0, 0.999)
+    if "@" not in finding.selected.variant:
+        assert low < compute_coefficients(make_windows(), {effect: 0.06})[effect] < high
     assert finding.gain > LEAST_GAIN
     assert finding.gain > 2.0 * finding.gain_error
-    assert finding.named.q < 0.01
+    assert finding.selected.q < 0.01
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_of_nothing_nothing_is_named(seed):
     found = search({}, seed=seed, of_day=0.03, of_ride=0.003)
-    found.forward()
-    assert found.named == found.findings() == []
+    found.select_all()
+    assert found.selected == found.list_missing_effects() == []
 
 
 @pytest.mark.parametrize(
@@ -68,9 +74,9 @@ def test_of_nothing_nothing_is_named(seed):
 )
 def test_of_two_both_are_named_or_in_a_group_most_gain_first(pair):
     found = search(dict.fromkeys(pair, 0.05), of_day=0.01)
-    found.forward()
-    findings = found.findings()
-    groups = [{each.named.effect, *(name for name, _ in each.rivals)} for each in findings]
+    found.select_all()
+    findings = found.list_missing_effects()
+    groups = [{each.selected.effect, *(name for name, _ in each.rivals)} for each in findings]
     assert len(findings) == 2
     assert all(any(effect in group for group in groups) for effect in pair)
     assert sum(len(group) for group in groups) <= 3
@@ -80,20 +86,20 @@ def test_of_two_both_are_named_or_in_a_group_most_gain_first(pair):
 def test_a_stand_in_goes_when_what_it_stood_for_is_named():
     found = search({"cold_rolling": 0.08}, "cold_rolling", "air_density", "headwind")
     at = found.asked.variants.index
-    found.take(Named(found.asked, at("air_density"), 0.0))
+    found.select(SelectedEffect(found.asked, at("air_density"), 0.0))
     assert named(found) == {"air_density"}
-    found.take(Named(found.asked, at("cold_rolling"), 0.0))
+    found.select(SelectedEffect(found.asked, at("cold_rolling"), 0.0))
     assert named(found) == {"cold_rolling"}
-    assert not found.fresh(Named(found.asked, at("air_density"), 0.0))
-    assert found.fresh(Named(found.asked, at("headwind"), 0.0))
-    found.forward()
+    assert not found.is_new(SelectedEffect(found.asked, at("air_density"), 0.0))
+    assert found.is_new(SelectedEffect(found.asked, at("headwind"), 0.0))
+    found.select_all()
     assert named(found) == {"cold_rolling"}
 
 
 def test_an_effect_that_is_needed_stays_when_another_is_named():
     found = search({"cold_rolling": 0.06, "headwind": 0.05}, "cold_rolling", "headwind")
     for variant in ("headwind", "cold_rolling"):
-        found.take(Named(found.asked, found.asked.variants.index(variant), 0.0))
+        found.select(SelectedEffect(found.asked, found.asked.variants.index(variant), 0.0))
     assert named(found) == {"cold_rolling", "headwind"}
     assert not found.dropped
 
@@ -101,18 +107,18 @@ def test_an_effect_that_is_needed_stays_when_another_is_named():
 @pytest.mark.parametrize("effect", ["night_lights", "headwind"])
 def test_two_that_are_nearly_alike_are_one_finding_with_a_group(effect):
     found = search({effect: 0.06}, effect, "cold_rolling", "wet_road", twin=0.02)
-    found.forward()
-    assert len(found.named) == 1
-    (finding,) = found.findings()
-    assert {finding.named.effect, *(name for name, _ in finding.rivals)} == {effect, "twin"}
+    found.select_all()
+    assert len(found.selected) == 1
+    (finding,) = found.list_missing_effects()
+    assert {finding.selected.effect, *(name for name, _ in finding.rivals)} == {effect, "twin"}
     assert finding.rivals[0][1] > 0.95
 
 
 def test_two_that_are_somewhat_alike_are_told_apart_by_the_data():
     found = search({"night_lights": 0.08}, "night_lights", "cold_rolling", twin=0.5)
-    found.forward()
-    (finding,) = found.findings()
-    assert finding.named.effect == "night_lights"
+    found.select_all()
+    (finding,) = found.list_missing_effects()
+    assert finding.selected.effect == "night_lights"
     assert finding.rivals == []
 
 
@@ -127,9 +133,9 @@ class TestInexactRivals:
         made = np.where((found.asked.effects == 1)[np.newaxis], (true * column + blur * noise)[:, np.newaxis], 0.0)
         columns = np.where(found.asked.effects == 1, made, found.asked.columns)
         found.asked = replace(found.asked, columns=columns)
-        found.forward()
-        (finding,) = found.findings()
-        assert finding.named.effect == "cold_rolling"
+        found.select_all()
+        (finding,) = found.list_missing_effects()
+        assert finding.selected.effect == "cold_rolling"
         return {name for name, _ in finding.rivals}
 
     def test_one_that_is_as_like_as_its_noise_allows_is_of_the_group(self):
@@ -143,54 +149,61 @@ def test_no_more_are_named_than_asked_for_and_none_that_is_not_worth_it():
     few, dear = (
         search({"headwind": 0.05, "cold_rolling": 0.06}, **limit) for limit in ({"most": 1}, {"least_gain": 0.99})
     )
-    few.forward()
-    dear.forward()
-    assert len(few.named) == 1
-    assert dear.named == []
+    few.select_all()
+    dear.select_all()
+    assert len(few.selected) == 1
+    assert dear.selected == []
 
 
 def test_an_effect_is_named_once():
     found = search({"cold_rolling@reference=283.15": 0.08}, "cold_rolling")
-    found.forward()
-    assert len(found.named) == 1
-    again = Named(found.asked, found.asked.variants.index("cold_rolling@reference=298.15"), 0.0)
-    assert not found.fresh(again)
-    elsewhere = found.asked.within(found.base.windows.vehicle == 0, ("vehicle=taxi-0",))
-    assert found.fresh(Named(elsewhere, 0, 0.0))
+    found.select_all()
+    assert len(found.selected) == 1
+    again = SelectedEffect(found.asked, found.asked.variants.index("cold_rolling@reference=298.15"), 0.0)
+    assert not found.is_new(again)
+    elsewhere = found.asked.restrict_to(found.base.windows.vehicle == 0, ("vehicle=taxi-0",))
+    assert found.is_new(SelectedEffect(elsewhere, 0, 0.0))
 
 
 def test_what_is_named_is_taken_off_what_is_left():
     found = search({"headwind": 0.05}, "headwind")
-    before = found.left(found.off())
+    before = found.compute_residual(found.build_basis())
     np.testing.assert_array_equal(before, found.base.residual)
-    found.forward()
-    off = found.off()
-    after = found.left(off)
+    found.select_all()
+    off = found.build_basis()
+    after = found.compute_residual(off)
     assert off.shape == (len(before), 1)
     np.testing.assert_allclose(off.T @ after, 0.0, atol=1e-9)
     before = found.base.residual  # weights are found anew beside what is named
     assert after @ after < 0.7 * before @ before
-    np.testing.assert_array_equal(found.left(found.off(without=found.named[0])), found.base.residual)
+    np.testing.assert_array_equal(
+        found.compute_residual(found.build_basis(without=found.selected[0])), found.base.residual
+    )
 
 
 def test_what_a_held_out_fold_is_left_with_was_not_fitted_to_it():
     found = search({"headwind": 0.05}, "headwind")
-    np.testing.assert_array_equal(found.held_out(found.off()), found.base.residual)
-    found.forward()
-    off = found.off()
-    left = found.held_out(off)
-    fold = found.clusters[0].folds(0)[found.clusters[0].code]
+    np.testing.assert_array_equal(found.compute_held_out_residual(found.build_basis()), found.base.residual)
+    found.select_all()
+    off = found.build_basis()
+    left = found.compute_held_out_residual(off)
+    fold = found.clusters[0].assign_folds(0)[found.clusters[0].code]
     for k in range(int(fold.max()) + 1):
         here = fold == k
         fitted = np.linalg.lstsq(off[~here], found.base.residual[~here], rcond=None)[0]
         np.testing.assert_allclose(left[here], (found.base.residual - off @ fitted)[here], atol=1e-9)
-    assert left @ left > found.left(off) @ found.left(off)
+    assert left @ left > found.compute_residual(off) @ found.compute_residual(off)
 
 
 def test_searching_again_gives_the_same():
     findings = []
     for _ in range(2):
         found = search({"cold_rolling": 0.05, "headwind": 0.05})
-        found.forward()
-        findings.append([(each.named.variant, each.gain, each.evidence.p[0], each.rivals) for each in found.findings()])
+        found.select_all()
+        findings.append(
+            [
+                (each.selected.variant, each.gain, each.evidence.p[0], each.rivals)
+                for each in found.list_missing_effects()
+            ]
+        )
     assert findings[0] == findings[1]

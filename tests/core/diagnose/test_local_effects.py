@@ -4,47 +4,47 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.diagnose.candidates import library
-from core.diagnose.diagnosis import declared
-from core.diagnose.evidence import Clusters
-from core.diagnose.forward_selection import Search
-from core.diagnose.local_effects import LEAST_WINDOWS, local, places
-from core.diagnose.projection import Base
+from core.diagnose.candidates import build_candidates
+from core.diagnose.diagnosis import keep_declared_values
+from core.diagnose.evidence import ClusterSums
+from core.diagnose.forward_selection import ForwardSelection
+from core.diagnose.local_effects import LEAST_WINDOWS, list_scopes, select_local_effects
+from core.diagnose.projection import BaseProjection
 from core.models.features import Columns
-from tests.support.drives import drives, measured, seen, sized
+from tests.support.synthetic_windows import compute_coefficients, gather_with_model, make_tables, make_windows
 
 SINCE = "since=2018-06-05"
 CAR = "vehicle=taxi-1"
 
 
-def looked(shares, *, cars=4, **errors) -> Search:
+def looked(shares, *, cars=4, **errors) -> ForwardSelection:
     """Return a search that has named what holds everywhere, and then what holds in places."""
-    windows, model = seen(measured(drives(cars), shares, **({"of_day": 0.01} | errors)))
-    clusters = [Clusters(windows.day), Clusters(windows.date)]
-    found = Search(Base(windows, model), library(windows, model), clusters, 0.002, 6, 0)
-    found.forward()
-    local(found, declared(library(windows, model, scopes=True)))
+    windows, model = gather_with_model(make_tables(make_windows(cars), shares, **({"of_day": 0.01} | errors)))
+    clusters = [ClusterSums(windows.day), ClusterSums(windows.date)]
+    found = ForwardSelection(BaseProjection(windows, model), build_candidates(windows, model), clusters, 0.002, 6, 0)
+    found.select_all()
+    select_local_effects(found, keep_declared_values(build_candidates(windows, model, scopes=True)))
     return found
 
 
 def drives_late(date: str) -> int:
     """Return how many days of driving a date is late, of those that an effect acts since `SINCE`."""
-    days = np.unique(drives()["date"])
+    days = np.unique(make_windows()["date"])
     first = np.searchsorted(days, SINCE.removeprefix("since="))
     return int(np.searchsorted(days, date.removeprefix("since=")) - first)
 
 
-def named(found: Search) -> list[tuple[str, tuple[str, ...]]]:
-    return [(each.effect, each.asked.scope) for each in found.named]
+def named(found: ForwardSelection) -> list[tuple[str, tuple[str, ...]]]:
+    return [(each.effect, each.asked.scope) for each in found.selected]
 
 
 @pytest.mark.parametrize("effect", ["cornering", "night_lights", "headwind"])
 def test_an_effect_of_one_car_is_named_there_and_nowhere_else(effect):
     found = looked({f"{effect} {CAR}": 0.05})
     assert named(found) == [(effect, (CAR,))]
-    (finding,) = found.findings()
-    low, high = finding.evidence.interval(0, 0.999)
-    assert low < sized(drives(), {f"{effect} {CAR}": 0.05})[f"{effect} {CAR}"] < high
+    (finding,) = found.list_missing_effects()
+    low, high = finding.evidence.compute_interval(0, 0.999)
+    assert low < compute_coefficients(make_windows(), {f"{effect} {CAR}": 0.05})[f"{effect} {CAR}"] < high
 
 
 @pytest.mark.parametrize("effect", ["tyre_pressure", "standby", "roof_load"])
@@ -55,7 +55,7 @@ def test_an_effect_that_began_is_named_from_the_day_on_that_it_began(effect):
     assert only[0] == effect
     (since,) = only[1]
     assert abs(drives_late(since)) <= 2
-    assert not found.asked.absent.get(effect)
+    assert not found.asked.excluded.get(effect)
 
 
 def test_an_effect_that_began_in_one_car_is_named_with_both():
@@ -68,13 +68,13 @@ def test_an_effect_that_began_in_one_car_is_named_with_both():
 def test_what_is_alike_in_a_place_is_one_group():
     """Of one car, force and rolling differ by its passengers alone."""
     found = looked({f"brake_drag {CAR} {SINCE}": 0.08}, of_day=0.005)
-    (finding,) = found.findings()
-    assert {"brake_drag", "tyre_pressure"} <= {finding.named.effect, *(name for name, _ in finding.rivals)}
+    (finding,) = found.list_missing_effects()
+    assert {"brake_drag", "tyre_pressure"} <= {finding.selected.effect, *(name for name, _ in finding.rivals)}
 
 
 def test_the_only_car_has_no_place_of_its_own_but_dates():
     found = looked({f"tyre_pressure {SINCE}": 0.08}, cars=1)
-    assert all(each.car is None for each in places(found.base.windows))
+    assert all(each.car is None for each in list_scopes(found.base.windows))
     ((effect, (since,)),) = named(found)
     assert effect == "tyre_pressure"
     assert abs(drives_late(since)) <= 2
@@ -97,23 +97,23 @@ def test_what_holds_everywhere_and_more_in_one_car_is_named_twice():
 
 @pytest.fixture(scope="module")
 def windows():
-    return seen(measured(drives()))[0]
+    return gather_with_model(make_tables(make_windows()))[0]
 
 
 class TestPlaces:
     def test_rows_are_where_the_columns_of_a_term_are_one(self, windows):
-        for place in places(windows):
+        for place in list_scopes(windows):
             one = np.prod([Columns(windows.table)[scope] for scope in place.scope], axis=0)
             np.testing.assert_array_equal(place.rows, one == 1.0)
             assert place.car is None or set(windows.vehicle[place.rows]) == {place.car}
 
     def test_on_either_side_of_a_border_there_are_windows_enough(self, windows):
-        inside = np.array([place.rows.sum() for place in places(windows)])
+        inside = np.array([place.rows.sum() for place in list_scopes(windows)])
         assert inside.min() >= LEAST_WINDOWS
         assert inside.max() <= len(windows.measured) - LEAST_WINDOWS
 
     def test_there_are_cars_and_dates_and_both_together(self, windows):
-        scopes = [place.scope for place in places(windows)]
+        scopes = [place.scope for place in list_scopes(windows)]
         assert len(scopes) == len(set(scopes))
         cars = {scope for scope in scopes if len(scope) == 1 and scope[0].startswith("vehicle=")}
         dates = {scope for scope in scopes if len(scope) == 1 and scope[0].startswith("since=")}

@@ -7,13 +7,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.diagnose.noise import LEAST_SHARE, measurement_variance, ride_floor, robust, window_variance
-from tests.support.drives import METER_SD, drives, measured, seen
+from core.diagnose.noise import (
+    LEAST_SHARE,
+    compute_measurement_variance,
+    compute_ride_noise_floor,
+    compute_robust_weights,
+    estimate_window_variance,
+)
+from tests.support.synthetic_windows import METER_SD, gather_with_model, make_tables, make_windows
 
 
 @pytest.fixture(scope="module")
 def windows():
-    return seen(measured(drives()))[0]
+    return gather_with_model(make_tables(make_windows()))[0]
 
 
 def with_columns(windows, **columns):
@@ -28,17 +34,17 @@ def parts(windows):
 
 
 def test_the_gain_of_a_meter_is_no_noise(windows):
-    np.testing.assert_allclose(measurement_variance(windows), METER_SD**2, rtol=1e-6)
+    np.testing.assert_allclose(compute_measurement_variance(windows), METER_SD**2, rtol=1e-6)
 
 
 def test_a_state_of_charge_errs_by_its_quantum_and_its_capacity_is_no_noise(windows):
     energy = windows.measured
     found = with_columns(windows, energy_vi_kwh=np.nan, energy_soc_sd_kwh=np.hypot(0.05, 0.15 * energy))
-    np.testing.assert_allclose(measurement_variance(found), 0.05**2, rtol=1e-6)
+    np.testing.assert_allclose(compute_measurement_variance(found), 0.05**2, rtol=1e-6)
 
 
 def test_a_variance_is_never_negative(windows):
-    assert (measurement_variance(with_columns(windows, energy_vi_sd_kwh=0.0)) == 0.0).all()
+    assert (compute_measurement_variance(with_columns(windows, energy_vi_sd_kwh=0.0)) == 0.0).all()
 
 
 def test_the_floor_is_what_a_model_without_any_error_would_have(windows):
@@ -46,7 +52,7 @@ def test_the_floor_is_what_a_model_without_any_error_would_have(windows):
     noisy = with_columns(windows, energy_vi_sd_kwh=np.hypot(sd, 0.01 * windows.measured))
     rng = np.random.default_rng(5)
     errors = [np.mean(np.abs(windows.by_ride(rng.normal(0.0, sd)))) for _ in range(100)]
-    assert ride_floor(noisy) == pytest.approx(np.mean(errors), rel=0.01)
+    assert compute_ride_noise_floor(noisy) == pytest.approx(np.mean(errors), rel=0.01)
 
 
 @pytest.mark.parametrize("share", [(1.0, 0.0, 0.0), (0.0, 0.1, 0.0), (2.0, 0.0, 0.2), (1.0, 0.08, 0.1)])
@@ -55,7 +61,8 @@ def test_a_planted_variance_comes_back(windows, share):
     planted = share[0] * METER_SD**2 + (share[1] * rolling) ** 2 + (share[2] * inertia) ** 2
     rng = np.random.default_rng(6)
     found = np.mean(
-        [window_variance(windows, rng.normal(0.0, 1.0, len(planted)) * np.sqrt(planted)) for _ in range(40)], axis=0
+        [estimate_window_variance(windows, rng.normal(0.0, 1.0, len(planted)) * np.sqrt(planted)) for _ in range(40)],
+        axis=0,
     )
     plain = planted > 2.0 * LEAST_SHARE * np.median(planted)
     ratio = found[plain] / planted[plain]
@@ -66,25 +73,27 @@ def test_a_planted_variance_comes_back(windows, share):
 def test_no_window_outweighs_all_others(windows):
     rolling, _, _ = parts(windows)
     residual = np.random.default_rng(7).normal(0.0, 1.0, len(rolling)) * rolling
-    found = window_variance(with_columns(windows, energy_vi_sd_kwh=0.0), residual)
+    found = estimate_window_variance(with_columns(windows, energy_vi_sd_kwh=0.0), residual)
     assert found.min() > 0.5 * LEAST_SHARE * np.median(found)
 
 
 def test_residuals_twice_as_large_have_four_times_the_variance(windows):
     residual = np.random.default_rng(8).normal(0.0, 0.004, len(windows.measured))
-    np.testing.assert_allclose(window_variance(windows, 2.0 * residual), 4.0 * window_variance(windows, residual))
+    np.testing.assert_allclose(
+        estimate_window_variance(windows, 2.0 * residual), 4.0 * estimate_window_variance(windows, residual)
+    )
 
 
 def test_a_few_windows_that_are_far_off_do_not_change_the_usual_variance(windows):
     residual = np.random.default_rng(9).normal(0.0, 0.004, len(windows.measured))
     spoilt = residual.copy()
     spoilt[::400] = 50.0
-    ratio = window_variance(windows, spoilt) / window_variance(windows, residual)
+    ratio = estimate_window_variance(windows, spoilt) / estimate_window_variance(windows, residual)
     assert np.median(ratio) == pytest.approx(1.0, abs=0.1)
 
 
 def test_where_nothing_is_left_the_variance_is_still_one(windows):
-    found = window_variance(windows, np.zeros(len(windows.measured)))
+    found = estimate_window_variance(windows, np.zeros(len(windows.measured)))
     assert (found > 0.0).all()
     assert np.isfinite(found).all()
 
@@ -92,9 +101,9 @@ def test_where_nothing_is_left_the_variance_is_still_one(windows):
 @given(st.integers(0, 2**32), st.floats(1e-6, 1e6))
 def test_robust_weights_know_no_unit_and_fall_with_what_is_left(seed, scale):
     left = np.random.default_rng(seed).standard_t(2.0, 300)
-    found = robust(left)
-    np.testing.assert_allclose(robust(scale * left), found, rtol=1e-9)
-    np.testing.assert_array_equal(robust(-left), found)
+    found = compute_robust_weights(left)
+    np.testing.assert_allclose(compute_robust_weights(scale * left), found, rtol=1e-9)
+    np.testing.assert_array_equal(compute_robust_weights(-left), found)
     assert ((found > 0.0) & (found <= 1.0)).all()
     order = np.argsort(np.abs(left))
     assert (np.diff(found[order]) <= 0.0).all()
@@ -103,7 +112,7 @@ def test_robust_weights_know_no_unit_and_fall_with_what_is_left(seed, scale):
 
 
 def test_robust_weights_leave_the_most_of_gaussian_errors_alone():
-    found = robust(np.random.default_rng(10).normal(size=20_000))
+    found = compute_robust_weights(np.random.default_rng(10).normal(size=20_000))
     assert 0.99 < np.mean(found == 1.0) < 1.0
-    assert robust(np.r_[np.random.default_rng(11).normal(size=500), 300.0])[-1] < 0.02
-    assert (robust(np.zeros(5)) == 1.0).all()
+    assert compute_robust_weights(np.r_[np.random.default_rng(11).normal(size=500), 300.0])[-1] < 0.02
+    assert (compute_robust_weights(np.zeros(5)) == 1.0).all()

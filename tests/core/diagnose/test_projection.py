@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.diagnose.projection import Base, orthonormal
+from core.diagnose.projection import BaseProjection, orthonormalise
 from core.models.features import ACCESSORIES_COLUMN, Columns
-from tests.support.drives import based, drives, measured, seen, with_energy
+from tests.support.synthetic_windows import build_tables, gather_with_model, make_tables, make_windows, project_base
 
 NOISE = 0.004
 RECIPES = ("road_load", "road_load_constant")
@@ -16,13 +16,13 @@ RECIPES = ("road_load", "road_load_constant")
 
 @pytest.fixture(scope="module", params=RECIPES)
 def base(request):
-    return based(measured(drives(), of_day=0.02, of_ride=0.002), request.param)
+    return project_base(make_tables(make_windows(), of_day=0.02, of_ride=0.002), request.param)
 
 
 @pytest.fixture(scope="module")
 def plain():
     """Without a curve: no column is shared among cars."""
-    return based(measured(drives(), of_day=0.02, of_ride=0.002), "road_load_constant")
+    return project_base(make_tables(make_windows(), of_day=0.02, of_ride=0.002), "road_load_constant")
 
 
 def candidate(base, name="cold_rolling"):
@@ -36,22 +36,24 @@ def of_cars(base, columns):
 
 def untaken(base, columns):
     """Share of each column's size that is off the model."""
-    return (base.off(columns) ** 2).sum(axis=0) / (base.weighted(columns) ** 2).sum(axis=0)
+    return (base.project_out(columns) ** 2).sum(axis=0) / (base.apply_weights(columns) ** 2).sum(axis=0)
 
 
 @pytest.mark.parametrize(("cars", "recipe"), [(1, "road_load"), (1, "road_load_constant"), (3, "road_load_constant")])
 @pytest.mark.parametrize("name", ["cold_rolling", "headwind", "night_lights"])
 def test_projecting_off_is_refitting(cars, recipe, name):
     """Frisch, Waugh and Lovell: the coefficient beside the model, and what is left, are those of the whole fit."""
-    base = based(measured(drives(cars=cars), {name: 0.05}, of_ride=0.003), recipe)
-    assert base.alike != 0.0
+    base = project_base(make_tables(make_windows(cars=cars), {name: 0.05}, of_ride=0.003), recipe)
+    assert base.ride_correlation != 0.0
     column = candidate(base, name)
-    off = base.off(column)[:, 0]
+    off = base.project_out(column)[:, 0]
     coefficient = off @ base.residual / (off @ off)
-    whole = np.column_stack([base.weighted(of_cars(base, base.plain())), base.weighted(column)])
+    whole = np.column_stack(
+        [base.apply_weights(of_cars(base, base.get_unweighted_columns())), base.apply_weights(column)]
+    )
     size = np.sqrt((whole**2).sum(axis=0))
     whole = whole[:, size > 0.0] / size[size > 0.0]
-    energy = base.weighted(base.windows.measured[:, np.newaxis])[:, 0]
+    energy = base.apply_weights(base.windows.measured[:, np.newaxis])[:, 0]
     fitted, *_ = np.linalg.lstsq(whole, energy, rcond=1e-6)
     assert coefficient == pytest.approx(fitted[-1] / size[-1], rel=1e-5)
     np.testing.assert_allclose(base.residual - off * coefficient, energy - whole @ fitted, atol=1e-6)
@@ -61,9 +63,12 @@ def test_nothing_is_left_that_the_model_can_take_up(base):
     table, model_columns = base.windows.table, ["effect_climbing", "effect_inertia_positive", "effect_inertia_negative"]
     own = table[[*model_columns, "effect_rolling", "effect_aero_drag", "effect_braking", "duration_s"]].to_numpy()
     assert untaken(base, of_cars(base, own)).max() < 1e-9
-    assert np.abs(base.off(base.plain())).max() < 1e-6 * np.abs(base.weighted(base.plain())).max()
-    orthogonal = base.weighted(of_cars(base, own)).T @ base.residual
-    scale = np.sqrt((base.weighted(of_cars(base, own)) ** 2).sum(axis=0) * (base.residual @ base.residual))
+    assert (
+        np.abs(base.project_out(base.get_unweighted_columns())).max()
+        < 1e-6 * np.abs(base.apply_weights(base.get_unweighted_columns())).max()
+    )
+    orthogonal = base.apply_weights(of_cars(base, own)).T @ base.residual
+    scale = np.sqrt((base.apply_weights(of_cars(base, own)) ** 2).sum(axis=0) * (base.residual @ base.residual))
     assert np.abs(orthogonal / scale).max() < 1e-6
 
 
@@ -73,52 +78,54 @@ def test_an_effect_that_the_model_has_not_is_left(base):
 
 
 def test_with_accessories_by_temperature_any_smooth_function_of_it_is_taken_up():
-    tables = measured(drives())
+    tables = make_tables(make_windows())
     hours = tables[1]["duration_s"].to_numpy() / 3600.0
     ambient = tables[1]["ambient_c"].to_numpy()
     smooth = hours[:, np.newaxis] * np.column_stack([ambient, ambient**2, np.tanh((ambient - 5.0) / 8.0)])
-    curved, constant = (based(tables, recipe) for recipe in RECIPES)
+    curved, constant = (project_base(tables, recipe) for recipe in RECIPES)
     assert untaken(curved, smooth).max() < 0.01
     assert untaken(constant, smooth).min() > 0.1
     assert untaken(curved, hours[:, np.newaxis] * np.sin(40.0 * ambient)[:, np.newaxis])[0] > 0.5
 
 
 def test_the_accessories_of_the_models_own_curve_are_taken_up():
-    found, model = seen(measured(drives()))
+    found, model = gather_with_model(make_tables(make_windows()))
     fit = next(iter(model.fits.values()))
-    base = Base(found, model)
+    base = BaseProjection(found, model)
     curve = Columns(found.table, fit.fills, fit.curve.to_curve())[ACCESSORIES_COLUMN]
     assert untaken(base, curve[:, np.newaxis])[0] < 1e-9
 
 
 def test_what_is_off_the_model_stays_as_it_is(base):
     columns = np.random.default_rng(3).normal(size=(len(base.residual), 3))
-    once = base.off(columns)
-    again = base.off(np.column_stack([base.energy(each) for each in once.T]))
+    once = base.project_out(columns)
+    again = base.project_out(np.column_stack([base.convert_to_energy(each) for each in once.T]))
     np.testing.assert_allclose(again, once, atol=1e-9 * np.abs(once).max())
-    np.testing.assert_allclose(base.off(columns @ [[1.0], [2.0], [-3.0]])[:, 0], once @ [1.0, 2.0, -3.0], atol=1e-8)
+    np.testing.assert_allclose(
+        base.project_out(columns @ [[1.0], [2.0], [-3.0]])[:, 0], once @ [1.0, 2.0, -3.0], atol=1e-8
+    )
 
 
 def test_weighted_energies_are_energies_again(base):
     values = np.random.default_rng(4).normal(size=(len(base.residual), 1))
-    np.testing.assert_allclose(base.energy(base.weighted(values)[:, 0]), values[:, 0], atol=1e-9)
+    np.testing.assert_allclose(base.convert_to_energy(base.apply_weights(values)[:, 0]), values[:, 0], atol=1e-9)
 
 
 def test_one_cars_own_columns_leave_what_they_leave_of_all(plain):
     columns = plain.windows.table[["effect_headwind", "effect_wet_road"]].to_numpy()
     for car, rows in enumerate(plain.cars):
         here = columns * (plain.windows.vehicle == car)[:, np.newaxis]
-        np.testing.assert_allclose(plain.within(here[rows], car), plain.off(here)[rows], atol=1e-8)
+        np.testing.assert_allclose(plain.project_out_for_car(here[rows], car), plain.project_out(here)[rows], atol=1e-8)
 
 
 @pytest.mark.parametrize("of_ride", [0.0, 0.001, 0.002, 0.004])
 def test_planted_correlation_within_rides_comes_back(of_ride):
-    base = based(measured(drives(), noise=NOISE, of_ride=of_ride))
-    assert base.alike == pytest.approx(of_ride**2 / (of_ride**2 + NOISE**2), abs=0.05)
+    base = project_base(make_tables(make_windows(), noise=NOISE, of_ride=of_ride))
+    assert base.ride_correlation == pytest.approx(of_ride**2 / (of_ride**2 + NOISE**2), abs=0.05)
 
 
 def test_windows_that_make_up_for_each_other_are_opposed():
-    tables = measured(drives(), noise=0.0)
+    tables = make_tables(make_windows(), noise=0.0)
     ride = pd.factorize(tables[1]["ride_key"])[0]
     size = float(np.bincount(ride)[0])
     error = np.random.default_rng(5).normal(0.0, NOISE, len(ride))
@@ -127,14 +134,14 @@ def test_windows_that_make_up_for_each_other_are_opposed():
     energy = tables[1]["energy_kwh"].to_numpy() + error
     windows = tables[1].drop(columns="ride_key").assign(ride_key=tables[1]["ride_key"], date=tables[0]["date"].iloc[0])
     windows["date"] = tables[0].set_index("ride_key")["date"].loc[windows["ride_key"]].to_numpy()
-    base = based(with_energy(windows, energy))
-    assert base.alike == pytest.approx(planted / NOISE**2, abs=0.03)
-    assert base.alike < -0.05
+    base = project_base(build_tables(windows, energy))
+    assert base.ride_correlation == pytest.approx(planted / NOISE**2, abs=0.03)
+    assert base.ride_correlation < -0.05
 
 
 @pytest.mark.parametrize("of_ride", [0.002, 0.004])
 def test_weighted_errors_are_independent(of_ride):
-    base = based(measured(drives(), noise=NOISE, of_ride=of_ride))
+    base = project_base(make_tables(make_windows(), noise=NOISE, of_ride=of_ride))
     rides, left = base.windows.ride, base.residual / np.std(base.residual)
     pairs = np.bincount(rides, left) ** 2 - np.bincount(rides, left**2)
     count = np.bincount(rides)
@@ -142,16 +149,16 @@ def test_weighted_errors_are_independent(of_ride):
 
 
 def test_weighted_errors_have_a_variance_of_one():
-    base = based(measured(drives(), noise=NOISE))
+    base = project_base(make_tables(make_windows(), noise=NOISE))
     assert np.mean(base.residual**2) == pytest.approx(1.0, abs=0.1)
 
 
 def test_a_window_that_is_far_off_counts_less():
-    tables = measured(drives(), noise=NOISE)
-    before = based(tables)
+    tables = make_tables(make_windows(), noise=NOISE)
+    before = project_base(tables)
     for name in ("energy_kwh", "energy_vi_kwh"):
         tables[1].loc[100, name] += 0.5
-    after = based(tables)
+    after = project_base(tables)
     at = np.flatnonzero((after.windows.table["start_s"] == tables[1].loc[100, "start_s"]).to_numpy())
     mine = at[after.windows.table["vehicle_id"].to_numpy()[at] == tables[1].loc[100, "vehicle_id"]][0]
     assert after.weight[mine] < 0.02 * np.median(after.weight)
@@ -161,23 +168,23 @@ def test_a_window_that_is_far_off_counts_less():
 
 
 def test_cars_with_few_windows_are_held_to_be_alike():
-    rides, windows = measured(drives())
+    rides, windows = make_tables(make_windows())
     few = ("taxi-2", "taxi-3")
     kept = rides["ride_key"].isin([f"{car}#{n}" for car in few for n in range(3)]) | ~rides["vehicle_id"].isin(few)
-    base = based((rides[kept], windows))
+    base = project_base((rides[kept], windows))
     rolling = of_cars(base, candidate(base, "rolling"))
     left = untaken(base, rolling)
     assert left[:2].max() < 1e-9
     assert left[2:].min() > 0.01
     assert untaken(base, rolling[:, [2]] + rolling[:, [3]])[0] < 1e-9
-    assert base.columns < based((rides, windows)).columns
+    assert base.rank < project_base((rides, windows)).rank
 
 
 @given(st.integers(0, 2**32), st.integers(1, 6), st.integers(0, 4))
 def test_a_basis_spans_its_columns_and_no_more(seed, own, copies):
     rng = np.random.default_rng(seed)
     columns = rng.normal(size=(40, own)) * 10.0 ** rng.uniform(-6.0, 6.0, own)
-    basis = orthonormal(np.column_stack([columns, columns[:, :1] * np.arange(copies)]))
+    basis = orthonormalise(np.column_stack([columns, columns[:, :1] * np.arange(copies)]))
     assert basis.shape == (40, own)
     np.testing.assert_allclose(basis.T @ basis, np.eye(own), atol=1e-9)
     size = np.sqrt((columns**2).sum(axis=0))
@@ -185,5 +192,5 @@ def test_a_basis_spans_its_columns_and_no_more(seed, own, copies):
 
 
 def test_columns_of_nothing_have_no_basis():
-    assert orthonormal(np.zeros((7, 3))).shape == (7, 0)
-    assert orthonormal(np.empty((7, 0))).shape == (7, 0)
+    assert orthonormalise(np.zeros((7, 3))).shape == (7, 0)
+    assert orthonormalise(np.empty((7, 0))).shape == (7, 0)

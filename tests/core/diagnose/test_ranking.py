@@ -5,29 +5,37 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.diagnose.candidates import library
-from core.diagnose.evidence import Clusters
-from core.diagnose.projection import Base
-from core.diagnose.ranking import LEVEL, Ranked, correlation, held_out, rank, simes, total
-from tests.support.drives import drives, measured, only, seen
+from core.diagnose.candidates import build_candidates
+from core.diagnose.evidence import ClusterSums
+from core.diagnose.projection import BaseProjection
+from core.diagnose.ranking import (
+    LEVEL,
+    Ranking,
+    combine_by_simes,
+    compute_correlation,
+    compute_held_out_gains,
+    rank_candidates,
+    sum_over_clusters,
+)
+from tests.support.synthetic_windows import gather_with_model, keep_only, make_tables, make_windows
 
 EITHER = np.zeros(1, dtype=np.int64)
 
 
 def days(count=40, each=15):
-    return Clusters(np.repeat(np.arange(count), each))
+    return ClusterSums(np.repeat(np.arange(count), each))
 
 
-def ranked(shares, *names, recipe="road_load", **errors) -> Ranked:
-    return of_tables(measured(drives(), shares, **({"of_day": 0.02} | errors)), *names, recipe=recipe)
+def ranked(shares, *names, recipe="road_load", **errors) -> Ranking:
+    return of_tables(make_tables(make_windows(), shares, **({"of_day": 0.02} | errors)), *names, recipe=recipe)
 
 
-def of_tables(tables, *names, recipe="road_load") -> Ranked:
-    windows, model = seen(tables, recipe)
-    base, asked = Base(windows, model), library(windows, model)
-    clusters = [Clusters(windows.day), Clusters(windows.date)]
+def of_tables(tables, *names, recipe="road_load") -> Ranking:
+    windows, model = gather_with_model(tables, recipe)
+    base, asked = BaseProjection(windows, model), build_candidates(windows, model)
+    clusters = [ClusterSums(windows.day), ClusterSums(windows.date)]
     nothing = np.empty((len(base.residual), 0))
-    return rank(base, base.residual, only(asked, *names) if names else asked, clusters, nothing, 0)
+    return rank_candidates(base, base.residual, keep_only(asked, *names) if names else asked, clusters, nothing, 0)
 
 
 class TestHeldOut:
@@ -35,8 +43,8 @@ class TestHeldOut:
         clusters = days(23, 7)
         residual, columns = rng.normal(size=161), rng.normal(size=(161, 3))
         sign = np.array([0, 1, -1])
-        found = held_out(residual, columns, sign, clusters, 5)
-        fold = clusters.folds(5)[clusters.code]
+        found = compute_held_out_gains(residual, columns, sign, clusters, 5)
+        fold = clusters.assign_folds(5)[clusters.code]
         expected = np.zeros((161, 3))
         for k in np.unique(fold):
             for at in range(3):
@@ -44,7 +52,7 @@ class TestHeldOut:
                 fitted = np.linalg.lstsq(columns[rest][:, [at]], residual[rest], rcond=None)[0][0]
                 fitted = 0.0 if sign[at] * fitted < 0.0 else fitted
                 expected[here, at] = residual[here] ** 2 - (residual[here] - fitted * columns[here, at]) ** 2
-        expected = clusters.sums(expected) / (residual @ residual)
+        expected = clusters.sum_by_cluster(expected) / (residual @ residual)
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
     def test_chance_gains_nothing(self):
@@ -53,7 +61,9 @@ class TestHeldOut:
             rng, clusters = np.random.default_rng(seed), days()
             shared = rng.normal(size=(40, 21))[clusters.code]
             drawn = rng.normal(size=(600, 21)) + shared
-            gains.append(held_out(drawn[:, 0], drawn[:, 1:], np.zeros(20, dtype=np.int64), clusters, 0).sum(axis=0))
+            gains.append(
+                compute_held_out_gains(drawn[:, 0], drawn[:, 1:], np.zeros(20, dtype=np.int64), clusters, 0).sum(axis=0)
+            )
         assert np.mean(gains) < 0.0
         assert np.mean(np.array(gains) > 0.0) < 0.25
         assert np.max(gains) < 0.15
@@ -62,22 +72,22 @@ class TestHeldOut:
         clusters = days(80, 25)
         column = rng.normal(size=(2000, 1))
         residual = 0.5 * column[:, 0] + rng.normal(size=2000)
-        gain, error = total(held_out(residual, column, EITHER, clusters, 0)[:, 0])
+        gain, error = sum_over_clusters(compute_held_out_gains(residual, column, EITHER, clusters, 0)[:, 0])
         assert gain == pytest.approx(0.25 / 1.25, abs=3.0 * error)
         assert 0.0 < error < 0.03
 
     def test_the_sign_that_physics_forbids_counts_nothing(self, rng):
         column = rng.normal(size=(600, 1))
         residual = column[:, 0] + 0.1 * rng.normal(size=600)
-        right, wrong = (held_out(residual, column, np.array([sign]), days(), 0) for sign in (1, -1))
+        right, wrong = (compute_held_out_gains(residual, column, np.array([sign]), days(), 0) for sign in (1, -1))
         np.testing.assert_array_equal(wrong, 0.0)
-        np.testing.assert_array_equal(right, held_out(residual, column, EITHER, days(), 0))
+        np.testing.assert_array_equal(right, compute_held_out_gains(residual, column, EITHER, days(), 0))
         assert right.sum() > 0.9
 
     def test_a_day_alone_tells_nothing_of_itself(self, rng):
         clusters = days()
         column = np.where(clusters.code == 3, rng.normal(size=600), 0.0)[:, np.newaxis]
-        np.testing.assert_array_equal(held_out(5.0 * column[:, 0], column, EITHER, clusters, 0), 0.0)
+        np.testing.assert_array_equal(compute_held_out_gains(5.0 * column[:, 0], column, EITHER, clusters, 0), 0.0)
 
 
 class TestRank:
@@ -96,7 +106,7 @@ class TestRank:
         assert {"headwind", "night_lights"} <= set(names)
         p = [found.evidence.p[v] for v in found.significant()]
         assert p == sorted(p)
-        assert all(found.gain(v)[0] > 0.05 for v in found.significant()[:2])
+        assert all(found.compute_gain(v)[0] > 0.05 for v in found.significant()[:2])
 
     def test_what_the_model_can_take_up_cannot_be_told_from_it(self):
         found = ranked({}, "standby", "headwind", recipe="road_load_constant")
@@ -108,16 +118,19 @@ class TestRank:
 
     def test_nothing_is_significant_where_nothing_is_there(self):
         """At a level of one in a hundred, one of six data sets may pass."""
-        tables = [measured(drives(3, 16, seed=seed), seed=seed, of_day=0.03) for seed in range(6)]
+        tables = [make_tables(make_windows(3, 16, seed=seed), seed=seed, of_day=0.03) for seed in range(6)]
         assert sum(bool(of_tables(each).significant()) for each in tables) <= 1
 
     def test_what_is_named_already_is_projected_off(self):
-        windows, model = seen(measured(drives(), {"headwind": 0.05}))
-        base, asked = Base(windows, model), only(library(windows, model), "headwind", "cold_rolling")
-        off = base.off(asked.columns[:, :1])
+        windows, model = gather_with_model(make_tables(make_windows(), {"headwind": 0.05}))
+        base, asked = (
+            BaseProjection(windows, model),
+            keep_only(build_candidates(windows, model), "headwind", "cold_rolling"),
+        )
+        off = base.project_out(asked.columns[:, :1])
         off /= np.sqrt((off**2).sum())
         left = base.residual - off @ (off.T @ base.residual)
-        found = rank(base, left, asked, [Clusters(base.windows.day)], off, 0)
+        found = rank_candidates(base, left, asked, [ClusterSums(base.windows.day)], off, 0)
         assert found.best[0] == -1
         assert np.abs(off.T @ found.projected[:, 1:]).max() < 1e-6
 
@@ -125,28 +138,28 @@ class TestRank:
 class TestSimes:
     def test_the_level_holds_for_tests_that_are_independent_and_for_one_made_often(self):
         rng = np.random.default_rng(6)
-        assert np.mean([simes(rng.random(5)) < 0.05 for _ in range(4000)]) == pytest.approx(0.05, abs=0.012)
-        assert simes(np.full(7, 0.03)) == pytest.approx(0.03)
+        assert np.mean([combine_by_simes(rng.random(5)) < 0.05 for _ in range(4000)]) == pytest.approx(0.05, abs=0.012)
+        assert combine_by_simes(np.full(7, 0.03)) == pytest.approx(0.03)
 
     @given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=12).map(np.array))
     def test_it_lies_between_the_best_and_that_times_their_number(self, p):
-        assert p.min() <= simes(p) <= min(len(p) * p.min(), p.max()) + 1e-15
+        assert p.min() <= combine_by_simes(p) <= min(len(p) * p.min(), p.max()) + 1e-15
 
 
 @given(st.integers(0, 2**32), st.floats(-10.0, 10.0).filter(lambda x: abs(x) > 1e-3))
 def test_correlation_is_a_cosine(seed, scale):
     one, other = np.random.default_rng(seed).normal(size=(2, 30))
-    found = correlation(one, other)
+    found = compute_correlation(one, other)
     assert -1.0 <= found <= 1.0
-    assert found == pytest.approx(correlation(other, one))
-    assert correlation(scale * one, other) == pytest.approx(np.sign(scale) * found)
-    assert correlation(one, one) == pytest.approx(1.0)
-    assert correlation(one, np.zeros(30)) == 0.0
+    assert found == pytest.approx(compute_correlation(other, one))
+    assert compute_correlation(scale * one, other) == pytest.approx(np.sign(scale) * found)
+    assert compute_correlation(one, one) == pytest.approx(1.0)
+    assert compute_correlation(one, np.zeros(30)) == 0.0
 
 
 def test_the_error_of_a_total_is_how_much_totals_scatter():
     rng = np.random.default_rng(9)
     drawn = rng.exponential(size=(3000, 25))
-    sums, errors = np.array([total(each) for each in drawn]).T
+    sums, errors = np.array([sum_over_clusters(each) for each in drawn]).T
     np.testing.assert_allclose(sums, drawn.sum(axis=1))
     assert np.sqrt(np.mean(errors**2)) == pytest.approx(np.std(sums), rel=0.05)

@@ -20,10 +20,10 @@ import pytest
 from core import effects
 from core.columns import KMH
 from core.diagnose.add import add
-from core.diagnose.add.holdout import held_out, rides_of
-from core.diagnose.add.refit import Change, refit, refit_with
-from core.diagnose.add.terms import effect_term, scoped
-from core.diagnose.dataset import fitted, joined
+from core.diagnose.add.holdout import group_rows_by_ride, predict_held_out
+from core.diagnose.add.refit import TermAddition, refit, refit_with
+from core.diagnose.add.terms import build_effect_term, build_term_columns
+from core.diagnose.dataset import fit_to_windows, join_tables
 from core.diagnose.diagnosis import diagnose
 from core.models import ANY, LinearModel
 from core.models.features import EFFECT_PREFIX
@@ -76,7 +76,7 @@ def found(car: str) -> Found:
         drive._replace(rows={name: rows for name, rows in drive.rows.items() if name != "hvac_w"}) for drive in drives
     ]
     blind, seeing = (tables(each, settings or Settings()) for each in (withheld, drives))
-    model = fitted(RECIPE, *blind)
+    model = fit_to_windows(RECIPE, *blind)
     told = diagnose(*blind, model)
     best = told["missing"][0] if told["missing"] else told["candidates"][0]
     return Found(blind, seeing, model, told, best["variant"])
@@ -90,17 +90,19 @@ def tables(drives, settings: Settings) -> Tables:
     return Tables(pipeline.take_rides(), pipeline.take_windows())
 
 
-def change(car: str) -> Change:
+def change(car: str) -> TermAddition:
     """Return what is added to the model."""
     first = found(car).first
-    return Change(found(car).model.terms, (), effect_term(found(car).model, first, scoped(first, ())))
+    return TermAddition(
+        found(car).model.terms, (), build_effect_term(found(car).model, first, build_term_columns(first, ()))
+    )
 
 
 def fall(car: str) -> float:
     """Return the fall of the error of rides, each predicted by models fitted without its day."""
-    rides = rides_of(joined(*found(car).blind))
+    rides = group_rows_by_ride(join_tables(*found(car).blind))
     days = np.array(rides.dates)
-    before, after = held_out(change(car), rides, [days == day for day in sorted(set(days))])
+    before, after = predict_held_out(change(car), rides, [days == day for day in sorted(set(days))])
     measured = rides.table["measured"].to_numpy()
     error, left = (float(np.abs(told - measured).mean()) for told in (before, after))
     print(f"{car}: {found(car).first}: {error:.4f} -> {left:.4f} kWh a ride, {1 - left / error:.1%} less")
@@ -114,9 +116,9 @@ def climate(car: str) -> tuple[float, float]:
     power tells: it is the constant above that of a road load fitted to the energy less the climate's.
     """
     told = found(car)
-    made = refit_with(change(car), joined(*told.blind))
+    made = refit_with(change(car), join_tables(*told.blind))
     *_, constant, coefficient = made.after.fits[ANY].coefficients
-    rows = joined(*told.seeing)
+    rows = join_tables(*told.seeing)
     rows = rows.loc[rows["hvac_kwh"].notna()].reset_index(drop=True)
     less = refit(told.model.terms, rows.assign(energy_kwh=rows["energy_kwh"] - rows["hvac_kwh"]))
     cold = rows.loc[rows["ambient_c"] < COLD_C]
@@ -177,7 +179,9 @@ def test_the_error_of_held_out_rides_falls_on_the_i3():
     assert fall("bmw-i3") > 0.4
     told = found("bmw-i3")
     first = told.first
-    trial = add.add(told.model, first, scoped(first, ()), joined(*told.blind), rides=told.blind.rides).trial
+    trial = add.add_effect(
+        told.model, first, build_term_columns(first, ()), join_tables(*told.blind), rides=told.blind.rides
+    ).trial
     assert trial["accepted"]
     assert trial["coefficient"]["plausible"]
     assert trial["on_days"]["fall"] > 0.3

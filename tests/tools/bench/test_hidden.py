@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from core import effects
-from core.diagnose.dataset import Windows, fitted, gather
+from core.diagnose.dataset import Windows, fit_to_windows, gather_windows
 from core.errors import SettingsError
 from core.pipeline import Pipeline
 from core.wire.messages import Telemetry, Weather, encode
@@ -230,7 +230,9 @@ class TestJudging:
     @pytest.mark.parametrize("measurement", ["vi", "soc"])
     def test_the_truth_of_windows_is_theirs(self, source, measurement):
         tables = source.tables(Case(5, (Hidden("snow", 0.06),), measurement))
-        windows = gather(tables.rides, tables.windows, fitted("road_load", tables.rides, tables.windows))
+        windows = gather_windows(
+            tables.rides, tables.windows, fit_to_windows("road_load", tables.rides, tables.windows)
+        )
         truth = true_energy(windows, tables.hidden.sample(frac=1.0, random_state=0))
         assert truth.shape == (len(windows.measured), 1)
         summer = windows.table["ambient_c"] > 10.0
@@ -250,10 +252,12 @@ class TestErrors:
 
     def test_the_truth_takes_what_is_hidden_away(self, source):
         tables = source.tables(Case(5, (Hidden("solar_load", 0.06),)))
-        windows = gather(tables.rides, tables.windows, fitted("road_load", tables.rides, tables.windows))
+        windows = gather_windows(
+            tables.rides, tables.windows, fit_to_windows("road_load", tables.rides, tables.windows)
+        )
         hidden = 50.0 * np.random.default_rng(1).normal(size=len(windows.measured)) * windows.measured.std()
         spoilt = Windows(**{**vars(windows), "measured": windows.measured + hidden})
-        model = fitted("road_load", tables.rides, tables.windows)
+        model = fit_to_windows("road_load", tables.rides, tables.windows)
         found, clean = errors(spoilt, model, hidden, []), errors(windows, model, 0.0 * hidden, [])
         assert found.truth == pytest.approx(clean.before)
         assert found.before > 10.0 * clean.before

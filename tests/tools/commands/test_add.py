@@ -11,7 +11,7 @@ import pytest
 from core import models
 from core.diagnose import diagnosis as diagnosing
 from tests.support.commands import done, refused
-from tests.support.diagnosis_result import diagnosis, missing, nothing_missing
+from tests.support.diagnosis_result import make_diagnosis, make_empty_diagnosis, make_missing_effect
 from tests.support.planted_windows import base_model, planted
 
 OWN = '''"""An effect of one's own."""
@@ -203,11 +203,11 @@ def made_up(monkeypatch) -> list[dict[str, object]]:
 
 
 def cold(variant: str = "cold_rolling") -> dict[str, object]:
-    return diagnosis(missing=[missing(variant=variant, columns=[f"effect_{variant}"])])
+    return make_diagnosis(missing=[make_missing_effect(variant=variant, columns=[f"effect_{variant}"])])
 
 
 def test_the_loop_adds_until_nothing_is_missing(made_up, here, capsys):
-    made_up += [cold(), nothing_missing()]
+    made_up += [cold(), make_empty_diagnosis()]
     done(
         "diagnose",
         here / "tables",
@@ -230,7 +230,7 @@ def test_the_loop_adds_until_nothing_is_missing(made_up, here, capsys):
 
 
 def test_the_loop_ends_where_an_effect_does_not_help(made_up, here, capsys):
-    made_up += [diagnosis(missing=[missing(variant="headwind", columns=["effect_headwind"])])]
+    made_up += [make_diagnosis(missing=[make_missing_effect(variant="headwind", columns=["effect_headwind"])])]
     done("diagnose", here / "tables", "--model", here / "base.json", "--auto", "-o", here / "m2.json")
     assert "The loop ends here" in capsys.readouterr().out
     model = models.load(here / "m2.json")
@@ -241,7 +241,9 @@ def test_the_loop_ends_where_an_effect_does_not_help(made_up, here, capsys):
 def test_the_loop_keeps_what_it_has_where_an_effect_cannot_be_added(made_up, here, capsys):
     made_up += [
         cold(),
-        diagnosis(verdict="brake_drag", missing=[missing(effect="brake_drag", columns=["effect_brake_drag"])]),
+        make_diagnosis(
+            verdict="brake_drag", missing=[make_missing_effect(effect="brake_drag", columns=["effect_brake_drag"])]
+        ),
     ]
     done("diagnose", here / "tables", "--model", here / "base.json", "--auto", "-o", here / "m2.json")
     assert "The loop ends here: model base can take up all of brake_drag" in " ".join(capsys.readouterr().out.split())
@@ -253,7 +255,9 @@ def test_days_set_apart_are_not_looked_at_again(here, capsys, monkeypatch):
     apart = models.load(here / "m2.json").history[-1]["final"]["dates"]
     seen = []
     monkeypatch.setattr(
-        diagnosing, "diagnose", lambda rides, windows, *_, **__: (seen.append((rides, windows)), nothing_missing())[1]
+        diagnosing,
+        "diagnose",
+        lambda rides, windows, *_, **__: (seen.append((rides, windows)), make_empty_diagnosis())[1],
     )
     capsys.readouterr()
     done("diagnose", here / "tables", "--model", here / "m2.json")
@@ -266,9 +270,9 @@ def test_days_set_apart_are_not_looked_at_again(here, capsys, monkeypatch):
 
 
 def test_a_suggestion_is_written_where_it_is_wanted(made_up, here, capsys):
-    made_up += [diagnosis(), nothing_missing()]
+    made_up += [make_diagnosis(), make_empty_diagnosis()]
     done("diagnose", here / "tables", "--model", here / "base.json", "--suggest", here / "mine.py")
-    assert (here / "mine.py").read_text() == diagnosis()["suggestion_file"]
+    assert (here / "mine.py").read_text() == make_diagnosis()["suggestion_file"]
     assert f"socast effects check {here / 'mine.py'}" in capsys.readouterr().out.replace("\n", "")
     done("diagnose", here / "tables", "--model", here / "base.json", "--suggest", here / "none.py")
     assert not (here / "none.py").exists()

@@ -95,7 +95,7 @@ def test_a_model_that_was_only_fitted_has_a_history_too(model):
 
 
 def test_the_figure_goes_down_by_steps_and_shows_what_was_refused(model):
-    [one] = history.falling(model)
+    [one] = history.draw_errors(model)
     kept, crosses, apart, noise = one.figure.data
     assert kept.y == (0.42, 0.31, 0.31, 0.29)
     assert (list(crosses.x), list(crosses.y)) == (["2. snow"], [0.36])
@@ -135,9 +135,9 @@ def test_what_has_no_history_is_one_line(path, capsys):
 
 
 def test_a_trial_is_told_before_and_after(model):
-    told = " ".join(printed(history.show_trial, {**model.history[1], "warnings": ["it is too large"], "conditions": {
+    told = " ".join(printed(history.print_trial, {**model.history[1], "warnings": ["it is too large"], "conditions": {
         "distance": [{"where": "below 2 km", **model.history[1]["of_effect"]}]}}).split())  # fmt: skip
     for part in ("days held out for the effect alone", "days set apart", "By distance", "below 2 km", "−26.2 %",
                  "warning: it is too large", "cold_rolling helps: a gain of 10 ± 2 %."):  # fmt: skip
         assert part in told, part
-    assert "snow does not help: it may be chance." in printed(history.show_trial, model.history[2])
+    assert "snow does not help: it may be chance." in printed(history.print_trial, model.history[2])

@@ -7,12 +7,18 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from tests.support.diagnosis_result import diagnosis, missing, nothing_missing
+from tests.support.diagnosis_result import make_diagnosis, make_empty_diagnosis, make_missing_effect
 from tests.tools.report.test_evaluation import read
 from tools.commands.diagnose import say_commands, term_of
 from tools.report.diagnosis import page as report
-from tools.report.diagnosis import words
-from tools.report.diagnosis.figures import coefficients, effects, errors, remains, slices
+from tools.report.diagnosis import sentences
+from tools.report.diagnosis.figures import (
+    draw_coefficients,
+    draw_effects,
+    draw_errors,
+    draw_remainder,
+    draw_slices,
+)
 
 ODD = '<b>R&D\'s "best"</b> [red]model[/red] </script><script>alert(1)</script>'
 
@@ -31,7 +37,7 @@ def page(result, tmp_path, **more):
 
 
 def test_the_terminal_tells_a_story_in_its_order():
-    told = printed(diagnosis())
+    told = printed(make_diagnosis())
     parts = [
         "634 rides of 5 vehicles, 10 vehicle-days, 2018-01-15 to 2018-09-13, in 7,428 windows.",
         "Left out: 12 too short.",
@@ -58,22 +64,26 @@ def test_the_terminal_tells_a_story_in_its_order():
 
 
 def test_where_nothing_is_missing_it_says_so():
-    told = printed(nothing_missing())
+    told = printed(make_empty_diagnosis())
     assert "Nothing that the library knows, beyond chance." in told
     assert "No kind of ride stands out" in told
     assert "Nothing is missing that these rides could show." in told
-    assert "asks for one of your own" in printed(nothing_missing() | {"structure_remains": True})
+    assert "asks for one of your own" in printed(make_empty_diagnosis() | {"structure_remains": True})
 
 
 def test_what_remains_is_noise_only_where_it_is():
-    noise = diagnosis(structure_remains=False, steps=[{"effect": None, "mae_kwh": 0.038, "noise_floor_kwh": 0.037}])
-    assert "What remains is measurement noise." in words.remains(noise)
-    assert "What remains is measurement noise." not in words.remains(diagnosis(structure_remains=False))
-    assert "What remains is measurement noise." not in words.remains(noise | {"structure_remains": True})
+    noise = make_diagnosis(
+        structure_remains=False, steps=[{"effect": None, "mae_kwh": 0.038, "noise_floor_kwh": 0.037}]
+    )
+    assert "What remains is measurement noise." in sentences.describe_remainder(noise)
+    assert "What remains is measurement noise." not in sentences.describe_remainder(
+        make_diagnosis(structure_remains=False)
+    )
+    assert "What remains is measurement noise." not in sentences.describe_remainder(noise | {"structure_remains": True})
 
 
 def test_the_command_to_run_next_can_be_copied(tmp_path):
-    result = diagnosis()
+    result = make_diagnosis()
     say_commands(result, "models/base.json", [Path("tables one"), Path("b")], [Path("my.py")])
     command = result["missing"][0]["command"]
     assert command == (
@@ -88,7 +98,7 @@ def test_the_command_to_run_next_can_be_copied(tmp_path):
     assert term_of({"effect": "snow"}) == ("snow", [])
 
 
-@pytest.mark.parametrize("result", [diagnosis(), nothing_missing()], ids=["some", "none"])
+@pytest.mark.parametrize("result", [make_diagnosis(), make_empty_diagnosis()], ids=["some", "none"])
 def test_the_page_is_whole_and_loads_nothing(result, tmp_path):
     reader = page(result, tmp_path)
     assert not reader.loaded
@@ -97,7 +107,7 @@ def test_the_page_is_whole_and_loads_nothing(result, tmp_path):
 
 
 def test_the_page_has_every_figure_and_table(tmp_path):
-    reader = page(diagnosis(), tmp_path, suggested="mine.py")
+    reader = page(make_diagnosis(), tmp_path, suggested="mine.py")
     figures = {name.removeprefix("figure-") for name in reader.ids if name.startswith("figure-")}
     assert figures == {"errors", "slices", "effects", "coefficients", "structure", "shape-0"}
     text = " ".join(reader.text)
@@ -105,9 +115,9 @@ def test_the_page_has_every_figure_and_table(tmp_path):
         assert part in text, part
 
 
-@pytest.mark.parametrize("make", [errors, slices, effects, remains])
+@pytest.mark.parametrize("make", [draw_errors, draw_slices, draw_effects, draw_remainder])
 def test_figures_have_axes_with_units_and_are_told_in_black_and_white(make):
-    for one in make(diagnosis()):
+    for one in make(make_diagnosis()):
         assert "[" in one.figure.layout.xaxis.title.text
         assert one.caption
         for trace in one.figure.data:
@@ -118,14 +128,14 @@ def test_figures_have_axes_with_units_and_are_told_in_black_and_white(make):
 
 
 def test_intervals_of_figures_are_those_of_the_diagnosis():
-    trace = effects(diagnosis())[0].figure.data[0]
+    trace = draw_effects(make_diagnosis())[0].figure.data[0]
     assert trace.x[0] == pytest.approx(3.1)
     assert (trace.error_x.array[0], trace.error_x.arrayminus[0]) == pytest.approx((1.1, 1.1))
-    [own] = coefficients([missing()])
+    [own] = draw_coefficients([make_missing_effect()])
     assert 0.0 < own.figure.data[0].x[0] < 1.0
-    [outside] = coefficients([diagnosis()["missing"][1]])
+    [outside] = draw_coefficients([make_diagnosis()["missing"][1]])
     assert outside.figure.data[0].x[0] > 1.0
-    bias = slices(diagnosis(slices=[{"where": "x", "bias_kwh": 0.1, "ci95": [0.05, 0.2]}]))[0].figure.data[0]
+    bias = draw_slices(make_diagnosis(slices=[{"where": "x", "bias_kwh": 0.1, "ci95": [0.05, 0.2]}]))[0].figure.data[0]
     assert (bias.error_x.array[0], bias.error_x.arrayminus[0]) == pytest.approx((0.1, 0.05))
 
 
@@ -139,9 +149,9 @@ def keys(value, path=()):
         yield from keys(value[0], (*path, 0))
 
 
-@pytest.mark.parametrize("path", list(keys(diagnosis())), ids=lambda path: ".".join(map(str, path)))
+@pytest.mark.parametrize("path", list(keys(make_diagnosis())), ids=lambda path: ".".join(map(str, path)))
 def test_a_figure_that_is_not_known_breaks_nothing(path, tmp_path):
-    result = copy.deepcopy(diagnosis())
+    result = copy.deepcopy(make_diagnosis())
     part = result
     for key in path[:-1]:
         part = part[key]
@@ -153,7 +163,9 @@ def test_a_figure_that_is_not_known_breaks_nothing(path, tmp_path):
 
 
 def test_odd_names_are_shown_as_they_are(tmp_path):
-    result = diagnosis(missing=[missing(effect=ODD, variant=ODD, words=ODD, scope=f"vehicle {ODD}", group=[ODD, ODD])])
+    result = make_diagnosis(
+        missing=[make_missing_effect(effect=ODD, variant=ODD, words=ODD, scope=f"vehicle {ODD}", group=[ODD, ODD])]
+    )
     result["model"]["name"] = ODD
     result["slices"][0]["where"] = ODD
     assert "[red]model[/red]" in printed(result)

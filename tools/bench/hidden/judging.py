@@ -10,8 +10,8 @@ import pandas as pd
 
 from core import effects
 from core.batch import Floats, Ints
-from core.diagnose.dataset import Windows, fitted, gather
-from core.diagnose.projection import Base
+from core.diagnose.dataset import Windows, fit_to_windows, gather_windows
+from core.diagnose.projection import BaseProjection
 from core.fit.fitting import build_design
 from core.models import Term
 from core.models.features import Columns
@@ -40,16 +40,16 @@ def judge(case: Case, tables: Tables, diagnose: Diagnose, *, timed: bool = False
         Measure beside it what sparse regression takes for the same windows and candidates.
     """
     rides, table, truth = tables
-    model = fitted(case.recipe, rides, table)
+    model = fit_to_windows(case.recipe, rides, table)
     began = time.perf_counter()
     result = diagnose(rides, table, model, **({"without": case.without} if case.without else {}))
     seconds = time.perf_counter() - began
-    windows = gather(rides, table, model)
+    windows = gather_windows(rides, table, model)
     hidden = true_energy(windows, truth)
     named = [found["columns"] for found in result["missing"]]
     told: Record = {"intervals": [], "left": None, "alike": None, "z": None}
     if case.hidden:
-        base = Base(windows, model)
+        base = BaseProjection(windows, model)
         told = {"intervals": intervals(case, result["missing"], base, hidden), **seen(case, base, hidden)}
     record = {
         **described(case),
@@ -150,7 +150,7 @@ def scope_right(case: Case, columns: Sequence[str]) -> bool:
     return abs((date.fromisoformat(said["since"]) - date.fromisoformat(case.where.since)).days) <= DATE_ERROR
 
 
-def intervals(case: Case, missing: Sequence[dict[str, Any]], base: Base, hidden: Floats) -> list[Record]:
+def intervals(case: Case, missing: Sequence[dict[str, Any]], base: BaseProjection, hidden: Floats) -> list[Record]:
     """Return of each name the interval of its coefficient, and the coefficient that it is to hold.
 
     That is the one which comes closest to what is hidden: of least squares, in the weights of diagnosis, of the true
@@ -160,7 +160,7 @@ def intervals(case: Case, missing: Sequence[dict[str, Any]], base: Base, hidden:
     if not missing:
         return []
     off = _off(base, [found["columns"] for found in missing])
-    truth = base.off(hidden.sum(axis=1)[:, np.newaxis])[:, 0]
+    truth = base.project_out(hidden.sum(axis=1)[:, np.newaxis])[:, 0]
     names = {name for effect, _ in case.hidden for name in right(effect)}
     out = []
     for found, value in zip(missing, least_squares(off, truth).tolist(), strict=True):
@@ -178,7 +178,7 @@ def intervals(case: Case, missing: Sequence[dict[str, Any]], base: Base, hidden:
     return out
 
 
-def seen(case: Case, base: Base, hidden: Floats) -> Record:
+def seen(case: Case, base: BaseProjection, hidden: Floats) -> Record:
     """Return how much of what is hidden there is to be seen.
 
     Keys: `left`, the share of its size that the model's own terms cannot take up; `alike`, the correlation of that with
@@ -187,8 +187,8 @@ def seen(case: Case, base: Base, hidden: Floats) -> Record:
     were left out.
     """
     energy = hidden.sum(axis=1)[:, np.newaxis]
-    off = base.off(energy)[:, 0]
-    size, whole = float(np.sqrt(off @ off)), float(np.sqrt((base.weighted(energy) ** 2).sum()))
+    off = base.project_out(energy)[:, 0]
+    size, whole = float(np.sqrt(off @ off)), float(np.sqrt((base.apply_weights(energy) ** 2).sum()))
     scope = [f"vehicle={case.where.vehicle}"] if case.where.vehicle else []
     scope += [f"since={case.where.since}"] if case.where.since else []
     library = [effects.get(name) for effect, _ in case.hidden for name in right(effect)]
@@ -214,11 +214,11 @@ def _z(own: Floats, residual: Floats, cluster: Ints) -> float:
 _ALL_OF_IT: Final = 0.999
 
 
-def _off(base: Base, columns: Sequence[Sequence[str]]) -> Floats:
+def _off(base: BaseProjection, columns: Sequence[Sequence[str]]) -> Floats:
     """Return products of columns, weighted, off what the model's own terms can take up."""
     terms = tuple(Term(name=str(i), columns=tuple(each), unit="1") for i, each in enumerate(columns))
     table = base.windows.table
-    return base.off(np.nan_to_num(build_design(terms, Columns(table), len(table))))
+    return base.project_out(np.nan_to_num(build_design(terms, Columns(table), len(table))))
 
 
 def _short(found: dict[str, Any]) -> Record:

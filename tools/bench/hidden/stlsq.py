@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from core.batch import Floats
-from core.diagnose.candidates import library
+from core.diagnose.candidates import build_candidates
 from core.diagnose.dataset import Windows
 from core.fit.fitting import build_design
 from core.models import ANY, LinearModel
@@ -32,7 +32,7 @@ def candidates(windows: Windows, model: LinearModel) -> Floats:
     fit = model.fits[ANY]
     columns = Columns(windows.table, fit.fills, fit.curve.to_curve() if fit.curve else None)
     own = build_design(model.terms, columns, len(windows.measured))
-    return np.nan_to_num(np.column_stack([own, library(windows, model).columns]))
+    return np.nan_to_num(np.column_stack([own, build_candidates(windows, model).columns]))
 
 
 def stlsq(columns: Floats, energy: Floats, threshold: float = THRESHOLD, alpha: float = ALPHA) -> Floats:

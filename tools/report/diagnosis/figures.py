@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import plotly.graph_objects as go
 
-from tools.report.diagnosis import words
+from tools.report.diagnosis import sentences
 from tools.report.evaluation.illustrations import Illustration
 from tools.report.evaluation.result import Result, get_mapping, get_number, get_part
 from tools.report.figure_style import add_reference_line, draw_bars, draw_curve, escape_label, get_style, make_figure
@@ -16,7 +16,7 @@ ROW: Final = 34
 PERCENT: Final = 100.0
 
 
-def errors(result: Result) -> list[Illustration]:
+def draw_errors(result: Result) -> list[Illustration]:
     """Return the error as given, refitted, and with the named effects one after the other, above the noise."""
     found = get_mapping(result, "error")
     told = [("as given", found.get("mae_kwh"))]
@@ -41,7 +41,7 @@ def errors(result: Result) -> list[Illustration]:
     return [Illustration("errors", "Error against measurement noise", caption, made)]
 
 
-def slices(result: Result) -> list[Illustration]:
+def draw_slices(result: Result) -> list[Illustration]:
     """Return the bias of each slice with its interval."""
     found = [one for one in result.get("slices") or () if get_number(one.get("bias_kwh")) is not None]
     if not found:
@@ -55,14 +55,14 @@ def slices(result: Result) -> list[Illustration]:
     return [Illustration("slices", "Where the model fails", caption, made)]
 
 
-def effects(result: Result) -> list[Illustration]:
+def draw_effects(result: Result) -> list[Illustration]:
     """Return the gain of each missing effect with its interval."""
     found = [one for one in result.get("missing") or () if get_number(one.get("gain")) is not None]
     if not found:
         return []
-    names = [f"{i}. {words.name(one)}{_scope(one)}" for i, one in enumerate(found, start=1)]
+    names = [f"{i}. {sentences.name_effect(one)}{_scope(one)}" for i, one in enumerate(found, start=1)]
     gains = [PERCENT * one["gain"] for one in found]
-    limits = [words.ends(one.get("gain_ci95")) for one in found]
+    limits = [sentences.read_interval(one.get("gain_ci95")) for one in found]
     spans = [None if pair is None else (PERCENT * pair[0], PERCENT * pair[1]) for pair in limits]
     made = _forest("gain", names, gains, spans, place=5)
     made.update_xaxes(title_text="Fall of the squared error on held-out days [%]")
@@ -72,10 +72,10 @@ def effects(result: Result) -> list[Illustration]:
         "Each effect given those above it; of the error that the model's own terms could not take up. Lines: 95 % "
         "intervals."
     )
-    return [Illustration("effects", "What is missing, best first", caption, made), *coefficients(found)]
+    return [Illustration("effects", "What is missing, best first", caption, made), *draw_coefficients(found)]
 
 
-def coefficients(found: Sequence[Mapping[str, Any]]) -> list[Illustration]:
+def draw_coefficients(found: Sequence[Mapping[str, Any]]) -> list[Illustration]:
     """Return each coefficient with its interval, over its plausible range."""
     names, values, spans = [], [], []
     for one in found:
@@ -83,8 +83,8 @@ def coefficients(found: Sequence[Mapping[str, Any]]) -> list[Illustration]:
         value, low, high = (get_number(own.get(key)) for key in ("value", "low", "high"))
         if value is None or low is None or high is None or high <= low:
             continue
-        limits = words.ends(own.get("ci95"))
-        names.append(f"{words.name(one)}, {low:g} to {high:g} {own.get('unit') or ''}".removesuffix(" 1"))
+        limits = sentences.read_interval(own.get("ci95"))
+        names.append(f"{sentences.name_effect(one)}, {low:g} to {high:g} {own.get('unit') or ''}".removesuffix(" 1"))
         values.append((value - low) / (high - low))
         spans.append(None if limits is None else tuple((end - low) / (high - low) for end in limits))
     if not names:
@@ -117,7 +117,7 @@ WH: Final = 1000.0
 """[Wh/kWh]"""
 
 
-def remains(result: Result) -> list[Illustration]:
+def draw_remainder(result: Result) -> list[Illustration]:
     """Return how much can be predicted of what is left, and the shapes of it."""
     found = get_mapping(result, "structure")
     told = [
@@ -175,7 +175,7 @@ def _forest(name: str, names: list[str], values: list[float], spans: Sequence[An
 
 def _span(value: float, ci95: Any) -> tuple[float, float] | None:
     """Return the ends of an interval that is given as such, or by half its width."""
-    if (limits := words.ends(ci95)) is not None:
+    if (limits := sentences.read_interval(ci95)) is not None:
         return limits
     half = get_number(ci95)
     return None if half is None else (value - half, value + half)

@@ -11,7 +11,7 @@ from rich.padding import Padding
 from rich.text import Text
 
 from core.evaluate.paper.results import to_json_values
-from tools.report.diagnosis import figures, tables, words
+from tools.report.diagnosis import figures, sentences, tables
 from tools.report.evaluation.illustrations import Illustration
 from tools.report.evaluation.result import Result, get_mapping
 from tools.report.evaluation.sections import Section
@@ -19,7 +19,12 @@ from tools.report.evaluation.terminal import print_section
 from tools.report.page import render_document, save
 
 DRAWN: Final[Mapping[str, Callable[[Result], list[Illustration]]]] = MappingProxyType(
-    {"error": figures.errors, "slices": figures.slices, "missing": figures.effects, "remains": figures.remains}
+    {
+        "error": figures.draw_errors,
+        "slices": figures.draw_slices,
+        "missing": figures.draw_effects,
+        "remains": figures.draw_remainder,
+    }
 )
 """Figures of a section, by its key."""
 
@@ -38,44 +43,50 @@ def show(result: Any, console: Console, *, suggested: str | None = None) -> None
     """
     found = to_json_values(result)
     model = get_mapping(found, "model")
-    head(f"Diagnosis of {model.get('name')}, version {model.get('version')}", console)
-    say(words.data(found), console)
-    head("How far off", console)
-    say(words.error(found), console)
-    where = tables.slices(found)
+    print_heading(f"Diagnosis of {model.get('name')}, version {model.get('version')}", console)
+    print_lines(sentences.describe_data(found), console)
+    print_heading("How far off", console)
+    print_lines(sentences.describe_error(found), console)
+    where = tables.tabulate_slices(found)
     if where.rows:
         print_section(Section("slices", "Where it fails", "", [where._replace(title="")]), console)
     else:
-        head("Where it fails", console)
-        say(["No kind of ride stands out: the model errs everywhere alike, or the rides are too few to tell."], console)
+        print_heading("Where it fails", console)
+        print_lines(
+            ["No kind of ride stands out: the model errs everywhere alike, or the rides are too few to tell."], console
+        )
     _show_missing(found, console)
-    head("What remains", console)
-    say([*words.remains(found), *words.suggestion(found, suggested)], console)
-    head("Next", console)
-    say(words.verdict(found), console, strong=True)
+    print_heading("What remains", console)
+    print_lines([*sentences.describe_remainder(found), *sentences.describe_suggestion(found, suggested)], console)
+    print_heading("Next", console)
+    print_lines(sentences.describe_next_step(found), console, strong=True)
 
 
-def show_step(result: Any, step: int, console: Console) -> None:
+def print_step(result: Any, step: int, console: Console) -> None:
     """Print in a few lines what a step of the loop found."""
     found = to_json_values(result)
-    head(f"Step {step}", console)
+    print_heading(f"Step {step}", console)
     first = next((m for m in found.get("missing") or () if m.get("effect") == found.get("verdict")), None)
     if first is None:
-        say(["Nothing more is to be gained."], console)
+        print_lines(["Nothing more is to be gained."], console)
         return
-    said = words.missing(first)
-    say([words.error(found)[0], f"Missing: {words.name(first)}: {said[0]}", *said[1:]], console)
+    said = sentences.describe_missing_effect(first)
+    print_lines(
+        [sentences.describe_error(found)[0], f"Missing: {sentences.name_effect(first)}: {said[0]}", *said[1:]], console
+    )
     if found.get("structure_remains"):
-        say(["Beside it structure remains:", *words.signs(dict(found.get("structure") or {}))], console)
+        print_lines(
+            ["Beside it structure remains:", *sentences.describe_signs(dict(found.get("structure") or {}))], console
+        )
 
 
-def head(title: str, console: Console) -> None:
+def print_heading(title: str, console: Console) -> None:
     """Print the title of a part."""
     console.print()
     console.rule(Text(title, style="bold"), align="left")
 
 
-def say(lines: Sequence[str], console: Console, *, strong: bool = False) -> None:
+def print_lines(lines: Sequence[str], console: Console, *, strong: bool = False) -> None:
     """Print sentences; a command stays in one line, to be copied."""
     for line in lines:
         command = line.startswith("socast ")
@@ -84,13 +95,13 @@ def say(lines: Sequence[str], console: Console, *, strong: bool = False) -> None
 
 def _show_missing(found: Result, console: Console) -> None:
     """Print what is missing, effect by effect."""
-    head("What is missing", console)
+    print_heading("What is missing", console)
     missing = found.get("missing") or ()
     if not missing:
-        say(["Nothing that the library knows, beyond chance."], console)
+        print_lines(["Nothing that the library knows, beyond chance."], console)
     for place, one in enumerate(missing, start=1):
-        first, *more = words.missing(one)
-        console.print(Text(f"{place}. {words.name(one)}: ", style="bold").append(first, style="not bold"))
+        first, *more = sentences.describe_missing_effect(one)
+        console.print(Text(f"{place}. {sentences.name_effect(one)}: ", style="bold").append(first, style="not bold"))
         for line in more:
             console.print(Padding(Text(f"- {line}"), (0, 0, 0, 3)))
 
@@ -100,11 +111,13 @@ def write(result: Any, path: Path, *, suggested: str | None = None) -> None:
     found = to_json_values(result)
     model = get_mapping(found, "model")
     title = f"Diagnosis of {model.get('name')}, version {model.get('version')}"
-    lead = "".join(f"<p>{escape(line)}</p>" for line in (*words.data(found), *words.verdict(found)))
+    lead = "".join(
+        f"<p>{escape(line)}</p>" for line in (*sentences.describe_data(found), *sentences.describe_next_step(found))
+    )
     page = render_document(
         title,
         lead,
-        sections(found, suggested),
+        build_sections(found, suggested),
         lambda key: _drawn(found, key),
         "<p>Made by <code>socast diagnose</code>.</p>",
     )
@@ -117,15 +130,15 @@ def _drawn(found: Result, key: str) -> list[Illustration]:
     return [] if make is None else make(found)
 
 
-def sections(found: Result, suggested: str | None = None) -> list[Section]:
+def build_sections(found: Result, suggested: str | None = None) -> list[Section]:
     """Return the sections of the page that have something to show."""
-    told = [line for one in found.get("missing") or () for line in words.told_apart(one)]
+    told = [line for one in found.get("missing") or () for line in sentences.describe_rivals(one)]
     shown = [
-        Section("error", "How far off", " ".join(words.error(found)), [tables.errors(found)]),
-        Section("slices", "Where it fails", "", [tables.slices(found)]),
-        Section("missing", "What is missing", _sentences(found), [tables.missing(found)]),
-        Section("remains", "What remains", " ".join(_remains(found, suggested)), [tables.structure(found)]),
-        Section("candidates", "All that was asked", " ".join(told), [tables.candidates(found)]),
+        Section("error", "How far off", " ".join(sentences.describe_error(found)), [tables.tabulate_errors(found)]),
+        Section("slices", "Where it fails", "", [tables.tabulate_slices(found)]),
+        Section("missing", "What is missing", _sentences(found), [tables.tabulate_missing_effects(found)]),
+        Section("remains", "What remains", " ".join(_remains(found, suggested)), [tables.tabulate_structure(found)]),
+        Section("candidates", "All that was asked", " ".join(told), [tables.tabulate_candidates(found)]),
     ]
     return [section for section in shown if section.text or any(table.rows for table in section.tables)]
 
@@ -133,11 +146,11 @@ def sections(found: Result, suggested: str | None = None) -> list[Section]:
 def _remains(found: Result, suggested: str | None) -> list[str]:
     return [
         line if line.endswith((".", ":")) else f"{line}."
-        for line in (*words.remains(found), *words.suggestion(found, suggested))
+        for line in (*sentences.describe_remainder(found), *sentences.describe_suggestion(found, suggested))
     ]
 
 
 def _sentences(found: Result) -> str:
     """Return what is missing, a sentence each."""
-    said = [f"{words.missing(one)[0]}." for one in found.get("missing") or ()]
+    said = [f"{sentences.describe_missing_effect(one)[0]}." for one in found.get("missing") or ()]
     return " ".join(each[:1].upper() + each[1:] for each in said) or "Nothing that the library knows, beyond chance."

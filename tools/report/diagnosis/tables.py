@@ -3,7 +3,7 @@
 from typing import Any, Final
 
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count, format_percent, format_signed
-from tools.report.diagnosis import words
+from tools.report.diagnosis import sentences
 from tools.report.evaluation.result import Result, get_mapping, get_number
 
 BIAS_NOTE: Final = (
@@ -19,7 +19,7 @@ CANDIDATES_NOTE: Final = (
 )
 
 
-def slices(result: Result) -> ReportTable:
+def tabulate_slices(result: Result) -> ReportTable:
     """Return where the model fails."""
     rows = tuple(
         Row(
@@ -27,7 +27,7 @@ def slices(result: Result) -> ReportTable:
             (
                 Cell(format_count(found.get("rides"))),
                 Cell(_spread(found.get("bias_kwh"), found.get("ci95"))),
-                Cell(words.slice_(found)),
+                Cell(sentences.describe_slice(found)),
                 Cell(_plain(found.get("mae_kwh"))),
                 Cell(_small(found.get("q"))),
             ),
@@ -38,11 +38,11 @@ def slices(result: Result) -> ReportTable:
     return ReportTable("Where it fails", "rides", heads, rows, (BIAS_NOTE,))
 
 
-def missing(result: Result) -> ReportTable:
+def tabulate_missing_effects(result: Result) -> ReportTable:
     """Return what is missing, best first."""
     rows = tuple(
         Row(
-            f"{place}. {words.name(found)}",
+            f"{place}. {sentences.name_effect(found)}",
             (
                 Cell("all" if found.get("scope") in {None, "all"} else str(found["scope"])),
                 Cell(format_percent(found.get("gain")), strong=place == 1),
@@ -59,7 +59,7 @@ def missing(result: Result) -> ReportTable:
     return ReportTable("What is missing", "effect", heads, rows, (MISSING_NOTE,))
 
 
-def candidates(result: Result) -> ReportTable:
+def tabulate_candidates(result: Result) -> ReportTable:
     """Return everything that was asked."""
     rows = tuple(
         Row(
@@ -78,7 +78,7 @@ def candidates(result: Result) -> ReportTable:
     return ReportTable("All candidates", "effect", heads, rows, (CANDIDATES_NOTE,))
 
 
-def errors(result: Result) -> ReportTable:
+def tabulate_errors(result: Result) -> ReportTable:
     """Return the errors and the noise floor."""
     found = get_mapping(result, "error")
     told = (
@@ -90,7 +90,7 @@ def errors(result: Result) -> ReportTable:
     return ReportTable("Mean absolute error of a ride", "model", ("kWh",), rows)
 
 
-def structure(result: Result) -> ReportTable:
+def tabulate_structure(result: Result) -> ReportTable:
     """Return how much of what is left can be predicted, before and after the named effects, or is of a plain shape."""
     found = get_mapping(result, "structure")
     told = (
@@ -111,7 +111,7 @@ def structure(result: Result) -> ReportTable:
 def _coefficient(found: Any) -> str:
     """Return a coefficient with its interval and unit."""
     own = get_mapping(found, "coefficient")
-    value, limits = get_number(own.get("value")), words.ends(own.get("ci95"))
+    value, limits = get_number(own.get("value")), sentences.read_interval(own.get("ci95"))
     if value is None:
         return UNKNOWN
     unit = "" if own.get("unit") in {None, "1"} else f" {own['unit']}"
@@ -120,7 +120,7 @@ def _coefficient(found: Any) -> str:
 
 def _spread(value: Any, ci95: Any) -> str:
     """Return a bias with its interval, which is half a width or two ends."""
-    limits = words.ends(ci95)
+    limits = sentences.read_interval(ci95)
     half = (limits[1] - limits[0]) / 2.0 if limits else get_number(ci95)
     return format_signed(value) + ("" if half is None else f" ± {half:.2g}")
 

@@ -7,10 +7,17 @@ import pandas as pd
 import pytest
 
 from core import models
-from core.diagnose.add.add import Added, add, forced, logged
-from core.diagnose.add.holdout import comparison, day_folds, final_days, noise_floor, rides_of, vehicle_folds
-from core.diagnose.add.terms import additive, scope_in_words, scoped
-from core.diagnose.dataset import joined
+from core.diagnose.add.add import AdditionTrial, add_effect, force_addition, log_attempt
+from core.diagnose.add.holdout import (
+    compare_errors,
+    compute_noise_floor,
+    group_rows_by_ride,
+    select_final_days,
+    split_into_day_folds,
+    split_into_vehicle_folds,
+)
+from core.diagnose.add.terms import build_term_columns, describe_scope, is_additive
+from core.diagnose.dataset import join_tables
 from core.errors import EffectError, ModelError
 from core.fit.recipes import RECIPES, make_term
 from core.models import ANY, BASIC_PHYSICAL, LinearModel, Term, decode_model, encode_model
@@ -33,13 +40,15 @@ def model(cold) -> LinearModel:
     return base_model(cold[0])
 
 
-def tried(tables: Tables, model: LinearModel, effect: str, *scopes: str, **options: object) -> Added:
+def tried(tables: Tables, model: LinearModel, effect: str, *scopes: str, **options: object) -> AdditionTrial:
     rides, windows = tables
-    return add(model, effect, scoped(effect, scopes), joined(rides, windows), rides=rides, **options)
+    return add_effect(
+        model, effect, build_term_columns(effect, scopes), join_tables(rides, windows), rides=rides, **options
+    )
 
 
 @pytest.fixture(scope="module")
-def added(cold, model) -> Added:
+def added(cold, model) -> AdditionTrial:
     return tried(cold, model, "cold_rolling")
 
 
@@ -78,7 +87,9 @@ def test_whether_it_helps_does_not_depend_on_the_days_set_apart(cold, model, add
     assert len(apart) == 4
     last = windows["ride_key"].isin(rides.loc[rides["date"].isin(apart), "ride_key"])
     spoilt = windows.assign(**{name: windows[name] + 0.1 * last for name in ("energy_kwh", "energy_vi_kwh")})
-    trial = add(model, "cold_rolling", scoped("cold_rolling"), joined(rides, spoilt), rides=rides).trial
+    trial = add_effect(
+        model, "cold_rolling", build_term_columns("cold_rolling"), join_tables(rides, spoilt), rides=rides
+    ).trial
     assert trial["final"]["mae_after_kwh"] > 0.5
     for key in ("gain", "p", "of_effect", "on_days", "on_vehicles", "accepted"):
         assert trial[key] == added.trial[key], key
@@ -104,12 +115,12 @@ def test_a_decoy_is_refused_and_the_attempt_is_kept(cold, added):
     found = tried(cold, added.model, "headwind")
     assert not found.trial["accepted"]
     assert "chance" in found.trial["reason"]
-    kept = logged(added.model, found.trial)
+    kept = log_attempt(added.model, found.trial)
     assert kept.history[-1]["action"] == "refused"
     assert kept.terms == added.model.terms
     assert kept.version == added.model.version
     assert decode_model(encode_model(kept)) == kept
-    taken = forced(found).model
+    taken = force_addition(found).model
     assert taken.history[-1]["action"] == "add"
     assert taken.history[-1]["forced"]
     assert taken.terms[-1].name == "headwind"
@@ -145,10 +156,10 @@ def test_an_effect_of_one_vehicle_or_from_a_date_on_is_recovered_within_its_scop
 
 def test_an_effect_that_is_at_work_on_days_set_apart_alone_sets_none_apart():
     tables = planted(rides=4)
-    apart = final_days((), list(tables[0]["date"]))
+    apart = select_final_days((), list(tables[0]["date"]))
     rides, windows = (
         table.assign(effect_wet_road=table["effect_rolling"] * dates.isin(apart))
-        for table, dates in zip(tables, (tables[0]["date"], joined(*tables)["date"]), strict=True)
+        for table, dates in zip(tables, (tables[0]["date"], join_tables(*tables)["date"]), strict=True)
     )
     found = tried((rides, windows), base_model(rides), "wet_road").trial
     assert found["final"] is None
@@ -227,18 +238,20 @@ def test_one_vehicle_on_one_day_cannot_be_judged():
 
 def test_a_model_with_a_constant_is_fitted_to_whole_rides(cold):
     rides, windows = cold
-    assert additive(BASIC_PHYSICAL.terms)
-    assert not additive((make_term("average_speed_kmh"),))
-    assert not additive((make_term("distance_km", "distance_km"),))
-    assert not additive(RECIPES["hybrid"].terms)
+    assert is_additive(BASIC_PHYSICAL.terms)
+    assert not is_additive((make_term("average_speed_kmh"),))
+    assert not is_additive((make_term("distance_km", "distance_km"),))
+    assert not is_additive(RECIPES["hybrid"].terms)
     with_constant = LinearModel(
         name="constant", version="1", recipe="x", terms=(*base_model(rides).terms, make_term()), fits={}, history=()
     )
-    found = add(with_constant, "cold_rolling", scoped("cold_rolling"), joined(rides, windows), rides=rides)
+    found = add_effect(
+        with_constant, "cold_rolling", build_term_columns("cold_rolling"), join_tables(rides, windows), rides=rides
+    )
     assert found.trial["windows"] == found.trial["rides"]
     assert found.trial["coefficient"]["ci95"][0] < COLD < found.trial["coefficient"]["ci95"][1]
     with pytest.raises(ModelError, match="hold for whole rides only"):
-        add(with_constant, "cold_rolling", scoped("cold_rolling"), joined(rides, windows))
+        add_effect(with_constant, "cold_rolling", build_term_columns("cold_rolling"), join_tables(rides, windows))
 
 
 # ---- the parts of a trial
@@ -247,15 +260,15 @@ def test_a_model_with_a_constant_is_fitted_to_whole_rides(cold):
 def test_folds_hold_each_ride_out_once_and_whole_days_where_there_are_many():
     for days, by_date in ((12, False), (24, True)):
         rides, windows = planted(days=days, rides=2, windows=2)
-        found = rides_of(joined(rides, windows), rides)
-        folds = day_folds(found, 3)
+        found = group_rows_by_ride(join_tables(rides, windows), rides)
+        folds = split_into_day_folds(found, 3)
         assert np.sum(folds, axis=0).tolist() == [1] * len(found.table)
         seen: dict[str, set[int]] = {}
         for i, fold in enumerate(folds):
             for date, vehicle in zip(found.table["date"][fold], found.table["vehicle_id"][fold], strict=True):
                 seen.setdefault(date if by_date else f"{date} {vehicle}", set()).add(i)
         assert all(len(places) == 1 for places in seen.values())
-    by_vehicle = vehicle_folds(found, 3)
+    by_vehicle = split_into_vehicle_folds(found, 3)
     assert sum(fold.sum() for fold in by_vehicle) == len(found.table)
     for fold in by_vehicle:
         out = set(found.table["vehicle_id"][fold])
@@ -271,7 +284,7 @@ def test_the_difference_is_paired_and_its_interval_is_of_vehicle_days():
         shared = rng.normal(0.0, 0.05, 30)[days]
         before = table["measured"] + 0.5
         after = table["measured"] + 0.4 + shared
-        found = comparison(table, before.to_numpy(), after.to_numpy())
+        found = compare_errors(table, before.to_numpy(), after.to_numpy())
         held.append(abs(found["change_kwh"]["value"] + 0.1) < found["change_kwh"]["ci95"])
         assert found["clusters"] == 30
     assert 0.90 < np.mean(held) < 0.99
@@ -279,9 +292,9 @@ def test_the_difference_is_paired_and_its_interval_is_of_vehicle_days():
 
 def test_rides_that_are_not_predicted_are_left_out_of_the_comparison():
     table = pd.DataFrame({"vehicle_id": list("aab"), "date": "d", "measured": [1.0, 1.0, 1.0]})
-    found = comparison(table, np.array([1.5, 1.5, np.nan]), np.array([1.25, 1.25, 1.0]))
+    found = compare_errors(table, np.array([1.5, 1.5, np.nan]), np.array([1.25, 1.25, 1.0]))
     assert (found["rides"], found["mae_before_kwh"], found["mae_after_kwh"]) == (2, 0.5, 0.25)
-    nothing = comparison(table, np.full(3, np.nan), np.full(3, np.nan))
+    nothing = compare_errors(table, np.full(3, np.nan), np.full(3, np.nan))
     assert nothing["rides"] == 0
     assert np.isnan(nothing["change_kwh"]["value"])
 
@@ -289,19 +302,19 @@ def test_rides_that_are_not_predicted_are_left_out_of_the_comparison():
 def test_the_noise_floor_is_the_error_of_a_model_that_is_right():
     rng = np.random.default_rng(5)
     sd = rng.uniform(0.01, 0.1, 20_000)
-    assert noise_floor(sd) == pytest.approx(np.abs(rng.normal(0.0, sd)).mean(), rel=0.02)
-    assert np.isnan(noise_floor(np.array([np.nan])))
+    assert compute_noise_floor(sd) == pytest.approx(np.abs(rng.normal(0.0, sd)).mean(), rel=0.02)
+    assert np.isnan(compute_noise_floor(np.array([np.nan])))
 
 
 def test_days_that_were_set_apart_stay_so_and_new_days_are_set_apart_anew():
     dates = [f"2018-01-{day:02d}" for day in range(1, 21)]
-    assert final_days((), dates * 3) == ("2018-01-03", "2018-01-08", "2018-01-13", "2018-01-18")
-    assert final_days((), dates[1:]) == ()
+    assert select_final_days((), dates * 3) == ("2018-01-03", "2018-01-08", "2018-01-13", "2018-01-18")
+    assert select_final_days((), dates[1:]) == ()
     history = ({"final": None}, {"final": {"dates": ["2018-01-05"]}}, {"action": "refused"})
-    assert final_days(history, dates) == ("2018-01-05",)
-    assert final_days(history, dates[:6]) == ("2018-01-05",)
+    assert select_final_days(history, dates) == ("2018-01-05",)
+    assert select_final_days(history, dates[:6]) == ("2018-01-05",)
     later = [date.replace("2018", "2019") for date in dates]
-    assert final_days(history, later)[0] == "2019-01-03"
+    assert select_final_days(history, later)[0] == "2019-01-03"
 
 
 @pytest.mark.parametrize("scope", ["since=2018-13-01", "vehicle=", "since=now"])
@@ -316,7 +329,7 @@ def test_a_model_file_with_a_damaged_scope_is_refused_in_one_line(scope, added, 
 
 
 def test_scopes_are_said_as_people_do():
-    assert scope_in_words(("effect_snow", "vehicle=a=b")) == "vehicle a=b"
+    assert describe_scope(("effect_snow", "vehicle=a=b")) == "vehicle a=b"
 
 
 def test_a_scoped_effect_forecasts_live_as_the_ride_table_says(tmp_path):

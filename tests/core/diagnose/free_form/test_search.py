@@ -7,9 +7,9 @@ import pytest
 from core import effects
 from core.columns import GRAVITY, STANDARD_AIR_DENSITY
 from core.diagnose.free_form.building_blocks import CARRIERS, VARIABLES
-from core.diagnose.free_form.search import free_form
-from core.diagnose.free_form.suggestion import file, formula, name, unit
-from core.diagnose.free_form.terms import FreeTerm, limits, modulators
+from core.diagnose.free_form.search import suggest_term
+from core.diagnose.free_form.suggestion import derive_unit, format_formula, format_source_file, name_term
+from core.diagnose.free_form.terms import FreeTerm, choose_limits, list_modulators
 from core.effects import registry
 from core.signals.signals import CIVIL_DUSK
 from core.signals.sun import sine_of_elevation
@@ -105,7 +105,7 @@ def asked(windows, day, power, *, seed=1, day_sd=0.0015):
     sd = SD * rng.uniform(0.5, 2.0, len(windows))
     noise = rng.normal(0.0, 1.0, len(windows)) * sd + day_sd * rng.normal(0.0, 1.0, 60)[day]
     residual = noise + power * windows["duration_s"].to_numpy() / 3.6e6
-    return free_form(windows, residual, sd**-2, day, windows[list(BASE)].to_numpy())
+    return suggest_term(windows, residual, sd**-2, day, windows[list(BASE)].to_numpy())
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +143,7 @@ def test_a_planted_term_outside_the_library_is_recovered(driving, carrier):
     assert found.gain_ci95[0] < found.gain < found.gain_ci95[1]
     assert found.gain_ci95[0] > 0.0
     assert found.ci95[0] < found.coefficient < found.ci95[1]
-    assert found.formula == formula(found.term)
+    assert found.formula == format_formula(found.term)
     said = found.coefficient * found.column * 3.6e6 / 60.0
     base = np.column_stack([windows[list(BASE)].to_numpy(), np.ones(len(windows))])
     new, truly = (x - base @ np.linalg.lstsq(base, x, rcond=None)[0] for x in (said, true))
@@ -156,7 +156,7 @@ def test_the_interval_of_the_coefficient_covers_where_the_term_is_right(driving)
     covered = 0
     for seed in range(8):
         found = asked(windows, rows["day"], 3.0 * rows["occupants"] * ROLLING * rows["speed"] * 1e-4, seed=seed)
-        assert formula(found.term) == "P = c · N · m g cos θ v"
+        assert format_formula(found.term) == "P = c · N · m g cos θ v"
         covered += found.ci95[0] <= 3e-4 <= found.ci95[1]
     assert covered >= 6
 
@@ -179,9 +179,9 @@ def test_a_gain_that_is_too_small_is_not_suggested(driving):
     residual = np.random.default_rng(0).normal(0.0, SD, len(windows))
     residual += windows["effect_rolling"] * rows["occupants"] * 3e-4
     base, weight = windows[list(BASE)].to_numpy(), np.full(len(windows), SD**-2)
-    found = free_form(windows, residual, weight, rows["day"], base)
+    found = suggest_term(windows, residual, weight, rows["day"], base)
     assert found.gain > 0.01
-    assert free_form(windows, residual, weight, rows["day"], base, least_gain=2.0 * found.gain) is None
+    assert suggest_term(windows, residual, weight, rows["day"], base, least_gain=2.0 * found.gain) is None
 
 
 def test_unknown_values_few_clusters_and_row_order(driving):
@@ -192,23 +192,23 @@ def test_unknown_values_few_clusters_and_row_order(driving):
     residual = np.random.default_rng(0).normal(0.0, SD, len(windows)) + true * 60.0 / 3.6e6
     residual[::13] = np.nan
     base, weight = windows[list(BASE)].to_numpy(), np.ones(len(windows))
-    found = free_form(holed, residual, weight, rows["day"], base)
+    found = suggest_term(holed, residual, weight, rows["day"], base)
     assert (found.term.carrier.name, set(found.term.variables)) == ("braking", {"charge"})
     assert np.array_equal(np.isnan(found.column), np.isnan(residual))
     order = np.random.default_rng(1).permutation(len(windows))
-    shuffled = free_form(holed.iloc[order], residual[order], weight, rows["day"][order], base[order])
+    shuffled = suggest_term(holed.iloc[order], residual[order], weight, rows["day"][order], base[order])
     assert shuffled.formula == found.formula
     assert shuffled.coefficient == pytest.approx(found.coefficient)
     np.testing.assert_allclose(shuffled.column, found.column[order])
-    assert free_form(holed, residual, weight, rows["day"] % 5, base) is None
-    assert free_form(holed, residual, weight, rows["day"], base[:, :0]).term.carrier.name == "braking"
-    assert free_form(holed.iloc[:0], residual[:0], weight[:0], rows["day"][:0], base[:0]) is None
+    assert suggest_term(holed, residual, weight, rows["day"] % 5, base) is None
+    assert suggest_term(holed, residual, weight, rows["day"], base[:, :0]).term.carrier.name == "braking"
+    assert suggest_term(holed.iloc[:0], residual[:0], weight[:0], rows["day"][:0], base[:0]) is None
 
 
 def some_terms():
     """Give every carrier with every variable, shapes in turn; the carriers alone; and pairs of variables."""
     windows = table(signals(300))
-    kinds = [list({each.shape: each for each in modulators(v, v.value(windows))}.values()) for v in VARIABLES]
+    kinds = [list({each.shape: each for each in list_modulators(v, v.value(windows))}.values()) for v in VARIABLES]
     for i, carrier in enumerate(CARRIERS):
         yield FreeTerm(carrier)
         for j, shapes in enumerate(kinds):
@@ -221,7 +221,7 @@ TERMS = list(some_terms())
 
 def checked(term, path):
     """Return the effect of a term, from its file, checked: its power is in watt by pint."""
-    path.write_text(file(term, -0.123, 4000), encoding="utf-8")
+    path.write_text(format_source_file(term, -0.123, 4000), encoding="utf-8")
     (found,) = registry._run(path)
     effects.check_effect(found)
     return found
@@ -233,11 +233,11 @@ def test_every_file_passes_the_check_and_means_its_column(tmp_path):
     rows["tyre_load"] = ROLLING * np.sqrt(1.0 - rows["grade"] ** 2)
     for term in TERMS:
         found = checked(term, tmp_path / "suggested.py")
-        assert (found.name, found.unit, found.formula) == (name(term), unit(term), formula(term))
+        assert (found.name, found.unit, found.formula) == (name_term(term), derive_unit(term), format_formula(term))
         assert found.sign == -1
         column = term.carrier.energy(windows)
         for each in term.modulators:
-            column = column * each.of(each.variable.value(windows))
+            column = column * each.evaluate(each.variable.value(windows))
         np.testing.assert_allclose(
             found.power(rows) * 60.0 / 3.6e6, column, rtol=1e-6, atol=1e-12 * np.abs(column).max()
         )
@@ -259,20 +259,20 @@ def test_a_file_is_loaded_as_a_user_does(driving, tmp_path, monkeypatch):
 def test_formulas_and_units_are_as_people_write_them():
     (hinge,) = (
         each
-        for each in modulators(VARIABLE["ambient"], np.array([270.0, 283.0, 283.0, 290.0]))
+        for each in list_modulators(VARIABLE["ambient"], np.array([270.0, 283.0, 283.0, 290.0]))
         if (each.shape, each.at) == ("below", 283.0)
     )
     term = FreeTerm(CARRIER["rolling"], (hinge,))
-    assert formula(term) == "P = c · max(T0 − T, 0) · m g cos θ v, T0 = 283 K"
-    assert (unit(term), name(term)) == ("1/K", "suggested_rolling_and_ambient")
+    assert format_formula(term) == "P = c · max(T0 − T, 0) · m g cos θ v, T0 = 283 K"
+    assert (derive_unit(term), name_term(term)) == ("1/K", "suggested_rolling_and_ambient")
     rain = next(
-        each for each in modulators(VARIABLE["precipitation"], np.linspace(0.0, 1e-6, 9)) if each.shape == "square"
+        each for each in list_modulators(VARIABLE["precipitation"], np.linspace(0.0, 1e-6, 9)) if each.shape == "square"
     )
-    assert unit(FreeTerm(CARRIER["auxiliary"], (rain, hinge))) == "W/(m/s)^2/K"
-    assert formula(FreeTerm(CARRIER["auxiliary"], (rain,))) == "P = c · r²"
+    assert derive_unit(FreeTerm(CARRIER["auxiliary"], (rain, hinge))) == "W/(m/s)^2/K"
+    assert format_formula(FreeTerm(CARRIER["auxiliary"], (rain,))) == "P = c · r²"
 
 
 @pytest.mark.parametrize("values", [[0.0, 0.0, 0.0], [1.0, 2.0], [0.0, 0.0, 0.0, 5.0]])
 def test_limits_lie_within_the_values(values):
     x = np.array(values)
-    assert all(x.min() < at < x.max() for at in limits(x, "1"))
+    assert all(x.min() < at < x.max() for at in choose_limits(x, "1"))

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.diagnose.slices.contrast import contrast
-from core.diagnose.slices.predicates import SCALES, conditions, thresholds
-from core.diagnose.slices.search import slices
+from core.diagnose.slices.contrast import compute_contrast
+from core.diagnose.slices.predicates import CONDITION_SCALES, choose_thresholds, list_conditions
+from core.diagnose.slices.search import find_slices
 
 KEYS = {"where", "conditions", "rides", "bias_kwh", "ci95", "mae_kwh", "q"}
 
@@ -53,7 +53,7 @@ def test_without_structure_hardly_ever_a_slice_is_confirmed():
         rank = np.random.default_rng(seed).permutation(60)
         permuted = np.empty(len(error))
         permuted[order] = error[np.argsort(rank[day], kind="stable")]
-        false += bool(slices(rides, permuted, seed=seed))
+        false += bool(find_slices(rides, permuted, seed=seed))
     assert false <= 11  # 5 are allowed on average, and more than 11 of 100 have a chance of 0.4 %
 
 
@@ -62,7 +62,7 @@ def test_a_bias_below_a_temperature_in_one_vehicle_is_found_and_its_interval_cov
     for seed in range(runs):
         rides, error, _ = fleet(2000, vehicles=4, days=100, seed=seed)
         cold = ((rides["ambient_c"] < -5.0) & (rides["vehicle_id"] == "taxi-003")).to_numpy()
-        found = slices(rides, error + 0.3 * cold, seed=seed)
+        found = find_slices(rides, error + 0.3 * cold, seed=seed)
         right = [each for each in found if {"colder than -5 °C", "taxi-003"} <= set(each["conditions"])]
         named += len(right) == 1 and len(right[0]["conditions"]) == 2
         covered += bool(right) and right[0]["ci95"][0] <= 0.3 <= right[0]["ci95"][1]
@@ -86,7 +86,7 @@ def test_a_bias_below_a_temperature_in_one_vehicle_is_found_and_its_interval_cov
 )
 def test_plain_slices_are_named_with_round_thresholds(column, limit, words):
     rides, error, _ = fleet(800)
-    found = slices(rides, error - 0.1 * (rides[column] >= limit).to_numpy())
+    found = find_slices(rides, error - 0.1 * (rides[column] >= limit).to_numpy())
     assert found[0]["where"] == words
     assert found[0]["bias_kwh"] == pytest.approx(-0.1, abs=0.03)
 
@@ -95,15 +95,15 @@ def test_two_separate_faults_are_both_named_and_no_slice_twice():
     rides, error, _ = fleet(2000)
     wet = (rides["precipitation_mm_h"] >= 0.5).to_numpy()
     error = error + 0.15 * (rides["vehicle_id"] == "taxi-001").to_numpy() - 0.15 * wet
-    found = slices(rides, error)
+    found = find_slices(rides, error)
     assert {"taxi-001", "rain or snow above 0.5 mm/h"} <= {each["where"] for each in found}
-    assert len(slices(rides, error, most=1)) == 1
+    assert len(find_slices(rides, error, most=1)) == 1
 
 
 def test_a_fault_from_a_date_on_is_named_by_its_date():
     rides, error, _ = fleet(800)
     date = sorted(set(rides["date"]))[11]
-    found = slices(rides, error + 0.1 * (rides["date"] >= date).to_numpy())
+    found = find_slices(rides, error + 0.1 * (rides["date"] >= date).to_numpy())
     assert found[0]["where"] in {f"since {date}", f"before {date}"}
 
 
@@ -111,9 +111,9 @@ def test_the_order_of_the_rows_does_not_matter_and_the_seed_does_what_it_says():
     rides, error, _ = fleet(600)
     error = error + 0.15 * (rides["ambient_c"] < 0.0).to_numpy()
     order = np.random.default_rng(1).permutation(len(rides))
-    assert slices(rides, error)
-    assert slices(rides, error) == slices(rides.iloc[order], error[order])
-    assert slices(rides, error, seed=1) == slices(rides, error, seed=1) != slices(rides, error, seed=2)
+    assert find_slices(rides, error)
+    assert find_slices(rides, error) == find_slices(rides.iloc[order], error[order])
+    assert find_slices(rides, error, seed=1) == find_slices(rides, error, seed=1) != find_slices(rides, error, seed=2)
 
 
 def test_unknown_values_survive():
@@ -123,18 +123,18 @@ def test_unknown_values_survive():
     holed = rides.assign(occupants=np.nan, wind_speed_kmh=np.nan, vehicle_model=None)
     holed.loc[::7, "ambient_c"] = np.nan
     error[::11] = np.nan
-    (best, *_) = slices(holed, error)
+    (best, *_) = find_slices(holed, error)
     assert best["where"] == "colder than 0 °C"
     names = ["vehicle_id", "date", "start_s", "ambient_c"]
-    assert slices(holed[names], error)[0]["where"] == "colder than 0 °C"
+    assert find_slices(holed[names], error)[0]["where"] == "colder than 0 °C"
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 10, 30])
 def test_of_few_rides_nothing_is_said(count):
     rides, error, _ = fleet(40)
-    assert slices(rides.iloc[:count], error[:count]) == []
-    assert slices(rides, np.full(40, np.nan)) == []
-    assert slices(rides, np.zeros(40)) == []
+    assert find_slices(rides.iloc[:count], error[:count]) == []
+    assert find_slices(rides, np.full(40, np.nan)) == []
+    assert find_slices(rides, np.zeros(40)) == []
 
 
 def test_a_difference_is_found_with_its_standard_error():
@@ -146,7 +146,7 @@ def test_a_difference_is_found_with_its_standard_error():
     found = []
     for _ in range(300):
         error = rng.normal(0.0, 1.0, days * rides) + rng.normal(0.0, 1.0, days)[day]
-        found.append([contrast(mask, error, starts) for mask in (by_day, within)])
+        found.append([compute_contrast(mask, error, starts) for mask in (by_day, within)])
     for i, expected in enumerate([np.sqrt(7.0 / 6.0 * (1 / 10 + 1 / 30)), np.sqrt(4.0 / 240.0)]):
         differences = np.array([each[i].difference[0] for each in found])
         errors = np.array([each[i].error[0] for each in found])
@@ -159,7 +159,7 @@ def test_a_difference_is_found_with_its_standard_error():
 def test_a_slice_of_one_day_is_not_judged():
     inside = np.zeros((2, 60), dtype=bool)
     inside[0, :10] = True
-    told = contrast(inside, np.random.default_rng(0).normal(size=60), np.arange(0, 60, 10))
+    told = compute_contrast(inside, np.random.default_rng(0).normal(size=60), np.arange(0, 60, 10))
     assert told.freedom.tolist() == [0.0, 0.0]
     assert told.score().tolist() == [0.0, 0.0]
 
@@ -168,8 +168,8 @@ def test_a_slice_of_one_day_is_not_judged():
 @settings(max_examples=25, deadline=None)
 def test_thresholds_are_round_and_part_the_rides(seed, power, size):
     values = size * np.random.default_rng(seed).normal(5.0, 10.0, 200) ** power
-    for scale in SCALES:
-        found = thresholds(values, scale)
+    for scale in CONDITION_SCALES:
+        found = choose_thresholds(values, scale)
         assert found == sorted(set(found))
         for at in found:
             assert 0 < np.count_nonzero(values < at) < len(values)
@@ -178,7 +178,7 @@ def test_thresholds_are_round_and_part_the_rides(seed, power, size):
 
 def test_conditions_hold_for_what_they_say():
     rides, _, _ = fleet(300)
-    known, masks = conditions(rides)
+    known, masks = list_conditions(rides)
     said = {condition.words: mask for condition, mask in zip(known, masks, strict=True)}
     assert np.array_equal(said["colder than 0 °C"], rides["ambient_c"] < 0.0)
     assert np.array_equal(said["parked for more than 1 h before"], rides["parked_s"] >= 3600.0)
@@ -191,5 +191,5 @@ def test_conditions_hold_for_what_they_say():
 
 def test_names_without_letters_are_said_with_what_they_are():
     rides, _, _ = fleet(100)
-    known, _ = conditions(rides.assign(driver_id=np.arange(100) % 3))
+    known, _ = list_conditions(rides.assign(driver_id=np.arange(100) % 3))
     assert {"driver 0", "driver 1", "driver 2"} <= {condition.words for condition in known}

@@ -13,7 +13,7 @@ NOISE_ONLY = 1.1
 """Error over the noise floor up to which what remains is the measurement's noise."""
 
 
-def energy(value: Any) -> str:
+def format_energy(value: Any) -> str:
     """Return an energy in kWh to three digits.
 
     Examples
@@ -25,7 +25,7 @@ def energy(value: Any) -> str:
     return "unknown" if known is None else f"{known:.3g} kWh"
 
 
-def ends(value: Any) -> tuple[float, float] | None:
+def read_interval(value: Any) -> tuple[float, float] | None:
     """Return lower and upper end of an interval, None where it has none."""
     if not isinstance(value, list | tuple) or len(value) != 2:
         return None
@@ -33,7 +33,7 @@ def ends(value: Any) -> tuple[float, float] | None:
     return None if low is None or high is None else (low, high)
 
 
-def data(result: Result) -> list[str]:
+def describe_data(result: Result) -> list[str]:
     """Say what was looked at."""
     found = get_mapping(result, "data")
     measured = MEASURED_BY.get(str(found.get("measured")), "voltage and current or state of charge")
@@ -50,18 +50,18 @@ def data(result: Result) -> list[str]:
     return lines
 
 
-def error(result: Result) -> list[str]:
+def describe_error(result: Result) -> list[str]:
     """Say how far off the model is, and how much of that is the measurement's own noise."""
     found = get_mapping(result, "error")
     mae, floor, refitted = (get_number(found.get(key)) for key in ("mae_kwh", "noise_floor_kwh", "mae_refitted_kwh"))
     share = get_number(found.get("relative"))
     of = f", {format_percent(share)} of what rides take" if share is not None else ""
-    lines = [f"The model is {energy(mae)} off a ride on average{of}{_bias(found.get('bias_kwh'))}."]
+    lines = [f"The model is {format_energy(mae)} off a ride on average{of}{_bias(found.get('bias_kwh'))}."]
     if refitted is not None:
-        lines.append(f"The same terms, fitted to these rides, would be {energy(refitted)} off.")
+        lines.append(f"The same terms, fitted to these rides, would be {format_energy(refitted)} off.")
     if mae and floor is not None:
         lines.append(
-            f"Measurement noise: a model without any error would still seem {energy(floor)} off, "
+            f"Measurement noise: a model without any error would still seem {format_energy(floor)} off, "
             f"{format_percent(min(floor / mae, 1.0), 0)} of that."
         )
     return lines
@@ -73,16 +73,16 @@ def _bias(value: Any) -> str:
     if bias is None or abs(bias) < LEAST_BIAS:
         return ""
     side = "too much" if bias > 0.0 else "too little"
-    return f"; on balance it predicts {energy(abs(bias))} {side}"
+    return f"; on balance it predicts {format_energy(abs(bias))} {side}"
 
 
-def slice_(found: Mapping[str, Any]) -> str:
+def describe_slice(found: Mapping[str, Any]) -> str:
     """Say what is special about a slice."""
     bias = get_number(found.get("bias_kwh")) or 0.0
-    return f"{energy(abs(bias))} {'more' if bias > 0.0 else 'less'} than elsewhere"
+    return f"{format_energy(abs(bias))} {'more' if bias > 0.0 else 'less'} than elsewhere"
 
 
-def scope(found: Mapping[str, Any]) -> str:
+def describe_scope(found: Mapping[str, Any]) -> str:
     """Say for whom and since when an effect is missing."""
     said = str(found.get("scope") or "all")
     return "in all vehicles, all the time" if said == "all" else f"only {_with_preposition(said)}"
@@ -97,14 +97,14 @@ def _with_preposition(said: str) -> str:
     return f"in {said}" if said.startswith("vehicle") else said
 
 
-def name(found: Mapping[str, Any]) -> str:
+def name_effect(found: Mapping[str, Any]) -> str:
     """Return the name of what is missing: of the variant that fits best."""
     return str(found.get("variant") or found.get("effect"))
 
 
-def worth(found: Mapping[str, Any]) -> str:
+def describe_gain(found: Mapping[str, Any]) -> str:
     """Say what an effect explains."""
-    limits = ends(found.get("gain_ci95"))
+    limits = read_interval(found.get("gain_ci95"))
     between = f" ({format_percent(limits[0])} to {format_percent(limits[1])})" if limits else ""
     of = f" of {found['gain_of']}" if found.get("gain_of") else ""
     said = [
@@ -117,10 +117,10 @@ def worth(found: Mapping[str, Any]) -> str:
     return ", ".join(said)
 
 
-def coefficient(found: Mapping[str, Any]) -> str:
+def describe_coefficient(found: Mapping[str, Any]) -> str:
     """Say what an effect's coefficient is, and whether that is plausible."""
     own = get_mapping(found, "coefficient")
-    value, limits = get_number(own.get("value")), ends(own.get("ci95"))
+    value, limits = get_number(own.get("value")), read_interval(own.get("ci95"))
     if value is None:
         return ""
     unit = "" if own.get("unit") in {None, "1"} else f" {own['unit']}"
@@ -133,7 +133,7 @@ def coefficient(found: Mapping[str, Any]) -> str:
     return f"coefficient {value:.3g}{unit}{between}; {judged}"
 
 
-def told_apart(found: Mapping[str, Any]) -> list[str]:
+def describe_rivals(found: Mapping[str, Any]) -> list[str]:
     """Say what an effect cannot be told from, and what would tell."""
     lines = []
     for other in found.get("separate") or ():
@@ -147,16 +147,21 @@ def told_apart(found: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def missing(found: Mapping[str, Any]) -> list[str]:
+def describe_missing_effect(found: Mapping[str, Any]) -> list[str]:
     """Say all about an effect that is missing, most important first."""
-    said = str(found.get("words") or name(found))
-    lines = [f"{said}; {scope(found)}", worth(found), coefficient(found), *told_apart(found)]
+    said = str(found.get("words") or name_effect(found))
+    lines = [
+        f"{said}; {describe_scope(found)}",
+        describe_gain(found),
+        describe_coefficient(found),
+        *describe_rivals(found),
+    ]
     if equal := [str(each) for each in found.get("equivalents") or ()]:
         lines.append(f"as large, on average, as {', or '.join(equal)}")
     return [line for line in lines if line]
 
 
-def remains(result: Result) -> list[str]:
+def describe_remainder(result: Result) -> list[str]:
     """Say what is left once the named effects are in."""
     steps = [step for step in result.get("steps") or () if get_number(step.get("mae_kwh")) is not None]
     lines = []
@@ -164,20 +169,20 @@ def remains(result: Result) -> list[str]:
         last, floor = get_number(steps[-1]["mae_kwh"]) or 0.0, get_number(steps[-1].get("noise_floor_kwh"))
         said = " -> ".join(f"{get_number(step['mae_kwh']):.3g}" for step in steps)
         lines.append(
-            f"Error with the named effects, held-out days: {said} kWh a ride; measurement noise {energy(floor)}."
+            f"Error with the named effects, held-out days: {said} kWh a ride; measurement noise {format_energy(floor)}."
         )
         if floor is not None and last <= NOISE_ONLY * floor and not result.get("structure_remains"):
             lines.append("What remains is measurement noise.")
     if result.get("structure_remains"):
         lines.append("Structure remains whose cause is not in the library, or too weak to be told from others:")
-        lines += signs(get_mapping(result, "structure"))
+        lines += describe_signs(get_mapping(result, "structure"))
     elif "structure_remains" in result:
         all_of_it = ": the named effects are all that these data show" if result.get("missing") else ""
         lines.append(f"No structure remains that could be predicted{all_of_it}.")
     return lines
 
 
-def signs(structure: Mapping[str, Any]) -> list[str]:
+def describe_signs(structure: Mapping[str, Any]) -> list[str]:
     """Say what speaks for there being more than was named."""
     spoken, taken = structure.get("signs") or (), get_number(structure.get("taken"))
     least = format_percent(structure.get("least"), 0)
@@ -186,10 +191,10 @@ def signs(structure: Mapping[str, Any]) -> list[str]:
     )
     said = {
         "trees": f"boosted trees predict {format_percent(get_number(structure.get('after')))} of what is left{share}",
-        "shape": f"a plain shape is left, {plain_shape(str(structure.get('shape')))}, that explains "
+        "shape": f"a plain shape is left, {format_shape(str(structure.get('shape')))}, that explains "
         f"{format_percent(get_number(structure.get('gain')))} of the squared error on held-out days{share}",
         "better": "; ".join(
-            f"{plain_shape(str(shape))} explains more than {effect} in its place: the name may be that of a stand-in"
+            f"{format_shape(str(shape))} explains more than {effect} in its place: the name may be that of a stand-in"
             for effect, shape in dict(structure.get("better") or {}).items()
         ),
         "days": f"days differ {get_number(structure.get('days')) or 0.0:.1f} times as much as by chance: something of the "
@@ -198,12 +203,12 @@ def signs(structure: Mapping[str, Any]) -> list[str]:
     return [f"- {said[sign]}" for sign in spoken if sign in said]
 
 
-def plain_shape(shape: str) -> str:
+def format_shape(shape: str) -> str:
     """Return a carrier times a function as people read it."""
     return shape.replace("_", " ").replace(" * ", " × ")
 
 
-def suggestion(result: Result, file: str | None = None) -> list[str]:
+def describe_suggestion(result: Result, file: str | None = None) -> list[str]:
     """Say what term of one's own would fit."""
     formula = result.get("suggestion")
     if not formula:
@@ -216,7 +221,7 @@ def suggestion(result: Result, file: str | None = None) -> list[str]:
     return [f"A term that would fit: {formula}", where]
 
 
-def verdict(result: Result) -> list[str]:
+def describe_next_step(result: Result) -> list[str]:
     """Say what to do next."""
     chosen = result.get("verdict")
     if not chosen:
@@ -224,7 +229,7 @@ def verdict(result: Result) -> list[str]:
             return ["No effect of the library is missing; what remains asks for one of your own: socast effects new."]
         return ["Nothing is missing that these rides could show."]
     first: Mapping[str, Any] = next((m for m in result.get("missing") or () if m.get("effect") == chosen), {})
-    lines = [f"Add {chosen}, {scope(first)}."]
+    lines = [f"Add {chosen}, {describe_scope(first)}."]
     return [*lines, str(first["command"])] if first.get("command") else lines
 
 

@@ -12,9 +12,9 @@ import pandas as pd
 
 from core import effects
 from core.columns import GRAVITY, STANDARD_AIR_DENSITY, ZERO_CELSIUS
-from core.diagnose.candidates import Asked
-from core.diagnose.dataset import Windows, fitted, gather
-from core.diagnose.projection import Base
+from core.diagnose.candidates import Candidates
+from core.diagnose.dataset import Windows, fit_to_windows, gather_windows
+from core.diagnose.projection import BaseProjection
 from core.models import LinearModel
 from core.models.features import Columns
 from core.vehicles import VehicleModel, load_catalogue
@@ -41,7 +41,7 @@ CARS_PARAMETERS = ("mass_kg", "rolling_resistance", "drag_area_m2", "nominal_cap
 
 
 @cache
-def drives(
+def make_windows(
     cars: int = 4, days: int = 20, rides: int = 3, windows: int = 8, seed: int = 1, kind: str = "kia-soul-ev-2015"
 ) -> pd.DataFrame:
     """Return windows of rides over a year, without energies; do not write into it."""
@@ -142,19 +142,19 @@ def _signals(start, day, ride, car, own: VehicleModel, seed: int) -> dict[str, n
     }
 
 
-def road_load_energy(table: pd.DataFrame) -> np.ndarray:
+def compute_road_load_energy(table: pd.DataFrame) -> np.ndarray:
     """Return the energy by `BASE`. [kWh]"""
     own = {"rolling": table["rolling_resistance"], "aero_drag": table["drag_area_m2"]}
     parts = [value * table[f"effect_{name}"] * own.get(name, 1.0) for name, value in BASE.items()]
     return np.sum(parts, axis=0)
 
 
-def sized(table: pd.DataFrame, shares: Mapping[str, float]) -> dict[str, float]:
+def compute_coefficients(table: pd.DataFrame, shares: Mapping[str, float]) -> dict[str, float]:
     """Return the coefficients with which effects take those shares of the energy where they are planted.
 
     Effects are named as in terms, without `effect_`, and with scopes behind: `"brake_drag vehicle=taxi-1"`.
     """
-    energy = road_load_energy(table)
+    energy = compute_road_load_energy(table)
     return {
         name: share * float(energy[_indicator(table, name)].sum()) / float(_column(table, name).sum())
         for name, share in shares.items()
@@ -170,7 +170,7 @@ def _column(table: pd.DataFrame, name: str) -> np.ndarray:
     return np.asarray(table[f"effect_{name.split(maxsplit=1)[0]}"] * _indicator(table, name))
 
 
-def measured(
+def make_tables(
     table: pd.DataFrame,
     shares: Mapping[str, float] | None = None,
     *,
@@ -187,16 +187,16 @@ def measured(
     """
     rng = np.random.default_rng(seed)
     ride, day = pd.factorize(table["ride_key"])[0], pd.factorize(table["vehicle_id"] + " " + table["date"])[0]
-    energy = road_load_energy(table) + unknown
-    for name, coefficient in sized(table, shares or {}).items():
+    energy = compute_road_load_energy(table) + unknown
+    for name, coefficient in compute_coefficients(table, shares or {}).items():
         energy = energy + coefficient * _column(table, name)
     rolling = table["effect_rolling"] * table["rolling_resistance"]
     energy = energy + rng.normal(0.0, 1.0, day.max() + 1)[day] * of_day * rolling.to_numpy()
     energy = energy + rng.normal(0.0, noise, len(table)) + rng.normal(0.0, 1.0, ride.max() + 1)[ride] * of_ride
-    return with_energy(table, energy)
+    return build_tables(table, energy)
 
 
-def with_energy(table: pd.DataFrame, energy: np.ndarray) -> tuple[pd.DataFrame, pd.DataFrame]:
+def build_tables(table: pd.DataFrame, energy: np.ndarray) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return ride and window tables with that energy, measured by voltage and current. [kWh]"""
     gain = 0.01 * np.abs(energy)
     windows = table.drop(columns="date").assign(
@@ -224,18 +224,20 @@ def _rides(windows: pd.DataFrame, date: pd.Series) -> pd.DataFrame:
     )  # fmt: skip
 
 
-def seen(tables: tuple[pd.DataFrame, pd.DataFrame], recipe: str = "road_load") -> tuple[Windows, LinearModel]:
+def gather_with_model(
+    tables: tuple[pd.DataFrame, pd.DataFrame], recipe: str = "road_load"
+) -> tuple[Windows, LinearModel]:
     """Return what is to be diagnosed, and the model that is: a recipe fitted to the same windows."""
-    model = fitted(recipe, *tables, covariance=False)
-    return gather(*tables, model), model
+    model = fit_to_windows(recipe, *tables, covariance=False)
+    return gather_windows(*tables, model), model
 
 
-def based(tables: tuple[pd.DataFrame, pd.DataFrame], recipe: str = "road_load") -> Base:
+def project_base(tables: tuple[pd.DataFrame, pd.DataFrame], recipe: str = "road_load") -> BaseProjection:
     """Return the base of a recipe fitted to the same windows."""
-    return Base(*seen(tables, recipe))
+    return BaseProjection(*gather_with_model(tables, recipe))
 
 
-def only(asked: Asked, *names: str) -> Asked:
+def keep_only(asked: Candidates, *names: str) -> Candidates:
     """Return what is asked, of some effects only, at all values of their parameters."""
     of = np.array(asked.names)[asked.effects]
     kept = [i for name in names for i in np.flatnonzero(of == name)]
