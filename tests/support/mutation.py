@@ -1,0 +1,196 @@
+"""Measure how many small faults in the code the tests catch: `python -m tests.support.mutation --count 40 --seed 1`.
+
+A mutation changes one operator, comparison, number or condition in a function of `core` or `stream`. The tests that
+import the mutated module run first, then those of the pipeline and the commands; the first failure ends the run. Every
+mutation is made in a copy of the tree.
+"""
+
+import argparse
+import ast
+import os
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+ROOT: Final = Path(__file__).parents[2]
+TIMEOUT: Final = 600.0
+"""A test run that takes longer counts as a failure, because a mutation can make a loop endless. [s]"""
+SWAPS: Final[dict[type[Any], type[Any]]] = {
+    ast.Add: ast.Sub,
+    ast.Sub: ast.Add,
+    ast.Mult: ast.Div,
+    ast.Div: ast.Mult,
+    ast.Lt: ast.GtE,
+    ast.LtE: ast.Lt,
+    ast.Gt: ast.LtE,
+    ast.GtE: ast.Gt,
+    ast.Eq: ast.NotEq,
+    ast.NotEq: ast.Eq,
+    ast.And: ast.Or,
+    ast.Or: ast.And,
+    ast.In: ast.NotIn,
+    ast.NotIn: ast.In,
+    ast.Is: ast.IsNot,
+    ast.IsNot: ast.Is,
+}
+GENERAL: Final = ("pipeline", "laws", "cli", "gathered", "loop", "run", "engine", "foresight")
+"""Words in the names of test files that run after those of the mutated module."""
+
+
+class Mutation(NamedTuple):
+    """One change of a file.
+
+    Parameters
+    ----------
+    path : Path
+        File, relative to the tree.
+    line : int
+        Line of the change.
+    source : str
+        The whole file after the change.
+    what : str
+        The changed statement before and after.
+    """
+
+    path: Path
+    line: int
+    source: str
+    what: str
+
+
+def places(tree: ast.Module) -> Iterator[tuple[ast.AST, ast.AST]]:
+    """Yield each statement and a node in it that can be mutated; annotations and messages are left out."""
+    for function in ast.walk(tree):
+        if not isinstance(function, ast.FunctionDef):
+            continue
+        for statement in (s for child in function.body for s in ast.walk(child) if isinstance(s, ast.stmt)):
+            if isinstance(statement, ast.FunctionDef | ast.Raise | ast.AnnAssign | ast.Import | ast.ImportFrom):
+                continue
+            heads = [statement] if not hasattr(statement, "body") else [getattr(statement, "test", None)]
+            for head in (h for h in heads if h is not None):
+                yield from ((statement, node) for node in ast.walk(head) if can_change(node))
+
+
+def can_change(node: ast.AST) -> bool:
+    """Tell whether a node is an operator, comparison, condition or number that `change` can mutate."""
+    if isinstance(node, ast.BinOp | ast.BoolOp):
+        return type(node.op) in SWAPS
+    if isinstance(node, ast.Compare):
+        return type(node.ops[0]) in SWAPS
+    if isinstance(node, ast.UnaryOp):
+        return isinstance(node.op, ast.Not | ast.USub)
+    return isinstance(node, ast.Constant) and type(node.value) in {int, float}
+
+
+def change(node: Any) -> None:
+    """Mutate a node in place."""
+    if isinstance(node, ast.BinOp | ast.BoolOp):
+        node.op = SWAPS[type(node.op)]()
+    elif isinstance(node, ast.Compare):
+        node.ops[0] = SWAPS[type(node.ops[0])]()
+    elif isinstance(node, ast.UnaryOp):
+        node.op = ast.UAdd() if isinstance(node.op, ast.USub) else ast.Not()
+        if isinstance(node.op, ast.Not):
+            node.operand = ast.UnaryOp(ast.Not(), node.operand)
+    else:
+        node.value = node.value + 1 if isinstance(node.value, int) else node.value * 1.5 + 0.1
+
+
+def sample(root: Path, count: int, seed: int) -> list[Mutation]:
+    """Return mutations at places drawn at random from every function of core and stream."""
+    found = []
+    for path in sorted(p for package in ("core", "stream") for p in (root / package).rglob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        found += [(path, i) for i in range(len(list(places(tree))))]
+    return [mutated(root, *place) for place in random.Random(seed).sample(found, count)]
+
+
+def mutated(root: Path, path: Path, place: int) -> Mutation:
+    """Return the mutation at a place of a file."""
+    text = path.read_text(encoding="utf-8")
+    statement, node = list(places(ast.parse(text)))[place]
+    first, last = statement.lineno, statement.end_lineno or statement.lineno  # type: ignore[attr-defined]
+    if hasattr(statement, "test"):
+        first, last = statement.test.lineno, statement.test.end_lineno
+    before = ast.unparse(getattr(statement, "test", statement))
+    change(node)
+    after = ast.unparse(getattr(statement, "test", statement))
+    lines = text.splitlines(keepends=True)
+    if hasattr(statement, "test"):
+        head, tail = lines[first - 1][: statement.test.col_offset], lines[last - 1][statement.test.end_col_offset :]
+        lines[first - 1 : last] = [f"{head}({after}){tail}"]
+    else:
+        indent = " " * statement.col_offset  # type: ignore[attr-defined]
+        lines[first - 1 : last] = [f"{indent}{row}\n" for row in after.splitlines()]
+    source = "".join(lines)
+    ast.parse(source)
+    return Mutation(path.relative_to(root), first, source, f"{before}  ->  {after}")
+
+
+def related_tests(root: Path, path: Path) -> list[Path]:
+    """Return test files: the mirrored one first, then those that import the module, then those of the whole."""
+    module = ".".join(path.with_suffix("").parts)
+    package = module.rpartition(".")[0]
+    ranks: dict[Path, int] = {}
+    for test in sorted((root / "tests").rglob("test_*.py")):
+        text = test.read_text(encoding="utf-8")
+        if path.stem in test.stem and path.parent.name in str(test.parent):
+            ranks[test] = 0
+        elif module in text or f"from {package} import {path.stem}" in text:
+            ranks[test] = 1
+        elif package.count(".") and package in text:
+            ranks[test] = 2
+        elif any(word in test.stem for word in GENERAL):
+            ranks[test] = 3
+    return sorted(ranks, key=lambda test: ranks[test])
+
+
+def is_caught(root: Path, mutation: Mutation, *, everything: bool) -> bool:
+    """Run tests on a mutation until one fails."""
+    file = root / mutation.path
+    kept = file.read_text(encoding="utf-8")
+    tests = [] if everything else related_tests(root, mutation.path)
+    file.write_text(mutation.source, encoding="utf-8")
+    try:
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *map(str, tests)]
+        done = subprocess.run(
+            command,
+            cwd=root,
+            capture_output=True,
+            timeout=TIMEOUT,
+            check=False,
+            env=os.environ | {"PYTHONPATH": str(root)},
+        )
+    except subprocess.TimeoutExpired:
+        return True
+    finally:
+        file.write_text(kept, encoding="utf-8")
+    return done.returncode != 0
+
+
+def main() -> None:
+    """Print each mutation with its outcome, and how many were caught."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=40)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--tree", type=Path, default=ROOT, help="the tree to mutate a copy of")
+    given = parser.parse_args()
+    caught = 0
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "tree"
+        shutil.copytree(given.tree, copy, ignore=shutil.ignore_patterns(".git", ".venv", ".mypy_cache", "build"))
+        for mutation in sample(copy, given.count, given.seed):
+            found = is_caught(copy, mutation, everything=False) or is_caught(copy, mutation, everything=True)
+            caught += found
+            outcome = "caught" if found else "SURVIVED"
+            print(f"{outcome:8} {mutation.path}:{mutation.line}: {mutation.what[:160]}", flush=True)
+    print(f"{caught} of {given.count} mutations were caught")
+
+
+if __name__ == "__main__":
+    main()
