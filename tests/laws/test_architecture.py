@@ -1,75 +1,141 @@
-"""The structure is what ARCHITECTURE.md says it is."""
+"""The packages stand in the order of the data, and imports follow it: see ARCHITECTURE.md."""
 
 import ast
 import re
+from collections import defaultdict
+from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
-
-import pytest
 
 from tests.support.paths import ROOT
 
-SOURCES = sorted(path for package in ("core", "stream", "tools") for path in (ROOT / package).rglob("*.py"))
+ORDER = (
+    *("core.errors", "core.columns", "core.batch", "core.settings", "core.formatting"),
+    *("core.wire", "core.cleaning", "core.vehicles", "core.signals", "core.effects", "core.totals", "core.models"),
+    *("core.stats", "core.forecast", "core.monitoring", "core.snapshot", "core.pipeline"),
+    *("core.fit", "core.evaluate", "core.diagnose"),
+    *("stream", "tools", "socast"),
+)
+"""Packages and root modules; each may import itself and those before it."""
+MOST_PACKAGES, MOST_MODULES, MOST_LINES = 13, 8, 499
+ONLY_IN = {"zenoh": r"stream/zenoh_\w+\.py", "mcap": r"stream/mcap_\w+\.py|tools/bench/measures\.py"}
+"""Library of a transport -> files that may import it."""
+CLOCKS = {"time", "threading", "asyncio", "socket"}
+"""Modules that core must not import."""
+ONE_NAME = re.compile(r"\b(?:core|stream|tools|socast)(?:\.\w+)+")
+
+SOURCES = sorted(path for package in ("core", "socast", "stream", "tools") for path in (ROOT / package).rglob("*.py"))
+MODULES = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path for path in SOURCES}
 PAGE = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
-MAY_IMPORT = {"core": {"core"}, "stream": {"core", "stream"}, "tools": {"core", "stream", "tools"}}
-LAYERS = ["", "learn", "evaluate", "diagnose"]
-"""Packages of core, each above those before it; the files of core itself are the lowest."""
-ONLY_IN = {"zenoh": r"stream/zenoh_\w+\.py", "mcap": r"stream/mcap_io\.py|tools/bench/measures\.py"}
-"""Package of a transport -> which files may import it."""
-ids = pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
 
 
-def imported(path: Path) -> set[str]:
-    """Return the modules that a file imports, in full."""
-    found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+@cache
+def parse(module: str) -> ast.Module:
+    """Return the syntax tree of a module."""
+    return ast.parse(MODULES[module].read_text(encoding="utf-8"))
+
+
+def docstrings(tree: ast.Module) -> set[int]:
+    """Return the identities of the docstrings and of the texts that describe constants."""
+    return {
+        id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+    }
+
+
+def import_names(module: str) -> set[str]:
+    """Return everything that a module imports, also for type checkers alone, and what it names in text as a module."""
+    tree = parse(module)
+    texts = docstrings(tree)
+    names: set[str] = set()
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}: a relative import"
-            found |= {node.module or ""} | {f"{node.module}.{alias.name}" for alias in node.names}
-    return found
+            assert node.level == 0, f"{module}: a relative import"
+            names |= {node.module or ""} | {f"{node.module}.{alias.name}" for alias in node.names}
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in texts:
+            names |= set(ONE_NAME.findall(node.value)) & set(MODULES)
+    return names
 
 
-@ids
-def test_imports_run_from_tools_to_stream_to_core(path):
-    ours = {name.partition(".")[0] for name in imported(path)} & set(MAY_IMPORT)
-    assert ours <= MAY_IMPORT[path.relative_to(ROOT).parts[0]]
+def imported_modules(module: str) -> set[str]:
+    """Return the modules of this repository that a module imports."""
+    return (import_names(module) & set(MODULES)) - {module}
 
 
-@ids
-def test_each_transport_is_imported_where_it_is_served(path):
-    foreign = {name.partition(".")[0] for name in imported(path)}
-    for package, files in ONLY_IN.items():
-        assert package not in foreign or re.fullmatch(files, str(path.relative_to(ROOT)))
+def place(module: str) -> int:
+    """Return the place in `ORDER` of the package that a module belongs to."""
+    parts = module.split(".")
+    return ORDER.index(".".join(parts[:2]) if parts[0] == "core" else parts[0])
 
 
-@ids
-def test_nothing_in_core_imports_the_pipeline_or_looks_at_a_clock(path):
-    if path.relative_to(ROOT).parts[0] != "core":
-        return
-    modules = imported(path)
-    assert path.stem == "pipeline" or "core.pipeline" not in modules
-    assert not {"time", "threading", "asyncio", "socket"} & modules
+def test_no_import_runs_upward():
+    upward = {
+        (module, name)
+        for module in set(MODULES) - {"core"}
+        for name in imported_modules(module) - {"core"}
+        if place(name) > place(module)
+    }
+    assert upward == set()
+    assert imported_modules("core") == set()
 
 
-@ids
-def test_inside_core_imports_run_one_way(path):
-    place = path.relative_to(ROOT).parts
-    if place[0] != "core":
-        return
-    own = LAYERS.index(place[1]) if place[1] in LAYERS else 0
-    above = {f"core.{layer}" for layer in LAYERS[own + 1 :]}
-    assert not {name for name in imported(path) if ".".join(name.split(".")[:2]) in above}
+def test_imports_have_no_cycle():
+    order = TopologicalSorter({module: imported_modules(module) for module in MODULES})
+    order.prepare()  # raises CycleError, which names the modules
 
 
-@ids
-def test_a_file_reads_in_one_sitting(path):
-    assert len(path.read_text(encoding="utf-8").splitlines()) < 500
+def test_root_of_core_is_small():
+    packages = [path for path in (ROOT / "core").iterdir() if (path / "__init__.py").exists()]
+    modules = [path for path in (ROOT / "core").glob("*.py") if path.name != "__init__.py"]
+    assert len(packages) <= MOST_PACKAGES
+    assert len(modules) <= MOST_MODULES
 
 
-def test_the_page_names_every_file_of_core_and_stream_and_no_other():
-    named = set(re.findall(r"`(?:core/|stream/)?(\w+\.py)`", PAGE))
-    files = {path.name for path in SOURCES if path.parent.name in {"core", "stream"} and path.name != "__init__.py"}
-    assert files - named == set()
-    everywhere = {path.name for path in SOURCES} | {path.name for path in (ROOT / "tests").glob("*.py")}
-    assert named - everywhere == set()
+def test_transport_is_imported_only_in_its_files():
+    for module, path in MODULES.items():
+        libraries = {name.partition(".")[0] for name in import_names(module)}
+        for library, files in ONLY_IN.items():
+            assert library not in libraries or re.fullmatch(files, str(path.relative_to(ROOT))), (module, library)
+
+
+def test_core_reads_no_clock():
+    readers = {module for module in MODULES if module.startswith("core") and CLOCKS & import_names(module)}
+    assert readers == set()
+
+
+def test_every_file_has_fewer_than_500_lines():
+    files = [*SOURCES, *sorted((ROOT / "tests").rglob("*.py"))]
+    lengths = {str(file.relative_to(ROOT)): len(file.read_text(encoding="utf-8").splitlines()) for file in files}
+    assert {name: length for name, length in lengths.items() if length > MOST_LINES} == {}
+
+
+def test_public_names_of_core_and_stream_are_unique():
+    defined = defaultdict(list)
+    for module in MODULES:
+        if module.startswith(("core", "stream")):
+            for node in parse(module).body:
+                if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+                    defined[node.name].append(module)
+    assert {name: modules for name, modules in defined.items() if len(modules) > 1} == {}
+
+
+def test_every_test_folder_mirrors_a_folder_of_the_code():
+    for folder in sorted((ROOT / "tests").rglob("test_*.py")):
+        parts = folder.relative_to(ROOT / "tests").parent.parts
+        if parts and parts[0] in {"core", "stream", "tools", "socast"}:
+            assert (ROOT / Path(*parts)).is_dir(), folder
+
+
+def test_page_names_every_package_and_only_files_that_exist():
+    packages = {name for name in ORDER if (ROOT / name.replace(".", "/")).is_dir()}
+    missing = {name for name in packages if f"{name.replace('.', '/')}/" not in PAGE}
+    assert missing == set()
+    files = set(re.findall(r"`((?:[\w.]+/)*\w+\.(?:py|toml|md|json))`", PAGE))
+    known = {str(path.relative_to(ROOT)) for path in ROOT.rglob("*.*") if ".venv" not in path.parts}
+    unknown = {file for file in files if not any(path == file or path.endswith(f"/{file}") for path in known)}
+    assert unknown == set()
+
+
+def test_page_fits_one_page():
+    assert len(PAGE.split()) < 1500

@@ -63,7 +63,7 @@ def demo(
     pipeline = Pipeline(chosen)
     with stopping() as stop, Node(Connection(listen=("tcp/127.0.0.1:0",), mode="router")) as node:
         source = ZenohSource(node, stop)
-        command = [sys.executable, "-m", "tools.cli", "replay", str(recording), "--connect", node.endpoints[0]]
+        command = [sys.executable, "-m", "socast", "replay", str(recording), "--connect", node.endpoints[0]]
         with (
             subprocess.Popen(  # noqa: S603 - our own command
                 [*command, "--speed", f"{speed:g}"], stderr=subprocess.PIPE, text=True
