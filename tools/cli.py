@@ -58,7 +58,9 @@ COMMANDS: Final = {
     "simulate": Command(
         "tools.commands.simulate", "simulate", "Simulate a fleet of electric taxis with faulty loggers."
     ),
-    "import": Command("tools.commands.import_drives", "app", "Convert public data sets of real drives to recordings."),
+    "import": Command(
+        "tools.commands.import_drives", "import_drives", "Convert a public data set of real drives to a recording."
+    ),
     "effects": Command("tools.commands.effects", "app", "List the physical effects of models, or check your own."),
 }
 """Every command, in the order of `socast --help`."""

@@ -1,8 +1,9 @@
-"""Small files in the published formats, for the tests of the importers."""
+"""Write small files in the published formats of the data sets, and import them."""
 
 import openpyxl
+from typer.testing import CliRunner
 
-from tools.importers import bmw_i3
+from tools.cli import application
 
 VED_HEADER = (
     "DayNum,VehId,Trip,Timestamp(ms),Latitude[deg],Longitude[deg],Vehicle Speed[km/h],MAF[g/sec],Engine RPM[RPM],"
@@ -20,7 +21,13 @@ TWIZY_HEADER = (
 )
 
 
+def run_import(*arguments):
+    """Run `socast import` with arguments of any type."""
+    return CliRunner().invoke(application("import"), ["import", *map(str, arguments)])
+
+
 def ved_row(ms, vehicle=455, trip=1, day=5.5, speed=36.0, current=-20.0, volts=360.0, engine="NaN", ac=100, heater=900):
+    """Return one row of VED."""
     hv = f"{current},80.1,{volts}" if current is not None else "NaN,NaN,NaN"
     return (
         f"{day},{vehicle},{trip},{ms},42.24,-83.74,{speed},{engine},{engine},NaN,11.5,NaN,{ac / 1000},{ac},{heater},"
@@ -29,12 +36,14 @@ def ved_row(ms, vehicle=455, trip=1, day=5.5, speed=36.0, current=-20.0, volts=3
 
 
 def ved_file(path, rows=None):
+    """Write a file of VED, by default one minute of car 455."""
     rows = [ved_row(ms) for ms in range(0, 60_001, 500)] if rows is None else rows
     path.write_text("\n".join([VED_HEADER, *rows]) + "\n")
     return path
 
 
 def bmw_file(path, header=BMW_HEADER, n=601, tail="", row=None):
+    """Write a file of the BMW i3, by default one minute."""
     row = row or "{t};36;500;390;-10;20;80;90;5.32;1200;-0.1;25;;9;10"
     lines = [header, *(row.format(t=round(i / 10, 1)) + tail for i in range(n))]
     path.write_bytes("\n".join(lines).encode("latin-1"))
@@ -42,16 +51,17 @@ def bmw_file(path, header=BMW_HEADER, n=601, tail="", row=None):
 
 
 def overview(folder, rows=(("TripA01", "2019-06-25_13-21-14"), ("TripB03", "2019_12_08_09-38-26")), header=None):
+    """Write `Overview.xlsx` with the dates of trips."""
     book = openpyxl.Workbook()
     book.active.append(header or ["Trip", "Date", "Route/Area", "Weather"])
     for row in rows:
         book.active.append([*row, "Munich East", "sunny"])
     book.active.append([None])
     book.save(folder / "Overview.xlsx")
-    return bmw_i3.read_overview(folder / "Overview.xlsx")
 
 
 def twizy_file(path, n=61, date="04/22/2021", first="08:42:00", garbled=(), wind="2.5"):
+    """Write a file of the Twizy, by default one minute."""
     second = sum(int(part) * scale for part, scale in zip(first.split(":"), (3600, 60, 1), strict=True))
     lines = [TWIZY_HEADER]
     for i in range(n):
@@ -63,8 +73,8 @@ def twizy_file(path, n=61, date="04/22/2021", first="08:42:00", garbled=(), wind
     return path
 
 
-def made(folder, name):
-    """Write one good file of the importer's data set."""
+def write_good_file(folder, name):
+    """Write one good file of a data set and return its path."""
     if name == "ved":
         return ved_file(folder / "week.csv")
     if name == "bmw-i3":

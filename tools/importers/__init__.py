@@ -1,5 +1,7 @@
-"""Importers of public data sets: one file each, from their files as published to messages of the wire contract.
+"""Import public data sets of real drives as messages of the wire contract.
 
-`published.py` opens a table and says what is wrong with it, a data set's own file turns the table into drives,
-`resample.py` and `drive.py` turn drives into what a logger would have sent every few seconds.
+Each data set has its own module, which turns its published tables into drives: `ved`, `bmw_i3`, `twizy`. `data_sets`
+lists them. `published` reads tables and reports what is wrong with a file. `drive` and `resample` turn a drive into
+the samples that a logger with a period of a few seconds would have sent. `synthetic_shifts` concatenates drives into
+shifts.
 """

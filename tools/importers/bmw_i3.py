@@ -1,22 +1,23 @@
-"""Battery and heating data of a BMW i3 (60 Ah) around Munich, 70 drives in summer 2019 and winter 2019/20.
+"""Import battery and heating data of a BMW i3 (60 Ah) around Munich: 70 drives in summer 2019 and winter 2019/20.
 
-Read are `TripA01.csv` to `TripB38.csv`, logged at 10 Hz, and `Overview.xlsx` beside them, which alone knows their
-dates.
+The importer reads `TripA01.csv` to `TripB38.csv`, logged at 10 Hz. It also reads `Overview.xlsx` beside them, because
+only that file holds the dates of the drives.
 
 Notes
 -----
-*Time.* The overview's dates are local time in Munich: its drives `sunset` and `sunrise` are within half an hour of
-those.
+*Time.* The dates of the overview are local time in Munich: its drives noted as `sunset` and `sunrise` are within half
+an hour of both.
 
-*Heating.* Only files with `Heating Power LIN [W]` know it, so only they give `hvac_w` (heater and air conditioning). In
-the others `Heating Power CAN [kW]` is frozen: 5.3 kW all through TripA06, where the whole car at standstill
-takes 1.2 kW. It is not used.
+*Heating.* Only files with `Heating Power LIN [W]` report the heating power, so only they give `hvac_w` (heater and air
+conditioning). In the other files `Heating Power CAN [kW]` is frozen: it is 5.3 kW throughout TripA06, where the whole
+car at standstill takes 1.2 kW. The importer does not use that column.
 
-*Weather* in the overview is a word, of which no number is made; the outside temperature is in every sample. There are
-no positions, elevation is in whole metres, and the loads noted (`+70 kg`) are not passed on.
+*Weather.* The overview describes the weather in words, which the importer does not convert to numbers. Every sample has
+the outside temperature. The files have no positions, the elevation is in whole metres, and the importer does not pass
+on the noted loads (`+70 kg`).
 
-*Current* is negative when discharging; the contract has it the other way round. The energy of TripB02 and TripB13 does
-not agree with their state of charge; they are passed on as they are.
+*Current* is negative when discharging in the files and positive in the wire contract. The energy of TripB02 and TripB13
+does not agree with their state of charge; the importer passes both on unchanged.
 
 References
 ----------
@@ -36,8 +37,8 @@ import openpyxl
 from openpyxl.utils.exceptions import InvalidFileException
 
 from core.errors import ImportFileError
-from tools.importers.drive import LONGEST_DRIVE, Drive
-from tools.importers.published import BMW_I3, read, stem
+from tools.importers.drive import LONGEST_DRIVE, Drive, ReadOptions
+from tools.importers.published import BMW_I3, read_table, strip_suffixes
 
 MODEL: Final = "bmw-i3-2014"
 TIME_ZONE: Final = "Europe/Berlin"
@@ -47,91 +48,79 @@ OVERVIEW: Final = "Overview.xlsx"
 _DATE: Final = re.compile(r"(\d{4})[-_](\d\d?)[-_](\d\d?)[-_ T](\d\d?)[-:](\d\d?)[-:](\d\d?)")
 
 
-def read_overview(path: Path) -> dict[str, object]:
-    """Read when each trip began.
-
-    Parameters
-    ----------
-    path : Path. `Overview.xlsx`.
-
-    Returns
-    -------
-    dict of str to object
-        Trip, as `TripA01` -> what its cell `Date` holds.
-
-    Raises
-    ------
-    ImportFileError
-        If it is missing, not a workbook, or has no columns `Trip` and `Date`.
-    """
-    if not path.exists():
-        raise ImportFileError(
-            f"{path}: is missing; the drives' dates are in it, put it beside them as it was published"
-        )
-    try:
-        sheet = openpyxl.load_workbook(path, read_only=True, data_only=True).worksheets[0]
-        rows = [tuple(row) for row in sheet.iter_rows(values_only=True)]
-    except (BadZipFile, InvalidFileException, KeyError, OSError, ValueError, IndexError) as error:
-        raise ImportFileError(f"{path}: is not an Excel workbook: {error}") from error
-    for place, header in enumerate(rows):
-        if "Trip" in header and "Date" in header:
-            trip, date = header.index("Trip"), header.index("Date")
-            return {str(row[trip]).strip(): row[date] for row in rows[place + 1 :] if row[trip] is not None}
-    missing = "Date" if any("Trip" in row for row in rows) else "Trip"
-    raise ImportFileError(f"{path}: has no column '{missing}', so it is not the overview of {BMW_I3.title}")
-
-
-def read_drives(path: Path, zone: tzinfo, overview: Mapping[str, object]) -> list[Drive]:
-    """Read one drive.
+def read_drives(path: Path, options: ReadOptions) -> list[Drive]:
+    """Read the drive of one file; `Overview.xlsx` in the same folder gives its date.
 
     Parameters
     ----------
     path : Path
-    zone : tzinfo. That of the overview's dates.
-    overview : mapping of str to object. From `read_overview`.
+        The file.
+    options : ReadOptions
+        Time zone of the dates in the overview; the selection of vehicles does not apply.
 
     Returns
     -------
     list of Drive
-        One.
+        The one drive of the file.
 
     Raises
     ------
     ImportFileError
-        If it is not such a file, or the overview does not know its date.
+        If the file has another format, or the overview lacks its date.
     """
-    table = read(path, BMW_I3).dropna(subset=["Time [s]"]).sort_values("Time [s]", kind="stable")
-    of = {name: table[name].to_numpy() for name in (*BMW_I3.needed, *BMW_I3.optional)}
-    seconds = of["Time [s]"]
+    overview = _read_overview(path.parent / OVERVIEW)
+    table = read_table(path, BMW_I3).dropna(subset=["Time [s]"]).sort_values("Time [s]", kind="stable")
+    columns = {name: table[name].to_numpy() for name in (*BMW_I3.needed, *BMW_I3.optional)}
+    seconds = columns["Time [s]"]
     if not (len(seconds) and seconds[-1] - seconds[0] <= LONGEST_DRIVE):
         raise ImportFileError(
-            f"{path}: column 'Time [s]' spans no time or more than {LONGEST_DRIVE:g} s; a drive has less"
+            f"{path}: column 'Time [s]' spans no time or more than {LONGEST_DRIVE:g} s; give a file of one drive"
         )
-    trip = stem(path)
+    trip = strip_suffixes(path)
+    heating = np.maximum(columns["Heating Power LIN [W]"], 0)
     return [
         Drive(
             vehicle_id=VEHICLE,
             model=MODEL,
             ride_id=trip,
-            start=_start(path, zone, trip, overview) + float(seconds[0]),
+            start=_start_time(path, options.zone, trip, overview) + float(seconds[0]),
             elapsed=seconds - seconds[0],
             rows={
-                "elevation_m": of["Elevation [m]"],
-                "speed_kmh": of["Velocity [km/h]"],
-                "soc_pct": of["SoC [%]"],
-                "battery_voltage_v": of["Battery Voltage [V]"],
-                "battery_current_a": -of["Battery Current [A]"],
-                "battery_temperature_c": of["Battery Temperature [C]"],
-                "ambient_c": of["Ambient Temperature [C]"],
-                "hvac_w": np.maximum(of["Heating Power LIN [W]"], 0) + np.maximum(of["AirCon Power [kW]"] * 1000, 0),
+                "elevation_m": columns["Elevation [m]"],
+                "speed_kmh": columns["Velocity [km/h]"],
+                "soc_pct": columns["SoC [%]"],
+                "battery_voltage_v": columns["Battery Voltage [V]"],
+                "battery_current_a": -columns["Battery Current [A]"],
+                "battery_temperature_c": columns["Battery Temperature [C]"],
+                "ambient_c": columns["Ambient Temperature [C]"],
+                "hvac_w": heating + np.maximum(columns["AirCon Power [kW]"] * 1000, 0),
             },
             source=path.name,
         ),
     ]
 
 
-def _start(path: Path, zone: tzinfo, trip: str, overview: Mapping[str, object]) -> float:
-    """Return the Unix time at which a trip began [s]."""
+def _read_overview(path: Path) -> dict[str, object]:
+    """Return the cell `Date` of each trip, such as `TripA01`."""
+    if not path.exists():
+        raise ImportFileError(
+            f"{path}: is missing; it holds the dates of the drives, so put it beside them as published"
+        )
+    try:
+        sheet = openpyxl.load_workbook(path, read_only=True, data_only=True).worksheets[0]
+        rows = [tuple(row) for row in sheet.iter_rows(values_only=True)]
+    except (BadZipFile, InvalidFileException, KeyError, OSError, ValueError, IndexError) as error:
+        raise ImportFileError(f"{path}: is not an Excel workbook: {error}") from error
+    for index, header in enumerate(rows):
+        if "Trip" in header and "Date" in header:
+            trip, date = header.index("Trip"), header.index("Date")
+            return {str(row[trip]).strip(): row[date] for row in rows[index + 1 :] if row[trip] is not None}
+    missing = "Date" if any("Trip" in row for row in rows) else "Trip"
+    raise ImportFileError(f"{path}: has no column '{missing}', so it is not the overview of {BMW_I3.title}")
+
+
+def _start_time(path: Path, zone: tzinfo, trip: str, overview: Mapping[str, object]) -> float:
+    """Return the Unix time at which a trip began. [s]"""
     if trip not in overview:
         raise ImportFileError(f"{path}: {OVERVIEW} has no trip '{trip}' in its column 'Trip', so its date is not known")
     cell = overview[trip]

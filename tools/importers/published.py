@@ -1,4 +1,4 @@
-"""What the published files look like, and how a wrong one is told: by its name, its column and what would fit."""
+"""Read the tables of public data sets as published, and report what is wrong with a file and how to mend it."""
 
 import gzip
 import re
@@ -16,17 +16,23 @@ from core.errors import ImportFileError
 SUFFIXES: Final = (".csv", ".csv.gz")
 
 
-class Format(NamedTuple):
-    """A published table.
+class TableFormat(NamedTuple):
+    """Describe a published table.
 
     Parameters
     ----------
-    command : str. The importer's name on the command line.
-    title : str. What the data set calls itself.
+    command : str
+        Name of the data set on the command line.
+    title : str
+        Name that the data set gives itself.
     separator, encoding : str
-    needed : tuple of str. Numeric columns without which a file is another one's.
-    texts : tuple of str. Columns of text that are needed too.
-    optional : tuple of str. Numeric columns that only some files have.
+        Separator of the cells and encoding of the text.
+    needed : tuple of str
+        Numeric columns that every file of the data set has.
+    texts : tuple of str
+        Text columns that every file has.
+    optional : tuple of str
+        Numeric columns that only some files have.
     """
 
     command: str
@@ -38,7 +44,7 @@ class Format(NamedTuple):
     optional: tuple[str, ...] = ()
 
 
-ENGINE: Final = (
+ENGINE_COLUMNS: Final = (
     "MAF[g/sec]",
     "Engine RPM[RPM]",
     "Absolute Load[%]",
@@ -50,7 +56,7 @@ ENGINE: Final = (
 )
 """Columns of VED that only a car with an engine fills."""
 
-VED: Final = Format(
+VED: Final = TableFormat(
     command="ved",
     title="the Vehicle Energy Dataset",
     separator=",",
@@ -70,9 +76,9 @@ VED: Final = Format(
         "HV Battery SOC[%]",
         "HV Battery Voltage[V]",
     ),
-    optional=("Air Conditioning Power[kW]", *ENGINE),
+    optional=("Air Conditioning Power[kW]", *ENGINE_COLUMNS),
 )
-BMW_I3: Final = Format(
+BMW_I3: Final = TableFormat(
     command="bmw-i3",
     title="the BMW i3 driving cycles",
     separator=";",
@@ -90,7 +96,7 @@ BMW_I3: Final = Format(
     ),
     optional=("Heating Power LIN [W]",),
 )
-TWIZY: Final = Format(
+TWIZY: Final = TableFormat(
     command="twizy",
     title="the RSK Twizy dataset",
     separator=",",
@@ -101,15 +107,24 @@ TWIZY: Final = Format(
 FORMATS: Final = (VED, BMW_I3, TWIZY)
 
 
-def files(paths: Iterable[Path]) -> list[Path]:
-    """Return the files that are meant: those named, and of each directory its `.csv` and `.csv.gz` by name.
+def list_files(paths: Iterable[Path]) -> list[Path]:
+    """Return the given files, and of each given directory its `.csv` and `.csv.gz` files by name.
+
+    Parameters
+    ----------
+    paths : iterable of Path
+        Files and directories.
+
+    Returns
+    -------
+    list of Path
 
     Raises
     ------
     ImportFileError
-        For a path that does not exist, and for a directory without such files.
+        If a path does not exist, or a directory holds no such file.
     """
-    found: list[Path] = []
+    files: list[Path] = []
     for path in paths:
         if path.is_dir():
             inside = sorted(p for p in path.iterdir() if p.name.lower().endswith(SUFFIXES) and p.is_file())
@@ -117,42 +132,44 @@ def files(paths: Iterable[Path]) -> list[Path]:
                 raise ImportFileError(
                     f"{path}: holds no .csv or .csv.gz file; name the folder of the unpacked data set"
                 )
-            found += inside
+            files += inside
         elif path.exists():
-            found.append(path)
+            files.append(path)
         else:
-            raise ImportFileError(f"{path}: does not exist")
-    return found
+            raise ImportFileError(f"{path}: does not exist; give a file of the data set or its folder")
+    return files
 
 
-def stem(path: Path) -> str:
-    """Return a file's name without `.csv` and `.gz`.
+def strip_suffixes(path: Path) -> str:
+    """Return the name of a file without `.csv` and `.gz`.
 
-    >>> stem(Path("a/TripA01.csv.gz"))
+    >>> strip_suffixes(Path("a/TripA01.csv.gz"))
     'TripA01'
     """
     return re.sub(r"(\.csv)?(\.gz)?$", "", path.name, flags=re.IGNORECASE)
 
 
-def read(path: Path, form: Format) -> pd.DataFrame:
-    """Read the columns that an importer uses, plain or gzipped.
+def read_table(path: Path, form: TableFormat) -> pd.DataFrame:
+    """Read the columns that an importer uses from a plain or gzipped file.
 
     Parameters
     ----------
     path : Path
-    form : Format
+        The file.
+    form : TableFormat
+        Its format.
 
     Returns
     -------
     DataFrame
-        Columns named as in `form`: numbers as float64, NaN where empty; text as text; a column that is optional and
-        absent is all NaN. Rows wholly empty are left out, and the index is the line's number in the file.
+        Columns with the names of `form`: numbers as float64, NaN if empty; text as text. A missing optional column is
+        all NaN. Empty rows are left out, and the index is the line number in the file.
 
     Raises
     ------
     ImportFileError
-        For a file that is not such a table. The message names the file, the column and, where one of the other
-        importers would read it, that one.
+        If the file is not such a table. The message names the file and the column, and the importer that would read
+        the file if there is one.
     """
     content = _content(path)
     first = content.split(b"\n", 1)[0].rstrip(b"\r")
@@ -178,7 +195,7 @@ def read(path: Path, form: Format) -> pd.DataFrame:
 
 
 def _content(path: Path) -> bytes:
-    """Return what the file holds, unpacked."""
+    """Return the content of a file, unpacked."""
     try:
         content = path.read_bytes()
         if content[:2] == b"\x1f\x8b":
@@ -193,7 +210,7 @@ def _content(path: Path) -> bytes:
 
 
 def _plain(name: str) -> str:
-    """Return a column's name without what differs between the files: case, spaces, degree signs, stray brackets.
+    """Return a column's name without the differences between files: case, spaces, degree signs, stray brackets.
 
     >>> _plain("Velocity [km/h]]]") == _plain("velocity [km/h] ")
     True
@@ -202,12 +219,13 @@ def _plain(name: str) -> str:
     return re.sub(r"\]+$", "]", re.sub(r"\s+", " ", ascii_only).strip())
 
 
-def _header(first: bytes, form: Format) -> list[str]:
+def _header(first: bytes, form: TableFormat) -> list[str]:
+    """Return the column names of a header line in their plain form."""
     return [_plain(name) for name in first.decode("latin-1").split(form.separator)]
 
 
-def _wrong_header(path: Path, first: bytes, form: Format, missing: Sequence[str]) -> str:
-    """Say which column is missing, and which importer would read the file."""
+def _wrong_header(path: Path, first: bytes, form: TableFormat, missing: Sequence[str]) -> str:
+    """Return a message that names the missing column, and the importer that would read the file."""
     more = f" (and {len(missing) - 1} more)" if len(missing) > 1 else ""
     text = f"{path}: has no column '{missing[0]}'{more}, so it is not a file of {form.title}"
     for other in FORMATS:
@@ -216,8 +234,8 @@ def _wrong_header(path: Path, first: bytes, form: Format, missing: Sequence[str]
     return text
 
 
-def _check_widths(path: Path, content: bytes, form: Format) -> None:
-    """Refuse rows longer or shorter than the header, as a broken download leaves them, empty cells at the end aside."""
+def _check_widths(path: Path, content: bytes, form: TableFormat) -> None:
+    """Reject rows longer or shorter than the header (a broken download); ignore empty cells at the end."""
     separator = form.separator.encode()
     first, *lines = content.split(b"\n")
     most, least = first.count(separator), first.rstrip(separator + b"\r ").count(separator)
@@ -227,12 +245,12 @@ def _check_widths(path: Path, content: bytes, form: Format) -> None:
             filled = line.rstrip(separator + b"\r ").count(separator)
             if cells < least or filled > most:
                 raise ImportFileError(
-                    f"{path}: line {number} has {cells + 1} cells, the header {most + 1}; is it whole?"
+                    f"{path}: line {number} has {cells + 1} cells, the header {most + 1}; download the file again"
                 )
 
 
-def _parse(path: Path, content: bytes, form: Format, places: list[int]) -> pd.DataFrame:
-    """Return the columns at `places`, whatever pandas makes of them."""
+def _parse(path: Path, content: bytes, form: TableFormat, places: list[int]) -> pd.DataFrame:
+    """Return the columns at `places` with the types that pandas infers."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", pd.errors.ParserWarning)
@@ -256,7 +274,7 @@ def _parse(path: Path, content: bytes, form: Format, places: list[int]) -> pd.Da
 
 
 def _numbers(path: Path, column: "pd.Series[Any]") -> "pd.Series[float]":
-    """Return a column as float64; text where a number belongs is an error that names its line."""
+    """Return a column as float64, or raise an error that names the line of text in place of a number."""
     if column.dtype.kind not in "fiu":
         texts = column.astype(str)
         numbers = pd.to_numeric(texts, errors="coerce")

@@ -1,32 +1,34 @@
-"""From rows at a car's own, uneven pace to evenly spaced samples that keep the integrals."""
+"""Resample the unevenly spaced rows of a car to evenly spaced samples and keep the integrals."""
 
 import numpy as np
 
 from core.batch import Floats, Ints
 
 LONGEST_HOLD = 30.0
-"""A row stands for the time up to the next one, unless that is farther off than this: then nobody logged. [s]"""
+"""A row is valid until the next one. If the next one is later than this, the time between is a gap. [s]"""
 
 
-def grid(duration: float, period: float) -> Floats:
+def make_grid(duration: float, period: float) -> Floats:
     """Return evenly spaced sample times from 0 to `duration`, both included.
-
-    The spacing is the one nearest to `period` that divides `duration`, so that no part of a drive is left over.
 
     Parameters
     ----------
-    duration : float. [s]
-    period : float. Time between two samples that is aimed at. [s]
+    duration : float
+        Duration of the drive. [s]
+    period : float
+        Desired time between two samples. [s]
 
     Returns
     -------
-    (m,) float64 [s]
+    (m,) float64
+        Times of the samples. The spacing is the one nearest to `period` that divides `duration`, so that the samples
+        cover the whole drive. [s]
 
     Examples
     --------
-    >>> grid(10.0, 3.0).tolist()
+    >>> make_grid(10.0, 3.0).tolist()
     [0.0, 3.3333333333333335, 6.666666666666667, 10.0]
-    >>> grid(0.0, 3.0).tolist()
+    >>> make_grid(0.0, 3.0).tolist()
     [0.0]
     """
     if duration <= 0:
@@ -34,14 +36,17 @@ def grid(duration: float, period: float) -> Floats:
     return np.linspace(0.0, duration, max(1, round(duration / period)) + 1)
 
 
-def held_rows(times: Floats, at: Floats, longest_hold: float = LONGEST_HOLD) -> Ints:
-    """Return for each moment the row whose values hold then; -1 where nobody logged.
+def find_valid_rows(times: Floats, at: Floats, longest_hold: float = LONGEST_HOLD) -> Ints:
+    """Return for each moment the index of the row that is valid then, or -1 in a gap.
 
     Parameters
     ----------
-    times : (n,) float64. When each row was written, ascending. [s]
-    at : (m,) float64. Moments. [s]
-    longest_hold : float. Longest time for which a row stands. [s]
+    times : (n,) float64
+        Time of each row, ascending. [s]
+    at : (m,) float64
+        Moments. [s]
+    longest_hold : float
+        Longest time for which a row is valid. [s]
 
     Returns
     -------
@@ -49,7 +54,7 @@ def held_rows(times: Floats, at: Floats, longest_hold: float = LONGEST_HOLD) -> 
 
     Examples
     --------
-    >>> held_rows(np.array([0.0, 1.0, 100.0]), np.array([0.5, 1.0, 50.0, 100.0])).tolist()
+    >>> find_valid_rows(np.array([0.0, 1.0, 100.0]), np.array([0.5, 1.0, 50.0, 100.0])).tolist()
     [0, 1, -1, 2]
     """
     rows = np.searchsorted(times, at, side="right") - 1
@@ -58,31 +63,38 @@ def held_rows(times: Floats, at: Floats, longest_hold: float = LONGEST_HOLD) -> 
     return np.where(unknown, -1, rows)
 
 
-def held_means(times: Floats, values: Floats, at: Floats, width: float, longest_hold: float = LONGEST_HOLD) -> Floats:
-    """Return the means of a quantity over windows centred on `at`, each row's value holding until the next row.
+def compute_window_means(
+    times: Floats, values: Floats, at: Floats, width: float, longest_hold: float = LONGEST_HOLD
+) -> Floats:
+    """Return the means of a quantity over windows centred on `at`; each row is valid until the next row.
 
     Parameters
     ----------
-    times : (n,) float64. When each row was written, ascending. [s]
-    values : (n,) float64. NaN where unknown.
-    at : (m,) float64. Centres of the windows. [s]
-    width : float. Width of a window; it is cut off at the first and last row. [s]
-    longest_hold : float. Longest time for which a row stands. [s]
+    times : (n,) float64
+        Time of each row, ascending. [s]
+    values : (n,) float64
+        Value of each row, NaN if unknown.
+    at : (m,) float64
+        Centres of the windows. [s]
+    width : float
+        Width of a window, cut off at the first and last row. [s]
+    longest_hold : float
+        Longest time for which a row is valid. [s]
 
     Returns
     -------
     (m,) float64
-        Mean over the known part of each window, the value itself where the window has no width, NaN where nothing
-        is known.
+        Mean over the known part of each window, the value itself if the window has no width, NaN if nothing is known.
 
     Notes
     -----
-    With `at` spaced by `width` from the first row to the last, the trapezoid rule over the means is the integral of
-    the rows: each inner mean stands for its whole window, the first and the last for the half that lies inside.
+    If `at` is spaced by `width` from the first row to the last, the trapezoid rule over the means equals the integral
+    of the rows. Each inner mean covers its whole window; the first and the last cover the half that lies inside.
 
     Examples
     --------
-    >>> held_means(np.arange(4.0), np.array([2.0, 4.0, 4.0, 0.0]), np.array([0.0, 1.5, 3.0]), 1.5).round(3).tolist()
+    >>> means = compute_window_means(np.arange(4.0), np.array([2.0, 4.0, 4.0, 0.0]), np.array([0.0, 1.5, 3.0]), 1.5)
+    >>> means.round(3).tolist()
     [2.0, 3.667, 4.0]
     """
     step = np.diff(times)
@@ -92,6 +104,6 @@ def held_means(times: Floats, values: Floats, at: Floats, width: float, longest_
     low, high = at - width / 2, at + width / 2
     span = np.interp(high, times, known) - np.interp(low, times, known)
     total = np.interp(high, times, integral) - np.interp(low, times, integral)
-    rows = held_rows(times, at, longest_hold)
+    rows = find_valid_rows(times, at, longest_hold)
     instant = np.where(rows >= 0, values[rows], np.nan) if len(times) == 1 else np.full(len(at), np.nan)
     return np.divide(total, span, out=instant, where=span > 1e-9)

@@ -1,15 +1,17 @@
-"""The RSK Twizy dataset: a Renault Twizy in Rabat, Salé and Kénitra, 2021, logged at 1 Hz without voltage and current.
+"""Import the RSK Twizy dataset: a Renault Twizy in Rabat, Salé and Kénitra, 2021, logged at 1 Hz.
+
+The data set has neither voltage nor current.
 
 Notes
 -----
-*Time.* `Date` and `Time` are taken for local time in Rabat. In some rows the date is garbled (`90/02/2032`) while the
-time runs on: those take the date of the row before.
+*Time.* The importer takes `Date` and `Time` as local time in Rabat. Some rows have a garbled date (`90/02/2032`) while
+their time continues: they get the date of the row before.
 
-*Speed* is the wheels', `Speed`; `GpsSpeed` lags by up to 20 s. *Positions* hold for 12 to 20 s and then jump, and are
-passed on as they are, for cleaning to find.
+*Speed* is the speed of the wheels, `Speed`; `GpsSpeed` lags by up to 20 s. *Positions* stay for 12 to 20 s and then
+jump. The importer passes them on unchanged, so that cleaning detects them.
 
-*Weather* (temperature, humidity, mean wind in m/s, no direction) comes from a weather service and not from the car: it
-goes out as observations of a station in Rabat, when it changes and at the start of each drive.
+*Weather* (temperature, humidity, mean wind in m/s, no direction) comes from a weather service and not from the car. The
+importer sends it as observations of a station in Rabat, at the start of each drive and at every change.
 
 References
 ----------
@@ -18,7 +20,7 @@ battery-powered electric vehicles. Sustainability 14 (2022) 9993, DOI 10.3390/su
 https://github.com/NaitMalekYoussef/RSK_Twizy_EV_Dataset
 """
 
-from datetime import datetime, timedelta, tzinfo
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Final
 
@@ -28,8 +30,8 @@ import pandas as pd
 from core.batch import Floats
 from core.errors import ImportFileError
 from core.wire.messages import Weather
-from tools.importers.drive import LONGEST_DRIVE, Drive
-from tools.importers.published import TWIZY, read, stem
+from tools.importers.drive import LONGEST_DRIVE, Drive, ReadOptions
+from tools.importers.published import TWIZY, read_table, strip_suffixes
 
 MODEL: Final = "renault-twizy-2012"
 TIME_ZONE: Final = "Africa/Casablanca"
@@ -38,61 +40,63 @@ STATION: Final = "rabat"
 STATION_LATITUDE, STATION_LONGITUDE = 34.02, -6.84
 MS_IN_KMH: Final = 3.6
 
-_EPOCH: Final = datetime(1970, 1, 1)  # noqa: DTZ001 - reckons with local wall time
+_EPOCH: Final = datetime(1970, 1, 1)  # noqa: DTZ001 - local wall time
 
 
-def read_drives(path: Path, zone: tzinfo) -> list[Drive]:
-    """Read one drive.
+def read_drives(path: Path, options: ReadOptions) -> list[Drive]:
+    """Read the drive of one file.
 
     Parameters
     ----------
     path : Path
-    zone : tzinfo. That of `Date` and `Time`.
+        The file.
+    options : ReadOptions
+        Time zone of `Date` and `Time`; the selection of vehicles does not apply.
 
     Returns
     -------
     list of Drive
-        One.
+        The one drive of the file.
 
     Raises
     ------
     ImportFileError
-        If it is not such a file, or no date or time in it can be read.
+        If the file has another format, or none of its dates or times is readable.
     """
-    table = read(path, TWIZY)
+    table = read_table(path, TWIZY)
     wall, notes = _wall_times(path, table)
     known = np.isfinite(wall)
     order = np.flatnonzero(known)[np.argsort(wall[known], kind="stable")]
     wall = wall[order]
     if wall[-1] - wall[0] > LONGEST_DRIVE:
         raise ImportFileError(
-            f"{path}: column 'Time' spans {wall[-1] - wall[0]:g} s; a drive has {LONGEST_DRIVE:g} at most"
+            f"{path}: column 'Time' spans {wall[-1] - wall[0]:g} s; a drive has {LONGEST_DRIVE:g} s at most"
         )
-    of = {name: table[name].to_numpy()[order] for name in TWIZY.needed}
-    start = (_EPOCH + timedelta(seconds=float(wall[0]))).replace(tzinfo=zone).timestamp()
+    columns = {name: table[name].to_numpy()[order] for name in TWIZY.needed}
+    start = (_EPOCH + timedelta(seconds=float(wall[0]))).replace(tzinfo=options.zone).timestamp()
     elapsed = wall - wall[0]
     drive = Drive(
         vehicle_id=VEHICLE,
         model=MODEL,
-        ride_id=stem(path),
+        ride_id=strip_suffixes(path),
         start=start,
         elapsed=elapsed,
         rows={
-            "latitude_deg": of["LAT"],
-            "longitude_deg": of["LON"],
-            "elevation_m": of["ALT"],
-            "speed_kmh": of["Speed"],
-            "soc_pct": of["Soc"],
+            "latitude_deg": columns["LAT"],
+            "longitude_deg": columns["LON"],
+            "elevation_m": columns["ALT"],
+            "speed_kmh": columns["Speed"],
+            "soc_pct": columns["Soc"],
         },
         source=path.name,
-        weather=_weather(start + elapsed, of["Temperature"], of["Humidity"], of["WindSpeedAv"]),
+        weather=_observe_changes(start + elapsed, columns["Temperature"], columns["Humidity"], columns["WindSpeedAv"]),
         notes=tuple(notes),
     )
     return [drive]
 
 
 def _wall_times(path: Path, table: pd.DataFrame) -> tuple[Floats, list[str]]:
-    """Return each row's local time since 1970, NaN where it cannot be read, [s], and what was mended."""
+    """Return the local time of each row since 1970 [s], NaN if unreadable, and notes on what was repaired."""
     days = pd.to_datetime(table["Date"], format="%m/%d/%Y", errors="coerce")
     garbled = days.isna()
     if garbled.all():
@@ -105,33 +109,34 @@ def _wall_times(path: Path, table: pd.DataFrame) -> tuple[Floats, list[str]]:
     if garbled.any():
         example = table["Date"][garbled].iloc[0]
         notes.append(
-            f"{path.name}: {garbled.sum()} rows have no readable date (as '{example[:20]}'), took the row's before"
+            f"{path.name}: {garbled.sum()} rows have no readable date (such as '{example[:20]}'); "
+            "they get the date of the row before"
         )
     if unread.any():
-        notes.append(f"{path.name}: {unread.sum()} rows have no readable time, left out")
+        notes.append(f"{path.name}: {unread.sum()} rows have no readable time; they are left out")
     day = (days.ffill().bfill() - pd.Timestamp(_EPOCH)).dt.total_seconds()
     wall = day + (times - times.dt.normalize()).dt.total_seconds()
     return np.asarray(wall, dtype=np.float64), notes
 
 
-def _weather(stamps: Floats, celsius: Floats, humidity: Floats, wind: Floats) -> tuple[Weather, ...]:
-    """Return an observation for the first row and for every change."""
-    seen = np.column_stack((celsius, humidity, wind))
-    changed = np.flatnonzero(np.append(True, np.any(seen[1:] != seen[:-1], axis=1)))
+def _observe_changes(stamps: Floats, celsius: Floats, humidity: Floats, wind: Floats) -> tuple[Weather, ...]:
+    """Return an observation for the first row and for every row whose weather differs from the row before."""
+    weather = np.column_stack((celsius, humidity, wind))
+    changed = np.flatnonzero(np.append(True, np.any(weather[1:] != weather[:-1], axis=1)))
     return tuple(
         Weather(
             station_id=STATION,
             time_s=round(float(stamps[row]), 3),
             latitude_deg=STATION_LATITUDE,
             longitude_deg=STATION_LONGITUDE,
-            temperature_c=_known(celsius[row]),
-            wind_speed_kmh=_known(wind[row] * MS_IN_KMH),
-            humidity_pct=_known(humidity[row]),
+            temperature_c=_to_json_number(celsius[row]),
+            wind_speed_kmh=_to_json_number(wind[row] * MS_IN_KMH),
+            humidity_pct=_to_json_number(humidity[row]),
         )
         for row in changed
     )
 
 
-def _known(value: float) -> float | None:
-    """Return a number as JSON has it, None where unknown."""
+def _to_json_number(value: float) -> float | None:
+    """Return a number as JSON holds it: rounded, None if unknown."""
     return round(float(value), 3) if np.isfinite(value) else None

@@ -11,7 +11,6 @@ power of these very drives. `road_load_constant` reads neither, nor does any eff
 
 from functools import cache
 from typing import Any, NamedTuple
-from zoneinfo import ZoneInfo
 
 import numpy as np
 import pandas as pd
@@ -30,9 +29,9 @@ from core.models.features import EFFECT_PREFIX
 from core.pipeline import Pipeline
 from core.settings import Settings
 from tests.support.paths import ROOT
-from tools.commands.import_drives import collect
-from tools.importers import bmw_i3, ved
-from tools.importers.drive import messages
+from tools.commands.import_drives import collect_drives
+from tools.importers.data_sets import DATA_SETS
+from tools.importers.drive import make_messages
 
 DATA = ROOT.parent / "shared" / "data"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"the public data sets are not at {DATA}")
@@ -67,11 +66,9 @@ class Found(NamedTuple):
 def found(car: str) -> Found:
     """Import a car's drives and diagnose them, without their climate power."""
     if car == "ved":
-        drives, settings = collect([DATA / "ved_ev"], lambda path: ved.read_drives(path, ZoneInfo(ved.TIME_ZONE))), None
+        drives, settings = collect_drives([DATA / "ved_ev"], DATA_SETS["ved"]), None
     else:
-        overview = bmw_i3.read_overview(DATA / "bmw_i3" / bmw_i3.OVERVIEW)
-        zone, settings = ZoneInfo(bmw_i3.TIME_ZONE), Settings(speed_limit=180 * KMH)
-        drives = collect([DATA / "bmw_i3"], lambda path: bmw_i3.read_drives(path, zone, overview))
+        drives, settings = collect_drives([DATA / "bmw_i3"], DATA_SETS["bmw-i3"]), Settings(speed_limit=180 * KMH)
     withheld = [
         drive._replace(rows={name: rows for name, rows in drive.rows.items() if name != "hvac_w"}) for drive in drives
     ]
@@ -85,7 +82,7 @@ def found(car: str) -> Found:
 def tables(drives, settings: Settings) -> Tables:
     """Return what `socast tables` makes of drives."""
     pipeline = Pipeline(settings=settings, also=list(effects.list_tabulated()), keep_forecasts=False)
-    pipeline.push(messages(drives, PERIOD))
+    pipeline.push(make_messages(drives, PERIOD))
     pipeline.finish()
     return Tables(pipeline.take_rides(), pipeline.take_windows())
 

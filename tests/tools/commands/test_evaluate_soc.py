@@ -3,7 +3,6 @@
 import json
 import re
 from io import StringIO
-from zoneinfo import ZoneInfo
 
 import pytest
 from rich.console import Console
@@ -16,9 +15,9 @@ from tests.support.soc_frames import told
 from tests.tools.report.test_evaluation import read
 from tools.cli import main
 from tools.commands import evaluate_soc as command
-from tools.commands.import_drives import collect, write
-from tools.importers import ved
-from tools.importers.shifts import strung
+from tools.commands.import_drives import collect_drives, write_recording
+from tools.importers.data_sets import DATA_SETS
+from tools.importers.synthetic_shifts import concatenate_drives
 from tools.report.soc import figures as drawn
 from tools.report.soc import page as report
 from tools.report.soc import risk_tables
@@ -105,10 +104,10 @@ def test_a_recording_too_short_to_learn_from_is_refused_in_one_line(capsys):
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason=f"the public data sets are not at {DATA}")
-def test_real_drives_strung_into_shifts_are_judged_by_what_they_became(tmp_path):
-    drives = collect([DATA / "ved_ev"], lambda path: ved.read_drives(path, ZoneInfo(ved.TIME_ZONE)))
-    shifts = strung(drives, 2.0)
-    write(drives, tmp_path / "ved.mcap", 3.0, shift_hours=2.0)
+def test_real_drives_in_synthetic_shifts_are_evaluated_against_their_end(tmp_path):
+    drives = collect_drives([DATA / "ved_ev"], DATA_SETS["ved"])
+    shifts = concatenate_drives(drives, 2.0)
+    write_recording(drives, tmp_path / "ved.mcap", 3.0, shift_hours=2.0)
     with pytest.raises(SystemExit) as ended:
         main(["evaluate-soc", str(tmp_path / "ved.mcap"), "--json", str(tmp_path / "s.json")])
     assert not ended.value.code
