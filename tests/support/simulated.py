@@ -11,7 +11,7 @@ from tools.simulator import physics
 from tools.simulator.cars import make_car
 from tools.simulator.fleet import simulate
 from tools.simulator.settings import (
-    ALL,
+    ALL_PHENOMENA,
     NO_FAULTS,
     Simulation,
 )
@@ -26,21 +26,21 @@ SMALL = Simulation(vehicles=3, start=WINTER, shift_hours=1.0, seed=11)
 PERFECT = replace(SMALL, faults=NO_FAULTS)
 
 
-def run(simulation):
+def run_simulation(simulation):
     truth = Truth()
     return list(simulate(simulation, truth)), truth
 
 
-def samples(messages, vehicle=None):
+def decode_samples(messages, vehicle=None):
     wanted = [m for m in messages if address(m.key).kind == "telemetry" and (vehicle is None or vehicle in m.key)]
     return [msgspec.json.decode(m.payload, type=Telemetry) for m in wanted]
 
 
-def driven(start=WINTER, hours=2.0, seed=5, phenomena=ALL, model="kia-soul-ev-2015"):
+def drive_one_shift(start=WINTER, hours=2.0, seed=5, phenomena=ALL_PHENOMENA, model="kia-soul-ev-2015"):
     sky = make_sky(start.timestamp(), 1, seed)
     car = make_car(model, np.random.default_rng(seed))
     rng = np.random.default_rng([seed, 1])
     ambient = float(sky.temperature[24])
     shift = make_shift("r", start.timestamp(), draw_orders(hours, rng), car, ambient, NO_FAULTS, rng)
     trace = make_trace(shift, sky)
-    return shift, trace, car, physics.run(trace, car, shift.soc, phenomena)
+    return shift, trace, car, physics.integrate_states(trace, car, shift.soc, phenomena)

@@ -10,11 +10,11 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from stream.mcap_writer import McapSink
-from tools.simulator.fleet import shifts
+from tools.simulator.fleet import count_shifts
 from tools.simulator.fleet import simulate as messages_of
 from tools.simulator.hidden import EFFECTS
 from tools.simulator.hidden_shapes import OTHER
-from tools.simulator.preset import PRESETS, load, refuse_idle
+from tools.simulator.preset import PRESETS, load_preset, refuse_unused_settings
 from tools.simulator.settings import (
     CHARGING,
     LOW,
@@ -114,12 +114,12 @@ def simulate(
         "rides": rides,
     }
     size = {name: value for name, value in size.items() if value is not None}
-    refuse_idle(preset, list(size))
+    refuse_unused_settings(preset, list(size))
     simulation = Simulation(
         start=parse_start(start),
         seed=seed,
         hidden=tuple(parse_hidden(text) for text in hidden or ()),
-        faults=parse_faults(faults, Faults() if preset is None else load(preset).fleet.faults),
+        faults=parse_faults(faults, Faults() if preset is None else load_preset(preset).fleet.faults),
         phenomena=parse_phenomena(phenomena),
         preset=preset,
         charging=charging,
@@ -165,7 +165,7 @@ def record(simulation: Simulation, out: Path) -> Truth:
     console = Console(stderr=True)
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        bar = progress.add_task("driving shifts", total=shifts(simulation))
+        bar = progress.add_task("driving shifts", total=count_shifts(simulation))
         messages = messages_of(simulation, truth, lambda shifts: progress.advance(bar, shifts))
         with McapSink(out) as sink:
             while block := list(islice(messages, BLOCK)):

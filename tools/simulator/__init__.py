@@ -1,7 +1,7 @@
 """A fleet, its city, its weather and its faulty loggers; physics richer than the models that are fitted to it."""
 
 from tools.simulator.fleet import simulate
-from tools.simulator.settings import NO_FAULTS, PLAIN, Faults, Hidden, Phenomena, Simulation
+from tools.simulator.settings import NO_FAULTS, PLAIN_PHENOMENA, Faults, Hidden, Phenomena, Simulation
 from tools.simulator.truth import Truth
 
-__all__ = ["NO_FAULTS", "PLAIN", "Faults", "Hidden", "Phenomena", "Simulation", "Truth", "simulate"]
+__all__ = ["NO_FAULTS", "PLAIN_PHENOMENA", "Faults", "Hidden", "Phenomena", "Simulation", "Truth", "simulate"]

@@ -7,28 +7,28 @@ import numpy as np
 
 from core.batch import Floats, Ints
 from core.errors import SettingsError
-from tools.simulator.hidden import View
+from tools.simulator.hidden import EffectInputs
 from tools.simulator.hidden_shapes import POWERS
 from tools.simulator.settings import STEP, Hidden
 from tools.simulator.shift import NO_RIDE
 
 
-class Ledger(NamedTuple):
+class EffectEnergies(NamedTuple):
     """Energies of some rides: of the battery without hidden effects, and of each effect at natural size. [J]."""
 
     battery: Floats
     effects: Floats
 
 
-def ledger(view: View, ride: Ints, hidden: Iterable[Hidden]) -> Ledger:
+def sum_energies(view: EffectInputs, ride: Ints, hidden: Iterable[Hidden]) -> EffectEnergies:
     """Return the energies of the rides of a shift. `battery` (rides,), `effects` (rides, effects)."""
     powers = [view.state.parts.sum(axis=1), *(POWERS[effect](view) for effect, _ in hidden)]
     inside = ride != NO_RIDE
     sums: list[Floats] = [np.bincount(ride[inside], power[inside]).astype(float) * STEP for power in powers]
-    return Ledger(sums[0], np.stack(sums[1:], axis=1))
+    return EffectEnergies(sums[0], np.stack(sums[1:], axis=1))
 
 
-def calibrate(books: list[Ledger], hidden: tuple[Hidden, ...]) -> list[float]:
+def calibrate_effects(pilot: list[EffectEnergies], hidden: tuple[Hidden, ...]) -> list[float]:
     """Return the factor by which each effect has to be multiplied.
 
     Notes
@@ -41,8 +41,8 @@ def calibrate(books: list[Ledger], hidden: tuple[Hidden, ...]) -> list[float]:
     SettingsError
         For an effect that has nothing to act on, such as cooling in January.
     """
-    battery = float(np.concatenate([book.battery for book in books]).sum())
-    effects = np.concatenate([book.effects for book in books])
+    battery = float(np.concatenate([energies.battery for energies in pilot]).sum())
+    effects = np.concatenate([energies.effects for energies in pilot])
     absolute, signed = np.abs(effects).sum(axis=0), effects.sum(axis=0)
     for (effect, size), energy in zip(hidden, absolute, strict=True):
         if energy < 1e-5 * battery:
@@ -55,7 +55,7 @@ def calibrate(books: list[Ledger], hidden: tuple[Hidden, ...]) -> list[float]:
     return [float(factor) for factor in sizes * total / absolute]
 
 
-def check(hidden: tuple[Hidden, ...]) -> None:
+def check_effects(hidden: tuple[Hidden, ...]) -> None:
     """Refuse an effect that does not exist.
 
     Raises

@@ -111,7 +111,7 @@ def make_car(model: str, rng: np.random.Generator, traits: Mapping[str, float] |
     )
 
 
-def aged(car: Car, odometer: float) -> Car:
+def age_car(car: Car, odometer: float) -> Car:
     """Return a car as it will be at another reading of its odometer [m]: its battery wears in proportion."""
     return car._replace(odometer=odometer, wear=min(0.4, car.wear * odometer / car.odometer))
 

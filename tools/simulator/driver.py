@@ -11,7 +11,7 @@ from tools.simulator.settings import STEP
 from tools.simulator.world import BOULEVARD, EXPRESSWAY, RESIDENTIAL, Route
 
 
-class Style(NamedTuple):
+class DrivingStyle(NamedTuple):
     """How somebody drives: over the limit by a factor, and at which accelerations. [1], [m/s^2]."""
 
     pace: float
@@ -33,17 +33,17 @@ class Motion(NamedTuple):
     after: Floats
 
 
-def make_style(rng: np.random.Generator) -> Style:
+def make_style(rng: np.random.Generator) -> DrivingStyle:
     """Draw a driver."""
-    return Style(float(rng.normal(1.02, 0.05)), float(rng.uniform(1.3, 2.3)), float(rng.uniform(1.4, 2.3)))
+    return DrivingStyle(float(rng.normal(1.02, 0.05)), float(rng.uniform(1.3, 2.3)), float(rng.uniform(1.4, 2.3)))
 
 
-def congestion(clock: float) -> float:
+def compute_congestion(clock: float) -> float:
     """Return how dense the traffic is at an hour of the local day, 0 to 1. [1]."""
     return float(np.exp(-(((clock - 8.2) / 1.3) ** 2)) + np.exp(-(((clock - 17.2) / 1.6) ** 2)))
 
 
-def drive(route: Route, style: Style, traffic: float, rng: np.random.Generator) -> Motion:
+def drive_route(route: Route, style: DrivingStyle, traffic: float, rng: np.random.Generator) -> Motion:
     """Drive a route.
 
     Parameters
@@ -70,7 +70,7 @@ def drive(route: Route, style: Style, traffic: float, rng: np.random.Generator) 
 
 @njit(cache=True)
 def _drive(
-    length: Floats, limit: Floats, cap: Floats, wait: Floats, style: Style, mood: Floats, steps: int
+    length: Floats, limit: Floats, cap: Floats, wait: Floats, style: DrivingStyle, mood: Floats, steps: int
 ) -> tuple[Floats, Floats, Floats]:
     """Step through a route; `cap` is what the end of each segment allows, made reachable by braking in time."""
     for i in range(len(cap) - 2, -1, -1):

@@ -12,15 +12,15 @@ from core.wire.messages import Message, Plan, Ride, Vehicle, Wire, encode
 from tools.simulator import calibration, physics
 from tools.simulator import preset as presets
 from tools.simulator.cars import Car, make_car
-from tools.simulator.hidden import View
+from tools.simulator.hidden import EffectInputs
 from tools.simulator.hidden_shapes import POWERS
-from tools.simulator.logger import Equipment, log, make_equipment
-from tools.simulator.preset import Duty, Fleet, Place
-from tools.simulator.settings import LOCAL, NIGHT, STEP, Simulation
-from tools.simulator.shift import Orders, Shift, draw_orders, make_shift, stopped
+from tools.simulator.logger import Equipment, log_shift, make_equipment
+from tools.simulator.preset import Fleet, PlannedCar, PlannedShift
+from tools.simulator.settings import NIGHT, STEP, UTC_OFFSET, Simulation
+from tools.simulator.shift import Orders, Shift, draw_orders, make_shift, stop_shift
 from tools.simulator.trace import Trace, make_trace
 from tools.simulator.truth import Truth
-from tools.simulator.weather import Sky, make_sky, observations
+from tools.simulator.weather import Sky, make_observations, make_sky
 
 DAY: Final = 86400.0
 PILOT: Final = 240
@@ -29,7 +29,7 @@ RESERVE: Final = 10.0
 """State of charge that dispatch keeps. [%]"""
 
 
-class Member(NamedTuple):
+class FleetCar(NamedTuple):
     """A car of the fleet; `duties` are its shifts where a preset has laid them down."""
 
     number: int
@@ -37,18 +37,18 @@ class Member(NamedTuple):
     model: str
     car: Car
     equipment: Equipment
-    duties: list[Duty] | None = None
+    planned_shifts: list[PlannedShift] | None = None
 
-    def shifts(self, simulation: Simulation) -> int:
+    def count_shifts(self, simulation: Simulation) -> int:
         """Return how many shifts it drives."""
-        return simulation.days if self.duties is None else len(self.duties)
+        return simulation.days if self.planned_shifts is None else len(self.planned_shifts)
 
 
-class Driven(NamedTuple):
+class DrivenShift(NamedTuple):
     """A shift that has been driven, without hidden effects."""
 
     shift: Shift
-    view: View
+    view: EffectInputs
 
 
 def simulate(
@@ -71,10 +71,10 @@ def simulate(
     -----
     Deterministic for a seed; each car's each shift draws from a stream of its own.
     """
-    calibration.check(simulation.hidden)
+    calibration.check_effects(simulation.hidden)
     record = Truth() if truth is None else truth
     members = make_members(simulation)
-    sky = sky_over(simulation)
+    sky = make_fleet_sky(simulation)
     factors = _factors(simulation, members, sky)
     record.describe(
         simulation, {hidden.effect: factor for hidden, factor in zip(simulation.hidden, factors, strict=True)}
@@ -82,13 +82,13 @@ def simulate(
     for member in members:
         record.add_car(member.name, member.model, member.car, member.equipment)
     streams = [_drive(simulation, member, sky, factors, record, advance) for member in members]
-    return with_weather(heapq.merge(*streams, key=attrgetter("receipt_ns")), simulation, sky)
+    return merge_weather(heapq.merge(*streams, key=attrgetter("receipt_ns")), simulation, sky)
 
 
-def with_weather(fleet: Iterator[Message], simulation: Simulation, sky: Sky) -> Iterator[Message]:
+def merge_weather(fleet: Iterator[Message], simulation: Simulation, sky: Sky) -> Iterator[Message]:
     """Merge the stations' observations in, from the hour before the fleet's first message to its last."""
     opening = next(fleet)
-    weather = iter(observations(sky, opening.receipt_ns / 1e9, float(sky.time[-1]), simulation.seed))
+    weather = iter(make_observations(sky, opening.receipt_ns / 1e9, float(sky.time[-1]), simulation.seed))
     waiting = next(weather, None)
     for message in _chain(opening, fleet):
         while waiting is not None and waiting.receipt_ns <= message.receipt_ns:
@@ -102,62 +102,64 @@ def _chain(first: Message, others: Iterator[Message]) -> Iterator[Message]:
     yield from others
 
 
-def shifts(simulation: Simulation) -> int:
+def count_shifts(simulation: Simulation) -> int:
     """Return how many shifts the fleet will drive."""
-    return sum(member.shifts(simulation) for member in make_members(simulation))
+    return sum(member.count_shifts(simulation) for member in make_members(simulation))
 
 
-def make_members(simulation: Simulation) -> list[Member]:
+def make_members(simulation: Simulation) -> list[FleetCar]:
     """Return the cars and their loggers."""
     if simulation.preset is None:
         return [_member(simulation, index) for index in range(simulation.vehicles)]
-    preset = presets.load(simulation.preset)
-    places = presets.plan(preset, simulation.rides, simulation.seed)
+    preset = presets.load_preset(simulation.preset)
+    places = presets.plan_cars(preset, simulation.rides, simulation.seed)
     return [_placed(simulation, index, place, preset.fleet) for index, place in enumerate(places)]
 
 
-def _member(simulation: Simulation, index: int) -> Member:
+def _member(simulation: Simulation, index: int) -> FleetCar:
     """Draw a car and its logger."""
     rng = np.random.default_rng([simulation.seed, 3, index])
     model = simulation.models[index % len(simulation.models)]
     car = make_car(model, rng)
-    return Member(index, f"taxi-{index + 1:03d}", model, car, make_equipment(simulation.faults, rng))
+    return FleetCar(index, f"taxi-{index + 1:03d}", model, car, make_equipment(simulation.faults, rng))
 
 
-def _placed(simulation: Simulation, index: int, place: Place, fleet: Fleet) -> Member:
+def _placed(simulation: Simulation, index: int, place: PlannedCar, fleet: Fleet) -> FleetCar:
     """Draw a car of a preset, and its logger."""
     rng = np.random.default_rng([simulation.seed, 3, index])
     car = make_car(place.model, rng, place.traits)
     lacks = [field for field in make_equipment(simulation.faults, rng).lacks if field in fleet.may_lack]
     equipment = Equipment((*fleet.never_sends, *lacks))
-    return Member(index, f"taxi-{index + 1:03d}", place.model, car, equipment, place.duties)
+    return FleetCar(index, f"taxi-{index + 1:03d}", place.model, car, equipment, place.planned_shifts)
 
 
-def sky_over(simulation: Simulation) -> Sky:
+def make_fleet_sky(simulation: Simulation) -> Sky:
     """Return the weather of all days, and of the nights after the last."""
     first = simulation.start.timestamp()
     if simulation.preset is None:
         return make_sky(first, simulation.days * simulation.day_step, simulation.seed)
-    fleet = presets.load(simulation.preset).fleet
+    fleet = presets.load_preset(simulation.preset).fleet
     return make_sky(first, presets.YEAR, simulation.seed, (fleet.coldest, fleet.hottest))
 
 
-def _factors(simulation: Simulation, members: list[Member], sky: Sky) -> list[float]:
+def _factors(simulation: Simulation, members: list[FleetCar], sky: Sky) -> list[float]:
     """Return the factor of each hidden effect, from a pilot over the fleet's own shifts."""
     if not simulation.hidden:
         return []
-    most = max(member.shifts(simulation) for member in members)
-    all_of = [(member, number) for number in range(most) for member in members if number < member.shifts(simulation)]
+    most = max(member.count_shifts(simulation) for member in members)
+    all_of = [
+        (member, number) for number in range(most) for member in members if number < member.count_shifts(simulation)
+    ]
     spread = np.unique(np.linspace(0, len(all_of) - 1, min(PILOT, len(all_of))).astype(int))
-    books = []
+    pilot = []
     for index in spread:
         member, number = all_of[index]
         driven = drive_shift(simulation, member, number, sky)
-        books.append(calibration.ledger(driven.view, driven.shift.course.ride, simulation.hidden))
-    return calibration.calibrate(books, simulation.hidden)
+        pilot.append(calibration.sum_energies(driven.view, driven.shift.timeline.ride, simulation.hidden))
+    return calibration.calibrate_effects(pilot, simulation.hidden)
 
 
-def drive_shift(simulation: Simulation, member: Member, number: int, sky: Sky) -> Driven:
+def drive_shift(simulation: Simulation, member: FleetCar, number: int, sky: Sky) -> DrivenShift:
     """Drive one car's shift of a number, without hidden effects."""
     rng = np.random.default_rng([simulation.seed, 4, member.number, number])
     begin, orders, car = _called(simulation, member, number, rng)
@@ -166,11 +168,13 @@ def drive_shift(simulation: Simulation, member: Member, number: int, sky: Sky) -
         orders = orders._replace(charge_below=-np.inf)
     shift = make_shift(f"{member.name}-{number:03d}", begin, orders, car, ambient, simulation.faults, rng)
     trace = make_trace(shift, sky)
-    driven = Driven(shift, View(trace, physics.run(trace, car, shift.soc, simulation.phenomena), car))
-    return until_empty(driven) if simulation.charging == NIGHT else driven
+    driven = DrivenShift(
+        shift, EffectInputs(trace, physics.integrate_states(trace, car, shift.soc, simulation.phenomena), car)
+    )
+    return cut_when_empty(driven) if simulation.charging == NIGHT else driven
 
 
-def until_empty(driven: Driven) -> Driven:
+def cut_when_empty(driven: DrivenShift) -> DrivenShift:
     """Return a shift up to the step at which its battery is empty: there the car stops."""
     shift, view = driven
     empty = np.flatnonzero(view.state.soc <= 0.0)
@@ -179,28 +183,30 @@ def until_empty(driven: Driven) -> Driven:
     steps = int(empty[0]) + 1
     trace = Trace._make(column[:steps] for column in view.trace)
     state = physics.State._make(column[:steps] for column in view.state)
-    return Driven(stopped(shift, steps), view._replace(trace=trace, state=state))
+    return DrivenShift(stop_shift(shift, steps), view._replace(trace=trace, state=state))
 
 
-def _called(simulation: Simulation, member: Member, number: int, rng: np.random.Generator) -> tuple[float, Orders, Car]:
+def _called(
+    simulation: Simulation, member: FleetCar, number: int, rng: np.random.Generator
+) -> tuple[float, Orders, Car]:
     """Return when a shift begins [s], what dispatch wants of it, and the car as it is then."""
-    if simulation.preset is None or member.duties is None:
+    if simulation.preset is None or member.planned_shifts is None:
         begin = _begin(simulation, number * simulation.day_step, (5.5, 14.0), rng)
         return begin, draw_orders(simulation.shift_hours, rng), member.car
-    fleet, duty = presets.load(simulation.preset).fleet, member.duties[number]
+    fleet, duty = presets.load_preset(simulation.preset).fleet, member.planned_shifts[number]
     begin = _begin(simulation, duty.day, fleet.begin_h, rng)
-    return begin, presets.orders(fleet, duty), presets.on_the_day(fleet, member.car, duty, begin)
+    return begin, presets.make_orders(fleet, duty), presets.adapt_car(fleet, member.car, duty, begin)
 
 
 def _begin(simulation: Simulation, day: int, hours: tuple[float, float], rng: np.random.Generator) -> float:
     """Return when a shift of a day begins: between these hours of the day, or about the time that was given. [s]"""
     start = simulation.start.timestamp() + DAY * day
-    return float(np.floor(start + (rng.uniform(0, 300) if start % DAY else rng.uniform(*hours) * 3600 - LOCAL)))
+    return float(np.floor(start + (rng.uniform(0, 300) if start % DAY else rng.uniform(*hours) * 3600 - UTC_OFFSET)))
 
 
 def _drive(
     simulation: Simulation,
-    member: Member,
+    member: FleetCar,
     sky: Sky,
     factors: list[float],
     truth: Truth,
@@ -208,7 +214,7 @@ def _drive(
 ) -> Iterator[Message]:
     """Yield what one car sends, day after day."""
     odometer = member.car.odometer
-    for number in range(member.shifts(simulation)):
+    for number in range(member.count_shifts(simulation)):
         messages, odometer = _shift_messages(simulation, member, number, odometer, sky, factors, truth)
         yield from messages
         advance(1)
@@ -216,7 +222,7 @@ def _drive(
 
 def _shift_messages(
     simulation: Simulation,
-    member: Member,
+    member: FleetCar,
     number: int,
     odometer: float,
     sky: Sky,
@@ -225,20 +231,22 @@ def _shift_messages(
 ) -> tuple[list[Message], float]:
     """Return what one car sends on a shift, and its odometer [m] after it; note the truth."""
     shift, view = drive_shift(simulation, member, number, sky)
-    state, book = view.state, None
+    state, energies = view.state, None
     if factors:
         scaled = zip(factors, simulation.hidden, strict=True)
         hidden = sum((factor * POWERS[effect](view) for factor, (effect, _) in scaled), np.zeros(len(state.soc)))
-        book = calibration.ledger(view, shift.course.ride, simulation.hidden)
-        book = book._replace(effects=book.effects * factors)
-        state = physics.run(view.trace, view.car, shift.soc, simulation.phenomena, hidden)
-    messages, reading, faults = sent(simulation, member, number, Driven(shift, view._replace(state=state)), odometer)
-    truth.add_shift(member.name, shift, state, book, faults)
+        energies = calibration.sum_energies(view, shift.timeline.ride, simulation.hidden)
+        energies = energies._replace(effects=energies.effects * factors)
+        state = physics.integrate_states(view.trace, view.car, shift.soc, simulation.phenomena, hidden)
+    messages, reading, faults = make_car_messages(
+        simulation, member, number, DrivenShift(shift, view._replace(state=state)), odometer
+    )
+    truth.add_shift(member.name, shift, state, energies, faults)
     return messages, reading
 
 
-def sent(
-    simulation: Simulation, member: Member, number: int, driven: Driven, odometer: float
+def make_car_messages(
+    simulation: Simulation, member: FleetCar, number: int, driven: DrivenShift, odometer: float
 ) -> tuple[list[Message], float, Counter[str]]:
     """Return what a car sends on a shift, by time of receipt, its odometer [m] after it, and its logger's faults.
 
@@ -248,12 +256,14 @@ def sent(
     shift, view = driven
     rng = np.random.default_rng([simulation.seed, 5, member.number, number])
     car = view.car._replace(odometer=max(odometer, view.car.odometer))
-    logged, faults = log(member.name, shift, view.trace, view.state, car, member.equipment, simulation.faults, rng)
-    reading = car.odometer + float(shift.course.moved.sum()) * car.speedometer
+    logged, faults = log_shift(
+        member.name, shift, view.trace, view.state, car, member.equipment, simulation.faults, rng
+    )
+    reading = car.odometer + float(shift.timeline.moved.sum()) * car.speedometer
     return list(heapq.merge(_dispatch(member, shift), logged, key=attrgetter("receipt_ns"))), reading, faults
 
 
-def _dispatch(member: Member, shift: Shift) -> list[Message]:
+def _dispatch(member: FleetCar, shift: Shift) -> list[Message]:
     """Return what is sent beside telemetry: the car, its rides, and its plan, renewed as rides are done."""
     name, end = member.name, shift.time + shift.length
     serviced = np.datetime64("2018-01-01") - int(member.car.odometer / 1000 / 110)
@@ -261,7 +271,7 @@ def _dispatch(member: Member, shift: Shift) -> list[Message]:
     messages = [_message("vehicle", car, shift.time)]
     for done in range(len(shift.trips) + 1):
         when = shift.time if done == 0 else shift.time + STEP * shift.trips[done - 1].end
-        legs = [*(trip.planned for trip in shift.trips[done:] if trip.planned), *shift.undone]
+        legs = [*(trip.planned for trip in shift.trips[done:] if trip.planned), *shift.unstarted_legs]
         plan = Plan(vehicle_id=name, time_s=when, shift_end_s=end, reserve_soc_pct=RESERVE, legs=legs)
         messages.append(_message("plan", plan, when))
     for trip in shift.trips:

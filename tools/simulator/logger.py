@@ -15,11 +15,11 @@ from tools.simulator.physics import State
 from tools.simulator.settings import PERIOD, STEPS_PER_SAMPLE, Faults
 from tools.simulator.shift import NO_RIDE, Shift
 from tools.simulator.trace import Trace
-from tools.simulator.weather import autoregressive
+from tools.simulator.weather import draw_autoregressive
 from tools.simulator.world import to_wgs84
 
 FIELDS: Final = Telemetry.__struct_fields__
-LACKING: Final = {
+LACK_PROBABILITY: Final = {
     "wheel_speed": 0.45,
     "battery_voltage_v": 0.25,
     "ambient_c": 0.30,
@@ -66,14 +66,14 @@ class Equipment(NamedTuple):
 
 def make_equipment(faults: Faults, rng: np.random.Generator) -> Equipment:
     """Draw what a car's logger lacks."""
-    plain, draws = rng.uniform() < faults.unequipped, rng.uniform(size=len(LACKING))
-    lacks = [name for (name, rate), draw in zip(LACKING.items(), draws, strict=True) if plain and draw < rate]
+    plain, draws = rng.uniform() < faults.unequipped, rng.uniform(size=len(LACK_PROBABILITY))
+    lacks = [name for (name, rate), draw in zip(LACK_PROBABILITY.items(), draws, strict=True) if plain and draw < rate]
     if "battery_voltage_v" in lacks:
         lacks.append("battery_current_a")
     return Equipment(tuple(lacks))
 
 
-def log(
+def log_shift(
     name: str,
     shift: Shift,
     trace: Trace,
@@ -103,15 +103,15 @@ def log(
 def _measure(shift: Shift, trace: Trace, state: State, car: Car, faults: Faults, rng: np.random.Generator) -> Columns:
     """Return the samples as a logger without dropouts would take them, noise and quantisation included."""
     at = np.arange(STEPS_PER_SAMPLE - 1, len(trace.time), STEPS_PER_SAMPLE)
-    noise = [autoregressive(rng, len(at), keep) for keep in (0.9, 0.9, 0.5)]
+    noise = [draw_autoregressive(rng, len(at), keep) for keep in (0.9, 0.9, 0.5)]
     latitude, longitude = to_wgs84(trace.x[at] + faults.gps_noise * noise[0], trace.y[at] + faults.gps_noise * noise[1])
-    speed, soc = shift.course.after[at], np.clip(100 * state.soc[at], 0, 100)
+    speed, soc = shift.timeline.after[at], np.clip(100 * state.soc[at], 0, 100)
     if faults.quantised > 0:
         soc = np.floor(soc / car.soc_step) * car.soc_step
-    driven = car.odometer + np.cumsum(shift.course.moved)[at] * car.speedometer
+    driven = car.odometer + np.cumsum(shift.timeline.moved)[at] * car.speedometer
     return {
         "time_s": trace.time[at],
-        "ride_id": shift.course.ride[at],
+        "ride_id": shift.timeline.ride[at],
         "seq": np.arange(len(at)),
         "latitude_deg": latitude,
         "longitude_deg": longitude,

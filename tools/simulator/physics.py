@@ -84,7 +84,7 @@ class State(NamedTuple):
     parts: Floats
 
 
-def run(trace: Trace, car: Car, soc: float, phenomena: Phenomena, hidden: Floats | None = None) -> State:
+def integrate_states(trace: Trace, car: Car, soc: float, phenomena: Phenomena, hidden: Floats | None = None) -> State:
     """Return the car's states over a trace.
 
     Parameters

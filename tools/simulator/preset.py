@@ -16,9 +16,9 @@ from scipy.interpolate import PchipInterpolator
 
 from core.batch import Floats, Ints
 from core.errors import SettingsError
-from tools.simulator.cars import Car, aged
-from tools.simulator.driver import Style, make_style
-from tools.simulator.settings import LOCAL, Faults
+from tools.simulator.cars import Car, age_car
+from tools.simulator.driver import DrivingStyle, make_style
+from tools.simulator.settings import UTC_OFFSET, Faults
 from tools.simulator.shift import Orders
 
 PRESETS: Final = ("teo",)
@@ -55,7 +55,7 @@ class Fleet(NamedTuple):
     boarding_s: tuple[float, float]
     alighting_s: tuple[float, float]
     idle_s: float
-    thirst: float
+    estimate_factor: float
     false_start: float
     errand: float
     never_sends: Sequence[str]
@@ -78,11 +78,11 @@ class Driver(NamedTuple):
     """Somebody who drives for the fleet, and drives alike on every shift; `warmth` [K] as in `cars.Car`."""
 
     name: str
-    style: Style
+    style: DrivingStyle
     warmth: float
 
 
-class Duty(NamedTuple):
+class PlannedShift(NamedTuple):
     """A shift that a car has to do: on which day after the first, by whom, and how far each ride goes. (n,) [m]"""
 
     day: int
@@ -90,15 +90,15 @@ class Duty(NamedTuple):
     distances: Floats
 
 
-class Place(NamedTuple):
+class PlannedCar(NamedTuple):
     """What a preset wants of one car."""
 
     model: str
     traits: Mapping[str, float]
-    duties: list[Duty]
+    planned_shifts: list[PlannedShift]
 
 
-def refuse_idle(name: str | None, given: Sequence[str]) -> None:
+def refuse_unused_settings(name: str | None, given: Sequence[str]) -> None:
     """Refuse settings, of those that were `given`, that would do nothing with this preset, or with none.
 
     Raises
@@ -113,7 +113,7 @@ def refuse_idle(name: str | None, given: Sequence[str]) -> None:
 
 
 @cache
-def load(name: str) -> Preset:
+def load_preset(name: str) -> Preset:
     """Return a preset that comes with the product.
 
     Raises
@@ -127,18 +127,18 @@ def load(name: str) -> Preset:
     return Preset(Fleet(**tables.pop("fleet")), tables)
 
 
-def plan(preset: Preset, rides: int, seed: int) -> list[Place]:
+def plan_cars(preset: Preset, rides: int, seed: int) -> list[PlannedCar]:
     """Return the cars of a fleet and their shifts, `rides` rides in all."""
     totals = np.array([sum(table["rides"]) for table in preset.models.values()])
-    numbers = apportion(totals, rides)
+    numbers = apportion_total(totals, rides)
     cars = [max(FEWEST_CARS, round(CARS_PER_ROOT_RIDE * number**0.5)) for number in numbers]
     drivers = make_drivers(round(preset.fleet.drivers_per_car * sum(cars)), seed)
     places = []
     for index, (model, table) in enumerate(preset.models.items()):
         rng = np.random.default_rng([seed, 6, index])
-        deck = distances(np.array(table["rides"]), numbers[index], rng)
+        deck = draw_distances(np.array(table["rides"]), numbers[index], rng)
         hands = np.array_split(deck, cars[index])
-        places += [Place(model, table["traits"], _duties(preset.fleet, hand, drivers, rng)) for hand in hands]
+        places += [PlannedCar(model, table["traits"], _duties(preset.fleet, hand, drivers, rng)) for hand in hands]
     return places
 
 
@@ -151,7 +151,7 @@ def make_drivers(count: int, seed: int) -> list[Driver]:
     return drivers
 
 
-def distances(counts: Ints, number: int, rng: np.random.Generator) -> Floats:
+def draw_distances(counts: Ints, number: int, rng: np.random.Generator) -> Floats:
     """Return how far rides go, in random order, in each cluster in proportion to `counts`. (number,) [m]
 
     Notes
@@ -170,7 +170,7 @@ def distances(counts: Ints, number: int, rng: np.random.Generator) -> Floats:
     return rng.permutation(np.interp(quantiles, shorter, grid))
 
 
-def apportion(shares: Ints, total: int) -> list[int]:
+def apportion_total(shares: Ints, total: int) -> list[int]:
     """Return whole numbers in proportion to shares, which add up to a total: largest remainders first.
 
     >>> apportion(np.array([5, 3, 1]), 10)
@@ -182,7 +182,7 @@ def apportion(shares: Ints, total: int) -> list[int]:
     return [int(number) for number in whole]
 
 
-def orders(fleet: Fleet, duty: Duty) -> Orders:
+def make_orders(fleet: Fleet, duty: PlannedShift) -> Orders:
     """Return what dispatch wants of a shift."""
     return Orders(
         driver_id=duty.driver.name,
@@ -194,33 +194,33 @@ def orders(fleet: Fleet, duty: Duty) -> Orders:
         boarding=fleet.boarding_s,
         alighting=fleet.alighting_s,
         idle=fleet.idle_s,
-        thirst=fleet.thirst,
+        estimate_factor=fleet.estimate_factor,
     )
 
 
-def on_the_day(fleet: Fleet, car: Car, duty: Duty, begin: float) -> Car:
+def adapt_car(fleet: Fleet, car: Car, duty: PlannedShift, begin: float) -> Car:
     """Return a car as it is when a shift begins [s]: its age, its tyres, and how warm its driver likes it."""
-    car = aged(car, car.odometer + 1000.0 * fleet.daily_km * duty.day)
-    rolling = car.winter_rolling if in_winter(begin) else 0.0
+    car = age_car(car, car.odometer + 1000.0 * fleet.daily_km * duty.day)
+    rolling = car.winter_rolling if is_winter_tyre_season(begin) else 0.0
     return car._replace(winter_rolling=rolling, warmth=duty.driver.warmth)
 
 
-def in_winter(time: float) -> bool:
+def is_winter_tyre_season(time: float) -> bool:
     """Return whether winter tyres have to be on at a time [s], by Montreal's calendar.
 
     >>> in_winter(datetime(2018, 12, 15, 12, tzinfo=UTC).timestamp())
     True
     """
-    day = datetime.fromtimestamp(time + LOCAL, UTC)
+    day = datetime.fromtimestamp(time + UTC_OFFSET, UTC)
     first, last = WINTER
     return (day.month, day.day) >= first or (day.month, day.day) <= last
 
 
-def _duties(fleet: Fleet, hand: Floats, drivers: list[Driver], rng: np.random.Generator) -> list[Duty]:
+def _duties(fleet: Fleet, hand: Floats, drivers: list[Driver], rng: np.random.Generator) -> list[PlannedShift]:
     """Return the shifts of a car, one a day at most, spread over the year."""
     shifts = min(YEAR, max(1, round(len(hand) / fleet.rides_per_shift)))
     days = ((np.arange(shifts) + rng.uniform(size=shifts)) * YEAR / shifts).astype(int)
     days = np.maximum.accumulate(days - np.arange(shifts)) + np.arange(shifts)  # no day twice
     who = rng.integers(len(drivers), size=shifts)
     parts = np.array_split(hand, shifts)
-    return [Duty(int(day), drivers[i], part) for day, i, part in zip(days, who, parts, strict=True)]
+    return [PlannedShift(int(day), drivers[i], part) for day, i, part in zip(days, who, parts, strict=True)]

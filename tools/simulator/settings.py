@@ -12,7 +12,7 @@ STEP: Final = 0.5
 PERIOD: Final = 3.0
 """Nominal period of the logger. [s]"""
 STEPS_PER_SAMPLE: Final = int(PERIOD / STEP)
-LOCAL: Final = -5 * 3600.0
+UTC_OFFSET: Final = -5 * 3600.0
 """Montreal's standard time against UTC. [s]"""
 LONGEST: Final = 3660
 """Days that a simulation may span, with those that it leaves out."""
@@ -83,8 +83,8 @@ class Phenomena(NamedTuple):
     """The cabin is heated and cooled."""
 
 
-ALL: Final = Phenomena()
-PLAIN: Final = Phenomena(*[False] * len(Phenomena._fields))._replace(climate=True)
+ALL_PHENOMENA: Final = Phenomena()
+PLAIN_PHENOMENA: Final = Phenomena(*[False] * len(Phenomena._fields))._replace(climate=True)
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ class Faults:
 
 NO_FAULTS: Final = Faults(**{field.name: 0.0 for field in fields(Faults)})
 _SIZES: Final = {"gps_noise", "elevation_noise"}
-SIZES: Final = ("vehicles", "days", "day_step", "shift_hours", "models")
+PRESET_SETTINGS: Final = ("vehicles", "days", "day_step", "shift_hours", "models")
 """Settings of a simulation that a preset has of its own."""
 _LIMITS: Final = (("vehicles", 1, 10_000), ("days", 1, LONGEST), ("day_step", 1, 366), ("rides", 100, 1_000_000))
 
@@ -180,7 +180,7 @@ class Simulation:
     models: tuple[str, ...] = MODELS
     hidden: tuple[Hidden, ...] = ()
     faults: Faults = Faults()
-    phenomena: Phenomena = ALL
+    phenomena: Phenomena = ALL_PHENOMENA
     preset: str | None = None
     rides: int = RIDES
     charging: str = LOW
@@ -283,11 +283,11 @@ def parse_phenomena(text: str) -> Phenomena:
     SettingsError
         For a phenomenon that does not exist.
     """
-    phenomena = ALL
+    phenomena = ALL_PHENOMENA
     for part in filter(None, (part.strip() for part in text.split(","))):
         name = part.removeprefix("-")
         if part in {"all", "plain"}:
-            phenomena = ALL if part == "all" else PLAIN
+            phenomena = ALL_PHENOMENA if part == "all" else PLAIN_PHENOMENA
         elif name in Phenomena._fields:
             phenomena = phenomena._replace(**{name: name == part})
         else:

@@ -8,9 +8,9 @@ import numpy as np
 from core.batch import Floats, Ints
 from core.wire.messages import Leg
 from tools.simulator.cars import Car
-from tools.simulator.driver import Style, congestion, drive, make_style
-from tools.simulator.settings import LOCAL, STEP, Faults
-from tools.simulator.world import Route, crossing, destination, route, terrain, to_plane
+from tools.simulator.driver import DrivingStyle, compute_congestion, drive_route, make_style
+from tools.simulator.settings import STEP, UTC_OFFSET, Faults
+from tools.simulator.world import Route, compute_elevation, draw_destination, find_crossing, make_route, to_plane
 
 CHARGER: Final = 44e3
 """Power of a fast charger. [W]"""
@@ -42,7 +42,7 @@ class Orders(NamedTuple):
     """
 
     driver_id: str
-    style: Style
+    style: DrivingStyle
     length: float = 0.0
     distances: Floats | None = None
     charge: tuple[float, float] = (0.82, 1.0)
@@ -51,7 +51,7 @@ class Orders(NamedTuple):
     boarding: tuple[float, float] = (20.0, 90.0)
     alighting: tuple[float, float] = (25.0, 90.0)
     idle: float = 330.0
-    thirst: float = 1.0
+    estimate_factor: float = 1.0
 
 
 class Trip(NamedTuple):
@@ -64,7 +64,7 @@ class Trip(NamedTuple):
     planned: Leg | None
 
 
-class Course(NamedTuple):
+class Timeline(NamedTuple):
     """Where the car is and what happens in it, step by step from `time` on. All (n,).
 
     Parameters
@@ -108,17 +108,17 @@ class Shift(NamedTuple):
 
     time: float
     soc: float
-    course: Course
+    timeline: Timeline
     trips: list[Trip]
     length: float
-    undone: tuple[Leg, ...] = ()
+    unstarted_legs: tuple[Leg, ...] = ()
 
 
-class _Reel:
+class _TimelineBuilder:
     """Course under construction."""
 
     def __init__(self, place: tuple[float, float]) -> None:
-        self.pieces: list[Course] = []
+        self.pieces: list[Timeline] = []
         self.steps = 0
         self.place = place
         self.heading = 0.0
@@ -131,7 +131,7 @@ class _Reel:
         opened = column.copy()
         opened[first : first + int(door / STEP)] = 1.0
         self._add(
-            Course(
+            Timeline(
                 u=column + self.place[0],
                 v=column + self.place[1],
                 moved=column,
@@ -152,12 +152,12 @@ class _Reel:
         way: Route,
         ride: int,
         occupants: int,
-        style: Style,
+        style: DrivingStyle,
         traffic: float,
         rng: np.random.Generator,
     ) -> None:
         """Drive a route from here."""
-        motion = drive(way, style, traffic, rng)
+        motion = drive_route(way, style, traffic, rng)
         n = len(motion.along)
         directions = np.unwrap(np.arctan2(np.diff(way.v), np.diff(way.u)))
         segment = np.clip(np.searchsorted(way.along, motion.along - 1e-6) - 1, 0, len(directions) - 1)
@@ -165,7 +165,7 @@ class _Reel:
         turning = np.diff(heading, prepend=heading[0]) / STEP
         zero = np.zeros(n)
         self._add(
-            Course(
+            Timeline(
                 u=np.interp(motion.along, way.along, way.u),
                 v=np.interp(motion.along, way.along, way.v),
                 moved=np.diff(motion.along, prepend=0.0),
@@ -182,11 +182,11 @@ class _Reel:
         )
         self.place, self.heading = (float(way.u[-1]), float(way.v[-1])), float(heading[-1])
 
-    def course(self) -> Course:
+    def timeline(self) -> Timeline:
         """Return all of it."""
-        return Course(*(np.concatenate(columns) for columns in zip(*self.pieces, strict=True)))
+        return Timeline(*(np.concatenate(columns) for columns in zip(*self.pieces, strict=True)))
 
-    def _add(self, piece: Course) -> None:
+    def _add(self, piece: Timeline) -> None:
         self.pieces.append(piece)
         self.steps += len(piece.u)
 
@@ -213,108 +213,120 @@ def make_shift(
     faults : Faults. Of them the drivers' own: `false_start` and `errand`.
     """
     style, driver = orders.style, orders.driver_id
-    reel = _Reel(crossing(float(rng.normal(0, 1700)), float(rng.normal(0, 1500))))
+    builder = _TimelineBuilder(find_crossing(float(rng.normal(0, 1700)), float(rng.normal(0, 1500))))
     soc = estimate = float(rng.uniform(*orders.charge))
     cold = max(0.0, 20.0 - ambient)
-    per_metre = orders.thirst * 3600 * (0.12 + 0.05 * car.mass / 1600 + 0.002 * cold)
-    per_second = orders.thirst * (600 + min(car.heater_power, car.cabin_loss * cold))
+    per_metre = orders.estimate_factor * 3600 * (0.12 + 0.05 * car.mass / 1600 + 0.002 * cold)
+    per_second = orders.estimate_factor * (600 + min(car.heater_power, car.cabin_loss * cold))
     trips: list[Trip] = []
     if orders.prepared > 0:
-        reel.stand(UNPLUGGING, NO_RIDE, 0, on=0.0, plugged=1.0)
-        reel.stand(orders.prepared, NO_RIDE, 1, door=6.0)
-    reel.stand(float(rng.uniform(60, 240)), NO_RIDE, 1, door=6.0)
-    for wanted in _wanted(orders, reel):
-        traffic = congestion((begin + LOCAL + reel.steps * STEP) / 3600 % 24)
-        since, driven = reel.steps, 0.0
+        builder.stand(UNPLUGGING, NO_RIDE, 0, on=0.0, plugged=1.0)
+        builder.stand(orders.prepared, NO_RIDE, 1, door=6.0)
+    builder.stand(float(rng.uniform(60, 240)), NO_RIDE, 1, door=6.0)
+    for wanted in _wanted(orders, builder):
+        traffic = compute_congestion((begin + UTC_OFFSET + builder.steps * STEP) / 3600 % 24)
+        since, driven = builder.steps, 0.0
         if rng.uniform() < 0.4:
-            driven += _drive_to(reel, float(rng.lognormal(np.log(900.0), 0.5)), NO_RIDE, 1, style, traffic, rng)
+            driven += _drive_to(builder, float(rng.lognormal(np.log(900.0), 0.5)), NO_RIDE, 1, style, traffic, rng)
         if rng.uniform() < faults.false_start:
-            first = reel.steps
-            reel.stand(float(rng.uniform(3, 14)), len(trips), 2)
-            trips.append(Trip(f"{name}-{len(trips):02d}", driver, first, reel.steps, None))
-            reel.stand(float(rng.uniform(10, 40)), NO_RIDE, 1)
-        first, place = reel.steps, reel.place
-        metres = _carry(reel, len(trips), car, orders, wanted, traffic, rng)
+            first = builder.steps
+            builder.stand(float(rng.uniform(3, 14)), len(trips), 2)
+            trips.append(Trip(f"{name}-{len(trips):02d}", driver, first, builder.steps, None))
+            builder.stand(float(rng.uniform(10, 40)), NO_RIDE, 1)
+        first, place = builder.steps, builder.place
+        metres = _carry(builder, len(trips), car, orders, wanted, traffic, rng)
         if rng.uniform() < faults.errand:
-            reel.stand(float(rng.uniform(3300, 5400)), len(trips), 1)
-        planned = _plan(reel, first, place, metres, rng)
-        trips.append(Trip(f"{name}-{len(trips):02d}", driver, first, reel.steps, planned))
-        reel.stand(45 + float(rng.exponential(orders.idle)), NO_RIDE, 1, door=float(rng.uniform(0, 8)))
-        estimate -= ((driven + metres) * per_metre + (reel.steps - since) * STEP * per_second) / car.capacity
+            builder.stand(float(rng.uniform(3300, 5400)), len(trips), 1)
+        planned = _plan(builder, first, place, metres, rng)
+        trips.append(Trip(f"{name}-{len(trips):02d}", driver, first, builder.steps, planned))
+        builder.stand(45 + float(rng.exponential(orders.idle)), NO_RIDE, 1, door=float(rng.uniform(0, 8)))
+        estimate -= ((driven + metres) * per_metre + (builder.steps - since) * STEP * per_second) / car.capacity
         if estimate < orders.charge_below:
-            estimate = _charge(reel, estimate, car, ambient, style, rng)
-    return Shift(begin, soc, reel.course(), trips, reel.steps * STEP)
+            estimate = _charge(builder, estimate, car, ambient, style, rng)
+    return Shift(begin, soc, builder.timeline(), trips, builder.steps * STEP)
 
 
-def stopped(shift: Shift, steps: int) -> Shift:
+def stop_shift(shift: Shift, steps: int) -> Shift:
     """Return a shift that is over after so many steps; what was planned stays planned."""
     begun = [trip._replace(end=min(trip.end, steps)) for trip in shift.trips if trip.begin < steps]
-    undone = tuple(trip.planned for trip in shift.trips[len(begun) :] if trip.planned)
-    return shift._replace(course=Course._make(column[:steps] for column in shift.course), trips=begun, undone=undone)
+    unstarted_legs = tuple(trip.planned for trip in shift.trips[len(begun) :] if trip.planned)
+    return shift._replace(
+        timeline=Timeline._make(column[:steps] for column in shift.timeline), trips=begun, unstarted_legs=unstarted_legs
+    )
 
 
-def _wanted(orders: Orders, reel: _Reel) -> Iterator[float | None]:
+def _wanted(orders: Orders, builder: _TimelineBuilder) -> Iterator[float | None]:
     """Yield how far each ride goes [m], None where that is the car's own affair."""
     if orders.distances is not None:
         yield from orders.distances.tolist()
         return
-    while reel.steps * STEP < orders.length:
+    while builder.steps * STEP < orders.length:
         yield None
 
 
 def _carry(
-    reel: _Reel, ride: int, car: Car, orders: Orders, wanted: float | None, traffic: float, rng: np.random.Generator
+    builder: _TimelineBuilder,
+    ride: int,
+    car: Car,
+    orders: Orders,
+    wanted: float | None,
+    traffic: float,
+    rng: np.random.Generator,
 ) -> float:
     """Take passengers somewhere, `wanted` [m] away or as the car's rides go; return how far [m]."""
     metres = wanted or float(np.clip(rng.lognormal(np.log(car.ride_median), car.ride_spread), 350, 34e3))
     people = 2 + min(3, int(rng.geometric(0.65)) - 1)
-    reel.stand(float(rng.uniform(*orders.boarding)), ride, people, door=float(rng.uniform(4, 14)))
+    builder.stand(float(rng.uniform(*orders.boarding)), ride, people, door=float(rng.uniform(4, 14)))
     candidates = CANDIDATES if wanted else 1
-    driven = _drive_to(reel, metres, ride, people, orders.style, traffic, rng, candidates)
-    reel.stand(float(rng.uniform(*orders.alighting)), ride, people, door=float(rng.uniform(4, 14)))
+    driven = _drive_to(builder, metres, ride, people, orders.style, traffic, rng, candidates)
+    builder.stand(float(rng.uniform(*orders.alighting)), ride, people, door=float(rng.uniform(4, 14)))
     return driven
 
 
 def _drive_to(
-    reel: _Reel,
+    builder: _TimelineBuilder,
     metres: float,
     ride: int,
     people: int,
-    style: Style,
+    style: DrivingStyle,
     traffic: float,
     rng: np.random.Generator,
     candidates: int = 1,
 ) -> float:
     """Drive about so far, as nearly as the best of some destinations allows; return how far it became [m]."""
-    ways = (route(reel.place, destination(*reel.place, metres, rng), rng) for _ in range(candidates))
+    ways = (make_route(builder.place, draw_destination(*builder.place, metres, rng), rng) for _ in range(candidates))
     best = next(ways)
     for way in ways:
         if abs(best.length - metres) < max(CLOSE_ENOUGH[0] * metres, CLOSE_ENOUGH[1]):
             break
         best = min(best, way, key=lambda known: abs(known.length - metres))
-    pieces = len(reel.pieces)
-    reel.move(best, ride, people, style, traffic, rng)
-    return float(reel.pieces[pieces].moved.sum())
+    pieces = len(builder.pieces)
+    builder.move(best, ride, people, style, traffic, rng)
+    return float(builder.pieces[pieces].moved.sum())
 
 
-def _charge(reel: _Reel, soc: float, car: Car, ambient: float, style: Style, rng: np.random.Generator) -> float:
+def _charge(
+    builder: _TimelineBuilder, soc: float, car: Car, ambient: float, style: DrivingStyle, rng: np.random.Generator
+) -> float:
     """Drive to a charger near by and plug in; return the state of charge that dispatch expects after it [1]."""
-    _drive_to(reel, 600.0, NO_RIDE, 1, style, 0.2, rng)
+    _drive_to(builder, 600.0, NO_RIDE, 1, style, 0.2, rng)
     power = 0.75 * CHARGER * min(1.0, max(0.25, (ambient + 15) / 30))
     seconds = float(np.clip((rng.uniform(0.6, 0.85) - soc) * car.capacity / power, 1200, 7200))
-    reel.stand(60.0, NO_RIDE, 1, door=6.0)
-    reel.stand(seconds, NO_RIDE, 0, on=0.0, plugged=1.0)
-    reel.stand(90.0, NO_RIDE, 1, door=6.0)
+    builder.stand(60.0, NO_RIDE, 1, door=6.0)
+    builder.stand(seconds, NO_RIDE, 0, on=0.0, plugged=1.0)
+    builder.stand(90.0, NO_RIDE, 1, door=6.0)
     return min(0.85, soc + power * seconds / car.capacity)
 
 
-def _plan(reel: _Reel, first: int, place: tuple[float, float], driven: float, rng: np.random.Generator) -> Leg:
+def _plan(
+    builder: _TimelineBuilder, first: int, place: tuple[float, float], driven: float, rng: np.random.Generator
+) -> Leg:
     """Return what dispatch expected of the ride that was just driven."""
-    heights = [float(terrain(*to_plane(np.array([u]), np.array([v])))[0]) for u, v in (place, reel.place)]
+    heights = [float(compute_elevation(*to_plane(np.array([u]), np.array([v])))[0]) for u, v in (place, builder.place)]
     rise, undulation = heights[1] - heights[0], 0.004 * driven
     return Leg(
         distance_km=round(driven / 1000 * float(rng.normal(1.0, 0.04)), 2),
-        duration_s=round((reel.steps - first) * STEP * float(rng.lognormal(0.0, 0.12))),
+        duration_s=round((builder.steps - first) * STEP * float(rng.lognormal(0.0, 0.12))),
         gained_m=round(max(rise, 0.0) + undulation, 0),
         lost_m=round(max(-rise, 0.0) + undulation, 0),
     )

@@ -7,9 +7,9 @@ import numpy as np
 from core.batch import Floats
 from core.columns import ZERO_CELSIUS
 from tools.simulator.settings import STEP
-from tools.simulator.shift import NO_RIDE, Course, Shift
-from tools.simulator.weather import Sky, sun
-from tools.simulator.world import TURN, in_tunnel, terrain, to_plane
+from tools.simulator.shift import NO_RIDE, Shift, Timeline
+from tools.simulator.weather import Sky, compute_sun_height
+from tools.simulator.world import TURN, compute_elevation, is_in_tunnel, to_plane
 
 REFERENCE_DENSITY = 1.2
 """Density of air where it does not vary. [kg/m^3]"""
@@ -68,50 +68,50 @@ class Trace(NamedTuple):
 
 def make_trace(shift: Shift, sky: Sky) -> Trace:
     """Return the surroundings of a shift under a sky."""
-    course = shift.course
-    n = len(course.u)
+    timeline = shift.timeline
+    n = len(timeline.u)
     time: Floats = shift.time + STEP * np.arange(1, n + 1, dtype=float)
-    x, y = to_plane(course.u, course.v)
-    elevation = terrain(x, y)
+    x, y = to_plane(timeline.u, timeline.v)
+    elevation = compute_elevation(x, y)
     air = sky.at(time)
     ambient = air.temperature - 0.0065 * (elevation - 30.0)
-    inside = in_tunnel(course.u, course.v, course.heading)
+    inside = is_in_tunnel(timeline.u, timeline.v, timeline.heading)
     sheltered = np.where(inside, 0.0, 1.0)
-    direction = course.heading + TURN
+    direction = timeline.heading + TURN
     towards = air.wind_east * np.cos(direction) + air.wind_north * np.sin(direction)
     across = air.wind_east * np.sin(direction) - air.wind_north * np.cos(direction)
-    moved = np.maximum(course.moved, 1e-9)
+    moved = np.maximum(timeline.moved, 1e-9)
     climbed = np.diff(elevation, prepend=elevation[0])
     return Trace(
         time=time,
         x=x,
         y=y,
         elevation=elevation,
-        speed=0.5 * (course.before + course.after),
-        acceleration=(course.after - course.before) / STEP,
-        grade=np.where(course.moved > 0.05, climbed / np.hypot(moved, climbed), 0.0),
-        turn_rate=course.turn_rate,
+        speed=0.5 * (timeline.before + timeline.after),
+        acceleration=(timeline.after - timeline.before) / STEP,
+        grade=np.where(timeline.moved > 0.05, climbed / np.hypot(moved, climbed), 0.0),
+        turn_rate=timeline.turn_rate,
         headwind=-towards * sheltered,
         crosswind=-across * sheltered,
-        density=air_density(air.pressure, ambient, air.humidity, elevation),
+        density=compute_air_density(air.pressure, ambient, air.humidity, elevation),
         ambient=ambient,
         precipitation=air.precipitation * sheltered,
         wetness=air.wetness,
         snow=air.snow * sheltered,
         humidity=air.humidity,
         solar=air.solar * sheltered,
-        dark=np.where((sun(time) < 0.05) | inside, 1.0, 0.0),
-        on=course.on,
-        door=course.door,
-        plugged=course.plugged,
-        occupants=course.occupants,
-        elapsed=_elapsed(course),
-        parked=_parked(course),
+        dark=np.where((compute_sun_height(time) < 0.05) | inside, 1.0, 0.0),
+        on=timeline.on,
+        door=timeline.door,
+        plugged=timeline.plugged,
+        occupants=timeline.occupants,
+        elapsed=_elapsed(timeline),
+        parked=_parked(timeline),
         tunnel=np.where(inside, 1.0, 0.0),
     )
 
 
-def air_density(pressure: Floats, ambient: Floats, humidity: Floats, elevation: Floats) -> Floats:
+def compute_air_density(pressure: Floats, ambient: Floats, humidity: Floats, elevation: Floats) -> Floats:
     """Return the density of moist air. (n,) [kg/m^3].
 
     Parameters
@@ -131,17 +131,17 @@ def air_density(pressure: Floats, ambient: Floats, humidity: Floats, elevation: 
     return np.asarray((local - 0.378 * vapour) / (287.05 * kelvin))
 
 
-def _elapsed(course: Course) -> Floats:
+def _elapsed(timeline: Timeline) -> Floats:
     """Return the time since the ride began, 0 between rides. [s]."""
-    steps = np.arange(len(course.ride))
-    begins = np.flatnonzero(np.diff(course.ride, prepend=NO_RIDE - 1))
+    steps = np.arange(len(timeline.ride))
+    begins = np.flatnonzero(np.diff(timeline.ride, prepend=NO_RIDE - 1))
     since = steps - np.repeat(begins, np.diff(np.append(begins, len(steps))))
-    return np.where(course.ride != NO_RIDE, STEP * since, 0.0)
+    return np.where(timeline.ride != NO_RIDE, STEP * since, 0.0)
 
 
-def _parked(course: Course) -> Floats:
+def _parked(timeline: Timeline) -> Floats:
     """Return how long the car stood before it last began to drive; a night before the first drive. [s]."""
-    standing = course.after + course.before == 0
+    standing = timeline.after + timeline.before == 0
     ends = np.flatnonzero(np.diff(standing.astype(int), prepend=0, append=0))
     begins, ends = ends[0::2], ends[1::2]
     lengths = STEP * (ends - begins)

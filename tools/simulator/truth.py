@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from core.errors import SettingsError
-from tools.simulator.calibration import Ledger
+from tools.simulator.calibration import EffectEnergies
 from tools.simulator.cars import Car
 from tools.simulator.logger import Equipment
 from tools.simulator.physics import PARTS, State
-from tools.simulator.settings import SIZES, STEP, Simulation
+from tools.simulator.settings import PRESET_SETTINGS, STEP, Simulation
 from tools.simulator.shift import Shift
 
 KWH = 3.6e6
@@ -46,7 +46,7 @@ class Truth:
 
     def describe(self, simulation: Simulation, factors: dict[str, float]) -> None:
         """Note what was asked for."""
-        idle = ("preset", "rides") if simulation.preset is None else SIZES
+        idle = ("preset", "rides") if simulation.preset is None else PRESET_SETTINGS
         asked = {name: value for name, value in asdict(simulation).items() if name not in idle}
         self.settings = asked | {
             "start": simulation.start.isoformat(),
@@ -61,7 +61,9 @@ class Truth:
         self.cars[name] = {"model": model, "logger_lacks": list(equipment.lacks)} | parameters
         self.faults[name] = Counter()
 
-    def add_shift(self, name: str, shift: Shift, state: State, hidden: Ledger | None, faults: Counter[str]) -> None:
+    def add_shift(
+        self, name: str, shift: Shift, state: State, hidden: EffectEnergies | None, faults: Counter[str]
+    ) -> None:
         """Note the rides of a shift."""
         self.faults[name] += faults
         for index, trip in enumerate(shift.trips):
@@ -74,7 +76,7 @@ class Truth:
                 "driver_id": trip.driver_id,
                 "start_s": shift.time + STEP * trip.begin,
                 "end_s": shift.time + STEP * trip.end,
-                "distance_km": round(float(shift.course.moved[inside].sum()) / 1000, 4),
+                "distance_km": round(float(shift.timeline.moved[inside].sum()) / 1000, 4),
                 "soc_start_pct": round(100 * float(state.soc[trip.begin]), 3),
                 "soc_end_pct": round(100 * float(state.soc[trip.end - 1]), 3),
                 "energy_kwh": round(float(parts.sum()), 5),

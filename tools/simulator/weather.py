@@ -11,7 +11,7 @@ import numpy as np
 
 from core.batch import Floats
 from core.wire.messages import Message, Weather, encode
-from tools.simulator.settings import LOCAL
+from tools.simulator.settings import UTC_OFFSET
 from tools.simulator.world import ORIGIN
 
 HOUR: Final = 3600.0
@@ -69,10 +69,10 @@ def make_sky(start: float, days: int, seed: int, extremes: tuple[float, float] |
     elements = iter(range(100))
 
     def wandering(keep: float) -> Floats:
-        return autoregressive(np.random.default_rng([seed, 1, next(elements)]), n, keep)
+        return draw_autoregressive(np.random.default_rng([seed, 1, next(elements)]), n, keep)
 
     year_angle = 2 * np.pi * ((time / 86400.0) % 365.2425 - 20.0) / 365.2425
-    clock = ((time + LOCAL) / HOUR) % 24
+    clock = ((time + UTC_OFFSET) / HOUR) % 24
     cold = 0.5 + 0.5 * np.cos(year_angle)
     cloud = 1 / (1 + np.exp(-1.6 * wandering(0.93) - 0.3))
     synoptic = wandering(exp(-1 / 60.0))
@@ -96,7 +96,7 @@ def make_sky(start: float, days: int, seed: int, extremes: tuple[float, float] |
         snow=snow,
         pressure=101_500.0 + 900.0 * wandering(0.985) - 350.0 * synoptic,
         humidity=np.where(precipitation > 0, np.maximum(humidity, 0.88), humidity),
-        solar=1050.0 * sun(time) ** 1.15 * (1 - 0.72 * cloud**3),
+        solar=1050.0 * compute_sun_height(time) ** 1.15 * (1 - 0.72 * cloud**3),
     )
 
 
@@ -107,7 +107,7 @@ def _drawn_out(temperature: Floats, hottest: float, counts: np.ndarray) -> Float
     return np.asarray(temperature + (hottest - most) * share**2)
 
 
-def sun(time: Floats) -> Floats:
+def compute_sun_height(time: Floats) -> Floats:
     """Return the sine of the sun's height over Montreal, 0 by night; to half a degree. (n,) [1].
 
     Parameters
@@ -126,7 +126,7 @@ def sun(time: Floats) -> Floats:
     return np.asarray(np.maximum(height, 0.0))
 
 
-def observations(sky: Sky, begin: float, end: float, seed: int) -> list[Message]:
+def make_observations(sky: Sky, begin: float, end: float, seed: int) -> list[Message]:
     """Return what the stations publish from `begin` until `end` [s], by time of receipt.
 
     The first observations are those of the full hour before `begin`; each comes 5 to 60 s after its hour.
@@ -162,7 +162,7 @@ def _observation(sky: Sky, i: int, station: tuple[str, float, float], error: Flo
     return Message(f"weather/{name}", encode(observed), int((sky.time[i] + delay) * 1e9))
 
 
-def autoregressive(rng: np.random.Generator, n: int, keep: float) -> Floats:
+def draw_autoregressive(rng: np.random.Generator, n: int, keep: float) -> Floats:
     """Return a stationary process of variance 1 whose neighbours correlate by `keep`. (n,) [1]."""
     values = rng.normal(size=n).tolist()
     fresh = (1 - keep * keep) ** 0.5

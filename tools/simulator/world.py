@@ -63,7 +63,7 @@ class Route(NamedTuple):
         return float(self.along[-1])
 
 
-def terrain(x: Floats, y: Floats) -> Floats:
+def compute_elevation(x: Floats, y: Floats) -> Floats:
     """Return the elevation of the ground. [m].
 
     Parameters
@@ -86,7 +86,7 @@ def to_wgs84(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     return latitude, ORIGIN[1] + np.degrees(x / (EARTH_RADIUS * np.cos(np.radians(latitude))))
 
 
-def in_tunnel(u: Floats, v: Floats, heading: Floats) -> np.ndarray:
+def is_in_tunnel(u: Floats, v: Floats, heading: Floats) -> np.ndarray:
     """Return where a car is inside a tunnel, not crossing above it. (n,) bool.
 
     Parameters
@@ -102,7 +102,7 @@ def in_tunnel(u: Floats, v: Floats, heading: Floats) -> np.ndarray:
     return inside
 
 
-def destination(u: float, v: float, distance: float, rng: np.random.Generator) -> tuple[float, float]:
+def draw_destination(u: float, v: float, distance: float, rng: np.random.Generator) -> tuple[float, float]:
     """Return a crossing about `distance` [m] of streets away, rather towards the middle than out of town."""
     for _ in range(30):
         share = rng.uniform()
@@ -113,11 +113,11 @@ def destination(u: float, v: float, distance: float, rng: np.random.Generator) -
             break
     else:
         goal = (-u / 3, -v / 3)
-    found = crossing(*goal)
-    return found if found != (u, v) else crossing(u + 2 * BLOCK[0], v)
+    found = find_crossing(*goal)
+    return found if found != (u, v) else find_crossing(u + 2 * BLOCK[0], v)
 
 
-def crossing(u: float, v: float) -> tuple[float, float]:
+def find_crossing(u: float, v: float) -> tuple[float, float]:
     """Return the crossing nearest to a place at which a car may stop: none on an expressway."""
     place = [round(u / BLOCK[0]) * BLOCK[0], round(v / BLOCK[1]) * BLOCK[1]]
     for line in EXPRESSWAYS:
@@ -127,7 +127,7 @@ def crossing(u: float, v: float) -> tuple[float, float]:
     return place[0], place[1]
 
 
-def route(start: tuple[float, float], goal: tuple[float, float], rng: np.random.Generator) -> Route:
+def make_route(start: tuple[float, float], goal: tuple[float, float], rng: np.random.Generator) -> Route:
     """Return a way over streets, by an expressway where it is far and one lies near enough."""
     points = [start, *_corners(start, goal, rng), goal]
     nodes, limits, streets, turns = [start], list[float](), list[int](), list[bool]()
@@ -162,7 +162,9 @@ def _corners(
             return [(enter, start[1]), (enter, best.at), (leave, best.at), (leave, goal[1])]
         return [(start[0], enter), (best.at, enter), (best.at, leave), (goal[0], leave)]
     boulevard = 5 * BLOCK[0]
-    middle, _ = crossing(round((start[0] + rng.uniform() * (goal[0] - start[0])) / boulevard) * boulevard, start[1])
+    middle, _ = find_crossing(
+        round((start[0] + rng.uniform() * (goal[0] - start[0])) / boulevard) * boulevard, start[1]
+    )
     return [(middle, start[1]), (middle, goal[1])]
 
 

@@ -17,16 +17,16 @@ from core.errors import SettingsError
 from core.wire.messages import KINDS, address
 from stream.mcap_reader import McapSource
 from tests.support.paths import ROOT
-from tests.support.simulated import PERFECT, SMALL, SUMMER, WINTER, run, samples
+from tests.support.simulated import PERFECT, SMALL, SUMMER, WINTER, decode_samples, run_simulation
 from tools.commands.simulate import record
 from tools.commands.simulate import simulate as simulate_command
 from tools.simulator.fleet import simulate
 from tools.simulator.hidden import EFFECTS
 from tools.simulator.physics import PARTS, WHEEL
 from tools.simulator.settings import (
-    ALL,
+    ALL_PHENOMENA,
     NO_FAULTS,
-    PLAIN,
+    PLAIN_PHENOMENA,
     Faults,
     Hidden,
     Simulation,
@@ -55,17 +55,17 @@ NIGHT = Simulation(
 
 @pytest.fixture(scope="module")
 def night():
-    return run(NIGHT)
+    return run_simulation(NIGHT)
 
 
 @pytest.fixture(scope="module")
 def faulty():
-    return run(Simulation(vehicles=8, days=2, start=datetime(2018, 1, 15, tzinfo=UTC), seed=7))
+    return run_simulation(Simulation(vehicles=8, days=2, start=datetime(2018, 1, 15, tzinfo=UTC), seed=7))
 
 
 @pytest.fixture(scope="module")
 def perfect():
-    return run(PERFECT)
+    return run_simulation(PERFECT)
 
 
 class TestStream:
@@ -80,14 +80,14 @@ class TestStream:
         assert other.stdout.strip() == digest.hexdigest()
 
     def test_another_seed_gives_other_messages(self):
-        assert run(SMALL)[0] != run(replace(SMALL, seed=12))[0]
+        assert run_simulation(SMALL)[0] != run_simulation(replace(SMALL, seed=12))[0]
 
     def test_a_car_does_not_depend_on_the_others(self, perfect):
-        alone = run(replace(PERFECT, vehicles=1))[0]
+        alone = run_simulation(replace(PERFECT, vehicles=1))[0]
         assert [m for m in alone if "taxi-001" in m.key] == [m for m in perfect[0] if "taxi-001" in m.key]
 
     def test_a_longer_simulation_begins_like_a_shorter(self, perfect):
-        two, _ = run(replace(PERFECT, days=2))
+        two, _ = run_simulation(replace(PERFECT, days=2))
         assert two[: len(perfect[0])] == perfect[0]
 
     def test_in_order_of_receipt_and_all_of_the_contract(self, faulty):
@@ -142,10 +142,10 @@ class TestNight:
     """Cars that charge between shifts alone."""
 
     def test_nobody_charges_and_an_empty_car_stops(self, night):
-        told = {name: samples(night[0], name) for name in night[1].cars}
+        told = {name: decode_samples(night[0], name) for name in night[1].cars}
         assert not any(one.charging for own in told.values() for one in own)
-        by_day = run(replace(NIGHT, charging="low"))[0]
-        assert any(one.charging for one in samples(by_day))
+        by_day = run_simulation(replace(NIGHT, charging="low"))[0]
+        assert any(one.charging for one in decode_samples(by_day))
         empty = {name: own[-1].soc_pct < 0.1 for name, own in told.items()}
         assert any(empty.values())
         for name, own in told.items():
@@ -155,14 +155,14 @@ class TestNight:
 
     def test_the_plan_stays_what_dispatch_asked_for(self, night):
         messages, truth = night
-        undone = 0
+        remaining_legs = 0
         for name in truth.cars:
             plans = [json.loads(m.payload) for m in messages if m.key == f"fleet/{name}/plan"]
             done = sum(ride["vehicle_id"] == name for ride in truth.rides)
             assert {plan["shift_end_s"] for plan in plans} == {plans[0]["shift_end_s"]}
             assert [len(plan["legs"]) for plan in plans] == [len(plans[0]["legs"]) - i for i in range(done + 1)]
-            undone += len(plans[-1]["legs"])
-        assert undone > 0
+            remaining_legs += len(plans[-1]["legs"])
+        assert remaining_legs > 0
 
 
 class TestHidden:
@@ -173,7 +173,7 @@ class TestHidden:
         simulation = Simulation(
             vehicles=5, start=start, shift_hours=1.5, seed=1, faults=NO_FAULTS, hidden=(Hidden(effect, 0.04),)
         )
-        _, truth = run(simulation)
+        _, truth = run_simulation(simulation)
         found = truth.summary()["hidden"][effect]
         assert found["absolute_share"] == pytest.approx(0.04, rel=0.02)
         assert found["energy_kwh"] == pytest.approx(sum(r["hidden_kwh"][effect] for r in truth.rides), abs=1e-3)
@@ -181,7 +181,7 @@ class TestHidden:
     def test_what_is_hidden_comes_out_of_the_battery(self):
         plain = Simulation(vehicles=2, start=WINTER, shift_hours=1.5, seed=1, faults=NO_FAULTS)
         both = replace(plain, hidden=(Hidden("standby", 0.05), Hidden("roof_load", 0.02)))
-        (_, before), (_, after) = run(plain), run(both)
+        (_, before), (_, after) = run_simulation(plain), run_simulation(both)
         hidden = sum(sum(ride["hidden_kwh"].values()) for ride in after.rides)
         assert hidden / after.summary()["energy_kwh"] == pytest.approx(0.07, rel=0.05)
         gain = after.summary()["energy_kwh"] - before.summary()["energy_kwh"]
@@ -234,9 +234,9 @@ class TestSettings:
             replace(SMALL, **change)
 
     def test_switches(self):
-        assert parse_phenomena("plain") == PLAIN
-        assert parse_phenomena("all") == ALL
-        assert parse_phenomena("plain,-climate") == PLAIN._replace(climate=False)
+        assert parse_phenomena("plain") == PLAIN_PHENOMENA
+        assert parse_phenomena("all") == ALL_PHENOMENA
+        assert parse_phenomena("plain,-climate") == PLAIN_PHENOMENA._replace(climate=False)
         assert parse_faults("none") == NO_FAULTS
         assert parse_faults("default") == Faults()
         assert parse_start("2018-01-15T07:00-05:00") == datetime(2018, 1, 15, 12, tzinfo=UTC)

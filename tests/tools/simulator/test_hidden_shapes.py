@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from core.errors import SettingsError
-from tests.support.simulated import SMALL, SUMMER, WINTER, driven, run
+from tests.support.simulated import SMALL, SUMMER, WINTER, drive_one_shift, run_simulation
 from tools.simulator.fleet import simulate
-from tools.simulator.hidden import EFFECTS, View
+from tools.simulator.hidden import EFFECTS, EffectInputs
 from tools.simulator.hidden_shapes import OTHER, OTHER_SHAPES, POWERS
 from tools.simulator.settings import Hidden
 
@@ -18,11 +18,11 @@ ALWAYS_COST = set(EFFECTS) - {"headwind", "air_density", "payload", "roof_load",
 
 def view(effect):
     """Return a shift in which the effect has something to act on, of a car that has all flaws."""
-    _, trace, car, state = driven(SUMMER if effect in IN_SUMMER else WINTER, hours=3.0)
+    _, trace, car, state = drive_one_shift(SUMMER if effect in IN_SUMMER else WINTER, hours=3.0)
     flawed = car._replace(roof_drag_area=0.12, wear=0.1, under_inflation=0.1, brake_drag=8.0)
     ramp = np.linspace(0.0, 1.0, len(trace.time))
     dusk = {"solar": 200.0 * (1 - ramp), "dark": (ramp > 0.7).astype(float)} if effect == "night_lights" else {}
-    return View(trace._replace(snow=ramp, **dusk), state._replace(soc=1.0 - 0.2 * ramp), flawed)
+    return EffectInputs(trace._replace(snow=ramp, **dusk), state._replace(soc=1.0 - 0.2 * ramp), flawed)
 
 
 def alike(one, other):
@@ -53,7 +53,7 @@ class TestShapes:
         assert OTHER_SHAPES[effect](seen).min() >= 0.0
 
     def test_is_hidden_by_its_name(self):
-        _, truth = run(replace(SMALL, hidden=(Hidden(f"cold_rolling{OTHER}", 0.05),)))
+        _, truth = run_simulation(replace(SMALL, hidden=(Hidden(f"cold_rolling{OTHER}", 0.05),)))
         found = truth.summary()["hidden"][f"cold_rolling{OTHER}"]
         assert found["absolute_share"] == pytest.approx(0.05, rel=0.02)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from core.wire.messages import Telemetry, address
-from tests.support.simulated import PERFECT, SMALL, WINTER, run, samples
+from tests.support.simulated import PERFECT, SMALL, WINTER, decode_samples, run_simulation
 from tools.simulator.settings import (
     NO_FAULTS,
     Faults,
@@ -18,12 +18,12 @@ from tools.simulator.settings import (
 
 @pytest.fixture(scope="module")
 def faulty():
-    return run(Simulation(vehicles=8, days=2, start=datetime(2018, 1, 15, tzinfo=UTC), seed=7))
+    return run_simulation(Simulation(vehicles=8, days=2, start=datetime(2018, 1, 15, tzinfo=UTC), seed=7))
 
 
 @pytest.fixture(scope="module")
 def perfect():
-    return run(PERFECT)
+    return run_simulation(PERFECT)
 
 
 def _telemetry(messages):
@@ -34,7 +34,7 @@ class TestLogger:
     def test_a_perfect_logger_is_even_and_complete(self, perfect):
         messages, truth = perfect
         for car in truth.cars:
-            rows = samples(messages, car)
+            rows = decode_samples(messages, car)
             assert [row.seq for row in rows] == list(range(len(rows)))
             assert {round(b.time_s - a.time_s, 3) for a, b in pairwise(rows)} == {3.0}
             assert all(getattr(row, field) is not None for row in rows for field in Telemetry.__struct_fields__[3:])
@@ -44,7 +44,7 @@ class TestLogger:
         messages, truth = perfect
         measured = []
         for ride in truth.rides:
-            rows = [row for row in samples(messages, ride["vehicle_id"]) if row.ride_id == ride["ride_id"]]
+            rows = [row for row in decode_samples(messages, ride["vehicle_id"]) if row.ride_id == ride["ride_id"]]
             power = [row.battery_voltage_v * row.battery_current_a for row in rows]
             measured.append(sum(power) * 3 / 3.6e6)
             driven_km = rows[-1].odometer_km - rows[0].odometer_km
@@ -67,8 +67,8 @@ class TestLogger:
     def test_what_is_counted_is_what_is_sent(self):
         quiet = replace(SMALL, vehicles=4, shift_hours=3.0)
         for fault, rate in (("duplicate", 0.02), ("gap", 0.002), ("null_island", 0.01), ("repeated", 0.02)):
-            messages, truth = run(replace(quiet, faults=replace(NO_FAULTS, **{fault: rate})))
-            rows = samples(messages)
+            messages, truth = run_simulation(replace(quiet, faults=replace(NO_FAULTS, **{fault: rate})))
+            rows = decode_samples(messages)
             by_car = [[row for row in rows if row.vehicle_id == car] for car in truth.cars]
             steps = [b.seq - a.seq for car in by_car for a, b in pairwise(car)]
             found = {
@@ -83,9 +83,12 @@ class TestLogger:
 
     def test_arrival_out_of_order_and_late(self):
         faults = replace(NO_FAULTS, late=0.01, out_of_order=0.02)
-        messages, truth = run(replace(SMALL, faults=faults))
+        messages, truth = run_simulation(replace(SMALL, faults=faults))
         delays = np.array(
-            [m.receipt_ns / 1e9 - row.time_s for m, row in zip(_telemetry(messages), samples(messages), strict=True)]
+            [
+                m.receipt_ns / 1e9 - row.time_s
+                for m, row in zip(_telemetry(messages), decode_samples(messages), strict=True)
+            ]
         )
         counts = truth.summary()["faults"]
         assert (delays > 9).sum() == counts["late"] > 0
@@ -93,13 +96,13 @@ class TestLogger:
         assert (delays > 0).all()
 
     def test_a_clock_steps_and_steps_back(self):
-        messages, truth = run(replace(SMALL, vehicles=1, faults=replace(NO_FAULTS, clock_step=0.004)))
-        stamps = np.diff([row.time_s for row in samples(messages)])
+        messages, truth = run_simulation(replace(SMALL, vehicles=1, faults=replace(NO_FAULTS, clock_step=0.004)))
+        stamps = np.diff([row.time_s for row in decode_samples(messages)])
         assert (np.abs(stamps - 3) > 1).sum() == truth.summary()["faults"]["clock_step"] > 1
 
     def test_a_power_cycle_restarts_the_count(self):
-        messages, truth = run(replace(SMALL, vehicles=1, faults=replace(NO_FAULTS, power_cycle=0.003)))
-        seq = [row.seq for row in samples(messages)]
+        messages, truth = run_simulation(replace(SMALL, vehicles=1, faults=replace(NO_FAULTS, power_cycle=0.003)))
+        seq = [row.seq for row in decode_samples(messages)]
         assert sum(b < a for a, b in pairwise(seq)) == truth.summary()["faults"]["power_cycle"] > 0
 
     def test_tunnels_freeze_and_jump(self):
@@ -107,20 +110,20 @@ class TestLogger:
         simulation = Simulation(
             vehicles=12, start=WINTER, shift_hours=2, seed=4, faults=faults, models=("tesla-model-s",)
         )
-        messages, truth = run(simulation)
+        messages, truth = run_simulation(simulation)
         gps = [name for name, car in truth.cars.items() if "wheel_speed" in car["logger_lacks"]]
-        speeds = np.concatenate([[row.speed_kmh for row in samples(messages, name)] for name in gps])
+        speeds = np.concatenate([[row.speed_kmh for row in decode_samples(messages, name)] for name in gps])
         jumps = speeds[speeds > 130]
         assert len(jumps) == sum(truth.faults[name]["tunnel"] for name in gps) > 3
         assert ((jumps > 900) & (jumps < 2000)).all()
         wheels = [name for name in truth.cars if name not in gps]
-        assert max(row.speed_kmh for name in wheels for row in samples(messages, name)) < 130
+        assert max(row.speed_kmh for name in wheels for row in decode_samples(messages, name)) < 130
 
     def test_the_state_of_charge_comes_in_steps(self):
         faults = replace(NO_FAULTS, quantised=1.0)
-        messages, truth = run(replace(SMALL, vehicles=1, faults=faults))
+        messages, truth = run_simulation(replace(SMALL, vehicles=1, faults=faults))
         step = truth.cars["taxi-001"]["soc_step"]
-        levels = np.array([row.soc_pct for row in samples(messages)]) / step
+        levels = np.array([row.soc_pct for row in decode_samples(messages)]) / step
         np.testing.assert_allclose(levels, np.round(levels), atol=1e-2)
 
     def test_drivers_err_too(self, faulty):

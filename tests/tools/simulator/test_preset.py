@@ -18,19 +18,28 @@ from core.pipeline import Pipeline
 from core.totals.tables import WINTER as SEASON
 from core.totals.tables import is_winter
 from core.wire.messages import address
-from tests.support.simulated import SUMMER, WINTER, run
+from tests.support.simulated import SUMMER, WINTER, run_simulation
 from tools.cli import main
 from tools.simulator.cars import make_car
-from tools.simulator.driver import drive
+from tools.simulator.driver import drive_route
 from tools.simulator.fleet import simulate
 from tools.simulator.preset import WINTER as TYRES
-from tools.simulator.preset import YEAR, apportion, distances, in_winter, load, make_drivers, orders, plan
-from tools.simulator.settings import ALL, LOCAL, NO_FAULTS, Simulation
+from tools.simulator.preset import (
+    YEAR,
+    apportion_total,
+    draw_distances,
+    is_winter_tyre_season,
+    load_preset,
+    make_drivers,
+    make_orders,
+    plan_cars,
+)
+from tools.simulator.settings import ALL_PHENOMENA, NO_FAULTS, UTC_OFFSET, Simulation
 from tools.simulator.shift import make_shift
 from tools.simulator.weather import make_sky
-from tools.simulator.world import route
+from tools.simulator.world import make_route
 
-TEO = load("teo")
+TEO = load_preset("teo")
 SMALL = Simulation(preset="teo", rides=800, seed=21, faults=TEO.fleet.faults)
 TABLE_2 = {
     "kia-soul-ev-2015": (118_621, 12_772, 426, 31, 9, 3, 4),
@@ -50,7 +59,7 @@ ALL_RIDES = 193_347
 @pytest.fixture(scope="module")
 def year():
     """Return a small fleet's truth and its ride table."""
-    messages, truth = run(SMALL)
+    messages, truth = run_simulation(SMALL)
     pipeline = Pipeline(keep_forecasts=False)
     pipeline.push(messages)
     pipeline.finish()
@@ -62,12 +71,12 @@ def year():
 @pytest.fixture(scope="module")
 def logged():
     """Return the decoded telemetry of a fleet without faults but quantisation, and its truth."""
-    messages, truth = run(replace(SMALL, rides=100, faults=replace(NO_FAULTS, quantised=1.0)))
+    messages, truth = run_simulation(replace(SMALL, rides=100, faults=replace(NO_FAULTS, quantised=1.0)))
     rows = [json.loads(m.payload) for m in messages if address(m.key).kind == "telemetry"]
     return truth, pd.DataFrame(rows)
 
 
-def driven(truth):
+def tabulate_rides(truth):
     """Return the true rides that carried somebody."""
     rides = pd.DataFrame(truth.rides)
     rides["model"] = [truth.cars[name]["model"] for name in rides["vehicle_id"]]
@@ -86,35 +95,37 @@ class TestPlan:
 
     @pytest.mark.parametrize("rides", [800, 20_000])
     def test_rides_come_in_the_papers_proportions(self, rides):
-        places = plan(TEO, rides, 3)
+        places = plan_cars(TEO, rides, 3)
         for model, counts in TABLE_2.items():
-            metres = np.concatenate([d.distances for place in places if place.model == model for d in place.duties])
+            metres = np.concatenate(
+                [d.distances for place in places if place.model == model for d in place.planned_shifts]
+            )
             wanted = np.array(counts) / ALL_RIDES * rides
             assert len(metres) == pytest.approx(wanted.sum(), abs=1)
             np.testing.assert_allclose(clusters_of(metres), wanted, atol=2)
 
     def test_every_car_drives_in_all_seasons_and_once_a_day_at_most(self):
         for rides in (20_000, 400_000):
-            for place in plan(TEO, rides, 5):
-                days = [duty.day for duty in place.duties]
+            for place in plan_cars(TEO, rides, 5):
+                days = [duty.day for duty in place.planned_shifts]
                 assert all(a < b for a, b in pairwise(days))
                 assert 0 <= days[0] < YEAR / 4 < 3 * YEAR / 4 < days[-1] < YEAR
 
     def test_cars_are_shared_and_drivers_keep_their_ways(self):
-        places = plan(TEO, 20_000, 5)
+        places = plan_cars(TEO, 20_000, 5)
         ways, cars = {}, {}
         for number, place in enumerate(places):
-            for duty in place.duties:
+            for duty in place.planned_shifts:
                 assert ways.setdefault(duty.driver.name, duty.driver) == duty.driver
                 cars.setdefault(duty.driver.name, set()).add(number)
         assert len({driver.style for driver in ways.values()}) == len(ways) > len(places) > 40
         assert min(map(len, cars.values())) > 3
-        assert all(len({duty.driver.name for duty in place.duties}) > 5 for place in places)
+        assert all(len({duty.driver.name for duty in place.planned_shifts}) > 5 for place in places)
 
     @given(st.lists(st.integers(0, 10_000), min_size=3, max_size=7), st.integers(1, 3000), st.integers(0, 99))
     def test_distances_fill_clusters_as_they_should(self, counts, number, seed):
         counts = np.array([1 + max(counts), *counts])[:7]
-        metres = distances(counts, number, np.random.default_rng(seed))
+        metres = draw_distances(counts, number, np.random.default_rng(seed))
         assert len(metres) == number
         assert 350 <= metres.min() <= metres.max() <= 34e3
         wanted = counts / counts.sum() * number
@@ -122,7 +133,7 @@ class TestPlan:
 
     @given(st.lists(st.integers(1, 1000), min_size=1, max_size=9), st.integers(0, 5000))
     def test_apportioned_numbers_are_whole_and_add_up(self, shares, total):
-        numbers = apportion(np.array(shares), total)
+        numbers = apportion_total(np.array(shares), total)
         assert sum(numbers) == total
         exact = np.array(shares) / sum(shares) * total
         assert np.abs(np.array(numbers) - exact).max() < 1
@@ -131,7 +142,7 @@ class TestPlan:
         ("day", "on"), [((12, 14), False), ((12, 15), True), ((2, 1), True), ((3, 15), True), ((3, 16), False)]
     )
     def test_winter_tyres_are_on_from_15_december_to_15_march(self, day, on):
-        assert in_winter(datetime(2018, *day, 12, tzinfo=UTC).timestamp()) is on
+        assert is_winter_tyre_season(datetime(2018, *day, 12, tzinfo=UTC).timestamp()) is on
         assert TYRES == SEASON
 
 
@@ -185,7 +196,7 @@ class TestRideTable:
 class TestTruth:
     def test_weather_reaches_the_extremes_that_were_asked_for(self):
         mild, wild = (make_sky(WINTER.timestamp(), 365, 4, extremes) for extremes in (None, (-30.5, 30.5)))
-        clock = (wild.time + LOCAL) / 3600 % 24
+        clock = (wild.time + UTC_OFFSET) / 3600 % 24
         by_day = wild.temperature[(clock >= 7) & (clock <= 19)]
         assert (by_day.min(), by_day.max()) == pytest.approx((-30.5, 30.5))
         assert -38 < wild.temperature.min() < wild.temperature.max() < 38
@@ -195,17 +206,17 @@ class TestTruth:
 
     def test_winter_tyres_roll_harder_in_winter_only(self, year):
         parts = pd.DataFrame([ride["parts_kwh"] for ride in year[0].rides if ride["distance_km"] > 0])
-        winter = driven(year[0])["ambient_season"] == 1
+        winter = tabulate_rides(year[0])["ambient_season"] == 1
         share = (parts["winter_tyres"].fillna(0) / parts["rolling"]).to_numpy()
         np.testing.assert_allclose(share[winter], 0.15, rtol=0.02)
         assert share[~winter].max() == 0
 
     def test_without_the_phenomenon_no_tyres_are_changed(self):
-        _, truth = run(replace(SMALL, rides=100, phenomena=ALL._replace(winter_tyres=False)))
+        _, truth = run_simulation(replace(SMALL, rides=100, phenomena=ALL_PHENOMENA._replace(winter_tyres=False)))
         assert "winter_tyres" not in truth.summary()["parts_kwh"]
 
     def test_capacity_falls_with_the_odometer(self, year):
-        rides = driven(year[0])
+        rides = tabulate_rides(year[0])
         rides = rides[rides["soc_start_pct"] - rides["soc_end_pct"] > 0.2]
         inside = rides["energy_kwh"] + rides["battery_resistance_kwh"]
         rides["capacity"] = 100 * inside / (rides["soc_start_pct"] - rides["soc_end_pct"])
@@ -222,19 +233,19 @@ class TestTruth:
 
     def test_drivers_differ_in_what_they_use(self):
         kia = make_car("kia-soul-ev-2015", np.random.default_rng(1))
-        way = route((0.0, 0.0), (2800.0, 2200.0), np.random.default_rng(2))
+        way = make_route((0.0, 0.0), (2800.0, 2200.0), np.random.default_rng(2))
         speeds = [
-            np.mean([drive(way, d.style, 0.3, np.random.default_rng(s)).after.mean() for s in range(5)])
+            np.mean([drive_route(way, d.style, 0.3, np.random.default_rng(s)).after.mean() for s in range(5)])
             for d in make_drivers(30, 4)
         ]
         assert np.std(speeds) > 0.02 * np.mean(speeds)
         assert np.std([driver.warmth for driver in make_drivers(30, 4)]) == pytest.approx(1.5, rel=0.4)
-        duty = plan(TEO, 100, 1)[0].duties[0]
+        duty = plan_cars(TEO, 100, 1)[0].planned_shifts[0]
         shift = make_shift(
-            "r", SUMMER.timestamp(), orders(TEO.fleet, duty), kia, 20.0, NO_FAULTS, np.random.default_rng(3)
+            "r", SUMMER.timestamp(), make_orders(TEO.fleet, duty), kia, 20.0, NO_FAULTS, np.random.default_rng(3)
         )
         assert {trip.driver_id for trip in shift.trips} == {duty.driver.name}
-        metres = [shift.course.moved[shift.course.ride == ride].sum() for ride in range(len(shift.trips))]
+        metres = [shift.timeline.moved[shift.timeline.ride == ride].sum() for ride in range(len(shift.trips))]
         np.testing.assert_allclose(metres, duty.distances, rtol=0.1, atol=250)
 
 
@@ -311,6 +322,6 @@ class TestCommand:
     def test_plain_fleets_keep_their_own_size(self):
         with pytest.raises(SettingsError, match="rides is 10; give 100"):
             replace(SMALL, rides=10)
-        _, truth = run(Simulation(vehicles=1, start=WINTER, shift_hours=0.5))
+        _, truth = run_simulation(Simulation(vehicles=1, start=WINTER, shift_hours=0.5))
         assert "preset" not in truth.settings
         assert truth.settings["vehicles"] == 1

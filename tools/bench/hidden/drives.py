@@ -17,12 +17,20 @@ import numpy as np
 from core.batch import Floats
 from core.wire.messages import Message
 from tools.simulator import calibration, physics
-from tools.simulator.fleet import Driven, Member, drive_shift, make_members, sent, sky_over, with_weather
-from tools.simulator.hidden import View
+from tools.simulator.fleet import (
+    DrivenShift,
+    FleetCar,
+    drive_shift,
+    make_car_messages,
+    make_fleet_sky,
+    make_members,
+    merge_weather,
+)
+from tools.simulator.hidden import EffectInputs
 from tools.simulator.hidden_shapes import POWERS
-from tools.simulator.settings import PLAIN, STEPS_PER_SAMPLE, Faults, Hidden, Phenomena, Simulation
+from tools.simulator.settings import PLAIN_PHENOMENA, STEPS_PER_SAMPLE, Faults, Hidden, Phenomena, Simulation
 
-BASE: Final = PLAIN._replace(payload=True)
+BASE: Final = PLAIN_PHENOMENA._replace(payload=True)
 """Physics that nothing is hidden in: passengers weigh the 75 kg that the product counts of each."""
 FLEET: Final = Simulation(
     vehicles=8,
@@ -50,8 +58,8 @@ SOC_MARK: Final = 1e-5
 class Leg(NamedTuple):
     """A shift as it was driven, and the number that its first sample has among its car's."""
 
-    member: Member
-    driven: Driven
+    member: FleetCar
+    driven: DrivenShift
     first: int
 
     @property
@@ -126,7 +134,7 @@ class Drives:
         """Names of the cars."""
         return list(dict.fromkeys(leg.member.name for leg in self.legs))
 
-    def views(self, phenomena: Phenomena) -> list[View]:
+    def views(self, phenomena: Phenomena) -> list[EffectInputs]:
         """Return the shifts with the states that the cars have under some physics, without hidden effects."""
         if phenomena not in self._states:
             self._states[phenomena] = [_state(leg, phenomena) for leg in self.legs]
@@ -160,20 +168,20 @@ class Drives:
             _enter(out, cars.index(leg.member.name), leg, state, scaled)
         return out
 
-    def _powers(self, leg: Leg, view: View, hidden: Sequence[Hidden], where: Where) -> Floats | None:
+    def _powers(self, leg: Leg, view: EffectInputs, hidden: Sequence[Hidden], where: Where) -> Floats | None:
         """Return the powers at natural size, (effects, steps) [W]; None where nothing is hidden."""
         if not hidden or not where.holds(leg):
             return None
         return np.stack([POWERS[effect](view) for effect, _ in hidden])
 
-    def _factors(self, views: list[View], hidden: tuple[Hidden, ...], where: Where) -> list[float]:
+    def _factors(self, views: list[EffectInputs], hidden: tuple[Hidden, ...], where: Where) -> list[float]:
         """Return the factor of each effect."""
-        books = [
-            calibration.ledger(view, leg.driven.shift.course.ride, hidden)
+        pilot = [
+            calibration.sum_energies(view, leg.driven.shift.timeline.ride, hidden)
             for leg, view in zip(self.legs, views, strict=True)
             if where.holds(leg)
         ]
-        return calibration.calibrate(books, hidden)
+        return calibration.calibrate_effects(pilot, hidden)
 
 
 def drive(simulation: Simulation, turns: int = 1) -> Drives:
@@ -185,23 +193,23 @@ def drive(simulation: Simulation, turns: int = 1) -> Drives:
     turns : int
         Cars take turns: each drives on one of so many days.
     """
-    members, sky = make_members(simulation), sky_over(simulation)
+    members, sky = make_members(simulation), make_fleet_sky(simulation)
     legs: list[Leg] = []
     streams: list[list[Message]] = []
     for member in members:
         first, odometer, stream = 0, member.car.odometer, list[Message]()
-        for number in range(member.number % turns, member.shifts(simulation), turns):
+        for number in range(member.number % turns, member.count_shifts(simulation), turns):
             driven = drive_shift(simulation, member, number, sky)
             legs.append(Leg(member, driven, first))
-            messages, odometer, _ = sent(simulation, member, number, _marked(driven, first), odometer)
+            messages, odometer, _ = make_car_messages(simulation, member, number, _marked(driven, first), odometer)
             stream += messages
             first += legs[-1].samples
         streams.append(stream)
     fleet = heapq.merge(*streams, key=attrgetter("receipt_ns"))
-    return Drives(simulation, legs, list(with_weather(fleet, simulation, sky)))
+    return Drives(simulation, legs, list(merge_weather(fleet, simulation, sky)))
 
 
-def _marked(driven: Driven, first: int) -> Driven:
+def _marked(driven: DrivenShift, first: int) -> DrivenShift:
     """Return a shift whose every step measures the number of the sample that it belongs to."""
     view = driven.view
     number: Floats = (first + np.arange(len(view.trace.time)) // STEPS_PER_SAMPLE + 1).astype(np.float64)
@@ -212,7 +220,7 @@ def _marked(driven: Driven, first: int) -> Driven:
 def _state(leg: Leg, phenomena: Phenomena, hidden: Floats | None = None) -> physics.State:
     """Return a car's states over a shift."""
     view = leg.driven.view
-    return physics.run(view.trace, view.car, leg.driven.shift.soc, phenomena, hidden)
+    return physics.integrate_states(view.trace, view.car, leg.driven.shift.soc, phenomena, hidden)
 
 
 def _enter(out: Measured, car: int, leg: Leg, state: physics.State, hidden: Floats | None) -> None:
