@@ -130,14 +130,3 @@ def compute_evidence(
     over = np.divide(beyond, error, out=np.full(len(size), -np.inf), where=error > 0.0)
     one_sided = stats.t.sf(over, freedom)
     return Evidence(coefficient, error, freedom, z, np.where(sign == 0, np.minimum(2.0 * one_sided, 1.0), one_sided))
-
-
-def false_discovery(p: Floats) -> Floats:
-    """Return probabilities adjusted so that those below a level hold at most that share of false ones.
-
-    Examples
-    --------
-    >>> false_discovery(np.array([0.01, 0.04, 0.03, 0.5])).round(4).tolist()
-    [0.04, 0.0533, 0.0533, 0.5]
-    """
-    return np.asarray(stats.false_discovery_control(p)) if len(p) else p

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from core.batch import Floats, Ints
 from core.diagnose.candidates import Candidates, compute_least_coefficients
 from core.diagnose.dataset import Windows
-from core.diagnose.evidence import compute_worst_case_evidence, false_discovery
+from core.diagnose.evidence import compute_worst_case_evidence
 from core.diagnose.forward_selection import ForwardSelection, SelectedEffect
 from core.diagnose.ranking import LEAST_LEFT
 from core.fit.ride_blocks import get_names, get_numbers
 from core.models.features import SINCE_SCOPE, VEHICLE_SCOPE
+from core.stats.multiple_testing import adjust_false_discovery
 
 Mask = NDArray[np.bool_]
 
@@ -125,7 +126,7 @@ def _best(selection: ForwardSelection, everywhere: Candidates) -> SelectedEffect
         families.setdefault(kind, []).extend(_tried(selection, everywhere, place, off, left, fleet))
     good: list[tuple[_Trial, float]] = []
     for tried in families.values():
-        q = false_discovery(np.array([each.p for each in tried]))
+        q = adjust_false_discovery(np.array([each.p for each in tried]))
         good += [(each, float(chance)) for each, chance in zip(tried, q, strict=True) if chance < LEVEL]
     for each, chance in sorted(good, key=lambda pair: -pair[0].fall):
         named = SelectedEffect(_sharper(selection, everywhere, each.scope, each.at, off, left), each.at, chance)

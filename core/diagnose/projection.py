@@ -248,7 +248,7 @@ def _terms(windows: Windows, model: LinearModel, terms: tuple[Term, ...], kinds:
     out = np.zeros((len(windows.measured), len(terms)))
     for kind, rows in kinds.items():
         fit = model.fits.get(kind) or model.fits[ANY]
-        columns = Columns(windows.table, fit.fills, fit.curve.to_curve() if fit.curve else None, rows)
+        columns = Columns(windows.table, fit.fills, fit.curve, rows)
         out[rows] = build_design(terms, columns, len(rows))
     return np.nan_to_num(out, nan=0.0)
 

@@ -8,8 +8,9 @@ import numpy as np
 
 from core.batch import Floats, Ints
 from core.diagnose.candidates import Candidates
-from core.diagnose.evidence import ClusterSums, Evidence, compute_worst_case_evidence, false_discovery
+from core.diagnose.evidence import ClusterSums, Evidence, compute_worst_case_evidence
 from core.diagnose.projection import BaseProjection
+from core.stats.multiple_testing import adjust_false_discovery
 
 LEAST_LEFT: Final = 0.03
 """Share of a candidate's size that the model must be unable to take up, for it to be told from the model."""
@@ -92,7 +93,7 @@ def rank_candidates(
             best[e] = mine[np.argmax(gains[:, mine].sum(axis=0))]
             p[e] = combine_by_simes(evidence.p[mine])
     q = np.full(len(p), np.nan)
-    q[best >= 0] = false_discovery(p[best >= 0])
+    q[best >= 0] = adjust_false_discovery(p[best >= 0])
     return Ranking(asked, projected, evidence, left, best, q, gains)
 
 

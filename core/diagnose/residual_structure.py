@@ -16,11 +16,12 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 
 from core.batch import Floats, Ints
 from core.diagnose.dataset import Windows
-from core.diagnose.evidence import ClusterSums, compute_worst_case_evidence, false_discovery
+from core.diagnose.evidence import ClusterSums, compute_worst_case_evidence
 from core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectedEffect
 from core.diagnose.ranking import LEAST_GAIN, LEAST_LEFT, compute_held_out_gains, sum_over_clusters
 from core.fit.ride_blocks import get_numbers
 from core.models.derived_features import compute_sun_sine
+from core.stats.multiple_testing import adjust_false_discovery
 
 LEAST_TAKEN: Final = 0.8
 """Share of what trees can predict that the named effects must take for nothing to remain."""
@@ -221,7 +222,7 @@ class PlainShapes:
         if not len(free):
             return "", 1.0, 0.0
         either = np.zeros(len(free), dtype=np.int64)
-        q = false_discovery(compute_worst_case_evidence(left, shapes, either, self.selection.clusters).p)
+        q = adjust_false_discovery(compute_worst_case_evidence(left, shapes, either, self.selection.clusters).p)
         gain = compute_held_out_gains(left, shapes, either, self.selection.clusters[0], self.selection.seed).sum(axis=0)
         best = int(np.argmax(np.where(q < LEVEL, gain, -1.0))) if (q < LEVEL).any() else int(np.argmin(q))
         return self.names[free[best]], float(q[best]), float(gain[best])

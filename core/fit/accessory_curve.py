@@ -24,8 +24,7 @@ from scipy.optimize import least_squares, nnls
 
 from core.batch import Floats
 from core.columns import ZERO_CELSIUS
-from core.models import Curve
-from core.vehicles import ACCESSORIES
+from core.vehicles import ACCESSORIES, AccessoryCurve
 
 _LOW, _HIGH, _WIDTH = -60.0, 60.0, 0.25
 """Bins of outside temperature. [°C]"""
@@ -82,12 +81,12 @@ class TemperatureBins:
             for j in range(i, len(table)):
                 self.sums[:, i, j] += np.bincount(place, table[i] * table[j], _BINS)
 
-    def fit(self) -> Curve:
+    def fit(self) -> AccessoryCurve:
         """Return the curve of least squares; the reference curve, scaled, where rides are too few or too much alike."""
         return _fit(self.sums.tobytes(), self.beside, self.rides >= _LEAST_RIDES)
 
 
-def compute_slopes(curve: Curve, ambient_c: Floats) -> Floats:
+def compute_slopes(curve: AccessoryCurve, ambient_c: Floats) -> Floats:
     """Return the derivatives of the power by the curve's seven numbers: three levels, four choke points; (n, 7)."""
     knots = np.array([curve.heating_full, curve.heating_off, curve.cooling_on, curve.cooling_full]) - ZERO_CELSIUS
     (standby, heat, cool), (_, d_heat, d_cool) = _shape(knots, ambient_c)
@@ -115,7 +114,7 @@ class _BinFactors(NamedTuple):
 
 
 @lru_cache(maxsize=256)
-def _fit(content: bytes, beside: int, enough: bool) -> Curve:
+def _fit(content: bytes, beside: int, enough: bool) -> AccessoryCurve:
     """Return the curve for sums of bins; recipes that share a curve ask for it one after the other."""
     sums = np.frombuffer(content).reshape(_BINS, 3 + beside, 3 + beside)
     sums = sums + np.triu(sums, 1).transpose(0, 2, 1)
@@ -129,7 +128,7 @@ def _fit(content: bytes, beside: int, enough: bool) -> Curve:
     knots = _knots(best.x, low, high)
     standby, heating, cooling = _levels(knots, binned)[0]
     heating_full, heating_off, cooling_on, cooling_full = (float(t) + ZERO_CELSIUS for t in knots)
-    return Curve(
+    return AccessoryCurve(
         heating_full=heating_full,
         heating_off=heating_off,
         cooling_on=cooling_on,
@@ -140,14 +139,14 @@ def _fit(content: bytes, beside: int, enough: bool) -> Curve:
     )
 
 
-def _scaled(sums: Floats) -> Curve:
+def _scaled(sums: Floats) -> AccessoryCurve:
     """Return the reference curve times the factor of least squares, the columns as they are."""
     off = np.divide(sums[:, 0, 1], sums[:, 0, 0], out=np.zeros(_BINS), where=sums[:, 0, 0] > 0.0)
     power = ACCESSORIES.power(_CENTRE + off + ZERO_CELSIUS)
     own = float(sums[:, 0, 0] @ power**2)
     left = sums[:, 0, -1] - sums[:, 0, 2:-1].sum(axis=1)
     factor = max(float(left @ power) / own, 0.0) if own > 0.0 else 1.0
-    return Curve(
+    return AccessoryCurve(
         heating_full=ACCESSORIES.heating_full,
         heating_off=ACCESSORIES.heating_off,
         cooling_on=ACCESSORIES.cooling_on,

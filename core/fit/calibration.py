@@ -25,9 +25,9 @@ from core.batch import Floats, Ints
 from core.fit.fitting import build_design
 from core.fit.regression import CUTOFF
 from core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
-from core.models import VEHICLE_MODEL, LinearModel
+from core.models import ANY, VEHICLE_MODEL, LinearModel
 from core.models.features import Columns, list_raw_columns
-from core.models.interval import ANY, PredictionInterval, compute_scale_terms
+from core.models.interval import PredictionInterval, compute_scale_terms
 
 QUANTILE_LEVELS: Final = (
     0.005,
@@ -206,8 +206,7 @@ def add_interval(model: LinearModel, rides: pd.DataFrame, *, fitted: bool = True
 def _left(model: LinearModel, key: str, rides: pd.DataFrame, rows: Ints, out: Ints, *, fitted: bool) -> Floats:
     """Return the errors of rides, had a fit to `rows` been made without them: one by one, or all if it has others."""
     fit = model.fits[key]
-    curve = None if fit.curve is None else fit.curve.to_curve()
-    table = build_design(model.terms, Columns(rides, fit.fills, curve, rows), len(rows))
+    table = build_design(model.terms, Columns(rides, fit.fills, fit.curve, rows), len(rows))
     left = get_numbers(rides, ENERGY)[rows] - table @ np.array(fit.coefficients)
     inside = np.searchsorted(rows, out)
     if not fitted:

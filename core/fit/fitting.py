@@ -41,9 +41,10 @@ from core.fit.regression import (
     solve,
 )
 from core.fit.ride_blocks import ENERGY, RideSource, get_names, get_numbers, select_trainable
-from core.models import ANY, BASIC_PHYSICAL, VEHICLE, VEHICLE_MODEL, Curve, Fit, LinearModel, Term, Training
+from core.models import ANY, BASIC_PHYSICAL, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term, Training
 from core.models.derived_features import DERIVED_COLUMNS
 from core.models.features import ACCESSORIES_COLUMN, ACCESSORY_NEEDS, EFFECT_PREFIX, FEATURES, Columns, list_raw_columns
+from core.vehicles import AccessoryCurve
 from core.vehicles.fleet import CarParameters
 
 _RIDES_PER_COEFFICIENT: Final = 2
@@ -81,7 +82,7 @@ class _GroupFit:
     sums: dict[str, float] = field(default_factory=dict)
     temperatures: TemperatureBins = field(default_factory=TemperatureBins)
     fills: dict[str, float] = field(default_factory=dict)
-    curve: Curve | None = None
+    curve: AccessoryCurve | None = None
     moments: Moments = field(default_factory=lambda: Moments(0))
     solution: Solution | None = None
     influence: Influence | None = None
@@ -289,9 +290,8 @@ class _Fitting:
             for key, rows in self._parts(block):
                 group = self.groups.get(key)
                 if group is not None:
-                    curve = None if group.curve is None else group.curve.to_curve()
                     part = block if len(rows) == len(block) else block.iloc[rows]
-                    yield part, key, Columns(part, group.fills, curve), get_numbers(part, ENERGY)
+                    yield part, key, Columns(part, group.fills, group.curve), get_numbers(part, ENERGY)
 
     def _note(self, group: _GroupFit, columns: Columns) -> None:
         """Add rides to the means that will fill, and to what the basic physical model leaves."""

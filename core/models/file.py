@@ -10,8 +10,10 @@ from typing import Any, Final
 import msgspec
 
 from core.errors import EffectError, ModelError
+from core.models.built_in import BUILT_IN_MODELS
 from core.models.features import ACCESSORIES_COLUMN, get_unit
-from core.models.linear import BUILT_IN_MODELS, FORMAT, Curve, Fit, LinearModel
+from core.models.linear import FORMAT, Fit, LinearModel
+from core.vehicles import AccessoryCurve
 
 _NUMBERS: Final = re.compile(rb"\[\n\s+([-+.\deE,\s]+?)\n\s+\]")
 """An array of numbers, one a line; no string matches, as JSON's strings have no line breaks."""
@@ -183,7 +185,7 @@ def _check_fit(what: str, fit: Fit, model: LinearModel) -> None:
         _check_curve(what, fit.curve)
 
 
-def _check_curve(what: str, curve: Curve) -> None:
+def _check_curve(what: str, curve: AccessoryCurve) -> None:
     """Check that choke points ascend: between two that do not, there is no segment."""
     points = (curve.heating_full, curve.heating_off, curve.cooling_on, curve.cooling_full)
     if not all(a < b for a, b in pairwise(points)):

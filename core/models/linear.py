@@ -1,15 +1,15 @@
-"""Models: sums of products of ride-table columns, and the JSON file that a person can read.
+"""Linear consumption models: sums of products of ride-table columns, and the contents of a model file.
 
-Every model of the paper is linear in columns; they differ in which columns, which products of them, and which
-coefficients are fitted. So a model is a tuple of terms, each a product of columns, and for each vehicle model a fit:
-one coefficient a term, and what stands for unknown values. A vehicle's own parameter is one more column of the
-product. What is fitted past that (accessory curve, factors of single cars, boosted trees, intervals) is optional.
+Every model of the paper is linear in columns. Models differ in which columns they use, which products of them, and
+which coefficients are fitted. A model therefore is a tuple of terms, each a product of columns, and one fit for each
+vehicle model: one coefficient per term, and the values that replace unknown ones. A vehicle parameter enters as one
+more column of the product. Everything fitted beyond the paper (accessory curve, factors of single cars, boosted trees,
+prediction intervals) is optional.
 """
 
 from collections.abc import Iterator, Mapping
 from functools import cached_property
-from types import MappingProxyType
-from typing import Any, Final, cast
+from typing import Any, Final, Protocol, cast
 
 import msgspec
 import numpy as np
@@ -17,30 +17,53 @@ import numpy as np
 from core.batch import Floats
 from core.errors import ModelError
 from core.models.features import EFFECT_PREFIX, Columns, Table, list_raw_columns
-from core.models.interval import PredictionInterval
+from core.models.interval import ANY, PredictionInterval
 from core.models.trees import Trees
 from core.vehicles import AccessoryCurve
 
 FORMAT: Final = 2
-"""Version of the model file that this version of the product reads and writes."""
-
-ANY: Final = "*"
-"""Stands for every vehicle model that has no fit of its own."""
+"""Version of the model-file format that this version of the product reads and writes."""
 VEHICLE_MODEL: Final = "vehicle_model"
 VEHICLE: Final = "vehicle_id"
+CORRECTION: Final = "learned correction"
+"""Name of the part of a prediction that the boosted trees of a model add."""
+
+
+class Model(Protocol):
+    """Predict the energy of rides, or of any part of a ride."""
+
+    @property
+    def name(self) -> str:
+        """Name for people."""
+
+    @property
+    def version(self) -> str:
+        """Version that distinguishes it from earlier models of the same name."""
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Columns of the ride table that it reads."""
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects whose energy it reads."""
+
+    def predict(self, columns: Table) -> Floats:
+        """Return the energy of each row, NaN where the model cannot predict it. [kWh]"""
 
 
 class Term(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One addend of a model: a product of columns, to be multiplied with a coefficient.
+    """Describe one summand of a model: a product of columns, to be multiplied by a coefficient.
 
     Parameters
     ----------
     name : str
-        Of the term, among those of its model.
+        Name of the term, unique within its model.
     columns : tuple of str
-        Columns of the ride table, or derived ones (`core.models.features`); one may stand twice. None at all is a constant.
+        Columns of the ride table, or derived ones (`core.models.features`). A column may occur twice; an empty tuple
+        is a constant.
     unit : str
-        Of the coefficient, as pint spells it.
+        Unit of the coefficient, as pint spells it.
     """
 
     name: str
@@ -48,52 +71,38 @@ class Term(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     unit: str
 
 
-class Curve(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The seven numbers of `core.vehicles.AccessoryCurve`. [K], [W]"""
-
-    heating_full: float
-    heating_off: float
-    cooling_on: float
-    cooling_full: float
-    heating: float
-    standby: float
-    cooling: float
-
-    def to_curve(self) -> AccessoryCurve:
-        """Return the curve itself."""
-        return AccessoryCurve(**msgspec.structs.asdict(self))
-
-
 class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What was fitted to the rides of one vehicle model, or of all.
+    """Hold the results of fitting a model to the rides of one vehicle model, or of all.
 
     Parameters
     ----------
     coefficients : tuple of float
-        One a term.
+        One coefficient per term.
     covariance : tuple of tuple of float, optional
-        Of the coefficients, given the curve and the fills.
+        Covariance of the coefficients, given the accessory curve and the fills.
     clusters : int, optional
-        Groups of rides within which the covariance lets errors depend on each other; None where it lets none.
+        Number of groups of rides within which the covariance lets errors depend on each other; None where it treats
+        errors as independent.
     fills : dict of str to float
-        Column to the value that stands for an unknown (NaN) one; a column that is not here stays NaN.
-    curve : Curve, optional
-        Accessory power of `accessories_kwh`.
+        Column to the value that replaces its unknown (NaN) values. A column without an entry stays NaN.
+    curve : AccessoryCurve, optional
+        Accessory power of the column `accessories_kwh`.
     rides : int
-        Fitted to.
+        Number of rides fitted to.
     residual_sd_kwh : float, optional
-        Standard deviation of what the fit leaves, in sample. [kWh]
+        Standard deviation of the in-sample residuals. [kWh]
     held : tuple of str
-        Terms that whole rides do not tell, whose coefficients are held near those of physics.
+        Terms that whole rides do not identify, whose coefficients a prior fixes near those of physics.
     noise_kwh : float, optional
-        Variance of the error over the ride's size (`core.models.derived_features.compute_size`), where rides were weighed by it. [kWh]
+        Variance of a ride's error divided by its size (`core.models.derived_features.compute_size`), where rides were
+        weighted by their size. [kWh]
     """
 
     coefficients: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...] | None = None
     clusters: int | None = None
     fills: dict[str, float] = {}
-    curve: Curve | None = None
+    curve: AccessoryCurve | None = None
     rides: int = 0
     residual_sd_kwh: float | None = None
     held: tuple[str, ...] = ()
@@ -101,21 +110,22 @@ class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
 
 
 class Training(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What a model was fitted to.
+    """Describe the rides that a model was fitted to.
 
     Parameters
     ----------
     rides : int
+        Number of rides.
     first_date, last_date : str
-        ISO, UTC.
+        Dates of the first and the last ride, ISO 8601, UTC.
     vehicle_models : dict of str to int
-        Rides of each.
+        Number of rides of each vehicle model.
     fingerprint : str
         SHA-256 of the training columns, as read.
     filled : dict of str to int
-        Rides in which a column was unknown, and filled.
+        Number of rides in which a column was unknown and was filled.
     left_out : dict of str to int
-        Rides that were not trained on, by reason.
+        Number of rides excluded from training, by reason.
     """
 
     rides: int
@@ -128,30 +138,30 @@ class Training(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
 
 class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, dict=True):
-    """A model that is a sum of terms; what a model file holds.
+    """Predict energy by a sum of terms. The fields are those of a model file.
 
     Parameters
     ----------
     format : int
-        Version of the file.
+        Version of the file format.
     name, version : str
-        Of the model; a forecast carries both.
+        Name and version of the model; every forecast carries both.
     recipe : str
-        What it was made by.
+        Recipe that made the model.
     terms : tuple of Term
-        In the order in which they are added.
+        Terms in the order of their summation.
     fits : dict of str to Fit
-        By vehicle model; `*` stands for every other one.
+        Fits by vehicle model; `*` applies to every other one.
     cars : dict of str to float
-        Factor on the prediction, by vehicle; 1 for every other one.
+        Factor on the prediction by vehicle; 1 for every other one. [1]
     correction : dict of str to Trees, optional
-        What is added to the sum, by vehicle model; `*` stands for every other one.
-    interval : Interval, optional
-        How far off predictions are.
+        Boosted trees by vehicle model, added to the sum; `*` applies to every other one.
+    interval : PredictionInterval, optional
+        Calibrated prediction interval.
     training : Training, optional
-        What it was fitted to.
+        Rides that the model was fitted to.
     history : tuple of dict
-        What was done to it, oldest first: each a plain JSON object.
+        Changes made to the model, oldest first, each a plain JSON object.
     """
 
     format: int = FORMAT
@@ -172,12 +182,12 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         read = [column for term in self.terms for column in term.columns]
         for trees in (self.correction or {}).values():
             read += trees.needs
-        found = [raw for column in read for raw in list_raw_columns(column)]
+        raw = [name for column in read for name in list_raw_columns(column)]
         if self._groups:
-            found.append(VEHICLE_MODEL)
+            raw.append(VEHICLE_MODEL)
         if self.cars:
-            found.append(VEHICLE)
-        return tuple(dict.fromkeys(found))
+            raw.append(VEHICLE)
+        return tuple(dict.fromkeys(raw))
 
     @cached_property
     def effects(self) -> tuple[str, ...]:
@@ -186,23 +196,23 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     @cached_property
     def _groups(self) -> tuple[str, ...]:
-        """Vehicle models that have something of their own."""
+        """Vehicle models that have a fit or a correction of their own."""
         return tuple(dict.fromkeys(key for key in (*self.fits, *(self.correction or {})) if key != ANY))
 
     def predict(self, columns: Table) -> Floats:
-        """Return the energy of rides, or of any part of one for which the same columns are known, as if it were a ride.
+        """Return the energy of rides, or of any part of a ride for which the same columns are known.
 
         Parameters
         ----------
         columns : mapping of str to (n,) array
-            At least `needs`, as the ride table names them: `effect_<name>` [kWh per unit of its coefficient],
+            At least `needs`, named as in the ride table: `effect_<name>` [kWh per unit of its coefficient],
             `rolling_resistance` [1], `drag_area_m2` [m^2] and so on. A `DataFrame` will do.
 
         Returns
         -------
         (n,) float
-            Row by row: the result is the same to the bit however rows are cut into blocks. NaN where a needed column
-            is and no fill stands for it, and for a vehicle model that no fit stands for. [kWh]
+            Energy of each row, the same to the bit however rows are cut into blocks. NaN where a needed column is NaN
+            and has no fill, and for a vehicle model without a fit where there is no fit `*`. [kWh]
 
         Raises
         ------
@@ -215,26 +225,54 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
                 "effects"
             )
         if not self._groups:
-            return self._scaled(self._predict(ANY, Columns(columns), _length(columns, self.needs)), columns)
+            return self._scale_by_car(self._predict(ANY, Columns(columns), _length(columns, self.needs)), columns)
         total = np.full(_length(columns, self.needs), np.nan)
         for key, rows in self._rows(columns):
             total[rows] = self._predict(key, Columns(columns, rows=rows), len(rows))
-        return self._scaled(total, columns)
+        return self._scale_by_car(total, columns)
 
-    def predict_interval(self, columns: Table, level: float = 0.9) -> tuple[Floats, Floats]:
-        """Return bounds between which the energy of a ride lies with a probability.
+    def predict_parts(self, columns: Table) -> dict[str, Floats]:
+        """Return the energy of each term, and of the correction by trees where the model has one.
 
         Parameters
         ----------
         columns : mapping of str to (n,) array
-            As for `predict`, and what `interval` needs.
+            As for `predict`, and the column of vehicle models.
+
+        Returns
+        -------
+        dict of str to (n,) float
+            Energy by name of the term; the parts sum to the prediction. NaN for a car without a fit. [kWh]
+        """
+        vehicle_models = np.asarray(columns[VEHICLE_MODEL], dtype=object)
+        names = [term.name for term in self.terms] + ([CORRECTION] if self.correction else [])
+        parts = {name: np.full(len(vehicle_models), np.nan) for name in names}
+        for key, rows in self._rows(columns):
+            fit = self._fit(key)
+            if fit is None:
+                continue
+            seen = Columns(columns, fit.fills, fit.curve, rows)
+            for term, energy in self._term_energies(fit, seen, len(rows)):
+                parts[term.name][rows] = energy
+            if self.correction:
+                trees = self._trees(key)
+                parts[CORRECTION][rows] = trees.predict(Columns(columns, None, fit.curve, rows)) if trees else 0.0
+        return {name: self._scale_by_car(energy, columns) for name, energy in parts.items()}
+
+    def predict_interval(self, columns: Table, level: float = 0.9) -> tuple[Floats, Floats]:
+        """Return bounds between which the energy of a ride lies with a given probability.
+
+        Parameters
+        ----------
+        columns : mapping of str to (n,) array
+            As for `predict`, and the columns that `interval` needs.
         level : float
-            That probability.
+            Probability that the energy lies between the bounds. [1]
 
         Returns
         -------
         lower, upper : (n,) float
-            [kWh]
+            Bounds. [kWh]
 
         Raises
         ------
@@ -248,7 +286,7 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         return self.interval.bounds(self.predict(columns), cast("Mapping[str, Any]", columns), level)
 
     def _rows(self, columns: Table) -> Iterator[tuple[str, Any]]:
-        """Give each vehicle model that has something of its own, `*` for the others, and its rows."""
+        """Yield each vehicle model with something of its own and its rows, then `*` and the other rows."""
         name = np.asarray(columns[VEHICLE_MODEL], dtype=object)
         left = np.ones(len(name), np.bool_)
         for key in self._groups:
@@ -259,26 +297,38 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         if left.any():
             yield ANY, np.flatnonzero(left)
 
-    def _predict(self, key: str, columns: Columns, rows: int) -> Floats:
-        """Return the energy of rides of one vehicle model. [kWh]"""
-        fit = self.fits.get(key) or self.fits.get(ANY)
-        if fit is None:
-            return np.full(rows, np.nan)
-        curve = None if fit.curve is None else fit.curve.to_curve()
-        seen = Columns(columns.table, fit.fills, curve, columns.rows)
-        total = np.zeros(rows)
+    def _fit(self, key: str) -> Fit | None:
+        """Return the fit that applies to a vehicle model."""
+        return self.fits.get(key) or self.fits.get(ANY)
+
+    def _trees(self, key: str) -> Trees | None:
+        """Return the trees that correct the prediction for a vehicle model."""
+        return None if not self.correction else self.correction.get(key) or self.correction.get(ANY)
+
+    def _term_energies(self, fit: Fit, columns: Columns, rows: int) -> Iterator[tuple[Term, Floats]]:
+        """Yield each term with its energy in each row. [kWh]"""
         for term, coefficient in zip(self.terms, fit.coefficients, strict=True):
             product = np.full(rows, coefficient)
             for name in term.columns:
-                product *= seen[name]
-            total += product
-        trees = self.correction and (self.correction.get(key) or self.correction.get(ANY))
+                product *= columns[name]
+            yield term, product
+
+    def _predict(self, key: str, columns: Columns, rows: int) -> Floats:
+        """Return the energy of rides of one vehicle model. [kWh]"""
+        fit = self._fit(key)
+        if fit is None:
+            return np.full(rows, np.nan)
+        seen = Columns(columns.table, fit.fills, fit.curve, columns.rows)
+        total = np.zeros(rows)
+        for _, energy in self._term_energies(fit, seen, rows):
+            total += energy
+        trees = self._trees(key)
         if trees:
-            total += trees.predict(Columns(columns.table, None, curve, columns.rows))
+            total += trees.predict(Columns(columns.table, None, fit.curve, columns.rows))
         return total
 
-    def _scaled(self, total: Floats, columns: Table) -> Floats:
-        """Return predictions times the factors of their cars."""
+    def _scale_by_car(self, total: Floats, columns: Table) -> Floats:
+        """Return energies multiplied by the factors of their cars."""
         if self.cars:
             total *= np.array([self.cars.get(vehicle, 1.0) for vehicle in np.asarray(columns[VEHICLE], dtype=object)])
         return total
@@ -288,45 +338,3 @@ def _length(columns: Table, needs: tuple[str, ...]) -> int:
     """Return the number of rows."""
     names = needs[:1] or tuple(columns)[:1]
     return len(columns[names[0]]) if names else 0
-
-
-def make_physical_term(name: str, columns: tuple[str, ...]) -> Term:
-    """Return a term whose coefficient is 1 where physics holds."""
-    return Term(name=name, columns=columns, unit="1")
-
-
-def _as_physics_has_it(terms: tuple[Term, ...]) -> dict[str, Fit]:
-    """Return the fit with coefficients 1, for every vehicle model."""
-    return {ANY: Fit(coefficients=(1.0,) * len(terms))}
-
-
-BASIC_TERMS: Final = (
-    make_physical_term("rolling", ("effect_rolling", "rolling_resistance")),
-    make_physical_term("climbing", ("effect_climbing",)),
-    make_physical_term("aero_drag", ("effect_aero_drag", "drag_area_m2")),
-    make_physical_term("inertia", ("effect_inertia",)),
-)
-_EXTENDED_TERMS: Final = (*BASIC_TERMS, make_physical_term("accessories", ("effect_accessories",)))
-
-BASIC_PHYSICAL: Final = LinearModel(
-    name="basic_physical",
-    version="1",
-    recipe="basic_physical",
-    terms=BASIC_TERMS,
-    fits=_as_physics_has_it(BASIC_TERMS),
-)
-"""Basic physical model, eq. (1) and section 4.1 of the paper: energy at the wheels, with the catalogue's parameters."""
-
-EXTENDED_PHYSICAL: Final = LinearModel(
-    name="extended_physical",
-    version="1",
-    recipe="extended_physical",
-    terms=_EXTENDED_TERMS,
-    fits=_as_physics_has_it(_EXTENDED_TERMS),
-)
-"""Extended physical model, section 4.2 of the paper, with the reference accessory curve; `core.fit` fits a curve."""
-
-BUILT_IN_MODELS: Final[Mapping[str, LinearModel]] = MappingProxyType(
-    {m.name: m for m in (BASIC_PHYSICAL, EXTENDED_PHYSICAL)}
-)
-"""Models that need no fitting and come with the product, by name."""

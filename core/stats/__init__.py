@@ -1,1 +1,1 @@
-"""Statistics that evaluation and diagnosis share."""
+"""Statistics shared by evaluation, monitoring and diagnosis."""

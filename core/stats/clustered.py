@@ -1,13 +1,13 @@
-"""Means of rides that are alike: rides of one car on one day share weather, load and driver.
+"""Means, ratios and shares over clusters of rides that resemble each other.
 
-A plain standard error of a mean counts every ride as news. Here errors may depend on each other within a cluster, and
-the interval allows for few clusters of unequal size: with n_g of n rides in cluster g, p_g = n_g / n, and the sum s_g
-of its rides' departures from the mean,
+Rides of one car on one day share weather, load and driver. A plain standard error of a mean counts every ride as
+independent. Here errors may depend on each other within a cluster, and the interval allows for few clusters of unequal
+size: with n_g of n rides in cluster g, p_g = n_g / n, and the sum s_g of its rides' deviations from the mean,
 
     var = sum of s_g² / (1 - p_g) / n²,    df = 1 / (Σp² + (Σq)² - Σq²),   q_g = p_g² / (1 - p_g),
 
 the bias-reduced estimator of a regression on a constant, which with clusters of equal size is the variance between
-their means. Cars are taken to differ by chance from day to day: what one car does every day is not allowed for.
+their means. Cars are assumed to differ by chance from day to day: the error does not cover what one car does every day.
 
 References
 ----------
@@ -20,47 +20,62 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
+from scipy import stats
 
 from core.batch import Floats
 from core.stats.scores import UNKNOWN, Codes, Estimate
 
-CLUSTER: Final = ("vehicle_id", "date")
-"""Rides that agree in these are alike."""
+LEAST_CLUSTERS: Final = 30
+"""Number of clusters below which a share is too uncertain to be shown as a figure."""
 
 
-def assign_vehicle_days(rides: pd.DataFrame) -> Codes:
-    """Return the cluster of each ride, from 0."""
-    return np.asarray(rides.groupby(list(CLUSTER), sort=False, dropna=False).ngroup(), dtype=np.int64)
+def assign_vehicle_days(rides: pd.DataFrame, day: str = "date") -> Codes:
+    """Return the cluster of each ride: one code per vehicle and day.
+
+    Parameters
+    ----------
+    rides : DataFrame
+        Table of n rides, with the columns `vehicle_id` and `day`.
+    day : str
+        Name of the column with the day.
+
+    Returns
+    -------
+    (n,) int64
+        Codes from 0, in the order of first appearance; rows of unknown vehicle or day form clusters, too.
+    """
+    return np.asarray(rides.groupby(["vehicle_id", day], sort=False, dropna=False).ngroup(), dtype=np.int64)
 
 
 def compute_clustered_mean(values: Floats, clusters: Codes) -> Estimate:
-    """Return a mean with the standard error that allows for rides of a cluster being alike.
+    """Return a mean with a standard error that lets rides of a cluster resemble each other.
 
     Parameters
     ----------
     values : (n,) float
-        Of each ride; all known.
+        Value of each ride, all known.
     clusters : (n,) int64
-        Cluster of each.
+        Cluster of each ride.
 
     Returns
     -------
     Estimate
-        Without a standard error where all rides are of one cluster.
+        Without a standard error where all rides belong to one cluster.
 
     Examples
     --------
-    >>> clustered_mean(np.array([1.0, 1.0, 3.0, 3.0]), np.array([0, 0, 1, 1]))
+    >>> compute_clustered_mean(np.array([1.0, 1.0, 3.0, 3.0]), np.array([0, 0, 1, 1]))
     Estimate(value=2.0, error=1.0, freedom=1.0)
     """
     if not len(values):
         return UNKNOWN
     mean = float(np.mean(values))
-    _, own, count = np.unique(clusters, return_inverse=True, return_counts=True)
-    if len(count) == 1:  # nothing tells how clusters differ
+    _, cluster, count = np.unique(clusters, return_inverse=True, return_counts=True)
+    if len(count) == 1:  # one cluster holds no information on how clusters differ
         return Estimate(mean, nan, nan)
     share = count / len(values)
-    sums = np.bincount(own, weights=values - mean)
+    sums = np.bincount(cluster, weights=values - mean)
     error = sqrt(float(np.sum(sums**2 / (1.0 - share)))) / len(values)
     spread = share**2 / (1.0 - share)
     inverse = np.sum(share**2) + np.sum(spread) ** 2 - np.sum(spread**2)
@@ -68,30 +83,105 @@ def compute_clustered_mean(values: Floats, clusters: Codes) -> Estimate:
 
 
 def compute_clustered_ratio(above: Floats, below: Floats, clusters: Codes) -> Estimate:
-    """Return a sum over a sum, such as energy over distance, with its clustered standard error by linearisation.
+    """Return the ratio of two sums, such as energy over distance, with a clustered standard error.
+
+    Parameters
+    ----------
+    above, below : (n,) float
+        Summands of the numerator and of the denominator.
+    clusters : (n,) int64
+        Cluster of each ride.
+
+    Returns
+    -------
+    Estimate
+        Ratio with its error by linearisation; unknown where the denominator is not positive.
 
     Examples
     --------
-    >>> clustered_ratio(np.array([1.0, 2.0]), np.array([10.0, 20.0]), np.array([0, 1])).value
+    >>> compute_clustered_ratio(np.array([1.0, 2.0]), np.array([10.0, 20.0]), np.array([0, 1])).value
     0.1
     """
     total = float(np.sum(below))
     if total <= 0.0:
         return UNKNOWN
     ratio = float(np.sum(above)) / total
-    found = compute_clustered_mean((above - ratio * below) * (len(below) / total), clusters)
-    return found._replace(value=ratio)
+    deviation = compute_clustered_mean((above - ratio * below) * (len(below) / total), clusters)
+    return deviation._replace(value=ratio)
 
 
-def subtract(one: Estimate, other: Estimate) -> Estimate:
+def subtract(minuend: Estimate, subtrahend: Estimate) -> Estimate:
     """Return the difference of two independent estimates, with Satterthwaite's degrees of freedom.
 
     Examples
     --------
-    >>> less(Estimate(3.0, 0.3, 10), Estimate(1.0, 0.4, 10)).error
+    >>> subtract(Estimate(3.0, 0.3, 10), Estimate(1.0, 0.4, 10)).error
     0.5
     """
-    variances = one.error**2, other.error**2
+    variances = minuend.error**2, subtrahend.error**2
     total = sum(variances)
-    spread = sum(v * v / e.freedom for v, e in zip(variances, (one, other), strict=True) if v > 0.0)
-    return Estimate(one.value - other.value, sqrt(total), total * total / spread if spread > 0.0 else inf)
+    spread = sum(v * v / e.freedom for v, e in zip(variances, (minuend, subtrahend), strict=True) if v > 0.0)
+    return Estimate(minuend.value - subtrahend.value, sqrt(total), total * total / spread if spread > 0.0 else inf)
+
+
+def compute_clustered_share(holds: NDArray[np.bool_], clusters: Codes) -> dict[str, float]:
+    """Return a share with a 95 % interval that lets cases of a cluster resemble each other.
+
+    Parameters
+    ----------
+    holds : (n,) bool
+        Whether the condition holds in each case.
+    clusters : (n,) int64
+        Cluster of each case.
+
+    Returns
+    -------
+    dict
+        `value`, `low` and `high` [1], and `clusters`, the number of clusters.
+
+    Notes
+    -----
+    Wilson's interval for the effective number of cases m,
+
+        (p + z²/2m ± z sqrt(p (1 - p)/m + z²/4m²)) / (1 + z²/m).
+
+    m is the number of cases, reduced by the ratio of the variance of independent cases to the clustered variance and by
+    the degrees of freedom of the latter. Where the condition holds in all cases or in none, m is the number of clusters.
+
+    References
+    ----------
+    Wilson, Journal of the American Statistical Association 22 (1927) 209, DOI 10.1080/01621459.1927.10502953. Korn and
+    Graubard, Survey Methodology 24 (1998) 193, section 3, on the effective number.
+
+    Examples
+    --------
+    >>> share = compute_clustered_share(np.array([True] * 18 + [False] * 2), np.arange(20))
+    >>> [round(share[name], 2) for name in ("value", "low", "high")]
+    [0.9, 0.7, 0.97]
+    """
+    estimate, count = compute_clustered_mean(holds.astype(np.float64), clusters), len(np.unique(clusters))
+    n, share = float(len(holds)), estimate.value
+    if not n or not estimate.freedom > 0.0:
+        return {"value": share, "low": nan, "high": nan, "clusters": count}
+    if estimate.error > 0.0:
+        stretch = stats.t.ppf(0.975, n - 1.0) / stats.t.ppf(0.975, estimate.freedom)
+        independent = share * (1.0 - share) / (n - 1.0)
+        n = min(n, n * independent / estimate.error**2 * stretch**2)
+    else:
+        n = float(count)
+    low, high = compute_wilson_interval(share, n)
+    return {"value": share, "low": low, "high": high, "clusters": count}
+
+
+def compute_wilson_interval(share: float, n: float) -> tuple[float, float]:
+    """Return the ends of Wilson's 95 % interval for a share of n cases.
+
+    Examples
+    --------
+    >>> [round(end, 3) for end in compute_wilson_interval(0.0, 10)]
+    [0.0, 0.278]
+    """
+    z = float(stats.norm.ppf(0.975))
+    middle, half = share + z * z / (2.0 * n), z * sqrt(share * (1.0 - share) / n + z * z / (4.0 * n * n))
+    whole = 1.0 + z * z / n
+    return (middle - half) / whole if share > 0.0 else 0.0, (middle + half) / whole if share < 1.0 else 1.0

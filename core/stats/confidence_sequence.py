@@ -1,7 +1,7 @@
-"""How far off a running mean may be, however often one looks: a confidence sequence, over clusters of unequal size.
+"""A confidence sequence for a running mean over clusters of unequal size, valid however often it is read.
 
-A 95 % interval that is looked at after every ride misses the truth sooner or later; one that is to hold at all times at
-once must be wider. This one is, by the mixture method, and stays infinite as long as too few clusters have been seen.
+A 95 % interval that is read after every ride misses the true mean sooner or later. An interval that holds at all times
+at once must be wider. This one uses the mixture method, and stays infinite until enough clusters have been seen.
 """
 
 from collections.abc import Sequence
@@ -9,38 +9,48 @@ from math import exp, inf, log, sqrt
 from typing import Final, NamedTuple
 
 LEVEL: Final = 0.95
-"""Probability with which an interval holds at all times."""
+"""Probability with which an interval holds at all times. [1]"""
 MIXTURE: Final = 0.05
-"""Variance of the normal mixture, in squared standard deviations of a cluster: the interval is tightest, against one
-that is looked at once, at about 9 / `MIXTURE` = 180 clusters. A larger one would tell sooner, where clusters are
-too few for their mean to be normal: of skew ones it would then miss too often."""
+"""Variance of the normal mixture, in squared standard deviations of a cluster.
+
+Compared with an interval that is read once, the sequence is tightest at about 9 / `MIXTURE` = 180 clusters. A larger
+variance would decide sooner, at numbers of clusters too small for their mean to be normal, and would then miss the mean
+of skewed clusters too often.
+"""
 
 
 class MeanInterval(NamedTuple):
-    """Between what and what a mean lies."""
+    """Hold the bounds of a mean.
+
+    Parameters
+    ----------
+    lower, upper : float
+        Bounds, in the unit of the mean.
+    """
 
     lower: float
     upper: float
 
 
 EVERYWHERE: Final = MeanInterval(-inf, inf)
-"""What is known of a mean of which too little has been seen."""
+"""Interval of a mean while too few clusters have been seen."""
 
 
 def compute_reach(clusters: int, level: float = LEVEL) -> float:
-    """Return how many standard deviations of a cluster the mean of clusters may be off, at any time.
+    """Return how far the mean of clusters may deviate from the true mean, at any time.
 
     Parameters
     ----------
     clusters : int
-        Seen so far.
+        Number of clusters seen so far.
     level : float
-        Probability with which the mean stays within this of the truth for every number of clusters at once.
+        Probability that the mean stays within this distance for every number of clusters at once. [1]
 
     Returns
     -------
     float
-        In standard deviations whose squares are divided by the number of clusters; infinite for few clusters. [1]
+        Distance in standard deviations of a cluster (with the number of clusters as divisor of the variance); infinite
+        for few clusters. [1]
 
     Notes
     -----
@@ -48,12 +58,12 @@ def compute_reach(clusters: int, level: float = LEVEL) -> float:
 
         (1 + g t)^(-1/2) ((1 + x) / (1 + x / (1 + g t)))^(t/2)
 
-    is a martingale of mean 1 where clusters are normal, of mean 0 and of any variance, so that by Ville's inequality it
-    ever reaches 1 / alpha with a probability of at most alpha. For many clusters it becomes the asymptotic confidence
-    sequence of Waudby-Smith et al., which asks for no normal clusters and holds for a running average of means that
-    change, with the season say. Of few and skew clusters it misses more often: in simulations with 500 clusters, 3 % of
-    runs miss at 95 % where clusters are normal or of heavy tails, 7 % where they are exponential, 12 % where they are
-    log-normal; an interval meant for one look misses in 40 to 60 %.
+    is a martingale of mean 1 where clusters are normal, of mean 0 and of any variance. By Ville's inequality it ever
+    reaches 1 / alpha with a probability of at most alpha. For many clusters it becomes the asymptotic confidence
+    sequence of Waudby-Smith et al., which needs no normal clusters and holds for a running average of means that
+    change, for example with the season. For few and skewed clusters it misses more often: in simulations with 500
+    clusters, 3 % of runs miss at 95 % where clusters are normal or heavy-tailed, 7 % where they are exponential, 12 %
+    where they are log-normal. An interval meant for a single reading misses in 40 to 60 % of runs.
 
     References
     ----------
@@ -64,7 +74,7 @@ def compute_reach(clusters: int, level: float = LEVEL) -> float:
 
     Examples
     --------
-    >>> [round(reach(clusters), 2) for clusters in (5, 20, 50, 200)]
+    >>> [round(compute_reach(clusters), 2) for clusters in (5, 20, 50, 200)]
     [inf, 1.15, 0.48, 0.22]
     """
     if clusters < 1:
@@ -75,12 +85,13 @@ def compute_reach(clusters: int, level: float = LEVEL) -> float:
 
 
 class ClusterMoments:
-    """Running sums of clusters that have ended, each with its size and its total.
+    """Accumulate moments of completed clusters, each with its size and its total.
 
     Parameters
     ----------
-    state : sequence of float, optional
-        As `state` was.
+    state : sequence of 6 floats, optional
+        Value of `state` to continue from: number of clusters, then the sums of size, total, size², size times total,
+        and total².
     """
 
     __slots__ = ("state",)
@@ -90,47 +101,60 @@ class ClusterMoments:
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of clusters."""
         return int(self.state[0])
 
     @property
     def size(self) -> int:
-        """What their sizes come to."""
+        """Sum of the sizes of all clusters."""
         return int(self.state[1])
 
     @property
     def mean(self) -> float:
-        """Total over size of all; NaN where there is none."""
+        """Sum of the totals over the sum of the sizes; NaN without clusters."""
         _, size, total, *_ = self.state
         return total / size if size else float("nan")
 
     def add(self, size: int, total: float) -> None:
-        """Take a cluster that has ended."""
+        """Add a completed cluster.
+
+        Parameters
+        ----------
+        size : int
+            Number of its members.
+        total : float
+            Sum over its members.
+        """
         for place, value in enumerate((1.0, size, total, size * size, size * total, total * total)):
             self.state[place] += value
 
     def interval(self, level: float = LEVEL) -> MeanInterval:
-        """Return between what and what the mean lies, at all times at once with a probability.
+        """Return the interval that holds the mean at all times at once, with a given probability.
+
+        Parameters
+        ----------
+        level : float
+            Probability. [1]
 
         Notes
         -----
-        A mean m is within the interval if the mean of total - m size over the clusters is within `reach` standard
-        deviations of 0: Fieller's interval for a ratio, with that reach in place of Student's. Clusters are taken to be
-        independent of each other, whatever goes on inside them.
+        A mean m is inside where the mean of total - m size over the clusters is within `compute_reach` standard
+        deviations of 0. This is Fieller's interval for a ratio, with that reach in place of Student's t. Clusters are
+        assumed to be independent of each other; their members may depend on each other in any way.
 
         References
         ----------
         E. C. Fieller, "Some problems in interval estimation", JRSS B 16 (1954) 175.
         """
         count = self.state[0]
-        off = compute_reach(self.count, level) ** 2
-        if off == inf:
+        reach_squared = compute_reach(self.count, level) ** 2
+        if reach_squared == inf:
             return EVERYWHERE
         size, total, size_size, size_total, total_total = (moment / count for moment in self.state[1:])
-        # m within the interval where a m^2 - 2 b m + c <= 0
-        a = size * size - off * max(0.0, size_size - size * size)
-        b = size * total - off * (size_total - size * total)
-        c = total * total - off * max(0.0, total_total - total * total)
+        # m is inside the interval where a m^2 - 2 b m + c <= 0
+        a = size * size - reach_squared * max(0.0, size_size - size * size)
+        b = size * total - reach_squared * (size_total - size * total)
+        c = total * total - reach_squared * max(0.0, total_total - total * total)
         root = b * b - a * c
         if a <= 0.0 or root < 0.0:
             return EVERYWHERE

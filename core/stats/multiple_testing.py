@@ -1,15 +1,19 @@
-"""The difference score: which models differ on the same test rides, and which dominate.
+"""Corrections for testing several hypotheses at once, and the comparison of models on the same test rides.
 
 Two models that are tested on the same rides are compared by the difference of their absolute errors, ride by ride, not
-by whether their intervals overlap: what is hard about a ride is hard for both and cancels. The mean difference of each
-repeat is one figure; the interval over repeats allows for their overlap (`core.stats.scores`). All pairs of models
-are tested, so that the probability of any false finding among them is kept at 5 % by Holm's method. That also covers
-that the best one was chosen on the same rides.
+by the overlap of their intervals: what makes a ride hard is hard for both models and cancels. Each repeat gives one
+mean difference, and the interval over repeats allows for their overlap (`core.stats.scores`). All pairs of models are
+tested, so Holm's method keeps the probability of any false difference among them at 5 %. This also covers the choice of
+the best model on the same rides.
+
+Where many hypotheses are screened, Benjamini and Hochberg's method keeps the expected share of false ones among those
+accepted.
 
 References
 ----------
 Holm, Scandinavian Journal of Statistics 6 (1979) 65, "A Simple Sequentially Rejective Multiple Test Procedure", JSTOR
-4615733.
+4615733. Benjamini and Hochberg, Journal of the Royal Statistical Society B 57 (1995) 289, "Controlling the False
+Discovery Rate".
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,12 +21,13 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
+from scipy.stats import false_discovery_control
 
 from core.batch import Floats
 from core.stats.scores import Estimate
 
 SIGNIFICANCE: Final = 0.05
-"""Probability, over all pairs, of a difference found where there is none."""
+"""Probability, over all pairs, of reporting a difference where there is none. [1]"""
 
 Pair = tuple[str, str]
 
@@ -32,17 +37,51 @@ def list_pairs(names: Sequence[str]) -> list[Pair]:
     return list(combinations(names, 2))
 
 
-def adjust_holm(p: Floats) -> Floats:
-    """Return probabilities adjusted for there being several.
+def adjust_false_discovery(p: Floats) -> Floats:
+    """Return Benjamini and Hochberg's q-values.
 
     Parameters
     ----------
     p : (n,) float
-        NaN where there was nothing to test.
+        Probabilities under the null hypotheses; NaN where nothing was tested. [1]
+
+    Returns
+    -------
+    (n,) float
+        Accepting all q-values up to a level keeps the expected share of false ones among them at that level. NaN where
+        nothing was tested. [1]
 
     Examples
     --------
-    >>> holm(np.array([0.04, 0.01, 0.03])).tolist()
+    >>> adjust_false_discovery(np.array([0.01, 0.04, 0.03, 0.5])).round(4).tolist()
+    [0.04, 0.0533, 0.0533, 0.5]
+    >>> adjust_false_discovery(np.array([0.01, np.nan, 0.04])).tolist()
+    [0.02, nan, 0.04]
+    """
+    q = np.full(len(p), np.nan)
+    tested = ~np.isnan(p)
+    if tested.any():
+        q[tested] = false_discovery_control(p[tested])
+    return q
+
+
+def adjust_holm(p: Floats) -> Floats:
+    """Return probabilities adjusted by Holm's method.
+
+    Parameters
+    ----------
+    p : (n,) float
+        Probabilities under the null hypotheses; NaN where nothing was tested. [1]
+
+    Returns
+    -------
+    (n,) float
+        Rejecting all below a level keeps the probability of any false rejection at that level. NaN where nothing was
+        tested. [1]
+
+    Examples
+    --------
+    >>> adjust_holm(np.array([0.04, 0.01, 0.03])).tolist()
     [0.06, 0.03, 0.06]
     """
     tested = np.flatnonzero(~np.isnan(p))
@@ -53,25 +92,25 @@ def adjust_holm(p: Floats) -> Floats:
 
 
 def adjust_differences(differences: Mapping[Pair, Estimate]) -> dict[Pair, float]:
-    """Return the probability of each difference, adjusted over all of them."""
-    found = adjust_holm(np.array([difference.p for difference in differences.values()]))
-    return dict(zip(differences, found.tolist(), strict=True))
+    """Return the probability of each difference under the null hypothesis, adjusted over all of them."""
+    adjusted = adjust_holm(np.array([difference.p for difference in differences.values()]))
+    return dict(zip(differences, adjusted.tolist(), strict=True))
 
 
 def select_dominating(errors: Mapping[str, float], differences: Mapping[Pair, Estimate]) -> list[str]:
-    """Return the models that none is significantly better than the best of which: it dominates, or they co-dominate.
+    """Return the dominating model, or the co-dominating ones: those that no model beats significantly.
 
     Parameters
     ----------
     errors : mapping of str to float
         Mean absolute error of each model. [kWh]
-    differences : mapping
-        Of each pair (a, b): error of a less error of b.
+    differences : mapping of (str, str) to Estimate
+        Error of a less error of b for each pair (a, b). [kWh]
 
     Returns
     -------
     list of str
-        The one of least error, and all that are not significantly worse than it; best first.
+        The model of least error and all that are not significantly worse than it, best first.
     """
     known = sorted((error, name) for name, error in errors.items() if not np.isnan(error))
     if not known:

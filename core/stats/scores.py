@@ -1,14 +1,14 @@
-"""Figures that judge predictions, and how sure they are.
+"""Error measures of predictions, and their uncertainty.
 
-An estimate over repeated splits is a mean with a standard error. The repeats draw from the same rides, so they overlap,
-and a plain standard error of their mean is far too small: it would go to zero with the number of repeats although
-the rides stay the same. So the variance between repeats, s², is corrected for the overlap (Nadeau and Bengio 2003),
+An estimate over repeated splits is a mean with a standard error. The repeats draw from the same rides and overlap, so a
+plain standard error of their mean is far too small: it would vanish with the number of repeats although the rides stay
+the same. The variance between repeats, s², is therefore corrected for the overlap (Nadeau and Bengio 2003),
 
     var = (1/J + n_test/n_train) s²,
 
-with J repeats; intervals take Student's t with J - 1 degrees of freedom. They hold for the error on new rides like
-those of the table. They know nothing of cars and days that were not seen: for these there are the splits by vehicle and
-by date. The paper does not say how its own intervals were made.
+with J repeats; intervals use Student's t with J - 1 degrees of freedom. They apply to the error on new rides like those
+of the table. They do not apply to unseen cars or days; splits by vehicle and by date cover these. The paper does not
+say how its own intervals were made.
 
 References
 ----------
@@ -34,13 +34,14 @@ BANDS: Final = (5, 10, 15)
 
 
 class Estimate(NamedTuple):
-    """A figure and how sure it is.
+    """Hold a value and its uncertainty.
 
     Parameters
     ----------
     value : float
+        Estimated value.
     error : float
-        Standard error, NaN where it is not known.
+        Standard error, NaN where it is unknown.
     freedom : float
         Degrees of freedom of the standard error.
     """
@@ -56,13 +57,13 @@ class Estimate(NamedTuple):
 
     @property
     def p(self) -> float:
-        """Two-sided probability of a value as far from zero as this one where the truth is zero."""
+        """Two-sided probability of a value at least as far from zero where the true value is zero. [1]"""
         if self.error == 0.0:
             return 1.0 if self.value == 0.0 else 0.0
         return float(2.0 * stats.t.sf(abs(self.value) / self.error, self.freedom)) if self.freedom > 0 else nan
 
     def figures(self) -> dict[str, float]:
-        """Return `value` and `ci95`, as results have them."""
+        """Return `value` and `ci95`, named as in the results."""
         return {"value": self.value, "ci95": self.ci95}
 
 
@@ -70,18 +71,23 @@ UNKNOWN: Final = Estimate(nan, nan, nan)
 
 
 def average_over_repeats(values: Floats, overlap: float) -> Estimate:
-    """Return the mean over repeats, with the standard error that allows for their overlap.
+    """Return the mean over repeats, with a standard error that allows for their overlap.
 
     Parameters
     ----------
     values : (repeats,) float
-        NaN where a repeat has none.
+        Value of each repeat, NaN where it has none.
     overlap : float
-        Rides tested over rides trained on, in each repeat.
+        Number of rides tested over number of rides trained on, in each repeat. [1]
+
+    Returns
+    -------
+    Estimate
+        Without a standard error where only one repeat has a value.
 
     Examples
     --------
-    >>> over_repeats(np.array([1.0, 2.0, 3.0]), overlap=2 / 3)
+    >>> average_over_repeats(np.array([1.0, 2.0, 3.0]), overlap=2 / 3)
     Estimate(value=2.0, error=1.0, freedom=2)
     """
     known = values[~np.isnan(values)]
@@ -93,21 +99,24 @@ def average_over_repeats(values: Floats, overlap: float) -> Estimate:
 
 
 def combine_strata(parts: Sequence[Estimate], weights: Sequence[float] | None = None) -> Estimate:
-    """Return the weighted mean of independent estimates: of strata, so post-stratified (Holt and Smith 1979).
-
-    The variance is that given the number of rides in each stratum, the sum of W² var; its degrees of freedom are
-    Satterthwaite's.
+    """Return the weighted mean of independent estimates of strata: the post-stratified estimate (Holt and Smith 1979).
 
     Parameters
     ----------
     parts : sequence of Estimate
-        Those without a value are left out.
+        Estimates of the strata; those without a value are left out.
     weights : sequence of float, optional
-        Of the parts; equal where not given, as the starred averages of the paper.
+        Weights of the strata; equal where not given, as in the starred averages of the paper.
+
+    Returns
+    -------
+    Estimate
+        The variance is conditional on the number of rides in each stratum, the sum of W² var. The degrees of freedom
+        are Satterthwaite's.
 
     Examples
     --------
-    >>> combined([Estimate(1.0, 0.5, 9), Estimate(2.0, 0.5, 9)], weights=[1, 1]).value
+    >>> combine_strata([Estimate(1.0, 0.5, 9), Estimate(2.0, 0.5, 9)], weights=[1, 1]).value
     1.5
     """
     given = [1.0] * len(parts) if weights is None else list(weights)
@@ -128,14 +137,16 @@ def compute_group_means(values: Floats, groups: Codes, count: int) -> Floats:
     Parameters
     ----------
     values : (n,) float
+        Values to average.
     groups : (n,) int64
-        From 0; those from `count` on, and negative ones, are left out.
+        Group of each value, from 0. Negative codes and those from `count` on are left out.
     count : int
+        Number of groups.
 
     Returns
     -------
     (count,) float
-        NaN for an empty group.
+        Mean of each group, NaN for an empty group.
     """
     counted = (groups >= 0) & (groups < count)
     rides = np.bincount(groups[counted], minlength=count)
@@ -144,13 +155,20 @@ def compute_group_means(values: Floats, groups: Codes, count: int) -> Floats:
 
 
 def compute_buffer(measured: Floats, predicted: Floats, share: float) -> float:
-    """Return the least reserve that is enough for a share of rides: measured <= predicted + buffer. [kWh]
+    """Return the least reserve that suffices for a share of rides: measured <= predicted + buffer. [kWh]
 
-    Negative where so many rides take less than predicted; NaN without rides.
+    Negative where that share of rides uses less than predicted; NaN without rides.
+
+    Parameters
+    ----------
+    measured, predicted : (n,) float
+        Energy of each ride. [kWh]
+    share : float
+        Share of rides for which the reserve suffices. [1]
 
     Examples
     --------
-    >>> buffer(np.array([1.0, 2.0, 3.0, 9.0]), np.array([1.0, 1.0, 1.0, 1.0]), 0.75)
+    >>> compute_buffer(np.array([1.0, 2.0, 3.0, 9.0]), np.array([1.0, 1.0, 1.0, 1.0]), 0.75)
     2.0
     """
     excess = np.sort(measured - predicted)
@@ -158,28 +176,28 @@ def compute_buffer(measured: Floats, predicted: Floats, share: float) -> float:
 
 
 def compute_band_shares(measured: Floats, predicted: Floats) -> dict[str, float]:
-    """Return the share of rides whose error is within 5, 10 and 15 % of what was measured."""
+    """Return the share of rides whose error is within 5, 10 and 15 % of the measured energy. [1]"""
     error, limit = np.abs(predicted - measured), np.abs(measured) / 100.0
     return {str(band): float(np.mean(error <= band * limit)) if len(error) else nan for band in BANDS}
 
 
 def compute_bias(measured: Floats, predicted: Floats) -> float:
-    """Return the mean of predicted less measured. [kWh]"""
+    """Return the mean of predicted minus measured energy, NaN without rides. [kWh]"""
     return float(np.mean(predicted - measured)) if len(measured) else nan
 
 
 def compute_mae(measured: Floats, predicted: Floats) -> float:
-    """Return the mean absolute error. [kWh]"""
+    """Return the mean absolute error, NaN without rides. [kWh]"""
     return float(np.mean(np.abs(predicted - measured))) if len(measured) else nan
 
 
 def compute_rmse(measured: Floats, predicted: Floats) -> float:
-    """Return the root of the mean square error. [kWh]"""
+    """Return the root mean square error, NaN without rides. [kWh]"""
     return sqrt(float(np.mean((predicted - measured) ** 2))) if len(measured) else nan
 
 
 def compute_coverage(measured: Floats, lower: Floats, upper: Floats) -> float:
-    """Return the share of rides inside their intervals, ends included."""
+    """Return the share of rides inside their intervals, ends included; NaN without rides. [1]"""
     return float(np.mean((lower <= measured) & (measured <= upper))) if len(measured) else nan
 
 
@@ -191,23 +209,24 @@ def compute_bin_errors(
     Parameters
     ----------
     measured, predicted : (n,) float
-        [kWh]
+        Energy of each ride. [kWh]
     groups : (n,) int64
-        Bin of each; outside of `labels` where it is in none.
+        Bin of each ride, an index into `labels`; outside of it where the ride is in no bin.
     labels : sequence of str
+        Names of the bins.
 
     Returns
     -------
     list of dict
-        `bin`, `n`, `bias` and `mae` in kWh, `relative` (error over consumption).
+        `bin`, `n`, `bias` and `mae` [kWh], `relative` (mean absolute error over mean consumption) [1].
     """
-    found: list[dict[str, float | int | str]] = []
+    bins: list[dict[str, float | int | str]] = []
     for code, label in enumerate(labels):
-        true, said = measured[groups == code], predicted[groups == code]
-        if len(true):
-            error = compute_mae(true, said)
-            used = float(np.mean(true))
+        actual, forecast = measured[groups == code], predicted[groups == code]
+        if len(actual):
+            error = compute_mae(actual, forecast)
+            used = float(np.mean(actual))
             relative = error / used if used > 0.0 else nan
-            n, off = len(true), compute_bias(true, said)
-            found.append({"bin": label, "n": n, "bias": off, "mae": error, "relative": relative})
-    return found
+            n, bias = len(actual), compute_bias(actual, forecast)
+            bins.append({"bin": label, "n": n, "bias": bias, "mae": error, "relative": relative})
+    return bins

@@ -1,7 +1,7 @@
-"""Who trains and who is tested: by ride as the paper, and by vehicle and by date as honest companions.
+"""Splits of rides into training and test sets: by ride as in the paper, and by vehicle and by date for comparison.
 
-A split by ride puts rides of the same car, on the same day, on both sides. That is what the paper does, and it is kind
-to a model that learns a car or a day by heart. A split by vehicle holds out whole cars, a split by date the last dates.
+A split by ride puts rides of the same car, on the same day, into both sets. The paper does this, and it favours models
+that memorise a car or a day. A split by vehicle holds out whole cars; a split by date holds out the last dates.
 """
 
 from collections.abc import Sequence
@@ -14,20 +14,22 @@ from numpy.typing import NDArray
 Positions = NDArray[np.int64]
 
 TEST_SHARE: Final = 0.2
-"""Share of the rides that is held out, section 5 of the paper."""
+"""Share of the rides that is held out, section 5 of the paper. [1]"""
 REPEATS: Final = 10
-"""How often rides are drawn anew, section 5 of the paper."""
+"""Number of random draws of the test rides, section 5 of the paper."""
 FOLDS: Final = 5
-"""Into how many parts the cars of a vehicle model are dealt, so that about `TEST_SHARE` of them is held out at once."""
+"""Number of parts into which the cars of a vehicle model are dealt, so that about `TEST_SHARE` of them is held out at
+once.
+"""
 
 
 class Split(NamedTuple):
-    """Rides to train on and rides to test on, as positions in the table; no ride is in both.
+    """Hold the positions of training and test rides in the table; no ride is in both.
 
     Parameters
     ----------
     train, test : (n,) int64
-        Ascending.
+        Positions, ascending.
     """
 
     train: Positions
@@ -37,22 +39,29 @@ class Split(NamedTuple):
 def split_by_ride(
     strata: Sequence[tuple[str, int]], seed: int, repeats: int = REPEATS, test_share: float = TEST_SHARE
 ) -> list[Split]:
-    """Return splits drawn at random within each stratum, as section 5 of the paper.
+    """Return splits drawn at random within each stratum, as in section 5 of the paper.
 
     Parameters
     ----------
     strata : sequence of (str, int)
-        Of each ride: its vehicle model and its distance cluster.
+        Vehicle model and distance cluster of each ride.
     seed : int
-        A stratum's draws depend on it, on the repeat and on the stratum alone: another vehicle model in the table
-        changes nothing.
+        Seed of the draws. The draws of a stratum depend only on the seed, the repeat and the stratum, so another
+        vehicle model in the table changes nothing.
     repeats : int
+        Number of splits.
     test_share : float
-        Rounded to whole rides in each stratum, so that a stratum of one or two rides only trains.
+        Share of test rides, rounded to whole rides in each stratum: a stratum of one or two rides is only trained on.
+        [1]
+
+    Returns
+    -------
+    list of Split
+        One split per repeat.
 
     Examples
     --------
-    >>> [split.test.size for split in by_ride([("a", 0)] * 10 + [("b", 0)] * 5, seed=1, repeats=2)]
+    >>> [split.test.size for split in split_by_ride([("a", 0)] * 10 + [("b", 0)] * 5, seed=1, repeats=2)]
     [3, 3]
     """
     members: dict[tuple[str, int], list[int]] = {}
@@ -76,11 +85,12 @@ def split_by_vehicle(
     Parameters
     ----------
     vehicle_models, vehicles : sequence of n str
-        Of each ride: its vehicle model, and its car.
+        Vehicle model and car of each ride.
     seed : int
+        Seed of the draws.
     folds : int
-        Parts into which the cars of each vehicle model are dealt. Of a vehicle model with fewer cars some parts have
-        none; one car alone is never held out, as nothing of its vehicle model would be left to train on.
+        Number of parts into which the cars of each vehicle model are dealt. A vehicle model with fewer cars is absent
+        from some parts. A single car is never held out, as no ride of its vehicle model would remain for training.
 
     Returns
     -------
@@ -105,9 +115,9 @@ def split_by_date(dates: Sequence[str], test_share: float = TEST_SHARE) -> list[
     Parameters
     ----------
     dates : sequence of n str
-        Of each ride, ISO 8601.
+        Date of each ride, ISO 8601.
     test_share : float
-        As many last dates are held out as it takes to hold this share of the rides, and never all.
+        Least share of rides to hold out. As few last dates as reach it are held out, and never all dates. [1]
 
     Returns
     -------
@@ -123,5 +133,5 @@ def split_by_date(dates: Sequence[str], test_share: float = TEST_SHARE) -> list[
 
 
 def _split(tested: NDArray[np.bool_]) -> Split:
-    """Return the split of which the tested rides are known."""
+    """Return the split with the given test rides."""
     return Split(np.flatnonzero(~tested), np.flatnonzero(tested))

@@ -8,6 +8,7 @@ from importlib import resources
 from types import MappingProxyType
 from typing import Any, Final
 
+import msgspec
 import numpy as np
 
 from core.batch import Floats
@@ -88,8 +89,7 @@ class VehicleModel:
         return self.drag_coefficient * self.frontal_area_m2
 
 
-@dataclass(frozen=True)
-class AccessoryCurve:
+class AccessoryCurve(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Accessory power against outside temperature, in five segments.
 
     Heating at its most below `heating_full`; falling linearly to `heating_off`; neither heating nor cooling, so

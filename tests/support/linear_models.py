@@ -5,9 +5,9 @@ import pandas as pd
 
 from core import effects
 from core.columns import JOULES_PER_KWH
-from core.models import ANY, Curve, Fit, LinearModel, Term
+from core.models import ANY, Fit, LinearModel, Term
 from core.models.trees import Trees
-from core.vehicles import load_catalogue
+from core.vehicles import AccessoryCurve, load_catalogue
 
 LEAF = load_catalogue()["nissan-leaf-2013"]
 
@@ -42,7 +42,7 @@ def model_of(*terms, **fields) -> LinearModel:
     return LinearModel(name="m", version="1", recipe="r", terms=terms, **fields)
 
 
-CURVE = Curve(
+CURVE = AccessoryCurve(
     heating_full=255.0,
     heating_off=285.0,
     cooling_on=294.0,

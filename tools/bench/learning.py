@@ -128,8 +128,7 @@ def _plain(model: LinearModel, path: Path) -> float:
     took = 0.0
     for key, fit in model.fits.items():
         own = rides if key == ANY else rides[rides["vehicle_model"] == key]
-        curve = None if fit.curve is None else fit.curve.to_curve()
-        table = build_design(model.terms, Columns(own, fit.fills, curve), len(own))
+        table = build_design(model.terms, Columns(own, fit.fills, fit.curve), len(own))
         energy = own["energy_kwh"].to_numpy()
         took += seconds(lambda table=table, energy=energy: LinearRegression().fit(table, energy))  # type: ignore[misc]
     return took

@@ -18,8 +18,9 @@ from core.errors import SettingsError
 from core.fit.pooled import adapt
 from core.fit.recipes import RECIPES, LinearRecipe, Recipe, get_recipe
 from core.fit.ride_blocks import RideParquet
-from core.models import ANY, Curve, Fit, LinearModel, Term
+from core.models import ANY, Fit, LinearModel, Term
 from core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX
+from core.vehicles import AccessoryCurve
 from tools.commands.tables import RIDES, WINDOWS
 from tools.terminal.output import JsonFile, printer, writable, write_json
 from tools.terminal.recordings import refuse_twice
@@ -119,7 +120,7 @@ def intervals(model: LinearModel, found: Fit) -> Iterator[tuple[Term, float, flo
         yield term, coefficient, half
 
 
-def _celsius(curve: Curve) -> dict[str, float]:
+def _celsius(curve: AccessoryCurve) -> dict[str, float]:
     """Return the seven numbers of a curve, choke points in °C and levels in W."""
     points = {f"{name}_c": getattr(curve, name) - ZERO_CELSIUS for name in CHOKE_POINTS}
     return points | {f"{name}_w": getattr(curve, name) for name in LEVELS}

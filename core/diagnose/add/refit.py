@@ -358,8 +358,7 @@ def _with(
     """Return a fit with the coefficients of the terms that its energy was taken less of, and its covariance."""
     covariance: Any = None
     if fit.covariance is not None:
-        curve = None if fit.curve is None else fit.curve.to_curve()
-        table = build_design(terms, Columns(rows, fit.fills, curve), len(rows))
+        table = build_design(terms, Columns(rows, fit.fills, fit.curve), len(rows))
         moved = -np.linalg.lstsq(table, columns, rcond=1e-9)[0]
         change = np.vstack([moved, np.eye(len(added))])
         whole = np.pad(np.array(fit.covariance), (0, len(added)))

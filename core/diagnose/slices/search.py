@@ -30,6 +30,7 @@ from core.batch import Floats, Ints
 from core.diagnose.slices.contrast import compute_contrast
 from core.diagnose.slices.predicates import Masks, RideCondition, list_conditions, read_dates, read_start_s
 from core.fit.ride_blocks import get_names
+from core.stats.multiple_testing import adjust_false_discovery
 from core.stats.scores import Estimate
 
 LONGEST: Final = 3
@@ -308,7 +309,7 @@ def _confirmed(found: Sequence[Slice], one: Half, other: Half, level: float) -> 
     told = compute_contrast(masks, other.error, other.starts)
     enough = (told.freedom > 0.0) & (masks.sum(axis=1) >= LEAST_RIDES)
     signed = np.array([each.sign for each in found]) * told.difference / told.error
-    q = stats.false_discovery_control(np.where(enough, stats.t.sf(signed, np.maximum(told.freedom, 1.0)), 1.0))
+    q = adjust_false_discovery(np.where(enough, stats.t.sf(signed, np.maximum(told.freedom, 1.0)), 1.0))
     kept = []
     for i in np.flatnonzero(q <= level).tolist():
         estimate = Estimate(float(told.difference[i]), float(told.error[i]), float(told.freedom[i]))

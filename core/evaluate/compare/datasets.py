@@ -13,11 +13,11 @@ import pandas as pd
 
 from core.batch import Floats, Ints
 from core.evaluate.binning import bin_rides
-from core.evaluate.compare.models import ComparedRides, compute_false_discovery_rates
+from core.evaluate.compare.models import ComparedRides
 from core.evaluate.ride_filter import IDENTITY_COLUMNS
 from core.models import LinearModel
-from core.models.parts import predict_parts
 from core.stats.clustered import compute_clustered_mean, compute_clustered_ratio, subtract
+from core.stats.multiple_testing import adjust_false_discovery
 from core.stats.scores import Estimate
 
 PROPERTIES: Final = (
@@ -98,7 +98,7 @@ def _properties(first: ComparedRides, second: ComparedRides) -> list[dict[str, A
         spread = float(np.sqrt(np.mean([np.var(value[at]) for value, at in zip(values, known, strict=True)])))
         apart = abs(other.value - one.value) / spread if spread > 0.0 else 0.0
         found.append({"name": name, "unit": unit, **_each(one, other), "in_spreads": apart})
-    q = compute_false_discovery_rates(np.array([entry["p"] for entry in found], dtype=np.float64))
+    q = adjust_false_discovery(np.array([entry["p"] for entry in found], dtype=np.float64))
     told = [entry | {"q": float(rate)} for entry, rate in zip(found, q, strict=True)]
     return sorted(told, key=lambda entry: -entry["in_spreads"])
 
@@ -116,7 +116,7 @@ def _model(label: str, model: LinearModel, first: ComparedRides, second: Compare
     """Return how a model does on both sets, and how much of their difference in consumption it explains."""
     both = (first, second)
     error = [own.predicted[label] - own.measured for own in both]
-    said = [predict_parts(model, own.rides) for own in both]
+    said = [model.predict_parts(own.rides) for own in both]
     terms = [
         {"name": name, **_each(*(_per_distance(own, each[name]) for own, each in zip(both, said, strict=True)))}
         for name in said[0]
@@ -146,7 +146,7 @@ def _by_condition(
             entry = {"bin": labels[code], "n": [len(rows) for rows in at]}
             made.setdefault(name, []).append(entry | _bins(first, second, one, other, at))
     entries = [entry for found in made.values() for entry in found]
-    q = compute_false_discovery_rates(np.array([entry["bias_kwh"]["p"] for entry in entries], dtype=np.float64))
+    q = adjust_false_discovery(np.array([entry["bias_kwh"]["p"] for entry in entries], dtype=np.float64))
     for entry, rate in zip(entries, q.tolist(), strict=True):
         entry["q"] = rate
     return made

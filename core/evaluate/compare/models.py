@@ -10,7 +10,6 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
-from scipy.stats import false_discovery_control
 
 from core.batch import Floats
 from core.errors import ModelError
@@ -248,7 +247,7 @@ def compute_errors_by_condition(found: ComparedRides, predicted: Floats) -> dict
             off = compute_clustered_mean(error[rows], found.clusters[rows])
             entries.append({"bin": labels[code], **_bin(error[rows], found.measured[rows], found.clusters[rows], off)})
             p.append(off.p)
-    q = iter(compute_false_discovery_rates(np.array(p)).tolist())
+    q = iter(multiple_testing.adjust_false_discovery(np.array(p)).tolist())
     for entry in (entry for entries in made.values() for entry in entries):
         entry["q"] = next(q)
     return made
@@ -266,21 +265,6 @@ def _bin(error: Floats, measured: Floats, clusters: Codes, off: Estimate) -> dic
         "relative": size / used if used > 0.0 else np.nan,
         "relative_bias": off.value / used if used > 0.0 else np.nan,
     }
-
-
-def compute_false_discovery_rates(p: Floats) -> Floats:
-    """Return Benjamini and Hochberg's q-values; NaN where there was nothing to test.
-
-    Examples
-    --------
-    >>> compute_false_discovery_rates(np.array([0.01, np.nan, 0.04])).tolist()
-    [0.02, nan, 0.04]
-    """
-    q = np.full(len(p), np.nan)
-    tested = ~np.isnan(p)
-    if tested.any():
-        q[tested] = false_discovery_control(p[tested])
-    return q
 
 
 def compare_pairs(found: ComparedRides) -> list[dict[str, Any]]:

@@ -19,7 +19,6 @@ from core.errors import ModelError
 from core.evaluate.compare.models import RIDE_NAME_COLUMNS, RIDE_PROPERTIES
 from core.evaluate.compare.running import accumulate_windows
 from core.models import LinearModel
-from core.models.parts import predict_parts
 
 LEAST_SHARE: Final = 0.5
 """Of a ride's error, for the span that holds it to be a place where model and measurement part."""
@@ -179,7 +178,7 @@ def _model(
             f"{label} is no sum over windows: what a window adds to its prediction of the ride so far is shown, and "
             f"{running[0]:+.3f} kWh are said before anything is driven"
         )
-    added, said_by = np.diff(running), predict_parts(model, columns)
+    added, said_by = np.diff(running), model.predict_parts(columns)
     error = added - made["measured_kwh"]
     place = locate_divergence(error, made, said - float(made["measured_kwh"].sum()))
     return {

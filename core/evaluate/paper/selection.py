@@ -220,9 +220,8 @@ def _design(
         own = np.flatnonzero(model == code)
         name = judged.vehicle_models[code]
         fit = fits.get(name, fits[ANY])
-        curve = None if fit.curve is None else fit.curve.to_curve()
         of: Any = table.iloc[own]
-        part = build_design(terms, Columns(of, fit.fills, curve), len(own))
+        part = build_design(terms, Columns(of, fit.fills, fit.curve), len(own))
         first = part[ranks[own]]
         scale = first.std(axis=0)
         varies = scale > 1e-9 * np.abs(first).max(axis=0, initial=0.0)

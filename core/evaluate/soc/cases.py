@@ -11,6 +11,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from core.stats.clustered import assign_vehicle_days
+
 HOURS_AHEAD: Final = (0, 1, 2, 4, 6)
 """Times before a shift's end, by its last sample. [h]"""
 MOST_FORECAST_AGE: Final = 600.0
@@ -98,7 +100,7 @@ def select_cases(outlooks: pd.DataFrame, shifts: pd.DataFrame) -> ForecastCases:
     cases = cases.sort_values([*SHIFT_KEY, "hours"], ignore_index=True)
     why = _reasons(cases, made)
     day = np.floor(cases["begin_s"] / DAY)
-    cases["cluster"] = cases.assign(day=day).groupby(["vehicle_id", "day"], sort=False).ngroup()
+    cases["cluster"] = assign_vehicle_days(cases.assign(day=day), day="day")
     kept = cases[why == ""].reset_index(drop=True)
     names = [f"{vehicle} {shift}" for vehicle, shift in zip(cases["vehicle_id"], cases["shift"], strict=True)]
     unlearned = set(np.array(names)[why == WARM_UP]) - set(np.array(names)[why == ""])

@@ -13,6 +13,7 @@ import pandas as pd
 
 from core.evaluate.soc.cases import DAY, SHIFT_KEY, normalise_keys
 from core.forecast.plan_tracker import SHORTEST_RIDE
+from core.stats.clustered import assign_vehicle_days
 from core.wire.messages import Outlook
 
 QUERY_INTERVAL: Final = 1800.0
@@ -111,5 +112,5 @@ def match_legs_to_rides(asked: pd.DataFrame, rides: pd.DataFrame, shifts: pd.Dat
     return cases.assign(
         minutes=(cases["ride_end_s"] - cases["time_s"]) / 60.0,
         charges=cases["charged_s"] > cases["ride_end_s"],
-        cluster=cases.assign(day=day).groupby(["vehicle_id", "day"], sort=False).ngroup(),
+        cluster=assign_vehicle_days(cases.assign(day=day), day="day"),
     ).reset_index(drop=True)

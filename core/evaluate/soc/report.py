@@ -18,9 +18,8 @@ from core.evaluate.soc.cases import HOURS_AHEAD, SHIFT_KEY, ForecastCases, selec
 from core.evaluate.soc.examples import select_examples
 from core.evaluate.soc.legs import MINUTES
 from core.evaluate.soc.reserve_risk import evaluate_reserve_risk
-from core.stats.clustered import compute_clustered_mean
+from core.stats.clustered import compute_clustered_mean, compute_clustered_share
 from core.stats.scores import Codes
-from core.stats.soc_share import compute_clustered_share
 
 NOMINAL: Final = 0.90
 """Share of outcomes that the interval is meant to hold."""

@@ -20,9 +20,8 @@ from scipy.special import ndtr, ndtri
 from core.batch import Floats
 from core.evaluate.soc.baselines import BASELINES, compute_empirical_risk
 from core.evaluate.soc.cases import HOURS_AHEAD, SHIFT_KEY
-from core.stats.clustered import compute_clustered_ratio
+from core.stats.clustered import compute_clustered_ratio, compute_clustered_share
 from core.stats.scores import Codes
-from core.stats.soc_share import compute_clustered_share
 
 LEVELS: Final = (20, 30, 40, 50, 60)
 """Levels that stand in for a reserve. [%]"""

@@ -12,7 +12,6 @@ from core.diagnose.evidence import (
     Evidence,
     compute_evidence,
     compute_worst_case_evidence,
-    false_discovery,
 )
 
 EITHER = np.zeros(1, dtype=np.int64)
@@ -197,45 +196,3 @@ class TestClusters:
         assert np.ptp(dealt) <= 1
         np.testing.assert_array_equal(clusters.assign_folds(3), ClusterSums(np.arange(count)).assign_folds(3))
         assert count < FOLDS or not np.array_equal(clusters.assign_folds(3), clusters.assign_folds(4))
-
-
-probabilities = st.lists(st.floats(0.0, 1.0), min_size=1, max_size=30).map(np.array)
-
-
-class TestFalseDiscovery:
-    @given(probabilities)
-    def test_it_keeps_the_order_and_never_makes_surer(self, p):
-        q = false_discovery(p)
-        assert ((q >= p) & (q <= 1.0)).all()
-        assert (np.diff(q[np.argsort(p, kind="stable")]) >= 0.0).all()
-
-    @given(probabilities, st.floats(0.001, 0.5))
-    def test_what_is_below_a_level_is_what_the_step_up_procedure_takes(self, p, level):
-        ordered = np.sort(p)
-        passed = np.flatnonzero(ordered * len(p) / np.arange(1, len(p) + 1) <= level)
-        taken = p <= ordered[passed[-1]] if len(passed) else np.zeros(len(p), dtype=bool)
-        np.testing.assert_array_equal(false_discovery(p) <= level, taken)
-
-    @given(probabilities, st.integers(0, 2**32))
-    def test_it_does_not_depend_on_the_order_in_which_it_is_asked(self, p, seed):
-        order = np.random.default_rng(seed).permutation(len(p))
-        np.testing.assert_allclose(false_discovery(p[order]), false_discovery(p)[order])
-
-    @given(probabilities, st.integers(0, 29), st.floats(0.0, 1.0))
-    def test_surer_weigh_one_makes_no_other_less_sure(self, p, at, factor):
-        surer = p.copy()
-        surer[at % len(p)] *= factor
-        assert (false_discovery(surer) <= false_discovery(p) + 1e-15).all()
-
-    def test_one_alone_stays_as_it_is_and_none_is_none(self):
-        assert false_discovery(np.array([0.3])).tolist() == [0.3]
-        assert false_discovery(np.empty(0)).shape == (0,)
-
-    def test_of_what_is_below_a_level_that_share_is_false_at_most(self):
-        rng = np.random.default_rng(8)
-        false = []
-        for _ in range(400):
-            p = np.r_[rng.random(40), 1e-4 * rng.random(5)]
-            found = np.flatnonzero(false_discovery(p) < 0.1)
-            false.append(np.mean(found < 40) if len(found) else 0.0)
-        assert np.mean(false) < 0.1

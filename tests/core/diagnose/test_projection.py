@@ -92,7 +92,7 @@ def test_the_accessories_of_the_models_own_curve_are_taken_up():
     found, model = gather_with_model(make_tables(make_windows()))
     fit = next(iter(model.fits.values()))
     base = BaseProjection(found, model)
-    curve = Columns(found.table, fit.fills, fit.curve.to_curve())[ACCESSORIES_COLUMN]
+    curve = Columns(found.table, fit.fills, fit.curve)[ACCESSORIES_COLUMN]
     assert untaken(base, curve[:, np.newaxis])[0] < 1e-9
 
 

@@ -6,7 +6,6 @@ import pytest
 from core.columns import ZERO_CELSIUS
 from core.fit.accessory_curve import TemperatureBins, compute_slopes
 from core.fit.recipes import RECIPES
-from core.models import Curve
 from core.vehicles import ACCESSORIES, AccessoryCurve
 from tests.support.planted_rides import noisy, physical_energy, rides
 
@@ -97,7 +96,7 @@ def test_where_rides_do_not_tell_every_segment_the_curve_is_still_one(low, high)
     assert (np.diff(points) > 0.0).all()
     assert (levels(found) >= 0.0).all()
     seen = np.linspace(low, high, 20) + ZERO_CELSIUS
-    np.testing.assert_allclose(found.to_curve().power(seen), CURVES[0].power(seen), atol=400.0)
+    np.testing.assert_allclose(found.power(seen), CURVES[0].power(seen), atol=400.0)
 
 
 def test_one_temperature_scales_the_reference_curve():
@@ -116,7 +115,7 @@ def test_few_rides_scale_the_reference_curve_and_their_road_load_may_be_all_zero
         found.add(ambient[:rides_], time[:rides_], energy[:rides_], [flat, flat])
         curve = found.fit()
         assert (curve.heating_full == ACCESSORIES.heating_full) == exact
-        seen = curve.to_curve().power(ambient + ZERO_CELSIUS)
+        seen = curve.power(ambient + ZERO_CELSIUS)
         np.testing.assert_allclose(seen, 1.5 * ACCESSORIES.power(ambient + ZERO_CELSIUS), rtol=0.02)
 
 
@@ -136,7 +135,7 @@ def test_power_that_is_negative_is_not_believed():
 
 @pytest.mark.parametrize("number", range(7))
 def test_slopes_are_derivatives(number):
-    curve = Curve(
+    curve = AccessoryCurve(
         heating_full=258.15, heating_off=283.15, cooling_on=291.15, cooling_full=299.15,
         heating=3500.0, standby=400.0, cooling=1500.0,
     )  # fmt: skip
@@ -146,7 +145,7 @@ def test_slopes_are_derivatives(number):
     np.testing.assert_allclose(compute_slopes(curve, ambient)[:, number], (above - below) / (2.0 * h), atol=1e-4)
 
 
-def moved(curve: Curve, number: int, by: float) -> AccessoryCurve:
+def moved(curve: AccessoryCurve, number: int, by: float) -> AccessoryCurve:
     """A curve with one number changed; heating and cooling count above standby."""
     standby, heat, cool = curve.standby, curve.heating - curve.standby, curve.cooling - curve.standby
     numbers = [standby, heat, cool, curve.heating_full, curve.heating_off, curve.cooling_on, curve.cooling_full]

@@ -129,7 +129,7 @@ def by_hand(ride) -> float:
     distance = fit.fills.get("distance_km", np.nan) if np.isnan(ride.distance_km) else ride.distance_km
     east = np.sin(np.radians(ride.wind_from_deg))
     east = fit.fills.get("wind_from_east", np.nan) if np.isnan(east) else east
-    power = CURVE.to_curve().power(np.array([ride.ambient_c + ZERO_CELSIUS]))[0]
+    power = CURVE.power(np.array([ride.ambient_c + ZERO_CELSIUS]))[0]
     columns = (distance, east * ride.wind_speed_kmh, ride.duration_s * power * ride.accessory_scale / 3.6e6, 1.0)
     total = sum(c * x for c, x in zip(fit.coefficients, columns, strict=True))
     if ride.vehicle_model == "leaf":

@@ -1,4 +1,4 @@
-"""Splits: nothing on both sides, the shares that were asked for, and the same draws for the same seed."""
+"""Splits: disjoint sets, the requested shares, and equal draws for equal seeds."""
 
 import numpy as np
 import pytest
@@ -12,28 +12,28 @@ CARS = st.lists(st.tuples(st.sampled_from(["leaf", "soul"]), st.integers(0, 7)),
 DATES = st.lists(st.dates().map(str), min_size=1, max_size=200)
 
 
-def whole(split, n):
+def covers_all_rides(split, n):
     return np.array_equal(np.sort(np.concatenate([split.train, split.test])), np.arange(n))
 
 
 @given(STRATA, st.integers(0, 2**31))
-def test_each_ride_is_on_one_side_and_each_stratum_has_its_share(strata, seed):
+def test_each_ride_is_in_one_set_and_each_stratum_has_its_share(strata, seed):
     kinds = np.array([f"{model}/{cluster}" for model, cluster in strata])
     for split in split_by_ride(strata, seed, repeats=3):
-        assert whole(split, len(strata))
+        assert covers_all_rides(split, len(strata))
         for kind in set(kinds):
             n = int(np.sum(kinds == kind))
             assert abs(np.sum(kinds[split.test] == kind) - 0.2 * n) <= 0.5
 
 
-def test_strata_are_drawn_apart_so_that_another_vehicle_model_changes_nothing():
+def test_another_vehicle_model_does_not_change_draws():
     leaf, soul = [("leaf", 0)] * 40, [("soul", 0)] * 70
     alone, together = split_by_ride(leaf, 3), split_by_ride(leaf + soul, 3)
     for one, two in zip(alone, together, strict=True):
         assert np.array_equal(one.test, two.test[two.test < len(leaf)])
 
 
-def test_repeats_and_seeds_differ_and_the_same_seed_does_not():
+def test_repeats_and_seeds_differ_and_equal_seeds_repeat_draws():
     strata = [("leaf", 0)] * 100
     one, same, other = split_by_ride(strata, 1), split_by_ride(strata, 1), split_by_ride(strata, 2)
     assert len(one) == 10
@@ -41,7 +41,7 @@ def test_repeats_and_seeds_differ_and_the_same_seed_does_not():
     assert all(np.array_equal(a.test, b.test) for a, b in zip(one, same, strict=True))
 
 
-def test_every_ride_is_drawn_as_often_as_any_other():
+def test_every_ride_is_drawn_equally_often():
     drawn = np.zeros(50)
     for split in split_by_ride([("leaf", 0)] * 50, seed=0, repeats=2000):
         drawn[split.test] += 1
@@ -49,11 +49,11 @@ def test_every_ride_is_drawn_as_often_as_any_other():
 
 
 @given(CARS, st.integers(0, 2**31))
-def test_a_car_is_on_one_side_and_held_out_once(cars, seed):
+def test_each_car_is_in_one_set_and_held_out_once(cars, seed):
     models, names = [m for m, _ in cars], [f"{m}-{i}" for m, i in cars]
     held = []
     for split in split_by_vehicle(models, names, seed):
-        assert whole(split, len(cars))
+        assert covers_all_rides(split, len(cars))
         out = {names[i] for i in split.test}
         assert not out & {names[i] for i in split.train}
         held += sorted(out)
@@ -61,7 +61,7 @@ def test_a_car_is_on_one_side_and_held_out_once(cars, seed):
     assert sorted(held) == sorted(several)
 
 
-def test_a_vehicle_model_that_is_tested_is_also_trained_on():
+def test_tested_vehicle_models_are_also_trained_on():
     models = ["leaf"] * 12 + ["soul"] * 12
     cars = ["l1", "l2"] * 6 + ["s1"] * 12
     splits = split_by_vehicle(models, cars, seed=4)
@@ -73,13 +73,13 @@ def test_a_vehicle_model_that_is_tested_is_also_trained_on():
 
 
 @given(DATES)
-def test_the_last_dates_are_held_out_and_no_more_than_it_takes(dates):
+def test_as_few_last_dates_as_needed_are_held_out(dates):
     splits = split_by_date(dates)
     if len(set(dates)) == 1:
         assert splits == []
         return
     (split,) = splits
-    assert whole(split, len(dates))
+    assert covers_all_rides(split, len(dates))
     days = np.array(dates)
     first = min(days[split.test])
     assert max(days[split.train]) < first
@@ -88,6 +88,6 @@ def test_the_last_dates_are_held_out_and_no_more_than_it_takes(dates):
 
 
 @pytest.mark.parametrize(("share", "tested"), [(0.2, 2), (0.5, 5), (0.99, 9)])
-def test_the_share_of_dates_is_the_one_asked_for_and_never_all(share, tested):
+def test_share_of_dates_is_as_requested_and_never_all(share, tested):
     dates = [f"2018-01-{day:02}" for day in range(1, 11)]
     assert split_by_date(dates, share)[0].test.size == tested

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from core.evaluate.paper.results import to_json_values
 from core.evaluate.soc.report import evaluate_soc
-from core.stats.soc_share import LEAST_CLUSTERS
+from core.stats.clustered import LEAST_CLUSTERS
 from tests.support.paths import ROOT
 from tests.support.soc_frames import told
 from tests.tools.report.test_evaluation import read

@@ -30,7 +30,7 @@ ROUNDS: Final = 20
 def candidates(windows: Windows, model: LinearModel) -> Floats:
     """Return a model's own columns, then all that diagnosis asks of, (n, k). [kWh per unit]"""
     fit = model.fits[ANY]
-    columns = Columns(windows.table, fit.fills, fit.curve.to_curve() if fit.curve else None)
+    columns = Columns(windows.table, fit.fills, fit.curve)
     own = build_design(model.terms, columns, len(windows.measured))
     return np.nan_to_num(np.column_stack([own, build_candidates(windows, model).columns]))
 

@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 
 from core.evaluate.soc.baselines import BASELINES
 from core.evaluate.soc.report import NOMINAL
-from core.stats.soc_share import LEAST_CLUSTERS
+from core.stats.clustered import LEAST_CLUSTERS
 from tools.report.comparison.figures import select_interval_widths
 from tools.report.evaluation.illustrations import Illustration
 from tools.report.evaluation.result import Result, get_mapping, get_number, get_part, get_vehicle_name

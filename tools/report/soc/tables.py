@@ -5,7 +5,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from core.evaluate.soc.baselines import BASELINES
-from core.stats.soc_share import LEAST_CLUSTERS
+from core.stats.clustered import LEAST_CLUSTERS
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_change, format_count, format_percent
 from tools.report.comparison.tables import format_difference, format_estimate
 from tools.report.evaluation.result import Result, get_mapping, get_number, get_part, get_vehicle_name

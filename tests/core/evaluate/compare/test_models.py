@@ -14,9 +14,8 @@ from core.evaluate.compare.models import compare_pairs, compare_predictions, fin
 from core.evaluate.compare.ride_trace import find_ride, locate_divergence, trace_ride
 from core.evaluate.compare.running import accumulate_windows
 from core.fit.recipes import FITTED_TERMS, get_recipe
-from core.models import ANY, BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, LinearModel, Term
+from core.models import ANY, BASIC_PHYSICAL, CORRECTION, EXTENDED_PHYSICAL, Fit, LinearModel, Term
 from core.models.features import FEATURES
-from core.models.parts import CORRECTION, predict_parts
 from core.stats.clustered import assign_vehicle_days, compute_clustered_mean, compute_clustered_ratio, subtract
 from core.stats.scores import Estimate
 from tests.support import planted_rides
@@ -277,7 +276,7 @@ def test_parts_add_up_to_the_prediction(correction, cars):
     rides = planted(240)
     fitted = get_recipe("fitted_physical").fit(rides, covariance=False)
     model = msgspec.structs.replace(fitted, correction=correction, cars=cars)
-    found = predict_parts(model, rides)
+    found = model.predict_parts(rides)
     assert list(found) == [term.name for term in FITTED_TERMS] + [CORRECTION] * (correction is not None)
     np.testing.assert_allclose(sum(found.values()), model.predict(rides), rtol=1e-9)
 
@@ -285,7 +284,7 @@ def test_parts_add_up_to_the_prediction(correction, cars):
 def test_a_car_without_a_fit_has_no_parts():
     rides = planted(40)
     one = model("one", FITTED_TERMS[:-1], [1.0] * 4, key="tesla-model-s")
-    found = predict_parts(one, rides)["rolling"]
+    found = one.predict_parts(rides)["rolling"]
     np.testing.assert_array_equal(np.isnan(found), rides["vehicle_model"] != "tesla-model-s")
 
 

@@ -1,4 +1,4 @@
-"""Shares with intervals: Wilson's of single cases, wider where cases are alike, and true as often as they say."""
+"""Clustered shares: Wilson's interval for single cases, wider for similar cases, with its stated coverage."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from core.stats.soc_share import compute_clustered_share
+from core.stats.clustered import compute_clustered_share
 
 
 @given(
@@ -15,7 +15,7 @@ from core.stats.soc_share import compute_clustered_share
     clusters=st.integers(2, 60),
 )
 @settings(max_examples=100, deadline=None)
-def test_a_clustered_share_is_within_its_interval(hits, seed, clusters):
+def test_clustered_share_lies_within_its_interval(hits, seed, clusters):
     of = np.random.default_rng(seed).integers(0, clusters, len(hits))
     found = compute_clustered_share(np.array(hits), of)
     assert found["value"] == np.mean(hits)
@@ -26,14 +26,14 @@ def test_a_clustered_share_is_within_its_interval(hits, seed, clusters):
 
 
 @pytest.mark.parametrize(("hits", "n"), [(0, 12), (7, 12), (12, 12), (270, 300)])
-def test_of_single_cases_it_is_the_interval_of_wilson(hits, n):
+def test_single_cases_give_wilson_interval(hits, n):
     found = compute_clustered_share(np.arange(n) < hits, np.arange(n))
     assert found["clusters"] == n
     known = stats.binomtest(hits, n).proportion_ci(method="wilson")
     assert (found["low"], found["high"]) == pytest.approx((known.low, known.high))
 
 
-def test_it_covers_the_truth_where_cases_of_a_cluster_are_alike():
+def test_interval_covers_truth_where_cases_of_a_cluster_are_similar():
     rng = np.random.default_rng(5)
     clusters = np.repeat(np.arange(80), 5)
     inside = 0
@@ -44,7 +44,7 @@ def test_it_covers_the_truth_where_cases_of_a_cluster_are_alike():
     assert 0.93 <= inside / 400 <= 0.995
 
 
-def test_cases_that_are_alike_tell_no_more_than_one_of_them():
+def test_repeated_cases_add_no_information():
     hits = np.arange(40) < 30
     alone = compute_clustered_share(hits, np.arange(40))
     alike = compute_clustered_share(np.repeat(hits, 5), np.repeat(np.arange(40), 5))

@@ -1,0 +1,50 @@
+"""Built-in models: the physical models of the paper that need no fitting."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+from core.models.interval import ANY
+from core.models.linear import Fit, LinearModel, Term
+
+
+def make_physical_term(name: str, columns: tuple[str, ...]) -> Term:
+    """Return a term whose coefficient is 1 where physics holds."""
+    return Term(name=name, columns=columns, unit="1")
+
+
+def _make_physical_fits(terms: tuple[Term, ...]) -> dict[str, Fit]:
+    """Return one fit for every vehicle model, with all coefficients 1."""
+    return {ANY: Fit(coefficients=(1.0,) * len(terms))}
+
+
+BASIC_TERMS: Final = (
+    make_physical_term("rolling", ("effect_rolling", "rolling_resistance")),
+    make_physical_term("climbing", ("effect_climbing",)),
+    make_physical_term("aero_drag", ("effect_aero_drag", "drag_area_m2")),
+    make_physical_term("inertia", ("effect_inertia",)),
+)
+_EXTENDED_TERMS: Final = (*BASIC_TERMS, make_physical_term("accessories", ("effect_accessories",)))
+
+BASIC_PHYSICAL: Final = LinearModel(
+    name="basic_physical",
+    version="1",
+    recipe="basic_physical",
+    terms=BASIC_TERMS,
+    fits=_make_physical_fits(BASIC_TERMS),
+)
+"""Basic physical model, eq. (1) and section 4.1 of the paper: energy at the wheels with the catalogue's parameters."""
+
+EXTENDED_PHYSICAL: Final = LinearModel(
+    name="extended_physical",
+    version="1",
+    recipe="extended_physical",
+    terms=_EXTENDED_TERMS,
+    fits=_make_physical_fits(_EXTENDED_TERMS),
+)
+"""Extended physical model, section 4.2 of the paper, with the reference accessory curve; `core.fit` fits a curve."""
+
+BUILT_IN_MODELS: Final[Mapping[str, LinearModel]] = MappingProxyType(
+    {model.name: model for model in (BASIC_PHYSICAL, EXTENDED_PHYSICAL)}
+)
+"""Models that come with the product and need no fitting, by name."""
