@@ -1,6 +1,6 @@
 """A batch of samples as columns, and the lanes that say whose row each is."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -23,6 +23,22 @@ class Stateful(Protocol):
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
+
+
+class Table(Protocol):
+    """Hold columns by name: a mapping of arrays, or a `DataFrame`."""
+
+    def __getitem__(self, name: Any, /) -> Any:
+        """Return a column."""
+
+    def __contains__(self, name: Any, /) -> bool:
+        """Return whether there is a column of that name."""
+
+    def __iter__(self) -> Iterator[Any]:
+        """Iterate over the names of the columns."""
+
+    def __len__(self) -> int:
+        """Return the number of columns of a mapping, or of rows of a `DataFrame`."""
 
 
 class Batch(NamedTuple):

@@ -20,10 +20,10 @@ from core.models.linear import (
     VEHICLE_MODEL,
     Fit,
     LinearModel,
-    Model,
     Term,
     Training,
 )
+from core.totals.context import Model
 
 __all__ = [
     "ANY",

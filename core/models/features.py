@@ -9,13 +9,13 @@ its product a term holds there and nowhere else.
 from collections.abc import Iterator, Mapping
 from datetime import UTC, date, datetime
 from types import MappingProxyType
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core import effects
-from core.batch import Floats
+from core.batch import Floats, Table
 from core.columns import ZERO_CELSIUS
 from core.errors import ModelError
 from core.models.derived_features import DERIVED_COLUMNS
@@ -68,22 +68,6 @@ FEATURES: Final[Mapping[str, str]] = MappingProxyType(
     }
 )
 """Unit of each column of the ride table that a term may read, beside `effect_*`; of temperatures, of a difference."""
-
-
-class Table(Protocol):
-    """Columns by name: a mapping of arrays, or a `DataFrame`."""
-
-    def __getitem__(self, name: Any, /) -> Any:
-        """Return a column."""
-
-    def __contains__(self, name: Any, /) -> bool:
-        """Tell whether it is there."""
-
-    def __iter__(self) -> Iterator[Any]:
-        """Give their names."""
-
-    def __len__(self) -> int:
-        """Return some number."""
 
 
 ACCESSORY_NEEDS: Final = ("duration_s", "ambient_c", "accessory_scale")

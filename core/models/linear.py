@@ -9,14 +9,14 @@ prediction intervals) is optional.
 
 from collections.abc import Iterator, Mapping
 from functools import cached_property
-from typing import Any, Final, Protocol, cast
+from typing import Any, Final, cast
 
 import msgspec
 import numpy as np
 
-from core.batch import Floats
+from core.batch import Floats, Table
 from core.errors import ModelError
-from core.models.features import EFFECT_PREFIX, Columns, Table, list_raw_columns
+from core.models.features import EFFECT_PREFIX, Columns, list_raw_columns
 from core.models.interval import ANY, PredictionInterval
 from core.models.trees import Trees
 from core.vehicles import AccessoryCurve
@@ -27,29 +27,6 @@ VEHICLE_MODEL: Final = "vehicle_model"
 VEHICLE: Final = "vehicle_id"
 CORRECTION: Final = "learned correction"
 """Name of the part of a prediction that the boosted trees of a model add."""
-
-
-class Model(Protocol):
-    """Predict the energy of rides, or of any part of a ride."""
-
-    @property
-    def name(self) -> str:
-        """Name for people."""
-
-    @property
-    def version(self) -> str:
-        """Version that distinguishes it from earlier models of the same name."""
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """Columns of the ride table that it reads."""
-
-    @property
-    def effects(self) -> tuple[str, ...]:
-        """Names of the effects whose energy it reads."""
-
-    def predict(self, columns: Table) -> Floats:
-        """Return the energy of each row, NaN where the model cannot predict it. [kWh]"""
 
 
 class Term(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -1,12 +1,10 @@
 """What every step of one run shares: the vehicles, their kinds, the effects, the settings and the model."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
-import pandas as pd
-
-from core.batch import Floats, Lanes
+from core.batch import Floats, Lanes, Table
 from core.settings import Settings
 from core.vehicles.fleet import Cars
 
@@ -30,7 +28,7 @@ class Model(Protocol):
     def effects(self) -> tuple[str, ...]:
         """Names of the effects whose energy `predict` reads."""
 
-    def predict(self, columns: Mapping[str, Any] | pd.DataFrame) -> Floats:
+    def predict(self, columns: Table) -> Floats:
         """Return the energy of each row, NaN where it is not predictable. [kWh]"""
 
 

@@ -11,10 +11,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats
+from core.batch import Floats, Table
 from core.columns import GRAVITY, KMH, STANDARD_AIR_DENSITY, ZERO_CELSIUS
 from core.effects.declaration import Parameter
-from core.models.features import Table
 from core.signals.signals import CIVIL_DUSK, HALF_CHARGED, NIGHT, STANDARD_AMBIENT
 from core.signals.sun import sine_of_elevation
 
