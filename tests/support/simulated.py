@@ -1,4 +1,4 @@
-"""Simulated shifts, as the simulator's tests want them."""
+"""Simulate shifts for the tests of the simulator."""
 
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -27,16 +27,19 @@ PERFECT = replace(SMALL, faults=NO_FAULTS)
 
 
 def run_simulation(simulation):
+    """Return the messages of a simulation and its truth."""
     truth = Truth()
     return list(simulate(simulation, truth)), truth
 
 
 def decode_samples(messages, vehicle=None):
-    wanted = [m for m in messages if address(m.key).kind == "telemetry" and (vehicle is None or vehicle in m.key)]
-    return [msgspec.json.decode(m.payload, type=Telemetry) for m in wanted]
+    """Return the telemetry of all cars or of one."""
+    telemetry = [m for m in messages if address(m.key).kind == "telemetry" and (vehicle is None or vehicle in m.key)]
+    return [msgspec.json.decode(m.payload, type=Telemetry) for m in telemetry]
 
 
 def drive_one_shift(start=WINTER, hours=2.0, seed=5, phenomena=ALL_PHENOMENA, model="kia-soul-ev-2015"):
+    """Return a shift, its surroundings, the car and its states."""
     sky = make_sky(start.timestamp(), 1, seed)
     car = make_car(model, np.random.default_rng(seed))
     rng = np.random.default_rng([seed, 1])

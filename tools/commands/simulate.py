@@ -1,4 +1,4 @@
-"""`socast simulate`: a fleet of electric taxis in a Montreal year, as a recording, and the truth about it beside."""
+"""`socast simulate`: simulate electric taxis in Montreal, and write a recording and its truth."""
 
 from dataclasses import fields
 from itertools import islice
@@ -11,15 +11,16 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from stream.mcap_writer import McapSink
 from tools.simulator.fleet import count_shifts
-from tools.simulator.fleet import simulate as messages_of
+from tools.simulator.fleet import simulate as simulate_messages
 from tools.simulator.hidden import EFFECTS
 from tools.simulator.hidden_shapes import OTHER
 from tools.simulator.preset import PRESETS, load_preset, refuse_unused_settings
 from tools.simulator.settings import (
     CHARGING,
+    DEFAULT_MODELS,
+    DEFAULT_RIDES,
     LOW,
-    MODELS,
-    RIDES,
+    NIGHT,
     Faults,
     Phenomena,
     Simulation,
@@ -32,66 +33,67 @@ from tools.simulator.settings import (
 from tools.simulator.truth import Truth
 
 BLOCK = 4096
-"""Messages handed to the recording at a time."""
+"""Number of messages written at a time."""
 
 
 def simulate(
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.mcap", help="The recording to write.")],
-    vehicles: Annotated[int | None, typer.Option(help="How many cars, by default 5.")] = None,
-    days: Annotated[int | None, typer.Option(help="How many days, one shift a car each; by default 1.")] = None,
+    out: Annotated[Path, typer.Option("--out", metavar="FILE.mcap", help="Recording to write.")],
+    vehicles: Annotated[int | None, typer.Option(help="Number of cars. Default: 5.")] = None,
+    days: Annotated[int | None, typer.Option(help="Number of days, with one shift of each car. Default: 1.")] = None,
     start: Annotated[
         str,
         typer.Option(
             metavar="DATE",
-            help="First day, 2018-01-15: shifts are spread over it. Or a time, 2018-01-15T12:00 (UTC): all begin then.",
+            help="First day, such as 2018-01-15: shifts are spread over the day. "
+            "Or a time in UTC, such as 2018-01-15T12:00: every shift begins then.",
         ),
     ] = "2018-01-15",
-    seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
+    seed: Annotated[int, typer.Option(help="Random seed; the same seed gives the same bytes.")] = 0,
     day_step: Annotated[
-        int | None, typer.Option(help="Days from one simulated day to the next, to cover seasons; by default 1.")
+        int | None, typer.Option(help="Days from one simulated day to the next, to cover seasons. Default: 1.")
     ] = None,
     shift_hours: Annotated[
-        float | None, typer.Option(metavar="HOURS", help="Length of every shift, by default 7 to 10 h.")
+        float | None, typer.Option(metavar="HOURS", help="Length of every shift. Default: 7 to 10 h.")
     ] = None,
     models: Annotated[
         str | None,
         typer.Option(
             metavar="A,B",
-            help=f"Catalogue keys of the car models, handed out in turn; by default {', '.join(MODELS)}.",
+            help=f"Catalogue keys of car models, assigned in turn. Default: {', '.join(DEFAULT_MODELS)}.",
         ),
     ] = None,
     preset: Annotated[
         str | None,
         typer.Option(
             metavar="NAME",
-            help="A fleet that was described elsewhere, over a year, instead of --vehicles, --days, --day-step, "
-            f"--shift-hours and --models: {', '.join(PRESETS)}.",
+            help="Described fleet over a year, instead of --vehicles, --days, --day-step, --shift-hours and --models. "
+            f"Names: {', '.join(PRESETS)}.",
         ),
     ] = None,
     rides: Annotated[
-        int | None, typer.Option(metavar="N", help=f"How many rides a preset has, by default {RIDES:,}.")
+        int | None, typer.Option(metavar="N", help=f"Number of rides of a preset. Default: {DEFAULT_RIDES:,}.")
     ] = None,
     charging: Annotated[
         str,
         typer.Option(
             metavar="WHEN",
-            help=f"When cars charge: {', '.join(CHARGING)}. {LOW}: in a shift too, where dispatch finds one low. "
-            "night: between shifts alone, so that some end below their reserve, or empty.",
+            help=f"When cars charge: {', '.join(CHARGING)}. With {NIGHT} they charge between shifts only, so some "
+            f"shifts end below the reserve or empty. With {LOW} they also charge in a shift at a low state of charge.",
         ),
     ] = LOW,
     hidden: Annotated[
         list[str] | None,
         typer.Option(
             metavar="EFFECT[:SIZE]",
-            help="Add an effect that no model knows of, by default 0.03 of the energy; may be repeated. "
-            f"Effects: {', '.join(sorted(EFFECTS))}; NAME{OTHER} is the same in another shape.",
+            help="Effect to hide from the models, as a share of the energy; may be repeated. Default size: 0.03. "
+            f"Effects: {', '.join(sorted(EFFECTS))}. NAME{OTHER} is the same effect in another shape.",
         ),
     ] = None,
     faults: Annotated[
         str,
         typer.Option(
             metavar="RATES",
-            help="Faults of the loggers: default (or the preset's), none, name=rate, or none,name=rate. "
+            help="Faults of the loggers: default (or those of the preset), none, name=rate, or none,name=rate. "
             f"Names: {', '.join(field.name for field in fields(Faults))}.",
         ),
     ] = "default",
@@ -99,12 +101,15 @@ def simulate(
         str,
         typer.Option(
             metavar="NAMES",
-            help="Refinements of the physics: all, plain, all,-snow or plain,headwind. "
+            help="Refinements of the physics: all, plain, or a list such as all,-snow or plain,headwind. "
             f"Names: {', '.join(Phenomena._fields)}.",
         ),
     ] = "all",
 ) -> None:
-    """Simulate a fleet of electric taxis; FILE.truth.json beside the recording tells what really happened."""
+    """Simulate electric taxis; write a recording and its truth, FILE.truth.json.
+
+    Example: socast simulate --out small.mcap --vehicles 2 --shift-hours 2
+    """
     size: dict[str, Any] = {
         "vehicles": vehicles,
         "days": days,
@@ -125,7 +130,7 @@ def simulate(
         charging=charging,
         **size,
     )
-    truth = record(simulation, out)
+    truth = write_simulation(simulation, out)
     total = truth.summary()
     per_km = 1000 * (total["kwh_per_km"] or 0)
     console = Console()
@@ -140,33 +145,34 @@ def simulate(
         console.print(f"hidden: {effect}, {what['absolute_share']:.2%} of the energy", markup=False, highlight=False)
 
 
-def record(simulation: Simulation, out: Path) -> Truth:
-    """Write a simulation's recording, and its truth beside it.
+def write_simulation(simulation: Simulation, out: Path) -> Truth:
+    """Write the recording of a simulation, and its truth beside it.
 
     Parameters
     ----------
     simulation : Simulation
+        What to simulate.
     out : Path
         The recording; the truth goes to the same name with `.truth.json`.
 
     Returns
     -------
     Truth
-        Complete.
+        The complete truth.
 
     Raises
     ------
     SettingsError
-        For what cannot be simulated, before anything is written.
+        If the simulation is impossible; nothing is written.
     RecordingError
-        Where the recording cannot be written.
+        If the recording cannot be written.
     """
     truth = Truth()
     console = Console(stderr=True)
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         bar = progress.add_task("driving shifts", total=count_shifts(simulation))
-        messages = messages_of(simulation, truth, lambda shifts: progress.advance(bar, shifts))
+        messages = simulate_messages(simulation, truth, lambda shifts: progress.advance(bar, shifts))
         with McapSink(out) as sink:
             while block := list(islice(messages, BLOCK)):
                 sink.put(block)

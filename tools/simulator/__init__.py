@@ -1,4 +1,4 @@
-"""A fleet, its city, its weather and its faulty loggers; physics richer than the models that are fitted to it."""
+"""Simulate a fleet, its city, its weather and its faulty loggers, with richer physics than any model fitted to it."""
 
 from tools.simulator.fleet import simulate
 from tools.simulator.settings import NO_FAULTS, PLAIN_PHENOMENA, Faults, Hidden, Phenomena, Simulation

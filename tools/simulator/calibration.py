@@ -1,4 +1,4 @@
-"""How strong a hidden effect has to be to take its share of the energy."""
+"""Compute the factor by which a hidden effect is scaled to take its share of the energy."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -14,14 +14,36 @@ from tools.simulator.shift import NO_RIDE
 
 
 class EffectEnergies(NamedTuple):
-    """Energies of some rides: of the battery without hidden effects, and of each effect at natural size. [J]."""
+    """Hold the energies of rides.
+
+    Parameters
+    ----------
+    battery : (rides,) float
+        Energy at the terminals of the battery, without hidden effects. [J]
+    effects : (rides, effects) float
+        Energy of each hidden effect at natural size. [J]
+    """
 
     battery: Floats
     effects: Floats
 
 
 def sum_energies(view: EffectInputs, ride: Ints, hidden: Iterable[Hidden]) -> EffectEnergies:
-    """Return the energies of the rides of a shift. `battery` (rides,), `effects` (rides, effects)."""
+    """Return the energies of the rides of a shift.
+
+    Parameters
+    ----------
+    view : EffectInputs
+        The shift, driven without hidden effects.
+    ride : (n,) int
+        Index of the ride at each step, `NO_RIDE` between rides.
+    hidden : iterable of Hidden
+        The hidden effects.
+
+    Returns
+    -------
+    EffectEnergies
+    """
     powers = [view.state.parts.sum(axis=1), *(POWERS[effect](view) for effect, _ in hidden)]
     inside = ride != NO_RIDE
     sums: list[Floats] = [np.bincount(ride[inside], power[inside]).astype(float) * STEP for power in powers]
@@ -29,17 +51,29 @@ def sum_energies(view: EffectInputs, ride: Ints, hidden: Iterable[Hidden]) -> Ef
 
 
 def calibrate_effects(pilot: list[EffectEnergies], hidden: tuple[Hidden, ...]) -> list[float]:
-    """Return the factor by which each effect has to be multiplied.
+    """Return the factor by which the power of each effect is multiplied.
 
-    Notes
-    -----
-    The size of an effect is the sum over rides of its absolute energy, over the energy of all rides, hidden effects
-    included; for an effect that only ever costs energy that is simply its share.
+    Parameters
+    ----------
+    books : list of EffectEnergies
+        Energies of the shifts of the pilot.
+    hidden : tuple of Hidden
+        The hidden effects and their sizes.
+
+    Returns
+    -------
+    list of float
+        One factor for each effect. [1]
 
     Raises
     ------
     SettingsError
-        For an effect that has nothing to act on, such as cooling in January.
+        If an effect has nothing to act on, such as cooling in January.
+
+    Notes
+    -----
+    The size of an effect is the sum of its absolute energy over all rides, divided by the energy of all rides with
+    hidden effects. For an effect that always costs energy the size equals its share of the energy.
     """
     battery = float(np.concatenate([energies.battery for energies in pilot]).sum())
     effects = np.concatenate([energies.effects for energies in pilot])
@@ -56,11 +90,17 @@ def calibrate_effects(pilot: list[EffectEnergies], hidden: tuple[Hidden, ...]) -
 
 
 def check_effects(hidden: tuple[Hidden, ...]) -> None:
-    """Refuse an effect that does not exist.
+    """Raise an error if an effect does not exist.
+
+    Parameters
+    ----------
+    hidden : tuple of Hidden
+        The hidden effects.
 
     Raises
     ------
     SettingsError
+        If no effect has one of the names.
     """
     for effect, _ in hidden:
         if effect not in POWERS:

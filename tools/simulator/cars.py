@@ -1,4 +1,4 @@
-"""The cars as they truly are: their catalogue entry, what the catalogue does not say, and each one's own deviations."""
+"""Draw the true parameters of cars: the catalogue, what it does not say, and random deviations of each car."""
 
 import tomllib
 from collections.abc import Mapping
@@ -13,13 +13,30 @@ from core.vehicles import load_catalogue
 
 
 class Car(NamedTuple):
-    """True parameters of one car, in SI; powers are electric unless they say otherwise.
+    """Hold the true parameters of one car in SI units; powers are electric unless stated otherwise.
 
-    The comments of `cars.toml` tell of those that it names. The others are the catalogue's, off by a few per cent, and:
-    `under_inflation` [1] how far the tyres are below their pressure; `brake_drag` [N] of rubbing pads; `wear` [1] the
-    share of the battery's capacity that is lost; `roof_drag_area` [m^2] of what is carried on the roof;
-    `odometer` [m] at the first shift; `speedometer` [1] its wheel speed over the true one; `warmth` [K] how much warmer
-    than usual its driver likes it.
+    Parameters
+    ----------
+    mass, drag_area, rolling_resistance, capacity : float
+        Values of the catalogue with random deviations of a few per cent. [kg], [m^2], [1], [J]
+    under_inflation : float
+        Relative deficit of the tyre pressure. [1]
+    brake_drag : float
+        Force of rubbing brake pads. [N]
+    wear : float
+        Share of the capacity of the battery that is lost. [1]
+    roof_drag_area : float
+        Drag area of a load on the roof. [m^2]
+    odometer : float
+        Reading at the first shift. [m]
+    speedometer : float
+        Wheel speed divided by the true speed. [1]
+    warmth : float
+        Temperature that the driver prefers above the usual one. [K]
+
+    Notes
+    -----
+    The comments of `cars.toml` describe all other parameters.
     """
 
     mass: float
@@ -67,7 +84,7 @@ SPREAD: Final = {
     "heater_cop": 0.03,
     "cooler_cop": 0.03,
 }
-"""Standard deviation of each car's parameter about its model's, relative. [1]"""
+"""Relative standard deviation of each parameter of a car about the value of its model. [1]"""
 
 
 def make_car(model: str, rng: np.random.Generator, traits: Mapping[str, float] | None = None) -> Car:
@@ -75,8 +92,16 @@ def make_car(model: str, rng: np.random.Generator, traits: Mapping[str, float] |
 
     Parameters
     ----------
+    model : str
+        Key of the vehicle catalogue.
+    rng : Generator
+        Source of the random deviations.
     traits : mapping of str to float, optional
-        What overrides the catalogue and `cars.toml`, by parameter of `Car`.
+        Values that override the catalogue and `cars.toml`, by parameter of `Car`.
+
+    Returns
+    -------
+    Car
 
     Raises
     ------
@@ -112,11 +137,19 @@ def make_car(model: str, rng: np.random.Generator, traits: Mapping[str, float] |
 
 
 def age_car(car: Car, odometer: float) -> Car:
-    """Return a car as it will be at another reading of its odometer [m]: its battery wears in proportion."""
+    """Return a car at another reading of its odometer; the wear of its battery is proportional to the reading.
+
+    Parameters
+    ----------
+    car : Car
+        The car.
+    odometer : float
+        New reading. [m]
+    """
     return car._replace(odometer=odometer, wear=min(0.4, car.wear * odometer / car.odometer))
 
 
 @cache
 def _traits() -> dict[str, dict[str, float]]:
-    """Return `cars.toml`."""
+    """Return the content of `cars.toml`."""
     return tomllib.loads((Path(__file__).parent / "cars.toml").read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""A driver: keeps to limits and traffic, brakes for lights, signs and bends, and waits."""
+"""Simulate a driver who follows limits and traffic, brakes for lights, signs and bends, and waits."""
 
 from typing import NamedTuple
 
@@ -12,7 +12,15 @@ from tools.simulator.world import BOULEVARD, EXPRESSWAY, RESIDENTIAL, Route
 
 
 class DrivingStyle(NamedTuple):
-    """How somebody drives: over the limit by a factor, and at which accelerations. [1], [m/s^2]."""
+    """Describe how a person drives.
+
+    Parameters
+    ----------
+    pace : float
+        Desired speed divided by the speed limit. [1]
+    accelerate, brake : float
+        Usual acceleration and deceleration. [m/s^2]
+    """
 
     pace: float
     accelerate: float
@@ -20,12 +28,14 @@ class DrivingStyle(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """A drive, step by step. All (n,) float.
+    """Hold a drive step by step.
 
     Parameters
     ----------
-    along : Distance driven at the end of the step. [m]
-    before, after : Speed at its two ends. [m/s]
+    along : (n,) float
+        Distance driven at the end of the step. [m]
+    before, after : (n,) float
+        Speed at the beginning and at the end of the step. [m/s]
     """
 
     along: Floats
@@ -34,12 +44,18 @@ class Motion(NamedTuple):
 
 
 def make_style(rng: np.random.Generator) -> DrivingStyle:
-    """Draw a driver."""
+    """Draw the driving style of a person."""
     return DrivingStyle(float(rng.normal(1.02, 0.05)), float(rng.uniform(1.3, 2.3)), float(rng.uniform(1.4, 2.3)))
 
 
 def compute_congestion(clock: float) -> float:
-    """Return how dense the traffic is at an hour of the local day, 0 to 1. [1]."""
+    """Return the density of the traffic, from 0 (free) to 1 (rush hour). [1]
+
+    Parameters
+    ----------
+    clock : float
+        Local time of the day. [h]
+    """
     return float(np.exp(-(((clock - 8.2) / 1.3) ** 2)) + np.exp(-(((clock - 17.2) / 1.6) ** 2)))
 
 
@@ -48,7 +64,18 @@ def drive_route(route: Route, style: DrivingStyle, traffic: float, rng: np.rando
 
     Parameters
     ----------
-    traffic : float. See `congestion`. [1]
+    route : Route
+        The route.
+    style : DrivingStyle
+        How the driver drives.
+    traffic : float
+        Density of the traffic as from `compute_congestion`. [1]
+    rng : Generator
+        Source of red lights, waiting times and variations of speed.
+
+    Returns
+    -------
+    Motion
     """
     count = len(route.limit)
     draws, waits = rng.uniform(size=count), rng.uniform(size=count)
@@ -72,7 +99,7 @@ def drive_route(route: Route, style: DrivingStyle, traffic: float, rng: np.rando
 def _drive(
     length: Floats, limit: Floats, cap: Floats, wait: Floats, style: DrivingStyle, mood: Floats, steps: int
 ) -> tuple[Floats, Floats, Floats]:
-    """Step through a route; `cap` is what the end of each segment allows, made reachable by braking in time."""
+    """Integrate the motion over a route; `cap` is the allowed speed at the end of each segment."""
     for i in range(len(cap) - 2, -1, -1):
         cap[i] = min(cap[i], np.sqrt(cap[i + 1] ** 2 + 2 * style.brake * length[i + 1]))
     along, before, after = np.empty(steps), np.empty(steps), np.empty(steps)

@@ -1,4 +1,4 @@
-"""The fleet: every car's every shift, its messages and the weather's in the order in which they are received."""
+"""Simulate the shifts of every car of a fleet, and merge their messages with the weather in order of receipt."""
 
 import heapq
 from collections import Counter
@@ -24,13 +24,27 @@ from tools.simulator.weather import Sky, make_observations, make_sky
 
 DAY: Final = 86400.0
 PILOT: Final = 240
-"""At most so many shifts, evenly spread, are driven to calibrate hidden effects."""
+"""Largest number of shifts, evenly spread, that are driven to calibrate hidden effects."""
 RESERVE: Final = 10.0
-"""State of charge that dispatch keeps. [%]"""
+"""State of charge that dispatch keeps as a reserve. [%]"""
 
 
 class FleetCar(NamedTuple):
-    """A car of the fleet; `duties` are its shifts where a preset has laid them down."""
+    """Hold a car of the fleet.
+
+    Parameters
+    ----------
+    number : int
+        Index of the car, which selects its random streams.
+    name, model : str
+        Identifier of the car and key of its model in the vehicle catalogue.
+    car : Car
+        True parameters.
+    equipment : Equipment
+        What the logger lacks.
+    planned_shifts : list of PlannedShift, optional
+        Shifts that a preset has planned; None draws them.
+    """
 
     number: int
     name: str
@@ -40,12 +54,12 @@ class FleetCar(NamedTuple):
     planned_shifts: list[PlannedShift] | None = None
 
     def count_shifts(self, simulation: Simulation) -> int:
-        """Return how many shifts it drives."""
+        """Return the number of shifts that the car drives."""
         return simulation.days if self.planned_shifts is None else len(self.planned_shifts)
 
 
 class DrivenShift(NamedTuple):
-    """A shift that has been driven, without hidden effects."""
+    """Hold a shift that was driven without hidden effects."""
 
     shift: Shift
     view: EffectInputs
@@ -54,22 +68,29 @@ class DrivenShift(NamedTuple):
 def simulate(
     simulation: Simulation, truth: Truth | None = None, advance: Callable[[int], None] = lambda _: None
 ) -> Iterator[Message]:
-    """Yield everything that a fleet and its weather stations send, in order of receipt.
+    """Yield all messages of a fleet and its weather stations in order of receipt.
 
     Parameters
     ----------
     simulation : Simulation
-    truth : Truth, optional. Filled in on the way, complete when the last message is taken.
-    advance : callable. Called with the number of shifts that were finished, for a progress bar.
+        What to simulate.
+    truth : Truth, optional
+        Receives the true values; it is complete when the last message is taken.
+    advance : callable
+        Called with the number of finished shifts, for a progress bar.
+
+    Yields
+    ------
+    Message
 
     Raises
     ------
     SettingsError
-        Before the first message, for a model, an effect or a size that does not exist.
+        Before the first message, if a model, an effect or a size does not exist.
 
     Notes
     -----
-    Deterministic for a seed; each car's each shift draws from a stream of its own.
+    The messages depend on the settings and the seed alone. Each shift of each car has its own random stream.
     """
     calibration.check_effects(simulation.hidden)
     record = Truth() if truth is None else truth
@@ -86,7 +107,22 @@ def simulate(
 
 
 def merge_weather(fleet: Iterator[Message], simulation: Simulation, sky: Sky) -> Iterator[Message]:
-    """Merge the stations' observations in, from the hour before the fleet's first message to its last."""
+    """Merge the observations of the stations into the messages of a fleet.
+
+    Parameters
+    ----------
+    fleet : iterator of Message
+        Messages of the cars in order of receipt.
+    simulation : Simulation
+        What is simulated.
+    sky : Sky
+        The weather.
+
+    Yields
+    ------
+    Message
+        In order of receipt, from the hour before the first message of the fleet to its last message.
+    """
     opening = next(fleet)
     weather = iter(make_observations(sky, opening.receipt_ns / 1e9, float(sky.time[-1]), simulation.seed))
     waiting = next(weather, None)
@@ -98,17 +134,34 @@ def merge_weather(fleet: Iterator[Message], simulation: Simulation, sky: Sky) ->
 
 
 def _chain(first: Message, others: Iterator[Message]) -> Iterator[Message]:
+    """Yield one message and then the others."""
     yield first
     yield from others
 
 
 def count_shifts(simulation: Simulation) -> int:
-    """Return how many shifts the fleet will drive."""
+    """Return the number of shifts that the fleet will drive.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        What to simulate.
+    """
     return sum(member.count_shifts(simulation) for member in make_members(simulation))
 
 
 def make_members(simulation: Simulation) -> list[FleetCar]:
-    """Return the cars and their loggers."""
+    """Return the cars of the fleet and their loggers.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        What to simulate.
+
+    Returns
+    -------
+    list of FleetCar
+    """
     if simulation.preset is None:
         return [_member(simulation, index) for index in range(simulation.vehicles)]
     preset = presets.load_preset(simulation.preset)
@@ -125,7 +178,7 @@ def _member(simulation: Simulation, index: int) -> FleetCar:
 
 
 def _placed(simulation: Simulation, index: int, place: PlannedCar, fleet: Fleet) -> FleetCar:
-    """Draw a car of a preset, and its logger."""
+    """Draw a car of a preset and its logger."""
     rng = np.random.default_rng([simulation.seed, 3, index])
     car = make_car(place.model, rng, place.traits)
     lacks = [field for field in make_equipment(simulation.faults, rng).lacks if field in fleet.may_lack]
@@ -134,7 +187,13 @@ def _placed(simulation: Simulation, index: int, place: PlannedCar, fleet: Fleet)
 
 
 def make_fleet_sky(simulation: Simulation) -> Sky:
-    """Return the weather of all days, and of the nights after the last."""
+    """Return the weather of all days and of the nights after the last one.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        What to simulate.
+    """
     first = simulation.start.timestamp()
     if simulation.preset is None:
         return make_sky(first, simulation.days * simulation.day_step, simulation.seed)
@@ -143,7 +202,7 @@ def make_fleet_sky(simulation: Simulation) -> Sky:
 
 
 def _factors(simulation: Simulation, members: list[FleetCar], sky: Sky) -> list[float]:
-    """Return the factor of each hidden effect, from a pilot over the fleet's own shifts."""
+    """Return the factor of each hidden effect from a pilot over shifts of the fleet."""
     if not simulation.hidden:
         return []
     most = max(member.count_shifts(simulation) for member in members)
@@ -160,7 +219,23 @@ def _factors(simulation: Simulation, members: list[FleetCar], sky: Sky) -> list[
 
 
 def drive_shift(simulation: Simulation, member: FleetCar, number: int, sky: Sky) -> DrivenShift:
-    """Drive one car's shift of a number, without hidden effects."""
+    """Drive one shift of a car without hidden effects.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        What is simulated.
+    member : FleetCar
+        The car.
+    number : int
+        Index of the shift among the shifts of the car.
+    sky : Sky
+        The weather.
+
+    Returns
+    -------
+    DrivenShift
+    """
     rng = np.random.default_rng([simulation.seed, 4, member.number, number])
     begin, orders, car = _called(simulation, member, number, rng)
     ambient = float(np.interp(begin, sky.time, sky.temperature))
@@ -175,7 +250,13 @@ def drive_shift(simulation: Simulation, member: FleetCar, number: int, sky: Sky)
 
 
 def cut_when_empty(driven: DrivenShift) -> DrivenShift:
-    """Return a shift up to the step at which its battery is empty: there the car stops."""
+    """Return a shift up to the step at which its battery is empty, where the car stops.
+
+    Parameters
+    ----------
+    driven : DrivenShift
+        The shift.
+    """
     shift, view = driven
     empty = np.flatnonzero(view.state.soc <= 0.0)
     if not len(empty):
@@ -189,7 +270,7 @@ def cut_when_empty(driven: DrivenShift) -> DrivenShift:
 def _called(
     simulation: Simulation, member: FleetCar, number: int, rng: np.random.Generator
 ) -> tuple[float, Orders, Car]:
-    """Return when a shift begins [s], what dispatch wants of it, and the car as it is then."""
+    """Return the begin of a shift [s], the orders of dispatch, and the car with its age and tyres at that time."""
     if simulation.preset is None or member.planned_shifts is None:
         begin = _begin(simulation, number * simulation.day_step, (5.5, 14.0), rng)
         return begin, draw_orders(simulation.shift_hours, rng), member.car
@@ -199,7 +280,7 @@ def _called(
 
 
 def _begin(simulation: Simulation, day: int, hours: tuple[float, float], rng: np.random.Generator) -> float:
-    """Return when a shift of a day begins: between these hours of the day, or about the time that was given. [s]"""
+    """Return the begin of a shift of a day: between two hours of the day, or near the given time. [s]"""
     start = simulation.start.timestamp() + DAY * day
     return float(np.floor(start + (rng.uniform(0, 300) if start % DAY else rng.uniform(*hours) * 3600 - UTC_OFFSET)))
 
@@ -212,7 +293,7 @@ def _drive(
     truth: Truth,
     advance: Callable[[int], None],
 ) -> Iterator[Message]:
-    """Yield what one car sends, day after day."""
+    """Yield the messages of one car, shift after shift."""
     odometer = member.car.odometer
     for number in range(member.count_shifts(simulation)):
         messages, odometer = _shift_messages(simulation, member, number, odometer, sky, factors, truth)
@@ -229,7 +310,7 @@ def _shift_messages(
     factors: list[float],
     truth: Truth,
 ) -> tuple[list[Message], float]:
-    """Return what one car sends on a shift, and its odometer [m] after it; note the truth."""
+    """Return the messages of one car on a shift and its odometer [m] after it; record the truth."""
     shift, view = drive_shift(simulation, member, number, sky)
     state, energies = view.state, None
     if factors:
@@ -248,10 +329,34 @@ def _shift_messages(
 def make_car_messages(
     simulation: Simulation, member: FleetCar, number: int, driven: DrivenShift, odometer: float
 ) -> tuple[list[Message], float, Counter[str]]:
-    """Return what a car sends on a shift, by time of receipt, its odometer [m] after it, and its logger's faults.
+    """Return the messages of a car on a shift, its odometer after it, and the faults of its logger.
 
-    What a logger does to samples depends on nothing that it measures: the same simulation with another state gives the
-    same messages with other values in them.
+    Parameters
+    ----------
+    simulation : Simulation
+        What is simulated.
+    member : FleetCar
+        The car.
+    number : int
+        Index of the shift among the shifts of the car.
+    driven : DrivenShift
+        The shift.
+    odometer : float
+        Reading before the shift. [m]
+
+    Returns
+    -------
+    messages : list of Message
+        In order of receipt.
+    odometer : float
+        Reading after the shift. [m]
+    faults : Counter of str
+        Number of faults of each kind.
+
+    Notes
+    -----
+    The faults of a logger do not depend on the values that it measures. So the same simulation with another state of
+    the car gives the same messages with other values.
     """
     shift, view = driven
     rng = np.random.default_rng([simulation.seed, 5, member.number, number])
@@ -264,7 +369,7 @@ def make_car_messages(
 
 
 def _dispatch(member: FleetCar, shift: Shift) -> list[Message]:
-    """Return what is sent beside telemetry: the car, its rides, and its plan, renewed as rides are done."""
+    """Return the messages besides telemetry: the car, its rides, and its plan, renewed as each ride ends."""
     name, end = member.name, shift.time + shift.length
     serviced = np.datetime64("2018-01-01") - int(member.car.odometer / 1000 / 110)
     car = Vehicle(vehicle_id=name, time_s=shift.time, model=member.model, in_service_date=str(serviced))
@@ -283,6 +388,6 @@ def _dispatch(member: FleetCar, shift: Shift) -> list[Message]:
 
 
 def _message(kind: str, value: Wire, when: float) -> Message:
-    """Return a message about a car, received shortly after it was sent."""
+    """Return a message about a car that is received 50 ms after it was sent."""
     identity = value.vehicle_id  # type: ignore[attr-defined]
     return Message(f"fleet/{identity}/{kind}", encode(value), int(when * 1e9) + 50_000_000)

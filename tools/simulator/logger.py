@@ -1,4 +1,4 @@
-"""A faulty data logger: samples the car every 3 s, errs at given rates, and counts how often it did."""
+"""Simulate a faulty data logger: sample the car every 3 s, add faults at given rates, and count them."""
 
 from collections import Counter
 from itertools import repeat
@@ -31,7 +31,7 @@ LACK_PROBABILITY: Final = {
     "elevation_m": 0.10,
     "seq": 0.15,
 }
-"""How probably a car that is not fully equipped lacks something. [1]"""
+"""Probability that a car that is not fully equipped lacks each item. [1]"""
 SPIKES: Final = {
     "speed_kmh": 655.35,
     "soc_pct": 127.5,
@@ -41,7 +41,7 @@ SPIKES: Final = {
     "elevation_m": -32768.0,
     "latitude_deg": 214.748365,
 }
-"""What a field says when its sensor fails: the ends of the integers that it travels in."""
+"""Value of each field when its sensor fails: the limits of the integers that transport it."""
 
 DIGITS: Final = {
     "time_s": 3,
@@ -53,19 +53,33 @@ DIGITS: Final = {
     "battery_current_a": 2,
     "hvac_w": 0,
 }
-"""Decimals that are sent, where it is not one."""
+"""Decimal places that are sent for each field; all other fields have one."""
 
 Columns = dict[str, Any]
 
 
 class Equipment(NamedTuple):
-    """What a car's logger lacks: names of fields, and `wheel_speed` where it reports the speed of GPS."""
+    """Hold what the logger of a car lacks.
+
+    Parameters
+    ----------
+    lacks : tuple of str
+        Names of fields; `wheel_speed` if the logger reports the speed of GPS instead.
+    """
 
     lacks: tuple[str, ...]
 
 
 def make_equipment(faults: Faults, rng: np.random.Generator) -> Equipment:
-    """Draw what a car's logger lacks."""
+    """Draw what the logger of a car lacks.
+
+    Parameters
+    ----------
+    faults : Faults
+        Rates of faults, of which `unequipped` applies.
+    rng : Generator
+        Random stream of the car.
+    """
     plain, draws = rng.uniform() < faults.unequipped, rng.uniform(size=len(LACK_PROBABILITY))
     lacks = [name for (name, rate), draw in zip(LACK_PROBABILITY.items(), draws, strict=True) if plain and draw < rate]
     if "battery_voltage_v" in lacks:
@@ -83,9 +97,33 @@ def log_shift(
     faults: Faults,
     rng: np.random.Generator,
 ) -> tuple[list[Message], Counter[str]]:
-    """Return what a logger sends of a shift, by time of receipt, and how often it erred, by fault.
+    """Return the telemetry of a shift and the number of faults of each kind.
 
-    `odometer` of the car is its reading [m] when the shift begins.
+    Parameters
+    ----------
+    name : str
+        Identifier of the car.
+    shift : Shift
+        The shift.
+    trace : Trace
+        Surroundings of the car.
+    state : State
+        State of the car.
+    car : Car
+        The car; its `odometer` is the reading at the begin of the shift. [m]
+    equipment : Equipment
+        What the logger lacks.
+    faults : Faults
+        Rates of faults.
+    rng : Generator
+        Random stream of the shift.
+
+    Returns
+    -------
+    messages : list of Message
+        In order of receipt.
+    counts : Counter of str
+        Number of faults of each kind.
     """
     counts: Counter[str] = Counter()
     columns = _measure(shift, trace, state, car, faults, rng)
@@ -101,7 +139,7 @@ def log_shift(
 
 
 def _measure(shift: Shift, trace: Trace, state: State, car: Car, faults: Faults, rng: np.random.Generator) -> Columns:
-    """Return the samples as a logger without dropouts would take them, noise and quantisation included."""
+    """Return the samples of a logger without dropouts, with noise and quantisation."""
     at = np.arange(STEPS_PER_SAMPLE - 1, len(trace.time), STEPS_PER_SAMPLE)
     noise = [draw_autoregressive(rng, len(at), keep) for keep in (0.9, 0.9, 0.5)]
     latitude, longitude = to_wgs84(trace.x[at] + faults.gps_noise * noise[0], trace.y[at] + faults.gps_noise * noise[1])
@@ -133,7 +171,7 @@ def _measure(shift: Shift, trace: Trace, state: State, car: Car, faults: Faults,
 def _freeze_fixes(
     columns: Columns, trace: Trace, equipment: Equipment, faults: Faults, rng: np.random.Generator, counts: Counter[str]
 ) -> None:
-    """Freeze fixes in tunnels, so that they jump at the exit."""
+    """Freeze positions in tunnels, so that they jump at the exit."""
     inside = trace.tunnel[STEPS_PER_SAMPLE - 1 :: STEPS_PER_SAMPLE] > 0
     edges = np.flatnonzero(np.diff(inside.astype(int), prepend=0, append=0))
     for enter, leave in zip(edges[0::2], edges[1::2], strict=True):
@@ -152,7 +190,7 @@ def _freeze_fixes(
 
 
 def _wrong_clock(time: Floats, faults: Faults, rng: np.random.Generator, counts: Counter[str]) -> Floats:
-    """Return the stamps of a clock that steps and jitters and sometimes stands still. [s]."""
+    """Return the time stamps of a clock that steps, jitters and sometimes repeats a stamp. [s]"""
     n = len(time)
     steps = np.flatnonzero(rng.uniform(size=n) < faults.clock_step)
     sizes = rng.uniform(5.0, 120.0, n) * rng.choice([-1.0, 1.0], n)
@@ -170,7 +208,7 @@ def _wrong_clock(time: Floats, faults: Faults, rng: np.random.Generator, counts:
 
 
 def _drop(columns: Columns, faults: Faults, rng: np.random.Generator, counts: Counter[str]) -> np.ndarray:
-    """Return which samples are sent at all; restart the counter where the power went. (n,) bool."""
+    """Return a mask of the samples that are sent; restart the counter after a power cycle. (n,) bool"""
     n = len(columns["seq"])
     kept = np.ones(n, bool)
     draws, longer, shorter = rng.uniform(size=(2, n)), rng.integers(2, 41, n), rng.integers(5, 21, n)
@@ -187,7 +225,7 @@ def _drop(columns: Columns, faults: Faults, rng: np.random.Generator, counts: Co
 
 
 def _tabulate(name: str, columns: Columns, equipment: Equipment, shift: Shift) -> list[list[Any]]:
-    """Return the fields of each sample in the order of the contract, rounded as loggers do."""
+    """Return the fields of each sample in the order of the wire contract, rounded as loggers do."""
     n = len(columns["seq"])
     rides: list[Any] = [trip.ride_id for trip in shift.trips] + [None]  # NO_RIDE is the last
     lists: list[Any] = []
@@ -208,7 +246,7 @@ def _tabulate(name: str, columns: Columns, equipment: Equipment, shift: Shift) -
 def _spoil(
     rows: list[list[Any]], equipment: Equipment, faults: Faults, rng: np.random.Generator, counts: Counter[str]
 ) -> None:
-    """Take values out of samples, send fixes to 0/0, and values out of range."""
+    """Remove values from samples, move positions to 0/0, and put values out of range."""
     draws = rng.uniform(size=(3, len(rows)))
     present = [FIELDS.index(field) for field in FIELDS[3:] if field not in equipment.lacks]
     able = [field for field in SPIKES if field not in equipment.lacks]
@@ -227,7 +265,7 @@ def _spoil(
 def _send(
     key: str, payloads: list[bytes], time: Floats, faults: Faults, rng: np.random.Generator, counts: Counter[str]
 ) -> list[Message]:
-    """Return the messages by time of receipt: some late, overtaken, sent twice or unreadable."""
+    """Return the messages in order of receipt: some late, overtaken, duplicated or undecodable."""
     n = len(payloads)
     draws, delay = rng.uniform(size=(4, n)), rng.uniform(size=n)
     late, overtaken, twice, broken = (
@@ -250,7 +288,7 @@ def _send(
 
 
 def _broken(payload: bytes, rng: np.random.Generator) -> bytes:
-    """Return a payload that no decoder of the contract takes: cut, garbled, or with a text for its time."""
+    """Return a payload that no decoder of the contract accepts: cut, garbled, or with text for its time."""
     kind = int(rng.integers(3))
     if kind == 0:
         return payload[: int(rng.integers(1, len(payload) - 1))]

@@ -1,6 +1,6 @@
-"""The car: road load, powertrain, cabin and battery, integrated in steps of half a second.
+"""Simulate the car: road load, powertrain, cabin and battery, integrated in steps of half a second.
 
-All parts are electric powers at the battery's terminals, so that they add up to voltage times current.
+All parts are electric powers at the terminals of the battery, so that they add up to voltage times current.
 """
 
 from typing import Final, NamedTuple
@@ -32,7 +32,7 @@ WHEEL: Final = (
     "cornering",
     "brake_drag",
 )
-"""Parts of the road load. [W] at the wheels."""
+"""Parts of the road load at the wheels. [W]"""
 PARTS: Final = (
     *WHEEL,
     "powertrain_losses",
@@ -46,31 +46,37 @@ PARTS: Final = (
     "hidden",
     "charger",
 )
-"""What the battery's terminal power is the sum of. What is lost inside the battery comes on top."""
+"""Parts of the power at the terminals of the battery. Losses inside the battery are not among them. [W]"""
 (ROLLING, SPEED_ROLLING, COLD_ROLLING, WET_ROAD, SNOW, TYRE_PRESSURE, WINTER_TYRES, CLIMBING, INERTIA, PAYLOAD, DRAG,
  AIR_DENSITY, HEADWIND, CORNERING, BRAKE_DRAG, LOSSES, BRAKES, ELECTRONICS, LIGHTS, HEATING, COOLING, DRYING,
  BATTERY_HEATING, HIDDEN, CHARGING) = range(len(PARTS))  # fmt: skip
 ROTATING: Final = 1.04
-"""Inertia of the turning parts, over the mass. [1]"""
+"""Effective mass with the inertia of rotating parts, divided by the mass. [1]"""
 PERSON: Final = 75.0
 """Mass of a person. [kg]"""
 LOWEST_SPEED: Final = 1.5
-"""Below it no regeneration. [m/s]"""
+"""Speed below which there is no regeneration. [m/s]"""
 COMFORT: Final = (20.5, 23.0)
-"""Heating below, cooling above. [°C]"""
+"""Temperatures below which the cabin is heated and above which it is cooled. [°C]"""
 
 
 class State(NamedTuple):
-    """The car's own state at the end of each step, and its powers. All (n,) float, `parts` (n, len(PARTS)).
+    """Hold the state of the car at the end of each step, and its powers.
 
     Parameters
     ----------
-    soc : [1]
-    voltage, current : At the terminals, positive when discharging. [V], [A]
-    pack, cabin, tyre : Temperatures. [°C]
-    hvac : Heating and cooling of the cabin. [W]
-    loss : Heat made inside the battery. [W]
-    parts : See `PARTS`. [W]
+    soc : (n,) float
+        State of charge. [1]
+    voltage, current : (n,) float
+        At the terminals of the battery; the current is positive when discharging. [V], [A]
+    pack, cabin, tyre : (n,) float
+        Temperatures. [°C]
+    hvac : (n,) float
+        Power of heating, cooling and drying. [W]
+    loss : (n,) float
+        Heat inside the battery. [W]
+    parts : (n, len(PARTS)) float
+        Powers in the order of `PARTS`. [W]
     """
 
     soc: Floats
@@ -85,12 +91,24 @@ class State(NamedTuple):
 
 
 def integrate_states(trace: Trace, car: Car, soc: float, phenomena: Phenomena, hidden: Floats | None = None) -> State:
-    """Return the car's states over a trace.
+    """Return the states of a car over a trace.
 
     Parameters
     ----------
-    soc : float. State of charge at the beginning. [1]
-    hidden : (n,) float, optional. Power of hidden effects. [W]
+    trace : Trace
+        Surroundings of the car.
+    car : Car
+        True parameters.
+    soc : float
+        State of charge at the beginning. [1]
+    phenomena : Phenomena
+        Refinements of the physics that are switched on.
+    hidden : (n,) float, optional
+        Sum of the powers of hidden effects. [W]
+
+    Returns
+    -------
+    State
     """
     n = len(trace.time)
     extra = np.zeros(n) if hidden is None else hidden
@@ -101,7 +119,7 @@ def integrate_states(trace: Trace, car: Car, soc: float, phenomena: Phenomena, h
 
 @njit(cache=True)
 def _run(trace: Trace, car: Car, soc: float, on: Phenomena, hidden: Floats, columns: Floats, parts: Floats) -> None:
-    """Integrate all states, one step after the other."""
+    """Integrate all states step by step."""
     capacity = car.capacity * (1 - car.wear * on.age)
     cabin = tyre = trace.ambient[0]
     pack = trace.ambient[0] + 4.0
@@ -138,7 +156,7 @@ def _run(trace: Trace, car: Car, soc: float, on: Phenomena, hidden: Floats, colu
 
 @njit(cache=True)
 def _road_load(trace: Trace, car: Car, on: Phenomena, tyre: float, i: int, row: Floats) -> float:
-    """Fill in the parts of the road load and return their sum. [W]."""
+    """Fill in the parts of the road load and return their sum. [W]"""
     speed, grade, acceleration = trace.speed[i], trace.grade[i], trace.acceleration[i]
     rolling = car.mass * GRAVITY * car.rolling_resistance * np.sqrt(1 - grade**2) * speed
     row[ROLLING] = rolling
@@ -170,7 +188,7 @@ def _road_load(trace: Trace, car: Car, on: Phenomena, tyre: float, i: int, row: 
 
 @njit(cache=True)
 def _powertrain(car: Car, on: Phenomena, wheel: float, speed: float, soc: float, pack: float, row: Floats) -> None:
-    """Fill in losses between the wheels and the battery, and what the friction brakes turn to heat."""
+    """Fill in the losses between the wheels and the battery, and the heat of the friction brakes."""
     recovered = 0.0
     if wheel < 0:
         limit = np.inf
@@ -191,7 +209,7 @@ def _powertrain(car: Car, on: Phenomena, wheel: float, speed: float, soc: float,
 
 @njit(cache=True)
 def _cabin(trace: Trace, car: Car, on: Phenomena, cabin: float, i: int, row: Floats) -> float:
-    """Fill in heating and cooling, and return the cabin's temperature after the step. [°C]."""
+    """Fill in heating and cooling, and return the temperature of the cabin after the step. [°C]"""
     ambient = trace.ambient[i]
     if on.cabin_warmup:
         gain = car.cabin_loss * (ambient - cabin) + 80.0 * trace.occupants[i]

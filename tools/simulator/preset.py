@@ -1,7 +1,7 @@
-"""Fleets that were described elsewhere, made in small: which cars, which shifts, who drives, and how far.
+"""Plan the fleets that presets describe: which cars, which shifts, which drivers, and how long each ride is.
 
-A preset is a TOML file beside this one. What a plain simulation draws on the way (the day, the driver, how far a ride
-goes) is laid down here before the first shift, so that proportions come out as described.
+A preset is a TOML file beside this module. A simulation without a preset draws the day, the driver and the length of
+each ride on the way. A preset plans them before the first shift, so that the proportions are as described.
 """
 
 import tomllib
@@ -22,26 +22,27 @@ from tools.simulator.settings import UTC_OFFSET, Faults
 from tools.simulator.shift import Orders
 
 PRESETS: Final = ("teo",)
-"""Those that come with the product."""
+"""Names of the presets that come with the product."""
 CLUSTER: Final = 5000.0
 """Width of a cluster of distances. [m]"""
-SHORTEST: Final = 350.0
-"""No ride is meant to be shorter. [m]"""
-LONGEST: Final = 34e3
-"""Nor longer: the city ends. [m]"""
+SHORTEST_RIDE: Final = 350.0
+"""Shortest planned distance of a ride. [m]"""
+LONGEST_RIDE: Final = 34e3
+"""Longest planned distance of a ride, given by the size of the city. [m]"""
 CARS_PER_ROOT_RIDE: Final = 0.2
-"""Cars of a model over the square root of its rides, so that a rare model has a few cars too. [1]"""
+"""Number of cars of a model divided by the square root of its rides, so that a rare model has a few cars too. [1]"""
 FEWEST_CARS: Final = 2
+"""Smallest number of cars of a model."""
 YEAR: Final = 365
-"""Days over which the shifts of each car are spread."""
-WINTER: Final = ((12, 15), (3, 15))
-"""First and last day, month first, on which winter tyres are on: those on which they are mandatory."""
+"""Number of days over which the shifts of each car are spread."""
+WINTER_TYRE_SEASON: Final = ((12, 15), (3, 15))
+"""First and last day, as (month, day), on which winter tyres are mandatory and mounted."""
 WARMTH: Final = 1.5
-"""Standard deviation of how warm drivers like it. [K]"""
+"""Standard deviation of the temperature that drivers prefer above the usual one. [K]"""
 
 
 class Fleet(NamedTuple):
-    """What all cars of a preset have in common; the comments of its file tell of each."""
+    """Hold the settings that all cars of a preset share; the comments in its file describe each of them."""
 
     coldest: float
     hottest: float
@@ -63,19 +64,37 @@ class Fleet(NamedTuple):
 
     @property
     def faults(self) -> Faults:
-        """What goes wrong where nobody says otherwise."""
+        """Rates of faults that apply by default."""
         return Faults(false_start=self.false_start, errand=self.errand)
 
 
 class Preset(NamedTuple):
-    """A fleet as a file describes it: what its cars share, and `rides` and `traits` of each vehicle model."""
+    """Hold a fleet as a file describes it.
+
+    Parameters
+    ----------
+    fleet : Fleet
+        Settings that all cars share.
+    models : mapping of str to mapping
+        The tables `rides` and `traits` of each vehicle model.
+    """
 
     fleet: Fleet
     models: Mapping[str, Mapping[str, Any]]
 
 
 class Driver(NamedTuple):
-    """Somebody who drives for the fleet, and drives alike on every shift; `warmth` [K] as in `cars.Car`."""
+    """Describe a driver, who drives in the same way on every shift.
+
+    Parameters
+    ----------
+    name : str
+        Identifier.
+    style : DrivingStyle
+        Driving style.
+    warmth : float
+        As in `cars.Car`. [K]
+    """
 
     name: str
     style: DrivingStyle
@@ -83,7 +102,17 @@ class Driver(NamedTuple):
 
 
 class PlannedShift(NamedTuple):
-    """A shift that a car has to do: on which day after the first, by whom, and how far each ride goes. (n,) [m]"""
+    """Hold a shift that a car has to drive.
+
+    Parameters
+    ----------
+    day : int
+        Days after the first day.
+    driver : Driver
+        Who drives.
+    distances : (n,) float
+        Distance of each ride. [m]
+    """
 
     day: int
     driver: Driver
@@ -91,7 +120,7 @@ class PlannedShift(NamedTuple):
 
 
 class PlannedCar(NamedTuple):
-    """What a preset wants of one car."""
+    """Hold the model, the traits and the shifts of one car of a preset."""
 
     model: str
     traits: Mapping[str, float]
@@ -99,27 +128,44 @@ class PlannedCar(NamedTuple):
 
 
 def refuse_unused_settings(name: str | None, given: Sequence[str]) -> None:
-    """Refuse settings, of those that were `given`, that would do nothing with this preset, or with none.
+    """Raise an error for settings that have no effect with a preset, or without one.
+
+    Parameters
+    ----------
+    name : str or None
+        Name of the preset, if any.
+    given : sequence of str
+        Names of the settings that the user gave.
 
     Raises
     ------
     SettingsError
+        If one of the settings has no effect.
     """
     if name is None and "rides" in given:
-        raise SettingsError(f"--rides is for a preset: name one, such as --preset {PRESETS[0]}")
+        raise SettingsError(f"--rides needs a preset; give one such as --preset {PRESETS[0]}")
     idle = [f"--{setting.replace('_', '-')}" for setting in given if setting != "rides"]
     if name is not None and idle:
-        raise SettingsError(f"preset {name} has its own {', '.join(idle)}: leave that out; --rides tells its size")
+        raise SettingsError(f"preset {name} has its own {', '.join(idle)}; leave that out, --rides sets its size")
 
 
 @cache
 def load_preset(name: str) -> Preset:
     """Return a preset that comes with the product.
 
+    Parameters
+    ----------
+    name : str
+        Name of the preset.
+
+    Returns
+    -------
+    Preset
+
     Raises
     ------
     SettingsError
-        If there is none of this name.
+        If no preset has this name.
     """
     if name not in PRESETS:
         raise SettingsError(f"no preset is called {name!r}; choose from {', '.join(PRESETS)}")
@@ -128,7 +174,21 @@ def load_preset(name: str) -> Preset:
 
 
 def plan_cars(preset: Preset, rides: int, seed: int) -> list[PlannedCar]:
-    """Return the cars of a fleet and their shifts, `rides` rides in all."""
+    """Return the cars of a fleet and their shifts.
+
+    Parameters
+    ----------
+    preset : Preset
+        The fleet.
+    rides : int
+        Number of rides of all cars.
+    seed : int
+        Seed of the plan.
+
+    Returns
+    -------
+    list of PlannedCar
+    """
     totals = np.array([sum(table["rides"]) for table in preset.models.values()])
     numbers = apportion_total(totals, rides)
     cars = [max(FEWEST_CARS, round(CARS_PER_ROOT_RIDE * number**0.5)) for number in numbers]
@@ -143,7 +203,15 @@ def plan_cars(preset: Preset, rides: int, seed: int) -> list[PlannedCar]:
 
 
 def make_drivers(count: int, seed: int) -> list[Driver]:
-    """Return the fleet's drivers."""
+    """Draw the drivers of a fleet.
+
+    Parameters
+    ----------
+    count : int
+        Number of drivers.
+    seed : int
+        Seed of the plan.
+    """
     drivers = []
     for index in range(count):
         rng = np.random.default_rng([seed, 7, index])
@@ -152,16 +220,30 @@ def make_drivers(count: int, seed: int) -> list[Driver]:
 
 
 def draw_distances(counts: Ints, number: int, rng: np.random.Generator) -> Floats:
-    """Return how far rides go, in random order, in each cluster in proportion to `counts`. (number,) [m]
+    """Return the distances of rides in random order, in proportion to the counts of clusters.
+
+    Parameters
+    ----------
+    counts : (k,) int
+        Number of rides in each cluster of the described fleet.
+    number : int
+        Number of rides to draw.
+    rng : Generator
+        Random stream.
+
+    Returns
+    -------
+    (number,) float
+        Distances. [m]
 
     Notes
     -----
-    The logarithm of the share of longer rides is interpolated, monotone (Fritsch and Carlson 1980, SIAM J. Numer. Anal.
-    17:238), between the edges of the clusters, so that the density has no steps and falls where the counts do. The
-    draws are stratified: each cluster gets its share to one ride.
+    The logarithm of the share of longer rides is interpolated monotonically (Fritsch and Carlson 1980, SIAM J. Numer.
+    Anal. 17:238) between the edges of the clusters. So the density has no steps and falls where the counts fall. The
+    draws are stratified: the number of rides in each cluster deviates from its share by one at most.
     """
     filled = int(np.flatnonzero(counts)[-1]) + 1
-    edges = np.append(SHORTEST, np.minimum(CLUSTER * np.arange(1.0, filled + 1), LONGEST))
+    edges = np.append(SHORTEST_RIDE, np.minimum(CLUSTER * np.arange(1.0, filled + 1), LONGEST_RIDE))
     longer = 1.0 - np.append(0.0, np.cumsum(counts[:filled])) / counts.sum()
     longer[-1] = 0.2 / counts.sum()  # a fifth of a ride is beyond: a logarithm needs something
     grid = np.linspace(edges[0], edges[-1], 4000)
@@ -171,9 +253,18 @@ def draw_distances(counts: Ints, number: int, rng: np.random.Generator) -> Float
 
 
 def apportion_total(shares: Ints, total: int) -> list[int]:
-    """Return whole numbers in proportion to shares, which add up to a total: largest remainders first.
+    """Return whole numbers in proportion to shares that add up to a total, by the largest-remainder method.
 
-    >>> apportion(np.array([5, 3, 1]), 10)
+    Parameters
+    ----------
+    shares : (k,) int
+        Shares.
+    total : int
+        Sum of the numbers.
+
+    Examples
+    --------
+    >>> apportion_total(np.array([5, 3, 1]), 10)
     [6, 3, 1]
     """
     exact = shares / shares.sum() * total
@@ -183,7 +274,15 @@ def apportion_total(shares: Ints, total: int) -> list[int]:
 
 
 def make_orders(fleet: Fleet, duty: PlannedShift) -> Orders:
-    """Return what dispatch wants of a shift."""
+    """Return the orders of dispatch for a planned shift.
+
+    Parameters
+    ----------
+    fleet : Fleet
+        Settings that all cars share.
+    duty : PlannedShift
+        The shift.
+    """
     return Orders(
         driver_id=duty.driver.name,
         style=duty.driver.style,
@@ -199,25 +298,44 @@ def make_orders(fleet: Fleet, duty: PlannedShift) -> Orders:
 
 
 def adapt_car(fleet: Fleet, car: Car, duty: PlannedShift, begin: float) -> Car:
-    """Return a car as it is when a shift begins [s]: its age, its tyres, and how warm its driver likes it."""
+    """Return a car with its age, its tyres and the temperature that its driver prefers at the begin of a shift.
+
+    Parameters
+    ----------
+    fleet : Fleet
+        Settings that all cars share.
+    car : Car
+        The car at its first shift.
+    duty : PlannedShift
+        The shift.
+    begin : float
+        Unix time at which the shift begins. [s]
+    """
     car = age_car(car, car.odometer + 1000.0 * fleet.daily_km * duty.day)
     rolling = car.winter_rolling if is_winter_tyre_season(begin) else 0.0
     return car._replace(winter_rolling=rolling, warmth=duty.driver.warmth)
 
 
 def is_winter_tyre_season(time: float) -> bool:
-    """Return whether winter tyres have to be on at a time [s], by Montreal's calendar.
+    """Return whether winter tyres are mandatory in Montreal at a time.
 
-    >>> in_winter(datetime(2018, 12, 15, 12, tzinfo=UTC).timestamp())
+    Parameters
+    ----------
+    time : float
+        Unix time. [s]
+
+    Examples
+    --------
+    >>> is_winter_tyre_season(datetime(2018, 12, 15, 12, tzinfo=UTC).timestamp())
     True
     """
     day = datetime.fromtimestamp(time + UTC_OFFSET, UTC)
-    first, last = WINTER
+    first, last = WINTER_TYRE_SEASON
     return (day.month, day.day) >= first or (day.month, day.day) <= last
 
 
 def _duties(fleet: Fleet, hand: Floats, drivers: list[Driver], rng: np.random.Generator) -> list[PlannedShift]:
-    """Return the shifts of a car, one a day at most, spread over the year."""
+    """Return the shifts of a car, at most one a day, spread over the year."""
     shifts = min(YEAR, max(1, round(len(hand) / fleet.rides_per_shift)))
     days = ((np.arange(shifts) + rng.uniform(size=shifts)) * YEAR / shifts).astype(int)
     days = np.maximum.accumulate(days - np.arange(shifts)) + np.arange(shifts)  # no day twice

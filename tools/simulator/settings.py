@@ -1,4 +1,4 @@
-"""What a simulation is told: its size, its physics, its hidden effects and the faults of its loggers."""
+"""Define the settings of a simulation: its size, its physics, its hidden effects and the faults of its loggers."""
 
 import re
 from dataclasses import dataclass, fields, replace
@@ -13,72 +13,72 @@ PERIOD: Final = 3.0
 """Nominal period of the logger. [s]"""
 STEPS_PER_SAMPLE: Final = int(PERIOD / STEP)
 UTC_OFFSET: Final = -5 * 3600.0
-"""Montreal's standard time against UTC. [s]"""
-LONGEST: Final = 3660
-"""Days that a simulation may span, with those that it leaves out."""
-MODELS: Final = ("kia-soul-ev-2015", "tesla-model-s", "nissan-leaf-2016", "kia-soul-ev-2015", "tesla-model-x")
-"""Car models handed out in turn where the user names none."""
-RIDES: Final = 20_000
-"""Rides of a preset where the user names no number."""
+"""Difference of Montreal's standard time from UTC. [s]"""
+LONGEST_SPAN: Final = 3660
+"""Largest number of days that a simulation spans, skipped days included."""
+DEFAULT_MODELS: Final = ("kia-soul-ev-2015", "tesla-model-s", "nissan-leaf-2016", "kia-soul-ev-2015", "tesla-model-x")
+"""Car models that are assigned in turn by default."""
+DEFAULT_RIDES: Final = 20_000
+"""Default number of rides of a preset."""
 LOW, NIGHT = "low", "night"
 CHARGING: Final = (LOW, NIGHT)
-"""When cars charge: in a shift too, where dispatch finds them low; or between shifts alone."""
+"""When cars charge: `night` between shifts only, `low` also in a shift at a low estimated state of charge."""
 
 
 class Phenomena(NamedTuple):
-    """Refinements of the physics, each of which can be left out.
+    """Switch refinements of the physics on and off.
 
-    With all of them off there remain rolling resistance, climbing, drag, inertia of the kerb mass, a constant
-    powertrain efficiency and electronics. `PLAIN` has `climate` beside, which is then heating or cooling at the steady
-    state of the ambient temperature.
+    Without any of them the physics has rolling resistance, climbing, drag, inertia of the kerb mass, a constant
+    efficiency of the powertrain, and electronics. `PLAIN_PHENOMENA` adds `climate`, which then heats or cools for the
+    steady state at the outside temperature.
     """
 
     speed_rolling: bool = True
     """Rolling resistance grows with the square of the speed."""
     cold_rolling: bool = True
-    """Tyres roll harder while they are cold, and warm up on the road."""
+    """Cold tyres have more rolling resistance and warm up on the road."""
     wet_road: bool = True
-    """Water on the road has to be displaced."""
+    """Tyres displace water on the road."""
     snow: bool = True
-    """So has snow."""
+    """Tyres displace snow on the road."""
     tyre_pressure: bool = True
-    """Tyres are below their pressure, each car's by its own amount."""
+    """Tyre pressure is too low; each car has its own deficit."""
     winter_tyres: bool = True
-    """Winter tyres, where a car has them on, roll harder."""
+    """Winter tyres have more rolling resistance while they are mounted."""
     payload: bool = True
-    """People aboard weigh something."""
+    """Occupants have mass."""
     air_density: bool = True
-    """Cold and high pressure make the air dense."""
+    """The density of air depends on temperature and pressure."""
     headwind: bool = True
-    """Wind along and across the car."""
+    """Wind blows along and across the car."""
     cornering: bool = True
-    """Tyres that slip sideways in bends resist."""
+    """Tyres that slip sideways in bends take power."""
     brake_drag: bool = True
-    """Brake pads rub, each car's by its own amount."""
+    """Brake pads rub; each car has its own force."""
     motor_map: bool = True
     """Losses of the powertrain depend on load and speed."""
     regen_limit: bool = True
-    """Regeneration fades at low speed and is limited in power."""
+    """Regeneration fades at low speed and its power is limited."""
     cold_regen_limit: bool = True
-    """A cold battery takes little charge."""
+    """A cold battery accepts little charging power."""
     regen_full_battery: bool = True
-    """A full battery takes none."""
+    """A full battery accepts no charging power."""
     battery_resistance: bool = True
-    """The battery has an internal resistance, which grows in the cold."""
+    """The battery has an internal resistance, which increases in the cold."""
     cold_battery_heating: bool = True
-    """A cold pack is heated electrically."""
+    """An electric heater warms a cold battery."""
     cabin_warmup: bool = True
-    """The cabin stores heat: it has to be warmed or cooled after parking."""
+    """The cabin stores heat, so it is warmed or cooled after parking."""
     door_heat_loss: bool = True
-    """Open doors exchange the cabin's air; needs `cabin_warmup`."""
+    """Open doors exchange the air of the cabin; this needs `cabin_warmup`."""
     solar_load: bool = True
-    """The sun heats the cabin; needs `cabin_warmup`."""
+    """The sun heats the cabin; this needs `cabin_warmup`."""
     humidity: bool = True
     """Moist air is dried, against fog on the windows and for comfort."""
     night_lights: bool = True
-    """Lamps are lit in the dark."""
+    """Lamps are on in the dark."""
     age: bool = True
-    """Older batteries hold less and resist more."""
+    """Older batteries have less capacity and more resistance."""
     climate: bool = True
     """The cabin is heated and cooled."""
 
@@ -89,29 +89,50 @@ PLAIN_PHENOMENA: Final = Phenomena(*[False] * len(Phenomena._fields))._replace(c
 
 @dataclass(frozen=True)
 class Faults:
-    """How often the loggers err. Every rate is a probability a sample unless it says otherwise; 0 switches it off.
+    """Set the rates of faults of the loggers.
+
+    A rate is the probability for each sample unless stated otherwise; 0 switches the fault off.
 
     Parameters
     ----------
-    jitter : float. Stamps that are off by up to 0.9 s either way.
-    repeated : float. Stamps equal to the stamp before.
-    late : float. Samples that arrive 10 to 90 s late.
-    out_of_order : float. Samples overtaken by the one or two after them.
-    clock_step : float. The clock steps by 5 to 120 s, and steps back at the next such event.
-    duplicate : float. Samples sent twice.
-    gap : float. Gaps of 2 to 40 samples that begin.
-    tunnel : float. Tunnel passages on which the fix freezes and then jumps.
-    null_island : float. Fixes at 0/0.
-    gps_noise : float. Standard deviation of a fix along each axis. [m]
-    elevation_noise : float. Standard deviation of the elevation. [m]
-    quantised : float. 1: state of charge in the car's own steps; 0: as it is.
-    spike : float. Samples with one value out of its range.
-    missing : float. Samples that lack one field.
-    undecodable : float. Payloads cut short, garbled, or of a wrong type.
-    power_cycle : float. The logger restarts, loses 5 to 20 samples, and counts from 0.
-    false_start : float. Rides that follow a ride of a few seconds, where a driver began by mistake.
-    errand : float. Rides that go on for more than an hour, to a garage or a car wash.
-    unequipped : float. Share of the cars that lack something: wheel speed, V and I, ambient, ride names, odometer.
+    jitter : float
+        Time stamps off by up to 0.9 s in either direction.
+    repeated : float
+        Time stamps equal to the stamp before.
+    late : float
+        Samples that arrive 10 to 90 s late.
+    out_of_order : float
+        Samples overtaken by the next one or two.
+    clock_step : float
+        Steps of the clock by 5 to 120 s; the next such event steps it back.
+    duplicate : float
+        Samples sent twice.
+    gap : float
+        Begins of gaps of 2 to 40 samples.
+    tunnel : float
+        Probability for each passage of a tunnel that the position freezes and then jumps.
+    null_island : float
+        Positions at 0/0.
+    gps_noise : float
+        Standard deviation of a position along each axis. [m]
+    elevation_noise : float
+        Standard deviation of the elevation. [m]
+    quantised : float
+        1 gives the state of charge in the steps of the car, 0 gives it exactly.
+    spike : float
+        Samples with one value out of range.
+    missing : float
+        Samples that lack one field.
+    undecodable : float
+        Payloads that are cut, garbled, or of a wrong type.
+    power_cycle : float
+        Restarts of the logger, which loses 5 to 20 samples and counts from 0.
+    false_start : float
+        Probability for each ride that a ride of a few seconds, begun by mistake, precedes it.
+    errand : float
+        Probability for each ride that it continues for about an hour, to a garage or a car wash.
+    unequipped : float
+        Share of the cars that may lack something: wheel speed, voltage and current, ambient, ride names, odometer.
     """
 
     jitter: float = 0.5
@@ -138,12 +159,20 @@ class Faults:
 NO_FAULTS: Final = Faults(**{field.name: 0.0 for field in fields(Faults)})
 _SIZES: Final = {"gps_noise", "elevation_noise"}
 PRESET_SETTINGS: Final = ("vehicles", "days", "day_step", "shift_hours", "models")
-"""Settings of a simulation that a preset has of its own."""
-_LIMITS: Final = (("vehicles", 1, 10_000), ("days", 1, LONGEST), ("day_step", 1, 366), ("rides", 100, 1_000_000))
+"""Settings of a simulation that a preset defines itself."""
+_LIMITS: Final = (("vehicles", 1, 10_000), ("days", 1, LONGEST_SPAN), ("day_step", 1, 366), ("rides", 100, 1_000_000))
 
 
 class Hidden(NamedTuple):
-    """A hidden effect and its share of the energy of the rides."""
+    """Select a hidden effect and its size.
+
+    Parameters
+    ----------
+    effect : str
+        Name of the effect.
+    size : float
+        Share of the energy of the rides. [1]
+    """
 
     effect: str
     size: float = 0.03
@@ -151,24 +180,36 @@ class Hidden(NamedTuple):
 
 @dataclass(frozen=True)
 class Simulation:
-    """Everything that a simulated recording depends on.
+    """Hold everything that a simulated recording depends on.
 
     Parameters
     ----------
     vehicles, days : int
-    start : datetime. First day, UTC. With a time of day other than midnight every shift begins about then;
-        else the shifts are spread over the day, Montreal time.
+        Number of cars, and of days with one shift of each car.
+    start : datetime
+        First day in UTC. With a time of day other than midnight every shift begins at about that time; otherwise the
+        shifts are spread over the day in Montreal.
     seed : int
-    day_step : int. Days from one simulated day to the next; 1 simulates each.
-    shift_hours : float or None. Length of every shift; None draws 7 to 10 h. [h]
-    models : tuple of str. Catalogue keys, handed out in turn.
+        Seed of all random streams.
+    day_step : int
+        Days from one simulated day to the next; 1 simulates every day.
+    shift_hours : float or None
+        Length of every shift; None draws 7 to 10 h. [h]
+    models : tuple of str
+        Keys of the vehicle catalogue, assigned in turn.
     hidden : tuple of Hidden
+        Hidden effects.
     faults : Faults
+        Faults of the loggers.
     phenomena : Phenomena
-    preset : str or None. A fleet that a file describes; then `SIZES` say nothing.
-    rides : int. How many rides a preset has, those not counted that a driver began by mistake.
-    charging : str. One of `CHARGING`. By night alone, a plan may ask for more than the battery has: a car that is empty
-        stops, and its shift is over.
+        Refinements of the physics.
+    preset : str or None
+        Name of a fleet that a file describes; then the settings in `PRESET_SETTINGS` have no effect.
+    rides : int
+        Number of rides of a preset, without those begun by mistake.
+    charging : str
+        One of `CHARGING`. With `night` a plan may need more energy than the battery holds. A car with an empty battery
+        stops, and its shift ends.
     """
 
     vehicles: int = 5
@@ -177,25 +218,25 @@ class Simulation:
     seed: int = 0
     day_step: int = 1
     shift_hours: float | None = None
-    models: tuple[str, ...] = MODELS
+    models: tuple[str, ...] = DEFAULT_MODELS
     hidden: tuple[Hidden, ...] = ()
     faults: Faults = Faults()
     phenomena: Phenomena = ALL_PHENOMENA
     preset: str | None = None
-    rides: int = RIDES
+    rides: int = DEFAULT_RIDES
     charging: str = LOW
 
     def __post_init__(self) -> None:
-        """Refuse a size that cannot be simulated."""
+        """Raise an error for a size that cannot be simulated."""
         for name, low, high in _LIMITS:
             value = getattr(self, name)
             if not low <= value <= high:
                 raise SettingsError(f"{name} is {value}; give {low} to {high}")
         if not 1980 <= self.start.year < 2100:
             raise SettingsError(f"the first day is {self.start:%Y-%m-%d}; give one in 1980 to 2099")
-        if self.days * self.day_step > LONGEST:
+        if self.days * self.day_step > LONGEST_SPAN:
             raise SettingsError(
-                f"{self.days} days, one in {self.day_step}, are too many; give a span of {LONGEST} days"
+                f"{self.days} days at a step of {self.day_step} span too long; give {LONGEST_SPAN} days at most"
             )
         if self.shift_hours is not None and not 0.25 <= self.shift_hours <= 12:
             raise SettingsError(f"a shift of {self.shift_hours} h; give 0.25 to 12 h")
@@ -207,7 +248,7 @@ class Simulation:
 
 
 def _check_hidden(hidden: tuple[Hidden, ...]) -> None:
-    """Refuse hidden effects that are named twice, or are too large together."""
+    """Raise an error for hidden effects that are given twice or are too large together."""
     effects = [each.effect for each in hidden]
     for effect in effects:
         if effects.count(effect) > 1:
@@ -218,12 +259,21 @@ def _check_hidden(hidden: tuple[Hidden, ...]) -> None:
 
 
 def parse_start(text: str) -> datetime:
-    """Return a day or a time from ISO text; what names no zone is UTC.
+    """Return a day or a time from ISO text; text without a zone is in UTC.
+
+    Parameters
+    ----------
+    text : str
+        Such as `2018-01-15` or `2018-01-15T12:00`.
+
+    Returns
+    -------
+    datetime
 
     Raises
     ------
     SettingsError
-        If it is neither.
+        If the text is neither a day nor a time.
     """
     try:
         start = datetime.fromisoformat(text)
@@ -233,29 +283,51 @@ def parse_start(text: str) -> datetime:
 
 
 def parse_models(text: str) -> tuple[str, ...]:
-    """Return catalogue keys from a list with commas.
+    """Return catalogue keys from a comma-separated list.
+
+    Parameters
+    ----------
+    text : str
+        The list.
+
+    Returns
+    -------
+    tuple of str
 
     Raises
     ------
     SettingsError
-        If it is empty. Whether the models exist is asked when the simulation begins.
+        If the list is empty. The simulation checks whether the models exist.
     """
     models = tuple(filter(None, (part.strip() for part in text.split(","))))
     if not models:
-        raise SettingsError(f"models {text!r} names none; give catalogue keys such as {MODELS[0]}")
+        raise SettingsError(f"models {text!r} names none; give catalogue keys such as {DEFAULT_MODELS[0]}")
     return models
 
 
 def parse_faults(text: str, usual: Faults = Faults()) -> Faults:
-    """Return faults from `default`, `none`, or `name=rate,...` over the defaults, `none,name=rate` over none.
+    """Return rates of faults from text.
 
-    >>> parse_faults("none,gap=0.01").gap, parse_faults("late=0").late, parse_faults("none").jitter
-    (0.01, 0.0, 0.0)
+    Parameters
+    ----------
+    text : str
+        `default`, `none`, `name=rate,...` that changes the defaults, or `none,name=rate,...`.
+    usual : Faults
+        The defaults.
+
+    Returns
+    -------
+    Faults
 
     Raises
     ------
     SettingsError
-        For a fault that does not exist, or a rate that is none.
+        If a fault does not exist, or a rate is out of bounds.
+
+    Examples
+    --------
+    >>> parse_faults("none,gap=0.01").gap, parse_faults("late=0").late, parse_faults("none").jitter
+    (0.01, 0.0, 0.0)
     """
     faults, known = usual, [field.name for field in fields(Faults)]
     for part in filter(None, (part.strip() for part in text.split(","))):
@@ -273,15 +345,26 @@ def parse_faults(text: str, usual: Faults = Faults()) -> Faults:
 
 
 def parse_phenomena(text: str) -> Phenomena:
-    """Return switches from `all`, `plain`, or a list: `plain,headwind`, `all,-snow`.
+    """Return the switches of the physics from text.
 
-    >>> parse_phenomena("all,-snow").snow, parse_phenomena("plain,headwind").headwind
-    (False, True)
+    Parameters
+    ----------
+    text : str
+        `all`, `plain`, or a list such as `plain,headwind` or `all,-snow`.
+
+    Returns
+    -------
+    Phenomena
 
     Raises
     ------
     SettingsError
-        For a phenomenon that does not exist.
+        If a phenomenon does not exist.
+
+    Examples
+    --------
+    >>> parse_phenomena("all,-snow").snow, parse_phenomena("plain,headwind").headwind
+    (False, True)
     """
     phenomena = ALL_PHENOMENA
     for part in filter(None, (part.strip() for part in text.split(","))):
@@ -300,13 +383,24 @@ def parse_phenomena(text: str) -> Phenomena:
 def parse_hidden(text: str) -> Hidden:
     """Return a hidden effect from `name` or `name:size`.
 
-    >>> parse_hidden("headwind:0.02")
-    Hidden(effect='headwind', size=0.02)
+    Parameters
+    ----------
+    text : str
+        Such as `headwind:0.02`.
+
+    Returns
+    -------
+    Hidden
 
     Raises
     ------
     SettingsError
-        For a size that is no number. Whether the effect exists is asked when the simulation begins.
+        If the size is not a number. The simulation checks whether the effect exists.
+
+    Examples
+    --------
+    >>> parse_hidden("headwind:0.02")
+    Hidden(effect='headwind', size=0.02)
     """
     name, _, size = text.partition(":")
     if size and not re.fullmatch(r"\d*\.?\d+", size):

@@ -1,4 +1,4 @@
-"""A shift of one taxi: rides, ways to the next passenger, pauses, and charging when it runs low."""
+"""Simulate a shift of one taxi: rides, drives to the next passenger, pauses, and charging at a low state of charge."""
 
 from collections.abc import Iterator
 from typing import Final, NamedTuple
@@ -15,30 +15,40 @@ from tools.simulator.world import Route, compute_elevation, draw_destination, fi
 CHARGER: Final = 44e3
 """Power of a fast charger. [W]"""
 UNPLUGGING: Final = 30.0
-"""Time for which a car that is prepared is still seen to charge. [s]"""
+"""Time for which a car that stands ready before its first ride still reports that it charges. [s]"""
 NO_RIDE: Final = -1
+"""Index of the ride between rides."""
 CANDIDATES: Final = 30
-"""Destinations looked at for a ride whose length was asked for."""
+"""Number of destinations tried for a ride of a given length."""
 CLOSE_ENOUGH: Final = 0.02, 60.0
-"""Error of that length with which the search ends: relative, or at least absolute. [1], [m]"""
+"""Error of the length with which the search ends: relative [1], or absolute if that is larger [m]."""
 
 
 class Orders(NamedTuple):
-    """What dispatch wants of a shift.
+    """Hold the orders of dispatch for a shift.
 
     Parameters
     ----------
-    driver_id : Who drives.
-    style : How.
-    length : Rides begin until then, where `distances` does not say how many there are. [s]
-    distances : (n,) float, optional. How far each ride goes; None draws them for the car. [m]
-    charge : Lowest and highest state of charge at the beginning. [1]
-    charge_below : Dispatch sends the car to charge where it estimates less than this. [1]
-    prepared : How long the car stands switched on, unplugged a moment ago, before the first ride; 0 leaves that out.
-        [s]
-    boarding, alighting : Shortest and longest time that a ride waits before and after its drive. [s]
-    idle : Mean time between a ride and the way to the next, over the shortest of 45 s. [s]
-    thirst : What dispatch expects a car to use, over what it expects of a plain one. [1]
+    driver_id : str
+        Identifier of the driver.
+    style : DrivingStyle
+        Driving style.
+    length : float
+        Time until which rides begin, if `distances` does not give their number. [s]
+    distances : (n,) float, optional
+        Distance of each ride; None draws them for the car. [m]
+    charge : (float, float)
+        Lowest and highest state of charge at the beginning. [1]
+    charge_below : float
+        Estimated state of charge below which dispatch sends the car to charge. [1]
+    prepared : float
+        Time for which the car stands switched on, just unplugged, before the first ride; 0 omits it. [s]
+    boarding, alighting : (float, float)
+        Shortest and longest waiting time of a ride before and after its drive. [s]
+    idle : float
+        Mean time between a ride and the drive to the next, in addition to the shortest time of 45 s. [s]
+    estimate_factor : float
+        Consumption that dispatch estimates, divided by its estimate for a plain car. [1]
     """
 
     driver_id: str
@@ -55,7 +65,17 @@ class Orders(NamedTuple):
 
 
 class Trip(NamedTuple):
-    """A ride: its name, its driver, the steps from its first up to, not including, its last, and what was planned."""
+    """Hold a ride.
+
+    Parameters
+    ----------
+    ride_id, driver_id : str
+        Identifiers of the ride and of its driver.
+    begin, end : int
+        First step, and the step after the last one.
+    planned : Leg or None
+        The ride as planned, None if it was begun by mistake.
+    """
 
     ride_id: str
     driver_id: str
@@ -65,18 +85,26 @@ class Trip(NamedTuple):
 
 
 class Timeline(NamedTuple):
-    """Where the car is and what happens in it, step by step from `time` on. All (n,).
+    """Hold the position of the car and the events in it, step by step.
 
     Parameters
     ----------
-    u, v : At the end of the step, along the streets. [m]
-    moved : Distance driven in the step. [m]
-    before, after : Speed at its two ends. [m/s]
-    heading : From the u axis, counter-clockwise, unwrapped within a drive. [rad]
-    turn_rate : [rad/s]
-    on, door, plugged : 0 or 1. Ready to drive; a door is open; charging.
-    occupants : People aboard. [1]
-    ride : int. Index of the trip, `NO_RIDE` between rides.
+    u, v : (n,) float
+        Position at the end of the step, along the streets. [m]
+    moved : (n,) float
+        Distance driven in the step. [m]
+    before, after : (n,) float
+        Speed at the beginning and at the end of the step. [m/s]
+    heading : (n,) float
+        Direction from the u axis, counter-clockwise, unwrapped within a drive. [rad]
+    turn_rate : (n,) float
+        Rate of turn. [rad/s]
+    on, door, plugged : (n,) float
+        1 if the car is ready to drive, has an open door, or charges; else 0.
+    occupants : (n,) float
+        Number of people in the car. [1]
+    ride : (n,) int
+        Index of the trip, `NO_RIDE` between rides.
     """
 
     u: Floats
@@ -94,16 +122,22 @@ class Timeline(NamedTuple):
 
 
 class Shift(NamedTuple):
-    """A shift.
+    """Hold a shift.
 
     Parameters
     ----------
-    time : When it begins. [s]
-    soc : State of charge then. [1]
-    course : Where the car was.
-    trips : Its rides.
-    length : How long it was planned to be. [s]
-    undone : Legs of the plan that it never began.
+    time : float
+        Unix time at which it begins. [s]
+    soc : float
+        State of charge at the beginning. [1]
+    timeline : Timeline
+        Position of the car and events.
+    trips : list of Trip
+        Its rides.
+    length : float
+        Planned length. [s]
+    unstarted_legs : tuple of Leg
+        Planned rides that never began.
     """
 
     time: float
@@ -115,7 +149,7 @@ class Shift(NamedTuple):
 
 
 class _TimelineBuilder:
-    """Course under construction."""
+    """Build a timeline piece by piece."""
 
     def __init__(self, place: tuple[float, float]) -> None:
         self.pieces: list[Timeline] = []
@@ -124,7 +158,7 @@ class _TimelineBuilder:
         self.heading = 0.0
 
     def stand(self, seconds: float, ride: int, occupants: int, door: float = 0.0, **flags: float) -> None:
-        """Stand for a while; a door is open for `door` seconds in the middle."""
+        """Stand for a while, with a door open for `door` seconds in the middle."""
         n = max(1, int(seconds / STEP))
         column = np.zeros(n)
         first = max(0, int((n - door / STEP) / 2))
@@ -156,7 +190,7 @@ class _TimelineBuilder:
         traffic: float,
         rng: np.random.Generator,
     ) -> None:
-        """Drive a route from here."""
+        """Drive a route from the current position."""
         motion = drive_route(way, style, traffic, rng)
         n = len(motion.along)
         directions = np.unwrap(np.arctan2(np.diff(way.v), np.diff(way.u)))
@@ -183,16 +217,29 @@ class _TimelineBuilder:
         self.place, self.heading = (float(way.u[-1]), float(way.v[-1])), float(heading[-1])
 
     def timeline(self) -> Timeline:
-        """Return all of it."""
+        """Return the whole timeline."""
         return Timeline(*(np.concatenate(columns) for columns in zip(*self.pieces, strict=True)))
 
     def _add(self, piece: Timeline) -> None:
+        """Append a piece."""
         self.pieces.append(piece)
         self.steps += len(piece.u)
 
 
 def draw_orders(hours: float | None, rng: np.random.Generator) -> Orders:
-    """Draw what dispatch wants of a shift of so many hours, 7 to 10 where nobody says."""
+    """Draw the orders of dispatch for a shift.
+
+    Parameters
+    ----------
+    hours : float or None
+        Length of the shift; None draws 7 to 10 h. [h]
+    rng : Generator
+        Random stream of the shift.
+
+    Returns
+    -------
+    Orders
+    """
     length = 3600 * (float(rng.uniform(7.0, 10.0)) if hours is None else hours)
     style = make_style(rng)
     return Orders(f"driver-{int(rng.integers(1, 400)):03d}", style, length)
@@ -205,12 +252,24 @@ def make_shift(
 
     Parameters
     ----------
-    name : str. Rides are called after it.
-    begin : float. [s]
+    name : str
+        Prefix of the identifiers of its rides.
+    begin : float
+        Unix time at which it begins. [s]
     orders : Orders
+        Orders of dispatch.
     car : Car
-    ambient : float. Outside temperature, for dispatch's estimate of what the car uses. [°C]
-    faults : Faults. Of them the drivers' own: `false_start` and `errand`.
+        The car.
+    ambient : float
+        Outside temperature, from which dispatch estimates the consumption. [°C]
+    faults : Faults
+        Rates of faults, of which those of drivers apply: `false_start` and `errand`.
+    rng : Generator
+        Random stream of the shift.
+
+    Returns
+    -------
+    Shift
     """
     style, driver = orders.style, orders.driver_id
     builder = _TimelineBuilder(find_crossing(float(rng.normal(0, 1700)), float(rng.normal(0, 1500))))
@@ -247,7 +306,15 @@ def make_shift(
 
 
 def stop_shift(shift: Shift, steps: int) -> Shift:
-    """Return a shift that is over after so many steps; what was planned stays planned."""
+    """Return a shift that ends after a number of steps; the rest of its plan stays planned.
+
+    Parameters
+    ----------
+    shift : Shift
+        The shift.
+    steps : int
+        Number of steps to keep.
+    """
     begun = [trip._replace(end=min(trip.end, steps)) for trip in shift.trips if trip.begin < steps]
     unstarted_legs = tuple(trip.planned for trip in shift.trips[len(begun) :] if trip.planned)
     return shift._replace(
@@ -256,7 +323,7 @@ def stop_shift(shift: Shift, steps: int) -> Shift:
 
 
 def _wanted(orders: Orders, builder: _TimelineBuilder) -> Iterator[float | None]:
-    """Yield how far each ride goes [m], None where that is the car's own affair."""
+    """Yield the distance of each ride [m], None if it is drawn for the car."""
     if orders.distances is not None:
         yield from orders.distances.tolist()
         return
@@ -273,7 +340,7 @@ def _carry(
     traffic: float,
     rng: np.random.Generator,
 ) -> float:
-    """Take passengers somewhere, `wanted` [m] away or as the car's rides go; return how far [m]."""
+    """Take passengers over the distance `wanted`, or over a drawn one; return the distance driven [m]."""
     metres = wanted or float(np.clip(rng.lognormal(np.log(car.ride_median), car.ride_spread), 350, 34e3))
     people = 2 + min(3, int(rng.geometric(0.65)) - 1)
     builder.stand(float(rng.uniform(*orders.boarding)), ride, people, door=float(rng.uniform(4, 14)))
@@ -293,7 +360,7 @@ def _drive_to(
     rng: np.random.Generator,
     candidates: int = 1,
 ) -> float:
-    """Drive about so far, as nearly as the best of some destinations allows; return how far it became [m]."""
+    """Drive about the given distance to the best of some destinations; return the distance driven [m]."""
     ways = (make_route(builder.place, draw_destination(*builder.place, metres, rng), rng) for _ in range(candidates))
     best = next(ways)
     for way in ways:
@@ -308,7 +375,7 @@ def _drive_to(
 def _charge(
     builder: _TimelineBuilder, soc: float, car: Car, ambient: float, style: DrivingStyle, rng: np.random.Generator
 ) -> float:
-    """Drive to a charger near by and plug in; return the state of charge that dispatch expects after it [1]."""
+    """Drive to a charger near by and plug in; return the state of charge that dispatch estimates afterwards. [1]"""
     _drive_to(builder, 600.0, NO_RIDE, 1, style, 0.2, rng)
     power = 0.75 * CHARGER * min(1.0, max(0.25, (ambient + 15) / 30))
     seconds = float(np.clip((rng.uniform(0.6, 0.85) - soc) * car.capacity / power, 1200, 7200))
@@ -321,7 +388,7 @@ def _charge(
 def _plan(
     builder: _TimelineBuilder, first: int, place: tuple[float, float], driven: float, rng: np.random.Generator
 ) -> Leg:
-    """Return what dispatch expected of the ride that was just driven."""
+    """Return the plan of dispatch for the ride that was just driven."""
     heights = [float(compute_elevation(*to_plane(np.array([u]), np.array([v])))[0]) for u, v in (place, builder.place)]
     rise, undulation = heights[1] - heights[0], 0.004 * driven
     return Leg(
@@ -333,6 +400,6 @@ def _plan(
 
 
 def _smooth(values: Floats, width: int) -> Floats:
-    """Return the centred moving average, the ends held."""
+    """Return the centred moving average; the values at the ends are repeated."""
     padded = np.pad(values, width // 2, mode="edge")
     return np.convolve(padded, np.full(width, 1 / width), mode="valid")

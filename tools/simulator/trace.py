@@ -1,4 +1,4 @@
-"""The surroundings of a car on its course: road, air, light, step by step, as physics needs them."""
+"""Compute the surroundings of a car along its way: road, air and light at each step, as the physics needs them."""
 
 from typing import NamedTuple
 
@@ -12,31 +12,48 @@ from tools.simulator.weather import Sky, compute_sun_height
 from tools.simulator.world import TURN, compute_elevation, is_in_tunnel, to_plane
 
 REFERENCE_DENSITY = 1.2
-"""Density of air where it does not vary. [kg/m^3]"""
+"""Density of air if it does not vary. [kg/m^3]"""
 
 
 class Trace(NamedTuple):
-    """Everything outside the car's own state, step by step. All (n,) float.
+    """Hold the surroundings of a car, step by step.
 
     Parameters
     ----------
-    time : At the end of the step, Unix time. [s]
-    x, y, elevation : At the end of the step; east and north of the middle. [m]
-    speed, acceleration : Mean over the step. [m/s], [m/s^2]
-    grade : Sine of the road's angle. [1]
-    turn_rate : [rad/s]
-    headwind, crosswind : Against and across the direction of travel. [m/s]
-    density : Of the air. [kg/m^3]
-    ambient : Outside air. [°C]
-    precipitation : [mm/h]
-    wetness, snow : Of the road, 0 to 1. [1]
-    humidity : Relative. [1]
-    solar : Irradiance. [W/m^2]
-    dark : 1 by night. [1]
-    on, door, plugged, occupants : See `shift.Course`.
-    elapsed : Since the ride began, 0 between rides. [s]
-    parked : Time that the car stood since it last drove, held while it drives. [s]
-    tunnel : 1 inside a tunnel. [1]
+    time : (n,) float
+        Unix time at the end of the step. [s]
+    x, y, elevation : (n,) float
+        Position at the end of the step, east and north of the centre, and elevation. [m]
+    speed, acceleration : (n,) float
+        Means over the step. [m/s], [m/s^2]
+    grade : (n,) float
+        Sine of the angle of the road. [1]
+    turn_rate : (n,) float
+        Rate of turn. [rad/s]
+    headwind, crosswind : (n,) float
+        Wind against and across the direction of travel. [m/s]
+    density : (n,) float
+        Density of the air. [kg/m^3]
+    ambient : (n,) float
+        Temperature of the outside air. [°C]
+    precipitation : (n,) float
+        Precipitation. [mm/h]
+    wetness, snow : (n,) float
+        Water and snow on the road, 0 to 1. [1]
+    humidity : (n,) float
+        Relative humidity. [1]
+    solar : (n,) float
+        Irradiance. [W/m^2]
+    dark : (n,) float
+        1 at night and in tunnels, else 0. [1]
+    on, door, plugged, occupants : (n,) float
+        As in `shift.Timeline`.
+    elapsed : (n,) float
+        Time since the ride began, 0 between rides. [s]
+    parked : (n,) float
+        Time for which the car stood before it last drove. [s]
+    tunnel : (n,) float
+        1 inside a tunnel, else 0. [1]
     """
 
     time: Floats
@@ -67,7 +84,19 @@ class Trace(NamedTuple):
 
 
 def make_trace(shift: Shift, sky: Sky) -> Trace:
-    """Return the surroundings of a shift under a sky."""
+    """Return the surroundings of a shift.
+
+    Parameters
+    ----------
+    shift : Shift
+        The shift.
+    sky : Sky
+        The weather.
+
+    Returns
+    -------
+    Trace
+    """
     timeline = shift.timeline
     n = len(timeline.u)
     time: Floats = shift.time + STEP * np.arange(1, n + 1, dtype=float)
@@ -112,14 +141,22 @@ def make_trace(shift: Shift, sky: Sky) -> Trace:
 
 
 def compute_air_density(pressure: Floats, ambient: Floats, humidity: Floats, elevation: Floats) -> Floats:
-    """Return the density of moist air. (n,) [kg/m^3].
+    """Return the density of moist air. [kg/m^3]
 
     Parameters
     ----------
-    pressure : (n,) float. At sea level. [Pa]
-    ambient : (n,) float. [°C]
-    humidity : (n,) float. Relative. [1]
-    elevation : (n,) float. [m]
+    pressure : (n,) float
+        Pressure at sea level. [Pa]
+    ambient : (n,) float
+        Temperature. [°C]
+    humidity : (n,) float
+        Relative humidity. [1]
+    elevation : (n,) float
+        Elevation. [m]
+
+    Returns
+    -------
+    (n,) float
 
     References
     ----------
@@ -132,7 +169,7 @@ def compute_air_density(pressure: Floats, ambient: Floats, humidity: Floats, ele
 
 
 def _elapsed(timeline: Timeline) -> Floats:
-    """Return the time since the ride began, 0 between rides. [s]."""
+    """Return the time since the ride began, 0 between rides. [s]"""
     steps = np.arange(len(timeline.ride))
     begins = np.flatnonzero(np.diff(timeline.ride, prepend=NO_RIDE - 1))
     since = steps - np.repeat(begins, np.diff(np.append(begins, len(steps))))
@@ -140,7 +177,7 @@ def _elapsed(timeline: Timeline) -> Floats:
 
 
 def _parked(timeline: Timeline) -> Floats:
-    """Return how long the car stood before it last began to drive; a night before the first drive. [s]."""
+    """Return how long the car stood before it last began to drive; 8 h before the first drive. [s]"""
     standing = timeline.after + timeline.before == 0
     ends = np.flatnonzero(np.diff(standing.astype(int), prepend=0, append=0))
     begins, ends = ends[0::2], ends[1::2]

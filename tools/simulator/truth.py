@@ -1,4 +1,4 @@
-"""What really happened in a simulation: for the file beside its recording, and for tests."""
+"""Collect the true values of a simulation, for the file beside its recording and for tests."""
 
 import json
 from collections import Counter
@@ -21,20 +21,24 @@ KWH = 3.6e6
 
 @dataclass
 class Truth:
-    """Fills up while the messages of a simulation are taken.
+    """Collect true values while the messages of a simulation are taken.
 
     Attributes
     ----------
+    settings : dict of str to object
+        Settings of the simulation.
+    factors : dict of str to float
+        Factor of each hidden effect. [1]
     rides : list of dict
-        Of each ride its true distance, its energy at the battery's terminals (`energy_kwh`, what voltage times current
-        integrates to), what was lost inside the battery (`battery_resistance_kwh`), the parts that add up to
-        `energy_kwh`, and each hidden effect.
+        For each ride: its true distance; its energy at the terminals of the battery (`energy_kwh`, the integral of
+        voltage times current); the loss inside the battery (`battery_resistance_kwh`); the parts that add up to
+        `energy_kwh`; and the energy of each hidden effect.
     cars : dict of str to dict
-        True parameters of each car, in SI, its model, and what its logger lacks.
+        For each car: its true parameters in SI units, its model, and what its logger lacks.
     faults : dict of str to Counter
-        How often each car's logger erred.
+        Number of faults of the logger of each car, by kind.
     messages : int
-        How many were recorded.
+        Number of recorded messages.
     """
 
     settings: dict[str, Any] = field(default_factory=dict)
@@ -45,7 +49,15 @@ class Truth:
     messages: int = 0
 
     def describe(self, simulation: Simulation, factors: dict[str, float]) -> None:
-        """Note what was asked for."""
+        """Record the settings of a simulation.
+
+        Parameters
+        ----------
+        simulation : Simulation
+            What is simulated.
+        factors : dict of str to float
+            Factor of each hidden effect. [1]
+        """
         idle = ("preset", "rides") if simulation.preset is None else PRESET_SETTINGS
         asked = {name: value for name, value in asdict(simulation).items() if name not in idle}
         self.settings = asked | {
@@ -56,7 +68,17 @@ class Truth:
         self.factors = factors
 
     def add_car(self, name: str, model: str, car: Car, equipment: Equipment) -> None:
-        """Note a car."""
+        """Record a car.
+
+        Parameters
+        ----------
+        name, model : str
+            Identifier of the car and key of its model.
+        car : Car
+            True parameters.
+        equipment : Equipment
+            What the logger lacks.
+        """
         parameters = {key: float(f"{value:.6g}") for key, value in car._asdict().items()}
         self.cars[name] = {"model": model, "logger_lacks": list(equipment.lacks)} | parameters
         self.faults[name] = Counter()
@@ -64,7 +86,21 @@ class Truth:
     def add_shift(
         self, name: str, shift: Shift, state: State, hidden: EffectEnergies | None, faults: Counter[str]
     ) -> None:
-        """Note the rides of a shift."""
+        """Record the rides of a shift.
+
+        Parameters
+        ----------
+        name : str
+            Identifier of the car.
+        shift : Shift
+            The shift.
+        state : State
+            State of the car, with hidden effects.
+        hidden : EffectEnergies or None
+            Energies of the hidden effects.
+        faults : Counter of str
+            Number of faults of the logger, by kind.
+        """
         self.faults[name] += faults
         for index, trip in enumerate(shift.trips):
             inside = slice(trip.begin, trip.end)
@@ -89,7 +125,7 @@ class Truth:
             self.rides.append(ride)
 
     def summary(self) -> dict[str, Any]:
-        """Return totals over all rides, and what became of each hidden effect."""
+        """Return totals over all rides, and the size of each hidden effect."""
         total = sum(ride["energy_kwh"] for ride in self.rides)
         distance = sum(ride["distance_km"] for ride in self.rides)
         parts: Counter[str] = Counter()
@@ -119,12 +155,17 @@ class Truth:
         }
 
     def write(self, path: Path) -> None:
-        """Write it as JSON that a person can read, one line a ride.
+        """Write the truth as JSON that a person can read, with one line for each ride.
+
+        Parameters
+        ----------
+        path : Path
+            The file.
 
         Raises
         ------
         SettingsError
-            Where the file cannot be written.
+            If the file cannot be written.
         """
         faults = {name: dict(counts) for name, counts in self.faults.items()}
         blocks = {"simulation": self.settings, "total": self.summary()}
@@ -139,6 +180,6 @@ class Truth:
 
 
 def _table(name: str, rows: dict[str, Any]) -> str:
-    """Return an object of objects, one line each."""
+    """Return a JSON object of objects with one line for each."""
     lines = ",\n  ".join(f"{json.dumps(key)}: {json.dumps(row)}" for key, row in rows.items())
     return f'"{name}": {{\n  {lines}\n}}'

@@ -1,6 +1,6 @@
-"""A Montreal year of weather: hourly, persistent over hours and days, with its seasons.
+"""Simulate a year of weather in Montreal: hourly, persistent over hours and days, with seasons.
 
-Every element is an autoregressive process about the normal of the day of the year (Environment Canada, climate
+Every element is an autoregressive process about the normal value of the day of the year (Environment Canada, climate
 normals 1981 to 2010, Montreal: January -10 °C, July 21 °C), after Richardson (1981), Water Resources Research 17:182.
 """
 
@@ -16,25 +16,34 @@ from tools.simulator.world import ORIGIN
 
 HOUR: Final = 3600.0
 DAYTIME: Final = (7.0, 19.0)
-"""When most people are about, by the local clock. [h]"""
+"""Local hours that count as day for the extreme temperatures of a preset. [h]"""
 STATIONS: Final = (("mctavish", 45.5047, -73.5790), ("yul", 45.4706, -73.7408), ("yhu", 45.5175, -73.4169))
-"""Name, latitude and longitude [deg] of the stations that publish."""
+"""Name, latitude and longitude of each station that publishes observations. [deg]"""
 
 
 class Sky(NamedTuple):
-    """The weather over the city, hour by hour. All columns (n,) float.
+    """Hold the weather over the city, hour by hour.
 
     Parameters
     ----------
-    time : Unix time. [s]
-    temperature : At sea level. [°C]
-    wind_east, wind_north : Where the air moves to, at the height of a car's roof. [m/s]
-    precipitation : [mm/h]
-    wetness : Water on the road, 0 dry to 1 streaming. [1]
-    snow : Snow on the road, 0 bare to 1 covered. [1]
-    pressure : At sea level. [Pa]
-    humidity : Relative. [1]
-    solar : Global horizontal irradiance. [W/m^2]
+    time : (n,) float
+        Unix time. [s]
+    temperature : (n,) float
+        Temperature at sea level. [°C]
+    wind_east, wind_north : (n,) float
+        Velocity of the air at the height of the roof of a car. [m/s]
+    precipitation : (n,) float
+        Precipitation. [mm/h]
+    wetness : (n,) float
+        Water on the road, 0 dry to 1 flooded. [1]
+    snow : (n,) float
+        Snow on the road, 0 bare to 1 covered. [1]
+    pressure : (n,) float
+        Pressure at sea level. [Pa]
+    humidity : (n,) float
+        Relative humidity. [1]
+    solar : (n,) float
+        Global horizontal irradiance. [W/m^2]
     """
 
     time: Floats
@@ -49,20 +58,31 @@ class Sky(NamedTuple):
     solar: Floats
 
     def at(self, time: Floats) -> "Sky":
-        """Return the weather at other times, linear between the hours."""
+        """Return the weather at other times, interpolated linearly between hours."""
         return Sky(time, *(np.interp(time, self.time, column) for column in self[1:]))
 
 
 def make_sky(start: float, days: int, seed: int, extremes: tuple[float, float] | None = None) -> Sky:
-    """Return the weather from a day before `start` [s] until two days after the last of `days`.
-
-    Every element has a random stream of its own, so that a longer time begins like a shorter one.
+    """Return the weather from a day before `start` until two days after the last of `days`.
 
     Parameters
     ----------
+    start : float
+        Unix time of the first day. [s]
+    days : int
+        Number of days.
+    seed : int
+        Seed of the weather.
     extremes : (float, float), optional
-        Coldest and hottest hour by day: the cold snaps and heat waves that come about are drawn out, or reined in, to
-        them. [°C]
+        Coldest and hottest temperature by day; cold snaps and heat waves are scaled to reach them. [°C]
+
+    Returns
+    -------
+    Sky
+
+    Notes
+    -----
+    Every element has its own random stream, so that a longer simulation begins with the weather of a shorter one.
     """
     time = np.floor(start / HOUR) * HOUR + HOUR * np.arange(-24, 24 * (days + 2), dtype=float)
     n = len(time)
@@ -101,18 +121,23 @@ def make_sky(start: float, days: int, seed: int, extremes: tuple[float, float] |
 
 
 def _drawn_out(temperature: Floats, hottest: float, counts: np.ndarray) -> Floats:
-    """Return temperatures, the warmest fifth moved, the more the warmer, so that those that count end at `hottest`."""
+    """Return temperatures with the warmest fifth stretched, so that the maximum of the counted ones is `hottest`."""
     usual, most = float(np.quantile(temperature, 0.8)), float(temperature[counts].max())
     share = np.clip((temperature - usual) / max(most - usual, 1e-9), 0.0, 1.0)
     return np.asarray(temperature + (hottest - most) * share**2)
 
 
 def compute_sun_height(time: Floats) -> Floats:
-    """Return the sine of the sun's height over Montreal, 0 by night; to half a degree. (n,) [1].
+    """Return the sine of the elevation of the sun over Montreal, 0 at night, accurate to half a degree. [1]
 
     Parameters
     ----------
-    time : (n,) float. Unix time. [s]
+    time : (n,) float
+        Unix time. [s]
+
+    Returns
+    -------
+    (n,) float
 
     References
     ----------
@@ -127,9 +152,21 @@ def compute_sun_height(time: Floats) -> Floats:
 
 
 def make_observations(sky: Sky, begin: float, end: float, seed: int) -> list[Message]:
-    """Return what the stations publish from `begin` until `end` [s], by time of receipt.
+    """Return the observations that the stations publish in a period, in order of receipt.
 
-    The first observations are those of the full hour before `begin`; each comes 5 to 60 s after its hour.
+    Parameters
+    ----------
+    sky : Sky
+        The weather.
+    begin, end : float
+        Begin and end of the period, Unix time. [s]
+    seed : int
+        Seed of errors and delays.
+
+    Returns
+    -------
+    list of Message
+        The first observations are those of the full hour before `begin`. Each one is received 5 to 60 s after its hour.
     """
     rng = np.random.default_rng([seed, 2])
     messages = []
@@ -143,7 +180,7 @@ def make_observations(sky: Sky, begin: float, end: float, seed: int) -> list[Mes
 
 
 def _observation(sky: Sky, i: int, station: tuple[str, float, float], error: Floats, delay: float) -> Message:
-    """Return one station's message of one hour."""
+    """Return the message of one station about one hour."""
     name, latitude, longitude = station
     east, north = sky.wind_east[i] + 0.3 * error[1], sky.wind_north[i] + 0.3 * error[2]
     observed = Weather(
@@ -163,7 +200,17 @@ def _observation(sky: Sky, i: int, station: tuple[str, float, float], error: Flo
 
 
 def draw_autoregressive(rng: np.random.Generator, n: int, keep: float) -> Floats:
-    """Return a stationary process of variance 1 whose neighbours correlate by `keep`. (n,) [1]."""
+    """Return a stationary process of variance 1 with correlation `keep` between neighbours. (n,) [1]
+
+    Parameters
+    ----------
+    rng : Generator
+        Random stream.
+    n : int
+        Number of values.
+    keep : float
+        Correlation between neighbours. [1]
+    """
     values = rng.normal(size=n).tolist()
     fresh = (1 - keep * keep) ** 0.5
     for i in range(1, n):
@@ -172,7 +219,7 @@ def draw_autoregressive(rng: np.random.Generator, n: int, keep: float) -> Floats
 
 
 def _precipitation(seed: int, cloud: Floats) -> Floats:
-    """Return wet and dry spells [mm/h]: a two-state chain that wants clouds."""
+    """Return wet and dry spells from a two-state Markov chain that depends on cloud cover. [mm/h]"""
     draws = np.random.default_rng([seed, 1, 100]).uniform(size=len(cloud))
     amounts = np.random.default_rng([seed, 1, 101]).exponential(0.8, len(cloud))
     fallen, wet = np.zeros(len(cloud)), False
@@ -183,7 +230,7 @@ def _precipitation(seed: int, cloud: Floats) -> Floats:
 
 
 def _road(temperature: Floats, precipitation: Floats) -> tuple[Floats, Floats]:
-    """Return wetness and snow of the road: what falls, less what drains, dries, melts and is ploughed."""
+    """Return wetness and snow of the road: precipitation minus drainage, drying, melting and ploughing."""
     wetness, snow = np.zeros(len(temperature)), np.zeros(len(temperature))
     water = cover = 0.0
     for i, (warm, fall) in enumerate(zip(temperature, precipitation, strict=True)):

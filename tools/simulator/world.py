@@ -1,6 +1,6 @@
-"""A city like Montreal: a grid of streets, three expressways with tunnels, and a hill in the middle.
+"""Simulate a city like Montreal: a grid of streets, three expressways with tunnels, and a hill in the centre.
 
-City axes `u`, `v` [m] run along the streets, turned by 30 degrees from east `x` and north `y` [m].
+The axes `u`, `v` [m] of the city run along the streets, turned by 30 degrees from east `x` and north `y` [m].
 """
 
 from itertools import pairwise
@@ -13,16 +13,29 @@ from core.batch import Floats
 from core.columns import EARTH_RADIUS, KMH
 
 ORIGIN: Final = (45.505, -73.595)
-"""Latitude and longitude of the middle. [deg]"""
+"""Latitude and longitude of the centre. [deg]"""
 TURN: Final = pi / 6
 BLOCK: Final = (140.0, 220.0)
-"""Streets lie so far apart along u and along v. [m]"""
+"""Distance between streets along u and along v. [m]"""
 EXTENT: Final = (11_000.0, 7_000.0)
+"""Half the size of the city along u and along v. [m]"""
 RESIDENTIAL, BOULEVARD, EXPRESSWAY = 0, 1, 2
 
 
 class Line(NamedTuple):
-    """An expressway: the axis that it runs along, where it lies on the other, its limit, its tunnels."""
+    """Describe an expressway.
+
+    Parameters
+    ----------
+    axis : int
+        Axis along which it runs: 0 for u, 1 for v.
+    at : float
+        Its position on the other axis. [m]
+    limit : float
+        Speed limit. [m/s]
+    tunnels : tuple of (float, float)
+        Begin and end of each tunnel. [m]
+    """
 
     axis: int
     at: float
@@ -35,19 +48,24 @@ EXPRESSWAYS: Final = (
     Line(1, 20 * BLOCK[0], 100 * KMH, ((-850.0, 600.0),)),
     Line(0, 16 * BLOCK[1], 80 * KMH, ((-2500.0, -1400.0),)),
 )
-"""Tunnels are 0.9 to 1.45 km long, so that a fix that jumps their length in 3 s reads 1,000 to 2,000 km/h."""
+"""Tunnels are 0.9 to 1.45 km long, so that a position that jumps this far in 3 s gives 1,000 to 2,000 km/h."""
 
 
 class Route(NamedTuple):
-    """A way through the city as nodes, and what awaits the driver at the end of each of its segments.
+    """Hold a route through the city: its nodes, and the conditions at the end of each segment.
 
     Parameters
     ----------
-    u, v : (k + 1,) float. Nodes. [m]
-    along : (k + 1,) float. Distance driven at each node. [m]
-    limit : (k,) float. Speed limit of each segment. [m/s]
-    street : (k,) int. RESIDENTIAL, BOULEVARD or EXPRESSWAY.
-    turn : (k,) bool. The route turns at the end of the segment.
+    u, v : (k + 1,) float
+        Nodes. [m]
+    along : (k + 1,) float
+        Distance driven at each node. [m]
+    limit : (k,) float
+        Speed limit of each segment. [m/s]
+    street : (k,) int
+        RESIDENTIAL, BOULEVARD or EXPRESSWAY.
+    turn : (k,) bool
+        True if the route turns at the end of the segment.
     """
 
     u: Floats
@@ -59,16 +77,21 @@ class Route(NamedTuple):
 
     @property
     def length(self) -> float:
-        """How far it is. [m]"""
+        """Length of the route. [m]"""
         return float(self.along[-1])
 
 
 def compute_elevation(x: Floats, y: Floats) -> Floats:
-    """Return the elevation of the ground. [m].
+    """Return the elevation of the ground. [m]
 
     Parameters
     ----------
-    x, y : (n,) float. East and north of the middle. [m]
+    x, y : (n,) float
+        Position east and north of the centre. [m]
+
+    Returns
+    -------
+    (n,) float
     """
     hill = 165.0 * np.exp(-(x * x + 1.3 * y * y) / (2 * 1300.0**2))
     rolling = 9.0 * np.sin(x / 1100.0 + 0.4) * np.cos(y / 1500.0) + 3.0 * np.sin(x / 420.0) * np.cos(y / 380.0 + 1.0)
@@ -76,23 +99,37 @@ def compute_elevation(x: Floats, y: Floats) -> Floats:
 
 
 def to_plane(u: Floats, v: Floats) -> tuple[Floats, Floats]:
-    """Return east and north [m] of city axes [m]."""
+    """Return the position east and north of the centre from the axes of the city. [m]
+
+    Parameters
+    ----------
+    u, v : (n,) float
+        Position along the axes of the city. [m]
+    """
     return u * cos(TURN) - v * sin(TURN), u * sin(TURN) + v * cos(TURN)
 
 
 def to_wgs84(x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Return latitude and longitude [deg] of east and north [m]."""
+    """Return latitude and longitude. [deg]
+
+    Parameters
+    ----------
+    x, y : (n,) float
+        Position east and north of the centre. [m]
+    """
     latitude = ORIGIN[0] + np.degrees(y / EARTH_RADIUS)
     return latitude, ORIGIN[1] + np.degrees(x / (EARTH_RADIUS * np.cos(np.radians(latitude))))
 
 
 def is_in_tunnel(u: Floats, v: Floats, heading: Floats) -> np.ndarray:
-    """Return where a car is inside a tunnel, not crossing above it. (n,) bool.
+    """Return a mask of the positions inside a tunnel, without those that cross above it. (n,) bool
 
     Parameters
     ----------
-    u, v : (n,) float. [m]
-    heading : (n,) float. From the u axis. [rad]
+    u, v : (n,) float
+        Position along the axes of the city. [m]
+    heading : (n,) float
+        Direction of travel from the u axis. [rad]
     """
     inside = np.zeros(len(u), bool)
     for line in EXPRESSWAYS:
@@ -103,7 +140,17 @@ def is_in_tunnel(u: Floats, v: Floats, heading: Floats) -> np.ndarray:
 
 
 def draw_destination(u: float, v: float, distance: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Return a crossing about `distance` [m] of streets away, rather towards the middle than out of town."""
+    """Return a crossing at about the given distance along streets, more likely towards the centre than out of town.
+
+    Parameters
+    ----------
+    u, v : float
+        Start. [m]
+    distance : float
+        Desired distance along streets. [m]
+    rng : Generator
+        Random stream.
+    """
     for _ in range(30):
         share = rng.uniform()
         sign_u = -1.0 if rng.uniform() < 0.5 + 0.4 * u / EXTENT[0] else 1.0
@@ -118,7 +165,13 @@ def draw_destination(u: float, v: float, distance: float, rng: np.random.Generat
 
 
 def find_crossing(u: float, v: float) -> tuple[float, float]:
-    """Return the crossing nearest to a place at which a car may stop: none on an expressway."""
+    """Return the crossing nearest to a position at which a car may stop; none lies on an expressway.
+
+    Parameters
+    ----------
+    u, v : float
+        Position. [m]
+    """
     place = [round(u / BLOCK[0]) * BLOCK[0], round(v / BLOCK[1]) * BLOCK[1]]
     for line in EXPRESSWAYS:
         across = 1 - line.axis
@@ -128,7 +181,19 @@ def find_crossing(u: float, v: float) -> tuple[float, float]:
 
 
 def make_route(start: tuple[float, float], goal: tuple[float, float], rng: np.random.Generator) -> Route:
-    """Return a way over streets, by an expressway where it is far and one lies near enough."""
+    """Return a route over streets; long routes take an expressway if one is near.
+
+    Parameters
+    ----------
+    start, goal : (float, float)
+        Crossings at the begin and end of the route. [m]
+    rng : Generator
+        Random stream.
+
+    Returns
+    -------
+    Route
+    """
     points = [start, *_corners(start, goal, rng), goal]
     nodes, limits, streets, turns = [start], list[float](), list[int](), list[bool]()
     for a, b in pairwise(points):
@@ -169,7 +234,7 @@ def _corners(
 
 
 def _ramp(line: Line, at: float) -> float:
-    """Return where to join or leave an expressway: here, or where a tunnel would be here, at its nearer end. [m]."""
+    """Return the position at which to join or leave an expressway: `at`, or the nearer end of a tunnel there. [m]"""
     block = BLOCK[line.axis]
     for begin, end in line.tunnels:
         if begin - 5 < at < end + 5:
@@ -178,7 +243,7 @@ def _ramp(line: Line, at: float) -> float:
 
 
 def _street(a: tuple[float, float], b: tuple[float, float]) -> tuple[int, float]:
-    """Return the class of a straight stretch and its speed limit [m/s]."""
+    """Return the class of a straight section and its speed limit [m/s]."""
     axis = 0 if abs(b[0] - a[0]) > abs(b[1] - a[1]) else 1
     at = a[1 - axis]
     for line in EXPRESSWAYS:

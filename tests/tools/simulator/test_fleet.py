@@ -1,4 +1,4 @@
-"""The simulator as a whole: deterministic, of the contract, with hidden effects of the size asked for."""
+"""The simulator is deterministic, follows the wire contract, and hides effects of the requested size."""
 
 import hashlib
 import json
@@ -18,8 +18,8 @@ from core.wire.messages import KINDS, address
 from stream.mcap_reader import McapSource
 from tests.support.paths import ROOT
 from tests.support.simulated import PERFECT, SMALL, SUMMER, WINTER, decode_samples, run_simulation
-from tools.commands.simulate import record
 from tools.commands.simulate import simulate as simulate_command
+from tools.commands.simulate import write_simulation
 from tools.simulator.fleet import simulate
 from tools.simulator.hidden import EFFECTS
 from tools.simulator.physics import PARTS, WHEEL
@@ -69,7 +69,7 @@ def perfect():
 
 
 class TestStream:
-    def test_same_seed_same_bytes_whatever_the_hash_seed(self):
+    def test_same_seed_gives_same_bytes_with_any_hash_seed(self):
         environment = os.environ | {"PYTHONHASHSEED": "4242"}
         other = subprocess.run(
             [sys.executable, "-c", DIGEST], env=environment, capture_output=True, text=True, check=True
@@ -79,18 +79,18 @@ class TestStream:
             digest.update(repr(message).encode())
         assert other.stdout.strip() == digest.hexdigest()
 
-    def test_another_seed_gives_other_messages(self):
+    def test_other_seed_gives_other_messages(self):
         assert run_simulation(SMALL)[0] != run_simulation(replace(SMALL, seed=12))[0]
 
-    def test_a_car_does_not_depend_on_the_others(self, perfect):
+    def test_messages_of_a_car_are_independent_of_other_cars(self, perfect):
         alone = run_simulation(replace(PERFECT, vehicles=1))[0]
         assert [m for m in alone if "taxi-001" in m.key] == [m for m in perfect[0] if "taxi-001" in m.key]
 
-    def test_a_longer_simulation_begins_like_a_shorter(self, perfect):
+    def test_longer_simulation_begins_with_the_messages_of_a_shorter_one(self, perfect):
         two, _ = run_simulation(replace(PERFECT, days=2))
         assert two[: len(perfect[0])] == perfect[0]
 
-    def test_in_order_of_receipt_and_all_of_the_contract(self, faulty):
+    def test_messages_are_in_order_of_receipt_and_follow_the_contract(self, faulty):
         messages, truth = faulty
         assert all(a.receipt_ns <= b.receipt_ns for a, b in pairwise(messages))
         undecodable = 0
@@ -101,17 +101,17 @@ class TestStream:
                 undecodable += 1
                 continue
             assert address(message.key).identity in {getattr(value, "vehicle_id", ""), getattr(value, "station_id", "")}
-        wanted = truth.summary()["faults"]["undecodable"]
-        assert wanted <= undecodable <= wanted + 2  # a broken payload may be sent twice
+        injected = truth.summary()["faults"]["undecodable"]
+        assert injected <= undecodable <= injected + 2  # a broken payload may be sent twice
 
-    def test_rides_plans_and_weather_come_with_the_telemetry(self, perfect):
+    def test_messages_include_rides_plans_and_weather(self, perfect):
         messages, truth = perfect
         kinds = Counter(address(m.key).kind for m in messages)
         assert kinds["vehicle"] == 3
         assert kinds["ride"] == 2 * len(truth.rides)
         assert kinds["plan"] == len(truth.rides) + 3
         assert kinds["weather"] >= 6
-        assert address(messages[0].key).kind == "weather"  # something to fill the first sample's air with
+        assert address(messages[0].key).kind == "weather"  # so that the first sample has weather
         first = next(json.loads(m.payload) for m in messages if "taxi-001/plan" in m.key)
         rides = [ride for ride in truth.rides if ride["vehicle_id"] == "taxi-001"]
         assert len(first["legs"]) == len(rides)
@@ -119,7 +119,7 @@ class TestStream:
             [ride["distance_km"] for ride in rides], rel=0.25
         )
 
-    def test_written_beside_its_truth(self, tmp_path, capsys):
+    def test_command_writes_recording_and_truth(self, tmp_path, capsys):
         out = tmp_path / "small.mcap"
         simulate_command(
             out=out, vehicles=2, start="2018-01-16T12:00", shift_hours=0.5, seed=3, hidden=["headwind:0.05"]
@@ -132,28 +132,28 @@ class TestStream:
         assert truth["simulation"]["hidden"] == {"headwind": 0.05}
         assert "headwind" in capsys.readouterr().out
 
-    def test_nothing_is_written_for_a_wrong_request(self, tmp_path):
+    def test_wrong_settings_write_no_file(self, tmp_path):
         with pytest.raises(SettingsError, match="no car model is called 'trabant'"):
-            record(replace(SMALL, models=("trabant",)), tmp_path / "x.mcap")
+            write_simulation(replace(SMALL, models=("trabant",)), tmp_path / "x.mcap")
         assert not list(tmp_path.iterdir())
 
 
 class TestNight:
-    """Cars that charge between shifts alone."""
+    """Cars charge between shifts only."""
 
-    def test_nobody_charges_and_an_empty_car_stops(self, night):
-        told = {name: decode_samples(night[0], name) for name in night[1].cars}
-        assert not any(one.charging for own in told.values() for one in own)
+    def test_no_car_charges_in_a_shift_and_empty_cars_stop(self, night):
+        samples = {name: decode_samples(night[0], name) for name in night[1].cars}
+        assert not any(one.charging for samples_of_car in samples.values() for one in samples_of_car)
         by_day = run_simulation(replace(NIGHT, charging="low"))[0]
         assert any(one.charging for one in decode_samples(by_day))
-        empty = {name: own[-1].soc_pct < 0.1 for name, own in told.items()}
+        empty = {name: samples_of_car[-1].soc_pct < 0.1 for name, samples_of_car in samples.items()}
         assert any(empty.values())
-        for name, own in told.items():
+        for name, samples_of_car in samples.items():
             planned = next(json.loads(m.payload)["shift_end_s"] for m in night[0] if m.key == f"fleet/{name}/plan")
-            assert (planned - own[-1].time_s > 60.0) == empty[name], name
-            assert min(one.soc_pct for one in own[:-10]) > 0.0
+            assert (planned - samples_of_car[-1].time_s > 60.0) == empty[name], name
+            assert min(one.soc_pct for one in samples_of_car[:-10]) > 0.0
 
-    def test_the_plan_stays_what_dispatch_asked_for(self, night):
+    def test_plan_stays_unchanged_when_a_car_stops(self, night):
         messages, truth = night
         remaining_legs = 0
         for name in truth.cars:
@@ -167,18 +167,18 @@ class TestNight:
 
 class TestHidden:
     @pytest.mark.parametrize("effect", sorted(EFFECTS))
-    def test_takes_its_share_of_the_energy(self, effect):
+    def test_effect_takes_its_share_of_the_energy(self, effect):
         warm = {"cabin_cooling", "solar_load", "wet_road", "humidity"}
         start = SUMMER if effect in warm else WINTER
         simulation = Simulation(
             vehicles=5, start=start, shift_hours=1.5, seed=1, faults=NO_FAULTS, hidden=(Hidden(effect, 0.04),)
         )
         _, truth = run_simulation(simulation)
-        found = truth.summary()["hidden"][effect]
-        assert found["absolute_share"] == pytest.approx(0.04, rel=0.02)
-        assert found["energy_kwh"] == pytest.approx(sum(r["hidden_kwh"][effect] for r in truth.rides), abs=1e-3)
+        effect_total = truth.summary()["hidden"][effect]
+        assert effect_total["absolute_share"] == pytest.approx(0.04, rel=0.02)
+        assert effect_total["energy_kwh"] == pytest.approx(sum(r["hidden_kwh"][effect] for r in truth.rides), abs=1e-3)
 
-    def test_what_is_hidden_comes_out_of_the_battery(self):
+    def test_hidden_energy_comes_from_the_battery(self):
         plain = Simulation(vehicles=2, start=WINTER, shift_hours=1.5, seed=1, faults=NO_FAULTS)
         both = replace(plain, hidden=(Hidden("standby", 0.05), Hidden("roof_load", 0.02)))
         (_, before), (_, after) = run_simulation(plain), run_simulation(both)
@@ -188,11 +188,11 @@ class TestHidden:
         assert gain == pytest.approx(hidden, rel=0.03)
         assert after.summary()["parts_kwh"]["hidden"] == pytest.approx(hidden, rel=1e-3)
 
-    def test_refused_where_it_has_nothing_to_act_on(self):
+    def test_effect_with_nothing_to_act_on_is_rejected(self):
         with pytest.raises(SettingsError, match=r"cabin_cooling.*choose other dates"):
             simulate(replace(SMALL, hidden=(Hidden("cabin_cooling"),)))
 
-    def test_refused_where_it_does_not_exist(self):
+    def test_unknown_effect_is_rejected(self):
         with pytest.raises(SettingsError, match="no hidden effect is called 'magic'; choose from age"):
             simulate(replace(SMALL, hidden=(Hidden("magic"),)))
 
@@ -210,7 +210,7 @@ class TestSettings:
             (parse_models, " , ", "names none"),
         ],
     )
-    def test_a_wrong_word_is_named(self, parse, text, message):
+    def test_error_names_the_wrong_word(self, parse, text, message):
         with pytest.raises(SettingsError, match=message):
             parse(text)
 
@@ -229,11 +229,11 @@ class TestSettings:
             {"charging": "never"},
         ],
     )
-    def test_sizes_have_limits(self, change):
+    def test_settings_out_of_bounds_are_rejected(self, change):
         with pytest.raises(SettingsError, match=r"give|choose"):
             replace(SMALL, **change)
 
-    def test_switches(self):
+    def test_text_selects_phenomena_faults_and_start(self):
         assert parse_phenomena("plain") == PLAIN_PHENOMENA
         assert parse_phenomena("all") == ALL_PHENOMENA
         assert parse_phenomena("plain,-climate") == PLAIN_PHENOMENA._replace(climate=False)
@@ -246,7 +246,7 @@ class TestSettings:
 class TestShippedRecording:
     FOLDER = ROOT / "recordings"
 
-    def test_holds_what_its_truth_and_its_page_say(self):
+    def test_recording_agrees_with_its_truth_and_its_page(self):
         truth = json.loads((self.FOLDER / "shift.truth.json").read_text())
         messages = [message for block in McapSource(self.FOLDER / "shift.mcap") for message in block]
         counts, page = truth["total"]["faults"], (self.FOLDER / "README.md").read_text()
@@ -260,7 +260,7 @@ class TestShippedRecording:
             assert (f"{value:,}" if isinstance(value, int) else f"{value:.1f}") in page, figure
         assert f"--seed {truth['simulation']['seed']}" in page
 
-    def test_is_small_and_short(self):
+    def test_recording_is_small_and_short(self):
         assert (self.FOLDER / "shift.mcap").stat().st_size < 3_000_000
         truth = json.loads((self.FOLDER / "shift.truth.json").read_text())
         hours = (max(ride["end_s"] for ride in truth["rides"]) - min(ride["start_s"] for ride in truth["rides"])) / 3600

@@ -1,4 +1,4 @@
-"""Hidden effects in another shape: of the same cause, and yet not the same."""
+"""The other shape of a hidden effect has the same cause and another dependence."""
 
 from dataclasses import replace
 
@@ -16,8 +16,8 @@ IN_SUMMER = {"cabin_cooling", "solar_load", "wet_road", "humidity"}
 ALWAYS_COST = set(EFFECTS) - {"headwind", "air_density", "payload", "roof_load", "age"}
 
 
-def view(effect):
-    """Return a shift in which the effect has something to act on, of a car that has all flaws."""
+def make_view(effect):
+    """Return a shift that the effect acts on, driven by a car with every flaw."""
     _, trace, car, state = drive_one_shift(SUMMER if effect in IN_SUMMER else WINTER, hours=3.0)
     flawed = car._replace(roof_drag_area=0.12, wear=0.1, under_inflation=0.1, brake_drag=8.0)
     ramp = np.linspace(0.0, 1.0, len(trace.time))
@@ -25,38 +25,38 @@ def view(effect):
     return EffectInputs(trace._replace(snow=ramp, **dusk), state._replace(soc=1.0 - 0.2 * ramp), flawed)
 
 
-def alike(one, other):
-    """Return the cosine between two courses of power, 1 where one is the other times a number."""
+def compute_cosine(one, other):
+    """Return the cosine between two time series of power; it is 1 if they are proportional."""
     return one @ other / np.sqrt((one @ one) * (other @ other))
 
 
 class TestShapes:
-    def test_every_effect_has_one(self):
+    def test_every_effect_has_another_shape(self):
         assert set(OTHER_SHAPES) == set(EFFECTS)
         assert len(POWERS) == 2 * len(EFFECTS)
 
     @pytest.mark.parametrize("effect", sorted(OTHER_SHAPES))
-    def test_is_of_the_same_cause_and_not_the_same(self, effect):
-        seen = view(effect)
-        own, other = EFFECTS[effect](seen), OTHER_SHAPES[effect](seen)
-        assert other.shape == own.shape
+    def test_shapes_are_similar_and_not_equal(self, effect):
+        inputs = make_view(effect)
+        first, other = EFFECTS[effect](inputs), OTHER_SHAPES[effect](inputs)
+        assert other.shape == first.shape
         assert np.isfinite(other).all()
         assert np.abs(other).sum() > 0.0
-        assert alike(own, other) < 0.9999
-        minutes = [np.add.reduceat(power, np.arange(0, len(power), 600)) for power in (own, other)]
-        assert alike(*minutes) > 0.2
+        assert compute_cosine(first, other) < 0.9999
+        minutes = [np.add.reduceat(power, np.arange(0, len(power), 600)) for power in (first, other)]
+        assert compute_cosine(*minutes) > 0.2
 
     @pytest.mark.parametrize("effect", sorted(ALWAYS_COST))
-    def test_what_only_costs_does_so_in_both(self, effect):
-        seen = view(effect)
-        assert EFFECTS[effect](seen).min() >= 0.0
-        assert OTHER_SHAPES[effect](seen).min() >= 0.0
+    def test_effects_that_always_cost_energy_do_so_in_both_shapes(self, effect):
+        inputs = make_view(effect)
+        assert EFFECTS[effect](inputs).min() >= 0.0
+        assert OTHER_SHAPES[effect](inputs).min() >= 0.0
 
-    def test_is_hidden_by_its_name(self):
+    def test_other_shape_is_hidden_by_its_name(self):
         _, truth = run_simulation(replace(SMALL, hidden=(Hidden(f"cold_rolling{OTHER}", 0.05),)))
         found = truth.summary()["hidden"][f"cold_rolling{OTHER}"]
         assert found["absolute_share"] == pytest.approx(0.05, rel=0.02)
 
-    def test_one_that_does_not_exist_is_refused(self):
+    def test_unknown_shape_is_rejected(self):
         with pytest.raises(SettingsError, match="magic~other"):
             simulate(replace(SMALL, hidden=(Hidden("magic~other"),)))

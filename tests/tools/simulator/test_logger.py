@@ -1,4 +1,4 @@
-"""The faulty logger: as faulty as it is told to be, and it counts."""
+"""The simulated logger has faults at the given rates and counts them."""
 
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -31,7 +31,7 @@ def _telemetry(messages):
 
 
 class TestLogger:
-    def test_a_perfect_logger_is_even_and_complete(self, perfect):
+    def test_logger_without_faults_sends_every_sample_completely(self, perfect):
         messages, truth = perfect
         for car in truth.cars:
             rows = decode_samples(messages, car)
@@ -40,7 +40,7 @@ class TestLogger:
             assert all(getattr(row, field) is not None for row in rows for field in Telemetry.__struct_fields__[3:])
         assert set(truth.summary()["faults"]) <= {"samples_sent"}
 
-    def test_a_perfect_logger_tells_the_truth(self, perfect):
+    def test_logger_without_faults_agrees_with_the_truth(self, perfect):
         messages, truth = perfect
         measured = []
         for ride in truth.rides:
@@ -50,10 +50,10 @@ class TestLogger:
             driven_km = rows[-1].odometer_km - rows[0].odometer_km
             assert driven_km == pytest.approx(ride["distance_km"], rel=0.03, abs=0.04)
         energies = [ride["energy_kwh"] for ride in truth.rides]
-        np.testing.assert_allclose(measured, energies, rtol=0.15, atol=0.05)  # one sample stands for 3 s
+        np.testing.assert_allclose(measured, energies, rtol=0.15, atol=0.05)  # one sample covers 3 s
         assert sum(measured) == pytest.approx(sum(energies), rel=0.03)
 
-    def test_each_fault_happens_at_its_rate_and_is_counted(self, faulty):
+    def test_faults_occur_at_their_rates(self, faulty):
         _, truth = faulty
         counts, rates = truth.summary()["faults"], Faults()
         sent = counts["samples_sent"]
@@ -64,14 +64,14 @@ class TestLogger:
         assert counts["tunnel"] > 10
         assert counts["samples_lost"] > 2 * counts["gap"]
 
-    def test_what_is_counted_is_what_is_sent(self):
+    def test_counts_of_faults_agree_with_the_messages(self):
         quiet = replace(SMALL, vehicles=4, shift_hours=3.0)
         for fault, rate in (("duplicate", 0.02), ("gap", 0.002), ("null_island", 0.01), ("repeated", 0.02)):
             messages, truth = run_simulation(replace(quiet, faults=replace(NO_FAULTS, **{fault: rate})))
             rows = decode_samples(messages)
             by_car = [[row for row in rows if row.vehicle_id == car] for car in truth.cars]
             steps = [b.seq - a.seq for car in by_car for a, b in pairwise(car)]
-            found = {
+            counted = {
                 "duplicate": steps.count(0),
                 "gap": sum(step > 1 for step in steps),
                 "null_island": sum(row.latitude_deg == 0 == row.longitude_deg for row in rows),
@@ -79,9 +79,9 @@ class TestLogger:
             }
             count = truth.summary()["faults"][fault]
             assert count > 5
-            assert abs(found[fault] - count) <= (0.1 * count + 2 if fault == "gap" else 0), fault  # gaps may merge
+            assert abs(counted[fault] - count) <= (0.1 * count + 2 if fault == "gap" else 0), fault  # gaps may merge
 
-    def test_arrival_out_of_order_and_late(self):
+    def test_late_and_overtaken_samples_are_received_later(self):
         faults = replace(NO_FAULTS, late=0.01, out_of_order=0.02)
         messages, truth = run_simulation(replace(SMALL, faults=faults))
         delays = np.array(
@@ -95,17 +95,17 @@ class TestLogger:
         assert ((delays > 3) & (delays < 9)).sum() == counts["out_of_order"] > 0
         assert (delays > 0).all()
 
-    def test_a_clock_steps_and_steps_back(self):
+    def test_clock_steps_forth_and_back(self):
         messages, truth = run_simulation(replace(SMALL, vehicles=1, faults=replace(NO_FAULTS, clock_step=0.004)))
         stamps = np.diff([row.time_s for row in decode_samples(messages)])
         assert (np.abs(stamps - 3) > 1).sum() == truth.summary()["faults"]["clock_step"] > 1
 
-    def test_a_power_cycle_restarts_the_count(self):
+    def test_power_cycle_restarts_the_counter(self):
         messages, truth = run_simulation(replace(SMALL, vehicles=1, faults=replace(NO_FAULTS, power_cycle=0.003)))
         seq = [row.seq for row in decode_samples(messages)]
         assert sum(b < a for a, b in pairwise(seq)) == truth.summary()["faults"]["power_cycle"] > 0
 
-    def test_tunnels_freeze_and_jump(self):
+    def test_positions_freeze_in_tunnels_and_jump_at_the_exit(self):
         faults = replace(NO_FAULTS, tunnel=1.0, unequipped=1.0)
         simulation = Simulation(
             vehicles=12, start=WINTER, shift_hours=2, seed=4, faults=faults, models=("tesla-model-s",)
@@ -119,14 +119,14 @@ class TestLogger:
         wheels = [name for name in truth.cars if name not in gps]
         assert max(row.speed_kmh for name in wheels for row in decode_samples(messages, name)) < 130
 
-    def test_the_state_of_charge_comes_in_steps(self):
+    def test_state_of_charge_has_the_steps_of_the_car(self):
         faults = replace(NO_FAULTS, quantised=1.0)
         messages, truth = run_simulation(replace(SMALL, vehicles=1, faults=faults))
         step = truth.cars["taxi-001"]["soc_step"]
         levels = np.array([row.soc_pct for row in decode_samples(messages)]) / step
         np.testing.assert_allclose(levels, np.round(levels), atol=1e-2)
 
-    def test_drivers_err_too(self, faulty):
+    def test_rides_include_false_starts_and_errands(self, faulty):
         rides = faulty[1].rides
         seconds = np.array([ride["end_s"] - ride["start_s"] for ride in rides])
         assert 0.02 < (seconds < 15).mean() < 0.12

@@ -1,4 +1,4 @@
-"""The simulated car, city and weather: balanced, switchable, plausible."""
+"""The simulated car conserves energy; car, city and weather are plausible."""
 
 from datetime import UTC, datetime
 
@@ -41,7 +41,7 @@ def perfect():
 class TestPhysics:
     @pytest.mark.parametrize("phenomena", [ALL_PHENOMENA, PLAIN_PHENOMENA])
     @pytest.mark.parametrize("start", [WINTER, SUMMER])
-    def test_parts_add_up_to_what_the_battery_gives(self, phenomena, start):
+    def test_parts_add_up_to_the_power_of_the_battery(self, phenomena, start):
         shift, _, car, state = drive_one_shift(start, phenomena=phenomena)
         terminal = state.voltage * state.current
         np.testing.assert_allclose(state.parts.sum(axis=1), terminal, rtol=1e-7, atol=1e-3)
@@ -50,7 +50,7 @@ class TestPhysics:
         assert (shift.soc - state.soc[-1]) * capacity == pytest.approx(inside, rel=1e-9)
 
     @pytest.mark.parametrize("name", Phenomena._fields)
-    def test_every_phenomenon_is_a_switch_that_matters(self, name):
+    def test_every_phenomenon_changes_the_result(self, name):
         start = SUMMER if name in {"solar_load", "humidity", "wet_road", "regen_full_battery"} else WINTER
         _, trace, car, _ = drive_one_shift(start, seed=8)
         car = car._replace(winter_rolling=0.15)
@@ -65,18 +65,18 @@ class TestPhysics:
         else:
             assert abs(measured[0] / measured[1] - 1) > 1e-5
 
-    def test_plain_is_rolling_climbing_drag_inertia_efficiency_and_climate(self):
+    def test_plain_physics_has_only_the_basic_parts_and_climate(self):
         _, _, _, state = drive_one_shift(phenomena=PLAIN_PHENOMENA)
         used = {part for part, energy in zip(PARTS, np.abs(state.parts).sum(axis=0), strict=True) if energy > 0}
         assert used == {"rolling", "climbing", "drag", "inertia", "powertrain_losses", "electronics", "cabin_heating"}
         assert state.loss.sum() == 0
 
-    def test_without_climate_nothing_is_heated_or_cooled(self):
+    def test_without_climate_there_is_no_heating_or_cooling(self):
         for start in (WINTER, SUMMER):
             _, _, _, state = drive_one_shift(start, phenomena=PLAIN_PHENOMENA._replace(climate=False))
             assert not state.hvac.any()
 
-    def test_inertia_and_climbing_give_back_what_they_took(self):
+    def test_inertia_and_climbing_are_conservative(self):
         shift, trace, car, state = drive_one_shift(hours=3)
         energy = dict(zip(PARTS, state.parts.sum(axis=0) * STEP, strict=True))
         kinetic = 0.5 * car.mass * shift.timeline.after[-1] ** 2
@@ -84,14 +84,14 @@ class TestPhysics:
         height = trace.elevation[-1] - trace.elevation[0]
         assert energy["climbing"] == pytest.approx(car.mass * 9.80665 * height, abs=0.01 * energy["rolling"])
 
-    def test_a_cold_cabin_and_pack_warm_up(self):
+    def test_cold_cabin_and_pack_warm_up(self):
         _, trace, _, state = drive_one_shift()
         assert state.cabin[0] < 0 < 15 < state.cabin[2400]
         assert state.hvac[200] > 1.3 * np.median(state.hvac[-2400:])
         assert state.pack[-1] > trace.ambient[0]
 
     @pytest.mark.parametrize("model", sorted(load_catalogue()))
-    def test_every_car_of_the_catalogue_gets_through_the_winter(self, model):
+    def test_every_car_of_the_catalogue_completes_winter_shifts(self, model):
         cold = Simulation(vehicles=4, start=datetime(2018, 1, 20, tzinfo=UTC), seed=6, models=(model,))
         truth = run_simulation(cold)[1]
         assert min(ride["soc_end_pct"] for ride in truth.rides) > 2
@@ -109,7 +109,7 @@ class TestPhysics:
 
 
 class TestWorld:
-    def test_weather_has_seasons_and_persists(self):
+    def test_weather_has_seasons_and_persistence(self):
         sky = make_sky(datetime(2018, 1, 1, tzinfo=UTC).timestamp(), 365, 3)
         month = np.array([datetime.fromtimestamp(t, UTC).month for t in sky.time])
         assert -16 < sky.temperature[month == 1].mean() < -4
@@ -126,15 +126,17 @@ class TestWorld:
         assert sky.snow[month == 7].max() < 0.01 < sky.snow[month == 1].mean()
         assert sky.solar[compute_sun_height(sky.time) == 0].max() == 0
 
-    def test_weather_is_published_hourly(self, perfect):
-        seen = [msgspec.json.decode(m.payload, type=Weather) for m in perfect[0] if m.key.startswith("weather/")]
-        for station in {row.station_id for row in seen}:
-            times = [row.time_s for row in seen if row.station_id == station]
+    def test_stations_publish_weather_every_hour(self, perfect):
+        observations = [
+            msgspec.json.decode(m.payload, type=Weather) for m in perfect[0] if m.key.startswith("weather/")
+        ]
+        for station in {row.station_id for row in observations}:
+            times = [row.time_s for row in observations if row.station_id == station]
             assert set(np.diff(times)) == {3600.0}
-        assert {row.station_id for row in seen} == {"mctavish", "yul", "yhu"}
+        assert {row.station_id for row in observations} == {"mctavish", "yul", "yhu"}
 
     @given(st.integers(0, 10_000), st.floats(400, 25_000))
-    def test_routes_are_driven_on_streets(self, seed, distance):
+    def test_routes_follow_streets(self, seed, distance):
         rng = np.random.default_rng(seed)
         start = find_crossing(float(rng.uniform(-9000, 9000)), float(rng.uniform(-6000, 6000)))
         goal = draw_destination(*start, distance, rng)
@@ -151,7 +153,7 @@ class TestWorld:
         assert (np.diff(way.along) > 0).all()
         assert len(way.limit) == len(way.turn) == len(way.along) - 1
 
-    def test_the_ground_is_smooth_with_a_hill_in_the_middle(self):
+    def test_ground_is_smooth_with_a_hill_in_the_centre(self):
         x = np.arange(-9000.0, 9000.0, 10.0)
         for y in (-4000.0, 0.0, 2500.0):
             slope = np.diff(compute_elevation(x, np.full_like(x, y))) / 10.0
@@ -166,7 +168,7 @@ class TestWorld:
         assert sum(len(line.tunnels) for line in EXPRESSWAYS) >= 3
         assert all(900 <= 1.2 * (end - begin) < 2000 for line in EXPRESSWAYS for begin, end in line.tunnels)
 
-    def test_driving_keeps_to_physics(self):
+    def test_driving_has_plausible_speeds_and_accelerations(self):
         shift, trace, _, _ = drive_one_shift(hours=3)
         timeline = shift.timeline
         assert timeline.after.min() == 0

@@ -1,4 +1,4 @@
-"""The preset `teo`: the paper's fleet in small, in its proportions, and what a taxi in Montreal goes through."""
+"""The preset `teo` simulates the fleet of the paper at a smaller size and in its proportions."""
 
 import json
 import re
@@ -23,8 +23,8 @@ from tools.cli import main
 from tools.simulator.cars import make_car
 from tools.simulator.driver import drive_route
 from tools.simulator.fleet import simulate
-from tools.simulator.preset import WINTER as TYRES
 from tools.simulator.preset import (
+    WINTER_TYRE_SEASON,
     YEAR,
     apportion_total,
     draw_distances,
@@ -58,7 +58,7 @@ ALL_RIDES = 193_347
 
 @pytest.fixture(scope="module")
 def year():
-    """Return a small fleet's truth and its ride table."""
+    """Return the truth and the ride table of a small fleet."""
     messages, truth = run_simulation(SMALL)
     pipeline = Pipeline(keep_forecasts=False)
     pipeline.push(messages)
@@ -77,62 +77,70 @@ def logged():
 
 
 def tabulate_rides(truth):
-    """Return the true rides that carried somebody."""
+    """Return the true rides with passengers."""
     rides = pd.DataFrame(truth.rides)
     rides["model"] = [truth.cars[name]["model"] for name in rides["vehicle_id"]]
     rides["ambient_season"] = is_winter(rides["start_s"].to_numpy())
     return rides[rides["distance_km"] > 0].reset_index(drop=True)
 
 
-def clusters_of(metres):
+def count_clusters(metres):
     return np.bincount(np.minimum(metres // 5000, 6).astype(int), minlength=7)
 
 
 class TestPlan:
-    def test_the_file_has_table_2(self):
+    def test_preset_has_the_rides_of_table_2(self):
         assert {model: tuple(table["rides"]) for model, table in TEO.models.items()} == TABLE_2
         assert sum(map(sum, TABLE_2.values())) == ALL_RIDES
 
     @pytest.mark.parametrize("rides", [800, 20_000])
-    def test_rides_come_in_the_papers_proportions(self, rides):
-        places = plan_cars(TEO, rides, 3)
+    def test_rides_have_the_proportions_of_the_paper(self, rides):
+        cars_planned = plan_cars(TEO, rides, 3)
         for model, counts in TABLE_2.items():
             metres = np.concatenate(
-                [d.distances for place in places if place.model == model for d in place.planned_shifts]
+                [
+                    d.distances
+                    for planned_car in cars_planned
+                    if planned_car.model == model
+                    for d in planned_car.planned_shifts
+                ]
             )
-            wanted = np.array(counts) / ALL_RIDES * rides
-            assert len(metres) == pytest.approx(wanted.sum(), abs=1)
-            np.testing.assert_allclose(clusters_of(metres), wanted, atol=2)
+            expected = np.array(counts) / ALL_RIDES * rides
+            assert len(metres) == pytest.approx(expected.sum(), abs=1)
+            np.testing.assert_allclose(count_clusters(metres), expected, atol=2)
 
-    def test_every_car_drives_in_all_seasons_and_once_a_day_at_most(self):
+    def test_every_car_drives_in_all_seasons_at_most_once_a_day(self):
         for rides in (20_000, 400_000):
-            for place in plan_cars(TEO, rides, 5):
-                days = [duty.day for duty in place.planned_shifts]
+            for planned_car in plan_cars(TEO, rides, 5):
+                days = [planned_shift.day for planned_shift in planned_car.planned_shifts]
                 assert all(a < b for a, b in pairwise(days))
                 assert 0 <= days[0] < YEAR / 4 < 3 * YEAR / 4 < days[-1] < YEAR
 
-    def test_cars_are_shared_and_drivers_keep_their_ways(self):
-        places = plan_cars(TEO, 20_000, 5)
-        ways, cars = {}, {}
-        for number, place in enumerate(places):
-            for duty in place.planned_shifts:
-                assert ways.setdefault(duty.driver.name, duty.driver) == duty.driver
-                cars.setdefault(duty.driver.name, set()).add(number)
-        assert len({driver.style for driver in ways.values()}) == len(ways) > len(places) > 40
+    def test_drivers_share_cars_and_keep_their_style(self):
+        cars_planned = plan_cars(TEO, 20_000, 5)
+        drivers, cars = {}, {}
+        for number, planned_car in enumerate(cars_planned):
+            for planned_shift in planned_car.planned_shifts:
+                assert drivers.setdefault(planned_shift.driver.name, planned_shift.driver) == planned_shift.driver
+                cars.setdefault(planned_shift.driver.name, set()).add(number)
+        assert len({driver.style for driver in drivers.values()}) == len(drivers) > len(cars_planned) > 40
         assert min(map(len, cars.values())) > 3
-        assert all(len({duty.driver.name for duty in place.planned_shifts}) > 5 for place in places)
+        assert all(
+            len({planned_shift.driver.name for planned_shift in planned_car.planned_shifts}) > 5
+            for planned_car in cars_planned
+        )
 
     @given(st.lists(st.integers(0, 10_000), min_size=3, max_size=7), st.integers(1, 3000), st.integers(0, 99))
-    def test_distances_fill_clusters_as_they_should(self, counts, number, seed):
+    def test_distances_fill_clusters_in_proportion(self, counts, number, seed):
         counts = np.array([1 + max(counts), *counts])[:7]
         metres = draw_distances(counts, number, np.random.default_rng(seed))
         assert len(metres) == number
         assert 350 <= metres.min() <= metres.max() <= 34e3
-        wanted = counts / counts.sum() * number
-        assert np.abs(np.cumsum(clusters_of(metres))[: len(counts)] - np.cumsum(wanted)).max() < 1.5
+        expected = counts / counts.sum() * number
+        assert np.abs(np.cumsum(count_clusters(metres))[: len(counts)] - np.cumsum(expected)).max() < 1.5
 
     @given(st.lists(st.integers(1, 1000), min_size=1, max_size=9), st.integers(0, 5000))
-    def test_apportioned_numbers_are_whole_and_add_up(self, shares, total):
+    def test_apportioned_numbers_add_up(self, shares, total):
         numbers = apportion_total(np.array(shares), total)
         assert sum(numbers) == total
         exact = np.array(shares) / sum(shares) * total
@@ -141,35 +149,35 @@ class TestPlan:
     @pytest.mark.parametrize(
         ("day", "on"), [((12, 14), False), ((12, 15), True), ((2, 1), True), ((3, 15), True), ((3, 16), False)]
     )
-    def test_winter_tyres_are_on_from_15_december_to_15_march(self, day, on):
+    def test_winter_tyres_are_mounted_from_15_december_to_15_march(self, day, on):
         assert is_winter_tyre_season(datetime(2018, *day, 12, tzinfo=UTC).timestamp()) is on
-        assert TYRES == SEASON
+        assert WINTER_TYRE_SEASON == SEASON
 
 
 class TestRideTable:
-    def test_clusters_of_driven_distance_keep_the_proportions(self, year):
+    def test_driven_distances_have_the_proportions_of_the_paper(self, year):
         rides = year[1][year[1]["fit_for_training"]]
         for model, counts in TABLE_2.items():
-            own = rides[rides["vehicle_model"] == model]
-            share = np.bincount(own["cluster"], minlength=7) / len(own)
-            wanted = np.array(counts) / sum(counts)
-            assert np.abs(share - wanted).max() < 0.02 + 2 / len(own), model
-            assert len(own) / len(rides) == pytest.approx(sum(counts) / ALL_RIDES, abs=0.02)
+            group = rides[rides["vehicle_model"] == model]
+            share = np.bincount(group["cluster"], minlength=7) / len(group)
+            expected = np.array(counts) / sum(counts)
+            assert np.abs(share - expected).max() < 0.02 + 2 / len(group), model
+            assert len(group) / len(rides) == pytest.approx(sum(counts) / ALL_RIDES, abs=0.02)
 
-    def test_consumption_is_about_the_papers(self, year):
+    def test_consumption_agrees_with_the_paper(self, year):
         rides, filled = year[1][year[1]["fit_for_training"]], 0
-        for (model, cluster), own in rides.groupby(["vehicle_model", "cluster"]):
-            if len(own) < 15 or cluster > 3:
+        for (model, cluster), group in rides.groupby(["vehicle_model", "cluster"]):
+            if len(group) < 15 or cluster > 3:
                 continue
             filled += 1
-            shifts = own["ride_id"].str.rsplit("-", n=1).str[0]  # rides of a shift share car, driver and weather
-            residuals = (own["energy_kwh"] - own["energy_kwh"].mean()).groupby(shifts).sum()
-            error = float(np.sqrt((residuals**2).sum())) / len(own)
+            shifts = group["ride_id"].str.rsplit("-", n=1).str[0]  # rides of a shift share car, driver and weather
+            residuals = (group["energy_kwh"] - group["energy_kwh"].mean()).groupby(shifts).sum()
+            error = float(np.sqrt((residuals**2).sum())) / len(group)
             paper = TABLE_3[model][cluster]
-            assert abs(own["energy_kwh"].mean() - paper) < 0.15 * paper + 3 * error, (model, cluster)
+            assert abs(group["energy_kwh"].mean() - paper) < 0.15 * paper + 3 * error, (model, cluster)
         assert filled >= 8
 
-    def test_a_seventh_is_unfit(self, year):
+    def test_one_seventh_of_the_rides_is_unfit(self, year):
         unfit = 1 - year[1]["fit_for_training"].mean()
         assert unfit == pytest.approx(28_283 / ALL_RIDES, abs=0.04)
         assert {"too_short", "too_long"} <= set(year[1]["unfit_reason"].dropna())
@@ -181,7 +189,7 @@ class TestRideTable:
         for column in ("energy_kwh", "odometer_km", "ambient_c", "wind_speed_kmh", "time_since_charge_s"):
             assert rides[column].notna().mean() > 0.99, column
 
-    def test_it_gets_as_cold_and_as_hot_as_in_montreal(self, year):
+    def test_temperatures_are_those_of_montreal(self, year):
         ambient = year[1]["ambient_c"]
         assert -36 < ambient.min() < -14
         assert 24 < ambient.max() < 33
@@ -194,24 +202,24 @@ class TestRideTable:
 
 
 class TestTruth:
-    def test_weather_reaches_the_extremes_that_were_asked_for(self):
+    def test_weather_reaches_the_requested_extremes(self):
         mild, wild = (make_sky(WINTER.timestamp(), 365, 4, extremes) for extremes in (None, (-30.5, 30.5)))
         clock = (wild.time + UTC_OFFSET) / 3600 % 24
         by_day = wild.temperature[(clock >= 7) & (clock <= 19)]
         assert (by_day.min(), by_day.max()) == pytest.approx((-30.5, 30.5))
         assert -38 < wild.temperature.min() < wild.temperature.max() < 38
-        usual = np.abs(mild.temperature - np.median(mild.temperature)) < 8
-        np.testing.assert_array_equal(mild.temperature[usual], wild.temperature[usual])
+        moderate = np.abs(mild.temperature - np.median(mild.temperature)) < 8
+        np.testing.assert_array_equal(mild.temperature[moderate], wild.temperature[moderate])
         assert (np.diff(wild.temperature[np.argsort(mild.temperature)]) >= -1e-9).all()
 
-    def test_winter_tyres_roll_harder_in_winter_only(self, year):
+    def test_winter_tyres_add_rolling_resistance_in_winter_only(self, year):
         parts = pd.DataFrame([ride["parts_kwh"] for ride in year[0].rides if ride["distance_km"] > 0])
         winter = tabulate_rides(year[0])["ambient_season"] == 1
         share = (parts["winter_tyres"].fillna(0) / parts["rolling"]).to_numpy()
         np.testing.assert_allclose(share[winter], 0.15, rtol=0.02)
         assert share[~winter].max() == 0
 
-    def test_without_the_phenomenon_no_tyres_are_changed(self):
+    def test_without_the_phenomenon_there_are_no_winter_tyres(self):
         _, truth = run_simulation(replace(SMALL, rides=100, phenomena=ALL_PHENOMENA._replace(winter_tyres=False)))
         assert "winter_tyres" not in truth.summary()["parts_kwh"]
 
@@ -221,9 +229,9 @@ class TestTruth:
         inside = rides["energy_kwh"] + rides["battery_resistance_kwh"]
         rides["capacity"] = 100 * inside / (rides["soc_start_pct"] - rides["soc_end_pct"])
         slopes = {}
-        for name, own in rides.groupby("vehicle_id"):
-            years = (own["start_s"] - own["start_s"].min()) / (YEAR * 86400)
-            slope, new = np.polyfit(years, own["capacity"] / own["capacity"].iloc[0], 1, w=inside[own.index])
+        for name, group in rides.groupby("vehicle_id"):
+            years = (group["start_s"] - group["start_s"].min()) / (YEAR * 86400)
+            slope, new = np.polyfit(years, group["capacity"] / group["capacity"].iloc[0], 1, w=inside[group.index])
             slopes[name] = slope / new
         assert max(slopes.values()) < 0
         wear = {name: year[0].cars[name]["wear"] for name in slopes}
@@ -231,7 +239,7 @@ class TestTruth:
         gained = {name: 110e3 * YEAR / year[0].cars[name]["odometer"] for name in slopes}
         assert [lost[name] for name in slopes] == pytest.approx([gained[name] for name in slopes], rel=0.1)
 
-    def test_drivers_differ_in_what_they_use(self):
+    def test_drivers_differ_in_speed_and_warmth(self):
         kia = make_car("kia-soul-ev-2015", np.random.default_rng(1))
         way = make_route((0.0, 0.0), (2800.0, 2200.0), np.random.default_rng(2))
         speeds = [
@@ -240,43 +248,49 @@ class TestTruth:
         ]
         assert np.std(speeds) > 0.02 * np.mean(speeds)
         assert np.std([driver.warmth for driver in make_drivers(30, 4)]) == pytest.approx(1.5, rel=0.4)
-        duty = plan_cars(TEO, 100, 1)[0].planned_shifts[0]
+        planned_shift = plan_cars(TEO, 100, 1)[0].planned_shifts[0]
         shift = make_shift(
-            "r", SUMMER.timestamp(), make_orders(TEO.fleet, duty), kia, 20.0, NO_FAULTS, np.random.default_rng(3)
+            "r",
+            SUMMER.timestamp(),
+            make_orders(TEO.fleet, planned_shift),
+            kia,
+            20.0,
+            NO_FAULTS,
+            np.random.default_rng(3),
         )
-        assert {trip.driver_id for trip in shift.trips} == {duty.driver.name}
+        assert {trip.driver_id for trip in shift.trips} == {planned_shift.driver.name}
         metres = [shift.timeline.moved[shift.timeline.ride == ride].sum() for ride in range(len(shift.trips))]
-        np.testing.assert_allclose(metres, duty.distances, rtol=0.1, atol=250)
+        np.testing.assert_allclose(metres, planned_shift.distances, rtol=0.1, atol=250)
 
 
 class TestLogger:
-    def test_sends_what_the_papers_loggers_sent(self, logged):
+    def test_loggers_send_the_fields_of_the_paper(self, logged):
         _, rows = logged
         for field in ("battery_voltage_v", "battery_current_a", "battery_temperature_c", "hvac_w", "ambient_c"):
             assert field not in rows, field
         for field in ("soc_pct", "odometer_km", "speed_kmh", "latitude_deg", "elevation_m"):
             assert rows[field].notna().all(), field
-        for _, own in rows.groupby("vehicle_id"):
-            assert own["time_s"].is_monotonic_increasing
-            assert own["odometer_km"].is_monotonic_increasing
-            years = (own["time_s"].max() - own["time_s"].min()) / (YEAR * 86400)
-            assert own["odometer_km"].max() - own["odometer_km"].min() == pytest.approx(110 * YEAR * years, abs=200)
+        for _, group in rows.groupby("vehicle_id"):
+            assert group["time_s"].is_monotonic_increasing
+            assert group["odometer_km"].is_monotonic_increasing
+            years = (group["time_s"].max() - group["time_s"].min()) / (YEAR * 86400)
+            assert group["odometer_km"].max() - group["odometer_km"].min() == pytest.approx(110 * YEAR * years, abs=200)
 
-    def test_state_of_charge_comes_in_the_steps_of_the_model(self, logged):
+    def test_state_of_charge_has_the_steps_of_the_model(self, logged):
         truth, rows = logged
         steps = {truth.cars[name]["model"]: truth.cars[name]["soc_step"] for name in truth.cars}
         assert len(set(steps.values())) > 1
-        for name, own in rows.groupby("vehicle_id"):
-            levels = own["soc_pct"].to_numpy() / truth.cars[name]["soc_step"]
+        for name, group in rows.groupby("vehicle_id"):
+            levels = group["soc_pct"].to_numpy() / truth.cars[name]["soc_step"]
             np.testing.assert_allclose(levels, np.round(levels), atol=1e-2)
 
 
 class TestCommand:
     @pytest.mark.parametrize(
-        ("arguments", "wanted"),
+        ("arguments", "expected"),
         [
             (["--preset", "uber"], "no preset is called 'uber'; choose from teo"),
-            (["--rides", "500"], "--rides is for a preset: name one, such as --preset teo"),
+            (["--rides", "500"], "--rides needs a preset; give one such as --preset teo"),
             (
                 ["--preset", "teo", "--vehicles", "3", "--day-step", "2"],
                 "preset teo has its own --vehicles, --day-step",
@@ -284,16 +298,16 @@ class TestCommand:
             (["--preset", "teo", "--rides", "5"], "rides is 5; give 100 to 1000000"),
         ],
     )
-    def test_what_cannot_be_is_said_in_a_line(self, arguments, wanted, tmp_path, capsys):
+    def test_wrong_settings_give_an_error_of_one_line(self, arguments, expected, tmp_path, capsys):
         with pytest.raises(SystemExit) as ended:
             main(["simulate", "--out", str(tmp_path / "x.mcap"), *arguments])
         assert ended.value.code == 2
-        told = capsys.readouterr().err
-        assert re.fullmatch(r"socast: [^\n]+\n", told), told
-        assert wanted in told
+        error = capsys.readouterr().err
+        assert re.fullmatch(r"socast: [^\n]+\n", error), error
+        assert expected in error
         assert not list(tmp_path.iterdir())
 
-    def test_goes_with_seed_start_hidden_phenomena_and_faults(self, tmp_path, capsys):
+    def test_preset_combines_with_seed_start_hidden_phenomena_and_faults(self, tmp_path, capsys):
         out = tmp_path / "small.mcap"
         with pytest.raises(SystemExit) as ended:
             main(
@@ -303,23 +317,23 @@ class TestCommand:
         assert ended.value.code == 0
         assert "hidden: headwind" in capsys.readouterr().out
         truth = json.loads(out.with_suffix(".truth.json").read_text())
-        asked = truth["simulation"]
-        assert (asked["preset"], asked["rides"], asked["seed"]) == ("teo", 100, 4)
-        assert not {"vehicles", "days", "models"} & set(asked)
-        assert "snow" not in asked["phenomena"]
-        assert truth["total"]["rides"] == 100  # nobody begins by mistake
+        settings = truth["simulation"]
+        assert (settings["preset"], settings["rides"], settings["seed"]) == ("teo", 100, 4)
+        assert not {"vehicles", "days", "models"} & set(settings)
+        assert "snow" not in settings["phenomena"]
+        assert truth["total"]["rides"] == 100  # without false starts
         assert Counter(truth["total"]["faults"])["gap"] > 0 == Counter(truth["total"]["faults"])["jitter"]
         first = min(ride["start_s"] for ride in truth["rides"])
         assert datetime(2019, 7, 1, tzinfo=UTC).timestamp() < first
         assert truth["total"]["hidden"]["headwind"]["absolute_share"] == pytest.approx(0.03, rel=0.2)
 
-    def test_the_same_seed_gives_the_same_messages(self):
+    def test_same_seed_gives_same_messages(self):
         first, again, other = (
             list(islice(simulate(replace(SMALL, rides=100, seed=seed)), 5000)) for seed in (21, 21, 22)
         )
         assert first == again != other
 
-    def test_plain_fleets_keep_their_own_size(self):
+    def test_simulation_without_preset_has_its_own_size(self):
         with pytest.raises(SettingsError, match="rides is 10; give 100"):
             replace(SMALL, rides=10)
         _, truth = run_simulation(Simulation(vehicles=1, start=WINTER, shift_hours=0.5))
