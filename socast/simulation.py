@@ -4,7 +4,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from tools.commands.simulate import record as _record
+from tools.commands.simulate import write_simulation as _write_simulation
 from tools.simulator.settings import Simulation as _Simulation
 from tools.simulator.settings import parse_faults as _parse_faults
 from tools.simulator.settings import parse_hidden as _parse_hidden
@@ -66,5 +66,5 @@ def simulate_fleet(
         faults=_parse_faults(faults),
         **size,
     )
-    summary: dict[str, Any] = _record(simulation, Path(path)).summary()
+    summary: dict[str, Any] = _write_simulation(simulation, Path(path)).summary()
     return summary
