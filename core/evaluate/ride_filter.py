@@ -35,6 +35,8 @@ NEEDED_COLUMNS: Final = (
 """Columns of the ride table that judging needs, whatever the models need."""
 NUMERIC_COLUMNS: Final = ("start_s", "winter", "distance_km", "ambient_c", "energy_kwh")
 """Those of them that are numbers."""
+RIDE_NAME_COLUMNS: Final = ("ride_key", "ride_id")
+"""Columns that name a ride, in the order of preference."""
 IDENTITY_COLUMNS: Final = ("vehicle_id", "start_s", "distance_km", "energy_kwh")
 """Rides that agree in these are one ride that was read twice; it must not be on both sides of a split."""
 
@@ -113,6 +115,27 @@ def filter_rides(rides: pd.DataFrame) -> EvaluatedRides:
             f"{CLUSTER_KM:g} km, and it takes {LEAST_RIDES}: give more rides (left out: {told})"
         )
     return found
+
+
+def name_rides(rides: pd.DataFrame) -> list[str]:
+    """Return the name of each ride, as every report shows it: `vehicle#ride`.
+
+    Parameters
+    ----------
+    rides : (n, columns) DataFrame
+        Rides. The name is the column `ride_key`; without it the logger's `ride_id`, and without both the index.
+
+    Returns
+    -------
+    list of n str
+
+    Examples
+    --------
+    >>> name_rides(pd.DataFrame({"ride_id": ["morning"], "ride_key": ["taxi-005#1"]}))
+    ['taxi-005#1']
+    """
+    column = next((name for name in RIDE_NAME_COLUMNS if name in rides), None)
+    return (rides.index.to_series() if column is None else rides[column]).astype(str).tolist()
 
 
 def assign_distance_clusters(distance_km: Floats) -> Codes:

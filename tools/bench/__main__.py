@@ -9,7 +9,6 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.progress import Progress
-from rich.table import Table
 
 from tools.bench.filters import filters
 from tools.bench.hidden.page import kept, placed
@@ -18,6 +17,7 @@ from tools.bench.live import live
 from tools.bench.measures import Measure, memory, replay, scale
 from tools.bench.nights import nights
 from tools.bench.startup import effects_start, help_start, version_start
+from tools.terminal.rich_table import Column, make_table
 
 MEASURES: tuple[Callable[[], Measure], ...] = (
     live,
@@ -40,7 +40,8 @@ def main() -> None:
     console = Console()
     with Progress(console=Console(stderr=True), transient=True) as progress:
         measures = [measure() for measure in progress.track(MEASURES, description="measuring")]
-    table = Table("what", "against", "ratio", "goal", "", title="Ratios of speed, measured in turn in one run")
+    columns = [Column("what"), Column("against"), Column("ratio", number=True), Column("goal"), Column("")]
+    table = make_table(columns, "Ratios of speed, measured in turn in one run")
     for found in measures:
         mark = "met" if found.met else "missed"
         table.add_row(found.name, found.over, f"{found.ratio:.2f}", found.goal, mark)

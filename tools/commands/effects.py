@@ -14,6 +14,7 @@ from core.errors import SettingsError
 from core.formatting import everyday
 from tools.terminal.effect_template import blank, from_effect
 from tools.terminal.output import EffectFiles, JsonFile, printer, writable, write_json
+from tools.terminal.rich_table import Column, make_description, make_table
 
 app = typer.Typer(help="The physical effects that models are made of, and your own.", no_args_is_help=True)
 
@@ -44,13 +45,7 @@ def show(
     """Show all that is declared of an effect: source, what it is confused with, what shows it, its parameters."""
     effect = effects.get(name)
     topic = next(topic for topic, found in effects.group_by_topic().items() if effect.base in [e.name for e in found])
-    table = Table(show_header=False, box=None, pad_edge=False)
-    table.add_column(no_wrap=True, style="bold")
-    table.add_column(ratio=1)
-    for what, said in _told(effect, topic):
-        if said:
-            table.add_row(what, Text(said))
-    printer().print(table)
+    printer().print(make_description([(name, Text(text)) for name, text in _told(effect, topic) if text]))
     write_json(json_file, _plain(effect, topic))
 
 
@@ -116,12 +111,14 @@ def _told(effect: Effect, topic: str) -> list[tuple[str, str]]:
 
 def _table() -> Table:
     """Return the table that effects are listed in."""
-    table = Table()
-    table.add_column("effect", no_wrap=True)
-    table.add_column("formula", ratio=1)
-    table.add_column("coefficient", ratio=1)
-    table.add_column("plausible", no_wrap=True)
-    return table
+    return make_table(
+        [
+            Column("effect", fixed=True),
+            Column("formula", ratio=1),
+            Column("coefficient", ratio=1),
+            Column("plausible", fixed=True),
+        ]
+    )
 
 
 def _add(table: Table, effect: Effect) -> None:

@@ -8,7 +8,6 @@ from typing import Annotated, Any
 import msgspec
 import typer
 from rich.console import Console
-from rich.table import Table
 from scipy.special import stdtrit
 
 from core import models
@@ -24,6 +23,7 @@ from core.vehicles import AccessoryCurve
 from tools.commands.tables import RIDES, WINDOWS
 from tools.terminal.output import JsonFile, printer, writable, write_json
 from tools.terminal.recordings import refuse_twice
+from tools.terminal.rich_table import Column, make_table
 
 Tables = Annotated[
     list[Path],
@@ -166,9 +166,8 @@ def show(model: LinearModel, title: str, console: Console) -> None:
             if name not in model.fits:
                 console.print(f"{name}: {n} rides are too few for a fit of its own", highlight=False, soft_wrap=True)
     errors = in_sample(model)
-    table = Table("vehicle model", title=title)
-    for heading in ("rides", "MAE in sample, kWh", "residual SD, kWh"):
-        table.add_column(heading, justify="right")
+    numbers = ("rides", "MAE in sample, kWh", "residual SD, kWh")
+    table = make_table([Column("vehicle model"), *(Column(head, number=True) for head in numbers)], title)
     for key, found in model.fits.items():
         left_sd = "" if found.residual_sd_kwh is None else f"{found.residual_sd_kwh:.3f}"
         error = f"{errors[key]:.3f}" if key in errors else ""
@@ -195,9 +194,8 @@ def _show_coefficients(model: LinearModel, console: Console) -> None:
     if not any(found.covariance for found in model.fits.values()):
         return
     shown = [term for term in model.terms if _physical(term)] or list(model.terms[:12])
-    table = Table("coefficient", "unit", title="Coefficients with 95 % intervals")
-    for key in model.fits:
-        table.add_column(key, justify="right")
+    columns = [Column("coefficient"), Column("unit"), *(Column(key, number=True) for key in model.fits)]
+    table = make_table(columns, "Coefficients with 95 % intervals")
     cells = {key: {t.name: (c, half) for t, c, half in intervals(model, found)} for key, found in model.fits.items()}
     for term in shown:
         row = [_cell(*cells[key][term.name], held=term.name in model.fits[key].held) for key in model.fits]
@@ -224,9 +222,9 @@ def _show_curves(model: LinearModel, console: Console) -> None:
     curves = {key: found.curve for key, found in model.fits.items() if found.curve is not None}
     if not curves:
         return
-    table = Table("vehicle model", title="Accessory power: choke points in °C, levels in W")
-    for name in (*CHOKE_POINTS, *LEVELS):
-        table.add_column(name.replace("_", " "), justify="right")
+    heads = [name.replace("_", " ") for name in (*CHOKE_POINTS, *LEVELS)]
+    columns = [Column("vehicle model"), *(Column(head, number=True) for head in heads)]
+    table = make_table(columns, "Accessory power: choke points in °C, levels in W")
     for key, curve in curves.items():
         numbers = _celsius(curve)
         points = [f"{numbers[f'{name}_c']:.1f}" for name in CHOKE_POINTS]

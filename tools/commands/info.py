@@ -8,12 +8,12 @@ from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from core.wire.messages import OF_VEHICLES, address
 from stream.mcap_writer import McapSource
 from tools.terminal.output import JsonFile, printer, writable, write_json
 from tools.terminal.recordings import Recordings, opened, reading, warn_of_losses
+from tools.terminal.rich_table import Column, make_table
 
 MOST_TOPICS = 30
 """Topics shown on a terminal; the JSON has all."""
@@ -98,10 +98,7 @@ def _show(console: Console, what: dict[str, Any]) -> None:
         highlight=False,
         soft_wrap=True,
     )
-    table = Table()
-    table.add_column("topic")
-    table.add_column("messages", justify="right")
-    table.add_column("schema")
+    table = make_table([Column("topic"), Column("messages", number=True), Column("schema")])
     for topic, about in list(what["topics"].items())[:MOST_TOPICS]:
         table.add_row(escape(topic), f"{about['messages']:,}", escape(about["schema"]) or "none")
     if len(what["topics"]) > MOST_TOPICS:

@@ -9,7 +9,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import typer
 from rich.console import Console
-from rich.table import Table
 
 from core import effects, models
 from core.errors import SettingsError
@@ -21,6 +20,7 @@ from tools.terminal.cleaning_options import cleaned
 from tools.terminal.model_comparison import USUAL
 from tools.terminal.output import EffectFiles, JsonFile, ModelName, model_files, printer, writable, write_json
 from tools.terminal.recordings import Recordings, opened, reading, warn_of_losses
+from tools.terminal.rich_table import Column, make_table
 
 RIDES, WINDOWS, QUALITY = "rides.parquet", "windows.parquet", "quality.json"
 
@@ -141,10 +141,8 @@ def in_memory(recordings: Sequence[Path], wanted: Sequence[str]) -> tuple[pd.Dat
 
 def show(quality: dict[str, Any], rides: int, windows: int, folder: Path, console: Console) -> None:
     """Print what was read, repaired, rejected and written."""
-    table = Table(title="What was repaired, rejected or missing", title_justify="left")
-    table.add_column("cause")
-    table.add_column("count", justify="right")
-    table.add_column("of", justify="right")
+    columns = [Column("cause"), Column("count", number=True), Column("of", number=True)]
+    table = make_table(columns, "What was repaired, rejected or missing")
     samples = quality["received"].get("telemetry", 0)
     for cause, count in quality["samples"].items():
         if count:

@@ -9,18 +9,19 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 import pandas as pd
-from rich import box
 from rich.console import Console, Group
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from core.evaluate.ride_filter import name_rides
 from core.forecast.status import VehicleStatus
 from core.monitoring.shadow import Shadows
 from core.pipeline import Pipeline
 from stream.loop import Tally
 from tools.terminal.model_comparison import WIDE, models_table
 from tools.terminal.output import printer
+from tools.terminal.rich_table import Column, make_table
 
 REDRAW_S = 0.25
 """Time between two pictures on a terminal. [s]"""
@@ -34,6 +35,7 @@ MOST_RIDES = 60
 
 RIDE_COLUMNS = (
     "vehicle_id",
+    "ride_key",
     "ride_id",
     "vehicle_model",
     "start_s",
@@ -118,17 +120,7 @@ class Screen:
 
 def fleet_table(cars: Sequence[VehicleStatus], title: str, caption: str, rows: int, shadows: int = 0) -> Table:
     """Return a table with a row a car, at most `rows`, those heard of last; and a column for each of some shadows."""
-    table = Table(
-        title=title,
-        caption=caption,
-        caption_justify="left",
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-        expand=True,
-    )
-    table.add_column("car", no_wrap=True, min_width=8)
-    for name, width in (
+    numbers = (
         ("time", 8),
         ("SOC\n%", 5),
         ("ride\nkm", 6),
@@ -136,11 +128,14 @@ def fleet_table(cars: Sequence[VehicleStatus], title: str, caption: str, rows: i
         ("measured\nkWh", 8),
         ("off\n%", 4),
         ("at shift's\nend %", 10),
-    ):
-        table.add_column(name, justify="right", no_wrap=True, min_width=width)
-    for place in range(shadows):
-        table.add_column(f"by {place + 2}\nkWh", justify="right", no_wrap=True, min_width=6)
-    table.add_column("repaired or\nrejected", overflow="ellipsis", no_wrap=True, ratio=1)
+        *((f"by {place + 2}\nkWh", 6) for place in range(shadows)),
+    )
+    columns = [
+        Column("car", fixed=True, min_width=8),
+        *(Column(head, number=True, fixed=True, min_width=width) for head, width in numbers),
+        Column("repaired or\nrejected", fixed=True, ratio=1),
+    ]
+    table = make_table(columns, title, caption, expand=True)
     newest = sorted(sorted(cars, key=lambda car: car.time_s)[-rows:])
     for car in newest:
         riding = car.ride_distance_km > 0
@@ -216,20 +211,19 @@ def ride_records(rides: pd.DataFrame) -> list[dict[str, Any]]:
 
 def show_rides(console: Console, rides: pd.DataFrame, quality: dict[str, Any]) -> None:
     """Print a ride table with predictions, what the sums come to, and why rides are unfit for training."""
-    table = Table(
-        title="Rides, predicted against measured", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0)
-    )
     wide = console.width >= WIDE
-    for name in ("car", "ride", *(("start",) if wide else ())):
-        table.add_column(name, no_wrap=True)
-    for name in ("min", "km", *(("°C",) if wide else ()), "predicted kWh", "measured kWh", "off %"):
-        table.add_column(name.replace(" k", "\nk"), justify="right", no_wrap=True)
-    table.add_column("unfit for\ntraining", no_wrap=True)
-    for ride in ride_records(rides.tail(MOST_RIDES)):
+    numbers = ("min", "km", *(("°C",) if wide else ()), "predicted\nkWh", "measured\nkWh", "off %")
+    columns = [
+        *(Column(head, fixed=True) for head in ("ride", *(("start",) if wide else ()))),
+        *(Column(head, number=True, fixed=True) for head in numbers),
+        Column("unfit for\ntraining", fixed=True),
+    ]
+    table = make_table(columns, "Rides, predicted against measured")
+    shown = rides.tail(MOST_RIDES)
+    for name, ride in zip(name_rides(shown), ride_records(shown), strict=True):
         start = f"{datetime.fromtimestamp(ride['start_s'], UTC):%m-%d %H:%M}"
         table.add_row(
-            Text(ride["vehicle_id"]),
-            Text(ride["ride_id"]),
+            Text(name),
             *((start,) if wide else ()),
             _number(ride["duration_s"] / 60, 1),
             _number(ride["distance_km"], 2),

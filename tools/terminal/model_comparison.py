@@ -6,7 +6,6 @@ from typing import Annotated, Any, Final
 import msgspec
 import pandas as pd
 import typer
-from rich import box
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -14,6 +13,7 @@ from rich.text import Text
 from core import models
 from core.models import LinearModel
 from core.wire.messages import Gain, ModelErrors, RideErrors
+from tools.terminal.rich_table import Column, make_table
 
 USUAL: Final = "extended_physical"
 """The model where none is named."""
@@ -59,13 +59,12 @@ def loaded(names: Sequence[str] | None) -> list[LinearModel]:
 
 def models_table(told: Sequence[ModelErrors], *, wide: bool, by_vehicle_model: bool = False) -> Table:
     """Return a table with a row a model and, if wanted, below it one a vehicle model; with more columns where wide."""
-    table = Table(
-        title="Models, over rides fit for training", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0)
-    )
-    table.add_column("model", overflow="ellipsis", no_wrap=True, min_width=None if wide else 18)
-    for name, width in _WIDE if wide else _NARROW:
-        table.add_column(name, justify="right", no_wrap=True, min_width=width)
-    table.add_column("against\nfirst", no_wrap=True, min_width=8)
+    columns = [
+        Column("model", fixed=True, min_width=None if wide else 18),
+        *(Column(head, number=True, fixed=True, min_width=width) for head, width in (_WIDE if wide else _NARROW)),
+        Column("against\nfirst", fixed=True, min_width=8),
+    ]
+    table = make_table(columns, "Models, over rides fit for training")
     for place, model in enumerate(told, 1):
         table.add_row(Text(f"{place} {model.model}"), *_cells(model.overall, wide=wide))
         for errors in model.by_vehicle_model if by_vehicle_model else ():

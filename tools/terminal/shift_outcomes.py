@@ -5,13 +5,12 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
-from rich import box
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from core.evaluate.soc.cases import CUT_SHORT_MARGIN, MOST_FORECAST_AGE, SHIFT_KEY
 from core.pipeline import Pipeline
+from tools.terminal.rich_table import Column, make_table
 
 AHEAD: Final = {"2h": 7200.0, "1h": 3600.0}
 """Times before a shift's end at which its forecast is told. [s]"""
@@ -125,18 +124,13 @@ def show_outcomes(console: Console, shifts: list[dict[str, Any]]) -> None:
     if not any(told for shift in shifts for told in shift["forecasts"].values()):
         console.print(NO_INTERVALS, markup=False, highlight=False, soft_wrap=not console.is_terminal)
         return
-    table = Table(
-        title="Charge at the shift's end, forecast against outcome, %",
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-    )
-    for name in ("car", "shift, UTC"):
-        table.add_column(name, no_wrap=True)
-    for name in ("at its\nbeginning", "told\nthen", "2 h before\nthe end", "1 h before\nthe end", "became"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("held", no_wrap=True)
-    table.add_column("", no_wrap=True)
+    numbers = ("at its\nbeginning", "told\nthen", "2 h before\nthe end", "1 h before\nthe end", "became")
+    columns = [
+        *(Column(head, fixed=True) for head in ("car", "shift, UTC")),
+        *(Column(head, number=True, fixed=True) for head in numbers),
+        *(Column(head, fixed=True) for head in ("held", "")),
+    ]
+    table = make_table(columns, "Charge at the shift's end, forecast against outcome, %")
     for shift in shifts[-MOST_SHIFTS:]:
         table.add_row(*_cells(shift))
     if len(shifts) > MOST_SHIFTS:

@@ -14,7 +14,7 @@ import pandas as pd
 from core.batch import Floats
 from core.errors import ModelError
 from core.evaluate.binning import bin_rides
-from core.evaluate.ride_filter import find_exclusion_reasons
+from core.evaluate.ride_filter import find_exclusion_reasons, name_rides
 from core.models import ANY, LinearModel
 from core.stats import multiple_testing, scores
 from core.stats.clustered import assign_vehicle_days, compute_clustered_mean, compute_clustered_ratio
@@ -24,8 +24,6 @@ MOST_WORST_RIDES: Final = 10
 """Rides that are named."""
 MOST_RELATIVE_SD: Final = 0.2
 """Standard uncertainty over energy of a ride, at most, for its relative error to mean anything."""
-RIDE_NAME_COLUMNS: Final = ("ride_key", "ride_id")
-"""Columns that name a ride, the better one first."""
 RIDE_PROPERTIES: Final = ("vehicle_id", "vehicle_model", "date", "distance_km", "ambient_c", "average_speed_kmh")
 """What is told of a ride."""
 
@@ -62,9 +60,8 @@ class ComparedRides:
 
     @property
     def keys(self) -> list[str]:
-        """What names each ride."""
-        named = next((name for name in RIDE_NAME_COLUMNS if name in self.rides), None)
-        return self.rides.index.astype(str).tolist() if named is None else self.rides[named].astype(str).tolist()
+        """Name of each ride."""
+        return name_rides(self.rides)
 
 
 def select_rides(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> ComparedRides:

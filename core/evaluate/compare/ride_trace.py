@@ -16,8 +16,9 @@ import pandas as pd
 
 from core.batch import Floats
 from core.errors import ModelError
-from core.evaluate.compare.models import RIDE_NAME_COLUMNS, RIDE_PROPERTIES
+from core.evaluate.compare.models import RIDE_PROPERTIES
 from core.evaluate.compare.running import accumulate_windows
+from core.evaluate.ride_filter import RIDE_NAME_COLUMNS
 from core.models import LinearModel
 
 LEAST_SHARE: Final = 0.5

@@ -12,7 +12,6 @@ from typing import Any, get_args
 
 from rich.console import Console
 from rich.progress import Progress
-from rich.table import Table
 
 from core.diagnose.diagnosis import diagnose
 from core.errors import SettingsError, SocastError
@@ -24,6 +23,7 @@ from tools.bench.hidden.parts import PARTS, SEEDS, SHARES, Choice, sampled
 from tools.bench.hidden.recording import Measurement
 from tools.bench.hidden.running import PROCESSES, Task, run, tasks
 from tools.simulator.hidden import EFFECTS
+from tools.terminal.rich_table import Column, make_table
 
 ROOT = Path(__file__).parent.parent.parent.parent
 RECORDS = "bench-hidden.json"
@@ -146,7 +146,8 @@ def collected(todo: list[Task], keep: Path | None, processes: int, console: Cons
 
 def show(records: list[Record], console: Console) -> None:
     """Print the figures."""
-    table = Table("figure", "goal", "is", "of", "", title="Hidden effects")
+    columns = [Column("figure"), Column("goal"), Column("is", number=True), Column("of", number=True), Column("")]
+    table = make_table(columns, "Hidden effects")
     for figure in figures(records):
         if figure.of:
             table.add_row(figure.what, figure.goal, figure.text, str(figure.of), "met" if figure.met else "missed")

@@ -55,7 +55,7 @@ def write(result: Any, path: Path) -> None:
     if "trace" in found:
         drawn = traced.build_illustrations(found["trace"])
         ride = get_part(found, "trace", "ride")
-        title = f"Ride {ride.get('ride_key') or ride.get('ride_id')}"
+        title = f"Ride {ride['ride_key']}"
         page = render_document(
             title, "", build_trace_sections(found["trace"]), lambda key: drawn if key == "trace" else [], made_by
         )

@@ -2,7 +2,6 @@
 
 from typing import Any, Final
 
-from rich import box
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -11,6 +10,7 @@ from core.evaluate.paper import published
 from core.evaluate.paper.results import to_json_values
 from tools.report.cells import PAPER_NOTE, Cell, ReportTable
 from tools.report.evaluation.sections import Section, build_sections
+from tools.terminal.rich_table import Column, make_table
 
 LAST: Final = "glance"
 """The section that ends the output, where the eye is."""
@@ -49,12 +49,8 @@ def print_section(section: Section, console: Console) -> None:
 
 
 def _table(table: ReportTable) -> Table:
-    """Return a table as rich prints it: without upright lines, so that figures have the room."""
-    title = Text(table.title, style="bold")
-    made = Table(title=title, title_justify="left", header_style="", box=box.HORIZONTALS, pad_edge=False)
-    made.add_column(Text(table.corner), overflow="fold")
-    for head in table.columns:
-        made.add_column(Text(head), justify="right", overflow="fold")
+    """Return a table of a report as rich prints it."""
+    made = make_table([Column(table.corner), *(Column(head, number=True) for head in table.columns)], table.title)
     for i, row in enumerate(table.rows):
         ends = row.total or (i + 1 < len(table.rows) and table.rows[i + 1].total)
         made.add_row(Text(row.name), *(_cell(cell) for cell in row.cells), end_section=ends)
