@@ -1,71 +1,132 @@
-"""The documentation is true: its commands run, every command is told of, and links lead somewhere."""
+"""The commands of the pages run and print what the pages show; the tutorial finds the hidden effect."""
 
+import json
 import re
-import shlex
-import subprocess
-import sys
+from collections import defaultdict
+from itertools import pairwise
+from statistics import mean
 
 import pytest
 
-from core.forecast.plan_checks import FASTEST_KMH, LEG_LIMITS, MOST_LEGS, PAST_S
-from core.forecast.plan_tracker import LONGEST_SHIFT
-from core.wire.messages import LegOutlook, Outlook
+from core import models
+from tests.support.commands import refused
+from tests.support.documented_commands import Shell, documented_commands, first_difference, prepare_folder
+from tests.support.error_figure import FIGURE, error_figure
+from tests.support.pages import PAGES, TUTORIAL, blocks, name_of, read
 from tests.support.paths import ROOT
-from tools.cli import COMMANDS
+from tools.simulator.trace import REFERENCE_DENSITY
 
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-TOLD = [line for block in re.findall(r"```console\n(.*?)```", README, re.DOTALL) for line in block.splitlines()]
+COMMANDS = {
+    name_of(page): commands
+    for page in (TUTORIAL, *PAGES)
+    if "<!-- included:" not in page.read_text(encoding="utf-8") and (commands := list(documented_commands(read(page))))
+}
+"""Page -> its commands in order; the tutorial comes first, and other pages use its files."""
+TUTORIAL_NAME = name_of(TUTORIAL)
+TRUTH = json.loads((ROOT / "recordings" / "autumn.truth.json").read_text(encoding="utf-8"))
+AIR_DENSITY = 1.29
+"""Mean density of air at 0 °C at sea level in the autumn of the recording. [kg/m^3]"""
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """Return a folder in which the commands of the README can be run one after another."""
-    folder = tmp_path_factory.mktemp("readme")
-    (folder / "recordings").symlink_to(ROOT / "recordings")
-    return folder
+def shell(tmp_path_factory):
+    """Return a shell that runs the commands of all pages in one folder, each command once."""
+    return Shell(prepare_folder(tmp_path_factory.mktemp("pages")))
 
 
-@pytest.mark.parametrize("command", TOLD)
-def test_the_commands_of_the_readme_run(command, folder):
-    program, *arguments = shlex.split(command)
-    assert program == "socast"
-    done = subprocess.run(
-        [sys.executable, "-m", "tools.cli", *arguments],
-        cwd=folder, capture_output=True, text=True, timeout=120, check=False,
-        env={"PYTHONPATH": str(ROOT), "PATH": "", "COLUMNS": "120", "HOME": str(folder)},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert "Traceback" not in done.stderr
-    assert done.stdout.strip()
-
-
-def test_every_command_is_in_the_readme():
-    for name in COMMANDS:
-        assert re.search(rf"^\*\*`socast {name}`\*\*", README, re.MULTILINE), f"{name} is not told of"
+@pytest.fixture(scope="module")
+def tutorial(shell):
+    """Return the output of every command of the tutorial, after running all of them."""
+    return {each.command: shell.run(each.command) for each in COMMANDS[TUTORIAL_NAME]}
 
 
 @pytest.mark.parametrize(
-    "page", ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "recordings/README.md", "docs/outlook.md"]
+    ("page", "at"),
+    [(page, at) for page, commands in COMMANDS.items() for at in range(len(commands))],
+    ids=[f"{page}: {each.command}" for page, commands in COMMANDS.items() for each in commands],
 )
-def test_links_lead_somewhere(page):
-    text = (ROOT / page).read_text(encoding="utf-8")
-    for target in re.findall(r"\]\(([^)#]+)\)", text):
-        assert target.startswith("http") or (ROOT / page).parent.joinpath(target).exists(), target
+def test_command_runs_and_prints_what_the_page_shows(page, at, shell):
+    for before in COMMANDS[page][:at]:
+        shell.run(before.command)
+    each = COMMANDS[page][at]
+    printed = shell.run(each.command)
+    assert any(printed), f"{each.command} prints nothing"
+    assert each.lines or page != TUTORIAL_NAME, "the tutorial shows no output of this command"
+    wrong = first_difference(each.lines, printed) if each.lines else None
+    remedy = "renew the tutorial with: python -m tests.support.renew_tutorial"
+    assert wrong is None, "\n".join([f"not printed: {wrong}", remedy, *printed])
 
 
-def test_the_page_on_questions_has_every_field_of_the_reply_and_each_limit_of_the_query():
-    page = (ROOT / "docs" / "outlook.md").read_text(encoding="utf-8")
-    query, reply, errors = (part for part in page.split("\n## ")[1:])
-    told = re.findall(r"^\| (`.*?) \|", reply, re.MULTILINE)
-    assert [*Outlook.__struct_fields__, *LegOutlook.__struct_fields__] == re.findall(r"`(\w+)`", " ".join(told))
-    for name, limit in LEG_LIMITS.items():
-        row = re.search(rf"^\| [^|]*`{name}`.*", query, re.MULTILINE)[0]
-        assert f"to {limit.most:g} |" in row
-    assert f"at most {FASTEST_KMH:g} km/h " in query
-    assert f"more than {MOST_LEGS:g} " in errors
-    assert f"more than {PAST_S:g} s before" in errors
-    assert f"more than {LONGEST_SHIFT / 3600:g} h after" in errors
+def test_every_line_of_a_console_block_belongs_to_a_command():
+    for page in PAGES:
+        assert all(block.startswith("$ socast ") for block in blocks(page, "console")), name_of(page)
 
 
-def test_the_lock_file_and_the_docs_name_no_address():
-    assert "://" not in (ROOT / "requirements.lock").read_text(encoding="utf-8")
+def test_no_two_commands_of_the_pages_write_the_same_file():
+    written = defaultdict(set)
+    for each in (each for commands in COMMANDS.values() for each in commands):
+        for file in re.findall(r"(?:--out|-o|--json|--html|--suggest|effects new) (\S+)", each.command):
+            written[file].add(each.command)
+    assert {file: commands for file, commands in written.items() if len(commands) > 1} == {}
+
+
+def hidden_drag_area() -> float:
+    """Return the true drag area of the hidden effect, for the air density of that autumn. [m^2]"""
+    hidden = TRUTH["total"]["hidden"]["headwind"]
+    of_cars = mean(car["drag_area"] for car in TRUTH["cars"].values())
+    return hidden["factor"] * of_cars * REFERENCE_DENSITY / AIR_DENSITY
+
+
+def test_diagnosis_names_the_hidden_effect_first_and_its_interval_contains_the_truth(shell, tutorial):
+    (name,) = TRUTH["total"]["hidden"]
+    diagnosis = next(lines for command, lines in tutorial.items() if "diagnose" in command)
+    named = [line for line in diagnosis if re.match(r"\d\. ", line)]
+    assert [line.split()[1].rstrip(":") for line in named] == [name]
+    trial = models.load(str(shell.folder / "better.json")).history[-1]
+    assert trial["effect"] == name
+    low, high = trial["coefficient"]["ci95"]
+    assert low < hidden_drag_area() < high
+    assert trial["coefficient"]["plausible"]
+    assert trial["noise_floor_kwh"] < trial["mae_after_kwh"] < trial["mae_before_kwh"]
+    assert trial["final"]["mae_after_kwh"] < trial["final"]["mae_before_kwh"]
+
+
+@pytest.mark.usefixtures("tutorial")
+def test_figure_shows_the_falling_error_of_the_tutorial(shell):
+    figure = FIGURE.read_text(encoding="utf-8")
+    drawn = error_figure(models.load(str(shell.folder / "better.json")).history)
+    shown, now = ([float(number) for number in re.findall(r"0\.\d{4}", text)] for text in (figure, drawn))
+    assert shown == pytest.approx(now, rel=0.02), "renew with: python -m tests.support.error_figure"
+    for line in re.findall(r"polyline points='([^']*)'", figure):
+        heights = [float(point.split(",")[1]) for point in line.split()]
+        assert all(before < after for before, after in pairwise(heights)), "the line does not fall"
+
+
+@pytest.mark.usefixtures("tutorial")
+def test_other_effect_is_refused_as_the_tutorial_says(shell, monkeypatch, capsys):
+    monkeypatch.chdir(shell.folder)
+    assert "try `cornering`" in " ".join(read(TUTORIAL).split())
+    message = refused(capsys, *["add", "cornering", "--model", "base.json", "--data", "autumn", "-o", "worse.json"])
+    assert "cornering is not added" in message
+    assert not (shell.folder / "worse.json").exists()
+
+
+@pytest.mark.usefixtures("tutorial")
+def test_loop_in_the_text_of_the_tutorial_adds_the_hidden_effect(shell):
+    (loop,) = re.findall(r"`(socast diagnose [^`]*--auto[^`]*)`", read(TUTORIAL))
+    shell.run(loop)
+    steps = models.load(str(shell.folder / "best.json")).history
+    assert [step["effect"] for step in steps if step["action"] == "add"] == list(TRUTH["total"]["hidden"])
+
+
+def test_answer_agrees_with_the_truth_file():
+    (name, hidden), *_ = TRUTH["total"]["hidden"].items()
+    answers = [
+        " ".join(text[text.index("The answer") :].split())
+        for text in (read(TUTORIAL), read(ROOT / "recordings" / "README.md"))
+    ]
+    for words in (f"`{name}`", f"{hidden_drag_area():.1f} m²", f"{100 * hidden['absolute_share']:.0f} %"):
+        assert all(words in answer for answer in answers)
+    simulation = TRUTH["simulation"]
+    for words in (f"--seed {simulation['seed']}", f"--vehicles {simulation['vehicles']}", f"--hidden {name}:0.05"):
+        assert words in answers[1]

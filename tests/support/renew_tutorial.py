@@ -1,36 +1,44 @@
-"""Print the tutorial's outputs anew: `python -m tests.support.renew_tutorial`, then read `git diff docs`.
+"""Renew the outputs in the tutorial: run `python -m tests.support.renew_tutorial`, then read `git diff docs`.
 
-Runs the commands of `docs/missing-effect.md` one after another in a temporary folder, and writes what they print into
-the page. Where only numbers changed, elisions (`...`) stay where they are; where words did, the whole output is put
-there, to be shortened by hand. Figures in the text between are not renewed: read it once more.
+It runs the commands of `docs/missing-effect.md` one after another in a temporary folder and writes their output into the
+page. Elisions (`...`) stay in place where only numbers changed. Where words changed, the page receives the whole output,
+to be shortened by hand. Numbers in the text between the outputs are not renewed.
 """
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tests.support.tutorial import BLOCK, PAGE, difference, prepared, printed, renewed, shown
+from tests.support.documented_commands import (
+    BLOCK,
+    PAGE,
+    documented_commands,
+    first_difference,
+    prepare_folder,
+    renew_lines,
+    run_command,
+)
 
 
 def main() -> None:
     """Renew the page."""
     page = PAGE.read_text(encoding="utf-8")
     with TemporaryDirectory() as name:
-        folder = prepared(Path(name))
+        folder = prepare_folder(Path(name))
 
-        def anew(block: str) -> str:
+        def renewed(block: str) -> str:
             parts = []
-            for told in shown(block):
-                lines = printed(told.command, folder)
-                now = renewed(told.lines, lines)
-                if now is None:
-                    print(f"to be shortened by hand: {told.command}")
-                elif difference(told.lines, lines):
-                    print(f"changed: {told.command}")
-                parts.append("\n".join([f"$ {told.command}", *(lines if now is None else now)]))
+            for each in documented_commands(block):
+                printed = run_command(each.command, folder)
+                lines = renew_lines(each.lines, printed)
+                if lines is None:
+                    print(f"to be shortened by hand: {each.command}")
+                elif first_difference(each.lines, printed):
+                    print(f"changed: {each.command}")
+                parts.append("\n".join([f"$ {each.command}", *(printed if lines is None else lines)]))
             return "```console\n" + "\n".join(parts) + "\n```"
 
-        PAGE.write_text(BLOCK.sub(lambda found: anew(found[0]), page), encoding="utf-8")
-    print(f"{PAGE.name}: {len(list(shown(page)))} commands")
+        PAGE.write_text(BLOCK.sub(lambda block: renewed(block[0]), page), encoding="utf-8")
+    print(f"{PAGE.name}: {len(list(documented_commands(page)))} commands")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,58 @@
+"""The reference of physical effects, read from the library."""  # noqa: INP001
+
+from collections.abc import Iterator
+from typing import Final
+
+from markdown_text import code, paragraphs, plain, table
+
+from core import effects as library
+from core.effects import Effect, Parameter
+
+SIGNS: Final = {1: "positive: the effect always costs energy", -1: "negative: it always saves energy", 0: "either"}
+
+
+def effects() -> str:
+    """Return the reference of every effect, by topic."""
+    parts = []
+    for topic, found in library.group_by_topic().items():
+        parts.append(f"## {topic[0].upper()}{topic[1:]}\n")
+        parts += [_section(effect) for effect in found]
+    return "\n".join(parts)
+
+
+def _section(effect: Effect) -> str:
+    """Return the section of one effect."""
+    summary = effect.summary.partition(": P = ")[0].rstrip(".")
+    more = effect.documentation.split("\n\n")[1:]
+    rows = list(_rows(effect))
+    text = paragraphs(plain("\n\n".join(part for part in more if not part.startswith("Parameters"))))
+    return "\n\n".join(
+        part for part in (f"### {effect.name}", f"{plain(summary)}.", text, table(["property", "value"], rows)) if part
+    )
+
+
+def _rows(effect: Effect) -> Iterator[tuple[str, str]]:
+    """Yield what is declared of an effect, row by row."""
+    unit = "" if effect.unit == "1" else f" {code(effect.unit)}"
+    yield "formula", code(effect.formula)
+    yield "coefficient", f"{plain(effect.coefficient)}{unit}"
+    yield "plausible range", f"{effect.low:g} to {effect.high:g}{unit}; sign {SIGNS[effect.sign]}"
+    yield "acts", "by motion, over the time that the distance took" if effect.per == "distance" else "all the time"
+    if effect.arguments:
+        yield "columns", ", ".join(map(code, effect.arguments))
+    for name, parameter in effect.parameters.items():
+        yield f"parameter {code(name)}", _parameter(parameter, effect.constants[name])
+    yield "source", plain(effect.source)
+    if effect.confused_with:
+        yield "confused with", ", ".join(map(code, effect.confused_with))
+    if effect.shown_by:
+        yield "shown best by", plain(effect.shown_by)
+
+
+def _parameter(parameter: Parameter, value: float) -> str:
+    """Return the value of a parameter, its bounds and the grid of the tables."""
+    unit = "" if parameter.unit == "1" else f" {code(parameter.unit)}"
+    low, high = parameter.bounds
+    bounds = f", {low:g} to {high:g}" if low < high else ", fixed"
+    grid = f"; tabulated at {', '.join(f'{each:g}' for each in parameter.grid)}" if parameter.grid else ""
+    return f"{value:g}{unit}{bounds}{grid}"

@@ -1,0 +1,48 @@
+"""Written reference pages agree with the code."""
+
+import re
+import subprocess
+import sys
+
+from core.forecast.plan_checks import FASTEST_KMH, LEG_LIMITS, MOST_LEGS, PAST_S
+from core.forecast.plan_tracker import LONGEST_SHIFT
+from core.wire.messages import LegOutlook, Outlook
+from tests.support.pages import blocks
+from tests.support.paths import ROOT
+
+DOCS = ROOT / "docs"
+
+
+def fields_in_tables(text):
+    """Return the field names in the first columns of the tables of a text, in order."""
+    first_cells = re.findall(r"^\| (`.*?) \|", text, re.MULTILINE)
+    return re.findall(r"`(\w+)`", " ".join(first_cells))
+
+
+def sections(page):
+    """Return the parts of a page under its second-level headings: heading -> text."""
+    parts = page.read_text(encoding="utf-8").split("\n## ")[1:]
+    return dict(part.split("\n", 1) for part in parts)
+
+
+def test_outlook_page_has_every_field_of_the_reply_and_every_limit_of_the_query():
+    page = sections(DOCS / "outlook.md")
+    query, reply, errors = page["The query"], page["The reply"], page["The error reply"]
+    assert [*Outlook.__struct_fields__, *LegOutlook.__struct_fields__] == fields_in_tables(reply)
+    for name, limit in LEG_LIMITS.items():
+        row = re.search(rf"^\| [^|]*`{name}`.*", query, re.MULTILINE)[0]
+        assert f"to {limit.most:g}" in row
+    assert f"at most {FASTEST_KMH:g} km/h " in query
+    assert f"more than {MOST_LEGS:g} " in errors
+    assert f"more than {PAST_S:g} s before" in errors
+    assert f"more than {LONGEST_SHIFT / 3600:g} h after" in errors
+
+
+def test_effect_in_the_guide_passes_its_check(tmp_path):
+    (example,) = blocks(DOCS / "guide" / "own-effects.md", "python")
+    file = tmp_path / "example.py"
+    file.write_text(example)
+    command = [sys.executable, "-m", "tools.cli", "effects", "check", str(file)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "all checks passed" in done.stdout
