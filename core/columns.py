@@ -1,24 +1,32 @@
-"""Nomenclature: the name, unit and valid range of every column, each fixed once.
+"""Nomenclature: the name, unit, meaning, source and valid range of every column, each defined once.
 
-Inside core everything is SI and the names carry no suffix; whatever leaves core in another unit wears it
-(`speed_kmh`, `energy_kwh`). Units are spelled as `pint` reads them.
+Quantities inside core are in SI units and their names carry no suffix. Quantities that leave core in another unit carry
+that unit in their name (`speed_kmh`, `energy_kwh`). Units are spelled as `pint` reads them.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from math import inf, pi
 from typing import Final
 
+SECONDS_PER_DAY: Final = 86_400.0
+"""Duration of a day of Unix time, which has no leap seconds. [s]"""
 KMH: Final = 1 / 3.6
-"""One kilometre an hour. [m/s]"""
+"""One kilometre per hour. [m/s]"""
 ZERO_CELSIUS: Final = 273.15
-"""The freezing point of water. [K]"""
+"""Freezing point of water. [K]"""
 GRAVITY: Final = 9.80665
 """Standard gravity. [m/s^2] CGPM 1901."""
 EARTH_RADIUS: Final = 6_371_008.8
 """Mean radius of the Earth. [m] IUGG 1980 (Moritz 2000, J. Geodesy 74:128)."""
 JOULES_PER_KWH: Final = 3.6e6
+"""One kilowatt-hour. [J]"""
 STANDARD_AIR_DENSITY: Final = 1.225
-"""Dry air at 15 °C and 101,325 Pa. [kg/m^3] ISO 2533:1975, Table 1."""
+"""Density of dry air at 15 °C and 101,325 Pa. [kg/m^3] ISO 2533:1975, Table 1."""
+SPEED_BIN_KMH: Final = 5
+"""Width of a bin of the speed histogram, Table 1 of the paper. [km/h]"""
+SPEED_BINS: Final = 21
+"""Number of bins of the speed histogram; the last one holds all faster driving."""
 
 
 @dataclass(frozen=True)
@@ -29,75 +37,219 @@ class Column:
     ----------
     name : str
     unit : str
-        As pint spells it; `1` for a pure number.
+        Unit as pint spells it; `1` for a pure number, empty for text and truth values.
     meaning : str
+    source : str
+        Wire field, step or message that the values come from.
     low, high : float
-        Closed interval of values that a car on a road can have. Outside it a value is missing and counted.
+        Closed interval of the values that a car on a road can have. A value outside it is counted and taken as missing.
     """
 
     name: str
     unit: str
     meaning: str
+    source: str
     low: float = -inf
     high: float = inf
 
 
 TELEMETRY: Final = (
-    Column("stamp", "s", "the logger's own clock, Unix time; not to be trusted", 0.0, 4.2e9),
-    Column("seq", "1", "the logger's sample counter", 0.0, 2.0**53),
-    Column("latitude", "rad", "WGS 84", -pi / 2, pi / 2),
-    Column("longitude", "rad", "WGS 84", -pi, pi),
-    Column("elevation", "m", "above sea level", -500.0, 6000.0),
-    Column("speed", "m/s", "as reported, wheel or GPS", 0.0, 1e4),
-    Column("odometer", "m", "as reported", 0.0, 5e9),
-    Column("soc", "1", "state of charge as reported, quantised", 0.0, 1.0),
-    Column("voltage", "V", "traction battery", 1.0, 1500.0),
-    Column("current", "A", "traction battery, positive when discharging", -2000.0, 2000.0),
-    Column("battery_temperature", "K", "traction battery", 203.15, 373.15),
-    Column("ambient", "K", "outside air", 203.15, 333.15),
-    Column("hvac", "W", "measured heating and air conditioning", 0.0, 30_000.0),
-    Column("occupants", "1", "people aboard, driver included", 0.0, 100.0),
-    Column("charging", "1", "1 plugged in and charging, 0 not", 0.0, 1.0),
+    Column("stamp", "s", "time on the logger's own clock, Unix time, before repair", "time_s", 0.0, 4.2e9),
+    Column("seq", "1", "the logger's sample counter", "seq", 0.0, 2.0**53),
+    Column("latitude", "rad", "latitude, WGS 84", "latitude_deg", -pi / 2, pi / 2),
+    Column("longitude", "rad", "longitude, WGS 84", "longitude_deg", -pi, pi),
+    Column("elevation", "m", "elevation above sea level", "elevation_m", -500.0, 6000.0),
+    Column("speed", "m/s", "speed as reported, by wheel or GPS", "speed_kmh", 0.0, 1e4),
+    Column("odometer", "m", "odometer as reported", "odometer_km", 0.0, 5e9),
+    Column("soc", "1", "state of charge as reported, quantised", "soc_pct", 0.0, 1.0),
+    Column("voltage", "V", "voltage of the traction battery", "battery_voltage_v", 1.0, 1500.0),
+    Column(
+        "current",
+        "A",
+        "current of the traction battery, positive when discharging",
+        "battery_current_a",
+        -2000.0,
+        2000.0,
+    ),
+    Column("battery_temperature", "K", "temperature of the traction battery", "battery_temperature_c", 203.15, 373.15),
+    Column("ambient", "K", "temperature of the outside air", "ambient_c", 203.15, 333.15),
+    Column("hvac", "W", "measured power of heating and air conditioning", "hvac_w", 0.0, 30_000.0),
+    Column("occupants", "1", "people aboard, including the driver", "occupants", 0.0, 100.0),
+    Column("charging", "1", "1 while plugged in and charging, else 0", "charging", 0.0, 1.0),
 )
-"""What a sample brings, after the codec; NaN where unknown."""
+"""Columns of a decoded sample, before cleaning; NaN where unknown. The source is the wire field."""
 
 SIGNALS: Final = (
-    Column("dt", "s", "time that the row stands for"),
-    Column("speed", "m/s", "smoothed ground speed, mean over the step", 0.0, 130 * KMH),
-    Column("acceleration", "m/s^2", "of the smoothed speed"),
-    Column("distance", "m", "driven in the step"),
-    Column("grade", "1", "sine of the road's angle, uphill positive", -0.35, 0.35),
-    Column("heading", "rad", "direction of travel, clockwise from north"),
-    Column("turn_rate", "rad/s", "change of heading"),
-    Column("headwind", "m/s", "wind against the direction of travel"),
-    Column("crosswind", "m/s", "wind from the right, at right angles to travel"),
-    Column("air_density", "kg/m^3", "of moist air at the car's elevation"),
-    Column("ambient", "K", "outside air, the car's own or the nearest station's"),
-    Column("precipitation", "m/s", "depth of rain or melted snow that falls in a time"),
-    Column("humidity", "1", "relative humidity"),
-    Column("solar", "W/m^2", "global horizontal irradiance, none where unknown"),
-    Column("elapsed", "s", "since the ride began"),
-    Column("parked", "s", "parked before the ride began, a night where unknown"),
-    Column("stopped", "1", "1 where the car stands"),
-    Column("stop_rate", "1/s", "stops that began in the step, over its time"),
-    Column("soc", "1", "state of charge as last reported"),
-    Column("battery_temperature", "K", "traction battery"),
-    Column("current", "A", "traction battery, positive when discharging"),
-    Column("hvac", "W", "measured heating and air conditioning"),
-    Column("occupants", "1", "people aboard, driver included"),
-    Column("odometer", "m", "as last reported, 0 where unknown"),
-    Column("time", "s", "repaired clock, Unix time"),
-    Column("mass", "kg", "kerb mass and the people aboard"),
-    Column("accessory_scale", "1", "the car's accessory power over the reference curve's"),
-    Column("rolling_resistance", "1", "the car's coefficient, warm tyres on dry asphalt"),
-    Column("drag_area", "m^2", "the car's drag coefficient times its frontal area"),
-    Column("tyre_load", "N", "the car's weight on its tyres, m g cos θ"),
-    Column("traction", "N", "force at the wheels by the car's own road load; negative when braking, 0 when standing"),
-    Column("charge", "1", "state of charge, one half where unknown", 0.0, 1.0),
-    Column("pack_temperature", "K", "traction battery, the outside air's where unknown"),
-    Column("vapour_pressure", "Pa", "of the water in the air, none where unknown", 0.0),
-    Column("water", "m", "depth of rain on the road, by what fell and what dried", 0.0),
-    Column("snow", "m", "depth of snow on the road, melted, by what fell and what was cleared", 0.0),
-    Column("darkness", "1", "0 while the sun is up, 1 at the end of civil twilight and after", 0.0, 1.0),
+    Column("dt", "s", "time that the row stands for", "cleaning"),
+    Column("speed", "m/s", "smoothed ground speed, mean over the step", "cleaning", 0.0, 130 * KMH),
+    Column("acceleration", "m/s^2", "change of the smoothed speed over time", "cleaning"),
+    Column("distance", "m", "distance driven in the step", "cleaning"),
+    Column("grade", "1", "sine of the road's angle, uphill positive", "signals, from climb and distance", -0.35, 0.35),
+    Column("heading", "rad", "direction of travel, clockwise from north", "cleaning"),
+    Column("turn_rate", "rad/s", "change of heading over time", "cleaning"),
+    Column("headwind", "m/s", "wind against the direction of travel", "weather message"),
+    Column("crosswind", "m/s", "wind from the right, at right angles to travel", "weather message"),
+    Column("air_density", "kg/m^3", "density of moist air at the car's elevation", "signals, from weather message"),
+    Column("ambient", "K", "outside temperature of the car, else of the nearest station", "telemetry, weather message"),
+    Column("precipitation", "m/s", "depth of rain or melted snow per time", "weather message"),
+    Column("humidity", "1", "relative humidity", "weather message"),
+    Column("solar", "W/m^2", "global horizontal irradiance, 0 where unknown", "weather message"),
+    Column("elapsed", "s", "time since the ride began", "cleaning"),
+    Column("parked", "s", "time parked before the ride began, a night where unknown", "cleaning"),
+    Column("stopped", "1", "1 while the car stands, else 0", "cleaning"),
+    Column("stop_rate", "1/s", "stops that began in the step, over its time", "signals, from cleaning"),
+    Column("soc", "1", "state of charge as last reported", "cleaning"),
+    Column("battery_temperature", "K", "temperature of the traction battery", "cleaning"),
+    Column("current", "A", "current of the traction battery, positive when discharging", "telemetry"),
+    Column("hvac", "W", "measured power of heating and air conditioning", "telemetry"),
+    Column("occupants", "1", "people aboard, including the driver; 1 where unknown", "cleaning"),
+    Column("odometer", "m", "odometer as last reported, 0 where unknown", "cleaning"),
+    Column("time", "s", "time on the repaired clock, Unix time", "cleaning"),
+    Column("mass", "kg", "kerb mass and the people aboard", "vehicle message, telemetry"),
+    Column("accessory_scale", "1", "the car's accessory power over that of the reference curve", "vehicle message"),
+    Column("rolling_resistance", "1", "the car's coefficient, warm tyres on dry asphalt", "vehicle message"),
+    Column("drag_area", "m^2", "the car's drag coefficient times its frontal area", "vehicle message"),
+    Column("tyre_load", "N", "weight of the car on its tyres, m g cos θ", "signals, from mass and grade"),
+    Column(
+        "traction",
+        "N",
+        "force at the wheels by the car's own road load; negative when braking, 0 when standing",
+        "signals, from motion and vehicle message",
+    ),
+    Column("charge", "1", "state of charge, one half where unknown", "cleaning", 0.0, 1.0),
+    Column("pack_temperature", "K", "battery temperature, else the outside temperature", "cleaning, signals"),
+    Column("vapour_pressure", "Pa", "pressure of the water in the air, 0 where unknown", "weather message", 0.0),
+    Column("water", "m", "depth of rain on the road, from rainfall and drying", "weather message", 0.0),
+    Column("snow", "m", "depth of melted snow on the road, from snowfall and clearing", "weather message", 0.0),
+    Column("darkness", "1", "0 while the sun is up, 1 after civil twilight", "signals, from time and place", 0.0, 1.0),
 )
-"""What an effect may ask for by name; NaN where unknown."""
+"""Columns that an effect may take as arguments; NaN where unknown."""
+
+EFFECT_COLUMN: Final = Column(
+    "effect_{name}", "kWh", "energy of the effect per unit of its coefficient", "effect {name}"
+)
+"""Rule for the columns of the effects whose energies are summed, see `expand_effect_columns`."""
+
+_KEYS: Final = (
+    Column("vehicle_id", "", "identity of the vehicle", "key of the telemetry"),
+    Column("vehicle_model", "", "key of the vehicle model, missing before a vehicle message", "vehicle message"),
+)
+_SUMMARY: Final = (
+    Column("start_s", "s", "Unix time of the first sample", "cleaning"),
+    Column("end_s", "s", "Unix time of the last sample", "cleaning"),
+    Column("duration_s", "s", "time that its samples stand for", "totals"),
+    Column("distance_km", "km", "distance driven", "totals"),
+    Column("average_speed_kmh", "km/h", "distance over duration", "totals"),
+    Column("gained_m", "m", "sum of all climbs, from smoothed elevation", "totals"),
+    Column("lost_m", "m", "sum of all descents, from smoothed elevation", "totals"),
+    Column("ambient_c", "degC", "mean outside temperature", "totals, from telemetry and weather messages"),
+    Column("wind_speed_kmh", "km/h", "mean wind speed at the nearest station", "totals, from weather messages"),
+    Column("wind_from_deg", "degree", "direction the mean wind blows from, north 0, east 90", "weather messages"),
+    Column("precipitation_mm_h", "mm/h", "mean rate of rain or melted snow", "totals, from weather messages"),
+    Column("hvac_kwh", "kWh", "measured energy of heating and air conditioning", "totals, from telemetry"),
+    Column("stops", "1", "number of stops", "totals, from cleaning"),
+    Column("samples", "1", "number of samples", "totals"),
+    Column("soc_start_pct", "percent", "state of charge as first reported", "cleaning"),
+    Column("soc_end_pct", "percent", "state of charge as last reported", "cleaning"),
+    Column("battery_temperature_c", "degC", "battery temperature at the first sample", "cleaning"),
+    Column("elapsed_s", "s", "time since the ride began at the first sample", "cleaning"),
+    Column("parked_s", "s", "time parked before the ride", "cleaning"),
+    Column("time_since_charge_s", "s", "time since the car last charged, at the last sample", "cleaning"),
+    Column("odometer_km", "km", "odometer at the last sample", "cleaning"),
+    Column("occupants", "1", "people aboard at the last sample, including the driver", "cleaning"),
+    Column("latitude_start_deg", "degree", "latitude of the first sample, WGS 84", "cleaning"),
+    Column("longitude_start_deg", "degree", "longitude of the first sample, WGS 84", "cleaning"),
+    Column("latitude_end_deg", "degree", "latitude of the last sample, WGS 84", "cleaning"),
+    Column("longitude_end_deg", "degree", "longitude of the last sample, WGS 84", "cleaning"),
+    Column("energy_vi_kwh", "kWh", "energy drawn from the battery, by voltage and current", "totals"),
+    Column("energy_vi_sd_kwh", "kWh", "standard uncertainty of `energy_vi_kwh`", "totals"),
+    Column("energy_soc_kwh", "kWh", "energy drawn from the battery, by the fall of the state of charge", "totals"),
+    Column("energy_soc_sd_kwh", "kWh", "standard uncertainty of `energy_soc_kwh`", "totals"),
+    Column("energy_kwh", "kWh", "measured energy: the less uncertain of the two", "totals"),
+    Column("energy_sd_kwh", "kWh", "standard uncertainty of `energy_kwh`", "totals"),
+    *(
+        Column(
+            f"speed_{SPEED_BIN_KMH * i}_{SPEED_BIN_KMH * (i + 1)}_km",
+            "km",
+            f"distance driven at {SPEED_BIN_KMH * i} to {SPEED_BIN_KMH * (i + 1)} km/h"
+            + (", and faster" if i == SPEED_BINS - 1 else ""),
+            "totals",
+        )
+        for i in range(SPEED_BINS)
+    ),
+    EFFECT_COLUMN,
+    Column("mass_kg", "kg", "kerb mass of the car", "vehicle message"),
+    Column("rolling_resistance", "1", "coefficient of the car, warm tyres on dry asphalt", "vehicle message"),
+    Column("drag_area_m2", "m^2", "drag coefficient of the car times its frontal area", "vehicle message"),
+    Column("nominal_capacity_kwh", "kWh", "rated energy of the car's new battery", "vehicle message"),
+    Column("accessory_scale", "1", "accessory power of the car over that of the reference curve", "vehicle message"),
+)
+
+RIDE_COLUMNS: Final = (
+    Column("ride_id", "", "the logger's name of the ride, else `ride_key`", "telemetry"),
+    Column("ride_key", "", "unique key of the ride: vehicle and ordinal", "totals"),
+    *_KEYS,
+    Column("driver_id", "", "driver, missing where dispatch does not say", "ride message"),
+    Column("date", "", "UTC date of the first sample, ISO 8601", "totals"),
+    Column("winter", "1", "1 from 15 December to 15 March, else 0", "totals"),
+    Column("summer", "1", "1 outside `winter`, else 0", "totals"),
+    Column("fit_for_training", "", "true where the ride passes all filters", "totals"),
+    Column("unfit_reason", "", "first filter that the ride fails, missing where it passes all", "totals"),
+    *_SUMMARY,
+    Column("quality_duplicate", "1", "samples sent again", "cleaning"),
+    Column("quality_late", "1", "samples that arrived after their place in time had passed", "cleaning"),
+    Column("quality_repaired_time", "1", "samples whose time stamp was repaired", "cleaning"),
+    Column("quality_clock_step", "1", "samples at which the logger's clock had been set", "cleaning"),
+    Column("quality_gap", "1", "samples with whole periods missing before them", "cleaning"),
+    Column("quality_sequence", "1", "samples at which the counter restarted, stood still or leapt", "cleaning"),
+    Column("quality_speed_rejected", "1", "samples with a speed above the limit", "cleaning"),
+    Column("quality_speed_missing", "1", "samples without a speed, of a car that sends it", "cleaning"),
+    Column("quality_position_missing", "1", "samples without a fix, of a car that sends it", "cleaning"),
+    Column("quality_position_jump", "1", "samples with a fix farther away than the car can have driven", "cleaning"),
+    Column("quality_position_frozen", "1", "samples with an unchanged fix while the car drives", "cleaning"),
+    Column("quality_bridged", "1", "samples at which a distance was made good from fix or odometer", "cleaning"),
+    Column("quality_out_of_range", "1", "samples with a value outside its valid range", "cleaning"),
+    Column("quality_soc_missing", "1", "samples without a state of charge, of a car that sends it", "cleaning"),
+    Column("quality_power_missing", "1", "samples without voltage or current, of a car that sends both", "cleaning"),
+    Column("quality_ambient_filled", "1", "samples with the outside temperature of a weather station", "signals"),
+    Column("quality_ambient_assumed", "1", "samples with the temperature of the standard atmosphere", "signals"),
+)
+"""Columns of the ride table, in their order; `EFFECT_COLUMN` stands for one column per summed effect."""
+
+WINDOW_COLUMNS: Final = (
+    Column("ride_key", "", "key of the ride that the window is part of", "totals"),
+    Column("window", "1", "ordinal of the window among those of its vehicle", "cleaning"),
+    *_KEYS,
+    Column("power_start_w", "W", "power drawn from the battery at the first sample", "cleaning"),
+    Column("power_end_w", "W", "power drawn from the battery at the last sample", "cleaning"),
+    *_SUMMARY,
+)
+"""Columns of the window table, in their order; `EFFECT_COLUMN` stands for one column per summed effect."""
+
+
+def expand_effect_columns(columns: Iterable[Column], effects: Iterable[str]) -> tuple[Column, ...]:
+    """Return columns with `EFFECT_COLUMN` replaced by one column per effect.
+
+    Parameters
+    ----------
+    columns : iterable of Column
+        `RIDE_COLUMNS` or `WINDOW_COLUMNS`.
+    effects : iterable of str
+        Names of the summed effects, in their order.
+
+    Examples
+    --------
+    >>> [column.name for column in expand_effect_columns([EFFECT_COLUMN], ["rolling", "climbing"])]
+    ['effect_rolling', 'effect_climbing']
+    """
+    effects = list(effects)
+    out: list[Column] = []
+    for column in columns:
+        if column is EFFECT_COLUMN:
+            out += [
+                Column(column.name.format(name=name), column.unit, column.meaning, column.source.format(name=name))
+                for name in effects
+            ]
+        else:
+            out.append(column)
+    return tuple(out)

@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from core.columns import KMH
+from core.columns import KMH, SECONDS_PER_DAY
 from core.errors import SettingsError
 
 
@@ -49,11 +49,11 @@ LIMITS = {
     "elevation_slack": (0.0, 20.0),
     "tunnel_limit": (0.0, 50_000.0),
     "stop_time": (10.0, 3600.0),
-    "gap_time": (10.0, 86_400.0),
+    "gap_time": (10.0, SECONDS_PER_DAY),
     "window_time": (10.0, 3600.0),
     "forecast_time": (1.0, 3600.0),
     "shortest_ride": (0.0, 3600.0),
-    "longest_ride": (60.0, 86_400.0),
+    "longest_ride": (60.0, SECONDS_PER_DAY),
     "least_distance": (0.0, 100_000.0),
 }
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
+from core.columns import SECONDS_PER_DAY
 from core.diagnose.candidates import Candidates, compute_least_coefficients
 from core.diagnose.dataset import Windows
 from core.diagnose.evidence import compute_worst_case_evidence
@@ -23,7 +24,6 @@ from core.stats.multiple_testing import adjust_false_discovery
 
 Mask = NDArray[np.bool_]
 
-DAY: Final = 86400.0
 """[s]"""
 DATES: Final = 8
 """Dates that are tried, evenly over the rides; the best is then sought among its neighbours."""
@@ -220,9 +220,9 @@ def _cars(windows: Windows) -> list[tuple[int, str]]:
 def _dates(windows: Windows, count: int | None) -> list[tuple[str, Mask]]:
     """Return dates but the first, all or so many evenly over the windows, and the windows from each on."""
     start = get_numbers(windows.table, "start_s")
-    days = np.unique(np.floor(start / DAY))[1:]
+    days = np.unique(np.floor(start / SECONDS_PER_DAY))[1:]
     if count is not None and len(days) > count:
-        wanted = np.quantile(start, np.linspace(0.0, 1.0, count + 2)[1:-1]) / DAY
+        wanted = np.quantile(start, np.linspace(0.0, 1.0, count + 2)[1:-1]) / SECONDS_PER_DAY
         days = np.unique(days[np.clip(np.searchsorted(days, wanted), 0, len(days) - 1)])
     stamps = days.astype("datetime64[D]")
-    return [(str(stamp), start >= day * DAY) for stamp, day in zip(stamps, days, strict=True)]
+    return [(str(stamp), start >= day * SECONDS_PER_DAY) for stamp, day in zip(stamps, days, strict=True)]

@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from core.batch import Floats
+from core.columns import SECONDS_PER_DAY
 
 HEATING_BELOW: Final = 18.0
 """Outside temperature below which a cabin is heated, people and sun aboard. [°C]"""
@@ -102,7 +103,7 @@ def compute_sun_sine(start_s: Floats, latitude_deg: Floats, longitude_deg: Float
     >>> sun(np.array([noon, noon + 43200.0]), np.full(2, 45.5), np.full(2, -73.6)).round(1)
     array([0.9, 0. ])
     """
-    day = start_s / 86400.0
+    day = start_s / SECONDS_PER_DAY
     declination = np.radians(23.45) * np.sin(2.0 * np.pi * (285.0 + day % 365.2425) / 365.0)
     hour = 2.0 * np.pi * (day % 1.0 - 0.5) + np.radians(longitude_deg)
     latitude = np.radians(latitude_deg)

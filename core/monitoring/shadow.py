@@ -14,6 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
+from core.columns import SECONDS_PER_DAY
 from core.effects.declaration import Effect
 from core.errors import ModelError
 from core.models import Model
@@ -25,8 +26,6 @@ from core.totals.context import RunContext
 from core.totals.tables import measured_energy, model_columns
 from core.wire.messages import Message, ModelErrors, encode, model_identity
 
-DAY: Final = 86400.0
-"""Rides of a vehicle that begin on the same UTC day are one cluster. [s]"""
 MOST_VEHICLE_MODELS: Final = 64
 """Vehicle models that have running errors of their own; rides of those met later count among all only."""
 
@@ -127,7 +126,7 @@ class Shadows:
 
     def count(self, rides: Ended) -> None:
         """Count rides, in the order in which they ended."""
-        days = np.floor(rides.start / DAY).tolist()
+        days = np.floor(rides.start / SECONDS_PER_DAY).tolist()  # rides that begin on the same UTC day are a cluster
         measured, end = rides.measured.tolist(), rides.end.tolist()
         errors = [(predicted - rides.measured).tolist() for predicted in rides.predicted]
         for i, lane in enumerate(rides.lane.tolist()):

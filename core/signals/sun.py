@@ -5,10 +5,10 @@ from typing import Final
 import numpy as np
 
 from core.batch import Floats
+from core.columns import SECONDS_PER_DAY
 
 J2000: Final = 946_728_000.0
 """Unix time of 1 January 2000, 12:00 UTC. [s]"""
-_DAY: Final = 86_400.0
 
 
 def sine_of_elevation(time: Floats, latitude: Floats, longitude: Floats) -> Floats:
@@ -44,7 +44,7 @@ def sine_of_elevation(time: Floats, latitude: Floats, longitude: Floats) -> Floa
     >>> sine_of_elevation(times, np.zeros(2), np.zeros(2)).round(3).tolist()
     [1.0, -1.0]
     """
-    days = (time - J2000) / _DAY
+    days = (time - J2000) / SECONDS_PER_DAY
     anomaly = np.radians(357.528 + 0.9856003 * days)
     sine = np.sin(anomaly)
     ecliptic = np.radians(280.460 + 0.9856474 * days + 1.915 * sine + 0.040 * sine * np.cos(anomaly))

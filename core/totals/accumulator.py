@@ -15,13 +15,11 @@ from numba import njit
 from core.batch import Floats, Ints, grown
 from core.cleaning.kernel import Clean
 from core.cleaning.quality import CAUSES
-from core.columns import KMH
+from core.columns import KMH, SPEED_BIN_KMH, SPEED_BINS
 from core.signals.signals import Signals
 
-BIN: Final = 5 * KMH
-"""Width of a bin of the speed histogram, Table 1 of the paper. [m/s]"""
-BINS: Final = 21
-"""Bins of the speed histogram; the last one holds all that is faster."""
+SPEED_BIN: Final = SPEED_BIN_KMH * KMH
+"""Width of a bin of the speed histogram. [m/s]"""
 
 AMOUNTS: Final = (
     "duration",  # [s]
@@ -79,7 +77,7 @@ class Totals(NamedTuple):
     ----------
     at : (n,) int64. Row of the batch that closed it, or at which it was shown.
     lane, ride, window : (n,) int64. Whose; ordinals in the lane.
-    amounts : (n, len(AMOUNTS) + effects + BINS) float64
+    amounts : (n, len(AMOUNTS) + effects + SPEED_BINS) float64
     first, last : (n, len(EDGES)) float64
     quality : (n, len(CAUSES)) float64. Samples of the ride with each quality bit, so far.
     """
@@ -142,7 +140,7 @@ class Ledger:
     """
 
     def __init__(self, effects: int) -> None:
-        self.width = len(AMOUNTS) + effects + BINS
+        self.width = len(AMOUNTS) + effects + SPEED_BINS
         # where each part of a book begins: amounts of window and ride, first edges of ride and window, last, quality
         self._parts = np.cumsum([_HEAD, self.width, self.width, len(EDGES), len(EDGES), len(EDGES), len(CAUSES)])
         self.books: Floats = self._new(0)
@@ -169,7 +167,7 @@ class Ledger:
             self.books = grown(self.books, lanes, self._new(1)[0])
         n = len(clean.lane)
         edges = np.stack([*(getattr(clean, name) for name in EDGES[:-1]), kind.astype(np.float64)])
-        speed_bin = np.minimum(clean.speed / BIN, BINS - 1.0).astype(np.int64)
+        speed_bin = np.minimum(clean.speed / SPEED_BIN, SPEED_BINS - 1.0).astype(np.int64)
         size = _BEFORE + self.books.shape[1]
         closed = np.empty((n, size)), np.empty((n, size)), np.empty((n, size))
         running = np.empty((int(clean.due.sum()), size))

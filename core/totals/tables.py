@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from core.batch import Floats
 from core.cleaning.quality import CAUSES
-from core.columns import JOULES_PER_KWH, KMH, ZERO_CELSIUS
-from core.totals.accumulator import AMOUNTS, BINS, Totals
+from core.columns import JOULES_PER_KWH, KMH, SECONDS_PER_DAY, SPEED_BINS, WINDOW_COLUMNS, ZERO_CELSIUS
+from core.totals.accumulator import AMOUNTS, Totals
 from core.totals.context import RunContext
 from core.vehicles.fleet import Cars
 from core.wire.rides import RideDrivers
@@ -33,8 +33,8 @@ UNSEEN_POWER: Final = 0.5
 WINTER: Final = ((12, 15), (3, 15))
 """First and last day, month first, of the season in which winter tyres are mandatory, Table 1 of the paper."""
 
-HISTOGRAM: Final = tuple(f"speed_{5 * i}_{5 * i + 5}_km" for i in range(BINS))
-"""Distance driven at each speed, in km: 0 to 5 km/h and so on; the last column holds all that is faster."""
+HISTOGRAM: Final = tuple(column.name for column in WINDOW_COLUMNS if column.name.startswith("speed_"))
+"""Columns of the distance driven at each speed; the last one holds all faster driving."""
 
 
 def model_columns(totals: Totals, context: RunContext, needs: Sequence[str] = ()) -> dict[str, Any]:
@@ -154,7 +154,7 @@ def is_winter(time: Floats) -> NDArray[np.int64]:
     [1, 0]
     """
     known = np.isfinite(time)
-    date = np.floor(np.where(known, time, 0.0) / 86400.0).astype("datetime64[D]")
+    date = np.floor(np.where(known, time, 0.0) / SECONDS_PER_DAY).astype("datetime64[D]")
     month = date.astype("datetime64[M]")
     day = (month.astype(np.int64) % 12 + 1) * 100 + (date - month).astype(np.int64) + 1
     (first_month, first_day), (last_month, last_day) = WINTER
@@ -210,7 +210,7 @@ def _physical(totals: Totals, cars: Cars) -> dict[str, Floats]:
         "energy_kwh": energy,
         "energy_sd_kwh": energy_sd,
     }
-    histogram = totals.amounts[:, -BINS:] * 1e-3
+    histogram = totals.amounts[:, -SPEED_BINS:] * 1e-3
     return columns | {name: histogram[:, i] for i, name in enumerate(HISTOGRAM)}
 
 

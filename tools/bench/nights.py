@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from core.columns import SECONDS_PER_DAY
 from core.forecast.learning.car_driver import KEPT_SHIFTS, Habit
 from core.forecast.learning.forecast_errors import NOTE_S, Note
 from core.pipeline import Pipeline
@@ -23,7 +24,6 @@ AT_ONCE: Final = 10
 """Rides that end within a block of samples."""
 KEEP_S: Final = 30.0
 """Time between two snapshots in service. [s]"""
-DAY_S: Final = 86_400.0
 
 
 def nights(cars: int = 10_000, repeats: int = 3) -> Measure:
@@ -40,7 +40,7 @@ def nights(cars: int = 10_000, repeats: int = 3) -> Measure:
     keeping = min(spent(lambda: kept.append(pipeline.snapshot())) for _ in range(repeats))
     learning += spent(lambda: _end(pipeline, cars))
     night = spent(pipeline.foresight.overnight)
-    share = (learning + night) / DAY_S + keeping / KEEP_S
+    share = (learning + night) / SECONDS_PER_DAY + keeping / KEEP_S
     return Measure(
         f"learning, nights and snapshots of {cars:,} cars",
         f"{100 * SHARE:g} % of a core",
@@ -48,7 +48,7 @@ def nights(cars: int = 10_000, repeats: int = 3) -> Measure:
         "< 1",
         share < SHARE,
         {
-            "learning_and_night_pct_of_a_core": 100.0 * (learning + night) / DAY_S,
+            "learning_and_night_pct_of_a_core": 100.0 * (learning + night) / SECONDS_PER_DAY,
             "snapshot_pct_of_a_core": 100.0 * keeping / KEEP_S,
             "night_s": night,
             "snapshot_s": keeping,

@@ -9,10 +9,11 @@ import msgspec
 import numpy as np
 
 from core.batch import Floats
+from core.columns import SECONDS_PER_DAY
 from core.wire.messages import Message, Plan, Ride, Telemetry, Vehicle, Weather, encode
 from tools.importers.resample import compute_window_means, find_valid_rows, make_grid
 
-LONGEST_DRIVE: Final = 86_400.0
+LONGEST_DRIVE: Final = SECONDS_PER_DAY
 """A file with a longer drive holds something else. [s]"""
 
 AVERAGED: Final = ("speed_kmh", "hvac_w")

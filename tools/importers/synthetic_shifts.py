@@ -13,6 +13,7 @@ from zlib import crc32
 import numpy as np
 
 from core.batch import Floats
+from core.columns import SECONDS_PER_DAY
 from core.wire.messages import Leg, Message, Plan
 from tools.importers.drive import Drive, make_message, move_drive
 from tools.importers.resample import LONGEST_HOLD
@@ -21,7 +22,7 @@ PAUSE: Final = 300.0
 """Time between two rides of a shift. [s]"""
 SHIFT_BREAK: Final = 8 * 3600.0
 """Shortest time between two shifts. [s]"""
-LONGEST_SPAN: Final = 30 * 86_400.0
+LONGEST_SPAN: Final = 30 * SECONDS_PER_DAY
 """Rides recorded farther apart had different weather, so no shift holds both. [s]"""
 START_SOC: Final = 95.0
 """State of charge with which a shift begins. [%]"""

@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from core.batch import Floats
+from core.columns import SECONDS_PER_DAY
 from core.wire.messages import Message, Weather, encode
 from tools.simulator.settings import UTC_OFFSET
 from tools.simulator.world import ORIGIN
@@ -91,7 +92,7 @@ def make_sky(start: float, days: int, seed: int, extremes: tuple[float, float] |
     def wandering(keep: float) -> Floats:
         return draw_autoregressive(np.random.default_rng([seed, 1, next(elements)]), n, keep)
 
-    year_angle = 2 * np.pi * ((time / 86400.0) % 365.2425 - 20.0) / 365.2425
+    year_angle = 2 * np.pi * ((time / SECONDS_PER_DAY) % 365.2425 - 20.0) / 365.2425
     clock = ((time + UTC_OFFSET) / HOUR) % 24
     cold = 0.5 + 0.5 * np.cos(year_angle)
     cloud = 1 / (1 + np.exp(-1.6 * wandering(0.93) - 0.3))
@@ -143,9 +144,9 @@ def compute_sun_height(time: Floats) -> Floats:
     ----------
     Cooper (1969), Solar Energy 12:333, for the declination.
     """
-    day = (time / 86400.0) % 365.2425 + 1
+    day = (time / SECONDS_PER_DAY) % 365.2425 + 1
     declination = np.radians(23.45) * np.sin(2 * np.pi * (284 + day) / 365)
-    hour_angle = 2 * np.pi * (time % 86400.0) / 86400.0 - np.pi + np.radians(ORIGIN[1])
+    hour_angle = 2 * np.pi * (time % SECONDS_PER_DAY) / SECONDS_PER_DAY - np.pi + np.radians(ORIGIN[1])
     latitude = radians(ORIGIN[0])
     height = np.sin(latitude) * np.sin(declination) + np.cos(latitude) * np.cos(declination) * np.cos(hour_angle)
     return np.asarray(np.maximum(height, 0.0))

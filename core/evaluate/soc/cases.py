@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from core.columns import SECONDS_PER_DAY
 from core.stats.clustered import assign_vehicle_days
 
 HOURS_AHEAD: Final = (0, 1, 2, 4, 6)
@@ -19,7 +20,6 @@ MOST_FORECAST_AGE: Final = 600.0
 """The newest forecast may be so old; where it is older the car was silent. [s]"""
 CUT_SHORT_MARGIN: Final = 900.0
 """A shift that the recording leaves so long before its planned end has not ended. [s]"""
-DAY: Final = 86_400.0
 
 SHIFT_KEY: Final = ["vehicle_id", "shift"]
 """What names a shift."""
@@ -99,7 +99,7 @@ def select_cases(outlooks: pd.DataFrame, shifts: pd.DataFrame) -> ForecastCases:
     cases = pd.merge_asof(asked, made, left_on="asked_s", right_on="time_s", by=SHIFT_KEY)
     cases = cases.sort_values([*SHIFT_KEY, "hours"], ignore_index=True)
     why = _reasons(cases, made)
-    day = np.floor(cases["begin_s"] / DAY)
+    day = np.floor(cases["begin_s"] / SECONDS_PER_DAY)
     cases["cluster"] = assign_vehicle_days(cases.assign(day=day), day="day")
     kept = cases[why == ""].reset_index(drop=True)
     names = [f"{vehicle} {shift}" for vehicle, shift in zip(cases["vehicle_id"], cases["shift"], strict=True)]

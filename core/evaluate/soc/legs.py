@@ -11,7 +11,8 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from core.evaluate.soc.cases import DAY, SHIFT_KEY, normalise_keys
+from core.columns import SECONDS_PER_DAY
+from core.evaluate.soc.cases import SHIFT_KEY, normalise_keys
 from core.forecast.plan_tracker import SHORTEST_RIDE
 from core.stats.clustered import assign_vehicle_days
 from core.wire.messages import Outlook
@@ -108,7 +109,7 @@ def match_legs_to_rides(asked: pd.DataFrame, rides: pd.DataFrame, shifts: pd.Dat
     cases = cases.merge(normalise_keys(shifts)[[*SHIFT_KEY, *LEG_SHIFT_COLUMNS]], on=SHIFT_KEY)
     charged = cases["ride_end_s"] - cases["since_charge_s"] > cases["time_s"]
     cases = cases[(cases["ride_end_s"] <= cases["end_s"]) & ~charged & cases["soc_end_pct"].notna()]
-    day = np.floor(cases["begin_s"] / DAY)
+    day = np.floor(cases["begin_s"] / SECONDS_PER_DAY)
     return cases.assign(
         minutes=(cases["ride_end_s"] - cases["time_s"]) / 60.0,
         charges=cases["charged_s"] > cases["ride_end_s"],

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from core import effects
-from core.columns import JOULES_PER_KWH, KMH
+from core.columns import JOULES_PER_KWH, KMH, SPEED_BINS
 from core.pipeline import Pipeline
 from core.signals.signals import Signals
 from core.signals.weather import Stations
-from core.totals.accumulator import AMOUNTS, BINS, Ledger
+from core.totals.accumulator import AMOUNTS, Ledger
 from core.totals.tables import HISTOGRAM
 from core.vehicles import load_catalogue
 from core.vehicles.fleet import CarParameters
@@ -90,7 +90,7 @@ def test_the_histogram_of_speed_is_the_distance():
     columns = full()
     ride, windows = ride_of(columns)
     clean = cleaned(columns)
-    expected = np.histogram(clean.speed, bins=[*(5 * KMH * np.arange(BINS)), np.inf], weights=clean.distance)[0]
+    expected = np.histogram(clean.speed, bins=[*(5 * KMH * np.arange(SPEED_BINS)), np.inf], weights=clean.distance)[0]
     assert ride[list(HISTOGRAM)].to_numpy(float) == pytest.approx(expected / 1000, abs=1e-9)
     assert ride[list(HISTOGRAM)].sum() == pytest.approx(ride["distance_km"])
     assert windows[list(HISTOGRAM)].sum(axis=1).to_numpy() == pytest.approx(windows["distance_km"].to_numpy())
@@ -195,7 +195,7 @@ def test_rows_outside_rides_enter_no_totals():
 def test_a_ledger_has_a_place_for_everything():
     ledger = Ledger(3)
     totals = ledger.running(np.array([], dtype=np.int64))
-    assert totals.amounts.shape == (0, len(AMOUNTS) + 3 + BINS)
+    assert totals.amounts.shape == (0, len(AMOUNTS) + 3 + SPEED_BINS)
     assert ledger.close().rides.lane.size == 0
 
 
