@@ -6,7 +6,7 @@ import sys
 
 from core.forecast.plan_checks import FASTEST_KMH, LEG_LIMITS, MOST_LEGS, PAST_S
 from core.forecast.plan_tracker import LONGEST_SHIFT
-from core.wire.messages import LegOutlook, Outlook
+from core.wire.messages import KINDS, OF_VEHICLES, LegOutlook, Outlook, Wire
 from tests.support.pages import blocks
 from tests.support.paths import ROOT
 
@@ -46,3 +46,27 @@ def test_effect_in_the_guide_passes_its_check(tmp_path):
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stderr
     assert "all checks passed" in done.stdout
+
+
+def test_wire_page_has_every_field_of_every_message():
+    page = sections(DOCS / "reference" / "wire.md")
+    structs = {struct for struct in all_structs(Wire) if struct not in {Outlook, LegOutlook}}
+    assert {struct.__name__ for struct in structs} == set(page) - {"Keys"}
+    for struct in structs:
+        assert sorted(struct.__struct_fields__) == sorted(fields_in_tables(page[struct.__name__])), struct.__name__
+
+
+def all_structs(base):
+    """Yield the structs of the wire contract."""
+    for struct in base.__subclasses__():
+        if struct.__module__ == Wire.__module__:
+            yield struct
+        yield from all_structs(struct)
+
+
+def test_wire_page_has_every_key():
+    keys = sections(DOCS / "reference" / "wire.md")["Keys"]
+    assert {f"`fleet/{{vehicle}}/{kind}`" in keys for kind in OF_VEHICLES} == {True}
+    assert "`weather/{station}`" in keys
+    assert "`models/{name}/{version}/errors`" in keys
+    assert set(KINDS) == {*OF_VEHICLES, "weather", "errors"}
