@@ -28,6 +28,8 @@ GENERATORS: Final[Mapping[str, Callable[[], str]]] = {
     "effects": effect_pages.effects,
     "telemetry-columns": table_pages.telemetry_columns,
     "signal-columns": table_pages.signal_columns,
+    "ride-columns": table_pages.ride_columns,
+    "window-columns": table_pages.window_columns,
 }
 """Name in the comment -> function that returns Markdown."""
 COPIES: Final[Mapping[str, str]] = {
