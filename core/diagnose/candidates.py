@@ -83,7 +83,7 @@ def compute_least_share(variant: str) -> float:
 
     Examples
     --------
-    >>> least_share("headwind"), least_share("cornering")
+    >>> compute_least_share("headwind"), compute_least_share("cornering")
     (0.003, 0.01)
     """
     return LEAST_IN_BENDS if BENDS in list_input_columns(variant) else LEAST_SHARE

@@ -17,8 +17,8 @@ from threadpoolctl import threadpool_limits
 from core import effects
 from core.batch import Floats
 from core.diagnose import residual_structure
-from core.diagnose.add.coefficients import describe_coefficient
 from core.diagnose.add.refit import CoefficientEstimate
+from core.diagnose.add.terms import describe_coefficient
 from core.diagnose.candidates import Candidates, build_candidates
 from core.diagnose.dataset import Windows, gather_windows, is_metered
 from core.diagnose.evidence import ClusterSums

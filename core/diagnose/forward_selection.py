@@ -288,7 +288,7 @@ def is_inexact(variant: str) -> bool:
 
     Examples
     --------
-    >>> inexact("cold_regen_limit"), inexact("cold_rolling")
+    >>> is_inexact("cold_regen_limit"), is_inexact("cold_rolling")
     (True, False)
     """
     return not FORCES.isdisjoint(list_input_columns(variant))

@@ -128,7 +128,7 @@ def combine_by_simes(p: Floats) -> float:
 
     Examples
     --------
-    >>> simes(np.array([0.02, 0.5, 0.03]))
+    >>> combine_by_simes(np.array([0.02, 0.5, 0.03]))
     0.045
     """
     ordered = np.sort(p)

@@ -1,4 +1,4 @@
-"""`socast diagnose`: where a model fails and why, from tables or recordings; with `--auto` the loop to the end."""
+"""Run `socast diagnose`: find where a model fails and why; with `--auto`, add effects until none is missing."""
 
 import shlex
 from collections.abc import Sequence
@@ -28,192 +28,198 @@ from tools.commands.fit import RECORDING, Rides, inputs
 from tools.commands.tables import WINDOWS, in_memory
 from tools.terminal.output import EffectFiles, HtmlFile, JsonFile, model_files, printer, report, writable, write_json
 
-MEASURED = ("energy_kwh", "energy_sd_kwh", "energy_vi_kwh", "energy_vi_sd_kwh", "energy_soc_kwh", "energy_soc_sd_kwh")
-OF_BOTH = (KEY, VEHICLE, VEHICLE_MODEL, *MEASURED, *(effect.energy_name for effect in ROAD_LOAD))
-OF_WINDOWS = (*OF_BOTH, *(name for name in FEATURES if name not in {"winter", "summer"}))
-OF_RIDES = (*OF_BOTH, "ride_id", "date", "fit_for_training", *FEATURES)
-"""Columns that diagnosis reads of either table, beside those of candidate effects."""
-MOST_STEPS = 8
-"""Effects that `--auto` adds at most."""
+ENERGY_COLUMNS = (
+    "energy_kwh",
+    "energy_sd_kwh",
+    "energy_vi_kwh",
+    "energy_vi_sd_kwh",
+    "energy_soc_kwh",
+    "energy_soc_sd_kwh",
+)
+SHARED_COLUMNS = (KEY, VEHICLE, VEHICLE_MODEL, *ENERGY_COLUMNS, *(effect.energy_name for effect in ROAD_LOAD))
+WINDOW_COLUMNS = (*SHARED_COLUMNS, *(name for name in FEATURES if name not in {"winter", "summer"}))
+RIDE_COLUMNS = (*SHARED_COLUMNS, "ride_id", "date", "fit_for_training", *FEATURES)
+"""Columns that diagnosis reads from the window and ride tables, in addition to those of candidate effects."""
+MAX_STEPS = 8
+"""Maximum number of effects that `--auto` adds."""
 
 LeastGain = Annotated[
-    float, typer.Option(metavar="SHARE", min=0.0, max=1.0, help="Gain below which an effect is not worth its place.")
+    float, typer.Option(metavar="SHARE", min=0.0, max=1.0, help="Least gain that an effect must have.")
 ]
 
 
 def diagnose_rides(
     rides: Rides,
-    model: Annotated[str, typer.Option("--model", metavar="M", help="A model's name, or a model file.")],
+    model: Annotated[str, typer.Option("--model", metavar="M", help="Model: a name, or a model file.")],
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
     effects_file: EffectFiles = None,
     suggest: Annotated[
-        Path | None, typer.Option(metavar="FILE.py", help="Write the suggested effect, if any, ready to edit.")
+        Path | None, typer.Option(metavar="FILE.py", help="Write the suggested effect, if any, to a file.")
     ] = None,
     least_gain: LeastGain = LEAST_GAIN,
-    auto: Annotated[
-        bool, typer.Option("--auto", help="Add what is missing, look again, until nothing is to be gained.")
-    ] = False,
+    auto: Annotated[bool, typer.Option("--auto", help="Add the first missing effect and repeat.")] = False,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="M2", help="With --auto: the model to write.")
+        Path | None, typer.Option("--out", "-o", metavar="M2", help="With --auto: the model file to write.")
     ] = None,
 ) -> None:
-    """Tell where a model fails, which physical effect it lacks, and what remains."""
+    """Find where a model fails, which physical effects it lacks, and what error remains."""
     if auto != (out is not None):
-        raise SettingsError("--auto writes the model that it comes to: give --auto and -o M2 together, or neither")
-    chosen = models.load(model)
+        raise SettingsError("--auto writes the final model: give --auto and -o M2 together, or neither")
+    loaded = models.load(model)
     writable([*read_files(rides), *model_files([model]), *(effects_file or ())], json_file, html_file, suggest, out)
-    table, windows = read_tables(rides, chosen)
+    table, windows = read_tables(rides, loaded)
     console = printer()
-    for name in lacking(effects_file or (), windows):
+    for name in list_lacking_effects(effects_file or (), windows):
         console.print(
-            f"{name} is not in the tables and is not asked of: make them anew with `socast tables --effects FILE`",
+            f"{name} is not in the tables and is not tested: make them again with `socast tables --effects FILE`",
             style="yellow",
             soft_wrap=True,
         )
     if auto and out is not None:
-        chosen, result = _auto(chosen, table, windows, least_gain, console)
-        models.save(chosen, out)
+        loaded, result = _auto(loaded, table, windows, least_gain, console)
+        models.save(loaded, out)
     else:
-        result = _diagnosed(chosen, *_not_set_apart(chosen, table, windows, console), least_gain)
-        say_commands(result, model, rides, effects_file or ())
+        result = _diagnose(loaded, *_drop_known_final_days(loaded, table, windows, console), least_gain)
+        insert_commands(result, model, rides, effects_file or ())
     write_json(json_file, result)
-    report("diagnosis.page", result, html_file, suggested=_suggested(result, suggest))
+    report("diagnosis.page", result, html_file, suggested=_write_suggestion(result, suggest))
     if out is not None:
-        told = f"{out}: version {chosen.version}; socast history {out} tells its steps"
-        console.print(told, markup=False, highlight=False, soft_wrap=True)
+        message = f"{out}: version {loaded.version}; show its steps: socast history {out}"
+        console.print(message, markup=False, highlight=False, soft_wrap=True)
 
 
-def lacking(files: Sequence[Path], windows: pd.DataFrame) -> list[str]:
-    """Return the effects of one's own that tables were made without."""
+def list_lacking_effects(files: Sequence[Path], windows: pd.DataFrame) -> list[str]:
+    """Return the effects of the user's files that the window table does not have."""
     own = [effect.name for path in files for effect in effects.group_by_topic().get(path.name, ())]
     return [name for name in own if f"{EFFECT_PREFIX}{name}" not in windows]
 
 
-def _checked(model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return tables that diagnosis can read.
+def _check(model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the tables, checked for every column that diagnosis reads.
 
     Raises
     ------
     ModelError
-        Where a column is missing, or the rides are of other vehicles than the model.
+        A column is missing, or the rides are of other vehicle models than the model.
     """
-    for table, what, needed in ((rides, "ride", OF_RIDES), (windows, "window", OF_WINDOWS)):
+    for table, what, needed in ((rides, "ride", RIDE_COLUMNS), (windows, "window", WINDOW_COLUMNS)):
         if missing := [name for name in needed if name not in table]:
             raise ModelError(
-                f"column {missing[0]!r} is missing in the {what} table: make the tables anew, with `socast tables`"
+                f"column {missing[0]!r} is missing in the {what} table: make the tables again with `socast tables`"
             )
     check_vehicles(model, rides)
     return rides, windows
 
 
 def read_files(given: Sequence[Path]) -> list[Path]:
-    """Return every file that is read for what the command line names: recordings, or rides and the windows beside."""
+    """Return every file that a command reads: recordings, or ride tables with the window tables beside them."""
     files = inputs(given)
     return files if files[0].suffix == RECORDING else [*files, *(file.with_name(WINDOWS) for file in files)]
 
 
 def read_tables(given: Sequence[Path], model: LinearModel) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return ride and window table, of tables or made of recordings, with every effect that is known.
+    """Return the ride and window tables, read from tables or made from recordings with every known effect.
 
     Raises
     ------
     SettingsError
-        Where there are no windows beside the rides.
+        There is no window table beside a ride table.
     ModelError
-        Where a table cannot be read.
+        A table cannot be read.
     """
     files = inputs(given)
     if files[0].suffix == RECORDING:
-        return _checked(model, *in_memory(files, [*model.effects, *effects.list_tabulated()]))
+        return _check(model, *in_memory(files, [*model.effects, *effects.list_tabulated()]))
     beside = [file.with_name(WINDOWS) for file in files]
     for file in beside:
         if not file.is_file():
             raise SettingsError(
-                f"{file.parent} holds no {WINDOWS}; diagnosis goes by windows: name a folder that `socast tables` made"
+                f"{file.parent} holds no {WINDOWS}, which diagnosis needs: name a folder that `socast tables` made"
             )
-    return _checked(model, read(files), read(beside))
+    return _check(model, read(files), read(beside))
 
 
 def check_vehicles(model: LinearModel, rides: pd.DataFrame) -> None:
-    """Refuse rides of none of the vehicle models that a model was fitted to.
+    """Refuse rides if the model was fitted to none of their vehicle models.
 
     Raises
     ------
     ModelError
+        The model and the rides have no vehicle model in common.
     """
     known = set(model.training.vehicle_models) if model.training else set()
-    there = {name for name in get_names(rides, VEHICLE_MODEL) if name}
-    if known and there and not known & there:
+    present = {name for name in get_names(rides, VEHICLE_MODEL) if name}
+    if known and present and not known & present:
         raise ModelError(
             f"model {model.name} was fitted to {', '.join(sorted(known))}, and these rides are of "
-            f"{', '.join(sorted(there))}: give a model of these vehicles, or fit one with `socast fit`"
+            f"{', '.join(sorted(present))}: give a model of these vehicles, or fit one with `socast fit`"
         )
 
 
-def before(rides: pd.DataFrame, windows: pd.DataFrame, apart: tuple[str, ...]) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the tables without the days that are set apart."""
-    kept = rides.loc[~np.isin(np.asarray(get_names(rides, "date"), dtype=str), list(apart))]
+def drop_days(rides: pd.DataFrame, windows: pd.DataFrame, days: tuple[str, ...]) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the ride and window tables without some days."""
+    kept = rides.loc[~np.isin(np.asarray(get_names(rides, "date"), dtype=str), list(days))]
     return kept, windows.loc[windows["ride_key"].isin(kept["ride_key"])]
 
 
-def say_commands(result: dict[str, Any], model: str, given: Sequence[Path], brought: Sequence[Path] = ()) -> None:
-    """Enter, with each effect that is missing, the command that adds it."""
+def insert_commands(
+    result: dict[str, Any], model: str, data: Sequence[Path], effect_files: Sequence[Path] = ()
+) -> None:
+    """Insert into the entry of each missing effect the command that adds it."""
     stem = model if model in BUILT_IN_MODELS else str(Path(model).with_suffix(""))
-    for found in result.get("missing") or ():
-        name, scopes = term_of(found)
+    for entry in result.get("missing") or ():
+        name, scopes = parse_term(entry)
         words = ["socast", "add", name, "--model", model]
-        words += [word for path in given for word in ("--data", str(path))]
-        words += [word for path in brought for word in ("--effects", str(path))]
+        words += [word for path in data for word in ("--data", str(path))]
+        words += [word for path in effect_files for word in ("--effects", str(path))]
         words += [word for scope in scopes for word in ("--scope", scope)]
-        found["command"] = shlex.join([*words, "-o", f"{stem}-{name.partition('@')[0]}.json"])
+        entry["command"] = shlex.join([*words, "-o", f"{stem}-{name.partition('@')[0]}.json"])
 
 
-def term_of(found: dict[str, Any]) -> tuple[str, list[str]]:
-    """Return the name of an effect that is missing, or of its variant, and its scopes."""
-    columns = [str(column) for column in found.get("columns") or ()]
+def parse_term(entry: dict[str, Any]) -> tuple[str, list[str]]:
+    """Return the name of a missing effect, or of its variant, and its scopes."""
+    columns = [str(column) for column in entry.get("columns") or ()]
     own = [column.removeprefix(EFFECT_PREFIX) for column in columns if column.startswith(EFFECT_PREFIX)]
-    return own[0] if own else str(found.get("variant") or found["effect"]), [c for c in columns if is_scope(c)]
+    return own[0] if own else str(entry.get("variant") or entry["effect"]), [c for c in columns if is_scope(c)]
 
 
-def _diagnosed(model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame, least_gain: float) -> dict[str, Any]:
-    """Return the diagnosis, as JSON has it."""
+def _diagnose(model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame, least_gain: float) -> dict[str, Any]:
+    """Return the diagnosis as JSON values."""
     from core.diagnose.diagnosis import diagnose  # noqa: PLC0415 - boosted trees take a second to import
 
-    found: dict[str, Any] = to_json_values(diagnose(rides, windows, model, least_gain=least_gain))
-    return found
+    result: dict[str, Any] = to_json_values(diagnose(rides, windows, model, least_gain=least_gain))
+    return result
 
 
-def _not_set_apart(
+def _drop_known_final_days(
     model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame, console: Console
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the tables without days that the model's history has set apart, and say so."""
-    apart = (
-        select_final_days(model.history, get_names(rides, "date")) if any(e.get("final") for e in model.history) else ()
-    )
-    if apart:
-        told = f"Not looked at: rides of {', '.join(apart)}, which the model's history has set apart."
-        console.print(told, markup=False, highlight=False, soft_wrap=True)
-    return before(rides, windows, apart)
+    """Return the tables without the final hold-out days of the model's history, and print these days."""
+    known = any(entry.get("final") for entry in model.history)
+    days = select_final_days(model.history, get_names(rides, "date")) if known else ()
+    if days:
+        message = f"Not used: rides of {', '.join(days)}, the final hold-out days in the history of the model."
+        console.print(message, markup=False, highlight=False, soft_wrap=True)
+    return drop_days(rides, windows, days)
 
 
 def _auto(
     model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame, least_gain: float, console: Console
 ) -> tuple[LinearModel, dict[str, Any]]:
-    """Return the model that the loop comes to, and its last diagnosis."""
+    """Return the model after the last step of the loop, and the last diagnosis."""
     from tools.report import history  # noqa: PLC0415 - figures take seconds to import
     from tools.report.diagnosis import page  # noqa: PLC0415 - figures take seconds to import
 
-    apart = select_final_days(model.history, get_names(rides, "date"))
-    seen = before(rides, windows, apart)
+    development = drop_days(rides, windows, select_final_days(model.history, get_names(rides, "date")))
     rows, floor = join_tables(rides, windows), compute_ride_noise_floor(gather_windows(rides, windows, model))
-    for step in range(1, MOST_STEPS + 1):
-        result = _diagnosed(model, *seen, least_gain)
+    for step in range(1, MAX_STEPS + 1):
+        result = _diagnose(model, *development, least_gain)
         page.print_step(result, step, console)
-        found = next((m for m in result.get("missing") or () if m["effect"] == result.get("verdict")), None)
-        if found is None:
+        entry = next((m for m in result.get("missing") or () if m["effect"] == result.get("verdict")), None)
+        if entry is None:
             break
-        name, scopes = term_of(found)
+        name, scopes = parse_term(entry)
         try:
             added = add.add_effect(
                 model, name, build_term_columns(name, scopes), rows, rides=rides, floor=floor, least=least_gain
@@ -224,15 +230,15 @@ def _auto(
         history.print_trial(added.trial, console)
         if not added.trial["accepted"]:
             model = add.log_attempt(model, added.trial)
-            page.print_lines(["The loop ends here: what the diagnosis names does not help on held-out rides."], console)
+            page.print_lines(["The loop ends here: the missing effect does not help on held-out rides."], console)
             break
         model = added.model
     history.show(model, console)
     return model, result
 
 
-def _suggested(result: dict[str, Any], path: Path | None) -> str | None:
-    """Write the effect that is suggested, if it is wanted and there is one, and return where it is."""
+def _write_suggestion(result: dict[str, Any], path: Path | None) -> str | None:
+    """Write the suggested effect if there is one and a path is given, and return the path."""
     text = result.get("suggestion_file")
     if not (path and text):
         return None

@@ -1,4 +1,4 @@
-"""`socast history`: what was done to a model, step by step, and how its error fell."""
+"""Run `socast history`: show every step of a model and how its error fell."""
 
 from pathlib import Path
 from typing import Annotated
@@ -15,10 +15,10 @@ def show_history(
     json_file: JsonFile = None,
     _: EffectFiles = None,
 ) -> None:
-    """Tell a model's history: the error falling step by step, every attempt included, above the measurement's noise."""
+    """Show the history of a model: every effect that was tried, and the error after each step against the noise."""
     from tools.report import history  # noqa: PLC0415 - figures take seconds to import
 
-    chosen = models.load(model)
+    loaded = models.load(model)
     writable([Path(model)], html_file, json_file)
-    write_json(json_file, history.summarise(chosen))
-    report("history", chosen, html_file)
+    write_json(json_file, history.summarise(loaded))
+    report("history", loaded, html_file)

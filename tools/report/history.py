@@ -1,4 +1,4 @@
-"""What was done to a model: a trial of one effect, and the history of all of them."""
+"""Show the trial of one effect and the history of a model, in the terminal and as an HTML page."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,70 +22,70 @@ from tools.report.page import render_document, save
 Entry = Mapping[str, Any]
 
 HELD_OUT: Final[Mapping[str, str]] = {
-    "of_effect": "days held out for the effect alone",
-    "on_days": "days held out for all that is fitted",
-    "on_vehicles": "vehicles held out",
-    "final": "days set apart",
+    "of_effect": "held-out days, effect refitted",
+    "on_days": "held-out days, all refitted",
+    "on_vehicles": "held-out vehicles, all refitted",
+    "final": "final hold-out days",
 }
-"""What a trial was judged on, for people."""
-JUDGED_NOTE: Final = (
-    "What is held out was not fitted to: in the first row by the effect's coefficient, in the others by anything. ± is "
-    "half of the 95 % interval of the difference, ride by ride, by vehicle-day. Days set apart decide nothing: to "
-    "look at them and then to choose otherwise is to cheat oneself."
+"""Key of a comparison in a trial and the row title for it."""
+TRIAL_NOTE: Final = (
+    "In the first row, the coefficient of the effect is fitted without the held-out days; in the other rows, everything "
+    "is fitted without what is held out. ± is half of the 95 % interval of the mean difference per ride, clustered by "
+    "vehicle-day. The final hold-out days decide nothing: evaluate on them once, and do not tune on them."
 )
 HISTORY_NOTE: Final = (
-    "Error: mean absolute error of a ride, on held-out days. A step may begin with another figure than the one before "
-    "ended with: each is of the rides given then."
+    "Error: mean absolute error of a ride on held-out days. Each step is evaluated on the rides given at that time, so "
+    "a step may begin with another error than the previous step ended with."
 )
 
 
 def print_trial(trial: Any, console: Console) -> None:
-    """Print what came of an effect that was tried."""
-    found = to_json_values(trial)
-    for section in build_trial_sections(found):
+    """Print the comparison, the coefficient and the outcome of a trial."""
+    entry = to_json_values(trial)
+    for section in build_trial_sections(entry):
         print_section(section, console)
     console.print()
-    for line in describe_coefficients(found):
+    for line in describe_coefficients(entry):
         console.print(Text(line))
-    for line in found.get("warnings") or ():
+    for line in entry.get("warnings") or ():
         console.print(Text(f"warning: {line}", style="yellow"))
-    console.print(Text(_outcome(found), style="bold"))
+    console.print(Text(_outcome(entry), style="bold"))
 
 
-def describe_coefficients(found: Entry) -> list[str]:
-    """Return the coefficient in words and figures, and those of vehicle models that differ."""
-    lines = [str(found.get("words") or ""), describe_coefficient(found)]
-    own = get_mapping(found, "by_vehicle_model")
-    said = get_mapping(found, "words_by_vehicle_model")
+def describe_coefficients(trial: Entry) -> list[str]:
+    """Return the coefficient in words and figures, and those of vehicle models with a coefficient of their own."""
+    lines = [str(trial.get("words") or ""), describe_coefficient(trial)]
+    own = get_mapping(trial, "by_vehicle_model")
+    words = get_mapping(trial, "words_by_vehicle_model")
     lines += [
-        f"{key}: {said.get(key, '')} ({describe_coefficient({'coefficient': value})})" for key, value in own.items()
+        f"{key}: {words.get(key, '')} ({describe_coefficient({'coefficient': value})})" for key, value in own.items()
     ]
     return [line for line in lines if line]
 
 
-def _outcome(found: Entry) -> str:
-    """Say whether the effect helps."""
-    helps = "helps" if found.get("accepted") else "does not help"
-    return f"{found.get('effect')}{_scope(found)} {helps}: {found.get('reason')}."
+def _outcome(trial: Entry) -> str:
+    """Return a sentence that states whether the effect helps, and why."""
+    helps = "helps" if trial.get("accepted") else "does not help"
+    return f"{trial.get('effect')}{_scope(trial)} {helps}: {trial.get('reason')}."
 
 
-def build_trial_sections(found: Entry) -> list[Section]:
-    """Return the tables of a trial."""
-    judged = [(what, get_mapping(found, key)) for key, what in HELD_OUT.items() if get_mapping(found, key)]
-    rows = tuple(_compared(what, one) for what, one in judged)
-    floor = f"Measurement noise alone: {format_energy(found.get('noise_floor_kwh'))}. {JUDGED_NOTE}"
+def build_trial_sections(trial: Entry) -> list[Section]:
+    """Return the tables of a trial: the errors before and after, overall and by condition."""
+    comparisons = [(what, get_mapping(trial, key)) for key, what in HELD_OUT.items() if get_mapping(trial, key)]
+    rows = tuple(_compared(what, one) for what, one in comparisons)
+    floor = f"Measurement noise alone: {format_energy(trial.get('noise_floor_kwh'))}. {TRIAL_NOTE}"
     heads = ("rides", "vehicle-days", "before, kWh", "after, kWh", "change, kWh", "change")
-    title = f"{found.get('effect')}{_scope(found)}: before and after"
-    tables = [ReportTable("Mean absolute error of a ride", "judged on", heads, rows, (floor,))]
-    parts = get_mapping(found, "conditions")
+    title = f"{trial.get('effect')}{_scope(trial)}: before and after"
+    tables = [ReportTable("Mean absolute error of a ride", "evaluated on", heads, rows, (floor,))]
+    parts = get_mapping(trial, "conditions")
     for what, bins in parts.items():
         own = tuple(_compared(str(one.get("where")), one) for one in bins)
-        tables.append(ReportTable(f"By {what}, days held out", what, heads, own))
+        tables.append(ReportTable(f"By {what}, held-out days", what, heads, own))
     return [Section("trial", title, "", [table for table in tables if table.rows])]
 
 
 def _compared(name: str, one: Entry) -> Row:
-    """Return errors before and after."""
+    """Return one row with the errors before and after."""
     was, now = get_number(one.get("mae_before_kwh")), get_number(one.get("mae_after_kwh"))
     return Row(
         name,
@@ -101,7 +101,7 @@ def _compared(name: str, one: Entry) -> Row:
 
 
 def summarise(model: LinearModel) -> dict[str, Any]:
-    """Return a model's history, as JSON has it."""
+    """Return the history of a model as JSON values."""
     steps = list_attempts(model)
     taken = [step for step in steps if step["action"] == "add"]
     return {
@@ -116,21 +116,21 @@ def summarise(model: LinearModel) -> dict[str, Any]:
 
 
 def list_attempts(model: LinearModel) -> list[Entry]:
-    """Return the effects that were tried, oldest first."""
+    """Return the entries of the effects that were tried, the oldest first."""
     return [entry for entry in model.history if entry.get("action") in {"add", "refused"}]
 
 
 def show(model: LinearModel, console: Console) -> None:
-    """Print a model's history."""
+    """Print the history of a model."""
     print_section(Section("history", _title(model), "", [tabulate_history(model)]), console)
     for i, entry in enumerate(model.history):
         if entry in list_attempts(model):
-            console.print(Text(f"{i}. {_finding(entry)}"))
+            console.print(Text(f"{i}. {_describe_attempt(entry)}"))
     console.print(Text(describe_progress(model), style="bold"))
 
 
 def write(model: LinearModel, path: Path) -> None:
-    """Write a model's history as a page that needs nothing else."""
+    """Write the history of a model as an HTML page that loads no other file."""
     shown = [Section("history", "Step by step", describe_progress(model), [tabulate_history(model)])]
     for i, entry in enumerate(list_attempts(model), start=1):
         section = build_trial_sections(entry)[0]
@@ -148,38 +148,38 @@ def _title(model: LinearModel) -> str:
 
 
 def describe_progress(model: LinearModel) -> str:
-    """Say how far the error fell."""
+    """Return a sentence that states how far the error fell."""
     tried = list_attempts(model)
     if not tried:
-        return "No effect was tried yet: socast diagnose tells what is missing, socast add adds it."
+        return "No effect has been tried. Find a missing effect with socast diagnose, and add it with socast add."
     taken = [step for step in tried if step["action"] == "add"]
     first, floor = tried[0].get("mae_before_kwh"), tried[-1].get("noise_floor_kwh")
     names = ", ".join(f"{step.get('effect')}{_scope(step)}" for step in taken)
-    said = f"Added: {names}" if taken else "No effect was added"
+    added = f"Added: {names}" if taken else "No effect was added"
     refused = len(tried) - len(taken)
     beside = f", {format_count(refused)} refused" if refused else ""
     last = taken[-1].get("mae_after_kwh") if taken else None
     fall = f"error {_error(first)} -> {format_energy(last)}" if taken else f"error {format_energy(first)}"
-    return f"{said}{beside}; {fall} a ride on held-out days; measurement noise alone {format_energy(floor)}."
+    return f"{added}{beside}; {fall} per ride on held-out days; measurement noise alone {format_energy(floor)}."
 
 
 def tabulate_history(model: LinearModel) -> ReportTable:
-    """Return every step of a model's history."""
+    """Return a table with every step of the history."""
     rows = tuple(_step(i, entry) for i, entry in enumerate(model.history))
-    heads = ("done", "before, kWh", "after, kWh", "change, kWh", "noise, kWh", "set apart, kWh")
+    heads = ("result", "before, kWh", "after, kWh", "change, kWh", "noise, kWh", "final, kWh")
     return ReportTable("", "step", heads, rows, (HISTORY_NOTE,) if list_attempts(model) else ())
 
 
 def _step(place: int, entry: Entry) -> Row:
-    """Return a row of the history."""
+    """Return one row of the history."""
     action = str(entry.get("action"))
     if action not in {"add", "refused"}:
         fitted = [value for value in get_mapping(entry, "mae_in_sample_kwh").values() if get_number(value) is not None]
-        said = f"recipe {entry['recipe']}" if entry.get("recipe") else ""
-        inside = f"error in sample {_error(max(fitted))} kWh at most" if fitted else ""
+        recipe = f"recipe {entry['recipe']}" if entry.get("recipe") else ""
+        inside = f"in-sample error {_error(max(fitted))} kWh at most" if fitted else ""
         blank = tuple(Cell("") for _ in range(5))
         return Row(
-            f"{place}. {', '.join(each for each in (said or action, inside) if each)}", (Cell(_past(action)), *blank)
+            f"{place}. {', '.join(each for each in (recipe or action, inside) if each)}", (Cell(_past(action)), *blank)
         )
     done = "added by force" if entry.get("forced") else "added" if action == "add" else "refused"
     final = get_mapping(entry, "final")
@@ -197,14 +197,14 @@ def _step(place: int, entry: Entry) -> Row:
 
 
 def _final(final: Entry) -> str:
-    """Return the errors on the days that were set apart."""
+    """Return the errors before and after on the final hold-out days."""
     if not final:
         return UNKNOWN
     return f"{_error(final.get('mae_before_kwh'))} → {_error(final.get('mae_after_kwh'))}"
 
 
 def _past(action: str) -> str:
-    """Return what was done.
+    """Return the past participle of an action.
 
     Examples
     --------
@@ -214,8 +214,8 @@ def _past(action: str) -> str:
     return {"fit": "fitted"}.get(action, f"{action}ed")
 
 
-def _finding(entry: Entry) -> str:
-    """Say what an effect means, or why it was refused."""
+def _describe_attempt(entry: Entry) -> str:
+    """Return what the coefficient of an effect means, or why the effect was refused."""
     name = f"{entry.get('effect')}{_scope(entry)}"
     if entry["action"] == "refused":
         return f"{name} was refused: {entry.get('reason')}"
@@ -225,11 +225,11 @@ def _finding(entry: Entry) -> str:
 
 
 def draw_errors(model: LinearModel) -> list[Illustration]:
-    """Return the error step by step, every attempt included, above the noise."""
+    """Draw the error after each step and of each refused effect, against the noise."""
     tried = list_attempts(model)
     if not tried:
         return []
-    names, errors = ["at first"], [tried[0].get("mae_before_kwh")]
+    names, errors = ["initial"], [tried[0].get("mae_before_kwh")]
     final = [get_mapping(tried[0], "final").get("mae_before_kwh")]
     refused_at, refused, floors = [], [], [tried[0].get("noise_floor_kwh")]
     for i, step in enumerate(tried, start=1):
@@ -250,20 +250,23 @@ def draw_errors(model: LinearModel) -> list[Illustration]:
             mode="markers",
             marker={"symbol": "x-open", "size": 11, "color": get_style(3).colour},
         ),
-        draw_curve("days set apart", get_style(4), names, final),
+        draw_curve("final hold-out days", get_style(4), names, final),
         go.Scatter(name="measurement noise", x=names, y=floors, mode="lines", line=REFERENCE_LINE),
     ]
     made = make_figure([trace for trace in traces if any(y is not None for y in trace.y or ())], 420)
     made.update_layout(showlegend=True)
     made.update_xaxes(title_text="Effect tried", type="category")
     made.update_yaxes(title_text="Mean absolute error of a ride [kWh]", rangemode="tozero")
-    caption = "Line: after each step; crosses: what a refused effect would have given. Days set apart decide nothing."
-    return [Illustration("falling", "The error, step by step", caption, made)]
+    caption = (
+        "Line: error after each step. Crosses: error that a refused effect would have given. Final hold-out days "
+        "decide nothing."
+    )
+    return [Illustration("falling", "Error after each step", caption, made)]
 
 
 def _scope(entry: Entry) -> str:
-    said = str(entry.get("scope") or "all")
-    return "" if said == "all" else f" ({said})"
+    scope = str(entry.get("scope") or "all")
+    return "" if scope == "all" else f" ({scope})"
 
 
 def _error(value: Any) -> str:
@@ -272,7 +275,7 @@ def _error(value: Any) -> str:
 
 
 def _spread(value: Any) -> str:
-    """Return a change with its interval."""
+    """Return a change with half the width of its interval."""
     known, half = get_number(value), get_half_width(value)
     if known is None:
         return UNKNOWN

@@ -1,12 +1,17 @@
-"""An effect added to a model: refitted to windows, judged on what it had not seen, and written into its history.
+"""Add an effect to a model: refit it to windows, evaluate it on held-out rides, and record the trial in its history.
 
-The model that comes out is fitted to all windows. An effect helps if it is there beyond chance, if on vehicle-days
-that its coefficient was not fitted to it explains some least share of what the model cannot take up, and if there the
-error of whole rides does not clearly grow. The error is told, too, with everything refitted without the days or the
-vehicles that are judged (`core.diagnose.add.holdout`): of few days a model then extrapolates, and errs much with and without.
+The resulting model is fitted to all windows. An effect helps if all of the following hold:
 
-Of many dates every fifth is set apart, and all this is found without them: their error is told once a step, and decides
-nothing. To look at it and then to go back and choose otherwise is to cheat oneself.
+- its evidence is beyond chance;
+- on vehicle-days to which its coefficient was not fitted, it explains a least share of the error that the other terms
+  of the model cannot explain;
+- on these vehicle-days, the error of whole rides does not clearly grow.
+
+The trial also reports the error with everything refitted without the held-out days or vehicles
+(`core.diagnose.add.holdout`). With few days, a model then extrapolates and errs much with and without the effect.
+
+With many dates, every fifth date is a final hold-out. The decision does not use these dates; each step reports their
+error once. Evaluate on the final hold-out once; do not tune on it.
 """
 
 from collections.abc import Sequence
@@ -18,7 +23,6 @@ import numpy as np
 import pandas as pd
 
 from core import effects
-from core.diagnose.add.coefficients import describe_coefficient, put_in_words, warn_if_implausible
 from core.diagnose.add.holdout import (
     Mask,
     RideRows,
@@ -39,7 +43,14 @@ from core.diagnose.add.refit import (
     predict_with_effects_held_out,
     refit_with,
 )
-from core.diagnose.add.terms import build_effect_term, describe_scope, is_additive
+from core.diagnose.add.terms import (
+    build_effect_term,
+    describe_coefficient,
+    describe_scope,
+    explain_coefficient,
+    is_additive,
+    warn_if_implausible,
+)
 from core.diagnose.ranking import LEAST_GAIN, LEVEL
 from core.effects import Effect
 from core.errors import ModelError
@@ -53,24 +64,25 @@ from core.models.features import EFFECT_PREFIX, VEHICLE_SCOPE, Columns, is_scope
 
 ADDED: Final = "add"
 REFUSED: Final = "refused"
-"""Actions of the history."""
-MOST_APART: Final = 0.5
-"""Share of the rides at which an effect is at work that may be set apart; where it would be more, none is."""
+"""Actions in the history of a model."""
+MAX_FINAL_SHARE: Final = 0.5
+"""Share of the rides with the effect that may be in the final hold-out; above it, there is no final hold-out."""
 
-BESIDE: Final = ("conditions", "words_by_vehicle_model", "warnings")
-"""What a trial has and the history has not."""
+TRIAL_ONLY: Final = ("conditions", "words_by_vehicle_model", "warnings")
+"""Keys of a trial that its entry in the history does not have."""
 
 
 class AdditionTrial(NamedTuple):
-    """An effect that was tried.
+    """Hold the trial of an effect that was added to a model.
 
     Parameters
     ----------
     model : LinearModel
-        With the effect, refitted, its history one entry longer; also where the trial speaks against it.
+        The refitted model with the effect and with the trial in its history, also if the trial refuses the effect.
     trial : dict
-        That entry, and beside it `conditions` (the comparison by temperature, distance, speed and vehicle),
-        `words_by_vehicle_model` and `warnings`. `accepted` tells whether the effect helps, `reason` why.
+        The entry in the history, and in addition `conditions` (the comparison by temperature, distance, speed and
+        vehicle), `words_by_vehicle_model` and `warnings`. `accepted` states whether the effect helps, and `reason`
+        why.
     """
 
     model: LinearModel
@@ -88,51 +100,60 @@ def add_effect(
     seed: int = 0,
     least: float = LEAST_GAIN,
 ) -> AdditionTrial:
-    """Return a model with one more effect, and what came of it.
+    """Return a model with one more effect, and the trial of this effect.
 
     Parameters
     ----------
     model : LinearModel
-        A sum of terms, without trees and factors of cars.
+        A sum of terms, without trees and without factors of cars.
     effect : str
-        Name of an effect, or of a variant of one.
+        Name of an effect or of a variant.
     columns : sequence of str
-        Of its term, see `core.diagnose.add.terms.scoped`.
+        Columns of the term, see `core.diagnose.add.terms.build_term_columns`.
     joined : DataFrame
-        Windows, as `core.diagnose.dataset.joined` makes them.
+        Windows, as `core.diagnose.dataset.join_tables` returns them.
     rides : DataFrame, optional
-        The ride table: for the model's interval, and needed by a model whose terms hold for whole rides only.
+        The ride table. The interval of the model needs it, and so does a model with terms that hold for whole rides
+        only.
     floor : float, optional
-        Mean absolute error of a ride by the measurement's own noise; else that of the tables' uncertainties. [kWh]
+        Mean absolute error of a ride that measurement noise causes. By default it follows from the uncertainties in
+        the tables. [kWh]
     seed : int
-        Of the folds.
+        Seed of the folds.
     least : float
-        Fall of the error below which the effect is not accepted.
+        Least gain of an accepted effect, as a share of the squared error. [1]
+
+    Returns
+    -------
+    AdditionTrial
+        The refitted model and the trial.
 
     Raises
     ------
-    EffectError, ModelError
-        Where the effect is unknown, in the model already, not in the tables, or nowhere at work in these rides; where
-        the model is no sum of terms, and where there is too little to hold out.
+    EffectError
+        The effect is unknown.
+    ModelError
+        The effect is in the model already, not in the tables, or never active in these rides; the model is not a sum
+        of terms; or there are too few rides to hold some out.
     """
     declared = effects.get(effect)
     term = build_effect_term(model, effect, tuple(columns))
-    found = group_rows_by_ride(_rows(model, term, joined, rides), rides)
-    at_work = _at_work(declared, term, found)
-    change = _change(model, term)
-    made = _refitted(model, change, found, seed)
-    judged, by_condition = _judged(change, found, _apart(model, found, at_work), seed, declared.sign)
-    judged["noise_floor_kwh"] = compute_noise_floor(get_numbers(found.table, "sd")) if floor is None else floor
-    judged |= _verdict(judged, least)
-    grown = _named(made.after, model, found)
+    data = group_rows_by_ride(_select_rows(model, term, joined, rides), rides)
+    active = _find_active_rides(declared, term, data)
+    addition = _split_terms(model, term)
+    pair = _refit(model, addition, data, seed)
+    results, by_condition = _evaluate(addition, data, _choose_final_days(model, data, active), seed, declared.sign)
+    results["noise_floor_kwh"] = compute_noise_floor(get_numbers(data.table, "sd")) if floor is None else floor
+    results |= _decide(results, least)
+    grown = _name_model(pair.after, model, data)
     entry = to_json_values(
         {
-            "action": ADDED if judged["accepted"] else REFUSED,
+            "action": ADDED if results["accepted"] else REFUSED,
             "effect": effect,
             "columns": list(columns),
             "scope": describe_scope(columns),
-            **judged,
-            **_coefficients(declared, made),
+            **results,
+            **_describe_coefficients(declared, pair),
             "least_gain": least,
             "seed": seed,
             "fingerprint": grown.training.fingerprint if grown.training else "",
@@ -142,36 +163,60 @@ def add_effect(
     grown = msgspec.structs.replace(grown, history=(*model.history, entry))
     if rides is not None:
         grown = add_interval(grown, rides)
-    notes = [
-        f"{key}: {line}" for key, value in made.coefficients.items() if (line := warn_if_implausible(declared, value))
+    warnings = [
+        f"{key}: {line}" for key, value in pair.coefficients.items() if (line := warn_if_implausible(declared, value))
     ]
-    words = {key: put_in_words(declared, value) for key, value in entry["by_vehicle_model"].items()}
-    beside = {"conditions": by_condition, "words_by_vehicle_model": words, "warnings": notes}
-    return AdditionTrial(stamp(grown), entry | beside)
+    words = {key: explain_coefficient(declared, value) for key, value in entry["by_vehicle_model"].items()}
+    extra = {"conditions": by_condition, "words_by_vehicle_model": words, "warnings": warnings}
+    return AdditionTrial(stamp(grown), entry | extra)
 
 
 def log_attempt(model: LinearModel, trial: dict[str, Any]) -> LinearModel:
-    """Return a model whose history has an attempt that changed nothing of it."""
-    entry = {key: value for key, value in trial.items() if key not in BESIDE}
+    """Return a model that is unchanged except for a trial in its history.
+
+    Parameters
+    ----------
+    model : LinearModel
+        The model before the trial.
+    trial : dict
+        The trial of an `AdditionTrial`.
+
+    Returns
+    -------
+    LinearModel
+        The same model, of the same version, with one more entry in its history.
+    """
+    entry = {key: value for key, value in trial.items() if key not in TRIAL_ONLY}
     return msgspec.structs.replace(model, history=(*model.history, entry))
 
 
 def force_addition(added: AdditionTrial) -> AdditionTrial:
-    """Return an effect that was refused as one that was added all the same."""
+    """Return the trial of a refused effect as one that added the effect by force.
+
+    Parameters
+    ----------
+    added : AdditionTrial
+        A trial that refused its effect.
+
+    Returns
+    -------
+    AdditionTrial
+        The same model and trial with the action `add` and the mark `forced`.
+    """
     last = {**added.model.history[-1], "action": ADDED, "forced": True}
     model = msgspec.structs.replace(added.model, history=(*added.model.history[:-1], last))
     return AdditionTrial(stamp(model), added.trial | {"action": ADDED, "forced": True})
 
 
-def _change(model: LinearModel, term: Term) -> TermAddition:
-    """Return the model's own terms, the effects that were added to it, and the one that is to be."""
-    before = [tuple(entry.get("columns", ())) for entry in model.history if entry.get("action") == ADDED]
-    own = tuple(each for each in model.terms if each.columns not in before)
-    return TermAddition(own, tuple(each for each in model.terms if each.columns in before), term)
+def _split_terms(model: LinearModel, term: Term) -> TermAddition:
+    """Return the original terms of a model, the effects that were added to it, and the term to add."""
+    added = [tuple(entry.get("columns", ())) for entry in model.history if entry.get("action") == ADDED]
+    original = tuple(each for each in model.terms if each.columns not in added)
+    return TermAddition(original, tuple(each for each in model.terms if each.columns in added), term)
 
 
-def _rows(model: LinearModel, term: Term, joined: pd.DataFrame, rides: pd.DataFrame | None) -> pd.DataFrame:
-    """Return what terms are fitted to: windows, or rides where only of these they hold."""
+def _select_rows(model: LinearModel, term: Term, joined: pd.DataFrame, rides: pd.DataFrame | None) -> pd.DataFrame:
+    """Return the rows to fit to: windows, or rides if a term holds for whole rides only."""
     rows = joined
     if not is_additive(model.terms):
         if rides is None:
@@ -182,136 +227,141 @@ def _rows(model: LinearModel, term: Term, joined: pd.DataFrame, rides: pd.DataFr
     )
     if missing := [name for name in raw if name not in rows]:
         effect = missing[0].removeprefix(EFFECT_PREFIX)
-        own = ", with --effects FILE if it is your own" if missing[0].startswith(EFFECT_PREFIX) else ""
-        raise ModelError(f"{effect} is not in the tables: make them anew, with `socast tables`{own}")
+        own = ", with --effects FILE for an effect of your own" if missing[0].startswith(EFFECT_PREFIX) else ""
+        raise ModelError(f"{effect} is not in the tables: make them again with `socast tables`{own}")
     good, _ = select_trainable(rows, [*raw, ENERGY])
     return good.reset_index(drop=True)
 
 
-def _at_work(declared: Effect, term: Term, found: RideRows) -> Mask:
-    """Return at which rides the effect is at work, where it is at any."""
-    own = found.by_ride(np.abs(build_design((term,), Columns(found.rows), len(found.rows))[:, 0]))
-    at_work: Mask = own > 0.0
-    if at_work.any():
-        return at_work
+def _find_active_rides(declared: Effect, term: Term, data: RideRows) -> Mask:
+    """Return the rides in which an effect is active; raise where there is none."""
+    size = data.by_ride(np.abs(build_design((term,), Columns(data.rows), len(data.rows))[:, 0]))
+    active: Mask = size > 0.0
+    if active.any():
+        return active
     for column in filter(is_scope, term.columns):
-        if not Columns(found.rows)[column].any():
-            raise ModelError(f"no ride is within the scope {column}: rides are of {_reach(found, column)}")
-    shown = f"; it shows in {declared.shown_by}" if declared.shown_by else ""
-    raise ModelError(f"{declared.name} is nowhere at work in these {len(at_work):,} rides{shown}")
+        if not Columns(data.rows)[column].any():
+            raise ModelError(f"no ride is within the scope {column}: the rides are of {_describe_reach(data, column)}")
+    shown = f"; record {declared.shown_by}" if declared.shown_by else ""
+    raise ModelError(f"{declared.name} is never active in these {len(active):,} rides{shown}")
 
 
-def _reach(found: RideRows, column: str) -> str:
-    """Return which vehicles, or days, there are."""
+def _describe_reach(data: RideRows, column: str) -> str:
+    """Return the vehicles or the dates of the rides, whichever a scope limits."""
     if column.startswith(VEHICLE_SCOPE):
-        return ", ".join(sorted(set(found.table["vehicle_id"])))
-    return f"{min(found.dates)} to {max(found.dates)}"
+        return ", ".join(sorted(set(data.table["vehicle_id"])))
+    return f"{min(data.dates)} to {max(data.dates)}"
 
 
-def _refitted(model: LinearModel, change: TermAddition, found: RideRows, seed: int) -> RefittedPair:
-    """Return the model without and with the effect, where there is enough to judge it by."""
-    if not split_into_day_folds(found, seed):
+def _refit(model: LinearModel, addition: TermAddition, data: RideRows, seed: int) -> RefittedPair:
+    """Return the model refitted without and with the effect; raise where the data cannot test it."""
+    if not split_into_day_folds(data, seed):
         raise ModelError(
-            f"all {len(found.table):,} rides are of one vehicle on one day, and none can be held out: give more days"
+            f"all {len(data.table):,} rides are of one vehicle on one day, and none can be held out: give more days"
         )
-    made = refit_with(change, found.rows, covariance=True)
-    if isnan(made.coefficients[ANY].error):
+    pair = refit_with(addition, data.rows, covariance=True)
+    if isnan(pair.coefficients[ANY].error):
         raise ModelError(
-            f"model {model.name} can take up all of {change.added.name} with the terms that it has: nothing tells it "
-            "from them; give it a --scope, or choose another"
+            f"model {model.name} can reproduce all of {addition.added.name} with its own terms, so the effect is not "
+            "identifiable: give it a --scope, or choose another effect"
         )
-    return made
+    return pair
 
 
-def _coefficients(declared: Effect, made: RefittedPair) -> dict[str, Any]:
-    """Return the coefficient of the effect, what it means, and those of vehicle models that have their own."""
-    values = {key: describe_coefficient(declared, estimate) for key, estimate in made.coefficients.items()}
-    own = {key: value for key, value in values.items() if key != ANY}
-    return {"coefficient": values[ANY], "words": put_in_words(declared, values[ANY]), "by_vehicle_model": own}
+def _describe_coefficients(declared: Effect, pair: RefittedPair) -> dict[str, Any]:
+    """Return the coefficient of the effect, its meaning, and those of vehicle models with one of their own."""
+    values = {key: describe_coefficient(declared, estimate) for key, estimate in pair.coefficients.items()}
+    by_model = {key: value for key, value in values.items() if key != ANY}
+    return {
+        "coefficient": values[ANY],
+        "words": explain_coefficient(declared, values[ANY]),
+        "by_vehicle_model": by_model,
+    }
 
 
-def _judged(
-    change: TermAddition, found: RideRows, final: tuple[str, ...], seed: int, sign: int
+def _evaluate(
+    addition: TermAddition, data: RideRows, final: tuple[str, ...], seed: int, sign: int
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return what the trial tells, and the comparison by conditions."""
-    own = found.only(~_on(found, final))
-    folds = split_into_day_folds(own, seed)
-    alone = predict_with_effects_held_out(change, own.rows, [fold[own.ride] for fold in folds])
-    before, after = map(own.by_ride, alone)
-    of_effect = compare_errors(own.table, before, after)
-    shown = assess_addition(change, own.rows, sign=sign, seed=seed)
-    judged = {
-        "rides": len(found.table),
-        "windows": len(found.rows),
-        "vehicles": int(found.table["vehicle_id"].nunique()),
-        "first_date": min(found.dates),
-        "last_date": max(found.dates),
-        "gain": {"value": shown.gain, "ci95": shown.half},
-        "p": shown.p,
+    """Return the results of the trial, and the comparison by conditions."""
+    development = data.only(~_are_on_days(data, final))
+    folds = split_into_day_folds(development, seed)
+    predictions = predict_with_effects_held_out(addition, development.rows, [fold[development.ride] for fold in folds])
+    before, after = map(development.by_ride, predictions)
+    of_effect = compare_errors(development.table, before, after)
+    evidence = assess_addition(addition, development.rows, sign=sign, seed=seed)
+    results = {
+        "rides": len(data.table),
+        "windows": len(data.rows),
+        "vehicles": int(data.table["vehicle_id"].nunique()),
+        "first_date": min(data.dates),
+        "last_date": max(data.dates),
+        "gain": {"value": evidence.gain, "ci95": evidence.half},
+        "p": evidence.p,
         **{key: of_effect[key] for key in ("mae_before_kwh", "mae_after_kwh", "change_kwh")},
         "of_effect": of_effect,
-        "on_days": compare_errors(own.table, *predict_held_out(change, own, folds)),
-        "on_vehicles": _on_vehicles(change, own, seed),
-        "final": _final(change, found, final) if final else None,
+        "on_days": compare_errors(development.table, *predict_held_out(addition, development, folds)),
+        "on_vehicles": _compare_on_vehicles(addition, development, seed),
+        "final": _compare_on_final_days(addition, data, final) if final else None,
     }
-    return judged, compare_by_condition(own.table, before, after)
+    return results, compare_by_condition(development.table, before, after)
 
 
-def _on_vehicles(change: TermAddition, own: RideRows, seed: int) -> dict[str, Any] | None:
-    """Return the comparison on vehicles that were held out; nothing where an effect is one vehicle's own."""
-    folds = split_into_vehicle_folds(own, seed)
-    if not folds or any(column.startswith(VEHICLE_SCOPE) for column in change.added.columns):
+def _compare_on_vehicles(addition: TermAddition, data: RideRows, seed: int) -> dict[str, Any] | None:
+    """Return the comparison on held-out vehicles, or None where the effect is limited to one vehicle."""
+    folds = split_into_vehicle_folds(data, seed)
+    if not folds or any(column.startswith(VEHICLE_SCOPE) for column in addition.added.columns):
         return None
-    return compare_errors(own.table, *predict_held_out(change, own, folds, list_sparse_vehicle_models(own.table)))
+    pooled = list_sparse_vehicle_models(data.table)
+    return compare_errors(data.table, *predict_held_out(addition, data, folds, pooled))
 
 
-def _apart(model: LinearModel, found: RideRows, at_work: Mask) -> tuple[str, ...]:
-    """Return the days that are set apart, none where too little of the effect would be left."""
-    final = select_final_days(model.history, found.dates)
-    return () if (at_work & _on(found, final)).sum() > MOST_APART * at_work.sum() else final
+def _choose_final_days(model: LinearModel, data: RideRows, active: Mask) -> tuple[str, ...]:
+    """Return the final hold-out days, none where they would contain too many rides with the effect."""
+    final = select_final_days(model.history, data.dates)
+    return () if (active & _are_on_days(data, final)).sum() > MAX_FINAL_SHARE * active.sum() else final
 
 
-def _on(found: RideRows, days: Sequence[str]) -> Mask:
-    """Return which rides are of some days."""
-    return np.isin(np.asarray(found.dates, dtype=str), list(days))
+def _are_on_days(data: RideRows, days: Sequence[str]) -> Mask:
+    """Return which rides are on some days."""
+    return np.isin(np.asarray(data.dates, dtype=str), list(days))
 
 
-def _final(change: TermAddition, found: RideRows, days: tuple[str, ...]) -> dict[str, Any]:
-    """Return the comparison on the days that were set apart."""
-    said = predict_held_out(change, found, [_on(found, days)])
-    return {"dates": list(days), **compare_errors(found.table, *said)}
+def _compare_on_final_days(addition: TermAddition, data: RideRows, days: tuple[str, ...]) -> dict[str, Any]:
+    """Return the comparison on the final hold-out days."""
+    predictions = predict_held_out(addition, data, [_are_on_days(data, days)])
+    return {"dates": list(days), **compare_errors(data.table, *predictions)}
 
 
-def _verdict(judged: dict[str, Any], least: float) -> dict[str, Any]:
+def _decide(results: dict[str, Any], least: float) -> dict[str, Any]:
     """Return whether the effect helps, and why."""
-    gain, half = judged["gain"]["value"], judged["gain"]["ci95"]
-    worse = judged["change_kwh"]["value"] - judged["change_kwh"]["ci95"]
-    said = f"a gain of {rounded(100.0 * gain, 100.0 * half)} % on held-out vehicle-days"
+    gain, half, change = results["gain"]["value"], results["gain"]["ci95"], results["change_kwh"]
+    growth = change["value"] - change["ci95"]
+    statement = f"a gain of {rounded(100.0 * gain, 100.0 * half)} % on held-out vehicle-days"
     if isnan(half):
-        reason = "there are too few vehicle-days to tell a gain from chance"
-    elif judged["p"] >= LEVEL:
-        reason = f"what these rides show of it may be chance, p = {judged['p']:.2g}"
+        reason = "there are too few vehicle-days to distinguish a gain from chance"
+    elif results["p"] >= LEVEL:
+        reason = f"its evidence in these rides may be due to chance, p = {results['p']:.2g}"
     elif gain < least:
-        reason = f"{said}, which is below {100.0 * least:g} %"
-    elif worse > 0.0:
-        reason = f"the error of held-out rides grows, by at least {worse:.2g} kWh"
+        reason = f"{statement}, which is below {100.0 * least:g} %"
+    elif growth > 0.0:
+        reason = f"the error of held-out rides grows by at least {growth:.2g} kWh"
     else:
-        change = judged["change_kwh"]
-        shown = change["value"] + change["ci95"] < 0.0
-        told = f"{rounded(1000.0 * change['value'], 1000.0 * change['ci95'])} Wh"
-        unsure = "" if shown else f"; the mean error of rides does not show it beyond chance: {told}"
-        return {"accepted": True, "reason": said + unsure}
+        significant = change["value"] + change["ci95"] < 0.0
+        fall = f"{rounded(1000.0 * change['value'], 1000.0 * change['ci95'])} Wh"
+        unsure = "" if significant else f"; the mean error of rides changes by {fall}, which may be due to chance"
+        return {"accepted": True, "reason": statement + unsure}
     return {"accepted": False, "reason": reason}
 
 
-def _named(made: LinearModel, model: LinearModel, found: RideRows) -> LinearModel:
-    """Return a fitted model under the name of another, its rides counted as such."""
-    count = {str(key): int(n) for key, n in found.table[VEHICLE_MODEL].value_counts().sort_index().items()}
-    left = get_numbers(found.table, "measured") - found.by_ride(made.predict(found.rows))
-    kinds = np.array(get_names(found.table, VEHICLE_MODEL), dtype=object)
+def _name_model(fitted: LinearModel, model: LinearModel, data: RideRows) -> LinearModel:
+    """Return a fitted model under the name of another, with counts and residuals of rides instead of windows."""
+    count = {str(key): int(n) for key, n in data.table[VEHICLE_MODEL].value_counts().sort_index().items()}
+    residual = get_numbers(data.table, "measured") - data.by_ride(fitted.predict(data.rows))
+    kinds = np.array(get_names(data.table, VEHICLE_MODEL), dtype=object)
     fits = {}
-    for key, fit in made.fits.items():
-        own = left if key == ANY else left[kinds == key]
-        fits[key] = msgspec.structs.replace(fit, rides=len(own), residual_sd_kwh=float(np.sqrt(np.mean(own**2))))
-    training = made.training and msgspec.structs.replace(made.training, rides=len(found.table), vehicle_models=count)
-    return msgspec.structs.replace(made, name=model.name, recipe=model.recipe, fits=fits, training=training)
+    for key, fit in fitted.fits.items():
+        of_kind = residual if key == ANY else residual[kinds == key]
+        sd = float(np.sqrt(np.mean(of_kind**2)))
+        fits[key] = msgspec.structs.replace(fit, rides=len(of_kind), residual_sd_kwh=sd)
+    training = fitted.training and msgspec.structs.replace(fitted.training, rides=len(data.table), vehicle_models=count)
+    return msgspec.structs.replace(fitted, name=model.name, recipe=model.recipe, fits=fits, training=training)

@@ -281,7 +281,7 @@ def select_final_days(history: Sequence[Mapping[str, Any]], dates: Sequence[str]
 
     Examples
     --------
-    >>> final_days((), [f"2018-01-{day:02d}" for day in range(1, 21)])
+    >>> select_final_days((), [f"2018-01-{day:02d}" for day in range(1, 21)])
     ('2018-01-03', '2018-01-08', '2018-01-13', '2018-01-18')
     """
     there = sorted({date for date in dates if date})

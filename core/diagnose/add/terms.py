@@ -1,9 +1,11 @@
-"""Terms that effects become: where they hold, and whether they add up over the windows of a ride."""
+"""Build the term of an effect, and describe its scope and its coefficient."""
 
-from collections.abc import Sequence
-from typing import Final
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
 
 from core import effects
+from core.diagnose.add.refit import CoefficientEstimate
+from core.effects import Effect
 from core.errors import ModelError
 from core.models import LinearModel, Term
 from core.models.features import (
@@ -19,8 +21,8 @@ from core.models.features import (
 _AMOUNTS: Final = frozenset(
     {"distance_km", "duration_s", "gained_m", "lost_m", "stops", "basic_kwh", ACCESSORIES_COLUMN}
 )
-"""Columns of which a ride's is the sum of its windows', beside `effect_*` and the histogram of speeds."""
-_ALIKE: Final = frozenset(
+"""Columns whose value for a ride is the sum over its windows; `effect_*` and the speed histogram are such too."""
+_CONSTANTS: Final = frozenset(
     {
         "rolling_resistance",
         "drag_area_m2",
@@ -37,67 +39,123 @@ _ALIKE: Final = frozenset(
         "cooling_need_k",
     }
 )
-"""Columns that are the same, or nearly, in all windows of a ride."""
+"""Columns that are equal, or nearly equal, in all windows of a ride."""
 
 
 def build_term_columns(effect: str, scopes: Sequence[str] = ()) -> tuple[str, ...]:
     """Return the columns of the term of an effect that holds within scopes.
 
+    Parameters
+    ----------
+    effect : str
+        Name of an effect or of a variant.
+    scopes : sequence of str
+        `vehicle=ID` or `since=YYYY-MM-DD`, at most one of each kind; the term holds where all scopes do.
+
+    Returns
+    -------
+    tuple of str
+        The energy column of the effect, followed by the scopes.
+
     Raises
     ------
-    EffectError, ModelError
-        Where the effect is unknown, or a scope is none.
+    EffectError
+        The effect is unknown.
+    ModelError
+        A scope has another form, or two scopes are of the same kind.
 
     Examples
     --------
-    >>> scoped("cold_rolling", ["vehicle=taxi-003"])
+    >>> build_term_columns("cold_rolling", ["vehicle=taxi-003"])
     ('effect_cold_rolling', 'vehicle=taxi-003')
     """
-    found = effects.get(effect)
+    declared = effects.get(effect)
     kinds = [scope.partition("=")[0] for scope in scopes]
     for scope, kind in zip(scopes, kinds, strict=True):
         if not is_scope(scope):
-            raise ModelError(f"scope {scope!r} is none: write {VEHICLE_SCOPE}ID or {SINCE_SCOPE}YYYY-MM-DD")
+            raise ModelError(f"scope {scope!r} is not valid: write {VEHICLE_SCOPE}ID or {SINCE_SCOPE}YYYY-MM-DD")
         get_unit(scope)
         if kinds.count(kind) > 1:
-            raise ModelError(f"scope {scope!r}: two of this kind are given: add the effect once for each")
-    return (found.energy_name, *scopes)
+            raise ModelError(f"scope {scope!r}: two scopes of this kind are given: add the effect once for each")
+    return (declared.energy_name, *scopes)
 
 
 def describe_scope(columns: Sequence[str]) -> str:
-    """Return for whom and since when a term holds.
+    """Return the vehicle and the date from which a term holds, or `all`.
+
+    Parameters
+    ----------
+    columns : sequence of str
+        Columns of a term, scopes among them.
+
+    Returns
+    -------
+    str
+        The scopes in words.
 
     Examples
     --------
-    >>> scope_in_words(("effect_snow", "vehicle=taxi-003", "since=2018-06-01")), scope_in_words(("effect_snow",))
+    >>> describe_scope(("effect_snow", "vehicle=taxi-003", "since=2018-06-01")), describe_scope(("effect_snow",))
     ('vehicle taxi-003, since 2018-06-01', 'all')
     """
     return ", ".join(column.replace("=", " ", 1) for column in columns if is_scope(column)) or "all"
 
 
 def is_additive(terms: Sequence[Term]) -> bool:
-    """Tell whether what terms give to the windows of a ride adds up to what they give to the ride.
+    """Return whether the contributions of terms to the windows of a ride add up to their contribution to the ride.
 
-    A constant does not, nor does the square of a distance.
+    A constant is not additive, and neither is the square of a distance.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+        Terms of a model.
+
+    Returns
+    -------
+    bool
+        Whether all terms are additive.
     """
-    return all(sum(map(_is_amount, t.columns)) == 1 and all(map(_adds, t.columns)) for t in terms)
+    return all(sum(map(_is_amount, t.columns)) == 1 and all(map(_keeps_additive, t.columns)) for t in terms)
 
 
 def _is_amount(column: str) -> bool:
+    """Return whether the value of a column for a ride is the sum over its windows."""
     return column in _AMOUNTS or column.startswith((EFFECT_PREFIX, "speed_"))
 
 
-def _adds(column: str) -> bool:
-    return _is_amount(column) or column in _ALIKE or is_scope(column)
+def _keeps_additive(column: str) -> bool:
+    """Return whether a term with one amount stays additive with this column as a factor."""
+    return _is_amount(column) or column in _CONSTANTS or is_scope(column)
 
 
 def build_effect_term(model: LinearModel, effect: str, columns: tuple[str, ...]) -> Term:
-    """Return the term of the effect, where the model can take it."""
+    """Return the term of an effect that a model does not have yet.
+
+    Parameters
+    ----------
+    model : LinearModel
+        The model to which the term is to be added.
+    effect : str
+        Name of an effect or of a variant.
+    columns : tuple of str
+        Columns of the term, see `build_term_columns`.
+
+    Returns
+    -------
+    Term
+        The term, with the unit of its coefficient.
+
+    Raises
+    ------
+    ModelError
+        The model has trees or factors of single cars, or it has the effect already within the same scopes.
+    """
     if model.correction or model.cars:
-        what = "boosted trees" if model.correction else "factors of single cars"
+        part = "boosted trees" if model.correction else "factors of single cars"
         raise ModelError(
-            f"model {model.name} has {what}, which learn whatever is missing: add effects to a model without, such as "
-            "one of the recipe road_load"
+            f"model {model.name} has {part}, which learn every missing effect: add effects to a model without them, "
+            "such as one of the recipe road_load"
         )
     scopes = [column for column in columns if is_scope(column)]
     for term in model.terms:
@@ -108,3 +166,81 @@ def build_effect_term(model: LinearModel, effect: str, columns: tuple[str, ...])
                 "it a --scope"
             )
     return Term(name=", ".join([effect, *scopes]), columns=columns, unit=derive_coefficient_unit(columns))
+
+
+def describe_coefficient(declared: Effect, estimate: CoefficientEstimate) -> dict[str, Any]:
+    """Return a coefficient as JSON values.
+
+    Parameters
+    ----------
+    declared : Effect
+        The effect of the coefficient.
+    estimate : CoefficientEstimate
+        Its value and standard error. [unit of the coefficient]
+
+    Returns
+    -------
+    dict
+        `value`, `ci95` (lower and upper end of the 95 % interval), `unit`, `low` and `high` (ends of the plausible
+        range) and `plausible`.
+    """
+    return {
+        "value": estimate.value,
+        "ci95": [estimate.value - estimate.half, estimate.value + estimate.half],
+        "unit": declared.unit,
+        "low": declared.low,
+        "high": declared.high,
+        "plausible": declared.low <= estimate.value <= declared.high,
+    }
+
+
+def warn_if_implausible(declared: Effect, estimate: CoefficientEstimate) -> str:
+    """Return what an implausible coefficient may mean, or an empty text where it is plausible.
+
+    Parameters
+    ----------
+    declared : Effect
+        The effect of the coefficient.
+    estimate : CoefficientEstimate
+        Its value and standard error. [unit of the coefficient]
+
+    Returns
+    -------
+    str
+        The value, its plausible range, and a possible cause.
+    """
+    value, low, high = estimate.value, declared.low, declared.high
+    if low <= value <= high:
+        return ""
+    unit = "" if declared.unit == "1" else f" {declared.unit}"
+    if declared.sign * value < 0.0:
+        problem = f"it would {'save' if declared.sign > 0 else 'cost'} energy, which physics forbids"
+    else:
+        problem = f"it is too {'small' if abs(value) < min(abs(low), abs(high)) else 'large'}"
+    if value - estimate.half <= high and value + estimate.half >= low:
+        cause = "its interval overlaps the range, so there may be too few data"
+    else:
+        others = ", ".join(declared.confused_with[:4])
+        cause = "it may stand for another cause" + (f", such as {others}" if others else "")
+    return (
+        f"coefficient {value:.3g}{unit} is outside its plausible range, {low:g} to {high:g}{unit}: {problem}; {cause}"
+    )
+
+
+def explain_coefficient(declared: Effect, coefficient: Mapping[str, Any]) -> str:
+    """Return the physical meaning of a coefficient in words.
+
+    Parameters
+    ----------
+    declared : Effect
+        The effect of the coefficient.
+    coefficient : mapping
+        The coefficient as `describe_coefficient` returns it.
+
+    Returns
+    -------
+    str
+        The meaning, with the value and half the width of its interval.
+    """
+    low, high = coefficient["ci95"]
+    return declared.in_words(coefficient["value"], (high - low) / 2.0)

@@ -116,9 +116,9 @@ def choose_limits(x: Floats, unit: str) -> tuple[float, ...]:
 
     Examples
     --------
-    >>> limits(np.linspace(260.3, 300.7, 101), "K")
+    >>> choose_limits(np.linspace(260.3, 300.7, 101), "K")
     (264.0, 270.0, 280.0, 291.0, 297.0)
-    >>> limits(np.array([0.0] * 6 + [0.2, 0.4, 0.6]), "1")
+    >>> choose_limits(np.array([0.0] * 6 + [0.2, 0.4, 0.6]), "1")
     (0.24, 0.3, 0.4, 0.5, 0.56)
     """
     low, high = float(x.min()), float(x.max())

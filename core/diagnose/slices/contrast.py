@@ -102,7 +102,7 @@ def compute_contrast(masks: NDArray[np.bool_], error: Floats, starts: Ints) -> C
     --------
     >>> inside = np.tile([True, False], (1, 6))
     >>> error = np.array([1.0, 0.0, 2.0, 0.0, 3.0, 0.0, 2.0, 0.0, 1.0, 0.0, 3.0, 0.0])
-    >>> contrast(inside, error, np.array([0, 4, 8])).difference.tolist()
+    >>> compute_contrast(inside, error, np.array([0, 4, 8])).difference.tolist()
     [2.0]
     """
     every = _Sums(*(np.add.reduceat(x, starts)[None, :] for x in (np.ones(len(error)), error, error**2)))

@@ -197,9 +197,9 @@ def choose_thresholds(values: Floats, scale: ConditionScale) -> list[float]:
 
     Examples
     --------
-    >>> thresholds(np.linspace(-12.0, 24.0, 100), SCALES[0])
+    >>> choose_thresholds(np.linspace(-12.0, 24.0, 100), CONDITION_SCALES[0])
     [-10.0, -5.0, 0.0, 5.0, 10.0, 15.0, 20.0]
-    >>> thresholds(np.linspace(18.2, 24.1, 100), SCALES[0])
+    >>> choose_thresholds(np.linspace(18.2, 24.1, 100), CONDITION_SCALES[0])
     [19.0, 20.0, 21.0, 22.0, 23.0, 24.0]
     """
     known = values[np.isfinite(values)]

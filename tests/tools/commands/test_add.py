@@ -4,6 +4,7 @@ import json
 import shlex
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pandas as pd
 import pytest
@@ -66,7 +67,7 @@ def test_an_effect_is_diagnosed_and_added_as_the_diagnosis_says(here, capsys):
     done(*arguments)
     told = capsys.readouterr().out
     assert "cold_rolling helps: a gain of" in told
-    assert "vehicles held out" in told
+    assert "held-out vehicles" in told
     assert "By outside temperature" in told
     model = models.load(arguments[-1])
     assert model.terms[-1].name == "cold_rolling"
@@ -77,23 +78,46 @@ def test_an_effect_is_diagnosed_and_added_as_the_diagnosis_says(here, capsys):
     assert error[1] < 0.5 * error[0]
 
 
-def test_an_effect_that_does_not_help_is_refused_and_the_attempt_kept(here, capsys):
-    told = refused(capsys, *adding(here, "headwind"))
-    assert "headwind is not added: " in told
-    assert "add it all the same with --force" in told
-    assert f"the attempt is in the history of {here / 'base.json'}" in told
-    assert not (here / "m2.json").exists()
-    kept = models.load(here / "base.json")
-    assert kept.history[-1]["action"] == "refused"
-    assert sorted(path.name for path in here.iterdir()) == ["base.json", "tables"]
+def test_refused_effect_leaves_input_model_unchanged_and_writes_attempt_to_output(here, capsys):
+    before = (here / "base.json").read_bytes()
+    message = refused(capsys, *adding(here, "headwind"))
+    assert "headwind is not added: " in message
+    assert f"{here / 'm2.json'} is model base unchanged, with the attempt in its history" in message
+    assert "add the effect all the same with --force" in message
+    assert (here / "base.json").read_bytes() == before
+    assert sorted(path.name for path in here.iterdir()) == ["base.json", "m2.json", "tables"]
+    base, kept = models.load(here / "base.json"), models.load(here / "m2.json")
+    assert [entry["action"] for entry in kept.history] == ["fit", "refused"]
+    assert msgspec.structs.replace(kept, history=base.history) == base
+
+
+def test_refused_attempt_of_built_in_model_is_written_to_output(here, capsys):
+    refused(capsys, "add", "headwind", "--model", "basic_physical", "--data", here / "tables", "-o", here / "m2.json")
+    assert models.load(here / "m2.json").history[-1]["action"] == "refused"
+
+
+def test_force_adds_effect_that_does_not_help(here, capsys):
     done(*adding(here, "headwind", "--force", "--json", here / "trial.json"))
-    assert (
-        "warning" in capsys.readouterr().out
-        or json.loads((here / "trial.json").read_text())["coefficient"]["plausible"]
-    )
+    plausible = json.loads((here / "trial.json").read_text())["coefficient"]["plausible"]
+    assert plausible or "warning" in capsys.readouterr().out
     model = models.load(here / "m2.json")
-    assert [entry["action"] for entry in model.history] == ["fit", "refused", "add"]
+    assert [entry["action"] for entry in model.history] == ["fit", "add"]
     assert model.history[-1]["forced"]
+
+
+def test_attempts_accumulate_in_history_from_one_output_to_the_next(here, capsys):
+    refused(capsys, *adding(here, "headwind"))
+    again = ("add", "headwind", "--model", here / "m2.json", "--data", here / "tables", "-o", here / "m3.json")
+    done(*again, "--force")
+    assert [entry["action"] for entry in models.load(here / "m3.json").history] == ["fit", "refused", "add"]
+
+
+def test_output_may_not_be_the_input_model(here, capsys):
+    before = (here / "base.json").read_bytes()
+    base = here / "base.json"
+    message = refused(capsys, "add", "headwind", "--model", base, "--data", here / "tables", "-o", base)
+    assert f"{base} is read and would be overwritten; name another file to write" in message
+    assert base.read_bytes() == before
 
 
 def test_a_scope_is_a_term_of_its_own(here):
@@ -106,9 +130,9 @@ def test_a_scope_is_a_term_of_its_own(here):
     [
         ("cold_roling", (), "effect 'cold_roling' is unknown: did you mean cold_rolling"),
         ("rolling", (), "is in model base already"),
-        ("payload", (), "payload is not in the tables: make them anew"),
+        ("payload", (), "payload is not in the tables: make them again"),
         ("wet_road", ("--scope", "since=2018-13-01"), "'2018-13-01' is no date"),
-        ("wet_road", ("--scope", "taxi-1"), "scope 'taxi-1' is none: write vehicle=ID or since=YYYY-MM-DD"),
+        ("wet_road", ("--scope", "taxi-1"), "scope 'taxi-1' is not valid: write vehicle=ID or since=YYYY-MM-DD"),
         ("wet_road", ("--scope", "vehicle=taxi-7"), "rides are of taxi-0, taxi-1, taxi-2, taxi-3"),
     ],
 )
@@ -223,7 +247,7 @@ def test_the_loop_adds_until_nothing_is_missing(made_up, here, capsys):
     assert (
         told.index("Step 1") < told.index("cold_rolling helps") < told.index("Step 2") < told.index("History of base")
     )
-    assert "Nothing more is to be gained." in told
+    assert "No further effect is missing." in told
     assert [entry["action"] for entry in models.load(here / "m2.json").history] == ["fit", "add"]
     assert json.loads((here / "d").read_text())["verdict"] is None
     assert models.load(here / "base.json").history[-1]["action"] == "fit"
@@ -246,7 +270,7 @@ def test_the_loop_keeps_what_it_has_where_an_effect_cannot_be_added(made_up, her
         ),
     ]
     done("diagnose", here / "tables", "--model", here / "base.json", "--auto", "-o", here / "m2.json")
-    assert "The loop ends here: model base can take up all of brake_drag" in " ".join(capsys.readouterr().out.split())
+    assert "The loop ends here: model base can reproduce all of brake_drag" in " ".join(capsys.readouterr().out.split())
     assert models.load(here / "m2.json").terms[-1].name == "cold_rolling"
 
 
@@ -261,7 +285,7 @@ def test_days_set_apart_are_not_looked_at_again(here, capsys, monkeypatch):
     )
     capsys.readouterr()
     done("diagnose", here / "tables", "--model", here / "m2.json")
-    assert f"Not looked at: rides of {', '.join(apart)}" in capsys.readouterr().out
+    assert f"Not used: rides of {', '.join(apart)}" in capsys.readouterr().out
     rides, windows = seen[0]
     assert not set(rides["date"]) & set(apart)
     assert set(windows["ride_key"]) == set(rides["ride_key"])

@@ -82,14 +82,14 @@ def test_every_attempt_is_told_in_order(model):
     ]
     said = " ".join(told.split())
     assert "added by force" in said
-    assert "Added: cold_rolling, headwind (vehicle taxi-003), 1 refused; error 0.4200 -> 0.29 kWh a ride" in said
+    assert "Added: cold_rolling, headwind (vehicle taxi-003), 1 refused; error 0.4200 -> 0.29 kWh per ride" in said
     assert "measurement noise alone 0.2 kWh" in said
 
 
 def test_a_model_that_was_only_fitted_has_a_history_too(model):
     bare = msgspec.structs.replace(model, history=model.history[:1])
-    assert "No effect was tried yet" in printed(history.show, bare)
-    assert "No effect was tried yet" in printed(history.show, BASIC_PHYSICAL)
+    assert "No effect has been tried." in printed(history.show, bare)
+    assert "No effect has been tried." in printed(history.show, BASIC_PHYSICAL)
     refusals = msgspec.structs.replace(model, history=model.history[2:3])
     assert "No effect was added, 1 refused; error 0.31 kWh" in " ".join(printed(history.show, refusals).split())
 
@@ -137,7 +137,7 @@ def test_what_has_no_history_is_one_line(path, capsys):
 def test_a_trial_is_told_before_and_after(model):
     told = " ".join(printed(history.print_trial, {**model.history[1], "warnings": ["it is too large"], "conditions": {
         "distance": [{"where": "below 2 km", **model.history[1]["of_effect"]}]}}).split())  # fmt: skip
-    for part in ("days held out for the effect alone", "days set apart", "By distance", "below 2 km", "−26.2 %",
+    for part in ("held-out days, effect refitted", "final hold-out days", "By distance", "below 2 km", "−26.2 %",
                  "warning: it is too large", "cold_rolling helps: a gain of 10 ± 2 %."):  # fmt: skip
         assert part in told, part
     assert "snow does not help: it may be chance." in printed(history.print_trial, model.history[2])

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from tests.support.diagnosis_result import make_diagnosis, make_empty_diagnosis, make_missing_effect
 from tests.tools.report.test_evaluation import read
-from tools.commands.diagnose import say_commands, term_of
+from tools.commands.diagnose import insert_commands, parse_term
 from tools.report.diagnosis import page as report
 from tools.report.diagnosis import sentences
 from tools.report.diagnosis.figures import (
@@ -39,24 +39,24 @@ def page(result, tmp_path, **more):
 def test_the_terminal_tells_a_story_in_its_order():
     told = printed(make_diagnosis())
     parts = [
-        "634 rides of 5 vehicles, 10 vehicle-days, 2018-01-15 to 2018-09-13, in 7,428 windows.",
-        "Left out: 12 too short.",
-        "The model is 0.062 kWh off a ride on average, 9.0 % of what rides take; on balance it predicts 0.012 kWh too",
-        "would still seem 0.037 kWh off, 60 % of that",
+        "634 rides of 5 vehicles on 10 vehicle-days, 2018-01-15 to 2018-09-13, in 7,428 windows.",
+        "Excluded: 12 too short.",
+        "The mean absolute error is 0.062 kWh per ride, 9.0 % of the mean energy of a ride; on average the model predicts",
+        "Measurement noise alone causes 0.037 kWh, 60 % of the error",
         "below 0 °C and longer than 10 km",
-        "0.11 kWh less than elsewhere",
+        "0.11 kWh less than for other rides",
         "1. cold_rolling@reference=283.15: cold tyres: rolling resistance grows by 1.1 ± 0.2 %",
-        "it explains 3.1 % (2.0 % to 4.2 %)",
+        "explains 3.1 % (95 % interval 2.0 % to 4.2 %)",
         "coefficient 0.00011 1/K, 95 % interval 9e-05 to 0.00013; plausible",
-        "cannot be told from air_density (r = 0.83): slow drives over a year would tell",
-        "as large, on average, as +1.2 m/s of headwind, or +180 kg",
+        "not distinguishable from air_density in these data (r = 0.83); to distinguish them, record slow drives over a",
+        "equal in energy, on average, to +1.2 m/s of headwind or +180 kg",
         "2. brake_drag: brakes rub with 75 ± 25 N; only in vehicle taxi-003",
-        "NOT plausible (from 0 to 60 N): a finding by itself",
-        "0.055 -> 0.048 -> 0.046 kWh a ride; measurement noise 0.037 kWh",
-        "Structure remains whose cause is not in the library, or too weak to be told from others:",
-        "boosted trees predict 5.0 % of what is left; the named effects take 58 % of it, and should take 80 %",
-        "A term that would fit: P = (average speed)^2 v",
-        "Add cold_rolling, in all vehicles, all the time.",
+        "NOT plausible (range 0 to 60 N): it may stand for another cause",
+        "0.055 -> 0.048 -> 0.046 kWh per ride; measurement noise 0.037 kWh",
+        "The remaining error has structure. Its cause is not in the library, or too weak to be distinguished from other",
+        "boosted trees predict 5.0 % of its variance on held-out days; the missing effects explain 58 % of the predictable",
+        "A term that fits the remaining error: P = (average speed)^2 v",
+        "Add cold_rolling, in all vehicles on all dates.",
     ]
     places = [told.find(part) for part in parts]
     assert -1 not in places, parts[places.index(-1)]
@@ -65,26 +65,28 @@ def test_the_terminal_tells_a_story_in_its_order():
 
 def test_where_nothing_is_missing_it_says_so():
     told = printed(make_empty_diagnosis())
-    assert "Nothing that the library knows, beyond chance." in told
-    assert "No kind of ride stands out" in told
-    assert "Nothing is missing that these rides could show." in told
-    assert "asks for one of your own" in printed(make_empty_diagnosis() | {"structure_remains": True})
+    assert "No effect of the library is missing beyond chance." in told
+    assert "No group of rides differs from the others" in told
+    assert "These rides show no missing effect." in told
+    assert "Write an effect of your own" in printed(make_empty_diagnosis() | {"structure_remains": True})
 
 
 def test_what_remains_is_noise_only_where_it_is():
     noise = make_diagnosis(
         structure_remains=False, steps=[{"effect": None, "mae_kwh": 0.038, "noise_floor_kwh": 0.037}]
     )
-    assert "What remains is measurement noise." in sentences.describe_remainder(noise)
-    assert "What remains is measurement noise." not in sentences.describe_remainder(
+    assert "The remaining error is measurement noise." in sentences.describe_remainder(noise)
+    assert "The remaining error is measurement noise." not in sentences.describe_remainder(
         make_diagnosis(structure_remains=False)
     )
-    assert "What remains is measurement noise." not in sentences.describe_remainder(noise | {"structure_remains": True})
+    assert "The remaining error is measurement noise." not in sentences.describe_remainder(
+        noise | {"structure_remains": True}
+    )
 
 
 def test_the_command_to_run_next_can_be_copied(tmp_path):
     result = make_diagnosis()
-    say_commands(result, "models/base.json", [Path("tables one"), Path("b")], [Path("my.py")])
+    insert_commands(result, "models/base.json", [Path("tables one"), Path("b")], [Path("my.py")])
     command = result["missing"][0]["command"]
     assert command == (
         "socast add cold_rolling@reference=283.15 --model models/base.json --data 'tables one' --data b "
@@ -95,7 +97,7 @@ def test_the_command_to_run_next_can_be_copied(tmp_path):
     report.show(result, console)
     assert command in console.file.getvalue().splitlines()
     assert command in " ".join(page(result, tmp_path).text)
-    assert term_of({"effect": "snow"}) == ("snow", [])
+    assert parse_term({"effect": "snow"}) == ("snow", [])
 
 
 @pytest.mark.parametrize("result", [make_diagnosis(), make_empty_diagnosis()], ids=["some", "none"])
@@ -111,7 +113,7 @@ def test_the_page_has_every_figure_and_table(tmp_path):
     figures = {name.removeprefix("figure-") for name in reader.ids if name.startswith("figure-")}
     assert figures == {"errors", "slices", "effects", "coefficients", "structure", "shape-0"}
     text = " ".join(reader.text)
-    for part in ("snow", "not in the data", "1.1 ± 0.2 %", "mine.py holds it, ready to edit", "58.0 %"):
+    for part in ("snow", "not in the data", "1.1 ± 0.2 %", "mine.py contains it as an effect to edit", "58.0 %"):
         assert part in text, part
 
 

@@ -1,4 +1,4 @@
-"""The report of a diagnosis: a story in the terminal, and one page of tables and figures."""
+"""Show a diagnosis as text in the terminal and as one HTML page of tables and figures."""
 
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
@@ -18,6 +18,8 @@ from tools.report.evaluation.sections import Section
 from tools.report.evaluation.terminal import print_section
 from tools.report.page import render_document, save
 
+NONE_MISSING: Final = "No effect of the library is missing beyond chance."
+"""Text of a diagnosis that finds nothing."""
 DRAWN: Final[Mapping[str, Callable[[Result], list[Illustration]]]] = MappingProxyType(
     {
         "error": figures.draw_errors,
@@ -26,58 +28,60 @@ DRAWN: Final[Mapping[str, Callable[[Result], list[Illustration]]]] = MappingProx
         "remains": figures.draw_remainder,
     }
 )
-"""Figures of a section, by its key."""
+"""Functions that draw the figures of a section, by the key of the section."""
 
 
 def show(result: Any, console: Console, *, suggested: str | None = None) -> None:
-    """Print a diagnosis as a story: what was looked at, how far off, where, why, what next.
+    """Print a diagnosis: the data, the error, where the model fails, the missing effects and the next step.
 
     Parameters
     ----------
     result : mapping
-        As `core.diagnose.diagnosis` makes it; what it lacks is left out.
+        The result of `core.diagnose.diagnosis.diagnose`. Parts that it lacks are not printed.
     console : Console
-        At least 120 columns wide.
+        A console of at least 120 columns.
     suggested : str, optional
-        The file that the suggestion was written to.
+        The file that the suggested effect was written to.
     """
-    found = to_json_values(result)
-    model = get_mapping(found, "model")
+    values = to_json_values(result)
+    model = get_mapping(values, "model")
     print_heading(f"Diagnosis of {model.get('name')}, version {model.get('version')}", console)
-    print_lines(sentences.describe_data(found), console)
-    print_heading("How far off", console)
-    print_lines(sentences.describe_error(found), console)
-    where = tables.tabulate_slices(found)
-    if where.rows:
-        print_section(Section("slices", "Where it fails", "", [where._replace(title="")]), console)
+    print_lines(sentences.describe_data(values), console)
+    print_heading("Error", console)
+    print_lines(sentences.describe_error(values), console)
+    slices = tables.tabulate_slices(values)
+    if slices.rows:
+        print_section(Section("slices", "Where the model fails", "", [slices._replace(title="")]), console)
     else:
-        print_heading("Where it fails", console)
+        print_heading("Where the model fails", console)
         print_lines(
-            ["No kind of ride stands out: the model errs everywhere alike, or the rides are too few to tell."], console
+            [
+                "No group of rides differs from the others: the error is the same everywhere, or there are too few rides."
+            ],
+            console,
         )
-    _show_missing(found, console)
-    print_heading("What remains", console)
-    print_lines([*sentences.describe_remainder(found), *sentences.describe_suggestion(found, suggested)], console)
-    print_heading("Next", console)
-    print_lines(sentences.describe_next_step(found), console, strong=True)
+    _print_missing_effects(values, console)
+    print_heading("Remaining error", console)
+    print_lines([*sentences.describe_remainder(values), *sentences.describe_suggestion(values, suggested)], console)
+    print_heading("Next step", console)
+    print_lines(sentences.describe_next_step(values), console, strong=True)
 
 
 def print_step(result: Any, step: int, console: Console) -> None:
-    """Print in a few lines what a step of the loop found."""
-    found = to_json_values(result)
+    """Print the result of one step of the automatic loop in a few lines."""
+    values = to_json_values(result)
     print_heading(f"Step {step}", console)
-    first = next((m for m in found.get("missing") or () if m.get("effect") == found.get("verdict")), None)
+    first = next((m for m in values.get("missing") or () if m.get("effect") == values.get("verdict")), None)
     if first is None:
-        print_lines(["Nothing more is to be gained."], console)
+        print_lines(["No further effect is missing."], console)
         return
-    said = sentences.describe_missing_effect(first)
+    meaning, *more = sentences.describe_missing_effect(first)
     print_lines(
-        [sentences.describe_error(found)[0], f"Missing: {sentences.name_effect(first)}: {said[0]}", *said[1:]], console
+        [sentences.describe_error(values)[0], f"Missing: {sentences.name_effect(first)}: {meaning}", *more], console
     )
-    if found.get("structure_remains"):
-        print_lines(
-            ["Beside it structure remains:", *sentences.describe_signs(dict(found.get("structure") or {}))], console
-        )
+    if values.get("structure_remains"):
+        signs = sentences.describe_signs(dict(values.get("structure") or {}))
+        print_lines(["The remaining error has further structure:", *signs], console)
 
 
 def print_heading(title: str, console: Console) -> None:
@@ -87,18 +91,18 @@ def print_heading(title: str, console: Console) -> None:
 
 
 def print_lines(lines: Sequence[str], console: Console, *, strong: bool = False) -> None:
-    """Print sentences; a command stays in one line, to be copied."""
+    """Print sentences, and commands on one line each, so that they can be copied."""
     for line in lines:
         command = line.startswith("socast ")
         console.print(Text(line, style="bold" if strong else ""), soft_wrap=command, highlight=False)
 
 
-def _show_missing(found: Result, console: Console) -> None:
-    """Print what is missing, effect by effect."""
-    print_heading("What is missing", console)
-    missing = found.get("missing") or ()
+def _print_missing_effects(result: Result, console: Console) -> None:
+    """Print the missing effects one by one."""
+    print_heading("Missing effects", console)
+    missing = result.get("missing") or ()
     if not missing:
-        print_lines(["Nothing that the library knows, beyond chance."], console)
+        print_lines([NONE_MISSING], console)
     for place, one in enumerate(missing, start=1):
         first, *more = sentences.describe_missing_effect(one)
         console.print(Text(f"{place}. {sentences.name_effect(one)}: ", style="bold").append(first, style="not bold"))
@@ -107,50 +111,53 @@ def _show_missing(found: Result, console: Console) -> None:
 
 
 def write(result: Any, path: Path, *, suggested: str | None = None) -> None:
-    """Write a diagnosis as a page that needs nothing else."""
-    found = to_json_values(result)
-    model = get_mapping(found, "model")
+    """Write a diagnosis as an HTML page that loads no other file."""
+    values = to_json_values(result)
+    model = get_mapping(values, "model")
     title = f"Diagnosis of {model.get('name')}, version {model.get('version')}"
-    lead = "".join(
-        f"<p>{escape(line)}</p>" for line in (*sentences.describe_data(found), *sentences.describe_next_step(found))
-    )
+    lines = (*sentences.describe_data(values), *sentences.describe_next_step(values))
     page = render_document(
         title,
-        lead,
-        build_sections(found, suggested),
-        lambda key: _drawn(found, key),
+        "".join(f"<p>{escape(line)}</p>" for line in lines),
+        build_sections(values, suggested),
+        lambda key: _draw(values, key),
         "<p>Made by <code>socast diagnose</code>.</p>",
     )
     save(page, path)
 
 
-def _drawn(found: Result, key: str) -> list[Illustration]:
+def _draw(result: Result, key: str) -> list[Illustration]:
     """Return the figures of a section."""
     make = DRAWN.get(key)
-    return [] if make is None else make(found)
+    return [] if make is None else make(result)
 
 
-def build_sections(found: Result, suggested: str | None = None) -> list[Section]:
-    """Return the sections of the page that have something to show."""
-    told = [line for one in found.get("missing") or () for line in sentences.describe_rivals(one)]
-    shown = [
-        Section("error", "How far off", " ".join(sentences.describe_error(found)), [tables.tabulate_errors(found)]),
-        Section("slices", "Where it fails", "", [tables.tabulate_slices(found)]),
-        Section("missing", "What is missing", _sentences(found), [tables.tabulate_missing_effects(found)]),
-        Section("remains", "What remains", " ".join(_remains(found, suggested)), [tables.tabulate_structure(found)]),
-        Section("candidates", "All that was asked", " ".join(told), [tables.tabulate_candidates(found)]),
+def build_sections(result: Result, suggested: str | None = None) -> list[Section]:
+    """Return the sections of the page that have a text or a table with rows."""
+    rivals = [
+        f"{sentences.name_effect(one)}: {line}."
+        for one in result.get("missing") or ()
+        for line in sentences.describe_rivals(one)
     ]
-    return [section for section in shown if section.text or any(table.rows for table in section.tables)]
-
-
-def _remains(found: Result, suggested: str | None) -> list[str]:
-    return [
-        line if line.endswith((".", ":")) else f"{line}."
-        for line in (*sentences.describe_remainder(found), *sentences.describe_suggestion(found, suggested))
+    sections = [
+        Section("error", "Error", " ".join(sentences.describe_error(result)), [tables.tabulate_errors(result)]),
+        Section("slices", "Where the model fails", "", [tables.tabulate_slices(result)]),
+        Section("missing", "Missing effects", _summarise_missing(result), [tables.tabulate_missing_effects(result)]),
+        Section(
+            "remains", "Remaining error", _describe_remainder(result, suggested), [tables.tabulate_structure(result)]
+        ),
+        Section("candidates", "All candidate effects", " ".join(rivals), [tables.tabulate_candidates(result)]),
     ]
+    return [section for section in sections if section.text or any(table.rows for table in section.tables)]
 
 
-def _sentences(found: Result) -> str:
-    """Return what is missing, a sentence each."""
-    said = [f"{sentences.describe_missing_effect(one)[0]}." for one in found.get("missing") or ()]
-    return " ".join(each[:1].upper() + each[1:] for each in said) or "Nothing that the library knows, beyond chance."
+def _describe_remainder(result: Result, suggested: str | None) -> str:
+    """Return the remaining error as sentences, each with a full stop."""
+    lines = (*sentences.describe_remainder(result), *sentences.describe_suggestion(result, suggested))
+    return " ".join(line if line.endswith((".", ":")) else f"{line}." for line in lines)
+
+
+def _summarise_missing(result: Result) -> str:
+    """Return what each missing effect is, one sentence each."""
+    lines = [f"{sentences.describe_missing_effect(one)[0]}." for one in result.get("missing") or ()]
+    return " ".join(line[:1].upper() + line[1:] for line in lines) or NONE_MISSING

@@ -1,4 +1,4 @@
-"""What a diagnosis found, in sentences: what a person would tell another."""
+"""Describe the result of a diagnosis in sentences for vehicle engineers."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -8,17 +8,17 @@ from tools.report.evaluation.data_tables import MEASURED_BY
 from tools.report.evaluation.result import Result, get_mapping, get_number
 
 LEAST_BIAS = 5e-4
-"""Bias of a ride below which none is told. [kWh]"""
+"""Bias of a ride below which the report does not mention it. [kWh]"""
 NOISE_ONLY = 1.1
-"""Error over the noise floor up to which what remains is the measurement's noise."""
+"""Ratio of the error to the noise floor up to which the report calls the remaining error measurement noise."""
 
 
 def format_energy(value: Any) -> str:
-    """Return an energy in kWh to three digits.
+    """Return an energy in kWh with three significant digits.
 
     Examples
     --------
-    >>> energy(0.06234), energy(None)
+    >>> format_energy(0.06234), format_energy(None)
     ('0.0623 kWh', 'unknown')
     """
     known = get_number(value)
@@ -26,7 +26,7 @@ def format_energy(value: Any) -> str:
 
 
 def read_interval(value: Any) -> tuple[float, float] | None:
-    """Return lower and upper end of an interval, None where it has none."""
+    """Return the lower and upper end of an interval, or None where it has none."""
     if not isinstance(value, list | tuple) or len(value) != 2:
         return None
     low, high = map(get_number, value)
@@ -34,205 +34,210 @@ def read_interval(value: Any) -> tuple[float, float] | None:
 
 
 def describe_data(result: Result) -> list[str]:
-    """Say what was looked at."""
-    found = get_mapping(result, "data")
-    measured = MEASURED_BY.get(str(found.get("measured")), "voltage and current or state of charge")
-    said = str(found.get("resolution") or measured)
-    seen = (
-        f"{format_count(found.get('rides'))} rides of {_plural(found.get('vehicles'), 'vehicle')}, "
-        f"{_plural(found.get('days'), 'vehicle-day')}, {found.get('first_date')} to {found.get('last_date')}, in "
-        f"{format_count(found.get('windows'))} windows."
+    """Return sentences about the rides that were diagnosed and how their energy was measured."""
+    data = get_mapping(result, "data")
+    measured = MEASURED_BY.get(str(data.get("measured")), "voltage and current or state of charge")
+    resolution = str(data.get("resolution") or measured)
+    rides = (
+        f"{format_count(data.get('rides'))} rides of {_plural(data.get('vehicles'), 'vehicle')} on "
+        f"{_plural(data.get('days'), 'vehicle-day')}, {data.get('first_date')} to {data.get('last_date')}, in "
+        f"{format_count(data.get('windows'))} windows."
     )
-    lines = [seen, f"How the energy was measured: {said}."]
-    if left := get_mapping(found, "left_out"):
-        told = ", ".join(f"{format_count(n)} {str(why).replace('_', ' ')}" for why, n in left.items())
-        lines.append(f"Left out: {told}.")
+    lines = [rides, f"Energy measured by: {resolution}."]
+    if left_out := get_mapping(data, "left_out"):
+        reasons = ", ".join(f"{format_count(n)} {str(reason).replace('_', ' ')}" for reason, n in left_out.items())
+        lines.append(f"Excluded: {reasons}.")
     return lines
 
 
 def describe_error(result: Result) -> list[str]:
-    """Say how far off the model is, and how much of that is the measurement's own noise."""
-    found = get_mapping(result, "error")
-    mae, floor, refitted = (get_number(found.get(key)) for key in ("mae_kwh", "noise_floor_kwh", "mae_refitted_kwh"))
-    share = get_number(found.get("relative"))
-    of = f", {format_percent(share)} of what rides take" if share is not None else ""
-    lines = [f"The model is {format_energy(mae)} off a ride on average{of}{_bias(found.get('bias_kwh'))}."]
+    """Return sentences about the error of the model and the share of it that is measurement noise."""
+    errors = get_mapping(result, "error")
+    mae, floor, refitted = (get_number(errors.get(key)) for key in ("mae_kwh", "noise_floor_kwh", "mae_refitted_kwh"))
+    share = get_number(errors.get("relative"))
+    relative = f", {format_percent(share)} of the mean energy of a ride" if share is not None else ""
+    lines = [
+        f"The mean absolute error is {format_energy(mae)} per ride{relative}{_describe_bias(errors.get('bias_kwh'))}."
+    ]
     if refitted is not None:
-        lines.append(f"The same terms, fitted to these rides, would be {format_energy(refitted)} off.")
+        lines.append(f"With the same terms refitted to these rides, it would be {format_energy(refitted)}.")
     if mae and floor is not None:
         lines.append(
-            f"Measurement noise: a model without any error would still seem {format_energy(floor)} off, "
-            f"{format_percent(min(floor / mae, 1.0), 0)} of that."
+            f"Measurement noise alone causes {format_energy(floor)}, {format_percent(min(floor / mae, 1.0), 0)} of the "
+            "error: a model without any error would still show it."
         )
     return lines
 
 
-def _bias(value: Any) -> str:
-    """Say to which side a model errs."""
+def _describe_bias(value: Any) -> str:
+    """Return a clause with the amount and the direction of the bias."""
     bias = get_number(value)
     if bias is None or abs(bias) < LEAST_BIAS:
         return ""
-    side = "too much" if bias > 0.0 else "too little"
-    return f"; on balance it predicts {format_energy(abs(bias))} {side}"
+    direction = "too much" if bias > 0.0 else "too little"
+    return f"; on average the model predicts {format_energy(abs(bias))} {direction}"
 
 
-def describe_slice(found: Mapping[str, Any]) -> str:
-    """Say what is special about a slice."""
-    bias = get_number(found.get("bias_kwh")) or 0.0
-    return f"{format_energy(abs(bias))} {'more' if bias > 0.0 else 'less'} than elsewhere"
+def describe_slice(one: Mapping[str, Any]) -> str:
+    """Return how predictions for a group of rides compare with those for all other rides."""
+    bias = get_number(one.get("bias_kwh")) or 0.0
+    return f"{format_energy(abs(bias))} {'more' if bias > 0.0 else 'less'} than for other rides"
 
 
-def describe_scope(found: Mapping[str, Any]) -> str:
-    """Say for whom and since when an effect is missing."""
-    said = str(found.get("scope") or "all")
-    return "in all vehicles, all the time" if said == "all" else f"only {_with_preposition(said)}"
+def describe_scope(one: Mapping[str, Any]) -> str:
+    """Return the vehicles and dates for which an effect is missing."""
+    scope = str(one.get("scope") or "all")
+    return "in all vehicles on all dates" if scope == "all" else f"only {_add_preposition(scope)}"
 
 
-def _with_preposition(said: str) -> str:
-    """Return a scope as it stands in a sentence.
+def _add_preposition(scope: str) -> str:
+    """Return a scope with its preposition.
 
-    >>> _with_preposition("vehicle taxi-003, since 2018-06-01")
+    >>> _add_preposition("vehicle taxi-003, since 2018-06-01")
     'in vehicle taxi-003, since 2018-06-01'
     """
-    return f"in {said}" if said.startswith("vehicle") else said
+    return f"in {scope}" if scope.startswith("vehicle") else scope
 
 
-def name_effect(found: Mapping[str, Any]) -> str:
-    """Return the name of what is missing: of the variant that fits best."""
-    return str(found.get("variant") or found.get("effect"))
+def name_effect(one: Mapping[str, Any]) -> str:
+    """Return the name of a missing effect, or of the variant of it that fits best."""
+    return str(one.get("variant") or one.get("effect"))
 
 
-def describe_gain(found: Mapping[str, Any]) -> str:
-    """Say what an effect explains."""
-    limits = read_interval(found.get("gain_ci95"))
-    between = f" ({format_percent(limits[0])} to {format_percent(limits[1])})" if limits else ""
-    of = f" of {found['gain_of']}" if found.get("gain_of") else ""
-    said = [
-        f"it explains {format_percent(found.get('gain'))}{between} of the squared error{of} on days it was not fitted to"
-    ]
-    if get_number(found.get("energy_share")) is not None:
-        said.append(f"it moves {format_percent(found['energy_share'])} of all energy")
-    if (q := get_number(found.get("q"))) is not None:
-        said.append(f"q = {q:.2g}")
-    return ", ".join(said)
+def describe_gain(one: Mapping[str, Any]) -> str:
+    """Return how much of the error an effect explains on held-out days."""
+    limits = read_interval(one.get("gain_ci95"))
+    interval = f" (95 % interval {format_percent(limits[0])} to {format_percent(limits[1])})" if limits else ""
+    of = f" of {one['gain_of']}" if one.get("gain_of") else ""
+    parts = [f"explains {format_percent(one.get('gain'))}{interval} of the squared error{of} on held-out days"]
+    if get_number(one.get("energy_share")) is not None:
+        parts.append(f"its absolute energy is {format_percent(one['energy_share'])} of the measured energy")
+    if (q := get_number(one.get("q"))) is not None:
+        parts.append(f"q = {q:.2g}")
+    return ", ".join(parts)
 
 
-def describe_coefficient(found: Mapping[str, Any]) -> str:
-    """Say what an effect's coefficient is, and whether that is plausible."""
-    own = get_mapping(found, "coefficient")
-    value, limits = get_number(own.get("value")), read_interval(own.get("ci95"))
+def describe_coefficient(one: Mapping[str, Any]) -> str:
+    """Return the coefficient of an effect, its interval, and whether it is plausible."""
+    coefficient = get_mapping(one, "coefficient")
+    value, limits = get_number(coefficient.get("value")), read_interval(coefficient.get("ci95"))
     if value is None:
         return ""
-    unit = "" if own.get("unit") in {None, "1"} else f" {own['unit']}"
-    between = f", 95 % interval {limits[0]:.3g} to {limits[1]:.3g}" if limits else ""
-    low, high = get_number(own.get("low")), get_number(own.get("high"))
+    unit = "" if coefficient.get("unit") in {None, "1"} else f" {coefficient['unit']}"
+    interval = f", 95 % interval {limits[0]:.3g} to {limits[1]:.3g}" if limits else ""
+    low, high = get_number(coefficient.get("low")), get_number(coefficient.get("high"))
     if low is None or high is None:
-        return f"coefficient {value:.3g}{unit}{between}"
-    wide = f"{low:g} to {high:g}{unit}"
-    judged = f"plausible (from {wide})" if own.get("plausible") else f"NOT plausible (from {wide}): a finding by itself"
-    return f"coefficient {value:.3g}{unit}{between}; {judged}"
+        return f"coefficient {value:.3g}{unit}{interval}"
+    expected = f"range {low:g} to {high:g}{unit}"
+    if coefficient.get("plausible"):
+        return f"coefficient {value:.3g}{unit}{interval}; plausible ({expected})"
+    return f"coefficient {value:.3g}{unit}{interval}; NOT plausible ({expected}): it may stand for another cause"
 
 
-def describe_rivals(found: Mapping[str, Any]) -> list[str]:
-    """Say what an effect cannot be told from, and what would tell."""
+def describe_rivals(one: Mapping[str, Any]) -> list[str]:
+    """Return the effects that the data do not distinguish from an effect, and the data that would."""
     lines = []
-    for other in found.get("separate") or ():
+    for other in one.get("separate") or ():
         r = get_number(other.get("correlation"))
-        alike = "" if r is None else f" (r = {r:.2f})"
-        shown = f": {other['data']} would tell" if other.get("data") else ""
-        lines.append(f"cannot be told from {other.get('effect')}{alike}{shown}")
-    alone = [str(each) for each in found.get("group") or () if each != found.get("effect")]
-    if alone and not lines:
-        lines.append(f"cannot be told from {', '.join(alone)}")
+        correlation = "" if r is None else f" (r = {r:.2f})"
+        remedy = f"; to distinguish them, record {other['data']}" if other.get("data") else ""
+        lines.append(f"not distinguishable from {other.get('effect')} in these data{correlation}{remedy}")
+    group = [str(each) for each in one.get("group") or () if each != one.get("effect")]
+    if group and not lines:
+        lines.append(f"not distinguishable from {', '.join(group)} in these data")
     return lines
 
 
-def describe_missing_effect(found: Mapping[str, Any]) -> list[str]:
-    """Say all about an effect that is missing, most important first."""
-    said = str(found.get("words") or name_effect(found))
-    lines = [
-        f"{said}; {describe_scope(found)}",
-        describe_gain(found),
-        describe_coefficient(found),
-        *describe_rivals(found),
-    ]
-    if equal := [str(each) for each in found.get("equivalents") or ()]:
-        lines.append(f"as large, on average, as {', or '.join(equal)}")
+def describe_missing_effect(one: Mapping[str, Any]) -> list[str]:
+    """Return all statements about a missing effect, the most important first."""
+    meaning = str(one.get("words") or name_effect(one))
+    lines = [f"{meaning}; {describe_scope(one)}", describe_gain(one), describe_coefficient(one), *describe_rivals(one)]
+    if equal := [str(each) for each in one.get("equivalents") or ()]:
+        lines.append(f"equal in energy, on average, to {' or '.join(equal)}")
     return [line for line in lines if line]
 
 
 def describe_remainder(result: Result) -> list[str]:
-    """Say what is left once the named effects are in."""
+    """Return sentences about the error that remains once the missing effects are added."""
     steps = [step for step in result.get("steps") or () if get_number(step.get("mae_kwh")) is not None]
     lines = []
     if steps:
         last, floor = get_number(steps[-1]["mae_kwh"]) or 0.0, get_number(steps[-1].get("noise_floor_kwh"))
-        said = " -> ".join(f"{get_number(step['mae_kwh']):.3g}" for step in steps)
+        errors = " -> ".join(f"{get_number(step['mae_kwh']):.3g}" for step in steps)
+        added = ", as the missing effects are added" if len(steps) > 1 else ""
         lines.append(
-            f"Error with the named effects, held-out days: {said} kWh a ride; measurement noise {format_energy(floor)}."
+            f"Mean absolute error on held-out days{added}: {errors} kWh per ride; measurement noise "
+            f"{format_energy(floor)}."
         )
         if floor is not None and last <= NOISE_ONLY * floor and not result.get("structure_remains"):
-            lines.append("What remains is measurement noise.")
+            lines.append("The remaining error is measurement noise.")
     if result.get("structure_remains"):
-        lines.append("Structure remains whose cause is not in the library, or too weak to be told from others:")
+        lines.append(
+            "The remaining error has structure. Its cause is not in the library, or too weak to be distinguished from "
+            "other causes:"
+        )
         lines += describe_signs(get_mapping(result, "structure"))
     elif "structure_remains" in result:
-        all_of_it = ": the named effects are all that these data show" if result.get("missing") else ""
-        lines.append(f"No structure remains that could be predicted{all_of_it}.")
+        complete = ": the data show no further effect" if result.get("missing") else ""
+        lines.append(f"The remaining error has no structure that can be predicted{complete}.")
     return lines
 
 
 def describe_signs(structure: Mapping[str, Any]) -> list[str]:
-    """Say what speaks for there being more than was named."""
-    spoken, taken = structure.get("signs") or (), get_number(structure.get("taken"))
+    """Return the evidence that the remaining error has structure."""
+    signs, taken = structure.get("signs") or (), get_number(structure.get("taken"))
     least = format_percent(structure.get("least"), 0)
     share = (
-        "" if taken is None else f"; the named effects take {format_percent(taken, 0)} of it, and should take {least}"
+        ""
+        if taken is None
+        else f"; the missing effects explain {format_percent(taken, 0)} of the predictable part, and {least} is required"
     )
-    said = {
-        "trees": f"boosted trees predict {format_percent(get_number(structure.get('after')))} of what is left{share}",
-        "shape": f"a plain shape is left, {format_shape(str(structure.get('shape')))}, that explains "
-        f"{format_percent(get_number(structure.get('gain')))} of the squared error on held-out days{share}",
+    after, gain, days = (get_number(structure.get(key)) for key in ("after", "gain", "days"))
+    texts = {
+        "trees": f"boosted trees predict {format_percent(after)} of its variance on held-out days{share}",
+        "shape": f"the pattern {format_shape(str(structure.get('shape')))} explains {format_percent(gain)} of the "
+        f"squared error on held-out days{share}",
         "better": "; ".join(
-            f"{format_shape(str(shape))} explains more than {effect} in its place: the name may be that of a stand-in"
+            f"{format_shape(str(shape))} explains more than {effect} does: {effect} may stand for another cause"
             for effect, shape in dict(structure.get("better") or {}).items()
         ),
-        "days": f"days differ {get_number(structure.get('days')) or 0.0:.1f} times as much as by chance: something of the "
-        "day, or of its driver, is not known",
+        "days": f"vehicle-days differ {days or 0.0:.1f} times as much as chance allows: an influence of the day or of "
+        "the driver is unknown",
     }
-    return [f"- {said[sign]}" for sign in spoken if sign in said]
+    return [f"- {texts[sign]}" for sign in signs if sign in texts]
 
 
 def format_shape(shape: str) -> str:
-    """Return a carrier times a function as people read it."""
+    """Return a pattern, a carrier of energy times a function of a feature, with spaces and a multiplication sign."""
     return shape.replace("_", " ").replace(" * ", " × ")
 
 
 def describe_suggestion(result: Result, file: str | None = None) -> list[str]:
-    """Say what term of one's own would fit."""
+    """Return the formula of the suggested effect, and where its source is."""
     formula = result.get("suggestion")
     if not formula:
         return []
     where = (
-        f"{file} holds it, ready to edit: socast effects check {file}"
+        f"{file} contains it as an effect to edit. Check it with: socast effects check {file}"
         if file
-        else "--suggest FILE writes it, ready to edit"
+        else "Write it to a file to edit with --suggest FILE.py"
     )
-    return [f"A term that would fit: {formula}", where]
+    return [f"A term that fits the remaining error: {formula}", where]
 
 
 def describe_next_step(result: Result) -> list[str]:
-    """Say what to do next."""
+    """Return what to do next, with the command where there is one."""
     chosen = result.get("verdict")
     if not chosen:
         if result.get("structure_remains"):
-            return ["No effect of the library is missing; what remains asks for one of your own: socast effects new."]
-        return ["Nothing is missing that these rides could show."]
+            own = "Write an effect of your own for the structure that remains: socast effects new."
+            return [f"No effect of the library is missing. {own}"]
+        return ["These rides show no missing effect."]
     first: Mapping[str, Any] = next((m for m in result.get("missing") or () if m.get("effect") == chosen), {})
     lines = [f"Add {chosen}, {describe_scope(first)}."]
     return [*lines, str(first["command"])] if first.get("command") else lines
 
 
-def _plural(number_: Any, what: str) -> str:
-    """Return a number of things."""
-    return f"{format_count(number_)} {what}{'' if get_number(number_) == 1 else 's'}"
+def _plural(count: Any, noun: str) -> str:
+    """Return a count with its noun."""
+    return f"{format_count(count)} {noun}{'' if get_number(count) == 1 else 's'}"

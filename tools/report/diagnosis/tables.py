@@ -1,4 +1,4 @@
-"""Tables of a diagnosis: where the model fails, what is missing, and everything that was asked."""
+"""Tabulate a diagnosis: where the model fails, the missing effects, all candidates, and the remaining error."""
 
 from typing import Any, Final
 
@@ -7,110 +7,111 @@ from tools.report.diagnosis import sentences
 from tools.report.evaluation.result import Result, get_mapping, get_number
 
 BIAS_NOTE: Final = (
-    "Bias: predicted less measured, less that of all other rides. Slices are found on half of the vehicle-days and "
-    "judged on the other half; q is the share of false ones that is allowed down to this one."
+    "Bias: mean of predicted less measured energy, less that of all other rides. Slices are found on one half of the "
+    "vehicle-days and confirmed on the other half. q: expected share of false slices down to this one."
 )
 MISSING_NOTE: Final = (
-    "Best first, each given those above it. Gain: fall of the squared error, beyond what the model's own terms could "
-    "take up, on days that the coefficient was not fitted to. ± and ranges are 95 % intervals."
+    "Best first, each in the presence of those above it. Gain: fall of the squared error that the terms of the model "
+    "cannot explain, on days to which the coefficient was not fitted. ± and ranges are 95 % intervals."
 )
 CANDIDATES_NOTE: Final = (
-    "Each effect alone, in the first step, in the parameter that fits best; z with the sign that physics demands."
+    "Each effect alone before any is added, with the parameter value that fits best. z has the sign that physics "
+    "demands."
 )
 
 
 def tabulate_slices(result: Result) -> ReportTable:
-    """Return where the model fails."""
+    """Return the slices of the rides on which the bias of the model differs."""
     rows = tuple(
         Row(
-            str(found.get("where")),
+            str(one.get("where")),
             (
-                Cell(format_count(found.get("rides"))),
-                Cell(_spread(found.get("bias_kwh"), found.get("ci95"))),
-                Cell(sentences.describe_slice(found)),
-                Cell(_plain(found.get("mae_kwh"))),
-                Cell(_small(found.get("q"))),
+                Cell(format_count(one.get("rides"))),
+                Cell(_spread(one.get("bias_kwh"), one.get("ci95"))),
+                Cell(sentences.describe_slice(one)),
+                Cell(_plain(one.get("mae_kwh"))),
+                Cell(_small(one.get("q"))),
             ),
         )
-        for found in result.get("slices") or ()
+        for one in result.get("slices") or ()
     )
     heads = ("rides", "bias, kWh", "predicts", "error, kWh", "q")
-    return ReportTable("Where it fails", "rides", heads, rows, (BIAS_NOTE,))
+    return ReportTable("Where the model fails", "rides", heads, rows, (BIAS_NOTE,))
 
 
 def tabulate_missing_effects(result: Result) -> ReportTable:
-    """Return what is missing, best first."""
+    """Return the missing effects, the best first."""
     rows = tuple(
         Row(
-            f"{place}. {sentences.name_effect(found)}",
+            f"{place}. {sentences.name_effect(one)}",
             (
-                Cell("all" if found.get("scope") in {None, "all"} else str(found["scope"])),
-                Cell(format_percent(found.get("gain")), strong=place == 1),
-                Cell(format_percent(found.get("energy_share"))),
-                Cell(_coefficient(found)),
-                Cell("yes" if get_mapping(found, "coefficient").get("plausible") else "NO"),
-                Cell(_small(found.get("q"))),
-                Cell(", ".join(str(e) for e in found.get("group") or () if e != found.get("effect")) or "–"),
+                Cell("all" if one.get("scope") in {None, "all"} else str(one["scope"])),
+                Cell(format_percent(one.get("gain")), strong=place == 1),
+                Cell(format_percent(one.get("energy_share"))),
+                Cell(_coefficient(one)),
+                Cell("yes" if get_mapping(one, "coefficient").get("plausible") else "NO"),
+                Cell(_small(one.get("q"))),
+                Cell(", ".join(str(e) for e in one.get("group") or () if e != one.get("effect")) or "–"),
             ),
         )
-        for place, found in enumerate(result.get("missing") or (), start=1)
+        for place, one in enumerate(result.get("missing") or (), start=1)
     )
-    heads = ("for", "gain", "of energy", "coefficient", "plausible", "q", "not told from")
-    return ReportTable("What is missing", "effect", heads, rows, (MISSING_NOTE,))
+    heads = ("for", "gain", "of energy", "coefficient", "plausible", "q", "not distinguishable from")
+    return ReportTable("Missing effects", "effect", heads, rows, (MISSING_NOTE,))
 
 
 def tabulate_candidates(result: Result) -> ReportTable:
-    """Return everything that was asked."""
+    """Return all candidate effects, as they rank before any is added."""
     rows = tuple(
         Row(
-            str(found.get("variant") or found.get("effect")),
+            str(one.get("variant") or one.get("effect")),
             (
-                Cell("all" if found.get("scope") in {None, "all"} else str(found["scope"])),
-                Cell(_fixed(found.get("z"))),
-                Cell(_small(found.get("q"))),
-                Cell(format_percent(found.get("gain"), 2)),
-                Cell(str(found.get("status")), strong=found.get("status") == "missing"),
+                Cell("all" if one.get("scope") in {None, "all"} else str(one["scope"])),
+                Cell(_fixed(one.get("z"))),
+                Cell(_small(one.get("q"))),
+                Cell(format_percent(one.get("gain"), 2)),
+                Cell(str(one.get("status")), strong=one.get("status") == "missing"),
             ),
         )
-        for found in result.get("candidates") or ()
+        for one in result.get("candidates") or ()
     )
-    heads = ("for", "z", "q", "gain", "finding")
+    heads = ("for", "z", "q", "gain", "result")
     return ReportTable("All candidates", "effect", heads, rows, (CANDIDATES_NOTE,))
 
 
 def tabulate_errors(result: Result) -> ReportTable:
-    """Return the errors and the noise floor."""
-    found = get_mapping(result, "error")
-    told = (
-        ("as given", found.get("mae_kwh")),
-        ("its terms fitted to these rides", found.get("mae_refitted_kwh")),
-        ("measurement noise alone", found.get("noise_floor_kwh")),
+    """Return the errors of the model and the noise floor."""
+    part = get_mapping(result, "error")
+    values = (
+        ("model as given", part.get("mae_kwh")),
+        ("same terms refitted to these rides", part.get("mae_refitted_kwh")),
+        ("measurement noise alone", part.get("noise_floor_kwh")),
     )
-    rows = tuple(Row(what, (Cell(_plain(value)),)) for what, value in told if get_number(value) is not None)
+    rows = tuple(Row(what, (Cell(_plain(value)),)) for what, value in values if get_number(value) is not None)
     return ReportTable("Mean absolute error of a ride", "model", ("kWh",), rows)
 
 
 def tabulate_structure(result: Result) -> ReportTable:
-    """Return how much of what is left can be predicted, before and after the named effects, or is of a plain shape."""
-    found = get_mapping(result, "structure")
-    told = (
-        ("predictable share before the named effects", found.get("before")),
-        ("predictable share after them", found.get("after")),
-        ("taken by them", found.get("taken")),
-        ("least that they should take", found.get("least")),
+    """Return the predictable share of the error before and after the missing effects, and that of a plain pattern."""
+    part = get_mapping(result, "structure")
+    values = (
+        ("predictable before the missing effects", part.get("before")),
+        ("predictable after them", part.get("after")),
+        ("explained by them", part.get("taken")),
+        ("required for them to explain it all", part.get("least")),
         (
-            "explained by the plain shape that is left",
-            found.get("gain") if "shape" in (found.get("signs") or ()) else None,
+            "explained by a plain pattern that remains",
+            part.get("gain") if "shape" in (part.get("signs") or ()) else None,
         ),
     )
-    rows = tuple(Row(what, (Cell(format_percent(value)),)) for what, value in told if get_number(value) is not None)
-    note = "Share of the variance of what is left that boosted trees predict on days that they were not fitted to."
-    return ReportTable("What remains", "structure", ("share",), rows, (note,))
+    rows = tuple(Row(what, (Cell(format_percent(value)),)) for what, value in values if get_number(value) is not None)
+    note = "Predictable: share of the variance that boosted trees predict on days to which they were not fitted."
+    return ReportTable("Remaining error", "structure", ("share",), rows, (note,))
 
 
-def _coefficient(found: Any) -> str:
+def _coefficient(part: Any) -> str:
     """Return a coefficient with its interval and unit."""
-    own = get_mapping(found, "coefficient")
+    own = get_mapping(part, "coefficient")
     value, limits = get_number(own.get("value")), sentences.read_interval(own.get("ci95"))
     if value is None:
         return UNKNOWN
@@ -119,7 +120,7 @@ def _coefficient(found: Any) -> str:
 
 
 def _spread(value: Any, ci95: Any) -> str:
-    """Return a bias with its interval, which is half a width or two ends."""
+    """Return a bias with half the width of its interval, which is given as such or by two ends."""
     limits = sentences.read_interval(ci95)
     half = (limits[1] - limits[0]) / 2.0 if limits else get_number(ci95)
     return format_signed(value) + ("" if half is None else f" ± {half:.2g}")
