@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 
 from core.batch import Floats
+from core.evaluate.binning import Binning
 from core.evaluate.paper.held_out import HeldOutPredictions
 from core.evaluate.ride_filter import CLUSTERS, LEAST_RIDES, EvaluatedRides
 from core.stats import scores
@@ -19,40 +20,39 @@ LEAST_DRIVER_RIDES: Final = 30
 BUFFER_SHARES: Final = (95, 99)
 """Rides that a buffer is to keep above their reserve. [%]"""
 
-Bins = tuple[Codes, tuple[str, ...]]
 
-
-def bin_evaluated_rides(judged: EvaluatedRides) -> dict[str, Bins]:
+def bin_evaluated_rides(judged: EvaluatedRides) -> dict[str, Binning]:
     """Return what errors are shown against: of each ride its bin, -1 where it is in none, and the bins' names."""
     rides = judged.rides
     return {
-        "distance": (judged.cluster, CLUSTERS),
+        "distance": Binning(judged.cluster, CLUSTERS),
         "temperature": _temperature(rides["ambient_c"].to_numpy(np.float64)),
         "season": _season(rides),
         "driver": _driver(rides),
     }
 
 
-def _temperature(ambient_c: Floats) -> Bins:
+def _temperature(ambient_c: Floats) -> Binning:
     """Return bins of 5 °C."""
     names = [f"below {TEMPERATURES[0]}", *(f"{t} to {t + 5}" for t in TEMPERATURES[:-1]), f"from {TEMPERATURES[-1]}"]
     codes = np.searchsorted(np.array(TEMPERATURES, dtype=np.float64), ambient_c, side="right")
-    return np.where(np.isnan(ambient_c), -1, codes).astype(np.int64), tuple(names)
+    return Binning(np.where(np.isnan(ambient_c), -1, codes).astype(np.int64), tuple(names))
 
 
-def _season(rides: pd.DataFrame) -> Bins:
+def _season(rides: pd.DataFrame) -> Binning:
     """Return winter and summer, as Table 1 of the paper has them."""
     winter = rides["winter"].to_numpy(np.float64)
-    return np.where(np.isnan(winter), -1, 1 - (winter > 0.0)).astype(np.int64), ("winter", "summer")
+    return Binning(np.where(np.isnan(winter), -1, 1 - (winter > 0.0)).astype(np.int64), ("winter", "summer"))
 
 
-def _driver(rides: pd.DataFrame) -> Bins:
+def _driver(rides: pd.DataFrame) -> Binning:
     """Return a bin for each driver of many rides; none where the table does not tell who drove."""
     if "driver_id" not in rides:
-        return np.full(len(rides), -1, dtype=np.int64), ()
+        return Binning(np.full(len(rides), -1, dtype=np.int64), ())
     count = rides["driver_id"].value_counts()
     names = sorted(str(name) for name, n in count.items() if n >= LEAST_DRIVER_RIDES)
-    return pd.Categorical(rides["driver_id"], categories=names).codes.astype(np.int64), tuple(names)
+    codes = pd.Index(names, dtype=object).get_indexer(pd.Index(rides["driver_id"], dtype=object))
+    return Binning(codes.astype(np.int64), tuple(names))
 
 
 def _enough(codes: Codes, rows: Codes) -> Codes:

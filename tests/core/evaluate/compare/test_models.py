@@ -11,8 +11,7 @@ from core.errors import ModelError
 from core.evaluate.binning import bin_rides, compute_local_hour
 from core.evaluate.compare.datasets import compare_datasets
 from core.evaluate.compare.models import compare_pairs, compare_predictions, find_worst_rides, select_rides
-from core.evaluate.compare.ride_trace import find_ride, locate_divergence, trace_ride
-from core.evaluate.compare.running import accumulate_windows
+from core.evaluate.compare.ride_trace import accumulate_windows, find_ride, locate_divergence, trace_ride
 from core.fit.recipes import FITTED_TERMS, get_recipe
 from core.models import ANY, BASIC_PHYSICAL, CORRECTION, EXTENDED_PHYSICAL, Fit, LinearModel, Term
 from core.models.features import FEATURES
