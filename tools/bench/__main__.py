@@ -10,27 +10,27 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
-from tools.bench.filters import filters
-from tools.bench.hidden.page import kept, placed
-from tools.bench.learning import fitting, fitting_memory
-from tools.bench.live import live
-from tools.bench.measures import Measure, memory, replay, scale
-from tools.bench.nights import nights
-from tools.bench.startup import effects_start, help_start, version_start
+from tools.bench.daily_update import measure_daily_update
+from tools.bench.filters import measure_filters
+from tools.bench.hidden.page import read_section, replace_section
+from tools.bench.learning import measure_fit, measure_fit_memory
+from tools.bench.live import measure_live
+from tools.bench.measures import Measure, measure_arrays, measure_replay, measure_scale
+from tools.bench.startup import measure_effects_start, measure_help_start, measure_version_start
 from tools.terminal.rich_table import Column, make_table
 
 MEASURES: tuple[Callable[[], Measure], ...] = (
-    live,
-    replay,
-    memory,
-    scale,
-    filters,
-    nights,
-    fitting,
-    fitting_memory,
-    help_start,
-    version_start,
-    effects_start,
+    measure_live,
+    measure_replay,
+    measure_arrays,
+    measure_scale,
+    measure_filters,
+    measure_daily_update,
+    measure_fit,
+    measure_fit_memory,
+    measure_help_start,
+    measure_version_start,
+    measure_effects_start,
 )
 ROOT = Path(__file__).parent.parent.parent
 
@@ -49,11 +49,11 @@ def main() -> None:
     content = [asdict(found) for found in measures]
     (ROOT / "bench.json").write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
     path = ROOT / "BENCHMARKS.md"
-    hidden = kept(path)  # of `make bench-hidden`
-    path.write_text(placed(page(measures), hidden) if hidden else page(measures), encoding="utf-8")
+    hidden = read_section(path)  # of `make bench-hidden`
+    path.write_text(replace_section(make_page(measures), hidden) if hidden else make_page(measures), encoding="utf-8")
 
 
-def page(measures: list[Measure]) -> str:
+def make_page(measures: list[Measure]) -> str:
     """Return BENCHMARKS.md."""
     lines = [
         "# Benchmarks",

@@ -10,8 +10,8 @@ from core.forecast import soc_filter
 from core.forecast.engine import Foresight
 from core.pipeline import BLOCK, Pipeline
 from core.wire.messages import Leg, Message, Plan, encode
-from tools.bench.fleet import PERIOD_S, START_S, identity, rounds, vehicles
-from tools.bench.measures import Measure, blocks
+from tools.bench.fleet import PERIOD_S, START_S, make_rounds, make_vehicles, name_car
+from tools.bench.measures import Measure, cut_blocks
 from tools.simulator.fleet import simulate
 from tools.simulator.settings import Simulation
 
@@ -27,7 +27,7 @@ class Stopwatch:
     def __init__(self) -> None:
         self.seconds = 0.0
 
-    def around(self, function: Callable[..., Any]) -> Callable[..., Any]:
+    def wrap(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """Return the function, timed."""
 
         def timed(*arguments: Any) -> Any:
@@ -40,18 +40,18 @@ class Stopwatch:
         return timed
 
 
-def filters(cars: int = 10_000, turns: int = 100) -> Measure:
+def measure_filters(cars: int = 10_000, turns: int = 100) -> Measure:
     """Measure the filters of a fleet whose every car has a plan and intervals, against the time that passes for it."""
     pipeline = Pipeline(keep_tables=False)
-    pipeline.learn_from(experienced())
-    pipeline.push([*vehicles(cars), *plans(cars)])
-    drive(pipeline, cars, 0, WARM_UP)
+    pipeline.learn_from(make_trained_pipeline())
+    pipeline.push([*make_vehicles(cars), *make_plans(cars)])
+    push_rounds(pipeline, cars, 0, WARM_UP)
     of_filters, of_all = Stopwatch(), Stopwatch()
     with (
-        patch.object(soc_filter, "follow", of_filters.around(soc_filter.follow)),
-        patch.object(Foresight, "follow", of_all.around(Foresight.follow)),
+        patch.object(soc_filter, "follow", of_filters.wrap(soc_filter.follow)),
+        patch.object(Foresight, "follow", of_all.wrap(Foresight.follow)),
     ):
-        told = drive(pipeline, cars, WARM_UP, turns)
+        told = push_rounds(pipeline, cars, WARM_UP, turns)
     passed = turns * PERIOD_S
     share = of_filters.seconds / passed
     return Measure(
@@ -72,27 +72,27 @@ def filters(cars: int = 10_000, turns: int = 100) -> Measure:
     )
 
 
-def experienced() -> Pipeline:
+def make_trained_pipeline() -> Pipeline:
     """Return a pipeline that has learned from some days of a small fleet of the same model."""
     pipeline = Pipeline(keep_tables=False)
     start = datetime(2026, 1, 1, tzinfo=UTC)
     fleet = Simulation(vehicles=12, days=3, start=start, shift_hours=3.0, models=("kia-soul-ev-2015",), seed=5)
-    for block in blocks(list(simulate(fleet)), BLOCK):
+    for block in cut_blocks(list(simulate(fleet)), BLOCK):
         pipeline.push(block)
     return pipeline
 
 
-def plans(cars: int) -> list[Message]:
+def make_plans(cars: int) -> list[Message]:
     """Return a plan for each car: ten rides in five hours."""
     legs = [Leg(6.0, 1000.0)] * 10
-    plans = (Plan(identity(car), START_S, START_S + 5 * 3600.0, 10.0, legs) for car in range(cars))
+    plans = (Plan(name_car(car), START_S, START_S + 5 * 3600.0, 10.0, legs) for car in range(cars))
     return [Message(f"fleet/{plan.vehicle_id}/plan", encode(plan), int(START_S * 1e9)) for plan in plans]
 
 
-def drive(pipeline: Pipeline, cars: int, first: int, count: int) -> int:
+def push_rounds(pipeline: Pipeline, cars: int, first: int, count: int) -> int:
     """Let a fleet send rounds of samples; return how many forecasts told the charge at the shift's end."""
     told = 0
-    for turn in rounds(cars, first, count):
-        for block in blocks(turn):
+    for turn in make_rounds(cars, first, count):
+        for block in cut_blocks(turn):
             told += sum(b'"soc_end_of_shift_pct":{' in message.payload for message in pipeline.push(block))
     return told

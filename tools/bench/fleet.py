@@ -10,22 +10,22 @@ START_S = 1_767_600_000.0
 PERIOD_S = 3.0
 
 
-def identity(car: int) -> str:
+def name_car(car: int) -> str:
     """Return the name of a car."""
     return f"taxi-{car:07d}"
 
 
-def vehicles(cars: int) -> list[Message]:
+def make_vehicles(cars: int) -> list[Message]:
     """Return what each car says of itself."""
     return [
         Message(
-            f"fleet/{identity(car)}/vehicle", encode(Vehicle(identity(car), START_S, "kia-soul-ev-2015")), int(START_S)
+            f"fleet/{name_car(car)}/vehicle", encode(Vehicle(name_car(car), START_S, "kia-soul-ev-2015")), int(START_S)
         )
         for car in range(cars)
     ]
 
 
-def rounds(cars: int, first: int, count: int, seed: int = 0) -> Iterator[list[Message]]:
+def make_rounds(cars: int, first: int, count: int, seed: int = 0) -> Iterator[list[Message]]:
     """Yield rounds of telemetry, one sample of every car each, driving in circles with stops and uneven stamps.
 
     Parameters
@@ -57,7 +57,7 @@ def rounds(cars: int, first: int, count: int, seed: int = 0) -> Iterator[list[Me
         for car, (stamp, latitude, longitude, elevation, kmh, soc, volt, ampere) in enumerate(
             zip(*(column.tolist() for column in columns), strict=True)
         ):
-            name = identity(car)
+            name = name_car(car)
             sample = Telemetry(
                 name,
                 round(stamp, 3),

@@ -19,7 +19,7 @@ from core.fit.recipes import RECIPES, LinearRecipe
 from core.models import ANY, LinearModel
 from core.models.features import Columns
 from core.pipeline import BLOCK, Pipeline
-from tools.bench.measures import Measure, alternating, blocks, seconds
+from tools.bench.measures import Measure, alternate_timings, cut_blocks, time_action
 from tools.commands.tables import ROW_GROUP
 from tools.simulator.fleet import simulate
 from tools.simulator.settings import Simulation
@@ -38,17 +38,17 @@ for path in sys.argv[1:]:
 """
 
 
-def fitting(repeats: int = 3) -> Measure:
+def measure_fit(repeats: int = 3) -> Measure:
     """Measure a fit to many rides, Parquet to model, against scikit-learn's of the same columns, in memory already."""
     recipe = RECIPES[RECIPE]
     if not isinstance(recipe, LinearRecipe):
         raise TypeError(recipe)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rides.parquet"
-        write(path, _simulated(), MANY)
+        write_rides(path, _simulated(), MANY)
         model = recipe.fit_parquet(path)
-        ours, plain = alternating(
-            lambda: seconds(lambda: recipe.fit_parquet(path)), lambda: _plain(model, path), repeats
+        ours, plain = alternate_timings(
+            lambda: time_action(lambda: recipe.fit_parquet(path)), lambda: _plain(model, path), repeats
         )
     return Measure(
         f"fitting {RECIPE} to {MANY:,} rides, file to model",
@@ -64,13 +64,13 @@ def fitting(repeats: int = 3) -> Measure:
     )
 
 
-def fitting_memory() -> Measure:
+def measure_fit_memory() -> Measure:
     """Measure how peak memory grows with the number of rides: a tenth of them first, then all, in one process."""
     with tempfile.TemporaryDirectory() as folder:
         base = _simulated()
         paths = [Path(folder) / f"{n}.parquet" for n in (FEW, MANY)]
         for path, n in zip(paths, (FEW, MANY), strict=True):
-            write(path, base, n)
+            write_rides(path, base, n)
         code = FIT.format(recipe=RECIPE)
         done = subprocess.run(  # noqa: S603 - this interpreter, on files made here
             [sys.executable, "-c", code, *map(str, paths)], capture_output=True, text=True, check=True
@@ -93,14 +93,14 @@ def _simulated() -> pd.DataFrame:
     start = datetime(2018, 1, 16, 12, tzinfo=UTC)
     pipeline = Pipeline(also=list(effects.get_library()), keep_forecasts=False)
     messages = list(simulate(Simulation(vehicles=12, start=start, shift_hours=4.0, seed=5)))
-    for block in blocks(messages, BLOCK):
+    for block in cut_blocks(messages, BLOCK):
         pipeline.take(block)
     pipeline.finish()
     rides = pipeline.take_rides()
     return rides[rides["fit_for_training"]].reset_index(drop=True)
 
 
-def write(path: Path, base: pd.DataFrame, rides: int, seed: int = 1) -> None:
+def write_rides(path: Path, base: pd.DataFrame, rides: int, seed: int = 1) -> None:
     """Write a table of any size: rows of another drawn again and again, each figure with noise, over a year."""
     rng = np.random.default_rng(seed)
     fixed = {"winter", "summer", "fit_for_training"}
@@ -130,5 +130,5 @@ def _plain(model: LinearModel, path: Path) -> float:
         own = rides if key == ANY else rides[rides["vehicle_model"] == key]
         table = build_design(model.terms, Columns(own, fit.fills, fit.curve), len(own))
         energy = own["energy_kwh"].to_numpy()
-        took += seconds(lambda table=table, energy=energy: LinearRegression().fit(table, energy))  # type: ignore[misc]
+        took += time_action(lambda table=table, energy=energy: LinearRegression().fit(table, energy))  # type: ignore[misc]
     return took

@@ -13,8 +13,8 @@ from stream.latest_only_sink import Outbox
 from stream.loop import PUBLISH_S, Tally, run
 from stream.zenoh_pubsub import ZenohSink, ZenohSource
 from stream.zenoh_session import Connection, Node, free_port
-from tools.bench.fleet import rounds, vehicles
-from tools.bench.measures import Measure, alternating
+from tools.bench.fleet import make_rounds, make_vehicles
+from tools.bench.measures import Measure, alternate_timings
 
 PATIENCE_S = 60.0
 WARM_UP = 20
@@ -25,13 +25,13 @@ SETTLE_S = 2.0
 Consumer: TypeAlias = Callable[[Node, ProcessEvent, ProcessEvent], float]
 
 
-def publish(endpoint: str, cars: int, turns: int, ready: ProcessEvent, go: ProcessEvent) -> None:
+def publish_stream(endpoint: str, cars: int, turns: int, ready: ProcessEvent, go: ProcessEvent) -> None:
     """Publish a stream as fast as it is taken, from a process of its own."""
-    messages = [message for turn in rounds(cars, WARM_UP, turns) for message in turn]
+    messages = [message for turn in make_rounds(cars, WARM_UP, turns) for message in turn]
     with Node(Connection(connect=(endpoint,))) as node:
         sink = ZenohSink(node)
-        sink.put(vehicles(cars))
-        for turn in rounds(cars, 0, WARM_UP):  # every key is declared before the clock starts
+        sink.put(make_vehicles(cars))
+        for turn in make_rounds(cars, 0, WARM_UP):  # every key is declared before the clock starts
             sink.put(turn)
         ready.set()
         go.wait(PATIENCE_S)
@@ -40,13 +40,13 @@ def publish(endpoint: str, cars: int, turns: int, ready: ProcessEvent, go: Proce
         sink.close()
 
 
-def streamed(cars: int, turns: int, consume: Consumer) -> float:
+def time_stream(cars: int, turns: int, consume: Consumer) -> float:
     """Return how long a consumer takes for the stream, from its first sample to its last. [s]"""
     context = multiprocessing.get_context("spawn")
     ready, go = context.Event(), context.Event()
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with Node(Connection(listen=(endpoint,), mode="router")) as node:
-        process = context.Process(target=publish, args=(endpoint, cars, turns, ready, go))
+        process = context.Process(target=publish_stream, args=(endpoint, cars, turns, ready, go))
         process.start()
 
         took = consume(node, ready, go)
@@ -54,7 +54,7 @@ def streamed(cars: int, turns: int, consume: Consumer) -> float:
     return took
 
 
-def nothing(cars: int, turns: int) -> Consumer:
+def make_idle_consumer(cars: int, turns: int) -> Consumer:
     """Return a consumer that does nothing but notice the first sample and the last."""
 
     def consume(node: Node, ready: ProcessEvent, go: ProcessEvent) -> float:
@@ -65,17 +65,17 @@ def nothing(cars: int, turns: int) -> Consumer:
             seen += 1
 
         with node.session.declare_subscriber("fleet/*/telemetry", notice):
-            wait(lambda: ready.is_set() and seen == cars * WARM_UP)
+            wait_until(lambda: ready.is_set() and seen == cars * WARM_UP)
             time.sleep(SETTLE_S)
             began = time.perf_counter()
             go.set()
-            wait(lambda: seen == cars * (WARM_UP + turns))
+            wait_until(lambda: seen == cars * (WARM_UP + turns))
             return time.perf_counter() - began
 
     return consume
 
 
-def everything(cars: int, turns: int) -> Consumer:
+def make_full_consumer(cars: int, turns: int) -> Consumer:
     """Return the consumer as it is in service: decode, clean, sum, predict and publish forecasts."""
 
     def consume(node: Node, ready: ProcessEvent, go: ProcessEvent) -> float:
@@ -105,7 +105,7 @@ def everything(cars: int, turns: int) -> Consumer:
     return consume
 
 
-def wait(until: Callable[[], bool]) -> None:
+def wait_until(until: Callable[[], bool]) -> None:
     """Look every few milliseconds whether something has come true, for so long."""
     patience = time.monotonic() + PATIENCE_S
     while not until():
@@ -114,12 +114,12 @@ def wait(until: Callable[[], bool]) -> None:
         time.sleep(0.002)
 
 
-def live(repeats: int = 5, cars: int = 1000, turns: int = 400) -> Measure:
+def measure_live(repeats: int = 5, cars: int = 1000, turns: int = 400) -> Measure:
     """Measure the live consumer, decode to published forecast, against a subscriber that does nothing."""
     total = cars * turns
-    idle_s, busy_s = alternating(
-        lambda: streamed(cars, turns, nothing(cars, turns)),
-        lambda: streamed(cars, turns, everything(cars, turns)),
+    idle_s, busy_s = alternate_timings(
+        lambda: time_stream(cars, turns, make_idle_consumer(cars, turns)),
+        lambda: time_stream(cars, turns, make_full_consumer(cars, turns)),
         repeats,
     )
     return Measure(

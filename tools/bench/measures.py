@@ -17,7 +17,7 @@ from core.pipeline import BLOCK, Pipeline
 from core.wire.decoder import Decoder
 from core.wire.messages import Message
 from stream.mcap_writer import McapSink, McapSource
-from tools.bench.fleet import rounds, vehicles
+from tools.bench.fleet import make_rounds, make_vehicles
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Measure:
     bound: str = ""
 
 
-def seconds(action: Callable[[], object]) -> float:
+def time_action(action: Callable[[], object]) -> float:
     """Return how long an action takes, without the garbage collector's moods. [s]"""
     gc.collect()
     gc.disable()
@@ -60,24 +60,24 @@ def seconds(action: Callable[[], object]) -> float:
         gc.enable()
 
 
-def alternating(first: Callable[[], float], second: Callable[[], float], repeats: int) -> tuple[float, float]:
+def alternate_timings(first: Callable[[], float], second: Callable[[], float], repeats: int) -> tuple[float, float]:
     """Return the medians of two timings taken in turn, so that a noisy machine is noisy to both."""
     pairs = [(first(), second()) for _ in range(repeats)]
     return median(a for a, _ in pairs), median(b for _, b in pairs)
 
 
-def blocks(messages: Sequence[Message], size: int = BLOCK) -> Iterable[Sequence[Message]]:
+def cut_blocks(messages: Sequence[Message], size: int = BLOCK) -> Iterable[Sequence[Message]]:
     """Cut messages into blocks."""
     return (messages[at : at + size] for at in range(0, len(messages), size))
 
 
-def replay(repeats: int = 3, cars: int = 50, turns: int = 2000) -> Measure:
+def measure_replay(repeats: int = 3, cars: int = 50, turns: int = 2000) -> Measure:
     """Measure reading, decoding, cleaning and forecasting a recording against iterating it with the bare reader."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "bench.mcap"
         with McapSink(path) as sink:
-            sink.put(vehicles(cars))
-            for messages in rounds(cars, 0, turns):
+            sink.put(make_vehicles(cars))
+            for messages in make_rounds(cars, 0, turns):
                 sink.put(messages)
         n = cars * turns
 
@@ -93,7 +93,7 @@ def replay(repeats: int = 3, cars: int = 50, turns: int = 2000) -> Measure:
             pipeline.finish()
 
         whole()
-        bare_s, whole_s = alternating(lambda: seconds(bare), lambda: seconds(whole), repeats)
+        bare_s, whole_s = alternate_timings(lambda: time_action(bare), lambda: time_action(whole), repeats)
     return Measure(
         "replay at full speed, file to forecasts",
         "iterating the bare mcap reader",
@@ -106,7 +106,7 @@ def replay(repeats: int = 3, cars: int = 50, turns: int = 2000) -> Measure:
     )
 
 
-def memory(repeats: int = 5, cars: int = 1000, turns: int = 200) -> Measure:
+def measure_arrays(repeats: int = 5, cars: int = 1000, turns: int = 200) -> Measure:
     """Measure clean, signals and sums over arrays in memory, in samples a second on one core."""
     pipeline, batch = _prepared(cars, turns)
     n = batch.size
@@ -114,7 +114,7 @@ def memory(repeats: int = 5, cars: int = 1000, turns: int = 200) -> Measure:
     def run() -> float:
         fresh = _prepared_pipeline(cars)
         kind = fresh.cars.kinds(batch.lane, [], cars)
-        return seconds(
+        return time_action(
             lambda: [fresh.sum_up(batch.rows(at, at + BLOCK), kind[at : at + BLOCK]) for at in range(0, n, BLOCK)]
         )
 
@@ -138,7 +138,7 @@ def memory(repeats: int = 5, cars: int = 1000, turns: int = 200) -> Measure:
 def _prepared_pipeline(cars: int) -> Pipeline:
     """Return a pipeline that knows its cars."""
     pipeline = Pipeline(EXTENDED_PHYSICAL, keep_tables=False)
-    pipeline.push(vehicles(cars))
+    pipeline.push(make_vehicles(cars))
     return pipeline
 
 
@@ -146,28 +146,28 @@ def _prepared(cars: int, turns: int) -> tuple[Pipeline, Batch]:
     """Return a pipeline that knows its cars, and their samples as one batch."""
     lanes = Lanes()
     decoder = Decoder(lanes)
-    decoder.decode(vehicles(cars))
-    tables = [np.stack(decoder.decode(messages)[0]) for messages in rounds(cars, 0, turns)]
+    decoder.decode(make_vehicles(cars))
+    tables = [np.stack(decoder.decode(messages)[0]) for messages in make_rounds(cars, 0, turns)]
     table = np.concatenate(tables, axis=1)
     batch = Batch(table[0].astype(np.int64), table[1].astype(np.int64), *table[2:])
     return _prepared_pipeline(cars), batch
 
 
-def scale(repeats: int = 3, few: int = 1000, many: int = 1_000_000) -> Measure:
+def measure_scale(repeats: int = 3, few: int = 1000, many: int = 1_000_000) -> Measure:
     """Measure the cost of a sample, payload to forecast, in a fleet of a million against one of a thousand."""
     fleets = []
     for cars in (few, many):
         pipeline = _prepared_pipeline(cars)
-        for messages in rounds(cars, 0, 2):
-            for block in blocks(messages):
+        for messages in make_rounds(cars, 0, 2):
+            for block in cut_blocks(messages):
                 pipeline.push(block)
         fleets.append((cars, pipeline))
 
     def cost(cars: int, pipeline: Pipeline, turn: int) -> float:
         """Take a quarter of a million samples, spread over the fleet."""
         turns, apart = max(1, samples // cars), max(1, cars // samples)
-        messages = [m for messages in rounds(cars, turn, turns) for m in messages[::apart]]
-        return seconds(lambda: [pipeline.push(block) for block in blocks(messages)]) / len(messages)
+        messages = [m for messages in make_rounds(cars, turn, turns) for m in messages[::apart]]
+        return time_action(lambda: [pipeline.push(block) for block in cut_blocks(messages)]) / len(messages)
 
     samples = 250_000
     few_s, many_s = [], []

@@ -3,24 +3,24 @@
 import subprocess
 import sys
 
-from tools.bench.measures import Measure, alternating, seconds
+from tools.bench.measures import Measure, alternate_timings, time_action
 
 BARE = ("-c", "pass")
 """What the interpreter is started with for comparison."""
 REPEATS = 7
 
 
-def help_start() -> Measure:
+def measure_help_start() -> Measure:
     """Measure `socast --help`."""
     return _start("--help", 15.0, "Half of it is typer and the rest the standard library; no command is imported.")
 
 
-def version_start() -> Measure:
+def measure_version_start() -> Measure:
     """Measure `socast --version`."""
     return _start("--version", 15.0, "As for --help; reading the version takes 20 ms of `importlib.metadata`.")
 
 
-def effects_start() -> Measure:
+def measure_effects_start() -> Measure:
     """Measure `socast effects list`."""
     return _start("effects list", 50.0, "A third is importing numpy, a fifth typer with its validation, a tenth rich.")
 
@@ -30,8 +30,8 @@ def _start(words: str, goal: float, bound: str) -> Measure:
     command = ("-m", "tools.cli", *words.split())
     for arguments in (BARE, command):
         _run(*arguments)  # the first run compiles modules to byte code
-    bare_s, command_s = alternating(
-        lambda: seconds(lambda: _run(*BARE)), lambda: seconds(lambda: _run(*command)), REPEATS
+    bare_s, command_s = alternate_timings(
+        lambda: time_action(lambda: _run(*BARE)), lambda: time_action(lambda: _run(*command)), REPEATS
     )
     ratio = command_s / bare_s
     return Measure(

@@ -20,7 +20,7 @@ from core.models.features import list_raw_columns
 from tests.support.diagnosis_result import make_diagnosis as made_up
 from tests.support.synthetic_windows import make_tables, make_windows
 from tools.bench.hidden import cases
-from tools.bench.hidden.cases import Case, Source
+from tools.bench.hidden.cases import Case, SeedData
 from tools.simulator.settings import Hidden
 
 HIDDEN = "headwind"
@@ -32,7 +32,7 @@ def source():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cases, "FLEET", replace(cases.FLEET, vehicles=4, days=24, day_step=13, shift_hours=0.8))
         patch.setattr(cases, "TURNS", 2)
-        whole = Source(5)
+        whole = SeedData(5)
         whole.recording("none")
         return whole
 

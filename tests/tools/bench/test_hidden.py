@@ -14,13 +14,13 @@ from core.errors import SettingsError
 from core.pipeline import Pipeline
 from core.wire.messages import Telemetry, Weather, encode
 from tools.bench.hidden import cases as cases_module
-from tools.bench.hidden.cases import RIGHT, Case, Source, right, stem
-from tools.bench.hidden.drives import FLEET, Where, drive
-from tools.bench.hidden.errors import errors, held_out
-from tools.bench.hidden.judging import judge, scope_right, true_energy, verdict
-from tools.bench.hidden.parts import ABSORBED, FRESH, PARTS, Choice, sampled
-from tools.bench.hidden.recording import noisy, record
-from tools.bench.hidden.running import tasks, work
+from tools.bench.hidden.cases import RIGHT_NAMES, Case, SeedData, get_right_names, strip_shape
+from tools.bench.hidden.drives import FLEET, Scope, simulate_drives
+from tools.bench.hidden.errors import compute_errors, predict_held_out
+from tools.bench.hidden.evaluation import compute_true_energy, evaluate_case, grade_names, is_scope_right
+from tools.bench.hidden.parts import ABSORBED, FRESH, PARTS, Selection, draw_sample
+from tools.bench.hidden.recording import add_weather_noise, record_drives
+from tools.bench.hidden.running import make_tasks, run_cases
 from tools.simulator.fleet import simulate
 from tools.simulator.hidden import EFFECTS
 from tools.simulator.hidden_shapes import OTHER_SHAPES
@@ -32,12 +32,12 @@ COLD = Hidden("cold_rolling", 0.06)
 
 @pytest.fixture(scope="module")
 def drives():
-    return drive(SMALL)
+    return simulate_drives(SMALL)
 
 
 @pytest.fixture(scope="module")
 def recording(drives):
-    return record(drives)
+    return record_drives(drives)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def source():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cases_module, "FLEET", replace(FLEET, vehicles=4, days=7, day_step=50))
         patch.setattr(cases_module, "TURNS", 1)
-        whole = Source(5)
+        whole = SeedData(5)
         whole.recording("none")
         yield whole
 
@@ -96,7 +96,7 @@ class TestData:
         made = recording.tables(drives.measured([COLD]), "vi", ["cold_rolling"])
         assert made.hidden["cold_rolling"].sum() / made.windows["energy_kwh"].sum() == pytest.approx(0.06, rel=0.05)
 
-    @pytest.mark.parametrize("where", [Where(vehicle="taxi-002"), Where(since="2018-04-01")])
+    @pytest.mark.parametrize("where", [Scope(vehicle="taxi-002"), Scope(since="2018-04-01")])
     def test_is_hidden_there_and_nowhere_else(self, drives, recording, where):
         made = recording.tables(drives.measured([COLD], where), "vi", ["cold_rolling"])
         table = made.windows.assign(truth=made.hidden["cold_rolling"])
@@ -106,7 +106,7 @@ class TestData:
 
     def test_noisy_weather_is_off_by_a_third_and_nothing_else_is(self, drives):
         said = [msgspec.json.decode(m.payload, type=Weather) for m in drives.messages if m.key.startswith("weather")]
-        blurred = noisy(drives.messages, 1)
+        blurred = add_weather_noise(drives.messages, 1)
         other = [msgspec.json.decode(m.payload, type=Weather) for m in blurred if m.key.startswith("weather")]
         ratio = np.array([b.wind_speed_kmh / a.wind_speed_kmh for a, b in zip(said, other, strict=True)])
         assert np.log(ratio).std() == pytest.approx(0.3, abs=0.02)
@@ -118,7 +118,7 @@ class TestData:
         assert all(others)
 
     def test_cars_take_turns(self):
-        taken = drive(replace(SMALL, days=4, day_step=7), 2)
+        taken = simulate_drives(replace(SMALL, days=4, day_step=7), 2)
         dates: dict[str, list[int]] = {name: [] for name in taken.vehicles}
         for leg in taken.legs:
             dates[leg.member.name].append(int((leg.driven.shift.time - SMALL.start.timestamp()) // 86400.0))
@@ -134,11 +134,11 @@ class TestData:
 class TestNames:
     def test_every_hidden_effect_has_a_right_name_in_the_library(self):
         assert set(EFFECTS) == set(OTHER_SHAPES)
-        assert set(RIGHT) | set(ABSORBED) <= set(EFFECTS)
+        assert set(RIGHT_NAMES) | set(ABSORBED) <= set(EFFECTS)
         for effect in EFFECTS:
-            assert all(name in effects.get_library() for name in right(effect))
-        assert stem("snow~other") == "snow"
-        assert right("snow~other") == ("snow",)
+            assert all(name in effects.get_library() for name in get_right_names(effect))
+        assert strip_shape("snow~other") == "snow"
+        assert get_right_names("snow~other") == ("snow",)
 
 
 def name(effect, columns=(), group=(), value=1.0, plausible=True):
@@ -179,23 +179,23 @@ class TestJudging:
         ],
     )
     def test_first_name(self, result, outcome, doubt):
-        found = verdict(self.case, result)
+        found = grade_names(self.case, result)
         assert (found["outcome"], found["doubt"]) == (outcome, doubt)
 
     def test_two_effects_are_found_in_two_steps(self):
         both = Case(5, (Hidden("snow", 0.03), Hidden("headwind", 0.03)))
-        assert verdict(both, said(name("headwind"), name("snow")))["found"] == 2
-        assert verdict(both, said(name("headwind"), name("payload"), name("snow")))["found"] == 1
+        assert grade_names(both, said(name("headwind"), name("snow")))["found"] == 2
+        assert grade_names(both, said(name("headwind"), name("payload"), name("snow")))["found"] == 1
 
     def test_scope(self):
-        one, later = replace(self.case, where=Where(vehicle="a")), replace(self.case, where=Where(since="2018-06-01"))
-        assert scope_right(self.case, ["effect_wet_road@depth=0.001"])
-        assert not scope_right(self.case, ["effect_snow", "vehicle=a"])
-        assert scope_right(one, ["effect_snow", "vehicle=a"])
-        assert not scope_right(one, ["effect_snow", "vehicle=b"])
-        assert scope_right(later, ["effect_snow", "since=2018-06-20"])
-        assert not scope_right(later, ["effect_snow", "since=2018-09-01"])
-        assert not scope_right(later, ["effect_snow"])
+        one, later = replace(self.case, where=Scope(vehicle="a")), replace(self.case, where=Scope(since="2018-06-01"))
+        assert is_scope_right(self.case, ["effect_wet_road@depth=0.001"])
+        assert not is_scope_right(self.case, ["effect_snow", "vehicle=a"])
+        assert is_scope_right(one, ["effect_snow", "vehicle=a"])
+        assert not is_scope_right(one, ["effect_snow", "vehicle=b"])
+        assert is_scope_right(later, ["effect_snow", "since=2018-06-20"])
+        assert not is_scope_right(later, ["effect_snow", "since=2018-09-01"])
+        assert not is_scope_right(later, ["effect_snow"])
 
     def test_a_record_tells_of_the_truth(self, source):
         case = Case(5, (Hidden("headwind", 0.06),))
@@ -205,7 +205,7 @@ class TestJudging:
             assert model.recipe == "road_load"
             return said(name("headwind", value=0.6))
 
-        found = judge(case, tables, diagnose, timed=True)
+        found = evaluate_case(case, tables, diagnose, timed=True)
         assert json.loads(json.dumps(found)) == found
         (interval,) = found["intervals"]
         assert interval["right"]
@@ -224,7 +224,7 @@ class TestJudging:
             heard.append(without)
             return said()
 
-        judge(case, source.tables(case), diagnose)
+        evaluate_case(case, source.tables(case), diagnose)
         assert heard == [("headwind",)]
 
     @pytest.mark.parametrize("measurement", ["vi", "soc"])
@@ -233,7 +233,7 @@ class TestJudging:
         windows = gather_windows(
             tables.rides, tables.windows, fit_to_windows("road_load", tables.rides, tables.windows)
         )
-        truth = true_energy(windows, tables.hidden.sample(frac=1.0, random_state=0))
+        truth = compute_true_energy(windows, tables.hidden.sample(frac=1.0, random_state=0))
         assert truth.shape == (len(windows.measured), 1)
         summer = windows.table["ambient_c"] > 10.0
         assert not truth[summer].any()
@@ -246,9 +246,9 @@ class TestErrors:
         rng = np.random.default_rng(0)
         columns, fold = rng.normal(size=(60, 2)), np.arange(60) % 3
         energy = columns @ np.array([2.0, -1.0])
-        np.testing.assert_allclose(held_out(columns, energy, fold), energy)
+        np.testing.assert_allclose(predict_held_out(columns, energy, fold), energy)
         spoilt = energy + 100.0 * (fold == 1)
-        np.testing.assert_allclose(held_out(columns, spoilt, fold)[fold == 1], energy[fold == 1])
+        np.testing.assert_allclose(predict_held_out(columns, spoilt, fold)[fold == 1], energy[fold == 1])
 
     def test_the_truth_takes_what_is_hidden_away(self, source):
         tables = source.tables(Case(5, (Hidden("solar_load", 0.06),)))
@@ -258,7 +258,7 @@ class TestErrors:
         hidden = 50.0 * np.random.default_rng(1).normal(size=len(windows.measured)) * windows.measured.std()
         spoilt = Windows(**{**vars(windows), "measured": windows.measured + hidden})
         model = fit_to_windows("road_load", tables.rides, tables.windows)
-        found, clean = errors(spoilt, model, hidden, []), errors(windows, model, 0.0 * hidden, [])
+        found, clean = compute_errors(spoilt, model, hidden, []), compute_errors(windows, model, 0.0 * hidden, [])
         assert found.truth == pytest.approx(clean.before)
         assert found.before > 10.0 * clean.before
         assert found.after == found.before
@@ -266,7 +266,7 @@ class TestErrors:
 
 class TestParts:
     def test_everything_that_was_asked_for_is_in_them(self):
-        choice = Choice(seeds=10)
+        choice = Selection(seeds=10)
         one = list(PARTS["one"](choice))
         assert len(one) == len(set(one)) == len(EFFECTS) * 10 * 4 * 2 * 2 * 2
         none = list(PARTS["none"](choice))
@@ -276,26 +276,26 @@ class TestParts:
         assert all(len(case.hidden) == 2 and not {e for e, _ in case.hidden} & set(ABSORBED) for case in two)
         assert all(case.where.vehicle for case in PARTS["vehicle"](choice))
         assert all(case.where.since for case in PARTS["date"](choice))
-        assert all(case.without == right(case.hidden[0].effect) for case in PARTS["outside"](choice))
+        assert all(case.without == get_right_names(case.hidden[0].effect) for case in PARTS["outside"](choice))
 
     def test_seeds_that_follow_are_of_other_drives(self):
         for part in PARTS.values():
-            early, late = (part(Choice(seeds=2, first=first, effects=("snow", "wet_road"))) for first in (0, 2))
+            early, late = (part(Selection(seeds=2, first=first, effects=("snow", "wet_road"))) for first in (0, 2))
             early_seeds, late_seeds = ({case.seed for case in cases} for cases in (early, late))
             assert early_seeds.isdisjoint(late_seeds)
             assert len(late_seeds) == len(early_seeds)
-        assert {case.seed for case in PARTS["one"](Choice(seeds=2, first=40))} == {40, 41}
+        assert {case.seed for case in PARTS["one"](Selection(seeds=2, first=40))} == {40, 41}
 
     def test_a_sample_is_of_them_and_the_same_each_time(self):
-        every = list(PARTS["one"](Choice(seeds=2)))
-        some = sampled(every, 50)
+        every = list(PARTS["one"](Selection(seeds=2)))
+        some = draw_sample(every, 50)
         assert len(some) == 50
-        assert some == sampled(every, 50)
+        assert some == draw_sample(every, 50)
         assert set(some) < set(every)
-        assert sampled(every[:10], 50) == every[:10]
+        assert draw_sample(every[:10], 50) == every[:10]
 
     def test_tasks_keep_to_a_seed(self):
-        todo = tasks("one", list(PARTS["one"](Choice(seeds=3, effects=("snow",)))))
+        todo = make_tasks("one", list(PARTS["one"](Selection(seeds=3, effects=("snow",)))))
         assert [{case.seed for case in cases} for _, cases in todo] == [{0}, {1}, {2}]
 
 
@@ -309,18 +309,18 @@ class TestRunning:
             return said()
 
         todo = [Case(5, (Hidden("snow", 0.03),)), Case(5)]
-        first = work("one", todo, diagnose, tmp_path)
-        again = work("one", [*todo, Case(5, measurement="soc")], diagnose, tmp_path)
+        first = run_cases("one", todo, diagnose, tmp_path)
+        again = run_cases("one", [*todo, Case(5, measurement="soc")], diagnose, tmp_path)
         assert len(heard) == 3
         assert again[:2] == first
 
     def test_what_cannot_be_made_is_told(self, source, monkeypatch):
         monkeypatch.setattr("tools.bench.hidden.running._source", lambda _: source)
         roofless = next(leg.member.name for leg in source.drives.legs if not leg.member.car.roof_drag_area)
-        case = Case(5, (Hidden("roof_load", 0.03),), where=Where(vehicle=roofless))
-        (found,) = work("vehicle", [case], lambda *_: said())
+        case = Case(5, (Hidden("roof_load", 0.03),), where=Scope(vehicle=roofless))
+        (found,) = run_cases("vehicle", [case], lambda *_: said())
         assert "too little" in found["refused"]
 
     def test_an_effect_with_nothing_to_act_on_is_refused(self, drives):
         with pytest.raises(SettingsError, match="too little"):
-            drives.measured([Hidden("snow", 0.03)], Where(since="2018-04-20"))
+            drives.measured([Hidden("snow", 0.03)], Scope(since="2018-04-20"))

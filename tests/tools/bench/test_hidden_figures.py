@@ -3,9 +3,17 @@
 import numpy as np
 import pytest
 
-from tools.bench.hidden.figures import by_effect, by_part, by_share, figures, timing, way, wrong_names
-from tools.bench.hidden.page import kept, placed, section
-from tools.bench.hidden.stlsq import stlsq
+from tools.bench.hidden.figures import (
+    compute_error_reduction,
+    compute_figures,
+    summarise_timing,
+    tabulate_by_effect,
+    tabulate_by_part,
+    tabulate_by_share,
+    tabulate_wrong_names,
+)
+from tools.bench.hidden.page import make_section, read_section, replace_section
+from tools.bench.hidden.stlsq import fit_stlsq
 
 
 def a_record(part="one", outcome="right", **changes):
@@ -35,7 +43,7 @@ def a_record(part="one", outcome="right", **changes):
 
 class TestFigures:
     def figure(self, records, what):
-        return next(f for f in figures(records) if what in f.what)
+        return next(f for f in compute_figures(records) if what in f.what)
 
     def test_rates(self):
         records = [a_record(), a_record(outcome="group"), a_record(outcome="none"), a_record(outcome="wrong")]
@@ -46,7 +54,7 @@ class TestFigures:
     def test_what_the_base_takes_up_is_counted_apart(self):
         records = [a_record(), a_record(outcome="none", hidden=[["roof_load", 0.03]])]
         assert self.figure(records, "V·I").of == 1
-        assert any("of the base's shape" in line for line in by_part(records))
+        assert any("of the base's shape" in line for line in tabulate_by_part(records))
 
     def test_small_shares_do_not_count(self):
         assert self.figure([a_record(hidden=[["snow", 0.0075]])], "V·I").of == 0
@@ -60,30 +68,37 @@ class TestFigures:
         assert self.figure(records, "not in the library").value == pytest.approx(1 / 3)
 
     def test_way(self):
-        assert way([a_record(), a_record(errors={"before": 0.4, "after": 0.2, "truth": 0.2})]) == pytest.approx(0.75)
+        assert compute_error_reduction(
+            [a_record(), a_record(errors={"before": 0.4, "after": 0.2, "truth": 0.2})]
+        ) == pytest.approx(0.75)
 
     def test_what_could_be_seen_is_told_apart(self):
         records = [a_record(), a_record(outcome="none", z=1.0), a_record(outcome="none", z=4.0)]
-        assert "V·I at 1.5 % or more: 50 % right of 2 of 3" in section(records, "")
+        assert "V·I at 1.5 % or more: 50 % right of 2 of 3" in make_section(records, "")
 
     def test_timing_is_of_those_that_were_timed(self):
-        assert timing([a_record(seconds=9.0), a_record(stlsq_seconds=0.1)])[1] == pytest.approx(20.0)
+        assert summarise_timing([a_record(seconds=9.0), a_record(stlsq_seconds=0.1)])[1] == pytest.approx(20.0)
 
     def test_nothing_is_met_where_nothing_was_run(self):
-        assert not any(figure.met for figure in figures([]))
+        assert not any(figure.met for figure in compute_figures([]))
 
     def test_the_section_is_put_in_its_place_and_stays_there(self, tmp_path):
         records = [a_record(), a_record("outside", "wrong"), a_record("date"), {**a_record(), "refused": "no"}]
-        new = section(records, "2 seeds")
-        for table in (by_effect(records), by_share(records), by_part(records), wrong_names(records)):
+        new = make_section(records, "2 seeds")
+        for table in (
+            tabulate_by_effect(records),
+            tabulate_by_share(records),
+            tabulate_by_part(records),
+            tabulate_wrong_names(records),
+        ):
             assert len({line.count("|") for line in table}) == 1
             assert all(line in new for line in table)
-        page = placed("# Benchmarks\n\nspeed\n", new)
+        page = replace_section("# Benchmarks\n\nspeed\n", new)
         assert page.startswith("# Benchmarks\n\nspeed\n\n")
-        assert placed(page, new) == page
+        assert replace_section(page, new) == page
         (tmp_path / "page.md").write_text(page, encoding="utf-8")
-        assert kept(tmp_path / "page.md") == new
-        assert kept(tmp_path / "none.md") == ""
+        assert read_section(tmp_path / "page.md") == new
+        assert read_section(tmp_path / "none.md") == ""
 
 
 class TestStlsq:
@@ -92,10 +107,10 @@ class TestStlsq:
         columns = rng.normal(size=(500, 30)) * rng.uniform(0.1, 10.0, 30)
         truth = np.zeros(30)
         truth[[3, 17]] = 5.0, -2.0
-        found = stlsq(columns, columns @ truth + 0.01 * rng.normal(size=500), threshold=5.0, alpha=0.0)
+        found = fit_stlsq(columns, columns @ truth + 0.01 * rng.normal(size=500), threshold=5.0, alpha=0.0)
         assert set(np.flatnonzero(found)) == {3, 17}
         np.testing.assert_allclose(found[[3, 17]], [5.0, -2.0], rtol=0.01)
 
     def test_a_threshold_above_all_leaves_nothing(self):
         columns = np.random.default_rng(2).normal(size=(50, 3))
-        assert not stlsq(columns, columns[:, 0], threshold=1e6).any()
+        assert not fit_stlsq(columns, columns[:, 0], threshold=1e6).any()

@@ -16,12 +16,12 @@ from rich.progress import Progress
 from core.diagnose.diagnosis import diagnose
 from core.errors import SettingsError, SocastError
 from tools.bench.hidden.cases import Weather
-from tools.bench.hidden.figures import figures, timing
-from tools.bench.hidden.judging import Record
-from tools.bench.hidden.page import placed, section
-from tools.bench.hidden.parts import PARTS, SEEDS, SHARES, Choice, sampled
+from tools.bench.hidden.evaluation import Record
+from tools.bench.hidden.figures import compute_figures, summarise_timing
+from tools.bench.hidden.page import make_section, replace_section
+from tools.bench.hidden.parts import PARTS, SEEDS, SHARES, Selection, draw_sample
 from tools.bench.hidden.recording import Measurement
-from tools.bench.hidden.running import PROCESSES, Task, run, tasks
+from tools.bench.hidden.running import PROCESSES, Task, make_tasks, run_tasks
 from tools.simulator.hidden import EFFECTS
 from tools.terminal.rich_table import Column, make_table
 
@@ -34,30 +34,32 @@ QUICK = 60
 
 def main(arguments: list[str] | None = None) -> int:
     """Run what was asked for; return the exit code."""
-    asked = parser().parse_args(arguments)
+    asked = make_parser().parse_args(arguments)
     console = Console()
     try:
-        choice = chosen(asked)
-        parts = listed("--part", asked.part, tuple(PARTS))
-        sizes = sizes_of(str(QUICK) if asked.quick and asked.sample is None else asked.sample or "", parts)
-        todo = [task for part in parts for task in tasks(part, sampled(list(PARTS[part](choice)), sizes.get(part)))]
+        choice = parse_selection(asked)
+        parts = parse_list("--part", asked.part, tuple(PARTS))
+        sizes = parse_sizes(str(QUICK) if asked.quick and asked.sample is None else asked.sample or "", parts)
+        todo = [
+            task for part in parts for task in make_tasks(part, draw_sample(list(PARTS[part](choice)), sizes.get(part)))
+        ]
         todo.sort(key=lambda task: task[1][0].seed)  # the drives of a seed are made once for all parts
-        records = collected(todo, asked.keep, asked.processes, console)
+        records = collect_records(todo, asked.keep, asked.processes, console)
     except SocastError as error:
         print(error, file=sys.stderr)
         return 2
-    show(records, console)
+    print_figures(records, console)
     Path(asked.json or ROOT / RECORDS).write_text(json.dumps(records) + "\n", encoding="utf-8")
     if not asked.dry:
         path = ROOT / PAGE
         drawn = ", ".join(f"{size:,} of part {part}" for part, size in sizes.items())
         told = f"drawn at random: {drawn}" if drawn else "all data sets"
-        new = section(records, f"{choice.seeds} seeds from {choice.first}, {told}")
-        path.write_text(placed(path.read_text(encoding="utf-8"), new), encoding="utf-8")
+        new = make_section(records, f"{choice.seeds} seeds from {choice.first}, {told}")
+        path.write_text(replace_section(path.read_text(encoding="utf-8"), new), encoding="utf-8")
     return 0
 
 
-def parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
     """Return what the command line may say."""
     found = argparse.ArgumentParser("bench-hidden", description=__doc__.splitlines()[0])
     found.add_argument("--part", default=",".join(PARTS), help=f"of {', '.join(PARTS)}; several with commas")
@@ -77,7 +79,7 @@ def parser() -> argparse.ArgumentParser:
     return found
 
 
-def sizes_of(text: str, parts: Sequence[str]) -> dict[str, int]:
+def parse_sizes(text: str, parts: Sequence[str]) -> dict[str, int]:
     """Return how many data sets of each part are drawn; a part that is not there is taken whole.
 
     Raises
@@ -92,7 +94,7 @@ def sizes_of(text: str, parts: Sequence[str]) -> dict[str, int]:
     return {part: int(size) for part, size in sizes.items()}
 
 
-def chosen(asked: argparse.Namespace) -> Choice:
+def parse_selection(asked: argparse.Namespace) -> Selection:
     """Return what of each part is run.
 
     Raises
@@ -107,18 +109,18 @@ def chosen(asked: argparse.Namespace) -> Choice:
         shares = tuple(float(text) for text in asked.shares.split(","))
     except ValueError:
         raise SettingsError(f"--shares {asked.shares!r} are no numbers; write 0.015,0.03") from None
-    return Choice(
+    return Selection(
         seeds=asked.seeds,
         first=asked.first_seed,
-        effects=listed("--effects", asked.effects, tuple(EFFECTS)),
+        effects=parse_list("--effects", asked.effects, tuple(EFFECTS)),
         shares=shares,
-        measurements=listed("--measurements", asked.measurements, get_args(Measurement)),
-        weathers=listed("--weathers", asked.weathers, get_args(Weather)),
-        shapes=listed("--shapes", asked.shapes, ("first", "other")),
+        measurements=parse_list("--measurements", asked.measurements, get_args(Measurement)),
+        weathers=parse_list("--weathers", asked.weathers, get_args(Weather)),
+        shapes=parse_list("--shapes", asked.shapes, ("first", "other")),
     )
 
 
-def listed(option: str, text: str, known: tuple[str, ...]) -> tuple[Any, ...]:
+def parse_list(option: str, text: str, known: tuple[str, ...]) -> tuple[Any, ...]:
     """Return names from a list with commas.
 
     Raises
@@ -133,26 +135,26 @@ def listed(option: str, text: str, known: tuple[str, ...]) -> tuple[Any, ...]:
     return names
 
 
-def collected(todo: list[Task], keep: Path | None, processes: int, console: Console) -> list[Record]:
+def collect_records(todo: list[Task], keep: Path | None, processes: int, console: Console) -> list[Record]:
     """Return all records."""
     records: list[Record] = []
     with Progress(console=Console(stderr=True), transient=True, disable=not console.is_terminal) as progress:
         bar = progress.add_task("hiding and seeking", total=sum(len(cases) for _, cases in todo))
-        for done in run(todo, diagnose, keep, processes):
+        for done in run_tasks(todo, diagnose, keep, processes):
             records += done
             progress.advance(bar, len(done))
     return records
 
 
-def show(records: list[Record], console: Console) -> None:
+def print_figures(records: list[Record], console: Console) -> None:
     """Print the figures."""
     columns = [Column("figure"), Column("goal"), Column("is", number=True), Column("of", number=True), Column("")]
     table = make_table(columns, "Hidden effects")
-    for figure in figures(records):
+    for figure in compute_figures(records):
         if figure.of:
             table.add_row(figure.what, figure.goal, figure.text, str(figure.of), "met" if figure.met else "missed")
     console.print(table)
-    seconds, ratio, count = timing(records)
+    seconds, ratio, count = summarise_timing(records)
     if count:
         console.print(f"{seconds:.2f} s a data set, {ratio:,.0f} times STLSQ, of {count}")
     for refused in [r for r in records if "refused" in r]:

@@ -6,14 +6,24 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import Final, Literal
 
-from tools.bench.hidden.drives import BASE, EVERYWHERE, FLEET, NO_CLIMATE, TURNS, Drives, Measured, Where, drive
-from tools.bench.hidden.recording import Measurement, Recording, Tables, noisy, record
+from tools.bench.hidden.drives import (
+    BASE,
+    EVERYWHERE,
+    FLEET,
+    NO_CLIMATE,
+    TURNS,
+    Drives,
+    Readings,
+    Scope,
+    simulate_drives,
+)
+from tools.bench.hidden.recording import Measurement, Recording, Tables, add_weather_noise, record_drives
 from tools.simulator.hidden_shapes import OTHER
 from tools.simulator.settings import Hidden
 
 Weather = Literal["none", "noisy"]
 
-RIGHT: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+RIGHT_NAMES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
         "drivetrain_loss": ("drivetrain_loss_power", "drivetrain_loss_torque", "drivetrain_loss_speed"),
         "humidity": ("humidity", "demisting"),
@@ -51,13 +61,13 @@ class Case:
     hidden: tuple[Hidden, ...] = ()
     measurement: Measurement = "vi"
     weather: Weather = "none"
-    where: Where = EVERYWHERE
+    where: Scope = EVERYWHERE
     without: tuple[str, ...] = ()
 
     @property
     def bare(self) -> bool:
         """Whether the cars have no climate control and the model no accessory curve."""
-        return any(stem(effect) in BARE for effect, _ in self.hidden)
+        return any(strip_shape(effect) in BARE for effect, _ in self.hidden)
 
     @property
     def recipe(self) -> str:
@@ -65,17 +75,17 @@ class Case:
         return "road_load_constant" if self.bare else "road_load"
 
 
-def stem(effect: str) -> str:
+def strip_shape(effect: str) -> str:
     """Return the name of an effect whichever its shape."""
     return effect.removesuffix(OTHER)
 
 
-def right(effect: str) -> tuple[str, ...]:
+def get_right_names(effect: str) -> tuple[str, ...]:
     """Return the effects of the library that are right to be named where this one is hidden."""
-    return RIGHT.get(stem(effect), (stem(effect),))
+    return RIGHT_NAMES.get(strip_shape(effect), (strip_shape(effect),))
 
 
-class Source:
+class SeedData:
     """All data sets of a seed.
 
     Parameters
@@ -86,18 +96,18 @@ class Source:
     def __init__(self, seed: int) -> None:
         self.seed = seed
         self._recordings: dict[str, Recording] = {}
-        self._last: tuple[object, Measured] | None = None
+        self._last: tuple[object, Readings] | None = None
 
     @cached_property
     def drives(self) -> Drives:
         """The drives of the seed."""
-        return drive(replace(FLEET, seed=self.seed), TURNS)
+        return simulate_drives(replace(FLEET, seed=self.seed), TURNS)
 
     def recording(self, weather: Weather) -> Recording:
         """Return what a consumer has, under one weather or the other."""
         if weather not in self._recordings:
-            messages = noisy(self.drives.messages, self.seed) if weather == "noisy" else None
-            self._recordings[weather] = record(self.drives, messages)
+            messages = add_weather_noise(self.drives.messages, self.seed) if weather == "noisy" else None
+            self._recordings[weather] = record_drives(self.drives, messages)
         return self._recordings[weather]
 
     def tables(self, case: Case) -> Tables:

@@ -55,7 +55,7 @@ SOC_MARK: Final = 1e-5
 """What a sample's number is multiplied with to travel as a voltage [V], a current [A], a state of charge [1]."""
 
 
-class Leg(NamedTuple):
+class RecordedShift(NamedTuple):
     """A shift as it was driven, and the number that its first sample has among its car's."""
 
     member: FleetCar
@@ -68,7 +68,7 @@ class Leg(NamedTuple):
         return len(self.driven.view.trace.time) // STEPS_PER_SAMPLE
 
 
-class Measured(NamedTuple):
+class Readings(NamedTuple):
     """What cars measure, by sample: (cars, samples) float each, NaN beyond a car's last.
 
     Parameters
@@ -87,7 +87,7 @@ class Measured(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Where:
+class Scope:
     """Where an effect is hidden: in all cars or one, always or from a time on.
 
     Parameters
@@ -100,14 +100,14 @@ class Where:
     vehicle: str | None = None
     since: str | None = None
 
-    def holds(self, leg: Leg) -> bool:
+    def contains(self, leg: RecordedShift) -> bool:
         """Say whether it is hidden in a shift."""
         begins = leg.driven.shift.time
         after = self.since is None or begins >= datetime.fromisoformat(self.since).replace(tzinfo=UTC).timestamp()
         return after and self.vehicle in {None, leg.member.name}
 
 
-EVERYWHERE: Final = Where()
+EVERYWHERE: Final = Scope()
 
 
 @dataclass
@@ -125,7 +125,7 @@ class Drives:
     """
 
     simulation: Simulation
-    legs: list[Leg]
+    legs: list[RecordedShift]
     messages: list[Message]
     _states: dict[Phenomena, list[physics.State]] = field(default_factory=dict)
 
@@ -142,8 +142,8 @@ class Drives:
         return [leg.driven.view._replace(state=state) for leg, state in states]
 
     def measured(
-        self, hidden: Sequence[Hidden] = (), where: Where = EVERYWHERE, phenomena: Phenomena = BASE
-    ) -> Measured:
+        self, hidden: Sequence[Hidden] = (), where: Scope = EVERYWHERE, phenomena: Phenomena = BASE
+    ) -> Readings:
         """Return what the cars measure with effects hidden in them.
 
         The share of an effect is that of the energy of the rides in which it is hidden.
@@ -159,7 +159,7 @@ class Drives:
         factors = self._factors(views, hidden, where) if hidden else []
         cars, most = self.vehicles, max(leg.first + leg.samples for leg in self.legs)
         voltage, current, soc, hvac = np.full((4, len(cars), most), np.nan)
-        out = Measured(voltage, current, soc, hvac, np.zeros((len(hidden), len(cars), most)))
+        out = Readings(voltage, current, soc, hvac, np.zeros((len(hidden), len(cars), most)))
         for leg, view, power in zip(self.legs, views, powers, strict=True):
             state = view.state
             scaled = power * np.array(factors)[:, None] if power is not None else None
@@ -168,23 +168,23 @@ class Drives:
             _enter(out, cars.index(leg.member.name), leg, state, scaled)
         return out
 
-    def _powers(self, leg: Leg, view: EffectInputs, hidden: Sequence[Hidden], where: Where) -> Floats | None:
+    def _powers(self, leg: RecordedShift, view: EffectInputs, hidden: Sequence[Hidden], where: Scope) -> Floats | None:
         """Return the powers at natural size, (effects, steps) [W]; None where nothing is hidden."""
-        if not hidden or not where.holds(leg):
+        if not hidden or not where.contains(leg):
             return None
         return np.stack([POWERS[effect](view) for effect, _ in hidden])
 
-    def _factors(self, views: list[EffectInputs], hidden: tuple[Hidden, ...], where: Where) -> list[float]:
+    def _factors(self, views: list[EffectInputs], hidden: tuple[Hidden, ...], where: Scope) -> list[float]:
         """Return the factor of each effect."""
         pilot = [
             calibration.sum_energies(view, leg.driven.shift.timeline.ride, hidden)
             for leg, view in zip(self.legs, views, strict=True)
-            if where.holds(leg)
+            if where.contains(leg)
         ]
         return calibration.calibrate_effects(pilot, hidden)
 
 
-def drive(simulation: Simulation, turns: int = 1) -> Drives:
+def simulate_drives(simulation: Simulation, turns: int = 1) -> Drives:
     """Simulate the drives of a seed, and what is sent of them.
 
     Parameters
@@ -194,13 +194,13 @@ def drive(simulation: Simulation, turns: int = 1) -> Drives:
         Cars take turns: each drives on one of so many days.
     """
     members, sky = make_members(simulation), make_fleet_sky(simulation)
-    legs: list[Leg] = []
+    legs: list[RecordedShift] = []
     streams: list[list[Message]] = []
     for member in members:
         first, odometer, stream = 0, member.car.odometer, list[Message]()
         for number in range(member.number % turns, member.count_shifts(simulation), turns):
             driven = drive_shift(simulation, member, number, sky)
-            legs.append(Leg(member, driven, first))
+            legs.append(RecordedShift(member, driven, first))
             messages, odometer, _ = make_car_messages(simulation, member, number, _marked(driven, first), odometer)
             stream += messages
             first += legs[-1].samples
@@ -217,13 +217,13 @@ def _marked(driven: DrivenShift, first: int) -> DrivenShift:
     return driven._replace(view=view._replace(state=state))
 
 
-def _state(leg: Leg, phenomena: Phenomena, hidden: Floats | None = None) -> physics.State:
+def _state(leg: RecordedShift, phenomena: Phenomena, hidden: Floats | None = None) -> physics.State:
     """Return a car's states over a shift."""
     view = leg.driven.view
     return physics.integrate_states(view.trace, view.car, leg.driven.shift.soc, phenomena, hidden)
 
 
-def _enter(out: Measured, car: int, leg: Leg, state: physics.State, hidden: Floats | None) -> None:
+def _enter(out: Readings, car: int, leg: RecordedShift, state: physics.State, hidden: Floats | None) -> None:
     """Write what a car measures on a shift."""
     n = leg.samples
     at = slice(STEPS_PER_SAMPLE - 1, n * STEPS_PER_SAMPLE, STEPS_PER_SAMPLE)

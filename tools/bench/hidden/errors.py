@@ -34,7 +34,7 @@ class Errors(NamedTuple):
     truth: float
 
 
-def errors(
+def compute_errors(
     windows: Windows, model: LinearModel, hidden: Floats, named: Sequence[Sequence[str]], seed: int = 0
 ) -> Errors:
     """Return the error before and after, everything refitted by least squares to the windows of other vehicle-days.
@@ -64,22 +64,22 @@ def errors(
         base = _base(windows, model, str(kind), rows)
         more = build_design(tuple(_term(columns) for columns in named), Columns(windows.table, rows=rows), len(rows))
         energy = windows.measured[rows]
-        predicted[0, rows] = held_out(base, energy, fold[rows])
-        predicted[1, rows] = held_out(np.column_stack([base, np.nan_to_num(more)]), energy, fold[rows])
-        predicted[2, rows] = held_out(base, energy - hidden[rows], fold[rows]) + hidden[rows]
+        predicted[0, rows] = predict_held_out(base, energy, fold[rows])
+        predicted[1, rows] = predict_held_out(np.column_stack([base, np.nan_to_num(more)]), energy, fold[rows])
+        predicted[2, rows] = predict_held_out(base, energy - hidden[rows], fold[rows]) + hidden[rows]
     return Errors(*(float(np.abs(windows.by_ride(windows.measured - each)).mean()) for each in predicted))
 
 
-def held_out(columns: Floats, energy: Floats, fold: Ints) -> Floats:
+def predict_held_out(columns: Floats, energy: Floats, fold: Ints) -> Floats:
     """Return the predictions of each fold by least squares of the others, (n,)."""
     out = np.empty(len(energy))
     for part in np.unique(fold):
         inside = fold == part
-        out[inside] = columns[inside] @ least_squares(columns[~inside], energy[~inside])
+        out[inside] = columns[inside] @ solve_least_squares(columns[~inside], energy[~inside])
     return out
 
 
-def least_squares(columns: Floats, energy: Floats) -> Floats:
+def solve_least_squares(columns: Floats, energy: Floats) -> Floats:
     """Return the coefficients of least squares; of columns that tell the same, the shortest."""
     size = np.sqrt((columns**2).sum(axis=0))
     scale = np.where(size > 0.0, size, 1.0)

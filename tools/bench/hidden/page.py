@@ -7,25 +7,25 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+from tools.bench.hidden.evaluation import Record
 from tools.bench.hidden.figures import (
     VISIBLE,
-    by_effect,
-    by_part,
-    by_share,
-    counted,
-    figures,
-    hits,
-    timing,
-    wrong_names,
+    compute_figures,
+    compute_hit_rate,
+    select_counted,
+    summarise_timing,
+    tabulate_by_effect,
+    tabulate_by_part,
+    tabulate_by_share,
+    tabulate_wrong_names,
 )
-from tools.bench.hidden.judging import Record
 from tools.bench.hidden.parts import ABSORBED
 
 BEGIN: Final = "<!-- bench-hidden begins -->"
 END: Final = "<!-- bench-hidden ends -->"
 
 
-def section(records: Sequence[Record], told: str) -> str:
+def make_section(records: Sequence[Record], told: str) -> str:
     """Return the section, with its marks; `told` says what was run."""
     lines = [
         BEGIN,
@@ -36,11 +36,11 @@ def section(records: Sequence[Record], told: str) -> str:
         "| figure | goal | is | of | |",
         "|---|---|---|---|---|",
     ]
-    for figure in figures(records):
+    for figure in compute_figures(records):
         if figure.of:
             met = "met" if figure.met else "missed"
             lines.append(f"| {figure.what} | {figure.goal} | {figure.text} | {figure.of:,} | {met} |")
-    seconds, ratio, count = timing(records)
+    seconds, ratio, count = summarise_timing(records)
     if count:
         lines.append(
             f"| time for some 1,300 rides (480,000 samples), tables given | told | {seconds:.1f} s, {ratio:,.0f} times "
@@ -58,11 +58,11 @@ def section(records: Sequence[Record], told: str) -> str:
         ),
     ]
     for title, table in (
-        ("By share: right, wrong, none, in %", by_share(records)),
+        ("By share: right, wrong, none, in %", tabulate_by_share(records)),
         ("By effect: right in %, own shape / other shape, by measurement and share in %",
-         by_effect(records)),
-        ("Other parts, in %", by_part(records)),
-        ("Wrong names most often given", wrong_names(records)),
+         tabulate_by_effect(records)),
+        ("Other parts, in %", tabulate_by_part(records)),
+        ("Wrong names most often given", tabulate_wrong_names(records)),
     ):  # fmt: skip
         if len(table) > 2:
             lines += ["", f"### {title}", "", *table]
@@ -73,12 +73,12 @@ def _apart(records: Sequence[Record]) -> list[str]:
     """Return the hits among data sets in which what is hidden can be seen at all."""
     found = []
     for what, some in (
-        ("V·I at 1.5 % or more", counted(records, "vi")),
-        ("SOC at 3 % or more", counted(records, "soc")),
+        ("V·I at 1.5 % or more", select_counted(records, "vi")),
+        ("SOC at 3 % or more", select_counted(records, "soc")),
     ):
         plain = [r for r in some if r["z"] >= VISIBLE]
         if plain:
-            found.append(f"{what}: {100 * hits(plain):.0f} % right of {len(plain):,} of {len(some):,}")
+            found.append(f"{what}: {100 * compute_hit_rate(plain):.0f} % right of {len(plain):,} of {len(some):,}")
     if not found:
         return []
     return [
@@ -102,13 +102,13 @@ def _told(records: Sequence[Record], told: str) -> str:
     )
 
 
-def kept(path: Path) -> str:
+def read_section(path: Path) -> str:
     """Return the section as it stands in a file, nothing where there is none."""
     text = path.read_text(encoding="utf-8") if path.exists() else ""
     return BEGIN + text.partition(BEGIN)[2].partition(END)[0] + END if BEGIN in text and END in text else ""
 
 
-def placed(text: str, new: str) -> str:
+def replace_section(text: str, new: str) -> str:
     """Return a page with a section in place of the one that it has, or at its end."""
     if BEGIN in text and END in text:
         before, _, rest = text.partition(BEGIN)

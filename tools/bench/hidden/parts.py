@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from tools.bench.hidden.cases import BARE, Case, Weather, right, stem
-from tools.bench.hidden.drives import FLEET, Where
+from tools.bench.hidden.cases import BARE, Case, Weather, get_right_names, strip_shape
+from tools.bench.hidden.drives import FLEET, Scope
 from tools.bench.hidden.recording import Measurement
 from tools.simulator.hidden import EFFECTS
 from tools.simulator.hidden_shapes import OTHER
@@ -42,7 +42,7 @@ They can be told where they come and go: in one vehicle from a date on, or from 
 
 
 @dataclass(frozen=True)
-class Choice:
+class Selection:
     """What of a part is run.
 
     Parameters
@@ -81,13 +81,13 @@ class Choice:
         return list(product(self.measurements, self.weathers))
 
 
-def one(choice: Choice) -> Iterator[Case]:
+def make_single_effects(choice: Selection) -> Iterator[Case]:
     """Give data sets with one effect."""
     for seed, effect, share in product(choice.numbers, choice.names, choice.shares):
         yield from _measured(choice, Case(seed, (Hidden(effect, share),)))
 
 
-def two(choice: Choice) -> Iterator[Case]:
+def make_pairs(choice: Selection) -> Iterator[Case]:
     """Give data sets with two effects, pairs drawn at random of those that can be told."""
     able = [effect for effect in choice.effects if effect not in ABSORBED and effect not in BARE]
     for seed in choice.numbers if len(able) > 1 else ():
@@ -97,50 +97,50 @@ def two(choice: Choice) -> Iterator[Case]:
             yield from _measured(choice, Case(seed, tuple(Hidden(str(effect), PAIR_SHARE) for effect in pair)))
 
 
-def vehicle(choice: Choice) -> Iterator[Case]:
+def make_vehicle_effects(choice: Selection) -> Iterator[Case]:
     """Give data sets with one effect in one vehicle."""
     for seed, effect in product(choice.numbers, choice.effects):
         number = int(np.random.default_rng([seed, 10, *effect.encode()]).integers(FLEET.vehicles)) + 1
-        case = Case(seed, (Hidden(effect, PAIR_SHARE),), where=Where(vehicle=f"taxi-{number:03d}"))
+        case = Case(seed, (Hidden(effect, PAIR_SHARE),), where=Scope(vehicle=f"taxi-{number:03d}"))
         yield from _measured(choice, case)
 
 
-def since(choice: Choice) -> Iterator[Case]:
+def make_dated_effects(choice: Selection) -> Iterator[Case]:
     """Give data sets with one effect from a date on, in the middle half of the days."""
     for seed, effect in product(choice.numbers, choice.effects):
         rng = np.random.default_rng([seed, 11, *effect.encode()])
         day = int(rng.integers(FLEET.days // 4, FLEET.days - FLEET.days // 4))
         begins = FLEET.start + timedelta(days=day * FLEET.day_step)
-        case = Case(seed, (Hidden(effect, PAIR_SHARE),), where=Where(since=begins.date().isoformat()))
+        case = Case(seed, (Hidden(effect, PAIR_SHARE),), where=Scope(since=begins.date().isoformat()))
         yield from _measured(choice, case)
 
 
-def none(choice: Choice) -> Iterator[Case]:
+def make_empty(choice: Selection) -> Iterator[Case]:
     """Give data sets with nothing hidden, of drives of their own."""
     first, end = (-(-number * NONE_SEEDS // SEEDS) for number in (choice.first, choice.first + choice.seeds))
     for seed in range(first, end):
         yield from _measured(choice, Case(FRESH + seed))
 
 
-def outside(choice: Choice) -> Iterator[Case]:
+def make_outside_effects(choice: Selection) -> Iterator[Case]:
     """Give data sets with an effect that is taken out of the library."""
     shares = [share for share in choice.shares if share in OUTSIDE_SHARES] or choice.shares
     for seed, effect, share in product(choice.numbers, choice.names, shares):
-        yield from _measured(choice, Case(seed, (Hidden(effect, share),), without=right(stem(effect))))
+        yield from _measured(choice, Case(seed, (Hidden(effect, share),), without=get_right_names(strip_shape(effect))))
 
 
-PARTS: Final[dict[str, Callable[[Choice], Iterator[Case]]]] = {
-    "one": one,
-    "two": two,
-    "vehicle": vehicle,
-    "date": since,
-    "none": none,
-    "outside": outside,
+PARTS: Final[dict[str, Callable[[Selection], Iterator[Case]]]] = {
+    "one": make_single_effects,
+    "two": make_pairs,
+    "vehicle": make_vehicle_effects,
+    "date": make_dated_effects,
+    "none": make_empty,
+    "outside": make_outside_effects,
 }
 """Part -> its data sets."""
 
 
-def sampled(cases: Sequence[Case], size: int | None, seed: int = 0) -> list[Case]:
+def draw_sample(cases: Sequence[Case], size: int | None, seed: int = 0) -> list[Case]:
     """Return as many data sets, drawn at random, in their order; all of them where there are no more."""
     if size is None or len(cases) <= size:
         return list(cases)
@@ -148,7 +148,7 @@ def sampled(cases: Sequence[Case], size: int | None, seed: int = 0) -> list[Case
     return [cases[i] for i in sorted(drawn.tolist())]
 
 
-def _measured(choice: Choice, case: Case) -> Iterator[Case]:
+def _measured(choice: Selection, case: Case) -> Iterator[Case]:
     """Give a data set as it is measured, under either weather."""
     for measurement, weather in choice.ways():
         yield replace(case, measurement=measurement, weather=weather)

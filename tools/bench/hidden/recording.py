@@ -35,7 +35,7 @@ from tools.bench.hidden.drives import (
     SOC_MARK,
     VOLTAGE_MARK,
     Drives,
-    Measured,
+    Readings,
 )
 from tools.simulator.logger import DIGITS
 
@@ -71,7 +71,7 @@ class Tables(NamedTuple):
     hidden: pd.DataFrame
 
 
-def noisy(messages: Sequence[Message], seed: int) -> list[Message]:
+def add_weather_noise(messages: Sequence[Message], seed: int) -> list[Message]:
     """Return messages with an error of 30 % in wind and rain, and of 20 degrees in the wind's direction.
 
     Drawn anew for every station and hour, with mean one.
@@ -131,7 +131,7 @@ class Recording:
     timing: Floats
     effects: list[Effect]
 
-    def tables(self, measured: Measured, measurement: Measurement, names: Sequence[str] = ()) -> Tables:
+    def tables(self, measured: Readings, measurement: Measurement, names: Sequence[str] = ()) -> Tables:
         """Return the tables of what cars measure.
 
         Parameters
@@ -182,7 +182,7 @@ class Recording:
         return Tables(table, window, window[["ride_key", "window"]].assign(**truth))
 
 
-def record(drives: Drives, messages: Sequence[Message] | None = None) -> Recording:
+def record_drives(drives: Drives, messages: Sequence[Message] | None = None) -> Recording:
     """Take in all that the drives send, as a consumer does.
 
     Parameters
@@ -275,7 +275,7 @@ def _numbers(batch: Batch) -> Ints:
     return number.astype(np.int64) - 1
 
 
-def _filled(batch: Batch, measured: Measured, measurement: Measurement, car: Ints, number: Ints) -> Batch:
+def _filled(batch: Batch, measured: Readings, measurement: Measurement, car: Ints, number: Ints) -> Batch:
     """Return the rows with what cars measure, rounded as loggers do; faults stay as they are."""
     at = (car, number)
     percent = np.clip(100.0 * measured.soc[at], 0.0, 100.0)

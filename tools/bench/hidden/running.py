@@ -12,8 +12,8 @@ from joblib import Parallel, delayed, parallel_config
 from threadpoolctl import threadpool_limits
 
 from core.errors import SocastError
-from tools.bench.hidden.cases import Case, Source
-from tools.bench.hidden.judging import Diagnose, Record, described, judge
+from tools.bench.hidden.cases import Case, SeedData
+from tools.bench.hidden.evaluation import Diagnose, Record, describe_case, evaluate_case
 
 PROCESSES: Final = 2
 TIMED: Final = 20
@@ -21,13 +21,13 @@ TIMED: Final = 20
 Task = tuple[str, list[Case]]
 
 
-def tasks(part: str, cases: Sequence[Case]) -> list[Task]:
+def make_tasks(part: str, cases: Sequence[Case]) -> list[Task]:
     """Return the data sets of a part by seed."""
     ordered = sorted(cases, key=lambda case: case.seed)
     return [(part, list(same)) for _, same in groupby(ordered, key=lambda case: case.seed)]
 
 
-def run(
+def run_tasks(
     todo: Iterable[Task], diagnose: Diagnose, keep: Path | None = None, processes: int = PROCESSES
 ) -> Iterable[list[Record]]:
     """Yield the records of each task as it is done.
@@ -43,18 +43,18 @@ def run(
         Each with one thread.
     """
     with parallel_config(backend="loky", inner_max_num_threads=1):
-        jobs = (delayed(work)(part, cases, diagnose, keep) for part, cases in todo)
+        jobs = (delayed(run_cases)(part, cases, diagnose, keep) for part, cases in todo)
         yield from Parallel(n_jobs=processes, return_as="generator_unordered")(jobs)
 
 
-def work(part: str, cases: Sequence[Case], diagnose: Diagnose, keep: Path | None = None) -> list[Record]:
+def run_cases(part: str, cases: Sequence[Case], diagnose: Diagnose, keep: Path | None = None) -> list[Record]:
     """Return the records of data sets of one seed."""
     path = None if keep is None else keep / f"{part}-{cases[0].seed}.json"
     known = _read(path)
     records = []
     with threadpool_limits(limits=1):
         for number, case in enumerate(cases):
-            key = json.dumps(described(case))
+            key = json.dumps(describe_case(case))
             if key not in known:
                 known[key] = {"part": part, **_record(case, diagnose, timed=number % TIMED == 0)}
                 if path is not None and (number % TIMED == 0 or number == len(cases) - 1):
@@ -66,15 +66,15 @@ def work(part: str, cases: Sequence[Case], diagnose: Diagnose, keep: Path | None
 def _record(case: Case, diagnose: Diagnose, *, timed: bool) -> Record:
     """Return the record of a data set; of one that cannot be, why."""
     try:
-        return judge(case, _source(case.seed).tables(case), diagnose, timed=timed)
+        return evaluate_case(case, _source(case.seed).tables(case), diagnose, timed=timed)
     except SocastError as error:
-        return {**described(case), "refused": str(error)}
+        return {**describe_case(case), "refused": str(error)}
 
 
 @lru_cache(maxsize=1)
-def _source(seed: int) -> Source:
+def _source(seed: int) -> SeedData:
     """Return the drives of a seed; of one at a time, as they take some gigabytes."""
-    return Source(seed)
+    return SeedData(seed)
 
 
 def _read(path: Path | None) -> dict[str, Any]:

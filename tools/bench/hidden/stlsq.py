@@ -27,7 +27,7 @@ ROUNDS: Final = 20
 """Defaults of PySINDy."""
 
 
-def candidates(windows: Windows, model: LinearModel) -> Floats:
+def build_columns(windows: Windows, model: LinearModel) -> Floats:
     """Return a model's own columns, then all that diagnosis asks of, (n, k). [kWh per unit]"""
     fit = model.fits[ANY]
     columns = Columns(windows.table, fit.fills, fit.curve)
@@ -35,7 +35,7 @@ def candidates(windows: Windows, model: LinearModel) -> Floats:
     return np.nan_to_num(np.column_stack([own, build_candidates(windows, model).columns]))
 
 
-def stlsq(columns: Floats, energy: Floats, threshold: float = THRESHOLD, alpha: float = ALPHA) -> Floats:
+def fit_stlsq(columns: Floats, energy: Floats, threshold: float = THRESHOLD, alpha: float = ALPHA) -> Floats:
     """Return sparse coefficients, (k,).
 
     Examples

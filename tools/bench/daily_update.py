@@ -12,8 +12,8 @@ from core.columns import SECONDS_PER_DAY
 from core.forecast.learning.car_driver import KEPT_SHIFTS, Habit
 from core.forecast.learning.forecast_errors import NOTE_S, Note
 from core.pipeline import Pipeline
-from tools.bench.filters import SHARE, WARM_UP, drive, experienced, plans
-from tools.bench.fleet import START_S, vehicles
+from tools.bench.filters import SHARE, WARM_UP, make_plans, make_trained_pipeline, push_rounds
+from tools.bench.fleet import START_S, make_vehicles
 from tools.bench.measures import Measure
 
 RIDES: Final = 10
@@ -26,20 +26,20 @@ KEEP_S: Final = 30.0
 """Time between two snapshots in service. [s]"""
 
 
-def nights(cars: int = 10_000, repeats: int = 3) -> Measure:
+def measure_daily_update(cars: int = 10_000, repeats: int = 3) -> Measure:
     """Measure learning, nights and snapshots of a fleet on a busy day, against the time that passes for it."""
     pipeline = Pipeline(keep_tables=False)
-    pipeline.learn_from(experienced())
-    pipeline.push([*vehicles(cars), *plans(cars)])
-    drive(pipeline, cars, 0, WARM_UP)
-    learning = spent(lambda: _learn(pipeline, cars))
+    pipeline.learn_from(make_trained_pipeline())
+    pipeline.push([*make_vehicles(cars), *make_plans(cars)])
+    push_rounds(pipeline, cars, 0, WARM_UP)
+    learning = time_processor(lambda: _learn(pipeline, cars))
     for lane, number in product(range(cars), range(NOTES)):
         told = 0, 100.0, -8.0, 0.4, 0.03, 0.8, 1.0
         pipeline.foresight.log.note(lane, Note(START_S + NOTE_S * number, START_S + NOTE_S * NOTES + 60.0, *told))
     kept: list[bytes] = []
-    keeping = min(spent(lambda: kept.append(pipeline.snapshot())) for _ in range(repeats))
-    learning += spent(lambda: _end(pipeline, cars))
-    night = spent(pipeline.foresight.overnight)
+    keeping = min(time_processor(lambda: kept.append(pipeline.snapshot())) for _ in range(repeats))
+    learning += time_processor(lambda: _end(pipeline, cars))
+    night = time_processor(pipeline.foresight.overnight)
     share = (learning + night) / SECONDS_PER_DAY + keeping / KEEP_S
     return Measure(
         f"learning, nights and snapshots of {cars:,} cars",
@@ -61,7 +61,7 @@ def nights(cars: int = 10_000, repeats: int = 3) -> Measure:
     )
 
 
-def spent(action: Callable[[], object]) -> float:
+def time_processor(action: Callable[[], object]) -> float:
     """Return the processor time of an action. [s]"""
     began = time.process_time()
     action()

@@ -15,10 +15,10 @@ from core.diagnose.projection import BaseProjection
 from core.fit.fitting import build_design
 from core.models import Term
 from core.models.features import Columns
-from tools.bench.hidden.cases import Case, right
-from tools.bench.hidden.errors import errors, least_squares
+from tools.bench.hidden.cases import Case, get_right_names
+from tools.bench.hidden.errors import compute_errors, solve_least_squares
 from tools.bench.hidden.recording import Tables
-from tools.bench.hidden.stlsq import candidates, stlsq
+from tools.bench.hidden.stlsq import build_columns, fit_stlsq
 
 Record = dict[str, Any]
 Diagnose = Callable[..., dict[str, Any]]
@@ -27,7 +27,7 @@ DATE_ERROR: Final = 28
 """A date that is off by so much is right. [d]"""
 
 
-def judge(case: Case, tables: Tables, diagnose: Diagnose, *, timed: bool = False) -> Record:
+def evaluate_case(case: Case, tables: Tables, diagnose: Diagnose, *, timed: bool = False) -> Record:
     """Return a record of one data set: what was hidden, what was named, and how far it is right.
 
     Parameters
@@ -45,33 +45,36 @@ def judge(case: Case, tables: Tables, diagnose: Diagnose, *, timed: bool = False
     result = diagnose(rides, table, model, **({"without": case.without} if case.without else {}))
     seconds = time.perf_counter() - began
     windows = gather_windows(rides, table, model)
-    hidden = true_energy(windows, truth)
+    hidden = compute_true_energy(windows, truth)
     named = [found["columns"] for found in result["missing"]]
     told: Record = {"intervals": [], "left": None, "alike": None, "z": None}
     if case.hidden:
         base = BaseProjection(windows, model)
-        told = {"intervals": intervals(case, result["missing"], base, hidden), **seen(case, base, hidden)}
+        told = {
+            "intervals": compare_intervals(case, result["missing"], base, hidden),
+            **measure_visibility(case, base, hidden),
+        }
     record = {
-        **described(case),
+        **describe_case(case),
         "rides": len(windows.rides),
         "samples": int(rides["samples"].sum()),
         "windows": len(windows.measured),
-        **verdict(case, result),
+        **grade_names(case, result),
         "missing": [_short(found) for found in result["missing"]],
         **told,
-        "errors": errors(windows, model, hidden.sum(axis=1), named, case.seed)._asdict(),
+        "errors": compute_errors(windows, model, hidden.sum(axis=1), named, case.seed)._asdict(),
         "noise_floor_kwh": result["error"]["noise_floor_kwh"],
         "seconds": seconds,
     }
     if timed:
-        columns = candidates(windows, model)
+        columns = build_columns(windows, model)
         began = time.perf_counter()
-        stlsq(columns, windows.measured)
+        fit_stlsq(columns, windows.measured)
         record["stlsq_seconds"] = time.perf_counter() - began
     return record
 
 
-def described(case: Case) -> Record:
+def describe_case(case: Case) -> Record:
     """Return what a data set is, as JSON has it."""
     return {
         "seed": case.seed,
@@ -84,7 +87,7 @@ def described(case: Case) -> Record:
     }
 
 
-def true_energy(windows: Windows, truth: pd.DataFrame) -> Floats:
+def compute_true_energy(windows: Windows, truth: pd.DataFrame) -> Floats:
     """Return the energy of each hidden effect in each window, or in the ride where that stands for all of its windows.
 
     (n, effects). [kWh]
@@ -100,7 +103,7 @@ def true_energy(windows: Windows, truth: pd.DataFrame) -> Floats:
     return out
 
 
-def verdict(case: Case, result: dict[str, Any]) -> Record:
+def grade_names(case: Case, result: dict[str, Any]) -> Record:
     """Return how far the names are right.
 
     Keys: `outcome` of the first name (`right`, `group` where a group that holds the right one goes by another, `wrong`,
@@ -108,7 +111,7 @@ def verdict(case: Case, result: dict[str, Any]) -> Record:
     name comes in a group, structure remains, or its coefficient is not plausible), `structure_remains`.
     """
     missing = result["missing"]
-    wanted = [right(effect) for effect, _ in case.hidden]
+    wanted = [get_right_names(effect) for effect, _ in case.hidden]
     outcome = "none"
     if missing:
         outcome = max((_matches(missing[0], names) for names in wanted), key=_OUTCOMES.index, default="wrong")
@@ -121,7 +124,7 @@ def verdict(case: Case, result: dict[str, Any]) -> Record:
     )
     return {
         "outcome": outcome,
-        "scope_right": bool(missing) and scope_right(case, missing[0]["columns"]),
+        "scope_right": bool(missing) and is_scope_right(case, missing[0]["columns"]),
         "found": found,
         "names": len(missing),
         "doubt": doubt,
@@ -140,7 +143,7 @@ def _matches(found: dict[str, Any], names: Sequence[str]) -> str:
     return "group" if any(name in names for name in found["group"]) else "wrong"
 
 
-def scope_right(case: Case, columns: Sequence[str]) -> bool:
+def is_scope_right(case: Case, columns: Sequence[str]) -> bool:
     """Tell whether a term holds where the effect is hidden; a date may be off by four weeks."""
     said = dict(column.split("=", 1) for column in columns if "=" in column and "@" not in column)
     if said.get("vehicle") != case.where.vehicle:
@@ -150,7 +153,9 @@ def scope_right(case: Case, columns: Sequence[str]) -> bool:
     return abs((date.fromisoformat(said["since"]) - date.fromisoformat(case.where.since)).days) <= DATE_ERROR
 
 
-def intervals(case: Case, missing: Sequence[dict[str, Any]], base: BaseProjection, hidden: Floats) -> list[Record]:
+def compare_intervals(
+    case: Case, missing: Sequence[dict[str, Any]], base: BaseProjection, hidden: Floats
+) -> list[Record]:
     """Return of each name the interval of its coefficient, and the coefficient that it is to hold.
 
     That is the one which comes closest to what is hidden: of least squares, in the weights of diagnosis, of the true
@@ -161,9 +166,9 @@ def intervals(case: Case, missing: Sequence[dict[str, Any]], base: BaseProjectio
         return []
     off = _off(base, [found["columns"] for found in missing])
     truth = base.project_out(hidden.sum(axis=1)[:, np.newaxis])[:, 0]
-    names = {name for effect, _ in case.hidden for name in right(effect)}
+    names = {name for effect, _ in case.hidden for name in get_right_names(effect)}
     out = []
-    for found, value in zip(missing, least_squares(off, truth).tolist(), strict=True):
+    for found, value in zip(missing, solve_least_squares(off, truth).tolist(), strict=True):
         low, high = found["coefficient"]["ci95"]
         out.append(
             {
@@ -178,7 +183,7 @@ def intervals(case: Case, missing: Sequence[dict[str, Any]], base: BaseProjectio
     return out
 
 
-def seen(case: Case, base: BaseProjection, hidden: Floats) -> Record:
+def measure_visibility(case: Case, base: BaseProjection, hidden: Floats) -> Record:
     """Return how much of what is hidden there is to be seen.
 
     Keys: `left`, the share of its size that the model's own terms cannot take up; `alike`, the correlation of that with
@@ -191,7 +196,7 @@ def seen(case: Case, base: BaseProjection, hidden: Floats) -> Record:
     size, whole = float(np.sqrt(off @ off)), float(np.sqrt((base.apply_weights(energy) ** 2).sum()))
     scope = [f"vehicle={case.where.vehicle}"] if case.where.vehicle else []
     scope += [f"since={case.where.since}"] if case.where.since else []
-    library = [effects.get(name) for effect, _ in case.hidden for name in right(effect)]
+    library = [effects.get(name) for effect, _ in case.hidden for name in get_right_names(effect)]
     columns = [[each.energy_name, *scope] for effect in library for each in (effect, *effect.variants)]
     own = _off(base, columns)
     sizes = np.sqrt((own**2).sum(axis=0))
