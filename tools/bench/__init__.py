@@ -1,1 +1,1 @@
-"""Ratios of speed, each between two things measured in turn in one run: `make bench`."""
+"""Measure ratios of speed for `make bench`; each ratio compares two things that are measured in turn in one run."""

@@ -1,4 +1,4 @@
-"""`make bench`: measure, print, and keep the figures in bench.json and BENCHMARKS.md."""
+"""`make bench`: measure, print, and write the figures to bench.json and BENCHMARKS.md."""
 
 import json
 import os
@@ -36,42 +36,51 @@ ROOT = Path(__file__).parent.parent.parent
 
 
 def main() -> None:
-    """Run every measure."""
+    """Run every measure, print the ratios, and write both files."""
     console = Console()
     with Progress(console=Console(stderr=True), transient=True) as progress:
         measures = [measure() for measure in progress.track(MEASURES, description="measuring")]
     columns = [Column("what"), Column("against"), Column("ratio", number=True), Column("goal"), Column("")]
     table = make_table(columns, "Ratios of speed, measured in turn in one run")
-    for found in measures:
-        mark = "met" if found.met else "missed"
-        table.add_row(found.name, found.over, f"{found.ratio:.2f}", found.goal, mark)
+    for measure in measures:
+        mark = "met" if measure.met else "missed"
+        table.add_row(measure.name, measure.over, f"{measure.ratio:.2f}", measure.goal, mark)
     console.print(table)
-    content = [asdict(found) for found in measures]
+    content = [asdict(measure) for measure in measures]
     (ROOT / "bench.json").write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
     path = ROOT / "BENCHMARKS.md"
-    hidden = read_section(path)  # of `make bench-hidden`
+    hidden = read_section(path)  # written by `make bench-hidden`
     path.write_text(replace_section(make_page(measures), hidden) if hidden else make_page(measures), encoding="utf-8")
 
 
 def make_page(measures: list[Measure]) -> str:
-    """Return BENCHMARKS.md."""
+    """Return the text of BENCHMARKS.md.
+
+    Parameters
+    ----------
+    measures : list of Measure
+        Results of all measures.
+    """
     lines = [
         "# Benchmarks",
         "",
-        f"Written by `make bench`, on {os.cpu_count()} cores, Python {platform.python_version()}. Ratios of medians of",
-        "two things measured in turn in one run; the machine is shared and noisy, so read ratios, not seconds.",
+        (
+            f"Written by `make bench`, on {os.cpu_count()} cores, Python {platform.python_version()}. "
+            "Each ratio compares the"
+        ),
+        "medians of two things measured in turn in one run. The machine is shared and noisy: read ratios, not seconds.",
         "",
         "| what | against | ratio | goal | |",
         "|---|---|---|---|---|",
     ]
-    for found in measures:
-        met = "met" if found.met else "missed"
-        lines.append(f"| {found.name} | {found.over} | {found.ratio:.2f} | {found.goal} | {met} |")
-    lines += ["", "## What bounds each", ""]
-    for found in measures:
-        figures = ", ".join(f"{name} {value:,.3g}" for name, value in found.figures.items())
+    for measure in measures:
+        met = "met" if measure.met else "missed"
+        lines.append(f"| {measure.name} | {measure.over} | {measure.ratio:.2f} | {measure.goal} | {met} |")
+    lines += ["", "## What limits each measure", ""]
+    for measure in measures:
+        figures = ", ".join(f"{name} {value:,.3g}" for name, value in measure.figures.items())
         figures = figures.replace("e+05", "e5").replace("e+06", "e6")
-        lines += [f"**{found.name[0].upper()}{found.name[1:]}** ({figures}). {found.bound}", ""]
+        lines += [f"**{measure.name[0].upper()}{measure.name[1:]}** ({figures}). {measure.bound}", ""]
     return "\n".join(lines)
 
 

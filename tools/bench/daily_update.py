@@ -1,4 +1,4 @@
-"""What it costs to learn of a day of many cars, to let it take effect, and to keep the state of all."""
+"""Measure learning from a day of many cars, the daily update, and snapshots of the whole state."""
 
 import time
 from collections.abc import Callable
@@ -17,59 +17,73 @@ from tools.bench.fleet import START_S, make_vehicles
 from tools.bench.measures import Measure
 
 RIDES: Final = 10
-"""Of a car and day, as many as rests."""
+"""Rides of a car per day, and as many idle periods."""
 NOTES: Final = 60
-"""Forecasts of a shift that are noted, those of ten hours."""
+"""Noted forecasts of a shift of ten hours."""
 AT_ONCE: Final = 10
-"""Rides that end within a block of samples."""
+"""Rides that end within one block of samples."""
 KEEP_S: Final = 30.0
 """Time between two snapshots in service. [s]"""
 
 
 def measure_daily_update(cars: int = 10_000, repeats: int = 3) -> Measure:
-    """Measure learning, nights and snapshots of a fleet on a busy day, against the time that passes for it."""
+    """Measure learning, daily update and snapshots of a fleet on a busy day, against the time that passes for it.
+
+    Parameters
+    ----------
+    cars : int
+        Number of cars.
+    repeats : int
+        Number of snapshots, of which the fastest counts.
+    """
     pipeline = Pipeline(keep_tables=False)
     pipeline.learn_from(make_trained_pipeline())
     pipeline.push([*make_vehicles(cars), *make_plans(cars)])
     push_rounds(pipeline, cars, 0, WARM_UP)
     learning = time_processor(lambda: _learn(pipeline, cars))
     for lane, number in product(range(cars), range(NOTES)):
-        told = 0, 100.0, -8.0, 0.4, 0.03, 0.8, 1.0
-        pipeline.foresight.log.note(lane, Note(START_S + NOTE_S * number, START_S + NOTE_S * NOTES + 60.0, *told))
-    kept: list[bytes] = []
-    keeping = min(time_processor(lambda: kept.append(pipeline.snapshot())) for _ in range(repeats))
+        noted = 0, 100.0, -8.0, 0.4, 0.03, 0.8, 1.0
+        pipeline.foresight.log.note(lane, Note(START_S + NOTE_S * number, START_S + NOTE_S * NOTES + 60.0, *noted))
+    snapshots: list[bytes] = []
+    snapshot = min(time_processor(lambda: snapshots.append(pipeline.snapshot())) for _ in range(repeats))
     learning += time_processor(lambda: _end(pipeline, cars))
-    night = time_processor(pipeline.foresight.overnight)
-    share = (learning + night) / SECONDS_PER_DAY + keeping / KEEP_S
+    update = time_processor(pipeline.foresight.overnight)
+    share = (learning + update) / SECONDS_PER_DAY + snapshot / KEEP_S
     return Measure(
-        f"learning, nights and snapshots of {cars:,} cars",
+        f"learning, daily update and snapshots of {cars:,} cars",
         f"{100 * SHARE:g} % of a core",
         share / SHARE,
         "< 1",
         share < SHARE,
         {
-            "learning_and_night_pct_of_a_core": 100.0 * (learning + night) / SECONDS_PER_DAY,
-            "snapshot_pct_of_a_core": 100.0 * keeping / KEEP_S,
-            "night_s": night,
-            "snapshot_s": keeping,
-            "snapshot_mb": len(kept[-1]) / 1e6,
+            "learning_and_update_pct_of_a_core": 100.0 * (learning + update) / SECONDS_PER_DAY,
+            "snapshot_pct_of_a_core": 100.0 * snapshot / KEEP_S,
+            "update_s": update,
+            "snapshot_s": snapshot,
+            "snapshot_mb": len(snapshots[-1]) / 1e6,
         },
-        f"Processor time over the time that passes for the cars: {RIDES} rides and rests of each are added up as they "
-        f"end; a night makes tables and quantiles of the sums, and what is expected of each car. A snapshot is taken "
-        f"every {KEEP_S:g} s, here at the end of shifts of ten hours, when most forecasts wait to be judged: half of "
-        "it is those.",
+        f"The figures are processor time over the time that passes for the cars. {RIDES} rides and idle "
+        "periods of each car are added up as they end. A daily update makes tables and quantiles of the sums, "
+        f"and the expected values of each car. A snapshot is taken every {KEEP_S:g} s, here at the end of "
+        "shifts of ten hours, when most forecasts wait for their evaluation and make up half of it.",
     )
 
 
 def time_processor(action: Callable[[], object]) -> float:
-    """Return the processor time of an action. [s]"""
+    """Return the processor time of an action. [s]
+
+    Parameters
+    ----------
+    action : callable
+        What is timed.
+    """
     began = time.process_time()
     action()
     return time.process_time() - began
 
 
 def _learn(pipeline: Pipeline, cars: int) -> None:
-    """Let a fleet end a day's rides and rests: twenty times what was summed of each car."""
+    """End the rides and idle periods of a day of a fleet, with twenty times the running totals of each car."""
     lessons, lanes = pipeline.foresight.lessons, np.arange(cars)
     for _, at in product(range(RIDES), range(0, cars, AT_ONCE)):
         totals = pipeline.ledger.running(lanes[at : at + AT_ONCE])
@@ -80,7 +94,7 @@ def _learn(pipeline: Pipeline, cars: int) -> None:
 
 
 def _end(pipeline: Pipeline, cars: int) -> None:
-    """Let a fleet end its shift: judge its forecasts, and remember it as one of many."""
+    """End the shift of a fleet: evaluate its forecasts, and learn from it as one of many."""
     foresight = pipeline.foresight
     for lane in range(cars):
         foresight.lessons.judged(foresight.log.closed(lane, 0.38, nan))

@@ -1,4 +1,4 @@
-"""What it costs to know the state of charge of many cars and to look ahead of each."""
+"""Measure the processor time of the filters of the state of charge and of the outlook of many cars."""
 
 import time
 from collections.abc import Callable
@@ -16,19 +16,31 @@ from tools.simulator.fleet import simulate
 from tools.simulator.settings import Simulation
 
 SHARE: Final = 0.02
-"""Of a core."""
+"""Goal for the share of one processor core. [1]"""
 WARM_UP: Final = 20
 """Samples of each car before the clock starts."""
 
 
 class Stopwatch:
-    """Adds up the processor time that calls of a function take. [s]"""
+    """Add up the processor time of the calls of a function.
+
+    Attributes
+    ----------
+    seconds : float
+        Processor time of all calls. [s]
+    """
 
     def __init__(self) -> None:
         self.seconds = 0.0
 
     def wrap(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Return the function, timed."""
+        """Return a function that is timed when it is called.
+
+        Parameters
+        ----------
+        function : callable
+            The function.
+        """
 
         def timed(*arguments: Any) -> Any:
             began = time.process_time()
@@ -41,7 +53,15 @@ class Stopwatch:
 
 
 def measure_filters(cars: int = 10_000, turns: int = 100) -> Measure:
-    """Measure the filters of a fleet whose every car has a plan and intervals, against the time that passes for it."""
+    """Measure the filters of a fleet with plans and intervals, against the time that passes for it.
+
+    Parameters
+    ----------
+    cars : int
+        Number of cars.
+    turns : int
+        Samples of each car.
+    """
     pipeline = Pipeline(keep_tables=False)
     pipeline.learn_from(make_trained_pipeline())
     pipeline.push([*make_vehicles(cars), *make_plans(cars)])
@@ -51,11 +71,11 @@ def measure_filters(cars: int = 10_000, turns: int = 100) -> Measure:
         patch.object(soc_filter, "follow", of_filters.wrap(soc_filter.follow)),
         patch.object(Foresight, "follow", of_all.wrap(Foresight.follow)),
     ):
-        told = push_rounds(pipeline, cars, WARM_UP, turns)
+        forecasts = push_rounds(pipeline, cars, WARM_UP, turns)
     passed = turns * PERIOD_S
     share = of_filters.seconds / passed
     return Measure(
-        f"filters of the charge of {cars:,} cars, a sample every {PERIOD_S:g} s",
+        f"filters of the state of charge of {cars:,} cars, a sample every {PERIOD_S:g} s",
         f"{100 * SHARE:g} % of a core",
         share / SHARE,
         "< 1",
@@ -63,17 +83,17 @@ def measure_filters(cars: int = 10_000, turns: int = 100) -> Measure:
         {
             "filters_pct_of_a_core": 100.0 * share,
             "with_outlook_pct_of_a_core": 100.0 * of_all.seconds / passed,
-            "forecasts_per_s": told / passed,
+            "forecasts_per_s": forecasts / passed,
         },
-        "Processor time over the time that passes for the cars. The filter is a loop over events, compiled; it hears "
-        "the totals of a ride whenever a forecast is due, that is, every fifth sample. The second figure is of all "
-        "that is done to look ahead: energies, the filter, plans, the charge at the shift's end with its interval, "
-        "and notes for judging it later.",
+        "The figures are processor time over the time that passes for the cars. The filter is a compiled loop "
+        "over events. It receives the totals of a ride whenever a forecast is due, which is at every fifth "
+        "sample. The second figure covers the whole outlook: energies, the filter, plans, the charge at the "
+        "end of the shift with its interval, and notes to evaluate it later.",
     )
 
 
 def make_trained_pipeline() -> Pipeline:
-    """Return a pipeline that has learned from some days of a small fleet of the same model."""
+    """Return a pipeline that has learned from three days of a small fleet of the same model."""
     pipeline = Pipeline(keep_tables=False)
     start = datetime(2026, 1, 1, tzinfo=UTC)
     fleet = Simulation(vehicles=12, days=3, start=start, shift_hours=3.0, models=("kia-soul-ev-2015",), seed=5)
@@ -83,16 +103,32 @@ def make_trained_pipeline() -> Pipeline:
 
 
 def make_plans(cars: int) -> list[Message]:
-    """Return a plan for each car: ten rides in five hours."""
+    """Return a plan for each car: ten rides in five hours.
+
+    Parameters
+    ----------
+    cars : int
+        Number of cars.
+    """
     legs = [Leg(6.0, 1000.0)] * 10
     plans = (Plan(name_car(car), START_S, START_S + 5 * 3600.0, 10.0, legs) for car in range(cars))
     return [Message(f"fleet/{plan.vehicle_id}/plan", encode(plan), int(START_S * 1e9)) for plan in plans]
 
 
 def push_rounds(pipeline: Pipeline, cars: int, first: int, count: int) -> int:
-    """Let a fleet send rounds of samples; return how many forecasts told the charge at the shift's end."""
-    told = 0
+    """Push rounds of samples of a fleet; return how many forecasts give the charge at the end of the shift.
+
+    Parameters
+    ----------
+    pipeline : Pipeline
+        Receives the samples.
+    cars : int
+        Number of cars.
+    first, count : int
+        Number of the first round, and number of rounds.
+    """
+    forecasts = 0
     for turn in make_rounds(cars, first, count):
         for block in cut_blocks(turn):
-            told += sum(b'"soc_end_of_shift_pct":{' in message.payload for message in pipeline.push(block))
-    return told
+            forecasts += sum(b'"soc_end_of_shift_pct":{' in message.payload for message in pipeline.push(block))
+    return forecasts

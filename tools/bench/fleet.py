@@ -1,4 +1,4 @@
-"""A stream of many cars, cheap to make: what the benchmarks feed on."""
+"""Make the stream of many cars at little cost, as input of the benchmarks."""
 
 from collections.abc import Iterator
 
@@ -11,12 +11,18 @@ PERIOD_S = 3.0
 
 
 def name_car(car: int) -> str:
-    """Return the name of a car."""
+    """Return the identifier of a car."""
     return f"taxi-{car:07d}"
 
 
 def make_vehicles(cars: int) -> list[Message]:
-    """Return what each car says of itself."""
+    """Return a vehicle message of each car.
+
+    Parameters
+    ----------
+    cars : int
+        Number of cars.
+    """
     return [
         Message(
             f"fleet/{name_car(car)}/vehicle", encode(Vehicle(name_car(car), START_S, "kia-soul-ev-2015")), int(START_S)
@@ -26,15 +32,21 @@ def make_vehicles(cars: int) -> list[Message]:
 
 
 def make_rounds(cars: int, first: int, count: int, seed: int = 0) -> Iterator[list[Message]]:
-    """Yield rounds of telemetry, one sample of every car each, driving in circles with stops and uneven stamps.
+    """Yield rounds of telemetry; a round has one sample of every car.
 
     Parameters
     ----------
     cars : int
+        Number of cars.
     first, count : int
-        Number of the first round, and how many.
+        Number of the first round, and number of rounds.
     seed : int
-        Of the unevenness.
+        Seed of the jitter of the time stamps and of noise.
+
+    Yields
+    ------
+    list of Message
+        The cars drive in circles with stops and uneven time stamps.
     """
     rng = np.random.default_rng(seed + first)
     phase = np.linspace(0.0, 300.0, cars, endpoint=False)

@@ -1,4 +1,4 @@
-"""How long a fit takes, and how much memory: against scikit-learn's plain least squares of the same columns."""
+"""Measure time and memory of a fit, against scikit-learn's least squares of the same columns."""
 
 import subprocess
 import sys
@@ -39,7 +39,13 @@ for path in sys.argv[1:]:
 
 
 def measure_fit(repeats: int = 3) -> Measure:
-    """Measure a fit to many rides, Parquet to model, against scikit-learn's of the same columns, in memory already."""
+    """Measure a fit from a Parquet file of many rides to a model, against scikit-learn's of the same columns in memory.
+
+    Parameters
+    ----------
+    repeats : int
+        Number of repetitions, of which the median counts.
+    """
     recipe = RECIPES[RECIPE]
     if not isinstance(recipe, LinearRecipe):
         raise TypeError(recipe)
@@ -57,15 +63,16 @@ def measure_fit(repeats: int = 3) -> Measure:
         ">= 0.5",
         plain >= 0.5 * ours,
         {"fit_s": ours, "plain_s": plain, "terms": len(model.terms), "fits": len(model.fits)},
-        "Three passes over the file: fills and accessory curve; normal equations; residuals for the covariance; "
-        "and a fourth over a tenth of the rides for the interval. "
-        "Reading is a third, making the columns a fifth. Scikit-learn's figure is for the same five fits, one a car "
-        "model and one over all, without reading and without making the columns; it decomposes those themselves.",
+        "A fit makes three passes over the file: fills and accessory curve, normal equations, and residuals "
+        "for the covariance. A fourth pass over a tenth of the rides gives the interval. Reading takes a "
+        "third of the time, and making the columns a fifth. Scikit-learn's figure covers the same five fits, "
+        "one for each car model and one for all, without reading the file and making the columns; it "
+        "decomposes the columns themselves.",
     )
 
 
 def measure_fit_memory() -> Measure:
-    """Measure how peak memory grows with the number of rides: a tenth of them first, then all, in one process."""
+    """Measure how peak memory grows with the number of rides: first a tenth of them, then all, in one process."""
     with tempfile.TemporaryDirectory() as folder:
         base = _simulated()
         paths = [Path(folder) / f"{n}.parquet" for n in (FEW, MANY)]
@@ -83,13 +90,13 @@ def measure_fit_memory() -> Measure:
         "<= 1.1",
         many <= 1.1 * few,
         {"many_mb": many, "few_mb": few, "table_mb": MANY * 8 * len(base.columns) / 2**20},
-        "Of both, 250 MB are the imports; the rest is a block of 8,192 rides, its products, and what the allocator "
-        "keeps. The whole table would take what `table_mb` says, and its products as much again.",
+        "The imports take 250 MB of both. The rest is a block of 8,192 rides, its products, and what the "
+        "allocator keeps. The whole table would take `table_mb`, and its products as much again.",
     )
 
 
 def _simulated() -> pd.DataFrame:
-    """Return the ride table of a day of a small fleet."""
+    """Return the ride table of one day of a small fleet."""
     start = datetime(2018, 1, 16, 12, tzinfo=UTC)
     pipeline = Pipeline(also=list(effects.get_library()), keep_forecasts=False)
     messages = list(simulate(Simulation(vehicles=12, start=start, shift_hours=4.0, seed=5)))
@@ -101,7 +108,19 @@ def _simulated() -> pd.DataFrame:
 
 
 def write_rides(path: Path, base: pd.DataFrame, rides: int, seed: int = 1) -> None:
-    """Write a table of any size: rows of another drawn again and again, each figure with noise, over a year."""
+    """Write a ride table of any size.
+
+    Parameters
+    ----------
+    path : Path
+        The Parquet file.
+    base : DataFrame
+        Rides that are drawn with replacement; noise is added to each figure.
+    rides : int
+        Number of rides, spread over a year.
+    seed : int
+        Seed of draws and noise.
+    """
     rng = np.random.default_rng(seed)
     fixed = {"winter", "summer", "fit_for_training"}
     noisy = [name for name in base.columns if name not in fixed and pd.api.types.is_float_dtype(base[name])]
@@ -123,12 +142,12 @@ def write_rides(path: Path, base: pd.DataFrame, rides: int, seed: int = 1) -> No
 
 
 def _plain(model: LinearModel, path: Path) -> float:
-    """Return the time of scikit-learn's fits alone, the columns made before. [s]"""
+    """Return the time of scikit-learn's fits with the columns already made. [s]"""
     rides = pd.read_parquet(path)
     took = 0.0
     for key, fit in model.fits.items():
-        own = rides if key == ANY else rides[rides["vehicle_model"] == key]
-        table = build_design(model.terms, Columns(own, fit.fills, fit.curve), len(own))
-        energy = own["energy_kwh"].to_numpy()
+        group = rides if key == ANY else rides[rides["vehicle_model"] == key]
+        table = build_design(model.terms, Columns(group, fit.fills, fit.curve), len(group))
+        energy = group["energy_kwh"].to_numpy()
         took += time_action(lambda table=table, energy=energy: LinearRegression().fit(table, energy))  # type: ignore[misc]
     return took

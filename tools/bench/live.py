@@ -1,4 +1,4 @@
-"""The live consumer against a Zenoh subscriber that does nothing, on the same stream from another process."""
+"""Measure the live consumer against an idle Zenoh subscriber, on the same stream from another process."""
 
 import multiprocessing
 import time
@@ -18,15 +18,25 @@ from tools.bench.measures import Measure, alternate_timings
 
 PATIENCE_S = 60.0
 WARM_UP = 20
-"""Samples of each car before the clock starts, so that every car has been heard of and every key been declared."""
+"""Samples of each car before the clock starts, so that every car is known and every key is declared."""
 SETTLE_S = 2.0
-"""Time in which what they led to, such as declaring the forecasts' keys, comes to rest. [s]"""
+"""Time for the consequences of the warm-up, such as declaring the keys of forecasts, to finish. [s]"""
 
 Consumer: TypeAlias = Callable[[Node, ProcessEvent, ProcessEvent], float]
 
 
 def publish_stream(endpoint: str, cars: int, turns: int, ready: ProcessEvent, go: ProcessEvent) -> None:
-    """Publish a stream as fast as it is taken, from a process of its own."""
+    """Publish a stream as fast as it is accepted, in a separate process.
+
+    Parameters
+    ----------
+    endpoint : str
+        Zenoh endpoint to connect to.
+    cars, turns : int
+        Number of cars, and samples of each.
+    ready, go : Event
+        Set after the warm-up; awaited before the stream.
+    """
     messages = [message for turn in make_rounds(cars, WARM_UP, turns) for message in turn]
     with Node(Connection(connect=(endpoint,))) as node:
         sink = ZenohSink(node)
@@ -41,7 +51,15 @@ def publish_stream(endpoint: str, cars: int, turns: int, ready: ProcessEvent, go
 
 
 def time_stream(cars: int, turns: int, consume: Consumer) -> float:
-    """Return how long a consumer takes for the stream, from its first sample to its last. [s]"""
+    """Return the time in which a consumer takes a stream, from its first to its last sample. [s]
+
+    Parameters
+    ----------
+    cars, turns : int
+        Number of cars, and samples of each.
+    consume : callable
+        The consumer, which returns the time.
+    """
     context = multiprocessing.get_context("spawn")
     ready, go = context.Event(), context.Event()
     endpoint = f"tcp/127.0.0.1:{free_port()}"
@@ -55,7 +73,13 @@ def time_stream(cars: int, turns: int, consume: Consumer) -> float:
 
 
 def make_idle_consumer(cars: int, turns: int) -> Consumer:
-    """Return a consumer that does nothing but notice the first sample and the last."""
+    """Return a consumer that only counts samples.
+
+    Parameters
+    ----------
+    cars, turns : int
+        Number of cars, and samples of each.
+    """
 
     def consume(node: Node, ready: ProcessEvent, go: ProcessEvent) -> float:
         seen = 0
@@ -76,7 +100,13 @@ def make_idle_consumer(cars: int, turns: int) -> Consumer:
 
 
 def make_full_consumer(cars: int, turns: int) -> Consumer:
-    """Return the consumer as it is in service: decode, clean, sum, predict and publish forecasts."""
+    """Return the consumer as in service: it decodes, cleans, accumulates, predicts and publishes forecasts.
+
+    Parameters
+    ----------
+    cars, turns : int
+        Number of cars, and samples of each.
+    """
 
     def consume(node: Node, ready: ProcessEvent, go: ProcessEvent) -> float:
         stop = Event()
@@ -87,7 +117,7 @@ def make_full_consumer(cars: int, turns: int) -> Consumer:
         def watch(_: Tally) -> None:
             nonlocal began, ended, settled
             if time.monotonic() > patience:
-                raise TimeoutError(f"the stream has not come through in {PATIENCE_S:g} s")
+                raise TimeoutError(f"the stream has not arrived within {PATIENCE_S:g} s; stop other work")
             received = pipeline.decoder.received["telemetry"]
             if not began and ready.is_set() and received == cars * WARM_UP:
                 settled = settled or time.monotonic() + SETTLE_S
@@ -106,16 +136,35 @@ def make_full_consumer(cars: int, turns: int) -> Consumer:
 
 
 def wait_until(until: Callable[[], bool]) -> None:
-    """Look every few milliseconds whether something has come true, for so long."""
+    """Wait until a condition is true, checked every 2 ms.
+
+    Parameters
+    ----------
+    until : callable
+        The condition.
+
+    Raises
+    ------
+    TimeoutError
+        If the condition is false after `PATIENCE_S`.
+    """
     patience = time.monotonic() + PATIENCE_S
     while not until():
         if time.monotonic() > patience:
-            raise TimeoutError(f"the stream has not come through in {PATIENCE_S:g} s")
+            raise TimeoutError(f"the stream has not arrived within {PATIENCE_S:g} s; stop other work")
         time.sleep(0.002)
 
 
 def measure_live(repeats: int = 5, cars: int = 1000, turns: int = 400) -> Measure:
-    """Measure the live consumer, decode to published forecast, against a subscriber that does nothing."""
+    """Measure the live consumer, from decoding to published forecast, against an idle subscriber.
+
+    Parameters
+    ----------
+    repeats : int
+        Number of repetitions, of which the median counts.
+    cars, turns : int
+        Number of cars, and samples of each.
+    """
     total = cars * turns
     idle_s, busy_s = alternate_timings(
         lambda: time_stream(cars, turns, make_idle_consumer(cars, turns)),
@@ -124,11 +173,11 @@ def measure_live(repeats: int = 5, cars: int = 1000, turns: int = 400) -> Measur
     )
     return Measure(
         f"live consumer, decode to forecast, {cars:,} cars",
-        "a Zenoh subscriber that does nothing",
+        "an idle Zenoh subscriber",
         idle_s / busy_s,
         ">= 0.5",
         idle_s / busy_s >= 0.5,
         {"live_samples_per_s": total / busy_s, "idle_samples_per_s": total / idle_s},
-        "Both cores are full: of the publisher, of Zenoh's receiving threads, and of Python, which takes "
-        "about 3 us a sample: 0.9 to take it out of Zenoh, 1.3 to decode it, 0.8 for all else.",
+        "Both cores are busy with the publisher, with Zenoh's receiving threads and with Python. Python takes "
+        "about 3 us per sample: 0.9 to take it out of Zenoh, 1.3 to decode it, 0.8 for everything else.",
     )

@@ -1,4 +1,4 @@
-"""The four measures: each returns a ratio, what it is a ratio of, and the figures behind it."""
+"""Measure replay, the steps over arrays and the scale of the fleet, and time actions in turn."""
 
 import gc
 import tempfile
@@ -22,21 +22,22 @@ from tools.bench.fleet import make_rounds, make_vehicles
 
 @dataclass(frozen=True)
 class Measure:
-    """One line of the report.
+    """Hold one line of the report.
 
     Parameters
     ----------
     name, over : str
-        What was measured, and against what.
+        What was measured, and what it is compared with.
     ratio : float
-        Of speeds, more is better; or as `meaning` says.
+        Ratio of speeds, or of costs if `goal` is an upper bound.
     goal : str
-        As it is to be read: `>= 0.5`.
+        Goal for the ratio, such as `>= 0.5`.
     met : bool
-    figures : dict
-        Medians behind the ratio, with their units in their names.
+        Whether the ratio meets the goal.
+    figures : dict of str to float
+        Medians behind the ratio; the names contain the units.
     bound : str
-        What keeps it from being better, as a profile showed it.
+        What limits the ratio, as a profile showed.
     """
 
     name: str
@@ -49,7 +50,13 @@ class Measure:
 
 
 def time_action(action: Callable[[], object]) -> float:
-    """Return how long an action takes, without the garbage collector's moods. [s]"""
+    """Return the time of an action without garbage collection. [s]
+
+    Parameters
+    ----------
+    action : callable
+        What is timed.
+    """
     gc.collect()
     gc.disable()
     try:
@@ -61,18 +68,42 @@ def time_action(action: Callable[[], object]) -> float:
 
 
 def alternate_timings(first: Callable[[], float], second: Callable[[], float], repeats: int) -> tuple[float, float]:
-    """Return the medians of two timings taken in turn, so that a noisy machine is noisy to both."""
+    """Return the medians of two timings taken in turn, so that noise of the machine affects both equally.
+
+    Parameters
+    ----------
+    first, second : callable
+        Each returns a time. [s]
+    repeats : int
+        Number of timings of each.
+    """
     pairs = [(first(), second()) for _ in range(repeats)]
     return median(a for a, _ in pairs), median(b for _, b in pairs)
 
 
 def cut_blocks(messages: Sequence[Message], size: int = BLOCK) -> Iterable[Sequence[Message]]:
-    """Cut messages into blocks."""
+    """Return messages in blocks.
+
+    Parameters
+    ----------
+    messages : sequence of Message
+        The messages.
+    size : int
+        Number of messages in a block.
+    """
     return (messages[at : at + size] for at in range(0, len(messages), size))
 
 
 def measure_replay(repeats: int = 3, cars: int = 50, turns: int = 2000) -> Measure:
-    """Measure reading, decoding, cleaning and forecasting a recording against iterating it with the bare reader."""
+    """Measure reading, decoding, cleaning and forecasting a recording, against iterating it with the bare reader.
+
+    Parameters
+    ----------
+    repeats : int
+        Number of repetitions, of which the median counts.
+    cars, turns : int
+        Number of cars, and samples of each.
+    """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "bench.mcap"
         with McapSink(path) as sink:
@@ -101,13 +132,22 @@ def measure_replay(repeats: int = 3, cars: int = 50, turns: int = 2000) -> Measu
         ">= 0.7",
         bare_s / whole_s >= 0.7,
         {"replay_us_per_sample": whole_s / n * 1e6, "bare_us_per_sample": bare_s / n * 1e6},
-        "Of a replayed sample, a third is reading (chunks are split by hand), two fifths decoding JSON to columns, a "
-        "fifth the steps after it, the rest encoding forecasts. The bare reader makes an object of every record.",
+        "Reading takes a third of the time of a replayed sample (chunks are split in Python), decoding JSON "
+        "to columns two fifths, the steps after it a fifth, and encoding forecasts the rest. The bare reader "
+        "makes an object of every record.",
     )
 
 
 def measure_arrays(repeats: int = 5, cars: int = 1000, turns: int = 200) -> Measure:
-    """Measure clean, signals and sums over arrays in memory, in samples a second on one core."""
+    """Measure cleaning, signals and totals over arrays in memory, in samples per second on one core.
+
+    Parameters
+    ----------
+    repeats : int
+        Number of repetitions, of which the median counts.
+    cars, turns : int
+        Number of cars, and samples of each.
+    """
     pipeline, batch = _prepared(cars, turns)
     n = batch.size
 
@@ -122,16 +162,16 @@ def measure_arrays(repeats: int = 5, cars: int = 1000, turns: int = 200) -> Meas
     run()
     speed = n / median(run() for _ in range(repeats))
     return Measure(
-        "arrays through clean, signals and sums, one core",
-        "a million samples a second",
+        "arrays through cleaning, signals and totals, one core",
+        "a million samples per second",
         speed / 1e6,
         ">= 1",
         speed >= 1e6,
         {"ns_per_sample": 1e9 / speed},
-        "A third is the cleaning kernel, a third entering sums into the books, both bound by memory: each sample "
-        "touches the half kilobyte of its car's state and the sums of its ride. The rest is numpy over blocks of "
-        "4,000 rows. Blocks of a power of two take a third as long again: their columns push each other out of the "
-        "cache.",
+        "The cleaning kernel takes a third of the time and the totals another third. Both are bound by "
+        "memory: each sample touches half a kilobyte of state of its car and the totals of its ride. The rest "
+        "is numpy over blocks of 4,000 rows. Blocks with a power of two rows take a third longer, because "
+        "their columns evict each other from the cache.",
     )
 
 
@@ -154,7 +194,15 @@ def _prepared(cars: int, turns: int) -> tuple[Pipeline, Batch]:
 
 
 def measure_scale(repeats: int = 3, few: int = 1000, many: int = 1_000_000) -> Measure:
-    """Measure the cost of a sample, payload to forecast, in a fleet of a million against one of a thousand."""
+    """Measure the cost of a sample, from payload to forecast, in a fleet of a million cars against a thousand.
+
+    Parameters
+    ----------
+    repeats : int
+        Number of repetitions, of which the median counts.
+    few, many : int
+        Number of cars of both fleets.
+    """
     fleets = []
     for cars in (few, many):
         pipeline = _prepared_pipeline(cars)
@@ -182,6 +230,7 @@ def measure_scale(repeats: int = 3, few: int = 1000, many: int = 1_000_000) -> M
         "<= 2",
         ratio <= 2.0,
         {"us_among_many": median(many_s) * 1e6, "us_among_few": median(few_s) * 1e6},
-        "Cache misses: of a thousand cars the state fits into the processor's cache, of a million (2 GB) it does not, "
-        "and every sample waits for its car's. That is one stretch of memory, so it waits but a few times.",
+        "Cache misses limit it. The state of a thousand cars fits into the processor's cache. The state of a "
+        "million cars (2 GB) does not, so every sample waits for the state of its car. That state is "
+        "contiguous in memory, so a sample waits only a few times.",
     )

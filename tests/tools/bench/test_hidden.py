@@ -1,4 +1,4 @@
-"""The benchmark of hidden effects: its data are those of the whole way, and its figures say what happened."""
+"""The benchmark of hidden effects makes the tables of the product and evaluates names correctly."""
 
 import json
 from dataclasses import replace
@@ -50,7 +50,8 @@ def source():
         yield whole
 
 
-def without_power(message):
+def remove_power(message):
+    """Return a message without voltage and current."""
     if not message.key.endswith("telemetry"):
         return message
     try:
@@ -61,10 +62,11 @@ def without_power(message):
     return message._replace(payload=encode(bare))
 
 
-def whole_way(simulation, measurement):
+def run_pipeline(simulation, measurement):
+    """Return rides and windows of a simulation from the whole pipeline."""
     messages = list(simulate(simulation))
     pipeline = Pipeline(also=effects.list_tabulated(), keep_forecasts=False)
-    pipeline.take(messages if measurement == "vi" else [without_power(message) for message in messages])
+    pipeline.take(messages if measurement == "vi" else [remove_power(message) for message in messages])
     pipeline.finish()
     return pipeline.take_rides(), pipeline.take_windows()
 
@@ -72,19 +74,19 @@ def whole_way(simulation, measurement):
 class TestData:
     @pytest.mark.parametrize("hidden", [(COLD,), (Hidden("regen_full_battery~other", 0.06), Hidden("headwind", 0.03))])
     @pytest.mark.parametrize("measurement", ["vi", "soc"])
-    def test_are_those_of_the_whole_way(self, drives, recording, hidden, measurement):
+    def test_tables_equal_those_of_the_pipeline(self, drives, recording, hidden, measurement):
         simulation = replace(SMALL, hidden=hidden, faults=replace(SMALL.faults, quantised=1.0))
         made = recording.tables(drives.measured(hidden), measurement, [effect for effect, _ in hidden])
         order = ["vehicle_id", "start_s"]
-        for expected, found in zip(whole_way(simulation, measurement), made[:2], strict=True):
+        for expected, table in zip(run_pipeline(simulation, measurement), made[:2], strict=True):
             pd.testing.assert_frame_equal(
-                found[expected.columns].sort_values(order, ignore_index=True),
+                table[expected.columns].sort_values(order, ignore_index=True),
                 expected.sort_values(order, ignore_index=True),
                 rtol=1e-12,
                 atol=1e-12,
             )
 
-    def test_hidden_energy_is_what_the_meter_gains(self, drives, recording):
+    def test_hidden_energy_equals_the_increase_of_measured_energy(self, drives, recording):
         base = recording.tables(drives.measured(), "vi").windows
         with_it = recording.tables(drives.measured([COLD]), "vi", ["cold_rolling"])
         gained = with_it.windows["energy_vi_kwh"] - base["energy_vi_kwh"]
@@ -92,32 +94,32 @@ class TestData:
         assert gained.sum() == pytest.approx(truth.sum(), rel=0.01)
         np.testing.assert_allclose(gained, truth, atol=5e-4)
 
-    def test_takes_its_share_of_the_rides_energy(self, drives, recording):
+    def test_effect_takes_its_share_of_the_energy_of_rides(self, drives, recording):
         made = recording.tables(drives.measured([COLD]), "vi", ["cold_rolling"])
         assert made.hidden["cold_rolling"].sum() / made.windows["energy_kwh"].sum() == pytest.approx(0.06, rel=0.05)
 
     @pytest.mark.parametrize("where", [Scope(vehicle="taxi-002"), Scope(since="2018-04-01")])
-    def test_is_hidden_there_and_nowhere_else(self, drives, recording, where):
+    def test_effect_is_hidden_in_its_scope_only(self, drives, recording, where):
         made = recording.tables(drives.measured([COLD], where), "vi", ["cold_rolling"])
         table = made.windows.assign(truth=made.hidden["cold_rolling"])
         within = table["vehicle_id"] == "taxi-002" if where.vehicle else table["start_s"] >= 1522540800.0
         assert not table.loc[~within, "truth"].any()
         assert table.loc[within, "truth"].sum() / table.loc[within, "energy_kwh"].sum() == pytest.approx(0.06, rel=0.05)
 
-    def test_noisy_weather_is_off_by_a_third_and_nothing_else_is(self, drives):
-        said = [msgspec.json.decode(m.payload, type=Weather) for m in drives.messages if m.key.startswith("weather")]
+    def test_noisy_weather_changes_wind_and_rain_only(self, drives):
+        exact = [msgspec.json.decode(m.payload, type=Weather) for m in drives.messages if m.key.startswith("weather")]
         blurred = add_weather_noise(drives.messages, 1)
         other = [msgspec.json.decode(m.payload, type=Weather) for m in blurred if m.key.startswith("weather")]
-        ratio = np.array([b.wind_speed_kmh / a.wind_speed_kmh for a, b in zip(said, other, strict=True)])
+        ratio = np.array([b.wind_speed_kmh / a.wind_speed_kmh for a, b in zip(exact, other, strict=True)])
         assert np.log(ratio).std() == pytest.approx(0.3, abs=0.02)
         assert ratio.mean() == pytest.approx(1.0, abs=0.02)
-        turned = [(b.wind_from_deg - a.wind_from_deg + 180) % 360 - 180 for a, b in zip(said, other, strict=True)]
+        turned = [(b.wind_from_deg - a.wind_from_deg + 180) % 360 - 180 for a, b in zip(exact, other, strict=True)]
         assert np.std(turned) == pytest.approx(20.0, abs=1.5)
-        assert [a.temperature_c for a in said] == [b.temperature_c for b in other]
+        assert [a.temperature_c for a in exact] == [b.temperature_c for b in other]
         others = [a == b for a, b in zip(drives.messages, blurred, strict=True) if not a.key.startswith("weather")]
         assert all(others)
 
-    def test_cars_take_turns(self):
+    def test_cars_drive_on_different_days(self):
         taken = simulate_drives(replace(SMALL, days=4, day_step=7), 2)
         dates: dict[str, list[int]] = {name: [] for name in taken.vehicles}
         for leg in taken.legs:
@@ -141,7 +143,8 @@ class TestNames:
         assert get_right_names("snow~other") == ("snow",)
 
 
-def name(effect, columns=(), group=(), value=1.0, plausible=True):
+def make_name(effect, columns=(), group=(), value=1.0, plausible=True):
+    """Return a name as diagnosis gives it."""
     return {
         "effect": effect,
         "variant": effect,
@@ -155,7 +158,8 @@ def name(effect, columns=(), group=(), value=1.0, plausible=True):
     }
 
 
-def said(*missing, structure=False):
+def make_result(*missing, structure=False):
+    """Return a result of diagnosis."""
     return {
         "missing": list(missing),
         "verdict": missing[0]["effect"] if missing else None,
@@ -164,30 +168,32 @@ def said(*missing, structure=False):
     }
 
 
-class TestJudging:
+class TestEvaluation:
     case = Case(5, (Hidden("snow", 0.03),))
 
     @pytest.mark.parametrize(
         ("result", "outcome", "doubt"),
         [
-            (said(), "none", False),
-            (said(name("snow")), "right", False),
-            (said(name("wet_road", group=["snow"])), "group", True),
-            (said(name("wet_road")), "wrong", False),
-            (said(name("wet_road"), structure=True), "wrong", True),
-            (said(name("wet_road", plausible=False)), "wrong", True),
+            (make_result(), "none", False),
+            (make_result(make_name("snow")), "right", False),
+            (make_result(make_name("wet_road", group=["snow"])), "group", True),
+            (make_result(make_name("wet_road")), "wrong", False),
+            (make_result(make_name("wet_road"), structure=True), "wrong", True),
+            (make_result(make_name("wet_road", plausible=False)), "wrong", True),
         ],
     )
-    def test_first_name(self, result, outcome, doubt):
-        found = grade_names(self.case, result)
-        assert (found["outcome"], found["doubt"]) == (outcome, doubt)
+    def test_outcome_grades_the_first_name(self, result, outcome, doubt):
+        grade = grade_names(self.case, result)
+        assert (grade["outcome"], grade["doubt"]) == (outcome, doubt)
 
-    def test_two_effects_are_found_in_two_steps(self):
+    def test_two_effects_count_among_two_names(self):
         both = Case(5, (Hidden("snow", 0.03), Hidden("headwind", 0.03)))
-        assert grade_names(both, said(name("headwind"), name("snow")))["found"] == 2
-        assert grade_names(both, said(name("headwind"), name("payload"), name("snow")))["found"] == 1
+        assert grade_names(both, make_result(make_name("headwind"), make_name("snow")))["found"] == 2
+        assert (
+            grade_names(both, make_result(make_name("headwind"), make_name("payload"), make_name("snow")))["found"] == 1
+        )
 
-    def test_scope(self):
+    def test_scope_includes_cars_and_dates(self):
         one, later = replace(self.case, where=Scope(vehicle="a")), replace(self.case, where=Scope(since="2018-06-01"))
         assert is_scope_right(self.case, ["effect_wet_road@depth=0.001"])
         assert not is_scope_right(self.case, ["effect_snow", "vehicle=a"])
@@ -197,38 +203,38 @@ class TestJudging:
         assert not is_scope_right(later, ["effect_snow", "since=2018-09-01"])
         assert not is_scope_right(later, ["effect_snow"])
 
-    def test_a_record_tells_of_the_truth(self, source):
+    def test_record_contains_the_truth(self, source):
         case = Case(5, (Hidden("headwind", 0.06),))
         tables = source.tables(case)
 
         def diagnose(_rides, _windows, model):
             assert model.recipe == "road_load"
-            return said(name("headwind", value=0.6))
+            return make_result(make_name("headwind", value=0.6))
 
-        found = evaluate_case(case, tables, diagnose, timed=True)
-        assert json.loads(json.dumps(found)) == found
-        (interval,) = found["intervals"]
+        record = evaluate_case(case, tables, diagnose, timed=True)
+        assert json.loads(json.dumps(record)) == record
+        (interval,) = record["intervals"]
         assert interval["right"]
-        assert 0.8 < found["left"] <= 1.0
-        assert 0.8 < found["alike"] <= 1.0
-        assert found["z"] > 3.0
+        assert 0.8 < record["left"] <= 1.0
+        assert 0.8 < record["alike"] <= 1.0
+        assert record["z"] > 3.0
         assert 0.05 < interval["truth"] < 3.0
-        assert max(found["errors"]["truth"], found["errors"]["after"]) < found["errors"]["before"]
-        assert found["stlsq_seconds"] > 0.0
+        assert max(record["errors"]["truth"], record["errors"]["after"]) < record["errors"]["before"]
+        assert record["stlsq_seconds"] > 0.0
 
-    def test_what_is_not_to_be_asked_of_is_passed_on(self, source):
+    def test_excluded_effects_are_passed_to_diagnosis(self, source):
         case = Case(5, (Hidden("headwind", 0.06),), without=("headwind",))
-        heard = []
+        calls = []
 
         def diagnose(*_, without):
-            heard.append(without)
-            return said()
+            calls.append(without)
+            return make_result()
 
         evaluate_case(case, source.tables(case), diagnose)
-        assert heard == [("headwind",)]
+        assert calls == [("headwind",)]
 
     @pytest.mark.parametrize("measurement", ["vi", "soc"])
-    def test_the_truth_of_windows_is_theirs(self, source, measurement):
+    def test_true_energy_belongs_to_its_window(self, source, measurement):
         tables = source.tables(Case(5, (Hidden("snow", 0.06),), measurement))
         windows = gather_windows(
             tables.rides, tables.windows, fit_to_windows("road_load", tables.rides, tables.windows)
@@ -242,7 +248,7 @@ class TestJudging:
 
 
 class TestErrors:
-    def test_held_out_days_tell_nothing_of_themselves(self):
+    def test_held_out_days_do_not_affect_their_predictions(self):
         rng = np.random.default_rng(0)
         columns, fold = rng.normal(size=(60, 2)), np.arange(60) % 3
         energy = columns @ np.array([2.0, -1.0])
@@ -250,7 +256,7 @@ class TestErrors:
         spoilt = energy + 100.0 * (fold == 1)
         np.testing.assert_allclose(predict_held_out(columns, spoilt, fold)[fold == 1], energy[fold == 1])
 
-    def test_the_truth_takes_what_is_hidden_away(self, source):
+    def test_error_with_known_truth_equals_error_without_hidden_energy(self, source):
         tables = source.tables(Case(5, (Hidden("solar_load", 0.06),)))
         windows = gather_windows(
             tables.rides, tables.windows, fit_to_windows("road_load", tables.rides, tables.windows)
@@ -258,14 +264,14 @@ class TestErrors:
         hidden = 50.0 * np.random.default_rng(1).normal(size=len(windows.measured)) * windows.measured.std()
         spoilt = Windows(**{**vars(windows), "measured": windows.measured + hidden})
         model = fit_to_windows("road_load", tables.rides, tables.windows)
-        found, clean = compute_errors(spoilt, model, hidden, []), compute_errors(windows, model, 0.0 * hidden, [])
-        assert found.truth == pytest.approx(clean.before)
-        assert found.before > 10.0 * clean.before
-        assert found.after == found.before
+        errors, clean = compute_errors(spoilt, model, hidden, []), compute_errors(windows, model, 0.0 * hidden, [])
+        assert errors.truth == pytest.approx(clean.before)
+        assert errors.before > 10.0 * clean.before
+        assert errors.after == errors.before
 
 
 class TestParts:
-    def test_everything_that_was_asked_for_is_in_them(self):
+    def test_parts_contain_the_selected_data_sets(self):
         choice = Selection(seeds=10)
         one = list(PARTS["one"](choice))
         assert len(one) == len(set(one)) == len(EFFECTS) * 10 * 4 * 2 * 2 * 2
@@ -278,7 +284,7 @@ class TestParts:
         assert all(case.where.since for case in PARTS["date"](choice))
         assert all(case.without == get_right_names(case.hidden[0].effect) for case in PARTS["outside"](choice))
 
-    def test_seeds_that_follow_are_of_other_drives(self):
+    def test_different_seeds_have_different_drives(self):
         for part in PARTS.values():
             early, late = (part(Selection(seeds=2, first=first, effects=("snow", "wet_road"))) for first in (0, 2))
             early_seeds, late_seeds = ({case.seed for case in cases} for cases in (early, late))
@@ -286,7 +292,7 @@ class TestParts:
             assert len(late_seeds) == len(early_seeds)
         assert {case.seed for case in PARTS["one"](Selection(seeds=2, first=40))} == {40, 41}
 
-    def test_a_sample_is_of_them_and_the_same_each_time(self):
+    def test_sample_is_a_reproducible_subset(self):
         every = list(PARTS["one"](Selection(seeds=2)))
         some = draw_sample(every, 50)
         assert len(some) == 50
@@ -294,33 +300,33 @@ class TestParts:
         assert set(some) < set(every)
         assert draw_sample(every[:10], 50) == every[:10]
 
-    def test_tasks_keep_to_a_seed(self):
+    def test_tasks_have_one_seed_each(self):
         todo = make_tasks("one", list(PARTS["one"](Selection(seeds=3, effects=("snow",)))))
         assert [{case.seed for case in cases} for _, cases in todo] == [{0}, {1}, {2}]
 
 
 class TestRunning:
-    def test_records_that_are_kept_are_not_made_again(self, source, tmp_path, monkeypatch):
+    def test_kept_records_are_not_made_again(self, source, tmp_path, monkeypatch):
         monkeypatch.setattr("tools.bench.hidden.running._source", lambda _: source)
-        heard = []
+        calls = []
 
         def diagnose(rides, *_):
-            heard.append(len(rides))
-            return said()
+            calls.append(len(rides))
+            return make_result()
 
         todo = [Case(5, (Hidden("snow", 0.03),)), Case(5)]
         first = run_cases("one", todo, diagnose, tmp_path)
         again = run_cases("one", [*todo, Case(5, measurement="soc")], diagnose, tmp_path)
-        assert len(heard) == 3
+        assert len(calls) == 3
         assert again[:2] == first
 
-    def test_what_cannot_be_made_is_told(self, source, monkeypatch):
+    def test_impossible_data_set_gives_a_record_with_the_reason(self, source, monkeypatch):
         monkeypatch.setattr("tools.bench.hidden.running._source", lambda _: source)
         roofless = next(leg.member.name for leg in source.drives.legs if not leg.member.car.roof_drag_area)
         case = Case(5, (Hidden("roof_load", 0.03),), where=Scope(vehicle=roofless))
-        (found,) = run_cases("vehicle", [case], lambda *_: said())
-        assert "too little" in found["refused"]
+        (record,) = run_cases("vehicle", [case], lambda *_: make_result())
+        assert "too little" in record["refused"]
 
-    def test_an_effect_with_nothing_to_act_on_is_refused(self, drives):
+    def test_effect_with_nothing_to_act_on_is_rejected(self, drives):
         with pytest.raises(SettingsError, match="too little"):
             drives.measured([Hidden("snow", 0.03)], Scope(since="2018-04-20"))

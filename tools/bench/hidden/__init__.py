@@ -1,1 +1,1 @@
-"""Whether diagnosis finds what a simulation hides: data sets made from one simulation each, and figures over many."""
+"""Benchmark diagnosis: hide effects in simulated data sets, and count how often diagnosis names them."""

@@ -1,6 +1,6 @@
-"""`make bench-hidden`: hide effects, see whether diagnosis finds them, and keep the figures in BENCHMARKS.md.
+"""`make bench-hidden`: hide effects, count how often diagnosis names them, and write the figures to BENCHMARKS.md.
 
-python -m tools.bench.hidden --part one --seeds 2 --effects cold_rolling,headwind --shares 0.03 --measurements vi
+Example: python -m tools.bench.hidden --part one --seeds 2 --effects cold_rolling,headwind --measurements vi
 """
 
 import argparse
@@ -29,104 +29,150 @@ ROOT = Path(__file__).parent.parent.parent.parent
 RECORDS = "bench-hidden.json"
 PAGE = "BENCHMARKS.md"
 QUICK = 60
-"""Data sets of each part with `--quick`."""
+"""Number of data sets of each part with `--quick`."""
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run what was asked for; return the exit code."""
-    asked = make_parser().parse_args(arguments)
+    """Run the benchmark.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        Command line, by default that of the process.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
+    options = make_parser().parse_args(arguments)
     console = Console()
     try:
-        choice = parse_selection(asked)
-        parts = parse_list("--part", asked.part, tuple(PARTS))
-        sizes = parse_sizes(str(QUICK) if asked.quick and asked.sample is None else asked.sample or "", parts)
+        choice = parse_selection(options)
+        parts = parse_list("--part", options.part, tuple(PARTS))
+        sizes = parse_sizes(str(QUICK) if options.quick and options.sample is None else options.sample or "", parts)
         todo = [
             task for part in parts for task in make_tasks(part, draw_sample(list(PARTS[part](choice)), sizes.get(part)))
         ]
-        todo.sort(key=lambda task: task[1][0].seed)  # the drives of a seed are made once for all parts
-        records = collect_records(todo, asked.keep, asked.processes, console)
+        todo.sort(key=lambda task: task[1][0].seed)  # so that the drives of a seed are simulated once for all parts
+        records = collect_records(todo, options.keep, options.processes, console)
     except SocastError as error:
         print(error, file=sys.stderr)
         return 2
     print_figures(records, console)
-    Path(asked.json or ROOT / RECORDS).write_text(json.dumps(records) + "\n", encoding="utf-8")
-    if not asked.dry:
+    Path(options.json or ROOT / RECORDS).write_text(json.dumps(records) + "\n", encoding="utf-8")
+    if not options.dry:
         path = ROOT / PAGE
         drawn = ", ".join(f"{size:,} of part {part}" for part, size in sizes.items())
-        told = f"drawn at random: {drawn}" if drawn else "all data sets"
-        new = make_section(records, f"{choice.seeds} seeds from {choice.first}, {told}")
+        run = f"drawn at random: {drawn}" if drawn else "all data sets"
+        new = make_section(records, f"{choice.seeds} seeds from {choice.first}, {run}")
         path.write_text(replace_section(path.read_text(encoding="utf-8"), new), encoding="utf-8")
     return 0
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return what the command line may say."""
-    found = argparse.ArgumentParser("bench-hidden", description=__doc__.splitlines()[0])
-    found.add_argument("--part", default=",".join(PARTS), help=f"of {', '.join(PARTS)}; several with commas")
-    found.add_argument("--seeds", type=int, default=SEEDS, help="how many simulations")
-    found.add_argument("--first-seed", type=int, default=0, help="the first of them")
-    found.add_argument("--effects", default=",".join(EFFECTS), help="with commas")
-    found.add_argument("--shares", default=",".join(map(str, SHARES)), help="of the energy, with commas")
-    found.add_argument("--measurements", default="vi,soc")
-    found.add_argument("--weathers", default="none,noisy")
-    found.add_argument("--shapes", default="first,other", help="the simulator's own, or another")
-    found.add_argument("--sample", help="as many data sets, drawn at random: of each part, 60, or one=300,none=100")
-    found.add_argument("--quick", action="store_true", help=f"--sample {QUICK}")
-    found.add_argument("--keep", type=Path, help="folder for records; those that are there are not made again")
-    found.add_argument("--processes", type=int, default=PROCESSES)
-    found.add_argument("--json", type=Path, help=f"file for all records, by default {RECORDS}")
-    found.add_argument("--dry", action="store_true", help=f"leave {PAGE} as it is")
-    return found
+    """Return the parser of the command line."""
+    parser = argparse.ArgumentParser("bench-hidden", description=__doc__.splitlines()[0])
+    parser.add_argument("--part", default=",".join(PARTS), help=f"parts, separated by commas: {', '.join(PARTS)}")
+    parser.add_argument("--seeds", type=int, default=SEEDS, help="number of simulations")
+    parser.add_argument("--first-seed", type=int, default=0, help="first seed")
+    parser.add_argument("--effects", default=",".join(EFFECTS), help="effects, separated by commas")
+    parser.add_argument("--shares", default=",".join(map(str, SHARES)), help="shares of the energy")
+    parser.add_argument("--measurements", default="vi,soc", help="vi (voltage and current) or soc only")
+    parser.add_argument("--weathers", default="none,noisy", help="error of the weather: none or noisy")
+    parser.add_argument("--shapes", default="first,other", help="shapes of the effects: first (linear forms) or other")
+    parser.add_argument("--sample", help="number of data sets drawn from each part: 60, or one=300,none=100")
+    parser.add_argument("--quick", action="store_true", help=f"same as --sample {QUICK}")
+    parser.add_argument("--keep", type=Path, help="folder for records; existing records are not made again")
+    parser.add_argument("--processes", type=int, default=PROCESSES, help="number of processes")
+    parser.add_argument("--json", type=Path, help=f"file for all records; default {RECORDS}")
+    parser.add_argument("--dry", action="store_true", help=f"do not write {PAGE}")
+    return parser
 
 
 def parse_sizes(text: str, parts: Sequence[str]) -> dict[str, int]:
-    """Return how many data sets of each part are drawn; a part that is not there is taken whole.
+    """Return the number of data sets to draw of each part; a part without a number is run completely.
+
+    Parameters
+    ----------
+    text : str
+        A number for all parts, or `part=number,...`.
+    parts : sequence of str
+        Parts of this run.
+
+    Returns
+    -------
+    dict of str to int
 
     Raises
     ------
     SettingsError
+        If the text is neither.
     """
     pairs = [item.partition("=") for item in filter(None, text.split(","))]
     sizes = {name: size for name, equals, size in pairs if equals}
     sizes |= {part: name for name, equals, _ in pairs if not equals for part in parts}
     if any(not size.isdigit() or part not in parts for part, size in sizes.items()):
-        raise SettingsError(f"--sample {text!r} is no size; write 60, or one=300,none=100 with parts of this run")
+        raise SettingsError(f"--sample is {text!r}; give a number such as 60, or parts of this run as one=300,none=100")
     return {part: int(size) for part, size in sizes.items()}
 
 
-def parse_selection(asked: argparse.Namespace) -> Selection:
-    """Return what of each part is run.
+def parse_selection(options: argparse.Namespace) -> Selection:
+    """Return the selection of data sets from the command line.
+
+    Parameters
+    ----------
+    asked : Namespace
+        Parsed command line.
+
+    Returns
+    -------
+    Selection
 
     Raises
     ------
     SettingsError
+        If an option has no valid value.
     """
-    if asked.seeds < 1:
-        raise SettingsError(f"--seeds is {asked.seeds}; give 1 or more")
-    if asked.first_seed < 0:
-        raise SettingsError(f"--first-seed is {asked.first_seed}; give 0 or more")
+    if options.seeds < 1:
+        raise SettingsError(f"--seeds is {options.seeds}; give 1 or more")
+    if options.first_seed < 0:
+        raise SettingsError(f"--first-seed is {options.first_seed}; give 0 or more")
     try:
-        shares = tuple(float(text) for text in asked.shares.split(","))
+        shares = tuple(float(text) for text in options.shares.split(","))
     except ValueError:
-        raise SettingsError(f"--shares {asked.shares!r} are no numbers; write 0.015,0.03") from None
+        raise SettingsError(f"--shares is {options.shares!r}; give numbers such as 0.015,0.03") from None
     return Selection(
-        seeds=asked.seeds,
-        first=asked.first_seed,
-        effects=parse_list("--effects", asked.effects, tuple(EFFECTS)),
+        seeds=options.seeds,
+        first=options.first_seed,
+        effects=parse_list("--effects", options.effects, tuple(EFFECTS)),
         shares=shares,
-        measurements=parse_list("--measurements", asked.measurements, get_args(Measurement)),
-        weathers=parse_list("--weathers", asked.weathers, get_args(Weather)),
-        shapes=parse_list("--shapes", asked.shapes, ("first", "other")),
+        measurements=parse_list("--measurements", options.measurements, get_args(Measurement)),
+        weathers=parse_list("--weathers", options.weathers, get_args(Weather)),
+        shapes=parse_list("--shapes", options.shapes, ("first", "other")),
     )
 
 
 def parse_list(option: str, text: str, known: tuple[str, ...]) -> tuple[Any, ...]:
-    """Return names from a list with commas.
+    """Return names from a comma-separated list.
+
+    Parameters
+    ----------
+    option : str
+        Name of the option, for the message of the error.
+    text : str
+        The list.
+    known : tuple of str
+        Valid names.
+
+    Returns
+    -------
+    tuple of str
 
     Raises
     ------
     SettingsError
-        For one that is unknown.
+        If a name is unknown.
     """
     names = tuple(filter(None, (part.strip() for part in text.split(","))))
     for name in names:
@@ -136,10 +182,22 @@ def parse_list(option: str, text: str, known: tuple[str, ...]) -> tuple[Any, ...
 
 
 def collect_records(todo: list[Task], keep: Path | None, processes: int, console: Console) -> list[Record]:
-    """Return all records."""
+    """Return the records of all data sets.
+
+    Parameters
+    ----------
+    todo : list of Task
+        Data sets by seed.
+    keep : Path or None
+        Folder for records.
+    processes : int
+        Number of processes.
+    console : Console
+        Shows a progress bar on a terminal.
+    """
     records: list[Record] = []
     with Progress(console=Console(stderr=True), transient=True, disable=not console.is_terminal) as progress:
-        bar = progress.add_task("hiding and seeking", total=sum(len(cases) for _, cases in todo))
+        bar = progress.add_task("diagnosing data sets", total=sum(len(cases) for _, cases in todo))
         for done in run_tasks(todo, diagnose, keep, processes):
             records += done
             progress.advance(bar, len(done))
@@ -147,7 +205,15 @@ def collect_records(todo: list[Task], keep: Path | None, processes: int, console
 
 
 def print_figures(records: list[Record], console: Console) -> None:
-    """Print the figures."""
+    """Print the figures.
+
+    Parameters
+    ----------
+    records : list of Record
+        Records of all data sets.
+    console : Console
+        Where to print.
+    """
     columns = [Column("figure"), Column("goal"), Column("is", number=True), Column("of", number=True), Column("")]
     table = make_table(columns, "Hidden effects")
     for figure in compute_figures(records):

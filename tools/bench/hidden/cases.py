@@ -1,4 +1,4 @@
-"""One data set of the benchmark: what is hidden in which drives, how it is measured, and what counts as found."""
+"""Define the data sets of the benchmark: hidden effects, drives, measurements, and the right names."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -29,32 +29,35 @@ RIGHT_NAMES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "humidity": ("humidity", "demisting"),
     }
 )
-"""What counts as the right name where the library calls a cause otherwise than the simulator, or by several names.
+"""Right names where the library has another name for a cause than the simulator, or several names.
 
-`drivetrain_loss`: the simulator's loss grows with the square of the power at the wheels; the library has one effect
-that grows with the square of the power, one with that of the force and one with that of the speed, which make it up.
-`humidity`: the simulator's is the drying of damp air, by relative humidity; the library has that as `demisting`, and
-as `humidity` the latent load of cooling, by vapour pressure. Both dry air.
+`drivetrain_loss`: the loss of the simulator grows with the square of the power at the wheels. The library has one
+effect that grows with the square of the power, one with the square of the force and one with that of the speed.
+Together they make up the loss. `humidity`: the effect of the simulator is the drying of damp air, by relative humidity.
+The library calls that `demisting`, and calls the latent load of cooling, by vapour pressure, `humidity`. Both dry air.
 """
 BARE: Final = frozenset({"cabin_heating", "cabin_cooling"})
-"""Effects that the base must not have already: cars without climate control, and a model with constant auxiliaries."""
+"""Effects that need cars without climate control and a model with constant auxiliaries as a base."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """A data set.
+    """Describe a data set.
 
     Parameters
     ----------
     seed : int
+        Seed of the drives.
     hidden : tuple of Hidden
         Effects and their shares of the energy.
     measurement : {"vi", "soc"}
+        Whether the cars report voltage and current, or the state of charge only.
     weather : {"none", "noisy"}
-        Error of wind and rain in what the weather stations say.
-    where : Where
+        Error of wind and rain in the observations of the stations.
+    where : Scope
+        Cars and dates in which the effects are hidden.
     without : tuple of str
-        Effects of the library that diagnosis is not to ask of.
+        Effects that are removed from the candidates of diagnosis.
     """
 
     seed: int
@@ -66,7 +69,7 @@ class Case:
 
     @property
     def bare(self) -> bool:
-        """Whether the cars have no climate control and the model no accessory curve."""
+        """Whether the cars have no climate control and the model has no accessory curve."""
         return any(strip_shape(effect) in BARE for effect, _ in self.hidden)
 
     @property
@@ -76,21 +79,34 @@ class Case:
 
 
 def strip_shape(effect: str) -> str:
-    """Return the name of an effect whichever its shape."""
+    """Return the name of an effect without its shape.
+
+    Parameters
+    ----------
+    effect : str
+        Name of the effect in either shape.
+    """
     return effect.removesuffix(OTHER)
 
 
 def get_right_names(effect: str) -> tuple[str, ...]:
-    """Return the effects of the library that are right to be named where this one is hidden."""
+    """Return the effects of the library that are right names for a hidden effect.
+
+    Parameters
+    ----------
+    effect : str
+        Name of the hidden effect in either shape.
+    """
     return RIGHT_NAMES.get(strip_shape(effect), (strip_shape(effect),))
 
 
 class SeedData:
-    """All data sets of a seed.
+    """Make all data sets of a seed from one simulation.
 
     Parameters
     ----------
     seed : int
+        Seed of the drives.
     """
 
     def __init__(self, seed: int) -> None:
@@ -104,23 +120,34 @@ class SeedData:
         return simulate_drives(replace(FLEET, seed=self.seed), TURNS)
 
     def recording(self, weather: Weather) -> Recording:
-        """Return what a consumer has, under one weather or the other."""
+        """Return what a consumer receives with exact or noisy weather.
+
+        Parameters
+        ----------
+        weather : {"none", "noisy"}
+            Error of the weather.
+        """
         if weather not in self._recordings:
             messages = add_weather_noise(self.drives.messages, self.seed) if weather == "noisy" else None
             self._recordings[weather] = record_drives(self.drives, messages)
         return self._recordings[weather]
 
     def tables(self, case: Case) -> Tables:
-        """Return a data set.
+        """Return the tables of a data set.
+
+        Parameters
+        ----------
+        case : Case
+            The data set.
 
         Raises
         ------
         SettingsError
-            For an effect that has nothing to act on there.
+            If an effect has nothing to act on there.
         """
-        asked = case.hidden, case.where
-        if self._last is None or self._last[0] != asked:  # measurements and weathers share what happened
+        key = case.hidden, case.where
+        if self._last is None or self._last[0] != key:  # all measurements and weathers share the same readings
             phenomena = NO_CLIMATE if case.bare else BASE
-            self._last = asked, self.drives.measured(case.hidden, case.where, phenomena)
+            self._last = key, self.drives.measured(case.hidden, case.where, phenomena)
         names = [effect for effect, _ in case.hidden]
         return self.recording(case.weather).tables(self._last[1], case.measurement, names)

@@ -1,8 +1,8 @@
-"""Drives of a small fleet over a year, simulated once; any effect can then be hidden in them.
+"""Simulate the drives of a small fleet over a year once, so that any effect can be hidden in them afterwards.
 
-What a car does and what its logger does to samples depend on nothing that a hidden effect changes. So the drives are
-simulated and recorded once, with the number of each sample in place of what it measures, and what it measures is filled
-in afterwards (`tools.bench.hidden.recording`): exactly what a simulation with the effect would have sent.
+The drive of a car and the faults of its logger do not depend on a hidden effect. So the drives are simulated and
+recorded once, with the number of each sample in place of its readings. `tools.bench.hidden.recording` fills in the
+readings. The result equals the messages of a simulation with the effect.
 """
 
 import heapq
@@ -31,7 +31,7 @@ from tools.simulator.hidden_shapes import POWERS
 from tools.simulator.settings import PLAIN_PHENOMENA, STEPS_PER_SAMPLE, Faults, Hidden, Phenomena, Simulation
 
 BASE: Final = PLAIN_PHENOMENA._replace(payload=True)
-"""Physics that nothing is hidden in: passengers weigh the 75 kg that the product counts of each."""
+"""Physics without hidden effects; passengers have the mass of 75 kg that the product assumes."""
 FLEET: Final = Simulation(
     vehicles=8,
     days=312,
@@ -40,23 +40,24 @@ FLEET: Final = Simulation(
     phenomena=BASE,
     faults=Faults(unequipped=0.0, quantised=0.0),
 )
-"""Four cars each of two models, through ten months."""
+"""Simulation of four cars each of two models over ten months."""
 TURNS: Final = 8
-"""Cars take turns, each drives on a day of its own in 8: so 39 shifts a car, some 1,300 rides, 480,000 samples.
+"""Each car drives on one day out of 8, on a different day than the others.
 
-Were they all out on the same 39 days, there would be no more than 39 different weathers, snow on a few of them,
-and nobody could tell what snow does from what else there was on that day.
+So each car drives 39 shifts, in all about 1,300 rides with 480,000 samples. If all cars drove on the same 39 days,
+there would be only 39 different weathers, with snow on a few of them. Then snow could not be distinguished from the
+other conditions of those days.
 """
 NO_CLIMATE: Final = BASE._replace(climate=False)
-"""Physics for effects that the cabin's own heating and cooling would cover."""
+"""Physics for effects that heating and cooling of the cabin would cover."""
 VOLTAGE_MARK: Final = 0.01
 CURRENT_MARK: Final = 0.01
 SOC_MARK: Final = 1e-5
-"""What a sample's number is multiplied with to travel as a voltage [V], a current [A], a state of charge [1]."""
+"""Factor by which the number of a sample is encoded as a voltage [V], a current [A] or a state of charge [1]."""
 
 
 class RecordedShift(NamedTuple):
-    """A shift as it was driven, and the number that its first sample has among its car's."""
+    """Hold a driven shift and the number of its first sample among the samples of its car."""
 
     member: FleetCar
     driven: DrivenShift
@@ -64,19 +65,23 @@ class RecordedShift(NamedTuple):
 
     @property
     def samples(self) -> int:
-        """How many samples were taken."""
+        """Number of samples of the shift."""
         return len(self.driven.view.trace.time) // STEPS_PER_SAMPLE
 
 
 class Readings(NamedTuple):
-    """What cars measure, by sample: (cars, samples) float each, NaN beyond a car's last.
+    """Hold the readings of the cars, (cars, samples) each, NaN beyond the last sample of a car.
 
     Parameters
     ----------
-    voltage, current : [V], [A]
-    soc : [1]
-    hvac : [W]
-    hidden : (effects, cars, samples) float. Mean power of each hidden effect over the time since the sample before. [W]
+    voltage, current : (cars, samples) float
+        At the terminals of the battery. [V], [A]
+    soc : (cars, samples) float
+        State of charge. [1]
+    hvac : (cars, samples) float
+        Power of heating and cooling. [W]
+    hidden : (effects, cars, samples) float
+        Mean power of each hidden effect since the previous sample. [W]
     """
 
     voltage: Floats
@@ -88,20 +93,27 @@ class Readings(NamedTuple):
 
 @dataclass(frozen=True)
 class Scope:
-    """Where an effect is hidden: in all cars or one, always or from a time on.
+    """Describe where an effect is hidden: in all cars or in one, always or from a date on.
 
     Parameters
     ----------
     vehicle : str, optional
+        Identifier of the car.
     since : str, optional
-        ISO date, from its midnight UTC on.
+        ISO date; the effect begins at midnight UTC.
     """
 
     vehicle: str | None = None
     since: str | None = None
 
     def contains(self, leg: RecordedShift) -> bool:
-        """Say whether it is hidden in a shift."""
+        """Return whether the effect is hidden in a shift.
+
+        Parameters
+        ----------
+        leg : RecordedShift
+            The shift.
+        """
         begins = leg.driven.shift.time
         after = self.since is None or begins >= datetime.fromisoformat(self.since).replace(tzinfo=UTC).timestamp()
         return after and self.vehicle in {None, leg.member.name}
@@ -112,16 +124,16 @@ EVERYWHERE: Final = Scope()
 
 @dataclass
 class Drives:
-    """Drives of one seed.
+    """Hold the drives of one seed.
 
     Parameters
     ----------
     simulation : Simulation
-        Without hidden effects; with a state of charge that is not quantised.
-    legs : list of Leg
-        By car and day.
+        Settings without hidden effects and without quantisation of the state of charge.
+    legs : list of RecordedShift
+        Shifts by car and day.
     messages : list of Message
-        All that is sent, with numbers of samples in place of voltage, current and state of charge.
+        All messages, with numbers of samples in place of voltage, current and state of charge.
     """
 
     simulation: Simulation
@@ -131,11 +143,17 @@ class Drives:
 
     @property
     def vehicles(self) -> list[str]:
-        """Names of the cars."""
+        """Identifiers of the cars."""
         return list(dict.fromkeys(leg.member.name for leg in self.legs))
 
     def views(self, phenomena: Phenomena) -> list[EffectInputs]:
-        """Return the shifts with the states that the cars have under some physics, without hidden effects."""
+        """Return the shifts with the states of the cars under given physics, without hidden effects.
+
+        Parameters
+        ----------
+        phenomena : Phenomena
+            Refinements of the physics.
+        """
         if phenomena not in self._states:
             self._states[phenomena] = [_state(leg, phenomena) for leg in self.legs]
         states = zip(self.legs, self._states[phenomena], strict=True)
@@ -144,14 +162,25 @@ class Drives:
     def measured(
         self, hidden: Sequence[Hidden] = (), where: Scope = EVERYWHERE, phenomena: Phenomena = BASE
     ) -> Readings:
-        """Return what the cars measure with effects hidden in them.
+        """Return the readings of the cars with hidden effects.
 
-        The share of an effect is that of the energy of the rides in which it is hidden.
+        Parameters
+        ----------
+        hidden : sequence of Hidden
+            Effects and their shares of the energy of the rides in which they are hidden.
+        where : Scope
+            Cars and dates in which they are hidden.
+        phenomena : Phenomena
+            Refinements of the physics.
+
+        Returns
+        -------
+        Readings
 
         Raises
         ------
         SettingsError
-            For an effect that has nothing to act on there.
+            If an effect has nothing to act on there.
         """
         hidden = tuple(hidden)
         views = self.views(phenomena)
@@ -169,7 +198,7 @@ class Drives:
         return out
 
     def _powers(self, leg: RecordedShift, view: EffectInputs, hidden: Sequence[Hidden], where: Scope) -> Floats | None:
-        """Return the powers at natural size, (effects, steps) [W]; None where nothing is hidden."""
+        """Return the powers at natural size [W], (effects, steps); None if nothing is hidden in the shift."""
         if not hidden or not where.contains(leg):
             return None
         return np.stack([POWERS[effect](view) for effect, _ in hidden])
@@ -185,13 +214,18 @@ class Drives:
 
 
 def simulate_drives(simulation: Simulation, turns: int = 1) -> Drives:
-    """Simulate the drives of a seed, and what is sent of them.
+    """Simulate the drives of a seed and their messages.
 
     Parameters
     ----------
     simulation : Simulation
+        Settings without hidden effects.
     turns : int
-        Cars take turns: each drives on one of so many days.
+        Each car drives on one out of this many days.
+
+    Returns
+    -------
+    Drives
     """
     members, sky = make_members(simulation), make_fleet_sky(simulation)
     legs: list[RecordedShift] = []
@@ -210,7 +244,7 @@ def simulate_drives(simulation: Simulation, turns: int = 1) -> Drives:
 
 
 def _marked(driven: DrivenShift, first: int) -> DrivenShift:
-    """Return a shift whose every step measures the number of the sample that it belongs to."""
+    """Return a shift in which each step measures the number of its sample."""
     view = driven.view
     number: Floats = (first + np.arange(len(view.trace.time)) // STEPS_PER_SAMPLE + 1).astype(np.float64)
     state = view.state._replace(voltage=VOLTAGE_MARK * number, current=CURRENT_MARK * number, soc=SOC_MARK * number)
@@ -218,13 +252,13 @@ def _marked(driven: DrivenShift, first: int) -> DrivenShift:
 
 
 def _state(leg: RecordedShift, phenomena: Phenomena, hidden: Floats | None = None) -> physics.State:
-    """Return a car's states over a shift."""
+    """Return the states of a car over a shift."""
     view = leg.driven.view
     return physics.integrate_states(view.trace, view.car, leg.driven.shift.soc, phenomena, hidden)
 
 
 def _enter(out: Readings, car: int, leg: RecordedShift, state: physics.State, hidden: Floats | None) -> None:
-    """Write what a car measures on a shift."""
+    """Write the readings of a car on a shift."""
     n = leg.samples
     at = slice(STEPS_PER_SAMPLE - 1, n * STEPS_PER_SAMPLE, STEPS_PER_SAMPLE)
     rows = slice(leg.first, leg.first + n)

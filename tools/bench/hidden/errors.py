@@ -1,4 +1,4 @@
-"""How much of the error goes with what was named, against a model that knows the truth, on vehicle-days held out."""
+"""Compare the held-out error before and after adding the named effects with that of a model that knows the truth."""
 
 from collections.abc import Sequence
 from typing import Final, NamedTuple
@@ -15,18 +15,22 @@ from core.models.features import ACCESSORIES_COLUMN, Columns
 FOLDS: Final = 5
 HEATING: Final = 18.0
 COOLING: Final = 21.0
-"""Below which accessories heat and above which they cool. [°C]"""
+"""Temperatures below which accessories heat and above which they cool. [°C]"""
 RANK: Final = 1e-9
+"""Relative size of singular values that count as zero. [1]"""
 
 
 class Errors(NamedTuple):
-    """Mean absolute error of rides that a model was not fitted to. [kWh]
+    """Hold the mean absolute errors of rides to which no model was fitted. [kWh]
 
     Parameters
     ----------
-    before : Of the model as it is.
-    after : With what was named added.
-    truth : With what is hidden known, window by window.
+    before : float
+        Error of the model as it is.
+    after : float
+        Error with the named effects added.
+    truth : float
+        Error if the hidden energy of each window is known.
     """
 
     before: float
@@ -37,23 +41,29 @@ class Errors(NamedTuple):
 def compute_errors(
     windows: Windows, model: LinearModel, hidden: Floats, named: Sequence[Sequence[str]], seed: int = 0
 ) -> Errors:
-    """Return the error before and after, everything refitted by least squares to the windows of other vehicle-days.
+    """Return the errors before and after, with all terms refitted by least squares to windows of other vehicle-days.
 
     Parameters
     ----------
     windows : Windows
+        Windows of the data set.
     model : LinearModel
+        The diagnosed model.
     hidden : (n,) float
-        Energy of what is hidden. [kWh]
+        Energy of the hidden effects in each window. [kWh]
     named : sequence of sequence of str
-        Columns of the term of each effect that was named.
+        Columns of the term of each named effect.
     seed : int
-        Of the folds.
+        Seed of the folds.
+
+    Returns
+    -------
+    Errors
 
     Notes
     -----
-    For each vehicle model. In place of the accessory curve stand a standby power, one that grows with the cold and one
-    that grows with the heat, so that all three are linear and none is better for a search that went otherwise.
+    Each vehicle model is fitted separately. Three linear terms replace the accessory curve: a constant power, one that
+    grows with the cold and one that grows with the heat. So no model benefits from a different search of the curve.
     """
     kinds = np.array(get_names(windows.table, "vehicle_model"), dtype=object)
     days = int(windows.day.max()) + 1
@@ -71,7 +81,22 @@ def compute_errors(
 
 
 def predict_held_out(columns: Floats, energy: Floats, fold: Ints) -> Floats:
-    """Return the predictions of each fold by least squares of the others, (n,)."""
+    """Return the predictions of each fold by least squares over the other folds.
+
+    Parameters
+    ----------
+    columns : (n, k) float
+        Columns of the model.
+    energy : (n,) float
+        Measured energy. [kWh]
+    fold : (n,) int
+        Fold of each window.
+
+    Returns
+    -------
+    (n,) float
+        Predicted energy. [kWh]
+    """
     out = np.empty(len(energy))
     for part in np.unique(fold):
         inside = fold == part
@@ -80,26 +105,35 @@ def predict_held_out(columns: Floats, energy: Floats, fold: Ints) -> Floats:
 
 
 def solve_least_squares(columns: Floats, energy: Floats) -> Floats:
-    """Return the coefficients of least squares; of columns that tell the same, the shortest."""
+    """Return the coefficients of least squares; for collinear columns those of minimum norm.
+
+    Parameters
+    ----------
+    columns : (n, k) float
+        Columns of the model.
+    energy : (n,) float
+        Measured energy. [kWh]
+    """
     size = np.sqrt((columns**2).sum(axis=0))
     scale = np.where(size > 0.0, size, 1.0)
     return np.asarray(np.linalg.lstsq(columns / scale, energy, rcond=RANK)[0] / scale)
 
 
 def _base(windows: Windows, model: LinearModel, kind: str, rows: Ints) -> Floats:
-    """Return a model's own columns for one vehicle model, (rows, k)."""
+    """Return the columns of a model for one vehicle model, (rows, k)."""
     fit = model.fits.get(kind) or model.fits[ANY]
     terms = tuple(term for term in model.terms if ACCESSORIES_COLUMN not in term.columns)
-    own = np.nan_to_num(build_design(terms, Columns(windows.table, fit.fills, None, rows), len(rows)))
+    columns = np.nan_to_num(build_design(terms, Columns(windows.table, fit.fills, None, rows), len(rows)))
     if len(terms) == len(model.terms):
-        return own
+        return columns
     hours = get_numbers(windows.table, "duration_s")[rows] / 3600.0
     ambient = np.nan_to_num(get_numbers(windows.table, "ambient_c")[rows], nan=15.0)
     power = np.column_stack(
         [np.ones(len(hours)), np.maximum(HEATING - ambient, 0.0), np.maximum(ambient - COOLING, 0.0)]
     )
-    return np.column_stack([own, power * hours[:, np.newaxis]])
+    return np.column_stack([columns, power * hours[:, np.newaxis]])
 
 
 def _term(columns: Sequence[str]) -> Term:
+    """Return the term that is the product of columns."""
     return Term(name=", ".join(columns), columns=tuple(columns), unit="1")

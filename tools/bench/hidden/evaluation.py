@@ -1,4 +1,4 @@
-"""What diagnosis says of a data set, held against what is hidden in it."""
+"""Compare the result of diagnosis on a data set with the effects that are hidden in it."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -24,20 +24,26 @@ Record = dict[str, Any]
 Diagnose = Callable[..., dict[str, Any]]
 
 DATE_ERROR: Final = 28
-"""A date that is off by so much is right. [d]"""
+"""Largest error of a right date. [d]"""
 
 
 def evaluate_case(case: Case, tables: Tables, diagnose: Diagnose, *, timed: bool = False) -> Record:
-    """Return a record of one data set: what was hidden, what was named, and how far it is right.
+    """Return the record of a data set: what was hidden, what was named, and whether that is right.
 
     Parameters
     ----------
     case : Case
+        The data set.
     tables : Tables
+        Its tables.
     diagnose : callable
-        Of rides, windows and a model, as `core.diagnose.diagnosis.diagnose`.
+        Takes rides, windows and a model, as `core.diagnose.diagnosis.diagnose`.
     timed : bool
-        Measure beside it what sparse regression takes for the same windows and candidates.
+        Also measure the time of sparse regression over the same windows and candidates.
+
+    Returns
+    -------
+    Record
     """
     rides, table, truth = tables
     model = fit_to_windows(case.recipe, rides, table)
@@ -46,11 +52,11 @@ def evaluate_case(case: Case, tables: Tables, diagnose: Diagnose, *, timed: bool
     seconds = time.perf_counter() - began
     windows = gather_windows(rides, table, model)
     hidden = compute_true_energy(windows, truth)
-    named = [found["columns"] for found in result["missing"]]
-    told: Record = {"intervals": [], "left": None, "alike": None, "z": None}
+    named = [name["columns"] for name in result["missing"]]
+    visibility: Record = {"intervals": [], "left": None, "alike": None, "z": None}
     if case.hidden:
         base = BaseProjection(windows, model)
-        told = {
+        visibility = {
             "intervals": compare_intervals(case, result["missing"], base, hidden),
             **measure_visibility(case, base, hidden),
         }
@@ -60,8 +66,8 @@ def evaluate_case(case: Case, tables: Tables, diagnose: Diagnose, *, timed: bool
         "samples": int(rides["samples"].sum()),
         "windows": len(windows.measured),
         **grade_names(case, result),
-        "missing": [_short(found) for found in result["missing"]],
-        **told,
+        "missing": [_short(name) for name in result["missing"]],
+        **visibility,
         "errors": compute_errors(windows, model, hidden.sum(axis=1), named, case.seed)._asdict(),
         "noise_floor_kwh": result["error"]["noise_floor_kwh"],
         "seconds": seconds,
@@ -75,7 +81,13 @@ def evaluate_case(case: Case, tables: Tables, diagnose: Diagnose, *, timed: bool
 
 
 def describe_case(case: Case) -> Record:
-    """Return what a data set is, as JSON has it."""
+    """Return the description of a data set as JSON holds it.
+
+    Parameters
+    ----------
+    case : Case
+        The data set.
+    """
     return {
         "seed": case.seed,
         "hidden": [list(each) for each in case.hidden],
@@ -88,9 +100,18 @@ def describe_case(case: Case) -> Record:
 
 
 def compute_true_energy(windows: Windows, truth: pd.DataFrame) -> Floats:
-    """Return the energy of each hidden effect in each window, or in the ride where that stands for all of its windows.
+    """Return the energy of each hidden effect in each window. [kWh]
 
-    (n, effects). [kWh]
+    Parameters
+    ----------
+    windows : Windows
+        Windows of diagnosis; one without a number covers its whole ride.
+    truth : DataFrame
+        `ride_key`, `window`, and the energy of each hidden effect. [kWh]
+
+    Returns
+    -------
+    (n, effects) float
     """
     of_window = truth.set_index(["ride_key", "window"])
     of_ride = truth.drop(columns="window").groupby("ride_key").sum()
@@ -104,11 +125,22 @@ def compute_true_energy(windows: Windows, truth: pd.DataFrame) -> Floats:
 
 
 def grade_names(case: Case, result: dict[str, Any]) -> Record:
-    """Return how far the names are right.
+    """Return whether the names that diagnosis gives are right.
 
-    Keys: `outcome` of the first name (`right`, `group` where a group that holds the right one goes by another, `wrong`,
-    `none`), `scope_right`, `found` (hidden effects among as many first names as there are), `names`, `doubt` (the first
-    name comes in a group, structure remains, or its coefficient is not plausible), `structure_remains`.
+    Parameters
+    ----------
+    case : Case
+        The data set.
+    result : dict
+        Result of diagnosis.
+
+    Returns
+    -------
+    Record
+        `outcome` of the first name: `right`, `group` (it stands for a group that holds the right name), `wrong` or
+        `none`. `scope_right`: whether its cars and dates are right. `found`: number of hidden effects among as many
+        first names. `names`: number of names. `doubt`: whether the first name comes in a group, structure remains, or
+        its coefficient is implausible. `verdict` and `structure_remains` as in the result.
     """
     missing = result["missing"]
     wanted = [get_right_names(effect) for effect, _ in case.hidden]
@@ -116,7 +148,7 @@ def grade_names(case: Case, result: dict[str, Any]) -> Record:
     if missing:
         outcome = max((_matches(missing[0], names) for names in wanted), key=_OUTCOMES.index, default="wrong")
     first = missing[: len(wanted)]
-    found = sum(any(_matches(each, names) != "wrong" for each in first) for names in wanted)
+    matched = sum(any(_matches(each, names) != "wrong" for each in first) for names in wanted)
     doubt = bool(missing) and (
         len(set(missing[0]["group"]) | {missing[0]["effect"]}) > 1
         or result["structure_remains"]
@@ -125,7 +157,7 @@ def grade_names(case: Case, result: dict[str, Any]) -> Record:
     return {
         "outcome": outcome,
         "scope_right": bool(missing) and is_scope_right(case, missing[0]["columns"]),
-        "found": found,
+        "found": matched,
         "names": len(missing),
         "doubt": doubt,
         "verdict": result["verdict"],
@@ -136,15 +168,23 @@ def grade_names(case: Case, result: dict[str, Any]) -> Record:
 _OUTCOMES: Final = ("wrong", "group", "right")
 
 
-def _matches(found: dict[str, Any], names: Sequence[str]) -> str:
+def _matches(name: dict[str, Any], names: Sequence[str]) -> str:
     """Return whether a name is right, stands for a group that holds the right one, or is wrong."""
-    if found["effect"] in names:
+    if name["effect"] in names:
         return "right"
-    return "group" if any(name in names for name in found["group"]) else "wrong"
+    return "group" if any(each in names for each in name["group"]) else "wrong"
 
 
 def is_scope_right(case: Case, columns: Sequence[str]) -> bool:
-    """Tell whether a term holds where the effect is hidden; a date may be off by four weeks."""
+    """Return whether a term applies where the effect is hidden; a date may be off by four weeks.
+
+    Parameters
+    ----------
+    case : Case
+        The data set.
+    columns : sequence of str
+        Columns of the term.
+    """
     said = dict(column.split("=", 1) for column in columns if "=" in column and "@" not in column)
     if said.get("vehicle") != case.where.vehicle:
         return False
@@ -156,25 +196,43 @@ def is_scope_right(case: Case, columns: Sequence[str]) -> bool:
 def compare_intervals(
     case: Case, missing: Sequence[dict[str, Any]], base: BaseProjection, hidden: Floats
 ) -> list[Record]:
-    """Return of each name the interval of its coefficient, and the coefficient that it is to hold.
+    """Return the interval of the coefficient of each name, and the coefficient that it should contain.
 
-    That is the one which comes closest to what is hidden: of least squares, in the weights of diagnosis, of the true
-    energies on the columns of all names together, off what the model's own terms can take up. `right` tells whether
-    the name is.
+    Parameters
+    ----------
+    case : Case
+        The data set.
+    missing : sequence of dict
+        Names that diagnosis gives.
+    base : BaseProjection
+        Projection onto the terms of the model.
+    hidden : (n, effects) float
+        Energy of each hidden effect in each window. [kWh]
+
+    Returns
+    -------
+    list of Record
+        One for each name; `right` is True if the name is right.
+
+    Notes
+    -----
+    The true coefficient is the one that comes closest to the hidden energy. It follows from least squares with the
+    weights of diagnosis, of the true energies on the columns of all names together, orthogonal to the terms of the
+    model.
     """
     if not missing:
         return []
-    off = _off(base, [found["columns"] for found in missing])
+    off = _off(base, [name["columns"] for name in missing])
     truth = base.project_out(hidden.sum(axis=1)[:, np.newaxis])[:, 0]
-    names = {name for effect, _ in case.hidden for name in get_right_names(effect)}
+    names = {right for effect, _ in case.hidden for right in get_right_names(effect)}
     out = []
-    for found, value in zip(missing, solve_least_squares(off, truth).tolist(), strict=True):
-        low, high = found["coefficient"]["ci95"]
+    for name, value in zip(missing, solve_least_squares(off, truth).tolist(), strict=True):
+        low, high = name["coefficient"]["ci95"]
         out.append(
             {
-                "effect": found["effect"],
-                "right": found["effect"] in names,
-                "value": found["coefficient"]["value"],
+                "effect": name["effect"],
+                "right": name["effect"] in names,
+                "value": name["coefficient"]["value"],
                 "ci95": [low, high],
                 "truth": value,
                 "holds": bool(low <= value <= high),
@@ -184,12 +242,24 @@ def compare_intervals(
 
 
 def measure_visibility(case: Case, base: BaseProjection, hidden: Floats) -> Record:
-    """Return how much of what is hidden there is to be seen.
+    """Return how much of the hidden energy is visible to diagnosis.
 
-    Keys: `left`, the share of its size that the model's own terms cannot take up; `alike`, the correlation of that with
-    the right effect of the library, at the best of its variants: 1 where the library has its very shape; `z`, by how
-    many standard errors the energy itself, were it asked of, would stand out: of sums over vehicle-days, each as if it
-    were left out.
+    Parameters
+    ----------
+    case : Case
+        The data set.
+    base : BaseProjection
+        Projection onto the terms of the model.
+    hidden : (n, effects) float
+        Energy of each hidden effect in each window. [kWh]
+
+    Returns
+    -------
+    Record
+        `left`: share of the size of the hidden energy that the terms of the model cannot explain. `alike`: correlation
+        of that remainder with the best variant of the right effect of the library; 1 means the same shape. `z`: number
+        of standard errors by which the hidden energy itself would differ from zero as a candidate, from sums over
+        vehicle-days, each as if it were held out.
     """
     energy = hidden.sum(axis=1)[:, np.newaxis]
     off = base.project_out(energy)[:, 0]
@@ -198,35 +268,37 @@ def measure_visibility(case: Case, base: BaseProjection, hidden: Floats) -> Reco
     scope += [f"since={case.where.since}"] if case.where.since else []
     library = [effects.get(name) for effect, _ in case.hidden for name in get_right_names(effect)]
     columns = [[each.energy_name, *scope] for effect in library for each in (effect, *effect.variants)]
-    own = _off(base, columns)
-    sizes = np.sqrt((own**2).sum(axis=0))
-    alike = np.divide(off @ own, size * sizes, out=np.zeros(len(sizes)), where=size * sizes > 0.0)
+    orthogonal = _off(base, columns)
+    sizes = np.sqrt((orthogonal**2).sum(axis=0))
+    alike = np.divide(off @ orthogonal, size * sizes, out=np.zeros(len(sizes)), where=size * sizes > 0.0)
     left = size / whole if whole > 0.0 else 0.0
     return {"left": left, "alike": float(alike.max()), "z": _z(off, base.residual, base.windows.day)}
 
 
-def _z(own: Floats, residual: Floats, cluster: Ints) -> float:
-    """Return the coefficient of a column over its standard error."""
-    total = float(own @ own)
+def _z(orthogonal: Floats, residual: Floats, cluster: Ints) -> float:
+    """Return the coefficient of a column divided by its standard error."""
+    total = float(orthogonal @ orthogonal)
     if total <= 0.0:
         return 0.0
-    value = float(own @ residual) / total
-    share = np.bincount(cluster, own**2) / total
-    scores = np.bincount(cluster, own * (residual - own * value)) / (1.0 - np.minimum(share, _ALL_OF_IT))
+    value = float(orthogonal @ residual) / total
+    share = np.bincount(cluster, orthogonal**2) / total
+    scores = np.bincount(cluster, orthogonal * (residual - orthogonal * value)) / (
+        1.0 - np.minimum(share, _LARGEST_SHARE)
+    )
     return value * total / float(np.sqrt((scores**2).sum()))
 
 
-_ALL_OF_IT: Final = 0.999
+_LARGEST_SHARE: Final = 0.999
 
 
 def _off(base: BaseProjection, columns: Sequence[Sequence[str]]) -> Floats:
-    """Return products of columns, weighted, off what the model's own terms can take up."""
+    """Return weighted products of columns, orthogonal to the terms of the model."""
     terms = tuple(Term(name=str(i), columns=tuple(each), unit="1") for i, each in enumerate(columns))
     table = base.windows.table
     return base.project_out(np.nan_to_num(build_design(terms, Columns(table), len(table))))
 
 
-def _short(found: dict[str, Any]) -> Record:
-    """Return what is kept of a name."""
+def _short(name: dict[str, Any]) -> Record:
+    """Return the fields of a name that a record keeps."""
     kept = ("effect", "variant", "group", "scope", "gain", "energy_share", "q")
-    return {key: found.get(key) for key in kept}
+    return {key: name.get(key) for key in kept}

@@ -1,4 +1,4 @@
-"""The section of BENCHMARKS.md that tells of hidden effects."""
+"""Write the section about hidden effects of BENCHMARKS.md."""
 
 import os
 import platform
@@ -25,13 +25,21 @@ BEGIN: Final = "<!-- bench-hidden begins -->"
 END: Final = "<!-- bench-hidden ends -->"
 
 
-def make_section(records: Sequence[Record], told: str) -> str:
-    """Return the section, with its marks; `told` says what was run."""
+def make_section(records: Sequence[Record], description: str) -> str:
+    """Return the section with its marks.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Records of all data sets.
+    description : str
+        Description of the selection that was run.
+    """
     lines = [
         BEGIN,
         "## Hidden effects",
         "",
-        _told(records, told),
+        _describe_run(records, description),
         "",
         "| figure | goal | is | of | |",
         "|---|---|---|---|---|",
@@ -43,73 +51,90 @@ def make_section(records: Sequence[Record], told: str) -> str:
     seconds, ratio, count = summarise_timing(records)
     if count:
         lines.append(
-            f"| time for some 1,300 rides (480,000 samples), tables given | told | {seconds:.1f} s, {ratio:,.0f} times "
-            f"STLSQ of the same windows and candidates | {count} | |"
+            "| time for about 1,300 rides (480,000 samples), given their tables | reported "
+            f"| {seconds:.1f} s, {ratio:,.0f} times STLSQ of the same windows and candidates | {count} | |"
         )
-    lines += ["", *_apart(records)]
+    lines += ["", *_describe_visible(records)]
     absorbed = "; ".join(f"`{effect}`: {why}" for effect, why in ABSORBED.items())
     lines += [
         "",
-        f"Counted apart are effects of the shape of the base's own columns, which leave no error: {absorbed}.",
+        f"Effects with the shape of columns of the base leave no error and are counted separately: {absorbed}.",
         (
-            "The error is that of rides of vehicle-days that nothing was fitted to; its way is that of all rides "
-            "together, where a name was given. `left` is the share of an effect that the base's own columns cannot "
-            "take up, `alike` how like that is to the library's own (1: the very shape), each a median."
+            "The error is measured on rides of held-out vehicle-days. Its reduction is over all rides together, where "
+            "a name was given. `remaining` is the share of an effect that columns of the base cannot explain. "
+            "`similarity` compares that remainder with the effect of the library (1: the same shape). Both are medians."
         ),
     ]
     for title, table in (
         ("By share: right, wrong, none, in %", tabulate_by_share(records)),
-        ("By effect: right in %, own shape / other shape, by measurement and share in %",
+        ("By effect: right in %, first shape / other shape, by measurement and share in %",
          tabulate_by_effect(records)),
         ("Other parts, in %", tabulate_by_part(records)),
-        ("Wrong names most often given", tabulate_wrong_names(records)),
+        ("Most frequent wrong names", tabulate_wrong_names(records)),
     ):  # fmt: skip
         if len(table) > 2:
             lines += ["", f"### {title}", "", *table]
     return "\n".join([*lines, "", END])
 
 
-def _apart(records: Sequence[Record]) -> list[str]:
-    """Return the hits among data sets in which what is hidden can be seen at all."""
-    found = []
-    for what, some in (
+def _describe_visible(records: Sequence[Record]) -> list[str]:
+    """Return the hit rates of data sets in which the hidden effect is visible."""
+    lines = []
+    for what, counted_records in (
         ("V·I at 1.5 % or more", select_counted(records, "vi")),
         ("SOC at 3 % or more", select_counted(records, "soc")),
     ):
-        plain = [r for r in some if r["z"] >= VISIBLE]
-        if plain:
-            found.append(f"{what}: {100 * compute_hit_rate(plain):.0f} % right of {len(plain):,} of {len(some):,}")
-    if not found:
+        visible = [r for r in counted_records if r["z"] >= VISIBLE]
+        if visible:
+            lines.append(
+                f"{what}: {100 * compute_hit_rate(visible):.0f} % right of {len(visible):,} of {len(counted_records):,}"
+            )
+    if not lines:
         return []
     return [
-        f"Where the true energy itself would stand out by {VISIBLE:g} standard errors or more, were it asked of: "
-        + "; ".join(found)
+        f"Where the true energy as a candidate would differ from zero by {VISIBLE:g} standard errors or more: "
+        + "; ".join(lines)
         + "."
     ]
 
 
-def _told(records: Sequence[Record], told: str) -> str:
-    """Return what was run."""
+def _describe_run(records: Sequence[Record], description: str) -> str:
+    """Return the description of the run."""
     refused = sum("refused" in r for r in records)
     parts = Counter(r["part"] for r in records if "refused" not in r)
     each = ", ".join(f"{n:,} of `{part}`" for part, n in parts.items())
     apart = f"; {refused} could not be made, as the effect had nothing to act on" if refused else ""
     return (
-        f"Written by `make bench-hidden` ({told}), on {os.cpu_count()} cores, Python {platform.python_version()}. "
-        f"{sum(parts.values()):,} data sets of some 1,300 rides, 8 cars of 2 models, 39 days each over ten months: "
+        f"Written by `make bench-hidden` ({description}), on {os.cpu_count()} cores, "
+        f"Python {platform.python_version()}. "
+        f"{sum(parts.values()):,} data sets of about 1,300 rides, 8 cars of 2 models, 39 days each over ten months: "
         f"{each}{apart}. "
-        "Right means that the first name is the effect, or that its group holds it."
+        "A result is right if the first name is the effect, or if its group holds the effect."
     )
 
 
 def read_section(path: Path) -> str:
-    """Return the section as it stands in a file, nothing where there is none."""
+    """Return the section of a file, or an empty text if there is none.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    """
     text = path.read_text(encoding="utf-8") if path.exists() else ""
     return BEGIN + text.partition(BEGIN)[2].partition(END)[0] + END if BEGIN in text and END in text else ""
 
 
 def replace_section(text: str, new: str) -> str:
-    """Return a page with a section in place of the one that it has, or at its end."""
+    """Return a page with a new section in place of the existing one, or at its end.
+
+    Parameters
+    ----------
+    text : str
+        The page.
+    new : str
+        The section.
+    """
     if BEGIN in text and END in text:
         before, _, rest = text.partition(BEGIN)
         return before + new + rest.partition(END)[2]

@@ -1,4 +1,4 @@
-"""The data sets of each part of the benchmark."""
+"""Define the data sets of each part of the benchmark."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -19,42 +19,45 @@ from tools.simulator.settings import Hidden
 SHARES: Final = (0.0075, 0.015, 0.03, 0.06)
 SEEDS: Final = 10
 NONE_SEEDS: Final = 25
-"""Seeds of data sets with nothing hidden, four data sets each."""
+"""Number of seeds of data sets without hidden effects, with four data sets each."""
 FRESH: Final = 1000
-"""First of their seeds: drives that nothing else is judged on."""
+"""First seed of data sets without hidden effects; no other part uses their drives."""
 PAIRS: Final = 6
-"""Pairs of effects a seed."""
+"""Number of pairs of effects for each seed."""
 PAIR_SHARE: Final = 0.03
-"""Share of each of two effects, and of one in one vehicle or from a date on."""
+"""Share of the energy of each of two effects, and of an effect in one vehicle or from a date on. [1]"""
 OUTSIDE_SHARES: Final = (0.03, 0.06)
 ABSORBED: Final = MappingProxyType(
     {
-        "tyre_pressure": "a larger rolling resistance of each car, which it has of its own",
-        "brake_drag": "a force that does not vary, as rolling resistance is",
-        "roof_load": "a larger drag area of each car, which it has of its own",
-        "standby": "a power that does not vary, as the accessories' is",
+        "tyre_pressure": "a larger rolling resistance of each car, which the base fits",
+        "brake_drag": "a constant force, such as rolling resistance",
+        "roof_load": "a larger drag area of each car, which the base fits",
+        "standby": "a constant power, such as that of accessories",
     }
 )
-"""Effects of the shape of the base's own columns, and of which: they leave no error where they are everywhere.
+"""Effects with the shape of columns of the base, and these columns; they leave no error if they are everywhere.
 
-They can be told where they come and go: in one vehicle from a date on, or from a date on in all.
+They are visible only where they change: in one vehicle from a date on, or in all vehicles from a date on.
 """
 
 
 @dataclass(frozen=True)
 class Selection:
-    """What of a part is run.
+    """Select the data sets of a part.
 
     Parameters
     ----------
     seeds : int
-        How many; of `none` two and a half times as many.
+        Number of seeds; the part `none` has two and a half times as many.
     first : int
-        The first of them: to judge on drives that nothing was developed on.
+        First seed, to evaluate on drives that were not used in development.
     effects : tuple of str
+        Hidden effects.
     shares : tuple of float
+        Shares of the energy. [1]
     measurements, weathers, shapes : tuple of str
-        Shapes are `first`, the simulator's own, and `other`.
+        Measurements, errors of the weather, and shapes of the effects: `first` as in `hidden`, `other` as in
+        `hidden_shapes`.
     """
 
     seeds: int = SEEDS
@@ -77,18 +80,30 @@ class Selection:
         return range(self.first, self.first + self.seeds)
 
     def ways(self) -> list[tuple[Measurement, Weather]]:
-        """Return measurements with weathers."""
+        """Return all combinations of measurements and weathers."""
         return list(product(self.measurements, self.weathers))
 
 
 def make_single_effects(choice: Selection) -> Iterator[Case]:
-    """Give data sets with one effect."""
+    """Yield data sets with one effect.
+
+    Parameters
+    ----------
+    choice : Selection
+        The selection.
+    """
     for seed, effect, share in product(choice.numbers, choice.names, choice.shares):
         yield from _measured(choice, Case(seed, (Hidden(effect, share),)))
 
 
 def make_pairs(choice: Selection) -> Iterator[Case]:
-    """Give data sets with two effects, pairs drawn at random of those that can be told."""
+    """Yield data sets with two effects, drawn at random from those that are visible.
+
+    Parameters
+    ----------
+    choice : Selection
+        The selection.
+    """
     able = [effect for effect in choice.effects if effect not in ABSORBED and effect not in BARE]
     for seed in choice.numbers if len(able) > 1 else ():
         rng = np.random.default_rng([seed, 9])
@@ -98,7 +113,13 @@ def make_pairs(choice: Selection) -> Iterator[Case]:
 
 
 def make_vehicle_effects(choice: Selection) -> Iterator[Case]:
-    """Give data sets with one effect in one vehicle."""
+    """Yield data sets with one effect in one vehicle.
+
+    Parameters
+    ----------
+    choice : Selection
+        The selection.
+    """
     for seed, effect in product(choice.numbers, choice.effects):
         number = int(np.random.default_rng([seed, 10, *effect.encode()]).integers(FLEET.vehicles)) + 1
         case = Case(seed, (Hidden(effect, PAIR_SHARE),), where=Scope(vehicle=f"taxi-{number:03d}"))
@@ -106,7 +127,13 @@ def make_vehicle_effects(choice: Selection) -> Iterator[Case]:
 
 
 def make_dated_effects(choice: Selection) -> Iterator[Case]:
-    """Give data sets with one effect from a date on, in the middle half of the days."""
+    """Yield data sets with one effect from a date on, which lies in the middle half of the days.
+
+    Parameters
+    ----------
+    choice : Selection
+        The selection.
+    """
     for seed, effect in product(choice.numbers, choice.effects):
         rng = np.random.default_rng([seed, 11, *effect.encode()])
         day = int(rng.integers(FLEET.days // 4, FLEET.days - FLEET.days // 4))
@@ -116,14 +143,26 @@ def make_dated_effects(choice: Selection) -> Iterator[Case]:
 
 
 def make_empty(choice: Selection) -> Iterator[Case]:
-    """Give data sets with nothing hidden, of drives of their own."""
+    """Yield data sets without hidden effects, on drives that no other part uses.
+
+    Parameters
+    ----------
+    choice : Selection
+        The selection.
+    """
     first, end = (-(-number * NONE_SEEDS // SEEDS) for number in (choice.first, choice.first + choice.seeds))
     for seed in range(first, end):
         yield from _measured(choice, Case(FRESH + seed))
 
 
 def make_outside_effects(choice: Selection) -> Iterator[Case]:
-    """Give data sets with an effect that is taken out of the library."""
+    """Yield data sets with an effect that is removed from the library.
+
+    Parameters
+    ----------
+    choice : Selection
+        The selection.
+    """
     shares = [share for share in choice.shares if share in OUTSIDE_SHARES] or choice.shares
     for seed, effect, share in product(choice.numbers, choice.names, shares):
         yield from _measured(choice, Case(seed, (Hidden(effect, share),), without=get_right_names(strip_shape(effect))))
@@ -137,11 +176,21 @@ PARTS: Final[dict[str, Callable[[Selection], Iterator[Case]]]] = {
     "none": make_empty,
     "outside": make_outside_effects,
 }
-"""Part -> its data sets."""
+"""Function that yields the data sets of each part."""
 
 
 def draw_sample(cases: Sequence[Case], size: int | None, seed: int = 0) -> list[Case]:
-    """Return as many data sets, drawn at random, in their order; all of them where there are no more."""
+    """Return data sets drawn at random, in their order; all of them if there are not more.
+
+    Parameters
+    ----------
+    cases : sequence of Case
+        Data sets.
+    size : int or None
+        Number to draw; None returns all.
+    seed : int
+        Seed of the draw.
+    """
     if size is None or len(cases) <= size:
         return list(cases)
     drawn = np.random.default_rng([seed, 12]).choice(len(cases), size, replace=False)
@@ -149,6 +198,6 @@ def draw_sample(cases: Sequence[Case], size: int | None, seed: int = 0) -> list[
 
 
 def _measured(choice: Selection, case: Case) -> Iterator[Case]:
-    """Give a data set as it is measured, under either weather."""
+    """Yield a data set with each measurement and each weather."""
     for measurement, weather in choice.ways():
         yield replace(case, measurement=measurement, weather=weather)

@@ -1,8 +1,8 @@
-"""From drives to the ride and window tables that the product makes of them, a second or less for each data set.
+"""Make the ride and window tables of each data set from the drives, in at most about a second.
 
-The steps are those of `core.pipeline`. What a hidden effect cannot change is worked out once: the decoded rows, the
-weather that they meet, and the energies of nearly all effects. What it can change is done anew with the product's own
-functions: cleaning, the measured energy, the effects that read the state of charge, sums and tables.
+The steps are those of `core.pipeline`. What a hidden effect cannot change is computed once: the decoded rows, their
+weather, and the energies of nearly all effects. The rest is computed for each data set with the functions of the
+product: cleaning, the measured energy, the effects that depend on the state of charge, totals and tables.
 """
 
 from collections.abc import Sequence
@@ -41,29 +41,29 @@ from tools.simulator.logger import DIGITS
 
 Measurement = Literal["vi", "soc"]
 SOC_STEP: Final = 0.5
-"""Steps in which the state of charge is reported. [%]"""
+"""Step of the reported state of charge. [%]"""
 ROOM: Final = 2
-"""Hidden effects at once."""
+"""Largest number of simultaneous hidden effects."""
 READS_SOC: Final = "charge"
-"""The one signal that rests on the state of charge."""
+"""The only signal that depends on the state of charge."""
 MOST: Final = 100_000
-"""Samples of a car: as many as its state of charge has room to count, and fewer than its sensors' errors read."""
+"""Largest number of samples of a car that a state of charge encodes, below the values of faulty sensors."""
 NOISE: Final = 0.3
-"""Standard deviation of the logarithm of what wind and rain are multiplied with."""
+"""Standard deviation of the logarithm of the factor of wind and rain."""
 VEER: Final = 20.0
-"""Standard deviation of the error of the wind's direction. [deg]"""
+"""Standard deviation of the error of the wind direction. [deg]"""
 
 
 class Tables(NamedTuple):
-    """A data set.
+    """Hold a data set.
 
     Parameters
     ----------
     rides, windows : DataFrame
-        As `core.totals.tables` makes them.
-    hidden : (windows, effects) DataFrame
-        Of each window in the order of `windows` its `ride_key`, its `window`, and the energy that each hidden effect
-        took. [kWh]
+        Tables as of `core.totals.tables`.
+    hidden : DataFrame
+        For each window in the order of `windows`: its `ride_key`, its `window`, and the energy of each hidden effect.
+        [kWh]
     """
 
     rides: pd.DataFrame
@@ -72,21 +72,32 @@ class Tables(NamedTuple):
 
 
 def add_weather_noise(messages: Sequence[Message], seed: int) -> list[Message]:
-    """Return messages with an error of 30 % in wind and rain, and of 20 degrees in the wind's direction.
+    """Return messages with an error of 30 % in wind and rain, and of 20 degrees in the wind direction.
 
-    Drawn anew for every station and hour, with mean one.
+    Parameters
+    ----------
+    messages : sequence of Message
+        The messages.
+    seed : int
+        Seed of the errors.
+
+    Returns
+    -------
+    list of Message
+        The errors are drawn independently for every station and hour; their factors have mean one.
     """
     rng = np.random.default_rng([seed, 6])
     return [_blurred(message, rng) if message.key.startswith("weather/") else message for message in messages]
 
 
 def _blurred(message: Message, rng: np.random.Generator) -> Message:
+    """Return an observation with random errors of wind and rain."""
     weather = msgspec.json.decode(message.payload, type=Weather)
     wind, rain = np.exp(NOISE * rng.normal(size=2) - 0.5 * NOISE**2)
-    known = [weather.wind_speed_kmh or 0.0, weather.wind_from_deg or 0.0, weather.precipitation_mm or 0.0]
-    source = (known[1] + VEER * rng.normal()) % 360.0
-    said = {"wind_speed_kmh": wind * known[0], "wind_from_deg": source, "precipitation_mm": rain * known[2]}
-    blurred = {name: float(value) for name, value in said.items()}
+    reported = [weather.wind_speed_kmh or 0.0, weather.wind_from_deg or 0.0, weather.precipitation_mm or 0.0]
+    source = (reported[1] + VEER * rng.normal()) % 360.0
+    changed = {"wind_speed_kmh": wind * reported[0], "wind_from_deg": source, "precipitation_mm": rain * reported[2]}
+    blurred = {name: float(value) for name, value in changed.items()}
     return message._replace(payload=encode(msgspec.structs.replace(weather, **blurred)))
 
 
@@ -132,21 +143,26 @@ class Recording:
     effects: list[Effect]
 
     def tables(self, measured: Readings, measurement: Measurement, names: Sequence[str] = ()) -> Tables:
-        """Return the tables of what cars measure.
+        """Return the tables of readings.
 
         Parameters
         ----------
-        measured : Measured
+        measured : Readings
+            Readings of the cars.
         measurement : {"vi", "soc"}
-            Voltage and current beside the state of charge, or that alone.
+            Voltage and current besides the state of charge, or the state of charge only.
         names : sequence of str
-            Of the hidden effects.
+            Names of the hidden effects.
+
+        Returns
+        -------
+        Tables
         """
         hidden = measured.hidden[:, self.car, self.number]
         filled = _filled(self.batch, measured, measurement, self.car, self.number)
         clean = _cleaned(filled, len(self.lanes), self.sky)
         if not np.array_equal(clean.dt, self.timing):
-            raise ValueError("a hidden effect has changed which samples are used: its rates would have to be made anew")
+            raise ValueError("a hidden effect has changed which samples are used, so the stored rates are invalid")
         ledger = Ledger(len(self.effects) + ROOM)
         rides, windows = list[Totals](), list[Totals]()
         for block, start in zip(self.rates, range(0, len(self.car), BLOCK), strict=True):
@@ -160,7 +176,7 @@ class Recording:
         return self._named(_joined([*rides, closed.rides]), _joined([*windows, closed.windows]), names)
 
     def _renew(self, block: Floats, clean: Clean, rows: slice, hidden: Floats) -> None:
-        """Write into a block of rates what a hidden effect changes."""
+        """Write the energies that a hidden effect changes into a block of rates."""
         signals = _signals(clean, self.sky, self.cars, self.kind, rows)
         block[: len(AMOUNTS)] = amounts(signals, [])
         for index, effect in enumerate(self.effects):
@@ -183,20 +199,25 @@ class Recording:
 
 
 def record_drives(drives: Drives, messages: Sequence[Message] | None = None) -> Recording:
-    """Take in all that the drives send, as a consumer does.
+    """Process all messages of the drives, as a consumer does.
 
     Parameters
     ----------
     drives : Drives
+        The drives.
     messages : sequence of Message, optional
-        The same with other weather.
+        Messages with other weather, in place of those of the drives.
+
+    Returns
+    -------
+    Recording
     """
     lanes = Lanes()
     decoder = Decoder(lanes)
     batch, events = decoder.decode(drives.messages if messages is None else messages)
     cars = Cars()
-    told = [(event.row, event.lane, event.value) for event in events if isinstance(event.value, Vehicle)]
-    kind = cars.kinds(batch.lane, told, len(lanes))
+    vehicles = [(event.row, event.lane, event.value) for event in events if isinstance(event.value, Vehicle)]
+    kind = cars.kinds(batch.lane, vehicles, len(lanes))
     drivers = RideDrivers()
     for event in events:
         if isinstance(event.value, Ride):
@@ -229,7 +250,7 @@ def _cleaned(batch: Batch, lanes: int, sky: Sky) -> Clean:
 
 
 def _signals(clean: Clean, sky: Sky, cars: Cars, kind: Ints, rows: slice) -> Signals:
-    """Return what effects ask for, of some rows, of which `clean` has no others."""
+    """Return the signals of some rows; `clean` holds only these rows."""
     return Signals(clean, Sky(*(column[rows] for column in sky)), cars.parameters_of(kind[rows]))
 
 
@@ -239,16 +260,17 @@ def _time(effect: Effect, clean: Clean) -> Floats:
 
 
 def _rows(clean: Clean, rows: slice) -> Clean:
+    """Return some of the rows."""
     return Clean(*(column[rows] for column in clean))  # type: ignore[arg-type]
 
 
 def _joined(parts: list[Totals]) -> Totals:
-    """Return totals one after another."""
+    """Return totals concatenated."""
     return Totals(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 def _weather(clean: Clean, observed: Sequence[tuple[int, Weather]]) -> Sky:
-    """Return the weather at each row, by what was observed before it came."""
+    """Return the weather at each row, from the observations received before it."""
     stations, n = Stations(), len(clean.time)
     sky = np.empty((len(Sky._fields), n))
     edges = [*(row for row, _ in observed), n]
@@ -263,7 +285,7 @@ def _weather(clean: Clean, observed: Sequence[tuple[int, Weather]]) -> Sky:
 
 
 def _numbers(batch: Batch) -> Ints:
-    """Return the number of each row's sample among its car's, from whichever mark no fault has taken away."""
+    """Return the number of the sample of each row, from any mark that no fault has removed."""
     marks = ((batch.voltage, VOLTAGE_MARK), (batch.current, CURRENT_MARK), (batch.soc, SOC_MARK))
     number = np.zeros(batch.size)
     for values, mark in marks:
@@ -271,12 +293,12 @@ def _numbers(batch: Batch) -> Ints:
         good = (read >= 1.0) & (read < MOST) & (number == 0.0)
         number[good] = read[good]
     if (number == 0.0).any():
-        raise ValueError(f"{(number == 0.0).sum()} samples have lost all that tells their number: make faults rarer")
+        raise ValueError(f"{(number == 0.0).sum()} samples have lost their number; use lower rates of faults")
     return number.astype(np.int64) - 1
 
 
 def _filled(batch: Batch, measured: Readings, measurement: Measurement, car: Ints, number: Ints) -> Batch:
-    """Return the rows with what cars measure, rounded as loggers do; faults stay as they are."""
+    """Return the rows with readings rounded as by loggers; faults stay as they are."""
     at = (car, number)
     percent = np.clip(100.0 * measured.soc[at], 0.0, 100.0)
     steps = np.floor(percent / SOC_STEP) * SOC_STEP
@@ -293,10 +315,10 @@ def _filled(batch: Batch, measured: Readings, measurement: Measurement, car: Int
 
 
 def _filled_in(values: Floats, marks: Floats, new: Floats) -> Floats:
-    """Return new values where the old are marks, the old ones where a fault has overwritten them."""
+    """Return new values in place of marks, and the old values where a fault has overwritten the mark."""
     return np.where(np.abs(values - marks) < 1e-6, new, values)
 
 
 def _logged(field_name: str, values: Floats) -> Floats:
-    """Return values as they are sent."""
+    """Return values as loggers send them."""
     return np.round(values, DIGITS[field_name])

@@ -1,4 +1,4 @@
-"""Data sets one after another, on two processes, each keeping to the drives of one seed at a time."""
+"""Diagnose data sets in parallel processes, each of which handles the drives of one seed at a time."""
 
 import json
 import os
@@ -17,12 +17,20 @@ from tools.bench.hidden.evaluation import Diagnose, Record, describe_case, evalu
 
 PROCESSES: Final = 2
 TIMED: Final = 20
-"""One data set in so many is timed against sparse regression."""
+"""One data set out of this many is timed against sparse regression."""
 Task = tuple[str, list[Case]]
 
 
 def make_tasks(part: str, cases: Sequence[Case]) -> list[Task]:
-    """Return the data sets of a part by seed."""
+    """Return the data sets of a part by seed.
+
+    Parameters
+    ----------
+    part : str
+        Name of the part.
+    cases : sequence of Case
+        Its data sets.
+    """
     ordered = sorted(cases, key=lambda case: case.seed)
     return [(part, list(same)) for _, same in groupby(ordered, key=lambda case: case.seed)]
 
@@ -30,17 +38,18 @@ def make_tasks(part: str, cases: Sequence[Case]) -> list[Task]:
 def run_tasks(
     todo: Iterable[Task], diagnose: Diagnose, keep: Path | None = None, processes: int = PROCESSES
 ) -> Iterable[list[Record]]:
-    """Yield the records of each task as it is done.
+    """Yield the records of each task when it is finished.
 
     Parameters
     ----------
     todo : iterable of Task
+        The tasks.
     diagnose : callable
-        See `judge`.
+        As for `evaluate_case`.
     keep : Path, optional
-        Folder for records: those that are there are not made again.
+        Folder for records; existing records are not made again.
     processes : int
-        Each with one thread.
+        Number of processes with one thread each.
     """
     with parallel_config(backend="loky", inner_max_num_threads=1):
         jobs = (delayed(run_cases)(part, cases, diagnose, keep) for part, cases in todo)
@@ -48,7 +57,19 @@ def run_tasks(
 
 
 def run_cases(part: str, cases: Sequence[Case], diagnose: Diagnose, keep: Path | None = None) -> list[Record]:
-    """Return the records of data sets of one seed."""
+    """Return the records of data sets of one seed.
+
+    Parameters
+    ----------
+    part : str
+        Name of the part.
+    cases : sequence of Case
+        Data sets of the seed.
+    diagnose : callable
+        As for `evaluate_case`.
+    keep : Path, optional
+        Folder for records.
+    """
     path = None if keep is None else keep / f"{part}-{cases[0].seed}.json"
     known = _read(path)
     records = []
@@ -64,7 +85,7 @@ def run_cases(part: str, cases: Sequence[Case], diagnose: Diagnose, keep: Path |
 
 
 def _record(case: Case, diagnose: Diagnose, *, timed: bool) -> Record:
-    """Return the record of a data set; of one that cannot be, why."""
+    """Return the record of a data set, or the reason why it cannot be made."""
     try:
         return evaluate_case(case, _source(case.seed).tables(case), diagnose, timed=timed)
     except SocastError as error:
@@ -73,20 +94,20 @@ def _record(case: Case, diagnose: Diagnose, *, timed: bool) -> Record:
 
 @lru_cache(maxsize=1)
 def _source(seed: int) -> SeedData:
-    """Return the drives of a seed; of one at a time, as they take some gigabytes."""
+    """Return the drives of a seed; only one is kept because each takes some gigabytes."""
     return SeedData(seed)
 
 
 def _read(path: Path | None) -> dict[str, Any]:
-    """Return the records of a file by what they are of."""
+    """Return the records of a file by the description of their data set."""
     if path is None or not path.exists():
         return {}
-    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    return found
+    records: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return records
 
 
 def _write(path: Path, records: dict[str, Any]) -> None:
-    """Write records, whole or not at all."""
+    """Write records atomically."""
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_suffix(f".{os.getpid()}")
     beside.write_text(json.dumps(records) + "\n", encoding="utf-8")

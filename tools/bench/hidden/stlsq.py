@@ -1,9 +1,9 @@
-"""Sparse regression by sequentially thresholded least squares, to compare with: what others would do.
+"""Fit sparse regressions by sequentially thresholded least squares, as a baseline for diagnosis.
 
-The algorithm of `pysindy.optimizers.STLSQ` (PySINDy 2.1) with normalised columns: ridge regression, coefficients below
-a threshold set to zero, again with what is left until nothing changes, and least squares of what remains. Written out
-here, and the same to rounding, as PySINDy would be installed for this alone; it has none of its checks of input, so
-that the ratio is rather against us.
+The algorithm is that of `pysindy.optimizers.STLSQ` (PySINDy 2.1) with normalised columns. It fits a ridge regression,
+sets coefficients below a threshold to zero, repeats with the others until nothing changes, and refits them by least
+squares. This implementation gives the same result to rounding and avoids a dependency on PySINDy. It does not check its
+input as PySINDy does, so the ratio of times rather favours the baseline.
 
 References
 ----------
@@ -24,24 +24,51 @@ from core.models.features import Columns
 THRESHOLD: Final = 0.1
 ALPHA: Final = 0.05
 ROUNDS: Final = 20
-"""Defaults of PySINDy."""
+"""Default values of PySINDy."""
 
 
 def build_columns(windows: Windows, model: LinearModel) -> Floats:
-    """Return a model's own columns, then all that diagnosis asks of, (n, k). [kWh per unit]"""
+    """Return the columns of a model and of all candidates of diagnosis. [kWh per unit]
+
+    Parameters
+    ----------
+    windows : Windows
+        Windows of the data set.
+    model : LinearModel
+        The diagnosed model.
+
+    Returns
+    -------
+    (n, k) float
+    """
     fit = model.fits[ANY]
     columns = Columns(windows.table, fit.fills, fit.curve)
-    own = build_design(model.terms, columns, len(windows.measured))
-    return np.nan_to_num(np.column_stack([own, build_candidates(windows, model).columns]))
+    base = build_design(model.terms, columns, len(windows.measured))
+    return np.nan_to_num(np.column_stack([base, build_candidates(windows, model).columns]))
 
 
 def fit_stlsq(columns: Floats, energy: Floats, threshold: float = THRESHOLD, alpha: float = ALPHA) -> Floats:
-    """Return sparse coefficients, (k,).
+    """Return sparse coefficients.
+
+    Parameters
+    ----------
+    columns : (n, k) float
+        Columns of the candidates.
+    energy : (n,) float
+        Measured energy. [kWh]
+    threshold : float
+        Coefficients of normalised columns below it are set to zero.
+    alpha : float
+        Ridge penalty.
+
+    Returns
+    -------
+    (k,) float
 
     Examples
     --------
     >>> columns = np.random.default_rng(0).normal(size=(200, 4))
-    >>> stlsq(columns, columns @ np.array([20.0, 0.0, -30.0, 0.0])).round().astype(int).tolist()
+    >>> fit_stlsq(columns, columns @ np.array([20.0, 0.0, -30.0, 0.0])).round().astype(int).tolist()
     [20, 0, -30, 0]
     """
     size = np.sqrt((columns**2).sum(axis=0))
