@@ -8,21 +8,21 @@ import numpy as np
 import pandas as pd
 
 from core import effects
-from core.batch import Batch, Ints, Lanes, Stateful, grown
+from core.batch import Batch, Ints, Lanes, Stateful
 from core.cleaning.kernel import Cleaner
 from core.errors import AskError
-from core.forecast.day_rollover import Calendar, Night
-from core.forecast.engine import Foresight, Rows
-from core.forecast.gathered import Gathered
-from core.forecast.messages import forecasts
+from core.forecast.day_rollover import DailyUpdate, DayRollover
+from core.forecast.engine import ForecastEngine, PendingInput
+from core.forecast.forecast_rows import ForecastRows
+from core.forecast.messages import build_forecasts
 from core.forecast.newest_plans import NewestPlans
-from core.forecast.plan_tracker import Arrival, Driving
-from core.forecast.soc_filter import BETWEEN_SHIFTS
-from core.forecast.status import VehicleStatus, statuses
-from core.forecast.tables import Told, outlook_table, shift_table
-from core.forecast.what_if import answer, silenced
+from core.forecast.plan_tracker import DriverNamed, PlanArrival
+from core.forecast.soc_filter import SHIFT_GAP
+from core.forecast.status import VehicleStatus, build_statuses
+from core.forecast.tables import PublishedForecasts, outlook_table, shift_table
+from core.forecast.what_if import answer_query, withhold_charge
 from core.models import EXTENDED_PHYSICAL, Model
-from core.monitoring.shadow import Shadows
+from core.monitoring.shadow import ShadowModels
 from core.settings import Settings, checked
 from core.signals.signals import Signals, ambient_quality
 from core.signals.weather import Stations
@@ -51,7 +51,7 @@ class Due(NamedTuple):
     """Forecasts that have become due: running totals, and what is published at them."""
 
     totals: Totals
-    rows: Rows
+    rows: ForecastRows
 
 
 class Pipeline:
@@ -106,17 +106,17 @@ class Pipeline:
         self.lanes, self.cars = Lanes(), Cars()
         self.context = RunContext(self.lanes, self.cars, [each.name for each in self.effects], self.settings, model)
         self.decoder = Decoder(self.lanes)
-        self.drivers, self.plans, self.calendar = RideDrivers(), NewestPlans(), Calendar()
+        self.drivers, self.plans, self.day_rollover = RideDrivers(), NewestPlans(), DayRollover()
         self.cleaner = Cleaner(self.settings)
         self.stations = Stations()
         self.ledger = Ledger(len(self.effects))
         self.counters = RunCounters()
         self.closed = ClosedTotals(self.ledger.none())
-        self.shadows = Shadows([model, *shadows], prefix, keep=keep_forecasts)
-        self.foresight = Foresight(self.context, self.ledger.width)
-        self._gathered = Gathered(self.ledger.none())
+        self.shadows = ShadowModels([model, *shadows], prefix, keep=keep_forecasts)
+        self.engine = ForecastEngine(self.context, self.ledger.width)
+        self._pending = PendingInput(self.ledger.none())
         self._due: list[Due] = []
-        self._told: list[Told] = []
+        self._published: list[PublishedForecasts] = []
 
     @property
     def model(self) -> Model:
@@ -139,8 +139,9 @@ class Pipeline:
         self._forget_ride_names()
         batch, events = self.decoder.decode(messages)
         if self.keep_forecasts:
-            nights = [Event(row, -1, Night()) for row in self.calendar.nights(batch.lane, batch.stamp)]
-            events = sorted([*events, *nights], key=itemgetter(0)) if nights else events
+            rollovers = self.day_rollover.find_rollovers(batch.lane, batch.stamp)
+            updates = [Event(row, -1, DailyUpdate()) for row in rollovers]
+            events = sorted([*events, *updates], key=itemgetter(0)) if updates else events
         start = 0
         changes: list[tuple[int, int, Vehicle]] = []
         for row, lane, value in events:
@@ -154,14 +155,14 @@ class Pipeline:
                 self._take_ride(row, lane, value)
             elif isinstance(value, Plan):
                 self._take_plan(row, lane, value)
-            elif isinstance(value, Weather | Night):  # it applies to every later row
+            elif isinstance(value, Weather | DailyUpdate):  # it applies to every later row
                 self._advance(batch, start, row, changes)
                 start, changes = row, []
-                self._take_weather_or_night(row, value)
+                self._take_weather_or_daily_update(row, value)
         self._advance(batch, start, batch.size, changes)
-        if self._gathered.size >= BLOCK:
+        if self._pending.size >= BLOCK:
             self._update_forecasts(batch.size)
-        self._gathered.end(batch.size)
+        self._pending.end_batch(batch.size)
 
     def finish(self) -> list[Message]:
         """Close every ride and window in progress, at the end of the stream, and all running errors."""
@@ -169,8 +170,8 @@ class Pipeline:
         sums = self.ledger.close()
         self._take_closed(sums)
         if self.keep_forecasts:
-            self.foresight.follow(sums, [], [])
-            self.foresight.finish()
+            self.engine.process(sums, [], [])
+            self.engine.finish()
         if self.shadows:
             self.shadows.close()
         return []
@@ -185,8 +186,8 @@ class Pipeline:
             sums = self.sum_up(batch.rows(at, end), kind[at - start : end - start])
             self._take_closed(sums)
             if self.keep_forecasts:
-                self._gathered.add(sums, at, end - at)
-                if self._gathered.size >= BLOCK:
+                self._pending.add_sums(sums, at, end - at)
+                if self._pending.size >= BLOCK:
                     self._update_forecasts(end)
 
     def sum_up(self, batch: Batch, kind: Ints) -> Sums:
@@ -225,16 +226,16 @@ class Pipeline:
 
     def _update_forecasts(self, end: int = 0) -> None:
         """Update filters, plans and forecasts by the rows up to `end`; between batches, by all rows."""
-        if not self._gathered:
+        if not self._pending:
             return
-        sums, plans, drivers = self._gathered.take(end)
-        rows = self.foresight.follow(sums, plans, drivers)
+        sums, plans, drivers = self._pending.take(end)
+        rows = self.engine.process(sums, plans, drivers)
         if len(sums.running.lane):
             self._due.append(Due(sums.running, rows))
             if self.keep_outlooks:
-                self._told.append(Told.of(sums.running, rows))
+                self._published.append(PublishedForecasts.create(sums.running, rows))
         if not self.keep_outlooks:
-            self.foresight.take_shifts()
+            self.engine.take_shifts()
 
     # Messages that are no samples
 
@@ -242,14 +243,14 @@ class Pipeline:
         """Return whether forecasts depend on anything received of a car so far, including this batch."""
         if not self.keep_forecasts:
             return False
-        planned = lane in self._gathered.lanes or lane in self.foresight.courses.plans
+        planned = lane in self._pending.lanes or lane in self.engine.plans.plans
         return bool(self.cleaner.heard(lane) or planned or (before == lane).any())
 
-    def _take_weather_or_night(self, row: int, value: Weather | Night) -> None:
+    def _take_weather_or_daily_update(self, row: int, value: Weather | DailyUpdate) -> None:
         """Take a weather observation, or run the daily update, before a row."""
-        if isinstance(value, Night):
+        if isinstance(value, DailyUpdate):
             self._update_forecasts(row)
-            self.foresight.overnight()
+            self.engine.apply_daily_update()
         elif not self.stations.observe(value):
             self.decoder.refuse("weather", "out_of_range")
 
@@ -257,7 +258,7 @@ class Pipeline:
         """Take the driver of a ride, which dispatch reports before a row."""
         self.drivers.observe(ride, len(self.lanes))
         if self.keep_forecasts and ride.driver_id and ride.event == "start":
-            self._gathered.say(Driving(row, lane, ride.driver_id))
+            self._pending.add_dispatch(DriverNamed(row, lane, ride.driver_id))
 
     def _take_plan(self, row: int, lane: int, plan: Plan) -> None:
         """Take a plan, which dispatch sends before a row, or count why it cannot be used."""
@@ -265,7 +266,7 @@ class Pipeline:
             self.decoder.refuse("plan", cause)
         elif self.keep_forecasts:
             self.plans.accept(lane, plan)
-            self._gathered.say(Arrival(row, lane, plan))
+            self._pending.add_dispatch(PlanArrival(row, lane, plan))
 
     # Results out
 
@@ -282,11 +283,11 @@ class Pipeline:
         if not taken:
             return []
         due = join_totals([each.totals for each in taken], self.ledger.none())
-        rows = Rows.joined([each.rows for each in taken])
+        rows = ForecastRows.join([each.rows for each in taken])
         if newest_only:
             last = due.newest()
             due, rows = due.rows(last), rows.rows(last)
-        return forecasts(due, rows, self._ride_names(due), self.context, self.prefix)
+        return build_forecasts(due, rows, self._ride_names(due), self.context, self.prefix)
 
     def model_errors(self, *, newest_only: bool = False) -> list[Message]:
         """Return the running errors of all models after each ride that ended since the last call; none without shadows.
@@ -310,13 +311,13 @@ class Pipeline:
     def take_outlooks(self) -> pd.DataFrame:
         """Return the forecasts of the charge since the last call, see `core.forecast.tables.outlook_table`."""
         self._update_forecasts()
-        taken, self._told = self._told, []
+        taken, self._published = self._published, []
         return outlook_table(taken, self.context)
 
     def take_shifts(self) -> pd.DataFrame:
         """Return the shifts that have ended since the last call, see `core.forecast.tables.shift_table`."""
         self._update_forecasts()
-        return shift_table(self.foresight.take_shifts(), self.context)
+        return shift_table(self.engine.take_shifts(), self.context)
 
     def ask(self, vehicle_id: str, leg: Leg | None = None, plan: Plan | None = None) -> Outlook:
         """Return the outlook on the rest of a vehicle's shift.
@@ -338,11 +339,11 @@ class Pipeline:
         """
         self._update_forecasts()
         lane = self.lanes.find(vehicle_id)
-        if lane is None or lane >= len(self.foresight.state) or not self.foresight.state["heard"][lane]:
+        if lane is None or not self.engine.has_sample(lane):
             raise AskError(f"vehicle {vehicle_id!r} has sent nothing so far: give one that has", "unknown_vehicle")
-        outlook = answer(self.foresight, lane, leg, plan)
-        silent = self.calendar.silence(lane)
-        return silenced(outlook, silent) if silent > BETWEEN_SHIFTS else outlook
+        outlook = answer_query(self.engine, lane, leg, plan)
+        silent = self.day_rollover.compute_silence(lane)
+        return withhold_charge(outlook, silent) if silent > SHIFT_GAP else outlook
 
     def quality(self) -> dict[str, Any]:
         """Return the counters since the start.
@@ -369,8 +370,8 @@ class Pipeline:
         lanes = self.cleaner.lanes_heard()
         totals = self.ledger.running(lanes)
         predicted = self.shadows.predictions(totals, self.context)
-        ends = grown(self.foresight.ends, len(self.lanes), np.nan)[lanes]
-        return statuses(totals, self._ride_names(totals), self.context, predicted, ends)
+        ends = self.engine.get_ends(lanes)
+        return build_statuses(totals, self._ride_names(totals), self.context, predicted, ends)
 
     # State
 
@@ -383,7 +384,7 @@ class Pipeline:
         self.lanes.load(earlier.lanes.dump())
         self.cars.load(earlier.cars.dump())
         self.cars.unpredictable.clear()
-        self.foresight.learn_from(earlier.foresight)
+        self.engine.learn_from(earlier.engine)
 
     def snapshot(self) -> bytes:
         """Return the state of every vehicle, from which `restore` continues as if uninterrupted.
@@ -418,12 +419,12 @@ class Pipeline:
             "decoder": self.decoder,
             "drivers": self.drivers,
             "plans": self.plans,
-            "calendar": self.calendar,
+            "day_rollover": self.day_rollover,
             "cleaner": self.cleaner,
             "stations": self.stations,
             "ledger": self.ledger,
             "counters": self.counters,
-            "foresight": self.foresight,
+            "engine": self.engine,
         }
         return components | {"shadows": self.shadows} if self.shadows else components
 

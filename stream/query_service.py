@@ -8,7 +8,7 @@ from math import inf
 from typing import Any, Final, Protocol
 
 from core.errors import AskError, SocastError
-from core.forecast.ask import asked_leg, asked_plan, asked_vehicle, parameters
+from core.forecast.plan_checks import parse_leg, parse_parameters, parse_plan, parse_vehicle
 from core.wire.messages import Leg, Outlook, Plan, encode
 from stream.structured_log import fields, flat
 
@@ -115,9 +115,9 @@ class Desk:
     def _answer(self, question: Question) -> None:
         """Answer one question, or tell what is wrong with it."""
         try:
-            vehicle = asked_vehicle(question.vehicle)
-            leg = asked_leg(parameters(question.parameters))
-            plan = asked_plan(question.payload, vehicle)
+            vehicle = parse_vehicle(question.vehicle)
+            leg = parse_leg(parse_parameters(question.parameters))
+            plan = parse_plan(question.payload, vehicle)
             question.reply(encode(self._answerer.ask(vehicle, leg, plan)))
             self.answered += 1
         except AskError as error:

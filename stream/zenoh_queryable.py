@@ -156,9 +156,9 @@ def ask(
         Its prefix is put before the key.
     vehicle : str
     parameters : mapping of str to str
-        As `core.forecast.ask.asked_leg` takes them.
+        As `core.forecast.plan_checks.parse_leg` takes them.
     payload : bytes, optional
-        A plan, as `core.forecast.ask.asked_plan` takes it.
+        A plan, as `core.forecast.plan_checks.parse_plan` takes it.
     timeout_s : float
         How long to wait. [s]
 

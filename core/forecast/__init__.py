@@ -1,1 +1,1 @@
-"""What is ahead of each car: the filter of its charge, what is learned of shifts, and the outlook."""
+"""Forecast the state of charge of each car: filter, statistics of rides and shifts, plans and outlook."""

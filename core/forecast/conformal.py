@@ -1,10 +1,10 @@
-"""Intervals from errors that were made: quantiles of standardised errors of earlier forecasts.
+"""Prediction intervals from earlier errors: quantiles of the standardised errors of evaluated forecasts.
 
-A forecast comes with a standard deviation, which says where it errs more; how far it really errs is what its
-predecessors tell, whatever the errors are distributed like: the quantiles of (outcome - forecast) / deviation of
-forecasts that were made before, of about the same distance ahead and at about the same temperature. Only forecasts
-whose outcome came after them are learned from, so an interval is never judged on what it was made of. Where outcomes
-fall outside more or less often than they should, as when a season changes, the bounds move until they do not.
+A forecast comes with a standard deviation, which says where errors are larger. Their actual size follows from earlier
+forecasts, whatever the distribution: from the quantiles of (outcome - forecast) / standard deviation of forecasts with
+a similar distance ahead and a similar outside temperature. Only forecasts whose outcome is known contribute, so an
+interval is never evaluated on its own data. Where outcomes fall outside of the bounds more or less often than intended,
+for example when the season changes, the bounds move until the rate is right.
 
 References
 ----------
@@ -17,150 +17,263 @@ bounds that adapt.
 from collections import deque
 from collections.abc import Sequence
 from functools import cache
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
 
-DISTANCES: Final = (0.0, 0.3, 1.5, 6.0, 15.0, 30.0, 60.0)
-"""Where each class of what is ahead begins: the kilometres that its energy, rests included, would usually do. [km]"""
-TEMPERATURES: Final = (-273.15, -10.0, 0.0, 10.0, 20.0)
-"""Where each class of the outside temperature begins. [°C]"""
+BY_PLAN: Final = 0
+"""Basis of a forecast: the plan."""
+BY_HISTORY: Final = 1
+"""Basis of a forecast: the earlier shifts of the car."""
+BASES: Final = 2
+"""Number of bases of a forecast."""
+DISTANCE_CLASSES: Final = (0.0, 0.3, 1.5, 6.0, 15.0, 30.0, 60.0)
+"""Lower limit of each class of the distance that the energy ahead, idle periods included, would usually drive. [km]"""
+TEMPERATURE_CLASSES: Final = (-273.15, -10.0, 0.0, 10.0, 20.0)
+"""Lower limit of each class of the outside temperature. [°C]"""
 LEVELS: Final = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995)
-"""Probabilities of the quantiles that are kept."""
-BOUNDS: Final = 0.05, 0.95
-"""Probabilities of the bounds of an interval."""
-PACE: Final = 0.02
-"""By how much a bound's probability moves with each shift that is outside of it, or 1/19 of that where it is inside."""
-FARTHEST: Final = -0.045, 0.05
-"""How far a bound's probability may move for a class of distance, and again for one of temperature."""
-MOST_OUTSIDE: Final = 0.12
-"""Largest probability of a bound, from its own end."""
-ENOUGH: Final = 50
-"""Shifts that a class of its own takes; with fewer it borrows from its neighbours."""
-LEAST: Final = 20
-"""Shifts, of all classes, below which there are no intervals."""
-KEPT: Final = 400
-"""Shifts that a class remembers, the newest."""
+"""Probabilities of the stored quantiles."""
+LOWER_LEVEL: Final = 0.05
+"""Probability of the lower bound of an interval."""
+UPPER_LEVEL: Final = 0.95
+"""Probability of the upper bound of an interval."""
+ADAPTATION_RATE: Final = 0.02
+"""Change of a bound's probability per shift outside of it; 1/19 of that per shift inside."""
+ADAPTATION_LIMITS: Final = -0.045, 0.05
+"""Limits of the change of a bound's probability, for a class of distance and again for one of temperature."""
+LARGEST_BOUND_LEVEL: Final = 0.12
+"""Largest probability of a bound, counted from its own end."""
+SUFFICIENT_SHIFTS: Final = 50
+"""Number of shifts from which a class uses its own data only; with fewer it borrows from neighbouring classes."""
+LEAST_SHIFTS: Final = 20
+"""Number of shifts, of all classes, below which there are no intervals."""
+REMEMBERED_SHIFTS: Final = 400
+"""Number of newest shifts that a class remembers."""
+
+BOUND_PAIR: Final = np.dtype([("lower", "f8"), ("upper", "f8")])
+"""A value for each of the two bounds of an interval."""
 
 
-class Conformal:
-    """Standardised errors by class, and their quantiles.
+class ErrorBounds(NamedTuple):
+    """Middle and bounds of the standardised error of n forecasts, (n,) float each. [1]
 
-    A class is (kind, distance, temperature), where `kind` tells forecasts by plan (0) from those by habit (1).
+    The middle is the forecast itself, moved into its bounds: the median of few errors is less certain than the model.
+    """
+
+    middle: Floats
+    lower: Floats
+    upper: Floats
+
+
+class ConformalIntervals:
+    """Learn standardised errors by class, and provide their quantiles.
+
+    A class is (basis, distance, temperature), where the basis is `BY_PLAN` or `BY_HISTORY`.
 
     Attributes
     ----------
-    table : (kinds, distances, temperatures, levels) float
+    table : (bases, distances, temperatures, levels) float
         Quantiles of the standardised error, NaN where too little is known. [1]
-    bounds : (kinds, distances, temperatures, 2) float
-        Likewise between which the standardised error lies with 90 %.
+    bounds : (bases, distances, temperatures) BOUND_PAIR
+        Bounds that contain the standardised error with 90 %, NaN where too little is known. [1]
     """
 
-    def __init__(self, kinds: int = 2) -> None:
-        self.shape = kinds, len(DISTANCES), len(TEMPERATURES)
+    def __init__(self, bases: int = BASES) -> None:
+        self.shape = bases, len(DISTANCE_CLASSES), len(TEMPERATURE_CLASSES)
         self._scores: dict[tuple[int, ...], deque[Floats]] = {}
         self.table = np.full((*self.shape, len(LEVELS)), np.nan)
-        self.bounds = np.full((*self.shape, 2), np.nan)
-        self._moved = np.zeros((*self.shape[:2], 2)), np.zeros((self.shape[0], self.shape[2], 2))
+        self.bounds = _make_pairs(self.shape, np.nan)
+        self._moved_by_distance = _make_pairs((bases, len(DISTANCE_CLASSES)), 0.0)
+        self._moved_by_temperature = _make_pairs((bases, len(TEMPERATURE_CLASSES)), 0.0)
 
-    def learn(self, kind: int, ahead_km: Floats, ambient_c: Floats, scores: Floats) -> None:
-        """Remember the standardised errors of one shift's forecasts; each class of it counts as one shift."""
-        distance, temperature = classes(ahead_km, ambient_c)
-        for place in sorted(set(zip(distance.tolist(), temperature.tolist(), strict=True))):
-            mine = scores[(distance == place[0]) & (temperature == place[1])]
-            low, high = self.bounds[kind, *place]
-            if np.isfinite(low):
-                missed = np.array([np.mean(mine < low), np.mean(mine > high)])
-                for moved, which in zip(self._moved, place, strict=True):
-                    moved[kind, which] = np.clip(moved[kind, which] + PACE * (BOUNDS[0] - missed), *FARTHEST)
-            self._scores.setdefault((kind, *place), deque(maxlen=KEPT)).append(mine)
+    def add_shift(self, basis: int, ahead_km: Floats, ambient_c: Floats, scores: Floats) -> None:
+        """Remember the standardised errors of one shift's forecasts.
 
-    def settle(self) -> None:
-        """Make quantiles of all that was remembered."""
-        for place in np.ndindex(self.shape):
-            shifts = self._near(place)
-            kind, distance, temperature = place
-            moved = self._moved[0][kind, distance] + self._moved[1][kind, temperature]
-            below, above = np.clip(BOUNDS[0] + moved, LEVELS[0], MOST_OUTSIDE).tolist()
-            found = np.full(len(LEVELS) + 2, np.nan)
-            if len(shifts) >= LEAST:
-                found = quantiles(shifts, (*LEVELS, below, 1.0 - above))
-            self.table[place], self.bounds[place] = agreeing(found[:-2], *found[-2:]), found[-2:]
-
-    def quantiles(self, kind: Ints, ahead_km: Floats, ambient_c: Floats) -> tuple[Floats, Floats]:
-        """Return the quantiles of each forecast, (n, levels); and its middle, within its bounds, and these, (n, 3).
-
-        The middle is the forecast itself, the median of few errors being less sure than the model.
+        Parameters
+        ----------
+        basis : int
+        ahead_km : (n,) float
+            Distance that the energy ahead would usually drive. [km]
+        ambient_c : (n,) float
+            Outside temperature. [°C]
+        scores : (n,) float
+            Standardised errors. [1] Each class that the shift touches counts it as one shift.
         """
-        place = kind, *classes(ahead_km, ambient_c)
-        low, high = np.moveaxis(self.bounds[place], -1, 0)
-        return np.asarray(self.table[place]), np.column_stack([np.clip(0.0, low, high), low, high])
+        distance, temperature = classify(ahead_km, ambient_c)
+        for place in sorted(set(zip(distance.tolist(), temperature.tolist(), strict=True))):
+            of_class = scores[(distance == place[0]) & (temperature == place[1])]
+            bounds = self.bounds[basis, *place]
+            if np.isfinite(bounds["lower"]):
+                missed = {"lower": np.mean(of_class < bounds["lower"]), "upper": np.mean(of_class > bounds["upper"])}
+                for side, share in missed.items():
+                    step = ADAPTATION_RATE * (LOWER_LEVEL - share)
+                    for moved, at in zip(
+                        (self._moved_by_distance[side], self._moved_by_temperature[side]), place, strict=True
+                    ):
+                        moved[basis, at] = np.clip(moved[basis, at] + step, *ADAPTATION_LIMITS)
+            self._scores.setdefault((basis, *place), deque(maxlen=REMEMBERED_SHIFTS)).append(of_class)
+
+    def update_quantiles(self) -> None:
+        """Compute the quantiles and bounds of every class from the remembered shifts."""
+        for place in np.ndindex(self.shape):
+            shifts = self._find_nearest_shifts(place)
+            lower, upper = (self._compute_bound_level(place, side) for side in ("lower", "upper"))
+            found = np.full(len(LEVELS) + 2, np.nan)
+            if len(shifts) >= LEAST_SHIFTS:
+                found = compute_quantiles(shifts, (*LEVELS, lower, 1.0 - upper))
+            *_, low, high = found
+            self.bounds[place] = low, high
+            self.table[place] = clip_to_bounds(found[: len(LEVELS)], low, high)
+
+    def _compute_bound_level(self, place: tuple[int, ...], side: str) -> float:
+        """Return the probability of a bound of a class, counted from its own end."""
+        basis, distance, temperature = place
+        moved = self._moved_by_distance[side][basis, distance] + self._moved_by_temperature[side][basis, temperature]
+        return float(np.clip(LOWER_LEVEL + moved, LEVELS[0], LARGEST_BOUND_LEVEL))
+
+    def get_quantiles(self, basis: Ints, ahead_km: Floats, ambient_c: Floats) -> tuple[Floats, ErrorBounds]:
+        """Return the distribution of the standardised error of each forecast.
+
+        Parameters
+        ----------
+        basis : (n,) int
+        ahead_km : (n,) float
+            Distance that the energy ahead would usually drive. [km]
+        ambient_c : (n,) float
+            Outside temperature. [°C]
+
+        Returns
+        -------
+        (n, levels) float
+            Quantiles of `LEVELS`.
+        ErrorBounds
+        """
+        place = basis, *classify(ahead_km, ambient_c)
+        lower, upper = self.bounds["lower"][place], self.bounds["upper"][place]
+        return np.asarray(self.table[place]), ErrorBounds(np.clip(0.0, lower, upper), lower, upper)
 
     def dump(self) -> Any:
         """Return the state as plain values."""
         scores = [(place, [shift.tobytes() for shift in shifts]) for place, shifts in self._scores.items()]
-        return scores, self.table.tolist(), self.bounds.tolist(), *(moved.tolist() for moved in self._moved)
+        moved = self._moved_by_distance.tobytes(), self._moved_by_temperature.tobytes()
+        return scores, self.table.tolist(), self.bounds.tobytes(), *moved
 
     def load(self, state: Any) -> None:
-        """Take up a state that `dump` returned."""
-        scores, *tables = state
-        self._scores = {tuple(place): deque(map(np.frombuffer, shifts), maxlen=KEPT) for place, shifts in scores}
-        self.table, self.bounds, *moved = (np.array(table, dtype=np.float64) for table in tables)
-        self._moved = moved[0], moved[1]
+        """Replace the state by one that `dump` returned."""
+        scores, table, bounds, by_distance, by_temperature = state
+        self._scores = {
+            tuple(place): deque(map(np.frombuffer, shifts), maxlen=REMEMBERED_SHIFTS) for place, shifts in scores
+        }
+        bases, distances, temperatures = self.shape
+        self.table = np.array(table, dtype=np.float64)
+        self.bounds = np.frombuffer(bounds, BOUND_PAIR).reshape(self.shape).copy()
+        self._moved_by_distance = np.frombuffer(by_distance, BOUND_PAIR).reshape(bases, distances).copy()
+        self._moved_by_temperature = np.frombuffer(by_temperature, BOUND_PAIR).reshape(bases, temperatures).copy()
 
-    def _near(self, place: tuple[int, ...]) -> list[Floats]:
-        """Return the shifts of a class; of those around it too, the nearest first, until there are enough."""
-        kind, *own = place
-        found: list[Floats] = []
-        for d, t in around(*own):
-            if len(found) >= ENOUGH:
+    def _find_nearest_shifts(self, place: tuple[int, ...]) -> list[Floats]:
+        """Return the shifts of a class, and of the classes around it, nearest first, until there are enough."""
+        basis, distance, temperature = place
+        shifts: list[Floats] = []
+        for near in list_nearest_classes(distance, temperature):
+            if len(shifts) >= SUFFICIENT_SHIFTS:
                 break
-            found += self._scores.get((kind, d, t), ())
-        return found
+            shifts += self._scores.get((basis, *near), ())
+        return shifts
+
+
+def _make_pairs(shape: tuple[int, ...], value: float) -> NDArray[np.void]:
+    """Return pairs of bounds that all have one value."""
+    pairs = np.empty(shape, BOUND_PAIR)
+    pairs["lower"] = pairs["upper"] = value
+    return pairs
 
 
 @cache
-def around(distance: int, temperature: int) -> list[tuple[int, int]]:
-    """Return all classes of distance and temperature, those nearest to one first."""
-    every = np.ndindex(len(DISTANCES), len(TEMPERATURES))
+def list_nearest_classes(distance: int, temperature: int) -> list[tuple[int, int]]:
+    """Return all classes of distance and temperature, sorted by how near they are to one of them.
+
+    Parameters
+    ----------
+    distance, temperature : int
+        Index of the class of distance and of temperature.
+    """
+    every = np.ndindex(len(DISTANCE_CLASSES), len(TEMPERATURE_CLASSES))
     far = sorted((abs(d - distance) * 2 + abs(t - temperature), d, t) for d, t in every)
     return [(d, t) for _, d, t in far]
 
 
-def classes(ahead_km: Floats, ambient_c: Floats) -> tuple[Ints, Ints]:
-    """Return the classes of distance and temperature, (n,) each; the unknown is in the first."""
-    distance = np.searchsorted(DISTANCES, np.nan_to_num(ahead_km), side="right") - 1
-    temperature = np.searchsorted(TEMPERATURES, np.nan_to_num(ambient_c, nan=15.0), side="right") - 1
+def classify(ahead_km: Floats, ambient_c: Floats) -> tuple[Ints, Ints]:
+    """Return the classes of distance and temperature of forecasts.
+
+    Parameters
+    ----------
+    ahead_km : (n,) float
+        Distance that the energy ahead would usually drive, NaN counts as 0. [km]
+    ambient_c : (n,) float
+        Outside temperature, NaN counts as 15 °C. [°C]
+
+    Returns
+    -------
+    (n,) int
+        Index of the class of distance.
+    (n,) int
+        Index of the class of temperature.
+    """
+    distance = np.searchsorted(DISTANCE_CLASSES, np.nan_to_num(ahead_km), side="right") - 1
+    temperature = np.searchsorted(TEMPERATURE_CLASSES, np.nan_to_num(ambient_c, nan=15.0), side="right") - 1
     return np.maximum(distance, 0), np.maximum(temperature, 0)
 
 
-def agreeing(table: Floats, low: float, high: float) -> Floats:
-    """Return quantiles, (levels,), of which those of `BOUNDS` are these, and the others as far as they agree with that.
+def clip_to_bounds(table: Floats, lower: float, upper: float) -> Floats:
+    """Return quantiles that are consistent with given bounds.
+
+    Parameters
+    ----------
+    table : (levels,) float
+        Quantiles of `LEVELS`.
+    lower, upper : float
+        Quantiles of `LOWER_LEVEL` and `UPPER_LEVEL`, which replace those of the table. The others are clipped.
+
+    Returns
+    -------
+    (levels,) float
 
     Examples
     --------
     >>> levels = np.array(LEVELS)
-    >>> agreeing(levels, 0.15, 0.9)[[2, 3, 4, 5, 10, 11, 12]].tolist()
+    >>> clip_to_bounds(levels, 0.15, 0.9)[[2, 3, 4, 5, 10, 11, 12]].tolist()
     [0.02, 0.15, 0.15, 0.2, 0.9, 0.9, 0.98]
     """
     at = np.array(LEVELS)
-    inside = np.clip(table, low, high)
-    outside = np.where(at <= BOUNDS[0], np.minimum(table, low), np.maximum(table, high))
-    out = np.where((at > BOUNDS[0]) & (at < BOUNDS[1]), inside, outside)
-    out[at == BOUNDS[0]], out[at == BOUNDS[1]] = low, high
+    inside = np.clip(table, lower, upper)
+    outside = np.where(at <= LOWER_LEVEL, np.minimum(table, lower), np.maximum(table, upper))
+    out = np.where((at > LOWER_LEVEL) & (at < UPPER_LEVEL), inside, outside)
+    out[at == LOWER_LEVEL], out[at == UPPER_LEVEL] = lower, upper
     return np.asarray(out)
 
 
-def quantiles(shifts: Sequence[Sequence[float] | Floats], levels: Sequence[float]) -> Floats:
-    """Return the quantiles of the scores of shifts, each shift counting as one whatever its number of scores.
+def compute_quantiles(shifts: Sequence[Sequence[float] | Floats], levels: Sequence[float]) -> Floats:
+    """Return the quantiles of the scores of shifts; each shift has the same weight, whatever its number of scores.
 
-    The outer ones are further out by as much as so few shifts ask for, so that the next one is inside as often as said.
+    The outer quantiles are widened for the finite number of shifts, so that the next score lies inside as often as the
+    levels say.
+
+    Parameters
+    ----------
+    shifts : sequence of (scores,) float
+    levels : sequence of float
+        Probabilities.
+
+    Returns
+    -------
+    (levels,) float
 
     Examples
     --------
-    >>> quantiles([(float(i),) for i in range(-50, 51)], BOUNDS).round(1).tolist()
+    >>> compute_quantiles([(float(i),) for i in range(-50, 51)], (LOWER_LEVEL, UPPER_LEVEL)).round(1).tolist()
     [-45.9, 45.9]
     """
     scores, sizes = np.concatenate(shifts), np.array([len(shift) for shift in shifts])

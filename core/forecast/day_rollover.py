@@ -1,11 +1,13 @@
-"""When a night falls in a fleet's stream: by the stamps of its samples, as core never looks at a clock.
+"""Detect when the UTC day of a fleet's stream changes, from the stamps of its samples; core never reads a clock.
 
-Loggers' clocks may err, by hours or by years, and send many samples at once. So the day is what most of the cars say
-that were heard lately, each by its two newest stamps, whatever the number of its samples: a single glitch says nothing.
-The next day begins when more of them are in it than are still in the present one; clocks that are days away from both
-are not asked. Only where more than half of all that were heard in a longer while are further ahead, or days behind, the
-calendar itself was wrong, or the fleet rested, and the day becomes the one that more than half have come to, or are
-still in.
+The daily update runs when most active cars have passed midnight UTC, so one wrong clock cannot trigger it. Loggers'
+clocks may be wrong by hours or years, and may send many samples at once. So each car that was active lately has one vote,
+by its two newest stamps, whatever the number of its samples; a single wrong stamp changes nothing. The next day begins
+when more cars are in it than in the present day. Cars whose clocks are days away from both have no vote.
+
+The day also changes when more than half of all cars that were active in a longer window are further ahead, or days
+behind: then the day itself was wrong, or the fleet was idle. It becomes the latest day that more than half of them have
+reached, or the earliest that more than half are still in.
 """
 
 from math import isnan
@@ -13,167 +15,205 @@ from typing import Any, Final
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from core.batch import Floats, Ints, grown
+from core.columns import SECONDS_PER_DAY
 from core.wire.messages import Wire
 
-DAY: Final = 86400.0
-"""[s]"""
-BACK: Final = 2.0 * DAY
-"""Stamps so much before the coming night are of another calendar. [s]"""
-LATELY: Final = 100, 1000
-"""Samples of the fleet within which a car counts as heard lately, for the next day and for any other one.
+BEHIND_LIMIT: Final = 2.0 * SECONDS_PER_DAY
+"""Stamps that are older than the coming midnight by more than this belong to another day. [s]"""
+RECENT_SAMPLES: Final = 100
+"""Number of the fleet's newest samples whose cars vote on the next day.
 
-The fewer, the sooner cars that rest are not asked any more; the more, the longer may be what one sends at once.
-"""
-TODAY, NEXT, AHEAD, BEHIND, NOTHING = range(5)
-"""What a car says of the day."""
+Fewer samples drop idle cars sooner; more samples tolerate a larger burst of a single car."""
+WINDOW_SAMPLES: Final = 1000
+"""Number of the fleet's newest samples whose cars vote on any other day."""
+TODAY, NEXT_DAY, AHEAD, BEHIND, UNKNOWN_DAY = range(5)
+"""Votes of a car."""
+_VOTES: Final = 5
+
+CAR_CLOCK: Final = np.dtype(
+    [
+        ("older", "f8"),  # second newest stamp [s]
+        ("newer", "f8"),  # newest stamp [s]
+        ("recent", "i8"),  # number of its samples among the newest `RECENT_SAMPLES`
+        ("window", "i8"),  # number of its samples among the newest `WINDOW_SAMPLES`
+    ]
+)
+"""Stamps and activity of a car."""
 
 
-class Night(Wire):
-    """Stands for a night among the messages that are no samples; it does not travel."""
+class DailyUpdate(Wire):
+    """Mark the daily update among the messages that are no samples; it is never published."""
 
 
-class Calendar:
-    """The coming night, UTC."""
+class DayRollover:
+    """Detect the changes of the UTC day."""
 
     def __init__(self) -> None:
-        self._tomorrow = -np.inf
-        self._place = 0  # of the next sample among the newest
-        self._newest = np.full(LATELY[1], -1)  # lanes of the newest samples
-        self._stamps = np.zeros((0, 2))  # the two newest of each lane [s]
-        self._heard = np.zeros((0, 2), np.int64)  # samples of each lane among the newest, of `LATELY`
-        self._said = np.zeros((2, 5), np.int64)  # lanes heard lately, by what they say
+        self._midnight = -np.inf  # coming one [s]
+        self._place = 0  # of the next sample in `_newest`
+        self._newest = np.full(WINDOW_SAMPLES, -1)  # lanes of the newest samples, a ring
+        self._clocks = np.zeros(0, CAR_CLOCK)
+        self._recent_votes, self._window_votes = np.zeros(_VOTES, np.int64), np.zeros(_VOTES, np.int64)
 
-    def nights(self, lane: Ints, stamp: Floats) -> list[int]:
-        """Return the rows before which a night falls.
+    def find_rollovers(self, lane: Ints, stamp: Floats) -> list[int]:
+        """Return the rows before which the day changes.
 
         Parameters
         ----------
         lane : (n,) int
         stamp : (n,) float
-            Of samples in the order of their arrival. [s]
+            Stamps of samples, in the order of their arrival. [s]
+
+        Returns
+        -------
+        list of int
 
         Examples
         --------
-        >>> calendar = Calendar()
-        >>> calendar.nights(np.zeros(3, np.int64), np.array([100.0, 103.0, 106.0]))
+        >>> rollover = DayRollover()
+        >>> rollover.find_rollovers(np.zeros(3, np.int64), np.array([100.0, 103.0, 106.0]))
         [1]
-        >>> calendar.nights(np.zeros(5, np.int64), np.array([9e9, 109.0, 86398.0, 86401.0, 86404.0]))
+        >>> rollover.find_rollovers(np.zeros(5, np.int64), np.array([9e9, 109.0, 86398.0, 86401.0, 86404.0]))
         [4]
         """
         lanes = int(lane.max(initial=-1)) + 1
-        self._stamps, self._heard = grown(self._stamps, lanes, np.nan), grown(self._heard, lanes)
-        found: list[int] = []
+        self._clocks = grown(self._clocks, lanes, np.array((np.nan, np.nan, 0, 0), CAR_CLOCK))
+        rollovers: list[int] = []
         row = -1
-        while (row := self._listen(lane, stamp, row + 1)) < len(lane):
-            self._turn()
-            found.append(row)
-        self._place = (self._place + len(lane)) % LATELY[1]
-        return found
+        while (row := self._process_samples(lane, stamp, row + 1)) < len(lane):
+            self._begin_day()
+            rollovers.append(row)
+        self._place = (self._place + len(lane)) % WINDOW_SAMPLES
+        return rollovers
 
-    def silence(self, lane: int) -> float:
-        """Return for how long a car has been silent, by what most of those say that were heard lately; else 0. [s]
+    def compute_silence(self, lane: int) -> float:
+        """Return how long a car has been silent, by the stamps of most active cars; 0 for an active car. [s]
+
+        Parameters
+        ----------
+        lane : int
+
+        Returns
+        -------
+        float
 
         Examples
         --------
-        >>> calendar = Calendar()
-        >>> calendar.nights(np.zeros(2, np.int64), np.array([100.0, 103.0]))
+        >>> rollover = DayRollover()
+        >>> rollover.find_rollovers(np.zeros(2, np.int64), np.array([100.0, 103.0]))
         [1]
-        >>> calendar.nights(np.ones(2000, np.int64), np.arange(2000.0))
+        >>> rollover.find_rollovers(np.ones(2000, np.int64), np.arange(2000.0))
         []
-        >>> calendar.silence(0), calendar.silence(1)
+        >>> rollover.compute_silence(0), rollover.compute_silence(1)
         (1895.0, 0.0)
         """
-        if self._heard[lane, 1] > 0:  # its own clock may be hours behind
+        clock = self._clocks[lane]
+        if clock["window"] > 0:  # its own clock may be hours behind
             return 0.0
-        now = np.sort(self._heard_lately().min(axis=1))
-        return float(now[(len(now) - 1) // 2] - np.nanmax(self._stamps[lane])) if len(now) else 0.0
+        active = self._get_active_clocks()
+        now = np.sort(np.minimum(active["older"], active["newer"]))
+        return float(now[(len(now) - 1) // 2] - np.fmax(clock["older"], clock["newer"])) if len(now) else 0.0
 
-    def _heard_lately(self) -> Floats:
-        """Return the two newest stamps of each car that was heard lately, (cars, 2). [s]"""
-        return self._stamps[(self._heard[:, 1] > 0) & ~np.isnan(self._stamps).any(axis=1)]
+    def _get_active_clocks(self) -> NDArray[np.void]:
+        """Return the clocks of the cars in the window that have two stamps, (cars,) CAR_CLOCK."""
+        known = ~np.isnan(self._clocks["older"]) & ~np.isnan(self._clocks["newer"])
+        return self._clocks[(self._clocks["window"] > 0) & known]
 
-    def _listen(self, lane: Ints, stamp: Floats, start: int) -> int:
-        """Take samples from a row on; return the row at which another day has come, or how many rows there are."""
-        lists = self._newest, self._stamps, self._heard, self._said
-        return int(_listen(lane, stamp, start, self._place, self._tomorrow, *lists))
+    def _process_samples(self, lane: Ints, stamp: Floats, start: int) -> int:
+        """Process samples from a row on; return the row at which the day changes, or the number of rows."""
+        votes = self._recent_votes, self._window_votes
+        return int(
+            _process_samples(lane, stamp, start, self._place, self._midnight, self._newest, self._clocks, *votes)
+        )
 
-    def _turn(self) -> None:
-        """Begin the day that has come."""
-        if self._said[0, NEXT] > self._said[0, TODAY]:
-            self._tomorrow += DAY
+    def _begin_day(self) -> None:
+        """Begin the day that most cars vote for."""
+        if self._recent_votes[NEXT_DAY] > self._recent_votes[TODAY]:
+            self._midnight += SECONDS_PER_DAY
         else:
-            stamps = self._heard_lately()
-            ahead = self._said[1, AHEAD] > self._said[1, BEHIND]
-            most = -np.sort(-stamps.min(axis=1)) if ahead else np.sort(stamps.max(axis=1))
-            self._tomorrow = float((np.floor(most[len(most) // 2] / DAY) + 1.0) * DAY)
-        self._count()
+            active = self._get_active_clocks()
+            if self._window_votes[AHEAD] > self._window_votes[BEHIND]:
+                stamps = -np.sort(-np.minimum(active["older"], active["newer"]))
+            else:
+                stamps = np.sort(np.maximum(active["older"], active["newer"]))
+            self._midnight = float((np.floor(stamps[len(stamps) // 2] / SECONDS_PER_DAY) + 1.0) * SECONDS_PER_DAY)
+        self._count_votes()
 
-    def _count(self) -> None:
-        """Count what lanes say, from what is known of them."""
-        self._said[:] = 0
-        lanes = np.flatnonzero(self._heard[:, 1])
-        for (first, second), heard in zip(self._stamps[lanes].tolist(), self._heard[lanes] > 0, strict=True):
-            self._said[:, _says(first, second, self._tomorrow)] += heard
+    def _count_votes(self) -> None:
+        """Count the votes of all active cars."""
+        self._recent_votes[:] = self._window_votes[:] = 0
+        for clock in self._clocks[self._clocks["window"] > 0]:
+            vote = _vote(clock["older"], clock["newer"], self._midnight)
+            self._recent_votes[vote] += clock["recent"] > 0
+            self._window_votes[vote] += 1
 
     def dump(self) -> Any:
         """Return the state as plain values."""
-        return self._tomorrow, self._place, self._newest.tobytes(), self._stamps.tobytes()
+        return self._midnight, self._place, self._newest.tobytes(), self._clocks.tobytes()
 
     def load(self, state: Any) -> None:
-        """Take up a state that `dump` returned."""
-        self._tomorrow, self._place, newest, stamps = state
+        """Replace the state by one that `dump` returned."""
+        self._midnight, self._place, newest, clocks = state
         self._newest = np.frombuffer(newest, np.int64).copy()
-        self._stamps = np.frombuffer(stamps).reshape(-1, 2).copy()
-        self._heard = np.zeros((len(self._stamps), 2), np.int64)
-        for i, samples in enumerate(LATELY):
-            lanes = np.roll(self._newest, -self._place)[-samples:]
-            self._heard[:, i] = np.bincount(lanes[lanes >= 0], minlength=len(self._stamps))
-        self._count()
+        self._clocks = np.frombuffer(clocks, CAR_CLOCK).copy()
+        self._count_votes()
 
 
 @njit(cache=True)
-def _listen(
+def _process_samples(
     lane: Ints,
     stamp: Floats,
     start: int,
     place: int,
-    tomorrow: float,
+    midnight: float,
     newest: Ints,
-    stamps: Floats,
-    heard: Ints,
-    said: Ints,
+    clocks: Any,
+    recent_votes: Ints,
+    window_votes: Ints,
 ) -> int:
-    """Take samples until another day has come."""
+    """Process samples until the day changes."""
     for row in range(start, len(lane)):
-        mine, at = lane[row], (place + row) % LATELY[1]
-        before = _says(stamps[mine, 0], stamps[mine, 1], tomorrow)
-        stamps[mine, 0], stamps[mine, 1] = stamps[mine, 1], stamp[row]
-        now = _says(stamps[mine, 0], stamps[mine, 1], tomorrow)
-        for i in range(2):
-            if heard[mine, i] > 0:
-                said[i, before] -= 1
-            said[i, now] += 1
-            heard[mine, i] += 1
-            gone = newest[(at - LATELY[i]) % LATELY[1]]
-            if gone >= 0:
-                heard[gone, i] -= 1
-                if heard[gone, i] == 0:
-                    said[i, _says(stamps[gone, 0], stamps[gone, 1], tomorrow)] -= 1
-        newest[at] = mine
-        if said[0, NEXT] > said[0, TODAY] or 2 * max(said[1, AHEAD], said[1, BEHIND]) > said[1, :NOTHING].sum():
+        clock, at = clocks[lane[row]], (place + row) % WINDOW_SAMPLES
+        before = _vote(clock.older, clock.newer, midnight)
+        clock.older, clock.newer = clock.newer, stamp[row]
+        now = _vote(clock.older, clock.newer, midnight)
+        if clock.recent > 0:
+            recent_votes[before] -= 1
+        recent_votes[now] += 1
+        clock.recent += 1
+        leaving = newest[(at - RECENT_SAMPLES) % WINDOW_SAMPLES]
+        if leaving >= 0:
+            left = clocks[leaving]
+            left.recent -= 1
+            if left.recent == 0:
+                recent_votes[_vote(left.older, left.newer, midnight)] -= 1
+        if clock.window > 0:
+            window_votes[before] -= 1
+        window_votes[now] += 1
+        clock.window += 1
+        leaving = newest[at]
+        if leaving >= 0:
+            left = clocks[leaving]
+            left.window -= 1
+            if left.window == 0:
+                window_votes[_vote(left.older, left.newer, midnight)] -= 1
+        newest[at] = lane[row]
+        most = 2 * max(window_votes[AHEAD], window_votes[BEHIND])
+        if recent_votes[NEXT_DAY] > recent_votes[TODAY] or most > window_votes[:UNKNOWN_DAY].sum():
             return row
     return len(lane)
 
 
 @njit(cache=True)
-def _says(first: float, second: float, tomorrow: float) -> int:
-    """Return what a car's two newest stamps say of the day; those that disagree, that it is the present one."""
-    if isnan(first) or isnan(second):
-        return NOTHING
-    if first >= tomorrow + DAY and second >= tomorrow + DAY:
+def _vote(older: float, newer: float, midnight: float) -> int:
+    """Return the vote of a car by its two newest stamps; two that disagree count as the present day."""
+    if isnan(older) or isnan(newer):
+        return UNKNOWN_DAY
+    if older >= midnight + SECONDS_PER_DAY and newer >= midnight + SECONDS_PER_DAY:
         return AHEAD
-    if first >= tomorrow and second >= tomorrow:
-        return NEXT
-    return BEHIND if first < tomorrow - BACK and second < tomorrow - BACK else TODAY
+    if older >= midnight and newer >= midnight:
+        return NEXT_DAY
+    return BEHIND if older < midnight - BEHIND_LIMIT and newer < midnight - BEHIND_LIMIT else TODAY

@@ -1,8 +1,8 @@
-"""What is ahead of every car, as samples come: the filter, what is learned of shifts, and the forecast of the charge.
+"""The forecast engine: run the filters, plans and shifts of all cars, and learn from them.
 
-Everything of a car follows from that car's own events, in their order. What is learned of the fleet is gathered through
-the day and learned overnight (`core.forecast.lessons`). So forecasts do not depend on how messages are cut into batches,
-nor on who else was served a moment earlier.
+Everything about a car follows from that car's own events, in their order. Statistics of the fleet are collected through
+the day and applied by the daily update (`core.forecast.learning.fleet`). So forecasts do not depend on how messages are
+cut into batches, nor on which other cars sent samples a moment earlier.
 """
 
 from collections.abc import Sequence
@@ -12,115 +12,179 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints, grown
-from core.columns import JOULES_PER_KWH, ZERO_CELSIUS
-from core.forecast import outlook, soc_filter
-from core.forecast.learning.car_driver import Habit, code_of
-from core.forecast.learning.fleet import Lessons
-from core.forecast.learning.forecast_errors import Note, ShiftLog
-from core.forecast.outlook import Known
-from core.forecast.plan_tracker import Arrival, Courses, Driving, ride_km
+from core.columns import JOULES_PER_KWH
+from core.forecast.conformal import BY_HISTORY, BY_PLAN
+from core.forecast.filter_state import (
+    CLOSED,
+    CLOSED_SHIFT,
+    DRIVER_NAMED,
+    FILTER_EVENT,
+    FILTER_STATE,
+    RUNNING,
+    SOC_ESTIMATE,
+    create_filter_state,
+)
+from core.forecast.forecast_rows import END_OF_SHIFT, ForecastRows, compute_forecast_rows
+from core.forecast.learning.car_driver import ShiftPattern, compute_driver_code
+from core.forecast.learning.fleet import FleetStatistics, ShiftEnergy
+from core.forecast.learning.forecast_errors import ForecastLog, ForecastRecord
+from core.forecast.outlook import compute_temperature_weights
+from core.forecast.plan_tracker import DriverNamed, PlanArrival, PlanTracker
+from core.forecast.soc_filter import close_shift, filter_events
 from core.totals.accumulator import Sums, Totals, join_totals
 from core.totals.context import RunContext
 from core.totals.tables import model_columns
 
-SEEN: Final = (
-    *("soc", "soc_sd", "mean", "p05", "p95", "risk", "range", "range_p05", "range_p95", "expected", "spread"),
-    *("end", "kind", "ahead_km", "far_km", "reserve", "ambient", "shift", "begin", "begin_soc", "distance"),
-    *("reported", "charged", "lean"),
-)
-"""What is told at each row: the charge and its standard deviation; the charge at the shift's end, its 5th and 95th
-percentile, and the risk of ending below the reserve [1]; the range to the reserve [km]; that charge and its standard
-deviation before errors are learned from [1]; when the shift ends [s]; whether by plan (0) or by habit (1); the
-kilometres ahead, and those that all the energy ahead would usually do; the reserve [1]; the outside temperature [°C];
-the shift's ordinal, beginning [s], charge then [1] and distance so far [m]; the charge as reported last [1]; when it
-last charged within the shift [s]; the factor of the energy ahead by what forecasts were short by."""
-_EXPECTED: Final = SEEN.index("expected")
-_END: Final = [SEEN.index(name) for name in ("mean", "p05", "p95", "risk")]
-CUT: Final = 900.0
-"""A shift that lacks more of its plan when a recording ends was cut off with it. [s]"""
+INTERRUPTED_SHIFT_LIMIT: Final = 900.0
+"""A shift whose planned end is later than the end of the recording by more than this was interrupted by it. [s]"""
 SHORT_SHIFT: Final = 0.5
-"""A shift that was shorter tells nothing. [h]"""
+"""A shorter shift does not update the consumption factors. [h]"""
+_UNKNOWN_END: Final = np.array((np.nan, np.nan, np.nan, np.nan), END_OF_SHIFT)[()]
 
 
-class Rows(NamedTuple):
-    """What is told at rows of running totals: the energy predicted so far [kWh], and `SEEN`, (n, len(SEEN))."""
+class PendingInput:
+    """Collect totals and dispatch messages until it pays to compute forecasts.
 
-    predicted: Floats
-    seen: Floats
+    Batches may be small, and weather observations cut them into pieces of a few rows. Forecasts do not depend on these
+    cuts, so the pieces are processed together. Rows are counted from the first pending batch.
 
-    def at(self, name: str) -> Floats:
-        """Return a column of `SEEN`."""
-        return self.seen[:, SEEN.index(name)]
+    Parameters
+    ----------
+    none : Totals
+        Totals of no rows.
 
-    def rows(self, which: Ints) -> "Rows":
-        """Return some of the rows."""
-        return Rows(self.predicted[which], self.seen[which])
+    Attributes
+    ----------
+    size : int
+        Number of pending samples and dispatch messages.
+    lanes : set of int
+        Lanes with pending dispatch messages.
+    """
 
-    @classmethod
-    def joined(cls, parts: Sequence["Rows"]) -> "Rows":
-        """Return rows one after another."""
-        none = cls(np.empty(0), np.empty((0, len(SEEN))))
-        return cls(*(np.concatenate(columns) for columns in zip(none, *parts, strict=True)))
+    def __init__(self, none: Totals) -> None:
+        self._none = none
+        self._sums: list[Sums] = []
+        self._dispatch: list[PlanArrival | DriverNamed] = []
+        self.size, self.lanes = 0, set[int]()
+        self._before = 0  # rows of batches before the present one
+
+    def __bool__(self) -> bool:
+        return bool(self._sums or self._dispatch)
+
+    def add_sums(self, sums: Sums, start: int, rows: int) -> None:
+        """Add the sums of a number of rows, which begin at row `start` of the batch."""
+        self._sums.append(Sums(*(totals._replace(at=totals.at + (self._before + start)) for totals in sums)))
+        self.size += rows
+
+    def add_dispatch(self, message: PlanArrival | DriverNamed) -> None:
+        """Add a plan or the name of a driver, in the order of their arrival."""
+        self._dispatch.append(message._replace(at=self._before + message.at))
+        self.lanes.add(message.lane)
+        self.size += 1
+
+    def end_batch(self, rows: int) -> None:
+        """Mark the end of a batch with a number of rows."""
+        self._before = self._before + rows if self else 0
+
+    def take(self, end: int) -> tuple[Sums, list[PlanArrival], list[DriverNamed]]:
+        """Return and drop all sums, joined, and the dispatch messages up to row `end` of the batch."""
+        sums, self._sums, self.size = self._sums, [], 0
+        due = [each for each in self._dispatch if each.at <= self._before + end]
+        self._dispatch = self._dispatch[len(due) :]
+        self.lanes = {each.lane for each in self._dispatch}
+        plans = [each for each in due if isinstance(each, PlanArrival)]
+        drivers = [each for each in due if isinstance(each, DriverNamed)]
+        rides, idle, running = (
+            join_totals([getattr(each, name) for each in sums], self._none) for name in ("rides", "rests", "running")
+        )
+        return Sums(rides, idle, self._none, running), plans, drivers
 
 
-class Foresight:
-    """The filters, the plans and the shifts of every lane, and what was learned of the fleet.
+class _Evaluation(NamedTuple):
+    """A step of the evaluation: the row of the batch, whether forecasts are due there, and the place of its data."""
+
+    row: int
+    of_forecast: bool
+    place: int
+
+
+class ForecastEngine:
+    """Run the filters, plans and shifts of every lane, with the statistics of the fleet.
 
     Parameters
     ----------
     context : RunContext
     width : int
-        Amounts that are summed of a ride.
+        Number of amounts that are summed of a ride.
 
     Attributes
     ----------
-    ends : (lanes, 4) float
-        The newest forecast of each lane's charge at the shift's end: mean, 5th and 95th percentile, and the risk of
-        ending below the reserve; NaN before there is one, also after a restart. [1]
+    statistics : FleetStatistics
+    plans : PlanTracker
+    log : ForecastLog
+    state : (lanes,) FILTER_STATE
+    ends : (lanes,) END_OF_SHIFT
+        Newest forecast of each lane's charge at the end of the shift, NaN before the first one and after a restart.
+    closed : list of CLOSED_SHIFT
+        Shifts that have ended since `take_shifts`.
     """
 
     def __init__(self, context: RunContext, width: int) -> None:
         self.context, self._cars = context, context.cars
-        self.lessons = Lessons(context, width)
-        self.courses, self.log = Courses(), ShiftLog()
-        self.state = soc_filter.new_state(0)
-        self.ends = np.zeros((0, len(_END)))
+        self.statistics = FleetStatistics(context, width)
+        self.plans, self.log = PlanTracker(), ForecastLog()
+        self.state = create_filter_state(0)
+        self.ends = np.zeros(0, END_OF_SHIFT)
         self.closed: list[NDArray[np.void]] = []
 
-    def follow(self, sums: Sums, arrivals: Sequence[Arrival], drivings: Sequence[Driving]) -> Rows:
-        """Take what a batch brought; return what is told at each of its running rows.
+    def process(self, sums: Sums, arrivals: Sequence[PlanArrival], drivers: Sequence[DriverNamed]) -> ForecastRows:
+        """Process the totals and dispatch messages of a batch; return the forecasts at each of its running rows.
 
         Parameters
         ----------
         sums : Sums
-        arrivals : sequence of Arrival
-            Plans that came.
-        drivings : sequence of Driving
-            Who drives.
+        arrivals : sequence of PlanArrival
+        drivers : sequence of DriverNamed
+
+        Returns
+        -------
+        ForecastRows
         """
         lanes = len(self.context.lanes)
-        if len(self.state) < lanes:
-            self.state = grown(self.state, lanes, soc_filter.new_state(1)[0])
-        self.ends = grown(self.ends, lanes, np.nan)
-        self.log.grow(lanes)
-        self.lessons.grow(lanes)
+        self._grow(lanes)
         parts = sums.rides, sums.rests, sums.running
         whole = join_totals(parts, sums.running)
         ends = np.cumsum([len(part.lane) for part in parts])
         predicted = self._predict(whole)
-        of_rides, of_rests, of_running = np.split(predicted, ends[:-1])
-        self.lessons.rides(sums.rides, of_rides)
-        self.lessons.rests(sums.rests, of_rests)
-        events, at = self._events(whole, predicted, int(ends[1]), drivings)
-        told = np.empty((len(events), len(soc_filter.TOLD)))
-        shifts = np.empty(len(events), soc_filter.CLOSED_SHIFT)
-        shifts = shifts[: soc_filter.follow(events, self.state, self.lessons.prior, told, shifts)]
-        told = told[events["kind"] == soc_filter.RUNNING]
-        courses = self.courses.follow(sums.running, sums.rides, arrivals, self.lessons.tables, lanes)
-        rows = Rows(of_running, self._tell(sums.running, told, courses))
-        self.ends[sums.running.lane] = rows.seen[:, _END]
-        self._judge(sums.running, rows, shifts, at)
+        of_rides, of_idle, of_running = np.split(predicted, ends[:-1])
+        self.statistics.add_rides(sums.rides, of_rides)
+        self.statistics.add_idle_periods(sums.rests, of_idle)
+        events, at = self._build_events(whole, predicted, int(ends[1]), drivers)
+        estimates, shifts = np.empty(len(events), SOC_ESTIMATE), np.empty(len(events), CLOSED_SHIFT)
+        shifts = shifts[: filter_events(events, self.state, self.statistics.prior, estimates, shifts)]
+        estimates = estimates[events["kind"] == RUNNING]
+        progress = self.plans.process(sums.running, sums.rides, arrivals, self.statistics.get_tables, lanes)
+        rows = compute_forecast_rows(sums.running, of_running, estimates, progress, self.statistics, self._cars)
+        self.ends[sums.running.lane] = rows.get_end_of_shift()
+        self._evaluate(sums.running, rows, shifts, at)
         return rows
+
+    def _grow(self, lanes: int) -> None:
+        """Make room for a number of lanes."""
+        if len(self.state) < lanes:
+            self.state = grown(self.state, lanes, create_filter_state(1)[0])
+        self.ends = grown(self.ends, lanes, _UNKNOWN_END)
+        self.log.grow(lanes)
+        self.statistics.grow(lanes)
+
+    def get_ends(self, lanes: Ints) -> NDArray[np.void]:
+        """Return the newest forecast of the charge at the end of the shift of some lanes, (n,) END_OF_SHIFT."""
+        self.ends = grown(self.ends, len(self.context.lanes), _UNKNOWN_END)
+        return self.ends[lanes]
+
+    def has_sample(self, lane: int) -> bool:
+        """Return whether the car of a lane has sent anything."""
+        return lane < len(self.state) and bool(self.state["active"][lane])
 
     def _predict(self, totals: Totals) -> Floats:
         """Return the energy that the model predicts of totals. [kWh]"""
@@ -129,163 +193,155 @@ class Foresight:
         model = self.context.model
         return model.predict(model_columns(totals, self.context, model.needs))
 
-    def _events(
-        self, totals: Totals, predicted: Floats, ended: int, drivings: Sequence[Driving]
+    def _build_events(
+        self, totals: Totals, predicted: Floats, closed: int, drivers: Sequence[DriverNamed]
     ) -> tuple[NDArray[np.void], Ints]:
-        """Return what the filters hear, in order, and the row of the batch of each; the first totals have ended."""
+        """Return the events of the filters in order, and the batch row of each; the first totals are closed ones."""
         n = len(totals.lane)
-        events = np.empty(n + len(drivings), soc_filter.EVENT)
-        self._hear(totals, predicted, events[:n])
-        events["kind"][:ended], events["kind"][ended:n] = soc_filter.CLOSED, soc_filter.RUNNING
-        self._hear_of(drivings, events[n:])
-        if n == len(events) and not ended:
+        events = np.empty(n + len(drivers), FILTER_EVENT)
+        self._fill_totals(totals, predicted, events[:n])
+        events["kind"][:closed], events["kind"][closed:n] = CLOSED, RUNNING
+        self._fill_drivers(drivers, events[n:])
+        if n == len(events) and not closed:
             return events, totals.at
-        at = np.concatenate([totals.at, np.array([d.at for d in drivings], dtype=np.int64)])
-        rank = np.repeat([1, 2, 0], [ended, n - ended, len(drivings)])
+        at = np.concatenate([totals.at, np.array([d.at for d in drivers], dtype=np.int64)])
+        rank = np.repeat([1, 2, 0], [closed, n - closed, len(drivers)])
         order = np.lexsort((rank, at))
         return events[order], at[order]
 
-    def _hear(self, totals: Totals, predicted: Floats, out: NDArray[np.void]) -> None:
-        """Write totals down as events."""
+    def _fill_totals(self, totals: Totals, predicted: Floats, out: NDArray[np.void]) -> None:
+        """Write totals as events."""
         duration, riding = totals.amount("duration"), totals.ride >= 0
-        car = totals.at_last("kind").astype(np.int64)
-        known = np.divide(totals.amount("ambient"), duration, out=np.full(len(duration), np.nan), where=duration > 0.0)
+        ambient = totals.amount("ambient")
+        kind = totals.at_last("kind").astype(np.int64)
+        mean_ambient = np.divide(ambient, duration, out=np.full(len(duration), np.nan), where=duration > 0.0)
+        weights = compute_temperature_weights(mean_ambient)
         out["lane"], out["time"] = totals.lane, totals.at_last("time")
         out["predicted"] = predicted
-        out["factor"], out["power"] = self.lessons.corrected(car, riding, outlook.temperature_weights(known))
+        out["factor"], out["power"] = self.statistics.compute_corrections(kind, riding, weights)
         out["metered"] = totals.amount("energy") / JOULES_PER_KWH
         out["meter_time"], out["duration"] = totals.amount("metered"), duration
-        out["riding"] = riding
-        out["distance"], out["ambient"] = totals.amount("distance"), totals.amount("ambient")
-        out["soc"], out["step"] = totals.at_last("soc"), totals.at_last("soc_step")
-        out["since_charge"], out["capacity"] = totals.at_last("since_charge"), self._cars.capacity[car]
+        out["riding"], out["distance"], out["ambient"] = riding, totals.amount("distance"), ambient
+        out["soc"], out["quantum"] = totals.at_last("soc"), totals.at_last("soc_step")
+        out["since_charge"], out["capacity"] = totals.at_last("since_charge"), self._cars.capacity[kind]
+        out["driver"], out["driver_mean"], out["driver_variance"] = -1.0, np.nan, np.nan
 
-    def _hear_of(self, drivings: Sequence[Driving], out: NDArray[np.void]) -> None:
-        """Write down as events who drives."""
-        out[:] = np.zeros((), soc_filter.EVENT)
-        for event, driving in zip(out, drivings, strict=True):
-            code = code_of(driving.driver)
-            event["kind"], event["lane"], event["duration"] = soc_filter.NAMED, driving.lane, code
-            event["predicted"], event["metered"] = self.lessons.scales.part_of(code)
+    def _fill_drivers(self, drivers: Sequence[DriverNamed], out: NDArray[np.void]) -> None:
+        """Write names of drivers as events."""
+        out[:] = np.zeros((), FILTER_EVENT)
+        for event, named in zip(out, drivers, strict=True):
+            code = compute_driver_code(named.driver)
+            part = self.statistics.factors.get_driver(code)
+            event["kind"], event["lane"], event["driver"] = DRIVER_NAMED, named.lane, code
+            event["driver_mean"], event["driver_variance"] = part.mean, part.variance
 
-    def _tell(self, running: Totals, told: Floats, courses: NDArray[np.void]) -> Floats:
-        """Return `SEEN` of each row."""
-        seen = dict(zip(soc_filter.TOLD, told.T, strict=True))
-        time, car = running.at_last("time"), running.at_last("kind").astype(np.int64)
-        usual = self.lessons.usual(car, outlook.temperature_weights(seen["ambient"]))
-        known = Known.of(seen, self._cars.capacity[car])
-        ahead = outlook.by_plan(courses, time, ride_km(running), running.ride >= 0, usual)
-        ahead = outlook.by_habit(ahead, usual, time - seen["begin"], time, *self.lessons.habits_of(running.lane))
-        celsius = seen["ambient"] - ZERO_CELSIUS
-        lean = self.lessons.lean.factor[ahead.kind]
-        ahead = ahead._replace(energy=ahead.energy * lean)
-        end = outlook.at_end(known, ahead.energy, ahead.hours)
-        far_km = ahead.energy / usual.per_km
-        errors, bounds = self.lessons.conformal.quantiles(ahead.kind, far_km, celsius)
-        ends = np.clip(end.mean[:, np.newaxis] + end.sd[:, np.newaxis] * bounds, 0.0, 1.0)
-        reach = outlook.reach(known, ahead.reserve, usual)
-        kinds = np.zeros_like(ahead.kind)
-        far, by_habit = (self.lessons.conformal.quantiles(kinds + k, reach.mean, celsius)[1] for k in (0, 1))
-        far = np.where(np.isfinite(far), far, by_habit)
-        ranges = np.maximum(reach.mean[:, np.newaxis] + reach.sd[:, np.newaxis] * far, 0.0)
-        risk = outlook.risk(end, ahead.reserve, errors)
-        return np.column_stack(
-            [
-                *(
-                    known.soc,
-                    np.sqrt(np.maximum(known.variance, soc_filter.FLOOR**2)),
-                    *ends.T,
-                    risk,
-                    *ranges.T,
-                    end.mean,
-                    end.sd,
-                ),
-                *(ahead.end, ahead.kind, ahead.km, far_km, ahead.reserve, celsius, seen["shift"], seen["begin"]),
-                *(seen["begin_soc"], seen["distance"], seen["reported"], seen["charged"], lean),
-            ]
-        )
-
-    def _judge(self, running: Totals, rows: Rows, shifts: NDArray[np.void], at: Ints) -> None:
-        """Note forecasts, and judge those whose end has come, in the order in which things happened.
+    def _evaluate(self, running: Totals, rows: ForecastRows, shifts: NDArray[np.void], at: Ints) -> None:
+        """Record forecasts, and evaluate those whose end has come, in the order of their rows.
 
         `at` is the row of the batch of each event.
         """
-        steps: list[tuple[int, int, int]] = [(int(at[int(shift["event"])]), 0, i) for i, shift in enumerate(shifts)]
+        steps = [_Evaluation(int(at[shift["event"]]), False, i) for i, shift in enumerate(shifts)]
         time = running.at_last("time")
-        due = np.unique(running.lane[self.log.due(running.lane, time, rows.at("expected"))])
-        due = np.union1d(due, shifts["lane"].astype(np.int64))
-        mine = np.flatnonzero(np.isin(running.lane, due)) if len(due) else due
-        steps += [(row, 1, i) for row, i in zip(running.at[mine].tolist(), mine.tolist(), strict=True)]
-        for _, what, i in sorted(steps):
-            if what == 0:
-                self._close(shifts[i])
-            elif self.log.due(lane := int(running.lane[i]), time[i], rows.seen[i, _EXPECTED]):
-                row = dict(zip(SEEN, rows.seen[i].tolist(), strict=True))
-                told = (row[name] for name in ("far_km", "ambient", "expected", "spread", "soc", "lean"))
-                note = Note(float(time[i]), row["end"], int(row["kind"]), *told)
-                self.lessons.judged(self.log.ended(lane, note.time, row["reported"], row["charged"]))
-                self.log.note(lane, note)
+        lanes = np.unique(running.lane[self.log.is_due(running.lane, time, rows.raw_end_soc)])
+        lanes = np.union1d(lanes, shifts["lane"])
+        due = np.flatnonzero(np.isin(running.lane, lanes)) if len(lanes) else lanes
+        steps += [_Evaluation(row, True, i) for row, i in zip(running.at[due].tolist(), due.tolist(), strict=True)]
+        for _, of_forecast, i in sorted(steps):
+            if not of_forecast:
+                self._close_shift(shifts[i])
+            elif self.log.is_due(lane := int(running.lane[i]), time[i], rows.raw_end_soc[i]):
+                now, charged = float(time[i]), float(rows.charged[i])
+                self.statistics.add_errors(self.log.evaluate_until(lane, now, float(rows.reported_soc[i]), charged))
+                self.log.record(lane, _create_record(now, rows, i))
 
-    def _close(self, shift: NDArray[np.void]) -> None:
+    def _close_shift(self, shift: NDArray[np.void]) -> None:
         """Learn from a shift that has ended."""
-        lane = int(shift["lane"])
+        lane, charged = int(shift["lane"]), float(shift["charged"])
         self.closed.append(shift.copy())
-        self.lessons.judged(self.log.closed(lane, float(shift["last_soc"]), float(shift["charged"])))
+        self.statistics.add_errors(self.log.evaluate_shift(lane, float(shift["last_soc"]), charged))
         capacity = float(self._cars.capacity[self._cars.of_lane[lane]])
         used = (float(shift["begin_soc"]) - float(shift["last_soc"])) * capacity
-        if shift["hours"] >= SHORT_SHIFT and np.isnan(shift["charged"]) and np.isfinite(used):
+        if shift["hours"] >= SHORT_SHIFT and np.isnan(charged) and np.isfinite(used):
             ambient = np.array([float(shift["warmth"] / shift["hours"])])
-            usual = self.lessons.usual(self._cars.of_lane[[lane]], outlook.temperature_weights(ambient))
-            length = (float(shift["end"]) - float(shift["begin"])) / 3600.0
+            usual = self.statistics.compute_usual(self._cars.of_lane[[lane]], compute_temperature_weights(ambient))
+            hours = (float(shift["end"]) - float(shift["begin"])) / 3600.0
             predicted = float(shift["predicted"])
             driver = int(shift["driver"]) if shift["driver"] >= 0.0 else None
-            busy = predicted / (float(usual.power[0]) * length)
-            self.lessons.shift(lane, (driver, predicted, used, capacity), Habit(length, busy) if busy > 0.0 else None)
+            relative_power = predicted / (float(usual.mean_power[0]) * hours)
+            pattern = ShiftPattern(hours, relative_power) if relative_power > 0.0 else None
+            self.statistics.add_shift(ShiftEnergy(lane, driver, predicted, used, capacity), pattern)
 
-    def overnight(self) -> None:
-        """Learn what the day taught."""
-        self.lessons.overnight()
+    def apply_daily_update(self) -> None:
+        """Let the statistics of the day take effect."""
+        self.statistics.apply_daily_update()
 
-    def finish(self, *, cut: bool = False) -> None:
-        """Close every shift in progress, at the end of the stream; where that was cut, those that were over by plan."""
-        there = self.state["shift"] >= 0.0
-        if cut:
-            courses = self.courses.of_lane[: len(there)]
-            there[len(courses) :] = False
-            there[: len(courses)] &= (courses["planned"] == 1.0) & (
-                self.state["time"][: len(courses)] >= courses["end"] - CUT
+    def finish(self, *, interrupted: bool = False) -> None:
+        """Close every shift in progress at the end of the stream.
+
+        Parameters
+        ----------
+        interrupted : bool
+            Whether the stream ends within shifts. Then only those that are over by plan are closed.
+        """
+        is_open = self.state["shift"] >= 0.0
+        if interrupted:
+            progress = self.plans.progress[: len(is_open)]
+            is_open[len(progress) :] = False
+            is_open[: len(progress)] &= (progress["planned"] == 1.0) & (
+                self.state["time"][: len(progress)] >= progress["end"] - INTERRUPTED_SHIFT_LIMIT
             )
-        open_lanes = np.flatnonzero(there)
-        shifts = np.empty(1, soc_filter.CLOSED_SHIFT)
+        open_lanes = np.flatnonzero(is_open)
+        shifts = np.empty(1, CLOSED_SHIFT)
         for lane in open_lanes.tolist():
-            soc_filter.close_shift(self.state[lane], 0, lane, shifts[0])
-            self._close(shifts[0])
+            close_shift(self.state[lane], 0, lane, shifts[0])
+            self._close_shift(shifts[0])
         self.state["shift"][open_lanes] = -1.0
-        self.state["heard"][open_lanes] = 0.0
+        self.state["active"][open_lanes] = 0.0
 
-    def learn_from(self, earlier: "Foresight") -> None:
-        """Take up what another one has learned by now, of the same cars; nothing of its shifts."""
-        earlier.finish(cut=True)
-        earlier.overnight()
-        self.lessons.load(earlier.lessons.dump())
-        self.state = soc_filter.new_state(len(earlier.state))
-        for name in ("c", "cc"):
+    def learn_from(self, earlier: "ForecastEngine") -> None:
+        """Copy the statistics and capacities that another engine has learned of the same cars, but none of its shifts.
+
+        Parameters
+        ----------
+        earlier : ForecastEngine
+            Its shifts that are over by plan are closed, and its daily update runs.
+        """
+        earlier.finish(interrupted=True)
+        earlier.apply_daily_update()
+        self.statistics.load(earlier.statistics.dump())
+        self.state = create_filter_state(len(earlier.state))
+        for name in ("log_capacity", "p_cc"):
             self.state[name] = earlier.state[name]
         self.log.grow(len(self.state))
 
     def take_shifts(self) -> NDArray[np.void]:
         """Return the shifts that have ended since the last call, (n,) CLOSED_SHIFT."""
         taken, self.closed = self.closed, []
-        return np.array(taken, soc_filter.CLOSED_SHIFT)
+        return np.array(taken, CLOSED_SHIFT)
 
     def dump(self) -> Any:
         """Return the state as plain values."""
-        return self.lessons.dump(), self.courses.dump(), self.log.dump(), self.state.tobytes()
+        return self.statistics.dump(), self.plans.dump(), self.log.dump(), self.state.tobytes()
 
     def load(self, state: Any) -> None:
-        """Take up a state that `dump` returned, once the cars are known."""
-        lessons, courses, log, filters = state
-        self.lessons.load(lessons)
-        self.courses.load(courses)
+        """Replace the state by one that `dump` returned, once the cars are known."""
+        statistics, plans, log, filters = state
+        self.statistics.load(statistics)
+        self.plans.load(plans)
         self.log.load(log)
-        self.state = np.frombuffer(filters, soc_filter.STATE).copy()
+        self.state = np.frombuffer(filters, FILTER_STATE).copy()
+
+
+def _create_record(time: float, rows: ForecastRows, i: int) -> ForecastRecord:
+    """Return the record of the forecast at a row."""
+    return ForecastRecord(
+        time=time,
+        end=float(rows.end[i]),
+        basis=BY_PLAN if rows.basis[i] == BY_PLAN else BY_HISTORY,
+        ahead_km=float(rows.energy_km_ahead[i]),
+        ambient_c=float(rows.ambient_c[i]),
+        mean=float(rows.raw_end_soc[i]),
+        sd=float(rows.raw_end_soc_sd[i]),
+        soc=float(rows.soc[i]),
+        bias_factor=float(rows.bias_factor[i]),
+    )

@@ -1,8 +1,10 @@
-"""How what is known of a car (`core.forecast.soc_filter`) is corrected: by a measurement, and by who drives.
+"""Kalman updates of the SOC filter: by a scalar measurement, and by the identity of the driver.
 
-What a car takes today, the logarithm `a` less `c`, is what it always takes, its driver's part and the day's. A driver
-who becomes known in a shift has driven it all along: a measurement. One who takes over from another is none: the first
-one's part is taken out, with the share of what was found today that is likely to be theirs, and the other's put in.
+The state is (s, a, c) with the covariance matrix P, see `core.forecast.soc_filter`. The day's consumption of a car,
+`a - c`, is the sum of three parts: of the car, of its driver and of the day. A driver who is identified during a shift
+has driven since its beginning, so the identity is a measurement of `a - c`. A driver who takes over from another one is
+no measurement: the update subtracts the first driver's part, with that driver's likely share of what the shift has
+revealed, and adds the part of the second driver.
 
 References
 ----------
@@ -15,60 +17,103 @@ from numba import njit
 
 
 @njit(cache=True)
-def correct(s: Any, off: float, by_s: float, by_a: float, by_c: float, variance: float) -> None:
-    """Correct the state by a measurement that is `off`, with its covariances with the state and its own variance."""
-    nudge(s, off, by_s, by_a, by_c, variance)
-    gain_s, gain_a, gain_c = by_s / variance, by_a / variance, by_c / variance
-    s.ss -= gain_s * by_s
-    s.sa -= gain_s * by_a
-    s.sc -= gain_s * by_c
-    s.aa -= gain_a * by_a
-    s.ac -= gain_a * by_c
-    s.cc -= gain_c * by_c
+def update_state(state: Any, residual: float, cov_s: float, cov_a: float, cov_c: float, variance: float) -> None:
+    """Update mean and covariance of the state by a scalar measurement.
 
+    Parameters
+    ----------
+    state : FILTER_STATE
+        Changed in place.
+    residual : float
+        Measured less expected value.
+    cov_s, cov_a, cov_c : float
+        Covariances of the measurement with `s`, `a` and `c`.
+    variance : float
+        Variance of the residual.
 
-@njit(cache=True)
-def nudge(s: Any, off: float, by_s: float, by_a: float, by_c: float, variance: float) -> None:
-    """Move the state by a measurement that is `off`, and make it no surer."""
-    s.s += by_s / variance * off
-    s.a += by_a / variance * off
-    s.c += by_c / variance * off
-
-
-@njit(cache=True)
-def drive(s: Any, wandered: float) -> None:
-    """Take who was named meanwhile: they have driven all along, or take over.
-
-    `wandered` is the variance of what `a` may have changed by since the shift began.
+    Notes
+    -----
+    With the gain k = cov / variance: x += k residual, P -= k cov^T.
     """
-    if s.next >= 0.0 and s.next != s.driver:
-        if s.driver < 0.0:
-            learn_driver(s, wandered)
+    update_mean(state, residual, cov_s, cov_a, cov_c, variance)
+    gain_s, gain_a, gain_c = cov_s / variance, cov_a / variance, cov_c / variance
+    state.p_ss -= gain_s * cov_s
+    state.p_sa -= gain_s * cov_a
+    state.p_sc -= gain_s * cov_c
+    state.p_aa -= gain_a * cov_a
+    state.p_ac -= gain_a * cov_c
+    state.p_cc -= gain_c * cov_c
+
+
+@njit(cache=True)
+def update_mean(state: Any, residual: float, cov_s: float, cov_a: float, cov_c: float, variance: float) -> None:
+    """Update the mean of the state as `update_state` does, and keep its covariance."""
+    state.soc += cov_s / variance * residual
+    state.log_consumption += cov_a / variance * residual
+    state.log_capacity += cov_c / variance * residual
+
+
+@njit(cache=True)
+def apply_named_driver(state: Any, wandered: float) -> None:
+    """Take the driver named since the last running totals into account: identified, or replacing another one.
+
+    Parameters
+    ----------
+    state : FILTER_STATE
+        Changed in place.
+    wandered : float
+        Variance of the change of `a` since the shift began.
+    """
+    if state.next_driver >= 0.0 and state.next_driver != state.driver:
+        if state.driver < 0.0:
+            update_with_driver(state, wandered)
         else:
-            change_driver(s, wandered)
-        s.usual += s.next_mean - s.driver_mean
-        s.usual_variance += s.next_variance - s.driver_variance
-        s.driver, s.driver_mean, s.driver_variance = s.next, s.next_mean, s.next_variance
-        s.drivers += 1.0
-    s.next = -1.0
+            replace_driver(state, wandered)
+        state.usual += state.next_driver_mean - state.driver_mean
+        state.usual_variance += state.next_driver_variance - state.driver_variance
+        state.driver = state.next_driver
+        state.driver_mean, state.driver_variance = state.next_driver_mean, state.next_driver_variance
+        state.drivers += 1.0
+    state.next_driver = -1.0
 
 
 @njit(cache=True)
-def learn_driver(s: Any, wandered: float) -> None:
-    """Take what is known of the driver, as far as it is surer than what was assumed when the shift began."""
-    known = s.usual_variance + s.next_variance - s.driver_variance
-    if known < s.usual_variance:
-        noise = 1.0 / (1.0 / known - 1.0 / s.usual_variance)
-        told = noise * ((s.usual + s.next_mean) / known - s.usual / s.usual_variance)
-        total = s.aa + s.cc - 2.0 * s.ac + noise + wandered
-        correct(s, told - s.a + s.c, s.sa - s.sc, s.aa - s.ac, s.ac - s.cc, total)
+def update_with_driver(state: Any, wandered: float) -> None:
+    """Update the state by a driver whose part is known better than the prior of the shift assumed.
+
+    Notes
+    -----
+    The measurement of `a - c` has the precision that the driver's identity adds to the prior of the shift.
+    """
+    variance = state.usual_variance + state.next_driver_variance - state.driver_variance
+    if variance < state.usual_variance:
+        noise = 1.0 / (1.0 / variance - 1.0 / state.usual_variance)
+        measured = noise * ((state.usual + state.next_driver_mean) / variance - state.usual / state.usual_variance)
+        total = state.p_aa + state.p_cc - 2.0 * state.p_ac + noise + wandered
+        update_state(
+            state,
+            measured - state.log_consumption + state.log_capacity,
+            state.p_sa - state.p_sc,
+            state.p_aa - state.p_ac,
+            state.p_ac - state.p_cc,
+            total,
+        )
 
 
 @njit(cache=True)
-def change_driver(s: Any, wandered: float) -> None:
-    """Let another driver take over: of what was found today, the share that was the first one's goes with them."""
-    stays = 1.0 - s.driver_variance / (s.usual_variance + wandered)
-    by_s, by_c, own = s.sa - s.sc, s.ac - s.cc, s.aa + s.cc - 2.0 * s.ac
-    s.a = s.c + s.usual + stays * (s.a - s.c - s.usual) + s.next_mean - s.driver_mean
-    s.sa, s.ac = s.sc + stays * by_s, s.cc + stays * by_c
-    s.aa = s.cc + 2.0 * stays * by_c + stays**2 * own + stays * s.driver_variance + s.next_variance
+def replace_driver(state: Any, wandered: float) -> None:
+    """Replace the driver: the first driver's share of what the shift has revealed leaves with that driver."""
+    kept = 1.0 - state.driver_variance / (state.usual_variance + wandered)
+    cov_s, cov_c = state.p_sa - state.p_sc, state.p_ac - state.p_cc
+    variance = state.p_aa + state.p_cc - 2.0 * state.p_ac
+    state.log_consumption = (
+        state.log_capacity
+        + state.usual
+        + kept * (state.log_consumption - state.log_capacity - state.usual)
+        + state.next_driver_mean
+        - state.driver_mean
+    )
+    state.p_sa, state.p_ac = state.p_sc + kept * cov_s, state.p_cc + kept * cov_c
+    state.p_aa = (
+        state.p_cc + 2.0 * kept * cov_c + kept**2 * variance + kept * state.driver_variance + state.next_driver_variance
+    )

@@ -1,4 +1,4 @@
-"""Forecasts from running totals."""
+"""Build the published forecasts from rows of running totals."""
 
 from collections.abc import Sequence
 from math import isnan
@@ -8,7 +8,7 @@ import numpy as np
 
 from core.batch import Floats
 from core.cleaning.quality import CAUSES, FORECAST_CAUSES, Quality
-from core.forecast.engine import Rows
+from core.forecast.forecast_rows import ForecastRows
 from core.totals.accumulator import Totals
 from core.totals.context import RunContext
 from core.totals.tables import measured_energy
@@ -20,40 +20,54 @@ _COUNTED: Final = {
 }
 
 
-def known(value: float) -> float | None:
-    """Return the value, None for NaN: what is unknown travels as null."""
+def none_if_nan(value: float) -> float | None:
+    """Return the value, None for NaN: unknown values are published as null."""
     return None if isnan(value) else value
 
 
-def counted(totals: Totals) -> dict[str, list[int]]:
-    """Return the counts that a forecast carries, a list over rows each."""
+def count_quality(totals: Totals) -> dict[str, list[int]]:
+    """Return the quality counts of a forecast, by name; each is a list over the rows of the totals."""
     return {
         name: sum(totals.quality[:, place] for place in places).astype(np.int64).tolist()  # type: ignore[union-attr]
         for name, places in _COUNTED.items()
     }
 
 
-def forecasts(
+def build_forecasts(
     running: Totals,
-    rows: Rows,
+    rows: ForecastRows,
     ride_names: Sequence[str | None],
     context: RunContext,
     prefix: str,
 ) -> list[Message]:
-    """Return one message a row of running totals, under `{prefix}fleet/{vehicle}/forecast`.
+    """Return one message per row of running totals, under `{prefix}fleet/{vehicle}/forecast`.
 
-    The time of receipt is the event time of the sample that the forecast rests on. Outside of rides there is no energy,
-    and what nobody knows yet is null.
+    The receipt time is the event time of the sample behind the forecast. Outside of rides there is no energy, and
+    unknown values are null.
+
+    Parameters
+    ----------
+    running : Totals
+        Of n rows.
+    rows : ForecastRows
+        Of n rows.
+    ride_names : sequence of n (str or None)
+    context : RunContext
+    prefix : str
+        Chunks before `fleet` in the keys, with a slash at the end.
+
+    Returns
+    -------
+    list of n Message
     """
     names, version = context.vehicle_ids, context.model_label
     riding = running.ride >= 0
     predicted = np.where(riding, rows.predicted, np.nan).tolist()
     measured = np.where(riding, measured_energy(running, context.cars)[0], np.nan).tolist()
-    counts = [QualityCounts(*row) for row in zip(*counted(running).values(), strict=True)]
-    told = (("soc", 100.0), ("soc_sd", 100.0), ("risk", 1.0))
-    soc, soc_sd, risk = ((scale * rows.at(name)).tolist() for name, scale in told)
-    reach = _intervals(*(rows.at(name) for name in ("range", "range_p05", "range_p95")))
-    end = _intervals(*(100.0 * rows.at(name) for name in ("mean", "p05", "p95")))
+    counts = [QualityCounts(*row) for row in zip(*count_quality(running).values(), strict=True)]
+    soc, soc_sd, risk = (100.0 * rows.soc).tolist(), (100.0 * rows.soc_sd).tolist(), rows.risk.tolist()
+    range_km = _list_intervals(rows.range_km, rows.range_km_p05, rows.range_km_p95)
+    end = _list_intervals(100.0 * rows.end_soc, 100.0 * rows.end_soc_p05, 100.0 * rows.end_soc_p95)
     time = running.at_last("time").tolist()
     distance = np.where(riding, running.amount("distance") * 1e-3, 0.0).tolist()
     duration = np.where(riding, running.amount("duration"), 0.0).tolist()
@@ -66,20 +80,20 @@ def forecasts(
             model=version,
             ride_distance_km=distance[i],
             ride_duration_s=duration[i],
-            ride_energy_predicted_kwh=known(predicted[i]),
-            ride_energy_measured_kwh=known(measured[i]),
-            soc_pct=known(soc[i]),
-            soc_sd_pct=known(soc_sd[i]),
-            range_km=reach[i],
+            ride_energy_predicted_kwh=none_if_nan(predicted[i]),
+            ride_energy_measured_kwh=none_if_nan(measured[i]),
+            soc_pct=none_if_nan(soc[i]),
+            soc_sd_pct=none_if_nan(soc_sd[i]),
+            range_km=range_km[i],
             soc_end_of_shift_pct=end[i],
-            reserve_risk=known(risk[i]),
+            reserve_risk=none_if_nan(risk[i]),
             quality=counts[i],
         )
         out.append(Message(f"{prefix}fleet/{names[lane]}/forecast", encode(forecast), int(time[i] * 1e9)))
     return out
 
 
-def _intervals(mean: Floats, low: Floats, high: Floats) -> list[Interval | None]:
-    """Return intervals, None where the quantity is not known."""
+def _list_intervals(mean: Floats, low: Floats, high: Floats) -> list[Interval | None]:
+    """Return intervals, None where the quantity is unknown."""
     rows = zip(mean.tolist(), low.tolist(), high.tolist(), strict=True)
     return [None if isnan(m) or isnan(a) or isnan(b) else Interval(m, a, b) for m, a, b in rows]

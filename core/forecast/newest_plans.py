@@ -1,8 +1,8 @@
-"""The newest usable plan of each vehicle, against which later arrivals are checked."""
+"""Remember the newest usable plan of each vehicle, against which later arrivals are checked."""
 
 from typing import Any
 
-from core.forecast.plan_checks import older, refusal
+from core.forecast.plan_checks import find_refusal, is_outdated
 from core.wire.messages import Plan
 
 
@@ -17,9 +17,9 @@ class NewestPlans:
 
     def refuse(self, lane: int, plan: Plan) -> str | None:
         """Return the cause for which a plan cannot be used, None where it can."""
-        if older(plan, self._made.get(lane, plan.time_s)):
+        if is_outdated(plan, self._made.get(lane, plan.time_s)):
             return "plan_in_the_past"
-        refused = refusal(plan, plan.time_s)
+        refused = find_refusal(plan, plan.time_s)
         return None if refused is None else refused.cause
 
     def accept(self, lane: int, plan: Plan) -> None:
@@ -27,7 +27,7 @@ class NewestPlans:
         self._made[lane] = plan.time_s
 
     def dump(self) -> Any:
-        """Return the state as plain lists."""
+        """Return the state as plain values."""
         return list(self._made.items())
 
     def load(self, state: Any) -> None:

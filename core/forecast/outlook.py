@@ -1,68 +1,54 @@
-"""What is ahead of a car, and the state of charge that it leads to: from the plan, or from how the car's shifts go.
+"""Energy ahead of a car, by plan or by its earlier shifts, and the state of charge that it leads to.
 
-The energy of a plan's legs is known at every temperature of `core.forecast.expected` when the plan arrives; of the leg
-that is being driven, the share that is left by distance counts, and its beginning is past. What is left of the time
-until the shift ends is waiting, with an empty way to each ride; a shift whose legs need more time than it has ends with
-them. The charge at the end is what there is now, less that energy times what this
-car takes over the model; how sure that is follows from the filter (`core.forecast.soc_filter`) for the standard deviation, and
-from earlier errors (`core.forecast.conformal`) for the interval.
+The energy of a plan's legs is computed at each knot of temperature when the plan arrives
+(`core.forecast.learning.leg_energy`). Of the leg in progress, the share of the remaining distance counts, and its
+beginning is past. The rest of the time until the end of the shift is waiting, with an empty way to each ride. A shift
+whose legs need more time than it has ends when they are done.
+
+The charge at the end is the present charge less that energy times the consumption factor of the car. The filter
+(`core.forecast.soc_filter`) provides the standard deviation, and earlier errors (`core.forecast.conformal`) the
+interval.
 """
 
-from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
 from core.columns import ZERO_CELSIUS
-from core.forecast.conformal import LEVELS
-from core.forecast.learning.leg_energy import TEMPERATURES, Tables, tents
-from core.forecast.soc_filter import NOISE, WANDER
-from core.wire.messages import Leg, Plan
+from core.forecast.conformal import BY_HISTORY, BY_PLAN, LEVELS
+from core.forecast.learning.leg_energy import TEMPERATURES, compute_knot_weights
+from core.forecast.planned_legs import compute_share_left
+from core.forecast.soc_filter import CONSUMPTION_WANDER, ENERGY_SD
 
-EARLY: Final = 600.0
-"""Nor does a plan speak of samples that were so much before it. [s]"""
+PLAN_LEAD: Final = 600.0
+"""A plan applies to samples from this time before it was sent. [s]"""
 OVERTIME: Final = 1800.0
-"""A plan is over so long after its end. [s]"""
-FADES: Final = 3.0
-"""Time in which all but 1/e is gone of what a car was found to take today: weather, traffic, passengers change. [h]"""
-RESERVE: Final = 0.1
-"""State of charge that is to be left where no plan says how much. [1]"""
-_KNOTS: Final = len(TEMPERATURES)
-
-COURSE: Final = np.dtype(
-    [
-        ("planned", "f8"),  # 1 where there is a plan whose energy is known
-        ("came", "f8"),  # [s]
-        ("end", "f8"),  # of the shift [s]
-        ("reserve", "f8"),  # [1]
-        ("legs", "f8"),  # how many are left
-        ("leg_kwh", "f8", (_KNOTS,)),  # of the next leg, at each temperature [kWh]
-        ("begun_kwh", "f8", (_KNOTS,)),  # of the same, once it has begun
-        ("leg_km", "f8"),
-        ("leg_s", "f8"),
-        ("driven_km", "f8"),  # of the ride in progress when the plan came
-        ("later_kwh", "f8", (_KNOTS,)),  # of all legs after it
-        ("later_km", "f8"),
-        ("later_s", "f8"),
-    ]
-)
-"""What a plan says of the rest of a shift."""
+"""A plan applies until this time after its end. [s]"""
+FACTOR_DECAY_TIME: Final = 3.0
+"""Time constant with which the day's consumption factor returns to the usual, as weather, traffic and load change. [h]"""
+DEFAULT_RESERVE: Final = 0.1
+"""State of charge to keep where no plan defines it. [1]"""
 
 
-class Ahead(NamedTuple):
-    """What is ahead of n cars, (n,) float each; NaN where nobody knows.
+class EnergyAhead(NamedTuple):
+    """Energy and time until the end of the shifts of n cars, (n,) each; NaN where unknown.
 
     Parameters
     ----------
-    energy : As the model predicts it, with what its errors have taught. [kWh]
-    km : Of rides. [km]
-    hours : Until the shift ends. [h]
-    end : When it does, not before now, nor before what is planned can be driven. [s]
-    reserve : State of charge to be left. [1]
-    kind : 0 by plan, 1 by habit. [1]
+    energy : (n,) float
+        As predicted and corrected by earlier errors. [kWh]
+    km : (n,) float
+        Distance of rides. [km]
+    hours : (n,) float
+        Time until the shift ends. [h]
+    end : (n,) float
+        When it ends, not before now nor before the planned legs can be driven. [s]
+    reserve : (n,) float
+        State of charge to keep. [1]
+    basis : (n,) int
+        `BY_PLAN` or `BY_HISTORY`.
     """
 
     energy: Floats
@@ -70,267 +56,242 @@ class Ahead(NamedTuple):
     hours: Floats
     end: Floats
     reserve: Floats
-    kind: Ints
+    basis: Ints
 
 
-class Known(NamedTuple):
-    """What the filter knows of n cars, (n,) float each.
+class CarEstimate(NamedTuple):
+    """Estimate of the filter for n cars, (n,) float each.
 
     Parameters
     ----------
-    soc, variance : State of charge. [1]
-    scale, scale_variance, covariance : `a` less `c` of `core.forecast.soc_filter`, and its covariance with the charge.
-    usual : What `scale` was expected to be before anything was found today.
-    quantum : Of the charge as it is reported. [1]
-    capacity : Nominal usable. [kWh]
+    soc, variance : State of charge and its variance. [1]
+    log_factor, log_factor_variance : `a - c` of `core.forecast.soc_filter`, and its variance. [1]
+    covariance : Covariance of `soc` and `log_factor`. [1]
+    usual : Expected `log_factor`, before any data of the shift. [1]
+    quantum : Quantum of the reported state of charge. [1]
+    capacity : Nominal usable capacity. [kWh]
     """
 
     soc: Floats
     variance: Floats
-    scale: Floats
-    scale_variance: Floats
+    log_factor: Floats
+    log_factor_variance: Floats
     covariance: Floats
     usual: Floats
     quantum: Floats
     capacity: Floats
 
     @classmethod
-    def of(cls, told: Mapping[str, Floats], capacity: Floats) -> "Known":
-        """Return what the filter told (`core.forecast.soc_filter.TOLD`) of cars of these capacities."""
-        return cls(capacity=capacity, **{name: told[name] for name in cls._fields[:-1]})
+    def from_filter(cls, estimates: NDArray[np.void], capacity: Floats) -> "CarEstimate":
+        """Return the estimates of cars of these capacities [kWh], from (n,) SOC_ESTIMATE."""
+        return cls(capacity=capacity, **{name: estimates[name] for name in cls._fields if name != "capacity"})
 
-    def later(self, hours: Floats) -> Floats:
-        """Return the mean of `scale` over so many hours to come: what was found today fades, towards the usual."""
-        spans = np.maximum(hours, 1e-6) / FADES
-        return np.asarray(self.usual + (self.scale - self.usual) * -np.expm1(-spans) / spans)
+    def compute_mean_log_factor(self, hours: Floats) -> Floats:
+        """Return the mean of `log_factor` over the next hours, while it decays towards the usual.
+
+        Parameters
+        ----------
+        hours : (n,) float
+            [h]
+
+        Returns
+        -------
+        (n,) float
+        """
+        spans = np.maximum(hours, 1e-6) / FACTOR_DECAY_TIME
+        return np.asarray(self.usual + (self.log_factor - self.usual) * -np.expm1(-spans) / spans)
 
 
-class Usual(NamedTuple):
-    """What is usual of n cars at the outside temperature about each.
+class UsualConsumption(NamedTuple):
+    """Usual consumption of n cars at their outside temperatures.
 
     Parameters
     ----------
     weights : (n, temperatures) float
-        Of the temperatures of `core.forecast.expected`.
-    standing : (n,) float
+        Weights of the knots of temperature. [1]
+    standing_power : (n,) float
         Power of a car that waits. [kW]
-    approach : (n,) float
-        Energy of the empty way to a ride, on average, over that of standing as long. [kWh]
-    per_km : (n,) float
-        Energy of rides and rests over the kilometres of rides. [kWh/km]
-    power : (n,) float
-        The same over the hours of both. [kW]
+    approach_energy : (n,) float
+        Mean energy of the empty way to a ride, beyond that of standing as long. [kWh]
+    energy_per_km : (n,) float
+        Energy of rides and idle periods over the kilometres of rides. [kWh/km]
+    mean_power : (n,) float
+        The same energy over the hours of both. [kW]
     """
 
     weights: Floats
-    standing: Floats
-    approach: Floats
-    per_km: Floats
-    power: Floats
+    standing_power: Floats
+    approach_energy: Floats
+    energy_per_km: Floats
+    mean_power: Floats
 
 
-class Outcome(NamedTuple):
-    """State of charge at some point ahead, (n,) float each. [1]"""
+class MeanAndSd(NamedTuple):
+    """Mean and standard deviation of a quantity ahead of n cars, (n,) float each."""
 
     mean: Floats
     sd: Floats
 
 
-class Legs(NamedTuple):
-    """The legs of a plan, and what they take.
+def compute_planned_energy(
+    progress: NDArray[np.void], time: Floats, ride_km: Floats, riding: NDArray[np.bool_], usual: UsualConsumption
+) -> EnergyAhead:
+    """Return the energy ahead by plan.
 
     Parameters
     ----------
-    plan : Plan
-    energy : (legs, temperatures) float
-        [kWh]
-    begun : (legs, temperatures) float
-        Of each once it has begun. [kWh]
-    km, seconds : (legs,) float
-    """
-
-    plan: Plan
-    energy: Floats
-    begun: Floats
-    km: Floats
-    seconds: Floats
-
-    @classmethod
-    def of(cls, plan: Plan, energy: Floats, begun: Floats) -> "Legs":
-        """Return the legs of a plan that take these energies."""
-        km = np.array([leg.distance_km for leg in plan.legs], dtype=np.float64)
-        seconds = np.array([leg.duration_s for leg in plan.legs], dtype=np.float64)
-        return cls(plan, energy.reshape(-1, _KNOTS), begun.reshape(-1, _KNOTS), km, seconds)
-
-    def left(self, done: int, driven_km: float | None = None) -> "Legs":
-        """Return the legs that are left once so many are done.
-
-        Of the first, so many kilometres were driven; None where it has not begun.
-        """
-        legs, energy, begun = self.plan.legs[done:], self.energy[done:].copy(), self.begun[done:].copy()
-        if legs and driven_km is not None:
-            share = float(share_left(np.array([legs[0].distance_km]), np.array([driven_km]))[0])
-            parts = {name: value and share * value for name, value in msgspec.structs.asdict(legs[0]).items()}
-            legs = [Leg(**parts), *legs[1:]]
-            energy[0] = begun[0] = share * begun[0]
-        return Legs.of(msgspec.structs.replace(self.plan, legs=legs), energy, begun)
-
-    def before(self, place: int, other: "Legs") -> "Legs":
-        """Return these legs with those of another plan before the one at a place."""
-        legs = [*self.plan.legs[:place], *other.plan.legs, *self.plan.legs[place:]]
-        parts = zip((self.energy, self.begun), (other.energy, other.begun), strict=True)
-        energy, begun = (np.concatenate([own[:place], more, own[place:]]) for own, more in parts)
-        return Legs.of(msgspec.structs.replace(self.plan, legs=legs), energy, begun)
-
-    def course(self, done: int, driven_km: float) -> NDArray[np.void]:
-        """Return what is left once so many legs are done, and what the ride in progress had driven when it came."""
-        out = np.zeros(1, COURSE)[0]
-        out["planned"], out["end"], out["reserve"] = 1.0, self.plan.shift_end_s, self.plan.reserve_soc_pct / 100.0
-        out["came"], out["driven_km"] = self.plan.time_s, driven_km
-        out["legs"] = max(len(self.km) - done, 0)
-        if done < len(self.km):
-            out["leg_kwh"], out["begun_kwh"] = self.energy[done], self.begun[done]
-            out["leg_km"], out["leg_s"] = self.km[done], self.seconds[done]
-            out["later_kwh"] = self.energy[done + 1 :].sum(axis=0)
-            out["later_km"], out["later_s"] = self.km[done + 1 :].sum(), self.seconds[done + 1 :].sum()
-        return out
-
-
-def legs(plan: Plan, tables: Tables | None) -> Legs:
-    """Return the legs of a plan with their energies, by what is expected of the car's model; NaN where nothing is."""
-    unknown = np.full((len(plan.legs), _KNOTS), np.nan)
-    found = Legs.of(plan, unknown, unknown)
-    if tables is None or not plan.legs:
-        return found
-    climbs = [(leg.gained_m, leg.lost_m) for leg in plan.legs]
-    gained, lost = (np.array([np.nan if c[i] is None else c[i] for c in climbs], dtype=np.float64) for i in (0, 1))
-    energy, begun = (tables.legs(found.km, found.seconds, gained, lost, begun=begun) for begun in (False, True))
-    return found._replace(energy=energy, begun=begun)
-
-
-def share_left(leg_km: Floats, driven_km: Floats) -> Floats:
-    """Return the share of legs that is left when so much of each was driven, (n,). [1]
-
-    Examples
-    --------
-    >>> share_left(np.array([4.0, 4.0, 0.0]), np.array([1.0, 9.0, 1.0])).tolist()
-    [0.75, 0.0, 1.0]
-    """
-    done = np.divide(np.maximum(driven_km, 0.0), leg_km, out=np.zeros(len(leg_km)), where=leg_km > 0.0)
-    return np.asarray(np.clip(1.0 - done, 0.0, 1.0))
-
-
-def by_plan(courses: NDArray[np.void], time: Floats, ride_km: Floats, riding: NDArray[np.bool_], usual: Usual) -> Ahead:
-    """Return what is ahead by plan.
-
-    Parameters
-    ----------
-    courses : (n,) COURSE
+    progress : (n,) PLAN_PROGRESS
     time : (n,) float
         Now. [s]
     ride_km : (n,) float
-        Driven on the ride in progress, 0 between rides. [km]
+        Distance driven on the ride in progress, 0 between rides. [km]
     riding : (n,) bool
-    usual : Usual
+    usual : UsualConsumption
+
+    Returns
+    -------
+    EnergyAhead
     """
-    left = np.where(riding, share_left(courses["leg_km"], ride_km - courses["driven_km"]), 1.0)
-    driving = left * courses["leg_s"] + courses["later_s"]
-    end = np.maximum(courses["end"], time + driving)
+    left = np.where(riding, compute_share_left(progress["leg_km"], ride_km - progress["driven_km"]), 1.0)
+    driving = left * progress["leg_s"] + progress["later_s"]
+    end = np.maximum(progress["end"], time + driving)
     hours = (end - time) / 3600.0
-    rest = np.maximum(hours - driving / 3600.0, 0.0)
-    whole, begun, later = (_at(courses[name], usual.weights) for name in ("leg_kwh", "begun_kwh", "later_kwh"))
-    approaches = courses["legs"] - riding * (courses["legs"] > 0.0)
-    resting = rest * usual.standing + approaches * usual.approach
-    energy = np.where(riding, left * begun, whole) + later + resting
-    known = (courses["planned"] == 1.0) & timely(courses["came"], courses["end"], time)
-    return Ahead(
+    waiting = np.maximum(hours - driving / 3600.0, 0.0)
+    whole, begun, later = (
+        np.asarray(np.einsum("ij,ij->i", progress[name], usual.weights))
+        for name in ("leg_kwh", "begun_kwh", "later_kwh")
+    )
+    approaches = progress["legs"] - riding * (progress["legs"] > 0.0)
+    idling = waiting * usual.standing_power + approaches * usual.approach_energy
+    energy = np.where(riding, left * begun, whole) + later + idling
+    known = (progress["planned"] == 1.0) & is_plan_current(progress["came"], progress["end"], time)
+    return EnergyAhead(
         np.where(known, energy, np.nan),
-        np.where(known, left * courses["leg_km"] + courses["later_km"], np.nan),
+        np.where(known, left * progress["leg_km"] + progress["later_km"], np.nan),
         np.where(known, hours, np.nan),
         np.where(known, end, np.nan),
-        np.where(known, courses["reserve"], np.nan),
-        np.zeros(len(time), np.int64),
+        np.where(known, progress["reserve"], np.nan),
+        np.full(len(time), BY_PLAN, np.int64),
     )
 
 
-def _at(energy: Floats, weights: Floats) -> Floats:
-    """Return energies that are known at each temperature at the temperatures about each row, (n,)."""
-    return np.asarray(np.einsum("ij,ij->i", energy, weights))
+def is_plan_current(came: Any, end: Any, time: Any) -> Any:
+    """Return whether a plan that was sent at `came`, for a shift that ends at `end`, applies to `time`. [s]"""
+    return (time >= came - PLAN_LEAD) & (time <= end + OVERTIME)
 
 
-def timely(came: Any, end: Any, time: Any) -> Any:
-    """Tell whether a plan that came at a time, of a shift that ends at another, speaks of now. [s]"""
-    return (time >= came - EARLY) & (time <= end + OVERTIME)
-
-
-def by_habit(ahead: Ahead, usual: Usual, elapsed: Floats, now: Floats, hours: Floats, busy: Floats) -> Ahead:
-    """Return what is ahead by how the car's shifts go, where no plan tells.
+def fill_from_history(
+    ahead: EnergyAhead, usual: UsualConsumption, elapsed: Floats, now: Floats, patterns: NDArray[np.void]
+) -> EnergyAhead:
+    """Return the energy ahead, completed by the usual pattern of the car's shifts where there is no plan.
 
     Parameters
     ----------
-    ahead : Ahead
+    ahead : EnergyAhead
         By plan.
-    usual : Usual
+    usual : UsualConsumption
     elapsed, now : (n,) float
-        Time since the shift began, and the time. [s]
-    hours, busy : (n,) float
-        How long the car's shifts are [h], and the energy of an hour of them over what is usual.
+        Time since the shift began, and the present time. [s]
+    patterns : (n,) SHIFT_PATTERN
+        Usual duration [h] and intensity [1] of the shifts, see `core.forecast.learning.fleet`.
+
+    Returns
+    -------
+    EnergyAhead
     """
-    left = hours - elapsed / 3600.0
-    energy = np.where(left > 0.0, busy * usual.power * left, np.nan)
-    mine = np.isnan(ahead.energy) & np.isfinite(energy)
-    return Ahead(
-        np.where(mine, energy, ahead.energy),
-        np.where(mine, energy / usual.per_km, ahead.km),
-        np.where(mine, left, ahead.hours),
-        np.where(mine, now + 3600.0 * left, ahead.end),
-        np.where(np.isnan(ahead.reserve), RESERVE, ahead.reserve),
-        np.where(mine, 1, ahead.kind),
+    left = patterns["hours"] - elapsed / 3600.0
+    energy = np.where(left > 0.0, patterns["relative_power"] * usual.mean_power * left, np.nan)
+    filled = np.isnan(ahead.energy) & np.isfinite(energy)
+    return EnergyAhead(
+        np.where(filled, energy, ahead.energy),
+        np.where(filled, energy / usual.energy_per_km, ahead.km),
+        np.where(filled, left, ahead.hours),
+        np.where(filled, now + 3600.0 * left, ahead.end),
+        np.where(np.isnan(ahead.reserve), DEFAULT_RESERVE, ahead.reserve),
+        np.where(filled, BY_HISTORY, ahead.basis),
     )
 
 
-def reach(known: Known, reserve: Floats, usual: Usual) -> Outcome:
-    """Return how far a car gets until its reserve, and the standard deviation before errors are learned from. [km]
+def compute_range(estimate: CarEstimate, reserve: Floats, usual: UsualConsumption) -> MeanAndSd:
+    """Return the range down to the reserve, with its standard deviation before the conformal correction. [km]
 
-    That takes as long as such cars usually do for the energy that is left.
-    """
-    left = np.maximum(known.soc - reserve, 0.0)
-    energy = left * known.capacity
-    km = energy / (np.exp(known.later(energy / usual.power)) * usual.per_km)
-    own = np.divide(known.variance, left**2, out=np.zeros(len(left)), where=left > 0.0)
-    noise = np.divide(NOISE**2, energy, out=np.zeros(len(left)), where=energy > 0.0)
-    return Outcome(km, km * np.sqrt(np.maximum(known.scale_variance, 0.0) + own + noise))
+    Parameters
+    ----------
+    estimate : CarEstimate
+    reserve : (n,) float
+        [1]
+    usual : UsualConsumption
 
-
-def at_end(known: Known, energy: Floats, hours: Floats) -> Outcome:
-    """Return the state of charge after an energy, and its standard deviation before anything is learned of errors.
+    Returns
+    -------
+    MeanAndSd
 
     Notes
     -----
-    With the predicted fall D = E / C, the mean falls by exp(a - c) D, where what was found of a - c today fades. The
-    variance is that of the charge; D^2 times that of a - c, which wanders on meanwhile; the covariance of both; the
-    noise of the energy itself, which grows with its root; and the quantum of what is reported, as the outcome is. D has
-    no factor exp(a - c), so that a car that stops telling its charge, and of which less is learned, never counts as
-    surer than if it told.
+    The consumption factor decays over the time in which such cars usually spend the remaining energy.
     """
-    predicted = energy / known.capacity
+    left = np.maximum(estimate.soc - reserve, 0.0)
+    energy = left * estimate.capacity
+    factor = np.exp(estimate.compute_mean_log_factor(energy / usual.mean_power))
+    km = energy / (factor * usual.energy_per_km)
+    of_soc = np.divide(estimate.variance, left**2, out=np.zeros(len(left)), where=left > 0.0)
+    noise = np.divide(ENERGY_SD**2, energy, out=np.zeros(len(left)), where=energy > 0.0)
+    return MeanAndSd(km, km * np.sqrt(np.maximum(estimate.log_factor_variance, 0.0) + of_soc + noise))
+
+
+def compute_end_soc(estimate: CarEstimate, energy: Floats, hours: Floats) -> MeanAndSd:
+    """Return the state of charge after an energy, with its standard deviation before the conformal correction. [1]
+
+    Parameters
+    ----------
+    estimate : CarEstimate
+    energy : (n,) float
+        Predicted energy. [kWh]
+    hours : (n,) float
+        Time in which it is spent. [h]
+
+    Returns
+    -------
+    MeanAndSd
+
+    Notes
+    -----
+    With the predicted fall D = E / C, the mean falls by exp(a - c) D, where a - c decays towards the usual. The variance
+    is the sum of that of the charge; D^2 times that of a - c, which keeps wandering; twice their covariance times -D;
+    the noise of the energy itself, proportional to the energy; and that of the quantum in which the outcome is reported.
+    D has no factor exp(a - c), so that a car which stops reporting its charge never gets a narrower interval for it.
+    """
+    predicted = energy / estimate.capacity
     variance = (
-        known.variance
-        + predicted**2 * (known.scale_variance + WANDER**2 * hours)
-        - 2.0 * predicted * known.covariance
-        + NOISE**2 * np.maximum(energy, 0.0) / known.capacity**2
-        + known.quantum**2 / 12.0
+        estimate.variance
+        + predicted**2 * (estimate.log_factor_variance + CONSUMPTION_WANDER**2 * hours)
+        - 2.0 * predicted * estimate.covariance
+        + ENERGY_SD**2 * np.maximum(energy, 0.0) / estimate.capacity**2
+        + estimate.quantum**2 / 12.0
     )
-    mean = known.soc - np.exp(known.later(hours)) * predicted
-    return Outcome(mean, np.sqrt(np.maximum(variance, known.quantum**2 / 12.0)))
+    mean = estimate.soc - np.exp(estimate.compute_mean_log_factor(hours)) * predicted
+    return MeanAndSd(mean, np.sqrt(np.maximum(variance, estimate.quantum**2 / 12.0)))
 
 
-def risk(outcome: Outcome, reserve: Floats, quantiles: Floats) -> Floats:
-    """Return the probability that the charge ends below a reserve, by quantiles of the standardised error, (n, levels).
+def compute_reserve_risk(end: MeanAndSd, reserve: Floats, quantiles: Floats) -> Floats:
+    """Return the probability that the charge ends below the reserve.
 
-    Beyond the outermost quantiles it falls off to 0, and to 1, within half of what they are from the median.
+    Parameters
+    ----------
+    end : MeanAndSd
+        Charge at the end. [1]
+    reserve : (n,) float
+        [1]
+    quantiles : (n, levels) float
+        Quantiles of the standardised error. Beyond the outermost ones the probability falls linearly to 0, or rises to
+        1, within half of their distance from the median.
+
+    Returns
+    -------
+    (n,) float
+        [1]
     """
-    at = (reserve - outcome.mean) / outcome.sd
+    at = (reserve - end.mean) / end.sd
     middle = quantiles[:, len(LEVELS) // 2]
     low, high = 1.5 * quantiles[:, 0] - 0.5 * middle, 1.5 * quantiles[:, -1] - 0.5 * middle
     knots = np.column_stack([low, quantiles, high])
@@ -339,10 +300,21 @@ def risk(outcome: Outcome, reserve: Floats, quantiles: Floats) -> Floats:
     rows = np.arange(len(at))
     width = np.maximum(knots[rows, place + 1] - knots[rows, place], 1e-12)
     share = np.clip((at - knots[rows, place]) / width, 0.0, 1.0)
-    found = levels[place] + share * (levels[place + 1] - levels[place])
-    return np.where(np.isfinite(at) & np.isfinite(middle), found, np.nan)
+    risk = levels[place] + share * (levels[place + 1] - levels[place])
+    return np.where(np.isfinite(at) & np.isfinite(middle), risk, np.nan)
 
 
-def temperature_weights(ambient: Floats) -> Floats:
-    """Return the weight of each of `TEMPERATURES` at an outside temperature [K], (n, temperatures)."""
-    return tents(np.nan_to_num(ambient - ZERO_CELSIUS, nan=15.0), TEMPERATURES)
+def compute_temperature_weights(ambient: Floats) -> Floats:
+    """Return the weight of each of `TEMPERATURES` at outside temperatures.
+
+    Parameters
+    ----------
+    ambient : (n,) float
+        NaN counts as 15 °C. [K]
+
+    Returns
+    -------
+    (n, temperatures) float
+        [1]
+    """
+    return compute_knot_weights(np.nan_to_num(ambient - ZERO_CELSIUS, nan=15.0), TEMPERATURES)

@@ -1,79 +1,114 @@
-"""Whether what dispatch plans can be used, and if not, why."""
+"""Check the plans of dispatch, and parse the vehicle, the ride and the plan of an outlook query.
 
+A query of `fleet/{vehicle}/outlook` has parameters that define a ride, and possibly a payload with a plan to use instead
+of the published one. A plan or ride that cannot be used gets a message with the value, the limit and the remedy.
+"""
+
+import re
+from collections.abc import Mapping
+from math import inf, isfinite, nan
 from typing import Final, NamedTuple
 
-from core.wire.messages import Leg, Plan
+import msgspec
+
+from core.errors import AskError
+from core.wire.messages import IDENTITY, Leg, Plan, Wire
 
 MOST_LEGS: Final = 500
-"""Legs of a plan."""
+"""Largest number of legs of a plan."""
 PAST_S: Final = 300.0
-"""How long ago a shift may have ended that a plan speaks of. [s]"""
+"""Longest time since the end of a plan's shift. [s]"""
 AHEAD_S: Final = 48 * 3600.0
-"""How far ahead it may end. [s]"""
+"""Longest time until the end of a plan's shift. [s]"""
 FASTEST_KMH: Final = 200.0
-"""Average speed of a leg."""
+"""Largest mean speed of a leg. [km/h]"""
+MOST_BYTES: Final = 4_000_000
+"""Largest payload of a query."""
+_NUMBER: Final = re.compile(r"[+-]?([0-9]+[.]?[0-9]*|[.][0-9]+)([eE][+-]?[0-9]+)?")  # `float` accepts 1_8, too
+_SHOWN_CHARACTERS: Final = 40  # of a wrong value, in a message
 
 
 class Refusal(NamedTuple):
-    """Why a plan is not used.
+    """Reason why a plan cannot be used.
 
     Parameters
     ----------
     cause : str
-        What it is counted under: `out_of_range`, `too_many_legs`, `plan_in_the_past` or `plan_too_far_ahead`.
-    words : str
+        Name of its counter: `out_of_range`, `too_many_legs`, `plan_in_the_past` or `plan_too_far_ahead`.
+    message : str
         Value, limit and remedy.
     """
 
     cause: str
-    words: str
+    message: str
 
 
-class Limit(NamedTuple):
-    """Between zero and what a quantity of a leg may be, and what it is told in."""
+class LegLimit(NamedTuple):
+    """Largest value of a quantity of a leg, whose smallest value is 0, and its unit."""
 
     most: float
     unit: str
 
 
 LEG_LIMITS: Final = {
-    "distance_km": Limit(1000.0, "kilometres"),
-    "duration_s": Limit(24 * 3600.0, "seconds"),
-    "gained_m": Limit(5000.0, "metres"),
-    "lost_m": Limit(5000.0, "metres"),
+    "distance_km": LegLimit(1000.0, "kilometres"),
+    "duration_s": LegLimit(24 * 3600.0, "seconds"),
+    "gained_m": LegLimit(5000.0, "metres"),
+    "lost_m": LegLimit(5000.0, "metres"),
 }
-"""Field of a leg -> its limit."""
+"""Limit of each field of a leg."""
 
 
-def older(plan: Plan, newest_s: float) -> bool:
-    """Tell whether a plan was made before the newest one that is known.
+class _QueryPlan(Wire):
+    """A plan in the payload of a query, which may leave out its vehicle and time."""
 
-    A newest one that is of more than `AHEAD_S` later was made by a wrong clock: whatever comes next replaces it. Else
-    that one mistake would keep out every plan to come.
+    shift_end_s: float
+    reserve_soc_pct: float
+    legs: list[Leg]
+    vehicle_id: str | None = None
+    time_s: float | None = None
+
+
+_query_plans: Final = msgspec.json.Decoder(_QueryPlan)
+
+
+def is_outdated(plan: Plan, newest_s: float) -> bool:
+    """Return whether a plan was made before the newest known one.
+
+    Parameters
+    ----------
+    plan : Plan
+    newest_s : float
+        Time of the newest known plan. Where it is later by more than `AHEAD_S`, its clock was wrong, and any plan
+        replaces it; otherwise that one mistake would keep out every later plan. [Unix seconds]
+
+    Returns
+    -------
+    bool
 
     Examples
     --------
-    >>> older(Plan("taxi-7", 60.0, 3600.0, 10.0, []), 90.0)
+    >>> is_outdated(Plan("taxi-7", 60.0, 3600.0, 10.0, []), 90.0)
     True
-    >>> older(Plan("taxi-7", 60.0, 3600.0, 10.0, []), 60e3 * 1000.0)
+    >>> is_outdated(Plan("taxi-7", 60.0, 3600.0, 10.0, []), 60e3 * 1000.0)
     False
     """
     return newest_s - AHEAD_S <= plan.time_s < newest_s
 
 
-def refusal(plan: Plan, now_s: float, ahead_s: float = AHEAD_S) -> Refusal | None:
+def find_refusal(plan: Plan, now_s: float, ahead_s: float = AHEAD_S) -> Refusal | None:
     """Return why a plan cannot be used; None where it can.
 
-    Legs that need more time than the shift has are no reason.
+    Legs that need more time than the shift has are accepted.
 
     Parameters
     ----------
     plan : Plan
     now_s : float
-        Time of the vehicle's newest sample; NaN where it is not known, and then any end of the shift will do.
+        Time of the vehicle's newest sample; NaN where unknown, and then any end of the shift is accepted.
         [Unix seconds]
     ahead_s : float
-        How far ahead the shift may end. [s]
+        Longest time until the end of the shift. [s]
 
     Returns
     -------
@@ -81,9 +116,9 @@ def refusal(plan: Plan, now_s: float, ahead_s: float = AHEAD_S) -> Refusal | Non
 
     Examples
     --------
-    >>> refusal(Plan("taxi-7", 0.0, 3600.0, 120.0, []), 0.0).words
+    >>> find_refusal(Plan("taxi-7", 0.0, 3600.0, 120.0, []), 0.0).message
     'reserve_soc_pct is 120, must be 0 to 100; give percent of the battery'
-    >>> refusal(Plan("taxi-7", 0.0, 3600.0, 20.0, []), 7200.0).cause
+    >>> find_refusal(Plan("taxi-7", 0.0, 3600.0, 20.0, []), 7200.0).cause
     'plan_in_the_past'
     """
     if len(plan.legs) > MOST_LEGS:
@@ -97,18 +132,18 @@ def refusal(plan: Plan, now_s: float, ahead_s: float = AHEAD_S) -> Refusal | Non
             f"reserve_soc_pct is {plan.reserve_soc_pct:g}, must be 0 to 100; give percent of the battery",
         )
     for number, leg in enumerate(plan.legs, 1):
-        if words := beyond(leg):
-            return Refusal("out_of_range", f"leg {number} of the plan: {words}")
-    return _untimely(plan.shift_end_s, now_s, ahead_s)
+        if fault := find_leg_fault(leg):
+            return Refusal("out_of_range", f"leg {number} of the plan: {fault}")
+    return _find_time_refusal(plan.shift_end_s, now_s, ahead_s)
 
 
-def beyond(leg: Leg) -> str | None:
-    """Return, in words, what of a leg cannot be driven; None where all can.
+def find_leg_fault(leg: Leg) -> str | None:
+    """Return a message about a leg that cannot be driven; None for one that can.
 
     Examples
     --------
-    >>> beyond(Leg(18.0, 1500.0))
-    >>> beyond(Leg(-3.0, 1500.0))
+    >>> find_leg_fault(Leg(18.0, 1500.0))
+    >>> find_leg_fault(Leg(-3.0, 1500.0))
     'distance_km is -3, must be 0 to 1000; give kilometres'
     """
     for name, (most, unit) in LEG_LIMITS.items():
@@ -123,26 +158,162 @@ def beyond(leg: Leg) -> str | None:
     return None
 
 
-def _untimely(end_s: float, now_s: float, ahead_s: float) -> Refusal | None:
+def _find_time_refusal(end_s: float, now_s: float, ahead_s: float) -> Refusal | None:
     """Return why a shift cannot end when a plan says."""
-    if not abs(end_s) < float("inf"):
+    if not abs(end_s) < inf:
         return Refusal("out_of_range", f"shift_end_s is {end_s:g}, must be finite; give Unix seconds")
     hours = (end_s - now_s) / 3600.0
     if end_s < now_s - PAST_S:
         return Refusal(
             "plan_in_the_past",
-            f"shift_end_s is {end_s:.12g}, {_short(-hours)} h before the vehicle's newest sample, at most "
+            f"shift_end_s is {end_s:.12g}, {_format_hours(-hours)} h before the vehicle's newest sample, at most "
             f"{PAST_S:g} s; give the end of a shift under way, in Unix seconds",
         )
     if end_s > now_s + ahead_s:
         return Refusal(
             "plan_too_far_ahead",
-            f"shift_end_s is {end_s:.12g}, {_short(hours)} h after the vehicle's newest sample, at most "
+            f"shift_end_s is {end_s:.12g}, {_format_hours(hours)} h after the vehicle's newest sample, at most "
             f"{ahead_s / 3600:g} h; give the end of this shift, in Unix seconds",
         )
     return None
 
 
-def _short(hours: float) -> str:
+def _format_hours(hours: float) -> str:
     """Return hours in few digits, however many there are."""
     return f"{hours:.1f}" if hours < 1e6 else f"{hours:.1e}"
+
+
+def parse_vehicle(text: str) -> str:
+    """Return the vehicle that a query names.
+
+    Raises
+    ------
+    AskError
+        Where the text names none, or several.
+    """
+    if IDENTITY.fullmatch(text):
+        return text
+    raise AskError(
+        f"the vehicle is {_quote(text)}; give one name of up to 64 letters, digits and any of _ . -, such as taxi-012",
+        "vehicle",
+    )
+
+
+def parse_parameters(text: str) -> dict[str, str]:
+    """Split the parameters of a query, which `;` or `&` separates.
+
+    Names that begin with an underscore belong to Zenoh, and are left out.
+
+    Raises
+    ------
+    AskError
+        Where a parameter is given twice.
+
+    Examples
+    --------
+    >>> parse_parameters("distance_km=18&duration_s=1500;_time=now()")
+    {'distance_km': '18', 'duration_s': '1500'}
+    """
+    out: dict[str, str] = {}
+    for part in filter(None, re.split("[;&]", text)):
+        name, _, value = part.partition("=")
+        if name in out:
+            raise AskError(f"{_quote(name)} is given twice; give it once", "parameters")
+        if not name.startswith("_"):
+            out[name] = value
+    return out
+
+
+def parse_leg(given: Mapping[str, str]) -> Leg | None:
+    """Return the ride that a query defines; None for a query about the shift as planned.
+
+    Parameters
+    ----------
+    given : mapping of str to str
+        `distance_km` and `duration_s`; `gained_m` and `lost_m`, which are unknown where left out.
+
+    Returns
+    -------
+    Leg or None
+
+    Raises
+    ------
+    AskError
+        Where a parameter is unknown, missing, no number, or beyond its limit.
+
+    Examples
+    --------
+    >>> parse_leg({"distance_km": "18", "duration_s": "1500"})
+    Leg(distance_km=18.0, duration_s=1500.0, gained_m=None, lost_m=None)
+    """
+    for name in given:
+        if name not in LEG_LIMITS:
+            raise AskError(f"{_quote(name)} is no parameter; those are {', '.join(LEG_LIMITS)}", "parameters")
+    if not given:
+        return None
+    for name in ("distance_km", "duration_s"):
+        if name not in given:
+            raise AskError(f"{name} is not given; a ride needs distance_km and duration_s", "parameters")
+    leg = Leg(**{name: _parse_number(name, text) for name, text in given.items()})
+    if leg.duration_s == 0.0:
+        raise AskError("duration_s is 0, must be above 0; give seconds", "out_of_range")
+    if fault := find_leg_fault(leg):
+        raise AskError(fault, "out_of_range")
+    return leg
+
+
+def parse_plan(payload: bytes | None, vehicle_id: str) -> Plan | None:
+    """Return the plan in the payload of a query; None without a payload, for the published plan.
+
+    Parameters
+    ----------
+    payload : bytes or None
+        A `Plan` as JSON. It may leave out `vehicle_id` and `time_s`; the time is then NaN.
+    vehicle_id : str
+        Vehicle of the query.
+
+    Returns
+    -------
+    Plan or None
+
+    Raises
+    ------
+    AskError
+        Where it is no plan, or one of another vehicle, or one that cannot be used whatever the time is. The caller, who
+        knows the time, checks with `find_refusal` whether it is in the past.
+    """
+    if not payload:
+        return None
+    if len(payload) > MOST_BYTES:
+        raise AskError(f"the plan has {len(payload)} bytes, at most {MOST_BYTES}; give the legs that remain", "payload")
+    try:
+        query = _query_plans.decode(payload)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise AskError(
+            f"the payload is no plan: {error}; give JSON with shift_end_s, reserve_soc_pct and legs",
+            "payload",
+        ) from error
+    if query.vehicle_id not in {None, vehicle_id}:
+        raise AskError(
+            f"the plan is of {_quote(str(query.vehicle_id))}, the question of {vehicle_id}; give a plan of this vehicle",
+            "payload",
+        )
+    time_s = nan if query.time_s is None else query.time_s
+    plan = Plan(vehicle_id, time_s, query.shift_end_s, query.reserve_soc_pct, query.legs)
+    if refused := find_refusal(plan, nan):
+        raise AskError(refused.message, refused.cause)
+    return plan
+
+
+def _parse_number(name: str, text: str) -> float:
+    """Return the value of a parameter."""
+    most, unit = LEG_LIMITS[name]
+    value = float(text) if _NUMBER.fullmatch(text) else nan
+    if not isfinite(value):
+        raise AskError(f"{name} is {_quote(text)}, must be a number from 0 to {most:g}; give {unit}", "parameters")
+    return value
+
+
+def _quote(text: str) -> str:
+    """Return a text in quotes, shortened where it is long."""
+    return repr(text if len(text) <= _SHOWN_CHARACTERS else f"{text[:_SHOWN_CHARACTERS]}…")

@@ -1,460 +1,265 @@
-"""The state of charge of each car, and what it uses today over what the model says: a Kalman filter a car.
+"""A Kalman filter per car of the state of charge, the day's consumption factor and the usable capacity.
 
-The state is (s, a, c): the state of charge s [1]; the logarithm a of the energy that this car, with this driver, takes
-today over the predicted; and the logarithm c of its usable capacity over the nominal one. Over a stretch of driving or
-standing with the predicted energy E the charge falls by exp(a - c) E / C, or, where voltage and current are measured,
-by that energy over exp(c) C, and the two energies together tell a.
+The state is (s, a, c). `s` is the state of charge [1]. `a` (`log_consumption`) is the logarithm of the energy that this
+car uses today with this driver over the predicted energy. `c` (`log_capacity`) is the logarithm of its usable over its
+nominal capacity C. Over a stretch with the predicted energy E the charge falls by exp(a - c) E / C. Where voltage and
+current are measured, it falls by the measured energy over exp(c) C, and the two energies together measure `a`.
 
-A meter has a gain, which is the same for good. It shifts a and c alike, so that neither what the charge falls by nor
-the two energies tell of it: a and c are as this car's meter has them; how unsure the gain is counts where a capacity is
-told in kWh, no less however long is measured.
+A meter has a constant gain error, which shifts `a` and `c` alike. Neither the fall of the charge nor the two energies
+reveal it, so `a` and `c` are relative to this car's meter. The uncertainty of the gain applies where a capacity is
+published in kWh, and does not shrink with the time of measurement.
 
-How unsure the state is follows the slopes of these equations at the point where the shift began, not at what has been
-found since. So it does not depend on what is reported, only on when something is learned of it: where less was learned,
-nothing is ever surer.
+The covariance follows the slopes of these equations at the point where the shift began, not at the current estimate. So
+it depends on when something is measured, and not on the reported values: fewer measurements never give a smaller
+variance.
 
-A reported state of charge is an interval, not a value with noise. It says most when it ticks: then the charge has just
-crossed the boundary between two reported values, and only then is it a measurement. Between ticks it says that the
-boundary has not been crossed: that moves what is published, and makes nothing surer.
-
-What is reported may lie. A value that jumps is not believed until it has stayed for a while, and then moves the charge
-and makes it less sure; one that does not tick though it must have is not believed until it ticks, which then makes
-nothing surer before the next; where none comes, or none is believed, the prediction goes on alone and grows unsure.
-After charging and after silence the filter begins at what is reported.
+`core.forecast.soc_reading` has the treatment of reported values. Without an accepted reading the prediction continues
+alone and its variance grows. After charging and after a long silence the filter starts anew at the reported value.
 
 References
 ----------
 Kalman, Journal of Basic Engineering 82 (1960) 35, DOI 10.1115/1.3662552; extended, but for its covariance, as in
-Jazwinski, Stochastic Processes and Filtering Theory, Academic Press 1970, section 8.3. On quantised measurements as
-intervals: Curry, Estimation and Control with Quantized Measurements, MIT Press 1970. The moments of a truncated normal:
-Johnson, Kotz and Balakrishnan, Continuous Univariate Distributions 1, Wiley 1994, section 13.10.1.
+Jazwinski, Stochastic Processes and Filtering Theory, Academic Press 1970, section 8.3.
 """
 
-from math import erfc, exp, isnan, nan, pi, sqrt
+from math import exp, isnan, nan
 from typing import Any, Final
 
-import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from core.forecast.kalman_update import correct, drive, nudge
+from core.forecast.filter_state import CAPACITY_SD, CLOSED, DEFAULT_QUANTUM, DRIVER_NAMED, RUNNING
+from core.forecast.kalman_update import apply_named_driver, update_state
+from core.forecast.soc_reading import compute_published_soc, discard_soc, update_with_reading
 
-FIELDS: Final = (
-    "heard",  # 1 once the car has sent anything
-    "time",  # of the newest event [s]
-    "s",  # state of charge [1]
-    "a",  # log of the energy used over the predicted
-    "c",  # log of the usable capacity over the nominal
-    *("ss", "sa", "sc", "aa", "ac", "cc"),  # their covariance
-    "fell",  # charge that was used since one was reported [1]
-    "quantum",  # of what is reported [1]
-    "reported",  # state of charge, as last believed or to be compared with [1]
-    "frozen",  # 1 while that does not tick though it must have
-    "suspect",  # a reported value that jumped, NaN for none [1]
-    "suspect_time",  # since when [s]
-    "charging",  # 1 while it is plugged in
-    "plugged",  # since when [s]
-    *("seen_predicted", "seen_metered", "seen_meter_time", "seen_time"),  # of the ride or rest in progress
-    *("seen_ambient", "seen_distance"),
-    "ambient",  # newest [K]
-    "shift",  # ordinal
-    "begin",  # of the shift [s]
-    "begin_soc",  # [1]
-    "last_soc",  # as reported last in the shift [1]
-    "lowest_soc",  # [1]
-    "distance",  # driven in the shift [m]
-    "ride_distance",  # of it on rides [m]
-    "hours",  # awake in the shift [h]
-    "predicted",  # in the shift [kWh]
-    "warmth",  # integral of the ambient temperature over that [K h]
-    "charged",  # time of the last charging within the shift, NaN for none [s]
-    *("size", "usual", "usual_variance"),  # as the shift began: `c`, and mean and variance of `a` less `c`
-    *("driver", "driver_mean", "driver_variance"),  # who drives, -1 while it is not known; of that, their part
-    "drivers",  # how many have driven in the shift
-    *("next", "next_mean", "next_variance"),  # the same of who was named since, -1 for none
-    *("ticks", "jumps", "freezes", "anchors"),
-)
-STATE: Final = np.dtype([(name, "f8") for name in FIELDS])
-"""What is remembered of a car."""
-_UNKNOWN: Final = ("s", "reported", "suspect", "charged", "ambient", "begin_soc", "last_soc", "lowest_soc", "ss")
+FILTER_RESET_SILENCE: Final = 600.0
+"""Silence after which the filter discards the charge and starts at the next reading. [s]
 
-RUNNING: Final = 0
-"""Event: totals of the ride or rest in progress."""
-CLOSED: Final = 1
-"""Event: totals of a ride or rest that has ended."""
-NAMED: Final = 2
-"""Event: who drives from the next running totals on, by the code in `duration`; `predicted` and `metered` are mean and
-variance of their part in `a`."""
-
-EVENT: Final = np.dtype(
-    [
-        ("kind", "i8"),
-        ("lane", "i8"),
-        ("time", "f8"),  # [s]
-        ("predicted", "f8"),  # of the ride or rest so far [kWh]
-        ("factor", "f8"),  # by which that is to be multiplied now [1]
-        ("power", "f8"),  # and what is to be added [kW]
-        ("metered", "f8"),  # by voltage and current, so far [kWh]
-        ("meter_time", "f8"),  # for which that is known [s]
-        ("duration", "f8"),  # so far [s]
-        ("distance", "f8"),  # so far [m]
-        ("riding", "f8"),  # 1 for a ride
-        ("ambient", "f8"),  # integral over time so far [K s]
-        ("soc", "f8"),  # as reported, NaN for none [1]
-        ("step", "f8"),  # its quantum, NaN for unknown [1]
-        ("since_charge", "f8"),  # NaN for never [s]
-        ("capacity", "f8"),  # nominal usable [kWh]
-    ]
-)
-"""What the filter hears of a car."""
-
-SILENCE: Final = 600.0
-"""After longer silence the filter begins at what is reported. [s]"""
-BETWEEN_SHIFTS: Final = 7200.0
-"""Longer silence ends a shift. [s]"""
-UNPLUGGED: Final = 60.0
-"""A charge that was shorter is none. [s]"""
-SETTING_OUT: Final = 300.0
-"""Until a car has driven so far, its shift has not begun to cost anything. [m]"""
-COARSEST: Final = 0.01
-"""Quantum of a state of charge that has not been seen to tick. [1]"""
-FLOOR: Final = 0.001
-"""Standard deviation of a car's own estimate of its charge, where it ticks. [1]"""
-NOISE: Final = 0.15
+It is a property of the filter, and independent of the operator's setting `gap_time`, at which rides are cut."""
+SHIFT_GAP: Final = 7200.0
+"""A longer silence ends a shift. [s]"""
+SHORTEST_CHARGE: Final = 60.0
+"""A shorter charging is ignored. [s]"""
+DEPARTURE_DISTANCE: Final = 300.0
+"""Distance from which the consumption of a shift counts. [m]"""
+ENERGY_SD: Final = 0.15
 """Standard deviation of the energy of a stretch that takes 1 kWh, over the predicted; it grows with the root. [1]"""
-WARMING: Final = 1200.0
-"""Time after waking or charging in which a car warms up, and what it takes tells less of how it is. [s]"""
-UNSURE: Final = 4.0
-"""By how much the variance of the energy is larger then. [1]"""
-METER: Final = 0.015
-"""Standard deviation of the gain of a car's meter, the same for good: of voltage and of current 1 % each. [1]"""
-SAMPLED: Final = 0.05
-"""Standard deviation of what a meter that samples every few seconds makes of 1 kWh; it grows with the root. [1]"""
-DRIVER: Final = 0.06
-"""Standard deviation of what drivers take, about what they take on average. [1]"""
-WANDER: Final = 0.05
+WARM_UP_TIME: Final = 1200.0
+"""Time after waking or charging in which a car warms up, and its consumption is less representative. [s]"""
+WARM_UP_VARIANCE_FACTOR: Final = 4.0
+"""Factor of the variance of the energy during the warm-up. [1]"""
+METER_GAIN_SD: Final = 0.015
+"""Standard deviation of the constant gain of a car's meter: 1 % each of voltage and of current. [1]"""
+METER_SAMPLING_SD: Final = 0.05
+"""Standard deviation of 1 kWh as measured by samples every few seconds; it grows with the root. [1]"""
+DRIVER_SD: Final = 0.06
+"""Standard deviation of the consumption of drivers about their mean. [1]"""
+CONSUMPTION_WANDER: Final = 0.05
 """Standard deviation of the change of `a` in an hour awake. [1]"""
-BLIND_POWER: Final = 5.0
-"""Standard deviation of the power where no model tells. [kW]"""
-CLEARLY: Final = 4.0
-"""Standard deviations beyond which a reported value is not believed."""
-MARGIN: Final = 0.01
-"""Share of the charge by which it must be off besides. [1]"""
-STAYS: Final = 180.0
-"""Time for which a value that jumped must stay. [s]"""
-JUMPED: Final = 0.01
-"""Standard deviation that is added where a jump is believed. [1]"""
-CAPACITY: Final = 0.1
-"""Standard deviation of `c` before anything is learned: age, temperature, what a car calls full."""
-AGEING: Final = 0.005
-"""Standard deviation of the change of `c` from shift to shift: by age, and more by how cold the battery is."""
-
-TOLD: Final = (
-    "soc",  # published [1]
-    "variance",
-    "scale",  # `a` less `c`
-    "scale_variance",
-    "covariance",  # of both
-    "ambient",  # [K]
-    "shift",
-    "quantum",  # [1]
-    "charged",  # [s]
-    "reported",  # [1]
-    "begin",  # of the shift [s]
-    "begin_soc",  # [1]
-    "distance",  # in the shift [m]
-    "usual",  # `scale` as it was expected to be, before anything was found today
-)
-"""What is told after each event."""
-
-CLOSED_SHIFT: Final = np.dtype(
-    [
-        *((name, "f8") for name in ("event", "lane", "shift", "begin", "end", "begin_soc", "last_soc", "lowest_soc")),
-        *((name, "f8") for name in ("distance", "ride_distance", "hours", "predicted", "warmth", "charged", "driver")),
-    ]
-)
-"""A shift that has ended; `event` is the number of the event that told so."""
-
-
-def new_state(lanes: int) -> NDArray[np.void]:
-    """Return the state of cars never heard of, (lanes,) of `STATE`."""
-    state = np.zeros(lanes, STATE)
-    for name in _UNKNOWN:
-        state[name] = nan
-    state["shift"] = state["driver"] = state["next"] = -1.0
-    state["cc"] = CAPACITY**2
-    state["quantum"] = COARSEST
-    return state
+UNMODELLED_POWER: Final = 5.0
+"""Standard deviation of the power of a car without a prediction and without a meter. [kW]"""
+CAPACITY_AGEING: Final = 0.005
+"""Standard deviation of the change of `c` from shift to shift, by age and more by the battery's temperature. [1]"""
 
 
 @njit(cache=True)
-def follow(events: Any, state: Any, prior: Any, out: Any, shifts: Any) -> int:
-    """Take events in order.
+def filter_events(events: Any, state: Any, prior: Any, estimates: Any, shifts: Any) -> int:
+    """Run the filters over events in their order.
 
     Parameters
     ----------
-    events : (n,) EVENT
-    state : (lanes,) STATE
+    events : (n,) FILTER_EVENT
+    state : (lanes,) FILTER_STATE
         Changed in place.
-    prior : (lanes, 2) float
-        Mean and variance of `a` less `c` when a shift begins.
-    out : (n, len(TOLD)) float
-        `TOLD` after each event.
+    prior : (lanes,) LOG_FACTOR_PRIOR
+        Distribution of `a - c` at the beginning of a shift.
+    estimates : (n,) SOC_ESTIMATE
+        Receives the estimate after each event.
     shifts : (n,) CLOSED_SHIFT
-        Those that ended.
+        Receives the shifts that ended.
 
     Returns
     -------
     int
-        How many shifts ended.
+        Number of shifts that ended.
     """
     closed = 0
     for i in range(events.shape[0]):
-        e = events[i]
-        s = state[e.lane]
-        if e.kind == NAMED:
-            s.next, s.next_mean, s.next_variance = e.duration, e.predicted, e.metered
+        event = events[i]
+        car = state[event.lane]
+        if event.kind == DRIVER_NAMED:
+            car.next_driver = event.driver
+            car.next_driver_mean, car.next_driver_variance = event.driver_mean, event.driver_variance
         else:
-            if s.heard == 0.0 or e.time - s.time > BETWEEN_SHIFTS:
-                if s.shift >= 0.0:
-                    close_shift(s, i, e.lane, shifts[closed])
+            if car.active == 0.0 or event.time - car.time > SHIFT_GAP:
+                if car.shift >= 0.0:
+                    close_shift(car, i, event.lane, shifts[closed])
                     closed += 1
-                open_shift(s, e, prior[e.lane])
-            if e.kind == RUNNING:  # a ride or rest that has ended may be of the shift before
-                drive(s, WANDER**2 * max(s.time - s.begin, 0.0) / 3600.0)
-            step = COARSEST if isnan(e.step) else e.step
-            s.quantum = min(s.quantum, step)
-            hear(s, e)
-            s.quantum = step
-        tell(s, out[i])
+                open_shift(car, event, prior[event.lane])
+            if event.kind == RUNNING:  # closed totals may belong to the shift before
+                apply_named_driver(car, CONSUMPTION_WANDER**2 * max(car.time - car.begin, 0.0) / 3600.0)
+            quantum = DEFAULT_QUANTUM if isnan(event.quantum) else event.quantum
+            car.quantum = min(car.quantum, quantum)
+            update_with_totals(car, event)
+            car.quantum = quantum
+        write_estimate(car, estimates[i])
     return closed
 
 
 @njit(cache=True)
-def open_shift(s: Any, e: Any, prior: Any) -> None:
-    """Begin a shift: the driver and the day are new."""
-    s.shift += 1.0
-    s.begin = e.time
-    s.distance = s.ride_distance = s.hours = s.predicted = s.warmth = 0.0
-    s.begin_soc = s.last_soc = s.lowest_soc = s.charged = nan
-    s.driver, s.driver_mean, s.driver_variance, s.drivers = -1.0, 0.0, DRIVER**2, 0.0
-    s.cc = min(s.cc + AGEING**2, CAPACITY**2)
-    s.size, s.usual, s.usual_variance = s.c, prior[0], prior[1]  # shifts tell of `a` less `c`
-    s.a, s.aa = s.c + prior[0], s.cc + prior[1]
-    s.sa, s.ac = s.sc, s.cc
+def open_shift(state: Any, event: Any, prior: Any) -> None:
+    """Begin a shift, with an unknown driver and the prior distribution of `a - c`."""
+    state.shift += 1.0
+    state.begin = event.time
+    state.distance = state.ride_distance = state.hours = state.predicted = state.warmth = 0.0
+    state.begin_soc = state.last_soc = state.lowest_soc = state.charged = nan
+    state.driver, state.driver_mean, state.driver_variance, state.drivers = -1.0, 0.0, DRIVER_SD**2, 0.0
+    state.p_cc = min(state.p_cc + CAPACITY_AGEING**2, CAPACITY_SD**2)
+    state.begin_log_capacity = state.log_capacity
+    state.usual, state.usual_variance = prior.mean, prior.variance
+    state.log_consumption, state.p_aa = state.log_capacity + prior.mean, state.p_cc + prior.variance
+    state.p_sa, state.p_ac = state.p_sc, state.p_cc
 
 
 @njit(cache=True)
-def close_shift(s: Any, event: int, lane: int, row: Any) -> None:
-    """Write down a shift that has ended."""
-    row.event, row.lane, row.shift, row.begin, row.end = event, lane, s.shift, s.begin, s.time
-    row.begin_soc, row.last_soc, row.lowest_soc = s.begin_soc, s.last_soc, s.lowest_soc
-    row.ride_distance, row.distance, row.hours, row.predicted, row.warmth = (
-        s.ride_distance,
-        s.distance,
-        s.hours,
-        s.predicted,
-        s.warmth,
-    )
-    row.charged = s.charged
-    row.driver = s.driver if s.drivers == 1.0 else -1.0  # what two have taken tells of neither
+def close_shift(state: Any, event: int, lane: int, row: Any) -> None:
+    """Write the summary of a shift that has ended; `row` is a CLOSED_SHIFT."""
+    row.event, row.lane, row.shift, row.begin, row.end = event, lane, state.shift, state.begin, state.time
+    row.begin_soc, row.last_soc, row.lowest_soc = state.begin_soc, state.last_soc, state.lowest_soc
+    row.ride_distance, row.distance = state.ride_distance, state.distance
+    row.hours, row.predicted, row.warmth = state.hours, state.predicted, state.warmth
+    row.charged = state.charged
+    row.driver = state.driver if state.drivers == 1.0 else -1.0  # two drivers share the consumption
 
 
 @njit(cache=True)
-def hear(s: Any, e: Any) -> None:
-    """Take the totals of a ride or rest."""
-    passed = e.time - s.time if s.heard == 1.0 else 0.0
-    meter_time, duration = e.meter_time - s.seen_meter_time, e.duration - s.seen_time
-    predicted = e.factor * (e.predicted - s.seen_predicted) + e.power * duration / 3600.0
-    metered = e.metered - s.seen_metered
-    warmth, distance = e.ambient - s.seen_ambient, e.distance - s.seen_distance
-    if e.kind == CLOSED:
-        s.seen_predicted = s.seen_metered = s.seen_meter_time = 0.0
-        s.seen_time = s.seen_ambient = s.seen_distance = 0.0
-    else:
-        s.seen_predicted = 0.0 if isnan(e.predicted) else e.predicted
-        s.seen_metered, s.seen_meter_time = e.metered, e.meter_time
-        s.seen_time, s.seen_ambient, s.seen_distance = e.duration, e.ambient, e.distance
+def update_with_totals(state: Any, event: Any) -> None:
+    """Update the state of a car by the totals of a ride or idle period, and by its reading."""
+    passed = event.time - state.time if state.active == 1.0 else 0.0
+    meter_time, duration = event.meter_time - state.seen_meter_time, event.duration - state.seen_time
+    predicted = event.factor * (event.predicted - state.seen_predicted) + event.power * duration / 3600.0
+    metered = event.metered - state.seen_metered
+    warmth, distance = event.ambient - state.seen_ambient, event.distance - state.seen_distance
+    remember_totals(state, event)
     if duration > 0.0:
-        s.ambient = warmth / duration
-        if s.distance > SETTING_OUT:
-            s.hours += duration / 3600.0
-            s.warmth += warmth / 3600.0
-            s.predicted += 0.0 if isnan(predicted) else predicted
-        s.distance += distance
-        s.ride_distance += e.riding * distance
-    silent = passed - max(duration, 0.0) > SILENCE
-    charging = e.since_charge < passed or (e.since_charge == 0.0 and passed == 0.0 and s.charging == 1.0)
-    s.heard, s.time = 1.0, e.time
-    if charging and s.charging == 0.0:
-        s.plugged = e.time
-    s.charging = 1.0 if charging else 0.0
-    if charging and s.distance > SETTING_OUT and e.time - s.plugged >= UNPLUGGED:
-        s.charged = e.time
+        state.ambient = warmth / duration
+        if state.distance > DEPARTURE_DISTANCE:
+            state.hours += duration / 3600.0
+            state.warmth += warmth / 3600.0
+            state.predicted += 0.0 if isnan(predicted) else predicted
+        state.distance += distance
+        state.ride_distance += event.riding * distance
+    silent = passed - max(duration, 0.0) > FILTER_RESET_SILENCE
+    charging = update_charging(state, event, passed)
     if silent or charging:
-        restart(s)
-    elif not isnan(s.s):
+        discard_soc(state)
+    elif not isnan(state.soc):
         used = metered * duration / meter_time if meter_time > 0.5 * duration else nan
-        warming = e.time - s.begin < WARMING or e.since_charge < WARMING
-        move(s, predicted, used, duration, e.capacity, NOISE**2 * (UNSURE if warming else 1.0))
-    observe(s, e)
-    if s.charging == 0.0 and isnan(s.suspect) and not isnan(s.reported):
-        log_charge(s)
+        warming = event.time - state.begin < WARM_UP_TIME or event.since_charge < WARM_UP_TIME
+        noise = ENERGY_SD**2 * (WARM_UP_VARIANCE_FACTOR if warming else 1.0)
+        predict_state(state, predicted, used, duration, event.capacity, noise)
+    update_with_reading(state, event)
+    if state.charging == 0.0 and isnan(state.suspect) and not isnan(state.reported):
+        record_shift_soc(state)
 
 
 @njit(cache=True)
-def move(s: Any, predicted: float, used: float, duration: float, capacity: float, spread: float) -> None:
-    """Let the charge fall by what is used, measured by a meter [kWh] or predicted.
+def remember_totals(state: Any, event: Any) -> None:
+    """Remember the totals of an event, from which the next event's changes are counted."""
+    if event.kind == CLOSED:
+        state.seen_predicted = state.seen_metered = state.seen_meter_time = 0.0
+        state.seen_time = state.seen_ambient = state.seen_distance = 0.0
+    else:
+        state.seen_predicted = 0.0 if isnan(event.predicted) else event.predicted
+        state.seen_metered, state.seen_meter_time = event.metered, event.meter_time
+        state.seen_time, state.seen_ambient, state.seen_distance = event.duration, event.ambient, event.distance
 
-    The energy of a stretch has the variance `spread` times 1 kWh times itself, as if made of independent parts.
+
+@njit(cache=True)
+def update_charging(state: Any, event: Any, passed: float) -> bool:
+    """Update when the car was active, plugged in and charged; return whether it charges. `passed` is in seconds."""
+    charging = event.since_charge < passed or (event.since_charge == 0.0 and passed == 0.0 and state.charging == 1.0)
+    state.active, state.time = 1.0, event.time
+    if charging and state.charging == 0.0:
+        state.plugged = event.time
+    state.charging = 1.0 if charging else 0.0
+    if charging and state.distance > DEPARTURE_DISTANCE and event.time - state.plugged >= SHORTEST_CHARGE:
+        state.charged = event.time
+    return bool(charging)
+
+
+@njit(cache=True)
+def predict_state(
+    state: Any, predicted: float, used: float, duration: float, capacity: float, energy_variance: float
+) -> None:
+    """Predict the state at the end of a stretch: the charge falls by the measured or by the predicted energy.
+
+    Parameters
+    ----------
+    state : FILTER_STATE
+        Changed in place.
+    predicted, used : float
+        Predicted and measured energy, NaN where unknown. [kWh]
+    duration : float
+        [s]
+    capacity : float
+        Nominal usable capacity. [kWh]
+    energy_variance : float
+        Variance of the energy of a stretch that takes 1 kWh; it is proportional to the energy. [kWh]
     """
     if isnan(capacity) or duration <= 0.0:
         return
-    s.aa += WANDER**2 * duration / 3600.0
+    state.p_aa += CONSUMPTION_WANDER**2 * duration / 3600.0
     if isnan(predicted) and isnan(used):
-        by_c = BLIND_POWER * duration / 3600.0 / capacity
-        s.fell += by_c
-        s.ss += by_c**2
+        slope_c = UNMODELLED_POWER * duration / 3600.0 / capacity
+        state.fall += slope_c
+        state.p_ss += slope_c**2
         return
     if isnan(used):
-        s.s -= exp(s.a - s.c) * predicted / capacity
-        by_c = exp(s.usual) * predicted / capacity
-        by_a, noise = -by_c, spread * abs(predicted) / capacity**2
+        state.soc -= exp(state.log_consumption - state.log_capacity) * predicted / capacity
+        slope_c = exp(state.usual) * predicted / capacity
+        slope_a, noise = -slope_c, energy_variance * abs(predicted) / capacity**2
     else:
         if not isnan(predicted) and predicted > 0.0:
-            learn(s, predicted, used, (spread + SAMPLED**2) * predicted)
-        s.s -= used / (capacity * exp(s.c))
-        by_c = used / (capacity * exp(s.size))
-        by_a, noise = 0.0, SAMPLED**2 * abs(used) / capacity**2
-    s.fell += by_c
-    s.ss += by_a**2 * s.aa + by_c**2 * s.cc + 2.0 * (by_a * s.sa + by_c * s.sc + by_a * by_c * s.ac) + noise
-    s.sa += by_a * s.aa + by_c * s.ac
-    s.sc += by_a * s.ac + by_c * s.cc
+            update_with_meter(state, predicted, used, (energy_variance + METER_SAMPLING_SD**2) * predicted)
+        state.soc -= used / (capacity * exp(state.log_capacity))
+        slope_c = used / (capacity * exp(state.begin_log_capacity))
+        slope_a, noise = 0.0, METER_SAMPLING_SD**2 * abs(used) / capacity**2
+    state.fall += slope_c
+    state.p_ss += (
+        slope_a**2 * state.p_aa
+        + slope_c**2 * state.p_cc
+        + 2.0 * (slope_a * state.p_sa + slope_c * state.p_sc + slope_a * slope_c * state.p_ac)
+        + noise
+    )
+    state.p_sa += slope_a * state.p_aa + slope_c * state.p_ac
+    state.p_sc += slope_a * state.p_ac + slope_c * state.p_cc
 
 
 @njit(cache=True)
-def learn(s: Any, predicted: float, used: float, variance: float) -> None:
-    """Learn `a` from the energy that a meter measured of a stretch, and the variance of that about what is expected."""
-    slope = exp(s.size + s.usual) * predicted
-    total = slope**2 * s.aa + variance
-    correct(s, used - exp(s.a) * predicted, slope * s.sa, slope * s.aa, slope * s.ac, total)
+def update_with_meter(state: Any, predicted: float, used: float, variance: float) -> None:
+    """Update `a` by the measured energy of a stretch [kWh], with the variance of its residual [kWh^2]."""
+    slope = exp(state.begin_log_capacity + state.usual) * predicted
+    total = slope**2 * state.p_aa + variance
+    residual = used - exp(state.log_consumption) * predicted
+    update_state(state, residual, slope * state.p_sa, slope * state.p_aa, slope * state.p_ac, total)
 
 
 @njit(cache=True)
-def restart(s: Any) -> None:
-    """Forget the charge; what is reported next is where it begins."""
-    s.s = s.reported = s.suspect = nan
-    s.frozen = 0.0
+def record_shift_soc(state: Any) -> None:
+    """Record the accepted reading as last of the shift, and where it applies as first or lowest."""
+    state.last_soc = state.reported
+    if isnan(state.begin_soc) or state.distance <= DEPARTURE_DISTANCE:
+        state.begin_soc = state.lowest_soc = state.reported
+    state.lowest_soc = min(state.lowest_soc, state.reported)
 
 
 @njit(cache=True)
-def anchor(s: Any, reported: float, q: float) -> None:
-    """Begin at a reported charge."""
-    s.s = s.reported = reported
-    s.ss = q * q / 12.0 + FLOOR**2
-    s.sa = s.sc = s.fell = 0.0
-    s.anchors += 1.0
-
-
-@njit(cache=True)
-def observe(s: Any, e: Any) -> None:
-    """Take the charge that is reported."""
-    if isnan(e.soc):
-        return
-    q = s.quantum
-    if isnan(s.s):
-        anchor(s, e.soc, q)
-        return
-    spread = sqrt(s.ss + q * q / 12.0)
-    limit = max(CLEARLY * spread, q + MARGIN)
-    if e.soc == s.reported:
-        s.suspect = nan
-        s.fell = 0.0
-        if s.frozen == 0.0 and abs(s.s - e.soc) > limit:
-            s.frozen = 1.0
-            s.freezes += 1.0
-        return
-    if abs(e.soc - s.s) > limit:
-        doubt(s, e, limit, q)
-        return
-    tick(s, e.soc, q)
-
-
-@njit(cache=True)
-def log_charge(s: Any) -> None:
-    """Note what is reported, and believed, for the shift's log."""
-    s.last_soc = s.reported
-    if isnan(s.begin_soc) or s.distance <= SETTING_OUT:
-        s.begin_soc = s.lowest_soc = s.reported
-    s.lowest_soc = min(s.lowest_soc, s.reported)
-
-
-@njit(cache=True)
-def doubt(s: Any, e: Any, limit: float, q: float) -> None:
-    """Wait whether a value that jumped stays; then the charge is there, and what is known of it less sure than before.
-
-    Nothing else is learned, nor forgotten, of it.
-    """
-    if isnan(s.suspect) or abs(e.soc - s.suspect) > limit:
-        s.suspect, s.suspect_time = e.soc, e.time
-        s.jumps += 1.0
-    elif e.time - s.suspect_time >= STAYS:
-        s.s = e.soc
-        s.ss += q * q / 12.0 + JUMPED**2
-        believe(s, e.soc)
-        s.anchors += 1.0
-
-
-@njit(cache=True)
-def tick(s: Any, reported: float, q: float) -> None:
-    """Take a tick: since one was reported, the charge has crossed the boundary of the reported value's interval.
-
-    By more than one quantum it may be anywhere in the interval; what is more than was used is not to be trusted. After
-    a value that was frozen or doubted, and where it is far more, the charge moves and is no surer than before.
-    """
-    change = reported - s.reported
-    jump = max(abs(change) - abs(s.fell) - q, 0.0) if s.frozen == 0.0 else 0.0
-    at, variance = reported, q * q / 12.0 + jump * jump / 4.0 + FLOOR**2
-    if abs(change) < 1.5 * q and s.frozen == 0.0:
-        since = min(max(s.fell if change < 0.0 else -s.fell, 0.0), q)
-        at = reported + (0.5 * (q - since) if change < 0.0 else 0.5 * (since - q))
-        variance = (0.1 * q) ** 2 + since**2 / 12.0 + FLOOR**2
-    off, variance = at - s.s, s.ss + variance
-    if s.frozen == 0.0 and isnan(s.suspect) and jump <= abs(s.fell) + q:
-        correct(s, off, s.ss, s.sa, s.sc, variance)
-    else:
-        nudge(s, off, s.ss, s.sa, s.sc, variance)
-    believe(s, reported)
-    s.ticks += 1.0
-
-
-@njit(cache=True)
-def believe(s: Any, reported: float) -> None:
-    """Note a reported charge that is believed."""
-    s.reported = reported
-    s.suspect = nan
-    s.frozen = s.fell = 0.0
-
-
-@njit(cache=True)
-def tell(s: Any, out: Any) -> None:
-    """Write down what is known of a car, `TOLD`."""
-    out[0], out[1] = published(s, s.quantum), s.ss
-    out[2], out[3], out[4] = s.a - s.c, s.aa + s.cc - 2.0 * s.ac, s.sa - s.sc
-    out[5], out[6], out[7], out[8], out[9] = s.ambient, s.shift, s.quantum, s.charged, s.last_soc
-    out[10], out[11], out[12], out[13] = s.begin, s.begin_soc, s.distance, s.usual
-
-
-@njit(cache=True)
-def published(s: Any, q: float) -> float:
-    """Return the mean of the charge, given that the car's own estimate of it is in the interval of what is reported."""
-    if isnan(s.s) or s.frozen == 1.0 or not isnan(s.suspect) or isnan(s.reported) or s.ss <= 0.0:
-        return s.s
-    sd = sqrt(s.ss + FLOOR**2)
-    gain = s.ss / sd**2
-    low, high = (s.reported - 0.5 * q - s.s) / sd, (s.reported + 0.5 * q - s.s) / sd
-    inside = 0.5 * (erfc(low / sqrt(2.0)) - erfc(high / sqrt(2.0)))
-    if inside < 1e-6:
-        return s.s + gain * sd * (high if high < 0.0 else low)
-    density = (exp(-0.5 * low * low) - exp(-0.5 * high * high)) / sqrt(2.0 * pi)
-    return s.s + gain * sd * density / inside
+def write_estimate(state: Any, out: Any) -> None:
+    """Write the estimate of a car; `out` is a SOC_ESTIMATE."""
+    out.soc, out.variance = compute_published_soc(state, state.quantum), state.p_ss
+    out.log_factor = state.log_consumption - state.log_capacity
+    out.log_factor_variance = state.p_aa + state.p_cc - 2.0 * state.p_ac
+    out.covariance = state.p_sa - state.p_sc
+    out.ambient, out.shift, out.quantum = state.ambient, state.shift, state.quantum
+    out.charged, out.reported = state.charged, state.last_soc
+    out.begin, out.begin_soc, out.distance, out.usual = state.begin, state.begin_soc, state.distance, state.usual

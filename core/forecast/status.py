@@ -1,23 +1,42 @@
-"""The newest of every vehicle, for a screen."""
+"""Newest values of every vehicle, for display."""
 
 from collections.abc import Sequence
 from math import isnan
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.batch import Floats
-from core.forecast.messages import counted, known
+from core.forecast.messages import count_quality, none_if_nan
 from core.totals.accumulator import Totals
 from core.totals.context import RunContext
 from core.totals.tables import measured_energy
 
 
 class VehicleStatus(NamedTuple):
-    """The newest of a vehicle, for a screen.
+    """Newest values of a vehicle, for display.
 
-    `shadows_kwh` is what each shadow predicts of the ride in progress; `end_pct` mean, 5th and 95th percentile of the
-    charge at the shift's end [%], and `risk` that of ending below the reserve [1]; None where they are not known.
+    Parameters
+    ----------
+    vehicle_id : str
+    vehicle_model, ride_id : str or None
+    time_s : float
+        Unix time. [s]
+    soc_pct : float
+        As reported. [%]
+    ride_distance_km : float
+        [km]
+    predicted_kwh, measured_kwh : float
+        Energy of the ride in progress, NaN where unknown. [kWh]
+    quality : dict of str to int
+        Counts of the ride in progress.
+    shadows_kwh : tuple of float
+        Energy of the ride in progress as each shadow model predicts it. [kWh]
+    end_pct : tuple of (float, float, float), optional
+        Mean, 5th and 95th percentile of the charge at the end of the shift, None where unknown. [%]
+    risk : float, optional
+        Probability of ending below the reserve, None where unknown. [1]
     """
 
     vehicle_id: str
@@ -34,14 +53,14 @@ class VehicleStatus(NamedTuple):
     risk: float | None = None
 
 
-def statuses(
+def build_statuses(
     running: Totals,
     ride_names: Sequence[str | None],
     context: RunContext,
     predicted: Sequence[Floats],
-    ends: Floats,
+    ends: NDArray[np.void],
 ) -> list[VehicleStatus]:
-    """Return one status a row of running totals.
+    """Return one status per row of running totals.
 
     Parameters
     ----------
@@ -50,32 +69,36 @@ def statuses(
     ride_names : sequence of n (str or None)
     context : RunContext
     predicted : sequence of (n,) float
-        By each model, the first first. [kWh]
-    ends : (n, 4) float
-        Charge at the shift's end: mean, 5th and 95th percentile; and the risk of ending below the reserve. [1]
+        Energy by each model, the serving model first. [kWh]
+    ends : (n,) END_OF_SHIFT
+        Charge at the end of the shift, see `core.forecast.forecast_rows`. [1]
+
+    Returns
+    -------
+    list of n VehicleStatus
     """
     names, cars = context.vehicle_ids, context.cars
     riding = running.ride >= 0
-    own, *shadows = (np.where(riding, energy, np.nan).tolist() for energy in predicted)
+    by_first, *by_shadows = (np.where(riding, energy, np.nan).tolist() for energy in predicted)
     measured = np.where(riding, measured_energy(running, cars)[0], np.nan).tolist()
-    counts = counted(running)
+    counts = count_quality(running)
     time, soc = running.at_last("time").tolist(), (running.at_last("soc") * 100.0).tolist()
     distance = np.where(riding, running.amount("distance") * 1e-3, 0.0).tolist()
-    mean, low, high, risk = ends.T.tolist()
+    mean, low, high, risk = (ends[name].tolist() for name in ("mean", "p05", "p95", "risk"))
     return [
         VehicleStatus(
-            names[lane],
-            cars.name(int(cars.of_lane[lane])),
-            ride_names[i],
-            time[i],
-            soc[i],
-            distance[i],
-            own[i],
-            measured[i],
-            {cause: values[i] for cause, values in counts.items()},
-            tuple(shadow[i] for shadow in shadows),
-            None if isnan(low[i]) else (100.0 * mean[i], 100.0 * low[i], 100.0 * high[i]),
-            known(risk[i]),
+            vehicle_id=names[lane],
+            vehicle_model=cars.name(int(cars.of_lane[lane])),
+            ride_id=ride_names[i],
+            time_s=time[i],
+            soc_pct=soc[i],
+            ride_distance_km=distance[i],
+            predicted_kwh=by_first[i],
+            measured_kwh=measured[i],
+            quality={cause: values[i] for cause, values in counts.items()},
+            shadows_kwh=tuple(shadow[i] for shadow in by_shadows),
+            end_pct=None if isnan(low[i]) else (100.0 * mean[i], 100.0 * low[i], 100.0 * high[i]),
+            risk=none_if_nan(risk[i]),
         )
         for i, lane in enumerate(running.lane.tolist())
     ]

@@ -1,228 +1,325 @@
-"""The answer to a question: what a ride would take, and what it would leave of the shift.
+"""Answer an outlook query: the energy of a ride, and the charge that it leaves for the rest of the shift.
 
-The ride that is asked for comes first, after what is left of the ride in progress and an empty way as usual; then the
-other legs of the plan, with the rest of the time spread evenly before them. A plan does not tell when a leg begins; but
-where such waits would be longer than usual, they are as usual and the rest of the time comes after the last leg: a car
-with hours to spare mostly spends them at a charger. How long a single wait is varies as much as waits last on average,
-as it does where rides are called for at any time. Without a plan, the shift goes on after the ride as the car's shifts
-go. What is left, what it takes and the charge that it leads to are those of the forecast (`core.forecast.outlook`):
-without a ride the answer is the forecast, and with one it is what the forecast would be, had a plan with that ride
-come.
+The queried ride comes first, after the rest of the leg in progress and a usual empty way. Then follow the other legs of
+the plan, with the remaining time spread evenly before them, because a plan does not state when a leg begins. Where
+these waits would be longer than usual, they have the usual length and the remaining time comes after the last leg: a
+car with hours to spare mostly spends them at a charger. The duration of a single wait has a standard deviation equal to
+its mean, as where rides are requested at any time.
+
+Without a plan, the shift continues after the ride as the car's shifts usually do. The energies and the charge are those
+of the forecast (`core.forecast.outlook`): without a ride the answer equals the forecast, and with a ride it equals the
+forecast that a plan with that ride would produce.
 """
 
 from math import inf
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
 from core.columns import ZERO_CELSIUS
 from core.errors import AskError
-from core.forecast import outlook, soc_filter
-from core.forecast.outlook import RESERVE, Ahead, Known, Legs, Outcome, Usual
-from core.forecast.plan_checks import refusal
+from core.forecast.conformal import BY_HISTORY, BY_PLAN, ErrorBounds
+from core.forecast.engine import ForecastEngine
+from core.forecast.filter_state import SOC_ESTIMATE
+from core.forecast.outlook import (
+    DEFAULT_RESERVE,
+    CarEstimate,
+    EnergyAhead,
+    MeanAndSd,
+    compute_end_soc,
+    compute_planned_energy,
+    compute_reserve_risk,
+    compute_temperature_weights,
+    fill_from_history,
+)
+from core.forecast.plan_checks import find_refusal
 from core.forecast.plan_tracker import LONGEST_SHIFT
+from core.forecast.planned_legs import PlannedLegs, compute_planned_legs
+from core.forecast.soc_filter import METER_GAIN_SD, write_estimate
+from core.forecast.soc_reading import READING_SD
 from core.wire.messages import Interval, Leg, LegOutlook, Outlook, Plan
 
-if TYPE_CHECKING:
-    from core.forecast.engine import Foresight
+_ROUNDING_KWH: Final = 1e-9
 
 
-_ROUNDED: Final = 1e-9  # kWh
+class IntervalColumns(NamedTuple):
+    """Mean, 5th and 95th percentile of a quantity, (n,) float each."""
+
+    mean: Floats
+    p05: Floats
+    p95: Floats
+
+    def list_intervals(self) -> list[Interval | None]:
+        """Return the intervals, None where one is unknown."""
+        rows = zip(self.mean.tolist(), self.p05.tolist(), self.p95.tolist(), strict=True)
+        return [Interval(mean, p05, p95) if np.isfinite([mean, p05, p95]).all() else None for mean, p05, p95 in rows]
 
 
-class Prospect:
-    """What is known of a car now, and what follows for energies ahead of it.
+class CarOutlook:
+    """Present estimate of a car, and the consequences of energies ahead of it.
 
     Parameters
     ----------
-    foresight : Foresight
+    engine : ForecastEngine
     lane : int
     """
 
-    def __init__(self, foresight: "Foresight", lane: int) -> None:
-        cars = foresight.context.cars
-        self.state = foresight.state[lane]
-        told = np.empty(len(soc_filter.TOLD))
-        soc_filter.tell(self.state, told)
-        self.told = dict(zip(soc_filter.TOLD, told.tolist(), strict=True))
+    def __init__(self, engine: ForecastEngine, lane: int) -> None:
+        cars, statistics = engine.context.cars, engine.statistics
+        estimate = np.zeros(1, SOC_ESTIMATE)
+        self.state = engine.state[lane]
+        write_estimate(self.state, estimate[0])
         kinds = cars.of_lane[[lane]]
-        self.known = Known.of({name: np.array([value]) for name, value in self.told.items()}, cars.capacity[kinds])
-        ambient = np.array([self.told["ambient"]])
+        self.shift_begin = float(estimate["begin"][0])
+        self.estimate = CarEstimate.from_filter(estimate, cars.capacity[kinds])
         self.time = float(self.state["time"])
-        self.usual: Usual = foresight.lessons.usual(kinds, outlook.temperature_weights(ambient))
-        self.celsius = ambient - ZERO_CELSIUS
-        self.tables = foresight.lessons.tables(lane)
-        self.pause = inf if self.tables is None else self.tables.pause
-        self.conformal, self.lean = foresight.lessons.conformal, foresight.lessons.lean.factor
+        self.usual = statistics.compute_usual(kinds, compute_temperature_weights(estimate["ambient"]))
+        self.celsius = estimate["ambient"] - ZERO_CELSIUS
+        self.tables = statistics.get_tables(lane)
+        self.mean_pause = inf if self.tables is None else self.tables.mean_pause
+        self.pattern = statistics.get_patterns(np.array([lane]))
+        self.conformal, self.bias_factor = statistics.conformal, statistics.bias.factor
 
-    def charge(
-        self, energy: Floats, hours: Floats, kind: Ints, doubt: Floats | float = 0.0
-    ) -> tuple[Floats, Outcome, Floats]:
-        """Return the charge after energies [kWh], so many hours ahead, by plan (0) or by habit (1).
+    def compute_charge(
+        self, energy: Floats, hours: Floats, basis: Ints, energy_sd: Floats | float = 0.0
+    ) -> tuple[IntervalColumns, MeanAndSd, Floats]:
+        """Return the charge after energies.
 
         Parameters
         ----------
-        energy, hours : (n,) float
-        kind : (n,) int
-        doubt : (n,) float
-            Standard deviation of the energies, as it is not known what will have been by then. [kWh]
+        energy : (n,) float
+            [kWh]
+        hours : (n,) float
+            Time in which each is spent. [h]
+        basis : (n,) int
+            `BY_PLAN` or `BY_HISTORY`.
+        energy_sd : (n,) float
+            Standard deviation of the energies from the unknown timing. [kWh]
 
         Returns
         -------
-        (n, 3) float
-            Mean, 5th and 95th percentile. [%]
-        Outcome
-            The same before errors are learned from.
+        IntervalColumns
+            [%]
+        MeanAndSd
+            The same before the conformal correction. [1]
         (n, levels) float
-            Quantiles of these errors.
+            Quantiles of the standardised error. [1]
         """
-        errors, bounds = self._errors(energy, kind)
-        end = outlook.at_end(self.known, energy, hours)
-        end = end._replace(sd=np.hypot(end.sd, doubt / self.known.capacity))
-        percent = 100.0 * np.clip(end.mean[:, np.newaxis] + end.sd[:, np.newaxis] * bounds, 0.0, 1.0)
-        return percent, end, errors
+        quantiles, bounds = self._get_errors(energy, basis)
+        end = compute_end_soc(self.estimate, energy, hours)
+        end = end._replace(sd=np.hypot(end.sd, energy_sd / self.estimate.capacity))
+        mean, p05, p95 = (100.0 * np.clip(end.mean + end.sd * bound, 0.0, 1.0) for bound in bounds)
+        return IntervalColumns(mean, p05, p95), end, quantiles
 
-    def taken(self, legs: Legs, energy: Floats, kind: Ints) -> Floats:
-        """Return what legs take from the battery by themselves: mean, 5th and 95th percentile, (n, 3). [kWh]"""
-        own = self.known._replace(variance=np.zeros(1), covariance=np.zeros(1), soc=np.zeros(1), quantum=np.zeros(1))
-        end = outlook.at_end(own, energy, legs.seconds / 3600.0)
-        _, bounds = self._errors(energy, kind)
-        out = -self.known.capacity[0] * (end.mean[:, np.newaxis] + end.sd[:, np.newaxis] * bounds[:, [0, 2, 1]])
-        least = np.array([-np.inf if leg.lost_m else 0.0 for leg in legs.plan.legs])  # only descents give anything
-        return np.asarray(np.maximum(out, least[:, np.newaxis]))
+    def compute_leg_intervals(self, legs: PlannedLegs, energy: Floats, basis: Ints) -> IntervalColumns:
+        """Return the energy that each leg takes from the battery.
 
-    def _errors(self, energy: Floats, kind: Ints) -> tuple[Floats, Floats]:
-        """Return quantiles of the errors of forecasts of energies, and the bounds of what is likely."""
-        return self.conformal.quantiles(kind, energy / self.usual.per_km, np.repeat(self.celsius, len(energy)))
+        Parameters
+        ----------
+        legs : PlannedLegs
+            Of n legs.
+        energy : (n,) float
+            Predicted energy. [kWh]
+        basis : (n,) int
+            `BY_PLAN` or `BY_HISTORY`.
 
+        Returns
+        -------
+        IntervalColumns
+            [kWh]
+        """
+        zero = np.zeros(1)
+        only_leg = self.estimate._replace(variance=zero, covariance=zero, soc=zero, quantum=zero)
+        end = compute_end_soc(only_leg, energy, legs.seconds / 3600.0)
+        _, bounds = self._get_errors(energy, basis)
+        least = np.array([-np.inf if leg.lost_m else 0.0 for leg in legs.plan.legs])  # only descents return energy
 
-class Way(NamedTuple):
-    """What is to be driven: legs, whether the first is under way, and the place of the one that was asked for."""
+        def compute_energy(bound: Floats) -> Floats:
+            return np.asarray(np.maximum(-self.estimate.capacity[0] * (end.mean + end.sd * bound), least))
 
-    legs: Legs
-    underway: bool
-    asked: int | None
+        return IntervalColumns(
+            mean=compute_energy(bounds.middle), p05=compute_energy(bounds.upper), p95=compute_energy(bounds.lower)
+        )
 
-    @classmethod
-    def of(cls, left: Legs, underway: bool, leg: Leg | None, now: Prospect) -> "Way":
-        """Return what is left of a plan, with the ride that is asked for first, but after the leg under way."""
-        if leg is None:
-            return cls(left, underway, None)
-        asked = outlook.legs(Plan("", now.time, now.time, 0.0, [leg]), now.tables)
-        return cls(left.before(int(underway), asked), underway, int(underway))
-
-    def ahead(self, now: Prospect) -> Ahead:
-        """Return what is ahead until the shift ends, as a forecast has it."""
-        none, time = np.zeros(1), np.array([now.time])
-        ahead = outlook.by_plan(self.legs.course(0, 0.0).reshape(1), time, none, np.array([self.underway]), now.usual)
-        return ahead._replace(energy=now.lean[0] * ahead.energy)
-
-    def outlooks(self, now: Prospect, ahead: Ahead, end: Floats) -> list[LegOutlook]:
-        """Return what is expected of each leg, with `ahead` of the whole shift and the charge (1, 3) at its end [%]."""
-        place, hours = np.arange(len(self.legs.km)), self.legs.seconds / 3600.0
-        waits = place >= self.underway + (self.asked is not None)
-        spare = max(float(ahead.hours[0]) - float(hours.sum()), 0.0)
-        pause = waits * min(spare / max(int(waits.sum()), 1), now.pause)
-        energy = now.lean[0] * (self.legs.energy @ now.usual.weights[0])
-        rest = now.lean[0] * (pause * now.usual.standing + (place >= self.underway) * now.usual.approach)
-        spent = np.cumsum(rest + energy)
-        by_habit = not np.isfinite(now.conformal.bounds[0]).any()  # in a fleet without plans
-        kind = np.full(len(place), int(by_habit))
-        doubt = now.usual.standing * np.sqrt(np.cumsum(pause**2))
-        charge, _, _ = now.charge(spent, np.cumsum(pause + hours), kind, doubt)
-        charge = falling(np.vstack([charge, end]), np.append(spent, ahead.energy))
-        rows = zip(self.legs.plan.legs, now.taken(self.legs, energy, kind).tolist(), charge.tolist(), strict=False)
-        return [LegOutlook(leg.distance_km, leg.duration_s, _interval(*kwh), _interval(*soc)) for leg, kwh, soc in rows]
+    def _get_errors(self, energy: Floats, basis: Ints) -> tuple[Floats, ErrorBounds]:
+        """Return the distribution of the errors of forecasts of energies."""
+        ambient = np.repeat(self.celsius, len(energy))
+        return self.conformal.get_quantiles(basis, energy / self.usual.energy_per_km, ambient)
 
 
-def falling(charge: Floats, spent: Floats) -> Floats:
-    """Return charges ahead that do not rise where energy is taken: what is left later was there before.
-
-    Intervals are learned by distance, each for itself, so that a later one may be surer. The last one stays as it is;
-    those before it are raised to it, as what falls below them takes the one after them below it.
+class RouteAhead(NamedTuple):
+    """Legs to drive until the end of the shift.
 
     Parameters
     ----------
-    charge : (n, m) float
-        Means and percentiles, one point after another; NaN where they are not known.
+    legs : PlannedLegs
+    in_progress : bool
+        Whether the first leg has begun.
+    query_place : int or None
+        Index of the queried leg, None without one.
+    """
+
+    legs: PlannedLegs
+    in_progress: bool
+    query_place: int | None
+
+    @classmethod
+    def create(cls, left: PlannedLegs, in_progress: bool, leg: Leg | None, now: CarOutlook) -> "RouteAhead":
+        """Return the rest of a plan, with the queried leg first, but after the leg in progress."""
+        if leg is None:
+            return cls(left, in_progress, None)
+        queried = compute_planned_legs(Plan("", now.time, now.time, 0.0, [leg]), now.tables)
+        return cls(left.insert(int(in_progress), queried), in_progress, int(in_progress))
+
+    def compute_ahead(self, now: CarOutlook) -> EnergyAhead:
+        """Return the energy ahead until the shift ends, as for a forecast."""
+        zero, time = np.zeros(1), np.array([now.time])
+        progress = self.legs.compute_progress(0, 0.0).reshape(1)
+        ahead = compute_planned_energy(progress, time, zero, np.array([self.in_progress]), now.usual)
+        return ahead._replace(energy=now.bias_factor[BY_PLAN] * ahead.energy)
+
+    def compute_leg_outlooks(self, now: CarOutlook, ahead: EnergyAhead, end: IntervalColumns) -> list[LegOutlook]:
+        """Return the outlook of each leg.
+
+        Parameters
+        ----------
+        now : CarOutlook
+        ahead : EnergyAhead
+            Until the end of the shift.
+        end : IntervalColumns
+            Charge at the end of the shift, of one row. [%]
+        """
+        place, hours = np.arange(len(self.legs.km)), self.legs.seconds / 3600.0
+        waits = place >= self.in_progress + (self.query_place is not None)
+        spare = max(float(ahead.hours[0]) - float(hours.sum()), 0.0)
+        pause = waits * min(spare / max(int(waits.sum()), 1), now.mean_pause)
+        factor = now.bias_factor[BY_PLAN]
+        energy = factor * (self.legs.energy @ now.usual.weights[0])
+        idling = factor * (pause * now.usual.standing_power + (place >= self.in_progress) * now.usual.approach_energy)
+        spent = np.cumsum(idling + energy)
+        has_plan_errors = np.isfinite(now.conformal.bounds["lower"][BY_PLAN]).any()  # not in a fleet without plans
+        basis = np.full(len(place), BY_PLAN if has_plan_errors else BY_HISTORY)
+        energy_sd = now.usual.standing_power * np.sqrt(np.cumsum(pause**2))
+        charge, _, _ = now.compute_charge(spent, np.cumsum(pause + hours), basis, energy_sd)
+        until_end = np.append(spent, ahead.energy)
+        charge = IntervalColumns(
+            *(make_consistent(np.append(legs, last), until_end) for legs, last in zip(charge, end, strict=True))
+        )
+        rows = zip(
+            self.legs.plan.legs,
+            now.compute_leg_intervals(self.legs, energy, basis).list_intervals(),
+            charge.list_intervals(),
+            strict=False,  # the charge has one more row, the end of the shift
+        )
+        return [LegOutlook(leg.distance_km, leg.duration_s, kwh, soc) for leg, kwh, soc in rows]
+
+
+def make_consistent(charge: Floats, spent: Floats) -> Floats:
+    """Return charges ahead that do not rise while energy is spent.
+
+    Intervals are learned for each distance separately, so that a later one may be narrower. The last charge stays as it
+    is. The ones before are raised to it where necessary, because a car below it earlier is also below it later.
+
+    Parameters
+    ----------
+    charge : (n,) or (n, m) float
+        Means or percentiles, one point after another; NaN where unknown.
     spent : (n,) float
-        Energy until then, which falls where a descent gives back more than the way takes. [kWh]
+        Energy until each point. It falls where a descent returns more than the leg takes. [kWh]
 
     Returns
     -------
-    (n, m) float
+    (n,) or (n, m) float
 
     Examples
     --------
-    >>> falling(np.array([[50.0], [40.0], [42.0], [41.0]]), np.array([1.0, 2.0, 3.0, 2.5])).tolist()
-    [[50.0], [42.0], [42.0], [41.0]]
+    >>> make_consistent(np.array([50.0, 40.0, 42.0, 41.0]), np.array([1.0, 2.0, 3.0, 2.5])).tolist()
+    [50.0, 42.0, 42.0, 41.0]
     """
     out = charge.copy()
     for i in reversed(range(len(out) - 1)):
-        if spent[i + 1] >= spent[i] - _ROUNDED:
+        if spent[i + 1] >= spent[i] - _ROUNDING_KWH:
             out[i] = np.where(np.isnan(out[i]), out[i], np.fmax(out[i], out[i + 1]))
     return out
 
 
-def answer(foresight: "Foresight", lane: int, leg: Leg | None, plan: Plan | None) -> Outlook:
-    """Return what is expected of the rest of a shift.
+def answer_query(engine: ForecastEngine, lane: int, leg: Leg | None, plan: Plan | None) -> Outlook:
+    """Return the outlook of the rest of a shift.
 
     Parameters
     ----------
-    foresight : Foresight
+    engine : ForecastEngine
     lane : int
     leg : Leg, optional
-        That is asked for.
+        The queried ride.
     plan : Plan, optional
-        To be answered instead of the one that is known.
+        A plan to use instead of the published one.
+
+    Returns
+    -------
+    Outlook
 
     Raises
     ------
     AskError
-        For a plan that cannot be used, or is of a later shift than the one under way.
+        For a plan that cannot be used, or is for a later shift than the one in progress.
     """
-    now = Prospect(foresight, lane)
-    if plan is not None and (refused := refusal(plan, now.time, LONGEST_SHIFT)) is not None:
-        raise AskError(refused.words, refused.cause)
-    courses = foresight.courses
-    left = courses.left(lane, now.time, plan, now.tables)
-    nothing = outlook.legs(Plan("", now.time, now.time, 100.0 * RESERVE, []), now.tables)
-    way = Way.of(left or nothing, left is not None and courses.riding(lane) and len(left.km) > 0, leg, now)
-    habits = foresight.lessons.habits_of(np.array([lane]))
-    ahead = way.ahead(now) if left is not None else _unplanned(way.ahead(now), leg is not None, now, *habits)
-    charge, raw, errors = now.charge(ahead.energy, ahead.hours, ahead.kind)
-    told, end = way.outlooks(now, ahead, charge), _interval(*charge[0].tolist())
-    danger = float(outlook.risk(raw, ahead.reserve, errors)[0])
-    capacity = float(now.known.capacity[0] * np.exp(now.state["c"]))
+    now, tracker = CarOutlook(engine, lane), engine.plans
+    if plan is not None and (refused := find_refusal(plan, now.time, LONGEST_SHIFT)) is not None:
+        raise AskError(refused.message, refused.cause)
+    left = tracker.get_remaining_legs(lane, now.time, plan, now.tables)
+    no_legs = compute_planned_legs(Plan("", now.time, now.time, 100.0 * DEFAULT_RESERVE, []), now.tables)
+    in_progress = left is not None and tracker.is_riding(lane) and len(left.km) > 0
+    route = RouteAhead.create(left or no_legs, in_progress, leg, now)
+    ahead = route.compute_ahead(now)
+    if left is None:
+        ahead = _add_history(ahead, leg is not None, now)
+    end, raw_end, quantiles = now.compute_charge(ahead.energy, ahead.hours, ahead.basis)
+    (end_interval,) = end.list_intervals()
+    legs = route.compute_leg_outlooks(now, ahead, end)
+    capacity = float(now.estimate.capacity[0] * np.exp(now.state["log_capacity"]))
+    capacity_sd = capacity * float(np.hypot(np.sqrt(now.state["p_cc"]), METER_GAIN_SD))
+    no_energy = _explain_unknown_energy(left is not None, ahead, lane in tracker.later, now.pattern)
     return Outlook(
-        vehicle_id=foresight.context.vehicle_ids[lane],
+        vehicle_id=engine.context.vehicle_ids[lane],
         time_s=now.time,
-        model=foresight.context.model_label,
-        soc_pct=_known(100.0 * now.told["soc"]),
-        soc_sd_pct=_known(100.0 * max(float(np.sqrt(now.told["variance"])), soc_filter.FLOOR)),
-        usable_capacity_kwh=_known(capacity),
-        usable_capacity_sd_kwh=_known(capacity * float(np.hypot(np.sqrt(now.state["cc"]), soc_filter.METER))),
-        consumption_scale=_known(float(np.exp(now.state["a"]))),
-        asked=None if way.asked is None else told[way.asked],
-        legs=[each for number, each in enumerate(told) if number != way.asked],
-        shift_end_s=_known(float(ahead.end[0])),
-        soc_end_of_shift_pct=end,
+        model=engine.context.model_label,
+        soc_pct=_none_if_unknown(100.0 * float(now.estimate.soc[0])),
+        soc_sd_pct=_none_if_unknown(100.0 * max(float(np.sqrt(now.estimate.variance[0])), READING_SD)),
+        usable_capacity_kwh=_none_if_unknown(capacity),
+        usable_capacity_sd_kwh=_none_if_unknown(capacity_sd),
+        consumption_scale=_none_if_unknown(float(np.exp(now.state["log_consumption"]))),
+        asked=None if route.query_place is None else legs[route.query_place],
+        legs=[each for number, each in enumerate(legs) if number != route.query_place],
+        shift_end_s=_none_if_unknown(float(ahead.end[0])),
+        soc_end_of_shift_pct=end_interval,
         reserve_soc_pct=100.0 * float(ahead.reserve[0]),
-        reserve_risk=_known(danger),
-        why_not=_why_not(now, end, _unknown(left is not None, ahead, lane in courses.later, *habits)),
+        reserve_risk=_none_if_unknown(float(compute_reserve_risk(raw_end, ahead.reserve, quantiles)[0])),
+        why_not=_explain_unknown_end(now, end_interval, no_energy),
     )
 
 
-def silenced(told: Outlook, silent_s: float) -> Outlook:
-    """Return an answer of a car that has been silent for so long that its shift is over.
+def withhold_charge(outlook: Outlook, silent_s: float) -> Outlook:
+    """Return the outlook of a car that has been silent for so long that its shift is over.
 
-    Nobody knows what it did meanwhile: whether it drove on or charged. What a ride takes is still told.
+    The car may have driven on or charged meanwhile, so no charge is published. The energies of rides remain.
+
+    Parameters
+    ----------
+    outlook : Outlook
+    silent_s : float
+        [s]
+
+    Returns
+    -------
+    Outlook
     """
-    asked, *legs = (each and msgspec.structs.replace(each, soc_pct=None) for each in (told.asked, *told.legs))
+    asked, *legs = (each and msgspec.structs.replace(each, soc_pct=None) for each in (outlook.asked, *outlook.legs))
     return msgspec.structs.replace(
-        told,
+        outlook,
         asked=asked,
         legs=legs,
         shift_end_s=None,
@@ -232,47 +329,43 @@ def silenced(told: Outlook, silent_s: float) -> Outlook:
     )
 
 
-def _unplanned(ride: Ahead, asked: bool, now: Prospect, hours: Floats, busy: Floats) -> Ahead:
-    """Return what is ahead without a plan: the ride that is asked for, if any, and what is usual of the car after it.
+def _add_history(ride: EnergyAhead, queried: bool, now: CarOutlook) -> EnergyAhead:
+    """Return the energy ahead without a plan: the queried ride, if any, and the usual rest of the shift after it.
 
-    `hours` and `busy` are how long the car's shifts are, and how busy. Where the shift is longer, the ride is all that
-    is known to come.
+    In a shift that is longer than usual, the queried ride is all that is ahead.
     """
     unknown = np.array([np.nan])
-    nothing = Ahead(unknown, unknown, unknown, unknown, unknown, np.zeros(1, np.int64))
-    usual = outlook.by_habit(nothing, now.usual, ride.end - now.told["begin"], ride.end, hours, busy)
+    nothing = EnergyAhead(unknown, unknown, unknown, unknown, unknown, np.full(1, BY_PLAN))
+    usual = fill_from_history(nothing, now.usual, ride.end - now.shift_begin, ride.end, now.pattern)
     if np.isfinite(usual.energy[0]):
-        energy = ride.energy + now.lean[1] * usual.energy
+        energy = ride.energy + now.bias_factor[BY_HISTORY] * usual.energy
         return usual._replace(energy=energy, km=ride.km + usual.km, hours=ride.hours + usual.hours)
-    return ride._replace(kind=ride.kind + 1) if asked and np.isfinite(hours[0]) else usual
+    if queried and np.isfinite(now.pattern["hours"][0]):
+        return ride._replace(basis=np.full(1, BY_HISTORY))
+    return usual
 
 
-def _unknown(planned: bool, ahead: Ahead, later: bool, hours: Floats, busy: Floats) -> str | None:
-    """Return why it is not known what is ahead; None where it is."""
+def _explain_unknown_energy(planned: bool, ahead: EnergyAhead, later: bool, pattern: NDArray[np.void]) -> str | None:
+    """Return why the energy ahead is unknown; None where it is known."""
     if planned or np.isfinite(ahead.energy[0]):
         return None
     plan = "the plan that is known is of a later shift" if later else "no plan is known"
-    if np.isfinite(hours[0] * busy[0]):
+    if np.isfinite(pattern["hours"][0] * pattern["relative_power"][0]):
         return f"{plan}, and this shift is longer than those of this car usually are"
     return f"{plan}, and too few shifts of this car to tell how they go"
 
 
-def _why_not(now: Prospect, end: Interval | None, unknown: str | None) -> str | None:
-    """Return why a figure is not known, the deepest reason first; None where all are."""
+def _explain_unknown_end(now: CarOutlook, end: Interval | None, no_energy: str | None) -> str | None:
+    """Return why the charge at the end is unknown, the most basic reason first; None where it is known."""
     if end is not None:
         return None
-    if not np.isfinite(now.told["soc"]):
+    if not np.isfinite(now.estimate.soc[0]):
         return "the car reports no state of charge"
     if now.tables is None:
         return "no day of rides of this vehicle model has been learned from yet"
-    return unknown or "too few shifts have ended to tell how far off forecasts are"
+    return no_energy or "too few shifts have ended to tell how far off forecasts are"
 
 
-def _interval(mean: float, low: float, high: float) -> Interval | None:
-    """Return an interval, None where it is not known."""
-    return Interval(mean, low, high) if np.isfinite(mean) and np.isfinite(low) and np.isfinite(high) else None
-
-
-def _known(value: float) -> float | None:
-    """Return a number, None where it is not known."""
+def _none_if_unknown(value: float) -> float | None:
+    """Return a number, None where it is not finite."""
     return value if np.isfinite(value) else None

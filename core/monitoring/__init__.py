@@ -1,1 +1,1 @@
-"""Compare models in service on the same rides."""
+"""Compare the models in service on the same rides."""

@@ -1,4 +1,4 @@
-"""How a model fares in service: running errors of its rides, and by how much they are below the first model's."""
+"""Running errors of the models in service, and their reduction against the first model."""
 
 from collections.abc import Sequence
 from math import isfinite
@@ -6,155 +6,219 @@ from typing import Any, Final
 
 import numpy as np
 
-from core.batch import Floats, grown
+from core.batch import grown
 from core.models import Model
 from core.stats.confidence_sequence import ClusterMoments
 from core.wire.messages import Gain, ModelErrors, RideErrors
 
-_BOOK: Final = 4  # of a vehicle: day, vehicle model, rides and fall of the absolute error of the cluster in progress
+NO_GROUP: Final = -1
+"""Index for rides of a vehicle model without running errors of its own."""
+
+VEHICLE_DAY: Final = np.dtype(
+    [
+        ("day", "f8"),  # UTC day of the rides
+        ("group", "i8"),  # index of the vehicle model, or `NO_GROUP`
+        ("rides", "i8"),  # number of rides
+        ("reduction", "f8"),  # of the sum of absolute errors against the first model [kWh]
+    ]
+)
+"""Rides of one vehicle on one day, a cluster of the confidence sequence."""
+
+RIDE_SUMS: Final = np.dtype(
+    [
+        ("rides", "i8"),  # with a prediction
+        ("unpredicted", "i8"),  # without a prediction
+        ("absolute", "f8"),  # absolute error [kWh]
+        ("error", "f8"),  # error [kWh]
+        ("measured", "f8"),  # energy of the rides with a prediction [kWh]
+    ]
+)
+"""Sums over rides."""
 
 
-class Score:
-    """Running errors of a model over rides of one kind.
+class RunningErrors:
+    """Accumulate the errors of one model over rides of one vehicle model, or of all.
 
     Parameters
     ----------
     vehicle_model : str, optional
-        Whose rides; all, where not given.
+        Vehicle model of the rides; all rides without it.
     level : float, optional
-        Probability with which the interval of the gain holds at all times; without it there is no gain.
-    state : sequence of (sequence of float, sequence of float), optional
-        As `state` was.
+        Probability with which the interval of the gain holds at all times. Without it there is no gain.
     """
 
-    def __init__(self, vehicle_model: str | None, level: float | None, state: Any = None) -> None:
+    def __init__(self, vehicle_model: str | None, level: float | None) -> None:
         self.vehicle_model, self._level = vehicle_model, level
-        # rides, rides without a prediction, sums of absolute error, of error and of measured energy
-        self._sums: list[float] = list(state[0]) if state else [0.0] * 5
-        self._clusters = ClusterMoments(state[1]) if state else ClusterMoments()
-        self._told: RideErrors | None = None
+        self._sums = np.zeros((), RIDE_SUMS)
+        self._clusters = ClusterMoments()
+        self._published: RideErrors | None = None
 
-    @property
-    def state(self) -> Any:
-        """From which another one goes on."""
-        return [self._sums, self._clusters.state]
+    def add_ride(self, error: float, measured: float) -> None:
+        """Add a ride.
 
-    def add(self, error: float, measured: float) -> None:
-        """Take a ride, with an error of NaN where it was not predicted. [kWh]"""
-        sums, self._told = self._sums, None
+        Parameters
+        ----------
+        error : float
+            Predicted less measured energy, NaN without a prediction. [kWh]
+        measured : float
+            [kWh]
+        """
+        self._published = None
         if not isfinite(error):
-            sums[1] += 1.0
+            self._sums["unpredicted"] += 1
             return
-        for place, value in ((0, 1.0), (2, abs(error)), (3, error), (4, measured)):
-            sums[place] += value
+        self._sums["rides"] += 1
+        self._sums["absolute"] += abs(error)
+        self._sums["error"] += error
+        self._sums["measured"] += measured
 
-    def add_cluster(self, rides: int, fall: float) -> None:
-        """Take a vehicle-day that has ended, and by how much its absolute errors fell. [kWh]"""
-        self._told = None
-        self._clusters.add(rides, fall)
+    def add_cluster(self, rides: int, reduction: float) -> None:
+        """Add a vehicle-day that has ended, with the reduction of its absolute errors. [kWh]"""
+        self._published = None
+        self._clusters.add(rides, reduction)
 
-    def errors(self) -> RideErrors:
-        """Return what travels."""
-        if self._told is None:
-            rides, unpredicted, absolute, signed, measured = self._sums
-            some = rides > 0
-            self._told = RideErrors(
+    def get_errors(self) -> RideErrors:
+        """Return the errors as published."""
+        if self._published is None:
+            rides, measured = int(self._sums["rides"]), float(self._sums["measured"])
+            absolute, error = float(self._sums["absolute"]), float(self._sums["error"])
+            self._published = RideErrors(
                 vehicle_model=self.vehicle_model,
-                rides=int(rides),
-                unpredicted_rides=int(unpredicted),
-                mae_kwh=absolute / rides if some else None,
-                mae_pct=100.0 * absolute / measured if some and measured > 0.0 else None,
-                bias_kwh=signed / rides if some else None,
-                gain=self._gain(),
+                rides=rides,
+                unpredicted_rides=int(self._sums["unpredicted"]),
+                mae_kwh=absolute / rides if rides else None,
+                mae_pct=100.0 * absolute / measured if rides and measured > 0.0 else None,
+                bias_kwh=error / rides if rides else None,
+                gain=self._compute_gain(),
             )
-        return self._told
+        return self._published
 
-    def _gain(self) -> Gain | None:
-        """Return by how much the error is smaller than that of the first model."""
+    def _compute_gain(self) -> Gain | None:
+        """Return by how much the error is smaller than that of the first model, None for the first model."""
         if self._level is None:
             return None
         clusters = self._clusters
         lower, upper = clusters.interval(self._level)
-        told = isfinite(lower) and isfinite(upper)
+        known = isfinite(lower) and isfinite(upper)
         return Gain(
             rides=clusters.size,
             vehicle_days=clusters.count,
             mean_kwh=clusters.mean if clusters.count else None,
-            lower_kwh=lower if told else None,
-            upper_kwh=upper if told else None,
+            lower_kwh=lower if known else None,
+            upper_kwh=upper if known else None,
             verdict="better" if lower > 0.0 else "worse" if upper < 0.0 else "not told",
         )
 
+    def dump(self) -> Any:
+        """Return the state as plain values."""
+        return self._sums.tobytes(), self._clusters.state
 
-class Standing:
-    """How one model fares: over all rides, by vehicle model, and in the vehicle-days in progress.
+    def load(self, state: Any) -> None:
+        """Replace the state by one that `dump` returned."""
+        sums, clusters = state
+        self._sums = np.frombuffer(sums, RIDE_SUMS).reshape(()).copy()
+        self._clusters = ClusterMoments(clusters)
+        self._published = None
+
+
+class ModelMonitor:
+    """Follow the errors of one model: over all rides, by vehicle model, and in the vehicle-days in progress.
 
     Parameters
     ----------
     model : Model
     level : float, optional
-        As `Score` has it; None for the first model.
+        As for `RunningErrors`; None for the first model.
     """
 
     def __init__(self, model: Model, level: float | None) -> None:
         self.model, self._level = model, level
         self.label = f"{model.name}/{model.version}"
-        self._all = Score(None, level)
-        self._scores: list[Score] = []
-        self._books: Floats = np.zeros((0, _BOOK))
+        self._all = RunningErrors(None, level)
+        self._by_group: list[RunningErrors] = []
+        self._days = np.zeros(0, VEHICLE_DAY)  # in progress, by lane
 
-    def add(self, lane: int, day: float, group: int | None, error: float, first: float, measured: float) -> None:
-        """Take a ride: its vehicle, day and vehicle model, the errors of this model and of the first, its energy."""
-        for score in self._of(group):
-            score.add(error, measured)
+    def add_ride(
+        self, lane: int, day: float, group: int | None, error: float, first_error: float, measured: float
+    ) -> None:
+        """Add a ride.
+
+        Parameters
+        ----------
+        lane : int
+        day : float
+            UTC day of its beginning.
+        group : int, optional
+            Index of its vehicle model.
+        error, first_error : float
+            Error of this model and of the first model, NaN without a prediction. [kWh]
+        measured : float
+            [kWh]
+        """
+        for errors in self._list_errors(group):
+            errors.add_ride(error, measured)
         if self._level is None:
             return
-        self._books = grown(self._books, lane + 1)
-        book = self._books[lane]
-        code = -1.0 if group is None else float(group)
-        if book[2] and (book[0] != day or book[1] != code):
-            self._end(book)
-        if isfinite(error) and isfinite(first):
-            book[:] = day, code, book[2] + 1.0, book[3] + (abs(first) - abs(error))
+        self._days = grown(self._days, lane + 1)
+        place = NO_GROUP if group is None else group
+        present = self._days[lane]
+        if present["rides"] and (present["day"] != day or present["group"] != place):
+            self._end_day(lane)
+        if isfinite(error) and isfinite(first_error):
+            present["day"], present["group"] = day, place
+            present["rides"] += 1
+            present["reduction"] += abs(first_error) - abs(error)
 
     @property
     def unpredicted(self) -> int:
-        """How many of the rides that count it did not predict."""
-        return self._all.errors().unpredicted_rides
+        """Number of rides that count and that this model did not predict."""
+        return self._all.get_errors().unpredicted_rides
 
-    def open_groups(self, names: Sequence[str]) -> None:
-        """Make a score for each vehicle model that has none."""
-        self._scores += [Score(name, self._level) for name in names[len(self._scores) :]]
+    def add_groups(self, names: Sequence[str]) -> None:
+        """Add running errors for each vehicle model that has none."""
+        self._by_group += [RunningErrors(name, self._level) for name in names[len(self._by_group) :]]
 
     def close(self) -> None:
         """End the vehicle-days in progress."""
-        for book in self._books[self._books[:, 2] > 0.0]:
-            self._end(book)
-        self._books[:] = 0.0
+        for lane in np.flatnonzero(self._days["rides"]).tolist():
+            self._end_day(lane)
 
-    def errors(self, first: str, time: float) -> ModelErrors:
-        """Return what travels."""
-        return ModelErrors(self.label, first, time, self._all.errors(), [score.errors() for score in self._scores])
+    def get_errors(self, first: str, time: float) -> ModelErrors:
+        """Return the errors as published.
+
+        Parameters
+        ----------
+        first : str
+            Name and version of the first model.
+        time : float
+            End of the newest ride. [s]
+
+        Returns
+        -------
+        ModelErrors
+        """
+        by_group = [errors.get_errors() for errors in self._by_group]
+        return ModelErrors(self.label, first, time, self._all.get_errors(), by_group)
 
     def dump(self) -> Any:
-        """Return the state as plain lists."""
-        return [[score.state for score in (self._all, *self._scores)], self._books.tobytes()]
+        """Return the state as plain values."""
+        return [errors.dump() for errors in (self._all, *self._by_group)], self._days.tobytes()
 
-    def load(self, state: Any, names: Sequence[str]) -> None:
-        """Take up a state that `dump` returned, made with the vehicle models of these names."""
-        scores, books = state
-        self._all, *self._scores = (
-            Score(name, self._level, score) for name, score in zip((None, *names), scores, strict=True)
-        )
-        self._books = np.frombuffer(books).reshape(-1, _BOOK).copy()
+    def load(self, state: Any) -> None:
+        """Replace the state by one that `dump` returned, once the vehicle models are added."""
+        errors, days = state
+        for part, dumped in zip((self._all, *self._by_group), errors, strict=True):
+            part.load(dumped)
+        self._days = np.frombuffer(days, VEHICLE_DAY).copy()
 
-    def _of(self, group: int | None) -> tuple[Score, ...]:
-        """Return the scores that a ride of a vehicle model counts for."""
-        return (self._all,) if group is None else (self._all, self._scores[group])
+    def _list_errors(self, group: int | None) -> tuple[RunningErrors, ...]:
+        """Return the running errors to which a ride of a vehicle model contributes."""
+        return (self._all,) if group is None else (self._all, self._by_group[group])
 
-    def _end(self, book: Floats) -> None:
+    def _end_day(self, lane: int) -> None:
         """Count a vehicle-day that has ended, and begin an empty one."""
-        _, code, rides, fall = book.tolist()
-        for score in self._of(None if code < 0.0 else int(code)):
-            score.add_cluster(int(rides), fall)
-        book[:] = 0.0
+        ended = self._days[lane]
+        group = int(ended["group"])
+        for errors in self._list_errors(None if group == NO_GROUP else group):
+            errors.add_cluster(int(ended["rides"]), float(ended["reduction"]))
+        self._days[lane] = np.zeros((), VEHICLE_DAY)

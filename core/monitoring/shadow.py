@@ -1,7 +1,7 @@
-"""Models in service side by side: what each predicts of rides, on the same sums.
+"""Run several models in service side by side, on the same sums, and compare their errors.
 
-The first model makes the forecasts; the others run in its shadow. An effect that a shadow has and the first has not
-proves itself here before it is switched on.
+The first model makes the published forecasts; the others are its shadows. A new effect of a shadow can thus be verified
+in service before it is switched on.
 """
 
 from collections import Counter
@@ -18,7 +18,7 @@ from core.columns import SECONDS_PER_DAY
 from core.effects.declaration import Effect
 from core.errors import ModelError
 from core.models import Model
-from core.monitoring.running_error import Standing
+from core.monitoring.running_error import ModelMonitor
 from core.signals.signals import Signals
 from core.stats.confidence_sequence import LEVEL
 from core.totals.accumulator import Totals
@@ -27,19 +27,22 @@ from core.totals.tables import measured_energy, model_columns
 from core.wire.messages import Message, ModelErrors, encode, model_identity
 
 MOST_VEHICLE_MODELS: Final = 64
-"""Vehicle models that have running errors of their own; rides of those met later count among all only."""
+"""Number of vehicle models with running errors of their own; rides of later ones count only among all rides."""
 
 
-class Ended(NamedTuple):
+class EndedRides(NamedTuple):
     """Rides that have ended, are fit for training and have a measured energy.
 
     Parameters
     ----------
     lane : (n,) int64
-    start, end : (n,) float64. [s]
+    start, end : (n,) float64
+        [s]
     vehicle_model : list of n (str or None)
-    measured : (n,) float64. [kWh]
-    predicted : list of (n,) float64. By each model, NaN where it cannot tell. [kWh]
+    measured : (n,) float64
+        [kWh]
+    predicted : list of (n,) float64
+        By each model, NaN where it has no prediction. [kWh]
     """
 
     lane: Ints
@@ -50,17 +53,17 @@ class Ended(NamedTuple):
     predicted: list[Floats]
 
 
-class Shadows:
-    """The models in service, and how each fares; of no cost where there is but one.
+class ShadowModels:
+    """Run the models in service and follow their errors; with a single model this costs nothing.
 
     Parameters
     ----------
     models : sequence of Model
-        The first makes the forecasts.
+        The first makes the published forecasts.
     prefix : str
         Chunks before `models` in the keys, with a slash at the end.
     keep : bool
-        Keep what is to be told until it is asked for.
+        Whether to keep the messages until `messages` returns them.
 
     Raises
     ------
@@ -69,52 +72,94 @@ class Shadows:
 
     Notes
     -----
-    Intervals hold for all shadows together: each is made at 1 - 0.05 / shadows. Those by vehicle model hold for each
-    vehicle model by itself. They speak of the days driven: a season that was not driven is not judged.
+    Intervals of all shadows hold together: each is made at 1 - 0.05 / shadows. Intervals of one vehicle model hold for
+    that vehicle model alone. They apply to the days driven, and do not extrapolate to other seasons.
     """
 
     def __init__(self, models: Sequence[Model], prefix: str = "", *, keep: bool = True) -> None:
-        others = len(models) - 1
-        level = 1.0 - (1.0 - LEVEL) / max(1, others)
+        shadows = len(models) - 1
+        level = 1.0 - (1.0 - LEVEL) / max(1, shadows)
         self._prefix, self._keep = prefix, keep
-        self.standings = [Standing(model, level if place else None) for place, model in enumerate(models)]
-        self._check()
+        self.monitors = [ModelMonitor(model, level if place else None) for place, model in enumerate(models)]
+        self._check_identities()
         self.faults: Counter[str] = Counter()
         self._time = float("nan")
         self._groups: list[str] = []
         self._due: list[ModelErrors] = []
 
     def __len__(self) -> int:
-        """Return how many run beside the first."""
-        return len(self.standings) - 1
+        """Return the number of shadows."""
+        return len(self.monitors) - 1
 
     def predictions(self, totals: Totals, context: RunContext) -> list[Floats]:
-        """Return the energy that each model predicts of rides, NaN where it cannot tell. [kWh]"""
-        needs = dict.fromkeys(name for standing in self.standings for name in standing.model.needs)
+        """Return the energy of rides by each model.
+
+        Parameters
+        ----------
+        totals : Totals
+            Of n rides.
+        context : RunContext
+
+        Returns
+        -------
+        list of (n,) float
+            NaN where a model has no prediction. [kWh]
+        """
+        needs = dict.fromkeys(name for monitor in self.monitors for name in monitor.model.needs)
         return self.predict(model_columns(totals, context, tuple(needs)), len(totals.lane))
 
     def predict(self, columns: Mapping[str, Any] | pd.DataFrame, rows: int) -> list[Floats]:
-        """Return the energy that each model predicts from columns of the ride table; NaN where it fails. [kWh]"""
-        return [self._tried(standing, columns, rows) for standing in self.standings]
+        """Return the energy by each model from columns of the ride table; NaN where a model fails. [kWh]
+
+        Parameters
+        ----------
+        columns : mapping or DataFrame
+        rows : int
+            Number of rides.
+
+        Returns
+        -------
+        list of (rows,) float
+        """
+        return [self._predict_or_count(monitor, columns, rows) for monitor in self.monitors]
 
     def power(self, effect: Effect, signals: Signals) -> Floats:
-        """Return the power of an effect that only shadows have; NaN, counted, where it fails. [W/unit]"""
+        """Return the power of an effect that only shadows have; NaN, and counted as a fault, where it fails. [W/unit]
+
+        Parameters
+        ----------
+        effect : Effect
+        signals : Signals
+
+        Returns
+        -------
+        (n,) float
+        """
         try:
             return np.broadcast_to(effect.power(signals), signals.clean.dt.shape)
-        except Exception as fault:  # noqa: BLE001 - what a shadow does must not stop the first
+        except Exception as fault:  # noqa: BLE001 - a fault of a shadow must not stop the first model
             self.faults[f"effect {effect.name}: {type(fault).__name__}"] += 1
             return np.full(signals.clean.dt.shape, np.nan)
 
     def add(self, rides: Totals, fit: NDArray[np.bool_], context: RunContext) -> None:
-        """Take rides that have ended, of which some are fit for training."""
+        """Add rides that have ended.
+
+        Parameters
+        ----------
+        rides : Totals
+            Of n rides.
+        fit : (n,) bool
+            Whether each is fit for training; the others are ignored.
+        context : RunContext
+        """
         measured = measured_energy(rides, context.cars)[0]
         rows = np.flatnonzero(fit & np.isfinite(measured))
         if not len(rows):
             return
-        taken = Totals(*(part[rows] for part in rides))  # type: ignore[arg-type]
+        taken = rides.rows(rows)
         kinds = taken.at_last("kind").astype(np.int64).tolist()
-        self.count(
-            Ended(
+        self.add_ended(
+            EndedRides(
                 taken.lane,
                 taken.at_first("time"),
                 taken.at_last("time"),
@@ -124,94 +169,106 @@ class Shadows:
             )
         )
 
-    def count(self, rides: Ended) -> None:
-        """Count rides, in the order in which they ended."""
-        days = np.floor(rides.start / SECONDS_PER_DAY).tolist()  # rides that begin on the same UTC day are a cluster
+    def add_ended(self, rides: EndedRides) -> None:
+        """Add rides with their energies, in the order in which they ended."""
+        days = np.floor(rides.start / SECONDS_PER_DAY).tolist()  # rides of a vehicle on the same UTC day are a cluster
         measured, end = rides.measured.tolist(), rides.end.tolist()
         errors = [(predicted - rides.measured).tolist() for predicted in rides.predicted]
         for i, lane in enumerate(rides.lane.tolist()):
-            group = self._group(rides.vehicle_model[i])
-            for standing, error in zip(self.standings, errors, strict=True):
-                standing.add(lane, days[i], group, error[i], errors[0][i], measured[i])
+            group = self._find_group(rides.vehicle_model[i])
+            for monitor, error in zip(self.monitors, errors, strict=True):
+                monitor.add_ride(lane, days[i], group, error[i], errors[0][i], measured[i])
             self._time = end[i]
-            self._tell()
+            self._keep_messages()
 
     def close(self) -> None:
         """End the vehicle-days in progress, at the end of the stream."""
-        for standing in self.standings:
-            standing.close()
+        for monitor in self.monitors:
+            monitor.close()
         if isfinite(self._time):
-            self._tell()
+            self._keep_messages()
 
     def errors(self) -> list[ModelErrors]:
-        """Return how each model fares by now; its time is NaN before a ride has counted."""
-        return [standing.errors(self.standings[0].label, self._time) for standing in self.standings]
+        """Return the present errors of each model; their time is NaN before the first ride."""
+        return [monitor.get_errors(self.monitors[0].label, self._time) for monitor in self.monitors]
 
     def messages(self, *, newest_only: bool = False) -> list[Message]:
-        """Return what has become due since the last call, or of each model the newest."""
+        """Return the messages that have become due since the last call.
+
+        Parameters
+        ----------
+        newest_only : bool
+            Whether to return only the newest message of each model.
+
+        Returns
+        -------
+        list of Message
+        """
         taken, self._due = self._due, []
         if newest_only:
-            taken = taken[-len(self.standings) :]
+            taken = taken[-len(self.monitors) :]
         return [
-            Message(f"{self._prefix}models/{model_identity(told.model)}/errors", encode(told), int(told.time_s * 1e9))
-            for told in taken
+            Message(
+                f"{self._prefix}models/{model_identity(errors.model)}/errors", encode(errors), int(errors.time_s * 1e9)
+            )
+            for errors in taken
         ]
 
     def quality(self) -> dict[str, Any]:
-        """Return counters: `unpredicted_by_shadow` rides that count, `shadow_faults` by what failed, in batches."""
-        counts = {standing.label: standing.unpredicted for standing in self.standings[1:]}
+        """Return counters: `unpredicted_by_shadow` by model, of rides that count; `shadow_faults` by cause, in batches."""
+        counts = {monitor.label: monitor.unpredicted for monitor in self.monitors[1:]}
         return {"unpredicted_by_shadow": counts, "shadow_faults": dict(self.faults)}
 
     def dump(self) -> Any:
-        """Return the state as plain lists."""
-        standings = {standing.label: standing.dump() for standing in self.standings}
-        return [self.standings[0].label, self._time, self._groups, standings, self.faults]
+        """Return the state as plain values."""
+        monitors = {monitor.label: monitor.dump() for monitor in self.monitors}
+        return [self.monitors[0].label, self._time, self._groups, monitors, self.faults]
 
     def load(self, state: Any) -> None:
-        """Take up a state that `dump` returned: of the models that it has, if the first is the same."""
-        first, self._time, groups, standings, faults = state
-        if first != self.standings[0].label:
+        """Replace the state by one that `dump` returned; only of models that it has, and if the first is the same."""
+        first, self._time, groups, monitors, faults = state
+        if first != self.monitors[0].label:
             self._time = float("nan")
             return
         self._groups, self.faults = groups, Counter(faults)
-        for standing in self.standings:
-            if standing.label in standings:
-                standing.load(standings[standing.label], groups)
-            standing.open_groups(groups)
+        for monitor in self.monitors:
+            monitor.add_groups(groups)
+            if monitor.label in monitors:
+                monitor.load(monitors[monitor.label])
 
-    def _tell(self) -> None:
-        """Keep what is to be told."""
+    def _keep_messages(self) -> None:
+        """Keep the present errors for `messages`."""
         if self._keep:
             self._due += self.errors()
 
-    def _check(self) -> None:
+    def _check_identities(self) -> None:
         """Refuse two models that would be published under one key."""
         seen: set[str] = set()
-        for standing in self.standings:
-            key = model_identity(standing.label)
+        for monitor in self.monitors:
+            key = model_identity(monitor.label)
             if key in seen:
                 raise ModelError(
-                    f"model {standing.label} is given twice: leave one out, or fit one anew, so that name or version "
+                    f"model {monitor.label} is given twice: leave one out, or fit one anew, so that name or version "
                     "differ"
                 )
             seen.add(key)
 
-    def _group(self, name: str | None) -> int | None:
-        """Return the place of a vehicle model among those with running errors of their own."""
+    def _find_group(self, name: str | None) -> int | None:
+        """Return the index of a vehicle model with running errors of its own; None without them."""
         if name is None:
             return None
         if name not in self._groups:
             if len(self._groups) >= MOST_VEHICLE_MODELS:
                 return None
             self._groups.append(name)
-            for standing in self.standings:
-                standing.open_groups(self._groups)
+            for monitor in self.monitors:
+                monitor.add_groups(self._groups)
         return self._groups.index(name)
 
-    def _tried(self, standing: Standing, columns: Mapping[str, Any] | pd.DataFrame, rows: int) -> Floats:
-        """Return what a model predicts; NaN, counted, where it fails."""
+    def _predict_or_count(self, monitor: ModelMonitor, columns: Mapping[str, Any] | pd.DataFrame, rows: int) -> Floats:
+        """Return the energy by a model; NaN, and counted as a fault, where it fails."""
         try:
-            return standing.model.predict(columns)
-        except Exception as fault:  # noqa: BLE001 - what a shadow does must not stop the first
-            self.faults[f"model {standing.label}: {type(fault).__name__}"] += 1
+            return monitor.model.predict(columns)
+        except Exception as fault:  # noqa: BLE001 - a fault of a shadow must not stop the first model
+            self.faults[f"model {monitor.label}: {type(fault).__name__}"] += 1
             return np.full(rows, np.nan)

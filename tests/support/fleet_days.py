@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from core.forecast.day_rollover import LATELY
+from core.forecast.day_rollover import WINDOW_SAMPLES
 from core.pipeline import Pipeline
 from core.settings import Settings
 from core.wire.messages import Forecast, Message
@@ -98,7 +98,7 @@ def days(numbers, cars=CARS, **options) -> list:
 
 def night(day: int, car: str = "f") -> list[Message]:
     """Return the samples of a car that rests in the morning of a day, alone, until the others are forgotten."""
-    passed = PERIOD * np.arange(LATELY[1] + 2)
+    passed = PERIOD * np.arange(WINDOW_SAMPLES + 2)
     begun = {name: np.repeat(values[:1], len(passed)) for name, values in columns(car, day).items()}
     begun["time_s"] = begun["time_s"] - 3600.0 - passed[::-1]
     begun["seq"] = np.arange(len(passed))

@@ -38,7 +38,7 @@ SWAPS: Final[dict[type[Any], type[Any]]] = {
     ast.Is: ast.IsNot,
     ast.IsNot: ast.Is,
 }
-GENERAL: Final = ("pipeline", "laws", "cli", "gathered", "loop", "run", "engine", "foresight")
+GENERAL: Final = ("pipeline", "laws", "cli", "loop", "run", "engine")
 """Words in the names of test files that run after those of the mutated module."""
 
 

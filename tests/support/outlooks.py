@@ -5,7 +5,7 @@ from typing import Any
 import msgspec
 
 from core.errors import AskError
-from core.forecast.plan_checks import refusal
+from core.forecast.plan_checks import find_refusal
 from core.wire.messages import Interval, Leg, LegOutlook, Outlook, Plan
 
 NOW = 1_705_320_000.0
@@ -49,8 +49,8 @@ class Fleet:
             raise ZeroDivisionError
         if vehicle_id != "taxi-7":
             raise AskError(f"{vehicle_id} is not known; ask of a car that has sent a sample", "unknown_vehicle")
-        if plan is not None and (refused := refusal(plan, NOW)):
-            raise AskError(refused.words, refused.cause)
+        if plan is not None and (refused := find_refusal(plan, NOW)):
+            raise AskError(refused.message, refused.cause)
         legs = (plan or PLANNED).legs
         return outlook(
             asked=LegOutlook(leg.distance_km, leg.duration_s, None, None) if leg else None,

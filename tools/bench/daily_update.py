@@ -9,8 +9,9 @@ from typing import Final
 import numpy as np
 
 from core.columns import SECONDS_PER_DAY
-from core.forecast.learning.car_driver import KEPT_SHIFTS, Habit
-from core.forecast.learning.forecast_errors import NOTE_S, Note
+from core.forecast.learning.car_driver import KEPT_SHIFTS, ShiftPattern
+from core.forecast.learning.fleet import ShiftEnergy
+from core.forecast.learning.forecast_errors import RECORD_PERIOD, ForecastRecord
 from core.pipeline import Pipeline
 from tools.bench.filters import SHARE, WARM_UP, make_plans, make_trained_pipeline, push_rounds
 from tools.bench.fleet import START_S, make_vehicles
@@ -43,11 +44,12 @@ def measure_daily_update(cars: int = 10_000, repeats: int = 3) -> Measure:
     learning = time_processor(lambda: _learn(pipeline, cars))
     for lane, number in product(range(cars), range(NOTES)):
         noted = 0, 100.0, -8.0, 0.4, 0.03, 0.8, 1.0
-        pipeline.foresight.log.note(lane, Note(START_S + NOTE_S * number, START_S + NOTE_S * NOTES + 60.0, *noted))
+        time_s, end_s = START_S + RECORD_PERIOD * number, START_S + RECORD_PERIOD * NOTES + 60.0
+        pipeline.engine.log.record(lane, ForecastRecord(time_s, end_s, *noted))
     snapshots: list[bytes] = []
     snapshot = min(time_processor(lambda: snapshots.append(pipeline.snapshot())) for _ in range(repeats))
     learning += time_processor(lambda: _end(pipeline, cars))
-    update = time_processor(pipeline.foresight.overnight)
+    update = time_processor(pipeline.engine.apply_daily_update)
     share = (learning + update) / SECONDS_PER_DAY + snapshot / KEEP_S
     return Measure(
         f"learning, daily update and snapshots of {cars:,} cars",
@@ -84,19 +86,19 @@ def time_processor(action: Callable[[], object]) -> float:
 
 def _learn(pipeline: Pipeline, cars: int) -> None:
     """End the rides and idle periods of a day of a fleet, with twenty times the running totals of each car."""
-    lessons, lanes = pipeline.foresight.lessons, np.arange(cars)
+    statistics, lanes = pipeline.engine.statistics, np.arange(cars)
     for _, at in product(range(RIDES), range(0, cars, AT_ONCE)):
         totals = pipeline.ledger.running(lanes[at : at + AT_ONCE])
         totals = totals._replace(amounts=20.0 * totals.amounts)
         predicted = np.full(len(totals.lane), 3.0)
-        lessons.rides(totals, predicted)
-        lessons.rests(totals, predicted)
+        statistics.add_rides(totals, predicted)
+        statistics.add_idle_periods(totals, predicted)
 
 
 def _end(pipeline: Pipeline, cars: int) -> None:
     """End the shift of a fleet: evaluate its forecasts, and learn from it as one of many."""
-    foresight = pipeline.foresight
+    engine = pipeline.engine
     for lane in range(cars):
-        foresight.lessons.judged(foresight.log.closed(lane, 0.38, nan))
+        engine.statistics.add_errors(engine.log.evaluate_shift(lane, 0.38, nan))
         for _ in range(KEPT_SHIFTS):
-            foresight.lessons.shift(lane, (None, 20.0, 21.0, 24.0), Habit(10.0, 1.0))
+            engine.statistics.add_shift(ShiftEnergy(lane, None, 20.0, 21.0, 24.0), ShiftPattern(10.0, 1.0))

@@ -6,8 +6,8 @@ from datetime import UTC, datetime
 from typing import Any, Final
 from unittest.mock import patch
 
-from core.forecast import soc_filter
-from core.forecast.engine import Foresight
+from core.forecast import engine, soc_filter
+from core.forecast.engine import ForecastEngine
 from core.pipeline import BLOCK, Pipeline
 from core.wire.messages import Leg, Message, Plan, encode
 from tools.bench.fleet import PERIOD_S, START_S, make_rounds, make_vehicles, name_car
@@ -68,8 +68,8 @@ def measure_filters(cars: int = 10_000, turns: int = 100) -> Measure:
     push_rounds(pipeline, cars, 0, WARM_UP)
     of_filters, of_all = Stopwatch(), Stopwatch()
     with (
-        patch.object(soc_filter, "follow", of_filters.wrap(soc_filter.follow)),
-        patch.object(Foresight, "follow", of_all.wrap(Foresight.follow)),
+        patch.object(engine, "filter_events", of_filters.wrap(soc_filter.filter_events)),
+        patch.object(ForecastEngine, "process", of_all.wrap(ForecastEngine.process)),
     ):
         forecasts = push_rounds(pipeline, cars, WARM_UP, turns)
     passed = turns * PERIOD_S

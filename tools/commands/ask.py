@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from core.errors import SettingsError
-from core.forecast.ask import asked_leg, asked_plan, asked_vehicle
+from core.forecast.plan_checks import parse_leg, parse_plan, parse_vehicle
 from core.wire.messages import Interval, LegOutlook, Outlook
 from stream.zenoh_queryable import ask
 from stream.zenoh_session import LOOPBACK, Connection, Node
@@ -59,8 +59,8 @@ def ask_outlook(
     given = {name: str(value) for name, value in ride.items() if value is not None}
     writable([plan] if plan else [], json_file)
     payload = _read(plan) if plan else None
-    asked_plan(payload, asked_vehicle(vehicle))  # what is wrong is told before anybody is asked
-    asked_leg(given)
+    parse_plan(payload, parse_vehicle(vehicle))  # what is wrong is told before anybody is asked
+    parse_leg(given)
     if not 0.0 < timeout_s <= LONGEST_S:
         raise SettingsError(f"--timeout-s is {timeout_s:g}, must be above 0 and at most {LONGEST_S:g} s")
     with Node(Connection((connect,), prefix=prefix, config=config)) as node:

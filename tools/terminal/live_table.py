@@ -16,7 +16,7 @@ from rich.text import Text
 
 from core.evaluate.ride_filter import name_rides
 from core.forecast.status import VehicleStatus
-from core.monitoring.shadow import Shadows
+from core.monitoring.shadow import ShadowModels
 from core.pipeline import Pipeline
 from stream.loop import Tally
 from tools.terminal.model_comparison import WIDE, models_table
@@ -180,7 +180,7 @@ def fleet_line(cars: Sequence[VehicleStatus], tally: Tally) -> str:
     ).rstrip()
 
 
-def with_predictions(rides: pd.DataFrame, models: Shadows) -> pd.DataFrame:
+def with_predictions(rides: pd.DataFrame, models: ShadowModels) -> pd.DataFrame:
     """Return a ride table with predictions.
 
     `predicted_kwh` is that of the first model, `error_pct` its error, of the measured energy; where there are shadows,
@@ -189,7 +189,7 @@ def with_predictions(rides: pd.DataFrame, models: Shadows) -> pd.DataFrame:
     columns = {str(name): column for name, column in rides.items()}
     predicted, *others = models.predict(columns, len(rides))
     if others:
-        labels = [standing.label for standing in models.standings[1:]]
+        labels = [monitor.label for monitor in models.monitors[1:]]
         rows = zip(*(energies.tolist() for energies in others), strict=True)
         told = [dict(zip(labels, row, strict=True)) for row in rows]
         rides = rides.assign(shadows_kwh=pd.Series(told, index=rides.index, dtype=object))

@@ -1,1 +1,1 @@
-"""Learn from past shifts what forecasts rest on."""
+"""Learn from past rides, shifts and forecasts what later forecasts use."""

@@ -1,9 +1,9 @@
-"""What each car and each driver takes over what the model says, and how each car's shifts go, from shift to shift.
+"""Consumption factors of cars and drivers, and the usual pattern of each car's shifts, learned from shift to shift.
 
-The logarithm of what a shift took over what was predicted is what the car always takes, and its driver, and a rest that
-is of the day. Each shift tells of all three, by how unsure they are: a Kalman filter with a scalar measurement. Cars
-and drivers change: what is known of them ages with each of their shifts, though never beyond what is known of cars and
-drivers at large.
+The logarithm of the used over the predicted energy of a shift is the sum of three parts: of the car, of its driver and
+of the day. Each shift updates all of them in proportion to their variances: a Kalman filter with a scalar measurement.
+Cars and drivers change, so the variance of each grows with each of their shifts, up to the variance among all cars or
+drivers.
 """
 
 from collections import deque
@@ -12,108 +12,160 @@ from math import log, nan
 from statistics import fmean, median
 from typing import Any, Final, NamedTuple
 
-from core.forecast.soc_filter import COARSEST, DRIVER, NOISE
+from core.forecast.filter_state import DEFAULT_QUANTUM
+from core.forecast.soc_filter import DRIVER_SD, ENERGY_SD
 
-CAR: Final = 0.08
-"""Standard deviation of what cars of a model take, about what they take on average. [1]"""
-DAY: Final = 0.06
-"""The same of days of one car and driver."""
-SEASON: Final = 60
-"""Shifts, a quarter's, in which a car may change as much as cars differ: tyres, wear, what it carries."""
-CAREER: Final = 240
-"""Shifts, a year's, in which a driver may change as much as drivers differ."""
-MOST_OFF: Final = 0.7
-"""A shift that is off by more, as a logarithm, is not learned from."""
+CAR_SD: Final = 0.08
+"""Standard deviation of the consumption of cars of a model about its mean. [1]"""
+DAY_FACTOR_SD: Final = 0.06
+"""Standard deviation of the consumption of days with the same car and driver. [1]"""
+CAR_CHANGE_SHIFTS: Final = 60
+"""Number of shifts, a quarter's, in which a car may change by `CAR_SD`: tyres, wear, load."""
+DRIVER_CHANGE_SHIFTS: Final = 240
+"""Number of shifts, a year's, in which a driver may change by `DRIVER_SD`."""
+LARGEST_LOG_ERROR: Final = 0.7
+"""A shift with a larger logarithm of used over predicted energy is ignored. [1]"""
 LEAST_SHIFTS: Final = 3
-"""Shifts of a car from which on it has habits."""
+"""Number of shifts from which a car has a usual pattern."""
 KEPT_SHIFTS: Final = 20
-"""Shifts of a car that are remembered."""
+"""Number of newest shifts of a car that are remembered."""
 KEPT_DRIVERS: Final = 10_000
-"""Drivers that are remembered, beside `DRIVERS_A_CAR`: those whose shifts were last."""
-DRIVERS_A_CAR: Final = 8
-"""More than share one, shifts and stand-ins together."""
+"""Number of drivers that are remembered, beside `DRIVERS_PER_CAR`: those with the newest shifts."""
+DRIVERS_PER_CAR: Final = 8
+"""Number of drivers per car that are remembered; rarely do more share one, stand-ins included."""
 
 
-class Habit(NamedTuple):
-    """How a shift went: how long it was [h], and the energy predicted of it over what is usual in as many hours."""
+class ShiftPattern(NamedTuple):
+    """Duration and intensity of a shift.
+
+    Parameters
+    ----------
+    hours : float
+        Duration. [h]
+    relative_power : float
+        Predicted energy of the shift over the usual energy of as many hours. [1]
+    """
 
     hours: float
-    busy: float
+    relative_power: float
 
 
-class Scales:
-    """Mean and variance of what each car and driver takes, as the logarithm of the energy over the predicted.
+class LogFactor(NamedTuple):
+    """Normal distribution of the logarithm of a consumption factor, or of a part of it."""
 
-    Cars go by their lanes, drivers by their codes, see `code_of`.
+    mean: float
+    variance: float
+
+
+class ConsumptionFactors:
+    """Learn how much each car and driver uses, as the logarithm of used over predicted energy.
+
+    Cars are identified by their lanes, drivers by their codes, see `compute_driver_code`.
     """
 
     def __init__(self) -> None:
-        self._habits: dict[int, deque[Habit]] = {}
-        self._cars: dict[int, tuple[float, float]] = {}
-        self._drivers: dict[int, tuple[float, float]] = {}  # whose shift was last at the end
+        self._patterns: dict[int, deque[ShiftPattern]] = {}
+        self._cars: dict[int, LogFactor] = {}
+        self._drivers: dict[int, LogFactor] = {}  # the driver with the newest shift is the last
 
-    def expected(self, lane: int, driver: int | None = None) -> tuple[float, float]:
-        """Return mean and variance for a car, and for its driver where it is known."""
-        car, spread = self._cars.get(lane, (0.0, CAR**2))
-        person, unsure = self.part_of(driver)
-        return car + person, spread + unsure + DAY**2
+    def expect(self, lane: int, driver: int | None = None) -> LogFactor:
+        """Return the distribution of a shift of a car, with its driver where that is known."""
+        car, person = self._get_car(lane), self.get_driver(driver)
+        return LogFactor(car.mean + person.mean, car.variance + person.variance + DAY_FACTOR_SD**2)
 
-    def part_of(self, driver: int | None) -> tuple[float, float]:
-        """Return mean and variance of the part that is a driver's."""
-        return self._drivers.get(-1 if driver is None else driver, (0.0, DRIVER**2))
+    def _get_car(self, lane: int) -> LogFactor:
+        """Return the distribution of the part of a car."""
+        return self._cars.get(lane, LogFactor(0.0, CAR_SD**2))
 
-    def learn(self, lane: int, driver: int | None, predicted_kwh: float, used_kwh: float, capacity_kwh: float) -> None:
-        """Learn from a shift."""
-        if not (predicted_kwh > 0.0 and used_kwh > 0.0 and abs(log(used_kwh / predicted_kwh)) < MOST_OFF):
+    def get_driver(self, driver: int | None) -> LogFactor:
+        """Return the distribution of the part of a driver; of any driver for None."""
+        return self._drivers.get(-1 if driver is None else driver, LogFactor(0.0, DRIVER_SD**2))
+
+    def add_shift(
+        self, lane: int, driver: int | None, predicted_kwh: float, used_kwh: float, capacity_kwh: float
+    ) -> None:
+        """Update the parts of a car and its driver by a shift.
+
+        Parameters
+        ----------
+        lane : int
+        driver : int, optional
+            Code of the only driver.
+        predicted_kwh, used_kwh : float
+            Predicted energy, and energy by the charge. [kWh]
+        capacity_kwh : float
+            Nominal usable capacity. [kWh]
+        """
+        if not (predicted_kwh > 0.0 and used_kwh > 0.0 and abs(log(used_kwh / predicted_kwh)) < LARGEST_LOG_ERROR):
             return
-        mean, variance = self.expected(lane, driver)
-        car, spread = self._cars.get(lane, (0.0, CAR**2))
-        read = COARSEST * capacity_kwh / used_kwh
-        total = variance + NOISE**2 / predicted_kwh + read**2 / 6.0
-        off = log(used_kwh / predicted_kwh) - mean
-        self._cars[lane] = car + spread / total * off, older(spread - spread**2 / total, CAR, SEASON)
+        expected, car = self.expect(lane, driver), self._get_car(lane)
+        reading_sd = DEFAULT_QUANTUM * capacity_kwh / used_kwh
+        total = expected.variance + ENERGY_SD**2 / predicted_kwh + reading_sd**2 / 6.0
+        residual = log(used_kwh / predicted_kwh) - expected.mean
+        self._cars[lane] = _update_part(car, residual, total, CAR_SD, CAR_CHANGE_SHIFTS)
         if driver is not None:
-            person, unsure = self.part_of(driver)
+            person = self.get_driver(driver)
             self._drivers.pop(driver, None)
-            self._drivers[driver] = person + unsure / total * off, older(unsure - unsure**2 / total, DRIVER, CAREER)
-            if len(self._drivers) > KEPT_DRIVERS + DRIVERS_A_CAR * len(self._cars):
+            self._drivers[driver] = _update_part(person, residual, total, DRIVER_SD, DRIVER_CHANGE_SHIFTS)
+            if len(self._drivers) > KEPT_DRIVERS + DRIVERS_PER_CAR * len(self._cars):
                 del self._drivers[next(iter(self._drivers))]
 
-    def went(self, lane: int, habit: Habit) -> None:
-        """Remember how a shift of a car went."""
-        self._habits.setdefault(lane, deque(maxlen=KEPT_SHIFTS)).append(habit)
+    def add_pattern(self, lane: int, pattern: ShiftPattern) -> None:
+        """Remember the duration and intensity of a shift of a car."""
+        self._patterns.setdefault(lane, deque(maxlen=KEPT_SHIFTS)).append(pattern)
 
-    def habit(self, lane: int) -> Habit:
-        """Return how the shifts of a car go; NaN while too few are known."""
-        known = self._habits.get(lane, ())
+    def get_usual_pattern(self, lane: int) -> ShiftPattern:
+        """Return the median duration and mean intensity of a car's shifts; NaN while there are too few."""
+        known = self._patterns.get(lane, ())
         if len(known) < LEAST_SHIFTS:
-            return Habit(nan, nan)
-        return Habit(median(each.hours for each in known), fmean(each.busy for each in known))
+            return ShiftPattern(nan, nan)
+        return ShiftPattern(median(each.hours for each in known), fmean(each.relative_power for each in known))
 
     def dump(self) -> Any:
         """Return the state as plain lists."""
-        habits = [(lane, list(known)) for lane, known in self._habits.items()]
-        return list(self._cars.items()), list(self._drivers.items()), habits
+        patterns = [(lane, list(known)) for lane, known in self._patterns.items()]
+        return list(self._cars.items()), list(self._drivers.items()), patterns
 
     def load(self, state: Any) -> None:
-        """Take up a state that `dump` returned."""
-        cars, drivers, habits = state
-        self._cars = {int(lane): (mean, variance) for lane, (mean, variance) in cars}
-        self._drivers = {int(code): (mean, variance) for code, (mean, variance) in drivers}
-        self._habits = {int(lane): deque((Habit(*h) for h in own), maxlen=KEPT_SHIFTS) for lane, own in habits}
+        """Replace the state by one that `dump` returned."""
+        cars, drivers, patterns = state
+        self._cars = {int(lane): LogFactor(*part) for lane, part in cars}
+        self._drivers = {int(code): LogFactor(*part) for code, part in drivers}
+        self._patterns = {
+            int(lane): deque((ShiftPattern(*each) for each in known), maxlen=KEPT_SHIFTS) for lane, known in patterns
+        }
 
 
-def older(variance: float, usual: float, shifts: int) -> float:
-    """Return a variance a shift later, of what changes by the deviation that is usual in so many shifts."""
-    return min(variance + usual**2 / shifts, usual**2)
+def _update_part(part: LogFactor, residual: float, total: float, sd: float, shifts: int) -> LogFactor:
+    """Return a part after a shift, where `total` is the variance of the residual and the part changes meanwhile."""
+    mean = part.mean + part.variance / total * residual
+    return LogFactor(mean, age_variance(part.variance - part.variance**2 / total, sd, shifts))
 
 
-def code_of(driver: str) -> int:
-    """Return the code of a driver, of 48 bits: the same for good, and of two drivers hardly ever.
+def age_variance(variance: float, sd: float, shifts: int) -> float:
+    """Return a variance one shift later.
+
+    Parameters
+    ----------
+    variance : float
+        Present variance.
+    sd : float
+        Standard deviation of the change in `shifts` shifts, and the root of the largest variance.
+    shifts : int
+
+    Returns
+    -------
+    float
+    """
+    return min(variance + sd**2 / shifts, sd**2)
+
+
+def compute_driver_code(driver: str) -> int:
+    """Return the code of a driver: 48 bits of a hash, stable and practically unique.
 
     Examples
     --------
-    >>> code_of("driver-037") == code_of("driver-037") != code_of("driver-038")
+    >>> compute_driver_code("driver-037") == compute_driver_code("driver-037") != compute_driver_code("driver-038")
     True
     """
     return int.from_bytes(blake2b(driver.encode(), digest_size=6).digest(), "big")

@@ -1,9 +1,9 @@
-"""What is learned of a fleet: summed through the day, taken up overnight.
+"""Statistics of a fleet: collected through the day, applied by the daily update.
 
-How rides and rests go (`core.forecast.habits`), what cars and drivers take and how long and busy each car's shifts are
-(`core.forecast.scales`), how far off forecasts were (`core.forecast.conformal`) and what they were short by. All of it takes
-effect when the next day begins: what a forecast rests on is a matter of the day, and not of who else was served a
-moment earlier.
+They hold the consumption of rides and idle periods (`ride_stats`), the consumption factors of cars and drivers and the
+usual pattern of each car's shifts (`car_driver`), and the errors of forecasts (`core.forecast.conformal` and
+`forecast_errors`). All of them take effect when the next day begins. So a forecast depends on the day, and not on which
+other cars sent samples a moment earlier.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,186 +13,238 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints, grown
-from core.forecast.conformal import Conformal
-from core.forecast.learning.car_driver import Habit, Scales
-from core.forecast.learning.forecast_errors import Judged, Lean
-from core.forecast.learning.leg_energy import TEMPERATURES, Tables
-from core.forecast.learning.ride_stats import Habits
-from core.forecast.outlook import Usual
-from core.forecast.soc_filter import WARMING
+from core.forecast.conformal import ConformalIntervals
+from core.forecast.filter_state import LOG_FACTOR_PRIOR
+from core.forecast.learning.car_driver import ConsumptionFactors, ShiftPattern
+from core.forecast.learning.forecast_errors import BiasCorrection, ShiftErrors
+from core.forecast.learning.leg_energy import TEMPERATURES, LegEnergyTables
+from core.forecast.learning.ride_stats import RideStatistics
+from core.forecast.outlook import UsualConsumption
+from core.forecast.soc_filter import WARM_UP_TIME
 from core.totals.accumulator import Totals
 from core.totals.context import RunContext
 from core.totals.tables import energy_by_soc, measured_energy, unfit_reason
 from core.vehicles.fleet import UNKNOWN
 
-TELLING: Final = (None, "too_long")
-"""Why rides may be unfit for training and yet are learned from: errands of hours are part of shifts."""
-SOAKED: Final = 3600.0
-"""After a longer rest, a ride warms the car up, and is no ride like others. [s]"""
-LONGEST_SILENCE: Final = 60.0
-"""Time that may be missing in a rest that is learned from. [s]"""
+ACCEPTED_UNFITNESS: Final = (None, "too_long")
+"""Reasons for which a ride may be unfit for training and still counts: errands of hours belong to shifts."""
+LONGEST_SOAK: Final = 3600.0
+"""After a longer idle period the car warms up on its ride, which is then not representative. [s]"""
+LONGEST_GAP: Final = 60.0
+"""Time that may be missing in an idle period that counts. [s]"""
+SHIFT_PATTERN: Final = np.dtype([("hours", "f8"), ("relative_power", "f8")])
+"""Usual duration [h] and intensity [1] of a car's shifts, NaN where too few are known."""
 _KNOTS: Final = len(TEMPERATURES)
 
-Learn = Callable[[Sequence[str], Totals, Floats, Floats], None]
-"""Takes vehicle models, totals, and energies that were predicted and measured."""
+AddTotals = Callable[[Sequence[str], Totals, Floats, Floats], None]
+"""Takes vehicle models, totals, and predicted and measured energies."""
 
 
-class Lessons:
-    """What was learned, and what will be.
+class ShiftEnergy(NamedTuple):
+    """Energy of a shift that has ended.
+
+    Parameters
+    ----------
+    lane : int
+    driver : int or None
+        Code of the only driver, None where unknown or more than one.
+    predicted_kwh, used_kwh : float
+        Predicted energy, and energy by the charge. [kWh]
+    capacity_kwh : float
+        Nominal usable capacity. [kWh]
+    """
+
+    lane: int
+    driver: int | None
+    predicted_kwh: float
+    used_kwh: float
+    capacity_kwh: float
+
+
+class FleetStatistics:
+    """Collect statistics of a fleet, and apply them once a day.
 
     Parameters
     ----------
     context : RunContext
     width : int
-        Amounts that are summed of a ride.
+        Number of amounts that are summed of a ride.
 
     Attributes
     ----------
-    prior : (lanes, 2) float
-        Mean and variance of the logarithm of what each car will take over what is predicted, on a new shift.
+    prior : (lanes,) LOG_FACTOR_PRIOR
+        Logarithm of the consumption factor of each car at the beginning of a shift.
     """
 
     def __init__(self, context: RunContext, width: int) -> None:
         self._context, self._cars = context, context.cars
-        self.habits, self.scales, self.conformal, self.lean = Habits(width), Scales(), Conformal(), Lean()
-        self.prior = np.zeros((0, 2))
-        self._shifts = np.zeros((0, 2))
-        self._took: list[tuple[int, int | None, float, float, float]] = []
-        self._usual, self._names = _stacked({})
-        self._place: Ints = np.zeros(0, np.int64)
+        self.rides, self.factors = RideStatistics(width), ConsumptionFactors()
+        self.conformal, self.bias = ConformalIntervals(), BiasCorrection()
+        self.prior = np.zeros(0, LOG_FACTOR_PRIOR)
+        self._patterns = np.zeros(0, SHIFT_PATTERN)
+        self._waiting: list[ShiftEnergy] = []  # until the daily update
+        self._rows, self._row_of_model = _stack_tables({})
+        self._row_of_kind: Ints = np.zeros(0, np.int64)
 
     def grow(self, lanes: int) -> None:
-        """Have room for so many lanes."""
+        """Make room for a number of lanes."""
         if len(self.prior) < lanes:
-            self.prior = grown(self.prior, lanes, self.scales.expected(-1))
-            self._shifts = grown(self._shifts, lanes, np.nan)
+            prior = np.array(tuple(self.factors.expect(-1)), LOG_FACTOR_PRIOR)
+            self.prior = grown(self.prior, lanes, prior)
+            self._patterns = grown(self._patterns, lanes, np.array((np.nan, np.nan), SHIFT_PATTERN))
 
-    def rides(self, rides: Totals, predicted: Floats) -> None:
-        """Learn from rides that have ended and are fit for it."""
+    def add_rides(self, rides: Totals, predicted: Floats) -> None:
+        """Add rides that have ended, if they are representative; `predicted` is in kWh."""
         if len(rides.lane):
-            fit = np.array([why in TELLING for why in unfit_reason(rides, self._context)])
+            fit = np.array([why in ACCEPTED_UNFITNESS for why in unfit_reason(rides, self._context)])
             plugged = rides.at_last("since_charge") - rides.amount("duration")
-            fit &= ~(rides.at_last("parked") > SOAKED) & ~(plugged < WARMING)
-            self._learn(self.habits.ridden, rides, predicted, measured_energy(rides, self._cars)[0], fit)
+            fit &= ~(rides.at_last("parked") > LONGEST_SOAK) & ~(plugged < WARM_UP_TIME)
+            self._add(self.rides.add_rides, rides, predicted, measured_energy(rides, self._cars)[0], fit)
 
-    def rests(self, rests: Totals, predicted: Floats) -> None:
-        """Learn from rests that have ended: those in which the car neither charged nor fell silent."""
-        if not len(rests.lane):
+    def add_idle_periods(self, idle: Totals, predicted: Floats) -> None:
+        """Add idle periods that have ended, if the car neither charged nor fell silent; `predicted` is in kWh."""
+        if not len(idle.lane):
             return
-        duration = rests.amount("duration")
-        whole = rests.at_last("time") - rests.at_first("time") <= duration + LONGEST_SILENCE
-        charged = rests.at_last("since_charge") < duration + LONGEST_SILENCE
-        fit = whole & ~charged & (rests.at_first("time") > 0.0)
-        energy = np.where(rests.amount("metered") > 0.5 * duration, measured_energy(rests, self._cars)[0], np.nan)
-        by_soc = energy_by_soc(rests, self._cars)[0]
-        self._learn(self.habits.rested, rests, predicted, np.where(np.isnan(energy), by_soc, energy), fit)
+        duration = idle.amount("duration")
+        whole = idle.at_last("time") - idle.at_first("time") <= duration + LONGEST_GAP
+        charged = idle.at_last("since_charge") < duration + LONGEST_GAP
+        fit = whole & ~charged & (idle.at_first("time") > 0.0)
+        energy = np.where(idle.amount("metered") > 0.5 * duration, measured_energy(idle, self._cars)[0], np.nan)
+        by_soc = energy_by_soc(idle, self._cars)[0]
+        self._add(self.rides.add_idle_periods, idle, predicted, np.where(np.isnan(energy), by_soc, energy), fit)
 
-    def judged(self, errors: Sequence[Judged]) -> None:
-        """Learn what became of forecasts."""
+    def add_errors(self, errors: Sequence[ShiftErrors]) -> None:
+        """Add the errors of evaluated forecasts."""
         for each in errors:
-            self.conformal.learn(*each[:4])
-            self.lean.learn(each)
+            self.conformal.add_shift(each.basis, each.ahead_km, each.ambient_c, each.scores)
+            self.bias.add_shift(each)
 
-    def shift(self, lane: int, took: tuple[int | None, float, float, float], habit: Habit | None) -> None:
-        """Learn from a shift that has ended: its driver, what was predicted and what it took of which capacity [kWh].
+    def add_shift(self, energy: ShiftEnergy, pattern: ShiftPattern | None) -> None:
+        """Add a shift that has ended.
 
-        What cars and drivers take waits for the night: it is read when a driver gets in.
+        The consumption factors wait for the daily update, because they are read when a driver is named.
         """
-        self._took.append((lane, *took))
-        if habit is not None:
-            self.scales.went(lane, habit)
+        self._waiting.append(energy)
+        if pattern is not None:
+            self.factors.add_pattern(energy.lane, pattern)
 
-    def overnight(self) -> None:
-        """Let all that was learned take effect."""
-        for took in self._took:
-            self.scales.learn(*took)
-        self._took = []
-        self._settle()
-
-    def tables(self, lane: int) -> Tables | None:
-        """Return what is expected of a lane's car."""
-        kind = int(self._cars.of_lane[lane]) if lane < len(self._cars.of_lane) else UNKNOWN
-        return self.habits.tables.get(self._cars.name(kind) or "")
-
-    def corrected(self, kinds: Ints, riding: NDArray[np.bool_], weights: Floats) -> tuple[Floats, Floats]:
-        """Return by what predicted energy is to be multiplied, and what power added [kW], at each row, (n,) each."""
-        place, mine = self._places(kinds), riding[:, np.newaxis]
-        own = np.where(mine, self._usual.factor[place], self._usual.resting_factor[place])
-        more = np.where(mine, self._usual.power[place], self._usual.resting_power[place])
-        return np.einsum("ij,ij->i", own, weights), np.einsum("ij,ij->i", more, weights)
-
-    def usual(self, kinds: Ints, weights: Floats) -> Usual:
-        """Return what is usual of cars at the temperatures about each row."""
-        place = self._places(kinds)
-        of = (np.einsum("ij,ij->i", each[place], weights) for each in self._usual[4:])
-        return Usual(weights, *of)
-
-    def habits_of(self, lanes: Ints) -> tuple[Floats, Floats]:
-        """Return how long the shifts of cars are [h], and how busy; NaN where too few are known."""
-        return self._shifts[lanes, 0], self._shifts[lanes, 1]
-
-    def _settle(self) -> None:
-        """Make of what was learned what forecasts read."""
-        self.habits.settle(self._context)
-        self.conformal.settle()
-        self.lean.settle()
+    def apply_daily_update(self) -> None:
+        """Let everything that was collected take effect."""
+        for energy in self._waiting:
+            self.factors.add_shift(**energy._asdict())
+        self._waiting = []
+        self.rides.update_tables(self._context)
+        self.conformal.update_quantiles()
+        self.bias.update_factor()
         for lane in range(len(self.prior)):
-            self.prior[lane] = self.scales.expected(lane)
-            self._shifts[lane] = self.scales.habit(lane)
-        self._usual, self._names = _stacked(self.habits.tables)
-        self._place = np.zeros(0, np.int64)
+            self.prior[lane] = self.factors.expect(lane)
+            self._patterns[lane] = self.factors.get_usual_pattern(lane)
+        self._stack_rows()
 
-    def _places(self, kinds: Ints) -> Ints:
-        """Return the row of `_usual` of each kind of car."""
-        if len(self._place) < len(self._cars.models):
+    def get_tables(self, lane: int) -> LegEnergyTables | None:
+        """Return the tables of a lane's vehicle model, None where there are none."""
+        kind = int(self._cars.of_lane[lane]) if lane < len(self._cars.of_lane) else UNKNOWN
+        return self.rides.tables.get(self._cars.name(kind) or "")
+
+    def compute_corrections(self, kinds: Ints, riding: NDArray[np.bool_], weights: Floats) -> tuple[Floats, Floats]:
+        """Return the corrections of the predicted energy at each row.
+
+        Parameters
+        ----------
+        kinds : (n,) int
+            Kind of car.
+        riding : (n,) bool
+            Whether it is a ride or an idle period.
+        weights : (n, temperatures) float
+            Weights of the knots of temperature.
+
+        Returns
+        -------
+        (n,) float
+            Factor of the predicted energy. [1]
+        (n,) float
+            Power to add. [kW]
+        """
+        row, ride = self._find_rows(kinds), riding[:, np.newaxis]
+        factor = np.where(ride, self._rows.ride_factor[row], self._rows.idle_factor[row])
+        power = np.where(ride, self._rows.ride_power[row], self._rows.idle_power[row])
+        return np.einsum("ij,ij->i", factor, weights), np.einsum("ij,ij->i", power, weights)
+
+    def compute_usual(self, kinds: Ints, weights: Floats) -> UsualConsumption:
+        """Return the usual consumption of cars at the temperature of each row; the parameters are as above."""
+        row = self._find_rows(kinds)
+
+        def interpolate(table: Floats) -> Floats:
+            return np.asarray(np.einsum("ij,ij->i", table[row], weights))
+
+        return UsualConsumption(
+            weights=weights,
+            standing_power=interpolate(self._rows.standing_power),
+            approach_energy=interpolate(self._rows.approach_energy),
+            energy_per_km=interpolate(self._rows.energy_per_km),
+            mean_power=interpolate(self._rows.mean_power),
+        )
+
+    def get_patterns(self, lanes: Ints) -> NDArray[np.void]:
+        """Return the usual duration and intensity of the shifts of cars, (n,) SHIFT_PATTERN."""
+        return self._patterns[lanes]
+
+    def _find_rows(self, kinds: Ints) -> Ints:
+        """Return the row of `_rows` of each kind of car."""
+        if len(self._row_of_kind) < len(self._cars.models):
             names = [self._cars.name(kind) for kind in range(len(self._cars.models))]
-            self._place = np.array([self._names.get(name or "", 0) for name in names])
-        return self._place[kinds]
+            self._row_of_kind = np.array([self._row_of_model.get(name or "", 0) for name in names])
+        return self._row_of_kind[kinds]
 
-    def _learn(self, learn: Learn, totals: Totals, predicted: Floats, measured: Floats, fit: NDArray[np.bool_]) -> None:
-        """Learn from those rows that are fit, of cars whose model is known."""
+    def _add(self, add: AddTotals, totals: Totals, predicted: Floats, measured: Floats, fit: NDArray[np.bool_]) -> None:
+        """Add those rows that are fit, of cars whose model is known."""
         names = [self._cars.name(kind) or "" for kind in totals.at_last("kind").astype(np.int64).tolist()]
         known = np.array([name != "" for name in names])
         which = np.flatnonzero(fit & known & (totals.amount("duration") > 0.0))
-        learn([names[i] for i in which.tolist()], totals.rows(which), predicted[which], measured[which])
+        add([names[i] for i in which.tolist()], totals.rows(which), predicted[which], measured[which])
+
+    def _stack_rows(self) -> None:
+        """Stack the tables of all vehicle models, for rows of cars of different models."""
+        self._rows, self._row_of_model = _stack_tables(self.rides.tables)
+        self._row_of_kind = np.zeros(0, np.int64)
 
     def dump(self) -> Any:
         """Return the state as plain values."""
-        learned = self.habits.dump(), self.scales.dump(), self.conformal.dump(), self.lean.dump()
-        return learned, self._took, self.prior.tobytes(), self._shifts.tobytes()
+        parts = self.rides.dump(), self.factors.dump(), self.conformal.dump(), self.bias.dump()
+        return parts, self._waiting, self.prior.tobytes(), self._patterns.tobytes()
 
     def load(self, state: Any) -> None:
-        """Take up a state that `dump` returned, once the cars are known."""
-        (habits, scales, conformal, lean), took, prior, shifts = state
-        self.habits.load(habits)
-        self.scales.load(scales)
+        """Replace the state by one that `dump` returned, once the cars are known."""
+        (rides, factors, conformal, bias), waiting, prior, patterns = state
+        self.rides.load(rides)
+        self.factors.load(factors)
         self.conformal.load(conformal)
-        self.lean.load(lean)
-        self._usual, self._names = _stacked(self.habits.tables)
-        self._place = np.zeros(0, np.int64)
-        self._took = [tuple(each) for each in took]
-        self.prior, self._shifts = (np.frombuffer(part).reshape(-1, 2).copy() for part in (prior, shifts))
+        self.bias.load(bias)
+        self._stack_rows()
+        self._waiting = [ShiftEnergy(*each) for each in waiting]
+        self.prior = np.frombuffer(prior, LOG_FACTOR_PRIOR).copy()
+        self._patterns = np.frombuffer(patterns, SHIFT_PATTERN).copy()
 
 
-class _Stack(NamedTuple):
-    """Of `Tables`, those that rows read, by vehicle model: (models, temperatures); of the first, nothing is known."""
+class _StackedTables(NamedTuple):
+    """Tables by vehicle model and temperature, (1 + models, temperatures); the first row is of unknown models."""
 
-    factor: Floats
-    power: Floats
-    resting_factor: Floats
-    resting_power: Floats
-    standing: Floats
-    approach: Floats
-    all_per_km: Floats
-    all_power: Floats
+    ride_factor: Floats
+    ride_power: Floats
+    idle_factor: Floats
+    idle_power: Floats
+    standing_power: Floats
+    approach_energy: Floats
+    energy_per_km: Floats
+    mean_power: Floats
 
 
-def _stacked(tables: Mapping[str, Tables]) -> tuple[_Stack, dict[str, int]]:
-    """Return the tables of all vehicle models, and the place of each."""
-    first = {"factor": 1.0, "power": 0.0, "resting_factor": 1.0, "resting_power": 0.0}
-    rows = {name: [np.full(_KNOTS, first.get(name, np.nan))] for name in _Stack._fields}
-    for known in tables.values():
-        for name, values in rows.items():
-            values.append(getattr(known, name))
-    names = {name: 1 + i for i, name in enumerate(tables)}
-    return _Stack(*(np.array(values) for values in rows.values())), names
+def _stack_tables(tables: Mapping[str, LegEnergyTables]) -> tuple[_StackedTables, dict[str, int]]:
+    """Return the stacked tables of all vehicle models, and the row of each model."""
+    unknown = {"ride_factor": 1.0, "ride_power": 0.0, "idle_factor": 1.0, "idle_power": 0.0}
+    columns = {
+        name: [np.full(_KNOTS, unknown.get(name, np.nan)), *(getattr(known, name) for known in tables.values())]
+        for name in _StackedTables._fields
+    }
+    rows = {name: 1 + i for i, name in enumerate(tables)}
+    return _StackedTables(**{name: np.array(values) for name, values in columns.items()}), rows

@@ -1,10 +1,10 @@
-"""What became of forecasts: each is held against the charge that the shift ended with, and learned from.
+"""Evaluate forecasts against the charge at the end of their shift, and learn from the errors.
 
-Every ten minutes of a shift its forecast is noted. When the shift has ended, as planned or in silence, the errors over
-the forecasts' own standard deviations go to `core.forecast.conformal`. A forecast with a charge between it and the end is
-not held against anything: no plan tells of it. Nor is one that is below empty: cars stop there, and what they would
-have taken beyond it nobody knows. It is left out whatever became of it: to keep those that proved wrong would keep
-errors of one side.
+The log keeps one forecast of each car every ten minutes. When the shift has ended, as planned or in silence, the errors
+over the forecasts' own standard deviations go to `core.forecast.conformal`. A forecast with a charging between it and
+the end is not evaluated, as no plan announces it. Nor is a forecast below an empty battery: the car stops there, and
+the energy that it would have used beyond is unknown. Such a forecast is dropped whatever the outcome, because keeping
+only the wrong ones would keep errors of one sign.
 """
 
 from math import nan
@@ -12,164 +12,226 @@ from struct import Struct
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.batch import Floats, grown
+from core.forecast.conformal import BASES
 
-NOTE_S: Final = 600.0
-"""Time between two forecasts of a car that are noted. [s]"""
-LAST_S: Final = 30.0
-"""Time before the shift's end at which the last one is noted. [s]"""
-LEAN_PRIOR: Final = 1.0
-"""Charge taken as foretold that stands for what is not known of forecasts: some eight shifts'. [1]"""
-LEAN_MEMORY: Final = 0.998
-"""What a shift still counts a shift later."""
-LEAN_LIMITS: Final = 0.7, 1.4
-"""Farthest from what is foretold. [1]"""
+RECORD_PERIOD: Final = 600.0
+"""Time between two recorded forecasts of a car. [s]"""
+LAST_RECORD: Final = 30.0
+"""Time before the shift's end at which the last forecast is recorded. [s]"""
+BIAS_PRIOR: Final = 1.0
+"""Forecast fall of the charge that the prior factor of 1 weighs, that of some eight shifts. [1]"""
+BIAS_MEMORY: Final = 0.998
+"""Weight of a shift one shift later."""
+BIAS_LIMITS: Final = 0.7, 1.4
+"""Limits of the factor. [1]"""
 
 
-class Note(NamedTuple):
-    """A forecast: when it was made, for when [s], by plan (0) or habit (1), how far ahead, and what it says.
+class ForecastRecord(NamedTuple):
+    """A forecast of the charge at the end of a shift.
 
-    Of the charge `soc` that there was, `lean` stands for what earlier forecasts were found to be short by, see `Lean`.
+    Parameters
+    ----------
+    time : float
+        When it was made. [s]
+    end : float
+        The end of the shift that it is for. [s]
+    basis : int
+        `BY_PLAN` or `BY_HISTORY`.
+    ahead_km : float
+        Distance that the energy ahead would usually drive. [km]
+    ambient_c : float
+        Outside temperature. [°C]
+    mean, sd : float
+        Forecast charge and its standard deviation. [1]
+    soc : float
+        Charge when it was made. [1]
+    bias_factor : float
+        Factor of the energy ahead from earlier errors, see `BiasCorrection`. [1]
     """
 
     time: float
     end: float
-    kind: int
-    far_km: float
+    basis: int
+    ahead_km: float
     ambient_c: float
     mean: float
     sd: float
     soc: float = nan
-    lean: float = 1.0
+    bias_factor: float = 1.0
 
 
-_PACKED: Final = Struct(f"{len(Note._fields)}d")
-_END: Final = Note._fields.index("end")
-_KIND: Final = Note._fields.index("kind")
-_MEAN: Final = Note._fields.index("mean")
+FORECAST_RECORDS: Final = np.dtype([(name, "f8") for name in ForecastRecord._fields])
+"""Recorded forecasts as an array."""
+_PACKED: Final = Struct(f"{len(ForecastRecord._fields)}d")
 
 
-class Judged(NamedTuple):
-    """Standardised errors of the forecasts of one shift of one kind, (n,) each; charge taken and foretold. [1]"""
-
-    kind: int
-    far_km: Floats
-    ambient_c: Floats
-    scores: Floats
-    taken: Floats
-    foretold: Floats
-
-
-class Lean:
-    """By how much more shifts take than is foretold of what is ahead, on average.
-
-    What makes a shift as a whole agree with what was predicted of it (`core.forecast.scales`) may still be early or
-    late in it: cars warm up at the beginning. So what forecasts of the rest were short by is learned of
-    forecasts.
-
-    Attributes
-    ----------
-    factor : (kinds,) float
-        Of the energy ahead, by plan and by habit. [1]
-    """
-
-    def __init__(self) -> None:
-        self._sums = np.full((2, 2), LEAN_PRIOR)
-        self.factor = np.ones(2)
-
-    def learn(self, errors: Judged) -> None:
-        """Learn from a shift's forecasts, together as much as one."""
-        sums = np.array([errors.taken.mean(), errors.foretold.mean()])
-        if np.isfinite(sums).all() and sums[1] > 0.0:
-            self._sums[errors.kind] = LEAN_PRIOR + LEAN_MEMORY * (self._sums[errors.kind] - LEAN_PRIOR) + sums
-
-    def settle(self) -> None:
-        """Make factors of what was learned."""
-        self.factor = np.clip(self._sums[:, 0] / self._sums[:, 1], *LEAN_LIMITS)
-
-    def dump(self) -> Any:
-        """Return the state as plain lists."""
-        return self._sums.tolist(), self.factor.tolist()
-
-    def load(self, state: Any) -> None:
-        """Take up a state that `dump` returned."""
-        self._sums, self.factor = (np.array(part, dtype=np.float64) for part in state)
-
-
-class ShiftLog:
-    """Notes of the shifts in progress."""
-
-    def __init__(self) -> None:
-        self._notes: dict[int, bytearray] = {}  # of each lane, `Note` after `Note`
-        self._next = np.zeros(0)
-        self._ends = np.zeros(0)
-
-    def grow(self, lanes: int) -> None:
-        """Have room for so many lanes."""
-        self._next = grown(self._next, lanes)
-        self._ends = grown(self._ends, lanes, np.inf)
-
-    def due(self, lane: Any, time: Any, mean: Any = 0.0) -> Any:
-        """Tell at which rows, in order, a note of a mean is due or a noted forecast has come to its end, (n,) bool."""
-        return ((time >= self._next[lane]) & np.isfinite(mean)) | (time >= self._ends[lane])
-
-    def note(self, lane: int, note: Note) -> None:
-        """Note a forecast, unless the last one was just now."""
-        if note.time >= self._next[lane] and np.isfinite(note.mean):
-            self._notes.setdefault(lane, bytearray()).extend(_PACKED.pack(*note))
-            last = note.end - LAST_S
-            self._next[lane] = min(note.time + NOTE_S, last) if last > note.time else note.time + NOTE_S
-            self._ends[lane] = min(self._ends[lane], note.end)
-
-    def ended(self, lane: int, time: float, soc: float, charged: float) -> list[Judged]:
-        """Judge the forecasts of a lane for ends up to a time by the charge that is reported then."""
-        if not time >= self._ends[lane]:
-            return []
-        notes = self.notes(lane)
-        left = notes[notes[:, _END] > time]
-        self._notes[lane] = bytearray(left.tobytes())
-        self._ends[lane] = left[:, _END].min(initial=np.inf)
-        return judged(notes[notes[:, _END] <= time], soc, charged)
-
-    def closed(self, lane: int, soc: float, charged: float) -> list[Judged]:
-        """Judge what is left of a shift that is over."""
-        notes = self.notes(lane)
-        self._notes.pop(lane, None)
-        self._next[lane], self._ends[lane] = 0.0, np.inf
-        return judged(notes, soc, charged)
-
-    def notes(self, lane: int) -> Floats:
-        """Return the notes of a lane, (n, len(Note._fields))."""
-        return np.frombuffer(bytes(self._notes.get(lane, b""))).reshape(-1, len(Note._fields))
-
-    def dump(self) -> Any:
-        """Return the state as plain values."""
-        return list(self._notes.items()), self._next.tobytes(), self._ends.tobytes()
-
-    def load(self, state: Any) -> None:
-        """Take up a state that `dump` returned."""
-        notes, following, ends = state
-        self._notes = {int(lane): bytearray(own) for lane, own in notes}
-        self._next, self._ends = np.frombuffer(following).copy(), np.frombuffer(ends).copy()
-
-
-def judged(notes: Floats, soc: float, charged: float) -> list[Judged]:
-    """Return the standardised errors of forecasts by kind, but for those before a charge and those below empty.
+class ShiftErrors(NamedTuple):
+    """Errors of the n forecasts of one shift with the same basis.
 
     Parameters
     ----------
-    notes : (n, len(Note._fields)) float
+    basis : int
+    ahead_km, ambient_c : (n,) float
+    scores : (n,) float
+        Standardised errors. [1]
+    fall, forecast_fall : (n,) float
+        Fall of the charge, and its forecast before the bias correction. [1]
+    """
+
+    basis: int
+    ahead_km: Floats
+    ambient_c: Floats
+    scores: Floats
+    fall: Floats
+    forecast_fall: Floats
+
+
+class BiasCorrection:
+    """Learn the mean ratio between the energy that is left of shifts and its forecast.
+
+    The consumption factors make a shift as a whole agree with its prediction. Within a shift the consumption may still
+    come early or late, for example while cars warm up. This factor corrects the forecasts of the remainder.
+
+    Attributes
+    ----------
+    factor : (bases,) float
+        Factor of the energy ahead. [1]
+    """
+
+    def __init__(self) -> None:
+        self._fall = np.full(BASES, BIAS_PRIOR)
+        self._forecast_fall = np.full(BASES, BIAS_PRIOR)
+        self.factor = np.ones(BASES)
+
+    def add_shift(self, errors: ShiftErrors) -> None:
+        """Add the forecasts of a shift, all together with the weight of one."""
+        fall, forecast = errors.fall.mean(), errors.forecast_fall.mean()
+        if np.isfinite(fall) and np.isfinite(forecast) and forecast > 0.0:
+            for sums, value in ((self._fall, fall), (self._forecast_fall, forecast)):
+                sums[errors.basis] = BIAS_PRIOR + BIAS_MEMORY * (sums[errors.basis] - BIAS_PRIOR) + value
+
+    def update_factor(self) -> None:
+        """Compute the factors from the sums."""
+        self.factor = np.clip(self._fall / self._forecast_fall, *BIAS_LIMITS)
+
+    def dump(self) -> Any:
+        """Return the state as plain lists."""
+        return self._fall.tolist(), self._forecast_fall.tolist(), self.factor.tolist()
+
+    def load(self, state: Any) -> None:
+        """Replace the state by one that `dump` returned."""
+        self._fall, self._forecast_fall, self.factor = (np.array(part, dtype=np.float64) for part in state)
+
+
+class ForecastLog:
+    """Record forecasts of the shifts in progress until their end."""
+
+    def __init__(self) -> None:
+        self._records: dict[int, bytearray] = {}  # packed `ForecastRecord`s of each lane
+        self._next = np.zeros(0)  # time of the next record of each lane [s]
+        self._ends = np.zeros(0)  # first end of a recorded forecast of each lane [s]
+
+    def grow(self, lanes: int) -> None:
+        """Make room for a number of lanes."""
+        self._next = grown(self._next, lanes)
+        self._ends = grown(self._ends, lanes, np.inf)
+
+    def is_due(self, lane: Any, time: Any, mean: Any = 0.0) -> Any:
+        """Return where a forecast is to be recorded, or a recorded one has come to its end.
+
+        Parameters
+        ----------
+        lane : int or (n,) int
+        time : float or (n,) float
+            [s]
+        mean : float or (n,) float
+            Forecast charge, NaN where there is none. [1]
+
+        Returns
+        -------
+        bool or (n,) bool
+        """
+        return ((time >= self._next[lane]) & np.isfinite(mean)) | (time >= self._ends[lane])
+
+    def record(self, lane: int, forecast: ForecastRecord) -> None:
+        """Record a forecast, unless the last record is more recent than `RECORD_PERIOD`."""
+        if forecast.time >= self._next[lane] and np.isfinite(forecast.mean):
+            self._records.setdefault(lane, bytearray()).extend(_PACKED.pack(*forecast))
+            last, following = forecast.end - LAST_RECORD, forecast.time + RECORD_PERIOD
+            self._next[lane] = min(following, last) if last > forecast.time else following
+            self._ends[lane] = min(self._ends[lane], forecast.end)
+
+    def evaluate_until(self, lane: int, time: float, soc: float, charged: float) -> list[ShiftErrors]:
+        """Return the errors of a lane's forecasts for ends up to a time, and drop them from the log.
+
+        Parameters
+        ----------
+        lane : int
+        time : float
+            [s]
+        soc : float
+            Charge reported then. [1]
+        charged : float
+            When the car charged last, NaN for never. [s]
+        """
+        if not time >= self._ends[lane]:
+            return []
+        records = self.get_records(lane)
+        left = records[records["end"] > time]
+        self._records[lane] = bytearray(left.tobytes())
+        self._ends[lane] = left["end"].min(initial=np.inf)
+        return compute_shift_errors(records[records["end"] <= time], soc, charged)
+
+    def evaluate_shift(self, lane: int, soc: float, charged: float) -> list[ShiftErrors]:
+        """Return the errors of all forecasts of a shift that is over; the parameters are those of `evaluate_until`."""
+        records = self.get_records(lane)
+        self._records.pop(lane, None)
+        self._next[lane], self._ends[lane] = 0.0, np.inf
+        return compute_shift_errors(records, soc, charged)
+
+    def get_records(self, lane: int) -> NDArray[np.void]:
+        """Return the recorded forecasts of a lane, (n,) FORECAST_RECORDS."""
+        return np.frombuffer(bytes(self._records.get(lane, b"")), FORECAST_RECORDS)
+
+    def dump(self) -> Any:
+        """Return the state as plain values."""
+        return list(self._records.items()), self._next.tobytes(), self._ends.tobytes()
+
+    def load(self, state: Any) -> None:
+        """Replace the state by one that `dump` returned."""
+        records, following, ends = state
+        self._records = {int(lane): bytearray(packed) for lane, packed in records}
+        self._next, self._ends = np.frombuffer(following).copy(), np.frombuffer(ends).copy()
+
+
+def compute_shift_errors(records: NDArray[np.void], soc: float, charged: float) -> list[ShiftErrors]:
+    """Return the errors of forecasts by basis, without those before a charging and those below an empty battery.
+
+    Parameters
+    ----------
+    records : (n,) FORECAST_RECORDS
     soc : float
-        As it turned out. [1]
+        Charge at the end. [1]
     charged : float
-        When the car charged last; NaN for never. [s]
+        When the car charged last, NaN for never. [s]
+
+    Returns
+    -------
+    list of ShiftErrors
     """
     if not np.isfinite(soc):
         return []
-    good = notes[~(charged >= notes[:, 0]) & (notes[:, _MEAN] >= 0.0)]
+    usable = records[~(charged >= records["time"]) & (records["mean"] >= 0.0)]
     out = []
-    for own in (good[good[:, _KIND] == kind] for kind in np.unique(good[:, _KIND])):
-        _, _, kind, far_km, ambient, mean, sd, began, lean = own.T
-        out.append(Judged(int(kind[0]), far_km, ambient, (soc - mean) / sd, began - soc, (began - mean) / lean))
+    for basis in np.unique(usable["basis"]):
+        of_basis = usable[usable["basis"] == basis]
+        mean, began = of_basis["mean"], of_basis["soc"]
+        scores = (soc - mean) / of_basis["sd"]
+        forecast_fall = (began - mean) / of_basis["bias_factor"]
+        out.append(
+            ShiftErrors(int(basis), of_basis["ahead_km"], of_basis["ambient_c"], scores, began - soc, forecast_fall)
+        )
     return out

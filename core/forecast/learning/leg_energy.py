@@ -1,8 +1,8 @@
-"""What is expected of a leg of so many kilometres and minutes, by vehicle model.
+"""Energy of a leg of given distance and duration, by vehicle model, pace and outside temperature.
 
-A plan tells of a leg how far and how long, not how often the car will speed up, nor what it heats. That is what earlier
-rides tell (`core.forecast.habits`), by pace and outside temperature. Both are knots; what lies between two of them is of
-each by how near it is.
+A plan states how far and how long a leg is, not how often the car accelerates nor how much it heats. That is known from
+earlier rides (`core.forecast.learning.ride_stats`) at knots of pace and temperature. Between two knots the values are
+interpolated linearly.
 """
 
 from typing import Final, NamedTuple
@@ -12,114 +12,155 @@ import numpy as np
 from core.batch import Floats
 
 PACES: Final = np.array([1.0, 1.5, 2.2, 3.0, 4.3, 7.5, 15.0])
-"""Paces of rides: minutes for a kilometre, as the energy of a kilometre grows linearly with its time. [min/km]"""
+"""Knots of pace. The energy per kilometre grows linearly with the time per kilometre. [min/km]"""
 TEMPERATURES: Final = np.array([-25.0, -15.0, -7.0, 0.0, 7.0, 14.0, 21.0, 28.0, 35.0])
-"""[°C]"""
+"""Knots of the outside temperature. [°C]"""
 TYPICAL_KM: Final = 4.0
-"""A ride of usual length. [km]"""
-REGAINED: Final = 0.6
-"""Share that comes back into the battery of what a descent has beyond what the way takes. Estimated."""
-STEEPEST: Final = 300.0
-"""Descent that a leg can have; what is told beyond it gives nothing back. [m/km]"""
+"""Length of a typical ride. [km]"""
+RECOVERED_SHARE: Final = 0.6
+"""Share of the surplus energy of a descent that returns to the battery. Estimated. [1]"""
+STEEPEST_DESCENT: Final = 300.0
+"""Largest descent of a leg that returns energy; a reported descent beyond it returns none. [m/km]"""
 
 
-class Terms(NamedTuple):
-    """What the energy of n legs is a sum of.
+class LegTerms(NamedTuple):
+    """Terms whose weighted sum is the energy of n legs.
 
     Parameters
     ----------
     km : (n, paces) float
-        Of each pace.
+        Distance at each pace. [km]
     waiting : (n,) float
-        Time beyond the slowest. [h]
-    extras : (n, 3) float
-        What `up`, `down` and `start` go with.
+        Time beyond that of the slowest pace. [h]
+    climb, descent : (n,) float
+        Metres gained and lost beyond the usual. [m]
+    start : (n,) float
+        Number of ride beginnings, less those that a leg of typical length includes. [1]
     """
 
     km: Floats
     waiting: Floats
-    extras: Floats
+    climb: Floats
+    descent: Floats
+    start: Floats
 
 
-class Tables(NamedTuple):
-    """What is expected of a vehicle model.
+class LegEnergyTables(NamedTuple):
+    """Consumption of a vehicle model, as learned from its rides and idle periods.
 
     Parameters
     ----------
-    per_km : (paces, temperatures) float
+    leg_energy_per_km : (paces, temperatures) float
         Energy of a leg. [kWh/km]
     climbed_per_km, descended_per_km : (paces,) float
-        Of the rides that this was learned from. [m/km]
-    up, down, start : float
-        What a metre more, gained or lost, adds [kWh/m], and what a ride adds however short. [kWh]
-    standing : (temperatures,) float
+        Mean climb and descent of the rides behind the table. [m/km]
+    climb_energy, descent_energy : float
+        Energy of an additional metre gained, or lost. [kWh/m]
+    start_energy : float
+        Energy of a ride however short. [kWh]
+    standing_power : (temperatures,) float
         Power of a car that waits. [kW]
-    approach : (temperatures,) float
-        Energy of the empty way to a ride, on average, over that of standing as long. [kWh]
-    factor, power : (temperatures,) float
-        By which the predicted energy of rides is to be multiplied [1], and what is to be added to it. [kW]
-    resting_factor, resting_power : (temperatures,) float
-        The same of rests.
-    all_per_km : (temperatures,) float
-        Energy of rides and rests together, over the kilometres of rides. [kWh/km]
-    all_power : (temperatures,) float
-        The same over the hours of both. [kW]
-    pause : float
-        Time of a rest, on average. [h]
+    approach_energy : (temperatures,) float
+        Mean energy of the empty way to a ride, beyond that of standing as long. [kWh]
+    ride_factor : (temperatures,) float
+        Correction factor of the predicted energy of rides. [1]
+    ride_power : (temperatures,) float
+        Correction that is added to the predicted power of rides. [kW]
+    idle_factor, idle_power : (temperatures,) float
+        The same corrections for idle periods. [1], [kW]
+    energy_per_km : (temperatures,) float
+        Energy of rides and idle periods together, over the kilometres of rides. [kWh/km]
+    mean_power : (temperatures,) float
+        The same energy over the hours of both. [kW]
+    mean_pause : float
+        Mean duration of an idle period. [h]
     """
 
-    per_km: Floats
+    leg_energy_per_km: Floats
     climbed_per_km: Floats
     descended_per_km: Floats
-    up: float
-    down: float
-    start: float
-    standing: Floats
-    approach: Floats
-    factor: Floats
-    power: Floats
-    resting_factor: Floats
-    resting_power: Floats
-    all_per_km: Floats
-    all_power: Floats
-    pause: float
+    climb_energy: float
+    descent_energy: float
+    start_energy: float
+    standing_power: Floats
+    approach_energy: Floats
+    ride_factor: Floats
+    ride_power: Floats
+    idle_factor: Floats
+    idle_power: Floats
+    energy_per_km: Floats
+    mean_power: Floats
+    mean_pause: float
 
-    def legs(self, km: Floats, seconds: Floats, gained: Floats, lost: Floats, *, begun: bool = False) -> Floats:
-        """Return the energy of legs at each temperature, (legs, temperatures). [kWh]
-
-        Below zero where a descent gives back more than the way takes, but never more than the descent itself gives.
+    def compute_leg_energy(
+        self, km: Floats, seconds: Floats, gained: Floats, lost: Floats, *, begun: bool = False
+    ) -> Floats:
+        """Return the energy of legs at each temperature.
 
         Parameters
         ----------
         km, seconds : (legs,) float
+            Distance [km] and duration [s].
         gained, lost : (legs,) float
-            NaN stands for as much as is usual. [m]
+            Climb and descent, NaN for the usual ones. [m]
         begun : bool
-            Of legs whose ride has begun: what a ride adds however short is past. Half of such a leg takes half as much.
+            Whether the rides have begun already. The energy of the beginning is then spent, so that half of such a leg
+            takes half of its energy.
+
+        Returns
+        -------
+        (legs, temperatures) float
+            [kWh] It is negative where a descent returns more than the leg takes, but never by more than the descent
+            itself returns.
         """
-        terms = self.terms(km, seconds, gained, lost)
-        terms.extras[:, 2] -= begun
-        plain = terms.km @ self.per_km + np.outer(terms.waiting, self.standing)
-        taken = plain + (terms.extras @ np.array([self.up, self.down, self.start]))[:, np.newaxis]
-        least = np.minimum(self.down, 0.0) * np.minimum(np.nan_to_num(lost, nan=0.0), STEEPEST * km)
-        return np.asarray(np.maximum(np.maximum(taken, REGAINED * taken), least[:, np.newaxis]))
+        terms = self.compute_terms(km, seconds, gained, lost)
+        level = terms.km @ self.leg_energy_per_km + np.outer(terms.waiting, self.standing_power)
+        extras = np.column_stack([terms.climb, terms.descent, terms.start - begun])
+        coefficients = np.array([self.climb_energy, self.descent_energy, self.start_energy])
+        taken = level + (extras @ coefficients)[:, np.newaxis]
+        least = np.minimum(self.descent_energy, 0.0) * np.minimum(np.nan_to_num(lost, nan=0.0), STEEPEST_DESCENT * km)
+        return np.asarray(np.maximum(np.maximum(taken, RECOVERED_SHARE * taken), least[:, np.newaxis]))
 
-    def terms(self, km: Floats, seconds: Floats, gained: Floats, lost: Floats) -> Terms:
-        """Return what the energy of legs is a sum of; NaN stands for climbs as usual."""
+    def compute_terms(self, km: Floats, seconds: Floats, gained: Floats, lost: Floats) -> LegTerms:
+        """Return the terms of the energy of legs.
+
+        Parameters
+        ----------
+        km, seconds : (legs,) float
+            Distance [km] and duration [s].
+        gained, lost : (legs,) float
+            Climb and descent, NaN for the usual ones. [m]
+
+        Returns
+        -------
+        LegTerms
+        """
         minutes = seconds / 60.0
-        weights = tents(np.divide(minutes, km, out=np.full(len(km), PACES[-1]), where=km > 0.0), PACES)
-        more = np.nan_to_num(gained - weights @ self.climbed_per_km * km, nan=0.0)
-        less = np.nan_to_num(lost - weights @ self.descended_per_km * km, nan=0.0)
+        pace = np.divide(minutes, km, out=np.full(len(km), PACES[-1]), where=km > 0.0)
+        weights = compute_knot_weights(pace, PACES)
+        climb = np.nan_to_num(gained - weights @ self.climbed_per_km * km, nan=0.0)
+        descent = np.nan_to_num(lost - weights @ self.descended_per_km * km, nan=0.0)
         waiting = np.maximum(minutes - PACES[-1] * km, 0.0) / 60.0
-        return Terms(weights * km[:, np.newaxis], waiting, np.column_stack([more, less, 1.0 - km / TYPICAL_KM]))
+        return LegTerms(weights * km[:, np.newaxis], waiting, climb, descent, 1.0 - km / TYPICAL_KM)
 
 
-def tents(values: Floats, knots: Floats) -> Floats:
-    """Return the weight of each knot for each value, which add up to 1, (n, knots); beyond the last, that one's.
+def compute_knot_weights(values: Floats, knots: Floats) -> Floats:
+    """Return the weights of linear interpolation between knots.
+
+    Parameters
+    ----------
+    values : (n,) float
+    knots : (knots,) float
+        Ascending.
+
+    Returns
+    -------
+    (n, knots) float
+        They add up to 1. Beyond the last knot, that knot has all the weight.
 
     Examples
     --------
-    >>> tents(np.array([15.0, 99.0]), np.array([10.0, 20.0, 40.0])).tolist()
+    >>> compute_knot_weights(np.array([15.0, 99.0]), np.array([10.0, 20.0, 40.0])).tolist()
     [[0.5, 0.5, 0.0], [0.0, 0.0, 1.0]]
     """
     values = np.clip(values, knots[0], knots[-1])

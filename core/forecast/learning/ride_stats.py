@@ -1,178 +1,256 @@
-"""How rides and rests go: sums over those that ended, by vehicle model.
+"""Learn from rides and idle periods as they end: sums by vehicle model, and the tables made of them daily.
 
-Of each ride everything that is summed of it is kept, by pace and outside temperature: a ride tells of the two paces and
-the two temperatures about it, each by how near it is (bilinear weights). Beside it stands what regressions of measured
-on predicted energy are made of, and, once there are tables, of measured energy on what they make a ride of. What
-follows for a planned leg is made of these sums by `core.forecast.tabulated`.
+The sums of a ride are added to the two paces and two temperatures around its own, with bilinear weights. Beside the
+amounts stand the sums for a regression of measured on predicted energy and, once there are tables, for a regression of
+measured energy on the terms of the tables. `core.forecast.learning.leg_energy_fit` turns these sums into the tables of
+leg energy.
 """
 
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from dataclasses import dataclass
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.batch import Floats
 from core.columns import ZERO_CELSIUS
-from core.forecast.learning.leg_energy import PACES, TEMPERATURES, Tables, tents
-from core.forecast.learning.tabulated import BESIDE, CELLS, READ, TERMS, Rests, fitted, tabulated
-from core.forecast.soc_filter import NOISE
-from core.totals.accumulator import AMOUNTS, EDGES, Totals
+from core.forecast.learning.leg_energy import PACES, TEMPERATURES, LegEnergyTables, compute_knot_weights
+from core.forecast.learning.leg_energy_fit import (
+    CELLS,
+    ENERGY_SUMS,
+    FIT_TERMS,
+    IDLE_SUMS,
+    READING_ENERGY_SD,
+    TERMS,
+    IdleSums,
+    LegEquations,
+    RideEdges,
+    RideSums,
+    as_matrix,
+    build_leg_energy_tables,
+    fit_leg_energy,
+)
+from core.forecast.soc_filter import ENERGY_SD
+from core.totals.accumulator import EDGES, Totals
 from core.totals.context import RunContext
 
 LEAST_RIDES: Final = 40
-"""Rides of a vehicle model below which nothing is expected of it."""
-STANDING: Final = 60.0
-"""A car that moved no farther in a rest stood: positions wander. [m]"""
-_LEG: Final = [AMOUNTS.index(name) for name in ("distance", "duration", "gained", "lost")]
+"""Rides of a vehicle model below which it has no tables."""
+STANDING_DISTANCE: Final = 60.0
+"""A car that moved less in an idle period stood, as positions wander. [m]"""
 
 
-class Learned(NamedTuple):
-    """What was summed of a vehicle model.
+@dataclass
+class ModelSums:
+    """Sums over the rides and idle periods of a vehicle model.
 
     Parameters
     ----------
-    rides : (paces * temperatures, amounts and `BESIDE`) float
-    rests : (temperatures, amounts and `BESIDE`) float
-    still : (temperatures, 4) float
-        Of rests, see `core.forecast.tabulated.Rests`.
-    equations : (TERMS, TERMS + 1) float
-        Normal equations of what the terms of a ride take, see `core.forecast.tabulated.fitted`.
-    edges : (2, edges) float
-        First and last of the newest ride.
-    counts : (2,) float
-        Rides, and rests whose energy was measured.
+    ride_amounts : (paces * temperatures, amounts) float
+    ride_energy : (paces * temperatures,) ENERGY_SUMS
+    idle_energy : (temperatures,) ENERGY_SUMS
+    standing : (temperatures,) IDLE_SUMS
+    matrix, right : (TERMS, TERMS) and (TERMS,) float
+        Normal equations, see `core.forecast.learning.leg_energy_fit.LegEquations`.
+    first_edge, last_edge : (edges,) float
+        First and last sample of the newest ride.
+    rides : int
+        Number of rides.
+    idle_periods : int
+        Number of idle periods with a measured energy.
     """
 
-    rides: Floats
-    rests: Floats
-    still: Floats
-    equations: Floats
-    edges: Floats
-    counts: Floats
+    ride_amounts: Floats
+    ride_energy: NDArray[np.void]
+    idle_energy: NDArray[np.void]
+    standing: NDArray[np.void]
+    matrix: Floats
+    right: Floats
+    first_edge: Floats
+    last_edge: Floats
+    rides: int = 0
+    idle_periods: int = 0
 
     @classmethod
-    def none(cls, width: int) -> "Learned":
-        """Return what there is before the first ride of so many amounts."""
-        knots, columns = len(TEMPERATURES), width + len(BESIDE)
-        shapes = (CELLS, columns), (knots, columns), (knots, 4), (TERMS, TERMS + 1), (2, len(EDGES)), (2,)
-        return cls(*(np.zeros(shape) for shape in shapes))
+    def create(cls, width: int) -> "ModelSums":
+        """Return the sums before the first ride, for rides of `width` amounts."""
+        knots = len(TEMPERATURES)
+        return cls(
+            ride_amounts=np.zeros((CELLS, width)),
+            ride_energy=np.zeros(CELLS, ENERGY_SUMS),
+            idle_energy=np.zeros(knots, ENERGY_SUMS),
+            standing=np.zeros(knots, IDLE_SUMS),
+            matrix=np.zeros((TERMS, TERMS)),
+            right=np.zeros(TERMS),
+            first_edge=np.zeros(len(EDGES)),
+            last_edge=np.zeros(len(EDGES)),
+        )
+
+    def build_tables(self, context: RunContext) -> LegEnergyTables | None:
+        """Return the tables of leg energy by the model of `context`, None where there are too few rides for them."""
+        if self.rides < LEAST_RIDES:
+            return None
+        rides, idle = (
+            RideSums(self.ride_amounts, self.ride_energy),
+            IdleSums(self.idle_energy, self.standing, float(self.idle_periods)),
+        )
+        tables = build_leg_energy_tables(rides, idle, RideEdges(self.first_edge, self.last_edge), context)
+        return tables and fit_leg_energy(tables, LegEquations(self.matrix, self.right))
+
+    def dump(self) -> Any:
+        """Return the sums as plain values."""
+        values = vars(self)
+        return {name: value if isinstance(value, int) else value.tobytes() for name, value in values.items()}
+
+    def load(self, state: Any) -> None:
+        """Replace the sums by those that `dump` returned, of rides of as many amounts."""
+        for name, value in state.items():
+            if isinstance(value, int):
+                setattr(self, name, value)
+            else:
+                array = getattr(self, name)
+                setattr(self, name, np.frombuffer(value, array.dtype).reshape(array.shape).copy())
 
 
-class Habits:
-    """What was summed of rides and rests as they ended, and the tables that were made of it the night before.
+class RideStatistics:
+    """Sums over rides and idle periods by vehicle model, and the tables that the last daily update made of them.
 
     Parameters
     ----------
     width : int
-        Amounts that are summed of a ride.
+        Number of amounts that are summed of a ride.
+
+    Attributes
+    ----------
+    tables : dict of str to LegEnergyTables
+        By vehicle model.
     """
 
     def __init__(self, width: int) -> None:
         self._width = width
-        self._sums: dict[str, Learned] = {}
-        self.tables: dict[str, Tables] = {}
+        self._sums: dict[str, ModelSums] = {}
+        self.tables: dict[str, LegEnergyTables] = {}
 
-    def ridden(self, models: Sequence[str], rides: Totals, predicted: Floats, measured: Floats) -> None:
-        """Learn from rides that have ended; those that waited more than they drove tell of no pace.
+    def add_rides(self, models: Sequence[str], rides: Totals, predicted: Floats, measured: Floats) -> None:
+        """Add rides that have ended. Rides that waited more than they drove do not count for any pace.
 
         Parameters
         ----------
         models : sequence of n str
-            Vehicle model of each.
+            Vehicle model of each ride.
         rides : Totals
             Of n rides.
         predicted, measured : (n,) float
-            NaN where unknown. [kWh]
+            Energy, NaN where unknown. [kWh]
         """
         minutes, km = rides.amount("duration") / 60.0, rides.amount("distance") / 1000.0
         pace = np.divide(minutes, km, out=np.full(len(km), np.inf), where=km > 0.0)
-        paces, driving = tents(pace, PACES), pace <= PACES[-1]
-        ambient, rows = _ambient(rides), _rows(rides, predicted, measured)
+        paces, driving = compute_knot_weights(pace, PACES), pace <= PACES[-1]
+        ambient, amounts = _compute_temperature_weights(rides), np.nan_to_num(rides.amounts)
+        energy = _compute_energy_sums(rides, predicted, measured)
         for i, model in enumerate(models):
-            own = self._of(model)
+            sums = self._get_sums(model)
             if driving[i]:
-                _add(own.rides, np.outer(paces[i], ambient[i]).ravel(), rows[i])
+                weights = np.outer(paces[i], ambient[i]).ravel()
+                _add_weighted(sums.ride_amounts, weights, amounts[i])
+                _add_weighted(as_matrix(sums.ride_energy), weights, as_matrix(energy)[i])
             if model in self.tables and np.isfinite(measured[i]):
-                self._weigh(model, rides.amounts[i, _LEG], ambient[i], measured[i])
-            own.edges[:] = rides.first[i], rides.last[i]
-            own.counts[0] += 1.0
+                self._add_to_equations(model, rides.rows(np.array([i])), ambient[i], measured[i])
+            sums.first_edge[:], sums.last_edge[:] = rides.first[i], rides.last[i]
+            sums.rides += 1
 
-    def _weigh(self, model: str, leg: Floats, ambient: Floats, measured: float) -> None:
-        """Add a ride to the normal equations of its terms, as the tables of the day before know them."""
-        metres, seconds, gained, lost = leg[:, np.newaxis]
-        tables = self.tables[model]
-        terms = tables.terms(metres / 1000.0, seconds, gained, lost)
-        waited = float(terms.waiting[0] * (tables.standing @ ambient))
-        cells = np.outer(terms.km[0], ambient)
-        expected = float((cells * tables.per_km).sum()) + waited
-        weight = 1.0 / (NOISE**2 * max(expected, 0.0) + READ**2)
-        row = np.concatenate([cells.ravel(), terms.extras[0]])
-        self._sums[model].equations[:] += weight * np.outer(row, [*row, measured - waited])
+    def _add_to_equations(self, model: str, ride: Totals, ambient: Floats, measured: float) -> None:
+        """Add a ride to the normal equations of its terms, with the variance that the present tables predict."""
+        km, seconds = ride.amount("distance") / 1000.0, ride.amount("duration")
+        tables, sums = self.tables[model], self._sums[model]
+        terms = tables.compute_terms(km, seconds, ride.amount("gained"), ride.amount("lost"))
+        waited = float(terms.waiting[0] * (tables.standing_power @ ambient))
+        row = np.zeros(1, FIT_TERMS)
+        row["km"] = np.outer(terms.km[0], ambient)
+        row["climb"], row["descent"], row["start"] = terms.climb, terms.descent, terms.start
+        expected = float((row["km"][0] * tables.leg_energy_per_km).sum()) + waited
+        weight = 1.0 / (ENERGY_SD**2 * max(expected, 0.0) + READING_ENERGY_SD**2)
+        values = as_matrix(row)[0]
+        sums.matrix += weight * np.outer(values, values)
+        sums.right += weight * (values * (measured - waited))
 
-    def rested(self, models: Sequence[str], rests: Totals, predicted: Floats, measured: Floats) -> None:
-        """Learn from rests that have ended, as from rides."""
-        ambient, rows = _ambient(rests), _rows(rests, predicted, measured)
-        energies = np.column_stack([measured, rests.amount("duration") / 3600.0])
-        stood = (rests.amount("distance") < STANDING)[:, np.newaxis]
-        still = np.hstack([energies, stood * energies])
+    def add_idle_periods(self, models: Sequence[str], idle: Totals, predicted: Floats, measured: Floats) -> None:
+        """Add idle periods that have ended; the parameters are those of `add_rides`."""
+        ambient, energy = _compute_temperature_weights(idle), _compute_energy_sums(idle, predicted, measured)
+        stood = idle.amount("distance") < STANDING_DISTANCE
+        standing = np.zeros(len(stood), IDLE_SUMS)
+        standing["energy"], standing["hours"] = measured, idle.amount("duration") / 3600.0
+        standing["standing_energy"], standing["standing_hours"] = stood * measured, stood * standing["hours"]
         for i, model in enumerate(models):
-            own = self._of(model)
-            _add(own.rests, ambient[i], rows[i])
+            sums = self._get_sums(model)
+            _add_weighted(as_matrix(sums.idle_energy), ambient[i], as_matrix(energy)[i])
             if np.isfinite(measured[i]):
-                _add(own.still, ambient[i], still[i])
-                own.counts[1] += 1.0
+                _add_weighted(as_matrix(sums.standing), ambient[i], as_matrix(standing)[i])
+                sums.idle_periods += 1
 
-    def _of(self, model: str) -> Learned:
+    def _get_sums(self, model: str) -> ModelSums:
         """Return the sums of a vehicle model."""
         if model not in self._sums:
-            self._sums[model] = Learned.none(self._width)
+            self._sums[model] = ModelSums.create(self._width)
         return self._sums[model]
 
-    def settle(self, context: RunContext) -> None:
-        """Make tables of all that was learned, for forecasts by the model of `context`."""
-        self.tables = {}
-        for name, own in self._sums.items():
-            if own.counts[0] < LEAST_RIDES:
-                continue
-            rests = Rests(own.rests, own.still, float(own.counts[1]))
-            found = tabulated(own.rides, rests, own.edges, context)
-            if found is not None:
-                self.tables[name] = fitted(found, own.equations)
+    def update_tables(self, context: RunContext) -> None:
+        """Compute the tables of every vehicle model from its sums, for forecasts by the model of `context`."""
+        built = ((name, sums.build_tables(context)) for name, sums in self._sums.items())
+        self.tables = {name: tables for name, tables in built if tables is not None}
 
     def dump(self) -> Any:
-        """Return the state as plain lists."""
-        return tuple(
-            {name: [np.asarray(part).tolist() for part in parts] for name, parts in each.items()}
-            for each in (self._sums, self.tables)
-        )
+        """Return the state as plain values."""
+        tables = {
+            name: {field: np.asarray(value).tolist() for field, value in known._asdict().items()}
+            for name, known in self.tables.items()
+        }
+        return {name: sums.dump() for name, sums in self._sums.items()}, tables
 
     def load(self, state: Any) -> None:
-        """Take up a state that `dump` returned."""
-        sums, tables = state
-        self._sums = {name: Learned(*map(np.array, parts)) for name, parts in sums.items()}
-        self.tables = {name: _table(parts) for name, parts in tables.items()}
+        """Replace the state by one that `dump` returned."""
+        dumped, tables = state
+        self._sums = {name: ModelSums.create(self._width) for name in dumped}
+        for name, sums in self._sums.items():
+            sums.load(dumped[name])
+        self.tables = {name: _load_tables(fields) for name, fields in tables.items()}
 
 
-def _table(parts: Sequence[Any]) -> Tables:
-    """Return tables that were dumped."""
-    values: list[Any] = [part if isinstance(part, float) else np.array(part) for part in parts]
-    return Tables(*values)
+def _load_tables(fields: dict[str, Any]) -> LegEnergyTables:
+    """Return tables from plain values."""
+    values: dict[str, Any] = {
+        name: value if isinstance(value, float) else np.array(value) for name, value in fields.items()
+    }
+    return LegEnergyTables(**values)
 
 
-def _ambient(totals: Totals) -> Floats:
+def _compute_temperature_weights(totals: Totals) -> Floats:
     """Return the weight of each of `TEMPERATURES` at the mean outside temperature, (n, temperatures)."""
-    return tents(totals.amount("ambient") / totals.amount("duration") - ZERO_CELSIUS, TEMPERATURES)
+    return compute_knot_weights(totals.amount("ambient") / totals.amount("duration") - ZERO_CELSIUS, TEMPERATURES)
 
 
-def _rows(totals: Totals, predicted: Floats, measured: Floats) -> Floats:
-    """Return what is added up of each ride or rest, (n, amounts and `BESIDE`)."""
-    hours, weight = totals.amount("duration") / 3600.0, 1.0 / (NOISE**2 * np.maximum(predicted, 0.0) + READ**2)
-    products = predicted * predicted, predicted * hours, hours * hours, predicted * measured, hours * measured
-    beside = np.column_stack([predicted, measured, hours, *(weight * product for product in products)])
+def _compute_energy_sums(totals: Totals, predicted: Floats, measured: Floats) -> NDArray[np.void]:
+    """Return the contribution of each ride or idle period to the energy sums, (n,) ENERGY_SUMS."""
+    hours = totals.amount("duration") / 3600.0
+    weight = 1.0 / (ENERGY_SD**2 * np.maximum(predicted, 0.0) + READING_ENERGY_SD**2)
+    columns = {
+        "predicted": predicted,
+        "measured": measured,
+        "hours": hours,
+        "pp": weight * (predicted * predicted),
+        "ph": weight * (predicted * hours),
+        "hh": weight * (hours * hours),
+        "pm": weight * (predicted * measured),
+        "hm": weight * (hours * measured),
+    }
     known = np.isfinite(predicted) & np.isfinite(measured)
-    return np.hstack([np.nan_to_num(totals.amounts), np.where(known[:, np.newaxis], beside, 0.0)])
+    out = np.zeros(len(known), ENERGY_SUMS)
+    for name, values in columns.items():
+        out[name] = np.where(known, values, 0.0)
+    return out
 
 
-def _add(sums: Floats, weights: Floats, row: Floats) -> None:
-    """Add a row to each sum, by its weight."""
+def _add_weighted(sums: Floats, weights: Floats, row: Floats) -> None:
+    """Add a row to each row of sums, multiplied by its weight."""
     sums += weights[:, np.newaxis] * row

@@ -5,21 +5,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.forecast import outlook
 from core.forecast.conformal import (
-    BOUNDS,
-    DISTANCES,
-    ENOUGH,
-    KEPT,
-    LEAST,
+    DISTANCE_CLASSES,
+    LEAST_SHIFTS,
     LEVELS,
-    TEMPERATURES,
-    Conformal,
-    classes,
-    quantiles,
+    LOWER_LEVEL,
+    REMEMBERED_SHIFTS,
+    SUFFICIENT_SHIFTS,
+    TEMPERATURE_CLASSES,
+    UPPER_LEVEL,
+    ConformalIntervals,
+    classify,
+    compute_quantiles,
 )
-from core.forecast.outlook import Outcome
+from core.forecast.outlook import MeanAndSd, compute_reserve_risk
 
+BOUND_LEVELS = LOWER_LEVEL, UPPER_LEVEL
 PLACE = (0, 3, 3)
 HERE = (np.array([0]), np.array([10.0]), np.array([15.0]))
 """A kind, a distance and a temperature of that class."""
@@ -27,27 +28,28 @@ HERE = (np.array([0]), np.array([10.0]), np.array([15.0]))
 
 def learned(shifts, conformal=None, each=3, km=10.0, celsius=15.0, kind=0, nightly=10):
     """Learn from shifts whose forecasts all err by the same, after so many of them a night."""
-    conformal = conformal or Conformal()
+    conformal = conformal or ConformalIntervals()
     for number, score in enumerate(shifts):
-        conformal.learn(kind, np.full(each, km), np.full(each, celsius), np.full(each, score))
+        conformal.add_shift(kind, np.full(each, km), np.full(each, celsius), np.full(each, score))
         if (number + 1) % nightly == 0:
-            conformal.settle()
-    conformal.settle()
+            conformal.update_quantiles()
+    conformal.update_quantiles()
     return conformal
 
 
 def bounds_at(conformal, km, celsius, kind=0):
-    return conformal.quantiles(np.array([kind]), np.array([km]), np.array([celsius]))[1][0]
+    bounds = conformal.get_quantiles(np.array([kind]), np.array([km]), np.array([celsius]))[1]
+    return np.array([bounds.lower[0], bounds.upper[0]])
 
 
 @pytest.mark.parametrize("draw", ["normal", "laplace", "lognormal", "uniform"])
-@pytest.mark.parametrize("count", [LEAST, 60, 200])
+@pytest.mark.parametrize("count", [LEAST_SHIFTS, 60, 200])
 def test_of_exchangeable_errors_nine_in_ten_are_inside(draw, count):
     rng = np.random.default_rng(count)
     inside = []
     for _ in range(400):
         scores = getattr(rng, draw)(size=count + 20)
-        low, high = quantiles([(s,) for s in scores[:count]], BOUNDS)
+        low, high = compute_quantiles([(s,) for s in scores[:count]], BOUND_LEVELS)
         inside.append(np.mean((scores[count:] >= low) & (scores[count:] <= high)))
     assert 0.88 <= np.mean(inside) <= 0.92
 
@@ -56,25 +58,25 @@ def test_while_it_learns_nine_in_ten_that_follow_are_inside():
     rng = np.random.default_rng(4)
     found = []
     for _ in range(6):
-        conformal = Conformal()
+        conformal = ConformalIntervals()
         for day in range(40):
             scores = 0.6 * rng.normal() + rng.normal(size=(10, 3))
             if day > 6:
-                low, _, high = bounds_at(conformal, 10.0, 15.0)[[1, 0, 2]]
+                low, high = bounds_at(conformal, 10.0, 15.0)
                 found.append(np.mean((scores >= low) & (scores <= high)))
             for mine in scores:
-                conformal.learn(0, np.full(3, 10.0), np.full(3, 15.0), mine)
-            conformal.settle()
+                conformal.add_shift(0, np.full(3, 10.0), np.full(3, 15.0), mine)
+            conformal.update_quantiles()
     assert 0.88 <= np.mean(found) <= 0.92
 
 
 def test_bounds_widen_where_errors_double():
     rng = np.random.default_rng(5)
-    conformal, inside = learned(rng.normal(size=KEPT)), []
-    low, high = bounds_at(conformal, 10.0, 15.0)[1:]
+    conformal, inside = learned(rng.normal(size=REMEMBERED_SHIFTS)), []
+    low, high = bounds_at(conformal, 10.0, 15.0)
     for _ in range(60):
         scores = 2.0 * rng.normal(size=10)
-        lower, higher = bounds_at(conformal, 10.0, 15.0)[1:]
+        lower, higher = bounds_at(conformal, 10.0, 15.0)
         inside.append(np.mean((scores >= lower) & (scores <= higher)))
         conformal = learned(scores, conformal)
     assert (lower, higher) == (pytest.approx(2.0 * low, rel=0.35), pytest.approx(2.0 * high, rel=0.35))
@@ -84,13 +86,13 @@ def test_bounds_widen_where_errors_double():
 
 def test_a_bound_that_was_missed_is_further_out_than_its_quantile_until_it_holds_again():
     rng = np.random.default_rng(6)
-    upper = (*PLACE, LEVELS.index(BOUNDS[1]))
+    upper = (*PLACE, LEVELS.index(UPPER_LEVEL))
 
     def further(conformal):
-        assert conformal.table[upper] == conformal.bounds[PLACE][1]
-        return conformal.bounds[PLACE][1] - quantiles(list(conformal._scores[PLACE]), BOUNDS)[1]
+        assert conformal.table[upper] == conformal.bounds[PLACE]["upper"]
+        return conformal.bounds[PLACE]["upper"] - compute_quantiles(list(conformal._scores[PLACE]), BOUND_LEVELS)[1]
 
-    conformal = learned(rng.normal(size=KEPT), nightly=KEPT)
+    conformal = learned(rng.normal(size=REMEMBERED_SHIFTS), nightly=REMEMBERED_SHIFTS)
     assert further(conformal) == pytest.approx(0.0, abs=1e-9)
     conformal = learned(rng.normal(2.0, 1.0, 30), conformal)
     assert further(conformal) > 0.2
@@ -99,7 +101,7 @@ def test_a_bound_that_was_missed_is_further_out_than_its_quantile_until_it_holds
 
 
 def test_below_the_least_number_of_shifts_there_is_no_interval():
-    few = learned(np.linspace(-1.0, 1.0, LEAST - 1))
+    few = learned(np.linspace(-1.0, 1.0, LEAST_SHIFTS - 1))
     assert np.isnan(few.table).all()
     assert np.isnan(bounds_at(few, 10.0, 15.0)).all()
     assert np.isfinite(bounds_at(learned([0.0], few), 10.0, 15.0)).all()
@@ -111,40 +113,40 @@ def test_a_class_with_few_shifts_borrows_from_its_neighbours_and_none_from_the_o
     conformal = learned(5.0 * rng.normal(size=100), conformal, celsius=-20.0)
     near = bounds_at(conformal, 10.0, 25.0)
     assert near == pytest.approx(bounds_at(conformal, 10.0, 15.0), rel=0.6)
-    assert bounds_at(conformal, 10.0, -5.0)[2] > 2.0 * near[2]
+    assert bounds_at(conformal, 10.0, -5.0)[1] > 2.0 * near[1]
     assert np.isnan(bounds_at(conformal, 10.0, 15.0, kind=1)).all()
-    own = learned(0.1 * rng.normal(size=ENOUGH + 10), conformal, celsius=25.0)
-    assert bounds_at(own, 10.0, 25.0)[2] < 0.5 * near[2]
+    own = learned(0.1 * rng.normal(size=SUFFICIENT_SHIFTS + 10), conformal, celsius=25.0)
+    assert bounds_at(own, 10.0, 25.0)[1] < 0.5 * near[1]
 
 
-@given(st.lists(st.floats(-50.0, 50.0), min_size=LEAST, max_size=80), st.integers(1, 5))
+@given(st.lists(st.floats(-50.0, 50.0), min_size=LEAST_SHIFTS, max_size=80), st.integers(1, 5))
 def test_quantiles_rise_and_lie_among_the_errors(scores, each):
     shifts = [(score,) * each for score in scores]
-    found = quantiles(shifts, LEVELS)
+    found = compute_quantiles(shifts, LEVELS)
     assert (np.diff(found) >= 0.0).all()
     assert min(scores) <= found[0]
     assert found[-1] <= max(scores)
-    assert quantiles([(s,) for s in scores], LEVELS) == pytest.approx(
+    assert compute_quantiles([(s,) for s in scores], LEVELS) == pytest.approx(
         found, abs=0.2 * (max(scores) - min(scores)) + 1e-9
     )
 
 
 def test_a_shift_counts_as_one_however_many_forecasts_it_had():
     shifts = [(0.0,)] * 50 + [(9.0,) * 500]
-    assert quantiles(shifts, (0.5, 0.9)).tolist() == [0.0, 0.0]
+    assert compute_quantiles(shifts, (0.5, 0.9)).tolist() == [0.0, 0.0]
 
 
 @given(st.floats(0.0, 500.0), st.floats(-60.0, 60.0))
 def test_every_forecast_has_a_class(km, celsius):
-    distance, temperature = (int(place[0]) for place in classes(np.array([km]), np.array([celsius])))
-    assert DISTANCES[distance] <= km
-    assert TEMPERATURES[temperature] <= celsius
-    assert distance == len(DISTANCES) - 1 or km < DISTANCES[distance + 1]
-    assert temperature == len(TEMPERATURES) - 1 or celsius < TEMPERATURES[temperature + 1]
+    distance, temperature = (int(place[0]) for place in classify(np.array([km]), np.array([celsius])))
+    assert DISTANCE_CLASSES[distance] <= km
+    assert TEMPERATURE_CLASSES[temperature] <= celsius
+    assert distance == len(DISTANCE_CLASSES) - 1 or km < DISTANCE_CLASSES[distance + 1]
+    assert temperature == len(TEMPERATURE_CLASSES) - 1 or celsius < TEMPERATURE_CLASSES[temperature + 1]
 
 
 def test_the_unknown_has_a_class_too():
-    distance, temperature = classes(np.array([np.nan, -1.0]), np.array([np.nan, -300.0]))
+    distance, temperature = classify(np.array([np.nan, -1.0]), np.array([np.nan, -300.0]))
     assert distance.tolist() == [0, 0]
     assert temperature.tolist() == [3, 0]
 
@@ -152,39 +154,39 @@ def test_the_unknown_has_a_class_too():
 @given(seed=st.integers(0, 1000), mean=st.floats(0.0, 1.0), sd=st.floats(0.001, 0.2))
 def test_risk_rises_with_the_reserve_and_agrees_with_the_interval(seed, mean, sd):
     conformal = learned(np.random.default_rng(seed).standard_t(5, size=300), nightly=300)
-    table, ((_, low, high),) = conformal.quantiles(*HERE)
+    table, (_, (low,), (high,)) = conformal.get_quantiles(*HERE)
 
     def risks(reserve):
         n = len(reserve)
-        return outlook.risk(Outcome(np.full(n, mean), np.full(n, sd)), reserve, np.repeat(table, n, axis=0))
+        return compute_reserve_risk(MeanAndSd(np.full(n, mean), np.full(n, sd)), reserve, np.repeat(table, n, axis=0))
 
     found = risks(np.linspace(-1.0, 2.0, 400))
     assert (np.diff(found) >= 0.0).all()
     assert ((found >= 0.0) & (found <= 1.0)).all()
-    assert risks(mean + sd * np.array([low, high])) == pytest.approx(BOUNDS, abs=0.005)
+    assert risks(mean + sd * np.array([low, high])) == pytest.approx(BOUND_LEVELS, abs=0.005)
     assert risks(mean + sd * np.array([-1e6, 1e6])).tolist() == [0.0, 1.0]
 
 
 def test_risk_is_how_often_the_charge_ends_below_the_reserve():
     rng = np.random.default_rng(9)
-    table = learned(rng.normal(0.3, 1.5, KEPT), nightly=KEPT).quantiles(*HERE)[0]
+    table = learned(rng.normal(0.3, 1.5, REMEMBERED_SHIFTS), nightly=REMEMBERED_SHIFTS).get_quantiles(*HERE)[0]
     ends = 0.3 + 0.02 * rng.normal(0.3, 1.5, 20_000)
     for reserve in (0.25, 0.28, 0.3, 0.32, 0.35):
-        found = outlook.risk(Outcome(np.array([0.3]), np.array([0.02])), np.array([reserve]), table)
+        found = compute_reserve_risk(MeanAndSd(np.array([0.3]), np.array([0.02])), np.array([reserve]), table)
         assert found[0] == pytest.approx(np.mean(ends < reserve), abs=0.05)
 
 
 def test_of_what_nobody_knows_there_is_no_risk():
-    table = learned(np.linspace(-1.0, 1.0, 30)).quantiles(*HERE)[0]
-    unknown = Outcome(np.array([np.nan]), np.array([0.01]))
-    assert np.isnan(outlook.risk(unknown, np.array([0.1]), table)).all()
-    known = Outcome(np.array([0.5]), np.array([0.01]))
-    assert np.isnan(outlook.risk(known, np.array([0.1]), np.full_like(table, np.nan))).all()
+    table = learned(np.linspace(-1.0, 1.0, 30)).get_quantiles(*HERE)[0]
+    unknown = MeanAndSd(np.array([np.nan]), np.array([0.01]))
+    assert np.isnan(compute_reserve_risk(unknown, np.array([0.1]), table)).all()
+    known = MeanAndSd(np.array([0.5]), np.array([0.01]))
+    assert np.isnan(compute_reserve_risk(known, np.array([0.1]), np.full_like(table, np.nan))).all()
 
 
 def test_what_was_dumped_goes_on_as_if_nothing_had_happened():
     rng = np.random.default_rng(8)
-    one, other = learned(rng.normal(size=500), celsius=-5.0), Conformal()
+    one, other = learned(rng.normal(size=500), celsius=-5.0), ConformalIntervals()
     other.load(one.dump())
     more = rng.normal(size=60)
     assert repr(learned(more, one).dump()) == repr(learned(more, other).dump())

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.forecast.day_rollover import DAY, LATELY, Calendar
+from core.columns import SECONDS_PER_DAY as DAY
+from core.forecast.day_rollover import RECENT_SAMPLES, WINDOW_SAMPLES, DayRollover
 
 YEAR = 365.0 * DAY
 ROLLOVER = -1024.0 * 7.0 * DAY
@@ -29,17 +30,17 @@ def stream(*cars):
     return time, lane.astype(np.int64), stamp
 
 
-def found(lane, stamp, cuts=(), calendar=None):
+def found(lane, stamp, cuts=(), rollover=None):
     """Return the rows before which nights fall, of samples that are cut."""
-    calendar, before, rows = calendar or Calendar(), 0, []
+    rollover, before, rows = rollover or DayRollover(), 0, []
     for lanes, part in zip(np.split(lane, sorted(cuts)), np.split(stamp, sorted(cuts)), strict=True):
-        rows += [before + row for row in calendar.nights(lanes, part)]
+        rows += [before + row for row in rollover.find_rollovers(lanes, part)]
         before += len(part)
     return rows
 
 
 def after_midnight(*cars):
-    """Return how long after midnight each night falls, but for the first, by which the calendar begins. [s]"""
+    """Return how long after midnight each night falls, but for the first, by which the rollover begins. [s]"""
     time, lane, stamp = stream(*cars)
     at = time[found(lane, stamp)]
     assert at[0] < NOON + 8000.0
@@ -62,7 +63,7 @@ def test_ten_thousand_cars_have_one_night_a_day_as_soon_as_most_are_in_it():
 def test_when_only_a_few_drive_at_midnight_the_night_falls_with_their_samples(awake):
     resting = [sent(car, days=0.4, period=60.0) for car in range(awake, 2000)]
     late = after_midnight(*resting, *(sent(car, days=3.0, period=10.0) for car in range(awake)))
-    assert late.max() <= 10.0 * max(LATELY[0] / awake, 2.0)
+    assert late.max() <= 10.0 * max(RECENT_SAMPLES / awake, 2.0)
 
 
 @pytest.mark.parametrize("wrong", [YEAR, 30.0 * YEAR, 3.0 * DAY, -3.0 * DAY, -YEAR])
@@ -111,10 +112,10 @@ def test_a_single_glitch_of_every_car_says_nothing():
 
 @pytest.mark.parametrize("wrong", [3.0 * DAY, YEAR])
 def test_a_calendar_that_was_put_forward_is_put_back_by_most_of_those_who_speak(wrong):
-    calendar = Calendar()
-    found(*stream(*(sent(car, days=0.2, wrong=wrong) for car in range(3)))[1:], calendar=calendar)
+    rollover = DayRollover()
+    found(*stream(*(sent(car, days=0.2, wrong=wrong) for car in range(3)))[1:], rollover=rollover)
     time, lane, stamp = stream(*(sent(car, since=0.2 * DAY) for car in range(3)))
-    at = time[found(lane, stamp, calendar=calendar)]
+    at = time[found(lane, stamp, rollover=rollover)]
     assert at[0] <= time[0] + 1200.0
     assert np.floor(at[1:] / DAY).tolist() == [19_000.0, 19_001.0, 19_002.0]
 
@@ -149,22 +150,28 @@ def test_any_stamps_have_nights_in_order_whatever_the_cuts_and_what_is_kept(stam
     assert rows == sorted(set(rows))
     assert all(0 < row < len(stamps) for row in rows)
     assert found(lane, stamp, [cut for cut in cuts if cut <= len(stamps)]) == rows
-    one, other, half = Calendar(), Calendar(), len(lane) // 2
-    before = one.nights(lane[:half], stamp[:half])
+    one, other, half = DayRollover(), DayRollover(), len(lane) // 2
+    before = one.find_rollovers(lane[:half], stamp[:half])
     other.load(one.dump())
-    rest = other.nights(lane[half:], stamp[half:])
+    rest = other.find_rollovers(lane[half:], stamp[half:])
     assert before + [half + row for row in rest] == rows
-    assert one.nights(lane[half:], stamp[half:]) == rest
+    assert one.find_rollovers(lane[half:], stamp[half:]) == rest
     assert one.dump() == other.dump()
 
 
 def test_the_counts_that_are_kept_are_those_of_the_newest_samples():
     """What is counted as samples come and go is what the newest of them are, also after the ring is full."""
     rng = np.random.default_rng(1)
-    lane, calendar = rng.integers(0, 5000, 5 * LATELY[1]) // rng.integers(1, 5000, 5 * LATELY[1]), Calendar()
-    calendar.nights(lane, MIDNIGHT + DAY * rng.integers(-4, 5, len(lane)))
-    again = Calendar()
-    again.load(calendar.dump())
-    assert np.array_equal(again._heard, calendar._heard)
-    assert np.array_equal(again._said, calendar._said)
-    assert again._heard.sum(axis=0).tolist() == list(LATELY)
+    lane, rollover = (
+        rng.integers(0, 5000, 5 * WINDOW_SAMPLES) // rng.integers(1, 5000, 5 * WINDOW_SAMPLES),
+        DayRollover(),
+    )
+    rollover.find_rollovers(lane, MIDNIGHT + DAY * rng.integers(-4, 5, len(lane)))
+    again = DayRollover()
+    again.load(rollover.dump())
+    for votes in ("_recent_votes", "_window_votes"):
+        assert np.array_equal(getattr(again, votes), getattr(rollover, votes))
+    newest = np.roll(rollover._newest, -rollover._place)
+    for name, samples in (("recent", RECENT_SAMPLES), ("window", WINDOW_SAMPLES)):
+        counts = np.bincount(newest[-samples:], minlength=len(rollover._clocks))
+        assert np.array_equal(rollover._clocks[name], counts)

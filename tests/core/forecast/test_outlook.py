@@ -7,56 +7,71 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.columns import ZERO_CELSIUS
-from core.forecast import outlook
-from core.forecast.learning.leg_energy import REGAINED, STEEPEST, TEMPERATURES
-from core.forecast.outlook import EARLY, FADES, OVERTIME, Known
-from core.forecast.soc_filter import NOISE, WANDER
+from core.forecast.learning.fleet import SHIFT_PATTERN
+from core.forecast.learning.leg_energy import RECOVERED_SHARE, STEEPEST_DESCENT, TEMPERATURES
+from core.forecast.outlook import (
+    DEFAULT_RESERVE,
+    FACTOR_DECAY_TIME,
+    OVERTIME,
+    PLAN_LEAD,
+    CarEstimate,
+    EnergyAhead,
+    compute_end_soc,
+    compute_planned_energy,
+    compute_range,
+    compute_temperature_weights,
+    fill_from_history,
+)
+from core.forecast.planned_legs import PLAN_PROGRESS, compute_planned_legs
+from core.forecast.soc_filter import CONSUMPTION_WANDER, ENERGY_SD
 from core.wire.messages import Leg, Plan
 from tests.support.fleet_days import DAY, DAYS, LEG, LEGS, RESERVE, SHIFT, START, again, speeds
 
 BEGIN = START + DAY * DAYS
 PLAN = Plan("c", BEGIN, BEGIN + SHIFT, RESERVE, [Leg(0.6 * v, 600.0) for v in speeds("c", DAYS).tolist()])
-LESSONS = again().foresight.lessons
-FOUND = outlook.legs(PLAN, LESSONS.tables(2))
+STATISTICS = again().engine.statistics
+PLANNED = compute_planned_legs(PLAN, STATISTICS.get_tables(2))
 CELSIUS = 8.0
 
 
 def usual(n=1, celsius=CELSIUS):
-    weights = outlook.temperature_weights(np.full(n, celsius + ZERO_CELSIUS))
-    return LESSONS.usual(np.ones(n, np.int64), weights)
+    weights = compute_temperature_weights(np.full(n, celsius + ZERO_CELSIUS))
+    return STATISTICS.compute_usual(np.ones(n, np.int64), weights)
 
 
 def ahead(done=0, time=BEGIN, ride_km=0.0, driven_km=0.0, riding=False):
     """Return what is ahead of one car by plan."""
-    course = FOUND.course(done, driven_km).reshape(1)
+    course = PLANNED.compute_progress(done, driven_km).reshape(1)
     one = np.array([time]), np.array([ride_km]), np.array([riding])
-    return outlook.by_plan(course, *one, usual())
+    return compute_planned_energy(course, *one, usual())
 
 
-def known(soc=0.6, variance=1e-5, scale=0.1, scale_variance=0.01, covariance=-1e-5, usual=0.0, capacity=24.0):
-    values = (soc, variance, scale, scale_variance, covariance, usual, 0.01, capacity)
-    return Known(*np.broadcast_arrays(*(np.atleast_1d(np.asarray(value, float)) for value in values)))
+def known(soc=0.6, variance=1e-5, log_factor=0.1, log_factor_variance=0.01, covariance=-1e-5, usual=0.0, capacity=24.0):
+    values = (soc, variance, log_factor, log_factor_variance, covariance, usual, 0.01, capacity)
+    return CarEstimate(*np.broadcast_arrays(*(np.atleast_1d(np.asarray(value, float)) for value in values)))
 
 
 def test_all_of_a_plan_is_what_its_legs_take_and_the_time_between():
     whole = ahead()
-    legs = float((FOUND.energy @ usual().weights[0]).sum())
+    legs = float((PLANNED.energy @ usual().weights[0]).sum())
     rest = SHIFT / 3600.0 - LEGS * 600.0 / 3600.0
-    waiting = rest * usual().standing[0] + LEGS * usual().approach[0]
+    waiting = rest * usual().standing_power[0] + LEGS * usual().approach_energy[0]
     assert whole.energy[0] == pytest.approx(legs + waiting)
     assert whole.km[0] == pytest.approx(sum(leg.distance_km for leg in PLAN.legs))
     assert (whole.hours[0], whole.end[0], whole.reserve[0]) == (SHIFT / 3600.0, BEGIN + SHIFT, RESERVE / 100.0)
-    assert whole.kind[0] == 0
+    assert whole.basis[0] == 0
 
 
 @given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(0.0, 24.0), st.floats(0.1, 24.0))
 def test_what_was_found_today_fades_towards_the_usual(scale, norm, hours, more):
-    soon, late = (known(scale=scale, usual=norm).later(np.array([h]))[0] for h in (hours, hours + more))
+    soon, late = (
+        known(log_factor=scale, usual=norm).compute_mean_log_factor(np.array([h]))[0] for h in (hours, hours + more)
+    )
     assert min(scale, norm) - 1e-9 <= late <= max(scale, norm) + 1e-9
     assert abs(late - norm) <= abs(soon - norm) + 1e-12
-    mean = scipy.integrate.quad(lambda t: norm + (scale - norm) * np.exp(-t / FADES), 0.0, hours + more)[0]
+    mean = scipy.integrate.quad(lambda t: norm + (scale - norm) * np.exp(-t / FACTOR_DECAY_TIME), 0.0, hours + more)[0]
     assert late == pytest.approx(mean / (hours + more), abs=1e-9)
-    assert known(scale=scale, usual=norm).later(np.zeros(1))[0] == pytest.approx(scale, abs=1e-6)
+    assert known(log_factor=scale, usual=norm).compute_mean_log_factor(np.zeros(1))[0] == pytest.approx(scale, abs=1e-6)
 
 
 @given(st.integers(0, LEGS - 1), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
@@ -82,46 +97,49 @@ def test_of_a_leg_counts_what_was_driven_since_the_plan_came(done, before, since
 def test_what_is_left_of_a_plan_is_ahead_as_that_plan_is(done, before, since, riding):
     """One definition: legs that were shortened, taken for a plan, are what is ahead by the plan."""
     driven = since if riding else None
-    rest = FOUND.left(done, driven).course(0, 0.0).reshape(1)
+    rest = PLANNED.get_remaining(done, driven).compute_progress(0, 0.0).reshape(1)
     one = np.array([BEGIN + LEG * done]), np.zeros(1), np.array([riding])
     ride_km, driven_km = (before + since, before) if riding else (0.0, 0.0)
     whole = ahead(done, BEGIN + LEG * done, ride_km, driven_km, riding)
-    for name, value, other in zip(whole._fields, outlook.by_plan(rest, *one, usual()), whole, strict=True):
+    for name, value, other in zip(whole._fields, compute_planned_energy(rest, *one, usual()), whole, strict=True):
         assert value == pytest.approx(other), name
 
 
 @given(st.floats(0.01, 1.0), st.floats(0.1, 20.0), st.floats(1.0, 20.0), st.floats(0.0, 400.0), st.floats(0.0, 400.0))
 def test_a_share_of_a_leg_that_has_begun_takes_that_share(share, km, pace, gained, lost):
     parts = np.array([[1.0], [share]]) * np.array([km, 60.0 * pace * km, gained, lost])
-    whole, some = (LESSONS.tables(2)._replace(start=0.3).legs(*part.reshape(4, 1), begun=True) for part in parts)
+    whole, some = (
+        STATISTICS.get_tables(2)._replace(start_energy=0.3).compute_leg_energy(*part.reshape(4, 1), begun=True)
+        for part in parts
+    )
     assert some == pytest.approx(share * whole)
 
 
 def test_a_ride_that_has_begun_takes_no_beginning():
-    tables, leg = LESSONS.tables(2)._replace(start=0.3), np.array([[6.0], [600.0], [np.nan], [np.nan]])
-    assert tables.legs(*leg) - tables.legs(*leg, begun=True) == pytest.approx(0.3)
+    tables, leg = STATISTICS.get_tables(2)._replace(start_energy=0.3), np.array([[6.0], [600.0], [np.nan], [np.nan]])
+    assert tables.compute_leg_energy(*leg) - tables.compute_leg_energy(*leg, begun=True) == pytest.approx(0.3)
 
 
 @given(st.floats(0.0, 20.0), st.floats(1.0, 20.0), st.floats(0.0, 2000.0), st.floats(0.0, 2000.0))
 def test_a_leg_gives_back_no_more_than_its_descent(km, pace, gained, lost):
-    tables = LESSONS.tables(2)
-    taken = tables.legs(*np.array([[km], [60.0 * pace * km], [gained], [lost]]))
-    assert tables.down < 0.0
-    assert (taken >= tables.down * min(lost, STEEPEST * km) - 1e-12).all()
+    tables = STATISTICS.get_tables(2)
+    taken = tables.compute_leg_energy(*np.array([[km], [60.0 * pace * km], [gained], [lost]]))
+    assert tables.descent_energy < 0.0
+    assert (taken >= tables.descent_energy * min(lost, STEEPEST_DESCENT * km) - 1e-12).all()
 
 
 def test_of_what_a_descent_has_beyond_what_the_way_takes_a_part_comes_back():
-    tables, lost = LESSONS.tables(2), np.array([600.0, 700.0])
-    one, more = tables.legs(np.full(2, 6.0), np.full(2, 600.0), np.zeros(2), lost)
+    tables, lost = STATISTICS.get_tables(2), np.array([600.0, 700.0])
+    one, more = tables.compute_leg_energy(np.full(2, 6.0), np.full(2, 600.0), np.zeros(2), lost)
     assert (one < 0.0).all()
-    assert more - one == pytest.approx(REGAINED * 100.0 * tables.down)
+    assert more - one == pytest.approx(RECOVERED_SHARE * 100.0 * tables.descent_energy)
 
 
 @given(st.integers(0, LEGS), st.floats(0.0, SHIFT + OVERTIME), st.floats(0.0, 10.0), st.booleans())
 def test_the_end_is_never_before_now_nor_before_what_is_planned_can_be_driven(done, passed, driven, riding):
     now = BEGIN + passed
     found = ahead(done, now, driven if riding else 0.0, riding=riding)
-    rest = FOUND.left(done, driven if riding else None)
+    rest = PLANNED.get_remaining(done, driven if riding else None)
     assert found.end[0] >= max(now, BEGIN + SHIFT)
     assert found.end[0] >= now + rest.seconds.sum() - 1e-6
     assert found.hours[0] == pytest.approx((found.end[0] - now) / 3600.0)
@@ -131,15 +149,15 @@ def test_the_end_is_never_before_now_nor_before_what_is_planned_can_be_driven(do
 def test_when_all_legs_are_done_the_rest_is_waiting():
     found = ahead(LEGS, BEGIN + SHIFT - 1800.0)
     assert found.km[0] == 0.0
-    assert found.energy[0] == pytest.approx(0.5 * usual().standing[0])
+    assert found.energy[0] == pytest.approx(0.5 * usual().standing_power[0])
     assert ahead(LEGS + 3, BEGIN + SHIFT - 1800.0).energy == pytest.approx(found.energy)
 
 
 @pytest.mark.parametrize(
     ("passed", "speaks"),
     [
-        (-EARLY - 1.0, False),
-        (-EARLY, True),
+        (-PLAN_LEAD - 1.0, False),
+        (-PLAN_LEAD, True),
         (0.0, True),
         (SHIFT, True),
         (SHIFT + OVERTIME, True),
@@ -153,7 +171,9 @@ def test_a_plan_speaks_from_a_little_before_it_came_to_a_little_after_its_end(pa
 
 
 def test_where_there_is_no_plan_it_says_nothing():
-    none = outlook.by_plan(np.zeros(1, outlook.COURSE), np.array([BEGIN]), np.zeros(1), np.zeros(1, np.bool_), usual())
+    none = compute_planned_energy(
+        np.zeros(1, PLAN_PROGRESS), np.array([BEGIN]), np.zeros(1), np.zeros(1, np.bool_), usual()
+    )
     assert np.isnan(none.energy).all()
     assert np.isnan(none.reserve).all()
 
@@ -161,65 +181,69 @@ def test_where_there_is_no_plan_it_says_nothing():
 def test_habits_tell_only_where_no_plan_does_and_only_until_the_usual_end():
     n = 4
     unknown = np.array([np.nan, np.nan, np.nan, 3.0])
-    plain = outlook.Ahead(
+    plain = EnergyAhead(
         unknown, unknown, unknown, unknown, np.array([np.nan, np.nan, np.nan, 0.3]), np.zeros(n, np.int64)
     )
     elapsed, now = np.array([3600.0, 3600.0 * 7.0, 3600.0, 3600.0]), np.full(n, BEGIN)
-    hours, busy = np.array([6.0, 6.0, np.nan, 6.0]), np.full(n, 1.2)
-    found = outlook.by_habit(plain, usual(n), elapsed, now, hours, busy)
-    assert found.energy[0] == pytest.approx(1.2 * 5.0 * usual().power[0])
+    patterns = np.array([(hours, 1.2) for hours in (6.0, 6.0, np.nan, 6.0)], SHIFT_PATTERN)
+    found = fill_from_history(plain, usual(n), elapsed, now, patterns)
+    assert found.energy[0] == pytest.approx(1.2 * 5.0 * usual().mean_power[0])
     assert found.end[0] == BEGIN + 5.0 * 3600.0
     assert np.isnan(found.energy[1:3]).all()
     assert found.energy[3] == 3.0
-    assert found.kind.tolist() == [1, 0, 0, 0]
-    assert found.reserve.tolist() == [outlook.RESERVE] * 3 + [0.3]
+    assert found.basis.tolist() == [1, 0, 0, 0]
+    assert found.reserve.tolist() == [DEFAULT_RESERVE] * 3 + [0.3]
 
 
 @given(st.floats(0.0, 15.0), st.floats(0.01, 5.0), st.floats(0.0, 8.0))
 def test_more_ahead_leaves_less_and_is_less_sure(energy, more, hours):
-    first, second = (outlook.at_end(known(), np.array([e]), np.array([hours])) for e in (energy, energy + more))
+    first, second = (compute_end_soc(known(), np.array([e]), np.array([hours])) for e in (energy, energy + more))
     assert second.mean[0] < first.mean[0]
     assert second.sd[0] > first.sd[0]
-    assert first.mean[0] == pytest.approx(0.6 - np.exp(known().later(np.array([hours]))[0]) * energy / 24.0)
+    assert first.mean[0] == pytest.approx(
+        0.6 - np.exp(known().compute_mean_log_factor(np.array([hours]))[0]) * energy / 24.0
+    )
 
 
 def test_its_deviation_is_that_of_what_may_happen():
     rng, n = np.random.default_rng(1), 200_000
     spread = np.array([[2e-5, -1e-4], [-1e-4, 0.004]])
     soc, scale = rng.multivariate_normal([0.6, 0.0], spread, n).T
-    scale += WANDER * np.sqrt(3.0) * rng.normal(size=n)
-    energy = 8.0 * np.exp(scale) + NOISE * np.sqrt(8.0) * rng.normal(size=n)
+    scale += CONSUMPTION_WANDER * np.sqrt(3.0) * rng.normal(size=n)
+    energy = 8.0 * np.exp(scale) + ENERGY_SD * np.sqrt(8.0) * rng.normal(size=n)
     ends = soc - energy / 24.0 + rng.uniform(-0.005, 0.005, n)
-    told = known(variance=2e-5, scale=0.0, scale_variance=0.004, covariance=-1e-4)
-    found = outlook.at_end(told, np.array([8.0]), np.array([3.0]))
+    told = known(variance=2e-5, log_factor=0.0, log_factor_variance=0.004, covariance=-1e-4)
+    found = compute_end_soc(told, np.array([8.0]), np.array([3.0]))
     assert found.sd[0] == pytest.approx(ends.std(), rel=0.02)
     assert found.mean[0] == pytest.approx(ends.mean(), abs=0.005)
 
 
 def test_what_is_reported_is_never_surer_than_its_quantum():
-    found = outlook.at_end(known(variance=0.0, scale_variance=0.0, covariance=0.0), np.zeros(1), np.zeros(1))
+    found = compute_end_soc(known(variance=0.0, log_factor_variance=0.0, covariance=0.0), np.zeros(1), np.zeros(1))
     assert found.sd[0] == pytest.approx(0.01 / np.sqrt(12.0))
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.0, 0.5), st.floats(0.0, 1.0))
 def test_a_fuller_car_goes_farther_and_one_below_its_reserve_nowhere(soc, more, reserve):
-    reach = [outlook.reach(known(s), np.array([reserve]), usual()) for s in (soc, min(soc + more, 1.0))]
+    reach = [compute_range(known(s), np.array([reserve]), usual()) for s in (soc, min(soc + more, 1.0))]
     assert 0.0 <= reach[0].mean[0] <= reach[1].mean[0]
     assert all(each.sd[0] >= 0.0 and np.isfinite(each.sd[0]) for each in reach)
     assert (reach[0].mean[0] == 0.0) == (soc <= reserve)
     left = max(soc - reserve, 0.0) * 24.0
-    scale = known().later(left / usual().power)[0]
-    assert reach[0].mean[0] == pytest.approx(left / usual().per_km[0] / np.exp(scale))
+    scale = known().compute_mean_log_factor(left / usual().mean_power)[0]
+    assert reach[0].mean[0] == pytest.approx(left / usual().energy_per_km[0] / np.exp(scale))
 
 
 def test_a_leg_of_which_no_climb_is_told_is_as_usual_and_one_that_climbs_takes_more():
     legs = [Leg(6.0, 600.0), Leg(6.0, 600.0, 100.0, 0.0), Leg(6.0, 600.0, None, 100.0), Leg(6.0, 600.0, 0.0, 0.0)]
-    plain, up, down, level = outlook.legs(Plan("c", 0.0, 0.0, 0.0, legs), LESSONS.tables(2)).energy @ usual().weights[0]
+    plain, up, down, level = (
+        compute_planned_legs(Plan("c", 0.0, 0.0, 0.0, legs), STATISTICS.get_tables(2)).energy @ usual().weights[0]
+    )
     assert up > plain > down
     assert plain == pytest.approx(level)  # the rides that this was learned from were level
 
 
 def test_at_an_unknown_temperature_it_is_as_at_a_mild_one():
-    weights = outlook.temperature_weights(np.array([np.nan, 15.0 + ZERO_CELSIUS]))
+    weights = compute_temperature_weights(np.array([np.nan, 15.0 + ZERO_CELSIUS]))
     assert weights[0].tolist() == weights[1].tolist()
     assert weights.shape == (2, len(TEMPERATURES))

@@ -1,12 +1,27 @@
-"""A plan that can be driven is used; any other is refused, with one cause and one line."""
+"""Tests of plan checks, and of parsing the vehicle, the ride and the plan of an outlook query."""
 
-from math import inf, nan
+import json
+from math import inf, isnan, nan
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.forecast.plan_checks import AHEAD_S, LEG_LIMITS, MOST_LEGS, PAST_S, beyond, older, refusal
+from core.errors import AskError
+from core.forecast.plan_checks import (
+    AHEAD_S,
+    LEG_LIMITS,
+    MOST_BYTES,
+    MOST_LEGS,
+    PAST_S,
+    find_leg_fault,
+    find_refusal,
+    is_outdated,
+    parse_leg,
+    parse_parameters,
+    parse_plan,
+    parse_vehicle,
+)
 from core.wire.messages import Leg, Plan
 
 NOW = 1_705_320_000.0
@@ -30,7 +45,7 @@ legs = st.builds(
 
 @given(st.lists(legs, max_size=20), st.floats(0.0, 100.0), st.floats(-PAST_S, AHEAD_S))
 def test_what_can_be_driven_is_not_refused(legs, reserve, ahead):
-    assert refusal(plan(legs=legs, reserve_soc_pct=reserve, shift_end_s=NOW + ahead), NOW) is None
+    assert find_refusal(plan(legs=legs, reserve_soc_pct=reserve, shift_end_s=NOW + ahead), NOW) is None
 
 
 @given(st.lists(legs, max_size=5), legs, st.sampled_from(list(LEG_LIMITS)), st.data())
@@ -40,10 +55,10 @@ def test_one_leg_beyond_a_limit_refuses_the_plan_and_is_named(before, leg, name,
         st.floats(max_value=0.0, exclude_max=True) | st.floats(min_value=most, exclude_min=True) | st.just(nan)
     )
     bad = Leg(**{field: getattr(leg, field) for field in Leg.__struct_fields__} | {name: wrong})
-    refused = refusal(plan(legs=[*before, bad]), NOW)
+    refused = find_refusal(plan(legs=[*before, bad]), NOW)
     assert refused.cause == "out_of_range"
-    assert refused.words.startswith(f"leg {len(before) + 1} of the plan: {name} is {wrong:g}, must be 0 to {most:g};")
-    assert "\n" not in refused.words
+    assert refused.message.startswith(f"leg {len(before) + 1} of the plan: {name} is {wrong:g}, must be 0 to {most:g};")
+    assert "\n" not in refused.message
 
 
 @pytest.mark.parametrize(
@@ -68,41 +83,183 @@ def test_one_leg_beyond_a_limit_refuses_the_plan_and_is_named(before, leg, name,
     ],
 )
 def test_what_is_wrong_with_a_plan_is_told(changed, cause, told):
-    refused = refusal(plan(**changed), NOW)
+    refused = find_refusal(plan(**changed), NOW)
     assert refused.cause == cause
-    assert told in refused.words
-    assert len(refused.words) < 200
+    assert told in refused.message
+    assert len(refused.message) < 200
 
 
 def test_as_many_legs_as_are_allowed_and_a_pause_between_are_no_reason():
-    assert refusal(plan(legs=[Leg(1.0, 60.0), Leg(0.0, 600.0), Leg(0.0, 0.0)] + [Leg(1.0, 60.0)] * 497), NOW) is None
+    assert (
+        find_refusal(plan(legs=[Leg(1.0, 60.0), Leg(0.0, 600.0), Leg(0.0, 0.0)] + [Leg(1.0, 60.0)] * 497), NOW) is None
+    )
 
 
 def test_legs_that_need_more_time_than_there_is_are_no_reason():
-    assert refusal(plan(legs=[Leg(100.0, 7200.0)] * 3), NOW) is None
+    assert find_refusal(plan(legs=[Leg(100.0, 7200.0)] * 3), NOW) is None
 
 
 @pytest.mark.parametrize("end", [0.0, NOW - 1e6, NOW, NOW + 1e6])
 def test_where_the_time_is_not_known_a_shift_may_end_at_any(end):
-    assert refusal(plan(shift_end_s=end), nan) is None
-    assert refusal(plan(shift_end_s=end, reserve_soc_pct=101.0), nan) is not None
+    assert find_refusal(plan(shift_end_s=end), nan) is None
+    assert find_refusal(plan(shift_end_s=end, reserve_soc_pct=101.0), nan) is not None
 
 
 def test_the_speed_that_is_allowed_is_that_of_the_leg():
-    assert beyond(Leg(200.0, 3600.0)) is None
-    assert beyond(Leg(200.1, 3600.0)) is not None
+    assert find_leg_fault(Leg(200.0, 3600.0)) is None
+    assert find_leg_fault(Leg(200.1, 3600.0)) is not None
 
 
 @pytest.mark.parametrize("ahead", [1800.0, AHEAD_S])
 def test_how_far_ahead_a_shift_may_end_is_told_as_it_is_asked_for(ahead):
-    assert refusal(plan(shift_end_s=NOW + ahead), NOW, ahead) is None
-    refused = refusal(plan(shift_end_s=NOW + ahead + 1.0), NOW, ahead)
+    assert find_refusal(plan(shift_end_s=NOW + ahead), NOW, ahead) is None
+    refused = find_refusal(plan(shift_end_s=NOW + ahead + 1.0), NOW, ahead)
     assert refused.cause == "plan_too_far_ahead"
-    assert f"at most {ahead / 3600.0:g} h" in refused.words
+    assert f"at most {ahead / 3600.0:g} h" in refused.message
 
 
 @pytest.mark.parametrize(
     ("newest", "found"), [(-1.0, False), (0.0, False), (1.0, True), (AHEAD_S, True), (AHEAD_S + 1.0, False)]
 )
 def test_a_plan_is_older_than_the_newest_one_unless_that_is_of_a_wrong_clock(newest, found):
-    assert older(plan(time_s=NOW), NOW + newest) is found
+    assert is_outdated(plan(time_s=NOW), NOW + newest) is found
+
+
+# parsing of a query
+
+RIDE = {"distance_km": "18", "duration_s": "1500"}
+QUERY_PLAN = {"shift_end_s": 7200.0, "reserve_soc_pct": 20.0, "legs": [{"distance_km": 3.0, "duration_s": 300.0}]}
+
+
+def one_line(error: AskError) -> bool:
+    return "\n" not in str(error) and len(str(error)) < 300
+
+
+def answered(call, *arguments):
+    """Return what a call returns, or the error that it told."""
+    try:
+        return call(*arguments)
+    except AskError as error:
+        return error
+
+
+@given(st.floats(0.0, 75.0), st.floats(1350.0, 86_400.0), st.floats(0.0, 5000.0), st.sampled_from("&;"))
+def test_a_ride_is_read_as_it_was_written(distance, duration, gained, between):
+    text = between.join((f"distance_km={distance!r}", f"gained_m={gained!r}", f"duration_s={duration!r}"))
+    assert parse_leg(parse_parameters(text)) == Leg(distance, duration, gained)
+
+
+@pytest.mark.parametrize("text", ["", "_time=[now(-1h)..]", "&;", "_anyke"])
+def test_where_no_ride_is_asked_for_there_is_none(text):
+    assert parse_leg(parse_parameters(text)) is None
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"distance_km": "far"}, "distance_km is 'far', must be a number"),
+        ({"distance_km": ""}, "distance_km is ''"),
+        ({"distance_km": "18 km"}, "'18 km'"),
+        ({"distance_km": "1_8"}, "'1_8'"),
+        ({"distance_km": "١٨"}, "must be a number"),
+        ({"distance_km": "."}, "'.'"),
+        ({"distance_km": "nan"}, "'nan'"),
+        ({"duration_s": "inf"}, "duration_s is 'inf'"),
+        ({"duration_s": "1e999"}, "'1e999'"),
+        ({"gained_m": "-Infinity"}, "gained_m is '-Infinity'"),
+        ({"distance_km": "-3"}, "distance_km is -3, must be 0 to 1000; give kilometres"),
+        ({"distance_km": "1000.1", "duration_s": "86400"}, "distance_km is 1000.1"),
+        ({"duration_s": "0", "distance_km": "0"}, "duration_s is 0, must be above 0"),
+        ({"duration_s": "-1"}, "duration_s is -1"),
+        ({"duration_s": "86401"}, "duration_s is 86401, must be 0 to 86400; give seconds"),
+        ({"gained_m": "5001"}, "gained_m is 5001"),
+        ({"lost_m": "-0.5"}, "lost_m is -0.5"),
+        ({"duration_s": "60"}, "18 km in 60 s are more than 200 km/h"),
+        ({"speed_kmh": "50"}, "'speed_kmh' is no parameter; those are distance_km, duration_s, gained_m, lost_m"),
+        ({"distance_km": "\n" + "9" * 100_000 + "x"}, "…"),
+        ({"x" * 100_000: "1"}, "…"),
+    ],
+)
+def test_what_is_wrong_with_a_ride_is_one_line(changed, told):
+    with pytest.raises(AskError) as caught:
+        parse_leg(RIDE | changed)
+    assert told in str(caught.value)
+    assert one_line(caught.value)
+
+
+@pytest.mark.parametrize("given", [{"distance_km": "18"}, {"duration_s": "1500"}, {"gained_m": "4"}])
+def test_a_ride_is_asked_for_by_distance_and_duration_together(given):
+    with pytest.raises(AskError, match="not given; a ride needs distance_km and duration_s"):
+        parse_leg(given)
+
+
+def test_a_parameter_given_twice_is_refused():
+    with pytest.raises(AskError, match="'distance_km' is given twice"):
+        parse_parameters("distance_km=1&duration_s=60&distance_km=2")
+
+
+@given(st.text(max_size=60))
+def test_any_text_is_a_ride_or_none_or_one_line(text):
+    got = answered(lambda: parse_leg(parse_parameters(text)))
+    assert one_line(got) if isinstance(got, AskError) else got is None or got.duration_s > 0.0
+
+
+@pytest.mark.parametrize("text", ["", "*", "**", "taxi 7", "a/b", "é", "x" * 65, "a\n"])
+def test_a_vehicle_is_one_name(text):
+    with pytest.raises(AskError) as caught:
+        parse_vehicle(text)
+    assert one_line(caught.value)
+    assert parse_vehicle("taxi-0.1_2") == "taxi-0.1_2"
+
+
+@pytest.mark.parametrize("payload", [None, b""])
+def test_without_a_payload_there_is_no_plan(payload):
+    assert parse_plan(payload, "a") is None
+
+
+def test_vehicle_and_time_of_a_plan_may_be_left_out():
+    plan = parse_plan(json.dumps(QUERY_PLAN).encode(), "a")
+    assert (plan.vehicle_id, plan.shift_end_s, plan.reserve_soc_pct) == ("a", 7200.0, 20.0)
+    assert plan.legs == [Leg(3.0, 300.0)]
+    assert isnan(plan.time_s)
+    whole = parse_plan(json.dumps(QUERY_PLAN | {"vehicle_id": "a", "time_s": 5.0, "lunch": "noon"}).encode(), "a")
+    assert whole.time_s == 5.0
+
+
+@pytest.mark.parametrize(
+    ("payload", "cause", "told"),
+    [
+        (b"\xff\x00", "payload", "no plan"),
+        (b"rubbish", "payload", "no plan"),
+        (b"[" * 100_000, "payload", "no plan"),
+        (b"[1]", "payload", "Expected `object`"),
+        (b"{}", "payload", "missing required field `shift_end_s`"),
+        (json.dumps(QUERY_PLAN | {"legs": "many"}).encode(), "payload", "$.legs"),
+        (
+            json.dumps(QUERY_PLAN | {"legs": [{"distance_km": "x", "duration_s": 3}]}).encode(),
+            "payload",
+            "legs[0].distance",
+        ),
+        (json.dumps(QUERY_PLAN | {"vehicle_id": "b"}).encode(), "payload", "of 'b', the question of a"),
+        (json.dumps(QUERY_PLAN | {"reserve_soc_pct": float("nan")}).encode(), "payload", "malformed"),
+        (json.dumps(QUERY_PLAN | {"reserve_soc_pct": 120}).encode(), "out_of_range", "reserve_soc_pct is 120"),
+        (
+            json.dumps(QUERY_PLAN | {"legs": QUERY_PLAN["legs"] * 10_000}).encode(),
+            "too_many_legs",
+            "10000 legs, at most 500",
+        ),
+        (b" " * (MOST_BYTES + 1), "payload", f"{MOST_BYTES + 1} bytes"),
+    ],
+)
+def test_what_is_wrong_with_a_plan_is_one_line(payload, cause, told):
+    with pytest.raises(AskError) as caught:
+        parse_plan(payload, "a")
+    assert caught.value.cause == cause
+    assert told in str(caught.value)
+    assert one_line(caught.value)
+
+
+@given(st.binary(max_size=80))
+def test_any_payload_is_a_plan_or_none_or_one_line(payload):
+    got = answered(parse_plan, payload, "a")
+    assert one_line(got) if payload else got is None

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.forecast.outlook import OVERTIME
-from core.forecast.plan_tracker import PLAN_LAG, PROLONGED, SHORTEST_RIDE
+from core.forecast.plan_tracker import PLAN_LAG, PROLONGATION, SHORTEST_RIDE
 from core.pipeline import Pipeline
 from tests.support.fleet_days import (
     CARS,
@@ -43,7 +43,7 @@ def at(passed, pipeline=None, sent=None, inserted=()):
 
 def known(pipeline, lane=LANE):
     """Return what is left of the plan."""
-    return pipeline.foresight.courses.left(lane, float(pipeline.foresight.state["time"][lane])).plan
+    return pipeline.engine.plans.get_remaining_legs(lane, float(pipeline.engine.state["time"][lane])).plan
 
 
 def left(pipeline):
@@ -88,8 +88,8 @@ def test_more_rides_than_legs_leave_nothing():
     inserted = [(1.0, plan(CAR, DAYS, BEGIN + 1.0, 1))]
     pipeline = at(SHIFT, inserted=inserted)
     assert left(pipeline) == []
-    assert pipeline.foresight.courses.of_lane[LANE]["planned"] == 1.0
-    assert pipeline.foresight.courses.of_lane[LANE]["leg_km"] == 0.0
+    assert pipeline.engine.plans.progress[LANE]["planned"] == 1.0
+    assert pipeline.engine.plans.progress[LANE]["leg_km"] == 0.0
 
 
 def test_a_false_start_uses_up_no_leg():
@@ -157,7 +157,7 @@ def test_a_plan_for_tomorrow_waits_and_leaves_todays(came):
     plain, both = at(passed), at(passed, inserted=[(came, tomorrow(came))])
     assert known(both) == known(plain)
     assert both.ask(CAR) == plain.ask(CAR)
-    assert both.foresight.courses.later[LANE].reserve_soc_pct == 44.0
+    assert both.engine.plans.later[LANE].reserve_soc_pct == 44.0
 
 
 def test_a_plan_for_tomorrow_is_not_todays_where_today_has_none():
@@ -196,7 +196,7 @@ def test_the_plan_for_tomorrow_is_followed_tomorrow():
     assert known(pipeline).reserve_soc_pct == 44.0
     lengths = RIDE * speeds(CAR, DAYS + 1) / 1000.0
     assert left(pipeline)[1:] == pytest.approx(lengths[3:])
-    assert LANE not in pipeline.foresight.courses.later
+    assert LANE not in pipeline.engine.plans.later
     end = START + DAY * (DAYS + 1) + SHIFT
     assert pipeline.ask(CAR).shift_end_s == end
     for cuts in ([600], list(range(1, 700, 7))):
@@ -210,14 +210,14 @@ def test_of_two_plans_for_tomorrow_the_later_one_counts(first, second):
         (second * SHIFT, tomorrow(second * SHIFT, reserve_soc_pct=55.0)),
     ]
     pipeline = at(SHIFT, inserted=inserted)
-    assert pipeline.foresight.courses.later[LANE].reserve_soc_pct == 55.0
+    assert pipeline.engine.plans.later[LANE].reserve_soc_pct == 55.0
 
 
-@pytest.mark.parametrize(("longer", "waits"), [(PROLONGED - 60.0, False), (PROLONGED + 60.0, True)])
+@pytest.mark.parametrize(("longer", "waits"), [(PROLONGATION - 60.0, False), (PROLONGATION + 60.0, True)])
 def test_a_shift_is_prolonged_by_some_hours_at_most(longer, waits):
     end = START + DAY * DAYS + SHIFT + longer
     pipeline = at(60.0, inserted=[(30.0, plan(CAR, DAYS, BEGIN + 30.0, shift_end_s=end))])
-    assert (LANE in pipeline.foresight.courses.later) == waits
+    assert (LANE in pipeline.engine.plans.later) == waits
     assert pipeline.ask(CAR).shift_end_s == (START + DAY * DAYS + SHIFT if waits else end)
 
 
@@ -228,13 +228,13 @@ def test_a_shift_may_be_cut_short_at_any_time():
 
 def test_a_plan_that_is_over_does_not_hold_up_the_next():
     """The next shift of the same day, planned once all legs of the first are done and its end is past."""
-    courses = at(SHIFT + 2.0 * PERIOD).foresight.courses
-    planned, over = courses.plans[LANE], START + DAY * DAYS + SHIFT
-    assert planned.over(over + 1.0)
-    assert not planned.over(over - 1.0)
+    tracker = at(SHIFT + 2.0 * PERIOD).engine.plans
+    planned, over = tracker.plans[LANE], START + DAY * DAYS + SHIFT
+    assert planned.is_over(over + 1.0)
+    assert not planned.is_over(over - 1.0)
     late = planned._replace(done=LEGS - 1)
-    assert not late.over(over + OVERTIME)
-    assert late.over(over + OVERTIME + 1.0)
+    assert not late.is_over(over + OVERTIME)
+    assert late.is_over(over + OVERTIME + 1.0)
 
 
 def test_a_plan_that_cannot_be_used_leaves_the_one_before():
@@ -250,7 +250,7 @@ def test_a_plan_that_cannot_be_used_leaves_the_one_before():
 
 def test_a_car_without_a_plan_has_none_left_and_a_plan_alone_makes_no_forecast():
     pipeline = again()
-    assert pipeline.foresight.courses.left(97, START) is None
+    assert pipeline.engine.plans.get_remaining_legs(97, START) is None
     unheard = told("plan", "z", START, shift_end_s=START + SHIFT, reserve_soc_pct=RESERVE, legs=[])
     assert pipeline.push([unheard]) == []
-    assert pipeline.foresight.courses.left(pipeline.lanes.find("z"), START).plan.legs == []
+    assert pipeline.engine.plans.get_remaining_legs(pipeline.lanes.find("z"), START).plan.legs == []

@@ -8,8 +8,20 @@ from filterpy.kalman import KalmanFilter
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from core.forecast import outlook, soc_filter
-from tests.support.soc_shifts import BEGIN, CAPACITY, NIGHT, PRIOR, STEP, covariance, covered, heard, noise, shift
+from core.forecast import filter_state, outlook, soc_filter, soc_reading
+from tests.support.soc_shifts import (
+    BEGIN,
+    CAPACITY,
+    NIGHT,
+    PRIOR,
+    STEP,
+    count_faults,
+    covariance,
+    covered,
+    heard,
+    noise,
+    shift,
+)
 
 QUANTA = (0.001, 0.005, 0.01)
 CARS = 200
@@ -19,24 +31,27 @@ class Oracle:
     """What filterpy makes of the same stretches and ticks, about the same points: that where the shift began."""
 
     def __init__(self, state):
-        self.scale, self.size = state["usual"][0], state["size"][0]
+        self.scale, self.size = state["usual"][0], state["begin_log_capacity"][0]
         self.kf = KalmanFilter(dim_x=3, dim_z=1)
-        self.kf.x = np.array([[state["s"][0]], [state["a"][0]], [state["c"][0]]])
+        self.kf.x = np.array([[state["soc"][0]], [state["log_consumption"][0]], [state["log_capacity"][0]]])
         self.kf.P = covariance(state)
         self.fall = 0.0
 
     def move(self, predicted, used, noise):
         """Let the charge fall by what was measured [kWh], or by what was predicted where that is NaN."""
         (_, a, c), kf = self.kf.x[:, 0], self.kf
-        kf.predict(F=np.eye(3), Q=np.diag([0.0, soc_filter.WANDER**2 * STEP / 3600.0, 0.0]))
+        kf.predict(F=np.eye(3), Q=np.diag([0.0, soc_filter.CONSUMPTION_WANDER**2 * STEP / 3600.0, 0.0]))
         fall, by_a, blur = np.exp(a - c) * predicted / CAPACITY, 1.0, noise * predicted / CAPACITY**2
         slope = np.exp(self.scale) * predicted / CAPACITY
         if np.isfinite(used):
             seen = np.array([[0.0, np.exp(self.size + self.scale) * predicted, 0.0]])
-            blurred = (noise + soc_filter.SAMPLED**2) * predicted
+            blurred = (noise + soc_filter.METER_SAMPLING_SD**2) * predicted
             kf.update(used - np.exp(a) * predicted + seen @ kf.x, blurred, seen)
             fall, by_a = used / (CAPACITY * np.exp(kf.x[2, 0])), 0.0
-            slope, blur = used / (CAPACITY * np.exp(self.size)), soc_filter.SAMPLED**2 * abs(used) / CAPACITY**2
+            slope, blur = (
+                used / (CAPACITY * np.exp(self.size)),
+                soc_filter.METER_SAMPLING_SD**2 * abs(used) / CAPACITY**2,
+            )
         self.fall += slope
         along = np.array([[1.0, -by_a * slope, slope], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
         shift_of = kf.x - [[fall], [0.0], [0.0]] - along @ kf.x
@@ -51,7 +66,7 @@ class Oracle:
             at = reported + sign * 0.5 * (quantum - since)
             variance = (0.1 * quantum) ** 2 + since**2 / 12.0
         before = self.kf.P
-        self.kf.update(at, variance + soc_filter.FLOOR**2, np.array([[1.0, 0.0, 0.0]]))
+        self.kf.update(at, variance + soc_reading.READING_SD**2, np.array([[1.0, 0.0, 0.0]]))
         if beyond > abs(self.fall) + quantum:  # not to be trusted: no surer than before
             self.kf.P = before
 
@@ -75,17 +90,18 @@ def test_it_is_the_filter_of_filterpy(seed, quantum, share, a):
     events["metered"] = np.r_[0.0, np.nan_to_num(used).cumsum()]
     events["meter_time"] = STEP * np.r_[0.0, np.isfinite(used).cumsum()]
     state = heard(events[:1]).state
-    oracle = Oracle(state)
+    oracle, steps = Oracle(state), 0
     for i in range(1, len(events)):
         before = state.copy()
         state = heard(events[i : i + 1], before).state
         oracle.move(predicted[i - 1], used[i - 1], noise(STEP * i))
-        assume(state["jumps"][0] == 0.0)
-        if state["ticks"][0] > before["ticks"][0]:
+        assume(np.isnan(state["suspect"][0]))
+        if state["reported"][0] != before["reported"][0]:
+            steps += 1
             oracle.tick(before["reported"][0], events["soc"][i], quantum)
         oracle.reported()
-    assert state["ticks"][0] > 0.0
-    assert [state[name][0] for name in ("s", "a", "c")] == pytest.approx(
+    assert steps > 0
+    assert [state[name][0] for name in ("soc", "log_consumption", "log_capacity")] == pytest.approx(
         oracle.kf.x[:, 0].tolist(), rel=1e-9, abs=1e-12
     )
     assert covariance(state) == pytest.approx(oracle.kf.P, rel=1e-7, abs=1e-14)
@@ -96,24 +112,24 @@ def test_it_is_the_filter_of_filterpy(seed, quantum, share, a):
 def test_a_car_that_takes_a_fifth_more_is_found_out(quantum, metered):
     events, truth = shift(CARS, 4.0, quantum, np.log(1.2), metered=metered, seed=5, step=5.0)
     found = heard(events)
-    scale, spread = (found.at(name, CARS)[:, -1] for name in ("scale", "scale_variance"))
+    scale, spread = (found.at(name, CARS)[:, -1] for name in ("log_factor", "log_factor_variance"))
     assert 0.8 <= covered(scale, spread, truth.a[:, -1]) <= 0.97
     assert np.exp(scale - truth.a[:, -1]).mean() == pytest.approx(1.0, abs=0.02)
     assert np.sqrt(spread).max() < 0.7 * np.sqrt(PRIOR)
-    assert found.state["freezes"].mean() < 0.05
+    assert count_faults(events).freezes.mean() < 0.05
 
 
 @pytest.mark.parametrize("quantum", QUANTA)
 @pytest.mark.parametrize("metered", [False, True])
 def test_what_is_not_known_beforehand_is_within_its_interval_as_often_as_said(quantum, metered):
     rng = np.random.default_rng(3)
-    c = rng.normal(0.0, soc_filter.CAPACITY, CARS)
+    c = rng.normal(0.0, filter_state.CAPACITY_SD, CARS)
     events, truth = shift(
         CARS, 4.0, quantum, c + rng.normal(0.0, np.sqrt(PRIOR), CARS), c, metered=metered, seed=6, step=5.0
     )
     found = heard(events)
     for at in (700, 1400, -1):
-        scale, spread = (found.at(name, CARS)[:, at] for name in ("scale", "scale_variance"))
+        scale, spread = (found.at(name, CARS)[:, at] for name in ("log_factor", "log_factor_variance"))
         assert 0.8 <= covered(scale, spread, truth.a[:, at] - truth.c) <= 0.97
     off, spread = found.at("soc", CARS) - truth.soc, found.at("variance", CARS)
     assert 0.8 <= covered(off[:, 700:], spread[:, 700:], 0.0) <= 0.97
@@ -121,50 +137,50 @@ def test_what_is_not_known_beforehand_is_within_its_interval_as_often_as_said(qu
 
 @pytest.mark.parametrize("quantum", QUANTA)
 def test_capacity_is_learned_over_days_by_voltage_and_current(quantum):
-    smaller, state, spread = np.log(0.85), None, [np.full(60, soc_filter.CAPACITY)]
+    smaller, state, spread = np.log(0.85), None, [np.full(60, filter_state.CAPACITY_SD)]
     for day in range(5):
         events, _ = shift(60, 4.0, quantum, 0.0, smaller, metered=True, seed=day, begin=BEGIN + NIGHT * day)
         state = heard(events, state).state
-        spread.append(np.sqrt(state["cc"]))
-    assert np.exp(state["c"]).mean() == pytest.approx(0.85, abs=0.01)
+        spread.append(np.sqrt(state["p_cc"]))
+    assert np.exp(state["log_capacity"]).mean() == pytest.approx(0.85, abs=0.01)
     assert all(after.mean() < before.mean() for before, after in pairwise(spread[:3]))
-    assert spread[-1].max() < 0.2 * soc_filter.CAPACITY
+    assert spread[-1].max() < 0.2 * filter_state.CAPACITY_SD
 
 
 @pytest.mark.parametrize("quantum", QUANTA)
 def test_the_interval_of_the_capacity_holds_it_as_often_as_said_however_long_is_measured(quantum):
     """What a meter errs by for good is not learned away, and what the capacity changes by is followed."""
     rng = np.random.default_rng(21)
-    c, state, inside = rng.normal(0.0, soc_filter.CAPACITY, CARS), None, []
+    c, state, inside = rng.normal(0.0, filter_state.CAPACITY_SD, CARS), None, []
     for day in range(12):
-        c += soc_filter.AGEING * rng.normal(size=CARS)
+        c += soc_filter.CAPACITY_AGEING * rng.normal(size=CARS)
         events, _ = shift(CARS, 3.0, quantum, 0.0, c, metered=True, seed=day, begin=BEGIN + NIGHT * day, step=30.0)
         state = heard(events, state).state
-        sd = np.hypot(np.sqrt(state["cc"]), soc_filter.METER)
-        inside.append(np.abs(state["c"] - c) < 1.96 * sd)
+        sd = np.hypot(np.sqrt(state["p_cc"]), soc_filter.METER_GAIN_SD)
+        inside.append(np.abs(state["log_capacity"] - c) < 1.96 * sd)
     assert 0.9 <= np.mean(inside[:3]) <= 0.98
     assert 0.9 <= np.mean(inside[-3:]) <= 0.98
-    assert np.sqrt(state["cc"]).max() < soc_filter.METER
+    assert np.sqrt(state["p_cc"]).max() < soc_filter.METER_GAIN_SD
 
 
 def test_without_a_meter_capacity_and_consumption_are_not_told_apart():
     events, _ = shift(60, 4.0, 0.01, np.log(1.1), 0.0, seed=2)
     found = heard(events).state
-    assert np.sqrt(found["cc"]).min() > 0.5 * soc_filter.CAPACITY
+    assert np.sqrt(found["p_cc"]).min() > 0.5 * filter_state.CAPACITY_SD
 
 
 @pytest.mark.parametrize("quantum", QUANTA)
 def test_of_a_car_that_was_not_seen_to_tick_the_quantum_is_taken_for_coarse_until_it_ticks(quantum):
     events, truth = shift(50, 1.0, quantum, seed=3, exact=True)
     ticked = (np.diff(events["soc"], axis=1, prepend=events["soc"][:, :1]) != 0.0).cumsum(axis=1) > 0
-    events["step"] = np.where(ticked, quantum, np.nan)
+    events["quantum"] = np.where(ticked, quantum, np.nan)
     found = heard(events)
     assert found.at("variance", 50)[:, 0] == pytest.approx(
-        np.full(50, soc_filter.COARSEST**2 / 12.0 + soc_filter.FLOOR**2)
+        np.full(50, filter_state.DEFAULT_QUANTUM**2 / 12.0 + soc_reading.READING_SD**2)
     )
     first = np.argmax(ticked, axis=1)
     off = (found.at("soc", 50) - truth.soc)[np.arange(50), first]
-    assert np.abs(off).mean() < 0.2 * soc_filter.FLOOR + 0.1 * quantum
+    assert np.abs(off).mean() < 0.2 * soc_reading.READING_SD + 0.1 * quantum
     assert (found.at("quantum", 50)[np.arange(50), first] == quantum).all()
 
 
@@ -176,9 +192,8 @@ def widths(found, events):
     cars, n = events.shape
     left = events["predicted"][:, -1:] - events["predicted"]
     hours = np.broadcast_to(STEP / 3600.0 * (n - 1 - np.arange(n)), left.shape)
-    told = {name: found.at(name, cars).ravel() for name in soc_filter.TOLD}
-    known = outlook.Known.of(told, np.full(left.size, CAPACITY))
-    end = outlook.at_end(known, left.ravel(), hours.ravel())
+    known = outlook.CarEstimate.from_filter(found.estimates, np.full(left.size, CAPACITY))
+    end = outlook.compute_end_soc(known, left.ravel(), hours.ravel())
     return end.sd.reshape(cars, n), np.sqrt(found.at("variance", cars))
 
 
@@ -196,7 +211,7 @@ def told_wrongly(events, fault, begin, end, by=-0.07):
         bad["soc"][:, on] += by
     elif fault == "jump":  # it is over once the car has told the same for so long that it is believed
         bad["soc"][:, begin:] += by
-        on = (rows >= begin) & (rows < begin + soc_filter.STAYS / STEP)
+        on = (rows >= begin) & (rows < begin + soc_reading.JUMP_CONFIRMATION / STEP)
     return bad, on
 
 
@@ -223,13 +238,14 @@ def test_a_charge_that_is_told_wrongly_never_makes_anything_surer(
     Of a drive whose charge is doubted where it is told rightly, nothing is said.
     """
     rng = np.random.default_rng(seed)
-    c = rng.normal(0.0, soc_filter.CAPACITY, 10)
+    c = rng.normal(0.0, filter_state.CAPACITY_SD, 10)
     events, _ = shift(
         10, 2.0, quantum, c + rng.normal(0.0, np.sqrt(PRIOR), 10), c, metered=metered, seed=seed, full=0.8
     )
     bad, on = told_wrongly(events, fault, begin, begin + lasting, sign * by)
     good = heard(events)
-    sound = (good.state["jumps"] == 0.0) & (good.state["freezes"] == 0.0)
+    faults = count_faults(events)
+    sound = (faults.jumps == 0) & (faults.freezes == 0)
     assume(sound.any())
     (good_end, good_now), (bad_end, bad_now) = widths(good, events), widths(heard(bad), events)
     rows = np.arange(len(on)) >= begin if fault in ("spike", "jump") else on
@@ -244,7 +260,7 @@ def test_a_charge_that_is_frozen_for_long_is_noticed_and_grows_unsure(quantum):
     events, truth = shift(50, 4.0, quantum, 0.1, seed=9)
     bad, on = told_wrongly(events, "frozen", 300, 800)
     found = heard(bad)
-    assert (found.state["freezes"] >= 1.0).all()
+    assert (count_faults(bad).freezes >= 1).all()
     sd = np.sqrt(found.at("variance", 50)[:, on])
     assert (np.diff(sd, axis=1) > 0.0).all()
     error = np.abs(found.at("soc", 50) - truth.soc)
@@ -274,8 +290,8 @@ def test_a_jump_is_not_believed_before_it_has_stayed():
     assert (np.abs(told - truth.soc)[:, on] < 0.03).all()
     after = np.flatnonzero(on)[-1] + 1
     assert (np.abs(told[:, after] - bad["soc"][:, after]) < 0.01).all()
-    assert (np.sqrt(found.at("variance", 50)[:, after]) >= soc_filter.JUMPED).all()
-    assert (found.state["jumps"] == 1.0).all()
+    assert (np.sqrt(found.at("variance", 50)[:, after]) >= soc_reading.JUMP_SD).all()
+    assert (count_faults(bad).jumps == 1).all()
 
 
 def test_a_spike_is_forgotten():
@@ -293,7 +309,8 @@ def test_where_the_charge_is_never_told_nothing_is_known_of_it():
     events["soc"] = np.nan
     found = heard(events)
     assert np.isnan(found.at("soc")).all()
-    assert not found.state["anchors"].any()
+    for name in ("soc", "reported", "suspect"):
+        assert np.isnan(found.state[name]).all()
 
 
 samples = st.tuples(
@@ -308,16 +325,21 @@ samples = st.tuples(
 
 @given(st.lists(samples, max_size=60), st.sampled_from(QUANTA))
 def test_whatever_is_told_its_covariance_is_one_and_the_charge_is_a_number_once_known(told, quantum):
-    events = np.zeros(len(told), soc_filter.EVENT)
+    events = np.zeros(len(told), filter_state.FILTER_EVENT)
     time, totals = BEGIN, np.zeros(4)
     for event, (wait, reported, predicted, metered, charging, ends) in zip(events, told, strict=True):
         time, size = time + wait, min(wait, 60.0)
         known = metered is not None
         totals += predicted or 0.0, metered or 0.0, size * known, size
-        event["kind"], event["time"] = soc_filter.CLOSED if ends else soc_filter.RUNNING, time
+        event["kind"], event["time"] = filter_state.CLOSED if ends else filter_state.RUNNING, time
         event["predicted"], event["metered"], event["meter_time"], event["duration"] = totals
         event["predicted"] = np.nan if predicted is None else totals[0]
-        event["factor"], event["ambient"], event["step"], event["capacity"] = 1.0, 280.0 * totals[3], quantum, CAPACITY
+        event["factor"], event["ambient"], event["quantum"], event["capacity"] = (
+            1.0,
+            280.0 * totals[3],
+            quantum,
+            CAPACITY,
+        )
         event["soc"] = np.nan if reported is None else round(reported / quantum) * quantum
         event["since_charge"] = 0.0 if charging else np.nan
         totals *= not ends
@@ -326,11 +348,11 @@ def test_whatever_is_told_its_covariance_is_one_and_the_charge_is_a_number_once_
         return
     known = np.isfinite(found.at("soc")[0])
     assert np.isfinite(found.at("variance")[0][known]).all()
-    assert np.isfinite(found.at("scale")).all()
+    assert np.isfinite(found.at("log_factor")).all()
     spread = covariance(found.state)
     if known[-1]:
         assert np.linalg.eigvalsh(spread / np.abs(spread).max()).min() > -1e-9
-    assert spread[2, 2] <= soc_filter.CAPACITY**2 * (1.0 + 1e-12)
+    assert spread[2, 2] <= filter_state.CAPACITY_SD**2 * (1.0 + 1e-12)
 
 
 # between rides and shifts
@@ -342,9 +364,9 @@ def test_any_cut_of_the_events_gives_the_same_to_the_bit():
     events = events[np.argsort(events["time"], kind="stable")]
     whole, state, told = heard(events), None, []
     for cut in np.array_split(events, 37):
-        found = heard(cut, soc_filter.new_state(3) if state is None else state)
-        state, told = found.state, [*told, found.told]
-    assert np.concatenate(told).tobytes() == whole.told.tobytes()
+        found = heard(cut, filter_state.create_filter_state(3) if state is None else state)
+        state, told = found.state, [*told, found.estimates]
+    assert np.concatenate(told).tobytes() == whole.estimates.tobytes()
     assert state.tobytes() == whole.state.tobytes()
 
 
@@ -354,11 +376,11 @@ def test_after_a_night_and_after_a_charge_it_begins_at_what_is_told(quantum, aft
     first, _ = shift(20, 2.0, quantum, 0.1, seed=1, exact=True)
     wait = NIGHT if after == "night" else STEP * (first.shape[1] + 40)
     second, _ = shift(20, 2.0, quantum, 0.1, seed=2, begin=BEGIN + wait, full=0.6, exact=True)
-    first["kind"][:, -1] = soc_filter.CLOSED
+    first["kind"][:, -1] = filter_state.CLOSED
     if after == "charge":
         plugged = np.repeat(first[:, -1:], 40, axis=1)
         plugged["kind"], plugged["predicted"], plugged["since_charge"], plugged["soc"] = (
-            soc_filter.RUNNING,
+            filter_state.RUNNING,
             0.0,
             0.0,
             0.6,
@@ -366,16 +388,16 @@ def test_after_a_night_and_after_a_charge_it_begins_at_what_is_told(quantum, aft
         plugged["duration"] = STEP * np.arange(1.0, 41.0)
         plugged["time"] = first["time"][:, -1:] + plugged["duration"]
         plugged["distance"] = plugged["ambient"] = 0.0
-        plugged["kind"][:, -1] = soc_filter.CLOSED
+        plugged["kind"][:, -1] = filter_state.CLOSED
         first = np.concatenate([first, plugged], axis=1)
     events = np.concatenate([first, second], axis=1)
     at = first.shape[1] - (after == "charge")
     found = heard(events)
     assert found.at("soc", 20)[:, at] == pytest.approx(events["soc"][:, at], abs=1e-12)
     assert np.sqrt(found.at("variance", 20)[:, at]) == pytest.approx(
-        np.hypot(quantum / np.sqrt(12.0), soc_filter.FLOOR)
+        np.hypot(quantum / np.sqrt(12.0), soc_reading.READING_SD)
     )
-    assert not found.state["jumps"].any()
+    assert not count_faults(events).jumps.any()
     assert len(found.shifts) == (20 if after == "night" else 0)
     assert np.isfinite(found.state["charged"]).all() == (after == "charge")
 
@@ -385,10 +407,10 @@ def test_a_new_shift_begins_with_what_is_usual_and_keeps_what_is_learned_of_the_
     second, _ = shift(5, 0.01, 0.001, metered=True, seed=5, begin=BEGIN + NIGHT)
     before = heard(first).state
     after = heard(second[:, :1], before, prior=(0.15, 0.004)).state
-    assert after["a"] - after["c"] == pytest.approx(np.full(5, 0.15))
-    assert after["aa"] + after["cc"] - 2.0 * after["ac"] == pytest.approx(np.full(5, 0.004))
-    assert np.array_equal(after["c"], before["c"])
-    assert after["cc"] == pytest.approx(before["cc"] + soc_filter.AGEING**2)
+    assert after["log_consumption"] - after["log_capacity"] == pytest.approx(np.full(5, 0.15))
+    assert after["p_aa"] + after["p_cc"] - 2.0 * after["p_ac"] == pytest.approx(np.full(5, 0.004))
+    assert np.array_equal(after["log_capacity"], before["log_capacity"])
+    assert after["p_cc"] == pytest.approx(before["p_cc"] + soc_filter.CAPACITY_AGEING**2)
     assert (after["shift"] == 1.0).all()
 
 

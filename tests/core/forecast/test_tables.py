@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.forecast.soc_filter import CLOSED_SHIFT
+from core.forecast.filter_state import CLOSED_SHIFT
 from core.forecast.tables import outlook_table, shift_table
 from tests.support.fleet_days import DAYS, RESERVE, SHIFT, again, columns, days, forecasts, shift
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.errors import AskError
-from core.forecast.outlook import RESERVE as RESERVE_SHARE
+from core.forecast.outlook import DEFAULT_RESERVE
 from core.forecast.plan_tracker import LONGEST_SHIFT
 from core.wire.messages import Interval, Leg, Plan, encode
 from tests.support.fleet_days import (
@@ -55,7 +55,7 @@ def one_at(passed):
 def left(pipeline):
     """Return what is left of the plan."""
     lane = CARS.index(CAR)
-    return pipeline.foresight.courses.left(lane, float(pipeline.foresight.state["time"][lane])).plan
+    return pipeline.engine.plans.get_remaining_legs(lane, float(pipeline.engine.state["time"][lane])).plan
 
 
 def means(legs):
@@ -126,11 +126,13 @@ def test_a_ride_that_is_asked_for_leaves_what_a_plan_with_it_would(passed):
 def test_where_no_time_is_left_the_last_ride_ends_the_shift(monkeypatch, legs):
     """Empty ways to rides count on the way as they do at the end."""
     pipeline = one_at(RIDE + 100.0)
-    now, usual = pipeline.ask(CAR).time_s, pipeline.foresight.lessons.usual
+    now, usual = pipeline.ask(CAR).time_s, pipeline.engine.statistics.compute_usual
     near, far = [], []
     for approach, told_of in ((0.0, near), (0.5, far)):
-        one = np.array([approach])
-        monkeypatch.setattr(pipeline.foresight.lessons, "usual", lambda *of, one=one: usual(*of)._replace(approach=one))
+        changed = {"approach_energy": np.array([approach])}
+        monkeypatch.setattr(
+            pipeline.engine.statistics, "compute_usual", lambda *of, changed=changed: usual(*of)._replace(**changed)
+        )
         answer = pipeline.ask(CAR, RIDE_ASKED, Plan(CAR, now, now, RESERVE, legs))
         assert [answer.asked, *answer.legs][-1].soc_pct == pytest.approx(answer.soc_end_of_shift_pct)
         told_of[:] = means([answer.asked, *answer.legs])
@@ -156,7 +158,7 @@ def test_charge_never_rises_along_legs_that_take_energy_and_the_shift_lasts_as_l
     legs, asked, ahead, passed
 ):
     pipeline = one_at(passed)
-    now = float(pipeline.foresight.state["time"][CARS.index(CAR)])
+    now = float(pipeline.engine.state["time"][CARS.index(CAR)])
     answer = pipeline.ask(CAR, asked, Plan(CAR, now, now + ahead, RESERVE, legs))
     place = passed % LEG < RIDE and bool(legs)
     order = answer.legs if asked is None else [*answer.legs[:place], answer.asked, *answer.legs[place:]]
@@ -322,7 +324,7 @@ def test_a_shift_that_is_longer_than_usual_is_not_foretold_but_a_ride_of_it_is()
     plain, asked = pipeline.ask(CAR), pipeline.ask(CAR, RIDE_ASKED)
     assert out[max(out)].soc_end_of_shift_pct is plain.soc_end_of_shift_pct is plain.shift_end_s is None
     assert "longer than those of this car" in plain.why_not
-    assert plain.reserve_soc_pct == asked.reserve_soc_pct == 100.0 * RESERVE_SHARE
+    assert plain.reserve_soc_pct == asked.reserve_soc_pct == 100.0 * DEFAULT_RESERVE
     assert asked.shift_end_s == asked.time_s + RIDE_ASKED.duration_s
     assert asked.soc_end_of_shift_pct == pytest.approx(asked.asked.soc_pct)
     assert 0.0 <= asked.reserve_risk <= 1.0
@@ -335,14 +337,14 @@ def test_a_plan_that_waits_is_told_as_the_reason():
     pipeline.push([told("plan", CAR, START + DAY * 2, shift_end_s=later, reserve_soc_pct=30.0, legs=[])])
     answer = pipeline.ask(CAR)
     assert "the plan that is known is of a later shift" in answer.why_not
-    assert answer.reserve_soc_pct == 100.0 * RESERVE_SHARE
+    assert answer.reserve_soc_pct == 100.0 * DEFAULT_RESERVE
 
 
 def test_when_all_legs_are_done_the_rest_of_the_shift_is_waiting():
     pipeline = one_at(60.0)
     now = pipeline.ask(CAR).time_s
     answer = pipeline.ask(CAR, None, Plan(CAR, now, now + 7200.0, RESERVE, []))
-    waiting = 2.0 * pipeline.foresight.lessons.tables(CARS.index(CAR)).standing.max()
+    waiting = 2.0 * pipeline.engine.statistics.get_tables(CARS.index(CAR)).standing_power.max()
     assert answer.legs == []
     assert 0.0 <= answer.soc_pct - answer.soc_end_of_shift_pct.mean < 100.0 * waiting / 20.0
     assert answer.shift_end_s == now + 7200.0
@@ -353,13 +355,14 @@ def test_when_all_legs_are_done_the_rest_of_the_shift_is_waiting():
 def test_a_car_with_hours_to_spare_waits_no_longer_than_usual_before_its_legs(monkeypatch, passed, usual):
     """Its legs are as those of a shift that is over sooner, and its end is that of the plan."""
     pipeline, lane = one_at(passed), CARS.index(CAR)
-    tables, courses = pipeline.foresight.lessons.tables(lane), pipeline.foresight.courses
-    now = float(pipeline.foresight.state["time"][lane])
+    tables, tracker = pipeline.engine.statistics.get_tables(lane), pipeline.engine.plans
+    now = float(pipeline.engine.state["time"][lane])
     plan = Plan(CAR, now, now + 7200.0, RESERVE, [Leg(4.0, 480.0)] * 3)
-    driving, waits = courses.left(lane, now, plan).seconds.sum(), 3 - courses.riding(lane)
+    driving = tracker.get_remaining_legs(lane, now, plan).seconds.sum()
+    waits = 3 - tracker.is_riding(lane)
 
     def asked(hours, pause):
-        monkeypatch.setattr(pipeline.foresight.lessons, "tables", lambda _: tables._replace(pause=pause))
+        monkeypatch.setattr(pipeline.engine.statistics, "get_tables", lambda _: tables._replace(mean_pause=pause))
         end = now + driving + 3600.0 * hours * waits
         return pipeline.ask(CAR, None, msgspec.structs.replace(plan, shift_end_s=end))
 
@@ -374,13 +377,15 @@ def test_a_car_with_hours_to_spare_waits_no_longer_than_usual_before_its_legs(mo
 def test_how_long_a_car_waits_before_a_leg_is_less_sure_than_what_it_takes_on_the_way(monkeypatch):
     """Of two answers of the same energies, that in which waits take them is less sure."""
     pipeline, told_of = one_at(RIDE + 100.0), []
-    lane, usual = CARS.index(CAR), pipeline.foresight.lessons.usual
-    now, tables = float(pipeline.foresight.state["time"][lane]), pipeline.foresight.lessons.tables(lane)
-    monkeypatch.setattr(pipeline.foresight.lessons, "tables", lambda _: tables._replace(pause=0.5))
+    lane, usual = CARS.index(CAR), pipeline.engine.statistics.compute_usual
+    now, tables = float(pipeline.engine.state["time"][lane]), pipeline.engine.statistics.get_tables(lane)
+    monkeypatch.setattr(pipeline.engine.statistics, "get_tables", lambda _: tables._replace(mean_pause=0.5))
     plan = Plan(CAR, now, now + 3.0 * (480.0 + 1800.0), RESERVE, [Leg(4.0, 480.0)] * 3)
     for standing, approach in ((0.0, 0.6), (1.2, 0.0)):
-        own = {"standing": np.array([standing]), "approach": np.array([approach])}
-        monkeypatch.setattr(pipeline.foresight.lessons, "usual", lambda *of, own=own: usual(*of)._replace(**own))
+        changed = {"standing_power": np.array([standing]), "approach_energy": np.array([approach])}
+        monkeypatch.setattr(
+            pipeline.engine.statistics, "compute_usual", lambda *of, changed=changed: usual(*of)._replace(**changed)
+        )
         told_of.append([leg.soc_pct for leg in pipeline.ask(CAR, None, plan).legs])
     surer, less = told_of
     assert [each.mean for each in surer] == pytest.approx([each.mean for each in less])

@@ -13,8 +13,8 @@ from core import effects
 from core.effects import registry
 from core.errors import ModelError, SocastError
 from core.models import ANY, BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, LinearModel, Term
-from core.monitoring.running_error import Standing
-from core.monitoring.shadow import MOST_VEHICLE_MODELS, Ended, Shadows
+from core.monitoring.running_error import ModelMonitor
+from core.monitoring.shadow import MOST_VEHICLE_MODELS, EndedRides, ShadowModels
 from core.pipeline import Pipeline
 from core.wire.messages import ModelErrors
 from tests.laws.test_pipeline import mixed, shift
@@ -234,13 +234,13 @@ def ended(rng, rides, model="m", first=0.1, second=0.1, cars=10):
     start = START + 86400.0 * (np.arange(rides) // (5 * cars))
     measured = rng.uniform(0.5, 2.0, rides)
     predicted = [measured + rng.normal(0.0, spread, rides) for spread in (first, second)]
-    return Ended(lane, start, start + 600.0, [model] * rides, measured, predicted)
+    return EndedRides(lane, start, start + 600.0, [model] * rides, measured, predicted)
 
 
 @pytest.mark.parametrize(("spread", "verdict"), [(0.05, "better"), (0.1, "not told"), (0.2, "worse")])
 def test_what_is_planted_is_told(rng, spread, verdict):
-    shadows = Shadows([BASIC_PHYSICAL, EXTENDED_PHYSICAL])
-    shadows.count(ended(rng, 2500, second=spread))
+    shadows = ShadowModels([BASIC_PHYSICAL, EXTENDED_PHYSICAL])
+    shadows.add_ended(ended(rng, 2500, second=spread))
     gain = shadows.errors()[1].overall.gain
     assert gain.verdict == verdict
     truth = math.sqrt(2 / math.pi) * (0.1 - spread)
@@ -251,16 +251,16 @@ def test_what_is_planted_is_told(rng, spread, verdict):
 
 
 def test_models_of_the_same_predictions_are_never_told_apart(rng):
-    shadows = Shadows([BASIC_PHYSICAL, EXTENDED_PHYSICAL])
+    shadows = ShadowModels([BASIC_PHYSICAL, EXTENDED_PHYSICAL])
     rides = ended(rng, 3000)
-    shadows.count(rides._replace(predicted=[rides.predicted[0]] * 2))
+    shadows.add_ended(rides._replace(predicted=[rides.predicted[0]] * 2))
     assert shadows.errors()[1].overall.gain.verdict == "not told"
 
 
 def test_vehicle_models_without_end_are_counted_among_all_only(rng):
-    shadows = Shadows([BASIC_PHYSICAL, EXTENDED_PHYSICAL])
+    shadows = ShadowModels([BASIC_PHYSICAL, EXTENDED_PHYSICAL])
     rides = ended(rng, 200, cars=1)
-    shadows.count(rides._replace(vehicle_model=[None, *(f"car {i}" for i in range(199))]))
+    shadows.add_ended(rides._replace(vehicle_model=[None, *(f"car {i}" for i in range(199))]))
     shadows.close()
     errors = shadows.errors()[1]
     assert len(errors.by_vehicle_model) == MOST_VEHICLE_MODELS
@@ -300,8 +300,8 @@ def test_a_snapshot_without_shadows_is_taken_up_with_some_of_the_same_effects():
 
 
 def test_a_standing_ends_a_day_for_a_ride_that_it_did_not_predict():
-    standing = Standing(EXTENDED_PHYSICAL, 0.95)
-    standing.add(3, 10.0, None, 0.1, 0.3, 1.0)
-    standing.add(3, 11.0, None, math.nan, 0.3, 1.0)
-    gain = standing.errors("first/1", 0.0).overall.gain
+    monitor = ModelMonitor(EXTENDED_PHYSICAL, 0.95)
+    monitor.add_ride(3, 10.0, None, 0.1, 0.3, 1.0)
+    monitor.add_ride(3, 11.0, None, math.nan, 0.3, 1.0)
+    gain = monitor.get_errors("first/1", 0.0).overall.gain
     assert (gain.rides, gain.vehicle_days, gain.mean_kwh) == (1, 1, pytest.approx(0.2))

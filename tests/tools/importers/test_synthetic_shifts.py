@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.forecast.plan_checks import refusal
+from core.forecast.plan_checks import find_refusal
 from core.wire.messages import Plan
 from stream.mcap_reader import McapSource
 from tests.support.paths import ROOT
@@ -112,7 +112,7 @@ def test_plans_hold_the_remaining_rides_and_are_valid():
     assert [plan.legs for plan in plans] == [legs[done:] for done in range(5)]
     assert [plan.time_s for plan in plans] == [shift.drives[0].start, *(one.end for one in shift.drives)]
     assert {plan.shift_end_s for plan in plans} == {shift.end}
-    assert [refusal(plan, plan.time_s) for plan in plans] == [None] * 5
+    assert [find_refusal(plan, plan.time_s) for plan in plans] == [None] * 5
 
 
 def test_planned_distances_and_times_have_the_errors_of_a_plan():
@@ -165,7 +165,7 @@ def test_rides_of_the_leaf_become_valid_shifts():
     shifts = concatenate_drives(drives, 3.0)
     assert sum(len(shift.drives) for shift in shifts) == len(drives) == 135
     assert len(shifts) >= 10
-    assert all(refusal(plan, plan.time_s) is None for shift in shifts for plan in decode_plans(make_plans(shift)))
+    assert all(find_refusal(plan, plan.time_s) is None for shift in shifts for plan in decode_plans(make_plans(shift)))
     soc = np.concatenate([one.rows["soc_pct"] for shift in shifts for one in shift.drives])
     assert np.nanmin(soc) >= LOWEST_SOC - 0.5
     assert np.nanmax(soc) <= 100.0

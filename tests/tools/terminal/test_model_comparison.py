@@ -184,7 +184,7 @@ def test_a_change_of_verdict_is_logged_once(monkeypatch):
     keeper = Keeper(pipeline, clock=lambda: now[0])
     for turn in range(4):
         for i in range(20):
-            pipeline.shadows.standings[1]._all.add_cluster(5, 1.0 + 0.1 * (i % 5))
+            pipeline.shadows.monitors[1]._all.add_cluster(5, 1.0 + 0.1 * (i % 5))
         now[0] += 10.0
         keeper(Tally())
         assert len(records) == 1, turn

@@ -6,55 +6,70 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from core.forecast.learning import car_driver as module
-from core.forecast.learning.car_driver import CAR, DAY, DRIVER, LEAST_SHIFTS, MOST_OFF, SEASON, Habit, Scales, code_of
+from core.forecast.learning.car_driver import (
+    CAR_CHANGE_SHIFTS,
+    CAR_SD,
+    DAY_FACTOR_SD,
+    DRIVER_SD,
+    LARGEST_LOG_ERROR,
+    LEAST_SHIFTS,
+    ConsumptionFactors,
+    ShiftPattern,
+    compute_driver_code,
+)
 
 
-def week(rng, scales, days=30, cars=(0.15, -0.1), drivers=(0.08, -0.08)):
+def week(rng, factors, days=30, cars=(0.15, -0.1), drivers=(0.08, -0.08)):
     """Let two drivers change cars every day."""
     for day in range(days):
         for lane, car in enumerate(cars):
             who = (day + lane) % 2
-            used = 20.0 * np.exp(car + drivers[who] + DAY * rng.normal())
-            scales.learn(lane, who, 20.0, used, 40.0)
+            used = 20.0 * np.exp(car + drivers[who] + DAY_FACTOR_SD * rng.normal())
+            factors.add_shift(lane, who, 20.0, used, 40.0)
 
 
 def test_what_a_car_takes_is_kept_from_shift_to_shift():
-    scales, before = Scales(), Scales().expected(0)
+    factors, before = ConsumptionFactors(), ConsumptionFactors().expect(0)
     for _ in range(20):
-        scales.learn(0, None, 20.0, 24.0, 40.0)
-    mean, variance = scales.expected(0)
+        factors.add_shift(0, None, 20.0, 24.0, 40.0)
+    mean, variance = factors.expect(0)
     assert mean == pytest.approx(np.log(1.2), abs=0.02)
-    assert DAY**2 < variance < before[1]
-    assert scales.expected(1) == before == (0.0, CAR**2 + DRIVER**2 + DAY**2)
+    assert DAY_FACTOR_SD**2 < variance < before[1]
+    assert factors.expect(1) == before == (0.0, CAR_SD**2 + DRIVER_SD**2 + DAY_FACTOR_SD**2)
 
 
 def test_cars_and_drivers_are_told_apart():
     inside = []
     for seed in range(60):
-        scales = Scales()
-        week(np.random.default_rng(seed), scales)
+        factors = ConsumptionFactors()
+        week(np.random.default_rng(seed), factors)
         for lane, car in enumerate((0.15, -0.1)):
             for who, driver in enumerate((0.08, -0.08)):
-                mean, variance = scales.expected(lane, who)
-                inside.append(abs(mean - car - driver) < 1.645 * np.sqrt(variance - DAY**2))
+                mean, variance = factors.expect(lane, who)
+                inside.append(abs(mean - car - driver) < 1.645 * np.sqrt(variance - DAY_FACTOR_SD**2))
                 assert mean == pytest.approx(car + driver, abs=0.08)
     assert np.mean(inside) > 0.75
 
 
 def balance(predicted, driver):
     """Return the variance of a car at which what a shift tells is what it grows by until the next one."""
-    noise = driver + DAY**2 + module.NOISE**2 / predicted + (module.COARSEST * 40.0 / predicted) ** 2 / 6.0
-    drift = CAR**2 / SEASON
+    noise = (
+        driver
+        + DAY_FACTOR_SD**2
+        + module.ENERGY_SD**2 / predicted
+        + (module.DEFAULT_QUANTUM * 40.0 / predicted) ** 2 / 6.0
+    )
+    drift = CAR_SD**2 / CAR_CHANGE_SHIFTS
     return 0.5 * (drift + np.sqrt(drift**2 + 4.0 * drift * noise))
 
 
 @given(st.floats(1.0, 60.0), st.booleans())
 def test_every_shift_makes_it_surer_until_what_changes_meanwhile_balances_it(predicted, driven):
-    scales, last = Scales(), Scales().expected(0)[1]
-    floor = balance(predicted, 0.0 if driven else DRIVER**2) + DRIVER**2 + DAY**2
+    factors, last = ConsumptionFactors(), ConsumptionFactors().expect(0)[1]
+    floor = balance(predicted, 0.0 if driven else DRIVER_SD**2) + DRIVER_SD**2 + DAY_FACTOR_SD**2
     for _ in range(300):
-        scales.learn(0, 1 if driven else None, predicted, predicted, 40.0)
-        variance = scales.expected(0)[1]
+        factors.add_shift(0, 1 if driven else None, predicted, predicted, 40.0)
+        variance = factors.expect(0)[1]
         assert variance <= last * (1.0 + 1e-12)
         assert variance >= floor * (1.0 - 1e-9)
         last = variance
@@ -64,11 +79,11 @@ def test_every_shift_makes_it_surer_until_what_changes_meanwhile_balances_it(pre
 @given(st.lists(st.tuples(st.floats(0.02, 60.0), st.floats(0.6, 1.7), st.none() | st.integers(0, 1)), max_size=30))
 @example([(0.02, 1.0, 0)])
 def test_it_is_never_less_sure_than_of_what_was_never_heard_of(shifts):
-    scales = Scales()
+    factors = ConsumptionFactors()
     for predicted, ratio, driver in shifts:
-        scales.learn(0, driver, predicted, ratio * predicted, 40.0)
+        factors.add_shift(0, driver, predicted, ratio * predicted, 40.0)
         for who in (None, 0, 1):
-            assert scales.expected(0, who)[1] <= Scales().expected(0)[1]
+            assert factors.expect(0, who)[1] <= ConsumptionFactors().expect(0)[1]
 
 
 @pytest.mark.parametrize("driven", [False, True])
@@ -76,13 +91,13 @@ def test_a_car_that_changes_is_followed(driven):
     """After a year with the same tyres, which it has learned well, it has others: it takes a tenth more."""
     late = []
     for seed in range(40):
-        rng, scales = np.random.default_rng(seed), Scales()
+        rng, factors = np.random.default_rng(seed), ConsumptionFactors()
         for number in range(265):
             off = 0.0 if number < 250 else np.log(1.1)
-            used = 20.0 * np.exp(off + DAY * rng.normal())
-            scales.learn(0, number % 3 if driven else None, 20.0, used, 40.0)
+            used = 20.0 * np.exp(off + DAY_FACTOR_SD * rng.normal())
+            factors.add_shift(0, number % 3 if driven else None, 20.0, used, 40.0)
             if number in (249, 264):
-                late.append(scales.expected(0)[0])
+                late.append(factors.expect(0)[0])
     before, after = np.reshape(late, (-1, 2)).T
     assert before.mean() == pytest.approx(0.0, abs=0.01)
     assert 0.75 < np.mean(after - before) / np.log(1.1) < 1.0
@@ -91,45 +106,45 @@ def test_a_car_that_changes_is_followed(driven):
 
 @pytest.mark.parametrize(
     ("predicted", "used"),
-    [(0.0, 5.0), (-1.0, 5.0), (5.0, 0.0), (5.0, -2.0), (5.0, 5.0 * np.exp(MOST_OFF) * 1.01), (np.nan, 1.0)],
+    [(0.0, 5.0), (-1.0, 5.0), (5.0, 0.0), (5.0, -2.0), (5.0, 5.0 * np.exp(LARGEST_LOG_ERROR) * 1.01), (np.nan, 1.0)],
 )
 def test_a_shift_that_cannot_be_is_not_learned_from(predicted, used):
-    scales = Scales()
-    scales.learn(0, 1, predicted, used, 40.0)
-    assert scales.expected(0, 1) == Scales().expected(0, 1)
+    factors = ConsumptionFactors()
+    factors.add_shift(0, 1, predicted, used, 40.0)
+    assert factors.expect(0, 1) == ConsumptionFactors().expect(0, 1)
 
 
 def test_short_shifts_tell_less_than_long_ones():
-    short, long = Scales(), Scales()
-    short.learn(0, None, 2.0, 2.4, 40.0)
-    long.learn(0, None, 40.0, 48.0, 40.0)
-    assert 0.0 < short.expected(0)[0] < long.expected(0)[0] < np.log(1.2)
+    short, long = ConsumptionFactors(), ConsumptionFactors()
+    short.add_shift(0, None, 2.0, 2.4, 40.0)
+    long.add_shift(0, None, 40.0, 48.0, 40.0)
+    assert 0.0 < short.expect(0)[0] < long.expect(0)[0] < np.log(1.2)
 
 
 def test_what_is_read_from_the_charge_of_a_large_battery_tells_less():
-    small, large = Scales(), Scales()
-    small.learn(0, None, 5.0, 6.0, 20.0)
-    large.learn(0, None, 5.0, 6.0, 200.0)
-    assert 0.0 < large.expected(0)[0] < small.expected(0)[0]
+    small, large = ConsumptionFactors(), ConsumptionFactors()
+    small.add_shift(0, None, 5.0, 6.0, 20.0)
+    large.add_shift(0, None, 5.0, 6.0, 200.0)
+    assert 0.0 < large.expect(0)[0] < small.expect(0)[0]
 
 
 def test_habits_need_a_few_shifts_and_are_in_the_middle_of_them():
-    scales = Scales()
+    factors = ConsumptionFactors()
     for number, hours in enumerate((6.0, 8.0, 7.0)):
-        assert np.isnan(scales.habit(0)).all() == (number < LEAST_SHIFTS)
-        scales.went(0, Habit(hours, 1.0 + 0.1 * number))
-    assert scales.habit(0) == pytest.approx((7.0, 1.1))
-    assert np.isnan(scales.habit(1)).all()
+        assert np.isnan(factors.get_usual_pattern(0)).all() == (number < LEAST_SHIFTS)
+        factors.add_pattern(0, ShiftPattern(hours, 1.0 + 0.1 * number))
+    assert factors.get_usual_pattern(0) == pytest.approx((7.0, 1.1))
+    assert np.isnan(factors.get_usual_pattern(1)).all()
 
 
 def test_what_was_dumped_goes_on_as_if_nothing_had_happened():
-    one, other = Scales(), Scales()
+    one, other = ConsumptionFactors(), ConsumptionFactors()
     week(np.random.default_rng(1), one)
-    one.went(0, Habit(7.0, 1.0))
+    one.add_pattern(0, ShiftPattern(7.0, 1.0))
     other.load(one.dump())
-    for scales in (one, other):
-        week(np.random.default_rng(2), scales)
-        scales.went(0, Habit(8.0, 1.2))
+    for factors in (one, other):
+        week(np.random.default_rng(2), factors)
+        factors.add_pattern(0, ShiftPattern(8.0, 1.2))
     assert one.dump() == other.dump()
 
 
@@ -139,21 +154,21 @@ def test_what_was_dumped_goes_on_as_if_nothing_had_happened():
 @given(st.lists(st.integers(0, 9), max_size=40))
 @example([0, 1, 0, 2, 3, 3])
 def test_the_drivers_whose_shifts_are_longest_ago_are_forgotten(shifts):
-    scales = Scales()
+    factors = ConsumptionFactors()
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(module, "KEPT_DRIVERS", 2)
-        patched.setattr(module, "DRIVERS_A_CAR", 1)
+        patched.setattr(module, "DRIVERS_PER_CAR", 1)
         for number, driver in enumerate(shifts):
-            scales.learn(0, driver, 20.0, 24.0, 40.0)
+            factors.add_shift(0, driver, 20.0, 24.0, 40.0)
             if number == len(shifts) // 2:
-                scales.load(scales.dump())
+                factors.load(factors.dump())
     last = list(dict.fromkeys(reversed(shifts)))[:3]
-    known = [driver for driver in range(10) if scales.part_of(driver) != (0.0, DRIVER**2)]
+    known = [driver for driver in range(10) if factors.get_driver(driver) != (0.0, DRIVER_SD**2)]
     assert known == sorted(last)
 
 
 def test_drivers_have_codes_of_their_own_that_a_number_holds():
-    codes = {code_of(f"driver-{number}") for number in range(20_000)}
+    codes = {compute_driver_code(f"driver-{number}") for number in range(20_000)}
     assert len(codes) == 20_000
     assert all(int(float(code)) == code >= 0 for code in codes)
-    assert code_of("ana") == 136_244_865_965_049
+    assert compute_driver_code("ana") == 136_244_865_965_049

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from core.forecast.conformal import LEAST
-from core.forecast.learning.car_driver import code_of
-from core.forecast.learning.fleet import Lessons
+from core.forecast.conformal import LEAST_SHIFTS
+from core.forecast.learning.car_driver import compute_driver_code
+from core.forecast.learning.fleet import FleetStatistics
 from core.forecast.learning.ride_stats import LEAST_RIDES
-from core.totals.accumulator import AMOUNTS
 from tests.support.fleet_days import (
     CARS,
     DAYS,
@@ -26,32 +25,33 @@ from tests.support.fleet_days import (
 from tests.support.telemetry import telemetry, told
 
 
-def counted(lessons):
+def counted(statistics):
     """Return how many rides were learned from, and how many rests."""
-    return sum(own.counts for own in lessons.habits._sums.values()).tolist()
+    sums = statistics.rides._sums.values()
+    return [sum(each.rides for each in sums), sum(each.idle_periods for each in sums)]
 
 
-def effective(lessons):
+def effective(statistics):
     """Return what forecasts read."""
-    conformal = lessons.conformal.table.tolist(), lessons.conformal.bounds.tolist()
-    read = lessons.prior.tolist(), lessons._shifts.tolist(), lessons.lean.factor.tolist()
-    return repr((lessons.habits.tables, conformal, read))
+    conformal = statistics.conformal.table.tolist(), statistics.conformal.bounds.tolist()
+    read = statistics.prior.tolist(), statistics._patterns.tolist(), statistics.bias.factor.tolist()
+    return repr((statistics.rides.tables, conformal, read))
 
 
 def test_what_a_day_teaches_takes_effect_overnight_and_only_once():
     pipeline = again()
-    lessons = pipeline.foresight.lessons
-    before, tables, known = effective(lessons), lessons.tables(2), counted(lessons)
+    statistics = pipeline.engine.statistics
+    before, tables, known = effective(statistics), statistics.get_tables(2), counted(statistics)
     pipeline.push(days([DAYS], "abcde"))
-    assert effective(lessons) == before
-    assert lessons.tables(2) is tables
-    assert counted(lessons)[0] >= known[0] + 5 * (LEGS - 1)
+    assert effective(statistics) == before
+    assert statistics.get_tables(2) is tables
+    assert counted(statistics)[0] >= known[0] + 5 * (LEGS - 1)
     pipeline.push(night(DAYS + 1))
-    assert effective(lessons) != before
-    lessons.overnight()
-    once = repr(lessons.dump())
-    lessons.overnight()
-    assert repr(lessons.dump()) == once
+    assert effective(statistics) != before
+    statistics.apply_daily_update()
+    once = repr(statistics.dump())
+    statistics.apply_daily_update()
+    assert repr(statistics.dump()) == once
 
 
 def test_forecasts_of_a_day_rest_on_the_nights_before_it():
@@ -67,9 +67,9 @@ def test_nothing_is_expected_before_enough_rides_and_no_interval_before_enough_s
     pipeline = again(number)
     found = forecasts(pipeline.push([m for _, m in shift("c", number)]), "c")
     enough = number * len(CARS) * (LEGS - 1) >= LEAST_RIDES
-    assert (pipeline.foresight.lessons.tables(2) is not None) == enough
+    assert (pipeline.engine.statistics.get_tables(2) is not None) == enough
     foretold = {each.soc_end_of_shift_pct is not None for each in list(found.values())[2:]}
-    assert foretold == {number * len(CARS) - len(CARS) >= LEAST}
+    assert foretold == {number * len(CARS) - len(CARS) >= LEAST_SHIFTS}
 
 
 def test_of_charging_and_of_silence_nothing_is_learned():
@@ -79,9 +79,9 @@ def test_of_charging_and_of_silence_nothing_is_learned():
         passed = sent["time_s"] - sent["time_s"][0]
         mine = np.flatnonzero((passed >= RIDE) & (passed < LEG))
         sent = change(sent, mine[3:-3])
-        before = rests(pipeline.foresight.lessons)
+        before = rests(pipeline.engine.statistics)
         pipeline.push([m for _, m in shift("d", DAYS, sent)])
-        return rests(pipeline.foresight.lessons) - before
+        return rests(pipeline.engine.statistics) - before
 
     plain = rested(lambda sent, _: sent)
     plugged = rested(lambda sent, rows: sent | {"charging": np.isin(np.arange(len(sent["time_s"])), rows)})
@@ -92,10 +92,10 @@ def test_of_charging_and_of_silence_nothing_is_learned():
     assert silent[1] < plain[1]
 
 
-def rests(lessons):
+def rests(statistics):
     """Return how many rests were learned from, and their time together. [s]"""
-    sums = lessons.habits._sums.values()
-    return np.array([counted(lessons)[1], sum(own.rests[:, AMOUNTS.index("duration")].sum() for own in sums)])
+    sums = statistics.rides._sums.values()
+    return np.array([counted(statistics)[1], 3600.0 * sum(each.standing["hours"].sum() for each in sums)])
 
 
 def late(sent, at, seconds):
@@ -107,33 +107,33 @@ def late(sent, at, seconds):
 def test_a_ride_that_is_unfit_is_not_learned_from():
     pipeline, slow = again(), columns("e", DAYS)
     slow["speed_kmh"][:] = 0.5
-    before = counted(pipeline.foresight.lessons)[0]
+    before = counted(pipeline.engine.statistics)[0]
     pipeline.push([m for _, m in shift("e", DAYS, slow)])
-    assert counted(pipeline.foresight.lessons)[0] == before
+    assert counted(pipeline.engine.statistics)[0] == before
     pipeline.push([m for _, m in shift("d", DAYS)])
-    assert counted(pipeline.foresight.lessons)[0] >= before + LEGS - 1
+    assert counted(pipeline.engine.statistics)[0] >= before + LEGS - 1
 
 
 def test_what_is_pending_survives_a_dump():
     pipeline = again()
     pipeline.push(days([DAYS], "abc"))
     pipeline.push([m for _, m in shift("d", DAYS)][:200])
-    lessons = pipeline.foresight.lessons
-    other = Lessons(pipeline.context, pipeline.ledger.width)
-    other.load(lessons.dump())
-    assert repr(other.dump()) == repr(lessons.dump())
-    assert effective(other) == effective(lessons)
-    for each in (lessons, other):
-        each.overnight()
-    assert repr(other.dump()) == repr(lessons.dump())
-    assert effective(other) == effective(lessons)
+    statistics = pipeline.engine.statistics
+    other = FleetStatistics(pipeline.context, pipeline.ledger.width)
+    other.load(statistics.dump())
+    assert repr(other.dump()) == repr(statistics.dump())
+    assert effective(other) == effective(statistics)
+    for each in (statistics, other):
+        each.apply_daily_update()
+    assert repr(other.dump()) == repr(statistics.dump())
+    assert effective(other) == effective(statistics)
 
 
 def test_a_driver_who_is_known_makes_the_forecast_another():
     pipeline = again()
     for _ in range(30):
-        pipeline.foresight.lessons.scales.learn(90, code_of("heavy"), 20.0, 26.0, 24.0)
-        pipeline.foresight.lessons.scales.learn(90, code_of("other"), 20.0, 20.0, 24.0)
+        pipeline.engine.statistics.factors.add_shift(90, compute_driver_code("heavy"), 20.0, 26.0, 24.0)
+        pipeline.engine.statistics.factors.add_shift(90, compute_driver_code("other"), 20.0, 20.0, 24.0)
     kept = pipeline.snapshot()
     found = {}
     for name in ("heavy", "other", None):

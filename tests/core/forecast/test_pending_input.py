@@ -1,4 +1,4 @@
-"""Where a batch is cut, and what is gathered meanwhile, changes no forecast."""
+"""Where a batch is cut, and what is pending meanwhile, changes no forecast."""
 
 from functools import cache
 
@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import core.pipeline
-from core.forecast.gathered import Gathered
-from core.forecast.plan_tracker import Arrival, Driving
+from core.forecast.engine import PendingInput
+from core.forecast.plan_tracker import DriverNamed, PlanArrival
 from core.totals.accumulator import Ledger, join_totals
 from tests.support.fleet_days import CARS, DAYS, again, merged, plan, shift
 from tests.support.telemetry import START, chunked, leaf, observed, told
@@ -87,26 +87,26 @@ def test_what_was_said_later_waits_and_rows_are_those_of_the_batch():
     ledger = Ledger(0)
     none = ledger.none()
     rows = none._replace(**{name: np.zeros((2, *part.shape[1:]), part.dtype) for name, part in none._asdict().items()})
-    gathered = Gathered(none)
-    assert not gathered
-    plan_later = Arrival(9, 1, None)
-    gathered.say(Driving(5, 0, "x"))
-    gathered.say(plan_later)
-    gathered.add(ledger.close()._replace(running=rows), 3, 2)
-    gathered.add(ledger.close()._replace(running=rows), 5, 2)
-    assert gathered.size == 6
-    assert gathered.lanes == {0, 1}
-    sums, plans, drivers = gathered.take(7)
+    pending = PendingInput(none)
+    assert not pending
+    plan_later = PlanArrival(9, 1, None)
+    pending.add_dispatch(DriverNamed(5, 0, "x"))
+    pending.add_dispatch(plan_later)
+    pending.add_sums(ledger.close()._replace(running=rows), 3, 2)
+    pending.add_sums(ledger.close()._replace(running=rows), 5, 2)
+    assert pending.size == 6
+    assert pending.lanes == {0, 1}
+    sums, plans, drivers = pending.take(7)
     assert sums.running.at.tolist() == [3, 3, 5, 5]
-    assert (plans, drivers) == ([], [Driving(5, 0, "x")])
-    assert gathered.size == 0
-    assert gathered.lanes == {1}
-    gathered.end(9)
-    gathered.add(ledger.close()._replace(running=rows), 2, 2)
-    sums, plans, _ = gathered.take(4)
+    assert (plans, drivers) == ([], [DriverNamed(5, 0, "x")])
+    assert pending.size == 0
+    assert pending.lanes == {1}
+    pending.end_batch(9)
+    pending.add_sums(ledger.close()._replace(running=rows), 2, 2)
+    sums, plans, _ = pending.take(4)
     assert sums.running.at.tolist() == [11, 11]
     assert plans == [plan_later]
-    assert not gathered
+    assert not pending
 
 
 def test_nothing_joined_is_nothing():

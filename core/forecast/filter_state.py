@@ -1,0 +1,170 @@
+"""Record types of the SOC filter: the state of a car, its events, the published estimate and the closed shift."""
+
+from math import nan
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+DEFAULT_QUANTUM: Final = 0.01
+"""Quantum of a state of charge whose step has not been observed, the coarsest that cars report. [1]"""
+CAPACITY_SD: Final = 0.1
+"""Standard deviation of `log_capacity` before any data, from age, temperature and the car's definition of full. [1]"""
+
+RUNNING: Final = 0
+"""Event kind: totals of the ride or idle period in progress."""
+CLOSED: Final = 1
+"""Event kind: totals of a ride or idle period that has ended."""
+DRIVER_NAMED: Final = 2
+"""Event kind: identity of the driver from the next running totals on."""
+
+FILTER_STATE: Final = np.dtype(
+    [
+        ("active", "f8"),  # 1 once the car has sent anything
+        ("time", "f8"),  # of the newest event [s]
+        ("soc", "f8"),  # state of charge [1]
+        ("log_consumption", "f8"),  # `a`: log of the used over the predicted energy
+        ("log_capacity", "f8"),  # `c`: log of the usable over the nominal capacity
+        # covariance matrix of (soc, a, c)
+        ("p_ss", "f8"),
+        ("p_sa", "f8"),
+        ("p_sc", "f8"),
+        ("p_aa", "f8"),
+        ("p_ac", "f8"),
+        ("p_cc", "f8"),
+        ("fall", "f8"),  # charge used since the last accepted reading [1]
+        ("quantum", "f8"),  # of the reported state of charge [1]
+        ("reported", "f8"),  # last accepted reading, the reference of the next one [1]
+        ("frozen", "f8"),  # 1 while the reading stays constant although the charge must have changed
+        ("suspect", "f8"),  # reading that jumped and is not accepted yet, NaN for none [1]
+        ("suspect_time", "f8"),  # when it was first reported [s]
+        ("charging", "f8"),  # 1 while plugged in
+        ("plugged", "f8"),  # since when [s]
+        # totals of the ride or idle period in progress at the previous event
+        ("seen_predicted", "f8"),  # [kWh]
+        ("seen_metered", "f8"),  # [kWh]
+        ("seen_meter_time", "f8"),  # [s]
+        ("seen_time", "f8"),  # [s]
+        ("seen_ambient", "f8"),  # [K s]
+        ("seen_distance", "f8"),  # [m]
+        ("ambient", "f8"),  # newest outside temperature [K]
+        ("shift", "f8"),  # ordinal of the shift
+        ("begin", "f8"),  # of the shift [s]
+        ("begin_soc", "f8"),  # [1]
+        ("last_soc", "f8"),  # last reading in the shift [1]
+        ("lowest_soc", "f8"),  # lowest reading in the shift [1]
+        ("distance", "f8"),  # driven in the shift [m]
+        ("ride_distance", "f8"),  # driven in the shift on rides [m]
+        ("hours", "f8"),  # awake in the shift [h]
+        ("predicted", "f8"),  # energy predicted of the shift [kWh]
+        ("warmth", "f8"),  # integral of the outside temperature over `hours` [K h]
+        ("charged", "f8"),  # time of the last charging within the shift, NaN for none [s]
+        ("begin_log_capacity", "f8"),  # `c` at the beginning of the shift
+        ("usual", "f8"),  # expected `a - c` of the shift, before any of its data
+        ("usual_variance", "f8"),  # variance of that expectation
+        ("driver", "f8"),  # code of the driver, -1 while unknown
+        ("driver_mean", "f8"),  # mean of the driver's part of `a`
+        ("driver_variance", "f8"),  # variance of the driver's part
+        ("drivers", "f8"),  # number of drivers in the shift
+        ("next_driver", "f8"),  # driver named since the last running totals, -1 for none
+        ("next_driver_mean", "f8"),
+        ("next_driver_variance", "f8"),
+    ]
+)
+"""State of the filter of one car."""
+
+FILTER_EVENT: Final = np.dtype(
+    [
+        ("kind", "i8"),  # `RUNNING`, `CLOSED` or `DRIVER_NAMED`
+        ("lane", "i8"),
+        ("time", "f8"),  # [s]
+        ("predicted", "f8"),  # energy predicted of the ride or idle period so far [kWh]
+        ("factor", "f8"),  # learned correction factor of the predicted energy [1]
+        ("power", "f8"),  # learned correction that is added to the predicted power [kW]
+        ("metered", "f8"),  # energy so far by voltage and current [kWh]
+        ("meter_time", "f8"),  # time for which that is known [s]
+        ("duration", "f8"),  # so far [s]
+        ("distance", "f8"),  # so far [m]
+        ("riding", "f8"),  # 1 for a ride
+        ("ambient", "f8"),  # integral of the outside temperature so far [K s]
+        ("soc", "f8"),  # reported state of charge, NaN for none [1]
+        ("quantum", "f8"),  # its quantum, NaN while unknown [1]
+        ("since_charge", "f8"),  # time since charging, NaN for never [s]
+        ("capacity", "f8"),  # nominal usable capacity [kWh]
+        # of `DRIVER_NAMED` only
+        ("driver", "f8"),  # code of the driver
+        ("driver_mean", "f8"),  # mean of the driver's part of `a`
+        ("driver_variance", "f8"),  # variance of the driver's part
+    ]
+)
+"""Input of the filter: totals of a ride or idle period, or the name of a driver."""
+
+SOC_ESTIMATE: Final = np.dtype(
+    [
+        ("soc", "f8"),  # published state of charge [1]
+        ("variance", "f8"),  # of `soc`
+        ("log_factor", "f8"),  # `a - c`
+        ("log_factor_variance", "f8"),
+        ("covariance", "f8"),  # of `soc` and `log_factor`
+        ("ambient", "f8"),  # outside temperature [K]
+        ("shift", "f8"),  # ordinal of the shift
+        ("quantum", "f8"),  # of the reported state of charge [1]
+        ("charged", "f8"),  # time of the last charging within the shift, NaN for none [s]
+        ("reported", "f8"),  # last accepted reading in the shift [1]
+        ("begin", "f8"),  # of the shift [s]
+        ("begin_soc", "f8"),  # [1]
+        ("distance", "f8"),  # driven in the shift [m]
+        ("usual", "f8"),  # expected `log_factor` of the shift, before any of its data
+    ]
+)
+"""Output of the filter after each event."""
+
+CLOSED_SHIFT: Final = np.dtype(
+    [
+        ("event", "i8"),  # index of the event that closed the shift
+        ("lane", "i8"),
+        ("shift", "f8"),  # ordinal
+        ("begin", "f8"),  # [s]
+        ("end", "f8"),  # [s]
+        ("begin_soc", "f8"),  # [1]
+        ("last_soc", "f8"),  # [1]
+        ("lowest_soc", "f8"),  # [1]
+        ("distance", "f8"),  # [m]
+        ("ride_distance", "f8"),  # [m]
+        ("hours", "f8"),  # awake [h]
+        ("predicted", "f8"),  # [kWh]
+        ("warmth", "f8"),  # [K h]
+        ("charged", "f8"),  # time of the last charging, NaN for none [s]
+        ("driver", "f8"),  # code of the only driver, -1 where unknown or more than one
+    ]
+)
+"""Summary of a shift that has ended."""
+
+LOG_FACTOR_PRIOR: Final = np.dtype([("mean", "f8"), ("variance", "f8")])
+"""Normal distribution of `a - c` of a car at the beginning of a shift."""
+
+_INITIALLY_NAN: Final = (
+    *("soc", "p_ss", "reported", "suspect", "charged", "ambient"),
+    *("begin_soc", "last_soc", "lowest_soc"),
+)
+
+
+def create_filter_state(lanes: int) -> NDArray[np.void]:
+    """Return the state of cars that have sent nothing.
+
+    Parameters
+    ----------
+    lanes : int
+        Number of cars.
+
+    Returns
+    -------
+    (lanes,) FILTER_STATE
+    """
+    state = np.zeros(lanes, FILTER_STATE)
+    for name in _INITIALLY_NAN:
+        state[name] = nan
+    state["shift"] = state["driver"] = state["next_driver"] = -1.0
+    state["p_cc"] = CAPACITY_SD**2
+    state["quantum"] = DEFAULT_QUANTUM
+    return state

@@ -1,0 +1,350 @@
+"""Compute the tables of leg energy from sums over rides and idle periods.
+
+The model predicts a ride of typical length for each pace and temperature, with the mean amounts of the rides there. The
+measured over the predicted energy of rides and idle periods corrects it: first by a factor and a power for each
+temperature, then by a factor for each pace. Averages blur quantities that change fast with pace or temperature, so
+`fit_leg_energy` then fits the rides as sums of their terms. A waiting car takes the mean power of cars that stood; an
+empty way to a ride takes the energy of idle periods beyond that.
+"""
+
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.batch import Floats, Ints, Lanes
+from core.forecast.learning.leg_energy import PACES, TEMPERATURES, TYPICAL_KM, LegEnergyTables
+from core.totals.accumulator import AMOUNTS, EDGES, Totals
+from core.totals.context import RunContext
+from core.totals.tables import model_columns
+
+GRID: Final = len(PACES), len(TEMPERATURES)
+"""Shape of a table by pace and temperature."""
+CELLS: Final = len(PACES) * len(TEMPERATURES)
+"""Number of its cells."""
+
+ENERGY_SUMS: Final = np.dtype(
+    [
+        ("predicted", "f8"),  # [kWh]
+        ("measured", "f8"),  # [kWh]
+        ("hours", "f8"),  # [h]
+        # products of p (predicted), h (hours) and m (measured) over the variance of the measured energy
+        ("pp", "f8"),
+        ("ph", "f8"),
+        ("hh", "f8"),
+        ("pm", "f8"),
+        ("hm", "f8"),
+    ]
+)
+"""Sums over rides or idle periods with a measured energy, for a regression of measured on predicted energy."""
+
+IDLE_SUMS: Final = np.dtype(
+    [
+        ("energy", "f8"),  # measured, of all [kWh]
+        ("hours", "f8"),  # of all [h]
+        ("standing_energy", "f8"),  # measured, of those in which the car stood [kWh]
+        ("standing_hours", "f8"),  # of those [h]
+    ]
+)
+"""Sums over idle periods with a measured energy."""
+
+FIT_TERMS: Final = np.dtype(
+    [
+        ("km", "f8", GRID),  # kilometres in each cell [km]; coefficient [kWh/km]
+        ("climb", "f8"),  # metres gained beyond the usual [m]; coefficient [kWh/m]
+        ("descent", "f8"),  # metres lost beyond the usual [m]; coefficient [kWh/m]
+        ("start", "f8"),  # ride beginnings [1]; coefficient [kWh]
+    ]
+)
+"""Terms of the energy of a ride, or their coefficients."""
+TERMS: Final = CELLS + 3
+"""Number of those."""
+
+READING_ENERGY_SD: Final = 0.08
+"""Standard deviation of an energy that is read from the charge, about 0.5 % of a small battery. [kWh]"""
+PRIOR_FACTOR_SD: Final = 0.5
+"""Standard deviation of the factor at a temperature about that over all temperatures. [1]"""
+PRIOR_POWER_SD: Final = 0.5
+"""Standard deviation of the power at a temperature about that over all temperatures. [kW]"""
+PRIOR_KWH: Final = 3.0
+"""Weight of the value at neighbouring knots where little energy was measured. [kWh]"""
+PRIOR_HOURS: Final = 0.5
+"""The same weight for powers of standing cars. [h]"""
+PRIOR_MEAN_POWER_HOURS: Final = 1.0
+"""The same weight for the mean power over rides and idle periods. [h]"""
+PRIOR_KM: Final = 20.0
+"""The same weight for energies per kilometre. [km]"""
+PRIOR_CLIMB_SD: Final = 0.002
+"""Standard deviation of the energy of a metre gained, and of a metre lost, about the model's. [kWh/m]"""
+PRIOR_START_SD: Final = 0.1
+"""Standard deviation of the energy of a ride's beginning. [kWh]"""
+PRIOR_CELL_SD: Final = 0.1
+"""Relative standard deviation of the energy per kilometre of a cell about that from averages. [1]"""
+CORRECTION_LIMITS: Final = 0.2, 5.0
+"""Limits of the correction of a model. [1]"""
+LEAST_ENERGY_PER_KM: Final = 0.01
+"""Smallest energy of a level way. [kWh/km]"""
+LEAST_DISTANCE: Final = 100.0
+"""Distance from which a cell is known. [m]"""
+GRAVITY: Final = 9.81
+"""Acceleration of gravity for the climb of a typical ride. [m/s^2]"""
+TEST_CLIMB: Final = 100.0
+"""Climb for which the model predicts the energy per metre. [m]"""
+_CLIMB_EFFECTS: Final = {"climbing": (1.0, -1.0), "climbing_up": (1.0, 0.0), "climbing_down": (0.0, -1.0)}
+"""Effects of climbing, with the share of m g per metre gained and per metre lost that each of them has."""
+_DURATION: Final = AMOUNTS.index("duration")
+_DISTANCE: Final = AMOUNTS.index("distance")
+_GAINED: Final = AMOUNTS.index("gained")
+_LOST: Final = AMOUNTS.index("lost")
+
+
+class RideSums(NamedTuple):
+    """Sums over the rides of a vehicle model, by pace and temperature.
+
+    Parameters
+    ----------
+    amounts : (paces * temperatures, amounts) float
+        Sums of `AMOUNTS` and of the effects.
+    energy : (paces * temperatures,) ENERGY_SUMS
+    """
+
+    amounts: Floats
+    energy: NDArray[np.void]
+
+
+class IdleSums(NamedTuple):
+    """Sums over the idle periods of a vehicle model, by temperature.
+
+    Parameters
+    ----------
+    energy : (temperatures,) ENERGY_SUMS
+    standing : (temperatures,) IDLE_SUMS
+    number : float
+        Number of idle periods with a measured energy.
+    """
+
+    energy: NDArray[np.void]
+    standing: NDArray[np.void]
+    number: float
+
+    def compute_power(self) -> tuple[Floats, Floats]:
+        """Return the power of a standing car [kW], and the energy of an idle period beyond that [kWh].
+
+        Returns
+        -------
+        (temperatures,) float
+        (temperatures,) float
+        """
+        stood, hours = self.standing["standing_energy"], self.standing["standing_hours"]
+        power = _ratio(stood, hours, PRIOR_HOURS, (stood.sum() + 1.0) / (hours.sum() + 1.0))
+        excess = float((self.standing["energy"] - power * self.standing["hours"]).sum()) / max(self.number, 1.0)
+        return power, np.full(len(TEMPERATURES), max(excess, 0.0))
+
+    def compute_mean_pause(self) -> float:
+        """Return the mean duration of an idle period; half an hour without data. [h]"""
+        return float((self.standing["hours"].sum() + PRIOR_HOURS) / (self.number + 1.0))
+
+
+class RideEdges(NamedTuple):
+    """First and last sample of some ride, (edges,) float each, for models that read them."""
+
+    first: Floats
+    last: Floats
+
+
+class LegEquations(NamedTuple):
+    """Normal equations of ride energies on `FIT_TERMS`, each ride over the variance of its energy.
+
+    Parameters
+    ----------
+    matrix : (TERMS, TERMS) float
+    right : (TERMS,) float
+        Right-hand side.
+    """
+
+    matrix: Floats
+    right: Floats
+
+
+def as_matrix(records: NDArray[np.void]) -> Floats:
+    """Return a view of contiguous records of floats as numbers, with one more axis for the fields."""
+    return records.view(np.float64).reshape(*records.shape, -1)
+
+
+def _sum_energy(sums: NDArray[np.void], axis: int) -> NDArray[np.void]:
+    """Return records of energy sums, added up along an axis."""
+    return np.ascontiguousarray(as_matrix(sums).sum(axis=axis)).view(ENERGY_SUMS)[..., 0]
+
+
+def build_leg_energy_tables(
+    rides: RideSums, idle: IdleSums, edges: RideEdges, context: RunContext
+) -> LegEnergyTables | None:
+    """Return the tables of a vehicle model, None where the model cannot predict any of its rides.
+
+    Parameters
+    ----------
+    rides : RideSums
+    idle : IdleSums
+    edges : RideEdges
+    context : RunContext
+
+    Returns
+    -------
+    LegEnergyTables or None
+    """
+    grid, amounts = rides.energy.reshape(GRID), rides.amounts
+    of_rides = _sum_energy(grid, 0)
+    both = (as_matrix(of_rides) + as_matrix(idle.energy)).view(ENERGY_SUMS)[..., 0]
+    factor, power = _regress_by_temperature(both)
+    known = amounts[:, _DISTANCE] > LEAST_DISTANCE
+    typical = amounts[known] * (1000.0 * TYPICAL_KM / amounts[known, _DISTANCE])[:, np.newaxis]
+    predicted = np.full(CELLS, np.nan)
+    predicted[known] = _predict(typical, edges, context) / TYPICAL_KM
+    if not np.isfinite(predicted).any():
+        return None
+    by_pace = amounts.reshape(*GRID, -1).sum(axis=1)
+    standing_power, approach_energy = idle.compute_power()
+    climb_energy, descent_energy = _predict_climb(typical.mean(axis=0), edges, context)
+    of_riding, of_idling = (_compute_level(sums, factor, power) for sums in (of_rides, idle.energy))
+    km = np.maximum(amounts[:, _DISTANCE].reshape(GRID).sum(axis=0) / 1000.0, 1e-9)
+    measured, hours = both["measured"], both["hours"]
+    mean_power = measured.sum() / max(hours.sum(), 1e-9)
+    return LegEnergyTables(
+        leg_energy_per_km=_correct_by_pace(predicted.reshape(GRID), amounts, grid, factor, power),
+        climbed_per_km=_divide(by_pace[:, _GAINED], by_pace[:, _DISTANCE] / 1000.0),
+        descended_per_km=_divide(by_pace[:, _LOST], by_pace[:, _DISTANCE] / 1000.0),
+        climb_energy=climb_energy,
+        descent_energy=descent_energy,
+        start_energy=0.0,
+        standing_power=standing_power,
+        approach_energy=approach_energy,
+        ride_factor=factor * of_riding,
+        ride_power=power * of_riding,
+        idle_factor=factor * of_idling,
+        idle_power=power * of_idling,
+        energy_per_km=_ratio(measured, km, PRIOR_KM, measured.sum() / km.sum()),
+        mean_power=_ratio(measured, hours, PRIOR_MEAN_POWER_HOURS, mean_power),
+        mean_pause=idle.compute_mean_pause(),
+    )
+
+
+def fit_leg_energy(tables: LegEnergyTables, equations: LegEquations) -> LegEnergyTables:
+    """Return tables whose terms fit the measured rides, with the given tables as prior.
+
+    Parameters
+    ----------
+    tables : LegEnergyTables
+    equations : LegEquations
+
+    Returns
+    -------
+    LegEnergyTables
+
+    Notes
+    -----
+    An average over the rides near a knot is blurred by their distances from it; a fit is not. The coefficients are the
+    posterior mean of a linear regression with a normal prior.
+    """
+    prior, spread = np.zeros(1, FIT_TERMS), np.zeros(1, FIT_TERMS)
+    prior["km"], prior["climb"], prior["descent"], prior["start"] = (
+        tables.leg_energy_per_km,
+        tables.climb_energy,
+        tables.descent_energy,
+        tables.start_energy,
+    )
+    spread["km"] = PRIOR_CELL_SD * np.maximum(tables.leg_energy_per_km, LEAST_ENERGY_PER_KM)
+    spread["climb"] = spread["descent"] = PRIOR_CLIMB_SD
+    spread["start"] = PRIOR_START_SD
+    precision = as_matrix(spread)[0] ** -2.0
+    solution = np.linalg.solve(equations.matrix + np.diag(precision), equations.right + precision * as_matrix(prior)[0])
+    fit = solution.view(FIT_TERMS)[0]
+    return tables._replace(
+        leg_energy_per_km=np.maximum(fit["km"], LEAST_ENERGY_PER_KM),
+        climb_energy=float(fit["climb"]),
+        descent_energy=float(fit["descent"]),
+        start_energy=float(fit["start"]),
+    )
+
+
+def _correct_by_pace(per_km: Floats, amounts: Floats, grid: NDArray[np.void], factor: Floats, power: Floats) -> Floats:
+    """Return the energy per kilometre of each cell, as predicted and corrected by the measured energy. [kWh/km]"""
+    hours = _divide(amounts[:, _DURATION] / 3600.0, amounts[:, _DISTANCE] / 1000.0).reshape(GRID)
+    expected = np.maximum(grid["predicted"] * factor + grid["hours"] * power, 0.0)
+    ratio = (grid["measured"] + PRIOR_KWH) / (expected + PRIOR_KWH)
+    return _fill_unknown_cells((per_km * factor + hours * power) * ratio)
+
+
+def _divide(above: Floats, below: Floats) -> Floats:
+    """Return quotients, 0 where the divisor is 0."""
+    return np.divide(above, below, out=np.zeros(len(above)), where=below > 0.0)
+
+
+def _regress_by_temperature(sums: NDArray[np.void]) -> tuple[Floats, Floats]:
+    """Return the factor and the power that correct the predicted energy at each temperature.
+
+    Ridge regressions at each temperature with the fit over all temperatures as prior, whose own prior is the model.
+    """
+    factor, power = _regress(_sum_energy(sums, 0), 1.0, 0.0)
+    by_temperature = [_regress(row, factor, power) for row in sums]
+    return np.array([factor for factor, _ in by_temperature]), np.array([power for _, power in by_temperature])
+
+
+def _regress(sums: np.void | NDArray[np.void], factor: float, power: float) -> tuple[float, float]:
+    """Return factor and power by the regression sums of a temperature, with a prior."""
+    prior = np.array([factor, power])
+    precision = np.diag(1.0 / np.array([PRIOR_FACTOR_SD, PRIOR_POWER_SD]) ** 2)
+    matrix = np.array([[sums["pp"], sums["ph"]], [sums["ph"], sums["hh"]]]) + precision
+    factor, power = np.linalg.solve(matrix, np.array([sums["pm"], sums["hm"]]) + precision @ prior).tolist()
+    return factor, power
+
+
+def _compute_level(sums: NDArray[np.void], factor: Floats, power: Floats) -> Floats:
+    """Return measured over corrected energy at each temperature, with the ratio over all temperatures as prior."""
+    expected = np.maximum(sums["predicted"] * factor + sums["hours"] * power, 0.0)
+    whole = float((sums["measured"].sum() + PRIOR_KWH) / (expected.sum() + PRIOR_KWH))
+    return np.clip(_ratio(sums["measured"], expected, PRIOR_KWH, whole), *CORRECTION_LIMITS)
+
+
+def _ratio(above: Floats, below: Floats, weight: float, prior: float) -> Floats:
+    """Return ratios with a prior of a given weight, in units of the divisor."""
+    return np.asarray((above + weight * prior) / (below + weight))
+
+
+def _predict(amounts: Floats, edges: RideEdges, context: RunContext) -> Floats:
+    """Return the energy of rides of these amounts, (n,), that begin and end as a known ride did. [kWh]"""
+    n = len(amounts)
+    zero: Ints = np.zeros(n, np.int64)
+    first, last = (np.repeat(edge[np.newaxis], n, axis=0) for edge in edges)
+    totals = Totals(zero, zero, zero, zero, amounts, first, last, np.zeros((n, 1)))
+    unnamed = replace(context, lanes=Lanes([""]))
+    return context.model.predict(model_columns(totals, unnamed, context.model.needs))
+
+
+def _predict_climb(typical: Floats, edges: RideEdges, context: RunContext) -> tuple[float, float]:
+    """Return the energy that a metre gained, and a metre lost, adds to a typical ride. [kWh/m]"""
+    kind = int(edges.last[EDGES.index("kind")])
+    weight = GRAVITY * float(context.cars.parameters_of(np.array([kind])).mass_kg[0])
+    level, climbing, descending = typical.copy(), typical.copy(), typical.copy()
+    climbing[_GAINED] += TEST_CLIMB
+    descending[_LOST] += TEST_CLIMB
+    for name, (up, down) in _CLIMB_EFFECTS.items():
+        if name in context.effects:
+            place = len(AMOUNTS) + list(context.effects).index(name)
+            climbing[place] += up * weight * TEST_CLIMB
+            descending[place] += down * weight * TEST_CLIMB
+    of_level, of_climb, of_descent = _predict(np.array([level, climbing, descending]), edges, context)
+    return float(of_climb - of_level) / TEST_CLIMB, float(of_descent - of_level) / TEST_CLIMB
+
+
+def _fill_unknown_cells(grid: Floats) -> Floats:
+    """Return a grid whose unknown cells have the nearest known value, first along temperature, then along pace."""
+    out = grid.copy()
+    for axis in (0, 1):
+        rows = out if axis == 0 else out.T
+        for row in rows:
+            there = np.flatnonzero(np.isfinite(row))
+            if len(there):
+                places = np.arange(len(row))
+                row[:] = row[there[np.abs(places[:, np.newaxis] - there).argmin(axis=1)]]
+    return out

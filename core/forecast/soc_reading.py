@@ -1,0 +1,144 @@
+"""How the SOC filter uses a reported state of charge: steps between quanta, jumps, frozen values, and the published SOC.
+
+A reported state of charge is an interval, not a value with noise. It is a measurement only when it steps: the charge
+has just crossed the boundary between two reported values. Between steps, the absence of a step moves the published
+value and reduces no variance.
+
+A reported value may be wrong. A value that jumped is accepted after it has stayed for `JUMP_CONFIRMATION`; it then moves
+the charge and increases its variance. A value that stays constant although the charge must have changed is frozen; it
+is accepted at its next step, and that step reduces no variance.
+
+References
+----------
+On quantised measurements as intervals: Curry, Estimation and Control with Quantized Measurements, MIT Press 1970. The
+moments of a truncated normal: Johnson, Kotz and Balakrishnan, Continuous Univariate Distributions 1, Wiley 1994,
+section 13.10.1.
+"""
+
+from math import erfc, exp, isnan, nan, pi, sqrt
+from typing import Any, Final
+
+from numba import njit
+
+from core.forecast.kalman_update import update_mean, update_state
+
+READING_SD: Final = 0.001
+"""Standard deviation of a car's internal estimate of its charge at a step. [1]"""
+REJECTION_SDS: Final = 4.0
+"""A reading farther from the estimate than this is not accepted at once. [standard deviations]"""
+REJECTION_MARGIN: Final = 0.01
+"""A reading is never rejected within one quantum and this margin of the estimate. [1]"""
+JUMP_CONFIRMATION: Final = 180.0
+"""Time for which a reading that jumped must stay before it is accepted. [s]"""
+JUMP_SD: Final = 0.01
+"""Standard deviation that an accepted jump adds to the charge. [1]"""
+
+
+@njit(cache=True)
+def update_with_reading(state: Any, event: Any) -> None:
+    """Update the state by the reported state of charge of an event.
+
+    Parameters
+    ----------
+    state : FILTER_STATE
+        Changed in place.
+    event : FILTER_EVENT
+    """
+    if isnan(event.soc):
+        return
+    quantum = state.quantum
+    if isnan(state.soc):
+        initialise_soc(state, event.soc, quantum)
+        return
+    sd = sqrt(state.p_ss + quantum * quantum / 12.0)
+    limit = max(REJECTION_SDS * sd, quantum + REJECTION_MARGIN)
+    if event.soc == state.reported:
+        state.suspect = nan
+        state.fall = 0.0
+        if state.frozen == 0.0 and abs(state.soc - event.soc) > limit:
+            state.frozen = 1.0
+        return
+    if abs(event.soc - state.soc) > limit:
+        confirm_jump(state, event, limit, quantum)
+        return
+    update_with_step(state, event.soc, quantum)
+
+
+@njit(cache=True)
+def discard_soc(state: Any) -> None:
+    """Discard the estimate of the charge, so that the next reading initialises it."""
+    state.soc = state.reported = state.suspect = nan
+    state.frozen = 0.0
+
+
+@njit(cache=True)
+def initialise_soc(state: Any, reported: float, quantum: float) -> None:
+    """Initialise the estimate of the charge by a reading, with the variance of its quantum."""
+    state.soc = state.reported = reported
+    state.p_ss = quantum * quantum / 12.0 + READING_SD**2
+    state.p_sa = state.p_sc = state.fall = 0.0
+
+
+@njit(cache=True)
+def confirm_jump(state: Any, event: Any, limit: float, quantum: float) -> None:
+    """Remember a reading that jumped, or accept it once it has stayed; it updates neither `a` nor `c`."""
+    if isnan(state.suspect) or abs(event.soc - state.suspect) > limit:
+        state.suspect, state.suspect_time = event.soc, event.time
+    elif event.time - state.suspect_time >= JUMP_CONFIRMATION:
+        state.soc = event.soc
+        state.p_ss += quantum * quantum / 12.0 + JUMP_SD**2
+        accept_reading(state, event.soc)
+
+
+@njit(cache=True)
+def update_with_step(state: Any, reported: float, quantum: float) -> None:
+    """Update the state by a step of the reading.
+
+    Since the previous reading, the charge has crossed the boundary of the reported interval. After a step of more than
+    one quantum it may lie anywhere in the interval; a step beyond the used charge adds variance. After a frozen or
+    rejected reading, and after a step far beyond the used charge, only the mean is updated.
+    """
+    change = reported - state.reported
+    excess = max(abs(change) - abs(state.fall) - quantum, 0.0) if state.frozen == 0.0 else 0.0
+    measured, variance = reported, quantum * quantum / 12.0 + excess * excess / 4.0 + READING_SD**2
+    if abs(change) < 1.5 * quantum and state.frozen == 0.0:
+        since = min(max(state.fall if change < 0.0 else -state.fall, 0.0), quantum)
+        measured = reported + (0.5 * (quantum - since) if change < 0.0 else 0.5 * (since - quantum))
+        variance = (0.1 * quantum) ** 2 + since**2 / 12.0 + READING_SD**2
+    residual, variance = measured - state.soc, state.p_ss + variance
+    if state.frozen == 0.0 and isnan(state.suspect) and excess <= abs(state.fall) + quantum:
+        update_state(state, residual, state.p_ss, state.p_sa, state.p_sc, variance)
+    else:
+        update_mean(state, residual, state.p_ss, state.p_sa, state.p_sc, variance)
+    accept_reading(state, reported)
+
+
+@njit(cache=True)
+def accept_reading(state: Any, reported: float) -> None:
+    """Store an accepted reading as the reference of the next one."""
+    state.reported = reported
+    state.suspect = nan
+    state.frozen = state.fall = 0.0
+
+
+@njit(cache=True)
+def compute_published_soc(state: Any, quantum: float) -> float:
+    """Return the mean of the charge, given that the car's own estimate lies in the reported interval. [1]
+
+    Notes
+    -----
+    The mean of a normal truncated to `reported` plus or minus half a quantum. Without a trusted reading it is the mean
+    of the state.
+    """
+    untrusted = state.frozen == 1.0 or not isnan(state.suspect) or isnan(state.reported)
+    if isnan(state.soc) or untrusted or state.p_ss <= 0.0:
+        return state.soc
+    sd = sqrt(state.p_ss + READING_SD**2)
+    gain = state.p_ss / sd**2
+    low = (state.reported - 0.5 * quantum - state.soc) / sd
+    high = (state.reported + 0.5 * quantum - state.soc) / sd
+    inside = 0.5 * (erfc(low / sqrt(2.0)) - erfc(high / sqrt(2.0)))
+    if inside < 1e-6:
+        return state.soc + gain * sd * (high if high < 0.0 else low)
+    density = (exp(-0.5 * low * low) - exp(-0.5 * high * high)) / sqrt(2.0 * pi)
+    return state.soc + gain * sd * density / inside
