@@ -172,7 +172,7 @@ def _describe_shifts(shifts: Sequence[SyntheticShift]) -> str:
 
 
 def _register(path: Path, drives: list[Drive], source_of: dict[tuple[str, str], Path]) -> None:
-    """Remember which file holds each drive; raise an error if another file held it before."""
+    """Record which file holds each drive; raise an error if another file holds it too."""
     names = [(drive.vehicle_id, drive.ride_id) for drive in drives]
     for name in names:
         if name in source_of:

@@ -80,8 +80,8 @@ def apply_lag(values: Floats, seconds: float) -> Floats:
     kernel = (1 - keep) * keep ** np.arange(int(6 * seconds / STEP))
     size = len(values) + len(kernel)
     length = 1 << (size - 1).bit_length()
-    held = np.fft.irfft(np.fft.rfft(values, length) * np.fft.rfft(kernel, length), length)
-    return np.maximum(held[: len(values)], 0.0)
+    delayed = np.fft.irfft(np.fft.rfft(values, length) * np.fft.rfft(kernel, length), length)
+    return np.maximum(delayed[: len(values)], 0.0)
 
 
 @register_effect

@@ -58,9 +58,9 @@ class Truth:
         factors : dict of str to float
             Factor of each hidden effect. [1]
         """
-        idle = ("preset", "rides") if simulation.preset is None else PRESET_SETTINGS
-        asked = {name: value for name, value in asdict(simulation).items() if name not in idle}
-        self.settings = asked | {
+        unused = ("preset", "rides") if simulation.preset is None else PRESET_SETTINGS
+        values = {name: value for name, value in asdict(simulation).items() if name not in unused}
+        self.settings = values | {
             "start": simulation.start.isoformat(),
             "hidden": dict(simulation.hidden),
             "phenomena": [name for name, on in simulation.phenomena._asdict().items() if on],

@@ -160,8 +160,8 @@ def draw_destination(u: float, v: float, distance: float, rng: np.random.Generat
             break
     else:
         goal = (-u / 3, -v / 3)
-    found = find_crossing(*goal)
-    return found if found != (u, v) else find_crossing(u + 2 * BLOCK[0], v)
+    reached = find_crossing(*goal)
+    return reached if reached != (u, v) else find_crossing(u + 2 * BLOCK[0], v)
 
 
 def find_crossing(u: float, v: float) -> tuple[float, float]:

@@ -54,8 +54,8 @@ class TestShapes:
 
     def test_other_shape_is_hidden_by_its_name(self):
         _, truth = run_simulation(replace(SMALL, hidden=(Hidden(f"cold_rolling{OTHER}", 0.05),)))
-        found = truth.summary()["hidden"][f"cold_rolling{OTHER}"]
-        assert found["absolute_share"] == pytest.approx(0.05, rel=0.02)
+        effect_total = truth.summary()["hidden"][f"cold_rolling{OTHER}"]
+        assert effect_total["absolute_share"] == pytest.approx(0.05, rel=0.02)
 
     def test_unknown_shape_is_rejected(self):
         with pytest.raises(SettingsError, match="magic~other"):

@@ -122,7 +122,7 @@ def parse_selection(options: argparse.Namespace) -> Selection:
 
     Parameters
     ----------
-    asked : Namespace
+    options : Namespace
         Parsed command line.
 
     Returns

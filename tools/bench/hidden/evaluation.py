@@ -259,7 +259,7 @@ def measure_visibility(case: Case, base: BaseProjection, hidden: Floats) -> Reco
         `left`: share of the size of the hidden energy that the terms of the model cannot explain. `alike`: correlation
         of that remainder with the best variant of the right effect of the library; 1 means the same shape. `z`: number
         of standard errors by which the hidden energy itself would differ from zero as a candidate, from sums over
-        vehicle-days, each as if it were held out.
+        vehicle-days, each with that day left out.
     """
     energy = hidden.sum(axis=1)[:, np.newaxis]
     off = base.project_out(energy)[:, 0]
