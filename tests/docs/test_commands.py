@@ -105,10 +105,10 @@ def test_figure_shows_the_falling_error_of_the_tutorial(shell):
 @pytest.mark.usefixtures("tutorial")
 def test_other_effect_is_refused_as_the_tutorial_says(shell, monkeypatch, capsys):
     monkeypatch.chdir(shell.folder)
-    assert "try `cornering`" in " ".join(read(TUTORIAL).split())
+    assert "Try `cornering`" in " ".join(read(TUTORIAL).split())
     message = refused(capsys, *["add", "cornering", "--model", "base.json", "--data", "autumn", "-o", "worse.json"])
     assert "cornering is not added" in message
-    assert not (shell.folder / "worse.json").exists()
+    assert [step["action"] for step in models.load(str(shell.folder / "worse.json")).history] == ["fit", "refused"]
 
 
 @pytest.mark.usefixtures("tutorial")

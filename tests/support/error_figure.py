@@ -19,7 +19,7 @@ LEFT, RIGHT, TOP, BOTTOM = 90, 470, 52, 300
 """Edges of the plot. [px]"""
 LIMIT: Final = 0.06
 """Upper end of the vertical axis. [kWh]"""
-INK, QUIET, HELD_OUT, SET_APART = "#1f2933", "#5f6b76", "#1f6fb2", "#b3560f"
+INK, QUIET, HELD_OUT, FINAL = "#1f2933", "#5f6b76", "#1f6fb2", "#b3560f"
 STYLE: Final = "font-family='Helvetica, Arial, sans-serif'"
 
 
@@ -52,9 +52,9 @@ def error_figure(history: Sequence[Mapping[str, Any]]) -> str:
         lines += _tick(tick / 100)
     lines += [_text(x, BOTTOM + 24, name, anchor="middle") for x, name in zip(places, names, strict=True)]
     lines.append(_text((LEFT + RIGHT) / 2, BOTTOM + 48, "step in the history of the model", QUIET, anchor="middle"))
-    set_apart = _errors([step["final"] for step in steps])
+    final = _errors([step["final"] for step in steps])
     held_out = _errors(steps)
-    lines += _series(places, set_apart, SET_APART, "days set apart (decide nothing)")
+    lines += _series(places, final, FINAL, "final hold-out days (decide nothing)")
     lines += _series(places, held_out, HELD_OUT, "held-out days (effect not fitted to them)")
     lines += [
         (
