@@ -21,8 +21,8 @@ from core.models import EXTENDED_PHYSICAL, LinearModel
 from core.pipeline import Pipeline
 from core.stats.splits import REPEATS
 from stream.mcap_reader import McapSource
-from stream.source import merged
-from tools.commands.evaluate_soc import Told as _SocForecasts
+from stream.source import merge_sources
+from tools.commands.evaluate_soc import SocForecasts as _SocForecasts
 
 __all__ = ["compare_datasets", "compare_models", "evaluate_recipes", "evaluate_soc_forecasts", "trace_ride"]
 
@@ -164,7 +164,7 @@ def evaluate_soc_forecasts(*recordings: str | Path, model: LinearModel = EXTENDE
         Where no forecast can be evaluated: give recordings of more days.
     """
     collector = _SocForecasts(Pipeline(model, keep_outlooks=True))
-    for messages in merged([McapSource(path) for path in recordings]):
+    for messages in merge_sources([McapSource(path) for path in recordings]):
         collector.pipeline.take(messages)
         collector.pipeline.forecasts()
         collector()

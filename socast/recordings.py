@@ -16,7 +16,7 @@ from core.settings import Settings
 from core.wire.decoder import Decoder
 from core.wire.messages import Message
 from stream.mcap_reader import McapSource
-from stream.source import merged
+from stream.source import merge_sources
 
 __all__ = ["Tables", "make_tables", "read_forecasts", "read_messages", "read_samples", "read_tables"]
 
@@ -200,7 +200,7 @@ def read_tables(*folders: str | Path) -> Tables:
 
 def _blocks(recordings: Sequence[str | Path]) -> Iterator[list[Message]]:
     """Yield lists of messages in the order of their receipt."""
-    return merged([McapSource(path) for path in recordings])
+    return merge_sources([McapSource(path) for path in recordings])
 
 
 def _read_table(file: Path) -> pd.DataFrame:

@@ -7,7 +7,7 @@ from core.wire.messages import Message
 from stream.source import Sink
 
 
-class Outbox:
+class LatestOnlySink:
     """Hands messages to a sink from a thread of its own.
 
     The loop that listens must not wait for those that it speaks to: a listener that has stalled would hold up every

@@ -15,7 +15,7 @@ from typing import Any, Final, Protocol
 from core.wire.messages import Message
 from stream.recorder import Recorder
 from stream.source import Sink, Source
-from stream.structured_log import fields, flat
+from stream.structured_log import event_fields, flatten_counts
 
 REPORT_S: Final = 30.0
 """Time between two lines of counters. [s]"""
@@ -108,7 +108,7 @@ def run(
     due = began + report_s
     published = -inf
     with ExitStack() as closing:
-        closing.enter_context(seldom_collecting())
+        closing.enter_context(collect_garbage_rarely())
         for sink in sinks:
             closing.callback(sink.close)
         if recorder is not None:
@@ -135,7 +135,7 @@ def run(
 
 
 @contextmanager
-def seldom_collecting() -> Iterator[None]:
+def collect_garbage_rarely() -> Iterator[None]:
     """Let the collector of cyclic garbage rest while messages stream: they make none, and it would visit each."""
     before = gc.get_threshold()
     gc.collect()
@@ -149,7 +149,7 @@ def seldom_collecting() -> Iterator[None]:
 
 
 @contextmanager
-def stopping() -> Iterator[Event]:
+def stop_on_signals() -> Iterator[Event]:
     """Give an event that SIGINT and SIGTERM set; a second SIGINT interrupts at once, as without it."""
     stop = Event()
 
@@ -184,4 +184,4 @@ def _report(event: str, tally: Tally, source: Source, pipeline: Forecaster, reco
     if recorder is not None:
         counts |= {"recorded": recorder.recorded, "unrecorded": recorder.unrecorded}
     rate = tally.received / tally.seconds if tally.seconds > 0 else 0.0
-    _log.info(event, extra=fields(**counts, per_second=round(rate, 1), **flat(pipeline.quality())))
+    _log.info(event, extra=event_fields(**counts, per_second=round(rate, 1), **flatten_counts(pipeline.quality())))

@@ -32,7 +32,7 @@ _CHUNK_HEAD: Final = struct.Struct("<BQQQQII")  # opcode, length, first, last ti
 _LENGTH: Final = struct.Struct("<I")
 
 
-def records(data: bytes) -> Iterator[tuple[int, bytes]]:
+def iterate_records(data: bytes) -> Iterator[tuple[int, bytes]]:
     """Yield opcode and body of each record."""
     at = 0
     while at < len(data):
@@ -41,7 +41,7 @@ def records(data: bytes) -> Iterator[tuple[int, bytes]]:
         yield opcode, data[at - length : at]
 
 
-def strings(body: bytes, at: int, count: int) -> Iterator[bytes]:
+def iterate_strings(body: bytes, at: int, count: int) -> Iterator[bytes]:
     """Yield strings that follow their length."""
     for _ in range(count):
         (length,) = _LENGTH.unpack_from(body, at)
@@ -51,7 +51,7 @@ def strings(body: bytes, at: int, count: int) -> Iterator[bytes]:
         yield body[at - length : at]
 
 
-def unpacked(record: bytes) -> bytes:
+def decompress_chunk(record: bytes) -> bytes:
     """Return what is in a chunk, checked."""
     opcode, _, _, _, size, crc, name_length = _CHUNK_HEAD.unpack_from(record)
     at = _CHUNK_HEAD.size + name_length
@@ -82,7 +82,7 @@ def _lacking(kind: str, data: bytes) -> list[str]:
     return sorted(set(schema(kind)["required"]) - set(properties)) if properties else []
 
 
-def fault(topic: str, encoding: str, name: str, schema_encoding: str, data: bytes) -> str:
+def explain_foreign_channel(topic: str, encoding: str, name: str, schema_encoding: str, data: bytes) -> str:
     """Say why a channel is not of the wire contract; empty for one that is, and for whatever may be."""
     if encoding not in {"", "json"} or schema_encoding not in {"", "jsonschema"}:
         return f"topic {topic} holds {encoding or schema_encoding} messages, schema {name or 'none'}, not JSON"

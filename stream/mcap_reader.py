@@ -33,10 +33,10 @@ from stream.mcap_format import (
     RECORD,
     SCHEMA,
     STATISTICS,
-    fault,
-    records,
-    strings,
-    unpacked,
+    decompress_chunk,
+    explain_foreign_channel,
+    iterate_records,
+    iterate_strings,
 )
 
 RAW_BLOCK: Final = 1 << 20
@@ -215,7 +215,7 @@ class McapSource:
             return []
         blocks, count = [], None
         try:
-            for opcode, body in records(data):
+            for opcode, body in iterate_records(data):
                 if opcode == CHUNK_INDEX:
                     first_ns, last_ns, offset, length = _CHUNK_PLACE.unpack_from(body)
                     blocks.append(_Block(first_ns, last_ns, offset, length, chunked=True))
@@ -269,13 +269,13 @@ class McapSource:
             return
         number = int.from_bytes(body[:2], "little")
         if opcode == SCHEMA:
-            name, form, data = strings(body, 2, 3)
+            name, form, data = iterate_strings(body, 2, 3)
             self._schemas[number] = (name.decode(), form.decode(), data)
         else:
-            topic, encoding = (part.decode() for part in strings(body, 4, 2))
+            topic, encoding = (part.decode() for part in iterate_strings(body, 4, 2))
             wire = self._schemas.get(int.from_bytes(body[2:4], "little"), ("", "", b""))
             self.schemas[topic] = wire[0]
-            reason = fault(topic, encoding, *wire)
+            reason = explain_foreign_channel(topic, encoding, *wire)
             self._keys[number] = None if reason else topic
             if reason:
                 self._foreign[number] = (topic, reason)
@@ -287,7 +287,7 @@ class McapSource:
         out: list[Message] = []
         try:
             data = file.read(block.length)
-            self._split(unpacked(data) if block.chunked else data, out)
+            self._split(decompress_chunk(data) if block.chunked else data, out)
         except _DAMAGE:
             self.losses.damaged_chunks += 1
             self.losses.damaged_bytes += block.length

@@ -29,9 +29,6 @@ from mcap.records import Channel, Chunk, ChunkIndex, DataEnd, Footer, Header, Sc
 from core.errors import RecordingError
 from core.wire.messages import KINDS, Message, address, schema
 from stream.mcap_format import FOOTER_RECORD, MAGIC, MESSAGE_HEAD, RECORD
-from stream.mcap_reader import Losses, McapSource
-
-__all__ = ["Losses", "McapSink", "McapSource"]
 
 CHUNK_BYTES: Final = 1 << 20
 """Size that a chunk grows to before it is compressed and written. [B]"""

@@ -10,7 +10,7 @@ from typing import Any, Final, Protocol
 from core.errors import AskError, SocastError
 from core.forecast.plan_checks import parse_leg, parse_parameters, parse_plan, parse_vehicle
 from core.wire.messages import Leg, Outlook, Plan, encode
-from stream.structured_log import fields, flat
+from stream.structured_log import event_fields, flatten_counts
 
 SPEND_S: Final = 0.1
 """After how long the telemetry has its turn again, whatever is still asked. [s]"""
@@ -20,8 +20,8 @@ LOG_S: Final = 1.0
 _log = logging.getLogger("socast.desk")
 
 
-class Question(Protocol):
-    """A question that waits, such as `stream.zenoh_queryable.Query`."""
+class PendingQuery(Protocol):
+    """A question that waits, such as `stream.zenoh_queryable.ZenohQuery`."""
 
     @property
     def vehicle(self) -> str:
@@ -42,14 +42,14 @@ class Question(Protocol):
         """Tell what is wrong."""
 
 
-class Questions(Protocol):
+class QuerySource(Protocol):
     """Where questions come from."""
 
-    def pending(self) -> Sequence[Question]:
+    def pending(self) -> Sequence[PendingQuery]:
         """Return the questions that wait, the oldest first."""
 
 
-class Answerer(Protocol):
+class OutlookProvider(Protocol):
     """What the desk needs of `core.pipeline.Pipeline`."""
 
     def ask(self, vehicle_id: str, leg: Leg | None, plan: Plan | None) -> Outlook:
@@ -65,7 +65,7 @@ class Answerer(Protocol):
         """
 
 
-class Desk:
+class QueryService:
     """Takes the questions that wait and answers each, whatever is asked; call it after each list of messages.
 
     Nothing that is asked ends the loop or holds up the telemetry: an answer that fails is refused, and what is not
@@ -86,11 +86,13 @@ class Desk:
         should not have happened.
     """
 
-    def __init__(self, questions: Questions, answerer: Answerer, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, questions: QuerySource, answerer: OutlookProvider, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self.answered = 0
         self.refused: Counter[str] = Counter()
         self._questions, self._answerer, self._clock = questions, answerer, clock
-        self._waiting: deque[Question] = deque()
+        self._waiting: deque[PendingQuery] = deque()
         self._logged: dict[str, float] = {}
 
     def __call__(self, _: object) -> None:
@@ -109,10 +111,10 @@ class Desk:
 
     def end(self) -> None:
         """Log the counters, where anything was asked."""
-        if told := flat(self.counts()):
-            _log.info("asked", extra=fields(**told))
+        if told := flatten_counts(self.counts()):
+            _log.info("asked", extra=event_fields(**told))
 
-    def _answer(self, question: Question) -> None:
+    def _answer(self, question: PendingQuery) -> None:
         """Answer one question, or tell what is wrong with it."""
         try:
             vehicle = parse_vehicle(question.vehicle)
@@ -125,14 +127,14 @@ class Desk:
         except SocastError as error:
             self._refuse(question, str(error), "unanswerable")
         except Exception:  # noqa: BLE001 - cars are served on, whatever was asked
-            _log.exception("question failed", extra=fields(vehicle=question.vehicle[:64]))
+            _log.exception("question failed", extra=event_fields(vehicle=question.vehicle[:64]))
             self._refuse(question, "this question cannot be answered; the log of the consumer tells more", "failed")
 
-    def _refuse(self, question: Question, words: str, cause: str) -> None:
+    def _refuse(self, question: PendingQuery, words: str, cause: str) -> None:
         """Tell whoever asked what is wrong, count it and log it."""
         self.refused[cause] += 1
         now = self._clock()
         if now >= self._logged.get(cause, -inf) + LOG_S:
             self._logged[cause] = now
-            _log.warning("question refused", extra=fields(vehicle=question.vehicle[:64], cause=cause, why=words))
+            _log.warning("question refused", extra=event_fields(vehicle=question.vehicle[:64], cause=cause, why=words))
         question.refuse(words)

@@ -37,7 +37,7 @@ class Sink(Protocol):
         """Let nothing buffered behind. Closing twice does no harm."""
 
 
-def merged(sources: Sequence[Source]) -> Iterator[list[Message]]:
+def merge_sources(sources: Sequence[Source]) -> Iterator[list[Message]]:
     """Yield the messages of several sources in order of receipt.
 
     Each source is itself in that order. It is read lazily, a list at a time: everything up to the earliest end of the
@@ -79,7 +79,7 @@ def merged(sources: Sequence[Source]) -> Iterator[list[Message]]:
         yield ready
 
 
-def until(source: Source, stop: Event) -> Iterator[list[Message]]:
+def stop_source(source: Source, stop: Event) -> Iterator[list[Message]]:
     """Yield from a source until `stop` is set; for sources that hold nothing which would be lost."""
     for messages in source:
         if stop.is_set():
@@ -87,7 +87,7 @@ def until(source: Source, stop: Event) -> Iterator[list[Message]]:
         yield messages
 
 
-def paced(
+def pace_source(
     source: Source,
     speed: float,
     *,

@@ -11,12 +11,12 @@ from typing import Any, TextIO
 _PLAIN = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_.:/+-")
 
 
-def fields(**values: Any) -> dict[str, Any]:
+def event_fields(**values: Any) -> dict[str, Any]:
     """Return what `logging` takes as `extra`: the fields of an event."""
     return {"fields": values}
 
 
-def flat(counts: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def flatten_counts(counts: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Return nested counters as one level, their names joined by dots; zeros and empty ones left out.
 
     >>> flat({"received": {"telemetry": 3, "ride": 0}, "vehicles": 1})
@@ -25,13 +25,13 @@ def flat(counts: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     out: dict[str, Any] = {}
     for name, value in counts.items():
         if isinstance(value, Mapping):
-            out |= flat(value, f"{prefix}{name}.")
+            out |= flatten_counts(value, f"{prefix}{name}.")
         elif value:
             out[prefix + name] = value
     return out
 
 
-class Lines(logging.Formatter):
+class LineFormatter(logging.Formatter):
     """Formats a record as one line.
 
     Parameters
@@ -74,10 +74,10 @@ class _Standard(logging.StreamHandler[TextIO]):
         pass
 
 
-def write_lines(*, as_json: bool = False, to: TextIO | None = None, level: int = logging.INFO) -> None:
+def log_lines(*, as_json: bool = False, to: TextIO | None = None, level: int = logging.INFO) -> None:
     """Send what is logged, from a level on, to a stream; to standard error unless told otherwise."""
     handler = logging.StreamHandler(to) if to else _Standard()
-    handler.setFormatter(Lines(as_json=as_json))
+    handler.setFormatter(LineFormatter(as_json=as_json))
     root = logging.getLogger("socast")
     root.handlers = [handler]
     root.setLevel(level)

@@ -13,7 +13,7 @@ Observed of zenoh 1.10, and minded here:
   samples that cross on their way through it are one sample too few (600 of 180,000 in a burst from three publishers).
   The embedded router does not stamp; against one that does, the source says so once, in the log.
 - Declaring a publisher waits for samples that are being delivered, and these, where the channel is full, for whoever
-  drains it: publish on a session that subscribes through a `stream.latest_only_sink.Outbox`.
+  drains it: publish on a session that subscribes through a `stream.latest_only_sink.LatestOnlySink`.
 - Router and client in one process share two receiving threads, and can wait for each other. Subscribe in the
   router's own session, and publish at speed from another process.
 """
@@ -30,7 +30,7 @@ from zenoh import ext, handlers
 from core.errors import SettingsError
 from core.wire.messages import Message
 from stream.source import LOOK_UP_S
-from stream.zenoh_session import Node, plain
+from stream.zenoh_session import Node, format_zenoh_error
 
 QUEUE: Final = 1 << 14
 """Samples that wait in the channel before publishers are held up; more would leave the cache before their turn."""
@@ -179,7 +179,7 @@ class ZenohSink:
         self._prefix = prefix
         self._publishers: dict[str, Any] = {}
 
-    def heard(self) -> bool:
+    def has_subscriber(self) -> bool:
         """Return whether anybody subscribes to the fleet."""
         with self._session.declare_publisher(f"{self._prefix}fleet/**") as publisher:
             status: Any = publisher.matching_status
@@ -201,7 +201,7 @@ class ZenohSink:
                     publisher = publishers[key] = self._declared(self._prefix + key)
                 publisher.put(payload)
         except zenoh.ZError as error:
-            raise SettingsError(f"cannot publish: {plain(error)}") from error
+            raise SettingsError(f"cannot publish: {format_zenoh_error(error)}") from error
 
     def close(self) -> None:
         """Undeclare the publishers once all is sent; the session stays open."""

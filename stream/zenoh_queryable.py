@@ -26,7 +26,7 @@ import zenoh
 from zenoh import handlers
 
 from core.errors import AskError, SettingsError
-from stream.zenoh_session import Node, plain
+from stream.zenoh_session import Node, format_zenoh_error
 
 WAITING: Final = 256
 """Questions that wait to be looked at, and answers that wait to be sent; what is more is dropped."""
@@ -41,7 +41,7 @@ class _Refusal(msgspec.Struct):
     error: str
 
 
-class Query:
+class ZenohQuery:
     """A question that waits for its answer.
 
     Attributes
@@ -71,7 +71,7 @@ class Query:
         self._send(self._query, partial(self._query.reply_err, told, encoding=zenoh.Encoding.APPLICATION_JSON))
 
 
-class ZenohQueries:
+class ZenohQueryable:
     """Questions put to `{prefix}fleet/*/outlook`, from the start; a context manager.
 
     Parameters
@@ -94,12 +94,12 @@ class ZenohQueries:
         self._thread = Thread(target=self._work, name="answers", daemon=True)
         self._thread.start()
 
-    def pending(self) -> list[Query]:
+    def pending(self) -> list[ZenohQuery]:
         """Return the questions that wait, the oldest first; at most `WAITING`."""
-        out: list[Query] = []
+        out: list[ZenohQuery] = []
         try:
             while len(out) < WAITING and (query := self._queryable.handler.try_recv()) is not None:
-                out.append(Query(query, self._prefix, self._leave))
+                out.append(ZenohQuery(query, self._prefix, self._leave))
         except zenoh.ZError:
             pass  # closed
         return out
@@ -141,11 +141,11 @@ class ZenohQueries:
                     send()
             except Exception as error:  # noqa: BLE001 - whatever an answer does, the next one is sent
                 self.unsent += 1
-                _log.warning("answer not sent: %s", plain(error))
+                _log.warning("answer not sent: %s", format_zenoh_error(error))
             del answer, query, send
 
 
-def ask(
+def query_outlook(
     node: Node, vehicle: str, parameters: Mapping[str, str], payload: bytes | None = None, timeout_s: float = 5.0
 ) -> bytes:
     """Put a question to whoever answers for a vehicle, and return the answer.
@@ -183,7 +183,7 @@ def ask(
             if reply.err is not None:
                 refusals.append(_words(reply.err.payload.to_bytes()))
     except zenoh.ZError as error:
-        raise SettingsError(f"{key} cannot be asked: {plain(error)}; give a plain name") from error
+        raise SettingsError(f"{key} cannot be asked: {format_zenoh_error(error)}; give a plain name") from error
     if words := next(filter(None, refusals), None):
         raise AskError(words, "told")
     if refusals:

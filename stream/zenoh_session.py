@@ -93,7 +93,7 @@ class Node:
 
     def __init__(self, connection: Connection = Connection()) -> None:
         self.connection = connection
-        self.prefix = key_prefix(connection.prefix)
+        self.prefix = parse_prefix(connection.prefix)
         config = _config(connection)
         self.endpoints: list[str] = _endpoints(config)
         try:
@@ -101,10 +101,12 @@ class Node:
         except zenoh.ZError as error:
             if _only_listening_fails(config):
                 raise SettingsError(
-                    f"cannot listen at {', '.join(self.endpoints)}: {plain(error)}; choose another endpoint with "
+                    f"cannot listen at {', '.join(self.endpoints)}: {format_zenoh_error(error)}; choose another endpoint with "
                     "--listen, or join the router that has it with --connect"
                 ) from error
-            raise SettingsError(f"Zenoh cannot be joined: {plain(error)}; is a router listening there?") from error
+            raise SettingsError(
+                f"Zenoh cannot be joined: {format_zenoh_error(error)}; is a router listening there?"
+            ) from error
 
     def close(self) -> None:
         """Close the session."""
@@ -131,7 +133,7 @@ class Node:
         self.close()
 
 
-def key_prefix(text: str) -> str:
+def parse_prefix(text: str) -> str:
     """Return key chunks that come before others, with a slash at the end; nothing for no chunks.
 
     Raises
@@ -149,10 +151,10 @@ def key_prefix(text: str) -> str:
         return ""
     try:
         zenoh.KeyExpr(chunks)
-        plain = "*" not in chunks and chunks.isprintable()
+        format_zenoh_error = "*" not in chunks and chunks.isprintable()
     except zenoh.ZError:
-        plain = False
-    if not plain:
+        format_zenoh_error = False
+    if not format_zenoh_error:
         raise SettingsError(
             f"prefix is {text!r}; give plain chunks such as montreal or quebec/montreal, "
             "without wildcards, empty chunks or any of * $ ? #"
@@ -160,14 +162,14 @@ def key_prefix(text: str) -> str:
     return f"{chunks}/"
 
 
-def free_port() -> int:
+def find_free_port() -> int:
     """Return a TCP port on loopback that nobody listens on."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
-def plain(error: Exception) -> str:
+def format_zenoh_error(error: Exception) -> str:
     """Return what an error of Zenoh says, on one line and without the places in Zenoh's source."""
     text = re.sub(r"\s+at /\S+?:\d+\.?", "", str(error)).replace("\n", " ")
     inner = re.search(r'msg: "(.*?)"', text)
@@ -180,7 +182,7 @@ def _config(connection: Connection) -> zenoh.Config:
     try:
         config = zenoh.Config.from_file(file) if file else zenoh.Config()
     except (zenoh.ZError, OSError) as error:
-        raise SettingsError(f"{file} is not a Zenoh configuration: {plain(error)}") from error
+        raise SettingsError(f"{file} is not a Zenoh configuration: {format_zenoh_error(error)}") from error
     mode = connection.mode or _told(config, "mode") or ("client" if connection.connect else "router")
     _insert(config, "mode", mode)
     if connection.connect:
@@ -210,7 +212,7 @@ def _only_listening_fails(config: zenoh.Config) -> bool:
 
 def _with_port(endpoint: str) -> str:
     """Return an endpoint with a free port in place of port 0."""
-    return f"{endpoint[:-1]}{free_port()}" if endpoint.endswith(":0") else endpoint
+    return f"{endpoint[:-1]}{find_free_port()}" if endpoint.endswith(":0") else endpoint
 
 
 def _told(config: zenoh.Config, name: str) -> Any:
@@ -230,4 +232,4 @@ def _insert(config: zenoh.Config, name: str, value: Any) -> None:
     try:
         config.insert_json5(name, text)
     except zenoh.ZError as error:
-        raise SettingsError(f"Zenoh setting {name} cannot be {text}: {plain(error)}") from error
+        raise SettingsError(f"Zenoh setting {name} cannot be {text}: {format_zenoh_error(error)}") from error

@@ -5,7 +5,7 @@ from threading import Event
 import pytest
 
 from core.wire.messages import Message
-from stream.latest_only_sink import Outbox
+from stream.latest_only_sink import LatestOnlySink
 from stream.memory import MemorySink
 
 
@@ -28,7 +28,7 @@ def message(key: str, number: int) -> Message:
 
 def test_all_is_handed_on_where_the_sink_keeps_pace():
     sink = MemorySink()
-    outbox = Outbox(sink)
+    outbox = LatestOnlySink(sink)
     outbox.put([])
     outbox.put([message("a", 1), message("b", 2)])
     outbox.close()
@@ -39,7 +39,7 @@ def test_all_is_handed_on_where_the_sink_keeps_pace():
 
 def test_a_stalled_listener_holds_up_nobody_and_gets_the_newest_of_each_key():
     sink = Slow()
-    outbox = Outbox(sink)
+    outbox = LatestOnlySink(sink)
     outbox.put([message("a", 0)])
     assert sink.entered.wait(10)
     for number in range(1, 1000):
@@ -56,7 +56,7 @@ class Broken(MemorySink):
 
 def test_who_closes_is_told_that_the_sink_broke_at_the_last():
     sink = Broken()
-    outbox = Outbox(sink)
+    outbox = LatestOnlySink(sink)
     outbox.put([message("a", 0)])
     with pytest.raises(ConnectionError, match="gone"):
         outbox.close()
@@ -65,7 +65,7 @@ def test_who_closes_is_told_that_the_sink_broke_at_the_last():
 
 
 def test_who_puts_is_told_that_the_sink_broke():
-    outbox = Outbox(Broken())
+    outbox = LatestOnlySink(Broken())
     outbox.put([message("a", 0)])
     outbox._thread.join(10)
     with pytest.raises(ConnectionError, match="gone"):

@@ -16,12 +16,13 @@ import pytest
 from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
 from core.pipeline import Pipeline
 from core.wire.messages import Message
-from stream.loop import run, stopping
-from stream.mcap_writer import McapSink, McapSource
+from stream.loop import run, stop_on_signals
+from stream.mcap_reader import McapSource
+from stream.mcap_writer import McapSink
 from stream.memory import MemorySink, MemorySource
 from stream.recorder import Recorder
-from stream.source import until
-from stream.structured_log import Lines, flat, write_lines
+from stream.source import stop_source
+from stream.structured_log import LineFormatter, flatten_counts, log_lines
 from stream.zenoh_pubsub import ZenohSource
 from stream.zenoh_session import Connection, Node
 from tests.support.recorded_shift import shift
@@ -105,13 +106,13 @@ def test_in_service_the_newest_of_each_model_is_handed_on_once_in_a_while():
 
 PUBLISH = """
 import sys, time
-from stream.mcap_writer import McapSource
+from stream.mcap_reader import McapSource
 from stream.zenoh_pubsub import ZenohSink
 from stream.zenoh_session import Connection, Node
 with Node(Connection(connect=(sys.argv[1],))) as node:
     sink = ZenohSink(node)
     deadline = time.monotonic() + 20
-    while not sink.heard() and time.monotonic() < deadline:
+    while not sink.has_subscriber() and time.monotonic() < deadline:
         time.sleep(0.01)
     for block in McapSource(sys.argv[2]):
         sink.put(block)
@@ -192,7 +193,7 @@ def test_the_last_forecasts_are_handed_on():
 
 def lines(as_json: bool, **settings) -> list[str]:
     text = io.StringIO()
-    write_lines(as_json=as_json, to=text)
+    log_lines(as_json=as_json, to=text)
     try:
         run(MemorySource(shift(50), 40), Pipeline(), **settings)
     finally:
@@ -225,25 +226,25 @@ def test_a_line_is_keys_and_values():
 def test_a_number_that_json_lacks_is_null_in_a_json_line():
     record = logging.LogRecord("socast", logging.INFO, "", 0, "ride", None, None)
     record.fields = {"ambient_c": float("nan"), "distance_km": 1.5}
-    told = json.loads(Lines(as_json=True).format(record), parse_constant=pytest.fail)
+    told = json.loads(LineFormatter(as_json=True).format(record), parse_constant=pytest.fail)
     assert (told["ambient_c"], told["distance_km"]) == (None, 1.5)
 
 
 def test_counters_of_nothing_are_left_out():
-    assert flat({"a": {"b": {"c": 1, "d": 0}}, "e": 2, "f": {}}) == {"a.b.c": 1, "e": 2}
+    assert flatten_counts({"a": {"b": {"c": 1, "d": 0}}, "e": 2, "f": {}}) == {"a.b.c": 1, "e": 2}
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_the_source_and_not_the_loop(number):
     before = signal.getsignal(number)
     sink = MemorySink()
-    with stopping() as stop:
+    with stop_on_signals() as stop:
 
         def watch(tally) -> None:
             if tally.received == 10:
                 os.kill(os.getpid(), number)
 
-        tally = run(until(MemorySource(shift(20), 5), stop), Plain(), [sink], watch=watch)
+        tally = run(stop_source(MemorySource(shift(20), 5), stop), Plain(), [sink], watch=watch)
     assert tally.received == 10
     assert sink.messages[-1].payload == b"the last"
     assert signal.getsignal(number) is before
@@ -271,7 +272,7 @@ def test_who_listens_is_given_the_newest_forecasts_once_in_a_while_and_the_last_
 
 
 def test_a_second_interrupt_is_not_waited_for():
-    with stopping() as stop:
+    with stop_on_signals() as stop:
         os.kill(os.getpid(), signal.SIGINT)
         assert stop.is_set()
         with pytest.raises(KeyboardInterrupt):

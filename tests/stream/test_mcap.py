@@ -12,7 +12,8 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from core.errors import RecordingError
 from core.wire.messages import Message, Telemetry, Weather, encode, schema
-from stream.mcap_writer import McapSink, McapSource
+from stream.mcap_reader import McapSource
+from stream.mcap_writer import McapSink
 
 SECOND = 1_000_000_000
 BEGIN = 1_700_000_000 * SECOND

@@ -9,7 +9,7 @@ import pytest
 from core.errors import ModelError
 from core.wire.messages import Leg, Outlook, encode
 from stream.loop import Tally
-from stream.query_service import LOG_S, SPEND_S, Desk
+from stream.query_service import LOG_S, SPEND_S, QueryService
 from tests.support.outlooks import NOW, PLANNED, Fleet
 
 
@@ -41,8 +41,8 @@ class Waiting:
         return taken
 
 
-def served(*questions: Asked, fleet=None, **settings) -> Desk:
-    desk = Desk(Waiting(list(questions)), fleet or Fleet(), **settings)
+def served(*questions: Asked, fleet=None, **settings) -> QueryService:
+    desk = QueryService(Waiting(list(questions)), fleet or Fleet(), **settings)
     desk(Tally())
     return desk
 
@@ -128,7 +128,7 @@ class Slow(Fleet):
 def test_telemetry_has_its_turn_between_many_questions_and_none_is_forgotten():
     questions, fleet = [Asked() for _ in range(10)], Slow()
     waiting = Waiting(list(questions))
-    desk = Desk(waiting, fleet, clock=lambda: fleet.now)
+    desk = QueryService(waiting, fleet, clock=lambda: fleet.now)
     waits = []
     while len(fleet.asked) < 10:
         before = fleet.now
@@ -142,7 +142,7 @@ def test_telemetry_has_its_turn_between_many_questions_and_none_is_forgotten():
 def test_one_refusal_of_a_cause_a_second_is_logged_and_all_are_counted(caplog: pytest.LogCaptureFixture):
     ticks = iter(i * LOG_S / 20 for i in range(10_000))
     bad = [Asked("taxi-9") for _ in range(30)] + [Asked(parameters="lunch")]
-    desk = Desk(Waiting(bad), Fleet(), clock=lambda: next(ticks))
+    desk = QueryService(Waiting(bad), Fleet(), clock=lambda: next(ticks))
     with caplog.at_level(logging.INFO, logger="socast.desk"):
         while sum(desk.refused.values()) < len(bad):
             desk(Tally())

@@ -6,9 +6,10 @@ import pytest
 
 from core.errors import RecordingError, SettingsError
 from core.wire.messages import Message
-from stream.mcap_writer import McapSink, McapSource
+from stream.mcap_reader import McapSource
+from stream.mcap_writer import McapSink
 from stream.recorder import Recorder
-from stream.source import merged
+from stream.source import merge_sources
 
 SECOND = 1_000_000_000
 BEGIN = 1_769_903_999 * SECOND + 123_000_000  # 2026-01-31T23:59:59.123Z
@@ -28,7 +29,7 @@ def messages(count: int, begin: int = 0, payload: bytes = b'{"time_s": 1}') -> l
 
 
 def recorded(folder: Path) -> list[Message]:
-    return [m for block in merged([McapSource(path) for path in sorted(folder.iterdir())]) for m in block]
+    return [m for block in merge_sources([McapSource(path) for path in sorted(folder.iterdir())]) for m in block]
 
 
 def test_every_payload_is_kept_as_it_came_good_or_not(tmp_path: Path):

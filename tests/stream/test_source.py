@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from core.errors import SettingsError
 from core.wire.messages import Message
 from stream.memory import MemorySink, MemorySource
-from stream.source import merged, paced, until
+from stream.source import merge_sources, pace_source, stop_source
 
 SECOND = 1_000_000_000
 
@@ -41,7 +41,7 @@ times = st.lists(st.integers(0, 50), max_size=30).map(sorted)
 @given(recordings=st.lists(times, min_size=1, max_size=4), chunk=st.integers(1, 7))
 def test_merging_is_sorting_and_loses_nothing(recordings, chunk):
     lists = [[Message(str(n), b"%d" % i, t) for i, t in enumerate(ts)] for n, ts in enumerate(recordings)]
-    got = [m for block in merged([MemorySource(part, chunk) for part in lists]) for m in block]
+    got = [m for block in merge_sources([MemorySource(part, chunk) for part in lists]) for m in block]
     assert [m.receipt_ns for m in got] == sorted(t for ts in recordings for t in ts)
     for n, part in enumerate(lists):
         assert [m for m in got if m.key == str(n)] == part
@@ -55,7 +55,7 @@ def test_merging_reads_no_further_than_it_must():
             taken.append((name, s))
             yield at(s, key=name)
 
-    stream = merged([source("a", 1, 5, 9), source("b", 2, 3, 4)])
+    stream = merge_sources([source("a", 1, 5, 9), source("b", 2, 3, 4)])
     assert [m.receipt_ns for m in next(stream)] == [SECOND]
     assert taken == [("a", 1), ("b", 2)]
 
@@ -65,7 +65,7 @@ def test_pacing_keeps_order_loses_nothing_and_is_never_early(seconds, speed, chu
     clock = Clock()
     sent = at(*seconds)
     got = []
-    for block in paced(MemorySource(sent, chunk), speed, clock=clock, sleep=clock.sleep):
+    for block in pace_source(MemorySource(sent, chunk), speed, clock=clock, sleep=clock.sleep):
         for message in block:
             due = 100.0 + (message.receipt_ns - sent[0].receipt_ns) / SECOND / speed
             assert clock.now >= due - 1e-6
@@ -77,7 +77,7 @@ def test_pacing_keeps_order_loses_nothing_and_is_never_early(seconds, speed, chu
 def test_a_slow_reader_catches_up():
     clock = Clock()
     blocks = []
-    for block in paced(MemorySource(at(*range(100))), 10.0, clock=clock, sleep=clock.sleep):
+    for block in pace_source(MemorySource(at(*range(100))), 10.0, clock=clock, sleep=clock.sleep):
         blocks.append(len(block))
         clock.now += 2.0  # the reader takes as long as twenty messages last
     assert sum(blocks) == 100
@@ -92,7 +92,7 @@ def test_silence_is_broken_by_looking_up():
         waits.append(seconds)
         clock.sleep(seconds)
 
-    blocks = list(paced(MemorySource(at(0, 10)), 1.0, clock=clock, sleep=sleep))
+    blocks = list(pace_source(MemorySource(at(0, 10)), 1.0, clock=clock, sleep=sleep))
     assert blocks.count([]) >= 45
     assert max(waits) <= 0.2
 
@@ -103,7 +103,7 @@ def test_gaps_are_shortened_only_if_asked(longest, lasts):
     sent = at(0, 5, 3605)
     got = [
         m
-        for block in paced(MemorySource(sent), 1, longest_gap_s=longest, clock=clock, sleep=clock.sleep)
+        for block in pace_source(MemorySource(sent), 1, longest_gap_s=longest, clock=clock, sleep=clock.sleep)
         for m in block
     ]
     assert got == sent
@@ -114,24 +114,24 @@ def test_as_fast_as_possible_does_not_touch_the_clock():
     def never(*_: float) -> float:
         raise AssertionError
 
-    assert list(paced(MemorySource(at(1, 2, 3)), inf, clock=never, sleep=never)) == [at(1, 2, 3)]
+    assert list(pace_source(MemorySource(at(1, 2, 3)), inf, clock=never, sleep=never)) == [at(1, 2, 3)]
 
 
 @pytest.mark.parametrize("speed", [0, -1, float("nan")])
 def test_an_impossible_speed_is_refused(speed):
     with pytest.raises(SettingsError, match="speed"):
-        paced([], speed)
+        pace_source([], speed)
 
 
 def test_an_impossible_gap_is_refused():
     with pytest.raises(SettingsError, match="gap"):
-        paced([], 1, longest_gap_s=0)
+        pace_source([], 1, longest_gap_s=0)
 
 
 def test_until_ends_when_told():
     stop = Event()
     seen = []
-    for block in until(MemorySource(at(*range(10)), 2), stop):
+    for block in stop_source(MemorySource(at(*range(10)), 2), stop):
         seen += block
         if len(seen) == 4:
             stop.set()

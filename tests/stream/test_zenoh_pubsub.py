@@ -14,7 +14,7 @@ import zenoh
 from core.errors import SettingsError
 from core.wire.messages import Message
 from stream.zenoh_pubsub import ZenohSink, ZenohSource
-from stream.zenoh_session import Connection, Node, free_port
+from stream.zenoh_session import Connection, Node, find_free_port
 from tests.support.zenoh_sessions import eventually, router
 
 KEYS = ("fleet/a/telemetry", "fleet/b/telemetry", "weather/yul")
@@ -45,7 +45,7 @@ def test_everything_arrives_in_order_across_the_keys_of_a_space():
         source = ZenohSource(node, stop)
         with Node(Connection(connect=(endpoint,))) as client:
             sink = ZenohSink(client)
-            assert eventually(sink.heard)
+            assert eventually(sink.has_subscriber)
             sink.put(sent)
             got = received(source, stop, len(sent))
             sink.close()
@@ -64,7 +64,7 @@ def test_what_is_published_just_before_closing_is_not_lost():
         def publish() -> None:
             with Node(Connection(connect=(endpoint,))) as client:
                 sink = ZenohSink(client)
-                eventually(sink.heard)
+                eventually(sink.has_subscriber)
                 sink.put(sent)
                 sink.close()
 
@@ -84,7 +84,7 @@ def test_what_is_queued_when_told_to_stop_is_still_yielded():
         node.session.declare_subscriber("**", arrived.append)
         with Node(Connection(connect=(endpoint,))) as client:
             sink = ZenohSink(client)
-            assert eventually(sink.heard)
+            assert eventually(sink.has_subscriber)
             sink.put(sent)
             assert eventually(lambda: len(arrived) == len(sent))
         stop.set()
@@ -159,7 +159,7 @@ def test_without_recovery_everything_arrives_too():
         source = ZenohSource(node, stop)
         with Node(Connection(connect=(endpoint,))) as client:
             sink = ZenohSink(client)
-            assert eventually(sink.heard)
+            assert eventually(sink.has_subscriber)
             sink.put(sent)
             got = received(source, stop, len(sent))
     assert sorted(m.payload for m in got) == sorted(m.payload for m in sent)
@@ -180,7 +180,7 @@ def test_what_is_of_another_prefix_or_no_fleet_does_not_arrive(prefix, recovery)
         source = ZenohSource(node, stop)
         with Node(Connection(connect=(endpoint,))) as client:
             ours, theirs = ZenohSink(client, prefix), ZenohSink(client)
-            assert eventually(ours.heard)
+            assert eventually(ours.has_subscriber)
             theirs.put(messages(len(others), others))
             ours.put(messages(3))
             got = received(source, stop, 3)
@@ -193,8 +193,8 @@ def test_a_prefix_shuts_out_other_fleets():
         source = ZenohSource(node, stop)
         with Node(Connection(connect=(endpoint,))) as client:
             ours, theirs = ZenohSink(client, "montreal/"), ZenohSink(client, "quebec/")
-            assert eventually(ours.heard)
-            assert not theirs.heard()
+            assert eventually(ours.has_subscriber)
+            assert not theirs.has_subscriber()
             theirs.put(messages(3))
             ours.put(messages(3))
             got = received(source, stop, 3)
@@ -208,7 +208,7 @@ def test_what_a_node_publishes_does_not_come_back_to_it():
         ZenohSink(node).put([Message("fleet/a/forecast", b"{}", 0)])
         with Node(Connection(connect=(endpoint,))) as client:
             sink = ZenohSink(client)
-            assert eventually(sink.heard)
+            assert eventually(sink.has_subscriber)
             sink.put(messages(1))
             got = received(source, stop, 1)
     assert [m.key for m in got] == [KEYS[0]]
@@ -221,7 +221,7 @@ def test_a_silent_source_looks_up():
 
 
 def test_a_consumer_outlives_its_router(caplog: pytest.LogCaptureFixture):
-    port, stop = free_port(), Event()
+    port, stop = find_free_port(), Event()
     endpoint = f"tcp/127.0.0.1:{port}"
     at_it = Connection(listen=(endpoint,), mode="router")
     with Node(at_it) as before, Node(Connection(connect=(endpoint,))) as consumer:
@@ -234,7 +234,7 @@ def test_a_consumer_outlives_its_router(caplog: pytest.LogCaptureFixture):
             assert next(silence) == []
         with Node(at_it) as after:
             sink = ZenohSink(after)
-            assert eventually(sink.heard)
+            assert eventually(sink.has_subscriber)
             sink.put(messages(3))
             got = received(source, stop, 3)
     assert "router lost" in caplog.text

@@ -11,7 +11,7 @@ import pytest
 from core.errors import AskError, SettingsError
 from core.wire.messages import Leg, Message, Outlook, encode
 from stream.zenoh_pubsub import ZenohSink, ZenohSource
-from stream.zenoh_queryable import WAITING, ZenohQueries, ask
+from stream.zenoh_queryable import WAITING, ZenohQueryable, query_outlook
 from stream.zenoh_session import Connection, Node
 from tests.support.outlooks import NOW, PLANNED
 from tests.support.zenoh_sessions import eventually, live, router
@@ -27,11 +27,11 @@ def service():
 
 
 @contextmanager
-def unattended() -> Iterator[tuple[ZenohQueries, Node]]:
+def unattended() -> Iterator[tuple[ZenohQueryable, Node]]:
     """Give questions that nobody looks at, and a client."""
     with (
         router() as (node, endpoint),
-        ZenohQueries(node) as queries,
+        ZenohQueryable(node) as queries,
         Node(Connection(connect=(endpoint,))) as client,
     ):
         yield queries, client
@@ -40,7 +40,7 @@ def unattended() -> Iterator[tuple[ZenohQueries, Node]]:
 def test_a_question_is_answered_while_telemetry_is_silent(service):
     consumer, desk, client = service
     before = desk.answered
-    told = msgspec.json.decode(ask(client, "taxi-7", RIDE | {"gained_m": "40"}), type=Outlook)
+    told = msgspec.json.decode(query_outlook(client, "taxi-7", RIDE | {"gained_m": "40"}), type=Outlook)
     assert (told.vehicle_id, told.asked.distance_km, told.asked.duration_s) == ("taxi-7", 18.0, 1500.0)
     assert consumer.asked[-1] == ("taxi-7", Leg(18.0, 1500.0, 40.0), None)
     assert desk.answered == before + 1
@@ -57,7 +57,7 @@ def test_a_selector_may_be_written_either_way(service, between):
 def test_a_plan_that_comes_with_the_question_is_answered(service):
     _, _, client = service
     sent = {"shift_end_s": NOW + 3600.0, "reserve_soc_pct": 30.0, "legs": [{"distance_km": 7.0, "duration_s": 700}]}
-    told = msgspec.json.decode(ask(client, "taxi-7", {}, json.dumps(sent).encode()), type=Outlook)
+    told = msgspec.json.decode(query_outlook(client, "taxi-7", {}, json.dumps(sent).encode()), type=Outlook)
     assert [leg.distance_km for leg in told.legs] == [7.0]
 
 
@@ -86,28 +86,28 @@ def test_what_is_wrong_is_told_and_the_consumer_lives_on(service, wrong):
     vehicle, parameters, payload, told = BAD[wrong]
     refused = sum(desk.refused.values())
     with pytest.raises(AskError) as caught:
-        ask(client, vehicle, parameters, payload)
+        query_outlook(client, vehicle, parameters, payload)
     assert told in str(caught.value)
     assert sum(desk.refused.values()) == refused + 1
-    assert json.loads(ask(client, "taxi-7", RIDE))["vehicle_id"] == "taxi-7"
+    assert json.loads(query_outlook(client, "taxi-7", RIDE))["vehicle_id"] == "taxi-7"
 
 
 def test_telemetry_goes_on_through_bad_questions(service):
     consumer, _, client = service
     sink, sent = ZenohSink(client), [Message("fleet/a/telemetry", b"%d" % i, 0) for i in range(50)]
-    assert eventually(sink.heard)
+    assert eventually(sink.has_subscriber)
     consumer.taken.clear()
     for message in sent:
         client.session.get("fleet/taxi-0/outlook?what=now")
         sink.put([message])
     assert eventually(lambda: len(consumer.taken) == len(sent))
     assert [m.payload for m in consumer.taken] == [m.payload for m in sent]
-    assert json.loads(ask(client, "taxi-7", {}))["asked"] is None
+    assert json.loads(query_outlook(client, "taxi-7", {}))["asked"] is None
 
 
 def test_a_prefix_is_put_before_and_other_fleets_are_not_answered_for():
     with live("montreal") as (consumer, _, client):
-        assert json.loads(ask(client, "taxi-7", RIDE))["vehicle_id"] == "taxi-7"
+        assert json.loads(query_outlook(client, "taxi-7", RIDE))["vehicle_id"] == "taxi-7"
         assert [vehicle for vehicle, _, _ in consumer.asked] == ["taxi-7"]
         assert list(client.session.get("fleet/taxi-7/outlook")) == []
 
@@ -115,9 +115,9 @@ def test_a_prefix_is_put_before_and_other_fleets_are_not_answered_for():
 def test_more_questions_than_can_wait_hold_nothing_up():
     """The oldest end at once and without an answer, the newest are answered, and telemetry passes all the while."""
     got: list[Message] = []
-    with router() as (node, endpoint), ZenohQueries(node) as queries, Node(Connection(connect=(endpoint,))) as client:
+    with router() as (node, endpoint), ZenohQueryable(node) as queries, Node(Connection(connect=(endpoint,))) as client:
         source, sink = iter(ZenohSource(node, Event())), ZenohSink(client)
-        assert eventually(sink.heard)
+        assert eventually(sink.has_subscriber)
         asked = [client.session.get(f"fleet/taxi-{i}/outlook", timeout=60.0) for i in range(WAITING + 10)]
         sink.put([Message("fleet/a/telemetry", b"{}", 0)])
         assert eventually(lambda: got or got.extend(next(source)))
@@ -146,7 +146,7 @@ def test_when_closed_what_waits_ends_without_an_answer():
 
 
 def test_an_asker_that_has_gone_is_no_failure():
-    with router() as (node, endpoint), ZenohQueries(node) as queries:
+    with router() as (node, endpoint), ZenohQueryable(node) as queries:
         seen: list = []
         with Node(Connection(connect=(endpoint,))) as client:
             client.session.get("fleet/taxi-7/outlook", timeout=60.0)
@@ -166,13 +166,13 @@ def test_where_nobody_answers_that_is_told():
         Node(Connection(connect=(endpoint,), prefix="montreal")) as client,
         pytest.raises(SettingsError, match="nobody answers montreal/fleet/taxi-7/outlook; start `socast live`"),
     ):
-        ask(client, "taxi-7", RIDE)
+        query_outlook(client, "taxi-7", RIDE)
 
 
 def test_an_answer_that_does_not_come_in_time_is_not_waited_for():
     with unattended() as (queries, client):
         with pytest.raises(SettingsError, match=r"not answered within 0.2 s"):
-            ask(client, "taxi-7", RIDE, timeout_s=0.2)
+            query_outlook(client, "taxi-7", RIDE, timeout_s=0.2)
         (late,) = queries.pending()
         late.reply(b"{}")  # to nobody
         replies = client.session.get("fleet/taxi-7/outlook", timeout=60.0)

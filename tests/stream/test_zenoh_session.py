@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from core.errors import SettingsError
-from stream.zenoh_session import Connection, Node, _config, _endpoints, free_port
+from stream.zenoh_session import Connection, Node, _config, _endpoints, find_free_port
 from tests.support.zenoh_sessions import router
 
 
@@ -75,7 +75,7 @@ def test_a_taken_port_is_one_line_that_tells_to_choose_another(mode, connect):
 
 
 def test_where_nobody_is_to_connect_to_listening_is_not_blamed():
-    listen = (f"tcp/127.0.0.1:{free_port()}",)
+    listen = (f"tcp/127.0.0.1:{find_free_port()}",)
     with pytest.raises(SettingsError, match="is a router listening there"):
         Node(Connection(connect=("tcp/127.0.0.1:1",), listen=listen))
 

@@ -8,9 +8,9 @@ from typing import Any
 
 from core.wire.messages import Message
 from stream.loop import run
-from stream.query_service import Desk
+from stream.query_service import QueryService
 from stream.zenoh_pubsub import ZenohSource
-from stream.zenoh_queryable import ZenohQueries
+from stream.zenoh_queryable import ZenohQueryable
 from stream.zenoh_session import Connection, Node
 from tests.support.outlooks import Fleet
 
@@ -53,11 +53,11 @@ class Consumer(Fleet):
 
 
 @contextmanager
-def live(prefix: str = "") -> Iterator[tuple[Consumer, Desk, Node]]:
+def live(prefix: str = "") -> Iterator[tuple[Consumer, QueryService, Node]]:
     """Give a consumer whose loop runs in a thread, its desk, and a client at its router."""
     stop, consumer = Event(), Consumer()
-    with router(prefix=prefix) as (node, endpoint), ZenohQueries(node) as queries:
-        desk = Desk(queries, consumer)
+    with router(prefix=prefix) as (node, endpoint), ZenohQueryable(node) as queries:
+        desk = QueryService(queries, consumer)
         source = ZenohSource(node, stop)
         thread = Thread(target=run, args=(source, consumer), kwargs={"watch": desk})
         thread.start()

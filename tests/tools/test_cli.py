@@ -22,14 +22,15 @@ from core.models import EXTENDED_PHYSICAL
 from core.pipeline import Pipeline
 from core.wire.messages import Forecast
 from stream.loop import Tally
-from stream.mcap_writer import McapSink, McapSource
-from stream.zenoh_session import free_port
+from stream.mcap_reader import McapSource
+from stream.mcap_writer import McapSink
+from stream.zenoh_session import find_free_port
 from tests.support.commands import SOCAST, called, refused
 from tests.support.live_consumers import consumers, logged
 from tests.support.recorded_shift import shift
 from tests.support.zenoh_sessions import eventually
 from tools.cli import COMMANDS, COMPLETION, application, main
-from tools.commands.live import Keeper
+from tools.commands.live import StateKeeper
 
 
 @pytest.fixture(scope="module")
@@ -212,7 +213,7 @@ def test_replay_cleans_as_it_is_told(recording):
 def test_info_tells_what_is_in_a_recording(recording, tmp_path):
     out, _, code = called("info", recording, "--json", tmp_path / "info.json")
     assert code == 0
-    (about,) = json.loads((tmp_path / "info.json").read_text())
+    (about,) = json.loads((tmp_path / "info.json").read_text())["recordings"]
     sent = shift()
     assert about["messages"] == len(sent)
     assert about["vehicles"] == ["car-0", "car-1", "car-2"]
@@ -272,7 +273,7 @@ def test_tables_tell_the_same_rides_in_parquet_and_json_and_name_each_loss(recor
         cut.write_bytes(recording.read_bytes()[: -20_000 * (at + 1)])
     out, err, code = called("tables", *cuts, "--out", tmp_path, "--json", tmp_path / "rides.json")
     assert code == 0
-    rides = json.loads((tmp_path / "rides.json").read_text(), parse_constant=pytest.fail)
+    rides = json.loads((tmp_path / "rides.json").read_text(), parse_constant=pytest.fail)["rides"]
     table = pd.read_parquet(tmp_path / "rides.parquet")
     assert [ride["ride_id"] for ride in rides] == table["ride_id"].tolist()
     assert [ride["distance_km"] for ride in rides] == table["distance_km"].tolist()
@@ -302,7 +303,7 @@ def consumer(tmp_path: Path):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_live_ends_cleanly_on_a_signal_and_leaves_nothing_behind(consumer, recording, tmp_path, number):
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = f"tcp/127.0.0.1:{find_free_port()}"
     process, log = consumer("--listen", endpoint, "--record", tmp_path / "kept", "--report", "0.05")
     _, told, code = called("replay", recording, "--connect", endpoint, "--speed", "max")
     assert code == 0
@@ -322,7 +323,7 @@ def test_live_ends_cleanly_on_a_signal_and_leaves_nothing_behind(consumer, recor
 
 
 def test_live_cleans_as_it_is_told(consumer, recording):
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = f"tcp/127.0.0.1:{find_free_port()}"
     process, log = consumer("--listen", endpoint, "--report", "0.05", "--least-distance-km", "100")
     called("replay", recording, "--connect", endpoint, "--speed", "max")
     assert eventually(lambda: any(line.get("messages") == len(shift()) for line in logged(log)))
@@ -333,7 +334,7 @@ def test_live_cleans_as_it_is_told(consumer, recording):
 
 
 def test_a_killed_consumers_recording_is_read_up_to_its_last_flush(consumer, recording, tmp_path):
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = f"tcp/127.0.0.1:{find_free_port()}"
     process, _ = consumer("--listen", endpoint, "--record", tmp_path / "kept", "--flush", "0.1")
     called("replay", recording, "--connect", endpoint, "--speed", "max")
 
@@ -355,7 +356,7 @@ def test_a_restarted_consumer_goes_on_where_it_was(consumer, tmp_path):
     for number, part in enumerate(parts):
         with McapSink(tmp_path / f"{number}.mcap") as sink:
             sink.put(part)
-        endpoint = f"tcp/127.0.0.1:{free_port()}"
+        endpoint = f"tcp/127.0.0.1:{find_free_port()}"
         process, log = consumer("--listen", endpoint, "--state", tmp_path / "state", "--report", "0.05")
         called("replay", tmp_path / f"{number}.mcap", "--connect", endpoint, "--speed", "max")
         assert eventually(lambda log=log, part=part: any(line.get("messages") == len(part) for line in logged(log)))
@@ -373,7 +374,7 @@ def test_a_state_that_cannot_be_kept_is_logged_and_the_cars_are_served_on(tmp_pa
     folder.mkdir()
     now = [0.0]
     monkeypatch.setattr(logging.getLogger("socast"), "propagate", True)
-    keeper = Keeper(Pipeline(EXTENDED_PHYSICAL), folder / "cars", lambda: now[0])
+    keeper = StateKeeper(Pipeline(EXTENDED_PHYSICAL), folder / "cars", lambda: now[0])
     assert (folder / "cars").exists()
     shutil.rmtree(folder)
     now[0] = 1000.0
@@ -388,7 +389,7 @@ def test_the_demo_shows_cars_then_rides(recording, tmp_path):
     assert (code, err) == (0, "")
     called("replay", recording, "--json", tmp_path / "replay.json")
     demo, replay = (json.loads((tmp_path / f"{name}.json").read_text()) for name in ("demo", "replay"))
-    assert demo == replay["rides"]
+    assert demo["rides"] == replay["rides"]
     assert "SOC" in out
     assert "9 rides of 3 cars" in out
     assert "0 of the messages sent were missed" in out

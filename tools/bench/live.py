@@ -9,10 +9,10 @@ from typing import Any, TypeAlias
 
 from core.models import EXTENDED_PHYSICAL
 from core.pipeline import Pipeline
-from stream.latest_only_sink import Outbox
+from stream.latest_only_sink import LatestOnlySink
 from stream.loop import PUBLISH_S, Tally, run
 from stream.zenoh_pubsub import ZenohSink, ZenohSource
-from stream.zenoh_session import Connection, Node, free_port
+from stream.zenoh_session import Connection, Node, find_free_port
 from tools.bench.fleet import make_rounds, make_vehicles
 from tools.bench.measures import Measure, alternate_timings
 
@@ -62,7 +62,7 @@ def time_stream(cars: int, turns: int, consume: Consumer) -> float:
     """
     context = multiprocessing.get_context("spawn")
     ready, go = context.Event(), context.Event()
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = f"tcp/127.0.0.1:{find_free_port()}"
     with Node(Connection(listen=(endpoint,), mode="router")) as node:
         process = context.Process(target=publish_stream, args=(endpoint, cars, turns, ready, go))
         process.start()
@@ -129,7 +129,7 @@ def make_full_consumer(cars: int, turns: int) -> Consumer:
                 stop.set()
 
         source = ZenohSource(node, stop)
-        run(source, pipeline, [Outbox(ZenohSink(node))], publish_s=PUBLISH_S, watch=watch)
+        run(source, pipeline, [LatestOnlySink(ZenohSink(node))], publish_s=PUBLISH_S, watch=watch)
         return ended - began
 
     return consume

@@ -16,7 +16,8 @@ from core.models import EXTENDED_PHYSICAL
 from core.pipeline import BLOCK, Pipeline
 from core.wire.decoder import Decoder
 from core.wire.messages import Message
-from stream.mcap_writer import McapSink, McapSource
+from stream.mcap_reader import McapSource
+from stream.mcap_writer import McapSink
 from tools.bench.fleet import make_rounds, make_vehicles
 
 

@@ -13,7 +13,7 @@ from core.diagnose.noise import compute_ride_noise_floor
 from core.diagnose.ranking import LEAST_GAIN
 from core.errors import ModelError
 from tools.commands.diagnose import LeastGain, read_files, read_tables
-from tools.terminal.output import EffectFiles, JsonFile, model_files, printer, writable, write_json
+from tools.terminal.output import EffectFiles, JsonFile, check_outputs, make_console, select_model_files, write_json
 
 
 def add_effect(
@@ -45,14 +45,14 @@ def add_effect(
 
     base = models.load(model)
     columns = build_term_columns(effect, scope or ())
-    writable([*read_files(data), *model_files([model]), *(effects_file or ())], out, json_file)
+    check_outputs([*read_files(data), *select_model_files([model]), *(effects_file or ())], out, json_file)
     rides, windows = read_tables(data, base)
     floor = compute_ride_noise_floor(gather_windows(rides, windows, base))
     added = add.add_effect(
         base, effect, columns, join_tables(rides, windows), rides=rides, floor=floor, least=least_gain
     )
-    write_json(json_file, added.trial)
-    console = printer()
+    write_json(json_file, "add", added.trial)
+    console = make_console(json_file)
     history.print_trial(added.trial, console)
     if not added.trial["accepted"]:
         if not force:

@@ -13,9 +13,9 @@ from rich.text import Text
 from core.errors import SettingsError
 from core.forecast.plan_checks import parse_leg, parse_plan, parse_vehicle
 from core.wire.messages import Interval, LegOutlook, Outlook
-from stream.zenoh_queryable import ask
+from stream.zenoh_queryable import query_outlook
 from stream.zenoh_session import LOOPBACK, Connection, Node
-from tools.terminal.output import JsonFile, printer, writable, write_json
+from tools.terminal.output import JsonFile, check_outputs, make_console, write_json
 
 LOW_RISK: Final = 0.05
 """Below it the answer is yes."""
@@ -57,22 +57,22 @@ def ask_outlook(
     """
     ride = {"distance_km": distance_km, "duration_s": duration_s, "gained_m": gained_m, "lost_m": lost_m}
     given = {name: str(value) for name, value in ride.items() if value is not None}
-    writable([plan] if plan else [], json_file)
+    check_outputs([plan] if plan else [], json_file)
     payload = _read(plan) if plan else None
     parse_plan(payload, parse_vehicle(vehicle))  # what is wrong is told before anybody is asked
     parse_leg(given)
     if not 0.0 < timeout_s <= LONGEST_S:
         raise SettingsError(f"--timeout-s is {timeout_s:g}, must be above 0 and at most {LONGEST_S:g} s")
     with Node(Connection((connect,), prefix=prefix, config=config)) as node:
-        answer = ask(node, vehicle, given, payload, timeout_s)
+        answer = query_outlook(node, vehicle, given, payload, timeout_s)
     try:
         outlook = msgspec.json.decode(answer, type=Outlook)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise SettingsError(
             f"the answer for {vehicle} is not understood: {error}; ask with the version of `socast` that answers"
         ) from error
-    show(outlook, printer())
-    write_json(json_file, outlook)
+    write_json(json_file, "ask", outlook)
+    show(outlook, make_console(json_file))
 
 
 def show(outlook: Outlook, console: Console) -> None:

@@ -20,7 +20,15 @@ from core.models import BUILT_IN_MODELS, LinearModel
 from tools.commands.evaluate import KEY, read
 from tools.commands.fit import RECORDING, Rides, inputs, ride_files
 from tools.commands.tables import WINDOWS, in_memory
-from tools.terminal.output import EffectFiles, HtmlFile, JsonFile, model_files, report, writable, write_json
+from tools.terminal.output import (
+    EffectFiles,
+    HtmlFile,
+    JsonFile,
+    check_outputs,
+    select_model_files,
+    show_report,
+    write_json,
+)
 
 
 def compare_models(
@@ -46,8 +54,8 @@ def compare_models(
     """
     if ride is not None and against:
         raise SettingsError("--ride shows one ride of the first rides; leave out --against")
-    read = [*inputs(rides), *inputs(against or ()), *model_files(model), *(effects_file or ())]
-    writable(read, json_file, html_file)
+    read = [*inputs(rides), *inputs(against or ()), *select_model_files(model), *(effects_file or ())]
+    check_outputs(read, json_file, html_file)
     chosen = named(model)
     if ride is not None:
         result: dict[str, Any] = {"trace": _trace(rides, ride, chosen)}
@@ -58,8 +66,8 @@ def compare_models(
         if against:
             result["against"] = _against(found, rides, against, chosen)
     result = to_json_values(result)
-    write_json(json_file, result)
-    report("comparison.page", result, html_file)
+    write_json(json_file, "compare", result)
+    show_report("comparison.page", result, html_file, json_file)
 
 
 def named(given: Sequence[str]) -> dict[str, LinearModel]:

@@ -13,20 +13,20 @@ import typer
 from core import models
 from core.errors import SettingsError, SocastError
 from core.pipeline import Pipeline
-from stream.latest_only_sink import Outbox
-from stream.loop import PUBLISH_S, Tally, run, stopping
-from stream.mcap_writer import McapSource
-from stream.structured_log import write_lines
+from stream.latest_only_sink import LatestOnlySink
+from stream.loop import PUBLISH_S, Tally, run, stop_on_signals
+from stream.mcap_reader import McapSource
+from stream.structured_log import log_lines
 from stream.zenoh_pubsub import ZenohSink, ZenohSource
 from stream.zenoh_session import Connection, Node
-from tools.commands.info import described
-from tools.commands.live import both, warm_up
-from tools.terminal.live_table import Screen, ride_records, show_rides, with_predictions
-from tools.terminal.model_comparison import USUAL
-from tools.terminal.output import JsonFile, ModelName, printer, writable, write_json
+from tools.commands.info import describe_recording
+from tools.commands.live import combine_watches, compile_kernels
+from tools.terminal.live_table import LiveTable, add_predictions, make_ride_records, show_rides
+from tools.terminal.model_comparison import DEFAULT_MODEL
+from tools.terminal.output import JsonFile, ModelName, check_outputs, make_console, write_json
 
 SHIFT = Path(__file__).parents[2] / "recordings" / "shift.mcap"
-"""The recording that comes with the product."""
+"""The recording that comes with socast."""
 QUIET_S = 2.0
 """Silence after the publisher has ended that means nothing more will come. [s]"""
 
@@ -35,25 +35,30 @@ def demo(
     recording: Annotated[
         Path, typer.Argument(metavar="[REC]", help="Recording to publish. [default: the shift that comes with socast]")
     ] = SHIFT,
-    seconds: Annotated[float, typer.Option(min=1.0, metavar="S", help="How long it shall take.")] = 35.0,
-    model: ModelName = USUAL,
+    seconds: Annotated[float, typer.Option(min=1.0, metavar="S", help="Duration of the demonstration.")] = 35.0,
+    model: ModelName = DEFAULT_MODEL,
     json_file: JsonFile = None,
 ) -> None:
-    """Watch a recorded shift as if it were live.
+    """Show a recorded shift as if it were live.
 
-    A router opens on loopback, another process publishes the recording through it at a speed-up, and the live consumer
-    forecasts what arrives. At the end, every ride's prediction is held against what the car measured.
+    A router opens on loopback, another process publishes the recording through it faster than real time, and the live
+    consumer forecasts what arrives. The table at the end compares the prediction of each ride with the measured energy.
+
+    Examples
+    --------
+    socast demo
+    socast demo my-shift.mcap --seconds 60 --model basic_physical
     """
-    write_lines(level=logging.WARNING)
+    log_lines(level=logging.WARNING)
     if recording == SHIFT and not SHIFT.exists():
-        raise SettingsError(f"{SHIFT} is not there; give a recording: socast demo REC, made by `socast simulate`")
+        raise SettingsError(f"{SHIFT} does not exist; give a recording: socast demo REC, made by `socast simulate`")
     source_file = McapSource(recording)
-    writable([recording], json_file)
-    about = described(source_file)
-    console = printer()
+    check_outputs([recording], json_file)
+    about = describe_recording(source_file)
+    console = make_console(json_file)
     chosen = models.load(model)
-    console.print("preparing: what is compiled is compiled once", style="dim", highlight=False)
-    warm_up(chosen)
+    console.print("preparing: compiling kernels, once", style="dim", highlight=False)
+    compile_kernels(chosen)
     speed = max(1.0, about["duration_s"] / seconds)
     console.print(
         f"{recording.name}: {about['messages']:,} messages of {len(about['vehicles'])} cars over "
@@ -61,44 +66,45 @@ def demo(
         highlight=False,
     )
     pipeline = Pipeline(chosen)
-    with stopping() as stop, Node(Connection(listen=("tcp/127.0.0.1:0",), mode="router")) as node:
+    with stop_on_signals() as stop, Node(Connection(listen=("tcp/127.0.0.1:0",), mode="router")) as node:
         source = ZenohSource(node, stop)
         command = [sys.executable, "-m", "socast", "replay", str(recording), "--connect", node.endpoints[0]]
         with (
             subprocess.Popen(  # noqa: S603 - our own command
                 [*command, "--speed", f"{speed:g}"], stderr=subprocess.PIPE, text=True
             ) as publisher,
-            Screen(pipeline, f"Live, {speed:.0f} times real time", console=console) as screen,
+            LiveTable(pipeline, f"Live, {speed:.0f} times real time", console=console) as table,
         ):
             try:
                 run(
                     source,
                     pipeline,
-                    [Outbox(ZenohSink(node))],
+                    [LatestOnlySink(ZenohSink(node))],
                     publish_s=PUBLISH_S,
-                    watch=both(screen, _ending(publisher, about["messages"], stop.set)),
+                    watch=combine_watches(table, _stop_at_end(publisher, about["messages"], stop.set)),
                 )
             finally:
                 publisher.terminate()
             failure = (publisher.communicate()[1] or "").strip() if publisher.wait() not in {0, -15} else ""
     if failure:
         raise SocastError(f"the publisher failed: {failure.splitlines()[-1]}")
-    rides = with_predictions(pipeline.take_rides(), pipeline.shadows)
+    rides = add_predictions(pipeline.take_rides(), pipeline.shadows)
+    write_json(json_file, "demo", {"rides": make_ride_records(rides)})
     show_rides(console, rides, pipeline.quality())
     console.print(f"{source.missed:,} of the messages sent were missed on the way", highlight=False)
-    write_json(json_file, ride_records(rides))
 
 
-def _ending(publisher: subprocess.Popen[str], messages: int, stop: Callable[[], None]) -> Callable[[Tally], None]:
-    """Return a watch that stops once all has come, or the publisher has ended and nothing has come for a while."""
-    heard = [0, time.monotonic()]
+def _stop_at_end(publisher: subprocess.Popen[str], messages: int, stop: Callable[[], None]) -> Callable[[Tally], None]:
+    """Return a watch that stops the loop once all messages have come, or a while after the publisher has ended."""
+    received, since = 0, time.monotonic()
 
     def watch(tally: Tally) -> None:
+        nonlocal received, since
         if tally.received >= messages:
             stop()
-        elif tally.received != heard[0]:
-            heard[:] = [tally.received, time.monotonic()]
-        elif publisher.poll() is not None and time.monotonic() - heard[1] > QUIET_S:
+        elif tally.received != received:
+            received, since = tally.received, time.monotonic()
+        elif publisher.poll() is not None and time.monotonic() - since > QUIET_S:
             stop()
 
     return watch

@@ -26,7 +26,16 @@ from core.models.features import EFFECT_PREFIX, FEATURES, is_scope
 from tools.commands.evaluate import KEY, read
 from tools.commands.fit import RECORDING, Rides, inputs
 from tools.commands.tables import WINDOWS, in_memory
-from tools.terminal.output import EffectFiles, HtmlFile, JsonFile, model_files, printer, report, writable, write_json
+from tools.terminal.output import (
+    EffectFiles,
+    HtmlFile,
+    JsonFile,
+    check_outputs,
+    make_console,
+    select_model_files,
+    show_report,
+    write_json,
+)
 
 ENERGY_COLUMNS = (
     "energy_kwh",
@@ -67,9 +76,11 @@ def diagnose_rides(
     if auto != (out is not None):
         raise SettingsError("--auto writes the final model: give --auto and -o M2 together, or neither")
     loaded = models.load(model)
-    writable([*read_files(rides), *model_files([model]), *(effects_file or ())], json_file, html_file, suggest, out)
+    check_outputs(
+        [*read_files(rides), *select_model_files([model]), *(effects_file or ())], json_file, html_file, suggest, out
+    )
     table, windows = read_tables(rides, loaded)
-    console = printer()
+    console = make_console(json_file)
     for name in list_lacking_effects(effects_file or (), windows):
         console.print(
             f"{name} is not in the tables and is not tested: make them again with `socast tables --effects FILE`",
@@ -82,8 +93,8 @@ def diagnose_rides(
     else:
         result = _diagnose(loaded, *_drop_known_final_days(loaded, table, windows, console), least_gain)
         insert_commands(result, model, rides, effects_file or ())
-    write_json(json_file, result)
-    report("diagnosis.page", result, html_file, suggested=_write_suggestion(result, suggest))
+    write_json(json_file, "diagnose", result)
+    show_report("diagnosis.page", result, html_file, json_file, suggested=_write_suggestion(result, suggest))
     if out is not None:
         message = f"{out}: version {loaded.version}; show its steps: socast history {out}"
         console.print(message, markup=False, highlight=False, soft_wrap=True)

@@ -13,7 +13,7 @@ from core.effects import Effect, Parameter
 from core.errors import SettingsError
 from core.formatting import everyday
 from tools.terminal.effect_template import blank, from_effect
-from tools.terminal.output import EffectFiles, JsonFile, printer, writable, write_json
+from tools.terminal.output import EffectFiles, JsonFile, check_outputs, make_console, write_json
 from tools.terminal.rich_table import Column, make_description, make_table
 
 app = typer.Typer(help="The physical effects that models are made of, and your own.", no_args_is_help=True)
@@ -32,8 +32,9 @@ def list_effects(_: EffectFiles = None, json_file: JsonFile = None) -> None:
         table.add_row(Text(topic, "bold"))
         for effect in found:
             _add(table, effect)
-    printer().print(table)
-    write_json(json_file, [_plain(effect, topic) for topic, found in topics.items() for effect in found])
+    listed = [_plain(effect, topic) for topic, found in topics.items() for effect in found]
+    write_json(json_file, "effects", {"effects": listed})
+    make_console(json_file).print(table)
 
 
 @app.command("show")
@@ -45,8 +46,9 @@ def show(
     """Show all that is declared of an effect: source, what it is confused with, what shows it, its parameters."""
     effect = effects.get(name)
     topic = next(topic for topic, found in effects.group_by_topic().items() if effect.base in [e.name for e in found])
-    printer().print(make_description([(name, Text(text)) for name, text in _told(effect, topic) if text]))
-    write_json(json_file, _plain(effect, topic))
+    write_json(json_file, "effect", _plain(effect, topic))
+    description = make_description([(name, Text(text)) for name, text in _told(effect, topic) if text])
+    make_console(json_file).print(description)
 
 
 @app.command("check")
@@ -59,10 +61,11 @@ def check_file(
     table = _table()
     for effect in found:
         _add(table, effect)
-    printer().print(table)
-    write_json(json_file, [_plain(effect, file.name) for effect in found])
+    write_json(json_file, "effects", {"effects": [_plain(effect, file.name) for effect in found]})
+    console = make_console(json_file)
+    console.print(table)
     count = f"{len(found)} effect{'s' if len(found) > 1 else ''}"
-    printer().print(Text(f"{count} in {file}: all checks passed."))
+    console.print(Text(f"{count} in {file}: all checks passed."))
 
 
 @app.command("new")
@@ -77,13 +80,13 @@ def new_file(
         raise SettingsError(f"{file} is there already and would be overwritten; name another file")
     name = "my_effect" if origin is None else f"my_{effects.get(origin).base}"
     content = blank(name) if origin is None else from_effect(effects.get(origin), name)
-    writable((), file)
+    check_outputs((), file)
     try:
         file.write_text(content, encoding="utf-8")
     except OSError as error:
         raise SettingsError(f"{file} cannot be written: {error.strerror}; name a file in another folder") from error
     told = f"{file} holds the effect {name}. Edit it, then: socast effects check {file}"
-    printer().print(told, markup=False, highlight=False, soft_wrap=True)
+    make_console().print(told, markup=False, highlight=False, soft_wrap=True)
 
 
 def _told(effect: Effect, topic: str) -> list[tuple[str, str]]:

@@ -21,7 +21,7 @@ from core.fit.recipes import RECIPES
 from core.stats.splits import REPEATS
 from tools.commands.fit import Tables, ride_files
 from tools.commands.tables import WINDOWS
-from tools.terminal.output import HtmlFile, JsonFile, printer, writable, write_json
+from tools.terminal.output import HtmlFile, JsonFile, check_outputs, make_console, write_json
 
 LEAST_REPEATS = 2
 """Fewer give no interval."""
@@ -51,15 +51,15 @@ def evaluate_tables(
             raise SettingsError(f"{name} is {value}; give {least} or more")
     files = ride_files(tables)
     beside = [file.with_name(WINDOWS) for file in files]
-    writable([*files, *beside], json_file, html_file)
+    check_outputs([*files, *beside], json_file, html_file)
     rides = read(files)
     windows = read(beside, window_columns()) if all(file.is_file() for file in beside) else None
     wanted = select_recipes(recipes, windows, seed)
     with running() as step:
         result = evaluate(rides, wanted, seed=seed, repeats=repeats, jobs=jobs or joblib.cpu_count(), progress=step)
     result["about"]["seconds"] = round(time.perf_counter() - began, 1)
-    write_json(json_file, result)
-    _report(result, html_file)
+    write_json(json_file, "evaluate", result)
+    _report(result, html_file, json_file)
 
 
 def window_columns() -> list[str]:
@@ -122,13 +122,14 @@ def running() -> Iterator[Callable[[int, int], None]]:
         yield lambda done, of: progress.update(task, completed=done, total=of)
 
 
-def _report(result: dict[str, Any], html_file: Path | None) -> None:
-    """Print the tables, and write the page."""
+def _report(result: dict[str, Any], html_file: Path | None, json_file: Path | None) -> None:
+    """Write the page, and print the tables."""
     from tools.report import page  # noqa: PLC0415 - figures take seconds to import
     from tools.report.evaluation import terminal  # noqa: PLC0415 - figures take seconds to import
 
-    terminal.show(result, printer())
+    console = make_console(json_file)
     if html_file:
         page.write(result, html_file)
-        console = printer()
+    terminal.show(result, console)
+    if html_file:
         console.print(f"report in {html_file}", markup=False, highlight=False, soft_wrap=True)

@@ -10,13 +10,23 @@ from core.evaluate.soc.legs import RIDE_COLUMNS, LegRecorder, match_legs_to_ride
 from core.evaluate.soc.report import evaluate_soc
 from core.pipeline import Pipeline
 from core.settings import Settings
-from tools.terminal.cleaning_options import cleaned
-from tools.terminal.model_comparison import USUAL
-from tools.terminal.output import EffectFiles, HtmlFile, JsonFile, ModelName, model_files, report, writable, write_json
-from tools.terminal.recordings import Recordings, forecast, opened, warn_of_losses
+from tools.terminal.cleaning_options import insert_cleaning_options
+from tools.terminal.forecast_run import run_forecasts
+from tools.terminal.model_comparison import DEFAULT_MODEL
+from tools.terminal.output import (
+    EffectFiles,
+    HtmlFile,
+    JsonFile,
+    ModelName,
+    check_outputs,
+    select_model_files,
+    show_report,
+    write_json,
+)
+from tools.terminal.recordings import Recordings, open_recordings, warn_of_losses
 
 
-class Told:
+class SocForecasts:
     """What a pipeline told, and what became of it; call it after each list of messages.
 
     Parameters
@@ -46,11 +56,11 @@ class Told:
         return evaluate_soc(pd.concat(self._outlooks, ignore_index=True), shifts, legs)
 
 
-@cleaned
+@insert_cleaning_options
 def evaluate_recordings(
     recordings: Recordings,
     *,
-    model: ModelName = USUAL,
+    model: ModelName = DEFAULT_MODEL,
     effects_file: EffectFiles = None,
     settings: Settings,
     json_file: JsonFile = None,
@@ -61,11 +71,11 @@ def evaluate_recordings(
     Recordings go through the same loop as live telemetry does, merged in time order. What is learned of the fleet is
     learned on the way, so each forecast rests on nothing that came after it.
     """
-    sources = opened(recordings)
-    writable([*recordings, *model_files([model]), *(effects_file or ())], json_file, html_file)
-    told = Told(Pipeline(models.load(model), settings, keep_outlooks=True))
-    forecast(told.pipeline, sources, also=told)
+    sources = open_recordings(recordings)
+    check_outputs([*recordings, *select_model_files([model]), *(effects_file or ())], json_file, html_file)
+    told = SocForecasts(Pipeline(models.load(model), settings, keep_outlooks=True))
+    run_forecasts(told.pipeline, sources, also=told)
     warn_of_losses(sources)
     result = to_json_values(told.evaluated())
-    write_json(json_file, result)
-    report("soc.page", result, html_file)
+    write_json(json_file, "evaluate-soc", result)
+    show_report("soc.page", result, html_file, json_file)

@@ -21,8 +21,8 @@ from core.models import ANY, Fit, LinearModel, Term
 from core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX
 from core.vehicles import AccessoryCurve
 from tools.commands.tables import RIDES, WINDOWS
-from tools.terminal.output import JsonFile, printer, writable, write_json
-from tools.terminal.recordings import refuse_twice
+from tools.terminal.output import JsonFile, check_outputs, make_console, write_json
+from tools.terminal.recordings import refuse_duplicates
 from tools.terminal.rich_table import Column, make_table
 
 Tables = Annotated[
@@ -35,6 +35,8 @@ Rides = Annotated[
     typer.Argument(metavar="TABLES|REC", help="Folders that `socast tables` made, or MCAP recordings."),
 ]
 RECORDING = ".mcap"
+RECOMMENDED = "fitted_physical"
+"""The recipe to begin with: its coefficients are physical, and it needs few rides."""
 
 CHOKE_POINTS = ("heating_full", "heating_off", "cooling_on", "cooling_full")
 LEVELS = ("heating", "standby", "cooling")
@@ -54,17 +56,21 @@ def fit(
 ) -> None:
     """Fit a model to the rides of tables that are fit for training: for each vehicle model, and over all together."""
     if (recipe_name is None) == (adapt_to is None):
-        raise SettingsError("give --recipe NAME to fit a model, or --adapt MODEL.json to tell one of more rides")
+        raise SettingsError(
+            "give either --recipe NAME to fit a model or --adapt MODEL.json to adapt one to more rides; "
+            f"start with --recipe {RECOMMENDED}, or choose from {', '.join(RECIPES)}"
+        )
     base = None if adapt_to is None else models.load(adapt_to)
     chosen = get_recipe(recipe_name or (base.recipe if base else ""))
     files = ride_files(tables)
-    writable(files, out, json_file)
+    check_outputs(files, out, json_file)
     model = _fitted(chosen, files) if base is None else adapt(base, RideParquet(tuple(files)).table())
     models.save(model, out)
-    write_json(json_file, summary(model, chosen.title))
-    show(model, chosen.title, printer())
+    write_json(json_file, "fit", summary(model, chosen.title))
+    console = make_console(json_file)
+    show(model, chosen.title, console)
     told = f"{out}: {chosen.title}, version {model.version}; forecast with --model {out}"
-    printer().print(told, markup=False, highlight=False, soft_wrap=True)
+    console.print(told, markup=False, highlight=False, soft_wrap=True)
 
 
 def ride_files(tables: Sequence[Path]) -> list[Path]:
@@ -77,10 +83,16 @@ def ride_files(tables: Sequence[Path]) -> list[Path]:
     """
     files = [path / RIDES if path.is_dir() else path for path in tables]
     for given, file in zip(tables, files, strict=True):
+        if given.suffix == RECORDING and given.is_file():
+            folder = given.with_suffix("")
+            raise SettingsError(
+                f"{given} is a recording; make tables of it first, with `socast tables {given} --out {folder}`, "
+                f"and give {folder}"
+            )
         if not file.is_file():
-            lacks = f"holds no {RIDES}" if given.is_dir() else "is not there"
+            lacks = f"holds no {RIDES}" if given.is_dir() else "does not exist"
             raise SettingsError(f"{given} {lacks}; name a folder that `socast tables` made, or a Parquet file of rides")
-    refuse_twice(files)
+    refuse_duplicates(files)
     return files
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from core import models
-from tools.terminal.output import EffectFiles, HtmlFile, JsonFile, report, writable, write_json
+from tools.terminal.output import EffectFiles, HtmlFile, JsonFile, check_outputs, show_report, write_json
 
 
 def show_history(
@@ -19,6 +19,6 @@ def show_history(
     from tools.report import history  # noqa: PLC0415 - figures take seconds to import
 
     loaded = models.load(model)
-    writable([Path(model)], html_file, json_file)
-    write_json(json_file, history.summarise(loaded))
-    report("history", loaded, html_file)
+    check_outputs([Path(model)], html_file, json_file)
+    write_json(json_file, "history", history.summarise(loaded))
+    show_report("history", loaded, html_file, json_file)

@@ -1,6 +1,7 @@
-"""`socast info`: what recordings hold."""
+"""`socast info`: show what recordings contain."""
 
 from collections import Counter
+from collections.abc import Callable
 from datetime import UTC, datetime
 from operator import itemgetter
 from pathlib import Path
@@ -10,38 +11,48 @@ from rich.console import Console
 from rich.markup import escape
 
 from core.wire.messages import OF_VEHICLES, address
-from stream.mcap_writer import McapSource
-from tools.terminal.output import JsonFile, printer, writable, write_json
-from tools.terminal.recordings import Recordings, opened, reading, warn_of_losses
+from stream.mcap_reader import McapSource
+from tools.terminal.output import JsonFile, check_outputs, make_console, write_json
+from tools.terminal.recordings import Recordings, open_recordings, refuse_unusable, show_progress, warn_of_losses
 from tools.terminal.rich_table import Column, make_table
 
 MOST_TOPICS = 30
-"""Topics shown on a terminal; the JSON has all."""
+"""Topics shown on a terminal; the JSON report has all."""
+OTHER = "other"
+"""Kind of the messages that are not of the wire contract."""
 
 
 def info(recordings: Recordings, json_file: JsonFile = None) -> None:
-    """Tell what recordings hold: time span, vehicles, topics, schemas, and what is lost.
+    """Show what recordings contain and what is lost: time span, vehicles, topics and schemas.
 
-    Every chunk is read and checked. Nothing is decoded: for what is wrong inside payloads, see `tables`.
+    Every chunk is read and checked, but no payload is decoded: `socast tables` reports what is wrong inside payloads.
+
+    Examples
+    --------
+    socast info recordings/shift.mcap
+    socast info kept/*.mcap --json - | jq '.recordings[].vehicles'
     """
-    sources = opened(recordings)
-    writable(recordings, json_file)
-    console = printer()
-    with reading(sources) as step:
-        found = [described(source, step) for source in sources]
-    for source, what in zip(sources, found, strict=True):
-        _show(console, what)
+    sources = open_recordings(recordings)
+    check_outputs(recordings, json_file)
+    with show_progress(sources) as step:
+        contents = [describe_recording(source, step) for source in sources]
+    write_json(json_file, "info", {"recordings": contents})
+    console = make_console(json_file)
+    for source, content in zip(sources, contents, strict=True):
+        _show(console, content)
         warn_of_losses([source], console)
-    write_json(json_file, found)
+    for source, content in zip(sources, contents, strict=True):
+        refuse_unusable([source], content["messages"] - content["kinds"].get(OTHER, 0))
 
 
-def described(source: McapSource, step: Any = lambda: None) -> dict[str, Any]:
-    """Read a recording to its end and return what it holds.
+def describe_recording(source: McapSource, step: Callable[[], None] = lambda: None) -> dict[str, Any]:
+    """Read a recording to its end and return what it contains.
 
     Parameters
     ----------
     source : McapSource
-    step : callable. Called after each chunk.
+    step : callable
+        Called after each chunk.
 
     Returns
     -------
@@ -62,7 +73,7 @@ def described(source: McapSource, step: Any = lambda: None) -> dict[str, Any]:
     named: dict[str, set[str]] = {"vehicle": set(), "weather": set(), "errors": set()}
     for topic, count in counts.items():
         where = addresses[topic]
-        kinds[where.kind if where else "other"] += count
+        kinds[where.kind if where else OTHER] += count
         if where:
             named["vehicle" if where.kind in OF_VEHICLES else where.kind].add(where.identity)
     return {
@@ -70,8 +81,8 @@ def described(source: McapSource, step: Any = lambda: None) -> dict[str, Any]:
         "bytes": source.path.stat().st_size,
         "chunks": source.blocks,
         "messages": counts.total(),
-        "begin": _moment(first),
-        "end": _moment(last),
+        "begin": _format_time(first),
+        "end": _format_time(last),
         "duration_s": (last - first) * 1e-9 if first is not None and last is not None else 0.0,
         "vehicles": sorted(named["vehicle"]),
         "stations": sorted(named["weather"]),
@@ -83,25 +94,26 @@ def described(source: McapSource, step: Any = lambda: None) -> dict[str, Any]:
     }
 
 
-def _moment(time_ns: int | None) -> str | None:
+def _format_time(time_ns: int | None) -> str | None:
     """Return a time as ISO 8601, to the second."""
     return None if time_ns is None else datetime.fromtimestamp(time_ns // 10**9, UTC).isoformat()
 
 
-def _show(console: Console, what: dict[str, Any]) -> None:
-    """Print what a recording holds."""
-    span = f"{what['begin']} to {what['end']}, {what['duration_s'] / 3600:.2f} h" if what["begin"] else "empty"
-    console.print(f"[bold]{escape(Path(what['path']).name)}[/bold]  {span}", highlight=False, soft_wrap=True)
+def _show(console: Console, content: dict[str, Any]) -> None:
+    """Print what a recording contains."""
+    span = f"{content['begin']} to {content['end']}, {content['duration_s'] / 3600:.2f} h"
+    name = escape(Path(content["path"]).name)
+    console.print(f"[bold]{name}[/bold]  {span if content['begin'] else 'empty'}", highlight=False, soft_wrap=True)
     console.print(
-        f"{what['messages']:,} messages, {len(what['vehicles']):,} vehicles, {len(what['stations']):,} stations, "
-        f"{what['chunks']:,} chunks, {what['bytes']:,} bytes",
+        f"{content['messages']:,} messages, {len(content['vehicles']):,} vehicles, "
+        f"{len(content['stations']):,} stations, {content['chunks']:,} chunks, {content['bytes']:,} bytes",
         highlight=False,
         soft_wrap=True,
     )
     table = make_table([Column("topic"), Column("messages", number=True), Column("schema")])
-    for topic, about in list(what["topics"].items())[:MOST_TOPICS]:
+    for topic, about in list(content["topics"].items())[:MOST_TOPICS]:
         table.add_row(escape(topic), f"{about['messages']:,}", escape(about["schema"]) or "none")
-    if len(what["topics"]) > MOST_TOPICS:
-        table.add_row(f"and {len(what['topics']) - MOST_TOPICS:,} more", "", "")
-    if what["topics"]:
+    if len(content["topics"]) > MOST_TOPICS:
+        table.add_row(f"and {len(content['topics']) - MOST_TOPICS:,} more", "", "")
+    if content["topics"]:
         console.print(table)

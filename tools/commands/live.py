@@ -1,4 +1,4 @@
-"""`socast live`: listen to cars, forecast, record."""
+"""`socast live`: listen to cars, forecast and record."""
 
 import logging
 import os
@@ -6,134 +6,134 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, get_args
 
 import typer
 
 from core.errors import SettingsError, SocastError
 from core.models import Model
 from core.pipeline import Pipeline
-from core.settings import Settings
 from core.wire.messages import Message, Telemetry, encode
-from stream.latest_only_sink import Outbox
-from stream.loop import PUBLISH_S, REPORT_S, Tally, run, stopping
-from stream.query_service import Desk
+from stream.latest_only_sink import LatestOnlySink
+from stream.loop import PUBLISH_S, REPORT_S, Tally, run, stop_on_signals
+from stream.query_service import QueryService
 from stream.recorder import FILE_BYTES, FILE_S, FLUSH_S, Recorder
-from stream.structured_log import fields, flat, write_lines
+from stream.structured_log import event_fields, flatten_counts, log_lines
 from stream.zenoh_pubsub import ZenohSink, ZenohSource
-from stream.zenoh_queryable import ZenohQueries
+from stream.zenoh_queryable import ZenohQueryable
 from stream.zenoh_session import LOOPBACK, Connection, Mode, Node
-from tools.terminal.cleaning_options import cleaned
-from tools.terminal.live_table import Screen, ride_records, with_predictions
-from tools.terminal.model_comparison import ModelNames, line, loaded
-from tools.terminal.output import EffectFiles
-from tools.terminal.warm_up import History, learned
+from tools.terminal.forecast_options import ForecastOptions, insert_forecast_options, make_pipeline
+from tools.terminal.live_table import LiveTable, add_predictions, make_ride_records
+from tools.terminal.model_comparison import load_models, make_log_fields
 
 TAKE_S = 1.0
-"""Time between two looks for rides that have ended. [s]"""
-KEEP_S = 30.0
-"""Time between two savings of the state. [s]"""
+"""Time between two checks for rides that have ended. [s]"""
+SAVE_S = 30.0
+"""Time between two writes of the state. [s]"""
 
 _log = logging.getLogger("socast.live")
 
 
-@cleaned
+@insert_forecast_options
 def live(
     *,
     connect: Annotated[
-        list[str] | None, typer.Option(metavar="E", help="Router to join, such as tcp/10.0.0.5:7447; may be repeated.")
+        list[str] | None, typer.Option(metavar="E", help="Join the router at E, such as tcp/10.0.0.5:7447; repeatable.")
     ] = None,
     listen: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="E", help=f"Where to be reached; may be repeated. [default: {LOOPBACK} without --connect]"
-        ),
+        typer.Option(metavar="E", help=f"Listen at E; repeatable. [default: {LOOPBACK} without --connect]"),
     ] = None,
     mode: Annotated[
-        str | None, typer.Option(help="client, peer or router. [default: client with --connect, else router]")
+        str | None,
+        typer.Option(metavar="MODE", help="client, peer or router. [default: client with --connect, else router]"),
     ] = None,
     config: Annotated[
         Path | None,
-        typer.Option(metavar="F.json5", help="Zenoh's own configuration: TLS, access control and the rest."),
+        typer.Option(metavar="F.json5", help="Read Zenoh's own configuration: TLS, access control and the rest."),
     ] = None,
-    prefix: Annotated[str, typer.Option(metavar="P", help="Key chunks before `fleet`, such as montreal.")] = "",
-    recovery: Annotated[bool, typer.Option(help="Ask advanced publishers for what was missed.")] = True,
-    model: ModelNames = None,
-    _: EffectFiles = None,
-    settings: Settings,
+    recovery: Annotated[bool, typer.Option(help="Ask publishers again for samples that were missed.")] = True,
+    options: ForecastOptions,
     record: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Record every payload as it came, good or not.")
+        Path | None, typer.Option(metavar="DIR", help="Record every payload as it came, decodable or not.")
     ] = None,
     record_mb: Annotated[float, typer.Option(metavar="MB", help="Size at which the next file begins.")] = FILE_BYTES
     / 2**20,
-    record_minutes: Annotated[float, typer.Option(metavar="MIN", help="Time that a file spans.")] = FILE_S / 60,
+    record_minutes: Annotated[float, typer.Option(metavar="MIN", help="Time span of a file.")] = FILE_S / 60,
     flush: Annotated[
-        float, typer.Option(metavar="S", help="Seconds after which what was received is on disk.")
+        float, typer.Option(metavar="S", help="Longest time until a received message is on disk.")
     ] = FLUSH_S,
     state: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Keep the state of every car here, and go on from it.")
+        Path | None, typer.Option(metavar="FILE", help="Keep the state of every car here, and continue from it.")
     ] = None,
-    history: History = None,
-    report: Annotated[float, typer.Option(metavar="S", help="Seconds between two lines of counters.")] = REPORT_S,
-    json_log: Annotated[bool, typer.Option("--json-log", "--log-json", help="Log JSON, not key=value.")] = False,
+    report: Annotated[float, typer.Option(metavar="S", help="Time between two log lines of counters.")] = REPORT_S,
+    json_log: Annotated[bool, typer.Option("--json-log", "--log-json", help="Log JSON instead of key=value.")] = False,
 ) -> None:
-    """Listen to cars, publish a forecast for each as it changes, and answer what is asked of their shifts.
+    """Listen to cars over Zenoh, publish a forecast for each, and answer questions about their shifts.
 
-    Without --connect a router is opened inside, on loopback. SIGINT or SIGTERM ends it: what has arrived is still
-    forecast and recorded. On a terminal a table shows every car; the log goes to standard error. Of several models the
-    first makes the forecasts, and how each fares is published as rides end. What --history holds is learned from
-    unless there is a state to go on from.
+    Without --connect a router opens in this process, on loopback. SIGINT or SIGTERM ends the consumer after it has
+    forecast and recorded what has arrived. A terminal shows a table of cars; the log goes to standard error.
+
+    Of several models the first makes the forecasts, and the error of each is published as rides end. --warm-up is
+    ignored where the file of --state exists.
+
+    Examples
+    --------
+    socast live --listen tcp/0.0.0.0:7447 --record kept --state fleet.state
+    socast live --connect tcp/router.example:7447 --prefix montreal --json-log 2>live.log
+    socast live --model fitted.json --model extended_physical --warm-up january.mcap
     """
-    write_lines(as_json=json_log)
-    chosen, *shadows = loaded(model)
-    warm_up(chosen, *shadows)
-    known = state is not None and state.exists()
-    earlier = None if known else learned(chosen, shadows, settings, history)
+    log_lines(as_json=json_log)
+    models = load_models(options.models)
+    compile_kernels(*models)
+    restored = state is not None and state.exists()
+    if restored and options.warm_up:
+        _log.warning("--warm-up is ignored: the consumer continues from --state", extra=event_fields(state=str(state)))
+    pipeline = make_pipeline(options, models, warm=not restored)
     recorder = Recorder(record, round(record_mb * 2**20), record_minutes * 60, flush) if record else None
-    connection = Connection(tuple(connect or ()), tuple(listen or ()), _mode(mode), prefix, config, recovery)
-    with stopping() as stop, Node(connection) as node, ZenohQueries(node) as queries:
-        pipeline = Pipeline(chosen, settings, node.prefix, shadows=shadows)
-        if earlier:
-            pipeline.learn_from(earlier)
-        keeper = Keeper(pipeline, state)
-        desk = Desk(queries, pipeline)
+    connection = Connection(
+        tuple(connect or ()), tuple(listen or ()), _parse_mode(mode), options.prefix, config, recovery
+    )
+    with stop_on_signals() as stop, Node(connection) as node, ZenohQueryable(node) as queryable:
+        keeper = StateKeeper(pipeline, state)
+        service = QueryService(queryable, pipeline)
         source = ZenohSource(node, stop)
         endpoints = ",".join(node.endpoints or connection.connect)
-        beside = {"shadows": ",".join(shadow.name for shadow in shadows)} if shadows else {}
-        _log.info("listening", extra=fields(endpoints=endpoints, model=chosen.name, **beside))
-        with Screen(pipeline, "Live", silent=not sys.stdout.isatty()) as screen:
-            watch = both(desk, keeper, screen)
+        beside = {"shadows": ",".join(shadow.name for shadow in models[1:])} if models[1:] else {}
+        _log.info("listening", extra=event_fields(endpoints=endpoints, model=models[0].name, **beside))
+        with LiveTable(pipeline, "Live", silent=not sys.stdout.isatty()) as table:
             run(
                 source,
                 keeper if state else pipeline,
-                [Outbox(ZenohSink(node))],
+                [LatestOnlySink(ZenohSink(node))],
                 recorder=recorder,
                 publish_s=PUBLISH_S,
-                watch=watch,
+                watch=combine_watches(service, keeper, table),
                 report_s=report,
             )
-        desk.end()
+        service.end()
         keeper.end()
 
 
-def warm_up(model: Model, *shadows: Model) -> None:
-    """Compile what is compiled at its first use, before anybody waits for it."""
-    pipeline = Pipeline(model, shadows=shadows)
-    samples = [Telemetry("warm-up", 1.7e9 + 3 * i, speed_kmh=30.0) for i in range(3)]
-    pipeline.push([Message("fleet/warm-up/telemetry", encode(sample), 0) for sample in samples])
+def compile_kernels(*models: Model) -> None:
+    """Compile the numba kernels of a pipeline with these models, before telemetry has to wait for it."""
+    first, *shadows = models
+    pipeline = Pipeline(first, shadows=shadows)
+    samples = [Telemetry("compile", 1.7e9 + 3 * i, speed_kmh=30.0) for i in range(3)]
+    pipeline.push([Message("fleet/compile/telemetry", encode(sample), 0) for sample in samples])
 
 
-class Keeper:
-    """Logs rides as they end and what is told of shadows, and keeps the state of every car in a file.
+class StateKeeper:
+    """Log rides as they end and verdicts as they change, and keep the state of every car in a file.
 
-    It stands before the pipeline where a state is kept: rides in progress are then not closed at the end, but go on
-    when the consumer is started again.
+    Where a state is kept, the loop calls the keeper in place of the pipeline: rides in progress stay open at the end,
+    and continue when the consumer is started again.
 
     Parameters
     ----------
     pipeline : Pipeline
     file : Path, optional
-        Where the state is kept; taken up from there, if it is there.
+        Where the state is kept. An existing state is restored.
     clock : callable
         Monotonic time. [s]
 
@@ -142,8 +142,8 @@ class Keeper:
     SocastError
         Where the file is no state of this version and model.
     SettingsError
-        Where it cannot be read, or not be written at the start or at the end. In between that is logged, and the cars
-        are served on.
+        Where the file cannot be read, or cannot be written at the start or at the end. A failure in between is logged,
+        and the consumer continues.
     """
 
     def __init__(
@@ -151,7 +151,7 @@ class Keeper:
     ) -> None:
         self._pipeline, self._file, self._clock = pipeline, file, clock
         self._take_s = clock() + TAKE_S
-        self._keep_s = clock() + KEEP_S
+        self._save_s = clock() + SAVE_S
         self.take = pipeline.take
         self.forecasts = pipeline.forecasts
         self.model_errors = pipeline.model_errors
@@ -163,55 +163,55 @@ class Keeper:
                 raise SettingsError(f"{file} cannot be read: {error.strerror}") from error
             except SocastError as error:
                 raise SocastError(f"{file}: {error}") from error
-            _log.info("restored", extra=fields(file=str(file), vehicles=pipeline.quality()["vehicles"]))
-        self._verdicts = self._judged()
+            _log.info("restored", extra=event_fields(file=str(file), vehicles=pipeline.quality()["vehicles"]))
+        self._verdicts = self._current_verdicts()
         self._save()
 
     def __call__(self, _: Tally) -> None:
-        """Do what is due."""
+        """Log and save where it is time to."""
         now = self._clock()
         if now >= self._take_s:
             self._take_s = now + TAKE_S
-            self._tell()
-        if now >= self._keep_s:
-            self._keep_s = now + KEEP_S
+            self._log_rides()
+        if now >= self._save_s:
+            self._save_s = now + SAVE_S
             try:
                 self._save()
             except SettingsError as error:
                 _log.error("state not kept: %s", error)
 
     def finish(self) -> list[Message]:
-        """Leave rides in progress open; the state has them."""
+        """Leave rides in progress open; the state holds them."""
         return []
 
     def end(self) -> None:
-        """Log the last rides and how models fare, and save the state."""
-        self._tell()
+        """Log the last rides and the errors of the models, and save the state."""
+        self._log_rides()
         if self._pipeline.shadows:
-            for told in self._pipeline.shadows.errors():
-                _log.info("model", extra=fields(**line(told)))
+            for errors in self._pipeline.shadows.errors():
+                _log.info("model", extra=event_fields(**make_log_fields(errors)))
         self._save()
 
-    def _tell(self) -> None:
-        """Log the rides that have ended and verdicts that have changed, and let the windows go."""
+    def _log_rides(self) -> None:
+        """Log the rides that have ended and the verdicts that have changed, and drop the windows."""
         pipeline = self._pipeline
         pipeline.take_windows()
-        for ride in ride_records(with_predictions(pipeline.take_rides(), pipeline.shadows)):
-            shadows = flat({"shadows_kwh": ride.pop("shadows_kwh", {})})
+        for ride in make_ride_records(add_predictions(pipeline.take_rides(), pipeline.shadows)):
+            shadows = flatten_counts({"shadows_kwh": ride.pop("shadows_kwh", {})})
             known = {name: value for name, value in ride.items() if value is not None}
-            _log.info("ride", extra=fields(**known, **shadows))
-        before, self._verdicts = self._verdicts, self._judged()
-        for told in pipeline.shadows.errors():
-            if before[told.model] != self._verdicts[told.model]:
-                _log.info("verdict", extra=fields(**line(told)))
+            _log.info("ride", extra=event_fields(**known, **shadows))
+        before, self._verdicts = self._verdicts, self._current_verdicts()
+        for errors in pipeline.shadows.errors():
+            if before[errors.model] != self._verdicts[errors.model]:
+                _log.info("verdict", extra=event_fields(**make_log_fields(errors)))
 
-    def _judged(self) -> dict[str, str]:
+    def _current_verdicts(self) -> dict[str, str]:
         """Return the verdict on each model."""
-        told = self._pipeline.shadows.errors()
-        return {model.model: model.overall.gain.verdict if model.overall.gain else "" for model in told}
+        errors = self._pipeline.shadows.errors()
+        return {model.model: model.overall.gain.verdict if model.overall.gain else "" for model in errors}
 
     def _save(self) -> None:
-        """Replace the state file, so that there is a whole one at any time."""
+        """Replace the state file in one step, so that a whole one exists at any time."""
         if self._file is None:
             return
         fresh = self._file.with_name(f".{self._file.name}.new")
@@ -225,21 +225,19 @@ class Keeper:
             raise SettingsError(f"{self._file} cannot be written: {error.strerror}; choose another file") from error
 
 
-def both(*watches: Callable[[Tally], None]) -> Callable[[Tally], None]:
-    """Return what calls each of several watches."""
+def combine_watches(*watches: Callable[[Tally], None]) -> Callable[[Tally], None]:
+    """Return a watch that calls each of several watches."""
 
     def watch(tally: Tally) -> None:
-        for one in watches:
-            one(tally)
+        for each in watches:
+            each(tally)
 
     return watch
 
 
-def _mode(text: str | None) -> Mode | None:
-    """Return a mode, or raise `SettingsError`."""
-    for known in ("client", "peer", "router"):
-        if text == known:
-            return known
-    if text is None:
-        return None
-    raise SettingsError(f"--mode is '{text}'; give client, peer or router")
+def _parse_mode(text: str | None) -> Mode | None:
+    """Return a mode of Zenoh, or raise `SettingsError`."""
+    known: dict[str | None, Mode | None] = {None: None, **{mode: mode for mode in get_args(Mode)}}
+    if text not in known:
+        raise SettingsError(f"--mode is '{text}'; give client, peer or router")
+    return known[text]

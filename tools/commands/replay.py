@@ -1,36 +1,36 @@
-"""`socast replay`: recorded shifts once more, through the model or to a router."""
+"""`socast replay`: recorded shifts again, through a model or to a router."""
 
 import time
 from collections.abc import Sequence
 from math import inf
 from pathlib import Path
 from threading import Event
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 
 from core.errors import SettingsError
-from core.pipeline import Pipeline
 from core.settings import Settings
-from stream.loop import stopping
-from stream.mcap_writer import McapSink, McapSource
-from stream.source import Source, merged, paced, until
+from stream.loop import stop_on_signals
+from stream.mcap_reader import McapSource
+from stream.mcap_writer import McapSink
+from stream.source import Source, merge_sources, pace_source, stop_source
 from stream.zenoh_pubsub import ZenohSink
-from stream.zenoh_session import Connection, Node, key_prefix
-from tools.terminal.cleaning_options import cleaned
-from tools.terminal.live_table import ride_records, show_rides, with_predictions
-from tools.terminal.model_comparison import ModelNames, loaded, records, show_models
-from tools.terminal.output import EffectFiles, JsonFile, model_files, printer, speed, writable, write_json
-from tools.terminal.recordings import Recordings, forecast, opened, reading, warn_of_losses
-from tools.terminal.shift_outcomes import Outcomes, show_outcomes
-from tools.terminal.warm_up import History, learned
+from stream.zenoh_session import Connection, Node, parse_prefix
+from tools.terminal.forecast_options import ForecastOptions, insert_forecast_options, make_pipeline
+from tools.terminal.forecast_run import run_forecasts
+from tools.terminal.live_table import add_predictions, make_ride_records, show_rides
+from tools.terminal.model_comparison import load_models, make_records, show_models
+from tools.terminal.output import JsonFile, check_outputs, make_console, parse_speed, write_json
+from tools.terminal.recordings import Recordings, open_recordings, refuse_unusable, show_progress, warn_of_losses
+from tools.terminal.shift_outcomes import ShiftOutcomes, show_outcomes
 
-HEARD_S = 10.0
-"""How long to wait for somebody to subscribe before publishing all the same. [s]"""
+SUBSCRIBER_S = 10.0
+"""Longest wait for a subscriber before publishing begins without one. [s]"""
 
 
-@cleaned
+@insert_forecast_options
 def replay(
     recordings: Recordings,
     *,
@@ -42,84 +42,96 @@ def replay(
         str | None, typer.Option(metavar="E", help="Publish to the router at E, such as tcp/127.0.0.1:7447.")
     ] = None,
     in_process: Annotated[bool, typer.Option("--in-process", help="Run the model here. [default]")] = False,
-    model: ModelNames = None,
-    effects_file: EffectFiles = None,
-    settings: Settings,
-    prefix: Annotated[
-        str, typer.Option(metavar="P", help="Key chunks to put before the recorded keys, or the forecasts'.")
-    ] = "",
+    options: ForecastOptions,
     longest_gap: Annotated[
-        float, typer.Option(metavar="S", help="Shorten silences of the recording to this many seconds.")
+        float, typer.Option(metavar="S", help="Shorten silences of the recording to this time.")
     ] = inf,
     out: Annotated[
-        Path | None, typer.Option(metavar="F.mcap", help="Record the forecasts, and how several models fare.")
+        Path | None, typer.Option(metavar="F.mcap", help="Record the forecasts, and the errors of several models.")
     ] = None,
-    history: History = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Replay recordings, merged in time order.
+    """Replay recordings, merged in time order, through a model or to a router.
 
-    In process, they go through the same loop as live telemetry does, and the ride table compares predicted with
-    measured energy; of several models the first makes the forecasts, and how each fared is told below. Then comes what
-    was forecast of each shift's end, and what became of it. With --connect they are published, and whoever listens at
-    the router makes the forecasts.
+    In this process they run through the same loop as live telemetry. The tables at the end compare predicted with
+    measured energy, several models with each other, and forecasts of each shift's end with its outcome.
+
+    With --connect the recordings are published, and the listeners at the router make the forecasts.
+
+    Examples
+    --------
+    socast replay recordings/shift.mcap
+    socast replay today.mcap --warm-up december.mcap --model fitted.json --json rides.json
+    socast replay recordings/shift.mcap --connect tcp/127.0.0.1:7447 --speed 60
     """
-    if connect and (in_process or out or json_file or effects_file or history or settings != Settings()):
+    local = (in_process, out, json_file, options.models, options.effect_files, options.warm_up)
+    if connect and (any(local) or options.settings != Settings()):
         raise SettingsError(
-            "--connect publishes, forecasts nothing; leave out --in-process, --out, --json, --effects, --history "
-            "and the settings of cleaning"
+            "--connect publishes and forecasts nothing; leave out --in-process, --out, --json, --model, --effects, "
+            "--warm-up and the settings of cleaning"
         )
-    before = key_prefix(prefix)
-    rate = speed(pace or ("1" if connect else "max"))
-    sources = opened(recordings)
-    writable([*recordings, *(history or ()), *model_files(model or ()), *(effects_file or ())], out, json_file)
-    console = printer()
-    with stopping() as stop:
-        source = until(paced(merged(sources), rate, longest_gap_s=longest_gap), stop)
+    prefix = parse_prefix(options.prefix)
+    rate = parse_speed(pace or ("1" if connect else "max"))
+    sources = open_recordings(recordings)
+    check_outputs([*recordings, *options.files], out, json_file)
+    with stop_on_signals() as stop:
+        source = stop_source(pace_source(merge_sources(sources), rate, longest_gap_s=longest_gap), stop)
         if connect:
             with Node(Connection(connect=(connect,))) as node:
-                sink = ZenohSink(node, before)
-                _publish(source, sink, sources, stop, connect)
+                _publish(source, ZenohSink(node, prefix), sources, stop, connect)
         else:
-            chosen, *shadows = known = loaded(model)
-            pipeline = Pipeline(chosen, settings, before, shadows=shadows, keep_outlooks=True)
-            if earlier := learned(chosen, shadows, settings, history, replayed=sources):
-                pipeline.learn_from(earlier)
-            outcomes = Outcomes(pipeline)
-            forecast(pipeline, sources, source, rate, [McapSink(out)] if out else [], outcomes)
-            rides = with_predictions(pipeline.take_rides(), pipeline.shadows)
-            result = {"rides": ride_records(rides), "shifts": outcomes.records()}
-            show_rides(console, rides, pipeline.quality())
-            if shadows:
-                told = pipeline.shadows.errors()
-                show_models(console, told, known, rides)
-                result["models"] = records(told)
-            show_outcomes(console, result["shifts"])
-            write_json(json_file, result)
+            _forecast(source, sources, rate, options, out, json_file)
     warn_of_losses(sources)
 
 
+def _forecast(
+    source: Source,
+    sources: Sequence[McapSource],
+    rate: float,
+    options: ForecastOptions,
+    out: Path | None,
+    json_file: Path | None,
+) -> None:
+    """Run recordings through the models, write the report and print it."""
+    models = load_models(options.models)
+    pipeline = make_pipeline(options, models, replayed=sources, keep_outlooks=True)
+    outcomes = ShiftOutcomes(pipeline)
+    run_forecasts(pipeline, sources, source, rate, [McapSink(out)] if out else [], outcomes)
+    quality = pipeline.quality()
+    refuse_unusable(sources, sum(quality["received"].values()))
+    rides = add_predictions(pipeline.take_rides(), pipeline.shadows)
+    result: dict[str, Any] = {"rides": make_ride_records(rides), "shifts": outcomes.records()}
+    errors = pipeline.shadows.errors() if len(models) > 1 else []
+    if errors:
+        result["models"] = make_records(errors)
+    write_json(json_file, "replay", result)
+    console = make_console(json_file)
+    show_rides(console, rides, quality)
+    if errors:
+        show_models(console, errors, models, rides)
+    show_outcomes(console, result["shifts"])
+
+
 def _publish(source: Source, sink: ZenohSink, sources: Sequence[McapSource], stop: Event, endpoint: str) -> None:
-    """Publish recordings, once somebody listens."""
+    """Publish recordings once a subscriber is there."""
     console = Console(stderr=True)
-    deadline = time.monotonic() + HEARD_S
-    while not (heard := sink.heard()) and not stop.is_set():
+    deadline = time.monotonic() + SUBSCRIBER_S
+    while not (subscribed := sink.has_subscriber()) and not stop.is_set():
         if time.monotonic() > deadline:
             console.print(f"nobody listens at {endpoint}; publishing all the same", style="yellow", highlight=False)
             break
         time.sleep(0.05)
     count = 0
     began = time.monotonic()
-    with reading(sources) as step:
+    with show_progress(sources) as step:
         for messages in source:
             sink.put(messages)
             count += len(messages)
             step()
-    if heard and not sink.heard():
+    if subscribed and not sink.has_subscriber():
         console.print(
-            f"whoever listened at {endpoint} has gone; what was published since is lost to them",
-            style="yellow",
-            highlight=False,
+            f"the listener at {endpoint} has gone and has missed the last messages", style="yellow", highlight=False
         )
     sink.close()
+    refuse_unusable(sources, count)
     console.print(f"published {count:,} messages in {time.monotonic() - began:.1f} s", highlight=False)

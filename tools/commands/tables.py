@@ -14,12 +14,20 @@ from core import effects, models
 from core.errors import SettingsError
 from core.pipeline import Pipeline
 from core.settings import Settings
-from stream.mcap_writer import McapSource
-from stream.source import merged
-from tools.terminal.cleaning_options import cleaned
-from tools.terminal.model_comparison import USUAL
-from tools.terminal.output import EffectFiles, JsonFile, ModelName, model_files, printer, writable, write_json
-from tools.terminal.recordings import Recordings, opened, reading, warn_of_losses
+from stream.mcap_reader import McapSource
+from stream.source import merge_sources
+from tools.terminal.cleaning_options import insert_cleaning_options
+from tools.terminal.model_comparison import DEFAULT_MODEL
+from tools.terminal.output import (
+    EffectFiles,
+    JsonFile,
+    ModelName,
+    check_outputs,
+    make_console,
+    select_model_files,
+    write_json,
+)
+from tools.terminal.recordings import Recordings, open_recordings, show_progress, warn_of_losses
 from tools.terminal.rich_table import Column, make_table
 
 RIDES, WINDOWS, QUALITY = "rides.parquet", "windows.parquet", "quality.json"
@@ -56,22 +64,22 @@ class ParquetTable:
             self._writer.close()
 
 
-@cleaned
+@insert_cleaning_options
 def tables(
     recordings: Recordings,
     *,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for rides.parquet, windows.parquet, quality.json.")],
-    model: ModelName = USUAL,
+    model: ModelName = DEFAULT_MODEL,
     effects_file: EffectFiles = None,
     settings: Settings,
     json_file: JsonFile = None,
 ) -> None:
     """Clean recordings and sum them up: one row a ride, one row a window, and what was rejected, by cause."""
     pipeline = Pipeline(models.load(model), settings, also=effects.list_tabulated(), keep_forecasts=False)
-    sources = opened(recordings)
+    sources = open_recordings(recordings)
     folder = _folder(out)
-    read = [*recordings, *model_files([model]), *(effects_file or ())]
-    writable(read, folder / RIDES, folder / WINDOWS, folder / QUALITY, json_file)
+    read = [*recordings, *select_model_files([model]), *(effects_file or ())]
+    check_outputs(read, folder / RIDES, folder / WINDOWS, folder / QUALITY, json_file)
     rides, windows = ParquetTable(folder / RIDES), ParquetTable(folder / WINDOWS)
     kept: list[pd.DataFrame] = []
 
@@ -85,11 +93,11 @@ def tables(
     rides.close()
     windows.close()
     quality = pipeline.quality() | {"lost": {str(s.path): s.losses.lines() for s in sources if s.losses}}
-    write_json(folder / QUALITY, quality)
+    write_json(folder / QUALITY, "quality", quality)
     if json_file:
         table = pd.concat(kept).astype(object)
-        write_json(json_file, table.where(table.notna(), None).to_dict("records"))
-    console = printer()
+        write_json(json_file, "tables", {"rides": table.where(table.notna(), None).to_dict("records")})
+    console = make_console(json_file)
     show(quality, rides.rows, windows.rows, folder, console)
     warn_of_losses(sources)
 
@@ -117,8 +125,8 @@ def tabulate(
         Is given rides that have ended, and their windows, whenever there are `ROW_GROUP` of them, and at the end.
     """
     taken = 0
-    with reading(sources) as step:
-        for messages in merged(sources):
+    with show_progress(sources) as step:
+        for messages in merge_sources(sources):
             pipeline.take(messages)
             step()
             if (ended := pipeline.quality()["rides"]) - taken >= ROW_GROUP:
@@ -131,7 +139,7 @@ def tabulate(
 def in_memory(recordings: Sequence[Path], wanted: Sequence[str]) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return ride and window table of recordings, with the effects that are wanted; say what could not be read."""
     pipeline = Pipeline(also=wanted, keep_forecasts=False)
-    sources = opened(recordings)
+    sources = open_recordings(recordings)
     parts: list[tuple[pd.DataFrame, pd.DataFrame]] = []
     tabulate(sources, pipeline, lambda rides, windows: parts.append((rides, windows)))
     warn_of_losses(sources)

@@ -1,26 +1,24 @@
-"""Settings of cleaning on the command line, in the units in which people think of them; the same for every command."""
+"""The settings of cleaning as options, in the units in which people think of them; the same for every command."""
 
-from collections.abc import Callable
-from functools import wraps
-from inspect import Parameter, signature
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 import typer
 
 from core.columns import KMH
 from core.settings import LIMITS, Settings
+from tools.terminal.option_groups import insert_options
 
 _KM: Final = 1000.0
-_usual = Settings()
+_DEFAULTS: Final = Settings()
 
-SPEED_LIMIT_KMH: Final = round(_usual.speed_limit / KMH, 6)
-"""Usual limit of speed. [km/h]"""
-PERIOD_S: Final = _usual.period
-"""Usual time between two samples. [s]"""
-SMOOTHING: Final = _usual.window
-"""Usual number of samples in the moving average of speed."""
-LEAST_DISTANCE_KM: Final = _usual.least_distance / _KM
-"""Usual distance below which a ride is unfit for training. [km]"""
+SPEED_LIMIT_KMH: Final = round(_DEFAULTS.speed_limit / KMH, 6)
+"""Default speed limit. [km/h]"""
+PERIOD_S: Final = _DEFAULTS.period
+"""Default time between two samples. [s]"""
+SMOOTHING: Final = _DEFAULTS.window
+"""Default number of samples in the moving average of speed."""
+LEAST_DISTANCE_KM: Final = _DEFAULTS.least_distance / _KM
+"""Default distance below which a ride is unfit for training. [km]"""
 
 
 def _limits(name: str, unit: float = 1.0) -> dict[str, float]:
@@ -32,7 +30,7 @@ def _limits(name: str, unit: float = 1.0) -> dict[str, float]:
 SpeedLimit = Annotated[
     float,
     typer.Option(
-        "--speed-limit-kmh", metavar="KMH", help="Faster samples are rejected.", **_limits("speed_limit", KMH)
+        "--speed-limit-kmh", metavar="KMH", help="Reject samples above this speed.", **_limits("speed_limit", KMH)
     ),
 ]
 Period = Annotated[
@@ -52,18 +50,18 @@ LeastDistance = Annotated[
 ]
 
 
-def cleaning(
+def make_settings(
     speed_limit_kmh: SpeedLimit = SPEED_LIMIT_KMH,
     period_s: Period = PERIOD_S,
     smoothing: Smoothing = SMOOTHING,
     least_distance_km: LeastDistance = LEAST_DISTANCE_KM,
 ) -> Settings:
-    """Return what the options say.
+    """Return the settings that the options of cleaning stand for.
 
     Parameters
     ----------
     speed_limit_kmh : float
-        Speed above which a sample is not believed. [km/h]
+        Speed above which a sample is rejected. [km/h]
     period_s : float
         Nominal time between two samples. [s]
     smoothing : int
@@ -77,38 +75,15 @@ def cleaning(
 
     Examples
     --------
-    >>> cleaning() == Settings()
+    >>> make_settings() == Settings()
     True
+    >>> make_settings(smoothing=5).window
+    5
     """
     return Settings(
         period=period_s, speed_limit=speed_limit_kmh * KMH, window=smoothing, least_distance=least_distance_km * _KM
     )
 
 
-def cleaned(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the options of cleaning, in the place of its argument `settings`, which is made of them.
-
-    Examples
-    --------
-    >>> @cleaned
-    ... def look(*, settings: Settings) -> None:
-    ...     print(settings.window)
-    >>> look(smoothing=5)
-    5
-    >>> list(signature(look).parameters)
-    ['speed_limit_kmh', 'period_s', 'smoothing', 'least_distance_km']
-    """
-    options = signature(cleaning).parameters
-    own = signature(command)
-
-    @wraps(command)
-    def called(**given: Any) -> None:
-        settings = cleaning(**{name: given.pop(name) for name in options if name in given})
-        command(**given, settings=settings)
-
-    shown: list[Parameter] = []
-    for name, parameter in own.parameters.items():
-        added = options.values() if name == "settings" else [parameter]
-        shown += [each.replace(kind=Parameter.KEYWORD_ONLY) for each in added]
-    called.__signature__ = own.replace(parameters=shown)  # type: ignore[attr-defined]
-    return called
+insert_cleaning_options = insert_options("settings", make_settings)
+"""Decorator that gives a command the options of cleaning in place of its argument `settings`."""

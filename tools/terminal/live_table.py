@@ -19,8 +19,8 @@ from core.forecast.status import VehicleStatus
 from core.monitoring.shadow import ShadowModels
 from core.pipeline import Pipeline
 from stream.loop import Tally
-from tools.terminal.model_comparison import WIDE, models_table
-from tools.terminal.output import printer
+from tools.terminal.model_comparison import WIDE, make_models_table
+from tools.terminal.output import make_console
 from tools.terminal.rich_table import Column, make_table
 
 REDRAW_S = 0.25
@@ -52,7 +52,7 @@ RIDE_COLUMNS = (
 """What the ride table of `replay`, `live` and `demo` has, on the screen and as JSON."""
 
 
-class Screen:
+class LiveTable:
     """Shows the newest of every vehicle while a stream runs: a table that redraws, or lines where there is no terminal.
 
     A context manager; call it after each list of messages.
@@ -78,7 +78,7 @@ class Screen:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._pipeline, self._title, self._clock, self._silent = pipeline, title, clock, silent
-        self._console = console or printer()
+        self._console = console or make_console()
         self._due = clock() + LINE_S * (not self._console.is_terminal)
         self._last: Tally | None = None
         live = self._console.is_terminal and not silent
@@ -109,16 +109,16 @@ class Screen:
         cars = sorted(self._pipeline.status())
         if self._live:
             wide, told = self._console.width >= WIDE, self._pipeline.shadows.errors()
-            below = models_table(told, wide=wide) if self._pipeline.shadows else None
+            below = make_models_table(told, wide=wide) if self._pipeline.shadows else None
             rows = max(1, self._console.height - 7 - (below.row_count + 6 if below else 0))
             shadows = len(self._pipeline.shadows) if wide else 0
-            fleet = fleet_table(cars, self._title, _caption(tally, self._pipeline.quality()), rows, shadows)
+            fleet = make_fleet_table(cars, self._title, _caption(tally, self._pipeline.quality()), rows, shadows)
             self._live.update(Group(fleet, below) if below else fleet, refresh=True)
         else:
-            self._console.print(fleet_line(cars, tally), markup=False, highlight=False, soft_wrap=True)
+            self._console.print(format_fleet_line(cars, tally), markup=False, highlight=False, soft_wrap=True)
 
 
-def fleet_table(cars: Sequence[VehicleStatus], title: str, caption: str, rows: int, shadows: int = 0) -> Table:
+def make_fleet_table(cars: Sequence[VehicleStatus], title: str, caption: str, rows: int, shadows: int = 0) -> Table:
     """Return a table with a row a car, at most `rows`, those heard of last; and a column for each of some shadows."""
     numbers = (
         ("time", 8),
@@ -166,7 +166,7 @@ def _end(car: VehicleStatus) -> Text:
     return Text(f"{mean:.0f} {low:.0f}–{high:.0f}{'!' if marked else ' '}", style="red" if marked else "")
 
 
-def fleet_line(cars: Sequence[VehicleStatus], tally: Tally) -> str:
+def format_fleet_line(cars: Sequence[VehicleStatus], tally: Tally) -> str:
     """Return the fleet on one line, for a log: what came, and the car heard of last."""
     told = f"{tally.seconds:5.1f} s  {tally.received:7,} messages  {len(cars):3} cars"
     if not cars:
@@ -180,7 +180,7 @@ def fleet_line(cars: Sequence[VehicleStatus], tally: Tally) -> str:
     ).rstrip()
 
 
-def with_predictions(rides: pd.DataFrame, models: ShadowModels) -> pd.DataFrame:
+def add_predictions(rides: pd.DataFrame, models: ShadowModels) -> pd.DataFrame:
     """Return a ride table with predictions.
 
     `predicted_kwh` is that of the first model, `error_pct` its error, of the measured energy; where there are shadows,
@@ -199,7 +199,7 @@ def with_predictions(rides: pd.DataFrame, models: ShadowModels) -> pd.DataFrame:
     return rides.assign(predicted_kwh=predicted, error_pct=error).sort_values(["start_s", "vehicle_id"])
 
 
-def ride_records(rides: pd.DataFrame) -> list[dict[str, Any]]:
+def make_ride_records(rides: pd.DataFrame) -> list[dict[str, Any]]:
     """Return the rows of a ride table with predictions, for JSON."""
     names = [*RIDE_COLUMNS, *(["shadows_kwh"] if "shadows_kwh" in rides else [])]
     known = rides[names].astype(object)
@@ -220,7 +220,7 @@ def show_rides(console: Console, rides: pd.DataFrame, quality: dict[str, Any]) -
     ]
     table = make_table(columns, "Rides, predicted against measured")
     shown = rides.tail(MOST_RIDES)
-    for name, ride in zip(name_rides(shown), ride_records(shown), strict=True):
+    for name, ride in zip(name_rides(shown), make_ride_records(shown), strict=True):
         start = f"{datetime.fromtimestamp(ride['start_s'], UTC):%m-%d %H:%M}"
         table.add_row(
             Text(name),

@@ -15,7 +15,7 @@ from core.models import LinearModel
 from core.wire.messages import Gain, ModelErrors, RideErrors
 from tools.terminal.rich_table import Column, make_table
 
-USUAL: Final = "extended_physical"
+DEFAULT_MODEL: Final = "extended_physical"
 """The model where none is named."""
 SAID: Final = (
     "better or worse is said where a 95 % interval excludes zero, one that holds for all models and however often one "
@@ -41,12 +41,12 @@ ModelNames = Annotated[
         "--model",
         metavar="M",
         help="Model: a name, or a model file. May be repeated: the first makes the forecasts, the others run in its "
-        f"shadow. [default: {USUAL}]",
+        f"shadow. [default: {DEFAULT_MODEL}]",
     ),
 ]
 
 
-def loaded(names: Sequence[str] | None) -> list[LinearModel]:
+def load_models(names: Sequence[str] | None) -> list[LinearModel]:
     """Return the models of these names or files, the usual one where none is named.
 
     Raises
@@ -54,10 +54,10 @@ def loaded(names: Sequence[str] | None) -> list[LinearModel]:
     ModelError
         Where one is no model.
     """
-    return [models.load(name) for name in names or [USUAL]]
+    return [models.load(name) for name in names or [DEFAULT_MODEL]]
 
 
-def models_table(told: Sequence[ModelErrors], *, wide: bool, by_vehicle_model: bool = False) -> Table:
+def make_models_table(told: Sequence[ModelErrors], *, wide: bool, by_vehicle_model: bool = False) -> Table:
     """Return a table with a row a model and, if wanted, below it one a vehicle model; with more columns where wide."""
     columns = [
         Column("model", fixed=True, min_width=None if wide else 18),
@@ -72,7 +72,7 @@ def models_table(told: Sequence[ModelErrors], *, wide: bool, by_vehicle_model: b
     return table
 
 
-def verdict(gain: Gain) -> str:
+def describe_gain(gain: Gain) -> str:
     """Return in words what is told of a shadow."""
     over = f"{gain.rides:,} rides of {gain.vehicle_days:,} vehicle-days"
     if gain.mean_kwh is None or gain.lower_kwh is None or gain.upper_kwh is None or gain.verdict == "not told":
@@ -86,13 +86,13 @@ def show_models(
     console: Console, told: Sequence[ModelErrors], known: Sequence[LinearModel], rides: pd.DataFrame
 ) -> None:
     """Print how models fared on rides, and which of these rides they may have been fitted to."""
-    console.print(models_table(told, wide=console.width >= WIDE, by_vehicle_model=True))
-    verdicts = [f"{model.model}: {verdict(model.overall.gain)}" for model in told if model.overall.gain]
-    for sentence in (*verdicts, SAID, *fitted_then(known, rides)):
+    console.print(make_models_table(told, wide=console.width >= WIDE, by_vehicle_model=True))
+    verdicts = [f"{model.model}: {describe_gain(model.overall.gain)}" for model in told if model.overall.gain]
+    for sentence in (*verdicts, SAID, *warn_of_training_days(known, rides)):
         console.print(sentence, markup=False, highlight=False, soft_wrap=not console.is_terminal)
 
 
-def fitted_then(known: Sequence[LinearModel], rides: pd.DataFrame) -> list[str]:
+def warn_of_training_days(known: Sequence[LinearModel], rides: pd.DataFrame) -> list[str]:
     """Return a warning for each model that was fitted to rides of the days of these rides: it may have seen them."""
     lines = []
     for model in known:
@@ -108,12 +108,12 @@ def fitted_then(known: Sequence[LinearModel], rides: pd.DataFrame) -> list[str]:
     return lines
 
 
-def records(told: Sequence[ModelErrors]) -> list[Any]:
+def make_records(told: Sequence[ModelErrors]) -> list[Any]:
     """Return what travels of each model, for JSON."""
     return [msgspec.to_builtins(model) for model in told]
 
 
-def line(model: ModelErrors) -> dict[str, Any]:
+def make_log_fields(model: ModelErrors) -> dict[str, Any]:
     """Return the fields of a log line on a model; what is unknown is left out."""
     overall = model.overall
     gain = overall.gain

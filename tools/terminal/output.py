@@ -1,12 +1,13 @@
-"""What commands have in common: arguments, and what they do with results: JSON files, tables, reports."""
+"""What commands share: options for output, checks of output files, JSON reports and the console."""
 
 import os
-from collections.abc import Iterable
+import sys
+from collections.abc import Iterable, Mapping
 from errno import EACCES
 from importlib import import_module
 from math import isnan
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import msgspec
 import typer
@@ -14,9 +15,35 @@ from rich.console import Console
 
 from core.errors import SettingsError
 
+STANDARD_OUTPUT: Final = Path("-")
+"""The file name that means standard output."""
+REPORT_VERSIONS: Final[Mapping[str, int]] = {
+    "add": 1,
+    "ask": 1,
+    "compare": 1,
+    "demo": 1,
+    "diagnose": 1,
+    "effect": 1,
+    "effects": 1,
+    "evaluate": 1,
+    "evaluate-soc": 1,
+    "fit": 1,
+    "history": 1,
+    "info": 1,
+    "quality": 1,
+    "replay": 1,
+    "tables": 1,
+}
+"""Name -> format version of each JSON report.
 
-def _load(files: list[Path] | None) -> list[Path] | None:
-    """Load effects before the command begins, so that it knows them."""
+A version rises when a field is removed, is renamed or changes its meaning; it stays when a field is added.
+"""
+PIPE_WIDTH: Final = 120
+"""Width of tables where there is no terminal. [columns]"""
+
+
+def _load_effects(files: list[Path] | None) -> list[Path] | None:
+    """Load files of effects before the command begins, so that it knows these effects."""
     if files:
         from core import effects  # noqa: PLC0415 - takes 0.2 s to import, and most commands are given no file
 
@@ -25,79 +52,151 @@ def _load(files: list[Path] | None) -> list[Path] | None:
     return files
 
 
-JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the table as JSON too.")]
-HtmlFile = Annotated[Path | None, typer.Option("--html", metavar="FILE", help="Write a report with figures.")]
-ModelName = Annotated[str, typer.Option(metavar="M", help="Model: a name, or a model file.")]
+def _refuse_standard_output(file: Path | None) -> Path | None:
+    """Refuse `-` for a page."""
+    if file == STANDARD_OUTPUT:
+        raise SettingsError("--html is '-', and a page cannot go to standard output; name a file such as report.html")
+    return file
+
+
+JsonFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--json", metavar="FILE", help="Write the results as JSON too; `-` prints them instead, for a pipe to jq."
+    ),
+]
+HtmlFile = Annotated[
+    Path | None,
+    typer.Option("--html", metavar="FILE", help="Write a report with figures.", callback=_refuse_standard_output),
+]
+ModelName = Annotated[str, typer.Option(metavar="M", help="Name of a model, or a model file.")]
 EffectFiles = Annotated[
     list[Path] | None,
-    typer.Option("--effects", metavar="FILE", help="A file of your own effects; may be repeated.", callback=_load),
+    typer.Option(
+        "--effects", metavar="FILE", help="Load this file of your own effects; may be repeated.", callback=_load_effects
+    ),
 ]
 
-PIPE_WIDTH = 120
-"""Columns that tables may take where there is no terminal."""
+
+class _PipedConsole(Console):
+    """A console that prints no more once its reader has gone, instead of ending the process."""
+
+    def on_broken_pipe(self) -> None:
+        """Let the command go on, which may have files to write; `main` meets the error again when it flushes."""
+        self.quiet = True
 
 
-def printer() -> Console:
-    """Return what prints to standard output, as wide as the terminal, or `PIPE_WIDTH` where there is none."""
-    console = Console()
-    return console if console.is_terminal else Console(width=PIPE_WIDTH)
+def make_console(json_file: Path | None = None) -> Console:
+    """Return the console for what people read: standard output, or standard error where the JSON report takes it.
+
+    Parameters
+    ----------
+    json_file : Path, optional
+        Value of `--json`; `-` leaves standard output to the report.
+
+    Returns
+    -------
+    rich.console.Console
+        As wide as the terminal, or `PIPE_WIDTH` where there is none.
+    """
+    stderr = json_file == STANDARD_OUTPUT
+    console = _PipedConsole(stderr=stderr)
+    return console if console.is_terminal else _PipedConsole(stderr=stderr, width=PIPE_WIDTH)
 
 
-def write_json(path: Path | None, value: Any) -> None:
-    """Write a value as JSON, NaN as null; nothing where there is no path.
+def write_json(path: Path | None, report: str, value: Mapping[str, Any] | msgspec.Struct) -> None:
+    """Write a report as JSON: first its format, then its fields, with NaN and infinity as null.
+
+    Parameters
+    ----------
+    path : Path, optional
+        Where to write; `-` is standard output, None writes nothing.
+    report : str
+        Name of the report, a key of `REPORT_VERSIONS`.
+    value : mapping or msgspec.Struct
+        Fields of the report. A list goes under a name of its own.
 
     Raises
     ------
     SettingsError
         Where the file cannot be written.
+
+    Examples
+    --------
+    >>> write_json(Path("-"), "tables", {"rides": []})
+    {
+      "format": {
+        "report": "tables",
+        "version": 1
+      },
+      "rides": []
+    }
     """
     if path is None:
         return
+    own = msgspec.to_builtins(value) if isinstance(value, msgspec.Struct) else value
+    content = {"format": {"report": report, "version": REPORT_VERSIONS[report]}, **own}
+    text = msgspec.json.format(msgspec.json.encode(content), indent=2) + b"\n"
+    if path == STANDARD_OUTPUT:
+        sys.stdout.write(text.decode())
+        sys.stdout.flush()
+        return
     try:
-        path.write_bytes(msgspec.json.format(msgspec.json.encode(value), indent=2) + b"\n")
+        path.write_bytes(text)
     except OSError as error:
-        raise SettingsError(
-            f"{path} cannot be written: {error.strerror}; name a file in a folder that is there"
-        ) from error
+        raise SettingsError(f"{path} cannot be written: {error.strerror}; name a file in an existing folder") from error
 
 
-def report(name: str, result: Any, html_file: Path | None, **options: Any) -> None:
-    """Print the tables of a result, and write its page where that is wanted.
+def show_report(name: str, result: Any, html_file: Path | None, json_file: Path | None = None, **options: Any) -> None:
+    """Write the page of a result where one is wanted, then print its tables.
 
     Parameters
     ----------
     name : str
-        Module of `tools.report` that shows it; loaded here, as figures take seconds to import.
+        Module of `tools.report` that shows the result. It is imported here, because figures take seconds to import.
     result : Any
+        What the module's `show` and `write` take.
     html_file : Path, optional
+        The page to write.
+    json_file : Path, optional
+        Value of `--json`, see `make_console`.
     options : Any
-        For what shows it.
+        Further arguments of `show` and `write`.
     """
-    shown, console = import_module(f"tools.report.{name}"), printer()
-    shown.show(result, console, **options)
+    shown, console = import_module(f"tools.report.{name}"), make_console(json_file)
     if html_file:
         shown.write(result, html_file, **options)
+    shown.show(result, console, **options)
+    if html_file:
         console.print(f"report in {html_file}", markup=False, highlight=False, soft_wrap=True)
 
 
-def model_files(given: Iterable[str]) -> list[Path]:
-    """Return the files among models that the command line names."""
+def select_model_files(given: Iterable[str]) -> list[Path]:
+    """Return the files among the models that the command line names."""
     from core.models import BUILT_IN_MODELS  # noqa: PLC0415 - imports numba, which `socast effects` does without
 
     return [Path(name) for name in given if name not in BUILT_IN_MODELS]
 
 
-def writable(inputs: Iterable[Path], *outputs: Path | None) -> None:
-    """Refuse, before any work is done, outputs that cannot be written or would overwrite what is read.
+def check_outputs(inputs: Iterable[Path], *outputs: Path | None) -> None:
+    """Refuse, before any work is done, outputs that cannot be written or would overwrite an input.
+
+    Parameters
+    ----------
+    inputs : iterable of Path
+        Files that the command reads.
+    outputs : Path or None
+        Files that it will write; None and standard output need no check.
 
     Raises
     ------
     SettingsError
-        Where an output is an input or another output, a folder, in a folder that is not there, or may not be written.
+        Where an output is an input, another output or a folder, is in a folder that does not exist, or may not be
+        written.
     """
     read, written = {path.resolve() for path in inputs}, set[Path]()
     for path in outputs:
-        if path is None:
+        if path is None or path == STANDARD_OUTPUT:
             continue
         if path.resolve() in read:
             raise SettingsError(f"{path} is read and would be overwritten; name another file to write")
@@ -106,7 +205,7 @@ def writable(inputs: Iterable[Path], *outputs: Path | None) -> None:
         written.add(path.resolve())
         reason = "Is a directory" if path.is_dir() else "" if path.parent.is_dir() else "No such file or directory"
         if reason:
-            raise SettingsError(f"{path} cannot be written: {reason}; name a file in a folder that is there")
+            raise SettingsError(f"{path} cannot be written: {reason}; name a file in an existing folder")
         try:
             _try_to_write(path.resolve())
         except OSError as error:
@@ -116,9 +215,9 @@ def writable(inputs: Iterable[Path], *outputs: Path | None) -> None:
 
 
 def _try_to_write(path: Path) -> None:
-    """Open a file for writing and leave all as it was; of what is no plain file, such as a pipe, ask only.
+    """Open a file for writing and leave it as it was; only ask for permission where it is no plain file.
 
-    Permissions do not tell all: root has them everywhere, yet some file systems take no files.
+    Permissions alone do not decide: root has them everywhere, yet some file systems take no files.
     """
     if not path.exists():
         path.open("xb").close()
@@ -129,17 +228,27 @@ def _try_to_write(path: Path) -> None:
         raise PermissionError(EACCES, os.strerror(EACCES))
 
 
-def speed(text: str) -> float:
-    """Return a speed from the command line: a number, or `max`.
+def parse_speed(text: str) -> float:
+    """Return the speed of a replay from the command line, in times real time.
+
+    Parameters
+    ----------
+    text : str
+        A number, with or without `x` after it, or `max`.
+
+    Returns
+    -------
+    float
+        Above 0; infinite for `max`.
 
     Raises
     ------
     SettingsError
-        For anything else.
+        For any other text.
 
     Examples
     --------
-    >>> speed("60"), speed("10x"), speed("max")
+    >>> parse_speed("60"), parse_speed("10x"), parse_speed("max")
     (60.0, 10.0, inf)
     """
     try:

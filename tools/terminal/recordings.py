@@ -1,8 +1,7 @@
-"""Recordings, the same for every command: opened, gone through with a progress bar, and their losses told."""
+"""What every command does with recordings: open them, show progress, and report what they have lost."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from math import inf
 from os.path import realpath
 from pathlib import Path
 from typing import Annotated
@@ -11,49 +10,87 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from core.errors import SettingsError
-from core.pipeline import Pipeline
-from stream.loop import Tally, run
-from stream.mcap_writer import McapSink, McapSource
-from stream.source import Source, merged
-from tools.terminal.live_table import Screen
+from core.errors import RecordingError, SettingsError
+from stream.mcap_reader import McapSource
 
 Recordings = Annotated[list[Path], typer.Argument(metavar="REC...", help="MCAP recordings.", show_default=False)]
 
 
-def opened(recordings: Sequence[Path]) -> list[McapSource]:
-    """Return recordings, ready to be read.
+def open_recordings(recordings: Sequence[Path]) -> list[McapSource]:
+    """Return recordings that are ready to be read.
+
+    Parameters
+    ----------
+    recordings : sequence of Path
+
+    Returns
+    -------
+    list of McapSource
+        In the order in which they are given.
 
     Raises
     ------
     RecordingError
-        Where one cannot be.
+        Where one cannot be read.
     SettingsError
         Where one is given twice.
     """
-    refuse_twice(recordings)
+    refuse_duplicates(recordings)
     return [McapSource(path) for path in recordings]
 
 
-def refuse_twice(files: Iterable[Path]) -> None:
+def refuse_duplicates(files: Iterable[Path]) -> None:
     """Refuse files of which one is given twice, by whatever name.
 
     Raises
     ------
     SettingsError
+        Naming the file, whose rides would count twice.
     """
     known: set[str] = set()
     for file in files:
-        if (own := realpath(file)) in known:  # `Path.resolve` fails where links go in a circle
+        place = realpath(file)  # `Path.resolve` fails where links go in a circle
+        if place in known:
             raise SettingsError(f"{file} is given twice, and what it holds would count twice; give it once")
-        known.add(own)
+        known.add(place)
+
+
+def refuse_unusable(sources: Sequence[McapSource], usable: int) -> None:
+    """Refuse recordings that were read to their end and hold no message of the wire contract.
+
+    Parameters
+    ----------
+    sources : sequence of McapSource
+    usable : int
+        Messages of the wire contract in all of them.
+
+    Raises
+    ------
+    RecordingError
+        Where there is none.
+    """
+    if not usable and all(source.blocks_read == source.blocks for source in sources):
+        names = ", ".join(str(source.path) for source in sources)
+        raise RecordingError(
+            f"{names}: no message that socast can read; record telemetry under fleet/VEHICLE/telemetry, "
+            "as `socast live --record` does"
+        )
 
 
 @contextmanager
-def reading(
+def show_progress(
     sources: Sequence[McapSource], *, shown: bool = True, words: str = "reading"
 ) -> Iterator[Callable[[], None]]:
-    """Show how far recordings have been read; give a function to call now and then."""
+    """Show on standard error how far recordings have been read; give a function to call after each step.
+
+    Parameters
+    ----------
+    sources : sequence of McapSource
+    shown : bool
+        Whether to show anything; nothing is shown where standard error is no terminal.
+    words : str
+        What is going on.
+    """
     console = Console(stderr=True)
     columns = (TextColumn(words), BarColumn(), MofNCompleteColumn(), TextColumn("chunks"), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as progress:
@@ -61,43 +98,8 @@ def reading(
         yield lambda: progress.update(task, completed=sum(source.blocks_read for source in sources))
 
 
-def forecast(
-    pipeline: Pipeline,
-    sources: Sequence[McapSource],
-    source: Source | None = None,
-    rate: float = inf,
-    sinks: Sequence[McapSink] = (),
-    also: Callable[[], None] = lambda: None,
-) -> None:
-    """Run recordings through the loop, with a progress bar at full speed and a table of cars at any other.
-
-    Parameters
-    ----------
-    pipeline : Pipeline
-        Holds the rides afterwards.
-    sources : sequence of McapSource
-        The recordings.
-    source : Source, optional
-        Of their messages, where they are more than merged in time order: paced, say.
-    rate : float
-        Speed of the replay; `inf` as fast as possible.
-    sinks : sequence of McapSink
-        Take the forecasts.
-    also : callable
-        Called after each list of messages.
-    """
-    with reading(sources, shown=rate == inf) as step, Screen(pipeline, "Replay", silent=rate == inf) as screen:
-
-        def watch(tally: Tally) -> None:
-            step()
-            also()
-            screen(tally)
-
-        run(merged(sources) if source is None else source, pipeline, sinks, watch=watch)
-
-
 def warn_of_losses(sources: Iterable[McapSource], console: Console | None = None) -> None:
-    """Say what recordings hold that could not be read, on standard error if nowhere else."""
+    """Print what recordings hold or held that could not be read, by default on standard error."""
     console = console or Console(stderr=True)
     for source in sources:
         for line in source.losses.lines():

@@ -22,12 +22,12 @@ MOST_ROWS: Final = 200_000
 """Forecasts that are kept before those that are of no use any more are let go."""
 NO_INTERVALS: Final = (
     "no intervals of the shift's end are known yet, as too few shifts have been learned from: give more of what was "
-    "recorded before with --history REC"
+    "recorded before with --warm-up REC"
 )
 _FIGURES: Final = {"mean": "soc_mean_pct", "p05": "soc_p05_pct", "p95": "soc_p95_pct"}
 
 
-class Outcomes:
+class ShiftOutcomes:
     """Forecasts of the shifts in progress, and what became of those of shifts that have ended.
 
     Call it after each list of messages.

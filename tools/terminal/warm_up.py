@@ -1,4 +1,4 @@
-"""What a consumer learns, before it begins, of recordings of earlier days: `--history`."""
+"""Learning from recordings of earlier days before a consumer or a replay begins: `--warm-up`."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -12,74 +12,77 @@ from core.errors import SettingsError
 from core.models import Model
 from core.pipeline import Pipeline
 from core.settings import Settings
-from stream.loop import seldom_collecting
-from stream.mcap_writer import McapSource
-from stream.source import merged
-from tools.terminal.recordings import opened, reading, warn_of_losses
+from stream.loop import collect_garbage_rarely
+from stream.mcap_reader import McapSource
+from stream.source import merge_sources
+from tools.terminal.recordings import open_recordings, show_progress, warn_of_losses
 
-History = Annotated[
+WarmUp = Annotated[
     list[Path] | None,
     typer.Option(
-        "--history",
+        "--warm-up",
         metavar="REC",
-        help="Learn from this recording of earlier days first, so that forecasts have intervals at once; may be "
-        "repeated.",
+        help="Learn from this recording of earlier days first, so that forecasts have intervals from the beginning; "
+        "may be repeated.",
     ),
 ]
 
 
-def learned(
+def learn_from_recordings(
     model: Model,
     shadows: Sequence[Model],
     settings: Settings,
     recordings: Sequence[Path] | None,
     replayed: Sequence[McapSource] = (),
 ) -> Pipeline | None:
-    """Return a pipeline that has gone through recordings, None where there are none; `Pipeline.learn_from` takes it.
+    """Return a pipeline that recordings have run through, for `Pipeline.learn_from`; None without recordings.
 
     Parameters
     ----------
     model : Model
         Makes the forecasts.
     shadows : sequence of Model
-        Will run beside it.
+        Run in its shadow.
     settings : Settings
+        Of cleaning.
     recordings : sequence of Path, optional
-        Merged in time order.
+        Recordings of earlier days, merged in time order.
     replayed : sequence of McapSource
-        What is to be forecast of then.
+        Recordings that will be forecast afterwards.
 
     Raises
     ------
     SettingsError
-        Where one goes on when what is replayed has begun: forecasts would know what comes of them.
+        Where a recording ends after the replayed ones begin: forecasts would know their outcomes.
+    RecordingError
+        Where a recording cannot be read.
     """
     if not recordings:
         return None
-    sources = opened(recordings)
+    sources = open_recordings(recordings)
     _refuse_later(sources, replayed)
     pipeline = Pipeline(model, settings, shadows=shadows, keep_tables=False)
-    with reading(sources, words="learning") as step, seldom_collecting():
-        for messages in merged(sources):
+    with show_progress(sources, words="learning") as step, collect_garbage_rarely():
+        for messages in merge_sources(sources):
             pipeline.take(messages)
-            pipeline.forecasts(newest_only=True)  # lets go of the others
+            pipeline.forecasts(newest_only=True)  # drops the others
             pipeline.model_errors(newest_only=True)
             step()
     warn_of_losses(sources)
     return pipeline
 
 
-def _refuse_later(history: Sequence[McapSource], replayed: Sequence[McapSource]) -> None:
-    """Refuse recordings that go on when others have begun."""
+def _refuse_later(earlier: Sequence[McapSource], replayed: Sequence[McapSource]) -> None:
+    """Refuse recordings that end after the replayed ones have begun."""
     begin = min((source.span_ns[0] for source in replayed if source.span_ns), default=inf)
-    for source in history:
+    for source in earlier:
         if source.span_ns and source.span_ns[1] > begin:
             raise SettingsError(
-                f"--history {source.path} ends at {_moment(source.span_ns[1])}, after what is replayed begins, at "
-                f"{_moment(begin)}: forecasts would know what comes of them; give recordings that end before"
+                f"--warm-up {source.path} ends at {_format_time(source.span_ns[1])}, after the replay begins at "
+                f"{_format_time(begin)}: forecasts would know their outcomes; give recordings that end before"
             )
 
 
-def _moment(time_ns: float) -> str:
+def _format_time(time_ns: float) -> str:
     """Return a time as people read it."""
     return f"{datetime.fromtimestamp(time_ns * 1e-9, UTC):%Y-%m-%d %H:%M:%S} UTC"

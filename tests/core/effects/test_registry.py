@@ -155,7 +155,7 @@ def test_files_that_cannot_be_read(tmp_path):
 def test_list_shows_every_effect_by_topic_and_writes_json(tmp_path):
     done = CliRunner().invoke(app, ["list", "--json", str(tmp_path / "effects.json")])
     assert done.exit_code == 0
-    written = json.loads((tmp_path / "effects.json").read_text())
+    written = json.loads((tmp_path / "effects.json").read_text())["effects"]
     assert [row["name"] for row in written] == list(get_library())
     assert list(dict.fromkeys(row["topic"] for row in written)) == list(group_by_topic())
     for row in written:

@@ -180,7 +180,7 @@ def test_what_is_no_input_is_one_line(here, capsys):
     lone.mkdir()
     (lone / "rides.parquet").write_bytes((here / "tables" / "rides.parquet").read_bytes())
     assert "holds no windows.parquet" in refused(capsys, "diagnose", lone, "--model", base)
-    assert "is not there" in refused(capsys, "diagnose", here / "nothing", "--model", base)
+    assert "does not exist" in refused(capsys, "diagnose", here / "nothing", "--model", base)
     (here / "a.mcap").write_bytes(b"")
     assert "give recordings or tables" in refused(capsys, "diagnose", here / "a.mcap", here / "tables", "--model", base)
     assert "a.mcap" in refused(capsys, "diagnose", here / "a.mcap", "--model", base)

@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from core.wire.messages import Interval, LegOutlook
-from stream.zenoh_session import free_port
+from stream.zenoh_session import find_free_port
 from tests.support.commands import done, refused
 from tests.support.live_consumers import consumers, logged
 from tests.support.outlooks import NOW, OUTLOOK, outlook
@@ -115,7 +115,7 @@ def test_what_cannot_be_asked_is_one_line(arguments, told, tmp_path, capsys):
     (tmp_path / "rubbish.json").write_text("lunch at noon")
     (tmp_path / "empty.json").touch()
     given = [argument.replace("{tmp}", str(tmp_path)) for argument in arguments]
-    assert told in refused(capsys, "ask", *given, "--connect", f"tcp/127.0.0.1:{free_port()}")
+    assert told in refused(capsys, "ask", *given, "--connect", f"tcp/127.0.0.1:{find_free_port()}")
 
 
 def test_a_live_consumer_is_asked(tmp_path, capsys):
@@ -134,7 +134,7 @@ def test_a_live_consumer_is_asked(tmp_path, capsys):
 
 
 def test_the_service_answers_in_words_and_counts_what_it_was_asked(consumer, capsys):
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = f"tcp/127.0.0.1:{find_free_port()}"
     process, log = consumer("--listen", endpoint)
     told = refused(capsys, "ask", "taxi-9", *RIDE, "--connect", endpoint, "--timeout-s", "30")
     assert "nobody answers" not in told

@@ -12,7 +12,7 @@ from tests.core.fit.test_segment_network import windows
 from tests.support import planted_rides
 from tools.cli import main
 from tools.commands.evaluate import read, window_columns
-from tools.terminal.output import writable
+from tools.terminal.output import check_outputs
 
 QUICK = ("--recipes", "basic_physical,empirical", "--repeats", "2", "--jobs", "1")
 
@@ -134,7 +134,7 @@ def test_rides_that_are_all_alike_teach_nothing_and_that_is_said(folder, capsys)
 def test_what_is_no_table_is_refused(folder, capsys):
     (folder / "x.parquet").write_bytes(b"PAR1 nothing")
     assert "x.parquet: no Parquet table" in refused(capsys, folder / "x.parquet", *QUICK)
-    assert "is not there" in refused(capsys, folder / "y.parquet", *QUICK)
+    assert "does not exist" in refused(capsys, folder / "y.parquet", *QUICK)
     (folder / "empty").mkdir()
     assert "holds no rides.parquet" in refused(capsys, folder / "empty", *QUICK)
     pd.DataFrame({"ride_key": ["a"]}).to_parquet(folder / "windows.parquet")
@@ -156,7 +156,7 @@ def test_what_cannot_be_asked_is_refused(folder, capsys):
 def test_trying_whether_an_output_can_be_written_leaves_all_as_it_was(tmp_path):
     kept, new = tmp_path / "kept.json", tmp_path / "new.json"
     kept.write_text("[]")
-    writable([], kept, new)
+    check_outputs([], kept, new)
     assert kept.read_text() == "[]"
     assert not new.exists()
 

@@ -84,7 +84,9 @@ def run(monkeypatch, capsys):
 def test_the_command_prints_and_writes_one_result(run, result, tmp_path):
     code, streams = run(SHIFT, "--json", tmp_path / "s.json", "--html", tmp_path / "s.html")
     assert code == 0, streams.err
-    assert json.loads((tmp_path / "s.json").read_text()) == result
+    written = json.loads((tmp_path / "s.json").read_text())
+    assert written.pop("format") == {"report": "evaluate-soc", "version": 1}
+    assert written == result
     assert printed(result) in streams.out
     assert f"report in {tmp_path / 's.html'}" in streams.out
 

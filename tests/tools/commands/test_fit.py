@@ -12,7 +12,8 @@ from core.fit.recipes import RECIPES
 from core.models import ANY, LinearModel
 from core.pipeline import Pipeline
 from stream.loop import run
-from stream.mcap_writer import McapSink, McapSource
+from stream.mcap_reader import McapSource
+from stream.mcap_writer import McapSink
 from stream.memory import MemorySink, MemorySource
 from tests.support.commands import done, refused
 from tests.support.planted_rides import MODELS, noisy, physical_energy, rides
@@ -123,7 +124,7 @@ def test_one_vehicle_is_enough(table, tmp_path, capsys):
 def test_what_is_no_table_or_no_recipe_is_one_line(folder, table, tmp_path, capsys):
     out = tmp_path / "model.json"
     assert "recipe 'hybird' is unknown" in refused(capsys, "fit", folder, "--recipe", "hybird", "-o", out)
-    assert "is not there; name a folder" in refused(capsys, "fit", tmp_path / "no", "--recipe", "hybrid", "-o", out)
+    assert "does not exist; name a folder" in refused(capsys, "fit", tmp_path / "no", "--recipe", "hybrid", "-o", out)
     assert "holds no rides.parquet" in refused(capsys, "fit", tmp_path, "--recipe", "hybrid", "-o", out)
     (tmp_path / "text.parquet").write_text("distance_km\n")
     told = refused(capsys, "fit", tmp_path / "text.parquet", "--recipe", "hybrid", "-o", out)

@@ -8,7 +8,7 @@ from rich.console import Console
 from core.forecast.status import VehicleStatus
 from tests.support.fleet_days import DAY, DAYS, again, forecasts, plan, shift
 from tests.support.telemetry import START
-from tools.terminal.live_table import WARNED, fleet_table
+from tools.terminal.live_table import WARNED, make_fleet_table
 
 CAR = VehicleStatus("taxi-1", "kia-soul-ev-2015", None, 1.7e9, 64.0, 0.0, float("nan"), float("nan"), {})
 
@@ -16,7 +16,7 @@ CAR = VehicleStatus("taxi-1", "kia-soul-ev-2015", None, 1.7e9, 64.0, 0.0, float(
 def row(car, width=80):
     """Return the line of a car, as a terminal of some width shows it."""
     console = Console(file=io.StringIO(), width=width)
-    console.print(fleet_table([car], "Live", "", 20))
+    console.print(make_fleet_table([car], "Live", "", 20))
     (line,) = [line for line in console.file.getvalue().splitlines() if line.split()[:1] == [car.vehicle_id]]
     return line
 

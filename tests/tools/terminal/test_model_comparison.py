@@ -16,15 +16,22 @@ from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL, Training
 from core.pipeline import Pipeline
 from core.wire.messages import Gain, ModelErrors, RideErrors
 from stream.loop import Tally
-from stream.mcap_writer import McapSink, McapSource
-from stream.zenoh_session import Connection, Node, free_port
+from stream.mcap_reader import McapSource
+from stream.mcap_writer import McapSink
+from stream.zenoh_session import Connection, Node, find_free_port
 from tests.support.commands import called, refused
 from tests.support.live_consumers import consumers, logged
 from tests.support.recorded_shift import shift
 from tests.support.zenoh_sessions import eventually
-from tools.commands.live import Keeper
-from tools.terminal.live_table import Screen, fleet_table
-from tools.terminal.model_comparison import fitted_then, line, loaded, models_table, verdict
+from tools.commands.live import StateKeeper
+from tools.terminal.live_table import LiveTable, make_fleet_table
+from tools.terminal.model_comparison import (
+    describe_gain,
+    load_models,
+    make_log_fields,
+    make_models_table,
+    warn_of_training_days,
+)
 
 BOTH = ("--model", "extended_physical", "--model", "basic_physical")
 
@@ -43,8 +50,8 @@ def consumer(tmp_path):
         yield start
 
 
-def gain(lower, upper, verdict, mean=0.0524):
-    return Gain(rides=1214, vehicle_days=31, mean_kwh=mean, lower_kwh=lower, upper_kwh=upper, verdict=verdict)
+def gain(lower, upper, describe_gain, mean=0.0524):
+    return Gain(rides=1214, vehicle_days=31, mean_kwh=mean, lower_kwh=lower, upper_kwh=upper, verdict=describe_gain)
 
 
 def fares(told, **fields):
@@ -70,7 +77,7 @@ def fares(told, **fields):
     ],
 )
 def test_a_verdict_is_said_in_words(told, words):
-    assert verdict(told) == f"{words} 1,214 rides of 31 vehicle-days"
+    assert describe_gain(told) == f"{words} 1,214 rides of 31 vehicle-days"
 
 
 def printed(what, width=120) -> str:
@@ -81,39 +88,39 @@ def printed(what, width=120) -> str:
 
 def test_the_table_has_a_row_a_model_and_those_of_vehicle_models_where_wanted():
     told = [fares(None), fares(gain(0.0312, 0.0731, "better"))]
-    short = printed(models_table(told, wide=False), 80)
-    long = printed(models_table(told, wide=True, by_vehicle_model=True), 112)
+    short = printed(make_models_table(told, wide=False), 80)
+    long = printed(make_models_table(told, wide=True, by_vehicle_model=True), 112)
     assert "nissan-leaf-2013" not in short
     assert long.count("nissan-leaf-2013") == 2
     for figure in ("cold/2", "1,300", "0.250", "0.052 (0.031 to 0.073)", "better"):
         assert figure in short
         assert figure in long
     assert {"12.5", "-0.100", "31"} <= set(long.split())
-    assert "-" in printed(models_table([fares(None, mae_kwh=None)], wide=False)).split()
+    assert "-" in printed(make_models_table([fares(None, mae_kwh=None)], wide=False)).split()
 
 
 def test_a_log_line_has_figures_with_units_and_nothing_unknown():
-    told = line(fares(gain(None, None, "not told", None)))
+    told = make_log_fields(fares(gain(None, None, "not told", None)))
     assert told["model"] == "cold/2"
     assert (told["mae_kwh"], told["gain_vehicle_days"], told["gain_verdict"]) == (0.25, 31, "not told")
     assert None not in told.values()
-    assert "gain" not in line(fares(None))
+    assert "gain" not in make_log_fields(fares(None))
 
 
 def test_rides_of_the_days_that_a_model_was_fitted_to_are_told_of():
     training = Training(rides=9, first_date="2018-01-02", last_date="2018-01-03", vehicle_models={}, fingerprint="")
     fitted = msgspec.structs.replace(EXTENDED_PHYSICAL, name="fitted", training=training)
     rides = pd.DataFrame({"date": ["2018-01-01", "2018-01-02", "2018-01-03", "2018-01-04"]})
-    (told,) = fitted_then([BASIC_PHYSICAL, fitted], rides)
+    (told,) = warn_of_training_days([BASIC_PHYSICAL, fitted], rides)
     assert told.startswith("fitted/1 was fitted to rides of 2018-01-02 to 2018-01-03: 2 of these 4 rides")
-    assert fitted_then([fitted], rides[3:]) == []
+    assert warn_of_training_days([fitted], rides[3:]) == []
 
 
 def test_models_are_loaded_by_name_and_the_usual_one_where_none_is_named():
-    assert loaded(None) == loaded([]) == [EXTENDED_PHYSICAL]
-    assert loaded(["basic_physical", "extended_physical"]) == [BASIC_PHYSICAL, EXTENDED_PHYSICAL]
+    assert load_models(None) == load_models([]) == [EXTENDED_PHYSICAL]
+    assert load_models(["basic_physical", "extended_physical"]) == [BASIC_PHYSICAL, EXTENDED_PHYSICAL]
     with pytest.raises(ModelError, match="oracle"):
-        loaded(["basic_physical", "oracle"])
+        load_models(["basic_physical", "oracle"])
 
 
 @pytest.mark.parametrize("command", [["replay", "{rec}"], ["live", "--listen", "tcp/127.0.0.1:0"]])
@@ -143,7 +150,7 @@ def test_replay_of_several_models_tells_how_each_fares(recording, tmp_path):
     assert json.loads(kept[-1].payload) == both["models"][1]
     out, _, code = called("info", tmp_path / "f.mcap", "--json", tmp_path / "info.json")
     assert code == 0
-    (about,) = json.loads((tmp_path / "info.json").read_text())
+    (about,) = json.loads((tmp_path / "info.json").read_text())["recordings"]
     assert about["vehicles"] == ["car-0", "car-1", "car-2"]
     assert about["kinds"]["errors"] == 20
     out, _, code = called("replay", tmp_path / "f.mcap")
@@ -153,13 +160,15 @@ def test_replay_of_several_models_tells_how_each_fares(recording, tmp_path):
 
 def test_live_publishes_how_each_model_fares_and_goes_on_after_a_restart(consumer, recording, tmp_path):
     heard: list[tuple[str, bytes]] = []
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = f"tcp/127.0.0.1:{find_free_port()}"
     process, log = consumer("--listen", endpoint, *BOTH, "--state", tmp_path / "state", "--report", "0.05")
     with Node(Connection(connect=(endpoint,))) as node:
         keep = lambda sample: heard.append((str(sample.key_expr), sample.payload.to_bytes()))  # noqa: E731
         with node.session.declare_subscriber("models/**", keep):
             called("replay", recording, "--connect", endpoint, "--speed", "max")
-            assert eventually(lambda: any(line.get("messages") == len(shift()) for line in logged(log)))
+            assert eventually(
+                lambda: any(make_log_fields.get("messages") == len(shift()) for make_log_fields in logged(log))
+            )
             assert eventually(lambda: len({key for key, _ in heard}) == 2)
             process.terminate()
             assert process.wait(20) == 0
@@ -167,8 +176,15 @@ def test_live_publishes_how_each_model_fares_and_goes_on_after_a_restart(consume
     assert set(newest) == {"models/extended_physical/1/errors", "models/basic_physical/1/errors"}
     assert newest["models/basic_physical/1/errors"]["overall"]["rides"] == 6
     lines = logged(log)
-    assert [line["model"] for line in lines if line["event"] == "model"] == ["extended_physical/1", "basic_physical/1"]
-    assert all("shadows_kwh.basic_physical/1" in line for line in lines if line["event"] == "ride")
+    assert [make_log_fields["model"] for make_log_fields in lines if make_log_fields["event"] == "model"] == [
+        "extended_physical/1",
+        "basic_physical/1",
+    ]
+    assert all(
+        "shadows_kwh.basic_physical/1" in make_log_fields
+        for make_log_fields in lines
+        if make_log_fields["event"] == "ride"
+    )
     again = Pipeline(EXTENDED_PHYSICAL, shadows=[BASIC_PHYSICAL])
     again.restore((tmp_path / "state").read_bytes())
     assert again.shadows.errors()[1].overall.rides == 6
@@ -181,7 +197,7 @@ def test_a_change_of_verdict_is_logged_once(monkeypatch):
     monkeypatch.setattr("tools.commands.live._log", logger)
     pipeline = Pipeline(EXTENDED_PHYSICAL, shadows=[BASIC_PHYSICAL])
     now = [0.0]
-    keeper = Keeper(pipeline, clock=lambda: now[0])
+    keeper = StateKeeper(pipeline, clock=lambda: now[0])
     for turn in range(4):
         for i in range(20):
             pipeline.shadows.monitors[1]._all.add_cluster(5, 1.0 + 0.1 * (i % 5))
@@ -196,10 +212,10 @@ def test_a_change_of_verdict_is_logged_once(monkeypatch):
 def test_the_screen_has_a_column_a_shadow_and_the_models_below():
     pipeline = Pipeline(EXTENDED_PHYSICAL, shadows=[BASIC_PHYSICAL])
     pipeline.push(shift())
-    assert "by 2" in printed(fleet_table(pipeline.status(), "Live", "", 20, 1))
-    assert "by 2" not in printed(fleet_table(pipeline.status(), "Live", "", 20))
+    assert "by 2" in printed(make_fleet_table(pipeline.status(), "Live", "", 20, 1))
+    assert "by 2" not in printed(make_fleet_table(pipeline.status(), "Live", "", 20))
     console = Console(file=io.StringIO(), width=120, height=40, force_terminal=True)
-    with Screen(pipeline, "Live", console=console, clock=iter(range(0, 100, 10)).__next__) as screen:
+    with LiveTable(pipeline, "Live", console=console, clock=iter(range(0, 100, 10)).__next__) as screen:
         screen(Tally(received=1, seconds=1.0))
     shown = console.file.getvalue()
     assert "basic_physical/1" in shown

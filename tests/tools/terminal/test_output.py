@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from core.errors import SettingsError
-from tools.terminal.output import model_files, writable
+from tools.terminal.output import check_outputs, select_model_files
 
 
 @pytest.mark.parametrize("name", ["model.json", "./model.json"])
@@ -13,10 +13,10 @@ def test_a_model_that_is_read_is_not_overwritten(tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "model.json").write_text("{}")
     with pytest.raises(SettingsError, match=r"is read and would be overwritten"):
-        writable(model_files(["road_load.json", "basic_physical", "model.json"]), Path(name))
-    assert model_files(["basic_physical"]) == []
+        check_outputs(select_model_files(["road_load.json", "basic_physical", "model.json"]), Path(name))
+    assert select_model_files(["basic_physical"]) == []
 
 
 def test_one_file_is_not_written_twice(tmp_path):
     with pytest.raises(SettingsError, match="written twice"):
-        writable([], tmp_path / "a.json", tmp_path / "." / "a.json")
+        check_outputs([], tmp_path / "a.json", tmp_path / "." / "a.json")

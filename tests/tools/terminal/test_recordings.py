@@ -9,7 +9,7 @@ import pytest
 from core.errors import RecordingError, SettingsError
 from tests.support.commands import done, refused
 from tests.support.paths import ROOT
-from tools.terminal.recordings import opened
+from tools.terminal.recordings import open_recordings
 
 SHIFT = ROOT / "recordings" / "shift.mcap"
 AUTUMN = SHIFT.with_name("autumn.mcap")
@@ -17,7 +17,7 @@ COMMANDS = {
     "evaluate-soc": (SHIFT, SHIFT),
     "info": (SHIFT, SHIFT),
     "replay": ("--in-process", SHIFT, SHIFT),
-    "replay --history": ("--in-process", AUTUMN, "--history", SHIFT, "--history", SHIFT),
+    "replay --warm-up": ("--in-process", AUTUMN, "--warm-up", SHIFT, "--warm-up", SHIFT),
     "tables": (SHIFT, SHIFT, "--out", "{tmp}"),
     "compare": (SHIFT, SHIFT, "--model", "extended_physical", "--model", "basic_physical"),
 }
@@ -35,13 +35,13 @@ def test_another_name_for_the_same_recording_is_no_other_recording(tmp_path, mon
     monkeypatch.chdir(SHIFT.parent)
     for other in (link, Path("shift.mcap"), Path("..") / SHIFT.parent.name / "shift.mcap"):
         with pytest.raises(SettingsError, match=r"shift\.mcap is given twice|link\.mcap is given twice"):
-            opened([SHIFT, AUTUMN, other])
+            open_recordings([SHIFT, AUTUMN, other])
 
 
 def test_another_recording_is_opened_beside_the_first(tmp_path):
     copy = tmp_path / "shift.mcap"
     copyfile(SHIFT, copy)
-    assert [source.path for source in opened([SHIFT, AUTUMN, copy])] == [SHIFT, AUTUMN, copy]
+    assert [source.path for source in open_recordings([SHIFT, AUTUMN, copy])] == [SHIFT, AUTUMN, copy]
 
 
 def test_links_in_a_circle_are_told_in_one_line(tmp_path):
@@ -49,7 +49,7 @@ def test_links_in_a_circle_are_told_in_one_line(tmp_path):
     one.symlink_to(other)
     other.symlink_to(one)
     with pytest.raises(RecordingError, match="cannot be read"):
-        opened([one, SHIFT])
+        open_recordings([one, SHIFT])
 
 
 def test_a_recording_alone_is_read_as_before(tmp_path):

@@ -15,7 +15,7 @@ from tests.support.commands import done
 from tests.support.fleet_days import CARS, DAYS, SHIFT, again, recorded, shift
 from tests.support.soc_frames import told
 from tools.terminal import shift_outcomes
-from tools.terminal.shift_outcomes import AHEAD, NO_INTERVALS, Outcomes, show_outcomes, summary
+from tools.terminal.shift_outcomes import AHEAD, NO_INTERVALS, ShiftOutcomes, show_outcomes, summary
 
 
 class Recited:
@@ -43,7 +43,7 @@ class Recited:
 
 def records(outlooks, shifts, cuts=()):
     recited = Recited(outlooks.sort_values("time_s", kind="stable"), shifts, cuts)
-    found = Outcomes(recited)
+    found = ShiftOutcomes(recited)
     for _ in range(len(recited) - 1):
         found()
     return found.records()
@@ -86,7 +86,7 @@ def test_however_it_comes_and_whatever_is_let_go_the_same_is_told(cuts, rows):
 def test_what_is_let_go_keeps_memory_small(monkeypatch):
     monkeypatch.setattr(shift_outcomes, "MOST_ROWS", 500)
     made, ended = told(cars=1, days=10, warm_up=0)
-    found = Outcomes(Recited(made, ended, made["time_s"].to_numpy()[::100]))
+    found = ShiftOutcomes(Recited(made, ended, made["time_s"].to_numpy()[::100]))
     for _ in range(len(made) // 100):
         found()
         assert sum(map(len, found._told)) < 800
@@ -118,7 +118,7 @@ def test_a_forecast_that_was_long_ago_is_none():
 def test_where_no_interval_is_known_it_is_said_what_to_do():
     made, ended = told(cars=1, days=2, warm_up=2)
     assert printed(records(made, ended), 400).strip() == NO_INTERVALS
-    assert "--history" in NO_INTERVALS
+    assert "--warm-up" in NO_INTERVALS
     assert printed([]) == ""
 
 
@@ -134,7 +134,7 @@ def test_the_share_that_held_is_told():
 def test_a_pipeline_is_told_of():
     pipeline = again(keep_outlooks=True)
     pipeline.take_shifts()
-    found = Outcomes(pipeline)
+    found = ShiftOutcomes(pipeline)
     for _, message in shift("c", DAYS):
         pipeline.push([message])
         found()
@@ -151,9 +151,9 @@ def test_replay_tells_of_shifts_with_intervals_where_there_is_a_history(tmp_path
     recorded(tmp_path / "now.mcap", [DAYS])
     replay = ("replay", tmp_path / "now.mcap", "--period-s", 15, "--json", tmp_path / "now.json")
     done(*replay)
-    assert "--history REC" in capsys.readouterr().out
+    assert "--warm-up REC" in capsys.readouterr().out
     alone = json.loads((tmp_path / "now.json").read_text())
-    done(*replay, "--history", tmp_path / "before.mcap")
+    done(*replay, "--warm-up", tmp_path / "before.mcap")
     assert "forecast against outcome" in capsys.readouterr().out
     both = json.loads((tmp_path / "now.json").read_text())
     assert both["rides"] == alone["rides"]

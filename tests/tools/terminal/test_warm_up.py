@@ -4,10 +4,10 @@ import pytest
 
 from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
 from core.pipeline import Pipeline
-from tests.support.commands import done, refused
+from tests.support.commands import called, done, refused
 from tests.support.fleet_days import CARS, DAYS, SETTINGS, forecasts, recorded, shift
 from tests.support.telemetry import leaf, observed
-from tools.terminal.warm_up import learned
+from tools.terminal.warm_up import learn_from_recordings
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,7 @@ def today(pipeline):
 
 def test_forecasts_have_intervals_at_once(recordings):
     fresh, pipeline = Pipeline(settings=SETTINGS), Pipeline(settings=SETTINGS)
-    pipeline.learn_from(learned(EXTENDED_PHYSICAL, [], SETTINGS, recordings))
+    pipeline.learn_from(learn_from_recordings(EXTENDED_PHYSICAL, [], SETTINGS, recordings))
     before, after = forecasts(today(fresh), "c"), forecasts(today(pipeline), "c")
     assert before.keys() == after.keys()
     assert not any(each.soc_end_of_shift_pct for each in before.values())
@@ -37,7 +37,7 @@ def test_forecasts_have_intervals_at_once(recordings):
 
 def test_rides_and_counters_are_of_today_alone(recordings):
     fresh, pipeline = Pipeline(settings=SETTINGS), Pipeline(settings=SETTINGS)
-    pipeline.learn_from(learned(EXTENDED_PHYSICAL, [], SETTINGS, recordings))
+    pipeline.learn_from(learn_from_recordings(EXTENDED_PHYSICAL, [], SETTINGS, recordings))
     for each in (fresh, pipeline):
         today(each)
         each.finish()
@@ -50,7 +50,7 @@ def test_rides_and_counters_are_of_today_alone(recordings):
 
 def test_it_knows_cars_that_do_not_say_again_what_they_are(recordings):
     pipeline = Pipeline(settings=SETTINGS)
-    pipeline.learn_from(learned(EXTENDED_PHYSICAL, [], SETTINGS, recordings))
+    pipeline.learn_from(learn_from_recordings(EXTENDED_PHYSICAL, [], SETTINGS, recordings))
     found = forecasts(pipeline.push([m for _, m in shift("c", DAYS)]), "c")
     assert list(found.values())[-1].soc_end_of_shift_pct
 
@@ -60,7 +60,7 @@ def test_shadows_begin_anew_and_a_restart_goes_on_the_same(recordings):
         return Pipeline(settings=SETTINGS, shadows=[BASIC_PHYSICAL], keep_tables=False)
 
     pipeline = made()
-    pipeline.learn_from(learned(EXTENDED_PHYSICAL, [BASIC_PHYSICAL], SETTINGS, recordings))
+    pipeline.learn_from(learn_from_recordings(EXTENDED_PHYSICAL, [BASIC_PHYSICAL], SETTINGS, recordings))
     assert all(told.overall.rides == 0 for told in pipeline.shadows.errors())
     messages = [m for _, m in shift("c", DAYS)]
     first, state = pipeline.push(messages[:150]), pipeline.snapshot()
@@ -71,8 +71,8 @@ def test_shadows_begin_anew_and_a_restart_goes_on_the_same(recordings):
 
 
 def test_without_recordings_there_is_nothing():
-    assert learned(EXTENDED_PHYSICAL, [], SETTINGS, None) is None
-    assert learned(EXTENDED_PHYSICAL, [], SETTINGS, []) is None
+    assert learn_from_recordings(EXTENDED_PHYSICAL, [], SETTINGS, None) is None
+    assert learn_from_recordings(EXTENDED_PHYSICAL, [], SETTINGS, []) is None
 
 
 @pytest.mark.parametrize("lost", [0, 9_000], ids=["whole", "killed"])
@@ -81,24 +81,28 @@ def test_a_history_that_knows_what_comes_is_refused(capsys, tmp_path, recordings
     for name, numbers in (("later", range(2, DAYS)), ("overlapping", range(DAYS)), ("same", range(2))):
         recorded(history := tmp_path / f"{name}.mcap", numbers)
         history.write_bytes(history.read_bytes()[: history.stat().st_size - lost])
-        told = refused(capsys, "replay", early, "--history", history)
+        told = refused(capsys, "replay", early, "--warm-up", history)
         assert f"{name}.mcap ends at 2024-01-1" in told
-        assert "after what is replayed begins, at 2024-01-15 08:00:00 UTC: " in told
-    assert "a.mcap ends at" in refused(capsys, "replay", early, late, "--history", early)
-    done("replay", late, "--history", early, "--history", tmp_path / "same.mcap")
+        assert "after the replay begins at 2024-01-15 08:00:00 UTC: " in told
+    assert "a.mcap ends at" in refused(capsys, "replay", early, late, "--warm-up", early)
+    done("replay", late, "--warm-up", early, "--warm-up", tmp_path / "same.mcap")
 
 
 def test_a_history_that_is_none_is_refused_in_a_line(capsys, tmp_path, recordings):
-    assert "nowhere.mcap" in refused(capsys, "live", "--history", tmp_path / "nowhere.mcap")
+    assert "nowhere.mcap" in refused(capsys, "live", "--warm-up", tmp_path / "nowhere.mcap")
     replay = ("replay", recordings[0])
-    assert "nowhere.mcap" in refused(capsys, *replay, "--history", tmp_path / "nowhere.mcap")
-    assert "--history" in refused(capsys, *replay, "--history", recordings[1], "--connect", "tcp/127.0.0.1:1")
-    assert "overwritten" in refused(capsys, *replay, "--history", recordings[1], "--json", recordings[1])
+    assert "nowhere.mcap" in refused(capsys, *replay, "--warm-up", tmp_path / "nowhere.mcap")
+    assert "--warm-up" in refused(capsys, *replay, "--warm-up", recordings[1], "--connect", "tcp/127.0.0.1:1")
+    assert "overwritten" in refused(capsys, *replay, "--warm-up", recordings[1], "--json", recordings[1])
 
 
 def test_a_consumer_with_a_state_to_go_on_from_leaves_the_history_out(capsys, tmp_path):
-    nobody = ("live", "--connect", "tcp/127.0.0.1:1", "--history", tmp_path / "nowhere.mcap")
+    nobody = ("live", "--connect", "tcp/127.0.0.1:1", "--warm-up", tmp_path / "nowhere.mcap")
     state = tmp_path / "fleet.state"
     assert "nowhere.mcap" in refused(capsys, *nobody, "--state", state)
     state.write_bytes(b"")
-    assert "127.0.0.1:1" in refused(capsys, *nobody, "--state", state)
+    _, printed, code = called(*nobody, "--state", state)
+    assert code == 2
+    ignored, failure = printed.splitlines()
+    assert "--warm-up is ignored" in ignored
+    assert "127.0.0.1:1" in failure

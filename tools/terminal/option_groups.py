@@ -1,0 +1,55 @@
+"""Groups of options that several commands share, declared once."""
+
+from collections.abc import Callable
+from functools import wraps
+from inspect import Parameter, signature
+from typing import Any
+
+Function = Callable[..., Any]
+
+
+def insert_options(name: str, build: Function) -> Callable[[Function], Function]:
+    """Return a decorator that replaces one argument of a command by the options from which a function builds it.
+
+    Parameters
+    ----------
+    name : str
+        Argument of the command.
+    build : callable
+        Its parameters are the options, and it returns the value of the argument.
+
+    Returns
+    -------
+    callable
+        The decorated command takes keywords only.
+
+    Examples
+    --------
+    >>> def area(width: int = 2, height: int = 3) -> int:
+    ...     return width * height
+    >>> @insert_options("size", area)
+    ... def look(*, title: str, size: int) -> None:
+    ...     print(title, size)
+    >>> look(title="m2", height=5)
+    m2 10
+    >>> list(signature(look).parameters)
+    ['title', 'width', 'height']
+    """
+    options = signature(build).parameters
+
+    def decorate(command: Function) -> Function:
+        own = signature(command)
+
+        @wraps(command)
+        def called(**given: Any) -> Any:
+            value = build(**{option: given.pop(option) for option in options if option in given})
+            return command(**given, **{name: value})
+
+        shown: list[Parameter] = []
+        for each in own.parameters.values():
+            inserted = options.values() if each.name == name else [each]
+            shown += [parameter.replace(kind=Parameter.KEYWORD_ONLY) for parameter in inserted]
+        called.__signature__ = own.replace(parameters=shown)  # type: ignore[attr-defined]
+        return called
+
+    return decorate
