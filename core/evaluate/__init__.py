@@ -1,1 +1,1 @@
-"""Judging models: the paper's protocol, its figures, and what it leaves open."""
+"""Evaluate models and forecasts: the paper's protocol, comparisons with measurement, and state-of-charge forecasts."""

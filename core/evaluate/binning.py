@@ -1,4 +1,4 @@
-"""Under what conditions rides were: bins of distance, weather, speed, season, time of day, car and driver."""
+"""Bin rides by distance, weather, speed, season, time of day, vehicle and driver."""
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
@@ -13,26 +13,26 @@ from core.evaluate.ride_filter import CLUSTERS, assign_distance_clusters
 from core.stats.scores import Codes
 
 TEMPERATURES: Final = tuple(range(-30, 41, 5))
-"""Ends of the bins of outside temperature; the lower end belongs to a bin, the first and last bin are open. [°C]"""
+"""Edges of the temperature bins. A bin includes its lower edge; the first and last bin are open. [°C]"""
 SPEEDS: Final = (10, 15, 20, 25, 30, 40, 50, 70, 100)
-"""The same of a ride's average speed. [km/h]"""
+"""Edges of the bins of average ride speed. [km/h]"""
 WINDS: Final = (5, 10, 15, 20, 30, 40)
-"""The same of the wind's mean speed, whatever its direction. [km/h]"""
+"""Edges of the bins of mean wind speed, regardless of direction. [km/h]"""
 HOURS_PER_BIN: Final = 3
-"""Width of a bin of the time of day. [h]"""
+"""Width of a time-of-day bin. [h]"""
 DEGREES_PER_HOUR: Final = 15.0
-"""By which the sun goes round. [degree]"""
+"""Longitude that the sun crosses in one hour. [degree/h]"""
 
 
 class Binning(NamedTuple):
-    """Bins of one property of rides.
+    """The bins of one property of rides.
 
     Parameters
     ----------
     codes : (n,) int64
-        Bin of each ride, -1 where it is not known.
+        Bin of each ride; -1 where the property is unknown.
     labels : tuple of str
-        Of the bins, in their order.
+        Labels of the bins, in order.
     """
 
     codes: Codes
@@ -40,24 +40,40 @@ class Binning(NamedTuple):
 
 
 def bin_rides(rides: pd.DataFrame) -> dict[str, Binning]:
-    """Return the bins of each property of rides that the table tells, by the property's name.
+    """Return the bins of every known property of rides.
 
     Parameters
     ----------
-    rides : DataFrame
-        Of the ride table.
+    rides : (n, columns) DataFrame
+        A ride table.
 
     Returns
     -------
-    dict of str to Condition
-        Keys of `BINNERS`, in their order, without those of which nothing is known.
+    dict of str to Binning
+        Binnings by the keys of `BINNERS`, in that order. A property that no ride has is left out.
     """
     made = {name: make(rides) for name, make in BINNERS.items()}
     return {name: found for name, found in made.items() if np.any(found.codes >= 0)}
 
 
 def compute_local_hour(start_s: Floats, longitude_deg: Floats) -> Floats:
-    """Return the hour of the day by the sun's zone, as tables know no time zone: UTC + longitude / 15°, rounded. [h]
+    """Return the local hour of each time. [h]
+
+    Parameters
+    ----------
+    start_s : (n,) float
+        Unix time. [s]
+    longitude_deg : (n,) float
+        Longitude. [degree]
+
+    Returns
+    -------
+    (n,) float
+        Hour of the day, from 0 to 24. [h]
+
+    Notes
+    -----
+    Tables hold no time zone, so the hour follows from the sun: UTC + longitude / 15°, with the offset rounded to hours.
 
     Examples
     --------
@@ -69,7 +85,14 @@ def compute_local_hour(start_s: Floats, longitude_deg: Floats) -> Floats:
 
 
 def bin_values(values: Floats, ends: Sequence[int]) -> Binning:
-    """Return bins between ends; the first and last bin are open.
+    """Return the bins of values between edges; the first and last bin are open.
+
+    Parameters
+    ----------
+    values : (n,) float
+        Values to bin; NaN where unknown.
+    ends : sequence of int
+        Ascending edges, in the unit of the values.
 
     Examples
     --------
@@ -83,22 +106,25 @@ def bin_values(values: Floats, ends: Sequence[int]) -> Binning:
 
 
 def _distance(rides: pd.DataFrame) -> Binning:
+    """Return the distance clusters of the paper."""
     return Binning(assign_distance_clusters(_numbers(rides, "distance_km")), CLUSTERS)
 
 
 def _season(rides: pd.DataFrame) -> Binning:
+    """Return winter and summer."""
     winter = _numbers(rides, "winter")
     return Binning(np.where(np.isnan(winter), -1, 1 - (winter > 0.0)).astype(np.int64), ("winter", "summer"))
 
 
 def _hour(rides: pd.DataFrame) -> Binning:
+    """Return bins of the local hour."""
     hour = compute_local_hour(_numbers(rides, "start_s"), _numbers(rides, "longitude_start_deg"))
     codes = np.where(np.isfinite(hour), np.nan_to_num(hour) // HOURS_PER_BIN, -1).astype(np.int64)
     return Binning(codes, tuple(f"{h} to {h + HOURS_PER_BIN}" for h in range(0, 24, HOURS_PER_BIN)))
 
 
 def _named(column: str) -> Callable[[pd.DataFrame], Binning]:
-    """Return what makes a bin of each name in a column."""
+    """Return a function that makes one bin for each name in a column."""
 
     def make(rides: pd.DataFrame) -> Binning:
         if column not in rides:
@@ -110,12 +136,12 @@ def _named(column: str) -> Callable[[pd.DataFrame], Binning]:
 
 
 def _binned(column: str, ends: Sequence[int]) -> Callable[[pd.DataFrame], Binning]:
-    """Return what makes bins of the numbers in a column."""
+    """Return a function that bins the numbers of a column."""
     return lambda rides: bin_values(_numbers(rides, column), ends)
 
 
 def _numbers(rides: pd.DataFrame, column: str) -> Floats:
-    """Return a column of numbers, NaN where it is not there."""
+    """Return a column as numbers; NaN where the column is missing."""
     if column not in rides:
         return np.full(len(rides), np.nan)
     return rides[column].to_numpy(np.float64)
@@ -134,4 +160,4 @@ BINNERS: Final[Mapping[str, Callable[[pd.DataFrame], Binning]]] = MappingProxyTy
         "driver": _named("driver_id"),
     }
 )
-"""What makes the bins of each property."""
+"""Functions that bin each property, by its name."""

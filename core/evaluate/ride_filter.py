@@ -1,4 +1,7 @@
-"""The rides that are judged: filtered as section 3 of the paper, counted by reason, in clusters of distance."""
+"""Select the rides that are evaluated, count the others by reason, and assign distance clusters.
+
+The filter and the clusters are those of section 3 of the paper.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,13 +16,13 @@ from core.models.features import ANSWERS
 from core.stats.scores import Codes
 
 CLUSTER_KM: Final = 5.0
-"""Width of a cluster, section 3 of the paper; the lower end belongs to it. [km]"""
+"""Width of a distance cluster, from section 3 of the paper; a cluster includes its lower edge. [km]"""
 CLUSTERS: Final = ("0-5", "5-10", "10-15", "15-20", "20-25", "25-30", "30+")
-"""Of Tables 2 and 3. [km]"""
+"""Labels of the distance clusters of Tables 2 and 3. [km]"""
 SCORED_CLUSTERS: Final = 5
-"""The first ones, which Tables 4 to 11 have."""
+"""Number of leading clusters that Tables 4 to 11 cover."""
 LEAST_RIDES: Final = 10
-"""Rides of a vehicle model in a cluster for its error to be given."""
+"""Rides that a vehicle model needs in a cluster for its error to be reported."""
 NEEDED_COLUMNS: Final = (
     "vehicle_id",
     "vehicle_model",
@@ -32,35 +35,39 @@ NEEDED_COLUMNS: Final = (
     "fit_for_training",
     "unfit_reason",
 )
-"""Columns of the ride table that judging needs, whatever the models need."""
+"""Columns of the ride table that every evaluation needs, in addition to those that models read."""
 NUMERIC_COLUMNS: Final = ("start_s", "winter", "distance_km", "ambient_c", "energy_kwh")
-"""Those of them that are numbers."""
+"""The needed columns that hold numbers."""
 RIDE_NAME_COLUMNS: Final = ("ride_key", "ride_id")
-"""Columns that name a ride, in the order of preference."""
+"""Columns that name a ride, in order of preference."""
 IDENTITY_COLUMNS: Final = ("vehicle_id", "start_s", "distance_km", "energy_kwh")
-"""Rides that agree in these are one ride that was read twice; it must not be on both sides of a split."""
+"""Columns that identify a ride.
+
+Rides that agree in all of them are one ride that was read twice; it must not be on both sides of a split.
+"""
 
 
 @dataclass(frozen=True)
 class EvaluatedRides:
-    """Rides that models are trained and tested on.
+    """Rides on which models are trained and tested.
 
     Parameters
     ----------
-    rides : DataFrame
-        Those that are fit, by car and time, so that the order of the files tells nothing.
+    rides : (n, columns) DataFrame
+        Rides that are fit for training, sorted by vehicle and time, so that results do not depend on the order of
+        files.
     read : int
-        Rides read.
+        Number of rides read.
     unfit : dict of str to int
-        Rides left out, by reason.
+        Number of excluded rides, by reason.
     vehicle_models : tuple of str
-        Sorted.
+        Vehicle models, sorted.
     model : (n,) int64
-        Position in `vehicle_models` of each ride's.
+        Position of each ride's vehicle model in `vehicle_models`.
     cluster : (n,) int64
-        Position in `CLUSTERS` of each ride's.
+        Position of each ride's distance cluster in `CLUSTERS`.
     energy : (n,) float
-        Measured. [kWh]
+        Measured energy. [kWh]
     """
 
     rides: pd.DataFrame
@@ -72,27 +79,31 @@ class EvaluatedRides:
     energy: Floats
 
     def count(self) -> Codes:
-        """Return the rides of each vehicle model in each cluster, (vehicle models, clusters)."""
+        """Return the number of rides by vehicle model and cluster, (vehicle models, clusters)."""
         shape = (len(self.vehicle_models), len(CLUSTERS))
         return np.bincount(self.model * shape[1] + self.cluster, minlength=shape[0] * shape[1]).reshape(shape)
 
     def questions(self) -> pd.DataFrame:
-        """Return the rides without the columns that hold the answer."""
+        """Return the rides without the columns that hold the measured energy."""
         return self.rides.drop(columns=[name for name in self.rides if str(name).startswith(ANSWERS)])
 
 
 def filter_rides(rides: pd.DataFrame) -> EvaluatedRides:
-    """Return what of a ride table can be judged.
+    """Return the rides of a table that can be evaluated.
 
     Parameters
     ----------
-    rides : DataFrame
-        As `core.totals.tables.ride_table` makes it.
+    rides : (n, columns) DataFrame
+        A ride table, as `core.totals.tables.ride_table` makes it.
+
+    Returns
+    -------
+    EvaluatedRides
 
     Raises
     ------
     ModelError
-        Where a column is missing, or no cluster of any vehicle model has enough rides.
+        Where a column is missing, or no vehicle model has `LEAST_RIDES` rides in any scored cluster.
     """
     reason = find_exclusion_reasons(rides)
     kept = rides[reason.isna()].sort_values(["vehicle_id", "start_s"], kind="stable", ignore_index=True)
@@ -111,7 +122,7 @@ def filter_rides(rides: pd.DataFrame) -> EvaluatedRides:
     if most < LEAST_RIDES:
         told = ", ".join(f"{n:,} {why.replace('_', ' ')}" for why, n in unfit.items()) or "none"
         raise ModelError(
-            f"{len(kept):,} of {len(rides):,} rides can be judged, at most {most} of a vehicle model in a cluster of "
+            f"{len(kept):,} of {len(rides):,} rides can be evaluated, at most {most} of a vehicle model in a cluster of "
             f"{CLUSTER_KM:g} km, and it takes {LEAST_RIDES}: give more rides (left out: {told})"
         )
     return found
@@ -139,7 +150,12 @@ def name_rides(rides: pd.DataFrame) -> list[str]:
 
 
 def assign_distance_clusters(distance_km: Floats) -> Codes:
-    """Return the cluster of each distance, as a position in `CLUSTERS`.
+    """Return the distance cluster of each ride, as a position in `CLUSTERS`.
+
+    Parameters
+    ----------
+    distance_km : (n,) float
+        Distance. [km]
 
     Examples
     --------
@@ -150,12 +166,21 @@ def assign_distance_clusters(distance_km: Floats) -> Codes:
 
 
 def find_exclusion_reasons(rides: pd.DataFrame) -> "pd.Series[Any]":
-    """Return why each ride is left out, NaN where it is not.
+    """Return the reason why each ride is excluded; NaN where it is not.
+
+    Parameters
+    ----------
+    rides : (n, columns) DataFrame
+        A ride table.
+
+    Returns
+    -------
+    (n,) Series of str
 
     Raises
     ------
     ModelError
-        Where a column is missing, or holds no numbers.
+        Where a needed column is missing or holds no numbers.
     """
     if missing := [name for name in NEEDED_COLUMNS if name not in rides]:
         raise ModelError(f"column {missing[0]!r} is missing in the ride table: make it with `socast tables`")
@@ -174,7 +199,7 @@ def find_exclusion_reasons(rides: pd.DataFrame) -> "pd.Series[Any]":
 
 
 def _finite(rides: pd.DataFrame, names: Sequence[str]) -> "pd.Series[bool]":
-    """Return where all columns are finite numbers."""
+    """Return where all of some columns are finite numbers."""
     try:
         values = rides[list(names)].to_numpy(np.float64)
     except (TypeError, ValueError) as error:

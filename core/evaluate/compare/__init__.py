@@ -1,1 +1,1 @@
-"""Compare models, and data sets, on measured rides."""
+"""Compare models, and sets of rides, with measured energies."""

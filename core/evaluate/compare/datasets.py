@@ -1,8 +1,8 @@
-"""Two sets of rides side by side: what differs in the rides, in what they took, and in how far off models are.
+"""Compare two sets of rides: the rides, their consumption, and the errors of models on each.
 
-A model that explains why one set took more has the difference in its terms; what it does not explain is a difference of
-its error. So the difference in consumption, measured, is that of the terms and a remainder, each per 100 km and with an
-interval. The sets are taken to be independent.
+A model that explains why one set used more energy has the difference in its terms; what it does not explain appears as
+a difference of its error. The difference in measured consumption is therefore split into terms and a remainder, each
+per 100 km and with an interval. The sets are assumed to be independent.
 """
 
 from collections.abc import Mapping
@@ -33,27 +33,27 @@ PROPERTIES: Final = (
     ("mass", "kg", "mass_kg", ""),
     ("state of charge at the start", "%", "soc_start_pct", ""),
 )
-"""What rides may differ in: name, unit, column, and the column that it is a ratio to."""
+"""Properties in which rides may differ: name, unit, column, and the column that divides it."""
 SECONDS_PER_MINUTE: Final = 60.0
-"""In a minute."""
+"""Seconds in a minute. [s]"""
 
 
 def compare_datasets(first: ComparedRides, second: ComparedRides, models: Mapping[str, LinearModel]) -> dict[str, Any]:
-    """Return what is different between two sets of rides; differences are second less first.
+    """Return the differences between two sets of rides, as second less first.
 
     Parameters
     ----------
-    first, second : Sample
-        Of the same models.
+    first, second : ComparedRides
+        Rides of both sets, with predictions of the same models.
     models : mapping of str to LinearModel
-        By what the reader calls them.
+        Models by label.
 
     Returns
     -------
     dict
-        `shared` rides; `properties` of the rides; `consumption`, in kWh per 100 km; `models`, by name: `mae_kwh`,
-        `bias_kwh`, the `terms` of the difference in consumption and what is `unexplained` of it, and bias and error
-        `by` condition.
+        `shared`: number of rides in both sets. `properties` of the rides. `consumption`, in kWh per 100 km. `models`:
+        for each model `mae_kwh`, `bias_kwh`, the `terms` of the difference in consumption, the `explained` and
+        `unexplained` parts of it, and bias and error `by` condition.
     """
     return {
         "shared": _shared(first.rides, second.rides),
@@ -70,18 +70,18 @@ def _each(one: Estimate, other: Estimate) -> dict[str, Any]:
 
 
 def _shared(one: pd.DataFrame, other: pd.DataFrame) -> int:
-    """Return the number of rides that both sets have."""
+    """Return the number of rides that are in both sets."""
     both = one[list(IDENTITY_COLUMNS)].merge(other[list(IDENTITY_COLUMNS)], how="inner", on=list(IDENTITY_COLUMNS))
     return len(both)
 
 
 def _per_distance(found: ComparedRides, energy: Floats) -> Estimate:
-    """Return an energy over the distance. [kWh/100 km]"""
+    """Return an energy per distance. [kWh/100 km]"""
     return compute_clustered_ratio(100.0 * energy, found.rides["distance_km"].to_numpy(np.float64), found.clusters)
 
 
 def _properties(first: ComparedRides, second: ComparedRides) -> list[dict[str, Any]]:
-    """Return what the rides of the sets are like; first what differs most, by the spread between rides."""
+    """Return the properties of both sets, ordered by their difference relative to the spread between rides."""
     found = []
     for name, unit, column, per in PROPERTIES:
         wanted = [column for column in (column, per) if column]
@@ -104,7 +104,7 @@ def _properties(first: ComparedRides, second: ComparedRides) -> list[dict[str, A
 
 
 def _values(rides: pd.DataFrame, column: str, per: str) -> Floats:
-    """Return a property of each ride, NaN where it is not known."""
+    """Return a property of each ride; NaN where it is unknown."""
     values = rides[column].to_numpy(np.float64)
     if per:
         below = rides[per].to_numpy(np.float64)
@@ -113,7 +113,7 @@ def _values(rides: pd.DataFrame, column: str, per: str) -> Floats:
 
 
 def _model(label: str, model: LinearModel, first: ComparedRides, second: ComparedRides) -> dict[str, Any]:
-    """Return how a model does on both sets, and how much of their difference in consumption it explains."""
+    """Return the errors of a model on both sets and how much of the difference in consumption it explains."""
     both = (first, second)
     error = [own.predicted[label] - own.measured for own in both]
     said = [model.predict_parts(own.rides) for own in both]
@@ -136,7 +136,7 @@ def _model(label: str, model: LinearModel, first: ComparedRides, second: Compare
 def _by_condition(
     first: ComparedRides, second: ComparedRides, one: Floats, other: Floats
 ) -> dict[str, list[dict[str, Any]]]:
-    """Return bias, error and `consumption` of both sets in each bin that either has, and `q` of the bias."""
+    """Return bias, error and `consumption` of both sets in each bin that either set has, and `q` of the bias."""
     together = pd.concat([first.rides, second.rides], ignore_index=True)
     here = np.arange(len(together)) < len(first.rides)
     made: dict[str, list[dict[str, Any]]] = {}

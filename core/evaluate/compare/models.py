@@ -1,7 +1,8 @@
-"""Models against what rides measured: how far off each is, under which conditions, which rides are worst.
+"""Compare models with measured energies: their errors, overall, by condition, and the rides of largest error.
 
-Nothing is fitted here. All models are judged on the same rides, those that each of them predicts, so that two models
-can be told apart ride by ride. Intervals allow for rides of one car on one day being alike: `core.stats.clustered`.
+Nothing is fitted here. All models are evaluated on the same rides, those that each of them predicts, so that models are
+compared ride by ride. Rides of one vehicle on one day are correlated; the intervals allow for that
+(`core.stats.clustered`).
 """
 
 from collections.abc import Mapping
@@ -21,11 +22,11 @@ from core.stats.clustered import assign_vehicle_days, compute_clustered_mean, co
 from core.stats.scores import Codes, Estimate
 
 MOST_WORST_RIDES: Final = 10
-"""Rides that are named."""
+"""Number of rides of largest error that are listed."""
 MOST_RELATIVE_SD: Final = 0.2
-"""Standard uncertainty over energy of a ride, at most, for its relative error to mean anything."""
+"""Largest ratio of standard uncertainty to energy at which the relative error of a ride is listed."""
 RIDE_PROPERTIES: Final = ("vehicle_id", "vehicle_model", "date", "distance_km", "ambient_c", "average_speed_kmh")
-"""What is told of a ride."""
+"""Columns that describe a ride in reports."""
 
 
 @dataclass(frozen=True)
@@ -34,20 +35,20 @@ class ComparedRides:
 
     Parameters
     ----------
-    rides : DataFrame
-        Those that can be judged and that every model predicts.
+    rides : (n, columns) DataFrame
+        Rides that are fit for training and that every model predicts.
     measured : (n,) float
-        [kWh]
+        Measured energy. [kWh]
     predicted : dict of str to (n,) float
-        By model. [kWh]
+        Predicted energy, by model. [kWh]
     clusters : (n,) int64
-        Vehicle-day of each.
+        Vehicle-day of each ride.
     read : int
-        Rides read.
+        Number of rides read.
     left_out : dict of str to int
-        Rides left out, by reason, in words.
+        Number of excluded rides, by reason in words.
     notes : tuple of str
-        What a reader should know.
+        Notes for the reader.
     """
 
     rides: pd.DataFrame
@@ -65,19 +66,23 @@ class ComparedRides:
 
 
 def select_rides(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> ComparedRides:
-    """Return the rides of a table that can be judged, with the energies that models predict.
+    """Return the rides that can be compared, with the energies that models predict for them.
 
     Parameters
     ----------
-    rides : DataFrame
-        As `core.totals.tables.ride_table` makes it.
+    rides : (n, columns) DataFrame
+        A ride table, as `core.totals.tables.ride_table` makes it.
     models : mapping of str to LinearModel
-        By what the reader calls them.
+        Models by label.
+
+    Returns
+    -------
+    ComparedRides
 
     Raises
     ------
     ModelError
-        Where a column is missing, where a model has no fit for any of the cars, and where no ride is left.
+        Where a column is missing, a model has no fit for any of the vehicle models, or no ride is left.
     """
     if rides.empty:
         raise ModelError("there are no rides: give tables or recordings that hold some")
@@ -86,8 +91,8 @@ def select_rides(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> Comp
     kept = rides[reason.isna()].reset_index(drop=True)
     if kept.empty:
         raise ModelError(
-            f"none of {len(rides):,} rides can be compared ({format_exclusions(left_out)}): give rides that are fit for training "
-            "and have a measured energy"
+            f"none of {len(rides):,} rides can be compared ({format_exclusions(left_out)}): give rides that are fit "
+            "for training and have a measured energy"
         )
     found = {label: _predict(label, model, kept) for label, model in models.items()}
     known = np.ones(len(kept), np.bool_)
@@ -113,17 +118,17 @@ def select_rides(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> Comp
 
 
 def format_exclusions(left_out: Mapping[str, int]) -> str:
-    """Return how many rides were left out and why, in words."""
+    """Return the numbers of excluded rides, by reason, in words."""
     return ", ".join(f"{n:,} {why}" for why, n in left_out.items()) or "none left out"
 
 
 def _predict(label: str, model: LinearModel, rides: pd.DataFrame) -> Floats:
-    """Return a model's predictions, refusing a model that has none of these cars."""
+    """Return the predictions of a model; refuse a model that predicts none of the rides."""
     cars = sorted(rides["vehicle_model"].unique())
     if ANY not in model.fits and not any(car in model.fits for car in cars):
         raise ModelError(
-            f"model {label} is of {', '.join(model.fits)}, and the rides are of {', '.join(cars)}: give rides of its "
-            "cars, or a model with a fit for them or for any other (*)"
+            f"model {label} is fitted to {', '.join(model.fits)}, and the rides are of {', '.join(cars)}: give rides of "
+            "its vehicle models, or a model with a fit for these or for any other (*)"
         )
     energy = model.predict(rides)
     if not np.isfinite(energy).any():
@@ -134,7 +139,7 @@ def _predict(label: str, model: LinearModel, rides: pd.DataFrame) -> Floats:
 
 
 def _notes(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> tuple[str, ...]:
-    """Return what a reader should know of models and rides."""
+    """Return notes on what the models were fitted to and what the rides lack."""
     notes = []
     for label, model in models.items():
         trained = model.training
@@ -147,24 +152,29 @@ def _notes(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> tuple[str,
             if n := int(inside.sum()):
                 notes.append(
                     f"{label} was fitted to rides from {trained.first_date} to {trained.last_date}; {n:,} of these "
-                    "may be among them, and its error on others is larger: `socast evaluate` tells"
+                    "may be among them, and its error on other rides is larger: `socast evaluate` measures it"
                 )
     days = len(np.unique(assign_vehicle_days(rides)))
     if days == 1:
         notes.append(f"{len(rides):,} rides of one car on one day: too few for intervals")
     if "driver_id" not in rides or rides["driver_id"].isna().all():
-        notes.append("nothing tells who drove: errors are shown by vehicle, not by driver")
+        notes.append("drivers are unknown: errors are shown by vehicle, not by driver")
     return tuple(notes)
 
 
 def compare_predictions(found: ComparedRides) -> dict[str, Any]:
-    """Return how models compare with what rides measured.
+    """Return how predictions compare with measured energies.
+
+    Parameters
+    ----------
+    found : ComparedRides
+        Rides with measured and predicted energies.
 
     Returns
     -------
     dict
-        `describe_rides` the rides; `models`, by name: `compute_errors` of each, `by` condition, `find_worst_rides` rides; `compare_pairs` of models;
-        `rides`, with the energies of each.
+        `about`: the rides. `models`: for each model its errors (`compute_errors`), errors `by` condition and `worst`
+        rides. `pairs`: differences between models. `rides`: energies of each ride. `notes`.
     """
     return {
         "about": describe_rides(found),
@@ -185,7 +195,7 @@ def compare_predictions(found: ComparedRides) -> dict[str, Any]:
 
 
 def describe_rides(found: ComparedRides) -> dict[str, Any]:
-    """Return what was compared."""
+    """Return which rides were compared: counts, dates, instruments and mean consumption."""
     rides = found.rides
     distance = rides["distance_km"].to_numpy(np.float64)
     measured = {
@@ -209,7 +219,20 @@ def describe_rides(found: ComparedRides) -> dict[str, Any]:
 
 
 def compute_errors(found: ComparedRides, predicted: Floats) -> dict[str, Any]:
-    """Return how far off predictions are: `mae_kwh`, `bias_kwh`, `rmse_kwh`, `relative`, shares `within` bands."""
+    """Return the errors of predictions.
+
+    Parameters
+    ----------
+    found : ComparedRides
+    predicted : (n,) float
+        Predicted energy. [kWh]
+
+    Returns
+    -------
+    dict
+        `mae_kwh` and `bias_kwh` with intervals, `rmse_kwh`, `relative` and `relative_bias` as shares of mean
+        consumption, and the share of rides `within` each band of relative error.
+    """
     error = predicted - found.measured
     used = float(np.mean(found.measured))
     size, off = compute_clustered_mean(np.abs(error), found.clusters), compute_clustered_mean(error, found.clusters)
@@ -225,14 +248,20 @@ def compute_errors(found: ComparedRides, predicted: Floats) -> dict[str, Any]:
 
 
 def compute_errors_by_condition(found: ComparedRides, predicted: Floats) -> dict[str, list[dict[str, Any]]]:
-    """Return errors in each bin of each condition.
+    """Return the errors in each bin of each condition.
+
+    Parameters
+    ----------
+    found : ComparedRides
+    predicted : (n,) float
+        Predicted energy. [kWh]
 
     Returns
     -------
     dict of str to list of dict
-        `bin`, `n`, `vehicle_days`, `bias_kwh` with its interval, `mae_kwh`, `relative` and `relative_bias` over
-        consumption, and `q`: the share of false findings, were all bins at least as surely biased named (Benjamini
-        and Hochberg, over the bins of all conditions).
+        `bin`, `n`, `vehicle_days`, `bias_kwh` with its interval, `mae_kwh`, and `relative` and `relative_bias` as
+        shares of consumption. `q` is the false-discovery rate if all bins at least as significantly biased were
+        reported (Benjamini and Hochberg, over the bins of all conditions).
     """
     error = predicted - found.measured
     made: dict[str, list[dict[str, Any]]] = {}
@@ -251,7 +280,7 @@ def compute_errors_by_condition(found: ComparedRides, predicted: Floats) -> dict
 
 
 def _bin(error: Floats, measured: Floats, clusters: Codes, off: Estimate) -> dict[str, Any]:
-    """Return what is told of the rides of a bin."""
+    """Return the errors of the rides of a bin."""
     used = float(np.mean(measured))
     size = float(np.mean(np.abs(error)))
     return {
@@ -265,12 +294,12 @@ def _bin(error: Floats, measured: Floats, clusters: Codes, off: Estimate) -> dic
 
 
 def compare_pairs(found: ComparedRides) -> list[dict[str, Any]]:
-    """Return, of each pair of models, by how much their mean absolute errors differ on the same rides.
+    """Return the difference of mean absolute error of each pair of models, on the same rides.
 
     Returns
     -------
     list of dict
-        Models `a` and `b`; `difference_kwh`, error of a less error of b, with its interval; `p`, and `p_holm`,
+        Models `a` and `b`; `difference_kwh`, the error of a less the error of b, with its interval; `p`; and `p_holm`,
         adjusted for all pairs.
     """
     error = {label: np.abs(energy - found.measured) for label, energy in found.predicted.items()}
@@ -286,9 +315,19 @@ def compare_pairs(found: ComparedRides) -> list[dict[str, Any]]:
 
 
 def find_worst_rides(found: ComparedRides, predicted: Floats) -> dict[str, list[dict[str, Any]]]:
-    """Return the rides of largest error, `absolute` and `relative` to what was measured, worst first.
+    """Return the rides of largest `absolute` error and of largest error `relative` to the measured energy, largest
+    first.
 
-    Of the latter those whose energy is known within `MOST_RELATIVE_SD`: one downhill may take next to nothing.
+    Parameters
+    ----------
+    found : ComparedRides
+    predicted : (n,) float
+        Predicted energy. [kWh]
+
+    Notes
+    -----
+    The relative list holds only rides whose energy is known to within `MOST_RELATIVE_SD`, because a ride downhill may
+    use almost no energy.
     """
     error = predicted - found.measured
     size = np.abs(found.measured)

@@ -1,10 +1,11 @@
-"""One ride, window by window: what it took, what models say it took, and where the two part.
+"""Trace one ride window by window: measured energy, predicted energy, and where the two diverge.
 
-A model says something of the ride so far after each window (`core.evaluate.compare.running`), and the last of these is its
-prediction of the ride. What it adds from one window to the next is compared with what the window measured. The place
-where they part is the span of windows that holds the most error beyond its share of the time: with errors e_k and
-durations t_k, and E and T of the whole ride, the span of the largest sum of sign(E) (e_k - E t_k / T). A steady error
-has no such place.
+After each window a model predicts the energy of the ride so far (`accumulate_windows`); the last of these values is its
+prediction of the ride. The increment of each window is compared with the energy that the window measured.
+
+The divergence is the span of windows that holds the most error beyond its share of the time. With errors e_k and
+durations t_k of the windows, and totals E and T of the ride, it is the span of the largest sum of
+sign(E) (e_k - E t_k / T). A steady error has no such span.
 """
 
 from collections.abc import Mapping
@@ -23,21 +24,21 @@ from core.models.features import EFFECT_PREFIX
 from core.totals.tables import HISTOGRAM
 
 LEAST_SHARE: Final = 0.5
-"""Of a ride's error, for the span that holds it to be a place where model and measurement part."""
+"""Share of the ride's error that a span must hold to count as a divergence."""
 MOST_TIME_SHARE: Final = 0.5
-"""Share of a ride that such a place may take."""
+"""Largest share of the ride's time that a divergence may take."""
 LEAST_WINDOWS: Final = 2
-"""Windows that are a trace."""
+"""Windows that a trace needs."""
 LEAST_SLOPE: Final = 0.5
-"""Below it a road is called level. [%]"""
+"""Slope below which a road is called level. [%]"""
 SUM_TOLERANCE: Final = (0.01, 0.02)
-"""A sum of windows that is further than this from a ride's energy is said to be another. [kWh], [1]"""
+"""Absolute and relative difference above which a sum of windows is reported as different from the ride. [kWh], [1]"""
 WINDOW_COLUMNS: Final = ("ride_key", "window", "duration_s", "distance_km", "energy_vi_kwh", "energy_soc_kwh")
-"""Columns of the window table that a trace needs, whatever the models need."""
+"""Columns of the window table that a trace needs, in addition to those that models read."""
 SUMS: Final = frozenset({"duration_s", "distance_km", "gained_m", "lost_m", "stops", "samples", *HISTOGRAM})
-"""Columns that add up over windows, beside the effects' energies."""
+"""Columns that are summed over windows, in addition to the energies of effects."""
 MEANS: Final = ("ambient_c", "precipitation_mm_h", "wind_speed_kmh")
-"""Columns that are means over time."""
+"""Columns that are averaged over time."""
 LAST: Final = frozenset(
     {
         "end_s",
@@ -50,16 +51,23 @@ LAST: Final = frozenset(
         "longitude_end_deg",
     }
 )
-"""Columns that are of the last sample; what is left is the same all along a ride."""
+"""Columns that hold the value of the last sample; all columns not listed are constant along a ride."""
 
 
 def find_ride(rides: pd.DataFrame, name: str) -> pd.DataFrame:
-    """Return the ride of a key or an identifier, as a table of one row.
+    """Return the ride of a name or an identifier, as a table of one row.
+
+    Parameters
+    ----------
+    rides : (n, columns) DataFrame
+        A ride table.
+    name : str
+        A `ride_key` or a `ride_id`.
 
     Raises
     ------
     ModelError
-        Where there is none, with the names that come close; where several rides have that identifier.
+        Where no ride has that name; the message lists similar names. Also where several rides share that identifier.
     """
     columns = [column for column in RIDE_NAME_COLUMNS if column in rides]
     if rides.empty or not columns:
@@ -80,28 +88,28 @@ def find_ride(rides: pd.DataFrame, name: str) -> pd.DataFrame:
 
 
 def trace_ride(ride: pd.DataFrame, windows: pd.DataFrame, models: Mapping[str, LinearModel]) -> dict[str, Any]:
-    """Return what a ride measured and what models say of it, window by window.
+    """Return the measured energy of a ride and the predictions of models, window by window.
 
     Parameters
     ----------
-    ride : DataFrame
+    ride : (1, columns) DataFrame
         One row of the ride table.
-    windows : DataFrame
-        Of the window table, with this ride's windows among them.
+    windows : (m, columns) DataFrame
+        The window table, with the windows of this ride among others.
     models : mapping of str to LinearModel
-        By what the reader calls them.
+        Models by label.
 
     Returns
     -------
     dict
-        `ride`; `windows`, arrays of n; `models`, by name: `predicted_kwh`, `error_kwh`, `start_kwh` said before
-        anything is driven, `energy_kwh` added by each window, `terms` of it and `start_terms` of the former, `place`
-        where they part, and `words`.
+        `ride`; `windows`, arrays of n; `notes`; and for each of `models`: `predicted_kwh`, `error_kwh`, `start_kwh`
+        (the prediction before the first window), `energy_kwh` (increment of each window), `terms` of the increments,
+        `start_terms`, `place` of the divergence, and `words`, its description.
 
     Raises
     ------
     ModelError
-        Where the ride has no measured energy, or too few windows, or a column is missing.
+        Where the ride has no measured energy or too few windows, or a column is missing.
     """
     key = str(ride["ride_key"].iloc[0]) if "ride_key" in ride else ""
     if missing := [name for name in WINDOW_COLUMNS if name not in windows]:
@@ -122,15 +130,16 @@ def trace_ride(ride: pd.DataFrame, windows: pd.DataFrame, models: Mapping[str, L
 
 
 def _ride(ride: pd.DataFrame) -> dict[str, Any]:
-    """Return what is told of a ride."""
+    """Return the description of a ride."""
     names = (*RIDE_NAME_COLUMNS, *RIDE_PROPERTIES, "duration_s", "energy_kwh", "energy_sd_kwh", "unfit_reason")
     return {name: ride[name].iloc[0] for name in names if name in ride and not pd.isna(ride[name].iloc[0])}
 
 
 def _measured(ride: pd.DataFrame, own: pd.DataFrame, notes: list[str]) -> Floats:
-    """Return the energy of each window, which add up to the ride's and are measured as it was.
+    """Return the measured energy of each window, from the ride's instrument and scaled to the ride's total.
 
-    Unknown ones take the mean power of the rest; what is then missing to the ride's own figure is spread over its time.
+    Windows without a measurement take the mean power of the others; the remainder to the ride's total is spread over
+    time.
     """
     total = float(ride["energy_kwh"].iloc[0])
     by_power = "energy_vi_kwh" in ride and np.isclose(total, ride["energy_vi_kwh"].iloc[0])
@@ -151,13 +160,13 @@ def _measured(ride: pd.DataFrame, own: pd.DataFrame, notes: list[str]) -> Floats
 
 
 def _differ(one: float, other: float) -> bool:
-    """Tell whether two energies differ by more than `SUM_TOLERANCE`."""
+    """Return whether two energies differ by more than `SUM_TOLERANCE`."""
     absolute, relative = SUM_TOLERANCE
     return abs(one - other) > absolute + relative * abs(other)
 
 
 def _windows(own: pd.DataFrame, measured: Floats) -> dict[str, Floats]:
-    """Return time, place, measured energy and conditions of each window."""
+    """Return time, position, measured energy and conditions of each window."""
     duration, distance = own["duration_s"].to_numpy(np.float64), own["distance_km"].to_numpy(np.float64)
     made = {
         "end_min": np.cumsum(duration) / 60.0,
@@ -181,7 +190,7 @@ def _model(
     made: Mapping[str, Floats],
     notes: list[str],
 ) -> dict[str, Any]:
-    """Return what one model says along a ride."""
+    """Return the prediction of one model along a ride."""
     said, running = float(model.predict(ride)[0]), model.predict(columns)
     if not np.isfinite(said):
         car = ride["vehicle_model"].iloc[0]
@@ -194,8 +203,8 @@ def _model(
     alone = float(model.predict(_as_rides(ride, own)).sum())
     if not np.isfinite(alone) or _differ(alone, said):
         notes.append(
-            f"{label} is no sum over windows: what a window adds to its prediction of the ride so far is shown, and "
-            f"{running[0]:+.3f} kWh are said before anything is driven"
+            f"{label} is not a sum over windows: each window shows what it adds to the prediction of the ride so far; "
+            f"{running[0]:+.3f} kWh are predicted before the first window"
         )
     added, said_by = np.diff(running), model.predict_parts(columns)
     error = added - made["measured_kwh"]
@@ -224,22 +233,22 @@ def locate_divergence(error: Floats, made: Mapping[str, Floats], total: float) -
     ----------
     error : (n,) float
         Predicted less measured energy of each window. [kWh]
-    made : mapping
-        Of the windows, as `trace_ride` has them.
+    made : mapping of str to (n,) float
+        Columns of the windows, as in the result of `trace_ride`.
     total : float
-        Error of the whole ride, what was said before its first window included. [kWh]
+        Error of the whole ride, including the prediction before the first window. [kWh]
 
     Returns
     -------
     dict, optional
-        `first` and `last` window, from 0; `minute` and `km` at which it begins; `minutes`, `kilometres`, `error_kwh`;
-        `share` of the ride's error and `share_of_time`; and the conditions there. None where no span stands out.
+        `first` and `last` window, from 0; `minute` and `km` at which the span begins; `minutes`, `kilometres`,
+        `error_kwh`; `share` of the ride's error, `share_of_time`, and the conditions. None where no span stands out.
 
     Examples
     --------
     >>> windows = {"duration_s": np.full(5, 60.0), "distance_km": np.ones(5)}
-    >>> found = locate_divergence(np.array([0.0, 0.0, 0.3, 0.2, 0.0]), windows, 0.5)
-    >>> found["first"], found["last"], found["minute"], found["share"]
+    >>> span = locate_divergence(np.array([0.0, 0.0, 0.3, 0.2, 0.0]), windows, 0.5)
+    >>> span["first"], span["last"], span["minute"], span["share"]
     (2, 3, 2.0, 1.0)
     """
     duration, distance = made["duration_s"], made["distance_km"]
@@ -277,7 +286,21 @@ def locate_divergence(error: Floats, made: Mapping[str, Floats], total: float) -
 def describe_divergence(
     place: Mapping[str, Any] | None, error: Floats, made: Mapping[str, Floats], start: float, ride: pd.DataFrame
 ) -> str:
-    """Say where prediction and measurement part, and whether that is beyond the measurement's uncertainty."""
+    """Return a sentence on where prediction and measurement diverge, and whether the error exceeds the uncertainty.
+
+    Parameters
+    ----------
+    place : mapping or None
+        The span of `locate_divergence`.
+    error : (n,) float
+        Predicted less measured energy of each window. [kWh]
+    made : mapping of str to (n,) float
+        Columns of the windows.
+    start : float
+        Prediction before the first window. [kWh]
+    ride : (1, columns) DataFrame
+        The ride.
+    """
     total = start + float(error.sum())
     side = "too much" if total > 0.0 else "too little"
     if place is None:
@@ -302,7 +325,7 @@ def describe_divergence(
 
 
 def _conditions(place: Mapping[str, Any]) -> str:
-    """Return the conditions of a place, in words."""
+    """Return the conditions of a span, in words."""
     told = [f"{place['speed_kmh']:.0f} km/h"]
     if np.isfinite(place.get("ambient_c", np.nan)):
         told.insert(0, f"at {place['ambient_c']:.0f} °C".replace("-", "\N{MINUS SIGN}"))
@@ -313,20 +336,20 @@ def _conditions(place: Mapping[str, Any]) -> str:
 
 
 def accumulate_windows(ride: pd.DataFrame, windows: pd.DataFrame) -> pd.DataFrame:
-    """Return the columns of a ride at its beginning and after each of its windows.
+    """Return the columns of a ride at its beginning and after each of its windows, as a forecast in mid-ride has them.
 
     Parameters
     ----------
-    ride : DataFrame
+    ride : (1, columns) DataFrame
         One row of the ride table.
-    windows : DataFrame
-        Its n windows, in their order.
+    windows : (n, columns) DataFrame
+        Windows of the ride, in order.
 
     Returns
     -------
-    DataFrame
-        n + 1 rows, the first one of nothing driven yet; columns of the ride table that a model may read. The means of
-        the first row are those of the first window.
+    (n + 1, columns) DataFrame
+        Columns of the ride table that a model may read. In the first row nothing has been driven; its means are those
+        of the first window.
     """
     n = len(windows)
     made: dict[str, object] = {name: np.full(n + 1, ride[name].iloc[0]) for name in ride.columns if not _changes(name)}
@@ -346,12 +369,12 @@ def accumulate_windows(ride: pd.DataFrame, windows: pd.DataFrame) -> pd.DataFram
 
 
 def _adds_up(name: str) -> bool:
-    """Tell whether a column adds up over windows."""
+    """Return whether a column is summed over windows."""
     return name in SUMS or name.startswith(EFFECT_PREFIX)
 
 
 def _changes(name: str) -> bool:
-    """Tell whether a column changes along a ride, so that only its windows tell what it is."""
+    """Return whether a column changes along a ride, so that only its windows give the value."""
     return _adds_up(name) or name in LAST or name in {*MEANS, "wind_from_deg", "average_speed_kmh"}
 
 
@@ -361,12 +384,12 @@ def _added(values: Floats) -> Floats:
 
 
 def _kept(values: Floats) -> Floats:
-    """Return values, the first one twice."""
+    """Return values with the first one repeated."""
     return np.concatenate([values[:1], values])
 
 
 def _averaged(values: Floats, weight: Floats) -> Floats:
-    """Return running means of what is known."""
+    """Return running means of the known values."""
     known = ~np.isnan(values)
     sums = np.cumsum(np.where(known, values, 0.0) * weight)
     return _kept(_over(sums, np.cumsum(weight * known)))
@@ -381,5 +404,5 @@ def _direction(windows: pd.DataFrame, weight: Floats) -> Floats:
 
 
 def _over(above: Floats, below: Floats) -> Floats:
-    """Return a quotient, NaN where it has none."""
+    """Return a quotient; NaN where the divisor is not positive."""
     return np.divide(above, below, out=np.full(len(above), np.nan), where=below > 0.0)

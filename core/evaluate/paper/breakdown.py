@@ -115,7 +115,8 @@ def _buffers(measured: Floats, predicted: Floats) -> dict[str, float]:
 def compute_interval_coverage(held: HeldOutPredictions, judged: EvaluatedRides) -> dict[str, dict[str, Any]]:
     """Return, of recipes that have intervals, the share of rides inside them, and their mean width.
 
-    `compute_overall_errors`, `cluster`, `season` and `vehicle_model` are shares of rides, where at least `LEAST` were held out.
+    `compute_overall_errors`, `cluster`, `season` and `vehicle_model` are shares of rides, where at least `LEAST` were
+    held out.
     """
     rows = held.pooled
     energy = judged.energy[rows]

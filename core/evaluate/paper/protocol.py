@@ -108,7 +108,7 @@ def evaluate(
     done = run_in_parallel(calls, jobs, progress)
     held = {kind: _held(done, kind, splits[kind], recipes, table) for kind in ("ride", "vehicle", "date")}
     if not held["ride"].recipes:
-        raise ModelError(f"no recipe can be judged: {held['ride'].notes[0]}")
+        raise ModelError(f"no recipe can be evaluated: {held['ride'].notes[0]}")
     new = {name: _held(done, "new", {name: split}, recipes, table) for name, split in splits["new"].items()}
     curves, failed = new_vehicle.tabulate_learning_curves({key: done["few", *key] for key in few})
     found = _tables(table, held, new, seed, repeats)

@@ -51,7 +51,8 @@ KEPT_IMPORTANCE: Final = 1e100
 class VehicleModelRegression(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     """Least squares with a constant, for each vehicle model on its own.
 
-    The first column is the position of the vehicle model; its importance is `KEPT_IMPORTANCE`, so that elimination keeps it.
+    The first column is the position of the vehicle model; its importance is `KEPT_IMPORTANCE`, so that elimination
+    keeps it.
     """
 
     def fit(self, x: Floats, y: Floats) -> Self:

@@ -1,11 +1,14 @@
-"""What a person would expect at the shift's end without a forecast.
+"""Compute what a dispatcher would expect at the shift's end without a forecast.
 
-- `linear`: what the car has used so far in this shift, an hour, carried on to its end. After a charge it begins anew.
-- `model_mean`: mean energy of the vehicle model a kilometre of ride, times the kilometres still planned. The mean is
-  over shifts that had ended before this one began; idling and empty ways are in its energy, as they are in the outcome.
-- `rating`: the official rating times the same kilometres. US labels count the losses of charging.
+- `linear`: the consumption of the vehicle per hour so far in this shift, continued to the shift's end. It restarts
+after
+  a charge.
+- `model_mean`: the mean energy of the vehicle model per kilometre of ride, times the kilometres still planned. The mean
+  covers shifts that ended before this one began. It includes idling and empty trips, as the outcome does.
+- `rating`: the official rating times the same kilometres. US labels include charging losses.
 
-All begin at the filtered state of charge, which is better than what a person reads, and stay within 0 and 100 %.
+All baselines start from the filtered state of charge, which is more accurate than the display, and are limited to 0 to
+100 %.
 """
 
 from bisect import bisect_left, insort
@@ -27,53 +30,53 @@ BASELINES: Final[Mapping[str, str]] = MappingProxyType(
         "rating": "official rating, in kWh/km",
     }
 )
-"""What a person would use -> what it is called."""
+"""Name of each baseline -> its description."""
 LEAST_PACE_TIME: Final = 900.0
-"""Nobody carries on a pace that was seen for less time. [s]"""
+"""Time over which a pace must have been observed to be continued. [s]"""
 LEAST_ERRORS: Final = 20
-"""Shifts from which on somebody knows how far off a reckoning is: as many as an interval asks for."""
+"""Number of earlier errors from which a risk is estimated; the forecast's interval needs as many."""
 
 
 def compute_baselines(cases: pd.DataFrame, outlooks: pd.DataFrame, shifts: pd.DataFrame) -> pd.DataFrame:
-    """Return what each baseline expects at the shift's end.
+    """Return the state of charge that each baseline expects at the shift's end.
 
     Parameters
     ----------
-    cases : DataFrame
-        Of `core.evaluate.soc.cases.select_cases`.
+    cases : (n, columns) DataFrame
+        Forecasts of `core.evaluate.soc.cases.select_cases`.
     outlooks, shifts : DataFrame
-        All that the pipeline told.
+        All forecasts and all ended shifts of the pipeline.
 
     Returns
     -------
-    DataFrame
-        A row a case, a column of each of `BASELINES`, NaN where it has no answer. [%]
+    (n, baselines) DataFrame
+        A column for each of `BASELINES`; NaN where the baseline gives no value. [%]
     """
     found = {"linear": _linear(cases, outlooks), **_by_rates(cases, shifts)}
     return pd.DataFrame({name: np.clip(found[name], 0.0, 100.0) for name in BASELINES})
 
 
 def compute_leg_baselines(cases: pd.DataFrame, shifts: pd.DataFrame) -> pd.DataFrame:
-    """Return what each baseline expects at a leg's end; the car's own pace says nothing of legs.
+    """Return the state of charge that each baseline expects at a leg's end; `linear` does not apply to legs.
 
     Parameters
     ----------
-    cases : DataFrame
-        Of `core.evaluate.soc.legs.match_legs_to_rides`.
+    cases : (n, columns) DataFrame
+        Legs of `core.evaluate.soc.legs.match_legs_to_rides`.
     shifts : DataFrame
-        All that ended.
+        All ended shifts.
 
     Returns
     -------
-    DataFrame
-        A row a case, a column of each of `BASELINES`, NaN where it has no answer. [%]
+    (n, baselines) DataFrame
+        A column for each of `BASELINES`; NaN where the baseline gives no value. [%]
     """
     found = {"linear": np.full(len(cases), np.nan), **_by_rates(cases, shifts)}
     return pd.DataFrame({name: np.clip(found[name], 0.0, 100.0) for name in BASELINES})
 
 
 def _by_rates(cases: pd.DataFrame, shifts: pd.DataFrame) -> dict[str, Floats]:
-    """Return the state of charge after the kilometres ahead by a mean and by the official consumption. [%]"""
+    """Return the state of charge after the kilometres ahead, by the mean and by the official consumption. [%]"""
     rating = [
         known.rated_kwh_per_km if (known := load_catalogue().get(key)) else None for key in cases["vehicle_model"]
     ]
@@ -84,14 +87,21 @@ def _by_rates(cases: pd.DataFrame, shifts: pd.DataFrame) -> dict[str, Floats]:
 
 
 def compute_mean_consumption(cases: pd.DataFrame, shifts: pd.DataFrame) -> Floats:
-    """Return the mean consumption of each case's vehicle model, over shifts that ended before its own began.
+    """Return the mean consumption of each case's vehicle model, over shifts that ended before the case's shift began.
 
-    Shifts in which the car charged, or nobody had a ride, tell nothing.
+    Shifts with a charge or without any ride are left out.
+
+    Parameters
+    ----------
+    cases : (n, columns) DataFrame
+        Forecasts.
+    shifts : DataFrame
+        All ended shifts.
 
     Returns
     -------
-    (n,) float64
-        Energy of the battery over kilometres of ride, NaN before any shift has ended. [kWh/km]
+    (n,) float
+        Battery energy over kilometres of ride; NaN before the first shift has ended. [kWh/km]
     """
     told = shifts.assign(energy=(shifts["soc_begin_pct"] - shifts["soc_end_pct"]) / 100.0 * shifts["capacity_kwh"])
     told = told[told["charged_s"].isna() & told["energy"].notna() & (told["ride_km"] > 0.0)]
@@ -105,27 +115,31 @@ def compute_mean_consumption(cases: pd.DataFrame, shifts: pd.DataFrame) -> Float
 
 
 def compute_empirical_risk(expected: Floats, became: Floats, time: Floats, ended: Floats, levels: Floats) -> Floats:
-    """Return the probability of ending below levels, by how far off the same reckoning was before.
+    """Return the probability of ending below levels, from the earlier errors of the same baseline.
 
     Parameters
     ----------
     expected, became : (n,) float
-        What was reckoned, NaN where it has no answer, and what it became. [%]
+        Expected state of charge, NaN where there is none, and its outcome. [%]
     time, ended : (n,) float
-        When it was reckoned, and when that was known. [s]
+        When the expectation was made, and when its outcome was known. [s]
     levels : (n, levels) float
-        [%]
+        Levels. [%]
 
     Returns
     -------
-    (n, levels) float64
-        Share of those that were known by then whose error would lead below, half a one more among one more; NaN where
-        fewer than `LEAST_ERRORS` were known.
+    (n, levels) float
+        NaN where fewer than `LEAST_ERRORS` errors were known.
+
+    Notes
+    -----
+    With m known errors, k of which would lead below the level, the probability is (k + 1/2) / (m + 1).
 
     Examples
     --------
     >>> n = np.arange(30.0)
-    >>> compute_empirical_risk(np.full(30, 50.0), 50.0 - n % 2, n, n + 0.5, np.full((30, 1), 49.5))[-1].round(2).tolist()
+    >>> risk = compute_empirical_risk(np.full(30, 50.0), 50.0 - n % 2, n, n + 0.5, np.full((30, 1), 49.5))
+    >>> risk[-1].round(2).tolist()
     [0.48]
     """
     known = np.flatnonzero(np.isfinite(expected))
@@ -144,7 +158,7 @@ def compute_empirical_risk(expected: Floats, became: Floats, time: Floats, ended
 
 
 def _linear(cases: pd.DataFrame, outlooks: pd.DataFrame) -> Floats:
-    """Return the state of charge at the end by the pace so far. [%]"""
+    """Return the state of charge at the end that the pace so far gives. [%]"""
     since, soc_then = _begun(cases, outlooks)
     time, soc = cases["time_s"].to_numpy(np.float64), cases["soc_pct"].to_numpy(np.float64)
     left = np.maximum(cases["shift_end_s"].to_numpy(np.float64) - time, 0.0)
@@ -155,7 +169,7 @@ def _linear(cases: pd.DataFrame, outlooks: pd.DataFrame) -> Floats:
 
 
 def _begun(cases: pd.DataFrame, outlooks: pd.DataFrame) -> tuple[Floats, Floats]:
-    """Return when the pace began, [s], and the state of charge then, [%]: with the shift, or first after a charge."""
+    """Return when the pace began [s] and the state of charge then [%]: at the shift's start or first after a charge."""
     begun = cases[["begin_s", "soc_begin_pct"]].to_numpy(np.float64, copy=True)
     asked = cases[[*SHIFT_KEY, "charged_s"]].assign(place=np.arange(len(cases))).dropna(subset="charged_s")
     told = normalise_keys(outlooks)[[*SHIFT_KEY, "time_s", "soc_pct"]].sort_values("time_s", kind="stable")

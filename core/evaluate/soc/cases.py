@@ -1,7 +1,7 @@
-"""Which forecasts of the state of charge at a shift's end are judged, and what became of each.
+"""Select the forecasts of the state of charge at a shift's end that are evaluated, with their outcomes.
 
-A shift that has ended gives one forecast for each time ahead: the newest that was made by then. Nothing that a forecast
-rests on is from after it, as the pipeline learns while it goes, so no days are set apart.
+Each ended shift gives one forecast for each time ahead: the newest one made by then. The pipeline learns while it runs,
+so a forecast uses nothing from after it, and no days need to be held out.
 """
 
 from dataclasses import dataclass
@@ -15,21 +15,21 @@ from core.columns import SECONDS_PER_DAY
 from core.stats.clustered import assign_vehicle_days
 
 HOURS_AHEAD: Final = (0, 1, 2, 4, 6)
-"""Times before a shift's end, by its last sample. [h]"""
+"""Times before a shift's end, measured from its last sample. [h]"""
 MOST_FORECAST_AGE: Final = 600.0
-"""The newest forecast may be so old; where it is older the car was silent. [s]"""
+"""Largest age of the newest forecast; where it is older the vehicle sent nothing. [s]"""
 CUT_SHORT_MARGIN: Final = 900.0
-"""A shift that the recording leaves so long before its planned end has not ended. [s]"""
+"""A shift whose recording stops this long before the planned end has not ended. [s]"""
 
 SHIFT_KEY: Final = ["vehicle_id", "shift"]
-"""What names a shift."""
+"""Columns that identify a shift."""
 CUT_SHORT: Final = "the recording ends before the shift"
 SILENT: Final = "no forecast near"
 CHARGED: Final = "charged before the end"
 UNREPORTED: Final = "state of charge at the end not reported"
 WARM_UP: Final = "no interval yet"
 REASONS: Final = (CUT_SHORT, SILENT, CHARGED, UNREPORTED, WARM_UP)
-"""Why a forecast is not judged; the first that applies is counted."""
+"""Reasons why a forecast is left out; the first that applies is counted."""
 SHIFT_COLUMNS: Final = [
     *SHIFT_KEY,
     "vehicle_model",
@@ -40,7 +40,7 @@ SHIFT_COLUMNS: Final = [
     "charged_s",
     "capacity_kwh",
 ]
-"""Columns of the shifts that judging needs; the outside temperature is the shift's mean, `ambient_c`."""
+"""Columns of shifts that the evaluation needs, besides `ambient_c`, the mean outside temperature of the shift."""
 OUTLOOK_COLUMNS: Final = [
     *SHIFT_KEY,
     "time_s",
@@ -55,24 +55,24 @@ OUTLOOK_COLUMNS: Final = [
     "ahead_km",
     "soc_begin_pct",
 ]
-"""The same of the forecasts."""
+"""Columns of forecasts that the evaluation needs."""
 
 
 @dataclass(frozen=True)
 class ForecastCases:
-    """Forecasts that are judged.
+    """Forecasts that are evaluated.
 
     Parameters
     ----------
-    cases : DataFrame
-        A row a forecast: `SHIFT_COLUMNS` and `ambient_c` of its shift, `OUTLOOK_COLUMNS` of its own, `hours` before the end,
-        and `cluster`, int from 0, the same for all of a car on a day.
+    cases : (n, columns) DataFrame
+        One row per forecast: `SHIFT_COLUMNS` and `ambient_c` of its shift, its own `OUTLOOK_COLUMNS`, `hours` before
+        the end, and `cluster`, an int from 0 that the forecasts of one vehicle on one day share.
     left_out : dict of str to int
-        Forecasts that are not, by reason.
+        Number of forecasts left out, by reason.
     shifts : int
-        That ended.
+        Number of shifts that ended.
     warm_up : int
-        Of these, the shifts left out as nothing was learned yet at any of the times.
+        Number of these shifts without an interval at any time ahead, because too little had been learned.
     """
 
     cases: pd.DataFrame
@@ -82,14 +82,18 @@ class ForecastCases:
 
 
 def select_cases(outlooks: pd.DataFrame, shifts: pd.DataFrame) -> ForecastCases:
-    """Return the forecasts that are judged.
+    """Return the forecasts that are evaluated.
 
     Parameters
     ----------
     outlooks : DataFrame
-        Forecasts as a pipeline made them, `OUTLOOK_COLUMNS` at least.
+        Forecasts of a pipeline, with `OUTLOOK_COLUMNS` at least.
     shifts : DataFrame
-        Shifts that have ended, `SHIFT_COLUMNS` and `ambient_c`.
+        Ended shifts, with `SHIFT_COLUMNS` and `ambient_c`.
+
+    Returns
+    -------
+    ForecastCases
     """
     made, ended = normalise_keys(outlooks), normalise_keys(shifts)[[*SHIFT_COLUMNS, "ambient_c"]]
     made = made[OUTLOOK_COLUMNS].sort_values("time_s", kind="stable")
@@ -109,7 +113,7 @@ def select_cases(outlooks: pd.DataFrame, shifts: pd.DataFrame) -> ForecastCases:
 
 
 def _reasons(cases: pd.DataFrame, made: pd.DataFrame) -> NDArray[np.str_]:
-    """Return why each forecast is not judged, empty where it is; `made` are all forecasts, by time."""
+    """Return why each forecast is left out, empty where it is evaluated; `made` holds all forecasts, sorted by time."""
     planned = made[made["planned"].astype(bool)].groupby(SHIFT_KEY, sort=False)["shift_end_s"].last()
     end = cases[SHIFT_KEY].join(planned, on=SHIFT_KEY)["shift_end_s"] - cases["end_s"]
     cut = (end > CUT_SHORT_MARGIN) & (made["time_s"].max() - cases["end_s"] < MOST_FORECAST_AGE)

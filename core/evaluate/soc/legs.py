@@ -1,8 +1,9 @@
-"""Forecasts of single legs against what became of them: the charge at each leg's end, up to the next charge.
+"""Evaluate forecasts of single legs up to the next charge.
 
-Where a car charges amid its shift, what was foretold of the shift's end cannot be judged: a forecast tells what there
-would be without. The answer to a question (`core.forecast.what_if`) tells the charge at the end of each leg, and those that
-came before the charge can. So questions are asked all shift long, and each leg is held against the ride that it became.
+Where a vehicle charges during its shift, the forecast of the shift's end cannot be evaluated, because it states the
+outcome without a charge. The answer to a query (`core.forecast.what_if`) states the charge at the end of each leg, and
+legs that end before the charge can be evaluated. Queries are therefore made throughout the shift, and each leg is
+compared with the ride that it became.
 """
 
 from collections.abc import Callable, Iterator
@@ -18,26 +19,25 @@ from core.stats.clustered import assign_vehicle_days
 from core.wire.messages import Outlook
 
 QUERY_INTERVAL: Final = 1800.0
-"""Time between two questions about a car. [s]"""
+"""Time between two queries about a vehicle. [s]"""
 MINUTES: Final = (30, 60, 120, 240)
-"""Ends of the bands of the time from a question to the leg's end; the first and last band are open. [min]"""
+"""Edges of the bands of the time from a query to the leg's end; the first and last band are open. [min]"""
 LEG_COLUMNS: Final = [*SHIFT_KEY, "time_s", "leg", "ahead_km", "soc_pct", "soc_mean_pct", "soc_p05_pct", "soc_p95_pct"]
-"""Of each leg that was asked about: when; its place, from 0; kilometres of legs up to its end; the charge then, and
-what was told of that at its end."""
+"""Columns of each recorded leg: time, position from 0, kilometres up to its end, charge then, and the forecast."""
 
 RIDE_COLUMNS: Final = {"end_s": "ride_end_s", "soc_end_pct": "soc_end_pct", "time_since_charge_s": "since_charge_s"}
-"""Columns of rides that judging needs, and what they are called here."""
+"""Columns of rides that the evaluation needs -> their names here."""
 LEG_SHIFT_COLUMNS: Final = ["vehicle_model", "begin_s", "end_s", "charged_s", "capacity_kwh"]
-"""The same of shifts."""
+"""Columns of shifts that the evaluation needs."""
 
 
 class LegRecorder:
-    """Questions put while a pipeline goes, and the answers.
+    """Queries a pipeline while it runs and records the answers.
 
     Parameters
     ----------
     ask : callable
-        Answers what is expected of a vehicle.
+        Returns the outlook of a vehicle.
     """
 
     def __init__(self, ask: Callable[[str], Outlook]) -> None:
@@ -45,15 +45,15 @@ class LegRecorder:
         self._last: dict[str, tuple[int, float]] = {}
         self._rows: list[tuple[Any, ...]] = []
 
-    def __call__(self, told: pd.DataFrame) -> None:
-        """Ask about cars of which forecasts have just been made, if it is time to.
+    def __call__(self, outlooks: pd.DataFrame) -> None:
+        """Query the vehicles of new forecasts, each at most once in `QUERY_INTERVAL`.
 
         Parameters
         ----------
-        told : DataFrame
-            The forecasts, as `Pipeline.take_outlooks` has them.
+        outlooks : DataFrame
+            New forecasts, as `Pipeline.take_outlooks` returns them.
         """
-        known = told[told["planned"].astype(bool) & told["soc_mean_pct"].notna()]
+        known = outlooks[outlooks["planned"].astype(bool) & outlooks["soc_mean_pct"].notna()]
         for vehicle, shift, time in known.groupby("vehicle_id")[["shift", "time_s"]].last().itertuples():
             before = self._last.get(vehicle)
             if before is None or before[0] != shift or time >= before[1] + QUERY_INTERVAL:
@@ -61,48 +61,48 @@ class LegRecorder:
                 self._rows += _rows(vehicle, shift, self._ask(vehicle))
 
     def table(self) -> pd.DataFrame:
-        """Return a row a leg that was asked about, `LEG_COLUMNS`."""
+        """Return one row per recorded leg, with `LEG_COLUMNS`."""
         numbers = dict.fromkeys(LEG_COLUMNS[len(SHIFT_KEY) :], np.float64) | {"leg": np.int64}
         return normalise_keys(pd.DataFrame(self._rows, columns=LEG_COLUMNS).astype(numbers))
 
 
 def _rows(vehicle: str, shift: int, answer: Outlook) -> Iterator[tuple[Any, ...]]:
-    """Return what was told of each leg."""
+    """Return the forecast of each leg."""
     km = 0.0
     for place, leg in enumerate(answer.legs):
         km += leg.distance_km
         if leg.soc_pct is not None:
-            told = leg.soc_pct.mean, leg.soc_pct.p05, leg.soc_pct.p95
-            yield vehicle, shift, answer.time_s, place, km, answer.soc_pct, *told
+            forecast = leg.soc_pct.mean, leg.soc_pct.p05, leg.soc_pct.p95
+            yield vehicle, shift, answer.time_s, place, km, answer.soc_pct, *forecast
 
 
-def match_legs_to_rides(asked: pd.DataFrame, rides: pd.DataFrame, shifts: pd.DataFrame) -> pd.DataFrame:
-    """Return the legs that are judged, each with the ride that it became.
+def match_legs_to_rides(legs: pd.DataFrame, rides: pd.DataFrame, shifts: pd.DataFrame) -> pd.DataFrame:
+    """Return the legs that are evaluated, each with the ride that it became.
 
-    That is the next ride to end after the question for the first leg, and so on; false starts are none. Rides of
-    another shift, and those before which the car charged, are left out.
+    The first leg becomes the next ride to end after the query, the second leg the ride after that, and so on. False
+    starts do not count as rides. Rides of another shift, and rides after a charge, are left out.
 
     Parameters
     ----------
-    asked : DataFrame
-        Of `Questions.table`.
+    legs : (n, columns) DataFrame
+        Legs of `LegRecorder.table`.
     rides : DataFrame
-        As `Pipeline.take_rides` has them.
+        Rides, as `Pipeline.take_rides` returns them.
     shifts : DataFrame
-        As `Pipeline.take_shifts` has them.
+        Shifts, as `Pipeline.take_shifts` returns them.
 
     Returns
     -------
     DataFrame
-        `LEG_COLUMNS`, the values of `RIDE_COLUMNS` of the ride, and `LEG_SHIFT_COLUMNS` of the shift; `minutes` from the question to the
-        ride's end, whether the car `charges` later in the shift, and `cluster`, the same for all of a car on a day.
+        `LEG_COLUMNS`, the values of `RIDE_COLUMNS` of the ride and `LEG_SHIFT_COLUMNS` of the shift; `minutes` from the
+        query to the ride's end; whether the vehicle `charges` later in the shift; and `cluster`, the vehicle-day.
     """
     driven = rides[rides["distance_km"] >= SHORTEST_RIDE].astype({"vehicle_id": "str"})
     driven = driven.rename(columns=RIDE_COLUMNS)[["vehicle_id", *RIDE_COLUMNS.values()]]
     driven = driven.sort_values("ride_end_s", kind="stable", ignore_index=True)
     driven["place"] = driven.groupby("vehicle_id").cumcount()
     before = driven[["vehicle_id", "ride_end_s", "place"]]
-    cases = asked.sort_values("time_s", kind="stable")
+    cases = legs.sort_values("time_s", kind="stable")
     cases = pd.merge_asof(cases, before, left_on="time_s", right_on="ride_end_s", by="vehicle_id")
     cases["place"] = cases["place"].fillna(-1.0).astype(np.int64) + 1 + cases["leg"]
     cases = cases.drop(columns="ride_end_s").merge(driven, on=["vehicle_id", "place"])

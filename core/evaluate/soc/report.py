@@ -1,7 +1,7 @@
-"""Forecasts of the state of charge at a shift's end, against what it became and what a person would expect.
+"""Evaluate forecasts of the state of charge at a shift's end, against outcomes and against what a person would expect.
 
-Errors are in per cent of charge. At one time ahead each shift gives one forecast; figures that pool times ahead, and
-all intervals, take the shifts of a car on a day for one cluster.
+Errors are in percent of charge. At one time ahead each shift gives one forecast. Figures that pool times ahead, and all
+intervals, treat the shifts of a vehicle on one day as one cluster.
 """
 
 from math import nan
@@ -23,42 +23,43 @@ from core.stats.scores import Codes
 NOMINAL: Final = 0.90
 """Share of outcomes that the interval is meant to hold."""
 TEMPERATURES: Final = (-20, -10, 0, 10, 20, 30)
-"""Ends of the bands of a shift's mean outside temperature; the first and last band are open. [°C]"""
+"""Edges of the bands of a shift's mean outside temperature; the first and last band are open. [°C]"""
 MOST_POINTS: Final = 240
-"""Forecasts that an example has at most."""
+"""Largest number of forecasts of an example."""
 EXAMPLE_HOURS_AHEAD: Final = 2
-"""Of the forecast by which shifts are told apart. [h]"""
+"""Time ahead of the forecasts by which examples are chosen. [h]"""
 EXAMPLE_COLUMNS: Final = ("soc", "soc_mean", "soc_p05", "soc_p95")
+"""Columns of forecasts that an example shows, without `_pct`."""
 
 
 def evaluate_soc(outlooks: pd.DataFrame, shifts: pd.DataFrame, legs: pd.DataFrame | None = None) -> dict[str, Any]:
-    """Return how good the forecasts of a pipeline were.
+    """Return the errors and the reliability of the forecasts of a pipeline.
 
     Parameters
     ----------
     outlooks : DataFrame
-        Every forecast, as `Pipeline.take_outlooks` has them.
+        Every forecast, as `Pipeline.take_outlooks` returns them.
     shifts : DataFrame
-        Every shift that has ended, as `Pipeline.take_shifts` has them.
+        Every ended shift, as `Pipeline.take_shifts` returns them.
     legs : DataFrame, optional
-        Single legs that were asked about, of `core.evaluate.soc.legs.match_legs_to_rides`.
+        Single legs, of `core.evaluate.soc.legs.match_legs_to_rides`.
 
     Returns
     -------
     dict
-        `about` what was judged; `overall`, with all times ahead pooled in `pooled` and each in `hours`; `by` condition,
-        bins of the same; `reserve`; `legs`; `forecasts`, one a case; `examples` of shifts; `notes`.
+        `about` the forecasts; `overall` figures, `pooled` over times ahead and by `hours`; figures `by` condition;
+        `reserve` risk; `legs`; `forecasts`, one per case; `examples` of shifts; `notes`.
 
     Raises
     ------
     ModelError
-        Where no forecast can be judged.
+        Where no forecast can be evaluated.
     """
     found = select_cases(outlooks, shifts)
     if not len(found.cases):
         why = ", ".join(f"{count} {reason}" for reason, count in found.left_out.items()) or "none made"
         raise ModelError(
-            f"{found.shifts} shifts ended and no forecast of theirs can be judged ({why}): give recordings of more days"
+            f"{found.shifts} shifts ended and no forecast of theirs can be evaluated ({why}): give recordings of more days"
         )
     cases = pd.concat([found.cases, compute_baselines(found.cases, outlooks, shifts)], axis=1)
     return {
@@ -121,14 +122,20 @@ def compute_figures_by_condition(cases: pd.DataFrame) -> dict[str, list[dict[str
 
 
 def compute_forecast_figures(cases: pd.DataFrame) -> dict[str, Any]:
-    """Return error, coverage and width of forecasts, and how baselines do on the same ones.
+    """Return error, coverage and width of forecasts, and the errors of baselines on the same ones.
+
+    Parameters
+    ----------
+    cases : (n, columns) DataFrame
+        Forecasts with their outcomes and baselines.
 
     Returns
     -------
     dict
         `n` forecasts of `shifts` on `vehicle_days`; `mae_pct`, `bias_pct` (forecast less outcome) and `width_pct` with
         intervals; `coverage`, and the shares `below` and `above` the interval; `baselines`, each with its error, the
-        forecasts' own where it has an answer, and `less_pct`, its error less theirs; `best` of these.
+        forecasts' error on the same cases, and `less_pct`, the baseline's error less the forecasts'; the `best`
+        baseline.
     """
     became, clusters = _numbers(cases, "soc_end_pct"), cases["cluster"].to_numpy(np.int64)
     mean, low, high = (_numbers(cases, f"soc_{name}_pct") for name in ("mean", "p05", "p95"))
@@ -149,7 +156,7 @@ def compute_forecast_figures(cases: pd.DataFrame) -> dict[str, Any]:
 
 
 def _against(expected: Floats, became: Floats, error: Floats, clusters: Codes) -> dict[str, Any]:
-    """Return how a baseline does, and the forecasts where it has an answer."""
+    """Return the error of a baseline, and that of the forecasts on the same cases."""
     known = np.isfinite(expected)
     its, own, of = np.abs(expected - became)[known], error[known], clusters[known]
     return {
@@ -163,7 +170,7 @@ def _against(expected: Floats, became: Floats, error: Floats, clusters: Codes) -
 
 
 def _best(cases: pd.DataFrame, became: Floats, error: Floats, clusters: Codes) -> dict[str, Any] | None:
-    """Return the baseline of least error where all have an answer, and how far the forecasts are below it."""
+    """Return the baseline of least error on cases that all baselines cover, and the forecasts' error there."""
     known = np.isfinite(cases[list(BASELINES)].to_numpy(np.float64)).all(axis=1)
     if not known.any():
         return None
@@ -180,12 +187,12 @@ def _best(cases: pd.DataFrame, became: Floats, error: Floats, clusters: Codes) -
 
 
 def _share_less(its: Floats, own: Floats) -> float:
-    """Return how far the forecasts' mean absolute error is below a baseline's, as a share of it."""
+    """Return by which share the forecasts' mean absolute error is below a baseline's."""
     return 1.0 - float(own.mean() / its.mean()) if len(its) and its.mean() > 0.0 else nan
 
 
 def _about(found: ForecastCases) -> dict[str, Any]:
-    """Return what was judged."""
+    """Return counts and dates of the forecasts that were evaluated."""
     cases = found.cases
     dates = pd.to_datetime(cases["begin_s"], unit="s").dt.strftime("%Y-%m-%d")
     return {
@@ -203,10 +210,10 @@ def _about(found: ForecastCases) -> dict[str, Any]:
 
 
 def _notes(cases: pd.DataFrame) -> list[str]:
-    """Return what a reader should know of these shifts."""
+    """Return notes for the reader."""
     notes = []
     if not cases["planned"].any():
-        notes.append("no shift had a plan: of what a person would use only the car's own pace is known")
+        notes.append("no shift had a plan: of the baselines only the car's own pace applies")
     unrated = sorted(set(cases.loc[cases["rating"].isna() & cases["ahead_km"].notna(), "vehicle_model"].astype(str)))
     if unrated:
         notes.append(f"no official rating is known of {', '.join(unrated)}")
@@ -218,15 +225,22 @@ def _numbers(cases: pd.DataFrame, column: str) -> Floats:
 
 
 def select_examples(cases: pd.DataFrame, outlooks: pd.DataFrame) -> list[dict[str, Any]]:
-    """Return shifts that a reader should see: the coldest, the warmest, a middling and the worst forecast of all.
+    """Return example shifts: the coldest, the warmest, and those of the middling and the worst forecast.
 
-    Among those with a forecast at the earliest time ahead that any has, up to `EXAMPLE_HOURS_AHEAD`.
+    They are chosen among shifts with a forecast at the earliest time ahead that any has, up to `EXAMPLE_HOURS_AHEAD`.
+
+    Parameters
+    ----------
+    cases : (n, columns) DataFrame
+        Forecasts that are evaluated.
+    outlooks : DataFrame
+        All forecasts.
 
     Returns
     -------
     list of dict
         `why` it is shown, `vehicle_id`, `vehicle_model`, `shift`, `date`, `ambient_c`, `soc_end_pct`,
-        `reserve_soc_pct`, and of its forecasts `hours_ahead` of the end and `EXAMPLE_COLUMNS` in per cent.
+        `reserve_soc_pct`; of its forecasts `hours_ahead` of the end and `EXAMPLE_COLUMNS`. [%]
     """
     ahead = min(EXAMPLE_HOURS_AHEAD, int(cases["hours"].max()))
     found = cases[cases["hours"] == ahead].reset_index(drop=True)
@@ -244,7 +258,7 @@ def select_examples(cases: pd.DataFrame, outlooks: pd.DataFrame) -> list[dict[st
 
 
 def _example(why: str, case: "pd.Series[Any]", outlooks: pd.DataFrame) -> dict[str, Any]:
-    """Return a shift and its forecasts, thinned out."""
+    """Return a shift and at most `MOST_POINTS` of its forecasts."""
     own = outlooks[(outlooks[SHIFT_KEY[0]] == case[SHIFT_KEY[0]]) & (outlooks[SHIFT_KEY[1]] == case[SHIFT_KEY[1]])]
     own = own[own["time_s"] <= case["end_s"]].sort_values("time_s", kind="stable")
     own = own.iloc[np.unique(np.linspace(0, len(own) - 1, min(MOST_POINTS, len(own))).astype(int))]

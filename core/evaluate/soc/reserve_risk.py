@@ -1,12 +1,12 @@
-"""Whether the risk of ending below a reserve holds, and what alarms are worth.
+"""Evaluate the risk of ending below a reserve, and the alarms that follow from it.
 
-Few shifts fall below the reserve of their plan, so the same is asked of other levels: every ten per cent of charge, the
-same for all shifts, whatever became of them. The risk of falling below one of these is not told by a forecast; it
-follows from its interval: two halves of a normal distribution meet at the mean, the lower one with 5 % below
+Few shifts fall below the reserve of their plan. The same evaluation is therefore made for other levels: the same
+multiples of 10 % of charge for all shifts, whatever their outcome. Forecasts do not state the risk of falling below
+these; it follows from their interval: two halves of normal distributions meet at the mean, the lower one with 5 % below
 `soc_p05_pct`, the upper one with 5 % above `soc_p95_pct`.
 
-What a person would expect comes without a risk. It is given the one that a person has who remembers how far the same
-reckoning was off so far, see `core.evaluate.soc.baselines.compute_empirical_risk`.
+Baselines have no risk. Each is given the risk that follows from its earlier errors
+(`core.evaluate.soc.baselines.compute_empirical_risk`).
 """
 
 from itertools import pairwise
@@ -26,30 +26,34 @@ from core.stats.scores import Codes
 LEVELS: Final = (20, 30, 40, 50, 60)
 """Levels that stand in for a reserve. [%]"""
 PLANNED: Final = "plan"
-"""Stands for the reserve of the plan, and the risk that forecasts tell."""
+"""Key of the reserve of the plan, whose risk the forecasts state."""
 ALARM: Final = 0.05
-"""A risk from which on a dispatcher is warned."""
+"""Risk from which on an alarm is raised."""
 BINS: Final = (0.0, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.99, 1.0)
-"""Ends of the classes of risk; the lower end belongs to a class."""
+"""Edges of the classes of risk; a class includes its lower edge."""
 BOUND: Final = float(ndtri(0.95))
-"""Standard deviations from the mean of a normal distribution to its 95th percentile."""
+"""Distance from the mean of a normal distribution to its 95th percentile, in standard deviations."""
 
 
 def evaluate_reserve_risk(cases: pd.DataFrame) -> dict[str, Any]:
-    """Return whether risks hold, and what alarms are worth.
+    """Return the reliability of risks and the performance of alarms.
 
     Parameters
     ----------
-    cases : DataFrame
-        Of `core.evaluate.soc.cases.select_cases`, with what each baseline expects.
+    cases : (n, columns) DataFrame
+        Forecasts of `core.evaluate.soc.cases.select_cases`, with the columns of the baselines.
 
     Returns
     -------
     dict
-        `alarm`, the risk from which on there is one; `compute_reliability` by class of risk, all times ahead pooled, of the
-        plan's reserve and of all other `levels`; what risks were worth (`evaluate_risk`) by level and time ahead, `levels`, and
-        by time ahead, `overall`, without the plan's. A case is a forecast and a level that the car was not below when
-        it was made; at the end itself nothing is open.
+        `alarm`: risk from which on an alarm is raised. `reliability`, by class of risk and pooled over times ahead: of
+        the plan's reserve, and of all other `levels`. `levels`: figures of `evaluate_risk` by level and time ahead.
+        `overall`: the same by time ahead, without the plan's reserve.
+
+    Notes
+    -----
+    A case is a forecast and a level that the vehicle had not yet fallen below when the forecast was made. The time
+    ahead 0 has no cases.
     """
     rows = tabulate_levels(cases)
     hours = [h for h in HOURS_AHEAD if h > 0]
@@ -64,10 +68,13 @@ def evaluate_reserve_risk(cases: pd.DataFrame) -> dict[str, Any]:
 
 
 def tabulate_levels(cases: pd.DataFrame) -> pd.DataFrame:
-    """Return a row a forecast and a level that it is asked about.
+    """Return one row for each forecast and each level.
 
-    Columns: `level`, `hours`, `shift` and `cluster` (int, alike for those of the same), `fell` (whether the charge was
-    below the level later), `risk` (told), and the risk by each baseline.
+    Returns
+    -------
+    DataFrame
+        `level`, `hours`, `shift` and `cluster` (int), `fell` (whether the charge was below the level later), `risk` of
+        the forecast, and the risk of each baseline.
     """
     open_ = cases[cases["hours"] > 0].reset_index(drop=True)
     told = {PLANNED: (_numbers(open_, "reserve_soc_pct"), _numbers(open_, "reserve_risk"))}
@@ -88,7 +95,7 @@ def tabulate_levels(cases: pd.DataFrame) -> pd.DataFrame:
 
 
 def _by_hour(cases: pd.DataFrame, baseline: str, levels: Floats) -> Floats:
-    """Return a baseline's risk at each level, (n, levels), by its earlier errors as long before the end."""
+    """Return a baseline's risk at each level, (n, levels), from its earlier errors at the same time ahead."""
     out = np.full(levels.shape, np.nan)
     for rows in cases.groupby("hours").indices.values():
         own = cases.iloc[rows]
@@ -100,18 +107,18 @@ def _by_hour(cases: pd.DataFrame, baseline: str, levels: Floats) -> Floats:
 
 
 def compute_risk_below(cases: pd.DataFrame, level: float) -> Floats:
-    """Return the probability of ending below a level, by the interval.
+    """Return the probability of ending below a level, from the interval.
 
     Parameters
     ----------
-    cases : DataFrame
-        With `soc_mean_pct`, `soc_p05_pct` and `soc_p95_pct`.
+    cases : (n, columns) DataFrame
+        Forecasts, with `soc_mean_pct`, `soc_p05_pct` and `soc_p95_pct`.
     level : float
-        [%]
+        Level. [%]
 
     Returns
     -------
-    (n,) float64
+    (n,) float
         0 or 1 where the interval has no width.
 
     Examples
@@ -128,21 +135,21 @@ def compute_risk_below(cases: pd.DataFrame, level: float) -> Floats:
 
 
 def evaluate_by_hours(rows: pd.DataFrame, hours: list[int]) -> dict[str, Any]:
-    """Return what risks and alarms were worth at each time ahead that has cases, and `pooled` over all."""
+    """Return the figures of `evaluate_risk` at each time ahead that has cases, and `pooled` over all."""
     found = {str(h): evaluate_risk(own) for h in hours if len(own := rows[rows["hours"] == h])}
     return found | ({"pooled": evaluate_risk(rows)} if len(rows) else {})
 
 
 def evaluate_risk(rows: pd.DataFrame) -> dict[str, Any]:
-    """Return what the risks of some cases were worth, and alarms by them.
+    """Return the scores of risks, and of the alarms that follow from them.
 
     Returns
     -------
     dict
-        `n` cases, of `shifts`, of which so many `fell`; the `evaluate_alarms` (see `evaluate_alarms`); `brier` score of the risk,
-        `brier_base` of one who tells all the share of those that fell, and `compute_skill` over it; of each of `baselines`,
-        where it has a risk, `n`, `fell`, `brier`, `evaluate_alarms`, the forecasts' own `forecast_brier` and `forecast_alarms`
-        there, and their `compute_skill` over it.
+        `n` cases of `shifts`, of which so many `fell`; `alarms` (see `evaluate_alarms`); `brier` score of the risk;
+        `brier_base` of a constant risk equal to the share that fell; and `skill` over it. `baselines`: for each
+        baseline, where it has a risk, `n`, `fell`, `brier`, `alarms`, the forecasts' `forecast_brier` and
+        `forecast_alarms` on the same cases, and their `skill` over the baseline.
     """
     fell, risk = rows["fell"].to_numpy(bool), _numbers(rows, "risk")
     clusters = rows["cluster"].to_numpy(np.int64)
@@ -174,19 +181,19 @@ def evaluate_risk(rows: pd.DataFrame) -> dict[str, Any]:
 
 
 def compute_skill(own: Floats, reference: Floats, clusters: Codes) -> dict[str, float]:
-    """Return by how much, as a share, a mean square is below that of a reference, with half its 95 % interval."""
+    """Return by which share a mean square is below that of a reference, with half its 95 % interval."""
     return compute_clustered_ratio(reference - own, reference, clusters).figures()
 
 
 def evaluate_alarms(risk: Floats, fell: NDArray[np.bool_], clusters: Codes) -> dict[str, Any]:
-    """Return what alarms were worth.
+    """Return the performance of alarms.
 
     Returns
     -------
     dict
-        How many were `caught` and `missed` of those that fell, and `false_alarms` of those that did not; of those that
-        fell the share that was caught, `hit_rate`, and of those that did not the share with an alarm,
-        `false_alarm_rate`, with intervals.
+        Number `caught` and `missed` of the cases that fell, and `false_alarms` of those that did not; `hit_rate`, the
+        share of cases that fell with an alarm, and `false_alarm_rate`, the share of the others with one, with
+        intervals.
     """
     warned = risk >= ALARM
     return {
@@ -199,13 +206,13 @@ def evaluate_alarms(risk: Floats, fell: NDArray[np.bool_], clusters: Codes) -> d
 
 
 def compute_reliability(rows: pd.DataFrame) -> list[dict[str, Any]]:
-    """Return, of each class of told risk that has cases, how many there are and how often they fell.
+    """Return, for each class of risk that has cases, how often these fell below the level.
 
     Returns
     -------
     list of dict
-        Its ends `low` and `high`; `n` cases of `shifts`; mean risk that was `told`; `fell`, the share that did, with
-        its interval.
+        Edges `low` and `high`; `n` cases of `shifts`; `told`, the mean risk; and `fell`, the share that fell, with its
+        interval.
     """
     risk, clusters = _numbers(rows, "risk"), rows["cluster"].to_numpy(np.int64)
     place = np.clip(np.searchsorted(BINS, risk, side="right") - 1, 0, len(BINS) - 2)
@@ -221,7 +228,7 @@ def compute_reliability(rows: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def _lowest(cases: pd.DataFrame) -> Floats:
-    """Return the lowest state of charge after a forecast: after a charge the end's, as the lowest may be before it."""
+    """Return the lowest state of charge after a forecast; where the vehicle charged, that of the shift's end."""
     end, lowest = _numbers(cases, "soc_end_pct"), _numbers(cases, "soc_lowest_pct")
     return np.where(np.isfinite(_numbers(cases, "charged_s")), end, np.fmin(end, lowest))
 

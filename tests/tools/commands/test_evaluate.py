@@ -97,9 +97,9 @@ def test_the_segment_model_takes_part_where_there_are_windows(folder, capsys):
     [
         (lambda t: t.drop(columns="effect_climbing"), "'effect_climbing' is missing"),
         (lambda t: t.drop(columns="vehicle_id"), "'vehicle_id' is missing"),
-        (lambda t: t.head(1), "1 of 1 rides can be judged"),
-        (lambda t: t.assign(energy_kwh=np.nan), "0 of 240 rides can be judged"),
-        (lambda t: t.assign(energy_kwh=None), "0 of 240 rides can be judged"),
+        (lambda t: t.head(1), "1 of 1 rides can be evaluated"),
+        (lambda t: t.assign(energy_kwh=np.nan), "0 of 240 rides can be evaluated"),
+        (lambda t: t.assign(energy_kwh=None), "0 of 240 rides can be evaluated"),
         (lambda t: t.assign(ambient_c="cold"), "holds no numbers"),
     ],
 )

@@ -101,7 +101,7 @@ def test_a_recording_too_short_to_learn_from_is_refused_in_one_line(capsys):
     with pytest.raises(SystemExit) as ended:
         main(["evaluate-soc", str(SHIFT)])
     assert ended.value.code == 2
-    words = r"socast: 7 shifts ended and no forecast of theirs can be judged \(\d+ no interval yet\): [^\n]+\n"
+    words = r"socast: 7 shifts ended and no forecast of theirs can be evaluated \(\d+ no interval yet\): [^\n]+\n"
     assert re.fullmatch(words, capsys.readouterr().err)
 
 

@@ -233,7 +233,7 @@ def test_a_recipe_that_fails_is_left_out_and_said_so(rides):
     found = evaluate(rides, recipes(TRUE, Toy("broken", refuse)), seed=1)
     assert list(found["mae"]) == ["true"]
     assert found["about"]["notes"] == ["broken: column 'x' is missing: add it"]
-    with pytest.raises(ModelError, match="no recipe can be judged: broken: column 'x'"):
+    with pytest.raises(ModelError, match="no recipe can be evaluated: broken: column 'x'"):
         evaluate(rides, recipes(Toy("broken", refuse)), seed=1)
 
 
@@ -282,11 +282,11 @@ def test_rides_that_cannot_be_judged_are_counted_by_reason(rides):
     ("spoil", "told"),
     [
         (lambda t: t.drop(columns="distance_km"), "column 'distance_km' is missing"),
-        (lambda t: t.head(1), "1 of 1 rides can be judged, at most 1 of a vehicle model in a cluster of 5 km"),
-        (lambda t: t.assign(energy_kwh=np.nan), "0 of 1,600 rides can be judged.*1,600 no measured energy"),
+        (lambda t: t.head(1), "1 of 1 rides can be evaluated, at most 1 of a vehicle model in a cluster of 5 km"),
+        (lambda t: t.assign(energy_kwh=np.nan), "0 of 1,600 rides can be evaluated.*1,600 no measured energy"),
         (lambda t: t.assign(fit_for_training=False, unfit_reason="too_long"), "left out: 1,600 too long"),
         (lambda t: t.assign(energy_kwh="much"), "'energy_kwh' of the ride table holds no numbers"),
-        (lambda t: t.head(0), "0 of 0 rides can be judged"),
+        (lambda t: t.head(0), "0 of 0 rides can be evaluated"),
     ],
 )
 def test_a_table_that_cannot_be_judged_is_refused_in_one_line(rides, spoil, told):
