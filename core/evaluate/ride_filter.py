@@ -83,7 +83,7 @@ class EvaluatedRides:
         shape = (len(self.vehicle_models), len(CLUSTERS))
         return np.bincount(self.model * shape[1] + self.cluster, minlength=shape[0] * shape[1]).reshape(shape)
 
-    def questions(self) -> pd.DataFrame:
+    def drop_answers(self) -> pd.DataFrame:
         """Return the rides without the columns that hold the measured energy."""
         return self.rides.drop(columns=[name for name in self.rides if str(name).startswith(ANSWERS)])
 

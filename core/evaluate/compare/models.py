@@ -315,14 +315,18 @@ def compare_pairs(found: ComparedRides) -> list[dict[str, Any]]:
 
 
 def find_worst_rides(found: ComparedRides, predicted: Floats) -> dict[str, list[dict[str, Any]]]:
-    """Return the rides of largest `absolute` error and of largest error `relative` to the measured energy, largest
-    first.
+    """Return the rides of largest `absolute` error and of largest `relative` error.
 
     Parameters
     ----------
     found : ComparedRides
     predicted : (n,) float
         Predicted energy. [kWh]
+
+    Returns
+    -------
+    dict of str to list of dict
+        At most `MOST_WORST_RIDES` rides each, largest error first.
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""Figure 1 of the paper: accessory power against outside temperature, and the curve that was fitted to it."""
+"""Compute Figure 1 of the paper: accessory power against outside temperature, and the curve fitted to it."""
 
 from typing import Any, Final
 
@@ -16,27 +16,34 @@ BIN_K: Final = 2.0
 """Width of a bin of outside temperature. [K]"""
 
 
-def compute_figure_1(judged: EvaluatedRides) -> dict[str, Any]:
-    """Return, of each vehicle model, what its rides took beyond the basic physical model, and the fitted curve.
+def compute_figure_1(evaluated: EvaluatedRides) -> dict[str, Any]:
+    """Return, for each vehicle model, its accessory power by temperature and the fitted curve.
+
+    Accessory power is what rides used beyond the basic physical model.
+
+    Parameters
+    ----------
+    evaluated : EvaluatedRides
 
     Returns
     -------
     dict
-        Vehicle model to `points`, each `ambient_c`, `power_w` and `rides` of a bin of temperature, and `curve`, the
-        seven numbers of `core.vehicles.AccessoryCurve` in K and W. Powers are those of a car of scale 1.
+        Vehicle model to `points` and `curve`. Each point has `ambient_c`, `power_w` and `rides` of a temperature bin;
+        the curve has the seven numbers of `core.vehicles.AccessoryCurve` in K and W. Powers are those of a vehicle
+        whose accessory scale is 1.
     """
-    rides: Any = judged.rides
+    rides: Any = evaluated.rides
     try:
         fits = RECIPES[RECIPE].fit(rides).fits
     except SocastError:
         return {}  # a table that no curve can be fitted to has no such figure
     time = (rides["duration_s"] * rides["accessory_scale"] / 3.6e6).to_numpy(np.float64)
-    beyond = judged.energy - BASIC_PHYSICAL.predict(rides)
+    beyond = evaluated.energy - BASIC_PHYSICAL.predict(rides)
     ambient = rides["ambient_c"].to_numpy(np.float64)
     known = np.isfinite(ambient) & np.isfinite(beyond) & (time > 0.0)
     found = {}
-    for i, name in enumerate(judged.vehicle_models):
-        own = known & (judged.model == i)
+    for i, name in enumerate(evaluated.vehicle_models):
+        own = known & (evaluated.model == i)
         if name not in fits or not np.any(own) or fits[name].curve is None:
             continue
         codes = (ambient[own] // BIN_K).astype(np.int64)

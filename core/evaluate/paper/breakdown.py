@@ -1,4 +1,4 @@
-"""Where predictions fail: by vehicle model, distance, temperature, season and driver; and how far intervals hold."""
+"""Compute errors by vehicle model, distance, temperature, season and driver, and the coverage of intervals."""
 
 from collections.abc import Sequence
 from typing import Any, Final
@@ -14,18 +14,28 @@ from core.stats import scores
 from core.stats.scores import Codes
 
 TEMPERATURES: Final = tuple(range(-35, 45, 5))
-"""Ends of the bins of outside temperature; the first and last one are open. [°C]"""
+"""Edges of the temperature bins; the first and last bin are open. [°C]"""
 LEAST_DRIVER_RIDES: Final = 30
-"""Rides for a driver to be a bin of his own."""
+"""Rides that a driver needs to have a bin."""
 BUFFER_SHARES: Final = (95, 99)
-"""Rides that a buffer is to keep above their reserve. [%]"""
+"""Shares of rides that a buffer is to keep above their reserve. [%]"""
 
 
-def bin_evaluated_rides(judged: EvaluatedRides) -> dict[str, Binning]:
-    """Return what errors are shown against: of each ride its bin, -1 where it is in none, and the bins' names."""
-    rides = judged.rides
+def bin_evaluated_rides(evaluated: EvaluatedRides) -> dict[str, Binning]:
+    """Return the bins by which errors are reported.
+
+    Parameters
+    ----------
+    evaluated : EvaluatedRides
+
+    Returns
+    -------
+    dict of str to Binning
+        `distance`, `temperature`, `season` and `driver`.
+    """
+    rides = evaluated.rides
     return {
-        "distance": Binning(judged.cluster, CLUSTERS),
+        "distance": Binning(evaluated.cluster, CLUSTERS),
         "temperature": _temperature(rides["ambient_c"].to_numpy(np.float64)),
         "season": _season(rides),
         "driver": _driver(rides),
@@ -40,13 +50,13 @@ def _temperature(ambient_c: Floats) -> Binning:
 
 
 def _season(rides: pd.DataFrame) -> Binning:
-    """Return winter and summer, as Table 1 of the paper has them."""
+    """Return winter and summer, as in Table 1 of the paper."""
     winter = rides["winter"].to_numpy(np.float64)
     return Binning(np.where(np.isnan(winter), -1, 1 - (winter > 0.0)).astype(np.int64), ("winter", "summer"))
 
 
 def _driver(rides: pd.DataFrame) -> Binning:
-    """Return a bin for each driver of many rides; none where the table does not tell who drove."""
+    """Return a bin for each driver of `LEAST_DRIVER_RIDES` rides; none where drivers are unknown."""
     if "driver_id" not in rides:
         return Binning(np.full(len(rides), -1, dtype=np.int64), ())
     count = rides["driver_id"].value_counts()
@@ -56,14 +66,14 @@ def _driver(rides: pd.DataFrame) -> Binning:
 
 
 def _enough(codes: Codes, rows: Codes) -> Codes:
-    """Return the bin of each prediction, -1 where fewer than `LEAST` rides of it were held out.
+    """Return the bin of each prediction, -1 where fewer than `LEAST_RIDES` rides of the bin were held out.
 
     Parameters
     ----------
     codes : (rides,) int64
         Bin of each ride of the table.
     rows : (n,) int64
-        Rides that were predicted; one may stand several times.
+        Rides that were predicted; a ride may occur several times.
     """
     own = codes[np.unique(rows)]
     rides = np.bincount(own[own >= 0], minlength=int(codes.max(initial=0)) + 1)
@@ -71,31 +81,47 @@ def _enough(codes: Codes, rows: Codes) -> Codes:
 
 
 def compute_errors_by_bin(
-    held: HeldOutPredictions, judged: EvaluatedRides
+    held: HeldOutPredictions, evaluated: EvaluatedRides
 ) -> dict[str, dict[str, list[dict[str, Any]]]]:
-    """Return errors against each of `bin_evaluated_rides`, of each recipe.
+    """Return the errors of each recipe in each of the bins of `bin_evaluated_rides`.
 
-    A ride that was held out in several repeats is counted in each, so `n` is of predictions.
+    A ride that was held out in several repeats counts in each of them, so `n` is a number of predictions.
+
+    Parameters
+    ----------
+    held : HeldOutPredictions
+    evaluated : EvaluatedRides
     """
     rows = held.pooled
-    energy = judged.energy[rows]
+    energy = evaluated.energy[rows]
     return {
         name: {
             recipe: scores.compute_bin_errors(energy, held.all_of(recipe), _enough(codes, rows), labels)
             for recipe in held.recipes
         }
-        for name, (codes, labels) in bin_evaluated_rides(judged).items()
+        for name, (codes, labels) in bin_evaluated_rides(evaluated).items()
     }
 
 
-def compute_overall_errors(held: HeldOutPredictions, judged: EvaluatedRides) -> dict[str, Any]:
-    """Return `bias` and `rmse` by vehicle model, relative-error `bands`, `buffer_kwh`, and the same by cluster."""
+def compute_overall_errors(held: HeldOutPredictions, evaluated: EvaluatedRides) -> dict[str, Any]:
+    """Return the errors of each recipe over all held-out rides.
+
+    Parameters
+    ----------
+    held : HeldOutPredictions
+    evaluated : EvaluatedRides
+
+    Returns
+    -------
+    dict
+        `bias` and `rmse` by vehicle model, `bands` of relative error, `buffer_kwh`, and `buffer_by_cluster`.
+    """
     rows = held.pooled
-    energy, model, cluster = judged.energy[rows], judged.model[rows], _enough(judged.cluster, rows)
+    energy, model, cluster = evaluated.energy[rows], evaluated.model[rows], _enough(evaluated.cluster, rows)
     found: dict[str, Any] = {"bias": {}, "rmse": {}, "bands": {}, "buffer_kwh": {}, "buffer_by_cluster": {}}
     for recipe in held.recipes:
         said = held.all_of(recipe)
-        own = [(name, model == i) for i, name in enumerate(judged.vehicle_models)]
+        own = [(name, model == i) for i, name in enumerate(evaluated.vehicle_models)]
         found["bias"][recipe] = {name: scores.compute_bias(energy[at], said[at]) for name, at in own}
         found["rmse"][recipe] = {name: scores.compute_rmse(energy[at], said[at]) for name, at in own}
         found["bands"][recipe] = scores.compute_band_shares(energy, said)
@@ -109,33 +135,42 @@ def compute_overall_errors(held: HeldOutPredictions, judged: EvaluatedRides) -> 
 
 
 def _buffers(measured: Floats, predicted: Floats) -> dict[str, float]:
+    """Return the buffer for each of `BUFFER_SHARES`. [kWh]"""
     return {str(share): scores.compute_buffer(measured, predicted, share / 100.0) for share in BUFFER_SHARES}
 
 
-def compute_interval_coverage(held: HeldOutPredictions, judged: EvaluatedRides) -> dict[str, dict[str, Any]]:
-    """Return, of recipes that have intervals, the share of rides inside them, and their mean width.
+def compute_interval_coverage(held: HeldOutPredictions, evaluated: EvaluatedRides) -> dict[str, dict[str, Any]]:
+    """Return the share of rides inside their interval and its mean width, for each recipe with intervals.
 
-    `compute_overall_errors`, `cluster`, `season` and `vehicle_model` are shares of rides, where at least `LEAST` were
-    held out.
+    Parameters
+    ----------
+    held : HeldOutPredictions
+    evaluated : EvaluatedRides
+
+    Returns
+    -------
+    dict
+        Recipe to `overall` coverage, coverage by `cluster`, `season` and `vehicle_model` where at least `LEAST_RIDES`
+        were held out, and `width_kwh`.
     """
     rows = held.pooled
-    energy = judged.energy[rows]
-    season, seasons = _season(judged.rides)
+    energy = evaluated.energy[rows]
+    season, seasons = _season(evaluated.rides)
     found: dict[str, dict[str, Any]] = {}
     for recipe in held.bounds:
         lower, upper = held.all_bounds(recipe)
         inside = ((lower <= energy) & (energy <= upper)).astype(np.float64)
         found[recipe] = {
             "overall": scores.compute_coverage(energy, lower, upper),
-            "cluster": _shares(inside, _enough(judged.cluster, rows), CLUSTERS),
+            "cluster": _shares(inside, _enough(evaluated.cluster, rows), CLUSTERS),
             "season": _shares(inside, _enough(season, rows), seasons),
-            "vehicle_model": _shares(inside, _enough(judged.model, rows), judged.vehicle_models),
+            "vehicle_model": _shares(inside, _enough(evaluated.model, rows), evaluated.vehicle_models),
             "width_kwh": float(np.mean(upper - lower)) if len(energy) else np.nan,
         }
     return found
 
 
 def _shares(inside: Floats, groups: Codes, names: Sequence[str]) -> dict[str, float]:
-    """Return the share inside, of each group that has any."""
+    """Return the share inside, for each group that has any."""
     means = scores.compute_group_means(inside, groups, len(names))
     return {name: float(mean) for name, mean in zip(names, means, strict=True) if not np.isnan(mean)}

@@ -1,4 +1,4 @@
-"""What recipes said of rides that were held out, on the same rides for all, and the errors that follow."""
+"""Collect predictions for held-out rides, on the same rides for all recipes, and average their errors."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from core.evaluate.ride_filter import CLUSTERS, LEAST_RIDES, SCORED_CLUSTERS, Ev
 from core.stats.scores import Codes, Estimate, average_over_repeats, combine_strata, compute_group_means
 
 MOST_UNPREDICTED: Final = 0.05
-"""Share of the rides for which a recipe may have no prediction before it is left out of the comparison."""
+"""Share of rides without a prediction above which a recipe is left out of the comparison."""
 
 
 @dataclass(frozen=True)
@@ -22,17 +22,17 @@ class HeldOutPredictions:
     Parameters
     ----------
     recipes : tuple of str
-        Those that can be compared.
+        Recipes that can be compared.
     rows : tuple of (n,) int64
-        Of each repeat: positions of the rides for which all of them have a prediction.
+        For each repeat the positions of the rides that all recipes predict.
     energy : dict of str to tuple of (n,) float
-        Of each recipe and repeat. [kWh]
+        Predicted energy by recipe and repeat. [kWh]
     bounds : dict of str to tuple of (2, n) float
-        Lower and upper, of recipes that have intervals. [kWh]
+        Lower and upper bounds, by recipe with intervals and repeat. [kWh]
     overlap : float
-        Rides tested over rides trained on.
+        Number of tested rides over number of training rides.
     notes : tuple of str
-        What was left out, and why.
+        Recipes that were left out, and why.
     """
 
     recipes: tuple[str, ...]
@@ -44,7 +44,7 @@ class HeldOutPredictions:
 
     @property
     def pooled(self) -> Codes:
-        """Rides of all repeats one after another; one that was drawn twice stands twice."""
+        """Rides of all repeats in sequence; a ride that was drawn twice occurs twice."""
         return np.concatenate([np.zeros(0, dtype=np.int64), *self.rows])
 
     def all_of(self, recipe: str) -> Floats:
@@ -57,14 +57,14 @@ class HeldOutPredictions:
 
 
 def select_comparable(said: Mapping[str, Sequence[Prediction]], rides: int) -> HeldOutPredictions:
-    """Return the predictions of those recipes that can be compared, for the rides that all of them predict.
+    """Return the predictions of comparable recipes, for the rides that all of them predict.
 
     Parameters
     ----------
     said : mapping of str to sequence of Prediction
-        Of each recipe, the repeats in order.
+        Predictions by recipe, repeats in order.
     rides : int
-        In the table.
+        Number of rides in the table.
     """
     notes: list[str] = []
     kept: list[str] = []
@@ -80,7 +80,9 @@ def select_comparable(said: Mapping[str, Sequence[Prediction]], rides: int) -> H
         else:
             kept.append(name)
             if missing:
-                notes.append(f"{name}: no prediction for {missing / of:.2%} of the rides; no recipe is judged by these")
+                notes.append(
+                    f"{name}: no prediction for {missing / of:.2%} of the rides; no recipe is evaluated by these"
+                )
     repeats = len(next(iter(said.values()), ()))
     told = [np.all([~np.isnan(said[name][i].energy) for name in kept], axis=0) for i in range(repeats) if kept]
     first = said[kept[0]] if kept else ()
@@ -99,24 +101,26 @@ def select_comparable(said: Mapping[str, Sequence[Prediction]], rides: int) -> H
     )
 
 
-def compute_cell_means(held: HeldOutPredictions, judged: EvaluatedRides, values: Sequence[Floats]) -> Floats:
+def compute_cell_means(held: HeldOutPredictions, evaluated: EvaluatedRides, values: Sequence[Floats]) -> Floats:
     """Return means by repeat, vehicle model and cluster.
 
     Parameters
     ----------
+    held : HeldOutPredictions
+    evaluated : EvaluatedRides
     values : sequence of (n,) float
-        Of each repeat, of the rides held out.
+        For each repeat the values of the held-out rides.
 
     Returns
     -------
     (repeats, vehicle models, clusters) float
-        Of the clusters that are scored; NaN where the table has too few rides for a figure.
+        Means of the scored clusters; NaN where the table has fewer than `LEAST_RIDES` rides.
     """
-    models, enough = len(judged.vehicle_models), judged.count()[:, :SCORED_CLUSTERS] >= LEAST_RIDES
+    models, enough = len(evaluated.vehicle_models), evaluated.count()[:, :SCORED_CLUSTERS] >= LEAST_RIDES
     found = np.full((len(values), models, SCORED_CLUSTERS), np.nan)
     for repeat, (rows, value) in enumerate(zip(held.rows, values, strict=True)):
-        groups = judged.model[rows] * SCORED_CLUSTERS + judged.cluster[rows]
-        groups[judged.cluster[rows] >= SCORED_CLUSTERS] = -1
+        groups = evaluated.model[rows] * SCORED_CLUSTERS + evaluated.cluster[rows]
+        groups[evaluated.cluster[rows] >= SCORED_CLUSTERS] = -1
         found[repeat] = np.where(
             enough,
             compute_group_means(value, groups, models * SCORED_CLUSTERS).reshape(models, SCORED_CLUSTERS),
@@ -125,36 +129,37 @@ def compute_cell_means(held: HeldOutPredictions, judged: EvaluatedRides, values:
     return found
 
 
-def compute_absolute_errors(held: HeldOutPredictions, judged: EvaluatedRides, recipe: str) -> list[Floats]:
+def compute_absolute_errors(held: HeldOutPredictions, evaluated: EvaluatedRides, recipe: str) -> list[Floats]:
     """Return the absolute errors of a recipe, by repeat. [kWh]"""
-    return [np.abs(said - judged.energy[rows]) for rows, said in zip(held.rows, held.energy[recipe], strict=True)]
+    return [np.abs(said - evaluated.energy[rows]) for rows, said in zip(held.rows, held.energy[recipe], strict=True)]
 
 
 def estimate_cells(means: Floats, overlap: float) -> list[list[Estimate]]:
-    """Return estimates over repeats, by vehicle model and cluster, of what `compute_cell_means` gives."""
+    """Return estimates over repeats, by vehicle model and cluster, from the means of `compute_cell_means`."""
     _, models, count = means.shape
     return [[average_over_repeats(means[:, m, c], overlap) for c in range(count)] for m in range(models)]
 
 
 def average_over_clusters(found: list[list[Estimate]]) -> list[Estimate]:
-    """Return the post-stratified average over clusters, of each vehicle model."""
+    """Return the post-stratified average over clusters, for each vehicle model."""
     return [combine_strata(row) for row in found]
 
 
-def average_over_vehicle_models(found: list[list[Estimate]], judged: EvaluatedRides) -> list[Estimate]:
-    """Return the mean over vehicle models, weighted by their rides, of each cluster."""
-    count = judged.count()
+def average_over_vehicle_models(found: list[list[Estimate]], evaluated: EvaluatedRides) -> list[Estimate]:
+    """Return the mean over vehicle models, weighted by their rides, for each cluster."""
+    count = evaluated.count()
     return [combine_strata([row[c] for row in found], count[:, c].tolist()) for c in range(SCORED_CLUSTERS)]
 
 
-def tabulate_estimates(found: list[list[Estimate]], judged: EvaluatedRides) -> dict[str, Any]:
-    """Return a table of the paper: vehicle model to cluster to figure, `average`, and the row `average_over_vehicle_models`."""
+def tabulate_estimates(found: list[list[Estimate]], evaluated: EvaluatedRides) -> dict[str, Any]:
+    """Return a table of the paper: vehicle model to cluster to figure, with `average`, and the row `weighted`."""
     average = average_over_clusters(found)
     rows: dict[str, Any] = {}
-    for model, row, mean in zip(judged.vehicle_models, found, average, strict=True):
+    for model, row, mean in zip(evaluated.vehicle_models, found, average, strict=True):
         rows[model] = {**_row(row), "average": mean.figures()}
-    return rows | {"weighted": _row(average_over_vehicle_models(found, judged))}
+    return rows | {"weighted": _row(average_over_vehicle_models(found, evaluated))}
 
 
 def _row(estimates: Sequence[Estimate]) -> dict[str, dict[str, float]]:
+    """Return the figures of estimates by cluster."""
     return {name: estimate.figures() for name, estimate in zip(CLUSTERS[:SCORED_CLUSTERS], estimates, strict=True)}

@@ -1,21 +1,20 @@
-"""A vehicle model that was never seen: trained on all others, and then shown a few rides, section 5.3 of the paper.
+"""Evaluate recipes on a vehicle model without training data, and after a few of its rides: section 5.3 of the paper.
 
-At no rides a recipe's fit over all vehicle models together (`*`) predicts, with the new one's own figures from the
-catalogue. Then it is shown 1, 3, 10, 30 and 100 rides, drawn at random from those of the new vehicle model, the same
-ones for every learner; the rides of the largest draw are kept out of the test at every point, so that all points of a
-draw are of the same rides. The intervals are over draws alone.
+With no rides, a recipe's fit over all vehicle models together (`*`) predicts, using the catalogue data of the new one.
+The recipe is then given 1, 3, 10, 30 and 100 rides drawn at random from the new vehicle model, the same for every
+learner. The rides of the largest draw are excluded from the test at every point, so all points of a draw cover the same
+rides. Intervals cover the variation between draws only.
 
-The line to beat is the fitted physical model: as trained on the others, or refitted with the new rides among them,
-whichever is better at each point. That is chosen with hindsight, in its favour.
+The benchmark is the fitted physical model, either as trained on the others or refitted with the new rides, whichever
+has the smaller error at each point. This choice uses the test errors and so favours the benchmark.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 from zlib import crc32
 
 import numpy as np
-import pandas as pd
 
 from core.batch import Floats
 from core.errors import SocastError
@@ -27,34 +26,27 @@ from core.stats.scores import average_over_repeats, compute_group_means
 from core.stats.splits import Positions, Split
 
 RIDE_COUNTS: Final = (0, 1, 3, 10, 30, 100)
-"""Rides of the new vehicle model that are shown."""
+"""Numbers of rides of the new vehicle model that are used."""
 DRAWS: Final = 10
-"""How often they are drawn anew."""
+"""Number of random draws."""
 BENCHMARK: Final = "fitted_physical"
-"""Recipe of the line to beat, and that line."""
+"""Recipe of the benchmark, and the key of its curve."""
 BENCHMARK_UNCHANGED: Final = "fitted_physical_others"
-"""It as it was trained on the others, whatever is shown."""
+"""Key of the benchmark as trained on the other vehicle models."""
 BENCHMARK_REFITTED: Final = "fitted_physical_refitted"
-"""It refitted with the new rides among those of the others."""
-
-
-class Adaptable(Protocol):
-    """A recipe whose models can be told of a few rides of a vehicle model that they do not know."""
-
-    def adapt(self, model: Any, rides: pd.DataFrame) -> FittedModel:
-        """Return the model, changed as these rides suggest."""
+"""Key of the benchmark refitted with the new rides."""
 
 
 class Learner(NamedTuple):
-    """Who learns from a few rides, and how.
+    """A recipe and the way in which it uses a few rides.
 
     Parameters
     ----------
     name : str
-        In results.
-    recipe : Fittable
+        Key in results.
+    recipe : EvaluatedRecipe
     way : {"unchanged", "refitted", "adapted"}
-        The rides are ignored; added to those of the others and all fitted anew; or given to the recipe's `adapt`.
+        The rides are ignored; added to the training rides before a new fit; or passed to the recipe's `adapt`.
     """
 
     name: str
@@ -62,34 +54,39 @@ class Learner(NamedTuple):
     way: str
 
 
-def split_by_vehicle_model(judged: EvaluatedRides) -> dict[str, Split]:
-    """Return, for each vehicle model, the split that trains on all others; none where there are no others."""
-    if len(judged.vehicle_models) < 2:
+def split_by_vehicle_model(evaluated: EvaluatedRides) -> dict[str, Split]:
+    """Return, for each vehicle model, the split that trains on all others; empty where there is only one."""
+    if len(evaluated.vehicle_models) < 2:
         return {}
     return {
-        name: Split(np.flatnonzero(judged.model != i), np.flatnonzero(judged.model == i))
-        for i, name in enumerate(judged.vehicle_models)
-        if np.any(judged.count()[i, :SCORED_CLUSTERS] >= LEAST_RIDES)
+        name: Split(np.flatnonzero(evaluated.model != i), np.flatnonzero(evaluated.model == i))
+        for i, name in enumerate(evaluated.vehicle_models)
+        if np.any(evaluated.count()[i, :SCORED_CLUSTERS] >= LEAST_RIDES)
     }
 
 
 def compute_tables_12_and_13(
-    held: Mapping[str, HeldOutPredictions], judged: EvaluatedRides
+    held: Mapping[str, HeldOutPredictions], evaluated: EvaluatedRides
 ) -> dict[str, dict[str, dict[str, float]]]:
-    """Return, of each recipe and left-out vehicle model, `mae`, `relative`, `basic` and `reduction`, and their means.
+    """Return the errors on left-out vehicle models.
 
     Parameters
     ----------
-    held : mapping of str to HeldOut
-        By vehicle model left out: what was predicted of its rides.
-    judged : Judged
+    held : mapping of str to HeldOutPredictions
+        Predictions for the rides of each left-out vehicle model.
+    evaluated : EvaluatedRides
+
+    Returns
+    -------
+    dict
+        Recipe to vehicle model to `mae`, `relative`, `basic` and `reduction`; and to `average`, their means.
     """
     recipes = (
         [r for r in next(iter(held.values())).recipes if all(r in h.recipes for h in held.values())] if held else []
     )
-    at = {name: judged.vehicle_models.index(name) for name in held}
-    means = {r: [compute_pooled_average(held[name], judged, r)[at[name]] for name in held] for r in recipes}
-    used = [_consumption(judged, i) for i in at.values()]
+    at = {name: evaluated.vehicle_models.index(name) for name in held}
+    means = {r: [compute_pooled_average(held[name], evaluated, r)[at[name]] for name in held] for r in recipes}
+    used = [_consumption(evaluated, i) for i in at.values()]
     reduced = compute_reductions(means, list(held))
     found: dict[str, dict[str, dict[str, float]]] = {}
     for recipe in recipes:
@@ -104,15 +101,15 @@ def compute_tables_12_and_13(
     return found
 
 
-def _consumption(judged: EvaluatedRides, model: int) -> float:
-    """Return the mean energy of a ride, averaged over the clusters that are scored. [kWh]"""
-    own = judged.model == model
-    means = compute_group_means(judged.energy[own], judged.cluster[own], SCORED_CLUSTERS)
-    return float(means[judged.count()[model, :SCORED_CLUSTERS] >= LEAST_RIDES].mean())
+def _consumption(evaluated: EvaluatedRides, model: int) -> float:
+    """Return the mean energy of a ride, averaged over the scored clusters. [kWh]"""
+    own = evaluated.model == model
+    means = compute_group_means(evaluated.energy[own], evaluated.cluster[own], SCORED_CLUSTERS)
+    return float(means[evaluated.count()[model, :SCORED_CLUSTERS] >= LEAST_RIDES].mean())
 
 
 def list_learners(recipes: Mapping[str, EvaluatedRecipe]) -> list[Learner]:
-    """Return who takes part: the line to beat in both ways, and every recipe that can adapt."""
+    """Return the benchmark in both ways, and every recipe that can adapt."""
     found = []
     if BENCHMARK in recipes:
         found = [
@@ -123,8 +120,10 @@ def list_learners(recipes: Mapping[str, EvaluatedRecipe]) -> list[Learner]:
 
 
 def select_ride_counts(rides: int) -> tuple[int, ...]:
-    """Return how many rides are shown, so that at least half of them are left to test on.
+    """Return the numbers of rides that leave at least half of the rides for the test.
 
+    Examples
+    --------
     >>> select_ride_counts(1000), select_ride_counts(30)
     ((0, 1, 3, 10, 30, 100), (0, 1, 3, 10))
     """
@@ -132,73 +131,75 @@ def select_ride_counts(rides: int) -> tuple[int, ...]:
 
 
 def draw_rides(own: Positions, name: str, seed: int, number: int) -> list[Positions]:
-    """Return rides in random order, of which the first are shown and those after the largest count are tested."""
+    """Return rides in random orders: learners get the first ones; those after the largest count are the test."""
     return [np.random.default_rng([seed, crc32(name.encode()), draw]).permutation(own) for draw in range(number)]
 
 
 def plan_learning_curves(
-    learners: Sequence[Learner], judged: EvaluatedRides, seed: int
+    learners: Sequence[Learner], evaluated: EvaluatedRides, seed: int
 ) -> dict[tuple[str, str], Callable[[], Any]]:
-    """Return the calls that make the curves, by vehicle model and learner."""
+    """Return the calls that compute the curves, by vehicle model and learner."""
     return {
         (name, learner.name): partial(
-            compute_learning_curve, learner, judged, split, draw_rides(split.test, name, seed, DRAWS)
+            compute_learning_curve, learner, evaluated, split, draw_rides(split.test, name, seed, DRAWS)
         )
-        for name, split in split_by_vehicle_model(judged).items()
+        for name, split in split_by_vehicle_model(evaluated).items()
         for learner in learners
     }
 
 
 def compute_learning_curve(
-    learner: Learner, judged: EvaluatedRides, split: Split, orders: Sequence[Positions]
+    learner: Learner, evaluated: EvaluatedRides, split: Split, orders: Sequence[Positions]
 ) -> Floats | str:
-    """Return the errors of a learner, (draws, counts) in kWh, or why there are none.
+    """Return the errors of a learner, (draws, counts) [kWh], or the reason why there are none.
 
     Parameters
     ----------
     learner : Learner
-    judged : Judged
+    evaluated : EvaluatedRides
     split : Split
-        Trains on the others, tests on the new vehicle model.
+        Trains on the other vehicle models, tests on the new one.
     orders : sequence of (n,) int64
-        Of `draw_rides`.
+        Orders of `draw_rides`.
     """
-    shown = select_ride_counts(len(split.test))
-    asked = judged.questions()
+    counts = select_ride_counts(len(split.test))
+    test_rides = evaluated.drop_answers()
     try:
-        start = learner.recipe.fit(judged.rides.iloc[split.train])
-        found = np.empty((len(orders), len(shown)))
+        start = learner.recipe.fit(evaluated.rides.iloc[split.train])
+        found = np.empty((len(orders), len(counts)))
         for i, order in enumerate(orders):
-            tested = np.sort(order[shown[-1] :])
-            for j, count in enumerate(shown):
-                model = _train(learner, start, judged, split, np.sort(order[:count]))
-                error = np.abs(model.predict(asked.iloc[tested]) - judged.energy[tested])
-                found[i, j] = _average(error, judged, tested)
+            tested = np.sort(order[counts[-1] :])
+            for j, count in enumerate(counts):
+                model = _train(learner, start, evaluated, split, np.sort(order[:count]))
+                error = np.abs(model.predict(test_rides.iloc[tested]) - evaluated.energy[tested])
+                found[i, j] = _average(error, evaluated, tested)
     except SocastError as problem:
         return str(problem)
     return found
 
 
-def _train(learner: Learner, start: FittedModel, judged: EvaluatedRides, split: Split, new: Positions) -> FittedModel:
-    """Return a model that was shown some rides."""
+def _train(
+    learner: Learner, start: FittedModel, evaluated: EvaluatedRides, split: Split, new: Positions
+) -> FittedModel:
+    """Return the model of a learner after some rides of the new vehicle model."""
     if learner.way == "unchanged" or not len(new):
         return start
     if learner.way == "refitted":
-        return learner.recipe.fit(judged.rides.iloc[np.concatenate([split.train, new])])
+        return learner.recipe.fit(evaluated.rides.iloc[np.concatenate([split.train, new])])
     adaptable: Any = learner.recipe
-    return adaptable.adapt(start, judged.rides.iloc[new])
+    return adaptable.adapt(start, evaluated.rides.iloc[new])
 
 
-def _average(error: Floats, judged: EvaluatedRides, tested: Positions) -> float:
-    """Return the mean over clusters, of rides of one vehicle model. [kWh]"""
+def _average(error: Floats, evaluated: EvaluatedRides, tested: Positions) -> float:
+    """Return the mean error over clusters, for rides of one vehicle model. [kWh]"""
     known = ~np.isnan(error)
-    enough = judged.count()[judged.model[tested[0]], :SCORED_CLUSTERS] >= LEAST_RIDES
-    means = compute_group_means(error[known], judged.cluster[tested[known]], SCORED_CLUSTERS)[enough]
+    enough = evaluated.count()[evaluated.model[tested[0]], :SCORED_CLUSTERS] >= LEAST_RIDES
+    means = compute_group_means(error[known], evaluated.cluster[tested[known]], SCORED_CLUSTERS)[enough]
     return float(np.nanmean(means)) if np.any(~np.isnan(means)) else np.nan
 
 
 def tabulate_learning_curves(found: Mapping[tuple[str, str], Floats | str]) -> tuple[dict[str, Any], list[str]]:
-    """Return the curves by vehicle model and learner, and notes of what failed."""
+    """Return the curves by vehicle model and learner, and notes on those that failed."""
     table: dict[str, Any] = {}
     notes = []
     for (name, learner), errors in found.items():
@@ -214,7 +215,7 @@ def tabulate_learning_curves(found: Mapping[tuple[str, str], Floats | str]) -> t
 
 
 def _select_benchmark(rows: Mapping[str, list[dict[str, Any]]]) -> dict[str, list[dict[str, Any]]]:
-    """Return the line to beat: at each point the better of both ways."""
+    """Return the benchmark: at each point the smaller error of both ways."""
     if BENCHMARK_UNCHANGED not in rows or BENCHMARK_REFITTED not in rows:
         return {}
     pairs = zip(rows[BENCHMARK_UNCHANGED], rows[BENCHMARK_REFITTED], strict=True)

@@ -1,7 +1,7 @@
-"""The whole evaluation: the paper's sections 3 to 5 on a ride table, and past them.
+"""Run the whole evaluation: sections 3 to 5 of the paper on a ride table, and analyses beyond the paper.
 
-`evaluate` draws the splits, runs every recipe on every one of them in parallel, and makes the result: a plain dict that
-`--json` writes and reports read. The same seed gives the same result, whatever the number of processes.
+`evaluate` draws the splits, runs every recipe on each of them in parallel, and returns the result: a plain dict that
+`--json` writes and reports read. The same seed gives the same result for any number of processes.
 """
 
 from collections.abc import Callable, Hashable, Mapping
@@ -22,32 +22,32 @@ from core.models.features import list_raw_columns
 from core.stats.splits import REPEATS, TEST_SHARE, Split, split_by_date, split_by_ride, split_by_vehicle
 
 SEGMENTS: Final = "segment_network"
-"""Name of the reference that needs the window table."""
+"""Name of the reference recipe that needs the window table."""
 ONE_VEHICLE_MODEL: Final = "one vehicle model only: nothing to train on for a new one"
 ONE_CAR: Final = "no vehicle model has two cars: no split by vehicle"
 ONE_DATE: Final = "one date only: no split by date"
 
 Kind = str
 Run = tuple[Kind, Hashable, str]
-"""Kind of split, which of them, and recipe."""
+"""Kind of split, key of the split, and recipe."""
 
 
 def select_recipes(names: str | None, windows: pd.DataFrame | None, seed: int = 0) -> dict[str, EvaluatedRecipe]:
-    """Return recipes to judge by their names.
+    """Return recipes by name.
 
     Parameters
     ----------
     names : str, optional
-        With commas between them; all where not given.
+        Names separated by commas; by default all recipes.
     windows : DataFrame, optional
         The window table, which the segment model needs.
     seed : int
-        Of the segment model.
+        Seed of the segment model.
 
     Raises
     ------
     SettingsError
-        Where a name is unknown, or the segment model is asked for and there are no windows.
+        Where a name is unknown, or the segment model is named and there are no windows.
     """
     known: dict[str, EvaluatedRecipe] = dict(RECIPES)
     if windows is not None:
@@ -78,23 +78,23 @@ def evaluate(
 
     Parameters
     ----------
-    rides : DataFrame
-        As `core.totals.tables.ride_table` makes it.
-    recipes : mapping of str to Fittable
-        Those of `select_recipes`.
+    rides : (n, columns) DataFrame
+        A ride table, as `core.totals.tables.ride_table` makes it.
+    recipes : mapping of str to EvaluatedRecipe
+        Recipes of `select_recipes`.
     seed : int
-        Of splits and draws.
+        Seed of splits and draws.
     repeats : int
-        Splits by ride; one gives no intervals.
+        Number of splits by ride; a single one gives no intervals.
     jobs : int
-        Processes.
+        Number of processes.
     progress : callable, optional
-        Called with the number of runs that are done, and of all.
+        Called with the number of finished runs and the number of all runs.
 
     Raises
     ------
     ModelError
-        Where the table cannot be judged, lacks a column that a recipe reads, or no recipe can be fitted to it.
+        Where the table cannot be evaluated, lacks a column that a recipe reads, or no recipe can be fitted to it.
     """
     table = filter_rides(rides)
     _check_columns(recipes, table)
@@ -120,7 +120,7 @@ def evaluate(
 
 
 def _check_columns(recipes: Mapping[str, EvaluatedRecipe], table: EvaluatedRides) -> None:
-    """Refuse, before minutes of work, a table that lacks a column of a recipe's terms."""
+    """Refuse, before any run, a table that lacks a column of a recipe's terms."""
     for name, recipe in recipes.items():
         for term in getattr(recipe, "terms", ()):
             for column in (raw for read in term.columns for raw in list_raw_columns(read)):
@@ -150,7 +150,7 @@ def _held(
     recipes: Mapping[str, EvaluatedRecipe],
     table: EvaluatedRides,
 ) -> HeldOutPredictions:
-    """Return what was said on splits of a kind, by recipes in order."""
+    """Return the predictions on the splits of a kind, with recipes in order."""
     return select_comparable({name: [done[kind, key, name] for key in splits] for name in recipes}, len(table.rides))
 
 
@@ -161,7 +161,7 @@ def _tables(
     seed: int,
     repeats: int,
 ) -> dict[str, Any]:
-    """Return everything that follows from predictions."""
+    """Return every table that follows from predictions."""
     ride = held["ride"]
     found: dict[str, Any] = {"about": results.describe_evaluation(table, seed, repeats, TEST_SHARE)}
     found |= results.compute_tables_2_and_3(table)
@@ -190,7 +190,7 @@ def _tables(
 
 
 def concatenate_held_out(parts: Mapping[Any, HeldOutPredictions]) -> HeldOutPredictions:
-    """Return predictions of several kinds of splits as those of one, for the recipes that are in all of them."""
+    """Return the predictions of several sets as one, for the recipes that are in all of them."""
     held = list(parts.values())
     recipes = tuple(r for r in held[0].recipes if all(r in h.recipes for h in held)) if held else ()
     return HeldOutPredictions(
@@ -204,14 +204,14 @@ def concatenate_held_out(parts: Mapping[Any, HeldOutPredictions]) -> HeldOutPred
 
 
 def _averages(mae: Mapping[str, Any], table: EvaluatedRides) -> dict[str, dict[str, float]]:
-    """Return the starred averages alone."""
+    """Return only the post-stratified averages."""
     return {recipe: {m: rows[m]["average"]["value"] for m in table.vehicle_models} for recipe, rows in mae.items()}
 
 
 def _notes(
     splits: Mapping[Kind, Any], held: Mapping[Kind, HeldOutPredictions], new: Mapping[Any, HeldOutPredictions]
 ) -> list[str]:
-    """Return what was left out and why; of recipes that have no part in anything, once."""
+    """Return what was left out and why; a recipe that was left out everywhere is noted once."""
     notes = []
     for kind, why in (("vehicle", ONE_CAR), ("date", ONE_DATE), ("new", ONE_VEHICLE_MODEL)):
         if not splits[kind]:

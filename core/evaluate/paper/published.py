@@ -1,7 +1,7 @@
-"""What the paper published, to stand beside what is measured here: typed access to `paper.toml`.
+"""Give typed access to the figures that the paper published, kept in `paper.toml`.
 
-The paper's data are its company's own rides, which are not published. So its figures are for orientation: equal ones
-would not mean equal data, and unequal ones no error.
+The paper's data are rides of its own company and are not published. Its figures are therefore for orientation:
+agreement does not mean equal data, and disagreement is no error.
 """
 
 import tomllib
@@ -18,7 +18,7 @@ AVERAGE: Final = "average"
 """Column of Tables 3 to 11: mean over clusters."""
 
 PHYSICAL: Final = "basic_physical"
-"""The recipe that the paper's reductions are against."""
+"""Recipe to which the paper's reductions refer."""
 
 Quantity = Literal["rides", "consumption", "test_consumption", "mae", "new_vehicle_mae", "new_vehicle_relative"]
 
@@ -29,11 +29,11 @@ class PublishedFigure(NamedTuple):
     Parameters
     ----------
     value : float
-        In the unit of its table.
+        Value, in the unit of its table.
     ci95 : float or None
         Half width of its 95 % confidence interval, where the paper gives one.
     text : str
-        As it was printed, with its digits.
+        Text as printed, with its digits.
     table : int
         Number of its table.
     """
@@ -45,7 +45,7 @@ class PublishedFigure(NamedTuple):
 
 
 class PaperModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A vehicle model of the paper: its name there, and the keys of the catalogue that it may stand for."""
+    """A vehicle model of the paper: its name there, and the catalogue keys of comparable vehicles."""
 
     name: str
     catalogue: tuple[str, ...]
@@ -57,13 +57,13 @@ class PaperTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     Parameters
     ----------
     number : int
-        In the paper.
+        Number in the paper.
     quantity : str
-        What its figures are.
+        Quantity of its figures.
     recipe : str, optional
-        Whose errors they are, in Tables 5 to 11.
+        Recipe whose errors it holds, in Tables 5 to 11.
     unit : str
-        As pint spells it.
+        Unit, in pint's notation.
     rows : mapping
         Vehicle model of the paper, or `WEIGHTED` -> column -> figure as printed.
     """
@@ -76,7 +76,7 @@ class PaperTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class PaperStatement(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A figure in the text of the paper, in its unit; what it is of, in our words."""
+    """A figure in the text of the paper: its value, unit and section, and what it refers to, in our words."""
 
     value: float
     unit: str
@@ -85,18 +85,18 @@ class PaperStatement(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class PaperFinding(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A finding in the text that is no figure, in our words.
+    """A qualitative finding in the text of the paper, in our words.
 
     Parameters
     ----------
     name : {"dominates", "rfecv", "rfe", "new_vehicle"}
-        What it is about.
+        Subject of the finding.
     section : str
-        Where it stands.
+        Section of the paper.
     vehicle_model : str, optional
-        Of the paper, where it is of one only.
+        Vehicle model of the paper, where the finding refers to one only.
     recipes, terms : tuple of str
-        What it names.
+        Recipes and terms that it names.
     says : str
         The finding.
     """
@@ -110,7 +110,7 @@ class PaperFinding(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 class Paper(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """All that is kept of the paper."""
+    """All published figures and findings of the paper."""
 
     title: str
     vehicle_models: dict[str, PaperModel]
@@ -121,7 +121,7 @@ class Paper(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @cache
 def load_paper() -> Paper:
-    """Return all that is kept of the paper.
+    """Return all published figures and findings of the paper.
 
     Examples
     --------
@@ -133,7 +133,7 @@ def load_paper() -> Paper:
 
 
 def find_paper_key(vehicle_model: str) -> str | None:
-    """Return the paper's vehicle model that one of the catalogue may be set beside, None where it has none.
+    """Return the paper's vehicle model that is comparable to one of the catalogue; None where there is none.
 
     Examples
     --------
@@ -151,34 +151,34 @@ def get_ride_count(vehicle_model: str, cluster: str) -> PublishedFigure | None:
 
 
 def get_consumption(vehicle_model: str, cluster: str) -> PublishedFigure | None:
-    """Return the mean consumption of a ride in kWh, Table 3; the cluster may be `AVERAGE`."""
+    """Return the mean consumption of a ride, Table 3; the cluster may be `AVERAGE`. [kWh]"""
     return _figure("consumption", vehicle_model, cluster)
 
 
 def get_test_consumption(vehicle_model: str, cluster: str) -> PublishedFigure | None:
-    """Return the mean consumption of a ride of the test sets in kWh, Table 4.
+    """Return the mean consumption of a ride of the test sets, Table 4. [kWh]
 
     Parameters
     ----------
     vehicle_model : str
         Key of the catalogue, or `WEIGHTED`.
     cluster : str
-        Such as `0-5`, or `AVERAGE`.
+        A cluster such as `0-5`, or `AVERAGE`.
     """
     return _figure("test_consumption", vehicle_model, cluster)
 
 
 def get_mae(recipe: str, vehicle_model: str, cluster: str) -> PublishedFigure | None:
-    """Return a mean absolute error in kWh, Tables 5 to 11; None where the paper has none.
+    """Return a mean absolute error, Tables 5 to 11; None where the paper has none. [kWh]
 
     Parameters
     ----------
     recipe : str
-        Of the paper's seven.
+        One of the paper's seven recipes.
     vehicle_model : str
         Key of the catalogue, or `WEIGHTED`.
     cluster : str
-        Such as `0-5`, or `AVERAGE`.
+        A cluster such as `0-5`, or `AVERAGE`.
 
     Examples
     --------
@@ -189,7 +189,7 @@ def get_mae(recipe: str, vehicle_model: str, cluster: str) -> PublishedFigure | 
 
 
 def get_new_vehicle_mae(recipe: str, vehicle_model: str) -> PublishedFigure | None:
-    """Return the error in kWh on a vehicle model left out of training, Table 12."""
+    """Return the error on a vehicle model left out of training, Table 12. [kWh]"""
     return _figure("new_vehicle_mae", vehicle_model, recipe)
 
 
@@ -204,7 +204,7 @@ def get_table_number(recipe: str) -> int | None:
 
 
 def get_reduction(recipe: str, vehicle_model: str) -> float | None:
-    """Return by what share a recipe's average error is below that of the basic physical model.
+    """Return by which share a recipe's average error is below that of the basic physical model.
 
     The paper does not print it: it follows from the averages of Tables 5 to 11, which are rounded to 0.01 kWh.
     """
@@ -212,14 +212,14 @@ def get_reduction(recipe: str, vehicle_model: str) -> float | None:
 
 
 def get_new_vehicle_reduction(recipe: str, vehicle_model: str) -> float | None:
-    """Return the same share on a vehicle model left out of training, as it follows from Table 12."""
+    """Return the same share on a vehicle model left out of training, which follows from Table 12."""
     return _reduction(get_new_vehicle_mae(PHYSICAL, vehicle_model), get_new_vehicle_mae(recipe, vehicle_model))
 
 
 def get_relative_error(recipe: str, cluster: str) -> float | None:
-    """Return a point of the paper's Figure 2: error over consumption, all vehicle models together.
+    """Return a point of the paper's Figure 2: error over consumption, over all vehicle models.
 
-    The paper prints it as a curve only: it follows from the weighted rows of Table 4 and Tables 5 to 11.
+    The paper prints a curve only: the point follows from the weighted rows of Table 4 and Tables 5 to 11.
     """
     error, of = get_mae(recipe, WEIGHTED, cluster), get_test_consumption(WEIGHTED, cluster)
     return None if error is None or of is None else error.value / of.value
@@ -237,7 +237,7 @@ def get_statement(name: str) -> PaperStatement:
 
 
 def get_findings(name: str) -> tuple[PaperFinding, ...]:
-    """Return the findings of a name: `dominates`, `rfecv`, `rfe`, `new_vehicle`."""
+    """Return the findings of a name: `dominates`, `rfecv`, `rfe` or `new_vehicle`."""
     return tuple(finding for finding in load_paper().findings if finding.name == name)
 
 
@@ -247,7 +247,7 @@ def _reduction(reference: PublishedFigure | None, error: PublishedFigure | None)
 
 
 def _figure(quantity: Quantity, vehicle_model: str, column: str, recipe: str | None = None) -> PublishedFigure | None:
-    """Return a figure by its quantity, row and column, None where the paper leaves it out."""
+    """Return a figure by quantity, row and column; None where the paper has none."""
     row = find_paper_key(vehicle_model)
     return None if row is None else _figures().get((quantity, recipe, row, column))
 
@@ -264,6 +264,6 @@ def _figures() -> Mapping[tuple[str, str | None, str, str], PublishedFigure]:
 
 
 def _published(text: str, table: int) -> PublishedFigure:
-    """Return a figure from its text: `value` or `value ± ci95`."""
+    """Return a figure from its text, `value` or `value ± ci95`."""
     value, _, ci95 = text.partition(" ± ")
     return PublishedFigure(float(value), float(ci95) if ci95 else None, text, table)

@@ -1,4 +1,4 @@
-"""From predictions to the result of an evaluation: a plain dict, which `--json` writes and reports read."""
+"""Compute the result of an evaluation from predictions: a plain dict, which `--json` writes and reports read."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -21,27 +21,27 @@ from core.stats import multiple_testing
 from core.stats.scores import Estimate, average_over_repeats, combine_strata, compute_group_means
 
 REFERENCE: Final = "basic_physical"
-"""Recipe that reductions are against."""
+"""Recipe to which reductions refer."""
 ALL: Final = "all"
-"""Stands for all vehicle models together in the difference score."""
+"""Key of all vehicle models together in the difference score."""
 
 
-def describe_evaluation(judged: EvaluatedRides, seed: int, repeats: int, test_share: float) -> dict[str, Any]:
-    """Return what was evaluated."""
-    dates = judged.rides["date"]
+def describe_evaluation(evaluated: EvaluatedRides, seed: int, repeats: int, test_share: float) -> dict[str, Any]:
+    """Return which rides were evaluated, and how they were split."""
+    dates = evaluated.rides["date"]
     return {
-        "rides": judged.read,
-        "fit": len(judged.rides),
-        "unfit": judged.unfit,
+        "rides": evaluated.read,
+        "fit": len(evaluated.rides),
+        "unfit": evaluated.unfit,
         "seed": seed,
         "repeats": repeats,
         "test_share": test_share,
-        "vehicle_models": list(judged.vehicle_models),
+        "vehicle_models": list(evaluated.vehicle_models),
         "clusters": list(CLUSTERS[:SCORED_CLUSTERS]),
         "first_date": str(dates.min()),
         "last_date": str(dates.max()),
-        "energy_source": _sources(judged.rides),
-        "vehicles": int(judged.rides["vehicle_id"].nunique()),
+        "energy_source": _sources(evaluated.rides),
+        "vehicles": int(evaluated.rides["vehicle_id"].nunique()),
     }
 
 
@@ -54,38 +54,42 @@ def _sources(rides: pd.DataFrame) -> dict[str, float]:
     return found
 
 
-def compute_tables_2_and_3(judged: EvaluatedRides) -> dict[str, Any]:
+def compute_tables_2_and_3(evaluated: EvaluatedRides) -> dict[str, Any]:
     """Return `rides` and `consumption`: number and mean energy of rides by vehicle model and cluster."""
-    models, many = len(judged.vehicle_models), len(CLUSTERS)
-    count = judged.count()
-    means = compute_group_means(judged.energy, judged.model * many + judged.cluster, models * many).reshape(
+    models, many = len(evaluated.vehicle_models), len(CLUSTERS)
+    count = evaluated.count()
+    means = compute_group_means(evaluated.energy, evaluated.model * many + evaluated.cluster, models * many).reshape(
         models, many
     )
     rides, consumption = {}, {}
-    for i, name in enumerate(judged.vehicle_models):
+    for i, name in enumerate(evaluated.vehicle_models):
         rides[name] = {**dict(zip(CLUSTERS, count[i].tolist(), strict=True)), "total": int(count[i].sum())}
         known = means[i][~np.isnan(means[i])]
         consumption[name] = {**dict(zip(CLUSTERS, means[i].tolist(), strict=True)), "average": float(known.mean())}
     return {"rides": rides, "consumption": consumption}
 
 
-def compute_tables_4_to_11(held: HeldOutPredictions, judged: EvaluatedRides) -> dict[str, Any]:
+def compute_tables_4_to_11(held: HeldOutPredictions, evaluated: EvaluatedRides) -> dict[str, Any]:
     """Return `test_consumption`, `mae`, and what follows from them: `reduction` and `relative`."""
-    used = estimate_cells(compute_cell_means(held, judged, [judged.energy[rows] for rows in held.rows]), held.overlap)
+    used = estimate_cells(
+        compute_cell_means(held, evaluated, [evaluated.energy[rows] for rows in held.rows]), held.overlap
+    )
     grids = {
-        r: estimate_cells(compute_cell_means(held, judged, compute_absolute_errors(held, judged, r)), held.overlap)
+        r: estimate_cells(
+            compute_cell_means(held, evaluated, compute_absolute_errors(held, evaluated, r)), held.overlap
+        )
         for r in held.recipes
     }
     found: dict[str, Any] = {
-        "test_consumption": tabulate_estimates(used, judged),
-        "mae": {recipe: tabulate_estimates(estimates, judged) for recipe, estimates in grids.items()},
+        "test_consumption": tabulate_estimates(used, evaluated),
+        "mae": {recipe: tabulate_estimates(estimates, evaluated) for recipe, estimates in grids.items()},
         "relative": {
             recipe: {
                 name: error.value / mean.value
                 for name, error, mean in zip(
                     CLUSTERS[:SCORED_CLUSTERS],
-                    average_over_vehicle_models(estimates, judged),
-                    average_over_vehicle_models(used, judged),
+                    average_over_vehicle_models(estimates, evaluated),
+                    average_over_vehicle_models(used, evaluated),
                     strict=True,
                 )
             }
@@ -95,19 +99,20 @@ def compute_tables_4_to_11(held: HeldOutPredictions, judged: EvaluatedRides) -> 
     means = {
         recipe: [average.value for average in average_over_clusters(estimates)] for recipe, estimates in grids.items()
     }
-    return found | {"reduction": compute_reductions(means, judged.vehicle_models)}
+    return found | {"reduction": compute_reductions(means, evaluated.vehicle_models)}
 
 
 def compute_reductions(
     means: Mapping[str, Sequence[float]], vehicle_models: Sequence[str]
 ) -> dict[str, dict[str, float]]:
-    """Return by what share the error of each recipe is below the reference's, and the mean over vehicle models.
+    """Return by which share the error of each recipe is below the reference's, and the mean over vehicle models.
 
     Parameters
     ----------
     means : mapping of str to (vehicle models,) float
-        Errors of each recipe. Without the reference among them there is nothing to return.
+        Errors of each recipe. Without the reference the result is empty. [kWh]
     vehicle_models : sequence of str
+        Vehicle models.
     """
     if REFERENCE not in means:
         return {}
@@ -121,18 +126,26 @@ def compute_reductions(
     return found
 
 
-def compute_difference_scores(held: HeldOutPredictions, judged: EvaluatedRides) -> dict[str, Any]:
+def compute_difference_scores(held: HeldOutPredictions, evaluated: EvaluatedRides) -> dict[str, Any]:
     """Return `difference` and `dominates` of each vehicle model and of all together.
 
-    `value`, `ci95` and `p` of a pair `a|b` are of the mean over rides of the error of a less that of b, and `average`
-    holds the same for the post-stratified average over clusters, the starred one; `p` is adjusted over all pairs. Who
-    dominates follows from the mean over rides, `dominates_average` from the starred average.
+    Parameters
+    ----------
+    held : HeldOutPredictions
+    evaluated : EvaluatedRides
+
+    Returns
+    -------
+    dict
+        `difference`: for each pair `a|b` the `value`, `ci95` and `p` of the mean over rides of the error of a less
+        that of b; `average` holds the same for the post-stratified average over clusters. `p` is adjusted over all
+        pairs. `dominates` follows from the mean over rides, `dominates_average` from the average over clusters.
     """
-    ridden = {r: _per_ride(held, judged, compute_absolute_errors(held, judged, r)) for r in held.recipes}
-    scored = {r: compute_cell_means(held, judged, compute_absolute_errors(held, judged, r)) for r in held.recipes}
+    ridden = {r: _per_ride(held, evaluated, compute_absolute_errors(held, evaluated, r)) for r in held.recipes}
+    scored = {r: compute_cell_means(held, evaluated, compute_absolute_errors(held, evaluated, r)) for r in held.recipes}
     pairs = multiple_testing.list_pairs(held.recipes)
     by_model: list[tuple[dict[Any, Estimate], dict[Any, Estimate]]] = []
-    for m in range(len(judged.vehicle_models)):
+    for m in range(len(evaluated.vehicle_models)):
         rides = {(a, b): average_over_repeats(ridden[a][:, m] - ridden[b][:, m], held.overlap) for a, b in pairs}
         average = {
             (a, b): combine_strata(
@@ -144,13 +157,13 @@ def compute_difference_scores(held: HeldOutPredictions, judged: EvaluatedRides) 
             for a, b in pairs
         }
         by_model.append((rides, average))
-    weights = judged.count().sum(axis=1).tolist()
+    weights = evaluated.count().sum(axis=1).tolist()
     together = (
         {pair: combine_strata([of[0][pair] for of in by_model], weights) for pair in pairs},
         {pair: combine_strata([of[1][pair] for of in by_model]) for pair in pairs},
     )
     found: dict[str, Any] = {"difference": {}, "dominates": {}, "dominates_average": {}}
-    names = [*judged.vehicle_models, ALL]
+    names = [*evaluated.vehicle_models, ALL]
     for i, (name, (rides, average)) in enumerate(zip(names, [*by_model, together], strict=True)):
         own = slice(i, i + 1) if name != ALL else slice(None)
         found["difference"][name] = _pairs(rides, average)
@@ -164,16 +177,19 @@ def compute_difference_scores(held: HeldOutPredictions, judged: EvaluatedRides) 
     return found
 
 
-def _per_ride(held: HeldOutPredictions, judged: EvaluatedRides, values: Sequence[Floats]) -> Floats:
+def _per_ride(held: HeldOutPredictions, evaluated: EvaluatedRides, values: Sequence[Floats]) -> Floats:
     """Return means over the rides of each vehicle model, (repeats, vehicle models)."""
-    models = len(judged.vehicle_models)
+    models = len(evaluated.vehicle_models)
     return np.array(
-        [compute_group_means(value, judged.model[rows], models) for rows, value in zip(held.rows, values, strict=True)]
+        [
+            compute_group_means(value, evaluated.model[rows], models)
+            for rows, value in zip(held.rows, values, strict=True)
+        ]
     )
 
 
 def _mean(values: Floats, weights: Sequence[float]) -> float:
-    """Return the mean over repeats, then over vehicle models by their rides, of what is known."""
+    """Return the mean of known values over repeats, then over vehicle models weighted by their rides."""
     parts = [average_over_repeats(values[:, m], 0.0) for m in range(values.shape[1])]
     return combine_strata(parts, weights).value
 
@@ -192,7 +208,7 @@ def _pairs(rides: Mapping[Any, Estimate], average: Mapping[Any, Estimate]) -> di
 
 
 def to_json_values(value: Any) -> Any:
-    """Return a result as JSON has it: plain numbers, None for what is not known.
+    """Return a result with the values that JSON knows: plain numbers, and None for what is unknown.
 
     Examples
     --------
@@ -208,13 +224,13 @@ def to_json_values(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-def compute_pooled_average(held: HeldOutPredictions, judged: EvaluatedRides, recipe: str) -> list[float]:
-    """Return the error over all folds together, averaged over clusters, of each vehicle model. [kWh]
+def compute_pooled_average(held: HeldOutPredictions, evaluated: EvaluatedRides, recipe: str) -> list[float]:
+    """Return the error over all folds together, averaged over clusters, for each vehicle model. [kWh]
 
-    A cluster counts where the table has rides enough and the folds held out any of them.
+    A cluster counts where the table has enough rides and the folds held out any of them.
     """
     rows = held.pooled
-    error = np.abs(held.all_of(recipe) - judged.energy[rows])
+    error = np.abs(held.all_of(recipe) - evaluated.energy[rows])
     once = HeldOutPredictions(held.recipes, (rows,), {}, {}, held.overlap, ())
-    means: Floats = compute_cell_means(once, judged, [error])[0]
+    means: Floats = compute_cell_means(once, evaluated, [error])[0]
     return [float(row[~np.isnan(row)].mean()) if np.any(~np.isnan(row)) else np.nan for row in means]

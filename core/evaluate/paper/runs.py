@@ -1,7 +1,7 @@
-"""Runs: a recipe is fitted to some rides and predicts others, many times over, on all cores.
+"""Run recipes: fit each to some rides and predict others, for many splits, on all cores.
 
-What a run gives depends on its arguments alone, and each keeps to one thread, so that results are the same whatever
-the number of workers.
+The result of a run depends on its arguments alone, and each run uses one thread, so results are the same for any number
+of workers.
 """
 
 from collections.abc import Callable, Hashable, Mapping
@@ -19,50 +19,50 @@ from core.evaluate.ride_filter import EvaluatedRides
 from core.stats.splits import Positions, Split
 
 LEVEL: Final = 0.9
-"""Probability that intervals are asked for."""
+"""Probability of the prediction intervals."""
 
 Progress = Callable[[int, int], None]
-"""Called with the number of runs that are done, and of all."""
+"""Called with the number of finished runs and the number of all runs."""
 
 Key = TypeVar("Key", bound=Hashable)
 Result = TypeVar("Result")
 
 
 class FittedModel(Protocol):
-    """What a recipe gives: a model."""
+    """The model that a recipe returns."""
 
     def predict(self, columns: Any) -> Floats:
         """Return the energy of rides. [kWh]"""
 
 
 class EvaluatedRecipe(Protocol):
-    """What is judged: a recipe, as a black box."""
+    """A recipe, treated as a black box."""
 
     @property
     def name(self) -> str:
-        """In results."""
+        """Key in results."""
 
     @property
     def title(self) -> str:
-        """For people, as the paper has it."""
+        """Title for readers, as in the paper."""
 
     def fit(self, rides: pd.DataFrame) -> FittedModel:
         """Return a model of these rides."""
 
 
 class Prediction(NamedTuple):
-    """What a recipe said of the rides it was tested on.
+    """The predictions of a recipe for the rides of a test set.
 
     Parameters
     ----------
     rows : (n,) int64
         Positions of the rides.
     energy : (n,) float
-        NaN where it could not tell. [kWh]
+        Predicted energy; NaN where there is no prediction. [kWh]
     lower, upper : (n,) float or None
-        Its interval at `LEVEL`, where it has one. [kWh]
+        Interval at `LEVEL`, where the model has one. [kWh]
     problem : str
-        Why there is none at all; empty where there is.
+        Reason why there is no prediction at all; otherwise empty.
     """
 
     rows: Positions
@@ -72,15 +72,18 @@ class Prediction(NamedTuple):
     problem: str = ""
 
 
-def fit_and_predict(recipe: EvaluatedRecipe, judged: EvaluatedRides, split: Split) -> Prediction:
-    """Fit a recipe to the one side of a split and let it predict the other, of which it does not see the answer."""
+def fit_and_predict(recipe: EvaluatedRecipe, evaluated: EvaluatedRides, split: Split) -> Prediction:
+    """Return the predictions for the test rides of a split, from a fit to its training rides.
+
+    The model does not see the measured energy of the test rides.
+    """
     try:
-        model = recipe.fit(judged.rides.iloc[split.train])
-        asked = judged.questions().iloc[split.test]
-        energy = np.asarray(model.predict(asked), dtype=np.float64)
+        model = recipe.fit(evaluated.rides.iloc[split.train])
+        test_rides = evaluated.drop_answers().iloc[split.test]
+        energy = np.asarray(model.predict(test_rides), dtype=np.float64)
         if getattr(model, "interval", None) is None:
             return Prediction(split.test, energy)
-        lower, upper = model.predict_interval(asked, LEVEL)  # type: ignore[attr-defined]
+        lower, upper = model.predict_interval(test_rides, LEVEL)  # type: ignore[attr-defined]
         return Prediction(split.test, energy, np.asarray(lower), np.asarray(upper))
     except SocastError as error:
         return Prediction(split.test, np.full(len(split.test), np.nan), problem=str(error))
@@ -89,15 +92,16 @@ def fit_and_predict(recipe: EvaluatedRecipe, judged: EvaluatedRides, split: Spli
 def run_in_parallel(
     calls: Mapping[Key, Callable[[], Result]], jobs: int = 1, progress: Progress | None = None
 ) -> dict[Key, Result]:
-    """Return what calls give, by their keys.
+    """Return the results of calls, by their keys.
 
     Parameters
     ----------
     calls : mapping
-        Key to a call without arguments, all independent of each other. Those that take longest had better come first.
+        Key -> call without arguments. Calls are independent of each other; the longest ones should come first.
     jobs : int
-        Processes; 1 is this one.
+        Number of processes; 1 runs in this process.
     progress : callable, optional
+        Called with the number of finished runs and the number of all runs.
     """
     tell = progress or _ignore_progress
     found: dict[Key, Result] = {}
@@ -116,21 +120,21 @@ def run_in_parallel(
 
 
 def plan_runs(
-    recipes: Mapping[str, EvaluatedRecipe], judged: EvaluatedRides, splits: Mapping[Hashable, Split]
+    recipes: Mapping[str, EvaluatedRecipe], evaluated: EvaluatedRides, splits: Mapping[Hashable, Split]
 ) -> dict[tuple[Hashable, str], Callable[[], Prediction]]:
-    """Return the calls that judge every recipe on every split, by split and recipe; the last recipes first."""
+    """Return the calls that run every recipe on every split, by split and recipe; the last recipes come first."""
     return {
-        (key, name): partial(fit_and_predict, recipe, judged, split)
+        (key, name): partial(fit_and_predict, recipe, evaluated, split)
         for name, recipe in reversed(list(recipes.items()))
         for key, split in splits.items()
     }
 
 
 def _in_one_thread(call: Callable[[], Result]) -> Result:
-    """Return what a call gives, with linear algebra kept to one thread, so that sums are always added alike."""
+    """Return the result of a call with linear algebra on one thread, so that the order of sums is always the same."""
     with threadpool_limits(1):
         return call()
 
 
 def _ignore_progress(_done: int, _of: int) -> None:
-    """Tell nobody."""
+    """Report no progress."""

@@ -1,13 +1,14 @@
-"""Which terms of the hybrid model can go, section 5.2 of the paper.
+"""Find the terms of the hybrid model that can be removed, section 5.2 of the paper.
 
-Terms are ranked by recursive elimination: fit, take out the term of least standardised coefficient, fit again. RFECV
-keeps as many as have the least error in cross-validation. RFE goes further: terms are taken out in that order as long
-as the difference score does not find the model worse than the whole one.
+Recursive elimination ranks the terms: fit, remove the term of smallest standardised coefficient, fit again. RFECV keeps
+as many terms as give the least cross-validated error. RFE goes further: it removes terms in that order as long as the
+difference score does not find the model worse than the full one.
 
-Half of the rides rank the terms, the other half judge what taking them out costs, so that no term is chosen and judged
-on the same rides. Columns are standardised, and fitted for each vehicle model on its own, as the hybrid model is; the
-rank of a term is by the root mean square of its coefficients over vehicle models, by their rides. Collinear terms share
-what they explain (`core.fit.regression`), so each of them seems weaker than it is, and one of them can always go.
+Half of the rides rank the terms. The other half measures the cost of removing them, so no term is chosen and evaluated
+on the same rides. Columns are standardised, and fitted for each vehicle model separately, as in the hybrid model. The
+rank of a term follows from the root mean square of its coefficients over vehicle models, weighted by their rides.
+Collinear terms share what they explain (`core.fit.regression`), so each of them appears weaker than it is, and one of
+them can always be removed.
 
 References
 ----------
@@ -37,22 +38,21 @@ from core.stats.splits import Positions, Split, split_by_ride
 
 RECIPE: Final = "hybrid"
 MOST_RIDES: Final = 20_000
-"""Rides that are used; of more, some drawn at random."""
+"""Largest number of rides used; of more, a random sample is drawn."""
 RIDES_PER_TERM: Final = 10
 """Rides for each term that a vehicle model needs in either half to take part."""
 FOLDS: Final = 5
-"""Of the cross-validation."""
+"""Number of folds of the cross-validation."""
 REPEATS: Final = 10
-"""Splits of the half that judges."""
+"""Number of splits of the half that measures the cost."""
 KEPT_IMPORTANCE: Final = 1e100
-"""Importance of what is not to be eliminated."""
+"""Importance of a column that must not be eliminated."""
 
 
 class VehicleModelRegression(RegressorMixin, BaseEstimator):  # type: ignore[misc]
-    """Least squares with a constant, for each vehicle model on its own.
+    """Least squares with a constant, for each vehicle model separately.
 
-    The first column is the position of the vehicle model; its importance is `KEPT_IMPORTANCE`, so that elimination
-    keeps it.
+    The first column is the position of the vehicle model; its importance is `KEPT_IMPORTANCE`, so elimination keeps it.
     """
 
     def fit(self, x: Floats, y: Floats) -> Self:
@@ -70,7 +70,7 @@ class VehicleModelRegression(RegressorMixin, BaseEstimator):  # type: ignore[mis
         return self
 
     def predict(self, x: Floats) -> Floats:
-        """Return energies, NaN for a vehicle model that was not fitted."""
+        """Return energies; NaN for a vehicle model that was not fitted. [kWh]"""
         found = np.full(len(x), np.nan)
         for model, (coefficients, constant) in self.coefficients_.items():
             own = x[:, 0] == model
@@ -79,14 +79,14 @@ class VehicleModelRegression(RegressorMixin, BaseEstimator):  # type: ignore[mis
 
 
 class Design(NamedTuple):
-    """Rides as a linear model sees them.
+    """Rides as a linear model reads them.
 
     Parameters
     ----------
     table : (n, 1 + p) float
         Position of the vehicle model, and the terms, standardised within it.
     energy : (n,) float
-        [kWh]
+        Measured energy. [kWh]
     strata : list of n (str, int)
         Vehicle model and distance cluster.
     """
@@ -96,33 +96,40 @@ class Design(NamedTuple):
     strata: list[tuple[str, int]]
 
     def part(self, rows: Positions) -> "Design":
-        """Return some of the rides."""
+        """Return the design of some rides."""
         return Design(self.table[rows], self.energy[rows], [self.strata[i] for i in rows.tolist()])
 
 
-def plan_selection(judged: EvaluatedRides, recipes: Mapping[str, Any], seed: int) -> dict[str, Callable[[], Any]]:
-    """Return the call that finds which terms can go, by recipe; none where the recipe is not judged."""
+def plan_selection(evaluated: EvaluatedRides, recipes: Mapping[str, Any], seed: int) -> dict[str, Callable[[], Any]]:
+    """Return the call that finds removable terms, by recipe; empty where the recipe is not evaluated."""
     recipe = recipes.get(RECIPE)
-    return {RECIPE: partial(find_removable_terms, recipe, judged, seed)} if isinstance(recipe, LinearRecipe) else {}
+    return {RECIPE: partial(find_removable_terms, recipe, evaluated, seed)} if isinstance(recipe, LinearRecipe) else {}
 
 
-def find_removable_terms(recipe: LinearRecipe, judged: EvaluatedRides, seed: int) -> dict[str, Any]:
-    """Return which terms can be taken out of a recipe.
+def find_removable_terms(recipe: LinearRecipe, evaluated: EvaluatedRides, seed: int) -> dict[str, Any]:
+    """Return the terms that can be removed from a recipe.
+
+    Parameters
+    ----------
+    recipe : LinearRecipe
+    evaluated : EvaluatedRides
+    seed : int
+        Seed of the random halves and folds.
 
     Returns
     -------
     dict
-        `constant`: terms that do not vary within any vehicle model, and so can go before anything is tried. `rfecv`:
-        `removed` terms; `scores`, the cross-validated error in the half that ranks by number of terms; `loss`, what
-        removing them costs in the half that judges. `rfe`: `removed` terms; `steps`, each the term that goes next and
-        the `loss` with it and all before it gone; `loss`, that of all that are removed, None where none is. A loss is a
-        difference of mean absolute errors in kWh, with its `ci95` and `p`. Empty where there are too few rides.
+        `constant`: terms that do not vary within any vehicle model. `rfecv`: `removed` terms; `scores`, the
+        cross-validated error by number of terms in the half that ranks; `loss`, the cost of removing them in the other
+        half. `rfe`: `removed` terms; `steps`, each with the next term and the `loss` with it and all before it removed;
+        `loss` of all removed terms, None where there are none. A loss is a difference of mean absolute errors [kWh]
+        with its `ci95` and `p`. The dict is empty where there are too few rides.
     """
     terms = tuple(term for term in recipe.terms if term.columns)
-    rides, halves = _halves(judged, len(terms), seed)
+    rides, halves = _halves(evaluated, len(terms), seed)
     if not len(rides):
         return {}
-    whole = _design(recipe, terms, judged, rides, halves)
+    whole = _design(recipe, terms, evaluated, rides, halves)
     varies = np.ptp(whole.table[:, 1:], axis=0) > 0.0
     whole = whole._replace(table=whole.table[:, np.append(True, varies)])
     names = np.array([term.name for term in terms])
@@ -131,7 +138,7 @@ def find_removable_terms(recipe: LinearRecipe, judged: EvaluatedRides, seed: int
 
 
 def rank_terms(rides: Design, names: Sequence[str], seed: int) -> dict[str, Any]:
-    """Return what elimination says: `order` in which terms go, those `cut` by cross-validation, and its `scores`."""
+    """Return the `order` in which terms are eliminated, those `cut` by cross-validation, and its `scores`."""
     options: dict[str, Any] = {"importance_getter": "importance_"}
     order = RFE(VehicleModelRegression(), n_features_to_select=2, **options).fit(rides.table, rides.energy)
     folds = KFold(FOLDS, shuffle=True, random_state=seed)
@@ -150,7 +157,7 @@ def rank_terms(rides: Design, names: Sequence[str], seed: int) -> dict[str, Any]
 
 
 def _add_losses(found: Mapping[str, Any], names: NDArray[np.str_], design: Design, seed: int) -> dict[str, Any]:
-    """Return `rfecv` and `rfe` with what they cost on rides that had no say in them."""
+    """Return `rfecv` and `rfe` with their cost on rides that did not rank the terms."""
     order = found["order"]
     price, *steps = compute_losses(design, [found["cut"], *(order[: i + 1] for i in range(len(order)))], seed)
     gone = next((i for i, loss in enumerate(steps) if loss.value > 0.0 and loss.p < SIGNIFICANCE), len(steps))
@@ -167,14 +174,16 @@ def _add_losses(found: Mapping[str, Any], names: NDArray[np.str_], design: Desig
 
 
 def compute_losses(design: Design, removed: Sequence[Codes], seed: int) -> list[Estimate]:
-    """Return by how much the error grows when terms are taken out, over splits of these rides.
+    """Return the increase of the error when terms are removed, over splits of these rides.
 
     Parameters
     ----------
     design : Design
+        Rides.
     removed : sequence of (k,) int64
-        Positions of the terms that are taken out.
+        Positions of the removed terms.
     seed : int
+        Seed of the splits.
     """
     p = design.table.shape[1] - 1
     kept = [np.arange(p), *(np.setdiff1d(np.arange(p), gone) for gone in removed)]
@@ -185,41 +194,41 @@ def compute_losses(design: Design, removed: Sequence[Codes], seed: int) -> list[
 
 
 def _errors(design: Design, kept: Sequence[Codes], split: Split) -> Floats:
-    """Return the mean absolute error with each set of terms; the normal equations are added up once for all sets."""
+    """Return the mean absolute error with each set of terms; all sets share one sum of the normal equations."""
     found = np.zeros(len(kept))
     train, test = design.part(split.train), design.part(split.test)
     for model in np.unique(train.table[:, 0]):
-        own, asked = train.table[:, 0] == model, test.table[:, 0] == model
+        own, tested = train.table[:, 0] == model, test.table[:, 0] == model
         moments = Moments(train.table.shape[1])
         moments.add(np.column_stack([train.table[own, 1:], train.energy[own]]))
         for i, columns in enumerate(kept):
             solution = solve(moments.only([*columns.tolist(), -1]), constant=True)
-            said = test.table[asked][:, 1 + columns] @ solution.coefficients + (solution.constant or 0.0)
-            found[i] += float(np.sum(np.abs(said - test.energy[asked])))
+            said = test.table[tested][:, 1 + columns] @ solution.coefficients + (solution.constant or 0.0)
+            found[i] += float(np.sum(np.abs(said - test.energy[tested])))
     return found / len(test.energy)
 
 
-def _halves(judged: EvaluatedRides, terms: int, seed: int) -> tuple[Positions, Split]:
-    """Return the rides that take part, and the half of them that ranks (`train`) and the one that judges (`test`)."""
-    enough = np.bincount(judged.model) >= 2 * RIDES_PER_TERM * terms
-    rides = np.flatnonzero(enough[judged.model])
+def _halves(evaluated: EvaluatedRides, terms: int, seed: int) -> tuple[Positions, Split]:
+    """Return the rides that take part, with the half that ranks (`train`) and the half that measures (`test`)."""
+    enough = np.bincount(evaluated.model) >= 2 * RIDES_PER_TERM * terms
+    rides = np.flatnonzero(enough[evaluated.model])
     rides = np.sort(np.random.default_rng(seed).permutation(rides)[:MOST_RIDES])
-    strata = [(judged.vehicle_models[judged.model[i]], int(judged.cluster[i])) for i in rides.tolist()]
+    strata = [(evaluated.vehicle_models[evaluated.model[i]], int(evaluated.cluster[i])) for i in rides.tolist()]
     return rides, split_by_ride(strata, seed, repeats=1, test_share=0.5)[0]
 
 
 def _design(
-    recipe: LinearRecipe, terms: tuple[Term, ...], judged: EvaluatedRides, rides: Positions, halves: Split
+    recipe: LinearRecipe, terms: tuple[Term, ...], evaluated: EvaluatedRides, rides: Positions, halves: Split
 ) -> Design:
-    """Return rides as the recipe's fit to the half that ranks would see them."""
-    table = judged.rides.iloc[rides]
+    """Return rides as the recipe's fit to the ranking half reads them."""
+    table = evaluated.rides.iloc[rides]
     fits = recipe.fit(table.iloc[halves.train]).fits
-    model = judged.model[rides]
+    model = evaluated.model[rides]
     ranks = np.isin(np.arange(len(rides)), halves.train)
     columns = np.empty((len(rides), len(terms)))
     for code in np.unique(model).tolist():
         own = np.flatnonzero(model == code)
-        name = judged.vehicle_models[code]
+        name = evaluated.vehicle_models[code]
         fit = fits.get(name, fits[ANY])
         of: Any = table.iloc[own]
         part = build_design(terms, Columns(of, fit.fills, fit.curve), len(own))
@@ -227,9 +236,10 @@ def _design(
         scale = first.std(axis=0)
         varies = scale > 1e-9 * np.abs(first).max(axis=0, initial=0.0)
         columns[own] = np.where(varies, (part - first.mean(axis=0)) / np.where(varies, scale, 1.0), 0.0)
-    strata = [(judged.vehicle_models[code], int(judged.cluster[i])) for code, i in zip(model, rides, strict=True)]
-    return Design(np.column_stack([model.astype(np.float64), columns]), judged.energy[rides], strata)
+    strata = [(evaluated.vehicle_models[code], int(evaluated.cluster[i])) for code, i in zip(model, rides, strict=True)]
+    return Design(np.column_stack([model.astype(np.float64), columns]), evaluated.energy[rides], strata)
 
 
 def _figures(loss: Estimate) -> dict[str, float]:
+    """Return the figures of a loss."""
     return {**loss.figures(), "p": loss.p}

@@ -281,7 +281,7 @@ def test_a_model_of_another_vehicle(folder, tmp_path, capsys):
     fit = Fit(coefficients=(1.0,) * 4)
     save(msgspec.structs.replace(BASIC_PHYSICAL, fits={"bmw-i3-2014": fit}), tmp_path / "i3.json")
     told = refused(capsys, folder, "--model", tmp_path / "i3.json")
-    assert "model i3 is of bmw-i3-2014, and the rides are of " in told
+    assert "model i3 is fitted to bmw-i3-2014, and the rides are of " in told
 
 
 def test_rides_without_measured_energy(folder, tmp_path, capsys):

@@ -241,7 +241,9 @@ def test_the_worst_rides_come_first_and_relative_ones_are_well_measured():
 def test_a_model_of_other_cars_is_refused():
     rides = planted(50)
     other = model("other", EXTENDED_PHYSICAL.terms, [1.0] * 5, key="bmw-i3-2014")
-    with pytest.raises(ModelError, match=r"model other is of bmw-i3-2014, and the rides are of kia-soul-ev-2015, .*\*"):
+    with pytest.raises(
+        ModelError, match=r"model other is fitted to bmw-i3-2014, and the rides are of kia-soul-ev-2015, .*\*"
+    ):
         select_rides(rides, {"other": other})
 
 
@@ -315,10 +317,10 @@ def test_a_trace_adds_up(shift):
     assert found["models"]["plain"]["start_kwh"] == 0.0
     assert found["models"]["with"]["start_kwh"] == 0.5
     told = (
-        "with is no sum over windows: what a window adds to its prediction of the ride so far is shown, and "
-        "+0.500 kWh are said before anything is driven"
+        "with is not a sum over windows: each window shows what it adds to the prediction of the ride so far; "
+        "+0.500 kWh are predicted before the first window"
     )
-    assert [note for note in found["notes"] if "no sum over windows" in note] == [told]
+    assert [note for note in found["notes"] if "not a sum over windows" in note] == [told]
 
 
 def _with_constant():
