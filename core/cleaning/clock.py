@@ -1,31 +1,34 @@
-"""Time repair: from uneven stamps to the logger's true clock, causally.
+"""Time repair: estimate the logger's true sampling times from uneven stamps, causally.
 
-A logger takes a sample every period, but stamps it when it gets round to it: uneven, repeated, late, out of order, and
-now and then its clock is set. The true time of a sample is
+A logger takes a sample every period, but stamps it later. Stamps are uneven, repeated, late or out of order, and the
+clock is set now and then. The model of the true time of a sample is
 
-    t(n) = phase + period * k(n),    k(n) whole,
+    t(n) = phase + period * k(n),    k(n) whole.
 
-so two things are estimated: by how many whole periods `k` the sample is ahead of the one before it (from the counter
-`seq` where there is one and it does not contradict the stamp, else from the stamp), and phase and period (by a
-growing-memory g-h filter, which is least squares as long as its gains fall, floored so that it follows a drifting
-clock, with outliers clipped). A stamp that stands still says nothing.
+Two things are estimated. The first is the number of whole periods from one sample to the next: from the counter `seq`
+where there is one that does not contradict the stamp, otherwise from the stamp. The second is phase and period, by a
+growing-memory g-h filter. This filter equals least squares as long as its gains fall; a lower limit of the gains lets
+it follow a drifting clock, and outliers are clipped. A stamp equal to that of the sample before it is ignored.
 
-What error remains, for Gaussian stamps that are off by s (one standard deviation) and a period of 3 s:
+Remaining error, for a period of 3 s and Gaussian errors of the stamps with standard deviation s:
 
-- with a counter 0.19 s rms, 0.9 s at most for s of 1 s, and a drive's duration is right to 0.6 s. A clock that is set
-  costs no time: two samples coast on the old clock, then the new one is believed. A silence that the counter does not
-  count is taken for that. Samples sent again, however many, are late and nothing else;
-- without one the same for s up to 0.5 s. For 1 s it is 0.5 s rms, one sample in 40 is a period off until its
-  successors put it right (its `dt` is zero or double then), and a duration is right to 3 s; where samples are lost as
-  well, 1.2 s rms. A clock set forward cannot be told from a gap, and is taken for one. A stamp that is more than 200
-  periods ahead is not believed, and its sample not used, until the next stamp agrees: a single wild one costs what a
-  lost sample does, and a gap as long costs its first sample, or two where that one's stamp is after its successor's;
-  none is used that comes more than 200 periods after and before any other. A clock set back is believed after ten
-  samples in order; until then they are late. Fewer late samples than that are late and nothing else;
-- the mean delay of the stamps cannot be seen and stays, and the first stamp's own error stays in the time before it.
+- With a counter and s up to 1 s, the error is 0.19 s rms and at most 0.9 s. The duration of a drive is right to 0.6 s.
+  A clock that is set costs no time: two samples continue on the old clock, then the new clock is used. A silence that
+  the counter does not count is treated as a clock that was set. Samples that are sent again are marked late, however
+  many there are.
+- Without a counter, the same holds for s up to 0.5 s. For s of 1 s the error is 0.5 s rms. One sample in 40 is then
+  off by a period until later samples correct it (its `dt` is zero or double), and a duration is right to 3 s. If
+  samples are also lost, the error is 1.2 s rms.
+- Without a counter, a clock set forward cannot be distinguished from a gap and is treated as one. A stamp more than 200
+  periods ahead is not used until the next stamp agrees with it. A single wild stamp therefore costs as much as one lost
+  sample. A gap of that length costs its first sample, or two if the first stamp is later than the second. Samples of
+  which each comes more than 200 periods after any other are never used.
+- Without a counter, a clock set back is accepted after ten samples in order; until then they are marked late. Fewer
+  late samples than that have no other effect.
+- The mean delay of the stamps is not observable and remains, and so does the error of the first stamp.
 
-A period that is not the nominal one is followed from the first samples where there is a counter, to 0.4 periods and
-soon better, and is found after ten samples where there is none; no time is lost by either.
+A period other than the nominal one is followed from the first samples where there is a counter, to within 0.4 periods
+and soon better. Without a counter it is found after ten samples. Neither loses any time.
 
 References
 ----------
@@ -41,20 +44,20 @@ from numba import njit
 from core.cleaning.quality import Quality
 
 FIELDS: Final = (
-    "samples",  # accepted so far; zero means that the lane is new
+    "samples",  # number of accepted samples; zero for a new lane
     "time",  # repaired time of the last accepted sample [s]
     "period",  # estimated time between samples [s]
-    "stamp",  # of the last accepted sample [s]
-    "seq",
-    "memory",  # samples in the growing memory of the filter
-    "spread",  # running median of how far stamps are off [s]
-    "interval",  # running median of the stamps' intervals [s]
-    "intervals",  # how many it rests on
-    "misfit",  # by how much the last misfitting stamp was off [s]
-    "misfits",  # misfitting stamps in a row that agree
-    "late_stamp",  # of the last rejected sample [s]
-    "late_run",  # rejected samples in a row that are in order among themselves
-    "leap_stamp",  # of the last sample that leapt far ahead [s]
+    "stamp",  # stamp of the last accepted sample [s]
+    "seq",  # counter of the last accepted sample
+    "memory",  # number of samples in the growing memory of the filter
+    "spread",  # running median of the absolute error of stamps [s]
+    "interval",  # running median of the intervals between stamps [s]
+    "intervals",  # number of intervals in it
+    "misfit",  # error of the last misfitting stamp [s]
+    "misfits",  # number of successive misfitting stamps that agree
+    "late_stamp",  # stamp of the last rejected sample [s]
+    "late_run",  # number of successive rejected samples that are in order among themselves
+    "leap_stamp",  # stamp of the last sample that leapt far ahead [s]
 )
 
 DUPLICATE: Final = int(Quality.DUPLICATE)
@@ -64,147 +67,166 @@ CLOCK_STEP: Final = int(Quality.CLOCK_STEP)
 GAP: Final = int(Quality.GAP)
 SEQUENCE: Final = int(Quality.SEQUENCE)
 
-AGREE: Final = 3  # stamps that must agree before a clock that counts on is believed to have been set
-AGREE_BACK: Final = 10  # the same for stamps from the past, where nothing counts: they may be late ones
-MEMORY: Final = (2.0, 10.0, 80.0)  # of the filter: at first, once it has settled, at most [samples]
-LOCK: Final = 10  # intervals that the median must rest on before another period is believed
-TOLERANCE: Final = 0.5  # a stamp moved by more than this counts as repaired [s]
-LEAST_SPREAD: Final = 0.02  # [periods]
-SIGMA: Final = 1.4826  # standard deviation over median of the absolute, for a Gaussian
-BELIEVED: Final = 100.0  # a leap of the counter that is believed without a stamp [samples]
-LEAP: Final = 200.0  # a longer gap, where nothing counts, must be confirmed by a second stamp [periods]
-UNUSED: Final = -1.0  # the `dt` of a sample that is not used
+AGREE: Final = 3
+"""Number of agreeing stamps after which a clock whose counter continues counts as set."""
+AGREE_BACK: Final = 10
+"""The same for stamps from the past without a counter, as they may be late samples."""
+FIRST_MEMORY: Final = 2.0
+"""Memory of the filter at its first sample. [samples]"""
+SETTLED_MEMORY: Final = 10.0
+"""Memory from which the filter has settled. [samples]"""
+LONGEST_MEMORY: Final = 80.0
+"""Longest memory of the filter, so that it follows a drifting clock. [samples]"""
+LOCK: Final = 10
+"""Number of intervals in the median from which another period is accepted."""
+TOLERANCE: Final = 0.5
+"""Change of a stamp beyond which it counts as repaired. [s]"""
+LEAST_SPREAD: Final = 0.02
+"""Least spread of stamps. [periods]"""
+SIGMA: Final = 1.4826
+"""Ratio of the standard deviation of a Gaussian to the median of its absolute value."""
+BELIEVED: Final = 100.0
+"""Longest leap of the counter that is accepted without a stamp. [samples]"""
+LEAP: Final = 200.0
+"""Longest gap that is accepted without a counter and without confirmation by a second stamp. [periods]"""
+UNUSED: Final = -1.0
+"""The `dt` of a rejected sample."""
 
 
 @njit(cache=False, inline="never")
-def begin(s: Any, stamp: float, seq: float, period: float) -> tuple[float, int]:
-    """Start a lane's clock at its first stamp."""
+def start_clock(state: Any, stamp: float, seq: float, period: float) -> tuple[float, int]:
+    """Start the clock of a lane at its first stamp; return the time that passed and quality bits."""
     if isnan(stamp):
         return UNUSED, REPAIRED_TIME
-    s.samples = 1.0
-    s.time = s.stamp = stamp
-    s.seq = seq
-    s.period = s.interval = period
-    s.spread = 3.0 * LEAST_SPREAD * period
-    s.memory = MEMORY[0]
+    state.samples = 1.0
+    state.time = state.stamp = stamp
+    state.seq = seq
+    state.period = state.interval = period
+    state.spread = 3.0 * LEAST_SPREAD * period
+    state.memory = FIRST_MEMORY
     return 0.0, 0
 
 
 @njit(cache=False)
-def repeats(s: Any, stamp: float, seq: float, elapsed: float, same: bool) -> bool:
-    """Say whether a sample is the one before it, sent again."""
-    if not same or (not isnan(seq) and not isnan(s.seq) and seq != s.seq):
+def is_repeat(state: Any, stamp: float, seq: float, elapsed: float, same: bool) -> bool:
+    """Return whether a sample is the one before it, sent again."""
+    if not same or (not isnan(seq) and not isnan(state.seq) and seq != state.seq):
         return False
-    return stamp == s.stamp or (seq == s.seq and not elapsed > 0.5)
+    return stamp == state.stamp or (seq == state.seq and not elapsed > 0.5)
 
 
 @njit(cache=False)
-def observe_interval(s: Any, stamp: float, count: float, slipped: bool) -> None:
-    """Follow the median interval of the stamps, and lock on to a period that is not the one in use.
+def observe_interval(state: Any, stamp: float, count: float, slipped: bool) -> None:
+    """Update the median interval of the stamps, and change the period if it differs from that.
 
-    A clock of nearly the right period slips a period now and then, which its filter cannot see; the median can.
+    A clock of nearly the right period slips by a whole period now and then. The filter cannot detect that, but the
+    median can.
     """
-    interval = (stamp - s.stamp) / count
+    interval = (stamp - state.stamp) / count
     if interval <= 0.0:
         return
-    s.intervals += 1.0
-    step = max(0.01, 1.0 / s.intervals) * s.interval
-    s.interval += min(step, max(-step, interval - s.interval))
-    if s.intervals < LOCK:
+    state.intervals += 1.0
+    step = max(0.01, 1.0 / state.intervals) * state.interval
+    state.interval += min(step, max(-step, interval - state.interval))
+    if state.intervals < LOCK:
         return
-    excess = s.interval - s.period
-    if abs(excess) > 0.25 * s.period:
-        s.period = s.interval
-        s.memory = MEMORY[0]
-    elif slipped and abs(excess) > 0.04 * s.period:
-        s.period += 0.5 * excess
-        s.memory = MEMORY[1]
+    excess = state.interval - state.period
+    if abs(excess) > 0.25 * state.period:
+        state.period = state.interval
+        state.memory = FIRST_MEMORY
+    elif slipped and abs(excess) > 0.04 * state.period:
+        state.period += 0.5 * excess
+        state.memory = SETTLED_MEMORY
 
 
 @njit(cache=False)
-def correct(s: Any, error: float, count: float) -> float:
-    """Return by how much a stamp moves the clock, having learnt period and spread from it. [s]"""
-    n = s.memory
-    settled = n >= MEMORY[1]
-    s.memory = min(n + 1.0, MEMORY[2])
+def correct_clock(state: Any, error: float, count: float) -> float:
+    """Update period and spread by the error of a stamp; return the correction of the clock. [s]"""
+    n = state.memory
+    settled = n >= SETTLED_MEMORY
+    state.memory = min(n + 1.0, LONGEST_MEMORY)
     if settled:
-        clip = max(3.0 * SIGMA * s.spread, 0.15 * s.period)
+        clip = max(3.0 * SIGMA * state.spread, 0.15 * state.period)
         off = abs(error)
         error = min(clip, max(-clip, error))
-        s.spread = max(LEAST_SPREAD * s.period, s.spread * (1.05 if off > s.spread else 1.0 / 1.05))
+        state.spread = max(LEAST_SPREAD * state.period, state.spread * (1.05 if off > state.spread else 1.0 / 1.05))
     scale = 1.0 / ((n + 1.0) * (n + 2.0))
     if count >= 1.0:
         drift = 6.0 * scale * error / count
-        slow = settled or isnan(s.seq)
-        s.period += min((0.02 if slow else 10.0) * s.period, max((-0.02 if slow else -0.5) * s.period, drift))
+        slow = settled or isnan(state.seq)
+        state.period += min(
+            (0.02 if slow else 10.0) * state.period, max((-0.02 if slow else -0.5) * state.period, drift)
+        )
     return 2.0 * (2.0 * n + 1.0) * scale * error
 
 
 @njit(cache=False)
-def follow(s: Any, stamp: float, count: float) -> tuple[float, int]:
-    """Move the clock on by `count` periods, corrected by the stamp; return the time that passed and quality bits."""
-    predicted = s.time + count * s.period
+def follow_stamp(state: Any, stamp: float, count: float) -> tuple[float, int]:
+    """Advance the clock by `count` periods, corrected by the stamp; return the time that passed and quality bits."""
+    predicted = state.time + count * state.period
     error = stamp - predicted
     bits = GAP if count >= 2.0 else 0
     if isnan(stamp):
         moved = predicted
         bits |= REPAIRED_TIME
-    elif abs(error) <= s.period or (s.memory < MEMORY[1] and count >= 1.0 and abs(error) < 20.0 * s.period):
-        moved = max(s.time, predicted + correct(s, error, count))
-        s.misfits = 0.0
+    elif abs(error) <= state.period or (
+        state.memory < SETTLED_MEMORY and count >= 1.0 and abs(error) < 20.0 * state.period
+    ):
+        moved = max(state.time, predicted + correct_clock(state, error, count))
+        state.misfits = 0.0
     else:
-        agrees = abs(error - s.misfit) <= 0.2 * s.period + 3.0 * SIGMA * s.spread
-        s.misfits = s.misfits + 1.0 if agrees else 1.0
-        s.misfit = error
+        agrees = abs(error - state.misfit) <= 0.2 * state.period + 3.0 * SIGMA * state.spread
+        state.misfits = state.misfits + 1.0 if agrees else 1.0
+        state.misfit = error
         moved = predicted
-        if s.misfits >= AGREE:
-            s.misfits = 0.0
-            s.memory = MEMORY[1]
-            dt = moved - s.time
-            s.time = stamp
+        if state.misfits >= AGREE:
+            state.misfits = 0.0
+            state.memory = SETTLED_MEMORY
+            dt = moved - state.time
+            state.time = stamp
             return dt, bits | CLOCK_STEP
-    dt = moved - s.time
-    s.time = moved
+    dt = moved - state.time
+    state.time = moved
     if abs(stamp - moved) > TOLERANCE:
         bits |= REPAIRED_TIME
     return dt, bits
 
 
 @njit(cache=False)
-def reject(s: Any, stamp: float, seq: float) -> tuple[float, int]:
-    """Reject a sample that strays, unless so many from the past agree that the clock must have been set back."""
-    if stamp > s.time:
+def reject_or_reset(state: Any, stamp: float, seq: float) -> tuple[float, int]:
+    """Reject a stray sample, or set the clock back where enough samples from the past agree."""
+    if stamp > state.time:
         return UNUSED, REPAIRED_TIME
-    in_order = 0.0 < stamp - s.late_stamp <= 2.0 * s.period
-    s.late_run = s.late_run + 1.0 if in_order else 1.0
-    s.late_stamp = stamp
-    if s.late_run < AGREE_BACK:
+    in_order = 0.0 < stamp - state.late_stamp <= 2.0 * state.period
+    state.late_run = state.late_run + 1.0 if in_order else 1.0
+    state.late_stamp = stamp
+    if state.late_run < AGREE_BACK:
         return UNUSED, LATE
-    dt = s.late_run * s.period
-    s.late_run = s.misfits = 0.0
-    s.memory = MEMORY[1]
-    s.time = s.stamp = stamp
-    s.seq = seq
+    dt = state.late_run * state.period
+    state.late_run = state.misfits = 0.0
+    state.memory = SETTLED_MEMORY
+    state.time = state.stamp = stamp
+    state.seq = seq
     return dt, CLOCK_STEP | GAP
 
 
 @njit(cache=False)
-def restart(s: Any, stamp: float) -> tuple[float, int]:
-    """Take the first sample after a power cycle or a long silence: a new phase, known from its stamp alone."""
-    dt = stamp - s.time
-    s.time = stamp
-    s.memory = MEMORY[1]
-    s.misfits = 0.0
-    return dt, GAP if dt >= 1.5 * s.period else 0
+def restart_clock(state: Any, stamp: float) -> tuple[float, int]:
+    """Set a new phase from the stamp of the first sample after a power cycle or a long silence."""
+    dt = stamp - state.time
+    state.time = stamp
+    state.memory = SETTLED_MEMORY
+    state.misfits = 0.0
+    return dt, GAP if dt >= 1.5 * state.period else 0
 
 
 @njit(cache=False)
-def periods_by_stamp(s: Any, elapsed: float) -> float:
-    """Return the whole periods since the last sample by the stamp alone, -1 for a sample from the past.
+def count_periods_by_stamp(state: Any, elapsed: float) -> float:
+    """Return the number of whole periods since the last sample by the stamp alone, -1 for a sample from the past.
 
-    One period is the rule, and it takes the more to believe an exception the more the stamps are spread.
+    The expected number is one. The wider the spread of the stamps, the larger the deviation must be for another number.
     """
-    share = SIGMA * s.spread / s.period
+    share = SIGMA * state.spread / state.period
     slack = 0.5 + min(0.45, 4.0 * share * share)
     if elapsed > 1.0 + slack:
         return float(round(elapsed))
@@ -214,79 +236,83 @@ def periods_by_stamp(s: Any, elapsed: float) -> float:
 
 
 @njit(cache=False)
-def strays(s: Any, stamp: float, count: float) -> bool:
-    """Say whether a sample is from the past, or leaps far ahead without one before it that leapt as far."""
+def is_stray(state: Any, stamp: float, count: float) -> bool:
+    """Return whether a sample is from the past, or leaps far ahead of all samples before it."""
     if count <= LEAP:
         return count < 0.0
-    follows = 0.0 < stamp - s.leap_stamp <= LEAP * s.period
-    s.leap_stamp = stamp
+    follows = 0.0 < stamp - state.leap_stamp <= LEAP * state.period
+    state.leap_stamp = stamp
     return not follows
 
 
 @njit(cache=False)
-def periods_by_seq(s: Any, elapsed: float, counted: float) -> tuple[float, int]:
-    """Return the whole periods since the last sample by the counter, -1 for a sample from the past.
+def count_periods_by_seq(state: Any, elapsed: float, counted: float) -> tuple[float, int]:
+    """Return the number of whole periods since the last sample by the counter, -1 for a sample from the past.
 
-    A counter that contradicts the stamp has leapt or restarted, and the stamp decides.
+    A counter that contradicts the stamp has leapt or restarted; the stamp then decides.
     """
     if counted > 0.0:
         set_back = elapsed < -1.0 and counted <= AGREE_BACK
         if counted == 1.0 or set_back or counted - elapsed <= 0.5 * counted + 1.0:
             return counted, 0
-        return max(0.0, periods_by_stamp(s, elapsed)), SEQUENCE
+        return max(0.0, count_periods_by_stamp(state, elapsed)), SEQUENCE
     if abs(elapsed - counted) <= 1.0 - 0.1 * counted:
         return -1.0, 0
-    return max(1.0, periods_by_stamp(s, elapsed)), SEQUENCE
+    return max(1.0, count_periods_by_stamp(state, elapsed)), SEQUENCE
 
 
 @njit(cache=False)
-def advance(s: Any, stamp: float, seq: float, same: bool, period: float) -> tuple[float, int]:
-    """Take a sample's place in time.
+def advance_clock(state: Any, stamp: float, seq: float, same: bool, period: float) -> tuple[float, int]:
+    """Advance the clock of a lane by a sample.
 
     Parameters
     ----------
-    s : record. The lane's state, changed in place.
-    stamp, seq : float. As the sample has them; NaN where unknown.
-    same : bool. The sample's content equals that of the one before it.
-    period : float. Nominal. [s]
+    state : record
+        State of the lane, changed in place.
+    stamp, seq : float
+        Stamp [s] and counter of the sample; NaN where unknown.
+    same : bool
+        Whether the content of the sample equals that of the one before it.
+    period : float
+        Nominal period. [s]
 
     Returns
     -------
     dt : float
-        Time since the sample before it; `UNUSED` if it is not to be used. [s]
+        Time since the sample before it; `UNUSED` for a rejected sample. [s]
     bits : int
         Quality bits.
     """
-    if s.samples == 0.0:
-        return begin(s, stamp, seq, period)
-    counter = not isnan(seq) and not isnan(s.seq)
-    counted = seq - s.seq if counter else 0.0
-    elapsed = (stamp - s.time) / s.period
-    if repeats(s, stamp, seq, elapsed, same):
+    if state.samples == 0.0:
+        return start_clock(state, stamp, seq, period)
+    counter = not isnan(seq) and not isnan(state.seq)
+    counted = seq - state.seq if counter else 0.0
+    elapsed = (stamp - state.time) / state.period
+    if is_repeat(state, stamp, seq, elapsed, same):
         return UNUSED, DUPLICATE
     bits = SEQUENCE if counter and counted == 0.0 else 0
     anew = False
-    if isnan(stamp) or stamp == s.stamp:  # a stamp that stands still says nothing
+    if isnan(stamp) or stamp == state.stamp:  # an unchanged stamp carries no information
         stamp = nan
         count = counted if 1.0 <= counted <= BELIEVED else 1.0
     elif counted != 0.0:
-        count, bits = periods_by_seq(s, elapsed, counted)
+        count, bits = count_periods_by_seq(state, elapsed, counted)
         if count < 0.0:
             return UNUSED, LATE
         anew = counted < 0.0 and elapsed > 0.0
     else:
-        count = periods_by_stamp(s, elapsed)
-        if strays(s, stamp, count):
-            return reject(s, stamp, seq)
+        count = count_periods_by_stamp(state, elapsed)
+        if is_stray(state, stamp, count):
+            return reject_or_reset(state, stamp, seq)
         anew = count > LEAP
-    s.late_run = 0.0
+    state.late_run = 0.0
     if not (anew or isnan(stamp)):
         counts = counted > 0.0 and bits == 0
         slipped = abs(count - 1.0) == 1.0 and not counts
-        observe_interval(s, stamp, count if counts else 1.0, slipped)
-    dt, more = restart(s, stamp) if anew else follow(s, stamp, count)
-    s.samples += 1.0
+        observe_interval(state, stamp, count if counts else 1.0, slipped)
+    dt, more = restart_clock(state, stamp) if anew else follow_stamp(state, stamp, count)
+    state.samples += 1.0
     if not isnan(stamp):
-        s.stamp = stamp
-    s.seq = seq
+        state.stamp = stamp
+    state.seq = seq
     return dt, bits | more

@@ -1,8 +1,11 @@
-"""The one sequential kernel: what depends on the row before it in the same lane, and nothing else.
+"""The one sequential kernel: everything that depends on an earlier row of the same lane.
 
-Causal and online: a row's output rests on that row and on the lane's state, so any chunking of the input gives
-bitwise the same output. The parts of the kernel are `core.cleaning.clock`, `core.cleaning.motion` and `core.cleaning.segmentation`, each with the state
-that it keeps; this file strings them together.
+The kernel is causal: the output of a row depends on that row and on the state of its lane. Any chunking of the input
+therefore gives bitwise the same output. Its parts are `core.cleaning.clock`, `core.cleaning.motion` and
+`core.cleaning.segmentation`, each with the fields of the state that it keeps. This file composes them.
+
+In all of them `state` is the record of the lane (`STATE`), `row` the record of the sample, whose raw values are named
+`raw_*`, and `settings` the record of the operator's settings.
 """
 
 from hashlib import sha256
@@ -22,13 +25,13 @@ from core.columns import TELEMETRY
 from core.settings import Settings
 
 _OWN_FIELDS: Final = (
-    *(f"last_{name}" for name in ("latitude", "longitude", "speed", "current", "soc")),  # to know a duplicate by
+    *(f"last_{name}" for name in ("latitude", "longitude", "speed", "current", "soc")),  # by which to find duplicates
     "power",  # [W]
     "has_power",
-    "soc",  # last believed
+    "soc",  # last reported [1]
     "has_soc",
-    "soc_age",  # since it was last reported [s]
-    "soc_step",  # smallest change seen: the quantum
+    "soc_age",  # time since it was last reported [s]
+    "soc_step",  # smallest change seen: the quantum [1]
     "battery_temperature",
     "occupants",
 )
@@ -42,17 +45,17 @@ _UNKNOWN_AT_FIRST: Final = {
 
 
 def _dtype() -> np.dtype[np.void]:
-    """Lay the state of a lane out in one stretch of memory, so that a sample touches few cache lines."""
+    """Return the layout of a lane's state: one stretch of memory, so that a sample touches few cache lines."""
     parts = (*clock.FIELDS, *motion.FIELDS, *segmentation.FIELDS, *_OWN_FIELDS)
     return np.dtype([(part, "f8") if isinstance(part, str) else (part[0], "f8", (part[1],)) for part in parts])
 
 
 STATE: Final = _dtype()
-"""State of a lane: everything that the kernel remembers of a car."""
+"""State of a lane: everything that the kernel keeps of a car between two samples."""
 
 
-def new_state(lanes: int) -> NDArray[np.void]:
-    """Return the state of `lanes` cars never heard of, (lanes,) of `STATE`."""
+def new_lane_state(lanes: int) -> NDArray[np.void]:
+    """Return the state of cars that have sent nothing, (lanes,) of `STATE`."""
     state = np.zeros(lanes, STATE)
     for name, value in _UNKNOWN_AT_FIRST.items():
         state[name] = value
@@ -60,29 +63,52 @@ def new_state(lanes: int) -> NDArray[np.void]:
 
 
 class Clean(NamedTuple):
-    """Cleaned telemetry: equally long columns, one row a sample, rows not used standing for no time and no distance.
+    """Cleaned telemetry: equally long columns, one row per sample.
+
+    Rejected samples contribute zero time and zero distance.
 
     Parameters
     ----------
     lane : (n,) int64
-    ride : (n,) int64. Ordinal of the ride in its lane, -1 outside rides.
-    window : (n,) int64. Ordinal of the window in its lane.
-    quality : (n,) int64. `core.cleaning.quality.Quality` bits.
-    due : (n,) bool. A forecast is due at this sample.
-    time : (n,) float64. Repaired Unix time. [s]
-    dt, travel : (n,) float64. Time that the row stands for, and time that its distance took. [s]
-    distance, climb : (n,) float64. [m]
-    speed, acceleration : (n,) float64. Smoothed, over the step. [m/s], [m/s^2]
-    latitude, longitude, heading, turn_rate : (n,) float64. Of the last believed fix. [rad], [rad/s]
-    elevation : (n,) float64. Smoothed. [m]
-    power : (n,) float64. Drawn from the battery at the sample, by V I, NaN where not measured. [W]
-    energy, metered : (n,) float64. Drawn from the battery in the step, by V I, and the time it is known for. [J], [s]
-    energy_variance : (n,) float64. Of that energy, as the power between two samples is not known. [J^2]
-    elapsed, parked, since_charge : (n,) float64. [s]
-    lost : (n,) float64. Where a ride begins or ends: time before the row of which no sample tells. [s]
-    stop, stopped : (n,) float64. 1 where a stop begins, 1 where the car stands.
-    soc, soc_step, odometer, battery_temperature, occupants, code : (n,) float64. As last believed.
-    ambient, hvac, current : (n,) float64. As reported, NaN where not.
+        Lane of the vehicle.
+    ride : (n,) int64
+        Ordinal of the ride in its lane, -1 outside rides.
+    window : (n,) int64
+        Ordinal of the window in its lane.
+    quality : (n,) int64
+        Bits of `core.cleaning.quality.Quality`.
+    due : (n,) bool
+        Whether a forecast is due at this sample.
+    time : (n,) float64
+        Repaired Unix time. [s]
+    dt, travel : (n,) float64
+        Time that the row stands for, and time in which its distance was driven. [s]
+    distance, climb : (n,) float64
+        Distance driven in the step, and change of elevation. [m]
+    speed, acceleration : (n,) float64
+        Smoothed, over the step. [m/s], [m/s^2]
+    latitude, longitude, heading, turn_rate : (n,) float64
+        Of the last accepted fix. [rad], the last one [rad/s]
+    elevation : (n,) float64
+        Smoothed elevation. [m]
+    power : (n,) float64
+        Power drawn from the battery at the sample, by voltage times current; NaN where not measured. [W]
+    energy, metered : (n,) float64
+        Energy drawn from the battery in the step, by voltage times current [J], and the time for which it is known [s].
+    energy_variance : (n,) float64
+        Variance of that energy, because the power between two samples is unknown. [J^2]
+    elapsed, parked, since_charge : (n,) float64
+        Time since the ride began, time parked before the ride, time since the car last charged. [s]
+    lost : (n,) float64
+        Where a ride begins or ends: time before the row that no sample covers. [s]
+    stop, stopped : (n,) float64
+        1 where a stop begins; 1 while the car stands.
+    soc, soc_step, odometer, battery_temperature, occupants : (n,) float64
+        As last reported. [1], [1], [m], [K], [1]
+    ambient, hvac, current : (n,) float64
+        As reported with the sample, NaN where not. [K], [W], [A]
+    code : (n,) float64
+        Code of the ride's name, see `core.wire.rides.RideNames`.
     """
 
     lane: Ints
@@ -124,20 +150,25 @@ class Clean(NamedTuple):
 
 
 _ROW: Final = np.dtype([*((f"raw_{name}", "f8") for name in Batch._fields), *((name, "f8") for name in Clean._fields)])
-_BROUGHT: Final = len(Batch._fields)
-_TO_INT: Final = Clean._fields.index("time")  # the columns before it are not floats
+"""One row of the kernel: the columns of a sample, then those of its result."""
+_RAW: Final = len(Batch._fields)
+"""Number of columns of a sample, which are the first fields of `_ROW`."""
 _LOW: Final = np.array([-np.inf, -np.inf, *(column.low for column in TELEMETRY)])
 _HIGH: Final = np.array([np.inf, np.inf, *(column.high for column in TELEMETRY)])
+
+"""Valid range of each column of a sample; `lane` and `ride` have none."""
 
 OUT_OF_RANGE: Final = int(Quality.OUT_OF_RANGE)
 SOC_MISSING: Final = int(Quality.SOC_MISSING)
 POWER_MISSING: Final = int(Quality.POWER_MISSING)
-STALE: Final = 60.0  # a state of charge this old says nothing of a ride that begins [s]
-LONGEST_TRAPEZOID: Final = 10.5  # power is interpolated over holes of up to so many periods
+STALE: Final = 60.0
+"""Age beyond which a state of charge does not count for a ride that begins. [s]"""
+LONGEST_TRAPEZOID: Final = 10.5
+"""Longest step over which power is interpolated. [periods]"""
 
 
 class Cleaner:
-    """The kernel and the state of every lane.
+    """Clean batches of telemetry, with the state of every lane.
 
     Parameters
     ----------
@@ -158,17 +189,36 @@ class Cleaner:
 
     def __init__(self, settings: Settings) -> None:
         self.settings = np.array([settings], np.dtype([(name, "f8") for name in Settings._fields]))
-        self.state = new_state(0)
+        self.state = new_lane_state(0)
 
     def clean(self, batch: Batch, lanes: int) -> Clean:
-        """Clean a batch and move the state on; `lanes` is how many there are so far."""
+        """Clean a batch and advance the state of its lanes.
+
+        Parameters
+        ----------
+        batch : Batch
+            n rows; `ride` and `lane` as the decoder assigned them.
+        lanes : int
+            Number of lanes so far.
+
+        Returns
+        -------
+        Clean
+            n rows.
+        """
         if len(self.state) < lanes:
-            self.state = grown(self.state, lanes, new_state(1)[0])
+            self.state = grown(self.state, lanes, new_lane_state(1)[0])
         out = np.empty((len(Clean._fields), batch.size))
         row = np.zeros(1, _ROW)
-        kernel(np.stack(batch), self.state, self.settings, row, row.view(np.float64), out)
-        lane, ride, window, quality = out[: _TO_INT - 1].astype(np.int64)
-        return Clean(lane, ride, window, quality, out[_TO_INT - 1] != 0.0, *out[_TO_INT:])
+        clean_rows(np.stack(batch), self.state, self.settings, row, row.view(np.float64), out)
+        columns = Clean(*out)  # of floats so far
+        return columns._replace(
+            lane=columns.lane.astype(np.int64),
+            ride=columns.ride.astype(np.int64),
+            window=columns.window.astype(np.int64),
+            quality=columns.quality.astype(np.int64),
+            due=columns.due != 0.0,
+        )
 
     def heard(self, lane: int) -> bool:
         """Return whether a sample of a lane has been accepted."""
@@ -192,155 +242,164 @@ class Cleaner:
 
 
 @njit(cache=True)
-def kernel(columns: Any, state: Any, settings: Any, rows: Any, cells: Any, out: Any) -> None:
+def clean_rows(columns: Any, states: Any, all_settings: Any, rows: Any, cells: Any, out: Any) -> None:
     """Clean every row, in order.
 
     Parameters
     ----------
-    columns : (_BROUGHT, n) float64. The batch.
-    state : (lanes,) STATE. Changed in place.
-    settings : (1,) record.
-    rows, cells : (1,) _ROW and the same memory as floats. The row that is being worked on.
-    out : (len(Clean._fields), n) float64.
+    columns : (_RAW, n) float64
+        The batch.
+    states : (lanes,) STATE
+        Changed in place.
+    all_settings : (1,) record
+    rows, cells : (1,) _ROW, and the same memory as floats
+        Buffer of the row in progress.
+    out : (len(Clean._fields), n) float64
+        Filled with the result.
     """
-    x = settings[0]
-    r = rows[0]
+    settings = all_settings[0]
+    row = rows[0]
     for i in range(columns.shape[1]):
-        strange = False
-        for j in range(_BROUGHT):
+        out_of_range = False
+        for j in range(_RAW):
             value = columns[j, i]
             if value < _LOW[j] or value > _HIGH[j]:
-                strange = True
+                out_of_range = True
                 value = nan
             cells[j] = value
-        cells[_BROUGHT:] = 0.0
-        r.quality = OUT_OF_RANGE if strange else 0.0
-        clean_row(state[int(r.raw_lane)], r, x)
+        cells[_RAW:] = 0.0
+        row.quality = OUT_OF_RANGE if out_of_range else 0.0
+        clean_row(states[int(row.raw_lane)], row, settings)
         for j in range(out.shape[0]):
-            out[j, i] = cells[_BROUGHT + j]
+            out[j, i] = cells[_RAW + j]
 
 
 @njit(cache=False)
-def clean_row(s: Any, r: Any, x: Any) -> None:
+def clean_row(state: Any, row: Any, settings: Any) -> None:
     """Clean one row."""
-    dt, bits = clock.advance(s, r.raw_stamp, r.raw_seq, same_content(s, r), x.period)
-    r.quality += bits
-    r.lane = r.raw_lane
+    dt, bits = clock.advance_clock(state, row.raw_stamp, row.raw_seq, repeats_content(state, row), settings.period)
+    row.quality += bits
+    row.lane = row.raw_lane
     if dt == clock.UNUSED:
-        r.speed = s.smooth
+        row.speed = state.smooth
     else:
-        use(s, r, dt, x)
-    r.ride = s.rides - 1.0 if s.riding == 1.0 else -1.0
-    r.window = s.windows
-    r.time, r.elapsed, r.parked, r.since_charge = s.time, s.elapsed, s.parked, s.since_charge
-    r.latitude, r.longitude, r.heading, r.elevation = s.latitude, s.longitude, s.heading, s.elevation
-    r.soc = s.soc if s.soc_age <= max(STALE, s.elapsed) else nan  # what was said before the ride says nothing of it
-    r.soc_step, r.odometer, r.stopped = s.soc_step, s.odometer, s.standing
-    r.battery_temperature, r.occupants, r.code = s.battery_temperature, s.occupants, s.code
-    r.ambient, r.hvac, r.current, r.power = r.raw_ambient, r.raw_hvac, r.raw_current, s.power
+        use_row(state, row, dt, settings)
+    row.ride = state.rides - 1.0 if state.riding == 1.0 else -1.0
+    row.window = state.windows
+    row.time, row.elapsed, row.parked, row.since_charge = state.time, state.elapsed, state.parked, state.since_charge
+    row.latitude, row.longitude, row.heading, row.elevation = (
+        state.latitude,
+        state.longitude,
+        state.heading,
+        state.elevation,
+    )
+    row.soc = state.soc if state.soc_age <= max(STALE, state.elapsed) else nan  # an older one is from before the ride
+    row.soc_step, row.odometer, row.stopped = state.soc_step, state.odometer, state.standing
+    row.battery_temperature, row.occupants, row.code = state.battery_temperature, state.occupants, state.code
+    row.ambient, row.hvac, row.current, row.power = row.raw_ambient, row.raw_hvac, row.raw_current, state.power
 
 
 @njit(cache=False)
-def use(s: Any, r: Any, dt: float, x: Any) -> None:
-    """Take a row that stands for `dt` seconds."""
-    motion.move(s, r, dt, x)
-    meter(s, r, dt, x)
-    changed = charge_state(s, r, dt)
-    if not isnan(r.raw_battery_temperature):
-        s.battery_temperature = r.raw_battery_temperature
-    if not isnan(r.raw_occupants):
-        s.occupants = r.raw_occupants
-    r.stop = 1.0 if stands(s) else 0.0
-    r.dt = dt
-    rode = s.riding == 1.0
-    begins = segmentation.segment(s, r.raw_ride, dt, s.standing == 0.0, r.raw_charging == 1.0, x)
-    if begins:  # the step led up to the ride and is not part of it
-        r.dt = r.travel = r.distance = r.climb = r.energy = r.energy_variance = r.metered = r.stop = 0.0
-        if int(r.quality) & motion.BRIDGED:
-            r.quality -= motion.BRIDGED
-        if s.soc_age > STALE:
-            s.soc = nan
-    if begins or (rode and s.riding == 0.0):
-        r.lost = lost_time(s, int(r.quality), dt, x)
-    segmentation.window(s, dt, begins, s.has_power == 1.0 or changed, x)
-    r.due = 1.0 if segmentation.forecast_due(s, s.soc, dt, begins, x) else 0.0
+def use_row(state: Any, row: Any, dt: float, settings: Any) -> None:
+    """Update the lane by a row that stands for `dt` seconds, and fill in the row."""
+    motion.move_car(state, row, dt, settings)
+    integrate_power(state, row, dt, settings)
+    changed = update_soc(state, row, dt)
+    if not isnan(row.raw_battery_temperature):
+        state.battery_temperature = row.raw_battery_temperature
+    if not isnan(row.raw_occupants):
+        state.occupants = row.raw_occupants
+    row.stop = 1.0 if begins_stop(state) else 0.0
+    row.dt = dt
+    rode = state.riding == 1.0
+    begins = segmentation.update_ride(state, row.raw_ride, dt, state.standing == 0.0, row.raw_charging == 1.0, settings)
+    if begins:  # the step ended before the ride and is not part of it
+        row.dt = row.travel = row.distance = row.climb = row.energy = row.energy_variance = row.metered = row.stop = 0.0
+        if int(row.quality) & motion.BRIDGED:
+            row.quality -= motion.BRIDGED
+        if state.soc_age > STALE:
+            state.soc = nan
+    if begins or (rode and state.riding == 0.0):
+        row.lost = find_lost_time(state, int(row.quality), dt, settings)
+    segmentation.update_window(state, dt, begins, state.has_power == 1.0 or changed, settings)
+    row.due = 1.0 if segmentation.is_forecast_due(state, state.soc, dt, begins, settings) else 0.0
 
 
 @njit(cache=False)
-def lost_time(s: Any, bits: int, dt: float, x: Any) -> float:
-    """Return how much of a step is missing samples, and not a logger that was switched off. [s]"""
-    missing = bits & clock.GAP and not bits & clock.SEQUENCE and dt <= x.gap_time
-    return dt - s.period if missing else 0.0
+def find_lost_time(state: Any, bits: int, dt: float, settings: Any) -> float:
+    """Return how much of a step lacks samples although the logger was switched on. [s]"""
+    missing = bits & clock.GAP and not bits & clock.SEQUENCE and dt <= settings.gap_time
+    return dt - state.period if missing else 0.0
 
 
 @njit(cache=False)
-def same_content(s: Any, r: Any) -> bool:
-    """Say whether a row says the same as the row before it in its lane, and remember it."""
-    same = s.samples > 0.0
-    same &= r.raw_latitude == s.last_latitude or (isnan(r.raw_latitude) and isnan(s.last_latitude))
-    same &= r.raw_longitude == s.last_longitude or (isnan(r.raw_longitude) and isnan(s.last_longitude))
-    same &= r.raw_speed == s.last_speed or (isnan(r.raw_speed) and isnan(s.last_speed))
-    same &= r.raw_current == s.last_current or (isnan(r.raw_current) and isnan(s.last_current))
-    same &= r.raw_soc == s.last_soc or (isnan(r.raw_soc) and isnan(s.last_soc))
-    s.last_latitude, s.last_longitude, s.last_speed = r.raw_latitude, r.raw_longitude, r.raw_speed
-    s.last_current, s.last_soc = r.raw_current, r.raw_soc
+def repeats_content(state: Any, row: Any) -> bool:
+    """Return whether a row has the content of the row before it in its lane, and keep its content."""
+    same = state.samples > 0.0
+    same &= row.raw_latitude == state.last_latitude or (isnan(row.raw_latitude) and isnan(state.last_latitude))
+    same &= row.raw_longitude == state.last_longitude or (isnan(row.raw_longitude) and isnan(state.last_longitude))
+    same &= row.raw_speed == state.last_speed or (isnan(row.raw_speed) and isnan(state.last_speed))
+    same &= row.raw_current == state.last_current or (isnan(row.raw_current) and isnan(state.last_current))
+    same &= row.raw_soc == state.last_soc or (isnan(row.raw_soc) and isnan(state.last_soc))
+    state.last_latitude, state.last_longitude, state.last_speed = row.raw_latitude, row.raw_longitude, row.raw_speed
+    state.last_current, state.last_soc = row.raw_current, row.raw_soc
     return same
 
 
 @njit(cache=False)
-def meter(s: Any, r: Any, dt: float, x: Any) -> None:
-    """Measure the energy drawn in the step, by the trapezoid of V I, and how uncertain the power between makes it.
+def integrate_power(state: Any, row: Any, dt: float, settings: Any) -> None:
+    """Integrate the measured power over the step, and estimate the variance of the integral.
 
-    Where the power changes by dP between samples, its integral has the variance (dP dt)^2 / 12 if it wanders
-    like a Brownian bridge, and (dP dt)^2 / 2 if it is noise. An eighth holds for driving: chosen on simulated rides, it
-    covers those of other seeds.
+    The energy is the trapezoid of voltage times current. Let the power change by dP between two samples. The integral
+    has the variance (dP dt)^2 / 12 if the power wanders like a Brownian bridge, and (dP dt)^2 / 2 if it is noise.
+    The factor 1/8 holds for driving: it was chosen on simulated rides and covers those of other seeds.
     """
-    power = r.raw_voltage * r.raw_current
+    power = row.raw_voltage * row.raw_current
     if isnan(power):
-        r.quality += POWER_MISSING if s.has_power == 1.0 else 0
+        row.quality += POWER_MISSING if state.has_power == 1.0 else 0
     else:
-        s.has_power = 1.0
-        if dt <= LONGEST_TRAPEZOID * x.period:
-            before = power if isnan(s.power) else s.power
-            r.energy = 0.5 * (power + before) * dt
-            r.energy_variance = ((power - before) * dt) ** 2 / 8.0
-            r.metered = dt
-    s.power = power
+        state.has_power = 1.0
+        if dt <= LONGEST_TRAPEZOID * settings.period:
+            before = power if isnan(state.power) else state.power
+            row.energy = 0.5 * (power + before) * dt
+            row.energy_variance = ((power - before) * dt) ** 2 / 8.0
+            row.metered = dt
+    state.power = power
 
 
 @njit(cache=False)
-def charge_state(s: Any, r: Any, dt: float) -> bool:
-    """Take the reported state of charge; return whether it changed."""
-    s.soc_age += dt
-    if isnan(r.raw_soc):
-        r.quality += SOC_MISSING if s.has_soc == 1.0 else 0
+def update_soc(state: Any, row: Any, dt: float) -> bool:
+    """Update the lane by the reported state of charge; return whether it changed."""
+    state.soc_age += dt
+    if isnan(row.raw_soc):
+        row.quality += SOC_MISSING if state.has_soc == 1.0 else 0
         return False
-    s.has_soc = 1.0
-    s.soc_age = 0.0
-    change = abs(r.raw_soc - s.soc)
-    s.soc = r.raw_soc
+    state.has_soc = 1.0
+    state.soc_age = 0.0
+    change = abs(row.raw_soc - state.soc)
+    state.soc = row.raw_soc
     changed = change > 1e-6
-    if changed and not change >= s.soc_step:
-        s.soc_step = change
+    if changed and not change >= state.soc_step:
+        state.soc_step = change
     return changed
 
 
 @njit(cache=False)
-def stands(s: Any) -> bool:
-    """Say whether a stop begins with this sample, with hysteresis."""
-    if s.smooth > motion.MOVING:
-        s.standing = 0.0
-    elif s.smooth < motion.CRAWL and s.standing == 0.0:
-        s.standing = 1.0
+def begins_stop(state: Any) -> bool:
+    """Return whether a stop begins with this sample, with hysteresis between two speeds."""
+    if state.smooth > motion.MOVING:
+        state.standing = 0.0
+    elif state.smooth < motion.CRAWL and state.standing == 0.0:
+        state.standing = 1.0
         return True
     return False
 
 
 def _sources() -> str:
-    """Return a digest of every file that the kernel is made of."""
+    """Return a digest of every source file that the compiled kernel depends on."""
     files = [__file__, *(str(module.__file__) for module in (batch, clock, columns, motion, quality, segmentation))]
     return sha256(b"".join(Path(file).read_bytes() for file in files)).hexdigest()
 
 
-# numba renews a kernel kept on disk when the file it stands in changes, not when its parts do
-kernel._cache._cache_file._source_stamp = _sources()  # type: ignore[attr-defined] # noqa: SLF001
+# numba recompiles a cached kernel when its own file changes, but not when a file that it imports changes
+clean_rows._cache._cache_file._source_stamp = _sources()  # type: ignore[attr-defined] # noqa: SLF001

@@ -1,46 +1,46 @@
-"""The quality bits of a sample: what was repaired, rejected or missing. None is silent, each is counted."""
+"""The quality bits of a sample: what was repaired, rejected or missing. Every occurrence is counted."""
 
 from enum import IntFlag
 from typing import Final
 
 
 class Quality(IntFlag):
-    """One bit a cause; a clean sample has none."""
+    """Mark each cause by one bit; a clean sample has none."""
 
     DUPLICATE = 1 << 0
-    """Same content as the sample before it, and the same stamp or counter: sent again. Not used."""
+    """Content and stamp or counter equal those of the sample before it: sent again. Rejected."""
     LATE = 1 << 1
-    """Its place in time had passed when it came. Not used; its kilometres are bridged by its successor."""
+    """It arrived after its place in time had passed. Rejected; its successor bridges its distance."""
     REPAIRED_TIME = 1 << 2
-    """The stamp was uneven, repeated, missing or wild; the sample was put back on the logger's clock or not used."""
+    """The stamp was uneven, repeated, missing or wild; the sample was put on the repaired clock or rejected."""
     CLOCK_STEP = 1 << 3
-    """The logger's clock had been set; from here on its new time is believed."""
+    """The logger's clock had been set; its new time is used from this sample on."""
     GAP = 1 << 4
     """Whole periods are missing before this sample."""
     SEQUENCE = 1 << 5
     """The counter restarted, stood still or leapt in no time: a power cycle, or two cars with one identity."""
     SPEED_REJECTED = 1 << 6
-    """Speed above the limit, as a tunnel makes it."""
+    """The speed is above the limit, as after a tunnel."""
     SPEED_MISSING = 1 << 7
-    """No speed, where this car used to send it."""
+    """The speed is missing, of a car that sends it."""
     POSITION_MISSING = 1 << 8
-    """No fix, or the fix 0/0, where this car used to send one."""
+    """The fix is missing or 0/0, of a car that sends it."""
     POSITION_JUMP = 1 << 9
     """The fix is farther away than the car can have driven in the step."""
     POSITION_FROZEN = 1 << 10
-    """The fix stands still while the car drives."""
+    """The fix is unchanged while the car drives."""
     BRIDGED = 1 << 11
-    """Distance that the speed did not show was made good from the fix or the odometer."""
+    """Distance that the speed did not show was added from the fix or the odometer."""
     OUT_OF_RANGE = 1 << 12
-    """At least one value outside its column's valid range; taken as missing."""
+    """At least one value is outside the valid range of its column and was taken as missing."""
     SOC_MISSING = 1 << 13
-    """No state of charge, where this car used to send it."""
+    """The state of charge is missing, of a car that sends it."""
     POWER_MISSING = 1 << 14
-    """No voltage or no current, where this car used to send both."""
+    """Voltage or current is missing, of a car that sends both."""
     AMBIENT_FILLED = 1 << 15
-    """Outside temperature taken from the nearest weather station."""
+    """The outside temperature is that of the nearest weather station."""
     AMBIENT_ASSUMED = 1 << 16
-    """Neither the car nor a station knows the temperature; that of the standard atmosphere is used."""
+    """The outside temperature is that of the standard atmosphere, as neither car nor station reports one."""
 
 
 CAUSES: Final = tuple(flag.name.lower() for flag in Quality if flag.name)
@@ -53,4 +53,4 @@ FORECAST_CAUSES: Final[dict[str, Quality]] = {
     "gap": Quality.GAP,
     "out_of_range": Quality.OUT_OF_RANGE,
 }
-"""Count in a published forecast -> the bits that it adds up."""
+"""Count in a published forecast -> the bits that it sums."""

@@ -1,11 +1,11 @@
-"""Where rides begin and end, and the windows inside them, causally.
+"""Where rides and windows begin and end, and when a forecast is due, causally.
 
-A logger that names its rides is believed. For one that never does, a ride begins when the car moves and ends when it
-has stood for `stop_time`, charges, or has been silent for `gap_time`; its last `stop_time` of standing is part of it,
-in what is measured and in what is predicted alike.
+Where a logger names its rides, these names are used. Otherwise a ride begins when the car moves. It ends when the car
+has stood for `stop_time`, charges, or has been silent for `gap_time`. The last `stop_time` of standing is part of the
+ride, both in what is measured and in what is predicted.
 
-A window is closed by the first sample at which it is at least `window_time` long and the measured energy is known:
-at any sample where voltage and current are measured, else where the quantised state of charge has just changed.
+A window closes at the first sample at which it is at least `window_time` long and its measured energy is known. That
+is any sample where voltage and current are measured, otherwise one at which the quantised state of charge has changed.
 """
 
 from math import isnan, nan
@@ -16,110 +16,112 @@ from numba import njit
 from core.batch import NO_RIDE, RIDE_UNKNOWN
 
 FIELDS: Final = (
-    "rides",  # rides begun so far
-    "riding",
-    "code",  # of the ride's name, NO_RIDE where it has none
-    "names",  # 1 once the logger has spoken of rides
-    "elapsed",  # since the ride began [s]
-    "idle",  # since the last ride ended [s]
-    "parked",  # before this ride [s]
-    "since_charge",  # [s]
-    "stand",  # standing time so far [s]
-    "windows",  # windows begun so far
-    "window_age",
-    "window_full",
-    "since_forecast",  # [s]
-    "forecast_soc",
+    "rides",  # number of rides begun so far
+    "riding",  # 1 during a ride
+    "code",  # code of the ride's name, NO_RIDE where it has none
+    "names",  # 1 once the logger has sent a ride name or null
+    "elapsed",  # time since the ride began [s]
+    "idle",  # time since the last ride ended [s]
+    "parked",  # time between the last ride and this one [s]
+    "since_charge",  # time since the car last charged [s]
+    "stand",  # time for which the car has stood [s]
+    "windows",  # number of windows begun so far
+    "window_age",  # duration of the open window [s]
+    "window_full",  # 1 once the open window may close
+    "since_forecast",  # time since a forecast was due [s]
+    "forecast_soc",  # state of charge then [1]
 )
 
-MATERIAL_SOC: Final = 0.01  # a change of the state of charge that is worth a forecast at once
-PARKED_RARER: Final = 4.0  # a parked car is reported this much more rarely
+MATERIAL_SOC: Final = 0.01
+"""Change of the state of charge at which a forecast is due at once. [1]"""
+PARKED_FACTOR: Final = 4.0
+"""Ratio of the time between two forecasts of a parked car to that of a car on a ride. [1]"""
 
 
 @njit(cache=False)
-def start(s: Any, code: float) -> None:
+def start_ride(state: Any, code: float) -> None:
     """Begin a ride."""
-    s.rides += 1.0
-    s.riding = 1.0
-    s.code = code
-    s.elapsed = 0.0
-    s.parked = s.idle
-    s.stand = 0.0
-    s.windows += 1.0
-    s.window_age = s.window_full = 0.0
+    state.rides += 1.0
+    state.riding = 1.0
+    state.code = code
+    state.elapsed = 0.0
+    state.parked = state.idle
+    state.stand = 0.0
+    state.windows += 1.0
+    state.window_age = state.window_full = 0.0
 
 
 @njit(cache=False)
-def finish(s: Any, dt: float) -> None:
-    """End the ride in progress, if there is one; the step since its last sample is rest."""
-    if s.riding == 1.0:
-        s.riding = 0.0
-        s.idle = dt
-        s.code = NO_RIDE
+def finish_ride(state: Any, dt: float) -> None:
+    """End the ride in progress, if there is one; the step since its last sample is idle time."""
+    if state.riding == 1.0:
+        state.riding = 0.0
+        state.idle = dt
+        state.code = NO_RIDE
 
 
 @njit(cache=False)
-def by_name(s: Any, code: float, dt: float) -> bool:
-    """Follow the ride that the logger names; return whether one begins."""
-    s.names = 1.0
+def follow_ride_name(state: Any, code: float, dt: float) -> bool:
+    """Follow the ride that the logger names; return whether a ride begins."""
+    state.names = 1.0
     if code == NO_RIDE:
-        finish(s, dt)
+        finish_ride(state, dt)
         return False
-    if s.riding == 1.0 and code == s.code:
+    if state.riding == 1.0 and code == state.code:
         return False
-    finish(s, dt)
-    start(s, code)
+    finish_ride(state, dt)
+    start_ride(state, code)
     return True
 
 
 @njit(cache=False)
-def by_motion(s: Any, dt: float, moving: bool, charging: bool, x: Any) -> bool:
-    """Cut rides at stops, charging and gaps; return whether one begins."""
-    s.stand = 0.0 if moving else s.stand + dt
-    if s.riding == 1.0 and (charging or dt > x.gap_time or s.stand >= x.stop_time):
-        finish(s, dt)
-    if s.riding == 1.0 or charging or not moving:
+def segment_by_motion(state: Any, dt: float, moving: bool, charging: bool, settings: Any) -> bool:
+    """End rides at stops, charging and gaps; return whether a ride begins."""
+    state.stand = 0.0 if moving else state.stand + dt
+    if state.riding == 1.0 and (charging or dt > settings.gap_time or state.stand >= settings.stop_time):
+        finish_ride(state, dt)
+    if state.riding == 1.0 or charging or not moving:
         return False
-    start(s, NO_RIDE)
+    start_ride(state, NO_RIDE)
     return True
 
 
 @njit(cache=False)
-def segment(s: Any, code: float, dt: float, moving: bool, charging: bool, x: Any) -> bool:
-    """Say whether a ride begins with this sample, and keep the clocks of ride and rest."""
-    s.idle += dt
-    s.since_charge = 0.0 if charging else s.since_charge + dt
-    s.elapsed += dt
+def update_ride(state: Any, code: float, dt: float, moving: bool, charging: bool, settings: Any) -> bool:
+    """Return whether a ride begins with this sample, and advance the clocks of ride and idle period."""
+    state.idle += dt
+    state.since_charge = 0.0 if charging else state.since_charge + dt
+    state.elapsed += dt
     if code != RIDE_UNKNOWN:
-        return by_name(s, code, dt)
-    return False if s.names == 1.0 else by_motion(s, dt, moving, charging, x)
+        return follow_ride_name(state, code, dt)
+    return False if state.names == 1.0 else segment_by_motion(state, dt, moving, charging, settings)
 
 
 @njit(cache=False)
-def window(s: Any, dt: float, begins: bool, closable: bool, x: Any) -> None:
-    """Open the next window where the last one is full."""
+def update_window(state: Any, dt: float, begins: bool, closable: bool, settings: Any) -> None:
+    """Extend the open window by a step, and open the next one if it is full."""
     if begins:
         return
-    if s.window_full == 1.0:
-        s.windows += 1.0
-        s.window_age = s.window_full = 0.0
-    s.window_age += dt
-    if s.window_age >= x.window_time and closable:
-        s.window_full = 1.0
+    if state.window_full == 1.0:
+        state.windows += 1.0
+        state.window_age = state.window_full = 0.0
+    state.window_age += dt
+    if state.window_age >= settings.window_time and closable:
+        state.window_full = 1.0
 
 
 @njit(cache=False)
-def forecast_due(s: Any, soc: float, dt: float, begins: bool, x: Any) -> bool:
-    """Say whether this sample calls for a forecast, by event time and by what is material."""
-    s.since_forecast += dt
-    wait = x.forecast_time if s.riding == 1.0 else PARKED_RARER * x.forecast_time
-    moved = abs(soc - s.forecast_soc) >= MATERIAL_SOC or (isnan(s.forecast_soc) and not isnan(soc))
-    if not (begins or moved or s.since_forecast >= wait):
+def is_forecast_due(state: Any, soc: float, dt: float, begins: bool, settings: Any) -> bool:
+    """Return whether a forecast is due: a ride begins, the charge has changed, or enough event time has passed."""
+    state.since_forecast += dt
+    wait = settings.forecast_time if state.riding == 1.0 else PARKED_FACTOR * settings.forecast_time
+    moved = abs(soc - state.forecast_soc) >= MATERIAL_SOC or (isnan(state.forecast_soc) and not isnan(soc))
+    if not (begins or moved or state.since_forecast >= wait):
         return False
-    s.since_forecast = 0.0
-    s.forecast_soc = soc
+    state.since_forecast = 0.0
+    state.forecast_soc = soc
     return True
 
 
 UNKNOWN_AT_FIRST: Final = {"idle": nan, "since_charge": nan, "parked": nan, "forecast_soc": nan, "code": NO_RIDE}
-"""State that does not begin at zero."""
+"""Fields of a new lane that are not zero."""
