@@ -1,8 +1,8 @@
-"""Ride and window totals: columns of rates turned into columns of sums, running totals included.
+"""Ride and window totals: columns of rates summed per ride and per window, running totals included.
 
-Rows are added one after another into the open window of their lane; a window that closes is added to its ride. So the
-totals at any sample are those of the ride and of the open window together, and any chunking gives the same sums to
-the bit.
+Each row is added to the open window of its lane, in order. A window that closes is added to its ride. The totals at any
+sample are therefore those of the ride plus those of the open window, and any chunking gives the same sums to the bit.
+Between two rides, the totals of the idle period take the place of those of the ride.
 """
 
 from collections.abc import Sequence
@@ -24,23 +24,23 @@ SPEED_BIN: Final = SPEED_BIN_KMH * KMH
 AMOUNTS: Final = (
     "duration",  # [s]
     "distance",  # [m]
-    "gained",  # [m]
-    "lost",  # [m]
-    "energy",  # by V I [J]
-    "metered",  # time for which that is known [s]
+    "gained",  # sum of climbs [m]
+    "lost",  # sum of descents [m]
+    "energy",  # by voltage times current [J]
+    "metered",  # time for which that energy is known [s]
     "energy_variance",  # of that energy [J^2]
     "ambient",  # integral over time [K s]
-    "wind",  # [m]
-    "wind_north",  # [m]
-    "wind_east",  # [m]
-    "wind_known",  # [s]
+    "wind",  # integral of the wind speed [m]
+    "wind_north",  # integral of its component from north [m]
+    "wind_east",  # integral of its component from east [m]
+    "wind_known",  # time for which the wind is known [s]
     "precipitation",  # [m]
-    "hvac",  # [J]
-    "hvac_known",  # [s]
+    "hvac",  # measured energy of heating and air conditioning [J]
+    "hvac_known",  # time for which that is known [s]
     "stops",
     "samples",
 )
-"""What is summed of every ride and window, before the effects and the speed histogram."""
+"""What is summed of every ride and window, followed by the effects' energies [J] and the speed histogram [m]."""
 
 EDGES: Final = (
     "time",
@@ -54,32 +54,75 @@ EDGES: Final = (
     "since_charge",
     "soc_step",
     "occupants",
-    "power",  # by V I, at the sample [W]
+    "power",  # by voltage times current, at the sample [W]
     "code",
     "lost",
     "kind",
 )
-"""What is kept of the first and of the last sample."""
+"""What is kept of the first and of the last sample of every ride and window; `kind` is the kind of car."""
 
 DURATION: Final = AMOUNTS.index("duration")
+DISTANCE: Final = AMOUNTS.index("distance")
 SOC: Final = EDGES.index("soc")
 LOST: Final = EDGES.index("lost")
 SILENCE: Final = 600.0
-"""A longer step between rides is time in which nothing is known to have been switched on. [s]"""
-_HEAD: Final = 2  # ordinal of the open ride, -1 for none; ordinal of the open window
-_BEFORE: Final = 2  # columns before a book where one is written out: the row at which it was, its lane
+"""A longer step outside rides does not count as idle time, because the car may have been switched off. [s]"""
+
+OPEN_RIDE: Final = 0
+"""Column of the open totals: ordinal of the open ride, -1 for none."""
+OPEN_WINDOW: Final = 1
+"""Column of the open totals: ordinal of the open window."""
+OUT_AT: Final = 0
+"""Column of an output row: row of the batch."""
+OUT_LANE: Final = 1
+"""Column of an output row: lane."""
+_OUT_HEAD: Final = 2
+"""Number of columns of an output row before the open totals that it copies."""
+
+
+class _Layout(NamedTuple):
+    """First column of each part of the open totals of a lane, and their number of columns."""
+
+    window_amounts: int
+    ride_amounts: int
+    ride_first: int
+    window_first: int
+    last: int
+    quality: int
+    size: int
+
+    @classmethod
+    def of(cls, width: int) -> "_Layout":
+        """Return the layout for so many amounts."""
+        sizes = {
+            "open": OPEN_WINDOW + 1,
+            "window_amounts": width,
+            "ride_amounts": width,
+            "ride_first": len(EDGES),
+            "window_first": len(EDGES),
+            "last": len(EDGES),
+            "quality": len(CAUSES),
+        }
+        ends = dict(zip(sizes, np.cumsum(list(sizes.values())).tolist(), strict=True))
+        begins = {name: ends[name] - size for name, size in sizes.items() if name != "open"}
+        return cls(**begins, size=ends["quality"])
 
 
 class Totals(NamedTuple):
-    """Sums of rides, of rests between them, of windows, or running ones: one row each.
+    """Totals of rides, idle periods or windows, closed or running: one row each.
 
     Parameters
     ----------
-    at : (n,) int64. Row of the batch that closed it, or at which it was shown.
-    lane, ride, window : (n,) int64. Whose; ordinals in the lane.
+    at : (n,) int64
+        Row of the batch at which it closed, or at which the running totals were taken.
+    lane, ride, window : (n,) int64
+        Lane, and ordinals of ride and window in the lane.
     amounts : (n, len(AMOUNTS) + effects + SPEED_BINS) float64
+        Sums.
     first, last : (n, len(EDGES)) float64
-    quality : (n, len(CAUSES)) float64. Samples of the ride with each quality bit, so far.
+        Values at the first and at the last sample.
+    quality : (n, len(CAUSES)) float64
+        Number of samples of the ride with each quality bit, so far.
     """
 
     at: Ints
@@ -92,7 +135,7 @@ class Totals(NamedTuple):
     quality: Floats
 
     def newest(self) -> Ints:
-        """Return the last row of each lane, in their order."""
+        """Return the place of the last row of each lane, in their order."""
         _, last = np.unique(self.lane[::-1], return_index=True)
         return np.sort(len(self.lane) - 1 - last)
 
@@ -105,16 +148,16 @@ class Totals(NamedTuple):
         return self.amounts[:, AMOUNTS.index(name)]
 
     def at_first(self, name: str) -> Floats:
-        """Return what an edge was at the first sample."""
+        """Return a column of `EDGES` at the first sample."""
         return self.first[:, EDGES.index(name)]
 
     def at_last(self, name: str) -> Floats:
-        """Return what an edge was at the last sample."""
+        """Return a column of `EDGES` at the last sample."""
         return self.last[:, EDGES.index(name)]
 
 
 def join_totals(parts: Sequence[Totals], none: Totals) -> Totals:
-    """Return totals one after another; `none` where there are none."""
+    """Return totals concatenated; `none` where there are no rows."""
     some = [part for part in parts if len(part.lane)]
     if len(some) < 2:
         return some[0] if some else none
@@ -122,7 +165,7 @@ def join_totals(parts: Sequence[Totals], none: Totals) -> Totals:
 
 
 class Sums(NamedTuple):
-    """What a batch brought to a close, and what is due; a rest is the time between two rides."""
+    """Totals of what a batch closed, and running totals at its due samples; `rests` are idle periods between rides."""
 
     rides: Totals
     rests: Totals
@@ -131,24 +174,29 @@ class Sums(NamedTuple):
 
 
 class Ledger:
-    """The open ride and window of every lane; between rides, the rest in its place.
+    """Accumulate the totals of the open ride, or idle period, and of the open window of every lane.
 
     Parameters
     ----------
     effects : int
-        How many effects' energies are summed.
+        Number of effects whose energies are summed.
+
+    Attributes
+    ----------
+    width : int
+        Number of amounts per ride.
     """
 
     def __init__(self, effects: int) -> None:
         self.width = len(AMOUNTS) + effects + SPEED_BINS
-        # where each part of a book begins: amounts of window and ride, first edges of ride and window, last, quality
-        self._parts = np.cumsum([_HEAD, self.width, self.width, len(EDGES), len(EDGES), len(EDGES), len(CAUSES)])
-        self.books: Floats = self._new(0)
+        self._layout = _Layout.of(self.width)
+        self._open: Floats = self._empty(0)
 
-    def _new(self, lanes: int) -> Floats:
-        books = np.zeros((lanes, int(self._parts[-1])))
-        books[:, :_HEAD] = -1.0
-        return books
+    def _empty(self, lanes: int) -> Floats:
+        """Return the open totals of lanes that have sent nothing."""
+        totals = np.zeros((lanes, self._layout.size))
+        totals[:, [OPEN_RIDE, OPEN_WINDOW]] = -1.0
+        return totals
 
     def add(self, clean: Clean, kind: Ints, rates: Floats, lanes: int) -> Sums:
         """Add the rows of a batch.
@@ -156,22 +204,24 @@ class Ledger:
         Parameters
         ----------
         clean : Clean
+            n rows.
         kind : (n,) int
             Kind of car.
         rates : (len(AMOUNTS) + effects, n) float
             What each row adds, see `amounts`.
         lanes : int
-            How many there are so far.
+            Number of lanes so far.
         """
-        if len(self.books) < lanes:
-            self.books = grown(self.books, lanes, self._new(1)[0])
+        if len(self._open) < lanes:
+            self._open = grown(self._open, lanes, self._empty(1)[0])
         n = len(clean.lane)
-        edges = np.stack([*(getattr(clean, name) for name in EDGES[:-1]), kind.astype(np.float64)])
+        columns = clean._asdict() | {"kind": kind.astype(np.float64)}
+        edges = np.stack([columns[name] for name in EDGES])
         speed_bin = np.minimum(clean.speed / SPEED_BIN, SPEED_BINS - 1.0).astype(np.int64)
-        size = _BEFORE + self.books.shape[1]
-        closed = np.empty((n, size)), np.empty((n, size)), np.empty((n, size))
+        size = _OUT_HEAD + self._layout.size
+        rides, rests, windows = np.empty((n, size)), np.empty((n, size)), np.empty((n, size))
         running = np.empty((int(clean.due.sum()), size))
-        counts = enter(
+        n_rides, n_rests, n_windows = add_rows(
             clean.lane,
             clean.ride,
             clean.window,
@@ -180,60 +230,74 @@ class Ledger:
             rates,
             edges,
             speed_bin,
-            self.books,
-            self._parts,
-            *closed,
+            self._open,
+            self._layout,
+            rides,
+            rests,
+            windows,
             running,
         )
-        rides, rests, windows = (rows[:count] for rows, count in zip(closed, counts.tolist(), strict=True))
-        return Sums(self.read(rides), self.read(rests), self.read(windows, window=True), self.read(running))
+        return Sums(
+            self._read(rides[:n_rides]),
+            self._read(rests[:n_rests]),
+            self._read(windows[:n_windows], window=True),
+            self._read(running),
+        )
 
     def close(self) -> Sums:
-        """Close every open ride, rest and window; nothing is left behind."""
-        open_lanes = np.flatnonzero(self.books[:, 0] >= 0)
-        rides, windows = self.running(open_lanes), self.read(self._numbered(open_lanes), window=True)
-        duration = self.books[:, self._parts[1] + DURATION]
-        rests = self.running(np.flatnonzero((self.books[:, 0] < 0) & (duration > 0.0)))
-        self.books = self._new(len(self.books))
+        """Close every open ride, idle period and window; return their totals."""
+        riding = self._open[:, OPEN_RIDE] >= 0
+        lanes = np.flatnonzero(riding)
+        rides, windows = self.running(lanes), self._read(self._output_rows(lanes), window=True)
+        duration = self._open[:, self._layout.ride_amounts + DURATION]
+        rests = self.running(np.flatnonzero(~riding & (duration > 0.0)))
+        self._open = self._empty(len(self._open))
         return Sums(rides, rests, windows, self.none())
 
     def dump(self) -> bytes:
         """Return the open totals of every lane as bytes."""
-        return self.books.tobytes()
+        return self._open.tobytes()
 
     def load(self, state: bytes) -> None:
         """Replace the open totals by those that `dump` returned, made with as many effects."""
-        self.books = np.frombuffer(state).reshape(-1, self.books.shape[1]).copy()
+        self._open = np.frombuffer(state).reshape(-1, self._layout.size).copy()
 
     def none(self) -> Totals:
         """Return totals without rows."""
-        return self.read(np.empty((0, _BEFORE + self.books.shape[1])))
+        return self._read(np.empty((0, _OUT_HEAD + self._layout.size)))
 
     def running(self, lanes: Ints) -> Totals:
-        """Return the totals so far of the rides in progress in some lanes, of the rests in others."""
-        books = self._numbered(lanes)
-        p = self._parts + _BEFORE
-        books[:, p[1] : p[2]] += books[:, p[0] : p[1]]
-        return self.read(books)
+        """Return the totals so far of the ride or idle period of some lanes."""
+        rows = self._output_rows(lanes)
+        window, ride = self._part("window_amounts", self.width), self._part("ride_amounts", self.width)
+        rows[:, ride] += rows[:, window]
+        return self._read(rows)
 
-    def _numbered(self, lanes: Ints) -> Floats:
-        """Return the books of some lanes, with no row and the lane before each."""
-        return np.column_stack([np.full(len(lanes), -1.0), lanes.astype(np.float64), self.books[lanes]])
+    def _output_rows(self, lanes: Ints) -> Floats:
+        """Return output rows of the open totals of some lanes, without a row of the batch."""
+        rows = np.empty((len(lanes), _OUT_HEAD + self._layout.size))
+        rows[:, OUT_AT] = -1.0
+        rows[:, OUT_LANE] = lanes
+        rows[:, _OUT_HEAD:] = self._open[lanes]
+        return rows
 
-    def read(self, books: Floats, *, window: bool = False) -> Totals:
-        """Name the parts of books: of the window, or of the ride (into which its open window has been added)."""
-        p = self._parts + _BEFORE
-        at, lane, ride, ordinal = books[:, :4].T.astype(np.int64)
-        amounts, first = (p[0], p[3]) if window else (p[1], p[2])
+    def _part(self, name: str, size: int) -> slice:
+        """Return the columns of a part of the open totals in output rows."""
+        begin = _OUT_HEAD + getattr(self._layout, name)
+        return slice(begin, begin + size)
+
+    def _read(self, rows: Floats, *, window: bool = False) -> Totals:
+        """Return the totals in output rows, of the window or of the ride."""
+        amounts, first = ("window_amounts", "window_first") if window else ("ride_amounts", "ride_first")
         return Totals(
-            at,
-            lane,
-            ride,
-            ordinal,
-            books[:, amounts : amounts + self.width],
-            books[:, first : first + len(EDGES)],
-            books[:, p[4] : p[5]],
-            books[:, p[5] : p[6]],
+            at=rows[:, OUT_AT].astype(np.int64),
+            lane=rows[:, OUT_LANE].astype(np.int64),
+            ride=rows[:, _OUT_HEAD + OPEN_RIDE].astype(np.int64),
+            window=rows[:, _OUT_HEAD + OPEN_WINDOW].astype(np.int64),
+            amounts=rows[:, self._part(amounts, self.width)],
+            first=rows[:, self._part(first, len(EDGES))],
+            last=rows[:, self._part("last", len(EDGES))],
+            quality=rows[:, self._part("quality", len(CAUSES))],
         )
 
 
@@ -245,46 +309,43 @@ def amounts(signals: Signals, powers: Sequence[tuple[str, Floats]]) -> Floats:
     signals : Signals
         n rows.
     powers : sequence of (per, (n,) float)
-        Effects' powers per unit coefficient [W], each acting over distance or over time.
+        Power of each effect per unit of its coefficient [W], which acts over distance or over time.
 
     Returns
     -------
     (len(AMOUNTS) + len(powers), n) float
     """
     clean, sky = signals.clean, signals.sky
-    dt = clean.dt
-    table = np.zeros((len(AMOUNTS) + len(powers), len(dt)))
-    climb = clean.climb
-    wind_known = np.where(np.isnan(sky.wind_speed), 0.0, dt)
-    hvac_known = np.where(np.isnan(clean.hvac), 0.0, dt)
-    rows: tuple[Floats, ...] = (
-        dt,
-        clean.distance,
-        np.maximum(climb, 0.0),
-        np.maximum(-climb, 0.0),
-        clean.energy,
-        clean.metered,
-        clean.energy_variance,
-        signals["ambient"] * dt,
-        np.nan_to_num(sky.wind_speed) * dt,
-        np.nan_to_num(sky.wind_north) * dt,
-        np.nan_to_num(sky.wind_east) * dt,
-        wind_known,
-        signals["precipitation"] * dt,
-        np.nan_to_num(clean.hvac) * dt,
-        hvac_known,
-        clean.stop,
-        np.ones(len(dt)),
-    )
-    for row, values in zip(table, rows, strict=False):
-        row[:] = values
+    dt, climb = clean.dt, clean.climb
+    of_rows = {
+        "duration": dt,
+        "distance": clean.distance,
+        "gained": np.maximum(climb, 0.0),
+        "lost": np.maximum(-climb, 0.0),
+        "energy": clean.energy,
+        "metered": clean.metered,
+        "energy_variance": clean.energy_variance,
+        "ambient": signals["ambient"] * dt,
+        "wind": np.nan_to_num(sky.wind_speed) * dt,
+        "wind_north": np.nan_to_num(sky.wind_north) * dt,
+        "wind_east": np.nan_to_num(sky.wind_east) * dt,
+        "wind_known": np.where(np.isnan(sky.wind_speed), 0.0, dt),
+        "precipitation": signals["precipitation"] * dt,
+        "hvac": np.nan_to_num(clean.hvac) * dt,
+        "hvac_known": np.where(np.isnan(clean.hvac), 0.0, dt),
+        "stops": clean.stop,
+        "samples": np.ones(len(dt)),
+    }
+    table = np.empty((len(AMOUNTS) + len(powers), len(dt)))
+    for row, name in zip(table, AMOUNTS, strict=False):
+        row[:] = of_rows[name]
     for row, (per, power) in zip(table[len(AMOUNTS) :], powers, strict=True):
         np.multiply(power, clean.travel if per == "distance" else dt, out=row)
     return table
 
 
 @njit(cache=True)
-def enter(
+def add_rows(
     lane: Any,
     ride: Any,
     window: Any,
@@ -293,134 +354,124 @@ def enter(
     rates: Any,
     edges: Any,
     speed_bin: Any,
-    books: Any,
-    parts: Any,
+    open_totals: Any,
+    layout: Any,
     rides_out: Any,
     rests_out: Any,
     windows_out: Any,
     running_out: Any,
 ) -> Any:
-    """Enter rows into the books of their lanes, in order; return how many rides, rests and windows were closed."""
-    counts = np.zeros(3, np.int64)
-    shown = 0
-    window_at, ride_at, first_at, window_first_at, last_at, quality_at, _ = parts
+    """Add rows to the open totals of their lanes, in order; return how many rides, idle periods and windows closed."""
+    n_rides = n_rests = n_windows = n_running = 0
     for i in range(lane.shape[0]):
-        b = books[lane[i]]
+        totals = open_totals[lane[i]]
         silent = ride[i] < 0 and rates[DURATION, i] > SILENCE
-        if (window[i] != b[1] and b[0] >= 0.0) or ride[i] != b[0] or silent:
-            close_open(i, lane[i], b, ride[i], parts, edges, rides_out, rests_out, windows_out, counts)
-            b[0], b[1] = ride[i], window[i]
+        next_window = totals[OPEN_RIDE] >= 0.0 and window[i] != totals[OPEN_WINDOW]
+        if next_window or ride[i] != totals[OPEN_RIDE] or silent:
+            rows = rides_out[n_rides], rests_out[n_rests], windows_out[n_windows]
+            closed_ride, closed_rest, closed_window = close_open(totals, layout, ride[i], lane[i], edges, i, rows)
+            n_rides, n_rests, n_windows = n_rides + closed_ride, n_rests + closed_rest, n_windows + closed_window
+            totals[OPEN_RIDE], totals[OPEN_WINDOW] = ride[i], window[i]
         riding = ride[i] >= 0
-        counts_for = riding and (rates[0, i] > 0.0 or rates[1, i] > 0.0)
-        if counts_for:
-            add_row(b, window_at, rates, speed_bin, i)
+        counts = riding and (rates[DURATION, i] > 0.0 or rates[DISTANCE, i] > 0.0)
+        if counts:
+            add_row(totals, layout.window_amounts, rates, speed_bin, i)
         elif not riding and rates[DURATION, i] <= SILENCE:
-            add_row(b, ride_at, rates, speed_bin, i)
-        if counts_for or not riding:
-            note_edges(b, first_at, window_first_at, last_at, edges, i)
+            add_row(totals, layout.ride_amounts, rates, speed_bin, i)
+        if counts or not riding:
+            update_edges(totals, layout, edges, i)
         if riding:
-            count_bits(b, quality_at, quality[i])
+            count_quality(totals, layout.quality, quality[i])
         if due[i]:
-            show(running_out[shown], i, lane[i], b, window_at, ride_at)
-            shown += 1
-    return counts
+            write_running(running_out[n_running], i, lane[i], totals, layout)
+            n_running += 1
+    return n_rides, n_rests, n_windows
 
 
 @njit(cache=True)
-def close_open(
-    i: int,
-    lane: int,
-    b: Any,
-    ride: int,
-    parts: Any,
-    edges: Any,
-    rides_out: Any,
-    rests_out: Any,
-    windows_out: Any,
-    counts: Any,
-) -> None:
-    """Close the window at row `i`; where another ride or rest begins there, close what was open and begin it.
+def close_open(totals: Any, layout: Any, ride: int, lane: int, edges: Any, i: int, rows: Any) -> tuple[int, int, int]:
+    """Close the open window at row `i`, and where the ride changes, close ride or idle period and begin the next one.
 
-    Silence ends a rest: what was before it is told by the last sample that was heard.
+    Return how many rides, idle periods and windows were closed and written to `rows`. A silence ends an idle period at
+    its last sample.
     """
-    _, ride_at, _, window_first_at, last_at, _, _ = parts
-    if b[0] >= 0.0:
-        copy_out(windows_out[counts[2]], i, lane, b)
-        counts[2] += 1
-        close_window(b, parts[0], ride_at, window_first_at, last_at, edges.shape[0])
-    if ride == b[0] and ride >= 0:
-        return
-    if b[0] >= 0.0:
-        b[last_at + LOST] = edges[LOST, i]
-        copy_out(rides_out[counts[0]], i, lane, b)
-        counts[0] += 1
-    elif b[ride_at + DURATION] > 0.0:
-        copy_out(rests_out[counts[1]], i, lane, b)
-        counts[1] += 1
-    open_ride(b, parts, edges, i)
+    ride_row, rest_row, window_row = rows
+    in_ride = totals[OPEN_RIDE] >= 0.0
+    if in_ride:
+        write_row(window_row, i, lane, totals)
+        close_window(totals, layout, edges.shape[0])
+    if ride == totals[OPEN_RIDE] and ride >= 0:
+        return 0, 0, int(in_ride)
+    rest = not in_ride and totals[layout.ride_amounts + DURATION] > 0.0
+    if in_ride:
+        totals[layout.last + LOST] = edges[LOST, i]
+        write_row(ride_row, i, lane, totals)
+    elif rest:
+        write_row(rest_row, i, lane, totals)
+    open_ride(totals, layout, edges, i)
+    return int(in_ride), int(rest), int(in_ride)
 
 
 @njit(cache=True)
-def open_ride(b: Any, parts: Any, edges: Any, i: int) -> None:
-    """Clear the totals of the ride, and begin the next one at row `i`."""
-    _, ride_at, first_at, window_first_at, last_at, quality_at, _ = parts
-    b[ride_at:first_at] = 0.0
-    b[quality_at:] = 0.0
+def open_ride(totals: Any, layout: Any, edges: Any, i: int) -> None:
+    """Clear the totals of ride or idle period, and begin the next one at row `i`."""
+    totals[layout.ride_amounts : layout.ride_first] = 0.0
+    totals[layout.quality :] = 0.0
     for j in range(edges.shape[0]):
-        b[first_at + j] = b[window_first_at + j] = b[last_at + j] = edges[j, i]
+        totals[layout.ride_first + j] = totals[layout.window_first + j] = totals[layout.last + j] = edges[j, i]
 
 
 @njit(cache=True)
-def add_row(b: Any, at: int, rates: Any, speed_bin: Any, i: int) -> None:
-    """Add what a row stands for to the open window, or to the rest."""
+def add_row(totals: Any, begin: int, rates: Any, speed_bin: Any, i: int) -> None:
+    """Add the rates of row `i` to the amounts that begin at a column, and its distance to the speed histogram."""
     for j in range(rates.shape[0]):
-        b[at + j] += rates[j, i]
-    b[at + rates.shape[0] + speed_bin[i]] += rates[1, i]
+        totals[begin + j] += rates[j, i]
+    totals[begin + rates.shape[0] + speed_bin[i]] += rates[DISTANCE, i]
 
 
 @njit(cache=True)
-def show(row: Any, i: int, lane: int, b: Any, window_at: int, ride_at: int) -> None:
-    """Write the running totals of a lane: the ride's, and with them the open window's."""
-    copy_out(row, i, lane, b)
-    for j in range(ride_at - window_at):
-        row[_BEFORE + ride_at + j] += b[window_at + j]
+def write_running(row: Any, i: int, lane: int, totals: Any, layout: Any) -> None:
+    """Write the running totals of a lane to an output row: those of the ride plus those of the open window."""
+    write_row(row, i, lane, totals)
+    for j in range(layout.ride_amounts - layout.window_amounts):
+        row[_OUT_HEAD + layout.ride_amounts + j] += totals[layout.window_amounts + j]
 
 
 @njit(cache=True)
-def close_window(b: Any, window_at: int, ride_at: int, window_first_at: int, last_at: int, n_edges: int) -> None:
+def close_window(totals: Any, layout: Any, n_edges: int) -> None:
     """Add the open window to its ride, and begin the next one where it ended."""
-    for j in range(ride_at - window_at):
-        b[ride_at + j] += b[window_at + j]
-        b[window_at + j] = 0.0
+    for j in range(layout.ride_amounts - layout.window_amounts):
+        totals[layout.ride_amounts + j] += totals[layout.window_amounts + j]
+        totals[layout.window_amounts + j] = 0.0
     for j in range(n_edges):
-        b[window_first_at + j] = b[last_at + j]
+        totals[layout.window_first + j] = totals[layout.last + j]
 
 
 @njit(cache=True)
-def note_edges(b: Any, first_at: int, window_first_at: int, last_at: int, edges: Any, i: int) -> None:
-    """Note what the last sample so far says; a state of charge may become known only after the first."""
+def update_edges(totals: Any, layout: Any, edges: Any, i: int) -> None:
+    """Keep the values of row `i` as the last ones, and its state of charge as the first one where none was known."""
     for j in range(edges.shape[0]):
-        b[last_at + j] = edges[j, i]
-    if isnan(b[first_at + SOC]):
-        b[first_at + SOC] = edges[SOC, i]
-    if isnan(b[window_first_at + SOC]):
-        b[window_first_at + SOC] = edges[SOC, i]
+        totals[layout.last + j] = edges[j, i]
+    if isnan(totals[layout.ride_first + SOC]):
+        totals[layout.ride_first + SOC] = edges[SOC, i]
+    if isnan(totals[layout.window_first + SOC]):
+        totals[layout.window_first + SOC] = edges[SOC, i]
 
 
 @njit(cache=True)
-def copy_out(row: Any, i: int, lane: int, book: Any) -> None:
-    """Write the row of the batch, a lane and its book into a row."""
-    row[0], row[1] = i, lane
-    for j in range(book.shape[0]):
-        row[_BEFORE + j] = book[j]
+def write_row(row: Any, i: int, lane: int, totals: Any) -> None:
+    """Write the row of the batch, a lane and its open totals to an output row."""
+    row[OUT_AT], row[OUT_LANE] = i, lane
+    for j in range(totals.shape[0]):
+        row[_OUT_HEAD + j] = totals[j]
 
 
 @njit(cache=True)
-def count_bits(book: Any, at: int, bits: int) -> None:
-    """Count each quality bit that is set."""
-    place = at
+def count_quality(totals: Any, begin: int, bits: int) -> None:
+    """Count each quality bit that is set in the columns that begin at `begin`."""
+    place = begin
     while bits:
         if bits & 1:
-            book[place] += 1.0
+            totals[place] += 1.0
         bits >>= 1
         place += 1
