@@ -15,7 +15,8 @@ from typing import Final
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
-from core.wire.messages import address, schema
+from core.wire.messages import address
+from core.wire.schema import make_schema
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 LARGEST_CHUNK: Final = 1 << 30
@@ -79,7 +80,7 @@ def _lacking(kind: str, data: bytes) -> list[str]:
         properties = json.loads(data).get("properties")
     except (ValueError, AttributeError):
         return []
-    return sorted(set(schema(kind)["required"]) - set(properties)) if properties else []
+    return sorted(set(make_schema(kind)["required"]) - set(properties)) if properties else []
 
 
 def explain_foreign_channel(topic: str, encoding: str, name: str, schema_encoding: str, data: bytes) -> str:

@@ -27,7 +27,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, ChunkIndex, DataEnd, Footer, Header, Schema, Statistics, SummaryOffset
 
 from core.errors import RecordingError
-from core.wire.messages import KINDS, Message, address, schema
+from core.wire.messages import KINDS, Message, address
+from core.wire.schema import make_schema
 from stream.mcap_format import FOOTER_RECORD, MAGIC, MESSAGE_HEAD, RECORD
 
 CHUNK_BYTES: Final = 1 << 20
@@ -185,7 +186,7 @@ class McapSink:
             )
         known = address(key)
         if known and known.kind not in self._schemas:
-            data = json.dumps(schema(known.kind)).encode()
+            data = json.dumps(make_schema(known.kind)).encode()
             number = len(self._schemas) + 1
             self._schemas[known.kind] = Schema(number, data, "jsonschema", KINDS[known.kind].__name__)
         channel = self._keys[key] = len(self._channels) + 1

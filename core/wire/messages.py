@@ -1,6 +1,6 @@
-"""Wire structs, field by field as the wire contract has them, their payloads and their JSON schemas.
+"""Structs of the messages on the wire, field by field, and the keys under which they travel.
 
-Names wear the wire's units. `core.wire.decoder` turns payloads into the SI columns that everything else works on.
+Names of fields carry their units. `core.wire.decoder` turns payloads into columns in SI units.
 """
 
 import re
@@ -10,21 +10,25 @@ from operator import attrgetter
 from typing import Annotated, Any, Final, Literal, NamedTuple
 
 import msgspec
+from msgspec import Meta
 
 IDENTITY: Final = re.compile(r"[A-Za-z0-9_.-]{1,64}")
-"""What a vehicle or a station may be called."""
+"""Valid identity of a vehicle or a station."""
 
-Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
+Count = Annotated[int, Meta(ge=0, le=2**53)]
 
 
 class Message(NamedTuple):
-    """What a transport delivers, before anybody has looked inside.
+    """Hold what a transport delivers, before it is decoded.
 
     Parameters
     ----------
-    key : str. Zenoh key expression, or MCAP topic.
-    payload : bytes. UTF-8 JSON, verbatim.
-    receipt_ns : int. Unix time at which it was received. [ns]
+    key : str
+        Zenoh key expression, or MCAP topic.
+    payload : bytes
+        UTF-8 JSON, verbatim.
+    receipt_ns : int
+        Unix time of receipt. [ns]
     """
 
     key: str
@@ -33,263 +37,255 @@ class Message(NamedTuple):
 
 
 class Wire(msgspec.Struct, gc=False, omit_defaults=True):
-    """Base of everything that travels."""
+    """Base of all messages and their parts."""
 
 
 class Telemetry(Wire):
-    """One logger sample, nominally every 3 s: `fleet/{vehicle_id}/telemetry`."""
+    """Sample of a logger, nominally every 3 s: `fleet/{vehicle_id}/telemetry`."""
 
-    vehicle_id: str
-    time_s: float
-    ride_id: str | msgspec.UnsetType | None = msgspec.UNSET
-    seq: Count | None = None
-    latitude_deg: float | None = None
-    longitude_deg: float | None = None
-    elevation_m: float | None = None
-    speed_kmh: float | None = None
-    odometer_km: float | None = None
-    soc_pct: float | None = None
-    battery_voltage_v: float | None = None
-    battery_current_a: float | None = None
-    battery_temperature_c: float | None = None
-    ambient_c: float | None = None
-    hvac_w: float | None = None
-    occupants: Count | None = None
-    charging: bool | None = None
+    vehicle_id: Annotated[str, Meta(description="Identity of the vehicle, as in the key.")]
+    time_s: Annotated[float, Meta(description="Time on the logger's own clock. [Unix s]")]
+    ride_id: Annotated[
+        str | msgspec.UnsetType | None,
+        Meta(
+            description="The logger's name of the ride in progress; null when no ride is in progress, absent from a logger that names no rides."
+        ),
+    ] = msgspec.UNSET
+    seq: Annotated[Count | None, Meta(description="The logger's sample counter.")] = None
+    latitude_deg: Annotated[float | None, Meta(description="Latitude, WGS 84. [deg]")] = None
+    longitude_deg: Annotated[float | None, Meta(description="Longitude, WGS 84. [deg]")] = None
+    elevation_m: Annotated[float | None, Meta(description="Elevation above sea level. [m]")] = None
+    speed_kmh: Annotated[float | None, Meta(description="Ground speed. [km/h]")] = None
+    odometer_km: Annotated[float | None, Meta(description="Odometer. [km]")] = None
+    soc_pct: Annotated[float | None, Meta(description="State of charge as displayed. [%]")] = None
+    battery_voltage_v: Annotated[float | None, Meta(description="Voltage of the traction battery. [V]")] = None
+    battery_current_a: Annotated[
+        float | None, Meta(description="Current of the traction battery, positive when discharging. [A]")
+    ] = None
+    battery_temperature_c: Annotated[float | None, Meta(description="Temperature of the traction battery. [degC]")] = (
+        None
+    )
+    ambient_c: Annotated[float | None, Meta(description="Temperature of the outside air. [degC]")] = None
+    hvac_w: Annotated[float | None, Meta(description="Power of heating and air conditioning. [W]")] = None
+    occupants: Annotated[Count | None, Meta(description="Number of people aboard, including the driver.")] = None
+    charging: Annotated[bool | None, Meta(description="Whether the car is plugged in and charging.")] = None
 
 
 class Vehicle(Wire):
-    """What is known of a car, with overrides of its catalogue entry: `fleet/{vehicle_id}/vehicle`."""
+    """Vehicle model of a car, and overrides of its catalogue entry: `fleet/{vehicle_id}/vehicle`."""
 
-    vehicle_id: str
-    time_s: float
-    model: str
-    nominal_capacity_kwh: float | None = None
-    mass_kg: float | None = None
-    drag_coefficient: float | None = None
-    frontal_area_m2: float | None = None
-    rolling_resistance: float | None = None
-    in_service_date: str | None = None
+    vehicle_id: Annotated[str, Meta(description="Identity of the vehicle, as in the key.")]
+    time_s: Annotated[float, Meta(description="Time from which the message applies. [Unix s]")]
+    model: Annotated[str, Meta(description="Key of the vehicle model in the catalogue.")]
+    nominal_capacity_kwh: Annotated[
+        float | None, Meta(description="Rated energy of the new battery; replaces that of the catalogue. [kWh]")
+    ] = None
+    mass_kg: Annotated[float | None, Meta(description="Kerb mass; replaces that of the catalogue. [kg]")] = None
+    drag_coefficient: Annotated[
+        float | None, Meta(description="Drag coefficient; replaces that of the catalogue. [1]")
+    ] = None
+    frontal_area_m2: Annotated[float | None, Meta(description="Frontal area; replaces that of the catalogue. [m2]")] = (
+        None
+    )
+    rolling_resistance: Annotated[
+        float | None,
+        Meta(
+            description="Rolling resistance coefficient, warm tyres on dry asphalt; replaces that of the catalogue. [1]"
+        ),
+    ] = None
+    in_service_date: Annotated[
+        str | None, Meta(description="Date of first registration, ISO 8601; accepted and not used.")
+    ] = None
 
 
 class Ride(Wire):
-    """A ride begins or ends, says dispatch: `fleet/{vehicle_id}/ride`."""
+    """Begin or end of a ride, reported by dispatch: `fleet/{vehicle_id}/ride`."""
 
-    vehicle_id: str
-    time_s: float
-    ride_id: str
-    event: Literal["start", "end"]
-    driver_id: str | None = None
+    vehicle_id: Annotated[str, Meta(description="Identity of the vehicle, as in the key.")]
+    time_s: Annotated[float, Meta(description="Time at which the ride begins or ends. [Unix s]")]
+    ride_id: Annotated[str, Meta(description="Name of the ride, as in its telemetry.")]
+    event: Annotated[Literal["start", "end"], Meta(description="Whether the ride begins (start) or ends (end).")]
+    driver_id: Annotated[str | None, Meta(description="Identity of the driver.")] = None
 
 
 class Leg(Wire):
-    """One leg of a plan."""
+    """Leg of a plan."""
 
-    distance_km: float
-    duration_s: float
-    gained_m: float | None = None
-    lost_m: float | None = None
+    distance_km: Annotated[float, Meta(description="Distance of the leg. [km]")]
+    duration_s: Annotated[float, Meta(description="Duration of the leg. [s]")]
+    gained_m: Annotated[float | None, Meta(description="Sum of climbs; as usual of the fleet where unknown. [m]")] = (
+        None
+    )
+    lost_m: Annotated[float | None, Meta(description="Sum of descents; as usual of the fleet where unknown. [m]")] = (
+        None
+    )
 
 
 class Plan(Wire):
-    """What remains of the shift: `fleet/{vehicle_id}/plan`."""
+    """Remaining legs of the shift, planned by dispatch: `fleet/{vehicle_id}/plan`."""
 
-    vehicle_id: str
-    time_s: float
-    shift_end_s: float
-    reserve_soc_pct: float
-    legs: list[Leg]
+    vehicle_id: Annotated[str, Meta(description="Identity of the vehicle, as in the key.")]
+    time_s: Annotated[float, Meta(description="Time at which the plan was made. [Unix s]")]
+    shift_end_s: Annotated[float, Meta(description="Time at which the shift ends. [Unix s]")]
+    reserve_soc_pct: Annotated[float, Meta(description="State of charge that must remain. [%]")]
+    legs: Annotated[list[Leg], Meta(description="Remaining legs, in their order.")]
 
 
 class Weather(Wire):
-    """One observation of a station: `weather/{station_id}`."""
+    """Observation of a weather station: `weather/{station_id}`."""
 
-    station_id: str
-    time_s: float
-    latitude_deg: float
-    longitude_deg: float
-    temperature_c: float | None = None
-    wind_speed_kmh: float | None = None
-    wind_from_deg: float | None = None
-    precipitation_mm: float | None = None
-    pressure_hpa: float | None = None
-    humidity_pct: float | None = None
-    solar_w_m2: float | None = None
+    station_id: Annotated[str, Meta(description="Identity of the station, as in the key.")]
+    time_s: Annotated[float, Meta(description="Time of the observation. [Unix s]")]
+    latitude_deg: Annotated[float, Meta(description="Latitude of the station, WGS 84. [deg]")]
+    longitude_deg: Annotated[float, Meta(description="Longitude of the station, WGS 84. [deg]")]
+    temperature_c: Annotated[float | None, Meta(description="Air temperature. [degC]")] = None
+    wind_speed_kmh: Annotated[float | None, Meta(description="Wind speed. [km/h]")] = None
+    wind_from_deg: Annotated[
+        float | None, Meta(description="Direction the wind blows from, north 0, east 90. [deg]")
+    ] = None
+    precipitation_mm: Annotated[
+        float | None, Meta(description="Rain or melted snow since the last observation. [mm]")
+    ] = None
+    pressure_hpa: Annotated[float | None, Meta(description="Air pressure at sea level. [hPa]")] = None
+    humidity_pct: Annotated[float | None, Meta(description="Relative humidity. [%]")] = None
+    solar_w_m2: Annotated[float | None, Meta(description="Global horizontal irradiance. [W/m2]")] = None
 
 
 class Interval(Wire, omit_defaults=False):
-    """A predicted quantity: its mean and its 5th and 95th percentile."""
+    """Predicted quantity: its mean and its 5th and 95th percentile, in the unit of the field."""
 
-    mean: float
-    p05: float
-    p95: float
+    mean: Annotated[float, Meta(description="Mean.")]
+    p05: Annotated[float, Meta(description="5th percentile.")]
+    p95: Annotated[float, Meta(description="95th percentile.")]
 
 
 class QualityCounts(Wire, omit_defaults=False):
     """Samples repaired or rejected since the ride began, by cause."""
 
-    repaired_time: int
-    rejected_speed: int
-    duplicate: int
-    gap: int
-    out_of_range: int
+    repaired_time: Annotated[int, Meta(description="Samples with a repaired time stamp.")]
+    rejected_speed: Annotated[int, Meta(description="Samples with a rejected speed.")]
+    duplicate: Annotated[int, Meta(description="Samples sent again or too late.")]
+    gap: Annotated[int, Meta(description="Gaps between samples.")]
+    out_of_range: Annotated[int, Meta(description="Samples with a value outside its valid range.")]
 
 
 class Forecast(Wire, omit_defaults=False):
-    """What the consumer publishes: `fleet/{vehicle_id}/forecast`."""
+    """Forecast for a vehicle, published by the consumer: `fleet/{vehicle_id}/forecast`."""
 
-    vehicle_id: str
-    time_s: float
-    ride_id: str | None
-    model: str
-    ride_distance_km: float
-    ride_duration_s: float
-    ride_energy_predicted_kwh: float | None
-    ride_energy_measured_kwh: float | None
-    soc_pct: float | None
-    soc_sd_pct: float | None
-    range_km: Interval | None
-    soc_end_of_shift_pct: Interval | None
-    reserve_risk: float | None
-    quality: QualityCounts
+    vehicle_id: Annotated[str, Meta(description="Identity of the vehicle, as in the key.")]
+    time_s: Annotated[float, Meta(description="Repaired time of the newest sample. [Unix s]")]
+    ride_id: Annotated[
+        str | None, Meta(description="Name of the ride in progress; null outside rides and where it has none.")
+    ]
+    model: Annotated[str, Meta(description="Name and version of the model.")]
+    ride_distance_km: Annotated[float, Meta(description="Distance driven in the ride so far. [km]")]
+    ride_duration_s: Annotated[float, Meta(description="Duration of the ride so far. [s]")]
+    ride_energy_predicted_kwh: Annotated[float | None, Meta(description="Energy of the ride so far, predicted. [kWh]")]
+    ride_energy_measured_kwh: Annotated[float | None, Meta(description="Energy of the ride so far, measured. [kWh]")]
+    soc_pct: Annotated[float | None, Meta(description="Filtered state of charge. [%]")]
+    soc_sd_pct: Annotated[float | None, Meta(description="Standard deviation of the filtered state of charge. [%]")]
+    range_km: Annotated[Interval | None, Meta(description="Range down to the reserve. [km]")]
+    soc_end_of_shift_pct: Annotated[Interval | None, Meta(description="State of charge at the end of the shift. [%]")]
+    reserve_risk: Annotated[
+        float | None,
+        Meta(description="Probability that the state of charge falls below the reserve before the shift ends. [1]"),
+    ]
+    quality: Annotated[QualityCounts, Meta(description="Samples repaired or rejected since the ride began, by cause.")]
 
 
 class LegOutlook(Wire, omit_defaults=False):
-    """What is expected of a leg.
+    """Forecast for a leg of a plan."""
 
-    Parameters
-    ----------
-    distance_km, duration_s : float
-        As planned. [km], [s]
-    energy_kwh : Interval or None
-        That it takes from the battery. [kWh]
-    soc_pct : Interval or None
-        State of charge at its end. [%]
-    """
-
-    distance_km: float
-    duration_s: float
-    energy_kwh: Interval | None
-    soc_pct: Interval | None
+    distance_km: Annotated[float, Meta(description="Distance of the leg, as planned. [km]")]
+    duration_s: Annotated[float, Meta(description="Duration of the leg, as planned. [s]")]
+    energy_kwh: Annotated[Interval | None, Meta(description="Energy that the leg draws from the battery. [kWh]")]
+    soc_pct: Annotated[Interval | None, Meta(description="State of charge at the end of the leg. [%]")]
 
 
 class Outlook(Wire, omit_defaults=False):
-    """What is expected of the rest of a shift, in reply to a query of `fleet/{vehicle_id}/outlook`.
+    """Forecast for the rest of a shift, in reply to a query of `fleet/{vehicle_id}/outlook`."""
 
-    Parameters
-    ----------
-    time_s : float
-        Of the newest sample that it rests on. [Unix seconds]
-    model : str
-        Name and version of the model that made it.
-    soc_pct, soc_sd_pct : float or None
-        Filtered state of charge and its standard deviation, now. [%]
-    usable_capacity_kwh, usable_capacity_sd_kwh : float or None
-        Of the battery, and its standard deviation. [kWh]
-    consumption_scale : float or None
-        What this car takes today, over what the model says. [1]
-    asked : LegOutlook or None
-        The ride asked for; None where none was.
-    legs : list of LegOutlook
-        The remaining legs of the plan, after the ride asked for.
-    shift_end_s : float or None
-        By the plan, or as the car's shifts usually end. [Unix seconds]
-    soc_end_of_shift_pct : Interval or None
-        State of charge when the shift ends, with the ride asked for. [%]
-    reserve_soc_pct : float
-        Of the plan, or what is usual. [%]
-    reserve_risk : float or None
-        Probability that the state of charge falls below the reserve before the shift ends, with the ride asked for.
-    why_not : str or None
-        Why any of these is None, in words.
-    """
-
-    vehicle_id: str
-    time_s: float
-    model: str
-    soc_pct: float | None
-    soc_sd_pct: float | None
-    usable_capacity_kwh: float | None
-    usable_capacity_sd_kwh: float | None
-    consumption_scale: float | None
-    asked: LegOutlook | None
-    legs: list[LegOutlook]
-    shift_end_s: float | None
-    soc_end_of_shift_pct: Interval | None
-    reserve_soc_pct: float
-    reserve_risk: float | None
-    why_not: str | None
+    vehicle_id: Annotated[str, Meta(description="Identity of the vehicle.")]
+    time_s: Annotated[float, Meta(description="Repaired time of the newest sample that the outlook uses. [Unix s]")]
+    model: Annotated[str, Meta(description="Name and version of the model.")]
+    soc_pct: Annotated[float | None, Meta(description="Filtered state of charge. [%]")]
+    soc_sd_pct: Annotated[float | None, Meta(description="Standard deviation of the filtered state of charge. [%]")]
+    usable_capacity_kwh: Annotated[float | None, Meta(description="Usable capacity of the battery. [kWh]")]
+    usable_capacity_sd_kwh: Annotated[
+        float | None, Meta(description="Standard deviation of the usable capacity. [kWh]")
+    ]
+    consumption_scale: Annotated[
+        float | None, Meta(description="Ratio of this car's consumption today to the model's prediction. [1]")
+    ]
+    asked: Annotated[LegOutlook | None, Meta(description="Candidate ride; null where the query has none.")]
+    legs: Annotated[list[LegOutlook], Meta(description="Remaining legs of the plan, after the candidate ride.")]
+    shift_end_s: Annotated[
+        float | None,
+        Meta(description="Time at which the shift ends, by the plan or by the car's usual shifts. [Unix s]"),
+    ]
+    soc_end_of_shift_pct: Annotated[
+        Interval | None, Meta(description="State of charge at the end of the shift, including the candidate ride. [%]")
+    ]
+    reserve_soc_pct: Annotated[float, Meta(description="Reserve of the plan, or the usual one. [%]")]
+    reserve_risk: Annotated[
+        float | None,
+        Meta(
+            description="Probability that the state of charge falls below the reserve before the shift ends, including the candidate ride. [1]"
+        ),
+    ]
+    why_not: Annotated[str | None, Meta(description="Reason for which any of these is null, in words.")]
 
 
 class Gain(Wire, omit_defaults=False):
-    """By how much a model's error is smaller than the first model's, over whole vehicle-days that both predicted.
+    """By how much a model's error is smaller than the first model's, over whole vehicle-days that both predicted."""
 
-    Parameters
-    ----------
-    rides, vehicle_days : int
-        Of vehicle-days that have ended; rides that both models predicted.
-    mean_kwh : float or None
-        Absolute error of the first model, less that of this one, a ride; None where no vehicle-day has ended.
-    lower_kwh, upper_kwh : float or None
-        Between what it lies, with 95 % for all shadows together and however often one looks (`core.stats.confidence_sequence`); None
-        where too few vehicle-days have ended to tell.
-    verdict : str
-        `better` or `worse` where those exclude zero.
-    """
-
-    rides: int
-    vehicle_days: int
-    mean_kwh: float | None
-    lower_kwh: float | None
-    upper_kwh: float | None
-    verdict: Literal["better", "worse", "not told"]
+    rides: Annotated[int, Meta(description="Rides that both models predicted, of vehicle-days that have ended.")]
+    vehicle_days: Annotated[int, Meta(description="Vehicle-days that have ended.")]
+    mean_kwh: Annotated[
+        float | None,
+        Meta(
+            description="Mean per ride of the first model's absolute error less this model's; null before a vehicle-day has ended. [kWh]"
+        ),
+    ]
+    lower_kwh: Annotated[
+        float | None,
+        Meta(description="Lower end of its 95 % interval; null where too few vehicle-days have ended. [kWh]"),
+    ]
+    upper_kwh: Annotated[
+        float | None,
+        Meta(description="Upper end of its 95 % interval; null where too few vehicle-days have ended. [kWh]"),
+    ]
+    verdict: Annotated[
+        Literal["better", "worse", "not told"],
+        Meta(description="`better` or `worse` where the interval excludes zero."),
+    ]
 
 
 class RideErrors(Wire, omit_defaults=False):
-    """Running errors of a model, over rides that are fit for training and whose energy was measured.
+    """Running errors of a model, over rides that are fit for training and whose energy was measured."""
 
-    Parameters
-    ----------
-    vehicle_model : str or None
-        Whose rides; None for all.
-    rides, unpredicted_rides : int
-        That it predicted, and that it could not.
-    mae_kwh, bias_kwh : float or None
-        Mean absolute error and mean error (predicted less measured) a ride.
-    mae_pct : float or None
-        Sum of absolute errors over the sum of measured energies.
-    gain : Gain or None
-        Against the first model; None of the first itself.
-    """
-
-    vehicle_model: str | None
-    rides: int
-    unpredicted_rides: int
-    mae_kwh: float | None
-    mae_pct: float | None
-    bias_kwh: float | None
-    gain: Gain | None
+    vehicle_model: Annotated[str | None, Meta(description="Vehicle model of the rides; null for all rides.")]
+    rides: Annotated[int, Meta(description="Rides that the model predicted.")]
+    unpredicted_rides: Annotated[int, Meta(description="Rides that the model could not predict.")]
+    mae_kwh: Annotated[float | None, Meta(description="Mean absolute error per ride. [kWh]")]
+    mae_pct: Annotated[float | None, Meta(description="Sum of absolute errors over the sum of measured energies. [%]")]
+    bias_kwh: Annotated[float | None, Meta(description="Mean of predicted less measured energy per ride. [kWh]")]
+    gain: Annotated[
+        Gain | None,
+        Meta(description="Reduction of the error against the first model; null for the first model itself."),
+    ]
 
 
 class ModelErrors(Wire, omit_defaults=False):
-    """How a model fares in service, published as rides end: `models/{name}/{version}/errors`.
+    """How a model fares in service, published as rides end: `models/{name}/{version}/errors`."""
 
-    Parameters
-    ----------
-    model, first : str
-        Name and version, of the model and of the one that makes the forecasts.
-    time_s : float
-        End of the last ride that counts.
-    overall : RideErrors
-    by_vehicle_model : list of RideErrors
-        In the order in which they were first met.
-    """
-
-    model: str
-    first: str
-    time_s: float
-    overall: RideErrors
-    by_vehicle_model: list[RideErrors]
+    model: Annotated[str, Meta(description="Name and version of the model.")]
+    first: Annotated[str, Meta(description="Name and version of the model that makes the forecasts.")]
+    time_s: Annotated[float, Meta(description="End of the last ride that counts. [Unix s]")]
+    overall: Annotated[RideErrors, Meta(description="Errors over all rides.")]
+    by_vehicle_model: Annotated[
+        list[RideErrors], Meta(description="Errors by vehicle model, in the order in which they were first met.")
+    ]
 
 
 OF_VEHICLES: Final[dict[str, type[Wire]]] = {
@@ -299,13 +295,13 @@ OF_VEHICLES: Final[dict[str, type[Wire]]] = {
     "plan": Plan,
     "forecast": Forecast,
 }
-"""The last chunk of a vehicle's key -> the struct that travels under it."""
+"""Last chunk of a vehicle's key -> struct of its message."""
 KINDS: Final[dict[str, type[Wire]]] = OF_VEHICLES | {"weather": Weather, "errors": ModelErrors}
-"""All kinds of message -> the struct of each."""
+"""Kind of message -> its struct."""
 
 
 class Address(NamedTuple):
-    """A key taken apart: the kind of message, and the vehicle, station or model (with its version) it speaks of."""
+    """Parts of a key: the kind of message, and the vehicle, station or model (with its version) that it is about."""
 
     kind: str
     identity: str
@@ -313,7 +309,7 @@ class Address(NamedTuple):
 
 @lru_cache(maxsize=1 << 16)
 def address(key: str) -> Address | None:
-    """Take a key apart; None for a key that is not of the contract. Chunks before it are a prefix.
+    """Return the parts of a key, None for a key that is not of the contract. Chunks before it are a prefix.
 
     >>> address("montreal/fleet/taxi-7/telemetry")
     Address(kind='telemetry', identity='taxi-7')
@@ -340,7 +336,7 @@ def address(key: str) -> Address | None:
 
 
 def model_identity(model: str) -> str:
-    """Return name and version of a model as chunks of a key, whatever else they hold replaced.
+    """Return name and version of a model as chunks of a key, with all other characters replaced.
 
     >>> model_identity("hybrid interactions/2")
     'hybrid_interactions/2'
@@ -350,7 +346,7 @@ def model_identity(model: str) -> str:
 
 
 def identity(value: Wire) -> str:
-    """Return the vehicle, station or model that a message speaks of, as its key names it."""
+    """Return the vehicle, station or model that a message is about, as its key names it."""
     named = _NAMES.get(type(value))
     if named is None:
         raise TypeError(f"{type(value).__name__} does not travel by itself")
@@ -362,34 +358,7 @@ _NAMES: Final[dict[type[Wire], Callable[[Any], str]]] = {
     Weather: attrgetter("station_id"),
     ModelErrors: lambda errors: model_identity(errors.model),
 }
-"""How a message of each kind tells of whom it speaks."""
-
-
-def schema(kind: str) -> dict[str, Any]:
-    """Return the JSON schema of a kind, with every type plain: no references, no unions with null.
-
-    MCAP viewers plot what they find as `properties` of an `object` and do not follow `$ref` or `anyOf`.
-
-    >>> schema("telemetry")["properties"]["soc_pct"]
-    {'type': 'number'}
-    """
-    (_,), components = msgspec.json.schema_components([KINDS[kind]], ref_template="{name}")
-
-    def plain(node: dict[str, Any]) -> dict[str, Any]:
-        if "$ref" in node:
-            return plain(components[node["$ref"]])
-        if "enum" in node:
-            return {"type": "string"}
-        if "anyOf" in node:
-            return plain(next(option for option in node["anyOf"] if option.get("type") != "null"))
-        out = {k: v for k, v in node.items() if k in {"title", "type", "description", "required"}}
-        if "items" in node:
-            out["items"] = plain(node["items"])
-        if "properties" in node:
-            out["properties"] = {name: plain(child) for name, child in node["properties"].items()}
-        return out
-
-    return plain(components[KINDS[kind].__name__])
+"""Struct -> function that returns the identity in a message."""
 
 
 def encode(value: Wire) -> bytes:

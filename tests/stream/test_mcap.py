@@ -11,7 +11,8 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from core.errors import RecordingError
-from core.wire.messages import Message, Telemetry, Weather, encode, schema
+from core.wire.messages import Message, Telemetry, Weather, encode
+from core.wire.schema import make_schema
 from stream.mcap_reader import McapSource
 from stream.mcap_writer import McapSink
 
@@ -74,7 +75,7 @@ def test_any_reader_of_the_format_finds_everything(recording: Path):
     assert [Message(c.topic, m.data, m.log_time) for _, c, m in found] == telemetry(500)
     assert [m.publish_time for _, _, m in found] == [m.log_time - SECOND // 4 for _, _, m in found]
     assert {(c.message_encoding, s.encoding, s.name) for s, c, _ in found} == {("json", "jsonschema", "Telemetry")}
-    assert json.loads(found[0][0].data) == schema("telemetry")
+    assert json.loads(found[0][0].data) == make_schema("telemetry")
     assert summary.statistics.message_count == 500
     assert sum(summary.statistics.channel_message_counts.values()) == 500
     assert summary.statistics.chunk_count == len(summary.chunk_indexes) > 5
@@ -194,7 +195,7 @@ def other_writer(path: Path, **settings) -> Path:
     with path.open("wb") as file:
         writer = Writer(file, chunk_size=600, **settings)
         writer.start()
-        described = writer.register_schema("Telemetry", "jsonschema", json.dumps(schema("telemetry")).encode())
+        described = writer.register_schema("Telemetry", "jsonschema", json.dumps(make_schema("telemetry")).encode())
         channel = writer.register_channel("fleet/car-0/telemetry", "json", described)
         sent = telemetry(60, cars=1)
         for message in sent[30:] + sent[:30]:

@@ -28,7 +28,6 @@ from core.wire.messages import (
     encode,
     identity,
     model_identity,
-    schema,
 )
 
 number = st.floats(allow_nan=False, allow_infinity=False)
@@ -138,14 +137,6 @@ def test_a_forecast_says_what_it_does_not_know():
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_what_is_not_finite_never_travels_as_a_number(value):
     assert msgspec.json.decode(encode(Telemetry("a", 0.0, soc_pct=value))).get("soc_pct") is None
-
-
-def test_schemas_name_units_that_viewers_plot():
-    properties = schema("forecast")["properties"]
-    assert properties["range_km"]["properties"]["p05"] == {"type": "number"}
-    assert schema("plan")["properties"]["legs"]["items"]["properties"]["distance_km"] == {"type": "number"}
-    assert "vehicle_id" in schema("telemetry")["required"]
-    assert "soc_pct" not in schema("telemetry")["required"]
 
 
 @given(STRUCTS)

@@ -1,0 +1,58 @@
+"""JSON schemas of the messages, as recordings carry them and viewers read them."""
+
+from typing import Any, Final
+
+import msgspec
+
+from core.wire.messages import KINDS, Wire
+
+_KEPT: Final[tuple[str, ...]] = ("title", "description", "type", "required")
+
+
+def make_schema(kind: str) -> dict[str, Any]:
+    """Return the JSON schema of a kind of message, with plain types: no references and no `anyOf`.
+
+    Parameters
+    ----------
+    kind : str
+        Key of `core.wire.messages.KINDS`.
+
+    Returns
+    -------
+    dict
+        Every field has its meaning and unit as `description`, and `null` among its types where the wire allows it.
+
+    Notes
+    -----
+    Viewers of MCAP files plot what they find as `properties` of an `object`, and follow neither `$ref` nor `anyOf`.
+
+    Examples
+    --------
+    >>> make_schema("telemetry")["properties"]["soc_pct"]
+    {'description': 'State of charge as displayed. [%]', 'type': ['number', 'null']}
+    """
+    return describe_struct(KINDS[kind])
+
+
+def describe_struct(struct: type[Wire]) -> dict[str, Any]:
+    """Return the JSON schema of a struct, see `make_schema`."""
+    _, components = msgspec.json.schema_components([struct], ref_template="{name}")
+    return _plain(components[struct.__name__], components)
+
+
+def _plain(node: dict[str, Any], components: dict[str, Any]) -> dict[str, Any]:
+    """Return a node of a schema without references, unions, defaults and limits."""
+    if "$ref" in node:
+        return _plain(components[node["$ref"]], components) | {k: node[k] for k in _KEPT if k in node}
+    if "enum" in node:
+        return {k: node[k] for k in _KEPT if k in node} | {"type": "string"}
+    if "anyOf" in node:
+        (option,) = (option for option in node["anyOf"] if option.get("type") != "null")
+        plain = _plain(option, components) | {k: node[k] for k in _KEPT if k in node}
+        return plain | {"type": [plain["type"], "null"]}
+    out = {k: node[k] for k in _KEPT if k in node}
+    if "items" in node:
+        out["items"] = _plain(node["items"], components)
+    if "properties" in node:
+        out["properties"] = {name: _plain(child, components) for name, child in node["properties"].items()}
+    return out
