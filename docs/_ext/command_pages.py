@@ -62,7 +62,18 @@ def _section(each: CommandHelp) -> str:
 
 
 def _prose(text: str | None) -> str:
-    return paragraphs(plain(text or ""))
+    """Return a help text in Markdown; its examples are code."""
+    parts = (text or "").replace("\b", "").split("\n\n")
+    return "\n\n".join(_example(part.strip()) or paragraphs(plain(part)) for part in parts if part.strip())
+
+
+def _example(part: str) -> str | None:
+    """Return a paragraph of example calls as a code block; None for other paragraphs."""
+    head, colon, calls = part.partition(":")
+    if not colon or head not in {"Example", "Examples"}:
+        return None
+    lines = " ".join(calls.split()).replace(" socast ", "\nsocast ")
+    return f"{head}:\n\n```text\n{lines}\n```"
 
 
 def _option(option: Any) -> list[str]:
