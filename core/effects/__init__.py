@@ -1,6 +1,6 @@
-"""Physical effects: power as a function of signals, each with one coefficient.
+"""Physical effects: power as a function of signals, each with one fitted coefficient.
 
-This package's own names are what other packages and users' files import.
+Other packages import the names of this package. Users' files import `effect` and `Parameter` from `socast`.
 """
 
 from core.effects.declaration import Effect, Parameter, effect

@@ -1,7 +1,7 @@
-"""What air does beyond drag in still standard air: wind, its side, its density, and what stands on the roof.
+"""Effects of air beyond drag in still standard air: headwind, crosswind, air density, and loads on the roof.
 
-The base has P = 1/2 ρ0 A_d v^3. Each effect is the difference that its cause makes; `headwind` and `air_density`
-together are all that relative wind in the air there is adds to it.
+The base has P = 1/2 ρ0 A_d v^3. Each effect is the difference that its cause makes. `headwind` and `air_density`
+together are all that relative wind in air of the actual density adds.
 """
 
 from typing import Final
@@ -22,7 +22,7 @@ _DENSITY: Final = Parameter(STANDARD_AIR_DENSITY, "kg/m^3")
     low=0.1,
     high=1.6,
     source=f"{_DRAG}, relative wind; range: drag areas of cars (Hucho, ed., Aerodynamics of Road Vehicles, SAE 1998), "
-    "down to a third as a station's wind, at 10 m, is weaker between houses (estimate)",
+    "down to a third, because a station's wind, at 10 m, is weaker between houses (estimate)",
     confused_with=("crosswind_yaw",),
     shown_by="drives both ways on windy days, above 50 km/h, with a weather station near",
     words="the wind meets {value} m² of drag area",
@@ -30,7 +30,7 @@ _DENSITY: Final = Parameter(STANDARD_AIR_DENSITY, "kg/m^3")
 def headwind(speed: Floats, headwind: Floats, air_density: Floats) -> Floats:
     """Wind against the car, or behind it: P = 1/2 ρ ((v + w)|v + w| - v^2) v, times A_d.
 
-    Negative with the wind behind. None for a standing car: wind does no work on it.
+    The power is negative with the wind behind, and zero for a standing car, on which wind does no work.
     """
     relative = speed + headwind
     return 0.5 * air_density * (relative * np.abs(relative) - speed * speed) * speed
@@ -49,10 +49,11 @@ def headwind(speed: Floats, headwind: Floats, air_density: Floats) -> Floats:
     words="wind from the side meets {value} m² of drag area",
 )
 def crosswind_yaw(speed: Floats, headwind: Floats, crosswind: Floats, air_density: Floats, yaw_limit: float) -> Floats:
-    """Drag that grows with the angle of the wind: P = 1/2 ρ min(u^2, s^2 ((v + w)^2 + u^2)) v, times A_d (1 + k).
+    """Drag that grows with the yaw angle of the wind: P = 1/2 ρ min(u^2, s^2 ((v + w)^2 + u^2)) v, times A_d (1 + k).
 
-    From C_d = C_d0 (1 + k sin^2 β) with the yaw angle β between the wind that the car feels and its axis, and crosswind
-    u: the added force is 1/2 ρ A_d (1 + k) u^2. Beyond the yaw whose sine is s the coefficient grows no more.
+    This follows from C_d = C_d0 (1 + k sin^2 β), with the yaw angle β between the wind relative to the car and its
+    axis, and crosswind u: the added force is 1/2 ρ A_d (1 + k) u^2. Beyond the yaw whose sine is s, the coefficient
+    stays constant.
     """
     side = crosswind * crosswind
     relative = speed + headwind
@@ -71,9 +72,9 @@ def crosswind_yaw(speed: Floats, headwind: Floats, crosswind: Floats, air_densit
     words="{value} m² of drag area meet the denser air of the cold",
 )
 def air_density(speed: Floats, air_density: Floats, air_density_standard: float) -> Floats:
-    """Air that is not at 15 °C and sea level: P = 1/2 (ρ - ρ0) v^3, times A_d.
+    """Air of other density than at 15 °C and sea level: P = 1/2 (ρ - ρ0) v^3, times A_d.
 
-    Air at -20 °C is 14 % denser than the standard's, at 35 °C 7 % thinner, at 1000 m 11 %.
+    Air at -20 °C is 14 % denser than standard air. Air at 35 °C is 7 % thinner, and air at 1000 m 11 %.
     """
     return 0.5 * (air_density - air_density_standard) * speed * speed * speed
 
@@ -92,10 +93,10 @@ def air_density(speed: Floats, air_density: Floats, air_density_standard: float)
 def roof_load(speed: Floats, air_density: Floats) -> Floats:
     """Rack, box or sign on the roof: P = 1/2 ρ v^3, times the added drag area.
 
-    The same shape as drag itself: it shows only where it comes and goes, in one car or from a date on.
+    The shape is that of drag itself. The effect shows only where it comes and goes: in one car, or from a date on.
     """
     return 0.5 * air_density * speed * speed * speed
 
 
 AIR: Final[tuple[Effect, ...]] = (headwind, crosswind_yaw, air_density, roof_load)
-"""In the order of the list."""
+"""Effects of air, in the order of the list."""

@@ -1,6 +1,6 @@
-"""What the battery loses, and what it does not take: resistance, its own heating, and limits of regeneration.
+"""Effects of the battery: its resistance, its own heating, and limits of regeneration.
 
-Driving power is that which the car's own road load asks for, never the measured current, which is the answer.
+Driving power is what the car's own road load demands, never the measured current, which is the answer.
 """
 
 from typing import Final
@@ -38,17 +38,17 @@ _REVIEW: Final = "Alipour et al. 2020, Batteries 6:35, DOI 10.3390/batteries6030
 def battery_resistance(
     traction: Floats, speed: Floats, pack_temperature: Floats, *, voltage: float, activation: float, warm: float
 ) -> Floats:
-    """Battery current, dearer in the cold: P = (F v/U)^2 exp(E (1/T - 1/T0)), times R.
+    """Loss of the battery current, larger in the cold: P = (F v/U)^2 exp(E (1/T - 1/T0)), times R.
 
-    E is an activation energy over the gas constant: 2500 K makes -20 °C 4.4 times as dear as 25 °C. Voltage times
-    current at the terminals leaves the battery's own loss out; the state of charge has it.
+    E is an activation energy over the gas constant; 2500 K makes the loss at -20 °C 4.4 times that at 25 °C. Voltage
+    times current at the terminals excludes the battery's own loss; the state of charge includes it.
     """
     current = traction * speed / voltage
     return current * current * np.exp(activation * (1.0 / pack_temperature - 1.0 / warm))
 
 
 @effect(
-    coefficient="heating of the battery a kelvin",
+    coefficient="heating of the battery per kelvin",
     unit="W/K",
     low=10.0,
     high=300.0,
@@ -57,13 +57,13 @@ def battery_resistance(
     per="time",
     parameters={"threshold": Parameter(273.15, "K", 253.15, 288.15, grid=(263.15, 268.15, 273.15, 278.15))},
     confused_with=("cabin_heating", "cabin_warmup"),
-    shown_by="cars with a cold and with a warm battery on equally cold days, where cars tell its temperature",
+    shown_by="cars with a cold and with a warm battery on equally cold days, where cars report its temperature",
     words="the battery is heated with {value} W for each degree that it is below {threshold}",
 )
 def cold_battery_heating(pack_temperature: Floats, threshold: float) -> Floats:
-    """Battery kept from frost: P = max(T0 - T, 0), times W/K.
+    """Heating that keeps the battery from frost: P = max(T0 - T, 0), times W/K.
 
-    With the battery's temperature T, below the threshold T0 of its heater.
+    T is the battery's temperature, and T0 the threshold of its heater.
     """
     return np.maximum(threshold - pack_temperature, 0.0)
 
@@ -73,7 +73,7 @@ def cold_battery_heating(pack_temperature: Floats, threshold: float) -> Floats:
     unit="1",
     low=0.02,
     high=1.0,
-    source=f"{_COLD}: range lost to limited regeneration in the cold; range: of all that the wheels give",
+    source=f"{_COLD}: range lost to limited regeneration in the cold; range: up to all that the wheels give",
     parameters={
         "threshold": Parameter(283.15, "K", 268.15, 298.15, grid=(273.15, 278.15, 283.15, 288.15)),
         "width": Parameter(20.0, "K"),
@@ -86,9 +86,9 @@ def cold_battery_heating(pack_temperature: Floats, threshold: float) -> Floats:
 def cold_regen_limit(
     traction: Floats, speed: Floats, pack_temperature: Floats, threshold: float, width: float
 ) -> Floats:
-    """Battery too cold to be charged: P = max(-F v, 0) min(max((T0 - T)/ΔT, 0), 1), times a share.
+    """Regeneration lost in a cold battery: P = max(-F v, 0) min(max((T0 - T)/ΔT, 0), 1), times a share.
 
-    Relative to what the base regains by `inertia_negative` and `climbing_down`.
+    The loss is relative to what the base regains by `inertia_negative` and `climbing_down`.
     """
     braking = np.maximum(-traction * speed, 0.0)
     return braking * np.clip((threshold - pack_temperature) / width, 0.0, 1.0)
@@ -108,13 +108,13 @@ def cold_regen_limit(
     scale=100.0,
 )
 def regen_full_battery(traction: Floats, speed: Floats, charge: Floats, threshold: float) -> Floats:
-    """Battery too full to be charged: P = max(-F v, 0) max((s - s0)/(1 - s0), 0), times a share.
+    """Regeneration lost in a full battery: P = max(-F v, 0) max((s - s0)/(1 - s0), 0), times a share.
 
-    With the state of charge s; relative to what the base regains by `inertia_negative` and `climbing_down`.
+    s is the state of charge. The loss is relative to what the base regains by `inertia_negative` and `climbing_down`.
     """
     braking = np.maximum(-traction * speed, 0.0)
     return braking * np.maximum((charge - threshold) / (1.0 - threshold), 0.0)
 
 
 BATTERY: Final[tuple[Effect, ...]] = (battery_resistance, cold_battery_heating, cold_regen_limit, regen_full_battery)
-"""In the order of the list."""
+"""Effects of the battery, in the order of the list."""

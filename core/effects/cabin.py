@@ -1,4 +1,4 @@
-"""What keeps people warm, cool and dry: losses to the air outside, open doors, stored heat, sun and moisture.
+"""Effects of cabin climate: heat loss to the air outside, open doors, stored heat, sun and moisture.
 
 Coefficients are of electric power: heat over the coefficient of performance, which is 1 for a resistance heater and 2
 to 4 for a heat pump or an air conditioner.
@@ -16,7 +16,7 @@ _MEASURED: Final = "heater and air-conditioning power of the Vehicle Energy Data
 
 
 @effect(
-    coefficient="heat lost an opening and kelvin, over the coefficient of performance",
+    coefficient="heat lost per opening and kelvin, over the coefficient of performance",
     unit="J/K",
     low=300.0,
     high=60_000.0,
@@ -36,10 +36,10 @@ _MEASURED: Final = "heater and air-conditioning power of the Vehicle Energy Data
 def door_heat_loss(
     elapsed: Floats, stop_rate: Floats, ambient: Floats, *, inside: float, share: float, recovery: float
 ) -> Floats:
-    """Warm air that leaves by the doors: P = (exp(-t/τ)/τ + q n) max(T_in - T, 0), times the heat lost and kelvin.
+    """Warm air that leaves through the doors: P = (exp(-t/τ)/τ + q n) max(T_in - T, 0), times the heat lost per kelvin.
 
-    Doors open when a ride begins, t ago, and the heat is made up for with time constant τ; and at a share q of its
-    stops, n a second.
+    Doors open when a ride begins, t ago, and the heater replaces the heat with time constant τ. Doors also open at a
+    share q of the stops, of which there are n per second.
     """
     return (np.exp(-elapsed / recovery) / recovery + share * stop_rate) * np.maximum(inside - ambient, 0.0)
 
@@ -58,9 +58,10 @@ def door_heat_loss(
     words="heating: {value} W for each degree below {balance}",
 )
 def cabin_heating(ambient: Floats, balance: float) -> Floats:
-    """Heating against the cold: P = max(T0 - T, 0), times the heat loss a kelvin.
+    """Heating against the cold: P = max(T0 - T, 0), times the heat loss per kelvin.
 
-    T0 is where sun, people and machines balance the loss: below the temperature inside.
+    T0 is the outside temperature at which sun, people and machines balance the loss. It is below the temperature
+    inside.
     """
     return np.maximum(balance - ambient, 0.0)
 
@@ -78,12 +79,12 @@ def cabin_heating(ambient: Floats, balance: float) -> Floats:
     words="cooling: {value} W for each degree above {balance}",
 )
 def cabin_cooling(ambient: Floats, balance: float) -> Floats:
-    """Cooling against the heat: P = max(T - T0, 0), times the load a kelvin."""
+    """Cooling against the heat: P = max(T - T0, 0), times the load per kelvin."""
     return np.maximum(ambient - balance, 0.0)
 
 
 @effect(
-    coefficient="heat stored in the cabin a kelvin, over the coefficient of performance",
+    coefficient="heat stored in the cabin per kelvin, over the coefficient of performance",
     unit="J/K",
     low=1e4,
     high=3e5,
@@ -96,15 +97,15 @@ def cabin_cooling(ambient: Floats, balance: float) -> Floats:
     },
     confused_with=("cabin_heating", "cold_battery_heating", "door_heat_loss"),
     shown_by="the first quarter of an hour of rides after a night, beside rides after a short stop, in the cold",
-    words="a cold cabin takes {value} kJ a degree to warm up, all but a third of it within {decay}",
+    words="a cold cabin takes {value} kJ per degree to warm up, all but a third of it within {decay}",
     scale=1e-3,
 )
 def cabin_warmup(
     ambient: Floats, parked: Floats, elapsed: Floats, *, inside: float, decay: float, soak: float
 ) -> Floats:
-    """Seats and trim that have cooled: P = max(T_in - T, 0) (1 - exp(-p/τ_s)) exp(-t/τ)/τ, times the heat a kelvin.
+    """Seats and trim that have cooled: P = max(T_in - T, 0) (1 - exp(-p/τ_s)) exp(-t/τ)/τ, times the heat per kelvin.
 
-    With the time p parked, in which the cabin cools with time constant τ_s, and the time t since the ride began.
+    p is the time parked, in which the cabin cools with time constant τ_s, and t the time since the ride began.
     """
     cooled = np.maximum(inside - ambient, 0.0) * (1.0 - np.exp(-parked / soak))
     return cooled * np.exp(-elapsed / decay) / decay
@@ -129,13 +130,13 @@ def cabin_warmup(
 def solar_load(solar: Floats, ambient: Floats, cooling_on: float, width: float) -> Floats:
     """Sun that must be cooled away: P = G min(max((T - T0)/ΔT, 0), 1), times the area.
 
-    Below T0 sun is welcome, and at most saves heating.
+    Below T0 the sun costs nothing, and at most saves heating.
     """
     return solar * np.clip((ambient - cooling_on) / width, 0.0, 1.0)
 
 
 @effect(
-    coefficient="power a vapour pressure to be taken out",
+    coefficient="power per vapour pressure to be removed",
     unit="W/Pa",
     low=0.02,
     high=1.5,
@@ -153,9 +154,9 @@ def solar_load(solar: Floats, ambient: Floats, cooling_on: float, width: float) 
     scale=100.0,
 )
 def humidity(vapour_pressure: Floats, ambient: Floats, dry: float, cooling_on: float, width: float) -> Floats:
-    """Water that the air conditioner takes out: P = max(e - e_in, 0) min(max((T - T0)/ΔT, 0), 1), times W/Pa.
+    """Water that the air conditioner removes: P = max(e - e_in, 0) min(max((T - T0)/ΔT, 0), 1), times W/Pa.
 
-    With the vapour pressure e outside and e_in of the air that leaves the evaporator, at a dew point of 10 °C.
+    e is the vapour pressure outside, and e_in that of the air that leaves the evaporator, at a dew point of 10 °C.
     """
     return np.maximum(vapour_pressure - dry, 0.0) * np.clip((ambient - cooling_on) / width, 0.0, 1.0)
 
@@ -184,7 +185,7 @@ def demisting(
 ) -> Floats:
     """Damp air that is dried, so that windows stay clear: P = max(e/e_s(T) - φ0, 0), times the power.
 
-    With saturation e_s = e_0 exp(a (T - T0)/(T - T0 + b)), Magnus' formula with the constants of WMO-No. 8.
+    The saturation pressure is e_s = e_0 exp(a (T - T0)/(T - T0 + b)), Magnus' formula with the constants of WMO-No. 8.
     """
     above = ambient - frost
     saturation = magnus * np.exp(slope * above / (above + span))
@@ -200,4 +201,4 @@ CABIN: Final[tuple[Effect, ...]] = (
     humidity,
     demisting,
 )
-"""In the order of the list."""
+"""Effects of cabin climate, in the order of the list."""

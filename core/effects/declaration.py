@@ -1,7 +1,7 @@
-"""What an effect is: a pure function of columns with a declared coefficient, and the check that it is what it says.
+"""The declaration of an effect: a pure function of columns with a named coefficient, and checks of its completeness.
 
-The declaration is all that fitting, listing and diagnosing an effect need to know of it. Whoever wants to use effects,
-or to write one, imports `core.effects`.
+The declaration holds all that fitting, listing and diagnosis need to know of an effect. Import `core.effects` to use
+effects, and `socast` to write one.
 """
 
 import inspect
@@ -21,26 +21,26 @@ from core.errors import EffectError
 from core.formatting import everyday, rounded
 
 SIGNAL_UNITS: Final[Mapping[str, str]] = MappingProxyType({column.name: column.unit for column in SIGNALS})
-"""Name of a column that an effect may ask for -> its unit."""
+"""Unit of each column that an effect may take, by name."""
 VARIANT: Final = "@"
-"""What stands between the name of an effect and the parameters moved: `cold_rolling@reference=283.15`."""
+"""Separator between the name of an effect and its changed parameters: `cold_rolling@reference=283.15`."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A constant inside an effect: a set point, a time constant, a density.
+    """Declare a constant inside an effect: a set point, a time constant, a density.
 
     Parameters
     ----------
     value : float
-        What it is unless fitting finds better.
+        Value until fitting finds a better one. [unit]
     unit : str
-        As pint spells it; `1` for a pure number.
+        Unit as pint spells it; `1` for a pure number.
     low, high : float, optional
-        Bounds within which fitting may move it. Left out, it is fixed.
+        Bounds within which fitting may move the value. Without them it is fixed. [unit]
     grid : tuple of float, optional
-        Values within the bounds, ascending, the declared one among them, at which tables hold the effect too, so that
-        the best of them is found without going back to the samples.
+        Values within the bounds, ascending, including the declared one. Tables hold the effect at each of them, so that
+        the best value is found without going back to the samples. [unit]
     """
 
     value: float
@@ -50,7 +50,7 @@ class Parameter:
     grid: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse a value outside its bounds, and a grid that is none."""
+        """Refuse a value outside its bounds, and an invalid grid."""
         low, high = self.bounds
         if not (isfinite(self.value) and isfinite(low) and isfinite(high) and low <= self.value <= high):
             raise EffectError(
@@ -68,16 +68,16 @@ class Parameter:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Lowest and highest value, in the parameter's own unit; equal where it is fixed."""
+        """Lowest and highest value, equal where the parameter is fixed. [unit]"""
         return (self.value if self.low is None else self.low, self.value if self.high is None else self.high)
 
 
 def format_shortest(value: float) -> str:
-    """Return a number as it stands in the name of a variant: the shortest decimal that reads back to it.
+    """Return the shortest decimal that reads back to a number, as in the names of variants.
 
     Examples
     --------
-    >>> plain(283.15), plain(0.0003), plain(600.0)
+    >>> format_shortest(283.15), format_shortest(0.0003), format_shortest(600.0)
     ('283.15', '0.0003', '600')
     """
     return np.format_float_positional(value, trim="-")
@@ -85,24 +85,24 @@ def format_shortest(value: float) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Effect:
-    """One physical cause of consumption: power = coefficient * function(columns).
+    """Describe one physical cause of consumption: power = coefficient * function(columns).
 
     Parameters
     ----------
     name : str
-        Of the phenomenon; that of the function.
+        Name of the phenomenon and of the function.
     function : callable
-        Elementwise numpy over the columns named by its arguments; power per unit of the coefficient.
+        Elementwise numpy over the columns named by its arguments; power per unit of the coefficient. [W/unit]
     coefficient : str
-        What is fitted, in words or by its textbook name.
+        Fitted quantity, in words or by its textbook name.
     unit : str
-        Of the coefficient, as pint spells it: unit times the function's result is watt.
+        Unit of the coefficient, as pint spells it: this unit times that of the function's result is watt.
     low, high : float
         Closed interval of plausible coefficients. [unit]
     source : str
-        Where formula and range come from, to the page or DOI.
+        Source of the formula and the range, to the page or DOI.
     per : {"distance", "time"}
-        Whether it acts by the car's motion, and so over the time that the driven distance took, or all the time.
+        Whether the effect acts through the car's motion, and so over the time of the distance driven, or all the time.
     formula : str
         `P = ...`, from the function's docstring.
     arguments : tuple of str
@@ -110,15 +110,15 @@ class Effect:
     parameters : mapping of str to Parameter
         Its constants by name.
     constants : mapping of str to float
-        The parameters' values: the declared ones, but for a variant.
+        Values of the parameters: the declared ones, except in a variant.
     confused_with : tuple of str
-        Names of the effects that data often cannot tell it from.
+        Names of effects that data often cannot distinguish from it.
     shown_by : str
-        Which data shows it best.
+        Data that show it best.
     words : str
-        What a coefficient means, as a person says it, with places for `{value}` and for parameters.
+        Meaning of a coefficient in plain words, with places for `{value}` and for parameters.
     scale : float
-        What the coefficient is multiplied with to be that value.
+        Factor from the coefficient to that value.
     """
 
     name: str
@@ -140,31 +140,31 @@ class Effect:
 
     @property
     def base(self) -> str:
-        """Name of the effect of which this is a variant; its own where it is none."""
+        """Name of the effect of which this is a variant; its own name where it is none."""
         return self.name.partition(VARIANT)[0]
 
     @property
     def sign(self) -> int:
-        """Sign that physics demands of the coefficient: 1, -1, or 0 where it may have either."""
+        """Sign that physics demands of the coefficient: 1, -1, or 0 where both are possible."""
         return 1 if self.low >= 0.0 else -1 if self.high <= 0.0 else 0
 
     @property
     def energy_name(self) -> str:
-        """Column of the ride and window tables with its energy per unit of coefficient, in kWh/unit."""
+        """Column of the ride and window tables with its energy per unit of the coefficient. [kWh/unit]"""
         return f"effect_{self.name}"
 
     @property
     def documentation(self) -> str:
-        """All that its author says of it."""
+        """Docstring of the function."""
         return inspect.getdoc(self.function) or ""
 
     @property
     def summary(self) -> str:
-        """First line of its documentation."""
+        """First line of the docstring."""
         return self.documentation.partition("\n")[0]
 
     def power(self, columns: Mapping[str, Floats], parameters: Mapping[str, float] | None = None) -> Floats:
-        """Return the power per unit of the coefficient. Nothing is checked: this is the hot path.
+        """Return the power per unit of the coefficient, without any checks: this is the hot path.
 
         Parameters
         ----------
@@ -176,18 +176,24 @@ class Effect:
         Returns
         -------
         (n,) float
-            Row by row, so that rows may be cut into blocks at will. NaN where a column is. [W/unit]
+            Power of each row, independent of other rows, so that rows may be cut into blocks. NaN where a column is
+            NaN. [W/unit]
         """
         constants = self.constants if parameters is None else {**self.constants, **parameters}
         return self.function(**{name: columns[name] for name in self.arguments}, **constants)
 
     def variant(self, parameters: Mapping[str, float]) -> "Effect":
-        """Return the effect with other values of its parameters, and named for them; itself where none differs.
+        """Return the effect with other parameter values and the name for them; itself where no value differs.
+
+        Parameters
+        ----------
+        parameters : mapping of str to float
+            New values by name.
 
         Raises
         ------
         EffectError
-            For a parameter that it has not or that is fixed, and for a value outside its bounds.
+            For a parameter that the effect does not have or that is fixed, and for a value outside its bounds.
         """
         for name, value in parameters.items():
             parameter = self.parameters.get(name)
@@ -203,31 +209,31 @@ class Effect:
                     f"{high:g}"
                 )
         constants = {**self.constants, **parameters}
-        moved = [f"{n}={format_shortest(v)}" for n, v in constants.items() if v != self.parameters[n].value]
-        name = VARIANT.join([self.base, ",".join(moved)]) if moved else self.base
+        changed = [f"{n}={format_shortest(v)}" for n, v in constants.items() if v != self.parameters[n].value]
+        name = VARIANT.join([self.base, ",".join(changed)]) if changed else self.base
         return self if name == self.name else replace(self, name=name, constants=MappingProxyType(constants))
 
     @property
     def variants(self) -> tuple["Effect", ...]:
-        """What tables hold beside it: the effect at the other values of each parameter's grid, one moved at a time."""
-        moves = [(n, v) for n, p in self.parameters.items() for v in p.grid if v != p.value]
-        return tuple(self.variant({name: value}) for name, value in moves)
+        """Variants held in the tables: the other values of each parameter's grid, one changed at a time."""
+        changes = [(n, v) for n, p in self.parameters.items() for v in p.grid if v != p.value]
+        return tuple(self.variant({name: value}) for name, value in changes)
 
     def in_words(self, value: float, half: float | None = None) -> str:
-        """Say what a coefficient means.
+        """Return the meaning of a coefficient in plain words.
 
         Parameters
         ----------
         value : float
-            [unit]
+            Coefficient. [unit]
         half : float, optional
-            Half the width of its interval. [unit]
+            Half the width of its interval, which sets the number of digits. [unit]
         """
         number = rounded(value * self.scale, None if half is None else half * abs(self.scale))
         if not self.words:
             return f"{self.coefficient} {number}" + ("" if self.unit == "1" else f" {self.unit}")
-        said = {name: everyday(v, self.parameters[name].unit) for name, v in self.constants.items()}
-        return self.words.format(value=number, **said)
+        constants = {name: everyday(v, self.parameters[name].unit) for name, v in self.constants.items()}
+        return self.words.format(value=number, **constants)
 
 
 def effect(
@@ -247,23 +253,23 @@ def effect(
     """Declare a function of columns to be an effect of the same name.
 
     Arguments of the function are names of `core.columns.SIGNALS`, filled in by name, and names of `parameters`. A
-    number that has a dimension must be a parameter, or units do not come out. The docstring holds the formula, as
-    `P = ...`.
+    number that has a dimension must be a parameter, because units are checked. The docstring holds the formula, as `P =
+    ...`.
 
     Parameters
     ----------
     coefficient, unit, low, high, source, per, parameters, confused_with, shown_by, words, scale
-        See `Effect`. The first five must be said; without `per` the effect acts by the car's motion.
+        See `Effect`. The first five are required; without `per` the effect acts through the car's motion.
 
     Returns
     -------
     callable
-        Turns the function into an `Effect`.
+        Decorator that turns the function into an `Effect`.
 
     Raises
     ------
     EffectError
-        For an argument that is neither a column nor a parameter, and for a declaration that is incomplete.
+        For an argument that is neither a column nor a parameter, and for an incomplete declaration.
 
     Examples
     --------
@@ -286,23 +292,23 @@ def effect(
             )
         if idle := [n for n in constants if n not in names]:
             raise EffectError(
-                f"effect {name}: parameter {idle[0]!r} is declared but is no argument of the function: drop it"
+                f"effect {name}: parameter {idle[0]!r} is declared but is not an argument of the function: remove it"
             )
         arguments = tuple(n for n in names if n not in constants)
         if not arguments:
-            raise EffectError(f"effect {name}: it takes no column; a constant power is the effect 'auxiliary'")
+            raise EffectError(f"effect {name}: it takes no column: for a constant power use the effect 'auxiliary'")
         if not -np.inf < low < high < np.inf:
             raise EffectError(
-                f"effect {name}: plausible range {low:g} to {high:g} is empty or endless: give low < high"
+                f"effect {name}: plausible range {low:g} to {high:g} is empty or infinite: give low < high"
             )
         if per not in ("distance", "time"):
-            raise EffectError(f"effect {name}: per={per!r}: say 'distance' (acts by motion) or 'time'")
+            raise EffectError(f"effect {name}: per={per!r}: write 'distance' (acts through motion) or 'time'")
         if not source.strip() or not coefficient.strip():
-            raise EffectError(f"effect {name}: source and coefficient must be said, in words that can be looked up")
+            raise EffectError(f"effect {name}: source or coefficient is empty: describe both in words")
         _check_words(name, words, constants)
         formula = re.search(r"P = .*\S", inspect.getdoc(function) or "")
         if formula is None:
-            raise EffectError(f"effect {name}: its docstring has no formula: write it there, as 'P = ...'")
+            raise EffectError(f"effect {name}: its docstring has no formula: write one as 'P = ...'")
         return Effect(
             name=name,
             function=function,
@@ -326,14 +332,14 @@ def effect(
 
 
 def _check_words(name: str, words: str, constants: Mapping[str, Parameter]) -> None:
-    """Refuse words with places that nothing fills."""
+    """Refuse words with placeholders that nothing fills."""
     try:
         places = [(field, spec or conversion) for _, field, spec, conversion in Formatter().parse(words)]
     except ValueError as error:
-        raise EffectError(f"effect {name}: words are no pattern: {error}") from error
+        raise EffectError(f"effect {name}: words are not a format string: {error}: pair every brace") from error
     for field, form in places:
         if field is not None and (form or field not in {"value", *constants}):
             raise EffectError(
-                f"effect {name}: words have a place for {field + (':' + form if form else '')!r}: they may have "
-                "{value} and parameters, already rounded"
+                f"effect {name}: words have a place for {field + (':' + form if form else '')!r}: use only {{value}} "
+                "and parameters, which come rounded"
             )

@@ -1,4 +1,4 @@
-"""What the 12 V side takes: always, and at night."""
+"""Effects of the 12 V side: constant consumers, and lights at night."""
 
 from typing import Final
 
@@ -20,7 +20,7 @@ from core.effects.declaration import Effect, effect
     words="something takes {value} W all the time",
 )
 def standby(dt: Floats) -> Floats:
-    """Whatever is always on beyond the base: P = 1, times a power."""
+    """Consumers that are always on beyond the base: P = 1, times a power."""
     return np.ones_like(dt, dtype=np.float64)
 
 
@@ -39,10 +39,10 @@ def standby(dt: Floats) -> Floats:
 def night_lights(darkness: Floats) -> Floats:
     """Lamps after sunset: P = d, times a power.
 
-    With the darkness d from 0 while the sun is up to 1 at the end of civil twilight.
+    The darkness d is 0 while the sun is up and 1 from the end of civil twilight.
     """
     return darkness
 
 
 ELECTRICS: Final[tuple[Effect, ...]] = (standby, night_lights)
-"""In the order of the list."""
+"""Effects of the 12 V side, in the order of the list."""

@@ -1,4 +1,4 @@
-"""What motor, gears, brakes and load take beyond a constant efficiency."""
+"""Effects of motor, gears, brakes and load beyond a constant efficiency."""
 
 from typing import Final
 
@@ -12,7 +12,7 @@ _LOSSES: Final = "Larminie and Lowry, Electric Vehicle Technology Explained, 2nd
 
 
 @effect(
-    coefficient="loss a speed squared",
+    coefficient="loss per speed squared",
     unit="N*s/m",
     low=0.1,
     high=6.0,
@@ -24,12 +24,12 @@ _LOSSES: Final = "Larminie and Lowry, Electric Vehicle Technology Explained, 2nd
     scale=0.625,
 )
 def drivetrain_loss_speed(speed: Floats) -> Floats:
-    """Iron and oil that are stirred: P = v^2, times the loss a speed squared."""
+    """Iron and oil that are stirred: P = v^2, times the loss per speed squared."""
     return speed * speed
 
 
 @effect(
-    coefficient="loss a force squared",
+    coefficient="loss per force squared",
     unit="W/N^2",
     low=1e-5,
     high=8e-4,
@@ -41,9 +41,9 @@ def drivetrain_loss_speed(speed: Floats) -> Floats:
     scale=1e6,
 )
 def drivetrain_loss_torque(traction: Floats) -> Floats:
-    """Copper that carries current: P = F^2, times the loss a force squared.
+    """Copper that carries current: P = F^2, times the loss per force squared.
 
-    With the force F at the wheels, which is torque over wheel radius, as the car's own road load asks for it.
+    F is the force at the wheels, torque over wheel radius, as the car's own road load demands it.
     """
     return traction * traction
 
@@ -78,22 +78,22 @@ def drivetrain_loss_power(traction: Floats, speed: Floats) -> Floats:
     words="brakes that drag with {value} N",
 )
 def brake_drag(speed: Floats) -> Floats:
-    """Brake pads that do not let go: P = v, times the drag.
+    """Brake pads that do not release: P = v, times the drag.
 
-    A force that knows neither load nor speed.
+    The force depends neither on load nor on speed.
     """
     return speed
 
 
 @effect(
-    coefficient="mass a passenger beyond the 75 kg counted",
+    coefficient="mass per passenger beyond the 75 kg counted",
     unit="kg",
     low=3.0,
     high=150.0,
     source="Regulation (EU) No 1230/2012, Art. 2(4)(a): 75 kg a driver; range: from a bag to twice a person (estimate)",
     parameters={"gravity": Parameter(GRAVITY, "m/s^2")},
     confused_with=("drivetrain_loss_torque",),
-    shown_by="rides with and without passengers over the same roads, where cars tell who is aboard",
+    shown_by="rides with and without passengers over the same roads, where cars report their passengers",
     words="each passenger weighs {value} kg more than was counted",
 )
 def payload(
@@ -106,7 +106,7 @@ def payload(
 ) -> Floats:
     """Passengers and what they carry: P = (n - 1) (g (c cos θ + sin θ) + a) v, times a mass.
 
-    With n people aboard, of whom the driver is one; 75 kg of each are in the car's mass already.
+    n people are aboard, one of them the driver; the car's mass already includes 75 kg for each.
     """
     road = rolling_resistance * np.sqrt(1.0 - grade * grade) + grade
     return (occupants - 1.0) * (gravity * road + acceleration) * speed
@@ -127,8 +127,8 @@ def payload(
 def age(traction: Floats, speed: Floats, odometer: Floats, span: float) -> Floats:
     """Wear: P = max(F, 0) v s/s0, times the share lost after s0 = 100,000 km.
 
-    With the odometer's reading s, and the force F at the wheels as the car's own road load asks for it. Where energy is
-    measured by the state of charge, a battery that has faded looks the same.
+    s is the odometer's reading, and F the force at the wheels as the car's own road load demands it. Where the state of
+    charge measures energy, a faded battery looks the same.
     """
     return np.maximum(traction, 0.0) * speed * (odometer / span)
 
@@ -141,4 +141,4 @@ POWERTRAIN: Final[tuple[Effect, ...]] = (
     payload,
     age,
 )
-"""In the order of the list."""
+"""Effects of motor, gears, brakes and load, in the order of the list."""

@@ -1,7 +1,8 @@
-"""The library of effects: those of the product, and those that a user's own file brings.
+"""The library of effects: those of the product, and those loaded from users' files.
 
 An effect is the unit of physics: power = coefficient * function(columns). Every model is a sum over effects, so that a
-residual can be attributed and a coefficient judged. See `effect` for how to write one.
+residual can be attributed to an effect and a coefficient compared with its plausible range. See `effect` for how to
+write one.
 """
 
 import ast
@@ -28,14 +29,13 @@ from core.effects.verification import check_effect
 from core.errors import EffectError
 
 TIME_LIMIT: Final = 20.0
-"""How long a user's file may take to be imported and checked. [s]"""
+"""Longest time for importing and checking a user's file. [s]"""
 ALLOWED_IMPORTS: Final = frozenset(
-    {"__future__", "collections", "core", "dataclasses", "functools", "itertools", "math", "numpy", "typing"}
+    {"__future__", "collections", "core", "dataclasses", "functools", "itertools", "math", "numpy", "socast", "typing"}
 )
-"""What a file of effects may import: an effect is a pure function of columns, and needs neither files nor a network."""
-
+"""Modules that a file of effects may import. An effect is a pure function of columns, without files or network."""
 FORBIDDEN_CALLS: Final = frozenset({"__import__", "breakpoint", "compile", "eval", "exec", "input", "open"})
-"""What it may not call, for the same reason."""
+"""Functions that a file of effects must not call, for the same reason."""
 
 _USER_MODULE: Final = "user_effects"
 CANDIDATES: Final[Mapping[str, tuple[Effect, ...]]] = MappingProxyType(
@@ -48,10 +48,11 @@ CANDIDATES: Final[Mapping[str, tuple[Effect, ...]]] = MappingProxyType(
         "electrics": ELECTRICS,
     }
 )
-"""Topic -> the candidate effects beyond the road load.
+"""Candidate effects beyond the road load, by topic.
 
-Each effect is what its phenomenon adds to the base effects of `core.effects.road_load`, in the textbook's form. Diagnosis tests
-whether the data show it. A plausible range that begins above zero says that physics demands the sign.
+Each effect is what its phenomenon adds to the base effects of `core.effects.road_load`, in the textbook's form.
+Diagnosis tests whether the data show it. Where a plausible range begins above zero, physics demands a positive
+coefficient.
 """
 _SHIPPED: Final[Mapping[str, tuple[Effect, ...]]] = MappingProxyType({"road load": ROAD_LOAD, **CANDIDATES})
 _library: dict[str, Effect] = {e.name: e for effects in _SHIPPED.values() for e in effects}
@@ -59,42 +60,42 @@ _brought_by: dict[str, Path] = {}
 
 
 def get_library() -> Mapping[str, Effect]:
-    """Return all effects known now, by name: the product's own, then those loaded from files."""
+    """Return all loaded effects by name: the product's own, then those loaded from files."""
     return MappingProxyType(_library)
 
 
 def group_by_topic() -> Mapping[str, list[Effect]]:
-    """Return all effects known now by topic: the product's own, then those of each file by its name."""
-    found = {topic: list(effects) for topic, effects in _SHIPPED.items()}
+    """Return all loaded effects by topic: the product's own, then those of each file under the file's name."""
+    topics = {topic: list(effects) for topic, effects in _SHIPPED.items()}
     for name, path in _brought_by.items():
-        found.setdefault(path.name, []).append(_library[name])
-    return found
+        topics.setdefault(path.name, []).append(_library[name])
+    return topics
 
 
 def list_tabulated() -> list[str]:
-    """Return the names of what tables hold: every effect known now, and after it its variants.
+    """Return the names of the effects in the tables: every loaded effect, followed by its variants.
 
     Examples
     --------
-    >>> [name for name in tabulated() if name.startswith("wet_road")]
+    >>> [name for name in list_tabulated() if name.startswith("wet_road")]
     ['wet_road', 'wet_road@depth=0.0001', 'wet_road@depth=0.001']
     """
-    return [each.name for found in _library.values() for each in (found, *found.variants)]
+    return [each.name for effect in _library.values() for each in (effect, *effect.variants)]
 
 
 def get(name: str) -> Effect:
-    """Return the effect of that name.
+    """Return the effect of a name.
 
     Parameters
     ----------
     name : str
-        Of an effect, or of its variant: `cold_rolling@reference=283.15`, several parameters parted by commas.
+        Name of an effect, or of a variant: `cold_rolling@reference=283.15`, several parameters separated by commas.
 
     Raises
     ------
     EffectError
-        Where there is none, with the names that come close; for a variant that the effect cannot have, or that is not
-        named as it is in the tables.
+        Where no effect has the name, with similar names; for a variant that the effect cannot have, or whose name is
+        not spelled as in the tables.
 
     Examples
     --------
@@ -103,18 +104,18 @@ def get(name: str) -> Effect:
     >>> dict(get("cold_rolling@reference=283.15").constants)
     {'reference': 283.15}
     """
-    if (found := _library.get(name)) is not None:
-        return found
+    if (known := _library.get(name)) is not None:
+        return known
     base, at, moved = name.partition(VARIANT)
     if at and base in _library:
         return _variant(_library[base], name, moved)
     close = get_close_matches(base, _library, n=3)
     hint = f"did you mean {' or '.join(close)}?" if close else f"known are {', '.join(_library)}."
-    raise EffectError(f"effect {name!r} is unknown: {hint} A file of your own is loaded with --effects FILE")
+    raise EffectError(f"effect {name!r} is unknown: {hint} Load a file of your own with --effects FILE")
 
 
 def _variant(effect: Effect, name: str, moved: str) -> Effect:
-    """Return the variant that a name means, where it is that variant's own."""
+    """Return the variant of a name, provided that the name is spelled as the variant's own."""
     parameters: dict[str, float] = {}
     for part in moved.split(","):
         parameter, _, value = part.partition("=")
@@ -122,68 +123,68 @@ def _variant(effect: Effect, name: str, moved: str) -> Effect:
             parameters[parameter] = float(value)
         except ValueError as error:
             raise EffectError(
-                f"effect {name!r}: {value!r} is no number: write {effect.name}@parameter=value"
+                f"effect {name!r}: {value!r} is not a number: write {effect.name}@parameter=value"
             ) from error
-    found = effect.variant(parameters)
-    if found.name != name:
-        raise EffectError(f"effect {name!r} is known as {found.name!r}: write that")
-    return found
+    variant = effect.variant(parameters)
+    if variant.name != name:
+        raise EffectError(f"effect {name!r} is known as {variant.name!r}: write that")
+    return variant
 
 
 def load_file(path: str | Path, time_limit: float = TIME_LIMIT) -> list[Effect]:
-    """Check a user's own file of effects and add them to the library.
+    """Check a user's file of effects and add its effects to the library.
 
-    The file is Python and importing it runs it, as its author's own code: once in a process apart, under a time limit,
-    where every effect is checked, and, if all is well, once here. That process guards against mistakes; it is no
-    sandbox.
+    The file is Python, and importing it runs it. It runs first in a separate process under a time limit, where every
+    effect is checked, and then here. The separate process protects against mistakes; it is not a sandbox.
 
     Parameters
     ----------
     path : str or Path
-        A `.py` file with functions under `@effect`, from `core.effects`. Loading it again replaces what it brought
-        before.
+        A `.py` file with functions under `@effect`, from `socast`. Loading it again replaces the effects that it
+        brought before.
     time_limit : float
-        For import and checks together. [s]
+        Longest time for import and checks together. [s]
 
     Returns
     -------
     list of Effect
-        In the order of the file.
+        Effects in the order of the file.
 
     Raises
     ------
     EffectError
-        One line that begins with the path: the file is absent or a folder, is not Python, imports what an effect does
-        not need, does not come to an end, holds no effect, defines a name twice or one that is taken, holds an effect
-        that fails `check`, or one said to be confused with an effect that is unknown.
+        One line that begins with the path: the file is absent or a folder, is not Python, imports a module that an
+        effect does not need, does not terminate, holds no effect, defines a name twice or one that is taken, holds an
+        effect that fails `check_effect`, or names a confusion with an unknown effect.
     """
     path = Path(path).absolute()
     source = _read(path)
     _check_source(path, source)
     _check_apart(path, time_limit)
     effects = _run(path)
-    for found in effects:
-        if found.name in _library and _brought_by.get(found.name) != path:
-            raise EffectError(f"{path}: effect {found.name!r} is in the library already: give yours another name")
+    for effect in effects:
+        if effect.name in _library and _brought_by.get(effect.name) != path:
+            raise EffectError(f"{path}: effect {effect.name!r} is in the library already: give yours another name")
     _check_confusions(path, effects)
     for name in [name for name, file in _brought_by.items() if file == path]:
         del _library[name], _brought_by[name]
-    for found in effects:
-        _library[found.name], _brought_by[found.name] = found, path
+    for effect in effects:
+        _library[effect.name], _brought_by[effect.name] = effect, path
     return effects
 
 
 def _check_confusions(path: Path, effects: list[Effect]) -> None:
     """Refuse a confusion with an effect that is neither in the library nor in the file."""
-    known = {*_library, *(found.name for found in effects)}
-    for found in effects:
-        if unknown := [name for name in found.confused_with if name not in known]:
+    known = {*_library, *(effect.name for effect in effects)}
+    for effect in effects:
+        if unknown := [name for name in effect.confused_with if name not in known]:
             close = get_close_matches(unknown[0], known, n=3)
             hint = f": did you mean {' or '.join(close)}?" if close else ""
-            raise EffectError(f"{path}: effect {found.name}: confused with {unknown[0]!r}, which is unknown{hint}")
+            raise EffectError(f"{path}: effect {effect.name}: confused with {unknown[0]!r}, which is unknown{hint}")
 
 
 def _read(path: Path) -> str:
+    """Return the text of a file."""
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -192,7 +193,7 @@ def _read(path: Path) -> str:
 
 
 def _check_source(path: Path, source: str) -> None:
-    """Look at the file without running it: its syntax, what it imports, and names defined twice."""
+    """Check a file without running it: its syntax, its imports, its calls, and names defined twice."""
     try:
         tree = ast.parse(source, filename=str(path))
     except (SyntaxError, ValueError) as error:  # ValueError: null bytes
@@ -205,17 +206,17 @@ def _check_source(path: Path, source: str) -> None:
         for module in modules:
             if module.partition(".")[0] not in ALLOWED_IMPORTS:
                 allowed = ", ".join(sorted(ALLOWED_IMPORTS))
-                raise EffectError(f"{path}:{node.lineno}: imports {module}; an effect needs no more than {allowed}")  # type: ignore[attr-defined]
+                raise EffectError(f"{path}:{node.lineno}: imports {module}; an effect may import only {allowed}")  # type: ignore[attr-defined]
         called = node.func.id if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) else ""
         if called in FORBIDDEN_CALLS:
-            raise EffectError(f"{path}:{node.lineno}: calls {called}; an effect is a function of its columns alone")  # type: ignore[attr-defined]
+            raise EffectError(f"{path}:{node.lineno}: calls {called}; compute an effect from its columns alone")  # type: ignore[attr-defined]
     names = Counter(node.name for node in tree.body if isinstance(node, ast.FunctionDef))
     if twice := [name for name, times in names.items() if times > 1]:
         raise EffectError(f"{path}: {twice[0]!r} is defined twice, and the second hides the first: rename one")
 
 
 def _check_apart(path: Path, time_limit: float) -> None:
-    """Run and check the file in a process of its own, which can be ended where the file does not come to an end."""
+    """Run and check a file in a separate process, which can be ended where the file does not terminate."""
     command = [
         sys.executable,
         "-c",
@@ -234,24 +235,26 @@ def _check_apart(path: Path, time_limit: float) -> None:
         )
     except subprocess.TimeoutExpired as error:
         raise EffectError(
-            f"{path}: not done after {time_limit:g} s: look for a loop without end, or work done at import"
+            f"{path}: not done after {time_limit:g} s: look for an endless loop, or for work done at import"
         ) from error
     if done.returncode:
-        said = done.stderr.strip().splitlines() or [f"the interpreter stopped with code {done.returncode}"]
-        raise EffectError(said[-1] if said[-1].startswith(str(path)) else f"{path}: {said[-1]}")
+        lines = done.stderr.strip().splitlines() or [f"the interpreter stopped with code {done.returncode}"]
+        raise EffectError(_with_path(path, lines[-1]))
+
+
+def _with_path(path: Path, message: str) -> str:
+    """Return a message that begins with the path."""
+    return message if message.startswith(str(path)) else f"{path}: {message}"
 
 
 def _inspect(name: str) -> None:
-    """Run and check a file, in the process apart; what is wrong goes to stderr as its last line."""
+    """Run and check a file in the separate process; write an error to stderr as the last line."""
     path = Path(name)
     try:
-        for found in _run(path):
-            try:
-                check_effect(found)
-            except EffectError as error:
-                raise EffectError(f"{path}: {error}") from error
+        for effect in _run(path):
+            check_effect(effect)
     except EffectError as error:
-        sys.exit(f"\n{error}")
+        sys.exit(f"\n{_with_path(path, str(error))}")
 
 
 def _run(path: Path) -> list[Effect]:
@@ -262,10 +265,12 @@ def _run(path: Path) -> list[Effect]:
         raise EffectError(f"{path}: {error}") from error
     except (Exception, SystemExit) as error:  # whatever a user's file raises
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
-        said = " ".join(str(error).split())
+        reason = " ".join(str(error).split())
         where = f"{path}:{lines[-1]}" if lines else f"{path}"
-        raise EffectError(f"{where}: raises {type(error).__name__} when imported: {said}") from error
-    found = {id(e): e for e in names.values() if isinstance(e, Effect) and e.function.__module__ == _USER_MODULE}
-    if not found:
-        raise EffectError(f"{path}: holds no effect: put @effect(...), from core.effects, over a function of columns")
-    return list(found.values())
+        raise EffectError(f"{where}: raises {type(error).__name__} when imported: {reason}") from error
+    effects = {id(e): e for e in names.values() if isinstance(e, Effect) and e.function.__module__ == _USER_MODULE}
+    if not effects:
+        raise EffectError(
+            f"{path}: holds no effect: write `from socast import effect`, and @effect(...) over a function of columns"
+        )
+    return list(effects.values())

@@ -1,4 +1,4 @@
-"""The base effects: what moves a car along a road, and what its accessories take.
+"""The base effects: the road load of a car, and the power of its accessories.
 
 Each returns power per unit of its coefficient, for the force balance of a car on a road,
 
@@ -7,8 +7,8 @@ Each returns power per unit of its coefficient, for the force balance of a car o
 with mass m, gravity g, rolling resistance c, road angle θ, air density ρ, drag area A_d, speed v, headwind w and
 acceleration a.
 
-A NaN in any column that an effect names gives NaN in that row and nowhere else: no effect guesses. What an unknown wind
-or grade means is decided where the columns are made. `auxiliary` alone gives its power whatever is known.
+A NaN in any column that an effect takes gives NaN in that row and nowhere else: no effect guesses. The meaning of an
+unknown wind or grade is decided where the columns are made. Only `auxiliary` has a value in every row.
 
 References
 ----------
@@ -43,7 +43,7 @@ _DRAG_AREAS: Final = "range: Hucho (ed.), Aerodynamics of Road Vehicles, SAE 199
 def rolling(mass: Floats, grade: Floats, speed: Floats, gravity: float) -> Floats:
     """Tyres that flex: P = m g cos θ v, times c.
 
-    Independent of speed, temperature and wet: see `core.effects.tyres`.
+    The effect does not depend on speed, temperature or water: see `core.effects.tyres`.
     """
     return mass * speed * gravity * np.sqrt(1.0 - grade * grade)
 
@@ -70,7 +70,7 @@ def climbing(mass: Floats, grade: Floats, speed: Floats, gravity: float) -> Floa
     parameters=_GRAVITY,
 )
 def climbing_up(mass: Floats, grade: Floats, speed: Floats, gravity: float) -> Floats:
-    """Potential energy bought uphill: P = m g max(sin θ, 0) v."""
+    """Potential energy gained uphill: P = m g max(sin θ, 0) v."""
     return mass * speed * gravity * np.maximum(grade, 0.0)
 
 
@@ -100,7 +100,7 @@ def climbing_down(mass: Floats, grade: Floats, speed: Floats, gravity: float) ->
 def aero_drag(speed: Floats, air_density_standard: float) -> Floats:
     """Drag in still standard air: P = 1/2 ρ0 v^3, times A_d.
 
-    ρ0 is 1.225 kg/m^3 (ISO 2533:1975). Air at -20 °C is 14 % denser, which this leaves out: see `aero_drag_wind`.
+    ρ0 is 1.225 kg/m^3 (ISO 2533:1975). Air at -20 °C is 14 % denser, which this effect ignores: see `aero_drag_wind`.
     """
     return speed * speed * speed * (0.5 * air_density_standard)
 
@@ -113,10 +113,10 @@ def aero_drag(speed: Floats, air_density_standard: float) -> Floats:
     source=f"Gillespie 1992, ch. 4, relative wind; {_DRAG_AREAS}",
 )
 def aero_drag_wind(speed: Floats, headwind: Floats, air_density: Floats) -> Floats:
-    """Drag in the air there is: P = 1/2 ρ (v + w)|v + w| v, times A_d.
+    """Drag in air of the actual density and wind: P = 1/2 ρ (v + w)|v + w| v, times A_d.
 
-    Negative where a tail wind overtakes the car. Zero for a standing car: wind does no work on it. Crosswind is left
-    out.
+    The power is negative where a tail wind overtakes the car, and zero for a standing car, on which wind does no work.
+    Crosswind is ignored.
     """
     relative = speed + headwind
     return 0.5 * air_density * relative * np.abs(relative) * speed
@@ -142,7 +142,7 @@ def inertia(mass: Floats, acceleration: Floats, speed: Floats) -> Floats:
     source=f"{_BALANCE}, speeding up; range: 1 at the wheel, rotating parts and 1/efficiency at the battery",
 )
 def inertia_positive(mass: Floats, acceleration: Floats, speed: Floats) -> Floats:
-    """Kinetic energy bought: P = m max(a, 0) v."""
+    """Kinetic energy gained: P = m max(a, 0) v."""
     return mass * speed * np.maximum(acceleration, 0.0)
 
 
@@ -169,10 +169,10 @@ def inertia_negative(mass: Floats, acceleration: Floats, speed: Floats) -> Float
     confused_with=("climbing_down", "inertia_negative"),
 )
 def braking(traction: Floats, speed: Floats) -> Floats:
-    """Braking at the wheels that does not come back: P = max(-F, 0) v, with F as the car's own road load has it.
+    """Braking energy that is not regained: P = max(-F, 0) v, with F of the car's own road load.
 
-    Powertrains lose both ways: what the other base effects take for one efficiency is divided by it when driving and
-    multiplied by it when braking.
+    Powertrains lose both ways: the other base effects treat as one efficiency what divides when driving and multiplies
+    when braking.
     """
     return np.maximum(-traction, 0.0) * speed
 
@@ -225,7 +225,7 @@ def accessories(
     confused_with=("standby",),
 )
 def auxiliary(dt: Floats) -> Floats:
-    """Whatever is always on: P = 1, times a constant power."""
+    """Consumers that are always on: P = 1, times a constant power."""
     return np.ones_like(dt, dtype=np.float64)
 
 
@@ -243,4 +243,4 @@ ROAD_LOAD: Final[tuple[Effect, ...]] = (
     accessories,
     auxiliary,
 )
-"""The base effects, in the order of the force balance."""
+"""Base effects, in the order of the force balance."""

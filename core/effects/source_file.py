@@ -1,4 +1,4 @@
-"""Text of a file with one effect, ready to be edited, checked and loaded."""
+"""The text of a file with one effect, ready to be edited, checked and loaded."""
 
 import json
 import re
@@ -11,11 +11,11 @@ from core.effects.declaration import Parameter
 from core.errors import EffectError
 
 WIDTH: Final = 110
-"""Characters a line of comment may have."""
+"""Most characters of a comment line."""
 _FUNCTION: Final = re.compile(r"[A-Za-z_]\w*")
 
 
-def render(
+def render_source(
     name: str,
     *,
     arguments: Sequence[str],
@@ -39,17 +39,17 @@ def render(
     Parameters
     ----------
     name : str
-        Of the function and the effect.
+        Name of the function and the effect.
     arguments : sequence of str
-        Columns that it takes.
+        Columns that the function takes.
     body : str
         Statements of the function, the last of which returns; numpy is `np`.
     documentation : str
-        With the formula, as `P = ...`.
+        Docstring with the formula, as `P = ...`.
     coefficient, unit, low, high, source, per, parameters, confused_with, shown_by, words, scale
-        As of `core.effects.effect`.
+        As in `core.effects.effect`.
     imports : sequence of str
-        Lines that import what the body needs besides numpy.
+        Import lines that the body needs besides numpy.
 
     Raises
     ------
@@ -57,29 +57,29 @@ def render(
         For a name that no function can have.
     """
     if not _FUNCTION.fullmatch(name):
-        raise EffectError(f"effect {name!r}: a function cannot be called that: use letters, digits and _")
-    given = dict(parameters or {})
-    moved = ", ".join(f"{_text(n)}: {_parameter(p)}" for n, p in given.items())
+        raise EffectError(f"effect {name!r}: not the name of a function: use letters, digits and _")
+    constants = dict(parameters or {})
+    moved = ", ".join(f"{_quote(n)}: {_parameter(p)}" for n, p in constants.items())
     declared = [
-        f"coefficient={_text(coefficient)}",
-        f"unit={_text(unit)}",
+        f"coefficient={_quote(coefficient)}",
+        f"unit={_quote(unit)}",
         f"low={low!r}",
         f"high={high!r}",
-        f"source={_text(source)}",
-        *([f"per={_text(per)}"] if per != "distance" else []),
-        *([f"parameters={{{moved}}}"] if given else []),
-        *([f"confused_with=[{', '.join(map(_text, confused_with))}]"] if confused_with else []),
-        *([f"shown_by={_text(shown_by)}"] if shown_by else []),
-        *([f"words={_text(words)}"] if words else []),
+        f"source={_quote(source)}",
+        *([f"per={_quote(per)}"] if per != "distance" else []),
+        *([f"parameters={{{moved}}}"] if constants else []),
+        *([f"confused_with=[{', '.join(map(_quote, confused_with))}]"] if confused_with else []),
+        *([f"shown_by={_quote(shown_by)}"] if shown_by else []),
+        *([f"words={_quote(words)}"] if words else []),
         *([f"scale={scale!r}"] if scale != 1.0 else []),
     ]
-    what = "Parameter, effect" if given else "effect"
+    imported = "Parameter, effect" if constants else "effect"
     uses_numpy = ["import numpy as np", ""] if re.search(r"\bnp\.", body) else []
     lines = [
         '"""An effect of my own: check it with `socast effects check FILE`, then use it with `--effects FILE`."""',
         "",
         *uses_numpy,
-        f"from core.effects import {what}",
+        f"from socast import {imported}",
         *imports,
         "",
         *_columns(),
@@ -88,29 +88,29 @@ def render(
         "@effect(",
         *(f"    {line}," for line in declared),
         ")",
-        f"def {name}({', '.join((*arguments, *given))}):",
+        f"def {name}({', '.join((*arguments, *constants))}):",
         indent(f'"""{documentation}\n"""' if "\n" in documentation else f'"""{documentation}"""', "    "),
         indent(body.rstrip(), "    "),
     ]
     return "\n".join(lines) + "\n"
 
 
-def _text(said: str) -> str:
-    """Return a string as Python has it, in double quotes."""
-    return json.dumps(said, ensure_ascii=False)
+def _quote(parts: str) -> str:
+    """Return a Python string literal in double quotes."""
+    return json.dumps(parts, ensure_ascii=False)
 
 
 def _parameter(parameter: Parameter) -> str:
     """Return the call that makes a parameter."""
-    said = [repr(parameter.value), _text(parameter.unit)]
+    parts = [repr(parameter.value), _quote(parameter.unit)]
     if parameter.low is not None or parameter.high is not None:
-        said += [repr(parameter.low), repr(parameter.high)]
-    return f"Parameter({', '.join([*said, *([f'grid={parameter.grid!r}'] if parameter.grid else [])])})"
+        parts += [repr(parameter.low), repr(parameter.high)]
+    return f"Parameter({', '.join([*parts, *([f'grid={parameter.grid!r}'] if parameter.grid else [])])})"
 
 
 def _columns() -> list[str]:
     """Return comments that name every column that an effect may take."""
-    lines = ["# Arguments are columns, in SI, filled in by name, and the names of parameters:"]
+    lines = ["# Arguments are columns in SI units, filled in by name, and names of parameters:"]
     for column in SIGNALS:
         unit = "" if column.unit == "1" else f" [{column.unit}]"
         lines.append(f"#   {column.name}{unit}: {column.meaning}"[:WIDTH])

@@ -1,6 +1,6 @@
-"""What tyres and the road do beyond a constant rolling resistance: cold, water, snow, low pressure, bends.
+"""Effects of tyres and road beyond a constant rolling resistance: cold, water, snow, low pressure, bends.
 
-The base has P = c m g cos θ v. A coefficient here adds to c; in words it is a share of 0.010, a common car's.
+The base has P = c m g cos θ v. A coefficient here adds to c; in words it is a share of 0.010, typical of a car.
 """
 
 from typing import Final
@@ -22,14 +22,14 @@ _VTI: Final = "Carlson and Vieira 2018, VTI rapport 971"
     "0.2 to 3 % of 0.010",
     parameters={"reference": Parameter(293.15, "K", 268.15, 303.15, grid=(278.15, 283.15, 288.15, 293.15, 298.15))},
     confused_with=("air_density", "battery_resistance", "cabin_heating", "cold_regen_limit", "snow"),
-    shown_by="drives at one speed over a year; slow ones, where air does little, tell it from denser air",
+    shown_by="drives at one speed over a year; slow ones, where air does little, distinguish it from denser air",
     words="cold tyres: rolling resistance grows by {value} % of 0.010 for each degree below {reference}",
     scale=1e4,
 )
 def cold_rolling(tyre_load: Floats, speed: Floats, ambient: Floats, reference: float) -> Floats:
-    """Rubber that loses more in the cold: P = m g cos θ max(T0 - T, 0) v, times the growth of c a kelvin.
+    """Rubber that loses more in the cold: P = m g cos θ max(T0 - T, 0) v, times the growth of c per kelvin.
 
-    By the outside temperature; that tyres warm up as they roll is in the coefficient.
+    T is the outside temperature; the warming of rolling tyres is part of the coefficient.
     """
     return tyre_load * speed * np.maximum(reference - ambient, 0.0)
 
@@ -50,8 +50,8 @@ def cold_rolling(tyre_load: Floats, speed: Floats, ambient: Floats, reference: f
 def wet_road(tyre_load: Floats, speed: Floats, water: Floats, depth: float) -> Floats:
     """Water under the tyres: P = m g cos θ (1 - exp(-h/h0)) v, times the added c.
 
-    With the water h on the road by what fell and what dried, see `core.signals.weather`, and the depth h0 of which much more
-    makes no difference.
+    h is the water on the road, from rain and drying, see `core.signals.weather`. Beyond a few h0 more water makes no
+    difference.
     """
     return tyre_load * speed * (1.0 - np.exp(-water / depth))
 
@@ -72,8 +72,8 @@ def wet_road(tyre_load: Floats, speed: Floats, water: Floats, depth: float) -> F
 def snow(tyre_load: Floats, speed: Floats, snow: Floats, depth: float) -> Floats:
     """Snow under the tyres: P = m g cos θ (1 - exp(-s/s0)) v, times the added c.
 
-    With the snow s on the road, melted, by what fell and what was cleared, see `core.signals.weather`; 2 mm melted are some
-    2 cm of fresh snow.
+    s is the snow on the road as melted water, from snowfall and clearing, see `core.signals.weather`. 2 mm melted are
+    about 2 cm of fresh snow.
     """
     return tyre_load * speed * (1.0 - np.exp(-snow / depth))
 
@@ -93,7 +93,7 @@ def snow(tyre_load: Floats, speed: Floats, snow: Floats, depth: float) -> Floats
 def tyre_pressure(tyre_load: Floats, speed: Floats) -> Floats:
     """Tyres with too little air: P = m g cos θ v, times the added c.
 
-    The same shape as rolling itself: it shows only where it comes and goes, in one car or from a date on.
+    The shape is that of rolling itself. The effect shows only where it comes and goes: in one car, or from a date on.
     """
     return tyre_load * speed
 
@@ -114,12 +114,12 @@ def tyre_pressure(tyre_load: Floats, speed: Floats) -> Floats:
 def cornering(mass: Floats, speed: Floats, turn_rate: Floats, grip: float) -> Floats:
     """Tyres that slip sideways in bends: P = (m min(v |ω|, a_max))^2 v, times 1/C.
 
-    A side force m v ω needs the slip angle m v ω / C with cornering stiffness C, and is tilted back by it. Side
-    accelerations above a_max are errors of the position, and count as a_max.
+    A side force m v ω needs the slip angle m v ω / C, with cornering stiffness C, and is tilted back by that angle.
+    Side accelerations above a_max are errors of the position, and are limited to a_max.
     """
     side = mass * np.minimum(speed * np.abs(turn_rate), grip)
     return side * side * speed
 
 
 TYRES: Final[tuple[Effect, ...]] = (cold_rolling, wet_road, snow, tyre_pressure, cornering)
-"""In the order of the list."""
+"""Effects of tyres and road, in the order of the list."""

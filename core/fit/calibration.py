@@ -25,7 +25,7 @@ from core.batch import Floats, Ints
 from core.fit.fitting import build_design
 from core.fit.regression import CUTOFF
 from core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
-from core.models import ANY, VEHICLE_MODEL, LinearModel
+from core.models import ANY, VEHICLE_MODEL, LinearModel, stamp
 from core.models.features import Columns, list_raw_columns
 from core.models.interval import PredictionInterval, compute_scale_terms
 
@@ -200,7 +200,7 @@ def add_interval(model: LinearModel, rides: pd.DataFrame, *, fitted: bool = True
         own[rows] = _left(model, key if key in model.fits else ANY, good, rows, rows, fitted=fitted)
         every[rows] = _left(model, ANY, good, np.arange(len(good)), rows, fitted=fitted)
     unseen = _by_model(good, every) if ANY in model.fits else {}
-    return msgspec.structs.replace(model, interval=calibrate_interval(_by_model(good, own), unseen))
+    return stamp(msgspec.structs.replace(model, interval=calibrate_interval(_by_model(good, own), unseen)))
 
 
 def _left(model: LinearModel, key: str, rides: pd.DataFrame, rows: Ints, out: Ints, *, fitted: bool) -> Floats:

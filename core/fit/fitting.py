@@ -41,7 +41,7 @@ from core.fit.regression import (
     solve,
 )
 from core.fit.ride_blocks import ENERGY, RideSource, get_names, get_numbers, select_trainable
-from core.models import ANY, BASIC_PHYSICAL, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term, Training
+from core.models import ANY, BASIC_PHYSICAL, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term, Training, stamp
 from core.models.derived_features import DERIVED_COLUMNS
 from core.models.features import ACCESSORIES_COLUMN, ACCESSORY_NEEDS, EFFECT_PREFIX, FEATURES, Columns, list_raw_columns
 from core.vehicles import AccessoryCurve
@@ -239,15 +239,16 @@ class _Fitting:
             errors[self.only] = errors[ANY]
         history = ({"action": "fit", "recipe": self.plan.name, "mae_in_sample_kwh": errors},) if errors else ()
         fits = {key: self._fit(group) for key, group in sorted(self.groups.items())}
-        return LinearModel(
+        model = LinearModel(
             name=self.plan.name,
-            version=training.fingerprint[:12],
+            version="",
             recipe=self.plan.name,
             terms=self.terms,
             fits=fits if self.only is None else fits | {self.only: fits[ANY]},
             training=training,
             history=history,
         )
+        return stamp(model)
 
     def _group(self) -> _GroupFit:
         """Return a group of rides of which nothing is known yet."""

@@ -168,7 +168,7 @@ class _VehicleModelFit(NamedTuple):
         total = rides.design @ self.coefficients
         if self.trees is not None:
             own = [TREE_FEATURES.index(name) for name in self.trees.features]
-            total = total + self.trees.answer(rides.asked[:, own]) * rides.size
+            total = total + self.trees.sum_leaves(rides.asked[:, own]) * rides.size
         return total * _factors(self.cars, rides.vehicles)
 
 

@@ -1,7 +1,7 @@
-"""Columns that models derive from the ride table's: how cold the cabin is, how dark the street, how full the battery.
+"""Columns derived from the ride table's: how cold it is outside, whether the sun shines, how full the battery is.
 
-Each is a function of a few columns that have a meaning at any moment of a ride, and is made when it is asked for. A
-term of a model, or a feature of its trees, names a derived column like one of the table's own.
+Each is a function of a few columns that have a meaning at any moment of a ride, and is computed on access. A term of a
+model, or a feature of its trees, names a derived column like one of the table.
 """
 
 from collections.abc import Callable, Mapping
@@ -14,36 +14,36 @@ from core.batch import Floats
 from core.columns import SECONDS_PER_DAY
 
 HEATING_BELOW: Final = 18.0
-"""Outside temperature below which a cabin is heated, people and sun aboard. [°C]"""
+"""Outside temperature below which a cabin with people and sun in it is heated. [°C]"""
 DEEP_COLD_BELOW: Final = -5.0
-"""Outside temperature below which heat pumps give up and heaters reach their limit. [°C] Estimated."""
+"""Outside temperature below which heat pumps stop and heaters reach their limit. [°C] Estimated."""
 COOLING_ABOVE: Final = 21.0
 """Outside temperature above which a cabin is cooled. [°C]"""
 CABIN_WARM_UP: Final = 600.0
-"""Time constant in which a cabin's air and trim reach their temperature. [s] Estimated."""
+"""Time constant with which a cabin's air and trim approach their set temperature. [s] Estimated."""
 SOAK: Final = 7200.0
-"""Time constant in which a parked car takes on the temperature outside. [s] Estimated."""
+"""Time constant with which a parked car approaches the outside temperature. [s] Estimated."""
 BATTERY_FROST: Final = 5.0
-"""Temperature below which a battery takes little charge, and may be heated. [°C]"""
+"""Temperature below which a battery accepts little charge, and may be heated. [°C]"""
 BATTERY_FULL: Final = 88.0
-"""State of charge from which on a battery takes less of what braking gives back. [%]"""
+"""State of charge above which a battery accepts less energy from braking. [%]"""
 SMALLEST_RIDE: Final = 0.1
-"""Size of a ride that goes nowhere. [kWh]"""
+"""Size of a ride without any driving. [kWh]"""
 DRIVE_OVER_ROLLING: Final = 1.3
-"""Energy to drive in town over that of rolling resistance alone, some average. [1]"""
+"""Energy of driving in town over that of rolling resistance alone, a typical mean. [1]"""
 
 
 class DerivedColumn(NamedTuple):
-    """A column made of others.
+    """Describe a column that is computed from others.
 
     Parameters
     ----------
     needs : tuple of str
         Columns of the ride table.
     unit : str
-        As pint spells it; in brackets where it is a quotient.
+        Unit as pint spells it, in parentheses where it is a quotient.
     make : callable
-        From arrays of the needed columns, row by row; NaN where it cannot be known.
+        Function from arrays of the needed columns to the column, row by row; NaN where it is unknown.
     """
 
     needs: tuple[str, ...]
@@ -52,46 +52,53 @@ class DerivedColumn(NamedTuple):
 
 
 def compute_heating_need(ambient_c: Floats) -> Floats:
-    """Return how much colder it is outside than where heating begins. [K]"""
+    """Return how far the outside temperature is below `HEATING_BELOW`. [K]"""
     return np.maximum(HEATING_BELOW - ambient_c, 0.0)
 
 
 def compute_deep_cold(ambient_c: Floats) -> Floats:
-    """Return how much colder it is outside than where heat pumps give up. [K]"""
+    """Return how far the outside temperature is below `DEEP_COLD_BELOW`. [K]"""
     return np.maximum(DEEP_COLD_BELOW - ambient_c, 0.0)
 
 
 def compute_cooling_need(ambient_c: Floats) -> Floats:
-    """Return how much warmer it is outside than where cooling begins. [K]"""
+    """Return how far the outside temperature is above `COOLING_ABOVE`. [K]"""
     return np.maximum(ambient_c - COOLING_ABOVE, 0.0)
 
 
 def compute_warm_up_share(duration_s: Floats) -> Floats:
-    """Return the share of the warming up of a cabin that is done, 1 - exp(-t / `WARM_UP`). [1]"""
+    """Return the completed share of the warm-up of a cabin, 1 - exp(-t / `CABIN_WARM_UP`). [1]"""
     return -np.expm1(-duration_s / CABIN_WARM_UP)
 
 
 def compute_soak_share(parked_s: Floats) -> Floats:
-    """Return the share of the way to the outside's temperature that a parked car went, 1 - exp(-t / `SOAK`). [1]"""
+    """Return the completed share of a parked car's approach to the outside temperature, 1 - exp(-t / `SOAK`). [1]"""
     return -np.expm1(-parked_s / SOAK)
 
 
 def compute_battery_frost(battery_temperature_c: Floats) -> Floats:
-    """Return how much colder the battery was at the start than where it takes charge well. [K]"""
+    """Return how far the battery's temperature at the start is below `BATTERY_FROST`. [K]"""
     return np.maximum(BATTERY_FROST - battery_temperature_c, 0.0)
 
 
 def compute_battery_fullness(soc_start_pct: Floats) -> Floats:
-    """Return how much fuller the battery was at the start than where it takes any charge. [%]"""
+    """Return how far the state of charge at the start is above `BATTERY_FULL`. [%]"""
     return np.maximum(soc_start_pct - BATTERY_FULL, 0.0)
 
 
 def compute_sun_sine(start_s: Floats, latitude_deg: Floats, longitude_deg: Floats) -> Floats:
     """Return the sine of the sun's elevation, 0 by night. [1]
 
+    Parameters
+    ----------
+    start_s : (n,) float
+        Unix time. [s]
+    latitude_deg, longitude_deg : (n,) float
+        Position, north and east positive. [°]
+
     Notes
     -----
-    Declination by the day of the year, hour angle by mean solar time: within some 4° of the truth.
+    The declination follows from the day of the year, the hour angle from mean solar time: accurate to about 4°.
 
     References
     ----------
@@ -100,7 +107,7 @@ def compute_sun_sine(start_s: Floats, latitude_deg: Floats, longitude_deg: Float
     Examples
     --------
     >>> noon = 1529596800.0  # 21 June 2018, 16:00 UTC
-    >>> sun(np.array([noon, noon + 43200.0]), np.full(2, 45.5), np.full(2, -73.6)).round(1)
+    >>> compute_sun_sine(np.array([noon, noon + 43200.0]), np.full(2, 45.5), np.full(2, -73.6)).round(1)
     array([0.9, 0. ])
     """
     day = start_s / SECONDS_PER_DAY
@@ -114,17 +121,17 @@ def compute_sun_sine(start_s: Floats, latitude_deg: Floats, longitude_deg: Float
 def compute_basic_energy(
     rolling: Floats, rolling_resistance: Floats, climbing: Floats, drag: Floats, drag_area: Floats, inertia: Floats
 ) -> Floats:
-    """Return the energy at the wheels, as the basic physical model has it. [kWh]"""
+    """Return the energy at the wheels by the basic physical model. [kWh]"""
     return rolling * rolling_resistance + climbing + drag * drag_area + inertia
 
 
 def compute_size(rolling: Floats, rolling_resistance: Floats, accessories: Floats) -> Floats:
-    """Return about how much a ride takes, never less than `SMALLEST_RIDE`: what its error grows with. [kWh]"""
+    """Return the approximate energy of a ride, at least `SMALLEST_RIDE`; its error grows with it. [kWh]"""
     return SMALLEST_RIDE + DRIVE_OVER_ROLLING * rolling * rolling_resistance + accessories
 
 
 def divide_by_distance(amount: Floats, distance_km: Floats) -> Floats:
-    """Return an amount over the distance; NaN where none was driven. [1/km]"""
+    """Return an amount per distance, NaN where the distance is zero. [1/km]"""
     return np.divide(amount, distance_km, out=np.full(len(amount), np.nan), where=distance_km > 0.0)
 
 
@@ -134,7 +141,7 @@ _BASIC = (*_ROLLING, "effect_climbing", "effect_aero_drag", "drag_area_m2", "eff
 
 DERIVED_COLUMNS: Final[Mapping[str, DerivedColumn]] = MappingProxyType(
     {
-        # 359 and 1 degree are neighbours, as no line can tell
+        # cosine and sine, because 359 and 1 degree are neighbours
         "wind_from_north": DerivedColumn(("wind_from_deg",), "1", lambda degrees: np.cos(degrees * (np.pi / 180.0))),
         "wind_from_east": DerivedColumn(("wind_from_deg",), "1", lambda degrees: np.sin(degrees * (np.pi / 180.0))),
         "heating_need_k": DerivedColumn(("ambient_c",), "K", compute_heating_need),

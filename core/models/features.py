@@ -1,9 +1,9 @@
-"""What a model may read of a ride, with units: every column here has a meaning on a ride in progress too.
+"""Columns that a model may read of a ride, with units. Every column has a meaning during a ride, too.
 
-Columns of the ride table are named as there. What holds the answer (`energy_*`, `soc_end_pct`, `hvac_kwh`) is no
-feature. Derived columns are made of others when they are asked for, so that no table need hold them. So are scopes,
-which are 1 for one vehicle (`vehicle=taxi-003`) or from a date on (`since=2018-06-01`), and 0 otherwise: with one in
-its product a term holds there and nowhere else.
+Columns of the ride table have the same names as there. Columns that hold the answer (`energy_*`, `soc_end_pct`,
+`hvac_kwh`) are not features. Derived columns are computed from others on access, so that no table needs to hold them.
+So are scopes, which are 1 for one vehicle (`vehicle=taxi-003`) or from a date on (`since=2018-06-01`), and 0 otherwise.
+A term with a scope in its product applies only there.
 """
 
 from collections.abc import Iterator, Mapping
@@ -23,13 +23,14 @@ from core.vehicles import AccessoryCurve
 
 EFFECT_PREFIX: Final = "effect_"
 ACCESSORIES_COLUMN: Final = "accessories_kwh"
-"""Energy of climate control and all else on board by a model's own curve; needs a curve, unlike other columns."""
+"""Energy of climate control and all else on board by a model's own curve. Unlike other columns, it needs a curve. [kWh]
+"""
 VEHICLE_SCOPE: Final = "vehicle="
-"""How the name of a column begins that is 1 for one vehicle; its identity follows."""
+"""Prefix of a column that is 1 for one vehicle; the vehicle's identity follows."""
 SINCE_SCOPE: Final = "since="
-"""How the name of a column begins that is 1 from a date on; the date follows, ISO, from midnight UTC on."""
+"""Prefix of a column that is 1 from a date on; the ISO date follows, counted from midnight UTC."""
 ANSWERS: Final = ("energy_", "soc_end_pct", "hvac_kwh")
-"""How the names of columns begin that hold what a model is to predict."""
+"""Prefixes of the columns that hold what a model is to predict."""
 
 _HISTOGRAM = {f"speed_{5 * i}_{5 * i + 5}_km": "km" for i in range(21)}
 
@@ -67,46 +68,48 @@ FEATURES: Final[Mapping[str, str]] = MappingProxyType(
         **_HISTOGRAM,
     }
 )
-"""Unit of each column of the ride table that a term may read, beside `effect_*`; of temperatures, of a difference."""
+"""Unit of each ride-table column that a term may read, besides `effect_*`; for temperatures, the unit of a difference.
+"""
 
 
 ACCESSORY_NEEDS: Final = ("duration_s", "ambient_c", "accessory_scale")
+"""Columns from which the accessory energy is computed."""
 
 
 def is_scope(column: str) -> bool:
-    """Tell whether a column is 1 where a term holds, and 0 elsewhere."""
+    """Return whether a column is a scope: 1 where a term applies, and 0 elsewhere."""
     return column.startswith((VEHICLE_SCOPE, SINCE_SCOPE))
 
 
 def parse_since(column: str) -> float:
-    """Return when a scope `since=DATE` begins, as a Unix time. [s]
+    """Return the time from which a scope `since=DATE` is 1, as Unix time. [s]
 
     Raises
     ------
     ModelError
-        Where that is no date.
+        Where the scope does not name a date.
 
     Examples
     --------
-    >>> beginning("since=2018-06-01")
+    >>> parse_since("since=2018-06-01")
     1527811200.0
     """
-    said = column.removeprefix(SINCE_SCOPE)
+    text = column.removeprefix(SINCE_SCOPE)
     try:
-        day = date.fromisoformat(said)
+        day = date.fromisoformat(text)
     except ValueError as error:
-        raise ModelError(f"scope {column!r}: {said!r} is no date ({error}): write since=YYYY-MM-DD") from error
-    if day.isoformat() != said:
+        raise ModelError(f"scope {column!r}: {text!r} is not a date ({error}): write since=YYYY-MM-DD") from error
+    if day.isoformat() != text:
         raise ModelError(f"scope {column!r}: write the date as since={day.isoformat()}")
     return datetime(day.year, day.month, day.day, tzinfo=UTC).timestamp()
 
 
 def list_raw_columns(column: str) -> tuple[str, ...]:
-    """Return the columns of the ride table that a column is made of: itself, unless it is derived.
+    """Return the columns of the ride table from which a column is computed: itself, unless it is derived.
 
     Examples
     --------
-    >>> needed("wind_from_east")
+    >>> list_raw_columns("wind_from_east")
     ('wind_from_deg',)
     """
     if column == ACCESSORIES_COLUMN:
@@ -122,9 +125,9 @@ def get_unit(column: str) -> str:
     Raises
     ------
     ModelError
-        Where no model may read it: it is unknown, or it holds the answer.
+        Where no model may read the column: it is unknown, or holds the answer.
     EffectError
-        Where it is of an effect that is unknown.
+        Where it belongs to an unknown effect.
     """
     if column == ACCESSORIES_COLUMN:
         return "kWh"
@@ -139,8 +142,8 @@ def get_unit(column: str) -> str:
     if column in FEATURES:
         return FEATURES[column]
     if column.startswith(ANSWERS):
-        raise ModelError(f"column {column!r} holds what is to be predicted: take it out of the model")
-    raise ModelError(f"column {column!r} is none that a model can read: name an effect_* or a column of the ride table")
+        raise ModelError(f"column {column!r} holds what is to be predicted: remove it from the model")
+    raise ModelError(f"column {column!r} is not one that a model can read: name an effect_* or a ride-table column")
 
 
 def _check_scope(column: str) -> None:
@@ -152,13 +155,15 @@ def _check_scope(column: str) -> None:
 
 
 def derive_coefficient_unit(columns: tuple[str, ...]) -> str:
-    """Return the unit of the coefficient of a product of columns that is an energy in kWh, as pint spells it.
+    """Return the unit, as pint spells it, of the coefficient that makes a product of columns an energy in kWh.
 
     Examples
     --------
-    >>> coefficient_unit(("effect_aero_drag", "drag_area_m2")), coefficient_unit(("effect_rolling", "odometer_km"))
-    ('1', '1/km')
-    >>> coefficient_unit(()), coefficient_unit(("average_speed_kmh", "lost_m"))
+    >>> derive_coefficient_unit(("effect_aero_drag", "drag_area_m2"))
+    '1'
+    >>> derive_coefficient_unit(("effect_rolling", "odometer_km"))
+    '1/km'
+    >>> derive_coefficient_unit(()), derive_coefficient_unit(("average_speed_kmh", "lost_m"))
     ('kWh', 'kWh/(km/h)/m')
     """
     above, below = ["kWh"], []
@@ -177,18 +182,19 @@ def derive_coefficient_unit(columns: tuple[str, ...]) -> str:
 
 
 class Columns(Mapping[str, Floats]):
-    """Columns of some rides, as a fit sees them: unknown values filled, derived columns made when asked for.
+    """Provide columns of some rides to a fit: unknown values filled, derived columns computed on access.
 
     Parameters
     ----------
     table : mapping of str to (n,) array
         Columns of the ride table, or a `DataFrame`.
     fills : mapping of str to float
-        What stands for an unknown (NaN) value of a column, derived ones included; a column that is not here stays NaN.
+        Value that replaces unknown (NaN) values of a column, derived ones included; a column without an entry keeps
+        NaN.
     curve : AccessoryCurve, optional
-        Of `accessories_kwh`.
+        Accessory power for `accessories_kwh`.
     rows : (m,) int, optional
-        Which rows; all, where not given.
+        Rows to provide; all, where not given.
     """
 
     def __init__(
@@ -205,18 +211,18 @@ class Columns(Mapping[str, Floats]):
         self._made: dict[str, Floats] = {}
 
     def __getitem__(self, name: str) -> Floats:
-        """Return a column as (m,) float, NaN where it is unknown and no fill stands for it."""
-        found = self._made.get(name)
-        if found is None:
-            found = self._make(name)
+        """Return a column as (m,) float, NaN where it is unknown and has no fill."""
+        column = self._made.get(name)
+        if column is None:
+            column = self._make(name)
             fill = self.fills.get(name)
             if fill is not None:
-                found = np.where(np.isnan(found), fill, found)
-            self._made[name] = found
-        return found
+                column = np.where(np.isnan(column), fill, column)
+            self._made[name] = column
+        return column
 
     def _make(self, name: str) -> Floats:
-        """Return a column as the table has it, or made of others."""
+        """Return a column of the table, or compute it from others."""
         if name == ACCESSORIES_COLUMN:
             if self.curve is None:
                 raise ModelError(

@@ -1,4 +1,4 @@
-"""What makes a model file a good one, past the types of its fields."""
+"""Model files: reading, writing, versions, and checks beyond the types of the fields."""
 
 import re
 from hashlib import sha256
@@ -16,48 +16,53 @@ from core.models.linear import FORMAT, Fit, LinearModel
 from core.vehicles import AccessoryCurve
 
 _NUMBERS: Final = re.compile(rb"\[\n\s+([-+.\deE,\s]+?)\n\s+\]")
-"""An array of numbers, one a line; no string matches, as JSON's strings have no line breaks."""
+"""Array of numbers, one per line. It matches no string, because JSON strings have no line breaks."""
 
 
 def _format_json(content: bytes) -> bytes:
-    """Return JSON for people: indented, but an array of numbers on one line."""
+    """Return indented JSON for people, with each array of numbers on one line."""
     lines = msgspec.json.format(content, indent=2)
     return _NUMBERS.sub(lambda found: b"[" + b" ".join(found[1].split()) + b"]", lines) + b"\n"
 
 
-def _parse(content: bytes, version: int) -> Any:
-    """Return a file's JSON, of the format that is wanted.
+def _parse(content: bytes) -> Any:
+    """Return the JSON of a model file, after a check of its format.
 
     Raises
     ------
     ModelError
-        Where it is not JSON, is no model, or is of another format.
+        Where the content is not JSON, is not a model, or has another format.
     """
     try:
         raw = msgspec.json.decode(content)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise ModelError(f"no model file: not JSON: {error}") from error
-    said = raw.get("format") if isinstance(raw, dict) else None
-    if said is None or "terms" not in raw:
-        raise ModelError("no model file: it has no 'format' and 'terms'; `socast fit` writes model files")
-    if said != version:
-        raise ModelError(f"model file of format {said!r}, and this version reads format {version}: fit the model anew")
+        raise ModelError(f"no model file: not JSON: {error}: `socast fit` writes model files") from error
+    format_ = raw.get("format") if isinstance(raw, dict) else None
+    if format_ is None or "terms" not in raw:
+        raise ModelError("no model file: it has no 'format' and 'terms': `socast fit` writes model files")
+    if format_ != FORMAT:
+        raise ModelError(
+            f"model file of format {format_!r}, and this version reads format {FORMAT}: fit the model anew"
+        )
     return raw
 
 
-def load(name_or_path: str | Path) -> LinearModel:
+def load(name_or_path: str | Path, *, verify: bool = True) -> LinearModel:
     """Return a model by name, or from its file.
 
     Parameters
     ----------
     name_or_path : str or Path
-        A name of `KNOWN`, else the path of a model file.
+        Name of a built-in model (`BUILT_IN_MODELS`), or the path of a model file.
+    verify : bool
+        Refuse a file whose version does not follow from its content. Without it, an edited file is read as it is;
+        `save` then writes it with a new version.
 
     Raises
     ------
     ModelError
-        Where it is neither; where the file is not JSON, is no model, is of another version, or names a column or an
-        effect that is unknown.
+        Where the argument is neither; where the file is not JSON, is not a model, has another format, was edited after
+        it was written, or names an unknown column or effect.
 
     Examples
     --------
@@ -69,7 +74,7 @@ def load(name_or_path: str | Path) -> LinearModel:
     path = Path(name_or_path)
     if not path.suffix and not path.exists():
         raise ModelError(
-            f"model {str(path)!r} is unknown: known are {', '.join(BUILT_IN_MODELS)}; else give the path of a model file"
+            f"model {str(path)!r} is unknown: name one of {', '.join(BUILT_IN_MODELS)}, or give the path of a file"
         )
     try:
         content = path.read_bytes()
@@ -78,20 +83,38 @@ def load(name_or_path: str | Path) -> LinearModel:
             f"{path}: cannot read a model: {error.strerror}; name a model file, or one of {', '.join(BUILT_IN_MODELS)}"
         ) from error
     try:
-        return decode_model(content)
+        model = decode_model(content)
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from error
+    expected = stamp(model).version
+    if verify and model.version != expected:
+        raise ModelError(
+            f"{path}: version {model.version!r} does not follow from the content, which has version {expected!r}: the "
+            "file was edited after it was written, or an earlier release wrote it: refit the model, or accept the "
+            f"content with `socast.save_model(socast.load_model({str(path)!r}, verify=False), {str(path)!r})`"
+        )
+    return model
 
 
 def save(model: LinearModel, path: str | Path) -> None:
-    """Write a model file, to be read again exactly, and by people.
+    """Write a model file, readable by people, from which `load` reads exactly the same numbers.
+
+    The file carries the version that follows from its content (`stamp`). Fitted models have this version already; a
+    built-in model, or one that was changed in Python, gets it in the file.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Model to write.
+    path : str or Path
+        File to write; an existing file is replaced.
 
     Raises
     ------
     ModelError
         Where a coefficient is not finite, or the file cannot be written.
     """
-    content = encode_model(model)
+    content = encode_model(stamp(model))
     try:
         Path(path).write_bytes(content)
     except OSError as error:
@@ -101,46 +124,60 @@ def save(model: LinearModel, path: str | Path) -> None:
 
 
 def encode_model(model: LinearModel) -> bytes:
-    """Return the model file's content; floats as the shortest text that reads back to the same number."""
+    """Return the content of a model file; floats as the shortest text that reads back to the same number.
+
+    Raises
+    ------
+    ModelError
+        Where the model is invalid, see `check_model`.
+    """
     check_model(model)
     return _format_json(msgspec.json.encode(model))
 
 
 def stamp(model: LinearModel) -> LinearModel:
-    """Return a model with a version that follows from all else that its file holds."""
-    content = encode_model(msgspec.structs.replace(model, version=""))
+    """Return a model with the version that follows from all other contents of its file, except its history.
+
+    Entries of the history, such as a refused effect, change no prediction and so no version.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Model with any version.
+    """
+    content = _format_json(msgspec.json.encode(msgspec.structs.replace(model, version="", history=())))
     return msgspec.structs.replace(model, version=sha256(content).hexdigest()[:12])
 
 
 def decode_model(content: bytes) -> LinearModel:
-    """Return the model that a file's content holds.
+    """Return the model of a file's content. Its version is not verified.
 
     Raises
     ------
     ModelError
-        Where it is not JSON, is no model, is of another version, or names a column or an effect that is unknown.
+        Where the content is not JSON, is not a model, has another format, or names an unknown column or effect.
     """
-    raw = _parse(content, FORMAT)
+    raw = _parse(content)
     try:
         model = msgspec.convert(raw, LinearModel)
     except msgspec.ValidationError as error:
-        raise ModelError(f"model file is damaged: {error}") from error
+        raise ModelError(f"model file is damaged: {error}: fit the model anew") from error
     check_model(model)
     return model
 
 
 def check_model(model: LinearModel) -> None:
-    """Check names that stand once, columns and effects that exist, and that every fit fits the terms.
+    """Check that names are unique, that columns and effects exist, and that every fit matches the terms.
 
     Raises
     ------
     ModelError
-        With the name of what is wrong.
+        With the name of the invalid part.
     """
     names: set[str] = set()
     for term in model.terms:
         if term.name in names:
-            raise ModelError(f"model {model.name}: term {term.name!r} stands twice: add their coefficients")
+            raise ModelError(f"model {model.name}: term {term.name!r} occurs twice: add their coefficients")
         names.add(term.name)
         _check_columns(f"model {model.name}: term {term.name!r}", term.columns)
     if not model.fits:
@@ -154,7 +191,7 @@ def check_model(model: LinearModel) -> None:
 
 
 def _check_columns(what: str, columns: tuple[str, ...]) -> None:
-    """Check that columns are known, and hold no answer."""
+    """Check that columns are known and do not hold the answer."""
     for column in columns:
         try:
             get_unit(column)
@@ -163,7 +200,7 @@ def _check_columns(what: str, columns: tuple[str, ...]) -> None:
 
 
 def _check_fit(what: str, fit: Fit, model: LinearModel) -> None:
-    """Check a fit's shapes and numbers."""
+    """Check the shapes and numbers of a fit."""
     n = len(model.terms)
     if len(fit.coefficients) != n:
         raise ModelError(f"{what} has {len(fit.coefficients)} coefficients for {n} terms: fit the model anew")
@@ -186,7 +223,7 @@ def _check_fit(what: str, fit: Fit, model: LinearModel) -> None:
 
 
 def _check_curve(what: str, curve: AccessoryCurve) -> None:
-    """Check that choke points ascend: between two that do not, there is no segment."""
+    """Check that the choke points ascend, as segments between them need a positive width."""
     points = (curve.heating_full, curve.heating_off, curve.cooling_on, curve.cooling_full)
     if not all(a < b for a, b in pairwise(points)):
         raise ModelError(f"{what}: choke points of its curve, {points} K, do not ascend: fit the model anew")
@@ -195,6 +232,6 @@ def _check_curve(what: str, curve: AccessoryCurve) -> None:
 
 
 def _check_finite(what: str, value: float) -> None:
-    """Check a number."""
+    """Refuse a number that is not finite."""
     if not isfinite(value):
         raise ModelError(f"{what} is {value}: fit the model anew")

@@ -1,8 +1,8 @@
-"""Prediction intervals as a model file holds them: a scale of the error, and quantiles of errors over that scale.
+"""Prediction intervals as a model file holds them: a scale of the error, and quantiles of errors divided by that scale.
 
-The scale says on which rides a model errs more: longer ones, colder ones, those of a vehicle model whose energy is
-measured coarsely. The quantiles, of rides by distance, are of errors on rides that the model had not learned from, so
-they hold whatever the errors are distributed like. Calibrating is `core.fit.calibration`.
+The scale tells on which rides a model errs more: longer ones, colder ones, those of a vehicle model whose energy is
+measured coarsely. The quantiles, for classes of rides by distance, are of errors on rides that the model was not fitted
+to, so they hold for any distribution of errors. `core.fit.calibration` calibrates them.
 
 References
 ----------
@@ -21,32 +21,31 @@ from core.batch import Floats
 from core.errors import ModelError
 from core.models.features import Columns, list_raw_columns
 
-SCALE_TERMS: Final = ("constant", "size_kwh", "size_kwh * heating_need_k")
-"""What the scale of an error is a sum of: measuring, length, cold."""
 ANY: Final = "*"
-"""Stands for every vehicle model without a scale of its own, and so for those never seen."""
+"""Key of every vehicle model without a fit, a correction or a scale of its own, and so of unseen vehicle models."""
 
 
 class PredictionInterval(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Where the energy of a ride may lie about its prediction.
+    """Bound the energy of a ride about its prediction.
 
     Parameters
     ----------
     scales : dict of str to (float, float, float)
-        By vehicle model, `*` for every other one: factors of `SCALE_TERMS`. [kWh], [1], [1/K]
+        Factors of the scale by vehicle model, `*` for every other one: of a constant (measurement) [kWh], of the size
+        of the ride [1], and of its size times the heating need (cold) [1/K].
     distances_km : tuple of float
-        Where each class of rides begins, ascending from 0. [km]
+        Lower limit of each class of rides, ascending from 0. [km]
     levels : tuple of float
         Probabilities, ascending. [1]
     quantiles : tuple of tuple of float
-        Of measured less predicted energy over the scale, by class of rides and level. [1]
+        Quantiles of measured minus predicted energy divided by the scale, by class of rides and level. [1]
     rides : int
-        Calibrated on.
+        Number of rides calibrated on.
 
     Raises
     ------
     ValueError
-        Where these are no quantiles.
+        Where the numbers are not quantiles.
     """
 
     scales: dict[str, tuple[float, float, float]]
@@ -56,13 +55,13 @@ class PredictionInterval(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     rides: int = 0
 
     def __post_init__(self) -> None:
-        """Refuse what are no quantiles."""
+        """Refuse numbers that are not quantiles."""
         if ANY not in self.scales:
             raise ValueError(f"interval without a scale for {ANY!r}: calibrate the model anew")
         if len(self.quantiles) != len(self.distances_km) or self.distances_km[:1] != (0.0,):
             raise ValueError(f"interval with quantiles for {len(self.quantiles)} classes of rides: calibrate anew")
         if any(len(row) != len(self.levels) for row in self.quantiles):
-            raise ValueError(f"interval with other than {len(self.levels)} quantiles a class: calibrate anew")
+            raise ValueError(f"interval without {len(self.levels)} quantiles for each class: calibrate anew")
         ascending = (self.distances_km, self.levels, *self.quantiles)
         if any(list(row) != sorted(row) for row in ascending):
             raise ValueError("interval with quantiles that do not ascend: calibrate the model anew")
@@ -77,37 +76,38 @@ class PredictionInterval(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     @property
     def needs(self) -> tuple[str, ...]:
         """Columns of the ride table that it reads."""
-        own = ("vehicle_model",) if set(self.scales) != {ANY} else ()
+        vehicle_model = ("vehicle_model",) if set(self.scales) != {ANY} else ()
         return (
             *dict.fromkeys((*list_raw_columns("size_kwh"), *list_raw_columns("heating_need_k"), "distance_km")),
-            *own,
+            *vehicle_model,
         )
 
     def bounds(self, prediction: Floats, columns: Mapping[str, Any], level: float) -> tuple[Floats, Floats]:
-        """Return bounds between which the energy of rides lies with a probability, as much below as above them.
+        """Return central bounds of the energy of rides for a given probability.
 
         Parameters
         ----------
         prediction : (n,) float
-            [kWh]
+            Predicted energy. [kWh]
         columns : mapping of str to (n,) array
             At least `needs`.
         level : float
-            That probability, up to twice the distance of the outermost of `levels` from 1/2.
+            Probability that the energy lies between the bounds, up to twice the distance of the outermost of `levels`
+            from 1/2. [1]
 
         Returns
         -------
         lower, upper : (n,) float
-            NaN where the prediction is. [kWh]
+            Bounds, NaN where the prediction is NaN. [kWh]
 
         Raises
         ------
         ModelError
-            Where the level is not among those that were calibrated.
+            Where the level is beyond the calibrated ones.
         """
         most = 1.0 - 2.0 * max(self.levels[0], 1.0 - self.levels[-1])
         if not 0.0 < level <= most + 1e-9:
-            raise ModelError(f"an interval of level {level:g} was not calibrated: give one above 0, up to {most:g}")
+            raise ModelError(f"an interval of level {level:g} was not calibrated: give a level above 0, up to {most:g}")
         seen = columns if isinstance(columns, Columns) else Columns(columns)
         scale = self.scale(seen)
         kind = np.searchsorted(self.distances_km, seen["distance_km"], side="right") - 1
@@ -119,20 +119,20 @@ class PredictionInterval(msgspec.Struct, frozen=True, forbid_unknown_fields=True
         return prediction + low * scale, prediction + high * scale
 
     def scale(self, columns: Columns) -> Floats:
-        """Return the scale of the error of rides, (n,). [kWh]"""
+        """Return the scale of the error of each ride, (n,). [kWh]"""
         terms = compute_scale_terms(columns)
-        own = np.array(self.scales[ANY])
+        general = np.array(self.scales[ANY])
         if set(self.scales) == {ANY}:
-            return terms @ own
+            return terms @ general
         table = columns.table["vehicle_model"]
         models = np.asarray(
             table if columns.rows is None else np.asarray(table, dtype=object)[columns.rows], dtype=object
         )
-        factors = {model: np.array(self.scales.get(model, own)) for model in set(models.tolist())}
-        return np.einsum("ij,ij->i", terms, np.array([factors[model] for model in models]).reshape(-1, len(own)))
+        factors = {model: np.array(self.scales.get(model, general)) for model in set(models.tolist())}
+        return np.einsum("ij,ij->i", terms, np.array([factors[model] for model in models]).reshape(-1, len(general)))
 
 
 def compute_scale_terms(columns: Columns) -> Floats:
-    """Return what the scale of an error is a sum of, (n, 3). [1], [kWh], [kWh K]"""
+    """Return the terms of the scale, (n, 3): a constant [1], size [kWh], and size times heating need [kWh K]."""
     size = columns["size_kwh"]
     return np.column_stack([np.ones(len(size)), size, size * columns["heating_need_k"]])

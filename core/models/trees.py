@@ -1,7 +1,8 @@
-"""Boosted trees as plain arrays: what a model file holds of them, and their prediction.
+"""Boosted trees as plain arrays, as a model file holds them, and their prediction.
 
-A tree asks at each node whether a feature is at most a threshold, and goes left where it is. The answers of all trees
-are added to the baseline, and the sum is multiplied with a column. Fitting is `core.fit.trees`.
+Each node of a tree compares a feature with a threshold and leads to the left where the feature is at most the
+threshold. The values of the leaves reached in all trees are added to the baseline, and the sum is multiplied by a
+column. `core.fit.trees` fits the trees.
 """
 
 from collections.abc import Mapping
@@ -18,37 +19,37 @@ from core.errors import ModelError
 from core.models.features import Columns
 
 LEAF: Final = -1
-"""Feature of a node that asks nothing."""
+"""Feature index of a leaf, which compares nothing."""
 
 
 class Trees(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, dict=True):
-    """Boosted regression trees; the nodes of all trees one after the other.
+    """Hold boosted regression trees; the nodes of all trees follow one another.
 
     Parameters
     ----------
     features : tuple of str
-        Columns of the ride table, or derived ones, that nodes ask about.
+        Columns of the ride table, or derived ones, that nodes compare.
     per : str, optional
-        Column that the sum is multiplied with; 1 where there is none.
+        Column that the sum is multiplied by; 1 where there is none.
     baseline : float
-        What the trees' answers are added to.
+        Value to which the leaves are added.
     roots : tuple of int
         First node of each tree.
     feature : tuple of int
-        What a node asks about, an index into `features`; -1 at a leaf.
+        Feature that a node compares, an index into `features`; -1 at a leaf.
     threshold : tuple of float
-        Left where the feature is at most this; 0 at a leaf.
+        A node leads to the left where the feature is at most this; 0 at a leaf.
     left, right : tuple of int
-        The next node, always further on; 0 at a leaf.
+        Next node, always of a higher index; 0 at a leaf.
     missing_left : tuple of int
-        1 where an unknown (NaN) feature goes left, else 0.
+        1 where an unknown (NaN) feature leads to the left, else 0.
     value : tuple of float
-        Answer of a leaf, 0 elsewhere. [kWh], or [kWh] over the unit of `per`.
+        Value of a leaf, 0 elsewhere. [kWh], or [kWh] over the unit of `per`.
 
     Raises
     ------
     ValueError
-        Where the arrays are no trees: prediction may then trust them.
+        Where the arrays are not trees, so that prediction can rely on them.
     """
 
     features: tuple[str, ...]
@@ -63,7 +64,7 @@ class Trees(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     value: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        """Refuse arrays that are no trees."""
+        """Refuse arrays that are not trees."""
         nodes = len(self.feature)
         lengths = {len(array) for array in (self.threshold, self.left, self.right, self.missing_left, self.value)}
         if lengths != {nodes}:
@@ -74,9 +75,11 @@ class Trees(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
             if feature == LEAF:
                 continue
             if not 0 <= feature < len(self.features):
-                raise ValueError(f"tree node {node} asks about feature {feature} of {len(self.features)}: fit anew")
+                raise ValueError(f"tree node {node} compares feature {feature} of {len(self.features)}: fit anew")
             if not (node < left < nodes and node < right < nodes):
-                raise ValueError(f"tree node {node} leads to {left} and {right}, not further on: fit the model anew")
+                raise ValueError(
+                    f"tree node {node} leads to {left} and {right}, not to later nodes: fit the model anew"
+                )
         if not all(map(isfinite, (self.baseline, *self.threshold, *self.value))):
             raise ValueError("trees with numbers that are not finite: fit the model anew")
 
@@ -87,7 +90,7 @@ class Trees(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     @cached_property
     def _arrays(self) -> tuple[Ints, Ints, Floats, Ints, Ints, Ints, Floats]:
-        """The nodes, for the kernel."""
+        """The nodes as arrays for the kernel."""
         return (
             np.array(self.roots, dtype=np.int64),
             np.array(self.feature, dtype=np.int64),
@@ -99,17 +102,17 @@ class Trees(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         )
 
     def predict(self, columns: Mapping[str, Any]) -> Floats:
-        """Return the sum of the trees' answers.
+        """Return the sum over all trees.
 
         Parameters
         ----------
         columns : mapping of str to (n,) float
-            At least `needs`; NaN is an answer of its own. A `DataFrame` will do.
+            At least `needs`; trees have a branch for NaN. A `DataFrame` will do.
 
         Returns
         -------
         (n,) float
-            NaN only where `per` is. [kWh]
+            NaN only where `per` is NaN. [kWh]
 
         Raises
         ------
@@ -123,11 +126,22 @@ class Trees(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         table = np.empty((rows, len(self.features)))
         for i, name in enumerate(self.features):
             table[:, i] = seen[name]
-        total = self.answer(table)
+        total = self.sum_leaves(table)
         return total * seen[self.per] if self.per else total
 
-    def answer(self, table: Floats) -> Floats:
-        """Return the sum of the trees' answers, (n,), before it is multiplied; `table` has a column a feature."""
+    def sum_leaves(self, table: Floats) -> Floats:
+        """Return the baseline plus the leaves of all trees, before the multiplication by `per`.
+
+        Parameters
+        ----------
+        table : (n, features) float
+            A column for each feature.
+
+        Returns
+        -------
+        (n,) float
+            [kWh], or [kWh] over the unit of `per`.
+        """
         total = np.full(len(table), self.baseline)
         _add(total, table, *self._arrays)
         return total
@@ -145,7 +159,7 @@ def _add(
     missing_left: Ints,
     value: Floats,
 ) -> None:
-    """Walk each row down each tree, and add what it is answered."""
+    """Follow each row through each tree, and add the value of the leaf that it reaches."""
     for row in range(len(table)):
         for root in roots:
             node = root

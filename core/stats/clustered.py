@@ -146,7 +146,8 @@ def compute_clustered_share(holds: NDArray[np.bool_], clusters: Codes) -> dict[s
         (p + z²/2m ± z sqrt(p (1 - p)/m + z²/4m²)) / (1 + z²/m).
 
     m is the number of cases, reduced by the ratio of the variance of independent cases to the clustered variance and by
-    the degrees of freedom of the latter. Where the condition holds in all cases or in none, m is the number of clusters.
+    the degrees of freedom of the latter. Where the condition holds in all cases or in
+    none, m is the number of clusters.
 
     References
     ----------

@@ -6,13 +6,13 @@ from textwrap import dedent
 from types import ModuleType
 
 from core.effects.declaration import Effect, Parameter
-from core.effects.source_file import render
+from core.effects.source_file import render_source
 from core.errors import EffectError
 
 
 def blank(name: str = "my_effect") -> str:
     """Return a file with one effect to be changed into one's own, and what it may use."""
-    return render(
+    return render_source(
         name,
         arguments=("stop_rate", "ambient"),
         body="return stop_rate * np.maximum(inside - ambient, 0.0)",
@@ -47,7 +47,7 @@ def from_effect(effect: Effect, name: str) -> str:
         raise EffectError(f"effect {effect.base}: it is no plain function: begin with an empty scaffold")
     first = function.body[1]  # after the documentation
     body = dedent("\n".join(source.splitlines()[first.lineno - 1 :]))
-    return render(
+    return render_source(
         name,
         arguments=tuple(a.arg for a in (*function.args.args, *function.args.kwonlyargs) if a.arg in effect.arguments),
         body=body,

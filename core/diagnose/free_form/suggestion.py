@@ -4,7 +4,7 @@ from typing import Final, NamedTuple
 
 from core.diagnose.free_form.terms import FreeTerm, Modulator
 from core.effects.declaration import Parameter
-from core.effects.source_file import render
+from core.effects.source_file import render_source
 
 ROOM_FOR: Final = 5.0
 """Factor about what was found, within which a coefficient is called plausible until its author says better."""
@@ -59,7 +59,7 @@ def format_source_file(term: FreeTerm, coefficient: float, windows: int) -> str:
     code = [*([term.carrier.code] if term.carrier.code else []), *(each.code for each in written)]
     meanings = ", ".join(f"{each.variable.meaning} {each.variable.symbol}" for each in term.modulators)
     bounds = sorted((float(f"{coefficient / ROOM_FOR:.2g}"), float(f"{coefficient * ROOM_FOR:.2g}")))
-    return render(
+    return render_source(
         name_term(term),
         arguments=tuple(dict.fromkeys(arguments)) or ("dt",),
         body=f"return {' * '.join(code) or 'np.ones_like(dt)'}",

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from core.columns import SIGNALS
 from core.effects import CANDIDATES, check_effect, get, get_library, group_by_topic, list_tabulated
 from core.effects.road_load import ROAD_LOAD
-from core.effects.verification import ORDINARY
+from core.effects.verification import ORDINARY_DRIVING
 from core.errors import EffectError
 
 EACH = [effect for found in CANDIDATES.values() for effect in found]
@@ -29,7 +29,7 @@ WANTED = {
 def rows(seed: int, count: int) -> dict[str, np.ndarray]:
     """Every signal at random over ordinary driving."""
     random = np.random.default_rng(seed)
-    return {name: random.uniform(low, high, count) for name, (low, high) in ORDINARY.items()}
+    return {name: random.uniform(low, high, count) for name, (low, high) in ORDINARY_DRIVING.items()}
 
 
 def test_every_phenomenon_is_there_once():
@@ -173,8 +173,8 @@ def test_a_variant_is_found_by_any_values_within_bounds_under_its_own_name():
         ("cold_rolling@reference=500", "parameter reference is 500 K, but must be from 268.15 to 303.15"),
         ("cold_rolling@reference=nan", "parameter reference is nan K, but must be from"),
         ("cold_rolling@refrence=283.15", "it has no parameter 'refrence'; it has reference"),
-        ("cold_rolling@reference=warm", "'warm' is no number: write cold_rolling@parameter=value"),
-        ("cold_rolling@", "'' is no number"),
+        ("cold_rolling@reference=warm", "'warm' is not a number: write cold_rolling@parameter=value"),
+        ("cold_rolling@", "'' is not a number"),
         ("cold_rolling@reference=283.150", "is known as 'cold_rolling@reference=283.15': write that"),
         ("cold_rolling@reference=293.15", "is known as 'cold_rolling': write that"),
         ("cabin_warmup@soak=1800,decay=450", "is known as 'cabin_warmup@decay=450,soak=1800': write that"),

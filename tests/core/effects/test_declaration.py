@@ -15,15 +15,15 @@ def declare(**changes):
     ("changes", "said"),
     [
         ({"low": 1, "high": 1}, "plausible range 1 to 1 is empty"),
-        ({"high": np.inf}, "endless"),
-        ({"source": " "}, "source and coefficient must be said"),
-        ({"coefficient": ""}, "source and coefficient must be said"),
-        ({"per": "mile"}, "per='mile': say 'distance'"),
-        ({"parameters": {"idle": Parameter(1.0, "m")}}, "parameter 'idle' is declared but is no argument"),
-        ({"words": "{value} of {speed}"}, "words have a place for 'speed': they may have {value}"),
+        ({"high": np.inf}, "infinite"),
+        ({"source": " "}, "source or coefficient is empty"),
+        ({"coefficient": ""}, "source or coefficient is empty"),
+        ({"per": "mile"}, "per='mile': write 'distance'"),
+        ({"parameters": {"idle": Parameter(1.0, "m")}}, "parameter 'idle' is declared but is not an argument"),
+        ({"words": "{value} of {speed}"}, "words have a place for 'speed': use only {value} and parameters"),
         ({"words": "{value:.2f} N"}, "words have a place for 'value:.2f'"),
         ({"words": "{} N"}, "words have a place for ''"),
-        ({"words": "{value N"}, "words are no pattern: "),
+        ({"words": "{value N"}, "words are not a format string: "),
     ],
 )
 def test_incomplete_declarations_are_refused(changes, said):

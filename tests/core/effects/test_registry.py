@@ -83,11 +83,11 @@ def test_a_name_that_is_taken_is_refused_and_the_library_unchanged(write):
         ("x = 1\0", ": not Python: "),
         ("", ": holds no effect"),
         ("from core.effects.road_load import rolling\n", ": holds no effect"),
-        ("import math\nimport socket\n", ":2: imports socket; an effect needs no more than"),
+        ("import math\nimport socket\n", ":2: imports socket; an effect may import only"),
         ("from urllib.request import urlopen\n", ":1: imports urllib.request; "),
         ("from . import other\n", ":1: imports .; "),
         ("from ssl import create_default_context\n", ":1: imports ssl; "),
-        ("http = __import__('http.client')\n", ":1: calls __import__; an effect is a function of its columns alone"),
+        ("http = __import__('http.client')\n", ":1: calls __import__; compute an effect from its columns alone"),
         ("x = 1\ny = open('/etc/hosts').read()\n", ":2: calls open; "),
         (
             GOOD.replace("per=", 'confused_with=["cabin_heatng"], per='),
@@ -135,7 +135,7 @@ def test_a_bad_file_is_told_of_in_one_line(write, text, said):
     "text", ["while True:\n    pass\n", GOOD.replace("    return", "    while True: pass\n    return")]
 )
 def test_an_endless_loop_is_ended(write, text):
-    with pytest.raises(EffectError, match=r"mine\.py: not done after 1 s: look for a loop without end"):
+    with pytest.raises(EffectError, match=r"mine\.py: not done after 1 s: look for an endless loop"):
         load_file(write(text), time_limit=1.0)
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from core.columns import GRAVITY
 from core.effects import check_effect, get, get_library
 from core.effects.road_load import ROAD_LOAD, STANDARD_AIR_DENSITY
-from core.effects.verification import ORDINARY
+from core.effects.verification import ORDINARY_DRIVING
 from core.vehicles import ACCESSORIES
 
 ALL = pytest.mark.parametrize("each", ROAD_LOAD, ids=lambda e: e.name)
@@ -20,7 +20,7 @@ ALL = pytest.mark.parametrize("each", ROAD_LOAD, ids=lambda e: e.name)
 def rows(seed: int, count: int) -> dict[str, np.ndarray]:
     """Every signal at random over ordinary driving."""
     random = np.random.default_rng(seed)
-    return {name: random.uniform(low, high, count) for name, (low, high) in ORDINARY.items()}
+    return {name: random.uniform(low, high, count) for name, (low, high) in ORDINARY_DRIVING.items()}
 
 
 def power(name: str, **columns: float) -> float:

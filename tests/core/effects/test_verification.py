@@ -3,9 +3,9 @@
 import pytest
 
 from core.columns import SIGNALS
-from core.effects import Effect, check_effect
+from core.effects import Effect, check_effect, load_file, registry
 from core.effects.declaration import SIGNAL_UNITS
-from core.effects.verification import ORDINARY
+from core.effects.verification import ORDINARY_DRIVING
 from core.errors import EffectError
 
 # Each of these functions has one thing wrong
@@ -39,16 +39,16 @@ def refusal(text: str) -> str:
     [
         ('unit="W/K"', 'unit="W"', "times the coefficient's [W] that is [K * W], not [W]"),
         ('unit="W/K"', 'unit="kW/K"', "not [W]"),
-        ('unit="W/K"', 'unit="wattage"', "unit 'wattage' is none that pint knows"),
-        ('unit="W/K"', 'unit="3 W/K"', "unit '3 W/K' is none that pint knows"),
+        ('unit="W/K"', 'unit="wattage"', "pint does not know the unit 'wattage'"),
+        ('unit="W/K"', 'unit="3 W/K"', "pint does not know the unit '3 W/K'"),
         ('"K", 288', '"kg", 288', "units do not fit: Cannot convert"),
         (
             '"K", 288',
             '"degC", 288',
-            "parameter inside is in [degC], and columns are in SI units: give its value in [K]",
+            "parameter inside is in [degC], but columns are in SI units: give its value in [K]",
         ),
-        ('"K", 288', '"mK", 288', "parameter inside is in [mK], and columns are in SI units: give its value in [K]"),
-        ("inside - ambient", "294.15 - ambient + 0 * inside", "a number with a dimension must be a parameter"),
+        ('"K", 288', '"mK", 288', "parameter inside is in [mK], but columns are in SI units: give its value in [K]"),
+        ("inside - ambient", "294.15 - ambient + 0 * inside", "a number with a dimension must be a Parameter"),
         (
             BODY,
             "np.asarray(stopped) * np.maximum(inside - ambient, 0.0)",
@@ -70,6 +70,62 @@ def test_check_refuses(before, after, said):
     assert said in refusal(GOOD.replace(before, after))
 
 
+BARE = GOOD.replace(f"return {BODY}", "return stopped * ({})").replace("door_loss", "bare")
+
+
+@pytest.mark.parametrize(
+    ("expression", "number", "part"),
+    [
+        ("inside - ambient * (ambient < 278.15)", "278.15", "ambient < 278.15"),
+        ("inside - ambient * (278.15 > ambient)", "278.15", "278.15 > ambient"),
+        ("inside - ambient * (-5 <= ambient)", "-5", "-5 <= ambient"),
+        ("inside - np.where(ambient < LIMIT, 1.0, 0.0)", "LIMIT", "ambient < LIMIT"),
+        ("inside - np.where(stopped > 0.5, ambient, 278.15)", "278.15", "np.where(stopped > 0.5, ambient, 278.15)"),
+        ("inside - np.maximum(ambient, 278.15)", "278.15", "np.maximum(ambient, 278.15)"),
+        ("inside - np.clip(ambient, 268.15, 278.15)", "268.15", "np.clip(ambient, 268.15, 278.15)"),
+        ("inside - ambient * np.less(ambient, 278.15)", "278.15", "np.less(ambient, 278.15)"),
+        ("inside - 278.15", "278.15", "inside - 278.15"),
+        ("278.15 - ambient + 0 * inside", "278.15", "278.15 - ambient"),
+        ("inside + (5 + 273.15)", "5 + 273.15", "inside + (5 + 273.15)"),
+    ],
+)
+def test_bare_number_beside_a_quantity_is_named_with_its_line_and_the_remedy(tmp_path, expression, number, part):
+    path = tmp_path / "bare.py"
+    path.write_text(BARE.format(expression).replace("@effect", "LIMIT = 278.15\n\n@effect"))
+    line = path.read_text()[: path.read_text().index("    return")].count("\n") + 1
+    with pytest.raises(EffectError) as caught:
+        load_file(path)
+    assert str(caught.value) == (
+        f"{path}:{line}: effect bare: {number} has no unit, but meets a quantity in [K] in `{part}`: make {number} a "
+        f'Parameter: declare parameters={{"limit": Parameter({number}, "K")}}, add the argument limit to the function, '
+        f"and write limit in place of {number}"
+    )
+
+
+@pytest.mark.parametrize(
+    ("expression", "said"),
+    [
+        ("inside - ambient + stopped", "units do not fit in `inside - ambient + stopped`: Cannot convert"),
+        ("inside - np.exp(ambient)", "units do not fit in `np.exp(ambient)`: Cannot convert"),
+        ("[inside - ambient][1]", "raises IndexError: list index out of range"),
+    ],
+)
+def test_error_of_a_file_names_the_line(tmp_path, expression, said):
+    path = tmp_path / "bare.py"
+    path.write_text(BARE.format(expression))
+    line = path.read_text()[: path.read_text().index("    return")].count("\n") + 1
+    with pytest.raises(EffectError) as caught:
+        load_file(path)
+    assert str(caught.value).startswith(f"{path}:{line}: effect bare: {said}")
+
+
+def test_zero_needs_no_unit(tmp_path):
+    path = tmp_path / "zero.py"
+    path.write_text(BARE.format("(inside - ambient) * (ambient > 0)").replace("bare", "zero_needs_no_unit"))
+    assert [effect.name for effect in load_file(path)] == ["zero_needs_no_unit"]
+    registry._library.pop("zero_needs_no_unit"), registry._brought_by.pop("zero_needs_no_unit")
+
+
 FULL = """
 import numpy as np
 from core.effects import Parameter, effect
@@ -89,8 +145,8 @@ def test_bounds_at_which_an_effect_has_no_value_are_refused():
 
 
 def test_ordinary_driving_is_said_for_every_signal_within_its_range():
-    assert list(ORDINARY) == [column.name for column in SIGNALS]
+    assert list(ORDINARY_DRIVING) == [column.name for column in SIGNALS]
     for column in SIGNALS:
-        low, high = ORDINARY[column.name]
+        low, high = ORDINARY_DRIVING[column.name]
         assert column.low <= low < high <= column.high
         assert SIGNAL_UNITS[column.name] == column.unit

@@ -88,7 +88,7 @@ def test_wider_levels_hold_narrower_ones(interval):
 
 @pytest.mark.parametrize("level", [0.0, -0.1, 0.995, 1.0, 90.0, float("nan")])
 def test_a_level_that_was_not_calibrated_is_refused(interval, level):
-    with pytest.raises(ModelError, match=r"give one above 0, up to 0.99"):
+    with pytest.raises(ModelError, match=r"give a level above 0, up to 0.99"):
         interval.bounds(np.zeros(3), heteroscedastic(3, 5), level)
 
 
@@ -121,7 +121,7 @@ def test_model_files_keep_it_exactly(interval):
         ({"scales": {}}, "without a scale"),
         ({"levels": (0.9, 0.1)}, "do not ascend"),
         ({"quantiles": ((1.0, -1.0),)}, "do not ascend"),
-        ({"quantiles": ((1.0,),)}, "other than 2 quantiles"),
+        ({"quantiles": ((1.0,),)}, "without 2 quantiles"),
         ({"distances_km": (1.0,)}, "classes of rides"),
         ({"quantiles": ((-1.0, float("inf")),)}, "not finite"),
     ],

@@ -182,7 +182,7 @@ def test_what_is_unfit_or_unmeasured_or_of_unknown_cars_is_left_out_and_counted(
     found = RECIPES["hybrid"].fit(odd)
     clean = RECIPES["hybrid"].fit(fleet.drop(index=[*range(10), *range(20, 25), *range(30, 33)]))
     assert found.fits == clean.fits
-    assert found.version == clean.version
+    assert found.training.fingerprint == clean.training.fingerprint
     assert found.training.left_out == {"too_long": 10, "no_measured_energy": 5, "unknown_vehicle_or_effect": 3}
 
 

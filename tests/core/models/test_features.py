@@ -40,7 +40,7 @@ def test_what_holds_the_answer_is_no_feature(column):
 
 @pytest.mark.parametrize("column", ["distance", "vehicle_id", "", "quality_gap", "unfit_reason"])
 def test_unknown_columns_are_named(column):
-    with pytest.raises(ModelError, match=f"column {column!r} is none that a model can read"):
+    with pytest.raises(ModelError, match=f"column {column!r} is not one that a model can read"):
         get_unit(column)
     with pytest.raises(EffectError, match="effect 'nothing' is unknown"):
         get_unit("effect_nothing")

@@ -13,6 +13,7 @@ from core.models import (
     ANY,
     BASIC_PHYSICAL,
     BUILT_IN_MODELS,
+    EXTENDED_PHYSICAL,
     FORMAT,
     Fit,
     LinearModel,
@@ -22,6 +23,7 @@ from core.models import (
     encode_model,
     load,
     save,
+    stamp,
 )
 from tests.support.linear_models import CURVE, FLEET, STUMP, fleet, ride_columns, steps
 
@@ -93,7 +95,7 @@ def test_model_file_is_an_exact_round_trip(model):
 def test_a_fleet_saved_and_loaded_predicts_the_same_to_the_bit(tmp_path):
     save(FLEET, tmp_path / "model.json")
     read = load(tmp_path / "model.json")
-    assert read == FLEET
+    assert read == stamp(FLEET)
     assert read.predict(fleet()).tobytes() == FLEET.predict(fleet()).tobytes()
 
 
@@ -109,9 +111,60 @@ def test_saved_and_loaded_it_predicts_the_same(model, tmp_path):
     save(model, tmp_path / "model.json")
     read = load(tmp_path / "model.json")
     columns = ride_columns(model, steps(4, 7))
-    assert read == model
+    assert read == stamp(model)
     assert read.predict(columns).tobytes() == model.predict(columns).tobytes()
     assert load(model.name) is model
+
+
+def write_edited(path, **changes):
+    """Write a model file, and then change fields of it by hand."""
+    save(EXTENDED_PHYSICAL, path)
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"version": "1"},
+        {"name": "mine"},
+        {"cars": {"taxi-1": 1.1}},
+        {"fits": {"*": {"coefficients": [1.0, 1.0, 1.0, 1.0, 1.5]}}},
+    ],
+)
+def test_edited_file_is_refused_with_both_versions_and_the_remedy(changes, tmp_path):
+    path = tmp_path / "model.json"
+    write_edited(path, **changes)
+    edited = decode_model(path.read_bytes())
+    with pytest.raises(ModelError) as caught:
+        load(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: version {edited.version!r} does not follow from the content, ")
+    assert f"which has version {stamp(edited).version!r}: the file was edited after it was written" in message
+    assert "refit the model, or accept the content with `socast.save_model(" in message
+    assert "\n" not in message
+
+
+def test_edited_file_is_accepted_once_it_is_saved_anew(tmp_path):
+    path = tmp_path / "model.json"
+    write_edited(path, cars={"taxi-1": 1.1})
+    edited = load(path, verify=False)
+    assert edited.cars == {"taxi-1": 1.1}
+    save(edited, path)
+    assert load(path) == stamp(edited)
+
+
+def test_layout_of_a_file_and_its_history_do_not_change_its_version(tmp_path):
+    path = tmp_path / "model.json"
+    write_edited(path, history=[{"action": "refused"}])
+    read = load(path)
+    assert read.version == stamp(EXTENDED_PHYSICAL).version
+    assert read.history == ({"action": "refused"},)
+
+
+@given(models())
+def test_stamped_model_keeps_its_version_through_a_file(model):
+    stamped = stamp(model)
+    assert stamp(decode_model(encode_model(stamped))) == stamped
 
 
 def test_model_file_is_read_by_people(tmp_path):
@@ -161,10 +214,13 @@ FORMAT_1 = json.dumps(
         (changed(terms="rolling"), "damaged: Expected `array`"),
         (changed(fits={}), "it has no fits"),
         (changed(terms=[{**TERM, "colour": "red"}]), "damaged: Object contains unknown field `colour`"),
-        (changed(terms=[TERM, TERM]), "term 'x' stands twice"),
+        (changed(terms=[TERM, TERM]), "term 'x' occurs twice"),
         (changed(terms=[{**TERM, "columns": ["effect_roling"]}]), "effect 'roling' is unknown: did you mean rolling"),
         (changed(terms=[{**TERM, "columns": ["effect_qqq"]}]), "effect 'qqq' is unknown: known are rolling"),
-        (changed(terms=[{**TERM, "columns": ["distanse_km"]}]), "column 'distanse_km' is none that a model can read"),
+        (
+            changed(terms=[{**TERM, "columns": ["distanse_km"]}]),
+            "column 'distanse_km' is not one that a model can read",
+        ),
         (changed(terms=[{**TERM, "columns": ["soc_end_pct"]}]), "column 'soc_end_pct' holds what is to be predicted"),
         (changed(terms=[{**TERM, "columns": ["energy_vi_kwh"]}]), "'energy_vi_kwh' holds what is to be predicted"),
         (fit_file(coefficients=[1.0, 2.0, 3.0]), "fit '*' has 3 coefficients for 4 terms"),
@@ -172,7 +228,7 @@ FORMAT_1 = json.dumps(
         (fit_file(curve=None), "fit '*' has no curve, and term 'accessories' reads accessories_kwh"),
         (fit_file(curve={**msgspec.to_builtins(CURVE), "heating_off": 250.0}), "choke points of its curve"),
         (fit_file(covariance=[[1.0]]), "its covariance is not 4 by 4"),
-        (fit_file(fills={"distanse_km": 1.0}), "fill: column 'distanse_km' is none that a model can read"),
+        (fit_file(fills={"distanse_km": 1.0}), "fill: column 'distanse_km' is not one that a model can read"),
         (
             fleet_file(correction={ANY: {**msgspec.to_builtins(STUMP), "features": ["hvac_kwh", "lost_m"]}}),
             "correction '*': column 'hvac_kwh' holds what is to be predicted",
@@ -190,7 +246,7 @@ def test_bad_model_file_says_what_in_one_line(content, said, tmp_path):
 
 
 def test_unknown_name_absent_file_and_folder(tmp_path):
-    with pytest.raises(ModelError, match=r"model 'hybird' is unknown: known are basic_physical, extended_physical"):
+    with pytest.raises(ModelError, match=r"model 'hybird' is unknown: name one of basic_physical, extended_physical"):
         load("hybird")
     with pytest.raises(ModelError, match=r"no\.json: cannot read a model: No such file"):
         load(tmp_path / "no.json")

@@ -57,14 +57,14 @@ def test_prediction_is_that_of_scikit_learn(seed, unknown, loss):
     model.fit(table, answers(table, seed))
     asked = np.concatenate([table, features(300, seed + 7, 0.3), features(20, seed + 9) * 1e6])
     trees = export_trees(model, NAMES)
-    np.testing.assert_allclose(trees.answer(asked), model.predict(asked), rtol=0.0, atol=1e-10)
+    np.testing.assert_allclose(trees.sum_leaves(asked), model.predict(asked), rtol=0.0, atol=1e-10)
 
 
 def test_a_feature_known_in_training_and_unknown_later_goes_where_scikit_learn_sends_it():
     table = features(500, 3, unknown=0.0)
     model = make_booster().fit(table, answers(table, 3))
     table[::3, 0] = np.nan
-    np.testing.assert_allclose(export_trees(model, NAMES).answer(table), model.predict(table), atol=1e-10)
+    np.testing.assert_allclose(export_trees(model, NAMES).sum_leaves(table), model.predict(table), atol=1e-10)
 
 
 def test_where_all_that_is_known_goes_left_the_file_can_say_so():
@@ -73,8 +73,8 @@ def test_where_all_that_is_known_goes_left_the_file_can_say_so():
     model = make_booster().fit(table, target)
     trees = export_trees(model, NAMES[:1])
     assert msgspec.json.decode(msgspec.json.encode(trees), type=Trees) == trees
-    np.testing.assert_allclose(trees.answer(table), model.predict(table), atol=1e-10)
-    assert abs(trees.answer(table) - target).max() < 0.1
+    np.testing.assert_allclose(trees.sum_leaves(table), model.predict(table), atol=1e-10)
+    assert abs(trees.sum_leaves(table) - target).max() < 0.1
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def fitted() -> Trees:
 def test_what_is_planted_is_found(fitted):
     table = features(1500, 2)
     truth = answers(table, 2)
-    left = truth - fitted.answer(table)
+    left = truth - fitted.sum_leaves(table)
     assert np.std(left) < 0.6 * np.std(truth)
 
 
@@ -101,7 +101,7 @@ def test_the_sum_is_multiplied_with_the_column_and_columns_come_by_name(fitted):
     table = features(50, 5)
     columns = pd.DataFrame(table, columns=list(NAMES)).assign(distance_km=np.arange(50.0), other=1.0)
     assert fitted.needs == (*fitted.features, "distance_km")
-    assert fitted.predict(columns).tobytes() == (fitted.answer(table) * np.arange(50.0)).tobytes()
+    assert fitted.predict(columns).tobytes() == (fitted.sum_leaves(table) * np.arange(50.0)).tobytes()
 
 
 def test_rows_are_predicted_one_by_one_as_all_together(fitted):
@@ -119,7 +119,7 @@ def test_files_are_exact(fitted):
     again = msgspec.json.decode(msgspec.json.encode(fitted), type=Trees)
     assert again == fitted
     table = features(100, 4)
-    assert again.answer(table).tobytes() == fitted.answer(table).tobytes()
+    assert again.sum_leaves(table).tobytes() == fitted.sum_leaves(table).tobytes()
 
 
 def test_features_that_tell_nothing_are_left_out():
@@ -132,14 +132,14 @@ def test_features_that_tell_nothing_are_left_out():
 def test_where_no_feature_tells_the_answer_is_the_mean():
     trees = fit_trees(np.full((50, 4), np.nan), NAMES, np.arange(50.0), np.ones(50))
     assert (trees.features, trees.roots, trees.baseline) == ((), (), 24.5)
-    assert trees.answer(np.empty((3, 0))).tolist() == [24.5] * 3
+    assert trees.sum_leaves(np.empty((3, 0))).tolist() == [24.5] * 3
 
 
 def test_weights_tell_which_rides_count():
     table = features(400, 9, unknown=0.0)
     target = np.where(np.arange(400) % 2 == 0, 1.0, 3.0)
     trees = fit_trees(table, NAMES, target, np.where(target == 1.0, 1.0, 1e-6))
-    assert abs(trees.answer(table) - 1.0).max() < 0.05
+    assert abs(trees.sum_leaves(table) - 1.0).max() < 0.05
 
 
 GOOD = {
@@ -160,15 +160,15 @@ GOOD = {
     [
         ({"value": (0.0, 1.0)}, "arrays of"),
         ({"roots": (3,)}, "roots are not among"),
-        ({"feature": (1, LEAF, LEAF)}, "asks about feature 1 of 1"),
-        ({"left": (0, 0, 0)}, "not further on"),
-        ({"right": (7, 0, 0)}, "not further on"),
+        ({"feature": (1, LEAF, LEAF)}, "compares feature 1 of 1"),
+        ({"left": (0, 0, 0)}, "not to later nodes"),
+        ({"right": (7, 0, 0)}, "not to later nodes"),
         ({"value": (0.0, float("nan"), 1.0)}, "not finite"),
         ({"baseline": float("inf")}, "not finite"),
     ],
 )
 def test_arrays_that_are_no_trees_are_refused(change, said):
-    assert Trees(**GOOD).answer(np.array([[0.5], [1.0], [1.5], [np.nan]])).tolist() == [-1.0, -1.0, 1.0, -1.0]
+    assert Trees(**GOOD).sum_leaves(np.array([[0.5], [1.0], [1.5], [np.nan]])).tolist() == [-1.0, -1.0, 1.0, -1.0]
     with pytest.raises(ValueError, match=said):
         Trees(**(GOOD | change))
     raw = {key: list(value) if isinstance(value, tuple) else value for key, value in (GOOD | change).items()}

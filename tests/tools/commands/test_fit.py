@@ -143,7 +143,7 @@ def test_a_model_file_that_cannot_be_used_is_one_line(tmp_path, capsys):
     content = json.loads(models.encode_model(models.BASIC_PHYSICAL))
     for change, said in (
         ({"format": 1}, "model file of format 1, and this version reads format 2: fit the model anew"),
-        ({"terms": [{"name": "x", "columns": ["distanse_km"], "unit": "1"}]}, "column 'distanse_km' is none that"),
+        ({"terms": [{"name": "x", "columns": ["distanse_km"], "unit": "1"}]}, "column 'distanse_km' is not one that"),
         ({"terms": [{"name": "x", "columns": ["effect_roling"]}]}, "damaged: Object missing required field `unit`"),
     ):
         path.write_text(json.dumps({**content, **change}))

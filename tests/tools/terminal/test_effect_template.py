@@ -4,14 +4,14 @@ import pytest
 
 from core import effects
 from core.effects import Parameter, registry
-from core.effects.source_file import render
+from core.effects.source_file import render_source
 from core.errors import EffectError
 from tools.terminal.effect_template import blank
 
 
 def suggestion(**changes):
     """A free-form term, as text of a file."""
-    return render(
+    return render_source(
         **{
             "name": "suggested",
             "arguments": ("speed", "ambient"),
@@ -52,5 +52,5 @@ def test_numpy_is_imported_where_it_is_used():
 
 @pytest.mark.parametrize("name", ["my effect", "2nd", "a-b", "", "x()"])
 def test_a_name_that_no_function_can_have_is_refused(name):
-    with pytest.raises(EffectError, match="a function cannot be called that"):
+    with pytest.raises(EffectError, match="not the name of a function"):
         suggestion(name=name)
