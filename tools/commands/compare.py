@@ -49,8 +49,14 @@ def compare_models(
 ) -> None:
     """Compare models with the measured energy of rides: how far off, under which conditions, in which rides.
 
-    All models are judged on the same rides: those that are fit for training and that every model predicts. Nothing is
+    All models are compared on the same rides: those that are fit for training and that every model predicts. Nothing is
     fitted here.
+
+    Examples
+    --------
+    socast compare tables --model fitted.json --model extended_physical --html compared.html
+    socast compare recordings/shift.mcap --model extended_physical --ride 'taxi-005#1'
+    socast compare tables --model fitted.json --json - | jq .models
     """
     if ride is not None and against:
         raise SettingsError("--ride shows one ride of the first rides; leave out --against")

@@ -24,7 +24,15 @@ MEANINGS = {column.name: column for column in SIGNALS}
 
 @app.command("list")
 def list_effects(_: EffectFiles = None, json_file: JsonFile = None) -> None:
-    """List every effect by topic: formula, coefficient with unit and plausible range."""
+    """List every effect by topic.
+
+    Each has its formula and its coefficient with unit and plausible range.
+
+    Examples
+    --------
+    socast effects list
+    socast effects list --effects my_effects.py --json - | jq '.effects[].name'
+    """
     topics = effects.group_by_topic()
     table = _table()
     for topic, found in topics.items():
@@ -43,7 +51,14 @@ def show(
     _: EffectFiles = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Show all that is declared of an effect: source, what it is confused with, what shows it, its parameters."""
+    """Show everything that an effect declares.
+
+    This is its formula and source, its parameters, the effects that it is confused with and the data that show it.
+
+    Examples
+    --------
+    socast effects show cold_rolling
+    """
     effect = effects.get(name)
     topic = next(topic for topic, found in effects.group_by_topic().items() if effect.base in [e.name for e in found])
     write_json(json_file, "effect", _plain(effect, topic))
@@ -56,7 +71,14 @@ def check_file(
     file: Annotated[Path, typer.Argument(help="A Python file with functions under @effect. Checking it runs it.")],
     json_file: JsonFile = None,
 ) -> None:
-    """Check a file of your own effects: arguments, units, finite values, one value a row."""
+    """Check a file of your own effects.
+
+    The checks are of arguments, units, finite values, and one value per row.
+
+    Examples
+    --------
+    socast effects check my_effects.py
+    """
     found = effects.load_file(file)
     table = _table()
     for effect in found:
@@ -73,7 +95,15 @@ def new_file(
     file: Annotated[Path, typer.Argument(help="The Python file to write.")],
     origin: Annotated[str | None, typer.Option("--from", metavar="E", help="Begin with a copy of this effect.")] = None,
 ) -> None:
-    """Write a file with one effect, to be changed into your own; it passes its check as it is."""
+    """Write a file to begin your own effect with.
+
+    The file holds one effect, or a copy of one, to be edited. It passes its check as it is.
+
+    Examples
+    --------
+    socast effects new my_effects.py
+    socast effects new my_effects.py --from cold_rolling
+    """
     if file.suffix != ".py":
         raise SettingsError(f"{file}: effects are written in Python: name a file that ends in .py")
     if file.exists():

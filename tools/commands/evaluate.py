@@ -1,4 +1,4 @@
-"""`socast evaluate`: ride tables in; every model judged as the paper judges its own, and past that."""
+"""`socast evaluate`: every model on held-out rides, as the paper evaluates its own, and beyond the paper."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -32,18 +32,25 @@ def evaluate_tables(
     tables: Tables,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
-    seed: Annotated[int, typer.Option(help="Of splits and draws; the same one gives the same result.")] = 0,
-    repeats: Annotated[int, typer.Option(help="Splits by ride.")] = REPEATS,
+    seed: Annotated[int, typer.Option(help="Seed of splits and draws; the same seed gives the same result.")] = 0,
+    repeats: Annotated[int, typer.Option(help="Number of splits by ride.")] = REPEATS,
     recipes: Annotated[
         str | None,
         typer.Option(metavar="A,B", help=f"Only these of {', '.join(RECIPES)}, {SEGMENTS}.", show_default=False),
     ] = None,
-    jobs: Annotated[int | None, typer.Option(help="Processes; all cores by default.", show_default=False)] = None,
+    jobs: Annotated[
+        int | None, typer.Option(help="Number of processes; all cores by default.", show_default=False)
+    ] = None,
 ) -> None:
-    """Judge models on the rides of tables that are fit for training: Tables 2 to 13 of the paper, and past them.
+    """Evaluate models on held-out rides of tables, as the paper does (Tables 2 to 13), and beyond the paper.
 
-    Every model is trained and tested on the same splits, by ride, by vehicle and by date; on vehicle models left out of
-    training; and on a few rides of these. The segment model takes part where there is a window table beside the rides.
+    Every model is trained and tested on the same splits by ride, by vehicle and by date, on vehicle models left out of
+    training, and on a few rides of these. The segment model takes part where a window table is beside the rides.
+
+    Examples
+    --------
+    socast evaluate tables --html report.html --json result.json
+    socast evaluate tables --recipes fitted_physical,hybrid --repeats 5 --jobs 2
     """
     began = time.perf_counter()
     for name, value, least in (("--repeats", repeats, LEAST_REPEATS), ("--jobs", jobs, 1), ("--seed", seed, 0)):
@@ -70,7 +77,7 @@ def window_columns() -> list[str]:
 
 
 def read(files: Sequence[Path], columns: Sequence[str] | None = None) -> pd.DataFrame:
-    """Return tables as one, ride keys told apart by their file where there are several.
+    """Return tables as one, ride keys distinguished by their file where there are several.
 
     Raises
     ------

@@ -27,12 +27,12 @@ from tools.terminal.recordings import Recordings, open_recordings, warn_of_losse
 
 
 class SocForecasts:
-    """What a pipeline told, and what became of it; call it after each list of messages.
+    """Collect the forecasts of a pipeline and their outcomes; call it after each list of messages.
 
     Parameters
     ----------
     pipeline : Pipeline
-        That keeps its tables and its outlooks.
+        Keeps its tables and its outlooks.
     """
 
     def __init__(self, pipeline: Pipeline) -> None:
@@ -42,14 +42,14 @@ class SocForecasts:
         self._rides: list[pd.DataFrame] = []
 
     def __call__(self) -> None:
-        """Take what was told since the last call, and ask about legs."""
+        """Take the outlooks and rides since the last call, and query legs."""
         self._outlooks.append(self.pipeline.take_outlooks())
         self._rides.append(self.pipeline.take_rides()[["vehicle_id", "distance_km", *RIDE_COLUMNS]])
         self.pipeline.take_windows()
         self._questions(self._outlooks[-1])
 
     def evaluated(self) -> dict[str, Any]:
-        """Return how good all that was told is, see `core.evaluate.soc.report.evaluate_soc`."""
+        """Return the evaluation of all forecasts, see `core.evaluate.soc.report.evaluate_soc`."""
         self()
         shifts = self.pipeline.take_shifts()
         legs = match_legs_to_rides(self._questions.table(), pd.concat(self._rides), shifts)
@@ -66,10 +66,14 @@ def evaluate_recordings(
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
 ) -> None:
-    """Judge forecasts of the state of charge at the shift's end by what it became, and by what a person would expect.
+    """Evaluate forecasts of the state of charge at the shift's end against the outcome and against simple rules.
 
-    Recordings go through the same loop as live telemetry does, merged in time order. What is learned of the fleet is
-    learned on the way, so each forecast rests on nothing that came after it.
+    Recordings run through the same loop as live telemetry, merged in time order. The fleet statistics are learned on
+    the way, so no forecast depends on anything that came after it.
+
+    Examples
+    --------
+    socast evaluate-soc january.mcap february.mcap --html soc.html --json soc.json
     """
     sources = open_recordings(recordings)
     check_outputs([*recordings, *select_model_files([model]), *(effects_file or ())], json_file, html_file)

@@ -50,11 +50,24 @@ def fit(
     ] = None,
     adapt_to: Annotated[
         Path | None,
-        typer.Option("--adapt", metavar="MODEL.json", help="Tell a pooled model of these rides instead: a new car's."),
+        typer.Option(
+            "--adapt",
+            metavar="MODEL.json",
+            help="Adapt this pooled model to the rides instead, such as those of a new car.",
+        ),
     ] = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Fit a model to the rides of tables that are fit for training: for each vehicle model, and over all together."""
+    """Fit a model to ride tables: one fit for each vehicle model, and one over all rides for any other.
+
+    Rides that are unfit for training are left out, and the output counts them by reason.
+
+    Examples
+    --------
+    socast tables recordings/shift.mcap --out tables
+    socast fit tables --recipe fitted_physical --out fitted.json
+    socast fit new-car --adapt pooled.json --out adapted.json
+    """
     if (recipe_name is None) == (adapt_to is None):
         raise SettingsError(
             "give either --recipe NAME to fit a model or --adapt MODEL.json to adapt one to more rides; "

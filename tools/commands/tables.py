@@ -74,7 +74,13 @@ def tables(
     settings: Settings,
     json_file: JsonFile = None,
 ) -> None:
-    """Clean recordings and sum them up: one row a ride, one row a window, and what was rejected, by cause."""
+    """Clean recordings and make tables: one row per ride, one row per window, and counts of rejected samples by cause.
+
+    Examples
+    --------
+    socast tables recordings/shift.mcap --out tables
+    socast tables kept/*.mcap --out tables --effects my_effects.py --period-s 1
+    """
     pipeline = Pipeline(models.load(model), settings, also=effects.list_tabulated(), keep_forecasts=False)
     sources = open_recordings(recordings)
     folder = _folder(out)

@@ -1,5 +1,6 @@
 """What people see while cars drive, and at the end: a row a car, then a row a ride."""
 
+import sys
 import time
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
@@ -82,7 +83,11 @@ class LiveTable:
         self._due = clock() + LINE_S * (not self._console.is_terminal)
         self._last: Tally | None = None
         live = self._console.is_terminal and not silent
-        self._live = Live(console=self._console, auto_refresh=False, transient=True) if live else None
+        # log lines keep their place above the table, but only where standard error is the same terminal
+        on_screen = sys.stderr.isatty()
+        self._live = (
+            Live(console=self._console, auto_refresh=False, transient=True, redirect_stderr=on_screen) if live else None
+        )
 
     def __enter__(self) -> Self:
         """Begin to draw."""

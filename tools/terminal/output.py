@@ -82,8 +82,9 @@ class _PipedConsole(Console):
     """A console that prints no more once its reader has gone, instead of ending the process."""
 
     def on_broken_pipe(self) -> None:
-        """Let the command go on, which may have files to write; `main` meets the error again when it flushes."""
+        """Let the command go on, which may have files to write, and leave the error to `main`."""
         self.quiet = True
+        self.file.write("\n")  # stays in the buffer, so that the flush in `main` meets the error again
 
 
 def make_console(json_file: Path | None = None) -> Console:
