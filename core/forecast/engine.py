@@ -29,14 +29,12 @@ from core.forecast.learning.car_driver import ShiftPattern, compute_driver_code
 from core.forecast.learning.fleet import FleetStatistics, ShiftEnergy
 from core.forecast.learning.forecast_errors import ForecastLog, ForecastRecord
 from core.forecast.outlook import compute_temperature_weights
-from core.forecast.plan_tracker import DriverNamed, PlanArrival, PlanTracker
+from core.forecast.plan_tracker import CUT_SHORT_MARGIN, DriverNamed, PlanArrival, PlanTracker
 from core.forecast.soc_filter import close_shift, filter_events
 from core.totals.accumulator import Sums, Totals, join_totals
 from core.totals.context import RunContext
 from core.totals.tables import model_columns
 
-INTERRUPTED_SHIFT_LIMIT: Final = 900.0
-"""A shift whose planned end is later than the end of the recording by more than this was interrupted by it. [s]"""
 SHORT_SHIFT: Final = 0.5
 """A shorter shift does not update the consumption factors. [h]"""
 _UNKNOWN_END: Final = np.array((np.nan, np.nan, np.nan, np.nan), END_OF_SHIFT)[()]
@@ -288,7 +286,7 @@ class ForecastEngine:
             progress = self.plans.progress[: len(is_open)]
             is_open[len(progress) :] = False
             is_open[: len(progress)] &= (progress["planned"] == 1.0) & (
-                self.state["time"][: len(progress)] >= progress["end"] - INTERRUPTED_SHIFT_LIMIT
+                self.state["time"][: len(progress)] >= progress["end"] - CUT_SHORT_MARGIN
             )
         open_lanes = np.flatnonzero(is_open)
         shifts = np.empty(1, CLOSED_SHIFT)

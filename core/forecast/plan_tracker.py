@@ -27,6 +27,8 @@ LONGEST_SHIFT: Final = 16 * 3600.0
 """A shift that ends later than this from now is not the one in progress. [s]"""
 PROLONGATION: Final = 6 * 3600.0
 """A plan that ends this much later than the present plan is for a later shift. [s]"""
+CUT_SHORT_MARGIN: Final = 900.0
+"""A recording that ends earlier than this before the planned end of a shift cuts the shift short. [s]"""
 
 _PLAN_CAME, _RIDE_ENDED, _ROW = range(3)  # kinds of steps, in the order in which they apply at the same row
 

@@ -1,4 +1,4 @@
-"""Days of a small fleet that drives by plan, and a pipeline that has learned from some of them."""
+"""Days of a small fleet that drives by plan, and a pipeline that is trained with some of them."""
 
 from functools import cache
 from pathlib import Path
@@ -15,14 +15,14 @@ from tests.support.telemetry import START, Columns, leaf, observed, telemetry, t
 
 CARS = ("a", "b", "c", "d", "e", "f")
 DAYS = 5
-"""That are learned from."""
+"""Number of training days."""
 DAY = 86_400.0
 PERIOD = 15.0
 LEGS, LEG, RIDE = 8, 900.0, 600.0
-"""Legs of a shift, and the time of each with its pause, and without it. [s]"""
+"""Number of legs of a shift, and the duration of each with and without its pause. [s]"""
 SHIFT = LEGS * LEG
 CAPACITY = 21.6
-"""About what the battery holds. [kWh]"""
+"""Approximate usable capacity. [kWh]"""
 SETTINGS = Settings(period=PERIOD, forecast_time=60.0)
 RESERVE = 20.0
 
@@ -33,12 +33,12 @@ def speeds(car: str, day: int) -> np.ndarray:
 
 
 def takes(car: str, day: int) -> float:
-    """Return the logarithm of what a car takes on a day, over 0.16 kWh/km: what it always does, and the day."""
+    """Return the log of the consumption of a car on a day over 0.16 kWh/km: the car's part and the day's."""
     return float(0.15 * np.sin(ord(car)) + 0.05 * np.random.default_rng([ord(car), day, 1]).normal())
 
 
 def columns(car: str, day: int, quantum: float = 0.5, hours: float = SHIFT / 3600.0) -> Columns:
-    """Return the samples of a shift, without a fault: legs that begin every quarter of an hour, and pauses."""
+    """Return the samples of a shift without faults, with a leg and a pause every quarter of an hour."""
     passed = PERIOD * np.arange(int(3600.0 * hours / PERIOD) + 1)
     leg = np.minimum(passed // LEG, LEGS - 1).astype(int)
     riding = (passed % LEG < RIDE) & (passed < SHIFT)
@@ -74,7 +74,7 @@ def plan(car: str, day: int, time: float, last: int = LEGS, **changed) -> Messag
 
 
 def shift(car: str, day: int, sent: Columns | None = None, planned: bool = True) -> list:
-    """Return the messages of a shift: the plan and the driver after the first sample."""
+    """Return the messages of a shift, with the plan and the driver after the first sample."""
     sent = columns(car, day) if sent is None else sent
     begin = float(sent["time_s"][0])
     samples = telemetry(sent, car)
@@ -87,7 +87,7 @@ def shift(car: str, day: int, sent: Columns | None = None, planned: bool = True)
 
 
 def merged(*streams: list) -> list:
-    """Return messages of several streams by time; those of one stay in order."""
+    """Return the messages of several streams in the order of time, stable within each stream."""
     return [message for _, message in sorted((each for stream in streams for each in stream), key=lambda each: each[0])]
 
 
@@ -97,7 +97,7 @@ def days(numbers, cars=CARS, **options) -> list:
 
 
 def night(day: int, car: str = "f") -> list[Message]:
-    """Return the samples of a car that rests in the morning of a day, alone, until the others are forgotten."""
+    """Return the samples of one idle car in the morning of a day, until no other car is active."""
     passed = PERIOD * np.arange(WINDOW_SAMPLES + 2)
     begun = {name: np.repeat(values[:1], len(passed)) for name, values in columns(car, day).items()}
     begun["time_s"] = begun["time_s"] - 3600.0 - passed[::-1]
@@ -108,7 +108,7 @@ def night(day: int, car: str = "f") -> list[Message]:
 
 @cache
 def learned(number: int = DAYS, planned: bool = True) -> bytes:
-    """Return the snapshot of a pipeline that has learned from some days, with the next one just begun."""
+    """Return the snapshot of a pipeline that is trained with some days, at the beginning of the next one."""
     pipeline = Pipeline(settings=SETTINGS)
     pipeline.push([observed(temperature_c=10.0), *(leaf(car) for car in CARS), *days(range(number), planned=planned)])
     pipeline.push(night(number))
@@ -118,7 +118,7 @@ def learned(number: int = DAYS, planned: bool = True) -> bytes:
 
 
 def again(number: int = DAYS, planned: bool = True, settings: Settings = SETTINGS, **options) -> Pipeline:
-    """Return a pipeline that has learned from some days."""
+    """Return a pipeline that is trained with some days."""
     pipeline = Pipeline(settings=settings, **options)
     pipeline.restore(learned(number, planned))
     return pipeline
@@ -131,7 +131,7 @@ def forecasts(messages: list, car: str) -> dict[float, Forecast]:
 
 
 def recorded(path: Path, numbers) -> None:
-    """Write a recording of whole days, each message received a moment after the one before."""
+    """Write a recording of whole days, with each message received 10 ms after the one before."""
     messages = [observed(temperature_c=10.0), *(leaf(car) for car in CARS), *days(numbers)]
     begin = START + DAY * min(numbers)
     with McapSink(path) as sink:

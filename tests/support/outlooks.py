@@ -1,4 +1,4 @@
-"""What a consumer answers, for tests that need no forecast of their own."""
+"""Answers of a consumer, for tests that need no forecast of their own."""
 
 from typing import Any
 
@@ -37,13 +37,13 @@ def outlook(**changed: Any) -> Outlook:
 
 
 class Fleet:
-    """Answers for `taxi-7`, and breaks over `taxi-0`."""
+    """Answer queries about `taxi-7`, and raise for `taxi-0`."""
 
     def __init__(self) -> None:
         self.asked: list[tuple[str, Leg | None, Plan | None]] = []
 
     def ask(self, vehicle_id: str, leg: Leg | None, plan: Plan | None) -> Outlook:
-        """Answer with what was asked for."""
+        """Return the outlook of a query."""
         self.asked.append((vehicle_id, leg, plan))
         if vehicle_id == "taxi-0":
             raise ZeroDivisionError

@@ -1,4 +1,4 @@
-"""Shifts and forecasts made from nothing but a seed, as a pipeline tells them: for tests of their evaluation."""
+"""Random shifts and forecasts in the tables of a pipeline, for tests of their evaluation."""
 
 from typing import NamedTuple
 
@@ -12,18 +12,18 @@ CAPACITY = 30.0
 RESERVE = 10.0
 MODELS = ("kia-soul-ev-2015", "nissan-leaf-2016")
 RATES = {"kia-soul-ev-2015": 0.20, "nissan-leaf-2016": 0.25}
-"""Mean consumption a kilometre of ride. [kWh/km]"""
+"""Mean consumption of rides. [kWh/km]"""
 SPREAD = 1.6448536269514722
 
 
-class Told(NamedTuple):
-    """What a pipeline would have told."""
+class ForecastFrames(NamedTuple):
+    """Tables of forecasts and shifts."""
 
     outlooks: pd.DataFrame
     shifts: pd.DataFrame
 
 
-def told(
+def make_frames(
     cars: int = 6,
     days: int = 20,
     hours: float = 7.0,
@@ -32,12 +32,12 @@ def told(
     bias: float = 0.0,
     warm_up: int = 2,
     seed: int = 1,
-) -> Told:
-    """Return shifts whose forecasts err by a normal, `sd_an_hour` times the hours left, or half an hour.
+) -> ForecastFrames:
+    """Return shifts whose forecasts have normal errors, with `sd_an_hour` per hour left, and at least half an hour's.
 
-    The error is that of the forecast, one for each shift and hour; the interval is `narrow` times as wide as that. For
-    `warm_up` days nothing is learned. Each shift has its own consumption about its model's mean, and drives more in
-    some hours than in others.
+    Each shift and hour has one error; the interval is `narrow` times as wide as the 90 % interval of the error. In the
+    first `warm_up` days there are no forecasts of the end. Each shift has its own consumption about the mean of its
+    model, and drives more in some hours than in others.
     """
     rng = np.random.default_rng(seed)
     made, ended = [], []
@@ -57,11 +57,11 @@ def told(
             }  # fmt: skip
             ended.append(shift)
             made.append(_outlooks(shift, hours, sd_an_hour, narrow, bias, day < warm_up, rng).assign(**name))
-    return Told(pd.concat(made, ignore_index=True), pd.DataFrame(ended))
+    return ForecastFrames(pd.concat(made, ignore_index=True), pd.DataFrame(ended))
 
 
 def _outlooks(shift, hours, sd_an_hour, narrow, bias, unlearned, rng) -> pd.DataFrame:
-    """Return a forecast a minute."""
+    """Return one forecast per minute."""
     passed = np.linspace(0.0, 1.0, int(60 * hours) + 1)
     left = hours * (1.0 - passed)
     driven = np.cumsum(rng.uniform(0.2, 1.8, int(hours) + 1)[np.floor(hours * passed[:-1]).astype(int)])

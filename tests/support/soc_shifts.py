@@ -1,4 +1,4 @@
-"""What the filter hears of cars whose truth is known: consumption, capacity, and a charge that is read in quanta."""
+"""Events of the SOC filter for cars with known consumption and capacity, and a charge that is reported in quanta."""
 
 from typing import NamedTuple
 
@@ -9,52 +9,52 @@ from core.forecast.learning.car_driver import CAR_SD, DAY_FACTOR_SD
 
 BEGIN = 1_516_017_600.0
 WITHIN = 1.6448536269514722
-"""Standard deviations about the mean of a normal that hold 90 % of it."""
+"""Half width of the interval that contains 90 % of a normal distribution. [standard deviations]"""
 NIGHT = 86_400.0
-"""From one shift to the next. [s]"""
+"""Time from one shift to the next. [s]"""
 STEP = 15.0
-"""Between two events. [s]"""
+"""Time between two events. [s]"""
 CAPACITY = 40.0
 """[kWh]"""
 PRIOR = CAR_SD**2 + soc_filter.DRIVER_SD**2 + DAY_FACTOR_SD**2
-"""Variance of what a car takes, before anything is known of it."""
+"""Prior variance of the consumption factor of a car."""
 
 
 class Truth(NamedTuple):
-    """What was planted: charge and logarithm of consumption at each event, (cars, n), and of capacity, (cars,)."""
+    """Planted values: charge and log of the consumption factor at each event, (cars, n), and log of the capacity, (cars,)."""
 
     soc: np.ndarray
     a: np.ndarray
     c: np.ndarray
 
 
-class Heard(NamedTuple):
-    """What came of events: `soc.TOLD` of each, the state after the last, and the shifts that ended."""
+class FilterRun(NamedTuple):
+    """Result of the filter: the estimate after each event, the state after the last, and the shifts that ended."""
 
     estimates: np.ndarray
     state: np.ndarray
     shifts: np.ndarray
 
     def at(self, name, cars=1):
-        """Return what was told, (cars, n)."""
+        """Return a field of the estimates, (cars, n)."""
         return self.estimates[name].reshape(cars, -1)
 
 
 def shift(
     cars=1, hours=4.0, quantum=0.01, a=0.0, c=0.0, metered=False, seed=1, begin=BEGIN, full=0.95, step=STEP, exact=False
 ):
-    """Return the events of one ride of `hours` a car, car by car, and what was planted.
+    """Return the events of one ride of each car, (cars, n), and the planted values.
 
-    Power is predicted to be 4 kW on average. What is used differs from it by exp(a), which wanders, and by the noise
-    that the filter allows for.
+    The mean predicted power is 4 kW. The used energy differs from the predicted by exp(a), which wanders, and by the
+    noise that the filter assumes.
 
     Parameters
     ----------
     a, c : float or (cars,) float
     metered : bool
-        Whether voltage and current tell what is used: sampled, and with a gain of each car's own.
+        Whether voltage and current measure the used energy, by samples and with a gain of each car.
     exact : bool
-        Whether the charge is reported to tick where it should, not about there.
+        Whether the reported charge steps exactly at the boundaries of its quanta.
     """
     rng = np.random.default_rng(seed)
     n = int(hours * 3600.0 / step)
@@ -71,7 +71,7 @@ def shift(
     out["predicted"], out["factor"], out["riding"] = predicted.cumsum(axis=1), 1.0, 1.0
     out["distance"], out["ambient"] = 8.0 * passed, 283.15 * passed
     if metered:
-        gain = np.exp(soc_filter.METER_GAIN_SD * np.random.default_rng(7).normal(size=(cars, 1)))  # the same every day
+        gain = np.exp(soc_filter.METER_GAIN_SD * np.random.default_rng(7).normal(size=(cars, 1)))  # constant over days
         sampled = used + soc_filter.METER_SAMPLING_SD * np.sqrt(np.abs(used)) * rng.normal(size=(cars, n))
         out["metered"], out["meter_time"] = (gain * sampled).cumsum(axis=1), passed
     out["soc"], out["quantum"] = read(charge, quantum, None if exact else rng), quantum
@@ -80,14 +80,14 @@ def shift(
 
 
 def noise(passed):
-    """Return the variance of the energy of a stretch that takes 1 kWh, so long after the shift began [s]."""
+    """Return the variance of the energy of a stretch that takes 1 kWh, at times since the shift began [s]."""
     return soc_filter.ENERGY_SD**2 * np.where(passed < soc_filter.WARM_UP_TIME, soc_filter.WARM_UP_VARIANCE_FACTOR, 1.0)
 
 
 def read(charge, quantum, rng=None):
-    """Return charges that fall as cars report them, in quanta, (cars, n).
+    """Return falling charges as cars report them, in quanta, (cars, n).
 
-    Boundaries between quanta are where they should be, or, with `rng`, as far off as the filter allows for.
+    The boundaries between quanta are exact, or, with `rng`, have the error that the filter assumes.
     """
     edges = quantum * (np.arange(int(np.ceil(1.0 / quantum))) + 0.5)
     out = np.empty(charge.shape)
@@ -97,16 +97,16 @@ def read(charge, quantum, rng=None):
     return out
 
 
-def named(driver, mean, variance, lane=0):
-    """Return the event that names who drives, and their part in what is taken, (1,)."""
+def name_driver(driver, mean, variance, lane=0):
+    """Return the event that names a driver, with the distribution of the driver's part, (1,) FILTER_EVENT."""
     event = np.zeros(1, filter_state.FILTER_EVENT)
     event["kind"], event["lane"], event["driver"] = filter_state.DRIVER_NAMED, lane, driver
     event["driver_mean"], event["driver_variance"] = mean, variance
     return event
 
 
-def heard(events, state=None, prior=(0.0, PRIOR)):
-    """Send events through the filter."""
+def run_filter(events, state=None, prior=(0.0, PRIOR)):
+    """Run the filter over events."""
     events = np.ascontiguousarray(events.ravel())
     lanes = int(events["lane"].max()) + 1
     state = filter_state.create_filter_state(lanes) if state is None else state.copy()
@@ -114,7 +114,7 @@ def heard(events, state=None, prior=(0.0, PRIOR)):
     shifts = np.empty(len(events), filter_state.CLOSED_SHIFT)
     priors = np.full(lanes, np.array(prior, filter_state.LOG_FACTOR_PRIOR))
     ended = soc_filter.filter_events(events, state, priors, estimates, shifts)
-    return Heard(estimates, state, shifts[:ended])
+    return FilterRun(estimates, state, shifts[:ended])
 
 
 class Faults(NamedTuple):
@@ -125,7 +125,7 @@ class Faults(NamedTuple):
 
 
 def count_faults(events):
-    """Send the events of all cars step by step through the filter, and count the readings that it did not accept.
+    """Run the filter step by step over the events of all cars, and count the readings that it rejects.
 
     Parameters
     ----------
@@ -134,20 +134,20 @@ def count_faults(events):
     state = filter_state.create_filter_state(len(events))
     jumps, freezes = np.zeros(len(events), int), np.zeros(len(events), int)
     for step in events.T:
-        before, state = state, heard(step, state).state
+        before, state = state, run_filter(step, state).state
         is_new = (state["suspect"] != before["suspect"]) | (state["suspect_time"] != before["suspect_time"])
         jumps += ~np.isnan(state["suspect"]) & is_new
         freezes += (state["frozen"] == 1.0) & (before["frozen"] == 0.0)
     return Faults(jumps, freezes)
 
 
-def covered(found, variance, truth):
-    """Return how often the truth is in the 90 % interval."""
-    return np.mean(np.abs(found - truth) < WITHIN * np.sqrt(variance))
+def compute_coverage(estimate, variance, truth):
+    """Return the share of truths inside the 90 % interval."""
+    return np.mean(np.abs(estimate - truth) < WITHIN * np.sqrt(variance))
 
 
-def covariance(state):
-    """Return the covariance of charge, scale and capacity."""
+def get_covariance(state):
+    """Return the covariance matrix of charge, consumption and capacity of the first car."""
     s = state[0]
     return np.array(
         [[s["p_ss"], s["p_sa"], s["p_sc"]], [s["p_sa"], s["p_aa"], s["p_ac"]], [s["p_sc"], s["p_ac"], s["p_cc"]]]

@@ -8,7 +8,8 @@ import pandas as pd
 from rich.console import Console
 from rich.text import Text
 
-from core.evaluate.soc.cases import CUT_SHORT_MARGIN, MOST_FORECAST_AGE, SHIFT_KEY
+from core.evaluate.soc.cases import MOST_FORECAST_AGE, SHIFT_KEY
+from core.forecast.plan_tracker import CUT_SHORT_MARGIN
 from core.pipeline import Pipeline
 from tools.terminal.rich_table import Column, make_table
 

@@ -12,14 +12,13 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from core.columns import SECONDS_PER_DAY
+from core.forecast.plan_tracker import CUT_SHORT_MARGIN
 from core.stats.clustered import assign_vehicle_days
 
 HOURS_AHEAD: Final = (0, 1, 2, 4, 6)
 """Times before a shift's end, measured from its last sample. [h]"""
 MOST_FORECAST_AGE: Final = 600.0
 """Largest age of the newest forecast; where it is older the vehicle sent nothing. [s]"""
-CUT_SHORT_MARGIN: Final = 900.0
-"""A shift whose recording stops this long before the planned end has not ended. [s]"""
 
 SHIFT_KEY: Final = ["vehicle_id", "shift"]
 """Columns that identify a shift."""

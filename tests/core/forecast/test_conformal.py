@@ -1,4 +1,4 @@
-"""Intervals from errors: they hold as often as said, adapt, and borrow."""
+"""Test the intervals from earlier errors: coverage, adaptation, and borrowing between classes."""
 
 import numpy as np
 import pytest
@@ -23,11 +23,11 @@ from core.forecast.outlook import MeanAndSd, compute_reserve_risk
 BOUND_LEVELS = LOWER_LEVEL, UPPER_LEVEL
 PLACE = (0, 3, 3)
 HERE = (np.array([0]), np.array([10.0]), np.array([15.0]))
-"""A kind, a distance and a temperature of that class."""
+"""A basis, a distance and a temperature of that class."""
 
 
 def learned(shifts, conformal=None, each=3, km=10.0, celsius=15.0, kind=0, nightly=10):
-    """Learn from shifts whose forecasts all err by the same, after so many of them a night."""
+    """Learn from shifts whose forecasts share one error, with a daily update after every `nightly` shifts."""
     conformal = conformal or ConformalIntervals()
     for number, score in enumerate(shifts):
         conformal.add_shift(kind, np.full(each, km), np.full(each, celsius), np.full(each, score))
@@ -44,7 +44,7 @@ def bounds_at(conformal, km, celsius, kind=0):
 
 @pytest.mark.parametrize("draw", ["normal", "laplace", "lognormal", "uniform"])
 @pytest.mark.parametrize("count", [LEAST_SHIFTS, 60, 200])
-def test_of_exchangeable_errors_nine_in_ten_are_inside(draw, count):
+def test_interval_covers_nine_in_ten_exchangeable_errors(draw, count):
     rng = np.random.default_rng(count)
     inside = []
     for _ in range(400):
@@ -54,7 +54,7 @@ def test_of_exchangeable_errors_nine_in_ten_are_inside(draw, count):
     assert 0.88 <= np.mean(inside) <= 0.92
 
 
-def test_while_it_learns_nine_in_ten_that_follow_are_inside():
+def test_interval_covers_nine_in_ten_while_learning():
     rng = np.random.default_rng(4)
     found = []
     for _ in range(6):
@@ -70,7 +70,7 @@ def test_while_it_learns_nine_in_ten_that_follow_are_inside():
     assert 0.88 <= np.mean(found) <= 0.92
 
 
-def test_bounds_widen_where_errors_double():
+def test_bounds_widen_when_errors_double():
     rng = np.random.default_rng(5)
     conformal, inside = learned(rng.normal(size=REMEMBERED_SHIFTS)), []
     low, high = bounds_at(conformal, 10.0, 15.0)
@@ -84,7 +84,7 @@ def test_bounds_widen_where_errors_double():
     assert 0.84 < np.mean(inside[-20:]) < 0.96
 
 
-def test_a_bound_that_was_missed_is_further_out_than_its_quantile_until_it_holds_again():
+def test_missed_bound_moves_beyond_its_quantile_until_coverage_recovers():
     rng = np.random.default_rng(6)
     upper = (*PLACE, LEVELS.index(UPPER_LEVEL))
 
@@ -100,14 +100,14 @@ def test_a_bound_that_was_missed_is_further_out_than_its_quantile_until_it_holds
     assert further(conformal) == pytest.approx(0.0, abs=0.3)
 
 
-def test_below_the_least_number_of_shifts_there_is_no_interval():
+def test_no_interval_below_least_number_of_shifts():
     few = learned(np.linspace(-1.0, 1.0, LEAST_SHIFTS - 1))
     assert np.isnan(few.table).all()
     assert np.isnan(bounds_at(few, 10.0, 15.0)).all()
     assert np.isfinite(bounds_at(learned([0.0], few), 10.0, 15.0)).all()
 
 
-def test_a_class_with_few_shifts_borrows_from_its_neighbours_and_none_from_the_other_kind():
+def test_class_with_few_shifts_borrows_from_neighbours_but_not_from_other_basis():
     rng = np.random.default_rng(7)
     conformal = learned(rng.normal(size=100))
     conformal = learned(5.0 * rng.normal(size=100), conformal, celsius=-20.0)
@@ -120,7 +120,7 @@ def test_a_class_with_few_shifts_borrows_from_its_neighbours_and_none_from_the_o
 
 
 @given(st.lists(st.floats(-50.0, 50.0), min_size=LEAST_SHIFTS, max_size=80), st.integers(1, 5))
-def test_quantiles_rise_and_lie_among_the_errors(scores, each):
+def test_quantiles_rise_and_lie_within_the_errors(scores, each):
     shifts = [(score,) * each for score in scores]
     found = compute_quantiles(shifts, LEVELS)
     assert (np.diff(found) >= 0.0).all()
@@ -131,7 +131,7 @@ def test_quantiles_rise_and_lie_among_the_errors(scores, each):
     )
 
 
-def test_a_shift_counts_as_one_however_many_forecasts_it_had():
+def test_each_shift_has_the_same_weight():
     shifts = [(0.0,)] * 50 + [(9.0,) * 500]
     assert compute_quantiles(shifts, (0.5, 0.9)).tolist() == [0.0, 0.0]
 
@@ -145,7 +145,7 @@ def test_every_forecast_has_a_class(km, celsius):
     assert temperature == len(TEMPERATURE_CLASSES) - 1 or celsius < TEMPERATURE_CLASSES[temperature + 1]
 
 
-def test_the_unknown_has_a_class_too():
+def test_unknown_distance_and_temperature_have_a_class():
     distance, temperature = classify(np.array([np.nan, -1.0]), np.array([np.nan, -300.0]))
     assert distance.tolist() == [0, 0]
     assert temperature.tolist() == [3, 0]
@@ -167,7 +167,7 @@ def test_risk_rises_with_the_reserve_and_agrees_with_the_interval(seed, mean, sd
     assert risks(mean + sd * np.array([-1e6, 1e6])).tolist() == [0.0, 1.0]
 
 
-def test_risk_is_how_often_the_charge_ends_below_the_reserve():
+def test_risk_equals_frequency_of_ending_below_the_reserve():
     rng = np.random.default_rng(9)
     table = learned(rng.normal(0.3, 1.5, REMEMBERED_SHIFTS), nightly=REMEMBERED_SHIFTS).get_quantiles(*HERE)[0]
     ends = 0.3 + 0.02 * rng.normal(0.3, 1.5, 20_000)
@@ -176,7 +176,7 @@ def test_risk_is_how_often_the_charge_ends_below_the_reserve():
         assert found[0] == pytest.approx(np.mean(ends < reserve), abs=0.05)
 
 
-def test_of_what_nobody_knows_there_is_no_risk():
+def test_risk_is_nan_for_unknown_charge_or_errors():
     table = learned(np.linspace(-1.0, 1.0, 30)).get_quantiles(*HERE)[0]
     unknown = MeanAndSd(np.array([np.nan]), np.array([0.01]))
     assert np.isnan(compute_reserve_risk(unknown, np.array([0.1]), table)).all()
@@ -184,7 +184,7 @@ def test_of_what_nobody_knows_there_is_no_risk():
     assert np.isnan(compute_reserve_risk(known, np.array([0.1]), np.full_like(table, np.nan))).all()
 
 
-def test_what_was_dumped_goes_on_as_if_nothing_had_happened():
+def test_loaded_state_continues_as_uninterrupted():
     rng = np.random.default_rng(8)
     one, other = learned(rng.normal(size=500), celsius=-5.0), ConformalIntervals()
     other.load(one.dump())

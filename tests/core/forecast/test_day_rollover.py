@@ -1,4 +1,4 @@
-"""Nights fall by what most of the cars say that were heard lately, whatever some clocks say, and however often."""
+"""Test that the day changes with most of the active cars, whatever some clocks say and however often they send."""
 
 from functools import cache
 
@@ -12,26 +12,26 @@ from core.forecast.day_rollover import RECENT_SAMPLES, WINDOW_SAMPLES, DayRollov
 
 YEAR = 365.0 * DAY
 ROLLOVER = -1024.0 * 7.0 * DAY
-"""By which a clock is off that takes GPS weeks for those of the epoch before. [s]"""
+"""Error of a clock that takes GPS weeks for those of the epoch before. [s]"""
 MIDNIGHT = 19_000.0 * DAY
 NOON = MIDNIGHT - 0.5 * DAY
 
 
 def sent(car=0, days=3.0, period=600.0, wrong=0.0, size=1, since=0.0):
-    """Return what a car sends from noon on, (n, 3): when, its number and the stamp, in lists of some size."""
+    """Return the samples of a car from noon on, in lists of `size`: (n, 3) arrival, car and stamp."""
     time = NOON + since + car % 97 / 97.0 * period + period * np.arange(int((days * DAY - since) / period))
     last = np.minimum(np.arange(len(time)) // size * size + size - 1, len(time) - 1)
     return np.column_stack([time[last], np.full(len(time), float(car)), time + wrong])
 
 
 def stream(*cars):
-    """Return when samples of several cars arrive, their lanes and stamps."""
+    """Return the arrival times, lanes and stamps of several cars' samples, in the order of arrival."""
     time, lane, stamp = np.concatenate(cars)[np.argsort(np.concatenate(cars)[:, 0], kind="stable")].T
     return time, lane.astype(np.int64), stamp
 
 
 def found(lane, stamp, cuts=(), rollover=None):
-    """Return the rows before which nights fall, of samples that are cut."""
+    """Return the rows before which the day changes, for samples in several batches."""
     rollover, before, rows = rollover or DayRollover(), 0, []
     for lanes, part in zip(np.split(lane, sorted(cuts)), np.split(stamp, sorted(cuts)), strict=True):
         rows += [before + row for row in rollover.find_rollovers(lanes, part)]
@@ -40,7 +40,7 @@ def found(lane, stamp, cuts=(), rollover=None):
 
 
 def after_midnight(*cars):
-    """Return how long after midnight each night falls, but for the first, by which the rollover begins. [s]"""
+    """Return the delay of each rollover after midnight, without the first, which begins the stream. [s]"""
     time, lane, stamp = stream(*cars)
     at = time[found(lane, stamp)]
     assert at[0] < NOON + 8000.0
@@ -48,19 +48,19 @@ def after_midnight(*cars):
     return at[1:] % DAY
 
 
-def test_one_car_has_a_night_at_its_second_sample_of_the_day():
+def test_single_car_rolls_over_at_its_second_sample_of_the_day():
     time, lane, stamp = stream(sent())
     rows = found(lane, stamp)
     assert rows[0] == 1
     assert [np.flatnonzero(time >= MIDNIGHT + DAY * day)[1] for day in range(3)] == rows[1:]
 
 
-def test_ten_thousand_cars_have_one_night_a_day_as_soon_as_most_are_in_it():
+def test_large_fleet_rolls_over_once_a_day_when_most_cars_are_in_it():
     assert after_midnight(*(sent(car, period=7200.0) for car in range(10_000))).max() < 2.1 * 7200.0
 
 
 @pytest.mark.parametrize("awake", [1, 3, 30])
-def test_when_only_a_few_drive_at_midnight_the_night_falls_with_their_samples(awake):
+def test_few_active_cars_at_midnight_decide_the_rollover(awake):
     resting = [sent(car, days=0.4, period=60.0) for car in range(awake, 2000)]
     late = after_midnight(*resting, *(sent(car, days=3.0, period=10.0) for car in range(awake)))
     assert late.max() <= 10.0 * max(RECENT_SAMPLES / awake, 2.0)
@@ -69,7 +69,7 @@ def test_when_only_a_few_drive_at_midnight_the_night_falls_with_their_samples(aw
 @pytest.mark.parametrize("wrong", [YEAR, 30.0 * YEAR, 3.0 * DAY, -3.0 * DAY, -YEAR])
 @pytest.mark.parametrize("fellows", [1, 2, 9])
 @pytest.mark.parametrize(("size", "often"), [(1, 1), (2, 1), (500, 1), (1, 10), (7, 10)])
-def test_one_wrong_clock_moves_no_night_however_often_it_speaks(wrong, fellows, size, often):
+def test_one_wrong_clock_moves_no_rollover_however_often_it_sends(wrong, fellows, size, often):
     others = [sent(car, period=60.0) for car in range(fellows)]
     wild = sent(fellows, period=60.0 / often, wrong=wrong, size=size, since=1800.0)
     assert after_midnight(*others, wild).max() <= 180.0
@@ -77,13 +77,13 @@ def test_one_wrong_clock_moves_no_night_however_often_it_speaks(wrong, fellows, 
 
 @pytest.mark.parametrize("wrong", [1.2 * DAY, 0.7 * DAY, -0.7 * DAY, -1.2 * DAY])
 @pytest.mark.parametrize(("size", "often"), [(1, 1), (2, 1), (7, 10)])
-def test_a_clock_that_is_wrong_by_hours_moves_no_night_of_several_cars(wrong, size, often):
+def test_clock_wrong_by_hours_moves_no_rollover_of_several_cars(wrong, size, often):
     others = [sent(car, period=60.0) for car in range(3)]
     wild = sent(3, period=60.0 / often, wrong=wrong, size=size, since=1800.0)
     assert after_midnight(*others, wild).max() <= 180.0
 
 
-def test_long_lists_of_a_clock_that_is_ahead_by_hours_make_nights_early_but_no_more_of_them():
+def test_long_lists_of_a_clock_ahead_by_hours_make_rollovers_early_but_not_more():
     others = [sent(car, period=60.0) for car in range(9)]
     _, lane, stamp = stream(*others, sent(9, period=60.0, wrong=0.7 * DAY, size=500, since=1800.0))
     assert len(found(lane, stamp)) == 1 + 4  # it comes to the fourth midnight before the end
@@ -91,7 +91,7 @@ def test_long_lists_of_a_clock_that_is_ahead_by_hours_make_nights_early_but_no_m
 
 @pytest.mark.parametrize("wrong", [ROLLOVER, -ROLLOVER, 3.0 * DAY])
 @pytest.mark.parametrize("cars", [3, 30, 1500])
-def test_a_third_of_wrong_clocks_moves_no_night(wrong, cars):
+def test_a_third_of_wrong_clocks_moves_no_rollover(wrong, cars):
     period = 60.0 if cars < 1000 else 900.0
     time, lane, stamp = stream(*(sent(car, period=period, wrong=wrong * (car % 3 == 2)) for car in range(cars)))
     at = time[found(lane, stamp)]
@@ -99,11 +99,11 @@ def test_a_third_of_wrong_clocks_moves_no_night(wrong, cars):
     assert np.floor(at[at > NOON + 3600.0] / DAY).tolist() == [19_000.0, 19_001.0, 19_002.0]
 
 
-def test_one_car_of_two_without_a_clock_hides_no_night():
+def test_car_without_a_clock_hides_no_rollover():
     assert after_midnight(sent(0), sent(1, wrong=np.nan)).max() <= 1200.0
 
 
-def test_a_single_glitch_of_every_car_says_nothing():
+def test_single_glitch_of_every_car_changes_nothing():
     time, lane, stamp = stream(*(sent(car) for car in range(4)))
     stamp = stamp + YEAR * ((np.arange(len(stamp)) // 4) % 5 == 2)
     at = time[found(lane, stamp)]
@@ -111,7 +111,7 @@ def test_a_single_glitch_of_every_car_says_nothing():
 
 
 @pytest.mark.parametrize("wrong", [3.0 * DAY, YEAR])
-def test_a_calendar_that_was_put_forward_is_put_back_by_most_of_those_who_speak(wrong):
+def test_day_that_is_ahead_is_corrected_by_most_active_cars(wrong):
     rollover = DayRollover()
     found(*stream(*(sent(car, days=0.2, wrong=wrong) for car in range(3)))[1:], rollover=rollover)
     time, lane, stamp = stream(*(sent(car, since=0.2 * DAY) for car in range(3)))
@@ -120,7 +120,7 @@ def test_a_calendar_that_was_put_forward_is_put_back_by_most_of_those_who_speak(
     assert np.floor(at[1:] / DAY).tolist() == [19_000.0, 19_001.0, 19_002.0]
 
 
-def test_after_days_of_rest_there_is_one_night():
+def test_one_rollover_after_idle_days():
     _, lane, stamp = stream(
         *(sent(car, days=0.3) for car in range(4)), *(sent(car, since=5.7 * DAY, days=6) for car in range(4))
     )
@@ -129,13 +129,13 @@ def test_after_days_of_rest_there_is_one_night():
 
 @cache
 def several():
-    """Return a fleet some of whose clocks are wrong, one of which sends lists."""
+    """Return the samples of a fleet with some wrong clocks, one of which sends lists."""
     cars = [sent(car, wrong=wrong) for car, wrong in enumerate((0.0, YEAR, 0.4 * DAY, -3.0 * DAY, 1.1 * DAY))]
     return stream(*cars, sent(5, wrong=-YEAR, size=40))[1:]
 
 
 @given(st.lists(st.integers(0, 2592), max_size=8))
-def test_any_chunking_gives_the_same_nights(cuts):
+def test_any_chunking_gives_the_same_rollovers(cuts):
     lane, stamp = several()
     assert found(lane, stamp, cuts) == found(lane, stamp)
 
@@ -144,7 +144,7 @@ samples = st.tuples(st.integers(0, 4), st.sampled_from([0.0, np.nan, *(MIDNIGHT 
 
 
 @given(st.lists(samples, max_size=40), st.lists(st.integers(0, 40), max_size=5))
-def test_any_stamps_have_nights_in_order_whatever_the_cuts_and_what_is_kept(stamps, cuts):
+def test_rollovers_are_ordered_for_any_stamps_cuts_and_restarts(stamps, cuts):
     lane, stamp = np.array([car for car, _ in stamps], np.int64), np.array([stamp for _, stamp in stamps])
     rows = found(lane, stamp)
     assert rows == sorted(set(rows))
@@ -159,8 +159,8 @@ def test_any_stamps_have_nights_in_order_whatever_the_cuts_and_what_is_kept(stam
     assert one.dump() == other.dump()
 
 
-def test_the_counts_that_are_kept_are_those_of_the_newest_samples():
-    """What is counted as samples come and go is what the newest of them are, also after the ring is full."""
+def test_kept_counts_are_those_of_the_newest_samples():
+    """The incremental counts equal counts over the newest samples, also after the ring is full."""
     rng = np.random.default_rng(1)
     lane, rollover = (
         rng.integers(0, 5000, 5 * WINDOW_SAMPLES) // rng.integers(1, 5000, 5 * WINDOW_SAMPLES),

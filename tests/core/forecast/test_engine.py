@@ -1,4 +1,4 @@
-"""From messages to forecasts of the charge: what is learned, what is told, and what a wrong charge does to it."""
+"""Test the forecast engine from messages to forecasts: learning, plans, and the effect of a faulty state of charge."""
 
 import numpy as np
 import pytest
@@ -34,13 +34,13 @@ from tests.support.telemetry import told
 BEGIN = START + DAY * DAYS
 SAMPLES = int(SHIFT / PERIOD) + 1
 EACH = SETTINGS._replace(forecast_time=3.0)
-"""With these there is a forecast of every sample."""
+"""Settings with a forecast for every sample."""
 LEAST = 1.0 - 1e-6
-"""How wide an interval may be over what it is without a fault."""
+"""Smallest ratio of the width of an interval to its width without the fault."""
 
 
 def driven(car="c", sent=None, messages=None, settings=SETTINGS):
-    """Return the pipeline and the forecasts of a car's shift on the day after those that were learned from."""
+    """Return the pipeline and the forecasts of a car's shift on the day after the training days."""
     pipeline = again(settings=settings)
     out = pipeline.push([m for _, m in shift(car, DAYS, sent)] if messages is None else messages)
     return pipeline, forecasts(out, car)
@@ -52,7 +52,7 @@ def width(forecast):
 
 
 @pytest.mark.parametrize("car", CARS)
-def test_the_end_of_the_shift_is_foretold_and_the_interval_shrinks(car):
+def test_end_of_shift_is_forecast_and_its_interval_shrinks(car):
     _, found = driven(car)
     end = columns(car, DAYS)["soc_pct"][-1]
     known = [each for each in found.values() if each.soc_end_of_shift_pct is not None]
@@ -67,7 +67,7 @@ def test_the_end_of_the_shift_is_foretold_and_the_interval_shrinks(car):
     assert known[-1].soc_end_of_shift_pct.mean == pytest.approx(end, abs=1.0)
 
 
-def test_a_higher_reserve_is_riskier_and_leaves_less_range():
+def test_higher_reserve_raises_risk_and_reduces_range():
     last = None
     for reserve in (10.0, 50.0, 55.0, 60.0, 95.0):
         messages = [m for _, m in shift("c", DAYS)]
@@ -82,11 +82,11 @@ def test_a_higher_reserve_is_riskier_and_leaves_less_range():
     assert last.reserve_risk == pytest.approx(1.0, abs=0.02)
 
 
-# a charge that is told wrongly
+# faulty state of charge
 
 
-def told_wrongly(sent, fault, begin, lasting, by):
-    """Return a shift whose charge is told wrongly from a sample on, and when that is over [s]."""
+def add_fault(sent, fault, begin, lasting, by):
+    """Return a shift whose reported charge is faulty from a sample on, and the end of the fault [s]."""
     bad = {name: values.copy() for name, values in sent.items()}
     charge, end = bad["soc_pct"], min(begin + lasting, SAMPLES - 1)
     if fault == "frozen":
@@ -105,9 +105,9 @@ def told_wrongly(sent, fault, begin, lasting, by):
 @pytest.mark.parametrize("car", ["a", "c"])
 @pytest.mark.parametrize("fault", ["frozen", "absent", "spike", "jump"])
 @given(begin=st.integers(2, SAMPLES - 3), lasting=st.integers(1, SAMPLES), by=st.sampled_from([-12.0, -7.0, 4.0]))
-def test_a_charge_that_is_told_wrongly_never_narrows_a_forecast(car, fault, begin, lasting, by):
+def test_faulty_soc_never_narrows_interval(car, fault, begin, lasting, by):
     sent = columns(car, DAYS)
-    bad, over = told_wrongly(sent, fault, begin, lasting, by)
+    bad, over = add_fault(sent, fault, begin, lasting, by)
     (_, good), (_, found) = driven(car, sent, settings=EACH), driven(car, bad, settings=EACH)
     assert good.keys() == found.keys()
     last = np.inf if fault in ("spike", "jump") else over
@@ -118,10 +118,10 @@ def test_a_charge_that_is_told_wrongly_never_narrows_a_forecast(car, fault, begi
 
 
 @pytest.mark.parametrize("fault", ["frozen", "absent", "spike", "jump"])
-def test_when_it_is_told_rightly_again_the_forecast_is_as_good_as_before(fault):
+def test_forecast_recovers_after_faulty_soc(fault):
     sent = columns("c", DAYS)
     by = -7.0 if fault == "jump" else 0.0
-    bad, over = told_wrongly(sent, fault, 150, 100, -7.0)
+    bad, over = add_fault(sent, fault, 150, 100, -7.0)
     (_, good), (_, found) = driven("c", sent), driven("c", bad)
     for time in [t for t in good if t > over + 1200.0 and t in found]:
         assert found[time].soc_pct - by == pytest.approx(good[time].soc_pct, abs=0.5)
@@ -131,7 +131,7 @@ def test_when_it_is_told_rightly_again_the_forecast_is_as_good_as_before(fault):
         assert width(found[time]) < 1.6 * width(good[time])
 
 
-def test_where_no_charge_is_told_there_is_none_foretold():
+def test_without_reported_soc_there_is_no_soc_forecast():
     sent = columns("c", DAYS) | {"soc_pct": np.full(SAMPLES, np.nan)}
     _, found = driven("c", sent)
     assert found
@@ -139,7 +139,7 @@ def test_where_no_charge_is_told_there_is_none_foretold():
     assert all(each.reserve_risk is None for each in found.values())
 
 
-def test_after_a_charge_in_the_shift_it_goes_on_from_what_is_told():
+def test_filter_restarts_at_reported_soc_after_charging():
     sent = columns("c", DAYS)
     rests = np.flatnonzero(sent["ride_id"] == None)  # noqa: E711 - of each element
     plugged = rests[(rests > 220) & (rests < 245)][2:-2]
@@ -159,7 +159,7 @@ def test_after_a_charge_in_the_shift_it_goes_on_from_what_is_told():
         assert np.isnan(stepwise.engine.state["suspect"][CARS.index("c")])
 
 
-def test_after_a_night_the_charge_is_what_is_told():
+def test_filter_restarts_at_reported_soc_in_next_shift():
     pipeline, _ = driven("c")
     out = forecasts(pipeline.push([m for _, m in shift("c", DAYS + 1)][:10]), "c")
     first = out[min(out)]
@@ -167,10 +167,10 @@ def test_after_a_night_the_charge_is_what_is_told():
     assert first.soc_sd_pct == pytest.approx(100.0 * np.hypot(0.005 / np.sqrt(12.0), soc_reading.READING_SD), rel=0.01)
 
 
-# what is learned of cars
+# learning
 
 
-def test_what_each_car_takes_is_kept_by_the_nights():
+def test_daily_update_keeps_consumption_factor_of_each_car():
     prior = again().engine.statistics.prior
     always = np.array([0.15 * np.sin(ord(car)) for car in CARS])
     assert np.corrcoef(prior["mean"], always)[0, 1] > 0.8
@@ -178,7 +178,7 @@ def test_what_each_car_takes_is_kept_by_the_nights():
     assert (prior["variance"] < Pipeline().engine.statistics.factors.expect(-1).variance).all()
 
 
-def test_capacity_is_learned_where_voltage_and_current_are_measured():
+def test_capacity_is_learned_from_voltage_and_current():
     state = again().engine.state
     nominal = again().cars.capacity[-1]
     assert np.exp(state["log_capacity"][:2]) * nominal == pytest.approx(np.full(2, CAPACITY), rel=0.01)
@@ -189,17 +189,19 @@ def test_capacity_is_learned_where_voltage_and_current_are_measured():
     assert told.usable_capacity_sd_kwh > soc_filter.METER_GAIN_SD * told.usable_capacity_kwh
 
 
-def test_nothing_is_foretold_before_enough_was_learned():
+def test_no_end_of_shift_forecast_before_enough_shifts():
     pipeline = again(2)
     found = forecasts(pipeline.push([m for _, m in shift("c", 2)]), "c")
     assert all(each.soc_end_of_shift_pct is None for each in found.values())
     assert all(each.soc_pct is not None for each in found.values())
 
 
-def test_without_a_plan_the_car_does_as_it_does():
+def test_without_plan_forecast_uses_earlier_shifts():
     messages = [m for _, m in shift("c", DAYS, planned=False)]
     _, found = driven("c", messages=messages)
-    assert all(each.soc_end_of_shift_pct is None for each in found.values())  # by habit nothing has been judged yet
+    assert all(
+        each.soc_end_of_shift_pct is None for each in found.values()
+    )  # no forecast by history has been evaluated yet
     pipeline = again(7, planned=False)
     found = forecasts(pipeline.push([m for _, m in shift("c", 7, planned=False)]), "c")
     early = [each for time, each in found.items() if 600.0 < time - START - 7.0 * DAY < 0.5 * SHIFT]
@@ -209,7 +211,7 @@ def test_without_a_plan_the_car_does_as_it_does():
         assert 0.0 <= each.reserve_risk <= 0.2
 
 
-def test_a_car_without_habits_and_without_a_plan_is_foretold_nothing():
+def test_car_without_plan_and_earlier_shifts_gets_no_forecast():
     pipeline = again(planned=False)
     messages = [
         m._replace(key=m.key.replace("/c/", "/new/"), payload=m.payload.replace(b'"c"', b'"new"'))
@@ -222,8 +224,8 @@ def test_a_car_without_habits_and_without_a_plan_is_foretold_nothing():
 
 
 @pytest.mark.parametrize("ahead", [-1200.0, 0.0, 1500.0])
-def test_plans_of_the_future_and_of_shifts_that_are_over_say_nothing(ahead):
-    """A plan is stamped so long before the samples that it comes with, or after; of a shift that ends when it came."""
+def test_plan_is_ignored_before_its_lead_and_after_its_overtime(ahead):
+    """`ahead` is the time from the stamp of the plan to the samples beside it. [s]"""
     sent = [m for _, m in shift("c", DAYS, planned=False)]
     came = float(columns("c", DAYS)["time_s"][100]) - ahead
     end = came + (SHIFT if ahead <= 0.0 else 0.0)
@@ -237,7 +239,7 @@ def test_plans_of_the_future_and_of_shifts_that_are_over_say_nothing(ahead):
 
 
 @pytest.mark.parametrize("hours", [0.4, 1.5])
-def test_a_short_shift_teaches_no_scale(hours):
+def test_short_shift_does_not_update_consumption_factors(hours):
     pipeline, lane = again(), CARS.index("c")
     pipeline.push([m for _, m in shift("c", DAYS, columns("c", DAYS, hours=hours))])
     pipeline.push(night(DAYS + 1))
@@ -249,7 +251,7 @@ def test_a_short_shift_teaches_no_scale(hours):
 
 
 def driven_by(*names):
-    """Return the scales after a shift of which so many samples had been sent when each driver was named."""
+    """Return the consumption factors after a shift; each driver is named after a number of its samples."""
     pipeline = again()
     sent = [m for _, m in shift("c", DAYS)]
     del sent[2]  # who drives
@@ -262,13 +264,13 @@ def driven_by(*names):
     return pipeline.engine.statistics.factors
 
 
-def test_a_driver_who_is_named_before_the_first_sample_has_driven_the_shift():
+def test_driver_named_before_first_sample_has_driven_the_shift():
     before, after = driven_by((0, "ana")), driven_by((2, "ana"))
     assert before.get_driver(compute_driver_code("ana"))[1] < DRIVER_SD**2
     assert before.dump() == after.dump() != driven_by().dump()
 
 
-def test_a_shift_of_two_drivers_tells_of_the_car_alone():
+def test_shift_of_two_drivers_updates_only_the_car():
     shared = driven_by((0, "ana"), (100, "bo"))
     assert (
         shared.get_driver(compute_driver_code("ana"))
@@ -279,23 +281,23 @@ def test_a_shift_of_two_drivers_tells_of_the_car_alone():
     assert driven_by((0, "ana"), (100, "ana")).dump() == driven_by((0, "ana")).dump()
 
 
-def test_who_else_drives_the_same_day_changes_nothing():
+def test_other_cars_on_the_same_day_change_no_forecast():
     alone = driven("c")[1]
     together = forecasts(again().push(merged(*(shift(car, DAYS) for car in CARS))), "c")
     assert together == alone
 
 
-def test_every_shift_is_judged_as_it_ends_and_bounds_move_overnight():
+def test_shifts_are_evaluated_as_they_end_and_bounds_move_at_daily_update():
     pipeline = again()
-    conformal, before = pipeline.engine.statistics.conformal, judged_shifts(pipeline)
+    conformal, before = pipeline.engine.statistics.conformal, count_evaluated_shifts(pipeline)
     bounds = conformal.bounds.copy()
     pipeline.push(days([DAYS]))
-    assert judged_shifts(pipeline) >= before + len(CARS)
+    assert count_evaluated_shifts(pipeline) >= before + len(CARS)
     assert conformal.bounds.tobytes() == bounds.tobytes()
     pipeline.push(night(DAYS + 1))
     assert conformal.bounds.tobytes() != bounds.tobytes()
 
 
-def judged_shifts(pipeline):
-    """Return how many classes of shifts were learned from."""
+def count_evaluated_shifts(pipeline):
+    """Return the number of shifts over all classes of errors."""
     return sum(len(shifts) for shifts in pipeline.engine.statistics.conformal._scores.values())

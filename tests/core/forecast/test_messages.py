@@ -1,4 +1,4 @@
-"""Forecasts: what they say, and when."""
+"""Test the content of the published forecasts, and when they are published."""
 
 import json
 
@@ -22,7 +22,7 @@ def full(n=300):
     return columns | {"soc_pct": np.round(80 - 0.01 * np.arange(n), 1)}
 
 
-def test_a_forecast_is_of_the_sample_that_it_rests_on():
+def test_forecast_describes_the_sample_behind_it():
     columns = full()
     pipeline, out, said = forecasts_of([leaf(), *telemetry(columns)], prefix="montreal/")
     assert {message.key for message in out} == {"montreal/fleet/a/forecast"}
@@ -43,7 +43,7 @@ def test_a_forecast_is_of_the_sample_that_it_rests_on():
 
 
 @pytest.mark.parametrize("wait", [6.0, 15.0, 60.0])
-def test_forecasts_come_by_event_time(wait):
+def test_forecasts_are_due_by_event_time(wait):
     columns = drive(300, speed=10.0)
     _, _, said = forecasts_of([leaf(), *telemetry(columns)], settings=Settings(forecast_time=wait))
     steps = np.diff([forecast["time_s"] for forecast in said])
@@ -51,7 +51,7 @@ def test_forecasts_come_by_event_time(wait):
     assert said[0]["time_s"] == START
 
 
-def test_a_material_change_is_told_at_once():
+def test_material_change_is_published_at_once():
     columns = drive(100, speed=10.0, soc_pct=80.0)
     columns["soc_pct"][47:] = 78.5
     columns["ride_id"][71:] = "r2"
@@ -62,7 +62,7 @@ def test_a_material_change_is_told_at_once():
     assert said[times.index(71)]["ride_distance_km"] == 0.0
 
 
-def test_a_parked_car_is_told_of_more_rarely():
+def test_parked_car_gets_fewer_forecasts():
     columns = drive(400, speed=0.0, soc_pct=70.0)
     columns["ride_id"][:] = None
     _, _, said = forecasts_of(telemetry(columns))
@@ -70,13 +70,13 @@ def test_a_parked_car_is_told_of_more_rarely():
     assert {forecast["ride_id"] for forecast in said} == {None}
 
 
-def test_what_is_unknown_is_null():
+def test_unknown_values_are_null():
     _, _, said = forecasts_of(telemetry(drive(60, speed=10.0)))
     for name in ("ride_energy_predicted_kwh", "ride_energy_measured_kwh", "soc_pct", "soc_sd_pct", "range_km"):
         assert {json.dumps(forecast[name]) for forecast in said} == {"null"}, name
 
 
-def test_faults_are_counted_since_the_ride_began():
+def test_faults_are_counted_from_the_beginning_of_the_ride():
     columns = without(full(200), "latitude_deg", "longitude_deg")
     columns["speed_kmh"][[30, 31]] = 900.0
     columns["soc_pct"][40] = 300.0
@@ -89,7 +89,7 @@ def test_faults_are_counted_since_the_ride_began():
     assert said[0]["quality"] == dict.fromkeys(said[0]["quality"], 0)
 
 
-def test_behind_time_the_newest_of_each_vehicle_is_told():
+def test_newest_only_returns_last_forecast_of_each_vehicle():
     messages = [leaf("a"), leaf("b"), *telemetry(full(), "a"), *telemetry(full(), "b")]
     whole, out = ran(messages)
     late = type(whole)()
@@ -100,7 +100,7 @@ def test_behind_time_the_newest_of_each_vehicle_is_told():
     assert newest[1] == out[-1]
 
 
-def test_charge_range_and_end_are_intervals_about_their_mean():
+def test_range_and_end_intervals_contain_their_mean():
     said = list(forecasts(again().push([m for _, m in shift("c", DAYS)]), "c").values())
     for forecast in said[2:]:
         for interval in (forecast.range_km, forecast.soc_end_of_shift_pct):
@@ -112,7 +112,7 @@ def test_charge_range_and_end_are_intervals_about_their_mean():
         assert (forecast.ride_id is None) == (forecast.ride_energy_predicted_kwh is None)
 
 
-def test_before_anything_was_learned_the_charge_is_known_and_nothing_of_what_is_ahead():
+def test_untrained_pipeline_publishes_soc_but_no_end_of_shift():
     _, _, said = forecasts_of(
         [leaf(), told("plan", shift_end_s=START + 7200.0, reserve_soc_pct=10.0, legs=[]), *telemetry(full())]
     )

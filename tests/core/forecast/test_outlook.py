@@ -1,4 +1,4 @@
-"""What is ahead, and the charge that it leads to."""
+"""Test the energy ahead of a car, and the charge and range that follow from it."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def usual(n=1, celsius=CELSIUS):
 
 
 def ahead(done=0, time=BEGIN, ride_km=0.0, driven_km=0.0, riding=False):
-    """Return what is ahead of one car by plan."""
+    """Return the energy ahead of one car by plan."""
     course = PLANNED.compute_progress(done, driven_km).reshape(1)
     one = np.array([time]), np.array([ride_km]), np.array([riding])
     return compute_planned_energy(course, *one, usual())
@@ -51,7 +51,7 @@ def known(soc=0.6, variance=1e-5, log_factor=0.1, log_factor_variance=0.01, cova
     return CarEstimate(*np.broadcast_arrays(*(np.atleast_1d(np.asarray(value, float)) for value in values)))
 
 
-def test_all_of_a_plan_is_what_its_legs_take_and_the_time_between():
+def test_energy_of_a_plan_is_that_of_its_legs_and_waits():
     whole = ahead()
     legs = float((PLANNED.energy @ usual().weights[0]).sum())
     rest = SHIFT / 3600.0 - LEGS * 600.0 / 3600.0
@@ -63,7 +63,7 @@ def test_all_of_a_plan_is_what_its_legs_take_and_the_time_between():
 
 
 @given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(0.0, 24.0), st.floats(0.1, 24.0))
-def test_what_was_found_today_fades_towards_the_usual(scale, norm, hours, more):
+def test_consumption_factor_decays_towards_the_usual(scale, norm, hours, more):
     soon, late = (
         known(log_factor=scale, usual=norm).compute_mean_log_factor(np.array([h]))[0] for h in (hours, hours + more)
     )
@@ -75,7 +75,7 @@ def test_what_was_found_today_fades_towards_the_usual(scale, norm, hours, more):
 
 
 @given(st.integers(0, LEGS - 1), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
-def test_what_is_ahead_falls_as_a_ride_goes_on(done, one, other):
+def test_energy_ahead_falls_during_a_ride(done, one, other):
     length = PLAN.legs[done].distance_km
     shares = sorted((one, other))
     time = BEGIN + LEG * done
@@ -86,7 +86,7 @@ def test_what_is_ahead_falls_as_a_ride_goes_on(done, one, other):
 
 
 @given(st.integers(0, LEGS - 1), st.floats(0.0, 5.0), st.floats(0.0, 30.0))
-def test_of_a_leg_counts_what_was_driven_since_the_plan_came(done, before, since):
+def test_leg_progress_counts_from_the_arrival_of_the_plan(done, before, since):
     found = ahead(done, ride_km=before + since, driven_km=before, riding=True)
     same = ahead(done, ride_km=since, riding=True)
     assert found.km[0] == pytest.approx(same.km[0])
@@ -94,8 +94,8 @@ def test_of_a_leg_counts_what_was_driven_since_the_plan_came(done, before, since
 
 
 @given(st.integers(0, LEGS - 1), st.floats(0.0, 5.0), st.floats(0.0, 12.0), st.booleans())
-def test_what_is_left_of_a_plan_is_ahead_as_that_plan_is(done, before, since, riding):
-    """One definition: legs that were shortened, taken for a plan, are what is ahead by the plan."""
+def test_remaining_legs_as_a_plan_have_the_same_energy_ahead(done, before, since, riding):
+    """Shortened legs, used as a plan, give the energy ahead of the original plan."""
     driven = since if riding else None
     rest = PLANNED.get_remaining(done, driven).compute_progress(0, 0.0).reshape(1)
     one = np.array([BEGIN + LEG * done]), np.zeros(1), np.array([riding])
@@ -106,7 +106,7 @@ def test_what_is_left_of_a_plan_is_ahead_as_that_plan_is(done, before, since, ri
 
 
 @given(st.floats(0.01, 1.0), st.floats(0.1, 20.0), st.floats(1.0, 20.0), st.floats(0.0, 400.0), st.floats(0.0, 400.0))
-def test_a_share_of_a_leg_that_has_begun_takes_that_share(share, km, pace, gained, lost):
+def test_share_of_a_begun_leg_takes_that_share_of_its_energy(share, km, pace, gained, lost):
     parts = np.array([[1.0], [share]]) * np.array([km, 60.0 * pace * km, gained, lost])
     whole, some = (
         STATISTICS.get_tables(2)._replace(start_energy=0.3).compute_leg_energy(*part.reshape(4, 1), begun=True)
@@ -115,20 +115,20 @@ def test_a_share_of_a_leg_that_has_begun_takes_that_share(share, km, pace, gaine
     assert some == pytest.approx(share * whole)
 
 
-def test_a_ride_that_has_begun_takes_no_beginning():
+def test_begun_ride_has_no_start_energy():
     tables, leg = STATISTICS.get_tables(2)._replace(start_energy=0.3), np.array([[6.0], [600.0], [np.nan], [np.nan]])
     assert tables.compute_leg_energy(*leg) - tables.compute_leg_energy(*leg, begun=True) == pytest.approx(0.3)
 
 
 @given(st.floats(0.0, 20.0), st.floats(1.0, 20.0), st.floats(0.0, 2000.0), st.floats(0.0, 2000.0))
-def test_a_leg_gives_back_no_more_than_its_descent(km, pace, gained, lost):
+def test_leg_returns_no_more_than_its_descent(km, pace, gained, lost):
     tables = STATISTICS.get_tables(2)
     taken = tables.compute_leg_energy(*np.array([[km], [60.0 * pace * km], [gained], [lost]]))
     assert tables.descent_energy < 0.0
     assert (taken >= tables.descent_energy * min(lost, STEEPEST_DESCENT * km) - 1e-12).all()
 
 
-def test_of_what_a_descent_has_beyond_what_the_way_takes_a_part_comes_back():
+def test_part_of_the_surplus_of_a_descent_returns():
     tables, lost = STATISTICS.get_tables(2), np.array([600.0, 700.0])
     one, more = tables.compute_leg_energy(np.full(2, 6.0), np.full(2, 600.0), np.zeros(2), lost)
     assert (one < 0.0).all()
@@ -136,7 +136,7 @@ def test_of_what_a_descent_has_beyond_what_the_way_takes_a_part_comes_back():
 
 
 @given(st.integers(0, LEGS), st.floats(0.0, SHIFT + OVERTIME), st.floats(0.0, 10.0), st.booleans())
-def test_the_end_is_never_before_now_nor_before_what_is_planned_can_be_driven(done, passed, driven, riding):
+def test_end_is_never_before_now_nor_before_planned_legs_can_be_driven(done, passed, driven, riding):
     now = BEGIN + passed
     found = ahead(done, now, driven if riding else 0.0, riding=riding)
     rest = PLANNED.get_remaining(done, driven if riding else None)
@@ -146,7 +146,7 @@ def test_the_end_is_never_before_now_nor_before_what_is_planned_can_be_driven(do
     assert found.end[0] <= max(BEGIN + SHIFT, now + rest.seconds.sum() + 1e-6)
 
 
-def test_when_all_legs_are_done_the_rest_is_waiting():
+def test_after_all_legs_the_rest_is_waiting():
     found = ahead(LEGS, BEGIN + SHIFT - 1800.0)
     assert found.km[0] == 0.0
     assert found.energy[0] == pytest.approx(0.5 * usual().standing_power[0])
@@ -154,7 +154,7 @@ def test_when_all_legs_are_done_the_rest_is_waiting():
 
 
 @pytest.mark.parametrize(
-    ("passed", "speaks"),
+    ("passed", "applies"),
     [
         (-PLAN_LEAD - 1.0, False),
         (-PLAN_LEAD, True),
@@ -164,13 +164,13 @@ def test_when_all_legs_are_done_the_rest_is_waiting():
         (SHIFT + OVERTIME + 1.0, False),
     ],
 )
-def test_a_plan_speaks_from_a_little_before_it_came_to_a_little_after_its_end(passed, speaks):
+def test_plan_applies_from_its_lead_to_its_overtime(passed, applies):
     found = ahead(time=BEGIN + passed)
-    assert np.isfinite(found.energy[0]) == np.isfinite(found.end[0]) == np.isfinite(found.hours[0]) == speaks
+    assert np.isfinite(found.energy[0]) == np.isfinite(found.end[0]) == np.isfinite(found.hours[0]) == applies
     assert not found.hours[0] < 0.0
 
 
-def test_where_there_is_no_plan_it_says_nothing():
+def test_without_plan_the_energy_ahead_is_nan():
     none = compute_planned_energy(
         np.zeros(1, PLAN_PROGRESS), np.array([BEGIN]), np.zeros(1), np.zeros(1, np.bool_), usual()
     )
@@ -178,7 +178,7 @@ def test_where_there_is_no_plan_it_says_nothing():
     assert np.isnan(none.reserve).all()
 
 
-def test_habits_tell_only_where_no_plan_does_and_only_until_the_usual_end():
+def test_history_fills_in_only_without_plan_and_until_the_usual_end():
     n = 4
     unknown = np.array([np.nan, np.nan, np.nan, 3.0])
     plain = EnergyAhead(
@@ -196,7 +196,7 @@ def test_habits_tell_only_where_no_plan_does_and_only_until_the_usual_end():
 
 
 @given(st.floats(0.0, 15.0), st.floats(0.01, 5.0), st.floats(0.0, 8.0))
-def test_more_ahead_leaves_less_and_is_less_sure(energy, more, hours):
+def test_more_energy_ahead_lowers_mean_and_raises_sd(energy, more, hours):
     first, second = (compute_end_soc(known(), np.array([e]), np.array([hours])) for e in (energy, energy + more))
     assert second.mean[0] < first.mean[0]
     assert second.sd[0] > first.sd[0]
@@ -205,7 +205,7 @@ def test_more_ahead_leaves_less_and_is_less_sure(energy, more, hours):
     )
 
 
-def test_its_deviation_is_that_of_what_may_happen():
+def test_sd_agrees_with_simulation():
     rng, n = np.random.default_rng(1), 200_000
     spread = np.array([[2e-5, -1e-4], [-1e-4, 0.004]])
     soc, scale = rng.multivariate_normal([0.6, 0.0], spread, n).T
@@ -218,13 +218,13 @@ def test_its_deviation_is_that_of_what_may_happen():
     assert found.mean[0] == pytest.approx(ends.mean(), abs=0.005)
 
 
-def test_what_is_reported_is_never_surer_than_its_quantum():
+def test_sd_is_never_below_that_of_the_quantum():
     found = compute_end_soc(known(variance=0.0, log_factor_variance=0.0, covariance=0.0), np.zeros(1), np.zeros(1))
     assert found.sd[0] == pytest.approx(0.01 / np.sqrt(12.0))
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.0, 0.5), st.floats(0.0, 1.0))
-def test_a_fuller_car_goes_farther_and_one_below_its_reserve_nowhere(soc, more, reserve):
+def test_range_grows_with_charge_and_is_zero_below_the_reserve(soc, more, reserve):
     reach = [compute_range(known(s), np.array([reserve]), usual()) for s in (soc, min(soc + more, 1.0))]
     assert 0.0 <= reach[0].mean[0] <= reach[1].mean[0]
     assert all(each.sd[0] >= 0.0 and np.isfinite(each.sd[0]) for each in reach)
@@ -234,16 +234,16 @@ def test_a_fuller_car_goes_farther_and_one_below_its_reserve_nowhere(soc, more, 
     assert reach[0].mean[0] == pytest.approx(left / usual().energy_per_km[0] / np.exp(scale))
 
 
-def test_a_leg_of_which_no_climb_is_told_is_as_usual_and_one_that_climbs_takes_more():
+def test_unknown_climb_is_the_usual_and_climbing_takes_more():
     legs = [Leg(6.0, 600.0), Leg(6.0, 600.0, 100.0, 0.0), Leg(6.0, 600.0, None, 100.0), Leg(6.0, 600.0, 0.0, 0.0)]
     plain, up, down, level = (
         compute_planned_legs(Plan("c", 0.0, 0.0, 0.0, legs), STATISTICS.get_tables(2)).energy @ usual().weights[0]
     )
     assert up > plain > down
-    assert plain == pytest.approx(level)  # the rides that this was learned from were level
+    assert plain == pytest.approx(level)  # the training rides were level
 
 
-def test_at_an_unknown_temperature_it_is_as_at_a_mild_one():
+def test_unknown_temperature_counts_as_mild():
     weights = compute_temperature_weights(np.array([np.nan, 15.0 + ZERO_CELSIUS]))
     assert weights[0].tolist() == weights[1].tolist()
     assert weights.shape == (2, len(TEMPERATURES))

@@ -1,4 +1,4 @@
-"""Where a batch is cut, and what is pending meanwhile, changes no forecast."""
+"""Test that neither the cuts of batches nor the size of pending input change any forecast."""
 
 from functools import cache
 
@@ -18,7 +18,7 @@ BEGIN = START + 86_400.0 * DAYS
 
 
 def day(*also):
-    """Return the messages of a day of three cars, with others in between at some times."""
+    """Return the messages of a day of three cars, with others inserted at some times."""
     return merged(*(shift(car, DAYS) for car in CARS[:3]), list(also))
 
 
@@ -28,7 +28,7 @@ def whole(messages, cuts=()):
 
 
 def renamed(messages, car):
-    """Return messages of car `c` as those of another."""
+    """Return messages of car `c` under the name of another car."""
     return [
         (time, m._replace(key=m.key.replace("/c/", f"/{car}/"), payload=m.payload.replace(b'"c"', f'"{car}"'.encode())))
         for time, m in messages
@@ -36,14 +36,14 @@ def renamed(messages, car):
 
 
 def weather(number):
-    """Return so many observations of a place far away, spread over the shift."""
+    """Return a number of weather observations of a distant place, spread over the shift."""
     times = BEGIN + np.linspace(100.0, 7000.0, number)
     return [(time, observed("far", time, (50.0, -60.0), temperature_c=3.0)) for time in times.tolist()]
 
 
 @pytest.mark.parametrize("block", [7, 100, 4000])
 @given(cuts=st.lists(st.integers(0, 1400), max_size=6))
-def test_neither_cuts_nor_weather_nor_the_size_of_blocks_change_a_forecast(block, cuts):
+def test_cuts_weather_and_block_size_change_no_forecast(block, cuts):
     messages, same = day(*weather(40)), expected()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(core.pipeline, "BLOCK", block)
@@ -55,35 +55,35 @@ def expected():
     return whole(day(*weather(40)))
 
 
-def test_a_plan_that_comes_between_two_rides_is_met_alike():
+def test_plan_between_two_rides_gives_same_forecasts_for_any_cut():
     late = [(BEGIN + at, plan("a", DAYS, BEGIN + at, last=4)) for at in (3300.0, 3555.0, 3590.0, 3601.0)]
     for number in range(len(late)):
         messages = day(late[number])
         assert whole(messages) == whole(messages, range(1, len(messages)))
 
 
-def test_a_car_that_says_late_what_it_is_or_becomes_another_is_met_alike():
+def test_late_or_changed_vehicle_model_gives_same_forecasts_for_any_cut():
     first, *rest = renamed(shift("c", DAYS), "z")
     other = told("vehicle", "z", BEGIN, model="nissan-leaf-2016")
     messages = [m for _, m in [first, *rest[:2]]] + [leaf("z"), leaf("z"), *(m for _, m in rest[2:150])]
     messages += [other, other, leaf("z"), other, *(m for _, m in rest[150:])]
-    found = whole(messages)
-    assert found == whole(messages, range(1, len(messages)))
-    assert found != whole([m for m in messages if m is not other])
+    payloads = whole(messages)
+    assert payloads == whole(messages, range(1, len(messages)))
+    assert payloads != whole([m for m in messages if m is not other])
 
 
-@given(cuts=st.lists(st.integers(0, 1400), max_size=6), looks=st.lists(st.integers(0, 6), max_size=3))
-def test_whenever_it_is_looked_at_forecasts_are_the_same(cuts, looks):
+@given(cuts=st.lists(st.integers(0, 1400), max_size=6), queried=st.lists(st.integers(0, 6), max_size=3))
+def test_status_queries_and_snapshots_change_no_forecast(cuts, queried):
     pipeline, messages = again(), day(*weather(5))
     for number, chunk in enumerate(chunked(messages, cuts)):
         pipeline.take(chunk)
-        if number in looks:
+        if number in queried:
             pipeline.status(), pipeline.ask("a"), pipeline.snapshot()
     assert [m.payload for m in pipeline.forecasts()] == whole(messages)
     assert pipeline.snapshot()
 
 
-def test_what_was_said_later_waits_and_rows_are_those_of_the_batch():
+def test_later_dispatch_messages_wait_and_rows_count_from_first_batch():
     ledger = Ledger(0)
     none = ledger.none()
     rows = none._replace(**{name: np.zeros((2, *part.shape[1:]), part.dtype) for name, part in none._asdict().items()})
@@ -109,7 +109,7 @@ def test_what_was_said_later_waits_and_rows_are_those_of_the_batch():
     assert not pending
 
 
-def test_nothing_joined_is_nothing():
+def test_joining_no_totals_returns_none():
     none = Ledger(3).none()
     assert join_totals([], none) is none
     assert join_totals([none, none], none) is none

@@ -1,4 +1,4 @@
-"""Tests of plan checks, and of parsing the vehicle, the ride and the plan of an outlook query."""
+"""Test the checks of plans, and the parsing of the vehicle, the ride and the plan of an outlook query."""
 
 import json
 from math import inf, isnan, nan
@@ -44,12 +44,12 @@ legs = st.builds(
 
 
 @given(st.lists(legs, max_size=20), st.floats(0.0, 100.0), st.floats(-PAST_S, AHEAD_S))
-def test_what_can_be_driven_is_not_refused(legs, reserve, ahead):
+def test_drivable_plan_is_accepted(legs, reserve, ahead):
     assert find_refusal(plan(legs=legs, reserve_soc_pct=reserve, shift_end_s=NOW + ahead), NOW) is None
 
 
 @given(st.lists(legs, max_size=5), legs, st.sampled_from(list(LEG_LIMITS)), st.data())
-def test_one_leg_beyond_a_limit_refuses_the_plan_and_is_named(before, leg, name, data):
+def test_leg_beyond_a_limit_refuses_the_plan_and_is_named(before, leg, name, data):
     most = LEG_LIMITS[name].most
     wrong = data.draw(
         st.floats(max_value=0.0, exclude_max=True) | st.floats(min_value=most, exclude_min=True) | st.just(nan)
@@ -82,36 +82,36 @@ def test_one_leg_beyond_a_limit_refuses_the_plan_and_is_named(before, leg, name,
         ({"shift_end_s": -1e308}, "plan_in_the_past", "1e+308"),
     ],
 )
-def test_what_is_wrong_with_a_plan_is_told(changed, cause, told):
+def test_unusable_plan_is_refused_with_cause_and_message(changed, cause, told):
     refused = find_refusal(plan(**changed), NOW)
     assert refused.cause == cause
     assert told in refused.message
     assert len(refused.message) < 200
 
 
-def test_as_many_legs_as_are_allowed_and_a_pause_between_are_no_reason():
+def test_largest_number_of_legs_and_empty_legs_are_accepted():
     assert (
         find_refusal(plan(legs=[Leg(1.0, 60.0), Leg(0.0, 600.0), Leg(0.0, 0.0)] + [Leg(1.0, 60.0)] * 497), NOW) is None
     )
 
 
-def test_legs_that_need_more_time_than_there_is_are_no_reason():
+def test_legs_longer_than_the_shift_are_accepted():
     assert find_refusal(plan(legs=[Leg(100.0, 7200.0)] * 3), NOW) is None
 
 
 @pytest.mark.parametrize("end", [0.0, NOW - 1e6, NOW, NOW + 1e6])
-def test_where_the_time_is_not_known_a_shift_may_end_at_any(end):
+def test_without_known_time_any_shift_end_is_accepted(end):
     assert find_refusal(plan(shift_end_s=end), nan) is None
     assert find_refusal(plan(shift_end_s=end, reserve_soc_pct=101.0), nan) is not None
 
 
-def test_the_speed_that_is_allowed_is_that_of_the_leg():
+def test_speed_limit_applies_to_the_mean_of_a_leg():
     assert find_leg_fault(Leg(200.0, 3600.0)) is None
     assert find_leg_fault(Leg(200.1, 3600.0)) is not None
 
 
 @pytest.mark.parametrize("ahead", [1800.0, AHEAD_S])
-def test_how_far_ahead_a_shift_may_end_is_told_as_it_is_asked_for(ahead):
+def test_refusal_names_the_given_limit_of_the_shift_end(ahead):
     assert find_refusal(plan(shift_end_s=NOW + ahead), NOW, ahead) is None
     refused = find_refusal(plan(shift_end_s=NOW + ahead + 1.0), NOW, ahead)
     assert refused.cause == "plan_too_far_ahead"
@@ -121,7 +121,7 @@ def test_how_far_ahead_a_shift_may_end_is_told_as_it_is_asked_for(ahead):
 @pytest.mark.parametrize(
     ("newest", "found"), [(-1.0, False), (0.0, False), (1.0, True), (AHEAD_S, True), (AHEAD_S + 1.0, False)]
 )
-def test_a_plan_is_older_than_the_newest_one_unless_that_is_of_a_wrong_clock(newest, found):
+def test_plan_is_outdated_unless_the_newest_one_has_a_wrong_clock(newest, found):
     assert is_outdated(plan(time_s=NOW), NOW + newest) is found
 
 
@@ -135,8 +135,8 @@ def one_line(error: AskError) -> bool:
     return "\n" not in str(error) and len(str(error)) < 300
 
 
-def answered(call, *arguments):
-    """Return what a call returns, or the error that it told."""
+def call_or_error(call, *arguments):
+    """Return the result of a call, or the AskError that it raises."""
     try:
         return call(*arguments)
     except AskError as error:
@@ -144,13 +144,13 @@ def answered(call, *arguments):
 
 
 @given(st.floats(0.0, 75.0), st.floats(1350.0, 86_400.0), st.floats(0.0, 5000.0), st.sampled_from("&;"))
-def test_a_ride_is_read_as_it_was_written(distance, duration, gained, between):
+def test_ride_parameters_round_trip(distance, duration, gained, between):
     text = between.join((f"distance_km={distance!r}", f"gained_m={gained!r}", f"duration_s={duration!r}"))
     assert parse_leg(parse_parameters(text)) == Leg(distance, duration, gained)
 
 
 @pytest.mark.parametrize("text", ["", "_time=[now(-1h)..]", "&;", "_anyke"])
-def test_where_no_ride_is_asked_for_there_is_none(text):
+def test_query_without_ride_parameters_has_no_leg(text):
     assert parse_leg(parse_parameters(text)) is None
 
 
@@ -180,7 +180,7 @@ def test_where_no_ride_is_asked_for_there_is_none(text):
         ({"x" * 100_000: "1"}, "…"),
     ],
 )
-def test_what_is_wrong_with_a_ride_is_one_line(changed, told):
+def test_unusable_ride_is_refused_in_one_line(changed, told):
     with pytest.raises(AskError) as caught:
         parse_leg(RIDE | changed)
     assert told in str(caught.value)
@@ -188,24 +188,24 @@ def test_what_is_wrong_with_a_ride_is_one_line(changed, told):
 
 
 @pytest.mark.parametrize("given", [{"distance_km": "18"}, {"duration_s": "1500"}, {"gained_m": "4"}])
-def test_a_ride_is_asked_for_by_distance_and_duration_together(given):
+def test_ride_needs_distance_and_duration(given):
     with pytest.raises(AskError, match="not given; a ride needs distance_km and duration_s"):
         parse_leg(given)
 
 
-def test_a_parameter_given_twice_is_refused():
+def test_repeated_parameter_is_refused():
     with pytest.raises(AskError, match="'distance_km' is given twice"):
         parse_parameters("distance_km=1&duration_s=60&distance_km=2")
 
 
 @given(st.text(max_size=60))
-def test_any_text_is_a_ride_or_none_or_one_line(text):
-    got = answered(lambda: parse_leg(parse_parameters(text)))
+def test_any_text_parses_or_is_refused_in_one_line(text):
+    got = call_or_error(lambda: parse_leg(parse_parameters(text)))
     assert one_line(got) if isinstance(got, AskError) else got is None or got.duration_s > 0.0
 
 
 @pytest.mark.parametrize("text", ["", "*", "**", "taxi 7", "a/b", "é", "x" * 65, "a\n"])
-def test_a_vehicle_is_one_name(text):
+def test_vehicle_must_be_one_name(text):
     with pytest.raises(AskError) as caught:
         parse_vehicle(text)
     assert one_line(caught.value)
@@ -213,11 +213,11 @@ def test_a_vehicle_is_one_name(text):
 
 
 @pytest.mark.parametrize("payload", [None, b""])
-def test_without_a_payload_there_is_no_plan(payload):
+def test_query_without_payload_has_no_plan(payload):
     assert parse_plan(payload, "a") is None
 
 
-def test_vehicle_and_time_of_a_plan_may_be_left_out():
+def test_plan_of_a_query_may_leave_out_vehicle_and_time():
     plan = parse_plan(json.dumps(QUERY_PLAN).encode(), "a")
     assert (plan.vehicle_id, plan.shift_end_s, plan.reserve_soc_pct) == ("a", 7200.0, 20.0)
     assert plan.legs == [Leg(3.0, 300.0)]
@@ -251,7 +251,7 @@ def test_vehicle_and_time_of_a_plan_may_be_left_out():
         (b" " * (MOST_BYTES + 1), "payload", f"{MOST_BYTES + 1} bytes"),
     ],
 )
-def test_what_is_wrong_with_a_plan_is_one_line(payload, cause, told):
+def test_unusable_plan_of_a_query_is_refused_in_one_line(payload, cause, told):
     with pytest.raises(AskError) as caught:
         parse_plan(payload, "a")
     assert caught.value.cause == cause
@@ -260,6 +260,6 @@ def test_what_is_wrong_with_a_plan_is_one_line(payload, cause, told):
 
 
 @given(st.binary(max_size=80))
-def test_any_payload_is_a_plan_or_none_or_one_line(payload):
-    got = answered(parse_plan, payload, "a")
+def test_any_payload_parses_or_is_refused_in_one_line(payload):
+    got = call_or_error(parse_plan, payload, "a")
     assert one_line(got) if payload else got is None

@@ -1,4 +1,4 @@
-"""What is left of a plan as rides are driven: legs are used up by rides, and by nothing else."""
+"""Test the progress of plans: only rides use up legs, and later plans wait for their shift."""
 
 import pytest
 from hypothesis import given
@@ -30,11 +30,11 @@ CAR = "c"
 LANE = CARS.index(CAR)
 BEGIN = float(columns(CAR, DAYS)["time_s"][0])
 LENGTHS = RIDE * speeds(CAR, DAYS) / 1000.0
-"""Of the legs. [km]"""
+"""Length of each leg. [km]"""
 
 
 def at(passed, pipeline=None, sent=None, inserted=()):
-    """Return a pipeline that has heard a shift so far [s], with messages put in at other times."""
+    """Return a pipeline that has received a shift up to a time [s], with messages inserted at other times."""
     pipeline = pipeline or again()
     stream = [*shift(CAR, DAYS, sent), *((BEGIN + time, message) for time, message in inserted)]
     pipeline.push([m for time, m in sorted(stream, key=lambda each: each[0]) if time <= BEGIN + passed])
@@ -52,7 +52,7 @@ def left(pipeline):
 
 
 @given(st.floats(PERIOD, SHIFT))
-def test_what_is_left_is_what_was_planned_less_what_was_driven(passed):
+def test_remaining_legs_are_the_planned_less_the_driven(passed):
     done, into = int(min(passed // LEG, LEGS - 1)), min(passed % LEG, RIDE)
     found = left(at(passed))
     if passed % LEG > RIDE + PERIOD:
@@ -60,10 +60,10 @@ def test_what_is_left_is_what_was_planned_less_what_was_driven(passed):
     elif into < RIDE - PERIOD and into > 2.0 * PERIOD:
         assert found[1:] == pytest.approx(LENGTHS[done + 1 :])
         driven = speeds(CAR, DAYS)[done] * into / 1000.0
-        assert found[0] == pytest.approx(LENGTHS[done] - driven, abs=1.3)  # a forecast, and a sample, later
+        assert found[0] == pytest.approx(LENGTHS[done] - driven, abs=1.3)  # later by a forecast and a sample
 
 
-def test_the_leg_that_is_driven_keeps_its_pace_and_its_climb():
+def test_leg_in_progress_keeps_its_pace_and_climb():
     legs = [{"distance_km": 6.0, "duration_s": 600.0, "gained_m": 80.0}, {"distance_km": 2.0, "duration_s": 300.0}]
     inserted = [(1.0, told("plan", CAR, BEGIN, shift_end_s=BEGIN + SHIFT, reserve_soc_pct=RESERVE, legs=legs))]
     first, second = known(at(300.0, inserted=inserted)).legs
@@ -77,14 +77,14 @@ def test_the_leg_that_is_driven_keeps_its_pace_and_its_climb():
     assert (second.distance_km, second.duration_s) == (2.0, 300.0)
 
 
-def test_a_ride_that_is_longer_than_its_leg_uses_up_that_leg_only():
+def test_ride_longer_than_its_leg_uses_up_only_that_leg():
     legs = [{"distance_km": 1.0, "duration_s": 100.0}, {"distance_km": 2.0, "duration_s": 300.0}]
     inserted = [(1.0, told("plan", CAR, BEGIN, shift_end_s=BEGIN + SHIFT, reserve_soc_pct=RESERVE, legs=legs))]
     assert left(at(RIDE - PERIOD, inserted=inserted)) == [0.0, 2.0]
     assert left(at(RIDE + 2.0 * PERIOD, inserted=inserted)) == [2.0]
 
 
-def test_more_rides_than_legs_leave_nothing():
+def test_more_rides_than_legs_leave_no_legs():
     inserted = [(1.0, plan(CAR, DAYS, BEGIN + 1.0, 1))]
     pipeline = at(SHIFT, inserted=inserted)
     assert left(pipeline) == []
@@ -92,7 +92,7 @@ def test_more_rides_than_legs_leave_nothing():
     assert pipeline.engine.plans.progress[LANE]["leg_km"] == 0.0
 
 
-def test_a_false_start_uses_up_no_leg():
+def test_false_start_uses_up_no_leg():
     sent = columns(CAR, DAYS)
     pause = int((RIDE + 4.0 * PERIOD) / PERIOD)
     sent["ride_id"][pause : pause + 3] = "by mistake"
@@ -104,8 +104,8 @@ def test_a_false_start_uses_up_no_leg():
 
 
 @pytest.mark.parametrize("before", [-30.0, 0.0, 0.5 * PLAN_LAG, 2.0 * PLAN_LAG, 0.9 * RIDE])
-def test_a_plan_that_comes_as_a_ride_ends_is_not_used_up_by_it(before):
-    """With the plan of what remains after the first ride, so long before its end."""
+def test_plan_sent_as_a_ride_ends_keeps_its_first_leg(before):
+    """`before` is the time from the plan of the remaining legs to the end of the first ride. [s]"""
     came = RIDE - before
     pipeline = at(LEG - PERIOD, inserted=[(came, plan(CAR, DAYS, BEGIN + came, LEGS - 1))])
     meant = LEGS - 1 if before < PLAN_LAG else LEGS - 2
@@ -113,8 +113,8 @@ def test_a_plan_that_comes_as_a_ride_ends_is_not_used_up_by_it(before):
 
 
 @pytest.mark.parametrize("came", [0.5 * RIDE, RIDE - PERIOD, RIDE + 1.0, RIDE + 40.0, RIDE + 200.0])
-def test_what_was_driven_before_a_plan_came_is_none_of_its_legs(came):
-    """A ride underway when a plan comes counts from there; the next one counts from its beginning."""
+def test_distance_before_a_plan_does_not_count_for_its_legs(came):
+    """A ride in progress counts from the arrival of the plan; the next one counts from its beginning."""
     pipeline = again()
     at(came, pipeline, inserted=[(came, plan(CAR, DAYS, BEGIN + came, LEGS))])
     assert left(pipeline) == pytest.approx(LENGTHS, abs=0.9)
@@ -124,15 +124,15 @@ def test_what_was_driven_before_a_plan_came_is_none_of_its_legs(came):
         assert left(pipeline)[0] == pytest.approx(max(LENGTHS[0] - driven, 0.0), abs=1.0)
 
 
-def test_the_latest_plan_replaces_the_one_before():
+def test_newest_plan_replaces_the_one_before():
     pipeline = at(20.0 * PERIOD, inserted=[(10.0 * PERIOD, plan(CAR, DAYS, BEGIN + 150.0, 2, reserve_soc_pct=33.0))])
     assert known(pipeline).reserve_soc_pct == 33.0
     assert len(known(pipeline).legs) == 2
 
 
 @pytest.mark.parametrize("factor", [1e3, 1e9])
-def test_a_plan_by_a_wrong_clock_keeps_out_none_after_it_not_even_over_a_restart(factor):
-    """In milliseconds, or in nanoseconds."""
+def test_plan_with_wrong_clock_blocks_no_later_plan_even_after_restart(factor):
+    """The wrong clock counts milliseconds or nanoseconds."""
     pipeline, wrong = at(20.0 * PERIOD), factor * BEGIN
     pipeline.push([told("plan", CAR, wrong, shift_end_s=wrong, reserve_soc_pct=44.0, legs=[])])
     kept = Pipeline(settings=pipeline.settings)
@@ -146,13 +146,13 @@ def test_a_plan_by_a_wrong_clock_keeps_out_none_after_it_not_even_over_a_restart
 
 
 def tomorrow(came, last=LEGS, **changed):
-    """Return the plan of the next day's shift, told on this one."""
+    """Return the plan of the next day's shift, sent on this day."""
     fields = {"shift_end_s": START + DAY * (DAYS + 1) + SHIFT, "reserve_soc_pct": 44.0}
     return plan(CAR, DAYS + 1, BEGIN + came, last, **(fields | changed))
 
 
 @pytest.mark.parametrize("came", [1.0, 0.5 * RIDE, LEG + RIDE + 100.0])
-def test_a_plan_for_tomorrow_waits_and_leaves_todays(came):
+def test_plan_of_tomorrow_waits_and_keeps_the_plan_of_today(came):
     passed = came + 100.0
     plain, both = at(passed), at(passed, inserted=[(came, tomorrow(came))])
     assert known(both) == known(plain)
@@ -160,7 +160,7 @@ def test_a_plan_for_tomorrow_waits_and_leaves_todays(came):
     assert both.engine.plans.later[LANE].reserve_soc_pct == 44.0
 
 
-def test_a_plan_for_tomorrow_is_not_todays_where_today_has_none():
+def test_plan_of_tomorrow_is_not_used_today_without_another_plan():
     answers = []
     for inserted in ([], [(BEGIN + 30.0, tomorrow(30.0))]):
         pipeline = again()
@@ -171,13 +171,13 @@ def test_a_plan_for_tomorrow_is_not_todays_where_today_has_none():
     assert answers[0].shift_end_s < START + DAY * (DAYS + 1)
 
 
-def test_todays_plan_may_come_after_tomorrows():
+def test_plan_of_today_may_arrive_after_that_of_tomorrow():
     inserted = [(1.0, tomorrow(1.0)), (30.0, plan(CAR, DAYS, BEGIN + 30.0, reserve_soc_pct=31.0))]
     assert known(at(60.0, inserted=inserted)).reserve_soc_pct == 31.0
 
 
 def followed(cuts):
-    """Return the pipeline and its forecasts of a day planned the day before, with messages cut where `cuts` says."""
+    """Return the pipeline and its forecasts of a day planned the day before, with batches cut at `cuts`."""
     pipeline = again()
     next_day = [m for _, m in shift(CAR, DAYS + 1, planned=False)]
     sent = sorted([*shift(CAR, DAYS), (BEGIN + LEG, tomorrow(LEG))], key=lambda each: each[0])
@@ -191,7 +191,7 @@ def followed(cuts):
     return pipeline, out
 
 
-def test_the_plan_for_tomorrow_is_followed_tomorrow():
+def test_plan_of_tomorrow_is_in_force_tomorrow():
     pipeline, out = followed([])
     assert known(pipeline).reserve_soc_pct == 44.0
     lengths = RIDE * speeds(CAR, DAYS + 1) / 1000.0
@@ -204,7 +204,7 @@ def test_the_plan_for_tomorrow_is_followed_tomorrow():
 
 
 @given(st.floats(0.0, 0.5), st.floats(0.5, 1.0))
-def test_of_two_plans_for_tomorrow_the_later_one_counts(first, second):
+def test_later_of_two_plans_of_tomorrow_is_kept(first, second):
     inserted = [
         (first * SHIFT, tomorrow(first * SHIFT)),
         (second * SHIFT, tomorrow(second * SHIFT, reserve_soc_pct=55.0)),
@@ -214,20 +214,20 @@ def test_of_two_plans_for_tomorrow_the_later_one_counts(first, second):
 
 
 @pytest.mark.parametrize(("longer", "waits"), [(PROLONGATION - 60.0, False), (PROLONGATION + 60.0, True)])
-def test_a_shift_is_prolonged_by_some_hours_at_most(longer, waits):
+def test_shift_is_prolonged_by_the_limit_at_most(longer, waits):
     end = START + DAY * DAYS + SHIFT + longer
     pipeline = at(60.0, inserted=[(30.0, plan(CAR, DAYS, BEGIN + 30.0, shift_end_s=end))])
     assert (LANE in pipeline.engine.plans.later) == waits
     assert pipeline.ask(CAR).shift_end_s == (START + DAY * DAYS + SHIFT if waits else end)
 
 
-def test_a_shift_may_be_cut_short_at_any_time():
+def test_shift_may_be_shortened_at_any_time():
     cut = plan(CAR, DAYS, BEGIN + 30.0, shift_end_s=BEGIN + 60.0, legs=[])
     assert at(90.0, inserted=[(30.0, cut)]).ask(CAR).legs == []
 
 
-def test_a_plan_that_is_over_does_not_hold_up_the_next():
-    """The next shift of the same day, planned once all legs of the first are done and its end is past."""
+def test_plan_that_is_over_does_not_delay_the_next():
+    """A plan is over at its end when all legs are done, and otherwise after its overtime."""
     tracker = at(SHIFT + 2.0 * PERIOD).engine.plans
     planned, over = tracker.plans[LANE], START + DAY * DAYS + SHIFT
     assert planned.is_over(over + 1.0)
@@ -237,7 +237,7 @@ def test_a_plan_that_is_over_does_not_hold_up_the_next():
     assert late.is_over(over + OVERTIME + 1.0)
 
 
-def test_a_plan_that_cannot_be_used_leaves_the_one_before():
+def test_unusable_plan_keeps_the_one_before():
     wrong = [
         plan(CAR, DAYS, BEGIN + 30.0, reserve_soc_pct=120.0),
         plan(CAR, DAYS, BEGIN + 30.0, shift_end_s=START),
@@ -248,7 +248,7 @@ def test_a_plan_that_cannot_be_used_leaves_the_one_before():
     assert sum(pipeline.quality()["undecodable"].values()) == 3
 
 
-def test_a_car_without_a_plan_has_none_left_and_a_plan_alone_makes_no_forecast():
+def test_plan_alone_makes_no_forecast_and_unknown_car_has_no_legs():
     pipeline = again()
     assert pipeline.engine.plans.get_remaining_legs(97, START) is None
     unheard = told("plan", "z", START, shift_end_s=START + SHIFT, reserve_soc_pct=RESERVE, legs=[])

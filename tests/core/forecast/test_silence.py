@@ -1,4 +1,4 @@
-"""Cars that fell silent: their shift is over, and nothing ahead of them is told."""
+"""Test the outlook of cars that fell silent: their shift is over, and no charge is published."""
 
 import pytest
 
@@ -10,11 +10,11 @@ from tools.commands.ask import verdict
 
 CAR = "c"
 BEGIN = float(columns(CAR, DAYS)["time_s"][0])
-RIDE_ASKED = Leg(8.0, 700.0)
+QUERIED_RIDE = Leg(8.0, 700.0)
 
 
-@pytest.mark.parametrize("leg", [None, RIDE_ASKED])
-def test_of_a_car_that_fell_silent_while_others_went_on_nothing_ahead_is_told(leg):
+@pytest.mark.parametrize("leg", [None, QUERIED_RIDE])
+def test_silent_car_gets_no_forecast_while_others_continue(leg):
     pipeline = again()
     pipeline.push([m for time, m in shift(CAR, DAYS) if time <= BEGIN + LEG + RIDE + 100.0])
     before = pipeline.ask(CAR, leg)
@@ -35,7 +35,7 @@ def test_of_a_car_that_fell_silent_while_others_went_on_nothing_ahead_is_told(le
     assert verdict(answer)[0] == "NOT KNOWN"
 
 
-def test_a_car_whose_clock_is_hours_behind_is_not_silent():
+def test_car_with_clock_hours_behind_is_not_silent():
     pipeline = again()
     ahead = 9.0 * 3600.0
     for time, message in shift(CAR, DAYS)[:300]:

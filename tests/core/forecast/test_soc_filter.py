@@ -1,4 +1,4 @@
-"""The filter of the charge against filterpy, planted truths, and a charge that is told wrongly."""
+"""Test the SOC filter against filterpy and planted truths, and with a faulty reported charge."""
 
 from itertools import pairwise
 
@@ -15,11 +15,11 @@ from tests.support.soc_shifts import (
     NIGHT,
     PRIOR,
     STEP,
+    compute_coverage,
     count_faults,
-    covariance,
-    covered,
-    heard,
+    get_covariance,
     noise,
+    run_filter,
     shift,
 )
 
@@ -28,17 +28,17 @@ CARS = 200
 
 
 class Oracle:
-    """What filterpy makes of the same stretches and ticks, about the same points: that where the shift began."""
+    """The same filter by filterpy, linearised at the beginning of the shift."""
 
     def __init__(self, state):
         self.scale, self.size = state["usual"][0], state["begin_log_capacity"][0]
         self.kf = KalmanFilter(dim_x=3, dim_z=1)
         self.kf.x = np.array([[state["soc"][0]], [state["log_consumption"][0]], [state["log_capacity"][0]]])
-        self.kf.P = covariance(state)
+        self.kf.P = get_covariance(state)
         self.fall = 0.0
 
-    def move(self, predicted, used, noise):
-        """Let the charge fall by what was measured [kWh], or by what was predicted where that is NaN."""
+    def predict(self, predicted, used, noise):
+        """Predict the state by the measured energy [kWh], or by the predicted energy where that is NaN."""
         (_, a, c), kf = self.kf.x[:, 0], self.kf
         kf.predict(F=np.eye(3), Q=np.diag([0.0, soc_filter.CONSUMPTION_WANDER**2 * STEP / 3600.0, 0.0]))
         fall, by_a, blur = np.exp(a - c) * predicted / CAPACITY, 1.0, noise * predicted / CAPACITY**2
@@ -57,8 +57,8 @@ class Oracle:
         shift_of = kf.x - [[fall], [0.0], [0.0]] - along @ kf.x
         kf.predict(u=shift_of, B=np.eye(3), F=along, Q=np.diag([blur, 0.0, 0.0]))
 
-    def tick(self, before, reported, quantum):
-        """Take a tick from one reported value to another."""
+    def update_with_step(self, before, reported, quantum):
+        """Update by a step from one reported value to another."""
         beyond = max(abs(reported - before) - abs(self.fall) - quantum, 0.0)
         sign, at, variance = np.sign(before - reported), reported, quantum**2 / 12.0 + beyond**2 / 4.0
         if abs(reported - before) < 1.5 * quantum:  # somewhere between the boundary and what was used since
@@ -67,11 +67,11 @@ class Oracle:
             variance = (0.1 * quantum) ** 2 + since**2 / 12.0
         before = self.kf.P
         self.kf.update(at, variance + soc_reading.READING_SD**2, np.array([[1.0, 0.0, 0.0]]))
-        if beyond > abs(self.fall) + quantum:  # not to be trusted: no surer than before
+        if beyond > abs(self.fall) + quantum:  # not trusted: the covariance stays
             self.kf.P = before
 
-    def reported(self):
-        """Take it that a charge was reported."""
+    def note_reading(self):
+        """Note that a charge was reported."""
         self.fall = 0.0
 
 
@@ -81,7 +81,7 @@ class Oracle:
     share=st.sampled_from([0.0, 0.5, 1.0]),
     a=st.floats(-0.3, 0.3),
 )
-def test_it_is_the_filter_of_filterpy(seed, quantum, share, a):
+def test_filter_equals_filterpy(seed, quantum, share, a):
     events, _ = shift(1, 0.5, quantum, a, metered=True, seed=seed)
     events = events[0]
     rng = np.random.default_rng(seed)
@@ -89,31 +89,31 @@ def test_it_is_the_filter_of_filterpy(seed, quantum, share, a):
     used[rng.random(len(used)) >= share] = np.nan
     events["metered"] = np.r_[0.0, np.nan_to_num(used).cumsum()]
     events["meter_time"] = STEP * np.r_[0.0, np.isfinite(used).cumsum()]
-    state = heard(events[:1]).state
+    state = run_filter(events[:1]).state
     oracle, steps = Oracle(state), 0
     for i in range(1, len(events)):
         before = state.copy()
-        state = heard(events[i : i + 1], before).state
-        oracle.move(predicted[i - 1], used[i - 1], noise(STEP * i))
+        state = run_filter(events[i : i + 1], before).state
+        oracle.predict(predicted[i - 1], used[i - 1], noise(STEP * i))
         assume(np.isnan(state["suspect"][0]))
         if state["reported"][0] != before["reported"][0]:
             steps += 1
-            oracle.tick(before["reported"][0], events["soc"][i], quantum)
-        oracle.reported()
+            oracle.update_with_step(before["reported"][0], events["soc"][i], quantum)
+        oracle.note_reading()
     assert steps > 0
     assert [state[name][0] for name in ("soc", "log_consumption", "log_capacity")] == pytest.approx(
         oracle.kf.x[:, 0].tolist(), rel=1e-9, abs=1e-12
     )
-    assert covariance(state) == pytest.approx(oracle.kf.P, rel=1e-7, abs=1e-14)
+    assert get_covariance(state) == pytest.approx(oracle.kf.P, rel=1e-7, abs=1e-14)
 
 
 @pytest.mark.parametrize("quantum", QUANTA)
 @pytest.mark.parametrize("metered", [False, True])
-def test_a_car_that_takes_a_fifth_more_is_found_out(quantum, metered):
+def test_consumption_of_a_fifth_more_is_learned(quantum, metered):
     events, truth = shift(CARS, 4.0, quantum, np.log(1.2), metered=metered, seed=5, step=5.0)
-    found = heard(events)
-    scale, spread = (found.at(name, CARS)[:, -1] for name in ("log_factor", "log_factor_variance"))
-    assert 0.8 <= covered(scale, spread, truth.a[:, -1]) <= 0.97
+    result = run_filter(events)
+    scale, spread = (result.at(name, CARS)[:, -1] for name in ("log_factor", "log_factor_variance"))
+    assert 0.8 <= compute_coverage(scale, spread, truth.a[:, -1]) <= 0.97
     assert np.exp(scale - truth.a[:, -1]).mean() == pytest.approx(1.0, abs=0.02)
     assert np.sqrt(spread).max() < 0.7 * np.sqrt(PRIOR)
     assert count_faults(events).freezes.mean() < 0.05
@@ -121,26 +121,26 @@ def test_a_car_that_takes_a_fifth_more_is_found_out(quantum, metered):
 
 @pytest.mark.parametrize("quantum", QUANTA)
 @pytest.mark.parametrize("metered", [False, True])
-def test_what_is_not_known_beforehand_is_within_its_interval_as_often_as_said(quantum, metered):
+def test_intervals_cover_unknown_consumption_and_charge(quantum, metered):
     rng = np.random.default_rng(3)
     c = rng.normal(0.0, filter_state.CAPACITY_SD, CARS)
     events, truth = shift(
         CARS, 4.0, quantum, c + rng.normal(0.0, np.sqrt(PRIOR), CARS), c, metered=metered, seed=6, step=5.0
     )
-    found = heard(events)
+    result = run_filter(events)
     for at in (700, 1400, -1):
-        scale, spread = (found.at(name, CARS)[:, at] for name in ("log_factor", "log_factor_variance"))
-        assert 0.8 <= covered(scale, spread, truth.a[:, at] - truth.c) <= 0.97
-    off, spread = found.at("soc", CARS) - truth.soc, found.at("variance", CARS)
-    assert 0.8 <= covered(off[:, 700:], spread[:, 700:], 0.0) <= 0.97
+        scale, spread = (result.at(name, CARS)[:, at] for name in ("log_factor", "log_factor_variance"))
+        assert 0.8 <= compute_coverage(scale, spread, truth.a[:, at] - truth.c) <= 0.97
+    off, spread = result.at("soc", CARS) - truth.soc, result.at("variance", CARS)
+    assert 0.8 <= compute_coverage(off[:, 700:], spread[:, 700:], 0.0) <= 0.97
 
 
 @pytest.mark.parametrize("quantum", QUANTA)
-def test_capacity_is_learned_over_days_by_voltage_and_current(quantum):
+def test_capacity_is_learned_over_days_from_voltage_and_current(quantum):
     smaller, state, spread = np.log(0.85), None, [np.full(60, filter_state.CAPACITY_SD)]
     for day in range(5):
         events, _ = shift(60, 4.0, quantum, 0.0, smaller, metered=True, seed=day, begin=BEGIN + NIGHT * day)
-        state = heard(events, state).state
+        state = run_filter(events, state).state
         spread.append(np.sqrt(state["p_cc"]))
     assert np.exp(state["log_capacity"]).mean() == pytest.approx(0.85, abs=0.01)
     assert all(after.mean() < before.mean() for before, after in pairwise(spread[:3]))
@@ -148,14 +148,14 @@ def test_capacity_is_learned_over_days_by_voltage_and_current(quantum):
 
 
 @pytest.mark.parametrize("quantum", QUANTA)
-def test_the_interval_of_the_capacity_holds_it_as_often_as_said_however_long_is_measured(quantum):
-    """What a meter errs by for good is not learned away, and what the capacity changes by is followed."""
+def test_capacity_interval_covers_truth_however_long_it_is_measured(quantum):
+    """The gain error of the meter stays in the interval, and the filter follows the ageing of the capacity."""
     rng = np.random.default_rng(21)
     c, state, inside = rng.normal(0.0, filter_state.CAPACITY_SD, CARS), None, []
     for day in range(12):
         c += soc_filter.CAPACITY_AGEING * rng.normal(size=CARS)
         events, _ = shift(CARS, 3.0, quantum, 0.0, c, metered=True, seed=day, begin=BEGIN + NIGHT * day, step=30.0)
-        state = heard(events, state).state
+        state = run_filter(events, state).state
         sd = np.hypot(np.sqrt(state["p_cc"]), soc_filter.METER_GAIN_SD)
         inside.append(np.abs(state["log_capacity"] - c) < 1.96 * sd)
     assert 0.9 <= np.mean(inside[:3]) <= 0.98
@@ -163,42 +163,42 @@ def test_the_interval_of_the_capacity_holds_it_as_often_as_said_however_long_is_
     assert np.sqrt(state["p_cc"]).max() < soc_filter.METER_GAIN_SD
 
 
-def test_without_a_meter_capacity_and_consumption_are_not_told_apart():
+def test_capacity_is_not_identifiable_without_a_meter():
     events, _ = shift(60, 4.0, 0.01, np.log(1.1), 0.0, seed=2)
-    found = heard(events).state
-    assert np.sqrt(found["p_cc"]).min() > 0.5 * filter_state.CAPACITY_SD
+    result = run_filter(events).state
+    assert np.sqrt(result["p_cc"]).min() > 0.5 * filter_state.CAPACITY_SD
 
 
 @pytest.mark.parametrize("quantum", QUANTA)
-def test_of_a_car_that_was_not_seen_to_tick_the_quantum_is_taken_for_coarse_until_it_ticks(quantum):
+def test_quantum_is_assumed_coarse_until_the_first_step(quantum):
     events, truth = shift(50, 1.0, quantum, seed=3, exact=True)
-    ticked = (np.diff(events["soc"], axis=1, prepend=events["soc"][:, :1]) != 0.0).cumsum(axis=1) > 0
-    events["quantum"] = np.where(ticked, quantum, np.nan)
-    found = heard(events)
-    assert found.at("variance", 50)[:, 0] == pytest.approx(
+    stepped = (np.diff(events["soc"], axis=1, prepend=events["soc"][:, :1]) != 0.0).cumsum(axis=1) > 0
+    events["quantum"] = np.where(stepped, quantum, np.nan)
+    result = run_filter(events)
+    assert result.at("variance", 50)[:, 0] == pytest.approx(
         np.full(50, filter_state.DEFAULT_QUANTUM**2 / 12.0 + soc_reading.READING_SD**2)
     )
-    first = np.argmax(ticked, axis=1)
-    off = (found.at("soc", 50) - truth.soc)[np.arange(50), first]
+    first = np.argmax(stepped, axis=1)
+    off = (result.at("soc", 50) - truth.soc)[np.arange(50), first]
     assert np.abs(off).mean() < 0.2 * soc_reading.READING_SD + 0.1 * quantum
-    assert (found.at("quantum", 50)[np.arange(50), first] == quantum).all()
+    assert (result.at("quantum", 50)[np.arange(50), first] == quantum).all()
 
 
-# what is told wrongly
+# faulty reported charge
 
 
-def widths(found, events):
+def widths(result, events):
     """Return the standard deviations of the charge at the shift's end and of that of now, (cars, n) each."""
     cars, n = events.shape
     left = events["predicted"][:, -1:] - events["predicted"]
     hours = np.broadcast_to(STEP / 3600.0 * (n - 1 - np.arange(n)), left.shape)
-    known = outlook.CarEstimate.from_filter(found.estimates, np.full(left.size, CAPACITY))
+    known = outlook.CarEstimate.from_filter(result.estimates, np.full(left.size, CAPACITY))
     end = outlook.compute_end_soc(known, left.ravel(), hours.ravel())
-    return end.sd.reshape(cars, n), np.sqrt(found.at("variance", cars))
+    return end.sd.reshape(cars, n), np.sqrt(result.at("variance", cars))
 
 
-def told_wrongly(events, fault, begin, end, by=-0.07):
-    """Return events whose charge is told wrongly from a row up to another, and the rows at which it is, (n,) bool."""
+def add_fault(events, fault, begin, end, by=-0.07):
+    """Return events with a faulty charge from one row up to another, and the faulty rows, (n,) bool."""
     rows = np.arange(events.shape[1])
     on = (rows >= begin) & (rows < end)
     bad = events.copy()
@@ -209,7 +209,7 @@ def told_wrongly(events, fault, begin, end, by=-0.07):
     elif fault == "spike":
         on = rows == begin
         bad["soc"][:, on] += by
-    elif fault == "jump":  # it is over once the car has told the same for so long that it is believed
+    elif fault == "jump":  # the fault is over once the reading has stayed long enough to be accepted
         bad["soc"][:, begin:] += by
         on = (rows >= begin) & (rows < begin + soc_reading.JUMP_CONFIRMATION / STEP)
     return bad, on
@@ -217,7 +217,7 @@ def told_wrongly(events, fault, begin, end, by=-0.07):
 
 FAULTS = ("frozen", "absent", "spike", "jump")
 LEAST = 1.0 - 1e-9
-"""How small a spread may be over what it is without the fault."""
+"""Smallest ratio of a standard deviation to that without the fault."""
 
 
 @pytest.mark.parametrize("metered", [False, True])
@@ -230,87 +230,85 @@ LEAST = 1.0 - 1e-9
     by=st.floats(0.03, 0.1),
     sign=st.sampled_from([-1.0, 1.0]),
 )
-def test_a_charge_that_is_told_wrongly_never_makes_anything_surer(
-    fault, metered, seed, quantum, begin, lasting, by, sign
-):
-    """Nor afterwards: but the first tick after a charge that was frozen or absent may be fresher than the last without.
+def test_faulty_soc_never_reduces_any_variance(fault, metered, seed, quantum, begin, lasting, by, sign):
+    """This holds during the fault, and after a jump or spike; later the first step after a fault may be more recent.
 
-    Of a drive whose charge is doubted where it is told rightly, nothing is said.
+    Drives with a rejected reading even without the fault are excluded.
     """
     rng = np.random.default_rng(seed)
     c = rng.normal(0.0, filter_state.CAPACITY_SD, 10)
     events, _ = shift(
         10, 2.0, quantum, c + rng.normal(0.0, np.sqrt(PRIOR), 10), c, metered=metered, seed=seed, full=0.8
     )
-    bad, on = told_wrongly(events, fault, begin, begin + lasting, sign * by)
-    good = heard(events)
+    bad, on = add_fault(events, fault, begin, begin + lasting, sign * by)
+    good = run_filter(events)
     faults = count_faults(events)
     sound = (faults.jumps == 0) & (faults.freezes == 0)
     assume(sound.any())
-    (good_end, good_now), (bad_end, bad_now) = widths(good, events), widths(heard(bad), events)
+    (good_end, good_now), (bad_end, bad_now) = widths(good, events), widths(run_filter(bad), events)
     rows = np.arange(len(on)) >= begin if fault in ("spike", "jump") else on
     assert rows.any()
-    for found, without in ((bad_end, good_end), (bad_now, good_now)):
-        assert (found >= LEAST * without)[np.ix_(sound, rows)].all()
+    for result, without in ((bad_end, good_end), (bad_now, good_now)):
+        assert (result >= LEAST * without)[np.ix_(sound, rows)].all()
     assert bad_end[sound, begin:].mean() >= 0.999 * good_end[sound, begin:].mean()
 
 
 @pytest.mark.parametrize("quantum", QUANTA)
-def test_a_charge_that_is_frozen_for_long_is_noticed_and_grows_unsure(quantum):
+def test_long_frozen_soc_is_detected_and_variance_grows(quantum):
     events, truth = shift(50, 4.0, quantum, 0.1, seed=9)
-    bad, on = told_wrongly(events, "frozen", 300, 800)
-    found = heard(bad)
+    bad, on = add_fault(events, "frozen", 300, 800)
+    result = run_filter(bad)
     assert (count_faults(bad).freezes >= 1).all()
-    sd = np.sqrt(found.at("variance", 50)[:, on])
+    sd = np.sqrt(result.at("variance", 50)[:, on])
     assert (np.diff(sd, axis=1) > 0.0).all()
-    error = np.abs(found.at("soc", 50) - truth.soc)
+    error = np.abs(result.at("soc", 50) - truth.soc)
     assert np.mean(error[:, 799] < 3.0 * sd[:, -1]) > 0.95
     assert (error[:, 799] < np.abs(bad["soc"] - truth.soc)[:, 799]).all()
 
 
 @pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize("quantum", QUANTA)
-def test_when_a_fault_is_over_all_is_as_it_was(fault, quantum):
+def test_filter_recovers_after_a_fault(fault, quantum):
     events, truth = shift(50, 4.0, quantum, 0.1, seed=10)
-    bad, on = told_wrongly(events, fault, 300, 500)
+    bad, on = add_fault(events, fault, 300, 500)
     off = -0.07 if fault == "jump" else 0.0
-    found, good = heard(bad), heard(events)
+    result, good = run_filter(bad), run_filter(events)
     later = np.flatnonzero(on)[-1] + 200
-    error = found.at("soc", 50)[:, later:] - truth.soc[:, later:] - off
+    error = result.at("soc", 50)[:, later:] - truth.soc[:, later:] - off
     assert np.sqrt(np.mean(error**2)) < 1.5 * np.sqrt(np.mean((good.at("soc", 50) - truth.soc)[:, later:] ** 2))
-    sd = np.sqrt(found.at("variance", 50) / good.at("variance", 50))[:, later:]
+    sd = np.sqrt(result.at("variance", 50) / good.at("variance", 50))[:, later:]
     assert 0.8 < np.median(sd) < 1.25
 
 
-def test_a_jump_is_not_believed_before_it_has_stayed():
+def test_jump_is_accepted_only_after_it_has_stayed():
     events, truth = shift(50, 2.0, 0.01, seed=11)
-    bad, on = told_wrongly(events, "jump", 200, 0)
-    found = heard(bad)
-    told = found.at("soc", 50)
-    assert (np.abs(told - truth.soc)[:, on] < 0.03).all()
+    bad, on = add_fault(events, "jump", 200, 0)
+    result = run_filter(bad)
+    soc = result.at("soc", 50)
+    assert (np.abs(soc - truth.soc)[:, on] < 0.03).all()
     after = np.flatnonzero(on)[-1] + 1
-    assert (np.abs(told[:, after] - bad["soc"][:, after]) < 0.01).all()
-    assert (np.sqrt(found.at("variance", 50)[:, after]) >= soc_reading.JUMP_SD).all()
+    assert (np.abs(soc[:, after] - bad["soc"][:, after]) < 0.01).all()
+    assert (np.sqrt(result.at("variance", 50)[:, after]) >= soc_reading.JUMP_SD).all()
     assert (count_faults(bad).jumps == 1).all()
 
 
-def test_a_spike_is_forgotten():
+def test_spike_leaves_no_trace():
     events, _ = shift(50, 2.0, 0.01, seed=12)
-    bad, _ = told_wrongly(events, "spike", 200, 0)
-    found, good = heard(bad), heard(events)
+    bad, _ = add_fault(events, "spike", 200, 0)
+    result, good = run_filter(bad), run_filter(events)
     steady = (events["soc"][:, 200:202] == events["soc"][:, 199, None]).all(axis=1)
     assert steady.any()
-    assert np.array_equal(found.at("soc", 50)[steady, 201:], good.at("soc", 50)[steady, 201:])
-    assert np.array_equal(found.at("variance", 50)[steady, 201:], good.at("variance", 50)[steady, 201:])
+    assert np.array_equal(result.at("soc", 50)[steady, 201:], good.at("soc", 50)[steady, 201:])
+    assert np.array_equal(result.at("variance", 50)[steady, 201:], good.at("variance", 50)[steady, 201:])
 
 
-def test_where_the_charge_is_never_told_nothing_is_known_of_it():
+def test_soc_is_unknown_when_never_reported():
     events, _ = shift(3, 1.0, seed=1)
     events["soc"] = np.nan
-    found = heard(events)
-    assert np.isnan(found.at("soc")).all()
+    result = run_filter(events)
+    assert np.isnan(result.at("soc")).all()
     for name in ("soc", "reported", "suspect"):
-        assert np.isnan(found.state[name]).all()
+        assert np.isnan(result.state[name]).all()
 
 
 samples = st.tuples(
@@ -324,10 +322,10 @@ samples = st.tuples(
 
 
 @given(st.lists(samples, max_size=60), st.sampled_from(QUANTA))
-def test_whatever_is_told_its_covariance_is_one_and_the_charge_is_a_number_once_known(told, quantum):
-    events = np.zeros(len(told), filter_state.FILTER_EVENT)
+def test_covariance_stays_positive_and_soc_finite_for_any_events(drawn, quantum):
+    events = np.zeros(len(drawn), filter_state.FILTER_EVENT)
     time, totals = BEGIN, np.zeros(4)
-    for event, (wait, reported, predicted, metered, charging, ends) in zip(events, told, strict=True):
+    for event, (wait, reported, predicted, metered, charging, ends) in zip(events, drawn, strict=True):
         time, size = time + wait, min(wait, 60.0)
         known = metered is not None
         totals += predicted or 0.0, metered or 0.0, size * known, size
@@ -343,13 +341,13 @@ def test_whatever_is_told_its_covariance_is_one_and_the_charge_is_a_number_once_
         event["soc"] = np.nan if reported is None else round(reported / quantum) * quantum
         event["since_charge"] = 0.0 if charging else np.nan
         totals *= not ends
-    found = heard(events) if len(events) else None
-    if found is None:
+    result = run_filter(events) if len(events) else None
+    if result is None:
         return
-    known = np.isfinite(found.at("soc")[0])
-    assert np.isfinite(found.at("variance")[0][known]).all()
-    assert np.isfinite(found.at("log_factor")).all()
-    spread = covariance(found.state)
+    known = np.isfinite(result.at("soc")[0])
+    assert np.isfinite(result.at("variance")[0][known]).all()
+    assert np.isfinite(result.at("log_factor")).all()
+    spread = get_covariance(result.state)
     if known[-1]:
         assert np.linalg.eigvalsh(spread / np.abs(spread).max()).min() > -1e-9
     assert spread[2, 2] <= filter_state.CAPACITY_SD**2 * (1.0 + 1e-12)
@@ -358,21 +356,21 @@ def test_whatever_is_told_its_covariance_is_one_and_the_charge_is_a_number_once_
 # between rides and shifts
 
 
-def test_any_cut_of_the_events_gives_the_same_to_the_bit():
+def test_any_cut_of_the_events_gives_the_same_bits():
     parts = [shift(3, 1.0, 0.005, seed=day, begin=BEGIN + NIGHT * day)[0].ravel() for day in range(2)]
     events = np.concatenate(parts)
     events = events[np.argsort(events["time"], kind="stable")]
-    whole, state, told = heard(events), None, []
+    whole, state, parts = run_filter(events), None, []
     for cut in np.array_split(events, 37):
-        found = heard(cut, filter_state.create_filter_state(3) if state is None else state)
-        state, told = found.state, [*told, found.estimates]
-    assert np.concatenate(told).tobytes() == whole.estimates.tobytes()
+        result = run_filter(cut, filter_state.create_filter_state(3) if state is None else state)
+        state, parts = result.state, [*parts, result.estimates]
+    assert np.concatenate(parts).tobytes() == whole.estimates.tobytes()
     assert state.tobytes() == whole.state.tobytes()
 
 
 @pytest.mark.parametrize("quantum", QUANTA)
 @pytest.mark.parametrize("after", ["night", "charge"])
-def test_after_a_night_and_after_a_charge_it_begins_at_what_is_told(quantum, after):
+def test_filter_restarts_at_reported_soc_after_night_and_charging(quantum, after):
     first, _ = shift(20, 2.0, quantum, 0.1, seed=1, exact=True)
     wait = NIGHT if after == "night" else STEP * (first.shape[1] + 40)
     second, _ = shift(20, 2.0, quantum, 0.1, seed=2, begin=BEGIN + wait, full=0.6, exact=True)
@@ -392,21 +390,21 @@ def test_after_a_night_and_after_a_charge_it_begins_at_what_is_told(quantum, aft
         first = np.concatenate([first, plugged], axis=1)
     events = np.concatenate([first, second], axis=1)
     at = first.shape[1] - (after == "charge")
-    found = heard(events)
-    assert found.at("soc", 20)[:, at] == pytest.approx(events["soc"][:, at], abs=1e-12)
-    assert np.sqrt(found.at("variance", 20)[:, at]) == pytest.approx(
+    result = run_filter(events)
+    assert result.at("soc", 20)[:, at] == pytest.approx(events["soc"][:, at], abs=1e-12)
+    assert np.sqrt(result.at("variance", 20)[:, at]) == pytest.approx(
         np.hypot(quantum / np.sqrt(12.0), soc_reading.READING_SD)
     )
     assert not count_faults(events).jumps.any()
-    assert len(found.shifts) == (20 if after == "night" else 0)
-    assert np.isfinite(found.state["charged"]).all() == (after == "charge")
+    assert len(result.shifts) == (20 if after == "night" else 0)
+    assert np.isfinite(result.state["charged"]).all() == (after == "charge")
 
 
-def test_a_new_shift_begins_with_what_is_usual_and_keeps_what_is_learned_of_the_capacity():
+def test_new_shift_begins_with_the_prior_and_keeps_the_capacity():
     first, _ = shift(5, 3.0, 0.001, 0.2, np.log(0.9), metered=True, seed=4)
     second, _ = shift(5, 0.01, 0.001, metered=True, seed=5, begin=BEGIN + NIGHT)
-    before = heard(first).state
-    after = heard(second[:, :1], before, prior=(0.15, 0.004)).state
+    before = run_filter(first).state
+    after = run_filter(second[:, :1], before, prior=(0.15, 0.004)).state
     assert after["log_consumption"] - after["log_capacity"] == pytest.approx(np.full(5, 0.15))
     assert after["p_aa"] + after["p_cc"] - 2.0 * after["p_ac"] == pytest.approx(np.full(5, 0.004))
     assert np.array_equal(after["log_capacity"], before["log_capacity"])
@@ -414,10 +412,10 @@ def test_a_new_shift_begins_with_what_is_usual_and_keeps_what_is_learned_of_the_
     assert (after["shift"] == 1.0).all()
 
 
-def test_a_shift_that_has_ended_is_what_was_told_of_it():
+def test_closed_shift_agrees_with_its_events():
     first, _ = shift(1, 2.0, 0.01, seed=7, exact=True)
     second, _ = shift(1, 0.1, 0.01, seed=8, begin=BEGIN + NIGHT)
-    (row,) = heard(np.concatenate([first, second], axis=1)).shifts
+    (row,) = run_filter(np.concatenate([first, second], axis=1)).shifts
     assert (row["shift"], row["begin"], row["end"]) == (0.0, first["time"][0, 0], first["time"][0, -1])
     assert (row["last_soc"], row["lowest_soc"]) == (first["soc"][0, -1], first["soc"].min())
     assert row["begin_soc"] == pytest.approx(0.95)
@@ -428,10 +426,10 @@ def test_a_shift_that_has_ended_is_what_was_told_of_it():
     assert np.isnan(row["charged"])
 
 
-def test_a_car_of_unknown_model_or_capacity_is_followed_by_what_it_tells():
+def test_car_of_unknown_model_or_capacity_follows_its_reported_soc():
     events, _ = shift(3, 2.0, 0.01, seed=14)
     events["predicted"] = np.nan
-    blind = heard(events)
+    blind = run_filter(events)
     assert (np.abs(blind.at("soc", 3) - events["soc"]) < 0.03).all()
     events["capacity"] = np.nan
-    assert np.isfinite(heard(events).at("soc", 3)).all()
+    assert np.isfinite(run_filter(events).at("soc", 3)).all()

@@ -1,4 +1,4 @@
-"""Forecasts and shifts as tables agree with what was told and sent."""
+"""Test that the tables of forecasts and shifts agree with the published forecasts and the samples."""
 
 import numpy as np
 import pandas as pd
@@ -20,7 +20,7 @@ def driven(cuts=1):
     return pipeline, out, pd.concat(tables, ignore_index=True)
 
 
-def test_a_row_is_what_a_forecast_told():
+def test_each_row_equals_its_published_forecast():
     _, out, table = driven()
     for car in "abc":
         told = list(forecasts(out, car).values())
@@ -43,7 +43,7 @@ def test_a_row_is_what_a_forecast_told():
     assert table["ambient_c"].between(5.9, 6.1).all() or table["ambient_c"].nunique() <= 2
 
 
-def test_cuts_make_no_difference_and_what_was_taken_is_gone():
+def test_cuts_change_no_table_and_taken_rows_are_removed():
     pipeline, _, table = driven(7)
     _, _, whole = driven()
     pd.testing.assert_frame_equal(table, whole, check_exact=True)
@@ -51,7 +51,7 @@ def test_cuts_make_no_difference_and_what_was_taken_is_gone():
 
 
 @pytest.mark.parametrize("car", ["a", "c"])
-def test_a_shift_is_what_was_sent_of_it(car):
+def test_shift_row_agrees_with_its_samples(car):
     pipeline, _, _ = driven()
     shifts = pipeline.take_shifts()
     sent = columns(car, DAYS)
@@ -69,7 +69,7 @@ def test_a_shift_is_what_was_sent_of_it(car):
     assert pipeline.take_shifts().empty
 
 
-def test_a_shift_ends_when_the_next_begins():
+def test_shift_ends_when_the_next_begins():
     pipeline = again(keep_outlooks=True)
     pipeline.push([m for _, m in shift("c", DAYS)])
     pipeline.take_shifts()
@@ -79,7 +79,7 @@ def test_a_shift_ends_when_the_next_begins():
     assert ended.end_s - ended.begin_s == pytest.approx(SHIFT, abs=240.0)
 
 
-def test_without_rows_there_are_columns():
+def test_empty_tables_have_all_columns():
     pipeline = again()
     empty = outlook_table([], pipeline.context)
     _, _, table = driven()

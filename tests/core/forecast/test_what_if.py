@@ -1,4 +1,4 @@
-"""Answers: the ride that is asked for, the legs after it, and why a figure is not known."""
+"""Test the answers of outlook queries: the queried ride, the legs after it, and why a figure is unknown."""
 
 from functools import cache
 from math import nan
@@ -34,11 +34,11 @@ from tests.support.telemetry import told
 
 CAR = "c"
 BEGIN = float(columns(CAR, DAYS)["time_s"][0])
-RIDE_ASKED = Leg(8.0, 700.0)
+QUERIED_RIDE = Leg(8.0, 700.0)
 
 
 def at(passed, number=DAYS, planned=True):
-    """Return a pipeline that has heard a shift so far [s], and the forecasts of it, one a sample."""
+    """Return a pipeline that has received a shift up to a time [s], and its forecasts, one per sample."""
     pipeline = again(number, planned=planned and number == DAYS, settings=SETTINGS._replace(forecast_time=3.0))
     begin = float(columns(CAR, number)["time_s"][0])
     sent = shift(CAR, number, planned=planned)
@@ -48,7 +48,7 @@ def at(passed, number=DAYS, planned=True):
 
 @cache
 def one_at(passed):
-    """Return a pipeline as `at` does, for questions alone."""
+    """Return a pipeline as `at` does, for queries only."""
     return at(passed)[0]
 
 
@@ -63,17 +63,17 @@ def means(legs):
 
 
 def moments(planned=True, number=DAYS, inserted=()):
-    """Yield a pipeline every few minutes of a shift, and the newest forecast of it."""
+    """Yield a pipeline every few minutes of a shift, with its newest forecast."""
     pipeline = again(number, planned=planned, settings=SETTINGS._replace(forecast_time=3.0))
     sent = [*shift(CAR, number, planned=planned), *inserted]
     messages = [message for _, message in sorted(sent, key=lambda each: each[0])]
     for start in range(0, len(messages), 11):
-        told_so_far = forecasts(pipeline.push(messages[start : start + 11]), CAR)
-        yield pipeline, told_so_far[max(told_so_far)]
+        published = forecasts(pipeline.push(messages[start : start + 11]), CAR)
+        yield pipeline, published[max(published)]
 
 
 def same(answer, newest):
-    """Tell whether an answer says what a forecast says, but for what adding up in another order changes."""
+    """Return whether an answer equals a forecast, up to the rounding of sums in another order."""
     figures = []
     for each in (answer, newest):
         end = each.soc_end_of_shift_pct or Interval(nan, nan, nan)
@@ -82,7 +82,7 @@ def same(answer, newest):
     return figures[0] == pytest.approx(figures[1], rel=1e-9, abs=1e-9, nan_ok=True)
 
 
-def test_without_a_ride_it_says_what_the_forecast_says_all_through_the_shift():
+def test_query_without_ride_equals_forecast_throughout_the_shift():
     for pipeline, newest in moments():
         answer = pipeline.ask(CAR)
         assert (answer.vehicle_id, answer.asked, answer.why_not) == (CAR, None, None)
@@ -96,23 +96,23 @@ def test_without_a_ride_it_says_what_the_forecast_says_all_through_the_shift():
         assert answer.usable_capacity_sd_kwh > 0.0
 
 
-def test_asked_for_exactly_what_is_left_of_the_plan_it_says_what_the_forecast_says():
+def test_query_with_the_remaining_plan_equals_forecast():
     for pipeline, newest in moments():
         assert same(pipeline.ask(CAR, None, left(pipeline)), newest)
 
 
-def test_without_a_plan_it_says_what_the_forecast_by_habit_says():
-    told_so_far = [(same(pipeline.ask(CAR), newest), newest) for pipeline, newest in moments(False, 7)]
-    assert all(agrees for agrees, _ in told_so_far)
-    assert sum(newest.reserve_risk is not None for _, newest in told_so_far) > 0.9 * len(told_so_far)
+def test_query_without_plan_equals_forecast_by_history():
+    published = [(same(pipeline.ask(CAR), newest), newest) for pipeline, newest in moments(False, 7)]
+    assert all(agrees for agrees, _ in published)
+    assert sum(newest.reserve_risk is not None for _, newest in published) > 0.9 * len(published)
 
 
 @pytest.mark.parametrize("passed", [RIDE / 2.0, RIDE + 100.0, 4.0 * LEG + 250.0, SHIFT - 20.0])
-def test_a_ride_that_is_asked_for_leaves_what_a_plan_with_it_would(passed):
+def test_queried_ride_equals_a_plan_with_that_ride(passed):
     pipeline, _ = at(passed)
-    rest, asked = left(pipeline), pipeline.ask(CAR, RIDE_ASKED)
+    rest, asked = left(pipeline), pipeline.ask(CAR, QUERIED_RIDE)
     under_way = passed % LEG < RIDE
-    with_it = [*rest.legs[:under_way], RIDE_ASKED, *rest.legs[under_way:]]
+    with_it = [*rest.legs[:under_way], QUERIED_RIDE, *rest.legs[under_way:]]
     planned = pipeline.ask(CAR, None, msgspec.structs.replace(rest, legs=with_it))
     assert asked.soc_end_of_shift_pct == pytest.approx(planned.soc_end_of_shift_pct)
     assert asked.reserve_risk == pytest.approx(planned.reserve_risk)
@@ -123,19 +123,19 @@ def test_a_ride_that_is_asked_for_leaves_what_a_plan_with_it_would(passed):
 
 
 @pytest.mark.parametrize("legs", [[], [Leg(4.0, 400.0), Leg(6.0, 600.0)]])
-def test_where_no_time_is_left_the_last_ride_ends_the_shift(monkeypatch, legs):
-    """Empty ways to rides count on the way as they do at the end."""
+def test_without_time_left_the_last_ride_ends_the_shift(monkeypatch, legs):
+    """Empty ways count for each leg as they do for the end of the shift."""
     pipeline = one_at(RIDE + 100.0)
     now, usual = pipeline.ask(CAR).time_s, pipeline.engine.statistics.compute_usual
     near, far = [], []
-    for approach, told_of in ((0.0, near), (0.5, far)):
+    for approach, answers in ((0.0, near), (0.5, far)):
         changed = {"approach_energy": np.array([approach])}
         monkeypatch.setattr(
             pipeline.engine.statistics, "compute_usual", lambda *of, changed=changed: usual(*of)._replace(**changed)
         )
-        answer = pipeline.ask(CAR, RIDE_ASKED, Plan(CAR, now, now, RESERVE, legs))
+        answer = pipeline.ask(CAR, QUERIED_RIDE, Plan(CAR, now, now, RESERVE, legs))
         assert [answer.asked, *answer.legs][-1].soc_pct == pytest.approx(answer.soc_end_of_shift_pct)
-        told_of[:] = means([answer.asked, *answer.legs])
+        answers[:] = means([answer.asked, *answer.legs])
     assert [a - b > 1.0 * number for number, (a, b) in enumerate(zip(near, far, strict=True), 1)] == [True] * len(near)
 
 
@@ -154,9 +154,7 @@ def leg_of(drawn):
     st.floats(-250.0, 30_000.0),
     st.sampled_from([60.0, RIDE + 100.0, 4.0 * LEG + 250.0]),
 )
-def test_charge_never_rises_along_legs_that_take_energy_and_the_shift_lasts_as_long_as_they_do(
-    legs, asked, ahead, passed
-):
+def test_charge_never_rises_along_legs_and_shift_lasts_as_long_as_they_do(legs, asked, ahead, passed):
     pipeline = one_at(passed)
     now = float(pipeline.engine.state["time"][CARS.index(CAR)])
     answer = pipeline.ask(CAR, asked, Plan(CAR, now, now + ahead, RESERVE, legs))
@@ -177,18 +175,18 @@ def test_charge_never_rises_along_legs_that_take_energy_and_the_shift_lasts_as_l
         assert leg.lost_m or each.energy_kwh.p05 >= 0.0
 
 
-def test_a_long_descent_gives_energy_back_and_raises_the_charge():
+def test_long_descent_returns_energy_and_raises_the_charge():
     pipeline = one_at(RIDE + 100.0)
     up, down = Leg(8.0, 900.0, 900.0, 0.0), Leg(8.0, 900.0, 0.0, 900.0)
     answer = pipeline.ask(CAR, None, Plan(CAR, BEGIN, BEGIN + SHIFT, RESERVE, [up, down]))
     first, second = answer.legs
     assert first.energy_kwh.mean > 2.0
-    assert -3.9 < second.energy_kwh.mean < 0.0  # what a car of 1.6 t gives on 900 m
+    assert -3.9 < second.energy_kwh.mean < 0.0  # a car of 1.6 t returns at most this on 900 m
     assert second.soc_pct.mean > first.soc_pct.mean
 
 
 @given(st.floats(1.0, 30.0), st.floats(0.1, 10.0), st.sampled_from([60.0, 700.0, 2.0 * LEG + 300.0]))
-def test_the_ride_that_is_asked_for_lowers_the_end_and_a_longer_one_lowers_it_more(km, more, passed):
+def test_longer_queried_ride_lowers_the_end_more(km, more, passed):
     pipeline, _ = at(passed)
     plain, one, longer = (
         pipeline.ask(CAR, leg) for leg in (None, Leg(km, 90.0 * km), Leg(km + more, 90.0 * (km + more)))
@@ -201,8 +199,8 @@ def test_the_ride_that_is_asked_for_lowers_the_end_and_a_longer_one_lowers_it_mo
 
 
 @pytest.mark.parametrize("passed", [60.0, RIDE + 100.0, 4.0 * LEG + 250.0])
-@pytest.mark.parametrize("leg", [None, RIDE_ASKED])
-def test_legs_come_in_order_and_the_charge_falls_leg_by_leg(passed, leg):
+@pytest.mark.parametrize("leg", [None, QUERIED_RIDE])
+def test_legs_are_in_order_and_charge_falls_leg_by_leg(passed, leg):
     pipeline, _ = at(passed)
     riding = passed % LEG < RIDE
     answer = pipeline.ask(CAR, leg)
@@ -220,28 +218,28 @@ def test_legs_come_in_order_and_the_charge_falls_leg_by_leg(passed, leg):
         assert each.soc_pct.p05 <= each.soc_pct.mean <= each.soc_pct.p95
 
 
-def test_a_ride_uphill_takes_more():
+def test_uphill_ride_takes_more_energy():
     pipeline, _ = at(60.0)
     level, uphill = (pipeline.ask(CAR, Leg(8.0, 700.0, gained, 0.0)) for gained in (0.0, 300.0))
     assert uphill.asked.energy_kwh.mean > level.asked.energy_kwh.mean
     assert uphill.asked.soc_pct.mean < level.asked.soc_pct.mean
 
 
-def test_a_question_changes_nothing():
+def test_query_changes_no_state():
     pipeline, _ = at(2.0 * LEG)
     before = pipeline.snapshot()
     other = Plan(CAR, BEGIN, BEGIN + SHIFT, 50.0, [Leg(3.0, 300.0)])
-    asked = pipeline.ask(CAR, RIDE_ASKED, other)
+    asked = pipeline.ask(CAR, QUERIED_RIDE, other)
     assert pipeline.snapshot() == before
     assert [leg.distance_km for leg in asked.legs] == [3.0]
     assert asked.reserve_soc_pct == 50.0
     assert len(pipeline.ask(CAR).legs) == LEGS - 2
-    assert asked.soc_end_of_shift_pct.mean > pipeline.ask(CAR, RIDE_ASKED).soc_end_of_shift_pct.mean
+    assert asked.soc_end_of_shift_pct.mean > pipeline.ask(CAR, QUERIED_RIDE).soc_end_of_shift_pct.mean
 
 
-def test_a_plan_in_the_question_that_is_the_known_one_is_answered_the_same():
+def test_query_with_the_published_plan_gives_the_same_answer():
     pipeline, _ = at(RIDE + 100.0)
-    assert pipeline.ask(CAR, RIDE_ASKED, left(pipeline)) == pipeline.ask(CAR, RIDE_ASKED)
+    assert pipeline.ask(CAR, QUERIED_RIDE, left(pipeline)) == pipeline.ask(CAR, QUERIED_RIDE)
 
 
 @pytest.mark.parametrize(
@@ -255,7 +253,7 @@ def test_a_plan_in_the_question_that_is_the_known_one_is_answered_the_same():
         ({"legs": [Leg(1.0, 60.0)] * 10_000}, "too_many_legs"),
     ],
 )
-def test_a_plan_that_cannot_be_used_is_refused(changed, cause):
+def test_unusable_plan_of_a_query_is_refused(changed, cause):
     pipeline, _ = at(60.0)
     fields = {"shift_end_s": BEGIN + SHIFT, "reserve_soc_pct": RESERVE, "legs": []} | changed
     with pytest.raises(AskError) as caught:
@@ -264,7 +262,7 @@ def test_a_plan_that_cannot_be_used_is_refused(changed, cause):
     assert "\n" not in str(caught.value)
 
 
-def test_a_car_that_has_sent_nothing_is_not_known():
+def test_car_without_samples_is_unknown():
     pipeline, _ = at(60.0)
     pipeline.push([told("vehicle", "mute", BEGIN, model="nissan-leaf-2013")])
     for name in ("nobody", "mute"):
@@ -298,8 +296,8 @@ def unlearned():
     ],
     ids=["no charge", "no rides", "no plan", "no errors"],
 )
-def test_it_says_why_a_figure_is_not_known(pipeline, why):
-    answer = pipeline().ask(CAR, RIDE_ASKED)
+def test_answer_states_why_a_figure_is_unknown(pipeline, why):
+    answer = pipeline().ask(CAR, QUERIED_RIDE)
     assert answer.soc_end_of_shift_pct is None
     assert answer.reserve_risk is None
     assert answer.asked.soc_pct is None
@@ -307,31 +305,31 @@ def test_it_says_why_a_figure_is_not_known(pipeline, why):
     assert "\n" not in answer.why_not
 
 
-def test_without_a_plan_the_shift_goes_on_after_the_ride_as_it_usually_does():
+def test_without_plan_the_shift_continues_as_usual_after_the_ride():
     pipeline = again(7, planned=False)
     pipeline.push([m for _, m in shift(CAR, 7, planned=False)][:100])
-    plain, asked = pipeline.ask(CAR), pipeline.ask(CAR, RIDE_ASKED)
+    plain, asked = pipeline.ask(CAR), pipeline.ask(CAR, QUERIED_RIDE)
     assert plain.why_not is None
     assert plain.legs == []
     assert asked.soc_end_of_shift_pct.mean < plain.soc_end_of_shift_pct.mean
     assert asked.asked.soc_pct.mean > asked.soc_end_of_shift_pct.mean
 
 
-def test_a_shift_that_is_longer_than_usual_is_not_foretold_but_a_ride_of_it_is():
+def test_shift_longer_than_usual_has_no_forecast_but_its_ride_has():
     pipeline, sent = again(7, planned=False), columns(CAR, 7, hours=SHIFT / 3600.0 + 2.0)
     messages = shift(CAR, 7, sent, planned=False)
     out = forecasts(pipeline.push([m for _, m in messages]), CAR)
-    plain, asked = pipeline.ask(CAR), pipeline.ask(CAR, RIDE_ASKED)
+    plain, asked = pipeline.ask(CAR), pipeline.ask(CAR, QUERIED_RIDE)
     assert out[max(out)].soc_end_of_shift_pct is plain.soc_end_of_shift_pct is plain.shift_end_s is None
     assert "longer than those of this car" in plain.why_not
     assert plain.reserve_soc_pct == asked.reserve_soc_pct == 100.0 * DEFAULT_RESERVE
-    assert asked.shift_end_s == asked.time_s + RIDE_ASKED.duration_s
+    assert asked.shift_end_s == asked.time_s + QUERIED_RIDE.duration_s
     assert asked.soc_end_of_shift_pct == pytest.approx(asked.asked.soc_pct)
     assert 0.0 <= asked.reserve_risk <= 1.0
     assert asked.why_not is None
 
 
-def test_a_plan_that_waits_is_told_as_the_reason():
+def test_waiting_plan_is_given_as_the_reason():
     pipeline, _ = at(900.0, 2, planned=False)
     later = START + DAY * 3 + SHIFT
     pipeline.push([told("plan", CAR, START + DAY * 2, shift_end_s=later, reserve_soc_pct=30.0, legs=[])])
@@ -340,7 +338,7 @@ def test_a_plan_that_waits_is_told_as_the_reason():
     assert answer.reserve_soc_pct == 100.0 * DEFAULT_RESERVE
 
 
-def test_when_all_legs_are_done_the_rest_of_the_shift_is_waiting():
+def test_after_all_legs_the_rest_of_the_shift_is_waiting():
     pipeline = one_at(60.0)
     now = pipeline.ask(CAR).time_s
     answer = pipeline.ask(CAR, None, Plan(CAR, now, now + 7200.0, RESERVE, []))
@@ -352,8 +350,8 @@ def test_when_all_legs_are_done_the_rest_of_the_shift_is_waiting():
 
 @pytest.mark.parametrize("passed", [60.0, RIDE + 100.0])
 @pytest.mark.parametrize("usual", [0.0, 0.1, 0.4])
-def test_a_car_with_hours_to_spare_waits_no_longer_than_usual_before_its_legs(monkeypatch, passed, usual):
-    """Its legs are as those of a shift that is over sooner, and its end is that of the plan."""
+def test_wait_before_a_leg_is_never_longer_than_usual(monkeypatch, passed, usual):
+    """The legs equal those of a shift with less spare time, and the end is that of the plan."""
     pipeline, lane = one_at(passed), CARS.index(CAR)
     tables, tracker = pipeline.engine.statistics.get_tables(lane), pipeline.engine.plans
     now = float(pipeline.engine.state["time"][lane])
@@ -374,9 +372,9 @@ def test_a_car_with_hours_to_spare_waits_no_longer_than_usual_before_its_legs(mo
     assert asked(0.5, 0.6) == even
 
 
-def test_how_long_a_car_waits_before_a_leg_is_less_sure_than_what_it_takes_on_the_way(monkeypatch):
-    """Of two answers of the same energies, that in which waits take them is less sure."""
-    pipeline, told_of = one_at(RIDE + 100.0), []
+def test_energy_of_waiting_is_less_certain_than_that_of_driving(monkeypatch):
+    """Of two answers with equal energies, the one that spends them on waits has the wider interval."""
+    pipeline, answers = one_at(RIDE + 100.0), []
     lane, usual = CARS.index(CAR), pipeline.engine.statistics.compute_usual
     now, tables = float(pipeline.engine.state["time"][lane]), pipeline.engine.statistics.get_tables(lane)
     monkeypatch.setattr(pipeline.engine.statistics, "get_tables", lambda _: tables._replace(mean_pause=0.5))
@@ -386,13 +384,13 @@ def test_how_long_a_car_waits_before_a_leg_is_less_sure_than_what_it_takes_on_th
         monkeypatch.setattr(
             pipeline.engine.statistics, "compute_usual", lambda *of, changed=changed: usual(*of)._replace(**changed)
         )
-        told_of.append([leg.soc_pct for leg in pipeline.ask(CAR, None, plan).legs])
-    surer, less = told_of
+        answers.append([leg.soc_pct for leg in pipeline.ask(CAR, None, plan).legs])
+    surer, less = answers
     assert [each.mean for each in surer] == pytest.approx([each.mean for each in less])
     more = [(b.mean - b.p05) - (a.mean - a.p05) for a, b in zip(surer, less, strict=True)]
-    assert min(more[:-1]) > 0.1  # the last one ends with the shift, until when all waiting is known
+    assert min(more[:-1]) > 0.1  # the last leg ends with the shift, whose total waiting time is known
 
 
-def test_an_answer_in_the_middle_of_a_leg_travels():
+def test_answer_in_the_middle_of_a_leg_is_encoded():
     pipeline = at(LEG + RIDE / 2.0)[0]
-    assert encode(pipeline.ask(CAR, RIDE_ASKED)).startswith(b'{"vehicle_id"')
+    assert encode(pipeline.ask(CAR, QUERIED_RIDE)).startswith(b'{"vehicle_id"')

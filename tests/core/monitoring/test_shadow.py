@@ -1,4 +1,4 @@
-"""Shadow models: the laws of the pipeline hold for them too, and nothing that they do reaches the first model."""
+"""Test shadow models: the laws of the pipeline hold for them, and nothing that they do affects the first model."""
 
 import math
 
@@ -26,13 +26,13 @@ WARM = msgspec.structs.replace(
     terms=(*EXTENDED_PHYSICAL.terms, Term(name="cold", columns=("effect_cold_rolling", "winter"), unit="N/K")),
     fits={ANY: Fit(coefficients=(1.0, 1.0, 1.0, 1.0, 1.0, 2.0))},
 )
-"""Of the same name as its model, of another version, with an effect and a column that the first does not have."""
+"""A model with the name of another one, another version, and an effect and a column that the first lacks."""
 SHADOWS = (EXTENDED_PHYSICAL, WARM)
 MODELS = ("nissan-leaf-2013", "kia-soul-ev-2015", "bmw-i3-2014")
 
 
 def served(messages, cuts=(), **options):
-    """Return a pipeline with shadows, its forecasts, and what it told of its models."""
+    """Return a pipeline with shadows, its forecasts, and its messages about models."""
     pipeline = Pipeline(BASIC_PHYSICAL, **{"shadows": SHADOWS, **options})
     forecasts, errors = [], []
     for chunk in chunked(messages, cuts):
@@ -43,7 +43,7 @@ def served(messages, cuts=(), **options):
 
 
 def decoded(messages, model=None):
-    """Return what messages tell of a model, or of all."""
+    """Return the errors in messages, of one model or of all."""
     found = [msgspec.json.decode(message.payload, type=ModelErrors) for message in messages]
     return [errors for errors in found if model in {None, errors.model}]
 
@@ -63,7 +63,7 @@ def lapped(name="a", rides=6, days=1, seed=1, model="nissan-leaf-2013"):
     return out
 
 
-def test_the_first_model_does_as_if_it_were_alone():
+def test_first_model_is_independent_of_its_shadows():
     messages = shift(7)
     alone = Pipeline(BASIC_PHYSICAL)
     expected = alone.push(messages) + alone.finish()
@@ -79,7 +79,7 @@ def test_the_first_model_does_as_if_it_were_alone():
 
 
 @given(seed=st.integers(0, 200), cuts=st.lists(st.integers(0, 420), max_size=10))
-def test_any_chunking_tells_the_same_of_models(seed, cuts):
+def test_any_chunking_gives_the_same_model_errors(seed, cuts):
     messages = shift(seed)
     whole, forecasts, errors = served(messages)
     parts, *same = served(messages, cuts)
@@ -89,7 +89,7 @@ def test_any_chunking_tells_the_same_of_models(seed, cuts):
 
 
 @given(seed=st.integers(0, 100), at=st.integers(0, 420))
-def test_a_restart_is_no_interruption_of_running_errors(seed, at):
+def test_running_errors_continue_after_a_restart(seed, at):
     messages = shift(seed)
     _, forecasts, errors = served(messages)
     first = Pipeline(BASIC_PHYSICAL, shadows=SHADOWS)
@@ -104,7 +104,7 @@ def test_a_restart_is_no_interruption_of_running_errors(seed, at):
 
 
 @given(seed=st.integers(0, 100))
-def test_other_vehicles_change_nothing_in_what_a_vehicle_contributes(seed):
+def test_contribution_of_a_vehicle_is_independent_of_others(seed):
     streams = [lapped(name, 3, 2, seed + place, name) for place, name in enumerate(MODELS)]
     pipeline, _, _ = served(mixed(streams, seed))
     together = {e.model: {m.vehicle_model: m for m in e.by_vehicle_model} for e in pipeline.shadows.errors()}
@@ -141,7 +141,7 @@ def test_running_errors_are_those_of_the_ride_table():
     assert decoded(messages)[-3:] == pipeline.shadows.errors()
 
 
-def test_a_vehicle_day_counts_when_it_has_ended():
+def test_vehicle_day_counts_when_it_has_ended():
     _, _, messages = served(lapped(rides=4, days=2))
     told_of = decoded(messages, "extended_physical/2")
     assert [errors.overall.rides for errors in told_of] == [1, 2, 3, 4, 5, 6, 7, 8, 8]
@@ -153,7 +153,7 @@ def test_a_vehicle_day_counts_when_it_has_ended():
     assert times[0] == pytest.approx(START + 3 * 140, abs=3)
 
 
-def test_keys_tell_models_of_one_name_apart_and_carry_the_prefix():
+def test_keys_distinguish_versions_and_have_the_prefix():
     _, _, messages = served(lapped(rides=1), prefix="montreal/")
     names = ("basic_physical/1", "extended_physical/1", "extended_physical/2")
     assert [message.key for message in messages] == [f"montreal/models/{name}/errors" for name in names] * 2
@@ -163,7 +163,7 @@ def test_keys_tell_models_of_one_name_apart_and_carry_the_prefix():
     )
 
 
-def test_behind_time_the_newest_of_each_model_is_told():
+def test_newest_only_returns_last_message_of_each_model():
     _, _, errors = served(lapped())
     late = Pipeline(BASIC_PHYSICAL, shadows=SHADOWS)
     late.push(lapped())
@@ -172,16 +172,16 @@ def test_behind_time_the_newest_of_each_model_is_told():
     assert late.model_errors(newest_only=True) == []
 
 
-def test_the_same_model_twice_is_refused_in_one_line():
+def test_repeated_model_is_refused_in_one_line():
     with pytest.raises(ModelError, match=r"^model extended_physical/1 is given twice: [^\n]+$"):
         Pipeline(EXTENDED_PHYSICAL, shadows=[BASIC_PHYSICAL, EXTENDED_PHYSICAL])
 
 
 def fails(name):
-    """Return a model that no ride can be predicted with, as its code raises."""
+    """Return a model that raises for any ride."""
 
     class Failing(LinearModel):
-        """Raises whatever it is asked."""
+        """A model that always raises."""
 
         def predict(self, _):
             raise ZeroDivisionError
@@ -190,7 +190,7 @@ def fails(name):
     return Failing(**{**fields, "name": name})
 
 
-def test_a_shadow_that_does_not_fit_is_counted_and_the_others_are_served():
+def test_failing_shadow_is_counted_and_the_others_continue():
     leaves = msgspec.structs.replace(EXTENDED_PHYSICAL, name="leaves", fits={"bmw-i3-2014": WARM.fits[ANY]})
     leaves = msgspec.structs.replace(leaves, terms=WARM.terms)
     messages = lapped()
@@ -209,7 +209,7 @@ def test_a_shadow_that_does_not_fit_is_counted_and_the_others_are_served():
     assert all(math.isnan(one.shadows_kwh[0]) for one in pipeline.status())
 
 
-def test_an_effect_that_only_a_shadow_has_may_fail(monkeypatch):
+def test_failing_effect_of_a_shadow_is_counted(monkeypatch):
     @effects.effect(coefficient="mood", unit="W", low=0, high=1, source="none, it is made up")
     def moody(speed):
         """Fails in service: P = 1 W."""
@@ -229,7 +229,7 @@ def test_an_effect_that_only_a_shadow_has_may_fail(monkeypatch):
 
 
 def ended(rng, rides, model="m", first=0.1, second=0.1, cars=10):
-    """Return rides of a fleet, measured, with the errors of two models whose spreads are given. [kWh]"""
+    """Return measured rides of a fleet, with errors of two models of given standard deviations. [kWh]"""
     lane = np.arange(rides) % cars
     start = START + 86400.0 * (np.arange(rides) // (5 * cars))
     measured = rng.uniform(0.5, 2.0, rides)
@@ -238,7 +238,7 @@ def ended(rng, rides, model="m", first=0.1, second=0.1, cars=10):
 
 
 @pytest.mark.parametrize(("spread", "verdict"), [(0.05, "better"), (0.1, "not told"), (0.2, "worse")])
-def test_what_is_planted_is_told(rng, spread, verdict):
+def test_planted_difference_is_detected(rng, spread, verdict):
     shadows = ShadowModels([BASIC_PHYSICAL, EXTENDED_PHYSICAL])
     shadows.add_ended(ended(rng, 2500, second=spread))
     gain = shadows.errors()[1].overall.gain
@@ -250,14 +250,14 @@ def test_what_is_planted_is_told(rng, spread, verdict):
     assert shadows.errors()[1].overall.gain.vehicle_days == 500
 
 
-def test_models_of_the_same_predictions_are_never_told_apart(rng):
+def test_models_with_equal_predictions_are_never_distinguished(rng):
     shadows = ShadowModels([BASIC_PHYSICAL, EXTENDED_PHYSICAL])
     rides = ended(rng, 3000)
     shadows.add_ended(rides._replace(predicted=[rides.predicted[0]] * 2))
     assert shadows.errors()[1].overall.gain.verdict == "not told"
 
 
-def test_vehicle_models_without_end_are_counted_among_all_only(rng):
+def test_vehicle_models_beyond_the_limit_count_only_among_all(rng):
     shadows = ShadowModels([BASIC_PHYSICAL, EXTENDED_PHYSICAL])
     rides = ended(rng, 200, cars=1)
     shadows.add_ended(rides._replace(vehicle_model=[None, *(f"car {i}" for i in range(199))]))
@@ -267,7 +267,7 @@ def test_vehicle_models_without_end_are_counted_among_all_only(rng):
     assert errors.overall.rides == errors.overall.gain.rides == 200
 
 
-def test_running_errors_go_on_with_models_that_are_still_there():
+def test_running_errors_continue_for_models_that_remain():
     messages = lapped()
     pipeline, _, _ = served(messages)
     kept = pipeline.snapshot()
@@ -282,7 +282,7 @@ def test_running_errors_go_on_with_models_that_are_still_there():
     assert other.shadows.errors()[2].overall.rides > 0
 
 
-def test_against_another_first_model_running_errors_begin_anew():
+def test_running_errors_begin_anew_with_another_first_model():
     pipeline, _, _ = served(lapped())
     other = Pipeline(msgspec.structs.replace(BASIC_PHYSICAL, version="9"), shadows=SHADOWS)
     other.restore(pipeline.snapshot())
@@ -290,7 +290,7 @@ def test_against_another_first_model_running_errors_begin_anew():
     assert other.quality()["rides"] == 6
 
 
-def test_a_snapshot_without_shadows_is_taken_up_with_some_of_the_same_effects():
+def test_snapshot_without_shadows_loads_with_shadows_of_the_same_effects():
     alone = Pipeline(EXTENDED_PHYSICAL)
     alone.push(lapped()[:-40])
     beside = Pipeline(EXTENDED_PHYSICAL, shadows=[BASIC_PHYSICAL])
@@ -299,7 +299,7 @@ def test_a_snapshot_without_shadows_is_taken_up_with_some_of_the_same_effects():
     assert beside.shadows.errors()[1].overall.rides == 1
 
 
-def test_a_standing_ends_a_day_for_a_ride_that_it_did_not_predict():
+def test_vehicle_day_ends_at_an_unpredicted_ride_of_the_next_day():
     monitor = ModelMonitor(EXTENDED_PHYSICAL, 0.95)
     monitor.add_ride(3, 10.0, None, 0.1, 0.3, 1.0)
     monitor.add_ride(3, 11.0, None, math.nan, 0.3, 1.0)

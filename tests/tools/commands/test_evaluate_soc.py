@@ -11,7 +11,7 @@ from core.evaluate.paper.results import to_json_values
 from core.evaluate.soc.report import evaluate_soc
 from core.stats.clustered import LEAST_CLUSTERS
 from tests.support.paths import ROOT
-from tests.support.soc_frames import told
+from tests.support.soc_frames import make_frames
 from tests.tools.report.test_evaluation import read
 from tools.cli import main
 from tools.commands import evaluate_soc as command
@@ -26,8 +26,8 @@ from tools.report.soc.tables import compare_with_best, format_share, tabulate_by
 DATA = ROOT.parent / "shared" / "data"
 SHIFT = ROOT / "recordings" / "shift.mcap"
 ODD = "<b>R&D's 'best'</b>"
-SMALL = told(cars=4, days=8)
-FEW = told(cars=1, days=2, hours=0.4, warm_up=0)
+SMALL = make_frames(cars=4, days=8)
+FEW = make_frames(cars=1, days=2, hours=0.4, warm_up=0)
 
 
 @pytest.fixture(scope="module")
@@ -166,7 +166,7 @@ def test_the_scatter_shows_each_shift_once_where_it_belongs(result):
 
 
 def test_the_risk_is_shown_as_it_was_told_and_as_it_came():
-    result = to_json_values(evaluate_soc(*told(cars=6, days=9)))
+    result = to_json_values(evaluate_soc(*make_frames(cars=6, days=9)))
     *traces, equal = drawn.draw_risk(result).data
     levels, plan = (trace for trace in traces if trace.mode == "markers")
     few = {"levels" if trace.name.startswith("levels") else "plan" for trace in traces if trace.mode == "lines"}
@@ -223,7 +223,7 @@ def test_against_the_best_nothing_is_said_of_few_car_days(result):
     assert all(own["hours"]["2"]["best"]["vehicle_days"] == own["hours"]["2"]["n"] == 12 for own in of_model)
     (table,) = (table for table in tabulate_conditions(result) if table.title == "By vehicle model")
     assert [row.cells[-1].text for row in table.rows] == ["–", "–"]
-    many = to_json_values(evaluate_soc(*told(cars=4, days=17)))
+    many = to_json_values(evaluate_soc(*make_frames(cars=4, days=17)))
     (table,) = (table for table in tabulate_conditions(many) if table.title == "By vehicle model")
     assert all(re.fullmatch(r"[+−][\d.]+ %", row.cells[-1].text) for row in table.rows)
 

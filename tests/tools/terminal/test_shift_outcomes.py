@@ -13,7 +13,7 @@ from rich.console import Console
 
 from tests.support.commands import done
 from tests.support.fleet_days import CARS, DAYS, SHIFT, again, recorded, shift
-from tests.support.soc_frames import told
+from tests.support.soc_frames import make_frames
 from tools.terminal import shift_outcomes
 from tools.terminal.shift_outcomes import AHEAD, NO_INTERVALS, ShiftOutcomes, show_outcomes, summary
 
@@ -56,7 +56,7 @@ def printed(shifts, width=140):
 
 
 def test_each_shift_is_told_with_what_was_forecast_when():
-    made, ended = told(cars=2, days=3, hours=7.0, warm_up=1)
+    made, ended = make_frames(cars=2, days=3, hours=7.0, warm_up=1)
     found = records(made, ended)
     assert [(s["vehicle_id"], s["begin_s"]) for s in found] == sorted(
         zip(ended["vehicle_id"], ended["begin_s"], strict=True), key=lambda each: each[1]
@@ -77,7 +77,7 @@ def test_each_shift_is_told_with_what_was_forecast_when():
 
 @given(cuts=st.lists(st.floats(1_514_764_800.0, 1_514_764_800.0 + 4 * 86_400.0), max_size=8), rows=st.integers(0, 3000))
 def test_however_it_comes_and_whatever_is_let_go_the_same_is_told(cuts, rows):
-    made, ended = told(cars=3, days=3, warm_up=1)
+    made, ended = make_frames(cars=3, days=3, warm_up=1)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(shift_outcomes, "MOST_ROWS", rows)
         assert records(made, ended, cuts) == records(made, ended)
@@ -85,7 +85,7 @@ def test_however_it_comes_and_whatever_is_let_go_the_same_is_told(cuts, rows):
 
 def test_what_is_let_go_keeps_memory_small(monkeypatch):
     monkeypatch.setattr(shift_outcomes, "MOST_ROWS", 500)
-    made, ended = told(cars=1, days=10, warm_up=0)
+    made, ended = make_frames(cars=1, days=10, warm_up=0)
     found = ShiftOutcomes(Recited(made, ended, made["time_s"].to_numpy()[::100]))
     for _ in range(len(made) // 100):
         found()
@@ -93,7 +93,7 @@ def test_what_is_let_go_keeps_memory_small(monkeypatch):
 
 
 def test_nothing_is_held_against_a_forecast_before_a_charge_or_of_a_shift_that_goes_on():
-    made, ended = told(cars=1, days=1, warm_up=0)
+    made, ended = make_frames(cars=1, days=1, warm_up=0)
     at = ended["end_s"].iloc[0] - 5400.0
     (shift_,) = records(made, ended.assign(charged_s=at))
     assert [f["held"] is None for f in shift_["forecasts"].values()] == [True, True, False]
@@ -107,7 +107,7 @@ def test_nothing_is_held_against_a_forecast_before_a_charge_or_of_a_shift_that_g
 
 
 def test_a_forecast_that_was_long_ago_is_none():
-    made, ended = told(cars=1, days=1, warm_up=0)
+    made, ended = make_frames(cars=1, days=1, warm_up=0)
     end = ended["end_s"].iloc[0]
     (shift_,) = records(made[~made["time_s"].between(end - 3600.0 - 700.0, end - 3600.0)], ended)
     assert shift_["forecasts"]["1h"] is None
@@ -116,14 +116,14 @@ def test_a_forecast_that_was_long_ago_is_none():
 
 
 def test_where_no_interval_is_known_it_is_said_what_to_do():
-    made, ended = told(cars=1, days=2, warm_up=2)
+    made, ended = make_frames(cars=1, days=2, warm_up=2)
     assert printed(records(made, ended), 400).strip() == NO_INTERVALS
     assert "--warm-up" in NO_INTERVALS
     assert printed([]) == ""
 
 
 def test_the_share_that_held_is_told():
-    made, ended = told(cars=5, days=20, warm_up=0)
+    made, ended = make_frames(cars=5, days=20, warm_up=0)
     found = records(made, ended)
     held = [s["forecasts"]["2h"]["held"] for s in found]
     assert f"{sum(held)} of {len(held)}" in summary(found)[1]

@@ -16,7 +16,7 @@ from core.evaluate.soc.baselines import (
 from core.evaluate.soc.cases import select_cases
 from core.evaluate.soc.reserve_risk import compute_risk_below
 from core.vehicles import load_catalogue
-from tests.support.soc_frames import CAPACITY, told
+from tests.support.soc_frames import CAPACITY, make_frames
 
 PERCENT = st.floats(0.0, 100.0)
 
@@ -28,7 +28,7 @@ def based(frames):
 
 
 def test_the_pace_so_far_is_exact_where_it_never_changes():
-    frames = told(cars=2, days=3, warm_up=0)
+    frames = make_frames(cars=2, days=3, warm_up=0)
     passed = (frames.outlooks["time_s"] - frames.outlooks["shift_begin_s"]) / (7.0 * 3600.0)
     end = frames.outlooks.merge(frames.shifts[["vehicle_id", "shift", "soc_end_pct"]])["soc_end_pct"].to_numpy()
     even = frames.outlooks.assign(soc_pct=90.0 - passed * (90.0 - end))
@@ -37,7 +37,7 @@ def test_the_pace_so_far_is_exact_where_it_never_changes():
 
 
 def test_after_a_charge_the_pace_begins_anew():
-    frames = told(cars=1, days=1, warm_up=0)
+    frames = make_frames(cars=1, days=1, warm_up=0)
     begin = frames.shifts["begin_s"].iloc[0]
     since = (frames.outlooks["time_s"] - begin) / 3600.0
     soc = np.where(since < 2.9, 90.0 - 20.0 * since, 80.0 - 5.0 * (since - 2.9))
@@ -49,13 +49,13 @@ def test_after_a_charge_the_pace_begins_anew():
 
 
 def test_a_pace_is_not_carried_on_before_it_was_seen():
-    frames = told(cars=1, days=1, hours=2.0 + LEAST_PACE_TIME / 3600.0 / 2.0, warm_up=0)
+    frames = make_frames(cars=1, days=1, hours=2.0 + LEAST_PACE_TIME / 3600.0 / 2.0, warm_up=0)
     cases, found = based(frames)
     assert dict(zip(cases["hours"], np.isfinite(found["linear"]), strict=True)) == {0: True, 1: True, 2: False}
 
 
 def test_the_rating_times_the_planned_kilometres():
-    frames = told(cars=2, days=2, warm_up=0)
+    frames = make_frames(cars=2, days=2, warm_up=0)
     cases, found = based(frames)
     for row, case in enumerate(cases.to_dict("records")):
         used = load_catalogue()[case["vehicle_model"]].rated_kwh_per_km * case["ahead_km"] / CAPACITY
@@ -65,7 +65,7 @@ def test_the_rating_times_the_planned_kilometres():
 
 
 def test_baselines_stay_within_what_a_battery_can_have():
-    frames = told(cars=2, days=5, warm_up=0)
+    frames = make_frames(cars=2, days=5, warm_up=0)
     outlooks = frames.outlooks.assign(ahead_km=1000.0, soc_begin_pct=10.0)
     _, found = based(frames._replace(outlooks=outlooks))
     known = found.to_numpy()[np.isfinite(found.to_numpy())]
@@ -76,7 +76,7 @@ def test_baselines_stay_within_what_a_battery_can_have():
 @given(seed=st.integers(0, 10_000), unknown=st.floats(0.0, 0.5))
 @settings(max_examples=25, deadline=None)
 def test_mean_consumption_is_that_of_shifts_that_had_ended(seed, unknown):
-    frames = told(cars=3, days=5, warm_up=0, seed=seed)
+    frames = make_frames(cars=3, days=5, warm_up=0, seed=seed)
     rng = np.random.default_rng(seed)
     lost = rng.random(len(frames.shifts)) < unknown
     shifts = frames.shifts.assign(charged_s=np.where(lost, frames.shifts["begin_s"], np.nan))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from core.evaluate.soc.legs import QUERY_INTERVAL, LegRecorder, match_legs_to_rides
 from core.evaluate.soc.report import evaluate_soc
 from core.wire.messages import Interval, LegOutlook, Outlook
-from tests.support.soc_frames import CAPACITY, told
+from tests.support.soc_frames import CAPACITY, make_frames
 
 BEGIN = 1_516_017_600.0
 HOUR = 3600.0
@@ -92,7 +92,7 @@ def test_up_to_the_next_charge_and_not_across_it(hour, past):
 
 
 def test_cars_are_asked_every_half_hour_of_a_planned_shift():
-    frames = told(cars=1, days=2, warm_up=0)
+    frames = make_frames(cars=1, days=2, warm_up=0)
     table = frames.outlooks
     times = []
 
@@ -120,7 +120,7 @@ def test_without_questions_there_are_no_legs():
 
 
 def test_figures_of_legs_are_those_planted():
-    frames = told(cars=2, days=20)
+    frames = make_frames(cars=2, days=20)
     days = frames.shifts["shift"].to_numpy()
     rng = np.random.default_rng(2)
     own = frames.shifts.rename(columns={"soc_end_pct": "shift_end_pct"})

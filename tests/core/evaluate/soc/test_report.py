@@ -12,12 +12,12 @@ from core.errors import ModelError
 from core.evaluate.paper.results import to_json_values
 from core.evaluate.soc.cases import CHARGED, CUT_SHORT, HOURS_AHEAD, SILENT, UNREPORTED, WARM_UP, select_cases
 from core.evaluate.soc.report import evaluate_soc
-from tests.support.soc_frames import CAPACITY, DAY_ONE, MODELS, SPREAD, told
+from tests.support.soc_frames import CAPACITY, DAY_ONE, MODELS, SPREAD, make_frames
 
 
 @pytest.fixture(scope="module")
 def frames():
-    return told(cars=12, days=40)
+    return make_frames(cars=12, days=40)
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def test_a_calibrated_interval_is_found_calibrated(result):
 
 
 def test_an_interval_half_as_wide_is_found_too_narrow():
-    own = overall(told(cars=12, days=40, narrow=0.5))
+    own = overall(make_frames(cars=12, days=40, narrow=0.5))
     assert own["coverage"]["high"] < 0.7
     assert own["coverage"]["low"] < 2.0 * stats.norm.cdf(SPREAD / 2.0) - 1.0 < own["coverage"]["high"]
     assert own["below"] + own["above"] == pytest.approx(1.0 - own["coverage"]["value"])
@@ -68,12 +68,12 @@ def test_error_bias_and_width_are_those_planted(result):
         assert own["width_pct"]["value"] == pytest.approx(2.0 * SPREAD * sd)
         assert own["mae_pct"]["value"] == pytest.approx(sd * np.sqrt(2.0 / np.pi), abs=1.5 * own["mae_pct"]["ci95"])
         assert abs(own["bias_pct"]["value"]) < 1.5 * own["bias_pct"]["ci95"]
-    off = overall(told(cars=12, days=40, bias=3.0))["bias_pct"]
+    off = overall(make_frames(cars=12, days=40, bias=3.0))["bias_pct"]
     assert off["value"] == pytest.approx(3.0, abs=1.5 * off["ci95"])
 
 
 def test_forecasts_better_than_all_baselines_are_said_to_be_so():
-    own = evaluate_soc(*told(cars=6, days=20, sd_an_hour=0.2))["overall"]["hours"]["2"]
+    own = evaluate_soc(*make_frames(cars=6, days=20, sd_an_hour=0.2))["overall"]["hours"]["2"]
     best = own["best"]
     errors = {name: of["mae_pct"]["value"] for name, of in own["baselines"].items()}
     assert best["name"] == min(errors, key=errors.__getitem__)
@@ -106,7 +106,7 @@ def test_the_result_is_json_without_nan(result):
 @given(seconds=st.floats(0.0, 590.0), hours=st.sampled_from([2.5, 4.5, 8.0]))
 @settings(max_examples=20, deadline=None)
 def test_the_newest_forecast_by_a_moment_is_judged_and_none_from_after_it(seconds, hours):
-    frames = told(cars=2, days=3, hours=hours, warm_up=0)
+    frames = make_frames(cars=2, days=3, hours=hours, warm_up=0)
     outlooks = frames.outlooks.assign(time_s=frames.outlooks["time_s"] - seconds)
     cases = select_cases(outlooks, frames.shifts).cases
     age = cases["end_s"] - 3600.0 * cases["hours"] - cases["time_s"]
@@ -117,7 +117,7 @@ def test_the_newest_forecast_by_a_moment_is_judged_and_none_from_after_it(second
 
 
 def test_a_forecast_is_not_judged_where_the_car_charged_after_it():
-    frames = told(cars=1, days=1, warm_up=0)
+    frames = make_frames(cars=1, days=1, warm_up=0)
     begin = frames.shifts["begin_s"].iloc[0]
     found = select_cases(*changed(frames, charged_s=begin + 3.5 * 3600.0))
     assert found.cases["hours"].tolist() == [0, 1, 2]
@@ -127,7 +127,7 @@ def test_a_forecast_is_not_judged_where_the_car_charged_after_it():
 
 
 def test_a_car_that_was_silent_is_counted():
-    frames = told(cars=1, days=1, warm_up=0)
+    frames = make_frames(cars=1, days=1, warm_up=0)
     ahead = frames.shifts["end_s"].iloc[0] - frames.outlooks["time_s"]
     found = select_cases(frames.outlooks[~ahead.between(3599.0, 3600.0 + 1200.0)], frames.shifts)
     assert found.cases["hours"].tolist() == [0, 2, 4, 6]
@@ -135,21 +135,21 @@ def test_a_car_that_was_silent_is_counted():
 
 
 def test_a_shift_without_a_state_of_charge_at_its_end_is_counted():
-    frames = changed(told(cars=1, days=2, warm_up=0), soc_end_pct=[np.nan, 40.0])
+    frames = changed(make_frames(cars=1, days=2, warm_up=0), soc_end_pct=[np.nan, 40.0])
     found = select_cases(*frames)
     assert found.left_out == {UNREPORTED: len(HOURS_AHEAD)}
     assert found.warm_up == 0
 
 
 def test_a_shift_that_the_recording_cuts_is_counted_but_one_that_ends_early_is_judged():
-    frames = told(cars=1, days=2, warm_up=0)
+    frames = make_frames(cars=1, days=2, warm_up=0)
     found = select_cases(frames.outlooks.assign(shift_end_s=frames.outlooks["shift_end_s"] + 3600.0), frames.shifts)
     assert found.left_out == {CUT_SHORT: len(HOURS_AHEAD)}
     assert set(found.cases["shift"]) == {0}
 
 
 def test_shifts_of_a_car_on_a_day_are_one_cluster():
-    frames = told(cars=2, days=4, hours=2.0, warm_up=0)
+    frames = make_frames(cars=2, days=4, hours=2.0, warm_up=0)
     late = frames.shifts.assign(shift=frames.shifts["shift"] + 100)
     both = pd.concat([frames.shifts, late], ignore_index=True)
     outlooks = pd.concat([frames.outlooks, frames.outlooks.assign(shift=frames.outlooks["shift"] + 100)])
@@ -163,7 +163,7 @@ def test_shifts_of_a_car_on_a_day_are_one_cluster():
 
 
 def test_without_plans_only_the_pace_is_there_and_this_is_said():
-    frames = told(cars=2, days=4)
+    frames = make_frames(cars=2, days=4)
     outlooks = frames.outlooks.assign(planned=False, ahead_km=np.nan)
     found = evaluate_soc(outlooks, frames.shifts)
     own = found["overall"]["hours"]["2"]
@@ -175,7 +175,7 @@ def test_without_plans_only_the_pace_is_there_and_this_is_said():
 
 @pytest.mark.parametrize("days", [0, 2])
 def test_where_nothing_can_be_judged_it_is_said_in_one_line(days):
-    frames = told(cars=1, days=2)
+    frames = make_frames(cars=1, days=2)
     tables = [table[table["shift"] < days] for table in frames]
     with pytest.raises(
         ModelError, match=rf"{days} shifts ended and no forecast .*: give recordings of more days"

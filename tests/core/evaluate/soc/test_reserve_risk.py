@@ -15,7 +15,7 @@ from core.evaluate.soc.reserve_risk import (
     evaluate_risk,
     tabulate_levels,
 )
-from tests.support.soc_frames import told
+from tests.support.soc_frames import make_frames
 
 N = 20_000
 
@@ -34,7 +34,7 @@ def rows(risk, fell, person=np.nan):
 
 @pytest.fixture(scope="module")
 def cases():
-    return based(told(cars=12, days=40))
+    return based(make_frames(cars=12, days=40))
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +104,7 @@ def test_a_risk_told_half_as_large_as_it_is_is_found_out():
 
 
 def test_sure_forecasts_catch_all_and_raise_no_false_alarm():
-    found = evaluate_reserve_risk(based(told(cars=8, days=20, sd_an_hour=1e-6)))
+    found = evaluate_reserve_risk(based(make_frames(cars=8, days=20, sd_an_hour=1e-6)))
     assert set(found["levels"]) == {PLANNED, *map(str, LEVELS)}
     for of in found["levels"].values():
         for own in of.values():
@@ -126,7 +126,7 @@ def test_a_calibrated_forecast_is_found_reliable(found):
 
 
 def test_a_forecast_better_than_a_persons_is_said_to_be_so():
-    overall = evaluate_reserve_risk(based(told(cars=12, days=40, sd_an_hour=0.2)))["overall"]
+    overall = evaluate_reserve_risk(based(make_frames(cars=12, days=40, sd_an_hour=0.2)))["overall"]
     for hours in ("1", "2", "4"):
         for person in overall[hours]["baselines"].values():
             assert person["skill"]["value"] - person["skill"]["ci95"] > 0.2
@@ -134,6 +134,6 @@ def test_a_forecast_better_than_a_persons_is_said_to_be_so():
 
 
 def test_an_interval_far_too_narrow_costs_its_skill(found):
-    narrow = evaluate_reserve_risk(based(told(cars=12, days=40, narrow=0.2)))
+    narrow = evaluate_reserve_risk(based(make_frames(cars=12, days=40, narrow=0.2)))
     assert narrow["overall"]["4"]["brier"] > found["overall"]["4"]["brier"]
     assert narrow["overall"]["4"]["alarms"]["missed"] > found["overall"]["4"]["alarms"]["missed"]

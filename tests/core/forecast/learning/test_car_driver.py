@@ -1,4 +1,4 @@
-"""What cars and drivers take, and how their shifts go: planted and found."""
+"""Test that planted consumption factors of cars and drivers, and patterns of shifts, are recovered."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ from core.forecast.learning.car_driver import (
 
 
 def week(rng, factors, days=30, cars=(0.15, -0.1), drivers=(0.08, -0.08)):
-    """Let two drivers change cars every day."""
+    """Add shifts of two drivers who change cars every day."""
     for day in range(days):
         for lane, car in enumerate(cars):
             who = (day + lane) % 2
@@ -28,7 +28,7 @@ def week(rng, factors, days=30, cars=(0.15, -0.1), drivers=(0.08, -0.08)):
             factors.add_shift(lane, who, 20.0, used, 40.0)
 
 
-def test_what_a_car_takes_is_kept_from_shift_to_shift():
+def test_consumption_factor_is_kept_from_shift_to_shift():
     factors, before = ConsumptionFactors(), ConsumptionFactors().expect(0)
     for _ in range(20):
         factors.add_shift(0, None, 20.0, 24.0, 40.0)
@@ -38,7 +38,7 @@ def test_what_a_car_takes_is_kept_from_shift_to_shift():
     assert factors.expect(1) == before == (0.0, CAR_SD**2 + DRIVER_SD**2 + DAY_FACTOR_SD**2)
 
 
-def test_cars_and_drivers_are_told_apart():
+def test_cars_and_drivers_are_distinguished():
     inside = []
     for seed in range(60):
         factors = ConsumptionFactors()
@@ -52,7 +52,7 @@ def test_cars_and_drivers_are_told_apart():
 
 
 def balance(predicted, driver):
-    """Return the variance of a car at which what a shift tells is what it grows by until the next one."""
+    """Return the variance of a car at which the gain of a shift equals the growth until the next one."""
     noise = (
         driver
         + DAY_FACTOR_SD**2
@@ -64,7 +64,7 @@ def balance(predicted, driver):
 
 
 @given(st.floats(1.0, 60.0), st.booleans())
-def test_every_shift_makes_it_surer_until_what_changes_meanwhile_balances_it(predicted, driven):
+def test_variance_falls_with_every_shift_to_its_equilibrium(predicted, driven):
     factors, last = ConsumptionFactors(), ConsumptionFactors().expect(0)[1]
     floor = balance(predicted, 0.0 if driven else DRIVER_SD**2) + DRIVER_SD**2 + DAY_FACTOR_SD**2
     for _ in range(300):
@@ -78,7 +78,7 @@ def test_every_shift_makes_it_surer_until_what_changes_meanwhile_balances_it(pre
 
 @given(st.lists(st.tuples(st.floats(0.02, 60.0), st.floats(0.6, 1.7), st.none() | st.integers(0, 1)), max_size=30))
 @example([(0.02, 1.0, 0)])
-def test_it_is_never_less_sure_than_of_what_was_never_heard_of(shifts):
+def test_variance_never_exceeds_that_of_an_unknown_car(shifts):
     factors = ConsumptionFactors()
     for predicted, ratio, driver in shifts:
         factors.add_shift(0, driver, predicted, ratio * predicted, 40.0)
@@ -87,8 +87,8 @@ def test_it_is_never_less_sure_than_of_what_was_never_heard_of(shifts):
 
 
 @pytest.mark.parametrize("driven", [False, True])
-def test_a_car_that_changes_is_followed(driven):
-    """After a year with the same tyres, which it has learned well, it has others: it takes a tenth more."""
+def test_filter_follows_a_car_that_changes(driven):
+    """After a year with the same tyres the car gets others, and uses a tenth more."""
     late = []
     for seed in range(40):
         rng, factors = np.random.default_rng(seed), ConsumptionFactors()
@@ -108,27 +108,27 @@ def test_a_car_that_changes_is_followed(driven):
     ("predicted", "used"),
     [(0.0, 5.0), (-1.0, 5.0), (5.0, 0.0), (5.0, -2.0), (5.0, 5.0 * np.exp(LARGEST_LOG_ERROR) * 1.01), (np.nan, 1.0)],
 )
-def test_a_shift_that_cannot_be_is_not_learned_from(predicted, used):
+def test_implausible_shift_is_ignored(predicted, used):
     factors = ConsumptionFactors()
     factors.add_shift(0, 1, predicted, used, 40.0)
     assert factors.expect(0, 1) == ConsumptionFactors().expect(0, 1)
 
 
-def test_short_shifts_tell_less_than_long_ones():
+def test_short_shift_has_less_weight_than_long_one():
     short, long = ConsumptionFactors(), ConsumptionFactors()
     short.add_shift(0, None, 2.0, 2.4, 40.0)
     long.add_shift(0, None, 40.0, 48.0, 40.0)
     assert 0.0 < short.expect(0)[0] < long.expect(0)[0] < np.log(1.2)
 
 
-def test_what_is_read_from_the_charge_of_a_large_battery_tells_less():
+def test_energy_read_from_a_large_battery_has_less_weight():
     small, large = ConsumptionFactors(), ConsumptionFactors()
     small.add_shift(0, None, 5.0, 6.0, 20.0)
     large.add_shift(0, None, 5.0, 6.0, 200.0)
     assert 0.0 < large.expect(0)[0] < small.expect(0)[0]
 
 
-def test_habits_need_a_few_shifts_and_are_in_the_middle_of_them():
+def test_usual_pattern_needs_a_few_shifts_and_is_their_median():
     factors = ConsumptionFactors()
     for number, hours in enumerate((6.0, 8.0, 7.0)):
         assert np.isnan(factors.get_usual_pattern(0)).all() == (number < LEAST_SHIFTS)
@@ -137,7 +137,7 @@ def test_habits_need_a_few_shifts_and_are_in_the_middle_of_them():
     assert np.isnan(factors.get_usual_pattern(1)).all()
 
 
-def test_what_was_dumped_goes_on_as_if_nothing_had_happened():
+def test_loaded_state_continues_as_uninterrupted():
     one, other = ConsumptionFactors(), ConsumptionFactors()
     week(np.random.default_rng(1), one)
     one.add_pattern(0, ShiftPattern(7.0, 1.0))
@@ -148,12 +148,12 @@ def test_what_was_dumped_goes_on_as_if_nothing_had_happened():
     assert one.dump() == other.dump()
 
 
-# how many are remembered
+# number of remembered drivers
 
 
 @given(st.lists(st.integers(0, 9), max_size=40))
 @example([0, 1, 0, 2, 3, 3])
-def test_the_drivers_whose_shifts_are_longest_ago_are_forgotten(shifts):
+def test_drivers_with_oldest_shifts_are_forgotten(shifts):
     factors = ConsumptionFactors()
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(module, "KEPT_DRIVERS", 2)
@@ -167,7 +167,7 @@ def test_the_drivers_whose_shifts_are_longest_ago_are_forgotten(shifts):
     assert known == sorted(last)
 
 
-def test_drivers_have_codes_of_their_own_that_a_number_holds():
+def test_driver_codes_are_unique_and_exact_as_float():
     codes = {compute_driver_code(f"driver-{number}") for number in range(20_000)}
     assert len(codes) == 20_000
     assert all(int(float(code)) == code >= 0 for code in codes)

@@ -1,4 +1,4 @@
-"""What is learned through the day takes effect overnight, and only what can be learned from is learned from."""
+"""Test that statistics take effect at the daily update, and that only representative data count."""
 
 import numpy as np
 import pytest
@@ -25,27 +25,27 @@ from tests.support.fleet_days import (
 from tests.support.telemetry import telemetry, told
 
 
-def counted(statistics):
-    """Return how many rides were learned from, and how many rests."""
+def count_learned(statistics):
+    """Return the number of rides and of idle periods in the statistics."""
     sums = statistics.rides._sums.values()
     return [sum(each.rides for each in sums), sum(each.idle_periods for each in sums)]
 
 
 def effective(statistics):
-    """Return what forecasts read."""
+    """Return everything that forecasts read."""
     conformal = statistics.conformal.table.tolist(), statistics.conformal.bounds.tolist()
     read = statistics.prior.tolist(), statistics._patterns.tolist(), statistics.bias.factor.tolist()
     return repr((statistics.rides.tables, conformal, read))
 
 
-def test_what_a_day_teaches_takes_effect_overnight_and_only_once():
+def test_statistics_take_effect_at_daily_update_and_only_once():
     pipeline = again()
     statistics = pipeline.engine.statistics
-    before, tables, known = effective(statistics), statistics.get_tables(2), counted(statistics)
+    before, tables, known = effective(statistics), statistics.get_tables(2), count_learned(statistics)
     pipeline.push(days([DAYS], "abcde"))
     assert effective(statistics) == before
     assert statistics.get_tables(2) is tables
-    assert counted(statistics)[0] >= known[0] + 5 * (LEGS - 1)
+    assert count_learned(statistics)[0] >= known[0] + 5 * (LEGS - 1)
     pipeline.push(night(DAYS + 1))
     assert effective(statistics) != before
     statistics.apply_daily_update()
@@ -54,8 +54,8 @@ def test_what_a_day_teaches_takes_effect_overnight_and_only_once():
     assert repr(statistics.dump()) == once
 
 
-def test_forecasts_of_a_day_rest_on_the_nights_before_it():
-    """Whatever is driven on the same day by others, however differently, changes no forecast of it."""
+def test_other_cars_of_the_same_day_change_no_forecast():
+    """Forecasts use the statistics of the days before only."""
     calm, wild = again(), again()
     wild.push(days([DAYS], "abde"))
     sent = [m for _, m in shift("c", DAYS)]
@@ -63,18 +63,18 @@ def test_forecasts_of_a_day_rest_on_the_nights_before_it():
 
 
 @pytest.mark.parametrize("number", [0, 1, 2, 5])
-def test_nothing_is_expected_before_enough_rides_and_no_interval_before_enough_shifts(number):
+def test_tables_need_enough_rides_and_intervals_need_enough_shifts(number):
     pipeline = again(number)
     found = forecasts(pipeline.push([m for _, m in shift("c", number)]), "c")
     enough = number * len(CARS) * (LEGS - 1) >= LEAST_RIDES
     assert (pipeline.engine.statistics.get_tables(2) is not None) == enough
-    foretold = {each.soc_end_of_shift_pct is not None for each in list(found.values())[2:]}
-    assert foretold == {number * len(CARS) - len(CARS) >= LEAST_SHIFTS}
+    is_forecast = {each.soc_end_of_shift_pct is not None for each in list(found.values())[2:]}
+    assert is_forecast == {number * len(CARS) - len(CARS) >= LEAST_SHIFTS}
 
 
-def test_of_charging_and_of_silence_nothing_is_learned():
+def test_charging_and_silent_idle_periods_do_not_count():
     def rested(change):
-        """Return how many rests were learned from, and for how long."""
+        """Return the number of idle periods that count, and their time. [s]"""
         pipeline, sent = again(), columns("d", DAYS)
         passed = sent["time_s"] - sent["time_s"][0]
         mine = np.flatnonzero((passed >= RIDE) & (passed < LEG))
@@ -86,35 +86,35 @@ def test_of_charging_and_of_silence_nothing_is_learned():
     plain = rested(lambda sent, _: sent)
     plugged = rested(lambda sent, rows: sent | {"charging": np.isin(np.arange(len(sent["time_s"])), rows)})
     silent = rested(lambda sent, rows: late(sent, rows[-1], 1200.0))
-    assert plain[0] == LEGS  # one of them the evening before's
+    assert plain[0] == LEGS  # one of them is of the evening before
     assert plugged[0] == LEGS - 1
     assert plain[1] - plugged[1] == pytest.approx(LEG - RIDE, abs=2.0 * PERIOD)
     assert silent[1] < plain[1]
 
 
 def rests(statistics):
-    """Return how many rests were learned from, and their time together. [s]"""
+    """Return the number of idle periods in the statistics, and their total time. [s]"""
     sums = statistics.rides._sums.values()
-    return np.array([counted(statistics)[1], 3600.0 * sum(each.standing["hours"].sum() for each in sums)])
+    return np.array([count_learned(statistics)[1], 3600.0 * sum(each.standing["hours"].sum() for each in sums)])
 
 
 def late(sent, at, seconds):
-    """Return samples that from a row on come so much later, those between having been lost."""
+    """Return samples that are later by `seconds` from a row on, as if those between were lost."""
     after = np.arange(len(sent["time_s"])) >= at
     return sent | {"time_s": sent["time_s"] + seconds * after, "seq": sent["seq"] + int(seconds / PERIOD) * after}
 
 
-def test_a_ride_that_is_unfit_is_not_learned_from():
+def test_unfit_ride_does_not_count():
     pipeline, slow = again(), columns("e", DAYS)
     slow["speed_kmh"][:] = 0.5
-    before = counted(pipeline.engine.statistics)[0]
+    before = count_learned(pipeline.engine.statistics)[0]
     pipeline.push([m for _, m in shift("e", DAYS, slow)])
-    assert counted(pipeline.engine.statistics)[0] == before
+    assert count_learned(pipeline.engine.statistics)[0] == before
     pipeline.push([m for _, m in shift("d", DAYS)])
-    assert counted(pipeline.engine.statistics)[0] >= before + LEGS - 1
+    assert count_learned(pipeline.engine.statistics)[0] >= before + LEGS - 1
 
 
-def test_what_is_pending_survives_a_dump():
+def test_pending_statistics_survive_dump_and_load():
     pipeline = again()
     pipeline.push(days([DAYS], "abc"))
     pipeline.push([m for _, m in shift("d", DAYS)][:200])
@@ -129,7 +129,7 @@ def test_what_is_pending_survives_a_dump():
     assert effective(other) == effective(statistics)
 
 
-def test_a_driver_who_is_known_makes_the_forecast_another():
+def test_known_driver_changes_the_forecast():
     pipeline = again()
     for _ in range(30):
         pipeline.engine.statistics.factors.add_shift(90, compute_driver_code("heavy"), 20.0, 26.0, 24.0)

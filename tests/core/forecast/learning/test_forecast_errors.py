@@ -1,4 +1,4 @@
-"""Forecasts are noted, held against what became of them, and those before a charge against nothing."""
+"""Test that forecasts are recorded and evaluated at the end of their shift, except those before a charging."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def evaluated(forecasts, soc, charged):
 
 
 def noted(times, end=END, **of):
-    """Return a log of one lane to which a forecast was shown at each time, and those that it took."""
+    """Return a log of one lane after a forecast at each time, and the times of those that it recorded."""
     log = ForecastLog()
     log.grow(1)
     for time in times:
@@ -38,14 +38,14 @@ def noted(times, end=END, **of):
     return log, log.get_records(0)["time"].tolist()
 
 
-def test_a_forecast_is_noted_every_ten_minutes_and_once_at_the_end():
+def test_forecast_is_recorded_every_ten_minutes_and_at_the_end():
     _, times = noted(np.arange(0.0, END + 1.0, 15.0))
     assert times[:3] == [0.0, RECORD_PERIOD, 2.0 * RECORD_PERIOD]
     assert times[-1] == END - LAST_RECORD
     assert np.diff(times[:-1]).min() >= RECORD_PERIOD
 
 
-def test_at_the_end_every_note_is_held_against_the_charge_that_is_told():
+def test_every_record_is_evaluated_against_the_charge_at_the_end():
     log, times = noted(np.arange(0.0, END - 15.0, 15.0))
     assert log.evaluate_until(0, END - 1.0, 0.47, np.nan) == []
     assert log.is_due(np.array([0]), np.array([END])).all()
@@ -57,7 +57,7 @@ def test_at_the_end_every_note_is_held_against_the_charge_that_is_told():
     assert log.evaluate_shift(0, 0.3, np.nan) == []
 
 
-def test_a_shift_that_breaks_off_is_held_against_the_last_charge():
+def test_interrupted_shift_is_evaluated_against_its_last_charge():
     log, times = noted(np.arange(0.0, 3000.0, 15.0))
     (errors,) = log.evaluate_shift(0, 0.56, np.nan)
     assert errors.scores == pytest.approx(np.full(len(times), 3.0))
@@ -65,65 +65,65 @@ def test_a_shift_that_breaks_off_is_held_against_the_last_charge():
 
 
 @given(st.floats(-100.0, 8000.0), st.lists(st.floats(0.0, END), min_size=1, max_size=20))
-def test_only_forecasts_after_the_last_charge_are_judged(charged, times):
+def test_only_forecasts_after_the_last_charging_are_evaluated(charged, times):
     found = evaluated([note(time) for time in sorted(times)], 0.5, charged)
     assert sum(len(errors.scores) for errors in found) == sum(time > charged for time in times)
 
 
-def test_where_no_charge_is_known_nothing_is_judged():
+def test_nothing_is_evaluated_without_a_known_charge():
     assert evaluated([note(0.0)], np.nan, np.nan) == []
 
 
-def shifts_to_empty(rng, lean, began, foretold, taken, n=300):
-    """Yield forecasts of shifts of a fleet that often runs empty, and what was left of each; the car stops there."""
-    for energy, error in zip(rng.uniform(*foretold, n), rng.normal(size=n), strict=True):
+def shifts_to_empty(rng, lean, began, predicted, taken, n=300):
+    """Yield forecasts of shifts that often run empty, and the charge that was left; the car stops there."""
+    for energy, error in zip(rng.uniform(*predicted, n), rng.normal(size=n), strict=True):
         mean, sd = began - lean * energy, 0.1 * energy
         left = max(began - taken * energy - sd * error, 0.0)
         yield ForecastRecord(0.0, END, 0, 10.0, 15.0, mean, sd, began, lean), left
 
 
-@pytest.mark.parametrize("foretold", [(0.2, 1.0), (0.5, 2.0)], ids=["some empty", "most empty"])
-def test_of_cars_that_run_empty_the_errors_are_learned_as_of_others(foretold):
-    """The battery that ends at nothing would have ended below: that is no error of who foretold it."""
+@pytest.mark.parametrize("predicted", [(0.2, 1.0), (0.5, 2.0)], ids=["some empty", "most empty"])
+def test_errors_of_cars_that_run_empty_are_learned_without_bias(predicted):
+    """A forecast below an empty battery is right when the battery ends empty."""
     rng, conformal = np.random.default_rng(5), ConformalIntervals()
-    for note_, left in shifts_to_empty(rng, 1.0, 0.7, foretold, 1.0, 1000):
-        for errors in evaluated([note_], left, np.nan):
+    for forecast, left in shifts_to_empty(rng, 1.0, 0.7, predicted, 1.0, 1000):
+        for errors in evaluated([forecast], left, np.nan):
             conformal.add_shift(errors.basis, errors.ahead_km, errors.ambient_c, errors.scores)
     conformal.update_quantiles()
     _, (low,), (high,) = conformal.get_quantiles(np.array([0]), np.array([10.0]), np.array([15.0]))[1]
     assert -1.645 - 0.35 < low < -1.0  # errors below are cut off where the battery is empty
     assert high == pytest.approx(1.645, abs=0.35)
     inside = {True: [], False: []}
-    for note_, left in shifts_to_empty(rng, 1.0, 0.7, foretold, 1.0, 4000):
-        low_end, high_end = (max(note_.mean + note_.sd * bound, 0.0) for bound in (low, high))
-        inside[note_.mean >= 0.0].append(low_end <= left <= high_end)
+    for forecast, left in shifts_to_empty(rng, 1.0, 0.7, predicted, 1.0, 4000):
+        low_end, high_end = (max(forecast.mean + forecast.sd * bound, 0.0) for bound in (low, high))
+        inside[forecast.mean >= 0.0].append(low_end <= left <= high_end)
     assert np.mean(inside[True]) == pytest.approx(0.9, abs=0.04)
     assert np.mean(inside[False]) > 0.9
 
 
 @pytest.mark.parametrize("taken", [0.85, 1.0, 1.2])
-def test_what_forecasts_are_short_by_is_found_where_cars_run_empty(taken):
+def test_bias_is_recovered_where_cars_run_empty(taken):
     rng, bias = np.random.default_rng(6), BiasCorrection()
     for _ in range(20):
-        for note_, left in shifts_to_empty(rng, float(bias.factor[0]), 0.7, (0.3, 1.5), taken):
-            for errors in evaluated([note_], left, np.nan):
+        for forecast, left in shifts_to_empty(rng, float(bias.factor[0]), 0.7, (0.3, 1.5), taken):
+            for errors in evaluated([forecast], left, np.nan):
                 bias.add_shift(errors)
         bias.update_factor()
     assert bias.factor[0] == pytest.approx(taken, abs=0.025)
 
 
-def test_forecasts_by_plan_and_by_habit_are_judged_apart():
+def test_forecasts_by_plan_and_by_history_are_evaluated_separately():
     found = evaluated([note(0.0), note(600.0, basis=1, mean=0.4), note(1200.0)], 0.5, np.nan)
     assert [(errors.basis, len(errors.scores)) for errors in found] == [(0, 2), (1, 1)]
     assert found[1].scores == pytest.approx([5.0])
 
 
-def test_a_forecast_that_knows_nothing_is_not_noted():
+def test_unknown_forecast_is_not_recorded():
     log, _ = noted([0.0], mean=np.nan)
     assert log.evaluate_shift(0, 0.5, np.nan) == []
 
 
-def test_a_plan_that_was_put_off_is_judged_at_each_end():
+def test_postponed_plan_is_evaluated_at_each_end():
     log, _ = noted([0.0, 700.0])
     log.record(0, note(1400.0, end=END + 3600.0))
     (first,) = log.evaluate_until(0, END, 0.5, np.nan)
@@ -131,7 +131,7 @@ def test_a_plan_that_was_put_off_is_judged_at_each_end():
     assert (len(first.scores), len(later.scores)) == (2, 1)
 
 
-def test_what_was_dumped_goes_on_as_if_nothing_had_happened():
+def test_loaded_state_continues_as_uninterrupted():
     one, _ = noted(np.arange(0.0, 3000.0, 15.0))
     other = ForecastLog()
     other.load(one.dump())

@@ -1,4 +1,4 @@
-"""How rides go: what was planted in those that were driven is expected of those that are planned."""
+"""Test that consumption planted in past rides is predicted for planned legs."""
 
 from functools import cache
 
@@ -21,21 +21,21 @@ COLD = {-15.0: 1.4, 0.0: 1.2, 15.0: 1.0}
 
 
 @cache
-def taught(planted: str = "cold", rides: int = 12 * 3 * LEGS) -> Pipeline:
-    """Return a pipeline that has learned from rides in which the cold was planted, or which were all alike."""
+def train(planted: str = "cold", rides: int = 12 * 3 * LEGS) -> Pipeline:
+    """Return a pipeline trained with rides that need more energy in the cold, or with rides that are all alike."""
     pipeline, driven = Pipeline(settings=SETTINGS), 0
     pipeline.push([observed(temperature_c=10.0), *(leaf(car) for car in "cde")])
     for day in range(12):
         for number, car in enumerate("cde"):
             if driven < rides:
-                pipeline.push([m for _, m in shift(car, day, told(car, day, planted, list(COLD)[(day + number) % 3]))])
+                pipeline.push([m for _, m in shift(car, day, plant(car, day, planted, list(COLD)[(day + number) % 3]))])
                 driven += LEGS
     pipeline.push(night(13, "c"))
     return pipeline
 
 
-def told(car, day, planted, celsius):
-    """Return the samples of a shift that something was planted in."""
+def plant(car, day, planted, celsius):
+    """Return the samples of a shift with a planted effect."""
     sent = columns(car, day)
     if planted == "cold":
         sent["ambient_c"][:] = celsius
@@ -44,7 +44,7 @@ def told(car, day, planted, celsius):
 
 
 def tables(planted="cold"):
-    return taught(planted).engine.statistics.get_tables(0)
+    return train(planted).engine.statistics.get_tables(0)
 
 
 def energy(km, seconds=None, gained=np.nan, lost=np.nan, known=None):
@@ -55,18 +55,18 @@ def energy(km, seconds=None, gained=np.nan, lost=np.nan, known=None):
 
 
 @given(st.floats(0.5, 50.0), st.floats(1.05, 4.0))
-def test_more_kilometres_take_more(km, longer):
+def test_longer_leg_takes_more_energy(km, longer):
     assert (energy(longer * km) > energy(km)).all()
 
 
 @given(st.floats(0.0, 50.0), st.floats(0.0, 86_400.0), st.floats(0.0, 500.0), st.floats(0.0, 500.0))
-def test_no_leg_gives_back_more_than_its_descent_and_all_are_known(km, seconds, gained, lost):
+def test_no_leg_returns_more_than_its_descent_and_all_are_finite(km, seconds, gained, lost):
     found = energy(km, seconds, gained, lost)
     assert np.isfinite(found).all()
     assert (found >= min(tables().descent_energy, 0.0) * min(lost, STEEPEST_DESCENT * km)).all()
 
 
-def test_where_rides_took_more_in_the_cold_legs_do():
+def test_legs_take_more_energy_in_the_cold_where_rides_did():
     at = [int(np.flatnonzero(celsius == TEMPERATURES)[0]) for celsius in (-15.0, 0.0)]
     warm = energy(6.0) @ compute_knot_weights(np.array([15.0]), TEMPERATURES)[0]
     cold, fresh = energy(6.0)[at]
@@ -74,12 +74,12 @@ def test_where_rides_took_more_in_the_cold_legs_do():
     assert fresh / warm == pytest.approx(1.2, abs=0.12)
 
 
-def test_where_they_did_not_legs_do_not():
+def test_legs_take_no_more_energy_in_the_cold_where_rides_did_not():
     plain = energy(6.0, known=tables("nothing"))
     assert np.ptp(plain) < 0.1 * plain.mean()
 
 
-def test_a_leg_takes_what_such_legs_took():
+def test_leg_takes_the_mean_energy_of_similar_legs():
     pipeline = again()
     sent = columns("c", 2)
     riding = sent["ride_id"] == "c-2-3"
@@ -92,7 +92,7 @@ def test_a_leg_takes_what_such_legs_took():
 
 
 @given(st.floats(1.0, 20.0), st.floats(10.0, 300.0))
-def test_uphill_takes_more_and_downhill_less(km, climb):
+def test_uphill_takes_more_and_downhill_less_energy(km, climb):
     level = energy(km, gained=0.0, lost=0.0)
     assert (energy(km, gained=climb, lost=0.0) > level).all()
     assert (energy(km, gained=0.0, lost=climb) <= level).all()
@@ -101,22 +101,22 @@ def test_uphill_takes_more_and_downhill_less(km, climb):
 
 
 @given(st.floats(0.5, 20.0), st.floats(60.0, 300.0))
-def test_unknown_climbs_are_as_usual(km, pace):
+def test_unknown_climb_counts_as_usual(km, pace):
     known = tables()._replace(climbed_per_km=np.full(len(PACES), 7.0), descended_per_km=np.full(len(PACES), 5.0))
     found = energy(km, pace * km, known=known)
     assert found == pytest.approx(energy(km, pace * km, 7.0 * km, 5.0 * km, known=known))
     assert (found < energy(km, pace * km, 9.0 * km, 5.0 * km, known=known)).all()
 
 
-def test_a_leg_of_standing_takes_what_standing_takes():
+def test_leg_of_standing_takes_standing_power():
     hour = energy(0.0, 10_800.0) - energy(0.0, 7200.0)
     assert hour == pytest.approx(tables().standing_power)
     assert tables("nothing").standing_power == pytest.approx(0.3 * 24.0 / CAPACITY, abs=0.12)
 
 
-def test_nothing_is_expected_of_a_model_with_few_rides_nor_before_the_night():
-    assert taught(rides=LEAST_RIDES + 2 * LEGS).engine.statistics.get_tables(0) is not None
-    few = taught(rides=LEAST_RIDES - LEGS)
+def test_no_tables_for_a_model_with_few_rides_nor_before_daily_update():
+    assert train(rides=LEAST_RIDES + 2 * LEGS).engine.statistics.get_tables(0) is not None
+    few = train(rides=LEAST_RIDES - LEGS)
     assert few.engine.statistics.rides._sums[MODEL].rides < LEAST_RIDES
     assert few.engine.statistics.get_tables(0) is None
     today = Pipeline(settings=SETTINGS)
@@ -130,7 +130,7 @@ def times():
 
 
 @given(st.lists(st.floats(-100.0, 100.0), min_size=1, max_size=20))
-def test_tents_share_every_value_between_its_two_neighbours(values):
+def test_knot_weights_interpolate_between_two_neighbours(values):
     weights = compute_knot_weights(np.array(values), TEMPERATURES)
     assert weights.sum(axis=1) == pytest.approx(np.ones(len(values)))
     assert (weights >= 0.0).all()
@@ -138,8 +138,8 @@ def test_tents_share_every_value_between_its_two_neighbours(values):
     assert weights @ TEMPERATURES == pytest.approx(np.clip(values, TEMPERATURES[0], TEMPERATURES[-1]))
 
 
-def test_what_was_dumped_is_there_again_and_settles_to_the_same():
-    pipeline = taught()
+def test_loaded_state_gives_the_same_tables():
+    pipeline = train()
     statistics = pipeline.engine.statistics
     other = RideStatistics(pipeline.ledger.width)
     other.load(statistics.rides.dump())
@@ -169,7 +169,7 @@ def equations_of(statistics):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_what_rides_took_is_told_apart_at_every_pace_and_temperature_though_averages_blur_it(seed):
+def test_fit_recovers_energy_of_each_pace_and_temperature_that_averages_blur(seed):
     rng = np.random.default_rng(seed)
     truth = tables()._replace(
         leg_energy_per_km=rng.uniform(0.15, 0.3, (len(PACES), len(TEMPERATURES))),
@@ -194,7 +194,7 @@ def test_what_rides_took_is_told_apart_at_every_pace_and_temperature_though_aver
     assert found.start_energy == pytest.approx(truth.start_energy, abs=0.004)
 
 
-def test_a_ride_that_waited_tells_of_no_pace():
+def test_ride_that_mostly_waited_counts_for_no_pace():
     rides, used = driven(tables(), 1, np.random.default_rng(0))
     rides.amounts[0, AMOUNTS.index("duration")] = 3600.0 * 8.0
     statistics = RideStatistics(len(AMOUNTS))
@@ -204,12 +204,12 @@ def test_a_ride_that_waited_tells_of_no_pace():
     assert statistics._sums[MODEL].rides == 1
 
 
-def test_a_rest_lasts_as_long_as_rests_did():
+def test_mean_pause_is_that_of_idle_periods():
     assert tables("nothing").mean_pause == pytest.approx((LEG - RIDE) / 3600.0, rel=0.2)
 
 
-def test_tables_are_those_of_averages_fitted_to_what_rides_took():
-    pipeline = taught()
+def test_tables_are_averages_fitted_to_the_measured_rides():
+    pipeline = train()
     statistics = pipeline.engine.statistics.rides
     plain = RideStatistics(pipeline.ledger.width)
     plain.load(statistics.dump())
