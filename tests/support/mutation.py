@@ -154,7 +154,7 @@ def is_caught(root: Path, mutation: Mutation, *, everything: bool) -> bool:
     """Run tests on a mutation until one fails."""
     file = root / mutation.path
     kept = file.read_text(encoding="utf-8")
-    tests = [] if everything else related_tests(root, mutation.path)
+    tests = ["-n", "auto"] if everything else related_tests(root, mutation.path)
     file.write_text(mutation.source, encoding="utf-8")
     try:
         command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *map(str, tests)]
