@@ -1,5 +1,6 @@
 """`make bench`: measure, print, and write the figures to bench.json and BENCHMARKS.md."""
 
+import argparse
 import json
 import os
 import platform
@@ -37,6 +38,7 @@ ROOT = Path(__file__).parent.parent.parent
 
 def main() -> None:
     """Run every measure, print the ratios, and write both files."""
+    argparse.ArgumentParser(prog="python -m tools.bench", description=__doc__).parse_args()
     console = Console()
     with Progress(console=Console(stderr=True), transient=True) as progress:
         measures = [measure() for measure in progress.track(MEASURES, description="measuring")]
