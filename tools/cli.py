@@ -163,6 +163,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         code = application(chosen)(given, prog_name="socast", standalone_mode=False) or 0
         sys.stdout.flush()
+        output = sys.modules.get("tools.terminal.output")  # imported only by commands that print tables
+        if output is not None and output.has_lost_reader():
+            code = CLOSED_PIPE
     except (SocastError, UsageError) as error:
         print(_usage(error, chosen) if isinstance(error, UsageError) else _one_line(str(error)), file=sys.stderr)
         raise SystemExit(2) from None

@@ -7,7 +7,7 @@ from errno import EACCES
 from importlib import import_module
 from math import isnan
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, ClassVar, Final
 
 import msgspec
 import typer
@@ -81,10 +81,18 @@ EffectFiles = Annotated[
 class _PipedConsole(Console):
     """A console that prints no more once its reader has gone, instead of ending the process."""
 
+    reader_has_gone: ClassVar[bool] = False
+
     def on_broken_pipe(self) -> None:
-        """Let the command go on, which may have files to write, and leave the error to `main`."""
+        """Let the command go on, which may have files to write; later output leads nowhere."""
+        _PipedConsole.reader_has_gone = True
         self.quiet = True
-        self.file.write("\n")  # stays in the buffer, so that the flush in `main` meets the error again
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def has_lost_reader() -> bool:
+    """Return whether the reader of standard output has gone before everything was printed."""
+    return _PipedConsole.reader_has_gone
 
 
 def make_console(json_file: Path | None = None) -> Console:
