@@ -70,7 +70,7 @@ def test_check_refuses(before, after, said):
     assert said in refusal(GOOD.replace(before, after))
 
 
-BARE = GOOD.replace(f"return {BODY}", "return stopped * ({})").replace("door_loss", "bare")
+BARE = GOOD.replace(f"return {BODY}", "return stopped * (EXPRESSION)").replace("door_loss", "bare")
 
 
 @pytest.mark.parametrize(
@@ -91,7 +91,7 @@ BARE = GOOD.replace(f"return {BODY}", "return stopped * ({})").replace("door_los
 )
 def test_bare_number_beside_a_quantity_is_named_with_its_line_and_the_remedy(tmp_path, expression, number, part):
     path = tmp_path / "bare.py"
-    path.write_text(BARE.format(expression).replace("@effect", "LIMIT = 278.15\n\n@effect"))
+    path.write_text(BARE.replace("EXPRESSION", expression).replace("@effect", "LIMIT = 278.15\n\n@effect"))
     line = path.read_text()[: path.read_text().index("    return")].count("\n") + 1
     with pytest.raises(EffectError) as caught:
         load_file(path)
@@ -112,7 +112,7 @@ def test_bare_number_beside_a_quantity_is_named_with_its_line_and_the_remedy(tmp
 )
 def test_error_of_a_file_names_the_line(tmp_path, expression, said):
     path = tmp_path / "bare.py"
-    path.write_text(BARE.format(expression))
+    path.write_text(BARE.replace("EXPRESSION", expression))
     line = path.read_text()[: path.read_text().index("    return")].count("\n") + 1
     with pytest.raises(EffectError) as caught:
         load_file(path)
@@ -121,7 +121,9 @@ def test_error_of_a_file_names_the_line(tmp_path, expression, said):
 
 def test_zero_needs_no_unit(tmp_path):
     path = tmp_path / "zero.py"
-    path.write_text(BARE.format("(inside - ambient) * (ambient > 0)").replace("bare", "zero_needs_no_unit"))
+    path.write_text(
+        BARE.replace("EXPRESSION", "(inside - ambient) * (ambient > 0)").replace("bare", "zero_needs_no_unit")
+    )
     assert [effect.name for effect in load_file(path)] == ["zero_needs_no_unit"]
     registry._library.pop("zero_needs_no_unit"), registry._brought_by.pop("zero_needs_no_unit")
 

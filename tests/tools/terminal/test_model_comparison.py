@@ -125,10 +125,11 @@ def test_models_are_loaded_by_name_and_the_usual_one_where_none_is_named():
 
 @pytest.mark.parametrize("command", [["replay", "{rec}"], ["live", "--listen", "tcp/127.0.0.1:0"]])
 def test_the_same_model_twice_is_refused_in_one_line(command, recording, tmp_path, capsys):
-    models.save(BASIC_PHYSICAL, tmp_path / "copy.json")
+    for name in ("one.json", "copy.json"):
+        models.save(BASIC_PHYSICAL, tmp_path / name)
     arguments = [argument.format(rec=recording) for argument in command]
-    told = refused(capsys, *arguments, "--model", "basic_physical", "--model", tmp_path / "copy.json")
-    assert "basic_physical/1 is given twice" in told
+    told = refused(capsys, *arguments, "--model", tmp_path / "one.json", "--model", tmp_path / "copy.json")
+    assert f"basic_physical/{models.stamp(BASIC_PHYSICAL).version} is given twice" in told
 
 
 def test_replay_of_several_models_tells_how_each_fares(recording, tmp_path):
