@@ -1,1 +1,1 @@
-"""The report of an evaluation: tables in the terminal, and one page of tables and figures."""
+"""Reports of commands: tables in the terminal, and one HTML page of tables and figures."""

@@ -1,4 +1,4 @@
-"""Tables of a report before they are printed or become HTML, and how their figures are written."""
+"""Define the tables of a report before they are printed or become HTML, and format their figures."""
 
 from typing import Any, Final, NamedTuple
 
@@ -8,10 +8,10 @@ from tools.report.evaluation.result import get_half_width, get_number
 PAPER_NOTE: Final = (
     "In parentheses: the paper's figures, of its own company's rides: other data than these, for orientation only."
 )
-"""Stands below every table that shows figures of the paper."""
+"""Note below every table that shows figures of the paper."""
 
 UNKNOWN: Final = "–"
-"""Stands where there is no figure."""
+"""Text where there is no figure."""
 
 
 class Cell(NamedTuple):
@@ -20,11 +20,11 @@ class Cell(NamedTuple):
     Parameters
     ----------
     text : str
-        What was found here.
+        Figure of this evaluation.
     paper : str
-        What the paper has, empty where it has nothing.
+        Figure of the paper; empty where there is none.
     strong : bool
-        Stands out: the best of its column.
+        Whether the cell is emphasised, as the best of its column is.
     """
 
     text: str
@@ -46,14 +46,15 @@ class ReportTable(NamedTuple):
     Parameters
     ----------
     title : str
-        Ends with the paper's table number, where it has one.
+        Title, ending with the paper's table number where there is one.
     corner : str
-        Head of the column of names.
+        Heading of the column of row names.
     columns : tuple of str
-        Heads of the others, with units.
+        Headings of the other columns, with units.
     rows : tuple of Row
+        Rows.
     notes : tuple of str
-        What a reader must know, below.
+        Notes below the table.
     """
 
     title: str
@@ -69,12 +70,12 @@ class ReportTable(NamedTuple):
 
     @property
     def all_notes(self) -> tuple[str, ...]:
-        """The notes, and where figures of the paper are shown, that they are of other data."""
+        """Notes of the table, with `PAPER_NOTE` where figures of the paper are shown."""
         return (*self.notes, PAPER_NOTE) if self.beside_paper else self.notes
 
 
 def format_energy(value: Any) -> str:
-    """Return an energy, with its interval where it has one.
+    """Return an energy, with its interval where it has one. [kWh]
 
     Examples
     --------
@@ -90,7 +91,7 @@ def format_energy(value: Any) -> str:
 
 
 def format_signed(value: Any, digits: int = 3) -> str:
-    """Return an energy that may be of either sign.
+    """Return an energy with its sign. [kWh]
 
     Examples
     --------
@@ -114,7 +115,7 @@ def format_percent(share: Any, digits: int = 1) -> str:
 
 
 def format_change(value: float | None, reference: float | None) -> str:
-    """Return by how much a figure is above a reference.
+    """Return by which percentage a figure is above a reference.
 
     Examples
     --------
@@ -127,7 +128,7 @@ def format_change(value: float | None, reference: float | None) -> str:
 
 
 def format_count(value: Any) -> str:
-    """Return a number of things.
+    """Return a count.
 
     Examples
     --------
@@ -139,12 +140,12 @@ def format_count(value: Any) -> str:
 
 
 def format_published(figure: PublishedFigure | None) -> str:
-    """Return a figure of the paper as it was printed, empty where it has none."""
+    """Return a figure of the paper as printed; empty where there is none."""
     return "" if figure is None else figure.text
 
 
 def mark_least(cells: list[Cell], values: list[float | None]) -> list[Cell]:
-    """Return the cells of a column, those with its least value standing out."""
+    """Return the cells of a column, with those of the least value emphasised."""
     least = min((value for value in values if value is not None), default=None)
     return [
         cell._replace(strong=value is not None and value == least) for cell, value in zip(cells, values, strict=True)

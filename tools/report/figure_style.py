@@ -1,7 +1,7 @@
-"""How figures look: each model has its colour, dash and symbol, each vehicle model its pattern, in every figure.
+"""Define how figures look: each model has a colour, dash and symbol, each vehicle model a pattern, in every figure.
 
-Nothing is told by colour alone, so that figures can be read in black and white. Colours are of middling lightness, for
-light and dark backgrounds; text and grid take the page's own.
+No information is in colour alone, so figures can be read in black and white. Colours are of medium lightness, for light
+and dark backgrounds; text and grid take the colours of the page.
 """
 
 from html import escape
@@ -42,20 +42,20 @@ SYMBOLS: Final = (
     "bowtie",
     "triangle-left",
 )
-"""As many as dashes have no divisor in common with, so that a pair of both comes back late only."""
+"""Symbols. Their number and that of the dashes have no common divisor, so that pairs of both repeat late."""
 PATTERNS: Final = ("", "/", "x", ".", "-", "|", "\\", "+")
 
 DIVERGING: Final = [[0.0, "rgba(11,118,196,0.75)"], [0.5, "rgba(128,128,128,0.06)"], [1.0, "rgba(209,87,31,0.75)"]]
-"""From better to worse."""
+"""Colour scale from better to worse."""
 
 REFERENCE_LINE: Final = {"dash": "dash", "width": 1.5, "color": "#8a8a8a"}
 
 PAPER_NAME: Final = "the paper's (other data)"
-"""In legends."""
+"""Name of the paper's figures in legends."""
 
 
 class Style(NamedTuple):
-    """How a model or vehicle model is drawn."""
+    """Colour, dash, symbol and pattern of a model or vehicle model."""
 
     colour: str
     dash: str
@@ -64,7 +64,7 @@ class Style(NamedTuple):
 
 
 def get_style(place: int) -> Style:
-    """Return the style of the model or vehicle model at a place in its order."""
+    """Return the style of the model or vehicle model at a position in its order."""
     return Style(*(kinds[place % len(kinds)] for kinds in (COLOURS, DASHES, SYMBOLS, PATTERNS)))
 
 
@@ -81,12 +81,12 @@ def get_vehicle_style(result: Result, vehicle_model: str) -> Style:
 
 
 def escape_label(text: str) -> str:
-    """Return text that plotly shows as it is: it reads some tags."""
+    """Return text that plotly shows literally; plotly interprets some tags."""
     return escape(text, quote=False)
 
 
 def format_recipe_label(result: Result, recipe: str, width: int = 30) -> str:
-    """Return the title of a model, in lines of about a width."""
+    """Return the title of a model, in lines of about `width` characters."""
     lines = [""]
     for word in get_title(result, recipe).split():
         if lines[-1] and len(lines[-1]) + len(word) >= width:
@@ -102,21 +102,21 @@ def make_figure(traces: list[Any], height: int = 420) -> go.Figure:
     Parameters
     ----------
     traces : list
-        Of plotly.
+        Traces of plotly.
     height : int
-        Of the plot and its axes; the page adds that of the legend. [px]
+        Height of the plot and its axes; the page adds that of the legend. [px]
     """
     return apply_layout(go.Figure(traces), height)
 
 
 def make_stacked_figure(titles: tuple[str, ...], height: int) -> go.Figure:
-    """Return an empty figure of plots one above the other, with the same axis of x."""
+    """Return an empty figure of plots one above the other that share their x axis."""
     made = make_subplots(rows=len(titles), cols=1, subplot_titles=titles, vertical_spacing=0.16)
     return apply_layout(made, height)
 
 
 def apply_layout(made: go.Figure, height: int) -> go.Figure:
-    """Return a figure in the common layout."""
+    """Apply the common layout to a figure and return it."""
     made.update_layout(
         template=None,
         height=height,
@@ -135,7 +135,7 @@ def apply_layout(made: go.Figure, height: int) -> go.Figure:
 def draw_curve(
     name: str, look: Style, x: list[Any], y: list[Any], ci95: list[float | None] | None = None, **more: Any
 ) -> Any:
-    """Return a line with markers, with error bars where the half widths of intervals are given."""
+    """Return a line with markers, with error bars where half widths of intervals are given."""
     bars = {"type": "data", "array": ci95, "thickness": 1, "width": 3} if ci95 and any(ci95) else None
     return go.Scatter(
         name=name,
@@ -150,7 +150,7 @@ def draw_curve(
 
 
 def draw_bars(name: str, look: Style, y: list[Any], x: list[Any], **more: Any) -> go.Bar:
-    """Return horizontal bars with a pattern of their own."""
+    """Return horizontal bars with the pattern of a style."""
     marker = {
         "color": look.colour,
         "pattern": {"shape": look.pattern, "fillmode": "replace", "size": 6, "solidity": 0.5},
@@ -176,6 +176,6 @@ def draw_dots(
 
 
 def add_reference_line(made: go.Figure, text: str, x: float) -> None:
-    """Draw a dashed line upwards through a figure, and above it what it stands for."""
+    """Draw a dashed vertical line through a figure, with a label above it."""
     above = {"text": text, "textangle": 0, "yref": "paper", "y": 1.0, "yanchor": "bottom", "xanchor": "left"}
     made.add_vline(x=x, line=REFERENCE_LINE, annotation=above)

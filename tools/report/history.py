@@ -138,7 +138,9 @@ def write(model: LinearModel, path: Path) -> None:
         shown.append(Section(f"step-{i}", f"{i}. {section.title}", text, section.tables))
     made_by = "<p>Made by <code>socast history</code>.</p>"
     save(
-        render_document(_title(model), "", shown, lambda key: draw_errors(model) if key == "history" else [], made_by),
+        render_document(
+            "history", _title(model), "", shown, lambda key: draw_errors(model) if key == "history" else [], made_by
+        ),
         path,
     )
 

@@ -1,4 +1,4 @@
-"""The report of an evaluation as one HTML file: tables and figures, nothing loaded from elsewhere."""
+"""Render the report of an evaluation as one HTML file: tables and figures, with nothing loaded from elsewhere."""
 
 from collections.abc import Callable, Sequence
 from html import escape
@@ -16,6 +16,7 @@ from tools.report.cells import Cell, ReportTable, Row
 from tools.report.evaluation.illustrations import Illustration, build_illustrations
 from tools.report.evaluation.result import Result, get_mapping
 from tools.report.evaluation.sections import Section, build_sections
+from tools.terminal.output import REPORT_VERSIONS
 
 TITLE: Final = "Evaluation of consumption models"
 
@@ -23,16 +24,16 @@ POLICY: Final = (
     "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:; "
     "font-src data:"
 )
-"""What the browser lets the page do: nothing from the network."""
+"""Content security policy of the page: nothing may be loaded from the network."""
 
 
 def write(result: Any, path: Path) -> None:
-    """Write the result of an evaluation as a page that needs nothing else.
+    """Write the result of an evaluation as a self-contained page.
 
     Parameters
     ----------
     result : mapping
-        Of the evaluation; what it lacks is left out.
+        Result of the evaluation; what it lacks is left out.
     path : Path
         File to write.
 
@@ -46,6 +47,13 @@ def write(result: Any, path: Path) -> None:
 
 def save(text: str, path: Path) -> None:
     """Write a page.
+
+    Parameters
+    ----------
+    text : str
+        HTML.
+    path : Path
+        File to write.
 
     Raises
     ------
@@ -61,26 +69,40 @@ def save(text: str, path: Path) -> None:
 
 
 def render_page(result: Any) -> str:
-    """Return the page."""
+    """Return the page of an evaluation."""
     found = to_json_values(result)
     return render_document(
-        TITLE, _lead(found), build_sections(found), lambda key: build_illustrations(found, key), _foot(found)
+        "evaluate",
+        TITLE,
+        _lead(found),
+        build_sections(found),
+        lambda key: build_illustrations(found, key),
+        _foot(found),
     )
 
 
 def render_document(
-    title: str, lead: str, shown: Sequence[Section], drawn: Callable[[str], Sequence[Illustration]], foot: str
+    report: str,
+    title: str,
+    lead: str,
+    shown: Sequence[Section],
+    drawn: Callable[[str], Sequence[Illustration]],
+    foot: str,
 ) -> str:
     """Return a page of sections.
 
     Parameters
     ----------
+    report : str
+        Name of the report, a key of `tools.terminal.output.REPORT_VERSIONS`.
     title : str
+        Title of the page.
     lead, foot : str
         HTML above and below the sections.
     shown : sequence of Section
+        Sections, in order.
     drawn : callable
-        Gives the figures of a section, by its key.
+        Returns the figures of a section, by its key.
     """
     links = "".join(f'<li><a href="#{section.key}">{escape(section.title)}</a></li>' for section in shown)
     body = "".join(_section(section, drawn(section.key)) for section in shown)
@@ -90,6 +112,7 @@ def render_document(
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta name="color-scheme" content="light dark">
+<meta name="socast-format" content="{report} {REPORT_VERSIONS[report]}">
 <meta http-equiv="Content-Security-Policy" content="{escape(POLICY)}">
 <title>{escape(title)}</title>
 <style>{_shipped("page.css")}</style>
@@ -116,7 +139,7 @@ def _shipped(name: str) -> str:
 
 
 def _lead(result: Result) -> str:
-    """Return what was evaluated, and what stands beside it."""
+    """Return how many rides were evaluated, and what the figures of the paper are."""
     about = get_mapping(result, "about")
     rides = f"{about['fit']:,} rides. " if isinstance(about.get("fit"), int | float) else ""
     text = (
@@ -127,7 +150,7 @@ def _lead(result: Result) -> str:
 
 
 def _foot(result: Result) -> str:
-    """Return what the evaluation says was left out, and what made the page."""
+    """Return the notes of the evaluation and the name of the command."""
     about = get_mapping(result, "about")
     notes = [*(result.get("notes") or ()), *(about.get("notes") or ())]
     told = "".join(f"<li>{escape(str(note))}</li>" for note in notes)
@@ -161,7 +184,7 @@ def _figure(one: Illustration) -> str:
 
 
 def _figures_data(one: Illustration) -> str:
-    """Return the points of a figure as a table that is folded away; a matrix is below the figure anyway."""
+    """Return the points of a figure as a folded table; a matrix already has a table below the figure."""
     rows = "".join(
         f"<tr><th scope=row>{trace.name}</th><td>{_number(x)}</td><td>{_number(y)}</td></tr>"
         for trace in one.figure.data
@@ -176,12 +199,12 @@ def _figures_data(one: Illustration) -> str:
 
 
 def _number(value: Any) -> str:
-    """Return a coordinate; names are safe in HTML already."""
+    """Return a coordinate as text; names are already escaped."""
     return f"{value:.4g}" if isinstance(value, int | float) else str(value)
 
 
 def _table(table: ReportTable, *, captioned: bool) -> str:
-    """Return a table in a frame that scrolls sideways where it is too wide."""
+    """Return a table in a frame that scrolls sideways where the table is too wide."""
     title = escape(table.title)
     caption = f"<caption>{title}</caption>" if captioned else ""
     head = "".join(f'<th scope="col">{escape(name)}</th>' for name in (table.corner, *table.columns))

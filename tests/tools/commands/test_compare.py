@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, Term, save
+from tests.support.html_pages import read_page
 from tests.support.paths import ROOT
-from tests.tools.report.test_evaluation import read
 from tools.cli import main
 from tools.commands.tables import in_memory
 from tools.report.comparison.figures import get_model_style
@@ -87,7 +87,7 @@ def changed(folder, tmp_path, change):
 def page(path):
     """Return a page, read, that loads nothing and holds figures."""
     text = path.read_text()
-    found = read(text)
+    found = read_page(text)
     assert found.loaded == []
     assert set(found.links) <= set(found.ids)
     assert len(found.ids) == len(set(found.ids))

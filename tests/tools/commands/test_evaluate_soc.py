@@ -10,9 +10,9 @@ from rich.console import Console
 from core.evaluate.paper.results import to_json_values
 from core.evaluate.soc.report import evaluate_soc
 from core.stats.clustered import LEAST_CLUSTERS
+from tests.support.html_pages import read_page
 from tests.support.paths import ROOT
 from tests.support.soc_frames import make_frames
-from tests.tools.report.test_evaluation import read
 from tools.cli import main
 from tools.commands import evaluate_soc as command
 from tools.commands.import_drives import collect_drives, write_recording
@@ -132,7 +132,7 @@ def test_the_tables_say_what_the_result_does(result):
         assert format_share(own["coverage"]) in line
         assert f"{own['baselines']['rating']['mae_pct']['value']:.2f}" in line
         assert hours == "0" or compare_with_best(own) in line
-    assert "Judged from 2018-01-03 to 2018-01-08; 8 shifts came before enough was learned" in " ".join(out.split())
+    assert "Evaluated from 2018-01-03 to 2018-01-08; 8 shifts came before enough was learned" in " ".join(out.split())
     assert out.index("By temperature") < out.index("Alarms") < out.index("How good the forecasts were")
     assert [row.name for row in tabulate_by_time(result).rows] == ["0 h", "1 h", "2 h", "4 h", "6 h", "all"]
 
@@ -140,7 +140,7 @@ def test_the_tables_say_what_the_result_does(result):
 def test_the_page_loads_nothing_and_has_every_figure(result, tmp_path):
     report.write(result, tmp_path / "s.html")
     text = (tmp_path / "s.html").read_text()
-    page = read(text)
+    page = read_page(text)
     assert page.loaded == []
     assert set(page.links) <= set(page.ids)
     assert len(page.ids) == len(set(page.ids))
@@ -273,7 +273,7 @@ def test_few_short_shifts_are_shown_as_far_as_anything_is_known(tmp_path):
     assert [row.name for row in tabulate_by_time(found).rows] == ["0 h", "all"]
     assert " 0 h " in out
     report.write(found, tmp_path / "few.html")
-    assert "figure-soc-scatter" not in read((tmp_path / "few.html").read_text()).ids
+    assert "figure-soc-scatter" not in read_page((tmp_path / "few.html").read_text()).ids
 
 
 def test_odd_names_are_shown_as_they_are(tmp_path):

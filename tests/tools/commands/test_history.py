@@ -11,7 +11,7 @@ from rich.console import Console
 from core import models
 from core.models import BASIC_PHYSICAL, LinearModel
 from tests.support.commands import done, refused
-from tests.tools.report.test_evaluation import read
+from tests.support.html_pages import read_page
 from tools.report import history
 
 
@@ -113,7 +113,7 @@ def test_the_command_prints_and_writes(path, capsys):
     told = json.loads(file.read_text())
     assert (told["mae_first_kwh"], told["mae_last_kwh"], told["noise_floor_kwh"]) == (0.42, 0.29, 0.2)
     assert [step["action"] for step in told["steps"]] == ["fit", "add", "refused", "add"]
-    reader = read(html.read_text())
+    reader = read_page(html.read_text())
     assert not reader.loaded
     assert "figure-falling" in reader.ids
     assert {"step-1", "step-2", "step-3"} <= set(reader.ids)

@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from tests.support.diagnosis_result import make_diagnosis, make_empty_diagnosis, make_missing_effect
-from tests.tools.report.test_evaluation import read
+from tests.support.html_pages import read_page
 from tools.commands.diagnose import insert_commands, parse_term
 from tools.report.diagnosis import page as report
 from tools.report.diagnosis import sentences
@@ -33,7 +33,7 @@ def printed(result, width=120, **more):
 def page(result, tmp_path, **more):
     """Return what the page holds."""
     report.write(result, tmp_path / "page.html", **more)
-    return read((tmp_path / "page.html").read_text())
+    return read_page((tmp_path / "page.html").read_text())
 
 
 def test_the_terminal_tells_a_story_in_its_order():

@@ -2,7 +2,6 @@
 
 import copy
 import re
-from html.parser import HTMLParser
 from io import StringIO
 
 import plotly.graph_objects as go
@@ -15,6 +14,7 @@ from core.errors import SettingsError
 from core.evaluate.paper import published
 from core.evaluate.paper.results import to_json_values
 from tests.support.evaluation_result import CLUSTERS, RECIPES, VEHICLES, evaluation
+from tests.support.html_pages import read_page
 from tools.report.cells import PAPER_NOTE, UNKNOWN
 from tools.report.evaluation import figures
 from tools.report.evaluation.illustrations import MAKERS, PAPER_CAPTION, build_illustrations
@@ -22,47 +22,11 @@ from tools.report.evaluation.sections import build_sections
 from tools.report.evaluation.terminal import show
 from tools.report.figure_style import get_style
 from tools.report.page import render_page, write
+from tools.terminal.output import REPORT_VERSIONS
 
 FEW_RECIPES = ("basic_physical", "fitted_physical", "hybrid_trees")
 FEW_VEHICLES = ("kia-soul-ev-2015", "nissan-leaf-2016")
-VOID = {"meta", "link", "br", "hr", "img", "input"}
 ODD = '<b>R&D\'s "best"</b> [red]model[/red] </script><script>alert(1)</script>'
-
-
-class Reader(HTMLParser):
-    """Checks that tags are closed in order; keeps ids, links and what would be loaded."""
-
-    def __init__(self):
-        super().__init__()
-        self.open, self.ids, self.links, self.loaded, self.tags, self.text = [], [], [], [], [], []
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-        if tag not in VOID:
-            self.open.append(tag)
-        for name, value in attrs:
-            if name == "id":
-                self.ids.append(value)
-            elif name == "href" and value.startswith("#"):
-                self.links.append(value[1:])
-            elif name in {"href", "src", "srcset", "data", "action"}:
-                self.loaded.append(value)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        if not {"script", "style"} & set(self.open):
-            self.text.append(data)
-
-
-def read(text):
-    """Return what a page holds."""
-    reader = Reader()
-    reader.feed(text)
-    reader.close()
-    assert reader.open == []
-    return reader
 
 
 def printed(result, width=120):
@@ -108,14 +72,20 @@ def terminal(result):
 
 
 def test_the_page_is_well_formed_and_its_links_lead_somewhere(html):
-    reader = read(html)
+    reader = read_page(html)
     assert len(reader.ids) == len(set(reader.ids))
     assert set(reader.links) <= set(reader.ids)
     assert {section.key for section in build_sections(evaluation())} <= set(reader.links)
 
 
+def test_page_carries_its_report_name_and_format_version(html):
+    reader = read_page(html)
+    (content,) = (attrs["content"] for _, attrs in reader.tags if attrs.get("name") == "socast-format")
+    assert content == f"evaluate {REPORT_VERSIONS['evaluate']}"
+
+
 def test_the_page_loads_nothing(html):
-    reader = read(html)
+    reader = read_page(html)
     assert reader.loaded == []
     assert html.count("* plotly.js v") == 1
     policy = next(attrs["content"] for tag, attrs in reader.tags if attrs.get("http-equiv"))
@@ -125,7 +95,7 @@ def test_the_page_loads_nothing(html):
 
 
 def test_every_figure_has_words_for_those_who_cannot_see_it(html, every_figure):
-    reader = read(html)
+    reader = read_page(html)
     plots = [attrs for tag, attrs in reader.tags if attrs.get("class") == "plot"]
     assert len(plots) == len(every_figure) > 20
     assert all(attrs["role"] == "img" and len(attrs["aria-label"]) > 40 for attrs in plots)
@@ -219,7 +189,7 @@ def test_names_are_shown_as_they_are(where):
     else:
         result["about"]["notes"] = [ODD]
     html = render_page(result)
-    reader = read(html)
+    reader = read_page(html)
     tags = [tag for tag, _ in reader.tags]
     assert tags.count("script") == 2 + tags.count("figure")
     shown = ODD.replace("_", " ")
@@ -264,7 +234,7 @@ def nulled(value):
 
 
 def test_nothing_at_all_is_a_page_too():
-    assert "Evaluation of consumption models" in "".join(read(render_page({})).text)
+    assert "Evaluation of consumption models" in "".join(read_page(render_page({})).text)
     assert "The paper" in printed({})
 
 

@@ -1,4 +1,4 @@
-"""Figures of a comparison: predicted against measured, errors by condition, two sets of rides."""
+"""Draw the figures of a comparison: predicted against measured, errors by condition, two sets of rides."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -27,25 +27,25 @@ from tools.report.figure_style import (
 )
 
 MOST_POINTS: Final = 2000
-"""Rides that a scatter shows."""
+"""Largest number of rides in a scatter plot."""
 BAND_DASHES: Final = ("dot", "dash", "longdashdot")
-"""Of the bands, narrowest first."""
+"""Dashes of the bands, narrowest first."""
 WIDEST: Final = 1.5
-"""Widest interval that is drawn, over the largest bias of a figure."""
+"""Widest interval that is drawn, relative to the largest bias of a figure."""
 LEFT_OUT: Final = "Intervals far wider than the figure, of bins with few car-days, are in the table only."
 PLACES: Final = (2, 4, 5, 3, 7, 6, 9, 10, 11, 8)
-"""Of models in the order of styles, neighbours apart; grey is for what was measured."""
+"""Positions of models in the order of styles; neighbours differ. Grey is kept for measurements."""
 
 
 def select_interval_widths(biases: Sequence[Any], among: Sequence[Any]) -> list[float | None]:
-    """Return the half widths of intervals, None for those so wide that nothing else could be seen."""
+    """Return half widths of intervals; None where an interval would dwarf the figure."""
     most = WIDEST * max((abs(get_number(bias) or 0.0) for bias in among), default=0.0)
     widths = [get_half_width(bias) for bias in biases]
     return [width if width is not None and width <= most else None for width in widths]
 
 
 def get_model_style(place: int) -> Style:
-    """Return the style of the model at a place on the command line, the same in every figure."""
+    """Return the style of the model at a position on the command line, the same in every figure."""
     return get_style(PLACES[place % len(PLACES)])
 
 
@@ -76,7 +76,7 @@ def illustrate_scatters(result: Result) -> list[Illustration]:
 
 
 def draw_scatter(result: Result, model: str, every: int = 1) -> go.Figure:
-    """Return the energies of rides with the bands of relative error about them."""
+    """Return a figure of the energies of rides, with bands of relative error."""
     rides = get_mapping(result, "rides")
     measured, predicted = list(rides["measured_kwh"])[::every], list(rides["predicted_kwh"][model])[::every]
     own = get_look(result, model)
@@ -123,7 +123,7 @@ def illustrate_conditions(result: Result) -> list[Illustration]:
 
 
 def draw_errors_by_condition(result: Result, name: str) -> go.Figure:
-    """Return bias above and mean absolute error below, of all models."""
+    """Return a figure of the bias above and the mean absolute error below, of all models."""
     made = make_stacked_figure(("bias, kWh a ride", "mean absolute error, kWh a ride"), 560)
     found = {model: index_bins(get_part(own, "by", name)) for model, own in get_mapping(result, "models").items()}
     shown = select_most_significant(
@@ -163,7 +163,7 @@ def draw_errors_by_condition(result: Result, name: str) -> go.Figure:
 
 
 def illustrate_terms(result: Result) -> list[Illustration]:
-    """Return, of each model, the terms of the difference in consumption between two sets of rides."""
+    """Return, for each model, the terms of the difference in consumption between two sets of rides."""
     caption = (
         "Second set less first: what each term of the model makes of the difference, what it makes in all, and what "
         "was measured, with 95 % intervals."
@@ -180,7 +180,7 @@ def illustrate_terms(result: Result) -> list[Illustration]:
 
 
 def draw_difference_terms(result: Result, model: str) -> go.Figure:
-    """Return the terms of a difference in consumption, from the top: measured, predicted, the rest, the terms."""
+    """Return a figure of a difference in consumption; from the top: measured, predicted, remainder, terms."""
     own = get_mapping(result, "against", "models", model)
     rows = [
         ("measured", get_part(result, "against", "consumption", "difference")),
@@ -214,7 +214,7 @@ def illustrate_datasets(result: Result) -> list[Illustration]:
 
 
 def draw_bias_of_datasets(name: str, bins: Sequence[Mapping[str, Any]]) -> go.Figure:
-    """Return the bias of one model on both sets of rides."""
+    """Return a figure of the bias of one model on both sets of rides."""
     shown = select_most_significant([{str(e["bin"]): get_part(e, "bias_kwh", "difference") for e in bins}])
     kept = [entry for entry in bins if str(entry["bin"]) in shown]
     x = [escape_label(str(entry["bin"])) for entry in kept]

@@ -1,4 +1,4 @@
-"""The report of a comparison: in the terminal, and as one page of tables and figures."""
+"""Show a comparison: in the terminal, and as one page of tables and figures."""
 
 from html import escape
 from pathlib import Path
@@ -21,18 +21,18 @@ from tools.report.page import render_document, save
 TITLE: Final = "Models against measurement"
 MODELS: Final = "models"
 ORDER: Final = ("places", "worst", "against", MODELS)
-"""Of sections in a terminal: the end is where the eye is."""
+"""Sections in the terminal; the most important one is printed last."""
 
 
 def show(result: Any, console: Console) -> None:
-    """Print a comparison, and last what a reader looks for first; or the trace of a ride.
+    """Print a comparison, with its main result last; or the trace of a ride.
 
     Parameters
     ----------
     result : mapping
-        Of the comparison, or of a trace.
+        Result of the comparison, or of a trace.
     console : Console
-        At least 120 columns wide.
+        Console of at least 120 columns.
     """
     found = to_json_values(result)
     if "trace" in found:
@@ -49,7 +49,7 @@ def show(result: Any, console: Console) -> None:
 
 
 def write(result: Any, path: Path) -> None:
-    """Write a comparison, or the trace of a ride, as a page that needs nothing else."""
+    """Write a comparison, or the trace of a ride, as a self-contained page."""
     found = to_json_values(result)
     made_by = "<p>Made by <code>socast compare</code>.</p>"
     if "trace" in found:
@@ -57,11 +57,17 @@ def write(result: Any, path: Path) -> None:
         ride = get_part(found, "trace", "ride")
         title = f"Ride {ride['ride_key']}"
         page = render_document(
-            title, "", build_trace_sections(found["trace"]), lambda key: drawn if key == "trace" else [], made_by
+            "compare",
+            title,
+            "",
+            build_trace_sections(found["trace"]),
+            lambda key: drawn if key == "trace" else [],
+            made_by,
         )
     else:
         notes = "".join(f"<li>{escape(note)}</li>" for note in found["notes"])
         page = render_document(
+            "compare",
             TITLE,
             "",
             build_sections(found, commands=True),
@@ -77,9 +83,9 @@ def build_sections(result: Result, *, commands: bool) -> list[Section]:
     Parameters
     ----------
     result : mapping
-        Of the comparison.
+        Result of the comparison.
     commands : bool
-        For a page, which has room for the commands that show rides, and for the worst rides of every model.
+        Whether to show the commands that trace rides, and the worst rides of every model; a page has room for both.
     """
     names = tables.list_models(result)
     worst = [
@@ -138,7 +144,7 @@ def build_trace_sections(found: Result) -> list[Section]:
 
 
 def _about(about: Result) -> str:
-    """Return what was compared, in words."""
+    """Return which rides were compared, in words."""
     left = ", ".join(f"{format_count(n)} {why}" for why, n in get_mapping(about, "left_out").items())
     measured = {MEASURED_BY[name]: share for name, share in get_mapping(about, "measured").items() if get_number(share)}
     by = ", ".join(f"{name} {format_percent(share, 0)}" for name, share in measured.items())
@@ -147,7 +153,7 @@ def _about(about: Result) -> str:
         f"{format_count(about['rides'])} of {format_count(about['read'])} rides from {about['first_date']} to {about['last_date']}: "
         f"{cars}. Left out: {left or 'none'}. "
         f"Mean consumption {tables.format_estimate(about['consumption_kwh'], 3)} kWh a ride, "
-        f"{tables.format_estimate(about['per_100km_kwh'])} kWh/100 km. Energy measured by: {by or 'not told'}."
+        f"{tables.format_estimate(about['per_100km_kwh'])} kWh/100 km. Energy measured by: {by or 'unknown'}."
     )
 
 
@@ -162,7 +168,7 @@ def _shared(against: Result) -> str:
 
 
 def _print_commands(result: Result, console: Console) -> None:
-    """Print the commands that show the worst rides, in one line each, to be copied."""
+    """Print the commands that trace the worst rides, one per line, ready to copy."""
     names = tables.list_models(result)
     found = get_mapping(result, "models", names[0], "worst")
     lines = dict.fromkeys(str(ride["command"]) for rides in found.values() for ride in rides if "command" in ride)

@@ -1,4 +1,4 @@
-"""Tables of a comparison: models, pairs of them, conditions, the worst rides, two sets of rides."""
+"""Build the tables of a comparison: models, pairs of models, conditions, the worst rides, and two sets of rides."""
 
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
@@ -23,11 +23,11 @@ from tools.report.evaluation.result import Result, get_half_width, get_mapping, 
 UNITS: Final[Mapping[str, str]] = MappingProxyType(
     {"distance": "km", "temperature": "°C", "speed": "km/h", "wind": "km/h", "time of day": "h"}
 )
-"""Of conditions that have one."""
+"""Units of conditions that have one."""
 MOST_BINS: Final = 20
-"""Bins that a table shows; of more, those that are most surely off."""
+"""Largest number of bins in a table; of more, the most significantly biased are shown."""
 FEW: Final = 2
-"""Models whose cells have room for more."""
+"""Largest number of models whose cells have room for the relative error."""
 INTERVAL_NOTE: Final = (
     "± is half of the 95 % interval, which allows for rides of one car on one day, a car-day, being alike; of a single "
     "one there is none."
@@ -40,7 +40,7 @@ HOUR_NOTE: Final = "Time of day by the sun's zone: UTC + longitude / 15°, round
 
 
 def list_models(result: Result) -> list[str]:
-    """Return the names of the models, in their order."""
+    """Return the names of the models, in order."""
     return list(get_mapping(result, "models"))
 
 
@@ -57,7 +57,7 @@ def format_difference(estimate: Any, digits: int = 3) -> str:
 
 
 def format_estimate(estimate: Any, digits: int = 1) -> str:
-    """Return a figure and its interval where it has one."""
+    """Return a figure, and its interval where it has one."""
     known, width = get_number(estimate), get_half_width(estimate)
     if known is None:
         return UNKNOWN
@@ -65,7 +65,7 @@ def format_estimate(estimate: Any, digits: int = 1) -> str:
 
 
 def tabulate_models(result: Result) -> ReportTable:
-    """Return how far off each model is."""
+    """Return the errors of each model."""
     found = get_mapping(result, "models")
     errors = [get_number(get_part(own, "mae_kwh")) for own in found.values()]
     first = mark_least([Cell(_share(format_energy, own, "mae_kwh", "relative")) for own in found.values()], errors)
@@ -92,7 +92,7 @@ def tabulate_models(result: Result) -> ReportTable:
 
 
 def _share(shown: Callable[[Any], str], own: Mapping[str, Any], name: str, relative: str) -> str:
-    """Return a figure, and its share of consumption."""
+    """Return a figure and its share of consumption."""
     return f"{shown(own.get(name))} ({format_percent(own.get(relative))})"
 
 
@@ -130,10 +130,10 @@ def format_probability(value: Any) -> str:
 
 
 def _better(pair: Mapping[str, Any]) -> str:
-    """Return which model of a pair has less error, where that is beyond chance."""
+    """Return the model of a pair with the smaller error, where the difference is significant."""
     chance, apart = get_number(pair["p_holm"]), get_number(pair["difference_kwh"])
     if chance is None or apart is None or chance >= SIGNIFICANCE:
-        return "cannot be told"
+        return "not distinguishable"
     return str(pair["a"] if apart < 0.0 else pair["b"])
 
 
@@ -143,7 +143,7 @@ def tabulate_conditions(result: Result) -> list[ReportTable]:
 
 
 def list_varying_conditions(result: Result) -> list[str]:
-    """Return the conditions that the rides differ in: those of more than one bin."""
+    """Return the conditions in which the rides differ: those with more than one bin."""
     found = [get_mapping(own, "by") for own in get_mapping(result, "models").values()]
     return list(dict.fromkeys(name for by in found for name, bins in by.items() if len(bins) > 1))
 
@@ -186,12 +186,12 @@ def index_bins(found: Any) -> dict[str, Mapping[str, Any]]:
 
 
 def select_most_significant(found: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the bins that are shown, in their order.
+    """Return the bins that are shown, in order.
 
     Parameters
     ----------
     found : sequence of mapping
-        Of each model, bin to bias with its interval.
+        For each model, bin to bias with its interval.
     """
     labels = list(dict.fromkeys(label for own in found for label in own))
 
@@ -204,7 +204,7 @@ def select_most_significant(found: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def is_significant(entry: Mapping[str, Any] | None) -> bool:
-    """Tell whether a finding is beyond chance among all that were looked at."""
+    """Return whether a difference is significant among all that were tested."""
     q = get_number(get_part(entry, "q"))
     return q is not None and q < SIGNIFICANCE
 
@@ -219,7 +219,7 @@ def _bias_and_error(entry: Mapping[str, Any] | None, *, share: bool) -> Cell:
 
 
 def tabulate_worst_rides(result: Result, model: str, *, commands: bool) -> list[ReportTable]:
-    """Return the rides of a model's largest errors, with the command that shows each where there is room."""
+    """Return the rides of a model's largest errors, with the command that traces each where there is room."""
     found = get_mapping(result, "models", model, "worst")
     return [
         _worst(f"{model}: the largest errors, kWh", get_part(found, "absolute") or (), commands=commands),
@@ -252,7 +252,7 @@ def _worst(title: str, rides: Sequence[Mapping[str, Any]], *, commands: bool) ->
 
 
 def tabulate_datasets(result: Result) -> list[ReportTable]:
-    """Return what is different between two sets of rides: the rides, what they took, and each model's account of it."""
+    """Return the differences between two sets of rides: rides, consumption, and the account of each model."""
     against = get_mapping(result, "against")
     if not against:
         return []

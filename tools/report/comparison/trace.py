@@ -1,4 +1,4 @@
-"""The trace of one ride: tables and figures of what was measured and what models say, window by window."""
+"""Build the tables and figures of a ride's trace: measured and predicted energy, window by window."""
 
 from collections.abc import Mapping, Sequence
 from itertools import accumulate, pairwise
@@ -15,20 +15,20 @@ from tools.report.figure_style import Style, escape_label, get_style, make_figur
 
 MEASURED: Final = Style("#8a8a8a", "solid", "circle", "")
 MOST_TERMS: Final = 6
-"""Terms that are drawn one by one; the rest is one more."""
+"""Number of terms that are drawn one by one; the others are summed."""
 LEAST_SHOWN: Final = 0.001
-"""Terms that come to less nowhere are left out of tables. [kWh]"""
+"""Terms below this energy everywhere are left out of tables. [kWh]"""
 OTHERS: Final = "other terms"
 AXES: Final = {"end_min": "Time since the start [min]", "end_km": "Distance [km]"}
-"""What a ride is shown along."""
+"""Columns of the x axis -> its titles."""
 HERE: Final = "◄"
-"""Marks the windows where model and measurement part."""
+"""Mark of the windows where model and measurement diverge."""
 SECONDS: Final = 3600.0
-"""In an hour."""
+"""Seconds in an hour. [s]"""
 
 
 def describe_ride(found: Result) -> str:
-    """Return which ride it is, in words."""
+    """Return the description of the ride."""
     ride = get_mapping(found, "ride")
     names = [str(ride[name]) for name in ("vehicle_model", "date") if ride.get(name)]
     sd = get_number(ride.get("energy_sd_kwh"))
@@ -42,7 +42,7 @@ def describe_ride(found: Result) -> str:
 
 
 def tabulate_models(found: Result) -> ReportTable:
-    """Return what each model says of the ride, and where it parts from the measurement."""
+    """Return the prediction of each model, with a description of where it diverges from the measurement."""
     measured = get_number(get_part(found, "ride", "energy_kwh"))
     rows = []
     for name, own in get_mapping(found, "models").items():
@@ -62,12 +62,12 @@ def tabulate_models(found: Result) -> ReportTable:
 
 
 def tabulate_terms(found: Result) -> list[ReportTable]:
-    """Return each model's terms: over the ride, and where it parts from the measurement."""
+    """Return the terms of each model: over the ride, and where it diverges from the measurement."""
     return [_terms(name, own) for name, own in get_mapping(found, "models").items()]
 
 
 def _terms(model: str, own: Mapping[str, Any]) -> ReportTable:
-    """Return the terms of a model, the largest first."""
+    """Return the terms of a model, largest first."""
     place = get_part(own, "place")
     at = slice(place["first"], place["last"] + 1) if place else slice(0, 0)
     start = get_mapping(own, "start_terms")
@@ -135,7 +135,7 @@ def _kw(energy_kwh: float, seconds: float) -> float | None:
 
 
 def _running(found: Result, model: str) -> Sequence[float]:
-    """Return the error so far after each window, what was said before the first one included. [kWh]"""
+    """Return the error so far after each window, including the prediction before the first window. [kWh]"""
     own = get_mapping(found, "models", model)
     apart = [
         said - true for said, true in zip(own["energy_kwh"], get_part(found, "windows", "measured_kwh"), strict=True)
@@ -144,7 +144,7 @@ def _running(found: Result, model: str) -> Sequence[float]:
 
 
 def build_illustrations(found: Result) -> list[Illustration]:
-    """Return energy and error along the ride, its power, and the terms of each model."""
+    """Return the figures of energy and error along the ride, of power, and of the terms of each model."""
     note = "Shaded: where the first model and the measurement part."
     along = [
         Illustration(
@@ -177,7 +177,7 @@ def _ends(found: Result, axis: str) -> list[float]:
 
 
 def draw_cumulative(found: Result, axis: str) -> go.Figure:
-    """Return energy so far above, and error so far below."""
+    """Return a figure of the energy so far above and the error so far below."""
     made = make_stacked_figure(("energy so far, kWh", "error so far, kWh"), 600)
     x = _ends(found, axis)
     made.add_trace(
@@ -195,7 +195,7 @@ def draw_cumulative(found: Result, axis: str) -> go.Figure:
 
 
 def draw_powers(found: Result) -> go.Figure:
-    """Return mean power of each window, measured and predicted."""
+    """Return a figure of the mean power of each window, measured and predicted."""
     x = _ends(found, "end_min")
     traces = [_stairs("measured", MEASURED, x, _power(found, get_part(found, "windows", "measured_kwh")), width=3)]
     for place, (name, own) in enumerate(get_mapping(found, "models").items()):
@@ -208,7 +208,7 @@ def draw_powers(found: Result) -> go.Figure:
 
 
 def draw_terms(found: Result, model: str) -> go.Figure:
-    """Return the terms of a model, stacked, and what was measured."""
+    """Return a figure of the terms of a model, stacked, and of the measured power."""
     ends = _ends(found, "end_min")
     middle = [(a + b) / 2.0 for a, b in pairwise(ends)]
     width = [0.92 * (b - a) for a, b in pairwise(ends)]
@@ -232,7 +232,7 @@ def draw_terms(found: Result, model: str) -> go.Figure:
 
 
 def _largest(energies: Mapping[str, Sequence[float]]) -> dict[str, list[float]]:
-    """Return the terms that matter most, and the sum of the others."""
+    """Return the largest terms, and the sum of the others."""
     order = sorted(energies, key=lambda name: -sum(abs(value) for value in energies[name]))
     made = {name: list(energies[name]) for name in order[:MOST_TERMS]}
     if rest := order[MOST_TERMS:]:
@@ -254,7 +254,7 @@ def _power(found: Result, energy: Sequence[float]) -> list[float | None]:
 def _steps(
     name: str, look: Style, x: Sequence[float], y: Sequence[Any], *, width: float = 2, **more: Any
 ) -> go.Scatter:
-    """Return a line through what was reached at the end of each window."""
+    """Return a line through the values at the end of each window."""
     line = {"color": look.colour, "dash": look.dash, "width": width}
     marker = {"symbol": look.symbol, "size": 5, "color": look.colour}
     return go.Scatter(
@@ -263,13 +263,13 @@ def _steps(
 
 
 def _stairs(name: str, look: Style, x: Sequence[float], y: Sequence[Any], *, width: float = 2) -> go.Scatter:
-    """Return a line that is level over each window."""
+    """Return a line that is constant over each window."""
     line = {"color": look.colour, "dash": look.dash, "width": width, "shape": "hv"}
     return go.Scatter(name=name, x=list(x), y=[*y, y[-1]], mode="lines", line=line)
 
 
 def _shade(made: go.Figure, found: Result, x: Sequence[float]) -> None:
-    """Shade the windows in which the first model and the measurement part."""
+    """Shade the windows in which the first model and the measurement diverge."""
     first = next(iter(get_mapping(found, "models").values()))
     if place := get_part(first, "place"):
         shade = {"fillcolor": "rgba(138,138,138,0.25)", "line": {"width": 0}, "layer": "below"}

@@ -117,6 +117,7 @@ def write(result: Any, path: Path, *, suggested: str | None = None) -> None:
     title = f"Diagnosis of {model.get('name')}, version {model.get('version')}"
     lines = (*sentences.describe_data(values), *sentences.describe_next_step(values))
     page = render_document(
+        "diagnose",
         title,
         "".join(f"<p>{escape(line)}</p>" for line in lines),
         build_sections(values, suggested),

@@ -55,7 +55,7 @@ def build_sections(result: Result) -> list[Section]:
     matrices = [tabulate_differences(result, key) for key in (ALL, *list_vehicle_models(result))]
     found = [
         Section("glance", "At a glance", "", [tabulate_overview(result)]),
-        Section("data", "Rides", "Which rides are judged, and what they took.", tabulate_data(result)),
+        Section("data", "Rides", "Which rides are evaluated, and their energy.", tabulate_data(result)),
         Section(
             "summary",
             "The models side by side",

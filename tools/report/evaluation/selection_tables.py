@@ -8,7 +8,7 @@ from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_signed
 from tools.report.evaluation.result import Result, get_mapping, get_number, get_part
 
 BEYOND: Final = 3
-"""Terms that are told of after the last one that can go."""
+"""Number of terms that are listed after the last removable one."""
 
 
 def tabulate_selection(result: Result) -> list[ReportTable]:

@@ -32,13 +32,13 @@ from tools.report.evaluation.result import (
 AXES: Final[Mapping[str, str]] = MappingProxyType(
     {"distance": "distance", "temperature": "outside temperature", "season": "season", "driver": "driver"}
 )
-"""What errors are told by, and what people call it."""
+"""Properties by which errors are reported -> their names for readers."""
 
 UNITS: Final[Mapping[str, str]] = MappingProxyType({"distance": ", km", "temperature": ", °C"})
-"""Of what errors are told by, for heads of columns."""
+"""Units of these properties, for headings."""
 
 MANY_BINS: Final = 20
-"""Of more bins than these only the spread is told."""
+"""Number of bins above which only the spread is reported."""
 
 UNSEEN: Final[Mapping[str, str]] = MappingProxyType(
     {"by_vehicle": "cars unseen", "by_date": "last dates unseen", "new_vehicle": "vehicle model unseen"}

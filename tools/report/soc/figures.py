@@ -1,4 +1,4 @@
-"""Figures of an evaluation of state-of-charge forecasts: errors, coverage and width, and shifts as examples."""
+"""Draw the figures of an evaluation of state-of-charge forecasts: errors, coverage, width, risk and example shifts."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -16,11 +16,11 @@ from tools.report.soc.tables import SHOWN_AT, format_bin
 
 FORECAST: Final = get_style(5)
 LOOKS: Final = {"linear": get_style(4), "model_mean": get_style(2), "rating": get_style(0)}
-"""Of the baselines."""
+"""Styles of the baselines."""
 AIMED: Final = (88.0, 92.0)
 """Between these the coverage should be. [%]"""
 MOST_POINTS: Final = 2000
-"""Forecasts that a scatter shows."""
+"""Largest number of forecasts in a scatter plot."""
 BEFORE: Final = "Time before the shift's end [h]"
 CHARGE: Final = "State of charge [%]"
 WIDE: Final = "Intervals far wider than the figure, of few shifts, are left out."
@@ -29,7 +29,7 @@ SHADE: Final = "rgba(128,128,128,0.25)"
 
 
 def illustrate_time(result: Result) -> list[Illustration]:
-    """Return error, coverage and width by the time ahead, and forecasts against what they became."""
+    """Return error, coverage and width by the time ahead, and forecasts against outcomes."""
     aim = f"{AIMED[0]:.0f} and {AIMED[1]:.0f} %"
     shown = [
         Illustration(
@@ -76,7 +76,7 @@ def _hours(result: Result) -> dict[str, Any]:
 
 
 def draw_errors(result: Result) -> go.Figure:
-    """Return the mean absolute error of forecasts and baselines against the time ahead."""
+    """Return a figure of the mean absolute error of forecasts and baselines against the time ahead."""
     found = _hours(result)
     x = [int(hours) for hours in found]
     lines = {"forecast": (FORECAST, [get_part(own, "mae_pct") for own in found.values()])}
@@ -100,14 +100,14 @@ def draw_errors(result: Result) -> go.Figure:
 
 
 def draw_coverage(found: Mapping[str, Any], axis: str) -> go.Figure:
-    """Return the coverage in each of some groups, with its interval, against what it should be.
+    """Return a figure of the coverage of groups, with its interval, and of the target coverage.
 
     Parameters
     ----------
     found : mapping of str to mapping
         Name of a group -> its figures.
     axis : str
-        What the groups are, with the unit.
+        Title of the axis of groups, with the unit.
     """
     x, shares = [escape_label(name) for name in found], [get_part(own, "coverage") for own in found.values()]
     made = make_figure(_points("coverage", FORECAST, x, shares), 380)
@@ -121,7 +121,7 @@ def draw_coverage(found: Mapping[str, Any], axis: str) -> go.Figure:
 
 
 def _points(name: str, look: Style, x: Sequence[Any], shares: Sequence[Any]) -> list[Any]:
-    """Return shares as points with their intervals, and the intervals alone of those too few to tell."""
+    """Return shares as points with their intervals; where there are too few clusters, the interval alone."""
     enough = [(get_number(get_part(share, "clusters")) or 0.0) >= LEAST_CLUSTERS for share in shares]
     told = [_percent(share, "value") if known else None for share, known in zip(shares, enough, strict=True)]
     points = draw_curve(name, look, list(x), told).update(mode="markers", error_y=_bars(shares))
@@ -143,7 +143,7 @@ def _points(name: str, look: Style, x: Sequence[Any], shares: Sequence[Any]) -> 
 
 
 def _from_zero(trace: Any) -> Any:
-    """Return a curve whose intervals end at 0, as nothing that it shows is less."""
+    """Return a curve whose intervals end at 0, because no value is negative."""
     if trace.error_y.array is not None:
         reach = [None if up is None else min(up, y) for up, y in zip(trace.error_y.array, trace.y, strict=True)]
         trace.error_y.update(symmetric=False, arrayminus=reach)
@@ -162,13 +162,13 @@ def _percent(share: Any, end: str) -> float | None:
 
 
 def _reach(share: Any, end: str) -> float:
-    """Return how far an end of the interval is from a share, none where it is not known. [%]"""
+    """Return the distance of an end of the interval from a share; 0 where unknown. [%]"""
     value, known = _percent(share, "value"), _percent(share, end)
     return 0.0 if value is None or known is None else abs(known - value)
 
 
 def draw_width(result: Result) -> go.Figure:
-    """Return the width of the interval against the time ahead."""
+    """Return a figure of the width of the interval against the time ahead."""
     found = _hours(result)
     widths = [get_part(own, "width_pct") for own in found.values()]
     x = [int(hours) for hours in found]
@@ -181,7 +181,7 @@ def draw_width(result: Result) -> go.Figure:
 
 
 def draw_scatter(result: Result) -> go.Figure:
-    """Return forecasts against what they became, at one time ahead; which were outside of their interval stands out."""
+    """Return a figure of forecasts against outcomes at one time ahead; those outside their interval are marked."""
     told = get_mapping(result, "forecasts")
     rows = [i for i, hours in enumerate(told["hours"]) if str(hours) == SHOWN_AT]
     rows = rows[:: -(-len(rows) // MOST_POINTS)]
@@ -213,7 +213,7 @@ def draw_scatter(result: Result) -> go.Figure:
 
 
 def illustrate_conditions(result: Result) -> list[Illustration]:
-    """Return the coverage by temperature and vehicle model, all times ahead pooled."""
+    """Return the coverage by temperature and vehicle model, pooled over times ahead."""
     axes = {"temperature": "Mean outside temperature of the shift [°C]", "vehicle model": "Vehicle model"}
     caption = f"Share of outcomes inside the 90 % interval, all times ahead pooled, with its own 95 % interval. {FEW}"
     shown = []
@@ -228,16 +228,16 @@ def illustrate_conditions(result: Result) -> list[Illustration]:
 
 
 def illustrate_risk(result: Result) -> list[Illustration]:
-    """Return told risk against what happened."""
+    """Return forecast risk against outcomes."""
     caption = (
-        "A point is a class of told risk, all times ahead pooled, with the 95 % interval of what happened; on the line "
+        "A point is a class of forecast risk, all times ahead pooled, with the 95 % interval of what happened; on the line "
         f"a risk holds. Right of the broken line there is an alarm. {FEW}"
     )
-    return [Illustration("soc-risk", "Told risk against what happened", caption, draw_risk(result), small=True)]
+    return [Illustration("soc-risk", "Forecast risk against outcome", caption, draw_risk(result), small=True)]
 
 
 def draw_risk(result: Result) -> go.Figure:
-    """Return how often shifts ended below a level against the risk that was told."""
+    """Return a figure of how often shifts fell below a level against the forecast risk."""
     names = {"levels": (FORECAST, "levels"), "plan": (LOOKS["linear"], "the plan's reserve")}
     traces: list[Any] = []
     for key, (look, name) in names.items():
@@ -245,19 +245,19 @@ def draw_risk(result: Result) -> go.Figure:
         told = [100.0 * own["told"] for own in classes]
         points, *alone = _points(name, look, told, [get_part(own, "fell") for own in classes])
         points.update(text=[f"{own['n']:,} cases" for own in classes])
-        points.update(hovertemplate="%{text}: told %{x:.1f}, fell %{y:.1f} %<extra></extra>")
+        points.update(hovertemplate="%{text}: forecast %{x:.1f}, fell %{y:.1f} %<extra></extra>")
         traces += [points, *alone]
     line = {"width": 1.5, "color": REFERENCE_LINE["color"]}
     equal = go.Scatter(name="equal", x=[0, 100], y=[0, 100], mode="lines", line=line, hoverinfo="skip")
     made = make_figure([*traces, equal], 400)
     made.add_vline(x=100.0 * result["reserve"]["alarm"], line=REFERENCE_LINE)
-    made.update_xaxes(title_text="Told risk of falling below [%]")
+    made.update_xaxes(title_text="Forecast risk of falling below [%]")
     made.update_yaxes(title_text="Share that fell below [%]")
     return made
 
 
 def illustrate_examples(result: Result) -> list[Illustration]:
-    """Return shifts as examples."""
+    """Return example shifts."""
     caption = (
         "The state of charge as it fell, and the forecast of the end as it was at each moment: its mean, and shaded "
         "its 90 % interval. The star is what it became, the broken line the reserve."
@@ -276,7 +276,7 @@ def _title(own: Mapping[str, Any]) -> str:
 
 
 def draw_example(own: Mapping[str, Any]) -> go.Figure:
-    """Return a shift: its state of charge, and how the forecast of its end narrowed."""
+    """Return a figure of a shift: its state of charge, and how the forecast of its end narrowed."""
     x: Sequence[Any] = own["hours_ahead"]
     thin = {"width": 1, "color": FORECAST.colour}
     upper = go.Scatter(name="95 %", x=x, y=own["soc_p95_pct"], mode="lines", line=thin, showlegend=False)

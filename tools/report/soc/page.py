@@ -1,4 +1,4 @@
-"""The report of an evaluation of state-of-charge forecasts: in the terminal, and as one page of tables and figures."""
+"""Show an evaluation of state-of-charge forecasts: in the terminal, and as one page of tables and figures."""
 
 from html import escape
 from pathlib import Path
@@ -18,19 +18,19 @@ from tools.report.soc import figures, risk_tables, tables
 
 TITLE: Final = "Forecasts of the state of charge"
 AHEAD: Final = "ahead"
-"""The section that ends the output, where the eye is."""
+"""Key of the section that is printed last."""
 RESERVE: Final = "reserve"
 
 
 def show(result: Any, console: Console) -> None:
-    """Print an evaluation, and last what a reader looks for first.
+    """Print an evaluation, with its main result last.
 
     Parameters
     ----------
     result : mapping
-        Of the evaluation.
+        Result of the evaluation.
     console : Console
-        At least 120 columns wide.
+        Console of at least 120 columns.
     """
     found = to_json_values(result)
     for section in sorted(build_sections(found), key=lambda section: section.key == AHEAD):
@@ -41,7 +41,7 @@ def show(result: Any, console: Console) -> None:
 
 
 def write(result: Any, path: Path) -> None:
-    """Write an evaluation as a page that needs nothing else.
+    """Write an evaluation as a self-contained page.
 
     Raises
     ------
@@ -51,7 +51,12 @@ def write(result: Any, path: Path) -> None:
     found = to_json_values(result)
     notes = "".join(f"<li>{escape(note)}</li>" for note in found["notes"])
     foot = f"<ul>{notes}</ul><p>Made by <code>socast evaluate-soc</code>.</p>"
-    save(render_document(TITLE, "", build_sections(found), lambda key: build_illustrations(found, key), foot), path)
+    save(
+        render_document(
+            "evaluate-soc", TITLE, "", build_sections(found), lambda key: build_illustrations(found, key), foot
+        ),
+        path,
+    )
 
 
 def build_sections(result: Result) -> list[Section]:
@@ -87,14 +92,14 @@ def build_illustrations(result: Result, key: str) -> list[Illustration]:
     return figures.illustrate_examples(result) if key == "examples" else []
 
 
-def describe_evaluation(told: Result) -> str:
-    """Return what was judged, in words."""
-    left = ", ".join(f"{format_count(n)} {why}" for why, n in get_mapping(told, "left_out").items())
-    cars = f"{_counted(told['vehicles'], 'car')} on {_counted(told['vehicle_days'], 'car-day')}"
-    warm_up = f"{_counted(told['warm_up_shifts'], 'shift')} came before enough was learned for an interval"
+def describe_evaluation(about: Result) -> str:
+    """Return which forecasts were evaluated, in words."""
+    left = ", ".join(f"{format_count(n)} {why}" for why, n in get_mapping(about, "left_out").items())
+    cars = f"{_counted(about['vehicles'], 'car')} on {_counted(about['vehicle_days'], 'car-day')}"
+    warm_up = f"{_counted(about['warm_up_shifts'], 'shift')} came before enough was learned for an interval"
     return (
-        f"{_counted(told['forecasts'], 'forecast')} of {format_count(told['judged_shifts'])} of "
-        f"{_counted(told['shifts'], 'shift')}, by {cars}. Judged from {told['first_date']} to {told['last_date']}; "
+        f"{_counted(about['forecasts'], 'forecast')} of {format_count(about['judged_shifts'])} of "
+        f"{_counted(about['shifts'], 'shift')}, by {cars}. Evaluated from {about['first_date']} to {about['last_date']}; "
         f"{warm_up}. Forecasts left out: {left or 'none'}."
     )
 

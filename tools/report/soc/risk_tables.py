@@ -1,4 +1,4 @@
-"""Tables of the risk of ending below a reserve: whether it holds, what alarms by it are worth, and a person's."""
+"""Build the tables of the risk of ending below a reserve: reliability, alarms, and comparison with baselines."""
 
 from collections.abc import Mapping
 from typing import Any, Final
@@ -16,37 +16,40 @@ LEVEL_NOTE: Final = (
     "yet below. The risk is read from the interval, as two halves of a normal distribution that meet at the mean."
 )
 ALARM_NOTE: Final = (
-    f"An alarm is a risk of {format_percent(ALARM, 0)} or more. Caught: of the cases that fell below, those with an alarm; "
-    "false alarms: of those that did not, those with one. Left out: rows in which none fell and none had an alarm."
+    f"An alarm is a risk of {format_percent(ALARM, 0)} or more. Caught: of the cases that fell below, those with an "
+    "alarm; false alarms: of those that did not, those with one. Left out: rows in which none fell and none had an alarm."
 )
 BRIER_NOTE: Final = (
     "Brier score: mean square of risk less outcome. Skill: by how much ours is below theirs, ± half of its 95 % "
     "interval (clustered); 0 is no better, 100 % perfect."
 )
 PERSON_NOTE: Final = (
-    f"{'; '.join(f'{HEADS[name]}: {meaning}' for name, meaning in BASELINES.items())}. A person's risk is by how far "
-    f"the same reckoning was off before, once {LEAST_ERRORS} shifts have ended; ours is of the same cases."
+    f"{'; '.join(f'{HEADS[name]}: {meaning}' for name, meaning in BASELINES.items())}. A baseline's risk follows "
+    f"from its earlier errors, once {LEAST_ERRORS} shifts have ended; ours is for the same cases."
 )
 
 
 def describe_reserve(result: Result) -> str:
-    """Return what was at stake, in words."""
+    """Return how many forecasts preceded a fall below the reserve, in words."""
     own = get_mapping(result, "reserve", "levels", PLANNED, "pooled")
     if not own:
         return "No plan named a reserve."
     fell, n = int(own["fell"]), int(own["n"])
-    return f"Of {format_count(n)} forecasts, {format_count(fell)} were of shifts that fell below the reserve of their plan later."
+    return (
+        f"Of {format_count(n)} forecasts, {format_count(fell)} were of shifts that fell below the reserve of their "
+        "plan later."
+    )
 
 
 def tabulate_risk(result: Result) -> list[ReportTable]:
     """Return the tables of the section."""
-    of_plan = tabulate_reliability(result, PLANNED, "Told risk of falling below the plan's reserve", ())
+    of_plan = tabulate_reliability(result, PLANNED, "Forecast risk of falling below the plan's reserve", ())
     of_levels = tabulate_reliability(result, "levels", "Risk of falling below other levels", (LEVEL_NOTE,))
     return [table for table in (of_plan, of_levels, tabulate_alarms(result), tabulate_baselines(result)) if table.rows]
 
 
 def tabulate_reliability(result: Result, key: str, title: str, notes: tuple[str, ...]) -> ReportTable:
-    """Return how often shifts fell below levels, by the risk that was told."""
+    """Return how often shifts fell below levels, by forecast risk."""
     rows = tuple(
         Row(
             f"{format_percent(own['low'], 0)} to {format_percent(own['high'], 0)}",
@@ -59,12 +62,12 @@ def tabulate_reliability(result: Result, key: str, title: str, notes: tuple[str,
         )
         for own in get_part(result, "reserve", "reliability", key) or ()
     )
-    heads = ("cases", "shifts", "told, on average", "fell below")
+    heads = ("cases", "shifts", "mean forecast risk", "fell below")
     return ReportTable(title, "risk", heads, rows, (*notes, SHARE_NOTE))
 
 
 def tabulate_alarms(result: Result) -> ReportTable:
-    """Return what alarms were worth, at each level, and time ahead."""
+    """Return the performance of alarms, by level and time ahead."""
     of_levels = get_mapping(result, "reserve", "levels")
     found = [(format_level(level), own, False) for level, own in of_levels.items()]
     found.append((f"{LEVELS[0]} to {LEVELS[-1]} %", get_mapping(result, "reserve", "overall"), True))
@@ -79,13 +82,13 @@ def tabulate_alarms(result: Result) -> ReportTable:
 
 
 def _alarms(own: Mapping[str, Any]) -> tuple[Cell, ...]:
-    told = get_mapping(own, "alarms")
+    counts = get_mapping(own, "alarms")
     return (
         Cell(format_count(own["n"])),
         Cell(format_count(own["fell"])),
-        Cell(_counted(told["caught"], told["hit_rate"])),
-        Cell(format_count(told["missed"])),
-        Cell(_counted(told["false_alarms"], told["false_alarm_rate"])),
+        Cell(_counted(counts["caught"], counts["hit_rate"])),
+        Cell(format_count(counts["missed"])),
+        Cell(_counted(counts["false_alarms"], counts["false_alarm_rate"])),
     )
 
 
@@ -95,7 +98,7 @@ def _counted(some: int, share: Any) -> str:
 
 
 def tabulate_baselines(result: Result) -> ReportTable:
-    """Return how the risk fares against that of what a person would reckon."""
+    """Return the scores of the risk beside those of the baselines."""
     rows = tuple(
         Row(f"{HEADS[name]}, {hours} h", _person(own))
         for hours in SHOWN
@@ -145,5 +148,5 @@ def format_skill(told: Any) -> str:
 
 
 def format_level(level: str) -> str:
-    """Return what people call a level of reserve."""
+    """Return the name of a level, for readers."""
     return "the plan's reserve" if level == PLANNED else f"{level} %"

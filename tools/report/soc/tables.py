@@ -1,4 +1,4 @@
-"""Tables of an evaluation of state-of-charge forecasts: by time ahead, by condition, and what alarms were worth."""
+"""Build the tables of an evaluation of state-of-charge forecasts: by time ahead, by condition, and by leg."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -11,9 +11,9 @@ from tools.report.comparison.tables import format_difference, format_estimate
 from tools.report.evaluation.result import Result, get_mapping, get_number, get_part, get_vehicle_name
 
 HEADS: Final[Mapping[str, str]] = MappingProxyType({"linear": "pace", "model_mean": "kWh/km", "rating": "rating"})
-"""Of the baselines, in the columns of their errors."""
+"""Headings of the errors of baselines."""
 FIGURES: Final = ("n", "MAE", "bias", "coverage", "width")
-"""Heads of what is told of forecasts."""
+"""Headings of the figures of forecasts."""
 SHOWN_AT: Final = "2"
 """Time ahead at which conditions are compared with the baselines. [h]"""
 PERCENT_NOTE: Final = (
@@ -27,10 +27,10 @@ SHARE_NOTE: Final = (
 )
 COVERAGE_NOTE: Final = f"Coverage: share of outcomes inside the 90 % interval. {SHARE_NOTE}"
 LEG_BASELINES: Final = ("model_mean", "rating")
-"""Those that tell of legs."""
+"""Baselines that apply to legs."""
 LEG_NOTE: Final = (
     "Each car was asked about its shift every half hour, at most; each leg of the answer is held against the ride that "
-    "it became, unless the car charged before its end. Time at a charger later is taken for waiting, untold by plans."
+    "it became, unless the car charged before its end. Plans do not state charges: later time at a charger counts as waiting."
 )
 BEST_NOTE: Final = (
     "To best: by how much the error is below or above that of the best baseline, where all have an answer. A dash: "
@@ -90,13 +90,15 @@ def format_share(share: Any) -> str:
 
 
 def compare_with_best(own: Mapping[str, Any]) -> str:
-    """Return by how much the forecasts' error is below or above the best baseline's, where there are enough to tell.
+    """Return by which percentage the forecasts' error is above the best baseline's, where there are enough car-days.
 
     Examples
     --------
     >>> best = {"forecast_mae_pct": 0.9, "mae_pct": 1.2, "vehicle_days": 30}
-    >>> compare_with_best({"best": best}), compare_with_best({"best": best | {"vehicle_days": 29}}), compare_with_best({"best": None})
-    ('−25.0 %', '–', '–')
+    >>> compare_with_best({"best": best}), compare_with_best({"best": best | {"vehicle_days": 29}})
+    ('−25.0 %', '–')
+    >>> compare_with_best({"best": None})
+    '–'
     """
     best = get_mapping(own, "best")
     if not best or best["vehicle_days"] < LEAST_CLUSTERS:
@@ -105,7 +107,7 @@ def compare_with_best(own: Mapping[str, Any]) -> str:
 
 
 def tabulate_conditions(result: Result) -> list[ReportTable]:
-    """Return the figures by each condition that the shifts differ in."""
+    """Return the figures by each condition in which the shifts differ."""
     heads = ("car-days", *FIGURES, f"MAE, {SHOWN_AT} h", f"to best, {SHOWN_AT} h")
     found = []
     for name, bins in get_mapping(result, "by").items():
@@ -128,7 +130,7 @@ def _of_bin(own: Mapping[str, Any]) -> tuple[Cell, ...]:
 
 
 def tabulate_legs(result: Result) -> list[ReportTable]:
-    """Return the figures of single legs by the time until their end, without a charge after them, and with one."""
+    """Return the figures of single legs by the time until their end, without a later charge and with one."""
     heads = (*FIGURES, *(HEADS[name] for name in LEG_BASELINES))
     titles = {
         "without a charge": "State of charge at the end of single legs",
@@ -151,5 +153,5 @@ def _leg_row(own: Mapping[str, Any]) -> Row:
 
 
 def format_bin(condition: str, name: str) -> str:
-    """Return what people call a bin of a condition."""
+    """Return the name of a bin of a condition, for readers."""
     return get_vehicle_name(name) if condition == "vehicle model" else name.replace("-", "−")
