@@ -22,7 +22,7 @@ from core.diagnose.add.terms import describe_coefficient
 from core.diagnose.candidates import Candidates, build_candidates
 from core.diagnose.dataset import Windows, gather_windows, is_metered
 from core.diagnose.evidence import ClusterSums
-from core.diagnose.forward_selection import ForwardSelection, MissingEffect
+from core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectionSettings
 from core.diagnose.free_form.search import Suggestion, suggest_term
 from core.diagnose.local_effects import select_local_effects
 from core.diagnose.noise import compute_ride_noise_floor
@@ -36,7 +36,7 @@ from core.models.features import EFFECT_PREFIX
 
 WORTH_A_TERM: Final = 0.005
 """Share of the squared error that a free-form term must explain to be suggested."""
-MOST: Final = 6
+MAX_EFFECTS: Final = 6
 """Effects that are named at most."""
 FEW_DAYS: Final = 12
 """Vehicle-days below which places are not asked of one by one."""
@@ -99,7 +99,8 @@ def _diagnosed(
 ) -> dict[str, Any]:
     """Return what a model lacks, see `diagnose`."""
     base, asked = BaseProjection(seen, model), build_candidates(seen, model, without)
-    selection = ForwardSelection(base, asked, [ClusterSums(seen.day), ClusterSums(seen.date)], least_gain, MOST, seed)
+    clusters = [ClusterSums(seen.day), ClusterSums(seen.date)]
+    selection = ForwardSelection(base, asked, clusters, SelectionSettings(least_gain, MAX_EFFECTS, seed))
     first = selection.rank()
     selection.select_all()
     if places and int(seen.day.max()) + 1 >= FEW_DAYS:
@@ -193,8 +194,8 @@ def _missing(finding: MissingEffect, seen: Windows) -> dict[str, Any]:
         "effect": named.effect,
         "variant": named.variant,
         "group": [named.effect, *(name for name, _ in finding.rivals)],
-        "scope": " ".join(part.replace("=", " ") for part in named.asked.scope) or "all",
-        "columns": [f"{EFFECT_PREFIX}{named.variant}", *named.asked.scope],
+        "scope": " ".join(part.replace("=", " ") for part in named.candidates.scope) or "all",
+        "columns": [f"{EFFECT_PREFIX}{named.variant}", *named.candidates.scope],
         "gain": finding.gain,
         "gain_ci95": [finding.gain - half, finding.gain + half],
         "gain_of": finding.of,
@@ -243,22 +244,22 @@ def _equivalents(energy: Floats, seen: Windows) -> list[str]:
 def _candidates(first: Ranking, found: list[MissingEffect]) -> list[dict[str, Any]]:
     """Return all effects that were asked of everywhere, as they stood before any was named."""
     rows: list[dict[str, Any]] = []
-    for e, (name, at) in enumerate(zip(first.asked.names, first.best.tolist(), strict=True)):
+    for e, (name, at) in enumerate(zip(first.candidates.names, first.best.tolist(), strict=True)):
         row = {"effect": name, "variant": name, "scope": "all", **dict.fromkeys(("z", "p", "q", "gain"))}
         if at >= 0:
             row |= {
-                "variant": first.asked.variants[at],
+                "variant": first.candidates.variants[at],
                 "z": float(first.evidence.z[at]),
                 "p": float(first.evidence.p[at]),
                 "q": float(first.q[e]),
                 "gain": first.compute_gain(at)[0],
             }
-        rows.append(row | {"status": _status(name, row, int(first.asked.sign[at]), found)})
+        rows.append(row | {"status": _status(name, row, int(first.candidates.sign[at]), found)})
     rows.sort(key=lambda row: -(row["gain"] if row["gain"] is not None else -1.0))
     empty = dict.fromkeys(("z", "p", "q", "gain"))
     absent = [
         {"effect": name, "variant": name, "scope": "all", **empty, "status": why}
-        for name, why in first.asked.excluded.items()
+        for name, why in first.candidates.excluded.items()
     ]
     return rows + absent
 
@@ -320,7 +321,7 @@ def _steps(selection: ForwardSelection, found: list[MissingEffect], floor: float
                 "effect": None if finding is None else finding.selected.effect,
                 "scope": "all"
                 if finding is None
-                else " ".join(finding.selected.asked.scope).replace("=", " ") or "all",
+                else " ".join(finding.selected.candidates.scope).replace("=", " ") or "all",
                 "mae_kwh": float(np.mean(np.abs(error))),
                 "noise_floor_kwh": floor,
             }

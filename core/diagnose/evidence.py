@@ -1,11 +1,14 @@
-"""Whether an effect is there: tests of what a model leaves against what candidates ask for.
+"""Test whether candidate effects are present in the residual of a model.
 
-Everything here is in weighted, projected terms (`core.diagnose.projection`): a residual r and candidates c, one a column, of
-which the model's own terms can take up nothing. Then the coefficient of a candidate is c'r / c'c. Errors of windows of
-one vehicle-day depend on each other in any way; the variance is their sums' squares, each over 1 - h with the share h
-of c'c that the vehicle-day has, as if it were left out (CR3). A candidate that acts on a few days only has as many
-degrees of freedom. Cars that drive on the same day share its weather, and what is wrong with it: so the test is made
-over days too, and the worse of the two holds.
+All quantities are weighted and projected (`core.diagnose.projection`): a residual r and one column c per candidate, of
+which the terms of the model can explain nothing. The coefficient of a candidate is then c'r / c'c.
+
+Errors of windows of one vehicle-day may depend on each other in any way. The variance is therefore the sum of the
+squared sums over vehicle-days, each divided by (1 - h), as if the vehicle-day were left out (CR3). h is the share of
+c'c that the vehicle-day contributes. A candidate that acts on few days only has correspondingly few degrees of freedom.
+
+Cars that drive on the same date share its weather, including errors of the weather data. The test is therefore repeated
+with dates as clusters, and the less significant of the two results counts.
 
 References
 ----------
@@ -23,21 +26,22 @@ from scipy import stats
 from core.batch import Floats, Ints
 
 FOLDS: Final = 10
-"""Parts into which clusters are dealt."""
-ALL_OF_IT: Final = 0.999
-"""Share of a candidate in one vehicle-day from which on nothing tells its error."""
+"""Number of folds to which clusters are assigned."""
+WHOLE_SHARE: Final = 0.999
+"""Share of a candidate in one cluster above which the data contain no information about its standard error."""
 LEAST_FREEDOM: Final = 0.5
-MOST_DISTORTED: Final = 3.0
-"""Standard deviations of a distortion that are the most that is to be feared of it."""
+"""Least degrees of freedom of a standard error."""
+MAX_DISTORTION_SD: Final = 3.0
+"""Standard deviations of a distortion that its maximum corresponds to."""
 
 
 class ClusterSums:
-    """Vehicle-days, to sum over.
+    """Sum columns over clusters of windows: vehicle-days or dates.
 
     Parameters
     ----------
     code : (n,) int64
-        From 0, each at least once.
+        Cluster of each window, from 0; every code occurs at least once.
     """
 
     def __init__(self, code: Ints) -> None:
@@ -47,26 +51,26 @@ class ClusterSums:
         self._starts = np.flatnonzero(np.r_[True, np.diff(code[self._order]) > 0])
 
     def assign_folds(self, seed: int) -> Ints:
-        """Return into which of at most `FOLDS` parts each is dealt, (count,)."""
+        """Return the fold of each cluster, one of at most `FOLDS`, (count,)."""
         return np.random.default_rng(seed).permutation(self.count) % min(FOLDS, self.count)
 
     def sum_by_cluster(self, values: Floats) -> Floats:
-        """Return the sum over each, (count, ...)."""
+        """Return the sum of values over each cluster, (count, ...)."""
         return np.asarray(np.add.reduceat(values[self._order], self._starts, axis=0))
 
 
 class Evidence(NamedTuple):
-    """What each of k candidates is worth, alone beside the model.
+    """Hold the test result of each of k candidates, each tested alone beside the model.
 
     Parameters
     ----------
     coefficient, error : (k,) float
-        And its standard error. [unit of the coefficient]
+        Coefficient and its standard error. [unit of the coefficient]
     freedom : (k,) float
-        Degrees of freedom of the error.
+        Degrees of freedom of the standard error. [1]
     z, p : (k,) float
-        Coefficient over error, and the probability of it or more where there is no effect worth the name, with the
-        sign physics demands.
+        Coefficient over standard error, and the probability of this evidence or more, with the sign that physics
+        demands, if the effect is too small to report. [1]
     """
 
     coefficient: Floats
@@ -75,58 +79,90 @@ class Evidence(NamedTuple):
     z: Floats
     p: Floats
 
-    def allow_for_distortion(self, most: Floats) -> "Evidence":
-        """Return the same with errors that hold what samples distort of coefficients too, `most` either way at most.
+    def allow_for_distortion(self, largest: Floats) -> "Evidence":
+        """Return the evidence with standard errors that include distortions of the coefficients by coarse sampling.
+
+        Parameters
+        ----------
+        largest : (k,) float
+            Largest distortion of each coefficient in either direction. [unit of the coefficient]
+
+        Returns
+        -------
+        Evidence
+            The same with larger standard errors.
 
         Notes
         -----
-        The most that is to be feared of a distortion is `MOST_DISTORTED` standard deviations of it.
+        The largest distortion is taken as `MAX_DISTORTION_SD` standard deviations of the distortion.
         """
-        return self._replace(error=np.hypot(self.error, most / MOST_DISTORTED))
+        return self._replace(error=np.hypot(self.error, largest / MAX_DISTORTION_SD))
 
     def compute_interval(self, at: int, level: float = 0.95) -> tuple[float, float]:
-        """Return the confidence interval of a candidate's coefficient."""
+        """Return the confidence interval of the coefficient of one candidate. [unit of the coefficient]"""
         half = float(stats.t.ppf(0.5 + level / 2.0, self.freedom[at]) * self.error[at])
         return float(self.coefficient[at]) - half, float(self.coefficient[at]) + half
 
 
 def compute_worst_case_evidence(
-    residual: Floats, candidates: Floats, sign: Ints, clusters: Sequence[ClusterSums], least: Floats | None = None
+    residual: Floats, columns: Floats, sign: Ints, clusters: Sequence[ClusterSums], least: Floats | None = None
 ) -> Evidence:
-    """Return the evidence by the clusters that are least sure of each candidate, see `weigh`."""
-    found = [compute_evidence(residual, candidates, sign, each, least) for each in clusters]
-    worst = np.argmax([each.p for each in found], axis=0)
-    widest = np.argmax([each.error * stats.t.ppf(0.975, each.freedom) for each in found], axis=0)
-    error, freedom = (np.choose(widest, [getattr(each, name) for each in found]) for name in ("error", "freedom"))
-    z, p = (np.choose(worst, [getattr(each, name) for each in found]) for name in ("z", "p"))
-    return Evidence(found[0].coefficient, error, freedom, z, p)
+    """Return for each candidate the evidence by the clustering that gives the least significance.
+
+    Parameters
+    ----------
+    residual, columns, sign, least
+        See `compute_evidence`.
+    clusters : sequence of ClusterSums
+        Clusterings of the windows, such as vehicle-days and dates.
+
+    Returns
+    -------
+    Evidence
+        The largest probability of all clusterings, and separately the standard error with the widest interval.
+    """
+    results = [compute_evidence(residual, columns, sign, each, least) for each in clusters]
+    worst = np.argmax([each.p for each in results], axis=0)
+    widest = np.argmax([each.error * stats.t.ppf(0.975, each.freedom) for each in results], axis=0)
+    error, freedom = (np.choose(widest, [getattr(each, name) for each in results]) for name in ("error", "freedom"))
+    z, p = (np.choose(worst, [getattr(each, name) for each in results]) for name in ("z", "p"))
+    return Evidence(results[0].coefficient, error, freedom, z, p)
 
 
 def compute_evidence(
-    residual: Floats, candidates: Floats, sign: Ints, clusters: ClusterSums, least: Floats | None = None
+    residual: Floats, columns: Floats, sign: Ints, clusters: ClusterSums, least: Floats | None = None
 ) -> Evidence:
-    """Return the evidence for each candidate.
+    """Return the evidence for each candidate, by one clustering.
 
     Parameters
     ----------
     residual : (n,) float
-    candidates : (n, k) float
+        Weighted residual of the model. [1]
+    columns : (n, k) float
+        Weighted, projected candidates. [1 per unit of the coefficient]
     sign : (k,) int
-        That physics demands: 1, -1, or 0 for either.
-    clusters : Clusters
+        Sign of the coefficient that physics demands: 1, -1, or 0 for either.
+    clusters : ClusterSums
+        Clusters within which errors depend on each other.
     least : (k,) float, optional
-        Size of a coefficient that is not worth a name; the test is whether there is more. [unit of the coefficient]
+        Coefficient below which an effect is too small to report; the test is whether the coefficient is larger.
+        [unit of the coefficient]
+
+    Returns
+    -------
+    Evidence
+        Coefficients, standard errors and probabilities.
     """
-    size = np.maximum((candidates**2).sum(axis=0), 1e-300)
-    coefficient = candidates.T @ residual / size
-    share = clusters.sum_by_cluster(candidates**2) / size
-    scores = clusters.sum_by_cluster(candidates * (residual[:, np.newaxis] - candidates * coefficient))
-    scores /= 1.0 - np.minimum(share, ALL_OF_IT)
-    alone = share.max(axis=0) > ALL_OF_IT
+    size = np.maximum((columns**2).sum(axis=0), 1e-300)
+    coefficient = columns.T @ residual / size
+    share = clusters.sum_by_cluster(columns**2) / size
+    scores = clusters.sum_by_cluster(columns * (residual[:, np.newaxis] - columns * coefficient))
+    scores /= 1.0 - np.minimum(share, WHOLE_SHARE)
+    alone = share.max(axis=0) > WHOLE_SHARE
     error = np.where(alone, np.inf, np.sqrt((scores**2).sum(axis=0)) / size)
     freedom = np.maximum(1.0 / np.maximum((share**2).sum(axis=0), 1e-300) - 1.0, LEAST_FREEDOM)
     z = np.divide(coefficient, error, out=np.zeros(len(size)), where=error > 0.0)
     beyond = np.where(sign == 0, np.abs(coefficient), coefficient * sign) - (0.0 if least is None else least)
-    over = np.divide(beyond, error, out=np.full(len(size), -np.inf), where=error > 0.0)
-    one_sided = stats.t.sf(over, freedom)
+    ratio = np.divide(beyond, error, out=np.full(len(size), -np.inf), where=error > 0.0)
+    one_sided = stats.t.sf(ratio, freedom)
     return Evidence(coefficient, error, freedom, z, np.where(sign == 0, np.minimum(2.0 * one_sided, 1.0), one_sided))

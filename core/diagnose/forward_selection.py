@@ -1,8 +1,8 @@
-"""The search for the effects that a model lacks: one at a time, each looked at again beside the others.
+"""Select the effects that a model lacks, one at a time, and test each again beside the others.
 
-The best effect is named, what it explains is taken off, and the next is looked for. An effect that is no longer needed
-once another is named was a stand-in for it, and is dropped again. Two effects that explain the same days equally well
-are one finding: a group.
+Each step selects the best effect, removes what it explains, and looks for the next one. An effect that is not
+significant beside a later one was a proxy for it and is dropped. Two effects that explain the same days equally well
+form one group.
 """
 
 from collections.abc import Sequence
@@ -17,81 +17,90 @@ from core.batch import Floats
 from core.diagnose.candidates import Candidates, list_input_columns
 from core.diagnose.evidence import ClusterSums, Evidence, compute_worst_case_evidence
 from core.diagnose.projection import BaseProjection, orthonormalise
-from core.diagnose.ranking import LEVEL, Ranking, compute_correlation, rank_candidates, sum_over_clusters
+from core.diagnose.ranking import (
+    LEAST_GAIN,
+    LEVEL,
+    Ranking,
+    ResidualSpace,
+    compute_correlation,
+    rank_candidates,
+    sum_over_clusters,
+)
 
 Mask = NDArray[np.bool_]
 
 INDISTINGUISHABLE: Final = 0.7
-"""Correlation, off the model, from which on data do not tell two candidates apart."""
-EXPLAINED_AWAY: Final = 0.4
-"""Correlation from which on a rival that is not needed once the other is named is one of its group too."""
+"""Correlation, off the model, above which the data do not distinguish two candidates."""
+PROXY_CORRELATION: Final = 0.4
+"""Correlation above which a rival that is not significant beside the selected effect belongs to its group."""
 CLEARLY: Final = 2.0
-"""Standard errors by which a rival must be worse on held-out days to be told apart all the same."""
+"""Standard errors by which a rival must be worse on held-out days to be distinguished despite its correlation."""
 FORCES: Final = frozenset({"acceleration", "traction"})
-"""Columns that rest on changes of speed and height between samples."""
-FAITHFUL: Final = 0.4
-"""Share of the variance of what rests on forces that is true: of samples every 3 s, off a model, some two fifths."""
+"""Input columns that depend on changes of speed and height between samples."""
+RELIABILITY: Final = 0.4
+"""Share of the variance of a force-dependent effect that is true: about two fifths for samples every 3 s, off a model."""
 DOUBT: Final = 0.05
-"""Probability by chance below which a rival casts doubt on a name."""
+"""Probability below which a rival casts doubt on a selected effect."""
 NEEDED: Final = 0.05
-"""Probability by chance above which an effect is dropped again beside the others."""
+"""Probability above which an effect is dropped again beside the others."""
 
 
 @dataclass(frozen=True)
 class SelectedEffect:
-    """An effect that was found missing.
+    """Hold an effect that was selected as missing.
 
     Parameters
     ----------
-    asked : Asked
-        Where it was found, everywhere or in some place.
+    candidates : Candidates
+        The candidates from which it was selected, everywhere or within a scope.
     at : int
-        Its column there.
+        Its column among them.
     q : float
-        Of its name when it was found, adjusted for all that was asked.
+        Its probability when it was selected, adjusted for all candidates. [1]
     """
 
-    asked: Candidates
+    candidates: Candidates
     at: int
     q: float
 
     @property
     def variant(self) -> str:
-        """Name of the effect, or of its variant."""
-        return self.asked.variants[self.at]
+        """Name of the effect or of its variant."""
+        return self.candidates.variants[self.at]
 
     @property
     def effect(self) -> str:
         """Name of the effect."""
-        return self.asked.names[int(self.asked.effects[self.at])]
+        return self.candidates.names[int(self.candidates.effects[self.at])]
 
     @property
     def column(self) -> Floats:
-        """What it takes of each window, (n, 1). [kWh per unit]"""
-        return self.asked.columns[:, [self.at]]
+        """Energy of the effect in each window, (n, 1). [kWh per unit of the coefficient]"""
+        return self.candidates.columns[:, [self.at]]
 
     @property
     def rows(self) -> Mask:
-        """Windows that it was looked for in, (n,)."""
-        return np.asarray(self.asked.measured != 0.0)
+        """Windows within the scope of the candidates, (n,)."""
+        return np.asarray(self.candidates.measured != 0.0)
 
 
 @dataclass(frozen=True)
 class MissingEffect:
-    """What is known of a named effect, beside all others that are named.
+    """Hold the results for a selected effect beside all other selected effects.
 
     Parameters
     ----------
     selected : SelectedEffect
+        The effect.
     evidence : Evidence
-        Of it alone.
+        Its test result.
     gain, gain_error : float
-        Fall of the squared error on held-out vehicle-days, as a share, and its standard error: of rides or of windows,
-        where it is larger.
+        Fall of the squared error on held-out vehicle-days, as a share, and its standard error. The error is that of
+        rides or of windows, whichever falls more. [1]
     of : {"rides", "windows"}
-        Of which.
+        Whether `gain` is that of rides or of windows.
     rivals : list of (str, float)
-        Effects that data do not tell it from, with their correlation.
+        Effects from which the data do not distinguish it, with their correlation.
     """
 
     selected: SelectedEffect
@@ -102,189 +111,244 @@ class MissingEffect:
     rivals: list[tuple[str, float]]
 
 
-class ForwardSelection:
-    """Effects named so far, and what they leave.
+@dataclass(frozen=True)
+class SelectionSettings:
+    """Hold the settings of a forward selection.
 
     Parameters
     ----------
-    base : Base
-    asked : Asked
-        Everywhere.
-    clusters : sequence of Clusters
     least_gain : float
-        Share of the squared error of rides, or of windows, that an effect must explain on held-out days to be named.
-    most : int
-        Effects that are named at most.
+        Share of the squared error of rides or of windows that an effect must explain on held-out days. [1]
+    max_effects : int
+        Maximum number of selected effects.
     seed : int
+        Seed of the folds.
+    """
+
+    least_gain: float = LEAST_GAIN
+    max_effects: int = 6
+    seed: int = 0
+
+
+class ForwardSelection:
+    """Select missing effects step by step.
+
+    Parameters
+    ----------
+    base : BaseProjection
+        Projection off the terms of the model.
+    candidates : Candidates
+        Effects that may be missing everywhere.
+    clusters : sequence of ClusterSums
+        Vehicle-days first, then other clusterings.
+    settings : SelectionSettings
+        Least gain, maximum number of effects, and seed.
+
+    Attributes
+    ----------
+    selected : list of SelectedEffect
+        Effects selected so far.
+    dropped : set of (str, tuple of str)
+        Effects, with their scopes, that were selected and dropped again.
     """
 
     def __init__(
         self,
         base: BaseProjection,
-        asked: Candidates,
+        candidates: Candidates,
         clusters: Sequence[ClusterSums],
-        least_gain: float,
-        most: int,
-        seed: int,
+        settings: SelectionSettings,
     ) -> None:
-        self.base, self.asked, self.clusters = base, asked, clusters
+        self.base, self.candidates, self.clusters, self.settings = base, candidates, clusters, settings
         self._first = base
-        self.least_gain, self.most, self.seed = least_gain, most, seed
         self.selected: list[SelectedEffect] = []
         self.dropped: set[tuple[str, tuple[str, ...]]] = set()
 
     def build_basis(self, without: SelectedEffect | None = None) -> Floats:
-        """Return an orthonormal basis of the effects named so far, but for one, (n, m)."""
+        """Return an orthonormal basis of the selected effects except one, (n, m)."""
         columns = [self.base.project_out(each.column) for each in self.selected if each is not without]
         return orthonormalise(np.column_stack(columns)) if columns else np.empty((len(self.base.residual), 0))
 
-    def compute_residual(self, off: Floats) -> Floats:
-        """Return what the model and a basis leave, (n,)."""
-        return np.asarray(self.base.residual - off @ (off.T @ self.base.residual))
+    def compute_residual(self, basis: Floats) -> Floats:
+        """Return the residual off the model and off a basis, (n,)."""
+        return np.asarray(self.base.residual - basis @ (basis.T @ self.base.residual))
 
-    def compute_held_out_residual(self, off: Floats) -> Floats:
-        """Return what is left of each fold of vehicle-days by a basis that was fitted to the others, (n,)."""
-        residual, fold = self.base.residual, self.clusters[0].assign_folds(self.seed)[self.clusters[0].code]
+    def build_space(self, without: SelectedEffect | None = None) -> ResidualSpace:
+        """Return what the model and the selected effects except one leave unexplained."""
+        basis = self.build_basis(without)
+        return ResidualSpace(self.base, basis, self.compute_residual(basis))
+
+    def compute_held_out_residual(self, basis: Floats) -> Floats:
+        """Return the residual of each fold of vehicle-days off a basis that is fitted to the other folds, (n,)."""
+        clusters, residual = self.clusters[0], self.base.residual
+        fold = clusters.assign_folds(self.settings.seed)[clusters.code]
         left = residual.copy()
-        for k in range(int(fold.max()) + 1 if off.shape[1] else 0):
+        for k in range(int(fold.max()) + 1 if basis.shape[1] else 0):
             here = fold == k
-            fitted, *_ = np.linalg.lstsq(off[~here], residual[~here], rcond=None)
-            left[here] -= off[here] @ fitted
+            coefficient, *_ = np.linalg.lstsq(basis[~here], residual[~here], rcond=None)
+            left[here] -= basis[here] @ coefficient
         return left
 
-    def rank(self, asked: Candidates | None = None, without: SelectedEffect | None = None) -> Ranking:
-        """Return how candidates rank on what is left."""
-        off = self.build_basis(without)
+    def rank(self, candidates: Candidates | None = None, without: SelectedEffect | None = None) -> Ranking:
+        """Return the ranking of candidates, by default all, on what the selected effects except one leave."""
         return rank_candidates(
-            self.base, self.compute_residual(off), asked or self.asked, self.clusters, off, self.seed
+            self.build_space(without), candidates or self.candidates, self.clusters, self.settings.seed
         )
 
     def select_all(self) -> None:
-        """Name effects until none is significant and worth it."""
-        while len(self.selected) < self.most:
-            ranked = self.rank()
-            found = (
-                SelectedEffect(ranked.asked, v, float(ranked.q[ranked.asked.effects[v]])) for v in ranked.significant()
+        """Select effects until no further one is significant and worthwhile."""
+        while len(self.selected) < self.settings.max_effects:
+            ranking = self.rank()
+            effects = (
+                SelectedEffect(ranking.candidates, v, float(ranking.q[ranking.candidates.effects[v]]))
+                for v in ranking.list_significant()
             )
-            best = next((named for named in found if self.is_new(named) and self.is_worthwhile(named)), None)
+            best = next((effect for effect in effects if self.is_new(effect) and self.is_worthwhile(effect)), None)
             if best is None:
                 return
             self.select(best)
 
-    def select(self, named: SelectedEffect) -> None:
-        """Name an effect, and drop those that are not needed beside it."""
-        self.selected.append(named)
+    def select(self, effect: SelectedEffect) -> None:
+        """Select an effect, and drop those that are not significant beside it."""
+        self.selected.append(effect)
         for other in list(self.selected[:-1]):
             evidence, _, _ = self.compare_with_others(other)
             if evidence.p[0] > NEEDED:
                 self.selected.remove(other)
-                self.dropped.add((other.effect, other.asked.scope))
+                self.dropped.add((other.effect, other.candidates.scope))
         if self.selected:
             self.base = self.base.reweight(np.column_stack([each.column for each in self.selected]))
 
-    def compare_with_others(self, named: SelectedEffect) -> tuple[Evidence, Floats, Floats]:
-        """Return the evidence for a named effect beside the others, its column off them, and what they leave."""
-        off = self.build_basis(named)
-        column = self.base.project_out(named.column)
-        column -= off @ (off.T @ column)
-        left = self.compute_residual(off)
-        sign, least = named.asked.sign[[named.at]], named.asked.least_coefficients[[named.at]]
-        return compute_worst_case_evidence(left, column, sign, self.clusters, least), column[:, 0], left
+    def compare_with_others(self, effect: SelectedEffect) -> tuple[Evidence, Floats, Floats]:
+        """Return the evidence for an effect beside the other selected ones, its column off them, and their residual."""
+        space = self.build_space(effect)
+        column = space.project_out(effect.column)
+        sign, least = effect.candidates.sign[[effect.at]], effect.candidates.least_coefficients[[effect.at]]
+        evidence = compute_worst_case_evidence(space.residual, column, sign, self.clusters, least)
+        return evidence, column[:, 0], space.residual
 
     def list_missing_effects(self) -> list[MissingEffect]:
-        """Return what is known of each named effect, most gain first."""
-        found = []
-        for named in self.selected:
-            evidence, column, left = self.compare_with_others(named)
-            gain = self.compute_gain(column, left, int(named.asked.sign[named.at]))
-            least = named.asked.least_coefficients[[named.at]]
-            found.append(MissingEffect(named, evidence.allow_for_distortion(least), *gain, self._rivals(named)))
-        return sorted(found, key=lambda finding: -finding.gain)
+        """Return the results for each selected effect, the largest gain first."""
+        missing = []
+        for effect in self.selected:
+            evidence, column, residual = self.compare_with_others(effect)
+            gain = self.compute_gain(column, residual, int(effect.candidates.sign[effect.at]))
+            least = effect.candidates.least_coefficients[[effect.at]]
+            missing.append(
+                MissingEffect(effect, evidence.allow_for_distortion(least), *gain, self._find_rivals(effect))
+            )
+        return sorted(missing, key=lambda each: -each.gain)
 
     def compute_gain(
-        self, column: Floats, left: Floats, sign: int, rows: Mask | None = None
+        self, column: Floats, residual: Floats, sign: int, rows: Mask | None = None
     ) -> tuple[float, float, str]:
-        """Return the fall of the squared error on held-out vehicle-days, its error, and of what, see `Finding`.
+        """Return the gain of an effect on held-out vehicle-days, its standard error, and what it is the gain of.
 
-        As a share of all squared error, or of that of some rows.
+        Parameters
+        ----------
+        column : (n,) float
+            The effect off the model and the other effects. [1 per unit of the coefficient]
+        residual : (n,) float
+            Residual without the effect. [1]
+        sign : int
+            Sign that physics demands.
+        rows : (n,) bool, optional
+            Windows whose squared error is the reference; by default all.
+
+        Returns
+        -------
+        float, float, {"rides", "windows"}
+            See `MissingEffect`.
         """
         windows, clusters = self.base.windows, self.clusters[0]
-        rows = np.ones(len(left), np.bool_) if rows is None else rows
-        after = left - column * self.cross_fit_coefficients(column, left, sign)
-        of_windows = sum_over_clusters(
-            clusters.sum_by_cluster(left**2 - after**2) / max(float(left[rows] @ left[rows]), 1e-300)
-        )
-        before, then = (windows.by_ride(self.base.convert_to_energy(values)) for values in (left, after))
+        rows = np.ones(len(residual), np.bool_) if rows is None else rows
+        after = residual - column * self.cross_fit_coefficients(column, residual, sign)
+        falls = clusters.sum_by_cluster(residual**2 - after**2)
+        of_windows = sum_over_clusters(falls / max(float(residual[rows] @ residual[rows]), 1e-300))
+        before, then = (windows.by_ride(self.base.convert_to_energy(values)) for values in (residual, after))
         fall = np.bincount(windows.day_of_ride, before**2 - then**2)
         here = before[windows.by_ride(rows.astype(np.float64)) > 0.0]
         of_rides = sum_over_clusters(fall / max(float(here @ here), 1e-300))
         return (*of_rides, "rides") if of_rides[0] >= of_windows[0] else (*of_windows, "windows")
 
-    def cross_fit_coefficients(self, column: Floats, left: Floats, sign: int) -> Floats:
-        """Return for each window the coefficient of an effect by the other folds of vehicle-days, (n,)."""
+    def cross_fit_coefficients(self, column: Floats, residual: Floats, sign: int) -> Floats:
+        """Return for each window the coefficient that is fitted to the other folds, 0 where its sign is wrong, (n,)."""
         clusters = self.clusters[0]
-        folds = clusters.assign_folds(self.seed)
-        size, cross = clusters.sum_by_cluster(column**2), clusters.sum_by_cluster(column * left)
+        folds = clusters.assign_folds(self.settings.seed)
+        size, cross = clusters.sum_by_cluster(column**2), clusters.sum_by_cluster(column * residual)
         rest = size.sum() - np.bincount(folds, size), cross.sum() - np.bincount(folds, cross)
-        fitted = np.divide(rest[1], rest[0], out=np.zeros_like(rest[1]), where=rest[0] > 0.0)
-        return np.asarray(np.where(sign * fitted < 0.0, 0.0, fitted)[folds][clusters.code])
+        coefficient = np.divide(rest[1], rest[0], out=np.zeros_like(rest[1]), where=rest[0] > 0.0)
+        return np.asarray(np.where(sign * coefficient < 0.0, 0.0, coefficient)[folds][clusters.code])
 
-    def is_worthwhile(self, named: SelectedEffect) -> bool:
-        """Tell whether an effect explains enough on held-out days, beside those named so far.
+    def is_worthwhile(self, effect: SelectedEffect) -> bool:
+        """Return whether an effect explains enough on held-out days, beside the selected ones.
 
-        Of the squared error where it was looked for: that of one car cannot explain others'.
+        The reference is the squared error within the scope of the effect, because an effect of one car cannot explain
+        the error of others.
         """
-        _, column, left = self.compare_with_others(named)
-        return self.compute_gain(column, left, int(named.asked.sign[named.at]), named.rows)[0] >= self.least_gain
+        _, column, residual = self.compare_with_others(effect)
+        sign = int(effect.candidates.sign[effect.at])
+        return self.compute_gain(column, residual, sign, effect.rows)[0] >= self.settings.least_gain
 
-    def is_new(self, named: SelectedEffect) -> bool:
-        """Tell whether an effect is not named yet, and was not dropped before."""
-        taken = {(each.effect, each.asked.scope) for each in self.selected} | self.dropped
-        return (named.effect, named.asked.scope) not in taken
+    def is_new(self, effect: SelectedEffect) -> bool:
+        """Return whether an effect is neither selected nor dropped."""
+        known = {(each.effect, each.candidates.scope) for each in self.selected} | self.dropped
+        return (effect.effect, effect.candidates.scope) not in known
 
-    def _rivals(self, named: SelectedEffect) -> list[tuple[str, float]]:
-        """Return the effects that would do as well in the place of a named one, with their correlation.
+    def _find_rivals(self, effect: SelectedEffect) -> list[tuple[str, float]]:
+        """Return the effects that would do as well in place of a selected one, with their correlation.
 
-        A doubt needs less than a name: rivals need not be there beyond all that was asked, only beyond chance. And a
-        rival that is known less exactly than the named effect may be the cause although it explains less.
+        A rival must be significant alone, not adjusted for all candidates. A rival that is known less exactly than the
+        selected effect may be the cause although it explains less.
         """
-        fair = copy(self)  # weights that were found beside the named effect would favour it
-        fair.base = self._first
-        instead, beside = fair.rank(named.asked, without=named), fair.rank(named.asked)
-        mine = instead.gains[:, named.at]
-        taken = {each.effect for each in self.selected}
-        found = []
-        for effect, other in enumerate(instead.best.tolist()):
-            if other < 0 or instead.asked.names[effect] in taken or instead.evidence.p[other] > DOUBT:
+        unbiased = copy(self)  # weights that were computed beside the selected effect would favour it
+        unbiased.base = self._first
+        instead, beside = unbiased.rank(effect.candidates, without=effect), unbiased.rank(effect.candidates)
+        gains = instead.gains[:, effect.at]
+        selected = {each.effect for each in self.selected}
+        rivals = []
+        for name, other in zip(instead.candidates.names, instead.best.tolist(), strict=True):
+            if other < 0 or name in selected or instead.evidence.p[other] > DOUBT:
                 continue
-            r = compute_correlation(instead.projected[:, named.at], instead.projected[:, other])
-            behind, error = sum_over_clusters(mine - instead.gains[:, other])
-            away = abs(r) > EXPLAINED_AWAY and not beside.q[effect] < LEVEL
-            alike = (abs(r) > INDISTINGUISHABLE or away) and behind < CLEARLY * error
-            if alike or self._blurred(named.variant, instead, named.at, other):
-                found.append((instead.asked.names[effect], r))
-        return sorted(found, key=lambda pair: -abs(pair[1]))
+            r = compute_correlation(instead.projected[:, effect.at], instead.projected[:, other])
+            behind, error = sum_over_clusters(gains - instead.gains[:, other])
+            place = instead.candidates.names.index(name)
+            proxy = abs(r) > PROXY_CORRELATION and not beside.q[place] < LEVEL
+            alike = (abs(r) > INDISTINGUISHABLE or proxy) and behind < CLEARLY * error
+            if alike or self._is_attenuated(effect.variant, instead, effect.at, other):
+                rivals.append((name, r))
+        return sorted(rivals, key=lambda pair: -abs(pair[1]))
 
     @staticmethod
-    def _blurred(variant: str, ranked: Ranking, mine: int, other: int) -> bool:
-        """Tell whether a rival explains less than a named effect only because it is known less exactly.
+    def _is_attenuated(variant: str, ranking: Ranking, at: int, other: int) -> bool:
+        """Return whether a rival explains less than a selected effect only because it is known less exactly.
 
         Notes
         -----
-        Be G what the rival would explain if it were known exactly, and ρ the share of its variance that is true. As it
-        is, it explains ρ G, and an effect that stands in for it r*^2 G, where r*^2 = r^2/ρ by their correlation r. So
-        the rival may be the cause where r^2 times what it explains, over what the other does, is ρ^2 or more.
-        Attenuation by errors in variables: Fuller, Measurement Error Models, Wiley 1987, section 1.1.
+        Let G be what the rival would explain if it were known exactly, and ρ the share of its variance that is true.
+        It then explains ρ G, and a proxy explains r*^2 G, where r*^2 = r^2/ρ for the correlation r of the two. The rival
+        may therefore be the cause where r^2 times the ratio of what it explains to what the other explains is at
+        least ρ^2. Attenuation by errors in variables: Fuller, Measurement Error Models, Wiley 1987, section 1.1.
         """
-        if not is_inexact(ranked.asked.variants[other]) or is_inexact(variant):
+        if not is_inexact(ranking.candidates.variants[other]) or is_inexact(variant):
             return False
-        r = compute_correlation(ranked.projected[:, mine], ranked.projected[:, other])
-        explained, least = float(ranked.gains[:, other].sum()), FAITHFUL**2 * float(ranked.gains[:, mine].sum())
+        r = compute_correlation(ranking.projected[:, at], ranking.projected[:, other])
+        explained, least = float(ranking.gains[:, other].sum()), RELIABILITY**2 * float(ranking.gains[:, at].sum())
         return r > 0.0 and explained > 0.0 and r**2 * explained > least
 
 
 def is_inexact(variant: str) -> bool:
-    """Tell whether an effect rests on forces, which samples every few seconds tell inexactly.
+    """Return whether an effect depends on forces, which samples every few seconds determine inexactly.
+
+    Parameters
+    ----------
+    variant : str
+        Name of an effect or of a variant.
+
+    Returns
+    -------
+    bool
+        Whether its input columns include one of `FORCES`.
 
     Examples
     --------

@@ -1,11 +1,12 @@
-"""Whether an effect holds for one vehicle, or from a date on, rather than everywhere and always.
+"""Select effects that hold for one vehicle only, or from a date on, rather than everywhere and always.
 
-Effects are asked of again in places: each vehicle's windows, and those after each of some dates, for all vehicles or
-one. There effects have a say too whose shape the model has already, such as a constant drag or standby power: what
-comes with a date is no part of what the car always takes.
+Effects are tested again within scopes: the windows of each vehicle, and the windows after each of some dates, for all
+vehicles or for one. Within a scope, effects count too whose shape the model has already, such as a constant drag or
+standby power, because what begins on a date is not part of what the car always uses.
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -17,37 +18,38 @@ from core.diagnose.candidates import Candidates, compute_least_coefficients
 from core.diagnose.dataset import Windows
 from core.diagnose.evidence import compute_worst_case_evidence
 from core.diagnose.forward_selection import ForwardSelection, SelectedEffect
-from core.diagnose.ranking import LEAST_LEFT
+from core.diagnose.ranking import LEAST_LEFT, ResidualSpace
 from core.fit.ride_blocks import get_names, get_numbers
 from core.models.features import SINCE_SCOPE, VEHICLE_SCOPE
 from core.stats.multiple_testing import adjust_false_discovery
 
 Mask = NDArray[np.bool_]
 
-"""[s]"""
 DATES: Final = 8
-"""Dates that are tried, evenly over the rides; the best is then sought among its neighbours."""
+"""Number of dates, evenly spaced over the windows, that are tested first; the best one is then refined."""
 LEVEL: Final = 0.01
-"""Probability by chance below which an effect is there in a place, adjusted for all that was asked in places of its
-kind: of cars, of dates, or of both together."""
-DATED: Final = 12.0
-"""Fall of the error, in variances, by which a date must do better than none: the best of many does by chance."""
-GLANCE: Final = 3.0
-"""Standard errors, by what one car leaves, below which a candidate is not looked at further."""
+"""Probability below which an effect within a scope is significant, adjusted for all scopes of the same kind: vehicles,
+dates, or both together."""
+DATE_PENALTY: Final = 12.0
+"""Fall of the squared error, in variances, by which a date must be better than none: the best of many dates is better by
+chance."""
+SCREENING: Final = 3.0
+"""Standard errors below which a candidate is not tested further, judged by the residual of its own car."""
 LEAST_WINDOWS: Final = 40
-"""Windows on either side of a place's border."""
+"""Least number of windows inside and outside a scope."""
 
 
 class ScopedWindows(NamedTuple):
-    """Some of the windows.
+    """Hold the windows within a scope.
 
     Parameters
     ----------
     scope : tuple of str
-        Indicator columns that say which.
+        Indicator columns that define the scope.
     rows : (n,) bool
+        Windows within the scope.
     car : int or None
-        Code of the vehicle whose windows alone they are.
+        Code of the vehicle if the scope has one vehicle.
     """
 
     scope: tuple[str, ...]
@@ -55,58 +57,18 @@ class ScopedWindows(NamedTuple):
     car: int | None
 
 
-def list_scopes(windows: Windows) -> Iterator[ScopedWindows]:
-    """Give each vehicle, all windows after each of some dates, and each vehicle's after each of them."""
-    dates = [(SINCE_SCOPE + date, later) for date, later in _dates(windows, DATES)]
-    every = np.ones(len(windows.measured), np.bool_)
-    for name, later in dates:
-        yield from _parted(ScopedWindows((name,), later, None), every)
-    cars = _cars(windows)
-    for code, car in cars if len(cars) > 1 else []:
-        here = windows.vehicle == code
-        yield from _parted(ScopedWindows((VEHICLE_SCOPE + car,), here, code), every)
-        for name, later in dates:
-            yield from _parted(ScopedWindows((VEHICLE_SCOPE + car, name), here & later, code), here)
+@dataclass(frozen=True)
+class _LocalSearch:
+    """Hold what all tests within scopes share: the candidates, the residual, and the candidates of the whole fleet."""
 
-
-def _parted(place: ScopedWindows, whole: Mask) -> Iterator[ScopedWindows]:
-    """Give a place that has windows enough on either side of its border."""
-    inside = int(place.rows.sum())
-    if inside >= LEAST_WINDOWS and int(whole.sum()) - inside >= LEAST_WINDOWS:
-        yield place
-
-
-def select_local_effects(selection: ForwardSelection, everywhere: Candidates) -> None:
-    """Name effects that hold in some place only, one after the other, until none is there beyond chance.
-
-    Parameters
-    ----------
-    search : Search
-        With what holds everywhere named.
-    everywhere : Asked
-        Effects to ask of, at the values that they are declared with.
-    """
-    while len(selection.selected) < selection.most:
-        found = _best(selection, everywhere)
-        if found is None:
-            return
-        selection.select(found)
+    selection: ForwardSelection
+    candidates: Candidates
+    space: ResidualSpace
+    fleet: Floats
 
 
 class _Trial(NamedTuple):
-    """What a candidate in a place is worth.
-
-    Parameters
-    ----------
-    scope : tuple of str
-        Of the place.
-    at : int
-        Its column.
-    p : float
-        Probability by chance.
-    fall : float
-        Of the squared error; less `DATED` variances where a date was chosen.
-    """
+    """Hold the test of one candidate within a scope; `fall` is that of the squared error, less any date penalty."""
 
     scope: tuple[str, ...]
     at: int
@@ -114,111 +76,156 @@ class _Trial(NamedTuple):
     fall: float
 
 
-def _best(selection: ForwardSelection, everywhere: Candidates) -> SelectedEffect | None:
-    """Return the effect and place that explain most, of those that are there beyond chance."""
-    off = selection.build_basis()
-    left = selection.compute_residual(off)
-    fleet = selection.base.project_out(everywhere.columns)
-    fleet -= off @ (off.T @ fleet)
+def list_scopes(windows: Windows) -> Iterator[ScopedWindows]:
+    """Yield each vehicle, all windows after each of some dates, and the windows of each vehicle after each date.
+
+    Parameters
+    ----------
+    windows : Windows
+        The windows to diagnose.
+
+    Yields
+    ------
+    ScopedWindows
+        A scope with at least `LEAST_WINDOWS` windows inside and outside. A single vehicle is no scope.
+    """
+    dates = [(SINCE_SCOPE + date, later) for date, later in _list_dates(windows, DATES)]
+    every = np.ones(len(windows.measured), np.bool_)
+    for name, later in dates:
+        yield from _keep_if_large(ScopedWindows((name,), later, None), every)
+    cars = _list_cars(windows)
+    for code, car in cars if len(cars) > 1 else []:
+        here = windows.vehicle == code
+        yield from _keep_if_large(ScopedWindows((VEHICLE_SCOPE + car,), here, code), every)
+        for name, later in dates:
+            yield from _keep_if_large(ScopedWindows((VEHICLE_SCOPE + car, name), here & later, code), here)
+
+
+def _keep_if_large(scoped: ScopedWindows, whole: Mask) -> Iterator[ScopedWindows]:
+    """Yield a scope that has enough windows inside and outside, within a whole."""
+    inside = int(scoped.rows.sum())
+    if inside >= LEAST_WINDOWS and int(whole.sum()) - inside >= LEAST_WINDOWS:
+        yield scoped
+
+
+def select_local_effects(selection: ForwardSelection, candidates: Candidates) -> None:
+    """Select effects that hold within a scope only, one after the other, until no further one is significant.
+
+    Parameters
+    ----------
+    selection : ForwardSelection
+        A selection that has selected the effects that hold everywhere.
+    candidates : Candidates
+        Effects to test, at the declared values of their parameters.
+    """
+    while len(selection.selected) < selection.settings.max_effects:
+        effect = _find_best(selection, candidates)
+        if effect is None:
+            return
+        selection.select(effect)
+
+
+def _find_best(selection: ForwardSelection, candidates: Candidates) -> SelectedEffect | None:
+    """Return the significant effect and scope that explain most, or None."""
+    space = selection.build_space()
+    search = _LocalSearch(selection, candidates, space, space.project_out(candidates.columns))
     families: dict[tuple[bool, bool], list[_Trial]] = {}
-    for place in list_scopes(selection.base.windows):
-        kind = place.car is not None, _since(place.scope) is not None
-        families.setdefault(kind, []).extend(_tried(selection, everywhere, place, off, left, fleet))
-    good: list[tuple[_Trial, float]] = []
-    for tried in families.values():
-        q = adjust_false_discovery(np.array([each.p for each in tried]))
-        good += [(each, float(chance)) for each, chance in zip(tried, q, strict=True) if chance < LEVEL]
-    for each, chance in sorted(good, key=lambda pair: -pair[0].fall):
-        named = SelectedEffect(_sharper(selection, everywhere, each.scope, each.at, off, left), each.at, chance)
-        if selection.is_new(named) and selection.is_worthwhile(named):
-            return named
+    for scoped in list_scopes(selection.base.windows):
+        kind = scoped.car is not None, _find_date_column(scoped.scope) is not None
+        families.setdefault(kind, []).extend(_test_scope(search, scoped))
+    significant: list[tuple[_Trial, float]] = []
+    for trials in families.values():
+        q = adjust_false_discovery(np.array([each.p for each in trials]))
+        significant += [(each, float(chance)) for each, chance in zip(trials, q, strict=True) if chance < LEVEL]
+    for each, chance in sorted(significant, key=lambda pair: -pair[0].fall):
+        effect = SelectedEffect(_refine_date(search, each.scope, each.at), each.at, chance)
+        if selection.is_new(effect) and selection.is_worthwhile(effect):
+            return effect
     return None
 
 
-def _since(scope: tuple[str, ...]) -> str | None:
-    """Return the indicator column of the date that a place begins with, None where there is none."""
+def _find_date_column(scope: tuple[str, ...]) -> str | None:
+    """Return the indicator column of the first date of a scope, or None."""
     return next((name for name in scope if name.startswith(SINCE_SCOPE)), None)
 
 
-def _glance(selection: ForwardSelection, everywhere: Candidates, place: ScopedWindows, left: Floats) -> Ints:
-    """Return the candidates that might be there, by their own car's columns alone where the place is of one car."""
-    if place.car is None:
-        return np.arange(len(everywhere.names))
-    own = selection.base.cars[place.car]
-    columns = selection.base.project_out_for_car(everywhere.columns[own] * place.rows[own][:, np.newaxis], place.car)
-    here = left[own]
+def _screen(search: _LocalSearch, scoped: ScopedWindows) -> Ints:
+    """Return the candidates to test; those of one car are screened by the projection off its own columns."""
+    if scoped.car is None:
+        return np.arange(len(search.candidates.names))
+    base, residual = search.selection.base, search.space.residual
+    own = base.cars[scoped.car]
+    columns = base.project_out_for_car(search.candidates.columns[own] * scoped.rows[own][:, np.newaxis], scoped.car)
     size = np.maximum((columns**2).sum(axis=0), 1e-300)
-    return np.flatnonzero((columns.T @ here) ** 2 / size > GLANCE**2 * float(np.mean(left**2)))
+    return np.flatnonzero((columns.T @ residual[own]) ** 2 / size > SCREENING**2 * float(np.mean(residual**2)))
 
 
-def _tried(
-    selection: ForwardSelection, everywhere: Candidates, place: ScopedWindows, off: Floats, left: Floats, fleet: Floats
-) -> list[_Trial]:
-    """Return what each candidate in a place is worth.
+def _test_scope(search: _LocalSearch, scoped: ScopedWindows) -> list[_Trial]:
+    """Return the test of each candidate within a scope.
 
-    One car is held against its siblings: what they all show, as what samples distort, is no matter of its own.
+    The effect of one car is tested beside the same effect of the fleet: what all cars show, such as distortions by
+    coarse sampling, is not specific to the car.
     """
-    chosen = _glance(selection, everywhere, place, left)
-    p, fall = np.ones(len(everywhere.names)), np.zeros(len(everywhere.names))
+    candidates, space = search.candidates, search.space
+    chosen = _screen(search, scoped)
+    p, fall = np.ones(len(candidates.names)), np.zeros(len(candidates.names))
     if len(chosen):
-        asked = everywhere.columns[:, chosen] * place.rows[:, np.newaxis]
-        columns = selection.base.project_out(asked)
-        columns -= off @ (off.T @ columns)
-        if place.car is not None:
-            columns = _beside(columns, fleet[:, chosen])
+        energies = candidates.columns[:, chosen] * scoped.rows[:, np.newaxis]
+        columns = space.project_out(energies)
+        if scoped.car is not None:
+            columns = _project_out_pairwise(columns, search.fleet[:, chosen])
         size = (columns**2).sum(axis=0)
-        told = size > LEAST_LEFT * (selection.base.apply_weights(asked) ** 2).sum(axis=0)
-        kept, columns = chosen[told], columns[:, told]
-        variants = [everywhere.variants[at] for at in kept]
-        least = compute_least_coefficients(variants, asked[:, told], everywhere.measured * place.rows)
+        identifiable = size > LEAST_LEFT * (space.base.apply_weights(energies) ** 2).sum(axis=0)
+        kept, columns = chosen[identifiable], columns[:, identifiable]
+        variants = [candidates.variants[at] for at in kept]
+        least = compute_least_coefficients(variants, energies[:, identifiable], candidates.measured * scoped.rows)
         if len(kept):
-            p[kept] = compute_worst_case_evidence(left, columns, everywhere.sign[kept], selection.clusters, least).p
-            fall[kept] = (columns.T @ left) ** 2 / size[told]
-    if _since(place.scope) is not None:
-        fall -= DATED * float(np.mean(left**2))
-    return [_Trial(place.scope, at, float(p[at]), float(fall[at])) for at in range(len(p))]
+            clusters = search.selection.clusters
+            p[kept] = compute_worst_case_evidence(space.residual, columns, candidates.sign[kept], clusters, least).p
+            fall[kept] = (columns.T @ space.residual) ** 2 / size[identifiable]
+    if _find_date_column(scoped.scope) is not None:
+        fall -= DATE_PENALTY * float(np.mean(space.residual**2))
+    return [_Trial(scoped.scope, at, float(p[at]), float(fall[at])) for at in range(len(p))]
 
 
-def _beside(columns: Floats, others: Floats) -> Floats:
-    """Return what is left of each column beside its like among others, (n, k)."""
+def _project_out_pairwise(columns: Floats, others: Floats) -> Floats:
+    """Return each column less its projection on the column at the same place among others, (n, k)."""
     size = (others**2).sum(axis=0)
     share = np.divide((columns * others).sum(axis=0), size, out=np.zeros(len(size)), where=size > 0.0)
     return np.asarray(columns - others * share)
 
 
-def _sharper(
-    selection: ForwardSelection, everywhere: Candidates, scope: tuple[str, ...], at: int, off: Floats, left: Floats
-) -> Candidates:
-    """Return what is asked of in a place, from the very date that explains most where a date is part of it."""
-    windows = selection.base.windows
-    begin = _since(scope)
-    of_car = next((code for code, name in _cars(windows) if VEHICLE_SCOPE + name in scope), None)
-    here = np.ones(len(left), np.bool_) if of_car is None else windows.vehicle == of_car
+def _refine_date(search: _LocalSearch, scope: tuple[str, ...], at: int) -> Candidates:
+    """Return the candidates within a scope, from the exact date that explains most where the scope has a date."""
+    space, candidates = search.space, search.candidates
+    windows = space.base.windows
+    begin = _find_date_column(scope)
+    car = next((code for code, name in _list_cars(windows) if VEHICLE_SCOPE + name in scope), None)
+    here = np.ones(len(space.residual), np.bool_) if car is None else windows.vehicle == car
     if begin is None:
-        return everywhere.restrict_to(here, scope)
-    whole = everywhere.columns[:, [at]]
-    best, most = everywhere, -1.0
-    for date, later in _dates(windows, None):
+        return candidates.restrict_to(here, scope)
+    whole = candidates.columns[:, [at]]
+    best, most = candidates, -1.0
+    for date, later in _list_dates(windows, None):
         rows = here & later
         if not LEAST_WINDOWS <= rows.sum() <= here.sum() - LEAST_WINDOWS:
             continue
-        column = selection.base.project_out(whole * rows[:, np.newaxis])[:, 0]
-        column -= off @ (off.T @ column)
-        fall = float(column @ left) ** 2 / max(float(column @ column), 1e-300)
+        column = space.project_out(whole * rows[:, np.newaxis])[:, 0]
+        fall = float(column @ space.residual) ** 2 / max(float(column @ column), 1e-300)
         if fall > most:
-            place = tuple(SINCE_SCOPE + date if name == begin else name for name in scope)
-            best, most = everywhere.restrict_to(rows, place), fall
+            refined = tuple(SINCE_SCOPE + date if name == begin else name for name in scope)
+            best, most = candidates.restrict_to(rows, refined), fall
     return best
 
 
-def _cars(windows: Windows) -> list[tuple[int, str]]:
-    """Return code and name of each vehicle."""
-    found = dict(zip(windows.vehicle.tolist(), get_names(windows.table, "vehicle_id"), strict=True))
-    return sorted(found.items())
+def _list_cars(windows: Windows) -> list[tuple[int, str]]:
+    """Return the code and the name of each vehicle."""
+    names = dict(zip(windows.vehicle.tolist(), get_names(windows.table, "vehicle_id"), strict=True))
+    return sorted(names.items())
 
 
-def _dates(windows: Windows, count: int | None) -> list[tuple[str, Mask]]:
-    """Return dates but the first, all or so many evenly over the windows, and the windows from each on."""
+def _list_dates(windows: Windows, count: int | None) -> list[tuple[str, Mask]]:
+    """Return all dates except the first, or a number of them evenly spaced, with the windows from each date on."""
     start = get_numbers(windows.table, "start_s")
     days = np.unique(np.floor(start / SECONDS_PER_DAY))[1:]
     if count is not None and len(days) > count:

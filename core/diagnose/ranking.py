@@ -1,4 +1,4 @@
-"""Which of several effects that fit explains most of days that it was not fitted to."""
+"""Rank candidate effects by the error that they explain on days to which their coefficients were not fitted."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,34 +13,72 @@ from core.diagnose.projection import BaseProjection
 from core.stats.multiple_testing import adjust_false_discovery
 
 LEAST_LEFT: Final = 0.03
-"""Share of a candidate's size that the model must be unable to take up, for it to be told from the model."""
+"""Share of a candidate's size that the model must be unable to explain for the candidate to be identifiable."""
 LEAST_GAIN: Final = 0.002
-"""Share of the squared error that anything must explain on held-out vehicle-days to be worth its place."""
+"""Share of the squared error that an effect must explain on held-out vehicle-days to be reported."""
 LEVEL: Final = 0.05
-"""Share of false names among those that are significant."""
+"""Accepted share of false effects among those that are significant."""
+
+
+@dataclass(frozen=True)
+class ResidualSpace:
+    """Hold what a model and the effects selected so far leave unexplained.
+
+    Parameters
+    ----------
+    base : BaseProjection
+        Projection off the terms of the model.
+    basis : (n, m) float
+        Orthonormal basis of the selected effects, off the model. [1]
+    residual : (n,) float
+        Weighted residual off the model and the selected effects. [1]
+    """
+
+    base: BaseProjection
+    basis: Floats
+    residual: Floats
+
+    def project_out(self, columns: Floats) -> Floats:
+        """Return the part of energy columns that neither the model nor the selected effects explain.
+
+        Parameters
+        ----------
+        columns : (n, k) float
+            Energies. [kWh per unit of a coefficient]
+
+        Returns
+        -------
+        (n, k) float
+            Weighted columns off the model and the basis. [1 per unit of a coefficient]
+        """
+        projected = self.base.project_out(columns)
+        projected -= self.basis @ (self.basis.T @ projected)
+        return projected
 
 
 @dataclass(frozen=True)
 class Ranking:
-    """What a step of diagnosis found of all candidates.
+    """Hold the evidence and the gain of all candidates in one step of the diagnosis.
 
     Parameters
     ----------
-    asked : Asked
+    candidates : Candidates
+        The candidates that are ranked.
     projected : (n, k) float
-        Candidates off the model, weighted.
+        Weighted candidates off the model. [1 per unit of the coefficient]
     evidence : Evidence
+        Test result of each candidate.
     left : (k,) float
-        Share of each candidate's size that is off the model.
+        Share of the size of each candidate that is off the model. [1]
     best : (names,) int64
-        For each effect, its variant of most held-out gain; -1 where none can be told from the model.
+        For each effect, its variant with the largest held-out gain; -1 where none is identifiable.
     q : (names,) float
-        Adjusted over effects; NaN where none can be told from the model.
+        Probability adjusted over all effects; NaN where no variant is identifiable. [1]
     gains : (clusters, k) float
-        Fall of the squared weighted error on held-out vehicle-days, as a share of all of it.
+        Fall of the weighted squared error on held-out vehicle-days, as a share of the total. [1]
     """
 
-    asked: Candidates
+    candidates: Candidates
     projected: Floats
     evidence: Evidence
     left: Floats
@@ -49,82 +87,110 @@ class Ranking:
     gains: Floats
 
     def compute_gain(self, at: int) -> tuple[float, float]:
-        """Return the held-out gain of a candidate, and its standard error."""
+        """Return the held-out gain of a candidate and its standard error. [1]"""
         return sum_over_clusters(self.gains[:, at])
 
-    def significant(self) -> list[int]:
-        """Return the best variants of the effects that are there beyond chance, the surest first.
+    def list_significant(self) -> list[int]:
+        """Return the best variants of the significant effects, the most significant first.
 
-        Not that of the largest gain: a gain that a few days make is less sure than one of many.
+        The order is not that of the gain, because a gain on a few days is less certain than one on many days.
         """
-        found = [int(v) for v, q in zip(self.best, self.q, strict=True) if v >= 0 and q < LEVEL]
-        return sorted(found, key=lambda v: float(self.evidence.p[v]))
+        significant = [int(v) for v, q in zip(self.best, self.q, strict=True) if v >= 0 and q < LEVEL]
+        return sorted(significant, key=lambda v: float(self.evidence.p[v]))
 
 
 def rank_candidates(
-    base: BaseProjection, residual: Floats, asked: Candidates, clusters: Sequence[ClusterSums], off: Floats, seed: int
+    space: ResidualSpace, candidates: Candidates, clusters: Sequence[ClusterSums], seed: int
 ) -> Ranking:
-    """Return what each candidate explains of a residual.
+    """Return how much of a residual each candidate explains.
 
     Parameters
     ----------
-    base : Base
-    residual : (n,) float
-        Weighted, off the model and the effects named so far.
-    asked : Asked
-    clusters : sequence of Clusters
-        Vehicle-days, by which folds are dealt, and others over which errors may depend on each other.
-    off : (n, m) float
-        Orthonormal basis of the effects named so far.
+    space : ResidualSpace
+        What the model and the effects selected so far leave.
+    candidates : Candidates
+        Effects to rank.
+    clusters : sequence of ClusterSums
+        Vehicle-days first, which define the folds; then other clusterings over which errors may depend on each other.
     seed : int
-        Of the dealing into folds.
+        Seed of the folds.
+
+    Returns
+    -------
+    Ranking
+        Evidence, gain and best variant of each effect.
     """
-    projected = base.project_out(asked.columns)
-    projected -= off @ (off.T @ projected)
-    size = (base.apply_weights(asked.columns) ** 2).sum(axis=0)
+    projected = space.project_out(candidates.columns)
+    size = (space.base.apply_weights(candidates.columns) ** 2).sum(axis=0)
     left = np.divide((projected**2).sum(axis=0), size, out=np.zeros(len(size)), where=size > 0.0)
-    evidence = compute_worst_case_evidence(residual, projected, asked.sign, clusters, asked.least_coefficients)
-    gains = compute_held_out_gains(residual, projected, asked.sign, clusters[0], seed)
-    told = left > LEAST_LEFT
-    best, p = np.full(len(asked.names), -1, dtype=np.int64), np.full(len(asked.names), np.nan)
-    for e in range(len(asked.names)):
-        mine = np.flatnonzero((asked.effects == e) & told)
-        if len(mine):
-            best[e] = mine[np.argmax(gains[:, mine].sum(axis=0))]
-            p[e] = combine_by_simes(evidence.p[mine])
-    q = np.full(len(p), np.nan)
-    q[best >= 0] = adjust_false_discovery(p[best >= 0])
-    return Ranking(asked, projected, evidence, left, best, q, gains)
+    evidence = compute_worst_case_evidence(
+        space.residual, projected, candidates.sign, clusters, candidates.least_coefficients
+    )
+    gains = compute_held_out_gains(space.residual, projected, candidates.sign, clusters[0], seed)
+    identifiable = left > LEAST_LEFT
+    count = len(candidates.names)
+    best, p = np.full(count, -1, dtype=np.int64), np.full(count, np.nan)
+    for e in range(count):
+        variants = np.flatnonzero((candidates.effects == e) & identifiable)
+        if len(variants):
+            best[e] = variants[np.argmax(gains[:, variants].sum(axis=0))]
+            p[e] = combine_by_simes(evidence.p[variants])
+    return Ranking(candidates, projected, evidence, left, best, adjust_false_discovery(p), gains)
 
 
-def compute_held_out_gains(
-    residual: Floats, candidates: Floats, sign: Ints, clusters: ClusterSums, seed: int
-) -> Floats:
-    """Return the fall of the squared error by each candidate on vehicle-days that its coefficient was not fitted to.
+def compute_held_out_gains(residual: Floats, columns: Floats, sign: Ints, clusters: ClusterSums, seed: int) -> Floats:
+    """Return the fall of the squared error by each candidate on vehicle-days to which it was not fitted.
+
+    Parameters
+    ----------
+    residual : (n,) float
+        Weighted residual. [1]
+    columns : (n, k) float
+        Weighted, projected candidates. [1 per unit of the coefficient]
+    sign : (k,) int
+        Sign of the coefficient that physics demands. A coefficient of the other sign counts as zero.
+    clusters : ClusterSums
+        Vehicle-days.
+    seed : int
+        Seed of the folds.
 
     Returns
     -------
     (clusters, k) float
-        As a share of all squared error. A coefficient of the sign that physics forbids counts as none.
+        Fall on each vehicle-day, as a share of the total squared error. [1]
 
     Notes
     -----
-    The model's own terms are projected off over all days at once: refitted without the coldest day, a model
-    extrapolates to it, and its failure there would be credited to whatever effect mimics that. `socast add` refits
-    everything without the days that it is judged on.
+    The terms of the model are projected off over all days at once. Refitted without the coldest day, a model would
+    extrapolate to it, and its failure there would be credited to any effect that resembles it. `socast add` refits
+    everything without the days on which it evaluates.
     """
     fold = clusters.assign_folds(seed)
-    size = clusters.sum_by_cluster(candidates**2)
-    cross = clusters.sum_by_cluster(candidates * residual[:, np.newaxis])
+    size = clusters.sum_by_cluster(columns**2)
+    cross = clusters.sum_by_cluster(columns * residual[:, np.newaxis])
     by_fold = np.eye(int(fold.max()) + 1)[fold].T
     size_rest, cross_rest = size.sum(axis=0) - by_fold @ size, cross.sum(axis=0) - by_fold @ cross
-    fitted = np.divide(cross_rest, size_rest, out=np.zeros_like(cross_rest), where=size_rest > 0.0)
-    fitted = np.where(sign * fitted < 0.0, 0.0, fitted)[fold]
-    return np.asarray((2.0 * fitted * cross - fitted**2 * size) / (residual @ residual))
+    coefficient = np.divide(cross_rest, size_rest, out=np.zeros_like(cross_rest), where=size_rest > 0.0)
+    coefficient = np.where(sign * coefficient < 0.0, 0.0, coefficient)[fold]
+    return np.asarray((2.0 * coefficient * cross - coefficient**2 * size) / (residual @ residual))
 
 
 def combine_by_simes(p: Floats) -> float:
-    """Return the probability that several tests of one effect find it by chance (Simes 1986).
+    """Return the probability that several tests of one effect give their results by chance.
+
+    Parameters
+    ----------
+    p : (n,) float
+        Probability of each test. [1]
+
+    Returns
+    -------
+    float
+        Combined probability. [1]
+
+    References
+    ----------
+    Simes, Biometrika 73 (1986) 751, DOI 10.1093/biomet/73.3.751.
 
     Examples
     --------
@@ -136,13 +202,13 @@ def combine_by_simes(p: Floats) -> float:
 
 
 def compute_correlation(one: Floats, other: Floats) -> float:
-    """Return the correlation of two projected candidates."""
+    """Return the correlation of two projected candidates, 0 where one of them is zero. [1]"""
     size = float(np.sqrt((one @ one) * (other @ other)))
     return float(one @ other) / size if size > 0.0 else 0.0
 
 
 def sum_over_clusters(values: Floats) -> tuple[float, float]:
-    """Return the sum over clusters and its standard error."""
+    """Return the sum of values over independent clusters and its standard error."""
     count = len(values)
     spread = float(((values - values.mean()) ** 2).sum()) * count / max(count - 1, 1)
     return float(values.sum()), float(np.sqrt(spread))

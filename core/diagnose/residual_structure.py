@@ -152,8 +152,8 @@ def measure_residual_structure(selection: ForwardSelection, found: Sequence[Miss
     off = selection.build_basis()
     left = selection.compute_residual(off)
     features = collect_features(base.windows)
-    before = compute_predictable_share(features, base.residual, clusters[0], selection.seed)
-    after = compute_predictable_share(features, left, clusters[0], selection.seed) if found else before
+    before = compute_predictable_share(features, base.residual, clusters[0], selection.settings.seed)
+    after = compute_predictable_share(features, left, clusters[0], selection.settings.seed) if found else before
     shapes = PlainShapes(selection)
     explained, _ = sum_over_clusters(
         clusters[0].sum_by_cluster(base.residual**2 - selection.compute_held_out_residual(off) ** 2)
@@ -223,25 +223,29 @@ class PlainShapes:
             return "", 1.0, 0.0
         either = np.zeros(len(free), dtype=np.int64)
         q = adjust_false_discovery(compute_worst_case_evidence(left, shapes, either, self.selection.clusters).p)
-        gain = compute_held_out_gains(left, shapes, either, self.selection.clusters[0], self.selection.seed).sum(axis=0)
+        gain = compute_held_out_gains(
+            left, shapes, either, self.selection.clusters[0], self.selection.settings.seed
+        ).sum(axis=0)
         best = int(np.argmax(np.where(q < LEVEL, gain, -1.0))) if (q < LEVEL).any() else int(np.argmin(q))
         return self.names[free[best]], float(q[best]), float(gain[best])
 
     def find_replacement(self, named: SelectedEffect) -> str:
         """Return the shape that explains clearly more than a named effect would in its place; empty where none does."""
         selection = self.selection
-        off = selection.build_basis(named)
-        left = selection.compute_residual(off)
-        column = selection.base.project_out(named.column)
-        column -= off @ (off.T @ column)
-        shapes, free = self._off(off)
+        space = selection.build_space(named)
+        left = space.residual
+        column = space.project_out(named.column)
+        shapes, free = self._off(space.basis)
         size = np.sqrt((shapes**2).sum(axis=0) * float((column**2).sum()))
         alike = np.abs(column[:, 0] @ shapes) > LIKE * size
         if not alike.any():
             return ""
         either = np.zeros(int(alike.sum()), dtype=np.int64)
-        mine = compute_held_out_gains(left, column, either[:1], selection.clusters[0], selection.seed)
-        more = compute_held_out_gains(left, shapes[:, alike], either, selection.clusters[0], selection.seed) - mine
+        mine = compute_held_out_gains(left, column, either[:1], selection.clusters[0], selection.settings.seed)
+        more = (
+            compute_held_out_gains(left, shapes[:, alike], either, selection.clusters[0], selection.settings.seed)
+            - mine
+        )
         ahead = np.array([value / error if error > 0.0 else 0.0 for value, error in map(sum_over_clusters, more.T)])
         best = int(np.argmax(ahead))
         return self.names[free[np.flatnonzero(alike)[best]]] if ahead[best] > CLEARLY else ""

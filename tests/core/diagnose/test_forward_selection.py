@@ -7,7 +7,7 @@ import pytest
 
 from core.diagnose.candidates import Candidates, build_candidates
 from core.diagnose.evidence import ClusterSums
-from core.diagnose.forward_selection import ForwardSelection, SelectedEffect
+from core.diagnose.forward_selection import ForwardSelection, SelectedEffect, SelectionSettings
 from core.diagnose.projection import BaseProjection
 from tests.support.synthetic_windows import (
     compute_coefficients,
@@ -26,7 +26,9 @@ def search(shares, *names, most=6, least_gain=LEAST_GAIN, seed=1, twin=0.0, **er
     base, asked = BaseProjection(windows, model), build_candidates(windows, model)
     asked = keep_only(asked, *names) if names else asked
     clusters = [ClusterSums(base.windows.day), ClusterSums(base.windows.date)]
-    return ForwardSelection(base, with_twin(asked, twin) if twin else asked, clusters, least_gain, most, 0)
+    return ForwardSelection(
+        base, with_twin(asked, twin) if twin else asked, clusters, SelectionSettings(least_gain, most, 0)
+    )
 
 
 def with_twin(asked: Candidates, other: float) -> Candidates:
@@ -85,13 +87,13 @@ def test_of_two_both_are_named_or_in_a_group_most_gain_first(pair):
 
 def test_a_stand_in_goes_when_what_it_stood_for_is_named():
     found = search({"cold_rolling": 0.08}, "cold_rolling", "air_density", "headwind")
-    at = found.asked.variants.index
-    found.select(SelectedEffect(found.asked, at("air_density"), 0.0))
+    at = found.candidates.variants.index
+    found.select(SelectedEffect(found.candidates, at("air_density"), 0.0))
     assert named(found) == {"air_density"}
-    found.select(SelectedEffect(found.asked, at("cold_rolling"), 0.0))
+    found.select(SelectedEffect(found.candidates, at("cold_rolling"), 0.0))
     assert named(found) == {"cold_rolling"}
-    assert not found.is_new(SelectedEffect(found.asked, at("air_density"), 0.0))
-    assert found.is_new(SelectedEffect(found.asked, at("headwind"), 0.0))
+    assert not found.is_new(SelectedEffect(found.candidates, at("air_density"), 0.0))
+    assert found.is_new(SelectedEffect(found.candidates, at("headwind"), 0.0))
     found.select_all()
     assert named(found) == {"cold_rolling"}
 
@@ -99,7 +101,7 @@ def test_a_stand_in_goes_when_what_it_stood_for_is_named():
 def test_an_effect_that_is_needed_stays_when_another_is_named():
     found = search({"cold_rolling": 0.06, "headwind": 0.05}, "cold_rolling", "headwind")
     for variant in ("headwind", "cold_rolling"):
-        found.select(SelectedEffect(found.asked, found.asked.variants.index(variant), 0.0))
+        found.select(SelectedEffect(found.candidates, found.candidates.variants.index(variant), 0.0))
     assert named(found) == {"cold_rolling", "headwind"}
     assert not found.dropped
 
@@ -127,12 +129,12 @@ class TestInexactRivals:
 
     def rivals(self, true: float, blur: float) -> set[str]:
         found = search({"cold_rolling": 0.08}, "cold_rolling", "cold_regen_limit")
-        first = np.flatnonzero(found.asked.effects == 0)
-        column = found.asked.columns[:, first[0]]
+        first = np.flatnonzero(found.candidates.effects == 0)
+        column = found.candidates.columns[:, first[0]]
         noise = np.random.default_rng(5).normal(size=len(column)) * np.std(column)
-        made = np.where((found.asked.effects == 1)[np.newaxis], (true * column + blur * noise)[:, np.newaxis], 0.0)
-        columns = np.where(found.asked.effects == 1, made, found.asked.columns)
-        found.asked = replace(found.asked, columns=columns)
+        made = np.where((found.candidates.effects == 1)[np.newaxis], (true * column + blur * noise)[:, np.newaxis], 0.0)
+        columns = np.where(found.candidates.effects == 1, made, found.candidates.columns)
+        found.candidates = replace(found.candidates, columns=columns)
         found.select_all()
         (finding,) = found.list_missing_effects()
         assert finding.selected.effect == "cold_rolling"
@@ -159,9 +161,9 @@ def test_an_effect_is_named_once():
     found = search({"cold_rolling@reference=283.15": 0.08}, "cold_rolling")
     found.select_all()
     assert len(found.selected) == 1
-    again = SelectedEffect(found.asked, found.asked.variants.index("cold_rolling@reference=298.15"), 0.0)
+    again = SelectedEffect(found.candidates, found.candidates.variants.index("cold_rolling@reference=298.15"), 0.0)
     assert not found.is_new(again)
-    elsewhere = found.asked.restrict_to(found.base.windows.vehicle == 0, ("vehicle=taxi-0",))
+    elsewhere = found.candidates.restrict_to(found.base.windows.vehicle == 0, ("vehicle=taxi-0",))
     assert found.is_new(SelectedEffect(elsewhere, 0, 0.0))
 
 

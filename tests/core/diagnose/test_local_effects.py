@@ -7,7 +7,7 @@ import pytest
 from core.diagnose.candidates import build_candidates
 from core.diagnose.diagnosis import keep_declared_values
 from core.diagnose.evidence import ClusterSums
-from core.diagnose.forward_selection import ForwardSelection
+from core.diagnose.forward_selection import ForwardSelection, SelectionSettings
 from core.diagnose.local_effects import LEAST_WINDOWS, list_scopes, select_local_effects
 from core.diagnose.projection import BaseProjection
 from core.models.features import Columns
@@ -21,7 +21,9 @@ def looked(shares, *, cars=4, **errors) -> ForwardSelection:
     """Return a search that has named what holds everywhere, and then what holds in places."""
     windows, model = gather_with_model(make_tables(make_windows(cars), shares, **({"of_day": 0.01} | errors)))
     clusters = [ClusterSums(windows.day), ClusterSums(windows.date)]
-    found = ForwardSelection(BaseProjection(windows, model), build_candidates(windows, model), clusters, 0.002, 6, 0)
+    found = ForwardSelection(
+        BaseProjection(windows, model), build_candidates(windows, model), clusters, SelectionSettings(0.002, 6, 0)
+    )
     found.select_all()
     select_local_effects(found, keep_declared_values(build_candidates(windows, model, scopes=True)))
     return found
@@ -35,7 +37,7 @@ def drives_late(date: str) -> int:
 
 
 def named(found: ForwardSelection) -> list[tuple[str, tuple[str, ...]]]:
-    return [(each.effect, each.asked.scope) for each in found.selected]
+    return [(each.effect, each.candidates.scope) for each in found.selected]
 
 
 @pytest.mark.parametrize("effect", ["cornering", "night_lights", "headwind"])
@@ -55,7 +57,7 @@ def test_an_effect_that_began_is_named_from_the_day_on_that_it_began(effect):
     assert only[0] == effect
     (since,) = only[1]
     assert abs(drives_late(since)) <= 2
-    assert not found.asked.excluded.get(effect)
+    assert not found.candidates.excluded.get(effect)
 
 
 def test_an_effect_that_began_in_one_car_is_named_with_both():

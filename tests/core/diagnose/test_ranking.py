@@ -11,6 +11,7 @@ from core.diagnose.projection import BaseProjection
 from core.diagnose.ranking import (
     LEVEL,
     Ranking,
+    ResidualSpace,
     combine_by_simes,
     compute_correlation,
     compute_held_out_gains,
@@ -35,7 +36,8 @@ def of_tables(tables, *names, recipe="road_load") -> Ranking:
     base, asked = BaseProjection(windows, model), build_candidates(windows, model)
     clusters = [ClusterSums(windows.day), ClusterSums(windows.date)]
     nothing = np.empty((len(base.residual), 0))
-    return rank_candidates(base, base.residual, keep_only(asked, *names) if names else asked, clusters, nothing, 0)
+    space = ResidualSpace(base, nothing, base.residual)
+    return rank_candidates(space, keep_only(asked, *names) if names else asked, clusters, 0)
 
 
 class TestHeldOut:
@@ -96,17 +98,17 @@ class TestRank:
     )
     def test_of_an_effect_the_variant_that_was_planted_is_the_best(self, variant):
         found = ranked({variant: 0.08}, variant.split("@")[0], "headwind", of_day=0.0)
-        assert found.asked.variants[found.best[0]] == variant
+        assert found.candidates.variants[found.best[0]] == variant
         assert found.q[0] < LEVEL
-        assert found.significant() == [found.best[0]]
+        assert found.list_significant() == [found.best[0]]
 
     def test_what_is_surest_comes_first(self):
         found = ranked({"headwind": 0.05, "night_lights": 0.05})
-        names = [found.asked.variants[v] for v in found.significant()]
+        names = [found.candidates.variants[v] for v in found.list_significant()]
         assert {"headwind", "night_lights"} <= set(names)
-        p = [found.evidence.p[v] for v in found.significant()]
+        p = [found.evidence.p[v] for v in found.list_significant()]
         assert p == sorted(p)
-        assert all(found.compute_gain(v)[0] > 0.05 for v in found.significant()[:2])
+        assert all(found.compute_gain(v)[0] > 0.05 for v in found.list_significant()[:2])
 
     def test_what_the_model_can_take_up_cannot_be_told_from_it(self):
         found = ranked({}, "standby", "headwind", recipe="road_load_constant")
@@ -119,7 +121,7 @@ class TestRank:
     def test_nothing_is_significant_where_nothing_is_there(self):
         """At a level of one in a hundred, one of six data sets may pass."""
         tables = [make_tables(make_windows(3, 16, seed=seed), seed=seed, of_day=0.03) for seed in range(6)]
-        assert sum(bool(of_tables(each).significant()) for each in tables) <= 1
+        assert sum(bool(of_tables(each).list_significant()) for each in tables) <= 1
 
     def test_what_is_named_already_is_projected_off(self):
         windows, model = gather_with_model(make_tables(make_windows(), {"headwind": 0.05}))
@@ -130,7 +132,8 @@ class TestRank:
         off = base.project_out(asked.columns[:, :1])
         off /= np.sqrt((off**2).sum())
         left = base.residual - off @ (off.T @ base.residual)
-        found = rank_candidates(base, left, asked, [ClusterSums(base.windows.day)], off, 0)
+        space = ResidualSpace(base, off, left)
+        found = rank_candidates(space, asked, [ClusterSums(base.windows.day)], 0)
         assert found.best[0] == -1
         assert np.abs(off.T @ found.projected[:, 1:]).max() < 1e-6
 

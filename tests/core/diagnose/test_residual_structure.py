@@ -6,7 +6,7 @@ from threadpoolctl import threadpool_limits
 
 from core.diagnose.candidates import build_candidates
 from core.diagnose.evidence import ClusterSums
-from core.diagnose.forward_selection import ForwardSelection, SelectedEffect
+from core.diagnose.forward_selection import ForwardSelection, SelectedEffect, SelectionSettings
 from core.diagnose.projection import BaseProjection, orthonormalise
 from core.diagnose.residual_structure import (
     FEATURES,
@@ -25,7 +25,7 @@ def searched(tables, *effects: str) -> ForwardSelection:
     """Return a search with those effects named."""
     windows, model = gather_with_model(tables)
     asked, clusters = build_candidates(windows, model), [ClusterSums(windows.day), ClusterSums(windows.date)]
-    found = ForwardSelection(BaseProjection(windows, model), asked, clusters, 0.002, 6, 0)
+    found = ForwardSelection(BaseProjection(windows, model), asked, clusters, SelectionSettings(0.002, 6, 0))
     found.selected = [SelectedEffect(asked, asked.variants.index(name), 0.0) for name in effects]
     return found
 
