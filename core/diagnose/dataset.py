@@ -1,10 +1,14 @@
-"""What is diagnosed: the windows of rides fit for training, with what a model says of each.
+"""Collect the windows to diagnose: those of rides fit for training, with the prediction of a model for each.
 
-A ride total hides when the error happened, so diagnosis goes by windows of about a minute where voltage and current are
-measured. Where only the state of charge is, a window lasts until that ticks, so that what a model does not know of
-shortens the very window that it is looked for in, and biases all that is fitted to it. Then the ride, whose ends do not
-depend on what it takes, stands for its windows as one. And a ride by meter is by meter in all its windows: to take
-whichever is surer, window by window, would choose them by what they take.
+The total of a ride hides when its error occurred. Diagnosis therefore uses windows of about one minute where voltage
+and current are measured.
+
+Where only the state of charge is measured, a window lasts until the state of charge changes. An unknown consumer then
+shortens the very window in which it is sought, which biases everything that is fitted to the window. In that case the
+whole ride is one row, because its ends do not depend on its energy.
+
+All windows of a metered ride are metered. A choice of the more certain measurement window by window would select
+windows by their energy.
 """
 
 from collections import Counter
@@ -25,32 +29,33 @@ from core.fit.recipes import LinearRecipe, get_recipe
 from core.fit.ride_blocks import ENERGY, RideFrame, get_names, get_numbers, select_trainable
 from core.models import ANY, LinearModel
 from core.models.features import Columns
+from core.stats.clustered import assign_vehicle_days
 
 RIDE_COLUMNS: Final = ("ride_id", "date", "winter", "summer", "fit_for_training", "unfit_reason")
-"""Columns of the ride table that its windows are given."""
+"""Columns of the ride table that each window receives."""
 ENERGY_SD: Final = "energy_sd_kwh"
 LEAST_RIDES: Final = 20
-"""Rides below which nothing can be said of what a model lacks."""
+"""Number of rides below which a diagnosis is not possible."""
 LEAST_DAYS: Final = 6
-"""Vehicle-days below which errors cannot be told to be independent."""
+"""Number of vehicle-days below which errors cannot be shown to be independent."""
 
 
 @dataclass(frozen=True)
 class Windows:
-    """Windows in order of vehicle and time, equally long columns.
+    """Hold windows ordered by vehicle and time, in columns of equal length.
 
     Parameters
     ----------
     table : (n, columns) DataFrame
-        The window table, with `OF_THE_RIDE`.
+        The window table, with `RIDE_COLUMNS`.
     rides : (rides, columns) DataFrame
         The ride table of the same rides, in the order of `ride`.
     measured, predicted : (n,) float
         Energy of each window. [kWh]
     ride, vehicle, date, day : (n,) int64
-        Codes: of the ride, of its vehicle, of its date, and of the two together, a vehicle-day.
+        Codes of the ride, of the vehicle, of the date, and of the vehicle-day.
     left_out : mapping of str to int
-        Rides that are not diagnosed, by reason.
+        Number of rides that are not diagnosed, by reason.
     """
 
     table: pd.DataFrame
@@ -74,31 +79,31 @@ class Windows:
         return np.asarray(self.day[first], dtype=np.int64)
 
     def by_ride(self, values: Floats) -> Floats:
-        """Return the sum of each ride, (rides,)."""
+        """Return the sum of window values over each ride, (rides,)."""
         return np.asarray(np.bincount(self.ride, values, len(self.rides)), dtype=np.float64)
 
 
 def join_tables(rides: pd.DataFrame, windows: pd.DataFrame) -> pd.DataFrame:
-    """Return what is measured of rides fit for training: their windows, or the ride itself where no meter measures.
+    """Return the measured rows of rides fit for training: their windows, or the whole ride where no meter measures.
 
     Parameters
     ----------
     rides, windows : DataFrame
-        As `core.totals.tables` makes them, of the same recordings.
+        The tables of the same recordings, as `core.totals.tables` makes them.
 
     Returns
     -------
     DataFrame
-        In order of vehicle and time, with `OF_THE_RIDE`.
+        Rows ordered by vehicle and time, with `RIDE_COLUMNS`.
 
     Raises
     ------
     ModelError
-        Where the tables are not of the same rides, or a column is missing.
+        The tables are not of the same rides, or a column is missing.
     """
     for table, what in ((rides, "ride"), (windows, "window")):
         if lacking := [name for name in ("ride_key", "vehicle_id", "start_s", ENERGY) if name not in table]:
-            raise ModelError(f"the {what} table has no column {lacking[0]!r}: make the tables anew, `socast tables`")
+            raise ModelError(f"the {what} table has no column {lacking[0]!r}: make the tables again, `socast tables`")
     keys = pd.Index(rides["ride_key"])
     if not keys.is_unique:
         twice = keys[keys.duplicated()][0]
@@ -118,7 +123,7 @@ def join_tables(rides: pd.DataFrame, windows: pd.DataFrame) -> pd.DataFrame:
     parts = pd.concat([others, pd.DataFrame(own, index=windows.index)], axis=1).loc[kept]
     whole = rides.loc[good & ~by_power, [name for name in parts.columns if name in rides]]
     table = pd.concat([parts, whole], ignore_index=True) if len(whole) else parts
-    begin = table.groupby("ride_key", sort=False)["start_s"].transform("min")  # clocks that step interleave rides
+    begin = table.groupby("ride_key", sort=False)["start_s"].transform("min")  # clock steps can interleave rides
     order = np.lexsort((get_numbers(table, "start_s"), pd.factorize(table["ride_key"])[0], begin))
     return table.iloc[order].sort_values("vehicle_id", kind="stable", ignore_index=True)
 
@@ -129,25 +134,39 @@ def is_metered(table: pd.DataFrame) -> NDArray[np.bool_]:
 
 
 def fit_to_windows(name: str, rides: pd.DataFrame, windows: pd.DataFrame, *, covariance: bool = True) -> LinearModel:
-    """Return a recipe of linear terms fitted to windows in place of rides.
+    """Return a recipe of linear terms fitted to windows instead of rides.
 
-    Windows tell apart what rides only add up: the energy of speeding up and of slowing, the minute from the kilometre.
+    Windows distinguish what the totals of rides only add up: accelerating from braking, and time from distance.
+
+    Parameters
+    ----------
+    name : str
+        Name of a recipe of linear terms.
+    rides, windows : DataFrame
+        The tables of the same recordings.
+    covariance : bool
+        Whether to compute the covariance of the coefficients and the interval of predictions.
+
+    Returns
+    -------
+    LinearModel
+        The fitted model; its counts and in-sample errors are those of rides.
 
     Raises
     ------
     ModelError
-        For a recipe that is not one of linear terms, and where `joined` or the fit raises.
+        The recipe is not one of linear terms, or `join_tables` or the fit raises.
     """
     chosen = get_recipe(name)
     if not isinstance(chosen, LinearRecipe):
         raise ModelError(f"recipe {name} cannot be fitted to windows: choose road_load or one of the paper's")
     table = join_tables(rides, windows)
-    model = _counted(fit_terms(chosen, RideFrame(table), covariance=covariance), table, rides)
+    model = _count_rides(fit_terms(chosen, RideFrame(table), covariance=covariance), table, rides)
     return add_interval(model, rides) if covariance else model
 
 
-def _counted(model: LinearModel, table: pd.DataFrame, rides: pd.DataFrame) -> LinearModel:
-    """Return a model fitted to windows that tells of the rides that they are of: how many, and how far off."""
+def _count_rides(model: LinearModel, table: pd.DataFrame, rides: pd.DataFrame) -> LinearModel:
+    """Return a model fitted to windows, with the number and the errors of their rides."""
     ride, _ = pd.factorize(table["ride_key"])
     kind = table.drop_duplicates("ride_key")["vehicle_model"].to_numpy(dtype=object)
     fits, errors = {}, {}
@@ -166,13 +185,25 @@ def _counted(model: LinearModel, table: pd.DataFrame, rides: pd.DataFrame) -> Li
 
 
 def gather_windows(rides: pd.DataFrame, windows: pd.DataFrame, model: LinearModel) -> Windows:
-    """Return what is to be diagnosed.
+    """Return the windows to diagnose, with the predictions of a model.
+
+    Parameters
+    ----------
+    rides, windows : DataFrame
+        The tables of the same recordings.
+    model : LinearModel
+        The model to diagnose.
+
+    Returns
+    -------
+    Windows
+        Windows with a measured and a predicted energy.
 
     Raises
     ------
     ModelError
-        Where there are too few rides or vehicle-days, none has a measured energy, or the model knows none of the
-        vehicle models.
+        There are too few rides or vehicle-days, no ride has a measured energy, or the model knows none of the vehicle
+        models.
     """
     _, left_out = select_trainable(rides, [ENERGY])
     table = join_tables(rides, windows)
@@ -183,7 +214,7 @@ def gather_windows(rides: pd.DataFrame, windows: pd.DataFrame, model: LinearMode
         left_out["not predicted"] = int(table.loc[~known, "ride_key"].nunique())
         table, predicted = table.loc[known].reset_index(drop=True), predicted[known]
     ride, keys = pd.factorize(table["ride_key"])
-    if unmeasured := _unmeasured(windows, rides, table):
+    if unmeasured := _count_unmeasured(windows, rides, table):
         left_out["windows without voltage and current"] = unmeasured
     if len(keys) < LEAST_RIDES:
         why = ", ".join(f"{n:,} {reason.replace('_', ' ')}" for reason, n in sorted(left_out.items()))
@@ -192,11 +223,11 @@ def gather_windows(rides: pd.DataFrame, windows: pd.DataFrame, model: LinearMode
             f"{LEAST_RIDES}: give more rides"
         )
     vehicle = pd.factorize(table["vehicle_id"])[0].astype(np.int64)
-    day = pd.factorize(pd.Series(get_names(table, "vehicle_id")) + " " + pd.Series(get_names(table, "date")))[0]
+    day = assign_vehicle_days(table)
     if day.max() + 1 < LEAST_DAYS:
         raise ModelError(
-            f"all {len(keys)} rides are of {day.max() + 1} vehicle-days, and it takes {LEAST_DAYS} to tell chance from "
-            "cause: give drives of more days or cars"
+            f"all {len(keys)} rides are of {day.max() + 1} vehicle-days, and it takes {LEAST_DAYS} to distinguish cause "
+            "from chance: give drives of more days or cars"
         )
     return Windows(
         table=table,
@@ -206,20 +237,20 @@ def gather_windows(rides: pd.DataFrame, windows: pd.DataFrame, model: LinearMode
         ride=ride.astype(np.int64),
         vehicle=vehicle,
         date=pd.factorize(pd.Series(get_names(table, "date")), sort=True)[0].astype(np.int64),
-        day=day.astype(np.int64),
+        day=day,
         left_out=dict(left_out),
     )
 
 
-def _unmeasured(windows: pd.DataFrame, rides: pd.DataFrame, table: pd.DataFrame) -> int:
-    """Return how many windows of rides by meter are left out, as the meter was silent."""
+def _count_unmeasured(windows: pd.DataFrame, rides: pd.DataFrame, table: pd.DataFrame) -> int:
+    """Return the number of windows of metered rides that have no metered energy."""
     own = rides.loc[rides["ride_key"].isin(table["ride_key"])]
     metered = windows["ride_key"].isin(own.loc[is_metered(own), "ride_key"])
     return int(metered.sum()) - int(is_metered(table).sum())
 
 
 def _check_model(model: LinearModel, table: pd.DataFrame) -> None:
-    """Refuse a model that has nothing to say of these vehicles."""
+    """Raise if a model was fitted to none of these vehicle models."""
     kinds = sorted(set(get_names(table, "vehicle_model")))
     if kinds and ANY not in model.fits and not set(kinds) & set(model.fits):
         raise ModelError(

@@ -1,10 +1,13 @@
-"""The diagnosis: where a model fails, which effects it lacks, how sure that is, and what remains.
+"""Diagnose a model: where it fails, which effects it lacks, how certain that is, and what error remains.
 
-The procedure, each step in its own module: windows and their weights (`windows`, `noise`); what the model could take up
-if it were refitted is projected off (`base`); every effect of the library is tested and ranked on held-out days
-(`asked`, `evidence`, `ranking`); the best are named, beside each other (`search`) and in places (`scopes`); what is
-left is looked at without the library (`structure`, `free_form`); and rides are sliced by what they have in common
-(`slices`).
+Each step is a module of its own:
+
+1. `dataset` and `noise` collect the windows and their measurement noise.
+2. `projection` removes what the model could explain if it were refitted.
+3. `candidates`, `evidence` and `ranking` test every effect of the library and rank it on held-out days.
+4. `forward_selection` selects the best effects beside each other, and `local_effects` those within a scope.
+5. `residual_structure` and `free_form` search the remaining residual without the library.
+6. `slices` finds groups of rides with a different bias.
 """
 
 from collections.abc import Collection
@@ -34,18 +37,18 @@ from core.fit.ride_blocks import get_names, get_numbers
 from core.models import LinearModel
 from core.models.features import EFFECT_PREFIX
 
-WORTH_A_TERM: Final = 0.005
+LEAST_SUGGESTION_GAIN: Final = 0.005
 """Share of the squared error that a free-form term must explain to be suggested."""
 MAX_EFFECTS: Final = 6
-"""Effects that are named at most."""
-FEW_DAYS: Final = 12
-"""Vehicle-days below which places are not asked of one by one."""
-MAINLY: Final = 0.95
-"""Share of the windows from which on one way of measuring is named for all."""
-ONE_WAY: Final = 0.8
-"""Share of what an effect moves that must be of one sign for it to be told with that sign."""
-SURELY: Final = 3.0
-"""Standard errors from which on a coefficient of the sign that physics forbids is told as such."""
+"""Maximum number of missing effects."""
+LEAST_DAYS_FOR_SCOPES: Final = 12
+"""Vehicle-days below which effects are not tested within scopes."""
+MAIN_SHARE: Final = 0.95
+"""Share of the windows above which one way of measuring is reported for all of them."""
+ONE_SIGN_SHARE: Final = 0.8
+"""Share of the absolute energy of an effect that must have one sign for the report to show that sign."""
+WRONG_SIGN_Z: Final = 3.0
+"""Standard errors above which a coefficient of the sign that physics forbids is reported as such."""
 NORMAL: Final = 1.96
 """Half width of a 95 % interval of a normal estimate. [standard errors]"""
 
@@ -60,98 +63,100 @@ def diagnose(
     places: bool = True,
     seed: int = 0,
 ) -> dict[str, Any]:
-    """Return what a model lacks.
+    """Return where a model fails, which effects it lacks, and what error remains.
 
     Parameters
     ----------
     rides, windows : DataFrame
-        As `socast tables` makes them.
+        The ride table and the window table, as `socast tables` makes them.
     model : LinearModel
-        That is diagnosed.
+        The model to diagnose.
     without : collection of str
-        Effects of the library that are not asked of.
+        Effects of the library that are not tested.
     least_gain : float
-        Share of the squared error, of rides or of windows, whichever is larger, that an effect must explain on held-out
-        days to be named.
+        Share of the squared error that an effect must explain on held-out days to be reported. The error is that of
+        rides or of windows, whichever falls more. [1]
     places : bool
-        Whether to ask too what holds for one vehicle, or from a date on.
+        Whether to test effects also within scopes: for one vehicle, or from a date on.
     seed : int
-        Of the dealing of vehicle-days into folds and halves.
+        Seed of the assignment of vehicle-days to folds and halves.
 
     Returns
     -------
     dict
         `model`, `data`, `error`, `slices`, `missing` (best first, each beside the others), `candidates`, `verdict`,
-        `structure_remains`, `structure`, `suggestion`, `suggestion_file`, `steps`. Plain values; a figure that is not
-        known is NaN or None.
+        `structure_remains`, `structure`, `suggestion`, `suggestion_file`, `steps`. The values are plain Python values;
+        an unknown number is NaN or None.
 
     Raises
     ------
     ModelError
-        Where there is too little to diagnose, see `core.diagnose.dataset.gather`.
+        There are too few data, see `core.diagnose.dataset.gather_windows`.
     """
-    with threadpool_limits(1):  # matrices are small: threads would wait for each other, and sums depend on their number
-        return _diagnosed(gather_windows(rides, windows, model), model, without, least_gain, places=places, seed=seed)
+    with threadpool_limits(1):  # matrices are small, so threads would wait, and sums would depend on their number
+        return _diagnose(gather_windows(rides, windows, model), model, without, least_gain, places=places, seed=seed)
 
 
-def _diagnosed(
+def _diagnose(
     seen: Windows, model: LinearModel, without: Collection[str], least_gain: float, *, places: bool, seed: int
 ) -> dict[str, Any]:
-    """Return what a model lacks, see `diagnose`."""
-    base, asked = BaseProjection(seen, model), build_candidates(seen, model, without)
+    """Return the result of `diagnose` for windows."""
+    base, candidates = BaseProjection(seen, model), build_candidates(seen, model, without)
     clusters = [ClusterSums(seen.day), ClusterSums(seen.date)]
-    selection = ForwardSelection(base, asked, clusters, SelectionSettings(least_gain, MAX_EFFECTS, seed))
+    selection = ForwardSelection(base, candidates, clusters, SelectionSettings(least_gain, MAX_EFFECTS, seed))
     first = selection.rank()
     selection.select_all()
-    if places and int(seen.day.max()) + 1 >= FEW_DAYS:
+    if places and int(seen.day.max()) + 1 >= LEAST_DAYS_FOR_SCOPES:
         select_local_effects(selection, keep_declared_values(build_candidates(seen, model, without, scopes=True)))
     base = selection.base
     found = selection.list_missing_effects()
     remains = residual_structure.measure_residual_structure(selection, found)
     unknown = set(remains.signs) - {"better"}
-    suggested = _suggested(base, selection, selection.compute_residual(selection.build_basis())) if unknown else None
+    suggested = _suggest(base, selection, selection.compute_residual(selection.build_basis())) if unknown else None
     floor = compute_ride_noise_floor(seen)
     verdict = found[0].selected.effect if found else None
     return {
         "model": {"name": model.name, "version": model.version, "recipe": model.recipe},
-        "data": _data(seen),
-        "error": _error(seen, base, floor),
+        "data": _describe_data(seen),
+        "error": _describe_error(seen, base, floor),
         "slices": find_slices(seen.rides, seen.by_ride(seen.predicted - seen.measured), seed=seed),
-        "missing": [_missing(finding, seen) for finding in found],
-        "candidates": _candidates(first, found),
+        "missing": [_describe_missing(finding, seen) for finding in found],
+        "candidates": _tabulate_candidates(first, found),
         "verdict": verdict,
         "structure_remains": remains.exists,
-        "structure": _structure(remains),
+        "structure": _describe_structure(remains),
         "suggestion": None if suggested is None else suggested.formula,
         "suggestion_file": None if suggested is None else suggested.file,
-        "steps": _steps(selection, found, floor),
+        "steps": _compute_steps(selection, found, floor),
     }
 
 
-def keep_declared_values(asked: Candidates) -> Candidates:
-    """Return the effects of what is asked at the values of their parameters that they are declared with."""
-    kept = [i for i, variant in enumerate(asked.variants) if variant == asked.names[int(asked.effects[i])]]
+def keep_declared_values(candidates: Candidates) -> Candidates:
+    """Return the candidates whose parameters have their declared values."""
+    kept = [
+        i for i, variant in enumerate(candidates.variants) if variant == candidates.names[int(candidates.effects[i])]
+    ]
     return Candidates(
-        variants=tuple(asked.variants[i] for i in kept),
+        variants=tuple(candidates.variants[i] for i in kept),
         effects=np.arange(len(kept), dtype=np.int64),
-        names=tuple(asked.variants[i] for i in kept),
-        sign=asked.sign[kept],
-        columns=asked.columns[:, kept],
-        measured=asked.measured,
-        scope=asked.scope,
-        excluded=asked.excluded,
+        names=tuple(candidates.variants[i] for i in kept),
+        sign=candidates.sign[kept],
+        columns=candidates.columns[:, kept],
+        measured=candidates.measured,
+        scope=candidates.scope,
+        excluded=candidates.excluded,
     )
 
 
-def _data(seen: Windows) -> dict[str, Any]:
-    """Return what was diagnosed."""
+def _describe_data(seen: Windows) -> dict[str, Any]:
+    """Return the number of rides and windows, their dates, and how their energy was measured."""
     metered = is_metered(seen.table)
-    measured = "vi" if metered.mean() > MAINLY else "soc" if metered.mean() < 1.0 - MAINLY else "mixed"
+    measured = "vi" if metered.mean() > MAIN_SHARE else "soc" if metered.mean() < 1.0 - MAIN_SHARE else "mixed"
     length = float(np.median(get_numbers(seen.table, "duration_s")))
     resolution = {
         "vi": f"voltage and current, in windows of about {length:.0f} s",
-        "soc": f"the state of charge alone, a whole ride at a time, about {length:.0f} s",
-        "mixed": "voltage and current in windows of about a minute, or, where they lack, the state of charge by rides",
+        "soc": f"the state of charge, in windows of a whole ride of about {length:.0f} s",
+        "mixed": "voltage and current in windows of about one minute; where they are missing, state of charge by ride",
     }
     dates = sorted(date for date in get_names(seen.table, "date") if date)
     return {
@@ -168,8 +173,8 @@ def _data(seen: Windows) -> dict[str, Any]:
     }
 
 
-def _error(seen: Windows, base: BaseProjection, floor: float) -> dict[str, float]:
-    """Return how far off the model is, per ride."""
+def _describe_error(seen: Windows, base: BaseProjection, floor: float) -> dict[str, float]:
+    """Return the errors of the model per ride. [kWh]"""
     error, used = seen.by_ride(seen.predicted - seen.measured), seen.by_ride(seen.measured)
     refitted = seen.by_ride(base.convert_to_energy(base.residual))
     mae = float(np.mean(np.abs(error)))
@@ -182,8 +187,8 @@ def _error(seen: Windows, base: BaseProjection, floor: float) -> dict[str, float
     }
 
 
-def _missing(finding: MissingEffect, seen: Windows) -> dict[str, Any]:
-    """Return an effect that is missing."""
+def _describe_missing(finding: MissingEffect, seen: Windows) -> dict[str, Any]:
+    """Return the entry of a missing effect."""
     named, evidence = finding.selected, finding.evidence
     effect = effects.get(named.variant)
     value = float(evidence.coefficient[0])
@@ -215,9 +220,10 @@ def _missing(finding: MissingEffect, seen: Windows) -> dict[str, Any]:
 
 
 def _equivalents(energy: Floats, seen: Windows) -> list[str]:
-    """Return what would have taken as much energy, where the effect acts: power, mass, headwind.
+    """Return the power, the mass and the headwind that would use as much energy in the windows where an effect acts.
 
-    Of an effect that takes here and gives there, as a wind along the road, either is counted, and marked with ±.
+    For an effect that costs energy in some windows and saves it in others, such as wind along the road, the absolute
+    energy counts, and the values have the sign ±.
     """
     table = seen.table
     acts = np.abs(energy) > 0.0
@@ -225,7 +231,7 @@ def _equivalents(energy: Floats, seen: Windows) -> list[str]:
     hours = float(get_numbers(table, "duration_s")[acts].sum()) / 3600.0
     if hours <= 0.0:
         return []
-    sign = "±" if abs(net) < ONE_WAY * total else "+" if net > 0.0 else "-"
+    sign = "±" if abs(net) < ONE_SIGN_SHARE * total else "+" if net > 0.0 else "-"
     said = [f"{sign}{1000.0 * total / hours:,.0f} W"]
     mass = get_numbers(table, "mass_kg")
     road = get_numbers(table, "effect_rolling") * get_numbers(table, "rolling_resistance") + get_numbers(
@@ -241,8 +247,8 @@ def _equivalents(energy: Floats, seen: Windows) -> list[str]:
     return said
 
 
-def _candidates(first: Ranking, found: list[MissingEffect]) -> list[dict[str, Any]]:
-    """Return all effects that were asked of everywhere, as they stood before any was named."""
+def _tabulate_candidates(first: Ranking, found: list[MissingEffect]) -> list[dict[str, Any]]:
+    """Return all effects that were tested everywhere, as they ranked before any was selected."""
     rows: list[dict[str, Any]] = []
     for e, (name, at) in enumerate(zip(first.candidates.names, first.best.tolist(), strict=True)):
         row = {"effect": name, "variant": name, "scope": "all", **dict.fromkeys(("z", "p", "q", "gain"))}
@@ -254,7 +260,7 @@ def _candidates(first: Ranking, found: list[MissingEffect]) -> list[dict[str, An
                 "q": float(first.q[e]),
                 "gain": first.compute_gain(at)[0],
             }
-        rows.append(row | {"status": _status(name, row, int(first.candidates.sign[at]), found)})
+        rows.append(row | {"status": _describe_status(name, row, int(first.candidates.sign[at]), found)})
     rows.sort(key=lambda row: -(row["gain"] if row["gain"] is not None else -1.0))
     empty = dict.fromkeys(("z", "p", "q", "gain"))
     absent = [
@@ -264,22 +270,22 @@ def _candidates(first: Ranking, found: list[MissingEffect]) -> list[dict[str, An
     return rows + absent
 
 
-def _status(name: str, row: dict[str, Any], sign: int, found: list[MissingEffect]) -> str:
-    """Return what became of a candidate."""
+def _describe_status(name: str, row: dict[str, Any], sign: int, found: list[MissingEffect]) -> str:
+    """Return the result for a candidate."""
     if name in {finding.selected.effect for finding in found}:
         return "missing"
     if row["z"] is None:
-        return "cannot be told from the model"
+        return "not identifiable beside the model"
     for finding in found:
         if name in {rival for rival, _ in finding.rivals}:
-            return f"cannot be told from {finding.selected.effect}"
-    if sign * row["z"] < -SURELY:
+            return f"not distinguishable from {finding.selected.effect}"
+    if sign * row["z"] < -WRONG_SIGN_Z:
         return "wrong sign"
     return "not needed" if row["q"] < LEVEL else "not there"
 
 
-def _structure(remains: ResidualStructure) -> dict[str, Any]:
-    """Return what is left after the named effects."""
+def _describe_structure(remains: ResidualStructure) -> dict[str, Any]:
+    """Return the structure that remains after the missing effects."""
     return {
         "before": remains.before,
         "after": remains.after,
@@ -296,17 +302,17 @@ def _structure(remains: ResidualStructure) -> dict[str, Any]:
     }
 
 
-def _suggested(base: BaseProjection, selection: ForwardSelection, left: Floats) -> Suggestion | None:
-    """Return a free-form term for what is left, where one explains enough."""
+def _suggest(base: BaseProjection, selection: ForwardSelection, left: Floats) -> Suggestion | None:
+    """Return a free-form term for the residual, if one explains enough."""
     seen = base.windows
     columns = np.column_stack([base.get_unweighted_columns(), *(named.column for named in selection.selected)])
     return suggest_term(
-        seen.table, base.convert_to_energy(left), base.weight, seen.day, columns, least_gain=WORTH_A_TERM
+        seen.table, base.convert_to_energy(left), base.weight, seen.day, columns, least_gain=LEAST_SUGGESTION_GAIN
     )
 
 
-def _steps(selection: ForwardSelection, found: list[MissingEffect], floor: float) -> list[dict[str, Any]]:
-    """Return the error per ride as effects are added one by one, each fitted to other vehicle-days."""
+def _compute_steps(selection: ForwardSelection, found: list[MissingEffect], floor: float) -> list[dict[str, Any]]:
+    """Return the error per ride as effects are added one by one, each fitted to other vehicle-days. [kWh]"""
     base, seen = selection.base, selection.base.windows
     named, selection.selected = selection.selected, []
     rows = []

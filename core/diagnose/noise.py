@@ -1,8 +1,8 @@
-"""How much of the error is the measurement's own: of each window, and of a ride.
+"""Estimate the measurement noise of each window and of each ride.
 
-Voltage times current errs by what the power does between two samples, the state of charge by its quantum. Errors that
-all drives of a car share (the gain of its meter, its capacity) are left out: a fitted model takes them up in its
-coefficients.
+Energy from voltage and current has an error from changes of the power between two samples. Energy from the state of
+charge has an error from its resolution. Errors that all drives of a car share (the gain of its meter, its capacity) are
+excluded, because the coefficients of a fitted model compensate for them.
 """
 
 from typing import Final
@@ -16,17 +16,17 @@ from core.fit.ride_blocks import get_numbers
 from core.totals.tables import CAPACITY_GAIN, METER_GAIN
 
 MEAN_OVER_SD: Final = float(np.sqrt(2.0 / np.pi))
-"""Mean absolute value of a Gaussian error over its standard deviation."""
+"""Ratio of the mean absolute value of a Gaussian error to its standard deviation."""
 CLIP: Final = 0.995
-"""Quantile of the squared residuals above which they tell nothing of the usual variance."""
+"""Quantile of the squared residuals at which they are clipped, so that outliers do not affect the usual variance."""
 LEAST_SHARE: Final = 0.2
-"""Least variance that a window is given, over the median window's: no window outweighs all others."""
+"""Least variance of a window over that of the median window, so that no window outweighs all others."""
 ROBUST: Final = 3.0
-"""Standard deviations from which on a residual counts less, after Huber."""
+"""Standard deviations above which the weight of a residual decreases, after Huber."""
 
 
 def compute_measurement_variance(windows: Windows) -> Floats:
-    """Return the variance of each window's measured energy, gains left out, (n,). [kWh^2]"""
+    """Return the variance of the measured energy of each window without shared gains, (n,). [kWh^2]"""
     table, energy = windows.table, windows.measured
     power = get_numbers(table, "energy_vi_sd_kwh") ** 2 - (METER_GAIN * energy) ** 2
     charge = get_numbers(table, "energy_soc_sd_kwh") ** 2 - (CAPACITY_GAIN * energy) ** 2
@@ -34,33 +34,44 @@ def compute_measurement_variance(windows: Windows) -> Floats:
 
 
 def compute_ride_noise_floor(windows: Windows) -> float:
-    """Return the mean absolute error per ride that a model without any error would have. [kWh]
+    """Return the mean absolute error per ride that measurement noise alone causes. [kWh]
+
+    Parameters
+    ----------
+    windows : Windows
+        The windows of the rides.
+
+    Returns
+    -------
+    float
+        The error that a model without any error of its own would show. [kWh]
 
     Notes
     -----
-    For Gaussian errors sqrt(2/π) of the standard deviation.
+    For a Gaussian error, the mean absolute value is sqrt(2/π) times the standard deviation.
     """
     return float(np.mean(MEAN_OVER_SD * np.sqrt(windows.by_ride(compute_measurement_variance(windows)))))
 
 
 def estimate_window_variance(windows: Windows, residual: Floats) -> Floats:
-    """Return the variance of what a model leaves of each window: its measurement's, and what grows with the drive.
+    """Return the variance of the residual of each window: that of its measurement plus parts that grow with the drive.
 
     Parameters
     ----------
     windows : Windows
+        The windows.
     residual : (n,) float
-        What is left after refitting. [kWh]
+        Residual after refitting. [kWh]
 
     Returns
     -------
     (n,) float
-        [kWh^2]
+        Variance of each residual. [kWh^2]
 
     Notes
     -----
-    A sum of parts that grow with the squares of the energy to roll, to speed up and of an always-on power, beside the
-    measurement's variance; all with coefficients that are fitted and not negative.
+    The variance is a sum of the measurement variance and parts proportional to the squares of the rolling energy, of the
+    acceleration energy, and of the energy of a constant power. The coefficients are fitted and not negative.
     """
     table = windows.table
     parts = np.column_stack(
@@ -83,7 +94,22 @@ def estimate_window_variance(windows: Windows, residual: Floats) -> Floats:
 
 
 def compute_robust_weights(standardised: Floats) -> Floats:
-    """Return the share of its weight that each residual keeps: all up to `ROBUST`, less beyond (Huber 1964)."""
+    """Return the weight of each standardised residual: 1 up to `ROBUST`, then decreasing.
+
+    Parameters
+    ----------
+    standardised : (n,) float
+        Residuals over their standard deviation. [1]
+
+    Returns
+    -------
+    (n,) float
+        Weights, above 0 and at most 1. [1]
+
+    References
+    ----------
+    Huber, Annals of Mathematical Statistics 35 (1964) 73, DOI 10.1214/aoms/1177703732.
+    """
     middle = float(np.median(np.abs(standardised))) / 0.6745
     if middle <= 0.0:
         return np.ones(len(standardised))

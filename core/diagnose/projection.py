@@ -1,11 +1,12 @@
-"""What a model could explain by itself if it were refitted, and what it could not.
+"""Project columns of energy off what a model could explain if it were refitted.
 
-An effect gets no credit for what the model's own terms can take up. So measured energies and candidates alike are
-projected off the model's terms (Frisch-Waugh-Lovell): each car's own, as cars of a model differ, and, where the model
-has accessories by temperature, any smooth function of the temperature over time.
+An effect gets no credit for what the terms of the model can explain. Measured energies and candidates are therefore
+projected off these terms (Frisch-Waugh-Lovell). Each car has its own coefficients, because cars of one model differ. A
+model with accessories by temperature may also use any smooth function of the temperature, multiplied by time.
 
-What is left of the windows of a ride is alike, where a ride as a whole is easy or hard, or opposed, where one window's
-error is made up for by others. That correlation is estimated, and rides' means are weighed by it.
+The residuals of the windows of one ride may be correlated: positively where a whole ride has high or low energy, and
+negatively where windows compensate for each other. This correlation is estimated, and the means of rides are weighted
+accordingly.
 
 References
 ----------
@@ -31,40 +32,41 @@ from core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX, Columns
 Rows = NDArray[np.int64]
 
 KNOT_STEP: Final = 6.0
-"""Distance of the knots of a smooth function of temperature. [K]"""
+"""Distance between the knots of a smooth function of temperature. [K]"""
 RANK: Final = 1e-6
-"""Singular values below this share of the largest are none."""
+"""Ratio to the largest singular value below which a singular value counts as zero."""
 WINDOWS_PER_COLUMN: Final = 5
-"""Windows of a car for each of its own columns; with fewer, only its scale and its standby power are its own."""
-ANEW: Final = 2
-"""Times that weights are found anew once effects are named: without, windows in which they are large seem outliers."""
+"""Least windows of a car per column of its own; a car with fewer has only its own scale and standby power."""
+REWEIGHTINGS: Final = 2
+"""Number of times that weights are recomputed beside selected effects; without it, their windows seem to be outliers."""
 ROUNDS: Final = 3
-"""Times that weights are found anew from what is left."""
-MOST_ALIKE: Final = 0.95
+"""Number of times that weights are recomputed from the residual."""
+MAX_CORRELATION: Final = 0.95
 """Largest correlation of the windows of a ride."""
-LEAST_OF_MEAN: Final = 0.3
-"""Least variance of a ride's mean over that of independent windows, where windows make up for each other."""
+LEAST_MEAN_VARIANCE: Final = 0.3
+"""Least variance of the mean of a ride over that of independent windows, where windows compensate for each other."""
 
 
 class BaseProjection:
-    """A model's own columns, and the projection off them under weights.
+    """Project columns off the terms of a model, under estimated weights.
 
     Parameters
     ----------
     windows : Windows
+        The windows to diagnose.
     model : LinearModel
-        Whose terms may be refitted.
+        The model whose terms may be refitted.
     taken : (n,) float, optional
-        Energy of effects that are missing, as far as they are known: what they take makes no window an outlier. [kWh]
+        Energy of missing effects as far as it is known, so that it does not make a window an outlier. [kWh]
 
     Attributes
     ----------
     weight : (n,) float
-        Inverse of the variance of each window, less where it is far off. [1/kWh^2]
-    alike : float
-        Correlation of what is left of two windows of a ride.
+        Inverse of the variance of each window, less for outliers. [1/kWh^2]
+    ride_correlation : float
+        Correlation of the residuals of two windows of a ride. [1]
     residual : (n,) float
-        What refitting leaves, weighted. [1]
+        Weighted residual after refitting. [1]
     """
 
     def __init__(self, windows: Windows, model: LinearModel, taken: Floats | None = None) -> None:
@@ -83,7 +85,7 @@ class BaseProjection:
         self._weigh()
 
     def _weigh(self) -> None:
-        """Find weights, the projection under them, and what it leaves, in turn."""
+        """Compute the weights, the projection under them, and the residual in turn."""
         energy = self.windows.measured[:, np.newaxis]
         self.weight, self.ride_correlation = np.ones(len(energy)), 0.0
         for _ in range(ROUNDS):
@@ -97,9 +99,9 @@ class BaseProjection:
         self.residual = self.project_out(energy)[:, 0]
 
     def reweight(self, columns: Floats) -> "BaseProjection":
-        """Return the same with weights that are found beside effects, (n, k), as large as they are. [kWh per unit]"""
+        """Return the projection with weights that are computed beside effects, given as energies. [kWh per unit]"""
         base = self
-        for _ in range(ANEW):
+        for _ in range(REWEIGHTINGS):
             size, *_ = np.linalg.lstsq(base.project_out(columns), base.residual, rcond=None)
             base = BaseProjection(self.windows, self._model, columns @ size)
         return base
@@ -109,26 +111,25 @@ class BaseProjection:
         square = standardised**2
         pairs = self._windows_of_ride * (self._windows_of_ride - 1.0)
         together = self.windows.by_ride(standardised) ** 2 - self.windows.by_ride(square)
-        found = float(together.sum() / max(pairs.sum(), 1.0) / max(float(np.mean(square)), 1e-300))
-        return min(found, MOST_ALIKE)
+        correlation = float(together.sum() / max(pairs.sum(), 1.0) / max(float(np.mean(square)), 1e-300))
+        return min(correlation, MAX_CORRELATION)
 
     def _of_mean(self, count: Floats) -> Floats:
-        """Return the variance of the mean of so many windows of a ride, over that of their differences."""
-        return np.asarray(
-            np.maximum((1.0 + (count - 1.0) * self.ride_correlation) / (1.0 - self.ride_correlation), LEAST_OF_MEAN)
-        )
+        """Return the variance of the mean of a number of windows of a ride, over that of their differences."""
+        alike = self.ride_correlation
+        return np.asarray(np.maximum((1.0 + (count - 1.0) * alike) / (1.0 - alike), LEAST_MEAN_VARIANCE))
 
     def apply_weights(self, columns: Floats) -> Floats:
-        """Return columns such that, if the weights are right, errors are alike everywhere and independent, (n, k)."""
+        """Return columns weighted so that errors have equal variance and are independent, (n, k)."""
         scaled = columns * np.sqrt(self.weight)[:, np.newaxis]
         return self._mixed(scaled, 1.0 / np.sqrt(self._of_mean(self._windows_of_ride)) - 1.0)
 
     def convert_to_energy(self, values: Floats) -> Floats:
-        """Return weighted values as energies again, (n,). [kWh]"""
+        """Return weighted values as energies, (n,). [kWh]"""
         return self._unmixed(values) / np.sqrt(self.weight)
 
     def _unmixed(self, values: Floats) -> Floats:
-        """Return weighted values without the weighing of rides' means, (n,)."""
+        """Return weighted values without the weighting of the means of rides, (n,)."""
         more = np.sqrt(self._of_mean(self._windows_of_ride)) - 1.0
         return self._mixed(values[:, np.newaxis], more)[:, 0]
 
@@ -141,7 +142,7 @@ class BaseProjection:
         return columns + (mean * more[:, np.newaxis])[self.windows.ride]
 
     def _project(self) -> None:
-        """Find orthonormal bases of each car's own columns, and of the shared ones beside them."""
+        """Compute orthonormal bases of the columns of each car, and of the shared columns beside them."""
         own = self.apply_weights(self._own)
         self._bases = []
         pooled = []
@@ -165,21 +166,21 @@ class BaseProjection:
             self._common = orthonormalise(self._off_cars(np.column_stack(shared)))
 
     def _by_kind(self, columns: Floats, rows: Rows) -> Floats:
-        """Return columns of their own for each vehicle model, zero outside of `rows`."""
+        """Return columns split by vehicle model, zero outside of `rows`."""
         inside = np.zeros(len(columns), np.bool_)
         inside[rows] = True
         blocks = [_placed(columns[r], r, len(columns)) for kind in self.kinds.values() if len(r := kind[inside[kind]])]
         return np.column_stack(blocks)
 
     def _off_cars(self, columns: Floats) -> Floats:
-        """Return what is left of weighted columns off each car's own."""
+        """Return weighted columns off the columns of each car."""
         left = columns.copy()
         for rows, basis in self._bases:
             left[rows] -= basis @ (basis.T @ left[rows])
         return left
 
     def project_out(self, columns: Floats) -> Floats:
-        """Return what the model cannot take up of columns, weighted.
+        """Return the part of energy columns that the model cannot explain, weighted.
 
         Parameters
         ----------
@@ -189,13 +190,13 @@ class BaseProjection:
         Returns
         -------
         (n, k) float
-            [1 per unit of a coefficient]
+            Weighted columns off the terms of the model. [1 per unit of a coefficient]
         """
         left = self._off_cars(self.apply_weights(columns))
         return np.asarray(left - self._common @ (self._common.T @ left))
 
     def project_out_for_car(self, columns: Floats, car: int) -> Floats:
-        """Return what one car's own columns leave of columns at its windows that are zero elsewhere, weighted."""
+        """Return columns at the windows of one car, zero elsewhere, off the columns of this car alone, weighted."""
         rows = self.cars[car]
         starts = np.flatnonzero(np.r_[True, np.diff(self.windows.ride[rows]) != 0])
         scaled = columns * np.sqrt(self.weight[rows])[:, np.newaxis]
@@ -207,7 +208,7 @@ class BaseProjection:
         return left if basis is None else left - basis @ (basis.T @ left)
 
     def get_unweighted_columns(self) -> Floats:
-        """Return the model's own columns for each vehicle model, neither weighted nor of each car, (n, k). [kWh]"""
+        """Return the columns of the model split by vehicle model, not weighted and not split by car, (n, k). [kWh]"""
         every = np.arange(len(self._own))
         blocks = [self._by_kind(self._own, every)]
         blocks += [self._by_kind(self._shared, every)] if self._shared.shape[1] else []
@@ -218,12 +219,12 @@ class BaseProjection:
 
     @property
     def rank(self) -> int:
-        """How many coefficients it stands for."""
+        """Number of coefficients that the projection stands for."""
         return sum(basis.shape[1] for _, basis in self._bases) + self._common.shape[1]
 
 
 def orthonormalise(columns: Floats) -> Floats:
-    """Return an orthonormal basis of the span of columns, (n, rank)."""
+    """Return an orthonormal basis of the span of columns, (n, rank); empty where all columns are zero."""
     size = np.sqrt((columns**2).sum(axis=0))
     scaled = columns[:, size > 0.0] / size[size > 0.0]
     if not scaled.shape[1]:
@@ -239,12 +240,12 @@ def _kinds(windows: Windows) -> dict[str, Rows]:
 
 
 def _physical(term: Term) -> bool:
-    """Tell whether a term is a physical one without more, which each car has of its own."""
+    """Return whether a term is a physical one, whose coefficient differs between cars."""
     return bool(term.columns) and term.columns[0].startswith((EFFECT_PREFIX, ACCESSORIES_COLUMN))
 
 
 def _terms(windows: Windows, model: LinearModel, terms: tuple[Term, ...], kinds: dict[str, Rows]) -> Floats:
-    """Return the terms as each vehicle model's fit sees them, unknown values as zero. [kWh per unit]"""
+    """Return the terms as the fit of each vehicle model evaluates them, unknown values as zero. [kWh per unit]"""
     out = np.zeros((len(windows.measured), len(terms)))
     for kind, rows in kinds.items():
         fit = model.fits.get(kind) or model.fits[ANY]
@@ -254,7 +255,7 @@ def _terms(windows: Windows, model: LinearModel, terms: tuple[Term, ...], kinds:
 
 
 def _car(windows: Windows, curved: bool) -> Floats:
-    """Return what cars differ in beside: standby power, hills by sign, the slopes of heating and cooling over time."""
+    """Return further columns in which cars differ: standby power, uphill energy, lag, and slopes of heating and cooling."""
     hours = get_numbers(windows.table, "duration_s") / 3600.0
     always = [hours, np.nan_to_num(get_numbers(windows.table, "effect_climbing_up"), nan=0.0), _lag(windows)]
     if not curved:
@@ -265,7 +266,7 @@ def _car(windows: Windows, curved: bool) -> Floats:
 
 
 def _lag(windows: Windows) -> Floats:
-    """Return what a window gains where motion is known some time later than power: by smoothing, by clocks. [kWh/s]"""
+    """Return the change of power over a window, for motion that lags behind power by smoothing or by clocks. [kWh/s]"""
     table = windows.table
     if "power_end_w" not in table:
         return np.zeros(len(table))
@@ -273,7 +274,7 @@ def _lag(windows: Windows) -> Floats:
 
 
 def _smooth(windows: Windows, rows: Rows) -> Floats:
-    """Return time times a linear spline of the temperature, with knots every `KNOT_STEP`, (rows, knots). [h]"""
+    """Return time times a linear spline of the temperature with knots every `KNOT_STEP`, (rows, knots). [h]"""
     hours = get_numbers(windows.table, "duration_s")[rows] / 3600.0
     ambient = np.nan_to_num(get_numbers(windows.table, "ambient_c")[rows], nan=15.0)
     low, high = float(ambient.min()), float(ambient.max())
@@ -284,7 +285,7 @@ def _smooth(windows: Windows, rows: Rows) -> Floats:
 
 
 def _placed(block: Floats, rows: Rows, size: int) -> Floats:
-    """Return a block at its rows, zero elsewhere, (size, columns)."""
+    """Return a block of columns at its rows, zero elsewhere, (size, columns)."""
     out = np.zeros((size, block.shape[1]))
     out[rows] = block
     return out

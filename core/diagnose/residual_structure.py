@@ -1,11 +1,14 @@
-"""Whether anything is left that a model and the effects named do not explain: the gate of honesty.
+"""Measure whether the residual has structure that neither the model nor the selected effects explain.
 
-Four questions are asked. Boosted trees over what is known of each window: how much of the error can they predict on
-vehicle-days that they have not seen, before and after the effects are named? Plain shapes, each a carrier (time,
-distance, speed, braking, ...) times a function of something about the car (temperature, sun, rain, ...): does any
-explain what is left, beyond chance and more than a trifle beside what was named? And in the place of each named effect:
-does a plain shape that is like it explain clearly more? Then the name may be that of a stand-in. And do days differ
-from each other by more than chance, as they do where something of the day is not known, such as what lies on the road?
+Four tests look for structure:
+
+- Boosted trees predict the residual from the features of each window, on vehicle-days that they have not seen, before
+  and after the effects are selected.
+- Plain shapes are tested for significance and for a gain that is not negligible beside that of the selected effects. A
+  shape is a carrier (time, distance, speed, braking, ...) times a function of a feature (temperature, sun, rain, ...).
+- In place of each selected effect, a similar plain shape may explain clearly more; the effect may then be a proxy.
+- Vehicle-days may differ from each other by more than chance, because a property of the day is unknown, such as the
+  state of the road.
 """
 
 from collections.abc import Sequence
@@ -24,23 +27,23 @@ from core.models.derived_features import compute_sun_sine
 from core.stats.multiple_testing import adjust_false_discovery
 
 LEAST_TAKEN: Final = 0.8
-"""Share of what trees can predict that the named effects must take for nothing to remain."""
+"""Share of what trees can predict that the selected effects must explain for no structure to remain."""
 LEVEL: Final = 0.03
-"""Probability by chance below which a shape is there."""
+"""Probability below which a shape is significant."""
 LIKE: Final = 0.4
-"""Correlation from which on a shape is like a named effect."""
+"""Correlation above which a shape is similar to a selected effect."""
 CLEARLY: Final = 3.0
-"""Standard errors by which a shape must explain more than an effect to cast doubt on its name."""
+"""Standard errors by which a shape must explain more than an effect to cast doubt on it."""
 SURE: Final = 2.0
-"""Standard errors by which what trees predict must exceed nothing."""
+"""Standard errors by which the share that trees predict must exceed zero."""
 LEAST_PREDICTED: Final = 0.005
-"""Share of the squared error that trees must predict for it to matter."""
+"""Share of the squared error that trees must predict for it to count."""
 SURE_OF_DAYS: Final = 3.0
-"""Standard errors by which days must differ more than by chance."""
+"""Standard errors by which vehicle-days must differ more than by chance."""
 UNEVEN: Final = 1.3
-"""Least variance over that of chance at which days are called uneven: real days always differ a little."""
+"""Least ratio of the variance of days to that of chance that counts, because real days always differ slightly."""
 DAILY: Final = ("duration_s", "effect_rolling", "effect_aero_drag")
-"""Carriers by which days are compared: time, distance, speed."""
+"""Carriers by which vehicle-days are compared: time, distance and speed."""
 TREE_FOLDS: Final = 4
 SHAPE_POINTS: Final = 12
 
@@ -57,7 +60,7 @@ FEATURES: Final[tuple[tuple[str, str], ...]] = (
     ("odometer_km", "km"),
     ("start_s", "s"),
 )
-"""What is known of a window that an error may depend on, with units."""
+"""Features of a window on which an error may depend, with their units."""
 ABOUT: Final = (
     "ambient_c",
     "precipitation_mm_h",
@@ -67,7 +70,7 @@ ABOUT: Final = (
     "occupants",
     "odometer_km",
 )
-"""What an unknown cause may depend on; not the motion itself, which is measured too coarsely for shapes so slight."""
+"""Features on which an unknown cause may depend. Motion is not among them: it is measured too coarsely."""
 CARRIERS: Final = (
     "duration_s",
     "effect_rolling",
@@ -77,32 +80,33 @@ CARRIERS: Final = (
     "effect_climbing_up",
     "stops",
 )
-"""What an unknown cause may grow with: time, distance, speed, speeding up, slowing, hills, stops."""
+"""Carriers with which an unknown cause may grow: time, distance, speed, acceleration, braking, hills and stops."""
 
 
 class ResidualStructure(NamedTuple):
-    """What is left after the effects that are named.
+    """Hold the structure of the residual that remains after the selected effects.
 
     Parameters
     ----------
     before, after : float
-        Share of the squared error that trees predict on held-out vehicle-days, without and with the named effects.
+        Share of the squared error that trees predict on held-out vehicle-days, without and with the selected effects.
+        [1]
     error : float
-        Standard error of `after`.
+        Standard error of `after`. [1]
     explained : float
-        Share of the squared error of windows that the named effects explain on held-out vehicle-days.
+        Share of the squared error of windows that the selected effects explain on held-out vehicle-days. [1]
     shape, q, gain : str, float, float
-        Of the shapes that are left beyond chance that of most gain, or, where none is, the surest; its probability by
-        chance, adjusted over all; its share of the squared error on held-out vehicle-days.
+        The significant shape with the largest gain, or else the shape with the least probability; its probability,
+        adjusted over all shapes; its share of the squared error on held-out vehicle-days. [1]
     days : float
-        Variance of what vehicle-days take more or less of one of the carriers, over that of chance; about 1 or below
-        where nothing is missing.
+        Variance between vehicle-days, over that of chance, along the carrier where it is largest; about 1 or below
+        where nothing is missing. [1]
     most_days : float
-        What chance may make of that.
+        Largest such ratio that chance explains. [1]
     better : dict of str to str
-        Named effect -> the plain shape that explains clearly more in its place.
+        Name of a selected effect -> the plain shape that explains clearly more in its place.
     shapes : list of dict
-        What is left along each known thing, for people: `feature`, `unit`, `x`, `y_kwh`.
+        Mean residual along each feature, to be drawn: `feature`, `unit`, `x`, `y_kwh`.
     """
 
     before: float
@@ -119,24 +123,24 @@ class ResidualStructure(NamedTuple):
 
     @property
     def taken(self) -> float:
-        """Share of what trees, or the shape that is left, can explain that the named effects take."""
+        """Share of what trees or the strongest shape can explain that the selected effects explain. [1]"""
         by_trees = 1.0 - max(self.after, 0.0) / self.before if self.before > 0.0 and self.is_predictable else 1.0
         by_shape = self.explained / (self.explained + self.gain) if self.q < LEVEL and self.gain > 0.0 else 1.0
         return min(by_trees, by_shape)
 
     @property
     def is_predictable(self) -> bool:
-        """Whether trees predict anything after the effects are named."""
+        """Whether trees predict any of the residual after the effects are selected."""
         return self.after > max(LEAST_PREDICTED, SURE * self.error)
 
     @property
     def exists(self) -> bool:
-        """Whether structure remains."""
+        """Whether the residual has structure."""
         return bool(self.signs)
 
     @property
     def signs(self) -> list[str]:
-        """What speaks for it: `trees`, `shape`, `better`, `days`."""
+        """Evidence for structure: `trees`, `shape`, `better`, `days`."""
         shape = self.q < LEVEL and self.gain > LEAST_GAIN
         return [
             *(["trees"] if self.is_predictable and self.taken < LEAST_TAKEN else []),
@@ -147,7 +151,20 @@ class ResidualStructure(NamedTuple):
 
 
 def measure_residual_structure(selection: ForwardSelection, found: Sequence[MissingEffect]) -> ResidualStructure:
-    """Return what is left by the effects that were found."""
+    """Return the structure that remains after the missing effects.
+
+    Parameters
+    ----------
+    selection : ForwardSelection
+        The finished selection.
+    found : sequence of MissingEffect
+        Its missing effects.
+
+    Returns
+    -------
+    ResidualStructure
+        The results of all four tests.
+    """
     base, clusters = selection.base, selection.clusters
     off = selection.build_basis()
     left = selection.compute_residual(off)
@@ -168,14 +185,14 @@ def measure_residual_structure(selection: ForwardSelection, found: Sequence[Miss
 
 
 def collect_features(windows: Windows) -> Floats:
-    """Return what is known of each window, (n, features)."""
+    """Return the features of each window and the elevation of the sun, NaN where unknown, (n, features)."""
     table = windows.table
     columns = [get_numbers(table, name) for name, _ in FEATURES]
     return np.column_stack([*columns, _sun(windows)])
 
 
 def compute_predictable_share(features: Floats, left: Floats, clusters: ClusterSums, seed: int) -> tuple[float, float]:
-    """Return the share of a squared residual that trees predict on held-out vehicle-days, and its standard error."""
+    """Return the share of a squared residual that trees predict on held-out vehicle-days, and its standard error. [1]"""
     fold = clusters.assign_folds(seed)[clusters.code] % TREE_FOLDS
     said = np.zeros(len(left))
     for k in range(int(fold.max()) + 1):
@@ -190,7 +207,7 @@ def compute_predictable_share(features: Floats, left: Floats, clusters: ClusterS
 
 
 def compute_day_variance_ratio(selection: ForwardSelection, left: Floats) -> float:
-    """Return how much more vehicle-days differ than chance has it, by the carrier that shows it most.
+    """Return the variance between vehicle-days over that of chance, for the carrier where it is largest. [1]
 
     Notes
     -----
@@ -206,7 +223,13 @@ def compute_day_variance_ratio(selection: ForwardSelection, left: Floats) -> flo
 
 
 class PlainShapes:
-    """Plain shapes, off a model."""
+    """Test plain shapes, off the terms of a model.
+
+    Parameters
+    ----------
+    selection : ForwardSelection
+        A selection of effects on the windows of the shapes.
+    """
 
     def __init__(self, selection: ForwardSelection) -> None:
         self.selection = selection
@@ -217,7 +240,7 @@ class PlainShapes:
         self.projected = projected[:, told]
 
     def find_strongest(self, off: Floats, left: Floats) -> tuple[str, float, float]:
-        """Return the shape of most gain of those that are in a residual beyond chance, its q, and its gain."""
+        """Return the significant shape with the largest gain on a residual, its q, and its gain."""
         shapes, free = self._off(off)
         if not len(free):
             return "", 1.0, 0.0
@@ -230,7 +253,7 @@ class PlainShapes:
         return self.names[free[best]], float(q[best]), float(gain[best])
 
     def find_replacement(self, named: SelectedEffect) -> str:
-        """Return the shape that explains clearly more than a named effect would in its place; empty where none does."""
+        """Return the shape that explains clearly more than a selected effect in its place, or an empty text."""
         selection = self.selection
         space = selection.build_space(named)
         left = space.residual
@@ -251,14 +274,14 @@ class PlainShapes:
         return self.names[free[np.flatnonzero(alike)[best]]] if ahead[best] > CLEARLY else ""
 
     def _off(self, off: Floats) -> tuple[Floats, Ints]:
-        """Return the shapes off a basis of effects, and which can be told from it."""
+        """Return the shapes off a basis of effects that are identifiable beside it, and their places."""
         shapes = self.projected - off @ (off.T @ self.projected)
         free = np.flatnonzero((shapes**2).sum(axis=0) > LEAST_LEFT * (self.projected**2).sum(axis=0))
         return shapes[:, free], free
 
 
 def _shapes(windows: Windows) -> tuple[list[str], Floats]:
-    """Return carriers times functions of what is known, (n, shapes)."""
+    """Return the name and the energy of each carrier times each function of a feature, (n, shapes)."""
     functions = dict(_functions(windows))
     names, columns = [], []
     for carrier in CARRIERS:
@@ -270,7 +293,7 @@ def _shapes(windows: Windows) -> tuple[list[str], Floats]:
 
 
 def _functions(windows: Windows) -> list[tuple[str, Floats]]:
-    """Return functions of what is known of each window, unknown values at their middle."""
+    """Return functions of the features, with unknown values replaced by the median."""
     table = windows.table
     functions: list[tuple[str, Floats]] = []
     for name in ABOUT:
@@ -290,14 +313,14 @@ def _functions(windows: Windows) -> list[tuple[str, Floats]]:
 
 
 def _sun(windows: Windows) -> Floats:
-    """Return the sine of the sun's elevation at each window, 0 by night and where the place is not known."""
+    """Return the sine of the elevation of the sun at each window, 0 at night and where the position is unknown, (n,)."""
     table = windows.table
     place = get_numbers(table, "latitude_start_deg"), get_numbers(table, "longitude_start_deg")
     return np.nan_to_num(compute_sun_sine(get_numbers(table, "start_s"), *place), nan=0.0)
 
 
 def _along(windows: Windows, left: Floats) -> list[dict[str, Any]]:
-    """Return the mean of what is left of a window along each known thing, by twelfths of the windows."""
+    """Return the mean residual of a window along each feature, for twelfths of the windows."""
     found = []
     for name, unit in FEATURES:
         values = get_numbers(windows.table, name)

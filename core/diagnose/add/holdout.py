@@ -1,12 +1,12 @@
-"""Whether a model predicts better for a change: error before and after, on days and on vehicles that were held out.
+"""Compare the errors of a model before and after an addition, on held-out days and vehicles.
 
-Both models are refitted inside each fold to the same windows, and their errors are compared ride by ride: what is hard
-about a ride is hard for both and cancels. Rides of one vehicle on one day have weather, driver and load in common, so
-the interval of the mean difference lets their errors depend on each other.
+Both models are refitted in each fold to the same windows, and their errors are compared ride by ride. What makes a ride
+difficult affects both models and cancels. Rides of one vehicle on one day share weather, driver and load, so the
+interval of the mean difference allows their errors to depend on each other.
 
-Days are held out whole, with all vehicles, where there are enough of them (`LEAST_DATES`); where there are not, leaving
-one out would leave a season out, and one vehicle's day is held out at a time. Vehicles are held out whole; one of a
-vehicle model with fewer than `OWN_FIT` of them is predicted by the fit to all vehicle models.
+With at least `LEAST_DATES` dates, whole days of all vehicles are held out. With fewer dates, leaving one out would leave
+a season out, so single vehicle-days are held out. Vehicles are held out as a whole. A vehicle of a vehicle model with
+fewer than `OWN_FIT` vehicles is predicted by the fit to all vehicle models.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -29,25 +29,25 @@ from core.stats.splits import split_by_vehicle
 
 FOLDS: Final = 5
 LEAST_DATES: Final = 20
-"""Dates from which on whole days are held out, and some are set apart."""
+"""Number of dates from which on whole days are held out, and some are the final hold-out."""
 OWN_FIT: Final = 4
-"""Vehicles of a vehicle model from which on one that is held out is predicted by the fit of the others."""
+"""Number of vehicles of a vehicle model from which on a held-out vehicle is predicted by the fit of the others."""
 ENERGY_SD: Final = "energy_sd_kwh"
 GAUSSIAN: Final = float(np.sqrt(2.0 / np.pi))
-"""Mean absolute error over standard deviation."""
+"""Ratio of the mean absolute error to the standard deviation of a Gaussian error."""
 
 Mask = NDArray[np.bool_]
 
 
 class RideRows(NamedTuple):
-    """Rows to fit to, and the rides that they are of.
+    """Hold rows to fit to, and the rides to which they belong.
 
     Parameters
     ----------
     rows : (n,) DataFrame
-        Windows, or rides.
+        Windows or rides.
     ride : (n,) int64
-        Of each row, its ride.
+        Ride of each row.
     table : (rides,) DataFrame
         `vehicle_id`, `vehicle_model`, `date`, `measured` [kWh], `sd` [kWh], `distance_km`, `speed_kmh`, `ambient_c`.
     """
@@ -57,11 +57,11 @@ class RideRows(NamedTuple):
     table: pd.DataFrame
 
     def by_ride(self, values: Floats) -> Floats:
-        """Return the sum of each ride."""
+        """Return the sum of row values over each ride, (rides,)."""
         return sum_groups(self.ride, values, len(self.table))
 
     def only(self, kept: Mask) -> "RideRows":
-        """Return some of the rides."""
+        """Return a part of the rides with their rows."""
         place = np.cumsum(kept) - 1
         at = kept[self.ride]
         return RideRows(
@@ -70,29 +70,35 @@ class RideRows(NamedTuple):
 
     @property
     def dates(self) -> list[str]:
-        """Date of each ride, ISO."""
+        """ISO date of each ride."""
         return get_names(self.table, "date")
 
 
 def sum_groups(group: Ints, values: Floats, count: int) -> Floats:
-    """Return the sum of each group's values, (count,)."""
+    """Return the sum of the values of each group, (count,)."""
     return np.bincount(group, values, count).astype(np.float64)
 
 
 def group_rows_by_ride(rows: pd.DataFrame, rides: pd.DataFrame | None = None) -> RideRows:
-    """Return the rides that windows are of.
+    """Return rows grouped by the rides to which they belong.
 
     Parameters
     ----------
     rows : (n,) DataFrame
-        As `core.diagnose.dataset.joined` makes it, or a ride table.
+        Windows, as `core.diagnose.dataset.join_tables` returns them, or a ride table.
     rides : DataFrame, optional
-        The ride table, for the uncertainty of whole rides; of windows alone it is made up of theirs.
+        The ride table, for the uncertainty of whole rides. By default, it is the root of the summed variances of the
+        windows.
+
+    Returns
+    -------
+    RideRows
+        The rows with a table of their rides.
 
     Raises
     ------
     ModelError
-        Where there is none.
+        There is no row.
     """
     if not len(rows):
         raise ModelError("no ride with measured energy that is fit for training: give more rides")
@@ -123,19 +129,24 @@ def group_rows_by_ride(rows: pd.DataFrame, rides: pd.DataFrame | None = None) ->
 
 
 def compute_noise_floor(sd: Floats) -> float:
-    """Return the mean absolute error of a model that is right, by the measurement's own noise alone. [kWh]
+    """Return the mean absolute error that measurement noise alone causes. [kWh]
 
     Parameters
     ----------
     sd : (rides,) float
-        Standard uncertainty of each ride's energy, of errors that are Gaussian. [kWh]
+        Standard uncertainty of the energy of each ride, for Gaussian errors. [kWh]
+
+    Returns
+    -------
+    float
+        Mean over the rides with a known uncertainty, NaN where there is none. [kWh]
     """
     known = sd[np.isfinite(sd)]
     return float(GAUSSIAN * known.mean()) if len(known) else float("nan")
 
 
 def split_into_day_folds(rides: RideRows, seed: int) -> list[Mask]:
-    """Return parts of the rides, to be held out in turn: whole days, or vehicles' days where there are few days."""
+    """Return parts of the rides to hold out in turn: whole days, or vehicle-days where there are few dates."""
     days = rides.dates
     if len(set(days)) < LEAST_DATES:
         days = [f"{vehicle} {day}" for vehicle, day in zip(get_names(rides.table, "vehicle_id"), days, strict=True)]
@@ -149,7 +160,7 @@ def split_into_day_folds(rides: RideRows, seed: int) -> list[Mask]:
 
 
 def split_into_vehicle_folds(rides: RideRows, seed: int) -> list[Mask]:
-    """Return parts of the rides by vehicle, to be held out in turn; none of one vehicle alone."""
+    """Return parts of the rides to hold out in turn, by vehicle; none where there is only one vehicle."""
     kinds, vehicles = get_names(rides.table, VEHICLE_MODEL), get_names(rides.table, "vehicle_id")
     few = list_sparse_vehicle_models(rides.table)
     pooled = ["" if kind in few else kind for kind in kinds]
@@ -159,7 +170,7 @@ def split_into_vehicle_folds(rides: RideRows, seed: int) -> list[Mask]:
 
 
 def list_sparse_vehicle_models(table: pd.DataFrame) -> set[str]:
-    """Return the vehicle models with too few vehicles to do without one of them."""
+    """Return the vehicle models with too few vehicles to hold one of them out."""
     count = table.groupby(VEHICLE_MODEL)["vehicle_id"].nunique()
     return {str(name) for name, n in count.items() if n < OWN_FIT}
 
@@ -167,48 +178,50 @@ def list_sparse_vehicle_models(table: pd.DataFrame) -> set[str]:
 def predict_held_out(
     change: TermAddition, rides: RideRows, folds: Sequence[Mask], pooled: Collection[str] = ()
 ) -> tuple[Floats, Floats]:
-    """Return the predictions of rides by models fitted without them: one without a term, one with it.
+    """Return predictions of rides by models that are fitted without them: one without and one with an added term.
 
     Parameters
     ----------
-    change : Change
-    rides : Rides
+    change : TermAddition
+        The terms of the model, and the term to add.
+    rides : RideRows
+        Rows and rides.
     folds : sequence of (rides,) bool
-        What is held out at a time.
+        Rides that are held out together.
     pooled : collection of str
-        Vehicle models that are predicted by the fit to all.
+        Vehicle models that are predicted by the fit to all vehicle models.
 
     Returns
     -------
     before, after : (rides,) float
-        NaN for those that are in no fold. [kWh]
+        Predictions without and with the term; NaN for rides in no fold. [kWh]
     """
     before, after = (np.full(len(rides.table), np.nan) for _ in range(2))
     for fold in folds:
         test = rides.only(fold)
-        asked = hide_vehicle_models(test.rows, pooled)
+        rows = hide_vehicle_models(test.rows, pooled)
         models = refit_with(change, rides.only(~fold).rows, pooled=pooled)
-        before[fold] = test.by_ride(models.before.predict(asked))
-        after[fold] = test.by_ride(models.after.predict(asked))
+        before[fold] = test.by_ride(models.before.predict(rows))
+        after[fold] = test.by_ride(models.after.predict(rows))
     return before, after
 
 
 def compare_errors(table: pd.DataFrame, before: Floats, after: Floats) -> dict[str, Any]:
-    """Return two models' errors on the same rides, and their mean difference with its interval.
+    """Return the errors of two models on the same rides, and their mean difference with its interval.
 
     Parameters
     ----------
     table : (rides,) DataFrame
         `vehicle_id`, `date`, `measured` [kWh].
     before, after : (rides,) float
-        Predicted; rides that one of them does not predict are left out. [kWh]
+        Predictions; rides that one of the models does not predict are left out. [kWh]
 
     Returns
     -------
     dict
         `rides`, `clusters` (vehicle-days), `mae_before_kwh`, `mae_after_kwh`, `fall` (of the error, as a share) and
-        `change_kwh`: `value` (after less before, negative where it helps) and `ci95`, half the width of its 95 %
-        interval, NaN where there is one cluster only.
+        `change_kwh`: `value` (after less before, negative for an improvement) and `ci95`, half the width of its 95 %
+        interval, NaN where there is only one cluster.
     """
     known = np.isfinite(before) & np.isfinite(after)
     measured = get_numbers(table, "measured")[known]
@@ -231,19 +244,19 @@ def compare_errors(table: pd.DataFrame, before: Floats, after: Floats) -> dict[s
 
 
 APART: Final = 5
-"""One in so many dates is set apart."""
+"""One in this number of dates is a final hold-out day."""
 CONDITIONS: Final = {
     "ambient_c": ("outside temperature", (-10.0, 0.0, 10.0, 20.0), "°C"),
     "distance_km": ("distance", (2.0, 5.0, 10.0, 20.0), "km"),
     "speed_kmh": ("average speed", (15.0, 30.0, 50.0), "km/h"),
 }
-"""Columns of the rides -> what it is called, where its bins are cut, its unit."""
+"""Column of the rides -> its title, the edges of its bins, and its unit."""
 LEAST: Final = 10
-"""Rides for a condition to be told of."""
+"""Number of rides from which on a bin is reported."""
 
 
 def compare_by_condition(table: pd.DataFrame, before: Floats, after: Floats) -> dict[str, list[dict[str, Any]]]:
-    """Return the comparison by outside temperature, distance, speed and vehicle, of bins with `LEAST` rides."""
+    """Return the comparison by outside temperature, distance, speed and vehicle, for bins with at least `LEAST` rides."""
     bins = {what: _bins(get_numbers(table, column), cuts, unit) for column, (what, cuts, unit) in CONDITIONS.items()}
     vehicles = np.array(get_names(table, "vehicle_id"), dtype=object)
     bins["vehicle"] = [(str(name), vehicles == name) for name in sorted(set(vehicles))]
@@ -258,7 +271,7 @@ def compare_by_condition(table: pd.DataFrame, before: Floats, after: Floats) -> 
 
 
 def _bins(values: Floats, cuts: tuple[float, ...], unit: str) -> list[tuple[str, Mask]]:
-    """Return the names of bins, and what is in each; a lower end belongs to it."""
+    """Return the titles of bins and the rides in each; a lower edge belongs to its bin."""
     code = np.where(np.isfinite(values), np.searchsorted(cuts, values, side="right"), -1)
     ends = [f"{cut:g}".replace("-", "−") for cut in cuts]
     middle = [f"{low} to {high} {unit}" for low, high in pairwise(ends)]
@@ -267,17 +280,22 @@ def _bins(values: Floats, cuts: tuple[float, ...], unit: str) -> list[tuple[str,
 
 
 def select_final_days(history: Sequence[Mapping[str, Any]], dates: Sequence[str]) -> tuple[str, ...]:
-    """Return the days that are set apart: none of fewer than `LEAST_DATES` dates, all of which are needed.
+    """Return the final hold-out days; none of fewer than `LEAST_DATES` dates, because all of these are needed.
 
-    Those of the model's history, where the rides have any of them; else every fifth date. The last fifth would be of
-    one season, and what shows in that season would be neither found nor judged.
+    They are those in the history of the model if the rides have any of them, else every fifth date. The last fifth of
+    the dates would be of one season, and effects of that season could be neither found nor evaluated.
 
     Parameters
     ----------
     history : sequence of mapping
-        Of the model.
+        History of the model.
     dates : sequence of str
-        Of the rides, ISO.
+        ISO date of each ride.
+
+    Returns
+    -------
+    tuple of str
+        ISO dates.
 
     Examples
     --------

@@ -1,9 +1,9 @@
-"""A model refitted with one more effect: the effect's coefficient first, then all else around it.
+"""Refit a model with one more effect: first the coefficient of the effect, then all other terms around it.
 
-The coefficient is found as diagnosis finds it (`core.diagnose.projection`): under the measurement's weights, on what the
-model's own terms could not take up. It is one for all vehicle models, unless they differ by more than chance: then each
-has its own, drawn towards the common one by as much as it is unsure. The other terms are then fitted to the energy less
-the effect's. So are the coefficients of effects that were added before, all beside each other.
+The coefficient is estimated as in the diagnosis (`core.diagnose.projection`): with the measurement weights, on what the
+terms of the model cannot explain. All vehicle models share one coefficient unless theirs differ by more than chance.
+Then each has its own, shrunk towards the common one in proportion to its uncertainty. The other terms are then fitted to
+the energy less that of the effect. The same holds for effects that were added before, all beside each other.
 
 References
 ----------
@@ -35,22 +35,22 @@ from core.models.features import EFFECT_PREFIX, Columns
 from core.stats.clustered import assign_vehicle_days
 
 LEAST_LEFT: Final = 1e-5
-"""Share of a column that must be left off the model's own terms for it to have a coefficient."""
+"""Share of a column that must remain off the terms of the model for the column to have a coefficient."""
 LEAST_FREEDOM: Final = 2.0
-"""Degrees of freedom below which a vehicle model's own estimate is not asked."""
+"""Degrees of freedom below which the estimate of a vehicle model is not used."""
 
 Rows = NDArray[np.int64]
 
 
 class CoefficientEstimate(NamedTuple):
-    """A coefficient, and how sure it is.
+    """Hold a coefficient and its standard error.
 
     Parameters
     ----------
     value, error : float
-        [unit of the coefficient]
+        Coefficient and standard error. [unit of the coefficient]
     freedom : float
-        Degrees of freedom of the error.
+        Degrees of freedom of the standard error. [1]
     """
 
     value: float
@@ -59,21 +59,21 @@ class CoefficientEstimate(NamedTuple):
 
     @property
     def half(self) -> float:
-        """Half the width of its 95 % interval."""
+        """Half the width of the 95 % interval. [unit of the coefficient]"""
         return float(stdtrit(max(self.freedom, 1.0), 0.975) * self.error)
 
 
 class TermAddition(NamedTuple):
-    """A term to be added to a model.
+    """Hold a term to be added to a model.
 
     Parameters
     ----------
     base : tuple of Term
-        Of the model, fitted freely.
+        Original terms of the model, fitted freely.
     effects : tuple of Term
-        Of the model, that were added to it before.
+        Effects that were added to the model before.
     added : Term
-        To be added now.
+        The term to add.
     """
 
     base: tuple[Term, ...]
@@ -82,13 +82,14 @@ class TermAddition(NamedTuple):
 
 
 class RefittedPair(NamedTuple):
-    """A model without and with a term, fitted to the same rows.
+    """Hold a model without and with a term, fitted to the same rows.
 
     Parameters
     ----------
     before, after : LinearModel
-    coefficients : dict of str to Estimate
-        Of the term that was added, by vehicle model, `*` for all.
+        The model without and with the term.
+    coefficients : dict of str to CoefficientEstimate
+        Coefficients of the added term by vehicle model, `*` for all.
     """
 
     before: LinearModel
@@ -97,7 +98,7 @@ class RefittedPair(NamedTuple):
 
 
 def refit(terms: tuple[Term, ...], rows: pd.DataFrame, *, covariance: bool = False) -> LinearModel:
-    """Return terms fitted to windows or rides."""
+    """Return a model of terms fitted to windows or rides."""
     return fit_terms(LinearRecipe("diagnosed", "", terms), RideFrame(rows), covariance=covariance)
 
 
@@ -108,42 +109,43 @@ def refit_with(
 
     Parameters
     ----------
-    change : Change
+    change : TermAddition
+        The terms of the model, and the term to add.
     rows : DataFrame
-        Windows or rides that can be trained on, with `ride_key`, `vehicle_id`, `vehicle_model` and `date`.
+        Windows or rides that are fit for training, with `ride_key`, `vehicle_id`, `vehicle_model` and `date`.
     pooled : collection of str
         Vehicle models that get no fit of their own.
     covariance : bool
-        Of the coefficients too.
+        Whether to compute the covariance of the coefficients.
 
     Returns
     -------
-    Refitted
-        With a coefficient of 0 without an error where the model's own terms can take up the whole of the term.
+    RefittedPair
+        Its coefficient is 0 with an unknown error where the terms of the model can explain the whole term.
     """
-    asked = hide_vehicle_models(rows, pooled)
+    visible = hide_vehicle_models(rows, pooled)
     with limit_to_one_thread():
-        plain = refit(change.base, asked)
+        plain = refit(change.base, visible)
         base = BaseProjection(convert_to_windows(rows), plain)
         before = plain
         if change.effects:
-            before = _around(change.base, change.effects, asked, _estimates(base, change.effects), covariance=False)
+            before = _around(change.base, change.effects, visible, _estimates(base, change.effects), covariance=False)
         terms = (*change.effects, change.added)
         base = base.reweight(np.nan_to_num(build_design(terms, Columns(base.windows.table), len(base.windows.table))))
         found = _estimates(base, terms)
-        after = _around(change.base, terms, asked, found, covariance=covariance)
+        after = _around(change.base, terms, visible, found, covariance=covariance)
     return RefittedPair(before, msgspec.structs.replace(after, training=plain.training), found[-1])
 
 
 def hide_vehicle_models(rows: pd.DataFrame, kinds: Collection[str]) -> pd.DataFrame:
-    """Return rows in which some vehicle models are as if they were not known."""
+    """Return rows in which some vehicle models are unknown."""
     if not kinds:
         return rows
     return rows.assign(**{VEHICLE_MODEL: rows[VEHICLE_MODEL].where(~rows[VEHICLE_MODEL].isin(list(kinds)), "")})
 
 
 def convert_to_windows(rows: pd.DataFrame) -> Windows:
-    """Return rows as diagnosis wants them, with nothing predicted."""
+    """Return rows as `core.diagnose.dataset.Windows` with predictions of zero."""
     ride = pd.factorize(rows["ride_key"])[0]
     return Windows(
         table=rows,
@@ -166,7 +168,7 @@ def _around(
     *,
     covariance: bool,
 ) -> LinearModel:
-    """Return a model whose last coefficients are given, and whose others are fitted around them."""
+    """Return a model whose last coefficients are given, and whose other coefficients are fitted around them."""
     kinds = np.array(get_names(rows, VEHICLE_MODEL), dtype=object)
     columns = build_design(added, Columns(rows), len(rows))
     value = np.array([[own.get(kind, own[ANY]).value for own in found] for kind in kinds]).reshape(columns.shape)
@@ -183,14 +185,14 @@ def _around(
 
 
 def _less(rows: pd.DataFrame, energy: Floats) -> pd.DataFrame:
-    """Return rows whose measured energy is less by some."""
+    """Return rows with an energy subtracted from the measured energy."""
     return rows.assign(**{ENERGY: get_numbers(rows, ENERGY) - energy})
 
 
 def _estimates(
     base: BaseProjection, terms: tuple[Term, ...], within: NDArray[np.bool_] | None = None
 ) -> list[dict[str, CoefficientEstimate]]:
-    """Return the coefficients of terms beside each other, of each by vehicle model, `*` for all; from some rows."""
+    """Return the coefficients of terms beside each other, each by vehicle model (`*` for all), fitted to some rows."""
     rows = base.windows.table
     at = np.flatnonzero(np.ones(len(rows), np.bool_) if within is None else within)
     columns = build_design(terms, Columns(rows), len(rows))
@@ -201,7 +203,7 @@ def _estimates(
 def _estimate(
     base: BaseProjection, left: Floats, place: int, size: float, rows: Rows
 ) -> dict[str, CoefficientEstimate]:
-    """Return the coefficient of one of several columns, by vehicle model."""
+    """Return the coefficient of one of several columns by vehicle model."""
     common = _alone(base, left, place, rows)
     if common is None or float((left[:, place] ** 2).sum()) <= LEAST_LEFT * size:
         return {ANY: CoefficientEstimate(0.0, nan, 0.0)}
@@ -210,7 +212,7 @@ def _estimate(
 
 
 def _alone(base: BaseProjection, left: Floats, place: int, at: Rows) -> CoefficientEstimate | None:
-    """Return the coefficient of a column beside the others, from some rows; None where they tell nothing of it."""
+    """Return the coefficient of a column beside the others from some rows, None where it is not identifiable."""
     if not len(at):
         return None
     column, residual = _off(np.delete(left[at], place, axis=1), left[at, place], base.residual[at])
@@ -225,12 +227,12 @@ def _alone(base: BaseProjection, left: Floats, place: int, at: Rows) -> Coeffici
 
 
 def _renumbered(code: Ints) -> ClusterSums:
-    """Return clusters of which some may have no rows."""
+    """Return clusters with codes that leave out those without rows."""
     return ClusterSums(np.unique(code, return_inverse=True)[1].astype(np.int64))
 
 
 def _off(others: Floats, *columns: Floats) -> list[Floats]:
-    """Return what is left of columns off others."""
+    """Return columns projected off others."""
     basis = orthonormalise(others) if others.shape[1] else others
     return [column - basis @ (basis.T @ column) for column in columns]
 
@@ -238,19 +240,21 @@ def _off(others: Floats, *columns: Floats) -> list[Floats]:
 def predict_with_effects_held_out(
     change: TermAddition, rows: pd.DataFrame, folds: Sequence[NDArray[np.bool_]]
 ) -> tuple[Floats, Floats]:
-    """Return the predictions of rows where only effects' coefficients are found without them, all else with them.
+    """Return predictions for which only the coefficients of effects are fitted without the predicted rows.
 
     Parameters
     ----------
-    change : Change
+    change : TermAddition
+        The terms of the model, and the term to add.
     rows : (n,) DataFrame
+        Windows or rides.
     folds : sequence of (n,) bool
-        What is held out at a time.
+        Rows that are held out together.
 
     Returns
     -------
     before, after : (n,) float
-        Without and with the term; NaN for rows that are in no fold. [kWh]
+        Predictions without and with the term; NaN for rows that are in no fold. [kWh]
     """
     terms = (*change.effects, change.added)
     before, after = (np.full(len(rows), np.nan) for _ in range(2))
@@ -269,16 +273,16 @@ def predict_with_effects_held_out(
 
 
 class AdditionEvidence(NamedTuple):
-    """Whether a term is there.
+    """Hold the evidence for a term.
 
     Parameters
     ----------
     p : float
-        Probability of as much evidence or more without it, with the sign that physics demands.
+        Probability of this evidence or more without the term, with the sign that physics demands. [1]
     gain, half : float
-        Fall of the squared error on vehicle-days that the coefficient was not fitted to, as a share, of what the
-        model's own terms cannot take up: of windows or of rides, where it is larger; and half the width of its 95 %
-        interval, NaN where there is nothing to hold out.
+        Fall of the squared error on vehicle-days to which the coefficient was not fitted, as a share of what the terms
+        of the model cannot explain, of windows or of rides, whichever falls more; and half the width of its 95 %
+        interval, NaN where nothing can be held out. [1]
     """
 
     p: float
@@ -287,29 +291,35 @@ class AdditionEvidence(NamedTuple):
 
 
 def assess_addition(change: TermAddition, rows: pd.DataFrame, *, sign: int, seed: int) -> AdditionEvidence:
-    """Return whether rows show a term that a model lacks, as `core.diagnose.forward_selection` asks it.
+    """Return the evidence in rows for a term that a model lacks, by the same test as `core.diagnose.forward_selection`.
 
     Parameters
     ----------
-    change : Change
+    change : TermAddition
+        The terms of the model, and the term to add.
     rows : DataFrame
         See `refit_with`.
     sign : int
-        That physics demands of the coefficient; one of the other sign gains nothing.
+        Sign of the coefficient that physics demands; a coefficient of the other sign has no gain.
     seed : int
-        Of the folds.
+        Seed of the folds.
+
+    Returns
+    -------
+    AdditionEvidence
+        Probability and gain.
     """
     with limit_to_one_thread():
         base = BaseProjection(convert_to_windows(rows), refit(change.base, rows))
-        asked = build_design((*change.effects, change.added), Columns(rows), len(rows))
-        left = base.project_out(asked)
+        columns = build_design((*change.effects, change.added), Columns(rows), len(rows))
+        left = base.project_out(columns)
         column, residual = _off(left[:, :-1], left[:, -1], base.residual)
     windows = base.windows
     clusters = [ClusterSums(windows.day), ClusterSums(windows.date)]
     if clusters[0].count < 2 or not column.any():
         return AdditionEvidence(1.0, 0.0, nan)
     worth = compute_least_coefficients(
-        [change.added.columns[0].removeprefix(EFFECT_PREFIX)], asked[:, -1:], windows.measured
+        [change.added.columns[0].removeprefix(EFFECT_PREFIX)], columns[:, -1:], windows.measured
     )
     found = compute_worst_case_evidence(residual, column[:, np.newaxis], np.array([sign]), clusters, worth)
     after = residual - column * _cross_fitted(column, residual, sign, clusters[0], seed)
@@ -321,7 +331,7 @@ def assess_addition(change: TermAddition, rows: pd.DataFrame, *, sign: int, seed
 
 
 def _cross_fitted(column: Floats, residual: Floats, sign: int, clusters: ClusterSums, seed: int) -> Floats:
-    """Return for each row the coefficient of a column by the other folds of vehicle-days, 0 for the wrong sign."""
+    """Return for each row the coefficient that is fitted to the other folds of vehicle-days, 0 where its sign is wrong."""
     fold = clusters.assign_folds(seed)[clusters.code]
     size, cross = np.bincount(fold, column**2), np.bincount(fold, column * residual)
     rest = size.sum() - size
@@ -330,7 +340,7 @@ def _cross_fitted(column: Floats, residual: Floats, sign: int, clusters: Cluster
 
 
 def _pooled(common: CoefficientEstimate, own: dict[str, CoefficientEstimate]) -> dict[str, CoefficientEstimate]:
-    """Return the common coefficient, and of vehicle models that differ by more than chance their own, drawn to it."""
+    """Return the common coefficient, and for vehicle models that differ by more than chance their own, shrunk to it."""
     if len(own) < 2:
         return {ANY: common}
     value, variance = np.array([(e.value, e.error**2) for e in own.values()]).T
@@ -355,7 +365,7 @@ def _pooled(common: CoefficientEstimate, own: dict[str, CoefficientEstimate]) ->
 def _with(
     terms: tuple[Term, ...], fit: Fit, added: Sequence[CoefficientEstimate], rows: pd.DataFrame, columns: Floats
 ) -> Fit:
-    """Return a fit with the coefficients of the terms that its energy was taken less of, and its covariance."""
+    """Return a fit extended by the coefficients that were subtracted from its energy, with its covariance."""
     covariance: Any = None
     if fit.covariance is not None:
         table = build_design(terms, Columns(rows, fit.fills, fit.curve), len(rows))

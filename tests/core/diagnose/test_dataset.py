@@ -102,7 +102,7 @@ def test_a_column_that_is_missing_is_named_with_its_table(tables, name, which):
     rides, windows = (
         t.drop(columns=name) if w == which else t for t, w in zip(tables, ("ride", "window"), strict=True)
     )
-    with pytest.raises(ModelError, match=f"the {which} table has no column '{name}': make the tables anew"):
+    with pytest.raises(ModelError, match=f"the {which} table has no column '{name}': make the tables again"):
         join_tables(rides, windows)
 
 
