@@ -1,1 +1,1 @@
-"""Search for a term that the library of effects lacks."""
+"""Search for a term that explains the remaining residual and that the library of effects lacks."""

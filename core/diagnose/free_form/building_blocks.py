@@ -1,8 +1,8 @@
-"""What terms outside the library are made of: carriers of energy, and variables that may modulate them.
+"""Define the parts of free-form terms: carriers of energy, and variables that may modulate them.
 
-A carrier is a power that the window table holds the energy of, per unit of a coefficient: constant, rolling, drag,
-speeding up, slowing, climbing, descending, and an energy at each stop. A variable is what a window knows and an effect
-may ask for; what is unknown of it is what it is to effects (`core.signals.signals`). Both know their unit and their code.
+A carrier is a power whose energy per unit of a coefficient is in the window table: constant, rolling, drag, accelerating,
+braking, climbing, descending, and an energy at each stop. A variable is a property of a window that an effect may read;
+unknown values are replaced as for effects (`core.signals.signals`). Both have a unit and source code.
 """
 
 from collections.abc import Callable, Mapping
@@ -22,26 +22,28 @@ _AIR: Final = MappingProxyType({"air_density_standard": Parameter(STANDARD_AIR_D
 
 
 class Carrier(NamedTuple):
-    """A power that acts in every window.
+    """Describe a power that acts in every window.
 
     Parameters
     ----------
     name : str
+        Name of the carrier.
     symbol : str
-        As formulas have it; empty for a power of 1 W.
+        Symbol in formulas; empty for a power of 1 W.
     unit : str
-        Of what it is multiplied with to be a power in watt, as pint spells it.
+        Unit of the factor that makes it a power in watt, as pint spells it.
     arguments : tuple of str
-        Columns (`core.columns.SIGNALS`) that it is made of.
+        Columns (`core.columns.SIGNALS`) that it reads.
     code : str
-        How; empty for a power of 1 W.
+        Expression of these columns; empty for a power of 1 W.
     energy : callable
-        Of the window table: its energy per unit of what it is multiplied with. [kWh]
+        Energy per unit of the factor, of the window table. [kWh per unit]
     parameters : mapping of str to Parameter
+        Constants of the expression.
     alike : str
-        Effect of the library that has the same shape without modulators.
+        Effect of the library with the same shape without modulators.
     per : str
-        As of `core.effects.effect`.
+        Reference of the coefficient, see `core.effects.effect`.
     """
 
     name: str
@@ -56,24 +58,25 @@ class Carrier(NamedTuple):
 
 
 class Variable(NamedTuple):
-    """Something that a window knows and an effect may ask for.
+    """Describe a property of a window that an effect may read.
 
     Parameters
     ----------
     name, symbol, meaning : str
-        For code, formulas and prose.
+        Name in code, symbol in formulas, and meaning in text.
     unit : str
-        As pint spells it; `1` for a pure number.
+        Unit as pint spells it; `1` for a pure number.
     arguments : tuple of str
-        Columns (`core.columns.SIGNALS`) that it is made of.
+        Columns (`core.columns.SIGNALS`) that it reads.
     code : str
-        How.
+        Expression of these columns.
     value : callable
-        Of the window table, (n,) float, never NaN: what is unknown is what it is to effects (`core.signals.signals`).
+        Value in each row of the window table, (n,) float, never NaN: unknown values are replaced as for effects
+        (`core.signals.signals`).
     shapes : tuple of str
-        Which functions of it are tried, see `core.diagnose.free_form.terms`.
+        Functions of it that are tried, see `core.diagnose.free_form.terms`.
     follows : str
-        Name of a plainer variable that it goes with, if any.
+        Name of a simpler variable with which it is correlated, if any.
     """
 
     name: str
@@ -88,7 +91,7 @@ class Variable(NamedTuple):
 
 
 def _numbers(table: Table, name: str, unknown: float | Floats = 0.0) -> Floats:
-    """Return a column of the window table with a value in place of unknown ones."""
+    """Return a column of the window table with unknown values replaced."""
     column = np.asarray(table[name], dtype=np.float64)
     return np.where(np.isnan(column), unknown, column)
 
@@ -110,7 +113,7 @@ def _darkness(table: Table) -> Floats:
 
 
 def _grade(table: Table) -> Floats:
-    """Return the sine of the mean slope, 0 for a car that stands."""
+    """Return the sine of the mean slope, 0 for a car at a standstill."""
     distance = _numbers(table, "distance_km") * 1000.0
     climb = _numbers(table, "gained_m") - _numbers(table, "lost_m")
     return np.clip(np.divide(climb, distance, out=np.zeros(len(climb)), where=distance > 1.0), -0.35, 0.35)

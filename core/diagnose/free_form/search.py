@@ -1,13 +1,13 @@
-"""A free-form term for structure that no effect of the library explains, as a suggestion.
+"""Suggest a free-form term for structure that no effect of the library explains.
 
-Every carrier times every modulator is tried (`core.diagnose.free_form.terms`), and the best of them times a second one, all
-projected off what the base can refit. What is compared is the fall of the weighted squared residual on clusters that
-were held out, base and term refitted without them. A plainer form of the best term is preferred where it is within one
-standard error of it [1]_. The search itself is repeated within each fold of an outer cross-validation, so that the gain
-that is reported is that of searching, judged on clusters that had no say [2]_; where its interval does not clear zero,
-nothing is suggested.
+Every carrier is multiplied by every modulator (`core.diagnose.free_form.terms`), and the best of these terms by a second
+modulator. All terms are projected off what the model can refit. They are compared by the fall of the weighted squared
+residual on held-out clusters, with model and term refitted without them. A simpler form of the best term is preferred if
+it is within one standard error [1]_.
 
-All of it runs on sums over ten pieces of the data, so that a fold costs no pass over the windows.
+The search is repeated within each fold of an outer cross-validation. The reported gain is therefore that of the search
+as a whole, on clusters that did not influence it [2]_. If its interval includes zero, nothing is suggested. The search
+uses sums over ten pieces of the data, so a fold needs no pass over the windows.
 
 References
 ----------
@@ -29,51 +29,51 @@ from core.diagnose.free_form.building_blocks import CARRIERS, VARIABLES, Carrier
 from core.diagnose.free_form.terms import FreeTerm, Modulator, list_modulators
 
 PIECES: Final = 10
-"""Parts into which the clusters are dealt."""
+"""Number of pieces to which the clusters are assigned."""
 FOLDS: Final = 5
-"""Folds of the outer cross-validation, each of some pieces."""
+"""Number of folds of the outer cross-validation; each consists of whole pieces."""
 LEAST_CLUSTERS: Final = 8
-"""Clusters below which nothing can be held out in earnest."""
+"""Number of clusters below which nothing can be held out."""
 LEAST_PIECES: Final = 0.4
-"""Share of the pieces in which a term must act."""
+"""Share of the pieces in which a term must be active."""
 WIDEST: Final = 6
-"""Terms that are tried with a second modulator."""
+"""Number of terms that are tried with a second modulator."""
 MORE: Final = 2.0
-"""Standard errors by which a further variable must win: it is the best of hundreds. A shape must win by one."""
+"""Standard errors by which a further variable must win, because it is the best of hundreds. A shape must win by one."""
 SLIGHT: Final = 0.05
-"""Share of the fall that is given up for a plainer term, however sure the difference is."""
+"""Share of the fall that is given up for a simpler term, even if the difference is certain."""
 KEPT: Final = 0.5
-"""Share of the fall that a plainer term must keep, however unsure the difference is."""
+"""Share of the fall that a simpler term must keep, even if the difference is uncertain."""
 HOLD: Final = 0.03
-"""Share of all windows that the base that was fitted counts for, when it is refitted to some of them."""
+"""Share of all windows for which the fitted model counts when it is refitted to some of them."""
 LUCK: Final = 0.5
-"""Standard errors by which a fall is thought to be better than it is: most for what acts on few days."""
+"""Standard errors that are subtracted from a fall; this matters most for terms that act on few days."""
 OWN: Final = 1e-6
-"""Share of a column's squares that the base must leave, for it to be a term of its own."""
+"""Share of the squares of a column that must remain off the model for the column to be a term."""
 
 
 @dataclass(frozen=True, eq=False)
 class Suggestion:
-    """A term outside the library that explains what is left.
+    """Hold a term outside the library that explains the residual.
 
     Parameters
     ----------
     term : FreeTerm
-        What it is made of.
+        Carrier and modulators of the term.
     formula : str
         `P = c · ...`.
     coefficient : float
-        [`unit`]
+        Coefficient c. [`unit`]
     ci95 : (float, float)
-        Interval of the coefficient, given the term. [`unit`]
+        Interval of the coefficient for this term. [`unit`]
     unit : str
-        With which the power is in watt, as pint spells it.
+        Unit of the coefficient with which the power is in watt, as pint spells it.
     gain, gain_ci95 : float, (float, float)
-        Fall of the weighted squared residual by searching, on clusters held out, as a share of it.
+        Fall of the weighted squared residual by the search on held-out clusters, as a share, and its interval. [1]
     column : (n,) float
         Energy of the term in each window, per unit of the coefficient. [kWh/`unit`]
     file : str
-        Text of a Python file with the effect.
+        Source of a Python file with the effect.
     """
 
     term: FreeTerm
@@ -88,7 +88,7 @@ class Suggestion:
 
 
 class _Data(NamedTuple):
-    """Rows by piece and cluster, all times the root of their weight: base in directions of its own, and residual."""
+    """Hold rows by piece and cluster, multiplied by the root of their weight: an orthogonal base, and the residual."""
 
     base: Floats
     residual: Floats
@@ -100,7 +100,7 @@ class _Data(NamedTuple):
 
 
 class _Sums(NamedTuple):
-    """Products of m columns with the base, the residual and themselves, by piece."""
+    """Hold products of m columns with the base, with the residual and with themselves, by piece."""
 
     base: Floats
     residual: Floats
@@ -108,7 +108,7 @@ class _Sums(NamedTuple):
 
 
 class _Search:
-    """All terms there are on some windows, with their sums, which are made when they are asked for."""
+    """Provide all terms on some windows with their sums, which are computed on demand."""
 
     def __init__(self, data: _Data, windows: pd.DataFrame) -> None:
         self.data = data
@@ -133,7 +133,7 @@ class _Search:
         return column
 
     def longer(self, term: FreeTerm) -> tuple[list[FreeTerm], _Sums]:
-        """Return the terms with a modulator more, of another variable."""
+        """Return the terms with one more modulator, of another variable."""
         (first,) = term.modulators
         key = term.carrier.name, first.variable.name, first.shape, first.at
         if key not in self.made:
@@ -141,7 +141,7 @@ class _Search:
         return self.made[key]
 
     def _of(self, carrier: Carrier, before: tuple[Modulator, ...]) -> tuple[list[FreeTerm], _Sums]:
-        """Return terms of a carrier and modulators, each with one more, or at first with none."""
+        """Return the terms of a carrier and given modulators, each with one more; without modulators, the carrier too."""
         column = self.column(FreeTerm(carrier, before)) * self.data.root
         mine = {each.variable.name for each in before}
         kept = [i for i, each in enumerate(self.modulators) if each.variable.name not in mine]
@@ -161,27 +161,27 @@ def suggest_term(
     *,
     least_gain: float = 0.002,
 ) -> Suggestion | None:
-    """Return the term that explains most of a residual, if any does.
+    """Return the term that explains most of a residual, or None.
 
     Parameters
     ----------
     windows : DataFrame
-        n rows of the window table, see `core.diagnose.dataset.joined`.
+        n rows of the window table, see `core.diagnose.dataset.join_tables`.
     residual : (n,) float
-        Measured less predicted. [kWh]
+        Measured less predicted energy. [kWh]
     weight : (n,) float
-        Of the squared residual: the inverse of its variance. [1/kWh^2]
+        Weight of the squared residual: the inverse of its variance. [1/kWh^2]
     cluster : (n,) int
-        Within which residuals depend on each other.
+        Clusters within which residuals depend on each other.
     base : (n, k) float
-        What the model can refit: these columns get no help from a term, nor it credit for them. [kWh per unit]
+        Columns that the model can refit. A term gets no credit for them. [kWh per unit]
     least_gain : float
-        Share of the weighted squared residual that a suggestion must take at least.
+        Least share of the weighted squared residual that a suggestion must explain. [1]
 
     Returns
     -------
     Suggestion or None
-        None where no term takes so much on clusters held out, beyond doubt.
+        None where no term explains this share on held-out clusters with certainty.
     """
     usable = np.isfinite(residual) & np.isfinite(weight) & (weight > 0.0) & np.isfinite(base).all(axis=1)
     if len(np.unique(cluster[usable])) < LEAST_CLUSTERS:
@@ -214,14 +214,14 @@ def suggest_term(
 
 
 def _dealt(cluster: Ints) -> Ints:
-    """Return the piece of each row: clusters are dealt at random, always the same."""
+    """Return the piece of each row; clusters are assigned at random with a fixed seed."""
     found, code = np.unique(cluster, return_inverse=True)
     piece = np.random.default_rng(0).permutation(len(found)) % min(PIECES, len(found))
     return piece.astype(np.int64)[code]
 
 
 def _prepared(residual: Floats, weight: Floats, cluster: Ints, base: Floats) -> _Data:
-    """Return rows that are in order, with the sums that every fold needs."""
+    """Return ordered rows with the sums that every fold needs."""
     root = np.sqrt(weight / weight.mean())
     scaled = base * root[:, None]
     scaled = scaled / np.maximum(np.sqrt(np.mean(scaled**2, axis=0)), 1e-300)
@@ -239,7 +239,7 @@ def _prepared(residual: Floats, weight: Floats, cluster: Ints, base: Floats) -> 
 
 
 def _summed(columns: Floats, data: _Data) -> _Sums:
-    """Return the sums of weighted columns, (m, n), by piece, each less what the base explains of it over all."""
+    """Return the sums by piece of weighted columns, (m, n), each projected off the base over all rows."""
     ends = [*data.starts[1:].tolist(), len(data.residual)]
     parts = []
     for first, last in zip(data.starts.tolist(), ends, strict=True):
@@ -255,17 +255,17 @@ def _summed(columns: Floats, data: _Data) -> _Sums:
 
 
 def _joined(parts: Sequence[_Sums]) -> _Sums:
-    """Return the sums of all columns."""
+    """Return the sums of several groups of columns as one group."""
     return _Sums(*(np.concatenate(each, axis=1) for each in zip(*parts, strict=True)))
 
 
 def _own(column: Floats, data: _Data) -> Floats:
-    """Return what the base leaves of a weighted column over all rows, (n,)."""
+    """Return a weighted column projected off the base over all rows, (n,)."""
     return column - data.base @ (data.base.T @ column) / len(column)
 
 
 class _Fitted(NamedTuple):
-    """Base and m terms fitted to some pieces: base without a term, base in each column, coefficients of the terms."""
+    """Hold base and m terms fitted to some pieces: base without a term, base in each column, coefficients of the terms."""
 
     own: Floats
     taken: Floats
@@ -273,7 +273,7 @@ class _Fitted(NamedTuple):
 
 
 def _fit(data: _Data, sums: _Sums, train: Ints) -> _Fitted:
-    """Return the least squares of the residual on the base and each column by itself, on some pieces."""
+    """Return the least-squares fit of the residual to the base and to each column alone, on some pieces."""
     gram = data.gram[train].sum(axis=0)
     inverse = np.linalg.inv(gram + HOLD * len(data.residual) * np.eye(len(gram)))
     cross = data.cross[train].sum(axis=0)
@@ -286,7 +286,7 @@ def _fit(data: _Data, sums: _Sums, train: Ints) -> _Fitted:
 
 
 def _fall(data: _Data, sums: _Sums, train: Ints, test: int) -> Floats:
-    """Return by how much each column lowers the squared residual of a piece, fitted to others, (m,)."""
+    """Return the fall of the squared residual of a piece by each column, fitted to other pieces, (m,)."""
     fitted = _fit(data, sums, train)
     gram, cross, base = data.gram[test], data.cross[test], sums.base[test]
     along = sums.residual[test] - base @ fitted.own - fitted.taken @ (cross - gram @ fitted.own)
@@ -296,12 +296,12 @@ def _fall(data: _Data, sums: _Sums, train: Ints, test: int) -> Floats:
 
 
 def _falls(data: _Data, sums: _Sums, pieces: Ints) -> Floats:
-    """Return the fall in each piece, fitted to the others of some, (pieces, m)."""
+    """Return the fall in each piece by each column, fitted to the other pieces, (pieces, m)."""
     return np.array([_fall(data, sums, pieces[pieces != piece], int(piece)) for piece in pieces])
 
 
 def _choose(search: _Search, pieces: Ints) -> FreeTerm | None:
-    """Return the best term by cross-validation over some pieces, or a plainer form of it that is as good."""
+    """Return the best term by cross-validation over some pieces, or an equally good simpler form of it."""
     terms, falls = list(search.terms), _falls(search.data, search.sums, pieces)
     for head in _heads(terms, _sure(falls)):
         longer, sums = search.longer(head)
@@ -321,7 +321,7 @@ def _choose(search: _Search, pieces: Ints) -> FreeTerm | None:
 
 
 def _heads(terms: Sequence[FreeTerm], sure: Floats) -> list[FreeTerm]:
-    """Return the best terms to be made longer, of a carrier and a variable the best one."""
+    """Return the best terms to extend, at most one for each carrier and variable."""
     heads: dict[tuple[str, frozenset[str]], FreeTerm] = {}
     for i in np.argsort(-sure, kind="stable").tolist():
         if len(heads) == WIDEST or sure[i] <= 0.0:
@@ -332,17 +332,17 @@ def _heads(terms: Sequence[FreeTerm], sure: Floats) -> list[FreeTerm]:
 
 
 def _error(falls: Floats) -> Floats:
-    """Return the standard errors of sums over pieces, (m,)."""
+    """Return the standard errors of the sums over pieces, (m,)."""
     return np.sqrt(len(falls)) * falls.std(axis=0, ddof=1)
 
 
 def _sure(falls: Floats) -> Floats:
-    """Return sums over pieces less a share of their standard error, (m,): one lucky piece does not count."""
+    """Return the sums over pieces less a share of their standard errors, so that one piece by chance does not count."""
     return falls.sum(axis=0) - LUCK * _error(falls)
 
 
 def _gain(search: _Search) -> tuple[float, float]:
-    """Return the share of the squared residual that searching takes on clusters held out, and half its interval."""
+    """Return the share of the squared residual that the search explains on held-out clusters, and half its interval."""
     data = search.data
     piece = np.searchsorted(data.starts, np.arange(len(data.residual)), side="right") - 1
     without, fall = np.zeros(len(data.residual)), np.zeros(len(data.residual))
@@ -367,9 +367,9 @@ def _gain(search: _Search) -> tuple[float, float]:
 
 
 def _coefficient(search: _Search, term: FreeTerm) -> tuple[float, float]:
-    """Return the coefficient on all windows, and half its 95 % interval, errors clustered.
+    """Return the coefficient on all windows and half its 95 % interval, with clustered errors.
 
-    By the jackknife over clusters, with as many degrees of freedom as there are clusters that tell it.
+    The interval follows from the jackknife over clusters; its degrees of freedom are the effective number of clusters.
     """
     data = search.data
     own = _own(search.column(term) * data.root, data)

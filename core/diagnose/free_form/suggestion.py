@@ -1,4 +1,4 @@
-"""A term outside the library as a person reads it: its formula, its unit, and a file ready to be edited."""
+"""Write a free-form term as text: its formula, its unit, and a source file to edit."""
 
 from typing import Final, NamedTuple
 
@@ -7,11 +7,11 @@ from core.effects.declaration import Parameter
 from core.effects.source_file import render_source
 
 ROOM_FOR: Final = 5.0
-"""Factor about what was found, within which a coefficient is called plausible until its author says better."""
+"""Factor on either side of the fitted coefficient within which it is plausible, until the author declares a range."""
 
 
 class _Written(NamedTuple):
-    """A modulator for people, in code, and its constant."""
+    """Hold a modulator as a formula and as code, with its constant."""
 
     formula: str
     code: str
@@ -21,14 +21,14 @@ class _Written(NamedTuple):
 
 
 def format_formula(term: FreeTerm) -> str:
-    """Return the power of a term, times a coefficient c."""
+    """Return the formula of the power of a term, with a coefficient c."""
     written = [_write(each) for each in term.modulators]
     factors = ["c", *(each.formula for each in written), *([term.carrier.symbol] if term.carrier.symbol else [])]
     return ", ".join([f"P = {' · '.join(factors)}", *(each.said for each in written if each.said)])
 
 
 def derive_unit(term: FreeTerm) -> str:
-    """Return the unit of the coefficient of a term, with which its power is in watt, as pint spells it."""
+    """Return the unit of the coefficient of a term with which its power is in watt, as pint spells it."""
     found = term.carrier.unit
     for each in term.modulators:
         own = each.variable.unit
@@ -39,20 +39,26 @@ def derive_unit(term: FreeTerm) -> str:
 
 
 def name_term(term: FreeTerm) -> str:
-    """Return what the effect of a term is called."""
+    """Return the name of the effect of a term."""
     return "_and_".join([f"suggested_{term.carrier.name}", *sorted(term.variables)])
 
 
 def format_source_file(term: FreeTerm, coefficient: float, windows: int) -> str:
-    """Return the text of a Python file with the effect, which passes `socast effects check`.
+    """Return the source of a Python file with the effect of a term, which passes `socast effects check`.
 
     Parameters
     ----------
     term : FreeTerm
+        The term.
     coefficient : float
-        As it was found. [`unit`]
+        Fitted coefficient. [unit of the coefficient]
     windows : int
-        That it was found in.
+        Number of windows to which it was fitted.
+
+    Returns
+    -------
+    str
+        Python source.
     """
     written = [_write(each) for each in term.modulators]
     arguments = [*term.carrier.arguments, *(a for each in term.modulators for a in each.variable.arguments)]
@@ -64,14 +70,14 @@ def format_source_file(term: FreeTerm, coefficient: float, windows: int) -> str:
         arguments=tuple(dict.fromkeys(arguments)) or ("dt",),
         body=f"return {' * '.join(code) or 'np.ones_like(dt)'}",
         documentation="\n\n".join(
-            ["Say what it is.", format_formula(term), *([f"With {meanings}."] if meanings else [])],
+            ["Describe the effect in one sentence.", format_formula(term), *([f"With {meanings}."] if meanings else [])],
         ),
-        coefficient="say what c is",
+        coefficient="describe c",
         unit=derive_unit(term),
         low=bounds[0],
         high=bounds[1],
-        source=f"suggested by {windows:,} windows of driving; range: a fifth to five times what they say. Say here "
-        "where formula and range can be looked up",
+        source=f"suggested by {windows:,} windows of driving; range: a fifth to five times the fitted value. State here "
+        "where formula and range are published",
         per=term.carrier.per,
         parameters={
             **term.carrier.parameters,
@@ -82,7 +88,7 @@ def format_source_file(term: FreeTerm, coefficient: float, windows: int) -> str:
 
 
 def _write(modulator: Modulator) -> _Written:
-    """Return a modulator for people and in code."""
+    """Return a modulator as a formula and as code."""
     x, code, own = modulator.variable.symbol, modulator.variable.code, modulator.variable.unit
     if modulator.shape == "linear":
         return _Written(x, code)

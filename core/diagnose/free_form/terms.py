@@ -1,11 +1,12 @@
-"""Terms of the right dimension that are not of the library: a carrier times functions of what a window knows.
+"""Build terms of the right dimension that the library does not have: a carrier times functions of variables.
 
-A modulator is a plain function of one variable: itself, its square, what it is above or below a limit, or its decay.
-The coefficient has whatever unit makes the product with the carrier a power in watt, so that every such term has a
-right dimension.
+A modulator is a simple function of one variable: the variable itself, its square, its excess above or below a limit, or
+its decay. The unit of the coefficient makes the product with the carrier a power in watt, so every term has the right
+dimension.
 
-A window's modulator is the value at its middle, or its mean, where an effect has it row by row. For what changes within
-a minute, speed above all, the coefficient of such a term is that of the effect by about, not quite.
+The modulator of a window is its value in the middle of the window, or its mean, while an effect evaluates it row by row.
+For variables that change within a minute, above all speed, the coefficient therefore equals that of the effect only
+approximately.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -18,21 +19,22 @@ from core.batch import Floats
 from core.diagnose.free_form.building_blocks import Carrier, Variable
 
 QUANTILES: Final = (0.1, 0.25, 0.5, 0.75, 0.9)
-"""Shares of the windows below the limits and scales that are tried."""
+"""Quantiles of the windows at which limits and scales are tried."""
 
 
 class Modulator(NamedTuple):
-    """A function of one variable.
+    """Hold a function of one variable.
 
     Parameters
     ----------
     variable : Variable
+        The variable.
     shape : str
-        See `SHAPES`.
+        Name of the function, see `SHAPES`.
     at : float
-        Limit or scale; 0 for shapes that have neither.
+        Limit or scale; 0 for shapes that have neither. [unit of the variable]
     grid : tuple of float
-        Limits or scales that are tried beside it, ascending.
+        Limits or scales that are tried as alternatives, ascending. [unit of the variable]
     """
 
     variable: Variable
@@ -41,12 +43,12 @@ class Modulator(NamedTuple):
     grid: tuple[float, ...] = ()
 
     def evaluate(self, x: Floats) -> Floats:
-        """Return its values, of those of its variable."""
+        """Return the function of values of the variable, (n,)."""
         return SHAPES[self.shape](x, self.at)
 
     @property
     def effort(self) -> int:
-        """How much there is to it."""
+        """Complexity of the function. [1]"""
         return (1 if self.shape == "linear" else 2) + bool(self.variable.follows)
 
 
@@ -59,31 +61,32 @@ SHAPES: Final[Mapping[str, Callable[[Floats, float], Floats]]] = MappingProxyTyp
         "decay": lambda x, at: np.exp(-x / at),
     }
 )
-"""Functions of a variable and of a limit or a scale."""
+"""Functions of the values of a variable and of a limit or scale, by name."""
 LIMITED: Final = ("above", "below", "decay")
-"""Shapes whose limit or scale is looked for."""
+"""Shapes with a limit or a scale."""
 
 
 class FreeTerm(NamedTuple):
-    """A carrier times modulators of different variables; their energy is the product in each window."""
+    """Hold a carrier and modulators of different variables, whose product is the energy in each window."""
 
     carrier: Carrier
     modulators: tuple[Modulator, ...] = ()
 
     @property
     def effort(self) -> int:
-        """How much there is to it."""
+        """Complexity of the term. [1]"""
         return sum(each.effort for each in self.modulators)
 
     @property
     def variables(self) -> frozenset[str]:
-        """Names of what it depends on beside its carrier."""
+        """Names of the variables of its modulators."""
         return frozenset(each.variable.name for each in self.modulators)
 
     def is_plainer_than(self, other: "FreeTerm") -> bool:
-        """Tell whether it says less than another, of the same.
+        """Return whether a term is simpler than another and depends on nothing else.
 
-        Of the same carrier; or of any, where the other depends on speed beside: carriers differ by that above all.
+        Both have the same carrier; with different carriers, the other term depends on speed in addition, because
+        carriers differ mainly by their dependence on speed.
         """
         same = self.carrier.name == other.carrier.name or "speed" in other.variables - self.variables
         known = other.variables | {each.variable.follows for each in other.modulators}
@@ -91,13 +94,19 @@ class FreeTerm(NamedTuple):
 
 
 def list_modulators(variable: Variable, x: Floats) -> Iterator[Modulator]:
-    """Give the functions of a variable that are tried, limits and scales from a grid of its quantiles.
+    """Yield the functions of a variable to try, with limits and scales at quantiles of its values.
 
     Parameters
     ----------
     variable : Variable
+        The variable.
     x : (n,) float
-        Its values.
+        Its values. [unit of the variable]
+
+    Yields
+    ------
+    Modulator
+        A function of the variable; none where it is constant.
     """
     if np.ptp(x) == 0.0:
         return
@@ -112,7 +121,7 @@ def list_modulators(variable: Variable, x: Floats) -> Iterator[Modulator]:
 
 
 def choose_limits(x: Floats, unit: str) -> tuple[float, ...]:
-    """Return rounded quantiles of a variable within its values, ascending; those above the least, where many have that.
+    """Return rounded quantiles of a variable, ascending; where many values equal the least one, of the others.
 
     Examples
     --------

@@ -1,1 +1,1 @@
-"""Find the kinds of ride on which a model errs."""
+"""Find groups of rides for which the bias of a model differs from that for other rides."""

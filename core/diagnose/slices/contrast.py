@@ -1,11 +1,12 @@
-"""Whether the mean error of a slice of the rides is another than that of the rest, where days err as a whole.
+"""Compare the mean error of a slice of the rides with that of all other rides, with vehicle-days as clusters.
 
-The errors of a vehicle on one day depend on each other, so vehicle-days are what is counted. The variance of the
-difference of the two means is the jackknife's over vehicle-days, whose degrees of freedom are Satterthwaite's: of
-vehicle-days that weigh what they do in the difference, so that a slice of three days is judged by three. So few days
-tell little of their own variance. Therefore it is moderated, as a variance of genes is [3]_: averaged with that which
-follows from the slice's own errors within days and from the share of all errors that days have in common, which counts
-for `PRIOR` degrees of freedom.
+The errors of a vehicle on one day depend on each other, so vehicle-days are the independent units. The variance of the
+difference of the two means is estimated by the jackknife over vehicle-days. Its degrees of freedom follow Satterthwaite:
+they count vehicle-days by their weight in the difference, so a slice of three days has the certainty of three days.
+
+Few days contain little information about their variance. The variance is therefore moderated, as in [3]_ for genes: it
+is averaged with a variance that follows from the errors of the slice within days and from the share of all errors that
+the rides of a day have in common. The latter counts for `PRIOR` degrees of freedom.
 
 References
 ----------
@@ -25,24 +26,24 @@ from numpy.typing import NDArray
 from core.batch import Floats, Ints
 
 PRIOR: Final = 4.0
-"""Degrees of freedom of the variance that is expected. Chosen on simulated errors without structure, also of cars and
-weathers with days more unlike than others, as what keeps false findings at their level; with 0, a slice of three days
-is hardly ever confirmed."""
+"""Degrees of freedom of the expected variance. Simulated errors without structure, also with cars and weather whose days
+differ more than others, show that this value keeps false results at their level. With 0, a slice of three days is hardly
+ever confirmed."""
 LEAST_FREEDOM: Final = PRIOR + 0.8
-"""Degrees of freedom that it takes to judge a slice: those of about two vehicle-days."""
+"""Least degrees of freedom of a slice that is tested: those of about two vehicle-days."""
 SHRINK: Final = 5.0
-"""Rides' worth of the variance within days of all rides, that a slice's own is averaged with."""
+"""Number of rides for which the variance within days of all rides counts in that of a slice."""
 
 
 class Contrast(NamedTuple):
-    """Mean errors of k slices against the rest of the rides.
+    """Hold the mean errors of k slices relative to the other rides.
 
     Parameters
     ----------
     difference, error : (k,) float
-        Mean error of a slice less that of the rest, and its standard error. [kWh]
+        Mean error of a slice less that of the other rides, and its standard error. [kWh]
     freedom : (k,) float
-        Degrees of freedom of the standard error; 0 where slice or rest are too small to tell.
+        Degrees of freedom of the standard error; 0 where the slice or the rest is too small. [1]
     """
 
     difference: Floats
@@ -50,44 +51,44 @@ class Contrast(NamedTuple):
     freedom: Floats
 
     def score(self) -> Floats:
-        """Return the normal score of each difference [5]_, 0 where slice or rest are too small to tell, (k,)."""
+        """Return the normal score of each difference [5]_, 0 where the slice or the rest is too small, (k,). [1]"""
         nu = np.maximum(self.freedom, 1.0)
         t2 = np.divide(self.difference**2, self.error**2, out=np.zeros(len(nu)), where=self.error > 0.0)
         return (8.0 * nu + 1.0) / (8.0 * nu + 3.0) * np.sqrt(nu * np.log1p(t2 / nu)) * np.sign(self.difference)
 
 
 class _Sums(NamedTuple):
-    """Of k slices and each vehicle-day: rides, errors, squared errors, (k, days)."""
+    """Hold the rides, errors and squared errors of k slices on each vehicle-day, (k, days)."""
 
     rides: Floats
     error: Floats
     square: Floats
 
     def mean(self) -> Floats:
-        """Mean error, (k,)."""
+        """Return the mean error of each slice, (k,)."""
         return self.error.sum(axis=1) / self.rides.sum(axis=1)
 
     def without(self) -> Floats:
-        """Mean error without each vehicle-day, (k, days)."""
+        """Return the mean error of each slice without each vehicle-day, (k, days)."""
         left = self.error.sum(axis=1, keepdims=True) - self.error
         return left / (self.rides.sum(axis=1, keepdims=True) - self.rides)
 
     def share(self) -> Floats:
-        """Share of the rides that each vehicle-day has, (k, days)."""
+        """Return the share of the rides of each slice on each vehicle-day, (k, days)."""
         return self.rides / self.rides.sum(axis=1, keepdims=True)
 
     def within(self) -> tuple[Floats, Floats]:
-        """Sum of squares about the means of vehicle-days, and its degrees of freedom, (k,)."""
+        """Return the sum of squares about the means of vehicle-days and its degrees of freedom, (k,)."""
         squares = self.square - self.error**2 / np.maximum(self.rides, 1.0)
         return squares.sum(axis=1).clip(0.0), (self.rides - (self.rides > 0.0)).sum(axis=1)
 
     def spread_over(self) -> NDArray[np.bool_]:
-        """Whether no vehicle-day has all of the rides, (k,)."""
+        """Return whether the rides of a slice are on more than one vehicle-day, (k,)."""
         return self.rides.max(axis=1) < self.rides.sum(axis=1)
 
 
 def compute_contrast(masks: NDArray[np.bool_], error: Floats, starts: Ints) -> Contrast:
-    """Return the mean error of slices against the rest.
+    """Return the mean error of slices relative to the other rides.
 
     Parameters
     ----------
@@ -126,14 +127,14 @@ def compute_contrast(masks: NDArray[np.bool_], error: Floats, starts: Ints) -> C
 
 
 def _freedom(inside: _Sums, outside: _Sums) -> Floats:
-    """Return the degrees of freedom of the jackknife, a day's own error thought to be as large as a ride's, (k,)."""
+    """Return the degrees of freedom of the jackknife if the error of a day is as large as that of a ride, (k,)."""
     one, other = inside.share(), outside.share()
     weight = one**2 / inside.rides.clip(1.0) + other**2 / outside.rides.clip(1.0) + (one - other) ** 2
     return weight.sum(axis=1) ** 2 / np.einsum("kd,kd->k", weight, weight) - 1.0
 
 
 def _expected(inside: _Sums, outside: _Sums, every: _Sums) -> Floats:
-    """Return the variance of the difference that follows from errors within days, and from days' share of all, (k,)."""
+    """Return the variance of the difference that follows from errors within days and from the common error of days."""
     squares, freedom = every.within()
     within = float(squares[0] / max(freedom[0], 1.0))
     days, rides = every.rides.shape[1], every.rides.sum()

@@ -1,8 +1,8 @@
-"""Conditions on rides that a person understands: the words that a slice of the ride table is described with.
+"""Define the conditions on rides that describe a slice in words.
 
-Each is one comparison of one column: of temperature, distance, speed, climb, stops, weather, rest, battery, people,
-season, hour, date, or the name of a vehicle model, a vehicle, a driver. Thresholds are quantiles of the rides, rounded
-to what a person would say. Where a column is unknown no condition on it holds.
+Each condition is one comparison of one column: temperature, distance, speed, climb, stops, weather, parking time,
+battery, occupants, season, hour, date, or the name of a vehicle model, a vehicle or a driver. Thresholds are quantiles of
+the rides, rounded to common numbers. A condition does not hold where its column is unknown.
 """
 
 from collections.abc import Iterator
@@ -19,31 +19,32 @@ from core.fit.ride_blocks import get_names, get_numbers
 Masks = NDArray[np.bool_]
 
 QUANTILES: Final = np.linspace(0.04, 0.96, 24)
-"""Shares of the rides at which thresholds are looked for."""
+"""Quantiles of the rides that are candidates for thresholds."""
 ENOUGH: Final = 4
-"""Thresholds of a column that are enough: with as many at a coarse step, no finer one is tried."""
+"""Number of thresholds of a column from which on no finer step is tried."""
 MOST_DATES: Final = 16
-"""Dates of which a period may begin."""
+"""Maximum number of dates at which a period may begin."""
 FEWEST: Final = 8
-"""Rides that a condition must hold for, and must not hold for, to be worth looking at."""
+"""Least number of rides for which a condition must hold, and for which it must not hold."""
 HOURS: Final = (3, 6, 12)
-"""How long the times of day are that are looked at, each beginning at a multiple of three hours. [h]"""
+"""Lengths of the periods of the day, each beginning at a multiple of three hours. [h]"""
 
 VAGUE: Final = 1.5
-"""Conditions that a season, a date or the battery's temperature counts for: the weather's says more."""
+"""Effort of a condition on a season, a date or the battery temperature, because the weather says more than these."""
 
 
 class RideCondition(NamedTuple):
-    """Something that holds for some rides.
+    """Hold a condition that is true for some rides.
 
     Parameters
     ----------
     words : str
-        As a person says it.
+        The condition in words.
     kind : str
-        What it compares, and which way: of two conditions of a kind one is idle.
+        Column and direction of the comparison; a second condition of the same kind is redundant.
     effort : float
-        How many conditions it counts for: a season or a date says less than the temperature that comes with it.
+        Number of conditions for which it counts: a season or a date says less than the temperature that comes with it.
+        [1]
     """
 
     words: str
@@ -52,22 +53,22 @@ class RideCondition(NamedTuple):
 
 
 class ConditionScale(NamedTuple):
-    """How a person speaks of a column.
+    """Describe how conditions on a column are written.
 
     Parameters
     ----------
     column : str
-        Of the ride table.
+        Column of the ride table.
     below, above : str
-        Words for values below a threshold, and from it on, with a place for it.
+        Templates for values below a threshold, and for values from the threshold on.
     steps : tuple of float
-        What thresholds are multiples of, coarsest first; one of them is taken. In what is said.
+        Steps of which thresholds are multiples, coarsest first; one of them is chosen. [unit of the words]
     at : tuple of float
-        Thresholds, in place of steps, where even steps would not do. In what is said.
+        Thresholds where equal steps are not suitable. [unit of the words]
     size : float
-        What is said, in units of the column.
+        Size of the unit of the words in units of the column.
     effort : float
-        Of a condition.
+        Effort of each condition, see `RideCondition`. [1]
     """
 
     column: str
@@ -115,11 +116,11 @@ NAMES: Final = (
     ("vehicle_model", "vehicle model"),
     ("driver_id", "driver"),
 )
-"""Columns of names, and what is said before a name that has no letters."""
+"""Columns of names, and the title before a name that has no letters."""
 
 
 def list_conditions(rides: pd.DataFrame) -> tuple[list[RideCondition], Masks]:
-    """Return the conditions that tell some of the rides from the others.
+    """Return the conditions that are true for some rides and false for others.
 
     Parameters
     ----------
@@ -162,7 +163,7 @@ def read_dates(rides: pd.DataFrame) -> NDArray[np.str_]:
 
 
 def _all(rides: pd.DataFrame) -> Iterator[tuple[RideCondition, NDArray[np.bool_]]]:
-    """Give every condition there is on some rides, whether it tells them apart or not."""
+    """Yield every possible condition on rides, also those that hold for all or for none."""
     for column, title in NAMES:
         yield from _named(np.array(get_names(rides, column), dtype=np.str_), column, title)
     for scale in CONDITION_SCALES:
@@ -176,7 +177,7 @@ def _all(rides: pd.DataFrame) -> Iterator[tuple[RideCondition, NDArray[np.bool_]
 
 
 def _named(column: NDArray[np.str_], kind: str, title: str) -> Iterator[tuple[RideCondition, NDArray[np.bool_]]]:
-    """Give one condition a name that is common enough."""
+    """Yield one condition for each name that is frequent enough."""
     found, code, rides = np.unique(column, return_inverse=True, return_counts=True)
     for i, (name, count) in enumerate(zip(found.tolist(), rides.tolist(), strict=True)):
         if name and count >= FEWEST:
@@ -185,7 +186,7 @@ def _named(column: NDArray[np.str_], kind: str, title: str) -> Iterator[tuple[Ri
 
 
 def _compared(values: Floats, scale: ConditionScale) -> Iterator[tuple[RideCondition, NDArray[np.bool_]]]:
-    """Give both sides of each threshold of a column."""
+    """Yield the conditions on both sides of each threshold of a column."""
     for threshold in choose_thresholds(values, scale):
         said = f"{threshold:g}"
         yield RideCondition(scale.below.format(said), f"{scale.column} <", scale.effort), values < threshold
@@ -193,7 +194,7 @@ def _compared(values: Floats, scale: ConditionScale) -> Iterator[tuple[RideCondi
 
 
 def choose_thresholds(values: Floats, scale: ConditionScale) -> list[float]:
-    """Return round numbers that part values, ascending.
+    """Return round numbers that divide values into two parts, ascending.
 
     Examples
     --------
@@ -219,7 +220,7 @@ def choose_thresholds(values: Floats, scale: ConditionScale) -> list[float]:
 
 
 def _hours(rides: pd.DataFrame) -> Iterator[tuple[RideCondition, NDArray[np.bool_]]]:
-    """Give times of the day, by the mean sun where a ride began, or by UTC where nobody knows where that was."""
+    """Yield periods of the day by local mean solar time at the start, or by UTC where the position is unknown."""
     longitude = np.nan_to_num(_numbers(rides, "longitude_start_deg"))
     hour = (read_start_s(rides) / 3600.0 + longitude / 15.0) % 24.0
     for length in HOURS:
@@ -229,7 +230,7 @@ def _hours(rides: pd.DataFrame) -> Iterator[tuple[RideCondition, NDArray[np.bool
 
 
 def _periods(day: NDArray[np.str_]) -> Iterator[tuple[RideCondition, NDArray[np.bool_]]]:
-    """Give the times before a date and since it: every date there is, or those that part the rides into like parts."""
+    """Yield the periods before and since a date, for every date or for dates that divide the rides evenly."""
     known = np.sort(day[day != ""])
     found = np.unique(known)
     if len(found) > MOST_DATES:

@@ -1,14 +1,14 @@
-"""Where a model fails, in words: slices of the rides on which its bias is another than on the rest.
+"""Find slices of the rides for which the bias of a model differs from that for the other rides, and describe them.
 
-A slice is a conjunction of at most three conditions (`core.diagnose.slices.predicates`). Slices are found on one half of the
-vehicle-days, by a beam search for the bias that is largest against its standard error, and confirmed on the other half,
-whose figures alone are reported; then the other way round. The days of a vehicle are dealt to the halves in pairs of
-neighbours, so that both see every vehicle and season.
+A slice is a conjunction of at most three conditions (`core.diagnose.slices.predicates`). A beam search on one half of
+the vehicle-days finds the slices whose bias is largest relative to its standard error. The other half confirms them, and
+only its results are reported. Then the halves swap roles. The days of a vehicle are assigned to the halves in pairs of
+neighbours, so that both halves contain every vehicle and season.
 
-A slice is compared with the rest of the rides, by vehicle-days (`core.diagnose.slices.contrast`). Of the slices that one half
-names, the other keeps the false discovery rate by Benjamini and Hochberg at half the level, so that both directions
-together keep it at the level, whatever one tells of the other. Slices are ranked by the half that found them: those
-that did best in the half that confirms them would look better there than they are.
+A slice is compared with the other rides by vehicle-days (`core.diagnose.slices.contrast`). The confirming half keeps the
+false discovery rate of Benjamini and Hochberg at half the level, so that both directions together keep it at the level,
+whatever their dependence. Slices are ranked by the half that found them, because those ranked first by the confirming
+half would look better there than they are.
 
 References
 ----------
@@ -34,36 +34,36 @@ from core.stats.multiple_testing import adjust_false_discovery
 from core.stats.scores import Estimate
 
 LONGEST: Final = 3
-"""Conditions that a person keeps in mind."""
+"""Maximum number of conditions of a slice."""
 LEAST_RIDES: Final = 8
-"""Rides of a half that a slice must have, and leave."""
+"""Least number of rides of a half inside and outside a slice."""
 BEAM: Final = 12
-"""Slices that are made longer."""
+"""Number of slices that are extended in each step."""
 CHILDREN: Final = 32
-"""Of each, the longer ones that are looked at closely."""
+"""Number of extensions of each slice that are evaluated exactly."""
 FINALISTS: Final = 60
-"""Slices that are looked at closely for what those chosen before leave."""
+"""Number of slices that are evaluated exactly on the residual of those chosen before."""
 COST: Final = 0.75
-"""By how much a further condition must raise the score."""
+"""Amount by which a further condition must raise the score. [1]"""
 DISCOUNT: Final = 0.92
-"""And by which factor."""
+"""Factor by which a further condition reduces the score. [1]"""
 LEAST_SCORE: Final = 2.0
-"""Score below which a slice is not worth a test."""
+"""Score below which a slice is not tested. [1]"""
 SAME: Final = 0.6
-"""Share of the rides of two slices that both have, of those that either has, from which on they are one."""
+"""Ratio of shared rides to the rides of either slice above which two slices count as one. [1]"""
 
 
 class Half(NamedTuple):
-    """Some rides, those of a vehicle-day together.
+    """Hold the rides of one half, ordered by vehicle-day.
 
     Parameters
     ----------
     masks : (c, n) bool
-        For which of the rides each condition holds.
+        Rides for which each condition holds.
     error : (n,) float
-        [kWh]
+        Error of each ride. [kWh]
     starts : (days,) int64
-        Where each vehicle-day begins.
+        First ride of each vehicle-day.
     """
 
     masks: Masks
@@ -72,16 +72,16 @@ class Half(NamedTuple):
 
 
 class Slice(NamedTuple):
-    """A conjunction of conditions, as it was found.
+    """Hold a conjunction of conditions as it was found.
 
     Parameters
     ----------
     conditions : tuple of int
-        Their places.
+        Places of the conditions.
     score : float
-        Penalised for their number.
+        Score less the penalty for the number of conditions. [1]
     sign : int
-        Of the bias against the rest.
+        Sign of the bias relative to the other rides.
     """
 
     conditions: tuple[int, ...]
@@ -90,7 +90,7 @@ class Slice(NamedTuple):
 
 
 class ConfirmedSlice(NamedTuple):
-    """A slice, the half that it was found on, and its figures in the other."""
+    """Hold a slice, the half in which it was found, and its results in the other half."""
 
     found: Slice
     half: Half
@@ -100,27 +100,27 @@ class ConfirmedSlice(NamedTuple):
 def find_slices(
     rides: pd.DataFrame, error: Floats, *, seed: int = 0, most: int = 8, level: float = 0.05
 ) -> list[dict[str, Any]]:
-    """Return the slices of the rides on which a model's bias is another than on the rest, the surest first.
+    """Return the slices of the rides for which the bias of a model differs, the most certain first.
 
     Parameters
     ----------
     rides : DataFrame
-        n rows of the ride table. A condition on what is unknown of a ride does not hold for it.
+        n rows of the ride table. A condition does not hold for a ride for which its column is unknown.
     error : (n,) float
-        Predicted less measured; rides where it is NaN are left out. [kWh]
+        Predicted less measured energy; rides with NaN are left out. [kWh]
     seed : int
-        Of how the vehicle-days are dealt to the halves.
+        Seed of the assignment of vehicle-days to the halves.
     most : int
-        Slices that are returned, and that each half may name.
+        Maximum number of slices that are returned, and that each half may propose.
     level : float
-        Share of false ones among those returned, on average, that is allowed.
+        Accepted mean share of false slices among those returned. [1]
 
     Returns
     -------
     list of dict
-        `where` (words), `conditions` (the same, one by one), and of the half of the vehicle-days that confirmed it:
-        `rides`, `bias_kwh` (mean error in the slice less that of the rest), `ci95`, `mae_kwh` (mean absolute error in
-        the slice), `q`. Empty where there is nothing to be found, or too few rides to tell.
+        `where` (words) and `conditions` (the same as a list). Of the half of the vehicle-days that confirmed the slice:
+        `rides`, `bias_kwh` (mean error in the slice less that of the other rides), `ci95`, `mae_kwh` (mean absolute
+        error in the slice) and `q`. The list is empty where no slice is confirmed or there are too few rides.
     """
     error = np.asarray(error, dtype=np.float64)
     rides, error, day = _in_order(rides, error)
@@ -137,7 +137,7 @@ def find_slices(
 
 
 def _in_order(rides: pd.DataFrame, error: Floats) -> tuple[pd.DataFrame, Floats, Ints]:
-    """Return rides of known error by vehicle, date and time, so that the order of the table does not matter."""
+    """Return rides with a known error by vehicle, date and time, so that the order of the table does not matter."""
     kept = np.isfinite(error)
     rides, error = rides.loc[kept], error[kept]
     keys = pd.Series(get_names(rides, "vehicle_id"), dtype=object) + " " + pd.Series(read_dates(rides), dtype=object)
@@ -147,7 +147,7 @@ def _in_order(rides: pd.DataFrame, error: Floats) -> tuple[pd.DataFrame, Floats,
 
 
 def _dealt(day: Ints, seed: int) -> NDArray[np.bool_]:
-    """Return for each vehicle-day whether it is in the first half; of two neighbours one is."""
+    """Return for each vehicle-day whether it is in the first half; one of two neighbours is."""
     count = int(day[-1]) + 1 if len(day) else 0
     heads = np.random.default_rng(seed).random(count // 2 + 1) < 0.5
     return np.repeat(heads, 2)[:count] ^ (np.arange(count) % 2 == 1)
@@ -159,7 +159,7 @@ def _half(masks: Masks, error: Floats, day: Ints, kept: NDArray[np.bool_]) -> Ha
 
 
 def search_slices(half: Half, known: Sequence[RideCondition], most: int) -> list[Slice]:
-    """Return the slices of a half that are worth a test, best first, each for what those before it leave.
+    """Return the slices of a half to test, the best first, each for the residual of those before it.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def search_slices(half: Half, known: Sequence[RideCondition], most: int) -> list
 
 
 def _pool(half: Half, known: Sequence[RideCondition]) -> list[tuple[int, ...]]:
-    """Return every slice that the beam search comes by."""
+    """Return every slice that the beam search evaluates."""
     pool: list[tuple[int, ...]] = []
     longer: list[tuple[int, ...]] = [(i,) for i in range(len(known))]
     while longer:
@@ -212,7 +212,7 @@ def _pool(half: Half, known: Sequence[RideCondition]) -> list[tuple[int, ...]]:
 
 
 def _beam(masks: Masks, score: Floats, error: Floats) -> list[int]:
-    """Return the slices to be made longer, each the best for what those before it leave."""
+    """Return the slices to extend, each the best for the residual of those before it."""
     plain = np.abs(_plain_score(masks, error))
     worth = np.divide(score, plain, out=np.zeros(len(score)), where=plain > 0.0).clip(0.0, 1.0)
     parents: list[int] = []
@@ -227,7 +227,7 @@ def _beam(masks: Masks, score: Floats, error: Floats) -> list[int]:
 def _children(
     parents: Sequence[tuple[int, ...]], masks: Masks, half: Half, known: Sequence[RideCondition]
 ) -> list[tuple[int, ...]]:
-    """Return slices with a condition more, of each parent those that look best at a glance."""
+    """Return slices with one more condition, for each parent those with the best approximate score."""
     error = (half.error - half.error.mean()).astype(np.float32)
     all_masks = half.masks.astype(np.float32)
     inside = masks.astype(np.float32)
@@ -246,7 +246,7 @@ def _children(
 
 
 def _glance(rides: NDArray[np.float32], total: NDArray[np.float32], error: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return how far the mean of slices is from the rest's, as if each ride were for itself; 0 for those too small."""
+    """Return the score of the difference of means as if rides were independent; 0 for slices that are too small."""
     n = len(error)
     outside = n - rides
     fair = (rides >= LEAST_RIDES) & (outside >= LEAST_RIDES)
@@ -257,52 +257,52 @@ def _glance(rides: NDArray[np.float32], total: NDArray[np.float32], error: NDArr
 
 
 def _plain_score(masks: Masks, error: Floats) -> NDArray[np.float32]:
-    """Return how far the means of k slices are from the rest's, (k,), as if each ride were for itself."""
+    """Return the score of the difference of means of k slices as if rides were independent, (k,)."""
     centred = (error - error.mean()).astype(np.float32)
     inside = masks.astype(np.float32)
     return _glance(inside.sum(axis=1), inside @ centred, centred)
 
 
 def _mask(masks: Masks, conditions: Sequence[int]) -> NDArray[np.bool_]:
-    """Return for which rides all of some conditions hold."""
+    """Return the rides for which all of some conditions hold."""
     return np.logical_and.reduce(masks[list(conditions)], axis=0)
 
 
 def _further(masks: Masks, error: Floats) -> NDArray[np.bool_]:
-    """Return which slices have a mean error that is no nearer to zero than the rest's."""
+    """Return which slices have a mean error at least as far from zero as that of the other rides."""
     total, rides = masks @ error, masks.sum(axis=1)
     return np.abs(total) * (len(error) - rides) >= np.abs(error.sum() - total) * rides
 
 
 def _effort(found: Sequence[tuple[int, ...]], known: Sequence[RideCondition]) -> Floats:
-    """Return how many conditions slices count for, (k,)."""
+    """Return the effort of the conditions of slices, (k,)."""
     return np.array([sum(known[i].effort for i in each) for each in found], dtype=np.float64)
 
 
 def _penalised(score: Floats, effort: Floats) -> Floats:
-    """Return scores that a further condition must raise clearly."""
+    """Return scores less the penalty for further conditions."""
     return score * DISCOUNT ** (effort - 1.0) - COST * (effort - 1.0)
 
 
 def _left(error: Floats, masks: Masks) -> Floats:
-    """Return what the means of slices do not explain of the error, (n,). [kWh]"""
+    """Return the error less the part that the means of slices explain, (n,). [kWh]"""
     columns = np.vstack([np.ones(len(error)), *masks])
     return error - np.linalg.lstsq(columns @ columns.T, columns @ error, rcond=None)[0] @ columns
 
 
 def _jaccard(masks: Masks, mask: NDArray[np.bool_]) -> Floats:
-    """Return the rides that slices share with one, over those that either has, (k,)."""
+    """Return the rides that slices share with another, over the rides of either, (k,)."""
     shared = np.count_nonzero(masks & mask, axis=1)
     return shared / np.maximum(np.count_nonzero(masks | mask, axis=1), 1)
 
 
 def _overlap(masks: Masks, mask: NDArray[np.bool_]) -> Floats:
-    """Return how much slices are one with a slice, or with all that it is not, (k,)."""
+    """Return the overlap of slices with another slice or with its complement, whichever is larger, (k,)."""
     return np.maximum(_jaccard(masks, mask), _jaccard(masks, ~mask))
 
 
 def _confirmed(found: Sequence[Slice], one: Half, other: Half, level: float) -> list[ConfirmedSlice]:
-    """Return the slices, found on one half, that the other confirms at a level, each with its figures there."""
+    """Return the slices that were found in one half and are confirmed in the other, with their results there."""
     if not found:
         return []
     masks = np.array([_mask(other.masks, each.conditions) for each in found])
@@ -327,7 +327,7 @@ def _confirmed(found: Sequence[Slice], one: Half, other: Half, level: float) -> 
 def _distinct(
     found: Sequence[ConfirmedSlice], halves: Sequence[Half], known: Sequence[RideCondition]
 ) -> list[ConfirmedSlice]:
-    """Return findings without those that are one with a finding before, or that it accounts for where it was found."""
+    """Return slices without those that equal an earlier one or that an earlier one explains in the half of its search."""
     kept: list[ConfirmedSlice] = []
     for each in found:
         earlier = [other.found.conditions for other in kept]
@@ -342,12 +342,12 @@ def _distinct(
 
 
 def _shared(one: Sequence[int], other: Sequence[int], halves: Sequence[Half]) -> float:
-    """Return how much two slices are one, over both halves."""
+    """Return the overlap of two slices over both halves."""
     masks = [np.concatenate([_mask(half.masks, each) for half in halves]) for each in (one, other)]
     return float(_overlap(masks[0][None, :], masks[1])[0])
 
 
 def _told(finding: ConfirmedSlice, known: Sequence[RideCondition]) -> dict[str, Any]:
-    """Return a slice as a result has it."""
+    """Return the entry of a slice in the result."""
     words = [known[i].words for i in finding.found.conditions]
     return {"where": ", ".join(words), "conditions": words, **finding.figures}
