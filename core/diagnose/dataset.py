@@ -226,8 +226,8 @@ def gather_windows(rides: pd.DataFrame, windows: pd.DataFrame, model: LinearMode
     day = assign_vehicle_days(table)
     if day.max() + 1 < LEAST_DAYS:
         raise ModelError(
-            f"all {len(keys)} rides are of {day.max() + 1} vehicle-days, and it takes {LEAST_DAYS} to distinguish cause "
-            "from chance: give drives of more days or cars"
+            f"all {len(keys)} rides are of {day.max() + 1} vehicle-days, and it takes {LEAST_DAYS} to distinguish "
+            "cause from chance: give drives of more days or cars"
         )
     return Windows(
         table=table,

@@ -38,7 +38,7 @@ CLEARLY: Final = 2.0
 FORCES: Final = frozenset({"acceleration", "traction"})
 """Input columns that depend on changes of speed and height between samples."""
 RELIABILITY: Final = 0.4
-"""Share of the variance of a force-dependent effect that is true: about two fifths for samples every 3 s, off a model."""
+"""Share of the variance of a force-dependent effect that is true: about 0.4 for samples every 3 s, off a model."""
 DOUBT: Final = 0.05
 """Probability below which a rival casts doubt on a selected effect."""
 NEEDED: Final = 0.05
@@ -325,10 +325,10 @@ class ForwardSelection:
 
         Notes
         -----
-        Let G be what the rival would explain if it were known exactly, and ρ the share of its variance that is true.
-        It then explains ρ G, and a proxy explains r*^2 G, where r*^2 = r^2/ρ for the correlation r of the two. The rival
-        may therefore be the cause where r^2 times the ratio of what it explains to what the other explains is at
-        least ρ^2. Attenuation by errors in variables: Fuller, Measurement Error Models, Wiley 1987, section 1.1.
+        Let G be what the rival would explain if it were known exactly, and ρ the share of its variance that is true. It
+        then explains ρ G, and a proxy explains r*^2 G, where r*^2 = r^2/ρ for the correlation r of the two. The rival
+        may therefore be the cause where r^2 times the ratio of what it explains to what the other explains is at least
+        ρ^2. Attenuation by errors in variables: Fuller, Measurement Error Models, Wiley 1987, section 1.1.
         """
         if not is_inexact(ranking.candidates.variants[other]) or is_inexact(variant):
             return False

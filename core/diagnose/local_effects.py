@@ -31,8 +31,8 @@ LEVEL: Final = 0.01
 """Probability below which an effect within a scope is significant, adjusted for all scopes of the same kind: vehicles,
 dates, or both together."""
 DATE_PENALTY: Final = 12.0
-"""Fall of the squared error, in variances, by which a date must be better than none: the best of many dates is better by
-chance."""
+"""Fall of the squared error, in variances, by which a date must be better than none: the best of many dates is better
+by chance."""
 SCREENING: Final = 3.0
 """Standard errors below which a candidate is not tested further, judged by the residual of its own car."""
 LEAST_WINDOWS: Final = 40

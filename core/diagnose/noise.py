@@ -70,8 +70,8 @@ def estimate_window_variance(windows: Windows, residual: Floats) -> Floats:
 
     Notes
     -----
-    The variance is a sum of the measurement variance and parts proportional to the squares of the rolling energy, of the
-    acceleration energy, and of the energy of a constant power. The coefficients are fitted and not negative.
+    The variance is a sum of the measurement variance and parts proportional to the squares of the rolling energy, of
+    the acceleration energy, and of the energy of a constant power. The coefficients are fitted and not negative.
     """
     table = windows.table
     parts = np.column_stack(

@@ -38,7 +38,7 @@ RANK: Final = 1e-6
 WINDOWS_PER_COLUMN: Final = 5
 """Least windows of a car per column of its own; a car with fewer has only its own scale and standby power."""
 REWEIGHTINGS: Final = 2
-"""Number of times that weights are recomputed beside selected effects; without it, their windows seem to be outliers."""
+"""Number of times that weights are recomputed beside selected effects, whose windows seem to be outliers before."""
 ROUNDS: Final = 3
 """Number of times that weights are recomputed from the residual."""
 MAX_CORRELATION: Final = 0.95
@@ -255,7 +255,7 @@ def _terms(windows: Windows, model: LinearModel, terms: tuple[Term, ...], kinds:
 
 
 def _car(windows: Windows, curved: bool) -> Floats:
-    """Return further columns in which cars differ: standby power, uphill energy, lag, and slopes of heating and cooling."""
+    """Return further columns in which cars differ: standby power, uphill energy, lag, heating and cooling slopes."""
     hours = get_numbers(windows.table, "duration_s") / 3600.0
     always = [hours, np.nan_to_num(get_numbers(windows.table, "effect_climbing_up"), nan=0.0), _lag(windows)]
     if not curved:

@@ -192,7 +192,7 @@ def collect_features(windows: Windows) -> Floats:
 
 
 def compute_predictable_share(features: Floats, left: Floats, clusters: ClusterSums, seed: int) -> tuple[float, float]:
-    """Return the share of a squared residual that trees predict on held-out vehicle-days, and its standard error. [1]"""
+    """Return the share of a squared residual that trees predict on held-out days, and its standard error. [1]"""
     fold = clusters.assign_folds(seed)[clusters.code] % TREE_FOLDS
     said = np.zeros(len(left))
     for k in range(int(fold.max()) + 1):
@@ -313,7 +313,7 @@ def _functions(windows: Windows) -> list[tuple[str, Floats]]:
 
 
 def _sun(windows: Windows) -> Floats:
-    """Return the sine of the elevation of the sun at each window, 0 at night and where the position is unknown, (n,)."""
+    """Return the sine of the solar elevation at each window, 0 at night and where the position is unknown, (n,)."""
     table = windows.table
     place = get_numbers(table, "latitude_start_deg"), get_numbers(table, "longitude_start_deg")
     return np.nan_to_num(compute_sun_sine(get_numbers(table, "start_s"), *place), nan=0.0)

@@ -26,7 +26,7 @@ def add_effect(
             "--out",
             "-o",
             metavar="M2",
-            help="Model file to write; another file than M. If the effect is refused: M with the attempt in its history.",
+            help="Model file to write, not M. If the effect is refused: M with the attempt in its history.",
         ),
     ],
     scope: Annotated[
@@ -58,8 +58,8 @@ def add_effect(
         if not force:
             models.save(add.log_attempt(base, added.trial), out)
             raise ModelError(
-                f"{effect} is not added: {added.trial['reason']}; {out} is model {base.name} unchanged, with the attempt "
-                "in its history; add the effect all the same with --force"
+                f"{effect} is not added: {added.trial['reason']}; {out} is model {base.name} unchanged, with the "
+                "attempt in its history; add the effect all the same with --force"
             )
         added = add.force_addition(added)
     models.save(added.model, out)

@@ -4,9 +4,9 @@ Both models are refitted in each fold to the same windows, and their errors are 
 difficult affects both models and cancels. Rides of one vehicle on one day share weather, driver and load, so the
 interval of the mean difference allows their errors to depend on each other.
 
-With at least `LEAST_DATES` dates, whole days of all vehicles are held out. With fewer dates, leaving one out would leave
-a season out, so single vehicle-days are held out. Vehicles are held out as a whole. A vehicle of a vehicle model with
-fewer than `OWN_FIT` vehicles is predicted by the fit to all vehicle models.
+With at least `LEAST_DATES` dates, whole days of all vehicles are held out. With fewer dates, leaving one out would
+leave a season out, so single vehicle-days are held out. Vehicles are held out as a whole. A vehicle of a vehicle model
+with fewer than `OWN_FIT` vehicles is predicted by the fit to all vehicle models.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -256,7 +256,7 @@ LEAST: Final = 10
 
 
 def compare_by_condition(table: pd.DataFrame, before: Floats, after: Floats) -> dict[str, list[dict[str, Any]]]:
-    """Return the comparison by outside temperature, distance, speed and vehicle, for bins with at least `LEAST` rides."""
+    """Return the comparison by temperature, distance, speed and vehicle, for bins with at least `LEAST` rides."""
     bins = {what: _bins(get_numbers(table, column), cuts, unit) for column, (what, cuts, unit) in CONDITIONS.items()}
     vehicles = np.array(get_names(table, "vehicle_id"), dtype=object)
     bins["vehicle"] = [(str(name), vehicles == name) for name in sorted(set(vehicles))]

@@ -2,8 +2,8 @@
 
 The coefficient is estimated as in the diagnosis (`core.diagnose.projection`): with the measurement weights, on what the
 terms of the model cannot explain. All vehicle models share one coefficient unless theirs differ by more than chance.
-Then each has its own, shrunk towards the common one in proportion to its uncertainty. The other terms are then fitted to
-the energy less that of the effect. The same holds for effects that were added before, all beside each other.
+Then each has its own, shrunk towards the common one in proportion to its uncertainty. The other terms are then fitted
+to the energy less that of the effect. The same holds for effects that were added before, all beside each other.
 
 References
 ----------
@@ -331,7 +331,7 @@ def assess_addition(change: TermAddition, rows: pd.DataFrame, *, sign: int, seed
 
 
 def _cross_fitted(column: Floats, residual: Floats, sign: int, clusters: ClusterSums, seed: int) -> Floats:
-    """Return for each row the coefficient that is fitted to the other folds of vehicle-days, 0 where its sign is wrong."""
+    """Return for each row the coefficient fitted to the other folds of vehicle-days, 0 where its sign is wrong."""
     fold = clusters.assign_folds(seed)[clusters.code]
     size, cross = np.bincount(fold, column**2), np.bincount(fold, column * residual)
     rest = size.sum() - size

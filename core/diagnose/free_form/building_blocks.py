@@ -1,8 +1,8 @@
 """Define the parts of free-form terms: carriers of energy, and variables that may modulate them.
 
-A carrier is a power whose energy per unit of a coefficient is in the window table: constant, rolling, drag, accelerating,
-braking, climbing, descending, and an energy at each stop. A variable is a property of a window that an effect may read;
-unknown values are replaced as for effects (`core.signals.signals`). Both have a unit and source code.
+A carrier is a power whose energy per unit of a coefficient is in the window table: constant, rolling, drag,
+accelerating, braking, climbing, descending, and an energy at each stop. A variable is a property of a window that an
+effect may read; unknown values are replaced as for effects (`core.signals.signals`). Both have a unit and source code.
 """
 
 from collections.abc import Callable, Mapping

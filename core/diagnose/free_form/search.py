@@ -1,9 +1,9 @@
 """Suggest a free-form term for structure that no effect of the library explains.
 
-Every carrier is multiplied by every modulator (`core.diagnose.free_form.terms`), and the best of these terms by a second
-modulator. All terms are projected off what the model can refit. They are compared by the fall of the weighted squared
-residual on held-out clusters, with model and term refitted without them. A simpler form of the best term is preferred if
-it is within one standard error [1]_.
+Every carrier is multiplied by every modulator (`core.diagnose.free_form.terms`), and the best of these terms by a
+second modulator. All terms are projected off what the model can refit. They are compared by the fall of the weighted
+squared residual on held-out clusters, with model and term refitted without them. A simpler form of the best term is
+preferred if it is within one standard error [1]_.
 
 The search is repeated within each fold of an outer cross-validation. The reported gain is therefore that of the search
 as a whole, on clusters that did not influence it [2]_. If its interval includes zero, nothing is suggested. The search
@@ -141,7 +141,7 @@ class _Search:
         return self.made[key]
 
     def _of(self, carrier: Carrier, before: tuple[Modulator, ...]) -> tuple[list[FreeTerm], _Sums]:
-        """Return the terms of a carrier and given modulators, each with one more; without modulators, the carrier too."""
+        """Return terms of a carrier and given modulators, each with one more; without modulators, the carrier too."""
         column = self.column(FreeTerm(carrier, before)) * self.data.root
         mine = {each.variable.name for each in before}
         kept = [i for i, each in enumerate(self.modulators) if each.variable.name not in mine]
@@ -265,7 +265,7 @@ def _own(column: Floats, data: _Data) -> Floats:
 
 
 class _Fitted(NamedTuple):
-    """Hold base and m terms fitted to some pieces: base without a term, base in each column, coefficients of the terms."""
+    """Hold base and m terms fitted to some pieces: base without a term, base in each column, coefficients."""
 
     own: Floats
     taken: Floats

@@ -70,14 +70,14 @@ def format_source_file(term: FreeTerm, coefficient: float, windows: int) -> str:
         arguments=tuple(dict.fromkeys(arguments)) or ("dt",),
         body=f"return {' * '.join(code) or 'np.ones_like(dt)'}",
         documentation="\n\n".join(
-            ["Describe the effect in one sentence.", format_formula(term), *([f"With {meanings}."] if meanings else [])],
+            ["Describe the effect.", format_formula(term), *([f"With {meanings}."] if meanings else [])],
         ),
         coefficient="describe c",
         unit=derive_unit(term),
         low=bounds[0],
         high=bounds[1],
-        source=f"suggested by {windows:,} windows of driving; range: a fifth to five times the fitted value. State here "
-        "where formula and range are published",
+        source=f"suggested by {windows:,} windows of driving; range: a fifth to five times the fit. State here where "
+        "formula and range are published",
         per=term.carrier.per,
         parameters={
             **term.carrier.parameters,

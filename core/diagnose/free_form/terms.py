@@ -4,9 +4,9 @@ A modulator is a simple function of one variable: the variable itself, its squar
 its decay. The unit of the coefficient makes the product with the carrier a power in watt, so every term has the right
 dimension.
 
-The modulator of a window is its value in the middle of the window, or its mean, while an effect evaluates it row by row.
-For variables that change within a minute, above all speed, the coefficient therefore equals that of the effect only
-approximately.
+The modulator of a window is its value in the middle of the window, or its mean, while an effect evaluates it row by
+row. For variables that change within a minute, above all speed, the coefficient therefore equals that of the effect
+only approximately.
 """
 
 from collections.abc import Callable, Iterator, Mapping

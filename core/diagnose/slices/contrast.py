@@ -1,8 +1,9 @@
 """Compare the mean error of a slice of the rides with that of all other rides, with vehicle-days as clusters.
 
 The errors of a vehicle on one day depend on each other, so vehicle-days are the independent units. The variance of the
-difference of the two means is estimated by the jackknife over vehicle-days. Its degrees of freedom follow Satterthwaite:
-they count vehicle-days by their weight in the difference, so a slice of three days has the certainty of three days.
+difference of the two means is estimated by the jackknife over vehicle-days. Its degrees of freedom follow
+Satterthwaite: they count vehicle-days by their weight in the difference, so a slice of three days has the certainty of
+three days.
 
 Few days contain little information about their variance. The variance is therefore moderated, as in [3]_ for genes: it
 is averaged with a variance that follows from the errors of the slice within days and from the share of all errors that
@@ -26,9 +27,9 @@ from numpy.typing import NDArray
 from core.batch import Floats, Ints
 
 PRIOR: Final = 4.0
-"""Degrees of freedom of the expected variance. Simulated errors without structure, also with cars and weather whose days
-differ more than others, show that this value keeps false results at their level. With 0, a slice of three days is hardly
-ever confirmed."""
+"""Degrees of freedom of the expected variance. Simulated errors without structure, also with cars and weather whose
+days differ more than others, show that this value keeps false results at their level. With 0, a slice of three days is
+hardly ever confirmed."""
 LEAST_FREEDOM: Final = PRIOR + 0.8
 """Least degrees of freedom of a slice that is tested: those of about two vehicle-days."""
 SHRINK: Final = 5.0

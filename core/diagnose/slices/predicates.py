@@ -1,8 +1,8 @@
 """Define the conditions on rides that describe a slice in words.
 
 Each condition is one comparison of one column: temperature, distance, speed, climb, stops, weather, parking time,
-battery, occupants, season, hour, date, or the name of a vehicle model, a vehicle or a driver. Thresholds are quantiles of
-the rides, rounded to common numbers. A condition does not hold where its column is unknown.
+battery, occupants, season, hour, date, or the name of a vehicle model, a vehicle or a driver. Thresholds are quantiles
+of the rides, rounded to common numbers. A condition does not hold where its column is unknown.
 """
 
 from collections.abc import Iterator

@@ -1,14 +1,14 @@
 """Find slices of the rides for which the bias of a model differs from that for the other rides, and describe them.
 
 A slice is a conjunction of at most three conditions (`core.diagnose.slices.predicates`). A beam search on one half of
-the vehicle-days finds the slices whose bias is largest relative to its standard error. The other half confirms them, and
-only its results are reported. Then the halves swap roles. The days of a vehicle are assigned to the halves in pairs of
-neighbours, so that both halves contain every vehicle and season.
+the vehicle-days finds the slices whose bias is largest relative to its standard error. The other half confirms them,
+and only its results are reported. Then the halves swap roles. The days of a vehicle are assigned to the halves in pairs
+of neighbours, so that both halves contain every vehicle and season.
 
-A slice is compared with the other rides by vehicle-days (`core.diagnose.slices.contrast`). The confirming half keeps the
-false discovery rate of Benjamini and Hochberg at half the level, so that both directions together keep it at the level,
-whatever their dependence. Slices are ranked by the half that found them, because those ranked first by the confirming
-half would look better there than they are.
+A slice is compared with the other rides by vehicle-days (`core.diagnose.slices.contrast`). The confirming half keeps
+the false discovery rate of Benjamini and Hochberg at half the level, so that both directions together keep it at the
+level, whatever their dependence. Slices are ranked by the half that found them, because those ranked first by the
+confirming half would look better there than they are.
 
 References
 ----------
@@ -327,7 +327,7 @@ def _confirmed(found: Sequence[Slice], one: Half, other: Half, level: float) -> 
 def _distinct(
     found: Sequence[ConfirmedSlice], halves: Sequence[Half], known: Sequence[RideCondition]
 ) -> list[ConfirmedSlice]:
-    """Return slices without those that equal an earlier one or that an earlier one explains in the half of its search."""
+    """Return slices without those that equal an earlier one or that an earlier one explains."""
     kept: list[ConfirmedSlice] = []
     for each in found:
         earlier = [other.found.conditions for other in kept]

@@ -24,7 +24,7 @@ def with_columns(windows, **columns):
     return replace(windows, table=windows.table.assign(**columns))
 
 
-def test_all_that_the_library_holds_beside_the_base_is_asked_for_or_said_to_be_absent(found):
+def test_every_library_effect_is_candidate_or_excluded(found):
     asked = build_candidates(*found)
     base = {effect.name for effect in ROAD_LOAD}
     assert set(asked.names) | set(asked.excluded) == set(effects.get_library()) - base
@@ -33,7 +33,7 @@ def test_all_that_the_library_holds_beside_the_base_is_asked_for_or_said_to_be_a
     assert asked.scope == ()
 
 
-def test_columns_are_those_of_the_table_at_each_value_of_a_parameter(found):
+def test_candidate_columns_match_table(found):
     asked = build_candidates(*found)
     assert asked.columns.shape == (len(found[0].measured), len(asked.variants))
     for at, variant in enumerate(asked.variants):
@@ -44,7 +44,7 @@ def test_columns_are_those_of_the_table_at_each_value_of_a_parameter(found):
     assert cold == {"cold_rolling", *(each.name for each in effects.get("cold_rolling").variants)}
 
 
-def test_what_is_not_to_be_asked_for_is_not(found):
+def test_excluded_effects_are_no_candidates(found):
     asked = build_candidates(*found, without=("cold_rolling", "headwind"))
     assert not {"cold_rolling", "headwind"} & {*asked.names, *asked.excluded}
     assert not any(variant.startswith("cold_rolling") for variant in asked.variants)
@@ -52,7 +52,7 @@ def test_what_is_not_to_be_asked_for_is_not(found):
 
 
 @pytest.mark.parametrize("variant", ["cold_rolling", "cold_rolling@reference=283.15"])
-def test_what_the_model_has_is_asked_for_in_places_only(found, variant):
+def test_effects_of_model_are_candidates_within_scopes_only(found, variant):
     windows = found[0]
     terms = (*ROAD_LOAD_TERMS, make_physical_term(variant, (f"effect_{variant}",)))
     model = fit_terms(LinearRecipe("more", "", terms), RideFrame(windows.table), covariance=False)
@@ -74,7 +74,7 @@ def test_an_effect_that_is_hardly_known_or_never_acts_is_not_in_the_data(found):
     assert np.isfinite(asked.columns).all()
 
 
-def test_where_an_effect_is_not_known_it_takes_nothing(found):
+def test_unknown_effect_values_count_as_zero(found):
     windows, model = found
     some = windows.table["effect_headwind"].where(np.arange(len(windows.table)) % 4 > 0)
     asked = build_candidates(with_columns(windows, effect_headwind=some), model)
@@ -82,7 +82,7 @@ def test_where_an_effect_is_not_known_it_takes_nothing(found):
     np.testing.assert_array_equal(column, some.fillna(0.0))
 
 
-def test_in_a_place_columns_are_the_same_and_elsewhere_nothing(found):
+def test_restricted_candidates_are_zero_outside_scope(found):
     asked = build_candidates(*found)
     here = found[0].vehicle == 1
     inside = asked.restrict_to(here, ("vehicle=taxi-1",))
@@ -93,7 +93,7 @@ def test_in_a_place_columns_are_the_same_and_elsewhere_nothing(found):
     assert asked.columns[~here].any()
 
 
-def test_the_least_coefficient_takes_the_least_share_of_the_energy_where_it_is_asked_for(found):
+def test_least_coefficient_has_least_share_of_energy(found):
     asked = build_candidates(*found)
     for each, rows in (
         (asked, slice(None)),
@@ -106,7 +106,7 @@ def test_the_least_coefficient_takes_the_least_share_of_the_energy_where_it_is_a
     assert np.isinf(nothing.least_coefficients).all()
 
 
-def test_of_a_library_that_is_not_in_the_data_nothing_is_asked(found):
+def test_tables_without_effects_give_no_candidates(found):
     windows, model = found
     base = {effect.energy_name for effect in ROAD_LOAD}
     gone = [name for name in windows.table if name.startswith("effect_") and name not in base]

@@ -34,7 +34,7 @@ def of(rides, *keys):
     return rides["ride_key"].isin(keys)
 
 
-def test_windows_are_in_order_of_vehicle_and_time_with_what_is_known_of_their_ride(tables):
+def test_joined_windows_are_ordered_and_have_ride_columns(tables):
     rides, windows = tables
     shuffled = windows.sample(frac=1.0, random_state=3)
     found = join_tables(rides.sample(frac=1.0, random_state=4), shuffled)
@@ -46,7 +46,7 @@ def test_windows_are_in_order_of_vehicle_and_time_with_what_is_known_of_their_ri
         assert found[name].tolist() == own[name].tolist(), name
 
 
-def test_what_a_ride_is_told_for_stands_before_what_its_windows_say(tables):
+def test_ride_columns_take_precedence_over_window_columns(tables):
     rides, windows = tables
     found = join_tables(rides, windows.assign(winter=7))
     assert set(found["winter"]) == {0, 1}
@@ -73,7 +73,7 @@ def test_a_window_without_a_measured_energy_or_without_time_is_left_out(tables):
     assert (found["duration_s"] > 0.0).all()
 
 
-def test_where_only_the_state_of_charge_is_known_the_ride_stands_for_its_windows(tables):
+def test_ride_replaces_windows_without_meter(tables):
     rides, windows = tables
     by_charge = windows["vehicle_id"] == "taxi-1"
     for table, rows in ((windows, by_charge), (rides, rides["vehicle_id"] == "taxi-1")):
@@ -90,7 +90,7 @@ def test_where_only_the_state_of_charge_is_known_the_ride_stands_for_its_windows
     assert len(found) == len(windows) - by_charge.sum() + len(own)
 
 
-def test_a_window_by_the_state_of_charge_in_a_metered_ride_does_not_count(tables):
+def test_unmetered_window_of_metered_ride_is_left_out(tables):
     rides, windows = tables
     windows.loc[3, ["energy_kwh", "energy_vi_kwh"]] = windows.loc[3, "energy_soc_kwh"], np.nan
     assert len(join_tables(rides, windows)) == len(windows) - 1
@@ -122,7 +122,7 @@ def test_joining_changes_neither_table(tables):
 
 
 class TestGather:
-    def test_codes_and_sums_are_those_of_the_table(self, tables, model):
+    def test_codes_and_sums_match_table(self, tables, model):
         found = gather_windows(*tables, model)
         table = found.table
         assert len(found.rides) == CARS * DAYS * RIDES
@@ -191,7 +191,7 @@ class TestGather:
 
 
 class TestFitted:
-    def test_windows_tell_what_rides_only_add_up(self):
+    def test_fit_to_windows_distinguishes_acceleration_and_braking(self):
         tables = make_tables(make_windows(), noise=0.001)
         found = fit_to_windows("road_load", *tables)
         names = [term.name for term in found.terms]
@@ -202,6 +202,6 @@ class TestFitted:
         assert coefficients["rolling"] == pytest.approx(1.05, abs=0.05)
 
     @pytest.mark.parametrize("name", ["pooled_hybrid", "boosted_hybrid"])
-    def test_a_recipe_that_is_no_sum_of_terms_is_refused(self, tables, name):
+    def test_recipe_without_linear_terms_is_refused(self, tables, name):
         with pytest.raises(ModelError, match=rf"recipe {name} cannot be fitted to windows: choose road_load"):
             fit_to_windows(name, *tables)

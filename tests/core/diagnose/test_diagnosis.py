@@ -70,7 +70,7 @@ def plain(value):
 
 
 class TestPromise:
-    def test_it_holds_what_those_who_print_it_read(self, found):
+    def test_result_has_every_key_that_reports_read(self, found):
         expected = made_up()
         assert set(found) == set(expected)
         for name in ("model", "data", "error", "structure"):
@@ -83,13 +83,13 @@ class TestPromise:
         assert all(set(each) == set(expected["slices"][0]) for each in found["slices"])
         assert all(set(each) == {"feature", "unit", "x", "y_kwh"} for each in found["structure"]["shapes"])
 
-    def test_values_are_plain_and_json_holds_them(self, found, of_nothing):
+    def test_result_is_plain_json(self, found, of_nothing):
         for each in (found, of_nothing):
             assert plain(each)
             assert json.loads(json.dumps(each)) == each
             msgspec.json.encode(each)
 
-    def test_the_data_and_the_model_are_those_given(self, found, recorded, model):
+    def test_result_describes_given_data_and_model(self, found, recorded, model):
         seen = gather_windows(*recorded, model)
         data = found["data"]
         assert (data["rides"], data["windows"]) == (len(seen.rides), len(seen.table))
@@ -102,7 +102,7 @@ class TestPromise:
         assert Counter(data["left_out"]) == Counter(recorded[0]["unfit_reason"].dropna()) + Counter(silent)
         assert found["model"] == {"name": model.name, "version": model.version, "recipe": "road_load"}
 
-    def test_errors_are_of_rides_and_above_the_floor(self, found, recorded, model):
+    def test_errors_are_per_ride_and_above_noise_floor(self, found, recorded, model):
         seen, error = gather_windows(*recorded, model), found["error"]
         off = np.bincount(seen.ride, seen.predicted - seen.measured)
         assert error["mae_kwh"] == pytest.approx(np.mean(np.abs(off)))
@@ -110,7 +110,7 @@ class TestPromise:
         assert error["relative"] == pytest.approx(error["mae_kwh"] / np.mean(np.bincount(seen.ride, seen.measured)))
         assert 0.0 < error["noise_floor_kwh"] < error["mae_refitted_kwh"] <= error["mae_kwh"]
 
-    def test_every_effect_of_the_library_is_accounted_for_once(self, found):
+    def test_every_effect_of_library_is_listed_once(self, found):
         names = [row["effect"] for row in found["candidates"]]
         assert len(names) == len(set(names))
         assert set(names) == set(effects.get_library()) - {effect.name for effect in ROAD_LOAD}
@@ -123,7 +123,7 @@ class TestPromise:
         gains = [row["gain"] for row in found["candidates"] if row["gain"] is not None]
         assert gains == sorted(gains, reverse=True)
 
-    def test_the_same_tables_give_the_same_in_any_order_of_rows(self, recorded, model):
+    def test_result_does_not_depend_on_row_order(self, recorded, model):
         rides, windows = (table.sample(frac=1.0, random_state=5) for table in recorded)
         one = diagnose(*recorded, model, places=False)
         assert diagnose(*recorded, model, places=False) == one
@@ -147,7 +147,7 @@ class TestWhatWasHidden:
         assert row["status"] == "missing"
         assert row is found["candidates"][0] or row["gain"] > 0.0
 
-    def test_takes_its_share_by_a_coefficient_that_physics_knows(self, found):
+    def test_has_a_plausible_coefficient(self, found):
         first = found["missing"][0]
         coefficient, effect = first["coefficient"], effects.get(first["variant"])
         assert coefficient["unit"] == effect.unit
@@ -169,17 +169,17 @@ class TestWhatWasHidden:
         assert {step["noise_floor_kwh"] for step in steps} == {found["error"]["noise_floor_kwh"]}
         assert steps[0]["mae_kwh"] == pytest.approx(found["error"]["mae_refitted_kwh"])
 
-    def test_leaves_nothing_that_would_ask_for_a_suggestion(self, found):
+    def test_leaves_no_structure_and_no_suggestion(self, found):
         assert not found["structure_remains"]
         assert found["suggestion"] is found["suggestion_file"] is None
 
-    def test_is_not_named_where_it_is_not_asked_for(self, recorded, model):
+    def test_is_not_reported_if_excluded(self, recorded, model):
         without = diagnose(*recorded, model, without=(HIDDEN,))
         assert HIDDEN not in {row["effect"] for row in without["missing"]}
         assert HIDDEN not in {row["effect"] for row in without["candidates"]}
 
 
-def test_where_nothing_is_hidden_nothing_is_named(of_nothing):
+def test_nothing_is_reported_without_hidden_effect(of_nothing):
     assert of_nothing["verdict"] is None
     assert of_nothing["missing"] == []
     assert not of_nothing["structure_remains"]
@@ -240,7 +240,7 @@ class TestTooLittle:
         assert plain(found)
 
 
-def test_of_variants_places_are_asked_for_the_declared_one(small):
+def test_declared_variants_are_kept_for_scopes(small):
     tables, model = small
     asked = build_candidates(gather_windows(*tables, model), model)
     found = keep_declared_values(asked)
@@ -250,7 +250,7 @@ def test_of_variants_places_are_asked_for_the_declared_one(small):
         np.testing.assert_array_equal(found.columns[:, at], asked.columns[:, asked.variants.index(name)])
 
 
-def test_where_only_the_state_of_charge_is_known_rides_are_diagnosed():
+def test_rides_are_diagnosed_by_state_of_charge_without_meter():
     rides, windows = (
         table.assign(energy_vi_kwh=np.nan, energy_soc_kwh=table["energy_kwh"])
         for table in make_tables(make_windows(cars=3, days=12), {"headwind": 0.10})

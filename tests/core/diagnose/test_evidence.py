@@ -45,7 +45,7 @@ def share_below(level, draw, times):
 
 @pytest.mark.parametrize("sign", [0, 1, -1])
 @pytest.mark.parametrize("level", [0.05, 0.01])
-def test_chance_passes_as_often_as_the_level_says(sign, level):
+def test_false_positive_rate_equals_level(sign, level):
     code = days()
 
     def draw(rng):
@@ -55,13 +55,13 @@ def test_chance_passes_as_often_as_the_level_says(sign, level):
     assert 0.6 * level < share_below(level, draw, 200) < 1.3 * level
 
 
-def test_ordinary_least_squares_would_be_far_off():
+def test_ordinary_least_squares_exceeds_level():
     code = days()
     assert share_below(LEVEL, lambda rng: plain_p(*null(code, rng)), 50) > 0.3
 
 
 @pytest.mark.parametrize("acting", [2, 3, 4, 8])
-def test_a_candidate_that_acts_on_a_few_days_only_does_not_pass_too_often(acting):
+def test_candidate_on_few_days_keeps_level(acting):
     code = days(30)
 
     def draw(rng):
@@ -74,7 +74,7 @@ def test_a_candidate_that_acts_on_a_few_days_only_does_not_pass_too_often(acting
     assert share_below(LEVEL, draw, 100) < 1.3 * LEVEL
 
 
-def test_of_what_acts_in_one_cluster_only_nothing_tells_the_error(rng):
+def test_candidate_in_one_cluster_has_no_significance(rng):
     code = days(30)
     alone = np.where(code == 7, 1.0 + rng.random(len(code)), 0.0)[:, np.newaxis]
     found = compute_evidence(3.0 * alone[:, 0] + rng.normal(size=len(code)), alone, EITHER, ClusterSums(code))
@@ -82,7 +82,7 @@ def test_of_what_acts_in_one_cluster_only_nothing_tells_the_error(rng):
     assert found.p[0] > 0.5
 
 
-def test_errors_that_all_cars_share_on_a_date_are_seen_for_what_they_are():
+def test_errors_shared_by_all_cars_on_a_date_keep_level():
     """Vehicle-days alone would pass weather that is wrong for all cars of a date."""
     car, date = np.repeat(np.arange(6), 30 * 8), np.tile(np.repeat(np.arange(30), 8), 6)
     clusters = [ClusterSums(car * 30 + date), ClusterSums(date)]
@@ -104,7 +104,7 @@ def test_errors_that_all_cars_share_on_a_date_are_seen_for_what_they_are():
     assert share_below(LEVEL, lambda rng: draw(rng, 0), 60) > 3.0 * LEVEL
 
 
-def test_the_coefficient_is_that_of_least_squares_and_its_interval_holds_it_as_often_as_it_says():
+def test_coefficient_is_least_squares_and_interval_covers_at_its_level():
     code, true, held = days(), 0.3, []
     for seed in range(300):
         residual, candidates = null(code, np.random.default_rng(seed), 1)
@@ -119,7 +119,7 @@ def test_the_coefficient_is_that_of_least_squares_and_its_interval_holds_it_as_o
     assert 0.92 < np.mean(held) < 0.985
 
 
-def test_an_effect_that_is_there_passes_and_of_the_sign_that_physics_forbids_never():
+def test_planted_effect_is_significant_only_with_allowed_sign():
     code = days()
     residual, candidates = null(code, np.random.default_rng(1), 1)
     residual = residual + candidates[:, 0]
@@ -132,7 +132,7 @@ def test_an_effect_that_is_there_passes_and_of_the_sign_that_physics_forbids_nev
 
 
 @pytest.mark.parametrize(("true", "sign"), [(0.2, 1), (-0.2, -1), (0.2, 0), (-0.2, 0)])
-def test_an_effect_no_larger_than_what_is_not_worth_a_name_passes_no_more_often_than_chance(true, sign):
+def test_effect_at_least_coefficient_keeps_level(true, sign):
     code, least = days(), np.full(20, 0.2)
 
     def draw(rng, size):
@@ -148,7 +148,7 @@ def test_an_effect_no_larger_than_what_is_not_worth_a_name_passes_no_more_often_
     assert share_below(LEVEL, lambda rng: draw(rng, 5.0 * true), 5) > 0.9
 
 
-def test_what_samples_distort_widens_the_interval_and_says_nothing_of_chance(rng):
+def test_distortion_widens_interval_without_changing_probability(rng):
     residual, candidates = null(days(), rng)
     plain = compute_evidence(residual, candidates, np.ones(20, dtype=np.int64), ClusterSums(days()))
     wide = plain.allow_for_distortion(3.0 * plain.error)
@@ -158,7 +158,7 @@ def test_what_samples_distort_widens_the_interval_and_says_nothing_of_chance(rng
     np.testing.assert_array_equal(plain.allow_for_distortion(np.zeros(20)).error, plain.error)
 
 
-def test_a_candidate_of_nothing_is_no_evidence():
+def test_zero_candidate_has_no_evidence():
     code = days(10)
     found = compute_evidence(np.random.default_rng(2).normal(size=200), np.zeros((200, 1)), EITHER, ClusterSums(code))
     assert found.coefficient[0] == 0.0
@@ -166,7 +166,7 @@ def test_a_candidate_of_nothing_is_no_evidence():
 
 
 @given(st.integers(0, 2**32), st.floats(1e-3, 1e3), st.floats(1e-3, 1e3))
-def test_evidence_knows_no_units_and_no_order_of_rows(seed, one, other):
+def test_evidence_does_not_depend_on_units_or_row_order(seed, one, other):
     rng = np.random.default_rng(seed)
     code = days(12, 5)
     residual, candidates = null(code, rng, 3)
@@ -181,7 +181,7 @@ def test_evidence_knows_no_units_and_no_order_of_rows(seed, one, other):
 
 
 class TestClusters:
-    def test_sums_are_those_of_each_wherever_its_rows_stand(self, rng):
+    def test_cluster_sums_do_not_depend_on_row_order(self, rng):
         code = rng.permutation(np.r_[np.arange(9), rng.integers(0, 9, 60)])
         values = rng.normal(size=(69, 2))
         expected = [values[code == each].sum(axis=0) for each in range(9)]
@@ -189,7 +189,7 @@ class TestClusters:
         np.testing.assert_allclose(ClusterSums(code).sum_by_cluster(values[:, 0]), np.array(expected)[:, 0])
 
     @pytest.mark.parametrize("count", [2, 7, 10, 11, 64])
-    def test_folds_are_dealt_evenly_and_the_same_for_a_seed(self, count):
+    def test_folds_are_even_and_reproducible(self, count):
         clusters = ClusterSums(np.arange(count))
         dealt = np.bincount(clusters.assign_folds(3))
         assert len(dealt) == min(FOLDS, count)

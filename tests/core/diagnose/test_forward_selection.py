@@ -51,7 +51,7 @@ def named(search: ForwardSelection) -> set[str]:
 @pytest.mark.parametrize(
     "effect", ["cold_rolling", "headwind", "wet_road", "night_lights", "regen_full_battery", "cornering"]
 )
-def test_what_was_planted_is_named_and_no_decoy_is(effect):
+def test_planted_effect_is_selected_without_decoys(effect):
     found = search({effect: 0.06})
     found.select_all()
     assert named(found) == {effect}
@@ -65,7 +65,7 @@ def test_what_was_planted_is_named_and_no_decoy_is(effect):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_of_nothing_nothing_is_named(seed):
+def test_nothing_is_selected_without_planted_effect(seed):
     found = search({}, seed=seed, of_day=0.03, of_ride=0.003)
     found.select_all()
     assert found.selected == found.list_missing_effects() == []
@@ -74,7 +74,7 @@ def test_of_nothing_nothing_is_named(seed):
 @pytest.mark.parametrize(
     "pair", [("headwind", "cold_rolling"), ("wet_road", "night_lights"), ("regen_full_battery", "cornering")]
 )
-def test_of_two_both_are_named_or_in_a_group_most_gain_first(pair):
+def test_two_planted_effects_are_selected_or_grouped_by_gain(pair):
     found = search(dict.fromkeys(pair, 0.05), of_day=0.01)
     found.select_all()
     findings = found.list_missing_effects()
@@ -85,7 +85,7 @@ def test_of_two_both_are_named_or_in_a_group_most_gain_first(pair):
     assert findings[0].gain >= findings[1].gain
 
 
-def test_a_stand_in_goes_when_what_it_stood_for_is_named():
+def test_proxy_is_dropped_when_its_cause_is_selected():
     found = search({"cold_rolling": 0.08}, "cold_rolling", "air_density", "headwind")
     at = found.candidates.variants.index
     found.select(SelectedEffect(found.candidates, at("air_density"), 0.0))
@@ -98,7 +98,7 @@ def test_a_stand_in_goes_when_what_it_stood_for_is_named():
     assert named(found) == {"cold_rolling"}
 
 
-def test_an_effect_that_is_needed_stays_when_another_is_named():
+def test_significant_effect_stays_beside_another():
     found = search({"cold_rolling": 0.06, "headwind": 0.05}, "cold_rolling", "headwind")
     for variant in ("headwind", "cold_rolling"):
         found.select(SelectedEffect(found.candidates, found.candidates.variants.index(variant), 0.0))
@@ -107,7 +107,7 @@ def test_an_effect_that_is_needed_stays_when_another_is_named():
 
 
 @pytest.mark.parametrize("effect", ["night_lights", "headwind"])
-def test_two_that_are_nearly_alike_are_one_finding_with_a_group(effect):
+def test_nearly_identical_effects_form_one_group(effect):
     found = search({effect: 0.06}, effect, "cold_rolling", "wet_road", twin=0.02)
     found.select_all()
     assert len(found.selected) == 1
@@ -116,7 +116,7 @@ def test_two_that_are_nearly_alike_are_one_finding_with_a_group(effect):
     assert finding.rivals[0][1] > 0.95
 
 
-def test_two_that_are_somewhat_alike_are_told_apart_by_the_data():
+def test_moderately_correlated_effects_are_distinguished():
     found = search({"night_lights": 0.08}, "night_lights", "cold_rolling", twin=0.5)
     found.select_all()
     (finding,) = found.list_missing_effects()
@@ -140,14 +140,14 @@ class TestInexactRivals:
         assert finding.selected.effect == "cold_rolling"
         return {name for name, _ in finding.rivals}
 
-    def test_one_that_is_as_like_as_its_noise_allows_is_of_the_group(self):
+    def test_noisy_copy_belongs_to_group(self):
         assert self.rivals(1.0, 0.3) == {"cold_regen_limit"}
 
-    def test_one_that_is_hardly_alike_is_not(self):
+    def test_dissimilar_rival_does_not_belong_to_group(self):
         assert self.rivals(0.2, 1.0) == set()
 
 
-def test_no_more_are_named_than_asked_for_and_none_that_is_not_worth_it():
+def test_selection_respects_maximum_number_and_least_gain():
     few, dear = (
         search({"headwind": 0.05, "cold_rolling": 0.06}, **limit) for limit in ({"most": 1}, {"least_gain": 0.99})
     )
@@ -157,7 +157,7 @@ def test_no_more_are_named_than_asked_for_and_none_that_is_not_worth_it():
     assert dear.selected == []
 
 
-def test_an_effect_is_named_once():
+def test_effect_is_selected_once():
     found = search({"cold_rolling@reference=283.15": 0.08}, "cold_rolling")
     found.select_all()
     assert len(found.selected) == 1
@@ -167,7 +167,7 @@ def test_an_effect_is_named_once():
     assert found.is_new(SelectedEffect(elsewhere, 0, 0.0))
 
 
-def test_what_is_named_is_taken_off_what_is_left():
+def test_selected_effects_are_projected_off_residual():
     found = search({"headwind": 0.05}, "headwind")
     before = found.compute_residual(found.build_basis())
     np.testing.assert_array_equal(before, found.base.residual)
@@ -183,7 +183,7 @@ def test_what_is_named_is_taken_off_what_is_left():
     )
 
 
-def test_what_a_held_out_fold_is_left_with_was_not_fitted_to_it():
+def test_held_out_residual_uses_coefficients_of_other_folds():
     found = search({"headwind": 0.05}, "headwind")
     np.testing.assert_array_equal(found.compute_held_out_residual(found.build_basis()), found.base.residual)
     found.select_all()
@@ -197,7 +197,7 @@ def test_what_a_held_out_fold_is_left_with_was_not_fitted_to_it():
     assert left @ left > found.compute_residual(off) @ found.compute_residual(off)
 
 
-def test_searching_again_gives_the_same():
+def test_selection_is_reproducible():
     findings = []
     for _ in range(2):
         found = search({"cold_rolling": 0.05, "headwind": 0.05})

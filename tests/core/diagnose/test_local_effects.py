@@ -41,7 +41,7 @@ def named(found: ForwardSelection) -> list[tuple[str, tuple[str, ...]]]:
 
 
 @pytest.mark.parametrize("effect", ["cornering", "night_lights", "headwind"])
-def test_an_effect_of_one_car_is_named_there_and_nowhere_else(effect):
+def test_effect_of_one_car_is_selected_for_that_car_only(effect):
     found = looked({f"{effect} {CAR}": 0.05})
     assert named(found) == [(effect, (CAR,))]
     (finding,) = found.list_missing_effects()
@@ -50,7 +50,7 @@ def test_an_effect_of_one_car_is_named_there_and_nowhere_else(effect):
 
 
 @pytest.mark.parametrize("effect", ["tyre_pressure", "standby", "roof_load"])
-def test_an_effect_that_began_is_named_from_the_day_on_that_it_began(effect):
+def test_effect_that_began_is_selected_since_its_date(effect):
     """Each is of a shape that the model has everywhere, and says nothing of what came later."""
     found = looked({f"{effect} {SINCE}": 0.05})
     (only,) = named(found)
@@ -60,21 +60,21 @@ def test_an_effect_that_began_is_named_from_the_day_on_that_it_began(effect):
     assert not found.candidates.excluded.get(effect)
 
 
-def test_an_effect_that_began_in_one_car_is_named_with_both():
+def test_effect_that_began_in_one_car_is_selected_with_car_and_date():
     found = looked({f"roof_load {CAR} {SINCE}": 0.08}, of_day=0.005)
     ((effect, (car, since)),) = named(found)
     assert (effect, car) == ("roof_load", CAR)
     assert abs(drives_late(since)) <= 2
 
 
-def test_what_is_alike_in_a_place_is_one_group():
+def test_similar_effects_within_scope_form_one_group():
     """Of one car, force and rolling differ by its passengers alone."""
     found = looked({f"brake_drag {CAR} {SINCE}": 0.08}, of_day=0.005)
     (finding,) = found.list_missing_effects()
     assert {"brake_drag", "tyre_pressure"} <= {finding.selected.effect, *(name for name, _ in finding.rivals)}
 
 
-def test_the_only_car_has_no_place_of_its_own_but_dates():
+def test_single_car_has_only_date_scopes():
     found = looked({f"tyre_pressure {SINCE}": 0.08}, cars=1)
     assert all(each.car is None for each in list_scopes(found.base.windows))
     ((effect, (since,)),) = named(found)
@@ -82,17 +82,17 @@ def test_the_only_car_has_no_place_of_its_own_but_dates():
     assert abs(drives_late(since)) <= 2
 
 
-def test_what_holds_everywhere_is_not_named_in_a_place_again():
+def test_effect_that_holds_everywhere_is_not_selected_within_scope():
     found = looked({"headwind": 0.05, "night_lights": 0.04})
     assert sorted(named(found)) == [("headwind", ()), ("night_lights", ())]
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_of_nothing_nothing_is_named_in_any_place(seed):
+def test_nothing_is_selected_within_scopes_without_planted_effect(seed):
     assert named(looked({}, seed=seed, of_day=0.03, of_ride=0.002)) == []
 
 
-def test_what_holds_everywhere_and_more_in_one_car_is_named_twice():
+def test_fleet_effect_and_local_effect_are_both_selected():
     found = looked({"headwind": 0.04, f"night_lights {CAR}": 0.06})
     assert set(named(found)) == {("headwind", ()), ("night_lights", (CAR,))}
 
@@ -103,18 +103,18 @@ def windows():
 
 
 class TestPlaces:
-    def test_rows_are_where_the_columns_of_a_term_are_one(self, windows):
+    def test_scoped_rows_match_indicator_columns(self, windows):
         for place in list_scopes(windows):
             one = np.prod([Columns(windows.table)[scope] for scope in place.scope], axis=0)
             np.testing.assert_array_equal(place.rows, one == 1.0)
             assert place.car is None or set(windows.vehicle[place.rows]) == {place.car}
 
-    def test_on_either_side_of_a_border_there_are_windows_enough(self, windows):
+    def test_scopes_have_enough_windows_inside_and_outside(self, windows):
         inside = np.array([place.rows.sum() for place in list_scopes(windows)])
         assert inside.min() >= LEAST_WINDOWS
         assert inside.max() <= len(windows.measured) - LEAST_WINDOWS
 
-    def test_there_are_cars_and_dates_and_both_together(self, windows):
+    def test_scopes_include_cars_dates_and_both(self, windows):
         scopes = [place.scope for place in list_scopes(windows)]
         assert len(scopes) == len(set(scopes))
         cars = {scope for scope in scopes if len(scope) == 1 and scope[0].startswith("vehicle=")}

@@ -33,11 +33,11 @@ def parts(windows):
     return rolling, table["effect_inertia_positive"].to_numpy(), table["duration_s"].to_numpy() / 3.6e6
 
 
-def test_the_gain_of_a_meter_is_no_noise(windows):
+def test_measurement_variance_excludes_meter_gain(windows):
     np.testing.assert_allclose(compute_measurement_variance(windows), METER_SD**2, rtol=1e-6)
 
 
-def test_a_state_of_charge_errs_by_its_quantum_and_its_capacity_is_no_noise(windows):
+def test_measurement_variance_of_soc_is_its_resolution_without_capacity_error(windows):
     energy = windows.measured
     found = with_columns(windows, energy_vi_kwh=np.nan, energy_soc_sd_kwh=np.hypot(0.05, 0.15 * energy))
     np.testing.assert_allclose(compute_measurement_variance(found), 0.05**2, rtol=1e-6)
@@ -47,7 +47,7 @@ def test_a_variance_is_never_negative(windows):
     assert (compute_measurement_variance(with_columns(windows, energy_vi_sd_kwh=0.0)) == 0.0).all()
 
 
-def test_the_floor_is_what_a_model_without_any_error_would_have(windows):
+def test_noise_floor_equals_error_of_perfect_model(windows):
     sd = np.random.default_rng(4).uniform(0.001, 0.02, len(windows.measured))
     noisy = with_columns(windows, energy_vi_sd_kwh=np.hypot(sd, 0.01 * windows.measured))
     rng = np.random.default_rng(5)
@@ -56,7 +56,7 @@ def test_the_floor_is_what_a_model_without_any_error_would_have(windows):
 
 
 @pytest.mark.parametrize("share", [(1.0, 0.0, 0.0), (0.0, 0.1, 0.0), (2.0, 0.0, 0.2), (1.0, 0.08, 0.1)])
-def test_a_planted_variance_comes_back(windows, share):
+def test_planted_variance_is_recovered(windows, share):
     rolling, inertia, _ = parts(windows)
     planted = share[0] * METER_SD**2 + (share[1] * rolling) ** 2 + (share[2] * inertia) ** 2
     rng = np.random.default_rng(6)
@@ -84,7 +84,7 @@ def test_residuals_twice_as_large_have_four_times_the_variance(windows):
     )
 
 
-def test_a_few_windows_that_are_far_off_do_not_change_the_usual_variance(windows):
+def test_outliers_do_not_change_usual_variance(windows):
     residual = np.random.default_rng(9).normal(0.0, 0.004, len(windows.measured))
     spoilt = residual.copy()
     spoilt[::400] = 50.0
@@ -92,14 +92,14 @@ def test_a_few_windows_that_are_far_off_do_not_change_the_usual_variance(windows
     assert np.median(ratio) == pytest.approx(1.0, abs=0.1)
 
 
-def test_where_nothing_is_left_the_variance_is_still_one(windows):
+def test_variance_is_positive_for_zero_residual(windows):
     found = estimate_window_variance(windows, np.zeros(len(windows.measured)))
     assert (found > 0.0).all()
     assert np.isfinite(found).all()
 
 
 @given(st.integers(0, 2**32), st.floats(1e-6, 1e6))
-def test_robust_weights_know_no_unit_and_fall_with_what_is_left(seed, scale):
+def test_robust_weights_are_scale_free_and_decrease_with_residual(seed, scale):
     left = np.random.default_rng(seed).standard_t(2.0, 300)
     found = compute_robust_weights(left)
     np.testing.assert_allclose(compute_robust_weights(scale * left), found, rtol=1e-9)
@@ -111,7 +111,7 @@ def test_robust_weights_know_no_unit_and_fall_with_what_is_left(seed, scale):
     np.testing.assert_allclose(np.ptp((found * np.abs(left))[far]) if far.any() else 0.0, 0.0, atol=1e-9)
 
 
-def test_robust_weights_leave_the_most_of_gaussian_errors_alone():
+def test_robust_weights_of_gaussian_errors_are_mostly_one():
     found = compute_robust_weights(np.random.default_rng(10).normal(size=20_000))
     assert 0.99 < np.mean(found == 1.0) < 1.0
     assert compute_robust_weights(np.r_[np.random.default_rng(11).normal(size=500), 300.0])[-1] < 0.02

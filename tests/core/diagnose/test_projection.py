@@ -41,7 +41,7 @@ def untaken(base, columns):
 
 @pytest.mark.parametrize(("cars", "recipe"), [(1, "road_load"), (1, "road_load_constant"), (3, "road_load_constant")])
 @pytest.mark.parametrize("name", ["cold_rolling", "headwind", "night_lights"])
-def test_projecting_off_is_refitting(cars, recipe, name):
+def test_projection_equals_refit(cars, recipe, name):
     """Frisch, Waugh and Lovell: the coefficient beside the model, and what is left, are those of the whole fit."""
     base = project_base(make_tables(make_windows(cars=cars), {name: 0.05}, of_ride=0.003), recipe)
     assert base.ride_correlation != 0.0
@@ -59,7 +59,7 @@ def test_projecting_off_is_refitting(cars, recipe, name):
     np.testing.assert_allclose(base.residual - off * coefficient, energy - whole @ fitted, atol=1e-6)
 
 
-def test_nothing_is_left_that_the_model_can_take_up(base):
+def test_columns_of_model_are_projected_to_zero(base):
     table, model_columns = base.windows.table, ["effect_climbing", "effect_inertia_positive", "effect_inertia_negative"]
     own = table[[*model_columns, "effect_rolling", "effect_aero_drag", "effect_braking", "duration_s"]].to_numpy()
     assert untaken(base, of_cars(base, own)).max() < 1e-9
@@ -72,12 +72,12 @@ def test_nothing_is_left_that_the_model_can_take_up(base):
     assert np.abs(orthogonal / scale).max() < 1e-6
 
 
-def test_an_effect_that_the_model_has_not_is_left(base):
+def test_effect_outside_model_remains(base):
     for name in ("headwind", "cold_rolling", "wet_road", "night_lights"):
         assert untaken(base, candidate(base, name))[0] > 0.1, name
 
 
-def test_with_accessories_by_temperature_any_smooth_function_of_it_is_taken_up():
+def test_accessory_curve_explains_any_smooth_function_of_temperature():
     tables = make_tables(make_windows())
     hours = tables[1]["duration_s"].to_numpy() / 3600.0
     ambient = tables[1]["ambient_c"].to_numpy()
@@ -88,7 +88,7 @@ def test_with_accessories_by_temperature_any_smooth_function_of_it_is_taken_up()
     assert untaken(curved, hours[:, np.newaxis] * np.sin(40.0 * ambient)[:, np.newaxis])[0] > 0.5
 
 
-def test_the_accessories_of_the_models_own_curve_are_taken_up():
+def test_accessory_curve_of_model_is_projected_to_zero():
     found, model = gather_with_model(make_tables(make_windows()))
     fit = next(iter(model.fits.values()))
     base = BaseProjection(found, model)
@@ -96,7 +96,7 @@ def test_the_accessories_of_the_models_own_curve_are_taken_up():
     assert untaken(base, curve[:, np.newaxis])[0] < 1e-9
 
 
-def test_what_is_off_the_model_stays_as_it_is(base):
+def test_projection_is_idempotent_and_linear(base):
     columns = np.random.default_rng(3).normal(size=(len(base.residual), 3))
     once = base.project_out(columns)
     again = base.project_out(np.column_stack([base.convert_to_energy(each) for each in once.T]))
@@ -106,12 +106,12 @@ def test_what_is_off_the_model_stays_as_it_is(base):
     )
 
 
-def test_weighted_energies_are_energies_again(base):
+def test_weighting_is_invertible(base):
     values = np.random.default_rng(4).normal(size=(len(base.residual), 1))
     np.testing.assert_allclose(base.convert_to_energy(base.apply_weights(values)[:, 0]), values[:, 0], atol=1e-9)
 
 
-def test_one_cars_own_columns_leave_what_they_leave_of_all(plain):
+def test_projection_for_car_equals_projection_for_all(plain):
     columns = plain.windows.table[["effect_headwind", "effect_wet_road"]].to_numpy()
     for car, rows in enumerate(plain.cars):
         here = columns * (plain.windows.vehicle == car)[:, np.newaxis]
@@ -119,12 +119,12 @@ def test_one_cars_own_columns_leave_what_they_leave_of_all(plain):
 
 
 @pytest.mark.parametrize("of_ride", [0.0, 0.001, 0.002, 0.004])
-def test_planted_correlation_within_rides_comes_back(of_ride):
+def test_planted_ride_correlation_is_recovered(of_ride):
     base = project_base(make_tables(make_windows(), noise=NOISE, of_ride=of_ride))
     assert base.ride_correlation == pytest.approx(of_ride**2 / (of_ride**2 + NOISE**2), abs=0.05)
 
 
-def test_windows_that_make_up_for_each_other_are_opposed():
+def test_compensating_windows_have_negative_correlation():
     tables = make_tables(make_windows(), noise=0.0)
     ride = pd.factorize(tables[1]["ride_key"])[0]
     size = float(np.bincount(ride)[0])
@@ -153,7 +153,7 @@ def test_weighted_errors_have_a_variance_of_one():
     assert np.mean(base.residual**2) == pytest.approx(1.0, abs=0.1)
 
 
-def test_a_window_that_is_far_off_counts_less():
+def test_outlier_window_has_less_weight():
     tables = make_tables(make_windows(), noise=NOISE)
     before = project_base(tables)
     for name in ("energy_kwh", "energy_vi_kwh"):
@@ -167,7 +167,7 @@ def test_a_window_that_is_far_off_counts_less():
     assert np.median(np.abs(after.residual[others] - before.residual[others])) < 0.1
 
 
-def test_cars_with_few_windows_are_held_to_be_alike():
+def test_cars_with_few_windows_share_coefficients():
     rides, windows = make_tables(make_windows())
     few = ("taxi-2", "taxi-3")
     kept = rides["ride_key"].isin([f"{car}#{n}" for car in few for n in range(3)]) | ~rides["vehicle_id"].isin(few)
@@ -181,7 +181,7 @@ def test_cars_with_few_windows_are_held_to_be_alike():
 
 
 @given(st.integers(0, 2**32), st.integers(1, 6), st.integers(0, 4))
-def test_a_basis_spans_its_columns_and_no_more(seed, own, copies):
+def test_orthonormal_basis_spans_its_columns(seed, own, copies):
     rng = np.random.default_rng(seed)
     columns = rng.normal(size=(40, own)) * 10.0 ** rng.uniform(-6.0, 6.0, own)
     basis = orthonormalise(np.column_stack([columns, columns[:, :1] * np.arange(copies)]))
@@ -191,6 +191,6 @@ def test_a_basis_spans_its_columns_and_no_more(seed, own, copies):
     np.testing.assert_allclose((basis @ (basis.T @ columns)) / size, columns / size, atol=1e-5)
 
 
-def test_columns_of_nothing_have_no_basis():
+def test_zero_columns_have_empty_basis():
     assert orthonormalise(np.zeros((7, 3))).shape == (7, 0)
     assert orthonormalise(np.empty((7, 0))).shape == (7, 0)

@@ -41,7 +41,7 @@ def of_tables(tables, *names, recipe="road_load") -> Ranking:
 
 
 class TestHeldOut:
-    def test_the_gain_is_that_of_coefficients_fitted_to_the_other_folds(self, rng):
+    def test_gain_uses_coefficients_of_other_folds(self, rng):
         clusters = days(23, 7)
         residual, columns = rng.normal(size=161), rng.normal(size=(161, 3))
         sign = np.array([0, 1, -1])
@@ -70,7 +70,7 @@ class TestHeldOut:
         assert np.mean(np.array(gains) > 0.0) < 0.25
         assert np.max(gains) < 0.15
 
-    def test_what_is_there_gains_its_share(self, rng):
+    def test_planted_effect_gains_its_share(self, rng):
         clusters = days(80, 25)
         column = rng.normal(size=(2000, 1))
         residual = 0.5 * column[:, 0] + rng.normal(size=2000)
@@ -78,7 +78,7 @@ class TestHeldOut:
         assert gain == pytest.approx(0.25 / 1.25, abs=3.0 * error)
         assert 0.0 < error < 0.03
 
-    def test_the_sign_that_physics_forbids_counts_nothing(self, rng):
+    def test_forbidden_sign_has_no_gain(self, rng):
         column = rng.normal(size=(600, 1))
         residual = column[:, 0] + 0.1 * rng.normal(size=600)
         right, wrong = (compute_held_out_gains(residual, column, np.array([sign]), days(), 0) for sign in (1, -1))
@@ -86,7 +86,7 @@ class TestHeldOut:
         np.testing.assert_array_equal(right, compute_held_out_gains(residual, column, EITHER, days(), 0))
         assert right.sum() > 0.9
 
-    def test_a_day_alone_tells_nothing_of_itself(self, rng):
+    def test_candidate_on_one_day_has_no_held_out_gain(self, rng):
         clusters = days()
         column = np.where(clusters.code == 3, rng.normal(size=600), 0.0)[:, np.newaxis]
         np.testing.assert_array_equal(compute_held_out_gains(5.0 * column[:, 0], column, EITHER, clusters, 0), 0.0)
@@ -96,13 +96,13 @@ class TestRank:
     @pytest.mark.parametrize(
         "variant", ["cold_rolling@reference=283.15", "wet_road@depth=0.0001", "regen_full_battery@threshold=0.8"]
     )
-    def test_of_an_effect_the_variant_that_was_planted_is_the_best(self, variant):
+    def test_planted_variant_is_best(self, variant):
         found = ranked({variant: 0.08}, variant.split("@")[0], "headwind", of_day=0.0)
         assert found.candidates.variants[found.best[0]] == variant
         assert found.q[0] < LEVEL
         assert found.list_significant() == [found.best[0]]
 
-    def test_what_is_surest_comes_first(self):
+    def test_significant_effects_are_ordered_by_probability(self):
         found = ranked({"headwind": 0.05, "night_lights": 0.05})
         names = [found.candidates.variants[v] for v in found.list_significant()]
         assert {"headwind", "night_lights"} <= set(names)
@@ -110,7 +110,7 @@ class TestRank:
         assert p == sorted(p)
         assert all(found.compute_gain(v)[0] > 0.05 for v in found.list_significant()[:2])
 
-    def test_what_the_model_can_take_up_cannot_be_told_from_it(self):
+    def test_effect_within_model_is_not_identifiable(self):
         found = ranked({}, "standby", "headwind", recipe="road_load_constant")
         assert found.best[0] == -1
         assert np.isnan(found.q[0])
@@ -118,12 +118,12 @@ class TestRank:
         assert found.best[1] >= 0
         assert 0.0 <= found.q[1] <= 1.0
 
-    def test_nothing_is_significant_where_nothing_is_there(self):
+    def test_nothing_is_significant_without_planted_effect(self):
         """At a level of one in a hundred, one of six data sets may pass."""
         tables = [make_tables(make_windows(3, 16, seed=seed), seed=seed, of_day=0.03) for seed in range(6)]
         assert sum(bool(of_tables(each).list_significant()) for each in tables) <= 1
 
-    def test_what_is_named_already_is_projected_off(self):
+    def test_selected_effect_is_projected_off_candidates(self):
         windows, model = gather_with_model(make_tables(make_windows(), {"headwind": 0.05}))
         base, asked = (
             BaseProjection(windows, model),
@@ -139,13 +139,13 @@ class TestRank:
 
 
 class TestSimes:
-    def test_the_level_holds_for_tests_that_are_independent_and_for_one_made_often(self):
+    def test_simes_keeps_level_for_independent_and_repeated_tests(self):
         rng = np.random.default_rng(6)
         assert np.mean([combine_by_simes(rng.random(5)) < 0.05 for _ in range(4000)]) == pytest.approx(0.05, abs=0.012)
         assert combine_by_simes(np.full(7, 0.03)) == pytest.approx(0.03)
 
     @given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=12).map(np.array))
-    def test_it_lies_between_the_best_and_that_times_their_number(self, p):
+    def test_simes_lies_between_least_probability_and_its_bonferroni_bound(self, p):
         assert p.min() <= combine_by_simes(p) <= min(len(p) * p.min(), p.max()) + 1e-15
 
 
@@ -160,7 +160,7 @@ def test_correlation_is_a_cosine(seed, scale):
     assert compute_correlation(one, np.zeros(30)) == 0.0
 
 
-def test_the_error_of_a_total_is_how_much_totals_scatter():
+def test_standard_error_of_sum_matches_scatter():
     rng = np.random.default_rng(9)
     drawn = rng.exponential(size=(3000, 25))
     sums, errors = np.array([sum_over_clusters(each) for each in drawn]).T

@@ -130,7 +130,7 @@ def climate(car: str) -> tuple[float, float]:
 
 
 @BOTH
-def test_the_measured_climate_power_plays_no_part_in_what_is_diagnosed(car):
+def test_diagnosis_does_not_use_measured_climate_power(car):
     blind, seeing = found(car).blind, found(car).seeing
     for one, other in zip(blind, seeing, strict=True):
         assert one["hvac_kwh"].isna().all()
@@ -149,7 +149,7 @@ def test_the_leaf_lacks_cabin_heating_first():
     assert told["missing"][0]["q"] < 0.01
 
 
-def test_the_i3_lacks_heat_of_the_cabin_before_all_else():
+def test_the_i3_lacks_cabin_heat_first():
     """The first name is warming up after parking, in a group that holds heating by temperature, which is the goal.
 
     The heater was measured at 3.9 kW over the first five minutes, 1.5 kW over the next, then 1.2 kW, at 3 to 9 °C
@@ -185,7 +185,7 @@ def test_the_error_of_held_out_rides_falls_on_the_i3():
 
 
 @BOTH
-def test_the_energy_is_that_of_the_measured_climate_power(car):
+def test_energy_of_effect_matches_measured_climate_power(car):
     """Within 25 %, with and without the part that the constant takes."""
     effect, whole = climate(car)
     assert 0.75 < effect < 1.25

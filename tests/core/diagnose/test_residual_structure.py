@@ -52,7 +52,7 @@ def outside(shape: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("shape", ["crowded", "low battery", "gusty"])
-def test_a_planted_shape_outside_the_library_is_noticed(shape):
+def test_planted_shape_outside_library_is_detected(shape):
     found = looked(make_tables(make_windows(), unknown=outside(shape), of_day=0.01))
     assert found.exists
     assert found.q < 0.01
@@ -60,14 +60,14 @@ def test_a_planted_shape_outside_the_library_is_noticed(shape):
     assert words[shape] in found.shape
 
 
-def test_where_nothing_is_left_nothing_remains():
+def test_no_structure_without_unknown_cause():
     """At a level of one in fifty, one of four data sets may pass."""
     found = [looked(make_tables(make_windows(3, 16, seed=seed), seed=seed)) for seed in range(4)]
     assert sum(each.exists for each in found) <= 1
     assert np.median([each.after for each in found]) < 0.005
 
 
-def test_structure_goes_with_the_effect_that_made_it():
+def test_structure_disappears_with_its_effect():
     tables = make_tables(make_windows(), {"headwind": 0.0, "cold_rolling": 0.10}, of_day=0.01)
     before, after = looked(tables), looked(tables, "cold_rolling")
     assert before.exists
@@ -78,13 +78,13 @@ def test_structure_goes_with_the_effect_that_made_it():
     assert after.after < 0.2 * before.before
 
 
-def test_a_wrong_effect_does_not_take_it():
+def test_wrong_effect_does_not_explain_structure():
     found = looked(make_tables(make_windows(), {"cold_rolling": 0.10}, of_day=0.01), "night_lights")
     assert found.exists
     assert found.taken < 0.3
 
 
-def test_trees_predict_what_depends_on_what_is_known_and_nothing_of_noise(rng):
+def test_trees_predict_feature_dependence_but_not_noise(rng):
     windows, _ = gather_with_model(make_tables(make_windows()))
     features, clusters = collect_features(windows), ClusterSums(windows.day)
     assert features.shape == (len(windows.measured), len(FEATURES) + 1)
@@ -99,7 +99,7 @@ def test_trees_predict_what_depends_on_what_is_known_and_nothing_of_noise(rng):
     assert nothing < 0.01
 
 
-def test_the_shape_of_most_gain_is_off_the_model_and_what_is_named(rng):
+def test_strongest_shape_is_off_model_and_selected_effects(rng):
     search = searched(make_tables(make_windows()))
     column = search.base.project_out(outside("crowded")[:, np.newaxis])
     nothing, named = np.empty((len(column), 0)), orthonormalise(column)
@@ -113,7 +113,7 @@ def test_the_shape_of_most_gain_is_off_the_model_and_what_is_named(rng):
     assert shapes.find_strongest(named, noise + 20.0 * named[:, 0] - named[:, 0] * (named[:, 0] @ noise))[2] < 0.02
 
 
-def test_days_that_differ_more_than_chance_has_it_are_noticed():
+def test_excess_variance_between_days_is_detected():
     """Whatever it was that some days had, and nothing that is known of them tells it."""
     even, odd = (searched(make_tables(make_windows(), of_day=of_day)) for of_day in (0.0, 0.10))
     assert compute_day_variance_ratio(even, even.base.residual) < 1.4
@@ -121,7 +121,7 @@ def test_days_that_differ_more_than_chance_has_it_are_noticed():
     assert looked(make_tables(make_windows(), of_day=0.10)).exists
 
 
-def test_shapes_are_for_people_and_as_long_as_each_other():
+def test_drawn_shapes_have_units_and_equal_lengths():
     found = looked(make_tables(make_windows(), unknown=outside("crowded")))
     units = dict(FEATURES)
     assert {"ambient_c", "occupants", "average_speed_kmh"} <= {each["feature"] for each in found.shapes}
@@ -156,7 +156,7 @@ def remaining(**changes) -> ResidualStructure:
         (True, {"explained": 0.5, "better": {"cold_rolling": "rolling * occupants"}}),
     ],
 )
-def test_structure_remains_where_much_is_left_beyond_chance_or_a_name_is_in_doubt(there, changes):
+def test_structure_exists_if_any_sign_is_significant(there, changes):
     found = remaining(**changes)
     assert found.exists is there
     assert 0.0 <= found.taken <= 1.0

@@ -51,7 +51,7 @@ def adding(here: Path, effect: str, *more: object) -> tuple[object, ...]:
     return "add", effect, "--model", here / "base.json", "--data", here / "tables", "-o", here / "m2.json", *more
 
 
-def test_an_effect_is_diagnosed_and_added_as_the_diagnosis_says(here, capsys):
+def test_command_of_diagnosis_adds_effect(here, capsys):
     done(
         "diagnose", here / "tables", "--model", here / "base.json", "--json", here / "d.json", "--html", here / "d.html"
     )
@@ -120,7 +120,7 @@ def test_output_may_not_be_the_input_model(here, capsys):
     assert base.read_bytes() == before
 
 
-def test_a_scope_is_a_term_of_its_own(here):
+def test_scoped_effect_is_a_separate_term(here):
     done(*adding(here, "cold_rolling", "--scope", "vehicle=taxi-2", "--force"))
     assert models.load(here / "m2.json").terms[-1].columns == ("effect_cold_rolling", "vehicle=taxi-2")
 
@@ -136,7 +136,7 @@ def test_a_scope_is_a_term_of_its_own(here):
         ("wet_road", ("--scope", "vehicle=taxi-7"), "rides are of taxi-0, taxi-1, taxi-2, taxi-3"),
     ],
 )
-def test_what_cannot_be_added_is_one_line(effect, more, said, here, capsys):
+def test_errors_of_add_are_one_line(effect, more, said, here, capsys):
     assert said in refused(capsys, *adding(here, effect, *more))
 
 
@@ -163,7 +163,7 @@ def changed(here: Path, name: str, change) -> Path:
     ],
 )
 @pytest.mark.parametrize("command", ["diagnose", "add"])
-def test_tables_that_cannot_be_diagnosed_are_one_line(command, name, change, said, here, capsys):
+def test_errors_in_tables_are_one_line(command, name, change, said, here, capsys):
     tables = changed(here, name, change)
     if command == "diagnose":
         told = refused(capsys, "diagnose", tables, "--model", here / "base.json")
@@ -174,7 +174,7 @@ def test_tables_that_cannot_be_diagnosed_are_one_line(command, name, change, sai
     assert said in told
 
 
-def test_what_is_no_input_is_one_line(here, capsys):
+def test_errors_in_inputs_are_one_line(here, capsys):
     base = here / "base.json"
     lone = here / "lone"
     lone.mkdir()
@@ -203,7 +203,7 @@ def test_what_is_no_input_is_one_line(here, capsys):
     ],
 )
 @pytest.mark.parametrize("command", ["diagnose", "add"])
-def test_a_damaged_effect_file_is_one_line(command, text, said, here, capsys):
+def test_errors_in_effect_files_are_one_line(command, text, said, here, capsys):
     file = here / "mine.py"
     file.write_text(text)
     given = {
@@ -230,7 +230,7 @@ def cold(variant: str = "cold_rolling") -> dict[str, object]:
     return make_diagnosis(missing=[make_missing_effect(variant=variant, columns=[f"effect_{variant}"])])
 
 
-def test_the_loop_adds_until_nothing_is_missing(made_up, here, capsys):
+def test_loop_adds_effects_until_none_is_missing(made_up, here, capsys):
     made_up += [cold(), make_empty_diagnosis()]
     done(
         "diagnose",
@@ -253,7 +253,7 @@ def test_the_loop_adds_until_nothing_is_missing(made_up, here, capsys):
     assert models.load(here / "base.json").history[-1]["action"] == "fit"
 
 
-def test_the_loop_ends_where_an_effect_does_not_help(made_up, here, capsys):
+def test_loop_ends_at_refused_effect(made_up, here, capsys):
     made_up += [make_diagnosis(missing=[make_missing_effect(variant="headwind", columns=["effect_headwind"])])]
     done("diagnose", here / "tables", "--model", here / "base.json", "--auto", "-o", here / "m2.json")
     assert "The loop ends here" in capsys.readouterr().out
@@ -262,7 +262,7 @@ def test_the_loop_ends_where_an_effect_does_not_help(made_up, here, capsys):
     assert model.terms == models.load(here / "base.json").terms
 
 
-def test_the_loop_keeps_what_it_has_where_an_effect_cannot_be_added(made_up, here, capsys):
+def test_loop_keeps_model_if_effect_cannot_be_added(made_up, here, capsys):
     made_up += [
         cold(),
         make_diagnosis(
@@ -274,7 +274,7 @@ def test_the_loop_keeps_what_it_has_where_an_effect_cannot_be_added(made_up, her
     assert models.load(here / "m2.json").terms[-1].name == "cold_rolling"
 
 
-def test_days_set_apart_are_not_looked_at_again(here, capsys, monkeypatch):
+def test_diagnosis_does_not_use_final_hold_out_days(here, capsys, monkeypatch):
     done(*adding(here, "cold_rolling"))
     apart = models.load(here / "m2.json").history[-1]["final"]["dates"]
     seen = []
@@ -293,7 +293,7 @@ def test_days_set_apart_are_not_looked_at_again(here, capsys, monkeypatch):
     assert set(apart) <= set(seen[1][0]["date"])
 
 
-def test_a_suggestion_is_written_where_it_is_wanted(made_up, here, capsys):
+def test_suggestion_is_written_to_given_file(made_up, here, capsys):
     made_up += [make_diagnosis(), make_empty_diagnosis()]
     done("diagnose", here / "tables", "--model", here / "base.json", "--suggest", here / "mine.py")
     assert (here / "mine.py").read_text() == make_diagnosis()["suggestion_file"]

@@ -59,7 +59,7 @@ def printed(what, given) -> str:
     return console.file.getvalue()
 
 
-def test_every_attempt_is_told_in_order(model):
+def test_history_shows_every_attempt_in_order(model):
     told = printed(history.show, model)
     parts = [
         "recipe road_load",
@@ -86,7 +86,7 @@ def test_every_attempt_is_told_in_order(model):
     assert "measurement noise alone 0.2 kWh" in said
 
 
-def test_a_model_that_was_only_fitted_has_a_history_too(model):
+def test_history_of_fitted_model_has_no_attempts(model):
     bare = msgspec.structs.replace(model, history=model.history[:1])
     assert "No effect has been tried." in printed(history.show, bare)
     assert "No effect has been tried." in printed(history.show, BASIC_PHYSICAL)
@@ -94,7 +94,7 @@ def test_a_model_that_was_only_fitted_has_a_history_too(model):
     assert "No effect was added, 1 refused; error 0.31 kWh" in " ".join(printed(history.show, refusals).split())
 
 
-def test_the_figure_goes_down_by_steps_and_shows_what_was_refused(model):
+def test_history_figure_shows_steps_and_refused_effects(model):
     [one] = history.draw_errors(model)
     kept, crosses, apart, noise = one.figure.data
     assert kept.y == (0.42, 0.31, 0.31, 0.29)
@@ -120,7 +120,7 @@ def test_the_command_prints_and_writes(path, capsys):
     assert "it may be chance" in " ".join(reader.text)
 
 
-def test_a_history_that_lacks_figures_breaks_nothing(model, tmp_path):
+def test_incomplete_history_is_tolerated(model, tmp_path):
     entry = attempt("snow", "add", 0.3, 0.2)
     for key in entry:
         for changed in ({**entry, key: None}, {k: v for k, v in entry.items() if k != key}):
@@ -129,12 +129,12 @@ def test_a_history_that_lacks_figures_breaks_nothing(model, tmp_path):
             history.write(odd, tmp_path / "page.html")
 
 
-def test_what_has_no_history_is_one_line(path, capsys):
+def test_errors_of_history_are_one_line(path, capsys):
     assert "cannot read a model" in refused(capsys, "history", path.with_name("no.json"))
     assert "is read and would be overwritten" in refused(capsys, "history", path, "--html", path)
 
 
-def test_a_trial_is_told_before_and_after(model):
+def test_trial_shows_errors_before_and_after(model):
     told = " ".join(printed(history.print_trial, {**model.history[1], "warnings": ["it is too large"], "conditions": {
         "distance": [{"where": "below 2 km", **model.history[1]["of_effect"]}]}}).split())  # fmt: skip
     for part in ("held-out days, effect refitted", "final hold-out days", "By distance", "below 2 km", "−26.2 %",

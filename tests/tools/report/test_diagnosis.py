@@ -36,7 +36,7 @@ def page(result, tmp_path, **more):
     return read_page((tmp_path / "page.html").read_text())
 
 
-def test_the_terminal_tells_a_story_in_its_order():
+def test_terminal_shows_all_parts_in_order():
     told = printed(make_diagnosis())
     parts = [
         "634 rides of 5 vehicles on 10 vehicle-days, 2018-01-15 to 2018-09-13, in 7,428 windows.",
@@ -63,7 +63,7 @@ def test_the_terminal_tells_a_story_in_its_order():
     assert places == sorted(places)
 
 
-def test_where_nothing_is_missing_it_says_so():
+def test_diagnosis_without_missing_effect_states_it():
     told = printed(make_empty_diagnosis())
     assert "No effect of the library is missing beyond chance." in told
     assert "No group of rides differs from the others" in told
@@ -71,7 +71,7 @@ def test_where_nothing_is_missing_it_says_so():
     assert "Write an effect of your own" in printed(make_empty_diagnosis() | {"structure_remains": True})
 
 
-def test_what_remains_is_noise_only_where_it_is():
+def test_remaining_error_is_called_noise_only_at_noise_floor():
     noise = make_diagnosis(
         structure_remains=False, steps=[{"effect": None, "mae_kwh": 0.038, "noise_floor_kwh": 0.037}]
     )
@@ -84,7 +84,7 @@ def test_what_remains_is_noise_only_where_it_is():
     )
 
 
-def test_the_command_to_run_next_can_be_copied(tmp_path):
+def test_next_command_can_be_copied(tmp_path):
     result = make_diagnosis()
     insert_commands(result, "models/base.json", [Path("tables one"), Path("b")], [Path("my.py")])
     command = result["missing"][0]["command"]
@@ -101,7 +101,7 @@ def test_the_command_to_run_next_can_be_copied(tmp_path):
 
 
 @pytest.mark.parametrize("result", [make_diagnosis(), make_empty_diagnosis()], ids=["some", "none"])
-def test_the_page_is_whole_and_loads_nothing(result, tmp_path):
+def test_page_is_self_contained(result, tmp_path):
     reader = page(result, tmp_path)
     assert not reader.loaded
     assert len(reader.ids) == len(set(reader.ids))
@@ -118,7 +118,7 @@ def test_the_page_has_every_figure_and_table(tmp_path):
 
 
 @pytest.mark.parametrize("make", [draw_errors, draw_slices, draw_effects, draw_remainder])
-def test_figures_have_axes_with_units_and_are_told_in_black_and_white(make):
+def test_figures_have_units_and_work_in_black_and_white(make):
     for one in make(make_diagnosis()):
         assert "[" in one.figure.layout.xaxis.title.text
         assert one.caption
@@ -152,7 +152,7 @@ def keys(value, path=()):
 
 
 @pytest.mark.parametrize("path", list(keys(make_diagnosis())), ids=lambda path: ".".join(map(str, path)))
-def test_a_figure_that_is_not_known_breaks_nothing(path, tmp_path):
+def test_missing_result_values_are_tolerated(path, tmp_path):
     result = copy.deepcopy(make_diagnosis())
     part = result
     for key in path[:-1]:
@@ -164,7 +164,7 @@ def test_a_figure_that_is_not_known_breaks_nothing(path, tmp_path):
     printed(result)
 
 
-def test_odd_names_are_shown_as_they_are(tmp_path):
+def test_odd_names_are_escaped(tmp_path):
     result = make_diagnosis(
         missing=[make_missing_effect(effect=ODD, variant=ODD, words=ODD, scope=f"vehicle {ODD}", group=[ODD, ODD])]
     )

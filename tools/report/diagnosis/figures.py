@@ -147,7 +147,7 @@ def _shape(place: int, part: Mapping[str, Any]) -> Illustration:
     made.update_layout(showlegend=False)
     made.update_xaxes(title_text=escape_label(title if feature == "start_s" else f"{title} [{unit}]"))
     made.update_yaxes(title_text="Measured less predicted [Wh]", zeroline=True)
-    caption = "Mean remaining error of a window, for each twelfth of the windows. Scatter between neighbouring points is chance."
+    caption = "Mean remaining error of a window, for each twelfth of the windows. Scatter between points is chance."
     return Illustration(f"shape-{place}", f"Remaining error by {title}", caption, made, small=True)
 
 

@@ -55,9 +55,7 @@ def show(result: Any, console: Console, *, suggested: str | None = None) -> None
     else:
         print_heading("Where the model fails", console)
         print_lines(
-            [
-                "No group of rides differs from the others: the error is the same everywhere, or there are too few rides."
-            ],
+            ["No group of rides differs from the others: the error is the same everywhere, or the rides are too few."],
             console,
         )
     _print_missing_effects(values, console)

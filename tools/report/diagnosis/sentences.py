@@ -190,7 +190,7 @@ def describe_signs(structure: Mapping[str, Any]) -> list[str]:
     share = (
         ""
         if taken is None
-        else f"; the missing effects explain {format_percent(taken, 0)} of the predictable part, and {least} is required"
+        else f"; the missing effects explain {format_percent(taken, 0)} of the predictable part, less than {least}"
     )
     after, gain, days = (get_number(structure.get(key)) for key in ("after", "gain", "days"))
     texts = {

@@ -52,7 +52,7 @@ def added(cold, model) -> AdditionTrial:
     return tried(cold, model, "cold_rolling")
 
 
-def test_a_planted_effect_is_recovered_and_so_is_the_base_around_it(added):
+def test_planted_effect_and_other_coefficients_are_recovered(added):
     trial = added.trial
     assert trial["accepted"]
     low, high = trial["coefficient"]["ci95"]
@@ -67,7 +67,7 @@ def test_a_planted_effect_is_recovered_and_so_is_the_base_around_it(added):
             assert value == pytest.approx(truth, rel=0.12)
 
 
-def test_the_error_falls_on_days_on_vehicles_and_on_the_days_set_apart(added):
+def test_error_falls_on_held_out_days_vehicles_and_final_days(added):
     trial = added.trial
     for judged in ("of_effect", "on_days", "on_vehicles", "final"):
         one = trial[judged]
@@ -81,7 +81,7 @@ def test_the_error_falls_on_days_on_vehicles_and_on_the_days_set_apart(added):
     assert {one["where"] for one in trial["conditions"]["vehicle"]} == {f"taxi-{i}" for i in range(4)}
 
 
-def test_whether_it_helps_does_not_depend_on_the_days_set_apart(cold, model, added):
+def test_decision_does_not_depend_on_final_hold_out(cold, model, added):
     rides, windows = cold
     apart = added.trial["final"]["dates"]
     assert len(apart) == 4
@@ -95,7 +95,7 @@ def test_whether_it_helps_does_not_depend_on_the_days_set_apart(cold, model, add
         assert trial[key] == added.trial[key], key
 
 
-def test_the_history_is_plain_json_that_a_model_file_keeps(model, added, tmp_path):
+def test_history_is_plain_json_and_survives_model_file(model, added, tmp_path):
     path = tmp_path / "model.json"
     models.save(added.model, path)
     again = models.load(path)
@@ -111,7 +111,7 @@ def test_the_history_is_plain_json_that_a_model_file_keeps(model, added, tmp_pat
     assert again.name == model.name
 
 
-def test_a_decoy_is_refused_and_the_attempt_is_kept(cold, added):
+def test_decoy_is_refused_and_attempt_is_logged(cold, added):
     found = tried(cold, added.model, "headwind")
     assert not found.trial["accepted"]
     assert "chance" in found.trial["reason"]
@@ -126,7 +126,7 @@ def test_a_decoy_is_refused_and_the_attempt_is_kept(cold, added):
     assert taken.terms[-1].name == "headwind"
 
 
-def test_a_second_effect_leaves_the_first_where_it_was(cold, added):
+def test_second_effect_does_not_change_first(cold, added):
     found = tried(cold, added.model, "headwind").trial
     assert found["mae_before_kwh"] == pytest.approx(added.trial["mae_after_kwh"], rel=0.05)
     assert found["final"]["dates"] == added.trial["final"]["dates"]
@@ -154,7 +154,7 @@ def test_an_effect_of_one_vehicle_or_from_a_date_on_is_recovered_within_its_scop
     assert found.model.predict(rides).tolist() == without.tolist()
 
 
-def test_an_effect_that_is_at_work_on_days_set_apart_alone_sets_none_apart():
+def test_no_final_hold_out_if_effect_acts_only_on_its_days():
     tables = planted(rides=4)
     apart = select_final_days((), list(tables[0]["date"]))
     rides, windows = (
@@ -166,7 +166,7 @@ def test_an_effect_that_is_at_work_on_days_set_apart_alone_sets_none_apart():
     assert found["of_effect"]["rides"] == found["rides"]
 
 
-def test_vehicle_models_that_differ_get_coefficients_of_their_own():
+def test_differing_vehicle_models_get_own_coefficients():
     ids = {("effect_cold_rolling", f"vehicle=taxi-{i}"): (0.5e-4 if i % 2 else 2.5e-4) for i in range(4)}
     tables = planted(ids)
     found = tried(tables, base_model(tables[0]), "cold_rolling")
@@ -178,7 +178,7 @@ def test_vehicle_models_that_differ_get_coefficients_of_their_own():
     assert own[KINDS[1]] < found.model.fits[ANY].coefficients[-1] < own[KINDS[0]]
 
 
-def test_an_implausible_coefficient_is_told_of():
+def test_implausible_coefficient_gives_warning():
     tables = planted({"effect_cold_rolling": 8e-4})
     found = tried(tables, base_model(tables[0]), "cold_rolling")
     assert found.trial["accepted"]
@@ -186,7 +186,7 @@ def test_an_implausible_coefficient_is_told_of():
     assert "outside its plausible range, 2e-05 to 0.0003 1/K: it is too large" in found.trial["warnings"][0]
 
 
-def test_an_effect_of_the_wrong_sign_is_refused_and_told_of():
+def test_effect_of_wrong_sign_is_refused_with_warning():
     tables = planted({"effect_cold_rolling": -2e-4})
     found = tried(tables, base_model(tables[0]), "cold_rolling")
     assert not found.trial["accepted"]
@@ -214,7 +214,7 @@ def test_an_effect_of_the_wrong_sign_is_refused_and_told_of():
         ("cold_rolling@reference=283.150", (), EffectError, "is known as 'cold_rolling@reference=283.15'"),
     ],
 )
-def test_what_cannot_be_added_is_told_with_its_remedy(effect, scopes, error, said, cold, model):
+def test_errors_of_add_effect_name_cause_and_remedy(effect, scopes, error, said, cold, model):
     with pytest.raises(error, match=said.replace("(", r"\(")):
         tried(cold, model, effect, *scopes)
 
@@ -234,7 +234,7 @@ def test_a_model_that_is_more_than_terms_is_refused(cold, model):
         )
 
 
-def test_one_vehicle_on_one_day_cannot_be_judged():
+def test_one_vehicle_on_one_day_is_refused():
     tables = planted({"effect_wet_road": 1e-3}, vehicles=1, days=1, rides=40)
     tables = tuple(t.assign(effect_wet_road=t["effect_rolling"] * (np.arange(len(t)) % 2)) for t in tables)
     with pytest.raises(ModelError, match="of one vehicle on one day"):
@@ -280,7 +280,7 @@ def test_folds_hold_each_ride_out_once_and_whole_days_where_there_are_many():
         assert not out & set(found.table["vehicle_id"][~fold])
 
 
-def test_the_difference_is_paired_and_its_interval_is_of_vehicle_days():
+def test_interval_of_paired_difference_is_clustered_by_vehicle_day():
     rng = np.random.default_rng(4)
     held = []
     for _ in range(120):
@@ -304,14 +304,14 @@ def test_rides_that_are_not_predicted_are_left_out_of_the_comparison():
     assert np.isnan(nothing["change_kwh"]["value"])
 
 
-def test_the_noise_floor_is_the_error_of_a_model_that_is_right():
+def test_noise_floor_is_error_of_correct_model():
     rng = np.random.default_rng(5)
     sd = rng.uniform(0.01, 0.1, 20_000)
     assert compute_noise_floor(sd) == pytest.approx(np.abs(rng.normal(0.0, sd)).mean(), rel=0.02)
     assert np.isnan(compute_noise_floor(np.array([np.nan])))
 
 
-def test_days_that_were_set_apart_stay_so_and_new_days_are_set_apart_anew():
+def test_final_days_of_history_are_kept_and_chosen_again_for_new_dates():
     dates = [f"2018-01-{day:02d}" for day in range(1, 21)]
     assert select_final_days((), dates * 3) == ("2018-01-03", "2018-01-08", "2018-01-13", "2018-01-18")
     assert select_final_days((), dates[1:]) == ()
@@ -333,7 +333,7 @@ def test_a_model_file_with_a_damaged_scope_is_refused_in_one_line(scope, added, 
     assert "\n" not in str(told.value)
 
 
-def test_scopes_are_said_as_people_do():
+def test_scopes_are_described_in_words():
     assert describe_scope(("effect_snow", "vehicle=a=b")) == "vehicle a=b"
 
 

@@ -133,7 +133,7 @@ PLANTED = {
 
 
 @pytest.mark.parametrize("carrier", PLANTED)
-def test_a_planted_term_outside_the_library_is_recovered(driving, carrier):
+def test_planted_term_outside_library_is_recovered(driving, carrier):
     rows, windows = driving
     variables, power = PLANTED[carrier]
     true = power(rows)
@@ -161,7 +161,7 @@ def test_the_interval_of_the_coefficient_covers_where_the_term_is_right(driving)
     assert covered >= 6
 
 
-def test_nothing_comes_of_nothing():
+def test_noise_gives_no_suggestion():
     rows = signals(900, seed=2)
     windows = table(rows)
     silence = np.zeros(len(windows))
@@ -184,7 +184,7 @@ def test_a_gain_that_is_too_small_is_not_suggested(driving):
     assert suggest_term(windows, residual, weight, rows["day"], base, least_gain=2.0 * found.gain) is None
 
 
-def test_unknown_values_few_clusters_and_row_order(driving):
+def test_suggestion_handles_unknown_values_few_clusters_and_row_order(driving):
     rows, windows = driving
     holed = windows.assign(occupants=np.nan, battery_temperature_c=np.nan)
     holed.loc[::9, ["parked_s", "precipitation_mm_h", "wind_speed_kmh"]] = np.nan
@@ -227,7 +227,7 @@ def checked(term, path):
     return found
 
 
-def test_every_file_passes_the_check_and_means_its_column(tmp_path):
+def test_every_source_file_passes_check_and_matches_its_column(tmp_path):
     rows = signals(300)
     windows = table(rows)
     rows["tyre_load"] = ROLLING * np.sqrt(1.0 - rows["grade"] ** 2)
@@ -243,7 +243,7 @@ def test_every_file_passes_the_check_and_means_its_column(tmp_path):
         )
 
 
-def test_a_file_is_loaded_as_a_user_does(driving, tmp_path, monkeypatch):
+def test_source_file_loads_as_effect(driving, tmp_path, monkeypatch):
     monkeypatch.setattr(registry, "_library", dict(registry._library))
     monkeypatch.setattr(registry, "_brought_by", {})
     rows, windows = driving
@@ -256,7 +256,7 @@ def test_a_file_is_loaded_as_a_user_does(driving, tmp_path, monkeypatch):
     assert {each.name for each in effect.variants}  # the limit is profiled on tables
 
 
-def test_formulas_and_units_are_as_people_write_them():
+def test_formulas_and_units_are_readable():
     (hinge,) = (
         each
         for each in list_modulators(VARIABLE["ambient"], np.array([270.0, 283.0, 283.0, 290.0]))

@@ -44,7 +44,7 @@ def fleet(count, vehicles=6, days=20, seed=0):
     return rides, rng.normal(0.0, 0.1, count) + own, car * days + day
 
 
-def test_without_structure_hardly_ever_a_slice_is_confirmed():
+def test_slices_without_structure_keep_false_discovery_rate():
     rides, error, day = fleet(240, vehicles=5, days=12)
     error = error + 0.3 * (rides["ambient_c"] < 0.0).to_numpy()
     order = np.argsort(day, kind="stable")
@@ -57,7 +57,7 @@ def test_without_structure_hardly_ever_a_slice_is_confirmed():
     assert false <= 11  # 5 are allowed on average, and more than 11 of 100 have a chance of 0.4 %
 
 
-def test_a_bias_below_a_temperature_in_one_vehicle_is_found_and_its_interval_covers():
+def test_planted_bias_of_one_cold_vehicle_is_found_with_covering_interval():
     covered, named, runs = 0, 0, 8
     for seed in range(runs):
         rides, error, _ = fleet(2000, vehicles=4, days=100, seed=seed)
@@ -84,14 +84,14 @@ def test_a_bias_below_a_temperature_in_one_vehicle_is_found_and_its_interval_cov
         ("soc_start_pct", 80.0, "battery above 80 % at the start"),
     ],
 )
-def test_plain_slices_are_named_with_round_thresholds(column, limit, words):
+def test_single_condition_slices_have_round_thresholds(column, limit, words):
     rides, error, _ = fleet(800)
     found = find_slices(rides, error - 0.1 * (rides[column] >= limit).to_numpy())
     assert found[0]["where"] == words
     assert found[0]["bias_kwh"] == pytest.approx(-0.1, abs=0.03)
 
 
-def test_two_separate_faults_are_both_named_and_no_slice_twice():
+def test_two_separate_faults_are_both_found_without_duplicates():
     rides, error, _ = fleet(2000)
     wet = (rides["precipitation_mm_h"] >= 0.5).to_numpy()
     error = error + 0.15 * (rides["vehicle_id"] == "taxi-001").to_numpy() - 0.15 * wet
@@ -100,14 +100,14 @@ def test_two_separate_faults_are_both_named_and_no_slice_twice():
     assert len(find_slices(rides, error, most=1)) == 1
 
 
-def test_a_fault_from_a_date_on_is_named_by_its_date():
+def test_fault_since_date_is_described_by_its_date():
     rides, error, _ = fleet(800)
     date = sorted(set(rides["date"]))[11]
     found = find_slices(rides, error + 0.1 * (rides["date"] >= date).to_numpy())
     assert found[0]["where"] in {f"since {date}", f"before {date}"}
 
 
-def test_the_order_of_the_rows_does_not_matter_and_the_seed_does_what_it_says():
+def test_slices_depend_on_seed_but_not_on_row_order():
     rides, error, _ = fleet(600)
     error = error + 0.15 * (rides["ambient_c"] < 0.0).to_numpy()
     order = np.random.default_rng(1).permutation(len(rides))
@@ -116,7 +116,7 @@ def test_the_order_of_the_rows_does_not_matter_and_the_seed_does_what_it_says():
     assert find_slices(rides, error, seed=1) == find_slices(rides, error, seed=1) != find_slices(rides, error, seed=2)
 
 
-def test_unknown_values_survive():
+def test_slices_are_found_despite_unknown_values():
     rides, error, _ = fleet(800)
     cold = (rides["ambient_c"] < 0.0).to_numpy()
     error = error + 0.2 * cold
@@ -130,14 +130,14 @@ def test_unknown_values_survive():
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 10, 30])
-def test_of_few_rides_nothing_is_said(count):
+def test_too_few_rides_give_no_slice(count):
     rides, error, _ = fleet(40)
     assert find_slices(rides.iloc[:count], error[:count]) == []
     assert find_slices(rides, np.full(40, np.nan)) == []
     assert find_slices(rides, np.zeros(40)) == []
 
 
-def test_a_difference_is_found_with_its_standard_error():
+def test_contrast_standard_error_matches_simulation():
     rng = np.random.default_rng(3)
     days, rides = 40, 6
     starts = np.arange(0, days * rides, rides)
@@ -156,7 +156,7 @@ def test_a_difference_is_found_with_its_standard_error():
         assert np.mean(np.abs(scores) > 1.96) == pytest.approx(0.05, abs=0.035)
 
 
-def test_a_slice_of_one_day_is_not_judged():
+def test_slice_of_one_day_has_zero_score():
     inside = np.zeros((2, 60), dtype=bool)
     inside[0, :10] = True
     told = compute_contrast(inside, np.random.default_rng(0).normal(size=60), np.arange(0, 60, 10))
@@ -166,7 +166,7 @@ def test_a_slice_of_one_day_is_not_judged():
 
 @given(st.integers(0, 1000), st.integers(1, 3), st.floats(0.1, 3.0))
 @settings(max_examples=25, deadline=None)
-def test_thresholds_are_round_and_part_the_rides(seed, power, size):
+def test_thresholds_are_round_and_divide_rides(seed, power, size):
     values = size * np.random.default_rng(seed).normal(5.0, 10.0, 200) ** power
     for scale in CONDITION_SCALES:
         found = choose_thresholds(values, scale)
@@ -176,7 +176,7 @@ def test_thresholds_are_round_and_part_the_rides(seed, power, size):
             assert not scale.steps or any(abs(at / step - round(at / step)) < 1e-9 for step in scale.steps)
 
 
-def test_conditions_hold_for_what_they_say():
+def test_conditions_match_their_words():
     rides, _, _ = fleet(300)
     known, masks = list_conditions(rides)
     said = {condition.words: mask for condition, mask in zip(known, masks, strict=True)}
@@ -189,7 +189,7 @@ def test_conditions_hold_for_what_they_say():
     assert np.array_equal(said["between 6 and 9 h"], (hour >= 6.0) & (hour < 9.0))
 
 
-def test_names_without_letters_are_said_with_what_they_are():
+def test_names_without_letters_get_a_title():
     rides, _, _ = fleet(100)
     known, _ = list_conditions(rides.assign(driver_id=np.arange(100) % 3))
     assert {"driver 0", "driver 1", "driver 2"} <= {condition.words for condition in known}
