@@ -1,4 +1,4 @@
-"""A sink behind a thread: who puts never waits, and of each key the newest message is handed on."""
+"""A sink behind a thread: `put` never waits, and only the newest message of each key is passed on."""
 
 from collections.abc import Sequence
 from threading import Condition, Thread
@@ -8,12 +8,11 @@ from stream.source import Sink
 
 
 class LatestOnlySink:
-    """Hands messages to a sink from a thread of its own.
+    """Pass messages to a sink from a thread of its own, the newest of each key.
 
-    The loop that listens must not wait for those that it speaks to: a listener that has stalled would hold up every
-    car, and a Zenoh session that declares a publisher waits for the samples that it is delivering, which wait for the
-    loop to take them. What cannot be handed on at once is replaced when there is something newer of its key, so that
-    memory is bounded by the number of keys.
+    The loop must not wait for its listeners: a stalled listener would hold up every car. A Zenoh session that declares a
+    publisher also waits for the samples that it is delivering, and these wait for the loop to take them. A message that
+    cannot be passed on at once is replaced by the next one of its key, so the number of keys bounds the memory.
 
     Parameters
     ----------
@@ -27,48 +26,48 @@ class LatestOnlySink:
         self._changed = Condition()
         self._closing = False
         self._failure: Exception | None = None
-        self._told = False
-        self._thread = Thread(target=self._work, name="outbox", daemon=True)
+        self._raised = False
+        self._thread = Thread(target=self._work, name="latest-only-sink", daemon=True)
         self._thread.start()
 
     def put(self, messages: Sequence[Message]) -> None:
-        """Leave messages to be handed on.
+        """Leave messages to be passed on.
 
         Raises
         ------
         Exception
             Whatever stopped the sink.
         """
-        self._tell()
+        self._raise_failure()
         if messages:
             with self._changed:
                 self._newest.update((message.key, message) for message in messages)
                 self._changed.notify()
 
     def close(self) -> None:
-        """Wait until all has been handed on, and close the sink.
+        """Wait until all messages have been passed on, and close the sink.
 
         Raises
         ------
         Exception
-            Whatever stopped the sink, if nobody was told.
+            Whatever stopped the sink, unless `put` has raised it.
         """
         with self._changed:
             self._closing = True
             self._changed.notify()
         self._thread.join()
         self._sink.close()
-        if not self._told:
-            self._tell()
+        if not self._raised:
+            self._raise_failure()
 
-    def _tell(self) -> None:
+    def _raise_failure(self) -> None:
         """Raise what stopped the sink."""
         if self._failure is not None:
-            self._told = True
+            self._raised = True
             raise self._failure
 
     def _work(self) -> None:
-        """Hand on what there is, until closed."""
+        """Pass on what has come, until closed."""
         while True:
             with self._changed:
                 while not (self._newest or self._closing):
@@ -78,6 +77,6 @@ class LatestOnlySink:
                 return
             try:
                 self._sink.put(list(taken.values()))
-            except Exception as failure:  # noqa: BLE001 - told to whoever puts next
+            except Exception as failure:  # noqa: BLE001 - raised by the next put
                 self._failure = failure
                 return

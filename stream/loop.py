@@ -1,4 +1,4 @@
-"""The one loop: live and replay differ in their source, and in nothing else."""
+"""The loop that live and replay share; they differ only in their source."""
 
 import gc
 import logging
@@ -35,7 +35,7 @@ class Forecaster(Protocol):
         """Return the forecasts that have become due since the last call, or of each vehicle the newest."""
 
     def model_errors(self, *, newest_only: bool = False) -> list[Message]:
-        """Return how several models fare, of each after each ride since the last call, or the newest."""
+        """Return the errors of several models after each ride since the last call, or the newest of each."""
 
     def finish(self) -> list[Message]:
         """Close open rides, return the last forecasts."""
@@ -46,16 +46,16 @@ class Forecaster(Protocol):
 
 @dataclass
 class Tally:
-    """What went through the loop.
+    """Count what went through the loop.
 
     Parameters
     ----------
     received, forecasts, model_errors : int
-        Messages in and out, the last of how models fare.
+        Messages received, forecasts sent, and messages on the errors of models sent.
     missed : int
-        Messages that were sent and could not be had, as far as the transport can tell.
+        Messages that were sent and not received, as far as the transport can tell.
     seconds : float
-        From the first look at the source to its end. [s]
+        Time from the first look at the source to its end. [s]
     """
 
     received: int = 0
@@ -76,23 +76,23 @@ def run(
     report_s: float = REPORT_S,
     clock: Callable[[], float] = time.monotonic,
 ) -> Tally:
-    """Push every message through the pipeline, and hand on what it has to say, until the source ends.
+    """Push every message through the pipeline and pass its forecasts to the sinks, until the source ends.
 
-    Whatever happens, the recorder and the sinks are closed, the recorder first. A recording is written before the
-    messages are looked into, so that what breaks the pipeline is on disk.
+    The recorder and then the sinks are closed in every case. Messages are recorded before they are decoded, so a message
+    that breaks the pipeline is on disk.
 
     Parameters
     ----------
     source : Source
-        Ends by itself, or when what it was made with tells it to stop. Where it has a count `missed`, it is reported.
+        Ends by itself or at its stop event. Its count `missed`, if it has one, is reported.
     pipeline : Forecaster
     sinks : sequence of Sink
-        Take the forecasts, and how models fare; closed at the end.
+        Take the forecasts and the errors of models; closed at the end.
     recorder : Recorder, optional
-        Takes what was received.
+        Takes the messages received.
     publish_s : float
-        Time between two rounds of forecasts, of each vehicle the newest: so a consumer that has fallen behind does not
-        flood whoever listens, and one that keeps pace hands on every forecast. 0 hands on all, always. [s]
+        Time between two rounds of the newest forecast of each vehicle. [s] A consumer that has fallen behind then does
+        not flood its listeners, and one that keeps pace passes on every forecast. At 0 all are passed on.
     watch : callable
         Called after each list, the empty ones included, for a screen or a progress bar.
     report_s : float
@@ -121,14 +121,14 @@ def run(
                 pipeline.take(messages)
             if clock() - published >= publish_s:
                 published = clock()
-                _hand_on(pipeline.forecasts(**which), pipeline.model_errors(**which), sinks, tally)
+                _pass_on(pipeline.forecasts(**which), pipeline.model_errors(**which), sinks, tally)
             tally.seconds = clock() - began
             watch(tally)
             if clock() >= due:
                 due = clock() + report_s
                 _report("running", tally, source, pipeline, recorder)
-        _hand_on(pipeline.forecasts(**which), pipeline.model_errors(**which), sinks, tally)
-        _hand_on(pipeline.finish(), pipeline.model_errors(**which), sinks, tally)
+        _pass_on(pipeline.forecasts(**which), pipeline.model_errors(**which), sinks, tally)
+        _pass_on(pipeline.finish(), pipeline.model_errors(**which), sinks, tally)
         tally.seconds = clock() - began
     _report("finished", tally, source, pipeline, recorder)
     return tally
@@ -136,7 +136,7 @@ def run(
 
 @contextmanager
 def collect_garbage_rarely() -> Iterator[None]:
-    """Let the collector of cyclic garbage rest while messages stream: they make none, and it would visit each."""
+    """Run the cyclic garbage collector rarely while messages stream; they make no cycles, and it would visit each."""
     before = gc.get_threshold()
     gc.collect()
     gc.freeze()
@@ -150,7 +150,7 @@ def collect_garbage_rarely() -> Iterator[None]:
 
 @contextmanager
 def stop_on_signals() -> Iterator[Event]:
-    """Give an event that SIGINT and SIGTERM set; a second SIGINT interrupts at once, as without it."""
+    """Give an event that SIGINT and SIGTERM set; a second SIGINT interrupts at once, as usual."""
     stop = Event()
 
     def handle(number: int, frame: FrameType | None) -> None:
@@ -166,8 +166,8 @@ def stop_on_signals() -> Iterator[Event]:
             signal.signal(number, handler)
 
 
-def _hand_on(forecasts: list[Message], errors: list[Message], sinks: Sequence[Sink], tally: Tally) -> None:
-    """Give forecasts, and how models fare, to every sink."""
+def _pass_on(forecasts: list[Message], errors: list[Message], sinks: Sequence[Sink], tally: Tally) -> None:
+    """Pass forecasts and errors of models to every sink."""
     tally.forecasts += len(forecasts)
     tally.model_errors += len(errors)
     if messages := forecasts + errors:
@@ -176,7 +176,7 @@ def _hand_on(forecasts: list[Message], errors: list[Message], sinks: Sequence[Si
 
 
 def _report(event: str, tally: Tally, source: Source, pipeline: Forecaster, recorder: Recorder | None) -> None:
-    """Log every counter there is."""
+    """Log all counters."""
     tally.missed = getattr(source, "missed", 0)
     counts: dict[str, Any] = {"messages": tally.received, "forecasts": tally.forecasts, "missed": tally.missed}
     if tally.model_errors:

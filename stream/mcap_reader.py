@@ -1,4 +1,4 @@
-"""Reading MCAP recordings, whole, unfinished or damaged.
+"""The MCAP reader: recordings that are whole, unfinished or damaged.
 
 The `mcap` package makes an object of every record, at seven microseconds a message, and stops at the first byte that is
 not as it should be. Here a chunk is decompressed and cut into messages in one loop, at under one microsecond each, and
@@ -51,7 +51,7 @@ _receipt = itemgetter(2)
 
 @dataclass
 class Losses:
-    """What a recording holds or held that could not be read.
+    """Count what could not be read from a recording.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class _Block(NamedTuple):
 
 
 class McapSource:
-    """A recording, as a source that can be read again and again.
+    """Read an MCAP recording, as a source that can be iterated again and again.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""MCAP recordings: every payload verbatim, under its Zenoh key, at its time of receipt.
+"""The MCAP writer: every payload verbatim, under its Zenoh key, at its time of receipt.
 
 Topic is the key, message encoding `json`, schema encoding `jsonschema`, `log_time` the receipt and `publish_time` the
 sender's `time_s`. Chunks are zstd, indexed, and each describes the channels that it uses, so that a damaged chunk costs
@@ -60,7 +60,7 @@ def _published(payload: bytes, receipt_ns: int) -> int:
 
 
 class McapSink:
-    """Writes a recording; a context manager.
+    """Write an MCAP recording, as a sink; a context manager.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Messages in memory, for tests and for whoever has them already."""
+"""A source and a sink in memory, for tests and for messages that are in memory already."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ from core.wire.messages import Message
 
 @dataclass
 class MemorySource:
-    """A source over a list.
+    """Yield the messages of a list, as a source.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class MemorySource:
 
 @dataclass
 class MemorySink:
-    """A sink that keeps what it is given.
+    """Keep every message, as a sink.
 
     Parameters
     ----------

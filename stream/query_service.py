@@ -1,4 +1,4 @@
-"""Answers what is asked of the rest of a shift, between two lists of messages."""
+"""The service that answers queries about the rest of a shift, between two lists of messages."""
 
 import logging
 import time
@@ -13,44 +13,44 @@ from core.wire.messages import Leg, Outlook, Plan, encode
 from stream.structured_log import event_fields, flatten_counts
 
 SPEND_S: Final = 0.1
-"""After how long the telemetry has its turn again, whatever is still asked. [s]"""
+"""Longest time spent on queries before telemetry has its turn again. [s]"""
 LOG_S: Final = 1.0
-"""Of each cause, one refusal in this time is logged. [s]"""
+"""Least time between two log lines on refusals of the same cause. [s]"""
 
-_log = logging.getLogger("socast.desk")
+_log = logging.getLogger("socast.queries")
 
 
 class PendingQuery(Protocol):
-    """A question that waits, such as `stream.zenoh_queryable.ZenohQuery`."""
+    """A query that waits for its answer, such as `stream.zenoh_queryable.ZenohQuery`."""
 
     @property
     def vehicle(self) -> str:
-        """Return whom it is about."""
+        """Return the identifier of the car."""
 
     @property
     def parameters(self) -> str:
-        """Return what of the key follows the question mark."""
+        """Return the parameters after the question mark, as text."""
 
     @property
     def payload(self) -> bytes | None:
-        """Return the plan that comes with it, if any."""
+        """Return the plan that comes with the query, if any."""
 
     def reply(self, payload: bytes) -> None:
         """Answer."""
 
     def refuse(self, words: str) -> None:
-        """Tell what is wrong."""
+        """Reply with what is wrong."""
 
 
 class QuerySource(Protocol):
-    """Where questions come from."""
+    """A source of queries, such as `stream.zenoh_queryable.ZenohQueryable`."""
 
     def pending(self) -> Sequence[PendingQuery]:
-        """Return the questions that wait, the oldest first."""
+        """Return the queries that wait, the oldest first."""
 
 
 class OutlookProvider(Protocol):
-    """What the desk needs of `core.pipeline.Pipeline`."""
+    """What the service needs of `core.pipeline.Pipeline`."""
 
     def ask(self, vehicle_id: str, leg: Leg | None, plan: Plan | None) -> Outlook:
         """Return what is expected of the rest of a shift, or raise `SocastError`.
@@ -59,17 +59,17 @@ class OutlookProvider(Protocol):
         ----------
         vehicle_id : str
         leg : Leg or None
-            The ride asked for; None for the shift as planned.
+            The ride that the query is about; None for the shift as planned.
         plan : Plan or None
-            To be answered instead of the one that is known.
+            A plan to answer for instead of the known one.
         """
 
 
 class QueryService:
-    """Takes the questions that wait and answers each, whatever is asked; call it after each list of messages.
+    """Answer the queries that wait; call it after each list of messages.
 
-    Nothing that is asked ends the loop or holds up the telemetry: an answer that fails is refused, and what is not
-    answered in `SPEND_S` waits for the next list.
+    No query ends the loop or holds up the telemetry. A query whose answer fails is refused, and queries that are not
+    answered within `SPEND_S` wait for the next list.
 
     Parameters
     ----------
@@ -82,8 +82,8 @@ class QueryService:
     ----------
     answered : int
     refused : Counter of str
-        By cause: that of the `AskError`, `unanswerable` for another error that a person can mend, `failed` for what
-        should not have happened.
+        Refusals by cause: that of the `AskError`, `unanswerable` for another error that a person can correct, `failed`
+        for a defect.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class QueryService:
         self._logged: dict[str, float] = {}
 
     def __call__(self, _: object) -> None:
-        """Answer what waits, for a moment."""
+        """Answer queries for at most `SPEND_S`."""
         if not self._waiting:
             self._waiting.extend(self._questions.pending())
         until = self._clock() + SPEND_S
@@ -110,12 +110,12 @@ class QueryService:
         return {"answered": self.answered, "refused": dict(self.refused)}
 
     def end(self) -> None:
-        """Log the counters, where anything was asked."""
+        """Log the counters where any query came."""
         if told := flatten_counts(self.counts()):
             _log.info("asked", extra=event_fields(**told))
 
     def _answer(self, question: PendingQuery) -> None:
-        """Answer one question, or tell what is wrong with it."""
+        """Answer one query, or refuse it."""
         try:
             vehicle = parse_vehicle(question.vehicle)
             leg = parse_leg(parse_parameters(question.parameters))
@@ -126,12 +126,12 @@ class QueryService:
             self._refuse(question, str(error), error.cause)
         except SocastError as error:
             self._refuse(question, str(error), "unanswerable")
-        except Exception:  # noqa: BLE001 - cars are served on, whatever was asked
+        except Exception:  # noqa: BLE001 - a defect must not stop the telemetry
             _log.exception("question failed", extra=event_fields(vehicle=question.vehicle[:64]))
             self._refuse(question, "this question cannot be answered; the log of the consumer tells more", "failed")
 
     def _refuse(self, question: PendingQuery, words: str, cause: str) -> None:
-        """Tell whoever asked what is wrong, count it and log it."""
+        """Reply with what is wrong, count the refusal and log it."""
         self.refused[cause] += 1
         now = self._clock()
         if now >= self._logged.get(cause, -inf) + LOG_S:

@@ -1,4 +1,4 @@
-"""Recording while live: every payload as it came, good or not, in files of bounded size and time."""
+"""The recorder of live telemetry: every payload as it came, in files of bounded size and time span."""
 
 import logging
 import time
@@ -24,7 +24,7 @@ _log = logging.getLogger("socast.record")
 
 
 class Recorder:
-    """Writes messages into a folder, a file after another; a sink.
+    """Write messages into files in a folder, one after another, as a sink.
 
     Files are named by the UTC time of receipt of their first message, such as `20260131T235959.123Z.mcap`. A disk that
     refuses does not stop the consumer: what could not be written is counted, and another file is tried after a while.

@@ -32,7 +32,7 @@ def flatten_counts(counts: Mapping[str, Any], prefix: str = "") -> dict[str, Any
 
 
 class LineFormatter(logging.Formatter):
-    """Formats a record as one line.
+    """Format a log record as one line.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Zenoh: what is drained from a session and what is published on it.
+"""The Zenoh subscriber and the Zenoh publisher: a source and a sink.
 
 The subscribers, one to the fleet and one to the weather, are advanced ones, whose channels are filled without Python,
 and drained by whoever iterates. They ask advanced publishers for what they missed and count what could not be had.
@@ -58,7 +58,7 @@ class _Keys(dict[Any, str]):
 
 
 class ZenohSource:
-    """What is published of a fleet and its weather, under one prefix; subscribed from the start, iterated once.
+    """Subscribe to a fleet and its weather under one prefix, as a source that is iterated once.
 
     `{prefix}fleet/**` and `{prefix}weather/**` each come in order of arrival; of what is queued, the weather is first.
     Without a prefix, fleets that have one are not heard.
@@ -164,7 +164,7 @@ class ZenohSource:
 
 
 class ZenohSink:
-    """Publishes messages, each key by an advanced publisher of its own.
+    """Publish messages, each key by an advanced publisher of its own, as a sink.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Zenoh: questions about the rest of a shift, on either side: who answers them, and who asks.
+"""The Zenoh queryable for outlooks of a shift, and the function that queries it.
 
 Notes
 -----
@@ -29,7 +29,7 @@ from core.errors import AskError, SettingsError
 from stream.zenoh_session import Node, format_zenoh_error
 
 WAITING: Final = 256
-"""Questions that wait to be looked at, and answers that wait to be sent; what is more is dropped."""
+"""Most queries that wait to be answered, and most answers that wait to be sent; more are dropped."""
 CLOSE_S: Final = 1.0
 """How long the last answers are given to be sent. [s]"""
 _log = logging.getLogger("socast.zenoh")
@@ -42,14 +42,14 @@ class _Refusal(msgspec.Struct):
 
 
 class ZenohQuery:
-    """A question that waits for its answer.
+    """A Zenoh query that waits for its answer.
 
     Attributes
     ----------
     vehicle : str
-        Chunk of its key, whatever that is.
+        Chunk of its key, not checked.
     parameters : str
-        What follows the question mark.
+        Parameters after the question mark, as text.
     payload : bytes or None
     """
 
@@ -60,7 +60,7 @@ class ZenohQuery:
         self.payload: bytes | None = None if query.payload is None else query.payload.to_bytes()
 
     def reply(self, payload: bytes) -> None:
-        """Answer with JSON. Only the first answer is sent; none where the asker has gone."""
+        """Answer with JSON. Only the first answer is sent; none where the sender of the query has gone."""
         self._send(
             self._query, partial(self._query.reply, self._key, payload, encoding=zenoh.Encoding.APPLICATION_JSON)
         )
@@ -72,7 +72,7 @@ class ZenohQuery:
 
 
 class ZenohQueryable:
-    """Questions put to `{prefix}fleet/*/outlook`, from the start; a context manager.
+    """Receive queries for `{prefix}fleet/*/outlook` and send their answers; a context manager.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class ZenohQueryable:
     Attributes
     ----------
     unsent : int
-        Answers that could not be sent.
+        Number of answers that could not be sent.
     """
 
     def __init__(self, node: Node) -> None:
@@ -95,7 +95,7 @@ class ZenohQueryable:
         self._thread.start()
 
     def pending(self) -> list[ZenohQuery]:
-        """Return the questions that wait, the oldest first; at most `WAITING`."""
+        """Return the queries that wait, the oldest first; at most `WAITING`."""
         out: list[ZenohQuery] = []
         try:
             while len(out) < WAITING and (query := self._queryable.handler.try_recv()) is not None:
@@ -105,7 +105,7 @@ class ZenohQueryable:
         return out
 
     def close(self) -> None:
-        """Take no more questions; send the answers that wait. Closing twice does no harm."""
+        """Take no more queries and send the answers that wait. Closing twice does no harm."""
         if self._closed:
             return
         self._closed = True
@@ -148,7 +148,7 @@ class ZenohQueryable:
 def query_outlook(
     node: Node, vehicle: str, parameters: Mapping[str, str], payload: bytes | None = None, timeout_s: float = 5.0
 ) -> bytes:
-    """Put a question to whoever answers for a vehicle, and return the answer.
+    """Query the consumer that answers for a vehicle, and return its answer.
 
     Parameters
     ----------
@@ -170,9 +170,9 @@ def query_outlook(
     Raises
     ------
     AskError
-        With what the answer says is wrong.
+        Where the consumer refuses the query, with its reason.
     SettingsError
-        Where nobody answers, or not in time.
+        Where no consumer answers, or not in time.
     """
     key = f"{node.prefix}fleet/{vehicle}/outlook"
     refusals: list[str | None] = []

@@ -1,4 +1,4 @@
-"""The outbox never holds up who puts, loses nothing newest, and tells of a sink that broke."""
+"""The sink never delays `put`, passes on the newest message of each key, and raises the failure of a broken sink."""
 
 from threading import Event
 
@@ -28,24 +28,24 @@ def message(key: str, number: int) -> Message:
 
 def test_all_is_handed_on_where_the_sink_keeps_pace():
     sink = MemorySink()
-    outbox = LatestOnlySink(sink)
-    outbox.put([])
-    outbox.put([message("a", 1), message("b", 2)])
-    outbox.close()
-    outbox.close()
+    latest = LatestOnlySink(sink)
+    latest.put([])
+    latest.put([message("a", 1), message("b", 2)])
+    latest.close()
+    latest.close()
     assert sink.messages == [message("a", 1), message("b", 2)]
     assert sink.closed
 
 
 def test_a_stalled_listener_holds_up_nobody_and_gets_the_newest_of_each_key():
     sink = Slow()
-    outbox = LatestOnlySink(sink)
-    outbox.put([message("a", 0)])
+    latest = LatestOnlySink(sink)
+    latest.put([message("a", 0)])
     assert sink.entered.wait(10)
     for number in range(1, 1000):
-        outbox.put([message("a", number), message("b", number)])
+        latest.put([message("a", number), message("b", number)])
     sink.leave.set()
-    outbox.close()
+    latest.close()
     assert sink.messages == [message("a", 0), message("a", 999), message("b", 999)]
 
 
@@ -56,18 +56,18 @@ class Broken(MemorySink):
 
 def test_who_closes_is_told_that_the_sink_broke_at_the_last():
     sink = Broken()
-    outbox = LatestOnlySink(sink)
-    outbox.put([message("a", 0)])
+    latest = LatestOnlySink(sink)
+    latest.put([message("a", 0)])
     with pytest.raises(ConnectionError, match="gone"):
-        outbox.close()
+        latest.close()
     assert sink.closed
-    outbox.close()
+    latest.close()
 
 
 def test_who_puts_is_told_that_the_sink_broke():
-    outbox = LatestOnlySink(Broken())
-    outbox.put([message("a", 0)])
-    outbox._thread.join(10)
+    latest = LatestOnlySink(Broken())
+    latest.put([message("a", 0)])
+    latest._thread.join(10)
     with pytest.raises(ConnectionError, match="gone"):
-        outbox.put([message("a", 1)])
-    outbox.close()
+        latest.put([message("a", 1)])
+    latest.close()

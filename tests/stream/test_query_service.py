@@ -143,7 +143,7 @@ def test_one_refusal_of_a_cause_a_second_is_logged_and_all_are_counted(caplog: p
     ticks = iter(i * LOG_S / 20 for i in range(10_000))
     bad = [Asked("taxi-9") for _ in range(30)] + [Asked(parameters="lunch")]
     desk = QueryService(Waiting(bad), Fleet(), clock=lambda: next(ticks))
-    with caplog.at_level(logging.INFO, logger="socast.desk"):
+    with caplog.at_level(logging.INFO, logger="socast.queries"):
         while sum(desk.refused.values()) < len(bad):
             desk(Tally())
         desk.end()
@@ -161,6 +161,6 @@ def test_what_should_not_have_happened_is_logged_by_its_name(caplog: pytest.LogC
 
 
 def test_where_nothing_was_asked_nothing_is_logged(caplog: pytest.LogCaptureFixture):
-    with caplog.at_level(logging.INFO, logger="socast.desk"):
+    with caplog.at_level(logging.INFO, logger="socast.queries"):
         served().end()
     assert caplog.records == []

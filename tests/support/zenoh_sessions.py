@@ -54,16 +54,16 @@ class Consumer(Fleet):
 
 @contextmanager
 def live(prefix: str = "") -> Iterator[tuple[Consumer, QueryService, Node]]:
-    """Give a consumer whose loop runs in a thread, its desk, and a client at its router."""
+    """Give a consumer whose loop runs in a thread, its query service, and a client at its router."""
     stop, consumer = Event(), Consumer()
     with router(prefix=prefix) as (node, endpoint), ZenohQueryable(node) as queries:
-        desk = QueryService(queries, consumer)
+        service = QueryService(queries, consumer)
         source = ZenohSource(node, stop)
-        thread = Thread(target=run, args=(source, consumer), kwargs={"watch": desk})
+        thread = Thread(target=run, args=(source, consumer), kwargs={"watch": service})
         thread.start()
         try:
             with Node(Connection(connect=(endpoint,), prefix=prefix)) as client:
-                yield consumer, desk, client
+                yield consumer, service, client
         finally:
             stop.set()
             thread.join(20)
