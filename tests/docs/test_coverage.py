@@ -1,6 +1,7 @@
 """Every command is documented, and calls that no test runs are at least valid."""
 
 import re
+import shlex
 
 import pytest
 import typer
@@ -21,6 +22,17 @@ def test_call_that_no_test_runs_has_a_command_options_and_values_that_exist(call
     if inner := getattr(command, "commands", None):
         command, arguments = inner[arguments[0]], arguments[1:]
     assert command.make_context(name, arguments).command is command
+
+
+def test_examples_in_help_texts_are_valid_calls():
+    for name, top in COMMAND_HELP.items():
+        for command in [top, *getattr(top, "commands", {}).values()]:
+            for call in re.findall(r"\bsocast (.+)", command.help.partition("Example")[2]):
+                without_files = re.sub(r"\s*(\||2?>).*| --effects \S+", "", call)  # parsing --effects reads the file
+                _, *arguments = shlex.split(without_files)
+                target = getattr(top, "commands", {}).get(arguments[0]) if arguments else None
+                target, arguments = (target, arguments[1:]) if target else (top, arguments)
+                assert target.make_context(name, arguments).command is target, call
 
 
 def test_every_command_is_in_a_guide_with_a_call():
