@@ -8,7 +8,7 @@ import msgspec
 import pandas as pd
 import pytest
 
-from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, Term, save
+from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, LinearModel, Term, save, stamp
 from tests.support.html_pages import read_page
 from tests.support.paths import ROOT
 from tools.cli import main
@@ -254,6 +254,7 @@ def test_an_effect_of_ones_own_is_known_with_its_file(folder, tmp_path, capsys):
     made = json.loads(msgspec.json.encode(BASIC_PHYSICAL))
     made["terms"].append(term)
     made["fits"]["*"]["coefficients"].append(20.0)
+    made["version"] = stamp(msgspec.convert(made, LinearModel)).version
     model.write_text(json.dumps(made))
     told = refused(capsys, folder, "--model", model)
     assert "effect 'rubbing' is unknown" in told
