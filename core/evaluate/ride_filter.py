@@ -122,8 +122,8 @@ def filter_rides(rides: pd.DataFrame) -> EvaluatedRides:
     if most < LEAST_RIDES:
         told = ", ".join(f"{n:,} {why.replace('_', ' ')}" for why, n in unfit.items()) or "none"
         raise ModelError(
-            f"{len(kept):,} of {len(rides):,} rides can be evaluated, at most {most} of a vehicle model in a cluster of "
-            f"{CLUSTER_KM:g} km, and it takes {LEAST_RIDES}: give more rides (left out: {told})"
+            f"{len(kept):,} of {len(rides):,} rides can be evaluated, at most {most} of a vehicle model in a cluster "
+            f"of {CLUSTER_KM:g} km, and it takes {LEAST_RIDES}: give more rides (left out: {told})"
         )
     return found
 

@@ -29,9 +29,9 @@ HELD_OUT: Final[Mapping[str, str]] = {
 }
 """Key of a comparison in a trial and the row title for it."""
 TRIAL_NOTE: Final = (
-    "In the first row, the coefficient of the effect is fitted without the held-out days; in the other rows, everything "
-    "is fitted without what is held out. ± is half of the 95 % interval of the mean difference per ride, clustered by "
-    "vehicle-day. The final hold-out days decide nothing: evaluate on them once, and do not tune on them."
+    "In the first row, the coefficient of the effect is fitted without the held-out days; in the other rows, "
+    "everything is fitted without what is held out. ± is half of the 95 % interval of the mean difference per ride, "
+    "clustered by vehicle-day. The final hold-out days decide nothing: evaluate on them once, and do not tune on them."
 )
 HISTORY_NOTE: Final = (
     "Error: mean absolute error of a ride on held-out days. Each step is evaluated on the rides given at that time, so "

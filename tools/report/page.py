@@ -143,8 +143,8 @@ def _lead(result: Result) -> str:
     about = get_mapping(result, "about")
     rides = f"{about['fit']:,} rides. " if isinstance(about.get("fit"), int | float) else ""
     text = (
-        f"{rides}Figures in parentheses and outlines are those of “{published.load_paper().title}”, of its own company's "
-        "rides: other data than these, so they are for orientation only."
+        f"{rides}Figures in parentheses and outlines are those of “{published.load_paper().title}”, of its own "
+        "company's rides: other data than these, so they are for orientation only."
     )
     return f"<p>{escape(text)}</p>"
 

@@ -127,8 +127,8 @@ def _predict(label: str, model: LinearModel, rides: pd.DataFrame) -> Floats:
     cars = sorted(rides["vehicle_model"].unique())
     if ANY not in model.fits and not any(car in model.fits for car in cars):
         raise ModelError(
-            f"model {label} is fitted to {', '.join(model.fits)}, and the rides are of {', '.join(cars)}: give rides of "
-            "its vehicle models, or a model with a fit for these or for any other (*)"
+            f"model {label} is fitted to {', '.join(model.fits)}, and the rides are of {', '.join(cars)}: give rides "
+            "of its vehicle models, or a model with a fit for these or for any other (*)"
         )
     energy = model.predict(rides)
     if not np.isfinite(energy).any():

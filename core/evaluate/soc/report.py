@@ -59,7 +59,8 @@ def evaluate_soc(outlooks: pd.DataFrame, shifts: pd.DataFrame, legs: pd.DataFram
     if not len(found.cases):
         why = ", ".join(f"{count} {reason}" for reason, count in found.left_out.items()) or "none made"
         raise ModelError(
-            f"{found.shifts} shifts ended and no forecast of theirs can be evaluated ({why}): give recordings of more days"
+            f"{found.shifts} shifts ended and no forecast of theirs can be evaluated ({why}): "
+            "give recordings of more days"
         )
     cases = pd.concat([found.cases, compute_baselines(found.cases, outlooks, shifts)], axis=1)
     return {

@@ -150,7 +150,8 @@ def _about(about: Result) -> str:
     by = ", ".join(f"{name} {format_percent(share, 0)}" for name, share in measured.items())
     cars = f"{_counted(about['vehicles'], 'car')}, {_counted(about['vehicle_days'], 'car-day')}"
     return (
-        f"{format_count(about['rides'])} of {format_count(about['read'])} rides from {about['first_date']} to {about['last_date']}: "
+        f"{format_count(about['rides'])} of {format_count(about['read'])} rides "
+        f"from {about['first_date']} to {about['last_date']}: "
         f"{cars}. Left out: {left or 'none'}. "
         f"Mean consumption {tables.format_estimate(about['consumption_kwh'], 3)} kWh a ride, "
         f"{tables.format_estimate(about['per_100km_kwh'])} kWh/100 km. Energy measured by: {by or 'unknown'}."

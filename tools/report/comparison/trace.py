@@ -34,8 +34,9 @@ def describe_ride(found: Result) -> str:
     sd = get_number(ride.get("energy_sd_kwh"))
     spread = "" if sd is None else f" ± {sd:.3f} (its own standard uncertainty)"
     conditions = (
-        f"{format_estimate(ride.get('distance_km'))} km in {format_estimate((get_number(ride.get('duration_s')) or 0.0) / 60.0)} min at "
-        f"{format_estimate(ride.get('ambient_c'))} °C, {format_energy(ride.get('energy_kwh'))} kWh{spread}"
+        f"{format_estimate(ride.get('distance_km'))} km "
+        f"in {format_estimate((get_number(ride.get('duration_s')) or 0.0) / 60.0)} min "
+        f"at {format_estimate(ride.get('ambient_c'))} °C, {format_energy(ride.get('energy_kwh'))} kWh{spread}"
     )
     unfit = f"; unfit for training: {str(ride['unfit_reason']).replace('_', ' ')}" if ride.get("unfit_reason") else ""
     return f"{', '.join([*names, conditions])}{unfit}."

@@ -161,7 +161,8 @@ def tabulate_bias_and_rmse(result: Result) -> ReportTable:
             get_title(result, recipe),
             tuple(
                 Cell(
-                    f"{format_energy(get_part(result, 'rmse', recipe, key))} ({format_signed(get_part(result, 'bias', recipe, key))})"
+                    f"{format_energy(get_part(result, 'rmse', recipe, key))} "
+                    f"({format_signed(get_part(result, 'bias', recipe, key))})"
                 )
                 for key in keys
             ),

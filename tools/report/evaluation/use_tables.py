@@ -158,8 +158,8 @@ def tabulate_coverage(result: Result) -> ReportTable:
     heads = ("overall", *(f"{c} km".replace("-", "–") for c in distances), *seasons, "width, kWh")
     low, high = COVERAGE_RANGE
     note = (
-        f"↓ or ↑: outside of {format_percent(low, 0)} to {format_percent(high, 0)} overall, or below {format_percent(LEAST_COVERAGE, 0)} in "
-        "a cluster or season. Width: mean of upper less lower end."
+        f"↓ or ↑: outside of {format_percent(low, 0)} to {format_percent(high, 0)} overall, "
+        f"or below {format_percent(LEAST_COVERAGE, 0)} in a cluster or season. Width: mean of upper less lower end."
     )
     return ReportTable("Rides inside their 90 % prediction interval", "model", heads, rows, (note,))
 

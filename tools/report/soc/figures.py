@@ -230,8 +230,8 @@ def illustrate_conditions(result: Result) -> list[Illustration]:
 def illustrate_risk(result: Result) -> list[Illustration]:
     """Return forecast risk against outcomes."""
     caption = (
-        "A point is a class of forecast risk, all times ahead pooled, with the 95 % interval of what happened; on the line "
-        f"a risk holds. Right of the broken line there is an alarm. {FEW}"
+        "A point is a class of forecast risk, all times ahead pooled, with the 95 % interval of what happened; on the "
+        f"line a risk holds. Right of the broken line there is an alarm. {FEW}"
     )
     return [Illustration("soc-risk", "Forecast risk against outcome", caption, draw_risk(result), small=True)]
 

@@ -99,8 +99,9 @@ def describe_evaluation(about: Result) -> str:
     warm_up = f"{_counted(about['warm_up_shifts'], 'shift')} came before enough was learned for an interval"
     return (
         f"{_counted(about['forecasts'], 'forecast')} of {format_count(about['judged_shifts'])} of "
-        f"{_counted(about['shifts'], 'shift')}, by {cars}. Evaluated from {about['first_date']} to {about['last_date']}; "
-        f"{warm_up}. Forecasts left out: {left or 'none'}."
+        f"{_counted(about['shifts'], 'shift')}, by {cars}. "
+        f"Evaluated from {about['first_date']} to {about['last_date']}; {warm_up}. "
+        f"Forecasts left out: {left or 'none'}."
     )
 
 

@@ -17,7 +17,8 @@ LEVEL_NOTE: Final = (
 )
 ALARM_NOTE: Final = (
     f"An alarm is a risk of {format_percent(ALARM, 0)} or more. Caught: of the cases that fell below, those with an "
-    "alarm; false alarms: of those that did not, those with one. Left out: rows in which none fell and none had an alarm."
+    "alarm; false alarms: of those that did not, those with one. Left out: rows in which none fell and none had an "
+    "alarm."
 )
 BRIER_NOTE: Final = (
     "Brier score: mean square of risk less outcome. Skill: by how much ours is below theirs, ± half of its 95 % "

@@ -22,15 +22,16 @@ PERCENT_NOTE: Final = (
 )
 TOO_FEW: Final = "too few to tell"
 SHARE_NOTE: Final = (
-    f"In parentheses: 95 % interval (Wilson, clustered). Too few to tell: of fewer than {LEAST_CLUSTERS} car-days there is the "
-    "interval alone."
+    f"In parentheses: 95 % interval (Wilson, clustered). Too few to tell: of fewer than {LEAST_CLUSTERS} car-days "
+    "there is the interval alone."
 )
 COVERAGE_NOTE: Final = f"Coverage: share of outcomes inside the 90 % interval. {SHARE_NOTE}"
 LEG_BASELINES: Final = ("model_mean", "rating")
 """Baselines that apply to legs."""
 LEG_NOTE: Final = (
     "Each car was asked about its shift every half hour, at most; each leg of the answer is held against the ride that "
-    "it became, unless the car charged before its end. Plans do not state charges: later time at a charger counts as waiting."
+    "it became, unless the car charged before its end. Plans do not state charges: later time at a "
+    "charger counts as waiting."
 )
 BEST_NOTE: Final = (
     "To best: by how much the error is below or above that of the best baseline, where all have an answer. A dash: "
