@@ -1,4 +1,4 @@
-"""Tables of the data: what the filter left, Tables 2 to 4 of the paper."""
+"""Build the tables of the data: the rides that the filter kept, and Tables 2 to 4 of the paper."""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -27,14 +27,26 @@ from tools.report.evaluation.result import (
 )
 
 MEASURED_BY: Final = MappingProxyType({"vi": "voltage and current", "soc": "state of charge"})
-"""How the energy of rides was measured, for people."""
+"""Sources of the measured energy of a ride -> their names for readers."""
 
 
 AVERAGE_NOTE: Final = "* Plain mean over the clusters that have a figure, each counted once."
+"""Note below tables that have a column of averages."""
 
 
 def tabulate_data(result: Result) -> list[ReportTable]:
-    """Return the tables of the data, those that have a row."""
+    """Return the tables of the data that have a row.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    list of ReportTable
+        Ride filter, numbers of rides, mean consumption, and mean consumption of the test sets.
+    """
     found = (
         tabulate_ride_filter(result),
         tabulate_rides(result),
@@ -45,7 +57,18 @@ def tabulate_data(result: Result) -> list[ReportTable]:
 
 
 def tabulate_ride_filter(result: Result) -> ReportTable:
-    """Return how many rides there are, and how many are left out and why."""
+    """Return the number of rides, and how many the filter left out for which reason.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    ReportTable
+        One row per reason, with count and share of all rides. The notes name dates, cars, energy sources and draws.
+    """
     about = get_mapping(result, "about")
     total = get_number(about.get("rides"))
     rows: list[Row] = []
@@ -71,7 +94,18 @@ def tabulate_ride_filter(result: Result) -> ReportTable:
 
 
 def tabulate_rides(result: Result) -> ReportTable:
-    """Return the number of rides by vehicle model and cluster, Table 2."""
+    """Return the number of rides by vehicle model and cluster of distance, as Table 2 of the paper.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    ReportTable
+        One row per vehicle model, one column per cluster, and a total.
+    """
     found = get_mapping(result, "rides")
     columns = [*list_clusters(result, found.values()), "total"]
     rows = tuple(
@@ -90,7 +124,18 @@ def tabulate_rides(result: Result) -> ReportTable:
 
 
 def tabulate_consumption(result: Result) -> ReportTable:
-    """Return the mean consumption by vehicle model and cluster, Table 3."""
+    """Return the mean consumption by vehicle model and cluster of distance, as Table 3 of the paper.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    ReportTable
+        Mean consumption of a ride. [kWh]
+    """
     return tabulate_by_cluster(
         result,
         get_mapping(result, "consumption"),
@@ -100,7 +145,18 @@ def tabulate_consumption(result: Result) -> ReportTable:
 
 
 def tabulate_test_consumption(result: Result) -> ReportTable:
-    """Return the mean consumption in the test sets, Table 4."""
+    """Return the mean consumption in the test sets by vehicle model and cluster, as Table 4 of the paper.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    ReportTable
+        Mean consumption of a test ride, with its confidence interval. [kWh]
+    """
     table = tabulate_by_cluster(
         result,
         get_mapping(result, "test_consumption"),
@@ -113,17 +169,25 @@ def tabulate_test_consumption(result: Result) -> ReportTable:
 def tabulate_by_cluster(
     result: Result, found: Mapping[str, Any], title: str, paper: Callable[[str, str], PublishedFigure | None]
 ) -> ReportTable:
-    """Return a table of energies by vehicle model and cluster, with average and weighted row where there are any.
+    """Return a table of energies by vehicle model and cluster of distance.
+
+    The table has an average column and a weighted row where the evaluation has figures for them.
 
     Parameters
     ----------
     result : mapping
-        Of the evaluation.
+        Result of an evaluation.
     found : mapping
         Vehicle model, or `WEIGHTED` -> cluster -> figure. [kWh]
     title : str
+        Title of the table.
     paper : callable
-        Gives the paper's figure of a vehicle model and a cluster.
+        Returns the paper's figure of a vehicle model and a cluster, None where the paper has none.
+
+    Returns
+    -------
+    ReportTable
+        Energies, with the paper's figures in parentheses. [kWh]
     """
     columns = list_clusters(result, found.values())
     if any(AVERAGE in get_mapping(row) for row in found.values()):
@@ -142,38 +206,51 @@ def tabulate_by_cluster(
 
 
 def format_heads(columns: list[str]) -> tuple[str, ...]:
-    """Return the heads of columns that are clusters, an average or a total."""
+    """Return the headings of columns that are clusters, an average or a total.
+
+    Parameters
+    ----------
+    columns : list of str
+        Clusters such as `0-5`, or `AVERAGE`, or `total`.
+
+    Returns
+    -------
+    tuple of str
+        Headings, clusters in km.
+    """
     special = {AVERAGE: "average *", "total": "total"}
     return tuple(special.get(column, f"{column} km".replace("-", "–")) for column in columns)
 
 
 def _beside(value: Any, figure: PublishedFigure | None) -> Cell:
-    """Return a cell of ours and the paper's, empty where there is neither."""
+    """Return a cell with the figure of this evaluation and that of the paper, an empty cell where there is neither."""
     if get_number(value) is None and figure is None:
         return Cell("")
     return Cell(format_energy(value), format_published(figure))
 
 
 def format_published_count(value: float) -> str:
-    """Return a count of the paper."""
+    """Return a count of the paper with thousands separators."""
     return f"{value:,.0f}"
 
 
 def _paper_count(figure: PublishedFigure | None) -> str:
+    """Return a count of the paper, empty text where it has none."""
     return "" if figure is None else format_published_count(figure.value)
 
 
 def _counted(name: str, found: Any, total: float | None, *, last: bool = False) -> Row:
-    """Return a row of a count and its share."""
+    """Return a row with a count and its share of the total."""
     return Row(name, (Cell(format_count(found)), Cell(_share(get_number(found), total))), total=last)
 
 
 def _share(value: float | None, total: float | None) -> str:
+    """Return a value as a share of the total, `UNKNOWN` where either is unknown."""
     return format_percent(value / total) if value is not None and total else UNKNOWN
 
 
 def _origin(about: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return sentences on when the rides were, how their energy was measured and how they were drawn."""
+    """Return notes on the dates of the rides, the source of their energy, and how test sets were drawn."""
     notes: list[str] = []
     if about.get("first_date"):
         cars = f", {format_count(about['vehicles'])} cars" if get_number(about.get("vehicles")) is not None else ""

@@ -1,4 +1,4 @@
-"""Tables of errors: Tables 5 to 11 of the paper, their summary, and which models differ."""
+"""Build the tables of errors: Tables 5 to 11 of the paper, their summary, and which models differ significantly."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -37,22 +37,48 @@ INTERVAL_NOTE: Final = (
     "± is half of the 95 % confidence interval, that of the average post-stratified. A cluster of fewer than 10 rides "
     "has no figure."
 )
+"""Note below tables of errors by cluster."""
 DOMINATES: Final[Mapping[str, str]] = MappingProxyType({"dominates": "●", "dominates_average": "○"})
-"""Marks of models that none is significantly better than: in the mean over rides, in the average over clusters."""
+"""Marks of models that no other model beats significantly: in the mean over rides, in the average over clusters."""
 DOMINATES_NOTE: Final = (
     "● by the difference score on the same test rides no model is significantly better: where it stands once in a "
     "column, that model dominates; where it stands several times, they co-dominate. ○ the same for the average over "
     "clusters, where ● is for the mean over rides."
 )
+"""Note that explains the marks `DOMINATES`."""
 
 
 def tabulate_all_errors(result: Result) -> list[ReportTable]:
-    """Return a table of errors for each model, in the paper's layout."""
+    """Return a table of errors for each model, in the layout of the paper.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    list of ReportTable
+        One table per model that has errors.
+    """
     return [table for recipe in get_recipes(result) if (table := tabulate_errors(result, recipe)).rows]
 
 
 def tabulate_errors(result: Result, recipe: str) -> ReportTable:
-    """Return the mean absolute errors of a model by vehicle model and cluster, as Tables 5 to 11."""
+    """Return the mean absolute errors of a model by vehicle model and cluster, as Tables 5 to 11 of the paper.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+    recipe : str
+        Recipe of the model.
+
+    Returns
+    -------
+    ReportTable
+        Mean absolute errors, with the paper's in parentheses. [kWh]
+    """
     number_there = published.get_table_number(recipe)
     where = f" (Table {number_there})" if number_there else " (not in the paper)"
     table = tabulate_by_cluster(
@@ -67,7 +93,18 @@ def tabulate_errors(result: Result, recipe: str) -> ReportTable:
 
 
 def tabulate_summaries(result: Result) -> list[ReportTable]:
-    """Return the average errors, the relative ones, bias, root mean square and bands of all models."""
+    """Return the tables that compare all models: average and relative errors, bias, root mean square and bands.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    list of ReportTable
+        Tables that have a row.
+    """
     found = (
         tabulate_average_errors(result),
         tabulate_reductions(result),
@@ -79,7 +116,18 @@ def tabulate_summaries(result: Result) -> list[ReportTable]:
 
 
 def tabulate_average_errors(result: Result) -> ReportTable:
-    """Return the average error of each model on each vehicle model, as Figure 3, and who dominates."""
+    """Return the average error of each model on each vehicle model, as Figure 3 of the paper.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    ReportTable
+        Average errors over clusters, with marks of the models that dominate. [kWh]
+    """
     keys, found = list_vehicle_models(result), [r for r in get_recipes(result) if get_mapping(result, "mae", r)]
     columns = [
         mark_least(
@@ -99,7 +147,18 @@ def tabulate_average_errors(result: Result) -> ReportTable:
 
 
 def tabulate_reductions(result: Result) -> ReportTable:
-    """Return by how much each model's average error is below that of the basic physical model."""
+    """Return by how much the average error of each model is below that of the basic physical model.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    ReportTable
+        Reductions by vehicle model and their average. [%]
+    """
     found = get_mapping(result, "reduction")
     keys = list_vehicle_models(result)
     names = [recipe for recipe in get_recipes(result) if recipe in found and recipe != PHYSICAL]
@@ -126,13 +185,35 @@ def tabulate_reductions(result: Result) -> ReportTable:
 
 
 def compute_paper_reduction(recipe: str) -> float | None:
-    """Return the mean over the paper's vehicle models of its reductions."""
+    """Return the paper's reduction of the average error by a model, as the mean over its vehicle models.
+
+    Parameters
+    ----------
+    recipe : str
+        Recipe of the model.
+
+    Returns
+    -------
+    float or None
+        Share of the error of the basic physical model; None where the paper has no figure.
+    """
     models = published.load_paper().vehicle_models.values()
     return compute_mean(published.get_reduction(recipe, model.catalogue[0]) for model in models)
 
 
 def tabulate_relative_errors(result: Result) -> ReportTable:
-    """Return error over consumption by cluster, as Figure 2."""
+    """Return error over consumption by cluster of distance, as Figure 2 of the paper.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    ReportTable
+        Errors over consumption of all vehicle models together. [%]
+    """
     found = get_mapping(result, "relative")
     columns = list_clusters(result, found.values())
     names = [recipe for recipe in get_recipes(result) if recipe in found]
@@ -153,7 +234,18 @@ def tabulate_relative_errors(result: Result) -> ReportTable:
 
 
 def tabulate_bias_and_rmse(result: Result) -> ReportTable:
-    """Return bias and root mean square error of each model on each vehicle model."""
+    """Return bias and root mean square error of each model on each vehicle model.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    ReportTable
+        Root mean square errors, with the bias (mean of predicted less measured) in parentheses. [kWh]
+    """
     keys = list_vehicle_models(result)
     names = [r for r in get_recipes(result) if get_mapping(result, "bias", r) or get_mapping(result, "rmse", r)]
     rows = tuple(
@@ -175,7 +267,18 @@ def tabulate_bias_and_rmse(result: Result) -> ReportTable:
 
 
 def tabulate_bands(result: Result) -> ReportTable:
-    """Return the share of rides within bands of relative error."""
+    """Return the share of rides that each model predicts within bands of relative error.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    ReportTable
+        Shares of rides, one column per band. [%]
+    """
     found = get_mapping(result, "bands")
     limits = list(dict.fromkeys(limit for row in found.values() for limit in get_mapping(row)))
     rows = tuple(
@@ -188,7 +291,20 @@ def tabulate_bands(result: Result) -> ReportTable:
 
 
 def tabulate_differences(result: Result, vehicle_model: str) -> ReportTable:
-    """Return the difference scores of a vehicle model: row's error less column's."""
+    """Return the difference scores of all pairs of models on a vehicle model.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+    vehicle_model : str
+        Key of the vehicle model, or `ALL`.
+
+    Returns
+    -------
+    ReportTable
+        Error of the row's model less that of the column's model. [kWh]
+    """
     found = get_mapping(result, "difference", vehicle_model)
     names = [a for a in get_recipes(result) if any(get_difference(found, a, b) for b in get_recipes(result))]
     rows = tuple(
@@ -202,7 +318,20 @@ def tabulate_differences(result: Result, vehicle_model: str) -> ReportTable:
 
 
 def get_difference(found: Any, a: str, b: str) -> tuple[float, float | None] | None:
-    """Return error of a less error of b [kWh] and its probability under no difference, whichever way it is kept."""
+    """Return the difference score of two models, in whichever order the result stores the pair.
+
+    Parameters
+    ----------
+    found : mapping
+        Pairs `a|b` of recipes -> difference score.
+    a, b : str
+        Recipes of the models.
+
+    Returns
+    -------
+    tuple or None
+        Error of `a` less error of `b` [kWh], and its p-value where the result has one. None where the pair is unknown.
+    """
     for key, sign in ((f"{a}|{b}", 1.0), (f"{b}|{a}", -1.0)):
         value = get_number(get_part(found, key))
         if value is not None:
@@ -211,6 +340,7 @@ def get_difference(found: Any, a: str, b: str) -> tuple[float, float | None] | N
 
 
 def _difference_cell(found: Any, a: str, b: str) -> Cell:
+    """Return a cell with a difference score, emphasised and with a star where it is significant."""
     known = get_difference(found, a, b)
     if known is None:
         return Cell("" if a == b else UNKNOWN)
@@ -220,17 +350,19 @@ def _difference_cell(found: Any, a: str, b: str) -> Cell:
 
 
 def _average_cell(result: Result, recipe: str, key: str) -> Cell:
+    """Return a cell with an average error, the marks of dominance, and the paper's figure."""
     marks = "".join(mark for score, mark in DOMINATES.items() if recipe in (get_part(result, score, key) or ()))
     text = f"{format_energy(get_part(result, 'mae', recipe, key, AVERAGE))} {marks}".rstrip()
     return Cell(text, format_published(published.get_mae(recipe, key, AVERAGE)))
 
 
 def _share(value: float | None) -> str:
+    """Return a share in percent, empty text where it is unknown."""
     return "" if value is None else format_percent(value)
 
 
 def _said(result: Result, finding: published.PaperFinding) -> str:
-    """Return a sentence on what the paper found, of which vehicle model and about which models."""
+    """Return a sentence with a finding of the paper: the vehicle model, the models and what it says of them."""
     key = finding.vehicle_model
     where = "" if key is None else f" on the {published.load_paper().vehicle_models[key].name}"
     return f"The paper{where}: {', '.join(get_title(result, recipe) for recipe in finding.recipes)}: {finding.says}."

@@ -1,4 +1,4 @@
-"""Figures of a report, one function each: the result of an evaluation in, a plotly figure out."""
+"""Draw the figures of a report: each function takes the result of an evaluation and returns a plotly figure."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -57,17 +57,32 @@ from tools.report.figure_style import (
 )
 
 NO_RIDES = 0.3
-"""Where a logarithmic axis of rides seen shows none."""
+"""Position of zero rides on a logarithmic axis of rides seen."""
 
 PERCENT_TICKS = (5, 10, 15, 20, 30, 40, 60, 80, 100, 150, 200)
-"""Of a logarithmic axis of shares. [%]"""
+"""Tick values of a logarithmic axis of shares. [%]"""
 
 AXIS_UNITS: Mapping[str, str] = {"distance": "Distance [km]", "temperature": "Outside temperature [°C]"}
-"""Titles of axes that have a unit."""
+"""Properties by which errors are reported -> titles of their axes, for those with a unit."""
 
 
 def draw_accessory_curve(result: Result, vehicle_model: str) -> go.Figure:
-    """Return accessory power against outside temperature: bins, and the curve with its choke points. Figure 1."""
+    """Return a figure of accessory power against outside temperature, as Figure 1 of the paper.
+
+    The figure shows the means of temperature bins, the fitted curve, and its choke points.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+    vehicle_model : str
+        Key of the vehicle model.
+
+    Returns
+    -------
+    Figure
+        Plotly figure.
+    """
     look = get_vehicle_style(result, vehicle_model)
     traces: list[Any] = []
     points = [
@@ -88,7 +103,7 @@ def draw_accessory_curve(result: Result, vehicle_model: str) -> go.Figure:
 
 
 def _points(points: Sequence[Mapping[str, Any]], look: Style) -> go.Scatter:
-    """Return the binned points, larger where more rides are in them."""
+    """Return the means of temperature bins, with larger markers for more rides."""
     rides = np.array([get_number(p.get("rides")) or 1.0 for p in points])
     return go.Scatter(
         name="mean of a bin",
@@ -106,7 +121,7 @@ def _points(points: Sequence[Mapping[str, Any]], look: Style) -> go.Scatter:
 
 
 def _five_segments(fitted: AccessoryCurve, look: Style, ambient_c: Sequence[float]) -> list[go.Scatter]:
-    """Return the curve as far as there are bins, but beyond its first and last choke points, and the choke points."""
+    """Return the fitted curve and its choke points; the curve spans all bins and all choke points."""
     chokes = np.array([fitted.heating_full, fitted.heating_off, fitted.cooling_on, fitted.cooling_full])
     ends = np.array([*ambient_c, chokes[0] - ZERO_CELSIUS - 4.0, chokes[-1] - ZERO_CELSIUS + 4.0]) + ZERO_CELSIUS
     at = np.array([ends.min(), *chokes, ends.max()])
@@ -133,7 +148,20 @@ def _five_segments(fitted: AccessoryCurve, look: Style, ambient_c: Sequence[floa
 
 
 def draw_relative_errors(result: Result) -> go.Figure:
-    """Return error over consumption against distance: here above, the paper's below. Figure 2."""
+    """Return a figure of error over consumption against distance, as Figure 2 of the paper.
+
+    The upper panel shows this evaluation, the lower panel the paper.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    Figure
+        Plotly figure.
+    """
     found = get_mapping(result, "relative")
     columns = list_clusters(result, found.values())
     made = make_stacked_figure(("here", PAPER_NAME), 680)
@@ -151,7 +179,20 @@ def draw_relative_errors(result: Result) -> go.Figure:
 
 
 def draw_average_errors(result: Result) -> go.Figure:
-    """Return the average error of each model on each vehicle model, the paper's as outlines. Figure 3."""
+    """Return a figure of the average error of each model on each vehicle model, as Figure 3 of the paper.
+
+    Outlines show the paper's figures.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    Figure
+        Plotly figure.
+    """
     names = [recipe for recipe in get_recipes(result) if get_mapping(result, "mae", recipe)]
     keys = list_vehicle_models(result)
     traces: list[Any] = []
@@ -177,7 +218,18 @@ def draw_average_errors(result: Result) -> go.Figure:
 
 
 def draw_splits(result: Result) -> go.Figure:
-    """Return the average error of each model by what was held out."""
+    """Return a figure of the average error of each model by what was held out.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    Figure
+        Plotly figure.
+    """
     present = [split for split in SPLITS if get_mapping(result, "splits", split)]
     found = {recipe: compute_means_by_split(result, recipe, present) for recipe in get_recipes(result)}
     names = [recipe for recipe, values in found.items() if values and values[0] is not None]
@@ -194,7 +246,18 @@ def draw_splits(result: Result) -> go.Figure:
 
 
 def draw_bands(result: Result) -> go.Figure:
-    """Return the share of rides within bands of relative error, of each model."""
+    """Return a figure of the share of rides that each model predicts within bands of relative error.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    Figure
+        Plotly figure.
+    """
     found = get_mapping(result, "bands")
     names = [recipe for recipe in get_recipes(result) if recipe in found]
     limits = list(dict.fromkeys(limit for recipe in names for limit in get_mapping(found, recipe)))
@@ -211,7 +274,18 @@ def draw_bands(result: Result) -> go.Figure:
 
 
 def draw_buffers(result: Result) -> go.Figure:
-    """Return the reserve that keeps a share of rides above theirs, of each model."""
+    """Return a figure of the buffer that keeps a share of rides above their reserve, for each model.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    Figure
+        Plotly figure.
+    """
     found = get_mapping(result, "buffer_kwh")
     names = [recipe for recipe in get_recipes(result) if get_mapping(found, recipe)]
     shares = list(dict.fromkeys(share for recipe in names for share in get_mapping(found, recipe)))
@@ -234,7 +308,23 @@ def draw_buffers(result: Result) -> go.Figure:
 
 
 def draw_errors_by(result: Result, axis: str) -> go.Figure:
-    """Return mean absolute error above and bias below, against distance, temperature, season or driver."""
+    """Return a figure of mean absolute error and bias against distance, temperature, season or driver.
+
+    The upper panel shows the mean absolute error, the lower panel the bias. Values are sorted where there are more than
+    `MANY_BINS` bins.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+    axis : str
+        Key of `AXES`.
+
+    Returns
+    -------
+    Figure
+        Plotly figure.
+    """
     shown, labels = set(select_principal(result)) - {PHYSICAL}, list_bins(result, axis)
     ranked = len(labels) > MANY_BINS
     made = make_stacked_figure(("mean absolute error", "bias: predicted less measured"), 640)
@@ -261,7 +351,20 @@ def draw_errors_by(result: Result, axis: str) -> go.Figure:
 
 
 def draw_coverage(result: Result) -> go.Figure:
-    """Return the share of rides inside their interval: overall, by cluster, by season, by vehicle model."""
+    """Return a figure of the share of rides inside their prediction interval.
+
+    The shares are overall, by cluster of distance, by season and by vehicle model.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    Figure
+        Plotly figure.
+    """
     found = get_mapping(result, "coverage")
     names = [recipe for recipe in get_recipes(result) if get_mapping(found, recipe)]
     distances = list_clusters(result, (get_mapping(found, recipe, "cluster") for recipe in names))
@@ -287,7 +390,20 @@ def draw_coverage(result: Result) -> go.Figure:
 
 
 def draw_new_vehicle(result: Result, vehicle_model: str) -> go.Figure:
-    """Return each model's error on a vehicle model that was left out of training, the paper's as outlines."""
+    """Return a figure of the errors of all models on a vehicle model left out of training, as Table 12 of the paper.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+    vehicle_model : str
+        Key of the vehicle model.
+
+    Returns
+    -------
+    Figure
+        Plotly figure.
+    """
     found = get_mapping(result, "new_vehicle")
     names = [
         recipe
@@ -311,7 +427,22 @@ def draw_new_vehicle(result: Result, vehicle_model: str) -> go.Figure:
 
 
 def draw_few_shot(result: Result, vehicle_model: str) -> go.Figure:
-    """Return the error on a new vehicle model against the number of its rides seen, the fitted physical model thick."""
+    """Return a figure of the error on a new vehicle model against the number of its rides seen.
+
+    The curve of the fitted physical model is thicker than the others.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+    vehicle_model : str
+        Key of the vehicle model.
+
+    Returns
+    -------
+    Figure
+        Plotly figure.
+    """
     traces, numbers = [], set()
     for recipe in get_mapping(result, "few_shot", vehicle_model):
         points = get_few_shot_errors(result, vehicle_model, recipe)
@@ -335,7 +466,21 @@ def draw_few_shot(result: Result, vehicle_model: str) -> go.Figure:
 
 
 def draw_elimination(result: Result) -> go.Figure:
-    """Return the cross-validated error against the number of terms, and the loss as terms go one after the other."""
+    """Return a figure of the errors as terms are eliminated.
+
+    The upper panel shows the cross-validated error against the number of terms kept, the lower panel the loss as terms
+    are removed one after the other.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    Figure
+        Plotly figure.
+    """
     scores = [s for s in get_part(result, "selection", "rfecv", "scores") or () if get_number(s.get("mae")) is not None]
     steps = [s for s in get_part(result, "selection", "rfe", "steps") or () if get_number(s.get("loss")) is not None]
     made = make_stacked_figure(("RFECV: cross-validated error", "RFE: error more than with all terms"), 640)
@@ -356,9 +501,22 @@ def draw_elimination(result: Result) -> go.Figure:
 
 
 def draw_difference_matrix(result: Result, vehicle_model: str) -> go.Figure:
-    """Return the difference scores of all pairs in Wh: row's error less column's, significant ones with a star.
+    """Return a figure of the difference scores of all pairs of models.
 
-    Shades follow the square root of the difference, so that the small ones between good models can be told apart.
+    A score is the error of the row's model less that of the column's model [Wh]; a star marks significant scores.
+    Shades follow the square root of the score, so that small differences between good models remain visible.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+    vehicle_model : str
+        Key of the vehicle model.
+
+    Returns
+    -------
+    Figure
+        Plotly figure.
     """
     found = get_mapping(result, "difference", vehicle_model)
     names = [r for r in get_recipes(result) if any(get_difference(found, r, other) for other in get_recipes(result))]
@@ -389,7 +547,7 @@ def draw_difference_matrix(result: Result, vehicle_model: str) -> go.Figure:
 
 
 def _score(score: tuple[float, float | None] | None) -> str:
-    """Return the text of a difference in Wh, a star where it is significant."""
+    """Return the text of a difference score in Wh, with a star where it is significant."""
     if score is None:
         return ""
     value, p = score
@@ -398,7 +556,7 @@ def _score(score: tuple[float, float | None] | None) -> str:
 
 
 def _by_model(result: Result, names: Sequence[str], traces: list[Any], unit: str, row_height: int) -> go.Figure:
-    """Return dots in a row for each model."""
+    """Return a figure with one row of dots per model."""
     made = make_figure(traces, 90 + row_height * len(names))
     made.update_xaxes(title_text=unit, rangemode="tozero")
     made.update_yaxes(
@@ -411,17 +569,20 @@ def _by_model(result: Result, names: Sequence[str], traces: list[Any], unit: str
 
 
 def _offset(place: int, of: int) -> float:
-    """Return where in its row a vehicle model's dot is."""
+    """Return the vertical offset of a dot within its row from its place among several dots."""
     return 0.7 * ((place + 0.5) / of - 0.5)
 
 
 def _times(value: float | None, factor: float) -> float | None:
+    """Return the product of a value and a factor, None where the value is unknown."""
     return None if value is None else value * factor
 
 
 def _dash(cluster: str) -> str:
+    """Return the name of a cluster with an en dash, safe as a label."""
     return escape_label(cluster.replace("-", "–"))
 
 
 def _dashes(columns: Sequence[str]) -> list[str]:
+    """Return the names of clusters with en dashes, safe as labels."""
     return [_dash(column) for column in columns]

@@ -1,4 +1,4 @@
-"""Which figures a report has, section by section, and what they show in words."""
+"""Select the figures of each section of a report, with titles and captions."""
 
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
@@ -25,22 +25,24 @@ from tools.report.evaluation.use_tables import AXES, MANY_BINS, list_bins
 PAPER_CAPTION: Final = (
     "The paper's figures are of its own company's rides: other data than these, for orientation only."
 )
+"""Sentence of captions of figures that also show the paper's figures."""
 
 
 class Illustration(NamedTuple):
-    """A figure of a report.
+    """A figure of a report, with its title and caption.
 
     Parameters
     ----------
     key : str
-        Unique, and safe in HTML.
+        Unique key that is safe in HTML.
     title : str
-        With the paper's figure number, where it has one.
+        Title, with the paper's figure number where it has one.
     caption : str
-        What it shows, for who reads it and for who cannot see it.
+        Description of the figure, also for readers who cannot see it.
     figure : Figure
+        Plotly figure.
     small : bool
-        One of several alike, which stand side by side where there is room.
+        Whether the figure is one of several similar ones, which the page shows side by side where there is room.
     """
 
     key: str
@@ -51,19 +53,33 @@ class Illustration(NamedTuple):
 
 
 def build_illustrations(result: Result, section: str) -> list[Illustration]:
-    """Return the figures of a section that have something to show."""
+    """Return the figures of a section that have something to show.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+    section : str
+        Key of the section.
+
+    Returns
+    -------
+    list of Illustration
+        Figures with at least one point; empty for sections without figures.
+    """
     made = MAKERS.get(section)
     return [one for one in made(result) if any(_has_points(trace) for trace in one.figure.data)] if made else []
 
 
 def _has_points(trace: Any) -> bool:
-    """Return whether there is anything to see of a trace."""
+    """Return whether a trace has at least one visible point."""
     if trace.type == "heatmap":
         return any(value is not None for row in trace.z for value in row)
     return any(x is not None and y is not None for x, y in zip(trace.x, trace.y, strict=True))
 
 
 def _data(result: Result) -> list[Illustration]:
+    """Return the accessory curves of all vehicle models."""
     return [
         Illustration(
             f"curve-{i}",
@@ -79,6 +95,7 @@ def _data(result: Result) -> list[Illustration]:
 
 
 def _summary(result: Result) -> list[Illustration]:
+    """Return the figures that compare all models."""
     winner = get_title(result, find_best(result) or "")
     return [
         Illustration(
@@ -104,6 +121,7 @@ def _summary(result: Result) -> list[Illustration]:
 
 
 def _difference(result: Result) -> list[Illustration]:
+    """Return the difference scores of all vehicle models together and of each."""
     return [
         Illustration(
             f"difference-{i}",
@@ -118,7 +136,7 @@ def _difference(result: Result) -> list[Illustration]:
 
 
 def _dominating(result: Result, key: str) -> str:
-    """Return who dominates, as a sentence."""
+    """Return a sentence that names the models that dominate a vehicle model."""
     names = [get_title(result, recipe) for recipe in get_part(result, "dominates", key) or ()]
     if not names:
         return ""
@@ -126,6 +144,7 @@ def _dominating(result: Result, key: str) -> str:
 
 
 def _places(result: Result) -> list[Illustration]:
+    """Return the errors by distance, temperature, season and driver."""
     return [
         Illustration(
             f"by-{axis}",
@@ -139,6 +158,7 @@ def _places(result: Result) -> list[Illustration]:
 
 
 def _by_caption(ranked: bool) -> str:
+    """Return the caption of errors by a property, whose values are ranked or in panels."""
     shown = "Further models are shown by clicking on their names in the legend."
     if ranked:
         return f"Each curve has all in its own order, from least to most. {shown}"
@@ -146,6 +166,7 @@ def _by_caption(ranked: bool) -> str:
 
 
 def _reserve(result: Result) -> list[Illustration]:
+    """Return the coverage of intervals, and the buffers above the reserve."""
     return [
         Illustration(
             "coverage",
@@ -164,6 +185,7 @@ def _reserve(result: Result) -> list[Illustration]:
 
 
 def _splits(result: Result) -> list[Illustration]:
+    """Return the errors by what was held out."""
     return [
         Illustration(
             "splits",
@@ -176,6 +198,7 @@ def _splits(result: Result) -> list[Illustration]:
 
 
 def _transfer(result: Result) -> list[Illustration]:
+    """Return the errors on vehicle models left out of training, and after some of their rides."""
     keys = list_vehicle_models(result)
     beside = any(published.get_new_vehicle_mae(FITTED, key) for key in keys)
     left_out = [
@@ -207,6 +230,7 @@ def _transfer(result: Result) -> list[Illustration]:
 
 
 def _selection(result: Result) -> list[Illustration]:
+    """Return the errors as terms are eliminated."""
     return [
         Illustration(
             "elimination",
@@ -229,3 +253,4 @@ MAKERS: Final[dict[str, Callable[[Result], list[Illustration]]]] = {
     "transfer": _transfer,
     "selection": _selection,
 }
+"""Keys of sections -> functions that build their figures."""

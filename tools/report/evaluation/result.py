@@ -1,7 +1,7 @@
-"""Reading the result of an evaluation, whatever it lacks.
+"""Read the result of an evaluation, of which any part may be missing.
 
 A result is the mapping that `socast evaluate --json` writes. Any part of it may be missing or null: an evaluation of
-few rides has no few-shot curves, a model without intervals no coverage. What is not there is not reported.
+few rides has no few-shot curves, and a model without intervals has no coverage. Reports leave missing parts out.
 """
 
 from collections.abc import Iterable, Mapping
@@ -14,26 +14,41 @@ from core.vehicles import load_catalogue
 Result = Mapping[str, Any]
 
 FITTED: Final = "fitted_physical"
-"""The recipe that others have to beat on a new vehicle model."""
+"""Recipe of the fitted physical model, the reference for errors on a new vehicle model."""
 WAYS: Final[Mapping[str, str]] = MappingProxyType(
     {
         "fitted_physical_others": "trained on the others only",
         "fitted_physical_refitted": "refitted with the rides seen",
     }
 )
-"""The same in few-shot curves, in ways of which it has the better one at each point."""
+"""Variants of the recipe `FITTED` in few-shot curves -> their names for readers.
+
+At each point of the curve, `FITTED` is the better of these variants.
+"""
 INTERACTIONS: Final = "hybrid_interactions"
-"""The best recipe of the paper."""
+"""Recipe of the best model of the paper."""
 SEGMENTS: Final = "segment_network"
-"""The reference of another kind."""
+"""Recipe of the segment model, a reference that is not among the paper's models."""
 ALL: Final = "all"
-"""Stands for all vehicle models together."""
+"""Key of all vehicle models together."""
 NOT_CLUSTERS: Final = ("total", AVERAGE)
 """Columns beside the clusters of distance."""
 
 
 def get_part(result: Any, *path: str) -> Any:
-    """Return what is found along a path of keys, None where the path ends early.
+    """Return the value along a path of keys, None where the path ends early.
+
+    Parameters
+    ----------
+    result : Any
+        Nested mappings.
+    *path : str
+        Keys from the outermost mapping inwards.
+
+    Returns
+    -------
+    Any
+        Value at the end of the path, or None.
 
     Examples
     --------
@@ -48,31 +63,66 @@ def get_part(result: Any, *path: str) -> Any:
 
 
 def get_mapping(result: Any, *path: str) -> Mapping[str, Any]:
-    """Return the mapping along a path of keys, an empty one where there is none."""
+    """Return the mapping along a path of keys, an empty one where there is none.
+
+    Parameters
+    ----------
+    result : Any
+        Nested mappings.
+    *path : str
+        Keys from the outermost mapping inwards.
+
+    Returns
+    -------
+    mapping
+        Mapping at the end of the path, empty where the value is missing or no mapping.
+    """
     found = get_part(result, *path)
     return found if isinstance(found, Mapping) else {}
 
 
 def get_number(value: Any) -> float | None:
-    """Return a figure: a number as it is, or the `value` of an estimate."""
+    """Return a value as a number.
+
+    Parameters
+    ----------
+    value : Any
+        A number, or an estimate with the key `value`.
+
+    Returns
+    -------
+    float or None
+        The number; None where there is none, and for a bool.
+    """
     if isinstance(value, Mapping):
         value = value.get("value")
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
 def get_half_width(value: Any) -> float | None:
-    """Return the half width of an estimate's 95 % confidence interval, None where it has none."""
+    """Return half of the width of an estimate's 95 % confidence interval, None where it has none."""
     return get_number(value.get("ci95")) if isinstance(value, Mapping) else None
 
 
 def compute_mean(values: Iterable[float | None]) -> float | None:
-    """Return the plain mean of what is known, None where nothing is."""
+    """Return the plain mean of the values that are known, None where none is."""
     known = [value for value in values if value is not None]
     return sum(known) / len(known) if known else None
 
 
 def get_recipes(result: Result) -> dict[str, str]:
-    """Return the titles of the models by recipe, in their order."""
+    """Return the recipes of the models and their titles, in the order of the result.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    dict
+        Recipe -> title; the recipes that have errors where the result has no titles.
+    """
     titles = get_mapping(result, "recipes")
     return {str(name): str(title or name) for name, title in titles.items()} or {
         n: n for n in get_mapping(result, "mae")
@@ -80,14 +130,14 @@ def get_recipes(result: Result) -> dict[str, str]:
 
 
 def get_title(result: Result, recipe: str) -> str:
-    """Return the title of a model."""
+    """Return the title of a model, or its recipe where the result has no title."""
     if recipe in WAYS:
         return f"{get_title(result, FITTED)}, {WAYS[recipe]}"
     return get_recipes(result).get(recipe, recipe)
 
 
 def list_vehicle_models(result: Result) -> list[str]:
-    """Return the keys of the vehicle models, in their order."""
+    """Return the keys of the vehicle models, in the order of the result."""
     named = get_part(result, "about", "vehicle_models")
     found = list(named) if named else list(get_mapping(result, "rides"))
     rows = found or [key for recipe in get_mapping(result, "mae").values() for key in get_mapping(recipe)]
@@ -95,7 +145,17 @@ def list_vehicle_models(result: Result) -> list[str]:
 
 
 def get_vehicle_name(key: str) -> str:
-    """Return what people call a vehicle model: the catalogue's name without its battery, or the key.
+    """Return the name of a vehicle model for readers: the catalogue's name without its battery, or the key.
+
+    Parameters
+    ----------
+    key : str
+        Key of the catalogue, or `ALL`.
+
+    Returns
+    -------
+    str
+        Name; the key itself where the catalogue does not have it.
 
     Examples
     --------
@@ -109,7 +169,20 @@ def get_vehicle_name(key: str) -> str:
 
 
 def list_clusters(result: Result, rows: Iterable[Any]) -> list[str]:
-    """Return the clusters of distance that have a figure in any of the rows, shortest first."""
+    """Return the clusters of distance that have a figure in at least one row, shortest first.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+    rows : iterable of mapping
+        Cluster -> figure.
+
+    Returns
+    -------
+    list of str
+        Clusters in the order of the result; clusters that it does not list come last, by their lower end.
+    """
     filled = {
         cluster
         for row in rows
@@ -131,19 +204,30 @@ def compute_overall_error(result: Result, recipe: str) -> float | None:
 
 
 def find_best(result: Result) -> str | None:
-    """Return the model of least error."""
+    """Return the recipe of the model with the least overall error, None where no error is known."""
     errors = {recipe: compute_overall_error(result, recipe) for recipe in get_recipes(result)}
     known = {recipe: error for recipe, error in errors.items() if error is not None}
     return min(known, key=known.__getitem__, default=None)
 
 
 def select_principal(result: Result) -> list[str]:
-    """Return the models that have a column where not all can: the milestones, the best, and the segment model."""
+    """Return the models for tables that have no room for all of them.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    list of str
+        Recipes of the basic and the fitted physical model, the paper's best, the best here, and the segment model.
+    """
     chosen = {PHYSICAL, FITTED, INTERACTIONS, SEGMENTS, find_best(result)}
     return [recipe for recipe in get_recipes(result) if recipe in chosen]
 
 
 def _lower_end(cluster: str) -> float:
-    """Return the first number in a cluster's name, infinity where there is none."""
+    """Return the first number in the name of a cluster, infinity where there is none."""
     digits = cluster.removesuffix("+").partition("-")[0]
     return float(digits) if digits.replace(".", "", 1).isdigit() else float("inf")

@@ -1,4 +1,4 @@
-"""The order of a report: its sections, what they say and the tables in them."""
+"""Arrange a report: the order of its sections, their texts and their tables."""
 
 from typing import NamedTuple
 
@@ -34,13 +34,15 @@ class Section(NamedTuple):
     Parameters
     ----------
     key : str
-        Of its figures, and in links to it.
+        Key of its figures, also used in links to it.
     title : str
+        Title.
     text : str
-        What it shows.
+        Description of its content.
     tables : list of ReportTable
+        Tables in their order.
     folded : bool
-        Whether its figures tell what its tables do: the page folds these away, the terminal leaves them out.
+        Whether its figures show the same as its tables. The page folds such tables away, the terminal leaves them out.
     """
 
     key: str
@@ -51,7 +53,18 @@ class Section(NamedTuple):
 
 
 def build_sections(result: Result) -> list[Section]:
-    """Return the sections that have something to show."""
+    """Return the sections that have at least one table with a row.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    list of Section
+        Sections in the order of the report.
+    """
     matrices = [tabulate_differences(result, key) for key in (ALL, *list_vehicle_models(result))]
     found = [
         Section("glance", "At a glance", "", [tabulate_overview(result)]),
@@ -110,7 +123,18 @@ def build_sections(result: Result) -> list[Section]:
 
 
 def tabulate_overview(result: Result) -> ReportTable:
-    """Return the figures that a reader looks for first, with the paper's beside them."""
+    """Return a table of the principal figures, with the paper's beside them.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    ReportTable
+        One row per figure that the result has.
+    """
     found = get_mapping(result, "coverage")
     rows = [
         _reduced(result, INTERACTIONS, published.get_statement("reduction")),
@@ -135,11 +159,12 @@ def tabulate_overview(result: Result) -> ReportTable:
 
 
 def _row(name: str, here: str, paper: str = "") -> Row:
+    """Return a row with a figure of this evaluation and one of the paper."""
     return Row(name, (Cell(here, paper),))
 
 
 def _reduced(result: Result, recipe: str | None, said: PaperStatement | None) -> Row | None:
-    """Return how far a model's error is below that of the basic physical model."""
+    """Return a row with the reduction of a model's error against the basic physical model."""
     share = get_number(get_part(result, "reduction", recipe or "", AVERAGE))
     if recipe is None or share is None:
         return None
@@ -148,7 +173,7 @@ def _reduced(result: Result, recipe: str | None, said: PaperStatement | None) ->
 
 
 def _beyond_the_paper(result: Result) -> Row | None:
-    """Return how far the best model is from the paper's best."""
+    """Return a row that compares the best model with the best model of the paper, None where they are the same."""
     winner, reference = find_best(result), compute_overall_error(result, INTERACTIONS)
     if winner is None or winner == INTERACTIONS or reference is None:
         return None
@@ -157,7 +182,7 @@ def _beyond_the_paper(result: Result) -> Row | None:
 
 
 def _unbeaten(result: Result) -> Row | None:
-    """Return the models that none is significantly better than, on any vehicle model."""
+    """Return a row with the models that dominate or co-dominate on every vehicle model."""
     found = [get_part(result, "dominates", key) or () for key in list_vehicle_models(result)]
     names = [get_title(result, r) for r in (found[0] if found else ()) if all(r in of for of in found)]
     said = f"{get_title(result, INTERACTIONS)}, or it and others"
@@ -165,14 +190,14 @@ def _unbeaten(result: Result) -> Row | None:
 
 
 def _relative(result: Result, cluster: str, said: PaperStatement) -> Row | None:
-    """Return error over consumption in a cluster."""
+    """Return a row with error over consumption in a cluster of distance."""
     share = get_number(get_part(result, "relative", INTERACTIONS, cluster))
     label = f"Error over consumption, rides of {cluster.replace('-', '–')} km: {get_title(result, INTERACTIONS)}"
     return None if share is None else _row(label, format_percent(share), f"about {format_percent(said.value, 0)}")
 
 
 def _new_vehicle(result: Result, recipe: str | None, said: PaperStatement | None) -> Row | None:
-    """Return how far a model's error on unseen vehicle models is below that of the basic physical model."""
+    """Return a row with the reduction of a model's error on unseen vehicle models against the basic physical model."""
     share = None if recipe is None else _left_out(result, recipe)
     if recipe is None or share is None:
         return None
@@ -181,7 +206,7 @@ def _new_vehicle(result: Result, recipe: str | None, said: PaperStatement | None
 
 
 def _best_new_vehicle(result: Result) -> str | None:
-    """Return the model that does best on unseen vehicle models, None where that is the fitted physical one."""
+    """Return the best model on unseen vehicle models, None where that is the fitted physical one."""
     shares = {recipe: _left_out(result, recipe) for recipe in get_mapping(result, "new_vehicle") if recipe != PHYSICAL}
     known = {recipe: share for recipe, share in shares.items() if share is not None}
     found = max(known, key=known.__getitem__, default=None)
@@ -189,13 +214,14 @@ def _best_new_vehicle(result: Result) -> str | None:
 
 
 def _left_out(result: Result, recipe: str) -> float | None:
+    """Return the mean reduction of a model's error over vehicle models left out of training."""
     return compute_mean(
         get_number(get_part(result, "new_vehicle", recipe, key, "reduction")) for key in list_vehicle_models(result)
     )
 
 
 def _buffer(result: Result) -> Row | None:
-    """Return the reserve that the paper's best model asks for."""
+    """Return a row with the buffers that the best model of the paper needs."""
     found = get_mapping(result, "buffer_kwh", INTERACTIONS)
     if not found:
         return None

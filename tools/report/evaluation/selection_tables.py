@@ -1,4 +1,4 @@
-"""Tables of which terms of the hybrid model can go, section 5.2 of the paper."""
+"""Build the tables of removable terms of the hybrid model, section 5.2 of the paper."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -12,12 +12,34 @@ BEYOND: Final = 3
 
 
 def tabulate_selection(result: Result) -> list[ReportTable]:
-    """Return which terms elimination took out, and what taking out one after the other costs."""
+    """Return the tables of removed terms, and of the loss as terms are removed one after the other.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    list of ReportTable
+        Tables that have a row.
+    """
     return [table for table in (tabulate_removed_terms(result), tabulate_steps(result)) if table.rows]
 
 
 def tabulate_removed_terms(result: Result) -> ReportTable:
-    """Return the terms that elimination took out, with cross-validation and without."""
+    """Return the terms that recursive elimination removed, with cross-validation (RFECV) and without (RFE).
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    ReportTable
+        Removed terms and the loss: the increase of the mean absolute error. [kWh]
+    """
     found = get_mapping(result, "selection")
     rows: list[Row] = []
     if found.get("constant"):
@@ -40,7 +62,18 @@ def tabulate_removed_terms(result: Result) -> ReportTable:
 
 
 def tabulate_steps(result: Result) -> ReportTable:
-    """Return what it costs to take out one term after the other, up to a few beyond those that can go."""
+    """Return the loss as terms are removed one after the other, up to `BEYOND` terms after the last removable one.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    ReportTable
+        One row per removed term, with the loss [kWh] and its p-value.
+    """
     found = get_part(result, "selection", "rfe", "steps") or []
     count = len(get_part(result, "selection", "rfe", "removed") or ()) + BEYOND
     rows = tuple(
@@ -52,12 +85,12 @@ def tabulate_steps(result: Result) -> ReportTable:
 
 
 def format_terms(names: Sequence[Any]) -> str:
-    """Return names of terms as a list, `none` where there is none."""
+    """Return names of terms separated by commas, `none` where there is none."""
     return ", ".join(str(name) for name in names) or "none"
 
 
 def _loss(loss: Any) -> str:
-    """Return a difference of errors, with its interval where it has one."""
+    """Return a difference of errors as text, with its confidence interval where it has one."""
     value, ci95 = get_number(loss), get_number(get_part(loss, "ci95"))
     if value is None:
         return UNKNOWN
@@ -65,5 +98,6 @@ def _loss(loss: Any) -> str:
 
 
 def _p(loss: Mapping[str, Any] | None) -> str:
+    """Return the p-value of a loss as text, `UNKNOWN` where it has none."""
     p = get_number(get_part(loss, "p"))
     return UNKNOWN if p is None else "< 0.001" if p < 0.001 else f"{p:.3f}"

@@ -1,4 +1,4 @@
-"""Tables of what becomes of the errors when whole cars or the last dates are held out instead of single rides."""
+"""Build the tables of errors where whole cars or the last dates are held out instead of single rides."""
 
 from typing import Final
 
@@ -16,11 +16,22 @@ from tools.report.evaluation.result import (
 )
 
 SPLITS: Final = ("ride", "vehicle", "date")
-"""What is held out together; the first is the paper's."""
+"""Units that are held out together; the paper holds out the first one."""
 
 
 def tabulate_all_splits(result: Result) -> list[ReportTable]:
-    """Return the average errors by what was held out, and the changes by vehicle model."""
+    """Return the tables of average errors by what was held out, and of the changes on each vehicle model.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    list of ReportTable
+        Empty where the result has no split. Changes need the split by ride.
+    """
     present = [split for split in SPLITS if get_mapping(result, "splits", split)]
     if not present:
         return []
@@ -29,7 +40,20 @@ def tabulate_all_splits(result: Result) -> list[ReportTable]:
 
 
 def tabulate_splits(result: Result, present: list[str]) -> ReportTable:
-    """Return the average errors side by side, over the vehicle models of which every split has a figure."""
+    """Return the average errors of all splits side by side.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+    present : list of str
+        Splits that the result has.
+
+    Returns
+    -------
+    ReportTable
+        Mean over the vehicle models for which every split has a figure. [kWh]
+    """
     means = {recipe: compute_means_by_split(result, recipe, present) for recipe in get_recipes(result)}
     names = [recipe for recipe, found in means.items() if found[0] is not None]
     columns = [
@@ -57,7 +81,20 @@ def tabulate_splits(result: Result, present: list[str]) -> ReportTable:
 
 
 def tabulate_changes(result: Result, split: str) -> ReportTable:
-    """Return by how much errors grow on each vehicle model where cars or dates are held out instead of rides."""
+    """Return by how much errors grow on each vehicle model where cars or dates are held out instead of rides.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+    split : str
+        Split that is compared with the split by ride.
+
+    Returns
+    -------
+    ReportTable
+        Change of the average error, one column per vehicle model. [%]
+    """
     keys = list_vehicle_models(result)
     rows = tuple(
         Row(
@@ -75,7 +112,20 @@ def tabulate_changes(result: Result, split: str) -> ReportTable:
 
 
 def describe_best_models(result: Result, present: list[str]) -> str:
-    """Return a sentence: which model is best by each split."""
+    """Return a sentence that names the best model of each split.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+    present : list of str
+        Splits that the result has.
+
+    Returns
+    -------
+    str
+        One sentence.
+    """
     winners: dict[str, str] = {}
     for place, split in enumerate(present):
         errors = {recipe: compute_means_by_split(result, recipe, present)[place] for recipe in get_recipes(result)}
@@ -88,7 +138,22 @@ def describe_best_models(result: Result, present: list[str]) -> str:
 
 
 def compute_means_by_split(result: Result, recipe: str, present: list[str]) -> list[float | None]:
-    """Return the mean error by each split, over the vehicle models of which all have one."""
+    """Return the mean error of a model by each split.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+    recipe : str
+        Recipe of the model.
+    present : list of str
+        Splits that the result has.
+
+    Returns
+    -------
+    list of float or None
+        Mean over the vehicle models for which every split has a figure; None where there is no such model. [kWh]
+    """
     shared = [
         key
         for key in list_vehicle_models(result)
@@ -98,4 +163,5 @@ def compute_means_by_split(result: Result, recipe: str, present: list[str]) -> l
 
 
 def _error(result: Result, split: str, recipe: str, key: str) -> float | None:
+    """Return the average error of a model on a vehicle model by a split. [kWh]"""
     return get_number(get_part(result, "splits", split, recipe, key))

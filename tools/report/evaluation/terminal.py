@@ -1,4 +1,4 @@
-"""The report of an evaluation in the terminal."""
+"""Print the report of an evaluation in the terminal."""
 
 from typing import Any, Final
 
@@ -13,18 +13,18 @@ from tools.report.evaluation.sections import Section, build_sections
 from tools.terminal.rich_table import Column, make_table
 
 LAST: Final = "glance"
-"""The section that ends the output, where the eye is."""
+"""Key of the section that is printed last, where readers look first."""
 
 
 def show(result: Any, console: Console) -> None:
-    """Print the result of an evaluation: its tables, and last what a reader looks for first.
+    """Print the tables of an evaluation, with the principal figures last.
 
     Parameters
     ----------
     result : mapping
-        Of the evaluation; what it lacks is left out.
+        Result of an evaluation; missing parts are left out.
     console : Console
-        At least 120 columns wide, for tables that do not wrap.
+        Console of at least 120 columns, so that tables do not wrap.
     """
     shown = [section for section in build_sections(to_json_values(result)) if not section.folded]
     for section in sorted(shown, key=lambda section: section.key == LAST):
@@ -34,7 +34,17 @@ def show(result: Any, console: Console) -> None:
 
 
 def print_section(section: Section, console: Console) -> None:
-    """Print the title and tables of a section; a note that several tables have, once, below the last of them."""
+    """Print the title and the tables of a section.
+
+    A note that several tables share is printed once, below the last of them.
+
+    Parameters
+    ----------
+    section : Section
+        Section to print.
+    console : Console
+        Console to print to.
+    """
     console.print()
     console.rule(Text(section.title, style="bold"), align="left")
     if section.text:
@@ -49,7 +59,7 @@ def print_section(section: Section, console: Console) -> None:
 
 
 def _table(table: ReportTable) -> Table:
-    """Return a table of a report as rich prints it."""
+    """Return a table of a report as a table of rich."""
     made = make_table([Column(table.corner), *(Column(head, number=True) for head in table.columns)], table.title)
     for i, row in enumerate(table.rows):
         ends = row.total or (i + 1 < len(table.rows) and table.rows[i + 1].total)
@@ -58,7 +68,7 @@ def _table(table: ReportTable) -> Table:
 
 
 def _cell(cell: Cell) -> Text:
-    """Return what was found, and below it in parentheses what the paper has."""
+    """Return the figure of this evaluation, and below it the paper's figure in parentheses."""
     text = Text(cell.text, style="bold" if cell.strong else "")
     if cell.paper:
         text.append("\n" if cell.text else "")
@@ -67,7 +77,7 @@ def _cell(cell: Cell) -> Text:
 
 
 def _notes(result: Any) -> list[str]:
-    """Return what the evaluation itself says was left out."""
+    """Return the notes of the evaluation, and the title of the paper."""
     about = result.get("about") or {}
     notes = [str(note) for note in (*(result.get("notes") or ()), *(about.get("notes") or ()))]
     return [*notes, f"“The paper” is “{published.load_paper().title}”."]

@@ -1,4 +1,4 @@
-"""Tables of what carries over to a vehicle model that was not trained on."""
+"""Build the tables of errors on a vehicle model that was left out of training."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -21,18 +21,40 @@ from tools.report.evaluation.result import (
 )
 
 WORSE = " ↑"
-"""Marks an error above that of the fitted physical model."""
+"""Mark of an error above that of the fitted physical model."""
 
 
 def tabulate_transfer(result: Result) -> list[ReportTable]:
-    """Return Tables 12 and 13 and the few-shot curves of each vehicle model."""
+    """Return Tables 12 and 13 of the paper, and the few-shot errors of each vehicle model.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    list of ReportTable
+        Tables that have a row.
+    """
     tables = [tabulate_new_vehicle(result), tabulate_new_vehicle_relative(result)]
     tables += [tabulate_few_shot(result, key) for key in get_mapping(result, "few_shot")]
     return [table for table in tables if table.rows]
 
 
 def tabulate_new_vehicle(result: Result) -> ReportTable:
-    """Return the errors on a vehicle model that was left out of training, Table 12."""
+    """Return the mean absolute errors on vehicle models left out of training, as Table 12 of the paper.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    ReportTable
+        Errors by vehicle model [kWh], and the mean reduction against the basic physical model [%].
+    """
     names, keys = _tested(result)
 
     def cell(recipe: str, key: str) -> Cell:
@@ -60,7 +82,18 @@ def tabulate_new_vehicle(result: Result) -> ReportTable:
 
 
 def tabulate_new_vehicle_relative(result: Result) -> ReportTable:
-    """Return error over consumption on a vehicle model that was left out of training, Table 13."""
+    """Return error over consumption on vehicle models left out of training, as Table 13 of the paper.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    ReportTable
+        Errors over consumption by vehicle model. [%]
+    """
     names, keys = _tested(result)
 
     def cell(recipe: str, key: str) -> Cell:
@@ -74,7 +107,20 @@ def tabulate_new_vehicle_relative(result: Result) -> ReportTable:
 
 
 def tabulate_few_shot(result: Result, vehicle_model: str) -> ReportTable:
-    """Return the error on a new vehicle model against the number of its rides that were seen."""
+    """Return the error on a new vehicle model against the number of its rides seen in training.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+    vehicle_model : str
+        Key of the vehicle model.
+
+    Returns
+    -------
+    ReportTable
+        Mean absolute errors, one row per number of rides and one column per model. [kWh]
+    """
     names = list(get_mapping(result, "few_shot", vehicle_model))
     points = {recipe: get_few_shot_errors(result, vehicle_model, recipe) for recipe in names}
     line = points.get(FITTED, {})
@@ -93,7 +139,22 @@ def tabulate_few_shot(result: Result, vehicle_model: str) -> ReportTable:
 
 
 def get_few_shot_errors(result: Result, vehicle_model: str, recipe: str) -> dict[int, Mapping[str, Any]]:
-    """Return the few-shot errors of a model by the number of rides seen, `value` and `ci95` in kWh."""
+    """Return the few-shot errors of a model on a vehicle model.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+    vehicle_model : str
+        Key of the vehicle model.
+    recipe : str
+        Recipe of the model.
+
+    Returns
+    -------
+    dict
+        Number of rides seen -> `value` and `ci95`. [kWh]
+    """
     made: dict[int, Mapping[str, Any]] = {}
     for point in get_part(result, "few_shot", vehicle_model, recipe) or ():
         rides, error = get_number(get_part(point, "rides")), get_part(point, "mae")
@@ -110,7 +171,7 @@ def _rows(
     figure: str,
     last: list[Cell],
 ) -> tuple[Row, ...]:
-    """Return a row for each model, the least of each vehicle model standing out."""
+    """Return a row for each model, with the least figure of each vehicle model emphasised."""
     columns = [
         mark_least([cell(r, key) for r in names], [_left_out(result, r, key, figure) for r in names]) for key in keys
     ]
@@ -121,7 +182,7 @@ def _rows(
 
 
 def _tested(result: Result) -> tuple[list[str], list[str]]:
-    """Return the models and vehicle models that were tested so."""
+    """Return the models and the vehicle models that have an error on a vehicle model left out of training."""
     found = get_mapping(result, "new_vehicle")
     names = [recipe for recipe in get_recipes(result) if get_mapping(found, recipe)]
     return names, [
@@ -130,10 +191,12 @@ def _tested(result: Result) -> tuple[list[str], list[str]]:
 
 
 def _left_out(result: Result, recipe: str, key: str, figure: str) -> float | None:
+    """Return a figure of a model on a vehicle model left out of training."""
     return get_number(get_part(result, "new_vehicle", recipe, key, figure))
 
 
 def _paper_reduction(recipe: str) -> float | None:
+    """Return the mean over the paper's vehicle models of its reductions by a model."""
     models = published.load_paper().vehicle_models.values()
     return compute_mean(published.get_new_vehicle_reduction(recipe, model.catalogue[0]) for model in models)
 
@@ -147,8 +210,10 @@ def _against(point: Mapping[str, Any] | None, fitted: Mapping[str, Any] | None) 
 
 
 def _percent(share: float | None) -> str:
+    """Return a share in percent, empty text where it is unknown."""
     return "" if share is None else format_percent(share)
 
 
 def _as_percent(figure: PublishedFigure | None) -> str:
+    """Return a figure of the paper in percent, empty text where it has none."""
     return "" if figure is None else format_percent(figure.value, 0)

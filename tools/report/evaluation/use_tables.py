@@ -1,4 +1,4 @@
-"""Tables for who uses a model: where it errs, its intervals, the reserve it asks for."""
+"""Build the tables for users of a model: errors by condition, prediction intervals, and the reserve it needs."""
 
 from collections.abc import Mapping
 from statistics import quantiles
@@ -35,25 +35,36 @@ AXES: Final[Mapping[str, str]] = MappingProxyType(
 """Properties by which errors are reported -> their names for readers."""
 
 UNITS: Final[Mapping[str, str]] = MappingProxyType({"distance": ", km", "temperature": ", °C"})
-"""Units of these properties, for headings."""
+"""Units of these properties for headings; properties without a unit are missing."""
 
 MANY_BINS: Final = 20
-"""Number of bins above which only the spread is reported."""
+"""Number of bins above which only the spread over bins is reported."""
 
 UNSEEN: Final[Mapping[str, str]] = MappingProxyType(
     {"by_vehicle": "cars unseen", "by_date": "last dates unseen", "new_vehicle": "vehicle model unseen"}
 )
-"""Coverage where something was held out whole, and what people call it."""
+"""Keys of coverage where cars, dates or a vehicle model were held out as a whole -> their names for readers."""
 NOMINAL: Final = 0.9
-"""Coverage that intervals are made for."""
+"""Nominal coverage of prediction intervals."""
 LEAST_COVERAGE: Final = 0.85
-"""Of a 90 % interval in any cluster or season."""
+"""Least coverage of a 90 % interval in any cluster or season."""
 COVERAGE_RANGE: Final = (0.88, 0.92)
-"""Of a 90 % interval over all rides."""
+"""Range of the coverage of a 90 % interval over all rides."""
 
 
 def tabulate_places(result: Result) -> list[ReportTable]:
-    """Return the errors by distance, temperature, season and driver."""
+    """Return the tables of errors by distance, temperature, season and driver.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    list of ReportTable
+        Tables that have a row; a property with more than `MANY_BINS` bins has a table of its spread.
+    """
     found = [axis for axis in AXES if get_mapping(result, "by", axis)]
     tables = [
         tabulate_spread(result, axis)
@@ -65,14 +76,39 @@ def tabulate_places(result: Result) -> list[ReportTable]:
 
 
 def list_bins(result: Result, axis: str) -> list[str]:
-    """Return the names of the bins of an axis, in their order."""
+    """Return the names of the bins of a property, in the order of the result.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+    axis : str
+        Key of `AXES`.
+
+    Returns
+    -------
+    list of str
+        Names that occur for at least one model.
+    """
     return list(
         dict.fromkeys(str(b["bin"]) for recipe in get_recipes(result) for b in get_bin_errors(result, axis, recipe))
     )
 
 
 def format_bin(axis: str, name: str) -> str:
-    """Return the name of a bin as people write it.
+    """Return the name of a bin for readers, with typographic dashes and signs.
+
+    Parameters
+    ----------
+    axis : str
+        Key of `AXES`.
+    name : str
+        Name of the bin in the result.
+
+    Returns
+    -------
+    str
+        Name without its unit.
 
     Examples
     --------
@@ -83,13 +119,41 @@ def format_bin(axis: str, name: str) -> str:
 
 
 def get_bin_errors(result: Result, axis: str, recipe: str) -> list[Mapping[str, Any]]:
-    """Return the errors of a model along an axis, bin by bin."""
+    """Return the errors of a model in each bin of a property.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+    axis : str
+        Key of `AXES`.
+    recipe : str
+        Recipe of the model.
+
+    Returns
+    -------
+    list of mapping
+        `bin`, number `n`, `mae` and `bias` [kWh]; empty where the result has none.
+    """
     found = get_part(result, "by", axis, recipe)
     return [entry for entry in found or () if isinstance(entry, Mapping) and "bin" in entry]
 
 
 def tabulate_errors_by_bin(result: Result, axis: str) -> ReportTable:
-    """Return mean absolute error and bias in each bin, of the principal models."""
+    """Return mean absolute error and bias of the principal models in each bin of a property.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+    axis : str
+        Key of `AXES`.
+
+    Returns
+    -------
+    ReportTable
+        Number of predictions, and mean absolute errors with the bias in parentheses. [kWh]
+    """
     names = [recipe for recipe in select_principal(result) if get_bin_errors(result, axis, recipe)]
     found = {recipe: {str(entry["bin"]): entry for entry in get_bin_errors(result, axis, recipe)} for recipe in names}
     rows = tuple(
@@ -107,7 +171,20 @@ def tabulate_errors_by_bin(result: Result, axis: str) -> ReportTable:
 
 
 def tabulate_spread(result: Result, axis: str) -> ReportTable:
-    """Return how errors spread over many bins, such as drivers."""
+    """Return how the errors of each model spread over the bins of a property, such as drivers.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+    axis : str
+        Key of `AXES`.
+
+    Returns
+    -------
+    ReportTable
+        Number of bins, and least, 10 %, median, 90 % and largest mean absolute error. [kWh]
+    """
     rows = []
     for recipe in get_recipes(result):
         errors = [
@@ -127,7 +204,18 @@ def tabulate_spread(result: Result, axis: str) -> ReportTable:
 
 
 def tabulate_reserve(result: Result) -> list[ReportTable]:
-    """Return the coverage of intervals and the reserve that keeps rides above theirs."""
+    """Return the tables of the coverage of intervals, and of the buffers that keep rides above their reserve.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    list of ReportTable
+        Tables that have a row.
+    """
     found = (
         tabulate_coverage(result),
         tabulate_coverage_unseen(result),
@@ -138,7 +226,18 @@ def tabulate_reserve(result: Result) -> list[ReportTable]:
 
 
 def tabulate_coverage(result: Result) -> ReportTable:
-    """Return the share of rides inside their 90 % interval: overall, by cluster, by season."""
+    """Return the share of rides inside their 90 % interval: overall, by cluster of distance, by season.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    ReportTable
+        Coverage, marked where it is outside of its limits [%], and mean width of the interval [kWh].
+    """
     found = get_mapping(result, "coverage")
     names = [recipe for recipe in get_recipes(result) if get_mapping(found, recipe)]
     distances = list_clusters(result, (get_mapping(found, recipe, "cluster") for recipe in names))
@@ -165,7 +264,18 @@ def tabulate_coverage(result: Result) -> ReportTable:
 
 
 def tabulate_coverage_unseen(result: Result) -> ReportTable:
-    """Return the share of rides inside their interval by vehicle model, and where cars, dates or models are unseen."""
+    """Return the share of rides inside their interval by vehicle model, and where cars, dates or vehicle models are unseen.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    ReportTable
+        Coverage, marked where it is outside of its limits. [%]
+    """
     found = get_mapping(result, "coverage")
     names = [recipe for recipe in get_recipes(result) if get_mapping(found, recipe)]
     keys = [k for k in list_vehicle_models(result) if any(k in get_mapping(found, r, "vehicle_model") for r in names)]
@@ -191,7 +301,18 @@ def tabulate_coverage_unseen(result: Result) -> ReportTable:
 
 
 def tabulate_buffers(result: Result) -> ReportTable:
-    """Return the energy in hand that keeps 95 % and 99 % of rides above their reserve."""
+    """Return the buffers that keep 95 % and 99 % of rides above their reserve.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    ReportTable
+        Buffers, one row per model. [kWh]
+    """
     found = get_mapping(result, "buffer_kwh")
     names = [recipe for recipe in get_recipes(result) if get_mapping(found, recipe)]
     shares = list(dict.fromkeys(share for recipe in names for share in get_mapping(found, recipe)))
@@ -213,7 +334,18 @@ def tabulate_buffers(result: Result) -> ReportTable:
 
 
 def tabulate_buffers_by_cluster(result: Result) -> ReportTable:
-    """Return the same by distance, of the larger share of rides, of the principal models."""
+    """Return the buffers of the principal models by distance, for the largest share of rides.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    ReportTable
+        Buffers, one column per cluster of distance. [kWh]
+    """
     found = get_mapping(result, "buffer_by_cluster")
     names = [recipe for recipe in select_principal(result) if get_mapping(found, recipe)]
     shares = [share for recipe in names for row in get_mapping(found, recipe).values() for share in get_mapping(row)]
@@ -231,11 +363,12 @@ def tabulate_buffers_by_cluster(result: Result) -> ReportTable:
 
 
 def _rides(found: Mapping[str, Mapping[str, Mapping[str, Any]]], label: str) -> str:
-    """Return the rides of a bin, of whichever model tells."""
+    """Return the number of predictions in a bin, from the first model that states it."""
     return format_count(next((entries[label].get("n") for entries in found.values() if label in entries), None))
 
 
 def _error_and_bias(entry: Mapping[str, Any] | None) -> Cell:
+    """Return a cell with a mean absolute error, and the bias in parentheses."""
     return Cell("" if entry is None else f"{format_energy(entry.get('mae'))} ({format_signed(entry.get('bias'))})")
 
 
