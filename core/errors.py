@@ -1,47 +1,47 @@
-"""Errors that a person is meant to read.
+"""Define the errors whose messages are written for people.
 
-Bad telemetry never raises: it is counted. What raises is a bad command, file, model or effect, and each message
-names the value, the limit and the remedy.
+Bad telemetry is counted and never raises an error. A bad command, file, model or effect raises one. Each message names
+the value, the limit and the remedy.
 """
 
 
 class SocastError(Exception):
-    """Base of every error that the command line prints as one line."""
+    """Serve as the base of every error that the command line prints as one line."""
 
 
 class RecordingError(SocastError):
-    """A recording cannot be opened, or is not what it says it is."""
+    """Report a recording that cannot be opened, or whose content contradicts its header."""
 
 
 class CatalogueError(SocastError):
-    """A vehicle model is unknown, or its entry is incomplete or out of bounds."""
+    """Report an unknown vehicle model, or a catalogue entry that is incomplete or out of bounds."""
 
 
 class EffectError(SocastError):
-    """An effect has a wrong unit, shape, name or declaration."""
+    """Report an effect with a wrong unit, shape, name or declaration."""
 
 
 class ModelError(SocastError):
-    """A model is unknown, or cannot serve the data that it is given."""
+    """Report a model that is unknown, or that cannot serve the given data."""
 
 
 class ImportFileError(SocastError):
-    """A published data file is not the one that its importer reads."""
+    """Report a published data file that is not the one that its importer reads."""
 
 
 class SettingsError(SocastError):
-    """A setting is outside its limits, or a connection cannot be made with it."""
+    """Report a setting that is outside its limits, or with which no connection can be made."""
 
 
 class AskError(SocastError):
-    """A question about the rest of a shift that cannot be answered as it is asked.
+    """Report an outlook query that cannot be answered.
 
     Parameters
     ----------
     words : str
-        Value, limit and remedy.
+        Message with value, limit and remedy.
     cause : str
-        What it is counted under, such as `unknown_vehicle` or `too_many_legs`.
+        Cause under which the query is counted, such as `unknown_vehicle` or `too_many_legs`.
     """
 
     def __init__(self, words: str, cause: str = "question") -> None:

@@ -1,4 +1,4 @@
-"""Numbers as a person reads them: rounded to what is known, in everyday units."""
+"""Format numbers for people: rounded to their uncertainty, in everyday units."""
 
 from collections.abc import Callable, Mapping
 from math import floor, isfinite, log10
@@ -19,7 +19,19 @@ _EVERYDAY: Final[Mapping[str, Callable[[float], str]]] = MappingProxyType(
 
 
 def everyday(value: float, unit: str) -> str:
-    """Return a quantity of core in the unit of people; one that has no such unit stays in its own.
+    """Return a quantity as text in its everyday unit.
+
+    Parameters
+    ----------
+    value : float
+        Quantity in SI units.
+    unit : str
+        Its SI unit. A unit without an everyday unit is kept.
+
+    Returns
+    -------
+    str
+        Number and unit.
 
     Examples
     --------
@@ -31,13 +43,19 @@ def everyday(value: float, unit: str) -> str:
 
 
 def rounded(value: float, half: float | None = None) -> str:
-    """Return a number to two digits, or to those that its uncertainty leaves, with it.
+    """Return a number as text, rounded to its uncertainty, or to two digits without one.
 
     Parameters
     ----------
     value : float
+        Number.
     half : float, optional
-        Half the width of its interval.
+        Half the width of its interval, in the same unit.
+
+    Returns
+    -------
+    str
+        Number, followed by ± and the half width if there is one.
 
     Examples
     --------
@@ -51,7 +69,7 @@ def rounded(value: float, half: float | None = None) -> str:
 
 
 def _to(value: float, digits: int, scale: float) -> str:
-    """Return a number rounded so that one of size `scale` keeps so many digits."""
+    """Return a number rounded to the decimal place at which `scale` has `digits` digits."""
     if not isfinite(value) or scale == 0.0:
         return f"{value:g}"
     places = digits - 1 - floor(log10(scale))

@@ -1,4 +1,7 @@
-"""The one list of steps, from messages to forecasts and totals: live, replay, training and tests all run it."""
+"""Run all steps from messages to forecasts and totals.
+
+Live operation, replay, training and tests run the same steps.
+"""
 
 from collections.abc import Sequence
 from operator import itemgetter
@@ -48,7 +51,15 @@ MOST_RIDE_NAMES: Final = 10_000
 
 
 class Due(NamedTuple):
-    """Forecasts that have become due: running totals, and what is published at them."""
+    """Hold forecasts that have become due.
+
+    Parameters
+    ----------
+    totals : Totals
+        Running totals of n rides.
+    rows : ForecastRows
+        Forecasts to publish with them, n rows.
+    """
 
     totals: Totals
     rows: ForecastRows
@@ -62,6 +73,7 @@ class Pipeline:
     model : Model
         Makes the published predictions.
     settings : Settings
+        Thresholds of cleaning, forecasting and fitness for training.
     prefix : str
         Chunks before `fleet` in the keys of forecasts, and before `models`, with a slash at the end.
     shadows : sequence of Model
@@ -126,15 +138,33 @@ class Pipeline:
     # Messages in
 
     def push(self, messages: Sequence[Message]) -> list[Message]:
-        """Take messages in the order of their arrival; return the forecasts that have become due, in that order."""
+        """Take messages in the order of their arrival, and return the forecasts that have become due.
+
+        Parameters
+        ----------
+        messages : sequence of Message
+            Messages in the order of their arrival.
+
+        Returns
+        -------
+        list of Message
+            Forecasts in the order in which they became due.
+        """
         self.take(messages)
         return self.forecasts()
 
     def take(self, messages: Sequence[Message]) -> None:
-        """Take messages in the order of their arrival; `forecasts` then returns what has become due.
+        """Take messages in the order of their arrival, without returning forecasts.
+
+        `forecasts` then returns those that have become due.
 
         Event time alone decides which samples call for a forecast. The same messages therefore give the same forecasts,
         to the bit, however they are cut into batches.
+
+        Parameters
+        ----------
+        messages : sequence of Message
+            Messages in the order of their arrival.
         """
         self._forget_ride_names()
         batch, events = self.decoder.decode(messages)
@@ -165,7 +195,13 @@ class Pipeline:
         self._pending.end_batch(batch.size)
 
     def finish(self) -> list[Message]:
-        """Close every ride and window in progress, at the end of the stream, and all running errors."""
+        """Close every ride and window in progress at the end of the stream, and all running errors.
+
+        Returns
+        -------
+        list of Message
+            Always empty.
+        """
         self._update_forecasts()
         sums = self.ledger.close()
         self._take_closed(sums)
@@ -199,6 +235,11 @@ class Pipeline:
             n rows.
         kind : (n,) int
             Kind of car of each row.
+
+        Returns
+        -------
+        Sums
+            Totals that the rows closed, and the running totals of forecasts that they made due.
         """
         lanes = len(self.lanes)
         clean = self.cleaner.clean(batch, lanes)
@@ -237,7 +278,7 @@ class Pipeline:
         if not self.keep_outlooks:
             self.engine.take_shifts()
 
-    # Messages that are no samples
+    # Messages other than samples
 
     def _matters(self, lane: int, before: Ints) -> bool:
         """Return whether forecasts depend on anything received of a car so far, including this batch."""
@@ -277,6 +318,11 @@ class Pipeline:
         ----------
         newest_only : bool
             Return only the last of several forecasts of a vehicle, for a live consumer.
+
+        Returns
+        -------
+        list of Message
+            Forecasts in the order in which they became due.
         """
         self._update_forecasts()
         taken, self._due = self._due, []
@@ -290,12 +336,17 @@ class Pipeline:
         return build_forecasts(due, rows, self._ride_names(due), self.context, self.prefix)
 
     def model_errors(self, *, newest_only: bool = False) -> list[Message]:
-        """Return the running errors of all models after each ride that ended since the last call; none without shadows.
+        """Return the running errors of all models after each ride that ended since the last call.
 
         Parameters
         ----------
         newest_only : bool
-            Return those after the last of these rides only.
+            Return only the running errors after the last of these rides.
+
+        Returns
+        -------
+        list of Message
+            Running errors; empty without shadow models.
         """
         return self.shadows.messages(newest_only=newest_only)
 
@@ -327,10 +378,16 @@ class Pipeline:
         Parameters
         ----------
         vehicle_id : str
+            Name of the vehicle.
         leg : Leg, optional
             Candidate ride, to be driven before the rest of the plan.
         plan : Plan, optional
             Plan to assume instead of the known one; it is not kept.
+
+        Returns
+        -------
+        Outlook
+            Outlook on the rest of the shift.
 
         Raises
         ------
@@ -376,9 +433,14 @@ class Pipeline:
     # State
 
     def learn_from(self, earlier: "Pipeline") -> None:
-        """Take up the cars that another pipeline knows and what it has learned of them, but no ride or shift.
+        """Take over the cars of another pipeline and what it has learned of them, but no ride or shift.
 
-        Call it before the first message, with a pipeline that sums the same effects in the same order.
+        Call this method before the first message.
+
+        Parameters
+        ----------
+        earlier : Pipeline
+            Pipeline that sums the same effects in the same order.
         """
         earlier._update_forecasts()  # noqa: SLF001 - another instance of this class
         self.lanes.load(earlier.lanes.dump())
@@ -389,22 +451,27 @@ class Pipeline:
     def snapshot(self) -> bytes:
         """Return the state of every vehicle, from which `restore` continues as if uninterrupted.
 
-        Rides and windows that have ended but were not taken are not part of it: take them first.
+        The snapshot does not hold rides and windows that have ended but were not taken: take them first.
         """
         self._update_forecasts()
         state = {name: component.dump() for name, component in self._components().items()}
         return sealed({"model": self.context.model_label, "effects": list(self.context.effects), "state": state})
 
     def restore(self, snapshot: bytes) -> None:
-        """Take up a state that `snapshot` returned.
+        """Replace the state by one that `snapshot` returned.
 
-        Running errors continue for the models that are still there if the first model is the same; otherwise they
-        begin anew.
+        If the first model is the same, running errors continue for the models that are still present. Otherwise they
+        start again.
+
+        Parameters
+        ----------
+        snapshot : bytes
+            Result of `snapshot`.
 
         Raises
         ------
         SocastError
-            If it is not a snapshot, or is one of another version or list of effects.
+            If the bytes are not a snapshot, or are one of another version or list of effects.
         """
         state = opened(snapshot, list(self.context.effects))["state"]
         for name, component in self._components().items():

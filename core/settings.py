@@ -1,4 +1,4 @@
-"""What an operator may set about cleaning and forecasting, with limits."""
+"""Define the settings of cleaning and forecasting that an operator may change, with their limits."""
 
 from typing import NamedTuple
 
@@ -7,23 +7,36 @@ from core.errors import SettingsError
 
 
 class Settings(NamedTuple):
-    """Thresholds of the cleaning kernel, in SI.
+    """Hold the thresholds of cleaning, forecasting and fitness for training, in SI units.
 
     Parameters
     ----------
-    period : float. Nominal time between two samples of a logger. [s]
-    speed_limit : float. Speed above which a sample is not believed; 130 km/h as in the paper's section 3. [m/s]
-    window : int. Samples in the moving average of speed, 1 to 8.
-    elevation_length : float. Distance over which elevation is smoothed. [m]
-    elevation_slack : float. Smoothed elevation must leave the last level by this much to be a hill. [m]
-    tunnel_limit : float. Longest jump of the position that may be a tunnel; beyond it no distance is made good. [m]
-    stop_time : float. Standing time that ends a ride, where the logger names no rides. [s]
-    gap_time : float. Silence that ends a ride, where the logger names no rides. [s]
-    window_time : float. Shortest window of the window table. [s]
-    forecast_time : float. Event time between two forecasts of a vehicle, unless something material changes. [s]
-    shortest_ride : float. Duration below which a ride is unfit for training. [s]
-    longest_ride : float. Duration above which it is; an hour in the paper. [s]
-    least_distance : float. Distance below which it is. [m]
+    period : float
+        Nominal time between two samples of a logger. [s]
+    speed_limit : float
+        Speed above which a sample is rejected; 130 km/h as in section 3 of the paper. [m/s]
+    window : int
+        Number of samples in the moving average of speed, 1 to 8.
+    elevation_length : float
+        Distance over which elevation is smoothed. [m]
+    elevation_slack : float
+        Least change of the smoothed elevation that counts as a climb or descent. [m]
+    tunnel_limit : float
+        Longest jump of the position that may be a tunnel; a longer jump adds no distance. [m]
+    stop_time : float
+        Time at standstill that ends a ride, where the logger names no rides. [s]
+    gap_time : float
+        Time without samples that ends a ride, where the logger names no rides. [s]
+    window_time : float
+        Shortest duration of a window of the window table. [s]
+    forecast_time : float
+        Event time between two forecasts of a vehicle, unless something material changes. [s]
+    shortest_ride : float
+        Duration below which a ride is unfit for training. [s]
+    longest_ride : float
+        Duration above which a ride is unfit for training; an hour in the paper. [s]
+    least_distance : float
+        Distance below which a ride is unfit for training. [m]
     """
 
     period: float = 3.0
@@ -56,15 +69,26 @@ LIMITS = {
     "longest_ride": (60.0, SECONDS_PER_DAY),
     "least_distance": (0.0, 100_000.0),
 }
+"""Closed interval of each setting, in SI units."""
 
 
 def checked(settings: Settings) -> Settings:
-    """Return `settings` if each is within its limits.
+    """Return the settings if each of them is within its limits.
+
+    Parameters
+    ----------
+    settings : Settings
+        Settings to check.
+
+    Returns
+    -------
+    Settings
+        The same settings.
 
     Raises
     ------
     SettingsError
-        Naming the setting, its value and its limits.
+        If a setting is outside its limits; the message names the setting, its value and its limits.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The state of every vehicle as bytes that tell whether they are whole."""
+"""Encode the state of every vehicle as bytes with a checksum, and decode it."""
 
 from hashlib import sha256
 from typing import Any, Final
@@ -11,25 +11,48 @@ from core.errors import SocastError
 from core.totals.accumulator import AMOUNTS, EDGES
 
 SNAPSHOT: Final = 6
-"""Version of the snapshot."""
+"""Version of the format of a snapshot."""
 FIELDS: Final = [*(STATE.names or ()), *AMOUNTS, *EDGES, *CAUSES]
-"""What a snapshot's arrays are made of."""
+"""Names of the fields in the arrays of a snapshot."""
 _DIGEST: Final = sha256().digest_size
 
 
 def sealed(state: dict[str, Any]) -> bytes:
-    """Return a state as bytes."""
+    """Return a state as bytes with a checksum.
+
+    Parameters
+    ----------
+    state : dict of str to object
+        State of plain lists, dicts, numbers and text.
+
+    Returns
+    -------
+    bytes
+        SHA-256 digest, followed by MessagePack.
+    """
     content = msgspec.msgpack.encode({"version": SNAPSHOT, "fields": FIELDS} | state)
     return sha256(content).digest() + content
 
 
 def opened(snapshot: bytes, effects: list[str]) -> dict[str, Any]:
-    """Return the state that `sealed` made bytes of.
+    """Return the state that `sealed` encoded.
+
+    Parameters
+    ----------
+    snapshot : bytes
+        Result of `sealed`.
+    effects : list of str
+        Names of the effects that the pipeline sums, in its order.
+
+    Returns
+    -------
+    dict of str to object
+        State, with its version, fields and effects.
 
     Raises
     ------
     SocastError
-        Where it is no snapshot, or one of another version or list of effects.
+        If the bytes are not a snapshot, or one of another version or list of effects.
     """
     digest, content = snapshot[:_DIGEST], snapshot[_DIGEST:]
     if sha256(content).digest() != digest:

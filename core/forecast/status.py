@@ -1,4 +1,4 @@
-"""Newest values of every vehicle, for display."""
+"""Build the status of every vehicle, its newest values, for display."""
 
 from collections.abc import Sequence
 from math import isnan
@@ -15,22 +15,26 @@ from core.totals.tables import measured_energy
 
 
 class VehicleStatus(NamedTuple):
-    """Newest values of a vehicle, for display.
+    """Hold the newest values of a vehicle, for display.
 
     Parameters
     ----------
     vehicle_id : str
-    vehicle_model, ride_id : str or None
+        Name of the vehicle.
+    vehicle_model : str or None
+        Key of its vehicle model, None where unknown.
+    ride_id : str or None
+        Name that the logger gave to the ride in progress, None without one.
     time_s : float
-        Unix time. [s]
+        Unix time of the newest sample. [s]
     soc_pct : float
-        As reported. [%]
+        State of charge as the car reports it. [%]
     ride_distance_km : float
-        [km]
+        Distance of the ride in progress, 0 between rides. [km]
     predicted_kwh, measured_kwh : float
         Energy of the ride in progress, NaN where unknown. [kWh]
     quality : dict of str to int
-        Counts of the ride in progress.
+        Number of samples of the ride in progress by quality cause.
     shadows_kwh : tuple of float
         Energy of the ride in progress as each shadow model predicts it. [kWh]
     end_pct : tuple of (float, float, float), optional
@@ -65,9 +69,11 @@ def build_statuses(
     Parameters
     ----------
     running : Totals
-        Of n rides in progress.
+        Running totals of n vehicles.
     ride_names : sequence of n (str or None)
+        Names that the loggers gave to the rides.
     context : RunContext
+        Context of the run: names of vehicles, and cars.
     predicted : sequence of (n,) float
         Energy by each model, the serving model first. [kWh]
     ends : (n,) END_OF_SHIFT
@@ -76,6 +82,7 @@ def build_statuses(
     Returns
     -------
     list of n VehicleStatus
+        Status of each vehicle, in the order of the rows.
     """
     names, cars = context.vehicle_ids, context.cars
     riding = running.ride >= 0

@@ -1,11 +1,19 @@
-"""Derived columns: what an effect may ask for by name. Stateless; each is made only when it is asked for.
+"""Compute the signals that an effect can request by name.
 
-What an unknown value means is decided here: an unknown wind, heading, rain, snow, sun or humidity is none, an unknown
-air pressure is that of the standard atmosphere, an unknown outside temperature is 15 °C (and counted, see
-`Quality.AMBIENT_ASSUMED`), nobody knowing who is aboard is the driver alone, a car first heard of has stood for a
-night, an odometer never heard of stands at 0, an unknown place has daylight. What stays NaN is what nobody may guess:
-the car's own parameters, its state of charge, its battery's temperature; effects for which a guess will do ask for
-`charge` and `pack_temperature` instead.
+Signals are stateless. Each one is computed only when an effect requests it.
+
+This module also decides what replaces an unknown value:
+
+- wind, heading, rain, snow, sun and humidity: zero;
+- air pressure: that of the standard atmosphere;
+- outside temperature: 15 °C, which is counted, see `Quality.AMBIENT_ASSUMED`;
+- occupants: the driver alone;
+- idle time of a car without an earlier sample: one night;
+- odometer: 0;
+- position: daylight.
+
+Values that must not be guessed stay NaN: the parameters of the car, its state of charge and its battery temperature.
+An effect for which a guess is good enough requests `charge` and `pack_temperature` instead.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -29,22 +37,22 @@ STANDARD_PRESSURE: Final = 101_325.0
 DRY_AIR: Final = 287.05287
 """Specific gas constant of dry air. [J/(kg K)] ISO 2533:1975."""
 STEEPEST: Final = 0.35
-"""Steepest sine of a road's angle that is believed: Baldwin Street, Dunedin, has 0.33."""
+"""Largest plausible sine of the angle of a road: Baldwin Street, Dunedin, has 0.33. [1]"""
 NIGHT: Final = 8 * 3600.0
-"""How long a car has stood of whose rest nobody knows. [s]"""
+"""Assumed idle time of a car whose idle time is unknown. [s]"""
 HALF_CHARGED: Final = 0.5
-"""State of charge of a car that does not say."""
+"""Assumed state of charge of a car that does not report it. [1]"""
 CIVIL_DUSK: Final = 6.0
-"""How far the sun is below the horizon when civil twilight ends. [deg]"""
+"""Depth of the sun below the horizon at the end of civil twilight. [deg]"""
 
 
 class Signals(Mapping[str, Floats]):
-    """Columns by name, each computed when first asked for; see `core.columns.SIGNALS`.
+    """Provide signals by name, each computed at its first use; see `core.columns.SIGNALS`.
 
     Parameters
     ----------
     clean : Clean
-        n rows.
+        Cleaned samples, n rows.
     sky : Sky
         Weather at the rows.
     car : CarParameters
@@ -76,7 +84,20 @@ class Signals(Mapping[str, Floats]):
 
 
 def ambient_quality(clean: Clean, sky: Sky) -> Ints:
-    """Return the quality of the rows, (n,) int, with the bits that say where the outside temperature came from."""
+    """Return the quality of each row, with the bits for the source of the outside temperature.
+
+    Parameters
+    ----------
+    clean : Clean
+        Cleaned samples, n rows.
+    sky : Sky
+        Weather at the rows.
+
+    Returns
+    -------
+    (n,) int
+        Bits of `Quality`.
+    """
     unknown = np.isnan(clean.ambient)
     if not unknown.any():
         return clean.quality
@@ -85,7 +106,13 @@ def ambient_quality(clean: Clean, sky: Sky) -> Ints:
 
 
 def grade(signals: Signals) -> Floats:
-    """Return the sine of the road's angle, so that sin θ v over the travel time is the climb to the last millimetre."""
+    """Return the sine of the angle of the road. [1]
+
+    Notes
+    -----
+    sin θ = climb / (v t), with speed v and travel time t. The integral of v sin θ over the travel time is therefore
+    exactly the climb, except where `STEEPEST` limits the sine.
+    """
     clean = signals.clean
     run = clean.speed * clean.travel
     sine = np.divide(clean.climb, run, out=np.zeros(len(run)), where=run > 0.0)
@@ -93,7 +120,7 @@ def grade(signals: Signals) -> Floats:
 
 
 def ambient(signals: Signals) -> Floats:
-    """Return the outside temperature: the car's, else the nearest station's, else the standard one. [K]"""
+    """Return the outside temperature: of the car, else of the nearest station, else of the standard atmosphere. [K]"""
     own = signals.clean.ambient
     unknown = np.isnan(own)
     if not unknown.any():
@@ -107,7 +134,8 @@ def compute_air_density(signals: Signals) -> Floats:
 
     Notes
     -----
-    rho = (p - 0.378 e) / (R T), with pressure p reduced from sea level by exp(-g z / (R T)) and vapour pressure e.
+    ρ = (p - 0.378 e) / (R T), with temperature T, gas constant R of dry air, vapour pressure e, and the pressure p
+    reduced from sea level to the elevation z by exp(-g z / (R T)).
     """
     temperature = signals["ambient"]
     elevation = np.nan_to_num(signals.clean.elevation)
@@ -117,51 +145,61 @@ def compute_air_density(signals: Signals) -> Floats:
 
 
 def vapour_pressure(signals: Signals) -> Floats:
-    """Return the pressure of the water in the air, by the Magnus formula of WMO-No. 8 (2018), annex 4.B. [Pa]"""
+    """Return the pressure of the water vapour in the air. [Pa]
+
+    References
+    ----------
+    Magnus formula in WMO-No. 8, Guide to Instruments and Methods of Observation (2018), annex 4.B.
+    """
     celsius = signals["ambient"] - ZERO_CELSIUS
     return 611.2 * np.exp(17.62 * celsius / (243.12 + celsius)) * np.nan_to_num(signals.sky.humidity)
 
 
 def compute_headwind(signals: Signals) -> Floats:
-    """Return the wind against the direction of travel. [m/s]"""
+    """Return the wind component against the direction of travel. [m/s]"""
     heading, sky = signals.clean.heading, signals.sky
     return np.nan_to_num(sky.wind_north * np.cos(heading) + sky.wind_east * np.sin(heading))
 
 
 def crosswind(signals: Signals) -> Floats:
-    """Return the wind from the right. [m/s]"""
+    """Return the wind component from the right. [m/s]"""
     heading, sky = signals.clean.heading, signals.sky
     return np.nan_to_num(sky.wind_east * np.cos(heading) - sky.wind_north * np.sin(heading))
 
 
 def mass(signals: Signals) -> Floats:
-    """Return kerb mass and people aboard. [kg]"""
+    """Return the mass of the car with its occupants. [kg]"""
     return signals.car.mass_kg + OCCUPANT_MASS * signals["occupants"]
 
 
 def occupants(signals: Signals) -> Floats:
-    """Return the people aboard, the driver alone where nobody says."""
+    """Return the number of occupants, 1 (the driver) where it is unknown. [1]"""
     return np.nan_to_num(signals.clean.occupants, nan=1.0)
 
 
 def stop_rate(signals: Signals) -> Floats:
-    """Return stops that began in the step, over its time. [1/s]"""
+    """Return the number of stops that began in a step, divided by the duration of the step. [1/s]"""
     clean = signals.clean
     return np.divide(clean.stop, clean.dt, out=np.zeros(len(clean.dt)), where=clean.dt > 0.0)
 
 
 def tyre_load(signals: Signals) -> Floats:
-    """Return the weight that presses the tyres to the road. [N]"""
+    """Return the force of gravity perpendicular to the road. [N]"""
     slope = signals["grade"]
     return signals["mass"] * GRAVITY * np.sqrt(1.0 - slope * slope)
 
 
 def traction(signals: Signals) -> Floats:
-    """Return the force at the wheels, by the car's own parameters, in still standard air. [N]
+    """Return the force at the wheels by the parameters of the car, in still standard air. [N]
 
     Notes
     -----
-    F = m a + m g (c cos θ + sin θ) + 1/2 ρ0 A_d v^2; Gillespie, Fundamentals of Vehicle Dynamics, SAE 1992, ch. 4.
+    F = m a + m g (c cos θ + sin θ) + 1/2 ρ0 A_d v^2, with mass m, acceleration a, rolling resistance c, angle θ of the
+    road, standard air density ρ0, drag area A_d and speed v. The force is zero at standstill.
+
+    References
+    ----------
+    Gillespie, Fundamentals of Vehicle Dynamics, SAE 1992, ch. 4.
     """
     speed, weight = signals["speed"], signals["mass"]
     rolling = signals["rolling_resistance"] * signals["tyre_load"]
@@ -171,26 +209,29 @@ def traction(signals: Signals) -> Floats:
 
 
 def pack_temperature(signals: Signals) -> Floats:
-    """Return the battery's temperature, a battery that does not tell being as cold as the air. [K]"""
+    """Return the battery temperature, replaced by the outside temperature where it is unknown. [K]"""
     own = signals.clean.battery_temperature
     return np.where(np.isnan(own), signals["ambient"], own)
 
 
 def darkness(signals: Signals) -> Floats:
-    """Return 0 while the sun is up, 1 from the end of civil twilight on, in between by the sine of its depth."""
+    """Return the darkness: 0 while the sun is up, 1 after the end of civil twilight. [1]
+
+    During twilight, it is proportional to the sine of the depth of the sun.
+    """
     clean = signals.clean
     depth = -sine_of_elevation(clean.time, clean.latitude, clean.longitude)
     return np.clip(np.nan_to_num(depth) / np.sin(np.radians(CIVIL_DUSK)), 0.0, 1.0)
 
 
 def water(signals: Signals) -> Floats:
-    """Return the rain on the road, see `core.signals.weather`. [m]"""
+    """Return the depth of rain water on the road, see `core.signals.weather`. [m]"""
     sky = signals.sky
     return np.nan_to_num(water_left(sky.water, sky.ambient, sky.precipitation, signals.clean.time - sky.observed))
 
 
 def compute_snow(signals: Signals) -> Floats:
-    """Return the snow on the road, as melted water, see `core.signals.weather`. [m]"""
+    """Return the depth of snow on the road as melted water, see `core.signals.weather`. [m]"""
     sky = signals.sky
     return np.nan_to_num(snow_left(sky.snow, sky.ambient, sky.precipitation, signals.clean.time - sky.observed))
 
@@ -218,4 +259,4 @@ _DERIVED: Final[dict[str, Callable[[Signals], Floats]]] = {
     "snow": compute_snow,
     "darkness": darkness,
 }
-"""Columns that are not simply those of `Clean`."""
+"""Function of every signal that is not a column of `Clean`."""

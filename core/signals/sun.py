@@ -1,4 +1,4 @@
-"""Where the sun stands: all that darkness and daylight need."""
+"""Compute the elevation of the sun, from which darkness and daylight follow."""
 
 from typing import Final
 
@@ -19,17 +19,18 @@ def sine_of_elevation(time: Floats, latitude: Floats, longitude: Floats) -> Floa
     time : (n,) float
         Unix time. [s]
     latitude, longitude : (n,) float
-        [rad]
+        Position. [rad]
 
     Returns
     -------
     (n,) float
-        NaN where the place is unknown. [1]
+        Sine of the elevation, NaN where the position is unknown. [1]
 
     Notes
     -----
-    sin h = sin φ z + cos φ (x cos θ + y sin θ), with the sun's unit vector (x, y, z) in the equatorial frame and local
-    sidereal time θ. Good to 0.01° from 1950 to 2050, and to a tenth of a degree for centuries about that.
+    sin h = sin φ z + cos φ (x cos θ + y sin θ), with elevation h, latitude φ, unit vector (x, y, z) to the sun in the
+    equatorial frame and local sidereal time θ. The error is at most 0.01° from 1950 to 2050, and at most 0.1° for
+    some centuries before and after.
 
     References
     ----------
@@ -38,7 +39,7 @@ def sine_of_elevation(time: Floats, latitude: Floats, longitude: Floats) -> Floa
 
     Examples
     --------
-    Noon on the equator at an equinox, 20 March 2024; midnight there.
+    The times are noon and midnight on the equator at an equinox, 20 March 2024.
 
     >>> times = 1_710_936_000.0 + np.array([450.0, 43_650.0])
     >>> sine_of_elevation(times, np.zeros(2), np.zeros(2)).round(3).tolist()

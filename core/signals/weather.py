@@ -1,7 +1,9 @@
-"""Weather as a car meets it: the nearest station's latest observation that is not from the car's future.
+"""Keep the observations of weather stations, and return the weather at the place and time of a car.
 
-What lies on the road is remembered: each observation carries the rain and the snow left of all before it. Both are
-stores that gain what falls and lose a share of what they hold, h' = p - h / τ.
+The weather of a car is the latest observation of the nearest station that is not later than the sample of the car.
+
+Each observation also holds the rain and the snow that earlier precipitation left on the road. Both depths h follow
+h' = p - h / τ, with precipitation p and time constant τ.
 """
 
 from typing import Any, Final, NamedTuple
@@ -13,17 +15,20 @@ from core.columns import KMH, ZERO_CELSIUS
 from core.wire.messages import Weather
 
 KEPT: Final = 48
-"""Observations kept of each station."""
+"""Number of observations that are kept of each station."""
 LATEST: Final = 4.2e9
-"""Latest time that is believed. [s]"""
+"""Latest plausible Unix time of an observation. [s]"""
 DRYING: Final = 3600.0
-"""Time in which all but 1/e of the rain leaves the road: it runs off, is splashed away, dries. [s] Estimated."""
+"""Time constant with which rain leaves the road: all but 1/e of it runs off, is splashed away or dries. [s]
+
+Estimated.
+"""
 CLEARING: Final = 12 * 3600.0
-"""The same of snow in frost: it is ploughed, salted and driven away. [s] Estimated."""
+"""Time constant with which snow leaves the road in frost, by ploughs, salt and traffic. [s] Estimated."""
 THAWING: Final = 3 * 3600.0
-"""The same of snow in a thaw. [s] Estimated."""
+"""Time constant with which snow leaves the road in a thaw. [s] Estimated."""
 FREEZING: Final = ZERO_CELSIUS + 1.0
-"""Air temperature at which as much snow falls as rain, the mean over the northern hemisphere. [K]
+"""Air temperature at which rain and snow are equally frequent, as a mean over the northern hemisphere. [K]
 
 Jennings et al. 2018, Nature Communications 9:1148, DOI 10.1038/s41467-018-03629-7.
 """
@@ -31,19 +36,28 @@ _HOUR: Final = 3600.0
 
 
 class Sky(NamedTuple):
-    """Weather at each row, (n,) float64 each, NaN where unknown.
+    """Hold the weather at each row, NaN where it is unknown.
 
     Parameters
     ----------
-    ambient : [K]
-    wind_speed : [m/s]
-    wind_north, wind_east : components of where the wind blows from. [m/s]
-    precipitation : [m/s]
-    pressure : at sea level. [Pa]
-    humidity : relative. [1]
-    solar : global horizontal irradiance. [W/m^2]
-    observed : time of the observation. [s]
-    water, snow : on the road at that time, snow as melted water. [m]
+    ambient : (n,) float
+        Air temperature. [K]
+    wind_speed : (n,) float
+        Wind speed. [m/s]
+    wind_north, wind_east : (n,) float
+        Components of the wind, positive for wind from the north and from the east. [m/s]
+    precipitation : (n,) float
+        Precipitation as water. [m/s]
+    pressure : (n,) float
+        Air pressure at sea level. [Pa]
+    humidity : (n,) float
+        Relative humidity. [1]
+    solar : (n,) float
+        Global horizontal irradiance. [W/m^2]
+    observed : (n,) float
+        Unix time of the observation. [s]
+    water, snow : (n,) float
+        Depths on the road at the time of the observation, snow as melted water. [m]
     """
 
     ambient: Floats
@@ -71,20 +85,31 @@ class _Station(NamedTuple):
 
 _LOW: Final = (-75.0, 0.0, 0.0, 0.0, 800.0, 0.0, 0.0)
 _HIGH: Final = (65.0, 400.0, 360.0, 1000.0, 1100.0, 100.0, 1500.0)
-"""What is believed: temperature [°C], wind [km/h] and its source [°], precipitation [mm], pressure [hPa], humidity [%],
-sun [W/m^2]; anything else is unknown."""
+"""Plausible range of temperature [°C], wind speed [km/h], direction of the wind's source [°], precipitation [mm],
+pressure [hPa], humidity [%] and irradiance [W/m^2]. A value outside its range counts as unknown."""
 
 
 class Stations:
-    """The stations heard of, and what they observed."""
+    """Keep every known weather station with its latest observations."""
 
     def __init__(self) -> None:
         self._stations: dict[str, _Station] = {}
 
     def observe(self, message: Weather) -> bool:
-        """Take an observation; one of the same time replaces the one before. Return whether it is one of this planet.
+        """Take an observation, and return whether it is plausible.
 
-        A station that moves is where it said last.
+        An observation replaces an earlier one of the same station and time. The newest message defines the position of
+        a station that moves.
+
+        Parameters
+        ----------
+        message : Weather
+            Observation.
+
+        Returns
+        -------
+        bool
+            False if the position is not on Earth or the time is out of range; the observation is then ignored.
         """
         place = np.radians(message.latitude_deg), np.radians(message.longitude_deg)
         if not (abs(place[0]) <= np.pi / 2 and abs(place[1]) <= np.pi and 0.0 <= message.time_s <= LATEST):
@@ -92,7 +117,7 @@ class Stations:
         times, rows, *_ = self._stations.get(message.station_id, _Station([], []))
         self._stations[message.station_id] = _Station(times, rows, *map(float, place))
         at = int(np.searchsorted(times, message.time_s))
-        if at == 0 and len(times) == KEPT:  # older than all that is kept
+        if at == 0 and len(times) == KEPT:  # it is older than all observations that are kept
             return True
         earlier = times[at - 1] if at else message.time_s - _HOUR
         row = _observation(message, max(60.0, message.time_s - earlier))
@@ -106,14 +131,19 @@ class Stations:
         return True
 
     def sky(self, time: Floats, latitude: Floats, longitude: Floats) -> Sky:
-        """Return the weather at places and times.
+        """Return the weather at positions and times.
 
         Parameters
         ----------
         time : (n,) float
             Unix time. [s]
         latitude, longitude : (n,) float
-            NaN where unknown: the first station then serves. [rad]
+            Position. Where it is unknown (NaN), the first station provides the weather. [rad]
+
+        Returns
+        -------
+        Sky of n rows
+            Weather at each row.
         """
         n = len(time)
         best = np.full(n, np.inf)
@@ -134,16 +164,37 @@ class Stations:
         return Sky(*values)
 
     def dump(self) -> Any:
-        """Return the state as plain lists."""
+        """Return the state as plain lists, for a snapshot."""
         return [[name, *station] for name, station in self._stations.items()]
 
     def load(self, state: Any) -> None:
-        """Take up a state that `dump` returned."""
+        """Replace the state by one that `dump` returned."""
         self._stations = {name: _Station(*station) for name, *station in state}
 
 
 def held(depth: Any, rate: Any, age: Any, memory: Any) -> Any:
-    """Return what a store holds after a time: h' = rate - h / memory.
+    """Return the depth on the road after a time of constant precipitation.
+
+    Parameters
+    ----------
+    depth : (n,) float or float
+        Depth at the start. [m]
+    rate : (n,) float or float
+        Precipitation. [m/s]
+    age : (n,) float or float
+        Time since the start. [s]
+    memory : (n,) float or float
+        Time constant with which the depth decays. [s]
+
+    Returns
+    -------
+    (n,) float or float
+        Depth after that time. [m]
+
+    Notes
+    -----
+    h' = p - h / τ gives h(t) = h(0) exp(-t / τ) + p τ (1 - exp(-t / τ)), with depth h, precipitation p and time
+    constant τ.
 
     Examples
     --------
@@ -155,18 +206,52 @@ def held(depth: Any, rate: Any, age: Any, memory: Any) -> Any:
 
 
 def water_left(water: Any, ambient: Any, precipitation: Any, age: Any) -> Any:
-    """Return the rain on a road some time after there was `water`, while the same falls. [m]"""
+    """Return the depth of rain water on a road after a time of constant weather.
+
+    Parameters
+    ----------
+    water : (n,) float or float
+        Depth at the start. [m]
+    ambient : (n,) float or float
+        Air temperature; below `FREEZING` no rain falls. [K]
+    precipitation : (n,) float or float
+        Precipitation, NaN for none. [m/s]
+    age : (n,) float or float
+        Time since the start. [s]
+
+    Returns
+    -------
+    (n,) float or float
+        Depth after that time. [m]
+    """
     return held(water, np.where(ambient < FREEZING, 0.0, np.nan_to_num(precipitation)), age, DRYING)
 
 
 def snow_left(snow: Any, ambient: Any, precipitation: Any, age: Any) -> Any:
-    """Return the snow on a road, as melted water, some time after there was `snow`, while the same falls. [m]"""
+    """Return the depth of snow on a road, as melted water, after a time of constant weather.
+
+    Parameters
+    ----------
+    snow : (n,) float or float
+        Depth at the start, as melted water. [m]
+    ambient : (n,) float or float
+        Air temperature; at `FREEZING` and above no snow falls, and snow leaves the road faster. [K]
+    precipitation : (n,) float or float
+        Precipitation as water, NaN for none. [m/s]
+    age : (n,) float or float
+        Time since the start. [s]
+
+    Returns
+    -------
+    (n,) float or float
+        Depth after that time, as melted water. [m]
+    """
     frost = ambient < FREEZING
     return held(snow, np.where(frost, np.nan_to_num(precipitation), 0.0), age, np.where(frost, CLEARING, THAWING))
 
 
 def _lay(rows: list[list[float]], first: int) -> None:
-    """Work out what lies on the road from an observation on; what each says of rain fell before it."""
+    """Compute the depths on the road from an observation on; precipitation of an observation fell before it."""
     for at in range(first, len(rows)):
         row = rows[at]
         before = rows[at - 1] if at else None
@@ -177,7 +262,7 @@ def _lay(rows: list[list[float]], first: int) -> None:
 
 
 def _observation(message: Weather, since: float) -> list[float]:
-    """Return an observation in SI, in the order of `Sky`, but for what lies on the road."""
+    """Return an observation in SI units in the order of `Sky`, with zero depths on the road."""
     said = (
         message.temperature_c,
         message.wind_speed_kmh,

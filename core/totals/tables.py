@@ -1,7 +1,8 @@
-"""The ride table and the window table: totals with the names and units that people read.
+"""Build the ride table and the window table: totals with the names and units that people read.
 
-Both are made by one maker from `core.totals.accumulator.Totals`; the ride table has every term of the paper's Table 1. The columns
-that a model reads (`effect_*` and the car's parameters) are made alone by `model_columns`, for forecasts.
+The same function derives the physical columns of both tables from `core.totals.accumulator.Totals`. The ride table has
+every term of the paper's Table 1. `model_columns` builds only the columns that a model reads (`effect_*` and the
+parameters of the car), for forecasts.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,39 +22,45 @@ from core.vehicles.fleet import Cars
 from core.wire.rides import RideDrivers
 
 METER_GAIN: Final = 0.01
-"""Standard uncertainty of a car's own voltage times current, as a share. Estimated: sensors of class 0.5 % each."""
+"""Relative standard uncertainty of the reported voltage times current. [1]
+
+Estimated: each of the two sensors is of class 0.5 %.
+"""
 CAPACITY_GAIN: Final = 0.15
-"""Standard uncertainty of the usable capacity, as a share. Estimated: age, temperature, what a car calls full."""
+"""Relative standard uncertainty of the usable capacity. [1]
+
+Estimated: it covers age, temperature and what a car calls full.
+"""
 COARSEST_SOC: Final = 0.01
-"""Quantum of a state of charge that has not been seen to change: the coarsest that the wire contract allows."""
+"""Quantum of a state of charge that has not changed yet: the coarsest that the wire contract allows. [1]"""
 CUT: Final = 0.1
-"""Share of a ride that may be missing at its beginning and end for it to be fit for training."""
+"""Largest share of its duration that a ride fit for training may lack at its beginning and end. [1]"""
 UNSEEN_POWER: Final = 0.5
-"""Standard uncertainty of the mean power over a time in which it was not measured, as a share."""
+"""Relative standard uncertainty of the mean power over a time without measurement. [1]"""
 WINTER: Final = ((12, 15), (3, 15))
-"""First and last day, month first, of the season in which winter tyres are mandatory, Table 1 of the paper."""
+"""First and last (month, day) of the season with mandatory winter tyres, after Table 1 of the paper."""
 
 HISTOGRAM: Final = tuple(column.name for column in WINDOW_COLUMNS if column.name.startswith("speed_"))
-"""Columns of the distance driven at each speed; the last one holds all faster driving."""
+"""Columns of the distance driven in each speed bin; the last one holds all faster driving."""
 
 
 def model_columns(totals: Totals, context: RunContext, needs: Sequence[str] = ()) -> dict[str, Any]:
-    """Return what a model reads, of rides that have ended or are in progress.
+    """Return the columns that a model reads, of rides that have ended or are in progress.
 
     Parameters
     ----------
     totals : Totals
-        Of n rides, so far.
+        Totals of n rides so far.
     context : RunContext
-        Its effects are those whose energies were summed.
+        Context of the run; its effects are those whose energies were summed.
     needs : sequence of str
-        Columns of the ride table that are wanted beside effects' energies and cars' parameters.
+        Columns of the ride table that the model reads in addition to energies of effects and parameters of cars.
 
     Returns
     -------
     dict of str to (n,) array
-        Effects' energies in kWh per unit of coefficient and the cars' parameters; where `needs` names more, all other
-        columns of the ride table that are known in mid-ride.
+        Energies of the effects [kWh per unit of coefficient] and parameters of the cars. If `needs` names any other
+        column, the result also holds all other columns of the ride table that are known during a ride.
     """
     first, cars = len(AMOUNTS), context.cars
     effects = enumerate(context.effects)
@@ -76,9 +83,20 @@ def model_columns(totals: Totals, context: RunContext, needs: Sequence[str] = ()
 def energy_by_power(totals: Totals) -> tuple[Floats, Floats]:
     """Return the energy measured by voltage and current, and its standard uncertainty.
 
-    Time without a measurement (gaps, missing values) is filled with the mean power of the rest, and adds to the
-    uncertainty, as do the gain of the meter and the power between samples; NaN where less than half is measured.
-    [kWh]
+    Parameters
+    ----------
+    totals : Totals
+        Totals of n rides or windows.
+
+    Returns
+    -------
+    energy, uncertainty : (n,) float
+        Energy and its standard uncertainty, NaN where less than half of the duration is measured. [kWh]
+
+    Notes
+    -----
+    The mean power of the measured time fills the time without a measurement (gaps, missing values). Four terms add up
+    in quadrature: the gain of the meter, the power between samples, the unmeasured time, and ends lost in gaps.
     """
     energy = totals.amount("energy") / JOULES_PER_KWH
     duration, metered = totals.amount("duration"), totals.amount("metered")
@@ -90,16 +108,31 @@ def energy_by_power(totals: Totals) -> tuple[Floats, Floats]:
 
 
 def _cut(totals: Totals, energy: Floats) -> Floats:
-    """Return the standard uncertainty of a ride that began or ended in a gap: anything up to the mean power. [kWh]"""
+    """Return the uncertainty due to ends lost in gaps, with a power there of anything up to the mean power. [kWh]"""
     duration = totals.amount("duration")
     share = np.divide(lost_time(totals), duration, out=np.zeros(len(energy)), where=duration > 0.0)
     return np.abs(energy) * share / np.sqrt(3.0)
 
 
 def energy_by_soc(totals: Totals, cars: Cars) -> tuple[Floats, Floats]:
-    """Return the energy measured by the fall of the state of charge, and its standard uncertainty.
+    """Return the energy measured by the decrease of the state of charge, and its standard uncertainty.
 
-    Each end is uniform within a quantum q, so their difference has a standard deviation of q / sqrt(6). [kWh]
+    Parameters
+    ----------
+    totals : Totals
+        Totals of n rides or windows.
+    cars : Cars
+        Source of the battery capacities.
+
+    Returns
+    -------
+    energy, uncertainty : (n,) float
+        Energy and its standard uncertainty, NaN where the capacity or the state of charge is unknown. [kWh]
+
+    Notes
+    -----
+    The true state of charge at each end is uniform within a quantum q. The difference of the two ends therefore has a
+    standard deviation of q / sqrt(6).
     """
     capacity = _capacity(totals, cars)
     quantum = np.nan_to_num(totals.at_last("soc_step"), nan=COARSEST_SOC)
@@ -109,7 +142,20 @@ def energy_by_soc(totals: Totals, cars: Cars) -> tuple[Floats, Floats]:
 
 
 def measured_energy(totals: Totals, cars: Cars) -> tuple[Floats, Floats]:
-    """Return the better of the two measured energies, and its standard uncertainty; NaN where there is none. [kWh]"""
+    """Return the measured energy with the smaller standard uncertainty, and that uncertainty.
+
+    Parameters
+    ----------
+    totals : Totals
+        Totals of n rides or windows.
+    cars : Cars
+        Source of the battery capacities.
+
+    Returns
+    -------
+    energy, uncertainty : (n,) float
+        Result of `energy_by_power` or `energy_by_soc` per row, NaN where neither measures the energy. [kWh]
+    """
     power, power_sd = energy_by_power(totals)
     soc, soc_sd = energy_by_soc(totals, cars)
     better = np.nan_to_num(power_sd, nan=np.inf) <= np.nan_to_num(soc_sd, nan=np.inf)
@@ -117,20 +163,46 @@ def measured_energy(totals: Totals, cars: Cars) -> tuple[Floats, Floats]:
 
 
 def lost_time(totals: Totals) -> Floats:
-    """Return the time at the beginnings and ends of rides of which no sample tells, as they fell into gaps. [s]"""
+    """Return the time at the beginning and end of each ride that no sample covers, because it fell into a gap.
+
+    Parameters
+    ----------
+    totals : Totals
+        Totals of n rides.
+
+    Returns
+    -------
+    (n,) float
+        Lost time. [s]
+    """
     return totals.at_first("lost") + totals.at_last("lost")
 
 
 def unfit_reason(totals: Totals, context: RunContext) -> NDArray[np.object_]:
-    """Return why a ride is unfit for training, `None` where it is fit, after section 3 of the paper.
+    """Return why each ride is unfit for training.
 
-    Beyond the paper: rides that begin or end in a gap of more than a tenth of them, and what nobody can measure.
+    Parameters
+    ----------
+    totals : Totals
+        Totals of n rides.
+    context : RunContext
+        Context of the run; its settings hold the thresholds.
+
+    Returns
+    -------
+    (n,) object
+        First reason that applies as a word, `None` where the ride is fit.
+
+    Notes
+    -----
+    The rules for duration and distance follow section 3 of the paper. Beyond the paper, a ride is unfit if gaps at its
+    beginning and end hide more than a tenth of its duration, or if its energy cannot be measured.
     """
     cars, settings = context.cars, context.settings
     duration = totals.amount("duration")
     unmeasured = np.isnan(measured_energy(totals, cars)[0])
     reason = np.full(len(duration), None, dtype=object)
-    for why, applies in (  # the first one that applies is the last one written
+    for why, applies in (  # later reasons overwrite earlier ones
         ("cut_by_gap", lost_time(totals) > CUT * duration),
         ("no_measured_energy", unmeasured),
         ("unknown_capacity", unmeasured & np.isnan(_capacity(totals, cars)) & ~np.isnan(totals.at_last("soc"))),
@@ -143,13 +215,25 @@ def unfit_reason(totals: Totals, context: RunContext) -> NDArray[np.object_]:
 
 
 def _capacity(totals: Totals, cars: Cars) -> Floats:
-    """Return the capacity that the state of charge is a share of, NaN where the car's model is not known. [kWh]"""
+    """Return the capacity to which the state of charge refers, NaN where the model of the car is unknown. [kWh]"""
     return cars.capacity[totals.at_last("kind").astype(np.int64)]
 
 
 def is_winter(time: Floats) -> NDArray[np.int64]:
     """Return 1 from 15 December to 15 March, else 0.
 
+    Parameters
+    ----------
+    time : (n,) float
+        Unix time; an unknown time (NaN) gives 0. [s]
+
+    Returns
+    -------
+    (n,) int
+        1 in the season of winter tyres, else 0.
+
+    Examples
+    --------
     >>> is_winter(np.array([1705276800.0, 1719792000.0])).tolist()
     [1, 0]
     """
@@ -163,13 +247,13 @@ def is_winter(time: Floats) -> NDArray[np.int64]:
 
 
 def _mean(totals: Totals, name: str, time: str = "duration") -> Floats:
-    """Return the mean of what was summed over a time."""
+    """Return the time average of a summed amount, NaN where the time is zero."""
     over = totals.amount(time)
     return np.divide(totals.amount(name), over, out=np.full(len(over), np.nan), where=over > 0.0)
 
 
 def _physical(totals: Totals, cars: Cars) -> dict[str, Floats]:
-    """Return the columns that a ride and a window have in common, but for effects and cars' parameters."""
+    """Return the columns that rides and windows share, without effects and parameters of cars."""
     energy_vi, energy_vi_sd = energy_by_power(totals)
     energy_soc, energy_soc_sd = energy_by_soc(totals, cars)
     energy, energy_sd = measured_energy(totals, cars)
@@ -215,7 +299,20 @@ def _physical(totals: Totals, cars: Cars) -> dict[str, Floats]:
 
 
 def window_table(totals: Totals, context: RunContext) -> pd.DataFrame:
-    """Return the window table: one row a window, its ride by `ride_key`."""
+    """Return the window table, with one row per window.
+
+    Parameters
+    ----------
+    totals : Totals
+        Totals of n windows.
+    context : RunContext
+        Context of the run: names of vehicles, cars and effects.
+
+    Returns
+    -------
+    DataFrame of n rows
+        See `core.columns.WINDOW_COLUMNS`; `ride_key` names the ride of each window.
+    """
     kinds = totals.at_last("kind").astype(np.int64)
     own = {
         "ride_key": text(_ride_keys(totals, context.vehicle_ids)),
@@ -233,18 +330,23 @@ def ride_table(
     drivers: RideDrivers,
     context: RunContext,
 ) -> pd.DataFrame:
-    """Return the ride table: one row a ride, with every term of the paper's Table 1.
+    """Return the ride table, with one row per ride and every term of the paper's Table 1.
 
     Parameters
     ----------
     totals : Totals
-        Of n rides.
+        Totals of n rides.
     ride_names : sequence of n (str or None)
-        As the logger named them; a ride without a name gets its vehicle's and its ordinal.
+        Names that the logger gave. A ride without a name gets the name of its vehicle and its ordinal.
     drivers : RideDrivers
         Drivers of rides, as dispatch reported them.
     context : RunContext
-        Its settings have the thresholds of what is fit for training.
+        Context of the run; its settings hold the thresholds of fitness for training.
+
+    Returns
+    -------
+    DataFrame of n rows
+        See `core.columns.RIDE_COLUMNS`.
     """
     physical = _physical(totals, context.cars)
     kinds = totals.at_last("kind").astype(np.int64)
@@ -271,24 +373,47 @@ def ride_table(
 
 
 def text(values: Sequence[str | None]) -> pd.Series:
-    """Return a column of text, of the same type whatever of it is unknown."""
+    """Return a column of text that has the same type even if all values are unknown.
+
+    Parameters
+    ----------
+    values : sequence of n (str or None)
+        Text of each row, `None` where unknown.
+
+    Returns
+    -------
+    Series of n str
+        The column.
+    """
     return pd.Series(list(values), dtype="str")
 
 
 def _named(codes: NDArray[np.int64], name: Callable[[int], str | None]) -> pd.Series:
+    """Return a column of the names of codes."""
     return text([name(code) for code in codes.tolist()])
 
 
 def _ride_keys(totals: Totals, names: Sequence[str]) -> list[str]:
-    """Return a key of each ride that is unique in a recording: its vehicle and its ordinal there."""
+    """Return a key of each ride that is unique in a recording: the name of its vehicle and its ordinal there."""
     return [f"{names[lane]}#{ride}" for lane, ride in zip(totals.lane.tolist(), totals.ride.tolist(), strict=True)]
 
 
 def _date(time: float) -> str:
-    """Return the UTC date of a Unix time, ISO."""
+    """Return the UTC date of a Unix time in ISO 8601 format."""
     return datetime.fromtimestamp(time, UTC).date().isoformat()
 
 
 def unfit_counts(rides: pd.DataFrame) -> Mapping[str, int]:
-    """Return how many rides are unfit for training, by reason."""
+    """Return the number of rides that are unfit for training, by reason.
+
+    Parameters
+    ----------
+    rides : DataFrame
+        Ride table.
+
+    Returns
+    -------
+    mapping of str to int
+        Number of rides by `unfit_reason`, in alphabetical order.
+    """
     return {str(reason): int(n) for reason, n in rides["unfit_reason"].dropna().value_counts().sort_index().items()}

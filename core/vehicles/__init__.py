@@ -1,6 +1,6 @@
-"""The vehicle catalogue and the cars of the fleet.
+"""Read the vehicle catalogue, and hold the cars of the fleet.
 
-This package's own names are what other packages import.
+Other packages import the names that this package exports.
 """
 
 from core.vehicles.catalogue import (

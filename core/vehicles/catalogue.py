@@ -1,4 +1,4 @@
-"""The vehicle catalogue, what a car's own messages override in it, and the accessory power curve."""
+"""Read the vehicle catalogue, apply the overrides in vehicle messages, and define the accessory power curve."""
 
 import tomllib
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ from core.errors import CatalogueError
 from core.wire.messages import Vehicle
 
 OCCUPANT_MASS: Final = 75.0
-"""A person with hand luggage. [kg] Regulation (EU) No 1230/2012, Art. 2(4)(a), driver."""
+"""Mass of a person with hand luggage. [kg] Regulation (EU) No 1230/2012, Art. 2(4)(a), driver."""
 
 BOUNDS: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(
     {
@@ -29,46 +29,48 @@ BOUNDS: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(
         "accessory_scale": (0.0, 5.0),
     }
 )
-"""Closed interval of what a road vehicle can have: from a quadricycle to a delivery lorry."""
+"""Closed interval of plausible figures of a road vehicle, from a quadricycle to a delivery lorry."""
 
 RATED: Final = (0.02, 1.0)
-"""The same of an official consumption, where one is known. [kWh/km]"""
+"""Closed interval of a plausible official consumption, where one is known. [kWh/km]"""
 
 OVERRIDES: Final = ("nominal_capacity_kwh", "mass_kg", "drag_coefficient", "frontal_area_m2", "rolling_resistance")
-"""What a `Vehicle` message may override; all of them together do without the catalogue."""
+"""Figures that a `Vehicle` message may override; a message with all of them needs no catalogue entry."""
 
 UNKNOWN_MODEL: Final = "unknown_vehicle_model"
-"""Reason: a key that the catalogue lacks, without complete overrides."""
+"""Reason: the catalogue lacks the key, and the overrides are incomplete."""
 OUT_OF_RANGE: Final = "override_out_of_range"
-"""Reason: an override outside `BOUNDS`."""
+"""Reason: an override is outside `BOUNDS`."""
 
 
 @dataclass(frozen=True)
 class VehicleModel:
-    """What all cars of one model have in common.
+    """Hold the figures that all cars of one model share.
 
     Parameters
     ----------
-    key, name : str
-        In messages and tables; for people.
+    key : str
+        Key of the model in messages and tables.
+    name : str
+        Name of the model for people.
     mass_kg : float
-        Kerb mass: ready to drive, battery included, nobody aboard. [kg]
+        Kerb mass: ready to drive, battery included, without occupants. [kg]
     drag_coefficient : float
-        [1]
+        Coefficient of aerodynamic drag. [1]
     frontal_area_m2 : float
-        [m^2]
+        Frontal area. [m^2]
     rolling_resistance : float
-        Of warm tyres on dry asphalt. [1]
+        Coefficient of warm tyres on dry asphalt. [1]
     nominal_capacity_kwh : float
-        The battery's rated energy when new. [kWh]
+        Rated energy of the new battery. [kWh]
     accessory_scale : float
-        Its climate and accessory power over that of `ACCESSORIES`. [1]
+        Climate and accessory power relative to `ACCESSORIES`. [1]
     usable_capacity_kwh : float, optional
-        What 100 to 0 % of displayed charge yields when new, where it is known. [kWh]
+        Energy of the new battery from 100 to 0 % of displayed charge, where it is known. [kWh]
     rated_kwh_per_km : float, optional
-        Official consumption, where it is known; US labels count charging losses. [kWh/km]
+        Official consumption, where it is known; US labels include charging losses. [kWh/km]
     sources : mapping of str to str
-        Where each figure comes from; begins with `estimated` where it was not published or measured.
+        Source of each figure; it begins with `estimated` where the figure was not published or measured.
     """
 
     key: str
@@ -85,20 +87,20 @@ class VehicleModel:
 
     @property
     def drag_area_m2(self) -> float:
-        """Drag coefficient times frontal area, in m^2."""
+        """Drag coefficient times frontal area. [m^2]"""
         return self.drag_coefficient * self.frontal_area_m2
 
 
 class AccessoryCurve(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Accessory power against outside temperature, in five segments.
+    """Define accessory power as a function of the outside temperature, in five segments.
 
-    Heating at its most below `heating_full`; falling linearly to `heating_off`; neither heating nor cooling, so
-    `standby`, to `cooling_on`; rising linearly to `cooling_full`; cooling at its most above it.
+    The power is `heating` below `heating_full` and falls linearly to `standby` at `heating_off`. It stays at `standby`,
+    without heating or cooling, up to `cooling_on`. It then rises linearly to `cooling` at `cooling_full` and above.
 
     Parameters
     ----------
     heating_full, heating_off, cooling_on, cooling_full : float
-        Choke points, ascending. [K]
+        Temperatures between the segments, ascending. [K]
     heating, standby, cooling : float
         Power in the first, third and fifth segment. [W]
 
@@ -116,17 +118,17 @@ class AccessoryCurve(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     cooling: float
 
     def power(self, ambient: Floats) -> Floats:
-        """Return the power at an outside temperature.
+        """Return the accessory power at an outside temperature.
 
         Parameters
         ----------
         ambient : (n,) float
-            [K]
+            Outside temperature. [K]
 
         Returns
         -------
         (n,) float
-            NaN where the temperature is. [W]
+            Accessory power, NaN where the temperature is NaN. [W]
         """
         heat = np.clip((self.heating_off - ambient) / (self.heating_off - self.heating_full), 0.0, 1.0)
         cool = np.clip((ambient - self.cooling_on) / (self.cooling_full - self.cooling_on), 0.0, 1.0)
@@ -142,17 +144,23 @@ ACCESSORIES: Final = AccessoryCurve(
     standby=300.0,
     cooling=1500.0,
 )
-"""The reference: a compact car with a resistance heater, on short drives.
+"""Accessory power of the reference car: a compact car with a resistance heater, on short drives.
 
-Slopes are those of measured heater and air-conditioning power, means of drives, of the Nissan Leaf 455 in the Vehicle
-Energy Dataset: 3.3 kW at -13 °C, 2.8 at -8, 1.7 at -2, 0.9 at 3, 0.3 at 7, 0.1 from 13 to 18, 0.4 at 27, 0.9 at 32 (Oh,
-LeBlanc and Peng 2019, arXiv:1905.02081). `standby` is an estimate (control units, pumps, lights, radio). Both ends are
-extrapolated beyond the drives; 4 kW is below the 5 kW of that heater (Argonne National Laboratory, Leaf testing).
+The slopes follow the mean heater and air-conditioning power per drive of the Nissan Leaf 455 in the Vehicle Energy
+Dataset: 3.3 kW at -13 °C, 2.8 kW at -8 °C, 1.7 kW at -2 °C, 0.9 kW at 3 °C, 0.3 kW at 7 °C, 0.1 kW from 13 to 18 °C,
+0.4 kW at 27 °C and 0.9 kW at 32 °C (Oh, LeBlanc and Peng 2019, arXiv:1905.02081). `standby` is an estimate that covers
+control units, pumps, lights and radio. Both ends are extrapolated beyond the drives. The 4 kW of full heating are
+less than the 5 kW of that heater (Argonne National Laboratory, Leaf testing).
 """
 
 
 def load_catalogue() -> Mapping[str, VehicleModel]:
-    """Return the vehicle models that come with the product, by key.
+    """Return the vehicle models that the product includes.
+
+    Returns
+    -------
+    mapping of str to VehicleModel
+        Vehicle models by key.
 
     Examples
     --------
@@ -164,16 +172,27 @@ def load_catalogue() -> Mapping[str, VehicleModel]:
 
 @cache
 def _shipped() -> Mapping[str, VehicleModel]:
+    """Read the included catalogue once per process."""
     return read_catalogue(resources.files("core.vehicles").joinpath("vehicles.toml").read_text(encoding="utf-8"))
 
 
 def read_catalogue(text: str) -> Mapping[str, VehicleModel]:
-    """Read a catalogue from TOML: one table a model, its key the table's name.
+    """Read a vehicle catalogue from TOML.
+
+    Parameters
+    ----------
+    text : str
+        TOML with one table per vehicle model; the name of the table is the key of the model.
+
+    Returns
+    -------
+    mapping of str to VehicleModel
+        Vehicle models by key.
 
     Raises
     ------
     CatalogueError
-        Where it is not TOML, or a figure is missing, not a number, out of bounds or without a source.
+        If the text is not TOML, or a figure is missing, not a number, out of bounds or without a source.
     """
     try:
         tables = tomllib.loads(text)
@@ -183,17 +202,18 @@ def read_catalogue(text: str) -> Mapping[str, VehicleModel]:
 
 
 def vehicle_model(message: Vehicle) -> VehicleModel | str:
-    """Return the model of a car that tells of itself: the catalogue's, with its own overrides.
+    """Return the vehicle model that a message describes: the catalogue entry with the overrides of the message.
 
     Parameters
     ----------
     message : Vehicle
-        As it came.
+        Message as received.
 
     Returns
     -------
     VehicleModel or str
-        Or, where its energy cannot be predicted, the reason as a word to count: `UNKNOWN_MODEL` or `OUT_OF_RANGE`.
+        Vehicle model. If the energy of the car cannot be predicted, the reason as a word to count: `UNKNOWN_MODEL` or
+        `OUT_OF_RANGE`.
 
     Examples
     --------
@@ -229,7 +249,7 @@ def vehicle_model(message: Vehicle) -> VehicleModel | str:
 
 
 def _entry(key: str, table: Any) -> VehicleModel:
-    """Return a catalogue entry, checked."""
+    """Check a table of the catalogue, and return it as a vehicle model."""
     if not isinstance(table, dict):
         raise CatalogueError(f"vehicle catalogue: {key!r} is no table: write [{key}] and its figures below")
     known = {f.name for f in fields(VehicleModel)} - {"key"}
@@ -260,6 +280,7 @@ def _entry(key: str, table: Any) -> VehicleModel:
 
 
 def _figure(key: str, table: Mapping[str, Any], name: str, low: float, high: float) -> float:
+    """Return a figure of a table, checked to be a number within its bounds."""
     value = table.get(name)
     if not isinstance(value, int | float) or isinstance(value, bool):
         said = "is missing" if value is None else f"is {value!r}, no number"

@@ -1,4 +1,4 @@
-"""Which vehicle model each lane is, as of each row."""
+"""Track the vehicle model of each lane at each row."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -12,21 +12,28 @@ from core.vehicles.catalogue import VehicleModel, vehicle_model
 from core.wire.messages import Vehicle
 
 UNKNOWN: Final = 0
-"""Kind of a car that has not said what it is, or whose model is not known."""
+"""Kind of a car whose model is unknown, or that has not sent a vehicle message."""
 SILENT: Final = "no_vehicle_message"
-"""Reason: the car has not said what it is."""
+"""Reason: the car has not sent a vehicle message."""
 
 
 class CarParameters(NamedTuple):
-    """Parameters of the car at each row, (n,) float64 each, NaN where unknown; the ride table has columns of these names.
+    """Hold the parameters of the car at each row, NaN where they are unknown.
+
+    The ride table has columns of the same names.
 
     Parameters
     ----------
-    mass_kg : Kerb mass. [kg]
-    rolling_resistance : Coefficient of warm tyres on dry asphalt. [1]
-    drag_area_m2 : Drag coefficient times frontal area. [m^2]
-    nominal_capacity_kwh : Rated energy of the new battery. [kWh]
-    accessory_scale : Accessory power over that of the reference curve. [1]
+    mass_kg : (n,) float
+        Kerb mass. [kg]
+    rolling_resistance : (n,) float
+        Coefficient of warm tyres on dry asphalt. [1]
+    drag_area_m2 : (n,) float
+        Drag coefficient times frontal area. [m^2]
+    nominal_capacity_kwh : (n,) float
+        Rated energy of the new battery. [kWh]
+    accessory_scale : (n,) float
+        Accessory power relative to that of the reference curve. [1]
     """
 
     mass_kg: Floats
@@ -37,7 +44,17 @@ class CarParameters(NamedTuple):
 
 
 class Change(NamedTuple):
-    """From this row of the batch on, the car in this lane is of this kind."""
+    """State that a car is of a kind from a row of the batch on.
+
+    Parameters
+    ----------
+    lane : int
+        Lane of the car.
+    row : int
+        First row of the batch to which the change applies.
+    kind : int
+        Kind of the car from then on.
+    """
 
     lane: int
     row: int
@@ -45,9 +62,25 @@ class Change(NamedTuple):
 
 
 class Cars:
-    """The kinds of car heard of, and the kind of every lane.
+    """Hold the known kinds of car and the kind of every lane.
 
-    A kind is a vehicle model with its overrides; equal ones share a row of `parameters`.
+    A kind is a vehicle model with its overrides. Cars with the same model and overrides are of one kind and share a row
+    of `parameters`.
+
+    Attributes
+    ----------
+    messages : list of (Vehicle or None)
+        Message that describes each kind, without vehicle, time and date.
+    models : list of (VehicleModel or None)
+        Vehicle model of each kind, None where it is unknown.
+    parameters : (kinds, 5) float
+        `CarParameters` of each kind, NaN where unknown.
+    capacity : (kinds,) float
+        Usable capacity of each kind, nominal where the usable one is unknown. [kWh]
+    of_lane : (lanes,) int
+        Kind of the car of each lane.
+    unpredictable : Counter of str
+        Number of vehicle messages without a prediction, by reason.
     """
 
     def __init__(self) -> None:
@@ -61,33 +94,58 @@ class Cars:
         self._kinds: dict[bytes, int] = {}
 
     def name(self, kind: int) -> str | None:
-        """Return the vehicle model's key as the car sent it."""
+        """Return the key of the vehicle model as the car sent it, None where it is unknown."""
         message = self.messages[kind]
         return None if message is None else message.model
 
     def unpredicted(self, kind: int) -> str | None:
-        """Return why no energy is predicted for a car of this kind, `None` where it is."""
+        """Return why the energy of a car of this kind cannot be predicted, `None` where it can."""
         return SILENT if kind == UNKNOWN else self._reasons[kind]
 
     def parameters_of(self, kinds: Ints) -> CarParameters:
-        """Return the parameters of cars of some kinds, (n,) each."""
+        """Return the parameters of cars.
+
+        Parameters
+        ----------
+        kinds : (n,) int
+            Kind of each car.
+
+        Returns
+        -------
+        CarParameters of n rows
+            Parameters of each car.
+        """
         return CarParameters(*self.parameters.take(kinds, axis=0).T)
 
     def is_one(self, lane: int, message: Vehicle) -> bool:
-        """Tell whether a message says of a car what is known of it."""
+        """Return whether a message describes a car as it is already known.
+
+        Parameters
+        ----------
+        lane : int
+            Lane of the car.
+        message : Vehicle
+            Message of the car.
+        """
         kind = int(self.of_lane[lane]) if lane < len(self.of_lane) else UNKNOWN
         return self.messages[kind] == _bare(message)
 
     def kinds(self, lane: Ints, changes: Sequence[tuple[int, int, Vehicle]], lanes: int) -> Ints:
-        """Return the kind of car of each row, and remember what changed.
+        """Apply vehicle messages, and return the kind of car of each row.
 
         Parameters
         ----------
         lane : (n,) int
+            Lane of each row.
         changes : sequence of (row, lane, Vehicle)
-            Messages, each with the row before which it came.
+            Vehicle messages, each with the row before which it came and the lane of its car.
         lanes : int
-            How many there are so far.
+            Number of lanes so far.
+
+        Returns
+        -------
+        (n,) int
+            Kind of car of each row.
         """
         self.of_lane = grown(self.of_lane, lanes)
         before = self.of_lane.take(lane)
@@ -105,7 +163,7 @@ class Cars:
         return np.where(applies, np.array([change.kind for change in told])[last], before)
 
     def _kind(self, message: Vehicle) -> int:
-        """Return the kind that a message describes, opening one for a kind not seen before."""
+        """Return the kind that a message describes, and add it if it is new."""
         told = _bare(message)
         key = msgspec.json.encode(told)
         kind = self._kinds.get(key)
@@ -127,11 +185,11 @@ class Cars:
         return kind
 
     def dump(self) -> Any:
-        """Return the state as plain lists."""
+        """Return the state as plain lists, for a snapshot."""
         return [[msgspec.to_builtins(m) for m in self.messages[1:]], self.of_lane.tolist(), dict(self.unpredictable)]
 
     def load(self, state: Any) -> None:
-        """Take up a state that `dump` returned."""
+        """Replace the state by one that `dump` returned."""
         self.__init__()  # type: ignore[misc]
         for message in state[0]:
             self._kind(msgspec.convert(message, Vehicle))
@@ -140,5 +198,5 @@ class Cars:
 
 
 def _bare(message: Vehicle) -> Vehicle:
-    """Return what a message says of any such car."""
+    """Return a message without vehicle, time and date, so that only the description of the car remains."""
     return msgspec.structs.replace(message, vehicle_id="", time_s=0.0, in_service_date=None)

@@ -1,6 +1,7 @@
-"""Payloads to columns: the only place where units change on the way in.
+"""Decode payloads to columns, and convert wire units to SI units.
 
-Inside core everything is SI: metres, seconds, kelvin, radians, fractions of one.
+No other module converts units of input. Inside core, all quantities have SI units: metres, seconds, kelvin, radians and
+fractions of one.
 """
 
 from collections import Counter
@@ -17,7 +18,17 @@ from core.wire.rides import RideNames
 
 
 class Event(NamedTuple):
-    """Anything that is not telemetry, and how many telemetry rows had come before it."""
+    """Hold a message that is not telemetry, and its place among the telemetry rows.
+
+    Parameters
+    ----------
+    row : int
+        Number of telemetry rows of the batch that came before it.
+    lane : int
+        Lane of its vehicle, -1 for a message that is not about a vehicle.
+    value : Wire
+        Decoded message.
+    """
 
     row: int
     lane: int
@@ -30,7 +41,7 @@ _LOST = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
 
 def _column(values: tuple[Any, ...]) -> Any:
-    """Return the fastest thing numpy makes floats of, None becoming NaN."""
+    """Return values in the form that numpy converts to floats fastest, with NaN for None."""
     missing = values.count(None)
     if missing == 0:
         return np.fromiter(values, np.float64, len(values))
@@ -38,15 +49,21 @@ def _column(values: tuple[Any, ...]) -> Any:
 
 
 class Decoder:
-    """Messages in, columns and events out; what cannot be decoded is counted by cause and never raises.
+    """Decode messages to columns and events.
 
-    Causes: `unknown_key`, `not_json`, `wrong_type` (a field of the wrong type or a missing one), `empty_list`,
-    `key_mismatch` (the payload names another vehicle, station or model than its key), `out_of_range` (a weather station
-    that is nowhere).
+    A message that cannot be decoded never raises an error. It is counted by cause:
+
+    - `unknown_key`;
+    - `not_json`;
+    - `wrong_type`: a field is missing or has the wrong type;
+    - `empty_list`;
+    - `key_mismatch`: the payload names another vehicle, station or model than its key;
+    - `out_of_range`: a weather station has an impossible position or time.
 
     Parameters
     ----------
-    lanes : Lanes. Gets a lane for every vehicle that is seen.
+    lanes : Lanes
+        Lanes of the vehicles; every new vehicle gets one.
     """
 
     def __init__(self, lanes: Lanes) -> None:
@@ -60,14 +77,19 @@ class Decoder:
         self._others = {kind: msgspec.json.Decoder(struct) for kind, struct in KINDS.items()}
 
     def decode(self, messages: Sequence[Message]) -> tuple[Batch, list[Event]]:
-        """Decode messages, in their order.
+        """Decode messages in their order.
+
+        Parameters
+        ----------
+        messages : sequence of Message
+            Keys with payloads, in the order of their arrival.
 
         Returns
         -------
-        Batch
-            One row a telemetry sample that could be decoded.
-        list of Event
-            Everything else, each with the row before which it came.
+        batch : Batch
+            One row per telemetry sample that could be decoded.
+        events : list of Event
+            All other messages, each with the row before which it came.
         """
         tables: list[Floats] = []
         events: list[Event] = []
@@ -90,12 +112,20 @@ class Decoder:
         self._lane_of_key.clear()
 
     def refuse(self, kind: str, cause: str) -> None:
-        """Count as rejected what had been counted as received."""
+        """Count a message as rejected that had been counted as received.
+
+        Parameters
+        ----------
+        kind : str
+            Kind of the message, such as `weather`.
+        cause : str
+            Cause of the rejection.
+        """
         self.received[kind] -= 1
         self.rejected[cause] += 1
 
     def _block(self, block: Sequence[Message], events: list[Event], rows: int) -> Floats:
-        """Decode a block; most messages are one good sample of a vehicle that is known, and go the short way."""
+        """Decode a block, with a shortcut for the most frequent message: one valid sample of a known vehicle."""
         samples: list[Telemetry] = []
         lanes: list[int] = []
         decode, lane_of, names = self._one.decode, self._lane_of_key.get, self.lanes.names
@@ -116,7 +146,7 @@ class Decoder:
     def _other(
         self, message: Message, samples: list[Telemetry], lanes: list[int], events: list[Event], rows: int
     ) -> None:
-        """Add what a message holds to the samples or the events of its block, counting what is lost by cause."""
+        """Add the content of a message to the samples or events of its block, and count losses by cause."""
         whose = address(message.key)
         if whose is None:
             self.rejected["unknown_key"] += 1
@@ -133,7 +163,7 @@ class Decoder:
                 events.append(Event(rows + len(lanes), lane, value))
 
     def _samples(self, payload: bytes, identity: str) -> list[Telemetry]:
-        """Return the good samples of a payload that holds one or a list of them."""
+        """Return the valid samples of a payload, which holds one sample or a list of them."""
         parts: list[Any]
         try:
             parts = self._several.decode(payload)
@@ -145,7 +175,7 @@ class Decoder:
         return [sample for sample in decoded if sample is not None]
 
     def _decoded(self, decoder: msgspec.json.Decoder[Any], payload: Any, whose: str) -> Any:
-        """Decode one object that must speak of whom its key names; None, counted, where it cannot be used."""
+        """Decode one object whose identity must match its key; count the cause and return None if it cannot be used."""
         try:
             value = decoder.decode(payload)
         except msgspec.ValidationError:
@@ -159,7 +189,7 @@ class Decoder:
         return None
 
     def _table(self, fields: list[tuple[Any, ...]], lanes: list[int]) -> Floats:
-        """Lay the fields of a block out as rows of floats, in wire units."""
+        """Return the fields of a block as rows of floats, in wire units."""
         table = np.empty((len(Batch._fields), len(lanes)))
         names = self.rides
         table[0] = lanes
@@ -171,12 +201,12 @@ class Decoder:
 
 
 def _transposed(samples: list[Telemetry]) -> list[tuple[Any, ...]]:
-    """Return one tuple a field instead of one struct a sample."""
+    """Return one tuple per field instead of one struct per sample."""
     return list(zip(*map(msgspec.structs.astuple, samples), strict=True))
 
 
 def _batch(tables: list[Floats]) -> Batch:
-    """Join blocks and turn wire units into SI."""
+    """Join blocks, and convert wire units to SI units."""
     table = np.concatenate(tables, axis=1) if tables else np.empty((len(Batch._fields), 0))
     with np.errstate(over="ignore"):  # a huge value becomes infinite, and out of range
         for column, scale in _SCALES.items():
@@ -187,7 +217,7 @@ def _batch(tables: list[Floats]) -> Batch:
 
 
 def _position(field: str) -> int:
-    """Return the place of a wire field among the columns of a batch."""
+    """Return the index of a wire field among the columns of a batch."""
     return 3 + _NUMERIC.index(field)
 
 
