@@ -1,1 +1,1 @@
-"""Transports and the one loop that joins them to core."""
+"""Read and write messages over files and Zenoh, and run the loop that passes them through `core`."""

@@ -1,4 +1,4 @@
-"""A sink behind a thread: `put` never waits, and only the newest message of each key is passed on."""
+"""A sink with its own thread: `put` never waits, and the thread passes on only the newest message of each key."""
 
 from collections.abc import Sequence
 from threading import Condition, Thread
@@ -8,16 +8,17 @@ from stream.source import Sink
 
 
 class LatestOnlySink:
-    """Pass messages to a sink from a thread of its own, the newest of each key.
+    """Pass the newest message of each key to a sink, from a separate thread.
 
-    The loop must not wait for its listeners: a stalled listener would hold up every car. A Zenoh session that declares a
-    publisher also waits for the samples that it is delivering, and these wait for the loop to take them. A message that
-    cannot be passed on at once is replaced by the next one of its key, so the number of keys bounds the memory.
+    The loop must not wait for its subscribers, because one stalled subscriber would delay every car. A Zenoh session
+    that declares a publisher also waits for the samples that it is delivering, and these samples wait for the loop. The
+    next message of a key replaces a message that the thread could not yet pass on. The number of keys therefore bounds
+    the memory.
 
     Parameters
     ----------
     sink : Sink
-        Used by the thread only.
+        Sink that receives the messages. Only the thread puts messages into it.
     """
 
     def __init__(self, sink: Sink) -> None:
@@ -31,12 +32,17 @@ class LatestOnlySink:
         self._thread.start()
 
     def put(self, messages: Sequence[Message]) -> None:
-        """Leave messages to be passed on.
+        """Hand messages to the thread without waiting for the sink.
+
+        Parameters
+        ----------
+        messages : sequence of Message
+            Messages to pass on; an empty sequence is allowed.
 
         Raises
         ------
         Exception
-            Whatever stopped the sink.
+            The error that stopped the sink.
         """
         self._raise_failure()
         if messages:
@@ -45,12 +51,12 @@ class LatestOnlySink:
                 self._changed.notify()
 
     def close(self) -> None:
-        """Wait until all messages have been passed on, and close the sink.
+        """Wait until the thread has passed on all messages, then close the sink.
 
         Raises
         ------
         Exception
-            Whatever stopped the sink, unless `put` has raised it.
+            The error that stopped the sink, unless `put` has already raised it.
         """
         with self._changed:
             self._closing = True
@@ -61,13 +67,13 @@ class LatestOnlySink:
             self._raise_failure()
 
     def _raise_failure(self) -> None:
-        """Raise what stopped the sink."""
+        """Raise the error that stopped the sink, if any."""
         if self._failure is not None:
             self._raised = True
             raise self._failure
 
     def _work(self) -> None:
-        """Pass on what has come, until closed."""
+        """Pass waiting messages to the sink until the sink is closed."""
         while True:
             with self._changed:
                 while not (self._newest or self._closing):
@@ -77,6 +83,6 @@ class LatestOnlySink:
                 return
             try:
                 self._sink.put(list(taken.values()))
-            except Exception as failure:  # noqa: BLE001 - raised by the next put
+            except Exception as failure:  # noqa: BLE001 - the next put raises it
                 self._failure = failure
                 return

@@ -1,4 +1,4 @@
-"""The loop that live and replay share; they differ only in their source."""
+"""The loop that passes messages from a source through the pipeline; `live` and `replay` differ only in the source."""
 
 import gc
 import logging
@@ -18,44 +18,64 @@ from stream.source import Sink, Source
 from stream.structured_log import event_fields, flatten_counts
 
 REPORT_S: Final = 30.0
-"""Time between two lines of counters. [s]"""
+"""Time between two log lines of counters. [s]"""
 PUBLISH_S: Final = 0.5
-"""Time between two rounds of forecasts in service. [s]"""
+"""Time between two rounds of published forecasts in live operation. [s]"""
 
 _log = logging.getLogger("socast.run")
 
 
 class Forecaster(Protocol):
-    """What the loop needs of `core.pipeline.Pipeline`."""
+    """Define the methods of `core.pipeline.Pipeline` that the loop calls."""
 
     def take(self, messages: Sequence[Message]) -> None:
-        """Take messages."""
+        """Process messages."""
 
     def forecasts(self, *, newest_only: bool = False) -> list[Message]:
-        """Return the forecasts that have become due since the last call, or of each vehicle the newest."""
+        """Return the forecasts that became due since the last call.
+
+        Parameters
+        ----------
+        newest_only : bool
+            Return only the newest forecast of each vehicle.
+
+        Returns
+        -------
+        list of Message
+        """
 
     def model_errors(self, *, newest_only: bool = False) -> list[Message]:
-        """Return the errors of several models after each ride since the last call, or the newest of each."""
+        """Return the errors of several models after each ride that ended since the last call.
+
+        Parameters
+        ----------
+        newest_only : bool
+            Return only the errors after the last of these rides.
+
+        Returns
+        -------
+        list of Message
+        """
 
     def finish(self) -> list[Message]:
-        """Close open rides, return the last forecasts."""
+        """Close open rides and return the last forecasts."""
 
     def quality(self) -> dict[str, Any]:
-        """Return counters."""
+        """Return the counters of data quality."""
 
 
 @dataclass
 class Tally:
-    """Count what went through the loop.
+    """Count the messages that the loop received and sent.
 
     Parameters
     ----------
     received, forecasts, model_errors : int
-        Messages received, forecasts sent, and messages on the errors of models sent.
+        Numbers of messages received, forecasts sent, and messages sent on the errors of models.
     missed : int
-        Messages that were sent and not received, as far as the transport can tell.
+        Number of messages that were sent but not received, as far as the transport detects it.
     seconds : float
-        Time from the first look at the source to its end. [s]
+        Time since the loop first read from the source. [s]
     """
 
     received: int = 0
@@ -76,33 +96,36 @@ def run(
     report_s: float = REPORT_S,
     clock: Callable[[], float] = time.monotonic,
 ) -> Tally:
-    """Push every message through the pipeline and pass its forecasts to the sinks, until the source ends.
+    """Pass every message through the pipeline and its forecasts to the sinks, until the source ends.
 
-    The recorder and then the sinks are closed in every case. Messages are recorded before they are decoded, so a message
-    that breaks the pipeline is on disk.
+    The loop always closes the recorder and then the sinks, even after an error. It records messages before the pipeline
+    decodes them, so the recording contains a message that makes the pipeline fail.
 
     Parameters
     ----------
     source : Source
-        Ends by itself or at its stop event. Its count `missed`, if it has one, is reported.
+        Source that ends by itself or at its stop event. The loop logs its count `missed`, if it has one.
     pipeline : Forecaster
+        Pipeline that turns messages into forecasts.
     sinks : sequence of Sink
-        Take the forecasts and the errors of models; closed at the end.
+        Sinks that receive the forecasts and the errors of models. The loop closes them at the end.
     recorder : Recorder, optional
-        Takes the messages received.
+        Recorder of the received messages.
     publish_s : float
         Time between two rounds of the newest forecast of each vehicle. [s] A consumer that has fallen behind then does
-        not flood its listeners, and one that keeps pace passes on every forecast. At 0 all are passed on.
+        not flood its subscribers, and one that keeps pace publishes every forecast. With 0 the loop passes on all
+        forecasts.
     watch : callable
-        Called after each list, the empty ones included, for a screen or a progress bar.
+        Function that the loop calls after each list of messages, empty lists included, for a screen or a progress bar.
     report_s : float
         Time between two lines of counters in the log. [s]
     clock : callable
-        Monotonic time. [s]
+        Function that returns monotonic time. [s]
 
     Returns
     -------
     Tally
+        Counts of the whole run.
     """
     tally, began, which = Tally(), clock(), {"newest_only": publish_s > 0.0}
     due = began + report_s
@@ -136,7 +159,11 @@ def run(
 
 @contextmanager
 def collect_garbage_rarely() -> Iterator[None]:
-    """Run the cyclic garbage collector rarely while messages stream; they make no cycles, and it would visit each."""
+    """Make the cyclic garbage collector run rarely while messages stream.
+
+    Messages form no reference cycles, and every collection would visit each of them. The previous thresholds return at
+    the end.
+    """
     before = gc.get_threshold()
     gc.collect()
     gc.freeze()
@@ -150,7 +177,13 @@ def collect_garbage_rarely() -> Iterator[None]:
 
 @contextmanager
 def stop_on_signals() -> Iterator[Event]:
-    """Give an event that SIGINT and SIGTERM set; a second SIGINT interrupts at once, as usual."""
+    """Provide an event that SIGINT and SIGTERM set; a second SIGINT interrupts immediately, as usual.
+
+    Yields
+    ------
+    threading.Event
+        Event that requests the stop. The previous signal handlers return at the end.
+    """
     stop = Event()
 
     def handle(number: int, frame: FrameType | None) -> None:
@@ -176,7 +209,7 @@ def _pass_on(forecasts: list[Message], errors: list[Message], sinks: Sequence[Si
 
 
 def _report(event: str, tally: Tally, source: Source, pipeline: Forecaster, recorder: Recorder | None) -> None:
-    """Log all counters."""
+    """Log all counters under the name of an event."""
     tally.missed = getattr(source, "missed", 0)
     counts: dict[str, Any] = {"messages": tally.received, "forecasts": tally.forecasts, "missed": tally.missed}
     if tally.model_errors:

@@ -1,4 +1,4 @@
-"""The records of an MCAP file, taken apart.
+"""The record layout of MCAP files, and functions that decode records.
 
 References
 ----------
@@ -20,21 +20,36 @@ from core.wire.schema import make_schema
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 LARGEST_CHUNK: Final = 1 << 30
-"""A chunk that claims to be larger is damaged. [B]"""
+"""Largest credible size of a chunk; a chunk that claims more is damaged. [B]"""
 
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, CHUNK_INDEX, STATISTICS, DATA_END = 2, 3, 4, 5, 6, 8, 11, 15
 RECORD: Final = struct.Struct("<BQ")
-"""What every record begins with: opcode, length of the rest."""
+"""Start of every record: opcode, and length of the rest. [B]"""
 MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
-"""Opcode, length, channel, sequence, log time, publish time."""
+"""Start of a message record: opcode, length [B], channel, sequence, log time [ns], publish time [ns]."""
 FOOTER_RECORD: Final = struct.Struct("<BQQQI")
-"""Opcode, length, start of the summary, start of its offsets, CRC."""
-_CHUNK_HEAD: Final = struct.Struct("<BQQQQII")  # opcode, length, first, last time, size, CRC, length of a name
+"""Footer record: opcode, length [B], start of the summary [B], start of its offsets [B], CRC."""
+_CHUNK_HEAD: Final = struct.Struct("<BQQQQII")  # opcode, length, first and last time, size, CRC, length of a name
 _LENGTH: Final = struct.Struct("<I")
 
 
 def iterate_records(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield opcode and body of each record."""
+    """Yield the opcode and the body of each record.
+
+    Parameters
+    ----------
+    data : bytes
+        Consecutive records.
+
+    Yields
+    ------
+    tuple of (int, bytes)
+
+    Raises
+    ------
+    struct.error
+        If the data end within the head of a record.
+    """
     at = 0
     while at < len(data):
         opcode, length = RECORD.unpack_from(data, at)
@@ -43,7 +58,28 @@ def iterate_records(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def iterate_strings(body: bytes, at: int, count: int) -> Iterator[bytes]:
-    """Yield strings that follow their length."""
+    """Yield strings, each of which follows its length in the record.
+
+    Parameters
+    ----------
+    body : bytes
+        Body of the record.
+    at : int
+        Offset of the first length. [B]
+    count : int
+        Number of strings.
+
+    Yields
+    ------
+    bytes
+
+    Raises
+    ------
+    ValueError
+        If a string reaches beyond the record.
+    struct.error
+        If a length reaches beyond the record.
+    """
     for _ in range(count):
         (length,) = _LENGTH.unpack_from(body, at)
         at += _LENGTH.size + length
@@ -53,7 +89,24 @@ def iterate_strings(body: bytes, at: int, count: int) -> Iterator[bytes]:
 
 
 def decompress_chunk(record: bytes) -> bytes:
-    """Return what is in a chunk, checked."""
+    """Return the decompressed records of a chunk, after a check of size and checksum.
+
+    Parameters
+    ----------
+    record : bytes
+        The whole chunk record.
+
+    Returns
+    -------
+    bytes
+
+    Raises
+    ------
+    ValueError
+        If the chunk is incomplete, its compression is unknown, or its size or checksum differs.
+    zstandard.ZstdError, RuntimeError
+        If the compressed data are damaged.
+    """
     opcode, _, _, _, size, crc, name_length = _CHUNK_HEAD.unpack_from(record)
     at = _CHUNK_HEAD.size + name_length
     name = record[_CHUNK_HEAD.size : at]
@@ -75,7 +128,7 @@ def decompress_chunk(record: bytes) -> bytes:
 
 @lru_cache(maxsize=256)
 def _lacking(kind: str, data: bytes) -> list[str]:
-    """Return the fields that a kind must have and a JSON schema does not know."""
+    """Return the required fields of a kind that a JSON schema does not have."""
     try:
         properties = json.loads(data).get("properties")
     except (ValueError, AttributeError):
@@ -84,7 +137,26 @@ def _lacking(kind: str, data: bytes) -> list[str]:
 
 
 def explain_foreign_channel(topic: str, encoding: str, name: str, schema_encoding: str, data: bytes) -> str:
-    """Say why a channel is not of the wire contract; empty for one that is, and for whatever may be."""
+    """Return the reason why a channel does not follow the wire contract.
+
+    Parameters
+    ----------
+    topic : str
+        Topic of the channel.
+    encoding : str
+        Encoding of its messages.
+    name : str
+        Name of its schema.
+    schema_encoding : str
+        Encoding of its schema.
+    data : bytes
+        Text of its schema.
+
+    Returns
+    -------
+    str
+        Empty for a channel that follows the contract, and for one that may follow it.
+    """
     if encoding not in {"", "json"} or schema_encoding not in {"", "jsonschema"}:
         return f"topic {topic} holds {encoding or schema_encoding} messages, schema {name or 'none'}, not JSON"
     known = address(topic)

@@ -1,8 +1,8 @@
-"""The MCAP reader: recordings that are whole, unfinished or damaged.
+"""The MCAP reader, for recordings that are complete, unfinished or damaged.
 
-The `mcap` package makes an object of every record, at seven microseconds a message, and stops at the first byte that is
-not as it should be. Here a chunk is decompressed and cut into messages in one loop, at under one microsecond each, and
-what cannot be read is counted and left out.
+The `mcap` package makes an object of every record, which takes 7 µs per message, and stops at the first invalid byte.
+This reader decompresses a chunk and splits it into messages in one loop, which takes less than 1 µs per message. It
+counts the data that it cannot read, and leaves them out.
 """
 
 import struct
@@ -40,10 +40,10 @@ from stream.mcap_format import (
 )
 
 RAW_BLOCK: Final = 1 << 20
-"""Messages outside chunks are read in blocks of about this size. [B]"""
+"""Approximate size of the blocks in which the reader takes messages outside chunks. [B]"""
 
 _CHUNK_PLACE: Final = struct.Struct("<QQQQ")  # first time, last time, offset, length
-_SPAN: Final = struct.Struct("<QQ")  # first and last time of a chunk, in its head
+_SPAN: Final = struct.Struct("<QQ")  # first and last time in the head of a chunk
 _TAIL: Final = FOOTER_RECORD.size + len(MAGIC)
 _DAMAGE: Final = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, MemoryError, OverflowError)
 _receipt = itemgetter(2)
@@ -51,22 +51,23 @@ _receipt = itemgetter(2)
 
 @dataclass
 class Losses:
-    """Count what could not be read from a recording.
+    """Count the data that could not be read from a recording.
 
     Parameters
     ----------
     unfinished : bool
-        The writer was killed: there is no end mark, and what it had not yet written is lost.
+        Whether the file has no end mark, because its writer was killed. Data that the writer had not yet written are
+        lost.
     truncated_bytes : int
-        At the end of the file, less than a whole record. [B]
+        Size of the incomplete record at the end of the file. [B]
     damaged_chunks, damaged_bytes : int
-        Chunks that do not decompress or whose checksum differs, and their size. [1], [B]
+        Number and total size of the chunks that do not decompress or whose checksum differs. [1], [B]
     missing_messages : int
-        What the summary counts and the chunks do not deliver.
+        Number of messages that the summary counts but the chunks do not contain.
     undescribed : int
-        Messages of a channel that is nowhere described.
+        Number of messages whose channel the file does not describe.
     foreign : Counter
-        Messages by topic that are not of the wire contract: other encodings, other schemas.
+        Number of messages outside the wire contract by topic, because of another encoding or schema.
     """
 
     unfinished: bool = False
@@ -82,7 +83,7 @@ class Losses:
         return bool(self.lines())
 
     def lines(self) -> list[str]:
-        """Return what was lost, a sentence each; an empty list for a recording that is whole."""
+        """Return one sentence per kind of loss; an empty list for a complete recording."""
         told = []
         if self.unfinished:
             told.append(f"it breaks off: {self.truncated_bytes:,} bytes after the last whole chunk are lost")
@@ -100,7 +101,7 @@ class Losses:
 
 
 class _Block(NamedTuple):
-    """A run of messages in the file: a chunk, or messages that stand outside chunks."""
+    """Locate a run of messages in the file: a chunk, or messages outside chunks."""
 
     first_ns: int
     last_ns: int
@@ -110,25 +111,26 @@ class _Block(NamedTuple):
 
 
 class McapSource:
-    """Read an MCAP recording, as a source that can be iterated again and again.
+    """Read an MCAP recording as a source that can be iterated repeatedly.
 
     Parameters
     ----------
     path : str or Path
+        The recording.
 
     Attributes
     ----------
     losses : Losses
-        What the reading so far could not read; complete when it has come to the end.
+        Data that the current iteration could not read so far; complete after its end.
     blocks, blocks_read : int
-        Chunks in the file, and how many have been read.
+        Number of chunks in the file, and number of chunks that the current iteration has read.
     schemas : dict
-        Topic -> name of its schema, as far as the reading has come; empty where it has none.
+        Name of the schema by topic, for the topics read so far; an empty name for a topic without a schema.
 
     Raises
     ------
     RecordingError
-        Where the file is missing, empty, a directory, not MCAP, or of another contract altogether.
+        If the file is missing, empty, a directory or not MCAP, or if none of its channels follows the wire contract.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -153,17 +155,23 @@ class McapSource:
 
     @property
     def blocks(self) -> int:
-        """Number of chunks in the file."""
+        """Return the number of chunks in the file."""
         return len(self._blocks)
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
-        """First and last receipt, as its chunks tell without being read; None where it holds no message. [ns]"""
+        """Return the first and last time of receipt, without reading the chunks. [ns]
+
+        Returns
+        -------
+        tuple of (int, int) or None
+            Unix times from the heads of the chunks; None if the recording holds no message.
+        """
         full = [block for block in self._blocks if block.last_ns]
         return (min(block.first_ns for block in full), max(block.last_ns for block in full)) if full else None
 
     def __iter__(self) -> Iterator[list[Message]]:
-        """Yield the messages in order of receipt, about a chunk at a time."""
+        """Yield the messages in order of receipt, about one chunk at a time."""
         self.losses = Losses(*self._unread)
         self.blocks_read = delivered = 0
         held: list[Message] = []
@@ -184,7 +192,7 @@ class McapSource:
             self._refuse_foreign()
 
     def _check(self, file: BinaryIO) -> None:
-        """Refuse what is not MCAP."""
+        """Refuse an empty file and a file that is not MCAP."""
         begin = file.read(len(MAGIC))
         if not begin:
             raise RecordingError(f"{self.path} is empty: 0 bytes; nothing was recorded")
@@ -192,7 +200,7 @@ class McapSource:
             raise RecordingError(f"{self.path} is not an MCAP recording: it begins with {begin!r}, not {MAGIC!r}")
 
     def _refuse_foreign(self) -> None:
-        """Refuse a recording none of whose channels can be read."""
+        """Refuse a recording if none of its channels follows the wire contract."""
         if self._keys and not any(self._keys.values()):
             _, reason = next(iter(self._foreign.values()))
             raise RecordingError(
@@ -200,7 +208,7 @@ class McapSource:
             )
 
     def _indexed(self, file: BinaryIO) -> list[_Block]:
-        """Return the chunks that a sound summary lists; none where there is no such."""
+        """Return the chunks that the summary lists; an empty list without an intact summary."""
         size = file.seek(0, 2)
         if size < 2 * len(MAGIC) + _TAIL:
             return []
@@ -229,7 +237,7 @@ class McapSource:
         return sorted(blocks, key=itemgetter(0))
 
     def _scanned(self, file: BinaryIO) -> list[_Block]:
-        """Return the chunks found by going from record to record, as far as that leads."""
+        """Return the chunks found by a scan from record to record, up to the first incomplete record."""
         size, at = file.seek(0, 2), len(MAGIC)
         blocks: list[_Block] = []
         self.losses.unfinished = True
@@ -256,7 +264,7 @@ class McapSource:
         return self._in_order(file, blocks)
 
     def _in_order(self, file: BinaryIO, blocks: list[_Block]) -> list[_Block]:
-        """Return blocks by time; where that is not their order in the file, learn the channels in the file's first."""
+        """Return blocks by time; if the file has another order, first read the channels in the order of the file."""
         ordered = sorted(blocks, key=itemgetter(0))
         if ordered != blocks:
             for block in blocks:
@@ -264,7 +272,7 @@ class McapSource:
         return ordered
 
     def _learn(self, opcode: int, body: bytes) -> None:
-        """Learn a schema or a channel; other records are of no interest."""
+        """Store a schema or a channel; ignore other records."""
         if opcode not in {SCHEMA, CHANNEL} or self._learnt.get((opcode, body[:2])) == body:
             return
         number = int.from_bytes(body[:2], "little")
@@ -282,7 +290,7 @@ class McapSource:
         self._learnt[opcode, body[:2]] = body
 
     def _messages(self, file: BinaryIO, block: _Block) -> list[Message]:
-        """Return the messages of a block, in the order in which they stand; none of a damaged one."""
+        """Return the messages of a block in the order of the file; of a damaged block those before the damage."""
         file.seek(block.offset)
         out: list[Message] = []
         try:
@@ -294,9 +302,9 @@ class McapSource:
         return out
 
     def _split(self, data: bytes, out: list[Message]) -> None:
-        """Cut the records of a chunk apart and append its messages."""
+        """Split a chunk into records and append its messages to `out`."""
         at, end = 0, len(data)
-        data += bytes(MESSAGE_HEAD.size)  # so that a short last record does not need a case of its own
+        data += bytes(MESSAGE_HEAD.size)  # padding, so that a short last record needs no special case
         unpack, head, get, new = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size, self._keys.get, tuple.__new__
         append = out.append
         while at < end:
@@ -318,7 +326,7 @@ class McapSource:
 
 
 def _add_raw(blocks: list[_Block], receipt_ns: int, offset: int, length: int) -> None:
-    """Add a message outside chunks: to the block that it continues, else as a block of its own."""
+    """Add a message outside chunks to the block that it continues, or else as a new block."""
     last = blocks[-1] if blocks else None
     if last and not last.chunked and last.offset + last.length == offset and last.length < RAW_BLOCK:
         first_ns, last_ns = min(last.first_ns, receipt_ns), max(last.last_ns, receipt_ns)

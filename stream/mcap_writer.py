@@ -1,9 +1,9 @@
-"""The MCAP writer: every payload verbatim, under its Zenoh key, at its time of receipt.
+"""The MCAP writer: it stores every payload verbatim, with its Zenoh key and its time of receipt.
 
-Topic is the key, message encoding `json`, schema encoding `jsonschema`, `log_time` the receipt and `publish_time` the
-sender's `time_s`. Chunks are zstd, indexed, and each describes the channels that it uses, so that a damaged chunk costs
-no more than itself. The hot loops, one message in and one message out, pack and unpack the records by hand: the `mcap`
-package's own cost five to seven microseconds a message.
+The topic is the key, the message encoding is `json` and the schema encoding is `jsonschema`. `log_time` is the time of
+receipt and `publish_time` is the sender's `time_s`. Chunks are compressed with zstd and indexed. Each chunk describes
+the channels that it uses, so that a damaged chunk does not make other chunks unreadable. The loops over single
+messages, in writer and reader, pack and unpack records without the `mcap` package, which needs 5 to 7 µs per message.
 
 References
 ----------
@@ -32,15 +32,15 @@ from core.wire.schema import make_schema
 from stream.mcap_format import FOOTER_RECORD, MAGIC, MESSAGE_HEAD, RECORD
 
 CHUNK_BYTES: Final = 1 << 20
-"""Size that a chunk grows to before it is compressed and written. [B]"""
+"""Size at which the writer compresses a chunk and writes it. [B]"""
 MOST_CHANNELS: Final = 0xFFFF
-"""Keys that one recording can hold: the format numbers them with 16 bits."""
+"""Largest number of keys in one recording, because the format numbers channels with 16 bits."""
 
 _BODY: Final = MESSAGE_HEAD.size - RECORD.size
 
 
 class _Stamp(msgspec.Struct, gc=False):
-    """All that a recording needs to know of a payload."""
+    """Hold the only field of a payload that the writer reads."""
 
     time_s: float
 
@@ -49,37 +49,38 @@ _stamp = msgspec.json.Decoder(_Stamp | list[_Stamp]).decode
 
 
 def _published(payload: bytes, receipt_ns: int) -> int:
-    """Return the sender's time, or the receipt where the payload does not tell, in ns."""
+    """Return the sender's time, or the time of receipt if the payload has no valid time. [ns]"""
     try:
         stamp = _stamp(payload)
         time_s = (stamp[0] if isinstance(stamp, list) else stamp).time_s
-        time_ns = round(time_s * 1e6) * 1000  # a float of Unix time is good to a quarter of a microsecond
+        time_ns = round(time_s * 1e6) * 1000  # a float of Unix time resolves 0.25 µs
     except (msgspec.MsgspecError, UnicodeDecodeError, IndexError, OverflowError, RecursionError):
         return receipt_ns
     return time_ns if 0 <= time_ns < 1 << 64 else receipt_ns
 
 
 class McapSink:
-    """Write an MCAP recording, as a sink; a context manager.
+    """Write an MCAP recording as a sink; a context manager.
 
     Parameters
     ----------
-    path : Path
-        Overwritten where it exists.
+    path : str or Path
+        File to write; an existing file is overwritten.
     chunk_bytes : int
-        What is lost when the process is killed is at most this much, and what came since the last `flush`. [B]
+        Size at which a chunk is written. [B] A killed process loses at most this many bytes, and only messages that
+        came after the last `flush`.
 
     Attributes
     ----------
     written : int
-        Size of the file so far, the chunk in the making included as it stands. [B]
+        Size of the file so far, with the uncompressed size of the unfinished chunk. [B]
     messages, kept : int
-        How many were put, and how many of them are in the file.
+        Number of messages that were put, and number of messages that are in the file.
 
     Raises
     ------
     RecordingError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
 
     def __init__(self, path: str | Path, chunk_bytes: int = CHUNK_BYTES) -> None:
@@ -102,16 +103,27 @@ class McapSink:
 
     @property
     def written(self) -> int:
-        """Size of the recording so far, in bytes."""
+        """Return the size of the recording so far. [B]"""
         return self._file.tell() + self._size if not self._file.closed else self.path.stat().st_size
 
     @property
     def full(self) -> bool:
-        """Whether no key can be added."""
+        """Return whether the recording holds the largest number of keys."""
         return len(self._channels) >= MOST_CHANNELS
 
     def room(self, messages: Sequence[Message]) -> int:
-        """Return how many of the messages, from the first on, bring no more keys than the recording can hold."""
+        """Return how many of the messages, from the first on, fit into the recording by their number of keys.
+
+        Parameters
+        ----------
+        messages : sequence of Message
+            Messages that are to be put.
+
+        Returns
+        -------
+        int
+            Number of leading messages whose keys the recording can hold.
+        """
         left = MOST_CHANNELS - len(self._channels)
         if len(messages) <= left:
             return len(messages)
@@ -124,12 +136,17 @@ class McapSink:
         return len(messages)
 
     def put(self, messages: Sequence[Message]) -> None:
-        """Append messages.
+        """Append messages to the recording.
+
+        Parameters
+        ----------
+        messages : sequence of Message
+            Messages in order of receipt.
 
         Raises
         ------
         RecordingError
-            Where the disk is full, or more than `MOST_CHANNELS` keys come.
+            If the disk is full, or if the messages have more than `MOST_CHANNELS` keys in total.
         """
         parts, pack, body = self._parts, MESSAGE_HEAD.pack, _BODY
         for key, payload, receipt_ns in messages:
@@ -149,11 +166,17 @@ class McapSink:
         self.messages += len(messages)
 
     def flush(self) -> None:
-        """End the chunk in the making, so that a reader finds all that was put."""
+        """Write the unfinished chunk, so that a reader finds every message that was put."""
         self._end_chunk()
 
     def close(self) -> None:
-        """Write the summary and close the file."""
+        """Write the summary and close the file.
+
+        Raises
+        ------
+        RecordingError
+            If the disk is full.
+        """
         if self._file.closed:
             return
         try:
@@ -164,7 +187,7 @@ class McapSink:
             self._file.close()
 
     def abandon(self) -> None:
-        """Close the file as it is, without a summary, where the disk takes no more."""
+        """Close the file without a summary, for use after the disk refused data."""
         with suppress(OSError):
             self._file.close()
 
@@ -175,11 +198,11 @@ class McapSink:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close."""
+        """Close the recording."""
         self.close()
 
     def _open(self, key: str) -> int:
-        """Give a new key its number; one outside the contract gets no schema."""
+        """Return the channel number of a new key; a key outside the wire contract gets no schema."""
         if self.full:
             raise RecordingError(
                 f"{self.path}: key {MOST_CHANNELS + 1:,} is {key}; a recording holds {MOST_CHANNELS:,}"
@@ -195,7 +218,7 @@ class McapSink:
         return channel
 
     def _describe(self, channel: int) -> list[int]:
-        """Write what a chunk says of a channel before its first message there, and begin its index."""
+        """Add the schema and the channel to the chunk before the channel's first message, and start its index."""
         record = self._channels[channel - 1]
         for wire in self._schemas.values():
             if wire.id == record.schema_id and wire.id not in self._described:
@@ -205,19 +228,19 @@ class McapSink:
         return self._index.setdefault(channel, [])
 
     def _append(self, data: bytes) -> None:
-        """Add a record that is not a message to the chunk in the making."""
+        """Add a record other than a message to the unfinished chunk."""
         self._parts.append(data)
         self._size += len(data)
 
     def _start_chunk(self) -> None:
-        """Begin an empty chunk."""
+        """Start an empty chunk."""
         self._parts: list[bytes] = []
         self._index: dict[int, list[int]] = {}
         self._described: set[int] = set()
         self._size = 0
 
     def _end_chunk(self) -> None:
-        """Write the chunk in the making and its message indexes."""
+        """Write the unfinished chunk and its message indexes."""
         if not self._index:
             return
         data = b"".join(self._parts)
@@ -260,7 +283,7 @@ class McapSink:
         return data + _bytes(Footer(summary_offset_start=at, summary_start=start, summary_crc=crc))
 
     def _write(self, data: bytes, *, flush: bool = False) -> None:
-        """Write to the file."""
+        """Write data to the file; raise `RecordingError` if the disk refuses them."""
         try:
             self._file.write(data)
             if flush:
@@ -272,7 +295,7 @@ class McapSink:
 
 
 def _bytes(record: Any) -> bytes:
-    """Return a record of the `mcap` package as it stands in a file."""
+    """Return the bytes of a record of the `mcap` package."""
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]

@@ -1,4 +1,4 @@
-"""A source and a sink in memory, for tests and for messages that are in memory already."""
+"""A source and a sink in memory, for tests and for messages that are already in memory."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -10,44 +10,46 @@ from core.wire.messages import Message
 
 @dataclass
 class MemorySource:
-    """Yield the messages of a list, as a source.
+    """Yield the messages of a list as a source.
 
     Parameters
     ----------
     messages : sequence of Message
+        Messages to yield.
     chunk : int
-        Messages a list. [1]
+        Largest number of messages per yielded list. [1]
     """
 
     messages: Sequence[Message]
     chunk: int = 4096
 
     def __iter__(self) -> Iterator[list[Message]]:
-        """Yield the messages in their order, `chunk` at a time."""
+        """Yield the messages in their order, `chunk` messages at a time."""
         for at in range(0, len(self.messages), self.chunk):
             yield list(self.messages[at : at + self.chunk])
 
 
 @dataclass
 class MemorySink:
-    """Keep every message, as a sink.
+    """Keep every message as a sink.
 
     Parameters
     ----------
     messages : list of Message
-        All that was put, in order.
+        All messages that were put, in order.
     closed : bool
+        Whether the sink was closed.
     """
 
     messages: list[Message] = field(default_factory=list)
     closed: bool = False
 
     def put(self, messages: Sequence[Message]) -> None:
-        """Keep messages."""
+        """Append messages to the list."""
         self.messages += messages
 
     def close(self) -> None:
-        """Note that it was closed."""
+        """Set `closed`."""
         self.closed = True
 
     def __enter__(self) -> Self:
@@ -57,5 +59,5 @@ class MemorySink:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close."""
+        """Close the sink."""
         self.close()

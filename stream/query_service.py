@@ -1,4 +1,4 @@
-"""The service that answers queries about the rest of a shift, between two lists of messages."""
+"""The service that answers queries about the rest of a shift, between two lists of telemetry messages."""
 
 import logging
 import time
@@ -13,15 +13,15 @@ from core.wire.messages import Leg, Outlook, Plan, encode
 from stream.structured_log import event_fields, flatten_counts
 
 SPEND_S: Final = 0.1
-"""Longest time spent on queries before telemetry has its turn again. [s]"""
+"""Longest time spent on queries before the loop continues with telemetry. [s]"""
 LOG_S: Final = 1.0
-"""Least time between two log lines on refusals of the same cause. [s]"""
+"""Shortest time between two log lines on refusals of the same cause. [s]"""
 
 _log = logging.getLogger("socast.queries")
 
 
 class PendingQuery(Protocol):
-    """A query that waits for its answer, such as `stream.zenoh_queryable.ZenohQuery`."""
+    """Represent a query that waits for its answer, such as `stream.zenoh_queryable.ZenohQuery`."""
 
     @property
     def vehicle(self) -> str:
@@ -33,57 +33,70 @@ class PendingQuery(Protocol):
 
     @property
     def payload(self) -> bytes | None:
-        """Return the plan that comes with the query, if any."""
+        """Return the plan that comes with the query, or None."""
 
     def reply(self, payload: bytes) -> None:
-        """Answer."""
+        """Send the answer."""
 
     def refuse(self, words: str) -> None:
-        """Reply with what is wrong."""
+        """Send the reason why the query is refused."""
 
 
 class QuerySource(Protocol):
-    """A source of queries, such as `stream.zenoh_queryable.ZenohQueryable`."""
+    """Provide queries, such as `stream.zenoh_queryable.ZenohQueryable` does."""
 
     def pending(self) -> Sequence[PendingQuery]:
-        """Return the queries that wait, the oldest first."""
+        """Return the waiting queries, the oldest first."""
 
 
 class OutlookProvider(Protocol):
-    """What the service needs of `core.pipeline.Pipeline`."""
+    """Define the method of `core.pipeline.Pipeline` that the service calls."""
 
     def ask(self, vehicle_id: str, leg: Leg | None, plan: Plan | None) -> Outlook:
-        """Return what is expected of the rest of a shift, or raise `SocastError`.
+        """Return the forecast for the rest of a shift.
 
         Parameters
         ----------
         vehicle_id : str
+            Identifier of the car.
         leg : Leg or None
             The ride that the query is about; None for the shift as planned.
         plan : Plan or None
-            A plan to answer for instead of the known one.
+            A plan that replaces the known one in this answer.
+
+        Returns
+        -------
+        Outlook
+
+        Raises
+        ------
+        SocastError
+            If the query cannot be answered.
         """
 
 
 class QueryService:
-    """Answer the queries that wait; call it after each list of messages.
+    """Answer the waiting queries; call it after each list of messages.
 
-    No query ends the loop or holds up the telemetry. A query whose answer fails is refused, and queries that are not
-    answered within `SPEND_S` wait for the next list.
+    No query stops the loop or delays the telemetry. The service refuses a query whose answer fails. Queries that it
+    does not answer within `SPEND_S` wait for the next list.
 
     Parameters
     ----------
-    questions : Questions
-    answerer : Answerer
+    questions : QuerySource
+        Source of the queries.
+    answerer : OutlookProvider
+        Pipeline that computes the answers.
     clock : callable
-        Monotonic time. [s]
+        Function that returns monotonic time. [s]
 
     Attributes
     ----------
     answered : int
+        Number of answered queries.
     refused : Counter of str
-        Refusals by cause: that of the `AskError`, `unanswerable` for another error that a person can correct, `failed`
-        for a defect.
+        Number of refusals by cause. The cause is that of the `AskError`, `unanswerable` for another error that the
+        sender can correct, or `failed` for a defect.
     """
 
     def __init__(
@@ -106,16 +119,22 @@ class QueryService:
                 return
 
     def counts(self) -> dict[str, Any]:
-        """Return the counters since the start: `answered`, and `refused` by cause."""
+        """Return the counters since the start.
+
+        Returns
+        -------
+        dict
+            `answered`, and `refused` as a dict by cause.
+        """
         return {"answered": self.answered, "refused": dict(self.refused)}
 
     def end(self) -> None:
-        """Log the counters where any query came."""
+        """Log the counters if any query was received."""
         if told := flatten_counts(self.counts()):
             _log.info("asked", extra=event_fields(**told))
 
     def _answer(self, question: PendingQuery) -> None:
-        """Answer one query, or refuse it."""
+        """Answer or refuse one query."""
         try:
             vehicle = parse_vehicle(question.vehicle)
             leg = parse_leg(parse_parameters(question.parameters))
@@ -131,7 +150,7 @@ class QueryService:
             self._refuse(question, "this question cannot be answered; the log of the consumer tells more", "failed")
 
     def _refuse(self, question: PendingQuery, words: str, cause: str) -> None:
-        """Reply with what is wrong, count the refusal and log it."""
+        """Send the reason of a refusal, count the refusal and log it."""
         self.refused[cause] += 1
         now = self._clock()
         if now >= self._logged.get(cause, -inf) + LOG_S:

@@ -1,4 +1,4 @@
-"""The recorder of live telemetry: every payload as it came, in files of bounded size and time span."""
+"""The recorder of live telemetry: it stores every payload unchanged, in files of bounded size and time span."""
 
 import logging
 import time
@@ -12,47 +12,48 @@ from core.wire.messages import Message
 from stream.mcap_writer import McapSink
 
 FILE_BYTES: Final = 256 << 20
-"""Size at which a file is closed and the next one begun. [B]"""
+"""Size at which the recorder closes a file and starts the next one. [B]"""
 FILE_S: Final = 3600.0
-"""Time of receipt that a file spans at most. [s]"""
+"""Longest span of receipt times in one file. [s]"""
 FLUSH_S: Final = 5.0
-"""What was received longer ago than this is on disk. [s]"""
+"""Age after which a received message is on disk. [s]"""
 RETRY_S: Final = 10.0
-"""Time between attempts to write where the disk refuses. [s]"""
+"""Time between attempts to write after the disk refused data. [s]"""
 
 _log = logging.getLogger("socast.record")
 
 
 class Recorder:
-    """Write messages into files in a folder, one after another, as a sink.
+    """Write messages into consecutive files in a folder, as a sink.
 
-    Files are named by the UTC time of receipt of their first message, such as `20260131T235959.123Z.mcap`. A disk that
-    refuses does not stop the consumer: what could not be written is counted, and another file is tried after a while.
+    The name of a file is the UTC time of receipt of its first message, such as `20260131T235959.123Z.mcap`. A disk that
+    refuses data does not stop the consumer. The recorder counts the messages that it could not write, and tries another
+    file after `RETRY_S`.
 
     Parameters
     ----------
     folder : Path
-        Made where it does not exist.
+        Folder of the files; created if it does not exist.
     file_bytes : int
-        Size at which a file is closed and the next one begun. [B]
+        Size at which the recorder closes a file and starts the next one. [B]
     file_s : float
-        Time of receipt that a file spans at most. [s]
+        Longest span of receipt times in one file. [s]
     flush_s : float
-        Time after which what was received is on disk. A process that is killed loses no more. [s]
+        Age after which a received message is on disk. [s] A killed process loses only younger messages.
     clock : callable
-        Monotonic time. [s]
+        Function that returns monotonic time. [s]
 
     Attributes
     ----------
     files : list of Path
-        Written so far, the newest last.
+        Files written so far, the newest last.
     recorded, unrecorded : int
-        Messages written, or to be at the next flush; and those that the disk refused.
+        Number of messages that are written or will be written at the next flush, and number that the disk refused.
 
     Raises
     ------
     SettingsError
-        Where the folder cannot be made, or a limit is not positive.
+        If the folder cannot be created, or if a limit is not positive.
     """
 
     def __init__(
@@ -79,7 +80,13 @@ class Recorder:
         self._retry_s = self._flushed_s
 
     def put(self, messages: Sequence[Message]) -> None:
-        """Write messages; an empty sequence flushes what is due."""
+        """Write messages, and flush the file when a flush is due.
+
+        Parameters
+        ----------
+        messages : sequence of Message
+            Messages in order of receipt; an empty sequence only flushes.
+        """
         now = self._clock()
         if messages and now >= self._retry_s:
             before = self.recorded
@@ -93,7 +100,7 @@ class Recorder:
             self._flush(now)
 
     def close(self) -> None:
-        """Close the file in progress."""
+        """Close the current file."""
         if self._sink is None:
             return
         try:
@@ -103,7 +110,7 @@ class Recorder:
             self._give_up(error, 0, self._clock())
 
     def _write(self, messages: Sequence[Message]) -> None:
-        """Write messages, to the next file where they do not belong into this one."""
+        """Write messages to the current file, or to the next one if the current file has reached a limit."""
         first_ns = messages[0].receipt_ns
         sink = self._sink
         if sink is not None and (sink.written >= self._file_bytes or first_ns - self._first_ns >= self._file_ns):
@@ -117,12 +124,12 @@ class Recorder:
         sink.put(messages[:room])
         self._taken += room
         self.recorded += room
-        if room < len(messages):  # the format numbers no more keys in one file
+        if room < len(messages):  # the format cannot number more keys in one file
             self.close()
             self._write(messages[room:])
 
     def _fresh(self, receipt_ns: int) -> Path:
-        """Return a path that does not exist."""
+        """Return a path that does not exist, named by the time of receipt."""
         moment = datetime.fromtimestamp(receipt_ns // 10**9, UTC)
         stem = f"{moment:%Y%m%dT%H%M%S}.{receipt_ns // 10**6 % 1000:03}Z"
         path, number = self._folder / f"{stem}.mcap", 1
@@ -131,7 +138,7 @@ class Recorder:
         return path
 
     def _flush(self, now: float) -> None:
-        """Put what was received on disk."""
+        """Write the received messages to disk."""
         self._flushed_s = now
         if self._sink is not None:
             try:
@@ -140,7 +147,7 @@ class Recorder:
                 self._give_up(error, 0, now)
 
     def _give_up(self, error: RecordingError, count: int, now: float) -> None:
-        """Leave the file as it is, count what it took and does not hold, and try another one later."""
+        """Abandon the file, count the messages that it lacks, and schedule an attempt with another file."""
         _log.error("recording fails: %s", error)
         self.unrecorded += count
         self._retry_s = now + RETRY_S

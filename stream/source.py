@@ -1,8 +1,8 @@
-"""Where messages come from and go to, and in which order and at what pace.
+"""Sources and sinks of messages, and functions that merge, stop and pace sources.
 
-A source is any iterable of lists of messages: whatever is ready, in order of receipt, and an empty list where nothing
-came for a moment, so that whoever loops over it can look up. A source that is told to stop yields what it already
-holds and ends; the loop never breaks out of it.
+A source is any iterable of lists of messages. Each list holds the messages that are ready, in order of receipt. A
+source yields an empty list when nothing arrives for a while, so that the loop over it can do other work. A source that
+receives a stop request yields the messages that it already holds and ends. The loop never breaks out of a source.
 """
 
 import time
@@ -17,41 +17,42 @@ from core.errors import SettingsError
 from core.wire.messages import Message
 
 Source: TypeAlias = Iterable[list[Message]]
-"""What yields messages, in lists of whatever is ready."""
+"""An iterable that yields messages, in lists of those that are ready."""
 
 LOOK_UP_S: Final = 0.2
-"""A source that has nothing to say says so at least this often. [s]"""
+"""Longest time without a list from a live or paced source: it yields an empty list if no message is ready. [s]"""
 BREATH_S: Final = 0.02
-"""What falls due within this time is sent together. [s]"""
+"""Time within which messages that fall due are yielded together. [s]"""
 
 _receipt = attrgetter("receipt_ns")
 
 
 class Sink(Protocol):
-    """What takes messages."""
+    """Receive messages."""
 
     def put(self, messages: Sequence[Message]) -> None:
-        """Take messages; an empty sequence is allowed."""
+        """Receive messages; an empty sequence is allowed."""
 
     def close(self) -> None:
-        """Let nothing buffered behind. Closing twice does no harm."""
+        """Pass on everything that is buffered; a second call has no effect."""
 
 
 def merge_sources(sources: Sequence[Source]) -> Iterator[list[Message]]:
     """Yield the messages of several sources in order of receipt.
 
-    Each source is itself in that order. It is read lazily, a list at a time: everything up to the earliest end of the
-    lists at hand can be sorted and passed on, whatever the rest holds.
+    Each source must itself be in that order. The function reads each source lazily, one list at a time. It sorts and
+    yields all messages up to the earliest end of the lists that it holds, because no later list can hold an earlier
+    message.
 
     Parameters
     ----------
     sources : sequence of Source
-        Of messages with equal receipt, those of the earlier source come first.
+        Sources to merge. Messages with equal receipt come in the order of their sources.
 
     Yields
     ------
     list of Message
-        In ascending `receipt_ns`, within and across lists.
+        Messages with ascending `receipt_ns`, within and across lists.
     """
     if len(sources) == 1:
         yield from sources[0]
@@ -80,7 +81,21 @@ def merge_sources(sources: Sequence[Source]) -> Iterator[list[Message]]:
 
 
 def stop_source(source: Source, stop: Event) -> Iterator[list[Message]]:
-    """Yield from a source until `stop` is set; for sources that hold nothing which would be lost."""
+    """Yield the lists of a source until `stop` is set.
+
+    The function suits only sources, such as recordings, that hold no messages which a stop would lose.
+
+    Parameters
+    ----------
+    source : Source
+        Source to stop.
+    stop : Event
+        Event that ends the iteration.
+
+    Yields
+    ------
+    list of Message
+    """
     for messages in source:
         if stop.is_set():
             return
@@ -95,30 +110,30 @@ def pace_source(
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> Iterator[list[Message]]:
-    """Yield the messages of a recording as they fell due, `speed` times as fast as they were received.
+    """Yield the messages of a recording when they fall due, `speed` times as fast as they were received.
 
     Parameters
     ----------
     source : Source
-        In order of receipt.
+        Messages in order of receipt.
     speed : float
-        1 for real time, `math.inf` for as fast as possible.
+        Ratio of recorded time to real time: 1 for real time, `math.inf` for as fast as possible. [1]
     longest_gap_s : float
-        A longer silence in the recording is shortened to this. [s of the recording]
+        Length to which a longer silence in the recording is shortened. [s of the recording]
     clock : callable
-        Monotonic time. [s]
+        Function that returns monotonic time. [s]
     sleep : callable
-        Waits a number of seconds.
+        Function that waits for a number of seconds.
 
     Yields
     ------
     list of Message
-        What has fallen due; an empty list every `LOOK_UP_S` of silence.
+        Messages that have fallen due; an empty list every `LOOK_UP_S` of silence.
 
     Raises
     ------
     SettingsError
-        Where the speed or the gap is not positive.
+        If the speed or the gap is not positive.
     """
     if not speed > 0:
         raise SettingsError(f"speed is {speed:g}, must be above 0; give a number such as 60, or `max`")
@@ -130,7 +145,7 @@ def pace_source(
 def _paced(
     source: Source, speed: float, longest_gap_s: float, clock: Callable[[], float], sleep: Callable[[float], None]
 ) -> Iterator[list[Message]]:
-    """Pace at a finite speed; `zero_s` is the time of receipt that answers to the clock's start."""
+    """Pace a source at a finite speed; `zero_s` is the time of receipt that corresponds to the clock's start."""
     began: float | None = None
     zero_s = newest_s = 0.0
     for block in source:
@@ -155,7 +170,7 @@ def _paced(
 
 
 def _due(block: list[Message], at: int, due_s: float, longest_gap_s: float) -> int:
-    """Return the end of what has fallen due from `at`, no further than the next gap that is to be shortened."""
+    """Return the end of the messages from `at` that have fallen due, at most up to the next gap to be shortened."""
     cut = bisect_right(block, round(due_s * 1e9), lo=at, key=_receipt)
     if longest_gap_s < inf:
         gap_ns = longest_gap_s * 1e9

@@ -1,4 +1,4 @@
-"""Log lines that a machine reads too: `key=value` or JSON, one event a line."""
+"""Structured log lines for people and machines: `key=value` pairs or JSON, one event per line."""
 
 import json
 import logging
@@ -12,14 +12,37 @@ _PLAIN = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ01234567
 
 
 def event_fields(**values: Any) -> dict[str, Any]:
-    """Return what `logging` takes as `extra`: the fields of an event."""
+    """Return the fields of an event in the form that `logging` takes as `extra`.
+
+    Parameters
+    ----------
+    **values
+        Fields of the event by name.
+
+    Returns
+    -------
+    dict
+    """
     return {"fields": values}
 
 
 def flatten_counts(counts: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested counters as one level, their names joined by dots; zeros and empty ones left out.
+    """Return nested counters as one level, with names joined by dots, without zeros and empty values.
 
-    >>> flat({"received": {"telemetry": 3, "ride": 0}, "vehicles": 1})
+    Parameters
+    ----------
+    counts : mapping
+        Counters, or mappings of counters, by name.
+    prefix : str
+        Text before every name.
+
+    Returns
+    -------
+    dict
+
+    Examples
+    --------
+     flat({"received": {"telemetry": 3, "ride": 0}, "vehicles": 1})
     {'received.telemetry': 3, 'vehicles': 1}
     """
     out: dict[str, Any] = {}
@@ -37,7 +60,8 @@ class LineFormatter(logging.Formatter):
     Parameters
     ----------
     as_json : bool
-        One JSON object a line, what is not finite as null, else `key=value` pairs, quoted where they must be.
+        Whether each line is a JSON object, with null for numbers that are not finite. Otherwise a line holds
+        `key=value` pairs, with quotes where a value needs them.
     """
 
     def __init__(self, *, as_json: bool = False) -> None:
@@ -45,7 +69,7 @@ class LineFormatter(logging.Formatter):
         self._as_json = as_json
 
     def format(self, record: logging.LogRecord) -> str:
-        """Return the line: time, level, source and event, then the event's fields."""
+        """Return the line: time, level, logger and event, then the fields of the event."""
         moment = datetime.fromtimestamp(record.created, UTC)
         line = {
             "time": moment.isoformat(timespec="milliseconds").replace("+00:00", "Z"),
@@ -63,7 +87,7 @@ class LineFormatter(logging.Formatter):
 
 
 class _Standard(logging.StreamHandler[TextIO]):
-    """Writes to what standard error is at the time, so that a table that redraws keeps its place."""
+    """Write to the current standard error, so that log lines do not displace a table that redraws."""
 
     @property
     def stream(self) -> TextIO:
@@ -75,7 +99,17 @@ class _Standard(logging.StreamHandler[TextIO]):
 
 
 def log_lines(*, as_json: bool = False, to: TextIO | None = None, level: int = logging.INFO) -> None:
-    """Send what is logged, from a level on, to a stream; to standard error unless told otherwise."""
+    """Send the log records of socast, from a level on, to a stream.
+
+    Parameters
+    ----------
+    as_json : bool
+        Whether each line is a JSON object instead of `key=value` pairs.
+    to : TextIO, optional
+        Stream of the log lines; by default standard error.
+    level : int
+        Lowest level that is logged.
+    """
     handler = logging.StreamHandler(to) if to else _Standard()
     handler.setFormatter(LineFormatter(as_json=as_json))
     root = logging.getLogger("socast")
@@ -85,11 +119,11 @@ def log_lines(*, as_json: bool = False, to: TextIO | None = None, level: int = l
 
 
 def _unknown(value: Any) -> bool:
-    """Say whether a value is a number that JSON does not have."""
+    """Return whether a value is a number that JSON cannot represent."""
     return isinstance(value, float) and not isfinite(value)
 
 
 def _quoted(value: Any) -> str:
-    """Return a value as it stands after the equals sign."""
+    """Return the text of a value after the equals sign, quoted if necessary."""
     text = f"{value:.13g}" if isinstance(value, float) else str(value)
     return text if text and _PLAIN.issuperset(text) else json.dumps(text, ensure_ascii=False)

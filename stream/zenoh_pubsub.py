@@ -1,21 +1,22 @@
-"""The Zenoh subscriber and the Zenoh publisher: a source and a sink.
+"""The Zenoh subscriber, which is a source, and the Zenoh publisher, which is a sink.
 
-The subscribers, one to the fleet and one to the weather, are advanced ones, whose channels are filled without Python,
-and drained by whoever iterates. They ask advanced publishers for what they missed and count what could not be had.
-Publishing blocks where the network is slow; nothing is dropped on our side.
+One advanced subscriber receives the fleet and one the weather. Zenoh fills their channels without Python, and the
+iteration over the source drains them. The subscribers request missed samples from advanced publishers and count those
+that they could not get. Publishing blocks while the network is slow, so the sink drops nothing.
 
 Notes
 -----
-Observed of zenoh 1.10, and minded here:
+The module allows for this observed behaviour of zenoh 1.10:
 
-- An advanced subscriber takes samples that carry a timestamp and no source number in order of their timestamps, of each
-  router that stamped them. Where a router stamps for plain publishers, as `zenohd` does unless told otherwise, two
-  samples that cross on their way through it are one sample too few (600 of 180,000 in a burst from three publishers).
-  The embedded router does not stamp; against one that does, the source says so once, in the log.
-- Declaring a publisher waits for samples that are being delivered, and these, where the channel is full, for whoever
-  drains it: publish on a session that subscribes through a `stream.latest_only_sink.LatestOnlySink`.
-- Router and client in one process share two receiving threads, and can wait for each other. Subscribe in the
-  router's own session, and publish at speed from another process.
+- An advanced subscriber orders samples that have a timestamp and no source number by timestamp, separately for each
+  router that stamped them. If a router stamps the samples of plain publishers, as `zenohd` does by default, one of two
+  samples that overtake each other in the router is lost. A burst of 180,000 samples from three publishers lost 600.
+  The embedded router does not stamp samples. The source logs one warning if another router does.
+- Declaring a publisher waits for samples that are being delivered. If the channel is full, these wait for the iteration
+  that drains it. A session that also subscribes must therefore publish through a
+  `stream.latest_only_sink.LatestOnlySink`.
+- A router and a client in one process share two receiving threads and can wait for each other. Subscribe in the session
+  of the router itself, and publish at high rates from another process.
 """
 
 import logging
@@ -33,24 +34,27 @@ from stream.source import LOOK_UP_S
 from stream.zenoh_session import Node, format_zenoh_error
 
 QUEUE: Final = 1 << 14
-"""Samples that wait in the channel before publishers are held up; more would leave the cache before their turn."""
+"""Capacity of a channel, in samples; a full channel blocks publishers. More samples would exceed the CPU's cache."""
 DRAIN: Final = 4000
-"""Most messages that are yielded at once: as many as the processor's cache holds while they are worked on."""
+"""Largest number of messages that are yielded at once; the processor's cache can hold them during processing."""
 GATHER_S: Final = 0.01
-"""How long more is waited for where little is queued: a few large lists cost less than many small ones. [s]"""
+"""Time for which a short queue waits for more samples; a few large lists cost less than many small ones. [s]"""
 CACHE: Final = 64
-"""Samples of each key that a publisher can send again."""
+"""Number of samples of each key that a publisher can send again."""
 WATCH_NS: Final = 1_000_000_000
-"""Time between two looks at which routers are joined. [ns]"""
+"""Time between two checks of the number of connected routers. [ns]"""
 _SPACES: Final = "weather", "fleet"
-"""Key spaces that are subscribed to and drained, in this order: an observation should not come after the samples that
-met it, and whoever finds the fleet subscribed to can rely on the weather being so."""
+"""Key spaces in the order in which the source subscribes to them and drains them.
+
+A weather observation then does not come after the samples that it applies to. A node that detects the subscription to
+the fleet can rely on the subscription to the weather.
+"""
 _NAP_S: Final = 0.0005, 0.01  # first and longest wait for an empty channel
 _log = logging.getLogger("socast.zenoh")
 
 
 class _Keys(dict[Any, str]):
-    """Key expression -> the same key as text, made once."""
+    """Map a key expression to its text, which is made only once."""
 
     def __missing__(self, key: Any) -> str:
         text = self[key] = str(key)
@@ -58,21 +62,22 @@ class _Keys(dict[Any, str]):
 
 
 class ZenohSource:
-    """Subscribe to a fleet and its weather under one prefix, as a source that is iterated once.
+    """Subscribe to a fleet and its weather under one prefix, as a source that can be iterated once.
 
-    `{prefix}fleet/**` and `{prefix}weather/**` each come in order of arrival; of what is queued, the weather is first.
-    Without a prefix, fleets that have one are not heard.
+    The messages of `{prefix}fleet/**` and those of `{prefix}weather/**` each come in order of arrival. Queued weather
+    comes before queued telemetry. A source without a prefix does not receive fleets that have one.
 
     Parameters
     ----------
     node : Node
+        Session and prefix to subscribe with.
     stop : Event
-        When set, the subscription ends, what is queued is yielded, and the iteration ends.
+        Event that ends the subscription. The iteration then yields the queued messages and ends.
 
     Attributes
     ----------
     missed : int
-        Samples that publishers sent and that could not be had, as far as publishers number them.
+        Number of samples that publishers sent but the source could not get, as far as publishers number their samples.
     """
 
     def __init__(self, node: Node, stop: Event) -> None:
@@ -91,7 +96,7 @@ class ZenohSource:
             self._misses = [each.sample_miss_listener(handlers.FifoChannel(QUEUE)) for each in self._subscribers]
 
     def __iter__(self) -> Iterator[list[Message]]:
-        """Yield whatever is queued, a few thousand at a time; an empty list every `LOOK_UP_S` of silence."""
+        """Yield the queued messages, a few thousand at a time, or an empty list every `LOOK_UP_S` of silence."""
         nap, longest = _NAP_S
         quiet_s = 0.0
         while True:
@@ -114,7 +119,7 @@ class ZenohSource:
                 nap = min(2 * nap, longest)
 
     def _drained(self) -> list[Message]:
-        """Return what is queued, stamped with one time that never runs backwards."""
+        """Return the queued messages, stamped with one time of receipt that never decreases."""
         now = self._newest_ns = max(self._newest_ns, time.time_ns())
         out: list[Message] = []
         append, new, sample = out.append, tuple.__new__, None
@@ -134,7 +139,7 @@ class ZenohSource:
         return out
 
     def _watch_routers(self) -> None:
-        """Log that a router was lost or joined; Zenoh itself joins one again that comes back."""
+        """Log that a router was lost or joined; Zenoh itself reconnects to a router that returns."""
         if self._newest_ns - self._looked_ns < WATCH_NS:
             return
         self._looked_ns = self._newest_ns
@@ -146,7 +151,7 @@ class ZenohSource:
             self._routers = routers
 
     def _look_after(self, sample: Any) -> None:
-        """Count what was missed, and warn of a router that stamps for plain publishers."""
+        """Count missed samples, and warn of a router that stamps the samples of plain publishers."""
         if not self._misses:
             return
         for listener in self._misses:
@@ -154,7 +159,7 @@ class ZenohSource:
                 while (miss := listener.try_recv()) is not None:
                     self.missed += miss.nb
             except zenoh.ZError:
-                continue  # its subscription has ended, and it is empty
+                continue  # the subscription has ended and the listener is empty
         if not self._warned and sample.timestamp is not None and sample.source_info is None:
             self._warned = True
             _log.warning(
@@ -164,13 +169,14 @@ class ZenohSource:
 
 
 class ZenohSink:
-    """Publish messages, each key by an advanced publisher of its own, as a sink.
+    """Publish messages as a sink, with one advanced publisher per key.
 
     Parameters
     ----------
     node : Node
+        Session to publish in.
     prefix : str
-        Put before every key.
+        Text before every key.
     """
 
     def __init__(self, node: Node, prefix: str = "") -> None:
@@ -180,18 +186,23 @@ class ZenohSink:
         self._publishers: dict[str, Any] = {}
 
     def has_subscriber(self) -> bool:
-        """Return whether anybody subscribes to the fleet."""
+        """Return whether any node subscribes to the fleet."""
         with self._session.declare_publisher(f"{self._prefix}fleet/**") as publisher:
             status: Any = publisher.matching_status
             return bool(status.matching)
 
     def put(self, messages: Sequence[Message]) -> None:
-        """Publish messages, waiting where the network is slow.
+        """Publish messages; the call blocks while the network is slow.
+
+        Parameters
+        ----------
+        messages : sequence of Message
+            Messages to publish; their times of receipt are not sent.
 
         Raises
         ------
         SettingsError
-            Where a key is not a Zenoh key expression, or the session is closed.
+            If a key is not a Zenoh key expression, or if the session is closed.
         """
         publishers = self._publishers
         try:
@@ -204,7 +215,7 @@ class ZenohSink:
             raise SettingsError(f"cannot publish: {format_zenoh_error(error)}") from error
 
     def close(self) -> None:
-        """Undeclare the publishers once all is sent; the session stays open."""
+        """Undeclare the publishers after all messages have been sent; the session stays open."""
         if self._publishers:
             self._node.flush()
         for publisher in self._publishers.values():
@@ -212,7 +223,7 @@ class ZenohSink:
         self._publishers.clear()
 
     def _declared(self, key: str) -> Any:
-        """Return a publisher that numbers its samples, keeps the last ones, and can be found by late subscribers."""
+        """Return a publisher that numbers its samples, caches the last ones, and is visible to late subscribers."""
         return ext.declare_advanced_publisher(
             self._session,
             key,
@@ -225,7 +236,7 @@ class ZenohSink:
 
 
 def _subscribed(node: Node, keys: str) -> Any:
-    """Return a subscriber with a channel of its own, an advanced one where what was missed is to be asked for."""
+    """Return a subscriber with its own channel; an advanced one if missed samples are to be requested."""
     channel: Any = handlers.FifoChannel(QUEUE)
     if not node.connection.recovery:
         return node.session.declare_subscriber(keys, channel, allowed_origin=zenoh.Locality.REMOTE)

@@ -1,16 +1,17 @@
-"""The Zenoh queryable for outlooks of a shift, and the function that queries it.
+"""The Zenoh queryable for the outlook of a shift, and the function that queries it.
 
 Notes
 -----
-Observed of zenoh 1.10, and minded here:
+The module allows for this observed behaviour of zenoh 1.10:
 
-- A FIFO channel that is full holds up all that its session receives, telemetry too. Questions wait in a ring: where
-  too many do, the oldest is dropped, and ends at once, without an answer, for whoever asked it.
-- A question ends for whoever asks when it is dropped, not when it is answered: none is kept.
-- An answer is sent as the question was, so that an asker that does not read may hold up whoever answers. Answers are
-  sent by a thread of their own; what waits for it is bounded as well.
-- A selector has `;` between its parameters: what is told with `&` between arrives as one long value. Both are passed
-  on as text.
+- A full FIFO channel blocks everything that its session receives, telemetry included. Queries therefore wait in a ring
+  channel. A full ring drops its oldest query, which ends immediately and without an answer for its sender.
+- A query ends for its sender when the query object is dropped, not when it is answered. The queryable therefore keeps
+  no query object after the answer.
+- Zenoh sends an answer in the same way as its query, so a client that does not read may block the sender of the answer.
+  A separate thread sends the answers, and the number of answers that wait for it is bounded.
+- A selector separates its parameters with `;`, and parameters separated with `&` arrive as one long value. The
+  queryable passes on both as text.
 """
 
 import logging
@@ -29,28 +30,38 @@ from core.errors import AskError, SettingsError
 from stream.zenoh_session import Node, format_zenoh_error
 
 WAITING: Final = 256
-"""Most queries that wait to be answered, and most answers that wait to be sent; more are dropped."""
+"""Largest number of queries that wait for an answer, and of answers that wait to be sent; any more are dropped."""
 CLOSE_S: Final = 1.0
-"""How long the last answers are given to be sent. [s]"""
+"""Time given to the last answers to be sent. [s]"""
 _log = logging.getLogger("socast.zenoh")
 
 
 class _Refusal(msgspec.Struct):
-    """What an error reply holds."""
+    """Hold the content of an error reply."""
 
     error: str
 
 
 class ZenohQuery:
-    """A Zenoh query that waits for its answer.
+    """Hold a Zenoh query that waits for its answer.
+
+    Parameters
+    ----------
+    query : zenoh.Query
+        Query as received.
+    prefix : str
+        Key chunks before `fleet`, with a slash at the end.
+    send : callable
+        Function that takes the query and a function that sends its answer.
 
     Attributes
     ----------
     vehicle : str
-        Chunk of its key, not checked.
+        Identifier of the car from the key, without validation.
     parameters : str
         Parameters after the question mark, as text.
     payload : bytes or None
+        Plan that comes with the query.
     """
 
     def __init__(self, query: Any, prefix: str, send: Callable[[Any, Callable[[], None]], None]) -> None:
@@ -60,13 +71,25 @@ class ZenohQuery:
         self.payload: bytes | None = None if query.payload is None else query.payload.to_bytes()
 
     def reply(self, payload: bytes) -> None:
-        """Answer with JSON. Only the first answer is sent; none where the sender of the query has gone."""
+        """Answer with JSON. Zenoh sends only the first answer, and none if the sender of the query has gone.
+
+        Parameters
+        ----------
+        payload : bytes
+            JSON text of the answer.
+        """
         self._send(
             self._query, partial(self._query.reply, self._key, payload, encoding=zenoh.Encoding.APPLICATION_JSON)
         )
 
     def refuse(self, words: str) -> None:
-        """Answer with an error reply, `{"error": words}`."""
+        """Answer with an error reply, `{"error": words}`.
+
+        Parameters
+        ----------
+        words : str
+            Reason of the refusal.
+        """
         told = msgspec.json.encode(_Refusal(words))
         self._send(self._query, partial(self._query.reply_err, told, encoding=zenoh.Encoding.APPLICATION_JSON))
 
@@ -77,6 +100,7 @@ class ZenohQueryable:
     Parameters
     ----------
     node : Node
+        Session and prefix of the queryable.
 
     Attributes
     ----------
@@ -95,7 +119,7 @@ class ZenohQueryable:
         self._thread.start()
 
     def pending(self) -> list[ZenohQuery]:
-        """Return the queries that wait, the oldest first; at most `WAITING`."""
+        """Return at most `WAITING` waiting queries, the oldest first."""
         out: list[ZenohQuery] = []
         try:
             while len(out) < WAITING and (query := self._queryable.handler.try_recv()) is not None:
@@ -105,7 +129,7 @@ class ZenohQueryable:
         return out
 
     def close(self) -> None:
-        """Take no more queries and send the answers that wait. Closing twice does no harm."""
+        """Receive no more queries and send the waiting answers; a second call has no effect."""
         if self._closed:
             return
         self._closed = True
@@ -120,11 +144,11 @@ class ZenohQueryable:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close."""
+        """Close the queryable."""
         self.close()
 
     def _leave(self, query: Any, send: Callable[[], None]) -> None:
-        """Leave an answer to be sent."""
+        """Queue an answer for sending, or drop it if too many answers wait."""
         if self._outgoing.qsize() >= WAITING:
             self.unsent += 1
             _log.warning("answer not sent: %d wait, for an asker that does not read", WAITING)
@@ -133,13 +157,13 @@ class ZenohQueryable:
             self._outgoing.put((query, send))
 
     def _work(self) -> None:
-        """Send what there is, until closed."""
+        """Send queued answers until the queryable is closed."""
         while (answer := self._outgoing.get()) is not None:
             query, send = answer
             try:
                 with query:
                     send()
-            except Exception as error:  # noqa: BLE001 - whatever an answer does, the next one is sent
+            except Exception as error:  # noqa: BLE001 - a failed answer must not stop the next ones
                 self.unsent += 1
                 _log.warning("answer not sent: %s", format_zenoh_error(error))
             del answer, query, send
@@ -153,14 +177,15 @@ def query_outlook(
     Parameters
     ----------
     node : Node
-        Its prefix is put before the key.
+        Session to query in; its prefix comes before the key.
     vehicle : str
+        Identifier of the car.
     parameters : mapping of str to str
-        As `core.forecast.plan_checks.parse_leg` takes them.
+        Description of the ride, as `core.forecast.plan_checks.parse_leg` takes it.
     payload : bytes, optional
         A plan, as `core.forecast.plan_checks.parse_plan` takes it.
     timeout_s : float
-        How long to wait. [s]
+        Longest wait for the answer. [s]
 
     Returns
     -------
@@ -170,9 +195,9 @@ def query_outlook(
     Raises
     ------
     AskError
-        Where the consumer refuses the query, with its reason.
+        If the consumer refuses the query; the message is its reason.
     SettingsError
-        Where no consumer answers, or not in time.
+        If no consumer answers, or none in time.
     """
     key = f"{node.prefix}fleet/{vehicle}/outlook"
     refusals: list[str | None] = []
@@ -195,7 +220,7 @@ def query_outlook(
 
 
 def _words(payload: bytes) -> str | None:
-    """Return what an error reply says; None for one of Zenoh's own, which says that time is up."""
+    """Return the reason in an error reply; None for Zenoh's own reply, which reports a timeout."""
     try:
         return msgspec.json.decode(payload, type=_Refusal).error
     except (msgspec.DecodeError, UnicodeDecodeError):
