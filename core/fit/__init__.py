@@ -1,1 +1,1 @@
-"""Fitting: from tables of rides to model files. Nothing here predicts; `core.models` does."""
+"""Fit models to tables of rides; `core.models` holds the fitted models and predicts with them."""

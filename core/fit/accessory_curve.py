@@ -1,13 +1,15 @@
-"""The accessory curve of Figure 1: choke points and levels by least squares.
+"""Fit the accessory curve of Figure 1: its choke points and levels, by least squares.
 
-What the road load leaves of a ride's energy is explained by w P(T): the time that the accessories ran (scaled by the
-car), w, times their power at the outside temperature T. P has five segments; at given choke points it is linear in its
-three levels, so these are solved for inside, and the solver moves the choke points alone: variable projection [1]_. So
-it can solve for the coefficients of the road load beside the levels, too.
+The product w P(T) explains the energy of a ride that the road load does not explain. Here w is the running time of the
+accessories, scaled by the car, and P(T) is their power at the outside temperature T.
 
-Rides are first added up in narrow bins of temperature, each kept as the triangular factor of its rows. Within a bin P
-is a line, so nothing is lost but in the four bins where P bends, and the solver's work does not grow with the number
-of rides.
+P has five segments. At given choke points P is linear in its three levels, so an inner linear problem yields the
+levels. The outer solver moves only the choke points: variable projection [1]_. The inner problem can also yield the
+coefficients of the road load.
+
+The fit first sums rides in narrow bins of temperature and keeps each bin as the triangular factor of its rows. P is a
+straight line within a bin, so the binning is exact except in the four bins where P bends. The work of the solver
+therefore does not grow with the number of rides.
 
 References
 ----------
@@ -27,29 +29,29 @@ from core.columns import ZERO_CELSIUS
 from core.vehicles import ACCESSORIES, AccessoryCurve
 
 _LOW, _HIGH, _WIDTH = -60.0, 60.0, 0.25
-"""Bins of outside temperature. [°C]"""
+"""Range and width of the bins of outside temperature. [°C]"""
 _BINS: Final = round((_HIGH - _LOW) / _WIDTH)
 _CENTRE: Final[Floats] = _LOW + _WIDTH * (np.arange(_BINS, dtype=np.float64) + 0.5)
 _LEAST_GAP: Final = 1.0
-"""Choke points are at least as far apart. [K]"""
+"""Smallest distance between two choke points. [K]"""
 _LEAST_RIDES: Final = 70
-"""Ten for each number of the curve; fewer scale the reference curve."""
+"""Fewest rides for a fit of the curve: ten for each of its numbers. With fewer, the fit scales the reference curve."""
 _LEAST_SPREAD: Final = 10.0
-"""Over less than this range of temperatures rides cannot tell five segments; the reference curve is scaled. [K]"""
+"""Smallest range of temperatures that determines five segments. Over less, the fit scales the reference curve. [K]"""
 _GRID: Final = 1.0
-"""Step of the grid from which the solver starts, at the finest. [K]"""
+"""Finest step of the grid from which the solver starts. [K]"""
 _GRID_POINTS: Final = 24
 _STARTS: Final = 4
-"""Grid points from which it starts: the best, then the best of those that are not its neighbours, and so on."""
+"""Number of grid points from which the solver starts. Each is the best point that is no neighbour of those before."""
 
 
 class TemperatureBins:
-    """Rides added up by outside temperature.
+    """Sum products of the columns of rides, by outside temperature.
 
     Parameters
     ----------
     beside : int
-        Number of columns whose coefficients are found beside the curve.
+        Number of columns whose coefficients are fitted together with the curve.
     """
 
     def __init__(self, beside: int = 0) -> None:
@@ -58,18 +60,18 @@ class TemperatureBins:
         self.sums: Floats = np.zeros((_BINS, 3 + beside, 3 + beside))
 
     def add(self, ambient_c: Floats, time: Floats, energy: Floats, columns: Sequence[Floats] = ()) -> None:
-        """Add rides; those with an unknown value are passed over.
+        """Add rides, except those with an unknown value.
 
         Parameters
         ----------
         ambient_c : (n,) float
             Outside temperature. [°C]
         time : (n,) float
-            Duration times the car's accessory scale over 3.6e6, so that times W it is kWh.
+            Duration times the car's accessory scale, over 3.6e6. Its product with a power in W is an energy in kWh.
         energy : (n,) float
-            What the curve and the columns are to explain. [kWh]
+            Energy that the curve and the columns have to explain. [kWh]
         columns : sequence of (n,) float
-            Road load, `beside` of them. [kWh]
+            Columns of the road load; their number is `beside`. [kWh]
         """
         table = np.stack([time, time, *columns, energy])
         known = np.isfinite(ambient_c) & np.isfinite(table).all(axis=0)
@@ -82,12 +84,31 @@ class TemperatureBins:
                 self.sums[:, i, j] += np.bincount(place, table[i] * table[j], _BINS)
 
     def fit(self) -> AccessoryCurve:
-        """Return the curve of least squares; the reference curve, scaled, where rides are too few or too much alike."""
+        """Return the accessory curve of least squares.
+
+        Returns
+        -------
+        AccessoryCurve
+            The scaled reference curve where the rides are too few or their temperatures too similar.
+        """
         return _fit(self.sums.tobytes(), self.beside, self.rides >= _LEAST_RIDES)
 
 
 def compute_slopes(curve: AccessoryCurve, ambient_c: Floats) -> Floats:
-    """Return the derivatives of the power by the curve's seven numbers: three levels, four choke points; (n, 7)."""
+    """Return the derivatives of the accessory power by the seven numbers of the curve.
+
+    Parameters
+    ----------
+    curve : AccessoryCurve
+        Curve at which to differentiate.
+    ambient_c : (n,) float
+        Outside temperature. [°C]
+
+    Returns
+    -------
+    (n, 7) float
+        Derivatives by the three levels [1], then by the four choke points [W/K].
+    """
     knots = np.array([curve.heating_full, curve.heating_off, curve.cooling_on, curve.cooling_full]) - ZERO_CELSIUS
     (standby, heat, cool), (_, d_heat, d_cool) = _shape(knots, ambient_c)
     by_heat = (curve.heating - curve.standby) * d_heat
@@ -97,12 +118,12 @@ def compute_slopes(curve: AccessoryCurve, ambient_c: Floats) -> Floats:
 
 
 class _BinFactors(NamedTuple):
-    """What the solver works on.
+    """Hold the input of the solver.
 
     Parameters
     ----------
-    centre : (b,) float. Of the bins that hold rides. [°C]
-    factors : (b, k, k) float. Triangular factors of their rows: w, w (T - centre), columns, energy.
+    centre : (b,) float. Centres of the bins that hold rides. [°C]
+    factors : (b, k, k) float. Triangular factors of the rows of each bin: w, w (T - centre), columns, energy.
     projection : (b k, beside) float. Orthonormal basis of the columns.
     target : (b k,) float. Energy that the columns cannot explain. [kWh]
     """
@@ -115,7 +136,7 @@ class _BinFactors(NamedTuple):
 
 @lru_cache(maxsize=256)
 def _fit(content: bytes, beside: int, enough: bool) -> AccessoryCurve:
-    """Return the curve for sums of bins; recipes that share a curve ask for it one after the other."""
+    """Return the curve for sums of bins; cached, as recipes that share a curve request it one after the other."""
     sums = np.frombuffer(content).reshape(_BINS, 3 + beside, 3 + beside)
     sums = sums + np.triu(sums, 1).transpose(0, 2, 1)
     used = np.flatnonzero(sums[:, 0, 0] > 0.0)
@@ -140,7 +161,7 @@ def _fit(content: bytes, beside: int, enough: bool) -> AccessoryCurve:
 
 
 def _scaled(sums: Floats) -> AccessoryCurve:
-    """Return the reference curve times the factor of least squares, the columns as they are."""
+    """Return the reference curve times a factor fitted by least squares, with 1 as coefficient of each column."""
     off = np.divide(sums[:, 0, 1], sums[:, 0, 0], out=np.zeros(_BINS), where=sums[:, 0, 0] > 0.0)
     power = ACCESSORIES.power(_CENTRE + off + ZERO_CELSIUS)
     own = float(sums[:, 0, 0] @ power**2)
@@ -158,7 +179,7 @@ def _scaled(sums: Floats) -> AccessoryCurve:
 
 
 def _binned(sums: Floats, centre: Floats) -> _BinFactors:
-    """Return the bins' triangular factors, and the energy without what the columns explain."""
+    """Return the triangular factors of the bins, and the energy that the columns do not explain."""
     factors = _factors(sums)
     bins, k, _ = factors.shape
     columns = factors[:, :, 2:-1].reshape(bins * k, k - 3)
@@ -170,7 +191,7 @@ def _binned(sums: Floats, centre: Floats) -> _BinFactors:
 
 
 def _factors(sums: Floats) -> Floats:
-    """Return Cholesky factors of sums of products, upper triangles, zero where nothing is left of a column."""
+    """Return upper Cholesky factors of sums of products, zero where a column depends on those before it."""
     left = sums.copy()
     factor = np.zeros_like(sums)
     for i in range(sums.shape[1]):
@@ -185,7 +206,7 @@ def _factors(sums: Floats) -> Floats:
 
 
 def _shape(knots: Floats, centre: Floats) -> tuple[Floats, Floats]:
-    """Return what a W of standby, of heating and of cooling above it adds by temperature, and its slope; (3, b)."""
+    """Return the shares of standby, heating and cooling in the power at each temperature, and their slopes; (3, b)."""
     t1, t2, t3, t4 = knots
     heat = np.clip((t2 - centre) / (t2 - t1), 0.0, 1.0)
     cool = np.clip((centre - t3) / (t4 - t3), 0.0, 1.0)
@@ -195,7 +216,7 @@ def _shape(knots: Floats, centre: Floats) -> tuple[Floats, Floats]:
 
 
 def _levels(knots: Floats, binned: _BinFactors) -> tuple[Floats, Floats]:
-    """Return the levels of least squares at given choke points, none negative, and what is left. [W], [kWh]"""
+    """Return the non-negative levels [W] of least squares at given choke points, and the residuals [kWh]."""
     level, slope = _shape(knots, binned.centre)
     time, off = binned.factors[:, :, 0, np.newaxis], binned.factors[:, :, 1, np.newaxis]
     table = (time * level.T[:, np.newaxis] + off * slope.T[:, np.newaxis]).reshape(-1, 3)
@@ -210,7 +231,7 @@ def _levels(knots: Floats, binned: _BinFactors) -> tuple[Floats, Floats]:
 
 
 def _knots(x: Floats, low: float, high: float) -> Floats:
-    """Return choke points between two temperatures, from each one's share of the way that is left. [°C]"""
+    """Return choke points between two temperatures; each share divides the range that remains above the last. [°C]"""
     knots = np.empty(4)
     at = low - _LEAST_GAP
     for i, share in enumerate(x):
@@ -221,14 +242,14 @@ def _knots(x: Floats, low: float, high: float) -> Floats:
 
 
 def _shares(knots: Floats, low: float, high: float) -> Floats:
-    """Return what `_knots` would make choke points of."""
+    """Return the shares that `_knots` converts into these choke points."""
     before = np.concatenate([[low - _LEAST_GAP], knots[:-1]]) + _LEAST_GAP
     left = high - before - _LEAST_GAP * np.arange(3, -1, -1)
     return np.clip((knots - before) / np.maximum(left, 1e-9), 0.001, 0.999)
 
 
 def _starts(sums: Floats, centre: Floats, low: float, high: float) -> list[Floats]:
-    """Return the best points of a coarse grid of choke points, as `_knots` takes them."""
+    """Return the best points of a coarse grid of choke points, as shares for `_knots`."""
     weight, cross = sums[:, 0, 0], _left(sums, centre)
     grid = np.arange(low, high + 1e-9, max(_GRID, (high - low) / _GRID_POINTS))
     pairs = np.array(list(combinations(range(len(grid)), 2)))
@@ -256,7 +277,7 @@ def _starts(sums: Floats, centre: Floats, low: float, high: float) -> list[Float
 
 
 def _left(sums: Floats, centre: Floats) -> Floats:
-    """Return each bin's sum of w times what the columns leave, with a power of its own for each 3 K."""
+    """Return each bin's sum of w times the residual of the columns, fitted with a free power for each 3 K."""
     beside = sums.shape[1] - 3
     if not beside:
         return sums[:, 0, -1]
@@ -276,7 +297,7 @@ def _left(sums: Floats, centre: Floats) -> Floats:
 
 
 def _solved(start: Floats, binned: _BinFactors, low: float, high: float) -> Any:
-    """Return scipy's result from one start: choke points between the coldest and the warmest ride."""
+    """Return the result of scipy from one start, with choke points between the coldest and the warmest ride."""
     return least_squares(
         lambda x: _levels(_knots(x, low, high), binned)[1],
         start,

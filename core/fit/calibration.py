@@ -1,15 +1,16 @@
-"""Calibration of prediction intervals, on rides that a model had not learned from.
+"""Calibrate prediction intervals on rides that were not part of the training.
 
-Each ride's error is of a model fitted without it: by cross-validation, or, for least squares, by the leverage of the
-ride, which is the same at the cost of one fit.
-The errors over their scale give the quantiles.
+Each error is that of a model fitted without the ride. Cross-validation yields such errors for any model. For least
+squares the leverage of the ride yields the same error at the cost of one fit. The quantiles are those of the errors
+divided by their scale.
 
-For vehicle models never seen there is a scale of its own, from errors of fits without the vehicle model.
+Vehicle models that are not in the training data have a separate scale. It comes from the errors of fits without the
+vehicle model.
 
 References
 ----------
-Barber, Candes, Ramdas, Tibshirani 2021, Annals of Statistics 49:486, DOI 10.1214/20-AOS1965: CV+ and jackknife+; here
-their errors are laid about the prediction of the one model that is fitted to all rides.
+Barber, Candes, Ramdas, Tibshirani 2021, Annals of Statistics 49:486, DOI 10.1214/20-AOS1965: CV+ and jackknife+. This
+module centres their errors on the prediction of the one model that is fitted to all rides.
 Cook, Weisberg, Residuals and Influence in Regression, Chapman and Hall 1982, eq. (2.2.2): leverage.
 """
 
@@ -49,30 +50,30 @@ QUANTILE_LEVELS: Final = (
     0.995,
 )
 _CLASSES: Final = (0.0, 5.0, 10.0, 15.0, 20.0)
-"""Where classes of rides begin. [km]"""
+"""Distances at which the classes of rides begin. [km]"""
 LEAST_CALIBRATION_RIDES: Final = 100
-"""Rides for a class, or a vehicle model, of its own."""
+"""Fewest rides for a separate class of distance, or for a separate scale of a vehicle model."""
 _LEAST_SCALE: Final = 0.01
 """Smallest scale of an error. [kWh]"""
 _UNSEEN_LEVEL: Final = 0.9
-"""Level at which the scale of vehicle models never seen is set."""
+"""Coverage at which the calibration sets the scale of unseen vehicle models. [1]"""
 NEEDS: Final = (*list_raw_columns("size_kwh"), *list_raw_columns("heating_need_k"), "distance_km")
 """Columns of the ride table that the scale of an error needs."""
 _UNSEEN_FACTOR: Final = 2.0
-"""Scale of those over the largest of the others, where there is but one to learn from. Estimated."""
+"""Scale of unseen vehicle models over the common scale, where only one vehicle model has rides. Estimated. [1]"""
 
 
 class HeldOutErrors(NamedTuple):
-    """Rides of one vehicle model, and the errors of fits that did not see them.
+    """Hold the errors of rides of one vehicle model under fits without these rides.
 
     Parameters
     ----------
     error : (n,) float
-        Measured less predicted. [kWh]
+        Measured minus predicted energy. [kWh]
     terms : (n, 3) float
-        Of the scale, see `core.models.interval.compute_scale_terms`.
+        Terms of the scale, see `core.models.interval.compute_scale_terms`.
     distance : (n,) float
-        [km]
+        Length of the ride. [km]
     """
 
     error: Floats
@@ -81,7 +82,20 @@ class HeldOutErrors(NamedTuple):
 
 
 def collect_errors(error: Floats, columns: Columns) -> HeldOutErrors:
-    """Return errors with what their scale depends on; rides of which something is unknown are left out."""
+    """Return errors together with the columns on which their scale depends.
+
+    Parameters
+    ----------
+    error : (n,) float
+        Measured minus predicted energy. [kWh]
+    columns : Columns
+        Columns of the same rides.
+
+    Returns
+    -------
+    HeldOutErrors
+        Without the rides that have an unknown value.
+    """
     terms, distance = compute_scale_terms(columns), columns["distance_km"]
     known = np.isfinite(error) & np.isfinite(terms).all(axis=1) & np.isfinite(distance)
     return HeldOutErrors(error[known], terms[known], distance[known])
@@ -90,14 +104,19 @@ def collect_errors(error: Floats, columns: Columns) -> HeldOutErrors:
 def calibrate_interval(
     seen: Mapping[str, HeldOutErrors], unseen: Mapping[str, HeldOutErrors]
 ) -> PredictionInterval | None:
-    """Return the interval that errors call for, None where there are too few to tell.
+    """Return the prediction interval that covers held-out errors.
 
     Parameters
     ----------
-    seen : mapping of str to Held
-        By vehicle model: errors of fits to other rides, of this vehicle model too.
-    unseen : mapping of str to Held
-        By vehicle model: errors of fits to other vehicle models.
+    seen : mapping of str to HeldOutErrors
+        Errors by vehicle model, of fits to other rides that include rides of the same vehicle model.
+    unseen : mapping of str to HeldOutErrors
+        Errors by vehicle model, of fits to other vehicle models only.
+
+    Returns
+    -------
+    PredictionInterval or None
+        None where there are fewer than `LEAST_CALIBRATION_RIDES` errors in `seen`.
     """
     every = _joined(seen)
     if len(every.error) < LEAST_CALIBRATION_RIDES:
@@ -129,14 +148,14 @@ def _joined(parts: Mapping[str, HeldOutErrors]) -> HeldOutErrors:
 
 
 def _scale(rides: HeldOutErrors) -> Floats:
-    """Return the factors of the scale: least squares of absolute errors, none below 0, each over about its size."""
+    """Return non-negative factors of the scale, from least squares of absolute errors relative to the ride's size."""
     weight = 1.0 / (_LEAST_SCALE + rides.terms[:, 1])
     found, _ = nnls(rides.terms * weight[:, np.newaxis], np.abs(rides.error) * weight)
     return np.maximum(found, np.array([_LEAST_SCALE, 0.0, 0.0]))
 
 
 def _classes(distance: Floats) -> list[float]:
-    """Return where classes begin, so that each has rides enough; the last ones are joined where they have not."""
+    """Return the distances at which classes begin; classes with too few rides merge with their neighbours. [km]"""
     starts = list(_CLASSES)
     while len(starts) > 1:
         count = np.bincount(np.searchsorted(starts, distance, side="right") - 1, minlength=len(starts))
@@ -148,7 +167,7 @@ def _classes(distance: Floats) -> list[float]:
 
 
 def _quantiles(over: Floats) -> Floats:
-    """Return quantiles of errors over their scale, so far out that one more ride is within with the probability."""
+    """Return quantiles of errors over their scale that cover one more ride with the nominal probability."""
     ordered, n, levels = np.sort(over), len(over), np.array(QUANTILE_LEVELS)
     above = np.ceil((n + 1) * levels) - 1.0
     below = np.floor((n + 1) * levels) - 1.0
@@ -157,7 +176,7 @@ def _quantiles(over: Floats) -> Floats:
 
 
 def _for_unseen(interval: PredictionInterval, unseen: HeldOutErrors) -> PredictionInterval:
-    """Return the interval with a scale that holds for vehicle models never seen, but never less than for others."""
+    """Return the interval with a scale for unseen vehicle models, at least as large as the mean of the others."""
     scale = _scale(unseen)
     kind = np.searchsorted(interval.distances_km, unseen.distance, side="right") - 1
     table = np.array(interval.quantiles)[kind]
@@ -174,21 +193,22 @@ def _for_unseen(interval: PredictionInterval, unseen: HeldOutErrors) -> Predicti
 
 
 def add_interval(model: LinearModel, rides: pd.DataFrame, *, fitted: bool = True) -> LinearModel:
-    """Return a model of least squares with an interval, calibrated by the leverage of each ride.
+    """Return a least-squares model with an interval, calibrated by the leverage of each ride.
 
     Parameters
     ----------
     model : LinearModel
-        Each fit by ordinary least squares on the rides of its vehicle model; accessory curve and fills as given.
+        Model whose fits are ordinary least squares on the rides of each vehicle model. The leverage takes the accessory
+        curve and the fills as given.
     rides : DataFrame
-        What it was fitted to.
+        Rides to which the model was fitted.
     fitted : bool
-        Whether coefficients were fitted at all.
+        Whether the coefficients were fitted; otherwise each is 1 and the residual is already the held-out error.
 
     Returns
     -------
     LinearModel
-        As it was, where the rides lack a column that the scale of errors needs, or are too few.
+        Without a new interval where the rides lack a column that the scale of errors needs, or are too few.
     """
     if any(column not in rides for column in (*NEEDS, ENERGY)):
         return model
@@ -204,7 +224,7 @@ def add_interval(model: LinearModel, rides: pd.DataFrame, *, fitted: bool = True
 
 
 def _left(model: LinearModel, key: str, rides: pd.DataFrame, rows: Ints, out: Ints, *, fitted: bool) -> Floats:
-    """Return the errors of rides, had a fit to `rows` been made without them: one by one, or all if it has others."""
+    """Return errors of rides `out` under a fit without them: one at a time, or as a group if `rows` has more rides."""
     fit = model.fits[key]
     table = build_design(model.terms, Columns(rides, fit.fills, fit.curve, rows), len(rows))
     left = get_numbers(rides, ENERGY)[rows] - table @ np.array(fit.coefficients)
@@ -222,7 +242,7 @@ def _left(model: LinearModel, key: str, rides: pd.DataFrame, rows: Ints, out: In
 
 
 def _without_group(basis: Floats, left: Floats, out: Ints) -> Floats:
-    """Return the errors of a group of rides, had the fit been made without all of them: (I - H_gg)^-1 e_g."""
+    """Return the errors of a group of rides under a fit without the whole group: (I - H_gg)^-1 e_g."""
     own = basis[out]
     p = basis.shape[1]
     without = np.eye(p) - own.T @ own
@@ -230,7 +250,20 @@ def _without_group(basis: Floats, left: Floats, out: Ints) -> Floats:
 
 
 def assign_folds(rows: int, folds: int) -> Ints:
-    """Return which part each ride is in, drawn at random, the same at every call."""
+    """Return the fold of each ride, drawn at random and equal at every call.
+
+    Parameters
+    ----------
+    rows : int
+        Number of rides.
+    folds : int
+        Number of folds.
+
+    Returns
+    -------
+    (rows,) int
+        Fold of each ride, from 0 to `folds` - 1.
+    """
     return np.random.default_rng(0).permutation(rows) % folds
 
 

@@ -1,18 +1,22 @@
-"""Fitting of terms to a ride table, in passes over its blocks: for each vehicle model, and for all rides together.
+"""Fit terms to a ride table in passes over its blocks: for each vehicle model, and for all rides together.
 
-The first pass finds fills and the accessory curve, by least squares in the model that it is part of: on what the basic
-physical model leaves where coefficients are 1, beside the coefficients of the road load where they are fitted. (A curve
-from the former would take what the road load lacks for standby power, and bias them.) The second adds up the normal
-equations, the third the residuals for the covariance. No pass keeps more than one block, so memory does not grow with
-the number of rides.
+The first pass determines the fills and the accessory curve, the latter by least squares in the model that contains it.
+Where all coefficients are 1, the curve explains the residual of the basic physical model. Where coefficients are
+fitted, the curve is fitted together with the coefficients of the road load. A curve fitted to the residual alone would
+take the error of the road load for standby power, and would bias the coefficients.
 
-Rides tell nothing of some physical terms: the kinetic energy of a ride that begins and ends at rest is zero but for
-gaps, though in the middle of a ride it is not. Where the standard deviation of such a term is below `RESOLUTION` of the
-energy's, its coefficient is held near 1, as physics has it (and those of its interactions near 0), by one more
-observation with standard uncertainty `PRIOR_SD`. All others are ordinary least squares.
+The second pass sums the normal equations. The third pass sums the residuals for the covariance. No pass keeps more than
+one block, so memory does not grow with the number of rides.
 
-The covariance lets the errors of rides of one vehicle on one day depend on each other, and counts the accessory curve
-as fitted beside the coefficients; that of the accessories' own coefficient is for the curve's shape as it is.
+Rides do not determine some physical terms. An example is the kinetic energy of a ride that begins and ends at rest: it
+is zero except for gaps, but it differs from zero in the middle of a ride. Such a term is one whose standard deviation
+is below `_RESOLUTION` of that of the energy. One additional observation with the standard uncertainty `_PRIOR_SD` holds
+its coefficient near the physical value 1, and the coefficients of its interactions near 0. All other coefficients are
+ordinary least squares.
+
+The covariance admits that the errors of rides of one vehicle on one day depend on each other. It treats the accessory
+curve as fitted together with the coefficients. The variance of the accessories' own coefficient holds for the given
+shape of the curve.
 """
 
 from collections import Counter
@@ -48,34 +52,34 @@ from core.vehicles import AccessoryCurve
 from core.vehicles.fleet import CarParameters
 
 _RIDES_PER_COEFFICIENT: Final = 2
-"""Rides for each coefficient that a fit needs."""
+"""Fewest rides for each coefficient of a fit."""
 _CURVE_NUMBERS: Final = 7
-"""Numbers of an accessory curve."""
+"""Number of parameters of an accessory curve."""
 _RESOLUTION: Final = 0.01
 _PRIOR_SD: Final = 0.5
 PHYSICS: Final = (*(effect.energy_name for effect in ROAD_LOAD), ACCESSORIES_COLUMN)
-"""First columns of the terms whose coefficient is 1 where physics holds, if it is a pure number."""
+"""First columns of the terms whose dimensionless coefficient is 1 where physics holds."""
 
 
 class FitPlan(Protocol):
-    """What is to be fitted, see `core.fit.recipes.LinearRecipe`."""
+    """Describe what to fit, see `core.fit.recipes.LinearRecipe`."""
 
     @property
     def name(self) -> str:
-        """Of the recipe."""
+        """Return the name of the recipe."""
 
     @property
     def terms(self) -> tuple[Term, ...]:
-        """In the order of the model's."""
+        """Return the terms, in the order of the model."""
 
     @property
     def free(self) -> bool:
-        """Whether coefficients are fitted, or are 1."""
+        """Return whether the coefficients are fitted; otherwise each is 1."""
 
 
 @dataclass
 class _GroupFit:
-    """What is known so far of the rides of one vehicle model, or of all."""
+    """Collect the sums and results of the rides of one vehicle model, or of all rides."""
 
     rides: int = 0
     known: Counter[str] = field(default_factory=Counter)
@@ -93,7 +97,22 @@ class _GroupFit:
 
 
 def build_design(terms: tuple[Term, ...], columns: Columns, rows: int) -> Floats:
-    """Return the product of each term's columns, (rows, terms); 1 for a constant."""
+    """Return the design matrix: the product of the columns of each term.
+
+    Parameters
+    ----------
+    terms : tuple of Term
+        Terms of the model.
+    columns : Columns
+        Columns of the rides.
+    rows : int
+        Number of rides.
+
+    Returns
+    -------
+    (rows, terms) float
+        1 in the column of a constant.
+    """
     out = np.ones((rows, len(terms)))
     for j, term in enumerate(terms):
         for name in term.columns:
@@ -106,20 +125,22 @@ def fit_terms(plan: FitPlan, rides: RideSource, *, covariance: bool = True) -> L
 
     Parameters
     ----------
-    plan : Plan
-    rides : Rides
+    plan : FitPlan
+        Terms to fit.
+    rides : RideSource
+        Ride table to fit them to.
     covariance : bool
-        Go through the residuals for the covariance and the error in sample; without, a fit is faster.
+        Compute the covariance and the in-sample error in another pass over the rides. A fit without it is faster.
 
     Returns
     -------
     LinearModel
-        With a fit for each vehicle model that has rides enough, and `*` over all rides together.
+        Model with a fit for each vehicle model that has enough rides, and the fit `*` over all rides together.
 
     Raises
     ------
     ModelError
-        Where a column is missing, no ride can be trained on, there are too few, or nothing varies in them.
+        If a column is missing, if too few rides can be used for training, or if the rides do not vary.
     """
     with limit_to_one_thread():
         fitting = _Fitting(plan, rides, covariance=covariance)
@@ -131,18 +152,26 @@ def fit_terms(plan: FitPlan, rides: RideSource, *, covariance: bool = True) -> L
 
 
 def limit_to_one_thread() -> Any:
-    """Keep numpy's linear algebra to one thread: matrices are small, and results the same on any number of cores."""
+    """Return a context that limits the linear algebra of numpy to one thread.
+
+    The matrices are small, and the results become equal on any number of cores.
+
+    Returns
+    -------
+    context manager
+        The limit holds within its `with` block.
+    """
     return _blas().limit(limits=1)
 
 
 @cache
 def _blas() -> Any:
-    """Return the controller of numpy's linear algebra; it takes some time to find."""
+    """Return the controller of the linear algebra of numpy; cached, as the search for it is slow."""
     return ThreadpoolController().select(user_api="blas")
 
 
 class _Fitting:
-    """The passes over the blocks, and what is known after each."""
+    """Run the passes over the blocks, and keep their results."""
 
     def __init__(self, plan: FitPlan, rides: RideSource, *, covariance: bool) -> None:
         self.plan = plan
@@ -167,7 +196,7 @@ class _Fitting:
         self.digests = {name: sha256() for name in (*self.columns, VEHICLE_MODEL)}
 
     def survey(self) -> None:
-        """Go through the rides for fills, accessory curves and what the training was."""
+        """Pass over the rides for the fills, the accessory curves and the description of the training."""
         for block in self._blocks(note=True):
             for key, rows in self._parts(block):
                 group = self.groups.setdefault(key, self._group())
@@ -183,14 +212,14 @@ class _Fitting:
             )
         self.counts = {key: group.rides for key, group in sorted(self.groups.items()) if key != ANY}
         self.groups = {key: group for key, group in self.groups.items() if group.rides >= least}
-        if max(self.counts.values(), default=0) == rides:  # one vehicle model: what is found of all is found of it
+        if max(self.counts.values(), default=0) == rides:  # with one vehicle model, its fit equals that of all rides
             self.only = self.groups.popitem()[0]
         for group in self.groups.values():
             group.fills = {c: group.sums[c] / group.known[c] if group.known[c] else 0.0 for c in self.filled}
             group.curve = group.temperatures.fit() if self.curved else None
 
     def solve(self) -> None:
-        """Go through the rides for the normal equations, and solve them."""
+        """Pass over the rides for the normal equations, and solve them."""
         if not self.plan.free:
             return
         for _, key, columns, energy in self._seen():
@@ -204,7 +233,7 @@ class _Fitting:
             self._solve(group)
 
     def residuals(self) -> None:
-        """Go through the rides for what the fits leave."""
+        """Pass over the rides for the residuals of the fits."""
         for block, key, columns, energy in self._seen():
             group = self.groups[key]
             table = self._design(columns, len(energy))
@@ -220,7 +249,7 @@ class _Fitting:
                 group.scores.add(table, left / (1.0 - group.influence.leverage(table)), cars)
 
     def model(self) -> LinearModel:
-        """Return the model of what is known."""
+        """Return the model that the passes have determined."""
         every = self.groups[ANY]
         digest = sha256()
         for name, own in sorted(self.digests.items()):
@@ -251,11 +280,11 @@ class _Fitting:
         return stamp(model)
 
     def _group(self) -> _GroupFit:
-        """Return a group of rides of which nothing is known yet."""
+        """Return an empty group of rides."""
         return _GroupFit(temperatures=TemperatureBins(len(self.road)))
 
     def _blocks(self, *, note: bool = False) -> Iterator[pd.DataFrame]:
-        """Give the blocks with the rides that can be trained on; on the first pass note what they are."""
+        """Yield the trainable rides of each block; with `note`, record the rides left out, dates and fingerprint."""
         for block in self.rides.blocks(self.columns):
             good, left_out = select_trainable(block, self.columns)
             if note:
@@ -267,7 +296,7 @@ class _Fitting:
             yield good
 
     def _digest(self, block: pd.DataFrame) -> None:
-        """Add rides to the fingerprint, and note their dates."""
+        """Add rides to the fingerprint, and record their first and last dates."""
         for name in self.columns:
             if name != VEHICLE:
                 self.digests[name].update(np.ascontiguousarray(get_numbers(block, name)).tobytes())
@@ -279,14 +308,14 @@ class _Fitting:
             self.dates = (min(first or min(dates), *dates), max(last, *dates))
 
     def _parts(self, block: pd.DataFrame) -> Iterator[tuple[str, Any]]:
-        """Give the rows of each vehicle model, and all of them together."""
+        """Yield the rows of each vehicle model, then all rows together."""
         kinds = np.array(get_names(block, VEHICLE_MODEL), dtype=object)
         for kind in sorted(set(kinds) - {"", ANY}):
             yield kind, np.flatnonzero(kinds == kind)
         yield ANY, np.arange(len(block))
 
     def _seen(self) -> Iterator[tuple[pd.DataFrame, str, Columns, Floats]]:
-        """Give each group's part of each block, its columns as the fit sees them, and the measured energy."""
+        """Yield each group's part of each block, its columns as the fit uses them, and the measured energy. [kWh]"""
         for block in self._blocks():
             for key, rows in self._parts(block):
                 group = self.groups.get(key)
@@ -295,7 +324,7 @@ class _Fitting:
                     yield part, key, Columns(part, group.fills, group.curve), get_numbers(part, ENERGY)
 
     def _note(self, group: _GroupFit, columns: Columns) -> None:
-        """Add rides to the means that will fill, and to what the basic physical model leaves."""
+        """Add rides to the means that fill unknown values, and to the bins of the accessory curve."""
         for name in self.filled:
             values = columns[name]
             known = np.isfinite(values)
@@ -308,18 +337,18 @@ class _Fitting:
             group.temperatures.add(columns["ambient_c"], time, left, list(road))
 
     def _design(self, columns: Columns, rows: int) -> Floats:
-        """Return the terms but for the constant."""
+        """Return the design matrix without the constant."""
         return build_design(tuple(self.terms[i] for i in self.sloped), columns, rows)
 
     def _nuisance(self, group: _GroupFit, columns: Columns) -> list[Floats]:
-        """Return what the energy gains by a small change of each number of the accessory curve."""
+        """Return the derivative of the energy by each number of the accessory curve."""
         if not self.covariance or group.curve is None:
             return []
         time = columns["duration_s"] * columns["accessory_scale"] / 3.6e6
         return list((compute_slopes(group.curve, columns["ambient_c"]) * time[:, np.newaxis]).T)
 
     def _check_varies(self) -> None:
-        """Refuse rides that are all the same."""
+        """Raise ModelError if all rides are alike."""
         moments = self.groups[ANY].moments
         size = np.sqrt(np.diag(moments.sums(centred=False)))
         varies = np.sqrt(np.maximum(np.diag(moments.scatter), 0.0)) > NO_VARIATION * size
@@ -332,7 +361,7 @@ class _Fitting:
             )
 
     def _solve(self, group: _GroupFit) -> None:
-        """Solve a group's normal equations, and hold near physics what rides do not tell."""
+        """Solve a group's normal equations, and hold coefficients near physics that the rides do not determine."""
         constant = self.place is not None
         moments = group.moments.only([*range(len(self.sloped)), -1])
         solution = solve(moments, constant=constant)
@@ -346,7 +375,7 @@ class _Fitting:
             group.influence = Influence(group.moments, solution, beside)
 
     def _prior(self, moments: Moments, free: Solution) -> tuple[Floats, Floats, tuple[str, ...]]:
-        """Return the weights, the targets and the names of coefficients that rides do not tell."""
+        """Return the weights, the targets and the names of the coefficients that the rides do not determine."""
         sums = moments.sums(centred=free.constant is not None)
         size = np.sqrt(np.maximum(np.diag(sums), 0.0))
         weight, toward, held = np.zeros(len(size) - 1), np.zeros(len(size) - 1), []
@@ -363,13 +392,13 @@ class _Fitting:
         return weight, toward, tuple(held)
 
     def _coefficients(self, group: _GroupFit) -> tuple[Floats, float]:
-        """Return the coefficients of a group's terms, and its constant."""
+        """Return the coefficients and the constant of a group."""
         if group.solution is None:
             return np.ones(len(self.sloped)), 0.0
         return group.solution.coefficients, group.solution.constant or 0.0
 
     def _fit(self, group: _GroupFit) -> Fit:
-        """Return what a model file holds of a group."""
+        """Return the fit of a group as a model file stores it."""
         solution, influence, scores = group.solution, group.influence, group.scores
         coefficients, constant = self._coefficients(group)
         values = np.empty(len(self.terms))
@@ -393,11 +422,11 @@ class _Fitting:
 
     @property
     def _order(self) -> list[int]:
-        """Places of the solution's coefficients, and of its constant, among the terms."""
+        """Return the positions of the solution's coefficients, and of its constant, among the terms."""
         return [*self.sloped, *([] if self.place is None else [self.place])]
 
     def _ordered(self, covariance: Floats) -> tuple[tuple[float, ...], ...]:
-        """Return a covariance in the order of the terms."""
+        """Return a covariance reordered to the order of the terms."""
         out = np.empty_like(covariance)
         out[np.ix_(self._order, self._order)] = covariance
         return tuple(tuple(row) for row in out.tolist())

@@ -1,17 +1,19 @@
-"""Partial pooling: what vehicle models, and cars, have in common, what is their own, and how sure either is.
+"""Pool coefficients partially across vehicle models and cars, with the uncertainty of the common and separate parts.
 
-The coefficients of a vehicle model are thought of as drawn about a mean that all share,
+The coefficients b_k of vehicle model k are drawn about a mean m that all vehicle models share:
 
-    b_k ~ N(m, S),    y = X b_k + e,    e ~ N(0, noise * size),
+    b_k ~ N(m, S),    y = X b_k + e,    e ~ N(0, noise * size).
 
-where `size` is about the energy of the ride, as the error of a longer ride is the sum of more errors. The mean m is
-found from the rides of all vehicle models, and held near physics. The spread S is a small one of each coefficient by
-itself, and one of each block of them (drive, climate) by a common factor: cars of another vehicle model are above all
-more or less efficient, and better or worse insulated. How large these are is chosen by the probability that they give
-to what is seen of each vehicle model, from the mean of the others.
+Here `size` is approximately the energy of the ride, as the error of a longer ride is the sum of more errors. The rides
+of all vehicle models determine the mean m, which is held near physics.
 
-So one equation serves all: a vehicle model with many rides gets what is its own, a new one gets the mean, and with each
-ride comes nearer to its own. The spread is also the uncertainty with which a new vehicle model is predicted.
+The spread S has two parts. One is a small separate spread of each coefficient. The other is a common factor of each
+block of coefficients (drive, climate), because vehicle models differ mainly in efficiency and in insulation. The sizes
+of both are those that give the highest probability to the rides of each vehicle model, given the mean of the others.
+
+One equation therefore serves every case. A vehicle model with many rides receives its own coefficients, and a new one
+receives the mean and approaches its own coefficients with each ride. The spread is also the uncertainty of the
+prediction for a new vehicle model.
 
 References
 ----------
@@ -30,40 +32,49 @@ from numpy.typing import NDArray
 from core.batch import Floats
 
 PHYSICS_WEIGHT: Final = 0.03
-"""Weight of physics against that of all rides, in the mean. Chosen on simulated fleets of which one vehicle model was
-left out, of 0.003 to 1: with more, thirsty cars are predicted worse, with less, frugal ones."""
+"""Weight of physics relative to that of all rides, in the mean. [1]
+
+Chosen from 0.003 to 1 on simulated fleets with one vehicle model left out. A larger weight predicts cars of high
+consumption worse, and a smaller weight predicts cars of low consumption worse.
+"""
 PHYSICS_RIDES: Final = 10.0
-"""Rides that physics counts for besides: with few, the mean is that of physics."""
+"""Additional weight of physics, as a number of rides: with few rides, the mean is that of physics."""
 SEPARATE_SPREADS: Final = (0.005, 0.01, 0.02, 0.04, 0.08)
-"""What is tried as spread of each coefficient by itself, times the root mean square of its column. [kWh]"""
+"""Candidate spreads of each separate coefficient, times the root mean square of its column. [kWh]"""
 FACTOR_SPREADS: Final = (0.03, 0.1, 0.2, 0.3)
-"""What is tried as spread of the common factor of a block. [1]"""
+"""Candidate spreads of the common factor of a block. [1]"""
 EXPECTED_SPREADS: Final = (0.02, 0.1, 0.2)
-"""Spreads to be expected: apart [kWh], drive [1], climate [1]. A few vehicle models tell little of them."""
+"""Expected spreads: separate [kWh], drive [1], climate [1]. A few vehicle models determine the spreads only weakly."""
 UNSEEN_COLUMN: Final = 1e6
-"""Stands for the size of a column that is 0 in all rides: so large that its coefficient is held where physics has it.
-Its own size is not known, and a guess that is too small would let a single ride of another car set it to anything."""
+"""Size assigned to a column that is 0 in all rides, so large that its coefficient stays at its physical value.
+
+The true size of such a column is unknown. A value that is too small would let a single ride of another car set the
+coefficient to anything.
+"""
 SPREAD_LOG_SD: Final = np.log(3.0)
-"""Standard deviation of the logarithm of spreads about those to be expected."""
+"""Standard deviation of the logarithm of a spread about that of the expected spread. [1]"""
 EARLY_NOISE_FACTOR: Final = 4.0
-"""The first rides of a vehicle model tell as much as so many times fewer: those of one car on one day err alike. Chosen
-on simulated fleets, of 1 to 8; with 1, a few rides can do harm."""
+"""Factor on the noise of the first rides of a vehicle model, as the errors of one car on one day are correlated. [1]
+
+Chosen from 1 to 8 on simulated fleets. With 1, a few rides can make the predictions worse.
+"""
 
 
 class NormalEquations(NamedTuple):
-    """Weighted normal equations of the rides of one vehicle model.
+    """Hold the weighted normal equations of the rides of one vehicle model.
 
     Parameters
     ----------
     gram : (p, p) float
-        X' W X, with weights 1 / size. [1/kWh times units]
+        X' W X, with weights 1 / size. [1/kWh times the units of both terms]
     cross : (p,) float
-        X' W y.
+        X' W y. [units of the term]
     square : float
         y' W y. [kWh]
     weight : float
         Sum of the weights. [1/kWh]
     rides : int
+        Number of rides.
     """
 
     gram: Floats
@@ -73,20 +84,33 @@ class NormalEquations(NamedTuple):
     rides: int
 
     def left(self, coefficients: Floats) -> float:
-        """Return the weighted sum of squares that coefficients leave. [kWh]"""
+        """Return the weighted sum of squared residuals under given coefficients.
+
+        Parameters
+        ----------
+        coefficients : (p,) float
+            Coefficients of the terms.
+
+        Returns
+        -------
+        float
+            At least 0. [kWh]
+        """
         square = self.square - 2.0 * coefficients @ self.cross + coefficients @ self.gram @ coefficients
         return max(float(square), 0.0)
 
 
 class Prior(NamedTuple):
-    """What is known of the coefficients of a vehicle model before its rides are seen.
+    """Hold the prior of the coefficients of a vehicle model, before any of its rides.
 
     Parameters
     ----------
     mean : (p,) float
+        Expected coefficients.
     covariance : (p, p) float
+        Covariance of the coefficients about their mean.
     noise : float
-        Variance of a ride's error over its size. [kWh]
+        Variance of the error of a ride over its size. [kWh]
     """
 
     mean: Floats
@@ -95,16 +119,21 @@ class Prior(NamedTuple):
 
 
 def sum_normal_equations(design: Floats, energy: Floats, size: Floats) -> NormalEquations:
-    """Return the sums of some rides.
+    """Return the weighted normal equations of rides.
 
     Parameters
     ----------
     design : (n, p) float
-        Each term's product of columns.
+        Product of the columns of each term.
     energy : (n,) float
-        Measured. [kWh]
+        Measured energy. [kWh]
     size : (n,) float
-        About the energy, above 0. [kWh]
+        Approximate energy, above 0. The weights are 1 / size. [kWh]
+
+    Returns
+    -------
+    NormalEquations
+        Sums over the rides.
     """
     weighted = design / size[:, np.newaxis]
     square = float(energy @ (energy / size))
@@ -112,20 +141,44 @@ def sum_normal_equations(design: Floats, energy: Floats, size: Floats) -> Normal
 
 
 def compute_column_scale(groups: Sequence[NormalEquations]) -> Floats:
-    """Return the root mean square of each term's column, `UNSEEN` where it is 0."""
+    """Return the root mean square of the column of each term.
+
+    Parameters
+    ----------
+    groups : sequence of NormalEquations
+        One per vehicle model.
+
+    Returns
+    -------
+    (p,) float
+        `UNSEEN_COLUMN` where the column is 0 in all rides.
+    """
     square = np.diag(_averaged(groups)[0])
     return np.where(square > 0.0, np.sqrt(np.maximum(square, 0.0)), UNSEEN_COLUMN)
 
 
 def _averaged(groups: Sequence[NormalEquations]) -> tuple[Floats, Floats]:
-    """Return X' W X and X' W y of a ride of average weight: rides of all vehicle models have the same say."""
+    """Return X' W X and X' W y for a ride of average weight; rides of all vehicle models count equally."""
     say = [sums.rides for sums in groups]
     gram = np.average([sums.gram / sums.weight for sums in groups], axis=0, weights=say)
     return gram, np.average([sums.cross / sums.weight for sums in groups], axis=0, weights=say)
 
 
 def compute_common_mean(groups: Sequence[NormalEquations], physics: Floats) -> Floats:
-    """Return the mean of the coefficients, held near those of physics."""
+    """Return the common mean of the coefficients, held near their physical values.
+
+    Parameters
+    ----------
+    groups : sequence of NormalEquations
+        One per vehicle model.
+    physics : (p,) float
+        Physical values of the coefficients.
+
+    Returns
+    -------
+    (p,) float
+        Mean of the coefficients over the vehicle models.
+    """
     scale = compute_column_scale(groups)
     gram, cross = _averaged(groups)
     standard = gram / np.outer(scale, scale)
@@ -134,7 +187,22 @@ def compute_common_mean(groups: Sequence[NormalEquations], physics: Floats) -> F
 
 
 def estimate_noise(sums: NormalEquations, mean: Floats, scale: Floats) -> float:
-    """Return the variance of rides' errors over their size, about a fit of their own, held weakly to a mean. [kWh]"""
+    """Return the variance of the errors of rides over their size, under a separate fit held weakly near a mean.
+
+    Parameters
+    ----------
+    sums : NormalEquations
+        Rides of one vehicle model.
+    mean : (p,) float
+        Coefficients near which the fit is held.
+    scale : (p,) float
+        Root mean square of the column of each term.
+
+    Returns
+    -------
+    float
+        Variance over size. [kWh]
+    """
     own = sums.gram + np.diag(scale**2)
     found = mean + np.linalg.solve(own, sums.cross - sums.gram @ mean)
     freedom = sums.rides - np.trace(np.linalg.solve(own, sums.gram))
@@ -142,7 +210,20 @@ def estimate_noise(sums: NormalEquations, mean: Floats, scale: Floats) -> float:
 
 
 def estimate_common_noise(groups: Sequence[NormalEquations], mean: Floats) -> float:
-    """Return the noise of a vehicle model that is not known: the mean of the others, each with the same say. [kWh]"""
+    """Return the noise of an unknown vehicle model: the unweighted mean over the known ones.
+
+    Parameters
+    ----------
+    groups : sequence of NormalEquations
+        One per vehicle model.
+    mean : (p,) float
+        Common mean of the coefficients.
+
+    Returns
+    -------
+    float
+        Variance of the error of a ride over its size. [kWh]
+    """
     scale = compute_column_scale(groups)
     return float(np.mean([estimate_noise(sums, mean, scale) for sums in groups]))
 
@@ -150,7 +231,26 @@ def estimate_common_noise(groups: Sequence[NormalEquations], mean: Floats) -> fl
 def build_covariance(
     mean: Floats, scale: Floats, blocks: Sequence[NDArray[np.bool_]], apart: float, factors: Sequence[float]
 ) -> Floats:
-    """Return the spread between vehicle models: of each coefficient by itself, and of each block by a factor."""
+    """Return the covariance between vehicle models: separate spreads, and a common factor of each block.
+
+    Parameters
+    ----------
+    mean : (p,) float
+        Common mean of the coefficients.
+    scale : (p,) float
+        Root mean square of the column of each term.
+    blocks : sequence of (p,) bool
+        Terms that share a factor.
+    apart : float
+        Separate spread of each coefficient, times its scale. [kWh]
+    factors : sequence of float
+        Spread of the factor of each block. [1]
+
+    Returns
+    -------
+    (p, p) float
+        Covariance of the coefficients.
+    """
     spread = np.diag((apart / scale) ** 2)
     for block, factor in zip(blocks, factors, strict=True):
         own = np.where(block, mean, 0.0)
@@ -159,7 +259,22 @@ def build_covariance(
 
 
 def compute_posterior(prior: Prior, sums: NormalEquations) -> tuple[Floats, Floats]:
-    """Return the mean and the covariance of the coefficients of a vehicle model whose rides were seen."""
+    """Return the posterior of the coefficients of a vehicle model, given its rides.
+
+    Parameters
+    ----------
+    prior : Prior
+        Mean, covariance and noise before the rides.
+    sums : NormalEquations
+        Rides of the vehicle model.
+
+    Returns
+    -------
+    mean : (p,) float
+        Posterior mean of the coefficients.
+    covariance : (p, p) float
+        Posterior covariance of the coefficients.
+    """
     inverse = np.linalg.inv(prior.covariance)
     information = (inverse + inverse.T) / 2.0 + sums.gram / prior.noise
     covariance = np.linalg.inv(information)
@@ -168,12 +283,40 @@ def compute_posterior(prior: Prior, sums: NormalEquations) -> tuple[Floats, Floa
 
 
 def compute_early_posterior(prior: Prior, sums: NormalEquations) -> tuple[Floats, Floats]:
-    """Return the same of a vehicle model of which the first rides were seen, whose errors are alike."""
+    """Return the posterior given the first rides of a vehicle model, whose errors are correlated.
+
+    Parameters
+    ----------
+    prior : Prior
+        Mean, covariance and noise before the rides; `EARLY_NOISE_FACTOR` multiplies the noise.
+    sums : NormalEquations
+        First rides of the vehicle model.
+
+    Returns
+    -------
+    mean : (p,) float
+        Posterior mean of the coefficients.
+    covariance : (p, p) float
+        Posterior covariance of the coefficients.
+    """
     return compute_posterior(prior._replace(noise=prior.noise * EARLY_NOISE_FACTOR), sums)
 
 
 def compute_log_evidence(prior: Prior, sums: NormalEquations) -> float:
-    """Return the logarithm of the probability that a prior gives to rides, but for what is the same for all priors."""
+    """Return the logarithm of the probability of rides under a prior, up to a constant common to all priors.
+
+    Parameters
+    ----------
+    prior : Prior
+        Prior to compare with others of the same noise.
+    sums : NormalEquations
+        Rides of the vehicle model.
+
+    Returns
+    -------
+    float
+        Logarithm of the evidence, up to the constant. [1]
+    """
     residual = sums.cross - sums.gram @ prior.mean
     _, covariance = compute_posterior(prior, sums)
     fit = sums.left(prior.mean) / prior.noise - residual @ covariance @ residual / prior.noise**2
@@ -184,16 +327,21 @@ def compute_log_evidence(prior: Prior, sums: NormalEquations) -> float:
 def estimate_prior(
     groups: Mapping[str, NormalEquations], physics: Floats, blocks: Sequence[NDArray[np.bool_]]
 ) -> Prior:
-    """Return what vehicle models have in common, and how far a new one will be from it.
+    """Return the common mean of vehicle models, and the expected distance of a new vehicle model from it.
 
     Parameters
     ----------
-    groups : mapping of str to Sums
-        By vehicle model; at least one.
+    groups : mapping of str to NormalEquations
+        Rides by vehicle model; at least one.
     physics : (p,) float
-        Coefficients that physics has.
+        Physical values of the coefficients.
     blocks : sequence of (p,) bool
         Terms that share a factor: drive, climate.
+
+    Returns
+    -------
+    Prior
+        Prior of the coefficients of a new vehicle model.
     """
     every = list(groups.values())
     mean = compute_common_mean(every, physics)
@@ -206,11 +354,11 @@ def estimate_prior(
 def _spreads(
     groups: Sequence[NormalEquations], physics: Floats, blocks: Sequence[NDArray[np.bool_]], scale: Floats, noise: float
 ) -> tuple[float, ...]:
-    """Return the spreads that make most probable what is seen of each vehicle model, from the mean of the others."""
+    """Return the spreads with the largest probability of each vehicle model's rides, given the mean of the others."""
     if len(groups) < 2:
         return EXPECTED_SPREADS
     means = [compute_common_mean([other for other in groups if other is not own], physics) for own in groups]
-    farther = 1.0 + 1.0 / (len(groups) - 1)  # the mean of the others is itself off
+    farther = 1.0 + 1.0 / (len(groups) - 1)  # the mean of the others is uncertain itself
 
     def probability(spreads: tuple[float, ...]) -> float:
         told = -0.5 * sum(
@@ -227,21 +375,21 @@ def _spreads(
 def estimate_car_factors(
     vehicles: NDArray[np.object_], predicted: Floats, energy: Floats, size: Floats, noise: float
 ) -> dict[str, float]:
-    """Return each car's factor on predictions, shrunk towards 1 as it is uncertain.
+    """Return the factor of each car on predictions, shrunk towards 1 according to its uncertainty.
 
     Parameters
     ----------
     vehicles : (n,) str
-        Whose ride it is; all of one vehicle model.
+        Car of each ride; all cars are of one vehicle model.
     predicted, energy, size : (n,) float
-        [kWh]
+        Predicted, measured and approximate energy. [kWh]
     noise : float
-        Variance of a ride's error over its size. [kWh]
+        Variance of the error of a ride over its size. [kWh]
 
     Returns
     -------
     dict of str to float
-        None where cars do not differ by more than chance.
+        Factor by car; empty where cars do not differ by more than chance. [1]
     """
     names, car = np.unique(vehicles.astype(str), return_inverse=True)
     weight = np.maximum(np.bincount(car, predicted**2 / (noise * size), len(names)), 1e-12)

@@ -1,9 +1,11 @@
-"""Recipes past the paper: hybrids that are pooled across vehicle models and cars, with trees for what is left.
+"""Fit recipes beyond the paper: hybrids that are pooled across vehicle models and cars, with trees for the residual.
 
-The terms are physical ones by sign (what is paid uphill does not come back downhill), what the paper's models do not
-tell of (a cabin that has cooled down while parked, the sun, doors, a full or frozen battery), and the odometer. They
-are scaled by the catalogue's figures of the car, so that their coefficients carry over to a vehicle model never seen.
-Of those `accessory_scale` is an estimate, for some cars from drives of their own.
+The terms are physical terms by sign, because regeneration downhill does not return the whole energy spent uphill. They
+include phenomena that the models of the paper omit: a cabin that has cooled down while parked, the sun, doors, a full
+or frozen battery. They also include the odometer.
+
+The figures of the car from the catalogue scale the terms, so that their coefficients apply to an unseen vehicle model.
+One of these figures, `accessory_scale`, is an estimate, for some cars from their own drives.
 """
 
 from collections.abc import Iterator
@@ -41,26 +43,28 @@ SIZE_COLUMN: Final = "size_kwh"
 EFFICIENCY: Final = 1.2
 """Energy out of the battery over energy at the wheels. Estimated: 83 % from battery to wheel."""
 REGENERATION: Final = 0.7
-"""Energy into the battery over energy given back at the wheels. Estimated: 83 % again, and some friction braking."""
+"""Energy into the battery over energy returned at the wheels. Estimated: 83 % again, less some friction braking."""
 LEAST_TREE_RIDES: Final = 400
-"""Rides of a vehicle model for trees of its own."""
+"""Fewest rides of a vehicle model for its own trees."""
 LEAST_POOLED_RIDES: Final = 10
-"""Rides that a fit needs; fewer can be told to a model that there is, with `adapt`."""
+"""Fewest rides for a fit; `adapt` applies fewer rides to an existing model."""
 _FOLDS: Final = 3
-"""Parts of the rides that are kept back in turn, for the interval."""
+"""Number of parts of the rides that the calibration of the interval holds out in turn."""
 
 
 class SharedTerm(NamedTuple):
-    """A term whose coefficient vehicle models share in part.
+    """Describe a term whose coefficient is partially pooled across vehicle models.
 
     Parameters
     ----------
     name : str
+        Name of the term.
     columns : tuple of str
+        Columns whose product is the term.
     physics : float
-        What the coefficient is by physics, 0 where that does not tell.
+        Physical value of the coefficient, 0 where physics does not determine it.
     climate : bool
-        It shares the factor of the climate, else that of the drive.
+        Whether the coefficient shares the factor of the climate; otherwise it shares that of the drive.
     """
 
     name: str
@@ -102,8 +106,11 @@ SHARED_TERMS: Final = (
     SharedTerm("constant power, by odometer", ("effect_auxiliary", "odometer_km"), climate=True),
     SharedTerm("heating, by odometer", ("duration_s", *_COLD, "odometer_km"), climate=True),
 )
-"""Terms of the pooled recipes. Drag is there in still and in moving air: the wind of a weather station is not that of
-the street. Temperatures and the odometer stand for what a battery yields, and for tyres."""
+"""Terms of the pooled recipes.
+
+Drag appears in still and in moving air, because the wind at a weather station differs from the wind in the street.
+Temperatures and the odometer represent the yield of the battery, and the tyres.
+"""
 
 TREE_FEATURES: Final = (
     "ambient_c",
@@ -126,11 +133,11 @@ TREE_FEATURES: Final = (
     "drag_per_km",
     "wind_drag_per_km",
 )
-"""What trees may ask about: conditions of a ride, not its length, so that they hold in the middle of one too."""
+"""Features of the trees: conditions of a ride, not its length, so that the trees also hold in the middle of a ride."""
 
 
 class _RideGroup(NamedTuple):
-    """Rides of one vehicle model, as its fit sees them; all (n, ...)."""
+    """Hold the rides of one vehicle model, as its fit uses them; all fields are (n, ...)."""
 
     design: Floats
     asked: Floats
@@ -141,7 +148,7 @@ class _RideGroup(NamedTuple):
     distance: Floats
 
     def sums(self) -> NormalEquations:
-        """Return their normal equations."""
+        """Return the normal equations of the rides."""
         return sum_normal_equations(self.design, self.energy, self.size)
 
     def rows(self, which: NDArray[np.bool_]) -> "_RideGroup":
@@ -150,12 +157,12 @@ class _RideGroup(NamedTuple):
         return _RideGroup(*columns)
 
     def held(self, error: Floats) -> HeldOutErrors:
-        """Return errors with what their scale depends on."""
+        """Return errors together with the columns on which their scale depends."""
         return HeldOutErrors(error, self.scale_terms, self.distance)
 
 
 class _VehicleModelFit(NamedTuple):
-    """What was learned of one vehicle model."""
+    """Hold the fitted parts of one vehicle model."""
 
     prior: Prior
     coefficients: Floats
@@ -174,20 +181,24 @@ class _VehicleModelFit(NamedTuple):
 
 @dataclass(frozen=True)
 class PooledRecipe:
-    """A recipe whose coefficients are pooled across vehicle models, and that can learn a new one from few rides.
+    """Fit coefficients pooled across vehicle models, and adapt them to a new vehicle model from few rides.
 
     In its models the covariance of the fit `*` is the spread between vehicle models: that of a new one about the mean.
 
     Parameters
     ----------
     name, title : str
-    shared : tuple of Shared
+        Name in code and files, and title for people.
+    shared : tuple of SharedTerm
+        Terms of the model.
     cars : bool
-        Each car has a factor of its own.
+        Whether each car has its own factor.
     trees : bool
-        Boosted trees correct what is left.
+        Whether boosted trees correct the residual.
     note : str
-        What a reader should know.
+        Remark for readers.
+    free : bool
+        False: `core.fit.fitting` leaves the coefficients at 1, as this class fits them itself.
     """
 
     name: str
@@ -200,23 +211,28 @@ class PooledRecipe:
 
     @property
     def terms(self) -> tuple[Term, ...]:
-        """Terms of the model."""
+        """Return the terms of the model."""
         return tuple(Term(name=s.name, columns=s.columns, unit=derive_coefficient_unit(s.columns)) for s in self.shared)
 
     def fit(self, rides: pd.DataFrame, *, covariance: bool = True) -> LinearModel:
-        """Return a model fitted to the rides of a table that are fit for training, with an interval.
+        """Return a model with an interval, fitted to the rides of a table that are fit for training.
 
         Parameters
         ----------
         rides : DataFrame
-            A ride table.
+            Ride table.
         covariance : bool
-            Calibrate an interval too; without, a fit is faster. The covariance is there in any case.
+            Whether to calibrate an interval; a fit without it is faster. The model has a covariance in any case.
+
+        Returns
+        -------
+        LinearModel
+            Model with a fit for each vehicle model, and the fit `*` for unseen ones.
 
         Raises
         ------
         ModelError
-            Where a column is missing, or no ride can be trained on.
+            If a column is missing, or if too few rides can be used for training.
         """
         _check(self.name, rides, _raw(self.terms, TREE_FEATURES))
         with limit_to_one_thread():
@@ -254,17 +270,30 @@ class PooledRecipe:
         )
 
     def adapt(self, model: LinearModel, rides: pd.DataFrame) -> LinearModel:
-        """Return a model that was told of some rides, see `adapt`."""
+        """Return a model adapted to some rides, see the function `adapt`.
+
+        Parameters
+        ----------
+        model : LinearModel
+            Model of a recipe that pools.
+        rides : DataFrame
+            Ride table.
+
+        Returns
+        -------
+        LinearModel
+            Adapted model.
+        """
         return adapt(model, rides)
 
     def _prior(self, sums: dict[str, NormalEquations]) -> Prior:
-        """Return what the vehicle models have in common."""
+        """Return the prior that the vehicle models have in common."""
         climate = np.array([s.climate for s in self.shared])
         sums = {key: own for key, own in sums.items() if own.rides}
         return estimate_prior(sums, np.array([s.physics for s in self.shared]), (~climate, climate))
 
     def _learn(self, prior: Prior, rides: _RideGroup) -> _VehicleModelFit:
-        """Return what rides of one vehicle model tell of it."""
+        """Return the fit of one vehicle model, from its rides."""
         own = _own(prior, rides.sums())
         coefficients, covariance = compute_posterior(own, rides.sums())
         predicted = rides.design @ coefficients
@@ -278,7 +307,7 @@ class PooledRecipe:
         return _VehicleModelFit(own, coefficients, covariance, cars, trees)
 
     def _interval(self, groups: dict[str, _RideGroup], sums: dict[str, NormalEquations]) -> PredictionInterval | None:
-        """Return the interval that errors call for: on rides kept back, and on vehicle models kept back."""
+        """Return the interval that covers the errors on held-out rides and on held-out vehicle models."""
         errors = {key: np.empty(len(group.energy)) for key, group in groups.items()}
         part = {key: assign_folds(len(group.energy), _FOLDS) for key, group in groups.items()}
         for i in range(_FOLDS):
@@ -298,22 +327,27 @@ class PooledRecipe:
 
 
 def adapt(model: LinearModel, rides: pd.DataFrame) -> LinearModel:
-    """Return a model that was told of some rides of a vehicle model, known to it or not.
+    """Return a model adapted to rides of one or more vehicle models, known to the model or not.
 
-    What the model knew (of a new vehicle model: what all have in common, and how much they differ) is the prior, the
-    rides are the evidence, and the fit of their vehicle model becomes the posterior. Everything else stays.
+    The fit of a vehicle model becomes the posterior, given its rides. The prior is the existing fit; for a new vehicle
+    model it is the common mean with the spread between vehicle models. All other parts of the model stay unchanged.
 
     Parameters
     ----------
     model : LinearModel
-        Of a recipe that pools.
+        Model of a recipe that pools.
     rides : DataFrame
-        A ride table; of its rides those that are fit for training. None at all leaves the model as it is.
+        Ride table. Only the rides that are fit for training count; without any, the model stays as it is.
+
+    Returns
+    -------
+    LinearModel
+        Adapted model, whose history records the adaptation.
 
     Raises
     ------
     ModelError
-        Where the model cannot tell how sure it is, or a column is missing.
+        If the model has no covariance between vehicle models, or if a column is missing.
     """
     general = model.fits.get(ANY)
     if general is None or general.covariance is None or general.noise_kwh is None:
@@ -343,7 +377,7 @@ def adapt(model: LinearModel, rides: pd.DataFrame) -> LinearModel:
 
 
 def _linear_part(model: LinearModel, key: str, rides: pd.DataFrame, fills: dict[str, float]) -> _RideGroup:
-    """Return rides of a vehicle model, with the energy that the model's terms have to tell: without trees and cars."""
+    """Return rides with the energy that the terms have to explain: without the trees and the factors of cars."""
     group = _group(model.terms, rides, fills)
     energy = group.energy / _factors(model.cars, group.vehicles)
     trees = model.correction and (model.correction.get(key) or model.correction.get(ANY))
@@ -351,7 +385,7 @@ def _linear_part(model: LinearModel, key: str, rides: pd.DataFrame, fills: dict[
 
 
 def _raw(terms: tuple[Term, ...], asked: tuple[str, ...] = ()) -> list[str]:
-    """Return the columns of the ride table that terms, the size of a ride and what is asked are made of."""
+    """Return the columns of the ride table behind the terms, the size of a ride and the features of the trees."""
     read = [column for term in terms for column in term.columns]
     return list(
         dict.fromkeys(raw for column in (*read, SIZE_COLUMN, "distance_km", *asked) for raw in list_raw_columns(column))
@@ -359,13 +393,13 @@ def _raw(terms: tuple[Term, ...], asked: tuple[str, ...] = ()) -> list[str]:
 
 
 def _check(name: str, rides: pd.DataFrame, columns: list[str]) -> None:
-    """Refuse a table that lacks a column."""
+    """Raise ModelError if the table lacks a column."""
     if missing := [column for column in (*columns, ENERGY) if column not in rides]:
         raise ModelError(f"model {name}: column {missing[0]!r} is missing in the rides: make the tables anew")
 
 
 def _check_varies(name: str, groups: dict[str, _RideGroup]) -> None:
-    """Refuse rides that are too few, or of which nothing can be learned."""
+    """Raise ModelError if there are too few rides, or if their energy does not vary."""
     energy = np.concatenate([group.energy for group in groups.values()])
     if len(energy) < LEAST_POOLED_RIDES:
         raise ModelError(
@@ -379,7 +413,7 @@ def _check_varies(name: str, groups: dict[str, _RideGroup]) -> None:
 
 
 def _groups(model: LinearModel, rides: pd.DataFrame) -> Iterator[tuple[str, _RideGroup]]:
-    """Give the rides that can be trained on, by vehicle model."""
+    """Yield the trainable rides, by vehicle model."""
     good, _ = select_trainable(rides, [*_raw(model.terms, TREE_FEATURES), ENERGY])
     kinds = np.array(get_names(good, VEHICLE_MODEL), dtype=object)
     for key in sorted(set(kinds)):
@@ -390,7 +424,7 @@ def _groups(model: LinearModel, rides: pd.DataFrame) -> Iterator[tuple[str, _Rid
 def _group(
     terms: tuple[Term, ...], rides: pd.DataFrame, fills: dict[str, float], asked: tuple[str, ...] = ()
 ) -> _RideGroup:
-    """Return some rides as a fit sees them; trees see what is unknown as such."""
+    """Return rides as a fit uses them; unknown values stay NaN in the features of the trees."""
     filled, plain = Columns(rides, fills), Columns(rides)
     return _RideGroup(
         design=build_design(terms, filled, len(rides)),
@@ -404,12 +438,12 @@ def _group(
 
 
 def _factors(cars: dict[str, float], vehicles: NDArray[np.object_]) -> Floats:
-    """Return the factor of each ride's car, 1 where it has none."""
+    """Return the factor of the car of each ride, 1 where the car has none."""
     return np.array([cars.get(vehicle, 1.0) for vehicle in vehicles])
 
 
 def _own(prior: Prior, sums: NormalEquations) -> Prior:
-    """Return the prior with the noise of a vehicle model's own rides, where they are enough to tell it."""
+    """Return the prior with the noise of the vehicle model's own rides, where these are enough to estimate it."""
     if sums.rides < 2 * len(prior.mean):
         return prior
     scale = np.sqrt(np.maximum(np.diag(sums.gram) / sums.weight, 1e-12))
@@ -417,7 +451,7 @@ def _own(prior: Prior, sums: NormalEquations) -> Prior:
 
 
 def _fit(start: Fit, prior: Prior, mean: Floats, covariance: Floats, **changes: Any) -> Fit:
-    """Return what a model file holds of a fit."""
+    """Return a fit as a model file stores it."""
     found = msgspec.structs.replace(
         start,
         coefficients=tuple(mean.tolist()),
@@ -441,4 +475,4 @@ POOLED_RECIPES: Final = (
         note="the pooled one with a factor of each car, and boosted trees for what is left",
     ),
 )
-"""Recipes past the paper, to be chosen from by measurement."""
+"""Recipes beyond the paper, for selection by measurement."""

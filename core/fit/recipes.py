@@ -1,9 +1,10 @@
-"""Recipes: the models of the paper by name, each a list of terms and how they are fitted.
+"""List the recipes: the models of the paper by name, each with its terms and its method of fitting.
 
-Names are those of the paper, "Predicting Electric Vehicle Consumption: A Hybrid Physical-Empirical Model", section 4.
-All are fitted by ordinary least squares, for each vehicle model and, for every other one, over all rides together.
-Terms that are collinear by construction (winter and summer, the histogram and the distance, the rolling resistance of a
-car whose load is not known and the distance) share what they explain: see `core.fit.regression`.
+The names are those of the paper, "Predicting Electric Vehicle Consumption: A Hybrid Physical-Empirical Model",
+section 4. Ordinary least squares fits each recipe for every vehicle model, and over all rides together for the others.
+
+Some terms are collinear by construction: winter and summer, the histogram and the distance, and, for a car of unknown
+load, the rolling resistance and the distance. Such terms share the explained energy, see `core.fit.regression`.
 """
 
 from collections.abc import Mapping
@@ -24,38 +25,53 @@ from core.models import BASIC_TERMS, LinearModel, Term, make_physical_term
 from core.models.features import ACCESSORIES_COLUMN, FEATURES, derive_coefficient_unit
 
 INTERVAL_RIDES: Final = 20_000
-"""Rides that are enough to tell how far off predictions are."""
+"""Number of rides that suffices for the calibration of an interval."""
 
 
 class Recipe(Protocol):
-    """How to come from a ride table to a model."""
+    """Fit a model to a ride table."""
 
     @property
     def name(self) -> str:
-        """In code and files."""
+        """Return the name in code and files."""
 
     @property
     def title(self) -> str:
-        """As the paper has it, for people."""
+        """Return the title for people, as in the paper."""
 
     def fit(self, rides: pd.DataFrame, *, covariance: bool = True) -> LinearModel:
-        """Return a model fitted to the rides of a table that are fit for training."""
+        """Return a model fitted to the rides of a table that are fit for training.
+
+        Parameters
+        ----------
+        rides : DataFrame
+            Ride table.
+        covariance : bool
+            Whether to compute the uncertainty too; a fit without it is faster.
+
+        Returns
+        -------
+        LinearModel
+            Fitted model.
+        """
 
 
 @dataclass(frozen=True)
 class LinearRecipe:
-    """A recipe whose coefficients are found by least squares.
+    """Fit coefficients by least squares.
 
     Parameters
     ----------
     name, title : str
+        Name in code and files, and title for people.
     terms : tuple of Term
+        Terms of the model.
     free : bool
-        Whether coefficients are fitted; else each is 1, as physics has it.
+        Whether coefficients are fitted; otherwise each has its physical value 1.
     note : str
-        What a reader should know.
+        Remark for readers.
     by_windows : bool
-        Whether `socast fit` gives it windows in place of rides: they tell speeding up from slowing.
+        Whether `socast fit` fits windows in place of rides: windows distinguish speeding up from slowing.
     """
 
     name: str
@@ -68,15 +84,35 @@ class LinearRecipe:
     def fit(self, rides: pd.DataFrame, *, covariance: bool = True) -> LinearModel:
         """Return a model fitted to the rides of a table that are fit for training, see `core.fit.fitting`.
 
-        With the covariance, the model has an interval too.
+        Parameters
+        ----------
+        rides : DataFrame
+            Ride table.
+        covariance : bool
+            Whether to compute the covariance and calibrate an interval; a fit without them is faster.
+
+        Returns
+        -------
+        LinearModel
+            Fitted model.
         """
         model = fit_terms(self, RideFrame(rides), covariance=covariance)
         return add_interval(model, rides, fitted=self.free) if covariance else model
 
     def fit_parquet(self, *paths: str | Path, covariance: bool = True) -> LinearModel:
-        """Return a model fitted to Parquet files of rides, in memory that does not grow with them.
+        """Return a model fitted to Parquet files of rides, in memory that does not grow with the number of rides.
 
-        With the covariance, the model has an interval too, calibrated on at most `INTERVAL_RIDES` of them.
+        Parameters
+        ----------
+        *paths : str or Path
+            Parquet files of rides.
+        covariance : bool
+            Whether to compute the covariance, and to calibrate an interval on at most `INTERVAL_RIDES` rides.
+
+        Returns
+        -------
+        LinearModel
+            Fitted model.
         """
         rides = RideParquet(tuple(Path(path) for path in paths))
         model = fit_terms(self, rides, covariance=covariance)
@@ -87,7 +123,17 @@ class LinearRecipe:
 
 
 def make_term(*columns: str) -> Term:
-    """Return the term that is a product of columns, named for them.
+    """Return the term that is a product of columns, with a name made from their names.
+
+    Parameters
+    ----------
+    *columns : str
+        Columns of the product; none for a constant.
+
+    Returns
+    -------
+    Term
+        Term with the unit of its coefficient.
 
     Examples
     --------
@@ -99,7 +145,20 @@ def make_term(*columns: str) -> Term:
 
 
 def make_product(one: str, other: Term) -> Term:
-    """Return the interaction of a column with a term."""
+    """Return the interaction of a column with a term.
+
+    Parameters
+    ----------
+    one : str
+        Name of the column.
+    other : Term
+        Term to multiply by the column.
+
+    Returns
+    -------
+    Term
+        Product of both, with the unit of its coefficient.
+    """
     columns = (one, *other.columns)
     return Term(name=f"{one} * {other.name}", columns=columns, unit=derive_coefficient_unit(columns))
 
@@ -115,7 +174,7 @@ FITTED_TERMS: Final = (
 )
 """Terms of eq. (2), in its order: distance, air with wind, acceleration, height, accessories over time."""
 BASIC_PART: Final = FITTED_TERMS[:-1]
-"""Of those, the terms of the basic physical model."""
+"""Terms of eq. (2) that form the basic physical model."""
 
 ROAD_LOAD_TERMS: Final = (
     make_physical_term("rolling", ("effect_rolling", "rolling_resistance")),
@@ -125,7 +184,7 @@ ROAD_LOAD_TERMS: Final = (
     make_physical_term("inertia_negative", ("effect_inertia_negative",)),
     make_physical_term("braking", ("effect_braking",)),
 )
-"""The base of diagnosis but for the accessories: standard air, no wind, kinetic energy and braking by sign."""
+"""Base terms of the diagnosis without the accessories: standard air, no wind, kinetic energy and braking by sign."""
 
 HISTOGRAM_COLUMNS: Final = tuple(name for name in FEATURES if name.startswith("speed_"))
 EMPIRICAL_TERMS: Final = tuple(
@@ -150,16 +209,16 @@ EMPIRICAL_TERMS: Final = tuple(
         *HISTOGRAM_COLUMNS,
     )
 )
-"""Table 1 of the paper, without names, dates and places, and without the ending SOC, which holds the answer.
+"""Terms of Table 1 of the paper, without names, dates and places, and without the ending SOC, which holds the answer.
 
-The wind's direction is its cosine and sine, as 359 and 1 degree are neighbours.
+The direction of the wind enters as its cosine and sine, as 359 and 1 degree are neighbours.
 """
 SQUARES: Final = tuple(make_term(*t.columns, *t.columns) for t in EMPIRICAL_TERMS if t.name not in {"winter", "summer"})
-"""The square of each empirical term; those of winter and summer, 0 or 1, would be themselves."""
+"""Square of each empirical term, except winter and summer, which are 0 or 1 and equal their squares."""
 SPEED_PRODUCTS: Final = tuple(
     make_term("average_speed_kmh", other) for other in ("lost_m", "odometer_km", "distance_km", "winter", "summer")
 )
-"""Average speed times five others, section 4.6.1."""
+"""Products of the average speed with five other columns, section 4.6.1."""
 HYBRID_TERMS: Final = (*FITTED_TERMS, *EMPIRICAL_TERMS)
 HYBRID_PRODUCTS: Final = (
     *(make_product("odometer_km", other) for other in FITTED_TERMS),
@@ -215,16 +274,26 @@ RECIPES: Final[Mapping[str, Recipe]] = MappingProxyType(
         )
     }
 )
-"""Recipes by name, in the paper's order, then those past it."""
+"""Recipes by name: those of the paper in its order, then those beyond the paper."""
 
 
 def get_recipe(name: str) -> Recipe:
     """Return a recipe by name.
 
+    Parameters
+    ----------
+    name : str
+        Name of the recipe, a key of `RECIPES`.
+
+    Returns
+    -------
+    Recipe
+        Recipe of that name.
+
     Raises
     ------
     ModelError
-        Where there is none of that name.
+        If no recipe has that name.
     """
     found = RECIPES.get(name)
     if found is None:

@@ -1,19 +1,20 @@
-"""Least squares from moments that are added up block by block, so that memory does not grow with the number of rides.
+"""Solve least squares from moments summed block by block, so that memory does not grow with the number of rides.
 
-Moments are means and centred sums of products, merged block by block [1]_, which loses no digits to large means as
-plain sums of products do. The normal equations are solved in standardised columns by their eigenvectors, leaving out
-those along which the columns hardly vary (`CUTOFF`): the least-squares solution of minimum norm. So columns that are
-collinear by construction (winter + summer = 1, a histogram that sums to the distance) share what they explain in
-equal parts instead of growing against each other without limit; predictions are those of any other solution, as the
-directions that are left out do not vary in the data.
+Moments are means and centred sums of products, merged block by block [1]_. Large means cost them no digits, unlike
+plain sums of products. The eigenvectors of the normal equations in standardised columns yield the solution. The solver
+omits eigenvectors along which the columns hardly vary (`CUTOFF`): the least-squares solution of minimum norm.
+
+Columns that are collinear by construction therefore share the explained part equally and do not grow against each other
+without limit. Examples are winter + summer = 1, and a histogram that sums to the distance. The predictions equal those
+of any other solution, because the omitted directions do not vary in the data.
 
 References
 ----------
 .. [1] Chan, Golub, LeVeque 1983, The American Statistician 37:242, DOI 10.1080/00031305.1983.10483115, eq. (2.1).
 .. [2] Liang, Zeger 1986, Biometrika 73:13, DOI 10.1093/biomet/73.1.13: the cluster-robust covariance.
 .. [3] MacKinnon, White 1985, J. Econometrics 29:305, DOI 10.1016/0304-4076(85)90158-7: HC3. A few long and fast rides
-   tell most of the drag, and the fit follows them: without dividing their residuals by 1 - leverage the covariance of
-   its coefficient comes out at less than half.
+   determine most of the drag, and the fit follows them. Without the division of their residuals by 1 - leverage, the
+   covariance of the coefficient of drag comes out at less than half.
 """
 
 from collections.abc import Sequence
@@ -28,22 +29,23 @@ from core.batch import Floats, Ints
 CUTOFF: Final = 1e-4
 """Variance of a combination of standardised columns below which they count as collinear: a hundredth of their spread.
 
-Below it lie what is collinear by construction (rounding leaves 1e-14) and what is so but for rounding and the cosine of
-the grade: rolling resistance against the distance of a car whose load is not known (1e-5), climbing against gained and
-lost altitude (1e-6 to 1e-3). Above 3e-4 come products and squares of speed and distance, which tell something.
+Columns that are collinear by construction lie below it; rounding leaves 1e-14. So do columns that are collinear except
+for rounding and the cosine of the grade. Examples are rolling resistance against the distance of a car of unknown load
+(1e-5), and climbing against gained and lost altitude (1e-6 to 1e-3). Products and squares of speed and distance carry
+information and lie above 3e-4.
 """
 NO_VARIATION: Final = 1e-9
 """Standard deviation over root mean square below which a column does not vary."""
 GROUPS: Final = 2048
-"""Groups into which clusters are hashed: a few clusters in one group are still one cluster, only a larger one."""
+"""Number of groups into which clusters are hashed. Clusters that share a group form one larger cluster."""
 _MOST_LEVERAGE: Final = 0.95
-"""The most leverage that is believed: a ride that is a group of its own and tells a coefficient alone has 1."""
+"""Upper limit of the leverage. A ride that alone forms a group and alone determines a coefficient has leverage 1."""
 LEAST_GROUPS: Final = 30
-"""Fewer groups than this cannot tell a covariance; then it is the classical one."""
+"""Fewest groups for the cluster-robust covariance; with fewer, the covariance is the classical one."""
 
 
 class Moments:
-    """Means of columns and their centred sums of products, of all rows added so far.
+    """Accumulate the means of columns and their centred sums of products over the added rows.
 
     Parameters
     ----------
@@ -62,6 +64,7 @@ class Moments:
         Parameters
         ----------
         block : (n, width) float
+            Rows to add.
         """
         if not len(block):
             return
@@ -73,7 +76,13 @@ class Moments:
         self.merge(other)
 
     def merge(self, other: "Moments") -> None:
-        """Add the rows that another has added."""
+        """Add the rows of other moments.
+
+        Parameters
+        ----------
+        other : Moments
+            Moments of the same columns.
+        """
         rows = self.rows + other.rows
         if not rows:
             return
@@ -83,11 +92,33 @@ class Moments:
         self.rows = rows
 
     def sums(self, *, centred: bool) -> Floats:
-        """Return sums of products, about the means or as they are."""
+        """Return the sums of products.
+
+        Parameters
+        ----------
+        centred : bool
+            Whether the columns are taken about their means.
+
+        Returns
+        -------
+        (width, width) float
+            Sums of products of each two columns.
+        """
         return self.scatter if centred else self.scatter + self.rows * np.outer(self.mean, self.mean)
 
     def only(self, columns: Sequence[int]) -> "Moments":
-        """Return the moments of some columns, in that order."""
+        """Return the moments of some columns.
+
+        Parameters
+        ----------
+        columns : sequence of int
+            Positions of the columns, in the order of the result.
+
+        Returns
+        -------
+        Moments
+            Moments of these columns over the same rows.
+        """
         part = Moments(0)
         part.rows, part.mean = self.rows, self.mean[list(columns)]
         part.scatter = self.scatter[np.ix_(columns, columns)]
@@ -96,21 +127,22 @@ class Moments:
 
 @dataclass(frozen=True)
 class Solution:
-    """Least squares of a column on others.
+    """Hold the least-squares fit of one column on others.
 
     Parameters
     ----------
     coefficients : (p,) float
-        Without the constant.
+        Coefficients without the constant.
     constant : float, optional
-        None where none was asked for.
+        None for a fit without a constant.
     rank : int
-        Directions that were solved for, the constant apart.
+        Number of directions in the solution, without the constant.
     residual : float
         Sum of squared residuals.
     rows : int
+        Number of rows.
     weight : (p,) float
-        What was added to the diagonal of the normal equations.
+        Weights added to the diagonal of the normal equations.
     """
 
     coefficients: Floats
@@ -122,27 +154,32 @@ class Solution:
 
     @property
     def freedom(self) -> int:
-        """Degrees of freedom that are left."""
+        """Return the degrees of freedom of the residuals."""
         return self.rows - self.rank - (self.constant is not None)
 
     @property
     def variance(self) -> float:
-        """Variance of what is left, NaN where no freedom is."""
+        """Return the variance of the residuals, NaN without degrees of freedom."""
         return self.residual / self.freedom if self.freedom > 0 else np.nan
 
 
 def solve(moments: Moments, *, constant: bool, weight: Floats | None = None, toward: Floats | None = None) -> Solution:
-    """Return the least squares of the last column on the others, of minimum norm in standardised columns.
+    """Return the least-squares fit of the last column on the others, of minimum norm in standardised columns.
 
     Parameters
     ----------
     moments : Moments
-        Of p columns and, last, of what is to be explained.
+        Moments of p columns and, last, of the column to explain.
     constant : bool
-        Fit a constant beside them.
+        Whether to fit a constant too.
     weight, toward : (p,) float, optional
-        Least squares with `weight (coefficient - toward)^2` added to the sum of squares; none for ordinary least
-        squares. An observation of the coefficient with variance v weighs s^2 / v, s^2 the variance of what is left.
+        Penalty `weight (coefficient - toward)^2` on the sum of squares; without it, ordinary least squares. An
+        observation of the coefficient with variance v has the weight s^2 / v, where s^2 is the residual variance.
+
+    Returns
+    -------
+    Solution
+        Coefficients, and the sum of squared residuals.
     """
     p = len(moments.mean) - 1
     weight = np.zeros(p) if weight is None else weight
@@ -157,13 +194,22 @@ def solve(moments: Moments, *, constant: bool, weight: Floats | None = None, tow
 
 
 def compute_pseudo_inverse(gram: Floats, size: Floats) -> tuple[Floats, int]:
-    """Return the inverse of sums of products over the directions that carry information, and their number.
+    """Return the inverse of sums of products over the directions that carry information.
 
     Parameters
     ----------
     gram : (p, p) float
+        Sums of products of the columns.
     size : (p,) float
-        Of each column's mean, in the scale of the root of `gram`'s diagonal: what is small against it is rounding.
+        Size of the mean of each column, in the scale of the root of the diagonal of `gram`. A root that is small
+        relative to it is rounding.
+
+    Returns
+    -------
+    inverse : (p, p) float
+        Pseudo-inverse of `gram`.
+    rank : int
+        Number of directions that carry information.
     """
     scale = np.sqrt(np.maximum(np.diag(gram), 0.0))
     varies = np.flatnonzero(scale > NO_VARIATION * np.hypot(scale, size))
@@ -179,17 +225,17 @@ def compute_pseudo_inverse(gram: Floats, size: Floats) -> tuple[Floats, int]:
 
 
 class Influence:
-    """How much each ride's residual moves the coefficients, and so the covariance of those.
+    """Compute the influence of the residual of each ride on the coefficients, and from it their covariance.
 
     Parameters
     ----------
     moments : Moments
-        Of p columns, of q nuisance columns whose coefficients are of no interest but were found too, and of what was
-        explained, last.
+        Moments of p columns, of q nuisance columns and, last, of the explained column. The fit also determines the
+        coefficients of the nuisance columns, which are of no interest.
     solution : Solution
-        For the p columns.
+        Fit on the p columns.
     beside : int, optional
-        The column to which nuisance columns are made orthogonal first, so that its coefficient stays identified.
+        Column to which the nuisance columns are made orthogonal first, so that its coefficient stays identified.
     """
 
     def __init__(self, moments: Moments, solution: Solution, beside: int | None = None) -> None:
@@ -216,11 +262,17 @@ class Influence:
         self._half = mix @ _root(inverse)
 
     def leverage(self, columns: Floats) -> Floats:
-        """Return how much of each ride's residual the fit takes up, 0 to 1.
+        """Return the leverage of each ride: the share of its residual that the fit absorbs.
 
         Parameters
         ----------
         columns : (n, p + q) float
+            Columns of the rides, the nuisance columns included.
+
+        Returns
+        -------
+        (n,) float
+            0 to 0.95. [1]
         """
         taken = (((columns - self.mean) @ self._half) ** 2).sum(axis=1)
         if self.solution.constant is not None:
@@ -228,23 +280,28 @@ class Influence:
         return np.clip(taken, 0.0, _MOST_LEVERAGE)
 
     def classical(self) -> Floats:
-        """Return the covariance of (coefficients, constant) where errors are independent and alike."""
+        """Return the covariance of (coefficients, constant) for independent errors of equal variance."""
         return (self._change @ self._meat @ self._change.T + self._pulled) * self.solution.variance
 
     def robust(self, scores: "ClusterScores") -> Floats:
-        """Return the covariance of (coefficients, constant) where errors depend on each other within groups [2]_.
+        """Return the covariance of (coefficients, constant) for errors that are correlated within groups [2]_.
 
         Parameters
         ----------
-        scores : Scores
-            Of residuals over one minus leverage [3]_.
+        scores : ClusterScores
+            Scores of the residuals over one minus leverage [3]_.
+
+        Returns
+        -------
+        (p + constant, p + constant) float
+            Cluster-robust covariance.
         """
         half = self._change @ scores.sums.T
         return half @ half.T * (scores.groups / (scores.groups - 1)) + self._pulled * self.solution.variance
 
 
 def _root(matrix: Floats) -> Floats:
-    """Return a matrix that, times its transpose, is this symmetric one."""
+    """Return a matrix whose product with its transpose is this symmetric matrix."""
     scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     by = np.where(scale > 0.0, scale, 1.0)
     values, vectors = np.linalg.eigh(matrix / np.outer(by, by))
@@ -252,14 +309,14 @@ def _root(matrix: Floats) -> Floats:
 
 
 class ClusterScores:
-    """Sums over groups of rows of each column times the residual: what a cluster-robust covariance is made of.
+    """Sum each column times the residual over groups of rows, for a cluster-robust covariance.
 
     Parameters
     ----------
     mean : (p,) float
-        What columns are taken about.
+        Means about which the columns are taken.
     constant : bool
-        Sum up the residual itself too.
+        Whether to sum the residual itself too.
     """
 
     def __init__(self, mean: Floats, *, constant: bool) -> None:
@@ -270,7 +327,7 @@ class ClusterScores:
 
     @property
     def groups(self) -> int:
-        """Groups that have rows."""
+        """Return the number of groups that have rows."""
         return int(self._seen.sum())
 
     def add(self, columns: Floats, residual: Floats, group: Ints) -> None:
@@ -279,9 +336,11 @@ class ClusterScores:
         Parameters
         ----------
         columns : (n, p) float
+            Columns of the rows.
         residual : (n,) float
+            Residuals of the rows.
         group : (n,) int
-            As `grouped` returns it.
+            Groups as `assign_groups` returns them.
         """
         p = columns.shape[1]
         order = np.argsort(group, kind="stable")
@@ -294,7 +353,18 @@ class ClusterScores:
 
 
 def assign_groups(vehicles: Sequence[str], dates: Sequence[str]) -> Ints:
-    """Return the group of each ride: rides of one vehicle on one day are always in the same."""
+    """Return the group of each ride; rides of one vehicle on one day always share a group.
+
+    Parameters
+    ----------
+    vehicles, dates : sequence of n str
+        Vehicle and date of each ride.
+
+    Returns
+    -------
+    (n,) int64
+        Group, from 0 to `GROUPS` - 1.
+    """
     keys = [f"{vehicle}/{date}" for vehicle, date in zip(vehicles, dates, strict=True)]
     group = {key: crc32(key.encode()) % GROUPS for key in set(keys)}
     return np.array([group[key] for key in keys], dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Ride tables a block at a time, from memory or from Parquet files, and which of their rides can be trained on."""
+"""Read ride tables block by block, from memory or from Parquet files, and select the rides for training."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -18,32 +18,48 @@ from core.vehicles.fleet import CarParameters
 
 ENERGY: Final = "energy_kwh"
 _BLOCK: Final = 8192
-"""Rides at a time."""
+"""Rides in a block."""
 OPTIONAL: Final = ("fit_for_training", "unfit_reason", "vehicle_model", "vehicle_id", "date")
-"""Columns that are read where they are there: which rides to leave out, and how to group the others."""
+"""Columns that are read where present: they tell which rides to leave out and how to group the others."""
 
 
 class RideSource(Protocol):
-    """A ride table that can be gone through any number of times."""
+    """Iterate over a ride table, any number of times."""
 
     def blocks(self, columns: Sequence[str]) -> Iterator[pd.DataFrame]:
-        """Give its rows in order, some at a time, with these columns and those of `OPTIONAL` that are there.
+        """Yield the rows in order, one block at a time.
+
+        Parameters
+        ----------
+        columns : sequence of str
+            Columns to read, besides those of `OPTIONAL` that are present.
+
+        Yields
+        ------
+        DataFrame
+            Next rows of the table.
 
         Raises
         ------
         ModelError
-            Where one of the columns is absent.
+            If one of the columns is absent.
         """
 
 
 @dataclass(frozen=True)
 class RideFrame:
-    """A ride table in memory."""
+    """Iterate over a ride table in memory.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Ride table.
+    """
 
     table: pd.DataFrame
 
     def blocks(self, columns: Sequence[str]) -> Iterator[pd.DataFrame]:
-        """Give its rows, see `Rides`."""
+        """Yield the rows in blocks, see `RideSource.blocks`."""
         names = _present(columns, self.table.columns, "the ride table")
         for start in range(0, len(self.table), _BLOCK):
             yield self.table.iloc[start : start + _BLOCK][names]
@@ -51,32 +67,55 @@ class RideFrame:
 
 @dataclass(frozen=True)
 class RideParquet:
-    """A ride table in Parquet files, read by row groups."""
+    """Iterate over a ride table in Parquet files, read in batches.
+
+    Parameters
+    ----------
+    paths : tuple of Path
+        Files of the table, in order.
+    """
 
     paths: tuple[Path, ...]
 
     def blocks(self, columns: Sequence[str]) -> Iterator[pd.DataFrame]:
-        """Give its rows, see `Rides`."""
+        """Yield the rows in blocks, see `RideSource.blocks`."""
         for path in self.paths:
             yield from _read(path, columns)
 
     def table(self) -> pd.DataFrame:
-        """Return all of it, for what needs it in memory.
+        """Return the whole table in memory.
+
+        Returns
+        -------
+        DataFrame
+            All rows and columns.
 
         Raises
         ------
         ModelError
-            Where a file cannot be read.
+            If a file cannot be read.
         """
         return pd.concat([block for path in self.paths for block in _read(path, None)], ignore_index=True)
 
     def thinned(self, most: int, columns: Sequence[str]) -> pd.DataFrame:
-        """Return every k-th ride, with k such that there are at most so many of them, and those columns that are there.
+        """Return every k-th ride of the table, with the smallest k that respects a limit.
+
+        Parameters
+        ----------
+        most : int
+            Largest number of rides to return.
+        columns : sequence of str
+            Columns to read where present, besides those of `OPTIONAL`.
+
+        Returns
+        -------
+        DataFrame
+            At most `most` rides.
 
         Raises
         ------
         ModelError
-            Where a file cannot be read.
+            If a file cannot be read.
         """
         files = [pq.read_metadata(path) for path in self.paths]
         step = max(1, -(-sum(file.num_rows for file in files) // most))
@@ -90,7 +129,7 @@ class RideParquet:
 
 
 def _read(path: Path, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
-    """Give the rows of a file, some at a time; with these columns, or with all."""
+    """Yield the rows of a file in batches, with these columns or with all."""
     try:
         with pq.ParquetFile(path, pre_buffer=False) as file:
             names = None if columns is None else _present(columns, file.schema_arrow.names, str(path))
@@ -107,7 +146,7 @@ def _read(path: Path, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
 
 
 def _present(columns: Sequence[str], there: Sequence[str] | pd.Index, where: str) -> list[str]:
-    """Return the columns to read: all that are needed, and of the optional ones those that are there."""
+    """Return the columns to read: all required ones, and the optional ones that are present."""
     known = set(there)
     wanted = dict.fromkeys((*columns, *OPTIONAL))
     for name in wanted:
@@ -117,10 +156,24 @@ def _present(columns: Sequence[str], there: Sequence[str] | pd.Index, where: str
 
 
 def select_trainable(block: pd.DataFrame, columns: Sequence[str]) -> tuple[pd.DataFrame, Counter[str]]:
-    """Return the rides of a block that can be trained on, and the others by reason.
+    """Return the trainable rides of a block, and the number of the others by reason.
 
-    Left out are rides that are unfit for training, have no measured energy, or are of a car whose parameters, and so
-    its effects, are unknown. Other unknown values are filled.
+    A ride is left out if it is unfit for training, if its energy was not measured, or if the parameters of the car, and
+    therefore its effects, are unknown. The fit fills other unknown values.
+
+    Parameters
+    ----------
+    block : DataFrame
+        Rides.
+    columns : sequence of str
+        Columns that the fit needs.
+
+    Returns
+    -------
+    trainable : DataFrame
+        Rides to train on.
+    left_out : Counter of str
+        Number of rides left out, by reason.
     """
     left_out: Counter[str] = Counter()
     reason = np.full(len(block), "", dtype=object)
@@ -138,12 +191,24 @@ def select_trainable(block: pd.DataFrame, columns: Sequence[str]) -> tuple[pd.Da
 
 
 def get_numbers(block: pd.DataFrame, name: str) -> Floats:
-    """Return a column as float, NaN where it is unknown.
+    """Return a column as float.
+
+    Parameters
+    ----------
+    block : DataFrame
+        Rides.
+    name : str
+        Name of the column.
+
+    Returns
+    -------
+    (n,) float
+        NaN where the value is unknown.
 
     Raises
     ------
     ModelError
-        Where it holds something else.
+        If the column holds anything but numbers.
     """
     try:
         return block[name].to_numpy(dtype=np.float64, na_value=np.nan)
@@ -152,7 +217,20 @@ def get_numbers(block: pd.DataFrame, name: str) -> Floats:
 
 
 def get_names(block: pd.DataFrame, column: str) -> list[str]:
-    """Return a column of text, empty where it is unknown or absent."""
+    """Return a column of text.
+
+    Parameters
+    ----------
+    block : DataFrame
+        Rides.
+    column : str
+        Name of the column, which may be absent.
+
+    Returns
+    -------
+    list of n str
+        Empty where the value is unknown, or the column absent.
+    """
     if column not in block:
         return [""] * len(block)
     return block[column].astype(object).where(block[column].notna(), "").astype(str).tolist()

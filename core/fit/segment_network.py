@@ -1,14 +1,15 @@
-"""The segment model that the paper builds on: a neural network on micro-segments, summed over the ride.
+"""Fit the segment model on which the paper builds: a neural network on micro-segments, summed over the ride.
 
-De Cauwer et al. cut drives into micro-segments, described each by speed, acceleration, height and weather, and learnt
-its energy: by multiple linear regression, and by a neural network where relations are not linear. Here a micro-segment
-is a window of the window table. It is a reference row of the evaluation: it needs to know how a ride will be driven
-minute by minute, so it serves no forecast and has no model file.
+De Cauwer et al. divide drives into micro-segments, and describe each by speed, acceleration, height and weather. They
+learn the energy of a micro-segment by multiple linear regression, and by a neural network for nonlinear relations. In
+this module a micro-segment is a window of the window table. The model serves as a reference row of the evaluation. It
+needs to know how a ride will be driven minute by minute, so it serves no forecast and has no model file.
 
-What it learns from is the energy of rides, as a state of charge in steps of half a percent tells nothing of a minute.
-A ride's energy is shared out: each window gets what a linear regression on the ride's sums expects of it (sums of
-windows are as linear as windows), and what the ride took beyond that in proportion to its duration. On rides whose
-voltage and current were measured, that was at least as good as each window's own measured energy.
+The training target is the energy of rides, because a state of charge in steps of half a percent carries no information
+about a single minute. Each window receives the energy that a linear regression on the sums of rides expects of it; sums
+of windows obey the same linear relation as windows. The rest of the ride's energy is divided in proportion to the
+duration of the windows. On rides with measured voltage and current, this target was at least as good as the measured
+energy of each window.
 
 References
 ----------
@@ -47,24 +48,34 @@ SEGMENT_FEATURES: Final = (
     ("precipitation_mm_h",),
     ("wind_speed_kmh",),
 )
-"""What a micro-segment is described by, each a product of columns of the window table."""
+"""Features of a micro-segment, each a product of columns of the window table."""
 HIDDEN: Final = (32,)
 """Neurons of the hidden layer."""
 EPOCHS: Final = 20
 BATCH: Final = 500
 RATE: Final = 0.005
-"""Of learning, by Adam; a smaller rate over more epochs was no better, and slower."""
+"""Learning rate of Adam. A smaller rate over more epochs was no better, and slower."""
 MOST_WINDOWS: Final = 20_000
-"""Windows of a vehicle model that a network is trained on; of more, those of rides drawn at random."""
+"""Approximate limit of windows to train a network on; beyond it, the training draws rides at random."""
 LEAST_NETWORK_RIDES: Final = 50
-"""Rides that a network needs."""
+"""Fewest rides for a network."""
 
 Ordinals = np.ndarray[Any, np.dtype[np.int64]]
 
 
 @dataclass(frozen=True)
 class Network:
-    """A trained network, with what its columns are standardised by."""
+    """Predict the energy of micro-segments with a trained network.
+
+    Parameters
+    ----------
+    mean, scale : (features,) float
+        Mean and standard deviation of each feature, by which it is standardised.
+    energy_mean, energy_scale : float
+        Mean and standard deviation of the energy of a micro-segment. [kWh]
+    inner : MLPRegressor
+        Network on standardised features.
+    """
 
     mean: Floats
     scale: Floats
@@ -73,24 +84,36 @@ class Network:
     inner: MLPRegressor
 
     def energy(self, features: Floats) -> Floats:
-        """Return the energy of micro-segments. [kWh]"""
+        """Return the energy of micro-segments.
+
+        Parameters
+        ----------
+        features : (n, features) float
+            Features of the micro-segments; NaN counts as the mean.
+
+        Returns
+        -------
+        (n,) float
+            Energy. [kWh]
+        """
         standard = np.nan_to_num((features - self.mean) / self.scale)
         return self.inner.predict(standard) * self.energy_scale + self.energy_mean
 
 
 @dataclass(frozen=True)
 class Segments:
-    """Micro-segments of rides, those of a ride one after another.
+    """Hold the micro-segments of rides, those of each ride in sequence.
 
     Parameters
     ----------
     keys : Index of (m,) str
-        Of the rides.
+        Keys of the rides.
     first : (m + 1,) int64
-        Where each ride's micro-segments begin; the last is their number.
+        Position of the first micro-segment of each ride; the last entry is the number of micro-segments.
     features : (n, features) float
+        Features of the micro-segments, see `SEGMENT_FEATURES`.
     duration : (n,) float
-        [s]
+        Duration of the micro-segments. [s]
     """
 
     keys: pd.Index
@@ -99,7 +122,20 @@ class Segments:
     duration: Floats
 
     def of(self, rides: pd.DataFrame) -> tuple[Ordinals, Ordinals]:
-        """Return the micro-segments of rides, and for each the position of its ride among them."""
+        """Return the micro-segments of rides.
+
+        Parameters
+        ----------
+        rides : DataFrame
+            Ride table with the column `ride_key`.
+
+        Returns
+        -------
+        segment : (k,) int64
+            Positions of the micro-segments of these rides.
+        ride : (k,) int64
+            Position in `rides` of the ride of each micro-segment.
+        """
         at = self.keys.get_indexer(pd.Index(rides["ride_key"]))
         known = np.flatnonzero(at >= 0)
         begin, count = self.first[at[known]], np.diff(self.first)[at[known]]
@@ -111,10 +147,20 @@ class Segments:
 def build_segments(windows: pd.DataFrame) -> Segments:
     """Return the micro-segments of a window table.
 
+    Parameters
+    ----------
+    windows : DataFrame
+        Window table.
+
+    Returns
+    -------
+    Segments
+        Micro-segments, sorted by ride and window.
+
     Raises
     ------
     ModelError
-        Where a column is missing.
+        If a column is missing.
     """
     needed = dict.fromkeys(("ride_key", "window", *(name for product in SEGMENT_FEATURES for name in product)))
     if missing := [name for name in needed if name not in windows]:
@@ -132,16 +178,17 @@ def build_segments(windows: pd.DataFrame) -> Segments:
 
 @dataclass(frozen=True)
 class SegmentModel:
-    """Networks of vehicle models.
+    """Predict the energy of rides with one network per vehicle model.
 
     Parameters
     ----------
     segments : Segments
-        Of the rides to come, too: this model is told how they will be driven.
+        Micro-segments of all rides. They include the rides to predict: this model needs to know how they were driven.
     networks : dict of str to Network
+        Networks by vehicle model.
     train_other : callable
-        Trains the one for every other vehicle model on all rides together: when it is first asked for, which in most
-        splits it never is.
+        Train the network for all other vehicle models, on all rides together. The first use calls it; most splits never
+        use it.
     """
 
     segments: Segments
@@ -150,11 +197,22 @@ class SegmentModel:
 
     @cached_property
     def other(self) -> Network:
-        """The network for every other vehicle model."""
+        """Return the network for all other vehicle models."""
         return self.train_other()
 
     def predict(self, rides: pd.DataFrame) -> Floats:
-        """Return the energy of rides, NaN without micro-segments. [kWh]"""
+        """Return the energy of rides.
+
+        Parameters
+        ----------
+        rides : (n, columns) DataFrame
+            Ride table with `ride_key` and `vehicle_model`.
+
+        Returns
+        -------
+        (n,) float
+            Energy, NaN for a ride without micro-segments. [kWh]
+        """
         found = np.full(len(rides), np.nan)
         models = rides["vehicle_model"].to_numpy(dtype=object)
         for name in set(models.tolist()):
@@ -169,13 +227,16 @@ class SegmentModel:
 
 @dataclass(frozen=True)
 class SegmentRecipe:
-    """How to come from rides and their micro-segments to a segment model.
+    """Fit a segment model to rides and their micro-segments.
 
     Parameters
     ----------
     segments : Segments
-        Of all rides, those to be predicted included.
+        Micro-segments of all rides, including those to predict.
     seed : int
+        Seed of the random numbers.
+    name, title : str
+        Name in code and files, and title for people.
     """
 
     segments: Segments
@@ -184,12 +245,22 @@ class SegmentRecipe:
     title: str = "Segment Model (Neural Network on Micro-Segments)"
 
     def fit(self, rides: pd.DataFrame) -> SegmentModel:
-        """Return a model with a network for each vehicle model of enough rides, and one for every other one.
+        """Return a model with a network for each vehicle model that has enough rides, and one for all others.
+
+        Parameters
+        ----------
+        rides : DataFrame
+            Ride table with `ride_key`, `vehicle_model` and `energy_kwh`.
+
+        Returns
+        -------
+        SegmentModel
+            Model with trained networks.
 
         Raises
         ------
         ModelError
-            Where there are too few rides even together.
+            If all rides together are fewer than `LEAST_NETWORK_RIDES`.
         """
         if (found := self._rides(rides)) < LEAST_NETWORK_RIDES:
             raise ModelError(
@@ -203,10 +274,10 @@ class SegmentRecipe:
         return int(rides["ride_key"].isin(self.segments.keys).sum())
 
     def _network(self, rides: pd.DataFrame) -> Network:
-        """Train a network."""
+        """Return a network trained on rides."""
         at, ride = self.segments.of(rides)
         features, energy = self.segments.features[at].copy(), rides["energy_kwh"].to_numpy(np.float64)
-        features[:, np.isnan(features).all(axis=0)] = 0.0  # what nobody measured tells nothing
+        features[:, np.isnan(features).all(axis=0)] = 0.0  # a feature without measurements carries no information
         mean, scale = np.nanmean(features, axis=0), np.nanstd(features, axis=0)
         target = share_out_energy(
             np.where(np.isnan(features), mean, features), self.segments.duration[at], ride, energy
@@ -227,28 +298,29 @@ class SegmentRecipe:
         network = Network(mean, np.where(scale > 0.0, scale, 1.0), centre, spread, untrained)
         standard = np.nan_to_num((features[kept] - network.mean) / network.scale)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ConvergenceWarning)  # it is stopped early on purpose
+            warnings.simplefilter("ignore", ConvergenceWarning)  # the training stops early on purpose
             untrained.fit(standard, (target[kept] - centre) / spread)
         return network
 
 
 def share_out_energy(features: Floats, duration: Floats, ride: Ordinals, energy: Floats) -> Floats:
-    """Return the energy of each micro-segment, such that those of a ride add up to what the ride took.
+    """Return the energy of each micro-segment, such that those of a ride add up to the energy of the ride.
 
     Parameters
     ----------
     features : (n, features) float
+        Features of the micro-segments, without NaN.
     duration : (n,) float
-        [s]
+        Duration of the micro-segments. [s]
     ride : (n,) int64
-        Position of each one's ride.
+        Position of the ride of each micro-segment.
     energy : (m,) float
-        Of the rides. [kWh]
+        Energy of the rides. [kWh]
 
     Returns
     -------
     (n,) float
-        [kWh]
+        Energy of the micro-segments. [kWh]
     """
     count = np.bincount(ride, minlength=len(energy))
     own = np.column_stack([features, np.ones(len(ride))])

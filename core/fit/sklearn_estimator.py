@@ -1,4 +1,4 @@
-"""A recipe as a scikit-learn estimator, for its cross-validation, its searches and its selection of terms."""
+"""Wrap a recipe as a scikit-learn estimator, for cross-validation, searches and the selection of terms."""
 
 from typing import Self
 
@@ -15,18 +15,19 @@ from core.models import LinearModel
 
 
 class RecipeRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-learn has no types
-    """Fits a recipe to a ride table and predicts energies of rides.
+    """Fit a recipe to a ride table, and predict the energy of rides.
 
     Parameters
     ----------
     recipe : str
-        A name of `core.fit.recipes.RECIPES`.
+        Name of a recipe in `core.fit.recipes.RECIPES`.
     covariance : bool
-        Estimate the covariance of coefficients too.
+        Whether to estimate the covariance of the coefficients too.
 
     Attributes
     ----------
     model_ : LinearModel
+        Fitted model.
 
     Examples
     --------
@@ -41,19 +42,24 @@ class RecipeRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # s
         self.covariance = covariance
 
     def fit(self, X: pd.DataFrame, y: Floats | pd.Series) -> Self:  # noqa: N803 - scikit-learn's name
-        """Fit to rides; of those that X says are unfit for training, and those of unknown energy, nothing is learned.
+        """Fit the recipe to rides, except those that X marks as unfit for training and those of unknown energy.
 
         Parameters
         ----------
         X : (n, columns) DataFrame
-            A ride table, with at least the columns that the recipe needs.
+            Ride table with at least the columns that the recipe needs.
         y : (n,) float
             Measured energy. [kWh]
+
+        Returns
+        -------
+        RecipeRegressor
+            This estimator.
 
         Raises
         ------
         ModelError
-            Where the recipe is unknown, X is no DataFrame, or the rides cannot be fitted to.
+            If the recipe is unknown, if X is no DataFrame, or if the recipe cannot be fitted to the rides.
         """
         self.model_ = named(self.recipe).fit(
             _table(X).assign(**{ENERGY: np.asarray(y, dtype=np.float64)}), covariance=self.covariance
@@ -63,13 +69,29 @@ class RecipeRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # s
         return self
 
     def predict(self, X: pd.DataFrame) -> Floats:  # noqa: N803 - scikit-learn's name
-        """Return the energy of rides, (n,). [kWh]"""
+        """Return the energy of rides.
+
+        Parameters
+        ----------
+        X : (n, columns) DataFrame
+            Ride table with at least the columns that the recipe needs.
+
+        Returns
+        -------
+        (n,) float
+            Energy. [kWh]
+
+        Raises
+        ------
+        ModelError
+            If X is no DataFrame.
+        """
         check_is_fitted(self, "model_")
         return self.model_.predict(_table(X))
 
 
 def _table(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a ride table, checked."""
+    """Return the ride table; raise ModelError if it is no DataFrame."""
     if not isinstance(table, pd.DataFrame):
         raise ModelError(f"a {type(table).__name__} has no columns by name: give rides as a DataFrame")
     return table

@@ -1,7 +1,7 @@
-"""Boosted trees fitted by scikit-learn, and taken out of it as plain arrays.
+"""Fit boosted trees with scikit-learn, and export them as plain arrays.
 
-The trees are few, small and shrunk, so that a person can read them and nothing is learned of a few rides: what they are
-asked for is only what a model of the physics has left.
+The trees are few, small and shrunk. A person can therefore read them, and a few rides cannot determine a leaf. They
+explain only the residual of a physical model.
 """
 
 from typing import Any, Final
@@ -16,18 +16,31 @@ from core.models.trees import LEAF, Trees
 TREES: Final = 40
 LEAVES: Final = 12
 _LEAST_LEAF_RIDES: Final = 40
-"""Rides that a leaf stands for, at the least."""
+"""Fewest rides in a leaf."""
 LEARNING_RATE: Final = 0.15
 SHRINKAGE: Final = 5.0
-"""Rides that a leaf is shrunk by, as if that many had been answered with 0."""
+"""Shrinkage of a leaf: the number of additional rides with the answer 0."""
 _BINS: Final = 63
-"""Thresholds that are tried of each feature."""
+"""Number of candidate thresholds of each feature."""
 _MOST: Final = float(np.finfo(np.float64).max)
-"""Stands for an infinite threshold, which no JSON has: all that is known goes left."""
+"""Replacement for an infinite threshold, which JSON cannot represent: every known value goes left."""
 
 
 def make_booster(learning_rate: float = LEARNING_RATE, trees: int = TREES) -> HistGradientBoostingRegressor:
-    """Return the estimator, unfitted: least squares, without early stopping, the same for the same rides."""
+    """Return an unfitted estimator of boosted trees: least squares, deterministic, without early stopping.
+
+    Parameters
+    ----------
+    learning_rate : float
+        Factor on the answer of each tree. [1]
+    trees : int
+        Number of trees.
+
+    Returns
+    -------
+    HistGradientBoostingRegressor
+        Estimator of scikit-learn.
+    """
     return HistGradientBoostingRegressor(
         max_iter=trees,
         learning_rate=learning_rate,
@@ -41,20 +54,25 @@ def make_booster(learning_rate: float = LEARNING_RATE, trees: int = TREES) -> Hi
 
 
 def fit_trees(table: Floats, names: tuple[str, ...], target: Floats, weight: Floats, per: str = "") -> Trees:
-    """Return trees that answer with the target.
+    """Return trees that predict a target.
 
     Parameters
     ----------
     table : (n, features) float
-        NaN where unknown.
+        Features of the rides, NaN where unknown.
     names : tuple of str
-        Of the features. Those that tell nothing, as they are unknown or the same in all rides, are left out.
+        Names of the features. The trees omit features that are unknown in all rides, or equal in all rides.
     target : (n,) float
-        What to answer; of `per`, where that is given.
+        Value to predict, relative to the column `per` if that is given.
     weight : (n,) float
-        Of each ride, over its error's variance.
+        Weight of each ride, inversely proportional to the variance of its error.
     per : str
-        See `core.models.trees.Trees`.
+        Column that multiplies the answer, see `core.models.trees.Trees`.
+
+    Returns
+    -------
+    Trees
+        Trees as plain arrays.
     """
     telling = [i for i in range(len(names)) if _tells(table[:, i])]
     if not telling:
@@ -66,7 +84,20 @@ def fit_trees(table: Floats, names: tuple[str, ...], target: Floats, weight: Flo
 
 
 def make_constant_trees(answer: float, per: str = "") -> Trees:
-    """Return trees that ask nothing."""
+    """Return trees without features, which always give the same answer.
+
+    Parameters
+    ----------
+    answer : float
+        Constant answer.
+    per : str
+        Column that multiplies the answer, see `core.models.trees.Trees`.
+
+    Returns
+    -------
+    Trees
+        Trees with a baseline only.
+    """
     none: tuple[Any, ...] = ()
     return Trees(
         features=none,
@@ -83,13 +114,13 @@ def make_constant_trees(answer: float, per: str = "") -> Trees:
 
 
 def _tells(column: Floats) -> bool:
-    """Tell whether a feature differs between rides."""
+    """Return whether a feature differs between rides."""
     known = column[~np.isnan(column)]
     return len(known) > 0 and (known.min() < known.max() or len(known) < len(column))
 
 
 def _coarse(column: Floats) -> Floats:
-    """Return a feature rounded to one of at most `BINS` values: where scikit-learn bins it, weights make that slow."""
+    """Return a feature rounded to at most `_BINS` values, because scikit-learn's binning is slow with weights."""
     known = ~np.isnan(column)
     values = np.unique(np.quantile(column[known], np.linspace(0.0, 1.0, _BINS)))
     rounded = column.copy()
@@ -98,16 +129,21 @@ def _coarse(column: Floats) -> Floats:
 
 
 def export_trees(model: HistGradientBoostingRegressor, features: tuple[str, ...], per: str = "") -> Trees:
-    """Return the trees of a fitted estimator, whose predictions they repeat.
+    """Return the trees of a fitted estimator, which predict the same values.
 
     Parameters
     ----------
     model : HistGradientBoostingRegressor
-        Of numbers only, no categories.
+        Estimator fitted to numbers only, without categories.
     features : tuple of str
         Names of its columns.
     per : str
-        See `core.models.trees.Trees`.
+        Column that multiplies the answer, see `core.models.trees.Trees`.
+
+    Returns
+    -------
+    Trees
+        Trees as plain arrays.
     """
     nodes: list[Any] = [stage[0].nodes for stage in model._predictors]  # noqa: SLF001 - there is no public way
     roots = np.cumsum([0, *(len(tree) for tree in nodes[:-1])])
