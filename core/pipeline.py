@@ -51,15 +51,7 @@ MOST_RIDE_NAMES: Final = 10_000
 
 
 class Due(NamedTuple):
-    """Hold forecasts that have become due.
-
-    Parameters
-    ----------
-    totals : Totals
-        Running totals of n rides.
-    rows : ForecastRows
-        Forecasts to publish with them, n rows.
-    """
+    """Hold forecasts that have become due: running totals of n rides, and the n forecasts to publish with them."""
 
     totals: Totals
     rows: ForecastRows
@@ -195,13 +187,7 @@ class Pipeline:
         self._pending.end_batch(batch.size)
 
     def finish(self) -> list[Message]:
-        """Close every ride and window in progress at the end of the stream, and all running errors.
-
-        Returns
-        -------
-        list of Message
-            Always empty.
-        """
+        """Close all rides, windows and running errors in progress at the end of the stream, and return no messages."""
         self._update_forecasts()
         sums = self.ledger.close()
         self._take_closed(sums)
