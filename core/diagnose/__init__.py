@@ -1,1 +1,1 @@
-"""Diagnosis: asks of windows where a model fails, which physical effect it lacks, and whether adding it helps."""
+"""Diagnose a model: find where it fails, which physical effect it lacks, and whether adding the effect helps."""

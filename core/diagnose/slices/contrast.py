@@ -96,9 +96,14 @@ def compute_contrast(masks: NDArray[np.bool_], error: Floats, starts: Ints) -> C
     masks : (k, n) bool
         Rides of each slice.
     error : (n,) float
-        Those of a vehicle-day together. [kWh]
+        Error of each ride; rides of one vehicle-day are adjacent. [kWh]
     starts : (days,) int64
-        Where each vehicle-day begins.
+        First ride of each vehicle-day.
+
+    Returns
+    -------
+    Contrast
+        Differences, standard errors and degrees of freedom.
 
     Examples
     --------

@@ -125,14 +125,15 @@ def list_conditions(rides: pd.DataFrame) -> tuple[list[RideCondition], Masks]:
     Parameters
     ----------
     rides : DataFrame
-        n rows of the ride table; columns that it lacks are passed over.
+        n rows of the ride table; conditions on columns that it lacks are omitted.
 
     Returns
     -------
-    list of c Condition
-        Of those that hold for the same rides the first one only: names, then the physical columns, then times.
+    list of c RideCondition
+        Conditions on names, then on physical columns, then on times. Of conditions that hold for the same rides, only
+        the first is returned.
     (c, n) bool
-        For which rides each holds.
+        Rides for which each condition holds.
     """
     found: list[RideCondition] = []
     masks: list[NDArray[np.bool_]] = []

@@ -154,6 +154,7 @@ def _dealt(day: Ints, seed: int) -> NDArray[np.bool_]:
 
 
 def _half(masks: Masks, error: Floats, day: Ints, kept: NDArray[np.bool_]) -> Half:
+    """Return the rides of one half, with their masks and the first ride of each vehicle-day."""
     starts = np.flatnonzero(np.diff(day[kept], prepend=-1))
     return Half(masks[:, kept], error[kept], starts)
 
@@ -164,9 +165,16 @@ def search_slices(half: Half, known: Sequence[RideCondition], most: int) -> list
     Parameters
     ----------
     half : Half
-    known : sequence of c Condition
+        Rides of the half.
+    known : sequence of c RideCondition
+        Conditions, in the order of the masks of the half.
     most : int
-        How many at most.
+        Maximum number of slices.
+
+    Returns
+    -------
+    list of Slice
+        Slices with a score of at least `LEAST_SCORE`.
     """
     if min(len(half.error) // 2, len(half.starts)) < LEAST_RIDES:
         return []

@@ -1,7 +1,7 @@
-"""Evaluate forecasts of the state of charge at a shift's end, against outcomes and against what a person would expect.
+"""Evaluate forecasts of the state of charge at the end of a shift, against outcomes and against simple baselines.
 
-Errors are in percent of charge. At one time ahead each shift gives one forecast. Figures that pool times ahead, and all
-intervals, treat the shifts of a vehicle on one day as one cluster.
+Errors are in percent of charge. Each shift gives one forecast at each time ahead. Figures that pool times ahead, and
+all intervals, treat the shifts of a vehicle on one day as one cluster.
 """
 
 from math import nan
@@ -21,15 +21,15 @@ from core.stats.clustered import compute_clustered_mean, compute_clustered_share
 from core.stats.scores import Codes
 
 NOMINAL: Final = 0.90
-"""Share of outcomes that the interval is meant to hold."""
+"""Nominal share of outcomes inside the interval."""
 TEMPERATURES: Final = (-20, -10, 0, 10, 20, 30)
-"""Edges of the bands of a shift's mean outside temperature; the first and last band are open. [°C]"""
+"""Edges of the bands of a shift's mean outside temperature; the first and the last band are open. [°C]"""
 MOST_POINTS: Final = 240
-"""Largest number of forecasts of an example."""
+"""Maximum number of forecasts in an example."""
 EXAMPLE_HOURS_AHEAD: Final = 2
-"""Time ahead of the forecasts by which examples are chosen. [h]"""
+"""Time ahead of the forecasts by which examples are selected. [h]"""
 EXAMPLE_COLUMNS: Final = ("soc", "soc_mean", "soc_p05", "soc_p95")
-"""Columns of forecasts that an example shows, without `_pct`."""
+"""Columns of forecasts that an example contains, without `_pct`."""
 
 
 def evaluate_soc(outlooks: pd.DataFrame, shifts: pd.DataFrame, legs: pd.DataFrame | None = None) -> dict[str, Any]:
@@ -38,22 +38,23 @@ def evaluate_soc(outlooks: pd.DataFrame, shifts: pd.DataFrame, legs: pd.DataFram
     Parameters
     ----------
     outlooks : DataFrame
-        Every forecast, as `Pipeline.take_outlooks` returns them.
+        All forecasts, as `Pipeline.take_outlooks` returns them.
     shifts : DataFrame
-        Every ended shift, as `Pipeline.take_shifts` returns them.
+        All shifts that have ended, as `Pipeline.take_shifts` returns them.
     legs : DataFrame, optional
-        Single legs, of `core.evaluate.soc.legs.match_legs_to_rides`.
+        Single legs, as `core.evaluate.soc.legs.match_legs_to_rides` returns them.
 
     Returns
     -------
     dict
-        `about` the forecasts; `overall` figures, `pooled` over times ahead and by `hours`; figures `by` condition;
-        `reserve` risk; `legs`; `forecasts`, one per case; `examples` of shifts; `notes`.
+        `about`: counts and dates of the forecasts. `overall`: figures, `pooled` over times ahead and by `hours`. `by`:
+        figures by condition. `reserve`: risk of ending below a reserve. `legs`: figures of single legs. `forecasts`:
+        columns with one entry per case. `examples`: single shifts. `notes`: remarks for the reader.
 
     Raises
     ------
     ModelError
-        Where no forecast can be evaluated.
+        No forecast can be evaluated.
     """
     found = select_cases(outlooks, shifts)
     if not len(found.cases):
@@ -82,7 +83,19 @@ def evaluate_soc(outlooks: pd.DataFrame, shifts: pd.DataFrame, legs: pd.DataFram
 
 
 def compute_figures_by_time(cases: pd.DataFrame) -> dict[str, Any]:
-    """Return the figures of cases, `pooled` over times ahead and in `hours` for each that has any."""
+    """Return the figures of cases, pooled over times ahead and for each time ahead.
+
+    Parameters
+    ----------
+    cases : (n, columns) DataFrame
+        Forecasts with their outcomes and baselines.
+
+    Returns
+    -------
+    dict
+        `pooled`: figures of all cases. `hours`: time ahead [h] -> figures, for each time ahead that has a case.
+        `compute_forecast_figures` describes the figures.
+    """
     each = {str(hours): cases[cases["hours"] == hours] for hours in HOURS_AHEAD}
     return {
         "pooled": compute_forecast_figures(cases),
@@ -91,7 +104,21 @@ def compute_figures_by_time(cases: pd.DataFrame) -> dict[str, Any]:
 
 
 def compute_leg_figures(legs: pd.DataFrame, shifts: pd.DataFrame) -> dict[str, list[dict[str, Any]]]:
-    """Return the figures of legs by the time until their end, of shifts `without a charge` after them and with one."""
+    """Return the figures of single legs by the time until their end.
+
+    Parameters
+    ----------
+    legs : DataFrame
+        Legs, as `core.evaluate.soc.legs.match_legs_to_rides` returns them.
+    shifts : DataFrame
+        All shifts that have ended.
+
+    Returns
+    -------
+    dict
+        `without a charge` and `charged later`: legs of shifts without and with a charge after the forecast. Each has a
+        list of figures by `bin` of the time until the end; the last bin is `all`.
+    """
     cases = pd.concat([legs, compute_leg_baselines(legs, shifts)], axis=1)
     found = {}
     for name, own in {"without a charge": cases[~cases["charges"]], "charged later": cases[cases["charges"]]}.items():
@@ -105,7 +132,18 @@ def compute_leg_figures(legs: pd.DataFrame, shifts: pd.DataFrame) -> dict[str, l
 
 
 def compute_figures_by_condition(cases: pd.DataFrame) -> dict[str, list[dict[str, Any]]]:
-    """Return the figures in each band of temperature, of each vehicle model, with and without a plan."""
+    """Return the figures in each band of temperature, for each vehicle model, and with and without a plan.
+
+    Parameters
+    ----------
+    cases : (n, columns) DataFrame
+        Forecasts with their outcomes and baselines.
+
+    Returns
+    -------
+    dict
+        `temperature`, `vehicle model` and `plan`: lists of figures by `bin`, see `compute_figures_by_time`.
+    """
     band = bin_values(cases["ambient_c"].to_numpy(np.float64), TEMPERATURES)
     model = pd.Categorical(cases["vehicle_model"])
     bins = {
@@ -123,7 +161,7 @@ def compute_figures_by_condition(cases: pd.DataFrame) -> dict[str, list[dict[str
 
 
 def compute_forecast_figures(cases: pd.DataFrame) -> dict[str, Any]:
-    """Return error, coverage and width of forecasts, and the errors of baselines on the same ones.
+    """Return error, coverage and width of forecasts, and the errors of baselines on the same cases.
 
     Parameters
     ----------
@@ -134,9 +172,11 @@ def compute_forecast_figures(cases: pd.DataFrame) -> dict[str, Any]:
     -------
     dict
         `n` forecasts of `shifts` on `vehicle_days`; `mae_pct`, `bias_pct` (forecast less outcome) and `width_pct` with
-        intervals; `coverage`, and the shares `below` and `above` the interval; `baselines`, each with its error, the
-        forecasts' error on the same cases, and `less_pct`, the baseline's error less the forecasts'; the `best`
-        baseline.
+        intervals; `coverage`, and the shares `below` and `above` the interval; `baselines`, see below; `best`, the
+        baseline with the least error on cases that all baselines cover.
+
+        Each baseline has its error, the forecasts' error on the same cases (`forecast_mae_pct`), and `less_pct`, the
+        baseline's error less the forecasts' error.
     """
     became, clusters = _numbers(cases, "soc_end_pct"), cases["cluster"].to_numpy(np.int64)
     mean, low, high = (_numbers(cases, f"soc_{name}_pct") for name in ("mean", "p05", "p95"))
@@ -157,7 +197,7 @@ def compute_forecast_figures(cases: pd.DataFrame) -> dict[str, Any]:
 
 
 def _against(expected: Floats, became: Floats, error: Floats, clusters: Codes) -> dict[str, Any]:
-    """Return the error of a baseline, and that of the forecasts on the same cases."""
+    """Return the error of a baseline, and the error of the forecasts on the same cases."""
     known = np.isfinite(expected)
     its, own, of = np.abs(expected - became)[known], error[known], clusters[known]
     return {
@@ -171,7 +211,7 @@ def _against(expected: Floats, became: Floats, error: Floats, clusters: Codes) -
 
 
 def _best(cases: pd.DataFrame, became: Floats, error: Floats, clusters: Codes) -> dict[str, Any] | None:
-    """Return the baseline of least error on cases that all baselines cover, and the forecasts' error there."""
+    """Return the baseline with the least error on cases that all baselines cover, and the forecasts' error there."""
     known = np.isfinite(cases[list(BASELINES)].to_numpy(np.float64)).all(axis=1)
     if not known.any():
         return None
@@ -188,12 +228,12 @@ def _best(cases: pd.DataFrame, became: Floats, error: Floats, clusters: Codes) -
 
 
 def _share_less(its: Floats, own: Floats) -> float:
-    """Return by which share the forecasts' mean absolute error is below a baseline's."""
+    """Return by which share the mean absolute error of the forecasts is below that of a baseline."""
     return 1.0 - float(own.mean() / its.mean()) if len(its) and its.mean() > 0.0 else nan
 
 
 def _about(found: ForecastCases) -> dict[str, Any]:
-    """Return counts and dates of the forecasts that were evaluated."""
+    """Return counts and dates of the evaluated forecasts."""
     cases = found.cases
     dates = pd.to_datetime(cases["begin_s"], unit="s").dt.strftime("%Y-%m-%d")
     return {
@@ -211,7 +251,7 @@ def _about(found: ForecastCases) -> dict[str, Any]:
 
 
 def _notes(cases: pd.DataFrame) -> list[str]:
-    """Return notes for the reader."""
+    """Return remarks for the reader."""
     notes = []
     if not cases["planned"].any():
         notes.append("no shift had a plan: of the baselines only the car's own pace applies")
@@ -222,13 +262,15 @@ def _notes(cases: pd.DataFrame) -> list[str]:
 
 
 def _numbers(cases: pd.DataFrame, column: str) -> Floats:
+    """Return a column as floats, (n,)."""
     return cases[column].to_numpy(np.float64)
 
 
 def select_examples(cases: pd.DataFrame, outlooks: pd.DataFrame) -> list[dict[str, Any]]:
-    """Return example shifts: the coldest, the warmest, and those of the middling and the worst forecast.
+    """Return example shifts: the coldest, the warmest, and those with the median and the worst forecast.
 
-    They are chosen among shifts with a forecast at the earliest time ahead that any has, up to `EXAMPLE_HOURS_AHEAD`.
+    They are selected among shifts with a forecast at `EXAMPLE_HOURS_AHEAD`. Where all times ahead are shorter, the
+    longest of them is used.
 
     Parameters
     ----------
@@ -240,8 +282,9 @@ def select_examples(cases: pd.DataFrame, outlooks: pd.DataFrame) -> list[dict[st
     Returns
     -------
     list of dict
-        `why` it is shown, `vehicle_id`, `vehicle_model`, `shift`, `date`, `ambient_c`, `soc_end_pct`,
-        `reserve_soc_pct`; of its forecasts `hours_ahead` of the end and `EXAMPLE_COLUMNS`. [%]
+        `why`: reason of the selection. `vehicle_id`, `vehicle_model`, `shift`, `date`, `ambient_c` [°C], `soc_end_pct`
+        and `reserve_soc_pct` [%]: values of the shift. `hours_ahead` of its end [h] and `EXAMPLE_COLUMNS` [%]: its
+        forecasts.
     """
     ahead = min(EXAMPLE_HOURS_AHEAD, int(cases["hours"].max()))
     found = cases[cases["hours"] == ahead].reset_index(drop=True)

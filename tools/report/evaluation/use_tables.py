@@ -264,7 +264,7 @@ def tabulate_coverage(result: Result) -> ReportTable:
 
 
 def tabulate_coverage_unseen(result: Result) -> ReportTable:
-    """Return the share of rides inside their interval by vehicle model, and where cars, dates or vehicle models are unseen.
+    """Return the share of rides inside their interval by vehicle model, and for unseen cars, dates and vehicle models.
 
     Parameters
     ----------
