@@ -63,7 +63,7 @@ def test_effects_of_model_are_candidates_within_scopes_only(found, variant):
     assert "cold_rolling" not in places.excluded
 
 
-def test_an_effect_that_is_hardly_known_or_never_acts_is_not_in_the_data(found):
+def test_effects_that_are_hardly_known_or_never_act_are_not_in_data(found):
     windows, model = found
     n = len(windows.measured)
     mostly = np.where(np.arange(n) < 0.6 * n, np.nan, 1.0)

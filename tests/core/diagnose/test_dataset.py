@@ -52,7 +52,7 @@ def test_ride_columns_take_precedence_over_window_columns(tables):
     assert set(found["winter"]) == {0, 1}
 
 
-def test_rides_unfit_for_training_or_without_a_measured_energy_are_left_out(tables):
+def test_rides_unfit_for_training_or_without_measured_energy_are_left_out(tables):
     rides, windows = tables
     rides.loc[of(rides, "taxi-0#0"), ["fit_for_training", "unfit_reason"]] = False, "too_short"
     rides.loc[of(rides, "taxi-1#1"), "fit_for_training"] = False
@@ -63,7 +63,7 @@ def test_rides_unfit_for_training_or_without_a_measured_energy_are_left_out(tabl
     assert len(found) == len(windows) - len(gone) * WINDOWS
 
 
-def test_a_window_without_a_measured_energy_or_without_time_is_left_out(tables):
+def test_windows_without_measured_energy_or_duration_are_left_out(tables):
     rides, windows = tables
     windows.loc[5, ["energy_kwh", "energy_vi_kwh"]] = np.nan
     windows.loc[17, "duration_s"] = 0.0
@@ -98,7 +98,7 @@ def test_unmetered_window_of_metered_ride_is_left_out(tables):
 
 @pytest.mark.parametrize("name", ["ride_key", "vehicle_id", "start_s", "energy_kwh"])
 @pytest.mark.parametrize("which", ["ride", "window"])
-def test_a_column_that_is_missing_is_named_with_its_table(tables, name, which):
+def test_error_names_missing_column_and_its_table(tables, name, which):
     rides, windows = (
         t.drop(columns=name) if w == which else t for t, w in zip(tables, ("ride", "window"), strict=True)
     )
@@ -106,7 +106,7 @@ def test_a_column_that_is_missing_is_named_with_its_table(tables, name, which):
         join_tables(rides, windows)
 
 
-def test_tables_that_do_not_belong_together_are_refused(tables):
+def test_tables_of_different_rides_are_refused(tables):
     rides, windows = tables
     with pytest.raises(ModelError, match=r"no window belongs to any of the rides: give the windows\.parquet"):
         join_tables(rides, windows.assign(ride_key="van-" + windows["ride_key"]))

@@ -43,7 +43,7 @@ def test_measurement_variance_of_soc_is_its_resolution_without_capacity_error(wi
     np.testing.assert_allclose(compute_measurement_variance(found), 0.05**2, rtol=1e-6)
 
 
-def test_a_variance_is_never_negative(windows):
+def test_variance_is_never_negative(windows):
     assert (compute_measurement_variance(with_columns(windows, energy_vi_sd_kwh=0.0)) == 0.0).all()
 
 
@@ -77,7 +77,7 @@ def test_no_window_outweighs_all_others(windows):
     assert found.min() > 0.5 * LEAST_SHARE * np.median(found)
 
 
-def test_residuals_twice_as_large_have_four_times_the_variance(windows):
+def test_doubled_residuals_have_fourfold_variance(windows):
     residual = np.random.default_rng(8).normal(0.0, 0.004, len(windows.measured))
     np.testing.assert_allclose(
         estimate_window_variance(windows, 2.0 * residual), 4.0 * estimate_window_variance(windows, residual)

@@ -148,7 +148,7 @@ def test_weighted_errors_are_independent(of_ride):
     assert abs(pairs.sum() / (count * (count - 1)).sum()) < 0.03
 
 
-def test_weighted_errors_have_a_variance_of_one():
+def test_weighted_errors_have_unit_variance():
     base = project_base(make_tables(make_windows(), noise=NOISE))
     assert np.mean(base.residual**2) == pytest.approx(1.0, abs=0.1)
 

@@ -141,7 +141,7 @@ def test_diagnosis_does_not_use_measured_climate_power(car):
     assert not [term for term in found(car).model.terms if "accessor" in " ".join(term.columns)]
 
 
-def test_the_leaf_lacks_cabin_heating_first():
+def test_diagnosis_of_leaf_ranks_cabin_heating_first():
     told = found("ved").told
     assert "cabin_heating" in told["missing"][0]["group"]
     assert told["verdict"] == told["missing"][0]["effect"]
@@ -149,7 +149,7 @@ def test_the_leaf_lacks_cabin_heating_first():
     assert told["missing"][0]["q"] < 0.01
 
 
-def test_the_i3_lacks_cabin_heat_first():
+def test_diagnosis_of_i3_ranks_cabin_heat_first():
     """The first name is warming up after parking, in a group that holds heating by temperature, which is the goal.
 
     The heater was measured at 3.9 kW over the first five minutes, 1.5 kW over the next, then 1.2 kW, at 3 to 9 °C
@@ -164,11 +164,11 @@ def test_the_i3_lacks_cabin_heat_first():
     assert told["verdict"] == told["missing"][0]["effect"]
 
 
-def test_the_error_of_held_out_rides_falls_on_the_leaf():
+def test_error_of_held_out_rides_falls_for_leaf():
     assert fall("ved") > 0.2
 
 
-def test_the_error_of_held_out_rides_falls_on_the_i3():
+def test_error_of_held_out_rides_falls_for_i3():
     """By two fifths, with every day predicted without it; the goal is 45 %, and it is missed.
 
     Taking off the measured climate energy itself, where there is any, lowers it by 59 %.

@@ -108,7 +108,7 @@ def test_page_is_self_contained(result, tmp_path):
     assert set(reader.links) - {"main"} <= set(reader.ids)
 
 
-def test_the_page_has_every_figure_and_table(tmp_path):
+def test_page_has_every_figure_and_table(tmp_path):
     reader = page(make_diagnosis(), tmp_path, suggested="mine.py")
     figures = {name.removeprefix("figure-") for name in reader.ids if name.startswith("figure-")}
     assert figures == {"errors", "slices", "effects", "coefficients", "structure", "shape-0"}

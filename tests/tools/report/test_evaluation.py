@@ -71,7 +71,7 @@ def terminal(result):
     return printed(result)
 
 
-def test_the_page_is_well_formed_and_its_links_lead_somewhere(html):
+def test_page_is_well_formed_and_its_links_have_targets(html):
     reader = read_page(html)
     assert len(reader.ids) == len(set(reader.ids))
     assert set(reader.links) <= set(reader.ids)
@@ -84,7 +84,7 @@ def test_page_carries_its_report_name_and_format_version(html):
     assert content == f"evaluate {REPORT_VERSIONS['evaluate']}"
 
 
-def test_the_page_loads_nothing(html):
+def test_page_loads_no_external_resource(html):
     reader = read_page(html)
     assert reader.loaded == []
     assert html.count("* plotly.js v") == 1
@@ -94,7 +94,7 @@ def test_the_page_loads_nothing(html):
     assert not re.search(r"@import|url\(", html.partition("</style>")[0])
 
 
-def test_every_figure_has_words_for_those_who_cannot_see_it(html, every_figure):
+def test_every_figure_has_text_for_screen_readers(html, every_figure):
     reader = read_page(html)
     plots = [attrs for tag, attrs in reader.tags if attrs.get("class") == "plot"]
     assert len(plots) == len(every_figure) > 20
@@ -102,7 +102,7 @@ def test_every_figure_has_words_for_those_who_cannot_see_it(html, every_figure):
     assert sum(tag == "figcaption" for tag, _ in reader.tags) == len(plots)
 
 
-def test_every_axis_has_a_title_and_a_unit_where_it_counts(every_figure):
+def test_every_axis_has_title_and_numeric_axes_have_unit(every_figure):
     for key, one in every_figure.items():
         axes = [*one.figure.select_xaxes(), *one.figure.select_yaxes()]
         assert len(axes) >= 2, key
@@ -112,7 +112,7 @@ def test_every_axis_has_a_title_and_a_unit_where_it_counts(every_figure):
             assert named or re.search(r"\[[^\]]+\]$", axis.title.text), f"{key}: {axis.title.text}"
 
 
-def test_nothing_is_told_by_colour_alone(every_figure):
+def test_figures_are_readable_without_colour(every_figure):
     looks = [get_style(place) for place in range(30)]
     assert len({(look.dash, look.symbol) for look in looks}) == len(looks)
     for one in every_figure.values():
@@ -124,7 +124,7 @@ def test_nothing_is_told_by_colour_alone(every_figure):
         assert len(set(patterns)) == len(patterns)
 
 
-def test_what_shows_the_papers_figures_says_that_they_are_of_other_data(result, html, every_figure, terminal):
+def test_tables_and_figures_with_values_of_paper_state_other_data(result, html, every_figure, terminal):
     beside = [
         table for section in build_sections(to_json_values(result)) for table in section.tables if table.beside_paper
     ]
@@ -138,13 +138,13 @@ def test_what_shows_the_papers_figures_says_that_they_are_of_other_data(result, 
     assert sum(PAPER_CAPTION in one.caption for one in every_figure.values()) == 3 + len(VEHICLES)
 
 
-def test_the_papers_figures_stand_beside_ours(terminal, html):
+def test_values_of_paper_are_shown_beside_evaluation(terminal, html):
     for figure in ("(0.33 ± 0.0052)", "(118,621)", "(51.75 %)", "(30.75 %)", "(about 12 %)", "1 kWh"):
         assert figure in terminal
         assert figure in html
 
 
-def test_figure_3_has_the_papers_averages_as_outlines(every_figure):
+def test_figure_3_shows_averages_of_paper_as_outlines(every_figure):
     traces = every_figure["average"].figure.data
     outlines = [t for t in traces if str(t.marker.symbol).endswith("-open")]
     assert len(outlines) == len(VEHICLES)
@@ -152,7 +152,7 @@ def test_figure_3_has_the_papers_averages_as_outlines(every_figure):
     assert shown == [published.get_mae(r, "kia-soul-ev-2015", "average").value for r in list(RECIPES)[:7]]
 
 
-def test_tables_of_errors_are_in_the_papers_layout(result):
+def test_error_tables_have_layout_of_paper(result):
     tables = next(section.tables for section in build_sections(to_json_values(result)) if section.key == "errors")
     assert len(tables) == len(RECIPES)
     assert all(table.columns == (*(f"{c.replace('-', '–')} km" for c in CLUSTERS), "average *") for table in tables)
@@ -162,19 +162,19 @@ def test_tables_of_errors_are_in_the_papers_layout(result):
     assert basic.text == f"{said['value']:.3f} ± {said['ci95']:.4f}"
 
 
-def test_the_terminal_keeps_to_120_columns_and_has_every_table(result, terminal):
+def test_terminal_output_fits_120_columns_and_has_every_table(result, terminal):
     assert max(len(line) for line in terminal.splitlines()) <= 120
     for section in build_sections(to_json_values(result)):
         for table in section.tables:
             assert section.folded or table.title[:60] in terminal
 
 
-def test_the_terminal_ends_with_what_a_reader_looks_for_first(terminal):
+def test_terminal_output_ends_with_principal_figures(terminal):
     assert "At a glance" in "".join(terminal.splitlines()[-45:])
 
 
 @pytest.mark.parametrize("where", ["recipe", "vehicle_model", "reason", "driver", "note"])
-def test_names_are_shown_as_they_are(where):
+def test_odd_names_are_shown_unchanged(where):
     result = smaller(evaluation())
     if where == "recipe":
         result["recipes"]["hybrid_trees"] = ODD
@@ -208,7 +208,7 @@ def renamed(value, old, new):
 
 
 @pytest.mark.parametrize("part", list(evaluation()))
-def test_any_part_may_be_missing_or_null(part):
+def test_result_with_missing_or_null_part_is_reported(part):
     result = smaller(evaluation())
     assert drawn({key: value for key, value in result.items() if key != part}) is not None
     assert "The paper" in printed(result | {part: None})
@@ -217,7 +217,7 @@ def test_any_part_may_be_missing_or_null(part):
 @pytest.mark.parametrize(
     "part", ["mae", "coverage", "by", "new_vehicle", "few_shot", "difference", "selection", "curve"]
 )
-def test_figures_inside_a_part_may_be_null(part):
+def test_part_with_null_figures_has_no_drawing(part):
     result = smaller(evaluation())
     result[part] = nulled(result[part])
     assert not {key for key in drawn(to_json_values(result)) if key.startswith((part.replace("_", "-"), f"{part}-"))}
@@ -233,19 +233,19 @@ def nulled(value):
     return value if isinstance(value, str) else None
 
 
-def test_nothing_at_all_is_a_page_too():
+def test_empty_result_gives_page_and_terminal_output():
     assert "Evaluation of consumption models" in "".join(read_page(render_page({})).text)
     assert "The paper" in printed({})
 
 
-def test_what_is_not_finite_is_not_shown():
+def test_non_finite_values_are_not_shown():
     result = smaller(evaluation())
     result["mae"]["hybrid_trees"]["kia-soul-ev-2015"]["0-5"] = {"value": float("nan"), "ci95": float("inf")}
     assert "nan" not in printed(result).replace("dominan", "")
     assert "NaN" not in render_page(result).rpartition("<section")[0].partition("<main")[2]
 
 
-def test_the_result_is_left_as_it_was():
+def test_reporting_does_not_change_result():
     result = smaller(evaluation())
     before = copy.deepcopy(result)
     render_page(result)
@@ -253,7 +253,7 @@ def test_the_result_is_left_as_it_was():
     assert result == before
 
 
-def test_the_best_of_a_column_stands_out_and_dominance_is_marked(result):
+def test_best_of_column_is_emphasised_and_dominance_is_marked(result):
     table = next(t for s in build_sections(to_json_values(result)) for t in s.tables if t.title.endswith("(Figure 3)"))
     assert {row.name for row in table.rows if row.cells[0].strong} == {RECIPES["hybrid_trees"]}
     for mark, score in (("●", "dominates"), ("○", "dominates_average")):
@@ -261,7 +261,7 @@ def test_the_best_of_a_column_stands_out_and_dominance_is_marked(result):
         assert marked == {RECIPES[recipe] for recipe in result[score]["kia-soul-ev-2015"]}
 
 
-def test_low_coverage_is_marked():
+def test_coverage_outside_its_limits_is_marked():
     result = smaller(evaluation())
     result["coverage"]["hybrid_trees"]["cluster"]["0-5"] = 0.849
     result["coverage"]["hybrid_trees"]["season"]["winter"] = 0.851
@@ -275,7 +275,7 @@ def test_low_coverage_is_marked():
     assert cells["overall"] == "93.0 % ↑"
 
 
-def test_the_loss_of_elimination_is_shown(result):
+def test_loss_of_elimination_is_shown(result):
     table = next(
         t for s in build_sections(to_json_values(result)) for t in s.tables if t.title.startswith("Terms that can go")
     )
@@ -283,7 +283,7 @@ def test_the_loss_of_elimination_is_shown(result):
     assert rows["RFE"] == "+0.0006 ± 0.0005"
 
 
-def test_where_not_all_models_can_have_a_column_the_principal_ones_do():
+def test_narrow_tables_have_columns_of_principal_models():
     result = evaluation()
     result["coverage"] = dict.fromkeys(RECIPES, result["coverage"]["hybrid_trees"])
     chosen = ["basic_physical", "fitted_physical", "hybrid_interactions", "segment_network", "hybrid_trees"]
@@ -297,7 +297,7 @@ def test_where_not_all_models_can_have_a_column_the_principal_ones_do():
     assert words >= {word for title in titles for word in title.split()}
 
 
-def test_what_is_worse_than_the_fitted_physical_model_on_a_new_vehicle_is_marked():
+def test_errors_above_fitted_physical_model_on_new_vehicle_are_marked():
     result = smaller(evaluation())
     result["few_shot"]["kia-soul-ev-2015"]["hybrid_trees"][0]["mae"] = 99.0
     tables = [t for s in build_sections(to_json_values(result)) if s.key == "transfer" for t in s.tables]
@@ -307,7 +307,7 @@ def test_what_is_worse_than_the_fitted_physical_model_on_a_new_vehicle_is_marked
     assert sum(marked) == 1
 
 
-def test_splits_say_where_they_differ():
+def test_split_tables_state_whether_best_models_differ():
     result = smaller(evaluation())
     for key in FEW_VEHICLES:
         result["splits"]["date"]["hybrid_trees"][key] = 9.0
@@ -320,7 +320,7 @@ def test_splits_say_where_they_differ():
 
 
 @given(value=st.floats(-50, 50), p=st.floats(0, 1))
-def test_the_difference_matrix_is_antisymmetric(value, p):
+def test_difference_matrix_is_antisymmetric(value, p):
     pairs = {"basic_physical|fitted_physical": {"value": value, "ci95": 0.1, "p": p}}
     made = figures.draw_difference_matrix({"recipes": RECIPES, "difference": {"x": pairs}}, "x")
     (heat,) = made.data
@@ -330,21 +330,21 @@ def test_the_difference_matrix_is_antisymmetric(value, p):
     assert ("*" in heat.text[0][1]) == (p < 0.05) == ("*" in heat.text[1][0])
 
 
-def test_the_few_shot_axis_shows_none_beside_one(every_figure):
+def test_few_shot_axis_shows_zero_rides_before_one(every_figure):
     made = every_figure["few-shot-0"].figure
     assert made.layout.xaxis.type == "log"
     assert list(made.layout.xaxis.ticktext) == ["0", "1", "3", "10", "30", "100"]
     assert all(x > 0 for trace in made.data for x in trace.x)
 
 
-def test_the_accessory_curve_goes_through_its_choke_points(every_figure):
+def test_accessory_curve_passes_through_its_choke_points(every_figure):
     traces = {trace.name: trace for trace in every_figure["curve-0"].figure.data}
     assert list(traces["choke points"].x) == pytest.approx([-20.0, 12.0, 21.0, 35.0])
     assert list(traces["choke points"].y) == pytest.approx([4.0, 0.3, 0.3, 1.5])
     assert set(traces["choke points"].x) <= set(traces["fitted curve"].x)
 
 
-def test_the_same_model_looks_the_same_in_every_figure(every_figure):
+def test_each_model_has_same_symbol_in_every_figure(every_figure):
     seen = {}
     for key in ("relative", "by-distance", "by-temperature", "coverage"):
         for trace in every_figure[key].figure.data:
@@ -356,12 +356,12 @@ def test_figures_are_plotly_figures(every_figure):
     assert UNKNOWN not in {trace.name for one in every_figure.values() for trace in one.figure.data}
 
 
-def test_a_page_is_written(tmp_path):
+def test_page_is_written(tmp_path):
     path = tmp_path / "report.html"
     write(smaller(evaluation()), path)
     assert path.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
 
 
-def test_a_page_that_cannot_be_written_is_one_clear_line(tmp_path):
+def test_unwritable_page_raises_error_of_one_line(tmp_path):
     with pytest.raises(SettingsError, match=r"report\.html cannot be written: No such file"):
         write({}, tmp_path / "nowhere" / "report.html")

@@ -139,7 +139,7 @@ def test_nothing_is_added_where_nothing_is_missing(seed):
 
 
 @pytest.mark.parametrize("scope", ["vehicle=taxi-2", "since=2018-06-01"])
-def test_an_effect_of_one_vehicle_or_from_a_date_on_is_recovered_within_its_scope(scope):
+def test_effect_of_one_vehicle_or_since_a_date_is_recovered_within_its_scope(scope):
     tables = planted({("effect_cold_rolling", scope): 2e-4}, rides=3)
     found = tried(tables, base_model(tables[0]), "cold_rolling", scope)
     assert found.trial["accepted"]
@@ -219,7 +219,7 @@ def test_errors_of_add_effect_name_cause_and_remedy(effect, scopes, error, said,
         tried(cold, model, effect, *scopes)
 
 
-def test_a_variant_is_another_column_of_the_same_effect(cold, model, added):
+def test_variant_is_another_column_of_same_effect(cold, model, added):
     found = tried(cold, model, "cold_rolling@reference=283.15")
     assert found.model.terms[-1].columns == ("effect_cold_rolling@reference=283.15",)
     assert "below 10 °C" in found.trial["words"]
@@ -227,7 +227,7 @@ def test_a_variant_is_another_column_of_the_same_effect(cold, model, added):
         tried(cold, added.model, "cold_rolling@reference=283.15")
 
 
-def test_a_model_that_is_more_than_terms_is_refused(cold, model):
+def test_model_with_more_than_terms_is_refused(cold, model):
     with pytest.raises(ModelError, match="factors of single cars"):
         tried(
             cold, LinearModel(**{f: getattr(model, f) for f in model.__struct_fields__} | {"cars": {"a": 1.1}}), "snow"
@@ -241,7 +241,7 @@ def test_one_vehicle_on_one_day_is_refused():
         tried(tables, base_model(tables[0]), "wet_road")
 
 
-def test_a_model_with_a_constant_is_fitted_to_whole_rides(cold):
+def test_model_with_constant_is_fitted_to_whole_rides(cold):
     rides, windows = cold
     assert is_additive(BASIC_PHYSICAL.terms)
     assert not is_additive((make_term("average_speed_kmh"),))
@@ -262,7 +262,7 @@ def test_a_model_with_a_constant_is_fitted_to_whole_rides(cold):
 # ---- the parts of a trial
 
 
-def test_folds_hold_each_ride_out_once_and_whole_days_where_there_are_many():
+def test_folds_hold_out_each_ride_once_and_whole_days_if_there_are_many():
     for days, by_date in ((12, False), (24, True)):
         rides, windows = planted(days=days, rides=2, windows=2)
         found = group_rows_by_ride(join_tables(rides, windows), rides)
@@ -295,7 +295,7 @@ def test_interval_of_paired_difference_is_clustered_by_vehicle_day():
     assert 0.90 < np.mean(held) < 0.99
 
 
-def test_rides_that_are_not_predicted_are_left_out_of_the_comparison():
+def test_unpredicted_rides_are_left_out_of_comparison():
     table = pd.DataFrame({"vehicle_id": list("aab"), "date": "d", "measured": [1.0, 1.0, 1.0]})
     found = compare_errors(table, np.array([1.5, 1.5, np.nan]), np.array([1.25, 1.25, 1.0]))
     assert (found["rides"], found["mae_before_kwh"], found["mae_after_kwh"]) == (2, 0.5, 0.25)
@@ -323,7 +323,7 @@ def test_final_days_of_history_are_kept_and_chosen_again_for_new_dates():
 
 
 @pytest.mark.parametrize("scope", ["since=2018-13-01", "vehicle=", "since=now"])
-def test_a_model_file_with_a_damaged_scope_is_refused_in_one_line(scope, added, tmp_path):
+def test_model_file_with_damaged_scope_is_refused_in_one_line(scope, added, tmp_path):
     content = json.loads(encode_model(added.model))
     content["terms"][-1]["columns"].append(scope)
     (tmp_path / "bad.json").write_text(json.dumps(content))
@@ -337,7 +337,7 @@ def test_scopes_are_described_in_words():
     assert describe_scope(("effect_snow", "vehicle=a=b")) == "vehicle a=b"
 
 
-def test_a_scoped_effect_forecasts_live_as_the_ride_table_says(tmp_path):
+def test_live_forecast_with_scoped_effect_matches_ride_table(tmp_path):
     cold = (Term(name="cold", columns=("effect_cold_rolling", "vehicle=a", "since=2024-01-15"), unit="1/K"),)
     fit = models.Fit(coefficients=(2e-4,))
     scoped_model = LinearModel(name="s", version="1", recipe="x", terms=cold, fits={ANY: fit})

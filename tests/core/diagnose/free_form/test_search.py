@@ -151,7 +151,7 @@ def test_planted_term_outside_library_is_recovered(driving, carrier):
     assert np.sum(new * truly) / np.sum(truly**2) == pytest.approx(1.0, abs=0.2)
 
 
-def test_the_interval_of_the_coefficient_covers_where_the_term_is_right(driving):
+def test_interval_of_coefficient_covers_true_value_of_correct_term(driving):
     rows, windows = driving
     covered = 0
     for seed in range(8):
@@ -169,12 +169,12 @@ def test_noise_gives_no_suggestion():
     assert sum(found is not None for found in suggested) <= 2
 
 
-def test_what_the_base_can_refit_is_not_suggested(driving):
+def test_terms_that_model_can_refit_are_not_suggested(driving):
     rows, windows = driving
     assert asked(windows, rows["day"], 0.004 * ROLLING * rows["speed"] + 300.0) is None
 
 
-def test_a_gain_that_is_too_small_is_not_suggested(driving):
+def test_term_with_too_small_gain_is_not_suggested(driving):
     rows, windows = driving
     residual = np.random.default_rng(0).normal(0.0, SD, len(windows))
     residual += windows["effect_rolling"] * rows["occupants"] * 3e-4
@@ -273,6 +273,6 @@ def test_formulas_and_units_are_readable():
 
 
 @pytest.mark.parametrize("values", [[0.0, 0.0, 0.0], [1.0, 2.0], [0.0, 0.0, 0.0, 5.0]])
-def test_limits_lie_within_the_values(values):
+def test_limits_lie_within_values(values):
     x = np.array(values)
     assert all(x.min() < at < x.max() for at in choose_limits(x, "1"))

@@ -189,7 +189,7 @@ def test_conditions_match_their_words():
     assert np.array_equal(said["between 6 and 9 h"], (hour >= 6.0) & (hour < 9.0))
 
 
-def test_names_without_letters_get_a_title():
+def test_names_without_letters_get_title():
     rides, _, _ = fleet(100)
     known, _ = list_conditions(rides.assign(driver_id=np.arange(100) % 3))
     assert {"driver 0", "driver 1", "driver 2"} <= {condition.words for condition in known}

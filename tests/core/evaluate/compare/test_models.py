@@ -53,7 +53,7 @@ def shift():
 # the clustered interval
 
 
-def test_of_independent_rides_the_interval_is_the_classical_one():
+def test_interval_of_independent_rides_is_classical():
     values = np.random.default_rng(1).normal(2.0, 1.0, 50)
     found = compute_clustered_mean(values, np.arange(50))
     assert found.error == pytest.approx(values.std(ddof=1) / np.sqrt(50))
@@ -61,7 +61,7 @@ def test_of_independent_rides_the_interval_is_the_classical_one():
 
 
 @given(seeds)
-def test_rides_that_repeat_others_of_their_cluster_are_no_news(seed):
+def test_repeated_rides_within_cluster_do_not_change_interval(seed):
     rng = np.random.default_rng(seed)
     clusters = rng.integers(0, 6, 40)
     values = rng.normal(clusters, 1.0)
@@ -72,7 +72,7 @@ def test_rides_that_repeat_others_of_their_cluster_are_no_news(seed):
     assert thrice == pytest.approx(once)
 
 
-def test_the_interval_holds_the_truth_where_a_plain_one_does_not():
+def test_clustered_interval_covers_true_value_where_plain_interval_does_not():
     rng = np.random.default_rng(5)
     held, plain, draws = 0, 0, 600
     for _ in range(draws):
@@ -85,19 +85,19 @@ def test_the_interval_holds_the_truth_where_a_plain_one_does_not():
     assert plain / draws < 0.7
 
 
-def test_the_standard_error_is_right_on_average_whatever_the_sizes_of_clusters():
+def test_standard_error_is_unbiased_for_unequal_clusters():
     rng = np.random.default_rng(6)
     clusters = np.repeat(np.arange(4), [1, 3, 8, 20])
     squares = [compute_clustered_mean(rng.normal(0.0, 1.0, 32), clusters).error ** 2 for _ in range(4000)]
     assert np.mean(squares) == pytest.approx(1.0 / 32.0, rel=0.08)
 
 
-def test_of_one_cluster_there_is_no_interval():
+def test_one_cluster_has_no_interval():
     assert np.isnan(compute_clustered_mean(np.ones(5), np.zeros(5, np.int64)).ci95)
 
 
 @given(seeds)
-def test_a_ratio_is_that_of_sums_and_knows_no_unit(seed):
+def test_ratio_is_ratio_of_sums_and_scales_with_unit(seed):
     rng = np.random.default_rng(seed)
     above, below, clusters = rng.gamma(2.0, 1.0, 30), rng.gamma(2.0, 5.0, 30), rng.integers(0, 5, 30)
     found, scaled = (
@@ -109,7 +109,7 @@ def test_a_ratio_is_that_of_sums_and_knows_no_unit(seed):
     assert compute_clustered_ratio(3.0 * below, below, clusters).error == pytest.approx(0.0, abs=1e-12)
 
 
-def test_a_difference_is_less_sure_than_either():
+def test_difference_has_larger_error_than_either_estimate():
     one, other = Estimate(3.0, 0.3, 10.0), Estimate(1.0, 0.4, 20.0)
     apart = subtract(one, other)
     assert (apart.value, apart.error) == (2.0, 0.5)
@@ -120,7 +120,7 @@ def test_a_difference_is_less_sure_than_either():
 # conditions
 
 
-def test_each_ride_is_in_one_bin_of_what_is_known():
+def test_each_ride_is_in_one_bin_of_each_known_property():
     rides = planted(200)
     rides.loc[3, "wind_speed_kmh"] = np.nan
     found = bin_rides(rides)
@@ -136,7 +136,7 @@ def test_each_ride_is_in_one_bin_of_what_is_known():
 
 
 @given(st.floats(1.4e9, 1.9e9), st.floats(-180.0, 180.0))
-def test_the_local_hour_is_that_of_the_sun_within_half_an_hour(start, longitude):
+def test_local_hour_equals_solar_hour_within_half_an_hour(start, longitude):
     hour = compute_local_hour(np.array([start]), np.array([longitude]))[0]
     solar = (start / 3600.0 + longitude / 15.0) % 24.0
     assert 0.0 <= hour < 24.0
@@ -146,7 +146,7 @@ def test_the_local_hour_is_that_of_the_sun_within_half_an_hour(start, longitude)
 # models against rides
 
 
-def test_figures_are_what_they_are_called():
+def test_figures_match_their_definitions():
     rides = planted()
     found = compared(rides, m=EXTENDED_PHYSICAL)["models"]["m"]
     error = EXTENDED_PHYSICAL.predict(rides) - rides["energy_kwh"].to_numpy()
@@ -161,7 +161,7 @@ def test_figures_are_what_they_are_called():
             assert np.average([e["bias_kwh"]["value"] for e in entries], weights=n) == pytest.approx(error.mean())
 
 
-def test_rides_left_out_are_counted_by_reason():
+def test_excluded_rides_are_counted_by_reason():
     rides = planted(60)
     rides.loc[:4, ["fit_for_training", "unfit_reason"]] = [False, "too_short"]
     rides.loc[5:6, "energy_kwh"] = np.nan
@@ -172,7 +172,7 @@ def test_rides_left_out_are_counted_by_reason():
     assert about["read"] == about["rides"] + sum(about["left_out"].values())
 
 
-def test_a_planted_error_is_found_in_the_cold_and_nowhere_else():
+def test_planted_error_in_cold_is_significant_in_cold_bins_only():
     rides = planted(800)
     cold = rides["ambient_c"].to_numpy() < -15.0
     rides["energy_kwh"] += 0.3 * cold
@@ -182,7 +182,7 @@ def test_a_planted_error_is_found_in_the_cold_and_nowhere_else():
     assert all(entry["bias_kwh"]["value"] < -0.2 for entry in found if entry["bin"] in sure)
 
 
-def test_where_nothing_is_wrong_hardly_a_bin_is_named():
+def test_correct_model_has_few_significant_bins():
     named = 0
     for seed in range(30):
         by = compared(planted(300, seed), m=EXTENDED_PHYSICAL)["models"]["m"]["by"]
@@ -190,7 +190,7 @@ def test_where_nothing_is_wrong_hardly_a_bin_is_named():
     assert named <= 5
 
 
-def test_models_are_told_apart_on_the_same_rides():
+def test_models_are_distinguished_on_same_rides():
     rides = planted()
     better = EXTENDED_PHYSICAL
     worse = model("worse", better.terms, [1.3, 1.0, 1.0, 1.0, 1.0])
@@ -205,7 +205,7 @@ def test_models_are_told_apart_on_the_same_rides():
     assert apart["p"] < apart["p_holm"] < 0.01
 
 
-def test_a_pair_is_surer_than_its_models_apart():
+def test_paired_difference_has_narrower_interval_than_separate_errors():
     rides = planted()
     worse = model("worse", EXTENDED_PHYSICAL.terms, [1.1, 1.0, 1.0, 1.0, 1.0])
     found = compared(rides, one=EXTENDED_PHYSICAL, other=worse)
@@ -214,7 +214,7 @@ def test_a_pair_is_surer_than_its_models_apart():
 
 
 @given(seeds)
-def test_the_order_of_rides_changes_nothing(seed):
+def test_result_does_not_depend_on_ride_order(seed):
     rides = planted(60)
     mixed = rides.sample(frac=1.0, random_state=seed)
     for one, other in zip(
@@ -224,7 +224,7 @@ def test_the_order_of_rides_changes_nothing(seed):
         assert one["bias_kwh"] == pytest.approx(other["bias_kwh"])
 
 
-def test_the_worst_rides_come_first_and_relative_ones_are_well_measured():
+def test_worst_rides_come_first_and_relative_errors_need_certain_energy():
     rides = planted(100)
     rides.loc[7, "energy_kwh"] += 5.0
     rides.loc[8, ["energy_kwh", "energy_sd_kwh"]] = [0.001, 0.1]  # next to nothing: no ratio means anything
@@ -238,7 +238,7 @@ def test_the_worst_rides_come_first_and_relative_ones_are_well_measured():
     assert sizes == sorted(sizes, reverse=True)
 
 
-def test_a_model_of_other_cars_is_refused():
+def test_model_without_fit_for_any_vehicle_model_is_refused():
     rides = planted(50)
     other = model("other", EXTENDED_PHYSICAL.terms, [1.0] * 5, key="bmw-i3-2014")
     with pytest.raises(
@@ -252,14 +252,14 @@ def test_rides_without_measured_energy_are_refused():
         select_rides(planted(20).assign(energy_kwh=np.nan), {"m": EXTENDED_PHYSICAL})
 
 
-def test_a_column_that_is_unknown_in_all_rides_is_named():
+def test_error_names_column_that_is_unknown_in_all_rides():
     rides = planted(20).assign(odometer_km=np.nan)
     needy = model("needy", [Term(name="o", columns=("odometer_km",), unit="kWh/km")], [1.0])
     with pytest.raises(ModelError, match=r"needy predicts none of 20 rides: column 'odometer_km' is unknown"):
         select_rides(rides, {"needy": needy})
 
 
-def test_two_rides_are_compared_without_intervals():
+def test_two_rides_of_one_day_are_compared_without_intervals():
     rides = planted(300).sort_values(["vehicle_id", "date"])
     days = assign_vehicle_days(rides)
     two = rides[days == days[np.flatnonzero(np.diff(days) == 0)[0]]][:2]
@@ -273,7 +273,7 @@ def test_two_rides_are_compared_without_intervals():
 
 @pytest.mark.parametrize("correction", [None, {ANY: STUMP}, {"tesla-model-s": STUMP}])
 @pytest.mark.parametrize("cars", [{}, {"tesla-model-s-1": 1.2, "nissan-leaf-2013-3": 0.9}])
-def test_parts_add_up_to_the_prediction(correction, cars):
+def test_parts_add_up_to_prediction(correction, cars):
     rides = planted(240)
     fitted = get_recipe("fitted_physical").fit(rides, covariance=False)
     model = msgspec.structs.replace(fitted, correction=correction, cars=cars)
@@ -282,7 +282,7 @@ def test_parts_add_up_to_the_prediction(correction, cars):
     np.testing.assert_allclose(sum(found.values()), model.predict(rides), rtol=1e-9)
 
 
-def test_a_car_without_a_fit_has_no_parts():
+def test_vehicle_model_without_fit_has_no_parts():
     rides = planted(40)
     one = model("one", FITTED_TERMS[:-1], [1.0] * 4, key="tesla-model-s")
     found = one.predict_parts(rides)["rolling"]
@@ -292,7 +292,7 @@ def test_a_car_without_a_fit_has_no_parts():
 # the trace of a ride
 
 
-def test_the_ride_so_far_ends_as_the_ride(shift):
+def test_accumulated_windows_end_with_values_of_ride(shift):
     rides, windows = shift
     for i in range(0, len(rides), 5):
         ride = rides.iloc[[i]].reset_index(drop=True)
@@ -304,7 +304,7 @@ def test_the_ride_so_far_ends_as_the_ride(shift):
         assert found["distance_km"].iloc[0] == 0.0
 
 
-def test_a_trace_adds_up(shift):
+def test_trace_adds_up_to_measured_and_predicted_energy(shift):
     rides, windows = shift
     ride = find_ride(rides[rides["distance_km"] > 5.0], rides.loc[rides["distance_km"] > 5.0, "ride_key"].iloc[0])
     found = trace_ride(ride, windows, {"plain": EXTENDED_PHYSICAL, "with": _with_constant()})
@@ -328,21 +328,21 @@ def _with_constant():
     return model("with", terms, [1.0] * 5 + [0.5])
 
 
-def test_windows_without_a_column_that_a_model_needs_are_refused(shift):
+def test_windows_without_needed_column_are_refused(shift):
     rides, windows = shift
     ride = find_ride(rides, rides.loc[rides["distance_km"] > 5.0, "ride_key"].iloc[0])
     with pytest.raises(ModelError, match="column 'effect_climbing' is missing in the data: make the tables"):
         trace_ride(ride, windows.drop(columns="effect_climbing"), {"m": BASIC_PHYSICAL})
 
 
-def test_a_ride_that_nothing_measured_has_no_trace(shift):
+def test_ride_without_measured_energy_has_no_trace(shift):
     rides, windows = shift
     ride = find_ride(rides, rides["ride_key"].iloc[0]).assign(energy_kwh=np.nan)
     with pytest.raises(ModelError, match="it has no measured energy to compare with"):
         trace_ride(ride, windows, {"m": BASIC_PHYSICAL})
 
 
-def test_a_ride_is_found_by_key_and_identifier_and_else_names_that_are_close_are_told(shift):
+def test_ride_is_found_by_key_or_identifier_and_error_names_similar_keys(shift):
     rides, _ = shift
     key, name = rides["ride_key"].iloc[4], rides["ride_id"].iloc[4]
     assert find_ride(rides, key)["ride_id"].iloc[0] == name
@@ -354,7 +354,7 @@ def test_a_ride_is_found_by_key_and_identifier_and_else_names_that_are_close_are
         find_ride(twice, name)
 
 
-def test_a_ride_measured_by_its_state_of_charge_is_followed_in_steps(shift):
+def test_ride_measured_by_soc_is_traced_in_steps_with_note(shift):
     rides, windows = shift
     soc = rides[(rides["energy_kwh"] == rides["energy_soc_kwh"]) & (rides["distance_km"] > 3.0)]
     found = trace_ride(find_ride(rides, soc["ride_key"].iloc[0]), windows, {"m": EXTENDED_PHYSICAL})
@@ -362,7 +362,7 @@ def test_a_ride_measured_by_its_state_of_charge_is_followed_in_steps(shift):
     assert found["windows"]["measured_kwh"].sum() == pytest.approx(soc["energy_kwh"].iloc[0])
 
 
-def test_windows_that_were_not_measured_take_the_mean_power(shift):
+def test_unmeasured_windows_take_mean_power(shift):
     rides, windows = shift
     ride = find_ride(rides, rides.loc[rides["energy_kwh"] == rides["energy_vi_kwh"], "ride_key"].iloc[3])
     own = windows.index[windows["ride_key"] == ride["ride_key"].iloc[0]]
@@ -375,7 +375,7 @@ def test_windows_that_were_not_measured_take_the_mean_power(shift):
 
 
 @given(seeds, st.integers(0, 15), st.integers(2, 6), st.sampled_from([-1.0, 1.0]))
-def test_the_place_where_they_part_is_where_it_was_planted(seed, first, length, sign):
+def test_located_divergence_matches_planted_windows(seed, first, length, sign):
     rng = np.random.default_rng(seed)
     windows = {"duration_s": rng.uniform(50.0, 70.0, 24), "distance_km": rng.uniform(0.2, 1.2, 24)}
     error = sign * 0.004 + rng.normal(0.0, 0.001, 24)  # all along, and here
@@ -388,7 +388,7 @@ def test_the_place_where_they_part_is_where_it_was_planted(seed, first, length, 
 
 
 @given(st.floats(-1.0, 1.0))
-def test_a_steady_error_has_no_such_place(rate):
+def test_constant_error_has_no_divergence(rate):
     windows = {"duration_s": np.full(20, 60.0), "distance_km": np.ones(20)}
     assert locate_divergence(np.full(20, rate), windows, 20.0 * rate) is None
 
@@ -396,7 +396,7 @@ def test_a_steady_error_has_no_such_place(rate):
 # two sets of rides
 
 
-def test_the_account_of_a_difference_comes_out_even():
+def test_explained_and_unexplained_parts_add_up_to_difference():
     rides = planted(500)
     models = {"m": EXTENDED_PHYSICAL}
     cold, warm = (select_rides(rides[rides["winter"] == w], models) for w in (1, 0))
@@ -413,7 +413,7 @@ def test_the_account_of_a_difference_comes_out_even():
     assert n == [len(warm.rides), len(cold.rides)]
 
 
-def test_what_a_model_does_not_know_is_left_unexplained_and_what_it_knows_is_not():
+def test_unexplained_difference_equals_planted_unknown_effect():
     models = {"m": EXTENDED_PHYSICAL}
     for factor in (1.0, 1.4):  # tyres of the second set
         rides = planted(500, seed=4)
@@ -432,7 +432,7 @@ def test_what_a_model_does_not_know_is_left_unexplained_and_what_it_knows_is_not
         assert (abs(left["value"]) > left["ci95"]) == (factor > 1.0)
 
 
-def test_rides_in_both_sets_are_counted():
+def test_rides_in_both_datasets_are_counted():
     models = {"m": EXTENDED_PHYSICAL}
     rides = planted(60)
     found = compare_datasets(select_rides(rides[:40], models), select_rides(rides[20:], models), models)

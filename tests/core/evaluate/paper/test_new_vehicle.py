@@ -71,7 +71,7 @@ def table():
     return filter_rides(rides.assign(energy_kwh=energy, start_s=rides["start_s"] + np.arange(1500)))
 
 
-def test_a_vehicle_model_is_tested_whole_and_never_trained_on(table):
+def test_new_vehicle_model_is_tested_on_all_its_rides_and_never_trained_on(table):
     splits = split_by_vehicle_model(table)
     assert set(splits) == set(MODELS)
     for name, split in splits.items():
@@ -81,7 +81,7 @@ def test_a_vehicle_model_is_tested_whole_and_never_trained_on(table):
         assert len(split.train) + len(split.test) == len(models)
 
 
-def test_tables_12_and_13_are_averages_over_clusters_against_the_basic_model(table):
+def test_tables_12_and_13_average_over_clusters_relative_to_basic_model(table):
     recipes = {"basic_physical": Fixed("basic_physical", 0.1), "per_km": PerKm()}
     held = {
         name: select_comparable(
@@ -110,7 +110,7 @@ def test_tables_12_and_13_are_averages_over_clusters_against_the_basic_model(tab
     assert found["basic_physical"]["average"]["reduction"] == 0.0
 
 
-def test_the_fitted_physical_model_takes_part_in_both_ways_and_who_can_adapt():
+def test_learners_are_both_variants_of_fitted_physical_and_adaptable_recipes():
     recipes = {"fitted_physical": Fixed("fitted_physical", 0.2), "per_km": PerKm(), "other": Fixed("other", 0.1)}
     assert [(learner.name, learner.way) for learner in list_learners(recipes)] == [
         ("fitted_physical_others", "unchanged"),
@@ -119,7 +119,7 @@ def test_the_fitted_physical_model_takes_part_in_both_ways_and_who_can_adapt():
     ]
 
 
-def test_rides_shown_are_nested_the_same_for_all_and_never_tested():
+def test_drawn_orders_are_reproducible_permutations_and_ride_counts_fit_table():
     own = np.arange(100, 700)
     for order in draw_rides(own, "leaf", 3, number=4):
         assert np.array_equal(np.sort(order), own)
@@ -132,7 +132,7 @@ def test_rides_shown_are_nested_the_same_for_all_and_never_tested():
     assert select_ride_counts(1) == (0,)
 
 
-def test_rides_that_are_tested_are_the_same_at_every_point(table, monkeypatch):
+def test_learning_curve_tests_same_unseen_rides_at_every_point(table, monkeypatch):
     split = split_by_vehicle_model(table)[MODELS[0]]
     tested, shown = [], []
     monkeypatch.setattr(Rate, "predict", lambda _, rides: tested.append(rides.index) or np.zeros(len(rides)))
@@ -146,7 +146,7 @@ def test_rides_that_are_tested_are_the_same_at_every_point(table, monkeypatch):
         assert not own[-1] & set(points[0])
 
 
-def test_a_few_rides_teach_what_is_planted(table):
+def test_learning_curve_falls_towards_planted_consumption(table):
     split = split_by_vehicle_model(table)[MODELS[2]]
     orders = draw_rides(split.test, MODELS[2], 1, 5)
     recipe = PerKm()
@@ -162,7 +162,7 @@ def test_a_few_rides_teach_what_is_planted(table):
     assert len(recipe.fitted) == 1, "the others are learnt once, not at every point"
 
 
-def test_curves_have_intervals_over_draws_and_say_what_failed(table):
+def test_learning_curves_have_intervals_over_draws_and_notes_on_failures(table):
     class Broken(PerKm):
         def adapt(self, _model, _rides):
             raise ModelError("too few rides: give more")
@@ -181,7 +181,7 @@ def test_curves_have_intervals_over_draws_and_say_what_failed(table):
     assert notes == ["broken on a few rides of kia-soul-ev-2015: too few rides: give more"]
 
 
-def test_the_line_to_beat_is_the_better_way_at_each_point():
+def test_reference_curve_is_better_variant_at_each_point():
     others, refitted = np.full((3, 6), 0.2), np.tile([0.2, 0.3, 0.4, 0.3, 0.1, 0.05], (3, 1))
     told, _ = tabulate_learning_curves(
         {("leaf", new_vehicle.BENCHMARK_UNCHANGED): others, ("leaf", new_vehicle.BENCHMARK_REFITTED): refitted}
@@ -190,7 +190,7 @@ def test_the_line_to_beat_is_the_better_way_at_each_point():
     assert list(told["leaf"]) == ["fitted_physical", "fitted_physical_others", "fitted_physical_refitted"]
 
 
-def test_one_vehicle_model_alone_has_no_others():
+def test_single_vehicle_model_has_no_new_vehicle_results():
     rides = planted_rides.rides(200, 4, MODELS[:1]).assign(energy_kwh=1.0)
     alone = filter_rides(rides.assign(start_s=np.arange(200.0)))
     assert split_by_vehicle_model(alone) == {}

@@ -89,7 +89,7 @@ def result(rides):
     return found
 
 
-def test_the_result_is_plain_json_with_every_part(result):
+def test_result_is_plain_json_with_every_part(result):
     assert json.loads(json.dumps(result, allow_nan=False)) == result
     for part in (
         *("about", "rides", "consumption", "test_consumption", "recipes", "mae", "reduction", "relative"),
@@ -102,7 +102,7 @@ def test_the_result_is_plain_json_with_every_part(result):
     assert result["about"]["clusters"] == list(CLUSTERS[:5])
 
 
-def test_rides_and_consumption_are_those_of_the_table(result, rides):
+def test_ride_counts_and_consumption_match_ride_table(result, rides):
     for model in MODELS:
         own = rides[rides["vehicle_model"] == model]
         assert result["rides"][model]["total"] == len(own)
@@ -113,7 +113,7 @@ def test_rides_and_consumption_are_those_of_the_table(result, rides):
             assert result["consumption"][model][cluster] == pytest.approx(own["energy_kwh"][at].mean())
 
 
-def test_the_planted_error_is_found_and_its_interval_holds_it(result):
+def test_planted_error_lies_within_its_interval(result):
     truth = SD * sqrt(2 / pi)
     for model in MODELS:
         error = result["mae"]["true"][model]["average"]
@@ -123,7 +123,7 @@ def test_the_planted_error_is_found_and_its_interval_holds_it(result):
         assert result["bias"]["basic_physical"][model] == pytest.approx(0.3, abs=0.01)
 
 
-def test_averages_are_plain_and_the_bottom_row_is_by_rides(result):
+def test_averages_are_plain_means_and_bottom_row_is_weighted_by_rides(result):
     mae, count = result["mae"]["close"], result["rides"]
     for model in MODELS:
         known = [mae[model][c]["value"] for c in CLUSTERS[:5] if mae[model][c]["value"] is not None]
@@ -134,7 +134,7 @@ def test_averages_are_plain_and_the_bottom_row_is_by_rides(result):
         assert mae["weighted"][cluster]["value"] == pytest.approx(np.average(values, weights=weights))
 
 
-def test_reductions_are_against_the_basic_physical_model(result):
+def test_reductions_are_relative_to_basic_physical_model(result):
     average = {r: {m: rows[m]["average"]["value"] for m in MODELS} for r, rows in result["mae"].items()}
     for recipe, shares in result["reduction"].items():
         expected = [1 - average[recipe][m] / average["basic_physical"][m] for m in MODELS]
@@ -145,7 +145,7 @@ def test_reductions_are_against_the_basic_physical_model(result):
     assert relative == pytest.approx(result["mae"]["true"]["weighted"]["5-10"]["value"] / mean)
 
 
-def test_the_planted_best_dominates_and_equals_share_its_place(rides, result):
+def test_planted_best_model_dominates_and_equal_model_codominates(rides, result):
     assert set(result["dominates"]["all"]) == {"true"}
     assert result["difference"]["all"]["basic_physical|true"]["p"] < 1e-6
     assert result["difference"]["all"]["basic_physical|true"]["value"] > 0.0
@@ -156,7 +156,7 @@ def test_the_planted_best_dominates_and_equals_share_its_place(rides, result):
     assert set(found["dominates"]["all"]) == {"true", "twin"}
 
 
-def test_a_cluster_of_few_rides_has_no_figure(result):
+def test_cluster_with_few_rides_has_no_figure(result):
     few = [(m, c) for m in MODELS for c in CLUSTERS[:5] if 0 < result["rides"][m][c] < LEAST_RIDES]
     many = [(m, c) for m in MODELS for c in CLUSTERS[:5] if result["rides"][m][c] >= LEAST_RIDES]
     assert few
@@ -167,7 +167,7 @@ def test_a_cluster_of_few_rides_has_no_figure(result):
         assert result["mae"]["true"][model][cluster]["ci95"] > 0.0
 
 
-def test_intervals_cover_what_was_planted_and_buffers_are_quantiles(result):
+def test_intervals_cover_planted_errors_and_buffers_are_quantiles(result):
     covered = result["coverage"]["true"]
     assert set(result["coverage"]) == {"true"}
     assert covered["overall"] == pytest.approx(0.9, abs=0.03)
@@ -180,7 +180,7 @@ def test_intervals_cover_what_was_planted_and_buffers_are_quantiles(result):
     assert result["buffer_kwh"]["basic_physical"]["95"] == pytest.approx(1.645 * SD - 0.3, abs=0.03)
 
 
-def test_errors_are_told_by_distance_temperature_season_and_driver(result):
+def test_errors_are_reported_by_distance_temperature_season_and_driver(result):
     assert set(result["by"]) == {"distance", "temperature", "season", "driver"}
     assert [b["bin"] for b in result["by"]["season"]["true"]] == ["winter", "summer"]
     assert [b["bin"] for b in result["by"]["driver"]["true"]] == ["ana", "bo"]
@@ -189,7 +189,7 @@ def test_errors_are_told_by_distance_temperature_season_and_driver(result):
     assert "0 to 5" in {b["bin"] for b in result["by"]["temperature"]["true"]}
 
 
-def test_what_is_predicted_is_never_seen_with_its_answer(rides):
+def test_predicted_rides_have_no_energy_columns_and_are_not_trained_on(rides):
     seen = []
 
     def spy(asked):
@@ -219,14 +219,14 @@ def test_splits_by_vehicle_and_by_date_hold_out_cars_and_days(rides):
         assert found["splits"]["vehicle"]["true"][model] < 0.12
 
 
-def test_the_same_seed_gives_the_same_whatever_the_processes_and_the_order_of_rides():
+def test_result_depends_on_seed_but_not_on_processes_or_ride_order():
     table, wanted = fleet(400, models=MODELS[:1]), select_recipes("basic_physical,empirical", None)
     one = evaluate(table, wanted, seed=7, repeats=2)
     assert evaluate(table.sample(frac=1.0, random_state=1), wanted, seed=7, repeats=2, jobs=2) == one
     assert evaluate(table, wanted, seed=8, repeats=2)["mae"] != one["mae"]
 
 
-def test_a_recipe_that_fails_is_left_out_and_said_so(rides):
+def test_failing_recipe_is_left_out_with_note(rides):
     def refuse(_asked):
         raise ModelError("column 'x' is missing: add it")
 
@@ -237,7 +237,7 @@ def test_a_recipe_that_fails_is_left_out_and_said_so(rides):
         evaluate(rides, recipes(Toy("broken", refuse)), seed=1)
 
 
-def test_all_recipes_are_judged_by_the_rides_that_all_of_them_predict():
+def test_recipes_are_evaluated_on_rides_that_all_of_them_predict():
     split = Split(np.arange(100, 200), np.arange(100))
     whole = Prediction(split.test, np.ones(100))
     holes = np.ones(100)
@@ -253,7 +253,7 @@ def test_all_recipes_are_judged_by_the_rides_that_all_of_them_predict():
     assert len(found.rows[0]) == 100
 
 
-def test_one_car_of_one_vehicle_model_on_one_day_is_judged_as_far_as_it_goes():
+def test_one_car_on_one_day_is_evaluated_without_parts_that_need_more():
     table = fleet(200, models=MODELS[:1])
     table = table.assign(vehicle_id="one", date="2018-01-15").drop(columns="driver_id")
     found = evaluate(table, recipes(HIGH, TRUE), seed=1)
@@ -267,7 +267,7 @@ def test_one_car_of_one_vehicle_model_on_one_day_is_judged_as_far_as_it_goes():
     assert len(found["about"]["notes"]) == 3
 
 
-def test_rides_that_cannot_be_judged_are_counted_by_reason(rides):
+def test_excluded_rides_are_counted_by_reason(rides):
     table = rides.head(60).copy()
     table.loc[:4, ["fit_for_training", "unfit_reason"]] = [False, "too_short"]
     table.loc[5:6, "energy_kwh"] = np.nan
@@ -289,12 +289,12 @@ def test_rides_that_cannot_be_judged_are_counted_by_reason(rides):
         (lambda t: t.head(0), "0 of 0 rides can be evaluated"),
     ],
 )
-def test_a_table_that_cannot_be_judged_is_refused_in_one_line(rides, spoil, told):
+def test_unusable_ride_table_raises_error_with_reason(rides, spoil, told):
     with pytest.raises(ModelError, match=told):
         evaluate(spoil(rides), recipes(TRUE))
 
 
-def test_recipes_are_chosen_by_name_in_the_order_of_the_paper():
+def test_recipes_are_selected_by_name_in_order_of_paper():
     assert list(select_recipes("hybrid, basic_physical", None)) == ["basic_physical", "hybrid"]
     for names, told in (
         ("horse", "'horse' is unknown; known are basic_physical"),
@@ -305,7 +305,7 @@ def test_recipes_are_chosen_by_name_in_the_order_of_the_paper():
             select_recipes(names, None)
 
 
-def test_figure_1_has_the_planted_curve_and_points_upon_it():
+def test_figure_1_recovers_planted_curve_and_points_on_it():
     table = planted_rides.rides(3000, 5, MODELS[:1])
     table = table.assign(effect_aero_drag_wind=table["effect_aero_drag"], start_s=table["start_s"] + np.arange(3000))
     table = planted_rides.noisy(table, planted_rides.physical_energy(table), of_day=0.0)

@@ -40,7 +40,7 @@ def weighted_mean(recipe, cluster, rides_of):
     return np.average(list(known.values()), weights=weights)
 
 
-def test_every_table_is_there_once_and_every_figure_can_be_read():
+def test_every_table_occurs_once_and_every_figure_is_readable():
     assert [table.number for table in load_paper().tables] == list(range(2, 14))
     assert [published.get_table_number(recipe) for recipe in RECIPES] == list(range(5, 12))
     assert len(published._figures()) == sum(
@@ -49,7 +49,7 @@ def test_every_table_is_there_once_and_every_figure_can_be_read():
     assert all(figure.value >= 0 for figure in published._figures().values())
 
 
-def test_only_errors_and_consumption_of_tests_have_intervals():
+def test_only_errors_and_test_consumption_have_intervals():
     for (quantity, *_), figure in published._figures().items():
         assert (figure.ci95 is not None) == (quantity in {"mae", "test_consumption"})
 
@@ -63,7 +63,7 @@ def test_vehicle_models_are_in_the_catalogue():
     )
 
 
-def test_what_the_paper_lacks_is_none():
+def test_figures_that_paper_lacks_are_none():
     assert published.get_mae("hybrid", "bmw-i3-2014", "0-5") is None
     assert published.get_mae("segment_network", "tesla-model-s", "0-5") is None
     assert published.get_mae("hybrid", "nissan-leaf-2016", "15-20") is None
@@ -73,20 +73,20 @@ def test_what_the_paper_lacks_is_none():
     assert published.get_table_number("segment_network") is None
 
 
-def test_no_cell_of_the_tables_is_missing():
+def test_no_table_cell_is_missing():
     text = resources.files("core.evaluate.paper").joinpath("paper.toml").read_text(encoding="utf-8")
     cells = sum(len(cells) for table in tomllib.loads(text)["tables"] for cells in table["rows"].values())
     assert cells == 32 + 30 + 26 + 7 * 26 + 2 * 28
 
 
 @each_model
-def test_table_2_totals_are_sums(key):
+def test_table_2_totals_are_sums_over_clusters(key):
     assert published.get_ride_count(key, "total").value == sum(
         published.get_ride_count(key, c).value for c in (*CLUSTERS, *FURTHER)
     )
 
 
-def test_table_2_adds_up_to_the_rides_before_any_was_removed():
+def test_table_2_adds_up_to_rides_before_removal():
     """The text removes 28,283 of 193,347 rides; Table 2 should hold 165,064, and holds 28,283 too many."""
     total = sum(published.get_ride_count(key, "total").value for key in KEYS)
     assert total == published.get_statement("rides").value
@@ -94,7 +94,7 @@ def test_table_2_adds_up_to_the_rides_before_any_was_removed():
 
 
 @each_model
-def test_table_3_averages_are_plain_means(key):
+def test_table_3_averages_are_plain_means_over_clusters(key):
     means = [published.get_consumption(key, c) for c in (*CLUSTERS, *FURTHER)]
     mean = np.mean([figure.value for figure in means if figure is not None])
     assert published.get_consumption(key, AVERAGE).value == pytest.approx(mean, abs=0.0051)
@@ -102,13 +102,13 @@ def test_table_3_averages_are_plain_means(key):
 
 @each_recipe
 @each_model
-def test_averages_of_errors_are_plain_means_to_within_rounding(recipe, key):
+def test_average_errors_are_plain_means_within_rounding(recipe, key):
     """Rounding to 0.01 kWh allows 0.01 kWh; the largest difference is 0.0067 kWh."""
     mean = np.mean([figure.value for figure in row(recipe, key).values()])
     assert published.get_mae(recipe, key, AVERAGE).value == pytest.approx(mean, abs=0.007)
 
 
-def test_intervals_of_averages_are_narrower_than_independent_clusters_give():
+def test_intervals_of_averages_are_narrower_than_for_independent_clusters():
     """The paper's are 0.23 to 0.68 of the half width of a plain mean of independent cells; it does not say how."""
     ratios = []
     for recipe in RECIPES:
@@ -120,7 +120,7 @@ def test_intervals_of_averages_are_narrower_than_independent_clusters_give():
     assert max(ratios) == pytest.approx(0.681, abs=0.001)
 
 
-def test_weighted_rows_follow_all_rides_of_a_vehicle_model_rather_than_those_of_the_cluster():
+def test_weighted_rows_agree_better_with_weights_by_all_rides():
     """By all rides the rows are met within 0.040 kWh, by those in the cluster only within 0.14 kWh."""
     by_all, by_cluster = [], []
     for recipe in RECIPES:
@@ -133,7 +133,7 @@ def test_weighted_rows_follow_all_rides_of_a_vehicle_model_rather_than_those_of_
     assert np.mean(by_all) < 0.4 * np.mean(by_cluster)
 
 
-def test_the_reduction_in_the_text_is_a_little_less_than_the_tables_give():
+def test_reduction_in_text_is_slightly_below_that_of_tables():
     """Text 51.75 %, Tables 5 and 11 52.04 %: 0.29 points, as much as rounding to 0.01 kWh explains."""
     mean = np.mean([published.get_reduction("hybrid_interactions", key) for key in KEYS])
     assert mean - published.get_statement("reduction").value == pytest.approx(0.0029, abs=0.0001)
@@ -141,13 +141,13 @@ def test_the_reduction_in_the_text_is_a_little_less_than_the_tables_give():
     assert mean - published.get_statement("reduction").value < 2 * rounding
 
 
-def test_the_reduction_on_new_vehicles_in_the_text_is_a_little_less_than_table_12_gives():
+def test_new_vehicle_reduction_in_text_is_slightly_below_that_of_table_12():
     """Text 30.75 %, Table 12 31.02 %: 0.27 points."""
     mean = np.mean([published.get_new_vehicle_reduction("fitted_physical", key) for key in KEYS])
     assert mean - published.get_statement("new_vehicle_reduction").value == pytest.approx(0.0027, abs=0.0001)
 
 
-def test_as_much_as_44_percent_is_not_the_most_that_the_tables_give():
+def test_largest_reduction_in_text_is_below_that_of_tables():
     """By Tables 5 and 7 the fitted physical model falls by 56.7 % on the LEAF; 44 % is the Model S."""
     most = max(published.get_reduction("fitted_physical", key) for key in KEYS)
     assert most - published.get_statement("reduction_fitted").value == pytest.approx(0.127, abs=0.001)
@@ -156,13 +156,13 @@ def test_as_much_as_44_percent_is_not_the_most_that_the_tables_give():
     assert best == pytest.approx(published.get_statement("reduction_best").value, abs=0.002)
 
 
-def test_the_relative_errors_in_the_text_are_those_of_the_best_model():
+def test_relative_errors_in_text_are_those_of_best_model():
     short, long = (published.get_relative_error("hybrid_interactions", c) for c in ("0-5", "20-25"))
     assert short == pytest.approx(published.get_statement("relative_error_short").value, abs=0.02)
     assert long == pytest.approx(published.get_statement("relative_error_long").value, abs=0.004)
 
 
-def test_the_basic_physical_model_differs_between_tables_5_and_12_although_nothing_is_trained():
+def test_basic_physical_model_differs_between_tables_5_and_12():
     """Up to 0.05 kWh, on the LEAF: Table 12 takes all rides, Table 5 the test sets."""
     differences = [
         published.get_new_vehicle_mae(PHYSICAL, key).value - published.get_mae(PHYSICAL, key, AVERAGE).value
@@ -171,7 +171,7 @@ def test_the_basic_physical_model_differs_between_tables_5_and_12_although_nothi
     assert np.round(differences, 3).tolist() == [0.0, -0.05, 0.02, -0.01]
 
 
-def test_table_13_is_table_12_over_about_the_consumption_of_table_4():
+def test_table_13_is_table_12_over_consumption_of_table_4():
     """The consumption that the two imply is that of Table 4 within 6 %, as two digits allow."""
     for key in KEYS:
         ratios = [
@@ -182,7 +182,7 @@ def test_table_13_is_table_12_over_about_the_consumption_of_table_4():
         assert np.mean(ratios) == pytest.approx(published.get_test_consumption(key, AVERAGE).value, rel=0.06)
 
 
-def test_each_model_is_no_worse_than_the_one_before_it_on_average():
+def test_each_model_is_on_average_no_worse_than_previous_one():
     """As section 5.1 says; but on the LEAF the empirical model is 0.02 kWh worse than the fitted physical one."""
     means = [np.mean([published.get_mae(recipe, key, AVERAGE).value for key in KEYS]) for recipe in RECIPES]
     assert means == sorted(means, reverse=True)
@@ -190,7 +190,7 @@ def test_each_model_is_no_worse_than_the_one_before_it_on_average():
     assert leaf[1] - leaf[0] == pytest.approx(0.02)
 
 
-def test_on_new_vehicles_the_fitted_physical_model_is_best_but_on_the_leaf():
+def test_fitted_physical_model_is_best_on_new_vehicles_except_leaf():
     for key in KEYS:
         errors = {recipe: published.get_new_vehicle_mae(recipe, key).value for recipe in RECIPES}
         best = min(errors, key=errors.get)

@@ -29,14 +29,14 @@ def found():
     return find_removable_terms(RECIPE, filter_rides(fleet()), seed=2)
 
 
-def test_decoys_go_and_what_was_planted_stays(found):
+def test_decoy_terms_are_removed_and_planted_terms_stay(found):
     assert found["constant"] == ["nominal_capacity_kwh"]
     assert set(found["rfe"]["removed"]) == set(DECOYS)
     assert not set(found["rfecv"]["removed"]) & set(PLANTED)
     assert len(found["rfecv"]["removed"]) >= 2
 
 
-def test_what_removal_costs_is_told_step_by_step(found):
+def test_loss_of_removal_is_reported_for_each_step(found):
     steps = found["rfe"]["steps"]
     assert {step["term"] for step in steps[: len(DECOYS)]} == set(DECOYS)
     assert len(steps) == len(PLANTED) + len(DECOYS) - 1
@@ -49,19 +49,19 @@ def test_what_removal_costs_is_told_step_by_step(found):
     assert scores[3] == pytest.approx(0.05 * np.sqrt(2 / np.pi), rel=0.1)
 
 
-def test_the_loss_of_all_that_go_is_that_of_the_last_step(found):
+def test_total_loss_equals_loss_of_last_removal(found):
     assert found["rfe"]["loss"] == found["rfe"]["steps"][len(DECOYS) - 1]["loss"]
     assert set(found["rfe"]["loss"]) == {"value", "ci95", "p"}
 
 
-def test_where_nothing_can_go_there_is_no_loss():
+def test_no_loss_where_no_term_is_removable():
     recipe = LinearRecipe("hybrid", "Hybrid", (*(make_term(c) for c in PLANTED), make_term()))
     rfe = find_removable_terms(recipe, filter_rides(fleet()), seed=2)["rfe"]
     assert rfe["removed"] == []
     assert rfe["loss"] is None
 
 
-def test_of_collinear_terms_one_can_go_and_costs_nothing():
+def test_one_of_two_collinear_terms_is_removed_without_loss():
     recipe = LinearRecipe("hybrid", "Hybrid", (*(make_term(c) for c in (*PLANTED, "winter", "summer")), make_term()))
     table = fleet()
     table["energy_kwh"] += 0.5 * table["winter"]
@@ -74,7 +74,7 @@ def test_of_collinear_terms_one_can_go_and_costs_nothing():
     assert steps[second]["value"] > steps[first]["value"] + 0.1
 
 
-def test_each_vehicle_model_has_coefficients_of_its_own():
+def test_each_vehicle_model_has_separate_coefficients():
     rng = np.random.default_rng(3)
     model, x = rng.integers(0, 2, 200).astype(float), rng.normal(size=(200, 2))
     y = np.where(model == 0, 1.0 + 2.0 * x[:, 0], -1.0 + 5.0 * x[:, 0])
@@ -86,11 +86,11 @@ def test_each_vehicle_model_has_coefficients_of_its_own():
     assert other < 1e-9
 
 
-def test_without_rides_enough_or_the_recipe_nothing_is_said():
+def test_selection_is_empty_with_few_rides_or_without_hybrid_recipe():
     assert find_removable_terms(RECIPE, filter_rides(fleet(200)), seed=2) == {}
     assert plan_selection(filter_rides(fleet(200)), {"basic_physical": RECIPE}, seed=2) == {}
     assert list(plan_selection(filter_rides(fleet(200)), {"hybrid": RECIPE}, seed=2)) == ["hybrid"]
 
 
-def test_the_same_seed_says_the_same(found):
+def test_selection_is_reproducible(found):
     assert find_removable_terms(RECIPE, filter_rides(fleet()), seed=2) == found

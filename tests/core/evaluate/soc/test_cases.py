@@ -27,7 +27,7 @@ def based(frames):
     return cases, compute_baselines(cases, *frames)
 
 
-def test_the_pace_so_far_is_exact_where_it_never_changes():
+def test_linear_baseline_is_exact_for_constant_pace():
     frames = make_frames(cars=2, days=3, warm_up=0)
     passed = (frames.outlooks["time_s"] - frames.outlooks["shift_begin_s"]) / (7.0 * 3600.0)
     end = frames.outlooks.merge(frames.shifts[["vehicle_id", "shift", "soc_end_pct"]])["soc_end_pct"].to_numpy()
@@ -36,7 +36,7 @@ def test_the_pace_so_far_is_exact_where_it_never_changes():
     assert found["linear"].to_numpy() == pytest.approx(cases["soc_end_pct"].to_numpy())
 
 
-def test_after_a_charge_the_pace_begins_anew():
+def test_linear_baseline_restarts_after_charge():
     frames = make_frames(cars=1, days=1, warm_up=0)
     begin = frames.shifts["begin_s"].iloc[0]
     since = (frames.outlooks["time_s"] - begin) / 3600.0
@@ -48,13 +48,13 @@ def test_after_a_charge_the_pace_begins_anew():
     assert np.isnan(found["linear"].iloc[3])  # just charged: nobody has seen a pace
 
 
-def test_a_pace_is_not_carried_on_before_it_was_seen():
+def test_linear_baseline_is_unknown_before_least_pace_time():
     frames = make_frames(cars=1, days=1, hours=2.0 + LEAST_PACE_TIME / 3600.0 / 2.0, warm_up=0)
     cases, found = based(frames)
     assert dict(zip(cases["hours"], np.isfinite(found["linear"]), strict=True)) == {0: True, 1: True, 2: False}
 
 
-def test_the_rating_times_the_planned_kilometres():
+def test_rating_baseline_is_rating_times_planned_distance():
     frames = make_frames(cars=2, days=2, warm_up=0)
     cases, found = based(frames)
     for row, case in enumerate(cases.to_dict("records")):
@@ -64,7 +64,7 @@ def test_the_rating_times_the_planned_kilometres():
     assert based(horse)[1]["rating"].isna().all()
 
 
-def test_baselines_stay_within_what_a_battery_can_have():
+def test_baselines_stay_between_0_and_100_percent():
     frames = make_frames(cars=2, days=5, warm_up=0)
     outlooks = frames.outlooks.assign(ahead_km=1000.0, soc_begin_pct=10.0)
     _, found = based(frames._replace(outlooks=outlooks))
@@ -75,7 +75,7 @@ def test_baselines_stay_within_what_a_battery_can_have():
 
 @given(seed=st.integers(0, 10_000), unknown=st.floats(0.0, 0.5))
 @settings(max_examples=25, deadline=None)
-def test_mean_consumption_is_that_of_shifts_that_had_ended(seed, unknown):
+def test_mean_consumption_uses_only_earlier_ended_shifts(seed, unknown):
     frames = make_frames(cars=3, days=5, warm_up=0, seed=seed)
     rng = np.random.default_rng(seed)
     lost = rng.random(len(frames.shifts)) < unknown
@@ -100,7 +100,7 @@ def interval(mean, below, above):
 
 
 @given(mean=PERCENT, below=st.floats(0.01, 30.0), above=st.floats(0.01, 30.0), levels=st.tuples(PERCENT, PERCENT))
-def test_the_risk_follows_from_the_interval(mean, below, above, levels):
+def test_risk_follows_from_interval(mean, below, above, levels):
     cases = interval(mean, below, above)
     ends = [float(compute_risk_below(cases, level)[0]) for level in (mean - below, mean, mean + above)]
     assert ends == pytest.approx([0.05, 0.5, 0.95], abs=1e-6)
@@ -108,13 +108,13 @@ def test_the_risk_follows_from_the_interval(mean, below, above, levels):
     assert 0.0 <= low <= high <= 1.0
 
 
-def test_without_a_width_there_is_no_doubt():
+def test_interval_of_zero_width_has_risk_zero_or_one():
     assert [float(compute_risk_below(interval(30.0, 0.0, 0.0), level)[0]) for level in (29.0, 31.0)] == [0.0, 1.0]
 
 
 @given(seed=st.integers(0, 10_000), lost=st.floats(0.0, 0.4))
 @settings(max_examples=40, deadline=None)
-def test_a_persons_risk_is_by_errors_that_were_known_by_then(seed, lost):
+def test_empirical_risk_uses_only_errors_known_at_forecast_time(seed, lost):
     rng = np.random.default_rng(seed)
     n = 60
     expected = np.where(rng.random(n) < lost, np.nan, rng.integers(20, 60, n))

@@ -54,7 +54,7 @@ def shifts(hours=8.0, charged=np.nan):
     )  # fmt: skip
 
 
-def test_each_leg_is_held_against_the_ride_that_it_became():
+def test_each_leg_is_matched_to_its_ride():
     found = match_legs_to_rides(asked(), rides(-1.0, 1.0, 2.0, 3.5, 4.0), shifts())
     assert found["leg"].tolist() == [0, 1, 2]
     assert found["minutes"].tolist() == [60.0, 120.0, 210.0]
@@ -62,16 +62,16 @@ def test_each_leg_is_held_against_the_ride_that_it_became():
     assert not found["charges"].any()
 
 
-def test_a_ride_that_ended_as_the_question_came_is_no_leg_of_its_answer():
+def test_ride_that_ended_at_query_time_is_not_matched():
     assert match_legs_to_rides(asked(legs=1), rides(0.0, 1.0), shifts())["minutes"].tolist() == [60.0]
 
 
-def test_a_false_start_is_no_leg():
+def test_very_short_ride_is_not_matched():
     both = pd.concat([rides(0.5, km=0.1), rides(1.0)])
     assert match_legs_to_rides(asked(legs=1), both, shifts())["minutes"].tolist() == [60.0]
 
 
-def test_legs_that_were_never_driven_or_in_the_next_shift_are_left_out():
+def test_undriven_legs_and_rides_of_next_shift_or_other_car_are_left_out():
     assert len(match_legs_to_rides(asked(legs=3), rides(1.0), shifts())) == 1
     assert len(match_legs_to_rides(asked(legs=3), rides(1.0, 20.0, 21.0), shifts())) == 1
     other = rides(1.0).assign(vehicle_id="taxi-2")
@@ -80,7 +80,7 @@ def test_legs_that_were_never_driven_or_in_the_next_shift_are_left_out():
 
 @given(hour=st.integers(0, 5), past=st.floats(0.05, 0.95))
 @settings(max_examples=30, deadline=None)
-def test_up_to_the_next_charge_and_not_across_it(hour, past):
+def test_legs_are_matched_up_to_next_charge_only(hour, past):
     charged = hour + past
     ends = np.arange(1.0, 7.0)
     since = np.where(ends > charged, HOUR * (ends - charged), np.nan)
@@ -91,7 +91,7 @@ def test_up_to_the_next_charge_and_not_across_it(hour, past):
     assert len(later) == np.sum(ends > charged)
 
 
-def test_cars_are_asked_every_half_hour_of_a_planned_shift():
+def test_recorder_queries_every_half_hour_of_planned_shift():
     frames = make_frames(cars=1, days=2, warm_up=0)
     table = frames.outlooks
     times = []
@@ -113,13 +113,13 @@ def test_cars_are_asked_every_half_hour_of_a_planned_shift():
     assert (questions.table()["soc_mean_pct"] == 60.0).all()
 
 
-def test_without_questions_there_are_no_legs():
+def test_no_queries_or_no_rides_give_no_legs():
     none = LegRecorder(lambda _: outlook(BEGIN)).table()
     assert match_legs_to_rides(none, rides(1.0), shifts()).empty
     assert match_legs_to_rides(asked(), rides(), shifts()).empty
 
 
-def test_figures_of_legs_are_those_planted():
+def test_leg_figures_match_planted_errors():
     frames = make_frames(cars=2, days=20)
     days = frames.shifts["shift"].to_numpy()
     rng = np.random.default_rng(2)

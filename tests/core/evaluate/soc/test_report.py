@@ -34,7 +34,7 @@ def overall(frames):
     return evaluate_soc(*frames)["overall"]["pooled"]
 
 
-def test_each_shift_gives_one_forecast_at_each_time_ahead(result):
+def test_each_shift_has_one_forecast_at_each_time_ahead(result):
     shifts = 12 * 38
     assert {hours: own["n"] for hours, own in result["overall"]["hours"].items()} == {
         str(h): shifts for h in HOURS_AHEAD
@@ -48,21 +48,21 @@ def test_each_shift_gives_one_forecast_at_each_time_ahead(result):
     assert result["about"]["left_out"] == {WARM_UP: 24 * len(HOURS_AHEAD)}
 
 
-def test_a_calibrated_interval_is_found_calibrated(result):
+def test_calibrated_interval_has_nominal_coverage(result):
     for own in (result["overall"]["pooled"], *result["overall"]["hours"].values()):
         assert own["coverage"]["low"] < 0.9 < own["coverage"]["high"]
     pooled = result["overall"]["pooled"]["coverage"]
     assert pooled["high"] - pooled["low"] < 0.04
 
 
-def test_an_interval_half_as_wide_is_found_too_narrow():
+def test_interval_of_half_width_has_low_coverage():
     own = overall(make_frames(cars=12, days=40, narrow=0.5))
     assert own["coverage"]["high"] < 0.7
     assert own["coverage"]["low"] < 2.0 * stats.norm.cdf(SPREAD / 2.0) - 1.0 < own["coverage"]["high"]
     assert own["below"] + own["above"] == pytest.approx(1.0 - own["coverage"]["value"])
 
 
-def test_error_bias_and_width_are_those_planted(result):
+def test_error_bias_and_width_match_planted_values(result):
     for hours, own in result["overall"]["hours"].items():
         sd = max(float(hours), 0.5)
         assert own["width_pct"]["value"] == pytest.approx(2.0 * SPREAD * sd)
@@ -72,7 +72,7 @@ def test_error_bias_and_width_are_those_planted(result):
     assert off["value"] == pytest.approx(3.0, abs=1.5 * off["ci95"])
 
 
-def test_forecasts_better_than_all_baselines_are_said_to_be_so():
+def test_better_forecasts_have_lower_error_than_every_baseline():
     own = evaluate_soc(*make_frames(cars=6, days=20, sd_an_hour=0.2))["overall"]["hours"]["2"]
     best = own["best"]
     errors = {name: of["mae_pct"]["value"] for name, of in own["baselines"].items()}
@@ -84,7 +84,7 @@ def test_forecasts_better_than_all_baselines_are_said_to_be_so():
         assert of["less_pct"]["value"] == pytest.approx(of["mae_pct"]["value"] - of["forecast_mae_pct"]["value"])
 
 
-def test_conditions_hold_every_case_once(result):
+def test_conditions_contain_every_case_once(result):
     for bins in result["by"].values():
         assert sum(own["pooled"]["n"] for own in bins) == result["overall"]["pooled"]["n"]
     assert [own["bin"] for own in result["by"]["temperature"]] == [
@@ -93,19 +93,19 @@ def test_conditions_hold_every_case_once(result):
     assert [own["bin"] for own in result["by"]["vehicle model"]] == sorted(MODELS)
 
 
-def test_the_order_of_rows_tells_nothing(frames, result):
+def test_result_does_not_depend_on_row_order(frames, result):
     mixed = [table.sample(frac=1.0, random_state=3).reset_index(drop=True) for table in frames]
     assert to_json_values(evaluate_soc(*mixed)) == to_json_values(result)
 
 
-def test_the_result_is_json_without_nan(result):
+def test_result_is_json_without_nan(result):
     assert msgspec.json.decode(msgspec.json.encode(to_json_values(result))) == to_json_values(result)
     assert b"NaN" not in msgspec.json.encode(to_json_values(result))
 
 
 @given(seconds=st.floats(0.0, 590.0), hours=st.sampled_from([2.5, 4.5, 8.0]))
 @settings(max_examples=20, deadline=None)
-def test_the_newest_forecast_by_a_moment_is_judged_and_none_from_after_it(seconds, hours):
+def test_newest_forecast_before_each_time_ahead_is_evaluated(seconds, hours):
     frames = make_frames(cars=2, days=3, hours=hours, warm_up=0)
     outlooks = frames.outlooks.assign(time_s=frames.outlooks["time_s"] - seconds)
     cases = select_cases(outlooks, frames.shifts).cases
@@ -116,7 +116,7 @@ def test_the_newest_forecast_by_a_moment_is_judged_and_none_from_after_it(second
     assert age[cases["hours"] == 0].to_numpy() == pytest.approx(seconds, abs=1e-6)
 
 
-def test_a_forecast_is_not_judged_where_the_car_charged_after_it():
+def test_forecast_before_charge_is_not_evaluated():
     frames = make_frames(cars=1, days=1, warm_up=0)
     begin = frames.shifts["begin_s"].iloc[0]
     found = select_cases(*changed(frames, charged_s=begin + 3.5 * 3600.0))
@@ -126,7 +126,7 @@ def test_a_forecast_is_not_judged_where_the_car_charged_after_it():
     assert select_cases(*at_the_end).left_out == {CHARGED: len(HOURS_AHEAD)}
 
 
-def test_a_car_that_was_silent_is_counted():
+def test_silent_car_is_counted():
     frames = make_frames(cars=1, days=1, warm_up=0)
     ahead = frames.shifts["end_s"].iloc[0] - frames.outlooks["time_s"]
     found = select_cases(frames.outlooks[~ahead.between(3599.0, 3600.0 + 1200.0)], frames.shifts)
@@ -134,21 +134,21 @@ def test_a_car_that_was_silent_is_counted():
     assert found.left_out == {SILENT: 1}
 
 
-def test_a_shift_without_a_state_of_charge_at_its_end_is_counted():
+def test_shift_without_final_soc_is_counted():
     frames = changed(make_frames(cars=1, days=2, warm_up=0), soc_end_pct=[np.nan, 40.0])
     found = select_cases(*frames)
     assert found.left_out == {UNREPORTED: len(HOURS_AHEAD)}
     assert found.warm_up == 0
 
 
-def test_a_shift_that_the_recording_cuts_is_counted_but_one_that_ends_early_is_judged():
+def test_shift_cut_by_recording_is_counted_and_early_end_is_evaluated():
     frames = make_frames(cars=1, days=2, warm_up=0)
     found = select_cases(frames.outlooks.assign(shift_end_s=frames.outlooks["shift_end_s"] + 3600.0), frames.shifts)
     assert found.left_out == {CUT_SHORT: len(HOURS_AHEAD)}
     assert set(found.cases["shift"]) == {0}
 
 
-def test_shifts_of_a_car_on_a_day_are_one_cluster():
+def test_shifts_of_one_car_on_one_day_are_one_cluster():
     frames = make_frames(cars=2, days=4, hours=2.0, warm_up=0)
     late = frames.shifts.assign(shift=frames.shifts["shift"] + 100)
     both = pd.concat([frames.shifts, late], ignore_index=True)
@@ -162,7 +162,7 @@ def test_shifts_of_a_car_on_a_day_are_one_cluster():
     assert own["coverage"]["low"] < stats.binomtest(14, 16).proportion_ci(method="wilson").low - 0.1
 
 
-def test_without_plans_only_the_pace_is_there_and_this_is_said():
+def test_without_plans_only_linear_baseline_applies_with_note():
     frames = make_frames(cars=2, days=4)
     outlooks = frames.outlooks.assign(planned=False, ahead_km=np.nan)
     found = evaluate_soc(outlooks, frames.shifts)
@@ -174,7 +174,7 @@ def test_without_plans_only_the_pace_is_there_and_this_is_said():
 
 
 @pytest.mark.parametrize("days", [0, 2])
-def test_where_nothing_can_be_judged_it_is_said_in_one_line(days):
+def test_no_case_raises_error_of_one_line(days):
     frames = make_frames(cars=1, days=2)
     tables = [table[table["shift"] < days] for table in frames]
     with pytest.raises(
@@ -185,7 +185,7 @@ def test_where_nothing_can_be_judged_it_is_said_in_one_line(days):
     assert (WARM_UP in str(said.value)) == (days > 0)
 
 
-def test_examples_are_shifts_as_they_were(frames, result):
+def test_examples_include_extreme_shifts_in_time_order(frames, result):
     assert {why for own in result["examples"] for why in own["why"].split(", ")} == {
         "coldest", "warmest", "middling", "worst",
     }  # fmt: skip
@@ -199,6 +199,6 @@ def test_examples_are_shifts_as_they_were(frames, result):
     assert min(ambient.values()) == judged_ones["ambient_c"].min()
 
 
-def test_the_frames_are_what_they_say(frames):
+def test_synthetic_frames_have_declared_dates_and_capacity(frames):
     assert frames.shifts["begin_s"].min() >= DAY_ONE
     assert (frames.shifts["capacity_kwh"] == CAPACITY).all()

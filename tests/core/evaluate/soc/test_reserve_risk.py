@@ -42,7 +42,7 @@ def found(cases):
     return evaluate_reserve_risk(cases)
 
 
-def test_alarms_counted_by_hand():
+def test_alarm_counts_match_hand_calculation():
     risk = np.array([0.9, 0.04, 0.05, 0.0])
     fell = np.array([True, True, False, False])
     counted = evaluate_alarms(risk, fell, np.arange(4))
@@ -52,7 +52,7 @@ def test_alarms_counted_by_hand():
     assert counted["hit_rate"]["value"] == counted["false_alarm_rate"]["value"] == 0.5
 
 
-def test_scores_by_hand():
+def test_scores_match_hand_calculation():
     own = evaluate_risk(rows(np.array([0.9, 0.0]), np.array([True, False]), 0.5))
     assert own["brier"] == pytest.approx(0.1**2 / 2)
     assert own["brier_base"] == 0.25
@@ -63,7 +63,7 @@ def test_scores_by_hand():
         assert person["forecast_alarms"] == own["alarms"]
 
 
-def test_a_case_is_a_level_that_the_car_is_still_above(cases):
+def test_cases_are_levels_not_yet_fallen_below(cases):
     table = tabulate_levels(cases)
     ahead = cases[cases["hours"] > 0]
     assert set(table["hours"]) == {1, 2, 4, 6}
@@ -75,7 +75,7 @@ def test_a_case_is_a_level_that_the_car_is_still_above(cases):
     assert (table["level"] == PLANNED).sum() == (ahead["soc_pct"] >= ahead["reserve_soc_pct"]).sum()
 
 
-def test_a_dip_counts_unless_it_may_have_been_before_a_charge(cases):
+def test_temporary_fall_counts_unless_car_charged_later(cases):
     dipped = cases.assign(soc_pct=50.0, soc_end_pct=35.0, soc_lowest_pct=15.0)
     fell = tabulate_levels(dipped)[lambda table: table["level"].isin(["20", "30"])]["fell"]
     assert fell.all()
@@ -84,7 +84,7 @@ def test_a_dip_counts_unless_it_may_have_been_before_a_charge(cases):
     ].any()
 
 
-def test_a_risk_that_holds_is_found_to_hold():
+def test_reliable_risk_lies_within_intervals_of_outcomes():
     rng = np.random.default_rng(4)
     risk = rng.beta(0.5, 0.5, N)
     classes = compute_reliability(rows(risk, rng.random(N) < risk))
@@ -94,7 +94,7 @@ def test_a_risk_that_holds_is_found_to_hold():
     assert sum(holds) >= len(holds) - 1
 
 
-def test_a_risk_told_half_as_large_as_it_is_is_found_out():
+def test_risk_of_half_the_true_size_lies_below_intervals_of_outcomes():
     rng = np.random.default_rng(4)
     risk = rng.uniform(0.02, 0.5, N)
     fell = rng.random(N) < 2.0 * risk
@@ -103,7 +103,7 @@ def test_a_risk_told_half_as_large_as_it_is_is_found_out():
     assert evaluate_risk(rows(risk, fell, 2.0 * risk))["baselines"]["linear"]["skill"]["value"] < 0.0
 
 
-def test_sure_forecasts_catch_all_and_raise_no_false_alarm():
+def test_exact_forecasts_catch_all_cases_without_false_alarm():
     found = evaluate_reserve_risk(based(make_frames(cars=8, days=20, sd_an_hour=1e-6)))
     assert set(found["levels"]) == {PLANNED, *map(str, LEVELS)}
     for of in found["levels"].values():
@@ -114,7 +114,7 @@ def test_sure_forecasts_catch_all_and_raise_no_false_alarm():
     assert found["levels"]["30"]["4"]["fell"] > 20
 
 
-def test_a_calibrated_forecast_is_found_reliable(found):
+def test_calibrated_forecasts_are_reliable(found):
     classes = [own for own in found["reliability"]["levels"] if own["n"] >= 100]
     holds = [own["fell"]["low"] - 0.01 <= own["told"] <= own["fell"]["high"] + 0.01 for own in classes]
     assert len(classes) >= 5
@@ -125,7 +125,7 @@ def test_a_calibrated_forecast_is_found_reliable(found):
     assert found["overall"]["pooled"]["n"] == sum(found["overall"][h]["n"] for h in ("1", "2", "4", "6"))
 
 
-def test_a_forecast_better_than_a_persons_is_said_to_be_so():
+def test_better_forecasts_have_positive_skill_relative_to_baselines():
     overall = evaluate_reserve_risk(based(make_frames(cars=12, days=40, sd_an_hour=0.2)))["overall"]
     for hours in ("1", "2", "4"):
         for person in overall[hours]["baselines"].values():
@@ -133,7 +133,7 @@ def test_a_forecast_better_than_a_persons_is_said_to_be_so():
             assert person["forecast_alarms"]["false_alarms"] < person["alarms"]["false_alarms"]
 
 
-def test_an_interval_far_too_narrow_costs_its_skill(found):
+def test_much_too_narrow_interval_reduces_skill(found):
     narrow = evaluate_reserve_risk(based(make_frames(cars=12, days=40, narrow=0.2)))
     assert narrow["overall"]["4"]["brier"] > found["overall"]["4"]["brier"]
     assert narrow["overall"]["4"]["alarms"]["missed"] > found["overall"]["4"]["alarms"]["missed"]
