@@ -1,4 +1,4 @@
-"""The settings of cleaning as options, in the units in which people think of them; the same for every command."""
+"""The settings of cleaning as command-line options in everyday units, the same for every command."""
 
 from typing import Annotated, Final
 
@@ -22,7 +22,7 @@ LEAST_DISTANCE_KM: Final = _DEFAULTS.least_distance / _KM
 
 
 def _limits(name: str, unit: float = 1.0) -> dict[str, float]:
-    """Return the limits of a setting in a unit, as an option takes them."""
+    """Return the limits of a setting in a unit, as keywords of an option."""
     low, high = LIMITS[name]
     return {"min": round(low / unit, 6), "max": round(high / unit, 6)}
 
@@ -56,7 +56,7 @@ def make_settings(
     smoothing: Smoothing = SMOOTHING,
     least_distance_km: LeastDistance = LEAST_DISTANCE_KM,
 ) -> Settings:
-    """Return the settings that the options of cleaning stand for.
+    """Return the settings that the options of cleaning define.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def make_settings(
     period_s : float
         Nominal time between two samples. [s]
     smoothing : int
-        Samples in the moving average of speed.
+        Number of samples in the moving average of speed. [1]
     least_distance_km : float
         Distance below which a ride is unfit for training. [km]
 

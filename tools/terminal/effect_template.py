@@ -1,4 +1,4 @@
-"""Text of a file to begin an effect of one's own with: a pattern, or a copy of an effect."""
+"""Templates for files of user-defined effects: an empty effect, or a copy of an existing one."""
 
 import ast
 import inspect
@@ -11,7 +11,18 @@ from core.errors import EffectError
 
 
 def blank(name: str = "my_effect") -> str:
-    """Return a file with one effect to be changed into one's own, and what it may use."""
+    """Return the text of a file with one example effect that the user edits.
+
+    Parameters
+    ----------
+    name : str
+        Name of the effect.
+
+    Returns
+    -------
+    str
+        Python source that passes `socast effects check` unchanged.
+    """
     return render_source(
         name,
         arguments=("stop_rate", "ambient"),
@@ -31,12 +42,24 @@ def blank(name: str = "my_effect") -> str:
 
 
 def from_effect(effect: Effect, name: str) -> str:
-    """Return a file with a copy of an effect under another name.
+    """Return the text of a file with a copy of an effect under another name.
+
+    Parameters
+    ----------
+    effect : Effect
+        Effect to copy.
+    name : str
+        Name of the copy.
+
+    Returns
+    -------
+    str
+        Python source.
 
     Raises
     ------
     EffectError
-        Where its source is not at hand.
+        If the source of the effect is not available, or if the effect is not a plain function.
     """
     try:
         source = dedent(inspect.getsource(effect.function))
@@ -45,7 +68,7 @@ def from_effect(effect: Effect, name: str) -> str:
     (function,) = ast.parse(source).body
     if not isinstance(function, ast.FunctionDef):
         raise EffectError(f"effect {effect.base}: it is no plain function: begin with an empty scaffold")
-    first = function.body[1]  # after the documentation
+    first = function.body[1]  # the statement after the docstring
     body = dedent("\n".join(source.splitlines()[first.lineno - 1 :]))
     return render_source(
         name,
@@ -68,7 +91,7 @@ def from_effect(effect: Effect, name: str) -> str:
 
 
 def _imports(effect: Effect) -> list[str]:
-    """Return lines that import what a function takes from its module besides numpy."""
+    """Return import statements for the names that a function uses from its module, without imported modules."""
     code, there = effect.function.__code__, effect.function.__globals__
     taken = {name: there[name] for name in code.co_names if name in there}
     return [

@@ -1,4 +1,4 @@
-"""The options that `live` and `replay` share: which models forecast, how telemetry is cleaned, what is learned first."""
+"""The options that `live` and `replay` share: models, settings of cleaning, key prefix and warm-up recordings."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,16 +25,16 @@ Prefix = Annotated[
 
 @dataclass(frozen=True)
 class ForecastOptions:
-    """The values of the options that `live` and `replay` share.
+    """Hold the values of the options that `live` and `replay` share.
 
     Parameters
     ----------
     models : sequence of str
-        Names or files; the first makes the forecasts, the others run in its shadow.
+        Names or files of models. The first model makes the forecasts, and the others run as its shadows.
     effect_files : sequence of Path
-        Files of the user's own effects, loaded already.
+        Files of user-defined effects, which are already loaded.
     settings : Settings
-        Of cleaning.
+        Settings of cleaning.
     prefix : str
         Key chunks before those of the wire contract, without a slash at the end.
     warm_up : sequence of Path
@@ -49,7 +49,7 @@ class ForecastOptions:
 
     @property
     def files(self) -> list[Path]:
-        """The files that are read and must not be overwritten."""
+        """Return the files that the command reads and must not overwrite."""
         return [*self.warm_up, *select_model_files(self.models), *self.effect_files]
 
 
@@ -62,7 +62,7 @@ def _make_options(
     prefix: Prefix = "",
     warm_up: WarmUp = None,
 ) -> ForecastOptions:
-    """Return what the options say."""
+    """Return the values of the options."""
     return ForecastOptions(model or (), effects_file or (), settings, prefix, warm_up or ())
 
 
@@ -78,19 +78,20 @@ def make_pipeline(
     warm: bool = True,
     keep_outlooks: bool = False,
 ) -> Pipeline:
-    """Return a pipeline that cleans and forecasts as the options say.
+    """Return a pipeline that cleans and forecasts with the values of the options.
 
     Parameters
     ----------
     options : ForecastOptions
+        Values of the shared options.
     models : sequence of LinearModel
-        Those of the options, loaded.
+        The loaded models of the options.
     replayed : sequence of McapSource
-        Recordings to be forecast; those to learn from must end before they begin.
+        Recordings to be forecast. The warm-up recordings must end before these begin.
     warm : bool
-        Learn from the recordings of `--warm-up`.
+        Whether to learn from the recordings of `--warm-up`.
     keep_outlooks : bool
-        Keep every outlook for `Pipeline.take_outlooks`.
+        Whether to keep every outlook for `Pipeline.take_outlooks`.
 
     Returns
     -------
@@ -99,9 +100,9 @@ def make_pipeline(
     Raises
     ------
     SettingsError
-        Where the prefix is not plain, or a recording to learn from ends too late.
+        If the prefix is invalid, or if a warm-up recording ends too late.
     RecordingError
-        Where a recording to learn from cannot be read.
+        If a warm-up recording cannot be read.
     """
     first, *shadows = models
     prefix = parse_prefix(options.prefix)

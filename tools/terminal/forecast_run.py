@@ -1,4 +1,4 @@
-"""Recordings through the same loop as live telemetry, with progress in the terminal."""
+"""The function that passes recordings through the loop of live telemetry, with progress in the terminal."""
 
 from collections.abc import Callable, Sequence
 from math import inf
@@ -19,27 +19,27 @@ def run_forecasts(
     sinks: Sequence[Sink] = (),
     also: Callable[[], None] = lambda: None,
 ) -> Tally:
-    """Run recordings through the loop, with a progress bar at full speed and a table of cars at any other.
+    """Pass recordings through the loop, with a progress bar at full speed and a table of cars at any other speed.
 
     Parameters
     ----------
     pipeline : Pipeline
-        It holds the rides afterwards.
+        Pipeline that makes the forecasts and holds the rides afterwards.
     sources : sequence of McapSource
         The recordings.
     source : Source, optional
-        Their messages, where they are more than merged in time order: paced, for example.
+        Messages of the recordings, for example paced. By default they are merged in time order.
     rate : float
-        Speed of the replay in times real time; `inf` is as fast as possible.
+        Ratio of recorded time to real time; `inf` is as fast as possible. [1]
     sinks : sequence of Sink
-        Take the forecasts.
+        Sinks that receive the forecasts.
     also : callable
-        Called after each list of messages.
+        Function that is called after each list of messages.
 
     Returns
     -------
     Tally
-        Counts of what went through.
+        Counts of the messages that went through the loop.
     """
     with show_progress(sources, shown=rate == inf) as step, LiveTable(pipeline, "Replay", silent=rate == inf) as table:
 

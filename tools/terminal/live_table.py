@@ -1,4 +1,4 @@
-"""What people see while cars drive, and at the end: a row a car, then a row a ride."""
+"""The live table with one row per car, and the final table with one row per ride."""
 
 import sys
 import time
@@ -25,13 +25,13 @@ from tools.terminal.output import make_console
 from tools.terminal.rich_table import Column, make_table
 
 REDRAW_S = 0.25
-"""Time between two pictures on a terminal. [s]"""
+"""Time between two updates of the table on a terminal. [s]"""
 LINE_S = 2.0
-"""Time between two lines where there is no terminal. [s]"""
+"""Time between two lines if the output is not a terminal. [s]"""
 WARNED = 0.05
-"""Risk of ending a shift below the reserve from which on a car is marked."""
+"""Smallest probability of ending a shift below the reserve at which a car is marked. [1]"""
 MOST_RIDES = 60
-"""Rides listed on a terminal; the JSON has all."""
+"""Largest number of rides listed on a terminal; the JSON report lists all."""
 
 
 RIDE_COLUMNS = (
@@ -50,23 +50,27 @@ RIDE_COLUMNS = (
     "fit_for_training",
     "unfit_reason",
 )
-"""What the ride table of `replay`, `live` and `demo` has, on the screen and as JSON."""
+"""Columns of the ride table of `replay`, `live` and `demo`, for the screen and for JSON."""
 
 
 class LiveTable:
-    """Shows the newest of every vehicle while a stream runs: a table that redraws, or lines where there is no terminal.
+    """Show the newest state of every vehicle while messages stream; a context manager.
 
-    A context manager; call it after each list of messages.
+    A terminal shows a table that redraws. Any other output receives lines. The caller calls the object after each list
+    of messages.
 
     Parameters
     ----------
     pipeline : Pipeline
+        Pipeline that holds the state of the vehicles.
     title : str
+        Title of the table.
     console : Console, optional
+        Console to print on; by default the one of `make_console`.
     silent : bool
-        Show nothing.
+        Whether to show nothing.
     clock : callable
-        Monotonic time. [s]
+        Function that returns monotonic time. [s]
     """
 
     def __init__(
@@ -83,14 +87,14 @@ class LiveTable:
         self._due = clock() + LINE_S * (not self._console.is_terminal)
         self._last: Tally | None = None
         live = self._console.is_terminal and not silent
-        # log lines keep their place above the table, but only where standard error is the same terminal
+        # log lines are redirected above the table, but only if standard error is a terminal too
         on_screen = sys.stderr.isatty()
         self._live = (
             Live(console=self._console, auto_refresh=False, transient=True, redirect_stderr=on_screen) if live else None
         )
 
     def __enter__(self) -> Self:
-        """Begin to draw."""
+        """Start to draw the table."""
         if self._live:
             self._live.start()
         return self
@@ -98,7 +102,7 @@ class LiveTable:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Clear the table, or print the last line."""
+        """Clear the table, or print the last line if the output is not a terminal."""
         if self._live:
             self._live.stop()
         elif self._last is not None:
@@ -106,7 +110,13 @@ class LiveTable:
             self(self._last)
 
     def __call__(self, tally: Tally) -> None:
-        """Draw, if it is time to."""
+        """Draw the table or print a line, if it is due.
+
+        Parameters
+        ----------
+        tally : Tally
+            Counts of the loop so far.
+        """
         self._last, now = tally, self._clock()
         if self._silent or now < self._due:
             return
@@ -124,7 +134,23 @@ class LiveTable:
 
 
 def make_fleet_table(cars: Sequence[VehicleStatus], title: str, caption: str, rows: int, shadows: int = 0) -> Table:
-    """Return a table with a row a car, at most `rows`, those heard of last; and a column for each of some shadows."""
+    """Return a table with one row per car, for the cars with the newest samples.
+
+    Parameters
+    ----------
+    cars : sequence of VehicleStatus
+        State of all cars.
+    title, caption : str
+        Text above and below the table.
+    rows : int
+        Largest number of cars in the table.
+    shadows : int
+        Number of shadow models whose predictions have a column.
+
+    Returns
+    -------
+    rich.table.Table
+    """
     numbers = (
         ("time", 8),
         ("SOC\n%", 5),
@@ -163,7 +189,7 @@ def make_fleet_table(cars: Sequence[VehicleStatus], title: str, caption: str, ro
 
 
 def _end(car: VehicleStatus) -> Text:
-    """Return the charge at the shift's end and its interval, marked where the car may well end below its reserve."""
+    """Return the charge at the shift's end and its interval, marked if the car risks ending below its reserve."""
     if car.end_pct is None:
         return Text("-")
     mean, low, high = car.end_pct
@@ -172,7 +198,19 @@ def _end(car: VehicleStatus) -> Text:
 
 
 def format_fleet_line(cars: Sequence[VehicleStatus], tally: Tally) -> str:
-    """Return the fleet on one line, for a log: what came, and the car heard of last."""
+    """Return one line on the fleet for a log: the counts of messages, and the car with the newest sample.
+
+    Parameters
+    ----------
+    cars : sequence of VehicleStatus
+        State of all cars.
+    tally : Tally
+        Counts of the loop so far.
+
+    Returns
+    -------
+    str
+    """
     told = f"{tally.seconds:5.1f} s  {tally.received:7,} messages  {len(cars):3} cars"
     if not cars:
         return told
@@ -186,10 +224,21 @@ def format_fleet_line(cars: Sequence[VehicleStatus], tally: Tally) -> str:
 
 
 def add_predictions(rides: pd.DataFrame, models: ShadowModels) -> pd.DataFrame:
-    """Return a ride table with predictions.
+    """Return a ride table with the predictions of models, in order of the rides' starts.
 
-    `predicted_kwh` is that of the first model, `error_pct` its error, of the measured energy; where there are shadows,
-    `shadows_kwh` is a dict of what each predicts, by name and version.
+    Parameters
+    ----------
+    rides : DataFrame
+        Ride table.
+    models : ShadowModels
+        The first model and its shadows.
+
+    Returns
+    -------
+    DataFrame
+        The ride table with `predicted_kwh`, the prediction of the first model, and `error_pct`, its error in percent of
+        the measured energy. The error is NaN for a measured energy of at most 0.05 kWh. With shadows, `shadows_kwh` is
+        a dict of the prediction of each shadow by name and version. [kWh]
     """
     columns = {str(name): column for name, column in rides.items()}
     predicted, *others = models.predict(columns, len(rides))
@@ -205,7 +254,18 @@ def add_predictions(rides: pd.DataFrame, models: ShadowModels) -> pd.DataFrame:
 
 
 def make_ride_records(rides: pd.DataFrame) -> list[dict[str, Any]]:
-    """Return the rows of a ride table with predictions, for JSON."""
+    """Return the rows of a ride table with predictions, for JSON.
+
+    Parameters
+    ----------
+    rides : DataFrame
+        Result of `add_predictions`.
+
+    Returns
+    -------
+    list of dict
+        One record per ride, with the fields `RIDE_COLUMNS` and, if present, `shadows_kwh`.
+    """
     names = [*RIDE_COLUMNS, *(["shadows_kwh"] if "shadows_kwh" in rides else [])]
     known = rides[names].astype(object)
     text = ["ride_id", "vehicle_model", "unfit_reason"]
@@ -215,7 +275,17 @@ def make_ride_records(rides: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def show_rides(console: Console, rides: pd.DataFrame, quality: dict[str, Any]) -> None:
-    """Print a ride table with predictions, what the sums come to, and why rides are unfit for training."""
+    """Print a ride table with predictions, the totals, and the reasons why rides are unfit for training.
+
+    Parameters
+    ----------
+    console : rich.console.Console
+        Console to print on.
+    rides : DataFrame
+        Result of `add_predictions`.
+    quality : dict
+        Counters of `Pipeline.quality`.
+    """
     wide = console.width >= WIDE
     numbers = ("min", "km", *(("°C",) if wide else ()), "predicted\nkWh", "measured\nkWh", "off %")
     columns = [
@@ -247,7 +317,19 @@ def show_rides(console: Console, rides: pd.DataFrame, quality: dict[str, Any]) -
 
 
 def summary(rides: pd.DataFrame, quality: dict[str, Any]) -> list[str]:
-    """Return what a ride table comes to, in sentences."""
+    """Return sentences on the totals of a ride table and on rejected data.
+
+    Parameters
+    ----------
+    rides : DataFrame
+        Result of `add_predictions`.
+    quality : dict
+        Counters of `Pipeline.quality`.
+
+    Returns
+    -------
+    list of str
+    """
     fit = rides[rides["fit_for_training"] & rides["predicted_kwh"].notna() & rides["energy_kwh"].notna()]
     lines = [f"{len(rides):,} rides of {rides['vehicle_id'].nunique():,} cars, {rides['distance_km'].sum():.1f} km"]
     if len(fit):
@@ -270,19 +352,19 @@ def summary(rides: pd.DataFrame, quality: dict[str, Any]) -> list[str]:
 
 
 class _Reads(Protocol):
-    """What `_counts` takes: names with their counts."""
+    """Provide names with their counts, for `_counts`."""
 
     def items(self) -> Any:
-        """Return the names and counts."""
+        """Return pairs of name and count."""
 
 
 def _counts(counts: _Reads) -> str:
-    """Return counts above zero, as `name 3, other 1`."""
+    """Return the text of the counts above zero, such as `name 3, other 1`."""
     return ", ".join(f"{name.replace('_', ' ')} {count:,}" for name, count in counts.items() if count)
 
 
 def _caption(tally: Tally, quality: dict[str, Any]) -> str:
-    """Return what stands below the fleet."""
+    """Return the text below the table of cars."""
     rejected = sum(quality["undecodable"].values())
     rate = tally.received / tally.seconds if tally.seconds > 0 else 0.0
     return (
@@ -292,12 +374,12 @@ def _caption(tally: Tally, quality: dict[str, Any]) -> str:
 
 
 def _off_pct(predicted: float, measured: float) -> float:
-    """Return how far a prediction is off, in percent; NaN where too little was measured to tell."""
+    """Return the error of a prediction; NaN if the measured energy is at most 0.05 kWh. [%]"""
     return 100.0 * (predicted - measured) / measured if measured > 0.05 else float("nan")
 
 
 def _number(value: float, digits: int, *, sign: bool = False) -> str:
-    """Return a number for a table, a dash where it is unknown."""
+    """Return the text of a number, a dash if it is unknown."""
     if not isfinite(value):
         return "-"
     return f"{value:+.{digits}f}" if sign else f"{value:.{digits}f}"

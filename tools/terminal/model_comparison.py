@@ -1,4 +1,4 @@
-"""Several models in service: how they are named on the command line, and how each fares, for people and for JSON."""
+"""Several models in live operation: their options on the command line, and their errors as a table and as JSON."""
 
 from collections.abc import Sequence
 from typing import Annotated, Any, Final
@@ -16,14 +16,14 @@ from core.wire.messages import Gain, ModelErrors, RideErrors
 from tools.terminal.rich_table import Column, make_table
 
 DEFAULT_MODEL: Final = "extended_physical"
-"""The model where none is named."""
+"""The model if the command line names none."""
 SAID: Final = (
     "better or worse is said where a 95 % interval excludes zero, one that holds for all models and however often one "
     "looks; vehicle-days count when they have ended"
 )
-"""What stands below the table."""
+"""Explanation below the table."""
 WIDE: Final = 112
-"""Columns of a terminal from which tables have all their columns."""
+"""Width of a terminal from which tables have all their columns. [characters]"""
 _NARROW: Final = (("rides", 5), ("MAE\nkWh", 6), ("better by\nkWh a ride", 22))
 _WIDE: Final = (
     ("rides", 5),
@@ -47,18 +47,41 @@ ModelNames = Annotated[
 
 
 def load_models(names: Sequence[str] | None) -> list[LinearModel]:
-    """Return the models of these names or files, the usual one where none is named.
+    """Load the models of the given names or files, or `DEFAULT_MODEL` without names.
+
+    Parameters
+    ----------
+    names : sequence of str, optional
+        Names of built-in models, or paths of model files.
+
+    Returns
+    -------
+    list of LinearModel
 
     Raises
     ------
     ModelError
-        Where one is no model.
+        If a name or file is not a model.
     """
     return [models.load(name) for name in names or [DEFAULT_MODEL]]
 
 
 def make_models_table(told: Sequence[ModelErrors], *, wide: bool, by_vehicle_model: bool = False) -> Table:
-    """Return a table with a row a model and, if wanted, below it one a vehicle model; with more columns where wide."""
+    """Return a table of the errors of models, one row per model.
+
+    Parameters
+    ----------
+    told : sequence of ModelErrors
+        Errors of each model; the first model makes the forecasts.
+    wide : bool
+        Whether the table has all columns.
+    by_vehicle_model : bool
+        Whether the row of each model is followed by one row per vehicle model.
+
+    Returns
+    -------
+    rich.table.Table
+    """
     columns = [
         Column("model", fixed=True, min_width=None if wide else 18),
         *(Column(head, number=True, fixed=True, min_width=width) for head, width in (_WIDE if wide else _NARROW)),
@@ -73,7 +96,17 @@ def make_models_table(told: Sequence[ModelErrors], *, wide: bool, by_vehicle_mod
 
 
 def describe_gain(gain: Gain) -> str:
-    """Return in words what is told of a shadow."""
+    """Return a sentence on how a shadow model compares with the first model.
+
+    Parameters
+    ----------
+    gain : Gain
+        Difference of the errors, with its interval and verdict.
+
+    Returns
+    -------
+    str
+    """
     over = f"{gain.rides:,} rides of {gain.vehicle_days:,} vehicle-days"
     if gain.mean_kwh is None or gain.lower_kwh is None or gain.upper_kwh is None or gain.verdict == "not told":
         return f"not yet told: {over}"
@@ -85,7 +118,19 @@ def describe_gain(gain: Gain) -> str:
 def show_models(
     console: Console, told: Sequence[ModelErrors], known: Sequence[LinearModel], rides: pd.DataFrame
 ) -> None:
-    """Print how models fared on rides, and which of these rides they may have been fitted to."""
+    """Print the errors of models on rides, and warn of rides that a model may have been fitted to.
+
+    Parameters
+    ----------
+    console : rich.console.Console
+        Console to print on.
+    told : sequence of ModelErrors
+        Errors of each model.
+    known : sequence of LinearModel
+        The models, for the dates of their training.
+    rides : DataFrame
+        Ride table, with a column `date`.
+    """
     console.print(make_models_table(told, wide=console.width >= WIDE, by_vehicle_model=True))
     verdicts = [f"{model.model}: {describe_gain(model.overall.gain)}" for model in told if model.overall.gain]
     for sentence in (*verdicts, SAID, *warn_of_training_days(known, rides)):
@@ -93,7 +138,21 @@ def show_models(
 
 
 def warn_of_training_days(known: Sequence[LinearModel], rides: pd.DataFrame) -> list[str]:
-    """Return a warning for each model that was fitted to rides of the days of these rides: it may have seen them."""
+    """Return a warning for each model whose training dates include dates of these rides.
+
+    Such a model may have been fitted to these rides.
+
+    Parameters
+    ----------
+    known : sequence of LinearModel
+        Models; those without a record of their training cause no warning.
+    rides : DataFrame
+        Ride table, with a column `date`.
+
+    Returns
+    -------
+    list of str
+    """
     lines = []
     for model in known:
         if model.training is None:
@@ -109,12 +168,32 @@ def warn_of_training_days(known: Sequence[LinearModel], rides: pd.DataFrame) -> 
 
 
 def make_records(told: Sequence[ModelErrors]) -> list[Any]:
-    """Return what travels of each model, for JSON."""
+    """Return the errors of each model in the form of their wire message, for JSON.
+
+    Parameters
+    ----------
+    told : sequence of ModelErrors
+        Errors of each model.
+
+    Returns
+    -------
+    list of dict
+    """
     return [msgspec.to_builtins(model) for model in told]
 
 
 def make_log_fields(model: ModelErrors) -> dict[str, Any]:
-    """Return the fields of a log line on a model; what is unknown is left out."""
+    """Return the fields of a log line on a model, without unknown values.
+
+    Parameters
+    ----------
+    model : ModelErrors
+        Errors of the model.
+
+    Returns
+    -------
+    dict
+    """
     overall = model.overall
     gain = overall.gain
     told: dict[str, Any] = {"model": model.model} | msgspec.to_builtins(overall)
@@ -123,7 +202,7 @@ def make_log_fields(model: ModelErrors) -> dict[str, Any]:
 
 
 def _cells(errors: RideErrors, *, wide: bool) -> tuple[str | Text, ...]:
-    """Return the cells of a row, past the model's name."""
+    """Return the cells of a row after the model's name."""
     gain = errors.gain
     rides, mae = f"{errors.rides:,}", _number(errors.mae_kwh, ".3f")
     by = days = ""
@@ -140,5 +219,5 @@ def _cells(errors: RideErrors, *, wide: bool) -> tuple[str | Text, ...]:
 
 
 def _number(value: float | None, spec: str) -> str:
-    """Return a number for a table, a dash where it is unknown."""
+    """Return the text of a number, a dash if it is unknown."""
     return "-" if value is None else format(value, spec)

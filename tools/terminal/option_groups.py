@@ -1,4 +1,4 @@
-"""Groups of options that several commands share, declared once."""
+"""The decorator that gives several commands the same group of options, declared once."""
 
 from collections.abc import Callable
 from functools import wraps
@@ -14,14 +14,14 @@ def insert_options(name: str, build: Function) -> Callable[[Function], Function]
     Parameters
     ----------
     name : str
-        Argument of the command.
+        Name of the command's argument.
     build : callable
-        Its parameters are the options, and it returns the value of the argument.
+        Function that takes the options as its parameters and returns the value of the argument.
 
     Returns
     -------
     callable
-        The decorated command takes keywords only.
+        Decorator. The decorated command takes only keyword arguments.
 
     Examples
     --------

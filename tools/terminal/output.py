@@ -1,4 +1,4 @@
-"""What commands share: options for output, checks of output files, JSON reports and the console."""
+"""Output of all commands: common options, checks of output files, JSON reports and the console."""
 
 import os
 import sys
@@ -39,11 +39,11 @@ REPORT_VERSIONS: Final[Mapping[str, int]] = {
 A version rises when a field is removed, is renamed or changes its meaning; it stays when a field is added.
 """
 PIPE_WIDTH: Final = 120
-"""Width of tables where there is no terminal. [columns]"""
+"""Width of tables if the output is not a terminal. [characters]"""
 
 
 def _load_effects(files: list[Path] | None) -> list[Path] | None:
-    """Load files of effects before the command begins, so that it knows these effects."""
+    """Load files of effects before the command starts, so that it knows these effects."""
     if files:
         from core import effects  # noqa: PLC0415 - takes 0.2 s to import, and most commands are given no file
 
@@ -53,7 +53,7 @@ def _load_effects(files: list[Path] | None) -> list[Path] | None:
 
 
 def _refuse_standard_output(file: Path | None) -> Path | None:
-    """Refuse `-` for a page."""
+    """Refuse `-` as the file of an HTML page."""
     if file == STANDARD_OUTPUT:
         raise SettingsError("--html is '-', and a page cannot go to standard output; name a file such as report.html")
     return file
@@ -79,24 +79,24 @@ EffectFiles = Annotated[
 
 
 class _PipedConsole(Console):
-    """A console that prints no more once its reader has gone, instead of ending the process."""
+    """Print to a console that becomes silent when its reader has gone, instead of ending the process."""
 
     reader_has_gone: ClassVar[bool] = False
 
     def on_broken_pipe(self) -> None:
-        """Let the command go on, which may have files to write; later output leads nowhere."""
+        """Discard all later output, so that the command can continue and write its files."""
         _PipedConsole.reader_has_gone = True
         self.quiet = True
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def has_lost_reader() -> bool:
-    """Return whether the reader of standard output has gone before everything was printed."""
+    """Return whether the reader of standard output has gone before the command printed everything."""
     return _PipedConsole.reader_has_gone
 
 
 def make_console(json_file: Path | None = None) -> Console:
-    """Return the console for what people read: standard output, or standard error where the JSON report takes it.
+    """Return the console for tables and text: standard output, or standard error if the JSON report goes to the former.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def make_console(json_file: Path | None = None) -> Console:
     Returns
     -------
     rich.console.Console
-        As wide as the terminal, or `PIPE_WIDTH` where there is none.
+        Console as wide as the terminal, or `PIPE_WIDTH` without a terminal.
     """
     stderr = json_file == STANDARD_OUTPUT
     console = _PipedConsole(stderr=stderr)
@@ -119,16 +119,16 @@ def write_json(path: Path | None, report: str, value: Mapping[str, Any] | msgspe
     Parameters
     ----------
     path : Path, optional
-        Where to write; `-` is standard output, None writes nothing.
+        File to write; `-` is standard output, None writes nothing.
     report : str
         Name of the report, a key of `REPORT_VERSIONS`.
     value : mapping or msgspec.Struct
-        Fields of the report. A list goes under a name of its own.
+        Fields of the report. A list must be the value of a field.
 
     Raises
     ------
     SettingsError
-        Where the file cannot be written.
+        If the file cannot be written.
 
     Examples
     --------
@@ -157,14 +157,14 @@ def write_json(path: Path | None, report: str, value: Mapping[str, Any] | msgspe
 
 
 def show_report(name: str, result: Any, html_file: Path | None, json_file: Path | None = None, **options: Any) -> None:
-    """Write the page of a result where one is wanted, then print its tables.
+    """Write the HTML page of a result if a file is named, then print its tables.
 
     Parameters
     ----------
     name : str
         Module of `tools.report` that shows the result. It is imported here, because figures take seconds to import.
     result : Any
-        What the module's `show` and `write` take.
+        Result in the form that the module's `show` and `write` take.
     html_file : Path, optional
         The page to write.
     json_file : Path, optional
@@ -181,27 +181,36 @@ def show_report(name: str, result: Any, html_file: Path | None, json_file: Path 
 
 
 def select_model_files(given: Iterable[str]) -> list[Path]:
-    """Return the files among the models that the command line names."""
+    """Return the model files among the models that the command line names.
+
+    Parameters
+    ----------
+    given : iterable of str
+        Names of built-in models, or paths of model files.
+
+    Returns
+    -------
+    list of Path
+    """
     from core.models import BUILT_IN_MODELS  # noqa: PLC0415 - imports numba, which `socast effects` does without
 
     return [Path(name) for name in given if name not in BUILT_IN_MODELS]
 
 
 def check_outputs(inputs: Iterable[Path], *outputs: Path | None) -> None:
-    """Refuse, before any work is done, outputs that cannot be written or would overwrite an input.
+    """Refuse outputs that cannot be written or would overwrite an input, before the command does any work.
 
     Parameters
     ----------
     inputs : iterable of Path
         Files that the command reads.
     outputs : Path or None
-        Files that it will write; None and standard output need no check.
+        Files that the command will write; None and standard output need no check.
 
     Raises
     ------
     SettingsError
-        Where an output is an input, another output or a folder, is in a folder that does not exist, or may not be
-        written.
+        If an output is an input, another output or a folder, if its folder does not exist, or if it cannot be written.
     """
     read, written = {path.resolve() for path in inputs}, set[Path]()
     for path in outputs:
@@ -224,9 +233,9 @@ def check_outputs(inputs: Iterable[Path], *outputs: Path | None) -> None:
 
 
 def _try_to_write(path: Path) -> None:
-    """Open a file for writing and leave it as it was; only ask for permission where it is no plain file.
+    """Open a file for writing without changing it; for anything but a plain file, only check the permission.
 
-    Permissions alone do not decide: root has them everywhere, yet some file systems take no files.
+    A check of permissions alone is not enough. Root has every permission, but some file systems refuse files.
     """
     if not path.exists():
         path.open("xb").close()
@@ -238,7 +247,7 @@ def _try_to_write(path: Path) -> None:
 
 
 def parse_speed(text: str) -> float:
-    """Return the speed of a replay from the command line, in times real time.
+    """Return the speed of a replay from the command line, relative to real time.
 
     Parameters
     ----------
@@ -248,12 +257,12 @@ def parse_speed(text: str) -> float:
     Returns
     -------
     float
-        Above 0; infinite for `max`.
+        Ratio of recorded time to real time, above 0; infinite for `max`. [1]
 
     Raises
     ------
     SettingsError
-        For any other text.
+        If the text is neither a number above 0 nor `max`.
 
     Examples
     --------

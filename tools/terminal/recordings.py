@@ -1,4 +1,4 @@
-"""What every command does with recordings: open them, show progress, and report what they have lost."""
+"""Functions of all commands that read recordings: open recordings, show progress, and report losses."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -17,39 +17,45 @@ Recordings = Annotated[list[Path], typer.Argument(metavar="REC...", help="MCAP r
 
 
 def open_recordings(recordings: Sequence[Path]) -> list[McapSource]:
-    """Return recordings that are ready to be read.
+    """Open recordings for reading.
 
     Parameters
     ----------
     recordings : sequence of Path
+        The recordings.
 
     Returns
     -------
     list of McapSource
-        In the order in which they are given.
+        Sources in the order of the arguments.
 
     Raises
     ------
     RecordingError
-        Where one cannot be read.
+        If a recording cannot be read.
     SettingsError
-        Where one is given twice.
+        If a recording is given twice.
     """
     refuse_duplicates(recordings)
     return [McapSource(path) for path in recordings]
 
 
 def refuse_duplicates(files: Iterable[Path]) -> None:
-    """Refuse files of which one is given twice, by whatever name.
+    """Refuse files if one of them is given twice, even under different names.
+
+    Parameters
+    ----------
+    files : iterable of Path
+        Files that the command line names.
 
     Raises
     ------
     SettingsError
-        Naming the file, whose rides would count twice.
+        If a file is given twice, because its rides would count twice. The message names the file.
     """
     known: set[str] = set()
     for file in files:
-        place = realpath(file)  # `Path.resolve` fails where links go in a circle
+        place = realpath(file)  # `Path.resolve` fails on circular links
         if place in known:
             raise SettingsError(f"{file} is given twice, and what it holds would count twice; give it once")
         known.add(place)
@@ -61,13 +67,14 @@ def refuse_unusable(sources: Sequence[McapSource], usable: int) -> None:
     Parameters
     ----------
     sources : sequence of McapSource
+        The recordings.
     usable : int
-        Messages of the wire contract in all of them.
+        Number of messages of the wire contract in all recordings.
 
     Raises
     ------
     RecordingError
-        Where there is none.
+        If the number is 0 and all recordings were read to their end.
     """
     if not usable and all(source.blocks_read == source.blocks for source in sources):
         names = ", ".join(str(source.path) for source in sources)
@@ -81,15 +88,21 @@ def refuse_unusable(sources: Sequence[McapSource], usable: int) -> None:
 def show_progress(
     sources: Sequence[McapSource], *, shown: bool = True, words: str = "reading"
 ) -> Iterator[Callable[[], None]]:
-    """Show on standard error how far recordings have been read; give a function to call after each step.
+    """Show on standard error how many chunks of recordings have been read.
 
     Parameters
     ----------
     sources : sequence of McapSource
+        The recordings.
     shown : bool
-        Whether to show anything; nothing is shown where standard error is no terminal.
+        Whether to show the progress bar. It never appears if standard error is not a terminal.
     words : str
-        What is going on.
+        Text before the progress bar.
+
+    Yields
+    ------
+    callable
+        Function without arguments that updates the progress bar.
     """
     console = Console(stderr=True)
     columns = (TextColumn(words), BarColumn(), MofNCompleteColumn(), TextColumn("chunks"), TimeRemainingColumn())
@@ -99,7 +112,15 @@ def show_progress(
 
 
 def warn_of_losses(sources: Iterable[McapSource], console: Console | None = None) -> None:
-    """Print what recordings hold or held that could not be read, by default on standard error."""
+    """Print which data of recordings were lost or could not be read.
+
+    Parameters
+    ----------
+    sources : iterable of McapSource
+        Recordings after they were read.
+    console : rich.console.Console, optional
+        Console to print on; by default standard error.
+    """
     console = console or Console(stderr=True)
     for source in sources:
         for line in source.losses.lines():

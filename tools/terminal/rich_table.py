@@ -1,4 +1,4 @@
-"""The one style of tables in the terminal."""
+"""The common style of all tables in the terminal."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -10,7 +10,7 @@ from rich.text import Text
 
 
 class Column(NamedTuple):
-    """A column of a table in the terminal.
+    """Describe a column of a table in the terminal.
 
     Parameters
     ----------
@@ -19,7 +19,7 @@ class Column(NamedTuple):
     number : bool
         Whether the column holds numbers, which are aligned to the right.
     fixed : bool
-        Whether the column keeps each row on one line and cuts what does not fit.
+        Whether the column keeps each row on one line and truncates text that does not fit.
     min_width : int, optional
         Smallest width. [characters]
     ratio : int, optional
@@ -34,15 +34,20 @@ class Column(NamedTuple):
 
 
 def make_table(columns: Sequence[Column], title: str = "", caption: str = "", *, expand: bool = False) -> Table:
-    """Return an empty table in the common style: horizontal rules only, so that numbers have the width.
+    """Return an empty table in the common style, with horizontal rules only, which leaves more width for numbers.
 
     Parameters
     ----------
     columns : sequence of Column
+        Columns from left to right.
     title, caption : str
-        Text above and below the table. It is printed as it is, without markup.
+        Text above and below the table. It is printed unchanged, without markup.
     expand : bool
         Whether the table takes the whole width of the console.
+
+    Returns
+    -------
+    rich.table.Table
     """
     table = Table(
         title=Text(title, style="bold") if title else None,
@@ -67,7 +72,17 @@ def make_table(columns: Sequence[Column], title: str = "", caption: str = "", *,
 
 
 def make_description(entries: Sequence[tuple[str, RenderableType]]) -> Table:
-    """Return a list of names, each with its description beside it."""
+    """Return a table of names, each with its description on the right.
+
+    Parameters
+    ----------
+    entries : sequence of tuple
+        Pairs of name and description.
+
+    Returns
+    -------
+    rich.table.Table
+    """
     table = Table(show_header=False, box=None, pad_edge=False)
     table.add_column(no_wrap=True, style="bold")
     table.add_column(ratio=1)

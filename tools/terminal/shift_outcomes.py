@@ -1,4 +1,4 @@
-"""What was forecast of each shift's end, and what became of it: what `socast replay` ends with."""
+"""The comparison of forecasts of each shift's end with its outcome, which `socast replay` prints last."""
 
 from datetime import UTC, datetime
 from typing import Any, Final
@@ -14,13 +14,13 @@ from core.pipeline import Pipeline
 from tools.terminal.rich_table import Column, make_table
 
 AHEAD: Final = {"2h": 7200.0, "1h": 3600.0}
-"""Times before a shift's end at which its forecast is told. [s]"""
+"""Lead times before a shift's end at which the report evaluates its forecast. [s]"""
 TOLD: Final = ("begin", *AHEAD)
-"""When a shift's forecasts were made."""
+"""Names of the times at which the evaluated forecasts were made."""
 MOST_SHIFTS: Final = 60
-"""Shifts listed on a terminal; the JSON has all."""
+"""Largest number of shifts listed on a terminal; the JSON report lists all."""
 MOST_ROWS: Final = 200_000
-"""Forecasts that are kept before those that are of no use any more are let go."""
+"""Number of stored forecasts above which those no longer needed are deleted."""
 NO_INTERVALS: Final = (
     "no intervals of the shift's end are known yet, as too few shifts have been learned from: give more of what was "
     "recorded before with --warm-up REC"
@@ -29,14 +29,14 @@ _FIGURES: Final = {"mean": "soc_mean_pct", "p05": "soc_p05_pct", "p95": "soc_p95
 
 
 class ShiftOutcomes:
-    """Forecasts of the shifts in progress, and what became of those of shifts that have ended.
+    """Collect the forecasts of shifts in progress, and compare those of ended shifts with the outcome.
 
-    Call it after each list of messages.
+    The caller calls the object after each list of messages.
 
     Parameters
     ----------
     pipeline : Pipeline
-        That keeps its outlooks.
+        Pipeline that keeps its outlooks.
     """
 
     def __init__(self, pipeline: Pipeline) -> None:
@@ -48,7 +48,7 @@ class ShiftOutcomes:
         self._records: list[dict[str, Any]] = []
 
     def __call__(self) -> None:
-        """Take what the pipeline has told since the last call."""
+        """Collect the forecasts and the ended shifts of the pipeline since the last call."""
         told, ended = self._pipeline.take_outlooks(), self._pipeline.take_shifts()
         self._newest = max(self._newest, told["time_s"].max() if len(told) else -np.inf)
         self._told.append(told[told["soc_mean_pct"].notna()])
@@ -58,19 +58,30 @@ class ShiftOutcomes:
             self._settle()
 
     def records(self) -> list[dict[str, Any]]:
-        """Return a record a shift that has ended, by its beginning.
+        """Return one record per ended shift, in order of their beginnings.
 
-        Each has `vehicle_id`, `vehicle_model`, `begin_s`, `end_s`, `soc_begin_pct`, `soc_end_pct` (as reported last),
-        `charged_s` (when it last charged after it had set out), whether the recording `cut` it, and `forecasts` of its
-        end: by when they were made, None or `time_s`, `mean`, `p05`, `p95` [%] and whether the outcome was in between,
-        `held`; None where nobody can tell, as the car charged after it.
+        Returns
+        -------
+        list of dict
+            Each record has these fields:
+
+            - `vehicle_id`, `vehicle_model`;
+            - `begin_s`, `end_s`: Unix times of the shift's beginning and end [s];
+            - `soc_begin_pct`, `soc_end_pct`: charge at the beginning, and charge as last reported [%];
+            - `charged_s`: Unix time at which the car last charged after it had set out, or None [s];
+            - `cut`: whether the recording ends before the shift;
+            - `forecasts`: forecasts of the shift's end, by the name of the time at which they were made, see `TOLD`.
+
+            A forecast is None if it does not exist. Otherwise it has `time_s` [s], `mean`, `p05`, `p95` [%] and `held`.
+            `held` is whether the outcome was between `p05` and `p95`. It is None if the outcome is unknown, for example
+            because the car charged after the forecast.
         """
         self()
         self._settle()
         return sorted(self._records, key=lambda shift: (shift["begin_s"], shift["vehicle_id"]))
 
     def _settle(self) -> None:
-        """Write down the shifts that have ended, and let go what is of no use any more."""
+        """Make the records of ended shifts, and delete forecasts that are no longer needed."""
         if not self._told:
             return
         told, ended = pd.concat(self._told), pd.concat(self._ended)
@@ -84,7 +95,7 @@ class ShiftOutcomes:
 
 
 def _needed(told: pd.DataFrame) -> pd.DataFrame:
-    """Return those forecasts of a shift in progress that may still be told of: the first, and the newest."""
+    """Return the forecasts of a shift in progress that the report may still need: the first and the newest."""
     late = told["time_s"] >= told["time_s"].iloc[-1] - max(AHEAD.values()) - MOST_FORECAST_AGE
     late.iloc[0] = True
     kept: pd.DataFrame = told.loc[late]
@@ -92,7 +103,7 @@ def _needed(told: pd.DataFrame) -> pd.DataFrame:
 
 
 def _record(shift: "pd.Series[Any]", told: pd.DataFrame, newest: float) -> dict[str, Any]:
-    """Return what is told of a shift and its forecasts, which are in the order of time."""
+    """Return the record of a shift with its forecasts, which must be in order of time."""
     time = told["time_s"].to_numpy(np.float64)
     places = {"begin": 0 if len(time) and time[0] <= shift["begin_s"] + MOST_FORECAST_AGE else -1}
     for name, ahead in AHEAD.items():
@@ -110,7 +121,7 @@ def _record(shift: "pd.Series[Any]", told: pd.DataFrame, newest: float) -> dict[
 
 
 def _told(row: "pd.Series[Any]", shift: dict[str, Any]) -> dict[str, Any]:
-    """Return a forecast of a shift's end, and whether it held."""
+    """Return the record of a forecast of a shift's end, with whether the outcome was in its interval."""
     figures = {name: float(row[column]) for name, column in _FIGURES.items()}
     became, charged = shift["soc_end_pct"], shift["charged_s"]
     open_ = became is None or shift["cut"] or (charged is not None and charged >= row["time_s"])
@@ -119,7 +130,15 @@ def _told(row: "pd.Series[Any]", shift: dict[str, Any]) -> dict[str, Any]:
 
 
 def show_outcomes(console: Console, shifts: list[dict[str, Any]]) -> None:
-    """Print a row a shift that has ended, or why there is nothing to tell."""
+    """Print one row per ended shift, or the reason why there is no forecast to compare.
+
+    Parameters
+    ----------
+    console : rich.console.Console
+        Console to print on.
+    shifts : list of dict
+        Records of `ShiftOutcomes.records`.
+    """
     if not shifts:
         return
     if not any(told for shift in shifts for told in shift["forecasts"].values()):
@@ -142,7 +161,17 @@ def show_outcomes(console: Console, shifts: list[dict[str, Any]]) -> None:
 
 
 def summary(shifts: list[dict[str, Any]]) -> list[str]:
-    """Return how often intervals held, of all shifts."""
+    """Return one sentence per lead time on how often the outcome was within the interval.
+
+    Parameters
+    ----------
+    shifts : list of dict
+        Records of `ShiftOutcomes.records`.
+
+    Returns
+    -------
+    list of str
+    """
     lines = []
     for name, words in zip(TOLD, ("at the beginning", "2 h before the end", "1 h before the end"), strict=True):
         held = [told["held"] for shift in shifts if (told := shift["forecasts"][name]) and told["held"] is not None]
@@ -152,7 +181,7 @@ def summary(shifts: list[dict[str, Any]]) -> list[str]:
 
 
 def _cells(shift: dict[str, Any]) -> list[str | Text]:
-    """Return the cells of a shift."""
+    """Return the cells of a shift's row."""
     held = [told["held"] for told in shift["forecasts"].values() if told and told["held"] is not None]
     verdict = f"{sum(held)} of {len(held)}" if held else "–"
     return [
@@ -167,21 +196,21 @@ def _cells(shift: dict[str, Any]) -> list[str | Text]:
 
 
 def _note(shift: dict[str, Any]) -> str:
-    """Return why forecasts of a shift may not be held against what became of it."""
+    """Return the reason why forecasts of a shift may not be comparable with its outcome."""
     charged = [] if shift["charged_s"] is None else [f"charged {_clock(shift['charged_s'], '%H:%M')}"]
     return ", ".join([*charged, *(["goes on"] if shift["cut"] else [])])
 
 
 def _interval(told: dict[str, Any] | None) -> str:
-    """Return a mean and its interval."""
+    """Return the text of a mean and its interval."""
     return "–" if told is None else f"{told['mean']:.0f} ({told['p05']:.0f} to {told['p95']:.0f})"
 
 
 def _percent(value: float | None) -> str:
-    """Return a charge."""
+    """Return the text of a charge, a dash if it is unknown."""
     return "–" if value is None else f"{value:.0f}"
 
 
 def _clock(time_s: float, form: str) -> str:
-    """Return a time, UTC."""
+    """Return the text of a time in UTC."""
     return f"{datetime.fromtimestamp(time_s, UTC):{form}}"

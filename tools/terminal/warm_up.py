@@ -1,4 +1,4 @@
-"""Learning from recordings of earlier days before a consumer or a replay begins: `--warm-up`."""
+"""The option `--warm-up`: a consumer or a replay first learns from recordings of earlier days."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -35,27 +35,32 @@ def learn_from_recordings(
     recordings: Sequence[Path] | None,
     replayed: Sequence[McapSource] = (),
 ) -> Pipeline | None:
-    """Return a pipeline that recordings have run through, for `Pipeline.learn_from`; None without recordings.
+    """Return a pipeline that has processed recordings, for `Pipeline.learn_from`.
 
     Parameters
     ----------
     model : Model
-        Makes the forecasts.
+        Model that makes the forecasts.
     shadows : sequence of Model
-        Run in its shadow.
+        Models that run as its shadows.
     settings : Settings
-        Of cleaning.
+        Settings of cleaning.
     recordings : sequence of Path, optional
         Recordings of earlier days, merged in time order.
     replayed : sequence of McapSource
         Recordings that will be forecast afterwards.
 
+    Returns
+    -------
+    Pipeline or None
+        None without recordings.
+
     Raises
     ------
     SettingsError
-        Where a recording ends after the replayed ones begin: forecasts would know their outcomes.
+        If a recording ends after the replayed ones begin, because forecasts would then know their outcomes.
     RecordingError
-        Where a recording cannot be read.
+        If a recording cannot be read.
     """
     if not recordings:
         return None
@@ -65,7 +70,7 @@ def learn_from_recordings(
     with show_progress(sources, words="learning") as step, collect_garbage_rarely():
         for messages in merge_sources(sources):
             pipeline.take(messages)
-            pipeline.forecasts(newest_only=True)  # drops the others
+            pipeline.forecasts(newest_only=True)  # discards all forecasts
             pipeline.model_errors(newest_only=True)
             step()
     warn_of_losses(sources)
@@ -84,5 +89,5 @@ def _refuse_later(earlier: Sequence[McapSource], replayed: Sequence[McapSource])
 
 
 def _format_time(time_ns: float) -> str:
-    """Return a time as people read it."""
+    """Return the text of a time in UTC."""
     return f"{datetime.fromtimestamp(time_ns * 1e-9, UTC):%Y-%m-%d %H:%M:%S} UTC"
