@@ -6,14 +6,14 @@ from core.batch import Lanes, grown
 from tests.support.telemetry import decoded, drive, telemetry
 
 
-def test_lanes_are_opened_in_the_order_of_first_sight():
+def test_lanes_are_numbered_in_order_of_first_appearance():
     lanes = Lanes(["x"])
     assert [lanes.lane(name) for name in ("b", "a", "b", "x", "a")] == [1, 2, 1, 0, 2]
     assert lanes.names == ["x", "b", "a"]
     assert len(lanes) == 3
 
 
-def test_rows_are_a_view():
+def test_rows_are_a_view_of_the_batch():
     batch = decoded(telemetry(drive(10)))
     part = batch.rows(3, 7)
     assert part.size == 4
@@ -21,7 +21,7 @@ def test_rows_are_a_view():
     assert np.array_equal(part.stamp, batch.stamp[3:7])
 
 
-def test_growing_keeps_what_was_there_and_fills_the_rest():
+def test_grown_array_keeps_its_values_and_fills_the_new_rows():
     array = np.arange(6.0).reshape(3, 2)
     assert grown(array, 3) is array
     larger = grown(array, 4, -1.0)

@@ -44,7 +44,7 @@ def test_every_quality_bit_has_a_column_of_the_ride_table():
     assert names == [f"quality_{cause}" for cause in CAUSES]
 
 
-def test_columns_that_models_read_have_the_same_unit_there():
+def test_columns_that_models_read_have_the_unit_of_the_ride_table():
     registry = pint.UnitRegistry()
     units = {column.name: column.unit for column in RIDE_COLUMNS}
     for name, unit in FEATURES.items():

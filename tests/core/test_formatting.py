@@ -12,7 +12,7 @@ from core.formatting import everyday, rounded
     [(268.15, "K", "-5 °C"), (90.0, "s", "90 s"), (3600.0, "s", "60 min"), (0.002, "m", "2 mm"), (2.5, "m", "2.5 m"),
      (25.0, "m/s", "90 km/h"), (0.85, "1", "0.85"), (360.0, "V", "360 V")],
 )  # fmt: skip
-def test_everyday_units(value, unit, said):
+def test_quantity_is_shown_in_its_everyday_unit(value, unit, said):
     assert everyday(value, unit) == said
 
 
@@ -22,12 +22,12 @@ def test_everyday_units(value, unit, said):
      (99.6, 0.0, "100"), (5.0, None, "5.0"), (0.0, None, "0"), (float("nan"), 1.0, "nan ± 1.0"),
      (1.0, float("inf"), "1.0"), (1.0, float("nan"), "1.0")],
 )  # fmt: skip
-def test_rounding_to_what_is_known(value, half, said):
+def test_number_is_rounded_to_its_uncertainty(value, half, said):
     assert rounded(value, half) == said
 
 
 @given(st.floats(1e-6, 1e6), st.floats(1e-3, 10))
-def test_what_is_shown_is_within_a_third_of_the_uncertainty(value, share):
+def test_rounded_number_differs_by_at_most_a_third_of_the_uncertainty(value, share):
     half = value * share
     shown = rounded(value, half).split(" ± ")
     assert abs(float(shown[0]) - value) <= half / 3

@@ -17,7 +17,7 @@ def full(n=200, seed=4):
     return columns | {"soc_pct": np.round(80 - 0.01 * np.arange(n), 1)}
 
 
-def test_counters_add_up_to_what_was_sent():
+def test_counters_equal_the_numbers_of_sent_messages():
     messages = [
         leaf(),
         observed(),
@@ -35,7 +35,7 @@ def test_counters_add_up_to_what_was_sent():
     assert len(out) > 10
 
 
-def test_status_is_the_newest_of_every_vehicle_heard_of():
+def test_status_holds_the_newest_values_of_every_vehicle_with_samples():
     messages = [leaf("a"), leaf("b"), *telemetry(full(), "a"), told("ride", "c", ride_id="x", event="start")]
     pipeline = Pipeline()
     pipeline.push(messages)
@@ -47,7 +47,7 @@ def test_status_is_the_newest_of_every_vehicle_heard_of():
     assert set(status.quality) == {"repaired_time", "rejected_speed", "duplicate", "gap", "out_of_range"}
 
 
-def test_an_unknown_car_is_measured_and_not_predicted_and_the_reason_counted():
+def test_car_of_unknown_model_is_measured_and_its_missing_prediction_counted():
     pipeline, _ = ran([told("vehicle", model="horse"), *telemetry(full())])
     ride = pipeline.take_rides().iloc[0]
     assert ride["vehicle_model"] == "horse"
@@ -56,12 +56,12 @@ def test_an_unknown_car_is_measured_and_not_predicted_and_the_reason_counted():
     assert pipeline.quality()["unpredictable"] == {"unknown_vehicle_model": 1}
 
 
-def test_a_limit_that_is_exceeded_is_named():
+def test_setting_outside_its_limits_is_named():
     with pytest.raises(SettingsError, match=r"window is 99, but must be from 1 to 8"):
         Pipeline(settings=Settings(window=99))
 
 
-def test_what_is_no_snapshot_is_said_in_one_line():
+def test_invalid_snapshot_is_refused_in_one_line():
     pipeline = Pipeline()
     other = Pipeline(model=BASIC_PHYSICAL)
     for bad in (
@@ -76,7 +76,7 @@ def test_what_is_no_snapshot_is_said_in_one_line():
         assert "\n" not in str(error.value)
 
 
-def test_a_snapshot_made_under_other_settings_is_refused_or_goes_on_under_the_new_ones():
+def test_snapshot_made_with_other_settings_continues_with_the_new_settings():
     pipeline = Pipeline()
     pipeline.push([leaf(), *telemetry(full())])
     other = Pipeline(settings=Settings(forecast_time=60.0))
@@ -85,14 +85,14 @@ def test_a_snapshot_made_under_other_settings_is_refused_or_goes_on_under_the_ne
     assert len(other.status()) == 1
 
 
-def test_the_prediction_of_a_ride_is_that_of_the_model_over_its_table():
+def test_model_predicts_plausible_consumption_from_the_ride_table():
     pipeline, _ = ran([leaf(), *telemetry(full())])
     rides = pipeline.take_rides()
     predicted = pipeline.model.predict(rides)
     assert 0.05 < predicted[0] / rides["distance_km"][0] < 0.35
 
 
-def test_effects_beside_those_of_the_model_are_summed_and_change_nothing():
+def test_additional_effects_are_summed_and_change_no_forecast():
     messages = [leaf(), *telemetry(full())]
     plain, out = ran(messages)
     more, same = ran(messages, also=["climbing_up", "rolling"])
@@ -104,7 +104,7 @@ def test_effects_beside_those_of_the_model_are_summed_and_change_nothing():
     assert set(shared) <= set(rides)
 
 
-def test_without_tables_nothing_is_kept():
+def test_pipeline_without_tables_keeps_no_rides_or_windows():
     columns = full(400)
     columns["ride_id"] = np.repeat(np.array([f"r{i}" for i in range(20)], dtype=object), 20)
     pipeline, _ = ran([leaf(), *telemetry(columns)], keep_tables=False)
@@ -113,7 +113,7 @@ def test_without_tables_nothing_is_kept():
     assert pipeline.quality()["rides"] == 20
 
 
-def test_names_of_rides_do_not_pile_up():
+def test_number_of_kept_ride_names_is_limited():
     pipeline = Pipeline(keep_tables=False)
     columns = drive(12_000, speed=10.0)
     columns["ride_id"] = np.array([f"r{i // 2}" for i in range(12_000)], dtype=object)
@@ -130,7 +130,7 @@ def test_names_of_rides_do_not_pile_up():
     assert all(msgspec.json.decode(message.payload)["ride_id"] for message in out)
 
 
-def test_a_snapshot_that_was_damaged_anywhere_is_refused():
+def test_damaged_snapshot_is_refused():
     kept = Pipeline()
     kept.push([leaf(), *telemetry(drive(30))])
     content = kept.snapshot()
@@ -142,7 +142,7 @@ def test_a_snapshot_that_was_damaged_anywhere_is_refused():
         Pipeline().restore(content[:-10])
 
 
-def test_who_wants_tables_only_gets_the_same_tables_and_keeps_no_forecasts():
+def test_pipeline_without_forecasts_makes_the_same_tables():
     sent = [leaf(), *telemetry(drive(300))]
     whole, tables = Pipeline(), Pipeline(keep_forecasts=False)
     whole.push(sent)

@@ -9,12 +9,12 @@ from core.snapshot import opened, sealed
 STATE = {"model": "basic_physical/1", "effects": ["rolling"], "lanes": ["a"]}
 
 
-def test_what_was_sealed_is_opened():
+def test_sealed_state_opens_unchanged():
     found = opened(sealed(STATE), ["rolling"])
     assert {name: found[name] for name in STATE} == STATE
 
 
-def test_another_version_or_other_effects_are_refused_in_one_line(monkeypatch):
+def test_snapshot_of_other_version_or_effects_is_refused_in_one_line(monkeypatch):
     kept = sealed(STATE)
     refused = r"^snapshot of model basic_physical/1: made by another version or with other effects; start without it$"
     with pytest.raises(SocastError, match=refused):
@@ -25,7 +25,7 @@ def test_another_version_or_other_effects_are_refused_in_one_line(monkeypatch):
 
 
 @pytest.mark.parametrize("at", [0, 31, 32, -1])
-def test_a_bit_that_changed_is_noticed(at):
+def test_single_changed_bit_is_detected(at):
     kept = bytearray(sealed(STATE))
     kept[at] ^= 1
     with pytest.raises(SocastError, match="damaged"):

@@ -75,7 +75,7 @@ def same(one, other):
 
 
 @given(seed=st.integers(0, 200), cuts=st.lists(st.integers(0, 420), max_size=10))
-def test_any_chunking_is_the_whole(seed, cuts):
+def test_any_chunking_gives_the_same_results(seed, cuts):
     messages = shift(seed)
     whole, expected = ran(messages)
     parts, out = ran(messages, cuts)
@@ -84,7 +84,7 @@ def test_any_chunking_is_the_whole(seed, cuts):
     same(parts, whole)
 
 
-def test_one_message_at_a_time_is_the_whole():
+def test_single_messages_give_the_same_results():
     messages = shift(5)
     whole, expected = ran(messages)
     single, out = ran(messages, range(len(messages)))
@@ -93,7 +93,7 @@ def test_one_message_at_a_time_is_the_whole():
 
 
 @given(seed=st.integers(0, 200))
-def test_other_vehicles_change_nothing_for_a_vehicle(seed):
+def test_other_vehicles_do_not_change_the_results_of_a_vehicle(seed):
     streams = [car(name, seed + i) for i, name in enumerate(CARS)]
     together, out = ran(mixed(streams, seed))
     rides, windows = together.take_rides(), together.take_windows()
@@ -107,7 +107,7 @@ def test_other_vehicles_change_nothing_for_a_vehicle(seed):
 
 
 @given(seed=st.integers(0, 200), at=st.integers(0, 420))
-def test_a_restart_in_mid_ride_is_no_interruption(seed, at):
+def test_restart_within_a_ride_changes_no_result(seed, at):
     messages = shift(seed)
     whole, expected = ran(messages)
     first = Pipeline()
@@ -127,7 +127,7 @@ def test_a_restart_in_mid_ride_is_no_interruption(seed, at):
     assert second.quality() == whole.quality()
 
 
-def test_a_snapshot_does_not_share_memory_with_what_goes_on():
+def test_snapshot_shares_no_memory_with_the_pipeline():
     messages = shift(3)
     first = Pipeline()
     first.push(messages[:200])
@@ -140,7 +140,7 @@ def test_a_snapshot_does_not_share_memory_with_what_goes_on():
     assert second.snapshot() == first.snapshot()
 
 
-def test_predict_never_learns():
+def test_prediction_never_changes_the_model():
     pipeline, _ = ran(shift(2))
     rides = pipeline.take_rides()
     before = models.encode_model(pipeline.model)
@@ -157,25 +157,25 @@ def test_predict_never_learns():
 
 
 @pytest.mark.parametrize("model", models.BUILT_IN_MODELS.values(), ids=lambda model: model.name)
-def test_a_model_file_comes_back_exactly(model):
+def test_model_file_is_unchanged_by_a_round_trip(model):
     assert models.decode_model(models.encode_model(model)) == model
 
 
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=5, max_size=5))
-def test_coefficients_come_back_to_the_bit(values):
+def test_coefficients_are_unchanged_to_the_bit_by_a_round_trip(values):
     fits = {models.ANY: models.Fit(coefficients=tuple(values))}
     model = msgspec.structs.replace(models.EXTENDED_PHYSICAL, fits=fits)
     assert models.decode_model(models.encode_model(model)) == model
 
 
-def test_messages_are_never_changed():
+def test_messages_are_never_modified():
     messages = shift(1)
     copies = [Message(m.key, bytes(bytearray(m.payload)), m.receipt_ns) for m in messages]
     ran(tuple(messages))
     assert messages == copies
 
 
-def test_lists_of_a_gateway_are_single_samples():
+def test_list_gives_the_same_results_as_its_single_samples():
     stream = [
         message
         for message in car("a", 0)
@@ -191,7 +191,7 @@ def test_lists_of_a_gateway_are_single_samples():
     same(other, one)
 
 
-def test_an_outlived_weather_station_and_a_late_vehicle_message_are_found_by_row_not_by_batch():
+def test_weather_and_vehicle_messages_apply_by_row_and_not_by_batch():
     columns = drive(200, speed=10.0)
     messages = telemetry(columns)
     for at, message in (
@@ -208,14 +208,14 @@ def test_an_outlived_weather_station_and_a_late_vehicle_message_are_found_by_row
         assert other.quality() == whole.quality()
 
 
-def test_time_of_receipt_has_no_say():
+def test_time_of_receipt_changes_no_result():
     messages = shift(4)
     _, expected = ran(messages)
     _, out = ran([message._replace(receipt_ns=7 * i) for i, message in enumerate(messages)])
     assert out == expected
 
 
-def test_a_round_trip_over_hills_never_costs_less_than_the_level_road():
+def test_round_trip_over_hills_never_takes_less_energy_than_the_level_road():
     base = drive(800, speed=12.0)
     level, _ = ran([leaf(), *telemetry(base | {"elevation_m": np.full(800, 50.0)})])
     hill = 50 + 60 * np.sin(np.pi * np.arange(800) / 799) ** 2
@@ -263,7 +263,7 @@ def pushed(pipeline, messages, cuts=()):
 
 
 @given(seed=st.integers(0, 200), cuts=st.lists(st.integers(0, TWO_DAYS + 48), max_size=12))
-def test_any_chunking_foretells_and_learns_the_same(seed, cuts):
+def test_any_chunking_gives_the_same_forecasts_and_learned_state(seed, cuts):
     messages = two_days(seed)
     whole, state = pushed(again(), messages)
     parts, after = pushed(again(), messages, cuts)
@@ -272,14 +272,14 @@ def test_any_chunking_foretells_and_learns_the_same(seed, cuts):
     assert any(each.soc_end_of_shift_pct for each in forecasts(whole, "c").values())
 
 
-def test_one_message_at_a_time_foretells_and_learns_the_same():
+def test_single_messages_give_the_same_forecasts_and_learned_state():
     messages = two_days(3)
     messages = messages[: len(messages) // 2 + 100]
     assert pushed(again(), messages, range(len(messages))) == pushed(again(), messages)
 
 
 @given(seed=st.integers(0, 200), at=st.integers(0, TWO_DAYS + 48), near=st.sampled_from(["any", "midnight", "plan"]))
-def test_a_restart_at_any_time_is_no_interruption_of_what_is_foretold(seed, at, near):
+def test_restart_at_any_time_changes_no_forecast(seed, at, near):
     messages = two_days(seed)
     if near == "midnight":  # of the second day nothing has been heard, or a few samples of each
         at = len(two_days(seed)) // 2 + at % 12 - 1
@@ -297,7 +297,7 @@ def test_a_restart_at_any_time_is_no_interruption_of_what_is_foretold(seed, at, 
     assert after == state
 
 
-def test_a_restart_after_every_message_about_a_night_is_none():
+def test_restart_after_every_message_around_midnight_changes_no_forecast():
     messages = two_days(1)
     middle = len(messages) // 2
     whole, state = pushed(again(), messages[: middle + 20])
@@ -312,7 +312,7 @@ def test_a_restart_after_every_message_about_a_night_is_none():
 
 
 @given(seed=st.integers(0, 200), car=st.sampled_from(DRIVEN))
-def test_on_the_same_day_other_vehicles_change_nothing_of_what_is_foretold(seed, car):
+def test_other_vehicles_on_the_same_day_do_not_change_the_forecasts_of_a_vehicle(seed, car):
     messages = two_days(seed)
     today = messages[: len(messages) // 2]
     together = [m for m in again().push(today) if f"/{car}/" in m.key]

@@ -32,7 +32,7 @@ def truth(n=N, period=PERIOD):
 
 @pytest.mark.parametrize("sd", [0.1, 0.3, 0.5, 1.0])
 @pytest.mark.parametrize("seed", range(6))
-def test_jitter_with_a_counter_leaves_a_fifth_of_it(sd, seed):
+def test_counter_reduces_jitter_to_a_fifth(sd, seed):
     clean = cleaned(jittered(sd, seed))
     error = (clean.time - truth())[SETTLED:]
     assert np.sqrt(np.mean(error**2)) < 0.23 * sd
@@ -46,7 +46,7 @@ def test_jitter_with_a_counter_leaves_a_fifth_of_it(sd, seed):
 
 @pytest.mark.parametrize("sd", [0.1, 0.3, 0.5])
 @pytest.mark.parametrize("seed", range(4))
-def test_jitter_up_to_half_a_second_needs_no_counter(sd, seed):
+def test_jitter_up_to_half_a_second_is_repaired_without_counter(sd, seed):
     clean = cleaned(jittered(sd, seed, seq=False))
     error = (clean.time - truth())[SETTLED:]
     assert np.sqrt(np.mean(error**2)) < 0.3 * sd
@@ -54,7 +54,7 @@ def test_jitter_up_to_half_a_second_needs_no_counter(sd, seed):
     assert count(clean, Quality.GAP) <= 3
 
 
-def test_a_second_of_jitter_without_a_counter_stays_within_what_is_claimed():
+def test_error_for_a_second_of_jitter_without_counter_stays_within_documented_limits():
     found = [cleaned(jittered(1.0, seed, seq=False)) for seed in range(8)]
     errors = np.array([(clean.time - truth())[SETTLED:] for clean in found])
     assert np.sqrt(np.mean(errors**2)) < 0.65
@@ -65,7 +65,7 @@ def test_a_second_of_jitter_without_a_counter_stays_within_what_is_claimed():
 
 @WITH_SEQ
 @pytest.mark.parametrize("sd", [0.0, 0.3])
-def test_gaps_are_whole_periods(seq, sd):
+def test_gap_lasts_a_whole_number_of_periods(seq, sd):
     columns = jittered(sd, 3, seq=seq)
     keep = np.ones(N, bool)
     for at, missing in ((200, 1), (300, 2), (400, 7), (600, 90)):
@@ -78,7 +78,7 @@ def test_gaps_are_whole_periods(seq, sd):
 
 
 @pytest.mark.parametrize("sd", [0.0, 0.3, 1.0])
-def test_a_tenth_of_the_samples_lost_costs_no_time_with_a_counter(sd):
+def test_loss_of_a_tenth_of_the_samples_keeps_the_duration_with_a_counter(sd):
     rng = np.random.default_rng(5)
     keep = rng.random(N) > 0.1
     keep[[0, -1]] = True
@@ -90,7 +90,7 @@ def test_a_tenth_of_the_samples_lost_costs_no_time_with_a_counter(sd):
 
 
 @WITH_SEQ
-def test_repeated_stamps_say_nothing(seq):
+def test_repeated_stamps_are_ignored(seq):
     columns = cruise(soc_pct=90 - 0.01 * np.arange(N))  # the content changes, so these are no duplicates
     again = np.arange(7, N - 1, 20)
     columns["time_s"][again] = columns["time_s"][again - 1]
@@ -101,7 +101,7 @@ def test_repeated_stamps_say_nothing(seq):
 
 
 @WITH_SEQ
-def test_missing_and_huge_stamps_coast(seq):
+def test_time_advances_by_the_period_over_missing_and_huge_stamps(seq):
     columns = jittered(0.3, 1, seq=seq)
     columns["time_s"][10::25] = np.tile([1e300, -5.0, 9e9, 1e11], N)[: len(columns["time_s"][10::25])]
     clean = cleaned(columns)
@@ -112,7 +112,7 @@ def test_missing_and_huge_stamps_coast(seq):
 
 @pytest.mark.parametrize("step", [4.0, 20.0, 500.0, 3e7, -4.0, -20.0, -500.0, -3e7])
 @pytest.mark.parametrize("sd", [0.0, 0.3])
-def test_a_clock_that_is_set_while_the_counter_counts_costs_no_time(step, sd):
+def test_clock_that_is_set_while_the_counter_runs_keeps_the_duration(step, sd):
     columns = jittered(sd, 2)
     columns["time_s"][400:] += step
     clean = cleaned(columns)
@@ -123,7 +123,7 @@ def test_a_clock_that_is_set_while_the_counter_counts_costs_no_time(step, sd):
     assert np.abs(after).max() < max(3 * sd, 1e-6)
 
 
-def test_a_clock_set_back_without_a_counter_is_believed_after_ten_samples_and_costs_no_time():
+def test_clock_set_back_without_counter_is_accepted_after_ten_samples_and_keeps_the_duration():
     columns = jittered(0.2, 2, seq=False)
     columns["time_s"][400:] -= 500.0
     clean = cleaned(columns)
@@ -132,7 +132,7 @@ def test_a_clock_set_back_without_a_counter_is_believed_after_ten_samples_and_co
     assert clean.dt[clean.dt > 0].sum() == pytest.approx(PERIOD * (N - 1), abs=1.5)
 
 
-def test_a_clock_set_forward_without_a_counter_is_taken_for_a_gap():
+def test_clock_set_forward_without_counter_counts_as_a_gap():
     columns = jittered(0.2, 2, seq=False)
     columns["time_s"][400:] += 600.0
     clean = cleaned(columns)
@@ -141,7 +141,7 @@ def test_a_clock_set_forward_without_a_counter_is_taken_for_a_gap():
 
 
 @WITH_SEQ
-def test_time_that_runs_backwards_for_a_minute_costs_nothing(seq):
+def test_time_that_runs_backwards_for_a_minute_keeps_the_duration(seq):
     columns = jittered(0.0, 2, seq=seq)
     columns["time_s"][400:420] = columns["time_s"][399] - PERIOD * np.arange(1, 21)
     clean = cleaned(columns)
@@ -154,7 +154,7 @@ def test_time_that_runs_backwards_for_a_minute_costs_nothing(seq):
 
 @pytest.mark.parametrize("period", [0.5, 1.0, 2.0, 4.0, 5.0, 10.0, 30.0])
 @WITH_SEQ
-def test_a_period_that_is_not_the_nominal_one_is_found(period, seq):
+def test_period_other_than_nominal_is_estimated(period, seq):
     columns = cruise(300, soc_pct=90 - 0.01 * np.arange(300))
     columns["time_s"] = truth(300, period) + np.random.default_rng(4).normal(0, 0.03 * period, 300)
     clean = cleaned(columns if seq else without(columns, "seq"))
@@ -167,7 +167,7 @@ def test_a_period_that_is_not_the_nominal_one_is_found(period, seq):
 
 @pytest.mark.parametrize("ppm", [100, -100, 1000])
 @pytest.mark.parametrize("sd", [0.0, 0.5, 1.0])
-def test_a_clock_that_drifts_is_followed(ppm, sd):
+def test_drifting_clock_is_followed(ppm, sd):
     columns = jittered(sd, 6)
     columns["time_s"] += ppm * 1e-6 * (truth() - START)
     clean = cleaned(columns)
@@ -177,7 +177,7 @@ def test_a_clock_that_drifts_is_followed(ppm, sd):
 
 
 @WITH_SEQ
-def test_neighbours_that_change_places_cost_no_time(seq):
+def test_swapped_neighbours_keep_the_duration(seq):
     order = np.arange(N)
     for at in range(20, N - 2, 30):
         order[[at, at + 1]] = order[[at + 1, at]]
@@ -190,7 +190,7 @@ def test_neighbours_that_change_places_cost_no_time(seq):
 
 
 @pytest.mark.parametrize(("length", "seq"), [(3, True), (60, True), (9, False)])
-def test_a_backlog_sent_after_the_fact_is_late_and_nothing_else(length, seq):
+def test_backlog_counts_as_late_and_changes_nothing_else(length, seq):
     order = np.concatenate(
         [np.arange(300), np.arange(300 + length, 420), np.arange(300, 300 + length), np.arange(420, N)]
     )
@@ -200,7 +200,7 @@ def test_a_backlog_sent_after_the_fact_is_late_and_nothing_else(length, seq):
     assert clean.dt[clean.dt > 0].sum() == pytest.approx(PERIOD * (N - 1), abs=0.5)
 
 
-def test_a_power_cycle_restarts_the_counter_and_costs_no_time():
+def test_restart_of_the_counter_after_a_power_cycle_keeps_the_duration():
     columns = jittered(0.3, 2)
     columns["seq"][400:] -= 400
     columns["time_s"][400:] += 60.0
@@ -215,7 +215,7 @@ def test_a_power_cycle_restarts_the_counter_and_costs_no_time():
 
 
 @pytest.mark.parametrize("counter", ["constant", "tens", "byte", "random"])
-def test_a_broken_counter_is_seen_through(counter):
+def test_broken_counter_is_ignored(counter):
     columns = jittered(0.3, 2)
     broken = {
         "constant": np.zeros(N, int),
@@ -230,14 +230,14 @@ def test_a_broken_counter_is_seen_through(counter):
     assert clean.dt[clean.dt > 0].sum() == pytest.approx(PERIOD * (N - 1), abs=1.0)
 
 
-def test_a_standing_car_with_a_constant_counter_is_no_duplicate():
+def test_stationary_car_with_constant_counter_has_no_duplicates():
     columns = without(drive(200, speed=0.0), "metres") | {"seq": np.full(200, 7)}
     clean = cleaned(columns)
     assert count(clean, Quality.DUPLICATE) == 0
     assert clean.dt.sum() == pytest.approx(PERIOD * 199)
 
 
-def test_a_leap_of_the_counter_in_no_time_is_not_believed():
+def test_jump_of_the_counter_without_elapsed_time_is_rejected():
     columns = jittered(0.1, 2)
     columns["seq"][400] = 10**9
     clean = cleaned(columns)
@@ -245,7 +245,7 @@ def test_a_leap_of_the_counter_in_no_time_is_not_believed():
     assert count(clean, Quality.SEQUENCE) == 2
 
 
-def test_two_cars_with_one_identity_are_noted_and_make_no_time():
+def test_two_cars_with_one_identity_are_flagged_and_add_no_time():
     first, second = cruise(200), cruise(200)
     second["seq"] = second["seq"] + 5000
     second["time_s"] = second["time_s"] + 1.2
@@ -255,7 +255,7 @@ def test_two_cars_with_one_identity_are_noted_and_make_no_time():
     assert clean.dt[clean.dt > 0].sum() == pytest.approx(PERIOD * 199, abs=4.0)
 
 
-def test_the_first_sample_without_a_stamp_waits_for_one():
+def test_first_sample_without_stamp_waits_for_a_stamp():
     columns = cruise(10)
     columns["time_s"][0] = 1e300
     clean = cleaned(columns)
@@ -272,7 +272,7 @@ def test_the_first_sample_without_a_stamp_waits_for_one():
     twice=st.floats(0, 0.3),
     moved=st.floats(0, 0.1),
 )
-def test_time_never_runs_back_and_no_step_is_negative(seed, sd, seq, lost, twice, moved):
+def test_time_never_decreases_and_no_step_is_negative(seed, sd, seq, lost, twice, moved):
     rng = np.random.default_rng(seed)
     columns = jittered(sd, seed, n=120, seq=seq)
     place = np.arange(120) + np.where(rng.random(120) < moved, rng.normal(0, 4, 120), 0.0)
@@ -288,7 +288,7 @@ def test_time_never_runs_back_and_no_step_is_negative(seed, sd, seq, lost, twice
     assert seq is False or not steps.any()
 
 
-def test_nominal_period_is_a_setting():
+def test_nominal_period_follows_the_settings():
     columns = cruise(60)
     columns["time_s"] = truth(60, 10.0)
     clean = cleaned(columns, Settings(period=10.0))
@@ -297,7 +297,7 @@ def test_nominal_period_is_a_setting():
 
 
 @pytest.mark.parametrize("ahead", [3600.0, 86_400.0, 2.3e9])
-def test_a_single_wild_stamp_is_not_believed_where_nothing_counts(ahead):
+def test_single_wrong_stamp_is_rejected_without_counter(ahead):
     columns = without(drive(300), "seq")
     columns["time_s"][100] += ahead
     clean = cleaned(columns)
@@ -315,7 +315,7 @@ def test_a_single_wild_stamp_is_not_believed_where_nothing_counts(ahead):
     ahead=st.floats(1000.0, 1e9),
     stuck=st.booleans(),
 )
-def test_a_single_wild_stamp_costs_its_sample_and_nothing_else(seed, sd, at, ahead, stuck):
+def test_single_wrong_stamp_loses_only_its_sample(seed, sd, at, ahead, stuck):
     columns = jittered(sd, seed, n=120, seq=False)
     if stuck:
         columns["seq"] = np.full(120, 7)
@@ -330,7 +330,7 @@ def test_a_single_wild_stamp_costs_its_sample_and_nothing_else(seed, sd, at, ahe
     assert wild.quality[at] & Quality.REPAIRED_TIME
 
 
-def test_a_long_silence_where_nothing_counts_is_a_gap_once_a_second_stamp_says_so():
+def test_long_silence_without_counter_is_a_gap_once_a_second_stamp_confirms_it():
     columns = without(drive(300), "seq")
     columns["time_s"][150:] += 7200.0
     clean = cleaned(columns)
@@ -343,7 +343,7 @@ def test_a_long_silence_where_nothing_counts_is_a_gap_once_a_second_stamp_says_s
 
 @pytest.mark.parametrize("silence", [300.0, 28_801.3])
 @pytest.mark.parametrize("sd", [0.1, 0.3, 0.5])
-def test_a_silence_amid_jitter_where_nothing_counts_costs_no_time(silence, sd):
+def test_silence_with_jitter_and_without_counter_keeps_the_duration(silence, sd):
     for seed in range(25):
         columns = jittered(sd, seed, n=300, seq=False)
         columns["time_s"][150:] += silence
@@ -353,7 +353,7 @@ def test_a_silence_amid_jitter_where_nothing_counts_costs_no_time(silence, sd):
         assert count(clean, Quality.LATE | Quality.CLOCK_STEP) == 0
 
 
-def test_a_second_stamp_that_is_before_the_first_leaves_it_to_the_third():
+def test_third_stamp_decides_when_the_second_is_before_the_first():
     columns = without(drive(300), "seq")
     columns["time_s"][150:] += 7200.0
     columns["time_s"][150] += 4.0
@@ -363,7 +363,7 @@ def test_a_second_stamp_that_is_before_the_first_leaves_it_to_the_third():
     assert clean.dt.sum() == pytest.approx(PERIOD * 299 + 7200, abs=0.1)
 
 
-def test_samples_that_come_too_rarely_to_confirm_each_other_are_not_used():
+def test_samples_too_rare_to_confirm_each_other_are_not_used():
     columns = without(drive(100), "seq")
     columns["time_s"][90:] += 3600.0 * np.arange(1, 11)
     clean = cleaned(columns)

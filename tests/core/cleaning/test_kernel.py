@@ -53,7 +53,7 @@ def full(n=N, seed=1):
 
 
 @pytest.mark.parametrize("field", WILD)
-def test_a_value_out_of_range_is_missing_and_counted(field):
+def test_value_out_of_range_is_missing_and_counted(field):
     columns, missing = full(), full()
     columns[field][[20, 40, 60]] = WILD[field]
     missing[field][[20, 40, 60]] = np.nan
@@ -64,7 +64,7 @@ def test_a_value_out_of_range_is_missing_and_counted(field):
         assert name == "quality" or np.array_equal(one, other, equal_nan=True), name
 
 
-def test_a_clean_drive_has_no_bits():
+def test_drive_without_faults_has_no_quality_bits():
     columns = full()
     columns["speed_kmh"][:] = 36.0
     columns["latitude_deg"] = columns["latitude_deg"][0] + 0.00027 * np.arange(N)
@@ -81,7 +81,7 @@ MISSING = {
 
 
 @pytest.mark.parametrize("field", MISSING)
-def test_a_value_that_this_car_used_to_send_is_noted_when_it_is_missing(field):
+def test_missing_value_is_flagged_if_the_car_sent_it_before(field):
     columns = full()
     columns[field][:10] = np.nan  # not sent yet
     columns[field][30:35] = np.nan
@@ -91,7 +91,7 @@ def test_a_value_that_this_car_used_to_send_is_noted_when_it_is_missing(field):
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_what_is_reported_lies_in_range_whatever_was_sent(seed):
+def test_cleaned_values_lie_in_range_for_any_input(seed):
     rng = np.random.default_rng(seed)
     columns = rng.choice(
         [0.0, 1.0, -1.0, 1e3, 1e9, 1e308, -1e308, np.nan, np.inf, -np.inf, 0.5], (len(Batch._fields), 60)
@@ -108,7 +108,7 @@ def test_what_is_reported_lies_in_range_whatever_was_sent(seed):
     assert clean.speed.max() <= Settings().speed_limit
 
 
-def test_energy_is_the_trapezoid_of_power():
+def test_energy_is_the_trapezoidal_integral_of_power():
     columns = full()
     power = columns["battery_voltage_v"] * columns["battery_current_a"]
     clean = cleaned(columns)
@@ -116,7 +116,7 @@ def test_energy_is_the_trapezoid_of_power():
     assert clean.metered.sum() == PERIOD * (N - 1)
 
 
-def test_energy_is_interpolated_over_short_holes_and_not_over_long_ones():
+def test_energy_is_interpolated_over_short_holes_only():
     columns = full()
     power = columns["battery_voltage_v"] * columns["battery_current_a"]
     short = np.r_[0:50, 55:N]
@@ -129,7 +129,7 @@ def test_energy_is_interpolated_over_short_holes_and_not_over_long_ones():
     assert clean.metered.sum() == PERIOD * (49 + N - 81)
 
 
-def test_power_that_is_missing_in_a_row_counts_no_time():
+def test_samples_without_power_add_no_metered_time():
     columns = full()
     columns["battery_current_a"][50:60] = np.nan
     clean = cleaned(columns)
@@ -137,7 +137,7 @@ def test_power_that_is_missing_in_a_row_counts_no_time():
     assert np.all(clean.energy[50:60] == 0)
 
 
-def test_the_quantum_of_the_state_of_charge_is_the_smallest_change():
+def test_quantum_of_soc_is_its_smallest_change():
     columns = full()
     columns["soc_pct"] = 90 - 0.5 * np.floor(np.arange(N) / 10)
     columns["soc_pct"][60] -= 0.25
@@ -147,7 +147,7 @@ def test_the_quantum_of_the_state_of_charge_is_the_smallest_change():
     assert clean.soc_step[-1] == pytest.approx(0.0025)
 
 
-def test_a_state_of_charge_from_before_a_ride_says_nothing_of_it():
+def test_soc_from_before_a_ride_is_not_used_for_it():
     columns = full()
     columns["ride_id"] = np.array(["A"] * 40 + ["B"] * 80, dtype=object)
     columns["soc_pct"][35:] = np.nan
@@ -167,7 +167,7 @@ def two_shifts(n=N):
     return without(columns, "ride_id", "metres")
 
 
-def test_what_a_shift_begins_with_says_nothing_of_the_end_of_the_one_before():
+def test_start_of_a_shift_changes_nothing_at_the_end_of_the_previous_shift():
     columns = two_shifts()
     clean = cleaned(without(columns, "seq"))
     old = clean.time < columns["time_s"][N]
@@ -181,7 +181,7 @@ def test_what_a_shift_begins_with_says_nothing_of_the_end_of_the_one_before():
     assert clean.distance[N] == 0
 
 
-def test_a_night_without_a_counter_is_the_night_with_one_that_restarts():
+def test_night_without_counter_equals_night_with_restarted_counter():
     columns = two_shifts()
     columns["seq"][N:] = np.arange(N)
     known, alone = cleaned(columns), cleaned(without(columns, "seq"))
@@ -196,7 +196,7 @@ def test_a_night_without_a_counter_is_the_night_with_one_that_restarts():
     assert known.distance.sum() > known.distance[:N].sum() + 2300.0
 
 
-def test_a_stop_has_hysteresis():
+def test_detection_of_stops_has_hysteresis():
     columns = without(full(), "latitude_deg", "longitude_deg")
     speed = np.full(N, 10.0)
     speed[30:60] = 0.0
@@ -226,7 +226,7 @@ def fleet(seed, cars=3, n=60):
 
 
 @given(seed=st.integers(0, 1000), cuts=st.lists(st.integers(0, 200), max_size=8))
-def test_any_chunking_is_the_whole_to_the_bit(seed, cuts):
+def test_any_chunking_gives_the_same_bits(seed, cuts):
     batch = decoded(fleet(seed)[0])
     whole = Cleaner(Settings()).clean(batch, 3)
     edges = sorted({0, batch.size, *(min(cut, batch.size) for cut in cuts)})
@@ -237,7 +237,7 @@ def test_any_chunking_is_the_whole_to_the_bit(seed, cuts):
 
 
 @given(seed=st.integers(0, 1000))
-def test_other_vehicles_change_nothing_for_a_vehicle(seed):
+def test_other_vehicles_do_not_change_the_samples_of_a_vehicle(seed):
     mixed, parts = fleet(seed)
     lanes = Lanes()
     batch, _ = Decoder(lanes).decode(mixed)
@@ -250,7 +250,7 @@ def test_other_vehicles_change_nothing_for_a_vehicle(seed):
                 assert np.array_equal(one[mine], other, equal_nan=True), name
 
 
-def test_inputs_are_never_changed():
+def test_input_arrays_are_never_modified():
     batch = decoded(fleet(3)[0])
     before = [column.copy() for column in batch]
     for column in batch:
@@ -259,7 +259,7 @@ def test_inputs_are_never_changed():
     assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(batch, before, strict=True))
 
 
-def test_a_lane_that_comes_later_does_not_disturb_the_others():
+def test_new_lane_does_not_change_the_other_lanes():
     first, second = telemetry(full(), "a"), telemetry(full(seed=2), "b")
     lanes, cleaner = Lanes(), Cleaner(Settings())
     decoder = Decoder(lanes)
@@ -272,12 +272,12 @@ def test_a_lane_that_comes_later_does_not_disturb_the_others():
         assert np.array_equal(np.concatenate([a, b]), c, equal_nan=True), name
 
 
-def test_an_empty_batch_is_no_matter():
+def test_empty_batch_changes_nothing():
     clean = Cleaner(Settings()).clean(decoded([]), 0)
     assert all(len(column) == 0 for column in clean)
 
 
-def test_compiled_kernel_is_renewed_when_a_module_of_it_changes(tmp_path):
+def test_kernel_is_recompiled_when_one_of_its_modules_changes(tmp_path):
     """Numba itself only checks the file of the kernel, and not the files that it imports."""
     source = ROOT / "core"
     core = tmp_path / "core"

@@ -44,7 +44,7 @@ def tunnelled(columns, length, hold, jump_kmh=1500.0, own_speed=False):
 @pytest.mark.parametrize("length", [5, 20, 60])
 @pytest.mark.parametrize("hold", [True, False], ids=["frozen", "missing"])
 @pytest.mark.parametrize("jump_kmh", [900.0, 2000.0])
-def test_a_tunnel_keeps_its_kilometres_and_passes_no_speed_on(base, length, hold, jump_kmh):
+def test_tunnel_keeps_its_distance_and_affects_no_later_speed(base, length, hold, jump_kmh):
     clean = cleaned(tunnelled(base, length, hold, jump_kmh))
     assert clean.distance.sum() == pytest.approx(base["metres"][-1], rel=0.02)
     assert clean.speed.max() <= 100 * KMH
@@ -58,7 +58,7 @@ def test_a_tunnel_keeps_its_kilometres_and_passes_no_speed_on(base, length, hold
 
 
 @pytest.mark.parametrize("samples", [1, 2, 3])
-def test_a_tunnel_passed_in_seconds_is_bridged(samples):
+def test_tunnel_of_a_few_seconds_is_bridged(samples):
     """The position runs through in 3 to 9 s, at far more than the limit, and so does the GPS speed."""
     base = highway()
     out = tunnelled(base, 20, hold=True)
@@ -73,7 +73,7 @@ def test_a_tunnel_passed_in_seconds_is_bridged(samples):
 
 
 @pytest.mark.parametrize("hold", [True, False], ids=["frozen", "missing"])
-def test_a_tunnel_with_wheel_speed_is_not_driven_twice(hold):
+def test_tunnel_with_wheel_speed_counts_its_distance_once(hold):
     base = highway()
     clean = cleaned(tunnelled(base, 40, hold, own_speed=True))
     assert clean.distance.sum() == pytest.approx(base["metres"][-1], rel=1e-6)
@@ -84,14 +84,14 @@ def test_a_tunnel_with_wheel_speed_is_not_driven_twice(hold):
 @pytest.mark.parametrize("length", [5, 20, 40])
 @pytest.mark.parametrize("hold", [True, False], ids=["frozen", "missing"])
 @pytest.mark.parametrize("base", [drive(N, seed=3), highway()], ids=["town", "highway"])
-def test_a_tunnel_without_any_speed_keeps_its_kilometres(base, length, hold):
+def test_tunnel_without_any_speed_keeps_its_distance(base, length, hold):
     clean = cleaned(without(tunnelled(base, length, hold), "speed_kmh"))
     assert clean.distance.sum() == pytest.approx(base["metres"][-1], rel=0.01)
     assert clean.speed.max() <= 100 * KMH
 
 
 @pytest.mark.parametrize("speed", [True, False], ids=["speed", "fixes"])
-def test_spikes_of_the_position_are_not_driven(speed, rng):
+def test_spikes_of_the_position_add_no_distance(speed, rng):
     base = drive(N, seed=3)
     spikes = rng.choice(np.arange(5, N), 12, replace=False)
     out = copied(base)
@@ -103,7 +103,7 @@ def test_spikes_of_the_position_are_not_driven(speed, rng):
 
 
 @pytest.mark.parametrize("speed", [True, False], ids=["speed", "fixes"])
-def test_fixes_at_null_island_are_missing(speed, rng):
+def test_fixes_at_zero_latitude_and_longitude_are_missing(speed, rng):
     base = drive(N, seed=3)
     null = np.r_[0, rng.choice(np.arange(5, N), 10, replace=False)]
     out = copied(base)
@@ -116,7 +116,7 @@ def test_fixes_at_null_island_are_missing(speed, rng):
     assert np.nanmax(np.abs(np.degrees(clean.latitude) - PLACE[0])) < 1
 
 
-def test_a_first_fix_that_is_wrong_is_left_behind():
+def test_wrong_first_fix_is_discarded():
     base = drive(N, seed=3)
     out = copied(base)
     out["latitude_deg"][0] += 1.0
@@ -127,7 +127,7 @@ def test_a_first_fix_that_is_wrong_is_left_behind():
 
 
 @pytest.mark.parametrize("noise", [0.0, 2.0, 5.0])
-def test_a_car_without_speed_is_measured_by_its_fixes(noise, rng):
+def test_speed_of_a_car_without_speed_sensor_follows_its_fixes(noise, rng):
     base = drive(800, seed=3)
     out = without(base, "speed_kmh")
     for name in POSITION:
@@ -141,7 +141,7 @@ def test_a_car_without_speed_is_measured_by_its_fixes(noise, rng):
 
 
 @pytest.mark.parametrize("speed", [True, False], ids=["speed", "fixes"])
-def test_a_car_that_never_moves_goes_nowhere(speed, rng):
+def test_stationary_car_has_no_distance(speed, rng):
     out = drive(1200, speed=0.0)
     for name in POSITION:
         out[name] = out[name] + np.degrees(rng.normal(0, 3.0, 1200) / EARTH_RADIUS)
@@ -156,7 +156,7 @@ def test_a_car_that_never_moves_goes_nowhere(speed, rng):
     assert np.all(nameless.ride == -1)
 
 
-def test_an_odometer_alone_measures_distance_and_work():
+def test_odometer_alone_measures_distance_and_work():
     base = drive(N, seed=3)
     out = without(base, "speed_kmh", *POSITION) | {"odometer_km": np.round(1000 + base["metres"] / 1000, 1)}
     clean = cleaned(out)
@@ -167,7 +167,7 @@ def test_an_odometer_alone_measures_distance_and_work():
 
 @pytest.mark.parametrize("witness", ["odometer", "fix", "both"])
 @pytest.mark.parametrize("length", [4, 30])
-def test_a_hole_is_made_good_once(witness, length):
+def test_distance_of_a_hole_is_added_once(witness, length):
     base = highway()
     out = copied(base) | {"odometer_km": np.round(5000 + base["metres"] / 1000, 1)}
     if witness == "odometer":
@@ -182,7 +182,7 @@ def test_a_hole_is_made_good_once(witness, length):
     assert count(clean, Quality.BRIDGED) == 1
 
 
-def test_a_hole_without_a_witness_is_interpolated_for_a_minute():
+def test_hole_without_odometer_or_fix_is_interpolated_for_a_minute():
     base = highway()
     keep = np.ones(N, bool)
     keep[200:215] = False
@@ -193,7 +193,7 @@ def test_a_hole_without_a_witness_is_interpolated_for_a_minute():
     assert base["metres"][-1] - clean.distance.sum() == pytest.approx((101 - 20) * PERIOD * 25.0)
 
 
-def test_a_speed_that_fails_for_good_is_not_driven_on_for_ever():
+def test_permanently_missing_speed_stops_adding_distance():
     base = highway()
     out = without(base, *POSITION)
     out["speed_kmh"][200:] = np.nan
@@ -203,7 +203,7 @@ def test_a_speed_that_fails_for_good_is_not_driven_on_for_ever():
     assert count(clean, Quality.SPEED_MISSING) == N - 200
 
 
-def test_a_speed_that_fails_where_fixes_tell_is_that_of_the_fixes():
+def test_missing_speed_is_replaced_by_that_of_the_fixes():
     base = drive(N, seed=3)
     out = copied(base)
     out["speed_kmh"][100:300] = np.nan
@@ -212,7 +212,7 @@ def test_a_speed_that_fails_where_fixes_tell_is_that_of_the_fixes():
     assert count(clean, Quality.SPEED_MISSING) == 200
 
 
-def test_more_than_the_limit_is_rejected_and_its_distance_kept():
+def test_speed_above_the_limit_is_rejected_and_its_distance_kept():
     base = drive(N, speed=np.minimum(40.0, 2.0 * np.arange(N)))  # 144 km/h, truly
     clean = cleaned(base)
     above = base["speed_kmh"] * KMH > LIMIT
@@ -224,7 +224,7 @@ def test_more_than_the_limit_is_rejected_and_its_distance_kept():
     assert allowed.speed.max() == pytest.approx(40.0)
 
 
-def test_duplicates_and_late_samples_stand_for_nothing(rng):
+def test_duplicates_and_late_samples_add_nothing(rng):
     base = drive(N, seed=3)
     order = np.repeat(np.arange(N), np.where(rng.random(N) < 0.2, 2, 1))
     order = np.insert(order, 300, [100, 101])  # long past
@@ -239,7 +239,7 @@ def test_duplicates_and_late_samples_stand_for_nothing(rng):
     assert clean.dt.sum() == pytest.approx(PERIOD * (N - 1))
 
 
-def test_two_cars_with_one_identity_are_noted_and_not_driven_between():
+def test_two_cars_with_one_identity_are_flagged_and_add_no_distance_between():
     base = drive(N, seed=3)
     other = base | {
         "latitude_deg": base["latitude_deg"] + 1.0,
@@ -255,7 +255,7 @@ def test_two_cars_with_one_identity_are_noted_and_not_driven_between():
 
 
 @pytest.mark.parametrize("window", [1, 2, 3, 5, 8])
-def test_the_moving_average_is_that_of_the_last_samples(window):
+def test_moving_average_covers_the_last_samples(window):
     base = drive(60, seed=3)
     clean = cleaned(without(base, *POSITION), Settings(window=window))
     v = base["speed_kmh"] * KMH
@@ -265,7 +265,7 @@ def test_the_moving_average_is_that_of_the_last_samples(window):
 
 
 @pytest.mark.parametrize("fault", ["none", "tunnel", "gap", "nan", "no speed"])
-def test_inertia_telescopes_to_the_kinetic_energy(fault):
+def test_inertia_adds_up_to_the_kinetic_energy(fault):
     base = drive(N, seed=3)
     base["speed_kmh"][-20:] = 36.0  # ends in motion
     out = copied(base)
@@ -285,7 +285,7 @@ def test_inertia_telescopes_to_the_kinetic_energy(fault):
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("stops", [True, False])
-def test_a_flat_noisy_road_has_no_hills(seed, stops):
+def test_flat_road_with_noise_has_no_hills(seed, stops):
     rng = np.random.default_rng(seed)
     n = 900
     base = drive(n, seed=seed, speed=None if stops else 8.0)
@@ -298,7 +298,7 @@ def test_a_flat_noisy_road_has_no_hills(seed, stops):
 
 @pytest.mark.parametrize("height", [20.0, 50.0, 200.0])
 @pytest.mark.parametrize("noise", [0.0, 1.0])
-def test_a_hill_keeps_its_height_but_for_the_slack(height, noise, rng):
+def test_hill_keeps_its_height_except_for_the_slack(height, noise, rng):
     base = drive(900, seed=1)
     share = base["metres"] / base["metres"][-1]
     clean = cleaned(base | {"elevation_m": 50 + height * np.sin(np.pi * share) ** 2 + rng.normal(0, noise, 900)})
@@ -307,7 +307,7 @@ def test_a_hill_keeps_its_height_but_for_the_slack(height, noise, rng):
     assert height - 3.5 < lost < height + 4 * noise + 0.1
 
 
-def test_short_hills_keep_what_the_docstring_says():
+def test_short_hills_keep_the_documented_share_of_their_height():
     base = drive(2000, speed=10.0)
     length = Settings().elevation_length
     for wavelength in (1000.0, 7000.0):
@@ -317,7 +317,7 @@ def test_short_hills_keep_what_the_docstring_says():
         assert np.maximum(clean.climb, 0).sum() / turns == pytest.approx(kept, rel=0.07)
 
 
-def test_a_missing_elevation_climbs_nothing_and_loses_no_hill():
+def test_missing_elevation_adds_no_climb_and_loses_no_hill():
     base = drive(900, seed=1)
     hill = 50 + 100 * base["metres"] / base["metres"][-1]
     hill[300:500] = np.nan
@@ -327,7 +327,7 @@ def test_a_missing_elevation_climbs_nothing_and_loses_no_hill():
 
 
 @pytest.mark.parametrize("bearing", [0.0, 60.0, 135.0, 270.0])
-def test_heading_is_that_of_travel(bearing):
+def test_heading_is_the_direction_of_travel(bearing):
     base = drive(100, speed=10.0)
     angle = np.radians(bearing)
     base["latitude_deg"] = PLACE[0] + np.degrees(base["metres"] * np.cos(angle) / EARTH_RADIUS)
@@ -338,7 +338,7 @@ def test_heading_is_that_of_travel(bearing):
     assert np.abs(clean.turn_rate[5:]).max() < 1e-3
 
 
-def test_the_date_line_is_no_jump():
+def test_crossing_the_date_line_is_no_jump():
     base = drive(100, speed=10.0)
     base["latitude_deg"] = np.zeros(100) + 1.0
     base["longitude_deg"] = (180 - 0.01 + np.degrees(base["metres"] / EARTH_RADIUS) + 180) % 360 - 180
@@ -350,7 +350,7 @@ def test_the_date_line_is_no_jump():
 
 
 @given(seed=st.integers(0, 2**32 - 1))
-def test_whatever_comes_nothing_is_above_the_limit_negative_or_unknown(seed):
+def test_results_are_finite_and_within_limits_for_any_input(seed):
     rng = np.random.default_rng(seed)
     n = 150
     out = drive(n, seed=seed % 100) | {

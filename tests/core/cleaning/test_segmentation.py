@@ -25,7 +25,7 @@ def named(columns, names):
     return columns | {"ride_id": np.array(names, dtype=object)}
 
 
-def test_rides_are_those_that_the_logger_names():
+def test_rides_follow_the_names_of_the_logger():
     names = ["A"] * 50 + ["B"] * 60 + [None] * 40 + ["A"] * 70
     rides, _ = rides_of(named(drive(220, speed=MOVING), names))
     assert rides["ride_id"].tolist() == ["A", "B", "A"]
@@ -36,13 +36,13 @@ def test_rides_are_those_that_the_logger_names():
     assert rides["parked_s"].fillna(-1).tolist() == pytest.approx([-1, PERIOD, 41 * PERIOD])
 
 
-def test_a_stand_does_not_end_a_ride_that_the_logger_names():
+def test_standstill_does_not_end_a_named_ride():
     rides, _ = rides_of(stretch([(50, MOVING), (400, PARKED), (50, MOVING)]))
     assert len(rides) == 1
     assert rides["duration_s"][0] == pytest.approx(499 * PERIOD)
 
 
-def test_a_sample_without_a_ride_id_leaves_the_named_ride_as_it_is():
+def test_sample_without_ride_id_does_not_end_a_named_ride():
     columns = drive(100, speed=MOVING)
     messages = telemetry(columns)
     bare = telemetry(without(columns, "ride_id"))
@@ -57,7 +57,7 @@ def nameless(parts, **columns):
     return without(stretch(parts, **columns), "ride_id")
 
 
-def test_rides_without_names_are_cut_at_stops():
+def test_unnamed_rides_end_at_long_stops():
     columns = nameless([(5, PARKED), (100, MOVING), (100, PARKED), (80, MOVING), (30, PARKED), (60, MOVING)])
     rides, _ = rides_of(columns)
     assert rides["ride_id"].tolist() == ["a#0", "a#1"]
@@ -69,7 +69,7 @@ def test_rides_without_names_are_cut_at_stops():
     assert rides["stops"].tolist() == [1, 1]
 
 
-def test_rides_without_names_end_when_the_car_charges():
+def test_unnamed_rides_end_when_the_car_charges():
     columns = nameless([(100, MOVING), (200, PARKED), (100, MOVING)])
     columns["charging"] = np.zeros(400, bool)
     columns["charging"][110:290] = True
@@ -80,7 +80,7 @@ def test_rides_without_names_end_when_the_car_charges():
     assert rides["time_since_charge_s"][1] == pytest.approx(110 * PERIOD, abs=2 * PERIOD)
 
 
-def test_rides_without_names_are_cut_at_a_silence():
+def test_unnamed_rides_end_at_a_long_silence():
     columns = nameless([(300, MOVING)])
     columns["time_s"][150:] += 900.0
     columns["seq"][150:] += 300
@@ -95,7 +95,7 @@ def test_rides_without_names_are_cut_at_a_silence():
     assert len(rides) == 1
 
 
-def test_unfit_rides_are_marked_with_the_reason_and_counted():
+def test_unfit_rides_have_a_reason_and_are_counted():
     parts = [("short", 5), ("still", 100), ("long", 1300), ("fit", 200), ("blind", 100)]
     columns = named(drive(sum(n for _, n in parts), speed=MOVING), [name for name, n in parts for _ in range(n)])
     code = columns["ride_id"]
@@ -119,7 +119,7 @@ def test_unfit_rides_are_marked_with_the_reason_and_counted():
     assert sum(quality["unfit"].values()) == (~rides["fit_for_training"]).sum()
 
 
-def test_limits_of_fitness_are_settings():
+def test_limits_of_fitness_follow_the_settings():
     columns = stretch([(100, MOVING)], soc_pct=80.0)
     assert rides_of(columns)[0]["fit_for_training"][0]
     assert rides_of(columns, settings=Settings(least_distance=5000))[0]["unfit_reason"][0] == "too_little_distance"
@@ -127,7 +127,7 @@ def test_limits_of_fitness_are_settings():
     assert rides_of(columns, settings=Settings(longest_ride=60))[0]["unfit_reason"][0] == "too_long"
 
 
-def test_the_driver_is_joined_from_dispatch():
+def test_driver_of_a_ride_comes_from_dispatch():
     columns = named(drive(120, speed=MOVING), ["A"] * 60 + ["B"] * 60)
     rides, _ = rides_of(
         columns,
@@ -138,7 +138,7 @@ def test_the_driver_is_joined_from_dispatch():
     assert rides["driver_id"].fillna("").tolist() == ["ana", ""]
 
 
-def test_a_driver_serves_every_part_of_a_ride_and_only_his_own_car():
+def test_driver_applies_to_every_part_of_a_ride_of_one_car():
     columns = named(drive(180, speed=MOVING), ["A"] * 60 + ["B"] * 60 + ["A"] * 60)
     messages = [
         told("ride", "a", ride_id="A", event="start", driver_id="ana"),
@@ -157,7 +157,7 @@ def windows_of(columns, **options):
     return pipeline.take_windows(), pipeline.take_rides()
 
 
-def test_windows_are_a_minute_where_power_is_measured():
+def test_windows_last_a_minute_where_power_is_measured():
     columns = stretch([(101, MOVING)], battery_voltage_v=360.0, battery_current_a=20.0)
     windows, rides = windows_of(columns)
     assert windows["duration_s"].tolist() == [60.0] * 5
@@ -166,7 +166,7 @@ def test_windows_are_a_minute_where_power_is_measured():
     assert windows["window"].is_unique
 
 
-def test_windows_end_at_steps_of_the_state_of_charge_where_only_that_measures():
+def test_windows_end_at_steps_of_soc_where_power_is_not_measured():
     columns = stretch([(400, MOVING)])
     columns["soc_pct"] = 90 - np.floor(np.arange(400) / 35)
     windows, _ = windows_of(columns)
@@ -178,7 +178,7 @@ def test_windows_end_at_steps_of_the_state_of_charge_where_only_that_measures():
     assert (windows["soc_start_pct"][1:].to_numpy() == windows["soc_end_pct"][:-1].to_numpy()).all()
 
 
-def test_a_car_that_never_moves_has_no_ride_of_its_own():
+def test_stationary_car_has_no_ride():
     pipeline, _ = ran([leaf(), *telemetry(nameless([(600, PARKED)]))])
     assert pipeline.take_rides().empty
     assert pipeline.take_windows().empty
@@ -186,7 +186,7 @@ def test_a_car_that_never_moves_has_no_ride_of_its_own():
     assert len(pipeline.status()) == 1
 
 
-def test_rides_are_as_many_as_begun_whatever_is_lost():
+def test_number_of_rides_is_unchanged_by_lost_samples():
     rng = np.random.default_rng(3)
     parts = [drive(60, seed=i, ride_id=f"r{i}") for i in range(12)]
     columns = joined(*parts)

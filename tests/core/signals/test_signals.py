@@ -29,7 +29,7 @@ def signals_of(columns=None, weather=None, parameters=None):
     return Signals(clean, sky, CarParameters(*(np.full(n, value) for value in car)))
 
 
-def test_every_column_of_the_nomenclature_is_there_in_the_right_shape():
+def test_every_declared_signal_has_the_right_shape_and_range():
     signals = signals_of()
     assert len(signals) == len(SIGNALS)
     for column in SIGNALS:
@@ -39,12 +39,12 @@ def test_every_column_of_the_nomenclature_is_there_in_the_right_shape():
         assert np.all((known >= column.low - 1e-9) & (known <= column.high + 1e-9)), column.name
 
 
-def test_a_column_that_does_not_exist_is_a_mistake():
+def test_unknown_signal_raises_attribute_error():
     with pytest.raises(AttributeError):
         signals_of()["warp"]
 
 
-def test_grade_times_run_is_the_climb():
+def test_integral_of_grade_over_distance_is_the_climb():
     base = drive(N)
     signals = signals_of(base | {"elevation_m": 100 + 0.03 * base["metres"]})
     clean = signals.clean
@@ -52,7 +52,7 @@ def test_grade_times_run_is_the_climb():
     assert clean.climb.sum() > 20
 
 
-def test_a_cliff_is_no_road():
+def test_grade_is_limited_at_a_cliff():
     base = drive(N, speed=10.0)
     assert (
         np.abs(signals_of(base | {"elevation_m": np.where(np.arange(N) < 100, 0.0, 5000.0)})["grade"]).max() == STEEPEST
@@ -62,12 +62,12 @@ def test_a_cliff_is_no_road():
 @pytest.mark.parametrize(
     ("celsius", "elevation", "expected"), [(15.0, 0.0, 1.225), (-20.0, 0.0, 1.3943), (15.0, 1000.0, 1.0880)]
 )
-def test_air_density_is_that_of_the_standard_atmosphere(celsius, elevation, expected):
+def test_air_density_equals_that_of_the_standard_atmosphere(celsius, elevation, expected):
     base = drive(N, ambient_c=celsius, elevation_m=elevation)
     assert signals_of(base)["air_density"][-1] == pytest.approx(expected, rel=2e-4)
 
 
-def test_moist_air_and_low_pressure_are_lighter():
+def test_moist_air_and_low_pressure_reduce_air_density():
     base = drive(N, ambient_c=30.0)
     dry = signals_of(base)["air_density"][-1]
     moist = signals_of(base, {"humidity_pct": 100.0})["air_density"][-1]
@@ -77,7 +77,7 @@ def test_moist_air_and_low_pressure_are_lighter():
 
 
 @given(st.floats(0, 360), st.floats(0, 360))
-def test_wind_keeps_its_strength_however_the_car_is_headed(source, bearing):
+def test_wind_components_have_the_wind_speed_for_any_heading(source, bearing):
     base = drive(30, speed=15.0)
     angle = np.radians(bearing)
     base["latitude_deg"] = 45.5 + np.degrees(base["metres"] * np.cos(angle) / 6_371_008.8)
@@ -89,7 +89,7 @@ def test_wind_keeps_its_strength_however_the_car_is_headed(source, bearing):
     assert cross == pytest.approx(10 * np.sin(np.radians(source - bearing)), abs=0.05)
 
 
-def test_what_is_unknown_is_what_the_docstring_says():
+def test_unknown_values_have_the_documented_replacements():
     signals = signals_of()
     for name, expected in (
         ("headwind", 0),
@@ -111,7 +111,7 @@ def test_what_is_unknown_is_what_the_docstring_says():
         assert np.all(np.isnan(signals[name])), name
 
 
-def test_the_source_of_the_outside_temperature_is_noted():
+def test_quality_bits_name_the_source_of_the_outside_temperature():
     base = drive(N, ambient_c=5.0)
     base["ambient_c"][50:] = np.nan
     for weather, bit in (({"temperature_c": -8.0}, Quality.AMBIENT_FILLED), (None, Quality.AMBIENT_ASSUMED)):
@@ -122,7 +122,7 @@ def test_the_source_of_the_outside_temperature_is_noted():
         assert signals["ambient"][-1] == pytest.approx(265.15 if weather else 288.15)
 
 
-def test_signals_are_row_by_row():
+def test_signals_of_a_row_do_not_depend_on_other_rows():
     base = drive(N, elevation_m=30.0)
     weather = {"wind_speed_kmh": 20.0, "wind_from_deg": 10.0, "precipitation_mm": 2.0, "humidity_pct": 60.0}
     whole = signals_of(base, weather, (0.01, 0.7))
@@ -133,7 +133,7 @@ def test_signals_are_row_by_row():
         assert np.array_equal(whole[column.name][50:], part[column.name], equal_nan=True), column.name
 
 
-def test_stops_in_a_ride_are_counted_once():
+def test_each_stop_of_a_ride_is_counted_once():
     base = drive(N, seed=3)
     signals = signals_of(picked(base, np.arange(N)))
     stops = signals["stop_rate"] * signals["dt"]
@@ -143,7 +143,7 @@ def test_stops_in_a_ride_are_counted_once():
 # What candidate effects ask for
 
 
-def test_traction_is_the_force_balance_of_the_cars_own_parameters():
+def test_traction_equals_the_force_balance_with_the_parameters_of_the_car():
     base = drive(N, seed=3)
     signals = signals_of(base | {"elevation_m": 100 + 0.03 * base["metres"]}, None, (0.01, 0.7))
     v, a, sine = signals["speed"], signals["acceleration"], signals["grade"]
@@ -158,13 +158,13 @@ def test_traction_is_the_force_balance_of_the_cars_own_parameters():
     assert signals["traction"].min() < -500
 
 
-def test_the_energy_of_traction_at_steady_speed_is_that_of_the_road_load():
+def test_traction_at_steady_speed_equals_the_road_load():
     """1575 kg at 72 km/h on the level: 0.010 of 15.4 kN and 1/2 1.225 0.7 20^2 = 326 N."""
     signals = signals_of(drive(N, speed=20.0), None, (0.01, 0.7))
     assert signals["traction"][-1] == pytest.approx(0.010 * 1575 * GRAVITY + 0.5 * 1.225 * 0.7 * 400, rel=1e-6)
 
 
-def test_what_the_car_says_is_believed_before_any_guess():
+def test_reported_values_take_precedence_over_assumed_ones():
     base = drive(N, soc_pct=80.0, battery_temperature_c=-4.0, odometer_km=1234.0, ambient_c=7.0)
     signals = signals_of(base, {"solar_w_m2": 300.0})
     for name, value in (("charge", 0.8), ("pack_temperature", 269.15), ("odometer", 1.234e6), ("solar", 300.0)):
@@ -181,7 +181,7 @@ def test_vapour_pressure_at_30_degrees_and_70_percent():
     ("clock", "low", "high"),
     [(16, 0.0, 0.0), (21.3, 0.0, 0.0), (21.6, 0.02, 0.3), (22.0, 0.5, 0.95), (23, 1.0, 1.0), (4, 1.0, 1.0)],
 )
-def test_darkness_falls_in_montreal_at_a_quarter_to_five_in_january(clock, low, high):
+def test_darkness_follows_twilight_in_montreal_in_january(clock, low, high):
     base = drive(N)
     base["time_s"] = START_OF_DAY + 3600 * clock + PERIOD * np.arange(N)
     dark = signals_of(base)["darkness"]
@@ -190,7 +190,7 @@ def test_darkness_falls_in_montreal_at_a_quarter_to_five_in_january(clock, low, 
     assert np.all(nowhere["darkness"] == 0)
 
 
-def test_rain_stays_on_the_road_and_dries():
+def test_rain_and_snow_accumulate_on_the_road_by_temperature():
     wet = signals_of(drive(N, ambient_c=8.0), {"precipitation_mm": 2.0, "temperature_c": 8.0})
     assert wet["water"][-1] > 0.0005
     assert np.all(wet["snow"] == 0)

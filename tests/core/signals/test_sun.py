@@ -26,13 +26,13 @@ def at(*when):
     [((2024, 6, 20), 23.44), ((2024, 12, 21), -23.44), ((2024, 3, 20), 0.0), ((2024, 9, 22), 0.2)],
 )
 @pytest.mark.parametrize("latitude", [-35.0, 0.0, 45.5, 60.0])
-def test_at_noon_it_stands_at_90_less_the_distance_to_its_declination(day, declination, latitude):
+def test_noon_elevation_follows_from_latitude_and_declination(day, declination, latitude):
     day_long = at(*day) + np.arange(0, 86_400, 60.0)
     assert elevation(day_long, latitude, 0.0).max() == pytest.approx(90 - abs(latitude - declination), abs=0.25)
 
 
 @pytest.mark.parametrize(("day", "declination"), [((2024, 6, 20), 23.44), ((2024, 12, 21), -23.44)])
-def test_the_day_is_as_long_as_the_hour_angle_says(day, declination):
+def test_length_of_day_follows_from_the_hour_angle(day, declination):
     """cos H = -tan phi tan delta; daylight lasts 2 H / 15 hours."""
     day_long = at(*day) + np.arange(0, 86_400, 60.0)
     up = np.mean(elevation(day_long, 45.5, 0.0) > 0) * 24
@@ -40,7 +40,7 @@ def test_the_day_is_as_long_as_the_hour_angle_says(day, declination):
     assert up == pytest.approx(2 * angle / 15, abs=0.05)
 
 
-def test_noon_is_earlier_in_the_east_and_moves_by_the_equation_of_time():
+def test_noon_moves_with_longitude_and_the_equation_of_time():
     """On 11 February the sun is 14 minutes late, on 3 November 16 minutes early."""
     for when, late in (((2024, 2, 11), 14.2), ((2024, 11, 3), -16.4)):
         minutes = np.arange(600, 840, 0.25)
@@ -50,19 +50,19 @@ def test_noon_is_earlier_in_the_east_and_moves_by_the_equation_of_time():
         assert noon - east == pytest.approx(60, abs=0.5)
 
 
-def test_sunset_in_montreal_in_the_middle_of_january():
+def test_sunrise_and_sunset_in_montreal_in_january_agree_with_the_almanac():
     """Sunset is when the sun's upper rim, lifted by refraction, touches the horizon: centre at -0.83 degrees."""
     assert elevation(at(2024, 1, 15, 21, 38), 45.5, -73.6)[0] == pytest.approx(-0.83, abs=0.4)
     assert elevation(at(2024, 1, 15, 12, 31), 45.5, -73.6)[0] == pytest.approx(-0.83, abs=0.4)
 
 
 @given(st.floats(0, 4e9), st.floats(-90, 90), st.floats(-180, 180))
-def test_it_is_a_sine_and_the_antipode_has_the_opposite(time, latitude, longitude):
+def test_result_is_a_sine_and_opposite_at_the_antipode(time, latitude, longitude):
     here = sine_of_elevation(np.array([time]), np.radians([latitude]), np.radians([longitude]))[0]
     there = sine_of_elevation(np.array([time]), np.radians([-latitude]), np.radians([longitude + 180]))[0]
     assert abs(here) <= 1 + 1e-12
     assert there == pytest.approx(-here, abs=1e-9)
 
 
-def test_an_unknown_place_is_unknown():
+def test_unknown_position_gives_nan():
     assert np.isnan(sine_of_elevation(np.array([1e9]), np.array([np.nan]), np.array([0.0])))[0]

@@ -20,7 +20,7 @@ def sky_at(stations, time, place=PLACE) -> Sky:
 
 
 @given(st.lists(st.tuples(st.integers(0, 40), st.integers(-20, 30)), min_size=1, max_size=30), st.integers(0, 40))
-def test_the_latest_observation_that_is_not_from_the_future_in_whatever_order_they_came(observations, now):
+def test_latest_past_observation_is_used_for_any_order_of_arrival(observations, now):
     stations = Stations()
     latest = {}
     for time, temperature in observations:
@@ -32,7 +32,7 @@ def test_the_latest_observation_that_is_not_from_the_future_in_whatever_order_th
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_the_nearest_station_that_knows_anything_yet(seed):
+def test_nearest_station_with_a_past_observation_is_used(seed):
     rng = np.random.default_rng(seed)
     stations = Stations()
     places = rng.uniform([44, -75], [47, -72], (6, 2))
@@ -48,14 +48,14 @@ def test_the_nearest_station_that_knows_anything_yet(seed):
         assert sky_at(stations, now, car).ambient[0] - 273.15 == pytest.approx(expected, nan_ok=True)
 
 
-def test_a_car_without_a_fix_is_served_by_a_station():
+def test_car_without_position_gets_the_weather_of_a_station():
     stations = Stations()
     stations.observe(station(temperature_c=4.0))
     sky = stations.sky(np.array([1.0]), np.array([np.nan]), np.array([np.nan]))
     assert sky.ambient[0] == pytest.approx(277.15)
 
 
-def test_the_date_line_does_not_hide_the_nearest_station():
+def test_nearest_station_is_found_across_the_date_line():
     stations = Stations()
     stations.observe(station("far", place=(0.0, 170.0), temperature_c=1.0))
     stations.observe(station("near", place=(0.0, -179.9), temperature_c=2.0))
@@ -63,7 +63,7 @@ def test_the_date_line_does_not_hide_the_nearest_station():
 
 
 @pytest.mark.parametrize(("source", "north", "east"), [(0, 1, 0), (90, 0, 1), (180, -1, 0), (270, 0, -1)])
-def test_wind_is_given_by_where_it_comes_from(source, north, east):
+def test_wind_components_are_positive_for_wind_from_north_and_east(source, north, east):
     stations = Stations()
     stations.observe(station(wind_speed_kmh=36.0, wind_from_deg=float(source)))
     sky = sky_at(stations, 1.0)
@@ -71,7 +71,7 @@ def test_wind_is_given_by_where_it_comes_from(source, north, east):
     assert (sky.wind_north[0], sky.wind_east[0]) == pytest.approx((10.0 * north, 10.0 * east), abs=1e-9)
 
 
-def test_precipitation_is_spread_over_the_time_since_the_last_observation():
+def test_precipitation_rate_uses_the_time_since_the_last_observation():
     stations = Stations()
     stations.observe(station(time=0.0, precipitation_mm=1.8))
     assert sky_at(stations, 1.0).precipitation[0] * 3.6e6 == pytest.approx(1.8)  # over an hour, for want of better
@@ -79,7 +79,7 @@ def test_precipitation_is_spread_over_the_time_since_the_last_observation():
     assert sky_at(stations, 1800.0).precipitation[0] * 3.6e6 == pytest.approx(3.6)
 
 
-def test_a_value_that_is_out_of_range_is_unknown():
+def test_value_out_of_range_is_unknown():
     stations = Stations()
     stations.observe(station(temperature_c=1e6, wind_speed_kmh=-4.0, wind_from_deg=1e300, humidity_pct=400.0))
     stations.observe(station("b", precipitation_mm=-1.0, pressure_hpa=0.0, solar_w_m2=1e9))
@@ -90,7 +90,7 @@ def test_a_value_that_is_out_of_range_is_unknown():
 
 
 @pytest.mark.parametrize("place", [(1e308, 0.0), (0.0, 1e308), (91.0, 0.0), (0.0, 400.0)])
-def test_a_station_that_is_nowhere_is_no_station(place):
+def test_observation_with_impossible_position_is_rejected_and_counted(place):
     stations = Stations()
     assert not stations.observe(station("lost", place=place, temperature_c=1.0))
     pipeline, _ = ran([observed(place=place), observed()])
@@ -99,7 +99,7 @@ def test_a_station_that_is_nowhere_is_no_station(place):
     assert np.isnan(sky_at(stations, 1.0, (0.0, 0.0)).ambient[0])
 
 
-def test_a_station_that_moves_is_where_it_is_now():
+def test_moving_station_has_its_newest_position():
     stations = Stations()
     stations.observe(station("ship", 0.0, (0.0, 0.0), temperature_c=1.0))
     stations.observe(station("quay", 0.0, (10.0, 10.0), temperature_c=2.0))
@@ -107,14 +107,14 @@ def test_a_station_that_moves_is_where_it_is_now():
     assert sky_at(stations, 11.0, (10.0, 19.0)).ambient[0] == pytest.approx(276.15)
 
 
-def test_only_so_much_is_kept():
+def test_number_of_kept_observations_is_limited():
     stations = Stations()
     for hour in range(3 * KEPT):
         stations.observe(station(time=3600.0 * hour, temperature_c=1.0))
     assert len(stations.dump()[0][1]) == KEPT
 
 
-def test_dump_and_load_are_exact():
+def test_loaded_state_equals_the_dumped_state():
     stations = Stations()
     stations.observe(station(time=3.0, temperature_c=1.25, wind_speed_kmh=7.0, wind_from_deg=200.0))
     again = Stations()
@@ -124,7 +124,7 @@ def test_dump_and_load_are_exact():
         assert np.array_equal(one, other, equal_nan=True)
 
 
-def test_the_outside_temperature_is_filled_and_counted():
+def test_missing_outside_temperature_is_filled_and_counted():
     columns = without(drive(100, speed=10.0), "metres")
     columns["ambient_c"] = np.full(100, -3.0)
     columns["ambient_c"][20:60] = np.nan
@@ -138,7 +138,7 @@ def test_the_outside_temperature_is_filled_and_counted():
     assert pipeline.take_rides()["ambient_c"][0] == pytest.approx(mean)
 
 
-def test_an_observation_serves_the_rows_that_come_after_it_and_no_earlier_time():
+def test_observation_applies_only_to_rows_after_its_time():
     columns = without(drive(100, speed=10.0), "metres")
     messages = telemetry(columns)
     future = observed(time=START + 80 * PERIOD, temperature_c=7.0, wind_speed_kmh=18.0, wind_from_deg=90.0)
@@ -162,7 +162,7 @@ def road_at(stations, time):
 
 
 @given(st.floats(0, 1e-2), st.floats(0, 1e-5), st.floats(0, 1e5), st.floats(0, 1e5), st.floats(60, 1e5))
-def test_a_store_after_two_times_is_the_store_after_both(depth, rate, first, second, memory):
+def test_depth_after_two_times_equals_depth_after_their_sum(depth, rate, first, second, memory):
     at_once = held(depth, rate, first + second, memory)
     assert held(held(depth, rate, first, memory), rate, second, memory) == pytest.approx(at_once, abs=1e-12)
     assert 0 <= at_once <= max(depth, rate * memory) + 1e-15
@@ -175,7 +175,7 @@ def observed_hourly(millimetres, celsius):
     return stations
 
 
-def test_an_hour_of_rain_and_what_is_left_two_hours_later():
+def test_rain_of_an_hour_decays_with_the_drying_time():
     """2 mm in an hour into a store that loses 1/e in an hour: 2 (1 - 1/e) mm; two hours later e^-2 of it."""
     stations = observed_hourly([0, 2, 0, 0], [9] * 4)
     after = 2 * (1 - np.exp(-HOUR / DRYING)) * DRYING / HOUR
@@ -185,14 +185,14 @@ def test_an_hour_of_rain_and_what_is_left_two_hours_later():
     assert road_at(stations, 3 * HOUR + 1800)[0] == pytest.approx(after * np.exp(-2.5 * HOUR / DRYING))
 
 
-def test_rain_that_goes_on_comes_to_a_balance_without_steps():
+def test_constant_rain_reaches_a_steady_depth():
     stations = observed_hourly([3] * 12, [9] * 12)
     balance = 3 * DRYING / HOUR
     depths = [road_at(stations, time)[0] for time in np.arange(6 * HOUR, 11 * HOUR, 300)]
     assert depths == pytest.approx([balance] * len(depths), rel=0.01)
 
 
-def test_snow_falls_below_one_degree_lies_in_frost_and_melts_in_a_thaw():
+def test_snow_falls_below_one_degree_and_leaves_faster_in_a_thaw():
     frost = observed_hourly([0, 2, 0, 0, 0], [-6] * 5)
     lying = 2 * (1 - np.exp(-HOUR / CLEARING)) * CLEARING / HOUR
     assert road_at(frost, HOUR) == (0, pytest.approx(lying))
@@ -202,7 +202,7 @@ def test_snow_falls_below_one_degree_lies_in_frost_and_melts_in_a_thaw():
     assert road_at(observed_hourly([0, 2], [3, 3]), HOUR)[1] == 0
 
 
-def test_an_unknown_temperature_makes_rain_and_an_unknown_amount_none():
+def test_precipitation_at_unknown_temperature_is_rain_and_unknown_amount_is_zero():
     stations = Stations()
     stations.observe(station(time=0.0, precipitation_mm=1.0))
     assert road_at(stations, 1.0)[0] > 0.5
@@ -211,7 +211,7 @@ def test_an_unknown_temperature_makes_rain_and_an_unknown_amount_none():
     assert road_at(observed_hourly([None, None], [3, -3]), HOUR) == (0, 0)
 
 
-def test_the_road_remembers_in_whatever_order_observations_came():
+def test_depths_on_the_road_do_not_depend_on_the_order_of_arrival():
     rain = np.random.default_rng(3).choice([0.0, 0.0, 1.5], 20)
     cold = np.random.default_rng(4).normal(1.0, 4.0, 20)
     in_order = observed_hourly(rain, cold)
@@ -225,7 +225,7 @@ def test_the_road_remembers_in_whatever_order_observations_came():
     assert repr(shuffled.dump()) == repr(in_order.dump())
 
 
-def test_an_observation_older_than_all_that_is_kept_changes_nothing():
+def test_observation_older_than_all_kept_ones_changes_nothing():
     stations = observed_hourly([1.0] * (KEPT + 5), [-3.0] * (KEPT + 5))
     before = repr(stations.dump())
     assert stations.observe(station(time=0.5, precipitation_mm=500.0, temperature_c=-3.0))

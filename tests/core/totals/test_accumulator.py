@@ -39,7 +39,7 @@ def ride_of(columns, *weather):
     return pipeline.take_rides().iloc[0], pipeline.take_windows()
 
 
-def test_a_ride_is_what_plain_sums_over_its_rows_make_it():
+def test_totals_of_a_ride_equal_plain_sums_over_its_rows():
     columns = full()
     ride, _ = ride_of(columns, observed(wind_speed_kmh=18.0, wind_from_deg=300.0, precipitation_mm=2.0))
     clean = cleaned(columns)
@@ -64,7 +64,7 @@ def test_a_ride_is_what_plain_sums_over_its_rows_make_it():
         assert ride[name] == pytest.approx(value, rel=1e-9), name
 
 
-def test_effects_are_the_integral_of_their_power():
+def test_energy_of_an_effect_is_the_integral_of_its_power():
     columns = full()
     ride, _ = ride_of(columns)
     clean = cleaned(columns)
@@ -86,7 +86,7 @@ def test_effects_are_the_integral_of_their_power():
     )
 
 
-def test_the_histogram_of_speed_is_the_distance():
+def test_speed_histogram_adds_up_to_the_distance():
     columns = full()
     ride, windows = ride_of(columns)
     clean = cleaned(columns)
@@ -96,7 +96,7 @@ def test_the_histogram_of_speed_is_the_distance():
     assert windows[list(HISTOGRAM)].sum(axis=1).to_numpy() == pytest.approx(windows["distance_km"].to_numpy())
 
 
-def test_the_last_bin_holds_all_that_is_faster():
+def test_last_speed_bin_holds_all_faster_driving():
     ride, _ = ride_of(drive(100, speed=35.0))
     assert ride[HISTOGRAM[-1]] == pytest.approx(ride["distance_km"])
 
@@ -130,7 +130,7 @@ def test_windows_add_up_to_their_ride(power):
         assert windows[last].iloc[-1] == ride[last]
 
 
-def test_running_totals_are_the_totals_at_the_end():
+def test_running_totals_at_the_end_equal_those_of_the_ride():
     messages = [leaf(), *telemetry(full())]
     pipeline = Pipeline()
     pipeline.push(messages)
@@ -158,7 +158,7 @@ def pipeline_columns(ride):
     return {name: np.array([value]) for name, value in ride.items() if isinstance(value, float)}
 
 
-def test_running_totals_grow_row_by_row_as_the_rows_do():
+def test_running_distance_equals_the_sum_of_the_rows_so_far():
     columns = full(60)
     messages = telemetry(columns)
     pipeline = Pipeline()
@@ -170,7 +170,7 @@ def test_running_totals_grow_row_by_row_as_the_rows_do():
         )
 
 
-def test_quality_is_counted_by_ride():
+def test_quality_bits_are_counted_per_ride():
     base = joined(full(100), full(100))
     base["ride_id"] = np.array(["A"] * 100 + ["B"] * 100, dtype=object)
     base["seq"] = np.arange(200)
@@ -192,7 +192,7 @@ def test_rows_outside_rides_enter_no_totals():
     assert pipeline.status()[0].ride_distance_km == 0
 
 
-def test_a_ledger_has_a_place_for_everything():
+def test_empty_ledger_has_a_column_for_every_amount():
     ledger = Ledger(3)
     totals = ledger.running(np.array([], dtype=np.int64))
     assert totals.amounts.shape == (0, len(AMOUNTS) + 3 + SPEED_BINS)
@@ -219,7 +219,7 @@ def paused(n=300, begin=100, end=160):
     return columns
 
 
-def test_a_rest_is_what_lies_between_two_rides(monkeypatch):
+def test_idle_period_covers_the_time_between_two_rides(monkeypatch):
     columns = paused()
     sums = summed(columns, monkeypatch)
     (rest,) = range(len(sums.rests.lane))
@@ -233,7 +233,7 @@ def test_a_rest_is_what_lies_between_two_rides(monkeypatch):
     assert sums.rides.amount("duration")[0] + sums.rests.amount("duration")[rest] == pytest.approx(PERIOD * 159)
 
 
-def test_a_long_silence_ends_a_rest_and_is_part_of_none(monkeypatch):
+def test_long_silence_ends_an_idle_period_and_belongs_to_none(monkeypatch):
     columns = paused()
     columns["time_s"] = columns["time_s"] + 3600.0 * (np.arange(300) >= 130)
     columns["seq"] = columns["seq"] + 1200 * (np.arange(300) >= 130)
@@ -242,7 +242,7 @@ def test_a_long_silence_ends_a_rest_and_is_part_of_none(monkeypatch):
     assert (sums.rests.at_last("time") - sums.rests.at_first("time")).tolist() == [PERIOD * 29, PERIOD * 29]
 
 
-def test_between_rides_running_totals_are_those_of_the_rest(monkeypatch):
+def test_running_totals_between_rides_are_those_of_the_idle_period(monkeypatch):
     running = summed(paused(), monkeypatch).running
     resting = running.ride < 0
     assert resting.any()

@@ -46,7 +46,7 @@ def rides_of(columns, *others, **options):
     return pipeline.take_rides()
 
 
-def test_every_term_of_table_1_is_there_with_a_sensible_value():
+def test_every_term_of_table_1_has_its_expected_value():
     n = 600
     columns = drive(n, seed=4, odometer_km=41_000.0, soc_pct=np.round(80 - 0.01 * np.arange(n), 1), charging=False)
     columns["elevation_m"] = 50 + columns["metres"] / 100
@@ -91,7 +91,7 @@ def test_every_term_of_table_1_is_there_with_a_sensible_value():
     assert ride[list(named)].tolist() == ["a", "nissan-leaf-2013", "2024-01-15", "ana", 1, 0, "r1"]
 
 
-def test_names_and_types_do_not_depend_on_what_is_known():
+def test_names_and_types_of_columns_do_not_depend_on_known_values():
     empty, _ = ran([])
     full = rides_of(drive(100, speed=10.0))
     assert list(empty.take_rides()) == list(full)
@@ -104,13 +104,13 @@ def test_names_and_types_do_not_depend_on_what_is_known():
 
 
 @given(st.dates(min_value=pd.Timestamp("2000-01-01").date(), max_value=pd.Timestamp("2100-01-01").date()))
-def test_winter_is_when_winter_tyres_are_mandatory(day):
+def test_winter_is_the_season_of_mandatory_winter_tyres(day):
     middle = pd.Timestamp(day).timestamp() + 43_200
     in_winter = (day.month, day.day) >= (12, 15) or (day.month, day.day) <= (3, 15)
     assert is_winter(np.array([middle])).tolist() == [int(in_winter)]
 
 
-def test_energy_of_power_is_believed_before_that_of_steps():
+def test_energy_by_power_takes_precedence_over_energy_by_soc():
     n = 400
     columns = drive(n, speed=10.0, battery_voltage_v=360.0, battery_current_a=25.0)
     columns["soc_pct"] = 90 - np.floor(np.arange(n) / 60)
@@ -120,7 +120,7 @@ def test_energy_of_power_is_believed_before_that_of_steps():
     assert ride["energy_sd_kwh"] == ride["energy_vi_sd_kwh"] < ride["energy_soc_sd_kwh"]
 
 
-def test_energy_of_steps_serves_where_power_is_known_for_less_than_half():
+def test_energy_by_soc_is_used_where_power_is_known_for_less_than_half():
     n = 400
     columns = drive(n, speed=10.0, battery_voltage_v=360.0, battery_current_a=25.0)
     columns["soc_pct"] = 90 - 0.02 * np.arange(n)
@@ -134,7 +134,7 @@ def test_energy_of_steps_serves_where_power_is_known_for_less_than_half():
     assert ride["energy_vi_sd_kwh"] > 0.1 * ride["energy_vi_kwh"]
 
 
-def test_no_measurement_is_no_number():
+def test_ride_without_measurement_has_no_energy():
     ride = rides_of(drive(100, speed=10.0)).iloc[0]
     assert ride[["energy_vi_kwh", "energy_soc_kwh", "energy_kwh", "energy_sd_kwh"]].isna().all()
     assert ride["unfit_reason"] == "no_measured_energy"
@@ -143,7 +143,7 @@ def test_no_measurement_is_no_number():
 
 
 @pytest.mark.parametrize("quantum", [0.1, 0.5, 1.0])
-def test_the_uncertainty_of_quantised_steps_is_honest(quantum):
+def test_uncertainty_of_energy_by_quantised_soc_agrees_with_its_errors(quantum):
     """Rides that draw at random from a battery of the nominal capacity: the error of SOC energy over its stated sd."""
     rng = np.random.default_rng(int(10 * quantum))
     score = []
@@ -163,7 +163,7 @@ def test_the_uncertainty_of_quantised_steps_is_honest(quantum):
     assert np.mean(np.abs(score) < 1.96) > 0.9
 
 
-def test_the_uncertainty_of_power_with_holes_is_honest():
+def test_uncertainty_of_energy_by_power_with_holes_covers_its_errors():
     """A share of the samples lacks current, in bursts: the filled energy against the whole."""
     rng = np.random.default_rng(3)
     score = []
@@ -180,7 +180,7 @@ def test_the_uncertainty_of_power_with_holes_is_honest():
     assert np.std(score) > 0.2  # nor is it so wide that it says nothing
 
 
-def test_the_window_table_has_what_the_ride_table_measures():
+def test_window_table_has_the_measured_columns_of_the_ride_table():
     pipeline, _ = ran([leaf(), *telemetry(drive(200, speed=10.0, soc_pct=80.0))])
     windows, rides = pipeline.take_windows(), pipeline.take_rides()
     same = [name for name in rides if name in windows]
@@ -190,7 +190,7 @@ def test_the_window_table_has_what_the_ride_table_measures():
     assert pipeline.take_windows().empty
 
 
-def test_rides_and_windows_come_once_whenever_they_are_taken():
+def test_each_ride_and_window_is_returned_once_whenever_tables_are_taken():
     columns = drive(300, speed=10.0)
     columns["ride_id"] = np.repeat(np.array(["A", "B", "C"], dtype=object), 100)
     messages = [leaf(), *telemetry(columns)]
@@ -211,20 +211,20 @@ def test_rides_and_windows_come_once_whenever_they_are_taken():
 
 
 @pytest.mark.parametrize("year", [1971, 2024, 2100])
-def test_a_ride_of_any_time_that_is_believed_has_a_date(year):
+def test_ride_at_any_plausible_time_has_a_date(year):
     columns = drive(60, speed=10.0)
     columns["time_s"] += pd.Timestamp(f"{year}-06-01").timestamp() - columns["time_s"][0]
     assert rides_of(columns)["date"].tolist() == [f"{year}-06-01"]
 
 
-def test_a_time_beyond_all_calendars_is_no_time():
+def test_ride_with_implausible_time_is_dropped():
     columns = drive(60, speed=10.0)
     columns["time_s"] += 5e10
     assert rides_of(columns).empty
 
 
 @pytest.mark.parametrize("memory", [2.0, 6.0, 20.0])
-def test_the_uncertainty_of_power_between_samples_is_honest(memory):
+def test_uncertainty_of_power_between_samples_agrees_with_its_errors(memory):
     """Power that wanders with a memory of some seconds, seen every 3 s: the error over its stated sd."""
     rng = np.random.default_rng(int(memory))
     score = []
@@ -248,7 +248,7 @@ def test_the_uncertainty_of_power_between_samples_is_honest(memory):
 
 
 @pytest.mark.parametrize(("at", "fit"), [((0, 40), False), ((260, 300), False), ((0, 5), True), ((100, 140), True)])
-def test_a_ride_that_begins_or_ends_in_a_gap_says_so(at, fit):
+def test_ride_that_begins_or_ends_in_a_long_gap_is_unfit(at, fit):
     """Samples before and after tell that the logger was on; those of the ride's edge are lost."""
     columns = drive(500, speed=np.r_[np.zeros(100), np.full(300, 12.0), np.zeros(100)])
     columns |= {"battery_voltage_v": np.full(500, 360.0), "battery_current_a": np.full(500, 30.0)}
@@ -263,7 +263,7 @@ def test_a_ride_that_begins_or_ends_in_a_gap_says_so(at, fit):
     assert abs(missing) < 2.0 * cut["energy_sd_kwh"]
 
 
-def test_a_car_that_never_said_what_it_is_has_a_reason():
+def test_ride_of_a_car_without_vehicle_message_has_unknown_capacity():
     pipeline, _ = ran(telemetry(drive(200, soc_pct=np.linspace(80, 78, 200).round(1))))
     ride = pipeline.take_rides().iloc[0]
     assert ride["unfit_reason"] == "unknown_capacity"

@@ -52,13 +52,13 @@ accessory_scale = "a"
 """
 
 
-def test_catalogue_has_the_contracts_keys():
+def test_catalogue_has_the_keys_of_the_wire_contract():
     assert set(load_catalogue()) == KEYS
     assert all(key == model.key for key, model in load_catalogue().items())
 
 
 @pytest.mark.parametrize("key", sorted(KEYS))
-def test_every_figure_has_a_source_that_says_something(key):
+def test_every_figure_has_a_meaningful_source(key):
     model = load_catalogue()[key]
     for figure in BOUNDS:
         assert len(model.sources[figure]) > 15, figure
@@ -76,13 +76,13 @@ def test_road_load_at_90_kmh_is_that_of_a_small_electric_vehicle(key):
 
 
 @pytest.mark.parametrize("key", sorted(KEYS))
-def test_the_official_consumption_is_a_few_times_the_road_load_in_town(key):
+def test_official_consumption_is_one_to_four_times_the_road_load_in_town(key):
     model = load_catalogue()[key]
     load = model.mass_kg * 9.81 * model.rolling_resistance + 0.5 * 1.2 * model.drag_area_m2 * 16.0**2
     assert 1.0 < model.rated_kwh_per_km / (load / 3600) < 4.0
 
 
-def test_models_are_values():
+def test_equal_vehicle_models_have_equal_hashes():
     first = load_catalogue()["tesla-model-s"]
     assert first == replace(first)
     assert hash(first) == hash(replace(first))
@@ -125,7 +125,7 @@ def test_read_catalogue_reads_a_good_entry():
         ("[horse]", "x = 1\n[horse]", "'x' is no table"),
     ],
 )
-def test_bad_catalogue_says_what_and_where_in_one_line(before, after, said):
+def test_invalid_catalogue_is_refused_with_figure_and_place_in_one_line(before, after, said):
     assert ENTRY.count(before) == 1
     with pytest.raises(CatalogueError) as caught:
         read_catalogue(ENTRY.replace(before, after))
@@ -133,7 +133,7 @@ def test_bad_catalogue_says_what_and_where_in_one_line(before, after, said):
     assert "\n" not in str(caught.value)
 
 
-def test_without_overrides_the_catalogue_speaks():
+def test_message_without_overrides_gives_the_catalogue_entry():
     assert vehicle_model(Vehicle("a", 0.0, "bmw-i3-2014")) is load_catalogue()["bmw-i3-2014"]
 
 
@@ -149,7 +149,7 @@ def test_overrides_replace_their_figures_and_no_others(key, shares):
     assert all(model.sources[name] == "the car's own vehicle message" for name in own)
 
 
-def test_usable_capacity_goes_with_an_overridden_nominal():
+def test_usable_capacity_scales_with_an_overridden_nominal_capacity():
     model = vehicle_model(Vehicle("a", 0.0, "tesla-model-s", nominal_capacity_kwh=68.0))
     assert model.usable_capacity_kwh == pytest.approx(77.5 * 68 / 85)
 
@@ -163,14 +163,14 @@ COMPLETE = {
 }
 
 
-def test_unknown_key_is_served_from_complete_overrides():
+def test_complete_overrides_replace_an_unknown_key():
     model = vehicle_model(Vehicle("a", 0.0, "new-car", **COMPLETE))
     assert (model.key, model.mass_kg, model.accessory_scale) == ("new-car", 1600.0, 1.0)
     assert set(BOUNDS) <= set(model.sources)
 
 
 @pytest.mark.parametrize("missing", OVERRIDES)
-def test_unknown_key_without_complete_overrides_is_counted(missing):
+def test_unknown_key_with_incomplete_overrides_gives_a_reason(missing):
     own = {name: value for name, value in COMPLETE.items() if name != missing}
     assert vehicle_model(Vehicle("a", 0.0, "new-car", **own)) == UNKNOWN_MODEL
 
@@ -178,7 +178,7 @@ def test_unknown_key_without_complete_overrides_is_counted(missing):
 @pytest.mark.parametrize("name", OVERRIDES)
 @pytest.mark.parametrize("key", ["new-car", "kia-soul-ev-2015"])
 @pytest.mark.parametrize("side", [0, 1])
-def test_override_out_of_range_is_counted(name, key, side):
+def test_override_out_of_range_gives_a_reason(name, key, side):
     outside = BOUNDS[name][side] * (0.99, 1.01)[side]
     assert vehicle_model(Vehicle("a", 0.0, key, **{**COMPLETE, name: outside})) == OUT_OF_RANGE
 
@@ -208,7 +208,7 @@ def test_accessory_curve_is_continuous(ambient, step):
     assert abs(after - before) <= steepest * step + 1e-8
 
 
-def test_accessory_curve_is_the_line_through_its_choke_points():
+def test_accessory_curve_is_linear_between_its_temperatures():
     curve = AccessoryCurve(260.0, 285.0, 295.0, 305.0, 5000.0, 400.0, 2000.0)
     knots = [260.0, 285.0, 295.0, 305.0]
     ambient = np.linspace(240.0, 320.0, 1001)

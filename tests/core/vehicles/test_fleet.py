@@ -17,7 +17,7 @@ def vehicle(model="nissan-leaf-2013", **fields):
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_a_message_applies_from_its_row_on_in_its_lane_alone(seed):
+def test_message_applies_from_its_row_on_and_only_in_its_lane(seed):
     rng = np.random.default_rng(seed)
     lane = rng.integers(0, 4, 50)
     models = list(load_catalogue())
@@ -33,7 +33,7 @@ def test_a_message_applies_from_its_row_on_in_its_lane_alone(seed):
     assert [cars.name(int(kind)) for kind in cars.of_lane[:4]] == list(now.values())
 
 
-def test_equal_cars_share_a_kind_and_overrides_make_another():
+def test_equal_cars_share_a_kind_and_overrides_make_a_new_one():
     cars = Cars()
     messages = [vehicle(), msgspec.structs.replace(vehicle(), vehicle_id="b", time_s=9.0), vehicle(mass_kg=1700.0)]
     cars.kinds(np.zeros(0, int), [(0, lane, message) for lane, message in enumerate(messages)], 3)
@@ -41,7 +41,7 @@ def test_equal_cars_share_a_kind_and_overrides_make_another():
     assert cars.parameters[:, CarParameters._fields.index("mass_kg")][2] == 1700.0
 
 
-def test_a_car_that_cannot_be_predicted_is_counted_by_reason_and_keeps_its_name():
+def test_unpredictable_car_is_counted_by_reason_and_keeps_its_model_name():
     cars = Cars()
     cars.kinds(np.zeros(0, int), [(0, 0, vehicle("horse")), (0, 1, vehicle(mass_kg=1.0)), (0, 2, vehicle("horse"))], 3)
     assert dict(cars.unpredictable) == {"unknown_vehicle_model": 2, "override_out_of_range": 1}
@@ -50,7 +50,7 @@ def test_a_car_that_cannot_be_predicted_is_counted_by_reason_and_keeps_its_name(
     assert np.isnan(cars.parameters[1:]).all()
 
 
-def test_dump_and_load_are_exact():
+def test_loaded_state_equals_the_dumped_state():
     cars = Cars()
     cars.kinds(np.zeros(0, int), [(0, 0, vehicle()), (0, 1, vehicle("horse")), (0, 2, vehicle(mass_kg=1700.5))], 3)
     again = Cars()
@@ -63,7 +63,7 @@ def test_dump_and_load_are_exact():
 
 
 @pytest.mark.parametrize("cuts", [(), (101,), (100, 102), (51, 53, 101, 150)])
-def test_a_message_in_mid_batch_applies_from_its_row_on_however_it_is_cut(cuts):
+def test_message_within_a_batch_applies_from_its_row_on_for_any_chunking(cuts):
     messages = telemetry(drive(200, speed=10.0))
     messages.insert(100, told("vehicle", model="tesla-model-x"))
     messages.insert(50, leaf())
@@ -76,7 +76,7 @@ def test_a_message_in_mid_batch_applies_from_its_row_on_however_it_is_cut(cuts):
     assert rolling is not whole.ledger
 
 
-def test_mass_of_the_car_enters_its_effects_from_the_row_on():
+def test_changed_mass_enters_the_effects_from_its_row_on():
     messages = telemetry(drive(200, speed=10.0))
     light, _ = ran([leaf(), *messages])
     heavy, _ = ran([leaf(mass_kg=2 * 1493.0 + 75.0), *messages])

@@ -48,7 +48,7 @@ WIRE = {
 
 @pytest.mark.parametrize("field", WIRE)
 @pytest.mark.parametrize("others", [0, 1, 700], ids=["alone", "one other", "a block"])
-def test_units_change_here_and_unknown_is_never_zero(field, others):
+def test_units_are_converted_and_unknown_values_are_nan(field, others):
     sent, column, expected = WIRE[field]
     messages = [sample(**{field: sent}), sample(**{field: None}), *[sample()] * others]
     _, batch, _ = decode(*messages)
@@ -57,11 +57,11 @@ def test_units_change_here_and_unknown_is_never_zero(field, others):
     assert np.all(np.isnan(values[1:]))
 
 
-def test_every_field_of_the_contract_is_decoded():
+def test_every_telemetry_field_is_decoded():
     assert {"vehicle_id", "time_s", "ride_id", *WIRE} == set(Telemetry.__struct_fields__)
 
 
-def test_rides_are_named_none_or_not_spoken_of():
+def test_ride_is_a_name_or_none_or_unknown():
     _, batch, _ = decode(sample(ride_id="x"), sample(ride_id=None), sample(), sample(ride_id="y"), sample(ride_id="x"))
     assert batch.ride.tolist() == [0, NO_RIDE, RIDE_UNKNOWN, 1, 0]
 
@@ -94,7 +94,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("cause", BAD)
-def test_what_is_lost_is_counted_by_cause(cause):
+def test_rejected_messages_are_counted_by_cause(cause):
     good = sample(speed_kmh=1.0)
     for bad in BAD[cause]:
         decoder, batch, events = decode(good, bad, good)
@@ -103,7 +103,7 @@ def test_what_is_lost_is_counted_by_cause(cause):
         assert events == []
 
 
-def test_a_list_is_its_samples_and_the_bad_ones_are_counted():
+def test_list_is_split_into_samples_and_its_bad_ones_are_counted():
     one, two = (json.loads(sample(seq=i).payload) for i in (1, 2))
     gateway = Message(KEY, json.dumps([one, {"vehicle_id": "b", "time_s": 1.0}, 5, two, {"time_s": 3}]).encode(), 0)
     decoder, batch, _ = decode(gateway)
@@ -115,7 +115,7 @@ def test_a_list_is_its_samples_and_the_bad_ones_are_counted():
 
 
 @given(st.lists(st.integers(1, 5), min_size=1, max_size=12), st.integers(1, 40))
-def test_lists_of_a_gateway_are_single_samples(sizes, seed):
+def test_list_decodes_as_its_single_samples(sizes, seed):
     messages = telemetry(drive(sum(sizes), seed=seed, soc_pct=50.0))
     at = np.cumsum([0, *sizes])
     lists = [Message(KEY, b"[" + b",".join(m.payload for m in messages[a:b]) + b"]", 0) for a, b in pairwise(at)]
@@ -123,7 +123,7 @@ def test_lists_of_a_gateway_are_single_samples(sizes, seed):
         assert np.array_equal(one, other, equal_nan=True)
 
 
-def test_events_say_before_which_row_they_came():
+def test_event_holds_the_row_before_which_it_came():
     _, batch, events = decode(
         leaf(), sample(), observed(), sample(), sample(), told("ride", ride_id="x", event="start")
     )
@@ -147,7 +147,7 @@ MIXED = [
 
 
 @given(st.lists(st.integers(0, 1300), max_size=6), st.lists(st.integers(0, 1200), max_size=40), st.integers(0, 2**32))
-def test_chunks_decode_as_the_whole(cuts, places, seed):
+def test_any_chunking_decodes_the_same(cuts, places, seed):
     messages = telemetry(drive(1200, seed=2))
     random = np.random.default_rng(seed)
     for place in places:
@@ -166,19 +166,19 @@ def test_chunks_decode_as_the_whole(cuts, places, seed):
     assert (one.received, one.rejected, one.lanes.names) == (other.received, other.rejected, other.lanes.names)
 
 
-def test_a_prefix_and_a_new_field_are_no_matter():
+def test_key_prefix_and_unknown_field_are_ignored():
     message = sample(speed_kmh=3.6, colour="red")._replace(key="montreal/east/fleet/a/telemetry")
     decoder, batch, _ = decode(message)
     assert batch.speed[0] == pytest.approx(1.0)
     assert decoder.lanes.names == ["a"]
 
 
-def test_duplicate_keys_take_the_last():
+def test_last_of_duplicate_fields_is_used():
     _, batch, _ = decode(Message(KEY, b'{"vehicle_id":"a","time_s":1,"speed_kmh":7.2,"speed_kmh":3.6}', 0))
     assert batch.speed[0] == pytest.approx(1.0)
 
 
-def test_names_of_rides_that_are_kept_survive_and_the_others_go():
+def test_only_kept_ride_names_survive():
     decoder = Decoder(Lanes())
     _, batch = 0, decoder.decode([sample(ride_id=f"r{i}") for i in range(5)])[0]
     decoder.rides.keep({1.0, 3.0})
@@ -188,14 +188,14 @@ def test_names_of_rides_that_are_kept_survive_and_the_others_go():
     assert batch.ride.tolist() == [0, 1, 2, 3, 4]
 
 
-def test_wire_structs_round_trip():
+def test_wire_structs_are_unchanged_by_a_round_trip():
     for struct, message in ((Vehicle, leaf(mass_kg=1600.5)), (Weather, observed(temperature_c=-1.25))):
         value = msgspec.json.decode(message.payload, type=struct)
         assert msgspec.json.decode(encode(value), type=struct) == value
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_schemas_are_plain(kind):
+def test_schemas_have_no_references_or_alternatives(kind):
     text = json.dumps(make_schema(kind))
     assert "$ref" not in text
     assert "anyOf" not in text
@@ -203,13 +203,13 @@ def test_schemas_are_plain(kind):
 
 
 @given(st.text(max_size=30))
-def test_an_address_is_of_the_contract_or_none(text):
+def test_any_key_has_a_valid_address_or_none(text):
     for key in (text, f"fleet/{text}/telemetry", f"weather/{text}", f"fleet/a/{text}"):
         found = address(key)
         assert found is None or (found.kind in KINDS and 0 < len(found.identity) <= 64)
 
 
-def test_an_empty_list_and_a_ride_that_neither_starts_nor_ends_are_counted():
+def test_empty_list_and_ride_with_unknown_event_are_counted():
     decoder = Decoder(Lanes())
     ride = b'{"vehicle_id": "a", "time_s": 1.0, "ride_id": "r", "event": "%s"}'
     sent = [("telemetry", b"[]"), ("ride", ride % b"start"), ("ride", ride % b"lunch")]

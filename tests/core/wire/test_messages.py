@@ -106,27 +106,27 @@ STRUCTS = st.one_of(
 
 
 @given(STRUCTS)
-def test_every_struct_comes_back_the_same(value):
+def test_every_struct_is_unchanged_by_a_round_trip(value):
     payload = encode(value)
     assert msgspec.json.decode(payload, type=type(value)) == value
     assert encode(msgspec.json.decode(payload, type=type(value))) == payload
 
 
 @given(OUTLOOK)
-def test_an_answer_comes_back_the_same_and_says_what_it_does_not_know(value):
+def test_outlook_is_unchanged_by_a_round_trip_and_includes_unknown_fields(value):
     payload = encode(value)
     assert msgspec.json.decode(payload, type=Outlook) == value
     assert set(msgspec.json.decode(payload)) == set(Outlook.__struct_fields__)
 
 
 @given(TELEMETRY)
-def test_what_is_unknown_is_not_sent(value):
+def test_unknown_telemetry_fields_are_not_sent(value):
     sent = msgspec.json.decode(encode(value))
     for field in Telemetry.__struct_fields__[3:]:
         assert (field in sent) == (getattr(value, field) is not None)
 
 
-def test_a_forecast_says_what_it_does_not_know():
+def test_forecast_includes_unknown_fields_as_null():
     quality = QualityCounts(0, 0, 0, 0, 0)
     unknown = Forecast("a", 0.0, None, "m/1", 0.0, 0.0, *[None] * 7, quality)
     sent = msgspec.json.decode(encode(unknown))
@@ -135,17 +135,17 @@ def test_a_forecast_says_what_it_does_not_know():
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_what_is_not_finite_never_travels_as_a_number(value):
+def test_value_that_is_not_finite_is_never_sent_as_a_number(value):
     assert msgspec.json.decode(encode(Telemetry("a", 0.0, soc_pct=value))).get("soc_pct") is None
 
 
 @given(STRUCTS)
-def test_everything_that_travels_speaks_of_somebody(value):
+def test_every_message_has_a_valid_identity(value):
     assert all(0 < len(chunk) <= 64 for chunk in identity(value).split("/"))
 
 
 @given(st.text(max_size=80), st.text(max_size=80))
-def test_a_model_of_any_name_has_a_key(label, version):
+def test_model_of_any_name_has_a_valid_key(label, version):
     key = f"a/b/models/{model_identity(f'{label}/{version}')}/errors"
     assert address(key) == ("errors", model_identity(f"{label}/{version}"))
     for other in (key.removesuffix("/errors"), key.replace("/errors", "/lunch"), f"fleet/{key}/x", "models/a/errors"):
@@ -153,7 +153,7 @@ def test_a_model_of_any_name_has_a_key(label, version):
 
 
 @pytest.mark.parametrize("kind", OF_VEHICLES)
-def test_keys_are_taken_apart(kind):
+def test_key_is_parsed_to_kind_and_identity(kind):
     assert address(f"fleet/x.y-Z_9/{kind}") == (kind, "x.y-Z_9")
     assert address(f"a/b/fleet/x/{kind}") == (kind, "x")
     for key in (

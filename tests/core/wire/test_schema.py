@@ -88,7 +88,7 @@ def test_every_field_has_a_meaning_and_a_number_its_unit(kind):
             assert schema["description"].endswith("]"), name
 
 
-def test_schemas_are_plain_for_viewers_that_plot():
+def test_schemas_have_no_references_so_that_viewers_can_plot():
     properties = make_schema("forecast")["properties"]
     assert properties["range_km"]["type"] == ["object", "null"]
     assert properties["range_km"]["properties"]["p05"]["type"] == "number"
