@@ -72,26 +72,29 @@ def fit_model(rides: pd.DataFrame, recipe: str = "hybrid", windows: pd.DataFrame
     return chosen.fit(rides)
 
 
-def load_model(name_or_path: str | Path) -> LinearModel:
+def load_model(name_or_path: str | Path, *, verify: bool = True) -> LinearModel:
     """Return a model by name, or from its file.
 
     Parameters
     ----------
     name_or_path : str or Path
         `basic_physical`, `extended_physical` or the path of a model file.
+    verify : bool
+        Refuse a file whose content does not match its version. False loads a file that was edited on purpose;
+        `save_model` then writes it with its new version.
 
     Raises
     ------
     ModelError
         Where there is no such model, or the file is damaged, of another format version, or edited after it was
-        written. `stamp_model` accepts an edited model on purpose.
+        written.
 
     Examples
     --------
     >>> load_model("basic_physical").effects
     ('rolling', 'climbing', 'aero_drag', 'inertia')
     """
-    return _load(name_or_path)
+    return _load(name_or_path, verify=verify)
 
 
 def save_model(model: LinearModel, path: str | Path) -> None:
