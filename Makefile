@@ -28,7 +28,7 @@ demo: $(INSTALLED)  ## a shift of several cars, live over Zenoh, in this termina
 	$(BIN)/socast demo
 
 test: $(INSTALLED)  ## the whole test suite, in parallel
-	$(BIN)/python -m pytest -n auto --dist loadscope
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 check: $(INSTALLED) docs  ## lint, types, the examples in docstrings and the documentation
 	$(BIN)/ruff check .

@@ -1,5 +1,6 @@
 """Settings and fixtures of every test."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,19 @@ def pytest_configure(config: pytest.Config) -> None:
         from tests.support.kernels import compile_kernels  # noqa: PLC0415 - workers must not import it
 
         compile_kernels()
+
+
+@pytest.fixture(autouse=True)
+def _restore_effects() -> Iterator[None]:
+    """Remove the effects that a test has loaded from files, so that no later test depends on the order."""
+    from core.effects import registry  # noqa: PLC0415 - tests that start processes need no core
+
+    effects, files = dict(registry._library), dict(registry._brought_by)
+    yield
+    for kept, now in ((effects, registry._library), (files, registry._brought_by)):
+        if now != kept:
+            now.clear()
+            now.update(kept)
 
 
 @pytest.fixture

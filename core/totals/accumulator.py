@@ -381,7 +381,7 @@ def add_rows(
         if counts or not riding:
             update_edges(totals, layout, edges, i)
         if riding:
-            count_quality(totals, layout.quality, quality[i])
+            add_quality(totals, layout.quality, quality[i])
         if due[i]:
             write_running(running_out[n_running], i, lane[i], totals, layout)
             n_running += 1
@@ -467,7 +467,7 @@ def write_row(row: Any, i: int, lane: int, totals: Any) -> None:
 
 
 @njit(cache=True)
-def count_quality(totals: Any, begin: int, bits: int) -> None:
+def add_quality(totals: Any, begin: int, bits: int) -> None:
     """Count each quality bit that is set in the columns that begin at `begin`."""
     place = begin
     while bits:

@@ -54,7 +54,8 @@ def import_names(module: str) -> set[str]:
             assert node.level == 0, f"{module}: a relative import"
             names |= {node.module or ""} | {f"{node.module}.{alias.name}" for alias in node.names}
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in texts:
-            names |= set(ONE_NAME.findall(node.value)) & set(MODULES)
+            named = set(ONE_NAME.findall(node.value)) & set(MODULES)
+            names |= {name for name in named if not module.startswith(f"{name}.")}  # its own package is loaded anyway
     return names
 
 

@@ -39,13 +39,10 @@ def install(tmp_path):
     return run
 
 
-def test_install_prints_nothing_on_success(install, tmp_path):
+def test_install_prints_nothing_on_success_and_reports_an_error(install, tmp_path):
     done = install()
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     assert (tmp_path / ".venv" / "bin" / "socast").exists()
-
-
-def test_install_reports_an_error(install, tmp_path):
     (tmp_path / "pyproject.toml").write_text("[project]\nname = 7\n")
     done = install()
     assert done.returncode != 0

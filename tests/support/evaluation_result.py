@@ -89,7 +89,7 @@ def _about(rides: dict[str, dict[str, int]]) -> dict[str, Any]:
         "vehicle_models": list(VEHICLES),
         "clusters": list(CLUSTERS),
         "vehicles": 170,
-        "notes": ["segment_network: no prediction for 0.10% of the rides; no recipe is judged by these"],
+        "notes": ["segment_network: no prediction for 0.10% of the rides; no recipe is evaluated by these"],
         "first_date": "2018-01-15",
         "last_date": "2018-12-20",
         "energy_source": {"vi": 0.62, "soc": 0.38},

@@ -131,7 +131,7 @@ def test_scoped_effect_is_a_separate_term(here):
         ("cold_roling", (), "effect 'cold_roling' is unknown: did you mean cold_rolling"),
         ("rolling", (), "is in model base already"),
         ("payload", (), "payload is not in the tables: make them again"),
-        ("wet_road", ("--scope", "since=2018-13-01"), "'2018-13-01' is no date"),
+        ("wet_road", ("--scope", "since=2018-13-01"), "'2018-13-01' is not a date"),
         ("wet_road", ("--scope", "taxi-1"), "scope 'taxi-1' is not valid: write vehicle=ID or since=YYYY-MM-DD"),
         ("wet_road", ("--scope", "vehicle=taxi-7"), "rides are of taxi-0, taxi-1, taxi-2, taxi-3"),
     ],

@@ -208,7 +208,7 @@ def test_effect_of_wrong_sign_is_refused_with_warning():
             "within the scope vehicle=taxi-9: the rides are of taxi-0, taxi-1",
         ),
         ("wet_road", ("since=2020-01-01",), ModelError, "rides are of 2018-01-01 to 2019-04-21"),
-        ("wet_road", ("since=2018-13-01",), ModelError, "is no date"),
+        ("wet_road", ("since=2018-13-01",), ModelError, "is not a date"),
         ("wet_road", ("winter",), ModelError, "scope 'winter' is not valid: write vehicle=ID or since=YYYY-MM-DD"),
         ("wet_road", ("vehicle=a", "vehicle=b"), ModelError, "add the effect once for each"),
         ("cold_rolling@reference=283.150", (), EffectError, "is known as 'cold_rolling@reference=283.15'"),

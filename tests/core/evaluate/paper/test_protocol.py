@@ -246,7 +246,7 @@ def test_recipes_are_evaluated_on_rides_that_all_of_them_predict():
     assert found.recipes == ("a", "b")
     assert set(range(100)) - set(found.rows[0].tolist()) == {3, 7}
     assert len(found.energy["a"][0]) == len(found.energy["b"][0]) == 98
-    assert found.notes == ("b: no prediction for 2.00% of the rides; no recipe is judged by these",)
+    assert found.notes == ("b: no prediction for 2.00% of the rides; no recipe is evaluated by these",)
     holes[:20] = np.nan
     found = select_comparable({"a": [whole], "b": [Prediction(split.test, holes)]}, 200)
     assert found.recipes == ("a",)
