@@ -52,7 +52,8 @@ def import_names(module: str) -> set[str]:
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{module}: a relative import"
-            names |= {node.module or ""} | {f"{node.module}.{alias.name}" for alias in node.names}
+            full = {alias.name: f"{node.module}.{alias.name}" for alias in node.names}
+            names |= {name if name in MODULES else node.module or "" for name in full.values()}
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in texts:
             named = set(ONE_NAME.findall(node.value)) & set(MODULES)
             names |= {name for name in named if not module.startswith(f"{name}.")}  # its own package is loaded anyway
