@@ -1,4 +1,4 @@
-"""`socast ask`: whether a car can take a ride and still finish above its reserve."""
+"""`socast ask`: ask a live consumer whether a car can take a ride and still finish above its reserve."""
 
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
@@ -18,11 +18,11 @@ from stream.zenoh_session import LOOPBACK, Connection, Node
 from tools.terminal.output import JsonFile, check_outputs, make_console, write_json
 
 LOW_RISK: Final = 0.05
-"""Below it the answer is yes."""
+"""Probability of falling below the reserve under which the answer is YES. [1]"""
 HIGH_RISK: Final = 0.5
-"""Above it the answer is no."""
+"""Probability of falling below the reserve above which the answer is NO. [1]"""
 LONGEST_S: Final = 3600.0
-"""How long an answer may be waited for. [s]"""
+"""Longest permitted wait for an answer. [s]"""
 _SAYS: Final = {
     "YES": "{} can",
     "NO": "{} cannot",
@@ -52,8 +52,8 @@ def ask_outlook(
 ) -> None:
     """Ask a live consumer whether a car can take a ride and still finish above its reserve.
 
-    Without a ride the question is about the shift as planned. The answer is YES for a risk below 5 %, NO above 50 %, and
-    UNCERTAIN between. The figures in brackets are 90 % intervals. Every answer exits with code 0.
+    Without a ride the question is about the shift as planned. The answer is YES for a risk below 5 %, NO above 50 %,
+    and UNCERTAIN between. The figures in brackets are 90 % intervals. Every answer exits with code 0.
 
     Examples
     --------
@@ -64,7 +64,7 @@ def ask_outlook(
     given = {name: str(value) for name, value in ride.items() if value is not None}
     check_outputs([plan] if plan else [], json_file)
     payload = _read(plan) if plan else None
-    parse_plan(payload, parse_vehicle(vehicle))  # what is wrong is told before anybody is asked
+    parse_plan(payload, parse_vehicle(vehicle))  # report mistakes before a query is sent
     parse_leg(given)
     if not 0.0 < timeout_s <= LONGEST_S:
         raise SettingsError(f"--timeout-s is {timeout_s:g}, must be above 0 and at most {LONGEST_S:g} s")
@@ -81,7 +81,15 @@ def ask_outlook(
 
 
 def show(outlook: Outlook, console: Console) -> None:
-    """Print the answer, first in a word, then in a sentence, then in figures."""
+    """Print the answer: first one word, then a sentence, then the figures.
+
+    Parameters
+    ----------
+    outlook : Outlook
+        Answer of the consumer.
+    console : rich.console.Console
+        Console to print on.
+    """
     word, sentence = verdict(outlook)
     console.print(Text.assemble((f"{word}:", _STYLES[word]), f" {sentence}"), highlight=False, soft_wrap=True)
     for name, figure in figures(outlook):
@@ -89,13 +97,19 @@ def show(outlook: Outlook, console: Console) -> None:
 
 
 def verdict(outlook: Outlook) -> tuple[str, str]:
-    """Return the answer in a word and in a sentence.
+    """Return the answer as one word and as a sentence.
+
+    Parameters
+    ----------
+    outlook : Outlook
+        Answer of the consumer.
 
     Returns
     -------
-    str
-        `YES`, `NO`, `UNCERTAIN` or `NOT KNOWN`. Where the rest of the shift is not known, it is of the ride only.
-    str
+    word : str
+        `YES`, `NO`, `UNCERTAIN` or `NOT KNOWN`. If the rest of the shift is unknown, the word is about the ride only.
+    sentence : str
+        The answer in words.
     """
     asked, risk = outlook.asked, outlook.reserve_risk
     word, ends, because = "NOT KNOWN", "finish", ""
@@ -115,7 +129,18 @@ def verdict(outlook: Outlook) -> tuple[str, str]:
 
 
 def figures(outlook: Outlook) -> Iterator[tuple[str, str]]:
-    """Yield what the answer rests on, a name and a figure each; what is not known is left out, and why comes last."""
+    """Yield the figures behind the answer, without unknown ones; the reason for a missing answer comes last.
+
+    Parameters
+    ----------
+    outlook : Outlook
+        Answer of the consumer.
+
+    Yields
+    ------
+    tuple of (str, str)
+        Name and text of each figure.
+    """
     reserve = outlook.reserve_soc_pct
     asked, end = outlook.asked, outlook.soc_end_of_shift_pct
     if asked and asked.soc_pct:
@@ -136,7 +161,7 @@ def figures(outlook: Outlook) -> Iterator[tuple[str, str]]:
 
 
 def _read(path: Path) -> bytes:
-    """Return what a file holds; an empty one would be taken for no plan at all."""
+    """Return the content of a file; refuse an empty one, which the consumer would treat as no plan."""
     try:
         held = path.read_bytes()
     except OSError as error:
@@ -147,24 +172,24 @@ def _read(path: Path) -> bytes:
 
 
 def _against(soc: Interval, reserve: float) -> str:
-    """Return whether a state of charge is above the reserve, in a word."""
+    """Return `YES`, `NO` or `UNCERTAIN` for whether a state of charge is above the reserve."""
     if soc.p05 >= reserve:
         return "YES"
     return "NO" if soc.mean < reserve else "UNCERTAIN"
 
 
 def _told(value: Interval, unit: str, digits: int = 0) -> str:
-    """Return a quantity with its interval."""
+    """Return the text of a quantity with its interval."""
     return f"{value.mean:.{digits}f} {unit} ({value.p05:.{digits}f} to {value.p95:.{digits}f})"
 
 
 def _apart(soc: float, reserve: float) -> str:
-    """Return how far a state of charge is from the reserve."""
+    """Return the text of the difference between a state of charge and the reserve."""
     return f"{abs(soc - reserve):.0f} points {'above' if soc >= reserve else 'below'} the reserve"
 
 
 def _share(risk: float) -> str:
-    """Return a probability in percent, never as certain.
+    """Return the text of a probability in percent, never as certainty.
 
     >>> _share(0.0), _share(0.034), _share(1.0)
     ('under 1 %', '3 %', 'over 99 %')
@@ -175,19 +200,19 @@ def _share(risk: float) -> str:
 
 
 def _clock(time_s: float) -> str:
-    """Return a time of day."""
+    """Return the text of a time of day in UTC."""
     return f"{datetime.fromtimestamp(time_s, UTC):%H:%M} UTC"
 
 
 def _planned(legs: Sequence[LegOutlook]) -> str:
-    """Return what a plan still holds."""
+    """Return the text of the remaining legs of a plan: number, distance and energy."""
     known = [leg.energy_kwh.mean for leg in legs if leg.energy_kwh]
     takes = f", {sum(known):.1f} kWh" if len(known) == len(legs) else ""
     return f"{len(legs)} leg{'s' * (len(legs) != 1)}, {sum(leg.distance_km for leg in legs):.0f} km{takes}"
 
 
 def _now(outlook: Outlook) -> str:
-    """Return the state of charge, of what, and since when, with their standard deviations."""
+    """Return the text of the state of charge, the usable capacity and the time of the sample."""
     soc = f"{outlook.soc_pct:.1f}"
     if outlook.soc_sd_pct is not None:
         soc += f" ± {outlook.soc_sd_pct:.1f}"

@@ -1,4 +1,4 @@
-"""`socast compare`: models against what rides measured, in a terminal, as JSON and as one HTML page."""
+"""`socast compare`: compare models with the measured energy of rides, in a terminal, as JSON and as one HTML page."""
 
 import shlex
 from collections.abc import Mapping, Sequence
@@ -77,14 +77,25 @@ def compare_models(
 
 
 def named(given: Sequence[str]) -> dict[str, LinearModel]:
-    """Return models by what a reader calls them: a known name, or the file's; the path where two files have the same.
+    """Load models, and return them by the labels that a reader knows.
+
+    Parameters
+    ----------
+    given : sequence of str
+        Names of built-in models, or paths of model files.
+
+    Returns
+    -------
+    dict
+        Models by label. The label is the name of a built-in model or of the file, or the path if two files have the
+        same name.
 
     Raises
     ------
     SettingsError
-        Where one is given twice.
+        If a model is given twice.
     ModelError
-        Where one cannot be loaded.
+        If a model cannot be loaded.
     """
     if twice := [name for i, name in enumerate(given) if name in given[:i]]:
         raise SettingsError(f"--model {twice[0]} is given twice; give it once")
@@ -94,17 +105,18 @@ def named(given: Sequence[str]) -> dict[str, LinearModel]:
 
 
 def _recorded(given: Sequence[Path]) -> bool:
+    """Return whether the given files are recordings."""
     return given[0].suffix == RECORDING
 
 
 def _summed(given: Sequence[Path], chosen: Mapping[str, LinearModel]) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return ride and window table of recordings."""
+    """Return the ride table and the window table of recordings."""
     wanted = [name for model in chosen.values() for name in model.effects]
     return in_memory(given, wanted)
 
 
 def _rides(given: Sequence[Path], chosen: Mapping[str, LinearModel]) -> pd.DataFrame:
-    """Return a ride table."""
+    """Return the ride table of recordings or of files of rides."""
     return _summed(given, chosen)[0] if _recorded(given) else read(ride_files(given))
 
 
@@ -121,7 +133,7 @@ def _trace(given: Sequence[Path], name: str, chosen: Mapping[str, LinearModel]) 
 
 
 def _windows(files: Sequence[Path], key: str) -> pd.DataFrame:
-    """Return the windows of a ride, from the table beside the file of rides that it is in."""
+    """Return the windows of a ride, from the window table beside its ride table."""
     place, own = (0, key) if len(files) == 1 else (int(key.partition("/")[0]), key.partition("/")[2])
     file = files[place].with_name(WINDOWS)
     if not file.is_file():
@@ -137,7 +149,7 @@ def _windows(files: Sequence[Path], key: str) -> pd.DataFrame:
 def _against(
     found: ComparedRides, rides: Sequence[Path], against: Sequence[Path], chosen: Mapping[str, LinearModel]
 ) -> dict[str, Any]:
-    """Return what is different about other rides, and how models do on them."""
+    """Return the differences between two sets of rides, and the errors of models on the second set."""
     other = select_rides(_rides(against, chosen), chosen)
     second = compare_predictions(other)
     return {
@@ -150,13 +162,13 @@ def _against(
 
 
 def _words(rides: Sequence[Path], effect_files: Sequence[Path]) -> list[str]:
-    """Return the words of a command that reads the same rides with the same effects."""
+    """Return the first words of a command that reads the same rides with the same effects."""
     brought = [word for path in effect_files for word in ("--effects", str(path))]
     return ["socast", "compare", *map(str, rides), *brought]
 
 
 def _say_commands(result: Mapping[str, Any], words: Sequence[str], given: Mapping[str, str]) -> None:
-    """Enter, with each of the worst rides, the command that shows its trace."""
+    """Insert into the record of each of the worst rides the command that shows its trace."""
     for label, own in result["models"].items():
         for told in (ride for rides in own["worst"].values() for ride in rides):
             told["command"] = shlex.join([*words, "--model", given[label], "--ride", told["ride"]])

@@ -1,4 +1,4 @@
-"""`socast demo`: a recorded shift over Zenoh, as in service, in under a minute."""
+"""`socast demo`: forecast a recorded shift over Zenoh, as in live operation, in less than a minute."""
 
 import logging
 import subprocess
@@ -26,9 +26,9 @@ from tools.terminal.model_comparison import DEFAULT_MODEL
 from tools.terminal.output import JsonFile, ModelName, check_outputs, make_console, write_json
 
 SHIFT = Path(__file__).parents[2] / "recordings" / "shift.mcap"
-"""The recording that comes with socast."""
+"""The recording that is part of socast."""
 QUIET_S = 2.0
-"""Silence after the publisher has ended that means nothing more will come. [s]"""
+"""Time without messages, after the publisher has ended, after which the demonstration stops. [s]"""
 
 
 def demo(
@@ -95,7 +95,7 @@ def demo(
 
 
 def _stop_at_end(publisher: subprocess.Popen[str], messages: int, stop: Callable[[], None]) -> Callable[[Tally], None]:
-    """Return a watch that stops the loop once all messages have come, or a while after the publisher has ended."""
+    """Return a watch that stops the loop after the last message, or `QUIET_S` after the publisher has ended."""
     received, since = 0, time.monotonic()
 
     def watch(tally: Tally) -> None:

@@ -1,4 +1,4 @@
-"""`socast effects`: look at the library of effects, and begin and check a file of one's own."""
+"""`socast effects`: show the library of effects, and write and check files of user-defined effects."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -120,7 +120,7 @@ def new_file(
 
 
 def _told(effect: Effect, topic: str) -> list[tuple[str, str]]:
-    """Return what is to be said of an effect, line by line."""
+    """Return the labels and texts of the description of an effect."""
     unit = "" if effect.unit == "1" else f" [{effect.unit}]"
     paragraphs = effect.documentation.split("\n\n")[1:]
     parameters = list(map(_parameter, effect.parameters, effect.parameters.values(), effect.constants.values()))
@@ -143,7 +143,7 @@ def _told(effect: Effect, topic: str) -> list[tuple[str, str]]:
 
 
 def _table() -> Table:
-    """Return the table that effects are listed in."""
+    """Return an empty table for a list of effects."""
     return make_table(
         [
             Column("effect", fixed=True),
@@ -155,16 +155,18 @@ def _table() -> Table:
 
 
 def _add(table: Table, effect: Effect) -> None:
+    """Add the row of an effect to a table."""
     unit = "" if effect.unit == "1" else f" [{effect.unit}]"
     table.add_row(effect.name, Text(effect.formula), Text(effect.coefficient + unit), _range(effect))
 
 
 def _range(effect: Effect) -> str:
+    """Return the text of the plausible range of a coefficient."""
     return f"{effect.low:g} to {effect.high:g}"
 
 
 def _parameter(name: str, parameter: Parameter, value: float) -> str:
-    """Say what a parameter is, within which bounds it may be moved, and where tables hold it."""
+    """Return the text of a parameter: value, bounds, and values in tables."""
     low, high = parameter.bounds
     said = f"{name} = {value:g} {parameter.unit}".removesuffix(" 1")
     if (shown := everyday(value, parameter.unit)) not in said:
@@ -174,19 +176,20 @@ def _parameter(name: str, parameter: Parameter, value: float) -> str:
 
 
 def _column(name: str) -> str:
+    """Return the text of a column: name, unit and meaning."""
     column = MEANINGS[name]
     unit = "" if column.unit == "1" else f" [{column.unit}]"
     return f"{name}{unit}: {column.meaning}"
 
 
 def _tabulated(effect: Effect) -> list[str]:
-    """Return the columns of the tables that hold an effect and its variants."""
+    """Return the table columns of an effect and its variants."""
     base = effects.get(effect.base)
     return [each.energy_name for each in (base, *base.variants)]
 
 
 def _plain(effect: Effect, topic: str) -> dict[str, Any]:
-    """Return what is declared of an effect, as JSON has it."""
+    """Return the declaration of an effect, for JSON."""
     return {
         "name": effect.name,
         "topic": topic,

@@ -1,4 +1,4 @@
-"""`socast evaluate`: every model on held-out rides, as the paper evaluates its own, and beyond the paper."""
+"""`socast evaluate`: evaluate every model on held-out rides, as the paper does and beyond the paper."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -24,7 +24,7 @@ from tools.commands.tables import WINDOWS
 from tools.terminal.output import HtmlFile, JsonFile, check_outputs, make_console, write_json
 
 LEAST_REPEATS = 2
-"""Fewer give no interval."""
+"""Smallest number of repeats that gives an interval."""
 KEY = "ride_key"
 
 
@@ -70,19 +70,30 @@ def evaluate_tables(
 
 
 def window_columns() -> list[str]:
-    """Return the columns of the window table that are read."""
+    """Return the columns of the window table that the evaluation reads."""
     return list(
         dict.fromkeys([KEY, "window", *(name for product in segment_network.SEGMENT_FEATURES for name in product)])
     )
 
 
 def read(files: Sequence[Path], columns: Sequence[str] | None = None) -> pd.DataFrame:
-    """Return tables as one, ride keys distinguished by their file where there are several.
+    """Read tables and concatenate them; with several files, the index of the file comes before each ride key.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        Parquet files.
+    columns : sequence of str, optional
+        Columns to read; by default all.
+
+    Returns
+    -------
+    DataFrame
 
     Raises
     ------
     ModelError
-        Where a file is no Parquet file, or lacks a column.
+        If a file is not a Parquet file, or if it lacks a column.
     """
     parts = []
     for i, file in enumerate(files):
@@ -94,7 +105,7 @@ def read(files: Sequence[Path], columns: Sequence[str] | None = None) -> pd.Data
 
 
 def _read(file: Path, columns: Sequence[str] | None) -> pd.DataFrame:
-    """Return a table."""
+    """Read a table from a Parquet file."""
     try:
         with pq.ParquetFile(file) as opened:
             there = set(opened.schema_arrow.names)
@@ -114,7 +125,7 @@ def _read(file: Path, columns: Sequence[str] | None) -> pd.DataFrame:
 
 @contextmanager
 def running() -> Iterator[Callable[[int, int], None]]:
-    """Show how many runs are done; give what to call with that."""
+    """Show a progress bar on standard error; yield the function that updates it with the number of finished runs."""
     console = Console(stderr=True)
     columns = (
         TextColumn("evaluating"),
@@ -130,7 +141,7 @@ def running() -> Iterator[Callable[[int, int], None]]:
 
 
 def _report(result: dict[str, Any], html_file: Path | None, json_file: Path | None) -> None:
-    """Write the page, and print the tables."""
+    """Write the HTML page and print the tables."""
     from tools.report import page  # noqa: PLC0415 - figures take seconds to import
     from tools.report.evaluation import terminal  # noqa: PLC0415 - figures take seconds to import
 

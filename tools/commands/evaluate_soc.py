@@ -1,4 +1,4 @@
-"""`socast evaluate-soc`: forecasts of the state of charge at the shift's end against what it became."""
+"""`socast evaluate-soc`: evaluate forecasts of the state of charge at the shift's end against the outcome."""
 
 from typing import Any
 
@@ -27,12 +27,12 @@ from tools.terminal.recordings import Recordings, open_recordings, warn_of_losse
 
 
 class SocForecasts:
-    """Collect the forecasts of a pipeline and their outcomes; call it after each list of messages.
+    """Collect the forecasts of a pipeline and their outcomes; the caller calls it after each list of messages.
 
     Parameters
     ----------
     pipeline : Pipeline
-        Keeps its tables and its outlooks.
+        Pipeline that keeps its tables and its outlooks.
     """
 
     def __init__(self, pipeline: Pipeline) -> None:
@@ -42,7 +42,7 @@ class SocForecasts:
         self._rides: list[pd.DataFrame] = []
 
     def __call__(self) -> None:
-        """Take the outlooks and rides since the last call, and query legs."""
+        """Collect the outlooks and rides since the last call, and query the outlooks of legs."""
         self._outlooks.append(self.pipeline.take_outlooks())
         self._rides.append(self.pipeline.take_rides()[["vehicle_id", "distance_km", *RIDE_COLUMNS]])
         self.pipeline.take_windows()

@@ -1,4 +1,4 @@
-"""`socast fit`: ride tables in; a model file, and what was fitted, out."""
+"""`socast fit`: fit a model to ride tables, write it to a file and print its coefficients."""
 
 from collections.abc import Iterator, Sequence
 from math import sqrt
@@ -36,7 +36,7 @@ Rides = Annotated[
 ]
 RECORDING = ".mcap"
 RECOMMENDED = "fitted_physical"
-"""The recipe to begin with: its coefficients are physical, and it needs few rides."""
+"""The recommended first recipe, because its coefficients are physical and it needs few rides."""
 
 CHOKE_POINTS = ("heating_full", "heating_off", "cooling_on", "cooling_full")
 LEVELS = ("heating", "standby", "cooling")
@@ -89,10 +89,19 @@ def fit(
 def ride_files(tables: Sequence[Path]) -> list[Path]:
     """Return the files of rides that the command line names.
 
+    Parameters
+    ----------
+    tables : sequence of Path
+        Folders of tables, or Parquet files of rides.
+
+    Returns
+    -------
+    list of Path
+
     Raises
     ------
     SettingsError
-        Where one is not there, or given twice.
+        If a file does not exist, is a recording, or is given twice.
     """
     files = [path / RIDES if path.is_dir() else path for path in tables]
     for given, file in zip(tables, files, strict=True):
@@ -112,10 +121,19 @@ def ride_files(tables: Sequence[Path]) -> list[Path]:
 def inputs(given: Sequence[Path]) -> list[Path]:
     """Return the recordings, or the files of rides, that the command line names.
 
+    Parameters
+    ----------
+    given : sequence of Path
+        Recordings, or folders of tables and Parquet files of rides.
+
+    Returns
+    -------
+    list of Path
+
     Raises
     ------
     SettingsError
-        Where recordings are mixed with tables, or a file of rides is not there or given twice.
+        If recordings are mixed with tables, or if a file of rides does not exist or is given twice.
     """
     recordings = [path for path in given if path.suffix == RECORDING]
     if not recordings:
@@ -127,7 +145,7 @@ def inputs(given: Sequence[Path]) -> list[Path]:
 
 
 def _fitted(chosen: Recipe, files: Sequence[Path]) -> LinearModel:
-    """Return the model, in little memory where the recipe can."""
+    """Return the fitted model; use little memory if the recipe allows it."""
     if isinstance(chosen, LinearRecipe):
         beside = [file.with_name(WINDOWS) for file in files]
         if chosen.by_windows and all(file.is_file() for file in beside):
@@ -137,7 +155,20 @@ def _fitted(chosen: Recipe, files: Sequence[Path]) -> LinearModel:
 
 
 def intervals(model: LinearModel, found: Fit) -> Iterator[tuple[Term, float, float | None]]:
-    """Give each term, its coefficient and the half width of its 95 % interval, None where it is not known."""
+    """Yield each term with its coefficient and the half width of its 95 % interval.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Model with the terms.
+    found : Fit
+        Fit of one vehicle model.
+
+    Yields
+    ------
+    tuple of (Term, float, float or None)
+        The half width comes from Student's t distribution. It is None if the fit has no covariance.
+    """
     freedom = (found.clusters or found.rides) - 1
     factor = float(stdtrit(freedom, 0.975)) if freedom > 0 else float("nan")
     for i, (term, coefficient) in enumerate(zip(model.terms, found.coefficients, strict=True)):
@@ -146,18 +177,41 @@ def intervals(model: LinearModel, found: Fit) -> Iterator[tuple[Term, float, flo
 
 
 def _celsius(curve: AccessoryCurve) -> dict[str, float]:
-    """Return the seven numbers of a curve, choke points in °C and levels in W."""
+    """Return the seven parameters of a curve: choke points [°C] and levels [W]."""
     points = {f"{name}_c": getattr(curve, name) - ZERO_CELSIUS for name in CHOKE_POINTS}
     return points | {f"{name}_w": getattr(curve, name) for name in LEVELS}
 
 
 def in_sample(model: LinearModel) -> dict[str, float]:
-    """Return the mean absolute error over the rides that each fit was fitted to. [kWh]"""
+    """Return the mean absolute error of each fit over the rides that it was fitted to. [kWh]
+
+    Parameters
+    ----------
+    model : LinearModel
+        Fitted model.
+
+    Returns
+    -------
+    dict
+        Errors by vehicle model; empty if the history of the model does not hold them.
+    """
     return next((entry["mae_in_sample_kwh"] for entry in model.history if "mae_in_sample_kwh" in entry), {})
 
 
 def summary(model: LinearModel, title: str) -> dict[str, Any]:
-    """Return what was fitted, for JSON."""
+    """Return the fitted coefficients with their intervals and errors, for JSON.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Fitted model.
+    title : str
+        Title of its recipe.
+
+    Returns
+    -------
+    dict
+    """
     training = msgspec.to_builtins(model.training)
     errors = in_sample(model)
     fits = {
@@ -179,7 +233,17 @@ def summary(model: LinearModel, title: str) -> dict[str, Any]:
 
 
 def show(model: LinearModel, title: str, console: Console) -> None:
-    """Print what was fitted."""
+    """Print the rides used, the errors of each fit, the coefficients and the accessory curves.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Fitted model.
+    title : str
+        Title of its recipe.
+    console : rich.console.Console
+        Console to print on.
+    """
     training = model.training
     if training is not None:
         left = ", ".join(f"{n:,} {reason.replace('_', ' ')}" for reason, n in training.left_out.items())
@@ -210,12 +274,12 @@ def show(model: LinearModel, title: str, console: Console) -> None:
 
 
 def _physical(term: Term) -> bool:
-    """Tell whether a term is a physical one, whose coefficient is 1 where physics holds."""
+    """Return whether a term is a physical one, whose coefficient is 1 if the physics holds."""
     return bool(term.columns) and term.columns[0].startswith((EFFECT_PREFIX, ACCESSORIES_COLUMN))
 
 
 def _show_coefficients(model: LinearModel, console: Console) -> None:
-    """Print the coefficients of physical terms with their 95 % intervals; the others are in the JSON files."""
+    """Print the coefficients of physical terms with their 95 % intervals; the JSON files hold the others."""
     if not any(found.covariance for found in model.fits.values()):
         return
     shown = [term for term in model.terms if _physical(term)] or list(model.terms[:12])
@@ -237,7 +301,7 @@ def _show_coefficients(model: LinearModel, console: Console) -> None:
 
 
 def _cell(value: float, half: float | None, *, held: bool) -> str:
-    """Return a coefficient and its interval, as text."""
+    """Return the text of a coefficient and its interval."""
     text = f"{value:.4g}" if half is None else f"{value:.4g} ± {half:.2g}"
     return f"{text} (held)" if held else text
 

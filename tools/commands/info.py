@@ -17,9 +17,9 @@ from tools.terminal.recordings import Recordings, open_recordings, refuse_unusab
 from tools.terminal.rich_table import Column, make_table
 
 MOST_TOPICS = 30
-"""Topics shown on a terminal; the JSON report has all."""
+"""Largest number of topics shown on a terminal; the JSON report has all."""
 OTHER = "other"
-"""Kind of the messages that are not of the wire contract."""
+"""Kind of the messages that do not follow the wire contract."""
 
 
 def info(recordings: Recordings, json_file: JsonFile = None) -> None:
@@ -51,8 +51,9 @@ def describe_recording(source: McapSource, step: Callable[[], None] = lambda: No
     Parameters
     ----------
     source : McapSource
+        The recording.
     step : callable
-        Called after each chunk.
+        Function that is called after each chunk.
 
     Returns
     -------

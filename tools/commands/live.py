@@ -1,4 +1,4 @@
-"""`socast live`: listen to cars, forecast and record."""
+"""`socast live`: receive the telemetry of cars, publish forecasts and record messages."""
 
 import logging
 import os
@@ -116,7 +116,7 @@ def live(
 
 
 def compile_kernels(*models: Model) -> None:
-    """Compile the numba kernels of a pipeline with these models, before telemetry has to wait for it."""
+    """Compile the numba kernels of a pipeline with these models, so that telemetry does not wait for the compiler."""
     first, *shadows = models
     pipeline = Pipeline(first, shadows=shadows)
     samples = [Telemetry("compile", 1.7e9 + 3 * i, speed_kmh=30.0) for i in range(3)]
@@ -126,14 +126,15 @@ def compile_kernels(*models: Model) -> None:
 class StateKeeper:
     """Log rides as they end and verdicts as they change, and keep the state of every car in a file.
 
-    Where a state is kept, the loop calls the keeper in place of the pipeline: rides in progress stay open at the end,
-    and continue when the consumer is started again.
+    If a state file is given, the loop calls the keeper in place of the pipeline. Rides in progress then stay open at
+    the end, and they continue when the consumer starts again.
 
     Parameters
     ----------
     pipeline : Pipeline
+        Pipeline that holds the state of the cars.
     file : Path, optional
-        Where the state is kept. An existing state is restored.
+        State file. The keeper restores an existing state.
     clock : callable
         Monotonic time. [s]
 
@@ -142,8 +143,8 @@ class StateKeeper:
     SocastError
         Where the file is no state of this version and model.
     SettingsError
-        Where the file cannot be read, or cannot be written at the start or at the end. A failure in between is logged,
-        and the consumer continues.
+        If the file cannot be read, or cannot be written at the start or at the end. The keeper only logs a failure in
+        between, and the consumer continues.
     """
 
     def __init__(
@@ -168,7 +169,7 @@ class StateKeeper:
         self._save()
 
     def __call__(self, _: Tally) -> None:
-        """Log and save where it is time to."""
+        """Log rides and save the state when they are due."""
         now = self._clock()
         if now >= self._take_s:
             self._take_s = now + TAKE_S
@@ -181,7 +182,7 @@ class StateKeeper:
                 _log.error("state not kept: %s", error)
 
     def finish(self) -> list[Message]:
-        """Leave rides in progress open; the state holds them."""
+        """Return no forecasts, and leave rides in progress open, because the state holds them."""
         return []
 
     def end(self) -> None:
@@ -211,7 +212,7 @@ class StateKeeper:
         return {model.model: model.overall.gain.verdict if model.overall.gain else "" for model in errors}
 
     def _save(self) -> None:
-        """Replace the state file in one step, so that a whole one exists at any time."""
+        """Replace the state file atomically, so that a complete file exists at any time."""
         if self._file is None:
             return
         fresh = self._file.with_name(f".{self._file.name}.new")

@@ -1,4 +1,4 @@
-"""`socast replay`: recorded shifts again, through a model or to a router."""
+"""`socast replay`: pass recorded shifts through a model, or publish them to a router."""
 
 import time
 from collections.abc import Sequence
@@ -92,7 +92,7 @@ def _forecast(
     out: Path | None,
     json_file: Path | None,
 ) -> None:
-    """Run recordings through the models, write the report and print it."""
+    """Pass recordings through the models, write the report and print it."""
     models = load_models(options.models)
     pipeline = make_pipeline(options, models, replayed=sources, keep_outlooks=True)
     outcomes = ShiftOutcomes(pipeline)
@@ -113,7 +113,7 @@ def _forecast(
 
 
 def _publish(source: Source, sink: ZenohSink, sources: Sequence[McapSource], stop: Event, endpoint: str) -> None:
-    """Publish recordings once a subscriber is there."""
+    """Publish recordings as soon as there is a subscriber, or after `SUBSCRIBER_S` without one."""
     console = Console(stderr=True)
     deadline = time.monotonic() + SUBSCRIBER_S
     while not (subscribed := sink.has_subscriber()) and not stop.is_set():

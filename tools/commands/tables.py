@@ -1,4 +1,4 @@
-"""`socast tables`: recordings in; ride table, window table and quality report out."""
+"""`socast tables`: clean recordings and write a ride table, a window table and a quality report."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -33,11 +33,22 @@ from tools.terminal.rich_table import Column, make_table
 RIDES, WINDOWS, QUALITY = "rides.parquet", "windows.parquet", "quality.json"
 
 ROW_GROUP = 2000
-"""Rides between two row groups, so that memory does not grow with the recording."""
+"""Number of rides per row group; it keeps memory independent of the length of the recording."""
 
 
 class ParquetTable:
-    """A Parquet file that grows by row groups, its columns fixed by the first."""
+    """Write a Parquet file by row groups; the first row group fixes the columns.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+
+    Attributes
+    ----------
+    rows : int
+        Number of rows written so far.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -45,7 +56,13 @@ class ParquetTable:
         self._writer: pq.ParquetWriter | None = None
 
     def append(self, table: pd.DataFrame) -> None:
-        """Write a row group; text columns stay text even where a whole group is unknown."""
+        """Write a row group; text columns stay text even if all their values in a group are unknown.
+
+        Parameters
+        ----------
+        table : DataFrame
+            Rows of the group.
+        """
         if self._writer is None:
             text = {
                 name
@@ -109,7 +126,7 @@ def tables(
 
 
 def _folder(path: Path) -> Path:
-    """Return a folder that exists."""
+    """Create a folder if necessary, and return it."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -120,15 +137,17 @@ def _folder(path: Path) -> Path:
 def tabulate(
     sources: Sequence[McapSource], pipeline: Pipeline, take: Callable[[pd.DataFrame, pd.DataFrame], None]
 ) -> None:
-    """Run recordings through the steps as far as the tables, with a progress bar.
+    """Make ride and window tables of recordings, with a progress bar.
 
     Parameters
     ----------
     sources : sequence of McapSource
-        Merged in time order.
+        Recordings; the function merges them in time order.
     pipeline : Pipeline
+        Pipeline that processes the messages.
     take : callable
-        Is given rides that have ended, and their windows, whenever there are `ROW_GROUP` of them, and at the end.
+        Function that receives the ended rides and their windows. It is called for every `ROW_GROUP` rides and at the
+        end.
     """
     taken = 0
     with show_progress(sources) as step:
@@ -143,7 +162,19 @@ def tabulate(
 
 
 def in_memory(recordings: Sequence[Path], wanted: Sequence[str]) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return ride and window table of recordings, with the effects that are wanted; say what could not be read."""
+    """Return the ride table and the window table of recordings, and print warnings about data that could not be read.
+
+    Parameters
+    ----------
+    recordings : sequence of Path
+        The recordings.
+    wanted : sequence of str
+        Names of the effects that the tables contain in addition to the default ones.
+
+    Returns
+    -------
+    rides, windows : DataFrame
+    """
     pipeline = Pipeline(also=wanted, keep_forecasts=False)
     sources = open_recordings(recordings)
     parts: list[tuple[pd.DataFrame, pd.DataFrame]] = []
@@ -154,7 +185,19 @@ def in_memory(recordings: Sequence[Path], wanted: Sequence[str]) -> tuple[pd.Dat
 
 
 def show(quality: dict[str, Any], rides: int, windows: int, folder: Path, console: Console) -> None:
-    """Print what was read, repaired, rejected and written."""
+    """Print the counts of repaired, rejected and missing data, and of written rows.
+
+    Parameters
+    ----------
+    quality : dict
+        Counters of `Pipeline.quality`.
+    rides, windows : int
+        Numbers of written rows.
+    folder : Path
+        Folder of the tables.
+    console : rich.console.Console
+        Console to print on.
+    """
     columns = [Column("cause"), Column("count", number=True), Column("of", number=True)]
     table = make_table(columns, "What was repaired, rejected or missing")
     samples = quality["received"].get("telemetry", 0)
