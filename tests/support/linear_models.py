@@ -1,4 +1,4 @@
-"""Signals of a drive, a small linear model with all that a model can have, and rides for it."""
+"""Provide signals of a drive, a small linear model with every optional part, and rides for it."""
 
 import numpy as np
 import pandas as pd
@@ -13,7 +13,7 @@ LEAF = load_catalogue()["nissan-leaf-2013"]
 
 
 def steps(seed: int, rows: int) -> dict[str, np.ndarray]:
-    """Signals of a drive, step by step."""
+    """Return random signals of a drive, in SI units, one value per step of 3 s."""
     random = np.random.default_rng(seed)
     return {
         "dt": np.full(rows, 3.0),
@@ -27,7 +27,7 @@ def steps(seed: int, rows: int) -> dict[str, np.ndarray]:
 
 
 def ride_columns(model, signals) -> dict[str, np.ndarray]:
-    """The columns that a model needs, of one step each."""
+    """Return the columns that a model needs, with one row per step."""
     columns = {
         "rolling_resistance": np.full(len(signals["dt"]), LEAF.rolling_resistance),
         "drag_area_m2": np.full(len(signals["dt"]), LEAF.drag_area_m2),
@@ -71,7 +71,7 @@ STUMP = Trees(
 
 
 def fleet(rows: int = 60, seed: int = 1) -> pd.DataFrame:
-    """Rides of three vehicle models, one of them unknown to the model, and of a car that has not said what it is."""
+    """Return rides of three vehicle models, one of them without a fit, and of cars of unknown vehicle model."""
     random = np.random.default_rng(seed)
     table = pd.DataFrame(
         {

@@ -1,4 +1,4 @@
-"""Ride tables made from nothing but a seed, whose energies are planted: for tests of what learns from them."""
+"""Generate ride tables with planted energies from a seed, for tests of fits."""
 
 from collections.abc import Mapping, Sequence
 
@@ -24,9 +24,9 @@ MODELS = ("kia-soul-ev-2015", "nissan-leaf-2013", "tesla-model-s", "tesla-model-
 
 
 def rides(n: int, seed: int = 1, models: Sequence[str] = MODELS, cars: int = 8) -> pd.DataFrame:
-    """Return a ride table, without energies: a year of taxi rides from -28 to 29 °C.
+    """Return a ride table without energies: a year of taxi rides from -28 to 29 °C.
 
-    The kinetic energy of nearly all of them is zero, as it is of rides that begin and end at rest.
+    The kinetic energy of nearly all rides is zero, as for rides that begin and end at rest.
     """
     rng = np.random.default_rng(seed)
     day = np.sort(rng.integers(0, 365, n))
@@ -87,14 +87,14 @@ def rides(n: int, seed: int = 1, models: Sequence[str] = MODELS, cars: int = 8) 
 def physical_energy(
     table: pd.DataFrame, coefficients: Mapping[str, float] | None = None, curve: AccessoryCurve = PLANTED
 ) -> np.ndarray:
-    """Return the energy by equation (2), coefficients 1 but for those that are given."""
+    """Return the energy by equation (2), with coefficients of 1 except for the given ones. [kWh]"""
     given = {term.name: 1.0 for term in FITTED_TERMS} | dict(coefficients or {})
     made = build_design(FITTED_TERMS, Columns(table, {}, curve), len(table))
     return made @ [given[term.name] for term in FITTED_TERMS]
 
 
 def noisy(table: pd.DataFrame, energy: np.ndarray, seed: int = 2, of_day: float = 0.01) -> pd.DataFrame:
-    """Return the table with that energy as it would be measured: noise of the ride, and of the car's day."""
+    """Return the table with measured energies: with noise of each ride, and noise that a car shares within a day."""
     rng = np.random.default_rng(seed)
     days = pd.factorize(table["vehicle_id"] + table["date"])[0]
     shared = rng.normal(0.0, of_day, days.max() + 1)[days]

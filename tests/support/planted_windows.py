@@ -1,4 +1,4 @@
-"""Ride and window tables made from nothing but a seed, with an effect planted in the energy of windows."""
+"""Generate ride and window tables from a seed, with effects planted in the energy of windows."""
 
 from collections.abc import Mapping, Sequence
 
@@ -28,7 +28,7 @@ TERMS = (
 START = 1_514_764_800.0
 """1 January 2018, midnight UTC."""
 SD = 0.003
-"""Of a window's measurement. [kWh]"""
+"""Standard deviation of the measured energy of a window. [kWh]"""
 
 
 def planted(
@@ -40,7 +40,7 @@ def planted(
     windows: int = 8,
     seed: int = 1,
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return rides and windows whose energy is the base's and that of the effects given, columns to coefficient."""
+    """Return rides and windows with the energy of the base terms and of given effects, columns to coefficient."""
     rng = np.random.default_rng(seed)
     n = vehicles * days * rides * windows
     at = np.arange(n)
@@ -97,7 +97,7 @@ def planted(
 
 
 def _base(table: pd.DataFrame) -> dict[str, np.ndarray]:
-    """Return the energies of the base."""
+    """Return the energy of each base term. [kWh]"""
     found = {t.name: BASE[t.name] * _product(table, t.columns) for t in TERMS[:-1]}
     return found | {"auxiliary": AUXILIARY * table["effect_auxiliary"].to_numpy()}
 
@@ -108,7 +108,7 @@ def _product(table: pd.DataFrame, columns: str | Sequence[str]) -> np.ndarray:
 
 
 def _rides(table: pd.DataFrame, dates: np.ndarray) -> pd.DataFrame:
-    """Return the ride table."""
+    """Return the ride table of the windows."""
     amounts = {"duration_s", "distance_km", "stops", "gained_m", "lost_m"}
     sums = [name for name in table if name.startswith(("effect_", "speed_")) or name in amounts]
     sums += ["energy_kwh", "energy_vi_kwh", "energy_soc_kwh"]
@@ -125,5 +125,5 @@ def _rides(table: pd.DataFrame, dates: np.ndarray) -> pd.DataFrame:
 
 
 def base_model(rides: pd.DataFrame) -> LinearModel:
-    """Return the base, fitted to whole rides."""
+    """Return the base terms, fitted to whole rides."""
     return fit_terms(LinearRecipe("base", "", TERMS), RideFrame(rides))

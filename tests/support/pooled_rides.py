@@ -1,4 +1,4 @@
-"""Ride tables for recipes that pool: cars and vehicle models that differ by planted factors, errors that grow."""
+"""Generate ride tables for pooled recipes: vehicle models differ by planted factors, and errors grow with size."""
 
 import numpy as np
 import pandas as pd
@@ -14,7 +14,7 @@ PHYSICS = np.array([term.physics for term in SHARED_TERMS])
 
 
 def fleet(n: int, seed: int = 1, cars: int = 8, **kwargs) -> pd.DataFrame:
-    """Return a ride table with all that pooled recipes read, without energies."""
+    """Return a ride table with every column that pooled recipes read, without energies."""
     table = rides(n, seed, cars=cars, **kwargs)
     rng = np.random.default_rng(seed + 1000)
     mass = table["mass_kg"].to_numpy()
@@ -35,14 +35,14 @@ def fleet(n: int, seed: int = 1, cars: int = 8, **kwargs) -> pd.DataFrame:
 
 
 def planted(table: pd.DataFrame, coefficients: dict[str, np.ndarray]) -> np.ndarray:
-    """Return the energy by the shared terms, with coefficients for each vehicle model."""
+    """Return the energy by the shared terms, with coefficients for each vehicle model. [kWh]"""
     columns = Columns(table, {"soaked": 0.3, "battery_frost_k": 0.0})
     made = build_design(TERMS, columns, len(table))
     return np.einsum("ij,ij->i", made, np.array([coefficients[kind] for kind in table["vehicle_model"]]))
 
 
 def differing(models, seed: int = 3, drive: float = 0.1, climate: float = 0.2) -> dict[str, np.ndarray]:
-    """Return coefficients of vehicle models that differ by a factor on the drive and one on the climate."""
+    """Return coefficients of vehicle models that differ by one factor on the drive and one on the climate."""
     rng = np.random.default_rng(seed)
     common = PHYSICS + np.where([term.name == "constant power" for term in SHARED_TERMS], 300.0, 0.0)
     return {
@@ -52,6 +52,6 @@ def differing(models, seed: int = 3, drive: float = 0.1, climate: float = 0.2) -
 
 
 def measured(table: pd.DataFrame, energy: np.ndarray, seed: int = 2, noise: float = 0.01) -> pd.DataFrame:
-    """Return the table with energies as they are measured: the variance of the error is `noise` times the size."""
+    """Return the table with measured energies, whose errors have a variance of `noise` times the size."""
     size = Columns(table)["size_kwh"]
     return table.assign(energy_kwh=energy + np.random.default_rng(seed).normal(0.0, np.sqrt(noise * size)))

@@ -1,4 +1,4 @@
-"""Laws of every candidate effect: its unit, its source, its sign, what it is confused with, its variants."""
+"""Test the laws of every candidate effect: unit, source, sign, confusions and variants."""
 
 import inspect
 from dataclasses import replace
@@ -27,12 +27,12 @@ WANTED = {
 
 
 def rows(seed: int, count: int) -> dict[str, np.ndarray]:
-    """Every signal at random over ordinary driving."""
+    """Return random values of every signal within ordinary driving."""
     random = np.random.default_rng(seed)
     return {name: random.uniform(low, high, count) for name, (low, high) in ORDINARY_DRIVING.items()}
 
 
-def test_every_phenomenon_is_there_once():
+def test_library_lists_every_phenomenon_once():
     assert sorted(each.name for each in EACH) == sorted(WANTED)
     assert len(WANTED) == 28
     assert list(get_library())[: len(ROAD_LOAD) + len(EACH)] == [e.name for e in (*ROAD_LOAD, *EACH)]
@@ -41,12 +41,12 @@ def test_every_phenomenon_is_there_once():
 
 
 @ALL
-def test_unit_shape_and_values_are_right(each):
+def test_effect_passes_its_check(each):
     check_effect(each)
 
 
 @ALL
-def test_is_documented(each):
+def test_effect_is_documented(each):
     assert each.formula.startswith("P = ")
     assert len(each.source) > 20
     assert "estimate" in each.source or "range: " in each.source
@@ -57,7 +57,7 @@ def test_is_documented(each):
 
 
 @ALL
-def test_physics_demands_that_it_costs(each):
+def test_physics_demands_a_positive_coefficient(each):
     assert each.sign == 1
     assert 0.0 < each.low < each.high
 
@@ -65,7 +65,7 @@ def test_physics_demands_that_it_costs(each):
 @ALL
 @given(seed=st.integers(0, 2**32), cuts=st.lists(st.integers(0, 50), max_size=6))
 @settings(max_examples=10)
-def test_is_the_same_to_the_bit_however_rows_are_cut(each, seed, cuts):
+def test_power_of_a_row_does_not_depend_on_other_rows(each, seed, cuts):
     columns = rows(seed, 50)
     edges = [0, *sorted(cuts), 50]
     for variant in (each, *each.variants):
@@ -75,13 +75,13 @@ def test_is_the_same_to_the_bit_however_rows_are_cut(each, seed, cuts):
 
 
 @pytest.mark.parametrize(("each", "argument"), [(e, a) for e in EACH for a in e.arguments if e.name != "standby"])
-def test_an_unknown_argument_gives_nan_in_its_row_alone(each, argument):
+def test_unknown_argument_gives_nan_only_in_its_row(each, argument):
     columns = rows(7, 5)
     columns[argument][2] = np.nan
     assert np.isnan(each.power(columns)).tolist() == [False, False, True, False, False]
 
 
-def test_what_acts_by_motion_is_nothing_for_a_standing_car():
+def test_effects_per_distance_are_zero_for_a_standing_car():
     standing = {**rows(1, 8), "speed": np.zeros(8), "traction": np.zeros(8)}
     for each in EACH:
         if each.per == "distance":
@@ -92,15 +92,15 @@ def test_what_acts_by_motion_is_nothing_for_a_standing_car():
     }
 
 
-def test_all_but_differences_from_the_base_never_give_back():
-    """Wind from behind, thin air and a passenger downhill may help; nothing else does."""
+def test_power_is_never_negative_except_for_differences_from_the_base():
+    """Only a tailwind, thin air and a passenger downhill can reduce the power."""
     columns = rows(3, 2000)
     for each in EACH:
         if each.name not in {"headwind", "air_density", "payload"}:
             assert each.power(columns).min() >= 0.0, each.name
 
 
-def test_in_mild_still_weather_by_day_nearly_all_are_silent():
+def test_most_effects_are_zero_in_mild_still_weather_by_day():
     mild = rows(5, 100)
     for name, value in {
         "ambient": 293.15, "pack_temperature": 298.15, "headwind": 0.0, "crosswind": 0.0, "air_density": 1.225,
@@ -119,13 +119,13 @@ def test_in_mild_still_weather_by_day_nearly_all_are_silent():
 
 
 @pytest.mark.parametrize("each", get_library().values(), ids=lambda e: e.name)
-def test_confusions_are_of_known_effects_and_mutual(each):
+def test_confusions_name_known_effects_and_are_mutual(each):
     for name in each.confused_with:
         assert name != each.name
         assert each.name in get(name).confused_with, name
 
 
-def test_every_candidate_but_a_lone_one_is_confused_with_something():
+def test_every_candidate_names_a_confusion():
     assert [each.name for each in EACH if not each.confused_with] == []
 
 
@@ -142,7 +142,7 @@ def test_grids_are_small_and_within_bounds(each):
             assert low <= parameter.grid[0] < parameter.grid[-1] <= high
 
 
-def test_variants_are_the_function_at_other_values():
+def test_variants_evaluate_the_function_at_other_values():
     columns = rows(11, 60)
     seen = 0
     for each in EACH:
@@ -157,7 +157,7 @@ def test_variants_are_the_function_at_other_values():
     assert seen + len(get_library()) == len(list_tabulated()) == len(set(list_tabulated()))
 
 
-def test_a_variant_is_found_by_any_values_within_bounds_under_its_own_name():
+def test_variant_with_any_values_within_bounds_has_a_unique_name():
     found = get("cabin_warmup@decay=450,soak=1800.5")
     assert (found.constants["decay"], found.constants["soak"]) == (450.0, 1800.5)
     assert get("cabin_warmup").variant({"soak": 1800.5, "decay": 450.0}).name == found.name
@@ -183,14 +183,14 @@ def test_a_variant_is_found_by_any_values_within_bounds_under_its_own_name():
         ("cold_roling@reference=283.15", "did you mean cold_rolling"),
     ],
 )
-def test_a_variant_that_cannot_be_is_told_of(name, said):
+def test_invalid_variant_is_refused_in_one_line(name, said):
     with pytest.raises(EffectError) as caught:
         get(name)
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_a_coefficient_is_said_in_words():
+def test_coefficient_is_described_in_words():
     cold = get("cold_rolling@reference=283.15")
     assert cold.in_words(1.1e-4, 2e-5) == (
         "cold tyres: rolling resistance grows by 1.1 ± 0.2 % of 0.010 for each degree below 10 °C"
@@ -200,7 +200,7 @@ def test_a_coefficient_is_said_in_words():
     assert replace(get("rolling"), words="").in_words(0.0123) == "rolling resistance coefficient 0.012"
 
 
-def test_columns_that_hold_the_answer_are_asked_for_by_no_candidate():
+def test_no_candidate_reads_a_column_that_holds_the_answer():
     assert {column.name for column in SIGNALS} >= {"hvac", "current", "soc"}
     for each in EACH:
         assert not {"hvac", "current", "soc"} & set(each.arguments), each.name

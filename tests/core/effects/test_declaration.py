@@ -1,4 +1,4 @@
-"""A declaration that is incomplete is refused where it is made."""
+"""Test that the decorator refuses incomplete declarations of effects."""
 
 import numpy as np
 import pytest
@@ -64,7 +64,7 @@ def test_parameters_must_lie_within_finite_bounds(value, low, high):
         Parameter(value, "K", low, high)
 
 
-def test_a_parameter_without_bounds_is_fixed():
+def test_parameter_without_bounds_is_fixed():
     assert Parameter(2.0, "K").bounds == (2.0, 2.0)
     assert Parameter(2.0, "K", 1.0, 3.0).bounds == (1.0, 3.0)
 
@@ -72,14 +72,14 @@ def test_a_parameter_without_bounds_is_fixed():
 @pytest.mark.parametrize(
     "grid", [(1.0, 3.0), (1.0, 3.0, 2.0), (2.0, 2.0), (1.0, 2.0, 3.5), (0.5, 2.0), (1.0, 2.0, np.nan), (np.nan, 2.0)]
 )
-def test_a_grid_ascends_within_bounds_and_holds_the_value(grid):
+def test_grid_must_ascend_within_bounds_and_contain_the_value(grid):
     with pytest.raises(
         EffectError, match="of a parameter must ascend, hold its value 2 and stay within its bounds 1 to 3"
     ):
         Parameter(2.0, "K", 1.0, 3.0, grid=grid)
 
 
-def test_five_lines_are_enough_and_all_else_has_a_default():
+def test_optional_fields_of_a_declaration_have_defaults():
     @effect(coefficient="drag of the brake pads", unit="N", low=0, high=60, source="a book")
     def rub(speed):
         """P = F v."""
@@ -91,7 +91,7 @@ def test_five_lines_are_enough_and_all_else_has_a_default():
 
 
 @pytest.mark.parametrize(("low", "high", "sign"), [(0, 1, 1), (0.1, 1, 1), (-1, 0, -1), (-1, 1, 0)])
-def test_the_sign_that_physics_demands_is_that_of_the_plausible_range(low, high, sign):
+def test_sign_follows_from_the_plausible_range(low, high, sign):
     assert declare(low=low, high=high)(rubbing).sign == sign
 
 
@@ -100,5 +100,5 @@ def rubbing(speed):
     return speed
 
 
-def test_one_name_of_confusion_is_a_list_of_one():
+def test_single_confusion_may_be_given_as_a_string():
     assert declare(confused_with="rolling")(rubbing).confused_with == ("rolling",)

@@ -1,4 +1,4 @@
-"""The library of effects: a user's file is checked, and told of in one line."""
+"""Test the library of effects: user files are checked and refused in one line, and the command prints effects."""
 
 import json
 
@@ -27,7 +27,7 @@ def door_loss(stopped, inside, ambient):
 
 @pytest.fixture
 def write(tmp_path):
-    """Write a file of effects; what it brings leaves the library after the test."""
+    """Return a function that writes a file of effects; the library is restored after the test."""
     before, brought = dict(registry._library), dict(registry._brought_by)
 
     def write(text, name="mine.py"):
@@ -42,7 +42,7 @@ def write(tmp_path):
     registry._brought_by.update(brought)
 
 
-def test_unknown_names_are_met_with_close_ones():
+def test_unknown_effect_is_refused_with_similar_names():
     with pytest.raises(EffectError, match="effect 'aero_drg' is unknown: did you mean aero_drag"):
         get("aero_drg")
     with pytest.raises(EffectError, match="effect 'xyz' is unknown: known are rolling"):
@@ -52,21 +52,21 @@ def test_unknown_names_are_met_with_close_ones():
 # A user's own file
 
 
-def test_a_good_file_is_loaded_and_its_effects_work(write):
+def test_valid_file_is_loaded_and_its_effects_work(write):
     (found,) = load_file(write(GOOD))
     assert (found.name, found.arguments, found.unit, found.per) == ("door_loss", ("stopped", "ambient"), "W/K", "time")
     assert get("door_loss") is found
     assert power("door_loss", stopped=1.0, ambient=284.15) == pytest.approx(10.0)
 
 
-def test_loading_again_replaces_what_the_file_brought(write):
+def test_loading_a_file_again_replaces_its_effects(write):
     load_file(write(GOOD))
     (found,) = load_file(write(GOOD.replace("door_loss", "gate_loss")))
     assert get("gate_loss") is found
     assert "door_loss" not in get_library()
 
 
-def test_a_name_that_is_taken_is_refused_and_the_library_unchanged(write):
+def test_existing_name_is_refused_and_the_library_stays_unchanged(write):
     before = dict(get_library())
     with pytest.raises(EffectError, match="effect 'rolling' is in the library already: give yours another name"):
         load_file(write(GOOD.replace("door_loss", "rolling")))
@@ -120,7 +120,7 @@ def test_a_name_that_is_taken_is_refused_and_the_library_unchanged(write):
         ),
     ],
 )
-def test_a_bad_file_is_told_of_in_one_line(write, text, said):
+def test_invalid_file_is_refused_in_one_line(write, text, said):
     path = write(text)
     before = dict(get_library())
     with pytest.raises(EffectError) as caught:
@@ -134,12 +134,12 @@ def test_a_bad_file_is_told_of_in_one_line(write, text, said):
 @pytest.mark.parametrize(
     "text", ["while True:\n    pass\n", GOOD.replace("    return", "    while True: pass\n    return")]
 )
-def test_an_endless_loop_is_ended(write, text):
+def test_endless_loop_is_stopped(write, text):
     with pytest.raises(EffectError, match=r"mine\.py: not done after 1 s: look for an endless loop"):
         load_file(write(text), time_limit=1.0)
 
 
-def test_files_that_cannot_be_read(tmp_path):
+def test_unreadable_file_is_refused(tmp_path):
     with pytest.raises(EffectError, match=r"no\.py: cannot read effects: No such file"):
         load_file(tmp_path / "no.py")
     with pytest.raises(EffectError, match="cannot read effects: Is a directory"):
@@ -170,7 +170,7 @@ def test_list_shows_every_effect_by_topic_and_writes_json(tmp_path):
 
 
 @pytest.mark.parametrize("name", [*get_library(), "cold_rolling@reference=283.15"])
-def test_show_tells_all_that_is_declared(name):
+def test_show_prints_the_whole_declaration(name):
     effect = get(name)
     done = CliRunner().invoke(app, ["show", name])
     assert done.exit_code == 0
@@ -183,7 +183,7 @@ def test_show_tells_all_that_is_declared(name):
         assert wanted in said, wanted
 
 
-def test_ones_own_effects_are_listed_and_shown_under_their_file(write):
+def test_user_effects_are_listed_and_shown_with_their_file(write):
     path = write(GOOD.replace("per=", 'confused_with="cabin_heating", per='))
     listed = CliRunner().invoke(app, ["list", "--effects", str(path)])
     assert listed.exit_code == 0
@@ -195,7 +195,7 @@ def test_ones_own_effects_are_listed_and_shown_under_their_file(write):
 
 
 @pytest.mark.parametrize("origin", [None, *get_library()])
-def test_a_new_file_passes_its_check_and_does_what_its_origin_does(tmp_path, origin):
+def test_new_file_passes_its_check_and_copies_its_origin(tmp_path, origin):
     path = tmp_path / "begun.py"
     done = CliRunner().invoke(app, ["new", str(path), *(["--from", origin] if origin else [])])
     assert done.exit_code == 0
@@ -215,15 +215,15 @@ def test_a_new_file_passes_its_check_and_does_what_its_origin_does(tmp_path, ori
 
 
 @pytest.mark.parametrize("origin", [None, "accessories"])
-def test_a_new_file_is_loaded_as_any_other(write, tmp_path, origin):
-    write("")  # what is loaded leaves the library after the test
+def test_new_file_can_be_loaded(write, tmp_path, origin):
+    write("")  # the fixture restores the library after the test
     path = tmp_path / "begun.py"
     CliRunner().invoke(app, ["new", str(path), *(["--from", origin] if origin else [])])
     (found,) = load_file(path)
     assert get(found.name) is found
 
 
-def test_every_column_stands_in_a_new_file(tmp_path):
+def test_new_file_lists_every_column(tmp_path):
     CliRunner().invoke(app, ["new", str(tmp_path / "begun.py")])
     text = (tmp_path / "begun.py").read_text()
     for column in SIGNALS:
@@ -243,7 +243,7 @@ def test_every_column_stands_in_a_new_file(tmp_path):
         (["list", "--effects", "no.py"], "no.py: cannot read effects: No such file or directory"),
     ],
 )
-def test_bad_commands_are_one_line(tmp_path, monkeypatch, capsys, arguments, said):
+def test_bad_command_is_refused_in_one_line(tmp_path, monkeypatch, capsys, arguments, said):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "there.py").write_text("")
     with pytest.raises(SystemExit) as ended:
@@ -255,7 +255,7 @@ def test_bad_commands_are_one_line(tmp_path, monkeypatch, capsys, arguments, sai
     assert not (tmp_path / "mine.py").exists()
 
 
-def test_check_command_tells_of_a_good_file_and_raises_for_a_bad_one(write):
+def test_check_command_accepts_a_valid_file_and_refuses_an_invalid_one(write):
     done = CliRunner().invoke(app, ["check", str(write(GOOD))], env={"COLUMNS": "200"})
     assert done.exit_code == 0
     assert "door_loss" in done.stdout
@@ -264,7 +264,7 @@ def test_check_command_tells_of_a_good_file_and_raises_for_a_bad_one(write):
     assert isinstance(bad.exception, EffectError)
 
 
-def test_json_that_cannot_be_written_is_told_of(tmp_path):
+def test_json_file_that_cannot_be_written_is_refused(tmp_path):
     done = CliRunner().invoke(app, ["list", "--json", str(tmp_path / "no" / "effects.json")])
     assert isinstance(done.exception, SettingsError)
     assert "cannot be written: No such file" in str(done.exception)

@@ -1,4 +1,4 @@
-"""Every base effect has its unit, its closed form and its source."""
+"""Test the unit, the closed form and the source of every effect of the road load."""
 
 import inspect
 from itertools import pairwise
@@ -18,13 +18,13 @@ ALL = pytest.mark.parametrize("each", ROAD_LOAD, ids=lambda e: e.name)
 
 
 def rows(seed: int, count: int) -> dict[str, np.ndarray]:
-    """Every signal at random over ordinary driving."""
+    """Return random values of every signal within ordinary driving."""
     random = np.random.default_rng(seed)
     return {name: random.uniform(low, high, count) for name, (low, high) in ORDINARY_DRIVING.items()}
 
 
 def power(name: str, **columns: float) -> float:
-    """Power of an effect for one row."""
+    """Return the power of an effect for one row."""
     return float(get(name).power({n: np.array([value]) for n, value in columns.items()})[0])
 
 
@@ -32,12 +32,12 @@ def power(name: str, **columns: float) -> float:
 
 
 @ALL
-def test_unit_shape_and_values_are_right(each):
+def test_effect_passes_its_check(each):
     check_effect(each)
 
 
 @ALL
-def test_is_documented_with_a_source(each):
+def test_effect_is_documented_with_a_source(each):
     assert each.formula.startswith("P = ")
     assert len(each.source) > 20
     assert each.summary.endswith(".") or each.formula in each.summary
@@ -48,7 +48,7 @@ def test_is_documented_with_a_source(each):
 @ALL
 @given(seed=st.integers(0, 2**32), cuts=st.lists(st.integers(0, 50), max_size=6))
 @settings(max_examples=20)
-def test_is_the_same_to_the_bit_however_rows_are_cut(each, seed, cuts):
+def test_power_of_a_row_does_not_depend_on_other_rows(each, seed, cuts):
     columns = rows(seed, 50)
     whole = each.power(columns)
     edges = [0, *sorted(cuts), 50]
@@ -59,13 +59,13 @@ def test_is_the_same_to_the_bit_however_rows_are_cut(each, seed, cuts):
 @pytest.mark.parametrize(
     ("each", "argument"), [(e, a) for e in ROAD_LOAD for a in e.arguments if e.name != "auxiliary"]
 )
-def test_an_unknown_argument_gives_nan_in_its_row_alone(each, argument):
+def test_unknown_argument_gives_nan_only_in_its_row(each, argument):
     columns = rows(7, 5)
     columns[argument][2] = np.nan
     assert np.isnan(each.power(columns)).tolist() == [False, False, True, False, False]
 
 
-def test_the_library_is_the_road_load_by_name_and_cannot_be_changed():
+def test_library_starts_with_the_road_load_and_is_read_only():
     assert list(get_library())[: len(ROAD_LOAD)] == [e.name for e in ROAD_LOAD]
     with pytest.raises(TypeError):
         get_library()["rolling"] = None
@@ -75,7 +75,7 @@ def test_the_library_is_the_road_load_by_name_and_cannot_be_changed():
 
 
 @given(st.floats(500, 3000), st.floats(-0.3, 0.3), st.floats(0, 36))
-def test_rolling_and_climbing_are_the_weights_components(mass, grade, speed):
+def test_rolling_and_climbing_follow_the_components_of_the_weight(mass, grade, speed):
     angle = np.arcsin(grade)
     assert power("rolling", mass=mass, grade=grade, speed=speed) == pytest.approx(
         mass * GRAVITY * np.cos(angle) * speed
@@ -121,8 +121,8 @@ def test_inertia_sums_to_the_change_of_kinetic_energy(speeds, mass, dt):
     st.floats(0.8, 1.8),
     st.floats(0, 1.0),
 )
-def test_a_round_trip_over_hills_never_costs_less_than_the_level_road(profile, paid, regained):
-    """The same horizontal distances at the same speeds, there and back; paid at least what is regained on the hills."""
+def test_round_trip_over_hills_never_costs_less_than_the_level_road(profile, paid, regained):
+    """Drive equal map distances at equal speeds there and back; climbing costs at least what descending returns."""
     paid = max(paid, regained)
     grade, speed = (np.array(column) for column in zip(*profile, strict=True))
     grade, speed = np.r_[grade, -grade[::-1]], np.r_[speed, speed[::-1]]
@@ -141,18 +141,18 @@ def test_a_round_trip_over_hills_never_costs_less_than_the_level_road(profile, p
 
 
 @given(st.floats(233, 318), st.floats(0, 2))
-def test_accessories_are_the_curve_times_the_cars_scale(ambient, scale):
+def test_accessory_power_is_the_curve_times_the_scale_of_the_car(ambient, scale):
     expected = scale * ACCESSORIES.power(np.array([ambient]))[0]
     assert power("accessories", ambient=ambient, accessory_scale=scale) == expected
 
 
-def test_parameters_may_be_moved_for_one_call():
+def test_parameters_can_be_changed_for_one_call():
     columns = {"ambient": np.array([200.0]), "accessory_scale": np.array([1.0])}
     assert get("accessories").power(columns, {"heating": 5000.0}).tolist() == [5000.0]
     assert get("accessories").power(columns).tolist() == [ACCESSORIES.heating]
 
 
-def test_what_acts_all_the_time_and_what_by_motion():
+def test_effects_act_per_time_or_per_distance():
     assert {e.name for e in ROAD_LOAD if e.per == "time"} == {"accessories", "auxiliary"}
     assert power("auxiliary", dt=3.0) == 1.0
     standing = {**rows(1, 4), "speed": np.zeros(4)}
@@ -161,6 +161,6 @@ def test_what_acts_all_the_time_and_what_by_motion():
             assert not each.power(standing).any(), each.name
 
 
-def test_braking_is_what_the_wheels_take_from_the_motion():
+def test_braking_is_the_negative_traction_power():
     traction, speed = np.array([-500.0, 0.0, 500.0]), np.full(3, 20.0)
     assert get("braking").power({"traction": traction, "speed": speed}).tolist() == [1e4, 0.0, 0.0]

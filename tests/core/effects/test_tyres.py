@@ -1,4 +1,4 @@
-"""Tyres and road, at points worked out by hand."""
+"""Test the effects of tyres and road against manual calculations."""
 
 import numpy as np
 import pytest
@@ -8,15 +8,15 @@ from tests.support.one_row import power
 WEIGHT = 1500 * 9.80665
 
 
-def test_at_minus_10_degrees_cold_tyres_roll_a_quarter_harder():
-    """Regulation 117: 0.8 % a kelvin; 30 K below 20 °C, c = 0.010: 0.0024 more, 706 W at 72 km/h and 1500 kg."""
+def test_cold_tyres_add_a_quarter_of_rolling_resistance_at_minus_10_degrees():
+    """Regulation 117 has 0.8 % per kelvin: 30 K of c = 0.010 add 0.0024, which is 706 W at 72 km/h and 1500 kg."""
     cold = 0.008 * 0.010 * power("cold_rolling", tyre_load=WEIGHT, speed=20, ambient=263.15)
     assert cold == pytest.approx(706, abs=0.5)
     rolling = 0.010 * power("rolling", mass=1500, grade=0, speed=20)
     assert cold / rolling == pytest.approx(0.24)
 
 
-def test_cold_tyres_are_the_base_at_and_above_the_reference():
+def test_cold_tyres_add_nothing_at_and_above_the_reference():
     assert power("cold_rolling", tyre_load=WEIGHT, speed=20, ambient=293.15) == 0
     assert power("cold_rolling", tyre_load=WEIGHT, speed=20, ambient=313.15) == 0
     assert power("cold_rolling@reference=283.15", tyre_load=WEIGHT, speed=20, ambient=284.15) == 0
@@ -24,7 +24,7 @@ def test_cold_tyres_are_the_base_at_and_above_the_reference():
 
 
 @pytest.mark.parametrize("name", ["wet_road", "snow"])
-def test_a_layer_of_the_depth_of_the_parameter_gives_all_but_1_over_e(name):
+def test_layer_of_the_parameters_depth_gives_all_but_1_over_e(name):
     column, depth = {"wet_road": ("water", 0.0003), "snow": ("snow", 0.002)}[name]
     full = WEIGHT * 15
 
@@ -37,18 +37,18 @@ def test_a_layer_of_the_depth_of_the_parameter_gives_all_but_1_over_e(name):
     assert at(depth / 100) == pytest.approx(full / 100, rel=0.01)  # thin layers count by their depth
 
 
-def test_a_wet_road_at_50_km_h_costs_200_w():
-    """c higher by 0.001, 1500 kg, 50 km/h, water deep: 0.001 * 14710 N * 13.9 m/s."""
+def test_wet_road_takes_200_w_at_50_km_h():
+    """Deep water that raises c by 0.001 takes 0.001 * 14710 N * 13.9 m/s for 1500 kg at 50 km/h."""
     assert 0.001 * power("wet_road", tyre_load=WEIGHT, speed=50 / 3.6, water=0.01) == pytest.approx(204.3, abs=0.1)
 
 
-def test_soft_tyres_are_rolling_resistance():
+def test_tyre_pressure_has_the_form_of_rolling_resistance():
     soft = power("tyre_pressure", tyre_load=WEIGHT * np.cos(0.1), speed=12)
     assert soft == pytest.approx(power("rolling", mass=1500, grade=np.sin(0.1), speed=12))
 
 
-def test_a_roundabout_of_20_m_at_36_km_h():
-    """1500 kg, 10 m/s, radius 20 m: side force 7500 N; 120 kN/rad: slip 0.0625 rad, 469 N, 4.7 kW."""
+def test_cornering_power_matches_manual_calculation():
+    """A roundabout of 20 m radius at 10 m/s and 1500 kg: 7500 N, 120 kN/rad, slip 0.0625 rad, 469 N, 4.7 kW."""
     assert power("cornering", mass=1500, speed=10, turn_rate=10 / 20) / 120e3 == pytest.approx(7500 * 7500 / 120e3 * 10)
     assert power("cornering", mass=1500, speed=10, turn_rate=-0.5) == power(
         "cornering", mass=1500, speed=10, turn_rate=0.5
@@ -56,5 +56,5 @@ def test_a_roundabout_of_20_m_at_36_km_h():
     assert power("cornering", mass=1500, speed=30, turn_rate=0) == 0
 
 
-def test_a_bend_that_no_tyre_could_hold_counts_as_the_limit():
+def test_side_acceleration_is_limited_to_the_grip_of_tyres():
     assert power("cornering", mass=1000, speed=20, turn_rate=3) == pytest.approx((1000 * 6) ** 2 * 20)

@@ -1,4 +1,4 @@
-"""The whole library in the tables: every effect and variant, to the bit however the stream is cut."""
+"""Test that the tables hold every effect and variant, equal to the bit for any chunking of the stream."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ from tests.support.telemetry import drive, leaf, observed, ran, telemetry, witho
 
 
 def shift(n=240, seed=3):
-    """A car that sends all, in rain, snow, wind, dusk and sun, its state of charge and odometer known late."""
+    """Return messages of a car that sends every signal in all weathers; state of charge and odometer start late."""
     base = drive(n, seed=seed)
     base["time_s"] = base["time_s"] + 13.4 * 3600  # before sunset
     columns = base | {
@@ -55,7 +55,7 @@ MESSAGES = shift()
 
 @pytest.fixture(scope="module")
 def whole():
-    """The tables of the shift with every effect and variant."""
+    """Return the ride and window tables of the shift with every effect and variant."""
     pipeline, _ = ran(MESSAGES, also=list_tabulated())
     return pipeline.take_rides(), pipeline.take_windows()
 
@@ -69,7 +69,7 @@ def test_tables_have_a_column_for_every_effect_and_every_variant(whole):
         assert table.columns.is_unique
 
 
-def test_every_effect_is_known_and_at_work_in_a_shift_of_all_weathers(whole):
+def test_every_effect_is_finite_and_nonzero_in_a_shift_with_all_weathers(whole):
     rides, windows = whole
     for name in list_tabulated():
         assert np.isfinite(rides[f"effect_{name}"]).all(), name
@@ -86,13 +86,13 @@ def test_windows_add_up_to_their_ride(whole):
 
 @given(cuts=st.lists(st.integers(0, len(MESSAGES)), max_size=8))
 @settings(max_examples=8)
-def test_any_chunking_is_the_whole_for_every_effect_and_variant(whole, cuts):
+def test_tables_do_not_depend_on_chunking_for_every_effect_and_variant(whole, cuts):
     parts, _ = ran(MESSAGES, cuts, also=list_tabulated(), keep_forecasts=False)
     pd.testing.assert_frame_equal(parts.take_rides(), whole[0], check_exact=True)
     pd.testing.assert_frame_equal(parts.take_windows(), whole[1], check_exact=True)
 
 
-def test_a_restart_on_a_wet_road_is_no_interruption(whole):
+def test_restart_on_a_wet_road_changes_no_window(whole):
     first = Pipeline(also=list_tabulated())
     first.push(MESSAGES[:150])
     windows = first.take_windows()
@@ -104,8 +104,8 @@ def test_a_restart_on_a_wet_road_is_no_interruption(whole):
     pd.testing.assert_frame_equal(together, whole[1], check_exact=True)
 
 
-def test_a_variants_column_is_the_effect_at_the_other_value(whole):
-    """Colder than 5 °C for the whole ride, each reference 5 K higher adds the same."""
+def test_column_of_a_variant_is_the_effect_at_the_other_value(whole):
+    """Below 5 °C for the whole ride, each increase of the reference by 5 K adds the same energy."""
     cold = without(drive(100, speed=10.0, ambient_c=-20.0), "metres")
     pipeline, _ = ran([leaf(), *telemetry(cold)], also=list_tabulated())
     ride = pipeline.take_rides().iloc[0]
@@ -118,7 +118,7 @@ def test_a_variants_column_is_the_effect_at_the_other_value(whole):
 
 @dataclass(frozen=True)
 class Fitted:
-    """A model of one variant, with its coefficient."""
+    """Predict with one variant and its coefficient."""
 
     effects: tuple[str, ...] = ("cold_rolling@reference=283.15",)
     name: str = "fitted"
@@ -132,7 +132,7 @@ class Fitted:
         return 1e-4 * np.asarray(columns[self.needs[0]])
 
 
-def test_a_model_may_name_a_variant_and_the_live_path_computes_it_alone():
+def test_live_path_computes_only_the_variant_that_the_model_reads():
     cold = without(drive(100, speed=10.0, ambient_c=-20.0), "metres")
     pipeline, out = ran([leaf(), *telemetry(cold)], model=Fitted())
     assert [effect.name for effect in pipeline.effects] == ["cold_rolling@reference=283.15"]
@@ -145,7 +145,7 @@ def test_a_model_may_name_a_variant_and_the_live_path_computes_it_alone():
     assert 0 < predicted[-1] <= expected * 1.001
 
 
-def test_a_place_that_is_lost_in_a_tunnel_at_night_keeps_its_darkness():
+def test_darkness_persists_while_the_position_is_unknown():
     columns = drive(300, speed=12.0)
     columns["time_s"] = columns["time_s"] + 16 * 3600
     latitude = columns["latitude_deg"].copy()
@@ -156,6 +156,6 @@ def test_a_place_that_is_lost_in_a_tunnel_at_night_keeps_its_darkness():
         assert ride["effect_night_lights"] == pytest.approx(ride["duration_s"] / JOULES_PER_KWH, rel=1e-6)
 
 
-def test_every_candidate_is_in_the_library_that_tables_use():
+def test_tables_include_every_effect_of_the_library():
     assert set(get_library()) <= set(list_tabulated())
     assert all(get(name).name == name for name in list_tabulated())

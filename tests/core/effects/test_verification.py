@@ -1,4 +1,4 @@
-"""What is wrong with an effect is found and told in one line."""
+"""Test that the check of an effect reports its error in one line."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from core.effects.declaration import SIGNAL_UNITS
 from core.effects.verification import ORDINARY_DRIVING
 from core.errors import EffectError
 
-# Each of these functions has one thing wrong
+# Each case below introduces one error into this effect
 
 GOOD = '''
 import numpy as np
@@ -24,7 +24,7 @@ BODY = "stopped * np.maximum(inside - ambient, 0.0)"
 
 
 def refusal(text: str) -> str:
-    """What `check` says of the effect in a text."""
+    """Return the message with which `check_effect` refuses the effect in a text."""
     names: dict = {}
     exec(text, names)
     (found,) = [value for value in names.values() if isinstance(value, Effect)]
@@ -65,7 +65,7 @@ def refusal(text: str) -> str:
         (BODY, "np.multiply(stopped, 2.0, out=stopped) * (inside - ambient)", "raises "),
     ],
 )
-def test_check_refuses(before, after, said):
+def test_invalid_effect_is_refused_in_one_line(before, after, said):
     assert GOOD.count(before) == 1
     assert said in refusal(GOOD.replace(before, after))
 
@@ -89,7 +89,7 @@ BARE = GOOD.replace(f"return {BODY}", "return stopped * (EXPRESSION)").replace("
         ("inside + (5 + 273.15)", "5 + 273.15", "inside + (5 + 273.15)"),
     ],
 )
-def test_bare_number_beside_a_quantity_is_named_with_its_line_and_the_remedy(tmp_path, expression, number, part):
+def test_bare_number_next_to_a_quantity_is_refused_with_line_and_remedy(tmp_path, expression, number, part):
     path = tmp_path / "bare.py"
     path.write_text(BARE.replace("EXPRESSION", expression).replace("@effect", "LIMIT = 278.15\n\n@effect"))
     line = path.read_text()[: path.read_text().index("    return")].count("\n") + 1
@@ -146,7 +146,7 @@ def test_bounds_at_which_an_effect_has_no_value_are_refused():
     assert "guard it" in said
 
 
-def test_ordinary_driving_is_said_for_every_signal_within_its_range():
+def test_ordinary_driving_covers_every_signal_within_its_range():
     assert list(ORDINARY_DRIVING) == [column.name for column in SIGNALS]
     for column in SIGNALS:
         low, high = ORDINARY_DRIVING[column.name]

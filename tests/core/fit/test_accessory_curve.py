@@ -1,4 +1,4 @@
-"""The accessory curve: planted choke points come back, whatever the road load lacks."""
+"""Test that the fit of the accessory curve recovers planted choke points and levels."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def levels(curve) -> np.ndarray:
 
 
 def still_air(table, curve) -> np.ndarray:
-    """Energy by the extended physical model, which knows no wind."""
+    """Return the energy by the extended physical model, which ignores the wind. [kWh]"""
     wind = (table["effect_aero_drag_wind"] - table["effect_aero_drag"]) * table["drag_area_m2"]
     return physical_energy(table, curve=curve) - wind.to_numpy()
 
@@ -40,7 +40,7 @@ CURVES = (
 
 
 @pytest.mark.parametrize("curve", CURVES, ids=lambda c: str(choke_points(c).tolist()))
-def test_planted_choke_points_come_back_within_a_degree(curve):
+def test_planted_choke_points_are_recovered_within_one_degree(curve):
     table = rides(12_000, seed=4, models=MODEL)
     made = noisy(table, still_air(table, curve), of_day=0.0)
     found = RECIPES["extended_physical"].fit(made, covariance=False).fits["*"].curve
@@ -49,7 +49,7 @@ def test_planted_choke_points_come_back_within_a_degree(curve):
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_they_come_back_beside_a_road_load_that_loses_in_the_drivetrain(seed):
+def test_choke_points_are_recovered_together_with_a_road_load_with_drivetrain_losses(seed):
     table = rides(12_000, seed=seed, models=MODEL)
     lossy = {"rolling": 1.4, "aero_drag_wind": 1.15, "climbing": 0.9}
     made = noisy(table, physical_energy(table, lossy, CURVES[1]), seed=seed + 10, of_day=0.004)
@@ -60,7 +60,7 @@ def test_they_come_back_beside_a_road_load_that_loses_in_the_drivetrain(seed):
     assert model.fits["*"].coefficients[0] == pytest.approx(1.4, abs=0.1)
 
 
-def test_without_noise_they_come_back_exactly():
+def test_choke_points_are_recovered_closely_without_noise():
     table = rides(4000, seed=6, models=MODEL)
     made = table.assign(energy_kwh=still_air(table, CURVES[0]))
     found = RECIPES["extended_physical"].fit(made, covariance=False).fits["*"].curve
@@ -78,7 +78,7 @@ def temperatures(curve, n=5000, low=-30.0, high=30.0, seed=0, noise=0.02) -> Tem
     return found
 
 
-def test_the_curve_does_not_depend_on_how_rides_are_cut_nor_on_when_it_is_asked_for():
+def test_curve_is_independent_of_blocks_of_rides_and_of_repeated_fits():
     assert temperatures(CURVES[0]).fit() == temperatures(CURVES[0]).fit()
     rng = np.random.default_rng(1)
     ambient, time, energy = rng.uniform(-30, 30, 900), rng.random(900), rng.random(900)
@@ -90,7 +90,7 @@ def test_the_curve_does_not_depend_on_how_rides_are_cut_nor_on_when_it_is_asked_
 
 
 @pytest.mark.parametrize(("low", "high"), [(-30.0, 5.0), (14.0, 30.0), (-3.0, 9.0), (16.0, 19.0), (20.0, 20.0)])
-def test_where_rides_do_not_tell_every_segment_the_curve_is_still_one(low, high):
+def test_curve_is_valid_where_rides_do_not_cover_every_segment(low, high):
     found = temperatures(CURVES[0], low=low, high=high).fit()
     points = choke_points(found)
     assert (np.diff(points) > 0.0).all()
@@ -105,7 +105,7 @@ def test_one_temperature_scales_the_reference_curve():
     np.testing.assert_allclose(levels(found), levels(ACCESSORIES), rtol=1e-9)
 
 
-def test_few_rides_scale_the_reference_curve_and_their_road_load_may_be_all_zero():
+def test_few_rides_scale_the_reference_curve_even_with_a_zero_road_load():
     rng = np.random.default_rng(8)
     ambient, time = rng.uniform(-20.0, 25.0, 300), rng.uniform(0.5, 1.0, 300) / 3600.0
     energy = 1.5 * time * ACCESSORIES.power(ambient + ZERO_CELSIUS)
@@ -119,13 +119,13 @@ def test_few_rides_scale_the_reference_curve_and_their_road_load_may_be_all_zero
         np.testing.assert_allclose(seen, 1.5 * ACCESSORIES.power(ambient + ZERO_CELSIUS), rtol=0.02)
 
 
-def test_no_ride_with_a_temperature_leaves_the_reference_curve():
+def test_rides_without_temperature_keep_the_reference_curve():
     nothing = TemperatureBins()
     nothing.add(np.array([np.nan]), np.ones(1), np.ones(1))
     assert levels(nothing.fit()) == pytest.approx(levels(ACCESSORIES))
 
 
-def test_power_that_is_negative_is_not_believed():
+def test_levels_are_never_negative():
     cold = TemperatureBins()
     rng = np.random.default_rng(3)
     ambient = rng.uniform(-30.0, 30.0, 500)
@@ -134,7 +134,7 @@ def test_power_that_is_negative_is_not_believed():
 
 
 @pytest.mark.parametrize("number", range(7))
-def test_slopes_are_derivatives(number):
+def test_slopes_equal_numerical_derivatives(number):
     curve = AccessoryCurve(
         heating_full=258.15, heating_off=283.15, cooling_on=291.15, cooling_full=299.15,
         heating=3500.0, standby=400.0, cooling=1500.0,
@@ -146,7 +146,7 @@ def test_slopes_are_derivatives(number):
 
 
 def moved(curve: AccessoryCurve, number: int, by: float) -> AccessoryCurve:
-    """A curve with one number changed; heating and cooling count above standby."""
+    """Return the curve with one of its numbers changed; heating and cooling count above standby."""
     standby, heat, cool = curve.standby, curve.heating - curve.standby, curve.cooling - curve.standby
     numbers = [standby, heat, cool, curve.heating_full, curve.heating_off, curve.cooling_on, curve.cooling_full]
     numbers[number] += by

@@ -1,4 +1,4 @@
-"""Intervals cover what they say, whatever errors are like; leverage gives what fitting anew would."""
+"""Test that intervals have their nominal coverage, and that leverage gives the errors of fits without the ride."""
 
 import msgspec
 import numpy as np
@@ -27,7 +27,7 @@ from tests.support.pooled_rides import differing, fleet, measured, planted
 
 
 def heteroscedastic(n: int, seed: int) -> pd.DataFrame:
-    """Rides whose errors grow with size and cold, are skewed, and are larger for one vehicle model."""
+    """Return rides with skewed errors that grow with size and cold, and are larger for one vehicle model."""
     table = fleet(n, seed)
     random = np.random.default_rng(seed + 50)
     columns = Columns(table)
@@ -51,13 +51,13 @@ def interval() -> PredictionInterval:
 
 
 @pytest.mark.parametrize("level", [0.5, 0.8, 0.9, 0.98])
-def test_new_rides_are_inside_as_often_as_is_said(interval, level):
+def test_interval_covers_new_rides_at_the_nominal_level(interval, level):
     table = heteroscedastic(8000, 2)
     covered = inside(table, interval, level)
     assert covered.mean() == pytest.approx(level, abs=0.02)
 
 
-def test_so_are_those_of_each_distance_season_and_vehicle_model(interval):
+def test_interval_covers_each_distance_season_and_vehicle_model(interval):
     table = heteroscedastic(8000, 2)
     covered = inside(table, interval)
     cluster = np.minimum(table["distance_km"] // 5, 4)
@@ -67,7 +67,7 @@ def test_so_are_those_of_each_distance_season_and_vehicle_model(interval):
         assert share.max() < 0.95
 
 
-def test_intervals_are_wider_where_errors_are_larger(interval):
+def test_interval_is_wider_where_errors_are_larger(interval):
     table = heteroscedastic(3000, 3)
     lower, upper = interval.bounds(np.zeros(3000), table, 0.9)
     width = pd.Series(upper - lower)
@@ -76,7 +76,7 @@ def test_intervals_are_wider_where_errors_are_larger(interval):
     assert width[(table["vehicle_model"] == MODELS[0]).to_numpy()].mean() > 1.3 * width.mean()
 
 
-def test_wider_levels_hold_narrower_ones(interval):
+def test_interval_of_higher_level_contains_that_of_lower_level(interval):
     table = heteroscedastic(500, 4)
     lower, upper = np.inf, -np.inf
     for level in (0.1, 0.5, 0.9, 0.97, 0.99):
@@ -87,12 +87,12 @@ def test_wider_levels_hold_narrower_ones(interval):
 
 
 @pytest.mark.parametrize("level", [0.0, -0.1, 0.995, 1.0, 90.0, float("nan")])
-def test_a_level_that_was_not_calibrated_is_refused(interval, level):
+def test_level_outside_the_calibration_is_refused(interval, level):
     with pytest.raises(ModelError, match=r"give a level above 0, up to 0.99"):
         interval.bounds(np.zeros(3), heteroscedastic(3, 5), level)
 
 
-def test_what_is_unknown_has_unknown_bounds_and_unknown_vehicle_models_have_bounds(interval):
+def test_bounds_are_nan_for_unknown_inputs_but_not_for_unknown_vehicle_models(interval):
     table = heteroscedastic(4, 6)
     table.loc[1, "ambient_c"] = np.nan
     table.loc[2, "vehicle_model"] = None
@@ -101,14 +101,14 @@ def test_what_is_unknown_has_unknown_bounds_and_unknown_vehicle_models_have_boun
     assert np.isnan(lower).tolist() == np.isnan(upper).tolist() == [False, True, False, True]
 
 
-def test_rows_have_the_same_bounds_alone(interval):
+def test_bounds_of_a_row_do_not_depend_on_other_rows(interval):
     table = heteroscedastic(30, 7)
     together = interval.bounds(np.zeros(30), table, 0.9)
     alone = [interval.bounds(np.zeros(1), table.iloc[i : i + 1], 0.9) for i in range(30)]
     np.testing.assert_allclose(np.concatenate(alone, axis=1), together, rtol=1e-13)
 
 
-def test_model_files_keep_it_exactly(interval):
+def test_model_file_preserves_the_interval_exactly(interval):
     model = msgspec.structs.replace(BASIC_PHYSICAL, interval=interval)
     assert decode_model(encode_model(model)).interval == interval
     table = heteroscedastic(10, 8)
@@ -126,7 +126,7 @@ def test_model_files_keep_it_exactly(interval):
         ({"quantiles": ((-1.0, float("inf")),)}, "not finite"),
     ],
 )
-def test_what_is_no_interval_is_refused(change, said):
+def test_malformed_interval_is_refused(change, said):
     good = {
         "scales": {ANY: (0.1, 0.0, 0.0)},
         "distances_km": (0.0,),
@@ -144,7 +144,7 @@ def test_too_few_rides_give_no_interval():
 
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 10_000), rides=st.integers(LEAST_CALIBRATION_RIDES, 3000), heavy=st.booleans())
-def test_errors_of_any_distribution_are_covered(seed, rides, heavy):
+def test_interval_covers_errors_of_any_distribution(seed, rides, heavy):
     random = np.random.default_rng(seed)
     draw = random.standard_t if heavy else random.chisquare
     size = random.uniform(0.1, 5.0, rides)
@@ -190,7 +190,7 @@ def test_leverage_gives_the_error_of_a_fit_without_the_ride(small, monkeypatch):
         assert seen["own"][MODELS[1]].error[i] == pytest.approx(expected, rel=1e-6)
 
 
-def test_so_it_does_for_a_fit_without_the_vehicle_model(small, monkeypatch):
+def test_leverage_gives_the_errors_of_a_fit_without_the_vehicle_model(small, monkeypatch):
     seen = {}
     monkeypatch.setattr("core.fit.calibration.calibrate_interval", lambda own, other: seen.update(own=own, other=other))
     add_interval(fit_terms(PLAIN, RideFrame(small)), small)
@@ -199,7 +199,7 @@ def test_so_it_does_for_a_fit_without_the_vehicle_model(small, monkeypatch):
     np.testing.assert_allclose(seen["other"][MODELS[1]].error, expected, rtol=1e-6, atol=1e-9)
 
 
-def test_intervals_of_vehicle_models_never_seen_are_wider_and_cover_more_than_those_of_others_would():
+def test_interval_of_unseen_vehicle_models_covers_more_than_that_of_known_ones():
     coefficients = differing(MODELS, drive=0.15, climate=0.2)
     table = fleet(4000, 9)
     table = measured(table, planted(table, coefficients))
@@ -218,6 +218,6 @@ def test_intervals_of_vehicle_models_never_seen_are_wider_and_cover_more_than_th
     assert np.mean(covered) > max(0.75, np.mean(as_others) + 0.1)
 
 
-def test_parts_are_of_equal_size_and_the_same_at_every_call():
+def test_folds_are_of_equal_size_and_the_same_at_every_call():
     assert np.bincount(assign_folds(103, 5)).tolist() == [21, 21, 21, 20, 20]
     assert assign_folds(103, 5).tolist() == assign_folds(103, 5).tolist()

@@ -1,4 +1,4 @@
-"""Pooling is Bayes' rule: closed forms, its limits, and what is planted comes back."""
+"""Test partial pooling against closed forms of Bayes' rule, its limits and planted values."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ PHYSICS = np.array([1.0, 1.0, 1.0, 0.0])
 
 
 def some(rides: int, coefficients, seed: int, noise: float = 0.01):
-    """Rides with terms of different size, and energies by the coefficients."""
+    """Return the design, energy and size of rides, with terms of different size. [kWh]"""
     random = np.random.default_rng(seed)
     size = random.uniform(0.2, 4.0, rides)
     design = size[:, np.newaxis] * random.uniform(0.1, 1.0, (rides, 4)) * [1.0, 0.5, 0.3, 100.0]
@@ -35,7 +35,7 @@ def some(rides: int, coefficients, seed: int, noise: float = 0.01):
 
 
 def prior(seed: int = 0) -> Prior:
-    """A prior with every direction correlated."""
+    """Return a prior with correlated coefficients."""
     random = np.random.default_rng(seed)
     half = random.normal(size=(4, 4)) * np.array([0.2, 0.2, 0.2, 0.002])[:, np.newaxis]
     return Prior(np.array([1.0, 0.8, 0.5, 0.003]), half @ half.T + np.diag([1e-3, 1e-3, 1e-3, 1e-7]), 0.01)
@@ -43,7 +43,7 @@ def prior(seed: int = 0) -> Prior:
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 1000), rides=st.integers(1, 30))
-def test_the_posterior_is_that_of_conditioning_a_gaussian(seed, rides):
+def test_posterior_equals_that_of_a_conditioned_gaussian(seed, rides):
     before = prior(seed)
     design, energy, size = some(rides, before.mean * 1.2, seed)
     own = design @ before.covariance @ design.T + np.diag(before.noise * size)
@@ -56,7 +56,7 @@ def test_the_posterior_is_that_of_conditioning_a_gaussian(seed, rides):
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 1000))
-def test_rides_tell_the_same_one_after_the_other_as_all_at_once(seed):
+def test_posterior_is_the_same_in_steps_as_from_all_rides_at_once(seed):
     before = prior(seed)
     design, energy, size = some(20, before.mean, seed)
     at_once = compute_posterior(before, sum_normal_equations(design, energy, size))
@@ -66,7 +66,7 @@ def test_rides_tell_the_same_one_after_the_other_as_all_at_once(seed):
     np.testing.assert_allclose(then[1], at_once[1], rtol=1e-5, atol=1e-9)
 
 
-def test_evidence_is_the_probability_of_the_energies_but_for_a_constant():
+def test_evidence_equals_the_log_probability_of_energies_up_to_a_constant():
     design, energy, size = some(12, np.array([1.1, 0.7, 0.4, 0.002]), 4)
     sums = sum_normal_equations(design, energy, size)
     told, truth = [], []
@@ -85,21 +85,21 @@ def test_many_rides_outweigh_the_prior():
     assert (np.abs(found - own) < 4.0 * np.sqrt(np.diag(covariance))).all()
 
 
-def test_the_first_rides_of_a_vehicle_model_count_less_than_later_ones():
+def test_first_rides_of_a_vehicle_model_count_less_than_later_ones():
     sums = sum_normal_equations(*some(3, np.array([1.4, 0.6, 0.9, 0.004]), 6))
     before = prior()
     late, early = compute_posterior(before, sums), compute_early_posterior(before, sums)
     assert np.trace(early[1][:3, :3]) > np.trace(late[1][:3, :3])
 
 
-def test_noise_comes_back():
+def test_planted_noise_is_recovered():
     sums = sum_normal_equations(*some(4000, np.array([1.0, 0.8, 0.5, 0.003]), 7, noise=0.02))
     scale = compute_column_scale([sums])
     assert estimate_noise(sums, PHYSICS, scale) == pytest.approx(0.02, rel=0.06)
     assert estimate_common_noise([sums, sums], PHYSICS) == pytest.approx(0.02, rel=0.06)
 
 
-def test_the_mean_of_few_rides_is_that_of_physics_and_of_many_their_own():
+def test_common_mean_moves_from_physics_to_the_data_with_more_rides():
     own = np.array([1.5, 1.5, 1.5, 0.0])
     few = compute_common_mean([sum_normal_equations(*some(1, own, 8))], PHYSICS)
     many = compute_common_mean([sum_normal_equations(*some(50_000, own, 8))], PHYSICS)
@@ -107,7 +107,7 @@ def test_the_mean_of_few_rides_is_that_of_physics_and_of_many_their_own():
     assert np.abs(many - own)[:3].max() < 0.2
 
 
-def test_vehicle_models_with_more_rides_have_more_of_a_say():
+def test_vehicle_models_with_more_rides_weigh_more_in_the_mean():
     low, high = np.array([1.0, 1.0, 1.0, 0.0]), np.array([2.0, 2.0, 2.0, 0.0])
     means = [
         compute_common_mean(
@@ -121,7 +121,7 @@ def test_vehicle_models_with_more_rides_have_more_of_a_say():
 
 
 @pytest.mark.parametrize("factor", [0.03, 0.3])
-def test_how_much_vehicle_models_differ_is_told_from_what_is_seen_of_them(factor):
+def test_planted_spread_between_vehicle_models_is_recovered(factor):
     random = np.random.default_rng(1)
     common = np.array([1.2, 0.8, 0.6, 0.003])
     groups = {}
@@ -132,7 +132,7 @@ def test_how_much_vehicle_models_differ_is_told_from_what_is_seen_of_them(factor
     direction = np.where(BLOCKS[0], found.mean, 0.0)
     spread = np.sqrt(direction @ np.linalg.lstsq(found.covariance, direction, rcond=None)[0]) ** -1
     assert spread == pytest.approx(factor, rel=0.6)
-    # a new one lies within what is said, two standard deviations about the mean
+    # a new vehicle model lies within two standard deviations of the mean
     design, energy, size = some(400, common * np.where(BLOCKS[0], 1.0 + factor, 1.0), 999)
     error = (energy - design @ found.mean) / np.sqrt(
         np.einsum("ij,jk,ik->i", design, found.covariance, design) + found.noise * size
@@ -140,7 +140,7 @@ def test_how_much_vehicle_models_differ_is_told_from_what_is_seen_of_them(factor
     assert np.std(error) < 2.0
 
 
-def test_one_vehicle_model_alone_can_be_learned_from():
+def test_prior_from_one_vehicle_model_is_finite_and_positive_definite():
     found = estimate_prior(
         {"only": sum_normal_equations(*some(500, np.array([1.2, 0.8, 0.6, 0.003]), 3))}, PHYSICS, BLOCKS
     )
@@ -148,7 +148,7 @@ def test_one_vehicle_model_alone_can_be_learned_from():
     assert (np.linalg.eigvalsh(found.covariance) > 0.0).all()
 
 
-def test_a_term_that_no_ride_has_is_left_at_physics():
+def test_term_that_is_zero_in_all_rides_stays_at_physics():
     design, energy, size = some(500, np.array([1.2, 0.8, 0.6, 0.003]), 3)
     design[:, 2] = 0.0
     found = estimate_prior(
@@ -161,7 +161,7 @@ def test_a_term_that_no_ride_has_is_left_at_physics():
     assert np.isfinite(after).all()
 
 
-def test_a_block_that_shares_a_factor_is_known_as_a_whole_from_one_ride():
+def test_one_ride_moves_all_coefficients_of_a_block_by_a_common_factor():
     mean, scale = np.array([1.2, 0.8, 0.6, 0.003]), np.ones(4)
     before = Prior(mean, build_covariance(mean, scale, BLOCKS, 1e-4, (0.3, 0.3)), 1e-6)
     design = np.array([[1.0, 0.0, 0.0, 0.0]])
@@ -171,7 +171,7 @@ def test_a_block_that_shares_a_factor_is_known_as_a_whole_from_one_ride():
 
 
 def cars(factors: np.ndarray, rides: int, seed: int = 0):
-    """Rides of cars that take more or less than is predicted."""
+    """Return rides of cars whose energy is their factor times the prediction."""
     random = np.random.default_rng(seed)
     car = np.repeat(np.arange(len(factors)), rides)
     predicted = random.uniform(0.2, 4.0, len(car))
@@ -179,13 +179,13 @@ def cars(factors: np.ndarray, rides: int, seed: int = 0):
     return np.array([f"taxi-{i}" for i in car], dtype=object), predicted, energy, predicted, 0.01
 
 
-def test_factors_of_cars_come_back():
+def test_planted_factors_of_cars_are_recovered():
     truth = np.random.default_rng(2).normal(1.0, 0.08, 30)
     found = estimate_car_factors(*cars(truth, 200))
     np.testing.assert_allclose([found[f"taxi-{i}"] for i in range(30)], truth, atol=0.02)
 
 
-def test_factors_of_few_rides_are_shrunk_and_shrinking_helps():
+def test_factors_from_few_rides_are_shrunk_and_more_accurate_for_it():
     truth = np.random.default_rng(2).normal(1.0, 0.05, 300)
     names, predicted, energy, size, noise = cars(truth, 3)
     found = np.array([estimate_car_factors(names, predicted, energy, size, noise)[f"taxi-{i}"] for i in range(300)])
@@ -194,7 +194,7 @@ def test_factors_of_few_rides_are_shrunk_and_shrinking_helps():
     assert np.mean((found - truth) ** 2) < 0.8 * min(np.mean((raw - truth) ** 2), np.var(truth) + 1e-9)
 
 
-def test_cars_that_are_alike_have_no_factor():
+def test_equal_cars_have_no_factor():
     factors = [estimate_car_factors(*cars(np.ones(20), 50, seed)) for seed in range(6)]
     assert sum(not found for found in factors) >= 2
     assert all(abs(factor - 1.0) < 0.02 for found in factors for factor in found.values())

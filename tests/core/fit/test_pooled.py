@@ -1,4 +1,4 @@
-"""Recipes past the paper: what is planted comes back, new vehicle models are learned from few rides, nothing leaks."""
+"""Test that pooled recipes recover planted values, learn new vehicle models from few rides, and read no answer."""
 
 import msgspec
 import numpy as np
@@ -22,7 +22,7 @@ def mae(model, table: pd.DataFrame) -> float:
 
 @pytest.fixture(scope="module")
 def table() -> pd.DataFrame:
-    """A fleet whose vehicle models differ, whose cars differ, and with something that no term tells."""
+    """Return rides with differing vehicle models and cars, and with a residual that no term explains."""
     found = fleet(6000, 1, cars=6)
     energy = planted(found, differing(MODELS))
     car = pd.factorize(found["vehicle_id"])[0]
@@ -43,13 +43,13 @@ def models(halves) -> dict:
     return {name: RECIPES[name].fit(halves[0]) for name in names}
 
 
-def test_each_step_past_the_paper_is_better_than_the_one_before(models, halves):
+def test_each_recipe_beyond_the_paper_is_better_than_the_one_before(models, halves):
     errors = [mae(models[name], halves[1]) for name in ("hybrid_interactions", "pooled_hybrid", "boosted_hybrid")]
     assert errors[1] < errors[0]
     assert errors[2] < 0.9 * errors[1]
 
 
-def test_what_cars_take_comes_back(models, table):
+def test_planted_factors_of_cars_are_recovered(models, table):
     truth = np.random.default_rng(4).normal(1.0, 0.06, table["vehicle_id"].nunique())
     found = [models["boosted_hybrid"].cars[name] for name in pd.factorize(table["vehicle_id"])[1]]
     assert np.corrcoef(truth, found)[0, 1] > 0.8
@@ -66,7 +66,7 @@ def test_intervals_cover_new_rides(models, halves):
         assert covered[halves[1]["distance_km"] > 10.0].mean() > 0.85
 
 
-def test_model_files_are_exact(models, halves):
+def test_model_file_is_an_exact_round_trip(models, halves):
     for model in models.values():
         again = decode_model(encode_model(model))
         assert again == model
@@ -78,7 +78,7 @@ def test_fitting_again_gives_the_same_model(models, halves):
     assert BOOSTED.fit(halves[0]) == models["boosted_hybrid"]
 
 
-def test_rows_are_predicted_one_by_one_as_all_together(models, halves):
+def test_prediction_of_a_row_does_not_depend_on_other_rows(models, halves):
     some = halves[1].iloc[:40]
     model = models["boosted_hybrid"]
     alone = np.concatenate([model.predict(some.iloc[i : i + 1]) for i in range(40)])
@@ -94,7 +94,7 @@ def test_no_feature_holds_the_answer():
     assert not [column for column in read if column.startswith(ANSWERS)]
 
 
-def test_physics_is_that_of_the_extended_physical_model_but_for_losses():
+def test_physical_coefficients_equal_the_extended_physical_model_with_losses():
     rides = fleet(50, 3)
     level = dict.fromkeys([name for name in rides if name.startswith(("effect_climbing", "effect_inertia"))], 0.0)
     rides = rides.assign(**level, effect_aero_drag_wind=rides["effect_aero_drag"])
@@ -103,7 +103,7 @@ def test_physics_is_that_of_the_extended_physical_model_but_for_losses():
 
 
 @pytest.mark.parametrize("left_out", MODELS)
-def test_new_vehicle_models_are_predicted_better_than_by_fitted_physics(table, left_out):
+def test_unseen_vehicle_models_are_predicted_better_than_by_fitted_physics(table, left_out):
     new = table["vehicle_model"] == left_out
     pooled = POOLED.fit(table[~new], covariance=False)
     fitted = RECIPES["fitted_physical"].fit(table[~new], covariance=False)
@@ -112,7 +112,7 @@ def test_new_vehicle_models_are_predicted_better_than_by_fitted_physics(table, l
     assert mae(pooled, table[new]) < 0.6 * mae(BASIC_PHYSICAL, table[new])
 
 
-def test_rides_of_a_new_vehicle_model_make_it_known(table):
+def test_adapting_to_rides_of_a_new_vehicle_model_improves_its_prediction(table):
     new = table["vehicle_model"] == MODELS[0]
     start = POOLED.fit(table[~new])
     others = table[~new].iloc[:300]
@@ -131,7 +131,7 @@ def test_rides_of_a_new_vehicle_model_make_it_known(table):
     assert decode_model(encode_model(told)) == told
 
 
-def test_a_new_vehicle_model_is_surer_with_each_ride(table):
+def test_variance_of_a_new_vehicle_model_shrinks_with_each_ride(table):
     new = table["vehicle_model"] == MODELS[1]
     start = POOLED.fit(table[~new])
     covariances = [adapt(start, table[new].iloc[:count]).fits[MODELS[1]].covariance for count in (1, 10, 100)]
@@ -140,14 +140,14 @@ def test_a_new_vehicle_model_is_surer_with_each_ride(table):
         assert (more <= fewer * (1.0 + 1e-9)).all()
 
 
-def test_rides_of_a_known_vehicle_model_change_its_fit_alone(models, halves):
+def test_adapting_to_a_known_vehicle_model_changes_only_its_fit(models, halves):
     model = models["boosted_hybrid"]
     told = adapt(model, halves[1][halves[1]["vehicle_model"] == MODELS[0]])
     assert [key for key in model.fits if told.fits[key] != model.fits[key]] == [MODELS[0]]
     assert (told.cars, told.correction) == (model.cars, model.correction)
 
 
-def test_what_is_learned_does_not_depend_on_the_rides_that_are_unfit(table):
+def test_unfit_rides_do_not_influence_the_fit(table):
     some = table.iloc[:600]
     odd = some.copy()
     odd.loc[odd.index[:50], "energy_kwh"] = 1e3
@@ -159,7 +159,7 @@ def test_what_is_learned_does_not_depend_on_the_rides_that_are_unfit(table):
     assert adapt(clean, odd.iloc[:60]) is clean
 
 
-def test_columns_that_nobody_measured_are_no_hindrance(table):
+def test_columns_without_measurements_do_not_prevent_a_fit(table):
     unknown = ("parked_s", "battery_temperature_c", "occupants", "time_since_charge_s", "precipitation_mm_h")
     blind = table.assign(**dict.fromkeys(unknown, np.nan))
     model = BOOSTED.fit(blind.iloc[:3000])
@@ -167,13 +167,13 @@ def test_columns_that_nobody_measured_are_no_hindrance(table):
     assert np.isfinite(model.predict(table)).all()
 
 
-def test_vehicles_and_vehicle_models_never_seen_are_predicted(models, halves):
+def test_unseen_vehicles_and_vehicle_models_are_predicted(models, halves):
     strange = halves[1].iloc[:20].assign(vehicle_id="taxi-new", vehicle_model="horse")
     for model in models.values():
         assert np.isfinite(model.predict(strange)).all()
 
 
-def test_one_vehicle_model_alone_can_be_learned(table):
+def test_single_vehicle_model_can_be_fitted(table):
     alone = table[table["vehicle_model"] == MODELS[0]]
     model = BOOSTED.fit(alone)
     assert set(model.fits) == {MODELS[0], ANY}
@@ -194,26 +194,26 @@ def test_one_vehicle_model_alone_can_be_learned(table):
         (lambda t: t.assign(energy_kwh=1.5), "energy_kwh is 1.5 in all 200 rides: nothing can be learned"),
     ],
 )
-def test_rides_that_cannot_be_learned_from_are_refused(table, change, said):
+def test_rides_that_cannot_be_fitted_are_refused(table, change, said):
     for recipe in POOLED_RECIPES:
         with pytest.raises(ModelError, match=said):
             recipe.fit(change(table.iloc[:200]))
 
 
-def test_a_model_that_does_not_pool_cannot_be_told(models, table):
+def test_model_that_does_not_pool_cannot_be_adapted(models, table):
     with pytest.raises(ModelError, match="does not tell how vehicle models differ: fit one of a recipe that pools"):
         adapt(models["fitted_physical"], table.iloc[:10])
     with pytest.raises(ModelError, match="column 'stops' is missing"):
         adapt(models["pooled_hybrid"], table.iloc[:10].drop(columns="stops"))
 
 
-def test_a_model_without_trees_or_cars_is_that_of_the_terms(models, halves):
+def test_boosted_model_without_trees_and_cars_equals_the_pooled_model(models, halves):
     whole = models["boosted_hybrid"]
     bare = msgspec.structs.replace(whole, cars={}, correction=None)
     np.testing.assert_allclose(bare.predict(halves[1]), models["pooled_hybrid"].predict(halves[1]), rtol=1e-12)
 
 
-def test_a_vehicle_model_of_which_one_ride_is_known_is_pooled(table):
+def test_vehicle_model_with_one_ride_is_pooled(table):
     rare = table.iloc[:400].assign(vehicle_model=MODELS[0])
     rare.loc[rare.index[0], "vehicle_model"] = MODELS[1]
     model = BOOSTED.fit(rare)
@@ -221,7 +221,7 @@ def test_a_vehicle_model_of_which_one_ride_is_known_is_pooled(table):
     assert np.isfinite(model.predict(rare)).all()
 
 
-def test_being_told_known_rides_again_does_not_count_cars_and_trees_twice(models, halves):
+def test_adapting_to_predicted_energies_changes_no_prediction(models, halves):
     model = models["boosted_hybrid"]
     one = halves[0][halves[0]["vehicle_model"] == MODELS[0]]
     said = one.assign(energy_kwh=model.predict(one))
@@ -231,7 +231,7 @@ def test_being_told_known_rides_again_does_not_count_cars_and_trees_twice(models
     assert again.version != model.version
 
 
-def test_a_term_that_no_ride_showed_is_held_where_physics_has_it(table):
+def test_term_that_is_zero_in_all_rides_is_held_at_physics(table):
     mild = table.assign(ambient_c=table["ambient_c"].clip(lower=8.0))
     model = POOLED.fit(mild[mild["vehicle_model"] != MODELS[0]])
     new = table[table["vehicle_model"] == MODELS[0]].iloc[:30].copy()
@@ -241,7 +241,7 @@ def test_a_term_that_no_ride_showed_is_held_where_physics_has_it(table):
     assert told.fits[MODELS[0]].coefficients[place] == pytest.approx(SHARED_TERMS[place].physics, abs=1e-6)
 
 
-def test_the_version_tells_models_of_other_cars_apart(table):
+def test_version_depends_on_the_cars_of_the_rides(table):
     some = table.iloc[:600]
     swapped = some.assign(vehicle_id=some["vehicle_id"].iloc[::-1].to_numpy())
     assert BOOSTED.fit(some).version != BOOSTED.fit(swapped).version

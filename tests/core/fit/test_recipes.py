@@ -1,4 +1,4 @@
-"""Recipes are the paper's; what is planted comes back; what cannot be learned from is left out or refused."""
+"""Test that recipes equal those of the paper, recover planted coefficients, and refuse unusable rides."""
 
 import numpy as np
 import pandas as pd
@@ -24,7 +24,7 @@ FITTED = [name for name in PAPER if name not in {"basic_physical", "extended_phy
 
 @pytest.fixture(scope="module")
 def fleet() -> pd.DataFrame:
-    """2,000 rides of four vehicle models, of cars that lose in the drivetrain."""
+    """Return 2,000 rides of four vehicle models, with losses in the drivetrain."""
     table = rides(2000, seed=8)
     return noisy(table, physical_energy(table, {"rolling": 1.4, "climbing": 0.9}))
 
@@ -44,7 +44,7 @@ def test_recipes_are_named_and_ordered_as_in_the_paper():
         assert (RECIPES[name].name, RECIPES[name].title, len(RECIPES[name].terms)) == (name, title, terms)
 
 
-def test_terms_are_those_of_the_paper():
+def test_terms_equal_those_of_the_paper():
     squares = {f"{name} * {name}" for name in ("distance_km", "ambient_c", "speed_0_5_km", "soc_start_pct")}
     speeds = {f"average_speed_kmh * {other}" for other in ("lost_m", "odometer_km", "distance_km", "winter", "summer")}
     assert squares | speeds <= names(RECIPES["empirical_interactions"])
@@ -65,11 +65,11 @@ def test_no_recipe_reads_the_answer():
             assert not any(column.startswith(ANSWERS) for column in term.columns)
 
 
-def test_basic_physical_is_the_model_that_comes_with_the_product(fleet, models):
+def test_basic_physical_recipe_equals_the_built_in_model(fleet, models):
     assert models["basic_physical"].predict(fleet).tobytes() == BASIC_PHYSICAL.predict(fleet).tobytes()
 
 
-def test_each_vehicle_model_has_a_fit_and_there_is_one_for_any_other(fleet, models):
+def test_each_vehicle_model_has_a_fit_and_all_others_share_one(fleet, models):
     for name in PAPER:
         assert set(models[name].fits) == {*MODELS, ANY}
         assert {key: fit.rides for key, fit in models[name].fits.items()} == {
@@ -82,7 +82,7 @@ def test_each_vehicle_model_has_a_fit_and_there_is_one_for_any_other(fleet, mode
     assert np.isfinite(models["hybrid"].predict(stranger)).all()
 
 
-def test_in_sample_a_model_with_more_terms_is_never_worse(fleet, models):
+def test_model_with_more_terms_is_never_worse_in_sample(fleet, models):
     left = {name: np.sqrt(np.mean((models[name].predict(fleet) - fleet["energy_kwh"]) ** 2)) for name in PAPER}
     assert left["basic_physical"] > left["extended_physical"] > left["fitted_physical"] > left["hybrid"]
     assert left["hybrid"] > left["hybrid_interactions"]
@@ -90,15 +90,15 @@ def test_in_sample_a_model_with_more_terms_is_never_worse(fleet, models):
 
 
 @pytest.mark.parametrize("name", PAPER)
-def test_a_fitted_model_is_an_exact_file(name, fleet, models):
+def test_fitted_model_survives_its_file_exactly(name, fleet, models):
     read = decode_model(encode_model(models[name]))
     assert read == models[name]
     assert read.predict(fleet).tobytes() == models[name].predict(fleet).tobytes()
 
 
 @pytest.mark.parametrize("name", FITTED)
-def test_collinear_columns_do_not_make_coefficients_explode(name, fleet, models):
-    """No column moves the energy by more than a few times what energies differ by."""
+def test_collinear_columns_keep_coefficients_bounded(name, fleet, models):
+    """Check that no column moves the energy by more than three times the standard deviation of energies."""
     found = models[name]
     for key, fit in found.fits.items():
         own = fleet if key == ANY else fleet[fleet["vehicle_model"] == key]
@@ -112,8 +112,8 @@ def test_collinear_columns_do_not_make_coefficients_explode(name, fleet, models)
     assert np.abs(found.predict(shaken) - found.predict(fleet)).max() < 2.0
 
 
-def test_a_hybrid_without_its_redundant_terms_predicts_the_same(fleet, models):
-    """Of summer, and of one bin of the histogram, the other terms tell all."""
+def test_hybrid_without_redundant_terms_predicts_the_same(fleet, models):
+    """Check that summer and one bin of the histogram add nothing to the other terms."""
     full = RECIPES["hybrid"]
     kept = tuple(term for term in full.terms if term.name not in {"summer", "speed_100_105_km", "nominal_capacity_kwh"})
     least = LinearRecipe("least", "least", kept).fit(fleet)
@@ -123,8 +123,8 @@ def test_a_hybrid_without_its_redundant_terms_predicts_the_same(fleet, models):
         np.testing.assert_allclose(models["hybrid"].predict(own), least.predict(own), atol=1e-6)
 
 
-def test_rolling_resistance_that_goes_with_the_distance_but_for_rounding_does_not_explode():
-    """As of a car whose load is not known: then only the cosine of the grade tells one from the other."""
+def test_rolling_resistance_nearly_proportional_to_distance_stays_bounded():
+    """Plant rides of a car of unknown load: only the cosine of the grade distinguishes the two columns."""
     table = rides(1500, seed=5, models=MODELS[:1])
     table["effect_rolling"] = table["distance_km"] * 4.0 * (1.0 + 3e-4 * np.random.default_rng(1).standard_normal(1500))
     fit = RECIPES["hybrid"].fit(noisy(table, physical_energy(table))).fits[ANY]
@@ -132,7 +132,7 @@ def test_rolling_resistance_that_goes_with_the_distance_but_for_rounding_does_no
     assert np.sqrt(fit.covariance[0][0]) < 1.0
 
 
-def test_what_is_planted_comes_back_within_its_interval_as_often_as_it_says():
+def test_interval_covers_planted_coefficients_at_the_nominal_level():
     planted = {"rolling": 1.4, "aero_drag_wind": 1.1, "climbing": 0.85}
     table = rides(3000, seed=21, models=MODELS[:1], cars=20)
     energy = physical_energy(table, planted)
@@ -146,7 +146,7 @@ def test_what_is_planted_comes_back_within_its_interval_as_often_as_it_says():
     assert 0.90 <= np.mean(held) <= 0.98
 
 
-def test_kinetic_energy_that_whole_rides_do_not_tell_is_held_near_physics(fleet, models):
+def test_inertia_is_held_near_physics_where_rides_do_not_determine_it(fleet, models):
     for key, fit in models["fitted_physical"].fits.items():
         assert fit.held == ("inertia",), key
         assert abs(fit.coefficients[2] - 1.0) < 1.0
@@ -162,7 +162,7 @@ def test_kinetic_energy_that_whole_rides_do_not_tell_is_held_near_physics(fleet,
     assert fit.coefficients[2] == pytest.approx(1.3, abs=0.03)
 
 
-def test_unknown_values_are_filled_with_the_mean_of_those_that_are_known(fleet, models):
+def test_unknown_values_are_filled_with_the_mean_of_known_ones(fleet, models):
     since = fleet["time_since_charge_s"]
     assert models["hybrid"].fits[ANY].fills["time_since_charge_s"] == pytest.approx(since.mean())
     assert models["hybrid"].training.filled["time_since_charge_s"] == since.isna().sum()
@@ -172,7 +172,7 @@ def test_unknown_values_are_filled_with_the_mean_of_those_that_are_known(fleet, 
     assert np.isnan(models["hybrid"].predict(unknown)).all()
 
 
-def test_what_is_unfit_or_unmeasured_or_of_unknown_cars_is_left_out_and_counted(fleet):
+def test_rides_unfit_unmeasured_or_of_unknown_cars_are_left_out_and_counted(fleet):
     odd = fleet.copy()
     odd.loc[:9, "fit_for_training"] = False
     odd.loc[:9, "unfit_reason"] = "too_long"
@@ -186,22 +186,22 @@ def test_what_is_unfit_or_unmeasured_or_of_unknown_cars_is_left_out_and_counted(
     assert found.training.left_out == {"too_long": 10, "no_measured_energy": 5, "unknown_vehicle_or_effect": 3}
 
 
-def test_answers_in_the_table_change_nothing(fleet, models):
+def test_answer_columns_do_not_influence_the_fit(fleet, models):
     other = fleet.assign(soc_end_pct=1.0, hvac_kwh=2.0, energy_vi_kwh=3.0, energy_soc_kwh=4.0)
     assert RECIPES["hybrid"].fit(other) == models["hybrid"]
 
 
-def test_the_same_rides_give_the_same_model_and_others_another_version(fleet, models):
+def test_equal_rides_give_equal_models_and_other_rides_another_version(fleet, models):
     assert RECIPES["hybrid_interactions"].fit(fleet) == models["hybrid_interactions"]
     assert RECIPES["hybrid"].fit(fleet.iloc[:-1]).version != models["hybrid"].version
 
 
-def test_the_order_of_rides_does_not_matter(fleet, models):
+def test_fit_does_not_depend_on_the_order_of_rides(fleet, models):
     shuffled = RECIPES["hybrid_interactions"].fit(fleet.sample(frac=1.0, random_state=3))
     np.testing.assert_allclose(shuffled.predict(fleet), models["hybrid_interactions"].predict(fleet), atol=1e-6)
 
 
-def test_a_fit_without_covariance_has_the_same_coefficients(fleet, models):
+def test_fit_without_covariance_has_the_same_coefficients(fleet, models):
     for name in ("extended_physical", "hybrid"):
         quick = RECIPES[name].fit(fleet, covariance=False)
         for key, fit in quick.fits.items():
@@ -211,7 +211,7 @@ def test_a_fit_without_covariance_has_the_same_coefficients(fleet, models):
 
 @pytest.mark.parametrize("name", ["fitted_physical", "hybrid_interactions"])
 @pytest.mark.parametrize("groups", [37, 700])
-def test_a_file_read_by_row_groups_gives_the_model_of_the_table(name, groups, fleet, models, tmp_path):
+def test_fit_to_parquet_files_equals_fit_to_the_table(name, groups, fleet, models, tmp_path):
     half = len(fleet) // 2
     fleet.iloc[:half].to_parquet(tmp_path / "a.parquet", row_group_size=groups)
     fleet.iloc[half:].to_parquet(tmp_path / "b.parquet", row_group_size=groups)
@@ -223,7 +223,7 @@ def test_a_file_read_by_row_groups_gives_the_model_of_the_table(name, groups, fl
         np.testing.assert_allclose(np.diag(fit.covariance), np.diag(expected.covariance), rtol=1e-3)
 
 
-def test_too_few_rides_of_a_vehicle_model_are_predicted_by_the_fit_over_all(fleet):
+def test_vehicle_model_with_too_few_rides_uses_the_fit_over_all(fleet):
     rare = fleet["vehicle_model"] == MODELS[0]
     few = pd.concat([fleet[~rare], fleet[rare].iloc[:40]])
     found = RECIPES["hybrid"].fit(few)
@@ -245,13 +245,13 @@ def test_too_few_rides_of_a_vehicle_model_are_predicted_by_the_fit_over_all(flee
         (lambda t: t.assign(gained_m="steep"), "column 'gained_m' of the ride table is no number"),
     ],
 )
-def test_what_cannot_be_learned_from_is_refused_in_one_line(change, said, fleet):
+def test_rides_that_cannot_be_fitted_are_refused_in_one_line(change, said, fleet):
     with pytest.raises(ModelError) as caught:
         RECIPES["hybrid"].fit(change(fleet))
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_an_unknown_recipe_is_named_with_those_there_are():
+def test_unknown_recipe_is_refused_with_the_known_names():
     with pytest.raises(ModelError, match="recipe 'hybird' is unknown: known are basic_physical, extended_physical"):
         get_recipe("hybird")

@@ -1,4 +1,4 @@
-"""Normal equations added up block by block give the least squares of the whole, and intervals that hold."""
+"""Test that blockwise normal equations give least squares over all rows, and intervals of nominal coverage."""
 
 from itertools import pairwise
 
@@ -26,7 +26,7 @@ def moments_of(*blocks) -> Moments:
 
 
 def table(seed: int, rows: int = 200, width: int = 4) -> np.ndarray:
-    """Columns of very different sizes, far from zero, and what they explain."""
+    """Return columns of very different sizes, far from zero, and last the column that they explain."""
     rng = np.random.default_rng(seed)
     x = rng.normal(size=(rows, width)) * 10.0 ** np.arange(-3, width - 3) + 10.0 ** np.arange(width)
     y = 5.0 + x @ 10.0 ** -np.arange(-3.0, width - 3.0) + rng.normal(size=rows)
@@ -34,7 +34,7 @@ def table(seed: int, rows: int = 200, width: int = 4) -> np.ndarray:
 
 
 @given(st.integers(0, 2**32), st.lists(st.integers(0, 200), max_size=5))
-def test_moments_are_those_of_the_whole_however_rows_are_cut(seed, cuts):
+def test_moments_do_not_depend_on_the_division_into_blocks(seed, cuts):
     whole = table(seed)
     edges = [0, *sorted(cuts), len(whole)]
     found = moments_of(*(whole[a:b] for a, b in pairwise(edges)))
@@ -44,7 +44,7 @@ def test_moments_are_those_of_the_whole_however_rows_are_cut(seed, cuts):
     np.testing.assert_allclose(found.scatter / scale, np.cov(whole.T) * (len(whole) - 1) / scale, atol=1e-11)
 
 
-def test_large_means_cost_no_digits():
+def test_large_means_do_not_reduce_precision():
     rng = np.random.default_rng(1)
     x = 1e9 + rng.normal(size=2000)
     y = 3.0 * (x - 1e9) + rng.normal(size=2000)
@@ -55,9 +55,9 @@ def test_large_means_cost_no_digits():
 
 
 @pytest.mark.parametrize("constant", [True, False])
-def test_least_squares_are_those_of_scikit_learn(constant):
+def test_solution_equals_that_of_scikit_learn(constant):
     whole = table(3)
-    if not constant:  # else each column is a constant but for a thousandth, and they count as collinear
+    if not constant:  # otherwise each column is constant within a thousandth, and all count as collinear
         whole[:, :-1] -= 10.0 ** np.arange(4)
     found = solve(moments_of(*np.array_split(whole, 5)), constant=constant)
     expected = LinearRegression(fit_intercept=constant).fit(whole[:, :-1], whole[:, -1])
@@ -69,7 +69,7 @@ def test_least_squares_are_those_of_scikit_learn(constant):
     assert found.freedom == 196 - constant
 
 
-def test_collinear_columns_share_in_equal_parts_and_predict_as_well():
+def test_collinear_columns_share_coefficients_equally_and_predict_the_same():
     rng = np.random.default_rng(5)
     winter = (rng.random(500) < 0.25).astype(float)
     parts = rng.random((500, 6))
@@ -90,7 +90,7 @@ def test_collinear_columns_share_in_equal_parts_and_predict_as_well():
 
 
 @pytest.mark.parametrize("value", [0.0, 27.0, -1e6, 1e-9])
-def test_a_column_that_does_not_vary_counts_for_nothing(value):
+def test_constant_column_has_no_influence(value):
     whole = table(7)
     with_it = np.insert(whole, 2, value, axis=1)
     found = solve(moments_of(*np.array_split(with_it, 3)), constant=True)
@@ -100,7 +100,7 @@ def test_a_column_that_does_not_vary_counts_for_nothing(value):
     assert found.rank == without.rank
 
 
-def test_a_coefficient_is_pulled_as_by_one_more_observation():
+def test_weight_acts_as_one_more_observation_of_a_coefficient():
     whole = table(9)
     weight, toward = np.array([0.0, 4.0, 0.0, 0.0]), np.array([0.0, 7.0, 0.0, 0.0])
     pulled = solve(moments_of(whole), constant=False, weight=weight, toward=toward)
@@ -110,7 +110,7 @@ def test_a_coefficient_is_pulled_as_by_one_more_observation():
 
 
 def covered(seed: int, *, robust: bool) -> np.ndarray:
-    """Whether the 95 % interval of each planted coefficient, and of the constant, holds it."""
+    """Return whether the 95 % interval of each planted coefficient, and of the constant, contains it."""
     rng = np.random.default_rng(seed)
     cars, days, each = 15, 12, 6
     car, day = np.repeat(np.arange(cars), days * each), np.tile(np.repeat(np.arange(days), each), cars)
@@ -134,15 +134,15 @@ def covered(seed: int, *, robust: bool) -> np.ndarray:
 
 
 @pytest.mark.parametrize("robust", [False, True])
-def test_intervals_hold_what_was_planted_as_often_as_they_say(robust):
+def test_intervals_cover_planted_coefficients_at_the_nominal_level(robust):
     held = np.array([covered(seed, robust=robust) for seed in range(300)])
     assert 0.93 <= held.mean() <= 0.97
     assert (held.mean(axis=0) >= 0.90).all()
     assert (held.mean(axis=0) <= 0.98).all()
 
 
-def test_errors_that_hang_together_within_a_day_are_not_taken_for_independent():
-    """With the classical covariance, the interval of what varies by day alone would hold far too seldom."""
+def test_robust_covariance_accounts_for_errors_shared_within_a_day():
+    """The classical covariance is far too small for a column that varies only by day."""
     rng = np.random.default_rng(2)
     by_day = np.repeat(rng.normal(size=60), 20)
     y = np.repeat(rng.normal(size=60), 20) + 0.1 * rng.normal(size=1200)
@@ -155,7 +155,7 @@ def test_errors_that_hang_together_within_a_day_are_not_taken_for_independent():
     assert influence.robust(scores)[0, 0] > 8.0 * influence.classical()[0, 0]
 
 
-def test_classical_covariance_is_that_of_the_textbook():
+def test_classical_covariance_equals_the_textbook_formula():
     whole = table(11)
     moments = moments_of(whole)
     solution = solve(moments, constant=True)
@@ -164,7 +164,7 @@ def test_classical_covariance_is_that_of_the_textbook():
     np.testing.assert_allclose(Influence(moments, solution).classical(), expected, rtol=1e-5)
 
 
-def test_rides_of_a_car_and_day_are_in_one_group_wherever_they_stand():
+def test_rides_of_one_car_and_day_share_a_group():
     keys = [("a", "1"), ("b", "1"), ("a", "2"), ("a", "1")]
     cars, days = zip(*keys, strict=True)
     group = assign_groups(cars, days)
@@ -174,7 +174,7 @@ def test_rides_of_a_car_and_day_are_in_one_group_wherever_they_stand():
     assert assign_groups(cars[2:], days[2:]).tolist() == group[2:].tolist()
 
 
-def test_a_recipe_is_a_scikit_learn_estimator():
+def test_recipe_regressor_is_a_scikit_learn_estimator():
     found = noisy(rides(600, models=("kia-soul-ev-2015",)), np.zeros(600))
     energy = noisy(found, physical_energy(found))["energy_kwh"]
     estimator = RecipeRegressor("fitted_physical")
@@ -192,7 +192,7 @@ def test_a_recipe_is_a_scikit_learn_estimator():
         estimator.predict(found.select_dtypes("number").to_numpy())
 
 
-def test_fitting_an_estimator_changes_neither_table_nor_energy():
+def test_fit_of_an_estimator_changes_neither_table_nor_energy():
     found = rides(300)
     energy = pd.Series(physical_energy(found))
     before = found.copy(deep=True), energy.copy(deep=True)

@@ -1,4 +1,4 @@
-"""The segment model: energies shared out add up, what is planted is learnt, and the same seed learns the same."""
+"""Test that shared-out energies add up, and that the segment model learns a planted relation reproducibly."""
 
 import numpy as np
 import pandas as pd
@@ -9,7 +9,7 @@ from core.fit.segment_network import SEGMENT_FEATURES, SegmentRecipe, build_segm
 
 
 def windows(rides=300, seed=1, models=("leaf", "soul")):
-    """Return windows of rides, and the energy of each: not linear in what is known of them."""
+    """Return windows, rides, and the energy of each window, which is not linear in the features. [kWh]"""
     rng = np.random.default_rng(seed)
     count = rng.integers(2, 9, rides)
     ride = np.repeat(np.arange(rides), count)
@@ -32,7 +32,7 @@ def table():
     return windows()
 
 
-def test_what_a_ride_took_is_shared_out_and_nothing_is_lost(table):
+def test_shared_out_energies_add_up_to_the_energy_of_the_ride(table):
     frame, rides, _ = table
     ride = frame["ride_key"].str.removeprefix("car#").astype(int).to_numpy()
     features, energy = frame[["effect_climbing_up", "distance_km"]].to_numpy(), rides["energy_kwh"].to_numpy()
@@ -40,7 +40,7 @@ def test_what_a_ride_took_is_shared_out_and_nothing_is_lost(table):
     np.testing.assert_allclose(np.bincount(ride, weights=shares), energy, rtol=1e-9)
 
 
-def test_what_is_linear_is_shared_out_exactly(table):
+def test_linear_energy_is_shared_out_exactly(table):
     frame, _, _ = table
     ride = frame["ride_key"].str.removeprefix("car#").astype(int).to_numpy()
     features = frame[["effect_climbing_up", "distance_km"]].to_numpy()
@@ -49,7 +49,7 @@ def test_what_is_linear_is_shared_out_exactly(table):
     np.testing.assert_allclose(found, true, rtol=1e-6)
 
 
-def test_a_planted_relation_that_is_not_linear_is_learnt(table):
+def test_planted_nonlinear_relation_is_learned(table):
     frame, rides, _ = table
     train, test = rides.iloc[::2], rides.iloc[1::2]
     said = SegmentRecipe(build_segments(frame)).fit(train).predict(test)
@@ -58,7 +58,7 @@ def test_a_planted_relation_that_is_not_linear_is_learnt(table):
     assert not np.isnan(said).any()
 
 
-def test_the_same_seed_learns_the_same_and_predictions_are_by_ride(table):
+def test_equal_seeds_give_equal_predictions_in_any_order_of_rides(table):
     frame, rides, _ = table
     recipe = SegmentRecipe(build_segments(frame.sample(frac=1.0, random_state=3)))
     one, two = (recipe.fit(rides.iloc[:200]) for _ in range(2))
@@ -68,7 +68,7 @@ def test_the_same_seed_learns_the_same_and_predictions_are_by_ride(table):
     np.testing.assert_allclose(one.predict(back), said[back.index], rtol=1e-12)
 
 
-def test_a_vehicle_model_that_was_not_seen_is_predicted_by_all_others_together(table):
+def test_unseen_vehicle_model_is_predicted_by_the_network_of_all_rides(table):
     frame, rides, _ = table
     model = SegmentRecipe(build_segments(frame)).fit(rides)
     new = model.predict(rides.assign(vehicle_model="horse"))
@@ -76,7 +76,7 @@ def test_a_vehicle_model_that_was_not_seen_is_predicted_by_all_others_together(t
     assert not np.array_equal(new, model.predict(rides))
 
 
-def test_a_ride_without_windows_is_not_guessed_and_an_unknown_value_is_no_obstacle(table):
+def test_ride_without_windows_is_nan_and_unknown_values_are_accepted(table):
     frame, rides, _ = table
     frame = frame[frame["ride_key"] != "car#7"].copy()
     frame.loc[frame.index[::5], "precipitation_mm_h"] = np.nan
@@ -85,7 +85,7 @@ def test_a_ride_without_windows_is_not_guessed_and_an_unknown_value_is_no_obstac
     assert np.flatnonzero(np.isnan(said)).tolist() == [7]
 
 
-def test_too_few_rides_and_missing_columns_are_refused_in_one_line(table):
+def test_too_few_rides_and_missing_columns_are_refused(table):
     frame, rides, _ = table
     with pytest.raises(ModelError, match="needs 50: give more rides"):
         SegmentRecipe(build_segments(frame)).fit(rides.iloc[:20])

@@ -1,4 +1,4 @@
-"""Derived columns: laws of each, and unknown stays unknown."""
+"""Test the laws of derived columns, and that unknown inputs give unknown values."""
 
 import numpy as np
 import pint
@@ -16,7 +16,7 @@ NUMBERS = st.floats(-60.0, 60.0)
 
 
 @pytest.mark.parametrize("name", DERIVED_COLUMNS)
-def test_each_is_made_row_by_row_of_what_it_needs_alone(name):
+def test_derived_column_is_computed_row_by_row_from_its_inputs_only(name):
     filled = TABLE.fillna({"battery_temperature_c": 3.0})
     own = {column: filled[column] for column in list_raw_columns(name)}
     whole = Columns(own)[name]
@@ -26,19 +26,19 @@ def test_each_is_made_row_by_row_of_what_it_needs_alone(name):
 
 
 @pytest.mark.parametrize("name", DERIVED_COLUMNS)
-def test_what_is_unknown_makes_it_unknown(name):
+def test_unknown_input_makes_derived_column_unknown(name):
     for column in list_raw_columns(name):
         blind = TABLE.assign(**{column: np.nan})
         assert np.isnan(Columns(blind)[name]).all()
 
 
 @pytest.mark.parametrize("name", DERIVED_COLUMNS)
-def test_units_are_units(name):
+def test_units_are_known_to_pint(name):
     assert pint.UnitRegistry().Unit(get_unit(name).replace("percent", "1")) is not None
 
 
 @given(temperature=NUMBERS)
-def test_a_cabin_is_never_heated_and_cooled_at_once(temperature):
+def test_cabin_is_never_heated_and_cooled_at_once(temperature):
     outside = np.array([temperature])
     heating, cooling = (
         derived_features.compute_heating_need(outside)[0],
@@ -51,7 +51,7 @@ def test_a_cabin_is_never_heated_and_cooled_at_once(temperature):
 
 
 @given(time=st.floats(0.0, 1e7), more=st.floats(0.0, 1e6))
-def test_warming_up_and_cooling_down_go_from_nothing_to_all(time, more):
+def test_warm_up_and_soak_shares_rise_from_zero_to_one(time, more):
     for made in (derived_features.compute_warm_up_share, derived_features.compute_soak_share):
         early, late = made(np.array([time, time + more]))
         assert 0.0 <= early <= late <= 1.0
@@ -60,7 +60,7 @@ def test_warming_up_and_cooling_down_go_from_nothing_to_all(time, more):
     )
 
 
-def test_the_sun_of_montreal():
+def test_sun_stands_at_its_known_height_over_montreal():
     noon, midnight = 1529596800.0, 1529640000.0  # 21 June 2018, 16:00 UTC, and twelve hours on
     heights = derived_features.compute_sun_sine(np.array([noon, midnight]), np.full(2, 45.5), np.full(2, -73.6))
     assert np.degrees(np.arcsin(heights[0])) == pytest.approx(67.0, abs=4.0)
@@ -71,17 +71,17 @@ def test_the_sun_of_montreal():
     assert np.degrees(np.arcsin(december[0])) == pytest.approx(21.0, abs=4.0)
 
 
-def test_basic_energy_is_that_of_the_basic_physical_model():
+def test_basic_energy_equals_the_basic_physical_model():
     np.testing.assert_allclose(Columns(TABLE)["basic_kwh"], BASIC_PHYSICAL.predict(TABLE), rtol=1e-12)
 
 
-def test_a_ride_has_a_size_even_where_it_goes_nowhere():
+def test_ride_without_motion_has_the_smallest_size():
     still = TABLE.assign(effect_rolling=0.0, effect_accessories=0.0, distance_km=0.0)
     assert (Columns(still)["size_kwh"] == derived_features.SMALLEST_RIDE).all()
     assert (Columns(TABLE)["size_kwh"] > derived_features.SMALLEST_RIDE).all()
     assert np.isnan(Columns(still)["stops_per_km"]).all()
 
 
-def test_battery_full_or_cold():
+def test_battery_fullness_and_frost_start_at_their_thresholds():
     assert derived_features.compute_battery_fullness(np.array([50.0, 88.0, 98.0])).tolist() == [0.0, 0.0, 10.0]
     assert derived_features.compute_battery_frost(np.array([25.0, 5.0, -5.0])).tolist() == [0.0, 0.0, 10.0]

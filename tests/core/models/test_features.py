@@ -1,4 +1,4 @@
-"""What a model may read: every column is known in mid-ride, has a unit, and holds no answer."""
+"""Test that every column a model may read is known during a ride, has a unit, and does not hold the answer."""
 
 import numpy as np
 import pandas as pd
@@ -32,21 +32,21 @@ def test_coefficient_times_columns_is_an_energy(columns, units):
 
 
 @pytest.mark.parametrize("column", ["soc_end_pct", "energy_kwh", "energy_soc_kwh", "energy_vi_sd_kwh", "hvac_kwh"])
-def test_what_holds_the_answer_is_no_feature(column):
+def test_column_that_holds_the_answer_is_no_feature(column):
     assert column not in FEATURES
     with pytest.raises(ModelError, match="holds what is to be predicted"):
         get_unit(column)
 
 
 @pytest.mark.parametrize("column", ["distance", "vehicle_id", "", "quality_gap", "unfit_reason"])
-def test_unknown_columns_are_named(column):
+def test_unknown_column_is_refused_by_name(column):
     with pytest.raises(ModelError, match=f"column {column!r} is not one that a model can read"):
         get_unit(column)
     with pytest.raises(EffectError, match="effect 'nothing' is unknown"):
         get_unit("effect_nothing")
 
 
-def test_every_feature_is_a_number_in_the_ride_table_and_known_in_mid_ride():
+def test_every_feature_is_numeric_and_available_during_a_ride():
     pipeline = Pipeline()
     table = pipeline.take_rides()
     running = model_columns(pipeline.ledger.running(np.empty(0, np.int64)), pipeline.context, ["winter", "vehicle_id"])
@@ -57,14 +57,14 @@ def test_every_feature_is_a_number_in_the_ride_table_and_known_in_mid_ride():
         assert column in FEATURES or column.startswith("effect_"), column
 
 
-def test_the_wind_blows_from_where_it_says():
+def test_wind_components_follow_the_direction_the_wind_comes_from():
     table = pd.DataFrame({"wind_from_deg": [0.0, 90.0, 180.0, 270.0, 359.999999, np.nan]})
     north, east = Columns(table)["wind_from_north"], Columns(table)["wind_from_east"]
     np.testing.assert_allclose(north, [1.0, 0.0, -1.0, 0.0, 1.0, np.nan], atol=1e-7)
     np.testing.assert_allclose(east, [0.0, 1.0, 0.0, -1.0, 0.0, np.nan], atol=1e-7)
 
 
-def test_accessories_take_power_by_the_curve_for_as_long_as_the_ride_takes():
+def test_accessory_energy_is_curve_power_times_duration_and_scale():
     table = rides(50)
     power = PLANTED.power(table["ambient_c"].to_numpy() + ZERO_CELSIUS) * table["accessory_scale"]
     expected = table["duration_s"] / 3600.0 * power / 1000.0
@@ -73,7 +73,7 @@ def test_accessories_take_power_by_the_curve_for_as_long_as_the_ride_takes():
         _ = Columns(table)["accessories_kwh"]
 
 
-def test_fills_stand_for_what_is_unknown_and_for_nothing_else():
+def test_fills_replace_only_unknown_values():
     table = pd.DataFrame({"ambient_c": [np.nan, 5.0], "wind_from_deg": [np.nan, 90.0], "lost_m": [np.nan, 2.0]})
     seen = Columns(table, {"ambient_c": -3.0, "wind_from_east": 0.25})
     assert seen["ambient_c"].tolist() == [-3.0, 5.0]
@@ -86,7 +86,7 @@ MIDNIGHT = 1_527_811_200.0
 """1 June 2018, UTC."""
 
 
-def test_a_scope_is_one_where_a_term_holds_and_zero_elsewhere():
+def test_scope_is_one_where_a_term_holds_and_zero_elsewhere():
     table = pd.DataFrame(
         {"vehicle_id": ["a", "b", None, "a"], "start_s": [MIDNIGHT - 1e-3, MIDNIGHT, MIDNIGHT + 1.0, np.nan]}
     )
@@ -109,12 +109,12 @@ def test_a_scope_is_one_where_a_term_holds_and_zero_elsewhere():
         ("vehicle= ", "names no vehicle: write vehicle=ID"),
     ],
 )
-def test_a_damaged_scope_is_told(scope, said):
+def test_malformed_scope_is_refused(scope, said):
     with pytest.raises(ModelError, match=said):
         get_unit(scope)
 
 
-def test_a_vehicle_may_be_called_anything():
+def test_scope_accepts_any_vehicle_name():
     table = pd.DataFrame({"vehicle_id": ["vehicle=a=b", "since=2018-06-01", "é 1"]})
     for i, name in enumerate(table["vehicle_id"]):
         assert get_unit(f"vehicle={name}") == "1"

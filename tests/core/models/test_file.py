@@ -1,4 +1,4 @@
-"""Model files are exact round trips, are read by people, and say in a line what is wrong with them."""
+"""Test that model files are exact round trips and readable, and that damaged ones are refused in one line."""
 
 import json
 
@@ -92,14 +92,14 @@ def test_model_file_is_an_exact_round_trip(model):
     assert json.loads(content) == json.loads(msgspec.json.encode(model))
 
 
-def test_a_fleet_saved_and_loaded_predicts_the_same_to_the_bit(tmp_path):
+def test_model_of_several_vehicle_models_predicts_the_same_bits_after_loading(tmp_path):
     save(FLEET, tmp_path / "model.json")
     read = load(tmp_path / "model.json")
     assert read == stamp(FLEET)
     assert read.predict(fleet()).tobytes() == FLEET.predict(fleet()).tobytes()
 
 
-def test_numbers_of_a_fit_stand_on_one_line():
+def test_numbers_of_a_fit_are_written_on_one_line():
     lines = encode_model(FLEET).decode().splitlines()
     assert '      "coefficients": [0.2, 0.001, 1.0, 0.05],' in lines
     odd = msgspec.structs.replace(FLEET, history=({"said": "[\n 1,\n 2\n ]"},))
@@ -107,7 +107,7 @@ def test_numbers_of_a_fit_stand_on_one_line():
 
 
 @pytest.mark.parametrize("model", BUILT_IN_MODELS.values(), ids=lambda m: m.name)
-def test_saved_and_loaded_it_predicts_the_same(model, tmp_path):
+def test_built_in_model_predicts_the_same_bits_after_loading(model, tmp_path):
     save(model, tmp_path / "model.json")
     read = load(tmp_path / "model.json")
     columns = ride_columns(model, steps(4, 7))
@@ -117,7 +117,7 @@ def test_saved_and_loaded_it_predicts_the_same(model, tmp_path):
 
 
 def write_edited(path, **changes):
-    """Write a model file, and then change fields of it by hand."""
+    """Write a model file, then change fields in its text."""
     save(EXTENDED_PHYSICAL, path)
     path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
 
@@ -167,7 +167,7 @@ def test_stamped_model_keeps_its_version_through_a_file(model):
     assert stamp(decode_model(encode_model(stamped))) == stamped
 
 
-def test_model_file_is_read_by_people(tmp_path):
+def test_model_file_has_one_readable_field_per_line(tmp_path):
     save(BASIC_PHYSICAL, tmp_path / "model.json")
     lines = (tmp_path / "model.json").read_text().splitlines()
     assert '  "name": "basic_physical",' in lines
@@ -235,7 +235,7 @@ FORMAT_1 = json.dumps(
         ),
     ],
 )
-def test_bad_model_file_says_what_in_one_line(content, said, tmp_path):
+def test_bad_model_file_is_refused_in_one_line(content, said, tmp_path):
     path = tmp_path / "model.json"
     path.write_bytes(content)
     with pytest.raises(ModelError) as caught:
@@ -245,7 +245,7 @@ def test_bad_model_file_says_what_in_one_line(content, said, tmp_path):
     assert "\n" not in str(caught.value)
 
 
-def test_unknown_name_absent_file_and_folder(tmp_path):
+def test_unknown_name_absent_file_and_folder_are_refused(tmp_path):
     with pytest.raises(ModelError, match=r"model 'hybird' is unknown: name one of basic_physical, extended_physical"):
         load("hybird")
     with pytest.raises(ModelError, match=r"no\.json: cannot read a model: No such file"):
@@ -257,7 +257,7 @@ def test_unknown_name_absent_file_and_folder(tmp_path):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_numbers_that_are_not_finite_are_not_written(value, tmp_path):
+def test_model_with_non_finite_numbers_is_not_written(value, tmp_path):
     bad = Fit(coefficients=(value, 1.0, 1.0, 1.0))
     with pytest.raises(ModelError, match=r"coefficient of 'rolling' is (nan|inf)"):
         save(msgspec.structs.replace(BASIC_PHYSICAL, fits={ANY: bad}), tmp_path / "model.json")

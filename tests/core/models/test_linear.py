@@ -1,4 +1,4 @@
-"""The physical models are the paper's equations; prediction is row by row."""
+"""Test that the physical models equal the equations of the paper, and that prediction works row by row."""
 
 from itertools import pairwise
 
@@ -18,7 +18,7 @@ from tests.support.linear_models import CURVE, FLEET, LEAF, fleet, model_of, rid
 
 
 def equation_1(signals) -> np.ndarray:
-    """Equation (1) as the paper prints it: v in km/h, d in km, E in kWh."""
+    """Return equation (1) as the paper prints it, with v in km/h, d in km and E in kWh. [kWh]"""
     m, a = signals["mass"], signals["acceleration"]
     theta = np.arcsin(signals["grade"])
     f, rho, cx, area, g = (
@@ -38,21 +38,21 @@ def equation_1(signals) -> np.ndarray:
 
 
 @given(st.integers(0, 2**32))
-def test_basic_physical_is_equation_1(seed):
+def test_basic_physical_model_equals_equation_1(seed):
     signals = steps(seed, 50)
     predicted = BASIC_PHYSICAL.predict(ride_columns(BASIC_PHYSICAL, signals))
     np.testing.assert_allclose(predicted, equation_1(signals), rtol=1e-11, atol=1e-15)
 
 
 @given(st.integers(0, 2**32))
-def test_extended_physical_adds_the_accessories(seed):
+def test_extended_physical_model_adds_the_accessories(seed):
     signals = steps(seed, 50)
     predicted = EXTENDED_PHYSICAL.predict(ride_columns(EXTENDED_PHYSICAL, signals))
     accessories = ACCESSORIES.power(signals["ambient"]) * 3.0 / JOULES_PER_KWH
     np.testing.assert_allclose(predicted, equation_1(signals) + accessories, rtol=1e-11, atol=1e-15)
 
 
-def test_a_kilometre_at_50_kmh_in_a_leaf_by_hand():
+def test_kilometre_at_50_kmh_in_a_leaf_matches_manual_calculation():
     speed = 50 / 3.6
     signals = {
         "dt": np.array([1000 / speed]),
@@ -70,7 +70,7 @@ def test_a_kilometre_at_50_kmh_in_a_leaf_by_hand():
     assert EXTENDED_PHYSICAL.predict(columns)[0] == pytest.approx(0.0645, abs=5e-5)
 
 
-def test_needs_and_effects_of_the_physical_models():
+def test_physical_models_list_their_needs_and_effects():
     assert BASIC_PHYSICAL.effects == ("rolling", "climbing", "aero_drag", "inertia")
     assert EXTENDED_PHYSICAL.effects == (*BASIC_PHYSICAL.effects, "accessories")
     assert set(BASIC_PHYSICAL.needs) == {f"effect_{e}" for e in BASIC_PHYSICAL.effects} | {
@@ -80,7 +80,7 @@ def test_needs_and_effects_of_the_physical_models():
 
 
 @given(st.integers(0, 2**32), st.lists(st.integers(0, 40), max_size=6))
-def test_prediction_is_the_same_to_the_bit_however_rows_are_cut(seed, cuts):
+def test_physical_prediction_of_a_row_does_not_depend_on_other_rows(seed, cuts):
     columns = ride_columns(EXTENDED_PHYSICAL, steps(seed, 40))
     whole = EXTENDED_PHYSICAL.predict(columns)
     edges = [0, *sorted(cuts), 40]
@@ -88,7 +88,7 @@ def test_prediction_is_the_same_to_the_bit_however_rows_are_cut(seed, cuts):
     assert np.concatenate(parts).tobytes() == whole.tobytes()
 
 
-def test_prediction_learns_nothing_and_changes_nothing():
+def test_prediction_changes_neither_model_nor_columns():
     columns = ride_columns(EXTENDED_PHYSICAL, steps(1, 10))
     before = {name: column.copy() for name, column in columns.items()}
     for column in columns.values():
@@ -99,24 +99,24 @@ def test_prediction_learns_nothing_and_changes_nothing():
 
 
 @pytest.mark.parametrize("name", EXTENDED_PHYSICAL.needs)
-def test_nan_where_a_needed_column_is_nan_and_nowhere_else(name):
+def test_prediction_is_nan_only_where_a_needed_column_is_nan(name):
     columns = ride_columns(EXTENDED_PHYSICAL, steps(2, 5))
     columns[name][3] = np.nan
     assert np.isnan(EXTENDED_PHYSICAL.predict(columns)).tolist() == [False, False, False, True, False]
 
 
-def test_a_table_will_do_and_other_columns_do_not_matter():
+def test_prediction_accepts_a_table_and_ignores_other_columns():
     columns = ride_columns(BASIC_PHYSICAL, steps(3, 5))
     table = pd.DataFrame({**columns, "driver_id": "d"})
     assert BASIC_PHYSICAL.predict(table).tobytes() == BASIC_PHYSICAL.predict(columns).tobytes()
 
 
-def test_missing_column_is_named():
+def test_missing_column_is_refused_by_name():
     with pytest.raises(ModelError, match=r"basic_physical: column 'effect_inertia' is missing"):
         BASIC_PHYSICAL.predict({n: np.ones(1) for n in BASIC_PHYSICAL.needs if n != "effect_inertia"})
 
 
-def test_no_rows_and_constant_terms():
+def test_prediction_handles_no_rows_and_constant_terms():
     assert BASIC_PHYSICAL.predict({n: np.empty(0) for n in BASIC_PHYSICAL.needs}).shape == (0,)
     constant = model_of(Term(name="one", columns=(), unit="kWh"), fits={ANY: Fit(coefficients=(0.25,))})
     assert constant.predict({"distance_km": np.zeros(3)}).tolist() == [0.25, 0.25, 0.25]
@@ -124,7 +124,7 @@ def test_no_rows_and_constant_terms():
 
 
 def by_hand(ride) -> float:
-    """What FLEET says of a ride, written out."""
+    """Return the prediction of FLEET for a ride, written out term by term. [kWh]"""
     fit = FLEET.fits.get(ride.vehicle_model, FLEET.fits[ANY])
     distance = fit.fills.get("distance_km", np.nan) if np.isnan(ride.distance_km) else ride.distance_km
     east = np.sin(np.radians(ride.wind_from_deg))
@@ -137,7 +137,7 @@ def by_hand(ride) -> float:
     return total * (1.125 if ride.vehicle_id == "b" else 1.0)
 
 
-def test_each_vehicle_model_has_its_fit_and_each_car_its_factor():
+def test_prediction_uses_fit_of_vehicle_model_and_factor_of_car():
     rides = fleet()
     expected = [by_hand(ride) for ride in rides.itertuples()]
     np.testing.assert_allclose(FLEET.predict(rides), expected, rtol=1e-12)
@@ -145,7 +145,7 @@ def test_each_vehicle_model_has_its_fit_and_each_car_its_factor():
     assert 10 < known.sum() < len(rides)
 
 
-def test_needs_name_what_derived_columns_and_fits_read():
+def test_needs_include_columns_behind_derived_columns_and_fits():
     assert FLEET.needs == (
         "distance_km",
         "wind_from_deg",
@@ -163,7 +163,7 @@ def test_needs_name_what_derived_columns_and_fits_read():
 
 
 @given(st.integers(0, 2**32), st.lists(st.integers(0, 60), max_size=6))
-def test_a_fleet_is_predicted_the_same_to_the_bit_however_rows_are_cut(seed, cuts):
+def test_prediction_of_a_row_does_not_depend_on_other_rows(seed, cuts):
     rides = fleet(60, seed)
     whole = FLEET.predict(rides)
     edges = [0, *sorted(cuts), 60]
@@ -173,20 +173,20 @@ def test_a_fleet_is_predicted_the_same_to_the_bit_however_rows_are_cut(seed, cut
     assert FLEET.predict(rides.iloc[order]).tobytes() == whole[order].tobytes()
 
 
-def test_a_fleet_is_predicted_without_touching_the_table():
+def test_prediction_does_not_change_the_table():
     rides = fleet()
     before = rides.copy(deep=True)
     FLEET.predict(rides)
     pd.testing.assert_frame_equal(rides, before)
 
 
-def test_without_a_fit_for_all_others_their_energy_is_unknown():
+def test_prediction_is_unknown_for_vehicle_models_without_a_fit():
     lone = msgspec.structs.replace(FLEET, fits={"leaf": FLEET.fits["leaf"]}, correction=None)
     rides = fleet()
     known = ~np.isnan(lone.predict(rides))
     assert set(rides["vehicle_model"][known]) == {"leaf"}
 
 
-def test_an_interval_is_asked_for_only_where_there_is_one():
+def test_interval_of_a_model_without_calibration_is_refused():
     with pytest.raises(ModelError, match="has no prediction interval"):
         FLEET.predict_interval(fleet())

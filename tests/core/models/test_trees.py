@@ -1,4 +1,4 @@
-"""Trees taken out of scikit-learn repeat its predictions; damaged ones are refused; small is what is fitted."""
+"""Test that exported trees predict as scikit-learn, that fitted trees are small, and that damaged ones are refused."""
 
 from itertools import pairwise
 
@@ -21,13 +21,13 @@ NAMES = ("ambient_c", "duration_s", "stops", "occupants")
 
 @pytest.fixture(scope="module")
 def one_thread():
-    """Threads that wait for each other take seconds for what takes milliseconds."""
+    """Limit the linear algebra to one thread, as threads that wait for each other are far slower."""
     with threadpool_limits(1):
         yield
 
 
 def features(rows: int, seed: int, unknown: float = 0.1) -> np.ndarray:
-    """Numbers of very different size, some of them unknown."""
+    """Return features of very different size, some of them unknown."""
     random = np.random.default_rng(seed)
     table = random.normal(size=(rows, len(NAMES))) * [10.0, 1e6, 1e-6, 1.0]
     table[:, 3] = np.round(table[:, 3])
@@ -51,7 +51,7 @@ def answers(table: np.ndarray, seed: int) -> np.ndarray:
     unknown=st.sampled_from([0.0, 0.05, 0.6]),
     loss=st.sampled_from(["squared_error", "absolute_error"]),
 )
-def test_prediction_is_that_of_scikit_learn(seed, unknown, loss):
+def test_exported_trees_predict_as_scikit_learn(seed, unknown, loss):
     table = features(600, seed, unknown)
     model = HistGradientBoostingRegressor(loss=loss, max_iter=15, min_samples_leaf=5, random_state=0)
     model.fit(table, answers(table, seed))
@@ -60,14 +60,14 @@ def test_prediction_is_that_of_scikit_learn(seed, unknown, loss):
     np.testing.assert_allclose(trees.sum_leaves(asked), model.predict(asked), rtol=0.0, atol=1e-10)
 
 
-def test_a_feature_known_in_training_and_unknown_later_goes_where_scikit_learn_sends_it():
+def test_feature_unknown_only_in_prediction_follows_scikit_learn():
     table = features(500, 3, unknown=0.0)
     model = make_booster().fit(table, answers(table, 3))
     table[::3, 0] = np.nan
     np.testing.assert_allclose(export_trees(model, NAMES).sum_leaves(table), model.predict(table), atol=1e-10)
 
 
-def test_where_all_that_is_known_goes_left_the_file_can_say_so():
+def test_infinite_threshold_survives_the_file():
     table = np.where(np.random.default_rng(0).random((400, 1)) < 0.5, np.nan, 5.0)
     target = np.isnan(table[:, 0]) * 1.0
     model = make_booster().fit(table, target)
@@ -83,7 +83,7 @@ def fitted() -> Trees:
     return fit_trees(table, NAMES, answers(table, 1), np.ones(1500), per="distance_km")
 
 
-def test_what_is_planted_is_found(fitted):
+def test_planted_relation_is_learned(fitted):
     table = features(1500, 2)
     truth = answers(table, 2)
     left = truth - fitted.sum_leaves(table)
@@ -97,45 +97,45 @@ def test_trees_are_few_and_small(fitted):
     assert max(leaves) <= LEAVES
 
 
-def test_the_sum_is_multiplied_with_the_column_and_columns_come_by_name(fitted):
+def test_prediction_reads_columns_by_name_and_multiplies_by_the_per_column(fitted):
     table = features(50, 5)
     columns = pd.DataFrame(table, columns=list(NAMES)).assign(distance_km=np.arange(50.0), other=1.0)
     assert fitted.needs == (*fitted.features, "distance_km")
     assert fitted.predict(columns).tobytes() == (fitted.sum_leaves(table) * np.arange(50.0)).tobytes()
 
 
-def test_rows_are_predicted_one_by_one_as_all_together(fitted):
+def test_prediction_of_a_row_does_not_depend_on_other_rows(fitted):
     columns = pd.DataFrame(features(40, 6), columns=list(NAMES)).assign(distance_km=3.0)
     one_by_one = np.concatenate([fitted.predict(columns.iloc[i : i + 1]) for i in range(40)])
     assert one_by_one.tobytes() == fitted.predict(columns).tobytes()
 
 
-def test_a_missing_column_is_named(fitted):
+def test_missing_column_is_refused_by_name(fitted):
     with pytest.raises(ModelError, match="column 'stops' is missing"):
         fitted.predict({name: np.ones(3) for name in (*NAMES, "distance_km") if name != "stops"})
 
 
-def test_files_are_exact(fitted):
+def test_trees_survive_their_file_exactly(fitted):
     again = msgspec.json.decode(msgspec.json.encode(fitted), type=Trees)
     assert again == fitted
     table = features(100, 4)
     assert again.sum_leaves(table).tobytes() == fitted.sum_leaves(table).tobytes()
 
 
-def test_features_that_tell_nothing_are_left_out():
+def test_features_without_information_are_left_out():
     table = features(300, 8, unknown=0.0)
     table[:, 1], table[:, 2] = np.nan, 7.0
     trees = fit_trees(table, NAMES, answers(table, 8), np.ones(300))
     assert trees.features == ("ambient_c", "occupants")
 
 
-def test_where_no_feature_tells_the_answer_is_the_mean():
+def test_trees_answer_the_mean_without_informative_features():
     trees = fit_trees(np.full((50, 4), np.nan), NAMES, np.arange(50.0), np.ones(50))
     assert (trees.features, trees.roots, trees.baseline) == ((), (), 24.5)
     assert trees.sum_leaves(np.empty((3, 0))).tolist() == [24.5] * 3
 
 
-def test_weights_tell_which_rides_count():
+def test_rides_with_small_weight_have_little_influence():
     table = features(400, 9, unknown=0.0)
     target = np.where(np.arange(400) % 2 == 0, 1.0, 3.0)
     trees = fit_trees(table, NAMES, target, np.where(target == 1.0, 1.0, 1e-6))
@@ -167,7 +167,7 @@ GOOD = {
         ({"baseline": float("inf")}, "not finite"),
     ],
 )
-def test_arrays_that_are_no_trees_are_refused(change, said):
+def test_malformed_trees_are_refused(change, said):
     assert Trees(**GOOD).sum_leaves(np.array([[0.5], [1.0], [1.5], [np.nan]])).tolist() == [-1.0, -1.0, 1.0, -1.0]
     with pytest.raises(ValueError, match=said):
         Trees(**(GOOD | change))
