@@ -1,4 +1,4 @@
-"""Ten thousand bad payloads among good ones: nothing raises, nothing good is lost, everything is counted."""
+"""Test bad payloads among valid ones: none raises an error, no valid sample is lost, and every message is counted."""
 
 import json
 
@@ -65,8 +65,8 @@ LITERALS = (
 )
 
 
-def mutated(rng):
-    """Return a payload that was valid once."""
+def mutate_payload(rng):
+    """Return a valid payload with a random change."""
     kind = int(rng.integers(0, 9))
     value = dict(SEEDS[int(rng.integers(0, len(SEEDS)))])
     name = list(value)[int(rng.integers(0, len(value)))]
@@ -92,16 +92,17 @@ def mutated(rng):
     return json.dumps(value).encode()
 
 
-def fuzzed(seed, n=FUZZED):
+def make_bad_messages(seed, n=FUZZED):
+    """Return messages with random keys and changed payloads."""
     rng = np.random.default_rng(seed)
     return [
-        Message(KEYS[int(rng.integers(0, len(KEYS)))], mutated(rng), int(rng.integers(-(2**62), 2**62)))
+        Message(KEYS[int(rng.integers(0, len(KEYS)))], mutate_payload(rng), int(rng.integers(-(2**62), 2**62)))
         for _ in range(n)
     ]
 
 
-def samples_in(message):
-    """Return how many samples a telemetry payload holds, good or bad."""
+def count_samples(message):
+    """Return the number of samples in a telemetry payload, valid or not."""
     try:
         value = json.loads(message.payload)
     except (ValueError, RecursionError):
@@ -109,7 +110,8 @@ def samples_in(message):
     return len(value) if isinstance(value, list) else 1
 
 
-def accounted(pipeline):
+def count_messages(pipeline):
+    """Return the number of messages that a pipeline has counted as received or rejected."""
     quality = pipeline.quality()
     return sum(quality["received"].values()) + sum(quality["undecodable"].values())
 
@@ -117,7 +119,7 @@ def accounted(pipeline):
 @pytest.mark.parametrize("seed", [0, 1])
 def test_fuzzed_payloads_raise_nothing_and_lose_no_valid_sample(seed):
     rng = np.random.default_rng(seed)
-    bad = [message._replace(key=message.key.replace("/a/", "/other/")) for message in fuzzed(seed)]
+    bad = [message._replace(key=message.key.replace("/a/", "/other/")) for message in make_bad_messages(seed)]
     fine = [leaf(), *good()]
     places = np.sort(rng.integers(0, len(bad), len(fine)))
     mixed = list(bad)
@@ -127,7 +129,7 @@ def test_fuzzed_payloads_raise_nothing_and_lose_no_valid_sample(seed):
     alone, expected = ran(fine)
     assert [m for m in out if m.key == "fleet/a/forecast"] == [
         m for m in expected if m.key == "fleet/a/forecast"
-    ] or pipeline.quality()["received"].get("weather")  # a fuzzed station may be believed
+    ] or pipeline.quality()["received"].get("weather")  # a changed weather station may be valid
     rides = pipeline.take_rides()
     mine = rides[rides["vehicle_id"] == "a"].reset_index(drop=True)
     whole = alone.take_rides()
@@ -141,20 +143,20 @@ def test_fuzzed_payloads_raise_nothing_and_lose_no_valid_sample(seed):
 
 
 def test_every_payload_is_either_received_or_rejected():
-    bad = fuzzed(3, 3000)
+    bad = make_bad_messages(3, 3000)
     pipeline = Pipeline()
     for message in bad:
-        before = accounted(pipeline)
+        before = count_messages(pipeline)
         pipeline.push([message])
         telemetry_key = message.key.endswith("telemetry") and message.key.count("/") == 2
-        lists = samples_in(message) if telemetry_key else 1
-        grown = accounted(pipeline) - before
+        lists = count_samples(message) if telemetry_key else 1
+        grown = count_messages(pipeline) - before
         assert grown == lists or (grown == 1 and telemetry_key), message
     pipeline.finish()
 
 
 def test_fuzzed_payloads_of_the_same_car_never_raise():
-    mixed = [message for pair in zip(fuzzed(5, 3000), good(400) * 8, strict=False) for message in pair]
+    mixed = [message for pair in zip(make_bad_messages(5, 3000), good(400) * 8, strict=False) for message in pair]
     pipeline, out = ran(mixed, range(0, len(mixed), 331))
     for message in out:
         forecast = json.loads(message.payload)
@@ -169,7 +171,7 @@ def test_fuzzed_payloads_of_the_same_car_never_raise():
 def test_invalid_identities_and_times_raise_nothing(name, value):
     sample = {"vehicle_id": "a", "time_s": 1.7e9, "speed_kmh": 10.0} | {name: value}
     pipeline, _ = ran([leaf(), Message("fleet/a/telemetry", json.dumps(sample).encode(), 0), *good(30)])
-    assert accounted(pipeline) == 32
+    assert count_messages(pipeline) == 32
 
 
 @pytest.mark.parametrize("kind", ["vehicle", "plan", "ride"])
@@ -186,10 +188,10 @@ def test_invalid_fields_of_other_messages_raise_nothing(kind, value):
         "ride": {"ride_id": value, "event": value, "driver_id": value},
     }[kind]
     pipeline, _ = ran([told(kind, **fields), *good(30)])
-    assert accounted(pipeline) == 31
-    again = Pipeline()
-    again.restore(pipeline.snapshot())
-    assert again.quality() == pipeline.quality()
+    assert count_messages(pipeline) == 31
+    restored = Pipeline()
+    restored.restore(pipeline.snapshot())
+    assert restored.quality() == pipeline.quality()
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Batches and lanes."""
+"""Test batches and lanes."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""The nomenclature describes every column of both tables, in units that pint knows."""
+"""Test that the nomenclature describes every column of both tables, in units that pint knows."""
 
 import pandas as pd
 import pint

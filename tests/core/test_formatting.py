@@ -1,4 +1,4 @@
-"""Numbers as people read them."""
+"""Test the format of numbers for people."""
 
 import pytest
 from hypothesis import given
@@ -8,22 +8,22 @@ from core.formatting import everyday, rounded
 
 
 @pytest.mark.parametrize(
-    ("value", "unit", "said"),
+    ("value", "unit", "text"),
     [(268.15, "K", "-5 °C"), (90.0, "s", "90 s"), (3600.0, "s", "60 min"), (0.002, "m", "2 mm"), (2.5, "m", "2.5 m"),
      (25.0, "m/s", "90 km/h"), (0.85, "1", "0.85"), (360.0, "V", "360 V")],
 )  # fmt: skip
-def test_quantity_is_shown_in_its_everyday_unit(value, unit, said):
-    assert everyday(value, unit) == said
+def test_quantity_is_shown_in_its_everyday_unit(value, unit, text):
+    assert everyday(value, unit) == text
 
 
 @pytest.mark.parametrize(
-    ("value", "half", "said"),
+    ("value", "half", "text"),
     [(1.1349, 0.2, "1.1 ± 0.2"), (-1.1349, 0.2, "-1.1 ± 0.2"), (0.0, 0.15, "0.00 ± 0.15"), (1234.0, 56.0, "1230 ± 60"),
      (99.6, 0.0, "100"), (5.0, None, "5.0"), (0.0, None, "0"), (float("nan"), 1.0, "nan ± 1.0"),
      (1.0, float("inf"), "1.0"), (1.0, float("nan"), "1.0")],
 )  # fmt: skip
-def test_number_is_rounded_to_its_uncertainty(value, half, said):
-    assert rounded(value, half) == said
+def test_number_is_rounded_to_its_uncertainty(value, half, text):
+    assert rounded(value, half) == text
 
 
 @given(st.floats(1e-6, 1e6), st.floats(1e-3, 10))

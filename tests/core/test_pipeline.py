@@ -1,4 +1,4 @@
-"""The one list of steps: counters, status, and taking up where it was left."""
+"""Test the pipeline: counters, status, tables and snapshots."""
 
 import msgspec
 import numpy as np

@@ -1,4 +1,4 @@
-"""Snapshots tell whether they are whole, and of which version."""
+"""Test that a damaged snapshot, or one of another version, is refused."""
 
 import pytest
 
@@ -10,8 +10,8 @@ STATE = {"model": "basic_physical/1", "effects": ["rolling"], "lanes": ["a"]}
 
 
 def test_sealed_state_opens_unchanged():
-    found = opened(sealed(STATE), ["rolling"])
-    assert {name: found[name] for name in STATE} == STATE
+    state = opened(sealed(STATE), ["rolling"])
+    assert {name: state[name] for name in STATE} == STATE
 
 
 def test_snapshot_of_other_version_or_effects_is_refused_in_one_line(monkeypatch):

@@ -1,4 +1,4 @@
-"""The laws: over generated data with every fault, live is replay, to the bit."""
+"""Test over generated data with every fault that live operation and replay give the same results to the bit."""
 
 from itertools import pairwise
 
@@ -14,7 +14,7 @@ from core.pipeline import Pipeline
 from core.wire.messages import Message
 from tests.support.fleet_days import CARS as FLEET
 from tests.support.fleet_days import DAY as ONE_DAY
-from tests.support.fleet_days import DAYS, SETTINGS, START, again, days, forecasts, merged, plan
+from tests.support.fleet_days import DAYS, SETTINGS, START, days, forecasts, merged, plan, trained_pipeline
 from tests.support.fleet_days import shift as planned_shift
 from tests.support.telemetry import PERIOD, chunked, drive, leaf, observed, picked, ran, telemetry, told, without
 
@@ -22,7 +22,7 @@ CARS = ("a", "b", "c")
 
 
 def car(name, seed, n=120):
-    """Return the messages of one car and shift: faults of every kind, rides, and what dispatch says."""
+    """Return the messages of one car and shift: samples with every fault, rides, and messages of dispatch."""
     rng = np.random.default_rng(seed)
     columns = drive(n, seed=seed, elevation_m=40.0, battery_voltage_v=360.0)
     columns["battery_current_a"] = 5 + columns["speed_kmh"]
@@ -50,7 +50,7 @@ def car(name, seed, n=120):
 
 
 def mixed(streams, seed):
-    """Return streams merged at random, each in its own order."""
+    """Return streams merged at random, with the order within each stream kept."""
     rng = np.random.default_rng(seed)
     owners = np.repeat(np.arange(len(streams)), [len(stream) for stream in streams])
     rng.shuffle(owners)
@@ -67,7 +67,7 @@ def shift(seed):
 
 
 def same(one, other):
-    """Compare tables, counters and status of two pipelines, to the bit."""
+    """Assert that tables, counters and status of two pipelines are equal to the bit."""
     pd.testing.assert_frame_equal(one.take_rides(), other.take_rides(), check_exact=True)
     pd.testing.assert_frame_equal(one.take_windows(), other.take_windows(), check_exact=True)
     assert one.quality() == other.quality()
@@ -227,16 +227,16 @@ def test_round_trip_over_hills_never_takes_less_energy_than_the_level_road():
     assert one["duration_s"][0] == PERIOD * 799
 
 
-# the same with forecasts of the charge, over nights, with plans and drivers
+# Forecasts of the charge over several days, with plans and drivers
 
 DRIVEN = ("a", "c", "f")
 TWO_DAYS = len(days((DAYS, DAYS + 1), DRIVEN))
 MORE = 12
-"""Plans that come at any time beside those that shifts begin with."""
+"""Number of plans per day that arrive at any time, in addition to those at the beginning of shifts."""
 
 
 def two_days(seed, cars=DRIVEN):
-    """Return the messages of two days of some cars, among them plans and drivers that come at any time."""
+    """Return the messages of two days of some cars, with plans and drivers that arrive at any time."""
     rng = np.random.default_rng(seed)
     parts = []
     for day in (DAYS, DAYS + 1):
@@ -255,7 +255,7 @@ def two_days(seed, cars=DRIVEN):
 
 
 def pushed(pipeline, messages, cuts=()):
-    """Send messages through a pipeline; return what it told, and its state."""
+    """Push messages through a pipeline, and return its forecasts and its state."""
     out = [forecast for chunk in chunked(messages, cuts) for forecast in pipeline.push(chunk)]
     pipeline.take_rides()
     pipeline.take_windows()
@@ -265,8 +265,8 @@ def pushed(pipeline, messages, cuts=()):
 @given(seed=st.integers(0, 200), cuts=st.lists(st.integers(0, TWO_DAYS + 48), max_size=12))
 def test_any_chunking_gives_the_same_forecasts_and_learned_state(seed, cuts):
     messages = two_days(seed)
-    whole, state = pushed(again(), messages)
-    parts, after = pushed(again(), messages, cuts)
+    whole, state = pushed(trained_pipeline(), messages)
+    parts, after = pushed(trained_pipeline(), messages, cuts)
     assert parts == whole
     assert after == state
     assert any(each.soc_end_of_shift_pct for each in forecasts(whole, "c").values())
@@ -275,7 +275,7 @@ def test_any_chunking_gives_the_same_forecasts_and_learned_state(seed, cuts):
 def test_single_messages_give_the_same_forecasts_and_learned_state():
     messages = two_days(3)
     messages = messages[: len(messages) // 2 + 100]
-    assert pushed(again(), messages, range(len(messages))) == pushed(again(), messages)
+    assert pushed(trained_pipeline(), messages, range(len(messages))) == pushed(trained_pipeline(), messages)
 
 
 @given(seed=st.integers(0, 200), at=st.integers(0, TWO_DAYS + 48), near=st.sampled_from(["any", "midnight", "plan"]))
@@ -286,8 +286,8 @@ def test_restart_at_any_time_changes_no_forecast(seed, at, near):
     elif near == "plan":  # came last, and no sample after it
         plans = [i + 1 for i, message in enumerate(messages) if message.key.endswith("plan")]
         at = plans[at % len(plans)]
-    whole, state = pushed(again(), messages)
-    first = again()
+    whole, state = pushed(trained_pipeline(), messages)
+    first = trained_pipeline()
     out, kept = pushed(first, messages[:at])
     second = Pipeline(settings=SETTINGS)
     second.restore(kept)
@@ -300,8 +300,8 @@ def test_restart_at_any_time_changes_no_forecast(seed, at, near):
 def test_restart_after_every_message_around_midnight_changes_no_forecast():
     messages = two_days(1)
     middle = len(messages) // 2
-    whole, state = pushed(again(), messages[: middle + 20])
-    pipeline = again()
+    whole, state = pushed(trained_pipeline(), messages[: middle + 20])
+    pipeline = trained_pipeline()
     out, kept = pushed(pipeline, messages[: middle - 20])
     for message in messages[middle - 20 : middle + 20]:
         pipeline = Pipeline(settings=SETTINGS)
@@ -315,8 +315,10 @@ def test_restart_after_every_message_around_midnight_changes_no_forecast():
 def test_other_vehicles_on_the_same_day_do_not_change_the_forecasts_of_a_vehicle(seed, car):
     messages = two_days(seed)
     today = messages[: len(messages) // 2]
-    together = [m for m in again().push(today) if f"/{car}/" in m.key]
-    alone = again().push([m for m in today if f"/{car}/" in m.key])
+    together = [m for m in trained_pipeline().push(today) if f"/{car}/" in m.key]
+    alone = trained_pipeline().push([m for m in today if f"/{car}/" in m.key])
     others = merged(*(planned_shift(other, DAYS) for other in FLEET if other != car))
     assert together == alone
-    assert [m for m in again().push(others + [m for m in today if f"/{car}/" in m.key]) if f"/{car}/" in m.key] == alone
+    assert [
+        m for m in trained_pipeline().push(others + [m for m in today if f"/{car}/" in m.key]) if f"/{car}/" in m.key
+    ] == alone

@@ -32,7 +32,7 @@ def speeds(car: str, day: int) -> np.ndarray:
     return np.random.default_rng([ord(car), day]).uniform(8.0, 14.0, LEGS)
 
 
-def takes(car: str, day: int) -> float:
+def log_consumption(car: str, day: int) -> float:
     """Return the log of the consumption of a car on a day over 0.16 kWh/km: the car's part and the day's."""
     return float(0.15 * np.sin(ord(car)) + 0.05 * np.random.default_rng([ord(car), day, 1]).normal())
 
@@ -45,7 +45,7 @@ def columns(car: str, day: int, quantum: float = 0.5, hours: float = SHIFT / 360
     into = np.minimum(passed % LEG, RIDE - passed % LEG)
     speed = np.where(riding, np.select([into == 0.0, into <= PERIOD], [0.0, 4.0], speeds(car, day)[leg]), 0.0)
     metres = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * PERIOD)])
-    used = np.exp(takes(car, day)) * 0.16 * metres / 1000.0 + 0.3 * passed / 3600.0
+    used = np.exp(log_consumption(car, day)) * 0.16 * metres / 1000.0 + 0.3 * passed / 3600.0
     soc = 95.0 - 100.0 * used / CAPACITY
     names = np.array([f"{car}-{day}-{number}" for number in leg], dtype=object)
     names[~riding] = None
@@ -96,7 +96,7 @@ def days(numbers, cars=CARS, **options) -> list:
     return [m for day in numbers for m in merged(*(shift(car, day, **options) for car in cars))]
 
 
-def night(day: int, car: str = "f") -> list[Message]:
+def idle_morning(day: int, car: str = "f") -> list[Message]:
     """Return the samples of one idle car in the morning of a day, until no other car is active."""
     passed = PERIOD * np.arange(WINDOW_SAMPLES + 2)
     begun = {name: np.repeat(values[:1], len(passed)) for name, values in columns(car, day).items()}
@@ -111,13 +111,13 @@ def learned(number: int = DAYS, planned: bool = True) -> bytes:
     """Return the snapshot of a pipeline that is trained with some days, at the beginning of the next one."""
     pipeline = Pipeline(settings=SETTINGS)
     pipeline.push([observed(temperature_c=10.0), *(leaf(car) for car in CARS), *days(range(number), planned=planned)])
-    pipeline.push(night(number))
+    pipeline.push(idle_morning(number))
     pipeline.take_rides()
     pipeline.take_windows()
     return pipeline.snapshot()
 
 
-def again(number: int = DAYS, planned: bool = True, settings: Settings = SETTINGS, **options) -> Pipeline:
+def trained_pipeline(number: int = DAYS, planned: bool = True, settings: Settings = SETTINGS, **options) -> Pipeline:
     """Return a pipeline that is trained with some days."""
     pipeline = Pipeline(settings=settings, **options)
     pipeline.restore(learned(number, planned))
@@ -126,8 +126,8 @@ def again(number: int = DAYS, planned: bool = True, settings: Settings = SETTING
 
 def forecasts(messages: list, car: str) -> dict[float, Forecast]:
     """Return the forecasts of a car by time."""
-    found = [msgspec.json.decode(m.payload, type=Forecast) for m in messages if m.key == f"fleet/{car}/forecast"]
-    return {each.time_s: each for each in found}
+    published = [msgspec.json.decode(m.payload, type=Forecast) for m in messages if m.key == f"fleet/{car}/forecast"]
+    return {each.time_s: each for each in published}
 
 
 def recorded(path: Path, numbers) -> None:

@@ -1,4 +1,4 @@
-"""Time repair: what the docstring of `core.cleaning.clock` claims, measured."""
+"""Test the repair of time against the accuracy that the docstring of `core.cleaning.clock` states."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ WITH_SEQ = pytest.mark.parametrize("seq", [True, False], ids=["seq", "stamps"])
 
 
 def cruise(n=N, **columns):
-    """Return a steady drive without positions: time alone matters here."""
+    """Return a drive at constant speed without positions, because these tests use only time."""
     return without(drive(n, speed=10.0, **columns), "latitude_deg", "longitude_deg", "metres")
 
 
@@ -39,7 +39,7 @@ def test_counter_reduces_jitter_to_a_fifth(sd, seed):
     assert np.abs(error).max() < max(0.9 * sd, 0.1)
     assert clean.dt[SETTLED + 1 :].sum() == pytest.approx(PERIOD * (N - SETTLED - 1), abs=0.6 * sd + 0.02)
     assert count(clean, Quality.GAP | Quality.LATE | Quality.CLOCK_STEP | Quality.SEQUENCE) == 0
-    raw = cleaned(jittered(sd, seed)).time  # twice the same, and far better than the stamps
+    raw = cleaned(jittered(sd, seed)).time  # far better than the stamps
     assert np.array_equal(raw, clean.time)
     assert error.std() < 0.3 * (jittered(sd, seed)["time_s"] - truth())[SETTLED:].std()
 
@@ -55,11 +55,11 @@ def test_jitter_up_to_half_a_second_is_repaired_without_counter(sd, seed):
 
 
 def test_error_for_a_second_of_jitter_without_counter_stays_within_documented_limits():
-    found = [cleaned(jittered(1.0, seed, seq=False)) for seed in range(8)]
-    errors = np.array([(clean.time - truth())[SETTLED:] for clean in found])
+    drives = [cleaned(jittered(1.0, seed, seq=False)) for seed in range(8)]
+    errors = np.array([(clean.time - truth())[SETTLED:] for clean in drives])
     assert np.sqrt(np.mean(errors**2)) < 0.65
     assert np.mean(np.abs(errors) > PERIOD / 2) < 0.04
-    for clean in found:
+    for clean in drives:
         assert clean.dt[SETTLED + 1 :].sum() == pytest.approx(PERIOD * (N - SETTLED - 1), abs=3.0)
 
 
@@ -92,11 +92,11 @@ def test_loss_of_a_tenth_of_the_samples_keeps_the_duration_with_a_counter(sd):
 @WITH_SEQ
 def test_repeated_stamps_are_ignored(seq):
     columns = cruise(soc_pct=90 - 0.01 * np.arange(N))  # the content changes, so these are no duplicates
-    again = np.arange(7, N - 1, 20)
-    columns["time_s"][again] = columns["time_s"][again - 1]
+    repeated = np.arange(7, N - 1, 20)
+    columns["time_s"][repeated] = columns["time_s"][repeated - 1]
     clean = cleaned(columns if seq else without(columns, "seq"))
     assert np.abs(clean.time - truth()).max() < 0.05
-    assert np.all(clean.quality[again] & Quality.REPAIRED_TIME)
+    assert np.all(clean.quality[repeated] & Quality.REPAIRED_TIME)
     assert count(clean, Quality.DUPLICATE | Quality.LATE | Quality.GAP) == 0
 
 
@@ -284,7 +284,7 @@ def test_time_never_decreases_and_no_step_is_negative(seed, sd, seq, lost, twice
     assert np.all(np.isfinite(clean.time))
     ticked = np.diff(clean.time, prepend=clean.time[:1])
     steps = (clean.quality & Quality.CLOCK_STEP) != 0
-    assert ticked[~steps] == pytest.approx(clean.dt[~steps], abs=1e-5)  # a clock that is set tells another time at once
+    assert ticked[~steps] == pytest.approx(clean.dt[~steps], abs=1e-5)  # a clock that is set changes its time at once
     assert seq is False or not steps.any()
 
 

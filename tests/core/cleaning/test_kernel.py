@@ -1,4 +1,4 @@
-"""The kernel as a whole: ranges, what is missing, energy, and independence from batches, neighbours and old code."""
+"""Test the whole kernel: ranges, missing values, energy, and independence from batches, other cars and old code."""
 
 import subprocess
 import sys
@@ -38,7 +38,7 @@ WILD = {
 
 
 def full(n=N, seed=1):
-    """Return a drive of a car that sends everything."""
+    """Return a drive of a car that sends every field."""
     return without(drive(n, seed=seed), "metres") | {
         "elevation_m": np.full(n, 40.0),
         "odometer_km": 1000 + 0.01 * np.arange(n).round(1),
@@ -157,7 +157,7 @@ def test_soc_from_before_a_ride_is_not_used_for_it():
 
 
 def two_shifts(n=N):
-    """Return two shifts of a car that names no rides, a night apart; it was charged and moved in between."""
+    """Return two shifts of a car that names no rides; it was charged and moved in the night between them."""
     columns = drive(2 * n, speed=np.where(np.abs(np.arange(2 * n) - n) < 6, 0.0, 10.0))
     columns["soc_pct"] = np.r_[np.linspace(40, 30, n), np.linspace(95, 85, n)]
     columns["odometer_km"] = 1000 + columns["metres"] / 1000
@@ -200,7 +200,7 @@ def test_detection_of_stops_has_hysteresis():
     columns = without(full(), "latitude_deg", "longitude_deg")
     speed = np.full(N, 10.0)
     speed[30:60] = 0.0
-    speed[40:50] = 1.0  # creeps, below what counts as moving
+    speed[40:50] = 1.0  # creeps below the threshold of motion
     columns["speed_kmh"] = speed * 3.6
     clean = cleaned(columns)
     assert clean.stop.sum() == 1
@@ -278,7 +278,7 @@ def test_empty_batch_changes_nothing():
 
 
 def test_kernel_is_recompiled_when_one_of_its_modules_changes(tmp_path):
-    """Numba itself only checks the file of the kernel, and not the files that it imports."""
+    """Numba itself checks only the file of the kernel, not the files that it imports."""
     source = ROOT / "core"
     core = tmp_path / "core"
     core.mkdir()

@@ -1,4 +1,4 @@
-"""Speed, distance, elevation: tunnels, spikes, holes, hills, and cars that lack a sensor."""
+"""Test speed, distance and elevation: tunnels, spikes, holes, hills, and cars that lack a sensor."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ POSITION = ("latitude_deg", "longitude_deg")
 
 
 def highway(n=N):
-    """Return a drive that speeds up to 90 km/h and stays there."""
+    """Return a drive that accelerates to 90 km/h and keeps that speed."""
     return drive(n, speed=np.minimum(25.0, 2.0 * np.arange(n)))
 
 
@@ -29,7 +29,7 @@ def moved_to(columns, rows, metres):
 
 
 def tunnelled(columns, length, hold, jump_kmh=1500.0, own_speed=False):
-    """Return a drive whose fixes freeze, or fail, from row 200 on and then jump; its speed is that of GPS."""
+    """Return a drive whose fixes freeze or fail from row 200 on and then jump; its speed comes from GPS."""
     out = copied(columns)
     inside = slice(200, 200 + length)
     for name in POSITION:
@@ -59,7 +59,7 @@ def test_tunnel_keeps_its_distance_and_affects_no_later_speed(base, length, hold
 
 @pytest.mark.parametrize("samples", [1, 2, 3])
 def test_tunnel_of_a_few_seconds_is_bridged(samples):
-    """The position runs through in 3 to 9 s, at far more than the limit, and so does the GPS speed."""
+    """The position crosses the tunnel in 3 to 9 s; its speed and the GPS speed are far above the limit."""
     base = highway()
     out = tunnelled(base, 20, hold=True)
     metres = np.interp(np.arange(samples + 1), [0, samples], base["metres"][[199, 220]])
@@ -136,7 +136,7 @@ def test_speed_of_a_car_without_speed_sensor_follows_its_fixes(noise, rng):
     assert clean.distance.sum() == pytest.approx(base["metres"][-1], rel=0.03)
     assert clean.speed @ clean.travel == pytest.approx(base["metres"][-1], rel=0.05)
     true = base["speed_kmh"] * KMH
-    assert np.corrcoef(clean.speed[6:], 0.5 * (true[5:-1] + true[4:-2]))[0, 1] > 0.8  # a sample late
+    assert np.corrcoef(clean.speed[6:], 0.5 * (true[5:-1] + true[4:-2]))[0, 1] > 0.8  # delayed by a sample
     assert count(clean, Quality.SPEED_MISSING | Quality.BRIDGED) == 0
 
 
@@ -213,7 +213,7 @@ def test_missing_speed_is_replaced_by_that_of_the_fixes():
 
 
 def test_speed_above_the_limit_is_rejected_and_its_distance_kept():
-    base = drive(N, speed=np.minimum(40.0, 2.0 * np.arange(N)))  # 144 km/h, truly
+    base = drive(N, speed=np.minimum(40.0, 2.0 * np.arange(N)))  # a true speed of 144 km/h
     clean = cleaned(base)
     above = base["speed_kmh"] * KMH > LIMIT
     assert np.array_equal((clean.quality & Quality.SPEED_REJECTED) != 0, above)
@@ -227,7 +227,7 @@ def test_speed_above_the_limit_is_rejected_and_its_distance_kept():
 def test_duplicates_and_late_samples_add_nothing(rng):
     base = drive(N, seed=3)
     order = np.repeat(np.arange(N), np.where(rng.random(N) < 0.2, 2, 1))
-    order = np.insert(order, 300, [100, 101])  # long past
+    order = np.insert(order, 300, [100, 101])  # samples that come far too late
     clean = cleaned(picked(base, order))
     repeated = np.r_[False, order[1:] == order[:-1]]
     assert np.array_equal((clean.quality & Quality.DUPLICATE) != 0, repeated)
@@ -293,7 +293,7 @@ def test_flat_road_with_noise_has_no_hills(seed, stops):
     clean = cleaned(base | {"elevation_m": 100 + rng.normal(0, 1.0, n)})
     assert np.abs(clean.climb).sum() < 10.0
     raw = np.abs(np.diff(100 + rng.normal(0, 1.0, n))).sum()
-    assert raw > 900  # what summing the samples would have made of it
+    assert raw > 900  # the sum over raw samples
 
 
 @pytest.mark.parametrize("height", [20.0, 50.0, 200.0])

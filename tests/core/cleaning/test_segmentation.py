@@ -1,4 +1,4 @@
-"""Where rides begin and end, what makes them unfit, and the windows inside them."""
+"""Test the beginning and end of rides, their fitness for training, and the windows within them."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ MOVING, PARKED = 10.0, 0.0
 
 
 def stretch(parts, **columns):
-    """Return a drive of (samples, speed) parts."""
+    """Return a drive that consists of (samples, speed) parts."""
     speed = np.concatenate([np.full(n, float(v)) for n, v in parts])
     return drive(len(speed), speed=speed, **columns)
 
@@ -62,8 +62,8 @@ def test_unnamed_rides_end_at_long_stops():
     rides, _ = rides_of(columns)
     assert rides["ride_id"].tolist() == ["a#0", "a#1"]
     stop = Settings().stop_time
-    assert rides["duration_s"][0] == pytest.approx(100 * PERIOD + stop, abs=4 * PERIOD)  # the last stand included
-    assert rides["duration_s"][1] == pytest.approx(170 * PERIOD, abs=4 * PERIOD)  # a stand of 90 s is a red light
+    assert rides["duration_s"][0] == pytest.approx(100 * PERIOD + stop, abs=4 * PERIOD)  # including the last standstill
+    assert rides["duration_s"][1] == pytest.approx(170 * PERIOD, abs=4 * PERIOD)  # a standstill of 90 s is a red light
     assert rides["distance_km"].sum() == pytest.approx(columns["metres"][-1] / 1000, rel=0.01)
     assert rides["parked_s"][1] == pytest.approx(100 * PERIOD - stop, abs=4 * PERIOD)
     assert rides["stops"].tolist() == [1, 1]

@@ -56,18 +56,18 @@ def test_interval_covers_nine_in_ten_exchangeable_errors(draw, count):
 
 def test_interval_covers_nine_in_ten_while_learning():
     rng = np.random.default_rng(4)
-    found = []
+    results = []
     for _ in range(6):
         conformal = ConformalIntervals()
         for day in range(40):
             scores = 0.6 * rng.normal() + rng.normal(size=(10, 3))
             if day > 6:
                 low, high = bounds_at(conformal, 10.0, 15.0)
-                found.append(np.mean((scores >= low) & (scores <= high)))
+                results.append(np.mean((scores >= low) & (scores <= high)))
             for mine in scores:
                 conformal.add_shift(0, np.full(3, 10.0), np.full(3, 15.0), mine)
             conformal.update_quantiles()
-    assert 0.88 <= np.mean(found) <= 0.92
+    assert 0.88 <= np.mean(results) <= 0.92
 
 
 def test_bounds_widen_when_errors_double():
@@ -122,12 +122,12 @@ def test_class_with_few_shifts_borrows_from_neighbours_but_not_from_other_basis(
 @given(st.lists(st.floats(-50.0, 50.0), min_size=LEAST_SHIFTS, max_size=80), st.integers(1, 5))
 def test_quantiles_rise_and_lie_within_the_errors(scores, each):
     shifts = [(score,) * each for score in scores]
-    found = compute_quantiles(shifts, LEVELS)
-    assert (np.diff(found) >= 0.0).all()
-    assert min(scores) <= found[0]
-    assert found[-1] <= max(scores)
+    results = compute_quantiles(shifts, LEVELS)
+    assert (np.diff(results) >= 0.0).all()
+    assert min(scores) <= results[0]
+    assert results[-1] <= max(scores)
     assert compute_quantiles([(s,) for s in scores], LEVELS) == pytest.approx(
-        found, abs=0.2 * (max(scores) - min(scores)) + 1e-9
+        results, abs=0.2 * (max(scores) - min(scores)) + 1e-9
     )
 
 
@@ -160,9 +160,9 @@ def test_risk_rises_with_the_reserve_and_agrees_with_the_interval(seed, mean, sd
         n = len(reserve)
         return compute_reserve_risk(MeanAndSd(np.full(n, mean), np.full(n, sd)), reserve, np.repeat(table, n, axis=0))
 
-    found = risks(np.linspace(-1.0, 2.0, 400))
-    assert (np.diff(found) >= 0.0).all()
-    assert ((found >= 0.0) & (found <= 1.0)).all()
+    results = risks(np.linspace(-1.0, 2.0, 400))
+    assert (np.diff(results) >= 0.0).all()
+    assert ((results >= 0.0) & (results <= 1.0)).all()
     assert risks(mean + sd * np.array([low, high])) == pytest.approx(BOUND_LEVELS, abs=0.005)
     assert risks(mean + sd * np.array([-1e6, 1e6])).tolist() == [0.0, 1.0]
 
@@ -172,8 +172,8 @@ def test_risk_equals_frequency_of_ending_below_the_reserve():
     table = learned(rng.normal(0.3, 1.5, REMEMBERED_SHIFTS), nightly=REMEMBERED_SHIFTS).get_quantiles(*HERE)[0]
     ends = 0.3 + 0.02 * rng.normal(0.3, 1.5, 20_000)
     for reserve in (0.25, 0.28, 0.3, 0.32, 0.35):
-        found = compute_reserve_risk(MeanAndSd(np.array([0.3]), np.array([0.02])), np.array([reserve]), table)
-        assert found[0] == pytest.approx(np.mean(ends < reserve), abs=0.05)
+        results = compute_reserve_risk(MeanAndSd(np.array([0.3]), np.array([0.02])), np.array([reserve]), table)
+        assert results[0] == pytest.approx(np.mean(ends < reserve), abs=0.05)
 
 
 def test_risk_is_nan_for_unknown_charge_or_errors():

@@ -30,7 +30,7 @@ def stream(*cars):
     return time, lane.astype(np.int64), stamp
 
 
-def found(lane, stamp, cuts=(), rollover=None):
+def find_rollover_rows(lane, stamp, cuts=(), rollover=None):
     """Return the rows before which the day changes, for samples in several batches."""
     rollover, before, rows = rollover or DayRollover(), 0, []
     for lanes, part in zip(np.split(lane, sorted(cuts)), np.split(stamp, sorted(cuts)), strict=True):
@@ -42,7 +42,7 @@ def found(lane, stamp, cuts=(), rollover=None):
 def after_midnight(*cars):
     """Return the delay of each rollover after midnight, without the first, which begins the stream. [s]"""
     time, lane, stamp = stream(*cars)
-    at = time[found(lane, stamp)]
+    at = time[find_rollover_rows(lane, stamp)]
     assert at[0] < NOON + 8000.0
     assert np.floor(at[1:] / DAY).tolist() == [19_000.0, 19_001.0, 19_002.0]
     return at[1:] % DAY
@@ -50,7 +50,7 @@ def after_midnight(*cars):
 
 def test_single_car_rolls_over_at_its_second_sample_of_the_day():
     time, lane, stamp = stream(sent())
-    rows = found(lane, stamp)
+    rows = find_rollover_rows(lane, stamp)
     assert rows[0] == 1
     assert [np.flatnonzero(time >= MIDNIGHT + DAY * day)[1] for day in range(3)] == rows[1:]
 
@@ -86,7 +86,7 @@ def test_clock_wrong_by_hours_moves_no_rollover_of_several_cars(wrong, size, oft
 def test_long_lists_of_a_clock_ahead_by_hours_make_rollovers_early_but_not_more():
     others = [sent(car, period=60.0) for car in range(9)]
     _, lane, stamp = stream(*others, sent(9, period=60.0, wrong=0.7 * DAY, size=500, since=1800.0))
-    assert len(found(lane, stamp)) == 1 + 4  # it comes to the fourth midnight before the end
+    assert len(find_rollover_rows(lane, stamp)) == 1 + 4  # it comes to the fourth midnight before the end
 
 
 @pytest.mark.parametrize("wrong", [ROLLOVER, -ROLLOVER, 3.0 * DAY])
@@ -94,7 +94,7 @@ def test_long_lists_of_a_clock_ahead_by_hours_make_rollovers_early_but_not_more(
 def test_a_third_of_wrong_clocks_moves_no_rollover(wrong, cars):
     period = 60.0 if cars < 1000 else 900.0
     time, lane, stamp = stream(*(sent(car, period=period, wrong=wrong * (car % 3 == 2)) for car in range(cars)))
-    at = time[found(lane, stamp)]
+    at = time[find_rollover_rows(lane, stamp)]
     assert (at[at > NOON + 3600.0] % DAY).max() <= 2.1 * period
     assert np.floor(at[at > NOON + 3600.0] / DAY).tolist() == [19_000.0, 19_001.0, 19_002.0]
 
@@ -106,16 +106,16 @@ def test_car_without_a_clock_hides_no_rollover():
 def test_single_glitch_of_every_car_changes_nothing():
     time, lane, stamp = stream(*(sent(car) for car in range(4)))
     stamp = stamp + YEAR * ((np.arange(len(stamp)) // 4) % 5 == 2)
-    at = time[found(lane, stamp)]
+    at = time[find_rollover_rows(lane, stamp)]
     assert np.floor(at[1:] / DAY).tolist() == [19_000.0, 19_001.0, 19_002.0]
 
 
 @pytest.mark.parametrize("wrong", [3.0 * DAY, YEAR])
 def test_day_that_is_ahead_is_corrected_by_most_active_cars(wrong):
     rollover = DayRollover()
-    found(*stream(*(sent(car, days=0.2, wrong=wrong) for car in range(3)))[1:], rollover=rollover)
+    find_rollover_rows(*stream(*(sent(car, days=0.2, wrong=wrong) for car in range(3)))[1:], rollover=rollover)
     time, lane, stamp = stream(*(sent(car, since=0.2 * DAY) for car in range(3)))
-    at = time[found(lane, stamp, rollover=rollover)]
+    at = time[find_rollover_rows(lane, stamp, rollover=rollover)]
     assert at[0] <= time[0] + 1200.0
     assert np.floor(at[1:] / DAY).tolist() == [19_000.0, 19_001.0, 19_002.0]
 
@@ -124,7 +124,7 @@ def test_one_rollover_after_idle_days():
     _, lane, stamp = stream(
         *(sent(car, days=0.3) for car in range(4)), *(sent(car, since=5.7 * DAY, days=6) for car in range(4))
     )
-    assert len(found(lane, stamp)) == 2
+    assert len(find_rollover_rows(lane, stamp)) == 2
 
 
 @cache
@@ -137,7 +137,7 @@ def several():
 @given(st.lists(st.integers(0, 2592), max_size=8))
 def test_any_chunking_gives_the_same_rollovers(cuts):
     lane, stamp = several()
-    assert found(lane, stamp, cuts) == found(lane, stamp)
+    assert find_rollover_rows(lane, stamp, cuts) == find_rollover_rows(lane, stamp)
 
 
 samples = st.tuples(st.integers(0, 4), st.sampled_from([0.0, np.nan, *(MIDNIGHT + DAY * np.arange(-4.0, 5.0)), 4.2e9]))
@@ -146,10 +146,10 @@ samples = st.tuples(st.integers(0, 4), st.sampled_from([0.0, np.nan, *(MIDNIGHT 
 @given(st.lists(samples, max_size=40), st.lists(st.integers(0, 40), max_size=5))
 def test_rollovers_are_ordered_for_any_stamps_cuts_and_restarts(stamps, cuts):
     lane, stamp = np.array([car for car, _ in stamps], np.int64), np.array([stamp for _, stamp in stamps])
-    rows = found(lane, stamp)
+    rows = find_rollover_rows(lane, stamp)
     assert rows == sorted(set(rows))
     assert all(0 < row < len(stamps) for row in rows)
-    assert found(lane, stamp, [cut for cut in cuts if cut <= len(stamps)]) == rows
+    assert find_rollover_rows(lane, stamp, [cut for cut in cuts if cut <= len(stamps)]) == rows
     one, other, half = DayRollover(), DayRollover(), len(lane) // 2
     before = one.find_rollovers(lane[:half], stamp[:half])
     other.load(one.dump())

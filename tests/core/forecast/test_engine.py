@@ -20,14 +20,14 @@ from tests.support.fleet_days import (
     SETTINGS,
     SHIFT,
     START,
-    again,
     columns,
     days,
     forecasts,
+    idle_morning,
     merged,
-    night,
     plan,
     shift,
+    trained_pipeline,
 )
 from tests.support.telemetry import told
 
@@ -41,7 +41,7 @@ LEAST = 1.0 - 1e-6
 
 def driven(car="c", sent=None, messages=None, settings=SETTINGS):
     """Return the pipeline and the forecasts of a car's shift on the day after the training days."""
-    pipeline = again(settings=settings)
+    pipeline = trained_pipeline(settings=settings)
     out = pipeline.push([m for _, m in shift(car, DAYS, sent)] if messages is None else messages)
     return pipeline, forecasts(out, car)
 
@@ -53,10 +53,10 @@ def width(forecast):
 
 @pytest.mark.parametrize("car", CARS)
 def test_end_of_shift_is_forecast_and_its_interval_shrinks(car):
-    _, found = driven(car)
+    _, published = driven(car)
     end = columns(car, DAYS)["soc_pct"][-1]
-    known = [each for each in found.values() if each.soc_end_of_shift_pct is not None]
-    assert len(known) > 0.95 * len(found)
+    known = [each for each in published.values() if each.soc_end_of_shift_pct is not None]
+    assert len(known) > 0.95 * len(published)
     for each in known:
         assert each.soc_end_of_shift_pct.p05 <= each.soc_end_of_shift_pct.mean <= each.soc_end_of_shift_pct.p95
         assert each.range_km.p05 <= each.range_km.mean <= each.range_km.p95
@@ -72,8 +72,8 @@ def test_higher_reserve_raises_risk_and_reduces_range():
     for reserve in (10.0, 50.0, 55.0, 60.0, 95.0):
         messages = [m for _, m in shift("c", DAYS)]
         messages[1] = plan("c", DAYS, BEGIN + 14.0, reserve_soc_pct=reserve)
-        _, found = driven(messages=messages[:60])
-        now = list(found.values())[-1]
+        _, published = driven(messages=messages[:60])
+        now = list(published.values())[-1]
         if last is not None:
             assert now.reserve_risk >= last.reserve_risk
             assert now.range_km.mean < last.range_km.mean
@@ -108,13 +108,13 @@ def add_fault(sent, fault, begin, lasting, by):
 def test_faulty_soc_never_narrows_interval(car, fault, begin, lasting, by):
     sent = columns(car, DAYS)
     bad, over = add_fault(sent, fault, begin, lasting, by)
-    (_, good), (_, found) = driven(car, sent, settings=EACH), driven(car, bad, settings=EACH)
-    assert good.keys() == found.keys()
+    (_, good), (_, published) = driven(car, sent, settings=EACH), driven(car, bad, settings=EACH)
+    assert good.keys() == published.keys()
     last = np.inf if fault in ("spike", "jump") else over
     for time in [t for t in good if sent["time_s"][begin] <= t < last]:
-        assert found[time].soc_sd_pct >= LEAST * good[time].soc_sd_pct
+        assert published[time].soc_sd_pct >= LEAST * good[time].soc_sd_pct
         if good[time].soc_end_of_shift_pct is not None:
-            assert width(found[time]) >= LEAST * width(good[time])
+            assert width(published[time]) >= LEAST * width(good[time])
 
 
 @pytest.mark.parametrize("fault", ["frozen", "absent", "spike", "jump"])
@@ -122,21 +122,21 @@ def test_forecast_recovers_after_faulty_soc(fault):
     sent = columns("c", DAYS)
     by = -7.0 if fault == "jump" else 0.0
     bad, over = add_fault(sent, fault, 150, 100, -7.0)
-    (_, good), (_, found) = driven("c", sent), driven("c", bad)
-    for time in [t for t in good if t > over + 1200.0 and t in found]:
-        assert found[time].soc_pct - by == pytest.approx(good[time].soc_pct, abs=0.5)
-        assert found[time].soc_end_of_shift_pct.mean - by == pytest.approx(
+    (_, good), (_, published) = driven("c", sent), driven("c", bad)
+    for time in [t for t in good if t > over + 1200.0 and t in published]:
+        assert published[time].soc_pct - by == pytest.approx(good[time].soc_pct, abs=0.5)
+        assert published[time].soc_end_of_shift_pct.mean - by == pytest.approx(
             good[time].soc_end_of_shift_pct.mean, abs=2.0
         )
-        assert width(found[time]) < 1.6 * width(good[time])
+        assert width(published[time]) < 1.6 * width(good[time])
 
 
 def test_without_reported_soc_there_is_no_soc_forecast():
     sent = columns("c", DAYS) | {"soc_pct": np.full(SAMPLES, np.nan)}
-    _, found = driven("c", sent)
-    assert found
-    assert all(each.soc_pct is None and each.soc_end_of_shift_pct is None for each in found.values())
-    assert all(each.reserve_risk is None for each in found.values())
+    _, published = driven("c", sent)
+    assert published
+    assert all(each.soc_pct is None and each.soc_end_of_shift_pct is None for each in published.values())
+    assert all(each.reserve_risk is None for each in published.values())
 
 
 def test_filter_restarts_at_reported_soc_after_charging():
@@ -147,13 +147,13 @@ def test_filter_restarts_at_reported_soc_after_charging():
     sent["soc_pct"] = sent["soc_pct"].copy()
     sent["soc_pct"][plugged] += np.linspace(1.0, 20.0, len(plugged)).round()
     sent["soc_pct"][plugged[-1] + 1 :] += 20.0
-    pipeline, found = driven("c", sent)
-    for time in [t for t in found if t > sent["time_s"][plugged[-1]]]:
+    pipeline, published = driven("c", sent)
+    for time in [t for t in published if t > sent["time_s"][plugged[-1]]]:
         at = int(np.searchsorted(sent["time_s"], time))
-        assert found[time].soc_pct == pytest.approx(sent["soc_pct"][at], abs=0.6)
+        assert published[time].soc_pct == pytest.approx(sent["soc_pct"][at], abs=0.6)
     state = pipeline.engine.state[CARS.index("c")]
     assert state["charged"] == pytest.approx(sent["time_s"][plugged[-1]], abs=61.0)
-    stepwise = again()
+    stepwise = trained_pipeline()
     for _, message in shift("c", DAYS, sent):
         stepwise.push([message])
         assert np.isnan(stepwise.engine.state["suspect"][CARS.index("c")])
@@ -171,7 +171,7 @@ def test_filter_restarts_at_reported_soc_in_next_shift():
 
 
 def test_daily_update_keeps_consumption_factor_of_each_car():
-    prior = again().engine.statistics.prior
+    prior = trained_pipeline().engine.statistics.prior
     always = np.array([0.15 * np.sin(ord(car)) for car in CARS])
     assert np.corrcoef(prior["mean"], always)[0, 1] > 0.8
     assert (prior["variance"] < filter_state.CAPACITY_SD**2 + 0.0136).all()
@@ -179,32 +179,32 @@ def test_daily_update_keeps_consumption_factor_of_each_car():
 
 
 def test_capacity_is_learned_from_voltage_and_current():
-    state = again().engine.state
-    nominal = again().cars.capacity[-1]
+    state = trained_pipeline().engine.state
+    nominal = trained_pipeline().cars.capacity[-1]
     assert np.exp(state["log_capacity"][:2]) * nominal == pytest.approx(np.full(2, CAPACITY), rel=0.01)
     assert (np.sqrt(state["p_cc"][:2]) < 0.02).all()
     assert (np.sqrt(state["p_cc"][2:]) > 0.05).all()
-    told = again().ask("a")
-    assert told.usable_capacity_kwh == pytest.approx(CAPACITY, rel=0.01)
-    assert told.usable_capacity_sd_kwh > soc_filter.METER_GAIN_SD * told.usable_capacity_kwh
+    outlook = trained_pipeline().ask("a")
+    assert outlook.usable_capacity_kwh == pytest.approx(CAPACITY, rel=0.01)
+    assert outlook.usable_capacity_sd_kwh > soc_filter.METER_GAIN_SD * outlook.usable_capacity_kwh
 
 
 def test_no_end_of_shift_forecast_before_enough_shifts():
-    pipeline = again(2)
-    found = forecasts(pipeline.push([m for _, m in shift("c", 2)]), "c")
-    assert all(each.soc_end_of_shift_pct is None for each in found.values())
-    assert all(each.soc_pct is not None for each in found.values())
+    pipeline = trained_pipeline(2)
+    published = forecasts(pipeline.push([m for _, m in shift("c", 2)]), "c")
+    assert all(each.soc_end_of_shift_pct is None for each in published.values())
+    assert all(each.soc_pct is not None for each in published.values())
 
 
 def test_without_plan_forecast_uses_earlier_shifts():
     messages = [m for _, m in shift("c", DAYS, planned=False)]
-    _, found = driven("c", messages=messages)
+    _, published = driven("c", messages=messages)
     assert all(
-        each.soc_end_of_shift_pct is None for each in found.values()
+        each.soc_end_of_shift_pct is None for each in published.values()
     )  # no forecast by history has been evaluated yet
-    pipeline = again(7, planned=False)
-    found = forecasts(pipeline.push([m for _, m in shift("c", 7, planned=False)]), "c")
-    early = [each for time, each in found.items() if 600.0 < time - START - 7.0 * DAY < 0.5 * SHIFT]
+    pipeline = trained_pipeline(7, planned=False)
+    published = forecasts(pipeline.push([m for _, m in shift("c", 7, planned=False)]), "c")
+    early = [each for time, each in published.items() if 600.0 < time - START - 7.0 * DAY < 0.5 * SHIFT]
     assert early
     for each in early:
         assert each.soc_end_of_shift_pct.mean == pytest.approx(columns("c", 7)["soc_pct"][-1], abs=12.0)
@@ -212,15 +212,15 @@ def test_without_plan_forecast_uses_earlier_shifts():
 
 
 def test_car_without_plan_and_earlier_shifts_gets_no_forecast():
-    pipeline = again(planned=False)
+    pipeline = trained_pipeline(planned=False)
     messages = [
         m._replace(key=m.key.replace("/c/", "/new/"), payload=m.payload.replace(b'"c"', b'"new"'))
         for _, m in shift("c", DAYS, planned=False)
     ]
-    found = forecasts(pipeline.push([told("vehicle", "new", BEGIN, model="nissan-leaf-2013"), *messages]), "new")
-    assert found
-    assert all(each.soc_end_of_shift_pct is None and each.reserve_risk is None for each in found.values())
-    assert found[max(found)].soc_pct is not None
+    published = forecasts(pipeline.push([told("vehicle", "new", BEGIN, model="nissan-leaf-2013"), *messages]), "new")
+    assert published
+    assert all(each.soc_end_of_shift_pct is None and each.reserve_risk is None for each in published.values())
+    assert published[max(published)].soc_pct is not None
 
 
 @pytest.mark.parametrize("ahead", [-1200.0, 0.0, 1500.0])
@@ -230,29 +230,29 @@ def test_plan_is_ignored_before_its_lead_and_after_its_overtime(ahead):
     came = float(columns("c", DAYS)["time_s"][100]) - ahead
     end = came + (SHIFT if ahead <= 0.0 else 0.0)
     late = told("plan", "c", came, shift_end_s=end, reserve_soc_pct=RESERVE, legs=[])
-    found = forecasts(again().push([*sent[:102], late, *sent[102:]]), "c")
-    known = {time for time, each in found.items() if each.soc_end_of_shift_pct is not None}
+    published = forecasts(trained_pipeline().push([*sent[:102], late, *sent[102:]]), "c")
+    known = {time for time, each in published.items() if each.soc_end_of_shift_pct is not None}
     first = float(columns("c", DAYS)["time_s"][100])
-    assert known == {t for t in found if t > first and came - PLAN_LEAD <= t <= end + OVERTIME}
+    assert known == {t for t in published if t > first and came - PLAN_LEAD <= t <= end + OVERTIME}
     assert known
-    assert known < set(found)
+    assert known < set(published)
 
 
 @pytest.mark.parametrize("hours", [0.4, 1.5])
 def test_short_shift_does_not_update_consumption_factors(hours):
-    pipeline, lane = again(), CARS.index("c")
+    pipeline, lane = trained_pipeline(), CARS.index("c")
     pipeline.push([m for _, m in shift("c", DAYS, columns("c", DAYS, hours=hours))])
-    pipeline.push(night(DAYS + 1))
+    pipeline.push(idle_morning(DAYS + 1))
     before = pipeline.engine.statistics.factors.expect(lane)
     pipeline.push([m for _, m in shift("c", DAYS + 2)][:5])
-    pipeline.push(night(DAYS + 3))
+    pipeline.push(idle_morning(DAYS + 3))
     after = pipeline.engine.statistics.factors.expect(lane)
     assert (after == before) == (hours < SHORT_SHIFT)
 
 
 def driven_by(*names):
     """Return the consumption factors after a shift; each driver is named after a number of its samples."""
-    pipeline = again()
+    pipeline = trained_pipeline()
     sent = [m for _, m in shift("c", DAYS)]
     del sent[2]  # who drives
     begin = float(columns("c", DAYS)["time_s"][0])
@@ -260,7 +260,7 @@ def driven_by(*names):
         sent.insert(at, told("ride", "c", begin, ride_id="c", event="start", driver_id=name))
     pipeline.push(sent)
     pipeline.push([m for _, m in shift("c", DAYS + 1)][:5])
-    pipeline.push(night(DAYS + 2))
+    pipeline.push(idle_morning(DAYS + 2))
     return pipeline.engine.statistics.factors
 
 
@@ -283,18 +283,18 @@ def test_shift_of_two_drivers_updates_only_the_car():
 
 def test_other_cars_on_the_same_day_change_no_forecast():
     alone = driven("c")[1]
-    together = forecasts(again().push(merged(*(shift(car, DAYS) for car in CARS))), "c")
+    together = forecasts(trained_pipeline().push(merged(*(shift(car, DAYS) for car in CARS))), "c")
     assert together == alone
 
 
 def test_shifts_are_evaluated_as_they_end_and_bounds_move_at_daily_update():
-    pipeline = again()
+    pipeline = trained_pipeline()
     conformal, before = pipeline.engine.statistics.conformal, count_evaluated_shifts(pipeline)
     bounds = conformal.bounds.copy()
     pipeline.push(days([DAYS]))
     assert count_evaluated_shifts(pipeline) >= before + len(CARS)
     assert conformal.bounds.tobytes() == bounds.tobytes()
-    pipeline.push(night(DAYS + 1))
+    pipeline.push(idle_morning(DAYS + 1))
     assert conformal.bounds.tobytes() != bounds.tobytes()
 
 

@@ -8,7 +8,7 @@ import pytest
 from core.models import EXTENDED_PHYSICAL
 from core.settings import Settings
 from core.wire.messages import Forecast
-from tests.support.fleet_days import DAYS, again, forecasts, shift
+from tests.support.fleet_days import DAYS, forecasts, shift, trained_pipeline
 from tests.support.telemetry import PERIOD, START, drive, leaf, ran, telemetry, told, without
 
 
@@ -24,56 +24,58 @@ def full(n=300):
 
 def test_forecast_describes_the_sample_behind_it():
     columns = full()
-    pipeline, out, said = forecasts_of([leaf(), *telemetry(columns)], prefix="montreal/")
+    pipeline, out, published = forecasts_of([leaf(), *telemetry(columns)], prefix="montreal/")
     assert {message.key for message in out} == {"montreal/fleet/a/forecast"}
-    assert [message.receipt_ns for message in out] == [int(forecast["time_s"] * 1e9) for forecast in said]
+    assert [message.receipt_ns for message in out] == [int(forecast["time_s"] * 1e9) for forecast in published]
     stamps = set((columns["time_s"]).tolist())
-    assert all(forecast["time_s"] in stamps for forecast in said)
-    assert all(set(forecast) == set(Forecast.__struct_fields__) for forecast in said)
-    row = np.searchsorted(columns["time_s"], [forecast["time_s"] for forecast in said])
-    assert [f["ride_distance_km"] for f in said] == pytest.approx(columns["metres"][row] / 1000)
-    assert [f["ride_duration_s"] for f in said] == pytest.approx(PERIOD * row)
-    assert [f["soc_pct"] for f in said] == pytest.approx(columns["soc_pct"][row], abs=0.5)
-    assert [f["ride_energy_measured_kwh"] or 0.0 for f in said[1:]] == pytest.approx(10.8 * PERIOD * row[1:] / 3600)
-    predicted = [f["ride_energy_predicted_kwh"] for f in said]
+    assert all(forecast["time_s"] in stamps for forecast in published)
+    assert all(set(forecast) == set(Forecast.__struct_fields__) for forecast in published)
+    row = np.searchsorted(columns["time_s"], [forecast["time_s"] for forecast in published])
+    assert [f["ride_distance_km"] for f in published] == pytest.approx(columns["metres"][row] / 1000)
+    assert [f["ride_duration_s"] for f in published] == pytest.approx(PERIOD * row)
+    assert [f["soc_pct"] for f in published] == pytest.approx(columns["soc_pct"][row], abs=0.5)
+    assert [f["ride_energy_measured_kwh"] or 0.0 for f in published[1:]] == pytest.approx(
+        10.8 * PERIOD * row[1:] / 3600
+    )
+    predicted = [f["ride_energy_predicted_kwh"] for f in published]
     assert 0.05 < predicted[-1] / (columns["metres"][-1] / 1000) < 0.35
-    assert {f["ride_id"] for f in said} == {"r1"}
-    assert {f["model"] for f in said} == {f"{EXTENDED_PHYSICAL.name}/{EXTENDED_PHYSICAL.version}"}
+    assert {f["ride_id"] for f in published} == {"r1"}
+    assert {f["model"] for f in published} == {f"{EXTENDED_PHYSICAL.name}/{EXTENDED_PHYSICAL.version}"}
     assert pipeline.model is EXTENDED_PHYSICAL
 
 
 @pytest.mark.parametrize("wait", [6.0, 15.0, 60.0])
 def test_forecasts_are_due_by_event_time(wait):
     columns = drive(300, speed=10.0)
-    _, _, said = forecasts_of([leaf(), *telemetry(columns)], settings=Settings(forecast_time=wait))
-    steps = np.diff([forecast["time_s"] for forecast in said])
+    _, _, published = forecasts_of([leaf(), *telemetry(columns)], settings=Settings(forecast_time=wait))
+    steps = np.diff([forecast["time_s"] for forecast in published])
     assert np.all(np.ceil(wait / PERIOD) * PERIOD == steps)
-    assert said[0]["time_s"] == START
+    assert published[0]["time_s"] == START
 
 
 def test_material_change_is_published_at_once():
     columns = drive(100, speed=10.0, soc_pct=80.0)
     columns["soc_pct"][47:] = 78.5
     columns["ride_id"][71:] = "r2"
-    _, _, said = forecasts_of([leaf(), *telemetry(columns)], settings=Settings(forecast_time=60.0))
-    times = [round((forecast["time_s"] - START) / PERIOD) for forecast in said]
+    _, _, published = forecasts_of([leaf(), *telemetry(columns)], settings=Settings(forecast_time=60.0))
+    times = [round((forecast["time_s"] - START) / PERIOD) for forecast in published]
     assert {0, 47, 71} <= set(times)
-    assert said[times.index(71)]["ride_id"] == "r2"
-    assert said[times.index(71)]["ride_distance_km"] == 0.0
+    assert published[times.index(71)]["ride_id"] == "r2"
+    assert published[times.index(71)]["ride_distance_km"] == 0.0
 
 
 def test_parked_car_gets_fewer_forecasts():
     columns = drive(400, speed=0.0, soc_pct=70.0)
     columns["ride_id"][:] = None
-    _, _, said = forecasts_of(telemetry(columns))
-    assert 18 <= len(said) <= 22
-    assert {forecast["ride_id"] for forecast in said} == {None}
+    _, _, published = forecasts_of(telemetry(columns))
+    assert 18 <= len(published) <= 22
+    assert {forecast["ride_id"] for forecast in published} == {None}
 
 
 def test_unknown_values_are_null():
-    _, _, said = forecasts_of(telemetry(drive(60, speed=10.0)))
+    _, _, published = forecasts_of(telemetry(drive(60, speed=10.0)))
     for name in ("ride_energy_predicted_kwh", "ride_energy_measured_kwh", "soc_pct", "soc_sd_pct", "range_km"):
-        assert {json.dumps(forecast[name]) for forecast in said} == {"null"}, name
+        assert {json.dumps(forecast[name]) for forecast in published} == {"null"}, name
 
 
 def test_faults_are_counted_from_the_beginning_of_the_ride():
@@ -84,9 +86,15 @@ def test_faults_are_counted_from_the_beginning_of_the_ride():
     messages = [leaf(), *telemetry(columns)]
     messages[60:60] = [messages[60]] * 3
     del messages[100:105]
-    _, _, said = forecasts_of([*messages, told("ride", ride_id="r1", event="end")])
-    assert said[-1]["quality"] == {"repaired_time": 1, "rejected_speed": 2, "duplicate": 3, "gap": 1, "out_of_range": 1}
-    assert said[0]["quality"] == dict.fromkeys(said[0]["quality"], 0)
+    _, _, published = forecasts_of([*messages, told("ride", ride_id="r1", event="end")])
+    assert published[-1]["quality"] == {
+        "repaired_time": 1,
+        "rejected_speed": 2,
+        "duplicate": 3,
+        "gap": 1,
+        "out_of_range": 1,
+    }
+    assert published[0]["quality"] == dict.fromkeys(published[0]["quality"], 0)
 
 
 def test_newest_only_returns_last_forecast_of_each_vehicle():
@@ -101,8 +109,8 @@ def test_newest_only_returns_last_forecast_of_each_vehicle():
 
 
 def test_range_and_end_intervals_contain_their_mean():
-    said = list(forecasts(again().push([m for _, m in shift("c", DAYS)]), "c").values())
-    for forecast in said[2:]:
+    published = list(forecasts(trained_pipeline().push([m for _, m in shift("c", DAYS)]), "c").values())
+    for forecast in published[2:]:
         for interval in (forecast.range_km, forecast.soc_end_of_shift_pct):
             assert interval.p05 <= interval.mean <= interval.p95
         assert forecast.soc_end_of_shift_pct.p05 >= 0.0
@@ -113,10 +121,10 @@ def test_range_and_end_intervals_contain_their_mean():
 
 
 def test_untrained_pipeline_publishes_soc_but_no_end_of_shift():
-    _, _, said = forecasts_of(
+    _, _, published = forecasts_of(
         [leaf(), told("plan", shift_end_s=START + 7200.0, reserve_soc_pct=10.0, legs=[]), *telemetry(full())]
     )
-    for forecast in said:
+    for forecast in published:
         assert forecast["soc_sd_pct"] > 0.0
         assert forecast["soc_end_of_shift_pct"] is None
         assert forecast["range_km"] is None

@@ -25,11 +25,11 @@ from core.forecast.outlook import (
 from core.forecast.planned_legs import PLAN_PROGRESS, compute_planned_legs
 from core.forecast.soc_filter import CONSUMPTION_WANDER, ENERGY_SD
 from core.wire.messages import Leg, Plan
-from tests.support.fleet_days import DAY, DAYS, LEG, LEGS, RESERVE, SHIFT, START, again, speeds
+from tests.support.fleet_days import DAY, DAYS, LEG, LEGS, RESERVE, SHIFT, START, speeds, trained_pipeline
 
 BEGIN = START + DAY * DAYS
 PLAN = Plan("c", BEGIN, BEGIN + SHIFT, RESERVE, [Leg(0.6 * v, 600.0) for v in speeds("c", DAYS).tolist()])
-STATISTICS = again().engine.statistics
+STATISTICS = trained_pipeline().engine.statistics
 PLANNED = compute_planned_legs(PLAN, STATISTICS.get_tables(2))
 CELSIUS = 8.0
 
@@ -87,10 +87,10 @@ def test_energy_ahead_falls_during_a_ride(done, one, other):
 
 @given(st.integers(0, LEGS - 1), st.floats(0.0, 5.0), st.floats(0.0, 30.0))
 def test_leg_progress_counts_from_the_arrival_of_the_plan(done, before, since):
-    found = ahead(done, ride_km=before + since, driven_km=before, riding=True)
+    result = ahead(done, ride_km=before + since, driven_km=before, riding=True)
     same = ahead(done, ride_km=since, riding=True)
-    assert found.km[0] == pytest.approx(same.km[0])
-    assert found.energy[0] == pytest.approx(same.energy[0])
+    assert result.km[0] == pytest.approx(same.km[0])
+    assert result.energy[0] == pytest.approx(same.energy[0])
 
 
 @given(st.integers(0, LEGS - 1), st.floats(0.0, 5.0), st.floats(0.0, 12.0), st.booleans())
@@ -138,19 +138,19 @@ def test_part_of_the_surplus_of_a_descent_returns():
 @given(st.integers(0, LEGS), st.floats(0.0, SHIFT + OVERTIME), st.floats(0.0, 10.0), st.booleans())
 def test_end_is_never_before_now_nor_before_planned_legs_can_be_driven(done, passed, driven, riding):
     now = BEGIN + passed
-    found = ahead(done, now, driven if riding else 0.0, riding=riding)
+    result = ahead(done, now, driven if riding else 0.0, riding=riding)
     rest = PLANNED.get_remaining(done, driven if riding else None)
-    assert found.end[0] >= max(now, BEGIN + SHIFT)
-    assert found.end[0] >= now + rest.seconds.sum() - 1e-6
-    assert found.hours[0] == pytest.approx((found.end[0] - now) / 3600.0)
-    assert found.end[0] <= max(BEGIN + SHIFT, now + rest.seconds.sum() + 1e-6)
+    assert result.end[0] >= max(now, BEGIN + SHIFT)
+    assert result.end[0] >= now + rest.seconds.sum() - 1e-6
+    assert result.hours[0] == pytest.approx((result.end[0] - now) / 3600.0)
+    assert result.end[0] <= max(BEGIN + SHIFT, now + rest.seconds.sum() + 1e-6)
 
 
 def test_after_all_legs_the_rest_is_waiting():
-    found = ahead(LEGS, BEGIN + SHIFT - 1800.0)
-    assert found.km[0] == 0.0
-    assert found.energy[0] == pytest.approx(0.5 * usual().standing_power[0])
-    assert ahead(LEGS + 3, BEGIN + SHIFT - 1800.0).energy == pytest.approx(found.energy)
+    result = ahead(LEGS, BEGIN + SHIFT - 1800.0)
+    assert result.km[0] == 0.0
+    assert result.energy[0] == pytest.approx(0.5 * usual().standing_power[0])
+    assert ahead(LEGS + 3, BEGIN + SHIFT - 1800.0).energy == pytest.approx(result.energy)
 
 
 @pytest.mark.parametrize(
@@ -165,9 +165,9 @@ def test_after_all_legs_the_rest_is_waiting():
     ],
 )
 def test_plan_applies_from_its_lead_to_its_overtime(passed, applies):
-    found = ahead(time=BEGIN + passed)
-    assert np.isfinite(found.energy[0]) == np.isfinite(found.end[0]) == np.isfinite(found.hours[0]) == applies
-    assert not found.hours[0] < 0.0
+    result = ahead(time=BEGIN + passed)
+    assert np.isfinite(result.energy[0]) == np.isfinite(result.end[0]) == np.isfinite(result.hours[0]) == applies
+    assert not result.hours[0] < 0.0
 
 
 def test_without_plan_the_energy_ahead_is_nan():
@@ -186,13 +186,13 @@ def test_history_fills_in_only_without_plan_and_until_the_usual_end():
     )
     elapsed, now = np.array([3600.0, 3600.0 * 7.0, 3600.0, 3600.0]), np.full(n, BEGIN)
     patterns = np.array([(hours, 1.2) for hours in (6.0, 6.0, np.nan, 6.0)], SHIFT_PATTERN)
-    found = fill_from_history(plain, usual(n), elapsed, now, patterns)
-    assert found.energy[0] == pytest.approx(1.2 * 5.0 * usual().mean_power[0])
-    assert found.end[0] == BEGIN + 5.0 * 3600.0
-    assert np.isnan(found.energy[1:3]).all()
-    assert found.energy[3] == 3.0
-    assert found.basis.tolist() == [1, 0, 0, 0]
-    assert found.reserve.tolist() == [DEFAULT_RESERVE] * 3 + [0.3]
+    result = fill_from_history(plain, usual(n), elapsed, now, patterns)
+    assert result.energy[0] == pytest.approx(1.2 * 5.0 * usual().mean_power[0])
+    assert result.end[0] == BEGIN + 5.0 * 3600.0
+    assert np.isnan(result.energy[1:3]).all()
+    assert result.energy[3] == 3.0
+    assert result.basis.tolist() == [1, 0, 0, 0]
+    assert result.reserve.tolist() == [DEFAULT_RESERVE] * 3 + [0.3]
 
 
 @given(st.floats(0.0, 15.0), st.floats(0.01, 5.0), st.floats(0.0, 8.0))
@@ -212,15 +212,15 @@ def test_sd_agrees_with_simulation():
     scale += CONSUMPTION_WANDER * np.sqrt(3.0) * rng.normal(size=n)
     energy = 8.0 * np.exp(scale) + ENERGY_SD * np.sqrt(8.0) * rng.normal(size=n)
     ends = soc - energy / 24.0 + rng.uniform(-0.005, 0.005, n)
-    told = known(variance=2e-5, log_factor=0.0, log_factor_variance=0.004, covariance=-1e-4)
-    found = compute_end_soc(told, np.array([8.0]), np.array([3.0]))
-    assert found.sd[0] == pytest.approx(ends.std(), rel=0.02)
-    assert found.mean[0] == pytest.approx(ends.mean(), abs=0.005)
+    estimate = known(variance=2e-5, log_factor=0.0, log_factor_variance=0.004, covariance=-1e-4)
+    result = compute_end_soc(estimate, np.array([8.0]), np.array([3.0]))
+    assert result.sd[0] == pytest.approx(ends.std(), rel=0.02)
+    assert result.mean[0] == pytest.approx(ends.mean(), abs=0.005)
 
 
 def test_sd_is_never_below_that_of_the_quantum():
-    found = compute_end_soc(known(variance=0.0, log_factor_variance=0.0, covariance=0.0), np.zeros(1), np.zeros(1))
-    assert found.sd[0] == pytest.approx(0.01 / np.sqrt(12.0))
+    result = compute_end_soc(known(variance=0.0, log_factor_variance=0.0, covariance=0.0), np.zeros(1), np.zeros(1))
+    assert result.sd[0] == pytest.approx(0.01 / np.sqrt(12.0))
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.0, 0.5), st.floats(0.0, 1.0))

@@ -11,7 +11,7 @@ import core.pipeline
 from core.forecast.engine import PendingInput
 from core.forecast.plan_tracker import DriverNamed, PlanArrival
 from core.totals.accumulator import Ledger, join_totals
-from tests.support.fleet_days import CARS, DAYS, again, merged, plan, shift
+from tests.support.fleet_days import CARS, DAYS, merged, plan, shift, trained_pipeline
 from tests.support.telemetry import START, chunked, leaf, observed, told
 
 BEGIN = START + 86_400.0 * DAYS
@@ -23,7 +23,7 @@ def day(*also):
 
 
 def whole(messages, cuts=()):
-    pipeline = again()
+    pipeline = trained_pipeline()
     return [m.payload for chunk in chunked(messages, cuts) for m in pipeline.push(chunk)]
 
 
@@ -75,7 +75,7 @@ def test_late_or_changed_vehicle_model_gives_same_forecasts_for_any_cut():
 
 @given(cuts=st.lists(st.integers(0, 1400), max_size=6), queried=st.lists(st.integers(0, 6), max_size=3))
 def test_status_queries_and_snapshots_change_no_forecast(cuts, queried):
-    pipeline, messages = again(), day(*weather(5))
+    pipeline, messages = trained_pipeline(), day(*weather(5))
     for number, chunk in enumerate(chunked(messages, cuts)):
         pipeline.take(chunk)
         if number in queried:

@@ -62,7 +62,7 @@ def test_leg_beyond_a_limit_refuses_the_plan_and_is_named(before, leg, name, dat
 
 
 @pytest.mark.parametrize(
-    ("changed", "cause", "told"),
+    ("changed", "cause", "message"),
     [
         ({"legs": [Leg(1.0, 60.0)] * (MOST_LEGS + 1)}, "too_many_legs", "501 legs, at most 500"),
         ({"legs": [Leg(1.0, 60.0)] * 10_000}, "too_many_legs", "10000 legs"),
@@ -82,10 +82,10 @@ def test_leg_beyond_a_limit_refuses_the_plan_and_is_named(before, leg, name, dat
         ({"shift_end_s": -1e308}, "plan_in_the_past", "1e+308"),
     ],
 )
-def test_unusable_plan_is_refused_with_cause_and_message(changed, cause, told):
+def test_unusable_plan_is_refused_with_cause_and_message(changed, cause, message):
     refused = find_refusal(plan(**changed), NOW)
     assert refused.cause == cause
-    assert told in refused.message
+    assert message in refused.message
     assert len(refused.message) < 200
 
 
@@ -119,10 +119,10 @@ def test_refusal_names_the_given_limit_of_the_shift_end(ahead):
 
 
 @pytest.mark.parametrize(
-    ("newest", "found"), [(-1.0, False), (0.0, False), (1.0, True), (AHEAD_S, True), (AHEAD_S + 1.0, False)]
+    ("newest", "outdated"), [(-1.0, False), (0.0, False), (1.0, True), (AHEAD_S, True), (AHEAD_S + 1.0, False)]
 )
-def test_plan_is_outdated_unless_the_newest_one_has_a_wrong_clock(newest, found):
-    assert is_outdated(plan(time_s=NOW), NOW + newest) is found
+def test_plan_is_outdated_unless_the_newest_one_has_a_wrong_clock(newest, outdated):
+    assert is_outdated(plan(time_s=NOW), NOW + newest) is outdated
 
 
 # parsing of a query
@@ -155,7 +155,7 @@ def test_query_without_ride_parameters_has_no_leg(text):
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "message"),
     [
         ({"distance_km": "far"}, "distance_km is 'far', must be a number"),
         ({"distance_km": ""}, "distance_km is ''"),
@@ -180,10 +180,10 @@ def test_query_without_ride_parameters_has_no_leg(text):
         ({"x" * 100_000: "1"}, "…"),
     ],
 )
-def test_unusable_ride_is_refused_in_one_line(changed, told):
+def test_unusable_ride_is_refused_in_one_line(changed, message):
     with pytest.raises(AskError) as caught:
         parse_leg(RIDE | changed)
-    assert told in str(caught.value)
+    assert message in str(caught.value)
     assert one_line(caught.value)
 
 
@@ -227,7 +227,7 @@ def test_plan_of_a_query_may_leave_out_vehicle_and_time():
 
 
 @pytest.mark.parametrize(
-    ("payload", "cause", "told"),
+    ("payload", "cause", "message"),
     [
         (b"\xff\x00", "payload", "no plan"),
         (b"rubbish", "payload", "no plan"),
@@ -251,11 +251,11 @@ def test_plan_of_a_query_may_leave_out_vehicle_and_time():
         (b" " * (MOST_BYTES + 1), "payload", f"{MOST_BYTES + 1} bytes"),
     ],
 )
-def test_unusable_plan_of_a_query_is_refused_in_one_line(payload, cause, told):
+def test_unusable_plan_of_a_query_is_refused_in_one_line(payload, cause, message):
     with pytest.raises(AskError) as caught:
         parse_plan(payload, "a")
     assert caught.value.cause == cause
-    assert told in str(caught.value)
+    assert message in str(caught.value)
     assert one_line(caught.value)
 
 

@@ -18,11 +18,11 @@ from tests.support.fleet_days import (
     RIDE,
     SHIFT,
     START,
-    again,
     columns,
     plan,
     shift,
     speeds,
+    trained_pipeline,
 )
 from tests.support.telemetry import told
 
@@ -35,7 +35,7 @@ LENGTHS = RIDE * speeds(CAR, DAYS) / 1000.0
 
 def at(passed, pipeline=None, sent=None, inserted=()):
     """Return a pipeline that has received a shift up to a time [s], with messages inserted at other times."""
-    pipeline = pipeline or again()
+    pipeline = pipeline or trained_pipeline()
     stream = [*shift(CAR, DAYS, sent), *((BEGIN + time, message) for time, message in inserted)]
     pipeline.push([m for time, m in sorted(stream, key=lambda each: each[0]) if time <= BEGIN + passed])
     return pipeline
@@ -54,13 +54,13 @@ def left(pipeline):
 @given(st.floats(PERIOD, SHIFT))
 def test_remaining_legs_are_the_planned_less_the_driven(passed):
     done, into = int(min(passed // LEG, LEGS - 1)), min(passed % LEG, RIDE)
-    found = left(at(passed))
+    lengths = left(at(passed))
     if passed % LEG > RIDE + PERIOD:
-        assert found == pytest.approx(LENGTHS[done + 1 :])
+        assert lengths == pytest.approx(LENGTHS[done + 1 :])
     elif into < RIDE - PERIOD and into > 2.0 * PERIOD:
-        assert found[1:] == pytest.approx(LENGTHS[done + 1 :])
+        assert lengths[1:] == pytest.approx(LENGTHS[done + 1 :])
         driven = speeds(CAR, DAYS)[done] * into / 1000.0
-        assert found[0] == pytest.approx(LENGTHS[done] - driven, abs=1.3)  # later by a forecast and a sample
+        assert lengths[0] == pytest.approx(LENGTHS[done] - driven, abs=1.3)  # later by a forecast and a sample
 
 
 def test_leg_in_progress_keeps_its_pace_and_climb():
@@ -115,7 +115,7 @@ def test_plan_sent_as_a_ride_ends_keeps_its_first_leg(before):
 @pytest.mark.parametrize("came", [0.5 * RIDE, RIDE - PERIOD, RIDE + 1.0, RIDE + 40.0, RIDE + 200.0])
 def test_distance_before_a_plan_does_not_count_for_its_legs(came):
     """A ride in progress counts from the arrival of the plan; the next one counts from its beginning."""
-    pipeline = again()
+    pipeline = trained_pipeline()
     at(came, pipeline, inserted=[(came, plan(CAR, DAYS, BEGIN + came, LEGS))])
     assert left(pipeline) == pytest.approx(LENGTHS, abs=0.9)
     if came > RIDE:
@@ -163,7 +163,7 @@ def test_plan_of_tomorrow_waits_and_keeps_the_plan_of_today(came):
 def test_plan_of_tomorrow_is_not_used_today_without_another_plan():
     answers = []
     for inserted in ([], [(BEGIN + 30.0, tomorrow(30.0))]):
-        pipeline = again()
+        pipeline = trained_pipeline()
         sent = sorted([*shift(CAR, DAYS, planned=False), *inserted], key=lambda each: each[0])
         pipeline.push([m for time, m in sent if time <= BEGIN + LEG])
         answers.append(pipeline.ask(CAR))
@@ -178,7 +178,7 @@ def test_plan_of_today_may_arrive_after_that_of_tomorrow():
 
 def followed(cuts):
     """Return the pipeline and its forecasts of a day planned the day before, with batches cut at `cuts`."""
-    pipeline = again()
+    pipeline = trained_pipeline()
     next_day = [m for _, m in shift(CAR, DAYS + 1, planned=False)]
     sent = sorted([*shift(CAR, DAYS), (BEGIN + LEG, tomorrow(LEG))], key=lambda each: each[0])
     messages, out = [*(m for _, m in sent), *next_day[: int(2.5 * LEG / PERIOD)]], []
@@ -186,7 +186,7 @@ def followed(cuts):
         out += pipeline.push(messages[start:stop])
         if stop == 600:
             kept = pipeline.snapshot()
-            pipeline = again()
+            pipeline = trained_pipeline()
             pipeline.restore(kept)
     return pipeline, out
 
@@ -249,7 +249,7 @@ def test_unusable_plan_keeps_the_one_before():
 
 
 def test_plan_alone_makes_no_forecast_and_unknown_car_has_no_legs():
-    pipeline = again()
+    pipeline = trained_pipeline()
     assert pipeline.engine.plans.get_remaining_legs(97, START) is None
     unheard = told("plan", "z", START, shift_end_s=START + SHIFT, reserve_soc_pct=RESERVE, legs=[])
     assert pipeline.push([unheard]) == []

@@ -4,7 +4,7 @@ import pytest
 
 from core.pipeline import Pipeline
 from core.wire.messages import Leg
-from tests.support.fleet_days import DAYS, LEG, RIDE, again, columns, shift
+from tests.support.fleet_days import DAYS, LEG, RIDE, columns, shift, trained_pipeline
 from tests.support.telemetry import told
 from tools.commands.ask import verdict
 
@@ -15,7 +15,7 @@ QUERIED_RIDE = Leg(8.0, 700.0)
 
 @pytest.mark.parametrize("leg", [None, QUERIED_RIDE])
 def test_silent_car_gets_no_forecast_while_others_continue(leg):
-    pipeline = again()
+    pipeline = trained_pipeline()
     pipeline.push([m for time, m in shift(CAR, DAYS) if time <= BEGIN + LEG + RIDE + 100.0])
     before = pipeline.ask(CAR, leg)
     later = [told("telemetry", "f", BEGIN + 15.0 * i, soc_pct=80.0) for i in range(8 * 240)]  # eight hours
@@ -36,7 +36,7 @@ def test_silent_car_gets_no_forecast_while_others_continue(leg):
 
 
 def test_car_with_clock_hours_behind_is_not_silent():
-    pipeline = again()
+    pipeline = trained_pipeline()
     ahead = 9.0 * 3600.0
     for time, message in shift(CAR, DAYS)[:300]:
         others = [told("telemetry", car, time + ahead, soc_pct=80.0) for car in ("d", "e", "f")]

@@ -6,11 +6,11 @@ import pytest
 
 from core.forecast.filter_state import CLOSED_SHIFT
 from core.forecast.tables import outlook_table, shift_table
-from tests.support.fleet_days import DAYS, RESERVE, SHIFT, again, columns, days, forecasts, shift
+from tests.support.fleet_days import DAYS, RESERVE, SHIFT, columns, days, forecasts, shift, trained_pipeline
 
 
 def driven(cuts=1):
-    pipeline = again(keep_outlooks=True)
+    pipeline = trained_pipeline(keep_outlooks=True)
     messages = days([DAYS], "abc")
     out, tables = [], []
     for part in np.array_split(np.arange(len(messages)), cuts):
@@ -23,10 +23,10 @@ def driven(cuts=1):
 def test_each_row_equals_its_published_forecast():
     _, out, table = driven()
     for car in "abc":
-        told = list(forecasts(out, car).values())
+        published = list(forecasts(out, car).values())
         mine = table[table["vehicle_id"] == car].reset_index(drop=True)
-        assert mine["time_s"].tolist() == [each.time_s for each in told]
-        for row, each in zip(mine.itertuples(), told, strict=True):
+        assert mine["time_s"].tolist() == [each.time_s for each in published]
+        for row, each in zip(mine.itertuples(), published, strict=True):
             assert row.soc_pct == pytest.approx(each.soc_pct)
             end = each.soc_end_of_shift_pct
             assert (
@@ -70,7 +70,7 @@ def test_shift_row_agrees_with_its_samples(car):
 
 
 def test_shift_ends_when_the_next_begins():
-    pipeline = again(keep_outlooks=True)
+    pipeline = trained_pipeline(keep_outlooks=True)
     pipeline.push([m for _, m in shift("c", DAYS)])
     pipeline.take_shifts()
     pipeline.push([m for _, m in shift("c", DAYS + 1)][:5])
@@ -80,7 +80,7 @@ def test_shift_ends_when_the_next_begins():
 
 
 def test_empty_tables_have_all_columns():
-    pipeline = again()
+    pipeline = trained_pipeline()
     empty = outlook_table([], pipeline.context)
     _, _, table = driven()
     assert list(empty) == list(table)

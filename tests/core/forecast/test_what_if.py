@@ -24,11 +24,11 @@ from tests.support.fleet_days import (
     SETTINGS,
     SHIFT,
     START,
-    again,
     columns,
     forecasts,
     shift,
     speeds,
+    trained_pipeline,
 )
 from tests.support.telemetry import told
 
@@ -39,7 +39,9 @@ QUERIED_RIDE = Leg(8.0, 700.0)
 
 def at(passed, number=DAYS, planned=True):
     """Return a pipeline that has received a shift up to a time [s], and its forecasts, one per sample."""
-    pipeline = again(number, planned=planned and number == DAYS, settings=SETTINGS._replace(forecast_time=3.0))
+    pipeline = trained_pipeline(
+        number, planned=planned and number == DAYS, settings=SETTINGS._replace(forecast_time=3.0)
+    )
     begin = float(columns(CAR, number)["time_s"][0])
     sent = shift(CAR, number, planned=planned)
     out = pipeline.push([m for time, m in sent if time <= begin + passed])
@@ -64,7 +66,7 @@ def means(legs):
 
 def moments(planned=True, number=DAYS, inserted=()):
     """Yield a pipeline every few minutes of a shift, with its newest forecast."""
-    pipeline = again(number, planned=planned, settings=SETTINGS._replace(forecast_time=3.0))
+    pipeline = trained_pipeline(number, planned=planned, settings=SETTINGS._replace(forecast_time=3.0))
     sent = [*shift(CAR, number, planned=planned), *inserted]
     messages = [message for _, message in sorted(sent, key=lambda each: each[0])]
     for start in range(0, len(messages), 11):
@@ -272,7 +274,7 @@ def test_car_without_samples_is_unknown():
 
 
 def silent():
-    pipeline = again()
+    pipeline = trained_pipeline()
     sent = columns(CAR, DAYS)
     sent["soc_pct"][:] = float("nan")
     pipeline.push([m for _, m in shift(CAR, DAYS, sent)][:50])
@@ -280,7 +282,7 @@ def silent():
 
 
 def unlearned():
-    pipeline = again()
+    pipeline = trained_pipeline()
     sent = [m for _, m in shift(CAR, DAYS)][:50]
     pipeline.push([told("vehicle", CAR, BEGIN, model="kia-soul-ev-2015"), *sent])
     return pipeline
@@ -306,7 +308,7 @@ def test_answer_states_why_a_figure_is_unknown(pipeline, why):
 
 
 def test_without_plan_the_shift_continues_as_usual_after_the_ride():
-    pipeline = again(7, planned=False)
+    pipeline = trained_pipeline(7, planned=False)
     pipeline.push([m for _, m in shift(CAR, 7, planned=False)][:100])
     plain, asked = pipeline.ask(CAR), pipeline.ask(CAR, QUERIED_RIDE)
     assert plain.why_not is None
@@ -316,7 +318,7 @@ def test_without_plan_the_shift_continues_as_usual_after_the_ride():
 
 
 def test_shift_longer_than_usual_has_no_forecast_but_its_ride_has():
-    pipeline, sent = again(7, planned=False), columns(CAR, 7, hours=SHIFT / 3600.0 + 2.0)
+    pipeline, sent = trained_pipeline(7, planned=False), columns(CAR, 7, hours=SHIFT / 3600.0 + 2.0)
     messages = shift(CAR, 7, sent, planned=False)
     out = forecasts(pipeline.push([m for _, m in messages]), CAR)
     plain, asked = pipeline.ask(CAR), pipeline.ask(CAR, QUERIED_RIDE)
@@ -359,17 +361,17 @@ def test_wait_before_a_leg_is_never_longer_than_usual(monkeypatch, passed, usual
     driving = tracker.get_remaining_legs(lane, now, plan).seconds.sum()
     waits = 3 - tracker.is_riding(lane)
 
-    def asked(hours, pause):
+    def answer_with(hours, pause):
         monkeypatch.setattr(pipeline.engine.statistics, "get_tables", lambda _: tables._replace(mean_pause=pause))
         end = now + driving + 3600.0 * hours * waits
         return pipeline.ask(CAR, None, msgspec.structs.replace(plan, shift_end_s=end))
 
-    even, found, soon = asked(0.5, np.inf), asked(0.5, usual), asked(usual, np.inf)
-    assert means(found.legs) == pytest.approx(means(soon.legs))
-    assert means(found.legs)[-1] > means(even.legs)[-1]
-    assert msgspec.structs.replace(found, legs=[]) == msgspec.structs.replace(even, legs=[])
-    assert [each.energy_kwh for each in found.legs] == [each.energy_kwh for each in even.legs]
-    assert asked(0.5, 0.6) == even
+    even, delayed, soon = answer_with(0.5, np.inf), answer_with(0.5, usual), answer_with(usual, np.inf)
+    assert means(delayed.legs) == pytest.approx(means(soon.legs))
+    assert means(delayed.legs)[-1] > means(even.legs)[-1]
+    assert msgspec.structs.replace(delayed, legs=[]) == msgspec.structs.replace(even, legs=[])
+    assert [each.energy_kwh for each in delayed.legs] == [each.energy_kwh for each in even.legs]
+    assert answer_with(0.5, 0.6) == even
 
 
 def test_energy_of_waiting_is_less_certain_than_that_of_driving(monkeypatch):

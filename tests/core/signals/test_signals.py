@@ -1,4 +1,4 @@
-"""Derived columns: what effects ask for by name."""
+"""Test the signals that effects request by name."""
 
 import numpy as np
 import pytest
@@ -140,7 +140,7 @@ def test_each_stop_of_a_ride_is_counted_once():
     assert stops.sum() == signals.clean.stop[1:].sum() > 2
 
 
-# What candidate effects ask for
+# Signals for candidate effects
 
 
 def test_traction_equals_the_force_balance_with_the_parameters_of_the_car():
@@ -159,7 +159,7 @@ def test_traction_equals_the_force_balance_with_the_parameters_of_the_car():
 
 
 def test_traction_at_steady_speed_equals_the_road_load():
-    """1575 kg at 72 km/h on the level: 0.010 of 15.4 kN and 1/2 1.225 0.7 20^2 = 326 N."""
+    """The car has 1575 kg and drives at 72 km/h on a level road: 0.010 of 15.4 kN, and 1/2 1.225 0.7 20^2 N."""
     signals = signals_of(drive(N, speed=20.0), None, (0.01, 0.7))
     assert signals["traction"][-1] == pytest.approx(0.010 * 1575 * GRAVITY + 0.5 * 1.225 * 0.7 * 400, rel=1e-6)
 
@@ -172,7 +172,7 @@ def test_reported_values_take_precedence_over_assumed_ones():
 
 
 def test_vapour_pressure_at_30_degrees_and_70_percent():
-    """Saturation is 4243 Pa by the steam tables."""
+    """The steam tables give a saturation pressure of 4243 Pa."""
     signals = signals_of(drive(N, ambient_c=30.0), {"humidity_pct": 70.0})
     assert signals["vapour_pressure"][-1] == pytest.approx(0.7 * 4243, rel=4e-3)
 

@@ -1,4 +1,4 @@
-"""The sun against closed forms and an almanac."""
+"""Test the elevation of the sun against closed forms and an almanac."""
 
 from datetime import UTC, datetime
 
@@ -11,7 +11,7 @@ from core.signals.sun import sine_of_elevation
 
 
 def elevation(times, latitude, longitude):
-    """Elevation of the sun in degrees."""
+    """Return the elevation of the sun. [deg]"""
     times = np.atleast_1d(np.asarray(times, float))
     place = np.full(len(times), np.radians(latitude)), np.full(len(times), np.radians(longitude))
     return np.degrees(np.arcsin(np.clip(sine_of_elevation(times, *place), -1, 1)))
@@ -33,7 +33,7 @@ def test_noon_elevation_follows_from_latitude_and_declination(day, declination, 
 
 @pytest.mark.parametrize(("day", "declination"), [((2024, 6, 20), 23.44), ((2024, 12, 21), -23.44)])
 def test_length_of_day_follows_from_the_hour_angle(day, declination):
-    """cos H = -tan phi tan delta; daylight lasts 2 H / 15 hours."""
+    """The hour angle H follows from cos H = -tan φ tan δ, and daylight lasts 2 H / 15 hours."""
     day_long = at(*day) + np.arange(0, 86_400, 60.0)
     up = np.mean(elevation(day_long, 45.5, 0.0) > 0) * 24
     angle = np.degrees(np.arccos(-np.tan(np.radians(45.5)) * np.tan(np.radians(declination))))
@@ -41,7 +41,7 @@ def test_length_of_day_follows_from_the_hour_angle(day, declination):
 
 
 def test_noon_moves_with_longitude_and_the_equation_of_time():
-    """On 11 February the sun is 14 minutes late, on 3 November 16 minutes early."""
+    """The sun is 14 minutes late on 11 February, and 16 minutes early on 3 November."""
     for when, late in (((2024, 2, 11), 14.2), ((2024, 11, 3), -16.4)):
         minutes = np.arange(600, 840, 0.25)
         noon = minutes[np.argmax(elevation(at(*when) + 60 * minutes, 45.5, 0.0))]
@@ -51,7 +51,7 @@ def test_noon_moves_with_longitude_and_the_equation_of_time():
 
 
 def test_sunrise_and_sunset_in_montreal_in_january_agree_with_the_almanac():
-    """Sunset is when the sun's upper rim, lifted by refraction, touches the horizon: centre at -0.83 degrees."""
+    """At sunset, the upper rim of the sun, lifted by refraction, is at the horizon: its centre is at -0.83 degrees."""
     assert elevation(at(2024, 1, 15, 21, 38), 45.5, -73.6)[0] == pytest.approx(-0.83, abs=0.4)
     assert elevation(at(2024, 1, 15, 12, 31), 45.5, -73.6)[0] == pytest.approx(-0.83, abs=0.4)
 

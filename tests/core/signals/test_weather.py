@@ -1,4 +1,4 @@
-"""The weather that a car meets."""
+"""Test the weather at the position and time of a car."""
 
 import numpy as np
 import pytest
@@ -74,7 +74,9 @@ def test_wind_components_are_positive_for_wind_from_north_and_east(source, north
 def test_precipitation_rate_uses_the_time_since_the_last_observation():
     stations = Stations()
     stations.observe(station(time=0.0, precipitation_mm=1.8))
-    assert sky_at(stations, 1.0).precipitation[0] * 3.6e6 == pytest.approx(1.8)  # over an hour, for want of better
+    assert sky_at(stations, 1.0).precipitation[0] * 3.6e6 == pytest.approx(
+        1.8
+    )  # over an hour, because there is no earlier observation
     stations.observe(station(time=1800.0, precipitation_mm=1.8))
     assert sky_at(stations, 1800.0).precipitation[0] * 3.6e6 == pytest.approx(3.6)
 
@@ -117,10 +119,10 @@ def test_number_of_kept_observations_is_limited():
 def test_loaded_state_equals_the_dumped_state():
     stations = Stations()
     stations.observe(station(time=3.0, temperature_c=1.25, wind_speed_kmh=7.0, wind_from_deg=200.0))
-    again = Stations()
-    again.load(stations.dump())
-    assert again.dump() == stations.dump()
-    for one, other in zip(sky_at(stations, 9.0), sky_at(again, 9.0), strict=True):
+    loaded = Stations()
+    loaded.load(stations.dump())
+    assert loaded.dump() == stations.dump()
+    for one, other in zip(sky_at(stations, 9.0), sky_at(loaded, 9.0), strict=True):
         assert np.array_equal(one, other, equal_nan=True)
 
 
@@ -132,9 +134,9 @@ def test_missing_outside_temperature_is_filled_and_counted():
     warm = observed(time=START + 30 * PERIOD, temperature_c=7.0)
     pipeline, _ = ran([leaf(), *messages[:40], warm, *messages[40:]])
     quality = pipeline.quality()["samples"]
-    assert quality["ambient_assumed"] == 20  # no station had been heard of
+    assert quality["ambient_assumed"] == 20  # no observation had arrived
     assert quality["ambient_filled"] == 20
-    mean = (-3.0 * 59 + 15.0 * 20 + 7.0 * 20) / 99  # the first row stands for no time
+    mean = (-3.0 * 59 + 15.0 * 20 + 7.0 * 20) / 99  # the first row has no duration
     assert pipeline.take_rides()["ambient_c"][0] == pytest.approx(mean)
 
 
@@ -149,13 +151,13 @@ def test_observation_applies_only_to_rows_after_its_time():
     assert rides["wind_from_deg"][0] == pytest.approx(90.0)
 
 
-# What lies on the road
+# Rain and snow on the road
 
 HOUR = 3600.0
 
 
 def road_at(stations, time):
-    """Rain and snow on the road, in mm."""
+    """Return the depths of rain and snow on the road. [mm]"""
     sky = sky_at(stations, time)
     weather = sky.ambient, sky.precipitation, time - sky.observed
     return float(water_left(sky.water, *weather)[0]) * 1e3, float(snow_left(sky.snow, *weather)[0]) * 1e3
@@ -176,7 +178,10 @@ def observed_hourly(millimetres, celsius):
 
 
 def test_rain_of_an_hour_decays_with_the_drying_time():
-    """2 mm in an hour into a store that loses 1/e in an hour: 2 (1 - 1/e) mm; two hours later e^-2 of it."""
+    """2 mm fall in an hour, with a time constant of an hour: 2 (1 - 1/e) mm are left.
+
+    Two hours later, e^-2 of that depth is left.
+    """
     stations = observed_hourly([0, 2, 0, 0], [9] * 4)
     after = 2 * (1 - np.exp(-HOUR / DRYING)) * DRYING / HOUR
     assert road_at(stations, HOUR - 1)[0] == 0
@@ -217,11 +222,11 @@ def test_depths_on_the_road_do_not_depend_on_the_order_of_arrival():
     in_order = observed_hourly(rain, cold)
     shuffled = Stations()
     order = [0, *(1 + np.random.default_rng(5).permutation(19))]
-    told = [station(time=HOUR * i, precipitation_mm=rain[i], temperature_c=cold[i]) for i in range(20)]
+    sent = [station(time=HOUR * i, precipitation_mm=rain[i], temperature_c=cold[i]) for i in range(20)]
     for i in order:
-        shuffled.observe(told[i])
-    for i in range(20):  # once all have come, each is told again: how much fell in its own hour is known now
-        shuffled.observe(told[i])
+        shuffled.observe(sent[i])
+    for i in range(20):  # each is sent again, because the time since the observation before it is known only then
+        shuffled.observe(sent[i])
     assert repr(shuffled.dump()) == repr(in_order.dump())
 
 

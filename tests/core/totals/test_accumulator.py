@@ -1,4 +1,4 @@
-"""Ride and window totals against plain numpy over the cleaned rows."""
+"""Test ride and window totals against plain numpy over the cleaned rows."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ N = 500
 
 
 def full(n=N, seed=4, **columns):
-    """Return a drive of a car that sends everything, over hills."""
+    """Return a drive over hills of a car that sends every field."""
     base = drive(n, seed=seed)
     made = base | {
         "elevation_m": 60 + 40 * np.sin(base["metres"] / 900),
@@ -199,12 +199,12 @@ def test_empty_ledger_has_a_column_for_every_amount():
     assert ledger.close().rides.lane.size == 0
 
 
-# rests
+# Idle periods
 
 
 def summed(columns, monkeypatch):
-    """Return what became of a car's samples: rides, rests, windows and running totals."""
-    pipeline, kept = Pipeline(keep_forecasts=False), []  # without nights, a list is a batch
+    """Return the totals of the samples of a car: rides, idle periods, windows and running totals."""
+    pipeline, kept = Pipeline(keep_forecasts=False), []  # without daily updates, a list is one batch
     monkeypatch.setattr(pipeline, "_take_closed", kept.append)
     pipeline.take([leaf(), *telemetry(columns)])
     (sums,) = kept
@@ -212,7 +212,7 @@ def summed(columns, monkeypatch):
 
 
 def paused(n=300, begin=100, end=160):
-    """Return two rides and the rest between them, in which the car goes on using power."""
+    """Return two rides and the idle period between them, in which the car continues to use power."""
     columns = full(n)
     columns["speed_kmh"][begin:end] = 0.0
     columns["ride_id"] = np.array(["A"] * begin + [None] * (end - begin) + ["B"] * (n - end), dtype=object)

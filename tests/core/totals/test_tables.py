@@ -1,4 +1,4 @@
-"""The ride table: the paper's Table 1, and measured energy with an honest uncertainty."""
+"""Test the ride table: the terms of the paper's Table 1, and measured energy with its uncertainty."""
 
 import numpy as np
 import pandas as pd
@@ -130,7 +130,9 @@ def test_energy_by_soc_is_used_where_power_is_known_for_less_than_half():
     assert ride["energy_kwh"] == ride["energy_soc_kwh"] == pytest.approx(0.02 * (n - 1) / 100 * CAPACITY)
     columns["battery_current_a"][150:300] = 25.0
     ride = rides_of(columns).iloc[0]
-    assert ride["energy_vi_kwh"] == pytest.approx(9.0 * PERIOD * (n - 1) / 3600, rel=1e-3)  # the rest as the mean
+    assert ride["energy_vi_kwh"] == pytest.approx(
+        9.0 * PERIOD * (n - 1) / 3600, rel=1e-3
+    )  # the mean power fills the rest
     assert ride["energy_vi_sd_kwh"] > 0.1 * ride["energy_vi_kwh"]
 
 
@@ -139,12 +141,12 @@ def test_ride_without_measurement_has_no_energy():
     assert ride[["energy_vi_kwh", "energy_soc_kwh", "energy_kwh", "energy_sd_kwh"]].isna().all()
     assert ride["unfit_reason"] == "no_measured_energy"
     unknown, _ = ran(telemetry(drive(100, speed=10.0, soc_pct=50.0)))
-    assert np.isnan(unknown.take_rides()["energy_kwh"][0])  # steps of an unknown capacity
+    assert np.isnan(unknown.take_rides()["energy_kwh"][0])  # the capacity is unknown
 
 
 @pytest.mark.parametrize("quantum", [0.1, 0.5, 1.0])
 def test_uncertainty_of_energy_by_quantised_soc_agrees_with_its_errors(quantum):
-    """Rides that draw at random from a battery of the nominal capacity: the error of SOC energy over its stated sd."""
+    """The score is the error of the energy by SOC over its standard deviation, for rides of random energy."""
     rng = np.random.default_rng(int(10 * quantum))
     score = []
     for seed in range(60):
@@ -164,7 +166,7 @@ def test_uncertainty_of_energy_by_quantised_soc_agrees_with_its_errors(quantum):
 
 
 def test_uncertainty_of_energy_by_power_with_holes_covers_its_errors():
-    """A share of the samples lacks current, in bursts: the filled energy against the whole."""
+    """A burst of samples lacks current; the score is the error of the filled energy over its standard deviation."""
     rng = np.random.default_rng(3)
     score = []
     for seed in range(40):
@@ -177,7 +179,7 @@ def test_uncertainty_of_energy_by_power_with_holes_covers_its_errors():
         ride = rides_of(columns).iloc[0]
         score.append((ride["energy_vi_kwh"] - true) / ride["energy_vi_sd_kwh"])
     assert np.mean(np.abs(score) < 2) > 0.9
-    assert np.std(score) > 0.2  # nor is it so wide that it says nothing
+    assert np.std(score) > 0.2  # the uncertainty is not far too wide
 
 
 def test_window_table_has_the_measured_columns_of_the_ride_table():
@@ -225,7 +227,10 @@ def test_ride_with_implausible_time_is_dropped():
 
 @pytest.mark.parametrize("memory", [2.0, 6.0, 20.0])
 def test_uncertainty_of_power_between_samples_agrees_with_its_errors(memory):
-    """Power that wanders with a memory of some seconds, seen every 3 s: the error over its stated sd."""
+    """Power varies with a correlation time of some seconds, and is sampled every 3 s.
+
+    The score is the error of the energy over its standard deviation.
+    """
     rng = np.random.default_rng(int(memory))
     score = []
     for seed in range(60):
@@ -249,7 +254,7 @@ def test_uncertainty_of_power_between_samples_agrees_with_its_errors(memory):
 
 @pytest.mark.parametrize(("at", "fit"), [((0, 40), False), ((260, 300), False), ((0, 5), True), ((100, 140), True)])
 def test_ride_that_begins_or_ends_in_a_long_gap_is_unfit(at, fit):
-    """Samples before and after tell that the logger was on; those of the ride's edge are lost."""
+    """Samples before and after the ride show that the logger was on; those at the edge of the ride are lost."""
     columns = drive(500, speed=np.r_[np.zeros(100), np.full(300, 12.0), np.zeros(100)])
     columns |= {"battery_voltage_v": np.full(500, 360.0), "battery_current_a": np.full(500, 30.0)}
     columns["ride_id"] = np.r_[[None] * 100, ["r1"] * 300, [None] * 100].astype(object)

@@ -1,4 +1,4 @@
-"""The catalogue is complete, cited and plausible; overrides do what the wire contract says; the accessory curve."""
+"""Test the vehicle catalogue, its sources and plausibility, the overrides in messages, and the accessory curve."""
 
 from dataclasses import fields, replace
 
@@ -99,7 +99,7 @@ def test_read_catalogue_reads_a_good_entry():
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "said"),
+    ("before", "after", "message"),
     [
         ("[horse]", "[horse", "not TOML"),
         ("mass_kg = 500\n", "", "mass_kg is missing: give one from 200 to 7500"),
@@ -125,11 +125,11 @@ def test_read_catalogue_reads_a_good_entry():
         ("[horse]", "x = 1\n[horse]", "'x' is no table"),
     ],
 )
-def test_invalid_catalogue_is_refused_with_figure_and_place_in_one_line(before, after, said):
+def test_invalid_catalogue_is_refused_with_figure_and_place_in_one_line(before, after, message):
     assert ENTRY.count(before) == 1
     with pytest.raises(CatalogueError) as caught:
         read_catalogue(ENTRY.replace(before, after))
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
@@ -142,11 +142,11 @@ def test_message_without_overrides_gives_the_catalogue_entry():
     st.dictionaries(st.sampled_from(OVERRIDES), st.floats(0.0, 1.0), max_size=len(OVERRIDES)),
 )
 def test_overrides_replace_their_figures_and_no_others(key, shares):
-    own = {name: BOUNDS[name][0] + share * (BOUNDS[name][1] - BOUNDS[name][0]) for name, share in shares.items()}
-    model = vehicle_model(Vehicle("a", 0.0, key, **own))
+    overrides = {name: BOUNDS[name][0] + share * (BOUNDS[name][1] - BOUNDS[name][0]) for name, share in shares.items()}
+    model = vehicle_model(Vehicle("a", 0.0, key, **overrides))
     for name in BOUNDS:
-        assert getattr(model, name) == own.get(name, getattr(load_catalogue()[key], name))
-    assert all(model.sources[name] == "the car's own vehicle message" for name in own)
+        assert getattr(model, name) == overrides.get(name, getattr(load_catalogue()[key], name))
+    assert all(model.sources[name] == "the car's own vehicle message" for name in overrides)
 
 
 def test_usable_capacity_scales_with_an_overridden_nominal_capacity():
@@ -171,8 +171,8 @@ def test_complete_overrides_replace_an_unknown_key():
 
 @pytest.mark.parametrize("missing", OVERRIDES)
 def test_unknown_key_with_incomplete_overrides_gives_a_reason(missing):
-    own = {name: value for name, value in COMPLETE.items() if name != missing}
-    assert vehicle_model(Vehicle("a", 0.0, "new-car", **own)) == UNKNOWN_MODEL
+    overrides = {name: value for name, value in COMPLETE.items() if name != missing}
+    assert vehicle_model(Vehicle("a", 0.0, "new-car", **overrides)) == UNKNOWN_MODEL
 
 
 @pytest.mark.parametrize("name", OVERRIDES)

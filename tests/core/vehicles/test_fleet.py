@@ -1,4 +1,4 @@
-"""Which car is which kind, as of each row."""
+"""Test the kind of each car at each row."""
 
 import msgspec
 import numpy as np
@@ -22,9 +22,9 @@ def test_message_applies_from_its_row_on_and_only_in_its_lane(seed):
     lane = rng.integers(0, 4, 50)
     models = list(load_catalogue())
     changes = sorted((int(rng.integers(0, 51)), int(rng.integers(0, 4)), i) for i in range(6))
-    told = [(row, who, vehicle(models[i])) for row, who, i in changes]
+    messages = [(row, who, vehicle(models[i])) for row, who, i in changes]
     cars = Cars()
-    kinds = cars.kinds(lane, told, 4)
+    kinds = cars.kinds(lane, messages, 4)
     now = dict.fromkeys(range(4))
     for row in range(50):
         now |= {who: models[i] for at, who, i in changes if at == row}
@@ -53,13 +53,13 @@ def test_unpredictable_car_is_counted_by_reason_and_keeps_its_model_name():
 def test_loaded_state_equals_the_dumped_state():
     cars = Cars()
     cars.kinds(np.zeros(0, int), [(0, 0, vehicle()), (0, 1, vehicle("horse")), (0, 2, vehicle(mass_kg=1700.5))], 3)
-    again = Cars()
-    again.load(msgspec.msgpack.decode(msgspec.msgpack.encode(cars.dump())))
-    assert np.array_equal(again.parameters, cars.parameters, equal_nan=True)
-    assert np.array_equal(again.of_lane, cars.of_lane)
-    assert again.messages == cars.messages
-    assert again.unpredictable == cars.unpredictable
-    assert again.kinds(np.array([2]), [], 3).tolist() == [3]
+    loaded = Cars()
+    loaded.load(msgspec.msgpack.decode(msgspec.msgpack.encode(cars.dump())))
+    assert np.array_equal(loaded.parameters, cars.parameters, equal_nan=True)
+    assert np.array_equal(loaded.of_lane, cars.of_lane)
+    assert loaded.messages == cars.messages
+    assert loaded.unpredictable == cars.unpredictable
+    assert loaded.kinds(np.array([2]), [], 3).tolist() == [3]
 
 
 @pytest.mark.parametrize("cuts", [(), (101,), (100, 102), (51, 53, 101, 150)])

@@ -1,4 +1,4 @@
-"""Payloads to columns: units, unknowns, and what is lost by cause."""
+"""Test the decoder: units, unknown values, and counts of rejected messages by cause."""
 
 import json
 from itertools import pairwise
@@ -143,7 +143,7 @@ MIXED = [
     sample()._replace(key="fleet/b/lunch"),
     *(Message(KEY, payload, 0) for payload in (b"[]", b"[", b"3", b"", b"[" + sample(seq=1).payload + b", 7]")),
 ]
-"""Messages of every kind, good and bad, beside plain samples."""
+"""Messages of every kind, valid and invalid, to mix with telemetry samples."""
 
 
 @given(st.lists(st.integers(0, 1300), max_size=6), st.lists(st.integers(0, 1200), max_size=40), st.integers(0, 2**32))
@@ -154,15 +154,15 @@ def test_any_chunking_decodes_the_same(cuts, places, seed):
         messages.insert(place, MIXED[random.integers(len(MIXED))])
     one, other = Decoder(Lanes()), Decoder(Lanes())
     whole, events = one.decode(messages)
-    parts, found, rows = [], [], 0
+    parts, joined, rows = [], [], 0
     for chunk in chunked(messages, cuts):
-        batch, own = other.decode(chunk)
+        batch, chunk_events = other.decode(chunk)
         parts.append(batch)
-        found += [event._replace(row=event.row + rows) for event in own]
+        joined += [event._replace(row=event.row + rows) for event in chunk_events]
         rows += batch.size
     for i, column in enumerate(whole):
         assert np.array_equal(column, np.concatenate([part[i] for part in parts]), equal_nan=True)
-    assert found == events
+    assert joined == events
     assert (one.received, one.rejected, one.lanes.names) == (other.received, other.rejected, other.lanes.names)
 
 
@@ -183,8 +183,8 @@ def test_only_kept_ride_names_survive():
     _, batch = 0, decoder.decode([sample(ride_id=f"r{i}") for i in range(5)])[0]
     decoder.rides.keep({1.0, 3.0})
     assert decoder.rides.names(range(5)) == [None, "r1", None, "r3", None]
-    again = decoder.decode([sample(ride_id=name) for name in ("r1", "r0", "r3")])[0]
-    assert again.ride.tolist() == [1, 5, 3]
+    later = decoder.decode([sample(ride_id=name) for name in ("r1", "r0", "r3")])[0]
+    assert later.ride.tolist() == [1, 5, 3]
     assert batch.ride.tolist() == [0, 1, 2, 3, 4]
 
 
@@ -205,8 +205,8 @@ def test_schemas_have_no_references_or_alternatives(kind):
 @given(st.text(max_size=30))
 def test_any_key_has_a_valid_address_or_none(text):
     for key in (text, f"fleet/{text}/telemetry", f"weather/{text}", f"fleet/a/{text}"):
-        found = address(key)
-        assert found is None or (found.kind in KINDS and 0 < len(found.identity) <= 64)
+        parsed = address(key)
+        assert parsed is None or (parsed.kind in KINDS and 0 < len(parsed.identity) <= 64)
 
 
 def test_empty_list_and_ride_with_unknown_event_are_counted():

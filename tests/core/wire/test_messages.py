@@ -1,4 +1,4 @@
-"""The wire contract: every struct goes out and comes back the same."""
+"""Test the wire contract: encoding and decoding leave every struct unchanged."""
 
 import math
 from typing import Any
@@ -37,7 +37,7 @@ count = st.integers(0, 2**53)
 
 
 def struct(kind: Any, **known: Any) -> st.SearchStrategy[Any]:
-    """Build a struct, its optional fields numbers or unknown."""
+    """Return a strategy for a struct whose optional fields are numbers or unknown."""
     fields = {field: known.get(field, maybe) for field in kind.__struct_fields__}
     return st.builds(kind, **fields)
 

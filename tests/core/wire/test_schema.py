@@ -1,4 +1,4 @@
-"""JSON schemas describe what the decoder accepts, field by field."""
+"""Test that JSON schemas describe what the decoder accepts, field by field."""
 
 from typing import Any
 

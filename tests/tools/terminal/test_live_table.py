@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 
 from core.forecast.status import VehicleStatus
-from tests.support.fleet_days import DAY, DAYS, again, forecasts, plan, shift
+from tests.support.fleet_days import DAY, DAYS, forecasts, plan, shift, trained_pipeline
 from tests.support.telemetry import START
 from tools.terminal.live_table import WARNED, make_fleet_table
 
@@ -34,7 +34,7 @@ def test_what_is_not_known_is_a_dash():
 
 
 def test_the_status_holds_the_newest_forecast_of_each_car():
-    pipeline = again()
+    pipeline = trained_pipeline()
     out = []
     for car in "bc":
         out += pipeline.push([m for _, m in shift(car, DAYS)][: 200 if car == "b" else 300])
@@ -47,7 +47,7 @@ def test_the_status_holds_the_newest_forecast_of_each_car():
 
 
 def test_a_car_with_a_reserve_above_its_charge_is_marked_in_service():
-    pipeline = again()
+    pipeline = trained_pipeline()
     messages = [m for _, m in shift("c", DAYS)][:100]
     messages[1] = plan("c", DAYS, START + DAY * DAYS, reserve_soc_pct=95.0)
     pipeline.push(messages)

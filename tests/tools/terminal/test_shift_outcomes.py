@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from tests.support.commands import done
-from tests.support.fleet_days import CARS, DAYS, SHIFT, again, recorded, shift
+from tests.support.fleet_days import CARS, DAYS, SHIFT, recorded, shift, trained_pipeline
 from tests.support.soc_frames import make_frames
 from tools.terminal import shift_outcomes
 from tools.terminal.shift_outcomes import AHEAD, NO_INTERVALS, ShiftOutcomes, show_outcomes, summary
@@ -132,7 +132,7 @@ def test_the_share_that_held_is_told():
 
 
 def test_a_pipeline_is_told_of():
-    pipeline = again(keep_outlooks=True)
+    pipeline = trained_pipeline(keep_outlooks=True)
     pipeline.take_shifts()
     found = ShiftOutcomes(pipeline)
     for _, message in shift("c", DAYS):

@@ -14,13 +14,13 @@ from tests.support.fleet_days import (
     LEGS,
     PERIOD,
     RIDE,
-    again,
     columns,
     days,
     forecasts,
-    night,
+    idle_morning,
     plan,
     shift,
+    trained_pipeline,
 )
 from tests.support.telemetry import telemetry, told
 
@@ -39,14 +39,14 @@ def effective(statistics):
 
 
 def test_statistics_take_effect_at_daily_update_and_only_once():
-    pipeline = again()
+    pipeline = trained_pipeline()
     statistics = pipeline.engine.statistics
     before, tables, known = effective(statistics), statistics.get_tables(2), count_learned(statistics)
     pipeline.push(days([DAYS], "abcde"))
     assert effective(statistics) == before
     assert statistics.get_tables(2) is tables
     assert count_learned(statistics)[0] >= known[0] + 5 * (LEGS - 1)
-    pipeline.push(night(DAYS + 1))
+    pipeline.push(idle_morning(DAYS + 1))
     assert effective(statistics) != before
     statistics.apply_daily_update()
     once = repr(statistics.dump())
@@ -56,7 +56,7 @@ def test_statistics_take_effect_at_daily_update_and_only_once():
 
 def test_other_cars_of_the_same_day_change_no_forecast():
     """Forecasts use the statistics of the days before only."""
-    calm, wild = again(), again()
+    calm, wild = trained_pipeline(), trained_pipeline()
     wild.push(days([DAYS], "abde"))
     sent = [m for _, m in shift("c", DAYS)]
     assert calm.push(sent) == [m for m in wild.push(sent) if "/c/" in m.key]
@@ -64,7 +64,7 @@ def test_other_cars_of_the_same_day_change_no_forecast():
 
 @pytest.mark.parametrize("number", [0, 1, 2, 5])
 def test_tables_need_enough_rides_and_intervals_need_enough_shifts(number):
-    pipeline = again(number)
+    pipeline = trained_pipeline(number)
     found = forecasts(pipeline.push([m for _, m in shift("c", number)]), "c")
     enough = number * len(CARS) * (LEGS - 1) >= LEAST_RIDES
     assert (pipeline.engine.statistics.get_tables(2) is not None) == enough
@@ -75,7 +75,7 @@ def test_tables_need_enough_rides_and_intervals_need_enough_shifts(number):
 def test_charging_and_silent_idle_periods_do_not_count():
     def rested(change):
         """Return the number of idle periods that count, and their time. [s]"""
-        pipeline, sent = again(), columns("d", DAYS)
+        pipeline, sent = trained_pipeline(), columns("d", DAYS)
         passed = sent["time_s"] - sent["time_s"][0]
         mine = np.flatnonzero((passed >= RIDE) & (passed < LEG))
         sent = change(sent, mine[3:-3])
@@ -105,7 +105,7 @@ def late(sent, at, seconds):
 
 
 def test_unfit_ride_does_not_count():
-    pipeline, slow = again(), columns("e", DAYS)
+    pipeline, slow = trained_pipeline(), columns("e", DAYS)
     slow["speed_kmh"][:] = 0.5
     before = count_learned(pipeline.engine.statistics)[0]
     pipeline.push([m for _, m in shift("e", DAYS, slow)])
@@ -115,7 +115,7 @@ def test_unfit_ride_does_not_count():
 
 
 def test_pending_statistics_survive_dump_and_load():
-    pipeline = again()
+    pipeline = trained_pipeline()
     pipeline.push(days([DAYS], "abc"))
     pipeline.push([m for _, m in shift("d", DAYS)][:200])
     statistics = pipeline.engine.statistics
@@ -130,14 +130,14 @@ def test_pending_statistics_survive_dump_and_load():
 
 
 def test_known_driver_changes_the_forecast():
-    pipeline = again()
+    pipeline = trained_pipeline()
     for _ in range(30):
         pipeline.engine.statistics.factors.add_shift(90, compute_driver_code("heavy"), 20.0, 26.0, 24.0)
         pipeline.engine.statistics.factors.add_shift(90, compute_driver_code("other"), 20.0, 20.0, 24.0)
     kept = pipeline.snapshot()
     found = {}
     for name in ("heavy", "other", None):
-        pipeline = again()
+        pipeline = trained_pipeline()
         pipeline.restore(kept)
         begin = float(columns("c", DAYS)["time_s"][0])
         drives = told("ride", "c", begin, ride_id="c", event="start", **({"driver_id": name} if name else {}))

@@ -12,7 +12,7 @@ from core.forecast.learning.leg_energy_fit import LegEquations, fit_leg_energy
 from core.forecast.learning.ride_stats import LEAST_RIDES, RideStatistics
 from core.pipeline import Pipeline
 from core.totals.accumulator import AMOUNTS, EDGES, Totals
-from tests.support.fleet_days import CAPACITY, LEG, LEGS, RIDE, SETTINGS, again, columns, night, shift
+from tests.support.fleet_days import CAPACITY, LEG, LEGS, RIDE, SETTINGS, columns, idle_morning, shift, trained_pipeline
 from tests.support.telemetry import leaf, observed
 
 MODEL = "nissan-leaf-2013"
@@ -30,7 +30,7 @@ def train(planted: str = "cold", rides: int = 12 * 3 * LEGS) -> Pipeline:
             if driven < rides:
                 pipeline.push([m for _, m in shift(car, day, plant(car, day, planted, list(COLD)[(day + number) % 3]))])
                 driven += LEGS
-    pipeline.push(night(13, "c"))
+    pipeline.push(idle_morning(13, "c"))
     return pipeline
 
 
@@ -80,7 +80,7 @@ def test_legs_take_no_more_energy_in_the_cold_where_rides_did_not():
 
 
 def test_leg_takes_the_mean_energy_of_similar_legs():
-    pipeline = again()
+    pipeline = trained_pipeline()
     sent = columns("c", 2)
     riding = sent["ride_id"] == "c-2-3"
     found = energy(np.ptp(sent["metres"][riding]) / 1000.0, RIDE, known=pipeline.engine.statistics.get_tables(2))
@@ -149,7 +149,7 @@ def test_loaded_state_gives_the_same_tables():
 
 
 def driven(known, rides, rng):
-    """Return rides as `RideStatistics` takes them, and what they took by `known` tables, read with a little noise. [kWh]"""
+    """Return rides as `RideStatistics` takes them, and their energy by `known` tables with a little noise. [kWh]"""
     km, pace = rng.uniform(0.5, 8.0, rides), np.exp(rng.normal(np.log(5.0), 0.5, rides))
     celsius, gained, lost = rng.uniform(-20.0, 30.0, rides), *rng.uniform(0.0, 60.0, (2, rides))
     energies = known.compute_leg_energy(km, 60.0 * pace * km, gained, lost)
