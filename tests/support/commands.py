@@ -2,11 +2,11 @@
 
 import logging
 import re
-import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from typing import Final
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from io import StringIO
+from typing import Any, Final
 
 import pytest
 
@@ -17,7 +17,7 @@ SOCAST: Final = (sys.executable, "-m", "tools.cli")
 
 
 @contextmanager
-def _exit_code(arguments: Sequence[object]) -> Iterator[object]:
+def _exit_code(arguments: Sequence[object]) -> Iterator[Any]:
     """Run a command in this process, give its exit code, and undo what it sets about the log."""
     log = logging.getLogger("socast")
     before = log.handlers, log.level, log.propagate
@@ -46,6 +46,8 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 
 
 def called(*arguments: object) -> tuple[str, str, int]:
-    """Run a command in a process of its own; return its standard output, its standard error and its exit code."""
-    ended = subprocess.run([*SOCAST, *map(str, arguments)], capture_output=True, text=True, timeout=60, check=False)
-    return ended.stdout, ended.stderr, ended.returncode
+    """Run a command in this process; return its standard output, its standard error and its exit code."""
+    out, err = StringIO(), StringIO()
+    with redirect_stdout(out), redirect_stderr(err), _exit_code(arguments) as code:
+        pass
+    return out.getvalue(), err.getvalue(), code
