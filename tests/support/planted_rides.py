@@ -35,10 +35,10 @@ def rides(n: int, seed: int = 1, models: Sequence[str] = MODELS, cars: int = 8) 
     gained, lost = rng.gamma(2.0, 5.0 * distance), rng.gamma(2.0, 5.0 * distance)
     kind = rng.choice(models, n)
     car = rng.integers(0, cars, n)
-    own = pd.DataFrame(
+    parameters = pd.DataFrame(
         [vars(load_catalogue()[name]) | {"drag_area_m2": load_catalogue()[name].drag_area_m2} for name in kind]
     )
-    mass = own["mass_kg"] + 75.0 * rng.integers(1, 4, n)
+    mass = parameters["mass_kg"] + 75.0 * rng.integers(1, 4, n)
     wind, towards = rng.gamma(2.0, 7.0, n), rng.uniform(0.0, 360.0, n)
     headwind = wind * np.cos(np.radians(towards - rng.uniform(0.0, 360.0, n)))
     metres, v = 1000.0 * distance, speed * 1.3 * KMH
@@ -75,9 +75,9 @@ def rides(n: int, seed: int = 1, models: Sequence[str] = MODELS, cars: int = 8) 
         "effect_aero_drag": 0.5 * 1.225 * v**2 * metres / 3.6e6,
         "effect_aero_drag_wind": 0.5 * 1.3 * (v + headwind * KMH) ** 2 * metres / 3.6e6,
         "effect_inertia": np.where(rng.random(n) < 0.02, rng.normal(0.0, 0.002, n), rng.normal(0.0, 1e-17, n)),
-        **{name: own[name] for name in ("rolling_resistance", "drag_area_m2", "nominal_capacity_kwh")},
-        "accessory_scale": own["accessory_scale"],
-        "mass_kg": own["mass_kg"],
+        **{name: parameters[name] for name in ("rolling_resistance", "drag_area_m2", "nominal_capacity_kwh")},
+        "accessory_scale": parameters["accessory_scale"],
+        "mass_kg": parameters["mass_kg"],
     }
     made = pd.DataFrame(table)
     time = made["duration_s"] * made["accessory_scale"] / 3.6e6

@@ -98,8 +98,8 @@ def planted(
 
 def _base(table: pd.DataFrame) -> dict[str, np.ndarray]:
     """Return the energy of each base term. [kWh]"""
-    found = {t.name: BASE[t.name] * _product(table, t.columns) for t in TERMS[:-1]}
-    return found | {"auxiliary": AUXILIARY * table["effect_auxiliary"].to_numpy()}
+    energies = {t.name: BASE[t.name] * _product(table, t.columns) for t in TERMS[:-1]}
+    return energies | {"auxiliary": AUXILIARY * table["effect_auxiliary"].to_numpy()}
 
 
 def _product(table: pd.DataFrame, columns: str | Sequence[str]) -> np.ndarray:
@@ -114,12 +114,12 @@ def _rides(table: pd.DataFrame, dates: np.ndarray) -> pd.DataFrame:
     sums += ["energy_kwh", "energy_vi_kwh", "energy_soc_kwh"]
     firsts = [name for name in table if name not in {*sums, "ride_key", "window"}]
     groups = table.assign(date=dates).groupby("ride_key", sort=False)
-    found = pd.concat([groups[[*firsts, "date"]].first(), groups[sums].sum()], axis=1).reset_index()
+    ride_table = pd.concat([groups[[*firsts, "date"]].first(), groups[sums].sum()], axis=1).reset_index()
     count = groups.size().to_numpy()
     sd = {name: SD * np.sqrt(count) for name in ("energy_sd_kwh", "energy_vi_sd_kwh")}
-    speed = found["distance_km"] / found["duration_s"] * 3600.0
-    return found.assign(
-        ride_id=found["ride_key"], winter=0, summer=1, fit_for_training=True, unfit_reason=None,
+    speed = ride_table["distance_km"] / ride_table["duration_s"] * 3600.0
+    return ride_table.assign(
+        ride_id=ride_table["ride_key"], winter=0, summer=1, fit_for_training=True, unfit_reason=None,
         average_speed_kmh=speed, **sd,
     )  # fmt: skip
 

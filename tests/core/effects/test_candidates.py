@@ -158,17 +158,17 @@ def test_variants_evaluate_the_function_at_other_values():
 
 
 def test_variant_with_any_values_within_bounds_has_a_unique_name():
-    found = get("cabin_warmup@decay=450,soak=1800.5")
-    assert (found.constants["decay"], found.constants["soak"]) == (450.0, 1800.5)
-    assert get("cabin_warmup").variant({"soak": 1800.5, "decay": 450.0}).name == found.name
-    assert found.variant({"soak": 3600.0}).name == "cabin_warmup@decay=450"
-    assert found.variant({"soak": 3600.0, "decay": 600.0}).name == "cabin_warmup"
+    tuned = get("cabin_warmup@decay=450,soak=1800.5")
+    assert (tuned.constants["decay"], tuned.constants["soak"]) == (450.0, 1800.5)
+    assert get("cabin_warmup").variant({"soak": 1800.5, "decay": 450.0}).name == tuned.name
+    assert tuned.variant({"soak": 3600.0}).name == "cabin_warmup@decay=450"
+    assert tuned.variant({"soak": 3600.0, "decay": 600.0}).name == "cabin_warmup"
     assert get("cabin_warmup").variant({"decay": 600.0}) is get("cabin_warmup")
     assert get("wet_road").variant({"depth": 0.00005}).name == "wet_road@depth=0.00005"
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [
         ("cold_rolling@reference=500", "parameter reference is 500 K, but must be from 268.15 to 303.15"),
         ("cold_rolling@reference=nan", "parameter reference is nan K, but must be from"),
@@ -183,10 +183,10 @@ def test_variant_with_any_values_within_bounds_has_a_unique_name():
         ("cold_roling@reference=283.15", "did you mean cold_rolling"),
     ],
 )
-def test_invalid_variant_is_refused_in_one_line(name, said):
+def test_invalid_variant_is_refused_in_one_line(name, message):
     with pytest.raises(EffectError) as caught:
         get(name)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 

@@ -12,7 +12,7 @@ def declare(**changes):
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"low": 1, "high": 1}, "plausible range 1 to 1 is empty"),
         ({"high": np.inf}, "infinite"),
@@ -26,14 +26,14 @@ def declare(**changes):
         ({"words": "{value N"}, "words are not a format string: "),
     ],
 )
-def test_incomplete_declarations_are_refused(changes, said):
+def test_incomplete_declarations_are_refused(changes, message):
     def rub(speed):
         """P = F v."""
         return speed
 
     with pytest.raises(EffectError, match="effect rub: ") as caught:
         declare(**changes)(rub)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_functions_that_cannot_be_called_are_refused():
@@ -49,12 +49,12 @@ def test_functions_that_cannot_be_called_are_refused():
         """P = F."""
         return 1.0
 
-    for function, said in (
+    for function, message in (
         (no_formula, "has no formula"),
         (odd, "argument 'sped' is neither"),
         (none, "takes no column"),
     ):
-        with pytest.raises(EffectError, match=said):
+        with pytest.raises(EffectError, match=message):
             declare()(function)
 
 

@@ -53,16 +53,21 @@ def test_unknown_effect_is_refused_with_similar_names():
 
 
 def test_valid_file_is_loaded_and_its_effects_work(write):
-    (found,) = load_file(write(GOOD))
-    assert (found.name, found.arguments, found.unit, found.per) == ("door_loss", ("stopped", "ambient"), "W/K", "time")
-    assert get("door_loss") is found
+    (loaded,) = load_file(write(GOOD))
+    assert (loaded.name, loaded.arguments, loaded.unit, loaded.per) == (
+        "door_loss",
+        ("stopped", "ambient"),
+        "W/K",
+        "time",
+    )
+    assert get("door_loss") is loaded
     assert power("door_loss", stopped=1.0, ambient=284.15) == pytest.approx(10.0)
 
 
 def test_loading_a_file_again_replaces_its_effects(write):
     load_file(write(GOOD))
-    (found,) = load_file(write(GOOD.replace("door_loss", "gate_loss")))
-    assert get("gate_loss") is found
+    (loaded,) = load_file(write(GOOD.replace("door_loss", "gate_loss")))
+    assert get("gate_loss") is loaded
     assert "door_loss" not in get_library()
 
 
@@ -77,7 +82,7 @@ def test_existing_name_is_refused_and_the_library_stays_unchanged(write):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("def f(:\n  pass\n", ":1: not Python: "),
         ("x = 1\0", ": not Python: "),
@@ -120,13 +125,13 @@ def test_existing_name_is_refused_and_the_library_stays_unchanged(write):
         ),
     ],
 )
-def test_invalid_file_is_refused_in_one_line(write, text, said):
+def test_invalid_file_is_refused_in_one_line(write, text, message):
     path = write(text)
     before = dict(get_library())
     with pytest.raises(EffectError) as caught:
         load_file(path)
     assert str(caught.value).startswith(str(path))
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert "\n" not in str(caught.value)
     assert dict(get_library()) == before
 
@@ -174,13 +179,13 @@ def test_show_prints_the_whole_declaration(name):
     effect = get(name)
     done = CliRunner().invoke(app, ["show", name])
     assert done.exit_code == 0
-    said = " ".join(done.stdout.split())
-    for wanted in (
+    printed = " ".join(done.stdout.split())
+    for expected in (
         *(effect.name, effect.coefficient, f"[{effect.unit}]" if effect.unit != "1" else "", effect.energy_name),
         *(effect.source[:40], effect.shown_by[:40], *effect.confused_with, *effect.parameters, *effect.arguments),
         *(f"{effect.low:g} to {effect.high:g}", effect.formula[:40]),
     ):
-        assert wanted in said, wanted
+        assert expected in printed, expected
 
 
 def test_user_effects_are_listed_and_shown_with_their_file(write):
@@ -200,18 +205,18 @@ def test_new_file_passes_its_check_and_copies_its_origin(tmp_path, origin):
     done = CliRunner().invoke(app, ["new", str(path), *(["--from", origin] if origin else [])])
     assert done.exit_code == 0
     assert f"socast effects check {path}" in " ".join(done.stdout.split())
-    (found,) = registry._run(path)
-    effects.check_effect(found)
+    (copy,) = registry._run(path)
+    effects.check_effect(copy)
     if origin is None:
-        assert found.name == "my_effect"
-        assert found.variants
+        assert copy.name == "my_effect"
+        assert copy.variants
         return
     like = get(origin)
-    assert found.name == f"my_{origin}"
+    assert copy.name == f"my_{origin}"
     for what in ("coefficient", "unit", "low", "high", "source", "per", "formula", "arguments", "documentation"):
-        assert getattr(found, what) == getattr(like, what), what
-    assert (found.parameters, found.words, found.scale) == (like.parameters, like.words, like.scale)
-    assert found.confused_with == (origin,)
+        assert getattr(copy, what) == getattr(like, what), what
+    assert (copy.parameters, copy.words, copy.scale) == (like.parameters, like.words, like.scale)
+    assert copy.confused_with == (origin,)
 
 
 @pytest.mark.parametrize("origin", [None, "accessories"])
@@ -219,8 +224,8 @@ def test_new_file_can_be_loaded(write, tmp_path, origin):
     write("")  # the fixture restores the library after the test
     path = tmp_path / "begun.py"
     CliRunner().invoke(app, ["new", str(path), *(["--from", origin] if origin else [])])
-    (found,) = load_file(path)
-    assert get(found.name) is found
+    (loaded,) = load_file(path)
+    assert get(loaded.name) is loaded
 
 
 def test_new_file_lists_every_column(tmp_path):
@@ -231,7 +236,7 @@ def test_new_file_lists_every_column(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["show", "cold_roling"], "effect 'cold_roling' is unknown: did you mean cold_rolling"),
         (["show", "cold_rolling@reference=1"], "parameter reference is 1 K, but must be from 268.15 to 303.15"),
@@ -243,15 +248,15 @@ def test_new_file_lists_every_column(tmp_path):
         (["list", "--effects", "no.py"], "no.py: cannot read effects: No such file or directory"),
     ],
 )
-def test_bad_command_is_refused_in_one_line(tmp_path, monkeypatch, capsys, arguments, said):
+def test_bad_command_is_refused_in_one_line(tmp_path, monkeypatch, capsys, arguments, message):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "there.py").write_text("")
     with pytest.raises(SystemExit) as ended:
         main(["effects", *arguments])
     assert ended.value.code == 2
-    told = capsys.readouterr().err
-    assert said in told
-    assert told.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert message in printed
+    assert printed.count("\n") == 1
     assert not (tmp_path / "mine.py").exists()
 
 

@@ -27,15 +27,15 @@ def refusal(text: str) -> str:
     """Return the message with which `check_effect` refuses the effect in a text."""
     names: dict = {}
     exec(text, names)
-    (found,) = [value for value in names.values() if isinstance(value, Effect)]
+    (declared,) = [value for value in names.values() if isinstance(value, Effect)]
     with pytest.raises(EffectError) as caught:
-        check_effect(found)
+        check_effect(declared)
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "said"),
+    ("before", "after", "message"),
     [
         ('unit="W/K"', 'unit="W"', "times the coefficient's [W] that is [K * W], not [W]"),
         ('unit="W/K"', 'unit="kW/K"', "not [W]"),
@@ -65,9 +65,9 @@ def refusal(text: str) -> str:
         (BODY, "np.multiply(stopped, 2.0, out=stopped) * (inside - ambient)", "raises "),
     ],
 )
-def test_invalid_effect_is_refused_in_one_line(before, after, said):
+def test_invalid_effect_is_refused_in_one_line(before, after, message):
     assert GOOD.count(before) == 1
-    assert said in refusal(GOOD.replace(before, after))
+    assert message in refusal(GOOD.replace(before, after))
 
 
 BARE = GOOD.replace(f"return {BODY}", "return stopped * (EXPRESSION)").replace("door_loss", "bare")
@@ -103,20 +103,20 @@ def test_bare_number_next_to_a_quantity_is_refused_with_line_and_remedy(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("expression", "said"),
+    ("expression", "message"),
     [
         ("inside - ambient + stopped", "units do not fit in `inside - ambient + stopped`: Cannot convert"),
         ("inside - np.exp(ambient)", "units do not fit in `np.exp(ambient)`: Cannot convert"),
         ("[inside - ambient][1]", "raises IndexError: list index out of range"),
     ],
 )
-def test_error_of_a_file_names_the_line(tmp_path, expression, said):
+def test_error_of_a_file_names_the_line(tmp_path, expression, message):
     path = tmp_path / "bare.py"
     path.write_text(BARE.replace("EXPRESSION", expression))
     line = path.read_text()[: path.read_text().index("    return")].count("\n") + 1
     with pytest.raises(EffectError) as caught:
         load_file(path)
-    assert str(caught.value).startswith(f"{path}:{line}: effect bare: {said}")
+    assert str(caught.value).startswith(f"{path}:{line}: effect bare: {message}")
 
 
 def test_zero_needs_no_unit(tmp_path):
@@ -141,9 +141,9 @@ def full(traction, speed, charge, full):
 
 
 def test_bounds_at_which_an_effect_has_no_value_are_refused():
-    said = refusal(FULL)
-    assert "effect full: gives nan at full=1 1, traction=" in said
-    assert "guard it" in said
+    message = refusal(FULL)
+    assert "effect full: gives nan at full=1 1, traction=" in message
+    assert "guard it" in message
 
 
 def test_ordinary_driving_covers_every_signal_within_its_range():

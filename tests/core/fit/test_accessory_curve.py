@@ -43,9 +43,9 @@ CURVES = (
 def test_planted_choke_points_are_recovered_within_one_degree(curve):
     table = rides(12_000, seed=4, models=MODEL)
     made = noisy(table, still_air(table, curve), of_day=0.0)
-    found = RECIPES["extended_physical"].fit(made, covariance=False).fits["*"].curve
-    assert np.abs(choke_points(found) - choke_points(curve)).max() < 1.0
-    np.testing.assert_allclose(levels(found), levels(curve), rtol=0.05, atol=20.0)
+    fitted = RECIPES["extended_physical"].fit(made, covariance=False).fits["*"].curve
+    assert np.abs(choke_points(fitted) - choke_points(curve)).max() < 1.0
+    np.testing.assert_allclose(levels(fitted), levels(curve), rtol=0.05, atol=20.0)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -54,28 +54,28 @@ def test_choke_points_are_recovered_together_with_a_road_load_with_drivetrain_lo
     lossy = {"rolling": 1.4, "aero_drag_wind": 1.15, "climbing": 0.9}
     made = noisy(table, physical_energy(table, lossy, CURVES[1]), seed=seed + 10, of_day=0.004)
     model = RECIPES["fitted_physical"].fit(made, covariance=False)
-    found = model.fits["*"].curve
-    assert np.abs(choke_points(found) - choke_points(CURVES[1])).max() < 1.0
-    np.testing.assert_allclose(levels(found), levels(CURVES[1]), rtol=0.08, atol=60.0)
+    fitted = model.fits["*"].curve
+    assert np.abs(choke_points(fitted) - choke_points(CURVES[1])).max() < 1.0
+    np.testing.assert_allclose(levels(fitted), levels(CURVES[1]), rtol=0.08, atol=60.0)
     assert model.fits["*"].coefficients[0] == pytest.approx(1.4, abs=0.1)
 
 
 def test_choke_points_are_recovered_closely_without_noise():
     table = rides(4000, seed=6, models=MODEL)
     made = table.assign(energy_kwh=still_air(table, CURVES[0]))
-    found = RECIPES["extended_physical"].fit(made, covariance=False).fits["*"].curve
-    assert np.abs(choke_points(found) - choke_points(CURVES[0])).max() < 0.1
-    np.testing.assert_allclose(levels(found), levels(CURVES[0]), rtol=0.01)
+    fitted = RECIPES["extended_physical"].fit(made, covariance=False).fits["*"].curve
+    assert np.abs(choke_points(fitted) - choke_points(CURVES[0])).max() < 0.1
+    np.testing.assert_allclose(levels(fitted), levels(CURVES[0]), rtol=0.01)
 
 
 def temperatures(curve, n=5000, low=-30.0, high=30.0, seed=0, noise=0.02) -> TemperatureBins:
     rng = np.random.default_rng(seed)
     ambient, time = rng.uniform(low, high, n), rng.uniform(100.0, 2000.0, n) / 3.6e6
-    found = TemperatureBins()
+    bins = TemperatureBins()
     for part in np.array_split(np.arange(n), 3):
         power = curve.power(ambient[part] + ZERO_CELSIUS)
-        found.add(ambient[part], time[part], time[part] * power + rng.normal(0.0, noise, len(part)))
-    return found
+        bins.add(ambient[part], time[part], time[part] * power + rng.normal(0.0, noise, len(part)))
+    return bins
 
 
 def test_curve_is_independent_of_blocks_of_rides_and_of_repeated_fits():
@@ -91,18 +91,18 @@ def test_curve_is_independent_of_blocks_of_rides_and_of_repeated_fits():
 
 @pytest.mark.parametrize(("low", "high"), [(-30.0, 5.0), (14.0, 30.0), (-3.0, 9.0), (16.0, 19.0), (20.0, 20.0)])
 def test_curve_is_valid_where_rides_do_not_cover_every_segment(low, high):
-    found = temperatures(CURVES[0], low=low, high=high).fit()
-    points = choke_points(found)
+    fitted = temperatures(CURVES[0], low=low, high=high).fit()
+    points = choke_points(fitted)
     assert (np.diff(points) > 0.0).all()
-    assert (levels(found) >= 0.0).all()
+    assert (levels(fitted) >= 0.0).all()
     seen = np.linspace(low, high, 20) + ZERO_CELSIUS
-    np.testing.assert_allclose(found.power(seen), CURVES[0].power(seen), atol=400.0)
+    np.testing.assert_allclose(fitted.power(seen), CURVES[0].power(seen), atol=400.0)
 
 
 def test_one_temperature_scales_the_reference_curve():
-    found = temperatures(ACCESSORIES, low=0.0, high=0.0, noise=0.0).fit()
-    assert choke_points(found) == pytest.approx(choke_points(ACCESSORIES))
-    np.testing.assert_allclose(levels(found), levels(ACCESSORIES), rtol=1e-9)
+    fitted = temperatures(ACCESSORIES, low=0.0, high=0.0, noise=0.0).fit()
+    assert choke_points(fitted) == pytest.approx(choke_points(ACCESSORIES))
+    np.testing.assert_allclose(levels(fitted), levels(ACCESSORIES), rtol=1e-9)
 
 
 def test_few_rides_scale_the_reference_curve_even_with_a_zero_road_load():
@@ -110,10 +110,10 @@ def test_few_rides_scale_the_reference_curve_even_with_a_zero_road_load():
     ambient, time = rng.uniform(-20.0, 25.0, 300), rng.uniform(0.5, 1.0, 300) / 3600.0
     energy = 1.5 * time * ACCESSORIES.power(ambient + ZERO_CELSIUS)
     for rides_, exact in ((60, True), (300, False)):
-        found = TemperatureBins(beside=2)
+        bins = TemperatureBins(beside=2)
         flat = np.zeros(rides_)
-        found.add(ambient[:rides_], time[:rides_], energy[:rides_], [flat, flat])
-        curve = found.fit()
+        bins.add(ambient[:rides_], time[:rides_], energy[:rides_], [flat, flat])
+        curve = bins.fit()
         assert (curve.heating_full == ACCESSORIES.heating_full) == exact
         seen = curve.power(ambient + ZERO_CELSIUS)
         np.testing.assert_allclose(seen, 1.5 * ACCESSORIES.power(ambient + ZERO_CELSIUS), rtol=0.02)

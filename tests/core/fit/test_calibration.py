@@ -45,9 +45,9 @@ def inside(table: pd.DataFrame, interval: PredictionInterval, level: float = 0.9
 
 @pytest.fixture(scope="module")
 def interval() -> PredictionInterval:
-    found = add_interval(BASIC_PHYSICAL, heteroscedastic(6000, 1), fitted=False).interval
-    assert found is not None
-    return found
+    calibrated = add_interval(BASIC_PHYSICAL, heteroscedastic(6000, 1), fitted=False).interval
+    assert calibrated is not None
+    return calibrated
 
 
 @pytest.mark.parametrize("level", [0.5, 0.8, 0.9, 0.98])
@@ -116,7 +116,7 @@ def test_model_file_preserves_the_interval_exactly(interval):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"scales": {}}, "without a scale"),
         ({"levels": (0.9, 0.1)}, "do not ascend"),
@@ -126,7 +126,7 @@ def test_model_file_preserves_the_interval_exactly(interval):
         ({"quantiles": ((-1.0, float("inf")),)}, "not finite"),
     ],
 )
-def test_malformed_interval_is_refused(change, said):
+def test_malformed_interval_is_refused(change, message):
     good = {
         "scales": {ANY: (0.1, 0.0, 0.0)},
         "distances_km": (0.0,),
@@ -134,7 +134,7 @@ def test_malformed_interval_is_refused(change, said):
         "quantiles": ((-1.0, 1.0),),
     }
     assert PredictionInterval(**good).rides == 0
-    with pytest.raises(ValueError, match=said):
+    with pytest.raises(ValueError, match=message):
         PredictionInterval(**(good | change))
 
 
@@ -150,10 +150,10 @@ def test_interval_covers_errors_of_any_distribution(seed, rides, heavy):
     size = random.uniform(0.1, 5.0, rides)
     terms = np.column_stack([np.ones(rides), size, size * random.uniform(0.0, 30.0, rides)])
     held = HeldOutErrors(size * draw(2, rides), terms, random.uniform(0.0, 30.0, rides))
-    found = calibrate_interval({"a": held}, {})
-    assert found is not None
-    scale = terms @ np.array(found.scales["a"])
-    row = np.array(found.quantiles)[np.searchsorted(found.distances_km, held.distance, side="right") - 1]
+    fitted = calibrate_interval({"a": held}, {})
+    assert fitted is not None
+    scale = terms @ np.array(fitted.scales["a"])
+    row = np.array(fitted.quantiles)[np.searchsorted(fitted.distances_km, held.distance, side="right") - 1]
     low, high = row[:, QUANTILE_LEVELS.index(0.05)], row[:, QUANTILE_LEVELS.index(0.95)]
     covered = ((low * scale <= held.error) & (held.error <= high * scale)).mean()
     assert 0.89 < covered < 0.96
@@ -180,22 +180,26 @@ def small() -> pd.DataFrame:
 
 def test_leverage_gives_the_error_of_a_fit_without_the_ride(small, monkeypatch):
     seen = {}
-    monkeypatch.setattr("core.fit.calibration.calibrate_interval", lambda own, other: seen.update(own=own, other=other))
+    monkeypatch.setattr(
+        "core.fit.calibration.calibrate_interval", lambda known, other: seen.update(own=known, other=other)
+    )
     model = fit_terms(PLAIN, RideFrame(small))
     add_interval(model, small)
-    own = small[small["vehicle_model"] == MODELS[1]]
-    for i in (0, 17, len(own) - 1):
-        without = fit_terms(PLAIN, RideFrame(own.drop(index=own.index[i])))
-        expected = own["energy_kwh"].iloc[i] - without.predict(own.iloc[i : i + 1])[0]
+    of_model = small[small["vehicle_model"] == MODELS[1]]
+    for i in (0, 17, len(of_model) - 1):
+        without = fit_terms(PLAIN, RideFrame(of_model.drop(index=of_model.index[i])))
+        expected = of_model["energy_kwh"].iloc[i] - without.predict(of_model.iloc[i : i + 1])[0]
         assert seen["own"][MODELS[1]].error[i] == pytest.approx(expected, rel=1e-6)
 
 
 def test_leverage_gives_the_errors_of_a_fit_without_the_vehicle_model(small, monkeypatch):
     seen = {}
-    monkeypatch.setattr("core.fit.calibration.calibrate_interval", lambda own, other: seen.update(own=own, other=other))
+    monkeypatch.setattr(
+        "core.fit.calibration.calibrate_interval", lambda known, other: seen.update(own=known, other=other)
+    )
     add_interval(fit_terms(PLAIN, RideFrame(small)), small)
-    own = small["vehicle_model"] == MODELS[1]
-    expected = small["energy_kwh"][own] - fit_terms(PLAIN, RideFrame(small[~own])).predict(small[own])
+    of_model = small["vehicle_model"] == MODELS[1]
+    expected = small["energy_kwh"][of_model] - fit_terms(PLAIN, RideFrame(small[~of_model])).predict(small[of_model])
     np.testing.assert_allclose(seen["other"][MODELS[1]].error, expected, rtol=1e-6, atol=1e-9)
 
 

@@ -46,10 +46,12 @@ def prior(seed: int = 0) -> Prior:
 def test_posterior_equals_that_of_a_conditioned_gaussian(seed, rides):
     before = prior(seed)
     design, energy, size = some(rides, before.mean * 1.2, seed)
-    own = design @ before.covariance @ design.T + np.diag(before.noise * size)
-    gain = before.covariance @ design.T @ np.linalg.inv(own)
-    found, covariance = compute_posterior(before, sum_normal_equations(design, energy, size))
-    np.testing.assert_allclose(found, before.mean + gain @ (energy - design @ before.mean), rtol=1e-6, atol=1e-9)
+    energy_covariance = design @ before.covariance @ design.T + np.diag(before.noise * size)
+    gain = before.covariance @ design.T @ np.linalg.inv(energy_covariance)
+    posterior_mean, covariance = compute_posterior(before, sum_normal_equations(design, energy, size))
+    np.testing.assert_allclose(
+        posterior_mean, before.mean + gain @ (energy - design @ before.mean), rtol=1e-6, atol=1e-9
+    )
     expected = before.covariance - gain @ design @ before.covariance
     np.testing.assert_allclose(covariance, expected, rtol=1e-5, atol=1e-8)
 
@@ -69,20 +71,20 @@ def test_posterior_is_the_same_in_steps_as_from_all_rides_at_once(seed):
 def test_evidence_equals_the_log_probability_of_energies_up_to_a_constant():
     design, energy, size = some(12, np.array([1.1, 0.7, 0.4, 0.002]), 4)
     sums = sum_normal_equations(design, energy, size)
-    told, truth = [], []
+    evidence, truth = [], []
     for seed in range(5):
         before = prior(seed)
-        own = design @ before.covariance @ design.T + np.diag(before.noise * size)
-        told.append(compute_log_evidence(before, sums))
-        truth.append(multivariate_normal(design @ before.mean, own).logpdf(energy))
-    np.testing.assert_allclose(np.diff(told), np.diff(truth), rtol=1e-6)
+        energy_covariance = design @ before.covariance @ design.T + np.diag(before.noise * size)
+        evidence.append(compute_log_evidence(before, sums))
+        truth.append(multivariate_normal(design @ before.mean, energy_covariance).logpdf(energy))
+    np.testing.assert_allclose(np.diff(evidence), np.diff(truth), rtol=1e-6)
 
 
 def test_many_rides_outweigh_the_prior():
-    own = np.array([1.4, 0.6, 0.9, 0.004])
-    found, covariance = compute_posterior(prior(), sum_normal_equations(*some(20_000, own, 5)))
-    np.testing.assert_allclose(found, own, rtol=0.05)
-    assert (np.abs(found - own) < 4.0 * np.sqrt(np.diag(covariance))).all()
+    planted = np.array([1.4, 0.6, 0.9, 0.004])
+    mean, covariance = compute_posterior(prior(), sum_normal_equations(*some(20_000, planted, 5)))
+    np.testing.assert_allclose(mean, planted, rtol=0.05)
+    assert (np.abs(mean - planted) < 4.0 * np.sqrt(np.diag(covariance))).all()
 
 
 def test_first_rides_of_a_vehicle_model_count_less_than_later_ones():
@@ -100,11 +102,11 @@ def test_planted_noise_is_recovered():
 
 
 def test_common_mean_moves_from_physics_to_the_data_with_more_rides():
-    own = np.array([1.5, 1.5, 1.5, 0.0])
-    few = compute_common_mean([sum_normal_equations(*some(1, own, 8))], PHYSICS)
-    many = compute_common_mean([sum_normal_equations(*some(50_000, own, 8))], PHYSICS)
+    planted = np.array([1.5, 1.5, 1.5, 0.0])
+    few = compute_common_mean([sum_normal_equations(*some(1, planted, 8))], PHYSICS)
+    many = compute_common_mean([sum_normal_equations(*some(50_000, planted, 8))], PHYSICS)
     assert np.abs(few - PHYSICS)[:3].max() < 0.3
-    assert np.abs(many - own)[:3].max() < 0.2
+    assert np.abs(many - planted)[:3].max() < 0.2
 
 
 def test_vehicle_models_with_more_rides_weigh_more_in_the_mean():
@@ -125,39 +127,39 @@ def test_planted_spread_between_vehicle_models_is_recovered(factor):
     random = np.random.default_rng(1)
     common = np.array([1.2, 0.8, 0.6, 0.003])
     groups = {}
-    for i, off in enumerate(random.normal(0.0, 1.0, 12)):
-        own = common * np.where(BLOCKS[0], 1.0 + factor * off, 1.0)
-        groups[str(i)] = sum_normal_equations(*some(2000, own, 100 + i))
-    found = estimate_prior(groups, PHYSICS, BLOCKS)
-    direction = np.where(BLOCKS[0], found.mean, 0.0)
-    spread = np.sqrt(direction @ np.linalg.lstsq(found.covariance, direction, rcond=None)[0]) ** -1
+    for i, deviation in enumerate(random.normal(0.0, 1.0, 12)):
+        planted = common * np.where(BLOCKS[0], 1.0 + factor * deviation, 1.0)
+        groups[str(i)] = sum_normal_equations(*some(2000, planted, 100 + i))
+    estimated = estimate_prior(groups, PHYSICS, BLOCKS)
+    direction = np.where(BLOCKS[0], estimated.mean, 0.0)
+    spread = np.sqrt(direction @ np.linalg.lstsq(estimated.covariance, direction, rcond=None)[0]) ** -1
     assert spread == pytest.approx(factor, rel=0.6)
     # a new vehicle model lies within two standard deviations of the mean
     design, energy, size = some(400, common * np.where(BLOCKS[0], 1.0 + factor, 1.0), 999)
-    error = (energy - design @ found.mean) / np.sqrt(
-        np.einsum("ij,jk,ik->i", design, found.covariance, design) + found.noise * size
+    error = (energy - design @ estimated.mean) / np.sqrt(
+        np.einsum("ij,jk,ik->i", design, estimated.covariance, design) + estimated.noise * size
     )
     assert np.std(error) < 2.0
 
 
 def test_prior_from_one_vehicle_model_is_finite_and_positive_definite():
-    found = estimate_prior(
+    estimated = estimate_prior(
         {"only": sum_normal_equations(*some(500, np.array([1.2, 0.8, 0.6, 0.003]), 3))}, PHYSICS, BLOCKS
     )
-    assert np.isfinite(found.covariance).all()
-    assert (np.linalg.eigvalsh(found.covariance) > 0.0).all()
+    assert np.isfinite(estimated.covariance).all()
+    assert (np.linalg.eigvalsh(estimated.covariance) > 0.0).all()
 
 
 def test_term_that_is_zero_in_all_rides_stays_at_physics():
     design, energy, size = some(500, np.array([1.2, 0.8, 0.6, 0.003]), 3)
     design[:, 2] = 0.0
-    found = estimate_prior(
+    estimated = estimate_prior(
         {"a": sum_normal_equations(design, energy, size), "b": sum_normal_equations(design, energy, size)},
         PHYSICS,
         BLOCKS,
     )
-    assert found.mean[2] == PHYSICS[2]
-    after, _ = compute_posterior(found, sum_normal_equations(design, energy, size))
+    assert estimated.mean[2] == PHYSICS[2]
+    after, _ = compute_posterior(estimated, sum_normal_equations(design, energy, size))
     assert np.isfinite(after).all()
 
 
@@ -165,9 +167,9 @@ def test_one_ride_moves_all_coefficients_of_a_block_by_a_common_factor():
     mean, scale = np.array([1.2, 0.8, 0.6, 0.003]), np.ones(4)
     before = Prior(mean, build_covariance(mean, scale, BLOCKS, 1e-4, (0.3, 0.3)), 1e-6)
     design = np.array([[1.0, 0.0, 0.0, 0.0]])
-    found, _ = compute_posterior(before, sum_normal_equations(design, np.array([1.2 * 1.25]), np.ones(1)))
-    np.testing.assert_allclose(found[:3], mean[:3] * 1.25, rtol=1e-3)
-    assert found[3] == pytest.approx(mean[3])
+    posterior, _ = compute_posterior(before, sum_normal_equations(design, np.array([1.2 * 1.25]), np.ones(1)))
+    np.testing.assert_allclose(posterior[:3], mean[:3] * 1.25, rtol=1e-3)
+    assert posterior[3] == pytest.approx(mean[3])
 
 
 def cars(factors: np.ndarray, rides: int, seed: int = 0):
@@ -181,21 +183,21 @@ def cars(factors: np.ndarray, rides: int, seed: int = 0):
 
 def test_planted_factors_of_cars_are_recovered():
     truth = np.random.default_rng(2).normal(1.0, 0.08, 30)
-    found = estimate_car_factors(*cars(truth, 200))
-    np.testing.assert_allclose([found[f"taxi-{i}"] for i in range(30)], truth, atol=0.02)
+    factors = estimate_car_factors(*cars(truth, 200))
+    np.testing.assert_allclose([factors[f"taxi-{i}"] for i in range(30)], truth, atol=0.02)
 
 
 def test_factors_from_few_rides_are_shrunk_and_more_accurate_for_it():
     truth = np.random.default_rng(2).normal(1.0, 0.05, 300)
     names, predicted, energy, size, noise = cars(truth, 3)
-    found = np.array([estimate_car_factors(names, predicted, energy, size, noise)[f"taxi-{i}"] for i in range(300)])
+    factors = np.array([estimate_car_factors(names, predicted, energy, size, noise)[f"taxi-{i}"] for i in range(300)])
     raw = np.array([energy[i * 3 : i * 3 + 3].sum() / predicted[i * 3 : i * 3 + 3].sum() for i in range(300)])
-    assert np.std(found) < np.std(raw)
-    assert np.mean((found - truth) ** 2) < 0.8 * min(np.mean((raw - truth) ** 2), np.var(truth) + 1e-9)
+    assert np.std(factors) < np.std(raw)
+    assert np.mean((factors - truth) ** 2) < 0.8 * min(np.mean((raw - truth) ** 2), np.var(truth) + 1e-9)
 
 
 def test_equal_cars_have_no_factor():
     factors = [estimate_car_factors(*cars(np.ones(20), 50, seed)) for seed in range(6)]
-    assert sum(not found for found in factors) >= 2
-    assert all(abs(factor - 1.0) < 0.02 for found in factors for factor in found.values())
+    assert sum(not by_car for by_car in factors) >= 2
+    assert all(abs(factor - 1.0) < 0.02 for by_car in factors for factor in by_car.values())
     assert estimate_car_factors(*cars(np.array([1.3]), 50)) == {}

@@ -23,12 +23,12 @@ def mae(model, table: pd.DataFrame) -> float:
 @pytest.fixture(scope="module")
 def table() -> pd.DataFrame:
     """Return rides with differing vehicle models and cars, and with a residual that no term explains."""
-    found = fleet(6000, 1, cars=6)
-    energy = planted(found, differing(MODELS))
-    car = pd.factorize(found["vehicle_id"])[0]
-    own = np.random.default_rng(4).normal(1.0, 0.06, car.max() + 1)[car]
-    odd = 0.15 * (found["average_speed_kmh"] < 22.0) * (found["soc_start_pct"] < 60.0)
-    return measured(found, energy * own + odd * Columns(found)["size_kwh"], noise=0.004)
+    rides = fleet(6000, 1, cars=6)
+    energy = planted(rides, differing(MODELS))
+    car = pd.factorize(rides["vehicle_id"])[0]
+    factor = np.random.default_rng(4).normal(1.0, 0.06, car.max() + 1)[car]
+    odd = 0.15 * (rides["average_speed_kmh"] < 22.0) * (rides["soc_start_pct"] < 60.0)
+    return measured(rides, energy * factor + odd * Columns(rides)["size_kwh"], noise=0.004)
 
 
 @pytest.fixture(scope="module")
@@ -51,8 +51,8 @@ def test_each_recipe_beyond_the_paper_is_better_than_the_one_before(models, halv
 
 def test_planted_factors_of_cars_are_recovered(models, table):
     truth = np.random.default_rng(4).normal(1.0, 0.06, table["vehicle_id"].nunique())
-    found = [models["boosted_hybrid"].cars[name] for name in pd.factorize(table["vehicle_id"])[1]]
-    assert np.corrcoef(truth, found)[0, 1] > 0.8
+    factors = [models["boosted_hybrid"].cars[name] for name in pd.factorize(table["vehicle_id"])[1]]
+    assert np.corrcoef(truth, factors)[0, 1] > 0.8
     assert not models["pooled_hybrid"].cars
 
 
@@ -117,18 +117,20 @@ def test_adapting_to_rides_of_a_new_vehicle_model_improves_its_prediction(table)
     start = POOLED.fit(table[~new])
     others = table[~new].iloc[:300]
     draws = [table[new].sample(frac=1.0, random_state=seed) for seed in range(5)]
-    errors = np.array([[mae(adapt(start, own[:n]), own[300:]) for n in (0, 3, 30, 300)] for own in draws])
+    errors = np.array(
+        [[mae(adapt(start, shuffled[:n]), shuffled[300:]) for n in (0, 3, 30, 300)] for shuffled in draws]
+    )
     assert errors[0, 0] == mae(start, draws[0][300:])
     mean = errors.mean(axis=0)
     assert mean[1] < 1.1 * mean[0]
     assert mean[2] < mean[0]
     assert mean[3] < 1.25 * mae(POOLED.fit(table), table[new])
     rides = draws[0]
-    told = adapt(start, rides.iloc[:30])
-    assert told.predict(others).tobytes() == start.predict(others).tobytes()
-    assert (told.fits[MODELS[0]].rides, told.version != start.version) == (30, True)
-    assert told.history[-1] == {"action": "adapt", "rides": {MODELS[0]: 30}}
-    assert decode_model(encode_model(told)) == told
+    adapted = adapt(start, rides.iloc[:30])
+    assert adapted.predict(others).tobytes() == start.predict(others).tobytes()
+    assert (adapted.fits[MODELS[0]].rides, adapted.version != start.version) == (30, True)
+    assert adapted.history[-1] == {"action": "adapt", "rides": {MODELS[0]: 30}}
+    assert decode_model(encode_model(adapted)) == adapted
 
 
 def test_variance_of_a_new_vehicle_model_shrinks_with_each_ride(table):
@@ -142,9 +144,9 @@ def test_variance_of_a_new_vehicle_model_shrinks_with_each_ride(table):
 
 def test_adapting_to_a_known_vehicle_model_changes_only_its_fit(models, halves):
     model = models["boosted_hybrid"]
-    told = adapt(model, halves[1][halves[1]["vehicle_model"] == MODELS[0]])
-    assert [key for key in model.fits if told.fits[key] != model.fits[key]] == [MODELS[0]]
-    assert (told.cars, told.correction) == (model.cars, model.correction)
+    adapted = adapt(model, halves[1][halves[1]["vehicle_model"] == MODELS[0]])
+    assert [key for key in model.fits if adapted.fits[key] != model.fits[key]] == [MODELS[0]]
+    assert (adapted.cars, adapted.correction) == (model.cars, model.correction)
 
 
 def test_unfit_rides_do_not_influence_the_fit(table):
@@ -153,9 +155,9 @@ def test_unfit_rides_do_not_influence_the_fit(table):
     odd.loc[odd.index[:50], "energy_kwh"] = 1e3
     odd.loc[odd.index[:50], "fit_for_training"] = False
     odd.loc[odd.index[50:60], "energy_kwh"] = np.nan
-    found, clean = POOLED.fit(odd), POOLED.fit(some.iloc[60:])
-    assert found.fits == clean.fits
-    assert found.training.left_out == {"unfit": 50, "no_measured_energy": 10}
+    fitted, clean = POOLED.fit(odd), POOLED.fit(some.iloc[60:])
+    assert fitted.fits == clean.fits
+    assert fitted.training.left_out == {"unfit": 50, "no_measured_energy": 10}
     assert adapt(clean, odd.iloc[:60]) is clean
 
 
@@ -181,7 +183,7 @@ def test_single_vehicle_model_can_be_fitted(table):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda t: t.drop(columns="parked_s"), "column 'parked_s' is missing in the rides: make the tables anew"),
         (lambda t: t.drop(columns="energy_kwh"), "column 'energy_kwh' is missing"),
@@ -194,9 +196,9 @@ def test_single_vehicle_model_can_be_fitted(table):
         (lambda t: t.assign(energy_kwh=1.5), "energy_kwh is 1.5 in all 200 rides: nothing can be learned"),
     ],
 )
-def test_rides_that_cannot_be_fitted_are_refused(table, change, said):
+def test_rides_that_cannot_be_fitted_are_refused(table, change, message):
     for recipe in POOLED_RECIPES:
-        with pytest.raises(ModelError, match=said):
+        with pytest.raises(ModelError, match=message):
             recipe.fit(change(table.iloc[:200]))
 
 
@@ -224,8 +226,8 @@ def test_vehicle_model_with_one_ride_is_pooled(table):
 def test_adapting_to_predicted_energies_changes_no_prediction(models, halves):
     model = models["boosted_hybrid"]
     one = halves[0][halves[0]["vehicle_model"] == MODELS[0]]
-    said = one.assign(energy_kwh=model.predict(one))
-    again = adapt(model, said)
+    predicted = one.assign(energy_kwh=model.predict(one))
+    again = adapt(model, predicted)
     rest = halves[1][halves[1]["vehicle_model"] == MODELS[0]]
     assert again.predict(rest) == pytest.approx(model.predict(rest), rel=1e-6, abs=1e-6)
     assert again.version != model.version
@@ -236,9 +238,9 @@ def test_term_that_is_zero_in_all_rides_is_held_at_physics(table):
     model = POOLED.fit(mild[mild["vehicle_model"] != MODELS[0]])
     new = table[table["vehicle_model"] == MODELS[0]].iloc[:30].copy()
     new["ambient_c"] = np.where(np.arange(30) == 0, -15.0, 15.0)
-    told = adapt(model, new)
+    adapted = adapt(model, new)
     place = [term.name for term in model.terms].index("heating in deep cold")
-    assert told.fits[MODELS[0]].coefficients[place] == pytest.approx(SHARED_TERMS[place].physics, abs=1e-6)
+    assert adapted.fits[MODELS[0]].coefficients[place] == pytest.approx(SHARED_TERMS[place].physics, abs=1e-6)
 
 
 def test_version_depends_on_the_cars_of_the_rides(table):

@@ -34,8 +34,8 @@ def models(fleet):
     return {name: RECIPES[name].fit(fleet) for name in PAPER}
 
 
-def names(found) -> set[str]:
-    return {term.name for term in found.terms}
+def names(recipe) -> set[str]:
+    return {term.name for term in recipe.terms}
 
 
 def test_recipes_are_named_and_ordered_as_in_the_paper():
@@ -60,8 +60,8 @@ def test_terms_equal_those_of_the_paper():
 
 
 def test_no_recipe_reads_the_answer():
-    for found in RECIPES.values():
-        for term in getattr(found, "terms", ()):
+    for recipe in RECIPES.values():
+        for term in getattr(recipe, "terms", ()):
             assert not any(column.startswith(ANSWERS) for column in term.columns)
 
 
@@ -99,17 +99,17 @@ def test_fitted_model_survives_its_file_exactly(name, fleet, models):
 @pytest.mark.parametrize("name", FITTED)
 def test_collinear_columns_keep_coefficients_bounded(name, fleet, models):
     """Check that no column moves the energy by more than three times the standard deviation of energies."""
-    found = models[name]
-    for key, fit in found.fits.items():
-        own = fleet if key == ANY else fleet[fleet["vehicle_model"] == key]
-        spread = own["energy_kwh"].std()
-        columns = {name: own[name].to_numpy(float) for name in found.needs if name != "vehicle_model"}
-        for term, coefficient in zip(found.terms, fit.coefficients, strict=True):
+    model = models[name]
+    for key, fit in model.fits.items():
+        of_model = fleet if key == ANY else fleet[fleet["vehicle_model"] == key]
+        spread = of_model["energy_kwh"].std()
+        columns = {name: of_model[name].to_numpy(float) for name in model.needs if name != "vehicle_model"}
+        for term, coefficient in zip(model.terms, fit.coefficients, strict=True):
             if all(column in columns for column in term.columns) and term.columns:
                 values = np.prod([np.nan_to_num(columns[column]) for column in term.columns], axis=0)
                 assert abs(coefficient) * values.std() < 3.0 * spread, (key, term.name)
     shaken = fleet.assign(winter=1 - fleet["winter"], summer=1 - fleet["summer"])
-    assert np.abs(found.predict(shaken) - found.predict(fleet)).max() < 2.0
+    assert np.abs(model.predict(shaken) - model.predict(fleet)).max() < 2.0
 
 
 def test_hybrid_without_redundant_terms_predicts_the_same(fleet, models):
@@ -119,8 +119,8 @@ def test_hybrid_without_redundant_terms_predicts_the_same(fleet, models):
     least = LinearRecipe("least", "least", kept).fit(fleet)
     fresh = rides(200, seed=99)
     for key in MODELS:
-        own = fresh.assign(vehicle_model=key, nominal_capacity_kwh=27.0)
-        np.testing.assert_allclose(models["hybrid"].predict(own), least.predict(own), atol=1e-6)
+        of_model = fresh.assign(vehicle_model=key, nominal_capacity_kwh=27.0)
+        np.testing.assert_allclose(models["hybrid"].predict(of_model), least.predict(of_model), atol=1e-6)
 
 
 def test_rolling_resistance_nearly_proportional_to_distance_stays_bounded():
@@ -156,8 +156,8 @@ def test_inertia_is_held_near_physics_where_rides_do_not_determine_it(fleet, mod
         *(f"{by} * inertia" for by in ("odometer_km", "lost_m", "winter", "summer")),
     }
     moving = fleet.assign(effect_inertia=np.random.default_rng(1).normal(0.0, 0.3, len(fleet)))
-    told = noisy(moving, physical_energy(moving, {"inertia": 1.3}))
-    fit = RECIPES["fitted_physical"].fit(told).fits[ANY]
+    measured = noisy(moving, physical_energy(moving, {"inertia": 1.3}))
+    fit = RECIPES["fitted_physical"].fit(measured).fits[ANY]
     assert fit.held == ()
     assert fit.coefficients[2] == pytest.approx(1.3, abs=0.03)
 
@@ -179,11 +179,11 @@ def test_rides_unfit_unmeasured_or_of_unknown_cars_are_left_out_and_counted(flee
     odd.loc[:9, "energy_kwh"] = 1e6
     odd.loc[20:24, "energy_kwh"] = np.nan
     odd.loc[30:32, ["effect_rolling", "drag_area_m2"]] = np.nan
-    found = RECIPES["hybrid"].fit(odd)
+    fitted = RECIPES["hybrid"].fit(odd)
     clean = RECIPES["hybrid"].fit(fleet.drop(index=[*range(10), *range(20, 25), *range(30, 33)]))
-    assert found.fits == clean.fits
-    assert found.training.fingerprint == clean.training.fingerprint
-    assert found.training.left_out == {"too_long": 10, "no_measured_energy": 5, "unknown_vehicle_or_effect": 3}
+    assert fitted.fits == clean.fits
+    assert fitted.training.fingerprint == clean.training.fingerprint
+    assert fitted.training.left_out == {"too_long": 10, "no_measured_energy": 5, "unknown_vehicle_or_effect": 3}
 
 
 def test_answer_columns_do_not_influence_the_fit(fleet, models):
@@ -215,24 +215,24 @@ def test_fit_to_parquet_files_equals_fit_to_the_table(name, groups, fleet, model
     half = len(fleet) // 2
     fleet.iloc[:half].to_parquet(tmp_path / "a.parquet", row_group_size=groups)
     fleet.iloc[half:].to_parquet(tmp_path / "b.parquet", row_group_size=groups)
-    found = RECIPES[name].fit_parquet(tmp_path / "a.parquet", tmp_path / "b.parquet")
-    assert found.training == models[name].training
-    for key, fit in found.fits.items():
+    fitted = RECIPES[name].fit_parquet(tmp_path / "a.parquet", tmp_path / "b.parquet")
+    assert fitted.training == models[name].training
+    for key, fit in fitted.fits.items():
         expected = models[name].fits[key]
-        np.testing.assert_allclose(found.predict(fleet), models[name].predict(fleet), atol=1e-7)
+        np.testing.assert_allclose(fitted.predict(fleet), models[name].predict(fleet), atol=1e-7)
         np.testing.assert_allclose(np.diag(fit.covariance), np.diag(expected.covariance), rtol=1e-3)
 
 
 def test_vehicle_model_with_too_few_rides_uses_the_fit_over_all(fleet):
     rare = fleet["vehicle_model"] == MODELS[0]
     few = pd.concat([fleet[~rare], fleet[rare].iloc[:40]])
-    found = RECIPES["hybrid"].fit(few)
-    assert set(found.fits) == {*MODELS[1:], ANY}
-    assert found.training.vehicle_models[MODELS[0]] == 40
+    fitted = RECIPES["hybrid"].fit(few)
+    assert set(fitted.fits) == {*MODELS[1:], ANY}
+    assert fitted.training.vehicle_models[MODELS[0]] == 40
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda t: t.drop(columns="gained_m"), "column 'gained_m' is missing: make the tables anew"),
         (lambda t: t.drop(columns="energy_kwh"), "column 'energy_kwh' is missing"),
@@ -245,10 +245,10 @@ def test_vehicle_model_with_too_few_rides_uses_the_fit_over_all(fleet):
         (lambda t: t.assign(gained_m="steep"), "column 'gained_m' of the ride table is no number"),
     ],
 )
-def test_rides_that_cannot_be_fitted_are_refused_in_one_line(change, said, fleet):
+def test_rides_that_cannot_be_fitted_are_refused_in_one_line(change, message, fleet):
     with pytest.raises(ModelError) as caught:
         RECIPES["hybrid"].fit(change(fleet))
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 

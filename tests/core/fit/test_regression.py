@@ -19,10 +19,10 @@ from tests.support.planted_rides import noisy, physical_energy, rides
 
 
 def moments_of(*blocks) -> Moments:
-    found = Moments(blocks[0].shape[1])
+    moments = Moments(blocks[0].shape[1])
     for block in blocks:
-        found.add(block)
-    return found
+        moments.add(block)
+    return moments
 
 
 def table(seed: int, rows: int = 200, width: int = 4) -> np.ndarray:
@@ -37,11 +37,11 @@ def table(seed: int, rows: int = 200, width: int = 4) -> np.ndarray:
 def test_moments_do_not_depend_on_the_division_into_blocks(seed, cuts):
     whole = table(seed)
     edges = [0, *sorted(cuts), len(whole)]
-    found = moments_of(*(whole[a:b] for a, b in pairwise(edges)))
-    assert found.rows == len(whole)
-    np.testing.assert_allclose(found.mean, whole.mean(axis=0), rtol=1e-12)
-    scale = np.sqrt(np.outer(np.diag(found.scatter), np.diag(found.scatter)))
-    np.testing.assert_allclose(found.scatter / scale, np.cov(whole.T) * (len(whole) - 1) / scale, atol=1e-11)
+    moments = moments_of(*(whole[a:b] for a, b in pairwise(edges)))
+    assert moments.rows == len(whole)
+    np.testing.assert_allclose(moments.mean, whole.mean(axis=0), rtol=1e-12)
+    scale = np.sqrt(np.outer(np.diag(moments.scatter), np.diag(moments.scatter)))
+    np.testing.assert_allclose(moments.scatter / scale, np.cov(whole.T) * (len(whole) - 1) / scale, atol=1e-11)
 
 
 def test_large_means_do_not_reduce_precision():
@@ -49,9 +49,9 @@ def test_large_means_do_not_reduce_precision():
     x = 1e9 + rng.normal(size=2000)
     y = 3.0 * (x - 1e9) + rng.normal(size=2000)
     blocks = np.array_split(np.column_stack([x, y]), 7)
-    found = solve(moments_of(*blocks), constant=True)
+    solution = solve(moments_of(*blocks), constant=True)
     expected = np.polyfit(x - 1e9, y, 1)
-    assert found.coefficients[0] == pytest.approx(expected[0], rel=1e-6)
+    assert solution.coefficients[0] == pytest.approx(expected[0], rel=1e-6)
 
 
 @pytest.mark.parametrize("constant", [True, False])
@@ -59,14 +59,14 @@ def test_solution_equals_that_of_scikit_learn(constant):
     whole = table(3)
     if not constant:  # otherwise each column is constant within a thousandth, and all count as collinear
         whole[:, :-1] -= 10.0 ** np.arange(4)
-    found = solve(moments_of(*np.array_split(whole, 5)), constant=constant)
+    solution = solve(moments_of(*np.array_split(whole, 5)), constant=constant)
     expected = LinearRegression(fit_intercept=constant).fit(whole[:, :-1], whole[:, -1])
-    np.testing.assert_allclose(found.coefficients, expected.coef_, rtol=1e-6)
-    assert (found.constant or 0.0) == pytest.approx(expected.intercept_, rel=1e-6)
+    np.testing.assert_allclose(solution.coefficients, expected.coef_, rtol=1e-6)
+    assert (solution.constant or 0.0) == pytest.approx(expected.intercept_, rel=1e-6)
     left = whole[:, -1] - expected.predict(whole[:, :-1])
-    assert found.residual == pytest.approx(left @ left, rel=1e-6)
-    assert found.rank == 4
-    assert found.freedom == 196 - constant
+    assert solution.residual == pytest.approx(left @ left, rel=1e-6)
+    assert solution.rank == 4
+    assert solution.freedom == 196 - constant
 
 
 def test_collinear_columns_share_coefficients_equally_and_predict_the_same():
@@ -76,15 +76,15 @@ def test_collinear_columns_share_coefficients_equally_and_predict_the_same():
     whole = parts.sum(axis=1)
     y = 1.0 + 0.5 * winter + parts @ np.arange(6.0) + 0.01 * rng.normal(size=500)
     x = np.column_stack([winter, 1.0 - winter, parts, whole])
-    found = solve(moments_of(np.column_stack([x, y])), constant=True)
+    solution = solve(moments_of(np.column_stack([x, y])), constant=True)
     least = solve(moments_of(np.column_stack([winter, parts, y])), constant=True)
-    assert found.rank == least.rank == 7
-    assert found.coefficients[0] == pytest.approx(-found.coefficients[1], rel=1e-6)
-    assert np.abs(found.coefficients).max() < 6.0
+    assert solution.rank == least.rank == 7
+    assert solution.coefficients[0] == pytest.approx(-solution.coefficients[1], rel=1e-6)
+    assert np.abs(solution.coefficients).max() < 6.0
     fresh = rng.random((50, 6))
     seasons = (rng.random(50) < 0.5).astype(float)
     full = np.column_stack([seasons, 1.0 - seasons, fresh, fresh.sum(axis=1)])
-    one = full @ found.coefficients + found.constant
+    one = full @ solution.coefficients + solution.constant
     other = np.column_stack([seasons, fresh]) @ least.coefficients + least.constant
     np.testing.assert_allclose(one, other, atol=1e-9)
 
@@ -93,11 +93,11 @@ def test_collinear_columns_share_coefficients_equally_and_predict_the_same():
 def test_constant_column_has_no_influence(value):
     whole = table(7)
     with_it = np.insert(whole, 2, value, axis=1)
-    found = solve(moments_of(*np.array_split(with_it, 3)), constant=True)
+    solution = solve(moments_of(*np.array_split(with_it, 3)), constant=True)
     without = solve(moments_of(whole), constant=True)
-    assert found.coefficients[2] == 0.0
-    np.testing.assert_allclose(np.delete(found.coefficients, 2), without.coefficients, rtol=1e-9)
-    assert found.rank == without.rank
+    assert solution.coefficients[2] == 0.0
+    np.testing.assert_allclose(np.delete(solution.coefficients, 2), without.coefficients, rtol=1e-9)
+    assert solution.rank == without.rank
 
 
 def test_weight_acts_as_one_more_observation_of_a_coefficient():
@@ -175,27 +175,27 @@ def test_rides_of_one_car_and_day_share_a_group():
 
 
 def test_recipe_regressor_is_a_scikit_learn_estimator():
-    found = noisy(rides(600, models=("kia-soul-ev-2015",)), np.zeros(600))
-    energy = noisy(found, physical_energy(found))["energy_kwh"]
+    measured = noisy(rides(600, models=("kia-soul-ev-2015",)), np.zeros(600))
+    energy = noisy(measured, physical_energy(measured))["energy_kwh"]
     estimator = RecipeRegressor("fitted_physical")
     assert clone(estimator).get_params() == {"recipe": "fitted_physical", "covariance": False}
     with pytest.raises(NotFittedError):
-        estimator.predict(found)
-    assert estimator.fit(found, energy) is estimator
-    assert estimator.predict(found).tobytes() == estimator.model_.predict(found).tobytes()
-    assert estimator.score(found, energy) > 0.9
-    scores = cross_val_score(estimator, found.drop(columns="energy_kwh"), energy, cv=KFold(3, shuffle=True))
+        estimator.predict(measured)
+    assert estimator.fit(measured, energy) is estimator
+    assert estimator.predict(measured).tobytes() == estimator.model_.predict(measured).tobytes()
+    assert estimator.score(measured, energy) > 0.9
+    scores = cross_val_score(estimator, measured.drop(columns="energy_kwh"), energy, cv=KFold(3, shuffle=True))
     assert (scores > 0.9).all()
     with pytest.raises(ModelError, match="recipe 'hybird' is unknown: known are basic_physical"):
-        RecipeRegressor("hybird").fit(found, energy)
+        RecipeRegressor("hybird").fit(measured, energy)
     with pytest.raises(ModelError, match="ndarray has no columns by name"):
-        estimator.predict(found.select_dtypes("number").to_numpy())
+        estimator.predict(measured.select_dtypes("number").to_numpy())
 
 
 def test_fit_of_an_estimator_changes_neither_table_nor_energy():
-    found = rides(300)
-    energy = pd.Series(physical_energy(found))
-    before = found.copy(deep=True), energy.copy(deep=True)
-    RecipeRegressor("hybrid").fit(found, energy)
-    pd.testing.assert_frame_equal(found, before[0])
+    ride_table = rides(300)
+    energy = pd.Series(physical_energy(ride_table))
+    before = ride_table.copy(deep=True), energy.copy(deep=True)
+    RecipeRegressor("hybrid").fit(ride_table, energy)
+    pd.testing.assert_frame_equal(ride_table, before[0])
     pd.testing.assert_series_equal(energy, before[1])

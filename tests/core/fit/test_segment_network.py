@@ -23,8 +23,10 @@ def windows(rides=300, seed=1, models=("leaf", "soul")):
     energy = 0.3 * table["effect_climbing_up"] + table["duration_s"] / 60.0 * (
         0.02 + cold * table["distance_km"] * 10.0
     )
-    own = pd.DataFrame({"ride_key": [f"car#{i}" for i in range(rides)], "vehicle_model": rng.choice(models, rides)})
-    return table, own.assign(energy_kwh=np.bincount(ride, weights=energy)), energy.to_numpy()
+    ride_table = pd.DataFrame(
+        {"ride_key": [f"car#{i}" for i in range(rides)], "vehicle_model": rng.choice(models, rides)}
+    )
+    return table, ride_table.assign(energy_kwh=np.bincount(ride, weights=energy)), energy.to_numpy()
 
 
 @pytest.fixture(scope="module")
@@ -45,27 +47,27 @@ def test_linear_energy_is_shared_out_exactly(table):
     ride = frame["ride_key"].str.removeprefix("car#").astype(int).to_numpy()
     features = frame[["effect_climbing_up", "distance_km"]].to_numpy()
     true = features @ [0.7, 0.2] + 0.01
-    found = share_out_energy(features, frame["duration_s"].to_numpy(), ride, np.bincount(ride, weights=true))
-    np.testing.assert_allclose(found, true, rtol=1e-6)
+    shares = share_out_energy(features, frame["duration_s"].to_numpy(), ride, np.bincount(ride, weights=true))
+    np.testing.assert_allclose(shares, true, rtol=1e-6)
 
 
 def test_planted_nonlinear_relation_is_learned(table):
     frame, rides, _ = table
     train, test = rides.iloc[::2], rides.iloc[1::2]
-    said = SegmentRecipe(build_segments(frame)).fit(train).predict(test)
-    error = np.abs(said - test["energy_kwh"]).mean()
+    predicted = SegmentRecipe(build_segments(frame)).fit(train).predict(test)
+    error = np.abs(predicted - test["energy_kwh"]).mean()
     assert error < 0.35 * np.abs(test["energy_kwh"] - train["energy_kwh"].mean()).mean()
-    assert not np.isnan(said).any()
+    assert not np.isnan(predicted).any()
 
 
 def test_equal_seeds_give_equal_predictions_in_any_order_of_rides(table):
     frame, rides, _ = table
     recipe = SegmentRecipe(build_segments(frame.sample(frac=1.0, random_state=3)))
     one, two = (recipe.fit(rides.iloc[:200]) for _ in range(2))
-    said = one.predict(rides)
-    np.testing.assert_array_equal(said, two.predict(rides))
+    predicted = one.predict(rides)
+    np.testing.assert_array_equal(predicted, two.predict(rides))
     back = rides.sample(frac=1.0, random_state=4)
-    np.testing.assert_allclose(one.predict(back), said[back.index], rtol=1e-12)
+    np.testing.assert_allclose(one.predict(back), predicted[back.index], rtol=1e-12)
 
 
 def test_unseen_vehicle_model_is_predicted_by_the_network_of_all_rides(table):
@@ -81,8 +83,8 @@ def test_ride_without_windows_is_nan_and_unknown_values_are_accepted(table):
     frame = frame[frame["ride_key"] != "car#7"].copy()
     frame.loc[frame.index[::5], "precipitation_mm_h"] = np.nan
     frame["wind_speed_kmh"] = np.nan
-    said = SegmentRecipe(build_segments(frame)).fit(rides).predict(rides)
-    assert np.flatnonzero(np.isnan(said)).tolist() == [7]
+    predicted = SegmentRecipe(build_segments(frame)).fit(rides).predict(rides)
+    assert np.flatnonzero(np.isnan(predicted)).tolist() == [7]
 
 
 def test_too_few_rides_and_missing_columns_are_refused(table):

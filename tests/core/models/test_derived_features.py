@@ -18,11 +18,11 @@ NUMBERS = st.floats(-60.0, 60.0)
 @pytest.mark.parametrize("name", DERIVED_COLUMNS)
 def test_derived_column_is_computed_row_by_row_from_its_inputs_only(name):
     filled = TABLE.fillna({"battery_temperature_c": 3.0})
-    own = {column: filled[column] for column in list_raw_columns(name)}
-    whole = Columns(own)[name]
+    inputs = {column: filled[column] for column in list_raw_columns(name)}
+    whole = Columns(inputs)[name]
     rows = np.array([5, 3, 120])
-    assert Columns(own, rows=rows)[name].tobytes() == whole[rows].tobytes()
-    assert np.isfinite(whole[np.isfinite(np.column_stack(list(own.values()))).all(axis=1)]).all()
+    assert Columns(inputs, rows=rows)[name].tobytes() == whole[rows].tobytes()
+    assert np.isfinite(whole[np.isfinite(np.column_stack(list(inputs.values()))).all(axis=1)]).all()
 
 
 @pytest.mark.parametrize("name", DERIVED_COLUMNS)

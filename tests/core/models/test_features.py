@@ -99,7 +99,7 @@ def test_scope_is_one_where_a_term_holds_and_zero_elsewhere():
 
 
 @pytest.mark.parametrize(
-    ("scope", "said"),
+    ("scope", "message"),
     [
         ("since=2018-13-01", "month must be in 1..12"),
         ("since=", "write since=YYYY-MM-DD"),
@@ -109,8 +109,8 @@ def test_scope_is_one_where_a_term_holds_and_zero_elsewhere():
         ("vehicle= ", "names no vehicle: write vehicle=ID"),
     ],
 )
-def test_malformed_scope_is_refused(scope, said):
-    with pytest.raises(ModelError, match=said):
+def test_malformed_scope_is_refused(scope, message):
+    with pytest.raises(ModelError, match=message):
         get_unit(scope)
 
 

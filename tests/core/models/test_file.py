@@ -201,7 +201,7 @@ FORMAT_1 = json.dumps(
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "message"),
     [
         (b"", "not JSON"),
         (b"\xff\xfe", "not JSON"),
@@ -235,13 +235,13 @@ FORMAT_1 = json.dumps(
         ),
     ],
 )
-def test_bad_model_file_is_refused_in_one_line(content, said, tmp_path):
+def test_bad_model_file_is_refused_in_one_line(content, message, tmp_path):
     path = tmp_path / "model.json"
     path.write_bytes(content)
     with pytest.raises(ModelError) as caught:
         load(path)
     assert str(caught.value).startswith(f"{path}: ")
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 

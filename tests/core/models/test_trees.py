@@ -55,9 +55,9 @@ def test_exported_trees_predict_as_scikit_learn(seed, unknown, loss):
     table = features(600, seed, unknown)
     model = HistGradientBoostingRegressor(loss=loss, max_iter=15, min_samples_leaf=5, random_state=0)
     model.fit(table, answers(table, seed))
-    asked = np.concatenate([table, features(300, seed + 7, 0.3), features(20, seed + 9) * 1e6])
+    inputs = np.concatenate([table, features(300, seed + 7, 0.3), features(20, seed + 9) * 1e6])
     trees = export_trees(model, NAMES)
-    np.testing.assert_allclose(trees.sum_leaves(asked), model.predict(asked), rtol=0.0, atol=1e-10)
+    np.testing.assert_allclose(trees.sum_leaves(inputs), model.predict(inputs), rtol=0.0, atol=1e-10)
 
 
 def test_feature_unknown_only_in_prediction_follows_scikit_learn():
@@ -156,7 +156,7 @@ GOOD = {
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"value": (0.0, 1.0)}, "arrays of"),
         ({"roots": (3,)}, "roots are not among"),
@@ -167,10 +167,10 @@ GOOD = {
         ({"baseline": float("inf")}, "not finite"),
     ],
 )
-def test_malformed_trees_are_refused(change, said):
+def test_malformed_trees_are_refused(change, message):
     assert Trees(**GOOD).sum_leaves(np.array([[0.5], [1.0], [1.5], [np.nan]])).tolist() == [-1.0, -1.0, 1.0, -1.0]
-    with pytest.raises(ValueError, match=said):
+    with pytest.raises(ValueError, match=message):
         Trees(**(GOOD | change))
     raw = {key: list(value) if isinstance(value, tuple) else value for key, value in (GOOD | change).items()}
-    with pytest.raises(msgspec.ValidationError, match=said):
+    with pytest.raises(msgspec.ValidationError, match=message):
         msgspec.convert(raw, Trees)
