@@ -26,7 +26,7 @@ def message(key: str, number: int) -> Message:
     return Message(key, str(number).encode(), number)
 
 
-def test_all_is_handed_on_where_the_sink_keeps_pace():
+def test_fast_sink_receives_every_message():
     sink = MemorySink()
     latest = LatestOnlySink(sink)
     latest.put([])
@@ -37,7 +37,7 @@ def test_all_is_handed_on_where_the_sink_keeps_pace():
     assert sink.closed
 
 
-def test_a_stalled_listener_holds_up_nobody_and_gets_the_newest_of_each_key():
+def test_stalled_sink_never_delays_put_and_receives_newest_of_each_key():
     sink = Slow()
     latest = LatestOnlySink(sink)
     latest.put([message("a", 0)])
@@ -54,7 +54,7 @@ class Broken(MemorySink):
         raise ConnectionError("gone")
 
 
-def test_who_closes_is_told_that_the_sink_broke_at_the_last():
+def test_close_raises_failure_of_sink_once():
     sink = Broken()
     latest = LatestOnlySink(sink)
     latest.put([message("a", 0)])
@@ -64,7 +64,7 @@ def test_who_closes_is_told_that_the_sink_broke_at_the_last():
     latest.close()
 
 
-def test_who_puts_is_told_that_the_sink_broke():
+def test_put_raises_failure_of_sink():
     latest = LatestOnlySink(Broken())
     latest.put([message("a", 0)])
     latest._thread.join(10)

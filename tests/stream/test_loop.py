@@ -1,4 +1,4 @@
-"""The one loop: what it forecasts does not depend on where the messages come from, and it leaves nothing behind."""
+"""The loop makes the same forecasts for every source, records every message, and closes every sink."""
 
 import io
 import json
@@ -27,29 +27,30 @@ from stream.zenoh_pubsub import ZenohSource
 from stream.zenoh_session import Connection, Node
 from tests.support.recorded_shift import shift
 
-Told = tuple[list[Message], list[Message], str]
+Results = tuple[list[Message], list[Message], str]
 
 
-def pipeline_of(models) -> Pipeline:
+def make_pipeline(models) -> Pipeline:
     first, *shadows = models
     return Pipeline(first, shadows=shadows)
 
 
-def told(sink: MemorySink, pipeline: Pipeline) -> Told:
-    """Return the forecasts, how models fared, and the rides."""
+def collect_results(sink: MemorySink, pipeline: Pipeline) -> Results:
+    """Return the forecasts, the errors of models, and the rides."""
     forecasts = [message for message in sink.messages if message.key.endswith("/forecast")]
     errors = [message for message in sink.messages if message.key.startswith("models/")]
     assert len(forecasts) + len(errors) == len(sink.messages)
     return forecasts, errors, pipeline.take_rides().to_json()
 
 
-def through(source, models) -> Told:
-    pipeline, sink = pipeline_of(models), MemorySink()
+def run_loop(source, models) -> Results:
+    """Run the loop over a source and return its results."""
+    pipeline, sink = make_pipeline(models), MemorySink()
     tally = run(source, pipeline, [sink])
     assert sink.closed
-    found = told(sink, pipeline)
-    assert (tally.forecasts, tally.model_errors) == (len(found[0]), len(found[1]))
-    return found
+    results = collect_results(sink, pipeline)
+    assert (tally.forecasts, tally.model_errors) == (len(results[0]), len(results[1]))
+    return results
 
 
 @pytest.fixture(scope="module", params=[1, 2], ids=["one model", "and a shadow"])
@@ -58,26 +59,26 @@ def models(request):
 
 
 @pytest.fixture(scope="module")
-def reference(models) -> Told:
-    found = through(MemorySource(shift()), models)
-    assert len(found[0]) > 50
-    assert len(found[1]) == (2 * (9 + 1) if len(models) > 1 else 0)  # after each ride, and after the last day
-    return found
+def reference(models) -> Results:
+    results = run_loop(MemorySource(shift()), models)
+    assert len(results[0]) > 50
+    assert len(results[1]) == (2 * (9 + 1) if len(models) > 1 else 0)  # after each ride, and after the last day
+    return results
 
 
 @pytest.mark.parametrize("chunk", [1, 7, 100_000])
-def test_memory_in_any_chunks_is_the_same(reference, models, chunk):
-    assert through(MemorySource(shift(), chunk), models) == reference
+def test_size_of_lists_never_changes_results(reference, models, chunk):
+    assert run_loop(MemorySource(shift(), chunk), models) == reference
 
 
-def test_replay_is_the_same(reference, models, tmp_path: Path):
+def test_replay_gives_same_results_as_memory(reference, models, tmp_path: Path):
     with McapSink(tmp_path / "shift.mcap", 10_000) as sink:
         sink.put(shift())
-    assert through(McapSource(tmp_path / "shift.mcap"), models) == reference
+    assert run_loop(McapSource(tmp_path / "shift.mcap"), models) == reference
 
 
-def test_how_models_fare_is_recorded_with_its_schema(tmp_path: Path):
-    run(MemorySource(shift()), pipeline_of([EXTENDED_PHYSICAL, BASIC_PHYSICAL]), [McapSink(tmp_path / "out.mcap")])
+def test_errors_of_models_are_recorded_with_their_schema(tmp_path: Path):
+    run(MemorySource(shift()), make_pipeline([EXTENDED_PHYSICAL, BASIC_PHYSICAL]), [McapSink(tmp_path / "out.mcap")])
     source = McapSource(tmp_path / "out.mcap")
     kept = [message for block in source for message in block if message.key.startswith("models/")]
     assert {message.key for message in kept} == {
@@ -90,13 +91,13 @@ def test_how_models_fare_is_recorded_with_its_schema(tmp_path: Path):
     assert kept[-1].receipt_ns == int(last["time_s"] * 1e9)
 
 
-def test_in_service_the_newest_of_each_model_is_handed_on_once_in_a_while():
+def test_publish_period_limits_errors_to_newest_of_each_model():
     sink, now = MemorySink(), [0.0]
 
     def watch(_):
         now[0] += 0.5
 
-    pipeline = pipeline_of([EXTENDED_PHYSICAL, BASIC_PHYSICAL])
+    pipeline = make_pipeline([EXTENDED_PHYSICAL, BASIC_PHYSICAL])
     run(MemorySource(shift(), 1), pipeline, [sink], publish_s=200.0, watch=watch, clock=lambda: now[0])
     rides = [
         json.loads(message.payload)["overall"]["rides"] for message in sink.messages if "models/basic" in message.key
@@ -120,11 +121,11 @@ with Node(Connection(connect=(sys.argv[1],))) as node:
 """
 
 
-def test_live_over_zenoh_is_the_same_and_so_is_its_recording(reference, models, tmp_path: Path):
+def test_live_over_zenoh_and_its_recording_give_same_results_as_memory(reference, models, tmp_path: Path):
     sent, stop = shift(), Event()
     with McapSink(tmp_path / "shift.mcap") as sink:
         sink.put(sent)
-    recorder, pipeline, heard = Recorder(tmp_path / "live"), pipeline_of(models), MemorySink()
+    recorder, pipeline, sink = Recorder(tmp_path / "live"), make_pipeline(models), MemorySink()
     deadline = time.monotonic() + 30
     with Node(Connection(listen=("tcp/127.0.0.1:0",))) as node:
         source = ZenohSource(node, stop)
@@ -134,18 +135,18 @@ def test_live_over_zenoh_is_the_same_and_so_is_its_recording(reference, models, 
                 if tally.received >= len(sent) or time.monotonic() > deadline:
                     stop.set()
 
-            tally = run(source, pipeline, [heard], recorder=recorder, watch=watch)
+            tally = run(source, pipeline, [sink], recorder=recorder, watch=watch)
             assert publisher.wait(10) == 0
     assert (tally.received, tally.missed) == (len(sent), 0)
-    assert told(heard, pipeline) == reference
+    assert collect_results(sink, pipeline) == reference
     (file,) = recorder.files
     again = [m for block in McapSource(file) for m in block]
     assert [(m.key, m.payload) for m in again] == [(m.key, m.payload) for m in sent]
-    assert through(McapSource(file), models) == reference
+    assert run_loop(McapSource(file), models) == reference
 
 
-class Breaks:
-    """A pipeline that breaks at the third list."""
+class BreakingPipeline:
+    """A pipeline that raises an error at the third list."""
 
     def __init__(self) -> None:
         self.seen = 0
@@ -171,10 +172,10 @@ class Breaks:
         return {}
 
 
-def test_what_breaks_the_pipeline_is_on_disk_and_everything_is_closed(tmp_path: Path):
+def test_message_that_breaks_pipeline_is_recorded_and_sinks_are_closed(tmp_path: Path):
     sent, sink = shift(20), MemorySink()
     with pytest.raises(ZeroDivisionError):
-        run(MemorySource(sent, 10), Breaks(), [sink], recorder=Recorder(tmp_path))
+        run(MemorySource(sent, 10), BreakingPipeline(), [sink], recorder=Recorder(tmp_path))
     (file,) = tmp_path.iterdir()
     source = McapSource(file)
     assert [m for block in source for m in block] == sent[:30]
@@ -183,15 +184,15 @@ def test_what_breaks_the_pipeline_is_on_disk_and_everything_is_closed(tmp_path: 
     assert len(sink.messages) == 20
 
 
-def test_the_last_forecasts_are_handed_on():
+def test_sinks_receive_last_forecasts():
     sink = MemorySink()
-    tally = run(MemorySource(shift(2), 100), Breaks(), [sink])
+    tally = run(MemorySource(shift(2), 100), BreakingPipeline(), [sink])
     assert sink.messages[-1].payload == b"the last"
     assert tally.forecasts == len(sink.messages)
     assert tally.received == len(shift(2))
 
 
-def lines(as_json: bool, **settings) -> list[str]:
+def run_and_read_log(as_json: bool, **settings) -> list[str]:
     text = io.StringIO()
     log_lines(as_json=as_json, to=text)
     try:
@@ -202,9 +203,11 @@ def lines(as_json: bool, **settings) -> list[str]:
     return text.getvalue().splitlines()
 
 
-def test_counters_are_logged_now_and_then_and_at_the_end():
+def test_counters_are_logged_periodically_and_at_end():
     ticks = iter(range(10_000))
-    logged = [json.loads(line) for line in lines(as_json=True, report_s=5.0, clock=lambda: float(next(ticks)))]
+    logged = [
+        json.loads(line) for line in run_and_read_log(as_json=True, report_s=5.0, clock=lambda: float(next(ticks)))
+    ]
     assert [line["event"] for line in logged[:-1]] == ["running"] * (len(logged) - 1)
     assert len(logged) > 1
     last = logged[-1]
@@ -215,27 +218,27 @@ def test_counters_are_logged_now_and_then_and_at_the_end():
     assert last["missed"] == 0
 
 
-def test_a_line_is_keys_and_values():
-    (line,) = lines(as_json=False)
+def test_log_line_holds_keys_and_values():
+    (line,) = run_and_read_log(as_json=False)
     pairs = dict(pair.split("=", 1) for pair in line.split(" "))
     assert pairs["level"] == "info"
     assert pairs["event"] == "finished"
     assert int(pairs["messages"]) == len(shift(50))
 
 
-def test_a_number_that_json_lacks_is_null_in_a_json_line():
+def test_nan_is_null_in_json_log_line():
     record = logging.LogRecord("socast", logging.INFO, "", 0, "ride", None, None)
     record.fields = {"ambient_c": float("nan"), "distance_km": 1.5}
-    told = json.loads(LineFormatter(as_json=True).format(record), parse_constant=pytest.fail)
-    assert (told["ambient_c"], told["distance_km"]) == (None, 1.5)
+    collect_results = json.loads(LineFormatter(as_json=True).format(record), parse_constant=pytest.fail)
+    assert (collect_results["ambient_c"], collect_results["distance_km"]) == (None, 1.5)
 
 
-def test_counters_of_nothing_are_left_out():
+def test_flattened_counters_omit_zeros_and_empty_values():
     assert flatten_counts({"a": {"b": {"c": 1, "d": 0}}, "e": 2, "f": {}}) == {"a.b.c": 1, "e": 2}
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_the_source_and_not_the_loop(number):
+def test_signal_ends_source_and_loop_finishes_normally(number):
     before = signal.getsignal(number)
     sink = MemorySink()
     with stop_on_signals() as stop:
@@ -244,26 +247,26 @@ def test_a_signal_ends_the_source_and_not_the_loop(number):
             if tally.received == 10:
                 os.kill(os.getpid(), number)
 
-        tally = run(stop_source(MemorySource(shift(20), 5), stop), Plain(), [sink], watch=watch)
+        tally = run(stop_source(MemorySource(shift(20), 5), stop), WorkingPipeline(), [sink], watch=watch)
     assert tally.received == 10
     assert sink.messages[-1].payload == b"the last"
     assert signal.getsignal(number) is before
 
 
-class Plain(Breaks):
-    """The same without the break."""
+class WorkingPipeline(BreakingPipeline):
+    """The same pipeline without the error."""
 
     def take(self, messages):
         self.due += [Message("fleet/a/forecast", b"{}", m.receipt_ns) for m in messages]
 
 
-def test_who_listens_is_given_the_newest_forecasts_once_in_a_while_and_the_last_ones_at_the_end():
+def test_publish_period_limits_forecasts_and_end_publishes_last_ones():
     sent, sink, now = shift(20), MemorySink(), [0.0]
 
     def watch(_):
         now[0] += 0.05
 
-    run(MemorySource(sent, 1), Plain(), [sink], publish_s=0.2, watch=watch, clock=lambda: now[0])
+    run(MemorySource(sent, 1), WorkingPipeline(), [sink], publish_s=0.2, watch=watch, clock=lambda: now[0])
     times = [m.receipt_ns for m in sink.messages[:-1]]
     assert times[0] == sent[0].receipt_ns
     assert times[-1] == sent[-1].receipt_ns
@@ -271,7 +274,7 @@ def test_who_listens_is_given_the_newest_forecasts_once_in_a_while_and_the_last_
     assert times == sorted(times)
 
 
-def test_a_second_interrupt_is_not_waited_for():
+def test_second_interrupt_raises_immediately():
     with stop_on_signals() as stop:
         os.kill(os.getpid(), signal.SIGINT)
         assert stop.is_set()

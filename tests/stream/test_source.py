@@ -1,4 +1,4 @@
-"""Order and pace of sources."""
+"""Merged, paced and stopped sources keep the order of messages and lose none."""
 
 from itertools import pairwise
 from math import inf
@@ -21,7 +21,7 @@ def at(*seconds: float, key: str = "k") -> list[Message]:
 
 
 class Clock:
-    """Time that passes only while somebody sleeps, or takes `cost` to look at the clock."""
+    """A clock that advances only during sleep, and by `cost` at each reading."""
 
     def __init__(self, cost: float = 0.0) -> None:
         self.now, self.cost = 100.0, cost
@@ -39,7 +39,7 @@ times = st.lists(st.integers(0, 50), max_size=30).map(sorted)
 
 
 @given(recordings=st.lists(times, min_size=1, max_size=4), chunk=st.integers(1, 7))
-def test_merging_is_sorting_and_loses_nothing(recordings, chunk):
+def test_merged_sources_are_sorted_without_loss(recordings, chunk):
     lists = [[Message(str(n), b"%d" % i, t) for i, t in enumerate(ts)] for n, ts in enumerate(recordings)]
     got = [m for block in merge_sources([MemorySource(part, chunk) for part in lists]) for m in block]
     assert [m.receipt_ns for m in got] == sorted(t for ts in recordings for t in ts)
@@ -47,7 +47,7 @@ def test_merging_is_sorting_and_loses_nothing(recordings, chunk):
         assert [m for m in got if m.key == str(n)] == part
 
 
-def test_merging_reads_no_further_than_it_must():
+def test_merging_reads_sources_lazily():
     taken = []
 
     def source(name: str, *seconds: float):
@@ -61,7 +61,7 @@ def test_merging_reads_no_further_than_it_must():
 
 
 @given(seconds=st.lists(st.floats(0, 300), max_size=40).map(sorted), speed=st.floats(1, 1e4), chunk=st.integers(1, 9))
-def test_pacing_keeps_order_loses_nothing_and_is_never_early(seconds, speed, chunk):
+def test_paced_messages_keep_order_without_loss_and_are_never_early(seconds, speed, chunk):
     clock = Clock()
     sent = at(*seconds)
     got = []
@@ -69,23 +69,23 @@ def test_pacing_keeps_order_loses_nothing_and_is_never_early(seconds, speed, chu
         for message in block:
             due = 100.0 + (message.receipt_ns - sent[0].receipt_ns) / SECOND / speed
             assert clock.now >= due - 1e-6
-            assert clock.now <= due + 0.03  # a breath of 20 ms, and rounding
+            assert clock.now <= due + 0.03  # 20 ms of grouping, and rounding
         got += block
     assert got == sent
 
 
-def test_a_slow_reader_catches_up():
+def test_slow_consumer_catches_up_with_pace():
     clock = Clock()
     blocks = []
     for block in pace_source(MemorySource(at(*range(100))), 10.0, clock=clock, sleep=clock.sleep):
         blocks.append(len(block))
-        clock.now += 2.0  # the reader takes as long as twenty messages last
+        clock.now += 2.0  # the consumer takes as long as twenty messages last
     assert sum(blocks) == 100
     assert max(blocks) >= 20
     assert clock.now - 100.0 < 99 / 10 + 3
 
 
-def test_silence_is_broken_by_looking_up():
+def test_paced_source_yields_empty_lists_during_silence():
     clock, waits = Clock(), []
 
     def sleep(seconds: float) -> None:
@@ -98,7 +98,7 @@ def test_silence_is_broken_by_looking_up():
 
 
 @pytest.mark.parametrize(("longest", "lasts"), [(inf, 3605.0), (60.0, 65.0)])
-def test_gaps_are_shortened_only_if_asked(longest, lasts):
+def test_gaps_are_shortened_only_with_limit(longest, lasts):
     clock = Clock()
     sent = at(0, 5, 3605)
     got = [
@@ -110,7 +110,7 @@ def test_gaps_are_shortened_only_if_asked(longest, lasts):
     assert clock.now - 100.0 == pytest.approx(lasts, abs=0.1)
 
 
-def test_as_fast_as_possible_does_not_touch_the_clock():
+def test_infinite_speed_never_reads_clock():
     def never(*_: float) -> float:
         raise AssertionError
 
@@ -118,17 +118,17 @@ def test_as_fast_as_possible_does_not_touch_the_clock():
 
 
 @pytest.mark.parametrize("speed", [0, -1, float("nan")])
-def test_an_impossible_speed_is_refused(speed):
+def test_speed_not_above_zero_raises_settings_error(speed):
     with pytest.raises(SettingsError, match="speed"):
         pace_source([], speed)
 
 
-def test_an_impossible_gap_is_refused():
+def test_gap_of_zero_raises_settings_error():
     with pytest.raises(SettingsError, match="gap"):
         pace_source([], 1, longest_gap_s=0)
 
 
-def test_until_ends_when_told():
+def test_stopped_source_ends_after_stop_event():
     stop = Event()
     seen = []
     for block in stop_source(MemorySource(at(*range(10)), 2), stop):
@@ -138,7 +138,7 @@ def test_until_ends_when_told():
     assert len(seen) == 4
 
 
-def test_memory_keeps_what_it_is_given():
+def test_memory_sink_keeps_messages_in_order():
     with MemorySink() as sink:
         for block in MemorySource(at(1, 2, 3), 2):
             sink.put(block)

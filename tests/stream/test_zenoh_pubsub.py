@@ -1,4 +1,4 @@
-"""Over real sessions on loopback: nothing lost, nothing out of order, misses counted."""
+"""Zenoh sessions on loopback lose no message, keep the order, and count missed samples."""
 
 import logging
 import subprocess
@@ -20,12 +20,12 @@ from tests.support.zenoh_sessions import eventually, router
 KEYS = ("fleet/a/telemetry", "fleet/b/telemetry", "weather/yul")
 
 
-def messages(count: int, keys=KEYS) -> list[Message]:
+def make_messages(count: int, keys=KEYS) -> list[Message]:
     return [Message(keys[i % len(keys)], b'{"n":%d}' % i, i) for i in range(count)]
 
 
-def received(source: ZenohSource, stop: Event, count: int, seconds: float = 10.0) -> list[Message]:
-    """Drain until `count` messages are there, or long enough has passed; then stop, and drain to the end."""
+def receive(source: ZenohSource, stop: Event, count: int, seconds: float = 10.0) -> list[Message]:
+    """Return received messages; stop after `count` messages or some seconds, and drain the source to its end."""
     out: list[Message] = []
     deadline = time.monotonic() + seconds
     for block in source:
@@ -35,29 +35,29 @@ def received(source: ZenohSource, stop: Event, count: int, seconds: float = 10.0
     return out
 
 
-def of(space: str, messages: list[Message]) -> list[tuple[str, bytes]]:
-    return [(m.key, m.payload) for m in messages if m.key.startswith(f"{space}/")]
+def select_space(space: str, make_messages: list[Message]) -> list[tuple[str, bytes]]:
+    return [(m.key, m.payload) for m in make_messages if m.key.startswith(f"{space}/")]
 
 
-def test_everything_arrives_in_order_across_the_keys_of_a_space():
-    sent, stop = messages(6000), Event()
+def test_messages_arrive_in_order_across_keys_of_space():
+    sent, stop = make_messages(6000), Event()
     with router() as (node, endpoint):
         source = ZenohSource(node, stop)
         with Node(Connection(connect=(endpoint,))) as client:
             sink = ZenohSink(client)
             assert eventually(sink.has_subscriber)
             sink.put(sent)
-            got = received(source, stop, len(sent))
+            got = receive(source, stop, len(sent))
             sink.close()
     assert len(got) == len(sent)
-    assert of("fleet", got) == of("fleet", sent)
-    assert of("weather", got) == of("weather", sent)
+    assert select_space("fleet", got) == select_space("fleet", sent)
+    assert select_space("weather", got) == select_space("weather", sent)
     assert all(a.receipt_ns <= b.receipt_ns for a, b in pairwise(got))
     assert source.missed == 0
 
 
-def test_what_is_published_just_before_closing_is_not_lost():
-    sent, stop = messages(30_000), Event()
+def test_messages_published_just_before_close_arrive():
+    sent, stop = make_messages(30_000), Event()
     with router() as (node, endpoint):
         source = ZenohSource(node, stop)
 
@@ -70,14 +70,14 @@ def test_what_is_published_just_before_closing_is_not_lost():
 
         thread = Thread(target=publish)
         thread.start()
-        got = received(source, stop, len(sent))
+        got = receive(source, stop, len(sent))
         thread.join()
     assert len(got) == len(sent)
-    assert of("fleet", got) == of("fleet", sent)
+    assert select_space("fleet", got) == select_space("fleet", sent)
 
 
-def test_what_is_queued_when_told_to_stop_is_still_yielded():
-    sent, stop = messages(500), Event()
+def test_stopped_source_yields_queued_messages():
+    sent, stop = make_messages(500), Event()
     with router() as (node, endpoint):
         source = ZenohSource(node, stop)
         arrived: list[zenoh.Sample] = []
@@ -89,21 +89,23 @@ def test_what_is_queued_when_told_to_stop_is_still_yielded():
             assert eventually(lambda: len(arrived) == len(sent))
         stop.set()
         got = [m for block in source for m in block]
-    assert of("fleet", got) == of("fleet", sent)
-    assert [(m.key, m.payload) for m in got] == of("weather", sent) + of("fleet", sent)  # what is queued: weather first
+    assert select_space("fleet", got) == select_space("fleet", sent)
+    assert [(m.key, m.payload) for m in got] == select_space("weather", sent) + select_space(
+        "fleet", sent
+    )  # what is queued: weather first
 
 
-def test_a_late_subscriber_is_told_the_newest_of_each_key():
+def test_late_subscriber_receives_newest_message_of_each_key():
     stop = Event()
     with router() as (node, endpoint), Node(Connection(connect=(endpoint,))) as client:
         sink = ZenohSink(client)
         sink.put([Message("fleet/a/vehicle", b'{"model":"x"}', 0)])
         source = ZenohSource(node, stop)
-        got = received(source, stop, 1)
+        got = receive(source, stop, 1)
     assert [(m.key, m.payload) for m in got] == [("fleet/a/vehicle", b'{"model":"x"}')]
 
 
-def test_samples_that_no_publisher_can_send_again_are_counted_as_missed():
+def test_samples_that_no_publisher_can_resend_are_counted_as_missed():
     stop = Event()
     with router() as (node, endpoint), Node(Connection(connect=(endpoint,))) as client:
         source = ZenohSource(node, stop)
@@ -112,13 +114,13 @@ def test_samples_that_no_publisher_can_send_again_are_counted_as_missed():
             assert eventually(lambda publisher=publisher: publisher.matching_status.matching)
             for number in (0, 1, 5, 6, 9):
                 publisher.put(b"%d" % number, source_info=zenoh.SourceInfo(publisher.id, number))
-        got = received(source, stop, 10)
+        got = receive(source, stop, 10)
     for space in ("fleet", "weather"):
-        assert [payload for _, payload in of(space, got)] == [b"0", b"1", b"5", b"6", b"9"]
+        assert [payload for _, payload in select_space(space, got)] == [b"0", b"1", b"5", b"6", b"9"]
     assert source.missed == 2 * 5
 
 
-def test_plain_publishers_of_a_burst_lose_nothing_at_the_embedded_router():
+def test_burst_of_plain_publishers_passes_embedded_router_without_loss():
     count, stop = 20_000, Event()
     code = (
         "import sys, time, zenoh\n"
@@ -134,12 +136,12 @@ def test_plain_publishers_of_a_burst_lose_nothing_at_the_embedded_router():
     with router() as (node, endpoint):
         source = ZenohSource(node, stop)
         children = [subprocess.Popen([sys.executable, "-c", code, endpoint, key, str(count)]) for key in KEYS]
-        got = received(source, stop, count * len(KEYS), 60.0)
+        got = receive(source, stop, count * len(KEYS), 60.0)
         assert [child.wait(30) for child in children] == [0, 0, 0]
     assert len(got) == count * len(KEYS)
 
 
-def test_a_router_that_stamps_for_plain_publishers_is_warned_of(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+def test_source_warns_once_of_router_that_stamps_for_plain_publishers(tmp_path: Path, caplog: pytest.LogCaptureFixture):
     (tmp_path / "stamping.json5").write_text("{timestamping: {enabled: {router: true, peer: false, client: false}}}")
     stop = Event()
     with router(config=tmp_path / "stamping.json5") as (node, endpoint), caplog.at_level(logging.WARNING):
@@ -148,26 +150,26 @@ def test_a_router_that_stamps_for_plain_publishers_is_warned_of(tmp_path: Path, 
             publisher = client.session.declare_publisher(KEYS[0])
             assert eventually(lambda: publisher.matching_status.matching)
             publisher.put(b"{}")
-            assert len(received(source, stop, 1)) == 1
+            assert len(receive(source, stop, 1)) == 1
     assert [record.levelname for record in caplog.records] == ["WARNING"]
     assert "timestamping" in caplog.text
 
 
-def test_without_recovery_everything_arrives_too():
-    sent, stop = messages(1000), Event()
+def test_all_messages_arrive_without_recovery():
+    sent, stop = make_messages(1000), Event()
     with router(recovery=False) as (node, endpoint):
         source = ZenohSource(node, stop)
         with Node(Connection(connect=(endpoint,))) as client:
             sink = ZenohSink(client)
             assert eventually(sink.has_subscriber)
             sink.put(sent)
-            got = received(source, stop, len(sent))
+            got = receive(source, stop, len(sent))
     assert sorted(m.payload for m in got) == sorted(m.payload for m in sent)
 
 
 @pytest.mark.parametrize("recovery", [True, False])
 @pytest.mark.parametrize("prefix", ["", "montreal/"])
-def test_what_is_of_another_prefix_or_no_fleet_does_not_arrive(prefix, recovery):
+def test_keys_of_other_prefixes_or_spaces_never_arrive(prefix, recovery):
     others = [
         f"{prefix}quebec/fleet/a/telemetry",
         "toronto/fleet/a/telemetry",
@@ -181,13 +183,13 @@ def test_what_is_of_another_prefix_or_no_fleet_does_not_arrive(prefix, recovery)
         with Node(Connection(connect=(endpoint,))) as client:
             ours, theirs = ZenohSink(client, prefix), ZenohSink(client)
             assert eventually(ours.has_subscriber)
-            theirs.put(messages(len(others), others))
-            ours.put(messages(3))
-            got = received(source, stop, 3)
+            theirs.put(make_messages(len(others), others))
+            ours.put(make_messages(3))
+            got = receive(source, stop, 3)
     assert sorted(m.key for m in got) == [f"{prefix}{key}" for key in KEYS]
 
 
-def test_a_prefix_shuts_out_other_fleets():
+def test_source_with_prefix_excludes_other_fleets():
     stop = Event()
     with router(prefix="montreal") as (node, endpoint):
         source = ZenohSource(node, stop)
@@ -195,13 +197,13 @@ def test_a_prefix_shuts_out_other_fleets():
             ours, theirs = ZenohSink(client, "montreal/"), ZenohSink(client, "quebec/")
             assert eventually(ours.has_subscriber)
             assert not theirs.has_subscriber()
-            theirs.put(messages(3))
-            ours.put(messages(3))
-            got = received(source, stop, 3)
+            theirs.put(make_messages(3))
+            ours.put(make_messages(3))
+            got = receive(source, stop, 3)
     assert sorted(m.key for m in got) == [f"montreal/{key}" for key in KEYS]
 
 
-def test_what_a_node_publishes_does_not_come_back_to_it():
+def test_node_never_receives_its_own_messages():
     stop = Event()
     with router() as (node, endpoint):
         source = ZenohSource(node, stop)
@@ -209,22 +211,22 @@ def test_what_a_node_publishes_does_not_come_back_to_it():
         with Node(Connection(connect=(endpoint,))) as client:
             sink = ZenohSink(client)
             assert eventually(sink.has_subscriber)
-            sink.put(messages(1))
-            got = received(source, stop, 1)
+            sink.put(make_messages(1))
+            got = receive(source, stop, 1)
     assert [m.key for m in got] == [KEYS[0]]
 
 
-def test_a_silent_source_looks_up():
+def test_source_without_messages_yields_empty_list():
     stop = Event()
     with router() as (node, _):
         assert next(iter(ZenohSource(node, stop))) == []
 
 
-def test_a_consumer_outlives_its_router(caplog: pytest.LogCaptureFixture):
+def test_consumer_continues_after_restart_of_router(caplog: pytest.LogCaptureFixture):
     port, stop = find_free_port(), Event()
     endpoint = f"tcp/127.0.0.1:{port}"
-    at_it = Connection(listen=(endpoint,), mode="router")
-    with Node(at_it) as before, Node(Connection(connect=(endpoint,))) as consumer:
+    connection = Connection(listen=(endpoint,), mode="router")
+    with Node(connection) as before, Node(Connection(connect=(endpoint,))) as consumer:
         source = ZenohSource(consumer, stop)
         caplog.set_level(logging.INFO)
         assert next(iter(source)) == []
@@ -232,17 +234,17 @@ def test_a_consumer_outlives_its_router(caplog: pytest.LogCaptureFixture):
         silence, deadline = iter(source), time.monotonic() + 10
         while "router lost" not in caplog.text and time.monotonic() < deadline:
             assert next(silence) == []
-        with Node(at_it) as after:
+        with Node(connection) as after:
             sink = ZenohSink(after)
             assert eventually(sink.has_subscriber)
-            sink.put(messages(3))
-            got = received(source, stop, 3)
+            sink.put(make_messages(3))
+            got = receive(source, stop, 3)
     assert "router lost" in caplog.text
     assert sorted(m.key for m in got) == list(KEYS)
 
 
-def test_publishing_on_a_closed_node_is_one_line():
+def test_publishing_on_closed_node_raises_settings_error():
     with router() as (node, _):
         sink = ZenohSink(node)
     with pytest.raises(SettingsError, match="cannot publish"):
-        sink.put(messages(1))
+        sink.put(make_messages(1))

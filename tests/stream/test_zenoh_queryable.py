@@ -1,4 +1,4 @@
-"""Questions over real sessions on loopback: answered, refused in words, and never in the way of telemetry."""
+"""Queries over Zenoh sessions on loopback are answered or refused with a reason, and never block telemetry."""
 
 import json
 from collections.abc import Iterator
@@ -21,14 +21,14 @@ RIDE = {"distance_km": "18", "duration_s": "1500"}
 
 @pytest.fixture(scope="module")
 def service():
-    """Return one consumer for all that is asked of it."""
+    """Run one consumer for all queries of this module."""
     with live() as running:
         yield running
 
 
 @contextmanager
 def unattended() -> Iterator[tuple[ZenohQueryable, Node]]:
-    """Give questions that nobody looks at, and a client."""
+    """Run a queryable whose queries nobody answers, and a client."""
     with (
         router() as (node, endpoint),
         ZenohQueryable(node) as queries,
@@ -37,28 +37,28 @@ def unattended() -> Iterator[tuple[ZenohQueryable, Node]]:
         yield queries, client
 
 
-def test_a_question_is_answered_while_telemetry_is_silent(service):
-    consumer, desk, client = service
-    before = desk.answered
-    told = msgspec.json.decode(query_outlook(client, "taxi-7", RIDE | {"gained_m": "40"}), type=Outlook)
-    assert (told.vehicle_id, told.asked.distance_km, told.asked.duration_s) == ("taxi-7", 18.0, 1500.0)
+def test_query_is_answered_while_telemetry_is_silent(service):
+    consumer, query_service, client = service
+    before = query_service.answered
+    answer = msgspec.json.decode(query_outlook(client, "taxi-7", RIDE | {"gained_m": "40"}), type=Outlook)
+    assert (answer.vehicle_id, answer.asked.distance_km, answer.asked.duration_s) == ("taxi-7", 18.0, 1500.0)
     assert consumer.asked[-1] == ("taxi-7", Leg(18.0, 1500.0, 40.0), None)
-    assert desk.answered == before + 1
+    assert query_service.answered == before + 1
 
 
 @pytest.mark.parametrize("between", "&;")
-def test_a_selector_may_be_written_either_way(service, between):
+def test_selector_accepts_both_separators(service, between):
     _, _, client = service
     (reply,) = client.session.get(f"fleet/taxi-7/outlook?distance_km=18{between}duration_s=1500{between}gained_m=40")
     assert str(reply.ok.key_expr) == "fleet/taxi-7/outlook"
     assert json.loads(reply.ok.payload.to_bytes())["asked"]["distance_km"] == 18.0
 
 
-def test_a_plan_that_comes_with_the_question_is_answered(service):
+def test_plan_of_query_is_answered(service):
     _, _, client = service
     sent = {"shift_end_s": NOW + 3600.0, "reserve_soc_pct": 30.0, "legs": [{"distance_km": 7.0, "duration_s": 700}]}
-    told = msgspec.json.decode(query_outlook(client, "taxi-7", {}, json.dumps(sent).encode()), type=Outlook)
-    assert [leg.distance_km for leg in told.legs] == [7.0]
+    answer = msgspec.json.decode(query_outlook(client, "taxi-7", {}, json.dumps(sent).encode()), type=Outlook)
+    assert [leg.distance_km for leg in answer.legs] == [7.0]
 
 
 def plan(**changed) -> bytes:
@@ -81,18 +81,18 @@ BAD = {
 
 
 @pytest.mark.parametrize("wrong", BAD)
-def test_what_is_wrong_is_told_and_the_consumer_lives_on(service, wrong):
-    _, desk, client = service
-    vehicle, parameters, payload, told = BAD[wrong]
-    refused = sum(desk.refused.values())
+def test_invalid_query_is_refused_with_reason_and_consumer_continues(service, wrong):
+    _, query_service, client = service
+    vehicle, parameters, payload, reason = BAD[wrong]
+    refused = sum(query_service.refused.values())
     with pytest.raises(AskError) as caught:
         query_outlook(client, vehicle, parameters, payload)
-    assert told in str(caught.value)
-    assert sum(desk.refused.values()) == refused + 1
+    assert reason in str(caught.value)
+    assert sum(query_service.refused.values()) == refused + 1
     assert json.loads(query_outlook(client, "taxi-7", RIDE))["vehicle_id"] == "taxi-7"
 
 
-def test_telemetry_goes_on_through_bad_questions(service):
+def test_invalid_queries_never_interrupt_telemetry(service):
     consumer, _, client = service
     sink, sent = ZenohSink(client), [Message("fleet/a/telemetry", b"%d" % i, 0) for i in range(50)]
     assert eventually(sink.has_subscriber)
@@ -105,33 +105,33 @@ def test_telemetry_goes_on_through_bad_questions(service):
     assert json.loads(query_outlook(client, "taxi-7", {}))["asked"] is None
 
 
-def test_a_prefix_is_put_before_and_other_fleets_are_not_answered_for():
+def test_queryable_with_prefix_answers_only_its_fleet():
     with live("montreal") as (consumer, _, client):
         assert json.loads(query_outlook(client, "taxi-7", RIDE))["vehicle_id"] == "taxi-7"
         assert [vehicle for vehicle, _, _ in consumer.asked] == ["taxi-7"]
         assert list(client.session.get("fleet/taxi-7/outlook")) == []
 
 
-def test_more_questions_than_can_wait_hold_nothing_up():
-    """The oldest end at once and without an answer, the newest are answered, and telemetry passes all the while."""
+def test_excess_queries_never_block_telemetry():
+    """The oldest queries end immediately without an answer, the newest are answered, and telemetry still arrives."""
     got: list[Message] = []
     with router() as (node, endpoint), ZenohQueryable(node) as queries, Node(Connection(connect=(endpoint,))) as client:
         source, sink = iter(ZenohSource(node, Event())), ZenohSink(client)
         assert eventually(sink.has_subscriber)
-        asked = [client.session.get(f"fleet/taxi-{i}/outlook", timeout=60.0) for i in range(WAITING + 10)]
+        queries_sent = [client.session.get(f"fleet/taxi-{i}/outlook", timeout=60.0) for i in range(WAITING + 10)]
         sink.put([Message("fleet/a/telemetry", b"{}", 0)])
         assert eventually(lambda: got or got.extend(next(source)))
-        assert [list(replies) for replies in asked[:10]] == [[]] * 10
+        assert [list(replies) for replies in queries_sent[:10]] == [[]] * 10
         waiting = queries.pending()
         assert [query.vehicle for query in waiting] == [f"taxi-{i}" for i in range(10, WAITING + 10)]
         for query in waiting:
             query.reply(query.vehicle.encode())
-        answers = [reply.ok.payload.to_bytes().decode() for replies in asked[10:] for reply in replies]
+        answers = [reply.ok.payload.to_bytes().decode() for replies in queries_sent[10:] for reply in replies]
     assert answers == [query.vehicle for query in waiting]
     assert queries.unsent == 0
 
 
-def test_when_closed_what_waits_ends_without_an_answer():
+def test_close_ends_waiting_queries_without_answer():
     with unattended() as (queries, client):
         replies = client.session.get("fleet/taxi-7/outlook", timeout=60.0)
         seen: list = []
@@ -145,7 +145,7 @@ def test_when_closed_what_waits_ends_without_an_answer():
         assert queries.pending() == []
 
 
-def test_an_asker_that_has_gone_is_no_failure():
+def test_answer_to_client_that_has_gone_raises_nothing():
     with router() as (node, endpoint), ZenohQueryable(node) as queries:
         seen: list = []
         with Node(Connection(connect=(endpoint,))) as client:
@@ -160,7 +160,7 @@ def test_an_asker_that_has_gone_is_no_failure():
             assert [reply.err.payload.to_bytes() for reply in replies] == [b'{"error":"no"}']
 
 
-def test_where_nobody_answers_that_is_told():
+def test_query_without_consumer_raises_settings_error():
     with (
         router() as (_, endpoint),
         Node(Connection(connect=(endpoint,), prefix="montreal")) as client,
@@ -169,12 +169,12 @@ def test_where_nobody_answers_that_is_told():
         query_outlook(client, "taxi-7", RIDE)
 
 
-def test_an_answer_that_does_not_come_in_time_is_not_waited_for():
+def test_query_without_answer_in_time_raises_settings_error():
     with unattended() as (queries, client):
         with pytest.raises(SettingsError, match=r"not answered within 0.2 s"):
             query_outlook(client, "taxi-7", RIDE, timeout_s=0.2)
         (late,) = queries.pending()
-        late.reply(b"{}")  # to nobody
+        late.reply(b"{}")  # the client no longer waits
         replies = client.session.get("fleet/taxi-7/outlook", timeout=60.0)
         seen: list = []
         assert eventually(lambda: seen.extend(queries.pending()) or seen)

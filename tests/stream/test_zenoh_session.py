@@ -1,4 +1,4 @@
-"""Sessions on loopback: they listen where they are told, and settings are refused in one line."""
+"""Zenoh sessions listen only at the configured endpoints and refuse invalid settings in one line."""
 
 import re
 import socket
@@ -12,7 +12,7 @@ from tests.support.zenoh_sessions import router
 
 
 @pytest.mark.parametrize("prefix", ["a/**", "*", "a b?", "a//b", "a$*", "a#b", "a\nb"])
-def test_a_prefix_that_is_no_plain_chunks_is_one_line(prefix):
+def test_invalid_prefix_raises_settings_error(prefix):
     with pytest.raises(SettingsError, match="plain chunks") as caught:
         Node(Connection(listen=("tcp/127.0.0.1:0",), prefix=prefix))
     assert repr(prefix) in str(caught.value)
@@ -20,14 +20,14 @@ def test_a_prefix_that_is_no_plain_chunks_is_one_line(prefix):
 
 
 @pytest.mark.parametrize("mode", [None, "peer", "router", "client"])
-def test_nothing_listens_beyond_loopback_unless_asked(mode):
+def test_node_listens_on_loopback_only_by_default(mode):
     assert all(end.startswith("tcp/127.0.0.1:") for end in _endpoints(_config(Connection(mode=mode))))
     assert _endpoints(_config(Connection(mode="router", listen=("tcp/0.0.0.0:7447",)))) == ["tcp/0.0.0.0:7447"]
 
 
 @pytest.mark.parametrize("mode", ["peer", "router"])
 @pytest.mark.parametrize(
-    ("said", "where"),
+    ("content", "endpoints"),
     [
         ("/* listen: to nobody */", None),
         ("listen: {timeout_ms: 5}", None),
@@ -37,18 +37,18 @@ def test_nothing_listens_beyond_loopback_unless_asked(mode):
         ("listen: {endpoints: []}", []),
     ],
 )
-def test_only_endpoints_in_the_file_make_it_say_where_to_listen(said, where, mode, tmp_path):
+def test_only_endpoints_setting_in_file_replaces_default_endpoints(content, endpoints, mode, tmp_path):
     file = tmp_path / "node.json5"
-    file.write_text(f"{{{said}}}")
+    file.write_text(f"{{{content}}}")
     ends = _endpoints(_config(Connection(config=file, mode=mode)))
-    if where is None:
+    if endpoints is None:
         assert [end.rpartition(":")[0] for end in ends] == ["tcp/127.0.0.1"]
     else:
-        assert ends == where
+        assert ends == endpoints
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "expected"),
     [
         ({"connect": ("tcp/127.0.0.1:1",)}, "tcp/127.0.0.1:1"),
         ({"connect": ("router.example",)}, "router.example"),
@@ -56,15 +56,15 @@ def test_only_endpoints_in_the_file_make_it_say_where_to_listen(said, where, mod
         ({"config": Path("/nowhere.json5")}, "/nowhere.json5"),
     ],
 )
-def test_a_connection_that_cannot_be_had_is_one_line(settings, told):
-    with pytest.raises(SettingsError, match=told) as caught:
+def test_impossible_connection_raises_settings_error(settings, expected):
+    with pytest.raises(SettingsError, match=expected) as caught:
         Node(Connection(**settings))
     assert "\n" not in str(caught.value)
     assert ".cargo" not in str(caught.value)
 
 
 @pytest.mark.parametrize(("mode", "connect"), [(None, ()), ("peer", ()), ("router", ("tcp/127.0.0.1:1",))])
-def test_a_taken_port_is_one_line_that_tells_to_choose_another(mode, connect):
+def test_taken_port_raises_error_that_names_remedy(mode, connect):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -74,13 +74,13 @@ def test_a_taken_port_is_one_line_that_tells_to_choose_another(mode, connect):
     assert re.fullmatch(rf"cannot listen at tcp/127\.0\.0\.1:{port}: .*in use.*another endpoint.*", str(caught.value))
 
 
-def test_where_nobody_is_to_connect_to_listening_is_not_blamed():
+def test_failed_connection_is_not_reported_as_failed_listening():
     listen = (f"tcp/127.0.0.1:{find_free_port()}",)
     with pytest.raises(SettingsError, match="is a router listening there"):
         Node(Connection(connect=("tcp/127.0.0.1:1",), listen=listen))
 
 
-def test_the_command_line_goes_before_the_configuration_file(tmp_path: Path):
+def test_command_line_overrides_configuration_file(tmp_path: Path):
     file = tmp_path / "node.json5"
     file.write_text('{mode: "client", /* the depot */ connect: {endpoints: ["tcp/127.0.0.1:1"]}}')
     with pytest.raises(SettingsError, match=r"127\.0\.0\.1:1\D"):

@@ -1,4 +1,4 @@
-"""The command line, as a person meets it: quick help, one line for an error, a clean end on a signal."""
+"""The command line answers quickly, reports every error in one line, and ends cleanly on a signal."""
 
 import json
 import logging
@@ -60,7 +60,7 @@ def test_short_commands_import_no_heavy_package(call, not_imported):
 
 
 @pytest.mark.parametrize("width", [80, 120])
-def test_help_lists_every_command_with_its_whole_summary(width):
+def test_help_lists_every_command_with_complete_summary(width):
     shown = CliRunner().invoke(application(), ["--help"], env={"COLUMNS": str(width)}).output
     for name, command in COMMANDS.items():
         assert f"  {name} " in shown
@@ -88,7 +88,7 @@ def test_shell_completes_commands_subcommands_and_options(words, offered, not_of
     assert not not_offered & completions
 
 
-def test_completion_is_installed_for_the_shell_that_asks(tmp_path):
+def test_completion_is_installed_for_current_shell(tmp_path):
     script = tmp_path / "bash"
     script.write_text(f"#!/bin/bash\n{shlex.join(SOCAST)} --install-completion\n")
     subprocess.run(
@@ -99,7 +99,7 @@ def test_completion_is_installed_for_the_shell_that_asks(tmp_path):
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_and_each_of_its_options_is_documented(name):
+def test_every_command_and_option_is_documented(name):
     group = typer.main.get_command(application(name))
     commands = [group.commands[name]]
     while commands:
@@ -113,7 +113,7 @@ def test_every_command_and_each_of_its_options_is_documented(name):
     assert COMMANDS[name].summary.endswith(".")
 
 
-def test_the_version_is_shown():
+def test_version_option_prints_version():
     told = CliRunner().invoke(application(), ["--version"])
     assert re.fullmatch(r"socast \d+\.\d+\.\d+\n", told.output)
 
@@ -134,12 +134,12 @@ def test_the_version_is_shown():
         ("live --period-s nan", "--period-s is 'nan', must be"),
     ],
 )
-def test_a_wrong_call_is_one_line_with_what_is_wrong_and_where_to_read_on(call, told, capsys):
+def test_invalid_call_gives_one_line_with_mistake_and_pointer_to_help(call, told, capsys):
     assert told.lower() in refused(capsys, *call.split()).lower()
 
 
 @pytest.mark.parametrize("call", [[], ["effects"]])
-def test_without_a_command_there_is_help_and_no_error(call, capsys):
+def test_call_without_command_prints_help_without_error(call, capsys):
     with pytest.raises(SystemExit) as ended:
         main(call)
     assert ended.value.code == 2
@@ -181,7 +181,7 @@ def test_without_a_command_there_is_help_and_no_error(call, capsys):
         (["demo", "nowhere.mcap"], "nowhere.mcap"),
     ],
 )
-def test_what_cannot_be_done_is_one_line(arguments, told, recording, tmp_path, capsys):
+def test_impossible_request_is_refused_in_one_line(arguments, told, recording, tmp_path, capsys):
     (tmp_path / "taken" / "rides.parquet").mkdir(parents=True)
     kept = recording.read_bytes()
     assert told in refused(capsys, *(argument.format(rec=recording, tmp=tmp_path) for argument in arguments))
@@ -193,14 +193,12 @@ CLEANING = ["--speed-limit-kmh", "--period-s", "--smoothing", "--least-distance-
 
 @pytest.mark.parametrize("option", CLEANING)
 @pytest.mark.parametrize("command", [["tables", "{rec}", "--out", "{tmp}"], ["replay", "{rec}"], ["live"]])
-def test_settings_of_cleaning_are_refused_in_the_unit_in_which_they_are_given(
-    command, option, recording, tmp_path, capsys
-):
+def test_invalid_setting_of_cleaning_is_refused_in_unit_of_option(command, option, recording, tmp_path, capsys):
     given = [argument.format(rec=recording, tmp=tmp_path) for argument in command]
     assert f"{option} is '1000000', must be less than" in refused(capsys, *given, option, "1000000")
 
 
-def test_replay_cleans_as_it_is_told(recording):
+def test_replay_uses_settings_of_cleaning(recording):
     """With a limit below the cars' 36 km/h every speed is rejected; with one above, the tunnels' only."""
     rejected = []
     for limit in ("130", "30"):
@@ -210,7 +208,7 @@ def test_replay_cleans_as_it_is_told(recording):
     assert 0 < 10 * rejected[0] < rejected[1]
 
 
-def test_info_tells_what_is_in_a_recording(recording, tmp_path):
+def test_info_shows_contents_of_recording(recording, tmp_path):
     out, _, code = called("info", recording, "--json", tmp_path / "info.json")
     assert code == 0
     (about,) = json.loads((tmp_path / "info.json").read_text())["recordings"]
@@ -227,7 +225,7 @@ def test_info_tells_what_is_in_a_recording(recording, tmp_path):
     assert "2018-01-15T12:00:00" in out
 
 
-def test_info_tells_what_is_lost(recording, tmp_path):
+def test_info_shows_losses_of_recording(recording, tmp_path):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(recording.read_bytes()[:-20_000])
     out, _, code = called("info", cut)
@@ -235,7 +233,7 @@ def test_info_tells_what_is_lost(recording, tmp_path):
     assert "bytes after the last whole chunk are lost" in out
 
 
-def test_replay_forecasts_and_compares(recording, tmp_path):
+def test_replay_reports_forecasts_and_comparison(recording, tmp_path):
     out, err, code = called("replay", recording, "--out", tmp_path / "f.mcap", "--json", tmp_path / "rides.json")
     assert (code, err) == (0, "")
     told = json.loads((tmp_path / "rides.json").read_text())
@@ -253,12 +251,12 @@ def test_replay_forecasts_and_compares(recording, tmp_path):
     assert set(source.schemas.values()) == {Forecast.__name__}
 
 
-def test_replay_puts_forecasts_under_the_prefix_as_the_live_consumer_does(recording, tmp_path):
+def test_replay_writes_forecasts_under_prefix_as_live_does(recording, tmp_path):
     called("replay", recording, "--prefix", "/montreal/", "--out", tmp_path / "f.mcap")
     assert {m.key.partition("/")[0] for block in McapSource(tmp_path / "f.mcap") for m in block} == {"montreal"}
 
 
-def test_replay_at_a_pace_is_the_same_replay(recording, tmp_path):
+def test_paced_replay_gives_same_results(recording, tmp_path):
     called("replay", recording, "--json", tmp_path / "max.json")
     out, _, code = called("replay", recording, "--speed", "20", "--json", tmp_path / "paced.json")
     assert code == 0
@@ -266,7 +264,7 @@ def test_replay_at_a_pace_is_the_same_replay(recording, tmp_path):
     assert "SOC" in out
 
 
-def test_tables_tell_the_same_rides_in_parquet_and_json_and_name_each_loss(recording, tmp_path):
+def test_tables_hold_same_rides_in_parquet_and_json_and_name_each_loss(recording, tmp_path):
     cuts = [tmp_path / name / "cut.mcap" for name in ("first", "second")]
     for at, cut in enumerate(cuts):
         cut.parent.mkdir()
@@ -302,7 +300,7 @@ def consumer(tmp_path: Path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_live_ends_cleanly_on_a_signal_and_leaves_nothing_behind(consumer, recording, tmp_path, number):
+def test_live_ends_cleanly_on_signal_without_losing_messages(consumer, recording, tmp_path, number):
     endpoint = f"tcp/127.0.0.1:{find_free_port()}"
     process, log = consumer("--listen", endpoint, "--record", tmp_path / "kept", "--report", "0.05")
     _, told, code = called("replay", recording, "--connect", endpoint, "--speed", "max")
@@ -322,7 +320,7 @@ def test_live_ends_cleanly_on_a_signal_and_leaves_nothing_behind(consumer, recor
     assert not source.losses
 
 
-def test_live_cleans_as_it_is_told(consumer, recording):
+def test_live_uses_settings_of_cleaning(consumer, recording):
     endpoint = f"tcp/127.0.0.1:{find_free_port()}"
     process, log = consumer("--listen", endpoint, "--report", "0.05", "--least-distance-km", "100")
     called("replay", recording, "--connect", endpoint, "--speed", "max")
@@ -333,7 +331,7 @@ def test_live_cleans_as_it_is_told(consumer, recording):
     assert [ride["unfit_reason"] for ride in rides] == ["too_little_distance"] * 9
 
 
-def test_a_killed_consumers_recording_is_read_up_to_its_last_flush(consumer, recording, tmp_path):
+def test_recording_of_killed_consumer_is_read_up_to_last_flush(consumer, recording, tmp_path):
     endpoint = f"tcp/127.0.0.1:{find_free_port()}"
     process, _ = consumer("--listen", endpoint, "--record", tmp_path / "kept", "--flush", "0.1")
     called("replay", recording, "--connect", endpoint, "--speed", "max")
@@ -349,7 +347,7 @@ def test_a_killed_consumers_recording_is_read_up_to_its_last_flush(consumer, rec
     assert "9 rides of 3 cars" in out
 
 
-def test_a_restarted_consumer_goes_on_where_it_was(consumer, tmp_path):
+def test_restarted_consumer_continues_from_its_state(consumer, tmp_path):
     """The state after a restart in the middle of a ride is, to the byte, that of a consumer that was not restarted."""
     sent = shift(samples=140, cars=1)
     parts = sent[: len(sent) // 2], sent[len(sent) // 2 :]
@@ -369,7 +367,7 @@ def test_a_restarted_consumer_goes_on_where_it_was(consumer, tmp_path):
     assert (tmp_path / "state").read_bytes() == uninterrupted.snapshot()
 
 
-def test_a_state_that_cannot_be_kept_is_logged_and_the_cars_are_served_on(tmp_path, caplog, monkeypatch):
+def test_failure_to_save_state_is_logged_and_forecasts_continue(tmp_path, caplog, monkeypatch):
     folder = tmp_path / "state"
     folder.mkdir()
     now = [0.0]
@@ -384,7 +382,7 @@ def test_a_state_that_cannot_be_kept_is_logged_and_the_cars_are_served_on(tmp_pa
         keeper.end()
 
 
-def test_the_demo_shows_cars_then_rides(recording, tmp_path):
+def test_demo_shows_cars_and_then_rides(recording, tmp_path):
     out, err, code = called("demo", recording, "--seconds", "1", "--json", tmp_path / "demo.json")
     assert (code, err) == (0, "")
     called("replay", recording, "--json", tmp_path / "replay.json")
@@ -395,7 +393,7 @@ def test_the_demo_shows_cars_then_rides(recording, tmp_path):
     assert "0 of the messages sent were missed" in out
 
 
-def test_a_pipe_that_is_closed_is_no_traceback(recording):
+def test_closed_pipe_gives_no_traceback(recording):
     command = f"{sys.executable} -m tools.cli info {recording} | head -1"
     done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=60, check=False)
     assert "Traceback" not in done.stderr

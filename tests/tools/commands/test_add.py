@@ -1,4 +1,4 @@
-"""`socast add` and `socast diagnose`: the loop as a person goes through it, and one line for what cannot be done."""
+"""`socast diagnose` and `socast add` work together as a user runs them, and report each error in one line."""
 
 import json
 import shlex

@@ -1,4 +1,4 @@
-"""`socast ask`: the answer first, the figures that it rests on, and one line where there is none."""
+"""`socast ask` prints the answer first, then its figures, and reports an error in one line."""
 
 import io
 import json
@@ -39,13 +39,13 @@ def arriving(mean: float, p05: float, p95: float) -> LegOutlook:
         (1.0, "NO", "the risk is over 99 %"),
     ],
 )
-def test_the_answer_follows_the_risk(risk, word, words):
+def test_answer_follows_risk(risk, word, words):
     told, sentence = verdict(outlook(reserve_risk=risk))
     assert told == word
     assert words in sentence
 
 
-def test_without_a_ride_the_answer_is_of_the_shift():
+def test_answer_without_ride_is_about_shift():
     assert verdict(outlook(asked=None)) == (
         "YES",
         "taxi-7 can finish its shift above its reserve of 20 %: the risk is 2 %",
@@ -60,20 +60,20 @@ def test_without_a_ride_the_answer_is_of_the_shift():
         (arriving(18.0, 15.0, 21.0), "NO"),
     ],
 )
-def test_where_the_rest_of_the_shift_is_not_known_the_answer_is_of_the_ride(asked, word):
+def test_answer_is_about_ride_if_rest_of_shift_is_unknown(asked, word):
     told, sentence = verdict(outlook(asked=asked, **NOTHING_AFTER))
     assert told == word
     assert "arrive above its reserve of 20 %; the rest of its shift is not known" in sentence
 
 
-def test_where_nothing_is_known_no_answer_is_made_up():
+def test_answer_is_not_known_if_nothing_is_known():
     unknown = outlook(asked=LegOutlook(18.0, 1500.0, None, None), why_not="the car tells no SOC", **NOTHING_AFTER)
     assert verdict(unknown)[0] == "NOT KNOWN"
     assert verdict(outlook(asked=None, **NOTHING_AFTER))[0] == "NOT KNOWN"
     assert list(figures(unknown))[-1] == ("not known", "the car tells no SOC")
 
 
-def test_the_figures_are_those_of_the_outlook():
+def test_figures_are_those_of_outlook():
     assert dict(figures(OUTLOOK)) == {
         "at arrival": "61 % (57 to 65), 41 points above the reserve",
         "end of shift": "31 % (24 to 38) at 14:00 UTC, 11 points above the reserve",
@@ -85,7 +85,7 @@ def test_the_figures_are_those_of_the_outlook():
 
 
 @pytest.mark.parametrize("without", ["soc_pct", "soc_sd_pct", "usable_capacity_kwh", "usable_capacity_sd_kwh"])
-def test_what_is_not_known_is_left_out(without):
+def test_unknown_figures_are_left_out(without):
     console = Console(file=io.StringIO(), width=120)
     show(outlook(**{without: None}), console)
     told = console.file.getvalue()
@@ -111,14 +111,14 @@ def test_what_is_not_known_is_left_out(without):
         (("taxi-7", *RIDE), "cannot be joined"),
     ],
 )
-def test_what_cannot_be_asked_is_one_line(arguments, told, tmp_path, capsys):
+def test_invalid_question_is_refused_in_one_line(arguments, told, tmp_path, capsys):
     (tmp_path / "rubbish.json").write_text("lunch at noon")
     (tmp_path / "empty.json").touch()
     given = [argument.replace("{tmp}", str(tmp_path)) for argument in arguments]
     assert told in refused(capsys, "ask", *given, "--connect", f"tcp/127.0.0.1:{find_free_port()}")
 
 
-def test_a_live_consumer_is_asked(tmp_path, capsys):
+def test_live_consumer_answers_command(tmp_path, capsys):
     plan = {"shift_end_s": NOW + 3600.0, "reserve_soc_pct": 30.0, "legs": [{"distance_km": 7.0, "duration_s": 700}]}
     (tmp_path / "plan.json").write_text(json.dumps(plan))
     (tmp_path / "old.json").write_text(json.dumps(plan | {"shift_end_s": NOW - 3600.0}))
@@ -133,7 +133,7 @@ def test_a_live_consumer_is_asked(tmp_path, capsys):
     assert (told["asked"]["distance_km"], [leg["distance_km"] for leg in told["legs"]]) == (18.0, [7.0])
 
 
-def test_the_service_answers_in_words_and_counts_what_it_was_asked(consumer, capsys):
+def test_service_refuses_in_words_and_counts_queries(consumer, capsys):
     endpoint = f"tcp/127.0.0.1:{find_free_port()}"
     process, log = consumer("--listen", endpoint)
     told = refused(capsys, "ask", "taxi-9", *RIDE, "--connect", endpoint, "--timeout-s", "30")

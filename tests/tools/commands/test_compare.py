@@ -1,4 +1,4 @@
-"""`socast compare`, as a person meets it: tables, pages and traces, and one line for what cannot be compared."""
+"""`socast compare` prints tables and writes pages and traces, and refuses invalid input in one line."""
 
 import json
 import re
@@ -95,7 +95,7 @@ def page(path):
     return found
 
 
-def test_models_are_compared_and_written(folder, tmp_path, capsys):
+def test_comparison_is_printed_and_written(folder, tmp_path, capsys):
     out = ran(capsys, folder, *MODELS, "--json", tmp_path / "c.json", "--html", tmp_path / "c.html")
     found = json.loads((tmp_path / "c.json").read_text())
     about = found["about"]
@@ -121,7 +121,7 @@ def test_models_are_compared_and_written(folder, tmp_path, capsys):
     assert {"models", "places", "worst", "figure-scatter-0", "figure-scatter-1", "figure-by-0"} <= set(ids)
 
 
-def test_every_worst_ride_is_one_command_away_from_its_trace(result, tmp_path, capsys):
+def test_every_worst_ride_has_command_that_shows_its_trace(result, tmp_path, capsys):
     for own in result["models"].values():
         assert len(own["worst"]["absolute"]) == 10
         for ride in (own["worst"]["absolute"][0], own["worst"]["relative"][-1]):
@@ -134,7 +134,7 @@ def test_every_worst_ride_is_one_command_away_from_its_trace(result, tmp_path, c
             assert model["error_kwh"] == pytest.approx(ride["error_kwh"])
 
 
-def test_commands_are_printed_whole_and_quoted(shift, tmp_path, capsys):
+def test_printed_commands_are_complete_and_quoted(shift, tmp_path, capsys):
     rides, _ = shift
     home = (
         tmp_path
@@ -153,7 +153,7 @@ def test_commands_are_printed_whole_and_quoted(shift, tmp_path, capsys):
         assert words[6] in set(rides["ride_key"])
 
 
-def test_a_trace_shows_where_they_part(folder, result, tmp_path, capsys):
+def test_trace_shows_where_models_and_measurement_differ(folder, result, tmp_path, capsys):
     ride = result["models"]["extended_physical"]["worst"]["absolute"][0]["ride"]
     out = ran(capsys, folder, *MODELS, "--ride", ride, "--json", tmp_path / "t.json", "--html", tmp_path / "t.html")
     found = json.loads((tmp_path / "t.json").read_text())["trace"]
@@ -173,14 +173,14 @@ def test_a_trace_shows_where_they_part(folder, result, tmp_path, capsys):
     assert figures == {"figure-along-min", "figure-along-km", "figure-power", "figure-terms-0", "figure-terms-1"}
 
 
-def test_a_recording_gives_what_its_tables_give(result, tmp_path):
+def test_recording_gives_same_result_as_its_tables(result, tmp_path):
     found = as_json(tmp_path, SHIFT, *MODELS)
     for name, own in result["models"].items():
         assert found["models"][name]["mae_kwh"] == own["mae_kwh"]
     assert found["rides"]["measured_kwh"] == result["rides"]["measured_kwh"]
 
 
-def test_two_sets_are_set_side_by_side(halves, tmp_path, capsys):
+def test_two_sets_of_rides_are_compared(halves, tmp_path, capsys):
     one, other = halves
     written = "--json", tmp_path / "c.json", "--html", tmp_path / "c.html"
     out = ran(capsys, one, "--against", other, "--model", "extended_physical", *written)
@@ -196,7 +196,7 @@ def test_two_sets_are_set_side_by_side(halves, tmp_path, capsys):
     assert {"against", "contrast", "figure-account-0", "figure-contrast-0-0"} <= set(ids)
 
 
-def test_the_same_rides_twice_do_not_differ(folder, tmp_path, capsys):
+def test_identical_sets_of_rides_do_not_differ(folder, tmp_path, capsys):
     out = ran(capsys, folder, "--against", folder, "--model", "basic_physical", "--json", tmp_path / "c.json")
     found = json.loads((tmp_path / "c.json").read_text())
     assert found["against"]["shared"] == found["about"]["rides"]
@@ -205,7 +205,7 @@ def test_the_same_rides_twice_do_not_differ(folder, tmp_path, capsys):
     assert all(entry["difference"]["value"] == 0.0 for entry in found["against"]["properties"])
 
 
-def test_rides_of_several_tables_are_told_apart(halves, folder, capsys, tmp_path):
+def test_rides_of_several_tables_are_distinguished(halves, folder, capsys, tmp_path):
     for half in halves:
         (half / "windows.parquet").write_bytes((folder / "windows.parquet").read_bytes())
     found = as_json(tmp_path, *halves, "--model", "basic_physical")
@@ -216,7 +216,7 @@ def test_rides_of_several_tables_are_told_apart(halves, folder, capsys, tmp_path
         assert f"{ride['measured_kwh']:.3f} kWh" in out
 
 
-def test_names_that_are_no_html_are_shown_as_they_are(shift, tmp_path, capsys):
+def test_names_with_markup_are_shown_unchanged(shift, tmp_path, capsys):
     rides, windows = shift
     odd = {key: f"{ODD}{i}" for i, key in enumerate(rides["vehicle_id"].unique())}
     home = tmp_path / "odd"
@@ -233,7 +233,7 @@ def test_names_that_are_no_html_are_shown_as_they_are(shift, tmp_path, capsys):
     assert any(f"Ride {ODD}0#1" in text for text in page(tmp_path / "t.html").text)
 
 
-def test_files_of_the_same_name_are_told_apart(folder, tmp_path):
+def test_files_of_same_name_are_distinguished(folder, tmp_path):
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
         save(msgspec.structs.replace(BASIC_PHYSICAL, name=name), tmp_path / name / "m.json")
@@ -242,7 +242,7 @@ def test_files_of_the_same_name_are_told_apart(folder, tmp_path):
     assert list(found["models"]) == names
 
 
-def test_an_effect_of_ones_own_is_known_with_its_file(folder, tmp_path, capsys):
+def test_user_defined_effect_is_known_with_its_file(folder, tmp_path, capsys):
     own = tmp_path / "own.py"
     own.write_text(
         '"""Own."""\n\nfrom core.effects import effect\n\n\n'
@@ -264,7 +264,7 @@ def test_an_effect_of_ones_own_is_known_with_its_file(folder, tmp_path, capsys):
     assert f"--effects {own}" in out
 
 
-def test_models_can_be_told_apart_without_colours():
+def test_models_are_distinguishable_without_colours():
     styles = [get_model_style(place) for place in range(8)]
     assert len({(style.dash, style.symbol) for style in styles}) == len(styles)
 
@@ -272,45 +272,45 @@ def test_models_can_be_told_apart_without_colours():
 # what cannot be compared
 
 
-def test_no_rides(folder, tmp_path, capsys):
+def test_table_without_rides_is_refused(folder, tmp_path, capsys):
     home = changed(folder, tmp_path, lambda rides: rides[:0])
     assert "there are no rides: give tables or recordings that hold some" in refused(capsys, home, *MODELS)
     assert "is not among 0 rides" in refused(capsys, home, *MODELS, "--ride", "x")
 
 
-def test_a_model_of_another_vehicle(folder, tmp_path, capsys):
+def test_model_of_other_vehicle_is_refused(folder, tmp_path, capsys):
     fit = Fit(coefficients=(1.0,) * 4)
     save(msgspec.structs.replace(BASIC_PHYSICAL, fits={"bmw-i3-2014": fit}), tmp_path / "i3.json")
     told = refused(capsys, folder, "--model", tmp_path / "i3.json")
     assert "model i3 is fitted to bmw-i3-2014, and the rides are of " in told
 
 
-def test_rides_without_measured_energy(folder, tmp_path, capsys):
+def test_rides_without_measured_energy_are_refused(folder, tmp_path, capsys):
     home = changed(folder, tmp_path, lambda rides: rides.assign(energy_kwh=float("nan")))
     assert "none of 57 rides can be compared (53 no measured energy, 4 too short)" in refused(capsys, home, *MODELS)
     assert "it has no measured energy to compare with" in refused(capsys, home, *MODELS, "--ride", "taxi-001#1")
 
 
-def test_two_rides(folder, tmp_path, capsys):
+def test_two_rides_are_compared_without_intervals(folder, tmp_path, capsys):
     two = changed(folder, tmp_path, lambda rides: rides[rides["vehicle_id"] == "taxi-001"][1:3])
     out = ran(capsys, two, *MODELS, "--html", tmp_path / "c.html")
     assert "2 rides of one car on one day: too few for intervals" in out
     page(tmp_path / "c.html")
 
 
-def test_a_ride_that_is_not_there(folder, capsys):
+def test_missing_ride_is_refused(folder, capsys):
     told = refused(capsys, folder, *MODELS, "--ride", "taxi-1#2")
     assert "ride 'taxi-1#2' is not among 57 rides: did you mean taxi-001#2" in told
 
 
-def test_tables_without_a_column(folder, tmp_path, capsys):
+def test_table_without_required_column_is_refused(folder, tmp_path, capsys):
     home = changed(folder, tmp_path, lambda rides: rides.drop(columns="effect_climbing"))
     assert "column 'effect_climbing' is missing in the data" in refused(capsys, home, *MODELS)
     changed(folder, tmp_path, lambda rides: rides.drop(columns="ambient_c"))
     assert "column 'ambient_c' is missing in the ride table" in refused(capsys, home, *MODELS)
 
 
-def test_a_trace_without_windows(folder, tmp_path, capsys):
+def test_trace_without_windows_is_refused(folder, tmp_path, capsys):
     home = changed(folder, tmp_path, lambda rides: rides)
     (home / "windows.parquet").unlink()
     told = refused(capsys, home, *MODELS, "--ride", "taxi-001#1")
@@ -319,7 +319,7 @@ def test_a_trace_without_windows(folder, tmp_path, capsys):
     assert "windows.parquet: cannot read windows: " in refused(capsys, home, *MODELS, "--ride", "taxi-001#1")
 
 
-def test_commands_that_contradict_themselves(folder, tmp_path, capsys):
+def test_contradictory_options_are_refused(folder, tmp_path, capsys):
     assert "leave out --against" in refused(capsys, folder, *MODELS, "--against", folder, "--ride", "x")
     assert "is given twice" in refused(capsys, folder, "--model", "basic_physical", "--model", "basic_physical")
     assert "is given twice" in refused(capsys, SHIFT, SHIFT, *MODELS)
@@ -330,7 +330,7 @@ def test_commands_that_contradict_themselves(folder, tmp_path, capsys):
     assert "model 'no' is unknown" in refused(capsys, folder, "--model", "no")
 
 
-def test_a_term_that_is_not_in_the_windows_is_not_made_up(folder, tmp_path, capsys):
+def test_term_missing_from_windows_is_not_invented(folder, tmp_path, capsys):
     home = changed(folder, tmp_path, lambda rides: rides.assign(effect_brake_drag=0.01))
     term = Term(name="brakes", columns=("effect_brake_drag",), unit="N")
     own = msgspec.structs.replace(

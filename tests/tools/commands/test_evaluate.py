@@ -1,4 +1,4 @@
-"""`socast evaluate`, as a person meets it: tables printed and written, and one line for what cannot be judged."""
+"""`socast evaluate` prints and writes its tables, and refuses invalid input in one line."""
 
 import json
 import re
@@ -48,7 +48,7 @@ def refused(capsys, *arguments):
     return told
 
 
-def test_tables_are_printed_and_written(folder, capsys):
+def test_evaluation_is_printed_and_written(folder, capsys):
     out = ran(capsys, folder, *QUICK, "--json", folder / "e.json", "--html", folder / "e.html", "--seed", "3")
     assert "Learned Empirical Model" in out
     found = json.loads((folder / "e.json").read_text())
@@ -63,7 +63,7 @@ def test_tables_are_printed_and_written(folder, capsys):
     assert "Learned Empirical Model" in page
 
 
-def test_a_file_will_do_and_several_are_one_table(folder, capsys):
+def test_files_are_accepted_and_several_form_one_table(folder, capsys):
     table = fleet()
     for name, part in (("a", table.iloc[:120]), ("b", table.iloc[120:])):
         (folder / name).mkdir()
@@ -76,13 +76,13 @@ def test_a_file_will_do_and_several_are_one_table(folder, capsys):
     assert one == two
 
 
-def test_ride_keys_of_several_recordings_are_told_apart(folder):
+def test_ride_keys_of_several_recordings_are_distinguished(folder):
     files = [folder / "rides.parquet", folder / "rides.parquet"]
     assert read(files)["ride_key"].nunique() == 2 * len(fleet())
     assert read(files[:1])["ride_key"].tolist() == fleet()["ride_key"].tolist()
 
 
-def test_the_segment_model_takes_part_where_there_are_windows(folder, capsys):
+def test_segment_model_is_evaluated_only_with_windows(folder, capsys):
     frame, rides, _ = windows(240)
     frame.to_parquet(folder / "windows.parquet")
     table = fleet().drop(columns="energy_kwh").merge(rides[["ride_key", "energy_kwh"]], on="ride_key")
@@ -103,12 +103,12 @@ def test_the_segment_model_takes_part_where_there_are_windows(folder, capsys):
         (lambda t: t.assign(ambient_c="cold"), "holds no numbers"),
     ],
 )
-def test_a_table_that_cannot_be_judged_is_refused(folder, capsys, spoil, told):
+def test_table_that_cannot_be_evaluated_is_refused(folder, capsys, spoil, told):
     spoil(fleet()).to_parquet(folder / "rides.parquet")
     assert told in refused(capsys, folder, *QUICK)
 
 
-def test_one_car_one_day_or_rides_all_alike_are_judged_as_far_as_they_go(folder, capsys):
+def test_one_car_one_day_or_identical_rides_are_evaluated_as_far_as_possible(folder, capsys):
     table = fleet(models=planted_rides.MODELS[:1])
     for alike in (
         {"vehicle_id": "one"},
@@ -121,7 +121,7 @@ def test_one_car_one_day_or_rides_all_alike_are_judged_as_far_as_they_go(folder,
         assert json.loads((folder / "e.json").read_text())["about"]["notes"]
 
 
-def test_rides_that_are_all_alike_teach_nothing_and_that_is_said(folder, capsys):
+def test_identical_rides_are_refused_with_reason(folder, capsys):
     table = fleet(models=planted_rides.MODELS[:1])
     first = table.iloc[[0]].drop(columns=["start_s", "ride_id", "ride_key"])
     alike = table[["start_s", "ride_id", "ride_key"]].merge(first, how="cross")
@@ -131,7 +131,7 @@ def test_rides_that_are_all_alike_teach_nothing_and_that_is_said(folder, capsys)
     assert "alike" in told
 
 
-def test_what_is_no_table_is_refused(folder, capsys):
+def test_file_that_is_no_table_is_refused(folder, capsys):
     (folder / "x.parquet").write_bytes(b"PAR1 nothing")
     assert "x.parquet: no Parquet table" in refused(capsys, folder / "x.parquet", *QUICK)
     assert "does not exist" in refused(capsys, folder / "y.parquet", *QUICK)
@@ -141,7 +141,7 @@ def test_what_is_no_table_is_refused(folder, capsys):
     assert "windows.parquet: column 'window' is missing" in refused(capsys, folder, *QUICK)
 
 
-def test_what_cannot_be_asked_is_refused(folder, capsys):
+def test_invalid_options_are_refused(folder, capsys):
     assert "recipe 'horse' is unknown; known are basic_physical" in refused(capsys, folder, "--recipes", "horse")
     assert "needs windows.parquet" in refused(capsys, folder, "--recipes", "segment_network")
     assert "--repeats is 1; give 2 or more" in refused(capsys, folder, "--repeats", "1")
@@ -153,7 +153,7 @@ def test_what_cannot_be_asked_is_refused(folder, capsys):
     assert "/proc/version cannot be written" in refused(capsys, folder, "--json", "/proc/version")
 
 
-def test_trying_whether_an_output_can_be_written_leaves_all_as_it_was(tmp_path):
+def test_check_of_outputs_changes_no_file(tmp_path):
     kept, new = tmp_path / "kept.json", tmp_path / "new.json"
     kept.write_text("[]")
     check_outputs([], kept, new)
@@ -161,7 +161,7 @@ def test_trying_whether_an_output_can_be_written_leaves_all_as_it_was(tmp_path):
     assert not new.exists()
 
 
-def test_windows_are_read_for_their_features_alone(folder):
+def test_only_feature_columns_of_windows_are_read(folder):
     names = {name for product in segment_network.SEGMENT_FEATURES for name in product} | {"ride_key", "window"}
     frame, _, _ = windows(20)
     frame.assign(energy_vi_kwh=1.0).to_parquet(folder / "windows.parquet")

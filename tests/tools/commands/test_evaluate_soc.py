@@ -1,4 +1,4 @@
-"""`socast evaluate-soc`, as a person meets it: tables that fit, a page that needs nothing else, one line of error."""
+"""`socast evaluate-soc` prints tables that fit, writes a self-contained page, and reports an error in one line."""
 
 import json
 import re
@@ -81,7 +81,7 @@ def run(monkeypatch, capsys):
     return ran
 
 
-def test_the_command_prints_and_writes_one_result(run, result, tmp_path):
+def test_command_prints_and_writes_same_result(run, result, tmp_path):
     code, streams = run(SHIFT, "--json", tmp_path / "s.json", "--html", tmp_path / "s.html")
     assert code == 0, streams.err
     written = json.loads((tmp_path / "s.json").read_text())
@@ -91,13 +91,13 @@ def test_the_command_prints_and_writes_one_result(run, result, tmp_path):
     assert f"report in {tmp_path / 's.html'}" in streams.out
 
 
-def test_an_output_that_would_overwrite_the_recording_is_refused(run):
+def test_output_that_would_overwrite_recording_is_refused(run):
     code, streams = run(SHIFT, "--json", SHIFT)
     assert code == 2
     assert re.fullmatch(r"socast: [^\n]+would be overwritten[^\n]+\n", streams.err)
 
 
-def test_a_recording_too_short_to_learn_from_is_refused_in_one_line(capsys):
+def test_recording_too_short_to_learn_from_is_refused_in_one_line(capsys):
     with pytest.raises(SystemExit) as ended:
         main(["evaluate-soc", str(SHIFT)])
     assert ended.value.code == 2
@@ -124,7 +124,7 @@ def test_real_drives_in_synthetic_shifts_are_evaluated_against_their_end(tmp_pat
     assert all(told["rating"][row] is not None and told["model_mean"][row] is not None for row in planned)
 
 
-def test_the_tables_say_what_the_result_does(result):
+def test_tables_show_figures_of_result(result):
     out = printed(result)
     for hours, own in result["overall"]["hours"].items():
         (line,) = (line for line in out.splitlines() if line.startswith(f" {hours} h "))
@@ -137,7 +137,7 @@ def test_the_tables_say_what_the_result_does(result):
     assert [row.name for row in tabulate_by_time(result).rows] == ["0 h", "1 h", "2 h", "4 h", "6 h", "all"]
 
 
-def test_the_page_loads_nothing_and_has_every_figure(result, tmp_path):
+def test_page_is_self_contained_and_has_every_figure(result, tmp_path):
     report.write(result, tmp_path / "s.html")
     text = (tmp_path / "s.html").read_text()
     page = read_page(text)
@@ -158,14 +158,14 @@ def test_axes_have_units_and_curves_differ_in_more_than_colour(result):
         assert len(set(looks)) == len(looks), key
 
 
-def test_the_scatter_shows_each_shift_once_where_it_belongs(result):
+def test_scatter_shows_each_shift_once_at_its_values(result):
     inside, outside, _ = drawn.draw_scatter(result).data
     own = result["overall"]["hours"]["2"]
     assert len(inside.x) + len(outside.x) == own["n"]
     assert len(inside.x) / own["n"] == pytest.approx(own["coverage"]["value"])
 
 
-def test_the_risk_is_shown_as_it_was_told_and_as_it_came():
+def test_risk_figure_shows_forecast_and_observed_risk():
     result = to_json_values(evaluate_soc(*make_frames(cars=6, days=9)))
     *traces, equal = drawn.draw_risk(result).data
     levels, plan = (trace for trace in traces if trace.mode == "markers")
@@ -189,7 +189,7 @@ def coverages(*clusters):
     }
 
 
-def test_of_few_car_days_a_figure_shows_the_interval_alone():
+def test_figure_of_few_car_days_shows_only_interval():
     points, lines = drawn.draw_coverage(coverages(1, 2, LEAST_CLUSTERS - 1, LEAST_CLUSTERS), "Group [1]").data
     assert points.x == ("group 1", "group 2", "group 29", "group 30")
     assert points.y == (None, None, None, 80.0)
@@ -200,12 +200,12 @@ def test_of_few_car_days_a_figure_shows_the_interval_alone():
     assert alone.y == (80.0, 80.0)
 
 
-def test_groups_stay_in_their_order_whether_or_not_they_are_too_few():
+def test_groups_keep_their_order_even_if_too_small():
     made = drawn.draw_coverage(coverages(40, 2, 50), "Group [1]")
     assert made.layout.xaxis.categoryarray == ("group 40", "group 2", "group 50")
 
 
-def test_no_interval_of_a_width_or_an_error_goes_below_zero():
+def test_interval_of_width_or_error_never_goes_below_zero():
     known = {"value": 4.0, "ci95": 5.0}
     hours = {
         hours: {"width_pct": width, "mae_pct": width, "baselines": {}}
@@ -218,7 +218,7 @@ def test_no_interval_of_a_width_or_an_error_goes_below_zero():
         assert trace.error_y.symmetric is False
 
 
-def test_against_the_best_nothing_is_said_of_few_car_days(result):
+def test_comparison_with_best_omits_few_car_days(result):
     of_model = result["by"]["vehicle model"]
     assert all(own["hours"]["2"]["best"]["vehicle_days"] == own["hours"]["2"]["n"] == 12 for own in of_model)
     (table,) = (table for table in tabulate_conditions(result) if table.title == "By vehicle model")
@@ -228,7 +228,7 @@ def test_against_the_best_nothing_is_said_of_few_car_days(result):
     assert all(re.fullmatch(r"[+−][\d.]+ %", row.cells[-1].text) for row in table.rows)
 
 
-def test_alarms_are_told_level_by_level(result):
+def test_alarms_are_listed_by_level(result):
     table = risk_tables.tabulate_alarms(result)
     names = [row.name for row in table.rows]
     assert names[-2:] == ["20 to 60 %, 1 h", "20 to 60 %, 2 h"]
@@ -241,7 +241,7 @@ def test_alarms_are_told_level_by_level(result):
         assert missed.get(f"the plan's reserve, {hours} h", 0) == of_plan[hours]["alarms"]["missed"]
 
 
-def test_legs_are_shown_only_where_any_were_asked_about(result):
+def test_legs_are_shown_only_if_any_were_queried(result):
     assert "Leg by leg" not in printed(result)
     bins = [{"bin": name, **result["overall"]["hours"]["1"]} for name in ("below 30", "all")]
     out = printed(result | {"legs": {"without a charge": bins, "charged later": []}})
@@ -251,7 +251,7 @@ def test_legs_are_shown_only_where_any_were_asked_about(result):
     assert f"{bins[0]['baselines']['rating']['mae_pct']['value']:.2f}" in line
 
 
-def test_of_few_car_days_no_share_is_told(result):
+def test_share_of_few_car_days_is_not_shown(result):
     out = printed(result)
     for own in result["by"]["temperature"]:
         few = own["pooled"]["vehicle_days"] < 30
@@ -260,14 +260,14 @@ def test_of_few_car_days_no_share_is_told(result):
     assert any(own["pooled"]["vehicle_days"] < 30 for own in result["by"]["temperature"])
 
 
-def test_the_fan_of_an_example_ends_where_the_shift_did(result):
+def test_fan_of_example_ends_at_end_of_shift(result):
     for own in result["examples"]:
         upper, lower, mean, _, became = drawn.draw_example(own).data
         assert became.y == (own["soc_end_pct"],)
         assert all(low <= m <= high for low, m, high in zip(lower.y, mean.y, upper.y, strict=True))
 
 
-def test_few_short_shifts_are_shown_as_far_as_anything_is_known(tmp_path):
+def test_few_short_shifts_are_shown_as_far_as_known(tmp_path):
     found = to_json_values(evaluate_soc(*FEW))
     out = printed(found)
     assert [row.name for row in tabulate_by_time(found).rows] == ["0 h", "all"]
@@ -276,7 +276,7 @@ def test_few_short_shifts_are_shown_as_far_as_anything_is_known(tmp_path):
     assert "figure-soc-scatter" not in read_page((tmp_path / "few.html").read_text()).ids
 
 
-def test_odd_names_are_shown_as_they_are(tmp_path):
+def test_unusual_names_are_shown_unchanged(tmp_path):
     tables = [table.replace({"taxi-1": ODD, "nissan-leaf-2016": ODD}) for table in SMALL]
     found = to_json_values(evaluate_soc(*tables))
     assert "R&D's" in printed(found)

@@ -1,4 +1,4 @@
-"""`socast fit`: from tables to a model file that forecasts, and one line for what cannot be fitted."""
+"""`socast fit` makes a model file that forecasts, and refuses unusable input in one line."""
 
 import json
 from pathlib import Path
@@ -46,7 +46,7 @@ def fitted(folder: Path, recipe: str, out: Path, *more: object) -> LinearModel:
 
 
 @pytest.mark.parametrize("name", PAPER)
-def test_every_recipe_of_the_paper_is_fitted_and_predicts(name, folder, table, tmp_path, capsys):
+def test_every_recipe_of_paper_is_fitted_and_predicts(name, folder, table, tmp_path, capsys):
     model = fitted(folder, name, tmp_path / "model.json")
     told = capsys.readouterr().out
     assert RECIPES[name].title in told
@@ -59,7 +59,7 @@ def test_every_recipe_of_the_paper_is_fitted_and_predicts(name, folder, table, t
         assert key in told or key == ANY
 
 
-def test_what_was_fitted_is_told_with_units_and_intervals(folder, tmp_path, capsys):
+def test_fitted_coefficients_are_shown_with_units_and_intervals(folder, tmp_path, capsys):
     model = fitted(folder, "fitted_physical", tmp_path / "model.json", "--json", tmp_path / "told.json")
     printed = capsys.readouterr().out
     assert "heating full" in printed
@@ -107,13 +107,13 @@ def written(table: pd.DataFrame, path: Path) -> Path:
         (lambda t: t.assign(lost_m="x"), "column 'lost_m' of the ride table is no number"),
     ],
 )
-def test_a_table_that_cannot_be_fitted_to_is_one_line(change, said, table, tmp_path, capsys):
+def test_unusable_table_is_refused_in_one_line(change, said, table, tmp_path, capsys):
     bad = written(change(table), tmp_path / "bad.parquet")
     assert said in refused(capsys, "fit", bad, "--recipe", "hybrid", "-o", tmp_path / "model.json")
     assert not (tmp_path / "model.json").exists()
 
 
-def test_one_vehicle_is_enough(table, tmp_path, capsys):
+def test_rides_of_one_vehicle_suffice_for_fit(table, tmp_path, capsys):
     one = table["vehicle_model"] == MODELS[0]
     car = written(table[one].assign(vehicle_id="a"), tmp_path / "one.parquet")
     model = fitted(car, "hybrid", tmp_path / "model.json")
@@ -121,7 +121,7 @@ def test_one_vehicle_is_enough(table, tmp_path, capsys):
     assert MODELS[0] in capsys.readouterr().out
 
 
-def test_what_is_no_table_or_no_recipe_is_one_line(folder, table, tmp_path, capsys):
+def test_missing_table_or_unknown_recipe_is_refused_in_one_line(folder, table, tmp_path, capsys):
     out = tmp_path / "model.json"
     assert "recipe 'hybird' is unknown" in refused(capsys, "fit", folder, "--recipe", "hybird", "-o", out)
     assert "does not exist; name a folder" in refused(capsys, "fit", tmp_path / "no", "--recipe", "hybrid", "-o", out)
@@ -136,7 +136,7 @@ def test_what_is_no_table_or_no_recipe_is_one_line(folder, table, tmp_path, caps
     assert "cannot be written" in refused(capsys, "fit", folder, "--recipe", "hybrid", "-o", tmp_path / "a" / "b.json")
 
 
-def test_a_model_file_that_cannot_be_used_is_one_line(tmp_path, capsys):
+def test_unusable_model_file_is_refused_in_one_line(tmp_path, capsys):
     path, recording = tmp_path / "model.json", tmp_path / "shift.mcap"
     with McapSink(recording) as sink:
         sink.put(shift(20))
@@ -164,7 +164,7 @@ def through(source, model) -> tuple[list, pd.DataFrame]:
     return sink.messages, pipeline.take_rides()
 
 
-def test_live_is_replay_to_the_bit_with_a_fitted_model(in_service, tmp_path):
+def test_live_equals_replay_exactly_with_fitted_model(in_service, tmp_path):
     messages = shift()
     forecasts, table = through(MemorySource(messages), in_service)
     predicted = [json.loads(m.payload)["ride_energy_predicted_kwh"] for m in forecasts]
@@ -182,7 +182,7 @@ def test_live_is_replay_to_the_bit_with_a_fitted_model(in_service, tmp_path):
     assert through(McapSource(tmp_path / "shift.mcap"), models.load(tmp_path / "model.json"))[0] == forecasts
 
 
-def test_restored_in_mid_ride_it_forecasts_as_if_nothing_had_happened(in_service):
+def test_pipeline_restored_during_ride_makes_same_forecasts(in_service):
     messages = shift()
     whole = Pipeline(in_service)
     whole.push(messages[:700])
@@ -195,7 +195,7 @@ def test_restored_in_mid_ride_it_forecasts_as_if_nothing_had_happened(in_service
     assert second.status() == whole.status()
 
 
-def test_the_last_forecast_of_a_ride_is_what_its_row_in_the_table_gives(in_service):
+def test_last_forecast_of_ride_equals_prediction_from_its_table_row(in_service):
     pipeline = Pipeline(in_service)
     pipeline.push(shift())
     running = {status.vehicle_id: status.predicted_kwh for status in pipeline.status()}
@@ -207,7 +207,7 @@ def test_the_last_forecast_of_a_ride_is_what_its_row_in_the_table_gives(in_servi
         assert energy == running[vehicle]
 
 
-def test_replay_and_tables_take_the_file(folder, tmp_path, capsys):
+def test_replay_and_tables_accept_model_file(folder, tmp_path, capsys):
     fitted(folder, "hybrid", tmp_path / "model.json")
     with McapSink(tmp_path / "shift.mcap") as sink:
         sink.put(shift())
@@ -227,7 +227,7 @@ def whole() -> pd.DataFrame:
     return measured(found, planted(found, differing(MODELS)))
 
 
-def test_a_pooled_model_is_told_of_a_new_car(whole, tmp_path):
+def test_pooled_model_adapts_to_new_car(whole, tmp_path):
     table = whole
     new = table["vehicle_model"] == MODELS[0]
     base = fitted(written(table[~new], tmp_path / "others.parquet"), "pooled_hybrid", tmp_path / "base.json")
@@ -241,14 +241,14 @@ def test_a_pooled_model_is_told_of_a_new_car(whole, tmp_path):
     assert model.history[-1]["action"] == "adapt"
 
 
-def test_fitting_and_telling_exclude_each_other(folder, tmp_path, capsys):
+def test_recipe_and_adapt_exclude_each_other(folder, tmp_path, capsys):
     assert "--recipe NAME to fit" in refused(capsys, "fit", folder, "-o", tmp_path / "m.json")
     both = ("fit", folder, "--recipe", "hybrid", "--adapt", tmp_path / "m.json", "-o", tmp_path / "m.json")
     assert "--recipe NAME to fit" in refused(capsys, *both)
 
 
 @pytest.mark.parametrize("recipe", ["fitted_physical", "hybrid", "boosted_hybrid"])
-def test_single_unknown_values_spoil_nothing(recipe, whole, tmp_path):
+def test_single_unknown_values_never_prevent_fit(recipe, whole, tmp_path):
     spoilt = whole.copy()
     spoilt.loc[20, "duration_s"] = np.nan
     spoilt.loc[21, "effect_rolling"] = np.nan
@@ -258,10 +258,10 @@ def test_single_unknown_values_spoil_nothing(recipe, whole, tmp_path):
 
 
 @pytest.mark.parametrize("recipe", ["fitted_physical", "boosted_hybrid"])
-def test_an_empty_table_is_one_line(recipe, whole, tmp_path, capsys):
+def test_empty_table_is_refused_in_one_line(recipe, whole, tmp_path, capsys):
     file = written(whole.iloc[:0], tmp_path / "rides.parquet")
     assert "0 rides" in refused(capsys, "fit", file, "--recipe", recipe, "-o", tmp_path / "m.json")
 
 
-def test_a_table_given_twice_is_refused(folder, tmp_path, capsys):
+def test_table_given_twice_is_refused(folder, tmp_path, capsys):
     assert "given twice" in refused(capsys, "fit", folder, folder, "--recipe", "hybrid", "-o", tmp_path / "m.json")

@@ -1,4 +1,4 @@
-"""The history of a model: every attempt, the error falling, in the terminal, as JSON and as a page."""
+"""`socast history` shows every attempt and the error after each step in the terminal, as JSON and as a page."""
 
 import json
 from io import StringIO
@@ -106,7 +106,7 @@ def test_history_figure_shows_steps_and_refused_effects(model):
     assert "[kWh]" in one.figure.layout.yaxis.title.text
 
 
-def test_the_command_prints_and_writes(path, capsys):
+def test_command_prints_and_writes_history(path, capsys):
     html, file = path.with_suffix(".html"), path.with_name("told.json")
     done("history", path, "--html", html, "--json", file)
     assert "error 0.4200 -> 0.29 kWh" in " ".join(capsys.readouterr().out.split())

@@ -1,4 +1,4 @@
-"""`socast import` reports what is wrong with a file in one line, and reads several files at a time."""
+"""`socast import` converts one or several files, and reports each error in one line."""
 
 import gzip
 from itertools import pairwise, permutations

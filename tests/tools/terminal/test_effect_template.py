@@ -1,4 +1,4 @@
-"""A file to begin one's own effect with, also of a formula that was found in data."""
+"""Templates of effect files pass their check, including the template of a free-form term found in data."""
 
 import pytest
 
@@ -29,7 +29,7 @@ def suggestion(**changes):
 
 
 @pytest.mark.parametrize("text", [suggestion(), blank(), blank("my_other")], ids=["suggested", "blank", "named"])
-def test_the_text_is_a_file_that_passes_its_check(tmp_path, text):
+def test_template_is_file_that_passes_its_check(tmp_path, text):
     path = tmp_path / "suggested.py"
     path.write_text(text)
     (found,) = registry._run(path)
@@ -37,7 +37,7 @@ def test_the_text_is_a_file_that_passes_its_check(tmp_path, text):
     assert all(len(line) <= 130 for line in text.splitlines())
 
 
-def test_quotes_and_letters_of_a_source_come_through(tmp_path):
+def test_quotes_and_letters_of_source_are_preserved(tmp_path):
     path = tmp_path / "suggested.py"
     path.write_text(suggestion(source='θ of "Größe" \\ é'))
     (found,) = registry._run(path)
@@ -45,12 +45,12 @@ def test_quotes_and_letters_of_a_source_come_through(tmp_path):
     assert found.parameters["cold"].bounds == (283.15, 283.15)
 
 
-def test_numpy_is_imported_where_it_is_used():
+def test_numpy_is_imported_only_if_used():
     assert "import numpy" not in suggestion()
     assert "import numpy as np" in suggestion(body="return np.maximum(speed, 0.0) * (cold - ambient) / cold")
 
 
 @pytest.mark.parametrize("name", ["my effect", "2nd", "a-b", "", "x()"])
-def test_a_name_that_no_function_can_have_is_refused(name):
+def test_invalid_function_name_is_refused(name):
     with pytest.raises(EffectError, match="not the name of a function"):
         suggestion(name=name)

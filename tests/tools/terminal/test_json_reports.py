@@ -1,4 +1,4 @@
-"""JSON reports: a format in each, standard output for `-`, and files although the reader of the output has gone."""
+"""JSON reports hold their format, go to standard output for `-`, and are written even if the reader has gone."""
 
 import json
 import subprocess
@@ -14,14 +14,14 @@ from tools.cli import CLOSED_PIPE, COMMANDS, application
 from tools.terminal.output import REPORT_VERSIONS, write_json
 
 
-def test_every_command_with_a_json_report_has_a_version():
+def test_every_json_report_has_version():
     for name in COMMANDS:
         command = typer.main.get_command(application(name)).commands[name]
         if any(parameter.name == "json_file" for parameter in command.params):
             assert name in REPORT_VERSIONS, name
 
 
-def test_report_begins_with_its_format_and_writes_nan_as_null(tmp_path):
+def test_report_starts_with_its_format_and_writes_nan_as_null(tmp_path):
     write_json(tmp_path / "x.json", "info", {"recordings": [float("nan")]})
     report = json.loads((tmp_path / "x.json").read_text())
     assert list(report) == ["format", "recordings"]
@@ -29,7 +29,7 @@ def test_report_begins_with_its_format_and_writes_nan_as_null(tmp_path):
 
 
 @pytest.mark.parametrize("call", [("effects", "list"), ("effects", "show", "rolling"), ("info", SHIFT)])
-def test_dash_prints_the_report_alone_on_standard_output(call, tmp_path, monkeypatch, capsys):
+def test_dash_prints_only_report_on_standard_output(call, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     done(*call, "--json", "-")
     printed = capsys.readouterr()
@@ -42,7 +42,7 @@ def test_page_cannot_go_to_standard_output(capsys):
     assert "--html is '-'" in refused(capsys, "compare", SHIFT, "--model", "basic_physical", "--html", "-")
 
 
-def test_report_is_written_although_the_reader_of_the_output_has_gone(tmp_path):
+def test_report_is_written_after_reader_of_output_has_gone(tmp_path):
     with subprocess.Popen(
         [*SOCAST, "effects", "list", "--json", str(tmp_path / "x.json")], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as process:
@@ -54,7 +54,7 @@ def test_report_is_written_although_the_reader_of_the_output_has_gone(tmp_path):
 
 
 @pytest.mark.parametrize("command", ["info", "replay"])
-def test_recording_without_a_usable_message_is_refused_in_one_line(command, tmp_path):
+def test_recording_without_usable_message_is_refused_in_one_line(command, tmp_path):
     path = tmp_path / "lunch.mcap"
     with McapSink(path) as sink:
         sink.put([Message("kitchen/lunch", b"{}", 1)])
@@ -64,12 +64,12 @@ def test_recording_without_a_usable_message_is_refused_in_one_line(command, tmp_
     assert "no message that socast can read" in errors
 
 
-def test_fit_of_a_recording_names_the_way_to_tables(tmp_path, capsys):
+def test_fit_of_recording_names_command_that_makes_tables(tmp_path, capsys):
     message = refused(capsys, "fit", SHIFT, "--recipe", "hybrid", "-o", tmp_path / "m.json")
     assert f"socast tables {SHIFT} --out" in message
 
 
-def test_fit_without_a_recipe_recommends_one_and_lists_all(tmp_path, capsys):
+def test_fit_without_recipe_recommends_one_and_lists_all(tmp_path, capsys):
     message = refused(capsys, "fit", tmp_path, "-o", tmp_path / "m.json")
     assert "start with --recipe fitted_physical" in message
     assert "pooled_hybrid" in message

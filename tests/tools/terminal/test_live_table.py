@@ -1,4 +1,4 @@
-"""The live table: what it tells of the shift's end."""
+"""The live table shows the forecast charge at the end of each shift."""
 
 import io
 
@@ -23,17 +23,17 @@ def row(car, width=80):
 
 @pytest.mark.parametrize("width", [80, 112])
 @pytest.mark.parametrize(("risk", "mark"), [(0.0, False), (WARNED - 1e-9, False), (WARNED, True), (1.0, True)])
-def test_a_car_that_may_well_end_below_its_reserve_is_marked(width, risk, mark):
+def test_car_that_risks_ending_below_reserve_is_marked(width, risk, mark):
     told = row(CAR._replace(end_pct=(34.4, 20.6, 61.0), risk=risk), width)
     assert "34 21–61" in told
     assert ("34 21–61!" in told) == mark
 
 
-def test_what_is_not_known_is_a_dash():
+def test_unknown_charge_at_end_is_dash():
     assert row(CAR).split() == ["taxi-1", "22:13:20", "64.0", "0.00", "-", "-", "-", "-"]
 
 
-def test_the_status_holds_the_newest_forecast_of_each_car():
+def test_status_holds_newest_forecast_of_each_car():
     pipeline = trained_pipeline()
     out = []
     for car in "bc":
@@ -46,7 +46,7 @@ def test_the_status_holds_the_newest_forecast_of_each_car():
         assert found[car].risk == pytest.approx(newest.reserve_risk)
 
 
-def test_a_car_with_a_reserve_above_its_charge_is_marked_in_service():
+def test_car_with_reserve_above_charge_is_marked_in_live_operation():
     pipeline = trained_pipeline()
     messages = [m for _, m in shift("c", DAYS)][:100]
     messages[1] = plan("c", DAYS, START + DAY * DAYS, reserve_soc_pct=95.0)

@@ -1,4 +1,4 @@
-"""Several models on the command line: loaded once each, told of in words, on the screen, in JSON and over Zenoh."""
+"""Several models are loaded once each, and their errors appear in text, tables, JSON and Zenoh messages."""
 
 import io
 import json
@@ -50,13 +50,19 @@ def consumer(tmp_path):
         yield start
 
 
-def gain(lower, upper, describe_gain, mean=0.0524):
-    return Gain(rides=1214, vehicle_days=31, mean_kwh=mean, lower_kwh=lower, upper_kwh=upper, verdict=describe_gain)
+def gain(lower, upper, verdict, mean=0.0524):
+    return Gain(rides=1214, vehicle_days=31, mean_kwh=mean, lower_kwh=lower, upper_kwh=upper, verdict=verdict)
 
 
-def fares(told, **fields):
+def make_errors(gain_of_model, **fields):
     rides = RideErrors(
-        vehicle_model=None, rides=1300, unpredicted_rides=2, mae_kwh=0.25, mae_pct=12.5, bias_kwh=-0.1, gain=told
+        vehicle_model=None,
+        rides=1300,
+        unpredicted_rides=2,
+        mae_kwh=0.25,
+        mae_pct=12.5,
+        bias_kwh=-0.1,
+        gain=gain_of_model,
     )
     rides = msgspec.structs.replace(rides, **fields)
     part = msgspec.structs.replace(rides, vehicle_model="nissan-leaf-2013", rides=7)
@@ -76,7 +82,7 @@ def fares(told, **fields):
         ),
     ],
 )
-def test_a_verdict_is_said_in_words(told, words):
+def test_gain_is_described_in_words(told, words):
     assert describe_gain(told) == f"{words} 1,214 rides of 31 vehicle-days"
 
 
@@ -86,8 +92,8 @@ def printed(what, width=120) -> str:
     return console.file.getvalue()
 
 
-def test_the_table_has_a_row_a_model_and_those_of_vehicle_models_where_wanted():
-    told = [fares(None), fares(gain(0.0312, 0.0731, "better"))]
+def test_table_has_row_per_model_and_optional_rows_per_vehicle_model():
+    told = [make_errors(None), make_errors(gain(0.0312, 0.0731, "better"))]
     short = printed(make_models_table(told, wide=False), 80)
     long = printed(make_models_table(told, wide=True, by_vehicle_model=True), 112)
     assert "nissan-leaf-2013" not in short
@@ -96,18 +102,18 @@ def test_the_table_has_a_row_a_model_and_those_of_vehicle_models_where_wanted():
         assert figure in short
         assert figure in long
     assert {"12.5", "-0.100", "31"} <= set(long.split())
-    assert "-" in printed(make_models_table([fares(None, mae_kwh=None)], wide=False)).split()
+    assert "-" in printed(make_models_table([make_errors(None, mae_kwh=None)], wide=False)).split()
 
 
-def test_a_log_line_has_figures_with_units_and_nothing_unknown():
-    told = make_log_fields(fares(gain(None, None, "not told", None)))
+def test_log_line_has_figures_with_units_and_no_unknown_values():
+    told = make_log_fields(make_errors(gain(None, None, "not told", None)))
     assert told["model"] == "cold/2"
     assert (told["mae_kwh"], told["gain_vehicle_days"], told["gain_verdict"]) == (0.25, 31, "not told")
     assert None not in told.values()
-    assert "gain" not in make_log_fields(fares(None))
+    assert "gain" not in make_log_fields(make_errors(None))
 
 
-def test_rides_of_the_days_that_a_model_was_fitted_to_are_told_of():
+def test_warning_names_rides_of_training_days():
     training = Training(rides=9, first_date="2018-01-02", last_date="2018-01-03", vehicle_models={}, fingerprint="")
     fitted = msgspec.structs.replace(EXTENDED_PHYSICAL, name="fitted", training=training)
     rides = pd.DataFrame({"date": ["2018-01-01", "2018-01-02", "2018-01-03", "2018-01-04"]})
@@ -116,7 +122,7 @@ def test_rides_of_the_days_that_a_model_was_fitted_to_are_told_of():
     assert warn_of_training_days([fitted], rides[3:]) == []
 
 
-def test_models_are_loaded_by_name_and_the_usual_one_where_none_is_named():
+def test_models_are_loaded_by_name_and_default_without_name():
     assert load_models(None) == load_models([]) == [EXTENDED_PHYSICAL]
     assert load_models(["basic_physical", "extended_physical"]) == [BASIC_PHYSICAL, EXTENDED_PHYSICAL]
     with pytest.raises(ModelError, match="oracle"):
@@ -124,7 +130,7 @@ def test_models_are_loaded_by_name_and_the_usual_one_where_none_is_named():
 
 
 @pytest.mark.parametrize("command", [["replay", "{rec}"], ["live", "--listen", "tcp/127.0.0.1:0"]])
-def test_the_same_model_twice_is_refused_in_one_line(command, recording, tmp_path, capsys):
+def test_same_model_twice_is_refused_in_one_line(command, recording, tmp_path, capsys):
     for name in ("one.json", "copy.json"):
         models.save(BASIC_PHYSICAL, tmp_path / name)
     arguments = [argument.format(rec=recording) for argument in command]
@@ -132,7 +138,7 @@ def test_the_same_model_twice_is_refused_in_one_line(command, recording, tmp_pat
     assert f"basic_physical/{models.stamp(BASIC_PHYSICAL).version} is given twice" in told
 
 
-def test_replay_of_several_models_tells_how_each_fares(recording, tmp_path):
+def test_replay_of_several_models_reports_errors_of_each(recording, tmp_path):
     out, err, code = called("replay", recording, *BOTH, "--out", tmp_path / "f.mcap", "--json", tmp_path / "both.json")
     assert (code, err) == (0, "")
     called("replay", recording, "--json", tmp_path / "one.json")
@@ -159,7 +165,7 @@ def test_replay_of_several_models_tells_how_each_fares(recording, tmp_path):
     assert "could not be decoded" not in out
 
 
-def test_live_publishes_how_each_model_fares_and_goes_on_after_a_restart(consumer, recording, tmp_path):
+def test_live_publishes_errors_of_each_model_and_continues_after_restart(consumer, recording, tmp_path):
     heard: list[tuple[str, bytes]] = []
     endpoint = f"tcp/127.0.0.1:{find_free_port()}"
     process, log = consumer("--listen", endpoint, *BOTH, "--state", tmp_path / "state", "--report", "0.05")
@@ -191,7 +197,7 @@ def test_live_publishes_how_each_model_fares_and_goes_on_after_a_restart(consume
     assert again.shadows.errors()[1].overall.rides == 6
 
 
-def test_a_change_of_verdict_is_logged_once(monkeypatch):
+def test_change_of_verdict_is_logged_once(monkeypatch):
     logger, records = logging.getLogger("test_standings"), []
     logger.setLevel(logging.INFO)
     logger.addFilter(lambda record: records.append(record) or False)
@@ -210,7 +216,7 @@ def test_a_change_of_verdict_is_logged_once(monkeypatch):
     assert records[0].fields["gain_vehicle_days"] == 20
 
 
-def test_the_screen_has_a_column_a_shadow_and_the_models_below():
+def test_live_table_has_column_per_shadow_and_models_below():
     pipeline = Pipeline(EXTENDED_PHYSICAL, shadows=[BASIC_PHYSICAL])
     pipeline.push(shift())
     assert "by 2" in printed(make_fleet_table(pipeline.status(), "Live", "", 20, 1))

@@ -1,4 +1,4 @@
-"""What commands have in common: what they must not overwrite."""
+"""Commands refuse outputs that would overwrite an input or another output."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from tools.terminal.output import check_outputs, select_model_files
 
 
 @pytest.mark.parametrize("name", ["model.json", "./model.json"])
-def test_a_model_that_is_read_is_not_overwritten(tmp_path, monkeypatch, name):
+def test_model_file_that_is_input_is_not_overwritten(tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "model.json").write_text("{}")
     with pytest.raises(SettingsError, match=r"is read and would be overwritten"):
@@ -17,6 +17,6 @@ def test_a_model_that_is_read_is_not_overwritten(tmp_path, monkeypatch, name):
     assert select_model_files(["basic_physical"]) == []
 
 
-def test_one_file_is_not_written_twice(tmp_path):
+def test_same_file_for_two_outputs_is_refused(tmp_path):
     with pytest.raises(SettingsError, match="written twice"):
         check_outputs([], tmp_path / "a.json", tmp_path / "." / "a.json")

@@ -1,4 +1,4 @@
-"""Recordings as every command opens them: each once, by whatever name."""
+"""Every command opens each recording once and refuses duplicates, even under different names."""
 
 import json
 from pathlib import Path
@@ -24,12 +24,12 @@ COMMANDS = {
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_recording_given_twice_is_refused_by_every_command(command, tmp_path, capsys):
+def test_every_command_refuses_recording_given_twice(command, tmp_path, capsys):
     given = [str(argument).replace("{tmp}", str(tmp_path)) for argument in COMMANDS[command]]
     assert f"{SHIFT} is given twice" in refused(capsys, command.split()[0], *given)
 
 
-def test_another_name_for_the_same_recording_is_no_other_recording(tmp_path, monkeypatch):
+def test_same_recording_under_other_name_is_refused(tmp_path, monkeypatch):
     link = tmp_path / "link.mcap"
     link.symlink_to(SHIFT)
     monkeypatch.chdir(SHIFT.parent)
@@ -38,13 +38,13 @@ def test_another_name_for_the_same_recording_is_no_other_recording(tmp_path, mon
             open_recordings([SHIFT, AUTUMN, other])
 
 
-def test_another_recording_is_opened_beside_the_first(tmp_path):
+def test_different_recordings_are_opened_together(tmp_path):
     copy = tmp_path / "shift.mcap"
     copyfile(SHIFT, copy)
     assert [source.path for source in open_recordings([SHIFT, AUTUMN, copy])] == [SHIFT, AUTUMN, copy]
 
 
-def test_links_in_a_circle_are_told_in_one_line(tmp_path):
+def test_circular_links_are_reported_in_one_line(tmp_path):
     one, other = tmp_path / "one.mcap", tmp_path / "other.mcap"
     one.symlink_to(other)
     other.symlink_to(one)
@@ -52,6 +52,6 @@ def test_links_in_a_circle_are_told_in_one_line(tmp_path):
         open_recordings([one, SHIFT])
 
 
-def test_a_recording_alone_is_read_as_before(tmp_path):
+def test_single_recording_is_read(tmp_path):
     done("info", SHIFT, "--json", tmp_path / "told.json")
     assert json.loads((tmp_path / "told.json").read_text())

@@ -1,4 +1,4 @@
-"""What `socast replay` tells of shifts: forecasts against outcomes."""
+"""`socast replay` compares the forecasts of each shift with its outcome."""
 
 import io
 import json
@@ -55,7 +55,7 @@ def printed(shifts, width=140):
     return console.file.getvalue()
 
 
-def test_each_shift_is_told_with_what_was_forecast_when():
+def test_record_of_each_shift_holds_forecasts_by_time_made():
     made, ended = make_frames(cars=2, days=3, hours=7.0, warm_up=1)
     found = records(made, ended)
     assert [(s["vehicle_id"], s["begin_s"]) for s in found] == sorted(
@@ -76,14 +76,14 @@ def test_each_shift_is_told_with_what_was_forecast_when():
 
 
 @given(cuts=st.lists(st.floats(1_514_764_800.0, 1_514_764_800.0 + 4 * 86_400.0), max_size=8), rows=st.integers(0, 3000))
-def test_however_it_comes_and_whatever_is_let_go_the_same_is_told(cuts, rows):
+def test_order_of_delivery_and_deleted_forecasts_never_change_records(cuts, rows):
     made, ended = make_frames(cars=3, days=3, warm_up=1)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(shift_outcomes, "MOST_ROWS", rows)
         assert records(made, ended, cuts) == records(made, ended)
 
 
-def test_what_is_let_go_keeps_memory_small(monkeypatch):
+def test_deleted_forecasts_bound_memory(monkeypatch):
     monkeypatch.setattr(shift_outcomes, "MOST_ROWS", 500)
     made, ended = make_frames(cars=1, days=10, warm_up=0)
     found = ShiftOutcomes(Recited(made, ended, made["time_s"].to_numpy()[::100]))
@@ -92,7 +92,7 @@ def test_what_is_let_go_keeps_memory_small(monkeypatch):
         assert sum(map(len, found._told)) < 800
 
 
-def test_nothing_is_held_against_a_forecast_before_a_charge_or_of_a_shift_that_goes_on():
+def test_forecast_before_charge_or_of_unfinished_shift_is_not_evaluated():
     made, ended = make_frames(cars=1, days=1, warm_up=0)
     at = ended["end_s"].iloc[0] - 5400.0
     (shift_,) = records(made, ended.assign(charged_s=at))
@@ -106,7 +106,7 @@ def test_nothing_is_held_against_a_forecast_before_a_charge_or_of_a_shift_that_g
     assert all(f["held"] is None for f in shift_["forecasts"].values())
 
 
-def test_a_forecast_that_was_long_ago_is_none():
+def test_outdated_forecast_is_none():
     made, ended = make_frames(cars=1, days=1, warm_up=0)
     end = ended["end_s"].iloc[0]
     (shift_,) = records(made[~made["time_s"].between(end - 3600.0 - 700.0, end - 3600.0)], ended)
@@ -115,14 +115,14 @@ def test_a_forecast_that_was_long_ago_is_none():
     assert "–" in printed([shift_])
 
 
-def test_where_no_interval_is_known_it_is_said_what_to_do():
+def test_missing_intervals_are_reported_with_remedy():
     made, ended = make_frames(cars=1, days=2, warm_up=2)
     assert printed(records(made, ended), 400).strip() == NO_INTERVALS
     assert "--warm-up" in NO_INTERVALS
     assert printed([]) == ""
 
 
-def test_the_share_that_held_is_told():
+def test_summary_gives_share_of_outcomes_within_interval():
     made, ended = make_frames(cars=5, days=20, warm_up=0)
     found = records(made, ended)
     held = [s["forecasts"]["2h"]["held"] for s in found]
@@ -131,7 +131,7 @@ def test_the_share_that_held_is_told():
     assert f"the last 60 of {len(found)} shifts" in printed(found)
 
 
-def test_a_pipeline_is_told_of():
+def test_outcomes_of_pipeline_are_collected():
     pipeline = trained_pipeline(keep_outlooks=True)
     pipeline.take_shifts()
     found = ShiftOutcomes(pipeline)
@@ -146,7 +146,7 @@ def test_a_pipeline_is_told_of():
     assert not shift_["cut"]
 
 
-def test_replay_tells_of_shifts_with_intervals_where_there_is_a_history(tmp_path, capsys):
+def test_replay_after_warm_up_reports_shifts_with_intervals(tmp_path, capsys):
     recorded(tmp_path / "before.mcap", range(DAYS))
     recorded(tmp_path / "now.mcap", [DAYS])
     replay = ("replay", tmp_path / "now.mcap", "--period-s", 15, "--json", tmp_path / "now.json")

@@ -1,4 +1,4 @@
-"""Learning from recordings of earlier days: forecasts have intervals at once, and nothing else is different."""
+"""Warm-up with recordings of earlier days gives forecasts intervals immediately and changes nothing else."""
 
 import pytest
 
@@ -23,7 +23,7 @@ def today(pipeline):
     return pipeline.push([observed(temperature_c=10.0), leaf("c"), *(m for _, m in shift("c", DAYS))])
 
 
-def test_forecasts_have_intervals_at_once(recordings):
+def test_warm_up_gives_forecasts_intervals_immediately(recordings):
     fresh, pipeline = Pipeline(settings=SETTINGS), Pipeline(settings=SETTINGS)
     pipeline.learn_from(learn_from_recordings(EXTENDED_PHYSICAL, [], SETTINGS, recordings))
     before, after = forecasts(today(fresh), "c"), forecasts(today(pipeline), "c")
@@ -35,7 +35,7 @@ def test_forecasts_have_intervals_at_once(recordings):
         assert each.ride_distance_km == after[time].ride_distance_km
 
 
-def test_rides_and_counters_are_of_today_alone(recordings):
+def test_rides_and_counters_exclude_warm_up(recordings):
     fresh, pipeline = Pipeline(settings=SETTINGS), Pipeline(settings=SETTINGS)
     pipeline.learn_from(learn_from_recordings(EXTENDED_PHYSICAL, [], SETTINGS, recordings))
     for each in (fresh, pipeline):
@@ -48,14 +48,14 @@ def test_rides_and_counters_are_of_today_alone(recordings):
     assert pipeline.take_rides().equals(fresh.take_rides())
 
 
-def test_it_knows_cars_that_do_not_say_again_what_they_are(recordings):
+def test_warm_up_keeps_vehicle_model_of_cars_that_send_none_again(recordings):
     pipeline = Pipeline(settings=SETTINGS)
     pipeline.learn_from(learn_from_recordings(EXTENDED_PHYSICAL, [], SETTINGS, recordings))
     found = forecasts(pipeline.push([m for _, m in shift("c", DAYS)]), "c")
     assert list(found.values())[-1].soc_end_of_shift_pct
 
 
-def test_shadows_begin_anew_and_a_restart_goes_on_the_same(recordings):
+def test_shadows_start_anew_and_restart_continues_unchanged(recordings):
     def made():
         return Pipeline(settings=SETTINGS, shadows=[BASIC_PHYSICAL], keep_tables=False)
 
@@ -70,13 +70,13 @@ def test_shadows_begin_anew_and_a_restart_goes_on_the_same(recordings):
     assert pipeline.push(messages[150:]) == other.push(messages[150:])
 
 
-def test_without_recordings_there_is_nothing():
+def test_no_recordings_give_no_pipeline():
     assert learn_from_recordings(EXTENDED_PHYSICAL, [], SETTINGS, None) is None
     assert learn_from_recordings(EXTENDED_PHYSICAL, [], SETTINGS, []) is None
 
 
 @pytest.mark.parametrize("lost", [0, 9_000], ids=["whole", "killed"])
-def test_a_history_that_knows_what_comes_is_refused(capsys, tmp_path, recordings, lost):
+def test_warm_up_recording_that_ends_after_replay_begins_is_refused(capsys, tmp_path, recordings, lost):
     early, late = recordings
     for name, numbers in (("later", range(2, DAYS)), ("overlapping", range(DAYS)), ("same", range(2))):
         recorded(history := tmp_path / f"{name}.mcap", numbers)
@@ -88,7 +88,7 @@ def test_a_history_that_knows_what_comes_is_refused(capsys, tmp_path, recordings
     done("replay", late, "--warm-up", early, "--warm-up", tmp_path / "same.mcap")
 
 
-def test_a_history_that_is_none_is_refused_in_a_line(capsys, tmp_path, recordings):
+def test_invalid_warm_up_recording_is_refused_in_one_line(capsys, tmp_path, recordings):
     assert "nowhere.mcap" in refused(capsys, "live", "--warm-up", tmp_path / "nowhere.mcap")
     replay = ("replay", recordings[0])
     assert "nowhere.mcap" in refused(capsys, *replay, "--warm-up", tmp_path / "nowhere.mcap")
@@ -96,7 +96,7 @@ def test_a_history_that_is_none_is_refused_in_a_line(capsys, tmp_path, recording
     assert "overwritten" in refused(capsys, *replay, "--warm-up", recordings[1], "--json", recordings[1])
 
 
-def test_a_consumer_with_a_state_to_go_on_from_leaves_the_history_out(capsys, tmp_path):
+def test_consumer_with_existing_state_ignores_warm_up(capsys, tmp_path):
     nobody = ("live", "--connect", "tcp/127.0.0.1:1", "--warm-up", tmp_path / "nowhere.mcap")
     state = tmp_path / "fleet.state"
     assert "nowhere.mcap" in refused(capsys, *nobody, "--state", state)
