@@ -1,10 +1,10 @@
-"""A diagnosis made up, of the shape that `core.diagnose.diagnosis` gives, for tests of what prints one."""
+"""Make a diagnosis as `core.diagnose.diagnosis` returns it, for tests of reports."""
 
 from typing import Any
 
 
 def make_missing_effect(**changes: Any) -> dict[str, Any]:
-    """Return an effect that is missing."""
+    """Return the entry of a missing effect."""
     return {
         "effect": "cold_rolling",
         "variant": "cold_rolling@reference=283.15",
@@ -26,7 +26,7 @@ def make_missing_effect(**changes: Any) -> dict[str, Any]:
 
 
 def make_diagnosis(**changes: Any) -> dict[str, Any]:
-    """Return a whole diagnosis: two effects missing, and structure that none explains."""
+    """Return a complete diagnosis: two missing effects, and structure that no effect explains."""
     of_one = make_missing_effect(
         effect="brake_drag", variant="brake_drag", group=["brake_drag"], scope="vehicle taxi-003",
         columns=["effect_brake_drag", "vehicle=taxi-003"], gain=0.006, gain_ci95=[0.001, 0.011], energy_share=0.004,
@@ -76,7 +76,7 @@ def make_diagnosis(**changes: Any) -> dict[str, Any]:
 
 
 def make_empty_diagnosis() -> dict[str, Any]:
-    """Return a diagnosis that finds nothing."""
+    """Return a diagnosis without missing effects, slices and structure."""
     whole = make_diagnosis()
     return whole | {
         "slices": [], "missing": [], "verdict": None, "structure_remains": False, "suggestion": None,

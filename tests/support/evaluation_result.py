@@ -1,4 +1,4 @@
-"""The result of an evaluation, made up: the shape is that of `socast evaluate --json`, the figures are drawn."""
+"""Make the result of an evaluation as `socast evaluate --json` writes it, with simulated figures."""
 
 import math
 from itertools import combinations, pairwise
@@ -19,7 +19,7 @@ RECIPES = {
     "hybrid_trees": "Hybrid Model with Boosted Trees",
 }
 SKILL = dict(zip(RECIPES, (1.0, 0.91, 0.58, 0.54, 0.52, 0.51, 0.48, 0.55, 0.47, 0.41), strict=True))
-"""Share of the basic physical model's error that each is drawn around."""
+"""Ratio of the mean error of each model to that of the basic physical model."""
 VEHICLES = {
     "kia-soul-ev-2015": (131866, 0.33),
     "nissan-leaf-2016": (26269, 0.59),
@@ -33,7 +33,7 @@ PAST = ("hybrid_ridge", "hybrid_trees")
 
 
 def evaluation(seed: int = 1) -> dict[str, Any]:
-    """Return the result of an evaluation, complete."""
+    """Return a complete result of an evaluation."""
     rng = np.random.default_rng(seed)
     rides = {v: _rides(total) for v, (total, _) in VEHICLES.items()}
     mae = {recipe: _errors(recipe, rng) for recipe in RECIPES}

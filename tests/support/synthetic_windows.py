@@ -1,6 +1,7 @@
-"""Drives made from nothing but a seed, with every effect of the library in them: for tests of what a model lacks.
+"""Make synthetic drives with every effect of the library from a seed, for tests of the diagnosis.
 
-A window is six stretches of ten seconds, each with signals of its own, so that effects are what physics makes of them.
+A window consists of six stretches of ten seconds, each with separate signals, so that physics determines the energies
+of the effects.
 """
 
 from collections.abc import Mapping
@@ -22,11 +23,11 @@ from core.vehicles import VehicleModel, load_catalogue
 START = 1_514_764_800.0
 """1 January 2018, midnight UTC."""
 DAY_STEP = 17
-"""Days from one day of driving to the next."""
+"""Number of days from one day of driving to the next."""
 STRETCHES = 6
 STRETCH_S = 10.0
 METER_SD = 0.002
-"""Of a window's energy, by the meter, its gain left out. [kWh]"""
+"""Standard deviation of the metered energy of a window, without the error of the gain. [kWh]"""
 BASE = {
     "rolling": 1.05,
     "climbing": 1.1,
@@ -44,7 +45,7 @@ CARS_PARAMETERS = ("mass_kg", "rolling_resistance", "drag_area_m2", "nominal_cap
 def make_windows(
     cars: int = 4, days: int = 20, rides: int = 3, windows: int = 8, seed: int = 1, kind: str = "kia-soul-ev-2015"
 ) -> pd.DataFrame:
-    """Return windows of rides over a year, without energies; do not write into it."""
+    """Return windows of rides over a year, without energies. The result is cached and must not be changed."""
     n = cars * days * rides * windows
     at = np.arange(n)
     ride, car = at // windows, at // (windows * rides * days)
@@ -92,7 +93,7 @@ def _summed(values: np.ndarray) -> np.ndarray:
 
 
 def _signals(start, day, ride, car, own: VehicleModel, seed: int) -> dict[str, np.ndarray]:
-    """Return what effects read, of each stretch; weather is of the day, and alike for all cars."""
+    """Return the signals that effects read for each stretch; all cars share the weather of a day."""
     rng = np.random.default_rng(seed)
     days, n, m = int(day.max()) + 1, len(start), len(start) * STRETCHES
 
@@ -143,16 +144,16 @@ def _signals(start, day, ride, car, own: VehicleModel, seed: int) -> dict[str, n
 
 
 def compute_road_load_energy(table: pd.DataFrame) -> np.ndarray:
-    """Return the energy by `BASE`. [kWh]"""
+    """Return the energy of the road load with the coefficients `BASE`. [kWh]"""
     own = {"rolling": table["rolling_resistance"], "aero_drag": table["drag_area_m2"]}
     parts = [value * table[f"effect_{name}"] * own.get(name, 1.0) for name, value in BASE.items()]
     return np.sum(parts, axis=0)
 
 
 def compute_coefficients(table: pd.DataFrame, shares: Mapping[str, float]) -> dict[str, float]:
-    """Return the coefficients with which effects take those shares of the energy where they are planted.
+    """Return the coefficients that give planted effects these shares of the energy within their scopes.
 
-    Effects are named as in terms, without `effect_`, and with scopes behind: `"brake_drag vehicle=taxi-1"`.
+    Names of effects are those of terms without `effect_`, followed by scopes: `"brake_drag vehicle=taxi-1"`.
     """
     energy = compute_road_load_energy(table)
     return {
@@ -180,10 +181,11 @@ def make_tables(
     of_ride: float = 0.0,
     of_day: float = 0.0,
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return ride and window tables with energies: the road load, effects planted by share of it, and errors.
+    """Return ride and window tables with energies: the road load, planted effects, and errors.
 
-    `unknown` is energy by a cause outside the library; `noise` and `of_ride` are standard deviations of what each
-    window, and all windows of a ride, err by [kWh]; `of_day` that of the rolling resistance of a car's day, as a share.
+    `shares` are the shares of the energy of planted effects. `unknown` is energy of a cause outside the library [kWh].
+    `noise` and `of_ride` are standard deviations of the errors of each window and of all windows of a ride [kWh].
+    `of_day` is the standard deviation of the rolling resistance of a vehicle-day, as a share.
     """
     rng = np.random.default_rng(seed)
     ride, day = pd.factorize(table["ride_key"])[0], pd.factorize(table["vehicle_id"] + " " + table["date"])[0]
@@ -197,7 +199,7 @@ def make_tables(
 
 
 def build_tables(table: pd.DataFrame, energy: np.ndarray) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return ride and window tables with that energy, measured by voltage and current. [kWh]"""
+    """Return ride and window tables with the given energy, measured by voltage and current. [kWh]"""
     gain = 0.01 * np.abs(energy)
     windows = table.drop(columns="date").assign(
         energy_kwh=energy, energy_vi_kwh=energy, energy_soc_kwh=energy + 0.01,
@@ -207,7 +209,7 @@ def build_tables(table: pd.DataFrame, energy: np.ndarray) -> tuple[pd.DataFrame,
 
 
 def _rides(windows: pd.DataFrame, date: pd.Series) -> pd.DataFrame:
-    """Return the ride table: sums of amounts, firsts of what holds at the beginning, means of the weather."""
+    """Return the ride table: sums of amounts, first values of initial states, and means of the weather."""
     sums = [name for name in windows if name.startswith("effect_") or name in {"duration_s", "distance_km", "stops"}]
     sums += [name for name in windows if name.startswith("energy_") and "_sd_" not in name]
     means = ["ambient_c", "battery_temperature_c", "wind_speed_kmh", "precipitation_mm_h"]
@@ -227,25 +229,25 @@ def _rides(windows: pd.DataFrame, date: pd.Series) -> pd.DataFrame:
 def gather_with_model(
     tables: tuple[pd.DataFrame, pd.DataFrame], recipe: str = "road_load"
 ) -> tuple[Windows, LinearModel]:
-    """Return what is to be diagnosed, and the model that is: a recipe fitted to the same windows."""
+    """Return the windows to diagnose, and the diagnosed model: a recipe fitted to the same windows."""
     model = fit_to_windows(recipe, *tables, covariance=False)
     return gather_windows(*tables, model), model
 
 
 def project_base(tables: tuple[pd.DataFrame, pd.DataFrame], recipe: str = "road_load") -> BaseProjection:
-    """Return the base of a recipe fitted to the same windows."""
+    """Return the projection for a recipe fitted to the same windows."""
     return BaseProjection(*gather_with_model(tables, recipe))
 
 
-def keep_only(asked: Candidates, *names: str) -> Candidates:
-    """Return what is asked, of some effects only, at all values of their parameters."""
-    of = np.array(asked.names)[asked.effects]
+def keep_only(candidates: Candidates, *names: str) -> Candidates:
+    """Return the candidates of some effects only, with all their variants."""
+    of = np.array(candidates.names)[candidates.effects]
     kept = [i for name in names for i in np.flatnonzero(of == name)]
     return replace(
-        asked,
-        variants=tuple(asked.variants[i] for i in kept),
+        candidates,
+        variants=tuple(candidates.variants[i] for i in kept),
         effects=np.array([names.index(of[i]) for i in kept], dtype=np.int64),
         names=names,
-        sign=asked.sign[kept],
-        columns=asked.columns[:, kept],
+        sign=candidates.sign[kept],
+        columns=candidates.columns[:, kept],
     )

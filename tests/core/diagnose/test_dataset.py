@@ -1,4 +1,4 @@
-"""Windows that are diagnosed: those of rides fit for training that a meter measured, with what is known of the ride."""
+"""Test the windows to diagnose: metered windows of rides fit for training, with the properties of their ride."""
 
 import msgspec
 import numpy as np
@@ -37,19 +37,19 @@ def of(rides, *keys):
 def test_joined_windows_are_ordered_and_have_ride_columns(tables):
     rides, windows = tables
     shuffled = windows.sample(frac=1.0, random_state=3)
-    found = join_tables(rides.sample(frac=1.0, random_state=4), shuffled)
-    assert len(found) == CARS * DAYS * RIDES * WINDOWS
-    assert list(found.index) == list(range(len(found)))
-    pd.testing.assert_frame_equal(found, found.sort_values(["vehicle_id", "start_s"], ignore_index=True))
-    own = rides.set_index("ride_key").loc[found["ride_key"]]
+    result = join_tables(rides.sample(frac=1.0, random_state=4), shuffled)
+    assert len(result) == CARS * DAYS * RIDES * WINDOWS
+    assert list(result.index) == list(range(len(result)))
+    pd.testing.assert_frame_equal(result, result.sort_values(["vehicle_id", "start_s"], ignore_index=True))
+    own = rides.set_index("ride_key").loc[result["ride_key"]]
     for name in RIDE_COLUMNS:
-        assert found[name].tolist() == own[name].tolist(), name
+        assert result[name].tolist() == own[name].tolist(), name
 
 
 def test_ride_columns_take_precedence_over_window_columns(tables):
     rides, windows = tables
-    found = join_tables(rides, windows.assign(winter=7))
-    assert set(found["winter"]) == {0, 1}
+    result = join_tables(rides, windows.assign(winter=7))
+    assert set(result["winter"]) == {0, 1}
 
 
 def test_rides_unfit_for_training_or_without_measured_energy_are_left_out(tables):
@@ -57,20 +57,20 @@ def test_rides_unfit_for_training_or_without_measured_energy_are_left_out(tables
     rides.loc[of(rides, "taxi-0#0"), ["fit_for_training", "unfit_reason"]] = False, "too_short"
     rides.loc[of(rides, "taxi-1#1"), "fit_for_training"] = False
     rides.loc[of(rides, "taxi-2#2"), "energy_kwh"] = np.nan
-    found = join_tables(rides, windows)
+    result = join_tables(rides, windows)
     gone = {"taxi-0#0", "taxi-1#1", "taxi-2#2"}
-    assert set(windows["ride_key"]) - set(found["ride_key"]) == gone
-    assert len(found) == len(windows) - len(gone) * WINDOWS
+    assert set(windows["ride_key"]) - set(result["ride_key"]) == gone
+    assert len(result) == len(windows) - len(gone) * WINDOWS
 
 
 def test_windows_without_measured_energy_or_duration_are_left_out(tables):
     rides, windows = tables
     windows.loc[5, ["energy_kwh", "energy_vi_kwh"]] = np.nan
     windows.loc[17, "duration_s"] = 0.0
-    found = join_tables(rides, windows)
-    assert len(found) == len(windows) - 2
-    assert np.isfinite(found["energy_kwh"]).all()
-    assert (found["duration_s"] > 0.0).all()
+    result = join_tables(rides, windows)
+    assert len(result) == len(windows) - 2
+    assert np.isfinite(result["energy_kwh"]).all()
+    assert (result["duration_s"] > 0.0).all()
 
 
 def test_ride_replaces_windows_without_meter(tables):
@@ -79,15 +79,15 @@ def test_ride_replaces_windows_without_meter(tables):
     for table, rows in ((windows, by_charge), (rides, rides["vehicle_id"] == "taxi-1")):
         table.loc[rows, "energy_kwh"] = table.loc[rows, "energy_soc_kwh"]
         table.loc[rows, "energy_vi_kwh"] = np.nan
-    found = join_tables(rides, windows)
-    theirs = found[found["vehicle_id"] == "taxi-1"]
+    result = join_tables(rides, windows)
+    theirs = result[result["vehicle_id"] == "taxi-1"]
     own = rides[rides["vehicle_id"] == "taxi-1"]
     assert theirs["ride_key"].tolist() == own["ride_key"].tolist()
     np.testing.assert_array_equal(theirs["energy_kwh"], own["energy_soc_kwh"])
     np.testing.assert_array_equal(theirs["effect_rolling"], own["effect_rolling"])
     assert not is_metered(theirs).any()
-    assert is_metered(found[found["vehicle_id"] != "taxi-1"]).all()
-    assert len(found) == len(windows) - by_charge.sum() + len(own)
+    assert is_metered(result[result["vehicle_id"] != "taxi-1"]).all()
+    assert len(result) == len(windows) - by_charge.sum() + len(own)
 
 
 def test_unmetered_window_of_metered_ride_is_left_out(tables):
@@ -123,21 +123,21 @@ def test_joining_changes_neither_table(tables):
 
 class TestGather:
     def test_codes_and_sums_match_table(self, tables, model):
-        found = gather_windows(*tables, model)
-        table = found.table
-        assert len(found.rides) == CARS * DAYS * RIDES
-        keys = found.rides["ride_key"].to_numpy()
-        assert keys[found.ride].tolist() == table["ride_key"].tolist()
-        for code, name in ((found.vehicle, table["vehicle_id"]), (found.date, table["date"])):
+        result = gather_windows(*tables, model)
+        table = result.table
+        assert len(result.rides) == CARS * DAYS * RIDES
+        keys = result.rides["ride_key"].to_numpy()
+        assert keys[result.ride].tolist() == table["ride_key"].tolist()
+        for code, name in ((result.vehicle, table["vehicle_id"]), (result.date, table["date"])):
             assert (
                 pd.DataFrame({"code": code, "name": name}).drop_duplicates().nunique().tolist() == [code.max() + 1] * 2
             )
-        assert found.day.max() + 1 == CARS * DAYS
-        assert len(set(zip(found.vehicle, found.date, found.day, strict=True))) == CARS * DAYS
-        np.testing.assert_allclose(found.by_ride(found.measured), found.rides["energy_kwh"], rtol=1e-12)
-        assert found.day_of_ride[found.ride].tolist() == found.day.tolist()
-        np.testing.assert_array_equal(found.predicted, model.predict(table))
-        assert found.left_out == {}
+        assert result.day.max() + 1 == CARS * DAYS
+        assert len(set(zip(result.vehicle, result.date, result.day, strict=True))) == CARS * DAYS
+        np.testing.assert_allclose(result.by_ride(result.measured), result.rides["energy_kwh"], rtol=1e-12)
+        assert result.day_of_ride[result.ride].tolist() == result.day.tolist()
+        np.testing.assert_array_equal(result.predicted, model.predict(table))
+        assert result.left_out == {}
 
     def test_reasons_for_which_rides_are_left_out_are_counted(self, tables, model):
         rides, windows = tables
@@ -145,11 +145,11 @@ class TestGather:
         rides.loc[of(rides, "taxi-2#2"), "energy_kwh"] = np.nan
         windows.loc[of(windows, "taxi-1#3"), "effect_climbing"] = np.nan
         rides.loc[of(rides, "taxi-1#3"), "effect_climbing"] = np.nan
-        found = gather_windows(rides, windows, model)
-        assert found.left_out == {"too_short": 2, "no_measured_energy": 1, "not predicted": 1}
-        assert len(found.rides) == len(rides) - 4
-        assert np.isfinite(found.predicted).all()
-        assert found.ride.max() + 1 == len(found.rides)
+        result = gather_windows(rides, windows, model)
+        assert result.left_out == {"too_short": 2, "no_measured_energy": 1, "not predicted": 1}
+        assert len(result.rides) == len(rides) - 4
+        assert np.isfinite(result.predicted).all()
+        assert result.ride.max() + 1 == len(result.rides)
 
     def test_too_few_rides_are_refused_with_why_others_are_left_out(self, tables, model):
         rides, windows = tables
@@ -193,9 +193,9 @@ class TestGather:
 class TestFitted:
     def test_fit_to_windows_distinguishes_acceleration_and_braking(self):
         tables = make_tables(make_windows(), noise=0.001)
-        found = fit_to_windows("road_load", *tables)
-        names = [term.name for term in found.terms]
-        fit = found.fits["kia-soul-ev-2015"]
+        result = fit_to_windows("road_load", *tables)
+        names = [term.name for term in result.terms]
+        fit = result.fits["kia-soul-ev-2015"]
         coefficients = dict(zip(names, fit.coefficients, strict=True))
         assert coefficients["inertia_positive"] == pytest.approx(1.15, abs=0.05)
         assert coefficients["inertia_negative"] == pytest.approx(0.85, abs=0.05)

@@ -1,4 +1,4 @@
-"""The whole diagnosis of recorded drives: what it promises to hold, and what it says of what was hidden in them."""
+"""Test the whole diagnosis of recorded drives: the keys of its result, and the recovery of a hidden effect."""
 
 import json
 import math
@@ -39,7 +39,7 @@ def source():
 
 @pytest.fixture(scope="module")
 def recorded(source):
-    """Ride and window tables with an effect hidden in them."""
+    """Return ride and window tables with a hidden effect."""
     tables = source.tables(Case(5, (Hidden(HIDDEN, SHARE),)))
     return tables.rides, tables.windows
 
@@ -50,7 +50,7 @@ def model(recorded):
 
 
 @pytest.fixture(scope="module")
-def found(recorded, model):
+def diagnosis(recorded, model):
     return diagnose(*recorded, model)
 
 
@@ -61,7 +61,7 @@ def of_nothing(source):
 
 
 def plain(value):
-    """Say whether a value is made of what JSON has, and nothing else."""
+    """Return whether a value consists of JSON types only."""
     if isinstance(value, dict):
         return all(type(key) is str and plain(each) for key, each in value.items())
     if isinstance(value, list):
@@ -70,28 +70,28 @@ def plain(value):
 
 
 class TestPromise:
-    def test_result_has_every_key_that_reports_read(self, found):
+    def test_result_has_every_key_that_reports_read(self, diagnosis):
         expected = made_up()
-        assert set(found) == set(expected)
+        assert set(diagnosis) == set(expected)
         for name in ("model", "data", "error", "structure"):
-            assert set(found[name]) >= set(expected[name]), name
+            assert set(diagnosis[name]) >= set(expected[name]), name
         for name in ("missing", "candidates", "steps"):
-            assert found[name], name
-            for row in found[name]:
+            assert diagnosis[name], name
+            for row in diagnosis[name]:
                 assert set(row) >= set(expected[name][0]), name
-        assert set(found["missing"][0]["coefficient"]) == set(expected["missing"][0]["coefficient"])
-        assert all(set(each) == set(expected["slices"][0]) for each in found["slices"])
-        assert all(set(each) == {"feature", "unit", "x", "y_kwh"} for each in found["structure"]["shapes"])
+        assert set(diagnosis["missing"][0]["coefficient"]) == set(expected["missing"][0]["coefficient"])
+        assert all(set(each) == set(expected["slices"][0]) for each in diagnosis["slices"])
+        assert all(set(each) == {"feature", "unit", "x", "y_kwh"} for each in diagnosis["structure"]["shapes"])
 
-    def test_result_is_plain_json(self, found, of_nothing):
-        for each in (found, of_nothing):
+    def test_result_is_plain_json(self, diagnosis, of_nothing):
+        for each in (diagnosis, of_nothing):
             assert plain(each)
             assert json.loads(json.dumps(each)) == each
             msgspec.json.encode(each)
 
-    def test_result_describes_given_data_and_model(self, found, recorded, model):
+    def test_result_describes_given_data_and_model(self, diagnosis, recorded, model):
         seen = gather_windows(*recorded, model)
-        data = found["data"]
+        data = diagnosis["data"]
         assert (data["rides"], data["windows"]) == (len(seen.rides), len(seen.table))
         assert (data["vehicles"], data["measured"]) == (4, "vi")
         assert data["days"] == len(set(zip(seen.table["vehicle_id"], seen.table["date"], strict=True)))
@@ -100,27 +100,27 @@ class TestPromise:
         assert 50.0 < data["resolution_s"] < 70.0
         silent = {"windows without voltage and current": 10}
         assert Counter(data["left_out"]) == Counter(recorded[0]["unfit_reason"].dropna()) + Counter(silent)
-        assert found["model"] == {"name": model.name, "version": model.version, "recipe": "road_load"}
+        assert diagnosis["model"] == {"name": model.name, "version": model.version, "recipe": "road_load"}
 
-    def test_errors_are_per_ride_and_above_noise_floor(self, found, recorded, model):
-        seen, error = gather_windows(*recorded, model), found["error"]
+    def test_errors_are_per_ride_and_above_noise_floor(self, diagnosis, recorded, model):
+        seen, error = gather_windows(*recorded, model), diagnosis["error"]
         off = np.bincount(seen.ride, seen.predicted - seen.measured)
         assert error["mae_kwh"] == pytest.approx(np.mean(np.abs(off)))
         assert error["bias_kwh"] == pytest.approx(np.mean(off))
         assert error["relative"] == pytest.approx(error["mae_kwh"] / np.mean(np.bincount(seen.ride, seen.measured)))
         assert 0.0 < error["noise_floor_kwh"] < error["mae_refitted_kwh"] <= error["mae_kwh"]
 
-    def test_every_effect_of_library_is_listed_once(self, found):
-        names = [row["effect"] for row in found["candidates"]]
+    def test_every_effect_of_library_is_listed_once(self, diagnosis):
+        names = [row["effect"] for row in diagnosis["candidates"]]
         assert len(names) == len(set(names))
         assert set(names) == set(effects.get_library()) - {effect.name for effect in ROAD_LOAD}
-        for row in found["candidates"]:
-            asked = row["gain"] is not None
-            assert asked == (row["status"] in {"missing", "not needed", "not there", "wrong sign"}), row
-            if asked:
+        for row in diagnosis["candidates"]:
+            candidates = row["gain"] is not None
+            assert candidates == (row["status"] in {"missing", "not needed", "not there", "wrong sign"}), row
+            if candidates:
                 assert 0.0 <= row["p"] <= 1.0
                 assert 0.0 <= row["q"] <= 1.0
-        gains = [row["gain"] for row in found["candidates"] if row["gain"] is not None]
+        gains = [row["gain"] for row in diagnosis["candidates"] if row["gain"] is not None]
         assert gains == sorted(gains, reverse=True)
 
     def test_result_does_not_depend_on_row_order(self, recorded, model):
@@ -134,21 +134,21 @@ class TestPromise:
 
 
 class TestWhatWasHidden:
-    def test_is_the_verdict(self, found):
-        assert found["verdict"] == HIDDEN
-        first = found["missing"][0]
+    def test_is_the_verdict(self, diagnosis):
+        assert diagnosis["verdict"] == HIDDEN
+        first = diagnosis["missing"][0]
         assert first["effect"] == HIDDEN
         assert first["group"][0] == HIDDEN
         assert first["scope"] == "all"
         assert first["columns"] == [f"effect_{first['variant']}"]
         assert list_raw_columns(first["columns"][0])
         assert first["q"] < 0.01
-        (row,) = (row for row in found["candidates"] if row["effect"] == HIDDEN)
+        (row,) = (row for row in diagnosis["candidates"] if row["effect"] == HIDDEN)
         assert row["status"] == "missing"
-        assert row is found["candidates"][0] or row["gain"] > 0.0
+        assert row is diagnosis["candidates"][0] or row["gain"] > 0.0
 
-    def test_has_a_plausible_coefficient(self, found):
-        first = found["missing"][0]
+    def test_has_a_plausible_coefficient(self, diagnosis):
+        first = diagnosis["missing"][0]
         coefficient, effect = first["coefficient"], effects.get(first["variant"])
         assert coefficient["unit"] == effect.unit
         assert (coefficient["low"], coefficient["high"]) == (effect.low, effect.high)
@@ -162,16 +162,16 @@ class TestWhatWasHidden:
         assert first["words"]
         assert len(first["equivalents"]) == 3
 
-    def test_lowers_the_error_of_held_out_days(self, found):
-        steps = found["steps"]
-        assert [step["effect"] for step in steps] == [None, *(each["effect"] for each in found["missing"])]
+    def test_lowers_the_error_of_held_out_days(self, diagnosis):
+        steps = diagnosis["steps"]
+        assert [step["effect"] for step in steps] == [None, *(each["effect"] for each in diagnosis["missing"])]
         assert steps[1]["mae_kwh"] < steps[0]["mae_kwh"]
-        assert {step["noise_floor_kwh"] for step in steps} == {found["error"]["noise_floor_kwh"]}
-        assert steps[0]["mae_kwh"] == pytest.approx(found["error"]["mae_refitted_kwh"])
+        assert {step["noise_floor_kwh"] for step in steps} == {diagnosis["error"]["noise_floor_kwh"]}
+        assert steps[0]["mae_kwh"] == pytest.approx(diagnosis["error"]["mae_refitted_kwh"])
 
-    def test_leaves_no_structure_and_no_suggestion(self, found):
-        assert not found["structure_remains"]
-        assert found["suggestion"] is found["suggestion_file"] is None
+    def test_leaves_no_structure_and_no_suggestion(self, diagnosis):
+        assert not diagnosis["structure_remains"]
+        assert diagnosis["suggestion"] is diagnosis["suggestion_file"] is None
 
     def test_is_not_reported_if_excluded(self, recorded, model):
         without = diagnose(*recorded, model, without=(HIDDEN,))
@@ -235,19 +235,21 @@ class TestTooLittle:
     def test_the_fewest_rides_that_do_are_diagnosed(self, small):
         (rides, windows), model = small
         rides = rides[rides["ride_key"].isin([f"taxi-{car}#{n}" for car in (0, 1) for n in range(10)])]
-        found = diagnose(rides, windows[windows["ride_key"].isin(rides["ride_key"])], model)
-        assert found["data"]["rides"] == LEAST_RIDES
-        assert plain(found)
+        diagnosis = diagnose(rides, windows[windows["ride_key"].isin(rides["ride_key"])], model)
+        assert diagnosis["data"]["rides"] == LEAST_RIDES
+        assert plain(diagnosis)
 
 
 def test_declared_variants_are_kept_for_scopes(small):
     tables, model = small
-    asked = build_candidates(gather_windows(*tables, model), model)
-    found = keep_declared_values(asked)
-    assert found.variants == found.names == tuple(name for name in asked.names if name in asked.variants)
-    np.testing.assert_array_equal(found.effects, np.arange(len(found.names)))
-    for at, name in enumerate(found.names):
-        np.testing.assert_array_equal(found.columns[:, at], asked.columns[:, asked.variants.index(name)])
+    candidates = build_candidates(gather_windows(*tables, model), model)
+    diagnosis = keep_declared_values(candidates)
+    assert (
+        diagnosis.variants == diagnosis.names == tuple(name for name in candidates.names if name in candidates.variants)
+    )
+    np.testing.assert_array_equal(diagnosis.effects, np.arange(len(diagnosis.names)))
+    for at, name in enumerate(diagnosis.names):
+        np.testing.assert_array_equal(diagnosis.columns[:, at], candidates.columns[:, candidates.variants.index(name)])
 
 
 def test_rides_are_diagnosed_by_state_of_charge_without_meter():
@@ -256,8 +258,8 @@ def test_rides_are_diagnosed_by_state_of_charge_without_meter():
         for table in make_tables(make_windows(cars=3, days=12), {"headwind": 0.10})
     )
     model = fit_to_windows("road_load", rides, windows, covariance=False)
-    found = diagnose(rides, windows, model, places=False)
-    assert found["data"]["measured"] == "soc"
-    assert found["data"]["windows"] == found["data"]["rides"] == len(rides)
-    assert plain(found)
-    assert isinstance(pd.Series(found["error"]).min(), float)
+    diagnosis = diagnose(rides, windows, model, places=False)
+    assert diagnosis["data"]["measured"] == "soc"
+    assert diagnosis["data"]["windows"] == diagnosis["data"]["rides"] == len(rides)
+    assert plain(diagnosis)
+    assert isinstance(pd.Series(diagnosis["error"]).min(), float)

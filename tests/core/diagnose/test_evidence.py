@@ -1,4 +1,4 @@
-"""Tests hold their level where errors of a vehicle-day, or of a date, depend on each other; false names stay few."""
+"""Test that significance keeps its level where errors depend on each other within vehicle-days or dates."""
 
 import numpy as np
 import pytest
@@ -23,14 +23,14 @@ def days(count=40, each=20):
 
 
 def null(code, rng, candidates=20):
-    """A residual and candidates that have nothing in common, both alike within clusters."""
+    """Return a residual and unrelated candidates, both correlated within clusters."""
     n, count = len(code), int(code.max()) + 1
     residual = rng.normal(size=n) + rng.normal(size=count)[code]
     return residual, rng.normal(size=(n, candidates)) + 1.5 * rng.normal(size=(count, candidates))[code]
 
 
 def plain_p(residual, candidates):
-    """Probability by ordinary least squares, as if all rows were independent."""
+    """Return p-values of ordinary least squares, as if all rows were independent."""
     size = (candidates**2).sum(axis=0)
     coefficient = candidates.T @ residual / size
     left = residual[:, np.newaxis] - candidates * coefficient
@@ -39,8 +39,8 @@ def plain_p(residual, candidates):
 
 
 def share_below(level, draw, times):
-    found = np.concatenate([draw(np.random.default_rng(seed)) for seed in range(times)])
-    return float(np.mean(found < level))
+    evidence = np.concatenate([draw(np.random.default_rng(seed)) for seed in range(times)])
+    return float(np.mean(evidence < level))
 
 
 @pytest.mark.parametrize("sign", [0, 1, -1])
@@ -67,9 +67,9 @@ def test_candidate_on_few_days_keeps_level(acting):
     def draw(rng):
         residual, candidates = null(code, rng)
         few = np.where((code < acting)[:, np.newaxis], 1.0 + 0.1 * candidates, 0.0)
-        found = compute_evidence(residual, few, np.zeros(20, dtype=np.int64), ClusterSums(code))
-        assert (found.freedom < acting).all()
-        return found.p
+        evidence = compute_evidence(residual, few, np.zeros(20, dtype=np.int64), ClusterSums(code))
+        assert (evidence.freedom < acting).all()
+        return evidence.p
 
     assert share_below(LEVEL, draw, 100) < 1.3 * LEVEL
 
@@ -77,13 +77,13 @@ def test_candidate_on_few_days_keeps_level(acting):
 def test_candidate_in_one_cluster_has_no_significance(rng):
     code = days(30)
     alone = np.where(code == 7, 1.0 + rng.random(len(code)), 0.0)[:, np.newaxis]
-    found = compute_evidence(3.0 * alone[:, 0] + rng.normal(size=len(code)), alone, EITHER, ClusterSums(code))
-    assert found.coefficient[0] == pytest.approx(3.0, abs=0.5)
-    assert found.p[0] > 0.5
+    evidence = compute_evidence(3.0 * alone[:, 0] + rng.normal(size=len(code)), alone, EITHER, ClusterSums(code))
+    assert evidence.coefficient[0] == pytest.approx(3.0, abs=0.5)
+    assert evidence.p[0] > 0.5
 
 
 def test_errors_shared_by_all_cars_on_a_date_keep_level():
-    """Vehicle-days alone would pass weather that is wrong for all cars of a date."""
+    """Clustering by vehicle-day alone would accept weather errors that all cars of a date share."""
     car, date = np.repeat(np.arange(6), 30 * 8), np.tile(np.repeat(np.arange(30), 8), 6)
     clusters = [ClusterSums(car * 30 + date), ClusterSums(date)]
     sign = np.zeros(10, dtype=np.int64)
@@ -109,13 +109,13 @@ def test_coefficient_is_least_squares_and_interval_covers_at_its_level():
     for seed in range(300):
         residual, candidates = null(code, np.random.default_rng(seed), 1)
         residual = residual + true * candidates[:, 0]
-        found = compute_evidence(residual, candidates, EITHER, ClusterSums(code))
+        evidence = compute_evidence(residual, candidates, EITHER, ClusterSums(code))
         expected = np.linalg.lstsq(candidates, residual, rcond=None)[0]
-        np.testing.assert_allclose(found.coefficient, expected)
-        low, high = found.compute_interval(0)
+        np.testing.assert_allclose(evidence.coefficient, expected)
+        low, high = evidence.compute_interval(0)
         held.append(low < true < high)
-        wide = found.compute_interval(0, 0.99)
-        assert wide[0] < low < found.coefficient[0] < high < wide[1]
+        wide = evidence.compute_interval(0, 0.99)
+        assert wide[0] < low < evidence.coefficient[0] < high < wide[1]
     assert 0.92 < np.mean(held) < 0.985
 
 
@@ -137,11 +137,11 @@ def test_effect_at_least_coefficient_keeps_level(true, sign):
 
     def draw(rng, size):
         residual, candidates = null(code, rng)
-        found = [
+        evidence = [
             compute_evidence(residual + size * each[:, 0], each, np.array([sign]), ClusterSums(code), least[:1]).p
             for each in np.split(candidates, 20, axis=1)
         ]
-        return np.concatenate(found)
+        return np.concatenate(evidence)
 
     assert share_below(LEVEL, lambda rng: draw(rng, true), 50) < 1.4 * LEVEL
     assert share_below(LEVEL, lambda rng: draw(rng, 0.0), 20) < 0.2 * LEVEL
@@ -160,9 +160,11 @@ def test_distortion_widens_interval_without_changing_probability(rng):
 
 def test_zero_candidate_has_no_evidence():
     code = days(10)
-    found = compute_evidence(np.random.default_rng(2).normal(size=200), np.zeros((200, 1)), EITHER, ClusterSums(code))
-    assert found.coefficient[0] == 0.0
-    assert found.p[0] == pytest.approx(1.0)
+    evidence = compute_evidence(
+        np.random.default_rng(2).normal(size=200), np.zeros((200, 1)), EITHER, ClusterSums(code)
+    )
+    assert evidence.coefficient[0] == 0.0
+    assert evidence.p[0] == pytest.approx(1.0)
 
 
 @given(st.integers(0, 2**32), st.floats(1e-3, 1e3), st.floats(1e-3, 1e3))
@@ -171,12 +173,12 @@ def test_evidence_does_not_depend_on_units_or_row_order(seed, one, other):
     code = days(12, 5)
     residual, candidates = null(code, rng, 3)
     sign = np.array([0, 1, -1])
-    found = compute_evidence(residual, candidates, sign, ClusterSums(code))
+    evidence = compute_evidence(residual, candidates, sign, ClusterSums(code))
     order = rng.permutation(len(code))
     moved = compute_evidence(one * residual[order], other * candidates[order], sign, ClusterSums(code[order]))
-    np.testing.assert_allclose(moved.z, found.z, rtol=1e-8)
-    np.testing.assert_allclose(moved.p, found.p, rtol=1e-8)
-    np.testing.assert_allclose(moved.coefficient, found.coefficient * one / other, rtol=1e-8)
+    np.testing.assert_allclose(moved.z, evidence.z, rtol=1e-8)
+    np.testing.assert_allclose(moved.p, evidence.p, rtol=1e-8)
+    np.testing.assert_allclose(moved.coefficient, evidence.coefficient * one / other, rtol=1e-8)
     assert isinstance(moved, Evidence)
 
 

@@ -1,4 +1,4 @@
-"""The search: what was planted is named, beside decoys that are not; stand-ins go again; what is alike is one group."""
+"""Test forward selection: planted effects are selected without decoys, proxies dropped, similar effects grouped."""
 
 from dataclasses import replace
 
@@ -21,26 +21,26 @@ LEAST_GAIN = 0.002
 
 
 def search(shares, *names, most=6, least_gain=LEAST_GAIN, seed=1, twin=0.0, **errors) -> ForwardSelection:
-    """Return a search that has not begun; `twin` adds a candidate that is the first with so much of another one."""
+    """Return a selection before its first step; `twin` adds a copy of the first candidate with this share of noise."""
     windows, model = gather_with_model(make_tables(make_windows(), shares, seed=seed, **({"of_day": 0.02} | errors)))
-    base, asked = BaseProjection(windows, model), build_candidates(windows, model)
-    asked = keep_only(asked, *names) if names else asked
+    base, candidates = BaseProjection(windows, model), build_candidates(windows, model)
+    candidates = keep_only(candidates, *names) if names else candidates
     clusters = [ClusterSums(base.windows.day), ClusterSums(base.windows.date)]
     return ForwardSelection(
-        base, with_twin(asked, twin) if twin else asked, clusters, SelectionSettings(least_gain, most, 0)
+        base, with_twin(candidates, twin) if twin else candidates, clusters, SelectionSettings(least_gain, most, 0)
     )
 
 
-def with_twin(asked: Candidates, other: float) -> Candidates:
-    first, size = asked.columns[:, 0], np.std(asked.columns[:, 0])
+def with_twin(candidates: Candidates, other: float) -> Candidates:
+    first, size = candidates.columns[:, 0], np.std(candidates.columns[:, 0])
     twin = first + other * size * np.random.default_rng(3).normal(size=len(first))
     return replace(
-        asked,
-        variants=(*asked.variants, "twin"),
-        effects=np.r_[asked.effects, len(asked.names)],
-        names=(*asked.names, "twin"),
-        sign=np.r_[asked.sign, asked.sign[0]],
-        columns=np.column_stack([asked.columns, twin]),
+        candidates,
+        variants=(*candidates.variants, "twin"),
+        effects=np.r_[candidates.effects, len(candidates.names)],
+        names=(*candidates.names, "twin"),
+        sign=np.r_[candidates.sign, candidates.sign[0]],
+        columns=np.column_stack([candidates.columns, twin]),
     )
 
 
@@ -52,10 +52,10 @@ def named(search: ForwardSelection) -> set[str]:
     "effect", ["cold_rolling", "headwind", "wet_road", "night_lights", "regen_full_battery", "cornering"]
 )
 def test_planted_effect_is_selected_without_decoys(effect):
-    found = search({effect: 0.06})
-    found.select_all()
-    assert named(found) == {effect}
-    (finding,) = found.list_missing_effects()
+    selection = search({effect: 0.06})
+    selection.select_all()
+    assert named(selection) == {effect}
+    (finding,) = selection.list_missing_effects()
     low, high = finding.evidence.compute_interval(0, 0.999)
     if "@" not in finding.selected.variant:
         assert low < compute_coefficients(make_windows(), {effect: 0.06})[effect] < high
@@ -66,18 +66,18 @@ def test_planted_effect_is_selected_without_decoys(effect):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_nothing_is_selected_without_planted_effect(seed):
-    found = search({}, seed=seed, of_day=0.03, of_ride=0.003)
-    found.select_all()
-    assert found.selected == found.list_missing_effects() == []
+    selection = search({}, seed=seed, of_day=0.03, of_ride=0.003)
+    selection.select_all()
+    assert selection.selected == selection.list_missing_effects() == []
 
 
 @pytest.mark.parametrize(
     "pair", [("headwind", "cold_rolling"), ("wet_road", "night_lights"), ("regen_full_battery", "cornering")]
 )
 def test_two_planted_effects_are_selected_or_grouped_by_gain(pair):
-    found = search(dict.fromkeys(pair, 0.05), of_day=0.01)
-    found.select_all()
-    findings = found.list_missing_effects()
+    selection = search(dict.fromkeys(pair, 0.05), of_day=0.01)
+    selection.select_all()
+    findings = selection.list_missing_effects()
     groups = [{each.selected.effect, *(name for name, _ in each.rivals)} for each in findings]
     assert len(findings) == 2
     assert all(any(effect in group for group in groups) for effect in pair)
@@ -86,57 +86,59 @@ def test_two_planted_effects_are_selected_or_grouped_by_gain(pair):
 
 
 def test_proxy_is_dropped_when_its_cause_is_selected():
-    found = search({"cold_rolling": 0.08}, "cold_rolling", "air_density", "headwind")
-    at = found.candidates.variants.index
-    found.select(SelectedEffect(found.candidates, at("air_density"), 0.0))
-    assert named(found) == {"air_density"}
-    found.select(SelectedEffect(found.candidates, at("cold_rolling"), 0.0))
-    assert named(found) == {"cold_rolling"}
-    assert not found.is_new(SelectedEffect(found.candidates, at("air_density"), 0.0))
-    assert found.is_new(SelectedEffect(found.candidates, at("headwind"), 0.0))
-    found.select_all()
-    assert named(found) == {"cold_rolling"}
+    selection = search({"cold_rolling": 0.08}, "cold_rolling", "air_density", "headwind")
+    at = selection.candidates.variants.index
+    selection.select(SelectedEffect(selection.candidates, at("air_density"), 0.0))
+    assert named(selection) == {"air_density"}
+    selection.select(SelectedEffect(selection.candidates, at("cold_rolling"), 0.0))
+    assert named(selection) == {"cold_rolling"}
+    assert not selection.is_new(SelectedEffect(selection.candidates, at("air_density"), 0.0))
+    assert selection.is_new(SelectedEffect(selection.candidates, at("headwind"), 0.0))
+    selection.select_all()
+    assert named(selection) == {"cold_rolling"}
 
 
 def test_significant_effect_stays_beside_another():
-    found = search({"cold_rolling": 0.06, "headwind": 0.05}, "cold_rolling", "headwind")
+    selection = search({"cold_rolling": 0.06, "headwind": 0.05}, "cold_rolling", "headwind")
     for variant in ("headwind", "cold_rolling"):
-        found.select(SelectedEffect(found.candidates, found.candidates.variants.index(variant), 0.0))
-    assert named(found) == {"cold_rolling", "headwind"}
-    assert not found.dropped
+        selection.select(SelectedEffect(selection.candidates, selection.candidates.variants.index(variant), 0.0))
+    assert named(selection) == {"cold_rolling", "headwind"}
+    assert not selection.dropped
 
 
 @pytest.mark.parametrize("effect", ["night_lights", "headwind"])
 def test_nearly_identical_effects_form_one_group(effect):
-    found = search({effect: 0.06}, effect, "cold_rolling", "wet_road", twin=0.02)
-    found.select_all()
-    assert len(found.selected) == 1
-    (finding,) = found.list_missing_effects()
+    selection = search({effect: 0.06}, effect, "cold_rolling", "wet_road", twin=0.02)
+    selection.select_all()
+    assert len(selection.selected) == 1
+    (finding,) = selection.list_missing_effects()
     assert {finding.selected.effect, *(name for name, _ in finding.rivals)} == {effect, "twin"}
     assert finding.rivals[0][1] > 0.95
 
 
 def test_moderately_correlated_effects_are_distinguished():
-    found = search({"night_lights": 0.08}, "night_lights", "cold_rolling", twin=0.5)
-    found.select_all()
-    (finding,) = found.list_missing_effects()
+    selection = search({"night_lights": 0.08}, "night_lights", "cold_rolling", twin=0.5)
+    selection.select_all()
+    (finding,) = selection.list_missing_effects()
     assert finding.selected.effect == "night_lights"
     assert finding.rivals == []
 
 
 class TestInexactRivals:
-    """What rests on forces may be the cause although it explains less, as it is known less exactly."""
+    """An effect that depends on forces is known less exactly, so it may be the cause although it explains less."""
 
     def rivals(self, true: float, blur: float) -> set[str]:
-        found = search({"cold_rolling": 0.08}, "cold_rolling", "cold_regen_limit")
-        first = np.flatnonzero(found.candidates.effects == 0)
-        column = found.candidates.columns[:, first[0]]
+        selection = search({"cold_rolling": 0.08}, "cold_rolling", "cold_regen_limit")
+        first = np.flatnonzero(selection.candidates.effects == 0)
+        column = selection.candidates.columns[:, first[0]]
         noise = np.random.default_rng(5).normal(size=len(column)) * np.std(column)
-        made = np.where((found.candidates.effects == 1)[np.newaxis], (true * column + blur * noise)[:, np.newaxis], 0.0)
-        columns = np.where(found.candidates.effects == 1, made, found.candidates.columns)
-        found.candidates = replace(found.candidates, columns=columns)
-        found.select_all()
-        (finding,) = found.list_missing_effects()
+        made = np.where(
+            (selection.candidates.effects == 1)[np.newaxis], (true * column + blur * noise)[:, np.newaxis], 0.0
+        )
+        columns = np.where(selection.candidates.effects == 1, made, selection.candidates.columns)
+        selection.candidates = replace(selection.candidates, columns=columns)
+        selection.select_all()
+        (finding,) = selection.list_missing_effects()
         assert finding.selected.effect == "cold_rolling"
         return {name for name, _ in finding.rivals}
 
@@ -158,54 +160,56 @@ def test_selection_respects_maximum_number_and_least_gain():
 
 
 def test_effect_is_selected_once():
-    found = search({"cold_rolling@reference=283.15": 0.08}, "cold_rolling")
-    found.select_all()
-    assert len(found.selected) == 1
-    again = SelectedEffect(found.candidates, found.candidates.variants.index("cold_rolling@reference=298.15"), 0.0)
-    assert not found.is_new(again)
-    elsewhere = found.candidates.restrict_to(found.base.windows.vehicle == 0, ("vehicle=taxi-0",))
-    assert found.is_new(SelectedEffect(elsewhere, 0, 0.0))
+    selection = search({"cold_rolling@reference=283.15": 0.08}, "cold_rolling")
+    selection.select_all()
+    assert len(selection.selected) == 1
+    again = SelectedEffect(
+        selection.candidates, selection.candidates.variants.index("cold_rolling@reference=298.15"), 0.0
+    )
+    assert not selection.is_new(again)
+    elsewhere = selection.candidates.restrict_to(selection.base.windows.vehicle == 0, ("vehicle=taxi-0",))
+    assert selection.is_new(SelectedEffect(elsewhere, 0, 0.0))
 
 
 def test_selected_effects_are_projected_off_residual():
-    found = search({"headwind": 0.05}, "headwind")
-    before = found.compute_residual(found.build_basis())
-    np.testing.assert_array_equal(before, found.base.residual)
-    found.select_all()
-    off = found.build_basis()
-    after = found.compute_residual(off)
+    selection = search({"headwind": 0.05}, "headwind")
+    before = selection.compute_residual(selection.build_basis())
+    np.testing.assert_array_equal(before, selection.base.residual)
+    selection.select_all()
+    off = selection.build_basis()
+    after = selection.compute_residual(off)
     assert off.shape == (len(before), 1)
     np.testing.assert_allclose(off.T @ after, 0.0, atol=1e-9)
-    before = found.base.residual  # weights are found anew beside what is named
+    before = selection.base.residual  # weights are found anew beside what is named
     assert after @ after < 0.7 * before @ before
     np.testing.assert_array_equal(
-        found.compute_residual(found.build_basis(without=found.selected[0])), found.base.residual
+        selection.compute_residual(selection.build_basis(without=selection.selected[0])), selection.base.residual
     )
 
 
 def test_held_out_residual_uses_coefficients_of_other_folds():
-    found = search({"headwind": 0.05}, "headwind")
-    np.testing.assert_array_equal(found.compute_held_out_residual(found.build_basis()), found.base.residual)
-    found.select_all()
-    off = found.build_basis()
-    left = found.compute_held_out_residual(off)
-    fold = found.clusters[0].assign_folds(0)[found.clusters[0].code]
+    selection = search({"headwind": 0.05}, "headwind")
+    np.testing.assert_array_equal(selection.compute_held_out_residual(selection.build_basis()), selection.base.residual)
+    selection.select_all()
+    off = selection.build_basis()
+    left = selection.compute_held_out_residual(off)
+    fold = selection.clusters[0].assign_folds(0)[selection.clusters[0].code]
     for k in range(int(fold.max()) + 1):
         here = fold == k
-        fitted = np.linalg.lstsq(off[~here], found.base.residual[~here], rcond=None)[0]
-        np.testing.assert_allclose(left[here], (found.base.residual - off @ fitted)[here], atol=1e-9)
-    assert left @ left > found.compute_residual(off) @ found.compute_residual(off)
+        fitted = np.linalg.lstsq(off[~here], selection.base.residual[~here], rcond=None)[0]
+        np.testing.assert_allclose(left[here], (selection.base.residual - off @ fitted)[here], atol=1e-9)
+    assert left @ left > selection.compute_residual(off) @ selection.compute_residual(off)
 
 
 def test_selection_is_reproducible():
     findings = []
     for _ in range(2):
-        found = search({"cold_rolling": 0.05, "headwind": 0.05})
-        found.select_all()
+        selection = search({"cold_rolling": 0.05, "headwind": 0.05})
+        selection.select_all()
         findings.append(
             [
                 (each.selected.variant, each.gain, each.evidence.p[0], each.rivals)
-                for each in found.list_missing_effects()
+                for each in selection.list_missing_effects()
             ]
         )
     assert findings[0] == findings[1]

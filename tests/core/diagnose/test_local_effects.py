@@ -1,4 +1,4 @@
-"""Places: an effect of one car, or from a date on, is named where it is and nowhere else."""
+"""Test local effects: an effect of one car or since a date is selected within its scope only."""
 
 import numpy as np
 import pandas as pd
@@ -17,84 +17,84 @@ SINCE = "since=2018-06-05"
 CAR = "vehicle=taxi-1"
 
 
-def looked(shares, *, cars=4, **errors) -> ForwardSelection:
-    """Return a search that has named what holds everywhere, and then what holds in places."""
+def select_everywhere_and_locally(shares, *, cars=4, **errors) -> ForwardSelection:
+    """Return a selection of effects that hold everywhere, and then of effects within scopes."""
     windows, model = gather_with_model(make_tables(make_windows(cars), shares, **({"of_day": 0.01} | errors)))
     clusters = [ClusterSums(windows.day), ClusterSums(windows.date)]
-    found = ForwardSelection(
+    selection = ForwardSelection(
         BaseProjection(windows, model), build_candidates(windows, model), clusters, SelectionSettings(0.002, 6, 0)
     )
-    found.select_all()
-    select_local_effects(found, keep_declared_values(build_candidates(windows, model, scopes=True)))
-    return found
+    selection.select_all()
+    select_local_effects(selection, keep_declared_values(build_candidates(windows, model, scopes=True)))
+    return selection
 
 
 def drives_late(date: str) -> int:
-    """Return how many days of driving a date is late, of those that an effect acts since `SINCE`."""
+    """Return the number of driving days by which a date is later than `SINCE`."""
     days = np.unique(make_windows()["date"])
     first = np.searchsorted(days, SINCE.removeprefix("since="))
     return int(np.searchsorted(days, date.removeprefix("since=")) - first)
 
 
-def named(found: ForwardSelection) -> list[tuple[str, tuple[str, ...]]]:
-    return [(each.effect, each.candidates.scope) for each in found.selected]
+def named(selection: ForwardSelection) -> list[tuple[str, tuple[str, ...]]]:
+    return [(each.effect, each.candidates.scope) for each in selection.selected]
 
 
 @pytest.mark.parametrize("effect", ["cornering", "night_lights", "headwind"])
 def test_effect_of_one_car_is_selected_for_that_car_only(effect):
-    found = looked({f"{effect} {CAR}": 0.05})
-    assert named(found) == [(effect, (CAR,))]
-    (finding,) = found.list_missing_effects()
+    selection = select_everywhere_and_locally({f"{effect} {CAR}": 0.05})
+    assert named(selection) == [(effect, (CAR,))]
+    (finding,) = selection.list_missing_effects()
     low, high = finding.evidence.compute_interval(0, 0.999)
     assert low < compute_coefficients(make_windows(), {f"{effect} {CAR}": 0.05})[f"{effect} {CAR}"] < high
 
 
 @pytest.mark.parametrize("effect", ["tyre_pressure", "standby", "roof_load"])
 def test_effect_that_began_is_selected_since_its_date(effect):
-    """Each is of a shape that the model has everywhere, and says nothing of what came later."""
-    found = looked({f"{effect} {SINCE}": 0.05})
-    (only,) = named(found)
+    """The model has a term of this shape everywhere, which must not exclude the effect within a scope."""
+    selection = select_everywhere_and_locally({f"{effect} {SINCE}": 0.05})
+    (only,) = named(selection)
     assert only[0] == effect
     (since,) = only[1]
     assert abs(drives_late(since)) <= 2
-    assert not found.candidates.excluded.get(effect)
+    assert not selection.candidates.excluded.get(effect)
 
 
 def test_effect_that_began_in_one_car_is_selected_with_car_and_date():
-    found = looked({f"roof_load {CAR} {SINCE}": 0.08}, of_day=0.005)
-    ((effect, (car, since)),) = named(found)
+    selection = select_everywhere_and_locally({f"roof_load {CAR} {SINCE}": 0.08}, of_day=0.005)
+    ((effect, (car, since)),) = named(selection)
     assert (effect, car) == ("roof_load", CAR)
     assert abs(drives_late(since)) <= 2
 
 
 def test_similar_effects_within_scope_form_one_group():
-    """Of one car, force and rolling differ by its passengers alone."""
-    found = looked({f"brake_drag {CAR} {SINCE}": 0.08}, of_day=0.005)
-    (finding,) = found.list_missing_effects()
+    """Within one car, a constant force and rolling resistance differ only by the number of passengers."""
+    selection = select_everywhere_and_locally({f"brake_drag {CAR} {SINCE}": 0.08}, of_day=0.005)
+    (finding,) = selection.list_missing_effects()
     assert {"brake_drag", "tyre_pressure"} <= {finding.selected.effect, *(name for name, _ in finding.rivals)}
 
 
 def test_single_car_has_only_date_scopes():
-    found = looked({f"tyre_pressure {SINCE}": 0.08}, cars=1)
-    assert all(each.car is None for each in list_scopes(found.base.windows))
-    ((effect, (since,)),) = named(found)
+    selection = select_everywhere_and_locally({f"tyre_pressure {SINCE}": 0.08}, cars=1)
+    assert all(each.car is None for each in list_scopes(selection.base.windows))
+    ((effect, (since,)),) = named(selection)
     assert effect == "tyre_pressure"
     assert abs(drives_late(since)) <= 2
 
 
 def test_effect_that_holds_everywhere_is_not_selected_within_scope():
-    found = looked({"headwind": 0.05, "night_lights": 0.04})
-    assert sorted(named(found)) == [("headwind", ()), ("night_lights", ())]
+    selection = select_everywhere_and_locally({"headwind": 0.05, "night_lights": 0.04})
+    assert sorted(named(selection)) == [("headwind", ()), ("night_lights", ())]
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_nothing_is_selected_within_scopes_without_planted_effect(seed):
-    assert named(looked({}, seed=seed, of_day=0.03, of_ride=0.002)) == []
+    assert named(select_everywhere_and_locally({}, seed=seed, of_day=0.03, of_ride=0.002)) == []
 
 
 def test_fleet_effect_and_local_effect_are_both_selected():
-    found = looked({"headwind": 0.04, f"night_lights {CAR}": 0.06})
-    assert set(named(found)) == {("headwind", ()), ("night_lights", (CAR,))}
+    selection = select_everywhere_and_locally({"headwind": 0.04, f"night_lights {CAR}": 0.06})
+    assert set(named(selection)) == {("headwind", ()), ("night_lights", (CAR,))}
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""The measurement's own noise: planted variances come back, gains are left out, outliers neither see nor are seen."""
+"""Test measurement noise: planted variances are recovered, gains are excluded, and outliers have no influence."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ def with_columns(windows, **columns):
 
 
 def parts(windows):
-    """Sizes that the error of a window may grow with. [kWh]"""
+    """Return the sizes with which the error of a window may grow. [kWh]"""
     table = windows.table
     rolling = (table["effect_rolling"] * table["rolling_resistance"]).to_numpy()
     return rolling, table["effect_inertia_positive"].to_numpy(), table["duration_s"].to_numpy() / 3.6e6
@@ -39,8 +39,8 @@ def test_measurement_variance_excludes_meter_gain(windows):
 
 def test_measurement_variance_of_soc_is_its_resolution_without_capacity_error(windows):
     energy = windows.measured
-    found = with_columns(windows, energy_vi_kwh=np.nan, energy_soc_sd_kwh=np.hypot(0.05, 0.15 * energy))
-    np.testing.assert_allclose(compute_measurement_variance(found), 0.05**2, rtol=1e-6)
+    result = with_columns(windows, energy_vi_kwh=np.nan, energy_soc_sd_kwh=np.hypot(0.05, 0.15 * energy))
+    np.testing.assert_allclose(compute_measurement_variance(result), 0.05**2, rtol=1e-6)
 
 
 def test_variance_is_never_negative(windows):
@@ -60,12 +60,12 @@ def test_planted_variance_is_recovered(windows, share):
     rolling, inertia, _ = parts(windows)
     planted = share[0] * METER_SD**2 + (share[1] * rolling) ** 2 + (share[2] * inertia) ** 2
     rng = np.random.default_rng(6)
-    found = np.mean(
+    result = np.mean(
         [estimate_window_variance(windows, rng.normal(0.0, 1.0, len(planted)) * np.sqrt(planted)) for _ in range(40)],
         axis=0,
     )
     plain = planted > 2.0 * LEAST_SHARE * np.median(planted)
-    ratio = found[plain] / planted[plain]
+    ratio = result[plain] / planted[plain]
     assert 0.7 < np.quantile(ratio, 0.05) <= np.quantile(ratio, 0.95) < 1.45
     assert np.median(ratio) == pytest.approx(1.0, abs=0.12)
 
@@ -73,8 +73,8 @@ def test_planted_variance_is_recovered(windows, share):
 def test_no_window_outweighs_all_others(windows):
     rolling, _, _ = parts(windows)
     residual = np.random.default_rng(7).normal(0.0, 1.0, len(rolling)) * rolling
-    found = estimate_window_variance(with_columns(windows, energy_vi_sd_kwh=0.0), residual)
-    assert found.min() > 0.5 * LEAST_SHARE * np.median(found)
+    result = estimate_window_variance(with_columns(windows, energy_vi_sd_kwh=0.0), residual)
+    assert result.min() > 0.5 * LEAST_SHARE * np.median(result)
 
 
 def test_doubled_residuals_have_fourfold_variance(windows):
@@ -93,26 +93,26 @@ def test_outliers_do_not_change_usual_variance(windows):
 
 
 def test_variance_is_positive_for_zero_residual(windows):
-    found = estimate_window_variance(windows, np.zeros(len(windows.measured)))
-    assert (found > 0.0).all()
-    assert np.isfinite(found).all()
+    result = estimate_window_variance(windows, np.zeros(len(windows.measured)))
+    assert (result > 0.0).all()
+    assert np.isfinite(result).all()
 
 
 @given(st.integers(0, 2**32), st.floats(1e-6, 1e6))
 def test_robust_weights_are_scale_free_and_decrease_with_residual(seed, scale):
     left = np.random.default_rng(seed).standard_t(2.0, 300)
-    found = compute_robust_weights(left)
-    np.testing.assert_allclose(compute_robust_weights(scale * left), found, rtol=1e-9)
-    np.testing.assert_array_equal(compute_robust_weights(-left), found)
-    assert ((found > 0.0) & (found <= 1.0)).all()
+    result = compute_robust_weights(left)
+    np.testing.assert_allclose(compute_robust_weights(scale * left), result, rtol=1e-9)
+    np.testing.assert_array_equal(compute_robust_weights(-left), result)
+    assert ((result > 0.0) & (result <= 1.0)).all()
     order = np.argsort(np.abs(left))
-    assert (np.diff(found[order]) <= 0.0).all()
-    far = found < 1.0
-    np.testing.assert_allclose(np.ptp((found * np.abs(left))[far]) if far.any() else 0.0, 0.0, atol=1e-9)
+    assert (np.diff(result[order]) <= 0.0).all()
+    far = result < 1.0
+    np.testing.assert_allclose(np.ptp((result * np.abs(left))[far]) if far.any() else 0.0, 0.0, atol=1e-9)
 
 
 def test_robust_weights_of_gaussian_errors_are_mostly_one():
-    found = compute_robust_weights(np.random.default_rng(10).normal(size=20_000))
-    assert 0.99 < np.mean(found == 1.0) < 1.0
+    result = compute_robust_weights(np.random.default_rng(10).normal(size=20_000))
+    assert 0.99 < np.mean(result == 1.0) < 1.0
     assert compute_robust_weights(np.r_[np.random.default_rng(11).normal(size=500), 300.0])[-1] < 0.02
     assert (compute_robust_weights(np.zeros(5)) == 1.0).all()

@@ -1,4 +1,4 @@
-"""What a model can take up by itself: projecting it off is refitting it, and correlation within rides is weighed."""
+"""Test projection: it equals refitting the model, and it accounts for correlation within rides."""
 
 import numpy as np
 import pandas as pd
@@ -21,7 +21,7 @@ def base(request):
 
 @pytest.fixture(scope="module")
 def plain():
-    """Without a curve: no column is shared among cars."""
+    """Return the projection for a model without accessory curve, in which cars share no column."""
     return project_base(make_tables(make_windows(), of_day=0.02, of_ride=0.002), "road_load_constant")
 
 
@@ -30,19 +30,19 @@ def candidate(base, name="cold_rolling"):
 
 
 def of_cars(base, columns):
-    """Columns of each car's own, zero elsewhere."""
+    """Return each column split by car, zero for other cars."""
     return np.column_stack([columns * (base.windows.vehicle == v)[:, np.newaxis] for v in range(len(base.cars))])
 
 
 def untaken(base, columns):
-    """Share of each column's size that is off the model."""
+    """Return the share of each column's size that is off the model."""
     return (base.project_out(columns) ** 2).sum(axis=0) / (base.apply_weights(columns) ** 2).sum(axis=0)
 
 
 @pytest.mark.parametrize(("cars", "recipe"), [(1, "road_load"), (1, "road_load_constant"), (3, "road_load_constant")])
 @pytest.mark.parametrize("name", ["cold_rolling", "headwind", "night_lights"])
 def test_projection_equals_refit(cars, recipe, name):
-    """Frisch, Waugh and Lovell: the coefficient beside the model, and what is left, are those of the whole fit."""
+    """By Frisch, Waugh and Lovell, the coefficient and the residual are those of the whole fit."""
     base = project_base(make_tables(make_windows(cars=cars), {name: 0.05}, of_ride=0.003), recipe)
     assert base.ride_correlation != 0.0
     column = candidate(base, name)
@@ -89,10 +89,10 @@ def test_accessory_curve_explains_any_smooth_function_of_temperature():
 
 
 def test_accessory_curve_of_model_is_projected_to_zero():
-    found, model = gather_with_model(make_tables(make_windows()))
+    result, model = gather_with_model(make_tables(make_windows()))
     fit = next(iter(model.fits.values()))
-    base = BaseProjection(found, model)
-    curve = Columns(found.table, fit.fills, fit.curve)[ACCESSORIES_COLUMN]
+    base = BaseProjection(result, model)
+    curve = Columns(result.table, fit.fills, fit.curve)[ACCESSORIES_COLUMN]
     assert untaken(base, curve[:, np.newaxis])[0] < 1e-9
 
 

@@ -1,4 +1,4 @@
-"""Ranking by held-out days: chance gains nothing, a forbidden sign counts nothing, the planted variant is the best."""
+"""Test ranking by held-out days: chance gains nothing, forbidden signs do not count, the planted variant is best."""
 
 import numpy as np
 import pytest
@@ -33,11 +33,11 @@ def ranked(shares, *names, recipe="road_load", **errors) -> Ranking:
 
 def of_tables(tables, *names, recipe="road_load") -> Ranking:
     windows, model = gather_with_model(tables, recipe)
-    base, asked = BaseProjection(windows, model), build_candidates(windows, model)
+    base, candidates = BaseProjection(windows, model), build_candidates(windows, model)
     clusters = [ClusterSums(windows.day), ClusterSums(windows.date)]
     nothing = np.empty((len(base.residual), 0))
     space = ResidualSpace(base, nothing, base.residual)
-    return rank_candidates(space, keep_only(asked, *names) if names else asked, clusters, 0)
+    return rank_candidates(space, keep_only(candidates, *names) if names else candidates, clusters, 0)
 
 
 class TestHeldOut:
@@ -45,7 +45,7 @@ class TestHeldOut:
         clusters = days(23, 7)
         residual, columns = rng.normal(size=161), rng.normal(size=(161, 3))
         sign = np.array([0, 1, -1])
-        found = compute_held_out_gains(residual, columns, sign, clusters, 5)
+        ranking = compute_held_out_gains(residual, columns, sign, clusters, 5)
         fold = clusters.assign_folds(5)[clusters.code]
         expected = np.zeros((161, 3))
         for k in np.unique(fold):
@@ -55,7 +55,7 @@ class TestHeldOut:
                 fitted = 0.0 if sign[at] * fitted < 0.0 else fitted
                 expected[here, at] = residual[here] ** 2 - (residual[here] - fitted * columns[here, at]) ** 2
         expected = clusters.sum_by_cluster(expected) / (residual @ residual)
-        np.testing.assert_allclose(found, expected, atol=1e-12)
+        np.testing.assert_allclose(ranking, expected, atol=1e-12)
 
     def test_chance_gains_nothing(self):
         gains = []
@@ -97,26 +97,26 @@ class TestRank:
         "variant", ["cold_rolling@reference=283.15", "wet_road@depth=0.0001", "regen_full_battery@threshold=0.8"]
     )
     def test_planted_variant_is_best(self, variant):
-        found = ranked({variant: 0.08}, variant.split("@")[0], "headwind", of_day=0.0)
-        assert found.candidates.variants[found.best[0]] == variant
-        assert found.q[0] < LEVEL
-        assert found.list_significant() == [found.best[0]]
+        ranking = ranked({variant: 0.08}, variant.split("@")[0], "headwind", of_day=0.0)
+        assert ranking.candidates.variants[ranking.best[0]] == variant
+        assert ranking.q[0] < LEVEL
+        assert ranking.list_significant() == [ranking.best[0]]
 
     def test_significant_effects_are_ordered_by_probability(self):
-        found = ranked({"headwind": 0.05, "night_lights": 0.05})
-        names = [found.candidates.variants[v] for v in found.list_significant()]
+        ranking = ranked({"headwind": 0.05, "night_lights": 0.05})
+        names = [ranking.candidates.variants[v] for v in ranking.list_significant()]
         assert {"headwind", "night_lights"} <= set(names)
-        p = [found.evidence.p[v] for v in found.list_significant()]
+        p = [ranking.evidence.p[v] for v in ranking.list_significant()]
         assert p == sorted(p)
-        assert all(found.compute_gain(v)[0] > 0.05 for v in found.list_significant()[:2])
+        assert all(ranking.compute_gain(v)[0] > 0.05 for v in ranking.list_significant()[:2])
 
     def test_effect_within_model_is_not_identifiable(self):
-        found = ranked({}, "standby", "headwind", recipe="road_load_constant")
-        assert found.best[0] == -1
-        assert np.isnan(found.q[0])
-        assert found.left[0] < 1e-6
-        assert found.best[1] >= 0
-        assert 0.0 <= found.q[1] <= 1.0
+        ranking = ranked({}, "standby", "headwind", recipe="road_load_constant")
+        assert ranking.best[0] == -1
+        assert np.isnan(ranking.q[0])
+        assert ranking.left[0] < 1e-6
+        assert ranking.best[1] >= 0
+        assert 0.0 <= ranking.q[1] <= 1.0
 
     def test_nothing_is_significant_without_planted_effect(self):
         """At a level of one in a hundred, one of six data sets may pass."""
@@ -125,17 +125,17 @@ class TestRank:
 
     def test_selected_effect_is_projected_off_candidates(self):
         windows, model = gather_with_model(make_tables(make_windows(), {"headwind": 0.05}))
-        base, asked = (
+        base, candidates = (
             BaseProjection(windows, model),
             keep_only(build_candidates(windows, model), "headwind", "cold_rolling"),
         )
-        off = base.project_out(asked.columns[:, :1])
+        off = base.project_out(candidates.columns[:, :1])
         off /= np.sqrt((off**2).sum())
         left = base.residual - off @ (off.T @ base.residual)
         space = ResidualSpace(base, off, left)
-        found = rank_candidates(space, asked, [ClusterSums(base.windows.day)], 0)
-        assert found.best[0] == -1
-        assert np.abs(off.T @ found.projected[:, 1:]).max() < 1e-6
+        ranking = rank_candidates(space, candidates, [ClusterSums(base.windows.day)], 0)
+        assert ranking.best[0] == -1
+        assert np.abs(off.T @ ranking.projected[:, 1:]).max() < 1e-6
 
 
 class TestSimes:
@@ -152,10 +152,10 @@ class TestSimes:
 @given(st.integers(0, 2**32), st.floats(-10.0, 10.0).filter(lambda x: abs(x) > 1e-3))
 def test_correlation_is_a_cosine(seed, scale):
     one, other = np.random.default_rng(seed).normal(size=(2, 30))
-    found = compute_correlation(one, other)
-    assert -1.0 <= found <= 1.0
-    assert found == pytest.approx(compute_correlation(other, one))
-    assert compute_correlation(scale * one, other) == pytest.approx(np.sign(scale) * found)
+    ranking = compute_correlation(one, other)
+    assert -1.0 <= ranking <= 1.0
+    assert ranking == pytest.approx(compute_correlation(other, one))
+    assert compute_correlation(scale * one, other) == pytest.approx(np.sign(scale) * ranking)
     assert compute_correlation(one, one) == pytest.approx(1.0)
     assert compute_correlation(one, np.zeros(30)) == 0.0
 

@@ -1,12 +1,12 @@
-"""What diagnosis says of two real cars whose model knows nothing of heating, held against their measured climate power.
+"""Test the diagnosis of two real cars with a model without heating, against their measured climate power.
 
-The model is road load and constant auxiliaries, fitted to windows. The climate power that both cars measured is kept
-out of the messages that are diagnosed, and only judges what was found. It is one car each, of few days: a BMW i3 of 31
-drives on 17 dates, half of them in a mild winter and half in a summer with air conditioning, and a Nissan Leaf of 135
-on 90.
+The model is road load and constant auxiliaries, fitted to windows. The climate power that both cars measured is removed
+from the diagnosed messages and only serves to check the result. Each data set is of one car on few days: a BMW i3 with
+31 drives on 17 dates, half of them in a mild winter and half in a summer with air conditioning, and a Nissan Leaf with
+135 drives on 90 dates.
 
-Two leaks, known: the reference accessory curve and the i3's `accessory_scale` were once set on the measured climate
-power of these very drives. `road_load_constant` reads neither, nor does any effect that is named here.
+Two dependencies are known: the reference accessory curve and the `accessory_scale` of the i3 were once adjusted to the
+measured climate power of these same drives. `road_load_constant` uses neither, nor does any effect that is tested here.
 """
 
 from functools import cache
@@ -52,19 +52,19 @@ class Tables(NamedTuple):
     windows: pd.DataFrame
 
 
-class Found(NamedTuple):
-    """What is known of a car: without and with its climate power, the model, the diagnosis, what is looked at."""
+class DiagnosedCar(NamedTuple):
+    """Tables of a car without and with its climate power, the model, the diagnosis, and the best effect."""
 
     blind: Tables
     seeing: Tables
     model: LinearModel
-    told: dict[str, Any]
+    diagnosis: dict[str, Any]
     first: str
 
 
 @cache
-def found(car: str) -> Found:
-    """Import a car's drives and diagnose them, without their climate power."""
+def diagnose_car(car: str) -> DiagnosedCar:
+    """Import the drives of a car and diagnose them without their climate power."""
     if car == "ved":
         drives, settings = collect_drives([DATA / "ved_ev"], DATA_SETS["ved"]), None
     else:
@@ -74,13 +74,13 @@ def found(car: str) -> Found:
     ]
     blind, seeing = (tables(each, settings or Settings()) for each in (withheld, drives))
     model = fit_to_windows(RECIPE, *blind)
-    told = diagnose(*blind, model)
-    best = told["missing"][0] if told["missing"] else told["candidates"][0]
-    return Found(blind, seeing, model, told, best["variant"])
+    diagnosis = diagnose(*blind, model)
+    best = diagnosis["missing"][0] if diagnosis["missing"] else diagnosis["candidates"][0]
+    return DiagnosedCar(blind, seeing, model, diagnosis, best["variant"])
 
 
 def tables(drives, settings: Settings) -> Tables:
-    """Return what `socast tables` makes of drives."""
+    """Return the ride and window tables of drives, as `socast tables` makes them."""
     pipeline = Pipeline(settings=settings, also=list(effects.list_tabulated()), keep_forecasts=False)
     pipeline.push(make_messages(drives, PERIOD))
     pipeline.finish()
@@ -88,39 +88,41 @@ def tables(drives, settings: Settings) -> Tables:
 
 
 def change(car: str) -> TermAddition:
-    """Return what is added to the model."""
-    first = found(car).first
+    """Return the addition of the best effect to the model."""
+    first = diagnose_car(car).first
     return TermAddition(
-        found(car).model.terms, (), build_effect_term(found(car).model, first, build_term_columns(first, ()))
+        diagnose_car(car).model.terms,
+        (),
+        build_effect_term(diagnose_car(car).model, first, build_term_columns(first, ())),
     )
 
 
 def fall(car: str) -> float:
-    """Return the fall of the error of rides, each predicted by models fitted without its day."""
-    rides = group_rows_by_ride(join_tables(*found(car).blind))
+    """Return the relative fall of the error of rides, each predicted by models fitted without its day."""
+    rides = group_rows_by_ride(join_tables(*diagnose_car(car).blind))
     days = np.array(rides.dates)
     before, after = predict_held_out(change(car), rides, [days == day for day in sorted(set(days))])
     measured = rides.table["measured"].to_numpy()
-    error, left = (float(np.abs(told - measured).mean()) for told in (before, after))
-    print(f"{car}: {found(car).first}: {error:.4f} -> {left:.4f} kWh a ride, {1 - left / error:.1%} less")
+    error, left = (float(np.abs(predicted - measured).mean()) for predicted in (before, after))
+    print(f"{car}: {diagnose_car(car).first}: {error:.4f} -> {left:.4f} kWh a ride, {1 - left / error:.1%} less")
     return 1.0 - left / error
 
 
 def climate(car: str) -> tuple[float, float]:
-    """Return the climate energy of cold rides over the measured one: of the effect, and with the constant's part of it.
+    """Return the modelled over the measured climate energy of cold rides, without and with the constant's part.
 
-    Constant auxiliaries take what is alike in all rides, some heating too. How much it is, only the measured climate
-    power tells: it is the constant above that of a road load fitted to the energy less the climate's.
+    Constant auxiliaries include the heating that is equal in all rides. Only the measured climate power determines this
+    part: it is the constant less that of a road load fitted to the energy without the climate energy.
     """
-    told = found(car)
-    made = refit_with(change(car), join_tables(*told.blind))
+    diagnosed = diagnose_car(car)
+    made = refit_with(change(car), join_tables(*diagnosed.blind))
     *_, constant, coefficient = made.after.fits[ANY].coefficients
-    rows = join_tables(*told.seeing)
+    rows = join_tables(*diagnosed.seeing)
     rows = rows.loc[rows["hvac_kwh"].notna()].reset_index(drop=True)
-    less = refit(told.model.terms, rows.assign(energy_kwh=rows["energy_kwh"] - rows["hvac_kwh"]))
+    less = refit(diagnosed.model.terms, rows.assign(energy_kwh=rows["energy_kwh"] - rows["hvac_kwh"]))
     cold = rows.loc[rows["ambient_c"] < COLD_C]
     measured = float(cold["hvac_kwh"].sum())
-    effect = coefficient * float(cold[f"{EFFECT_PREFIX}{told.first}"].sum())
+    effect = coefficient * float(cold[f"{EFFECT_PREFIX}{diagnosed.first}"].sum())
     above = constant - less.fits[ANY].coefficients[-1]
     whole = effect + above * float(cold["effect_auxiliary"].sum())
     print(
@@ -131,37 +133,37 @@ def climate(car: str) -> tuple[float, float]:
 
 @BOTH
 def test_diagnosis_does_not_use_measured_climate_power(car):
-    blind, seeing = found(car).blind, found(car).seeing
+    blind, seeing = diagnose_car(car).blind, diagnose_car(car).seeing
     for one, other in zip(blind, seeing, strict=True):
         assert one["hvac_kwh"].isna().all()
         assert other["hvac_kwh"].notna().any()
         read = [name for name in one if name != "hvac_kwh" and not name.startswith("quality_")]
         pd.testing.assert_frame_equal(one[read], other[read])
     assert not [name for name in effects.list_tabulated() if "hvac" in effects.get(name).arguments]
-    assert not [term for term in found(car).model.terms if "accessor" in " ".join(term.columns)]
+    assert not [term for term in diagnose_car(car).model.terms if "accessor" in " ".join(term.columns)]
 
 
 def test_diagnosis_of_leaf_ranks_cabin_heating_first():
-    told = found("ved").told
-    assert "cabin_heating" in told["missing"][0]["group"]
-    assert told["verdict"] == told["missing"][0]["effect"]
-    assert told["missing"][0]["coefficient"]["plausible"]
-    assert told["missing"][0]["q"] < 0.01
+    diagnosis = diagnose_car("ved").diagnosis
+    assert "cabin_heating" in diagnosis["missing"][0]["group"]
+    assert diagnosis["verdict"] == diagnosis["missing"][0]["effect"]
+    assert diagnosis["missing"][0]["coefficient"]["plausible"]
+    assert diagnosis["missing"][0]["q"] < 0.01
 
 
 def test_diagnosis_of_i3_ranks_cabin_heat_first():
-    """The first name is warming up after parking, in a group that holds heating by temperature, which is the goal.
+    """The best effect is warming up after parking, in a group with heating by temperature, which is the goal.
 
-    The heater was measured at 3.9 kW over the first five minutes, 1.5 kW over the next, then 1.2 kW, at 3 to 9 °C
-    outside. On 17 dates of one car the two, and doors, cannot be told apart.
+    The heater took 3.9 kW over the first five minutes, 1.5 kW over the next five, then 1.2 kW, as measured at 3
+    to 9 °C outside. With 17 dates of one car, these two effects and door heat loss are not distinguishable.
     """
-    told = found("bmw-i3").told
-    best = sorted((row for row in told["candidates"] if row["gain"]), key=lambda row: -row["gain"])[:3]
+    diagnosis = diagnose_car("bmw-i3").diagnosis
+    best = sorted((row for row in diagnosis["candidates"] if row["gain"]), key=lambda row: -row["gain"])[:3]
     assert {row["effect"] for row in best} == CABIN
     assert all(row["p"] < 0.02 for row in best)
     assert min(row["p"] for row in best) < 0.002
-    assert "cabin_heating" in told["missing"][0]["group"]
-    assert told["verdict"] == told["missing"][0]["effect"]
+    assert "cabin_heating" in diagnosis["missing"][0]["group"]
+    assert diagnosis["verdict"] == diagnosis["missing"][0]["effect"]
 
 
 def test_error_of_held_out_rides_falls_for_leaf():
@@ -169,15 +171,19 @@ def test_error_of_held_out_rides_falls_for_leaf():
 
 
 def test_error_of_held_out_rides_falls_for_i3():
-    """By two fifths, with every day predicted without it; the goal is 45 %, and it is missed.
+    """The error falls by two fifths with every day predicted without it; the goal of 45 % is missed.
 
-    Taking off the measured climate energy itself, where there is any, lowers it by 59 %.
+    Subtracting the measured climate energy where it is known lowers the error by 59 %.
     """
     assert fall("bmw-i3") > 0.4
-    told = found("bmw-i3")
-    first = told.first
+    diagnosed = diagnose_car("bmw-i3")
+    first = diagnosed.first
     trial = add.add_effect(
-        told.model, first, build_term_columns(first, ()), join_tables(*told.blind), rides=told.blind.rides
+        diagnosed.model,
+        first,
+        build_term_columns(first, ()),
+        join_tables(*diagnosed.blind),
+        rides=diagnosed.blind.rides,
     ).trial
     assert trial["accepted"]
     assert trial["coefficient"]["plausible"]
@@ -186,7 +192,7 @@ def test_error_of_held_out_rides_falls_for_i3():
 
 @BOTH
 def test_energy_of_effect_matches_measured_climate_power(car):
-    """Within 25 %, with and without the part that the constant takes."""
+    """The energies agree within 25 %, without and with the part that the constant includes."""
     effect, whole = climate(car)
     assert 0.75 < effect < 1.25
     assert 0.75 < whole < 1.25

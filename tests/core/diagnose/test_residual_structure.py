@@ -1,4 +1,4 @@
-"""The gate of honesty: structure that no effect explains is noticed, and of none nothing is said."""
+"""Test residual structure: structure that no effect explains is detected, and noise has none."""
 
 import numpy as np
 import pytest
@@ -21,24 +21,24 @@ from core.diagnose.residual_structure import (
 from tests.support.synthetic_windows import gather_with_model, make_tables, make_windows
 
 
-def searched(tables, *effects: str) -> ForwardSelection:
-    """Return a search with those effects named."""
+def start_selection(tables, *effects: str) -> ForwardSelection:
+    """Return a selection with the given effects selected."""
     windows, model = gather_with_model(tables)
-    asked, clusters = build_candidates(windows, model), [ClusterSums(windows.day), ClusterSums(windows.date)]
-    found = ForwardSelection(BaseProjection(windows, model), asked, clusters, SelectionSettings(0.002, 6, 0))
-    found.selected = [SelectedEffect(asked, asked.variants.index(name), 0.0) for name in effects]
-    return found
+    candidates, clusters = build_candidates(windows, model), [ClusterSums(windows.day), ClusterSums(windows.date)]
+    selection = ForwardSelection(BaseProjection(windows, model), candidates, clusters, SelectionSettings(0.002, 6, 0))
+    selection.selected = [SelectedEffect(candidates, candidates.variants.index(name), 0.0) for name in effects]
+    return selection
 
 
-def looked(tables, *effects: str) -> ResidualStructure:
-    """Return what is left with those effects named."""
-    search = searched(tables, *effects)
+def measure_with_selected(tables, *effects: str) -> ResidualStructure:
+    """Return the residual structure with the given effects selected."""
+    search = start_selection(tables, *effects)
     with threadpool_limits(1):
         return measure_residual_structure(search, search.list_missing_effects())
 
 
 def outside(shape: str) -> np.ndarray:
-    """Return energy by a cause that is no effect of the library, some 6 % of all. [kWh]"""
+    """Return the energy of a cause outside the library, about 6 % of the total. [kWh]"""
     table = make_windows()
     rolling = (table["effect_rolling"] * table["rolling_resistance"]).to_numpy()
     hours = table["duration_s"].to_numpy() / 3600.0
@@ -53,23 +53,23 @@ def outside(shape: str) -> np.ndarray:
 
 @pytest.mark.parametrize("shape", ["crowded", "low battery", "gusty"])
 def test_planted_shape_outside_library_is_detected(shape):
-    found = looked(make_tables(make_windows(), unknown=outside(shape), of_day=0.01))
-    assert found.exists
-    assert found.q < 0.01
+    structure = measure_with_selected(make_tables(make_windows(), unknown=outside(shape), of_day=0.01))
+    assert structure.exists
+    assert structure.q < 0.01
     words = {"crowded": "occupants", "low battery": "soc_start_pct", "gusty": "wind_speed_kmh"}
-    assert words[shape] in found.shape
+    assert words[shape] in structure.shape
 
 
 def test_no_structure_without_unknown_cause():
-    """At a level of one in fifty, one of four data sets may pass."""
-    found = [looked(make_tables(make_windows(3, 16, seed=seed), seed=seed)) for seed in range(4)]
-    assert sum(each.exists for each in found) <= 1
-    assert np.median([each.after for each in found]) < 0.005
+    """One of four data sets may exceed a level of one in fifty."""
+    structures = [measure_with_selected(make_tables(make_windows(3, 16, seed=seed), seed=seed)) for seed in range(4)]
+    assert sum(each.exists for each in structures) <= 1
+    assert np.median([each.after for each in structures]) < 0.005
 
 
 def test_structure_disappears_with_its_effect():
     tables = make_tables(make_windows(), {"headwind": 0.0, "cold_rolling": 0.10}, of_day=0.01)
-    before, after = looked(tables), looked(tables, "cold_rolling")
+    before, after = measure_with_selected(tables), measure_with_selected(tables, "cold_rolling")
     assert before.exists
     assert before.before > 0.02
     assert after.before == before.before
@@ -79,9 +79,9 @@ def test_structure_disappears_with_its_effect():
 
 
 def test_wrong_effect_does_not_explain_structure():
-    found = looked(make_tables(make_windows(), {"cold_rolling": 0.10}, of_day=0.01), "night_lights")
-    assert found.exists
-    assert found.taken < 0.3
+    structure = measure_with_selected(make_tables(make_windows(), {"cold_rolling": 0.10}, of_day=0.01), "night_lights")
+    assert structure.exists
+    assert structure.taken < 0.3
 
 
 def test_trees_predict_feature_dependence_but_not_noise(rng):
@@ -100,7 +100,7 @@ def test_trees_predict_feature_dependence_but_not_noise(rng):
 
 
 def test_strongest_shape_is_off_model_and_selected_effects(rng):
-    search = searched(make_tables(make_windows()))
+    search = start_selection(make_tables(make_windows()))
     column = search.base.project_out(outside("crowded")[:, np.newaxis])
     nothing, named = np.empty((len(column), 0)), orthonormalise(column)
     noise = rng.normal(size=len(column))
@@ -114,23 +114,23 @@ def test_strongest_shape_is_off_model_and_selected_effects(rng):
 
 
 def test_excess_variance_between_days_is_detected():
-    """Whatever it was that some days had, and nothing that is known of them tells it."""
-    even, odd = (searched(make_tables(make_windows(), of_day=of_day)) for of_day in (0.0, 0.10))
+    """The cause of the difference between days is unknown, and no known property of the days predicts it."""
+    even, odd = (start_selection(make_tables(make_windows(), of_day=of_day)) for of_day in (0.0, 0.10))
     assert compute_day_variance_ratio(even, even.base.residual) < 1.4
     assert compute_day_variance_ratio(odd, odd.base.residual) > 2.0
-    assert looked(make_tables(make_windows(), of_day=0.10)).exists
+    assert measure_with_selected(make_tables(make_windows(), of_day=0.10)).exists
 
 
 def test_drawn_shapes_have_units_and_equal_lengths():
-    found = looked(make_tables(make_windows(), unknown=outside("crowded")))
+    structure = measure_with_selected(make_tables(make_windows(), unknown=outside("crowded")))
     units = dict(FEATURES)
-    assert {"ambient_c", "occupants", "average_speed_kmh"} <= {each["feature"] for each in found.shapes}
-    for each in found.shapes:
+    assert {"ambient_c", "occupants", "average_speed_kmh"} <= {each["feature"] for each in structure.shapes}
+    for each in structure.shapes:
         assert each["unit"] == units[each["feature"]]
         assert len(each["x"]) == len(each["y_kwh"]) >= 2
         assert each["x"] == sorted(each["x"])
         assert np.isfinite(each["y_kwh"]).all()
-    (crowd,) = (each for each in found.shapes if each["feature"] == "occupants")
+    (crowd,) = (each for each in structure.shapes if each["feature"] == "occupants")
     assert crowd["y_kwh"][-1] > max(crowd["y_kwh"][:-1]) > -0.01
 
 
@@ -157,6 +157,6 @@ def remaining(**changes) -> ResidualStructure:
     ],
 )
 def test_structure_exists_if_any_sign_is_significant(there, changes):
-    found = remaining(**changes)
-    assert found.exists is there
-    assert 0.0 <= found.taken <= 1.0
+    structure = remaining(**changes)
+    assert structure.exists is there
+    assert 0.0 <= structure.taken <= 1.0

@@ -1,4 +1,4 @@
-"""A diagnosis is told as a story and as a page; what is odd or missing in it breaks neither."""
+"""Test the report of a diagnosis in the terminal and as a page, also for odd or missing values."""
 
 import copy
 from io import StringIO
@@ -24,24 +24,27 @@ ODD = '<b>R&D\'s "best"</b> [red]model[/red] </script><script>alert(1)</script>'
 
 
 def printed(result, width=120, **more):
-    """Return what the terminal shows, in one line."""
+    """Return the terminal output in one line."""
     console = Console(width=width, file=StringIO(), color_system=None)
     report.show(result, console, **more)
     return " ".join(console.file.getvalue().split())
 
 
 def page(result, tmp_path, **more):
-    """Return what the page holds."""
+    """Return the parsed page."""
     report.write(result, tmp_path / "page.html", **more)
     return read_page((tmp_path / "page.html").read_text())
 
 
 def test_terminal_shows_all_parts_in_order():
-    told = printed(make_diagnosis())
+    output = printed(make_diagnosis())
     parts = [
         "634 rides of 5 vehicles on 10 vehicle-days, 2018-01-15 to 2018-09-13, in 7,428 windows.",
         "Excluded: 12 too short.",
-        "The mean absolute error is 0.062 kWh per ride, 9.0 % of the mean energy of a ride; on average the model predicts",
+        (
+            "The mean absolute error is 0.062 kWh per ride, 9.0 % of the mean energy of a ride; "
+            "on average the model predicts"
+        ),
         "Measurement noise alone causes 0.037 kWh, 60 % of the error",
         "below 0 °C and longer than 10 km",
         "0.11 kWh less than for other rides",
@@ -53,21 +56,27 @@ def test_terminal_shows_all_parts_in_order():
         "2. brake_drag: brakes rub with 75 ± 25 N; only in vehicle taxi-003",
         "NOT plausible (range 0 to 60 N): it may stand for another cause",
         "0.055 -> 0.048 -> 0.046 kWh per ride; measurement noise 0.037 kWh",
-        "The remaining error has structure. Its cause is not in the library, or too weak to be distinguished from other",
-        "boosted trees predict 5.0 % of its variance on held-out days; the missing effects explain 58 % of the predictable",
+        (
+            "The remaining error has structure. Its cause is not in the library, or too weak to be "
+            "distinguished from other"
+        ),
+        (
+            "boosted trees predict 5.0 % of its variance on held-out days; "
+            "the missing effects explain 58 % of the predictable"
+        ),
         "A term that fits the remaining error: P = (average speed)^2 v",
         "Add cold_rolling, in all vehicles on all dates.",
     ]
-    places = [told.find(part) for part in parts]
+    places = [output.find(part) for part in parts]
     assert -1 not in places, parts[places.index(-1)]
     assert places == sorted(places)
 
 
 def test_diagnosis_without_missing_effect_states_it():
-    told = printed(make_empty_diagnosis())
-    assert "No effect of the library is missing beyond chance." in told
-    assert "No group of rides differs from the others" in told
-    assert "These rides show no missing effect." in told
+    output = printed(make_empty_diagnosis())
+    assert "No effect of the library is missing beyond chance." in output
+    assert "No group of rides differs from the others" in output
+    assert "These rides show no missing effect." in output
     assert "Write an effect of your own" in printed(make_empty_diagnosis() | {"structure_remains": True})
 
 
@@ -142,7 +151,7 @@ def test_intervals_of_figures_are_those_of_the_diagnosis():
 
 
 def keys(value, path=()):
-    """Give the path of everything in a result."""
+    """Yield the path of every value in a result."""
     if isinstance(value, dict):
         for key, item in value.items():
             yield (*path, key)

@@ -1,4 +1,4 @@
-"""The report: what it shows, that it says whose figures are whose, and that it stands what is missing or odd."""
+"""Test the report of an evaluation: its content, notes on the paper's data, and odd or missing parts."""
 
 import copy
 import re
@@ -30,14 +30,14 @@ ODD = '<b>R&D\'s "best"</b> [red]model[/red] </script><script>alert(1)</script>'
 
 
 def printed(result, width=120):
-    """Return what the terminal shows."""
+    """Return the terminal output."""
     console = Console(width=width, file=StringIO(), color_system=None)
     show(result, console)
     return console.file.getvalue()
 
 
 def smaller(value):
-    """Return a result of fewer models and vehicle models, which is quicker to draw."""
+    """Return a result with fewer models and vehicle models, which is faster to draw."""
     gone = (set(RECIPES) - set(FEW_RECIPES)) | (set(VEHICLES) - set(FEW_VEHICLES))
     if isinstance(value, list):
         return [smaller(item) for item in value if isinstance(item, dict) or item not in gone]
@@ -47,7 +47,7 @@ def smaller(value):
 
 
 def drawn(result):
-    """Return all figures of a report, by key."""
+    """Return all figures of a report by key."""
     return {one.key: one for section in MAKERS for one in build_illustrations(result, section)}
 
 
@@ -199,7 +199,7 @@ def test_odd_names_are_shown_unchanged(where):
 
 
 def renamed(value, old, new):
-    """Return a result in which a key is another."""
+    """Return a result with one key or value replaced by another."""
     if isinstance(value, dict):
         return {(new if key == old else key): renamed(item, old, new) for key, item in value.items()}
     if isinstance(value, list):
@@ -225,7 +225,7 @@ def test_part_with_null_figures_has_no_drawing(part):
 
 
 def nulled(value):
-    """Return a part of a result without a number in it."""
+    """Return a part of a result with its numbers replaced by None."""
     if isinstance(value, dict):
         return {key: nulled(item) for key, item in value.items()}
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""An effect that was planted is added and its coefficient recovered; one that was not is refused, and says why."""
+"""Test adding effects: planted effects are accepted with their coefficient, others are refused with a reason."""
 
 import json
 
@@ -26,7 +26,7 @@ from tests.support.planted_windows import AUXILIARY, BASE, KINDS, START, base_mo
 from tests.support.telemetry import drive, leaf, telemetry
 
 COLD = 1e-4
-"""Planted: 1 % of 0.010 for each kelvin. [1/K]"""
+"""Planted coefficient: 1 % of 0.010 per kelvin. [1/K]"""
 Tables = tuple[pd.DataFrame, pd.DataFrame]
 
 
@@ -69,10 +69,10 @@ def test_planted_effect_and_other_coefficients_are_recovered(added):
 
 def test_error_falls_on_held_out_days_vehicles_and_final_days(added):
     trial = added.trial
-    for judged in ("of_effect", "on_days", "on_vehicles", "final"):
-        one = trial[judged]
-        assert one["mae_after_kwh"] < 0.5 * one["mae_before_kwh"], judged
-        assert one["change_kwh"]["value"] + one["change_kwh"]["ci95"] < 0.0, judged
+    for part in ("of_effect", "on_days", "on_vehicles", "final"):
+        one = trial[part]
+        assert one["mae_after_kwh"] < 0.5 * one["mae_before_kwh"], part
+        assert one["change_kwh"]["value"] + one["change_kwh"]["ci95"] < 0.0, part
     assert trial["of_effect"]["rides"] + trial["final"]["rides"] == trial["rides"] == 160
     assert trial["mae_after_kwh"] < 1.3 * trial["noise_floor_kwh"]
     cold = trial["conditions"]["outside temperature"][0]
@@ -112,24 +112,24 @@ def test_history_is_plain_json_and_survives_model_file(model, added, tmp_path):
 
 
 def test_decoy_is_refused_and_attempt_is_logged(cold, added):
-    found = tried(cold, added.model, "headwind")
-    assert not found.trial["accepted"]
-    assert "chance" in found.trial["reason"]
-    kept = log_attempt(added.model, found.trial)
+    result = tried(cold, added.model, "headwind")
+    assert not result.trial["accepted"]
+    assert "chance" in result.trial["reason"]
+    kept = log_attempt(added.model, result.trial)
     assert kept.history[-1]["action"] == "refused"
     assert kept.terms == added.model.terms
     assert kept.version == added.model.version
     assert decode_model(encode_model(kept)) == kept
-    taken = force_addition(found).model
+    taken = force_addition(result).model
     assert taken.history[-1]["action"] == "add"
     assert taken.history[-1]["forced"]
     assert taken.terms[-1].name == "headwind"
 
 
 def test_second_effect_does_not_change_first(cold, added):
-    found = tried(cold, added.model, "headwind").trial
-    assert found["mae_before_kwh"] == pytest.approx(added.trial["mae_after_kwh"], rel=0.05)
-    assert found["final"]["dates"] == added.trial["final"]["dates"]
+    result = tried(cold, added.model, "headwind").trial
+    assert result["mae_before_kwh"] == pytest.approx(added.trial["mae_after_kwh"], rel=0.05)
+    assert result["final"]["dates"] == added.trial["final"]["dates"]
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -141,17 +141,17 @@ def test_nothing_is_added_where_nothing_is_missing(seed):
 @pytest.mark.parametrize("scope", ["vehicle=taxi-2", "since=2018-06-01"])
 def test_effect_of_one_vehicle_or_since_a_date_is_recovered_within_its_scope(scope):
     tables = planted({("effect_cold_rolling", scope): 2e-4}, rides=3)
-    found = tried(tables, base_model(tables[0]), "cold_rolling", scope)
-    assert found.trial["accepted"]
-    low, high = found.trial["coefficient"]["ci95"]
+    result = tried(tables, base_model(tables[0]), "cold_rolling", scope)
+    assert result.trial["accepted"]
+    low, high = result.trial["coefficient"]["ci95"]
     assert low < 2e-4 < high
-    term = found.model.terms[-1]
+    term = result.model.terms[-1]
     assert term == Term(name=f"cold_rolling, {scope}", columns=("effect_cold_rolling", scope), unit="1/K")
-    assert decode_model(encode_model(found.model)) == found.model
-    assert (found.trial["on_vehicles"] is None) == scope.startswith("vehicle")
+    assert decode_model(encode_model(result.model)) == result.model
+    assert (result.trial["on_vehicles"] is None) == scope.startswith("vehicle")
     rides = tables[0].assign(vehicle_id="another", start_s=START)
-    without = found.model.predict(rides.assign(effect_cold_rolling=0.0))
-    assert found.model.predict(rides).tolist() == without.tolist()
+    without = result.model.predict(rides.assign(effect_cold_rolling=0.0))
+    assert result.model.predict(rides).tolist() == without.tolist()
 
 
 def test_no_final_hold_out_if_effect_acts_only_on_its_days():
@@ -161,36 +161,36 @@ def test_no_final_hold_out_if_effect_acts_only_on_its_days():
         table.assign(effect_wet_road=table["effect_rolling"] * dates.isin(apart))
         for table, dates in zip(tables, (tables[0]["date"], join_tables(*tables)["date"]), strict=True)
     )
-    found = tried((rides, windows), base_model(rides), "wet_road").trial
-    assert found["final"] is None
-    assert found["of_effect"]["rides"] == found["rides"]
+    result = tried((rides, windows), base_model(rides), "wet_road").trial
+    assert result["final"] is None
+    assert result["of_effect"]["rides"] == result["rides"]
 
 
 def test_differing_vehicle_models_get_own_coefficients():
     ids = {("effect_cold_rolling", f"vehicle=taxi-{i}"): (0.5e-4 if i % 2 else 2.5e-4) for i in range(4)}
     tables = planted(ids)
-    found = tried(tables, base_model(tables[0]), "cold_rolling")
-    own = {key: one["value"] for key, one in found.trial["by_vehicle_model"].items()}
+    result = tried(tables, base_model(tables[0]), "cold_rolling")
+    own = {key: one["value"] for key, one in result.trial["by_vehicle_model"].items()}
     assert own[KINDS[0]] == pytest.approx(2.5e-4, rel=0.15)
     assert own[KINDS[1]] == pytest.approx(0.5e-4, rel=0.4)
     for key, value in own.items():
-        assert found.model.fits[key].coefficients[-1] == value
-    assert own[KINDS[1]] < found.model.fits[ANY].coefficients[-1] < own[KINDS[0]]
+        assert result.model.fits[key].coefficients[-1] == value
+    assert own[KINDS[1]] < result.model.fits[ANY].coefficients[-1] < own[KINDS[0]]
 
 
 def test_implausible_coefficient_gives_warning():
     tables = planted({"effect_cold_rolling": 8e-4})
-    found = tried(tables, base_model(tables[0]), "cold_rolling")
-    assert found.trial["accepted"]
-    assert not found.trial["coefficient"]["plausible"]
-    assert "outside its plausible range, 2e-05 to 0.0003 1/K: it is too large" in found.trial["warnings"][0]
+    result = tried(tables, base_model(tables[0]), "cold_rolling")
+    assert result.trial["accepted"]
+    assert not result.trial["coefficient"]["plausible"]
+    assert "outside its plausible range, 2e-05 to 0.0003 1/K: it is too large" in result.trial["warnings"][0]
 
 
 def test_effect_of_wrong_sign_is_refused_with_warning():
     tables = planted({"effect_cold_rolling": -2e-4})
-    found = tried(tables, base_model(tables[0]), "cold_rolling")
-    assert not found.trial["accepted"]
-    assert "which physics forbids" in found.trial["warnings"][0]
+    result = tried(tables, base_model(tables[0]), "cold_rolling")
+    assert not result.trial["accepted"]
+    assert "which physics forbids" in result.trial["warnings"][0]
 
 
 @pytest.mark.parametrize(
@@ -220,9 +220,9 @@ def test_errors_of_add_effect_name_cause_and_remedy(effect, scopes, error, said,
 
 
 def test_variant_is_another_column_of_same_effect(cold, model, added):
-    found = tried(cold, model, "cold_rolling@reference=283.15")
-    assert found.model.terms[-1].columns == ("effect_cold_rolling@reference=283.15",)
-    assert "below 10 °C" in found.trial["words"]
+    result = tried(cold, model, "cold_rolling@reference=283.15")
+    assert result.model.terms[-1].columns == ("effect_cold_rolling@reference=283.15",)
+    assert "below 10 °C" in result.trial["words"]
     with pytest.raises(ModelError, match="in model base already, as the term 'cold_rolling'"):
         tried(cold, added.model, "cold_rolling@reference=283.15")
 
@@ -250,11 +250,11 @@ def test_model_with_constant_is_fitted_to_whole_rides(cold):
     with_constant = LinearModel(
         name="constant", version="1", recipe="x", terms=(*base_model(rides).terms, make_term()), fits={}, history=()
     )
-    found = add_effect(
+    result = add_effect(
         with_constant, "cold_rolling", build_term_columns("cold_rolling"), join_tables(rides, windows), rides=rides
     )
-    assert found.trial["windows"] == found.trial["rides"]
-    assert found.trial["coefficient"]["ci95"][0] < COLD < found.trial["coefficient"]["ci95"][1]
+    assert result.trial["windows"] == result.trial["rides"]
+    assert result.trial["coefficient"]["ci95"][0] < COLD < result.trial["coefficient"]["ci95"][1]
     with pytest.raises(ModelError, match="hold for whole rides only"):
         add_effect(with_constant, "cold_rolling", build_term_columns("cold_rolling"), join_tables(rides, windows))
 
@@ -265,19 +265,19 @@ def test_model_with_constant_is_fitted_to_whole_rides(cold):
 def test_folds_hold_out_each_ride_once_and_whole_days_if_there_are_many():
     for days, by_date in ((12, False), (24, True)):
         rides, windows = planted(days=days, rides=2, windows=2)
-        found = group_rows_by_ride(join_tables(rides, windows), rides)
-        folds = split_into_day_folds(found, 3)
-        assert np.sum(folds, axis=0).tolist() == [1] * len(found.table)
+        result = group_rows_by_ride(join_tables(rides, windows), rides)
+        folds = split_into_day_folds(result, 3)
+        assert np.sum(folds, axis=0).tolist() == [1] * len(result.table)
         seen: dict[str, set[int]] = {}
         for i, fold in enumerate(folds):
-            for date, vehicle in zip(found.table["date"][fold], found.table["vehicle_id"][fold], strict=True):
+            for date, vehicle in zip(result.table["date"][fold], result.table["vehicle_id"][fold], strict=True):
                 seen.setdefault(date if by_date else f"{date} {vehicle}", set()).add(i)
         assert all(len(places) == 1 for places in seen.values())
-    by_vehicle = split_into_vehicle_folds(found, 3)
-    assert sum(fold.sum() for fold in by_vehicle) == len(found.table)
+    by_vehicle = split_into_vehicle_folds(result, 3)
+    assert sum(fold.sum() for fold in by_vehicle) == len(result.table)
     for fold in by_vehicle:
-        out = set(found.table["vehicle_id"][fold])
-        assert not out & set(found.table["vehicle_id"][~fold])
+        out = set(result.table["vehicle_id"][fold])
+        assert not out & set(result.table["vehicle_id"][~fold])
 
 
 def test_interval_of_paired_difference_is_clustered_by_vehicle_day():
@@ -289,16 +289,16 @@ def test_interval_of_paired_difference_is_clustered_by_vehicle_day():
         shared = rng.normal(0.0, 0.05, 30)[days]
         before = table["measured"] + 0.5
         after = table["measured"] + 0.4 + shared
-        found = compare_errors(table, before.to_numpy(), after.to_numpy())
-        held.append(abs(found["change_kwh"]["value"] + 0.1) < found["change_kwh"]["ci95"])
-        assert found["clusters"] == 30
+        result = compare_errors(table, before.to_numpy(), after.to_numpy())
+        held.append(abs(result["change_kwh"]["value"] + 0.1) < result["change_kwh"]["ci95"])
+        assert result["clusters"] == 30
     assert 0.90 < np.mean(held) < 0.99
 
 
 def test_unpredicted_rides_are_left_out_of_comparison():
     table = pd.DataFrame({"vehicle_id": list("aab"), "date": "d", "measured": [1.0, 1.0, 1.0]})
-    found = compare_errors(table, np.array([1.5, 1.5, np.nan]), np.array([1.25, 1.25, 1.0]))
-    assert (found["rides"], found["mae_before_kwh"], found["mae_after_kwh"]) == (2, 0.5, 0.25)
+    result = compare_errors(table, np.array([1.5, 1.5, np.nan]), np.array([1.25, 1.25, 1.0]))
+    assert (result["rides"], result["mae_before_kwh"], result["mae_after_kwh"]) == (2, 0.5, 0.25)
     nothing = compare_errors(table, np.full(3, np.nan), np.full(3, np.nan))
     assert nothing["rides"] == 0
     assert np.isnan(nothing["change_kwh"]["value"])
@@ -327,10 +327,10 @@ def test_model_file_with_damaged_scope_is_refused_in_one_line(scope, added, tmp_
     content = json.loads(encode_model(added.model))
     content["terms"][-1]["columns"].append(scope)
     (tmp_path / "bad.json").write_text(json.dumps(content))
-    with pytest.raises(ModelError) as told:
+    with pytest.raises(ModelError) as raised:
         models.load(tmp_path / "bad.json")
-    assert f"term 'cold_rolling': scope '{scope}'" in str(told.value)
-    assert "\n" not in str(told.value)
+    assert f"term 'cold_rolling': scope '{scope}'" in str(raised.value)
+    assert "\n" not in str(raised.value)
 
 
 def test_scopes_are_described_in_words():

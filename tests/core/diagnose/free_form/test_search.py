@@ -1,4 +1,4 @@
-"""Free-form terms: planted ones outside the library are recovered, of nothing comes nothing, files pass the check."""
+"""Test free-form terms: planted terms are recovered, noise gives no suggestion, and source files pass the check."""
 
 import numpy as np
 import pandas as pd
@@ -29,7 +29,7 @@ BASE = (
 
 
 def signals(count, seed=0):
-    """Return columns that an effect may ask for, each the same all through a window of a minute."""
+    """Return the columns that effects read, each constant within a window of one minute."""
     rng = np.random.default_rng(seed)
     day = np.sort(rng.integers(0, 60, count))
     latitude, longitude = np.full(count, 0.794), np.full(count, -1.284)
@@ -65,7 +65,7 @@ def signals(count, seed=0):
 
 
 def table(rows):
-    """Return the window table of such windows."""
+    """Return the window table of these signals."""
     slope = np.sqrt(1.0 - rows["grade"] ** 2)
     rows = rows | {"tyre_load": rows["mass"] * GRAVITY * slope}
     energy = {
@@ -99,8 +99,8 @@ def table(rows):
     )
 
 
-def asked(windows, day, power, *, seed=1, day_sd=0.0015):
-    """Return what is suggested of noise and a power in watt."""
+def suggest(windows, day, power, *, seed=1, day_sd=0.0015):
+    """Return the suggestion for noise and a power in watt."""
     rng = np.random.default_rng(seed)
     sd = SD * rng.uniform(0.5, 2.0, len(windows))
     noise = rng.normal(0.0, 1.0, len(windows)) * sd + day_sd * rng.normal(0.0, 1.0, 60)[day]
@@ -137,14 +137,14 @@ def test_planted_term_outside_library_is_recovered(driving, carrier):
     rows, windows = driving
     variables, power = PLANTED[carrier]
     true = power(rows)
-    found = asked(windows, rows["day"], true)
-    assert found.term.carrier.name == carrier
-    assert found.term.variables == variables
-    assert found.gain_ci95[0] < found.gain < found.gain_ci95[1]
-    assert found.gain_ci95[0] > 0.0
-    assert found.ci95[0] < found.coefficient < found.ci95[1]
-    assert found.formula == format_formula(found.term)
-    said = found.coefficient * found.column * 3.6e6 / 60.0
+    suggestion = suggest(windows, rows["day"], true)
+    assert suggestion.term.carrier.name == carrier
+    assert suggestion.term.variables == variables
+    assert suggestion.gain_ci95[0] < suggestion.gain < suggestion.gain_ci95[1]
+    assert suggestion.gain_ci95[0] > 0.0
+    assert suggestion.ci95[0] < suggestion.coefficient < suggestion.ci95[1]
+    assert suggestion.formula == format_formula(suggestion.term)
+    said = suggestion.coefficient * suggestion.column * 3.6e6 / 60.0
     base = np.column_stack([windows[list(BASE)].to_numpy(), np.ones(len(windows))])
     new, truly = (x - base @ np.linalg.lstsq(base, x, rcond=None)[0] for x in (said, true))
     assert np.corrcoef(new, truly)[0, 1] > 0.9
@@ -155,9 +155,9 @@ def test_interval_of_coefficient_covers_true_value_of_correct_term(driving):
     rows, windows = driving
     covered = 0
     for seed in range(8):
-        found = asked(windows, rows["day"], 3.0 * rows["occupants"] * ROLLING * rows["speed"] * 1e-4, seed=seed)
-        assert format_formula(found.term) == "P = c · N · m g cos θ v"
-        covered += found.ci95[0] <= 3e-4 <= found.ci95[1]
+        suggestion = suggest(windows, rows["day"], 3.0 * rows["occupants"] * ROLLING * rows["speed"] * 1e-4, seed=seed)
+        assert format_formula(suggestion.term) == "P = c · N · m g cos θ v"
+        covered += suggestion.ci95[0] <= 3e-4 <= suggestion.ci95[1]
     assert covered >= 6
 
 
@@ -165,13 +165,13 @@ def test_noise_gives_no_suggestion():
     rows = signals(900, seed=2)
     windows = table(rows)
     silence = np.zeros(len(windows))
-    suggested = [asked(windows, rows["day"], silence, seed=seed, day_sd=0.0015 * (seed % 3)) for seed in range(50)]
-    assert sum(found is not None for found in suggested) <= 2
+    suggested = [suggest(windows, rows["day"], silence, seed=seed, day_sd=0.0015 * (seed % 3)) for seed in range(50)]
+    assert sum(suggestion is not None for suggestion in suggested) <= 2
 
 
 def test_terms_that_model_can_refit_are_not_suggested(driving):
     rows, windows = driving
-    assert asked(windows, rows["day"], 0.004 * ROLLING * rows["speed"] + 300.0) is None
+    assert suggest(windows, rows["day"], 0.004 * ROLLING * rows["speed"] + 300.0) is None
 
 
 def test_term_with_too_small_gain_is_not_suggested(driving):
@@ -179,9 +179,9 @@ def test_term_with_too_small_gain_is_not_suggested(driving):
     residual = np.random.default_rng(0).normal(0.0, SD, len(windows))
     residual += windows["effect_rolling"] * rows["occupants"] * 3e-4
     base, weight = windows[list(BASE)].to_numpy(), np.full(len(windows), SD**-2)
-    found = suggest_term(windows, residual, weight, rows["day"], base)
-    assert found.gain > 0.01
-    assert suggest_term(windows, residual, weight, rows["day"], base, least_gain=2.0 * found.gain) is None
+    suggestion = suggest_term(windows, residual, weight, rows["day"], base)
+    assert suggestion.gain > 0.01
+    assert suggest_term(windows, residual, weight, rows["day"], base, least_gain=2.0 * suggestion.gain) is None
 
 
 def test_suggestion_handles_unknown_values_few_clusters_and_row_order(driving):
@@ -192,21 +192,21 @@ def test_suggestion_handles_unknown_values_few_clusters_and_row_order(driving):
     residual = np.random.default_rng(0).normal(0.0, SD, len(windows)) + true * 60.0 / 3.6e6
     residual[::13] = np.nan
     base, weight = windows[list(BASE)].to_numpy(), np.ones(len(windows))
-    found = suggest_term(holed, residual, weight, rows["day"], base)
-    assert (found.term.carrier.name, set(found.term.variables)) == ("braking", {"charge"})
-    assert np.array_equal(np.isnan(found.column), np.isnan(residual))
+    suggestion = suggest_term(holed, residual, weight, rows["day"], base)
+    assert (suggestion.term.carrier.name, set(suggestion.term.variables)) == ("braking", {"charge"})
+    assert np.array_equal(np.isnan(suggestion.column), np.isnan(residual))
     order = np.random.default_rng(1).permutation(len(windows))
     shuffled = suggest_term(holed.iloc[order], residual[order], weight, rows["day"][order], base[order])
-    assert shuffled.formula == found.formula
-    assert shuffled.coefficient == pytest.approx(found.coefficient)
-    np.testing.assert_allclose(shuffled.column, found.column[order])
+    assert shuffled.formula == suggestion.formula
+    assert shuffled.coefficient == pytest.approx(suggestion.coefficient)
+    np.testing.assert_allclose(shuffled.column, suggestion.column[order])
     assert suggest_term(holed, residual, weight, rows["day"] % 5, base) is None
     assert suggest_term(holed, residual, weight, rows["day"], base[:, :0]).term.carrier.name == "braking"
     assert suggest_term(holed.iloc[:0], residual[:0], weight[:0], rows["day"][:0], base[:0]) is None
 
 
 def some_terms():
-    """Give every carrier with every variable, shapes in turn; the carriers alone; and pairs of variables."""
+    """Yield carriers alone, with every variable in alternating shapes, and with pairs of variables."""
     windows = table(signals(300))
     kinds = [list({each.shape: each for each in list_modulators(v, v.value(windows))}.values()) for v in VARIABLES]
     for i, carrier in enumerate(CARRIERS):
@@ -220,11 +220,11 @@ TERMS = list(some_terms())
 
 
 def checked(term, path):
-    """Return the effect of a term, from its file, checked: its power is in watt by pint."""
+    """Return the effect that the source file of a term declares, after its check that the power is in watt."""
     path.write_text(format_source_file(term, -0.123, 4000), encoding="utf-8")
-    (found,) = registry._run(path)
-    effects.check_effect(found)
-    return found
+    (suggestion,) = registry._run(path)
+    effects.check_effect(suggestion)
+    return suggestion
 
 
 def test_every_source_file_passes_check_and_matches_its_column(tmp_path):
@@ -232,14 +232,18 @@ def test_every_source_file_passes_check_and_matches_its_column(tmp_path):
     windows = table(rows)
     rows["tyre_load"] = ROLLING * np.sqrt(1.0 - rows["grade"] ** 2)
     for term in TERMS:
-        found = checked(term, tmp_path / "suggested.py")
-        assert (found.name, found.unit, found.formula) == (name_term(term), derive_unit(term), format_formula(term))
-        assert found.sign == -1
+        suggestion = checked(term, tmp_path / "suggested.py")
+        assert (suggestion.name, suggestion.unit, suggestion.formula) == (
+            name_term(term),
+            derive_unit(term),
+            format_formula(term),
+        )
+        assert suggestion.sign == -1
         column = term.carrier.energy(windows)
         for each in term.modulators:
             column = column * each.evaluate(each.variable.value(windows))
         np.testing.assert_allclose(
-            found.power(rows) * 60.0 / 3.6e6, column, rtol=1e-6, atol=1e-12 * np.abs(column).max()
+            suggestion.power(rows) * 60.0 / 3.6e6, column, rtol=1e-6, atol=1e-12 * np.abs(column).max()
         )
 
 
@@ -247,12 +251,12 @@ def test_source_file_loads_as_effect(driving, tmp_path, monkeypatch):
     monkeypatch.setattr(registry, "_library", dict(registry._library))
     monkeypatch.setattr(registry, "_brought_by", {})
     rows, windows = driving
-    found = asked(windows, rows["day"], PLANTED["braking"][1](rows))
+    suggestion = suggest(windows, rows["day"], PLANTED["braking"][1](rows))
     path = tmp_path / "suggested.py"
-    path.write_text(found.file, encoding="utf-8")
+    path.write_text(suggestion.file, encoding="utf-8")
     (effect,) = effects.load_file(path)
     assert effect.name == "suggested_braking_and_charge"
-    assert effect.low < found.coefficient < effect.high
+    assert effect.low < suggestion.coefficient < effect.high
     assert {each.name for each in effect.variants}  # the limit is profiled on tables
 
 

@@ -1,4 +1,4 @@
-"""Slices: what is planted is found in words and within its interval; where there is nothing, nothing is found."""
+"""Test slices: planted biases are found with words and interval, and data without structure give no slice."""
 
 import numpy as np
 import pandas as pd
@@ -14,7 +14,7 @@ KEYS = {"where", "conditions", "rides", "bias_kwh", "ci95", "mae_kwh", "q"}
 
 
 def fleet(count, vehicles=6, days=20, seed=0):
-    """Return rides of a year, and errors of a ride (0.1 kWh) and of a vehicle's day (0.03 kWh)."""
+    """Return rides of one year, and errors with a part per ride (0.1 kWh) and a part per vehicle-day (0.03 kWh)."""
     rng = np.random.default_rng(seed)
     car, day = rng.integers(0, vehicles, count), rng.integers(0, days, count)
     start = 1516000000.0 + 86400.0 * np.floor(day * 365.0 / days) + rng.uniform(0.0, 8.0, count) * 3600.0
@@ -62,11 +62,11 @@ def test_planted_bias_of_one_cold_vehicle_is_found_with_covering_interval():
     for seed in range(runs):
         rides, error, _ = fleet(2000, vehicles=4, days=100, seed=seed)
         cold = ((rides["ambient_c"] < -5.0) & (rides["vehicle_id"] == "taxi-003")).to_numpy()
-        found = find_slices(rides, error + 0.3 * cold, seed=seed)
-        right = [each for each in found if {"colder than -5 °C", "taxi-003"} <= set(each["conditions"])]
+        result = find_slices(rides, error + 0.3 * cold, seed=seed)
+        right = [each for each in result if {"colder than -5 °C", "taxi-003"} <= set(each["conditions"])]
         named += len(right) == 1 and len(right[0]["conditions"]) == 2
         covered += bool(right) and right[0]["ci95"][0] <= 0.3 <= right[0]["ci95"][1]
-        for each in found:
+        for each in result:
             assert set(each) == KEYS
             assert each["where"] == ", ".join(each["conditions"])
             assert each["ci95"][0] < each["bias_kwh"] < each["ci95"][1]
@@ -86,25 +86,25 @@ def test_planted_bias_of_one_cold_vehicle_is_found_with_covering_interval():
 )
 def test_single_condition_slices_have_round_thresholds(column, limit, words):
     rides, error, _ = fleet(800)
-    found = find_slices(rides, error - 0.1 * (rides[column] >= limit).to_numpy())
-    assert found[0]["where"] == words
-    assert found[0]["bias_kwh"] == pytest.approx(-0.1, abs=0.03)
+    result = find_slices(rides, error - 0.1 * (rides[column] >= limit).to_numpy())
+    assert result[0]["where"] == words
+    assert result[0]["bias_kwh"] == pytest.approx(-0.1, abs=0.03)
 
 
 def test_two_separate_faults_are_both_found_without_duplicates():
     rides, error, _ = fleet(2000)
     wet = (rides["precipitation_mm_h"] >= 0.5).to_numpy()
     error = error + 0.15 * (rides["vehicle_id"] == "taxi-001").to_numpy() - 0.15 * wet
-    found = find_slices(rides, error)
-    assert {"taxi-001", "rain or snow above 0.5 mm/h"} <= {each["where"] for each in found}
+    result = find_slices(rides, error)
+    assert {"taxi-001", "rain or snow above 0.5 mm/h"} <= {each["where"] for each in result}
     assert len(find_slices(rides, error, most=1)) == 1
 
 
 def test_fault_since_date_is_described_by_its_date():
     rides, error, _ = fleet(800)
     date = sorted(set(rides["date"]))[11]
-    found = find_slices(rides, error + 0.1 * (rides["date"] >= date).to_numpy())
-    assert found[0]["where"] in {f"since {date}", f"before {date}"}
+    result = find_slices(rides, error + 0.1 * (rides["date"] >= date).to_numpy())
+    assert result[0]["where"] in {f"since {date}", f"before {date}"}
 
 
 def test_slices_depend_on_seed_but_not_on_row_order():
@@ -143,25 +143,25 @@ def test_contrast_standard_error_matches_simulation():
     starts = np.arange(0, days * rides, rides)
     day = np.repeat(np.arange(days), rides)
     by_day, within = (day < 10)[None, :], (np.arange(days * rides) % 2 == 0)[None, :]
-    found = []
+    result = []
     for _ in range(300):
         error = rng.normal(0.0, 1.0, days * rides) + rng.normal(0.0, 1.0, days)[day]
-        found.append([compute_contrast(mask, error, starts) for mask in (by_day, within)])
+        result.append([compute_contrast(mask, error, starts) for mask in (by_day, within)])
     for i, expected in enumerate([np.sqrt(7.0 / 6.0 * (1 / 10 + 1 / 30)), np.sqrt(4.0 / 240.0)]):
-        differences = np.array([each[i].difference[0] for each in found])
-        errors = np.array([each[i].error[0] for each in found])
+        differences = np.array([each[i].difference[0] for each in result])
+        errors = np.array([each[i].error[0] for each in result])
         assert np.std(differences) == pytest.approx(expected, rel=0.15)
         assert np.mean(errors) == pytest.approx(expected, rel=0.08)
-        scores = np.array([each[i].score()[0] for each in found])
+        scores = np.array([each[i].score()[0] for each in result])
         assert np.mean(np.abs(scores) > 1.96) == pytest.approx(0.05, abs=0.035)
 
 
 def test_slice_of_one_day_has_zero_score():
     inside = np.zeros((2, 60), dtype=bool)
     inside[0, :10] = True
-    told = compute_contrast(inside, np.random.default_rng(0).normal(size=60), np.arange(0, 60, 10))
-    assert told.freedom.tolist() == [0.0, 0.0]
-    assert told.score().tolist() == [0.0, 0.0]
+    contrast = compute_contrast(inside, np.random.default_rng(0).normal(size=60), np.arange(0, 60, 10))
+    assert contrast.freedom.tolist() == [0.0, 0.0]
+    assert contrast.score().tolist() == [0.0, 0.0]
 
 
 @given(st.integers(0, 1000), st.integers(1, 3), st.floats(0.1, 3.0))
@@ -169,9 +169,9 @@ def test_slice_of_one_day_has_zero_score():
 def test_thresholds_are_round_and_divide_rides(seed, power, size):
     values = size * np.random.default_rng(seed).normal(5.0, 10.0, 200) ** power
     for scale in CONDITION_SCALES:
-        found = choose_thresholds(values, scale)
-        assert found == sorted(set(found))
-        for at in found:
+        result = choose_thresholds(values, scale)
+        assert result == sorted(set(result))
+        for at in result:
             assert 0 < np.count_nonzero(values < at) < len(values)
             assert not scale.steps or any(abs(at / step - round(at / step)) < 1e-9 for step in scale.steps)
 

@@ -1,4 +1,4 @@
-"""Models against measurement: intervals that hold, planted errors found where they are, sums that come out."""
+"""Test the comparison of models with measurements: intervals cover, planted errors are located, and sums add up."""
 
 import msgspec
 import numpy as np
@@ -27,7 +27,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def planted(n=400, seed=3, of_day=0.01, **coefficients):
-    """Return rides that took what extended physics says, but for coefficients, noise of the ride and of its day."""
+    """Return rides with the energy of extended physics, planted coefficients, and noise of the ride and of its day."""
     table = planted_rides.rides(n, seed)
     table = table.assign(start_s=table["start_s"] + np.arange(n), ride_key=[f"car#{i}" for i in range(n)])
     still = table.assign(effect_aero_drag_wind=table["effect_aero_drag"])  # extended physics knows no wind
@@ -55,9 +55,9 @@ def shift():
 
 def test_interval_of_independent_rides_is_classical():
     values = np.random.default_rng(1).normal(2.0, 1.0, 50)
-    found = compute_clustered_mean(values, np.arange(50))
-    assert found.error == pytest.approx(values.std(ddof=1) / np.sqrt(50))
-    assert found.freedom == pytest.approx(49)
+    result = compute_clustered_mean(values, np.arange(50))
+    assert result.error == pytest.approx(values.std(ddof=1) / np.sqrt(50))
+    assert result.freedom == pytest.approx(49)
 
 
 @given(seeds)
@@ -78,9 +78,9 @@ def test_clustered_interval_covers_true_value_where_plain_interval_does_not():
     for _ in range(draws):
         clusters = np.repeat(np.arange(12), rng.integers(2, 40, 12))
         values = rng.normal(0.0, 0.1, 12)[clusters] + rng.normal(0.0, 0.2, len(clusters))
-        found = compute_clustered_mean(values, clusters)
-        held += abs(found.value) <= found.ci95
-        plain += abs(found.value) <= 1.96 * values.std(ddof=1) / np.sqrt(len(values))
+        result = compute_clustered_mean(values, clusters)
+        held += abs(result.value) <= result.ci95
+        plain += abs(result.value) <= 1.96 * values.std(ddof=1) / np.sqrt(len(values))
     assert 0.91 < held / draws < 0.98
     assert plain / draws < 0.7
 
@@ -100,12 +100,12 @@ def test_one_cluster_has_no_interval():
 def test_ratio_is_ratio_of_sums_and_scales_with_unit(seed):
     rng = np.random.default_rng(seed)
     above, below, clusters = rng.gamma(2.0, 1.0, 30), rng.gamma(2.0, 5.0, 30), rng.integers(0, 5, 30)
-    found, scaled = (
+    result, scaled = (
         compute_clustered_ratio(above, below, clusters),
         compute_clustered_ratio(100.0 * above, below, clusters),
     )
-    assert found.value == pytest.approx(above.sum() / below.sum())
-    assert (scaled.value, scaled.ci95) == pytest.approx((100.0 * found.value, 100.0 * found.ci95))
+    assert result.value == pytest.approx(above.sum() / below.sum())
+    assert (scaled.value, scaled.ci95) == pytest.approx((100.0 * result.value, 100.0 * result.ci95))
     assert compute_clustered_ratio(3.0 * below, below, clusters).error == pytest.approx(0.0, abs=1e-12)
 
 
@@ -123,14 +123,14 @@ def test_difference_has_larger_error_than_either_estimate():
 def test_each_ride_is_in_one_bin_of_each_known_property():
     rides = planted(200)
     rides.loc[3, "wind_speed_kmh"] = np.nan
-    found = bin_rides(rides)
-    assert "driver" not in found
-    assert "time of day" not in found  # these rides have no place
-    for name, (codes, labels) in found.items():
+    result = bin_rides(rides)
+    assert "driver" not in result
+    assert "time of day" not in result  # these rides have no place
+    for name, (codes, labels) in result.items():
         assert codes.max() < len(labels)
         assert (codes >= 0).sum() == 200 - (name == "wind")
     ambient = rides["ambient_c"].to_numpy()
-    codes, labels = found["temperature"]
+    codes, labels = result["temperature"]
     low, high = np.array([[float(x) for x in labels[c].split(" to ")] for c in codes]).T
     assert np.all((low <= ambient) & (ambient < high))
 
@@ -148,13 +148,13 @@ def test_local_hour_equals_solar_hour_within_half_an_hour(start, longitude):
 
 def test_figures_match_their_definitions():
     rides = planted()
-    found = compared(rides, m=EXTENDED_PHYSICAL)["models"]["m"]
+    result = compared(rides, m=EXTENDED_PHYSICAL)["models"]["m"]
     error = EXTENDED_PHYSICAL.predict(rides) - rides["energy_kwh"].to_numpy()
-    assert found["mae_kwh"]["value"] == pytest.approx(np.abs(error).mean())
-    assert found["bias_kwh"]["value"] == pytest.approx(error.mean())
-    assert found["rmse_kwh"] == pytest.approx(np.sqrt((error**2).mean()))
-    assert found["within"]["10"] == pytest.approx((np.abs(error) <= 0.1 * rides["energy_kwh"].abs()).mean())
-    for entries in found["by"].values():
+    assert result["mae_kwh"]["value"] == pytest.approx(np.abs(error).mean())
+    assert result["bias_kwh"]["value"] == pytest.approx(error.mean())
+    assert result["rmse_kwh"] == pytest.approx(np.sqrt((error**2).mean()))
+    assert result["within"]["10"] == pytest.approx((np.abs(error) <= 0.1 * rides["energy_kwh"].abs()).mean())
+    for entries in result["by"].values():
         n = [entry["n"] for entry in entries]
         assert sum(n) <= len(rides)
         if sum(n) == len(rides):
@@ -176,10 +176,10 @@ def test_planted_error_in_cold_is_significant_in_cold_bins_only():
     rides = planted(800)
     cold = rides["ambient_c"].to_numpy() < -15.0
     rides["energy_kwh"] += 0.3 * cold
-    found = compared(rides, m=EXTENDED_PHYSICAL)["models"]["m"]["by"]["temperature"]
-    sure = {entry["bin"] for entry in found if entry["q"] < 0.05}
+    result = compared(rides, m=EXTENDED_PHYSICAL)["models"]["m"]["by"]["temperature"]
+    sure = {entry["bin"] for entry in result if entry["q"] < 0.05}
     assert {"-25 to -20", "-20 to -15"} <= sure <= {"below -30", "-30 to -25", "-25 to -20", "-20 to -15"}
-    assert all(entry["bias_kwh"]["value"] < -0.2 for entry in found if entry["bin"] in sure)
+    assert all(entry["bias_kwh"]["value"] < -0.2 for entry in result if entry["bin"] in sure)
 
 
 def test_correct_model_has_few_significant_bins():
@@ -194,13 +194,13 @@ def test_models_are_distinguished_on_same_rides():
     rides = planted()
     better = EXTENDED_PHYSICAL
     worse = model("worse", better.terms, [1.3, 1.0, 1.0, 1.0, 1.0])
-    found = {
+    result = {
         (p["a"], p["b"]): p
         for p in compare_pairs(select_rides(rides, {"better": better, "worse": worse, "same": better}))
     }
-    assert found["better", "same"]["difference_kwh"] == {"value": 0.0, "ci95": 0.0}
-    assert found["better", "same"]["p_holm"] == 1.0
-    apart = found["better", "worse"]
+    assert result["better", "same"]["difference_kwh"] == {"value": 0.0, "ci95": 0.0}
+    assert result["better", "same"]["p_holm"] == 1.0
+    apart = result["better", "worse"]
     assert apart["difference_kwh"]["value"] < -apart["difference_kwh"]["ci95"] < 0.0
     assert apart["p"] < apart["p_holm"] < 0.01
 
@@ -208,9 +208,9 @@ def test_models_are_distinguished_on_same_rides():
 def test_paired_difference_has_narrower_interval_than_separate_errors():
     rides = planted()
     worse = model("worse", EXTENDED_PHYSICAL.terms, [1.1, 1.0, 1.0, 1.0, 1.0])
-    found = compared(rides, one=EXTENDED_PHYSICAL, other=worse)
-    apart = sum(own["mae_kwh"]["ci95"] for own in found["models"].values())
-    assert found["pairs"][0]["difference_kwh"]["ci95"] < 0.5 * apart
+    result = compared(rides, one=EXTENDED_PHYSICAL, other=worse)
+    apart = sum(own["mae_kwh"]["ci95"] for own in result["models"].values())
+    assert result["pairs"][0]["difference_kwh"]["ci95"] < 0.5 * apart
 
 
 @given(seeds)
@@ -228,13 +228,13 @@ def test_worst_rides_come_first_and_relative_errors_need_certain_energy():
     rides = planted(100)
     rides.loc[7, "energy_kwh"] += 5.0
     rides.loc[8, ["energy_kwh", "energy_sd_kwh"]] = [0.001, 0.1]  # next to nothing: no ratio means anything
-    found = find_worst_rides(select_rides(rides, {"m": EXTENDED_PHYSICAL}), EXTENDED_PHYSICAL.predict(rides))
-    assert found["absolute"][0]["ride"] == "car#7"
-    assert found["absolute"][0]["error_kwh"] == pytest.approx(-5.0, abs=0.5)
-    for rank in found.values():
+    result = find_worst_rides(select_rides(rides, {"m": EXTENDED_PHYSICAL}), EXTENDED_PHYSICAL.predict(rides))
+    assert result["absolute"][0]["ride"] == "car#7"
+    assert result["absolute"][0]["error_kwh"] == pytest.approx(-5.0, abs=0.5)
+    for rank in result.values():
         assert len(rank) == 10
-    assert "car#8" not in {ride["ride"] for ride in found["relative"]}
-    sizes = [abs(ride["relative"]) for ride in found["relative"]]
+    assert "car#8" not in {ride["ride"] for ride in result["relative"]}
+    sizes = [abs(ride["relative"]) for ride in result["relative"]]
     assert sizes == sorted(sizes, reverse=True)
 
 
@@ -263,9 +263,9 @@ def test_two_rides_of_one_day_are_compared_without_intervals():
     rides = planted(300).sort_values(["vehicle_id", "date"])
     days = assign_vehicle_days(rides)
     two = rides[days == days[np.flatnonzero(np.diff(days) == 0)[0]]][:2]
-    found = compared(two, m=EXTENDED_PHYSICAL)
-    assert np.isnan(found["models"]["m"]["mae_kwh"]["ci95"])
-    assert any("too few for intervals" in note for note in found["notes"])
+    result = compared(two, m=EXTENDED_PHYSICAL)
+    assert np.isnan(result["models"]["m"]["mae_kwh"]["ci95"])
+    assert any("too few for intervals" in note for note in result["notes"])
 
 
 # what predictions are made of
@@ -277,16 +277,16 @@ def test_parts_add_up_to_prediction(correction, cars):
     rides = planted(240)
     fitted = get_recipe("fitted_physical").fit(rides, covariance=False)
     model = msgspec.structs.replace(fitted, correction=correction, cars=cars)
-    found = model.predict_parts(rides)
-    assert list(found) == [term.name for term in FITTED_TERMS] + [CORRECTION] * (correction is not None)
-    np.testing.assert_allclose(sum(found.values()), model.predict(rides), rtol=1e-9)
+    result = model.predict_parts(rides)
+    assert list(result) == [term.name for term in FITTED_TERMS] + [CORRECTION] * (correction is not None)
+    np.testing.assert_allclose(sum(result.values()), model.predict(rides), rtol=1e-9)
 
 
 def test_vehicle_model_without_fit_has_no_parts():
     rides = planted(40)
     one = model("one", FITTED_TERMS[:-1], [1.0] * 4, key="tesla-model-s")
-    found = one.predict_parts(rides)["rolling"]
-    np.testing.assert_array_equal(np.isnan(found), rides["vehicle_model"] != "tesla-model-s")
+    result = one.predict_parts(rides)["rolling"]
+    np.testing.assert_array_equal(np.isnan(result), rides["vehicle_model"] != "tesla-model-s")
 
 
 # the trace of a ride
@@ -297,30 +297,30 @@ def test_accumulated_windows_end_with_values_of_ride(shift):
     for i in range(0, len(rides), 5):
         ride = rides.iloc[[i]].reset_index(drop=True)
         own = windows[windows["ride_key"] == ride["ride_key"].iloc[0]]
-        found = accumulate_windows(ride, own)
+        result = accumulate_windows(ride, own)
         for name in (name for name in FEATURES if name in ride):
             tolerance = {"rtol": 0.02} if name in {"wind_from_deg", "wind_speed_kmh"} else {"rtol": 1e-9, "atol": 1e-9}
-            np.testing.assert_allclose(found[name].iloc[-1], ride[name].iloc[0], err_msg=name, **tolerance)
-        assert found["distance_km"].iloc[0] == 0.0
+            np.testing.assert_allclose(result[name].iloc[-1], ride[name].iloc[0], err_msg=name, **tolerance)
+        assert result["distance_km"].iloc[0] == 0.0
 
 
 def test_trace_adds_up_to_measured_and_predicted_energy(shift):
     rides, windows = shift
     ride = find_ride(rides[rides["distance_km"] > 5.0], rides.loc[rides["distance_km"] > 5.0, "ride_key"].iloc[0])
-    found = trace_ride(ride, windows, {"plain": EXTENDED_PHYSICAL, "with": _with_constant()})
-    assert found["windows"]["measured_kwh"].sum() == pytest.approx(ride["energy_kwh"].iloc[0])
-    assert found["windows"]["end_km"][-1] == pytest.approx(ride["distance_km"].iloc[0])
-    for name, own in found["models"].items():
+    result = trace_ride(ride, windows, {"plain": EXTENDED_PHYSICAL, "with": _with_constant()})
+    assert result["windows"]["measured_kwh"].sum() == pytest.approx(ride["energy_kwh"].iloc[0])
+    assert result["windows"]["end_km"][-1] == pytest.approx(ride["distance_km"].iloc[0])
+    for name, own in result["models"].items():
         assert own["start_kwh"] + own["energy_kwh"].sum() == pytest.approx(own["predicted_kwh"]), name
         np.testing.assert_allclose(sum(own["terms"].values()), own["energy_kwh"], atol=1e-12)
         assert sum(own["start_terms"].values()) == pytest.approx(own["start_kwh"])
-    assert found["models"]["plain"]["start_kwh"] == 0.0
-    assert found["models"]["with"]["start_kwh"] == 0.5
-    told = (
+    assert result["models"]["plain"]["start_kwh"] == 0.0
+    assert result["models"]["with"]["start_kwh"] == 0.5
+    expected_note = (
         "with is not a sum over windows: each window shows what it adds to the prediction of the ride so far; "
         "+0.500 kWh are predicted before the first window"
     )
-    assert [note for note in found["notes"] if "not a sum over windows" in note] == [told]
+    assert [note for note in result["notes"] if "not a sum over windows" in note] == [expected_note]
 
 
 def _with_constant():
@@ -357,9 +357,9 @@ def test_ride_is_found_by_key_or_identifier_and_error_names_similar_keys(shift):
 def test_ride_measured_by_soc_is_traced_in_steps_with_note(shift):
     rides, windows = shift
     soc = rides[(rides["energy_kwh"] == rides["energy_soc_kwh"]) & (rides["distance_km"] > 3.0)]
-    found = trace_ride(find_ride(rides, soc["ride_key"].iloc[0]), windows, {"m": EXTENDED_PHYSICAL})
-    assert found["notes"][0].startswith("measured by the state of charge: in steps")
-    assert found["windows"]["measured_kwh"].sum() == pytest.approx(soc["energy_kwh"].iloc[0])
+    result = trace_ride(find_ride(rides, soc["ride_key"].iloc[0]), windows, {"m": EXTENDED_PHYSICAL})
+    assert result["notes"][0].startswith("measured by the state of charge: in steps")
+    assert result["windows"]["measured_kwh"].sum() == pytest.approx(soc["energy_kwh"].iloc[0])
 
 
 def test_unmeasured_windows_take_mean_power(shift):
@@ -367,9 +367,9 @@ def test_unmeasured_windows_take_mean_power(shift):
     ride = find_ride(rides, rides.loc[rides["energy_kwh"] == rides["energy_vi_kwh"], "ride_key"].iloc[3])
     own = windows.index[windows["ride_key"] == ride["ride_key"].iloc[0]]
     gone = windows.assign(energy_vi_kwh=windows["energy_vi_kwh"].mask(windows.index == own[1]))
-    found = trace_ride(ride, gone, {"m": EXTENDED_PHYSICAL})
-    assert any(note.startswith(f"1 of {len(own)} windows were not measured") for note in found["notes"])
-    assert found["windows"]["measured_kwh"].sum() == pytest.approx(ride["energy_kwh"].iloc[0])
+    result = trace_ride(ride, gone, {"m": EXTENDED_PHYSICAL})
+    assert any(note.startswith(f"1 of {len(own)} windows were not measured") for note in result["notes"])
+    assert result["windows"]["measured_kwh"].sum() == pytest.approx(ride["energy_kwh"].iloc[0])
     with pytest.raises(ModelError, match="none of the windows of this ride has a measured energy"):
         trace_ride(ride, windows.assign(energy_vi_kwh=np.nan), {"m": EXTENDED_PHYSICAL})
 
@@ -380,11 +380,11 @@ def test_located_divergence_matches_planted_windows(seed, first, length, sign):
     windows = {"duration_s": rng.uniform(50.0, 70.0, 24), "distance_km": rng.uniform(0.2, 1.2, 24)}
     error = sign * 0.004 + rng.normal(0.0, 0.001, 24)  # all along, and here
     error[first : first + length] += 0.1 * sign
-    found = locate_divergence(error, windows, float(error.sum()))
-    assert (found["first"], found["last"]) == (first, first + length - 1)
-    assert found["share"] == pytest.approx(0.1 * length / (0.1 * length + 0.1), abs=0.1)
-    assert found["minute"] == pytest.approx(windows["duration_s"][:first].sum() / 60.0)
-    assert found["km"] == pytest.approx(windows["distance_km"][:first].sum())
+    result = locate_divergence(error, windows, float(error.sum()))
+    assert (result["first"], result["last"]) == (first, first + length - 1)
+    assert result["share"] == pytest.approx(0.1 * length / (0.1 * length + 0.1), abs=0.1)
+    assert result["minute"] == pytest.approx(windows["duration_s"][:first].sum() / 60.0)
+    assert result["km"] == pytest.approx(windows["distance_km"][:first].sum())
 
 
 @given(st.floats(-1.0, 1.0))
@@ -400,14 +400,14 @@ def test_explained_and_unexplained_parts_add_up_to_difference():
     rides = planted(500)
     models = {"m": EXTENDED_PHYSICAL}
     cold, warm = (select_rides(rides[rides["winter"] == w], models) for w in (1, 0))
-    found, turned = compare_datasets(warm, cold, models), compare_datasets(cold, warm, models)
-    own = found["models"]["m"]
+    result, turned = compare_datasets(warm, cold, models), compare_datasets(cold, warm, models)
+    own = result["models"]["m"]
     for side in ("first", "second", "difference"):
         value = lambda entry, side=side: entry[side]["value"]  # noqa: E731 - short
         assert sum(map(value, own["terms"])) == pytest.approx(value(own["explained"]))
-        assert value(own["explained"]) + value(own["unexplained"]) == pytest.approx(value(found["consumption"]))
-    assert found["consumption"]["difference"]["value"] == pytest.approx(-turned["consumption"]["difference"]["value"])
-    assert found["properties"][0]["name"] == "outside temperature"
+        assert value(own["explained"]) + value(own["unexplained"]) == pytest.approx(value(result["consumption"]))
+    assert result["consumption"]["difference"]["value"] == pytest.approx(-turned["consumption"]["difference"]["value"])
+    assert result["properties"][0]["name"] == "outside temperature"
     assert own["terms"][0]["name"] == "accessories"
     n = [sum(counts) for counts in zip(*(e["n"] for e in own["by"]["temperature"]), strict=True)]
     assert n == [len(warm.rides), len(cold.rides)]
@@ -421,9 +421,9 @@ def test_unexplained_difference_equals_planted_unknown_effect():
             (rides["winter"] == 1) * (factor - 1.0) * rides["effect_rolling"] * rides["rolling_resistance"]
         )
         summer, winter = (select_rides(rides[rides["winter"] == w], models) for w in (0, 1))
-        found = compare_datasets(summer, winter, models)
-        left = found["models"]["m"]["unexplained"]["difference"]
-        assert found["consumption"]["difference"]["value"] > 3.0  # it is winter, which the model knows of
+        result = compare_datasets(summer, winter, models)
+        left = result["models"]["m"]["unexplained"]["difference"]
+        assert result["consumption"]["difference"]["value"] > 3.0  # it is winter, which the model knows of
         truth = (
             (factor - 1.0) * 100.0 * (rides["effect_rolling"] * rides["rolling_resistance"])[rides["winter"] == 1].sum()
         )
@@ -435,5 +435,5 @@ def test_unexplained_difference_equals_planted_unknown_effect():
 def test_rides_in_both_datasets_are_counted():
     models = {"m": EXTENDED_PHYSICAL}
     rides = planted(60)
-    found = compare_datasets(select_rides(rides[:40], models), select_rides(rides[20:], models), models)
-    assert found["shared"] == 20
+    result = compare_datasets(select_rides(rides[:40], models), select_rides(rides[20:], models), models)
+    assert result["shared"] == 20

@@ -1,4 +1,4 @@
-"""A vehicle model that was never seen: who trains, who is tested, and what a few rides teach."""
+"""Test errors on vehicle models left out of training, and learning curves over a few of their rides."""
 
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -30,7 +30,7 @@ PER_KM = dict(zip(MODELS, (0.15, 0.18, 0.25), strict=True))
 
 @dataclass
 class PerKm:
-    """Learns what a kilometre takes; from a few rides of a new car, by a mean with what it knew."""
+    """Fit the consumption per kilometre; adapt it to a new car by a weighted mean with the previous value."""
 
     name: str = "per_km"
     title: str = "Per Kilometre"
@@ -89,7 +89,7 @@ def test_tables_12_and_13_average_over_clusters_relative_to_basic_model(table):
         )
         for name, split in split_by_vehicle_model(table).items()
     }
-    found = compute_tables_12_and_13(held, table)
+    result = compute_tables_12_and_13(held, table)
     for name in MODELS:
         own = table.rides[table.rides["vehicle_model"] == name]
         cluster = pd.cut(own["distance_km"], [0, 5, 10, 15, 20, 25], right=False, labels=CLUSTERS[:5])
@@ -98,16 +98,16 @@ def test_tables_12_and_13_average_over_clusters_relative_to_basic_model(table):
             .groupby(cluster, observed=True)
             .mean()[own.groupby(cluster, observed=True).size() >= LEAST_RIDES]
         )
-        basic, row = (PER_KM[name] - 0.1) * means.mean(), found["per_km"][name]
+        basic, row = (PER_KM[name] - 0.1) * means.mean(), result["per_km"][name]
         others = table.rides[table.rides["vehicle_model"] != name]
         rate = others["energy_kwh"].sum() / others["distance_km"].sum()
         assert row["basic"] == pytest.approx(basic, rel=0.02)
         assert row["mae"] == pytest.approx(abs(rate - PER_KM[name]) * means.mean(), rel=0.05)
         assert row["relative"] == pytest.approx(abs(rate - PER_KM[name]) / PER_KM[name], rel=0.05)
         assert row["reduction"] == pytest.approx(1.0 - row["mae"] / row["basic"])
-    reductions = [found["per_km"][name]["reduction"] for name in MODELS]
-    assert found["per_km"]["average"]["reduction"] == pytest.approx(np.mean(reductions))
-    assert found["basic_physical"]["average"]["reduction"] == 0.0
+    reductions = [result["per_km"][name]["reduction"] for name in MODELS]
+    assert result["per_km"]["average"]["reduction"] == pytest.approx(np.mean(reductions))
+    assert result["basic_physical"]["average"]["reduction"] == 0.0
 
 
 def test_learners_are_both_variants_of_fitted_physical_and_adaptable_recipes():
@@ -169,13 +169,13 @@ def test_learning_curves_have_intervals_over_draws_and_notes_on_failures(table):
 
     split = split_by_vehicle_model(table)[MODELS[0]]
     orders = draw_rides(split.test, MODELS[0], 1, 4)
-    found = {
+    result = {
         (MODELS[0], name): compute_learning_curve(Learner(name, recipe, "adapted"), table, split, orders)
         for name, recipe in (("good", PerKm()), ("broken", Broken()))
     }
-    told, notes = tabulate_learning_curves(found)
-    assert list(told[MODELS[0]]) == ["good"]
-    points = told[MODELS[0]]["good"]
+    curves, notes = tabulate_learning_curves(result)
+    assert list(curves[MODELS[0]]) == ["good"]
+    points = curves[MODELS[0]]["good"]
     assert [point["rides"] for point in points] == list(new_vehicle.RIDE_COUNTS)
     assert points[0]["ci95"] < points[1]["ci95"], "without rides of its own only the test differs between draws"
     assert notes == ["broken on a few rides of kia-soul-ev-2015: too few rides: give more"]
@@ -183,11 +183,11 @@ def test_learning_curves_have_intervals_over_draws_and_notes_on_failures(table):
 
 def test_reference_curve_is_better_variant_at_each_point():
     others, refitted = np.full((3, 6), 0.2), np.tile([0.2, 0.3, 0.4, 0.3, 0.1, 0.05], (3, 1))
-    told, _ = tabulate_learning_curves(
+    curves, _ = tabulate_learning_curves(
         {("leaf", new_vehicle.BENCHMARK_UNCHANGED): others, ("leaf", new_vehicle.BENCHMARK_REFITTED): refitted}
     )
-    assert [p["mae"] for p in told["leaf"]["fitted_physical"]] == pytest.approx([0.2, 0.2, 0.2, 0.2, 0.1, 0.05])
-    assert list(told["leaf"]) == ["fitted_physical", "fitted_physical_others", "fitted_physical_refitted"]
+    assert [p["mae"] for p in curves["leaf"]["fitted_physical"]] == pytest.approx([0.2, 0.2, 0.2, 0.2, 0.1, 0.05])
+    assert list(curves["leaf"]) == ["fitted_physical", "fitted_physical_others", "fitted_physical_refitted"]
 
 
 def test_single_vehicle_model_has_no_new_vehicle_results():

@@ -1,4 +1,4 @@
-"""The evaluation as a whole: nothing sees the answer, what is planted is found, and the same seed gives the same."""
+"""Test the whole evaluation: predictions are blind, planted errors are recovered, and results are reproducible."""
 
 import json
 from dataclasses import dataclass, field
@@ -25,7 +25,7 @@ MODELS = ("kia-soul-ev-2015", "tesla-model-s")
 
 @dataclass
 class Model:
-    """Predicts with any function of the rides; with an interval where a half width is given."""
+    """Predict with any function of the rides, and with an interval where a half width is given."""
 
     of: object
     interval: float | None = None
@@ -40,7 +40,7 @@ class Model:
 
 @dataclass
 class Toy:
-    """A recipe that learns nothing."""
+    """A recipe that fits nothing."""
 
     name: str
     of: object
@@ -58,7 +58,7 @@ def per_km(factor=1.0, off=0.0):
 
 
 def fleet(n=1600, seed=3, models=MODELS):
-    """Return rides that take 0.2 kWh/km and normal noise, the driver's name to them."""
+    """Return rides with 0.2 kWh/km and normal noise, and with names of drivers."""
     table = planted_rides.rides(n, seed, models)
     rng = np.random.default_rng(seed)
     table["start_s"] += rng.permutation(n) * 10.0
@@ -82,11 +82,13 @@ def rides():
 
 @pytest.fixture(scope="module")
 def result(rides):
-    told = []
-    found = evaluate(rides, recipes(HIGH, CLOSE, TRUE), seed=5, progress=lambda done, of: told.append((done, of)))
-    assert told[0][0] == 0
-    assert told[-1][0] == told[-1][1] == len(told) - 1
-    return found
+    reported = []
+    evaluation = evaluate(
+        rides, recipes(HIGH, CLOSE, TRUE), seed=5, progress=lambda done, of: reported.append((done, of))
+    )
+    assert reported[0][0] == 0
+    assert reported[-1][0] == reported[-1][1] == len(reported) - 1
+    return evaluation
 
 
 def test_result_is_plain_json_with_every_part(result):
@@ -151,9 +153,9 @@ def test_planted_best_model_dominates_and_equal_model_codominates(rides, result)
     assert result["difference"]["all"]["basic_physical|true"]["value"] > 0.0
     rng = np.random.default_rng(1)
     shaken = rng.normal(0.0, 0.001, len(rides))
-    twin = Toy("twin", lambda asked: per_km()(asked) + shaken[asked.index])
-    found = evaluate(rides, recipes(HIGH, TRUE, twin), seed=5)
-    assert set(found["dominates"]["all"]) == {"true", "twin"}
+    twin = Toy("twin", lambda predicted: per_km()(predicted) + shaken[predicted.index])
+    evaluation = evaluate(rides, recipes(HIGH, TRUE, twin), seed=5)
+    assert set(evaluation["dominates"]["all"]) == {"true", "twin"}
 
 
 def test_cluster_with_few_rides_has_no_figure(result):
@@ -192,31 +194,31 @@ def test_errors_are_reported_by_distance_temperature_season_and_driver(result):
 def test_predicted_rides_have_no_energy_columns_and_are_not_trained_on(rides):
     seen = []
 
-    def spy(asked):
-        assert not [n for n in asked if n.startswith(("energy", "soc_end", "hvac"))]
-        seen.append(set(asked["ride_id"]))
-        return per_km()(asked)
+    def spy(predicted):
+        assert not [n for n in predicted if n.startswith(("energy", "soc_end", "hvac"))]
+        seen.append(set(predicted["ride_id"]))
+        return per_km()(predicted)
 
     toy = Toy("spy", spy)
     evaluate(rides.assign(soc_end_pct=1.0, hvac_kwh=1.0, energy_vi_kwh=1.0), recipes(toy), seed=1)
     assert len(seen) == len(toy.seen)
-    for asked, trained in zip(seen, toy.seen, strict=True):
-        assert not asked & set(trained["ride_id"])
+    for predicted, trained in zip(seen, toy.seen, strict=True):
+        assert not predicted & set(trained["ride_id"])
 
 
 def test_splits_by_vehicle_and_by_date_hold_out_cars_and_days(rides):
     class Memory(Toy):
         def fit(self, rides):
             cars, dates = set(rides["vehicle_id"]), set(rides["date"])
-            known = lambda asked: asked["vehicle_id"].isin(cars) & asked["date"].isin(dates)  # noqa: E731 - short
-            return Model(lambda asked: np.where(known(asked), per_km()(asked), per_km(1.0, 5.0)(asked)))
+            known = lambda predicted: predicted["vehicle_id"].isin(cars) & predicted["date"].isin(dates)  # noqa: E731 - short
+            return Model(lambda predicted: np.where(known(predicted), per_km()(predicted), per_km(1.0, 5.0)(predicted)))
 
-    found = evaluate(rides, recipes(TRUE, Memory("memory", None)), seed=1)
+    evaluation = evaluate(rides, recipes(TRUE, Memory("memory", None)), seed=1)
     for model in MODELS:
-        assert found["splits"]["ride"]["memory"][model] < 2.5
-        assert found["splits"]["vehicle"]["memory"][model] == pytest.approx(5.0, abs=0.05)
-        assert found["splits"]["date"]["memory"][model] == pytest.approx(5.0, abs=0.05)
-        assert found["splits"]["vehicle"]["true"][model] < 0.12
+        assert evaluation["splits"]["ride"]["memory"][model] < 2.5
+        assert evaluation["splits"]["vehicle"]["memory"][model] == pytest.approx(5.0, abs=0.05)
+        assert evaluation["splits"]["date"]["memory"][model] == pytest.approx(5.0, abs=0.05)
+        assert evaluation["splits"]["vehicle"]["true"][model] < 0.12
 
 
 def test_result_depends_on_seed_but_not_on_processes_or_ride_order():
@@ -230,9 +232,9 @@ def test_failing_recipe_is_left_out_with_note(rides):
     def refuse(_asked):
         raise ModelError("column 'x' is missing: add it")
 
-    found = evaluate(rides, recipes(TRUE, Toy("broken", refuse)), seed=1)
-    assert list(found["mae"]) == ["true"]
-    assert found["about"]["notes"] == ["broken: column 'x' is missing: add it"]
+    evaluation = evaluate(rides, recipes(TRUE, Toy("broken", refuse)), seed=1)
+    assert list(evaluation["mae"]) == ["true"]
+    assert evaluation["about"]["notes"] == ["broken: column 'x' is missing: add it"]
     with pytest.raises(ModelError, match="no recipe can be evaluated: broken: column 'x'"):
         evaluate(rides, recipes(Toy("broken", refuse)), seed=1)
 
@@ -242,29 +244,29 @@ def test_recipes_are_evaluated_on_rides_that_all_of_them_predict():
     whole = Prediction(split.test, np.ones(100))
     holes = np.ones(100)
     holes[[3, 7]] = np.nan
-    found = select_comparable({"a": [whole], "b": [Prediction(split.test, holes)]}, 200)
-    assert found.recipes == ("a", "b")
-    assert set(range(100)) - set(found.rows[0].tolist()) == {3, 7}
-    assert len(found.energy["a"][0]) == len(found.energy["b"][0]) == 98
-    assert found.notes == ("b: no prediction for 2.00% of the rides; no recipe is evaluated by these",)
+    evaluation = select_comparable({"a": [whole], "b": [Prediction(split.test, holes)]}, 200)
+    assert evaluation.recipes == ("a", "b")
+    assert set(range(100)) - set(evaluation.rows[0].tolist()) == {3, 7}
+    assert len(evaluation.energy["a"][0]) == len(evaluation.energy["b"][0]) == 98
+    assert evaluation.notes == ("b: no prediction for 2.00% of the rides; no recipe is evaluated by these",)
     holes[:20] = np.nan
-    found = select_comparable({"a": [whole], "b": [Prediction(split.test, holes)]}, 200)
-    assert found.recipes == ("a",)
-    assert len(found.rows[0]) == 100
+    evaluation = select_comparable({"a": [whole], "b": [Prediction(split.test, holes)]}, 200)
+    assert evaluation.recipes == ("a",)
+    assert len(evaluation.rows[0]) == 100
 
 
 def test_one_car_on_one_day_is_evaluated_without_parts_that_need_more():
     table = fleet(200, models=MODELS[:1])
     table = table.assign(vehicle_id="one", date="2018-01-15").drop(columns="driver_id")
-    found = evaluate(table, recipes(HIGH, TRUE), seed=1)
-    assert found["dominates"]["all"] == ["true"]
-    assert found["new_vehicle"] == {}
-    assert found["few_shot"] == {}
-    assert found["by"]["driver"]["true"] == []
-    assert "by_vehicle" not in found["coverage"]["true"]
-    assert found["splits"]["vehicle"]["true"][MODELS[0]] is None
-    assert found["splits"]["date"]["true"][MODELS[0]] is None
-    assert len(found["about"]["notes"]) == 3
+    evaluation = evaluate(table, recipes(HIGH, TRUE), seed=1)
+    assert evaluation["dominates"]["all"] == ["true"]
+    assert evaluation["new_vehicle"] == {}
+    assert evaluation["few_shot"] == {}
+    assert evaluation["by"]["driver"]["true"] == []
+    assert "by_vehicle" not in evaluation["coverage"]["true"]
+    assert evaluation["splits"]["vehicle"]["true"][MODELS[0]] is None
+    assert evaluation["splits"]["date"]["true"][MODELS[0]] is None
+    assert len(evaluation["about"]["notes"]) == 3
 
 
 def test_excluded_rides_are_counted_by_reason(rides):
@@ -272,14 +274,14 @@ def test_excluded_rides_are_counted_by_reason(rides):
     table.loc[:4, ["fit_for_training", "unfit_reason"]] = [False, "too_short"]
     table.loc[5:6, "energy_kwh"] = np.nan
     table.loc[7, "vehicle_model"] = None
-    found = filter_rides(pd.concat([table, table.iloc[20:23]]))
-    assert found.unfit == {"no_measured_energy": 2, "no_vehicle_model": 1, "too_short": 5, "twice": 3}
-    assert len(found.rides) == 60 - 8
-    assert found.read == 63
+    evaluation = filter_rides(pd.concat([table, table.iloc[20:23]]))
+    assert evaluation.unfit == {"no_measured_energy": 2, "no_vehicle_model": 1, "too_short": 5, "twice": 3}
+    assert len(evaluation.rides) == 60 - 8
+    assert evaluation.read == 63
 
 
 @pytest.mark.parametrize(
-    ("spoil", "told"),
+    ("spoil", "message"),
     [
         (lambda t: t.drop(columns="distance_km"), "column 'distance_km' is missing"),
         (lambda t: t.head(1), "1 of 1 rides can be evaluated, at most 1 of a vehicle model in a cluster of 5 km"),
@@ -289,19 +291,19 @@ def test_excluded_rides_are_counted_by_reason(rides):
         (lambda t: t.head(0), "0 of 0 rides can be evaluated"),
     ],
 )
-def test_unusable_ride_table_raises_error_with_reason(rides, spoil, told):
-    with pytest.raises(ModelError, match=told):
+def test_unusable_ride_table_raises_error_with_reason(rides, spoil, message):
+    with pytest.raises(ModelError, match=message):
         evaluate(spoil(rides), recipes(TRUE))
 
 
 def test_recipes_are_selected_by_name_in_order_of_paper():
     assert list(select_recipes("hybrid, basic_physical", None)) == ["basic_physical", "hybrid"]
-    for names, told in (
+    for names, message in (
         ("horse", "'horse' is unknown; known are basic_physical"),
         (" ,", "no recipe is named"),
         ("segment_network", "needs windows.parquet"),
     ):
-        with pytest.raises(SettingsError, match=told):
+        with pytest.raises(SettingsError, match=message):
             select_recipes(names, None)
 
 
@@ -309,11 +311,11 @@ def test_figure_1_recovers_planted_curve_and_points_on_it():
     table = planted_rides.rides(3000, 5, MODELS[:1])
     table = table.assign(effect_aero_drag_wind=table["effect_aero_drag"], start_s=table["start_s"] + np.arange(3000))
     table = planted_rides.noisy(table, planted_rides.physical_energy(table), of_day=0.0)
-    found = compute_figure_1(filter_rides(table))[MODELS[0]]
-    planted, fitted = planted_rides.PLANTED, AccessoryCurve(**found["curve"])
-    assert sum(point["rides"] for point in found["points"]) <= 3000
-    assert len(found["points"]) > 20
-    for point in found["points"]:
+    evaluation = compute_figure_1(filter_rides(table))[MODELS[0]]
+    planted, fitted = planted_rides.PLANTED, AccessoryCurve(**evaluation["curve"])
+    assert sum(point["rides"] for point in evaluation["points"]) <= 3000
+    assert len(evaluation["points"]) > 20
+    for point in evaluation["points"]:
         at = np.array([point["ambient_c"] + ZERO_CELSIUS])
         assert point["power_w"] == pytest.approx(planted.power(at)[0], abs=4 * 600.0 / sqrt(point["rides"]) + 60.0)
         assert fitted.power(at)[0] == pytest.approx(planted.power(at)[0], abs=150.0)

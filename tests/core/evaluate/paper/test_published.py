@@ -1,4 +1,4 @@
-"""The paper's figures agree with each other as far as they do, and where they do not, this says by how much."""
+"""Test that the figures of the paper agree with each other, and state by how much they differ where they do not."""
 
 import tomllib
 from importlib import resources
@@ -27,13 +27,13 @@ each_model = pytest.mark.parametrize("key", KEYS)
 
 
 def row(recipe, key):
-    """Return the errors of a model that the paper has, by cluster."""
+    """Return the errors of a model that the paper states, by cluster."""
     found = {c: published.get_mae(recipe, key, c) for c in CLUSTERS}
     return {c: figure for c, figure in found.items() if figure is not None}
 
 
 def weighted_mean(recipe, cluster, rides_of):
-    """Return the mean over vehicle models, weighted as told."""
+    """Return the mean over vehicle models, weighted by the rides in the given column of Table 2."""
     of = {key: published.get_mae(recipe, key, cluster) for key in KEYS}
     known = {key: figure.value for key, figure in of.items() if figure is not None}
     weights = [published.get_ride_count(key, rides_of).value for key in known]
@@ -87,7 +87,7 @@ def test_table_2_totals_are_sums_over_clusters(key):
 
 
 def test_table_2_adds_up_to_rides_before_removal():
-    """The text removes 28,283 of 193,347 rides; Table 2 should hold 165,064, and holds 28,283 too many."""
+    """The text removes 28,283 of 193,347 rides; Table 2 should contain 165,064, and contains 28,283 too many."""
     total = sum(published.get_ride_count(key, "total").value for key in KEYS)
     assert total == published.get_statement("rides").value
     assert total - published.get_statement("rides_removed").value == 165_064
@@ -109,7 +109,7 @@ def test_average_errors_are_plain_means_within_rounding(recipe, key):
 
 
 def test_intervals_of_averages_are_narrower_than_for_independent_clusters():
-    """The paper's are 0.23 to 0.68 of the half width of a plain mean of independent cells; it does not say how."""
+    """The intervals are 0.23 to 0.68 of the half width for independent cells; the paper does not state its method."""
     ratios = []
     for recipe in RECIPES:
         for key in KEYS:
@@ -121,7 +121,7 @@ def test_intervals_of_averages_are_narrower_than_for_independent_clusters():
 
 
 def test_weighted_rows_agree_better_with_weights_by_all_rides():
-    """By all rides the rows are met within 0.040 kWh, by those in the cluster only within 0.14 kWh."""
+    """Weights by all rides give the rows within 0.040 kWh, weights by rides in the cluster only within 0.14 kWh."""
     by_all, by_cluster = [], []
     for recipe in RECIPES:
         for cluster in CLUSTERS:
@@ -134,7 +134,7 @@ def test_weighted_rows_agree_better_with_weights_by_all_rides():
 
 
 def test_reduction_in_text_is_slightly_below_that_of_tables():
-    """Text 51.75 %, Tables 5 and 11 52.04 %: 0.29 points, as much as rounding to 0.01 kWh explains."""
+    """The text has 51.75 %, Tables 5 and 11 give 52.04 %: rounding to 0.01 kWh explains the 0.29 points."""
     mean = np.mean([published.get_reduction("hybrid_interactions", key) for key in KEYS])
     assert mean - published.get_statement("reduction").value == pytest.approx(0.0029, abs=0.0001)
     rounding = np.mean([0.005 / published.get_mae(PHYSICAL, key, AVERAGE).value for key in KEYS])
@@ -142,13 +142,13 @@ def test_reduction_in_text_is_slightly_below_that_of_tables():
 
 
 def test_new_vehicle_reduction_in_text_is_slightly_below_that_of_table_12():
-    """Text 30.75 %, Table 12 31.02 %: 0.27 points."""
+    """The text has 30.75 %, Table 12 gives 31.02 %: a difference of 0.27 points."""
     mean = np.mean([published.get_new_vehicle_reduction("fitted_physical", key) for key in KEYS])
     assert mean - published.get_statement("new_vehicle_reduction").value == pytest.approx(0.0027, abs=0.0001)
 
 
 def test_largest_reduction_in_text_is_below_that_of_tables():
-    """By Tables 5 and 7 the fitted physical model falls by 56.7 % on the LEAF; 44 % is the Model S."""
+    """By Tables 5 and 7, the fitted physical model reduces the error by 56.7 % on the LEAF; 44 % is the Model S."""
     most = max(published.get_reduction("fitted_physical", key) for key in KEYS)
     assert most - published.get_statement("reduction_fitted").value == pytest.approx(0.127, abs=0.001)
     assert published.get_reduction("fitted_physical", "tesla-model-s") == pytest.approx(0.44, abs=0.003)
@@ -163,7 +163,7 @@ def test_relative_errors_in_text_are_those_of_best_model():
 
 
 def test_basic_physical_model_differs_between_tables_5_and_12():
-    """Up to 0.05 kWh, on the LEAF: Table 12 takes all rides, Table 5 the test sets."""
+    """The model is not trained. Table 12 uses all rides, Table 5 the test sets: up to 0.05 kWh on the LEAF."""
     differences = [
         published.get_new_vehicle_mae(PHYSICAL, key).value - published.get_mae(PHYSICAL, key, AVERAGE).value
         for key in KEYS
@@ -172,7 +172,7 @@ def test_basic_physical_model_differs_between_tables_5_and_12():
 
 
 def test_table_13_is_table_12_over_consumption_of_table_4():
-    """The consumption that the two imply is that of Table 4 within 6 %, as two digits allow."""
+    """The consumption that the two tables imply is that of Table 4 within 6 %, as two digits allow."""
     for key in KEYS:
         ratios = [
             published.get_new_vehicle_mae(recipe, key).value
@@ -183,7 +183,7 @@ def test_table_13_is_table_12_over_consumption_of_table_4():
 
 
 def test_each_model_is_on_average_no_worse_than_previous_one():
-    """As section 5.1 says; but on the LEAF the empirical model is 0.02 kWh worse than the fitted physical one."""
+    """Section 5.1 states this order; on the LEAF, the empirical model is 0.02 kWh worse than the one before."""
     means = [np.mean([published.get_mae(recipe, key, AVERAGE).value for key in KEYS]) for recipe in RECIPES]
     assert means == sorted(means, reverse=True)
     leaf = [published.get_mae(recipe, "nissan-leaf-2016", AVERAGE).value for recipe in ("fitted_physical", "empirical")]

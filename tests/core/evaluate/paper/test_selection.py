@@ -1,4 +1,4 @@
-"""Which terms can go: planted ones stay, decoys go, and what that costs is judged on other rides."""
+"""Test which terms elimination removes: decoys are removed, planted terms stay, and other rides measure the loss."""
 
 import numpy as np
 import pytest
@@ -25,33 +25,33 @@ def fleet(n=2400, seed=1):
 
 
 @pytest.fixture(scope="module")
-def found():
+def selection():
     return find_removable_terms(RECIPE, filter_rides(fleet()), seed=2)
 
 
-def test_decoy_terms_are_removed_and_planted_terms_stay(found):
-    assert found["constant"] == ["nominal_capacity_kwh"]
-    assert set(found["rfe"]["removed"]) == set(DECOYS)
-    assert not set(found["rfecv"]["removed"]) & set(PLANTED)
-    assert len(found["rfecv"]["removed"]) >= 2
+def test_decoy_terms_are_removed_and_planted_terms_stay(selection):
+    assert selection["constant"] == ["nominal_capacity_kwh"]
+    assert set(selection["rfe"]["removed"]) == set(DECOYS)
+    assert not set(selection["rfecv"]["removed"]) & set(PLANTED)
+    assert len(selection["rfecv"]["removed"]) >= 2
 
 
-def test_loss_of_removal_is_reported_for_each_step(found):
-    steps = found["rfe"]["steps"]
+def test_loss_of_removal_is_reported_for_each_step(selection):
+    steps = selection["rfe"]["steps"]
     assert {step["term"] for step in steps[: len(DECOYS)]} == set(DECOYS)
     assert len(steps) == len(PLANTED) + len(DECOYS) - 1
     assert steps[len(DECOYS)]["loss"]["value"] > 0.005
     assert steps[len(DECOYS)]["loss"]["p"] < 1e-3
-    assert found["rfecv"]["loss"]["value"] < 0.001
-    scores = {score["terms"]: score["mae"] for score in found["rfecv"]["scores"]}
+    assert selection["rfecv"]["loss"]["value"] < 0.001
+    scores = {score["terms"]: score["mae"] for score in selection["rfecv"]["scores"]}
     assert min(scores) == 1
     assert scores[3] < scores[2] < scores[1]
     assert scores[3] == pytest.approx(0.05 * np.sqrt(2 / np.pi), rel=0.1)
 
 
-def test_total_loss_equals_loss_of_last_removal(found):
-    assert found["rfe"]["loss"] == found["rfe"]["steps"][len(DECOYS) - 1]["loss"]
-    assert set(found["rfe"]["loss"]) == {"value", "ci95", "p"}
+def test_total_loss_equals_loss_of_last_removal(selection):
+    assert selection["rfe"]["loss"] == selection["rfe"]["steps"][len(DECOYS) - 1]["loss"]
+    assert set(selection["rfe"]["loss"]) == {"value", "ci95", "p"}
 
 
 def test_no_loss_where_no_term_is_removable():
@@ -92,5 +92,5 @@ def test_selection_is_empty_with_few_rides_or_without_hybrid_recipe():
     assert list(plan_selection(filter_rides(fleet(200)), {"hybrid": RECIPE}, seed=2)) == ["hybrid"]
 
 
-def test_selection_is_reproducible(found):
-    assert find_removable_terms(RECIPE, filter_rides(fleet()), seed=2) == found
+def test_selection_is_reproducible(selection):
+    assert find_removable_terms(RECIPE, filter_rides(fleet()), seed=2) == selection

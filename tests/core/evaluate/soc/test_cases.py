@@ -1,4 +1,4 @@
-"""What a person would expect at a shift's end, and the risk that goes with it: against sums done by hand."""
+"""Test the baselines at the end of a shift and their empirical risk against sums computed by hand."""
 
 import numpy as np
 import pandas as pd
@@ -21,8 +21,8 @@ from tests.support.soc_frames import CAPACITY, make_frames
 PERCENT = st.floats(0.0, 100.0)
 
 
-def based(frames):
-    """Return the cases of frames and what each baseline expects."""
+def select_with_baselines(frames):
+    """Return the cases of frames, and the expectation of each baseline."""
     cases = select_cases(*frames).cases
     return cases, compute_baselines(cases, *frames)
 
@@ -32,8 +32,8 @@ def test_linear_baseline_is_exact_for_constant_pace():
     passed = (frames.outlooks["time_s"] - frames.outlooks["shift_begin_s"]) / (7.0 * 3600.0)
     end = frames.outlooks.merge(frames.shifts[["vehicle_id", "shift", "soc_end_pct"]])["soc_end_pct"].to_numpy()
     even = frames.outlooks.assign(soc_pct=90.0 - passed * (90.0 - end))
-    cases, found = based(frames._replace(outlooks=even))
-    assert found["linear"].to_numpy() == pytest.approx(cases["soc_end_pct"].to_numpy())
+    cases, result = select_with_baselines(frames._replace(outlooks=even))
+    assert result["linear"].to_numpy() == pytest.approx(cases["soc_end_pct"].to_numpy())
 
 
 def test_linear_baseline_restarts_after_charge():
@@ -42,33 +42,33 @@ def test_linear_baseline_restarts_after_charge():
     since = (frames.outlooks["time_s"] - begin) / 3600.0
     soc = np.where(since < 2.9, 90.0 - 20.0 * since, 80.0 - 5.0 * (since - 2.9))
     shifts = frames.shifts.assign(charged_s=begin + 2.9 * 3600.0, soc_end_pct=59.5)
-    cases, found = based(frames._replace(outlooks=frames.outlooks.assign(soc_pct=soc), shifts=shifts))
+    cases, result = select_with_baselines(frames._replace(outlooks=frames.outlooks.assign(soc_pct=soc), shifts=shifts))
     assert cases["hours"].tolist() == [0, 1, 2, 4]
-    assert found["linear"].to_numpy()[:3] == pytest.approx(59.5)
-    assert np.isnan(found["linear"].iloc[3])  # just charged: nobody has seen a pace
+    assert result["linear"].to_numpy()[:3] == pytest.approx(59.5)
+    assert np.isnan(result["linear"].iloc[3])  # just charged: nobody has seen a pace
 
 
 def test_linear_baseline_is_unknown_before_least_pace_time():
     frames = make_frames(cars=1, days=1, hours=2.0 + LEAST_PACE_TIME / 3600.0 / 2.0, warm_up=0)
-    cases, found = based(frames)
-    assert dict(zip(cases["hours"], np.isfinite(found["linear"]), strict=True)) == {0: True, 1: True, 2: False}
+    cases, result = select_with_baselines(frames)
+    assert dict(zip(cases["hours"], np.isfinite(result["linear"]), strict=True)) == {0: True, 1: True, 2: False}
 
 
 def test_rating_baseline_is_rating_times_planned_distance():
     frames = make_frames(cars=2, days=2, warm_up=0)
-    cases, found = based(frames)
+    cases, result = select_with_baselines(frames)
     for row, case in enumerate(cases.to_dict("records")):
         used = load_catalogue()[case["vehicle_model"]].rated_kwh_per_km * case["ahead_km"] / CAPACITY
-        assert found["rating"].iloc[row] == pytest.approx(max(0.0, case["soc_pct"] - 100.0 * used))
+        assert result["rating"].iloc[row] == pytest.approx(max(0.0, case["soc_pct"] - 100.0 * used))
     horse = frames._replace(shifts=frames.shifts.assign(vehicle_model="horse"))
-    assert based(horse)[1]["rating"].isna().all()
+    assert select_with_baselines(horse)[1]["rating"].isna().all()
 
 
 def test_baselines_stay_between_0_and_100_percent():
     frames = make_frames(cars=2, days=5, warm_up=0)
     outlooks = frames.outlooks.assign(ahead_km=1000.0, soc_begin_pct=10.0)
-    _, found = based(frames._replace(outlooks=outlooks))
-    known = found.to_numpy()[np.isfinite(found.to_numpy())]
+    _, result = select_with_baselines(frames._replace(outlooks=outlooks))
+    known = result.to_numpy()[np.isfinite(result.to_numpy())]
     assert known.min() == 0.0
     assert known.max() == 100.0
 
@@ -82,8 +82,8 @@ def test_mean_consumption_uses_only_earlier_ended_shifts(seed, unknown):
     shifts = frames.shifts.assign(charged_s=np.where(lost, frames.shifts["begin_s"], np.nan))
     shifts["ride_km"] = np.where(rng.random(len(shifts)) < unknown, 0.0, shifts["ride_km"])
     cases = select_cases(frames.outlooks, shifts).cases
-    found = compute_mean_consumption(cases, shifts)
-    for case, rate in zip(cases.to_dict("records"), found, strict=True):
+    result = compute_mean_consumption(cases, shifts)
+    for case, rate in zip(cases.to_dict("records"), result, strict=True):
         known = shifts[
             (shifts["end_s"] <= case["begin_s"])
             & (shifts["vehicle_model"] == case["vehicle_model"])
@@ -121,11 +121,11 @@ def test_empirical_risk_uses_only_errors_known_at_forecast_time(seed, lost):
     became, time = rng.integers(20, 60, n).astype(float), rng.uniform(0.0, 100.0, n)
     ended = time + rng.uniform(0.0, 20.0, n)
     levels = rng.uniform(10.0, 70.0, (n, 3))
-    found = compute_empirical_risk(expected, became, time, ended, levels)
+    result = compute_empirical_risk(expected, became, time, ended, levels)
     for row in range(n):
         errors = (became - expected)[(ended <= time[row]) & np.isfinite(expected)]
         if np.isnan(expected[row]) or len(errors) < LEAST_ERRORS:
-            assert np.isnan(found[row]).all()
+            assert np.isnan(result[row]).all()
         else:
             below = (expected[row] + errors[:, np.newaxis] < levels[row]).sum(axis=0)
-            assert found[row] == pytest.approx((below + 0.5) / (len(errors) + 1.0))
+            assert result[row] == pytest.approx((below + 0.5) / (len(errors) + 1.0))

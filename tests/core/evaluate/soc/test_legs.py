@@ -1,4 +1,4 @@
-"""Single legs and the rides that they became: matched one by one, and nothing across a charge or another shift."""
+"""Test that single legs are matched to their rides, and that no match crosses a charge or a shift."""
 
 import numpy as np
 import pandas as pd
@@ -17,13 +17,13 @@ CAR = "taxi-1"
 
 
 def outlook(time, socs=(60.0, 50.0)):
-    """Return an answer of legs of 10 km, the charge falling to these."""
+    """Return an outlook with legs of 10 km that end at the given states of charge."""
     legs = [LegOutlook(10.0, HOUR, None, None if soc is None else Interval(soc, soc - 2.0, soc + 2.0)) for soc in socs]
     return Outlook(CAR, time, "m/1", 70.0, 0.5, None, None, None, None, legs, None, None, 10.0, None, None)
 
 
-def asked(time=BEGIN, shift=0, legs=3):
-    """Return what was told of legs at a time."""
+def make_legs(time=BEGIN, shift=0, legs=3):
+    """Return the recorded legs of one query."""
     place = np.arange(legs)
     soc = 70.0 - 10.0 * (place + 1)
     return pd.DataFrame(
@@ -35,7 +35,7 @@ def asked(time=BEGIN, shift=0, legs=3):
 
 
 def rides(*ends, km=10.0, since_charge=np.nan):
-    """Return rides that end so many hours after the beginning, with a charge that tells them apart."""
+    """Return rides that end the given hours after the beginning, each with a different final state of charge."""
     hours = np.array(ends, dtype=float)
     return pd.DataFrame(
         {
@@ -55,27 +55,27 @@ def shifts(hours=8.0, charged=np.nan):
 
 
 def test_each_leg_is_matched_to_its_ride():
-    found = match_legs_to_rides(asked(), rides(-1.0, 1.0, 2.0, 3.5, 4.0), shifts())
-    assert found["leg"].tolist() == [0, 1, 2]
-    assert found["minutes"].tolist() == [60.0, 120.0, 210.0]
-    assert found["soc_end_pct"].tolist() == [60.0, 50.0, 35.0]
-    assert not found["charges"].any()
+    matched = match_legs_to_rides(make_legs(), rides(-1.0, 1.0, 2.0, 3.5, 4.0), shifts())
+    assert matched["leg"].tolist() == [0, 1, 2]
+    assert matched["minutes"].tolist() == [60.0, 120.0, 210.0]
+    assert matched["soc_end_pct"].tolist() == [60.0, 50.0, 35.0]
+    assert not matched["charges"].any()
 
 
 def test_ride_that_ended_at_query_time_is_not_matched():
-    assert match_legs_to_rides(asked(legs=1), rides(0.0, 1.0), shifts())["minutes"].tolist() == [60.0]
+    assert match_legs_to_rides(make_legs(legs=1), rides(0.0, 1.0), shifts())["minutes"].tolist() == [60.0]
 
 
 def test_very_short_ride_is_not_matched():
     both = pd.concat([rides(0.5, km=0.1), rides(1.0)])
-    assert match_legs_to_rides(asked(legs=1), both, shifts())["minutes"].tolist() == [60.0]
+    assert match_legs_to_rides(make_legs(legs=1), both, shifts())["minutes"].tolist() == [60.0]
 
 
 def test_undriven_legs_and_rides_of_next_shift_or_other_car_are_left_out():
-    assert len(match_legs_to_rides(asked(legs=3), rides(1.0), shifts())) == 1
-    assert len(match_legs_to_rides(asked(legs=3), rides(1.0, 20.0, 21.0), shifts())) == 1
+    assert len(match_legs_to_rides(make_legs(legs=3), rides(1.0), shifts())) == 1
+    assert len(match_legs_to_rides(make_legs(legs=3), rides(1.0, 20.0, 21.0), shifts())) == 1
     other = rides(1.0).assign(vehicle_id="taxi-2")
-    assert match_legs_to_rides(asked(legs=3), other, shifts()).empty
+    assert match_legs_to_rides(make_legs(legs=3), other, shifts()).empty
 
 
 @given(hour=st.integers(0, 5), past=st.floats(0.05, 0.95))
@@ -84,10 +84,12 @@ def test_legs_are_matched_up_to_next_charge_only(hour, past):
     charged = hour + past
     ends = np.arange(1.0, 7.0)
     since = np.where(ends > charged, HOUR * (ends - charged), np.nan)
-    found = match_legs_to_rides(asked(legs=6), rides(*ends, since_charge=since), shifts(charged=charged))
-    assert found["minutes"].tolist() == (60.0 * ends[ends <= charged]).tolist()
-    assert found["charges"].all()
-    later = match_legs_to_rides(asked(BEGIN + HOUR * charged + 1.0, legs=6), rides(*ends, since_charge=since), shifts())
+    matched = match_legs_to_rides(make_legs(legs=6), rides(*ends, since_charge=since), shifts(charged=charged))
+    assert matched["minutes"].tolist() == (60.0 * ends[ends <= charged]).tolist()
+    assert matched["charges"].all()
+    later = match_legs_to_rides(
+        make_legs(BEGIN + HOUR * charged + 1.0, legs=6), rides(*ends, since_charge=since), shifts()
+    )
     assert len(later) == np.sum(ends > charged)
 
 
@@ -116,7 +118,7 @@ def test_recorder_queries_every_half_hour_of_planned_shift():
 def test_no_queries_or_no_rides_give_no_legs():
     none = LegRecorder(lambda _: outlook(BEGIN)).table()
     assert match_legs_to_rides(none, rides(1.0), shifts()).empty
-    assert match_legs_to_rides(asked(), rides(), shifts()).empty
+    assert match_legs_to_rides(make_legs(), rides(), shifts()).empty
 
 
 def test_leg_figures_match_planted_errors():
@@ -128,11 +130,11 @@ def test_leg_figures_match_planted_errors():
     own = own.assign(minutes=np.where(days % 2, 20.0, 90.0), charges=days % 4 == 0, soc_mean_pct=50.0)
     error = rng.normal(0.0, 1.0, len(own))
     legs = own.assign(soc_p05_pct=48.0, soc_p95_pct=52.0, soc_end_pct=50.0 + error, cluster=np.arange(len(own)))
-    found = evaluate_soc(*frames, legs)["legs"]
-    assert [each["bin"] for each in found["without a charge"]] == ["below 30", "60 to 120", "all"]
-    assert [each["bin"] for each in found["charged later"]] == ["60 to 120", "all"]
+    matched = evaluate_soc(*frames, legs)["legs"]
+    assert [each["bin"] for each in matched["without a charge"]] == ["below 30", "60 to 120", "all"]
+    assert [each["bin"] for each in matched["charged later"]] == ["60 to 120", "all"]
     for name, mine in (("without a charge", days % 4 != 0), ("charged later", days % 4 == 0)):
-        whole = found[name][-1]
+        whole = matched[name][-1]
         assert whole["n"] == mine.sum()
         assert whole["mae_pct"]["value"] == pytest.approx(np.abs(error[mine]).mean())
         assert whole["coverage"]["value"] == np.mean(np.abs(error[mine]) <= 2.0)

@@ -1,4 +1,4 @@
-"""The evaluation of forecasts of a shift's end: planted errors are found, and nothing is judged that should not be."""
+"""Test the evaluation of forecasts of a shift's end: planted errors are recovered, and unusable cases are left out."""
 
 import msgspec
 import numpy as np
@@ -26,7 +26,7 @@ def result(frames):
 
 
 def changed(frames, **columns):
-    """Return frames with columns of the shifts replaced."""
+    """Return frames with some columns of the shifts replaced."""
     return frames._replace(shifts=frames.shifts.assign(**columns))
 
 
@@ -36,7 +36,7 @@ def overall(frames):
 
 def test_each_shift_has_one_forecast_at_each_time_ahead(result):
     shifts = 12 * 38
-    assert {hours: own["n"] for hours, own in result["overall"]["hours"].items()} == {
+    assert {hours: figures["n"] for hours, figures in result["overall"]["hours"].items()} == {
         str(h): shifts for h in HOURS_AHEAD
     }
     assert result["overall"]["pooled"]["n"] == shifts * len(HOURS_AHEAD)
@@ -49,48 +49,50 @@ def test_each_shift_has_one_forecast_at_each_time_ahead(result):
 
 
 def test_calibrated_interval_has_nominal_coverage(result):
-    for own in (result["overall"]["pooled"], *result["overall"]["hours"].values()):
-        assert own["coverage"]["low"] < 0.9 < own["coverage"]["high"]
+    for figures in (result["overall"]["pooled"], *result["overall"]["hours"].values()):
+        assert figures["coverage"]["low"] < 0.9 < figures["coverage"]["high"]
     pooled = result["overall"]["pooled"]["coverage"]
     assert pooled["high"] - pooled["low"] < 0.04
 
 
 def test_interval_of_half_width_has_low_coverage():
-    own = overall(make_frames(cars=12, days=40, narrow=0.5))
-    assert own["coverage"]["high"] < 0.7
-    assert own["coverage"]["low"] < 2.0 * stats.norm.cdf(SPREAD / 2.0) - 1.0 < own["coverage"]["high"]
-    assert own["below"] + own["above"] == pytest.approx(1.0 - own["coverage"]["value"])
+    figures = overall(make_frames(cars=12, days=40, narrow=0.5))
+    assert figures["coverage"]["high"] < 0.7
+    assert figures["coverage"]["low"] < 2.0 * stats.norm.cdf(SPREAD / 2.0) - 1.0 < figures["coverage"]["high"]
+    assert figures["below"] + figures["above"] == pytest.approx(1.0 - figures["coverage"]["value"])
 
 
 def test_error_bias_and_width_match_planted_values(result):
-    for hours, own in result["overall"]["hours"].items():
+    for hours, figures in result["overall"]["hours"].items():
         sd = max(float(hours), 0.5)
-        assert own["width_pct"]["value"] == pytest.approx(2.0 * SPREAD * sd)
-        assert own["mae_pct"]["value"] == pytest.approx(sd * np.sqrt(2.0 / np.pi), abs=1.5 * own["mae_pct"]["ci95"])
-        assert abs(own["bias_pct"]["value"]) < 1.5 * own["bias_pct"]["ci95"]
+        assert figures["width_pct"]["value"] == pytest.approx(2.0 * SPREAD * sd)
+        assert figures["mae_pct"]["value"] == pytest.approx(
+            sd * np.sqrt(2.0 / np.pi), abs=1.5 * figures["mae_pct"]["ci95"]
+        )
+        assert abs(figures["bias_pct"]["value"]) < 1.5 * figures["bias_pct"]["ci95"]
     off = overall(make_frames(cars=12, days=40, bias=3.0))["bias_pct"]
     assert off["value"] == pytest.approx(3.0, abs=1.5 * off["ci95"])
 
 
 def test_better_forecasts_have_lower_error_than_every_baseline():
-    own = evaluate_soc(*make_frames(cars=6, days=20, sd_an_hour=0.2))["overall"]["hours"]["2"]
-    best = own["best"]
-    errors = {name: of["mae_pct"]["value"] for name, of in own["baselines"].items()}
+    figures = evaluate_soc(*make_frames(cars=6, days=20, sd_an_hour=0.2))["overall"]["hours"]["2"]
+    best = figures["best"]
+    errors = {name: of["mae_pct"]["value"] for name, of in figures["baselines"].items()}
     assert best["name"] == min(errors, key=errors.__getitem__)
-    assert best["share_less"] == pytest.approx(1.0 - own["mae_pct"]["value"] / errors[best["name"]])
+    assert best["share_less"] == pytest.approx(1.0 - figures["mae_pct"]["value"] / errors[best["name"]])
     assert best["share_less"] > 0.4
-    for of in own["baselines"].values():
+    for of in figures["baselines"].values():
         assert of["less_pct"]["value"] - of["less_pct"]["ci95"] > 0.0
         assert of["less_pct"]["value"] == pytest.approx(of["mae_pct"]["value"] - of["forecast_mae_pct"]["value"])
 
 
 def test_conditions_contain_every_case_once(result):
     for bins in result["by"].values():
-        assert sum(own["pooled"]["n"] for own in bins) == result["overall"]["pooled"]["n"]
-    assert [own["bin"] for own in result["by"]["temperature"]] == [
+        assert sum(figures["pooled"]["n"] for figures in bins) == result["overall"]["pooled"]["n"]
+    assert [figures["bin"] for figures in result["by"]["temperature"]] == [
         "below -20", "-20 to -10", "-10 to 0", "0 to 10", "10 to 20", "20 to 30",
     ]  # fmt: skip
-    assert [own["bin"] for own in result["by"]["vehicle model"]] == sorted(MODELS)
+    assert [figures["bin"] for figures in result["by"]["vehicle model"]] == sorted(MODELS)
 
 
 def test_result_does_not_depend_on_row_order(frames, result):
@@ -153,22 +155,22 @@ def test_shifts_of_one_car_on_one_day_are_one_cluster():
     late = frames.shifts.assign(shift=frames.shifts["shift"] + 100)
     both = pd.concat([frames.shifts, late], ignore_index=True)
     outlooks = pd.concat([frames.outlooks, frames.outlooks.assign(shift=frames.outlooks["shift"] + 100)])
-    own = evaluate_soc(outlooks, both)["overall"]["hours"]["1"]
-    assert (own["n"], own["shifts"], own["vehicle_days"]) == (16, 16, 8)
+    figures = evaluate_soc(outlooks, both)["overall"]["hours"]["1"]
+    assert (figures["n"], figures["shifts"], figures["vehicle_days"]) == (16, 16, 8)
     alone = evaluate_soc(*frames)["overall"]["hours"]["1"]
-    assert own["mae_pct"] == pytest.approx(alone["mae_pct"])
-    assert own["coverage"]["value"] == alone["coverage"]["value"]
-    assert own["coverage"]["low"] < alone["coverage"]["low"]
-    assert own["coverage"]["low"] < stats.binomtest(14, 16).proportion_ci(method="wilson").low - 0.1
+    assert figures["mae_pct"] == pytest.approx(alone["mae_pct"])
+    assert figures["coverage"]["value"] == alone["coverage"]["value"]
+    assert figures["coverage"]["low"] < alone["coverage"]["low"]
+    assert figures["coverage"]["low"] < stats.binomtest(14, 16).proportion_ci(method="wilson").low - 0.1
 
 
 def test_without_plans_only_linear_baseline_applies_with_note():
     frames = make_frames(cars=2, days=4)
     outlooks = frames.outlooks.assign(planned=False, ahead_km=np.nan)
     found = evaluate_soc(outlooks, frames.shifts)
-    own = found["overall"]["hours"]["2"]
-    assert {name: of["n"] for name, of in own["baselines"].items()} == {"linear": 4, "model_mean": 0, "rating": 0}
-    assert own["best"] is None
+    figures = found["overall"]["hours"]["2"]
+    assert {name: of["n"] for name, of in figures["baselines"].items()} == {"linear": 4, "model_mean": 0, "rating": 0}
+    assert figures["best"] is None
     assert any("no shift had a plan" in note for note in found["notes"])
     assert [bins["bin"] for bins in found["by"]["plan"]] == ["by habit"]
 
@@ -186,17 +188,17 @@ def test_no_case_raises_error_of_one_line(days):
 
 
 def test_examples_include_extreme_shifts_in_time_order(frames, result):
-    assert {why for own in result["examples"] for why in own["why"].split(", ")} == {
+    assert {why for figures in result["examples"] for why in figures["why"].split(", ")} == {
         "coldest", "warmest", "middling", "worst",
     }  # fmt: skip
-    for own in result["examples"]:
-        assert own["hours_ahead"] == sorted(own["hours_ahead"], reverse=True)
-        assert own["hours_ahead"][-1] == pytest.approx(0.0, abs=0.02)
-        widths = np.array(own["soc_p95_pct"]) - np.array(own["soc_p05_pct"])
+    for figures in result["examples"]:
+        assert figures["hours_ahead"] == sorted(figures["hours_ahead"], reverse=True)
+        assert figures["hours_ahead"][-1] == pytest.approx(0.0, abs=0.02)
+        widths = np.array(figures["soc_p95_pct"]) - np.array(figures["soc_p05_pct"])
         assert np.all(np.diff(widths) <= 1e-9)
-    ambient = {own["why"]: own["ambient_c"] for own in result["examples"]}
-    judged_ones = frames.shifts[frames.shifts["shift"] >= 2]
-    assert min(ambient.values()) == judged_ones["ambient_c"].min()
+    ambient = {figures["why"]: figures["ambient_c"] for figures in result["examples"]}
+    evaluated = frames.shifts[frames.shifts["shift"] >= 2]
+    assert min(ambient.values()) == evaluated["ambient_c"].min()
 
 
 def test_synthetic_frames_have_declared_dates_and_capacity(frames):

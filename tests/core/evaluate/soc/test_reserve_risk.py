@@ -1,4 +1,4 @@
-"""Whether told risks hold, and what alarms are worth: planted outcomes are counted, and a false risk is found out."""
+"""Test the reliability of stated risks and of alarms: planted outcomes are counted, and false risks are detected."""
 
 import numpy as np
 import pandas as pd
@@ -20,25 +20,25 @@ from tests.support.soc_frames import make_frames
 N = 20_000
 
 
-def based(frames):
-    """Return the cases of frames, with what each baseline expects."""
+def select_with_baselines(frames):
+    """Return the cases of frames with the expectation of each baseline."""
     cases = select_cases(*frames).cases
     return pd.concat([cases, compute_baselines(cases, *frames)], axis=1)
 
 
-def rows(risk, fell, person=np.nan):
-    """Return rows of one case a shift, each a cluster of its own."""
+def rows(risk, fell, baseline=np.nan):
+    """Return rows with one case per shift, each in a separate cluster."""
     n = np.arange(len(risk))
-    return pd.DataFrame({"risk": risk, "fell": fell, "shift": n, "cluster": n} | dict.fromkeys(BASELINES, person))
+    return pd.DataFrame({"risk": risk, "fell": fell, "shift": n, "cluster": n} | dict.fromkeys(BASELINES, baseline))
 
 
 @pytest.fixture(scope="module")
 def cases():
-    return based(make_frames(cars=12, days=40))
+    return select_with_baselines(make_frames(cars=12, days=40))
 
 
 @pytest.fixture(scope="module")
-def found(cases):
+def evaluated(cases):
     return evaluate_reserve_risk(cases)
 
 
@@ -53,14 +53,14 @@ def test_alarm_counts_match_hand_calculation():
 
 
 def test_scores_match_hand_calculation():
-    own = evaluate_risk(rows(np.array([0.9, 0.0]), np.array([True, False]), 0.5))
-    assert own["brier"] == pytest.approx(0.1**2 / 2)
-    assert own["brier_base"] == 0.25
-    assert own["skill"]["value"] == pytest.approx(1.0 - 0.005 / 0.25)
-    for person in own["baselines"].values():
-        assert person["brier"] == 0.25
-        assert person["forecast_brier"] == own["brier"]
-        assert person["forecast_alarms"] == own["alarms"]
+    figures = evaluate_risk(rows(np.array([0.9, 0.0]), np.array([True, False]), 0.5))
+    assert figures["brier"] == pytest.approx(0.1**2 / 2)
+    assert figures["brier_base"] == 0.25
+    assert figures["skill"]["value"] == pytest.approx(1.0 - 0.005 / 0.25)
+    for baseline in figures["baselines"].values():
+        assert baseline["brier"] == 0.25
+        assert baseline["forecast_brier"] == figures["brier"]
+        assert baseline["forecast_alarms"] == figures["alarms"]
 
 
 def test_cases_are_levels_not_yet_fallen_below(cases):
@@ -88,9 +88,9 @@ def test_reliable_risk_lies_within_intervals_of_outcomes():
     rng = np.random.default_rng(4)
     risk = rng.beta(0.5, 0.5, N)
     classes = compute_reliability(rows(risk, rng.random(N) < risk))
-    assert sum(own["n"] for own in classes) == N
-    assert all(own["low"] <= own["told"] <= own["high"] for own in classes)
-    holds = [own["fell"]["low"] <= own["told"] <= own["fell"]["high"] for own in classes]
+    assert sum(figures["n"] for figures in classes) == N
+    assert all(figures["low"] <= figures["told"] <= figures["high"] for figures in classes)
+    holds = [figures["fell"]["low"] <= figures["told"] <= figures["fell"]["high"] for figures in classes]
     assert sum(holds) >= len(holds) - 1
 
 
@@ -98,42 +98,42 @@ def test_risk_of_half_the_true_size_lies_below_intervals_of_outcomes():
     rng = np.random.default_rng(4)
     risk = rng.uniform(0.02, 0.5, N)
     fell = rng.random(N) < 2.0 * risk
-    for own in compute_reliability(rows(risk, fell)):
-        assert own["fell"]["low"] > own["told"]
+    for figures in compute_reliability(rows(risk, fell)):
+        assert figures["fell"]["low"] > figures["told"]
     assert evaluate_risk(rows(risk, fell, 2.0 * risk))["baselines"]["linear"]["skill"]["value"] < 0.0
 
 
 def test_exact_forecasts_catch_all_cases_without_false_alarm():
-    found = evaluate_reserve_risk(based(make_frames(cars=8, days=20, sd_an_hour=1e-6)))
-    assert set(found["levels"]) == {PLANNED, *map(str, LEVELS)}
-    for of in found["levels"].values():
-        for own in of.values():
-            assert own["alarms"]["caught"] == own["fell"]
-            assert own["alarms"]["missed"] == own["alarms"]["false_alarms"] == 0
-            assert own["brier"] == pytest.approx(0.0, abs=1e-9)
-    assert found["levels"]["30"]["4"]["fell"] > 20
+    evaluated = evaluate_reserve_risk(select_with_baselines(make_frames(cars=8, days=20, sd_an_hour=1e-6)))
+    assert set(evaluated["levels"]) == {PLANNED, *map(str, LEVELS)}
+    for of in evaluated["levels"].values():
+        for figures in of.values():
+            assert figures["alarms"]["caught"] == figures["fell"]
+            assert figures["alarms"]["missed"] == figures["alarms"]["false_alarms"] == 0
+            assert figures["brier"] == pytest.approx(0.0, abs=1e-9)
+    assert evaluated["levels"]["30"]["4"]["fell"] > 20
 
 
-def test_calibrated_forecasts_are_reliable(found):
-    classes = [own for own in found["reliability"]["levels"] if own["n"] >= 100]
-    holds = [own["fell"]["low"] - 0.01 <= own["told"] <= own["fell"]["high"] + 0.01 for own in classes]
+def test_calibrated_forecasts_are_reliable(evaluated):
+    classes = [figures for figures in evaluated["reliability"]["levels"] if figures["n"] >= 100]
+    holds = [figures["fell"]["low"] - 0.01 <= figures["told"] <= figures["fell"]["high"] + 0.01 for figures in classes]
     assert len(classes) >= 5
     assert sum(holds) >= len(holds) - 1
     for hours in ("1", "2"):
-        own = found["overall"][hours]
-        assert own["skill"]["value"] - own["skill"]["ci95"] > 0.4
-    assert found["overall"]["pooled"]["n"] == sum(found["overall"][h]["n"] for h in ("1", "2", "4", "6"))
+        figures = evaluated["overall"][hours]
+        assert figures["skill"]["value"] - figures["skill"]["ci95"] > 0.4
+    assert evaluated["overall"]["pooled"]["n"] == sum(evaluated["overall"][h]["n"] for h in ("1", "2", "4", "6"))
 
 
 def test_better_forecasts_have_positive_skill_relative_to_baselines():
-    overall = evaluate_reserve_risk(based(make_frames(cars=12, days=40, sd_an_hour=0.2)))["overall"]
+    overall = evaluate_reserve_risk(select_with_baselines(make_frames(cars=12, days=40, sd_an_hour=0.2)))["overall"]
     for hours in ("1", "2", "4"):
-        for person in overall[hours]["baselines"].values():
-            assert person["skill"]["value"] - person["skill"]["ci95"] > 0.2
-            assert person["forecast_alarms"]["false_alarms"] < person["alarms"]["false_alarms"]
+        for baseline in overall[hours]["baselines"].values():
+            assert baseline["skill"]["value"] - baseline["skill"]["ci95"] > 0.2
+            assert baseline["forecast_alarms"]["false_alarms"] < baseline["alarms"]["false_alarms"]
 
 
-def test_much_too_narrow_interval_reduces_skill(found):
-    narrow = evaluate_reserve_risk(based(make_frames(cars=12, days=40, narrow=0.2)))
-    assert narrow["overall"]["4"]["brier"] > found["overall"]["4"]["brier"]
-    assert narrow["overall"]["4"]["alarms"]["missed"] > found["overall"]["4"]["alarms"]["missed"]
+def test_much_too_narrow_interval_reduces_skill(evaluated):
+    narrow = evaluate_reserve_risk(select_with_baselines(make_frames(cars=12, days=40, narrow=0.2)))
+    assert narrow["overall"]["4"]["brier"] > evaluated["overall"]["4"]["brier"]
+    assert narrow["overall"]["4"]["alarms"]["missed"] > evaluated["overall"]["4"]["alarms"]["missed"]
