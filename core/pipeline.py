@@ -30,7 +30,7 @@ from core.settings import Settings, checked
 from core.signals.signals import Signals, ambient_quality
 from core.signals.weather import Stations
 from core.snapshot import opened, sealed
-from core.totals.accumulator import Ledger, Sums, Totals, amounts, join_totals
+from core.totals.accumulator import Accumulator, Sums, Totals, amounts, join_totals
 from core.totals.closed_rides import ClosedTotals
 from core.totals.context import RunContext
 from core.totals.run_counters import RunCounters
@@ -113,12 +113,12 @@ class Pipeline:
         self.drivers, self.plans, self.day_rollover = RideDrivers(), NewestPlans(), DayRollover()
         self.cleaner = Cleaner(self.settings)
         self.stations = Stations()
-        self.ledger = Ledger(len(self.effects))
+        self.accumulator = Accumulator(len(self.effects))
         self.counters = RunCounters()
-        self.closed = ClosedTotals(self.ledger.none())
+        self.closed = ClosedTotals(self.accumulator.none())
         self.shadows = ShadowModels([model, *shadows], prefix, keep=keep_forecasts)
-        self.engine = ForecastEngine(self.context, self.ledger.width)
-        self._pending = PendingInput(self.ledger.none())
+        self.engine = ForecastEngine(self.context, self.accumulator.width)
+        self._pending = PendingInput(self.accumulator.none())
         self._due: list[Due] = []
         self._published: list[PublishedForecasts] = []
 
@@ -189,7 +189,7 @@ class Pipeline:
     def finish(self) -> list[Message]:
         """Close all rides, windows and running errors in progress at the end of the stream, and return no messages."""
         self._update_forecasts()
-        sums = self.ledger.close()
+        sums = self.accumulator.close()
         self._take_closed(sums)
         if self.keep_forecasts:
             self.engine.process(sums, [], [])
@@ -236,7 +236,7 @@ class Pipeline:
         with np.errstate(all="ignore"):  # a user's effect may divide by a speed that it then masks
             powers = [(effect.per, effect.power(signals)) for effect in self.effects[: self._of_model]]
             powers += [(effect.per, self.shadows.power(effect, signals)) for effect in self.effects[self._of_model :]]
-        return self.ledger.add(clean, kind, amounts(signals, powers), lanes)
+        return self.accumulator.add(clean, kind, amounts(signals, powers), lanes)
 
     def _take_closed(self, sums: Sums) -> None:
         """Count, evaluate and keep the rides and windows that have ended."""
@@ -314,7 +314,7 @@ class Pipeline:
         taken, self._due = self._due, []
         if not taken:
             return []
-        due = join_totals([each.totals for each in taken], self.ledger.none())
+        due = join_totals([each.totals for each in taken], self.accumulator.none())
         rows = ForecastRows.join([each.rows for each in taken])
         if newest_only:
             last = due.newest()
@@ -411,7 +411,7 @@ class Pipeline:
         """Return the newest values of every vehicle that has sent a sample."""
         self._update_forecasts()
         lanes = self.cleaner.lanes_heard()
-        totals = self.ledger.running(lanes)
+        totals = self.accumulator.running(lanes)
         predicted = self.shadows.predictions(totals, self.context)
         ends = self.engine.get_ends(lanes)
         return build_statuses(totals, self._ride_names(totals), self.context, predicted, ends)
@@ -475,7 +475,7 @@ class Pipeline:
             "day_rollover": self.day_rollover,
             "cleaner": self.cleaner,
             "stations": self.stations,
-            "ledger": self.ledger,
+            "accumulator": self.accumulator,
             "counters": self.counters,
             "engine": self.engine,
         }

@@ -274,7 +274,7 @@ def accept_speed(state: Any, row: Any, settings: Any) -> float:
 
 @njit(cache=False)
 def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
-    """Advance the motion of the car by a sample, and fill in distance, travel, speed, acceleration, turn rate and climb."""
+    """Advance the motion of the car by a sample; fill in distance, travel, speed, acceleration, turn rate and climb."""
     speed = accept_speed(state, row, settings)
     state.fix_age += dt
     state.odometer_age += dt

@@ -1,7 +1,7 @@
 """Detect when the UTC day of a fleet's stream changes, from the stamps of its samples; core never reads a clock.
 
 The daily update runs when most active cars have passed midnight UTC, so one wrong clock cannot trigger it. Loggers'
-clocks may be wrong by hours or years, and may send many samples at once. So each car that was active lately has one vote,
+clocks may be wrong by hours or years, and may send many samples at once. So each recently active car has one vote,
 by its two newest stamps, whatever the number of its samples; a single wrong stamp changes nothing. The next day begins
 when more cars are in it than in the present day. Cars whose clocks are days away from both have no vote.
 

@@ -93,7 +93,8 @@ class PendingInput:
         plans = [each for each in due if isinstance(each, PlanArrival)]
         drivers = [each for each in due if isinstance(each, DriverNamed)]
         rides, idle, running = (
-            join_totals([getattr(each, name) for each in sums], self._none) for name in ("rides", "rests", "running")
+            join_totals([getattr(each, name) for each in sums], self._none)
+            for name in ("rides", "idle_periods", "running")
         )
         return Sums(rides, idle, self._none, running), plans, drivers
 
@@ -150,13 +151,13 @@ class ForecastEngine:
         """
         lanes = len(self.context.lanes)
         self._grow(lanes)
-        parts = sums.rides, sums.rests, sums.running
+        parts = sums.rides, sums.idle_periods, sums.running
         whole = join_totals(parts, sums.running)
         ends = np.cumsum([len(part.lane) for part in parts])
         predicted = self._predict(whole)
         of_rides, of_idle, of_running = np.split(predicted, ends[:-1])
         self.statistics.add_rides(sums.rides, of_rides)
-        self.statistics.add_idle_periods(sums.rests, of_idle)
+        self.statistics.add_idle_periods(sums.idle_periods, of_idle)
         events, at = self._build_events(whole, predicted, int(ends[1]), drivers)
         estimates, shifts = np.empty(len(events), SOC_ESTIMATE), np.empty(len(events), CLOSED_SHIFT)
         shifts = shifts[: filter_events(events, self.state, self.statistics.prior, estimates, shifts)]

@@ -27,7 +27,7 @@ PLAN_LEAD: Final = 600.0
 OVERTIME: Final = 1800.0
 """A plan applies until this time after its end. [s]"""
 FACTOR_DECAY_TIME: Final = 3.0
-"""Time constant with which the day's consumption factor returns to the usual, as weather, traffic and load change. [h]"""
+"""Time constant of the return of the day's consumption factor to the usual; weather, traffic and load change. [h]"""
 DEFAULT_RESERVE: Final = 0.1
 """State of charge to keep where no plan defines it. [1]"""
 
@@ -256,9 +256,9 @@ def compute_end_soc(estimate: CarEstimate, energy: Floats, hours: Floats) -> Mea
 
     Notes
     -----
-    With the predicted fall D = E / C, the mean falls by exp(a - c) D, where a - c decays towards the usual. The variance
+    With the predicted fall D = E / C, the mean falls by exp(a - c) D, where a - c decays to the usual. The variance
     is the sum of that of the charge; D^2 times that of a - c, which keeps wandering; twice their covariance times -D;
-    the noise of the energy itself, proportional to the energy; and that of the quantum in which the outcome is reported.
+    the noise of the energy itself, proportional to the energy; and that of the quantum of the reported outcome.
     D has no factor exp(a - c), so that a car which stops reporting its charge never gets a narrower interval for it.
     """
     predicted = energy / estimate.capacity

@@ -1,6 +1,6 @@
 """Check the plans of dispatch, and parse the vehicle, the ride and the plan of an outlook query.
 
-A query of `fleet/{vehicle}/outlook` has parameters that define a ride, and possibly a payload with a plan to use instead
+A query of `fleet/{vehicle}/outlook` has parameters that define a ride. Its payload may hold a plan to use instead
 of the published one. A plan or ride that cannot be used gets a message with the value, the limit and the remedy.
 """
 
@@ -295,7 +295,8 @@ def parse_plan(payload: bytes | None, vehicle_id: str) -> Plan | None:
         ) from error
     if query.vehicle_id not in {None, vehicle_id}:
         raise AskError(
-            f"the plan is of {_quote(str(query.vehicle_id))}, the question of {vehicle_id}; give a plan of this vehicle",
+            f"the plan is of {_quote(str(query.vehicle_id))}, the question of {vehicle_id}; "
+            "give a plan of this vehicle",
             "payload",
         )
     time_s = nan if query.time_s is None else query.time_s

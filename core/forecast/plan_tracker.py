@@ -1,7 +1,7 @@
 """Track the plan of each car, and what it says about the rest of the shift, as plans arrive and rides end.
 
 The newest plan replaces the one before, unless it is for a later shift: dispatch may plan tomorrow while today's shift
-is in progress. A plan states when its shift ends, not when it begins, so the end decides which shift it is for. The plan
+is in progress. A plan states when its shift ends, not when it begins, so the end decides its shift. The plan
 of a later shift waits until that shift.
 """
 

@@ -1,10 +1,10 @@
-"""How the SOC filter uses a reported state of charge: steps between quanta, jumps, frozen values, and the published SOC.
+"""Use a reported state of charge in the SOC filter: steps between quanta, jumps, frozen values, published SOC.
 
 A reported state of charge is an interval, not a value with noise. It is a measurement only when it steps: the charge
 has just crossed the boundary between two reported values. Between steps, the absence of a step moves the published
 value and reduces no variance.
 
-A reported value may be wrong. A value that jumped is accepted after it has stayed for `JUMP_CONFIRMATION`; it then moves
+A reported value may be wrong. A jumped value is accepted after it has stayed for `JUMP_CONFIRMATION`; it then moves
 the charge and increases its variance. A value that stays constant although the charge must have changed is frozen; it
 is accepted at its next step, and that step reduces no variance.
 

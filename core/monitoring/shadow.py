@@ -215,7 +215,7 @@ class ShadowModels:
         ]
 
     def quality(self) -> dict[str, Any]:
-        """Return counters: `unpredicted_by_shadow` by model, of rides that count; `shadow_faults` by cause, in batches."""
+        """Return counters: `unpredicted_by_shadow` of rides by model; `shadow_faults` of batches by cause."""
         counts = {monitor.label: monitor.unpredicted for monitor in self.monitors[1:]}
         return {"unpredicted_by_shadow": counts, "shadow_faults": dict(self.faults)}
 

@@ -165,15 +165,15 @@ def join_totals(parts: Sequence[Totals], none: Totals) -> Totals:
 
 
 class Sums(NamedTuple):
-    """Totals of what a batch closed, and running totals at its due samples; `rests` are idle periods between rides."""
+    """Totals of what a batch closed, and running totals at its due samples; `idle_periods` lie between rides."""
 
     rides: Totals
-    rests: Totals
+    idle_periods: Totals
     windows: Totals
     running: Totals
 
 
-class Ledger:
+class Accumulator:
     """Accumulate the totals of the open ride, or idle period, and of the open window of every lane.
 
     Parameters
@@ -219,9 +219,9 @@ class Ledger:
         edges = np.stack([columns[name] for name in EDGES])
         speed_bin = np.minimum(clean.speed / SPEED_BIN, SPEED_BINS - 1.0).astype(np.int64)
         size = _OUT_HEAD + self._layout.size
-        rides, rests, windows = np.empty((n, size)), np.empty((n, size)), np.empty((n, size))
+        rides, idle, windows = np.empty((n, size)), np.empty((n, size)), np.empty((n, size))
         running = np.empty((int(clean.due.sum()), size))
-        n_rides, n_rests, n_windows = add_rows(
+        n_rides, n_idle, n_windows = add_rows(
             clean.lane,
             clean.ride,
             clean.window,
@@ -233,13 +233,13 @@ class Ledger:
             self._open,
             self._layout,
             rides,
-            rests,
+            idle,
             windows,
             running,
         )
         return Sums(
             self._read(rides[:n_rides]),
-            self._read(rests[:n_rests]),
+            self._read(idle[:n_idle]),
             self._read(windows[:n_windows], window=True),
             self._read(running),
         )
@@ -250,9 +250,9 @@ class Ledger:
         lanes = np.flatnonzero(riding)
         rides, windows = self.running(lanes), self._read(self._output_rows(lanes), window=True)
         duration = self._open[:, self._layout.ride_amounts + DURATION]
-        rests = self.running(np.flatnonzero(~riding & (duration > 0.0)))
+        idle = self.running(np.flatnonzero(~riding & (duration > 0.0)))
         self._open = self._empty(len(self._open))
-        return Sums(rides, rests, windows, self.none())
+        return Sums(rides, idle, windows, self.none())
 
     def dump(self) -> bytes:
         """Return the open totals of every lane as bytes."""
@@ -357,20 +357,20 @@ def add_rows(
     open_totals: Any,
     layout: Any,
     rides_out: Any,
-    rests_out: Any,
+    idle_out: Any,
     windows_out: Any,
     running_out: Any,
 ) -> Any:
     """Add rows to the open totals of their lanes, in order; return how many rides, idle periods and windows closed."""
-    n_rides = n_rests = n_windows = n_running = 0
+    n_rides = n_idle = n_windows = n_running = 0
     for i in range(lane.shape[0]):
         totals = open_totals[lane[i]]
         silent = ride[i] < 0 and rates[DURATION, i] > SILENCE
         next_window = totals[OPEN_RIDE] >= 0.0 and window[i] != totals[OPEN_WINDOW]
         if next_window or ride[i] != totals[OPEN_RIDE] or silent:
-            rows = rides_out[n_rides], rests_out[n_rests], windows_out[n_windows]
+            rows = rides_out[n_rides], idle_out[n_idle], windows_out[n_windows]
             closed_ride, closed_rest, closed_window = close_open(totals, layout, ride[i], lane[i], edges, i, rows)
-            n_rides, n_rests, n_windows = n_rides + closed_ride, n_rests + closed_rest, n_windows + closed_window
+            n_rides, n_idle, n_windows = n_rides + closed_ride, n_idle + closed_rest, n_windows + closed_window
             totals[OPEN_RIDE], totals[OPEN_WINDOW] = ride[i], window[i]
         riding = ride[i] >= 0
         counts = riding and (rates[DURATION, i] > 0.0 or rates[DISTANCE, i] > 0.0)
@@ -385,7 +385,7 @@ def add_rows(
         if due[i]:
             write_running(running_out[n_running], i, lane[i], totals, layout)
             n_running += 1
-    return n_rides, n_rests, n_windows
+    return n_rides, n_idle, n_windows
 
 
 @njit(cache=True)

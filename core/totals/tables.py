@@ -5,7 +5,7 @@ every term of the paper's Table 1. `model_columns` builds only the columns that 
 parameters of the car), for forecasts.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from typing import Any, Final
 
@@ -401,19 +401,3 @@ def _ride_keys(totals: Totals, names: Sequence[str]) -> list[str]:
 def _date(time: float) -> str:
     """Return the UTC date of a Unix time in ISO 8601 format."""
     return datetime.fromtimestamp(time, UTC).date().isoformat()
-
-
-def unfit_counts(rides: pd.DataFrame) -> Mapping[str, int]:
-    """Return the number of rides that are unfit for training, by reason.
-
-    Parameters
-    ----------
-    rides : DataFrame
-        Ride table.
-
-    Returns
-    -------
-    mapping of str to int
-        Number of rides by `unfit_reason`, in alphabetical order.
-    """
-    return {str(reason): int(n) for reason, n in rides["unfit_reason"].dropna().value_counts().sort_index().items()}

@@ -48,7 +48,8 @@ class Telemetry(Wire):
     ride_id: Annotated[
         str | msgspec.UnsetType | None,
         Meta(
-            description="The logger's name of the ride in progress; null when no ride is in progress, absent from a logger that names no rides."
+            description="The logger's name of the ride in progress; null when no ride is in progress, "
+            "absent from a logger that names no rides."
         ),
     ] = msgspec.UNSET
     seq: Annotated[Count | None, Meta(description="The logger's sample counter.")] = None
@@ -230,7 +231,8 @@ class Outlook(Wire, omit_defaults=False):
     reserve_risk: Annotated[
         float | None,
         Meta(
-            description="Probability that the state of charge falls below the reserve before the shift ends, including the candidate ride. [1]"
+            description="Probability that the state of charge falls below the reserve before the shift ends, "
+            "including the candidate ride. [1]"
         ),
     ]
     why_not: Annotated[str | None, Meta(description="Reason for which any of these is null, in words.")]
@@ -244,7 +246,8 @@ class Gain(Wire, omit_defaults=False):
     mean_kwh: Annotated[
         float | None,
         Meta(
-            description="Mean per ride of the first model's absolute error less this model's; null before a vehicle-day has ended. [kWh]"
+            description="Mean per ride of the first model's absolute error less this model's; "
+            "null before a vehicle-day has ended. [kWh]"
         ),
     ]
     lower_kwh: Annotated[

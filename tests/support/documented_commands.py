@@ -1,6 +1,6 @@
 """Commands on pages of the documentation: find them, run them, compare their output, renew it.
 
-In a console block, a line that begins with `$ ` is a command, and the lines after it are its output. A line `...` in the
+In a console block, a line that begins with `$ ` is a command; the lines after it are its output. A line `...` in the
 output stands for any number of lines. A printed number may differ by `TOLERANCE`, or by one in its last digit, because
 another processor rounds otherwise. The version of a model may differ altogether, because it depends on every digit.
 """

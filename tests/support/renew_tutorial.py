@@ -1,7 +1,7 @@
 """Renew the outputs in the tutorial: run `python -m tests.support.renew_tutorial`, then read `git diff docs`.
 
-It runs the commands of `docs/missing-effect.md` one after another in a temporary folder and writes their output into the
-page. Elisions (`...`) stay in place where only numbers changed. Where words changed, the page receives the whole output,
+It runs the commands of `docs/missing-effect.md` in order in a temporary folder and writes their output into the
+page. Elisions (`...`) stay in place where only numbers changed. Where words changed, the page gets the whole output,
 to be shortened by hand. Numbers in the text between the outputs are not renewed.
 """
 

@@ -21,7 +21,7 @@ PRIOR = CAR_SD**2 + soc_filter.DRIVER_SD**2 + DAY_FACTOR_SD**2
 
 
 class Truth(NamedTuple):
-    """Planted values: charge and log of the consumption factor at each event, (cars, n), and log of the capacity, (cars,)."""
+    """Planted charge and log consumption factor at each event, (cars, n), and log of the capacity, (cars,)."""
 
     soc: np.ndarray
     a: np.ndarray

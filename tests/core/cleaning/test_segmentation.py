@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from core.settings import Settings
-from core.totals.tables import unfit_counts
 from tests.support.telemetry import PERIOD, START, drive, joined, leaf, picked, ran, telemetry, told, without
 
 MOVING, PARKED = 10.0, 0.0
@@ -114,7 +113,7 @@ def test_unfit_rides_have_a_reason_and_are_counted():
     assert rides["unfit_reason"][list(expected)].fillna("").tolist() == list(expected.values())
     assert rides["fit_for_training"].tolist() == rides["unfit_reason"].isna().tolist()
     quality = pipeline.quality()
-    assert quality["unfit"] == unfit_counts(rides)
+    assert quality["unfit"] == rides["unfit_reason"].value_counts().to_dict()
     assert quality["rides"] == 5
     assert sum(quality["unfit"].values()) == (~rides["fit_for_training"]).sum()
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import core.pipeline
 from core.forecast.engine import PendingInput
 from core.forecast.plan_tracker import DriverNamed, PlanArrival
-from core.totals.accumulator import Ledger, join_totals
+from core.totals.accumulator import Accumulator, join_totals
 from tests.support.fleet_days import CARS, DAYS, merged, plan, shift, trained_pipeline
 from tests.support.telemetry import START, chunked, leaf, observed, told
 
@@ -85,16 +85,16 @@ def test_status_queries_and_snapshots_change_no_forecast(cuts, queried):
 
 
 def test_later_dispatch_messages_wait_and_rows_count_from_first_batch():
-    ledger = Ledger(0)
-    none = ledger.none()
+    accumulator = Accumulator(0)
+    none = accumulator.none()
     rows = none._replace(**{name: np.zeros((2, *part.shape[1:]), part.dtype) for name, part in none._asdict().items()})
     pending = PendingInput(none)
     assert not pending
     plan_later = PlanArrival(9, 1, None)
     pending.add_dispatch(DriverNamed(5, 0, "x"))
     pending.add_dispatch(plan_later)
-    pending.add_sums(ledger.close()._replace(running=rows), 3, 2)
-    pending.add_sums(ledger.close()._replace(running=rows), 5, 2)
+    pending.add_sums(accumulator.close()._replace(running=rows), 3, 2)
+    pending.add_sums(accumulator.close()._replace(running=rows), 5, 2)
     assert pending.size == 6
     assert pending.lanes == {0, 1}
     sums, plans, drivers = pending.take(7)
@@ -103,7 +103,7 @@ def test_later_dispatch_messages_wait_and_rows_count_from_first_batch():
     assert pending.size == 0
     assert pending.lanes == {1}
     pending.end_batch(9)
-    pending.add_sums(ledger.close()._replace(running=rows), 2, 2)
+    pending.add_sums(accumulator.close()._replace(running=rows), 2, 2)
     sums, plans, _ = pending.take(4)
     assert sums.running.at.tolist() == [11, 11]
     assert plans == [plan_later]
@@ -111,6 +111,6 @@ def test_later_dispatch_messages_wait_and_rows_count_from_first_batch():
 
 
 def test_joining_no_totals_returns_none():
-    none = Ledger(3).none()
+    none = Accumulator(3).none()
     assert join_totals([], none) is none
     assert join_totals([none, none], none) is none

@@ -49,7 +49,9 @@ def test_unknown_column_is_refused_by_name(column):
 def test_every_feature_is_numeric_and_available_during_a_ride():
     pipeline = Pipeline()
     table = pipeline.take_rides()
-    running = model_columns(pipeline.ledger.running(np.empty(0, np.int64)), pipeline.context, ["winter", "vehicle_id"])
+    running = model_columns(
+        pipeline.accumulator.running(np.empty(0, np.int64)), pipeline.context, ["winter", "vehicle_id"]
+    )
     for column in FEATURES:
         assert pd.api.types.is_numeric_dtype(table[column]), column
         assert column in running, column

@@ -8,7 +8,7 @@ from core.columns import JOULES_PER_KWH, KMH, SPEED_BINS
 from core.pipeline import Pipeline
 from core.signals.signals import Signals
 from core.signals.weather import Stations
-from core.totals.accumulator import AMOUNTS, Ledger
+from core.totals.accumulator import AMOUNTS, Accumulator
 from core.totals.tables import HISTOGRAM
 from core.vehicles import load_catalogue
 from core.vehicles.fleet import CarParameters
@@ -134,7 +134,7 @@ def test_running_totals_at_the_end_equal_those_of_the_ride():
     messages = [leaf(), *telemetry(full())]
     pipeline = Pipeline()
     pipeline.push(messages)
-    running = pipeline.ledger.running(np.array([0]))
+    running = pipeline.accumulator.running(np.array([0]))
     status = pipeline.status()[0]
     last = pipeline.push([])
     pipeline.finish()
@@ -165,7 +165,7 @@ def test_running_distance_equals_the_sum_of_the_rows_so_far():
     clean = cleaned(columns)
     for i, message in enumerate(messages):
         pipeline.push([message])
-        assert pipeline.ledger.running(np.array([0])).amount("distance")[0] == pytest.approx(
+        assert pipeline.accumulator.running(np.array([0])).amount("distance")[0] == pytest.approx(
             clean.distance[: i + 1].sum()
         )
 
@@ -193,10 +193,10 @@ def test_rows_outside_rides_enter_no_totals():
 
 
 def test_empty_ledger_has_a_column_for_every_amount():
-    ledger = Ledger(3)
-    totals = ledger.running(np.array([], dtype=np.int64))
+    accumulator = Accumulator(3)
+    totals = accumulator.running(np.array([], dtype=np.int64))
     assert totals.amounts.shape == (0, len(AMOUNTS) + 3 + SPEED_BINS)
-    assert ledger.close().rides.lane.size == 0
+    assert accumulator.close().rides.lane.size == 0
 
 
 # Idle periods
@@ -222,15 +222,15 @@ def paused(n=300, begin=100, end=160):
 def test_idle_period_covers_the_time_between_two_rides(monkeypatch):
     columns = paused()
     sums = summed(columns, monkeypatch)
-    (rest,) = range(len(sums.rests.lane))
+    (rest,) = range(len(sums.idle_periods.lane))
     power = (columns["battery_voltage_v"] * columns["battery_current_a"])[99:160]
-    assert (sums.rests.ride[rest], sums.rests.at[rest]) == (-1, 160)
-    assert sums.rests.amount("duration")[rest] == PERIOD * 60
-    assert sums.rests.amount("energy")[rest] == pytest.approx(np.trapezoid(power) * PERIOD)
-    assert sums.rests.amount("metered")[rest] == PERIOD * 60
-    assert sums.rests.at_first("time")[rest] == columns["time_s"][100]
-    assert sums.rests.at_last("time")[rest] == columns["time_s"][159]
-    assert sums.rides.amount("duration")[0] + sums.rests.amount("duration")[rest] == pytest.approx(PERIOD * 159)
+    assert (sums.idle_periods.ride[rest], sums.idle_periods.at[rest]) == (-1, 160)
+    assert sums.idle_periods.amount("duration")[rest] == PERIOD * 60
+    assert sums.idle_periods.amount("energy")[rest] == pytest.approx(np.trapezoid(power) * PERIOD)
+    assert sums.idle_periods.amount("metered")[rest] == PERIOD * 60
+    assert sums.idle_periods.at_first("time")[rest] == columns["time_s"][100]
+    assert sums.idle_periods.at_last("time")[rest] == columns["time_s"][159]
+    assert sums.rides.amount("duration")[0] + sums.idle_periods.amount("duration")[rest] == pytest.approx(PERIOD * 159)
 
 
 def test_long_silence_ends_an_idle_period_and_belongs_to_none(monkeypatch):
@@ -238,8 +238,11 @@ def test_long_silence_ends_an_idle_period_and_belongs_to_none(monkeypatch):
     columns["time_s"] = columns["time_s"] + 3600.0 * (np.arange(300) >= 130)
     columns["seq"] = columns["seq"] + 1200 * (np.arange(300) >= 130)
     sums = summed(columns, monkeypatch)
-    assert sums.rests.amount("duration").tolist() == [PERIOD * 30, PERIOD * 29]
-    assert (sums.rests.at_last("time") - sums.rests.at_first("time")).tolist() == [PERIOD * 29, PERIOD * 29]
+    assert sums.idle_periods.amount("duration").tolist() == [PERIOD * 30, PERIOD * 29]
+    assert (sums.idle_periods.at_last("time") - sums.idle_periods.at_first("time")).tolist() == [
+        PERIOD * 29,
+        PERIOD * 29,
+    ]
 
 
 def test_running_totals_between_rides_are_those_of_the_idle_period(monkeypatch):

@@ -23,7 +23,7 @@ from core.pipeline import BLOCK
 from core.settings import Settings
 from core.signals.signals import Signals, ambient_quality
 from core.signals.weather import Sky, Stations
-from core.totals.accumulator import AMOUNTS, Ledger, Totals, amounts
+from core.totals.accumulator import AMOUNTS, Accumulator, Totals, amounts
 from core.totals.context import RunContext
 from core.totals.tables import ride_table, window_table
 from core.vehicles.fleet import Cars
@@ -163,16 +163,16 @@ class Recording:
         clean = _cleaned(filled, len(self.lanes), self.sky)
         if not np.array_equal(clean.dt, self.timing):
             raise ValueError("a hidden effect has changed which samples are used, so the stored rates are invalid")
-        ledger = Ledger(len(self.effects) + ROOM)
+        accumulator = Accumulator(len(self.effects) + ROOM)
         rides, windows = list[Totals](), list[Totals]()
         for block, start in zip(self.rates, range(0, len(self.car), BLOCK), strict=True):
             rows = slice(start, start + BLOCK)
             part = _rows(clean, rows)
             self._renew(block, part, rows, hidden[:, rows])
-            sums = ledger.add(part, self.kind[rows], block, len(self.lanes))
+            sums = accumulator.add(part, self.kind[rows], block, len(self.lanes))
             rides.append(sums.rides)
             windows.append(sums.windows)
-        closed = ledger.close()
+        closed = accumulator.close()
         return self._named(_joined([*rides, closed.rides]), _joined([*windows, closed.windows]), names)
 
     def _renew(self, block: Floats, clean: Clean, rows: slice, hidden: Floats) -> None:

@@ -141,7 +141,7 @@ def test_knot_weights_interpolate_between_two_neighbours(values):
 def test_loaded_state_gives_the_same_tables():
     pipeline = train()
     statistics = pipeline.engine.statistics
-    other = RideStatistics(pipeline.ledger.width)
+    other = RideStatistics(pipeline.accumulator.width)
     other.load(statistics.rides.dump())
     assert repr(other.tables) == repr(statistics.rides.tables)
     other.update_tables(pipeline.context)
@@ -211,7 +211,7 @@ def test_mean_pause_is_that_of_idle_periods():
 def test_tables_are_averages_fitted_to_the_measured_rides():
     pipeline = train()
     statistics = pipeline.engine.statistics.rides
-    plain = RideStatistics(pipeline.ledger.width)
+    plain = RideStatistics(pipeline.accumulator.width)
     plain.load(statistics.dump())
     equations = LegEquations(*(part.copy() for part in equations_of(plain)))
     plain._sums[MODEL].matrix[:] = 0.0
