@@ -210,7 +210,7 @@ def query_outlook(
     except zenoh.ZError as error:
         raise SettingsError(f"{key} cannot be asked: {format_zenoh_error(error)}; give a plain name") from error
     if words := next(filter(None, refusals), None):
-        raise AskError(words, "told")
+        raise AskError(words, "refused")
     if refusals:
         raise SettingsError(f"{key} is not answered within {timeout_s:g} s; ask again, or wait longer")
     raise SettingsError(

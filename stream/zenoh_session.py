@@ -153,7 +153,7 @@ def parse_prefix(text: str) -> str:
 
     Examples
     --------
-    >>> key_prefix("/quebec/montreal/"), key_prefix("")
+    >>> parse_prefix("/quebec/montreal/"), parse_prefix("")
     ('quebec/montreal/', '')
     """
     chunks = text.strip("/")
@@ -161,10 +161,10 @@ def parse_prefix(text: str) -> str:
         return ""
     try:
         zenoh.KeyExpr(chunks)
-        format_zenoh_error = "*" not in chunks and chunks.isprintable()
+        is_plain = "*" not in chunks and chunks.isprintable()
     except zenoh.ZError:
-        format_zenoh_error = False
-    if not format_zenoh_error:
+        is_plain = False
+    if not is_plain:
         raise SettingsError(
             f"prefix is {text!r}; give plain chunks such as montreal or quebec/montreal, "
             "without wildcards, empty chunks or any of * $ ? #"

@@ -137,7 +137,7 @@ def make_term(*columns: str) -> Term:
 
     Examples
     --------
-    >>> term("odometer_km", "effect_climbing")
+    >>> make_term("odometer_km", "effect_climbing")
     Term(name='odometer_km * climbing', columns=('odometer_km', 'effect_climbing'), unit='1/km')
     """
     name = " * ".join(column.removeprefix("effect_") for column in columns) or "constant"

@@ -106,7 +106,7 @@ class RunningErrors:
             mean_kwh=clusters.mean if clusters.count else None,
             lower_kwh=lower if known else None,
             upper_kwh=upper if known else None,
-            verdict="better" if lower > 0.0 else "worse" if upper < 0.0 else "not told",
+            verdict="better" if lower > 0.0 else "worse" if upper < 0.0 else "undecided",
         )
 
     def dump(self) -> Any:

@@ -259,7 +259,7 @@ class Gain(Wire, omit_defaults=False):
         Meta(description="Upper end of its 95 % interval; null where too few vehicle-days have ended. [kWh]"),
     ]
     verdict: Annotated[
-        Literal["better", "worse", "not told"],
+        Literal["better", "worse", "undecided"],
         Meta(description="`better` or `worse` where the interval excludes zero."),
     ]
 

@@ -29,7 +29,7 @@ def make_schema(kind: str) -> dict[str, Any]:
     Examples
     --------
     >>> make_schema("telemetry")["properties"]["soc_pct"]
-    {'description': 'State of charge as displayed. [%]', 'type': ['number', 'null']}
+    {'type': ['number', 'null'], 'description': 'State of charge as displayed. [%]'}
     """
     return describe_struct(KINDS[kind])
 

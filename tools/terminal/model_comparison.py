@@ -108,8 +108,8 @@ def describe_gain(gain: Gain) -> str:
     str
     """
     over = f"{gain.rides:,} rides of {gain.vehicle_days:,} vehicle-days"
-    if gain.mean_kwh is None or gain.lower_kwh is None or gain.upper_kwh is None or gain.verdict == "not told":
-        return f"not yet told: {over}"
+    if gain.mean_kwh is None or gain.lower_kwh is None or gain.upper_kwh is None or gain.verdict == "undecided":
+        return f"undecided: {over}"
     low, high = sorted((abs(gain.lower_kwh), abs(gain.upper_kwh)))
     span = f"{abs(gain.mean_kwh):.3f} kWh a ride ({low:.3f} to {high:.3f})"
     return f"{gain.verdict} than the first by {span}, over {over}"

@@ -147,7 +147,7 @@ def test_vehicle_day_counts_when_it_has_ended():
     assert [errors.overall.rides for errors in told_of] == [1, 2, 3, 4, 5, 6, 7, 8, 8]
     assert [errors.overall.gain.vehicle_days for errors in told_of] == [0, 0, 0, 0, 1, 1, 1, 1, 2]
     assert [errors.overall.gain.rides for errors in told_of] == [0, 0, 0, 0, 4, 4, 4, 4, 8]
-    assert {errors.overall.gain.verdict for errors in told_of} == {"not told"}
+    assert {errors.overall.gain.verdict for errors in told_of} == {"undecided"}
     times = [errors.time_s for errors in told_of]
     assert times == sorted(times)
     assert times[0] == pytest.approx(START + 3 * 140, abs=3)
@@ -237,7 +237,7 @@ def ended(rng, rides, model="m", first=0.1, second=0.1, cars=10):
     return EndedRides(lane, start, start + 600.0, [model] * rides, measured, predicted)
 
 
-@pytest.mark.parametrize(("spread", "verdict"), [(0.05, "better"), (0.1, "not told"), (0.2, "worse")])
+@pytest.mark.parametrize(("spread", "verdict"), [(0.05, "better"), (0.1, "undecided"), (0.2, "worse")])
 def test_planted_difference_is_detected(rng, spread, verdict):
     shadows = ShadowModels([BASIC_PHYSICAL, EXTENDED_PHYSICAL])
     shadows.add_ended(ended(rng, 2500, second=spread))
@@ -254,7 +254,7 @@ def test_models_with_equal_predictions_are_never_distinguished(rng):
     shadows = ShadowModels([BASIC_PHYSICAL, EXTENDED_PHYSICAL])
     rides = ended(rng, 3000)
     shadows.add_ended(rides._replace(predicted=[rides.predicted[0]] * 2))
-    assert shadows.errors()[1].overall.gain.verdict == "not told"
+    assert shadows.errors()[1].overall.gain.verdict == "undecided"
 
 
 def test_vehicle_models_beyond_the_limit_count_only_among_all(rng):

@@ -52,7 +52,7 @@ TELEMETRY = struct(
     charging=st.none() | st.booleans(),
 )
 INTERVAL = st.none() | st.builds(Interval, number, number, number)
-GAIN = struct(Gain, rides=count, vehicle_days=count, verdict=st.sampled_from(["better", "worse", "not told"]))
+GAIN = struct(Gain, rides=count, vehicle_days=count, verdict=st.sampled_from(["better", "worse", "undecided"]))
 ERRORS = struct(RideErrors, vehicle_model=st.none() | name, rides=count, unpredicted_rides=count, gain=st.none() | GAIN)
 LEG = struct(Leg, distance_km=number, duration_s=number)
 LEG_OUTLOOK = struct(LegOutlook, distance_km=number, duration_s=number, energy_kwh=INTERVAL, soc_pct=INTERVAL)

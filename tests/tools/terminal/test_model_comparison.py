@@ -72,9 +72,9 @@ def make_errors(gain_of_model, **fields):
 @pytest.mark.parametrize(
     ("told", "words"),
     [
-        (gain(None, None, "not told", None), "not yet told:"),
-        (gain(None, None, "not told"), "not yet told:"),
-        (gain(-0.01, 0.0724, "not told"), "not yet told:"),
+        (gain(None, None, "undecided", None), "undecided:"),
+        (gain(None, None, "undecided"), "undecided:"),
+        (gain(-0.01, 0.0724, "undecided"), "undecided:"),
         (gain(0.0312, 0.0731, "better"), "better than the first by 0.052 kWh a ride (0.031 to 0.073), over"),
         (
             gain(-0.0731, -0.0312, "worse", -0.0524),
@@ -106,9 +106,9 @@ def test_table_has_row_per_model_and_optional_rows_per_vehicle_model():
 
 
 def test_log_line_has_figures_with_units_and_no_unknown_values():
-    told = make_log_fields(make_errors(gain(None, None, "not told", None)))
+    told = make_log_fields(make_errors(gain(None, None, "undecided", None)))
     assert told["model"] == "cold/2"
-    assert (told["mae_kwh"], told["gain_vehicle_days"], told["gain_verdict"]) == (0.25, 31, "not told")
+    assert (told["mae_kwh"], told["gain_vehicle_days"], told["gain_verdict"]) == (0.25, 31, "undecided")
     assert None not in told.values()
     assert "gain" not in make_log_fields(make_errors(None))
 
@@ -152,7 +152,7 @@ def test_replay_of_several_models_reports_errors_of_each(recording, tmp_path):
     assert both["models"][1]["overall"]["mae_kwh"] == pytest.approx(sum(off) / len(off))
     assert both["models"][1]["overall"]["gain"]["vehicle_days"] == 3
     assert "basic_physical/1" in out
-    assert "basic_physical/1: not yet told: 9 rides of 3 vehicle-days" in out
+    assert "basic_physical/1: undecided: 9 rides of 3 vehicle-days" in out
     kept = [message for block in McapSource(tmp_path / "f.mcap") for message in block]
     assert json.loads(kept[-1].payload) == both["models"][1]
     out, _, code = called("info", tmp_path / "f.mcap", "--json", tmp_path / "info.json")

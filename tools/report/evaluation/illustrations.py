@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 
 from core.evaluate.paper import published
 from core.stats.multiple_testing import SIGNIFICANCE
-from tools.report.evaluation import figures
+from tools.report.evaluation import figures, transfer_figures
 from tools.report.evaluation.result import (
     ALL,
     FITTED,
@@ -207,7 +207,7 @@ def _transfer(result: Result) -> list[Illustration]:
             f"{get_vehicle_name(key)} left out of training (Table 12)",
             "Bars: here. Dashed: the fitted physical model, the line to beat. "
             + (f"Open diamonds: the paper's. {PAPER_CAPTION}" if beside else ""),
-            figures.draw_new_vehicle(result, key),
+            transfer_figures.draw_new_vehicle(result, key),
             small=True,
         )
         for i, key in enumerate(keys)
@@ -221,7 +221,7 @@ def _transfer(result: Result) -> list[Illustration]:
             f"{get_vehicle_name(key)}: error after some of its rides",
             "From no ride of the new vehicle model to many, on a logarithmic axis, with 95 % confidence intervals. "
             "Thick: the fitted physical model, the line to beat.",
-            figures.draw_few_shot(result, key),
+            transfer_figures.draw_few_shot(result, key),
             small=True,
         )
         for i, key in enumerate(get_mapping(result, "few_shot"))

@@ -1,0 +1,107 @@
+"""Draw the errors on a vehicle model that was left out of training."""
+
+from typing import Any
+
+import plotly.graph_objects as go
+
+from core.evaluate.paper import published
+from tools.report.evaluation.result import (
+    FITTED,
+    Result,
+    get_half_width,
+    get_mapping,
+    get_number,
+    get_part,
+    get_recipes,
+)
+from tools.report.evaluation.transfer_tables import get_few_shot_errors
+from tools.report.figure_style import (
+    PAPER_NAME,
+    add_reference_line,
+    draw_bars,
+    draw_curve,
+    draw_dots,
+    format_recipe_label,
+    get_recipe_style,
+    get_vehicle_style,
+    make_figure,
+)
+
+NO_RIDES = 0.3
+"""Position of zero rides on a logarithmic axis of rides seen."""
+
+
+def draw_new_vehicle(result: Result, vehicle_model: str) -> go.Figure:
+    """Return a figure of the errors of all models on a vehicle model left out of training, as Table 12 of the paper.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+    vehicle_model : str
+        Key of the vehicle model.
+
+    Returns
+    -------
+    Figure
+        Plotly figure.
+    """
+    found = get_mapping(result, "new_vehicle")
+    names = [
+        recipe
+        for recipe in get_recipes(result)
+        if get_number(get_part(found, recipe, vehicle_model, "mae")) is not None
+    ]
+    rows = [format_recipe_label(result, recipe) for recipe in names]
+    look = get_vehicle_style(result, vehicle_model)
+    errors = [get_number(get_part(found, recipe, vehicle_model, "mae")) for recipe in names]
+    traces: list[Any] = [draw_bars("here", look._replace(pattern=""), rows, errors, opacity=0.5)]
+    theirs = [published.get_new_vehicle_mae(recipe, vehicle_model) for recipe in names]
+    if any(theirs):
+        values = [None if f is None else f.value for f in theirs]
+        traces.append(draw_dots(PAPER_NAME, look._replace(symbol="diamond"), values, rows, outline=True))
+    made = make_figure(traces, 90 + 32 * len(names))
+    if (line := get_number(get_part(found, FITTED, vehicle_model, "mae"))) is not None:
+        add_reference_line(made, "fitted physical", line)
+    made.update_xaxes(title_text="Mean absolute error [kWh]", rangemode="tozero")
+    made.update_yaxes(title_text="Model", type="category", autorange="reversed")
+    return made
+
+
+def draw_few_shot(result: Result, vehicle_model: str) -> go.Figure:
+    """Return a figure of the error on a new vehicle model against the number of its rides seen.
+
+    The curve of the fitted physical model is thicker than the others.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+    vehicle_model : str
+        Key of the vehicle model.
+
+    Returns
+    -------
+    Figure
+        Plotly figure.
+    """
+    traces, numbers = [], set()
+    for recipe in get_mapping(result, "few_shot", vehicle_model):
+        points = get_few_shot_errors(result, vehicle_model, recipe)
+        numbers |= set(points)
+        x = [n or NO_RIDES for n in points]
+        spreads = [get_half_width(point) for point in points.values()]
+        name = format_recipe_label(result, recipe)
+        trace = draw_curve(name, get_recipe_style(result, recipe), x, [get_number(p) for p in points.values()], spreads)
+        traces.append(trace.update(line={"width": 4}) if recipe == FITTED else trace)
+    made = make_figure(traces, 360)
+    made.update_layout(showlegend=True)
+    ticks = sorted(numbers)
+    made.update_xaxes(
+        title_text="Rides of the new vehicle model seen [number]",
+        type="log",
+        tickvals=[n or NO_RIDES for n in ticks],
+        ticktext=[str(n) for n in ticks],
+    )
+    made.update_yaxes(title_text="Mean absolute error [kWh]", rangemode="tozero")
+    return made
