@@ -16,7 +16,7 @@ from core.evaluate.paper.results import to_json_values
 from tests.support.evaluation_result import CLUSTERS, RECIPES, VEHICLES, evaluation
 from tests.support.html_pages import read_page
 from tools.report.cells import PAPER_NOTE, UNKNOWN
-from tools.report.evaluation import figures
+from tools.report.evaluation import selection_figures
 from tools.report.evaluation.illustrations import MAKERS, PAPER_CAPTION, build_illustrations
 from tools.report.evaluation.sections import build_sections
 from tools.report.evaluation.terminal import show
@@ -322,7 +322,7 @@ def test_split_tables_state_whether_best_models_differ():
 @given(value=st.floats(-50, 50), p=st.floats(0, 1))
 def test_difference_matrix_is_antisymmetric(value, p):
     pairs = {"basic_physical|fitted_physical": {"value": value, "ci95": 0.1, "p": p}}
-    made = figures.draw_difference_matrix({"recipes": RECIPES, "difference": {"x": pairs}}, "x")
+    made = selection_figures.draw_difference_matrix({"recipes": RECIPES, "difference": {"x": pairs}}, "x")
     (heat,) = made.data
     assert heat.customdata[0][1] == 1000.0 * value == -heat.customdata[1][0]
     assert heat.z[0][1] == -heat.z[1][0]

@@ -1,6 +1,5 @@
 """Draw the figures of a report: each function takes the result of an evaluation and returns a plotly figure."""
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,9 +9,7 @@ import plotly.graph_objects as go
 from core.columns import ZERO_CELSIUS
 from core.evaluate.paper import published
 from core.evaluate.paper.published import AVERAGE, PHYSICAL
-from core.stats.multiple_testing import SIGNIFICANCE
 from core.vehicles import AccessoryCurve
-from tools.report.evaluation.error_tables import get_difference
 from tools.report.evaluation.result import (
     Result,
     get_half_width,
@@ -25,7 +22,6 @@ from tools.report.evaluation.result import (
     list_vehicle_models,
     select_principal,
 )
-from tools.report.evaluation.selection_tables import format_terms
 from tools.report.evaluation.split_tables import SPLITS, compute_means_by_split
 from tools.report.evaluation.use_tables import (
     AXES,
@@ -37,7 +33,6 @@ from tools.report.evaluation.use_tables import (
     list_bins,
 )
 from tools.report.figure_style import (
-    DIVERGING,
     PAPER_NAME,
     REFERENCE_LINE,
     Style,
@@ -382,96 +377,6 @@ def draw_coverage(result: Result) -> go.Figure:
     least = min((y for trace in traces for y in trace.y if y is not None), default=100.0)
     made.update_yaxes(title_text="Inside their 90 % interval [%]", range=[min(80.0, least - 2.0), 101.0])
     return made
-
-
-def draw_elimination(result: Result) -> go.Figure:
-    """Return a figure of the errors as terms are eliminated.
-
-    The upper panel shows the cross-validated error against the number of terms kept, the lower panel the loss as terms
-    are removed one after the other.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    Figure
-        Plotly figure.
-    """
-    scores = [s for s in get_part(result, "selection", "rfecv", "scores") or () if get_number(s.get("mae")) is not None]
-    steps = [s for s in get_part(result, "selection", "rfe", "steps") or () if get_number(s.get("loss")) is not None]
-    made = make_stacked_figure(("RFECV: cross-validated error", "RFE: error more than with all terms"), 640)
-    if scores:
-        trace = draw_curve("RFECV", get_style(2), [s["terms"] for s in scores], [s["mae"] for s in scores])
-        made.add_trace(trace.update(showlegend=False), row=1, col=1)
-    if steps:
-        losses = [s["loss"] for s in steps]
-        x, y = list(range(1, len(steps) + 1)), [get_number(loss) for loss in losses]
-        trace = draw_curve("RFE", get_style(4), x, y, [get_half_width(loss) for loss in losses])
-        trace.update(showlegend=False, text=[escape_label(format_terms([s.get("term")])) for s in steps])
-        made.add_trace(trace, row=2, col=1)
-    made.update_xaxes(title_text="Terms kept [number]", row=1)
-    made.update_xaxes(title_text="Terms gone [number]", row=2)
-    made.update_yaxes(title_text="Mean absolute error [kWh]", row=1)
-    made.update_yaxes(title_text="Loss [kWh]", zeroline=True, row=2)
-    return made
-
-
-def draw_difference_matrix(result: Result, vehicle_model: str) -> go.Figure:
-    """Return a figure of the difference scores of all pairs of models.
-
-    A score is the error of the row's model less that of the column's model [Wh]; a star marks significant scores.
-    Shades follow the square root of the score, so that small differences between good models remain visible.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-    vehicle_model : str
-        Key of the vehicle model.
-
-    Returns
-    -------
-    Figure
-        Plotly figure.
-    """
-    found = get_mapping(result, "difference", vehicle_model)
-    names = [r for r in get_recipes(result) if any(get_difference(found, r, other) for other in get_recipes(result))]
-    scores = [[get_difference(found, a, b) for b in names] for a in names]
-    values = [[None if score is None else 1000.0 * score[0] for score in row] for row in scores]
-    shades = [[None if v is None else math.copysign(math.sqrt(abs(v)), v) for v in row] for row in values]
-    most = max((abs(shade) for row in shades for shade in row if shade is not None), default=1.0)
-    heat = go.Heatmap(
-        z=shades,
-        customdata=values,
-        x=[str(i) for i in range(1, len(names) + 1)],
-        y=[f"{format_recipe_label(result, recipe)} · {i}" for i, recipe in enumerate(names, start=1)],
-        text=[[_score(score) for score in row] for row in scores],
-        texttemplate="%{text}",
-        colorscale=DIVERGING,
-        zmin=-most,
-        zmax=most,
-        xgap=1,
-        ygap=1,
-        showscale=False,
-        hovertemplate="%{y}<br>less %{x}: %{customdata:.1f} Wh<extra></extra>",
-    )
-    made = make_figure([heat], 80 + 38 * len(names))
-    made.update_layout(margin={"t": 60, "b": 10})
-    made.update_xaxes(title_text="Model, numbered as on the left", type="category", side="top", showgrid=False)
-    made.update_yaxes(title_text="Model", type="category", autorange="reversed", showgrid=False)
-    return made
-
-
-def _score(score: tuple[float, float | None] | None) -> str:
-    """Return the text of a difference score in Wh, with a star where it is significant."""
-    if score is None:
-        return ""
-    value, p = score
-    star = "*" if p is not None and p < SIGNIFICANCE else ""
-    return f"{round(1000.0 * value):+d}{star}".replace("-", "−")
 
 
 def _by_model(result: Result, names: Sequence[str], traces: list[Any], unit: str, row_height: int) -> go.Figure:

@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 
 from core.evaluate.paper import published
 from core.stats.multiple_testing import SIGNIFICANCE
-from tools.report.evaluation import figures, transfer_figures
+from tools.report.evaluation import figures, selection_figures, transfer_figures
 from tools.report.evaluation.result import (
     ALL,
     FITTED,
@@ -128,7 +128,7 @@ def _difference(result: Result) -> list[Illustration]:
             f"{get_vehicle_name(key)}: difference score",
             "Row's error less column's in Wh, mean over the same test rides: negative where the row is better. "
             f"* p < {SIGNIFICANCE}, adjusted for the number of pairs. {_dominating(result, key)}",
-            figures.draw_difference_matrix(result, key),
+            selection_figures.draw_difference_matrix(result, key),
         )
         for i, key in enumerate((ALL, *list_vehicle_models(result)))
         if get_mapping(result, "difference", key)
@@ -238,7 +238,7 @@ def _selection(result: Result) -> list[Illustration]:
             "Above: cross-validated error of the hybrid model by the number of terms left, on the rides that choose. "
             "Below: what it costs to take out one term after the other, on the other rides, with 95 % confidence "
             "intervals.",
-            figures.draw_elimination(result),
+            selection_figures.draw_elimination(result),
         )
     ]
 
