@@ -1,14 +1,16 @@
 """Measure how many small faults in the code the tests catch: `python -m tests.support.mutation --count 40 --seed 1`.
 
 A mutation changes one operator, comparison, number or condition in a function of `core` or `stream`. The tests that
-import the mutated module run first, then those of the pipeline and the commands; the first failure ends the run. Every
-mutation is made in a copy of the tree.
+import the mutated module run first, then those of the pipeline and the commands. The whole suite runs at the end on the
+mutations that survive these. The first failure ends a run and is printed. Every mutation is made in a copy of the tree,
+whose tests must pass without one.
 """
 
 import argparse
 import ast
 import os
 import random
+import re
 import shutil
 import subprocess
 import sys
@@ -18,8 +20,9 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 ROOT: Final = Path(__file__).parents[2]
-TIMEOUT: Final = 600.0
+TIMEOUT: Final = 3600.0
 """A test run that takes longer counts as a failure, because a mutation can make a loop endless. [s]"""
+ENDLESS: Final = "a test that did not end"
 SWAPS: Final[dict[type[Any], type[Any]]] = {
     ast.Add: ast.Sub,
     ast.Sub: ast.Add,
@@ -150,27 +153,37 @@ def related_tests(root: Path, path: Path) -> list[Path]:
     return sorted(ranks, key=lambda test: ranks[test])
 
 
-def is_caught(root: Path, mutation: Mutation, *, everything: bool) -> bool:
-    """Run tests on a mutation until one fails."""
-    file = root / mutation.path
-    kept = file.read_text(encoding="utf-8")
-    tests = ["-n", "auto"] if everything else related_tests(root, mutation.path)
-    file.write_text(mutation.source, encoding="utf-8")
+def find_failure(root: Path, tests: list[str]) -> str | None:
+    """Run tests until one fails; return the name of that test, `None` where all pass."""
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
     try:
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *map(str, tests)]
         done = subprocess.run(
             command,
             cwd=root,
             capture_output=True,
+            text=True,
             timeout=TIMEOUT,
             check=False,
             env=os.environ | {"PYTHONPATH": str(root)},
         )
     except subprocess.TimeoutExpired:
-        return True
+        return ENDLESS
+    if done.returncode == 0:
+        return None
+    named = re.search(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
+    return named[1] if named else "the start of the tests"
+
+
+def find_catching_test(root: Path, mutation: Mutation, *, everything: bool) -> str | None:
+    """Return the name of a test that fails under a mutation, of the related ones or of all; `None` where all pass."""
+    file = root / mutation.path
+    unchanged = file.read_text(encoding="utf-8")
+    tests = ["-n", "auto"] if everything else [str(test) for test in related_tests(root, mutation.path)]
+    file.write_text(mutation.source, encoding="utf-8")
+    try:
+        return find_failure(root, tests) if tests else None
     finally:
-        file.write_text(kept, encoding="utf-8")
-    return done.returncode != 0
+        file.write_text(unchanged, encoding="utf-8")
 
 
 def main() -> None:
@@ -180,15 +193,21 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--tree", type=Path, default=ROOT, help="the tree to mutate a copy of")
     given = parser.parse_args()
-    caught = 0
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "tree"
         shutil.copytree(given.tree, copy, ignore=shutil.ignore_patterns(".git", ".venv", ".mypy_cache", "build"))
-        for mutation in sample(copy, given.count, given.seed):
-            found = is_caught(copy, mutation, everything=False) or is_caught(copy, mutation, everything=True)
-            caught += found
-            outcome = "caught" if found else "SURVIVED"
-            print(f"{outcome:8} {mutation.path}:{mutation.line}: {mutation.what[:160]}", flush=True)
+        if failed := find_failure(copy, ["-n", "auto"]):
+            sys.exit(f"{failed} fails without a mutation: repair it first")
+        remaining = sample(copy, given.count, given.seed)
+        for everything in (False, True):
+            survivors = []
+            for mutation in remaining:
+                test = find_catching_test(copy, mutation, everything=everything)
+                outcome = f"caught by {test}" if test else "SURVIVED " + ("all tests" if everything else "its tests")
+                print(f"{mutation.path}:{mutation.line}: {mutation.what[:160]}\n    {outcome}", flush=True)
+                survivors += [] if test else [mutation]
+            remaining = survivors
+    caught = given.count - len(remaining)
     print(f"{caught} of {given.count} mutations were caught")
 
 

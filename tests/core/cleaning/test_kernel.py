@@ -285,22 +285,25 @@ def test_kernel_is_recompiled_when_one_of_its_modules_changes(tmp_path):
     (core / "cleaning").mkdir()
     for file in [*source.glob("*.py"), *source.glob("cleaning/*.py")]:
         (core / file.relative_to(source)).write_bytes(file.read_bytes())
-    say = (
+    print_cached = (
         "from core.cleaning import kernel;"
         "print(kernel.__file__, kernel.clean_rows._cache._cache_file._load_index() != {});"
+    )
+    compile_it = (
         "from core.settings import Settings; from core.batch import Batch; import numpy as np;"
         "z = np.zeros(2, np.int64); f = [np.full(2, np.nan) for _ in Batch._fields[2:]]; f[0] = 1.7e9 + np.arange(2);"
         "kernel.Cleaner(Settings()).clean(Batch(z, z, *f), 1)"
     )
 
-    def kept():
-        done = subprocess.run([sys.executable, "-c", say], cwd=tmp_path, capture_output=True, text=True, check=True)
+    def is_cached(*, then=""):
+        command = [sys.executable, "-c", print_cached + then]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
         file, answer = done.stdout.split()
         assert Path(file).parent == core / "cleaning"
         return answer == "True"
 
-    assert not kept()
-    assert kept()
+    assert not is_cached(then=compile_it)
+    assert is_cached()
     part = core / "cleaning" / "segmentation.py"
     part.write_text(part.read_text().replace("PARKED_FACTOR: Final = 4.0", "PARKED_FACTOR: Final = 5.0"))
-    assert not kept()
+    assert not is_cached()
