@@ -57,6 +57,12 @@ class LogFactor(NamedTuple):
     variance: float
 
 
+UNKNOWN_CAR: Final = LogFactor(0.0, CAR_SD**2)
+"""Part of a car without a shift so far."""
+UNKNOWN_DRIVER: Final = LogFactor(0.0, DRIVER_SD**2)
+"""Part of a driver without a shift so far."""
+
+
 class ConsumptionFactors:
     """Learn how much each car and driver uses, as the logarithm of used over predicted energy.
 
@@ -75,11 +81,11 @@ class ConsumptionFactors:
 
     def _get_car(self, lane: int) -> LogFactor:
         """Return the distribution of the part of a car."""
-        return self._cars.get(lane, LogFactor(0.0, CAR_SD**2))
+        return self._cars.get(lane, UNKNOWN_CAR)
 
     def get_driver(self, driver: int | None) -> LogFactor:
         """Return the distribution of the part of a driver; of any driver for None."""
-        return self._drivers.get(-1 if driver is None else driver, LogFactor(0.0, DRIVER_SD**2))
+        return UNKNOWN_DRIVER if driver is None else self._drivers.get(driver, UNKNOWN_DRIVER)
 
     def add_shift(
         self, lane: int, driver: int | None, predicted_kwh: float, used_kwh: float, capacity_kwh: float

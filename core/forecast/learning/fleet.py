@@ -131,7 +131,7 @@ class FleetStatistics:
     def apply_daily_update(self) -> None:
         """Let everything that was collected take effect."""
         for energy in self._waiting:
-            self.factors.add_shift(**energy._asdict())
+            self.factors.add_shift(*energy)
         self._waiting = []
         self.rides.update_tables(self._context)
         self.conformal.update_quantiles()
