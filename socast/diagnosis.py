@@ -11,9 +11,10 @@ from core.diagnose.add.terms import build_term_columns as _build_term_columns
 from core.diagnose.dataset import gather_windows as _gather
 from core.diagnose.dataset import join_tables as _join
 from core.diagnose.diagnosis import diagnose as _diagnose
-from core.diagnose.noise import compute_ride_noise_floor as _compute_noise_floor
 from core.diagnose.ranking import LEAST_GAIN
 from core.evaluate.paper.results import to_json_values as _plain
+from core.fit.measurement_noise import compute_noise_floor as _compute_noise_floor
+from core.fit.measurement_noise import compute_noise_variance as _compute_noise_variance
 from core.models import LinearModel
 
 __all__ = ["AdditionTrial", "add_effect", "diagnose"]
@@ -84,6 +85,6 @@ def add_effect(
     ModelError
         Where the effect is in the model already or nowhere at work in these rides.
     """
-    floor = _compute_noise_floor(_gather(rides, windows, model))
+    floor = _compute_noise_floor(_compute_noise_variance(_gather(rides, windows, model).rides))
     columns = _build_term_columns(effect, scope)
     return _add(model, effect, columns, _join(rides, windows), rides=rides, floor=floor, least=least_gain)

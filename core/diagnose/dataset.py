@@ -19,12 +19,12 @@ from typing import Final
 import msgspec
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
 from core.errors import ModelError
 from core.fit.calibration import add_interval
 from core.fit.fitting import fit_terms
+from core.fit.measurement_noise import is_metered
 from core.fit.recipes import LinearRecipe, get_recipe
 from core.fit.ride_blocks import ENERGY, RideFrame, get_names, get_numbers, select_trainable
 from core.models import ANY, LinearModel
@@ -126,11 +126,6 @@ def join_tables(rides: pd.DataFrame, windows: pd.DataFrame) -> pd.DataFrame:
     begin = table.groupby("ride_key", sort=False)["start_s"].transform("min")  # clock steps can interleave rides
     order = np.lexsort((get_numbers(table, "start_s"), pd.factorize(table["ride_key"])[0], begin))
     return table.iloc[order].sort_values("vehicle_id", kind="stable", ignore_index=True)
-
-
-def is_metered(table: pd.DataFrame) -> NDArray[np.bool_]:
-    """Return which rides or windows are measured by voltage and current, not by the state of charge, (n,)."""
-    return np.asarray(get_numbers(table, ENERGY) == get_numbers(table, "energy_vi_kwh"))
 
 
 def fit_to_windows(name: str, rides: pd.DataFrame, windows: pd.DataFrame, *, covariance: bool = True) -> LinearModel:

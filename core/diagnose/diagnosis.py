@@ -23,16 +23,16 @@ from core.diagnose import residual_structure
 from core.diagnose.add.refit import CoefficientEstimate
 from core.diagnose.add.terms import describe_coefficient
 from core.diagnose.candidates import Candidates, build_candidates
-from core.diagnose.dataset import Windows, gather_windows, is_metered
+from core.diagnose.dataset import Windows, gather_windows
 from core.diagnose.evidence import ClusterSums
 from core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectionSettings
 from core.diagnose.free_form.search import Suggestion, suggest_term
 from core.diagnose.local_effects import select_local_effects
-from core.diagnose.noise import compute_ride_noise_floor
 from core.diagnose.projection import BaseProjection
 from core.diagnose.ranking import LEAST_GAIN, LEVEL, Ranking
 from core.diagnose.residual_structure import ResidualStructure
 from core.diagnose.slices.search import find_slices
+from core.fit.measurement_noise import compute_noise_floor, compute_noise_variance, is_metered
 from core.fit.ride_blocks import get_names, get_numbers
 from core.models import LinearModel
 from core.models.features import EFFECT_PREFIX
@@ -113,7 +113,7 @@ def _diagnose(
     remains = residual_structure.measure_residual_structure(selection, found)
     unknown = set(remains.signs) - {"better"}
     suggested = _suggest(base, selection, selection.compute_residual(selection.build_basis())) if unknown else None
-    floor = compute_ride_noise_floor(seen)
+    floor = compute_noise_floor(compute_noise_variance(seen.rides))
     verdict = found[0].selected.effect if found else None
     return {
         "model": {"name": model.name, "version": model.version, "recipe": model.recipe},

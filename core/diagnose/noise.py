@@ -1,9 +1,4 @@
-"""Estimate the measurement noise of each window and of each ride.
-
-Energy from voltage and current has an error from changes of the power between two samples. Energy from the state of
-charge has an error from its resolution. Errors that all drives of a car share (the gain of its meter, its capacity) are
-excluded, because the coefficients of a fitted model compensate for them.
-"""
+"""Estimate the variance of each residual of a diagnosis, and the weights that limit the influence of outliers."""
 
 from typing import Final
 
@@ -11,46 +6,16 @@ import numpy as np
 from scipy.optimize import nnls
 
 from core.batch import Floats
-from core.diagnose.dataset import Windows, is_metered
+from core.diagnose.dataset import Windows
+from core.fit.measurement_noise import compute_noise_variance
 from core.fit.ride_blocks import get_numbers
-from core.totals.tables import CAPACITY_GAIN, METER_GAIN
 
-MEAN_OVER_SD: Final = float(np.sqrt(2.0 / np.pi))
-"""Ratio of the mean absolute value of a Gaussian error to its standard deviation."""
 CLIP: Final = 0.995
 """Quantile of the squared residuals at which they are clipped, so that outliers do not affect the usual variance."""
 LEAST_SHARE: Final = 0.2
 """Least variance of a window over that of the median window, so that no window outweighs all others."""
 ROBUST: Final = 3.0
 """Standard deviations above which the weight of a residual decreases, after Huber."""
-
-
-def compute_measurement_variance(windows: Windows) -> Floats:
-    """Return the variance of the measured energy of each window without shared gains, (n,). [kWh^2]"""
-    table, energy = windows.table, windows.measured
-    power = get_numbers(table, "energy_vi_sd_kwh") ** 2 - (METER_GAIN * energy) ** 2
-    charge = get_numbers(table, "energy_soc_sd_kwh") ** 2 - (CAPACITY_GAIN * energy) ** 2
-    return np.maximum(np.where(is_metered(table), power, charge), 0.0)
-
-
-def compute_ride_noise_floor(windows: Windows) -> float:
-    """Return the mean absolute error per ride that measurement noise alone causes. [kWh]
-
-    Parameters
-    ----------
-    windows : Windows
-        The windows of the rides.
-
-    Returns
-    -------
-    float
-        The error that a model without any error of its own would show. [kWh]
-
-    Notes
-    -----
-    For a Gaussian error, the mean absolute value is sqrt(2/π) times the standard deviation.
-    """
-    return float(np.mean(MEAN_OVER_SD * np.sqrt(windows.by_ride(compute_measurement_variance(windows)))))
 
 
 def estimate_window_variance(windows: Windows, residual: Floats) -> Floats:
@@ -76,7 +41,7 @@ def estimate_window_variance(windows: Windows, residual: Floats) -> Floats:
     table = windows.table
     parts = np.column_stack(
         [
-            compute_measurement_variance(windows),
+            compute_noise_variance(table),
             (get_numbers(table, "effect_rolling") * get_numbers(table, "rolling_resistance")) ** 2,
             get_numbers(table, "effect_inertia_positive") ** 2,
             (get_numbers(table, "duration_s") / 3.6e6) ** 2,

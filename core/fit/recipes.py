@@ -186,6 +186,27 @@ ROAD_LOAD_TERMS: Final = (
 )
 """Base terms of the diagnosis without the accessories: standard air, no wind, kinetic energy and braking by sign."""
 
+RESCALED_TERMS: Final = (make_physical_term("basic", ("basic_kwh",)),)
+"""Term of the rescaled basic model: the energy of the basic physical model. Its coefficient is the one fitted factor."""
+TELEMATICS_TERMS: Final = (
+    make_term("distance_km"),
+    make_term("distance_km", "average_speed_kmh", "average_speed_kmh"),
+    make_term("duration_s"),
+    make_term("duration_s", "comfort_gap_k"),
+)
+"""Terms of the telematics regression: friction, drag, baseline auxiliary power, and climate control.
+
+Geotab's model card states a linear regression on a trip's distance, duration, average speed and average outside
+temperature, as a weighted sum of four energies: friction, drag, baseline auxiliary power, and heating and cooling. It
+gives no formula. The patent of the same maker bases friction on the distance, and climate control on the difference
+from an optimal temperature over the duration. Drag grows with the square of the average speed, here an assumption.
+
+References
+----------
+Geotab, "EV Range Estimation Model" 1.0, model card, developers.geotab.com/ai/modelCardEvRangeEstimation. Girard and
+Stefopulos, "Methods for range estimation in battery powered vehicles", US patent 12,270,668 B2 (2025), claim 1.
+"""
+
 HISTOGRAM_COLUMNS: Final = tuple(name for name in FEATURES if name.startswith("speed_"))
 EMPIRICAL_TERMS: Final = tuple(
     make_term(name)
@@ -258,6 +279,21 @@ RECIPES: Final[Mapping[str, Recipe]] = MappingProxyType(
                 "Hybrid Model (Interaction Terms)",
                 (*HYBRID_TERMS, *HYBRID_PRODUCTS, CONSTANT_TERM),
             ),
+            LinearRecipe(
+                "basic_rescaled", "Basic Physical Model, Rescaled", RESCALED_TERMS, note="one factor, a baseline"
+            ),
+            LinearRecipe(
+                "basic_rescaled_power",
+                "Basic Physical Model, Rescaled, with a Constant Power",
+                (*RESCALED_TERMS, make_term("duration_s")),
+                note="two numbers, a baseline",
+            ),
+            LinearRecipe(
+                "telematics_regression",
+                "Telematics Regression (Distance, Duration, Speed, Temperature)",
+                TELEMATICS_TERMS,
+                note="four numbers, a baseline after Geotab's model card",
+            ),
             *POOLED_RECIPES,
             LinearRecipe(
                 "road_load",
@@ -275,6 +311,10 @@ RECIPES: Final[Mapping[str, Recipe]] = MappingProxyType(
     }
 )
 """Recipes by name: those of the paper in its order, then those beyond the paper."""
+
+
+BASELINES: Final = ("basic_physical", "basic_rescaled", "basic_rescaled_power", "telematics_regression")
+"""Recipes to which every model is compared, with none, one, two and four fitted numbers."""
 
 
 def get_recipe(name: str) -> Recipe:

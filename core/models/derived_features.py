@@ -19,6 +19,10 @@ DEEP_COLD_BELOW: Final = -5.0
 """Outside temperature below which heat pumps stop and heaters reach their limit. [°C] Estimated."""
 COOLING_ABOVE: Final = 21.0
 """Outside temperature above which a cabin is cooled. [°C]"""
+OPTIMAL_OUTSIDE: Final = 20.0
+"""Outside temperature at which electric cars go farthest. [°C] Geotab, 68 °F for a sedan and a van alike, February 2023
+(globalfleetmanagement.com/10191948).
+"""
 CABIN_WARM_UP: Final = 600.0
 """Time constant with which a cabin's air and trim approach their set temperature. [s] Estimated."""
 SOAK: Final = 7200.0
@@ -64,6 +68,11 @@ def compute_deep_cold(ambient_c: Floats) -> Floats:
 def compute_cooling_need(ambient_c: Floats) -> Floats:
     """Return how far the outside temperature is above `COOLING_ABOVE`. [K]"""
     return np.maximum(ambient_c - COOLING_ABOVE, 0.0)
+
+
+def compute_comfort_gap(ambient_c: Floats) -> Floats:
+    """Return how far the outside temperature is from `OPTIMAL_OUTSIDE`, on either side. [K]"""
+    return np.abs(ambient_c - OPTIMAL_OUTSIDE)
 
 
 def compute_warm_up_share(duration_s: Floats) -> Floats:
@@ -147,6 +156,7 @@ DERIVED_COLUMNS: Final[Mapping[str, DerivedColumn]] = MappingProxyType(
         "heating_need_k": DerivedColumn(("ambient_c",), "K", compute_heating_need),
         "deep_cold_k": DerivedColumn(("ambient_c",), "K", compute_deep_cold),
         "cooling_need_k": DerivedColumn(("ambient_c",), "K", compute_cooling_need),
+        "comfort_gap_k": DerivedColumn(("ambient_c",), "K", compute_comfort_gap),
         "warmed": DerivedColumn(("duration_s",), "1", compute_warm_up_share),
         "soaked": DerivedColumn(("parked_s",), "1", compute_soak_share),
         "battery_frost_k": DerivedColumn(("battery_temperature_c",), "K", compute_battery_frost),

@@ -191,6 +191,76 @@ def compute_mae(measured: Floats, predicted: Floats) -> float:
     return float(np.mean(np.abs(predicted - measured))) if len(measured) else nan
 
 
+def compute_relative_errors(measured: Floats, predicted: Floats, least: float) -> Floats:
+    """Return the absolute error of each ride over its measured energy. [1]
+
+    Parameters
+    ----------
+    measured, predicted : (n,) float
+        Energy of each ride. [kWh]
+    least : float
+        Least measured energy at which a relative error has a meaning. [kWh]
+
+    Returns
+    -------
+    (n,) float
+        Relative error, NaN where the measured energy is below `least`. [1]
+
+    Examples
+    --------
+    >>> compute_relative_errors(np.array([2.0, 0.01, -0.5]), np.array([1.5, 0.5, 0.0]), least=0.1)
+    array([0.25,  nan,  nan])
+    """
+    counted = measured >= least
+    return np.divide(np.abs(predicted - measured), measured, out=np.full(len(measured), np.nan), where=counted)
+
+
+def compute_mape(measured: Floats, predicted: Floats, least: float) -> float:
+    """Return the mean absolute percentage error, as a share, of the rides that used at least an energy. [1]
+
+    Rides of almost no energy are left out, because their relative errors have no bound: a ride downhill may even regain
+    energy. NaN where no ride is left.
+
+    Parameters
+    ----------
+    measured, predicted : (n,) float
+        Energy of each ride. [kWh]
+    least : float
+        Least measured energy of a counted ride. [kWh]
+
+    Examples
+    --------
+    >>> compute_mape(np.array([2.0, 4.0, 0.01]), np.array([1.5, 5.0, 1.0]), least=0.1)
+    0.25
+    """
+    errors = compute_relative_errors(measured, predicted, least)
+    known = errors[~np.isnan(errors)]
+    return float(np.mean(known)) if len(known) else nan
+
+
+def compute_wmape(measured: Floats, predicted: Floats) -> float:
+    """Return the weighted mean absolute percentage error, as a share: sum of absolute errors over sum of energy. [1]
+
+    It counts every ride, each by its energy. NaN where the energies do not add up to more than zero.
+
+    Parameters
+    ----------
+    measured, predicted : (n,) float
+        Energy of each ride. [kWh]
+
+    References
+    ----------
+    Kolassa and Schütz, Foresight 6 (2007) 40, "Advantages of the MAD/Mean ratio over the MAPE".
+
+    Examples
+    --------
+    >>> compute_wmape(np.array([2.0, 4.0, -1.0]), np.array([1.5, 5.0, 0.0]))
+    0.5
+    """
+    total = float(np.sum(measured))
+    return float(np.sum(np.abs(predicted - measured))) / total if total > 0.0 else nan
+
+
 def compute_rmse(measured: Floats, predicted: Floats) -> float:
     """Return the root mean square error, NaN without rides. [kWh]"""
     return sqrt(float(np.mean((predicted - measured) ** 2))) if len(measured) else nan

@@ -9,7 +9,7 @@ from core import models
 from core.diagnose.add import add
 from core.diagnose.add.terms import build_term_columns
 from core.diagnose.dataset import gather_windows, join_tables
-from core.diagnose.noise import compute_ride_noise_floor
+from core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
 from core.diagnose.ranking import LEAST_GAIN
 from core.errors import ModelError
 from tools.commands.diagnose import LeastGain, read_files, read_tables
@@ -47,7 +47,7 @@ def add_effect(
     columns = build_term_columns(effect, scope or ())
     check_outputs([*read_files(data), *select_model_files([model]), *(effects_file or ())], out, json_file)
     rides, windows = read_tables(data, base)
-    floor = compute_ride_noise_floor(gather_windows(rides, windows, base))
+    floor = compute_noise_floor(compute_noise_variance(gather_windows(rides, windows, base).rides))
     added = add.add_effect(
         base, effect, columns, join_tables(rides, windows), rides=rides, floor=floor, least=least_gain
     )

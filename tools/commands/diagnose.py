@@ -15,7 +15,7 @@ from core.diagnose.add import add
 from core.diagnose.add.holdout import select_final_days
 from core.diagnose.add.terms import build_term_columns
 from core.diagnose.dataset import gather_windows, join_tables
-from core.diagnose.noise import compute_ride_noise_floor
+from core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
 from core.diagnose.ranking import LEAST_GAIN
 from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError, SettingsError
@@ -223,7 +223,7 @@ def _auto(
     from tools.report.diagnosis import page  # noqa: PLC0415 - figures take seconds to import
 
     development = drop_days(rides, windows, select_final_days(model.history, get_names(rides, "date")))
-    rows, floor = join_tables(rides, windows), compute_ride_noise_floor(gather_windows(rides, windows, model))
+    rows, floor = join_tables(rides, windows), compute_noise_floor(compute_noise_variance(gather_windows(rides, windows, model).rides))
     for step in range(1, MAX_STEPS + 1):
         result = _diagnose(model, *development, least_gain)
         page.print_step(result, step, console)

@@ -28,7 +28,6 @@ from core.diagnose.add.holdout import (
     RideRows,
     compare_by_condition,
     compare_errors,
-    compute_noise_floor,
     group_rows_by_ride,
     list_sparse_vehicle_models,
     predict_held_out,
@@ -57,6 +56,7 @@ from core.errors import ModelError
 from core.evaluate.paper.results import to_json_values
 from core.fit.calibration import add_interval
 from core.fit.fitting import build_design
+from core.fit.measurement_noise import compute_noise_floor
 from core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
 from core.formatting import rounded
 from core.models import ANY, VEHICLE_MODEL, LinearModel, Term, stamp
@@ -143,7 +143,7 @@ def add_effect(
     addition = _split_terms(model, term)
     pair = _refit(model, addition, data, seed)
     results, by_condition = _evaluate(addition, data, _choose_final_days(model, data, active), seed, declared.sign)
-    results["noise_floor_kwh"] = compute_noise_floor(get_numbers(data.table, "sd")) if floor is None else floor
+    results["noise_floor_kwh"] = compute_noise_floor(get_numbers(data.table, "noise")) if floor is None else floor
     results |= _decide(results, least)
     grown = _name_model(pair.after, model, data)
     entry = to_json_values(

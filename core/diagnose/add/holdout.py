@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from core.batch import Floats, Ints
 from core.diagnose.add.refit import TermAddition, hide_vehicle_models, refit_with
 from core.errors import ModelError
+from core.fit.measurement_noise import compute_noise_variance
 from core.fit.ride_blocks import ENERGY, get_names, get_numbers
 from core.models import VEHICLE_MODEL
 from core.stats.clustered import assign_vehicle_days, compute_clustered_mean
@@ -32,9 +33,6 @@ LEAST_DATES: Final = 20
 """Number of dates from which on whole days are held out, and some are the final hold-out."""
 OWN_FIT: Final = 4
 """Number of vehicles of a vehicle model from which on a held-out vehicle is predicted by the fit of the others."""
-ENERGY_SD: Final = "energy_sd_kwh"
-GAUSSIAN: Final = float(np.sqrt(2.0 / np.pi))
-"""Ratio of the mean absolute error to the standard deviation of a Gaussian error."""
 
 Mask = NDArray[np.bool_]
 
@@ -49,7 +47,8 @@ class RideRows(NamedTuple):
     ride : (n,) int64
         Ride of each row.
     table : (rides,) DataFrame
-        `vehicle_id`, `vehicle_model`, `date`, `measured` [kWh], `sd` [kWh], `distance_km`, `speed_kmh`, `ambient_c`.
+        `vehicle_id`, `vehicle_model`, `date`, `measured` [kWh], `noise` (variance of `measured`) [kWh^2],
+        `distance_km`, `speed_kmh`, `ambient_c`.
     """
 
     rows: pd.DataFrame
@@ -87,8 +86,7 @@ def group_rows_by_ride(rows: pd.DataFrame, rides: pd.DataFrame | None = None) ->
     rows : (n,) DataFrame
         Windows, as `core.diagnose.dataset.join_tables` returns them, or a ride table.
     rides : DataFrame, optional
-        The ride table, for the uncertainty of whole rides. By default, it is the root of the summed variances of the
-        windows.
+        The ride table, for the measurement noise of whole rides. By default, the variances of the windows are summed.
 
     Returns
     -------
@@ -112,37 +110,20 @@ def group_rows_by_ride(rows: pd.DataFrame, rides: pd.DataFrame | None = None) ->
 
     duration, distance = get_numbers(rows, "duration_s"), total(get_numbers(rows, "distance_km"))
     known = np.maximum(total(duration), 1e-9)
-    sd = np.sqrt(total(get_numbers(rows, ENERGY_SD) ** 2)) if ENERGY_SD in rows else np.full(len(keys), np.nan)
-    if rides is not None and ENERGY_SD in rides and "ride_key" in rides:
-        sd = get_numbers(rides.set_index("ride_key").reindex(keys), ENERGY_SD)
+    noise = total(compute_noise_variance(rows))
+    if rides is not None and "ride_key" in rides:
+        noise = compute_noise_variance(rides.set_index("ride_key").reindex(keys))
     return RideRows(
         rows,
         ride,
         table.assign(
             measured=total(get_numbers(rows, ENERGY)),
-            sd=sd,
+            noise=noise,
             distance_km=distance,
             speed_kmh=distance / known * 3600.0,
             ambient_c=total(get_numbers(rows, "ambient_c") * duration) / known,
         ),
     )
-
-
-def compute_noise_floor(sd: Floats) -> float:
-    """Return the mean absolute error that measurement noise alone causes. [kWh]
-
-    Parameters
-    ----------
-    sd : (rides,) float
-        Standard uncertainty of the energy of each ride, for Gaussian errors. [kWh]
-
-    Returns
-    -------
-    float
-        Mean over the rides with a known uncertainty, NaN where there is none. [kWh]
-    """
-    known = sd[np.isfinite(sd)]
-    return float(GAUSSIAN * known.mean()) if len(known) else float("nan")
 
 
 def split_into_day_folds(rides: RideRows, seed: int) -> list[Mask]:

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from core.errors import ModelError, SettingsError
-from core.evaluate.paper import breakdown, new_vehicle, results, selection
+from core.evaluate.paper import breakdown, new_vehicle, percentage_errors, results, selection
 from core.evaluate.paper.accessories import compute_figure_1
 from core.evaluate.paper.held_out import HeldOutPredictions, select_comparable
 from core.evaluate.paper.runs import EvaluatedRecipe, Prediction, Progress, plan_runs, run_in_parallel
@@ -184,6 +184,10 @@ def _tables(
         }
         for kind in ("vehicle", "date")
     }
+    found["percentage"] = percentage_errors.compute_percentage_errors(held, table)
+    found["reduction_by_baseline"] = percentage_errors.compute_reductions_by_baseline(
+        {recipe: list(of.values()) for recipe, of in found["splits"]["ride"].items()}, table.vehicle_models
+    )
     found["new_vehicle"] = new_vehicle.compute_tables_12_and_13(new, table)
     found["curve"] = compute_figure_1(table)
     return found

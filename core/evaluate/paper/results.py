@@ -103,7 +103,7 @@ def compute_tables_4_to_11(held: HeldOutPredictions, evaluated: EvaluatedRides) 
 
 
 def compute_reductions(
-    means: Mapping[str, Sequence[float]], vehicle_models: Sequence[str]
+    means: Mapping[str, Sequence[float]], vehicle_models: Sequence[str], reference: str = REFERENCE
 ) -> dict[str, dict[str, float]]:
     """Return by which share the error of each recipe is below the reference's, and the mean over vehicle models.
 
@@ -113,13 +113,15 @@ def compute_reductions(
         Errors of each recipe. Without the reference the result is empty. [kWh]
     vehicle_models : sequence of str
         Vehicle models.
+    reference : str
+        Recipe to which reductions refer.
     """
-    if REFERENCE not in means:
+    if reference not in means:
         return {}
-    reference = np.array(means[REFERENCE], dtype=np.float64)
+    errors = np.array(means[reference], dtype=np.float64)
     found = {}
     for recipe, values in means.items():
-        shares = 1.0 - np.array(values, dtype=np.float64) / reference
+        shares = 1.0 - np.array(values, dtype=np.float64) / errors
         known = shares[~np.isnan(shares)]
         average = float(known.mean()) if len(known) else np.nan
         found[recipe] = {**dict(zip(vehicle_models, shares.tolist(), strict=True)), "average": average}

@@ -11,10 +11,10 @@ from core.diagnose.dataset import (
     RIDE_COLUMNS,
     fit_to_windows,
     gather_windows,
-    is_metered,
     join_tables,
 )
 from core.errors import ModelError
+from core.fit.measurement_noise import is_metered
 from tests.support.synthetic_windows import make_tables, make_windows
 
 CARS, DAYS, RIDES, WINDOWS = 3, 6, 3, 8

@@ -1,4 +1,4 @@
-"""Test measurement noise: planted variances are recovered, gains are excluded, and outliers have no influence."""
+"""Test the variance of residuals: planted variances are recovered, and outliers have no influence."""
 
 from dataclasses import replace
 
@@ -9,8 +9,6 @@ from hypothesis import strategies as st
 
 from core.diagnose.noise import (
     LEAST_SHARE,
-    compute_measurement_variance,
-    compute_ride_noise_floor,
     compute_robust_weights,
     estimate_window_variance,
 )
@@ -31,28 +29,6 @@ def parts(windows):
     table = windows.table
     rolling = (table["effect_rolling"] * table["rolling_resistance"]).to_numpy()
     return rolling, table["effect_inertia_positive"].to_numpy(), table["duration_s"].to_numpy() / 3.6e6
-
-
-def test_measurement_variance_excludes_meter_gain(windows):
-    np.testing.assert_allclose(compute_measurement_variance(windows), METER_SD**2, rtol=1e-6)
-
-
-def test_measurement_variance_of_soc_is_its_resolution_without_capacity_error(windows):
-    energy = windows.measured
-    result = with_columns(windows, energy_vi_kwh=np.nan, energy_soc_sd_kwh=np.hypot(0.05, 0.15 * energy))
-    np.testing.assert_allclose(compute_measurement_variance(result), 0.05**2, rtol=1e-6)
-
-
-def test_variance_is_never_negative(windows):
-    assert (compute_measurement_variance(with_columns(windows, energy_vi_sd_kwh=0.0)) == 0.0).all()
-
-
-def test_noise_floor_equals_error_of_perfect_model(windows):
-    sd = np.random.default_rng(4).uniform(0.001, 0.02, len(windows.measured))
-    noisy = with_columns(windows, energy_vi_sd_kwh=np.hypot(sd, 0.01 * windows.measured))
-    rng = np.random.default_rng(5)
-    errors = [np.mean(np.abs(windows.by_ride(rng.normal(0.0, sd)))) for _ in range(100)]
-    assert compute_ride_noise_floor(noisy) == pytest.approx(np.mean(errors), rel=0.01)
 
 
 @pytest.mark.parametrize("share", [(1.0, 0.0, 0.0), (0.0, 0.1, 0.0), (2.0, 0.0, 0.2), (1.0, 0.08, 0.1)])

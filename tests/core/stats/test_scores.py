@@ -108,6 +108,33 @@ def test_mean_square_error_is_squared_bias_plus_variance(measured):
     assert scores.compute_mae(measured, predicted) <= scores.compute_rmse(measured, predicted) + 1e-12
 
 
+def test_percentage_errors_match_hand_computed_values():
+    measured, predicted = np.array([2.0, 4.0, 0.05, -1.0]), np.array([1.0, 5.0, 0.15, -1.4])
+    errors = scores.compute_relative_errors(measured, predicted, least=0.1)
+    np.testing.assert_allclose(errors, [0.5, 0.25, np.nan, np.nan])
+    assert scores.compute_mape(measured, predicted, least=0.1) == pytest.approx(0.375)
+    assert scores.compute_wmape(measured, predicted) == pytest.approx((1.0 + 1.0 + 0.1 + 0.4) / 5.05)
+
+
+def test_percentage_errors_without_energy_are_unknown():
+    nothing = np.zeros(0)
+    assert np.isnan(scores.compute_mape(nothing, nothing, least=0.1))
+    assert np.isnan(scores.compute_wmape(nothing, nothing))
+    assert np.isnan(scores.compute_mape(np.array([0.05]), np.array([1.0]), least=0.1))
+    assert np.isnan(scores.compute_wmape(np.array([-1.0]), np.array([1.0])))
+
+
+@given(ENERGIES, st.floats(0.01, 100.0))
+def test_percentage_errors_do_not_depend_on_unit(measured, unit):
+    predicted = measured + 0.3
+    assert scores.compute_wmape(unit * measured, unit * predicted) == pytest.approx(
+        scores.compute_wmape(measured, predicted), nan_ok=True
+    )
+    assert scores.compute_mape(unit * measured, unit * predicted, unit * 0.5) == pytest.approx(
+        scores.compute_mape(measured, predicted, 0.5), nan_ok=True
+    )
+
+
 def test_group_means_exclude_values_outside_groups():
     found = scores.compute_group_means(np.array([1.0, 3.0, 8.0, 100.0, 7.0]), np.array([0, 0, 2, 3, -1]), 3)
     np.testing.assert_array_equal(found, [2.0, np.nan, 8.0])

@@ -7,6 +7,7 @@ from core.evaluate.paper.published import AVERAGE, PHYSICAL, PaperStatement
 from tools.report.cells import Cell, ReportTable, Row, format_change, format_energy, format_percent
 from tools.report.evaluation.data_tables import tabulate_data
 from tools.report.evaluation.error_tables import tabulate_all_errors, tabulate_differences, tabulate_summaries
+from tools.report.evaluation.percentage_tables import BASELINE_HEADS, HELD_OUT, tabulate_percentages
 from tools.report.evaluation.result import (
     ALL,
     FITTED,
@@ -76,6 +77,12 @@ def build_sections(result: Result) -> list[Section]:
             tabulate_summaries(result),
         ),
         Section(
+            "percentage",
+            "Errors in percent, and below the baselines",
+            "How much a model explains beyond one or two fitted numbers, and how near it is to the measurement noise.",
+            tabulate_percentages(result),
+        ),
+        Section(
             "errors",
             "Errors by distance, model by model",
             "Each model is trained on a draw of the rides of every cluster and tested on the others, several times.",
@@ -137,8 +144,9 @@ def tabulate_overview(result: Result) -> ReportTable:
     """
     found = get_mapping(result, "coverage")
     rows = [
-        _reduced(result, INTERACTIONS, published.get_statement("reduction")),
-        None if find_best(result) == INTERACTIONS else _reduced(result, find_best(result), None),
+        *_reduced(result, INTERACTIONS, published.get_statement("reduction")),
+        *([] if find_best(result) == INTERACTIONS else _reduced(result, find_best(result), None)),
+        _percentage(result),
         _beyond_the_paper(result),
         _unbeaten(result),
         _relative(result, "0-5", published.get_statement("relative_error_short")),
@@ -163,13 +171,29 @@ def _row(name: str, here: str, paper: str = "") -> Row:
     return Row(name, (Cell(here, paper),))
 
 
-def _reduced(result: Result, recipe: str | None, said: PaperStatement | None) -> Row | None:
-    """Return a row with the reduction of a model's error against the basic physical model."""
-    share = get_number(get_part(result, "reduction", recipe or "", AVERAGE))
-    if recipe is None or share is None:
-        return None
-    label = f"Error below that of the basic physical model: {get_title(result, recipe)}"
-    return _row(label, format_percent(share), "" if said is None else format_percent(said.value, 2))
+def _reduced(result: Result, recipe: str | None, said: PaperStatement | None) -> list[Row]:
+    """Return rows with the reduction of a model's error against the basic physical model and each other baseline."""
+    shares = {PHYSICAL: get_mapping(result, "reduction"), **get_mapping(result, "reduction_by_baseline")}
+    rows = []
+    for baseline, head in BASELINE_HEADS.items():
+        share = get_number(get_part(shares.get(baseline), recipe or "", AVERAGE))
+        if recipe is not None and share is not None:
+            paper = "" if said is None or baseline != PHYSICAL else format_percent(said.value, 2)
+            name = "the basic physical model" if baseline == PHYSICAL else head
+            rows.append(_row(f"Error below that of {name}: {get_title(result, recipe)}", format_percent(share), paper))
+    return rows
+
+
+def _percentage(result: Result) -> Row | None:
+    """Return a row with the percentage errors of the best model on unseen rides, cars and dates."""
+    best = find_best(result)
+    known = {
+        unseen: share
+        for kind, unseen in HELD_OUT.items()
+        if (share := get_number(get_part(result, "percentage", kind, "recipes", best or "", "wmape"))) is not None
+    }
+    here = ", ".join(f"{unseen} {format_percent(share)}" for unseen, share in known.items())
+    return _row(f"Error over energy (wMAPE): {get_title(result, best)}", here) if best is not None and here else None
 
 
 def _beyond_the_paper(result: Result) -> Row | None:

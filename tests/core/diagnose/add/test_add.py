@@ -10,7 +10,6 @@ from core import models
 from core.diagnose.add.add import AdditionTrial, add_effect, force_addition, log_attempt
 from core.diagnose.add.holdout import (
     compare_errors,
-    compute_noise_floor,
     group_rows_by_ride,
     select_final_days,
     split_into_day_folds,
@@ -302,13 +301,6 @@ def test_unpredicted_rides_are_left_out_of_comparison():
     nothing = compare_errors(table, np.full(3, np.nan), np.full(3, np.nan))
     assert nothing["rides"] == 0
     assert np.isnan(nothing["change_kwh"]["value"])
-
-
-def test_noise_floor_is_error_of_correct_model():
-    rng = np.random.default_rng(5)
-    sd = rng.uniform(0.01, 0.1, 20_000)
-    assert compute_noise_floor(sd) == pytest.approx(np.abs(rng.normal(0.0, sd)).mean(), rel=0.02)
-    assert np.isnan(compute_noise_floor(np.array([np.nan])))
 
 
 def test_final_days_of_history_are_kept_and_chosen_again_for_new_dates():

@@ -1,0 +1,204 @@
+"""Build the tables of errors in percent, over the noise floor, below the baselines, and beside the literature."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Final
+
+from core.evaluate.literature import LITERATURE
+from core.evaluate.paper.published import AVERAGE
+from core.fit.recipes import BASELINES
+from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_energy, format_percent, mark_least
+from tools.report.evaluation.result import (
+    Result,
+    get_half_width,
+    get_mapping,
+    get_number,
+    get_part,
+    get_recipes,
+    get_title,
+)
+
+HELD_OUT: Final[Mapping[str, str]] = MappingProxyType(
+    {"ride": "unseen rides", "vehicle": "unseen cars", "date": "unseen dates"}
+)
+"""Kind of split -> what the models have not seen."""
+BASELINE_HEADS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "basic_physical": "basic",
+        "basic_rescaled": "basic, rescaled",
+        "basic_rescaled_power": "basic, rescaled, with power",
+        "telematics_regression": "telematics regression",
+    }
+)
+"""Baseline -> heading of its column."""
+BASELINES_NOTE: Final = (
+    "Basic: no fitted number. Rescaled: one factor, fitted to the training rides of each vehicle model. With power: the "
+    "factor and a constant power. Telematics regression: distance, distance times squared speed, duration, and duration "
+    "times the difference from 20 °C, after Geotab's model card."
+)
+"""Note that explains the baselines."""
+PERCENT_NOTE: Final = (
+    "wMAPE: sum of absolute errors over sum of measured energy, of all rides. MAPE: mean over rides of error over "
+    "measured energy. ± is half of the 95 % interval."
+)
+FLOOR_NOTE: Final = (
+    "Over noise: mean absolute error over the one that measurement noise alone causes; a perfect model has 1. Noise that "
+    "all drives of a car share, such as an error of its capacity, is not counted."
+)
+
+
+def tabulate_percentages(result: Result) -> list[ReportTable]:
+    """Return the tables of reductions, of percentage errors by what was held out, and of the literature.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    list of ReportTable
+        Tables that have a row.
+    """
+    tables = [tabulate_baseline_reductions(result), *(tabulate_percentages_of(result, kind) for kind in HELD_OUT)]
+    shown = [table for table in tables if table.rows]
+    return [*shown, tabulate_literature(result)] if get_mapping(result, "percentage") else shown
+
+
+def tabulate_baseline_reductions(result: Result) -> ReportTable:
+    """Return by how much the error of each model is below that of each baseline.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    ReportTable
+        One column per baseline, the mean over vehicle models of the reduction of the average error. [%]
+    """
+    shares = get_mapping(result, "reduction_by_baseline")
+    present = [name for name in BASELINES if get_mapping(shares, name)]
+    rows = tuple(
+        Row(
+            get_title(result, recipe),
+            tuple(Cell(_reduction(shares, name, recipe)) for name in present),
+        )
+        for recipe in get_recipes(result)
+        if recipe != BASELINES[0] and any(recipe in get_mapping(shares, name) for name in present)
+    )
+    heads = tuple(f"below {BASELINE_HEADS[name]}" for name in present)
+    notes = ("Mean over vehicle models of the reduction of the average error, by ride.", BASELINES_NOTE)
+    return ReportTable("Error below each baseline", "model", heads, rows, notes)
+
+
+def _reduction(shares: Mapping[str, Any], baseline: str, recipe: str) -> str:
+    """Return the reduction of a recipe's error below a baseline's, empty for the baseline itself."""
+    return "" if baseline == recipe else format_percent(get_part(shares, baseline, recipe, AVERAGE))
+
+
+def tabulate_percentages_of(result: Result, kind: str) -> ReportTable:
+    """Return the errors of each model in kWh, in percent, and over the noise floor, for one kind of split.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+    kind : str
+        Kind of split, a key of `HELD_OUT`.
+
+    Returns
+    -------
+    ReportTable
+        One row per model; without rows where the result does not have this split.
+    """
+    figures = get_mapping(result, "percentage", kind)
+    errors = get_mapping(figures, "recipes")
+    recipes = [recipe for recipe in get_recipes(result) if recipe in errors]
+    values = [get_number(get_part(errors, recipe, "mae_kwh")) for recipe in recipes]
+    first = mark_least([Cell(format_energy(get_part(errors, recipe, "mae_kwh"))) for recipe in recipes], values)
+    rows = tuple(
+        Row(
+            get_title(result, recipe),
+            (
+                error,
+                Cell(format_share(get_part(errors, recipe, "wmape"))),
+                Cell(format_share(get_part(errors, recipe, "mape"))),
+                Cell(format_ratio(get_part(errors, recipe, "over_floor"))),
+            ),
+        )
+        for recipe, error in zip(recipes, first, strict=True)
+    )
+    heads = ("MAE, kWh", "wMAPE", "MAPE", "over noise")
+    notes = (PERCENT_NOTE, _describe_rides(result, figures), FLOOR_NOTE)
+    return ReportTable(f"Errors on {HELD_OUT[kind]}, in percent", "model", heads, rows, notes)
+
+
+def _describe_rides(result: Result, figures: Mapping[str, Any]) -> str:
+    """Return a note on the mean energy of the rides, on those that MAPE leaves out, and on the noise floor."""
+    least = get_number(get_part(result, "percentage", "least_energy_kwh"))
+    return (
+        f"Mean energy of a ride {format_energy(figures.get('energy_kwh'))} kWh; measurement noise alone "
+        f"{format_energy(figures.get('noise_floor_kwh'))} kWh. MAPE leaves out rides below "
+        f"{UNKNOWN if least is None else f'{least:g}'} kWh, {format_percent(figures.get('below_least'))} of all, whose "
+        "relative error has no bound."
+    )
+
+
+def tabulate_literature(result: Result) -> ReportTable:
+    """Return the errors that other work published, above the best model here.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    ReportTable
+        One row per published error, and one per kind of split for the model of least wMAPE.
+    """
+    rows = [
+        Row(f"{entry.setting}: {entry.source}, {entry.link}", (Cell(format_percent(entry.share)), Cell(entry.measure)))
+        for entry in LITERATURE
+    ]
+    for kind, unseen in HELD_OUT.items():
+        errors = get_mapping(result, "percentage", kind, "recipes")
+        known = {r: share for r, of in errors.items() if (share := get_number(get_part(of, "wmape"))) is not None}
+        if known:
+            best = min(known, key=known.__getitem__)
+            shares = (get_part(errors, best, measure) for measure in ("wmape", "mape"))
+            text = " / ".join(format_percent(get_number(share)) for share in shares)
+            rows.append(Row(f"here, {unseen}: {get_title(result, best)}", (Cell(text), Cell("wMAPE / MAPE")), total=True))
+    note = (
+        "Other fleets, trips and measures than these, for orientation only. Longer trips have smaller relative errors; "
+        "errors on a simulated fleet are smaller than on a real one."
+    )
+    return ReportTable("Beside the literature", "vehicles and source", ("error", "measure"), tuple(rows), (note,))
+
+
+def format_share(estimate: Any) -> str:
+    """Return a share in percent, with its interval where it has one.
+
+    Examples
+    --------
+    >>> format_share({"value": 0.0712, "ci95": 0.0041}), format_share(0.5), format_share(None)
+    ('7.1 ± 0.4 %', '50.0 %', '–')
+    """
+    known, width = get_number(estimate), get_half_width(estimate)
+    if known is None or width is None:
+        return format_percent(known)
+    return f"{100.0 * known:.1f} ± {100.0 * width:.1f} %"
+
+
+def format_ratio(value: Any) -> str:
+    """Return a ratio with a multiplication sign.
+
+    Examples
+    --------
+    >>> format_ratio(1.634), format_ratio(None)
+    ('1.63 ×', '–')
+    """
+    known = get_number(value)
+    return UNKNOWN if known is None else f"{known:.2f} ×"
