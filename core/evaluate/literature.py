@@ -50,7 +50,7 @@ LITERATURE: Final = (
         0.0762,
         "MAPE of the consumption per km",
         "cars that the training did not contain",
-        "Vehicle-wise validated ensemble learning framework for electric vehicle energy consumption, Scientific Reports",
+        "Scientific Reports, vehicle-wise validated ensemble learning framework with physics-guided features",
         "aimedicalcompendium.com/article.cfm?id=213858 (abstract)",
     ),
     LiteratureError(

@@ -187,7 +187,7 @@ ROAD_LOAD_TERMS: Final = (
 """Base terms of the diagnosis without the accessories: standard air, no wind, kinetic energy and braking by sign."""
 
 RESCALED_TERMS: Final = (make_physical_term("basic", ("basic_kwh",)),)
-"""Term of the rescaled basic model: the energy of the basic physical model. Its coefficient is the one fitted factor."""
+"""Term of the rescaled basic model: the energy of the basic physical model, times one fitted factor."""
 TELEMATICS_TERMS: Final = (
     make_term("distance_km"),
     make_term("distance_km", "average_speed_kmh", "average_speed_kmh"),

@@ -21,9 +21,7 @@ RECIPES = {
     "basic_rescaled_power": "Basic Physical Model, Rescaled, with a Constant Power",
     "telematics_regression": "Telematics Regression (Distance, Duration, Speed, Temperature)",
 }
-SKILL = dict(
-    zip(RECIPES, (1.0, 0.91, 0.58, 0.54, 0.52, 0.51, 0.48, 0.55, 0.47, 0.41, 0.82, 0.68, 0.62), strict=True)
-)
+SKILL = dict(zip(RECIPES, (1.0, 0.91, 0.58, 0.54, 0.52, 0.51, 0.48, 0.55, 0.47, 0.41, 0.82, 0.68, 0.62), strict=True))
 """Ratio of the mean error of each model to that of the basic physical model."""
 VEHICLES = {
     "kia-soul-ev-2015": (131866, 0.33),

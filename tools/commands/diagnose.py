@@ -15,11 +15,11 @@ from core.diagnose.add import add
 from core.diagnose.add.holdout import select_final_days
 from core.diagnose.add.terms import build_term_columns
 from core.diagnose.dataset import gather_windows, join_tables
-from core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
 from core.diagnose.ranking import LEAST_GAIN
 from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError, SettingsError
 from core.evaluate.paper.results import to_json_values
+from core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
 from core.fit.ride_blocks import get_names
 from core.models import BUILT_IN_MODELS, VEHICLE, VEHICLE_MODEL, LinearModel
 from core.models.features import EFFECT_PREFIX, FEATURES, is_scope
@@ -223,7 +223,10 @@ def _auto(
     from tools.report.diagnosis import page  # noqa: PLC0415 - figures take seconds to import
 
     development = drop_days(rides, windows, select_final_days(model.history, get_names(rides, "date")))
-    rows, floor = join_tables(rides, windows), compute_noise_floor(compute_noise_variance(gather_windows(rides, windows, model).rides))
+    rows, floor = (
+        join_tables(rides, windows),
+        compute_noise_floor(compute_noise_variance(gather_windows(rides, windows, model).rides)),
+    )
     for step in range(1, MAX_STEPS + 1):
         result = _diagnose(model, *development, least_gain)
         page.print_step(result, step, console)

@@ -15,7 +15,9 @@ import pandas as pd
 from core.batch import Floats
 from core.errors import ModelError
 from core.evaluate.binning import bin_rides
+from core.evaluate.relative_errors import compute_relative_figures, compute_share_below_least
 from core.evaluate.ride_filter import find_exclusion_reasons, name_rides
+from core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
 from core.models import ANY, LinearModel
 from core.stats import multiple_testing, scores
 from core.stats.clustered import assign_vehicle_days, compute_clustered_mean, compute_clustered_ratio
@@ -58,6 +60,11 @@ class ComparedRides:
     read: int
     left_out: dict[str, int]
     notes: tuple[str, ...] = ()
+
+    @property
+    def noise_floor(self) -> float:
+        """Error that measurement noise alone causes, NaN where it is unknown. [kWh]"""
+        return compute_noise_floor(compute_noise_variance(self.rides))
 
     @property
     def keys(self) -> list[str]:
@@ -195,7 +202,7 @@ def compare_predictions(found: ComparedRides) -> dict[str, Any]:
 
 
 def describe_rides(found: ComparedRides) -> dict[str, Any]:
-    """Return which rides were compared: counts, dates, instruments and mean consumption."""
+    """Return which rides were compared: counts, dates, instruments, noise floor and mean consumption."""
     rides = found.rides
     distance = rides["distance_km"].to_numpy(np.float64)
     measured = {
@@ -213,6 +220,8 @@ def describe_rides(found: ComparedRides) -> dict[str, Any]:
         "first_date": str(rides["date"].min()),
         "last_date": str(rides["date"].max()),
         "measured": measured,
+        "noise_floor_kwh": found.noise_floor,
+        "below_least": compute_share_below_least(found.measured),
         "consumption_kwh": compute_clustered_mean(found.measured, found.clusters).figures(),
         "per_100km_kwh": compute_clustered_ratio(100.0 * found.measured, distance, found.clusters).figures(),
     }
@@ -231,17 +240,19 @@ def compute_errors(found: ComparedRides, predicted: Floats) -> dict[str, Any]:
     -------
     dict
         `mae_kwh` and `bias_kwh` with intervals, `rmse_kwh`, `relative` and `relative_bias` as shares of mean
-        consumption, and the share of rides `within` each band of relative error.
+        consumption, the share of rides `within` each band of relative error, and the figures of
+        `compute_relative_figures`: `wmape`, which is `relative` with its interval, `mape`, and `over_floor`.
     """
     error = predicted - found.measured
     used = float(np.mean(found.measured))
-    size, off = compute_clustered_mean(np.abs(error), found.clusters), compute_clustered_mean(error, found.clusters)
+    off = compute_clustered_mean(error, found.clusters)
+    figures = compute_relative_figures(found.measured, predicted, found.clusters, found.noise_floor)
     return {
         "rides": len(error),
-        "mae_kwh": size.figures(),
         "bias_kwh": off.figures(),
         "rmse_kwh": scores.compute_rmse(found.measured, predicted),
-        "relative": size.value / used if used > 0.0 else np.nan,
+        **figures,
+        "relative": figures["wmape"]["value"],
         "relative_bias": off.value / used if used > 0.0 else np.nan,
         "within": scores.compute_band_shares(found.measured, predicted),
     }

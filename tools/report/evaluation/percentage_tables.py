@@ -10,12 +10,14 @@ from core.fit.recipes import BASELINES
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_energy, format_percent, mark_least
 from tools.report.evaluation.result import (
     Result,
+    compute_mean,
     get_half_width,
     get_mapping,
     get_number,
     get_part,
     get_recipes,
     get_title,
+    list_vehicle_models,
 )
 
 HELD_OUT: Final[Mapping[str, str]] = MappingProxyType(
@@ -65,6 +67,58 @@ def tabulate_percentages(result: Result) -> list[ReportTable]:
     return [*shown, tabulate_literature(result)] if get_mapping(result, "percentage") else shown
 
 
+def get_reductions(result: Result, recipe: str) -> dict[str, float | None]:
+    """Return by which share the average error of a model is below that of each baseline, the mean over vehicle models.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+    recipe : str
+        Recipe of the model.
+
+    Returns
+    -------
+    dict
+        Baseline -> share, None where it is unknown. [1]
+    """
+    shares = {BASELINES[0]: get_mapping(result, "reduction"), **get_mapping(result, "reduction_by_baseline")}
+    return {name: get_number(get_part(shares.get(name), recipe, AVERAGE)) for name in BASELINES}
+
+
+def get_new_vehicle_reductions(result: Result, recipe: str) -> dict[str, float | None]:
+    """Return the same shares on vehicle models that were left out of training, baselines included.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+    recipe : str
+        Recipe of the model.
+
+    Returns
+    -------
+    dict
+        Baseline -> mean over vehicle models of the share, None where it is unknown. [1]
+    """
+    errors = {name: get_mapping(result, "new_vehicle", name) for name in (*BASELINES, recipe)}
+    found: dict[str, float | None] = {}
+    for name in BASELINES:
+        pairs = [
+            (get_number(get_part(errors[recipe], key, "mae")), get_number(get_part(errors[name], key, "mae")))
+            for key in list_vehicle_models(result)
+        ]
+        found[name] = compute_mean(1.0 - error / base for error, base in pairs if error is not None and base)
+    return found
+
+
+def find_best_on_new_vehicles(result: Result) -> str | None:
+    """Return the recipe of least error below the basic model's on left-out vehicle models, None where none is known."""
+    shares = {r: get_new_vehicle_reductions(result, r)[BASELINES[0]] for r in get_mapping(result, "new_vehicle")}
+    known = {recipe: share for recipe, share in shares.items() if share is not None and recipe != BASELINES[0]}
+    return max(known, key=known.__getitem__, default=None)
+
+
 def tabulate_baseline_reductions(result: Result) -> ReportTable:
     """Return by how much the error of each model is below that of each baseline.
 
@@ -78,24 +132,19 @@ def tabulate_baseline_reductions(result: Result) -> ReportTable:
     ReportTable
         One column per baseline, the mean over vehicle models of the reduction of the average error. [%]
     """
-    shares = get_mapping(result, "reduction_by_baseline")
-    present = [name for name in BASELINES if get_mapping(shares, name)]
+    by_recipe = {recipe: get_reductions(result, recipe) for recipe in get_recipes(result) if recipe != BASELINES[0]}
+    present = [name for name in BASELINES if any(shares[name] is not None for shares in by_recipe.values())]
     rows = tuple(
         Row(
             get_title(result, recipe),
-            tuple(Cell(_reduction(shares, name, recipe)) for name in present),
+            tuple(Cell("" if name == recipe else format_percent(shares[name])) for name in present),
         )
-        for recipe in get_recipes(result)
-        if recipe != BASELINES[0] and any(recipe in get_mapping(shares, name) for name in present)
+        for recipe, shares in by_recipe.items()
+        if any(share is not None for share in shares.values())
     )
     heads = tuple(f"below {BASELINE_HEADS[name]}" for name in present)
     notes = ("Mean over vehicle models of the reduction of the average error, by ride.", BASELINES_NOTE)
     return ReportTable("Error below each baseline", "model", heads, rows, notes)
-
-
-def _reduction(shares: Mapping[str, Any], baseline: str, recipe: str) -> str:
-    """Return the reduction of a recipe's error below a baseline's, empty for the baseline itself."""
-    return "" if baseline == recipe else format_percent(get_part(shares, baseline, recipe, AVERAGE))
 
 
 def tabulate_percentages_of(result: Result, kind: str) -> ReportTable:
@@ -170,7 +219,9 @@ def tabulate_literature(result: Result) -> ReportTable:
             best = min(known, key=known.__getitem__)
             shares = (get_part(errors, best, measure) for measure in ("wmape", "mape"))
             text = " / ".join(format_percent(get_number(share)) for share in shares)
-            rows.append(Row(f"here, {unseen}: {get_title(result, best)}", (Cell(text), Cell("wMAPE / MAPE")), total=True))
+            rows.append(
+                Row(f"here, {unseen}: {get_title(result, best)}", (Cell(text), Cell("wMAPE / MAPE")), total=True)
+            )
     note = (
         "Other fleets, trips and measures than these, for orientation only. Longer trips have smaller relative errors; "
         "errors on a simulated fleet are smaller than on a real one."

@@ -1,19 +1,27 @@
 """Arrange a report: the order of its sections, their texts and their tables."""
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from core.evaluate.paper import published
-from core.evaluate.paper.published import AVERAGE, PHYSICAL, PaperStatement
+from core.evaluate.paper.published import PHYSICAL, PaperStatement
 from tools.report.cells import Cell, ReportTable, Row, format_change, format_energy, format_percent
 from tools.report.evaluation.data_tables import tabulate_data
 from tools.report.evaluation.error_tables import tabulate_all_errors, tabulate_differences, tabulate_summaries
-from tools.report.evaluation.percentage_tables import BASELINE_HEADS, HELD_OUT, tabulate_percentages
+from tools.report.evaluation.percentage_tables import (
+    BASELINE_HEADS,
+    BASELINES_NOTE,
+    HELD_OUT,
+    find_best_on_new_vehicles,
+    get_new_vehicle_reductions,
+    get_reductions,
+    tabulate_percentages,
+)
 from tools.report.evaluation.result import (
     ALL,
     FITTED,
     INTERACTIONS,
     Result,
-    compute_mean,
     compute_overall_error,
     find_best,
     get_mapping,
@@ -68,7 +76,7 @@ def build_sections(result: Result) -> list[Section]:
     """
     matrices = [tabulate_differences(result, key) for key in (ALL, *list_vehicle_models(result))]
     found = [
-        Section("glance", "At a glance", "", [tabulate_overview(result)]),
+        Section("glance", "At a glance", "", [tabulate_headline(result), tabulate_overview(result)]),
         Section("data", "Rides", "Which rides are evaluated, and their energy.", tabulate_data(result)),
         Section(
             "summary",
@@ -129,6 +137,59 @@ def build_sections(result: Result) -> list[Section]:
     return [section for section in found if any(table.rows for table in section.tables)]
 
 
+def tabulate_headline(result: Result) -> ReportTable:
+    """Return by how much the errors of the principal models are below those of each baseline.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of an evaluation.
+
+    Returns
+    -------
+    ReportTable
+        One column per baseline, so that a reduction below the basic physical model never stands alone. [%]
+    """
+    best = dict.fromkeys(recipe for recipe in (INTERACTIONS, find_best(result)) if recipe)
+    unseen = dict.fromkeys(recipe for recipe in (FITTED, find_best_on_new_vehicles(result)) if recipe)
+    said = {
+        INTERACTIONS: published.get_statement("reduction"),
+        FITTED: published.get_statement("new_vehicle_reduction"),
+    }
+    rows = [
+        *(_reductions(result, recipe, "", get_reductions(result, recipe), said.get(recipe)) for recipe in best),
+        *(
+            _reductions(
+                result, recipe, ", vehicle model unseen", get_new_vehicle_reductions(result, recipe), said.get(recipe)
+            )
+            for recipe in unseen
+        ),
+    ]
+    heads = tuple(f"below {head}" for head in BASELINE_HEADS.values())
+    notes = ("Mean over vehicle models of the reduction of the average error.", BASELINES_NOTE)
+    return ReportTable(
+        "Error below each baseline, principal models", "model", heads, tuple(row for row in rows if row), notes
+    )
+
+
+def _reductions(
+    result: Result, recipe: str, where: str, shares: Mapping[str, float | None], said: PaperStatement | None
+) -> Row | None:
+    """Return a row of reductions by baseline, the paper's beside that of the basic model; None where none is known."""
+    if all(share is None for share in shares.values()):
+        return None
+    cells = [
+        Cell("" if name == recipe else format_percent(shares.get(name)), _percent(said) if name == PHYSICAL else "")
+        for name in BASELINE_HEADS
+    ]
+    return Row(f"{get_title(result, recipe)}{where}", tuple(cells))
+
+
+def _percent(said: PaperStatement | None) -> str:
+    """Return a share of the paper in percent, empty text where there is none."""
+    return "" if said is None else format_percent(said.value, 2)
+
+
 def tabulate_overview(result: Result) -> ReportTable:
     """Return a table of the principal figures, with the paper's beside them.
 
@@ -144,15 +205,11 @@ def tabulate_overview(result: Result) -> ReportTable:
     """
     found = get_mapping(result, "coverage")
     rows = [
-        *_reduced(result, INTERACTIONS, published.get_statement("reduction")),
-        *([] if find_best(result) == INTERACTIONS else _reduced(result, find_best(result), None)),
         _percentage(result),
         _beyond_the_paper(result),
         _unbeaten(result),
         _relative(result, "0-5", published.get_statement("relative_error_short")),
         _relative(result, "20-25", published.get_statement("relative_error_long")),
-        _new_vehicle(result, FITTED, published.get_statement("new_vehicle_reduction")),
-        _new_vehicle(result, _best_new_vehicle(result), None),
         _buffer(result),
         *(
             _row(
@@ -169,19 +226,6 @@ def tabulate_overview(result: Result) -> ReportTable:
 def _row(name: str, here: str, paper: str = "") -> Row:
     """Return a row with a figure of this evaluation and one of the paper."""
     return Row(name, (Cell(here, paper),))
-
-
-def _reduced(result: Result, recipe: str | None, said: PaperStatement | None) -> list[Row]:
-    """Return rows with the reduction of a model's error against the basic physical model and each other baseline."""
-    shares = {PHYSICAL: get_mapping(result, "reduction"), **get_mapping(result, "reduction_by_baseline")}
-    rows = []
-    for baseline, head in BASELINE_HEADS.items():
-        share = get_number(get_part(shares.get(baseline), recipe or "", AVERAGE))
-        if recipe is not None and share is not None:
-            paper = "" if said is None or baseline != PHYSICAL else format_percent(said.value, 2)
-            name = "the basic physical model" if baseline == PHYSICAL else head
-            rows.append(_row(f"Error below that of {name}: {get_title(result, recipe)}", format_percent(share), paper))
-    return rows
 
 
 def _percentage(result: Result) -> Row | None:
@@ -218,30 +262,6 @@ def _relative(result: Result, cluster: str, said: PaperStatement) -> Row | None:
     share = get_number(get_part(result, "relative", INTERACTIONS, cluster))
     label = f"Error over consumption, rides of {cluster.replace('-', '–')} km: {get_title(result, INTERACTIONS)}"
     return None if share is None else _row(label, format_percent(share), f"about {format_percent(said.value, 0)}")
-
-
-def _new_vehicle(result: Result, recipe: str | None, said: PaperStatement | None) -> Row | None:
-    """Return a row with the reduction of a model's error on unseen vehicle models against the basic physical model."""
-    share = None if recipe is None else _left_out(result, recipe)
-    if recipe is None or share is None:
-        return None
-    label = f"Error below that of the basic physical model, vehicle model unseen: {get_title(result, recipe)}"
-    return _row(label, format_percent(share), "" if said is None else format_percent(said.value, 2))
-
-
-def _best_new_vehicle(result: Result) -> str | None:
-    """Return the best model on unseen vehicle models, None where that is the fitted physical one."""
-    shares = {recipe: _left_out(result, recipe) for recipe in get_mapping(result, "new_vehicle") if recipe != PHYSICAL}
-    known = {recipe: share for recipe, share in shares.items() if share is not None}
-    found = max(known, key=known.__getitem__, default=None)
-    return None if found == FITTED else found
-
-
-def _left_out(result: Result, recipe: str) -> float | None:
-    """Return the mean reduction of a model's error over vehicle models left out of training."""
-    return compute_mean(
-        get_number(get_part(result, "new_vehicle", recipe, key, "reduction")) for key in list_vehicle_models(result)
-    )
 
 
 def _buffer(result: Result) -> Row | None:

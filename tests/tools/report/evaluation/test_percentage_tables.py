@@ -1,0 +1,91 @@
+"""Test the tables of percentage errors, of reductions below the baselines, and of the literature."""
+
+import pytest
+
+from core.evaluate.literature import LITERATURE
+from core.fit.recipes import BASELINES, RECIPES
+from tests.support.evaluation_result import evaluation
+from tools.report.evaluation.percentage_tables import (
+    BASELINE_HEADS,
+    find_best_on_new_vehicles,
+    format_share,
+    get_new_vehicle_reductions,
+    tabulate_baseline_reductions,
+    tabulate_literature,
+    tabulate_percentages,
+    tabulate_percentages_of,
+)
+from tools.report.evaluation.sections import tabulate_headline, tabulate_overview
+
+
+@pytest.fixture(scope="module")
+def result():
+    return evaluation()
+
+
+def test_every_baseline_has_a_recipe_and_a_heading():
+    assert tuple(BASELINE_HEADS) == BASELINES
+    assert set(BASELINES) <= set(RECIPES)
+
+
+def test_reductions_stand_beside_each_other_for_every_baseline(result):
+    table = tabulate_baseline_reductions(result)
+    assert table.columns == tuple(f"below {head}" for head in BASELINE_HEADS.values())
+    rows = {row.name: [cell.text for cell in row.cells] for row in table.rows}
+    shares = result["reduction_by_baseline"]
+    best = [f"{100 * shares[name]['hybrid_trees']['average']:.1f} %" for name in BASELINES]
+    assert rows["Hybrid Model with Boosted Trees"] == best
+    assert rows["Basic Physical Model, Rescaled"][1] == ""
+    assert "Basic Physical Model" not in rows
+
+
+def test_headline_states_the_reduction_below_every_baseline(result):
+    table = tabulate_headline(result)
+    assert [row.name for row in table.rows] == [
+        "Hybrid Model (Interaction Terms)",
+        "Hybrid Model with Boosted Trees",
+        "Fitted Extended Physical Model (Linear Regression), vehicle model unseen",
+        f"{result['recipes'][find_best_on_new_vehicles(result)]}, vehicle model unseen",
+    ]
+    assert all(cell.text for row in table.rows for cell in row.cells)
+    assert [row.cells[0].paper for row in table.rows] == ["51.75 %", "", "30.75 %", ""]
+    assert "below that of the basic" not in " ".join(row.name for row in tabulate_overview(result).rows)
+
+
+def test_reductions_on_unseen_vehicle_models_follow_from_their_errors():
+    errors = {"basic_physical": (1.0, 2.0), "basic_rescaled": (0.5, 0.8), "hybrid": (0.25, 0.2)}
+    result = {
+        "about": {"vehicle_models": ["leaf", "soul"]},
+        "new_vehicle": {r: {"leaf": {"mae": a}, "soul": {"mae": b}} for r, (a, b) in errors.items()},
+    }
+    shares = get_new_vehicle_reductions(result, "hybrid")
+    assert shares["basic_physical"] == pytest.approx((0.75 + 0.9) / 2)
+    assert shares["basic_rescaled"] == pytest.approx((0.5 + 0.75) / 2)
+    assert shares["telematics_regression"] is None
+    assert find_best_on_new_vehicles(result) == "hybrid"
+
+
+def test_errors_are_shown_in_kwh_percent_and_over_noise(result):
+    table = tabulate_percentages_of(result, "ride")
+    assert table.columns == ("MAE, kWh", "wMAPE", "MAPE", "over noise")
+    cells = {row.name: [cell.text for cell in row.cells] for row in table.rows}
+    assert cells["Basic Physical Model"] == ["0.600 ± 0.020", "30.0 ± 1.0 %", "40.0 ± 1.5 %", "12.00 ×"]
+    assert [row.name for row in table.rows if row.cells[0].strong] == ["Hybrid Model with Boosted Trees"]
+    assert any("below 0.1 kWh, 1.3 % of all" in note for note in table.notes)
+
+
+def test_literature_stands_beside_the_best_model_of_each_split(result):
+    table = tabulate_literature(result)
+    assert len(table.rows) == len(LITERATURE) + 3
+    assert table.rows[0].cells[0].text == "5.0 %"
+    assert "10.1109/TTE.2024.3416532" in table.rows[0].name
+    assert table.rows[-1].name == "here, unseen dates: Hybrid Model with Boosted Trees"
+
+
+def test_result_without_percentages_has_no_tables():
+    assert tabulate_percentages({}) == []
+    assert tabulate_percentages(evaluation() | {"percentage": None, "reduction_by_baseline": None}) == []
+
+
+def test_share_without_interval_is_shown_without_one():
+    assert format_share({"value": 0.05, "ci95": None}) == "5.0 %"
