@@ -223,10 +223,8 @@ def _auto(
     from tools.report.diagnosis import page  # noqa: PLC0415 - figures take seconds to import
 
     development = drop_days(rides, windows, select_final_days(model.history, get_names(rides, "date")))
-    rows, floor = (
-        join_tables(rides, windows),
-        compute_noise_floor(compute_noise_variance(gather_windows(rides, windows, model).rides)),
-    )
+    rows, diagnosed = join_tables(rides, windows), gather_windows(rides, windows, model).rides
+    floor = compute_noise_floor(compute_noise_variance(diagnosed))
     for step in range(1, MAX_STEPS + 1):
         result = _diagnose(model, *development, least_gain)
         page.print_step(result, step, console)

@@ -34,9 +34,9 @@ BASELINE_HEADS: Final[Mapping[str, str]] = MappingProxyType(
 )
 """Baseline -> heading of its column."""
 BASELINES_NOTE: Final = (
-    "Basic: no fitted number. Rescaled: one factor, fitted to the training rides of each vehicle model. With power: the "
-    "factor and a constant power. Telematics regression: distance, distance times squared speed, duration, and duration "
-    "times the difference from 20 °C, after Geotab's model card."
+    "Basic: no fitted number. Rescaled: one factor, fitted to the training rides of each vehicle model. With power: "
+    "the factor and a constant power. Telematics regression: distance, distance times squared speed, duration, and "
+    "duration times the difference from 20 °C, after Geotab's model card."
 )
 """Note that explains the baselines."""
 PERCENT_NOTE: Final = (
@@ -44,8 +44,8 @@ PERCENT_NOTE: Final = (
     "measured energy. ± is half of the 95 % interval."
 )
 FLOOR_NOTE: Final = (
-    "Over noise: mean absolute error over the one that measurement noise alone causes; a perfect model has 1. Noise that "
-    "all drives of a car share, such as an error of its capacity, is not counted."
+    "Over noise: mean absolute error over the one that measurement noise alone causes; a perfect model has 1. Noise "
+    "that all drives of a car share, such as an error of its capacity, is not counted."
 )
 
 

@@ -152,24 +152,15 @@ def tabulate_headline(result: Result) -> ReportTable:
     """
     best = dict.fromkeys(recipe for recipe in (INTERACTIONS, find_best(result)) if recipe)
     unseen = dict.fromkeys(recipe for recipe in (FITTED, find_best_on_new_vehicles(result)) if recipe)
-    said = {
-        INTERACTIONS: published.get_statement("reduction"),
-        FITTED: published.get_statement("new_vehicle_reduction"),
-    }
-    rows = [
-        *(_reductions(result, recipe, "", get_reductions(result, recipe), said.get(recipe)) for recipe in best),
-        *(
-            _reductions(
-                result, recipe, ", vehicle model unseen", get_new_vehicle_reductions(result, recipe), said.get(recipe)
-            )
-            for recipe in unseen
-        ),
-    ]
+    paper = {INTERACTIONS: "reduction", FITTED: "new_vehicle_reduction"}
+    said = {recipe: published.get_statement(name) for recipe, name in paper.items()}
+    of_rides = (_reductions(result, r, "", get_reductions(result, r), said.get(r)) for r in best)
+    where = ", vehicle model unseen"
+    of_new = (_reductions(result, r, where, get_new_vehicle_reductions(result, r), said.get(r)) for r in unseen)
+    rows = tuple(row for row in (*of_rides, *of_new) if row is not None)
     heads = tuple(f"below {head}" for head in BASELINE_HEADS.values())
     notes = ("Mean over vehicle models of the reduction of the average error.", BASELINES_NOTE)
-    return ReportTable(
-        "Error below each baseline, principal models", "model", heads, tuple(row for row in rows if row), notes
-    )
+    return ReportTable("Error below each baseline, principal models", "model", heads, rows, notes)
 
 
 def _reductions(
