@@ -12,6 +12,7 @@ from core.fit.recipes import LinearRecipe, make_term
 from core.fit.ride_blocks import RideFrame
 from core.models import LinearModel, make_physical_term
 from core.models.features import FEATURES, Columns
+from core.totals.tables import METER_GAIN
 
 KINDS = ("kia-soul-ev-2015", "nissan-leaf-2016")
 BASE = {"rolling": 1.1, "climbing": 0.95, "aero_drag": 1.05, "inertia_positive": 1.1, "inertia_negative": 0.8}
@@ -92,7 +93,8 @@ def planted(
     table = table.assign(**{each.energy_name: 0.0 for each in ROAD_LOAD if each.energy_name not in table})
     table = table.assign(mass_kg=mass, wind_from_deg=np.nan, soc_start_pct=80.0, soc_end_pct=79.0)
     measured = {"energy_kwh": energy, "energy_vi_kwh": energy, "energy_soc_kwh": energy}
-    table = table.assign(**measured, energy_sd_kwh=SD, energy_vi_sd_kwh=SD, energy_soc_sd_kwh=1.0)
+    sd = np.hypot(SD, METER_GAIN * energy)
+    table = table.assign(**measured, energy_sd_kwh=sd, energy_vi_sd_kwh=sd, energy_soc_sd_kwh=1.0)
     return _rides(table, dates), table
 
 
@@ -116,7 +118,8 @@ def _rides(table: pd.DataFrame, dates: np.ndarray) -> pd.DataFrame:
     groups = table.assign(date=dates).groupby("ride_key", sort=False)
     ride_table = pd.concat([groups[[*firsts, "date"]].first(), groups[sums].sum()], axis=1).reset_index()
     count = groups.size().to_numpy()
-    sd = {name: SD * np.sqrt(count) for name in ("energy_sd_kwh", "energy_vi_sd_kwh")}
+    whole = np.hypot(SD * np.sqrt(count), METER_GAIN * ride_table["energy_kwh"])
+    sd = dict.fromkeys(("energy_sd_kwh", "energy_vi_sd_kwh"), whole)
     speed = ride_table["distance_km"] / ride_table["duration_s"] * 3600.0
     return ride_table.assign(
         ride_id=ride_table["ride_key"], winter=0, summer=1, fit_for_training=True, unfit_reason=None,

@@ -44,32 +44,32 @@ def test_recipes_are_named_and_ordered_as_in_the_paper():
         assert (RECIPES[name].name, RECIPES[name].title, len(RECIPES[name].terms)) == (name, title, terms)
 
 
-TWO_RIDES = {
-    "effect_rolling": [80.0, 160.0],
+FOUR_RIDES = {
+    "effect_rolling": [80.0, 160.0, 80.0, 160.0],
     "rolling_resistance": 0.01,
-    "effect_aero_drag": [0.4, 0.8],
+    "effect_aero_drag": [0.4, 0.8, 0.4, 0.8],
     "drag_area_m2": 0.5,
     "effect_climbing": 0.0,
     "effect_inertia": 0.0,
 }
-"""Two rides of basic energies 1 and 2 kWh: rolling of 0.8 kWh and drag of 0.2 kWh on the shorter one."""
+"""Rides of basic energies 1, 2, 1 and 2 kWh: rolling of 0.8 kWh and drag of 0.2 kWh on the shorter ones."""
 
 
 class TestBaselines:
     """The coefficients of least squares are computed by hand."""
 
     def fit(self, name, energy, **columns):
-        few = rides(2, seed=1, models=MODELS[:1]).assign(energy_kwh=energy, **columns)
+        few = rides(4, seed=1, models=MODELS[:1]).assign(energy_kwh=energy, **columns)
         fitted = RECIPES[name].fit(few, covariance=False)
         return dict(zip((term.name for term in RECIPES[name].terms), fitted.fits[ANY].coefficients, strict=True))
 
     def test_rescaled_basic_has_the_factor_of_least_squares(self):
-        # minimum of (2 - k)^2 + (3 - 2 k)^2 at k = (2 + 6) / (1 + 4)
-        assert self.fit("basic_rescaled", [2.0, 3.0], **TWO_RIDES) == pytest.approx({"basic": 1.6})
+        # minimum of 2 (2 - k)^2 + 2 (3 - 2 k)^2 at k = (2 + 6) / (1 + 4)
+        assert self.fit("basic_rescaled", [2.0, 3.0, 2.0, 3.0], **FOUR_RIDES) == pytest.approx({"basic": 1.6})
 
-    def test_rescaled_basic_with_power_solves_two_rides_exactly(self):
+    def test_rescaled_basic_with_power_solves_two_kinds_of_ride_exactly(self):
         # k + 1800 s p = 2 kWh and 2 k + 1800 s p = 3 kWh: k = 1, and 1 kWh in half an hour is 2 kW
-        found = self.fit("basic_rescaled_power", [2.0, 3.0], duration_s=1800.0, **TWO_RIDES)
+        found = self.fit("basic_rescaled_power", [2.0, 3.0, 2.0, 3.0], duration_s=1800.0, **FOUR_RIDES)
         assert found == pytest.approx({"basic": 1.0, "duration_s": 2.0 / 3600.0})
 
     def test_telematics_regression_recovers_planted_coefficients(self):
