@@ -147,7 +147,7 @@ class QueryService:
             self._refuse(question, str(error), "unanswerable")
         except Exception:  # noqa: BLE001 - a defect must not stop the telemetry
             _log.exception("question failed", extra=event_fields(vehicle=question.vehicle[:64]))
-            self._refuse(question, "this question cannot be answered; the log of the consumer tells more", "failed")
+            self._refuse(question, "this query cannot be answered; see the log of the consumer", "failed")
 
     def _refuse(self, question: PendingQuery, words: str, cause: str) -> None:
         """Send the reason of a refusal, count the refusal and log it."""

@@ -151,7 +151,7 @@ class ZenohQueryable:
         """Queue an answer for sending, or drop it if too many answers wait."""
         if self._outgoing.qsize() >= WAITING:
             self.unsent += 1
-            _log.warning("answer not sent: %d wait, for an asker that does not read", WAITING)
+            _log.warning("answer not sent: %d answers wait for a client that does not read them", WAITING)
             query.drop()
         else:
             self._outgoing.put((query, send))
@@ -208,14 +208,14 @@ def query_outlook(
             if reply.err is not None:
                 refusals.append(_words(reply.err.payload.to_bytes()))
     except zenoh.ZError as error:
-        raise SettingsError(f"{key} cannot be asked: {format_zenoh_error(error)}; give a plain name") from error
+        raise SettingsError(f"{key} cannot be queried: {format_zenoh_error(error)}; give a plain name") from error
     if words := next(filter(None, refusals), None):
         raise AskError(words, "refused")
     if refusals:
-        raise SettingsError(f"{key} is not answered within {timeout_s:g} s; ask again, or wait longer")
+        raise SettingsError(f"{key} is not answered within {timeout_s:g} s; query again, or wait longer")
     raise SettingsError(
-        f"nobody answers {key}; start `socast live` at the same router and with the same prefix, "
-        f"and ask no more than {WAITING} questions at once"
+        f"no consumer answers {key}; start `socast live` at the same router and with the same prefix, and "
+        f"send no more than {WAITING} queries at once"
     )
 
 

@@ -31,7 +31,7 @@ STALL_US: Final = 60_000_000
 LINGER_S: Final = 0.5
 """Time given to directly connected nodes to read; no query shows when they have read. [s]"""
 _BARRIER: Final = "socast/barrier"
-"""Key of a query that nobody answers; when the query ends, the router has read everything sent before it."""
+"""Key of a query that no consumer answers; when the query ends, the router has read everything sent before it."""
 
 _OURS: Final[tuple[tuple[str, Any, Any], ...]] = (  # each value replaces Zenoh's default, but not another value
     ("scouting/multicast/enabled", None, False),
@@ -119,7 +119,7 @@ class Node:
         if self.session.is_closed():
             return
         for _ in self.session.get(_BARRIER, timeout=STALL_US / 1e6):
-            pass  # nobody answers
+            pass  # no consumer answers
         if self.endpoints:
             time.sleep(LINGER_S)
 

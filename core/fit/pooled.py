@@ -395,7 +395,7 @@ def _raw(terms: tuple[Term, ...], asked: tuple[str, ...] = ()) -> list[str]:
 def _check(name: str, rides: pd.DataFrame, columns: list[str]) -> None:
     """Raise ModelError if the table lacks a column."""
     if missing := [column for column in (*columns, ENERGY) if column not in rides]:
-        raise ModelError(f"model {name}: column {missing[0]!r} is missing in the rides: make the tables anew")
+        raise ModelError(f"model {name}: column {missing[0]!r} is missing in the rides: make the tables again")
 
 
 def _check_varies(name: str, groups: dict[str, _RideGroup]) -> None:

@@ -230,7 +230,7 @@ EMPIRICAL_TERMS: Final = tuple(
         *HISTOGRAM_COLUMNS,
     )
 )
-"""Terms of Table 1 of the paper, without names, dates and places, and without the ending SOC, which holds the answer.
+"""Terms of Table 1 of the paper, without names, dates and places, and without the ending SOC, which depends on the energy used.
 
 The direction of the wind enters as its cosine and sine, as 359 and 1 degree are neighbours.
 """
@@ -265,13 +265,13 @@ RECIPES: Final[Mapping[str, Recipe]] = MappingProxyType(
                 "empirical",
                 "Learned Empirical Model (No Interaction Terms)",
                 (*EMPIRICAL_TERMS, CONSTANT_TERM),
-                note="without the ending SOC, which holds the answer",
+                note="without the ending SOC, which depends on the energy used",
             ),
             LinearRecipe(
                 "empirical_interactions",
                 "Learned Empirical Model (Interaction Terms)",
                 (*EMPIRICAL_TERMS, *SQUARES, *SPEED_PRODUCTS, CONSTANT_TERM),
-                note="without the ending SOC, which holds the answer",
+                note="without the ending SOC, which depends on the energy used",
             ),
             LinearRecipe("hybrid", "Hybrid Model (No Interaction Terms)", (*HYBRID_TERMS, CONSTANT_TERM)),
             LinearRecipe(

@@ -151,7 +151,7 @@ def _present(columns: Sequence[str], there: Sequence[str] | pd.Index, where: str
     wanted = dict.fromkeys((*columns, *OPTIONAL))
     for name in wanted:
         if name not in known and name not in OPTIONAL:
-            raise ModelError(f"{where}: column {name!r} is missing: make the tables anew, with `socast tables`")
+            raise ModelError(f"{where}: column {name!r} is missing: make the tables again with `socast tables`")
     return [name for name in wanted if name in known]
 
 
@@ -213,7 +213,7 @@ def get_numbers(block: pd.DataFrame, name: str) -> Floats:
     try:
         return block[name].to_numpy(dtype=np.float64, na_value=np.nan)
     except (TypeError, ValueError) as error:
-        raise ModelError(f"column {name!r} of the ride table is no number: {error}: make the tables anew") from error
+        raise ModelError(f"column {name!r} of the ride table is no number: {error}: make the tables again") from error
 
 
 def get_names(block: pd.DataFrame, column: str) -> list[str]:

@@ -325,7 +325,8 @@ def withhold_charge(outlook: Outlook, silent_s: float) -> Outlook:
         shift_end_s=None,
         soc_end_of_shift_pct=None,
         reserve_risk=None,
-        why_not=f"the car has been silent for {silent_s / 3600.0:.1f} h while others went on, so its shift is over",
+        why_not=f"the car has been silent for {silent_s / 3600.0:.1f} h while other cars sent data, so its shift "
+        "is over",
     )
 
 
@@ -351,8 +352,8 @@ def _explain_unknown_energy(planned: bool, ahead: EnergyAhead, later: bool, patt
         return None
     plan = "the plan that is known is of a later shift" if later else "no plan is known"
     if np.isfinite(pattern["hours"][0] * pattern["relative_power"][0]):
-        return f"{plan}, and this shift is longer than those of this car usually are"
-    return f"{plan}, and too few shifts of this car to tell how they go"
+        return f"{plan}, and this shift is longer than this car's usual shifts"
+    return f"{plan}, and this car has ended too few shifts to estimate the rest of this one"
 
 
 def _explain_unknown_end(now: CarOutlook, end: Interval | None, no_energy: str | None) -> str | None:
@@ -362,8 +363,8 @@ def _explain_unknown_end(now: CarOutlook, end: Interval | None, no_energy: str |
     if not np.isfinite(now.estimate.soc[0]):
         return "the car reports no state of charge"
     if now.tables is None:
-        return "no day of rides of this vehicle model has been learned from yet"
-    return no_energy or "too few shifts have ended to tell how far off forecasts are"
+        return "no day with rides of this vehicle model has ended yet"
+    return no_energy or "too few shifts have ended to estimate the errors of forecasts"
 
 
 def _none_if_unknown(value: float) -> float | None:

@@ -226,7 +226,7 @@ class Columns(Mapping[str, Floats]):
         if name == ACCESSORIES_COLUMN:
             if self.curve is None:
                 raise ModelError(
-                    f"{ACCESSORIES_COLUMN} needs an accessory curve, and this fit has none: fit the model anew"
+                    f"{ACCESSORIES_COLUMN} needs an accessory curve, and this fit has none: fit the model again"
                 )
             duration, ambient, scale = (self[needed] for needed in ACCESSORY_NEEDS)
             return duration * self.curve.power(ambient + ZERO_CELSIUS) * scale / 3.6e6

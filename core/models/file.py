@@ -42,7 +42,7 @@ def _parse(content: bytes) -> Any:
         raise ModelError("no model file: it has no 'format' and 'terms': `socast fit` writes model files")
     if format_ != FORMAT:
         raise ModelError(
-            f"model file of format {format_!r}, and this version reads format {FORMAT}: fit the model anew"
+            f"model file of format {format_!r}, and this version reads format {FORMAT}: fit the model again"
         )
     return raw
 
@@ -161,7 +161,7 @@ def decode_model(content: bytes) -> LinearModel:
     try:
         model = msgspec.convert(raw, LinearModel)
     except msgspec.ValidationError as error:
-        raise ModelError(f"model file is damaged: {error}: fit the model anew") from error
+        raise ModelError(f"model file is damaged: {error}: fit the model again") from error
     check_model(model)
     return model
 
@@ -181,7 +181,7 @@ def check_model(model: LinearModel) -> None:
         names.add(term.name)
         _check_columns(f"model {model.name}: term {term.name!r}", term.columns)
     if not model.fits:
-        raise ModelError(f"model {model.name}: it has no fits: fit the model anew")
+        raise ModelError(f"model {model.name}: it has no fits: fit the model again")
     for key, fit in model.fits.items():
         _check_fit(f"model {model.name}: fit {key!r}", fit, model)
     for key, trees in (model.correction or {}).items():
@@ -203,16 +203,16 @@ def _check_fit(what: str, fit: Fit, model: LinearModel) -> None:
     """Check the shapes and numbers of a fit."""
     n = len(model.terms)
     if len(fit.coefficients) != n:
-        raise ModelError(f"{what} has {len(fit.coefficients)} coefficients for {n} terms: fit the model anew")
+        raise ModelError(f"{what} has {len(fit.coefficients)} coefficients for {n} terms: fit the model again")
     for term, coefficient in zip(model.terms, fit.coefficients, strict=True):
         _check_finite(f"{what}: coefficient of {term.name!r}", coefficient)
         if ACCESSORIES_COLUMN in term.columns and fit.curve is None:
             raise ModelError(
-                f"{what} has no curve, and term {term.name!r} reads {ACCESSORIES_COLUMN}: fit the model anew"
+                f"{what} has no curve, and term {term.name!r} reads {ACCESSORIES_COLUMN}: fit the model again"
             )
     if fit.covariance is not None:
         if [len(row) for row in fit.covariance] != [n] * n:
-            raise ModelError(f"{what}: its covariance is not {n} by {n}: fit the model anew")
+            raise ModelError(f"{what}: its covariance is not {n} by {n}: fit the model again")
         for value in chain.from_iterable(fit.covariance):
             _check_finite(f"{what}: covariance", value)
     _check_columns(f"{what}: fill", tuple(fit.fills))
@@ -226,7 +226,7 @@ def _check_curve(what: str, curve: AccessoryCurve) -> None:
     """Check that the choke points ascend, as segments between them need a positive width."""
     points = (curve.heating_full, curve.heating_off, curve.cooling_on, curve.cooling_full)
     if not all(a < b for a, b in pairwise(points)):
-        raise ModelError(f"{what}: choke points of its curve, {points} K, do not ascend: fit the model anew")
+        raise ModelError(f"{what}: choke points of its curve, {points} K, do not ascend: fit the model again")
     for level in (*points, curve.heating, curve.standby, curve.cooling):
         _check_finite(f"{what}: its curve", level)
 
@@ -234,4 +234,4 @@ def _check_curve(what: str, curve: AccessoryCurve) -> None:
 def _check_finite(what: str, value: float) -> None:
     """Refuse a number that is not finite."""
     if not isfinite(value):
-        raise ModelError(f"{what} is {value}: fit the model anew")
+        raise ModelError(f"{what} is {value}: fit the model again")

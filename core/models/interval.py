@@ -57,21 +57,21 @@ class PredictionInterval(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     def __post_init__(self) -> None:
         """Refuse numbers that are not quantiles."""
         if ANY not in self.scales:
-            raise ValueError(f"interval without a scale for {ANY!r}: calibrate the model anew")
+            raise ValueError(f"interval without a scale for {ANY!r}: calibrate the model again")
         if len(self.quantiles) != len(self.distances_km) or self.distances_km[:1] != (0.0,):
-            raise ValueError(f"interval with quantiles for {len(self.quantiles)} classes of rides: calibrate anew")
+            raise ValueError(f"interval with quantiles for {len(self.quantiles)} classes of rides: calibrate again")
         if any(len(row) != len(self.levels) for row in self.quantiles):
-            raise ValueError(f"interval without {len(self.levels)} quantiles for each class: calibrate anew")
+            raise ValueError(f"interval without {len(self.levels)} quantiles for each class: calibrate again")
         ascending = (self.distances_km, self.levels, *self.quantiles)
         if any(list(row) != sorted(row) for row in ascending):
-            raise ValueError("interval with quantiles that do not ascend: calibrate the model anew")
+            raise ValueError("interval with quantiles that do not ascend: calibrate the model again")
         numbers = [
             *self.levels,
             *(x for row in self.quantiles for x in row),
             *(x for s in self.scales.values() for x in s),
         ]
         if not all(map(isfinite, numbers)):
-            raise ValueError("interval with numbers that are not finite: calibrate the model anew")
+            raise ValueError("interval with numbers that are not finite: calibrate the model again")
 
     @property
     def needs(self) -> tuple[str, ...]:

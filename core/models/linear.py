@@ -259,7 +259,7 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         if self.interval is None:
             raise ModelError(f"model {self.name} has no prediction interval: fit one that is calibrated")
         if missing := [name for name in self.interval.needs if name not in columns]:
-            raise ModelError(f"model {self.name}: its interval needs column {missing[0]!r}: make the tables anew")
+            raise ModelError(f"model {self.name}: its interval needs column {missing[0]!r}: make the tables again")
         return self.interval.bounds(self.predict(columns), cast("Mapping[str, Any]", columns), level)
 
     def _rows(self, columns: Table) -> Iterator[tuple[str, Any]]:

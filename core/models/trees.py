@@ -68,20 +68,20 @@ class Trees(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         nodes = len(self.feature)
         lengths = {len(array) for array in (self.threshold, self.left, self.right, self.missing_left, self.value)}
         if lengths != {nodes}:
-            raise ValueError(f"trees of {nodes} nodes with arrays of {sorted(lengths)} numbers: fit the model anew")
+            raise ValueError(f"trees of {nodes} nodes with arrays of {sorted(lengths)} numbers: fit the model again")
         if any(not 0 <= root < nodes for root in self.roots):
-            raise ValueError(f"trees whose roots are not among their {nodes} nodes: fit the model anew")
+            raise ValueError(f"trees whose roots are not among their {nodes} nodes: fit the model again")
         for node, (feature, left, right) in enumerate(zip(self.feature, self.left, self.right, strict=True)):
             if feature == LEAF:
                 continue
             if not 0 <= feature < len(self.features):
-                raise ValueError(f"tree node {node} compares feature {feature} of {len(self.features)}: fit anew")
+                raise ValueError(f"tree node {node} compares feature {feature} of {len(self.features)}: fit again")
             if not (node < left < nodes and node < right < nodes):
                 raise ValueError(
-                    f"tree node {node} leads to {left} and {right}, not to later nodes: fit the model anew"
+                    f"tree node {node} leads to {left} and {right}, not to later nodes: fit the model again"
                 )
         if not all(map(isfinite, (self.baseline, *self.threshold, *self.value))):
-            raise ValueError("trees with numbers that are not finite: fit the model anew")
+            raise ValueError("trees with numbers that are not finite: fit the model again")
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -121,7 +121,7 @@ class Trees(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         """
         seen = columns if isinstance(columns, Columns) else Columns(columns)
         if missing := [name for name in self.needs if name not in seen]:
-            raise ModelError(f"trees: column {missing[0]!r} is missing in the data: make the tables anew")
+            raise ModelError(f"trees: column {missing[0]!r} is missing in the data: make the tables again")
         rows = len(seen[self.needs[0]]) if self.needs else 1
         table = np.empty((rows, len(self.features)))
         for i, name in enumerate(self.features):

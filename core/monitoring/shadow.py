@@ -248,8 +248,7 @@ class ShadowModels:
             key = model_identity(monitor.label)
             if key in seen:
                 raise ModelError(
-                    f"model {monitor.label} is given twice: leave one out, or fit one anew, so that name or version "
-                    "differ"
+                    f"model {monitor.label} is given twice: leave one out, or refit one, so that name or version differ"
                 )
             seen.add(key)
 

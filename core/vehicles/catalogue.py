@@ -286,5 +286,5 @@ def _figure(key: str, table: Mapping[str, Any], name: str, low: float, high: flo
         said = "is missing" if value is None else f"is {value!r}, no number"
         raise CatalogueError(f"vehicle {key}: {name} {said}: give one from {low:g} to {high:g}")
     if not low <= value <= high:
-        raise CatalogueError(f"vehicle {key}: {name} {value:g} is outside {low:g} to {high:g}: put it right")
+        raise CatalogueError(f"vehicle {key}: {name} {value:g} is outside {low:g} to {high:g}: correct it")
     return float(value)

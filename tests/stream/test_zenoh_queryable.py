@@ -28,7 +28,7 @@ def service():
 
 @contextmanager
 def unattended() -> Iterator[tuple[ZenohQueryable, Node]]:
-    """Run a queryable whose queries nobody answers, and a client."""
+    """Run a queryable whose queries no consumer answers, and a client."""
     with (
         router() as (node, endpoint),
         ZenohQueryable(node) as queries,
@@ -164,7 +164,7 @@ def test_query_without_consumer_raises_settings_error():
     with (
         router() as (_, endpoint),
         Node(Connection(connect=(endpoint,), prefix="montreal")) as client,
-        pytest.raises(SettingsError, match="nobody answers montreal/fleet/taxi-7/outlook; start `socast live`"),
+        pytest.raises(SettingsError, match="no consumer answers montreal/fleet/taxi-7/outlook; start `socast live`"),
     ):
         query_outlook(client, "taxi-7", RIDE)
 

@@ -74,7 +74,7 @@ def ask_outlook(
         outlook = msgspec.json.decode(answer, type=Outlook)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise SettingsError(
-            f"the answer for {vehicle} is not understood: {error}; ask with the version of `socast` that answers"
+            f"the answer for {vehicle} cannot be read: {error}; use the same version of `socast` as the consumer"
         ) from error
     write_json(json_file, "ask", outlook)
     show(outlook, make_console(json_file))
@@ -155,7 +155,7 @@ def figures(outlook: Outlook) -> Iterator[tuple[str, str]]:
     if outlook.soc_pct is not None:
         yield "now", _now(outlook)
     if outlook.consumption_scale is not None:
-        yield "this car today", f"takes {outlook.consumption_scale * 100:.0f} % of what {outlook.model} says"
+        yield "this car today", f"consumes {outlook.consumption_scale * 100:.0f} % of the prediction of {outlook.model}"
     if outlook.why_not:
         yield "not known", outlook.why_not
 

@@ -38,7 +38,7 @@ def compare_models(
     ],
     against: Annotated[
         list[Path] | None,
-        typer.Option(metavar="TABLES|REC", help="Other rides to set beside these; may be repeated."),
+        typer.Option(metavar="TABLES|REC", help="Other rides to compare with these; may be repeated."),
     ] = None,
     ride: Annotated[
         str | None, typer.Option(metavar="KEY", help="Show the trace of this ride instead, by ride_key or ride_id.")
@@ -128,7 +128,7 @@ def _trace(given: Sequence[Path], name: str, chosen: Mapping[str, LinearModel]) 
     files = ride_files(given)
     row = find_ride(read(files), name)
     if KEY not in row:
-        raise ModelError(f"column {KEY!r} is missing in the ride table: make it anew, with `socast tables`")
+        raise ModelError(f"column {KEY!r} is missing in the ride table: make it again with `socast tables`")
     return trace_ride(row, _windows(files, str(row[KEY].iloc[0])), chosen)
 
 

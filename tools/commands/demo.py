@@ -91,7 +91,7 @@ def demo(
     rides = add_predictions(pipeline.take_rides(), pipeline.shadows)
     write_json(json_file, "demo", {"rides": make_ride_records(rides)})
     show_rides(console, rides, pipeline.quality())
-    console.print(f"{source.missed:,} of the messages sent were missed on the way", highlight=False)
+    console.print(f"{source.missed:,} of the messages sent were not received", highlight=False)
 
 
 def _stop_at_end(publisher: subprocess.Popen[str], messages: int, stop: Callable[[], None]) -> Callable[[Tally], None]:

@@ -111,7 +111,7 @@ def _read(file: Path, columns: Sequence[str] | None) -> pd.DataFrame:
             there = set(opened.schema_arrow.names)
             if missing := [name for name in columns or () if name not in there]:
                 raise ModelError(
-                    f"{file}: column {missing[0]!r} is missing: make the tables anew, with `socast tables`"
+                    f"{file}: column {missing[0]!r} is missing: make the tables again with `socast tables`"
                 )
             found: pd.DataFrame = opened.read(columns=None if columns is None else list(columns)).to_pandas()
             return found

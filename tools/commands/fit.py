@@ -108,7 +108,7 @@ def ride_files(tables: Sequence[Path]) -> list[Path]:
         if given.suffix == RECORDING and given.is_file():
             folder = given.with_suffix("")
             raise SettingsError(
-                f"{given} is a recording; make tables of it first, with `socast tables {given} --out {folder}`, "
+                f"{given} is a recording; make tables of it first with `socast tables {given} --out {folder}`, "
                 f"and give {folder}"
             )
         if not file.is_file():
@@ -293,9 +293,9 @@ def _show_coefficients(model: LinearModel, console: Console) -> None:
     others = len(model.terms) - len(shown)
     notes = [f"{others} other coefficients are in the model file"] if others else []
     if any(found.held for found in model.fits.values()):
-        notes.append("(held): whole rides do not tell it, so it is held near physics, 1")
+        notes.append("(held): rides do not determine the coefficient, so its prior holds it near its physical value, 1")
     if model.fits.get(ANY) and model.fits[ANY].noise_kwh is not None:
-        notes.append("of *: how far a vehicle model that was never seen may be from the mean of the others")
+        notes.append("interval of *: for a vehicle model without rides, about the mean of the others")
     if notes:
         console.print("; ".join(notes), markup=False, highlight=False, soft_wrap=True)
 

@@ -52,7 +52,7 @@ def live(
         Path | None,
         typer.Option(metavar="F.json5", help="Read Zenoh's own configuration: TLS, access control and the rest."),
     ] = None,
-    recovery: Annotated[bool, typer.Option(help="Ask publishers again for samples that were missed.")] = True,
+    recovery: Annotated[bool, typer.Option(help="Request missed samples from the publishers.")] = True,
     options: ForecastOptions,
     record: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Record every payload as it came, decodable or not.")

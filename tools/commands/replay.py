@@ -118,7 +118,7 @@ def _publish(source: Source, sink: ZenohSink, sources: Sequence[McapSource], sto
     deadline = time.monotonic() + SUBSCRIBER_S
     while not (subscribed := sink.has_subscriber()) and not stop.is_set():
         if time.monotonic() > deadline:
-            console.print(f"nobody listens at {endpoint}; publishing all the same", style="yellow", highlight=False)
+            console.print(f"no subscriber at {endpoint}; publishing anyway", style="yellow", highlight=False)
             break
         time.sleep(0.05)
     count = 0
@@ -130,7 +130,7 @@ def _publish(source: Source, sink: ZenohSink, sources: Sequence[McapSource], sto
             step()
     if subscribed and not sink.has_subscriber():
         console.print(
-            f"the listener at {endpoint} has gone and has missed the last messages", style="yellow", highlight=False
+            f"the subscriber at {endpoint} is gone and missed the last messages", style="yellow", highlight=False
         )
     sink.close()
     refuse_unusable(sources, count)

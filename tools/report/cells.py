@@ -6,7 +6,7 @@ from core.evaluate.paper.published import PublishedFigure
 from tools.report.evaluation.result import get_half_width, get_number
 
 PAPER_NOTE: Final = (
-    "In parentheses: the paper's figures, of its own company's rides: other data than these, for orientation only."
+    "In parentheses: figures of the paper. They are from other data (the rides of one company), for orientation only."
 )
 """Note below every table that shows figures of the paper."""
 

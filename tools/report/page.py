@@ -63,9 +63,7 @@ def save(text: str, path: Path) -> None:
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise SettingsError(
-            f"{path} cannot be written: {error.strerror}; name a file in a folder that is there"
-        ) from error
+        raise SettingsError(f"{path} cannot be written: {error.strerror}; name a file in an existing folder") from error
 
 
 def render_page(result: Any) -> str:
@@ -143,8 +141,8 @@ def _lead(result: Result) -> str:
     about = get_mapping(result, "about")
     rides = f"{about['fit']:,} rides. " if isinstance(about.get("fit"), int | float) else ""
     text = (
-        f"{rides}Figures in parentheses and outlines are those of “{published.load_paper().title}”, of its own "
-        "company's rides: other data than these, so they are for orientation only."
+        f"{rides}Figures in parentheses and outlines are from “{published.load_paper().title}”. They are "
+        "from other data (the rides of one company), for orientation only."
     )
     return f"<p>{escape(text)}</p>"
 

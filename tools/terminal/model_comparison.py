@@ -18,20 +18,20 @@ from tools.terminal.rich_table import Column, make_table
 DEFAULT_MODEL: Final = "extended_physical"
 """The model if the command line names none."""
 SAID: Final = (
-    "better or worse is said where a 95 % interval excludes zero, one that holds for all models and however often one "
-    "looks; vehicle-days count when they have ended"
+    "better or worse: the 95 % interval of the difference excludes zero; it holds for all models "
+    "together, however often the table is read; only ended vehicle-days count"
 )
 """Explanation below the table."""
 WIDE: Final = 112
 """Width of a terminal from which tables have all their columns. [characters]"""
-_NARROW: Final = (("rides", 5), ("MAE\nkWh", 6), ("better by\nkWh a ride", 22))
+_NARROW: Final = (("rides", 5), ("MAE\nkWh", 6), ("better by\nkWh per ride", 22))
 _WIDE: Final = (
     ("rides", 5),
     ("not pre-\ndicted", 8),
     ("MAE\nkWh", 6),
     ("MAE\n%", 5),
     ("bias\nkWh", 7),
-    ("better by\nkWh a ride", 22),
+    ("better by\nkWh per ride", 22),
     ("vehicle-\ndays", 8),
 )
 
@@ -111,7 +111,7 @@ def describe_gain(gain: Gain) -> str:
     if gain.mean_kwh is None or gain.lower_kwh is None or gain.upper_kwh is None or gain.verdict == "undecided":
         return f"undecided: {over}"
     low, high = sorted((abs(gain.lower_kwh), abs(gain.upper_kwh)))
-    span = f"{abs(gain.mean_kwh):.3f} kWh a ride ({low:.3f} to {high:.3f})"
+    span = f"{abs(gain.mean_kwh):.3f} kWh per ride ({low:.3f} to {high:.3f})"
     return f"{gain.verdict} than the first by {span}, over {over}"
 
 
@@ -161,8 +161,9 @@ def warn_of_training_days(known: Sequence[LinearModel], rides: pd.DataFrame) -> 
         seen = int(((rides["date"] >= first) & (rides["date"] <= last)).sum())
         if seen:
             lines.append(
-                f"{model.name}/{model.version} was fitted to rides of {first} to {last}: {seen:,} of these "
-                f"{len(rides):,} rides are of those days, and prove nothing if it was fitted to them"
+                f"{model.name}/{model.version} was fitted to rides from {first} to {last}; {seen:,} of "
+                f"these {len(rides):,} rides are from those days, and its error on them is too low if it "
+                "was fitted to them"
             )
     return lines
 

@@ -55,7 +55,7 @@ def _load_effects(files: list[Path] | None) -> list[Path] | None:
 def _refuse_standard_output(file: Path | None) -> Path | None:
     """Refuse `-` as the file of an HTML page."""
     if file == STANDARD_OUTPUT:
-        raise SettingsError("--html is '-', and a page cannot go to standard output; name a file such as report.html")
+        raise SettingsError("--html is '-', and standard output takes no page; name a file such as report.html")
     return file
 
 

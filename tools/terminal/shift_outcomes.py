@@ -22,8 +22,8 @@ MOST_SHIFTS: Final = 60
 MOST_ROWS: Final = 200_000
 """Number of stored forecasts above which those no longer needed are deleted."""
 NO_INTERVALS: Final = (
-    "no intervals of the shift's end are known yet, as too few shifts have been learned from: give more of what was "
-    "recorded before with --warm-up REC"
+    "forecasts of the shift's end have no intervals, because too few shifts have ended: give recordings "
+    "of earlier days with --warm-up REC"
 )
 _FIGURES: Final = {"mean": "soc_mean_pct", "p05": "soc_p05_pct", "p95": "soc_p95_pct"}
 
@@ -144,7 +144,7 @@ def show_outcomes(console: Console, shifts: list[dict[str, Any]]) -> None:
     if not any(told for shift in shifts for told in shift["forecasts"].values()):
         console.print(NO_INTERVALS, markup=False, highlight=False, soft_wrap=not console.is_terminal)
         return
-    numbers = ("at its\nbeginning", "told\nthen", "2 h before\nthe end", "1 h before\nthe end", "became")
+    numbers = ("at its\nbeginning", "forecast\nthen", "2 h before\nthe end", "1 h before\nthe end", "outcome")
     columns = [
         *(Column(head, fixed=True) for head in ("car", "shift, UTC")),
         *(Column(head, number=True, fixed=True) for head in numbers),
@@ -176,7 +176,7 @@ def summary(shifts: list[dict[str, Any]]) -> list[str]:
     for name, words in zip(TOLD, ("at the beginning", "2 h before the end", "1 h before the end"), strict=True):
         held = [told["held"] for shift in shifts if (told := shift["forecasts"][name]) and told["held"] is not None]
         if held:
-            lines.append(f"told {words}: {sum(held):,} of {len(held):,} outcomes were within the 90 % interval")
+            lines.append(f"forecast {words}: {sum(held):,} of {len(held):,} outcomes were within the 90 % interval")
     return lines
 
 
@@ -198,7 +198,7 @@ def _cells(shift: dict[str, Any]) -> list[str | Text]:
 def _note(shift: dict[str, Any]) -> str:
     """Return the reason why forecasts of a shift may not be comparable with its outcome."""
     charged = [] if shift["charged_s"] is None else [f"charged {_clock(shift['charged_s'], '%H:%M')}"]
-    return ", ".join([*charged, *(["goes on"] if shift["cut"] else [])])
+    return ", ".join([*charged, *(["in progress"] if shift["cut"] else [])])
 
 
 def _interval(told: dict[str, Any] | None) -> str:

@@ -141,7 +141,9 @@ def _predict(label: str, model: LinearModel, rides: pd.DataFrame) -> Floats:
     if not np.isfinite(energy).any():
         unknown = [name for name in model.needs if name in rides and rides[name].isna().all()]
         told = f": column {unknown[0]!r} is unknown in all of them" if unknown else ""
-        raise ModelError(f"model {label} predicts none of {len(rides):,} rides{told}: give a model that does without")
+        raise ModelError(
+            f"model {label} predicts none of {len(rides):,} rides{told}: give a model that does not read it"
+        )
     return energy
 
 

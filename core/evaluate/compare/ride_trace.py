@@ -113,7 +113,7 @@ def trace_ride(ride: pd.DataFrame, windows: pd.DataFrame, models: Mapping[str, L
     """
     key = str(ride["ride_key"].iloc[0]) if "ride_key" in ride else ""
     if missing := [name for name in WINDOW_COLUMNS if name not in windows]:
-        raise ModelError(f"column {missing[0]!r} is missing in the window table: make it anew, with `socast tables`")
+        raise ModelError(f"column {missing[0]!r} is missing in the window table: make it again with `socast tables`")
     own = windows[windows["ride_key"].astype(str) == key].sort_values("window", kind="stable", ignore_index=True)
     if not np.isfinite(ride["energy_kwh"].iloc[0]):
         raise ModelError(f"ride {key}: it has no measured energy to compare with: choose another ride")
@@ -197,8 +197,8 @@ def _model(
         raise ModelError(f"model {label} has no prediction of this ride, of a {car}: give a model with a fit for it")
     if not np.isfinite(running).all() or _differ(float(running[-1]), said):
         raise ModelError(
-            f"model {label} cannot be followed along the ride: by its windows it comes to {running[-1]:.3f} kWh, not "
-            f"{said:.3f} kWh; make the tables anew, with `socast tables`"
+            f"model {label} cannot be traced: its windows add up to {running[-1]:.3f} kWh, and it "
+            f"predicts {said:.3f} kWh for the ride; make the tables again with `socast tables`"
         )
     alone = float(model.predict(_as_rides(ride, own)).sum())
     if not np.isfinite(alone) or _differ(alone, said):
@@ -308,19 +308,19 @@ def describe_divergence(
         told = f"{abs(total):.3f} kWh {side}, spread over {minutes:.1f} min: no part of the ride stands out"
     else:
         where = f"{place['kilometres']:.1f} km and {place['minutes']:.1f} min after it, {_conditions(place)}"
-        told = f"parts from the measurement at {place['minute']:.1f} min, {place['km']:.1f} km: "
+        told = f"diverges from the measurement at {place['minute']:.1f} min, {place['km']:.1f} km: "
         if place["share"] > 1.0:
             told += (
-                f"it says {abs(place['error_kwh']):.3f} kWh {side} in the {where}; "
-                f"the rest of the ride makes up for all but {abs(total):.3f} kWh"
+                f"it predicts {abs(place['error_kwh']):.3f} kWh {side} in the {where}; "
+                f"the rest of the ride compensates all but {abs(total):.3f} kWh"
             )
         else:
             told += f"{abs(place['error_kwh']):.3f} of {abs(total):.3f} kWh {side} come in the {where}"
     if abs(start) > LEAST_SHARE * abs(total) and start * total > 0.0:
-        told += f"; {abs(start):.3f} kWh of it are said before anything is driven"
+        told += f"; {abs(start):.3f} kWh of it are predicted before the start"
     sd = float(ride["energy_sd_kwh"].iloc[0]) if "energy_sd_kwh" in ride else np.nan
     if abs(total) < 2.0 * sd:
-        told += f"; within twice the measurement's own uncertainty of {sd:.3f} kWh"
+        told += f"; this is within twice the standard uncertainty of the measurement, {sd:.3f} kWh"
     return told
 
 

@@ -127,7 +127,7 @@ def _check_columns(recipes: Mapping[str, EvaluatedRecipe], table: EvaluatedRides
                 if column not in table.rides:
                     raise ModelError(
                         f"column {column!r} is missing in the ride table, and recipe {name} reads it: make the tables "
-                        "anew with `socast tables`, or name the recipes that can do without"
+                        "again with `socast tables`, or name recipes that do not read it"
                     )
 
 

@@ -104,7 +104,7 @@ def fall(car: str) -> float:
     before, after = predict_held_out(change(car), rides, [days == day for day in sorted(set(days))])
     measured = rides.table["measured"].to_numpy()
     error, left = (float(np.abs(predicted - measured).mean()) for predicted in (before, after))
-    print(f"{car}: {diagnose_car(car).first}: {error:.4f} -> {left:.4f} kWh a ride, {1 - left / error:.1%} less")
+    print(f"{car}: {diagnose_car(car).first}: {error:.4f} -> {left:.4f} kWh per ride, {1 - left / error:.1%} less")
     return 1.0 - left / error
 
 

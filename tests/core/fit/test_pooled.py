@@ -185,7 +185,7 @@ def test_single_vehicle_model_can_be_fitted(table):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda t: t.drop(columns="parked_s"), "column 'parked_s' is missing in the rides: make the tables anew"),
+        (lambda t: t.drop(columns="parked_s"), "column 'parked_s' is missing in the rides: make the tables again"),
         (lambda t: t.drop(columns="energy_kwh"), "column 'energy_kwh' is missing"),
         (lambda t: t.iloc[:0], "0 rides to fit to"),
         (

@@ -275,7 +275,7 @@ def test_vehicle_model_with_too_few_rides_uses_the_fit_over_all(fleet):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda t: t.drop(columns="gained_m"), "column 'gained_m' is missing: make the tables anew"),
+        (lambda t: t.drop(columns="gained_m"), "column 'gained_m' is missing: make the tables again"),
         (lambda t: t.drop(columns="energy_kwh"), "column 'energy_kwh' is missing"),
         (lambda t: t.iloc[:0], "0 rides to fit to, and it needs 86"),
         (lambda t: t.iloc[:1], "1 rides to fit to, and it needs 86"),

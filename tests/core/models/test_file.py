@@ -144,7 +144,7 @@ def test_edited_file_is_refused_with_both_versions_and_the_remedy(changes, tmp_p
     assert "\n" not in message
 
 
-def test_edited_file_is_accepted_once_it_is_saved_anew(tmp_path):
+def test_edited_file_is_accepted_once_it_is_saved_again(tmp_path):
     path = tmp_path / "model.json"
     write_edited(path, cars={"taxi-1": 1.1})
     edited = load(path, verify=False)
@@ -208,7 +208,7 @@ FORMAT_1 = json.dumps(
         (encode_model(BASIC_PHYSICAL)[:100], "not JSON"),
         (b"[]", "no model file: it has no 'format'"),
         (b'{"a": 1}', "no model file: it has no 'format'"),
-        (FORMAT_1, "model file of format 1, and this version reads format 2: fit the model anew"),
+        (FORMAT_1, "model file of format 1, and this version reads format 2: fit the model again"),
         (changed(format=FORMAT + 1), f"model file of format {FORMAT + 1}, and this version reads format {FORMAT}"),
         (changed(format="1"), "model file of format '1'"),
         (changed(terms="rolling"), "damaged: Expected `array`"),

@@ -128,7 +128,7 @@ def test_live_consumer_answers_command(tmp_path, capsys):
         assert "taxi-7 can take 18 km in 25 min" in capsys.readouterr().out
         assert "1.0 h before" in refused(capsys, "ask", "taxi-7", "--plan", tmp_path / "old.json", *at)
         assert "taxi-9 is not known" in refused(capsys, "ask", "taxi-9", *RIDE, *at)
-        assert "nobody answers" in refused(capsys, "ask", "taxi-7", *RIDE, *at, "--prefix", "quebec")
+        assert "no consumer answers" in refused(capsys, "ask", "taxi-7", *RIDE, *at, "--prefix", "quebec")
     told = json.loads((tmp_path / "told.json").read_text())
     assert (told["asked"]["distance_km"], [leg["distance_km"] for leg in told["legs"]]) == (18.0, [7.0])
 
@@ -137,7 +137,7 @@ def test_service_refuses_in_words_and_counts_queries(consumer, capsys):
     endpoint = f"tcp/127.0.0.1:{find_free_port()}"
     process, log = consumer("--listen", endpoint)
     told = refused(capsys, "ask", "taxi-9", *RIDE, "--connect", endpoint, "--timeout-s", "30")
-    assert "nobody answers" not in told
+    assert "no consumer answers" not in told
     process.terminate()
     assert process.wait(20) == 0
     (asked,) = (line for line in logged(log) if line["event"] == "asked")

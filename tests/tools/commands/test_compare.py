@@ -102,7 +102,7 @@ def test_comparison_is_printed_and_written(folder, tmp_path, capsys):
     assert about["rides"] + sum(about["left_out"].values()) == about["read"] == 57
     assert f"{about['rides']} of 57 rides" in out
     assert "Left out: 4 too short" in out
-    assert out.index("Errors by temperature") < out.index("How far off the models are")
+    assert out.index("Errors by temperature") < out.index("Errors of the models")
     for name, own in found["models"].items():
         assert f"{own['mae_kwh']['value']:.3f} ± " in out, name
         assert set(own["by"]) >= {
@@ -160,7 +160,7 @@ def test_trace_shows_where_models_and_measurement_differ(folder, result, tmp_pat
     for name, own in found["models"].items():
         assert f"{name} {own['words']}" in " ".join(out.split())
         place = own["place"]
-        assert ("parts from the measurement at" in own["words"]) == (place is not None)
+        assert ("diverges from the measurement at" in own["words"]) == (place is not None)
         if place:
             error = [
                 said - true for said, true in zip(own["energy_kwh"], found["windows"]["measured_kwh"], strict=True)
@@ -184,7 +184,7 @@ def test_two_sets_of_rides_are_compared(halves, tmp_path, capsys):
     one, other = halves
     written = "--json", tmp_path / "c.json", "--html", tmp_path / "c.html"
     out = ran(capsys, one, "--against", other, "--model", "extended_physical", *written)
-    assert "What is different between the two" in out
+    assert "Differences between the two sets" in out
     assert f"First: {one}. Second: {other}" in " ".join(out.split())
     found = json.loads((tmp_path / "c.json").read_text())["against"]
     assert found["shared"] == 0

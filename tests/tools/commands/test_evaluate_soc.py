@@ -133,7 +133,7 @@ def test_tables_show_figures_of_result(result):
         assert f"{own['baselines']['rating']['mae_pct']['value']:.2f}" in line
         assert hours == "0" or compare_with_best(own) in line
     assert "Evaluated from 2018-01-03 to 2018-01-08; 8 shifts came before enough was learned" in " ".join(out.split())
-    assert out.index("By temperature") < out.index("Alarms") < out.index("How good the forecasts were")
+    assert out.index("By temperature") < out.index("Alarms") < out.index("Errors of the forecasts")
     assert [row.name for row in tabulate_by_time(result).rows] == ["0 h", "1 h", "2 h", "4 h", "6 h", "all"]
 
 
@@ -181,7 +181,7 @@ def test_risk_figure_shows_forecast_and_observed_risk():
 
 
 def coverages(*clusters):
-    """Return groups whose shares rest on so many car-days; of one alone there is no interval."""
+    """Return groups whose shares rest on so many vehicle-days; of one alone there is no interval."""
     ends = {"low": 0.6, "high": 0.95}
     return {
         f"group {n}": {"coverage": {"value": 0.8, "clusters": n} | (ends if n > 1 else dict.fromkeys(ends))}

@@ -99,7 +99,7 @@ def written(table: pd.DataFrame, path: Path) -> Path:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda t: t.drop(columns="odometer_km"), "column 'odometer_km' is missing: make the tables anew"),
+        (lambda t: t.drop(columns="odometer_km"), "column 'odometer_km' is missing: make the tables again"),
         (lambda t: t.iloc[5:6], "1 rides to fit to, and it needs 86: give more rides"),
         (lambda t: t.assign(energy_kwh=np.nan), "0 rides to fit to (895 no_measured_energy, 5 too_long left out)"),
         (lambda t: pd.concat([t.iloc[5:6]] * 100), "all 100 rides are alike: nothing can be learned"),
@@ -142,7 +142,7 @@ def test_unusable_model_file_is_refused_in_one_line(tmp_path, capsys):
         sink.put(shift(20))
     content = json.loads(models.encode_model(models.BASIC_PHYSICAL))
     for change, said in (
-        ({"format": 1}, "model file of format 1, and this version reads format 2: fit the model anew"),
+        ({"format": 1}, "model file of format 1, and this version reads format 2: fit the model again"),
         ({"terms": [{"name": "x", "columns": ["distanse_km"], "unit": "1"}]}, "column 'distanse_km' is not one that"),
         ({"terms": [{"name": "x", "columns": ["effect_roling"]}]}, "damaged: Object missing required field `unit`"),
     ):

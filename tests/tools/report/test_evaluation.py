@@ -277,7 +277,10 @@ def test_coverage_outside_its_limits_is_marked():
 
 def test_loss_of_elimination_is_shown(result):
     table = next(
-        t for s in build_sections(to_json_values(result)) for t in s.tables if t.title.startswith("Terms that can go")
+        t
+        for s in build_sections(to_json_values(result))
+        for t in s.tables
+        if t.title.startswith("Terms that can be removed")
     )
     rows = {row.name.partition(":")[0]: row.cells[-1].text for row in table.rows}
     assert rows["RFE"] == "+0.0006 ± 0.0005"

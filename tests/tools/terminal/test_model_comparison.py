@@ -75,10 +75,10 @@ def make_errors(gain_of_model, **fields):
         (gain(None, None, "undecided", None), "undecided:"),
         (gain(None, None, "undecided"), "undecided:"),
         (gain(-0.01, 0.0724, "undecided"), "undecided:"),
-        (gain(0.0312, 0.0731, "better"), "better than the first by 0.052 kWh a ride (0.031 to 0.073), over"),
+        (gain(0.0312, 0.0731, "better"), "better than the first by 0.052 kWh per ride (0.031 to 0.073), over"),
         (
             gain(-0.0731, -0.0312, "worse", -0.0524),
-            "worse than the first by 0.052 kWh a ride (0.031 to 0.073), over",
+            "worse than the first by 0.052 kWh per ride (0.031 to 0.073), over",
         ),
     ],
 )

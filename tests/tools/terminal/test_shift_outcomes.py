@@ -101,7 +101,7 @@ def test_forecast_before_charge_or_of_unfinished_shift_is_not_evaluated():
     (shift_,) = records(made.assign(shift_end_s=made["shift_end_s"] + 3600.0), ended)
     assert shift_["cut"]
     assert all(f["held"] is None for f in shift_["forecasts"].values())
-    assert "goes on" in printed([shift_])
+    assert "in progress" in printed([shift_])
     (shift_,) = records(made, ended.assign(soc_end_pct=np.nan))
     assert all(f["held"] is None for f in shift_["forecasts"].values())
 

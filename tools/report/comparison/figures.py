@@ -32,7 +32,7 @@ BAND_DASHES: Final = ("dot", "dash", "longdashdot")
 """Dashes of the bands, narrowest first."""
 WIDEST: Final = 1.5
 """Widest interval that is drawn, relative to the largest bias of a figure."""
-LEFT_OUT: Final = "Intervals far wider than the figure, of bins with few car-days, are in the table only."
+LEFT_OUT: Final = "Intervals far wider than the figure (bins of few vehicle-days) are in the table only."
 PLACES: Final = (2, 4, 5, 3, 7, 6, 9, 10, 11, 8)
 """Positions of models in the order of styles; neighbours differ. Grey is kept for measurements."""
 
@@ -60,8 +60,8 @@ def illustrate_scatters(result: Result) -> list[Illustration]:
     every = -(-rides // MOST_POINTS)
     some = "" if every <= 1 else f" Every {every}th of {rides:,} rides is shown."
     caption = (
-        "A point is a ride; on the solid line prediction and measurement agree, and the broken lines are "
-        f"{', '.join(f'±{band}' for band in BANDS)} % about it.{some}"
+        "Each point is a ride. Solid line: prediction equals measurement. Broken lines: "
+        f"{', '.join(f'±{band}' for band in BANDS)} %.{some}"
     )
     return [
         Illustration(
@@ -113,7 +113,9 @@ def _line(
 
 def illustrate_conditions(result: Result) -> list[Illustration]:
     """Return bias and error of all models by each condition."""
-    caption = f"Above, mean of predicted less measured, with 95 % intervals; below, the mean absolute error. {LEFT_OUT}"
+    caption = (
+        f"Above: bias (mean of predicted less measured), with 95 % intervals. Below: mean absolute error. {LEFT_OUT}"
+    )
     return [
         Illustration(
             f"by-{i}", f"Bias and error by {name}", caption, draw_errors_by_condition(result, name), small=True
@@ -124,7 +126,7 @@ def illustrate_conditions(result: Result) -> list[Illustration]:
 
 def draw_errors_by_condition(result: Result, name: str) -> go.Figure:
     """Return a figure of the bias above and the mean absolute error below, of all models."""
-    made = make_stacked_figure(("bias, kWh a ride", "mean absolute error, kWh a ride"), 560)
+    made = make_stacked_figure(("bias, kWh per ride", "mean absolute error, kWh per ride"), 560)
     found = {model: index_bins(get_part(own, "by", name)) for model, own in get_mapping(result, "models").items()}
     shown = select_most_significant(
         [{key: get_part(e, "bias_kwh") for key, e in own.items()} for own in found.values()]
@@ -165,8 +167,8 @@ def draw_errors_by_condition(result: Result, name: str) -> go.Figure:
 def illustrate_terms(result: Result) -> list[Illustration]:
     """Return, for each model, the terms of the difference in consumption between two sets of rides."""
     caption = (
-        "Second set less first: what each term of the model makes of the difference, what it makes in all, and what "
-        "was measured, with 95 % intervals."
+        "Second set less first: the contribution of each term of the model, their sum, and the measured "
+        "difference, with 95 % intervals."
     )
     return [
         Illustration(
@@ -203,7 +205,7 @@ def draw_difference_terms(result: Result, model: str) -> go.Figure:
 
 def illustrate_datasets(result: Result) -> list[Illustration]:
     """Return the bias of each model on both sets of rides, by each condition."""
-    caption = f"Mean of predicted less measured on each of the two sets of rides, with 95 % intervals. {LEFT_OUT}"
+    caption = f"Bias (mean of predicted less measured) on both sets of rides, with 95 % intervals. {LEFT_OUT}"
     return [
         Illustration(
             f"contrast-{i}-{j}", f"{model}: bias by {name}", caption, draw_bias_of_datasets(name, bins), small=True
@@ -230,5 +232,5 @@ def draw_bias_of_datasets(name: str, bins: Sequence[Mapping[str, Any]]) -> go.Fi
     made.add_hline(y=0.0, line={**REFERENCE_LINE, "width": 1})
     unit = f" [{UNITS[name]}]" if name in UNITS else ""
     made.update_xaxes(title_text=f"{name.capitalize()}{unit}", type="category")
-    made.update_yaxes(title_text="Bias [kWh a ride]")
+    made.update_yaxes(title_text="Bias [kWh per ride]")
     return made

@@ -103,17 +103,17 @@ def build_sections(result: Result, *, commands: bool) -> list[Section]:
             [tables.tabulate_models(result), *([tables.tabulate_pairs(result)] if result.get("pairs") else [])],
         ),
         Section(
-            "against", "What is different between the two", sides + _shared(against), tables.tabulate_datasets(result)
+            "against", "Differences between the two sets", sides + _shared(against), tables.tabulate_datasets(result)
         ),
         Section(
             "contrast",
-            "The two by condition",
+            "Both sets by condition",
             "Bias of each model on both sets of rides.",
             [table for name in names for table in tables.tabulate_datasets_by_condition(result, name)],
             folded=True,
         ),
-        Section("places", "Where the models err", "", tables.tabulate_conditions(result)),
-        Section("worst", "The worst rides", "Each is one command away from its trace.", worst),
+        Section("places", "Errors by condition", "", tables.tabulate_conditions(result)),
+        Section("worst", "The worst rides", "Each command shows the trace of its ride.", worst),
     ]
     return [section for section in found if any(table.rows for table in section.tables)]
 
@@ -138,7 +138,7 @@ def build_trace_sections(found: Result) -> list[Section]:
             traced.describe_ride(found),
             [traced.tabulate_models(found)],
         ),
-        Section("terms", "What the predictions are made of", "", traced.tabulate_terms(found)),
+        Section("terms", "Terms of the predictions", "", traced.tabulate_terms(found)),
         Section("windows", "Window by window", "", [traced.tabulate_windows(found)]),
     ]
 
@@ -148,12 +148,12 @@ def _about(about: Result) -> str:
     left = ", ".join(f"{format_count(n)} {why}" for why, n in get_mapping(about, "left_out").items())
     measured = {MEASURED_BY[name]: share for name, share in get_mapping(about, "measured").items() if get_number(share)}
     by = ", ".join(f"{name} {format_percent(share, 0)}" for name, share in measured.items())
-    cars = f"{_counted(about['vehicles'], 'car')}, {_counted(about['vehicle_days'], 'car-day')}"
+    cars = f"{_counted(about['vehicles'], 'car')}, {_counted(about['vehicle_days'], 'vehicle-day')}"
     return (
         f"{format_count(about['rides'])} of {format_count(about['read'])} rides "
         f"from {about['first_date']} to {about['last_date']}: "
         f"{cars}. Left out: {left or 'none'}. "
-        f"Mean consumption {tables.format_estimate(about['consumption_kwh'], 3)} kWh a ride, "
+        f"Mean consumption {tables.format_estimate(about['consumption_kwh'], 3)} kWh per ride, "
         f"{tables.format_estimate(about['per_100km_kwh'])} kWh/100 km. Energy measured by: {by or 'unknown'}."
     )
 
@@ -165,7 +165,9 @@ def _counted(n: int, thing: str) -> str:
 def _shared(against: Result) -> str:
     """Return a warning where rides are in both sets."""
     shared = get_number(against.get("shared"))
-    return f" {format_count(shared)} rides are in both: intervals of differences are too wide." if shared else ""
+    return (
+        (f" {format_count(shared)} rides are in both sets, so intervals of differences are too wide.") if shared else ""
+    )
 
 
 def _print_commands(result: Result, console: Console) -> None:
@@ -177,4 +179,4 @@ def _print_commands(result: Result, console: Console) -> None:
     for line in lines:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     if len(names) > 1:
-        console.print(Text(f"of {names[0]}; --html and --json have those of every model", style="dim"))
+        console.print(Text(f"for {names[0]}; --html and --json have the commands for every model", style="dim"))

@@ -29,14 +29,14 @@ MOST_BINS: Final = 20
 FEW: Final = 2
 """Largest number of models whose cells have room for the relative error."""
 INTERVAL_NOTE: Final = (
-    "± is half of the 95 % interval, which allows for rides of one car on one day, a car-day, being alike; of a single "
-    "one there is none."
+    "± is half of the 95 % interval, clustered by vehicle-day (the rides of one car on one day). One "
+    "vehicle-day alone has no interval."
 )
 SURE_NOTE: Final = (
-    "* bold: off beyond chance; of all bins marked so for a model, 1 in 20 is expected to be a false finding. In "
-    "parentheses, the mean absolute error and its share of consumption."
+    "* and bold: significant bias; 1 in 20 of the marked bins of a model is expected to be a false "
+    "finding. In parentheses: the mean absolute error and its share of consumption."
 )
-HOUR_NOTE: Final = "Time of day by the sun's zone: UTC + longitude / 15°, rounded to hours."
+HOUR_NOTE: Final = "Time of day is mean solar time: UTC + longitude / 15°, rounded to hours."
 
 
 def list_models(result: Result) -> list[str]:
@@ -85,10 +85,10 @@ def tabulate_models(result: Result) -> ReportTable:
     heads = ("rides", "MAE, kWh", "bias, kWh", "RMSE, kWh", *(f"±{band} %" for band in BANDS))
     notes = (
         "MAE: mean absolute error. Bias: mean of predicted less measured. In parentheses, shares of mean consumption.",
-        f"{' '.join(f'±{band} %' for band in BANDS)}: share of rides whose error is within so much of what they took.",
+        f"{' '.join(f'±{band} %' for band in BANDS)}: share of rides with a relative error within that band.",
         INTERVAL_NOTE,
     )
-    return ReportTable("How far off the models are", "model", heads, rows, notes)
+    return ReportTable("Errors of the models", "model", heads, rows, notes)
 
 
 def _share(shown: Callable[[Any], str], own: Mapping[str, Any], name: str, relative: str) -> str:
@@ -111,7 +111,7 @@ def tabulate_pairs(result: Result) -> ReportTable:
         )
         for pair in get_part(result, "pairs") or ()
     )
-    note = "Mean over rides of the difference of absolute errors. p: by Holm over all pairs. Bold: beyond chance."
+    note = "Mean over rides of the difference of absolute errors. p: adjusted for all pairs (Holm). Bold: significant."
     heads = ("difference of MAE, kWh", "p", "less error")
     return ReportTable("Models on the same rides, pair by pair", "pair", heads, rows, (note, INTERVAL_NOTE))
 
@@ -170,8 +170,10 @@ def tabulate_errors_by_condition(result: Result, name: str) -> ReportTable:
     if name == "time of day":
         notes.append(HOUR_NOTE)
     if len(shown) < len(first):
-        notes.append(f"{len(shown)} of {len(first)}: those that are most surely off; the others are in --json.")
-    heads = ("rides", "car-days", *(f"{model}: bias (MAE), kWh" for model in by_model))
+        notes.append(
+            f"{len(shown)} of {len(first)} bins are shown, those with the most significant bias; --json has all."
+        )
+    heads = ("rides", "vehicle-days", *(f"{model}: bias (MAE), kWh" for model in by_model))
     return ReportTable(f"Errors by {name}", format_condition(name), heads, rows, tuple(notes))
 
 
@@ -224,10 +226,10 @@ def tabulate_worst_rides(result: Result, model: str, *, commands: bool) -> list[
     return [
         _worst(f"{model}: the largest errors, kWh", get_part(found, "absolute") or (), commands=commands),
         _worst(
-            f"{model}: the largest errors over what the ride took, kWh",
+            f"{model}: the largest errors relative to measured energy, kWh",
             get_part(found, "relative") or (),
             commands=commands,
-        )._replace(notes=(f"Of rides whose energy was measured to within {format_percent(MOST_RELATIVE_SD, 0)}.",)),
+        )._replace(notes=(f"Only rides whose energy is measured to within {format_percent(MOST_RELATIVE_SD, 0)}.",)),
     ]
 
 
@@ -259,7 +261,7 @@ def tabulate_datasets(result: Result) -> list[ReportTable]:
     rides = _sides("How the rides differ", "what", get_part(against, "properties") or (), _property, format_estimate)
     accounts = [tabulate_difference_terms(against, model) for model in get_mapping(against, "models")]
     errors = _errors(against)
-    note = "Marked *: beyond chance, 1 in 20 of these being expected to be a false finding. Most different first."
+    note = "*: significant; 1 in 20 of the marked rows is expected to be a false finding. Most different first."
     return [rides._replace(notes=(note, INTERVAL_NOTE)), *accounts, errors]
 
 
@@ -303,14 +305,17 @@ def tabulate_difference_terms(against: Result, model: str) -> ReportTable:
         *({**entry, "name": name} for name, entry in sums),
     ]
     table = _sides(
-        f"{model}: what it makes of the difference, kWh per 100 km",
+        f"{model}: terms of the difference, kWh per 100 km",
         "part",
         entries,
         lambda e: str(e["name"]),
         format_estimate,
     )
     rows = tuple(row._replace(total=not row.name.startswith("of it ")) for row in table.rows)
-    note = "The terms add up to what is predicted. The last row is what the model does not explain, or chance."
+    note = (
+        "The terms add up to the predicted difference. The last row is the part that the model does not "
+        "explain, or chance."
+    )
     return table._replace(rows=rows, notes=(note, INTERVAL_NOTE))
 
 
@@ -328,8 +333,8 @@ def _errors(against: Result) -> ReportTable:
             )
             rows.append(Row(f"{model}: {name}", cells))
     heads = ("first", "second", "second less first")
-    note = "Bold: p below 0.05, each by itself."
-    return ReportTable("Errors on both, kWh a ride", "model", heads, tuple(rows), (note, INTERVAL_NOTE))
+    note = "Bold: p below 0.05, not adjusted for the number of rows."
+    return ReportTable("Errors on both sets, kWh per ride", "model", heads, tuple(rows), (note, INTERVAL_NOTE))
 
 
 def tabulate_datasets_by_condition(result: Result, model: str) -> list[ReportTable]:
@@ -351,7 +356,7 @@ def tabulate_datasets_by_condition(result: Result, model: str) -> list[ReportTab
         )
         tables.append(
             ReportTable(
-                f"{model}: by {name}, kWh a ride", format_condition(name), heads, rows, (SURE_NOTE, INTERVAL_NOTE)
+                f"{model}: by {name}, kWh per ride", format_condition(name), heads, rows, (SURE_NOTE, INTERVAL_NOTE)
             )
         )
     return tables

@@ -32,7 +32,7 @@ def describe_ride(found: Result) -> str:
     ride = get_mapping(found, "ride")
     names = [str(ride[name]) for name in ("vehicle_model", "date") if ride.get(name)]
     sd = get_number(ride.get("energy_sd_kwh"))
-    spread = "" if sd is None else f" ± {sd:.3f} (its own standard uncertainty)"
+    spread = "" if sd is None else f" ± {sd:.3f} (standard uncertainty)"
     conditions = (
         f"{format_estimate(ride.get('distance_km'))} km "
         f"in {format_estimate((get_number(ride.get('duration_s')) or 0.0) / 60.0)} min "
@@ -58,7 +58,7 @@ def tabulate_models(found: Result) -> ReportTable:
     notes = [f"{name} {own['words']}." for name, own in get_mapping(found, "models").items()]
     heads = ("predicted, kWh", "error, kWh", "of measured")
     return ReportTable(
-        "The ride as models have it", "model", heads, tuple(rows), (*notes, *(get_part(found, "notes") or ()))
+        "Predictions of the ride", "model", heads, tuple(rows), (*notes, *(get_part(found, "notes") or ()))
     )
 
 
@@ -79,7 +79,7 @@ def _terms(model: str, own: Mapping[str, Any]) -> ReportTable:
     shown = [name for name, told in figures.items() if max(map(abs, told)) >= LEAST_SHOWN]
     order = sorted(shown, key=lambda name: -abs(figures[name][0]))
     columns = [True, any(start[name] for name in shown), bool(place)]
-    heads = ("whole ride", "before anything is driven", f"where it parts, {place['minutes']:.1f} min" if place else "")
+    heads = ("whole ride", "before the start", f"divergence, {place['minutes']:.1f} min" if place else "")
     rows = tuple(
         Row(
             name,
@@ -90,7 +90,7 @@ def _terms(model: str, own: Mapping[str, Any]) -> ReportTable:
     small = len(figures) - len(shown)
     notes = (f"{small} other terms are below {LEAST_SHOWN} kWh.",) if small else ()
     return ReportTable(
-        f"{model}: its terms, kWh",
+        f"{model}: terms of the prediction, kWh",
         "term",
         tuple(head for head, wanted in zip(heads, columns, strict=True) if wanted),
         rows,
@@ -122,7 +122,7 @@ def tabulate_windows(found: Result) -> ReportTable:
         *(f"{name}, kW" for name in models),
         *(f"{name}: error so far, kWh" for name in models),
     )
-    note = f"Mean power of each window up to the minute. {HERE}: where prediction and measurement part."
+    note = f"Mean power of each window, which ends at the given minute. {HERE}: prediction and measurement diverge."
     return ReportTable("Window by window", "minute", heads, tuple(rows), (note,))
 
 
@@ -146,7 +146,7 @@ def _running(found: Result, model: str) -> Sequence[float]:
 
 def build_illustrations(found: Result) -> list[Illustration]:
     """Return the figures of energy and error along the ride, of power, and of the terms of each model."""
-    note = "Shaded: where the first model and the measurement part."
+    note = "Shaded: where the first model and the measurement diverge."
     along = [
         Illustration(
             f"along-{axis.removeprefix('end_')}",
@@ -163,8 +163,8 @@ def build_illustrations(found: Result) -> list[Illustration]:
     stacks = [
         Illustration(
             f"terms-{i}",
-            f"{name}: what its prediction is made of",
-            "Mean power of each term in each window, stacked; the line is what was measured.",
+            f"{name}: terms of the prediction",
+            "Mean power of each term in each window, stacked. Line: measured power.",
             draw_terms(found, name),
         )
         for i, name in enumerate(get_mapping(found, "models"))

@@ -48,7 +48,7 @@ def draw_slices(result: Result) -> list[Illustration]:
         return []
     spans = [_span(one["bias_kwh"], one.get("ci95")) for one in rows]
     made = _forest("bias", [str(one.get("where")) for one in rows], [one["bias_kwh"] for one in rows], spans, place=4)
-    made.update_xaxes(title_text="Predicted less measured, less that of other rides [kWh]")
+    made.update_xaxes(title_text="Bias less that of other rides [kWh]")
     made.update_yaxes(title_text="Rides")
     add_reference_line(made, "", 0.0)
     caption = (
@@ -67,7 +67,7 @@ def draw_effects(result: Result) -> list[Illustration]:
     limits = [sentences.read_interval(one.get("gain_ci95")) for one in rows]
     spans = [None if pair is None else (PERCENT * pair[0], PERCENT * pair[1]) for pair in limits]
     made = _forest("gain", names, gains, spans, place=5)
-    made.update_xaxes(title_text="Fall of the squared error on held-out days [%]")
+    made.update_xaxes(title_text="Reduction of the squared error on held-out days [%]")
     made.update_yaxes(title_text="Effect")
     add_reference_line(made, "", 0.0)
     caption = (

@@ -8,10 +8,12 @@ from tools.report.evaluation.result import Result, get_mapping, get_number
 
 BIAS_NOTE: Final = (
     "Bias: mean of predicted less measured energy, less that of all other rides. Slices are found on one half of the "
-    "vehicle-days and confirmed on the other half. q: expected share of false slices down to this one."
+    "vehicle-days and confirmed on the other half. q: expected share of false slices among this slice "
+    "and those above it."
 )
 MISSING_NOTE: Final = (
-    "Best first, each in the presence of those above it. Gain: fall of the squared error that the terms of the model "
+    "Best first, each in the presence of those above it. Gain: reduction of the squared error that the "
+    "terms of the model "
     "cannot explain, on days to which the coefficient was not fitted. ± and ranges are 95 % intervals."
 )
 CANDIDATES_NOTE: Final = (

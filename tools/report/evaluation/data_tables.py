@@ -30,7 +30,7 @@ MEASURED_BY: Final = MappingProxyType({"vi": "voltage and current", "soc": "stat
 """Sources of the measured energy of a ride -> their names for readers."""
 
 
-AVERAGE_NOTE: Final = "* Plain mean over the clusters that have a figure, each counted once."
+AVERAGE_NOTE: Final = "* Unweighted mean over the clusters that have a figure."
 """Note below tables that have a column of averages."""
 
 

@@ -34,16 +34,16 @@ from tools.report.evaluation.result import (
 )
 
 INTERVAL_NOTE: Final = (
-    "± is half of the 95 % confidence interval, that of the average post-stratified. A cluster of fewer than 10 rides "
-    "has no figure."
+    "± is half of the 95 % confidence interval; for the average, it is post-stratified by cluster. A "
+    "cluster of fewer than 10 rides has no figure."
 )
 """Note below tables of errors by cluster."""
 DOMINATES: Final[Mapping[str, str]] = MappingProxyType({"dominates": "●", "dominates_average": "○"})
 """Marks of models that no other model beats significantly: in the mean over rides, in the average over clusters."""
 DOMINATES_NOTE: Final = (
-    "● by the difference score on the same test rides no model is significantly better: where it stands once in a "
-    "column, that model dominates; where it stands several times, they co-dominate. ○ the same for the average over "
-    "clusters, where ● is for the mean over rides."
+    "●: no model is significantly better by the difference score on the same test rides. A single ● in a "
+    "column marks the model that dominates; several mark models that co-dominate. ○: the same for the "
+    "average over clusters instead of the mean over rides."
 )
 """Note that explains the marks `DOMINATES`."""
 
@@ -177,8 +177,8 @@ def tabulate_reductions(result: Result) -> ReportTable:
     )
     said = format_percent(published.get_statement("reduction").value, 2)
     note = (
-        f"The paper's follow from its rounded averages; its text says {said} on average for the hybrid model with "
-        "interaction terms. Its average is over its four vehicle models."
+        f"The paper's percentages are computed from its rounded averages. Its text states {said} for the "
+        "hybrid model with interaction terms, averaged over its four vehicle models."
     )
     heads = (*(get_vehicle_name(key) for key in keys), "average")
     return ReportTable("Reduction of the average error against the basic physical model", "model", heads, rows, (note,))
@@ -227,7 +227,9 @@ def tabulate_relative_errors(result: Result) -> ReportTable:
         )
         for recipe in names
     )
-    note = "The paper has these as a curve only: its figures follow from the weighted rows of Tables 4 to 11."
+    note = (
+        "The paper shows these as a curve only. Its figures here are computed from the weighted rows of Tables 4 to 11."
+    )
     heads = tuple(f"{c} km".replace("-", "–") for c in columns)
     name = "Error over consumption, all vehicle models together (Figure 2)"
     return ReportTable(name, "model", heads, rows, (note,))
@@ -287,7 +289,7 @@ def tabulate_bands(result: Result) -> ReportTable:
         if recipe in found
     )
     heads = tuple(f"within ±{limit} %" for limit in limits)
-    return ReportTable("Rides predicted within a band of what they took", "model", heads, rows)
+    return ReportTable("Rides predicted within a band around their measured energy", "model", heads, rows)
 
 
 def tabulate_differences(result: Result, vehicle_model: str) -> ReportTable:

@@ -291,7 +291,7 @@ def draw_buffers(result: Result) -> go.Figure:
     ]
     made = make_figure(traces, 90 + 44 * len(names))
     said = published.get_statement("buffer").value
-    add_reference_line(made, f"{said:g} kWh: the paper's company, other data", said)
+    add_reference_line(made, f"{said:g} kWh: company in the paper, other data", said)
     made.update_xaxes(title_text="Buffer [kWh]", rangemode="tozero")
     made.update_yaxes(title_text="Model", type="category", autorange="reversed")
     return made

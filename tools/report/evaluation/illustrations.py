@@ -22,9 +22,7 @@ from tools.report.evaluation.result import (
 )
 from tools.report.evaluation.use_tables import AXES, MANY_BINS, list_bins
 
-PAPER_CAPTION: Final = (
-    "The paper's figures are of its own company's rides: other data than these, for orientation only."
-)
+PAPER_CAPTION: Final = "The paper's figures are from other data (the rides of one company), for orientation only."
 """Sentence of captions of figures that also show the paper's figures."""
 
 
@@ -84,7 +82,7 @@ def _data(result: Result) -> list[Illustration]:
         Illustration(
             f"curve-{i}",
             f"{get_vehicle_name(key)}: accessory power against outside temperature (Figure 1)",
-            "Of a car whose accessory scale is 1. Open circles: mean of a bin of temperature, larger with more rides. "
+            "For a car whose accessory scale is 1. Open circles: mean of a bin of temperature, larger with more rides. "
             "Line: the fitted curve of five segments. Diamonds: its choke points, with their temperatures.",
             figures.draw_accessory_curve(result, key),
             small=True,
@@ -101,19 +99,20 @@ def _summary(result: Result) -> list[Illustration]:
         Illustration(
             "average",
             "Average error of each model on each vehicle model (Figure 3)",
-            f"Filled: here, with 95 % confidence intervals. Outlines: the paper's. Least: {winner}. {PAPER_CAPTION}",
+            "Filled: these rides, with 95 % confidence intervals. Outlines: the paper's. Least: "
+            f"{winner}. {PAPER_CAPTION}",
             figures.draw_average_errors(result),
         ),
         Illustration(
             "relative",
             "Error over consumption against distance (Figure 2)",
-            "All vehicle models together, weighted by their rides; logarithmic. Above: here. Below, on the same "
-            f"scale: the paper's, as they follow from its tables. {PAPER_CAPTION}",
+            "All vehicle models together, weighted by their rides, on a logarithmic scale. Above: these "
+            f"rides. Below, on the same scale: the paper's, computed from its tables. {PAPER_CAPTION}",
             figures.draw_relative_errors(result),
         ),
         Illustration(
             "bands",
-            "Rides predicted within a band of what they took",
+            "Rides predicted within a band around their measured energy",
             "Share of rides whose error is within 5, 10 and 15 % of the measured energy; further right is better.",
             figures.draw_bands(result),
         ),
@@ -159,9 +158,9 @@ def _places(result: Result) -> list[Illustration]:
 
 def _by_caption(ranked: bool) -> str:
     """Return the caption of errors by a property, whose values are ranked or in panels."""
-    shown = "Further models are shown by clicking on their names in the legend."
+    shown = "Click a name in the legend to show a further model."
     if ranked:
-        return f"Each curve has all in its own order, from least to most. {shown}"
+        return f"Each curve is sorted from least to most. {shown}"
     return f"Above: mean absolute error. Below: bias, positive where too much is predicted. {shown}"
 
 
@@ -177,8 +176,9 @@ def _reserve(result: Result) -> list[Illustration]:
         Illustration(
             "buffers",
             "Buffer that keeps rides above their reserve",
-            "Energy to keep in hand so that 95 % and 99 % of rides take no more than predicted and that. Dashed: the "
-            f"paper's company; of how many rides is not said. {PAPER_CAPTION}",
+            "Energy to keep in reserve so that 95 % or 99 % of rides take no more than the prediction "
+            "plus this reserve. Dashed: the company in the paper, which does not state the share of "
+            f"rides. {PAPER_CAPTION}",
             figures.draw_buffers(result),
         ),
     ]
@@ -190,8 +190,8 @@ def _splits(result: Result) -> list[Illustration]:
         Illustration(
             "splits",
             "Average error by what is held out",
-            "Mean over vehicle models. The further the three markers of a model are apart, the more it owes to cars "
-            "and days that it has seen.",
+            "Mean over vehicle models. The further apart the three markers of a model, the more it "
+            "depends on the cars and days of its training rides.",
             figures.draw_splits(result),
         )
     ]
@@ -205,7 +205,7 @@ def _transfer(result: Result) -> list[Illustration]:
         Illustration(
             f"new-vehicle-{i}",
             f"{get_vehicle_name(key)} left out of training (Table 12)",
-            "Bars: here. Dashed: the fitted physical model, the line to beat. "
+            "Bars: these rides. Dashed: the fitted physical model, the reference. "
             + (f"Open diamonds: the paper's. {PAPER_CAPTION}" if beside else ""),
             transfer_figures.draw_new_vehicle(result, key),
             small=True,
@@ -220,7 +220,7 @@ def _transfer(result: Result) -> list[Illustration]:
             f"few-shot-{i}",
             f"{get_vehicle_name(key)}: error after some of its rides",
             "From no ride of the new vehicle model to many, on a logarithmic axis, with 95 % confidence intervals. "
-            "Thick: the fitted physical model, the line to beat.",
+            "Thick: the fitted physical model, the reference.",
             transfer_figures.draw_few_shot(result, key),
             small=True,
         )
@@ -234,10 +234,10 @@ def _selection(result: Result) -> list[Illustration]:
     return [
         Illustration(
             "elimination",
-            "Errors as terms are taken out",
-            "Above: cross-validated error of the hybrid model by the number of terms left, on the rides that choose. "
-            "Below: what it costs to take out one term after the other, on the other rides, with 95 % confidence "
-            "intervals.",
+            "Errors as terms are removed",
+            "Above: cross-validated error of the hybrid model by the number of terms left, on the rides "
+            "used to choose them. Below: increase of the error as terms are removed one by one, on the "
+            "other rides, with 95 % confidence intervals.",
             selection_figures.draw_elimination(result),
         )
     ]

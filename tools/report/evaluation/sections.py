@@ -105,31 +105,31 @@ def build_sections(result: Result) -> list[Section]:
         ),
         Section(
             "places",
-            "Where the models err",
+            "Errors by condition",
             "Errors by distance, outside temperature, season and driver.",
             tabulate_places(result),
         ),
         Section(
             "reserve",
             "Intervals and the dispatcher's reserve",
-            "How often the measured energy is inside its interval, and what to keep in hand.",
+            "How often the measured energy is inside its interval, and the energy to keep in reserve.",
             tabulate_reserve(result),
         ),
         Section(
             "splits",
-            "Other ways to hold rides out",
-            "A model may know a car or a day that it has seen: errors where whole cars or the last dates are unseen.",
+            "Hold-out by vehicle and by date",
+            "A model may have learned a particular car or day. These are its errors on unseen cars and on later dates.",
             tabulate_all_splits(result),
         ),
         Section(
             "transfer",
             "New vehicle models",
-            "A vehicle model is left out of training, then some of its rides are let in.",
+            "A vehicle model is left out of training; then some of its rides are added.",
             tabulate_transfer(result),
         ),
         Section(
             "selection",
-            "Terms that can go",
+            "Terms that can be removed",
             "Recursive elimination of the hybrid model's terms.",
             tabulate_selection(result),
         ),
@@ -262,4 +262,4 @@ def _buffer(result: Result) -> Row | None:
         return None
     here = ", ".join(f"{format_energy(energy)} kWh for {share} % of rides" for share, energy in found.items())
     said = published.get_statement("buffer")
-    return _row(f"Buffer: {get_title(result, INTERACTIONS)}", here, f"{said.value:g} kWh, share not said")
+    return _row(f"Buffer: {get_title(result, INTERACTIONS)}", here, f"{said.value:g} kWh, share not stated")

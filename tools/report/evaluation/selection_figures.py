@@ -44,7 +44,9 @@ def draw_elimination(result: Result) -> go.Figure:
     """
     scores = [s for s in get_part(result, "selection", "rfecv", "scores") or () if get_number(s.get("mae")) is not None]
     steps = [s for s in get_part(result, "selection", "rfe", "steps") or () if get_number(s.get("loss")) is not None]
-    made = make_stacked_figure(("RFECV: cross-validated error", "RFE: error more than with all terms"), 640)
+    made = make_stacked_figure(
+        ("RFECV: cross-validated error", "RFE: increase of the error over that with all terms"), 640
+    )
     if scores:
         trace = draw_curve("RFECV", get_style(2), [s["terms"] for s in scores], [s["mae"] for s in scores])
         made.add_trace(trace.update(showlegend=False), row=1, col=1)
@@ -55,7 +57,7 @@ def draw_elimination(result: Result) -> go.Figure:
         trace.update(showlegend=False, text=[escape_label(format_terms([s.get("term")])) for s in steps])
         made.add_trace(trace, row=2, col=1)
     made.update_xaxes(title_text="Terms kept [number]", row=1)
-    made.update_xaxes(title_text="Terms gone [number]", row=2)
+    made.update_xaxes(title_text="Terms removed [number]", row=2)
     made.update_yaxes(title_text="Mean absolute error [kWh]", row=1)
     made.update_yaxes(title_text="Loss [kWh]", zeroline=True, row=2)
     return made

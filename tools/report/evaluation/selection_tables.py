@@ -43,7 +43,7 @@ def tabulate_removed_terms(result: Result) -> ReportTable:
     found = get_mapping(result, "selection")
     rows: list[Row] = []
     if found.get("constant"):
-        rows.append(Row("none needed: these do not vary", (Cell(format_terms(found["constant"])), Cell(""))))
+        rows.append(Row("constant columns", (Cell(format_terms(found["constant"])), Cell(""))))
     for name, label in (("rfecv", "RFECV: least cross-validated error"), ("rfe", "RFE: no significant loss")):
         if get_mapping(found, name):
             theirs = format_terms(
@@ -55,10 +55,12 @@ def tabulate_removed_terms(result: Result) -> ReportTable:
             )
             rows.append(Row(label, cells))
     note = (
-        "Half of the rides choose the terms, the other half tell what taking them out costs: mean absolute error more."
+        "Half of the rides choose the terms. The other half show the increase of the mean absolute error without them."
     )
     heads = ("terms removed", "loss, kWh")
-    return ReportTable("Terms that can go (sections 5.2.1 and 5.2.2)", "elimination", heads, tuple(rows), (note,))
+    return ReportTable(
+        "Terms that can be removed (sections 5.2.1 and 5.2.2)", "elimination", heads, tuple(rows), (note,)
+    )
 
 
 def tabulate_steps(result: Result) -> ReportTable:
@@ -80,8 +82,8 @@ def tabulate_steps(result: Result) -> ReportTable:
         Row(f"{i}  {format_terms([step.get('term')])}", (Cell(_loss(step.get("loss"))), Cell(_p(step.get("loss")))))
         for i, step in enumerate(found[:count], start=1)
     )
-    note = "Loss: mean absolute error more than with all terms, this one and all above gone."
-    return ReportTable("Terms in the order in which they go", "term", ("loss, kWh", "p"), rows, (note,))
+    note = "Loss: increase of the mean absolute error when this term and all above it are removed."
+    return ReportTable("Order in which terms are removed", "term", ("loss, kWh", "p"), rows, (note,))
 
 
 def format_terms(names: Sequence[Any]) -> str:

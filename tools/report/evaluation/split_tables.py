@@ -73,7 +73,7 @@ def tabulate_splits(result: Result, present: list[str]) -> ReportTable:
     heads = (*(f"by {split}" for split in present), *(f"{split} against {present[0]}" for split in present[1:]))
     notes = (
         "Mean over vehicle models of the average error; bold: the least of its column.",
-        "By ride: drawn within each cluster, as in the paper; rides of one car and one day stand on both sides.",
+        "By ride: drawn within each cluster, as in the paper; rides of one car on one day are in both sets.",
         "By vehicle: whole cars are held out. By date: the last dates are.",
         describe_best_models(result, present),
     )

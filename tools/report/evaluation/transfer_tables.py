@@ -73,7 +73,7 @@ def tabulate_new_vehicle(result: Result) -> ReportTable:
         "The paper leaves the LEAF out of training for the other cars; here all others train.",
         f"{WORSE.strip()}: above the fitted extended physical model.",
         "Reduction: against the basic physical model, mean over vehicle models.",
-        f"The paper's reductions follow from its rounded Table 12; its text says {said} for the fitted one.",
+        f"The paper's reductions are computed from its rounded Table 12; its text states {said} for the fitted one.",
     )
     rows = _rows(result, names, keys, cell, "mae", last)
     heads = (*(get_vehicle_name(key) for key in keys), "reduction")
@@ -131,9 +131,9 @@ def tabulate_few_shot(result: Result, vehicle_model: str) -> ReportTable:
         )
         for n in sorted({rides for of in points.values() for rides in of})
     )
-    notes = [f"{WORSE.strip()}: above the fitted extended physical model after as many rides, the line to beat."]
+    notes = [f"{WORSE.strip()}: above the fitted extended physical model after as many rides, the reference."]
     if any(way in names for way in WAYS):
-        notes.append(f"The line to beat is the better of two at each point: {' and '.join(WAYS.values())}.")
+        notes.append(f"The reference is the better of two at each point: {' and '.join(WAYS.values())}.")
     name = f"{get_vehicle_name(vehicle_model)} as a new vehicle model: mean absolute error, kWh"
     return ReportTable(name, "rides seen", tuple(get_title(result, recipe) for recipe in names), rows, tuple(notes))
 

@@ -296,7 +296,7 @@ def tabulate_coverage_unseen(result: Result) -> ReportTable:
         "model",
         heads,
         rows if heads else (),
-        ("An interval is made for rides like those it was calibrated on; unseen cars, days and models are others.",),
+        ("An interval applies to rides like those of its calibration; unseen cars, days and models differ.",),
     )
 
 
@@ -326,8 +326,9 @@ def tabulate_buffers(result: Result) -> ReportTable:
     rows = tuple(Row(get_title(result, recipe), tuple(c[i] for c in columns)) for i, recipe in enumerate(names))
     said = published.get_statement("buffer")
     note = (
-        f"The paper's company came down to {said.value:g} kWh with the hybrid model with interaction terms, on its own "
-        "rides, which are other data than these; the paper does not say how many rides that covers. Bold: the least."
+        f"The company in the paper reached {said.value:g} kWh with the hybrid model with interaction "
+        "terms, on other data than these; the paper does not state the share of rides that this covers. "
+        "Bold: the least."
     )
     heads = tuple(f"{share} % of rides" for share in shares)
     return ReportTable("Buffer that keeps rides above their reserve, kWh", "model", heads, rows, (note,))

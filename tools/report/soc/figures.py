@@ -23,8 +23,8 @@ MOST_POINTS: Final = 2000
 """Largest number of forecasts in a scatter plot."""
 BEFORE: Final = "Time before the shift's end [h]"
 CHARGE: Final = "State of charge [%]"
-WIDE: Final = "Intervals far wider than the figure, of few shifts, are left out."
-FEW: Final = f"A line without a point: the interval of fewer than {LEAST_CLUSTERS} car-days, too few to tell."
+WIDE: Final = "Intervals far wider than the figure (few shifts) are left out."
+FEW: Final = f"A line without a point: the interval of a share of fewer than {LEAST_CLUSTERS} vehicle-days."
 SHADE: Final = "rgba(128,128,128,0.25)"
 
 
@@ -35,7 +35,7 @@ def illustrate_time(result: Result) -> list[Illustration]:
         Illustration(
             "soc-error",
             "Error by time ahead",
-            f"Mean absolute error of the forecast and of what a person would expect, with 95 % intervals. {WIDE}",
+            f"Mean absolute error of the forecast and of the baselines, with 95 % intervals. {WIDE}",
             draw_errors(result),
             small=True,
         ),
@@ -56,8 +56,8 @@ def illustrate_time(result: Result) -> list[Illustration]:
     ]
     if SHOWN_AT in get_mapping(result, "overall", "hours"):
         caption = (
-            f"A point is a shift, {SHOWN_AT} h before its end; on the line forecast and outcome agree. Crosses are "
-            "outside their 90 % interval."
+            f"Each point is a shift, {SHOWN_AT} h before its end. Line: forecast equals outcome. Crosses: "
+            "outcome outside the 90 % interval."
         )
         shown.append(
             Illustration(
@@ -131,7 +131,7 @@ def _points(name: str, look: Style, x: Sequence[Any], shares: Sequence[Any]) -> 
         if not known
     ]
     lines = go.Scatter(
-        name=f"{name}: interval of too few to tell",
+        name=f"{name}: interval of too few vehicle-days",
         x=[place for one, _ in alone for place in (one, one, None)],
         y=[end for _, ends in alone for end in (*ends, None)],
         mode="lines",
@@ -196,7 +196,7 @@ def draw_scatter(result: Result) -> go.Figure:
             text=[escape_label(f"{told['vehicle_id'][row]}, shift {told['shift'][row]}") for row in own],
             mode="markers",
             marker={"symbol": symbol, "size": 7, "color": look.colour, "line": {"width": 1}},
-            hovertemplate="%{text}: forecast %{x:.1f}, became %{y:.1f} %<extra></extra>",
+            hovertemplate="%{text}: forecast %{x:.1f}, outcome %{y:.1f} %<extra></extra>",
         )
         for name, symbol, look, own in (
             ("inside the interval", "circle-open", FORECAST, inside),
@@ -230,8 +230,9 @@ def illustrate_conditions(result: Result) -> list[Illustration]:
 def illustrate_risk(result: Result) -> list[Illustration]:
     """Return forecast risk against outcomes."""
     caption = (
-        "A point is a class of forecast risk, all times ahead pooled, with the 95 % interval of what happened; on the "
-        f"line a risk holds. Right of the broken line there is an alarm. {FEW}"
+        "Each point is a class of forecast risk, pooled over all times ahead, with the 95 % interval of "
+        "the observed share. Line: observed share equals forecast risk. Right of the broken line: alarm. "
+        f"{FEW}"
     )
     return [Illustration("soc-risk", "Forecast risk against outcome", caption, draw_risk(result), small=True)]
 
@@ -259,8 +260,8 @@ def draw_risk(result: Result) -> go.Figure:
 def illustrate_examples(result: Result) -> list[Illustration]:
     """Return example shifts."""
     caption = (
-        "The state of charge as it fell, and the forecast of the end as it was at each moment: its mean, and shaded "
-        "its 90 % interval. The star is what it became, the broken line the reserve."
+        "State of charge, and the forecast of its value at the end, as published at each time: mean "
+        "(line) and 90 % interval (shaded). Star: outcome. Broken line: reserve."
     )
     return [
         Illustration(f"soc-example-{i}", _title(own), caption, draw_example(own), small=True)

@@ -64,11 +64,11 @@ def build_sections(result: Result) -> list[Section]:
     found = [
         Section(
             AHEAD,
-            "How good the forecasts were",
+            "Errors of the forecasts",
             describe_evaluation(get_mapping(result, "about")),
             [tables.tabulate_by_time(result)],
         ),
-        Section("conditions", "Under which conditions", "", tables.tabulate_conditions(result)),
+        Section("conditions", "Errors by condition", "", tables.tabulate_conditions(result)),
         Section("legs", "Leg by leg, up to the next charge", "", tables.tabulate_legs(result)),
         Section(
             RESERVE,
@@ -78,7 +78,7 @@ def build_sections(result: Result) -> list[Section]:
         ),
     ]
     shown = [section for section in found if any(table.rows for table in section.tables)]
-    return [*shown, Section("examples", "Shifts as examples", "", [])]
+    return [*shown, Section("examples", "Example shifts", "", [])]
 
 
 def build_illustrations(result: Result, key: str) -> list[Illustration]:
@@ -95,8 +95,8 @@ def build_illustrations(result: Result, key: str) -> list[Illustration]:
 def describe_evaluation(about: Result) -> str:
     """Return which forecasts were evaluated, in words."""
     left = ", ".join(f"{format_count(n)} {why}" for why, n in get_mapping(about, "left_out").items())
-    cars = f"{_counted(about['vehicles'], 'car')} on {_counted(about['vehicle_days'], 'car-day')}"
-    warm_up = f"{_counted(about['warm_up_shifts'], 'shift')} came before enough was learned for an interval"
+    cars = f"{_counted(about['vehicles'], 'car')} on {_counted(about['vehicle_days'], 'vehicle-day')}"
+    warm_up = f"{_counted(about['warm_up_shifts'], 'shift')} ended before the first interval was available"
     return (
         f"{_counted(about['forecasts'], 'forecast')} of {format_count(about['judged_shifts'])} of "
         f"{_counted(about['shifts'], 'shift')}, by {cars}. "

@@ -16,17 +16,18 @@ LEVEL_NOTE: Final = (
     "yet below. The risk is read from the interval, as two halves of a normal distribution that meet at the mean."
 )
 ALARM_NOTE: Final = (
-    f"An alarm is a risk of {format_percent(ALARM, 0)} or more. Caught: of the cases that fell below, those with an "
-    "alarm; false alarms: of those that did not, those with one. Left out: rows in which none fell and none had an "
-    "alarm."
+    f"Alarm: a risk of {format_percent(ALARM, 0)} or more. Caught: cases that fell below and had an "
+    "alarm. False alarms: cases that had an alarm and did not fall below. Rows without either are left "
+    "out."
 )
 BRIER_NOTE: Final = (
-    "Brier score: mean square of risk less outcome. Skill: by how much ours is below theirs, ± half of its 95 % "
-    "interval (clustered); 0 is no better, 100 % perfect."
+    "Brier score: mean square of risk less outcome. Skill: reduction of the baseline's score by the "
+    "forecast, ± half of its 95 % interval (clustered); 0 % is no better, 100 % is perfect."
 )
 PERSON_NOTE: Final = (
-    f"{'; '.join(f'{HEADS[name]}: {meaning}' for name, meaning in BASELINES.items())}. A baseline's risk follows "
-    f"from its earlier errors, once {LEAST_ERRORS} shifts have ended; ours is for the same cases."
+    f"{'; '.join(f'{HEADS[name]}: {meaning}' for name, meaning in BASELINES.items())}. The risk of a "
+    f"baseline follows from its earlier errors, once {LEAST_ERRORS} shifts have ended. The forecast is "
+    "evaluated on the same cases."
 )
 
 
@@ -37,8 +38,8 @@ def describe_reserve(result: Result) -> str:
         return "No plan named a reserve."
     fell, n = int(own["fell"]), int(own["n"])
     return (
-        f"Of {format_count(n)} forecasts, {format_count(fell)} were of shifts that fell below the reserve of their "
-        "plan later."
+        f"{format_count(fell)} of {format_count(n)} forecasts were of shifts that later fell below the "
+        "reserve of their plan."
     )
 
 
@@ -109,16 +110,16 @@ def tabulate_baselines(result: Result) -> ReportTable:
     heads = (
         "cases",
         "fell",
-        "Brier, theirs",
-        "ours",
+        "Brier, baseline",
+        "forecast",
         "skill",
-        "caught, theirs",
-        "ours",
-        "false alarms, theirs",
-        "ours",
+        "caught, baseline",
+        "forecast",
+        "false alarms, baseline",
+        "forecast",
     )
     notes = (PERSON_NOTE, BRIER_NOTE, LEVEL_NOTE)
-    return ReportTable("Against what a person would reckon", "reckoning, before the end", heads, rows, notes)
+    return ReportTable("Forecast risk against baselines", "baseline, before the end", heads, rows, notes)
 
 
 def _person(own: Mapping[str, Any]) -> tuple[Cell, ...]:

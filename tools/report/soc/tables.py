@@ -17,25 +17,26 @@ FIGURES: Final = ("n", "MAE", "bias", "coverage", "width")
 SHOWN_AT: Final = "2"
 """Time ahead at which conditions are compared with the baselines. [h]"""
 PERCENT_NOTE: Final = (
-    "Of n forecasts MAE, bias (forecast less outcome) and width are in % of charge. ± is half of the 95 % interval; "
-    "shifts of one car on one day are taken for alike."
+    "n: number of forecasts. MAE, bias (forecast less outcome) and width are in % of charge. ± is half "
+    "of the 95 % interval, clustered by vehicle-day (one car on one day)."
 )
-TOO_FEW: Final = "too few to tell"
+TOO_FEW: Final = "too few"
 SHARE_NOTE: Final = (
-    f"In parentheses: 95 % interval (Wilson, clustered). Too few to tell: of fewer than {LEAST_CLUSTERS} car-days "
-    "there is the interval alone."
+    f"In parentheses: 95 % interval (Wilson, clustered). Too few: of fewer than {LEAST_CLUSTERS} "
+    "vehicle-days, only the interval is shown."
 )
 COVERAGE_NOTE: Final = f"Coverage: share of outcomes inside the 90 % interval. {SHARE_NOTE}"
 LEG_BASELINES: Final = ("model_mean", "rating")
 """Baselines that apply to legs."""
 LEG_NOTE: Final = (
-    "Each car was asked about its shift every half hour, at most; each leg of the answer is held against the ride that "
-    "it became, unless the car charged before its end. Plans do not state charges: later time at a "
+    "Each car is queried at most every half hour. Each leg of the answer is compared with the ride that "
+    "followed, unless the car charged before its end. Plans do not state charging: later time at a "
     "charger counts as waiting."
 )
 BEST_NOTE: Final = (
-    "To best: by how much the error is below or above that of the best baseline, where all have an answer. A dash: "
-    f"fewer than {LEAST_CLUSTERS} car-days are too few to tell, and at the end everybody reads the display."
+    "To best: error relative to that of the best baseline, on forecasts for which all have a value. A "
+    f"dash: fewer than {LEAST_CLUSTERS} vehicle-days, or 0 h ahead, when every baseline equals the "
+    "display."
 )
 
 
@@ -46,7 +47,7 @@ def tabulate_by_time(result: Result) -> ReportTable:
     rows.append(Row("all", _cells(get_mapping(result, "overall", "pooled")), total=True))
     heads = (*FIGURES, *HEADS.values(), "to best")
     meanings = "; ".join(f"{HEADS[name]}: {meaning}" for name, meaning in BASELINES.items())
-    notes = (PERCENT_NOTE, COVERAGE_NOTE, f"Baselines, of which the MAE is shown: {meanings}.", BEST_NOTE)
+    notes = (PERCENT_NOTE, COVERAGE_NOTE, f"Baselines (MAE only): {meanings}.", BEST_NOTE)
     title = "Forecasts of the state of charge at the shift's end"
     return ReportTable(title, "before", heads, tuple(rows), notes)
 
@@ -70,14 +71,14 @@ def _figures(own: Mapping[str, Any]) -> tuple[Cell, ...]:
 
 
 def format_share(share: Any) -> str:
-    """Return a share with its interval, and without itself where there are too few to tell.
+    """Return a share with its interval, and only the interval where vehicle-days are too few.
 
     Examples
     --------
     >>> format_share({"value": 0.9, "low": 0.871, "high": 0.92, "clusters": 300})
     '90.0 % (87.1–92.0)'
     >>> format_share({"value": 0.571, "low": 0.25, "high": 0.842, "clusters": 7})
-    'too few to tell (25.0–84.2)'
+    'too few (25.0–84.2)'
     """
     low, high, found = (
         get_number(get_part(share, "low")),
@@ -91,7 +92,7 @@ def format_share(share: Any) -> str:
 
 
 def compare_with_best(own: Mapping[str, Any]) -> str:
-    """Return by which percentage the forecasts' error is above the best baseline's, where there are enough car-days.
+    """Return the forecasts' error relative to the best baseline's, where there are enough vehicle-days.
 
     Examples
     --------
@@ -109,12 +110,12 @@ def compare_with_best(own: Mapping[str, Any]) -> str:
 
 def tabulate_conditions(result: Result) -> list[ReportTable]:
     """Return the figures by each condition in which the shifts differ."""
-    heads = ("car-days", *FIGURES, f"MAE, {SHOWN_AT} h", f"to best, {SHOWN_AT} h")
+    heads = ("vehicle-days", *FIGURES, f"MAE, {SHOWN_AT} h", f"to best, {SHOWN_AT} h")
     found = []
     for name, bins in get_mapping(result, "by").items():
         rows = tuple(Row(format_bin(name, str(own["bin"])), _of_bin(own)) for own in bins)
         unit = ", °C" if name == "temperature" else ""
-        notes = (PERCENT_NOTE, "All times ahead are pooled, but in the last two columns.", COVERAGE_NOTE, BEST_NOTE)
+        notes = (PERCENT_NOTE, "All columns but the last two pool all times ahead.", COVERAGE_NOTE, BEST_NOTE)
         if len(rows) > 1:
             found.append(ReportTable(f"By {name}", f"{name}{unit}", heads, rows, notes))
     return found
