@@ -1,5 +1,6 @@
-"""Format numbers for people: rounded to their uncertainty, in everyday units."""
+"""Format numbers for people: rounded to their uncertainty, in everyday units, with a minus sign in tables."""
 
+import re
 from collections.abc import Callable, Mapping
 from math import floor, isfinite, log10
 from types import MappingProxyType
@@ -16,6 +17,7 @@ _EVERYDAY: Final[Mapping[str, Callable[[float], str]]] = MappingProxyType(
         "m/s": lambda value: f"{value / KMH:.3g} km/h",
     }
 )
+_MINUS: Final = re.compile(r"(?<!\w)-(?=[\d.])")
 
 
 def everyday(value: float, unit: str) -> str:
@@ -66,6 +68,28 @@ def rounded(value: float, half: float | None = None) -> str:
         return _to(value, 2, abs(value))
     digits = 1 if half / 10.0 ** floor(log10(half)) >= 1.95 else 2
     return f"{_to(value, digits, half)} ± {_to(half, digits, half)}"
+
+
+def format_minus(text: str) -> str:
+    """Return text whose negative numbers have the minus sign − (U+2212), as tables and figures show them.
+
+    JSON, logs and error messages keep the hyphen. So do exponents, ranges and names.
+
+    Parameters
+    ----------
+    text : str
+        Text with numbers.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> format_minus("taxi-003: -0.5 (-1.2e-07 to 0.2)")
+    'taxi-003: −0.5 (−1.2e-07 to 0.2)'
+    """
+    return _MINUS.sub("−", text)
 
 
 def _to(value: float, digits: int, scale: float) -> str:

@@ -230,7 +230,7 @@ EMPIRICAL_TERMS: Final = tuple(
         *HISTOGRAM_COLUMNS,
     )
 )
-"""Terms of Table 1 of the paper, without names, dates and places, and without the ending SOC, which depends on the energy used.
+"""Terms of Table 1 of the paper, without names, dates, places and the ending SOC, which depends on the energy used.
 
 The direction of the wind enters as its cosine and sine, as 359 and 1 degree are neighbours.
 """

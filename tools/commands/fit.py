@@ -17,6 +17,7 @@ from core.errors import SettingsError
 from core.fit.pooled import adapt
 from core.fit.recipes import RECIPES, LinearRecipe, Recipe, get_recipe
 from core.fit.ride_blocks import RideParquet
+from core.formatting import format_minus
 from core.models import ANY, Fit, LinearModel, Term
 from core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX
 from core.vehicles import AccessoryCurve
@@ -303,7 +304,7 @@ def _show_coefficients(model: LinearModel, console: Console) -> None:
 def _cell(value: float, half: float | None, *, held: bool) -> str:
     """Return the text of a coefficient and its interval."""
     text = f"{value:.4g}" if half is None else f"{value:.4g} ± {half:.2g}"
-    return f"{text} (held)" if held else text
+    return format_minus(f"{text} (held)" if held else text)
 
 
 def _show_curves(model: LinearModel, console: Console) -> None:
@@ -316,6 +317,6 @@ def _show_curves(model: LinearModel, console: Console) -> None:
     table = make_table(columns, "Accessory power: choke points in °C, levels in W")
     for key, curve in curves.items():
         numbers = _celsius(curve)
-        points = [f"{numbers[f'{name}_c']:.1f}" for name in CHOKE_POINTS]
+        points = [format_minus(f"{numbers[f'{name}_c']:.1f}") for name in CHOKE_POINTS]
         table.add_row(key, *points, *(f"{numbers[f'{name}_w']:,.0f}" for name in LEVELS))
     console.print(table)

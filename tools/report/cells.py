@@ -3,6 +3,7 @@
 from typing import Any, Final, NamedTuple
 
 from core.evaluate.paper.published import PublishedFigure
+from core.formatting import format_minus
 from tools.report.evaluation.result import get_half_width, get_number
 
 PAPER_NOTE: Final = (
@@ -86,8 +87,8 @@ def format_energy(value: Any) -> str:
     if known is None:
         return UNKNOWN
     if ci95 is None:
-        return f"{known:.3f}"
-    return f"{known:.3f} ± {ci95:.{4 if ci95 < 0.00995 else 3}f}"
+        return format_minus(f"{known:.3f}")
+    return format_minus(f"{known:.3f} ± {ci95:.{4 if ci95 < 0.00995 else 3}f}")
 
 
 def format_signed(value: Any, digits: int = 3) -> str:
@@ -99,7 +100,7 @@ def format_signed(value: Any, digits: int = 3) -> str:
     ('+0.020', '−0.020')
     """
     known = get_number(value)
-    return UNKNOWN if known is None else f"{known:+.{digits}f}".replace("-", "−")
+    return UNKNOWN if known is None else format_minus(f"{known:+.{digits}f}")
 
 
 def format_percent(share: Any, digits: int = 1) -> str:
@@ -111,7 +112,7 @@ def format_percent(share: Any, digits: int = 1) -> str:
     ('51.7 %', '–')
     """
     known = get_number(share)
-    return UNKNOWN if known is None else f"{100.0 * known:.{digits}f} %".replace("-", "−")
+    return UNKNOWN if known is None else format_minus(f"{100.0 * known:.{digits}f} %")
 
 
 def format_change(value: float | None, reference: float | None) -> str:
@@ -124,7 +125,7 @@ def format_change(value: float | None, reference: float | None) -> str:
     """
     if value is None or not reference:
         return UNKNOWN
-    return f"{100.0 * (value / reference - 1.0):+.1f} %".replace("-", "−")
+    return format_minus(f"{100.0 * (value / reference - 1.0):+.1f} %")
 
 
 def format_count(value: Any) -> str:

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.text import Text
 
 from core.evaluate.paper.results import to_json_values
+from core.formatting import format_minus
 from core.models import LinearModel
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_change, format_count, format_signed
 from tools.report.diagnosis.sentences import describe_coefficient, format_energy
@@ -79,7 +80,7 @@ def build_trial_sections(trial: Entry) -> list[Section]:
     tables = [ReportTable("Mean absolute error of a ride", "evaluated on", heads, rows, (floor,))]
     parts = get_mapping(trial, "conditions")
     for what, bins in parts.items():
-        own = tuple(_compared(str(one.get("where")), one) for one in bins)
+        own = tuple(_compared(format_minus(str(one.get("where"))), one) for one in bins)
         tables.append(ReportTable(f"By {what}, held-out days", what, heads, own))
     return [Section("trial", title, "", [table for table in tables if table.rows])]
 

@@ -17,6 +17,7 @@ from rich.text import Text
 
 from core.evaluate.ride_filter import name_rides
 from core.forecast.status import VehicleStatus
+from core.formatting import format_minus
 from core.monitoring.shadow import ShadowModels
 from core.pipeline import Pipeline
 from stream.loop import Tally
@@ -191,7 +192,7 @@ def make_fleet_table(cars: Sequence[VehicleStatus], title: str, caption: str, ro
 def _end(car: VehicleStatus) -> Text:
     """Return the charge at the shift's end and its interval, marked if the car risks ending below its reserve."""
     if car.end_pct is None:
-        return Text("-")
+        return Text("–")
     mean, low, high = car.end_pct
     marked = car.risk is not None and car.risk >= WARNED
     return Text(f"{mean:.0f} {low:.0f}–{high:.0f}{'!' if marked else ' '}", style="red" if marked else "")
@@ -381,5 +382,5 @@ def _off_pct(predicted: float, measured: float) -> float:
 def _number(value: float, digits: int, *, sign: bool = False) -> str:
     """Return the text of a number, a dash if it is unknown."""
     if not isfinite(value):
-        return "-"
-    return f"{value:+.{digits}f}" if sign else f"{value:.{digits}f}"
+        return "–"
+    return format_minus(f"{value:+.{digits}f}" if sign else f"{value:.{digits}f}")

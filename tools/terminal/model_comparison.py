@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from core import models
+from core.formatting import format_minus
 from core.models import LinearModel
 from core.wire.messages import Gain, ModelErrors, RideErrors
 from tools.terminal.rich_table import Column, make_table
@@ -211,7 +212,7 @@ def _cells(errors: RideErrors, *, wide: bool) -> tuple[str | Text, ...]:
     if gain:
         by, days = _number(gain.mean_kwh, ".3f"), f"{gain.vehicle_days:,}"
         if gain.lower_kwh is not None and gain.upper_kwh is not None:
-            by += f" ({gain.lower_kwh:.3f} to {gain.upper_kwh:.3f})"
+            by += format_minus(f" ({gain.lower_kwh:.3f} to {gain.upper_kwh:.3f})")
         told = Text(gain.verdict, style={"better": "green", "worse": "red"}.get(gain.verdict, ""))
     if not wide:
         return (rides, mae, by, told)
@@ -221,4 +222,4 @@ def _cells(errors: RideErrors, *, wide: bool) -> tuple[str | Text, ...]:
 
 def _number(value: float | None, spec: str) -> str:
     """Return the text of a number, a dash if it is unknown."""
-    return "-" if value is None else format(value, spec)
+    return "–" if value is None else format_minus(format(value, spec))

@@ -254,7 +254,7 @@ def compare_by_condition(table: pd.DataFrame, before: Floats, after: Floats) -> 
 def _bins(values: Floats, cuts: tuple[float, ...], unit: str) -> list[tuple[str, Mask]]:
     """Return the titles of bins and the rides in each; a lower edge belongs to its bin."""
     code = np.where(np.isfinite(values), np.searchsorted(cuts, values, side="right"), -1)
-    ends = [f"{cut:g}".replace("-", "−") for cut in cuts]
+    ends = [f"{cut:g}" for cut in cuts]
     middle = [f"{low} to {high} {unit}" for low, high in pairwise(ends)]
     labels = [f"below {ends[0]} {unit}", *middle, f"from {ends[-1]} {unit}"]
     return [(label, code == i) for i, label in enumerate(labels)]

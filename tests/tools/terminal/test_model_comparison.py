@@ -102,7 +102,7 @@ def test_table_has_row_per_model_and_optional_rows_per_vehicle_model():
         assert figure in short
         assert figure in long
     assert {"12.5", "-0.100", "31"} <= set(long.split())
-    assert "-" in printed(make_models_table([make_errors(None, mae_kwh=None)], wide=False)).split()
+    assert "–" in printed(make_models_table([make_errors(None, mae_kwh=None)], wide=False)).split()
 
 
 def test_log_line_has_figures_with_units_and_no_unknown_values():

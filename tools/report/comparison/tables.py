@@ -5,6 +5,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from core.evaluate.compare.models import MOST_RELATIVE_SD
+from core.formatting import format_minus
 from core.stats.multiple_testing import SIGNIFICANCE
 from core.stats.scores import BANDS
 from tools.report.cells import (
@@ -61,7 +62,7 @@ def format_estimate(estimate: Any, digits: int = 1) -> str:
     known, width = get_number(estimate), get_half_width(estimate)
     if known is None:
         return UNKNOWN
-    return f"{known:.{digits}f}".replace("-", "−") + ("" if width is None else f" ± {width:.{digits}f}")
+    return format_minus(f"{known:.{digits}f}") + ("" if width is None else f" ± {width:.{digits}f}")
 
 
 def tabulate_models(result: Result) -> ReportTable:

@@ -2,6 +2,7 @@
 
 from typing import Any, Final
 
+from core.formatting import format_minus
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count, format_percent, format_signed
 from tools.report.diagnosis import sentences
 from tools.report.evaluation.result import Result, get_mapping, get_number
@@ -118,7 +119,8 @@ def _coefficient(part: Any) -> str:
     if value is None:
         return UNKNOWN
     unit = "" if own.get("unit") in {None, "1"} else f" {own['unit']}"
-    return f"{value:.3g}{f' ± {(limits[1] - limits[0]) / 2.0:.1g}' if limits else ''}{unit}"
+    half = f" ± {(limits[1] - limits[0]) / 2.0:.1g}" if limits else ""
+    return format_minus(f"{value:.3g}{half}{unit}")
 
 
 def _spread(value: Any, ci95: Any) -> str:
@@ -130,7 +132,7 @@ def _spread(value: Any, ci95: Any) -> str:
 
 def _plain(value: Any) -> str:
     known = get_number(value)
-    return UNKNOWN if known is None else f"{known:.3g}"
+    return UNKNOWN if known is None else format_minus(f"{known:.3g}")
 
 
 def _small(value: Any) -> str:

@@ -9,6 +9,7 @@ import plotly.graph_objects as go
 from core.columns import ZERO_CELSIUS
 from core.evaluate.paper import published
 from core.evaluate.paper.published import AVERAGE, PHYSICAL
+from core.formatting import format_minus
 from core.vehicles import AccessoryCurve
 from tools.report.evaluation.result import (
     Result,
@@ -130,7 +131,7 @@ def _five_segments(fitted: AccessoryCurve, look: Style, ambient_c: Sequence[floa
             y=(fitted.power(chokes) / 1000.0).tolist(),
             mode="markers+text",
             marker={"symbol": "diamond", "size": 11, "color": look.colour},
-            text=[f"{t - ZERO_CELSIUS:.1f}".replace("-", "−") for t in chokes],
+            text=[format_minus(f"{t - ZERO_CELSIUS:.1f}") for t in chokes],
             textposition=["top right", "bottom left", "bottom right", "top left"],
             cliponaxis=False,
         ),

@@ -4,6 +4,7 @@ import math
 
 import plotly.graph_objects as go
 
+from core.formatting import format_minus
 from core.stats.multiple_testing import SIGNIFICANCE
 from tools.report.evaluation.error_tables import get_difference
 from tools.report.evaluation.result import (
@@ -115,4 +116,4 @@ def _score(score: tuple[float, float | None] | None) -> str:
         return ""
     value, p = score
     star = "*" if p is not None and p < SIGNIFICANCE else ""
-    return f"{round(1000.0 * value):+d}{star}".replace("-", "−")
+    return format_minus(f"{round(1000.0 * value):+d}{star}")

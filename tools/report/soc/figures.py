@@ -7,6 +7,7 @@ import plotly.graph_objects as go
 
 from core.evaluate.soc.baselines import BASELINES
 from core.evaluate.soc.report import NOMINAL
+from core.formatting import format_minus
 from core.stats.clustered import LEAST_CLUSTERS
 from tools.report.comparison.figures import select_interval_widths
 from tools.report.evaluation.illustrations import Illustration
@@ -271,7 +272,7 @@ def illustrate_examples(result: Result) -> list[Illustration]:
 
 def _title(own: Mapping[str, Any]) -> str:
     ambient = get_number(own["ambient_c"])
-    warmth = "" if ambient is None else f", {ambient:.0f} °C".replace("-", "−")
+    warmth = "" if ambient is None else format_minus(f", {ambient:.0f} °C")
     car = f"{own['vehicle_id']} ({get_vehicle_name(own['vehicle_model'])})"
     return f"{own['why'].capitalize()}: {car}, {own['date']}{warmth}"
 

@@ -5,6 +5,7 @@ from typing import Any, Final
 
 from core.evaluate.soc.baselines import BASELINES, LEAST_ERRORS
 from core.evaluate.soc.reserve_risk import ALARM, LEVELS, PLANNED
+from core.formatting import format_minus
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count, format_percent
 from tools.report.evaluation.result import Result, get_half_width, get_mapping, get_number, get_part
 from tools.report.soc.tables import HEADS, SHARE_NOTE, format_share
@@ -146,7 +147,7 @@ def format_skill(told: Any) -> str:
     value, ci95 = get_number(told), get_half_width(told)
     if value is None:
         return UNKNOWN
-    return f"{100 * value:+.0f}{'' if ci95 is None else f' ± {100 * ci95:.0f}'} %".replace("-", "−")
+    return format_minus(f"{100 * value:+.0f}{'' if ci95 is None else f' ± {100 * ci95:.0f}'} %")
 
 
 def format_level(level: str) -> str:

@@ -5,6 +5,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from core.evaluate.soc.baselines import BASELINES
+from core.formatting import format_minus
 from core.stats.clustered import LEAST_CLUSTERS
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_change, format_count, format_percent
 from tools.report.comparison.tables import format_difference, format_estimate
@@ -156,4 +157,4 @@ def _leg_row(own: Mapping[str, Any]) -> Row:
 
 def format_bin(condition: str, name: str) -> str:
     """Return the name of a bin of a condition, for readers."""
-    return get_vehicle_name(name) if condition == "vehicle model" else name.replace("-", "−")
+    return get_vehicle_name(name) if condition == "vehicle model" else format_minus(name)

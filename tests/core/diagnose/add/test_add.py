@@ -75,7 +75,7 @@ def test_error_falls_on_held_out_days_vehicles_and_final_days(added):
     assert trial["of_effect"]["rides"] + trial["final"]["rides"] == trial["rides"] == 160
     assert trial["mae_after_kwh"] < 1.3 * trial["noise_floor_kwh"]
     cold = trial["conditions"]["outside temperature"][0]
-    assert cold["where"] == "below −10 °C"
+    assert cold["where"] == "below -10 °C"
     assert cold["mae_after_kwh"] < cold["mae_before_kwh"]
     assert {one["where"] for one in trial["conditions"]["vehicle"]} == {f"taxi-{i}" for i in range(4)}
 
