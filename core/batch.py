@@ -16,7 +16,7 @@ RIDE_UNKNOWN = -2
 
 
 class Stateful(Protocol):
-    """A component whose state outlives the process: it writes the state itself and takes it up itself."""
+    """Describe a component whose state outlives the process: it writes its state and restores it."""
 
     def dump(self) -> Any:
         """Return the state as values that MessagePack can hold."""
@@ -42,7 +42,7 @@ class Table(Protocol):
 
 
 class Batch(NamedTuple):
-    """Telemetry as equally long columns, sorted by arrival, in SI; NaN where unknown.
+    """Hold telemetry as equally long columns, sorted by arrival, in SI; NaN where unknown.
 
     One live sample is a batch of one. See `core.columns.TELEMETRY` for units and ranges.
 
@@ -82,7 +82,7 @@ class Batch(NamedTuple):
 
 
 class Lanes:
-    """The vehicles seen so far, each with a small integer that indexes every state array."""
+    """Number the vehicles seen so far with small integers, which index every state array."""
 
     def __init__(self, names: Sequence[str] = ()) -> None:
         self.names: list[str] = list(names)

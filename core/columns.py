@@ -31,7 +31,7 @@ SPEED_BINS: Final = 21
 
 @dataclass(frozen=True)
 class Column:
-    """One named quantity.
+    """Describe one named quantity.
 
     Parameters
     ----------

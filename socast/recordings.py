@@ -24,7 +24,7 @@ RIDES, WINDOWS = "rides.parquet", "windows.parquet"
 
 
 class Tables(NamedTuple):
-    """The two tables that models are fitted to and evaluated on.
+    """Hold the two tables that models are fitted to and evaluated on.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ from core.errors import SocastError
 
 
 class Command(NamedTuple):
-    """The place and the summary of a command.
+    """Hold the module and the summary of a command.
 
     Parameters
     ----------

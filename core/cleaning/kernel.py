@@ -63,7 +63,7 @@ def new_lane_state(lanes: int) -> NDArray[np.void]:
 
 
 class Clean(NamedTuple):
-    """Cleaned telemetry: equally long columns, one row per sample.
+    """Hold cleaned telemetry: equally long columns, one row per sample.
 
     Rejected samples contribute zero time and zero distance.
 

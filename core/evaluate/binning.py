@@ -25,7 +25,7 @@ DEGREES_PER_HOUR: Final = 15.0
 
 
 class Binning(NamedTuple):
-    """The bins of one property of rides.
+    """Define the bins of one property of rides.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ Rides that agree in all of them are one ride that was read twice; it must not be
 
 @dataclass(frozen=True)
 class EvaluatedRides:
-    """Rides on which models are trained and tested.
+    """Hold the rides on which models are trained and tested.
 
     Parameters
     ----------

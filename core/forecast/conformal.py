@@ -58,7 +58,7 @@ BOUND_PAIR: Final = np.dtype([("lower", "f8"), ("upper", "f8")])
 
 
 class ErrorBounds(NamedTuple):
-    """Middle and bounds of the standardised error of n forecasts, (n,) float each. [1]
+    """Hold the middle and the bounds of the standardised error of n forecasts, (n,) float each. [1]
 
     The middle is the forecast itself, moved into its bounds: the median of few errors is less certain than the model.
     """

@@ -100,7 +100,7 @@ class PendingInput:
 
 
 class _Evaluation(NamedTuple):
-    """A step of the evaluation: the row of the batch, whether forecasts are due there, and the place of its data."""
+    """Hold a step of the evaluation: row of the batch, whether forecasts are due there, place of its data."""
 
     row: int
     of_forecast: bool

@@ -29,7 +29,7 @@ END_OF_SHIFT: Final = np.dtype([("mean", "f8"), ("p05", "f8"), ("p95", "f8"), ("
 
 
 class ForecastRows(NamedTuple):
-    """Forecasts at n rows of running totals, (n,) each; NaN where unknown.
+    """Hold the forecasts at n rows of running totals, (n,) each; NaN where unknown.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ DEFAULT_RESERVE: Final = 0.1
 
 
 class EnergyAhead(NamedTuple):
-    """Energy and time until the end of the shifts of n cars, (n,) each; NaN where unknown.
+    """Hold energy and time until the end of the shifts of n cars, (n,) each; NaN where unknown.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ class CarEstimate(NamedTuple):
 
 
 class UsualConsumption(NamedTuple):
-    """Usual consumption of n cars at their outside temperatures.
+    """Hold the usual consumption of n cars at their outside temperatures.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ class UsualConsumption(NamedTuple):
 
 
 class MeanAndSd(NamedTuple):
-    """Mean and standard deviation of a quantity ahead of n cars, (n,) float each."""
+    """Hold mean and standard deviation of a quantity ahead of n cars, (n,) float each."""
 
     mean: Floats
     sd: Floats

@@ -29,7 +29,7 @@ _SHOWN_CHARACTERS: Final = 40  # of a wrong value, in a message
 
 
 class Refusal(NamedTuple):
-    """Reason why a plan cannot be used.
+    """Hold the reason why a plan cannot be used.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class Refusal(NamedTuple):
 
 
 class LegLimit(NamedTuple):
-    """Largest value of a quantity of a leg, whose smallest value is 0, and its unit."""
+    """Hold the largest value of a quantity of a leg, whose smallest value is 0, and its unit."""
 
     most: float
     unit: str
@@ -60,7 +60,7 @@ LEG_LIMITS: Final = {
 
 
 class _QueryPlan(Wire):
-    """A plan in the payload of a query, which may leave out its vehicle and time."""
+    """Hold a plan in the payload of a query, which may leave out its vehicle and time."""
 
     shift_end_s: float
     reserve_soc_pct: float

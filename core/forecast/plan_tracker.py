@@ -37,7 +37,7 @@ GetTables = Callable[[int], LegEnergyTables | None]
 
 
 class PlanArrival(NamedTuple):
-    """A plan that arrived for a lane before row `at` of the batch."""
+    """Hold a plan that arrived for a lane before row `at` of the batch."""
 
     at: int
     lane: int
@@ -45,7 +45,7 @@ class PlanArrival(NamedTuple):
 
 
 class DriverNamed(NamedTuple):
-    """The driver of a lane from row `at` of the batch on."""
+    """Hold the driver of a lane from row `at` of the batch on."""
 
     at: int
     lane: int
@@ -53,7 +53,7 @@ class DriverNamed(NamedTuple):
 
 
 class ActivePlan(NamedTuple):
-    """The plan in force of a car.
+    """Hold the plan in force of a car.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class ActivePlan(NamedTuple):
 
 
 class _Step(NamedTuple):
-    """What may change a plan: its row of the batch, its kind, its place among those of the kind, and its lane."""
+    """Hold what may change a plan: row of the batch, kind, place among those of the kind, lane."""
 
     at: int
     kind: int

@@ -33,7 +33,7 @@ PLAN_PROGRESS: Final = np.dtype(
 
 
 class PlannedLegs(NamedTuple):
-    """Legs of a plan with their energies.
+    """Hold the legs of a plan with their energies.
 
     Parameters
     ----------

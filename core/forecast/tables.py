@@ -17,7 +17,7 @@ from core.totals.tables import text
 
 
 class PublishedForecasts(NamedTuple):
-    """Forecasts of n rows, with the lane, the kind of car and the time [s] of each."""
+    """Hold the forecasts of n rows, with the lane, the kind of car and the time [s] of each."""
 
     lane: Ints
     kind: Ints

@@ -46,7 +46,7 @@ _ROUNDING_KWH: Final = 1e-9
 
 
 class IntervalColumns(NamedTuple):
-    """Mean, 5th and 95th percentile of a quantity, (n,) float each."""
+    """Hold mean, 5th and 95th percentile of a quantity, (n,) float each."""
 
     mean: Floats
     p05: Floats
@@ -59,7 +59,7 @@ class IntervalColumns(NamedTuple):
 
 
 class CarOutlook:
-    """Present estimate of a car, and the consequences of energies ahead of it.
+    """Hold the present estimate of a car, and compute the consequences of energies ahead of it.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ class CarOutlook:
 
 
 class RouteAhead(NamedTuple):
-    """Legs to drive until the end of the shift.
+    """Hold the legs to drive until the end of the shift.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ MOST_VEHICLE_MODELS: Final = 64
 
 
 class EndedRides(NamedTuple):
-    """Rides that have ended, are fit for training and have a measured energy.
+    """Hold rides that have ended, are fit for training and have a measured energy.
 
     Parameters
     ----------

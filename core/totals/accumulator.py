@@ -81,7 +81,7 @@ _OUT_HEAD: Final = 2
 
 
 class _Layout(NamedTuple):
-    """First column of each part of the open totals of a lane, and their number of columns."""
+    """Hold the first column of each part of the open totals of a lane, and their number of columns."""
 
     window_amounts: int
     ride_amounts: int
@@ -109,7 +109,7 @@ class _Layout(NamedTuple):
 
 
 class Totals(NamedTuple):
-    """Totals of rides, idle periods or windows, closed or running: one row each.
+    """Hold the totals of rides, idle periods or windows, closed or running: one row each.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def join_totals(parts: Sequence[Totals], none: Totals) -> Totals:
 
 
 class Sums(NamedTuple):
-    """Totals of what a batch closed, and running totals at its due samples; `idle_periods` lie between rides."""
+    """Hold the totals that a batch closed, and running totals at its due samples; `idle_periods` lie between rides."""
 
     rides: Totals
     idle_periods: Totals

@@ -10,7 +10,7 @@ from core.vehicles.fleet import Cars
 
 
 class Model(Protocol):
-    """Predicts the energy of rides, or of any part of one."""
+    """Predict the energy of rides, or of any part of one."""
 
     @property
     def name(self) -> str:
@@ -34,7 +34,7 @@ class Model(Protocol):
 
 @dataclass(frozen=True)
 class RunContext:
-    """The objects that every step of one run shares.
+    """Hold the objects that every step of one run shares.
 
     The references never change; `lanes` and `cars` grow as messages arrive.
 

@@ -16,7 +16,7 @@ UNKNOWN: Final = "–"
 
 
 class Cell(NamedTuple):
-    """A cell of a table.
+    """Hold a cell of a table.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class Cell(NamedTuple):
 
 
 class Row(NamedTuple):
-    """A row: its name, its cells, and whether it sums up the rows above."""
+    """Hold a row: its name, its cells, and whether it sums up the rows above."""
 
     name: str
     cells: tuple[Cell, ...]
@@ -42,7 +42,7 @@ class Row(NamedTuple):
 
 
 class ReportTable(NamedTuple):
-    """A table of a report.
+    """Hold a table of a report.
 
     Parameters
     ----------

@@ -55,7 +55,7 @@ PAPER_NAME: Final = "the paper's (other data)"
 
 
 class Style(NamedTuple):
-    """Colour, dash, symbol and pattern of a model or vehicle model."""
+    """Hold colour, dash, symbol and pattern of a model or vehicle model."""
 
     colour: str
     dash: str

@@ -33,7 +33,7 @@ RIDE_PROPERTIES: Final = ("vehicle_id", "vehicle_model", "date", "distance_km", 
 
 @dataclass(frozen=True)
 class ComparedRides:
-    """Rides with measured and predicted energies.
+    """Hold rides with measured and predicted energies.
 
     Parameters
     ----------

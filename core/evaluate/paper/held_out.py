@@ -17,7 +17,7 @@ MOST_UNPREDICTED: Final = 0.05
 
 @dataclass(frozen=True)
 class HeldOutPredictions:
-    """Predictions of every recipe for the same rides, over repeats or folds.
+    """Hold the predictions of every recipe for the same rides, over repeats or folds.
 
     Parameters
     ----------

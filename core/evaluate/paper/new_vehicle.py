@@ -38,7 +38,7 @@ BENCHMARK_REFITTED: Final = "fitted_physical_refitted"
 
 
 class Learner(NamedTuple):
-    """A recipe and the way in which it uses a few rides.
+    """Describe a recipe and the way in which it uses a few rides.
 
     Parameters
     ----------

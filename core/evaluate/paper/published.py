@@ -24,7 +24,7 @@ Quantity = Literal["rides", "consumption", "test_consumption", "mae", "new_vehic
 
 
 class PublishedFigure(NamedTuple):
-    """A figure of the paper.
+    """Hold a figure of the paper.
 
     Parameters
     ----------
@@ -45,14 +45,14 @@ class PublishedFigure(NamedTuple):
 
 
 class PaperModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A vehicle model of the paper: its name there, and the catalogue keys of comparable vehicles."""
+    """Describe a vehicle model of the paper: its name there, and the catalogue keys of comparable vehicles."""
 
     name: str
     catalogue: tuple[str, ...]
 
 
 class PaperTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A table of the paper.
+    """Hold a table of the paper.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class PaperTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class PaperStatement(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A figure in the text of the paper: its value, unit and section, and what it refers to, in our words."""
+    """Hold a figure in the text of the paper: value, unit, section, and what it refers to, in our words."""
 
     value: float
     unit: str
@@ -85,7 +85,7 @@ class PaperStatement(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class PaperFinding(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A qualitative finding in the text of the paper, in our words.
+    """Hold a qualitative finding in the text of the paper, in our words.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class PaperFinding(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 class Paper(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """All published figures and findings of the paper."""
+    """Hold all published figures and findings of the paper."""
 
     title: str
     vehicle_models: dict[str, PaperModel]

@@ -29,14 +29,14 @@ Result = TypeVar("Result")
 
 
 class FittedModel(Protocol):
-    """The model that a recipe returns."""
+    """Describe the model that a recipe returns."""
 
     def predict(self, columns: Any) -> Floats:
         """Return the energy of rides. [kWh]"""
 
 
 class EvaluatedRecipe(Protocol):
-    """A recipe, treated as a black box."""
+    """Describe a recipe, treated as a black box."""
 
     @property
     def name(self) -> str:
@@ -51,7 +51,7 @@ class EvaluatedRecipe(Protocol):
 
 
 class Prediction(NamedTuple):
-    """The predictions of a recipe for the rides of a test set.
+    """Hold the predictions of a recipe for the rides of a test set.
 
     Parameters
     ----------

@@ -50,7 +50,7 @@ KEPT_IMPORTANCE: Final = 1e100
 
 
 class VehicleModelRegression(RegressorMixin, BaseEstimator):  # type: ignore[misc]
-    """Least squares with a constant, for each vehicle model separately.
+    """Fit least squares with a constant, for each vehicle model separately.
 
     The first column is the position of the vehicle model; its importance is `KEPT_IMPORTANCE`, so elimination keeps it.
     """
@@ -79,7 +79,7 @@ class VehicleModelRegression(RegressorMixin, BaseEstimator):  # type: ignore[mis
 
 
 class Design(NamedTuple):
-    """Rides as a linear model reads them.
+    """Hold rides as a linear model reads them.
 
     Parameters
     ----------

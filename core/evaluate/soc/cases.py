@@ -59,7 +59,7 @@ OUTLOOK_COLUMNS: Final = [
 
 @dataclass(frozen=True)
 class ForecastCases:
-    """Forecasts that are evaluated.
+    """Hold the forecasts that are evaluated.
 
     Parameters
     ----------

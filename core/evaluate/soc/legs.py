@@ -32,7 +32,7 @@ LEG_SHIFT_COLUMNS: Final = ["vehicle_model", "begin_s", "end_s", "charged_s", "c
 
 
 class LegRecorder:
-    """Queries a pipeline while it runs and records the answers.
+    """Query a pipeline while it runs and record the answers.
 
     Parameters
     ----------

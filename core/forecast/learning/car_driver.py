@@ -36,7 +36,7 @@ DRIVERS_PER_CAR: Final = 8
 
 
 class ShiftPattern(NamedTuple):
-    """Duration and intensity of a shift.
+    """Hold the duration and the intensity of a shift.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class ShiftPattern(NamedTuple):
 
 
 class LogFactor(NamedTuple):
-    """Normal distribution of the logarithm of a consumption factor, or of a part of it."""
+    """Hold the normal distribution of the logarithm of a consumption factor, or of a part of it."""
 
     mean: float
     variance: float

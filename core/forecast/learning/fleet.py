@@ -41,7 +41,7 @@ AddTotals = Callable[[Sequence[str], Totals, Floats, Floats], None]
 
 
 class ShiftEnergy(NamedTuple):
-    """Energy of a shift that has ended.
+    """Hold the energy of a shift that has ended.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ class FleetStatistics:
 
 
 class _StackedTables(NamedTuple):
-    """Tables by vehicle model and temperature, (1 + models, temperatures); the first row is of unknown models."""
+    """Hold tables by vehicle model and temperature, (1 + models, temperatures); first row: unknown models."""
 
     ride_factor: Floats
     ride_power: Floats

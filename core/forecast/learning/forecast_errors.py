@@ -30,7 +30,7 @@ BIAS_LIMITS: Final = 0.7, 1.4
 
 
 class ForecastRecord(NamedTuple):
-    """A forecast of the charge at the end of a shift.
+    """Hold a forecast of the charge at the end of a shift.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ _PACKED: Final = Struct(f"{len(ForecastRecord._fields)}d")
 
 
 class ShiftErrors(NamedTuple):
-    """Errors of the n forecasts of one shift with the same basis.
+    """Hold the errors of the n forecasts of one shift with the same basis.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ STEEPEST_DESCENT: Final = 300.0
 
 
 class LegTerms(NamedTuple):
-    """Terms whose weighted sum is the energy of n legs.
+    """Hold the terms whose weighted sum is the energy of n legs.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class LegTerms(NamedTuple):
 
 
 class LegEnergyTables(NamedTuple):
-    """Consumption of a vehicle model, as learned from its rides and idle periods.
+    """Hold the consumption of a vehicle model, as learned from its rides and idle periods.
 
     Parameters
     ----------

@@ -100,7 +100,7 @@ _LOST: Final = AMOUNTS.index("lost")
 
 
 class RideSums(NamedTuple):
-    """Sums over the rides of a vehicle model, by pace and temperature.
+    """Hold sums over the rides of a vehicle model, by pace and temperature.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class RideSums(NamedTuple):
 
 
 class IdleSums(NamedTuple):
-    """Sums over the idle periods of a vehicle model, by temperature.
+    """Hold sums over the idle periods of a vehicle model, by temperature.
 
     Parameters
     ----------
@@ -147,14 +147,14 @@ class IdleSums(NamedTuple):
 
 
 class RideEdges(NamedTuple):
-    """First and last sample of some ride, (edges,) float each, for models that read them."""
+    """Hold the first and last sample of some ride, (edges,) float each, for models that read them."""
 
     first: Floats
     last: Floats
 
 
 class LegEquations(NamedTuple):
-    """Normal equations of ride energies on `FIT_TERMS`, each ride over the variance of its energy.
+    """Sum the normal equations of ride energies on `FIT_TERMS`, each ride over the variance of its energy.
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ STANDING_DISTANCE: Final = 60.0
 
 @dataclass
 class ModelSums:
-    """Sums over the rides and idle periods of a vehicle model.
+    """Hold sums over the rides and idle periods of a vehicle model.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class ModelSums:
 
 
 class RideStatistics:
-    """Sums over rides and idle periods by vehicle model, and the tables that the last daily update made of them.
+    """Sum rides and idle periods by vehicle model, and keep the tables of the last daily update.
 
     Parameters
     ----------

@@ -103,7 +103,7 @@ def _blurred(message: Message, rng: np.random.Generator) -> Message:
 
 @dataclass
 class Recording:
-    """What a consumer has of the drives, ready to be filled with what cars measure.
+    """Hold what a consumer knows of the drives, ready to be filled with what cars measure.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ PAPER_CAPTION: Final = "The paper's figures are from other data (the rides of on
 
 
 class Illustration(NamedTuple):
-    """A figure of a report, with its title and caption.
+    """Hold a figure of a report, with its title and caption.
 
     Parameters
     ----------

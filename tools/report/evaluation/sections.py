@@ -38,7 +38,7 @@ from tools.report.evaluation.use_tables import tabulate_places, tabulate_reserve
 
 
 class Section(NamedTuple):
-    """A section of a report.
+    """Hold a section of a report.
 
     Parameters
     ----------
