@@ -203,24 +203,24 @@ def _config(connection: Connection) -> zenoh.Config:
         config = zenoh.Config.from_file(file) if file else zenoh.Config()
     except (zenoh.ZError, OSError) as error:
         raise SettingsError(f"{file} is not a Zenoh configuration: {format_zenoh_error(error)}") from error
-    mode = connection.mode or _told(config, "mode") or ("client" if connection.connect else "router")
+    mode = connection.mode or _read(config, "mode") or ("client" if connection.connect else "router")
     _insert(config, "mode", mode)
     if connection.connect:
         _insert(config, "connect/endpoints", list(connection.connect))
     if connection.listen:
         _insert(config, "listen/endpoints", [_with_port(end) for end in connection.listen])
-    elif _told(config, "listen/endpoints") == _told(zenoh.Config(), "listen/endpoints"):
+    elif _read(config, "listen/endpoints") == _read(zenoh.Config(), "listen/endpoints"):
         ends = {"router": [LOOPBACK], "peer": [_with_port("tcp/127.0.0.1:0")]}.get(mode, [])
         _insert(config, "listen/endpoints", ends)
     for name, unset, value in _OURS:
-        if _told(config, name) == unset:
+        if _read(config, name) == unset:
             _insert(config, name, value)
     return config
 
 
 def _only_listening_fails(config: zenoh.Config) -> bool:
     """Return whether a session that failed to open can be opened without listening."""
-    if _told(config, "mode") == "client" or not _endpoints(config):
+    if _read(config, "mode") == "client" or not _endpoints(config):
         return False
     _insert(config, "listen/endpoints", [])
     try:
@@ -235,15 +235,15 @@ def _with_port(endpoint: str) -> str:
     return f"{endpoint[:-1]}{find_free_port()}" if endpoint.endswith(":0") else endpoint
 
 
-def _told(config: zenoh.Config, name: str) -> Any:
+def _read(config: zenoh.Config, name: str) -> Any:
     """Return the value of a setting in a configuration."""
     return msgspec.json.decode(config.get_json(name))
 
 
 def _endpoints(config: zenoh.Config) -> list[str]:
     """Return the endpoints at which a configuration listens."""
-    told = _told(config, "listen/endpoints") or []
-    return [str(end) for end in (told.get(_told(config, "mode"), []) if isinstance(told, dict) else told)]
+    told = _read(config, "listen/endpoints") or []
+    return [str(end) for end in (told.get(_read(config, "mode"), []) if isinstance(told, dict) else told)]
 
 
 def _insert(config: zenoh.Config, name: str, value: Any) -> None:

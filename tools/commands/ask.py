@@ -111,18 +111,16 @@ def verdict(outlook: Outlook) -> tuple[str, str]:
     sentence : str
         The answer in words.
     """
-    asked, risk = outlook.asked, outlook.reserve_risk
+    ride, risk = outlook.asked, outlook.reserve_risk
     word, ends, because = "NOT KNOWN", "finish", ""
     if risk is not None:
         word = "YES" if risk < LOW_RISK else "NO" if risk > HIGH_RISK else "UNCERTAIN"
         because = f": the risk is {_share(risk)}"
-    elif asked and asked.soc_pct:
-        word, ends = _against(asked.soc_pct, outlook.reserve_soc_pct), "arrive"
+    elif ride and ride.soc_pct:
+        word, ends = _against(ride.soc_pct, outlook.reserve_soc_pct), "arrive"
         because = "; the rest of its shift is not known"
     doing = (
-        f"take {asked.distance_km:.4g} km in {asked.duration_s / 60:.0f} min and {ends}"
-        if asked
-        else "finish its shift"
+        f"take {ride.distance_km:.4g} km in {ride.duration_s / 60:.0f} min and {ends}" if ride else "finish its shift"
     )
     says = _SAYS[word].format(outlook.vehicle_id)
     return word, f"{says} {doing} above its reserve of {outlook.reserve_soc_pct:g} %{because}"
@@ -142,14 +140,14 @@ def figures(outlook: Outlook) -> Iterator[tuple[str, str]]:
         Name and text of each figure.
     """
     reserve = outlook.reserve_soc_pct
-    asked, end = outlook.asked, outlook.soc_end_of_shift_pct
-    if asked and asked.soc_pct:
-        yield "at arrival", f"{_told(asked.soc_pct, '%')}, {_apart(asked.soc_pct.mean, reserve)}"
+    ride, end = outlook.asked, outlook.soc_end_of_shift_pct
+    if ride and ride.soc_pct:
+        yield "at arrival", f"{_format_interval(ride.soc_pct, '%')}, {_apart(ride.soc_pct.mean, reserve)}"
     if end:
         when = f" at {_clock(outlook.shift_end_s)}" if outlook.shift_end_s is not None else ""
-        yield "end of shift", f"{_told(end, '%')}{when}, {_apart(end.mean, reserve)}"
-    if asked and asked.energy_kwh:
-        yield "energy", _told(asked.energy_kwh, "kWh", 2)
+        yield "end of shift", f"{_format_interval(end, '%')}{when}, {_apart(end.mean, reserve)}"
+    if ride and ride.energy_kwh:
+        yield "energy", _format_interval(ride.energy_kwh, "kWh", 2)
     if outlook.legs:
         yield "then planned", _planned(outlook.legs)
     if outlook.soc_pct is not None:
@@ -178,7 +176,7 @@ def _against(soc: Interval, reserve: float) -> str:
     return "NO" if soc.mean < reserve else "UNCERTAIN"
 
 
-def _told(value: Interval, unit: str, digits: int = 0) -> str:
+def _format_interval(value: Interval, unit: str, digits: int = 0) -> str:
     """Return the text of a quantity with its interval."""
     return f"{value.mean:.{digits}f} {unit} ({value.p05:.{digits}f} to {value.p95:.{digits}f})"
 

@@ -66,11 +66,11 @@ def compare_models(
     if ride is not None:
         result: dict[str, Any] = {"trace": _trace(rides, ride, chosen)}
     else:
-        found = select_rides(_rides(rides, chosen), chosen)
-        result = compare_predictions(found)
+        selected = select_rides(_rides(rides, chosen), chosen)
+        result = compare_predictions(selected)
         _say_commands(result, _words(rides, effects_file or ()), dict(zip(chosen, model, strict=True)))
         if against:
-            result["against"] = _against(found, rides, against, chosen)
+            result["against"] = _against(selected, rides, against, chosen)
     result = to_json_values(result)
     write_json(json_file, "compare", result)
     show_report("comparison.page", result, html_file, json_file)
@@ -134,20 +134,20 @@ def _trace(given: Sequence[Path], name: str, chosen: Mapping[str, LinearModel]) 
 
 def _windows(files: Sequence[Path], key: str) -> pd.DataFrame:
     """Return the windows of a ride, from the window table beside its ride table."""
-    place, own = (0, key) if len(files) == 1 else (int(key.partition("/")[0]), key.partition("/")[2])
+    place, ride_key = (0, key) if len(files) == 1 else (int(key.partition("/")[0]), key.partition("/")[2])
     file = files[place].with_name(WINDOWS)
     if not file.is_file():
         raise SettingsError(f"{file.parent} holds no {WINDOWS}; a trace needs the windows that `socast tables` makes")
     try:
-        found: pd.DataFrame = pq.read_table(file, filters=[(KEY, "==", own)]).to_pandas()
+        windows: pd.DataFrame = pq.read_table(file, filters=[(KEY, "==", ride_key)]).to_pandas()
     except (OSError, pa.ArrowException) as error:
-        told = " ".join(str(error).split())
-        raise ModelError(f"{file}: cannot read windows: {told}; a trace needs what `socast tables` made") from error
-    return found.assign(**{KEY: key})
+        reason = " ".join(str(error).split())
+        raise ModelError(f"{file}: cannot read windows: {reason}; a trace needs what `socast tables` made") from error
+    return windows.assign(**{KEY: key})
 
 
 def _against(
-    found: ComparedRides, rides: Sequence[Path], against: Sequence[Path], chosen: Mapping[str, LinearModel]
+    compared: ComparedRides, rides: Sequence[Path], against: Sequence[Path], chosen: Mapping[str, LinearModel]
 ) -> dict[str, Any]:
     """Return the differences between two sets of rides, and the errors of models on the second set."""
     other = select_rides(_rides(against, chosen), chosen)
@@ -157,7 +157,7 @@ def _against(
         "second": " ".join(map(str, against)),
         "about": second["about"],
         "second_models": second["models"],
-        **compare_datasets(found, other, chosen),
+        **compare_datasets(compared, other, chosen),
     }
 
 
@@ -169,6 +169,6 @@ def _words(rides: Sequence[Path], effect_files: Sequence[Path]) -> list[str]:
 
 def _say_commands(result: Mapping[str, Any], words: Sequence[str], given: Mapping[str, str]) -> None:
     """Insert into the record of each of the worst rides the command that shows its trace."""
-    for label, own in result["models"].items():
-        for told in (ride for rides in own["worst"].values() for ride in rides):
-            told["command"] = shlex.join([*words, "--model", given[label], "--ride", told["ride"]])
+    for label, of_model in result["models"].items():
+        for worst in (ride for rides in of_model["worst"].values() for ride in rides):
+            worst["command"] = shlex.join([*words, "--model", given[label], "--ride", worst["ride"]])

@@ -102,8 +102,8 @@ def diagnose_rides(
 
 def list_lacking_effects(files: Sequence[Path], windows: pd.DataFrame) -> list[str]:
     """Return the effects of the user's files that the window table does not have."""
-    own = [effect.name for path in files for effect in effects.group_by_topic().get(path.name, ())]
-    return [name for name in own if f"{EFFECT_PREFIX}{name}" not in windows]
+    from_files = [effect.name for path in files for effect in effects.group_by_topic().get(path.name, ())]
+    return [name for name in from_files if f"{EFFECT_PREFIX}{name}" not in windows]
 
 
 def _check(model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -191,8 +191,8 @@ def insert_commands(
 def parse_term(entry: dict[str, Any]) -> tuple[str, list[str]]:
     """Return the name of a missing effect, or of its variant, and its scopes."""
     columns = [str(column) for column in entry.get("columns") or ()]
-    own = [column.removeprefix(EFFECT_PREFIX) for column in columns if column.startswith(EFFECT_PREFIX)]
-    return own[0] if own else str(entry.get("variant") or entry["effect"]), [c for c in columns if is_scope(c)]
+    names = [column.removeprefix(EFFECT_PREFIX) for column in columns if column.startswith(EFFECT_PREFIX)]
+    return names[0] if names else str(entry.get("variant") or entry["effect"]), [c for c in columns if is_scope(c)]
 
 
 def _diagnose(model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame, least_gain: float) -> dict[str, Any]:

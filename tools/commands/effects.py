@@ -35,12 +35,12 @@ def list_effects(_: EffectFiles = None, json_file: JsonFile = None) -> None:
     """
     topics = effects.group_by_topic()
     table = _table()
-    for topic, found in topics.items():
+    for topic, effects_of_topic in topics.items():
         table.add_section()
         table.add_row(Text(topic, "bold"))
-        for effect in found:
+        for effect in effects_of_topic:
             _add(table, effect)
-    listed = [_plain(effect, topic) for topic, found in topics.items() for effect in found]
+    listed = [_plain(effect, topic) for topic, effects_of_topic in topics.items() for effect in effects_of_topic]
     write_json(json_file, "effects", {"effects": listed})
     make_console(json_file).print(table)
 
@@ -60,9 +60,13 @@ def show(
     socast effects show cold_rolling
     """
     effect = effects.get(name)
-    topic = next(topic for topic, found in effects.group_by_topic().items() if effect.base in [e.name for e in found])
+    topic = next(
+        topic
+        for topic, effects_of_topic in effects.group_by_topic().items()
+        if effect.base in [e.name for e in effects_of_topic]
+    )
     write_json(json_file, "effect", _plain(effect, topic))
-    description = make_description([(name, Text(text)) for name, text in _told(effect, topic) if text])
+    description = make_description([(name, Text(text)) for name, text in _list_properties(effect, topic) if text])
     make_console(json_file).print(description)
 
 
@@ -79,14 +83,14 @@ def check_file(
     --------
     socast effects check my_effects.py
     """
-    found = effects.load_file(file)
+    checked = effects.load_file(file)
     table = _table()
-    for effect in found:
+    for effect in checked:
         _add(table, effect)
-    write_json(json_file, "effects", {"effects": [_plain(effect, file.name) for effect in found]})
+    write_json(json_file, "effects", {"effects": [_plain(effect, file.name) for effect in checked]})
     console = make_console(json_file)
     console.print(table)
-    count = f"{len(found)} effect{'s' if len(found) > 1 else ''}"
+    count = f"{len(checked)} effect{'s' if len(checked) > 1 else ''}"
     console.print(Text(f"{count} in {file}: all checks passed."))
 
 
@@ -115,11 +119,11 @@ def new_file(
         file.write_text(content, encoding="utf-8")
     except OSError as error:
         raise SettingsError(f"{file} cannot be written: {error.strerror}; name a file in another folder") from error
-    told = f"{file} holds the effect {name}. Edit it, then: socast effects check {file}"
-    make_console().print(told, markup=False, highlight=False, soft_wrap=True)
+    message = f"{file} holds the effect {name}. Edit it, then: socast effects check {file}"
+    make_console().print(message, markup=False, highlight=False, soft_wrap=True)
 
 
-def _told(effect: Effect, topic: str) -> list[tuple[str, str]]:
+def _list_properties(effect: Effect, topic: str) -> list[tuple[str, str]]:
     """Return the labels and texts of the description of an effect."""
     unit = "" if effect.unit == "1" else f" [{effect.unit}]"
     paragraphs = effect.documentation.split("\n\n")[1:]
@@ -168,11 +172,11 @@ def _range(effect: Effect) -> str:
 def _parameter(name: str, parameter: Parameter, value: float) -> str:
     """Return the text of a parameter: value, bounds, and values in tables."""
     low, high = parameter.bounds
-    said = f"{name} = {value:g} {parameter.unit}".removesuffix(" 1")
-    if (shown := everyday(value, parameter.unit)) not in said:
-        said += f" ({shown})"
-    said += f", {low:g} to {high:g}" if low < high else ", fixed"
-    return said + (f"; in tables at {', '.join(f'{v:g}' for v in parameter.grid)}" if parameter.grid else "")
+    text = f"{name} = {value:g} {parameter.unit}".removesuffix(" 1")
+    if (shown := everyday(value, parameter.unit)) not in text:
+        text += f" ({shown})"
+    text += f", {low:g} to {high:g}" if low < high else ", fixed"
+    return text + (f"; in tables at {', '.join(f'{v:g}' for v in parameter.grid)}" if parameter.grid else "")
 
 
 def _column(name: str) -> str:

@@ -113,14 +113,14 @@ def _read(file: Path, columns: Sequence[str] | None) -> pd.DataFrame:
                 raise ModelError(
                     f"{file}: column {missing[0]!r} is missing: make the tables again with `socast tables`"
                 )
-            found: pd.DataFrame = opened.read(columns=None if columns is None else list(columns)).to_pandas()
-            return found
+            table: pd.DataFrame = opened.read(columns=None if columns is None else list(columns)).to_pandas()
+            return table
     except OSError as error:
-        told = error.strerror or " ".join(str(error).split())
-        raise ModelError(f"{file}: cannot read a table: {told}; name a file that `socast tables` made") from error
+        reason = error.strerror or " ".join(str(error).split())
+        raise ModelError(f"{file}: cannot read a table: {reason}; name a file that `socast tables` made") from error
     except pa.ArrowException as error:
-        told = " ".join(str(error).split())
-        raise ModelError(f"{file}: no Parquet table: {told}; name a file that `socast tables` made") from error
+        reason = " ".join(str(error).split())
+        raise ModelError(f"{file}: no Parquet table: {reason}; name a file that `socast tables` made") from error
 
 
 @contextmanager

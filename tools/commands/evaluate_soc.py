@@ -77,9 +77,9 @@ def evaluate_recordings(
     """
     sources = open_recordings(recordings)
     check_outputs([*recordings, *select_model_files([model]), *(effects_file or ())], json_file, html_file)
-    told = SocForecasts(Pipeline(models.load(model), settings, keep_outlooks=True))
-    run_forecasts(told.pipeline, sources, also=told)
+    forecasts = SocForecasts(Pipeline(models.load(model), settings, keep_outlooks=True))
+    run_forecasts(forecasts.pipeline, sources, also=forecasts)
     warn_of_losses(sources)
-    result = to_json_values(told.evaluated())
+    result = to_json_values(forecasts.evaluated())
     write_json(json_file, "evaluate-soc", result)
     show_report("soc.page", result, html_file, json_file)

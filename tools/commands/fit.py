@@ -83,8 +83,8 @@ def fit(
     write_json(json_file, "fit", summary(model, chosen.title))
     console = make_console(json_file)
     show(model, chosen.title, console)
-    told = f"{out}: {chosen.title}, version {model.version}; forecast with --model {out}"
-    console.print(told, markup=False, highlight=False, soft_wrap=True)
+    message = f"{out}: {chosen.title}, version {model.version}; forecast with --model {out}"
+    console.print(message, markup=False, highlight=False, soft_wrap=True)
 
 
 def ride_files(tables: Sequence[Path]) -> list[Path]:
@@ -155,14 +155,14 @@ def _fitted(chosen: Recipe, files: Sequence[Path]) -> LinearModel:
     return chosen.fit(RideParquet(tuple(files)).table())
 
 
-def intervals(model: LinearModel, found: Fit) -> Iterator[tuple[Term, float, float | None]]:
+def intervals(model: LinearModel, fitted: Fit) -> Iterator[tuple[Term, float, float | None]]:
     """Yield each term with its coefficient and the half width of its 95 % interval.
 
     Parameters
     ----------
     model : LinearModel
         Model with the terms.
-    found : Fit
+    fitted : Fit
         Fit of one vehicle model.
 
     Yields
@@ -170,10 +170,10 @@ def intervals(model: LinearModel, found: Fit) -> Iterator[tuple[Term, float, flo
     tuple of (Term, float, float or None)
         The half width comes from Student's t distribution. It is None if the fit has no covariance.
     """
-    freedom = (found.clusters or found.rides) - 1
+    freedom = (fitted.clusters or fitted.rides) - 1
     factor = float(stdtrit(freedom, 0.975)) if freedom > 0 else float("nan")
-    for i, (term, coefficient) in enumerate(zip(model.terms, found.coefficients, strict=True)):
-        half = None if found.covariance is None else factor * sqrt(max(found.covariance[i][i], 0.0))
+    for i, (term, coefficient) in enumerate(zip(model.terms, fitted.coefficients, strict=True)):
+        half = None if fitted.covariance is None else factor * sqrt(max(fitted.covariance[i][i], 0.0))
         yield term, coefficient, half
 
 
@@ -217,18 +217,18 @@ def summary(model: LinearModel, title: str) -> dict[str, Any]:
     errors = in_sample(model)
     fits = {
         key: {
-            "rides": found.rides,
+            "rides": fitted.rides,
             "mae_in_sample_kwh": errors.get(key),
-            "residual_sd_kwh": found.residual_sd_kwh,
-            "clusters": found.clusters,
-            "held": found.held,
-            "curve": None if found.curve is None else _celsius(found.curve),
+            "residual_sd_kwh": fitted.residual_sd_kwh,
+            "clusters": fitted.clusters,
+            "held": fitted.held,
+            "curve": None if fitted.curve is None else _celsius(fitted.curve),
             "coefficients": [
                 {"term": term.name, "unit": term.unit, "value": value, "ci95": half}
-                for term, value, half in intervals(model, found)
+                for term, value, half in intervals(model, fitted)
             ],
         }
-        for key, found in model.fits.items()
+        for key, fitted in model.fits.items()
     }
     return {"recipe": model.recipe, "title": title, "version": model.version, "training": training, "fits": fits}
 
@@ -258,10 +258,10 @@ def show(model: LinearModel, title: str, console: Console) -> None:
     errors = in_sample(model)
     numbers = ("rides", "MAE in sample, kWh", "residual SD, kWh")
     table = make_table([Column("vehicle model"), *(Column(head, number=True) for head in numbers)], title)
-    for key, found in model.fits.items():
-        left_sd = "" if found.residual_sd_kwh is None else f"{found.residual_sd_kwh:.3f}"
+    for key, fitted in model.fits.items():
+        left_sd = "" if fitted.residual_sd_kwh is None else f"{fitted.residual_sd_kwh:.3f}"
         error = f"{errors[key]:.3f}" if key in errors else ""
-        table.add_row("any other (*)" if key == ANY else key, f"{found.rides:,}", error, left_sd)
+        table.add_row("any other (*)" if key == ANY else key, f"{fitted.rides:,}", error, left_sd)
     console.print(table)
     _show_coefficients(model, console)
     _show_curves(model, console)
@@ -281,19 +281,19 @@ def _physical(term: Term) -> bool:
 
 def _show_coefficients(model: LinearModel, console: Console) -> None:
     """Print the coefficients of physical terms with their 95 % intervals; the JSON files hold the others."""
-    if not any(found.covariance for found in model.fits.values()):
+    if not any(fitted.covariance for fitted in model.fits.values()):
         return
     shown = [term for term in model.terms if _physical(term)] or list(model.terms[:12])
     columns = [Column("coefficient"), Column("unit"), *(Column(key, number=True) for key in model.fits)]
     table = make_table(columns, "Coefficients with 95 % intervals")
-    cells = {key: {t.name: (c, half) for t, c, half in intervals(model, found)} for key, found in model.fits.items()}
+    cells = {key: {t.name: (c, half) for t, c, half in intervals(model, fitted)} for key, fitted in model.fits.items()}
     for term in shown:
         row = [_cell(*cells[key][term.name], held=term.name in model.fits[key].held) for key in model.fits]
         table.add_row(term.name, term.unit, *row)
     console.print(table)
     others = len(model.terms) - len(shown)
     notes = [f"{others} other coefficients are in the model file"] if others else []
-    if any(found.held for found in model.fits.values()):
+    if any(fitted.held for fitted in model.fits.values()):
         notes.append("(held): rides do not determine the coefficient, so its prior holds it near its physical value, 1")
     if model.fits.get(ANY) and model.fits[ANY].noise_kwh is not None:
         notes.append("interval of *: for a vehicle model without rides, about the mean of the others")
@@ -309,7 +309,7 @@ def _cell(value: float, half: float | None, *, held: bool) -> str:
 
 def _show_curves(model: LinearModel, console: Console) -> None:
     """Print the accessory curves."""
-    curves = {key: found.curve for key, found in model.fits.items() if found.curve is not None}
+    curves = {key: fitted.curve for key, fitted in model.fits.items() if fitted.curve is not None}
     if not curves:
         return
     heads = [name.replace("_", " ") for name in (*CHOKE_POINTS, *LEVELS)]

@@ -208,13 +208,13 @@ def show(quality: dict[str, Any], rides: int, windows: int, folder: Path, consol
         table.add_row(cause.replace("_", " "), f"{count:,}", "payloads")
     for reason, count in quality["unfit"].items():
         table.add_row(f"ride {reason.replace('_', ' ')}", f"{count:,}", f"{rides:,} rides")
-    told = f"{quality['received'].get('vehicle', 0):,} vehicle messages"
+    messages = f"{quality['received'].get('vehicle', 0):,} vehicle messages"
     for reason, count in quality["unpredicted"].items():
         table.add_row(f"not predicted: {reason.replace('_', ' ')}", f"{count:,}", f"{rides:,} rides")
     for reason, count in quality["unpredictable"].items():
-        table.add_row(reason.replace("_", " "), f"{count:,}", told)
+        table.add_row(reason.replace("_", " "), f"{count:,}", messages)
     if table.rows:
         console.print(table)
     unfit = sum(quality["unfit"].values())
-    told = f"{rides:,} rides ({unfit:,} unfit for training) and {windows:,} windows in {folder}"
-    console.print(told, markup=False, highlight=False, soft_wrap=True)
+    messages = f"{rides:,} rides ({unfit:,} unfit for training) and {windows:,} windows in {folder}"
+    console.print(messages, markup=False, highlight=False, soft_wrap=True)

@@ -56,10 +56,11 @@ def print_trial(trial: Any, console: Console) -> None:
 def describe_coefficients(trial: Entry) -> list[str]:
     """Return the coefficient in words and figures, and those of vehicle models with a coefficient of their own."""
     lines = [str(trial.get("words") or ""), describe_coefficient(trial)]
-    own = get_mapping(trial, "by_vehicle_model")
+    by_vehicle_model = get_mapping(trial, "by_vehicle_model")
     words = get_mapping(trial, "words_by_vehicle_model")
     lines += [
-        f"{key}: {words.get(key, '')} ({describe_coefficient({'coefficient': value})})" for key, value in own.items()
+        f"{key}: {words.get(key, '')} ({describe_coefficient({'coefficient': value})})"
+        for key, value in by_vehicle_model.items()
     ]
     return [line for line in lines if line]
 
@@ -80,8 +81,8 @@ def build_trial_sections(trial: Entry) -> list[Section]:
     tables = [ReportTable("Mean absolute error of a ride", "evaluated on", heads, rows, (floor,))]
     parts = get_mapping(trial, "conditions")
     for what, bins in parts.items():
-        own = tuple(_compared(format_minus(str(one.get("where"))), one) for one in bins)
-        tables.append(ReportTable(f"By {what}, held-out days", what, heads, own))
+        rows_of_bins = tuple(_compared(format_minus(str(one.get("where"))), one) for one in bins)
+        tables.append(ReportTable(f"By {what}, held-out days", what, heads, rows_of_bins))
     return [Section("trial", title, "", [table for table in tables if table.rows])]
 
 

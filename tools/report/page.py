@@ -68,14 +68,14 @@ def save(text: str, path: Path) -> None:
 
 def render_page(result: Any) -> str:
     """Return the page of an evaluation."""
-    found = to_json_values(result)
+    values = to_json_values(result)
     return render_document(
         "evaluate",
         TITLE,
-        _lead(found),
-        build_sections(found),
-        lambda key: build_illustrations(found, key),
-        _foot(found),
+        _lead(values),
+        build_sections(values),
+        lambda key: build_illustrations(values, key),
+        _foot(values),
     )
 
 
@@ -151,8 +151,8 @@ def _foot(result: Result) -> str:
     """Return the notes of the evaluation and the name of the command."""
     about = get_mapping(result, "about")
     notes = [*(result.get("notes") or ()), *(about.get("notes") or ())]
-    told = "".join(f"<li>{escape(str(note))}</li>" for note in notes)
-    return (f"<ul>{told}</ul>" if told else "") + "<p>Made by <code>socast evaluate</code>.</p>"
+    items = "".join(f"<li>{escape(str(note))}</li>" for note in notes)
+    return (f"<ul>{items}</ul>" if items else "") + "<p>Made by <code>socast evaluate</code>.</p>"
 
 
 def _section(section: Section, shown: Sequence[Illustration]) -> str:
@@ -172,10 +172,10 @@ def _section(section: Section, shown: Sequence[Illustration]) -> str:
 def _figure(one: Illustration) -> str:
     """Return a figure, its caption and its data."""
     content = one.figure.to_json().replace("<", "\\u003c")
-    said = escape(f"{one.title}. {one.caption}")
+    label = escape(f"{one.title}. {one.caption}")
     return (
         f'<figure id="figure-{one.key}"><h3>{escape(one.title)}</h3>'
-        f'<div class="plot" role="img" aria-label="{said}" style="height:{one.figure.layout.height}px"></div>'
+        f'<div class="plot" role="img" aria-label="{label}" style="height:{one.figure.layout.height}px"></div>'
         f'<script type="application/json">{content}</script>'
         f"<figcaption>{escape(one.caption)}</figcaption>{_figures_data(one)}</figure>"
     )

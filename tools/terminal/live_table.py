@@ -124,8 +124,8 @@ class LiveTable:
         self._due = now + (REDRAW_S if self._live else LINE_S)
         cars = sorted(self._pipeline.status())
         if self._live:
-            wide, told = self._console.width >= WIDE, self._pipeline.shadows.errors()
-            below = make_models_table(told, wide=wide) if self._pipeline.shadows else None
+            wide, errors = self._console.width >= WIDE, self._pipeline.shadows.errors()
+            below = make_models_table(errors, wide=wide) if self._pipeline.shadows else None
             rows = max(1, self._console.height - 7 - (below.row_count + 6 if below else 0))
             shadows = len(self._pipeline.shadows) if wide else 0
             fleet = make_fleet_table(cars, self._title, _caption(tally, self._pipeline.quality()), rows, shadows)
@@ -212,13 +212,13 @@ def format_fleet_line(cars: Sequence[VehicleStatus], tally: Tally) -> str:
     -------
     str
     """
-    told = f"{tally.seconds:5.1f} s  {tally.received:7,} messages  {len(cars):3} cars"
+    counts = f"{tally.seconds:5.1f} s  {tally.received:7,} messages  {len(cars):3} cars"
     if not cars:
-        return told
+        return counts
     car = max(cars, key=lambda car: car.time_s)
     moment = f"{datetime.fromtimestamp(car.time_s, UTC):%H:%M:%S}"
     return (
-        f"{told}  {moment}  {car.vehicle_id}: SOC {_number(car.soc_pct, 1)} %, "
+        f"{counts}  {moment}  {car.vehicle_id}: SOC {_number(car.soc_pct, 1)} %, "
         f"{_number(car.ride_distance_km, 2)} km, predicted {_number(car.predicted_kwh, 3)} kWh, "
         f"measured {_number(car.measured_kwh, 3)} kWh  {_counts(car.quality)}"
     ).rstrip()
@@ -246,8 +246,8 @@ def add_predictions(rides: pd.DataFrame, models: ShadowModels) -> pd.DataFrame:
     if others:
         labels = [monitor.label for monitor in models.monitors[1:]]
         rows = zip(*(energies.tolist() for energies in others), strict=True)
-        told = [dict(zip(labels, row, strict=True)) for row in rows]
-        rides = rides.assign(shadows_kwh=pd.Series(told, index=rides.index, dtype=object))
+        predictions = [dict(zip(labels, row, strict=True)) for row in rows]
+        rides = rides.assign(shadows_kwh=pd.Series(predictions, index=rides.index, dtype=object))
     measured = rides["energy_kwh"].to_numpy(np.float64)
     error = np.full(len(rides), np.nan)
     np.divide(100.0 * (predicted - measured), measured, out=error, where=measured > 0.05)
@@ -347,8 +347,8 @@ def summary(rides: pd.DataFrame, quality: dict[str, Any]) -> list[str]:
         ("messages that could not be decoded", quality["undecodable"]),
         ("vehicle messages that allow no prediction", quality["unpredictable"]),
     ):
-        if told := _counts(counts):
-            lines.append(f"{what}: {told}")
+        if text := _counts(counts):
+            lines.append(f"{what}: {text}")
     return lines
 
 

@@ -18,7 +18,7 @@ from tools.terminal.rich_table import Column, make_table
 
 DEFAULT_MODEL: Final = "extended_physical"
 """The model if the command line names none."""
-SAID: Final = (
+VERDICT_NOTE: Final = (
     "better or worse: the 95 % interval of the difference excludes zero; it holds for all models "
     "together, however often the table is read; only ended vehicle-days count"
 )
@@ -67,12 +67,12 @@ def load_models(names: Sequence[str] | None) -> list[LinearModel]:
     return [models.load(name) for name in names or [DEFAULT_MODEL]]
 
 
-def make_models_table(told: Sequence[ModelErrors], *, wide: bool, by_vehicle_model: bool = False) -> Table:
+def make_models_table(errors_of_models: Sequence[ModelErrors], *, wide: bool, by_vehicle_model: bool = False) -> Table:
     """Return a table of the errors of models, one row per model.
 
     Parameters
     ----------
-    told : sequence of ModelErrors
+    errors_of_models : sequence of ModelErrors
         Errors of each model; the first model makes the forecasts.
     wide : bool
         Whether the table has all columns.
@@ -89,7 +89,7 @@ def make_models_table(told: Sequence[ModelErrors], *, wide: bool, by_vehicle_mod
         Column("against\nfirst", fixed=True, min_width=8),
     ]
     table = make_table(columns, "Models, over rides fit for training")
-    for place, model in enumerate(told, 1):
+    for place, model in enumerate(errors_of_models, 1):
         table.add_row(Text(f"{place} {model.model}"), *_cells(model.overall, wide=wide))
         for errors in model.by_vehicle_model if by_vehicle_model else ():
             table.add_row(Text(f"    {errors.vehicle_model}"), *_cells(errors, wide=wide))
@@ -117,7 +117,7 @@ def describe_gain(gain: Gain) -> str:
 
 
 def show_models(
-    console: Console, told: Sequence[ModelErrors], known: Sequence[LinearModel], rides: pd.DataFrame
+    console: Console, errors_of_models: Sequence[ModelErrors], known: Sequence[LinearModel], rides: pd.DataFrame
 ) -> None:
     """Print the errors of models on rides, and warn of rides that a model may have been fitted to.
 
@@ -125,16 +125,18 @@ def show_models(
     ----------
     console : rich.console.Console
         Console to print on.
-    told : sequence of ModelErrors
+    errors_of_models : sequence of ModelErrors
         Errors of each model.
     known : sequence of LinearModel
         The models, for the dates of their training.
     rides : DataFrame
         Ride table, with a column `date`.
     """
-    console.print(make_models_table(told, wide=console.width >= WIDE, by_vehicle_model=True))
-    verdicts = [f"{model.model}: {describe_gain(model.overall.gain)}" for model in told if model.overall.gain]
-    for sentence in (*verdicts, SAID, *warn_of_training_days(known, rides)):
+    console.print(make_models_table(errors_of_models, wide=console.width >= WIDE, by_vehicle_model=True))
+    verdicts = [
+        f"{model.model}: {describe_gain(model.overall.gain)}" for model in errors_of_models if model.overall.gain
+    ]
+    for sentence in (*verdicts, VERDICT_NOTE, *warn_of_training_days(known, rides)):
         console.print(sentence, markup=False, highlight=False, soft_wrap=not console.is_terminal)
 
 
@@ -169,19 +171,19 @@ def warn_of_training_days(known: Sequence[LinearModel], rides: pd.DataFrame) -> 
     return lines
 
 
-def make_records(told: Sequence[ModelErrors]) -> list[Any]:
+def make_records(errors_of_models: Sequence[ModelErrors]) -> list[Any]:
     """Return the errors of each model in the form of their wire message, for JSON.
 
     Parameters
     ----------
-    told : sequence of ModelErrors
+    errors_of_models : sequence of ModelErrors
         Errors of each model.
 
     Returns
     -------
     list of dict
     """
-    return [msgspec.to_builtins(model) for model in told]
+    return [msgspec.to_builtins(model) for model in errors_of_models]
 
 
 def make_log_fields(model: ModelErrors) -> dict[str, Any]:
@@ -198,9 +200,9 @@ def make_log_fields(model: ModelErrors) -> dict[str, Any]:
     """
     overall = model.overall
     gain = overall.gain
-    told: dict[str, Any] = {"model": model.model} | msgspec.to_builtins(overall)
-    told |= {} if gain is None else {f"gain_{name}": value for name, value in msgspec.to_builtins(gain).items()}
-    return {name: value for name, value in told.items() if value is not None and name != "gain"}
+    fields: dict[str, Any] = {"model": model.model} | msgspec.to_builtins(overall)
+    fields |= {} if gain is None else {f"gain_{name}": value for name, value in msgspec.to_builtins(gain).items()}
+    return {name: value for name, value in fields.items() if value is not None and name != "gain"}
 
 
 def _cells(errors: RideErrors, *, wide: bool) -> tuple[str | Text, ...]:
@@ -208,16 +210,16 @@ def _cells(errors: RideErrors, *, wide: bool) -> tuple[str | Text, ...]:
     gain = errors.gain
     rides, mae = f"{errors.rides:,}", _number(errors.mae_kwh, ".3f")
     by = days = ""
-    told = Text()
+    verdict = Text()
     if gain:
         by, days = _number(gain.mean_kwh, ".3f"), f"{gain.vehicle_days:,}"
         if gain.lower_kwh is not None and gain.upper_kwh is not None:
             by += format_minus(f" ({gain.lower_kwh:.3f} to {gain.upper_kwh:.3f})")
-        told = Text(gain.verdict, style={"better": "green", "worse": "red"}.get(gain.verdict, ""))
+        verdict = Text(gain.verdict, style={"better": "green", "worse": "red"}.get(gain.verdict, ""))
     if not wide:
-        return (rides, mae, by, told)
+        return (rides, mae, by, verdict)
     unpredicted, share = f"{errors.unpredicted_rides:,}", _number(errors.mae_pct, ".1f")
-    return (rides, unpredicted, mae, share, _number(errors.bias_kwh, "+.3f"), by, days, told)
+    return (rides, unpredicted, mae, share, _number(errors.bias_kwh, "+.3f"), by, days, verdict)
 
 
 def _number(value: float | None, spec: str) -> str:

@@ -38,7 +38,7 @@ def insert_options(name: str, build: Function) -> Callable[[Function], Function]
     options = signature(build).parameters
 
     def decorate(command: Function) -> Function:
-        own = signature(command)
+        original = signature(command)
 
         @wraps(command)
         def called(**given: Any) -> Any:
@@ -46,10 +46,10 @@ def insert_options(name: str, build: Function) -> Callable[[Function], Function]
             return command(**given, **{name: value})
 
         shown: list[Parameter] = []
-        for each in own.parameters.values():
+        for each in original.parameters.values():
             inserted = options.values() if each.name == name else [each]
             shown += [parameter.replace(kind=Parameter.KEYWORD_ONLY) for parameter in inserted]
-        called.__signature__ = own.replace(parameters=shown)  # type: ignore[attr-defined]
+        called.__signature__ = original.replace(parameters=shown)  # type: ignore[attr-defined]
         return called
 
     return decorate

@@ -143,8 +143,8 @@ def write_json(path: Path | None, report: str, value: Mapping[str, Any] | msgspe
     """
     if path is None:
         return
-    own = msgspec.to_builtins(value) if isinstance(value, msgspec.Struct) else value
-    content = {"format": {"report": report, "version": REPORT_VERSIONS[report]}, **own}
+    builtins = msgspec.to_builtins(value) if isinstance(value, msgspec.Struct) else value
+    content = {"format": {"report": report, "version": REPORT_VERSIONS[report]}, **builtins}
     text = msgspec.json.format(msgspec.json.encode(content), indent=2) + b"\n"
     if path == STANDARD_OUTPUT:
         sys.stdout.write(text.decode())

@@ -15,7 +15,7 @@ from tools.terminal.rich_table import Column, make_table
 
 AHEAD: Final = {"2h": 7200.0, "1h": 3600.0}
 """Lead times before a shift's end at which the report evaluates its forecast. [s]"""
-TOLD: Final = ("begin", *AHEAD)
+MADE_AT: Final = ("begin", *AHEAD)
 """Names of the times at which the evaluated forecasts were made."""
 MOST_SHIFTS: Final = 60
 """Largest number of shifts listed on a terminal; the JSON report lists all."""
@@ -41,7 +41,7 @@ class ShiftOutcomes:
 
     def __init__(self, pipeline: Pipeline) -> None:
         self._pipeline = pipeline
-        self._told: list[pd.DataFrame] = []
+        self._forecasts: list[pd.DataFrame] = []
         self._ended: list[pd.DataFrame] = []
         self._rows = 0
         self._newest = -np.inf
@@ -49,11 +49,11 @@ class ShiftOutcomes:
 
     def __call__(self) -> None:
         """Collect the forecasts and the ended shifts of the pipeline since the last call."""
-        told, ended = self._pipeline.take_outlooks(), self._pipeline.take_shifts()
-        self._newest = max(self._newest, told["time_s"].max() if len(told) else -np.inf)
-        self._told.append(told[told["soc_mean_pct"].notna()])
+        forecasts, ended = self._pipeline.take_outlooks(), self._pipeline.take_shifts()
+        self._newest = max(self._newest, forecasts["time_s"].max() if len(forecasts) else -np.inf)
+        self._forecasts.append(forecasts[forecasts["soc_mean_pct"].notna()])
         self._ended.append(ended)
-        self._rows += len(self._told[-1])
+        self._rows += len(self._forecasts[-1])
         if self._rows > MOST_ROWS:
             self._settle()
 
@@ -70,7 +70,7 @@ class ShiftOutcomes:
             - `soc_begin_pct`, `soc_end_pct`: charge at the beginning, and charge as last reported [%];
             - `charged_s`: Unix time at which the car last charged after it had set out, or None [s];
             - `cut`: whether the recording ends before the shift;
-            - `forecasts`: forecasts of the shift's end, by the name of the time at which they were made, see `TOLD`.
+            - `forecasts`: forecasts of the shift's end, by the name of the time at which they were made, see `MADE_AT`.
 
             A forecast is None if it does not exist. Otherwise it has `time_s` [s], `mean`, `p05`, `p95` [%] and `held`.
             `held` is whether the outcome was between `p05` and `p95`. It is None if the outcome is unknown, for example
@@ -82,45 +82,48 @@ class ShiftOutcomes:
 
     def _settle(self) -> None:
         """Make the records of ended shifts, and delete forecasts that are no longer needed."""
-        if not self._told:
+        if not self._forecasts:
             return
-        told, ended = pd.concat(self._told), pd.concat(self._ended)
-        of_shifts = dict(iter(told.groupby(SHIFT_KEY, sort=False)))
+        forecasts, ended = pd.concat(self._forecasts), pd.concat(self._ended)
+        of_shifts = dict(iter(forecasts.groupby(SHIFT_KEY, sort=False)))
         for _, shift in ended.iterrows():
-            own = of_shifts.pop(tuple(shift[name] for name in SHIFT_KEY), told[:0])
-            self._records.append(_record(shift, own, self._newest))
-        left = [_needed(own) for own in of_shifts.values()]
-        self._told, self._ended = [told[:0], *left], [ended[:0]]
+            of_shift = of_shifts.pop(tuple(shift[name] for name in SHIFT_KEY), forecasts[:0])
+            self._records.append(_record(shift, of_shift, self._newest))
+        left = [_needed(of_shift) for of_shift in of_shifts.values()]
+        self._forecasts, self._ended = [forecasts[:0], *left], [ended[:0]]
         self._rows = sum(map(len, left))
 
 
-def _needed(told: pd.DataFrame) -> pd.DataFrame:
+def _needed(forecasts: pd.DataFrame) -> pd.DataFrame:
     """Return the forecasts of a shift in progress that the report may still need: the first and the newest."""
-    late = told["time_s"] >= told["time_s"].iloc[-1] - max(AHEAD.values()) - MOST_FORECAST_AGE
+    late = forecasts["time_s"] >= forecasts["time_s"].iloc[-1] - max(AHEAD.values()) - MOST_FORECAST_AGE
     late.iloc[0] = True
-    kept: pd.DataFrame = told.loc[late]
+    kept: pd.DataFrame = forecasts.loc[late]
     return kept
 
 
-def _record(shift: "pd.Series[Any]", told: pd.DataFrame, newest: float) -> dict[str, Any]:
+def _record(shift: "pd.Series[Any]", forecasts: pd.DataFrame, newest: float) -> dict[str, Any]:
     """Return the record of a shift with its forecasts, which must be in order of time."""
-    time = told["time_s"].to_numpy(np.float64)
+    time = forecasts["time_s"].to_numpy(np.float64)
     places = {"begin": 0 if len(time) and time[0] <= shift["begin_s"] + MOST_FORECAST_AGE else -1}
     for name, ahead in AHEAD.items():
         at = shift["end_s"] - ahead
         place = int(np.searchsorted(time, at, side="right")) - 1
         places[name] = place if place >= 0 and time[place] >= at - MOST_FORECAST_AGE else -1
     names = ("vehicle_id", "vehicle_model", "begin_s", "end_s", "soc_begin_pct", "soc_end_pct", "charged_s")
-    own = {name: None if pd.isna(shift[name]) else shift[name] for name in names}
-    planned = told["shift_end_s"][told["planned"].astype(bool)]
+    record = {name: None if pd.isna(shift[name]) else shift[name] for name in names}
+    planned = forecasts["shift_end_s"][forecasts["planned"].astype(bool)]
     late = len(planned) > 0 and planned.iloc[-1] > shift["end_s"] + CUT_SHORT_MARGIN
-    own["cut"] = bool(late and newest - shift["end_s"] < MOST_FORECAST_AGE)
-    return own | {
-        "forecasts": {name: _told(told.iloc[place], own) if place >= 0 else None for name, place in places.items()}
+    record["cut"] = bool(late and newest - shift["end_s"] < MOST_FORECAST_AGE)
+    return record | {
+        "forecasts": {
+            name: _record_forecast(forecasts.iloc[place], record) if place >= 0 else None
+            for name, place in places.items()
+        }
     }
 
 
-def _told(row: "pd.Series[Any]", shift: dict[str, Any]) -> dict[str, Any]:
+def _record_forecast(row: "pd.Series[Any]", shift: dict[str, Any]) -> dict[str, Any]:
     """Return the record of a forecast of a shift's end, with whether the outcome was in its interval."""
     figures = {name: float(row[column]) for name, column in _FIGURES.items()}
     became, charged = shift["soc_end_pct"], shift["charged_s"]
@@ -141,7 +144,7 @@ def show_outcomes(console: Console, shifts: list[dict[str, Any]]) -> None:
     """
     if not shifts:
         return
-    if not any(told for shift in shifts for told in shift["forecasts"].values()):
+    if not any(forecast for shift in shifts for forecast in shift["forecasts"].values()):
         console.print(NO_INTERVALS, markup=False, highlight=False, soft_wrap=not console.is_terminal)
         return
     numbers = ("at its\nbeginning", "forecast\nthen", "2 h before\nthe end", "1 h before\nthe end", "outcome")
@@ -173,8 +176,12 @@ def summary(shifts: list[dict[str, Any]]) -> list[str]:
     list of str
     """
     lines = []
-    for name, words in zip(TOLD, ("at the beginning", "2 h before the end", "1 h before the end"), strict=True):
-        held = [told["held"] for shift in shifts if (told := shift["forecasts"][name]) and told["held"] is not None]
+    for name, words in zip(MADE_AT, ("at the beginning", "2 h before the end", "1 h before the end"), strict=True):
+        held = [
+            forecast["held"]
+            for shift in shifts
+            if (forecast := shift["forecasts"][name]) and forecast["held"] is not None
+        ]
         if held:
             lines.append(f"forecast {words}: {sum(held):,} of {len(held):,} outcomes were within the 90 % interval")
     return lines
@@ -182,13 +189,13 @@ def summary(shifts: list[dict[str, Any]]) -> list[str]:
 
 def _cells(shift: dict[str, Any]) -> list[str | Text]:
     """Return the cells of a shift's row."""
-    held = [told["held"] for told in shift["forecasts"].values() if told and told["held"] is not None]
+    held = [forecast["held"] for forecast in shift["forecasts"].values() if forecast and forecast["held"] is not None]
     verdict = f"{sum(held)} of {len(held)}" if held else "–"
     return [
         Text(shift["vehicle_id"]),
         f"{_clock(shift['begin_s'], '%m-%d %H:%M')}–{_clock(shift['end_s'], '%H:%M')}",
         _percent(shift["soc_begin_pct"]),
-        *(_interval(shift["forecasts"][name]) for name in TOLD),
+        *(_interval(shift["forecasts"][name]) for name in MADE_AT),
         _percent(shift["soc_end_pct"]),
         Text(verdict, style="" if all(held) else "red"),
         _note(shift),
@@ -201,9 +208,9 @@ def _note(shift: dict[str, Any]) -> str:
     return ", ".join([*charged, *(["in progress"] if shift["cut"] else [])])
 
 
-def _interval(told: dict[str, Any] | None) -> str:
+def _interval(forecast: dict[str, Any] | None) -> str:
     """Return the text of a mean and its interval."""
-    return "–" if told is None else f"{told['mean']:.0f} ({told['p05']:.0f} to {told['p95']:.0f})"
+    return "–" if forecast is None else f"{forecast['mean']:.0f} ({forecast['p05']:.0f} to {forecast['p95']:.0f})"
 
 
 def _percent(value: float | None) -> str:

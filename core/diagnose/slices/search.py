@@ -133,7 +133,7 @@ def find_slices(
     for one, other in (halves, halves[::-1]):
         found += _confirmed(search_slices(one, known, most), one, other, level / 2.0)
     found.sort(key=lambda finding: -finding.found.score)
-    return [_told(each, known) for each in _distinct(found, halves, known)[:most]]
+    return [_describe(each, known) for each in _distinct(found, halves, known)[:most]]
 
 
 def _in_order(rides: pd.DataFrame, error: Floats) -> tuple[pd.DataFrame, Floats, Ints]:
@@ -355,7 +355,7 @@ def _shared(one: Sequence[int], other: Sequence[int], halves: Sequence[Half]) ->
     return float(_overlap(masks[0][None, :], masks[1])[0])
 
 
-def _told(finding: ConfirmedSlice, known: Sequence[RideCondition]) -> dict[str, Any]:
+def _describe(finding: ConfirmedSlice, known: Sequence[RideCondition]) -> dict[str, Any]:
     """Return the entry of a slice in the result."""
     words = [known[i].words for i in finding.found.conditions]
     return {"where": ", ".join(words), "conditions": words, **finding.figures}

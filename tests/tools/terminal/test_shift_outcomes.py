@@ -89,7 +89,7 @@ def test_deleted_forecasts_bound_memory(monkeypatch):
     found = ShiftOutcomes(Recited(made, ended, made["time_s"].to_numpy()[::100]))
     for _ in range(len(made) // 100):
         found()
-        assert sum(map(len, found._told)) < 800
+        assert sum(map(len, found._forecasts)) < 800
 
 
 def test_forecast_before_charge_or_of_unfinished_shift_is_not_evaluated():

@@ -79,14 +79,14 @@ def draw_scatter(result: Result, model: str, every: int = 1) -> go.Figure:
     """Return a figure of the energies of rides, with bands of relative error."""
     rides = get_mapping(result, "rides")
     measured, predicted = list(rides["measured_kwh"])[::every], list(rides["predicted_kwh"][model])[::every]
-    own = get_look(result, model)
+    style = get_look(result, model)
     points = go.Scatter(
         name="ride",
         x=measured,
         y=predicted,
         text=[escape_label(str(key)) for key in list(rides["key"])[::every]],
         mode="markers",
-        marker={"symbol": f"{own.symbol}-open", "size": 5, "color": own.colour, "line": {"width": 1}},
+        marker={"symbol": f"{style.symbol}-open", "size": 5, "color": style.colour, "line": {"width": 1}},
         hovertemplate="%{text}: measured %{x:.3f}, predicted %{y:.3f} kWh<extra></extra>",
     )
     ends = [min(0.0, *measured), max(measured)]
@@ -127,15 +127,18 @@ def illustrate_conditions(result: Result) -> list[Illustration]:
 def draw_errors_by_condition(result: Result, name: str) -> go.Figure:
     """Return a figure of the bias above and the mean absolute error below, of all models."""
     made = make_stacked_figure(("bias, kWh per ride", "mean absolute error, kWh per ride"), 560)
-    found = {model: index_bins(get_part(own, "by", name)) for model, own in get_mapping(result, "models").items()}
+    by_model = {
+        model: index_bins(get_part(bins_of_model, "by", name))
+        for model, bins_of_model in get_mapping(result, "models").items()
+    }
     shown = select_most_significant(
-        [{key: get_part(e, "bias_kwh") for key, e in own.items()} for own in found.values()]
+        [{key: get_part(e, "bias_kwh") for key, e in bins_of_model.items()} for bins_of_model in by_model.values()]
     )
-    among = [get_part(entry, "bias_kwh") for own in found.values() for entry in own.values()]
-    for model, own in found.items():
-        bins = [key for key in shown if key in own]
+    among = [get_part(entry, "bias_kwh") for bins_of_model in by_model.values() for entry in bins_of_model.values()]
+    for model, bins_of_model in by_model.items():
+        bins = [key for key in shown if key in bins_of_model]
         x = [escape_label(key) for key in bins]
-        bias = [get_part(own, key, "bias_kwh") for key in bins]
+        bias = [get_part(bins_of_model, key, "bias_kwh") for key in bins]
         look_of = get_look(result, model)
         above = draw_curve(
             escape_label(model),
@@ -149,7 +152,7 @@ def draw_errors_by_condition(result: Result, name: str) -> go.Figure:
             escape_label(model),
             look_of,
             x,
-            [get_number(get_part(own, key, "mae_kwh")) for key in bins],
+            [get_number(get_part(bins_of_model, key, "mae_kwh")) for key in bins],
             legendgroup=model,
             showlegend=False,
         )
@@ -183,12 +186,12 @@ def illustrate_terms(result: Result) -> list[Illustration]:
 
 def draw_difference_terms(result: Result, model: str) -> go.Figure:
     """Return a figure of a difference in consumption; from the top: measured, predicted, remainder, terms."""
-    own = get_mapping(result, "against", "models", model)
+    difference = get_mapping(result, "against", "models", model)
     rows = [
         ("measured", get_part(result, "against", "consumption", "difference")),
-        ("predicted", get_part(own, "explained", "difference")),
-        ("measured less predicted", get_part(own, "unexplained", "difference")),
-        *((str(term["name"]), term["difference"]) for term in get_part(own, "terms") or ()),
+        ("predicted", get_part(difference, "explained", "difference")),
+        ("measured less predicted", get_part(difference, "unexplained", "difference")),
+        *((str(term["name"]), term["difference"]) for term in get_part(difference, "terms") or ()),
     ]
     rows.reverse()
     x, spread = [get_number(value) for _, value in rows], [get_half_width(value) for _, value in rows]
@@ -210,8 +213,8 @@ def illustrate_datasets(result: Result) -> list[Illustration]:
         Illustration(
             f"contrast-{i}-{j}", f"{model}: bias by {name}", caption, draw_bias_of_datasets(name, bins), small=True
         )
-        for i, (model, own) in enumerate(get_mapping(result, "against", "models").items())
-        for j, (name, bins) in enumerate(get_mapping(own, "by").items())
+        for i, (model, of_model) in enumerate(get_mapping(result, "against", "models").items())
+        for j, (name, bins) in enumerate(get_mapping(of_model, "by").items())
     ]
 
 
@@ -221,12 +224,16 @@ def draw_bias_of_datasets(name: str, bins: Sequence[Mapping[str, Any]]) -> go.Fi
     kept = [entry for entry in bins if str(entry["bin"]) in shown]
     x = [escape_label(str(entry["bin"])) for entry in kept]
     sides = {side: [get_part(entry, "bias_kwh", side) for entry in kept] for side in ("first", "second")}
-    among = [bias for own in sides.values() for bias in own]
+    among = [bias for errors in sides.values() for bias in errors]
     traces = [
         draw_curve(
-            side, get_model_style(place), x, [get_number(bias) for bias in own], select_interval_widths(own, among)
+            side,
+            get_model_style(place),
+            x,
+            [get_number(bias) for bias in errors],
+            select_interval_widths(errors, among),
         )
-        for place, (side, own) in enumerate(sides.items())
+        for place, (side, errors) in enumerate(sides.items())
     ]
     made = make_figure(traces, 320)
     made.add_hline(y=0.0, line={**REFERENCE_LINE, "width": 1})

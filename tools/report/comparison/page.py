@@ -34,44 +34,44 @@ def show(result: Any, console: Console) -> None:
     console : Console
         Console of at least 120 columns.
     """
-    found = to_json_values(result)
-    if "trace" in found:
-        for section in reversed(build_trace_sections(found["trace"])):
+    values = to_json_values(result)
+    if "trace" in values:
+        for section in reversed(build_trace_sections(values["trace"])):
             print_section(section, console)
         return
-    shown = [section for section in build_sections(found, commands=False) if section.key in ORDER]
+    shown = [section for section in build_sections(values, commands=False) if section.key in ORDER]
     for section in sorted(shown, key=lambda section: ORDER.index(section.key)):
         print_section(section, console)
         if section.key == "worst":
-            _print_commands(found, console)
-    for note in found["notes"]:
+            _print_commands(values, console)
+    for note in values["notes"]:
         console.print(Text(note, style="yellow"))
 
 
 def write(result: Any, path: Path) -> None:
     """Write a comparison, or the trace of a ride, as a self-contained page."""
-    found = to_json_values(result)
+    values = to_json_values(result)
     made_by = "<p>Made by <code>socast compare</code>.</p>"
-    if "trace" in found:
-        drawn = traced.build_illustrations(found["trace"])
-        ride = get_part(found, "trace", "ride")
+    if "trace" in values:
+        drawn = traced.build_illustrations(values["trace"])
+        ride = get_part(values, "trace", "ride")
         title = f"Ride {ride['ride_key']}"
         page = render_document(
             "compare",
             title,
             "",
-            build_trace_sections(found["trace"]),
+            build_trace_sections(values["trace"]),
             lambda key: drawn if key == "trace" else [],
             made_by,
         )
     else:
-        notes = "".join(f"<li>{escape(note)}</li>" for note in found["notes"])
+        notes = "".join(f"<li>{escape(note)}</li>" for note in values["notes"])
         page = render_document(
             "compare",
             TITLE,
             "",
-            build_sections(found, commands=True),
-            lambda key: build_illustrations(found, key),
+            build_sections(values, commands=True),
+            lambda key: build_illustrations(values, key),
             f"<ul>{notes}</ul>{made_by}",
         )
     save(page, path)
@@ -95,7 +95,7 @@ def build_sections(result: Result, *, commands: bool) -> list[Section]:
     ]
     against = get_mapping(result, "against")
     sides = f"First: {against['first']}. Second: {against['second']}: {_about(against['about'])}" if against else ""
-    found = [
+    sections = [
         Section(
             MODELS,
             "The models",
@@ -115,7 +115,7 @@ def build_sections(result: Result, *, commands: bool) -> list[Section]:
         Section("places", "Errors by condition", "", tables.tabulate_conditions(result)),
         Section("worst", "The worst rides", "Each command shows the trace of its ride.", worst),
     ]
-    return [section for section in found if any(table.rows for table in section.tables)]
+    return [section for section in sections if any(table.rows for table in section.tables)]
 
 
 def build_illustrations(result: Result, key: str) -> list[Illustration]:
@@ -129,17 +129,17 @@ def build_illustrations(result: Result, key: str) -> list[Illustration]:
     return figures.illustrate_datasets(result) if key == "contrast" else []
 
 
-def build_trace_sections(found: Result) -> list[Section]:
+def build_trace_sections(trace: Result) -> list[Section]:
     """Return the sections of a trace."""
     return [
         Section(
             "trace",
             "Prediction and measurement along the ride",
-            traced.describe_ride(found),
-            [traced.tabulate_models(found)],
+            traced.describe_ride(trace),
+            [traced.tabulate_models(trace)],
         ),
-        Section("terms", "Terms of the predictions", "", traced.tabulate_terms(found)),
-        Section("windows", "Window by window", "", [traced.tabulate_windows(found)]),
+        Section("terms", "Terms of the predictions", "", traced.tabulate_terms(trace)),
+        Section("windows", "Window by window", "", [traced.tabulate_windows(trace)]),
     ]
 
 
@@ -173,8 +173,8 @@ def _shared(against: Result) -> str:
 def _print_commands(result: Result, console: Console) -> None:
     """Print the commands that trace the worst rides, one per line, ready to copy."""
     names = tables.list_models(result)
-    found = get_mapping(result, "models", names[0], "worst")
-    lines = dict.fromkeys(str(ride["command"]) for rides in found.values() for ride in rides if "command" in ride)
+    worst = get_mapping(result, "models", names[0], "worst")
+    lines = dict.fromkeys(str(ride["command"]) for rides in worst.values() for ride in rides if "command" in ride)
     console.print()
     for line in lines:
         console.print(line, markup=False, highlight=False, soft_wrap=True)

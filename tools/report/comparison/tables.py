@@ -67,21 +67,23 @@ def format_estimate(estimate: Any, digits: int = 1) -> str:
 
 def tabulate_models(result: Result) -> ReportTable:
     """Return the errors of each model."""
-    found = get_mapping(result, "models")
-    errors = [get_number(get_part(own, "mae_kwh")) for own in found.values()]
-    first = mark_least([Cell(_share(format_energy, own, "mae_kwh", "relative")) for own in found.values()], errors)
+    by_model = get_mapping(result, "models")
+    errors = [get_number(get_part(scores, "mae_kwh")) for scores in by_model.values()]
+    first = mark_least(
+        [Cell(_share(format_energy, scores, "mae_kwh", "relative")) for scores in by_model.values()], errors
+    )
     rows = tuple(
         Row(
             name,
             (
-                Cell(format_count(get_part(own, "rides"))),
+                Cell(format_count(get_part(scores, "rides"))),
                 error,
-                Cell(_share(format_difference, own, "bias_kwh", "relative_bias")),
-                Cell(format_energy(get_part(own, "rmse_kwh"))),
-                *(Cell(format_percent(get_part(own, "within", str(band)))) for band in BANDS),
+                Cell(_share(format_difference, scores, "bias_kwh", "relative_bias")),
+                Cell(format_energy(get_part(scores, "rmse_kwh"))),
+                *(Cell(format_percent(get_part(scores, "within", str(band)))) for band in BANDS),
             ),
         )
-        for (name, own), error in zip(found.items(), first, strict=True)
+        for (name, scores), error in zip(by_model.items(), first, strict=True)
     )
     heads = ("rides", "MAE, kWh", "bias, kWh", "RMSE, kWh", *(f"±{band} %" for band in BANDS))
     notes = (
@@ -92,9 +94,9 @@ def tabulate_models(result: Result) -> ReportTable:
     return ReportTable("Errors of the models", "model", heads, rows, notes)
 
 
-def _share(shown: Callable[[Any], str], own: Mapping[str, Any], name: str, relative: str) -> str:
+def _share(shown: Callable[[Any], str], scores: Mapping[str, Any], name: str, relative: str) -> str:
     """Return a figure and its share of consumption."""
-    return f"{shown(own.get(name))} ({format_percent(own.get(relative))})"
+    return f"{shown(scores.get(name))} ({format_percent(scores.get(relative))})"
 
 
 def tabulate_pairs(result: Result) -> ReportTable:
@@ -145,16 +147,16 @@ def tabulate_conditions(result: Result) -> list[ReportTable]:
 
 def list_varying_conditions(result: Result) -> list[str]:
     """Return the conditions in which the rides differ: those with more than one bin."""
-    found = [get_mapping(own, "by") for own in get_mapping(result, "models").values()]
-    return list(dict.fromkeys(name for by in found for name, bins in by.items() if len(bins) > 1))
+    by_model = [get_mapping(scores, "by") for scores in get_mapping(result, "models").values()]
+    return list(dict.fromkeys(name for by in by_model for name, bins in by.items() if len(bins) > 1))
 
 
 def tabulate_errors_by_condition(result: Result, name: str) -> ReportTable:
     """Return bias and error of all models in the bins of a condition."""
-    by_model = {model: index_bins(get_part(own, "by", name)) for model, own in get_mapping(result, "models").items()}
+    by_model = {model: index_bins(get_part(bins, "by", name)) for model, bins in get_mapping(result, "models").items()}
     first = next(iter(by_model.values()))
     shown = select_most_significant(
-        [{label: get_part(e, "bias_kwh") for label, e in own.items()} for own in by_model.values()]
+        [{label: get_part(e, "bias_kwh") for label, e in bins.items()} for bins in by_model.values()]
     )
     rows = tuple(
         Row(
@@ -162,7 +164,7 @@ def tabulate_errors_by_condition(result: Result, name: str) -> ReportTable:
             (
                 Cell(format_count(first[label].get("n"))),
                 Cell(format_count(first[label].get("vehicle_days"))),
-                *(_bias_and_error(found.get(label), share=len(by_model) <= FEW) for found in by_model.values()),
+                *(_bias_and_error(bins.get(label), share=len(by_model) <= FEW) for bins in by_model.values()),
             ),
         )
         for label in shown
@@ -183,23 +185,23 @@ def format_condition(name: str) -> str:
     return f"{name}, {UNITS[name]}" if name in UNITS else name
 
 
-def index_bins(found: Any) -> dict[str, Mapping[str, Any]]:
+def index_bins(bins: Any) -> dict[str, Mapping[str, Any]]:
     """Return bins by name."""
-    return {str(entry["bin"]): entry for entry in found or ()}
+    return {str(entry["bin"]): entry for entry in bins or ()}
 
 
-def select_most_significant(found: Sequence[Mapping[str, Any]]) -> list[str]:
+def select_most_significant(by_model: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the bins that are shown, in order.
 
     Parameters
     ----------
-    found : sequence of mapping
+    by_model : sequence of mapping
         For each model, bin to bias with its interval.
     """
-    labels = list(dict.fromkeys(label for own in found for label in own))
+    labels = list(dict.fromkeys(label for bins in by_model for label in bins))
 
     def sure(label: str) -> float:
-        known = [(get_number(get_part(own, label)), get_half_width(get_part(own, label))) for own in found]
+        known = [(get_number(get_part(bins, label)), get_half_width(get_part(bins, label))) for bins in by_model]
         return max((abs(bias) / width for bias, width in known if bias is not None and width), default=0.0)
 
     kept = set(sorted(labels, key=sure, reverse=True)[:MOST_BINS])
@@ -223,12 +225,12 @@ def _bias_and_error(entry: Mapping[str, Any] | None, *, share: bool) -> Cell:
 
 def tabulate_worst_rides(result: Result, model: str, *, commands: bool) -> list[ReportTable]:
     """Return the rides of a model's largest errors, with the command that traces each where there is room."""
-    found = get_mapping(result, "models", model, "worst")
+    worst = get_mapping(result, "models", model, "worst")
     return [
-        _worst(f"{model}: the largest errors, kWh", get_part(found, "absolute") or (), commands=commands),
+        _worst(f"{model}: the largest errors, kWh", get_part(worst, "absolute") or (), commands=commands),
         _worst(
             f"{model}: the largest errors relative to measured energy, kWh",
-            get_part(found, "relative") or (),
+            get_part(worst, "relative") or (),
             commands=commands,
         )._replace(notes=(f"Only rides whose energy is measured to within {format_percent(MOST_RELATIVE_SD, 0)}.",)),
     ]
@@ -274,7 +276,7 @@ def _property(entry: Mapping[str, Any]) -> str:
 def _sides(
     title: str,
     corner: str,
-    found: Sequence[Mapping[str, Any]],
+    entries: Sequence[Mapping[str, Any]],
     named: Callable[[Mapping[str, Any]], str],
     shown: Callable[[Any], str],
 ) -> ReportTable:
@@ -288,21 +290,21 @@ def _sides(
                 Cell(format_difference(entry["difference"], 1), strong=is_significant(entry)),
             ),
         )
-        for entry in found
+        for entry in entries
     )
     return ReportTable(title, corner, ("first", "second", "second less first"), rows)
 
 
 def tabulate_difference_terms(against: Result, model: str) -> ReportTable:
     """Return the difference in consumption as a model explains it, term by term."""
-    own = get_mapping(against, "models", model)
+    difference = get_mapping(against, "models", model)
     sums = [
-        ("predicted", get_mapping(own, "explained")),
+        ("predicted", get_mapping(difference, "explained")),
         ("measured", get_mapping(against, "consumption")),
-        ("measured less predicted", get_mapping(own, "unexplained")),
+        ("measured less predicted", get_mapping(difference, "unexplained")),
     ]
     entries = [
-        *({**entry, "name": f"of it {entry['name']}"} for entry in get_part(own, "terms") or ()),
+        *({**entry, "name": f"of it {entry['name']}"} for entry in get_part(difference, "terms") or ()),
         *({**entry, "name": name} for name, entry in sums),
     ]
     table = _sides(
@@ -323,8 +325,8 @@ def tabulate_difference_terms(against: Result, model: str) -> ReportTable:
 def _errors(against: Result) -> ReportTable:
     """Return bias and error of each model on both sets."""
     rows = []
-    for model, own in get_mapping(against, "models").items():
-        bias, error = get_mapping(own, "bias_kwh"), get_mapping(own, "mae_kwh")
+    for model, estimates in get_mapping(against, "models").items():
+        bias, error = get_mapping(estimates, "bias_kwh"), get_mapping(estimates, "mae_kwh")
         for name, entry, shown in (("bias", bias, format_difference), ("MAE", error, format_energy)):
             sure = (get_number(entry.get("p")) or 1.0) < SIGNIFICANCE
             cells = (
@@ -340,9 +342,9 @@ def _errors(against: Result) -> ReportTable:
 
 def tabulate_datasets_by_condition(result: Result, model: str) -> list[ReportTable]:
     """Return the bias of a model on both sets of rides by each condition."""
-    found = get_mapping(result, "against", "models", model, "by")
+    by_condition = get_mapping(result, "against", "models", model, "by")
     tables = []
-    for name, bins in found.items():
+    for name, bins in by_condition.items():
         shown = select_most_significant(
             [{str(entry["bin"]): get_part(entry, "bias_kwh", "difference") for entry in bins}]
         )

@@ -27,9 +27,9 @@ SECONDS: Final = 3600.0
 """Seconds in an hour. [s]"""
 
 
-def describe_ride(found: Result) -> str:
+def describe_ride(trace: Result) -> str:
     """Return the description of the ride."""
-    ride = get_mapping(found, "ride")
+    ride = get_mapping(trace, "ride")
     names = [str(ride[name]) for name in ("vehicle_model", "date") if ride.get(name)]
     sd = get_number(ride.get("energy_sd_kwh"))
     spread = "" if sd is None else f" ± {sd:.3f} (standard uncertainty)"
@@ -42,48 +42,48 @@ def describe_ride(found: Result) -> str:
     return f"{', '.join([*names, conditions])}{unfit}."
 
 
-def tabulate_models(found: Result) -> ReportTable:
+def tabulate_models(trace: Result) -> ReportTable:
     """Return the prediction of each model, with a description of where it diverges from the measurement."""
-    measured = get_number(get_part(found, "ride", "energy_kwh"))
+    measured = get_number(get_part(trace, "ride", "energy_kwh"))
     rows = []
-    for name, own in get_mapping(found, "models").items():
-        error = get_number(own.get("error_kwh"))
+    for name, of_model in get_mapping(trace, "models").items():
+        error = get_number(of_model.get("error_kwh"))
         share = None if error is None or not measured else error / abs(measured)
         cells = (
-            Cell(format_energy(own.get("predicted_kwh"))),
+            Cell(format_energy(of_model.get("predicted_kwh"))),
             Cell(format_signed(error)),
             Cell(format_percent(share, 0)),
         )
         rows.append(Row(name, cells))
-    notes = [f"{name} {own['words']}." for name, own in get_mapping(found, "models").items()]
+    notes = [f"{name} {of_model['words']}." for name, of_model in get_mapping(trace, "models").items()]
     heads = ("predicted, kWh", "error, kWh", "of measured")
     return ReportTable(
-        "Predictions of the ride", "model", heads, tuple(rows), (*notes, *(get_part(found, "notes") or ()))
+        "Predictions of the ride", "model", heads, tuple(rows), (*notes, *(get_part(trace, "notes") or ()))
     )
 
 
-def tabulate_terms(found: Result) -> list[ReportTable]:
+def tabulate_terms(trace: Result) -> list[ReportTable]:
     """Return the terms of each model: over the ride, and where it diverges from the measurement."""
-    return [_terms(name, own) for name, own in get_mapping(found, "models").items()]
+    return [_terms(name, of_model) for name, of_model in get_mapping(trace, "models").items()]
 
 
-def _terms(model: str, own: Mapping[str, Any]) -> ReportTable:
+def _terms(model: str, of_model: Mapping[str, Any]) -> ReportTable:
     """Return the terms of a model, largest first."""
-    place = get_part(own, "place")
+    place = get_part(of_model, "place")
     at = slice(place["first"], place["last"] + 1) if place else slice(0, 0)
-    start = get_mapping(own, "start_terms")
+    start = get_mapping(of_model, "start_terms")
     figures = {
         name: (start[name] + sum(energy), start[name], sum(list(energy)[at]))
-        for name, energy in get_mapping(own, "terms").items()
+        for name, energy in get_mapping(of_model, "terms").items()
     }
-    shown = [name for name, told in figures.items() if max(map(abs, told)) >= LEAST_SHOWN]
+    shown = [name for name, energies in figures.items() if max(map(abs, energies)) >= LEAST_SHOWN]
     order = sorted(shown, key=lambda name: -abs(figures[name][0]))
     columns = [True, any(start[name] for name in shown), bool(place)]
     heads = ("whole ride", "before the start", f"divergence, {place['minutes']:.1f} min" if place else "")
     rows = tuple(
         Row(
             name,
-            tuple(Cell(format_signed(told)) for told, wanted in zip(figures[name], columns, strict=True) if wanted),
+            tuple(Cell(format_signed(energy)) for energy, wanted in zip(figures[name], columns, strict=True) if wanted),
         )
         for name in order
     )
@@ -98,15 +98,15 @@ def _terms(model: str, own: Mapping[str, Any]) -> ReportTable:
     )
 
 
-def tabulate_windows(found: Result) -> ReportTable:
+def tabulate_windows(trace: Result) -> ReportTable:
     """Return the ride window by window."""
-    own = get_mapping(found, "windows")
-    models = get_mapping(found, "models")
+    windows = get_mapping(trace, "windows")
+    models = get_mapping(trace, "models")
     energy = {name: list(model["energy_kwh"]) for name, model in models.items()}
-    errors = {name: list(_running(found, name)) for name in models}
+    errors = {name: list(_running(trace, name)) for name in models}
     rows = []
     for i, (minute, km, seconds, driven, measured) in enumerate(
-        zip(*(own[n] for n in ("end_min", "end_km", "duration_s", "distance_km", "measured_kwh")), strict=True)
+        zip(*(windows[n] for n in ("end_min", "end_km", "duration_s", "distance_km", "measured_kwh")), strict=True)
     ):
         marks = {name: _mark(model, i) for name, model in models.items()}
         cells = (
@@ -135,16 +135,17 @@ def _kw(energy_kwh: float, seconds: float) -> float | None:
     return SECONDS * energy_kwh / seconds if seconds else None
 
 
-def _running(found: Result, model: str) -> Sequence[float]:
+def _running(trace: Result, model: str) -> Sequence[float]:
     """Return the error so far after each window, including the prediction before the first window. [kWh]"""
-    own = get_mapping(found, "models", model)
+    of_model = get_mapping(trace, "models", model)
     apart = [
-        said - true for said, true in zip(own["energy_kwh"], get_part(found, "windows", "measured_kwh"), strict=True)
+        predicted - true
+        for predicted, true in zip(of_model["energy_kwh"], get_part(trace, "windows", "measured_kwh"), strict=True)
     ]
-    return list(accumulate(apart, initial=own["start_kwh"]))[1:]
+    return list(accumulate(apart, initial=of_model["start_kwh"]))[1:]
 
 
-def build_illustrations(found: Result) -> list[Illustration]:
+def build_illustrations(trace: Result) -> list[Illustration]:
     """Return the figures of energy and error along the ride, of power, and of the terms of each model."""
     note = "Shaded: where the first model and the measurement diverge."
     along = [
@@ -152,78 +153,82 @@ def build_illustrations(found: Result) -> list[Illustration]:
             f"along-{axis.removeprefix('end_')}",
             f"Energy and error against {name}",
             f"{caption} {note}",
-            draw_cumulative(found, axis),
+            draw_cumulative(trace, axis),
         )
         for axis, name, caption in (
             ("end_min", "time", "Energy used so far, measured and predicted, and predicted less measured."),
             ("end_km", "distance", "The same against the distance driven."),
         )
     ]
-    power = Illustration("power", "Power along the ride", f"Mean power of each window. {note}", draw_powers(found))
+    power = Illustration("power", "Power along the ride", f"Mean power of each window. {note}", draw_powers(trace))
     stacks = [
         Illustration(
             f"terms-{i}",
             f"{name}: terms of the prediction",
             "Mean power of each term in each window, stacked. Line: measured power.",
-            draw_terms(found, name),
+            draw_terms(trace, name),
         )
-        for i, name in enumerate(get_mapping(found, "models"))
+        for i, name in enumerate(get_mapping(trace, "models"))
     ]
     return [*along, power, *stacks]
 
 
-def _ends(found: Result, axis: str) -> list[float]:
+def _ends(trace: Result, axis: str) -> list[float]:
     """Return the beginnings of windows, and the end of the last."""
-    return [0.0, *get_part(found, "windows", axis)]
+    return [0.0, *get_part(trace, "windows", axis)]
 
 
-def draw_cumulative(found: Result, axis: str) -> go.Figure:
+def draw_cumulative(trace: Result, axis: str) -> go.Figure:
     """Return a figure of the energy so far above and the error so far below."""
     made = make_stacked_figure(("energy so far, kWh", "error so far, kWh"), 600)
-    x = _ends(found, axis)
+    x = _ends(trace, axis)
     made.add_trace(
-        _steps("measured", MEASURED, x, _sums(get_part(found, "windows", "measured_kwh")), width=3), row=1, col=1
+        _steps("measured", MEASURED, x, _sums(get_part(trace, "windows", "measured_kwh")), width=3), row=1, col=1
     )
-    for place, (name, own) in enumerate(get_mapping(found, "models").items()):
+    for place, (name, of_model) in enumerate(get_mapping(trace, "models").items()):
         look = get_model_style(place)
-        made.add_trace(_steps(escape_label(name), look, x, _sums(own["energy_kwh"], own["start_kwh"])), row=1, col=1)
-        error = [own["start_kwh"], *_running(found, name)]
+        made.add_trace(
+            _steps(escape_label(name), look, x, _sums(of_model["energy_kwh"], of_model["start_kwh"])), row=1, col=1
+        )
+        error = [of_model["start_kwh"], *_running(trace, name)]
         made.add_trace(_steps(escape_label(name), look, x, error, showlegend=False), row=2, col=1)
-    _shade(made, found, x)
+    _shade(made, trace, x)
     made.update_xaxes(title_text=AXES[axis], row=2, col=1)
     made.update_yaxes(title_text="[kWh]")
     return made
 
 
-def draw_powers(found: Result) -> go.Figure:
+def draw_powers(trace: Result) -> go.Figure:
     """Return a figure of the mean power of each window, measured and predicted."""
-    x = _ends(found, "end_min")
-    traces = [_stairs("measured", MEASURED, x, _power(found, get_part(found, "windows", "measured_kwh")), width=3)]
-    for place, (name, own) in enumerate(get_mapping(found, "models").items()):
-        traces.append(_stairs(escape_label(name), get_model_style(place), x, _power(found, own["energy_kwh"])))
+    x = _ends(trace, "end_min")
+    traces = [_stairs("measured", MEASURED, x, _power(trace, get_part(trace, "windows", "measured_kwh")), width=3)]
+    for place, (name, of_model) in enumerate(get_mapping(trace, "models").items()):
+        traces.append(_stairs(escape_label(name), get_model_style(place), x, _power(trace, of_model["energy_kwh"])))
     made = make_figure(traces, 400)
-    _shade(made, found, x)
+    _shade(made, trace, x)
     made.update_xaxes(title_text=AXES["end_min"])
     made.update_yaxes(title_text="Mean power of a window [kW]")
     return made
 
 
-def draw_terms(found: Result, model: str) -> go.Figure:
+def draw_terms(trace: Result, model: str) -> go.Figure:
     """Return a figure of the terms of a model, stacked, and of the measured power."""
-    ends = _ends(found, "end_min")
+    ends = _ends(trace, "end_min")
     middle = [(a + b) / 2.0 for a, b in pairwise(ends)]
     width = [0.92 * (b - a) for a, b in pairwise(ends)]
     traces: list[Any] = []
     order = list(
-        dict.fromkeys(name for own in get_mapping(found, "models").values() for name in _largest(own["terms"]))
+        dict.fromkeys(
+            name for of_model in get_mapping(trace, "models").values() for name in _largest(of_model["terms"])
+        )
     )
-    for name, energy in _largest(get_mapping(found, "models", model, "terms")).items():
+    for name, energy in _largest(get_mapping(trace, "models", model, "terms")).items():
         look = get_style(1 + order.index(name))  # a term has one pattern, whichever model it is of
         pattern = {"shape": look.pattern, "fillmode": "replace", "size": 6, "solidity": 0.5}
         marker = {"color": look.colour, "pattern": pattern, "line": {"color": look.colour, "width": 1}}
-        traces.append(go.Bar(name=escape_label(name), x=middle, y=_power(found, energy), width=width, marker=marker))
+        traces.append(go.Bar(name=escape_label(name), x=middle, y=_power(trace, energy), width=width, marker=marker))
     traces.append(
-        _stairs("measured", MEASURED, ends, _power(found, get_part(found, "windows", "measured_kwh")), width=3)
+        _stairs("measured", MEASURED, ends, _power(trace, get_part(trace, "windows", "measured_kwh")), width=3)
     )
     made = make_figure(traces, 420)
     made.update_layout(barmode="relative")
@@ -245,10 +250,10 @@ def _sums(values: Sequence[float], start: float = 0.0) -> list[float]:
     return list(accumulate(values, initial=start))
 
 
-def _power(found: Result, energy: Sequence[float]) -> list[float | None]:
+def _power(trace: Result, energy: Sequence[float]) -> list[float | None]:
     """Return the mean power of each window. [kW]"""
     return [
-        _kw(value, seconds) for value, seconds in zip(energy, get_part(found, "windows", "duration_s"), strict=True)
+        _kw(value, seconds) for value, seconds in zip(energy, get_part(trace, "windows", "duration_s"), strict=True)
     ]
 
 
@@ -269,9 +274,9 @@ def _stairs(name: str, look: Style, x: Sequence[float], y: Sequence[Any], *, wid
     return go.Scatter(name=name, x=list(x), y=[*y, y[-1]], mode="lines", line=line)
 
 
-def _shade(made: go.Figure, found: Result, x: Sequence[float]) -> None:
+def _shade(made: go.Figure, trace: Result, x: Sequence[float]) -> None:
     """Shade the windows in which the first model and the measurement diverge."""
-    first = next(iter(get_mapping(found, "models").values()))
+    first = next(iter(get_mapping(trace, "models").values()))
     if place := get_part(first, "place"):
         shade = {"fillcolor": "rgba(138,138,138,0.25)", "line": {"width": 0}, "layer": "below"}
         made.add_vrect(x0=x[place["first"]], x1=x[place["last"] + 1], **shade)

@@ -81,12 +81,14 @@ def draw_coefficients(rows: Sequence[Mapping[str, Any]]) -> list[Illustration]:
     """Draw each coefficient with its interval over its plausible range."""
     names, values, spans = [], [], []
     for one in rows:
-        own = get_mapping(one, "coefficient")
-        value, low, high = (get_number(own.get(key)) for key in ("value", "low", "high"))
+        coefficient = get_mapping(one, "coefficient")
+        value, low, high = (get_number(coefficient.get(key)) for key in ("value", "low", "high"))
         if value is None or low is None or high is None or high <= low:
             continue
-        limits = sentences.read_interval(own.get("ci95"))
-        names.append(f"{sentences.name_effect(one)}, {low:g} to {high:g} {own.get('unit') or ''}".removesuffix(" 1"))
+        limits = sentences.read_interval(coefficient.get("ci95"))
+        names.append(
+            f"{sentences.name_effect(one)}, {low:g} to {high:g} {coefficient.get('unit') or ''}".removesuffix(" 1")
+        )
         values.append((value - low) / (high - low))
         spans.append(None if limits is None else tuple((end - low) / (high - low) for end in limits))
     if not names:

@@ -230,8 +230,8 @@ def describe_next_step(result: Result) -> list[str]:
     chosen = result.get("verdict")
     if not chosen:
         if result.get("structure_remains"):
-            own = "Write an effect of your own for the structure that remains: socast effects new."
-            return [f"No effect of the library is missing. {own}"]
+            hint = "Write an effect of your own for the structure that remains: socast effects new."
+            return [f"No effect of the library is missing. {hint}"]
         return ["These rides show no missing effect."]
     first: Mapping[str, Any] = next((m for m in result.get("missing") or () if m.get("effect") == chosen), {})
     lines = [f"Add {chosen}, {describe_scope(first)}."]

@@ -114,11 +114,11 @@ def tabulate_structure(result: Result) -> ReportTable:
 
 def _coefficient(part: Any) -> str:
     """Return a coefficient with its interval and unit."""
-    own = get_mapping(part, "coefficient")
-    value, limits = get_number(own.get("value")), sentences.read_interval(own.get("ci95"))
+    coefficient = get_mapping(part, "coefficient")
+    value, limits = get_number(coefficient.get("value")), sentences.read_interval(coefficient.get("ci95"))
     if value is None:
         return UNKNOWN
-    unit = "" if own.get("unit") in {None, "1"} else f" {own['unit']}"
+    unit = "" if coefficient.get("unit") in {None, "1"} else f" {coefficient['unit']}"
     half = f" ± {(limits[1] - limits[0]) / 2.0:.1g}" if limits else ""
     return format_minus(f"{value:.3g}{half}{unit}")
 

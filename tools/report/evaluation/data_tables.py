@@ -47,13 +47,13 @@ def tabulate_data(result: Result) -> list[ReportTable]:
     list of ReportTable
         Ride filter, numbers of rides, mean consumption, and mean consumption of the test sets.
     """
-    found = (
+    tables = (
         tabulate_ride_filter(result),
         tabulate_rides(result),
         tabulate_consumption(result),
         tabulate_test_consumption(result),
     )
-    return [table for table in found if table.rows]
+    return [table for table in tables if table.rows]
 
 
 def tabulate_ride_filter(result: Result) -> ReportTable:
@@ -73,18 +73,18 @@ def tabulate_ride_filter(result: Result) -> ReportTable:
     total = get_number(about.get("rides"))
     rows: list[Row] = []
     if total is not None:
-        said = format_published_count(published.get_statement("rides").value)
-        rows.append(Row("rides", (Cell(format_count(total), said), Cell(""))))
-    for reason, found in get_mapping(about, "unfit").items():
-        rows.append(_counted(f"left out: {reason.replace('_', ' ')}", found, total))
-    removed = sum(get_number(found) or 0.0 for found in get_mapping(about, "unfit").values())
+        published_count = format_published_count(published.get_statement("rides").value)
+        rows.append(Row("rides", (Cell(format_count(total), published_count), Cell(""))))
+    for reason, count in get_mapping(about, "unfit").items():
+        rows.append(_counted(f"left out: {reason.replace('_', ' ')}", count, total))
+    removed = sum(get_number(count) or 0.0 for count in get_mapping(about, "unfit").values())
     if removed:
-        said = format_published_count(published.get_statement("rides_removed").value)
+        published_count = format_published_count(published.get_statement("rides_removed").value)
         share = published.get_statement("rides_removed").value / published.get_statement("rides").value
         rows.append(
             Row(
                 "left out, all",
-                (Cell(format_count(removed), said), Cell(_share(removed, total), format_percent(share))),
+                (Cell(format_count(removed), published_count), Cell(_share(removed, total), format_percent(share))),
                 total=True,
             )
         )
@@ -106,18 +106,18 @@ def tabulate_rides(result: Result) -> ReportTable:
     ReportTable
         One row per vehicle model, one column per cluster, and a total.
     """
-    found = get_mapping(result, "rides")
-    columns = [*list_clusters(result, found.values()), "total"]
+    rides = get_mapping(result, "rides")
+    columns = [*list_clusters(result, rides.values()), "total"]
     rows = tuple(
         Row(
             get_vehicle_name(key),
             tuple(
-                Cell(format_count(get_part(found, key, c)), _paper_count(published.get_ride_count(key, c)))
+                Cell(format_count(get_part(rides, key, c)), _paper_count(published.get_ride_count(key, c)))
                 for c in columns
             ),
         )
         for key in list_vehicle_models(result)
-        if key in found
+        if key in rides
     )
     note = "Table 2 of the paper adds up to the rides before any was removed."
     return ReportTable("Rides by distance (Table 2)", "vehicle model", format_heads(columns), rows, (note,))
@@ -167,7 +167,7 @@ def tabulate_test_consumption(result: Result) -> ReportTable:
 
 
 def tabulate_by_cluster(
-    result: Result, found: Mapping[str, Any], title: str, paper: Callable[[str, str], PublishedFigure | None]
+    result: Result, energies: Mapping[str, Any], title: str, paper: Callable[[str, str], PublishedFigure | None]
 ) -> ReportTable:
     """Return a table of energies by vehicle model and cluster of distance.
 
@@ -177,7 +177,7 @@ def tabulate_by_cluster(
     ----------
     result : mapping
         Result of an evaluation.
-    found : mapping
+    energies : mapping
         Vehicle model, or `WEIGHTED` -> cluster -> figure. [kWh]
     title : str
         Title of the table.
@@ -189,14 +189,14 @@ def tabulate_by_cluster(
     ReportTable
         Energies, with the paper's figures in parentheses. [kWh]
     """
-    columns = list_clusters(result, found.values())
-    if any(AVERAGE in get_mapping(row) for row in found.values()):
+    columns = list_clusters(result, energies.values())
+    if any(AVERAGE in get_mapping(row) for row in energies.values()):
         columns.append(AVERAGE)
-    keys = [key for key in (*list_vehicle_models(result), WEIGHTED) if key in found]
+    keys = [key for key in (*list_vehicle_models(result), WEIGHTED) if key in energies]
     rows = tuple(
         Row(
             "Weighted average" if key == WEIGHTED else get_vehicle_name(key),
-            tuple(_beside(get_part(found, key, column), paper(key, column)) for column in columns),
+            tuple(_beside(get_part(energies, key, column), paper(key, column)) for column in columns),
             total=key == WEIGHTED,
         )
         for key in keys
@@ -239,9 +239,9 @@ def _paper_count(figure: PublishedFigure | None) -> str:
     return "" if figure is None else format_published_count(figure.value)
 
 
-def _counted(name: str, found: Any, total: float | None, *, last: bool = False) -> Row:
+def _counted(name: str, count: Any, total: float | None, *, last: bool = False) -> Row:
     """Return a row with a count and its share of the total."""
-    return Row(name, (Cell(format_count(found)), Cell(_share(get_number(found), total))), total=last)
+    return Row(name, (Cell(format_count(count)), Cell(_share(get_number(count), total))), total=last)
 
 
 def _share(value: float | None, total: float | None) -> str:

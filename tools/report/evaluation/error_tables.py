@@ -105,14 +105,14 @@ def tabulate_summaries(result: Result) -> list[ReportTable]:
     list of ReportTable
         Tables that have a row.
     """
-    found = (
+    tables = (
         tabulate_average_errors(result),
         tabulate_reductions(result),
         tabulate_relative_errors(result),
         tabulate_bias_and_rmse(result),
         tabulate_bands(result),
     )
-    return [table for table in found if table.rows]
+    return [table for table in tables if table.rows]
 
 
 def tabulate_average_errors(result: Result) -> ReportTable:
@@ -128,15 +128,16 @@ def tabulate_average_errors(result: Result) -> ReportTable:
     ReportTable
         Average errors over clusters, with marks of the models that dominate. [kWh]
     """
-    keys, found = list_vehicle_models(result), [r for r in get_recipes(result) if get_mapping(result, "mae", r)]
+    keys, recipes = list_vehicle_models(result), [r for r in get_recipes(result) if get_mapping(result, "mae", r)]
     columns = [
         mark_least(
-            [_average_cell(result, recipe, key) for recipe in found], [get_average_error(result, r, key) for r in found]
+            [_average_cell(result, recipe, key) for recipe in recipes],
+            [get_average_error(result, r, key) for r in recipes],
         )
         for key in keys
     ]
     rows = tuple(
-        Row(get_title(result, recipe), tuple(column[i] for column in columns)) for i, recipe in enumerate(found)
+        Row(get_title(result, recipe), tuple(column[i] for column in columns)) for i, recipe in enumerate(recipes)
     )
     notes = ["Bold: the least of its column. ± is half of the 95 % confidence interval."]
     if get_mapping(result, "dominates"):
@@ -159,25 +160,25 @@ def tabulate_reductions(result: Result) -> ReportTable:
     ReportTable
         Reductions by vehicle model and their average. [%]
     """
-    found = get_mapping(result, "reduction")
+    reductions = get_mapping(result, "reduction")
     keys = list_vehicle_models(result)
-    names = [recipe for recipe in get_recipes(result) if recipe in found and recipe != PHYSICAL]
+    names = [recipe for recipe in get_recipes(result) if recipe in reductions and recipe != PHYSICAL]
     rows = tuple(
         Row(
             get_title(result, recipe),
             (
                 *(
-                    Cell(format_percent(get_part(found, recipe, k)), _share(published.get_reduction(recipe, k)))
+                    Cell(format_percent(get_part(reductions, recipe, k)), _share(published.get_reduction(recipe, k)))
                     for k in keys
                 ),
-                Cell(format_percent(get_part(found, recipe, AVERAGE)), _share(compute_paper_reduction(recipe))),
+                Cell(format_percent(get_part(reductions, recipe, AVERAGE)), _share(compute_paper_reduction(recipe))),
             ),
         )
         for recipe in names
     )
-    said = format_percent(published.get_statement("reduction").value, 2)
+    stated = format_percent(published.get_statement("reduction").value, 2)
     note = (
-        f"The paper's percentages are computed from its rounded averages. Its text states {said} for the "
+        f"The paper's percentages are computed from its rounded averages. Its text states {stated} for the "
         "hybrid model with interaction terms, averaged over its four vehicle models."
     )
     heads = (*(get_vehicle_name(key) for key in keys), "average")
@@ -214,14 +215,14 @@ def tabulate_relative_errors(result: Result) -> ReportTable:
     ReportTable
         Errors over consumption of all vehicle models together. [%]
     """
-    found = get_mapping(result, "relative")
-    columns = list_clusters(result, found.values())
-    names = [recipe for recipe in get_recipes(result) if recipe in found]
+    errors = get_mapping(result, "relative")
+    columns = list_clusters(result, errors.values())
+    names = [recipe for recipe in get_recipes(result) if recipe in errors]
     rows = tuple(
         Row(
             get_title(result, recipe),
             tuple(
-                Cell(format_percent(get_part(found, recipe, c)), _share(published.get_relative_error(recipe, c)))
+                Cell(format_percent(get_part(errors, recipe, c)), _share(published.get_relative_error(recipe, c)))
                 for c in columns
             ),
         )
@@ -281,12 +282,12 @@ def tabulate_bands(result: Result) -> ReportTable:
     ReportTable
         Shares of rides, one column per band. [%]
     """
-    found = get_mapping(result, "bands")
-    limits = list(dict.fromkeys(limit for row in found.values() for limit in get_mapping(row)))
+    shares = get_mapping(result, "bands")
+    limits = list(dict.fromkeys(limit for row in shares.values() for limit in get_mapping(row)))
     rows = tuple(
-        Row(get_title(result, recipe), tuple(Cell(format_percent(get_part(found, recipe, limit))) for limit in limits))
+        Row(get_title(result, recipe), tuple(Cell(format_percent(get_part(shares, recipe, limit))) for limit in limits))
         for recipe in get_recipes(result)
-        if recipe in found
+        if recipe in shares
     )
     heads = tuple(f"within ±{limit} %" for limit in limits)
     return ReportTable("Rides predicted within a band around their measured energy", "model", heads, rows)
@@ -307,10 +308,10 @@ def tabulate_differences(result: Result, vehicle_model: str) -> ReportTable:
     ReportTable
         Error of the row's model less that of the column's model. [kWh]
     """
-    found = get_mapping(result, "difference", vehicle_model)
-    names = [a for a in get_recipes(result) if any(get_difference(found, a, b) for b in get_recipes(result))]
+    scores = get_mapping(result, "difference", vehicle_model)
+    names = [a for a in get_recipes(result) if any(get_difference(scores, a, b) for b in get_recipes(result))]
     rows = tuple(
-        Row(f"{i}  {get_title(result, a)}", tuple(_difference_cell(found, a, b) for b in names))
+        Row(f"{i}  {get_title(result, a)}", tuple(_difference_cell(scores, a, b) for b in names))
         for i, a in enumerate(names, start=1)
     )
     note = f"Row's error less column's, so negative where the row's model is better. * significant, p < {SIGNIFICANCE}."
@@ -319,12 +320,12 @@ def tabulate_differences(result: Result, vehicle_model: str) -> ReportTable:
     return ReportTable(name, "model", heads, rows, (note,))
 
 
-def get_difference(found: Any, a: str, b: str) -> tuple[float, float | None] | None:
+def get_difference(scores: Any, a: str, b: str) -> tuple[float, float | None] | None:
     """Return the difference score of two models, in whichever order the result stores the pair.
 
     Parameters
     ----------
-    found : mapping
+    scores : mapping
         Pairs `a|b` of recipes -> difference score.
     a, b : str
         Recipes of the models.
@@ -335,15 +336,15 @@ def get_difference(found: Any, a: str, b: str) -> tuple[float, float | None] | N
         Error of `a` less error of `b` [kWh], and its p-value where the result has one. None where the pair is unknown.
     """
     for key, sign in ((f"{a}|{b}", 1.0), (f"{b}|{a}", -1.0)):
-        value = get_number(get_part(found, key))
+        value = get_number(get_part(scores, key))
         if value is not None:
-            return sign * value, get_number(get_part(found, key, "p"))
+            return sign * value, get_number(get_part(scores, key, "p"))
     return None
 
 
-def _difference_cell(found: Any, a: str, b: str) -> Cell:
+def _difference_cell(score: Any, a: str, b: str) -> Cell:
     """Return a cell with a difference score, emphasised and with a star where it is significant."""
-    known = get_difference(found, a, b)
+    known = get_difference(score, a, b)
     if known is None:
         return Cell("" if a == b else UNKNOWN)
     value, p = known

@@ -81,10 +81,10 @@ def draw_accessory_curve(result: Result, vehicle_model: str) -> go.Figure:
     ]
     if points:
         traces.append(_points(points, look))
-    found = {name: get_number(value) for name, value in get_mapping(result, "curve", vehicle_model, "curve").items()}
-    if found and None not in found.values():
+    curve = {name: get_number(value) for name, value in get_mapping(result, "curve", vehicle_model, "curve").items()}
+    if curve and None not in curve.values():
         seen_at = [p["ambient_c"] for p in points]
-        traces += _five_segments(AccessoryCurve(**found), look, seen_at)  # type: ignore[arg-type]
+        traces += _five_segments(AccessoryCurve(**curve), look, seen_at)  # type: ignore[arg-type]
     made = make_figure(traces, 340)
     made.update_xaxes(title_text="Outside temperature [°C]")
     powers = [0.0, *(y for trace in traces for y in trace.y)]
@@ -153,12 +153,12 @@ def draw_relative_errors(result: Result) -> go.Figure:
     Figure
         Plotly figure.
     """
-    found = get_mapping(result, "relative")
-    columns = list_clusters(result, found.values())
+    errors = get_mapping(result, "relative")
+    columns = list_clusters(result, errors.values())
     made = make_stacked_figure(("here", PAPER_NAME), 680)
-    for recipe in (name for name in get_recipes(result) if name in found):
+    for recipe in (name for name in get_recipes(result) if name in errors):
         look, name = get_recipe_style(result, recipe), format_recipe_label(result, recipe)
-        here = [_times(get_number(get_part(found, recipe, c)), 100.0) for c in columns]
+        here = [_times(get_number(get_part(errors, recipe, c)), 100.0) for c in columns]
         theirs = [_times(published.get_relative_error(recipe, c), 100.0) for c in columns]
         made.add_trace(draw_curve(name, look, _dashes(columns), here, legendgroup=recipe), row=1, col=1)
         if any(value is not None for value in theirs):
@@ -222,13 +222,13 @@ def draw_splits(result: Result) -> go.Figure:
         Plotly figure.
     """
     present = [split for split in SPLITS if get_mapping(result, "splits", split)]
-    found = {recipe: compute_means_by_split(result, recipe, present) for recipe in get_recipes(result)}
-    names = [recipe for recipe, values in found.items() if values and values[0] is not None]
+    means = {recipe: compute_means_by_split(result, recipe, present) for recipe in get_recipes(result)}
+    names = [recipe for recipe, values in means.items() if values and values[0] is not None]
     traces = [
         draw_dots(
             f"by {split}",
             get_style(3 * i + 2),
-            [found[recipe][i] for recipe in names],
+            [means[recipe][i] for recipe in names],
             [place + _offset(i, len(present)) for place in range(len(names))],
         )
         for i, split in enumerate(present)
@@ -249,14 +249,14 @@ def draw_bands(result: Result) -> go.Figure:
     Figure
         Plotly figure.
     """
-    found = get_mapping(result, "bands")
-    names = [recipe for recipe in get_recipes(result) if recipe in found]
-    limits = list(dict.fromkeys(limit for recipe in names for limit in get_mapping(found, recipe)))
+    shares = get_mapping(result, "bands")
+    names = [recipe for recipe in get_recipes(result) if recipe in shares]
+    limits = list(dict.fromkeys(limit for recipe in names for limit in get_mapping(shares, recipe)))
     traces = [
         draw_dots(
             f"within ±{limit} %",
             get_style(3 * i + 2),
-            [_times(get_number(get_part(found, recipe, limit)), 100.0) for recipe in names],
+            [_times(get_number(get_part(shares, recipe, limit)), 100.0) for recipe in names],
             list(range(len(names))),
         )
         for i, limit in enumerate(limits)
@@ -277,22 +277,22 @@ def draw_buffers(result: Result) -> go.Figure:
     Figure
         Plotly figure.
     """
-    found = get_mapping(result, "buffer_kwh")
-    names = [recipe for recipe in get_recipes(result) if get_mapping(found, recipe)]
-    shares = list(dict.fromkeys(share for recipe in names for share in get_mapping(found, recipe)))
+    buffers = get_mapping(result, "buffer_kwh")
+    names = [recipe for recipe in get_recipes(result) if get_mapping(buffers, recipe)]
+    shares = list(dict.fromkeys(share for recipe in names for share in get_mapping(buffers, recipe)))
     rows = [format_recipe_label(result, recipe) for recipe in names]
     traces: list[Any] = [
         draw_bars(
             f"{share} % of rides",
             get_style(2 * i + 1),
             rows,
-            [get_number(get_part(found, recipe, share)) for recipe in names],
+            [get_number(get_part(buffers, recipe, share)) for recipe in names],
         )
         for i, share in enumerate(shares)
     ]
     made = make_figure(traces, 90 + 44 * len(names))
-    said = published.get_statement("buffer").value
-    add_reference_line(made, f"{said:g} kWh: company in the paper, other data", said)
+    published_kwh = published.get_statement("buffer").value
+    add_reference_line(made, f"{published_kwh:g} kWh: company in the paper, other data", published_kwh)
     made.update_xaxes(title_text="Buffer [kWh]", rangemode="tozero")
     made.update_yaxes(title_text="Model", type="category", autorange="reversed")
     return made
@@ -320,9 +320,9 @@ def draw_errors_by(result: Result, axis: str) -> go.Figure:
     ranked = len(labels) > MANY_BINS
     made = make_stacked_figure(("mean absolute error", "bias: predicted less measured"), 640)
     for recipe in (name for name in get_recipes(result) if get_bin_errors(result, axis, name)):
-        look, found = get_recipe_style(result, recipe), {str(e["bin"]): e for e in get_bin_errors(result, axis, recipe)}
+        look, bins = get_recipe_style(result, recipe), {str(e["bin"]): e for e in get_bin_errors(result, axis, recipe)}
         for row, figure_name in enumerate(("mae", "bias"), start=1):
-            values = [get_number(get_part(found, name, figure_name)) for name in labels]
+            values = [get_number(get_part(bins, name, figure_name)) for name in labels]
             x: list[Any] = [escape_label(format_bin(axis, name)) for name in labels]
             if ranked:
                 values = [*sorted(value for value in values if value is not None)]
@@ -356,16 +356,16 @@ def draw_coverage(result: Result) -> go.Figure:
     Figure
         Plotly figure.
     """
-    found = get_mapping(result, "coverage")
-    names = [recipe for recipe in get_recipes(result) if get_mapping(found, recipe)]
-    distances = list_clusters(result, (get_mapping(found, recipe, "cluster") for recipe in names))
+    coverage = get_mapping(result, "coverage")
+    names = [recipe for recipe in get_recipes(result) if get_mapping(coverage, recipe)]
+    distances = list_clusters(result, (get_mapping(coverage, recipe, "cluster") for recipe in names))
     traces = []
     for recipe in names:
-        values = {"overall": get_part(found, recipe, "overall")}
-        values |= {f"{_dash(c)} km": get_part(found, recipe, "cluster", c) for c in distances}
-        values |= dict(get_mapping(found, recipe, "season"))
+        values = {"overall": get_part(coverage, recipe, "overall")}
+        values |= {f"{_dash(c)} km": get_part(coverage, recipe, "cluster", c) for c in distances}
+        values |= dict(get_mapping(coverage, recipe, "season"))
         values |= {
-            escape_label(get_vehicle_name(key)): v for key, v in get_mapping(found, recipe, "vehicle_model").items()
+            escape_label(get_vehicle_name(key)): v for key, v in get_mapping(coverage, recipe, "vehicle_model").items()
         }
         shares = [_times(get_number(value), 100.0) for value in values.values()]
         trace = draw_curve(format_recipe_label(result, recipe), get_recipe_style(result, recipe), list(values), shares)

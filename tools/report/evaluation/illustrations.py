@@ -212,7 +212,8 @@ def _transfer(result: Result) -> list[Illustration]:
         )
         for i, key in enumerate(keys)
         if any(
-            get_number(get_part(found, key, "mae")) is not None for found in get_mapping(result, "new_vehicle").values()
+            get_number(get_part(errors, key, "mae")) is not None
+            for errors in get_mapping(result, "new_vehicle").values()
         )
     ]
     few = [

@@ -77,8 +77,8 @@ def get_mapping(result: Any, *path: str) -> Mapping[str, Any]:
     mapping
         Mapping at the end of the path, empty where the value is missing or no mapping.
     """
-    found = get_part(result, *path)
-    return found if isinstance(found, Mapping) else {}
+    part = get_part(result, *path)
+    return part if isinstance(part, Mapping) else {}
 
 
 def get_number(value: Any) -> float | None:
@@ -139,8 +139,8 @@ def get_title(result: Result, recipe: str) -> str:
 def list_vehicle_models(result: Result) -> list[str]:
     """Return the keys of the vehicle models, in the order of the result."""
     named = get_part(result, "about", "vehicle_models")
-    found = list(named) if named else list(get_mapping(result, "rides"))
-    rows = found or [key for recipe in get_mapping(result, "mae").values() for key in get_mapping(recipe)]
+    names = list(named) if named else list(get_mapping(result, "rides"))
+    rows = names or [key for recipe in get_mapping(result, "mae").values() for key in get_mapping(recipe)]
     return [str(key) for key in dict.fromkeys(rows) if key != WEIGHTED]
 
 

@@ -75,7 +75,7 @@ def build_sections(result: Result) -> list[Section]:
         Sections in the order of the report.
     """
     matrices = [tabulate_differences(result, key) for key in (ALL, *list_vehicle_models(result))]
-    found = [
+    sections = [
         Section("glance", "At a glance", "", [tabulate_headline(result), tabulate_overview(result)]),
         Section("data", "Rides", "Which rides are evaluated, and their energy.", tabulate_data(result)),
         Section(
@@ -134,7 +134,7 @@ def build_sections(result: Result) -> list[Section]:
             tabulate_selection(result),
         ),
     ]
-    return [section for section in found if any(table.rows for table in section.tables)]
+    return [section for section in sections if any(table.rows for table in section.tables)]
 
 
 def tabulate_headline(result: Result) -> ReportTable:
@@ -194,7 +194,7 @@ def tabulate_overview(result: Result) -> ReportTable:
     ReportTable
         One row per figure that the result has.
     """
-    found = get_mapping(result, "coverage")
+    coverage = get_mapping(result, "coverage")
     rows = [
         _percentage(result),
         _beyond_the_paper(result),
@@ -205,10 +205,10 @@ def tabulate_overview(result: Result) -> ReportTable:
         *(
             _row(
                 f"Rides inside their 90 % interval: {get_title(result, recipe)}",
-                format_percent(get_part(found, recipe, "overall")),
+                format_percent(get_part(coverage, recipe, "overall")),
             )
             for recipe in select_principal(result)
-            if recipe in found
+            if recipe in coverage
         ),
     ]
     return ReportTable("At a glance", "figure", ("here",), tuple(row for row in rows if row is not None))
@@ -242,24 +242,28 @@ def _beyond_the_paper(result: Result) -> Row | None:
 
 def _unbeaten(result: Result) -> Row | None:
     """Return a row with the models that dominate or co-dominate on every vehicle model."""
-    found = [get_part(result, "dominates", key) or () for key in list_vehicle_models(result)]
-    names = [get_title(result, r) for r in (found[0] if found else ()) if all(r in of for of in found)]
-    said = f"{get_title(result, INTERACTIONS)}, or it and others"
-    return _row("Dominates or co-dominates on every vehicle model", "; ".join(names) or "none", said) if found else None
+    dominating = [get_part(result, "dominates", key) or () for key in list_vehicle_models(result)]
+    names = [get_title(result, r) for r in (dominating[0] if dominating else ()) if all(r in of for of in dominating)]
+    paper = f"{get_title(result, INTERACTIONS)}, or it and others"
+    return (
+        _row("Dominates or co-dominates on every vehicle model", "; ".join(names) or "none", paper)
+        if dominating
+        else None
+    )
 
 
-def _relative(result: Result, cluster: str, said: PaperStatement) -> Row | None:
+def _relative(result: Result, cluster: str, statement: PaperStatement) -> Row | None:
     """Return a row with error over consumption in a cluster of distance."""
     share = get_number(get_part(result, "relative", INTERACTIONS, cluster))
     label = f"Error over consumption, rides of {cluster.replace('-', '–')} km: {get_title(result, INTERACTIONS)}"
-    return None if share is None else _row(label, format_percent(share), f"about {format_percent(said.value, 0)}")
+    return None if share is None else _row(label, format_percent(share), f"about {format_percent(statement.value, 0)}")
 
 
 def _buffer(result: Result) -> Row | None:
     """Return a row with the buffers that the best model of the paper needs."""
-    found = get_mapping(result, "buffer_kwh", INTERACTIONS)
-    if not found:
+    buffers = get_mapping(result, "buffer_kwh", INTERACTIONS)
+    if not buffers:
         return None
-    here = ", ".join(f"{format_energy(energy)} kWh for {share} % of rides" for share, energy in found.items())
-    said = published.get_statement("buffer")
-    return _row(f"Buffer: {get_title(result, INTERACTIONS)}", here, f"{said.value:g} kWh, share not stated")
+    here = ", ".join(f"{format_energy(energy)} kWh for {share} % of rides" for share, energy in buffers.items())
+    statement = published.get_statement("buffer")
+    return _row(f"Buffer: {get_title(result, INTERACTIONS)}", here, f"{statement.value:g} kWh, share not stated")

@@ -82,9 +82,11 @@ def draw_difference_matrix(result: Result, vehicle_model: str) -> go.Figure:
     Figure
         Plotly figure.
     """
-    found = get_mapping(result, "difference", vehicle_model)
-    names = [r for r in get_recipes(result) if any(get_difference(found, r, other) for other in get_recipes(result))]
-    scores = [[get_difference(found, a, b) for b in names] for a in names]
+    differences = get_mapping(result, "difference", vehicle_model)
+    names = [
+        r for r in get_recipes(result) if any(get_difference(differences, r, other) for other in get_recipes(result))
+    ]
+    scores = [[get_difference(differences, a, b) for b in names] for a in names]
     values = [[None if score is None else 1000.0 * score[0] for score in row] for row in scores]
     shades = [[None if v is None else math.copysign(math.sqrt(abs(v)), v) for v in row] for row in values]
     most = max((abs(shade) for row in shades for shade in row if shade is not None), default=1.0)

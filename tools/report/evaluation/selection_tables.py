@@ -40,18 +40,18 @@ def tabulate_removed_terms(result: Result) -> ReportTable:
     ReportTable
         Removed terms and the loss: the increase of the mean absolute error. [kWh]
     """
-    found = get_mapping(result, "selection")
+    selection = get_mapping(result, "selection")
     rows: list[Row] = []
-    if found.get("constant"):
-        rows.append(Row("constant columns", (Cell(format_terms(found["constant"])), Cell(""))))
+    if selection.get("constant"):
+        rows.append(Row("constant columns", (Cell(format_terms(selection["constant"])), Cell(""))))
     for name, label in (("rfecv", "RFECV: least cross-validated error"), ("rfe", "RFE: no significant loss")):
-        if get_mapping(found, name):
+        if get_mapping(selection, name):
             theirs = format_terms(
                 [term.replace("_", " ") for finding in published.get_findings(name) for term in finding.terms]
             )
             cells = (
-                Cell(format_terms(get_part(found, name, "removed") or ()), theirs),
-                Cell(_loss(get_part(found, name, "loss"))),
+                Cell(format_terms(get_part(selection, name, "removed") or ()), theirs),
+                Cell(_loss(get_part(selection, name, "loss"))),
             )
             rows.append(Row(label, cells))
     note = (
@@ -76,11 +76,11 @@ def tabulate_steps(result: Result) -> ReportTable:
     ReportTable
         One row per removed term, with the loss [kWh] and its p-value.
     """
-    found = get_part(result, "selection", "rfe", "steps") or []
+    steps = get_part(result, "selection", "rfe", "steps") or []
     count = len(get_part(result, "selection", "rfe", "removed") or ()) + BEYOND
     rows = tuple(
         Row(f"{i}  {format_terms([step.get('term')])}", (Cell(_loss(step.get("loss"))), Cell(_p(step.get("loss")))))
-        for i, step in enumerate(found[:count], start=1)
+        for i, step in enumerate(steps[:count], start=1)
     )
     note = "Loss: increase of the mean absolute error when this term and all above it are removed."
     return ReportTable("Order in which terms are removed", "term", ("loss, kWh", "p"), rows, (note,))

@@ -55,7 +55,7 @@ def tabulate_splits(result: Result, present: list[str]) -> ReportTable:
         Mean over the vehicle models for which every split has a figure. [kWh]
     """
     means = {recipe: compute_means_by_split(result, recipe, present) for recipe in get_recipes(result)}
-    names = [recipe for recipe, found in means.items() if found[0] is not None]
+    names = [recipe for recipe, errors in means.items() if errors[0] is not None]
     columns = [
         mark_least([Cell(format_energy(means[r][i])) for r in names], [means[r][i] for r in names])
         for i in range(len(present))

@@ -46,22 +46,22 @@ def draw_new_vehicle(result: Result, vehicle_model: str) -> go.Figure:
     Figure
         Plotly figure.
     """
-    found = get_mapping(result, "new_vehicle")
+    by_recipe = get_mapping(result, "new_vehicle")
     names = [
         recipe
         for recipe in get_recipes(result)
-        if get_number(get_part(found, recipe, vehicle_model, "mae")) is not None
+        if get_number(get_part(by_recipe, recipe, vehicle_model, "mae")) is not None
     ]
     rows = [format_recipe_label(result, recipe) for recipe in names]
     look = get_vehicle_style(result, vehicle_model)
-    errors = [get_number(get_part(found, recipe, vehicle_model, "mae")) for recipe in names]
+    errors = [get_number(get_part(by_recipe, recipe, vehicle_model, "mae")) for recipe in names]
     traces: list[Any] = [draw_bars("here", look._replace(pattern=""), rows, errors, opacity=0.5)]
     theirs = [published.get_new_vehicle_mae(recipe, vehicle_model) for recipe in names]
     if any(theirs):
         values = [None if f is None else f.value for f in theirs]
         traces.append(draw_dots(PAPER_NAME, look._replace(symbol="diamond"), values, rows, outline=True))
     made = make_figure(traces, 90 + 32 * len(names))
-    if (line := get_number(get_part(found, FITTED, vehicle_model, "mae"))) is not None:
+    if (line := get_number(get_part(by_recipe, FITTED, vehicle_model, "mae"))) is not None:
         add_reference_line(made, "fitted physical", line)
     made.update_xaxes(title_text="Mean absolute error [kWh]", rangemode="tozero")
     made.update_yaxes(title_text="Model", type="category", autorange="reversed")

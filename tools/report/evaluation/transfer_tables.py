@@ -67,13 +67,13 @@ def tabulate_new_vehicle(result: Result) -> ReportTable:
 
     reduced = [compute_mean(_left_out(result, recipe, key, "reduction") for key in keys) for recipe in names]
     last = [Cell(format_percent(share), _percent(_paper_reduction(r))) for share, r in zip(reduced, names, strict=True)]
-    said = format_percent(published.get_statement("new_vehicle_reduction").value, 2)
+    stated = format_percent(published.get_statement("new_vehicle_reduction").value, 2)
     notes = (
         "Trained on all other vehicle models, tested on all rides of this one. Bold: the least of its column.",
         "The paper leaves the LEAF out of training for the other cars; here all others train.",
         f"{WORSE.strip()}: above the fitted extended physical model.",
         "Reduction: against the basic physical model, mean over vehicle models.",
-        f"The paper's reductions are computed from its rounded Table 12; its text states {said} for the fitted one.",
+        f"The paper's reductions are computed from its rounded Table 12; its text states {stated} for the fitted one.",
     )
     rows = _rows(result, names, keys, cell, "mae", last)
     heads = (*(get_vehicle_name(key) for key in keys), "reduction")
@@ -183,10 +183,10 @@ def _rows(
 
 def _tested(result: Result) -> tuple[list[str], list[str]]:
     """Return the models and the vehicle models that have an error on a vehicle model left out of training."""
-    found = get_mapping(result, "new_vehicle")
-    names = [recipe for recipe in get_recipes(result) if get_mapping(found, recipe)]
+    errors = get_mapping(result, "new_vehicle")
+    names = [recipe for recipe in get_recipes(result) if get_mapping(errors, recipe)]
     return names, [
-        key for key in list_vehicle_models(result) if any(key in get_mapping(found, recipe) for recipe in names)
+        key for key in list_vehicle_models(result) if any(key in get_mapping(errors, recipe) for recipe in names)
     ]
 
 

@@ -65,12 +65,12 @@ def tabulate_places(result: Result) -> list[ReportTable]:
     list of ReportTable
         Tables that have a row; a property with more than `MANY_BINS` bins has a table of its spread.
     """
-    found = [axis for axis in AXES if get_mapping(result, "by", axis)]
+    axes = [axis for axis in AXES if get_mapping(result, "by", axis)]
     tables = [
         tabulate_spread(result, axis)
         if len(list_bins(result, axis)) > MANY_BINS
         else tabulate_errors_by_bin(result, axis)
-        for axis in found
+        for axis in axes
     ]
     return [table for table in tables if table.rows]
 
@@ -135,8 +135,8 @@ def get_bin_errors(result: Result, axis: str, recipe: str) -> list[Mapping[str, 
     list of mapping
         `bin`, number `n`, `mae` and `bias` [kWh]; empty where the result has none.
     """
-    found = get_part(result, "by", axis, recipe)
-    return [entry for entry in found or () if isinstance(entry, Mapping) and "bin" in entry]
+    entries = get_part(result, "by", axis, recipe)
+    return [entry for entry in entries or () if isinstance(entry, Mapping) and "bin" in entry]
 
 
 def tabulate_errors_by_bin(result: Result, axis: str) -> ReportTable:
@@ -155,11 +155,13 @@ def tabulate_errors_by_bin(result: Result, axis: str) -> ReportTable:
         Number of predictions, and mean absolute errors with the bias in parentheses. [kWh]
     """
     names = [recipe for recipe in select_principal(result) if get_bin_errors(result, axis, recipe)]
-    found = {recipe: {str(entry["bin"]): entry for entry in get_bin_errors(result, axis, recipe)} for recipe in names}
+    by_recipe = {
+        recipe: {str(entry["bin"]): entry for entry in get_bin_errors(result, axis, recipe)} for recipe in names
+    }
     rows = tuple(
         Row(
             format_bin(axis, label),
-            (Cell(_rides(found, label)), *(_error_and_bias(found[recipe].get(label)) for recipe in names)),
+            (Cell(_rides(by_recipe, label)), *(_error_and_bias(by_recipe[recipe].get(label)) for recipe in names)),
         )
         for label in list_bins(result, axis)
     )
@@ -216,13 +218,13 @@ def tabulate_reserve(result: Result) -> list[ReportTable]:
     list of ReportTable
         Tables that have a row.
     """
-    found = (
+    tables = (
         tabulate_coverage(result),
         tabulate_coverage_unseen(result),
         tabulate_buffers(result),
         tabulate_buffers_by_cluster(result),
     )
-    return [table for table in found if table.rows]
+    return [table for table in tables if table.rows]
 
 
 def tabulate_coverage(result: Result) -> ReportTable:
@@ -238,18 +240,18 @@ def tabulate_coverage(result: Result) -> ReportTable:
     ReportTable
         Coverage, marked where it is outside of its limits [%], and mean width of the interval [kWh].
     """
-    found = get_mapping(result, "coverage")
-    names = [recipe for recipe in get_recipes(result) if get_mapping(found, recipe)]
-    distances = list_clusters(result, (get_mapping(found, recipe, "cluster") for recipe in names))
-    seasons = list(dict.fromkeys(season for recipe in names for season in get_mapping(found, recipe, "season")))
+    coverage = get_mapping(result, "coverage")
+    names = [recipe for recipe in get_recipes(result) if get_mapping(coverage, recipe)]
+    distances = list_clusters(result, (get_mapping(coverage, recipe, "cluster") for recipe in names))
+    seasons = list(dict.fromkeys(season for recipe in names for season in get_mapping(coverage, recipe, "season")))
     rows = tuple(
         Row(
             get_title(result, recipe),
             (
-                _covered(get_part(found, recipe, "overall"), *COVERAGE_RANGE),
-                *(_covered(get_part(found, recipe, "cluster", c), LEAST_COVERAGE) for c in distances),
-                *(_covered(get_part(found, recipe, "season", s), LEAST_COVERAGE) for s in seasons),
-                Cell(format_energy(get_part(found, recipe, "width_kwh"))),
+                _covered(get_part(coverage, recipe, "overall"), *COVERAGE_RANGE),
+                *(_covered(get_part(coverage, recipe, "cluster", c), LEAST_COVERAGE) for c in distances),
+                *(_covered(get_part(coverage, recipe, "season", s), LEAST_COVERAGE) for s in seasons),
+                Cell(format_energy(get_part(coverage, recipe, "width_kwh"))),
             ),
         )
         for recipe in names
@@ -276,16 +278,18 @@ def tabulate_coverage_unseen(result: Result) -> ReportTable:
     ReportTable
         Coverage, marked where it is outside of its limits. [%]
     """
-    found = get_mapping(result, "coverage")
-    names = [recipe for recipe in get_recipes(result) if get_mapping(found, recipe)]
-    keys = [k for k in list_vehicle_models(result) if any(k in get_mapping(found, r, "vehicle_model") for r in names)]
-    unseen = {kind: head for kind, head in UNSEEN.items() if any(kind in get_mapping(found, r) for r in names)}
+    coverage = get_mapping(result, "coverage")
+    names = [recipe for recipe in get_recipes(result) if get_mapping(coverage, recipe)]
+    keys = [
+        k for k in list_vehicle_models(result) if any(k in get_mapping(coverage, r, "vehicle_model") for r in names)
+    ]
+    unseen = {kind: head for kind, head in UNSEEN.items() if any(kind in get_mapping(coverage, r) for r in names)}
     rows = tuple(
         Row(
             get_title(result, recipe),
             (
-                *(_covered(get_part(found, recipe, "vehicle_model", key), LEAST_COVERAGE) for key in keys),
-                *(_covered(get_part(found, recipe, kind), *COVERAGE_RANGE) for kind in unseen),
+                *(_covered(get_part(coverage, recipe, "vehicle_model", key), LEAST_COVERAGE) for key in keys),
+                *(_covered(get_part(coverage, recipe, kind), *COVERAGE_RANGE) for kind in unseen),
             ),
         )
         for recipe in names
@@ -313,20 +317,20 @@ def tabulate_buffers(result: Result) -> ReportTable:
     ReportTable
         Buffers, one row per model. [kWh]
     """
-    found = get_mapping(result, "buffer_kwh")
-    names = [recipe for recipe in get_recipes(result) if get_mapping(found, recipe)]
-    shares = list(dict.fromkeys(share for recipe in names for share in get_mapping(found, recipe)))
+    buffers = get_mapping(result, "buffer_kwh")
+    names = [recipe for recipe in get_recipes(result) if get_mapping(buffers, recipe)]
+    shares = list(dict.fromkeys(share for recipe in names for share in get_mapping(buffers, recipe)))
     columns = [
         mark_least(
-            [Cell(format_energy(get_part(found, r, share))) for r in names],
-            [get_number(get_part(found, r, share)) for r in names],
+            [Cell(format_energy(get_part(buffers, r, share))) for r in names],
+            [get_number(get_part(buffers, r, share)) for r in names],
         )
         for share in shares
     ]
     rows = tuple(Row(get_title(result, recipe), tuple(c[i] for c in columns)) for i, recipe in enumerate(names))
-    said = published.get_statement("buffer")
+    statement = published.get_statement("buffer")
     note = (
-        f"The company in the paper reached {said.value:g} kWh with the hybrid model with interaction "
+        f"The company in the paper reached {statement.value:g} kWh with the hybrid model with interaction "
         "terms, on other data than these; the paper does not state the share of rides that this covers. "
         "Bold: the least."
     )
@@ -347,13 +351,13 @@ def tabulate_buffers_by_cluster(result: Result) -> ReportTable:
     ReportTable
         Buffers, one column per cluster of distance. [kWh]
     """
-    found = get_mapping(result, "buffer_by_cluster")
-    names = [recipe for recipe in select_principal(result) if get_mapping(found, recipe)]
-    shares = [share for recipe in names for row in get_mapping(found, recipe).values() for share in get_mapping(row)]
+    buffers = get_mapping(result, "buffer_by_cluster")
+    names = [recipe for recipe in select_principal(result) if get_mapping(buffers, recipe)]
+    shares = [share for recipe in names for row in get_mapping(buffers, recipe).values() for share in get_mapping(row)]
     if not shares:
         return ReportTable("", "", (), ())
     most = max(shares, key=float)
-    at = {recipe: {c: get_part(found, recipe, c, most) for c in get_mapping(found, recipe)} for recipe in names}
+    at = {recipe: {c: get_part(buffers, recipe, c, most) for c in get_mapping(buffers, recipe)} for recipe in names}
     distances = list_clusters(result, at.values())
     rows = tuple(
         Row(get_title(result, recipe), tuple(Cell(format_energy(at[recipe].get(c))) for c in distances))
@@ -363,9 +367,9 @@ def tabulate_buffers_by_cluster(result: Result) -> ReportTable:
     return ReportTable(f"Buffer for {most} % of rides by distance, kWh", "model", heads, rows)
 
 
-def _rides(found: Mapping[str, Mapping[str, Mapping[str, Any]]], label: str) -> str:
+def _rides(by_recipe: Mapping[str, Mapping[str, Mapping[str, Any]]], label: str) -> str:
     """Return the number of predictions in a bin, from the first model that states it."""
-    return format_count(next((entries[label].get("n") for entries in found.values() if label in entries), None))
+    return format_count(next((entries[label].get("n") for entries in by_recipe.values() if label in entries), None))
 
 
 def _error_and_bias(entry: Mapping[str, Any] | None) -> Cell:

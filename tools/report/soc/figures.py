@@ -78,11 +78,11 @@ def _hours(result: Result) -> dict[str, Any]:
 
 def draw_errors(result: Result) -> go.Figure:
     """Return a figure of the mean absolute error of forecasts and baselines against the time ahead."""
-    found = _hours(result)
-    x = [int(hours) for hours in found]
-    lines = {"forecast": (FORECAST, [get_part(own, "mae_pct") for own in found.values()])}
+    by_hours = _hours(result)
+    x = [int(hours) for hours in by_hours]
+    lines = {"forecast": (FORECAST, [get_part(group, "mae_pct") for group in by_hours.values()])}
     lines |= {
-        meaning: (LOOKS[name], [get_part(own, "baselines", name, "mae_pct") for own in found.values()])
+        meaning: (LOOKS[name], [get_part(group, "baselines", name, "mae_pct") for group in by_hours.values()])
         for name, meaning in BASELINES.items()
     }
     among = [value for _, values in lines.values() for value in values]
@@ -100,17 +100,17 @@ def draw_errors(result: Result) -> go.Figure:
     return made
 
 
-def draw_coverage(found: Mapping[str, Any], axis: str) -> go.Figure:
+def draw_coverage(groups: Mapping[str, Any], axis: str) -> go.Figure:
     """Return a figure of the coverage of groups, with its interval, and of the target coverage.
 
     Parameters
     ----------
-    found : mapping of str to mapping
+    groups : mapping of str to mapping
         Name of a group -> its figures.
     axis : str
         Title of the axis of groups, with the unit.
     """
-    x, shares = [escape_label(name) for name in found], [get_part(own, "coverage") for own in found.values()]
+    x, shares = [escape_label(name) for name in groups], [get_part(group, "coverage") for group in groups.values()]
     made = make_figure(_points("coverage", FORECAST, x, shares), 380)
     for share in AIMED:
         made.add_hline(y=share, line=REFERENCE_LINE)
@@ -124,8 +124,8 @@ def draw_coverage(found: Mapping[str, Any], axis: str) -> go.Figure:
 def _points(name: str, look: Style, x: Sequence[Any], shares: Sequence[Any]) -> list[Any]:
     """Return shares as points with their intervals; where there are too few clusters, the interval alone."""
     enough = [(get_number(get_part(share, "clusters")) or 0.0) >= LEAST_CLUSTERS for share in shares]
-    told = [_percent(share, "value") if known else None for share, known in zip(shares, enough, strict=True)]
-    points = draw_curve(name, look, list(x), told).update(mode="markers", error_y=_bars(shares))
+    values = [_percent(share, "value") if known else None for share, known in zip(shares, enough, strict=True)]
+    points = draw_curve(name, look, list(x), values).update(mode="markers", error_y=_bars(shares))
     alone = [
         (place, [_percent(share, end) for end in ("low", "high")])
         for place, share, known in zip(x, shares, enough, strict=True)
@@ -170,9 +170,9 @@ def _reach(share: Any, end: str) -> float:
 
 def draw_width(result: Result) -> go.Figure:
     """Return a figure of the width of the interval against the time ahead."""
-    found = _hours(result)
-    widths = [get_part(own, "width_pct") for own in found.values()]
-    x = [int(hours) for hours in found]
+    by_hours = _hours(result)
+    widths = [get_part(group, "width_pct") for group in by_hours.values()]
+    x = [int(hours) for hours in by_hours]
     trace = draw_curve("width", FORECAST, x, [get_number(w) for w in widths], select_interval_widths(widths, widths))
     made = make_figure([_from_zero(trace)], 380)
     made.update_layout(showlegend=False)
@@ -183,23 +183,23 @@ def draw_width(result: Result) -> go.Figure:
 
 def draw_scatter(result: Result) -> go.Figure:
     """Return a figure of forecasts against outcomes at one time ahead; those outside their interval are marked."""
-    told = get_mapping(result, "forecasts")
-    rows = [i for i, hours in enumerate(told["hours"]) if str(hours) == SHOWN_AT]
+    forecasts = get_mapping(result, "forecasts")
+    rows = [i for i, hours in enumerate(forecasts["hours"]) if str(hours) == SHOWN_AT]
     rows = rows[:: -(-len(rows) // MOST_POINTS)]
-    mean, low, high, became = (told[name] for name in ("soc_mean", "soc_p05", "soc_p95", "soc_end"))
+    mean, low, high, became = (forecasts[name] for name in ("soc_mean", "soc_p05", "soc_p95", "soc_end"))
     inside = [row for row in rows if low[row] <= became[row] <= high[row]]
     outside = sorted(set(rows) - set(inside))
     traces = [
         go.Scatter(
             name=name,
-            x=[mean[row] for row in own],
-            y=[became[row] for row in own],
-            text=[escape_label(f"{told['vehicle_id'][row]}, shift {told['shift'][row]}") for row in own],
+            x=[mean[row] for row in places],
+            y=[became[row] for row in places],
+            text=[escape_label(f"{forecasts['vehicle_id'][row]}, shift {forecasts['shift'][row]}") for row in places],
             mode="markers",
             marker={"symbol": symbol, "size": 7, "color": look.colour, "line": {"width": 1}},
             hovertemplate="%{text}: forecast %{x:.1f}, outcome %{y:.1f} %<extra></extra>",
         )
-        for name, symbol, look, own in (
+        for name, symbol, look, places in (
             ("inside the interval", "circle-open", FORECAST, inside),
             ("outside", "x", LOOKS["linear"], outside),
         )
@@ -220,7 +220,7 @@ def illustrate_conditions(result: Result) -> list[Illustration]:
     shown = []
     for i, (name, axis) in enumerate(axes.items()):
         bins = {
-            format_bin(name, str(own["bin"])): get_part(own, "pooled") for own in get_part(result, "by", name) or ()
+            format_bin(name, str(part["bin"])): get_part(part, "pooled") for part in get_part(result, "by", name) or ()
         }
         if len(bins) > 1:
             made = draw_coverage(bins, axis)
@@ -244,9 +244,9 @@ def draw_risk(result: Result) -> go.Figure:
     traces: list[Any] = []
     for key, (look, name) in names.items():
         classes = get_part(result, "reserve", "reliability", key) or ()
-        told = [100.0 * own["told"] for own in classes]
-        points, *alone = _points(name, look, told, [get_part(own, "fell") for own in classes])
-        points.update(text=[f"{own['n']:,} cases" for own in classes])
+        forecast_risks = [100.0 * risk_class["told"] for risk_class in classes]
+        points, *alone = _points(name, look, forecast_risks, [get_part(risk_class, "fell") for risk_class in classes])
+        points.update(text=[f"{risk_class['n']:,} cases" for risk_class in classes])
         points.update(hovertemplate="%{text}: forecast %{x:.1f}, fell %{y:.1f} %<extra></extra>")
         traces += [points, *alone]
     line = {"width": 1.5, "color": REFERENCE_LINE["color"]}
@@ -265,33 +265,33 @@ def illustrate_examples(result: Result) -> list[Illustration]:
         "(line) and 90 % interval (shaded). Star: outcome. Broken line: reserve."
     )
     return [
-        Illustration(f"soc-example-{i}", _title(own), caption, draw_example(own), small=True)
-        for i, own in enumerate(get_part(result, "examples") or ())
+        Illustration(f"soc-example-{i}", _title(shift), caption, draw_example(shift), small=True)
+        for i, shift in enumerate(get_part(result, "examples") or ())
     ]
 
 
-def _title(own: Mapping[str, Any]) -> str:
-    ambient = get_number(own["ambient_c"])
+def _title(shift: Mapping[str, Any]) -> str:
+    ambient = get_number(shift["ambient_c"])
     warmth = "" if ambient is None else format_minus(f", {ambient:.0f} °C")
-    car = f"{own['vehicle_id']} ({get_vehicle_name(own['vehicle_model'])})"
-    return f"{own['why'].capitalize()}: {car}, {own['date']}{warmth}"
+    car = f"{shift['vehicle_id']} ({get_vehicle_name(shift['vehicle_model'])})"
+    return f"{shift['why'].capitalize()}: {car}, {shift['date']}{warmth}"
 
 
-def draw_example(own: Mapping[str, Any]) -> go.Figure:
+def draw_example(shift: Mapping[str, Any]) -> go.Figure:
     """Return a figure of a shift: its state of charge, and how the forecast of its end narrowed."""
-    x: Sequence[Any] = own["hours_ahead"]
+    x: Sequence[Any] = shift["hours_ahead"]
     thin = {"width": 1, "color": FORECAST.colour}
-    upper = go.Scatter(name="95 %", x=x, y=own["soc_p95_pct"], mode="lines", line=thin, showlegend=False)
+    upper = go.Scatter(name="95 %", x=x, y=shift["soc_p95_pct"], mode="lines", line=thin, showlegend=False)
     lower = go.Scatter(
-        name="90 % interval", x=x, y=own["soc_p05_pct"], mode="lines", line=thin, fill="tonexty", fillcolor=SHADE
+        name="90 % interval", x=x, y=shift["soc_p05_pct"], mode="lines", line=thin, fill="tonexty", fillcolor=SHADE
     )
-    mean = draw_curve("forecast of the end", FORECAST, list(x), own["soc_mean_pct"]).update(mode="lines")
-    soc = draw_curve("state of charge", LOOKS["model_mean"], list(x), own["soc_pct"]).update(mode="lines")
+    mean = draw_curve("forecast of the end", FORECAST, list(x), shift["soc_mean_pct"]).update(mode="lines")
+    soc = draw_curve("state of charge", LOOKS["model_mean"], list(x), shift["soc_pct"]).update(mode="lines")
     became = go.Scatter(
-        name="the end", x=[0.0], y=[own["soc_end_pct"]], mode="markers", marker={"symbol": "star", "size": 13}
+        name="the end", x=[0.0], y=[shift["soc_end_pct"]], mode="markers", marker={"symbol": "star", "size": 13}
     )
     made = make_figure([upper, lower, mean, soc, became.update(marker_color=LOOKS["linear"].colour)], 360)
-    if (reserve := get_number(own["reserve_soc_pct"])) is not None:
+    if (reserve := get_number(shift["reserve_soc_pct"])) is not None:
         made.add_hline(y=reserve, line=REFERENCE_LINE)
     made.update_xaxes(title_text=BEFORE, autorange="reversed")
     made.update_yaxes(title_text=CHARGE, rangemode="tozero")

@@ -32,11 +32,11 @@ def show(result: Any, console: Console) -> None:
     console : Console
         Console of at least 120 columns.
     """
-    found = to_json_values(result)
-    for section in sorted(build_sections(found), key=lambda section: section.key == AHEAD):
+    values = to_json_values(result)
+    for section in sorted(build_sections(values), key=lambda section: section.key == AHEAD):
         if section.tables:
             print_section(section, console)
-    for note in found["notes"]:
+    for note in values["notes"]:
         console.print(Text(note, style="yellow"))
 
 
@@ -48,12 +48,12 @@ def write(result: Any, path: Path) -> None:
     SettingsError
         Where the file cannot be written.
     """
-    found = to_json_values(result)
-    notes = "".join(f"<li>{escape(note)}</li>" for note in found["notes"])
+    values = to_json_values(result)
+    notes = "".join(f"<li>{escape(note)}</li>" for note in values["notes"])
     foot = f"<ul>{notes}</ul><p>Made by <code>socast evaluate-soc</code>.</p>"
     save(
         render_document(
-            "evaluate-soc", TITLE, "", build_sections(found), lambda key: build_illustrations(found, key), foot
+            "evaluate-soc", TITLE, "", build_sections(values), lambda key: build_illustrations(values, key), foot
         ),
         path,
     )
@@ -61,7 +61,7 @@ def write(result: Any, path: Path) -> None:
 
 def build_sections(result: Result) -> list[Section]:
     """Return the sections of an evaluation that have something to show."""
-    found = [
+    sections = [
         Section(
             AHEAD,
             "Errors of the forecasts",
@@ -77,7 +77,7 @@ def build_sections(result: Result) -> list[Section]:
             risk_tables.tabulate_risk(result),
         ),
     ]
-    shown = [section for section in found if any(table.rows for table in section.tables)]
+    shown = [section for section in sections if any(table.rows for table in section.tables)]
     return [*shown, Section("examples", "Example shifts", "", [])]
 
 

@@ -34,10 +34,10 @@ PERSON_NOTE: Final = (
 
 def describe_reserve(result: Result) -> str:
     """Return how many forecasts preceded a fall below the reserve, in words."""
-    own = get_mapping(result, "reserve", "levels", PLANNED, "pooled")
-    if not own:
+    pooled = get_mapping(result, "reserve", "levels", PLANNED, "pooled")
+    if not pooled:
         return "No plan named a reserve."
-    fell, n = int(own["fell"]), int(own["n"])
+    fell, n = int(pooled["fell"]), int(pooled["n"])
     return (
         f"{format_count(fell)} of {format_count(n)} forecasts were of shifts that later fell below the "
         "reserve of their plan."
@@ -55,15 +55,15 @@ def tabulate_reliability(result: Result, key: str, title: str, notes: tuple[str,
     """Return how often shifts fell below levels, by forecast risk."""
     rows = tuple(
         Row(
-            f"{format_percent(own['low'], 0)} to {format_percent(own['high'], 0)}",
+            f"{format_percent(risk_class['low'], 0)} to {format_percent(risk_class['high'], 0)}",
             (
-                Cell(format_count(own["n"])),
-                Cell(format_count(own["shifts"])),
-                Cell(format_percent(own["told"])),
-                Cell(format_share(own["fell"])),
+                Cell(format_count(risk_class["n"])),
+                Cell(format_count(risk_class["shifts"])),
+                Cell(format_percent(risk_class["told"])),
+                Cell(format_share(risk_class["fell"])),
             ),
         )
-        for own in get_part(result, "reserve", "reliability", key) or ()
+        for risk_class in get_part(result, "reserve", "reliability", key) or ()
     )
     heads = ("cases", "shifts", "mean forecast risk", "fell below")
     return ReportTable(title, "risk", heads, rows, (*notes, SHARE_NOTE))
@@ -72,23 +72,23 @@ def tabulate_reliability(result: Result, key: str, title: str, notes: tuple[str,
 def tabulate_alarms(result: Result) -> ReportTable:
     """Return the performance of alarms, by level and time ahead."""
     of_levels = get_mapping(result, "reserve", "levels")
-    found = [(format_level(level), own, False) for level, own in of_levels.items()]
-    found.append((f"{LEVELS[0]} to {LEVELS[-1]} %", get_mapping(result, "reserve", "overall"), True))
+    groups = [(format_level(level), by_hours, False) for level, by_hours in of_levels.items()]
+    groups.append((f"{LEVELS[0]} to {LEVELS[-1]} %", get_mapping(result, "reserve", "overall"), True))
     rows = tuple(
-        Row(f"{name}, {hours} h", _alarms(own[hours]), total)
-        for name, own, total in found
+        Row(f"{name}, {hours} h", _alarms(by_hours[hours]), total)
+        for name, by_hours, total in groups
         for hours in SHOWN
-        if hours in own and (own[hours]["fell"] or get_part(own[hours], "alarms", "false_alarms"))
+        if hours in by_hours and (by_hours[hours]["fell"] or get_part(by_hours[hours], "alarms", "false_alarms"))
     )
     heads = ("cases", "fell below", "caught", "missed", "false alarms")
     return ReportTable("Alarms", "level, before the end", heads, rows, (ALARM_NOTE, SHARE_NOTE))
 
 
-def _alarms(own: Mapping[str, Any]) -> tuple[Cell, ...]:
-    counts = get_mapping(own, "alarms")
+def _alarms(group: Mapping[str, Any]) -> tuple[Cell, ...]:
+    counts = get_mapping(group, "alarms")
     return (
-        Cell(format_count(own["n"])),
-        Cell(format_count(own["fell"])),
+        Cell(format_count(group["n"])),
+        Cell(format_count(group["fell"])),
         Cell(_counted(counts["caught"], counts["hit_rate"])),
         Cell(format_count(counts["missed"])),
         Cell(_counted(counts["false_alarms"], counts["false_alarm_rate"])),
@@ -103,10 +103,10 @@ def _counted(some: int, share: Any) -> str:
 def tabulate_baselines(result: Result) -> ReportTable:
     """Return the scores of the risk beside those of the baselines."""
     rows = tuple(
-        Row(f"{HEADS[name]}, {hours} h", _person(own))
+        Row(f"{HEADS[name]}, {hours} h", _person(group))
         for hours in SHOWN
         for name in BASELINES
-        if (own := get_mapping(result, "reserve", "overall", hours, "baselines", name)) and own["fell"]
+        if (group := get_mapping(result, "reserve", "overall", hours, "baselines", name)) and group["fell"]
     )
     heads = (
         "cases",
@@ -123,20 +123,20 @@ def tabulate_baselines(result: Result) -> ReportTable:
     return ReportTable("Forecast risk against baselines", "baseline, before the end", heads, rows, notes)
 
 
-def _person(own: Mapping[str, Any]) -> tuple[Cell, ...]:
+def _person(group: Mapping[str, Any]) -> tuple[Cell, ...]:
     counts = [
-        get_part(own, whose, what) for what in ("caught", "false_alarms") for whose in ("alarms", "forecast_alarms")
+        get_part(group, whose, what) for what in ("caught", "false_alarms") for whose in ("alarms", "forecast_alarms")
     ]
     return (
-        Cell(format_count(own["n"])),
-        Cell(format_count(own["fell"])),
-        *(Cell(f"{own[name]:.4f}") for name in ("brier", "forecast_brier")),
-        Cell(format_skill(own["skill"])),
+        Cell(format_count(group["n"])),
+        Cell(format_count(group["fell"])),
+        *(Cell(f"{group[name]:.4f}") for name in ("brier", "forecast_brier")),
+        Cell(format_skill(group["skill"])),
         *(Cell(format_count(n)) for n in counts),
     )
 
 
-def format_skill(told: Any) -> str:
+def format_skill(skill: Any) -> str:
     """Return a skill with its interval.
 
     Examples
@@ -144,7 +144,7 @@ def format_skill(told: Any) -> str:
     >>> format_skill({"value": 0.412, "ci95": 0.12})
     '+41 ± 12 %'
     """
-    value, ci95 = get_number(told), get_half_width(told)
+    value, ci95 = get_number(skill), get_half_width(skill)
     if value is None:
         return UNKNOWN
     return format_minus(f"{100 * value:+.0f}{'' if ci95 is None else f' ± {100 * ci95:.0f}'} %")

@@ -43,8 +43,11 @@ BEST_NOTE: Final = (
 
 def tabulate_by_time(result: Result) -> ReportTable:
     """Return errors, coverage and width by the time ahead."""
-    found = get_mapping(result, "overall", "hours")
-    rows = [Row(f"{hours} h", _cells(own if hours != "0" else {**own, "best": None})) for hours, own in found.items()]
+    by_hours = get_mapping(result, "overall", "hours")
+    rows = [
+        Row(f"{hours} h", _cells(group if hours != "0" else {**group, "best": None}))
+        for hours, group in by_hours.items()
+    ]
     rows.append(Row("all", _cells(get_mapping(result, "overall", "pooled")), total=True))
     heads = (*FIGURES, *HEADS.values(), "to best")
     meanings = "; ".join(f"{HEADS[name]}: {meaning}" for name, meaning in BASELINES.items())
@@ -53,21 +56,21 @@ def tabulate_by_time(result: Result) -> ReportTable:
     return ReportTable(title, "before", heads, tuple(rows), notes)
 
 
-def _cells(own: Mapping[str, Any]) -> tuple[Cell, ...]:
+def _cells(group: Mapping[str, Any]) -> tuple[Cell, ...]:
     return (
-        *_figures(own),
-        *(Cell(format_estimate(get_number(get_part(own, "baselines", name, "mae_pct")), 2)) for name in BASELINES),
-        Cell(compare_with_best(own)),
+        *_figures(group),
+        *(Cell(format_estimate(get_number(get_part(group, "baselines", name, "mae_pct")), 2)) for name in BASELINES),
+        Cell(compare_with_best(group)),
     )
 
 
-def _figures(own: Mapping[str, Any]) -> tuple[Cell, ...]:
+def _figures(group: Mapping[str, Any]) -> tuple[Cell, ...]:
     return (
-        Cell(format_count(own["n"])),
-        Cell(format_estimate(own["mae_pct"], 2), strong=True),
-        Cell(format_difference(own["bias_pct"], 2)),
-        Cell(format_share(own["coverage"])),
-        Cell(format_estimate(get_number(own["width_pct"]), 1)),
+        Cell(format_count(group["n"])),
+        Cell(format_estimate(group["mae_pct"], 2), strong=True),
+        Cell(format_difference(group["bias_pct"], 2)),
+        Cell(format_share(group["coverage"])),
+        Cell(format_estimate(get_number(group["width_pct"]), 1)),
     )
 
 
@@ -81,18 +84,18 @@ def format_share(share: Any) -> str:
     >>> format_share({"value": 0.571, "low": 0.25, "high": 0.842, "clusters": 7})
     'too few (25.0–84.2)'
     """
-    low, high, found = (
+    low, high, clusters = (
         get_number(get_part(share, "low")),
         get_number(get_part(share, "high")),
         get_number(get_part(share, "clusters")),
     )
-    if not found:
+    if not clusters:
         return UNKNOWN
-    told = format_percent(get_number(share)) if found >= LEAST_CLUSTERS else TOO_FEW
-    return told + ("" if low is None or high is None else f" ({100 * low:.1f}–{100 * high:.1f})")
+    value = format_percent(get_number(share)) if clusters >= LEAST_CLUSTERS else TOO_FEW
+    return value + ("" if low is None or high is None else f" ({100 * low:.1f}–{100 * high:.1f})")
 
 
-def compare_with_best(own: Mapping[str, Any]) -> str:
+def compare_with_best(group: Mapping[str, Any]) -> str:
     """Return the forecasts' error relative to the best baseline's, where there are enough vehicle-days.
 
     Examples
@@ -103,7 +106,7 @@ def compare_with_best(own: Mapping[str, Any]) -> str:
     >>> compare_with_best({"best": None})
     '–'
     """
-    best = get_mapping(own, "best")
+    best = get_mapping(group, "best")
     if not best or best["vehicle_days"] < LEAST_CLUSTERS:
         return UNKNOWN
     return format_change(get_number(get_part(best, "forecast_mae_pct")), get_number(get_part(best, "mae_pct")))
@@ -112,18 +115,18 @@ def compare_with_best(own: Mapping[str, Any]) -> str:
 def tabulate_conditions(result: Result) -> list[ReportTable]:
     """Return the figures by each condition in which the shifts differ."""
     heads = ("vehicle-days", *FIGURES, f"MAE, {SHOWN_AT} h", f"to best, {SHOWN_AT} h")
-    found = []
+    tables = []
     for name, bins in get_mapping(result, "by").items():
-        rows = tuple(Row(format_bin(name, str(own["bin"])), _of_bin(own)) for own in bins)
+        rows = tuple(Row(format_bin(name, str(part["bin"])), _of_bin(part)) for part in bins)
         unit = ", °C" if name == "temperature" else ""
         notes = (PERCENT_NOTE, "All columns but the last two pool all times ahead.", COVERAGE_NOTE, BEST_NOTE)
         if len(rows) > 1:
-            found.append(ReportTable(f"By {name}", f"{name}{unit}", heads, rows, notes))
-    return found
+            tables.append(ReportTable(f"By {name}", f"{name}{unit}", heads, rows, notes))
+    return tables
 
 
-def _of_bin(own: Mapping[str, Any]) -> tuple[Cell, ...]:
-    pooled, at = get_mapping(own, "pooled"), get_mapping(own, "hours", SHOWN_AT)
+def _of_bin(part: Mapping[str, Any]) -> tuple[Cell, ...]:
+    pooled, at = get_mapping(part, "pooled"), get_mapping(part, "hours", SHOWN_AT)
     return (
         Cell(format_count(pooled["vehicle_days"])),
         *_figures(pooled),
@@ -140,19 +143,19 @@ def tabulate_legs(result: Result) -> list[ReportTable]:
         "charged later": "The same where the car charged later in the shift",
     }
     notes = (LEG_NOTE, PERCENT_NOTE, COVERAGE_NOTE)
-    found = get_mapping(result, "legs")
+    legs = get_mapping(result, "legs")
     return [
-        ReportTable(title, "minutes ahead", heads, tuple(map(_leg_row, found[key])), notes)
+        ReportTable(title, "minutes ahead", heads, tuple(map(_leg_row, legs[key])), notes)
         for key, title in titles.items()
-        if found.get(key)
+        if legs.get(key)
     ]
 
 
-def _leg_row(own: Mapping[str, Any]) -> Row:
+def _leg_row(group: Mapping[str, Any]) -> Row:
     theirs = (
-        Cell(format_estimate(get_number(get_part(own, "baselines", name, "mae_pct")), 2)) for name in LEG_BASELINES
+        Cell(format_estimate(get_number(get_part(group, "baselines", name, "mae_pct")), 2)) for name in LEG_BASELINES
     )
-    return Row(own["bin"], (*_figures(own), *theirs), total=own["bin"] == "all")
+    return Row(group["bin"], (*_figures(group), *theirs), total=group["bin"] == "all")
 
 
 def format_bin(condition: str, name: str) -> str:
