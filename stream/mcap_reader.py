@@ -84,20 +84,20 @@ class Losses:
 
     def lines(self) -> list[str]:
         """Return one sentence per kind of loss; an empty list for a complete recording."""
-        told = []
+        sentences = []
         if self.unfinished:
-            told.append(f"it breaks off: {self.truncated_bytes:,} bytes after the last whole chunk are lost")
+            sentences.append(f"it breaks off: {self.truncated_bytes:,} bytes after the last whole chunk are lost")
         if self.damaged_chunks:
-            told.append(f"{self.damaged_chunks:,} damaged chunks, {self.damaged_bytes:,} bytes, are lost")
+            sentences.append(f"{self.damaged_chunks:,} damaged chunks, {self.damaged_bytes:,} bytes, are lost")
         if self.missing_messages:
-            told.append(f"{self.missing_messages:,} messages that its summary counts are lost")
+            sentences.append(f"{self.missing_messages:,} messages that its summary counts are lost")
         if self.undescribed:
-            told.append(f"{self.undescribed:,} messages of channels that are nowhere described are left out")
+            sentences.append(f"{self.undescribed:,} messages of channels that are nowhere described are left out")
         if self.foreign:
-            told.append(
+            sentences.append(
                 f"{self.foreign.total():,} messages on {len(self.foreign):,} topics outside the contract are left out"
             )
-        return told
+        return sentences
 
 
 class _Block(NamedTuple):

@@ -130,8 +130,8 @@ class QueryService:
 
     def end(self) -> None:
         """Log the counters if any query was received."""
-        if told := flatten_counts(self.counts()):
-            _log.info("asked", extra=event_fields(**told))
+        if counts := flatten_counts(self.counts()):
+            _log.info("asked", extra=event_fields(**counts))
 
     def _answer(self, question: PendingQuery) -> None:
         """Answer or refuse one query."""

@@ -90,8 +90,8 @@ class ZenohQuery:
         words : str
             Reason of the refusal.
         """
-        told = msgspec.json.encode(_Refusal(words))
-        self._send(self._query, partial(self._query.reply_err, told, encoding=zenoh.Encoding.APPLICATION_JSON))
+        payload = msgspec.json.encode(_Refusal(words))
+        self._send(self._query, partial(self._query.reply_err, payload, encoding=zenoh.Encoding.APPLICATION_JSON))
 
 
 class ZenohQueryable:

@@ -242,8 +242,10 @@ def _read(config: zenoh.Config, name: str) -> Any:
 
 def _endpoints(config: zenoh.Config) -> list[str]:
     """Return the endpoints at which a configuration listens."""
-    told = _read(config, "listen/endpoints") or []
-    return [str(end) for end in (told.get(_read(config, "mode"), []) if isinstance(told, dict) else told)]
+    endpoints = _read(config, "listen/endpoints") or []
+    return [
+        str(end) for end in (endpoints.get(_read(config, "mode"), []) if isinstance(endpoints, dict) else endpoints)
+    ]
 
 
 def _insert(config: zenoh.Config, name: str, value: Any) -> None:

@@ -114,13 +114,16 @@ def join_tables(rides: pd.DataFrame, windows: pd.DataFrame) -> pd.DataFrame:
     fit = rides["fit_for_training"].to_numpy(dtype=bool, na_value=False) if "fit_for_training" in rides else True
     good = fit & np.isfinite(get_numbers(rides, ENERGY))
     by_power = is_metered(rides)
-    own = {name: rides[name].to_numpy()[place] for name in RIDE_COLUMNS if name in rides}
-    own |= {ENERGY: get_numbers(windows, "energy_vi_kwh"), ENERGY_SD: get_numbers(windows, "energy_vi_sd_kwh")}
+    of_ride = {name: rides[name].to_numpy()[place] for name in RIDE_COLUMNS if name in rides}
+    of_ride |= {ENERGY: get_numbers(windows, "energy_vi_kwh"), ENERGY_SD: get_numbers(windows, "energy_vi_sd_kwh")}
     kept = (
-        (place >= 0) & (good & by_power)[place] & np.isfinite(own[ENERGY]) & (get_numbers(windows, "duration_s") > 0.0)
+        (place >= 0)
+        & (good & by_power)[place]
+        & np.isfinite(of_ride[ENERGY])
+        & (get_numbers(windows, "duration_s") > 0.0)
     )
-    others = windows.drop(columns=[name for name in own if name in windows])
-    parts = pd.concat([others, pd.DataFrame(own, index=windows.index)], axis=1).loc[kept]
+    others = windows.drop(columns=[name for name in of_ride if name in windows])
+    parts = pd.concat([others, pd.DataFrame(of_ride, index=windows.index)], axis=1).loc[kept]
     whole = rides.loc[good & ~by_power, [name for name in parts.columns if name in rides]]
     table = pd.concat([parts, whole], ignore_index=True) if len(whole) else parts
     begin = table.groupby("ride_key", sort=False)["start_s"].transform("min")  # clock steps can interleave rides
@@ -239,8 +242,8 @@ def gather_windows(rides: pd.DataFrame, windows: pd.DataFrame, model: LinearMode
 
 def _count_unmeasured(windows: pd.DataFrame, rides: pd.DataFrame, table: pd.DataFrame) -> int:
     """Return the number of windows of metered rides that have no metered energy."""
-    own = rides.loc[rides["ride_key"].isin(table["ride_key"])]
-    metered = windows["ride_key"].isin(own.loc[is_metered(own), "ride_key"])
+    of_rides = rides.loc[rides["ride_key"].isin(table["ride_key"])]
+    metered = windows["ride_key"].isin(of_rides.loc[is_metered(of_rides), "ride_key"])
     return int(metered.sum()) - int(is_metered(table).sum())
 
 

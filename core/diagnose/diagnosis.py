@@ -109,25 +109,25 @@ def _diagnose(
     if places and int(seen.day.max()) + 1 >= LEAST_DAYS_FOR_SCOPES:
         select_local_effects(selection, keep_declared_values(build_candidates(seen, model, without, scopes=True)))
     base = selection.base
-    found = selection.list_missing_effects()
-    remains = residual_structure.measure_residual_structure(selection, found)
+    missing = selection.list_missing_effects()
+    remains = residual_structure.measure_residual_structure(selection, missing)
     unknown = set(remains.signs) - {"better"}
     suggested = _suggest(base, selection, selection.compute_residual(selection.build_basis())) if unknown else None
     floor = compute_noise_floor(compute_noise_variance(seen.rides))
-    verdict = found[0].selected.effect if found else None
+    verdict = missing[0].selected.effect if missing else None
     return {
         "model": {"name": model.name, "version": model.version, "recipe": model.recipe},
         "data": _describe_data(seen),
         "error": _describe_error(seen, base, floor),
         "slices": find_slices(seen.rides, seen.by_ride(seen.predicted - seen.measured), seed=seed),
-        "missing": [_describe_missing(finding, seen) for finding in found],
-        "candidates": _tabulate_candidates(first, found),
+        "missing": [_describe_missing(finding, seen) for finding in missing],
+        "candidates": _tabulate_candidates(first, missing),
         "verdict": verdict,
         "structure_remains": remains.exists,
         "structure": _describe_structure(remains),
         "suggestion": None if suggested is None else suggested.formula,
         "suggestion_file": None if suggested is None else suggested.file,
-        "steps": _compute_steps(selection, found, floor),
+        "steps": _compute_steps(selection, missing, floor),
     }
 
 
@@ -232,22 +232,22 @@ def _equivalents(energy: Floats, seen: Windows) -> list[str]:
     if hours <= 0.0:
         return []
     sign = "±" if abs(net) < ONE_SIGN_SHARE * total else "+" if net > 0.0 else "-"
-    said = [f"{sign}{1000.0 * total / hours:,.0f} W"]
+    equal = [f"{sign}{1000.0 * total / hours:,.0f} W"]
     mass = get_numbers(table, "mass_kg")
     road = get_numbers(table, "effect_rolling") * get_numbers(table, "rolling_resistance") + get_numbers(
         table, "effect_climbing"
     )
     per_kg = float(np.nansum((road / mass)[acts]))
     if per_kg > 0.0:
-        said.append(f"{sign}{total / per_kg:,.0f} kg")
+        equal.append(f"{sign}{total / per_kg:,.0f} kg")
     drag, speed = get_numbers(table, "effect_aero_drag"), get_numbers(table, "average_speed_kmh") / 3.6
     per_wind = float(np.nansum((2.0 * drag * get_numbers(table, "drag_area_m2") / np.maximum(speed, 1.0))[acts]))
     if per_wind > 0.0:
-        said.append(f"{sign}{total / per_wind:.1f} m/s of headwind")
-    return said
+        equal.append(f"{sign}{total / per_wind:.1f} m/s of headwind")
+    return equal
 
 
-def _tabulate_candidates(first: Ranking, found: list[MissingEffect]) -> list[dict[str, Any]]:
+def _tabulate_candidates(first: Ranking, missing: list[MissingEffect]) -> list[dict[str, Any]]:
     """Return all effects that were tested everywhere, as they ranked before any was selected."""
     rows: list[dict[str, Any]] = []
     for e, (name, at) in enumerate(zip(first.candidates.names, first.best.tolist(), strict=True)):
@@ -260,7 +260,7 @@ def _tabulate_candidates(first: Ranking, found: list[MissingEffect]) -> list[dic
                 "q": float(first.q[e]),
                 "gain": first.compute_gain(at)[0],
             }
-        rows.append(row | {"status": _describe_status(name, row, int(first.candidates.sign[at]), found)})
+        rows.append(row | {"status": _describe_status(name, row, int(first.candidates.sign[at]), missing)})
     rows.sort(key=lambda row: -(row["gain"] if row["gain"] is not None else -1.0))
     empty = dict.fromkeys(("z", "p", "q", "gain"))
     absent = [
@@ -270,13 +270,13 @@ def _tabulate_candidates(first: Ranking, found: list[MissingEffect]) -> list[dic
     return rows + absent
 
 
-def _describe_status(name: str, row: dict[str, Any], sign: int, found: list[MissingEffect]) -> str:
+def _describe_status(name: str, row: dict[str, Any], sign: int, missing: list[MissingEffect]) -> str:
     """Return the result for a candidate."""
-    if name in {finding.selected.effect for finding in found}:
+    if name in {finding.selected.effect for finding in missing}:
         return "missing"
     if row["z"] is None:
         return "not identifiable beside the model"
-    for finding in found:
+    for finding in missing:
         if name in {rival for rival, _ in finding.rivals}:
             return f"not distinguishable from {finding.selected.effect}"
     if sign * row["z"] < -WRONG_SIGN_Z:
@@ -311,12 +311,12 @@ def _suggest(base: BaseProjection, selection: ForwardSelection, left: Floats) ->
     )
 
 
-def _compute_steps(selection: ForwardSelection, found: list[MissingEffect], floor: float) -> list[dict[str, Any]]:
+def _compute_steps(selection: ForwardSelection, missing: list[MissingEffect], floor: float) -> list[dict[str, Any]]:
     """Return the error per ride as effects are added one by one, each fitted to other vehicle-days. [kWh]"""
     base, seen = selection.base, selection.base.windows
     named, selection.selected = selection.selected, []
     rows = []
-    for finding in (None, *found):
+    for finding in (None, *missing):
         if finding is not None:
             selection.selected = [*selection.selected, finding.selected]
         off = selection.build_basis()

@@ -154,10 +154,12 @@ def _screen(search: _LocalSearch, scoped: ScopedWindows) -> Ints:
     if scoped.car is None:
         return np.arange(len(search.candidates.names))
     base, residual = search.selection.base, search.space.residual
-    own = base.cars[scoped.car]
-    columns = base.project_out_for_car(search.candidates.columns[own] * scoped.rows[own][:, np.newaxis], scoped.car)
+    of_car = base.cars[scoped.car]
+    columns = base.project_out_for_car(
+        search.candidates.columns[of_car] * scoped.rows[of_car][:, np.newaxis], scoped.car
+    )
     size = np.maximum((columns**2).sum(axis=0), 1e-300)
-    return np.flatnonzero((columns.T @ residual[own]) ** 2 / size > SCREENING**2 * float(np.mean(residual**2)))
+    return np.flatnonzero((columns.T @ residual[of_car]) ** 2 / size > SCREENING**2 * float(np.mean(residual**2)))
 
 
 def _test_scope(search: _LocalSearch, scoped: ScopedWindows) -> list[_Trial]:

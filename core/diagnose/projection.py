@@ -78,7 +78,7 @@ class BaseProjection:
         physical = tuple(term for term in model.terms if _physical(term))
         others = tuple(term for term in model.terms if not _physical(term))
         self._windows_of_ride = np.bincount(windows.ride).astype(np.float64)
-        self._own = np.column_stack([_terms(windows, model, physical, self.kinds), _car(windows, curved)])
+        self._per_car = np.column_stack([_terms(windows, model, physical, self.kinds), _car(windows, curved)])
         self._few = np.column_stack([windows.predicted, get_numbers(windows.table, "duration_s") / 3600.0])
         self._shared = _terms(windows, model, others, self.kinds)
         self._smooth = [_smooth(windows, rows) for rows in self.kinds.values()] if curved else []
@@ -143,25 +143,25 @@ class BaseProjection:
 
     def _project(self) -> None:
         """Compute orthonormal bases of the columns of each car, and of the shared columns beside them."""
-        own = self.apply_weights(self._own)
+        per_car = self.apply_weights(self._per_car)
         self._bases = []
         pooled = []
         few = self.apply_weights(self._few)
         for rows in self.cars:
-            if len(rows) >= WINDOWS_PER_COLUMN * own.shape[1]:
-                self._bases.append((rows, orthonormalise(own[rows])))
+            if len(rows) >= WINDOWS_PER_COLUMN * per_car.shape[1]:
+                self._bases.append((rows, orthonormalise(per_car[rows])))
             else:
                 self._bases.append((rows, orthonormalise(few[rows])))
                 pooled.append(rows)
-        shared = [self._by_kind(own, np.concatenate(pooled))] if pooled else []
+        shared = [self._by_kind(per_car, np.concatenate(pooled))] if pooled else []
         shared += (
-            [self._by_kind(self.apply_weights(self._shared), np.arange(len(own)))] if self._shared.shape[1] else []
+            [self._by_kind(self.apply_weights(self._shared), np.arange(len(per_car)))] if self._shared.shape[1] else []
         )
         shared += [
-            self.apply_weights(_placed(block, rows, len(own)))
+            self.apply_weights(_placed(block, rows, len(per_car)))
             for block, rows in zip(self._smooth, self.kinds.values(), strict=False)
         ]
-        self._common = np.empty((len(own), 0))
+        self._common = np.empty((len(per_car), 0))
         if shared:
             self._common = orthonormalise(self._off_cars(np.column_stack(shared)))
 
@@ -204,16 +204,17 @@ class BaseProjection:
         more = 1.0 / np.sqrt(self._of_mean(count)) - 1.0
         mean = np.add.reduceat(scaled, starts, axis=0) * (more / count)[:, np.newaxis]
         left = scaled + np.repeat(mean, count.astype(np.int64), axis=0)
-        basis = next((each for own, each in self._bases if own is rows), None)
+        basis = next((each for rows_of_car, each in self._bases if rows_of_car is rows), None)
         return left if basis is None else left - basis @ (basis.T @ left)
 
     def get_unweighted_columns(self) -> Floats:
         """Return the columns of the model split by vehicle model, not weighted and not split by car, (n, k). [kWh]"""
-        every = np.arange(len(self._own))
-        blocks = [self._by_kind(self._own, every)]
+        every = np.arange(len(self._per_car))
+        blocks = [self._by_kind(self._per_car, every)]
         blocks += [self._by_kind(self._shared, every)] if self._shared.shape[1] else []
         blocks += [
-            _placed(block, rows, len(self._own)) for block, rows in zip(self._smooth, self.kinds.values(), strict=False)
+            _placed(block, rows, len(self._per_car))
+            for block, rows in zip(self._smooth, self.kinds.values(), strict=False)
         ]
         return np.column_stack(blocks)
 

@@ -150,14 +150,14 @@ class ResidualStructure(NamedTuple):
         ]
 
 
-def measure_residual_structure(selection: ForwardSelection, found: Sequence[MissingEffect]) -> ResidualStructure:
+def measure_residual_structure(selection: ForwardSelection, missing: Sequence[MissingEffect]) -> ResidualStructure:
     """Return the structure that remains after the missing effects.
 
     Parameters
     ----------
     selection : ForwardSelection
         The finished selection.
-    found : sequence of MissingEffect
+    missing : sequence of MissingEffect
         Its missing effects.
 
     Returns
@@ -170,13 +170,13 @@ def measure_residual_structure(selection: ForwardSelection, found: Sequence[Miss
     left = selection.compute_residual(off)
     features = collect_features(base.windows)
     before = compute_predictable_share(features, base.residual, clusters[0], selection.settings.seed)
-    after = compute_predictable_share(features, left, clusters[0], selection.settings.seed) if found else before
+    after = compute_predictable_share(features, left, clusters[0], selection.settings.seed) if missing else before
     shapes = PlainShapes(selection)
     explained, _ = sum_over_clusters(
         clusters[0].sum_by_cluster(base.residual**2 - selection.compute_held_out_residual(off) ** 2)
     )
     share = max(explained / max(float(base.residual @ base.residual), 1e-300), 0.0)
-    better = {each.selected.effect: shape for each in found if (shape := shapes.find_replacement(each.selected))}
+    better = {each.selected.effect: shape for each in missing if (shape := shapes.find_replacement(each.selected))}
     shape, q, gain = shapes.find_strongest(off, left)
     along = _along(base.windows, base.convert_to_energy(left))
     days = compute_day_variance_ratio(selection, left)
@@ -194,16 +194,18 @@ def collect_features(windows: Windows) -> Floats:
 def compute_predictable_share(features: Floats, left: Floats, clusters: ClusterSums, seed: int) -> tuple[float, float]:
     """Return the share of a squared residual that trees predict on held-out days, and its standard error. [1]"""
     fold = clusters.assign_folds(seed)[clusters.code] % TREE_FOLDS
-    said = np.zeros(len(left))
+    predicted = np.zeros(len(left))
     for k in range(int(fold.max()) + 1):
         there = np.isfinite(features[fold != k]).any(axis=0)
         trees = HistGradientBoostingRegressor(
             max_iter=30, learning_rate=0.1, max_leaf_nodes=8, min_samples_leaf=60, l2_regularization=20.0
         )
-        said[fold == k] = trees.fit(features[fold != k][:, there], left[fold != k]).predict(
+        predicted[fold == k] = trees.fit(features[fold != k][:, there], left[fold != k]).predict(
             features[fold == k][:, there]
         )
-    return sum_over_clusters(clusters.sum_by_cluster(left**2 - (left - said) ** 2) / max(float(left @ left), 1e-300))
+    return sum_over_clusters(
+        clusters.sum_by_cluster(left**2 - (left - predicted) ** 2) / max(float(left @ left), 1e-300)
+    )
 
 
 def compute_day_variance_ratio(selection: ForwardSelection, left: Floats) -> float:
@@ -235,9 +237,9 @@ class PlainShapes:
         self.selection = selection
         self.names, columns = _shapes(selection.base.windows)
         projected = selection.base.project_out(columns)
-        told = (projected**2).sum(axis=0) > LEAST_LEFT * (selection.base.apply_weights(columns) ** 2).sum(axis=0)
-        self.names = [name for name, kept in zip(self.names, told, strict=True) if kept]
-        self.projected = projected[:, told]
+        distinct = (projected**2).sum(axis=0) > LEAST_LEFT * (selection.base.apply_weights(columns) ** 2).sum(axis=0)
+        self.names = [name for name, kept in zip(self.names, distinct, strict=True) if kept]
+        self.projected = projected[:, distinct]
 
     def find_strongest(self, off: Floats, left: Floats) -> tuple[str, float, float]:
         """Return the significant shape with the largest gain on a residual, its q, and its gain."""
@@ -321,7 +323,7 @@ def _sun(windows: Windows) -> Floats:
 
 def _along(windows: Windows, left: Floats) -> list[dict[str, Any]]:
     """Return the mean residual of a window along each feature, for twelfths of the windows."""
-    found = []
+    shapes = []
     for name, unit in FEATURES:
         values = get_numbers(windows.table, name)
         there = np.isfinite(values)
@@ -335,5 +337,5 @@ def _along(windows: Windows, left: Floats) -> list[dict[str, Any]]:
         full = count > 0
         x = np.bincount(place, values[there], len(edges) - 1)[full] / count[full]
         y = np.bincount(place, left[there], len(edges) - 1)[full] / count[full]
-        found.append({"feature": name, "unit": unit, "x": x.tolist(), "y_kwh": y.tolist()})
-    return found
+        shapes.append({"feature": name, "unit": unit, "x": x.tolist(), "y_kwh": y.tolist()})
+    return shapes

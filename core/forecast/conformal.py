@@ -121,12 +121,12 @@ class ConformalIntervals:
         for place in np.ndindex(self.shape):
             shifts = self._find_nearest_shifts(place)
             lower, upper = (self._compute_bound_level(place, side) for side in ("lower", "upper"))
-            found = np.full(len(LEVELS) + 2, np.nan)
+            quantiles = np.full(len(LEVELS) + 2, np.nan)
             if len(shifts) >= LEAST_SHIFTS:
-                found = compute_quantiles(shifts, (*LEVELS, lower, 1.0 - upper))
-            *_, low, high = found
+                quantiles = compute_quantiles(shifts, (*LEVELS, lower, 1.0 - upper))
+            *_, low, high = quantiles
             self.bounds[place] = low, high
-            self.table[place] = clip_to_bounds(found[: len(LEVELS)], low, high)
+            self.table[place] = clip_to_bounds(quantiles[: len(LEVELS)], low, high)
 
     def _compute_bound_level(self, place: tuple[int, ...], side: str) -> float:
         """Return the probability of a bound of a class, counted from its own end."""

@@ -317,10 +317,10 @@ def withhold_charge(outlook: Outlook, silent_s: float) -> Outlook:
     -------
     Outlook
     """
-    asked, *legs = (each and msgspec.structs.replace(each, soc_pct=None) for each in (outlook.asked, *outlook.legs))
+    queried, *legs = (each and msgspec.structs.replace(each, soc_pct=None) for each in (outlook.asked, *outlook.legs))
     return msgspec.structs.replace(
         outlook,
-        asked=asked,
+        queried=queried,
         legs=legs,
         shift_end_s=None,
         soc_end_of_shift_pct=None,

@@ -22,7 +22,7 @@ _NUMBERS: Final = re.compile(rb"\[\n\s+([-+.\deE,\s]+?)\n\s+\]")
 def _format_json(content: bytes) -> bytes:
     """Return indented JSON for people, with each array of numbers on one line."""
     lines = msgspec.json.format(content, indent=2)
-    return _NUMBERS.sub(lambda found: b"[" + b" ".join(found[1].split()) + b"]", lines) + b"\n"
+    return _NUMBERS.sub(lambda match: b"[" + b" ".join(match[1].split()) + b"]", lines) + b"\n"
 
 
 def _parse(content: bytes) -> Any:

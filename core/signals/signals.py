@@ -121,12 +121,12 @@ def grade(signals: Signals) -> Floats:
 
 def ambient(signals: Signals) -> Floats:
     """Return the outside temperature: of the car, else of the nearest station, else of the standard atmosphere. [K]"""
-    own = signals.clean.ambient
-    unknown = np.isnan(own)
+    measured = signals.clean.ambient
+    unknown = np.isnan(measured)
     if not unknown.any():
-        return own
+        return measured
     station = signals.sky.ambient
-    return np.where(unknown, np.where(np.isnan(station), STANDARD_AMBIENT, station), own)
+    return np.where(unknown, np.where(np.isnan(station), STANDARD_AMBIENT, station), measured)
 
 
 def compute_air_density(signals: Signals) -> Floats:
@@ -210,8 +210,8 @@ def traction(signals: Signals) -> Floats:
 
 def pack_temperature(signals: Signals) -> Floats:
     """Return the battery temperature, replaced by the outside temperature where it is unknown. [K]"""
-    own = signals.clean.battery_temperature
-    return np.where(np.isnan(own), signals["ambient"], own)
+    measured = signals.clean.battery_temperature
+    return np.where(np.isnan(measured), signals["ambient"], measured)
 
 
 def darkness(signals: Signals) -> Floats:

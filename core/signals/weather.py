@@ -263,7 +263,7 @@ def _lay(rows: list[list[float]], first: int) -> None:
 
 def _observation(message: Weather, since: float) -> list[float]:
     """Return an observation in SI units in the order of `Sky`, with zero depths on the road."""
-    said = (
+    values = (
         message.temperature_c,
         message.wind_speed_kmh,
         message.wind_from_deg,
@@ -274,7 +274,7 @@ def _observation(message: Weather, since: float) -> list[float]:
     )
     temperature, wind, source, rain, pressure, humidity, solar = (
         np.nan if value is None or not low <= value <= high else value
-        for value, low, high in zip(said, _LOW, _HIGH, strict=True)
+        for value, low, high in zip(values, _LOW, _HIGH, strict=True)
     )
     wind *= KMH
     source = np.radians(source)

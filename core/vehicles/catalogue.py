@@ -222,13 +222,13 @@ def vehicle_model(message: Vehicle) -> VehicleModel | str:
     >>> vehicle_model(Vehicle("taxi-8", 0.0, "horse"))
     'unknown_vehicle_model'
     """
-    own = {name: getattr(message, name) for name in OVERRIDES if getattr(message, name) is not None}
-    if any(not BOUNDS[name][0] <= value <= BOUNDS[name][1] for name, value in own.items()):
+    overrides = {name: getattr(message, name) for name in OVERRIDES if getattr(message, name) is not None}
+    if any(not BOUNDS[name][0] <= value <= BOUNDS[name][1] for name, value in overrides.items()):
         return OUT_OF_RANGE
     known = load_catalogue().get(message.model)
-    if known is None and len(own) < len(OVERRIDES):
+    if known is None and len(overrides) < len(OVERRIDES):
         return UNKNOWN_MODEL
-    sources = dict.fromkeys(own, "the car's own vehicle message")
+    sources = dict.fromkeys(overrides, "the car's own vehicle message")
     if known is None:
         sources["accessory_scale"] = "estimated: that of the reference car"
         return VehicleModel(
@@ -238,14 +238,14 @@ def vehicle_model(message: Vehicle) -> VehicleModel | str:
             usable_capacity_kwh=None,
             rated_kwh_per_km=None,
             sources=sources,
-            **own,
+            **overrides,
         )
-    if not own:
+    if not overrides:
         return known
     usable = known.usable_capacity_kwh
-    if usable is not None and "nominal_capacity_kwh" in own:
-        usable *= own["nominal_capacity_kwh"] / known.nominal_capacity_kwh
-    return replace(known, usable_capacity_kwh=usable, sources={**known.sources, **sources}, **own)
+    if usable is not None and "nominal_capacity_kwh" in overrides:
+        usable *= overrides["nominal_capacity_kwh"] / known.nominal_capacity_kwh
+    return replace(known, usable_capacity_kwh=usable, sources={**known.sources, **sources}, **overrides)
 
 
 def _entry(key: str, table: Any) -> VehicleModel:
@@ -271,11 +271,11 @@ def _entry(key: str, table: Any) -> VehicleModel:
     if "usable_capacity_kwh" in table:
         usable = _figure(key, table, "usable_capacity_kwh", 1.0, figures["nominal_capacity_kwh"])
     rated = _figure(key, table, "rated_kwh_per_km", *RATED) if "rated_kwh_per_km" in table else None
-    said = table.get("name")
-    if not isinstance(said, str) or not said.strip():
+    title = table.get("name")
+    if not isinstance(title, str) or not title.strip():
         raise CatalogueError(f'vehicle {key}: it has no name: add name = "..."')
     return VehicleModel(
-        key=key, name=said, usable_capacity_kwh=usable, rated_kwh_per_km=rated, sources=dict(sources), **figures
+        key=key, name=title, usable_capacity_kwh=usable, rated_kwh_per_km=rated, sources=dict(sources), **figures
     )
 
 
@@ -283,8 +283,8 @@ def _figure(key: str, table: Mapping[str, Any], name: str, low: float, high: flo
     """Return a figure of a table, checked to be a number within its bounds."""
     value = table.get(name)
     if not isinstance(value, int | float) or isinstance(value, bool):
-        said = "is missing" if value is None else f"is {value!r}, no number"
-        raise CatalogueError(f"vehicle {key}: {name} {said}: give one from {low:g} to {high:g}")
+        problem = "is missing" if value is None else f"is {value!r}, no number"
+        raise CatalogueError(f"vehicle {key}: {name} {problem}: give one from {low:g} to {high:g}")
     if not low <= value <= high:
         raise CatalogueError(f"vehicle {key}: {name} {value:g} is outside {low:g} to {high:g}: correct it")
     return float(value)

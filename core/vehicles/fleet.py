@@ -151,34 +151,34 @@ class Cars:
         before = self.of_lane.take(lane)
         if not changes:
             return before
-        told = [Change(who, row, self._kind(message)) for row, who, message in changes]
-        self.unpredictable.update(why for change in told if (why := self._reasons[change.kind]) is not None)
-        for change in told:
+        reported = [Change(who, row, self._kind(message)) for row, who, message in changes]
+        self.unpredictable.update(why for change in reported if (why := self._reasons[change.kind]) is not None)
+        for change in reported:
             self.of_lane[change.lane] = change.kind
-        told.sort(key=lambda change: change[:2])
+        reported.sort(key=lambda change: change[:2])
         span = len(lane) + 1
-        keys = np.array([change.lane * span + change.row for change in told])
+        keys = np.array([change.lane * span + change.row for change in reported])
         last = np.searchsorted(keys, lane * span + np.arange(len(lane)), side="right") - 1
         applies = (last >= 0) & (keys[last] // span == lane)
-        return np.where(applies, np.array([change.kind for change in told])[last], before)
+        return np.where(applies, np.array([change.kind for change in reported])[last], before)
 
     def _kind(self, message: Vehicle) -> int:
         """Return the kind that a message describes, and add it if it is new."""
-        told = _bare(message)
-        key = msgspec.json.encode(told)
+        content = _bare(message)
+        key = msgspec.json.encode(content)
         kind = self._kinds.get(key)
         if kind is not None:
             return kind
-        found = vehicle_model(message)
+        described = vehicle_model(message)
         kind = len(self.models)
-        self._reasons.append(found if isinstance(found, str) else None)
-        if isinstance(found, str):
+        self._reasons.append(described if isinstance(described, str) else None)
+        if isinstance(described, str):
             row, capacity, model = [np.nan] * len(CarParameters._fields), np.nan, None
         else:
-            row, model = [getattr(found, name) for name in CarParameters._fields], found
-            capacity = found.usable_capacity_kwh or found.nominal_capacity_kwh
+            row, model = [getattr(described, name) for name in CarParameters._fields], described
+            capacity = described.usable_capacity_kwh or described.nominal_capacity_kwh
         self.models.append(model)
-        self.messages.append(told)
+        self.messages.append(content)
         self.parameters = np.vstack([self.parameters, row])
         self.capacity = np.append(self.capacity, capacity)
         self._kinds[key] = kind

@@ -48,9 +48,9 @@ def _section(each: CommandHelp) -> str:
     parts = [f"{level} {each.path}", _prose(each.command.help)]
     if inner := getattr(each.command, "commands", None):
         parts.append(f"It has {len(inner)} commands: {', '.join(code(name) for name in inner)}.")
-    found = parameters(each.command)
-    arguments = [one for one in found if one.param_type_name == "argument"]
-    options = [one for one in found if one.param_type_name == "option"]
+    described = parameters(each.command)
+    arguments = [one for one in described if one.param_type_name == "argument"]
+    options = [one for one in described if one.param_type_name == "option"]
     if arguments:
         rows = [[code(one.metavar or one.name.upper()), _takes(one), _text(one)] for one in arguments]
         parts.append(table(["argument", "takes", "meaning"], rows))
@@ -121,10 +121,10 @@ def _text(parameter: Any) -> str:
 
 def _examples(path: str) -> list[str]:
     """Return the calls of a command that guides show, each once, at most four."""
-    found = dict.fromkeys(
+    commands = dict.fromkeys(
         line.removeprefix("$ ")
         for page in GUIDES
         for line in page.read_text(encoding="utf-8").splitlines()
         if line.removeprefix("$ ").split("#")[0].strip().startswith(f"{path} ") or line.removeprefix("$ ") == path
     )
-    return list(found)[:4]
+    return list(commands)[:4]

@@ -14,9 +14,9 @@ SIGNS: Final = {1: "positive: the effect always costs energy", -1: "negative: it
 def effects() -> str:
     """Return the reference of every effect, by topic."""
     parts = []
-    for topic, found in library.group_by_topic().items():
+    for topic, of_topic in library.group_by_topic().items():
         parts.append(f"## {topic[0].upper()}{topic[1:]}\n")
-        parts += [_section(effect) for effect in found]
+        parts += [_section(effect) for effect in of_topic]
     return "\n".join(parts)
 
 

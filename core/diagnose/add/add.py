@@ -227,8 +227,8 @@ def _select_rows(model: LinearModel, term: Term, joined: pd.DataFrame, rides: pd
     )
     if missing := [name for name in raw if name not in rows]:
         effect = missing[0].removeprefix(EFFECT_PREFIX)
-        own = ", with --effects FILE for an effect of your own" if missing[0].startswith(EFFECT_PREFIX) else ""
-        raise ModelError(f"{effect} is not in the tables: make them again with `socast tables`{own}")
+        remedy = ", with --effects FILE for an effect of your own" if missing[0].startswith(EFFECT_PREFIX) else ""
+        raise ModelError(f"{effect} is not in the tables: make them again with `socast tables`{remedy}")
     good, _ = select_trainable(rows, [*raw, ENERGY])
     return good.reset_index(drop=True)
 

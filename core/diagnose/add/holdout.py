@@ -212,7 +212,7 @@ def compare_errors(table: pd.DataFrame, before: Floats, after: Floats) -> dict[s
         return {"rides": 0, "clusters": 0, **errors, "change_kwh": UNKNOWN.figures()}
     change = better - worse
     clusters = assign_vehicle_days(table.loc[known])
-    found = compute_clustered_mean(change, clusters)
+    mean_change = compute_clustered_mean(change, clusters)
     mae = float(worse.mean())
     return {
         "rides": len(measured),
@@ -220,7 +220,7 @@ def compare_errors(table: pd.DataFrame, before: Floats, after: Floats) -> dict[s
         "mae_before_kwh": mae,
         "mae_after_kwh": float(better.mean()),
         "fall": float(-change.mean() / mae) if mae > 0.0 else 0.0,
-        "change_kwh": found.figures(),
+        "change_kwh": mean_change.figures(),
     }
 
 

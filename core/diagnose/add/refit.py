@@ -132,9 +132,9 @@ def refit_with(
             before = _around(change.base, change.effects, visible, _estimates(base, change.effects), covariance=False)
         terms = (*change.effects, change.added)
         base = base.reweight(np.nan_to_num(build_design(terms, Columns(base.windows.table), len(base.windows.table))))
-        found = _estimates(base, terms)
-        after = _around(change.base, terms, visible, found, covariance=covariance)
-    return RefittedPair(before, msgspec.structs.replace(after, training=plain.training), found[-1])
+        estimates = _estimates(base, terms)
+        after = _around(change.base, terms, visible, estimates, covariance=covariance)
+    return RefittedPair(before, msgspec.structs.replace(after, training=plain.training), estimates[-1])
 
 
 def hide_vehicle_models(rows: pd.DataFrame, kinds: Collection[str]) -> pd.DataFrame:
@@ -164,15 +164,17 @@ def _around(
     terms: tuple[Term, ...],
     added: tuple[Term, ...],
     rows: pd.DataFrame,
-    found: Sequence[Mapping[str, CoefficientEstimate]],
+    estimates: Sequence[Mapping[str, CoefficientEstimate]],
     *,
     covariance: bool,
 ) -> LinearModel:
     """Return a model whose last coefficients are given, and whose other coefficients are fitted around them."""
     kinds = np.array(get_names(rows, VEHICLE_MODEL), dtype=object)
     columns = build_design(added, Columns(rows), len(rows))
-    value = np.array([[own.get(kind, own[ANY]).value for own in found] for kind in kinds]).reshape(columns.shape)
-    common = np.array([own[ANY].value for own in found])
+    value = np.array(
+        [[of_effect.get(kind, of_effect[ANY]).value for of_effect in estimates] for kind in kinds]
+    ).reshape(columns.shape)
+    common = np.array([of_effect[ANY].value for of_effect in estimates])
     made = refit(terms, _less(rows, (value * columns).sum(axis=1)), covariance=covariance)
     if (value != common).any():
         every = refit(terms, _less(rows, columns @ common), covariance=covariance)
@@ -180,7 +182,9 @@ def _around(
     fits = {}
     for key, fit in made.fits.items():
         at = np.flatnonzero(kinds == key) if key != ANY else np.arange(len(rows))
-        fits[key] = _with(terms, fit, [own.get(key, own[ANY]) for own in found], rows.iloc[at], columns[at])
+        fits[key] = _with(
+            terms, fit, [of_effect.get(key, of_effect[ANY]) for of_effect in estimates], rows.iloc[at], columns[at]
+        )
     return msgspec.structs.replace(made, terms=(*terms, *added), fits=fits)
 
 
@@ -207,8 +211,8 @@ def _estimate(
     common = _alone(base, left, place, rows)
     if common is None or float((left[:, place] ** 2).sum()) <= LEAST_LEFT * size:
         return {ANY: CoefficientEstimate(0.0, nan, 0.0)}
-    own = {kind: _alone(base, left, place, np.intersect1d(at, rows)) for kind, at in base.kinds.items()}
-    return _pooled(common, {key: each for key, each in own.items() if each and each.freedom >= LEAST_FREEDOM})
+    by_kind = {kind: _alone(base, left, place, np.intersect1d(at, rows)) for kind, at in base.kinds.items()}
+    return _pooled(common, {key: each for key, each in by_kind.items() if each and each.freedom >= LEAST_FREEDOM})
 
 
 def _alone(base: BaseProjection, left: Floats, place: int, at: Rows) -> CoefficientEstimate | None:
@@ -220,10 +224,10 @@ def _alone(base: BaseProjection, left: Floats, place: int, at: Rows) -> Coeffici
     if size <= LEAST_LEFT * float(left[:, place] @ left[:, place]):
         return None
     clusters = [_renumbered(code[at]) for code in (base.windows.day, base.windows.date)]
-    found = compute_worst_case_evidence(residual, column[:, np.newaxis], np.zeros(1, dtype=np.int64), clusters)
-    value = float(found.coefficient[0])
+    evidence = compute_worst_case_evidence(residual, column[:, np.newaxis], np.zeros(1, dtype=np.int64), clusters)
+    value = float(evidence.coefficient[0])
     alone = sqrt(float(np.mean((residual - value * column) ** 2)) / size)  # the error, were windows independent
-    return CoefficientEstimate(value, max(float(found.error[0]), alone), float(found.freedom[0]))
+    return CoefficientEstimate(value, max(float(evidence.error[0]), alone), float(evidence.freedom[0]))
 
 
 def _renumbered(code: Ints) -> ClusterSums:
@@ -262,13 +266,13 @@ def predict_with_effects_held_out(
         plain = refit(change.base, rows)
         base = BaseProjection(convert_to_windows(rows), plain)
         for fold in folds:
-            found = _estimates(base, terms, ~fold)
+            estimates = _estimates(base, terms, ~fold)
             known = plain
             if change.effects:
-                own = _estimates(base, change.effects, ~fold)
-                known = _around(change.base, change.effects, rows, own, covariance=False)
+                of_effects = _estimates(base, change.effects, ~fold)
+                known = _around(change.base, change.effects, rows, of_effects, covariance=False)
             before[fold] = known.predict(rows.loc[fold])
-            after[fold] = _around(change.base, terms, rows, found, covariance=False).predict(rows.loc[fold])
+            after[fold] = _around(change.base, terms, rows, estimates, covariance=False).predict(rows.loc[fold])
     return before, after
 
 
@@ -321,13 +325,13 @@ def assess_addition(change: TermAddition, rows: pd.DataFrame, *, sign: int, seed
     worth = compute_least_coefficients(
         [change.added.columns[0].removeprefix(EFFECT_PREFIX)], columns[:, -1:], windows.measured
     )
-    found = compute_worst_case_evidence(residual, column[:, np.newaxis], np.array([sign]), clusters, worth)
+    evidence = compute_worst_case_evidence(residual, column[:, np.newaxis], np.array([sign]), clusters, worth)
     after = residual - column * _cross_fitted(column, residual, sign, clusters[0], seed)
     of_windows = clusters[0].sum_by_cluster(residual**2 - after**2) / float(residual @ residual)
     rides = [windows.by_ride(base.convert_to_energy(values)) for values in (residual, after)]
     fall = np.bincount(windows.day_of_ride, rides[0] ** 2 - rides[1] ** 2, clusters[0].count)
     gain, error = max(sum_over_clusters(of_windows), sum_over_clusters(fall / float(rides[0] @ rides[0])))
-    return AdditionEvidence(float(found.p[0]), gain, float(stdtrit(clusters[0].count - 1, 0.975) * error))
+    return AdditionEvidence(float(evidence.p[0]), gain, float(stdtrit(clusters[0].count - 1, 0.975) * error))
 
 
 def _cross_fitted(column: Floats, residual: Floats, sign: int, clusters: ClusterSums, seed: int) -> Floats:
@@ -339,27 +343,27 @@ def _cross_fitted(column: Floats, residual: Floats, sign: int, clusters: Cluster
     return np.asarray(np.where(sign * fitted < 0.0, 0.0, fitted)[fold])
 
 
-def _pooled(common: CoefficientEstimate, own: dict[str, CoefficientEstimate]) -> dict[str, CoefficientEstimate]:
+def _pooled(common: CoefficientEstimate, by_kind: dict[str, CoefficientEstimate]) -> dict[str, CoefficientEstimate]:
     """Return the common coefficient, and for vehicle models that differ by more than chance their own, shrunk to it."""
-    if len(own) < 2:
+    if len(by_kind) < 2:
         return {ANY: common}
-    value, variance = np.array([(e.value, e.error**2) for e in own.values()]).T
+    value, variance = np.array([(e.value, e.error**2) for e in by_kind.values()]).T
     weight = 1.0 / variance
     mean = float(weight @ value / weight.sum())
-    excess = float(weight @ (value - mean) ** 2) - (len(own) - 1)
+    excess = float(weight @ (value - mean) ** 2) - (len(by_kind) - 1)
     between = max(0.0, excess / float(weight.sum() - weight @ weight / weight.sum()))
     if between == 0.0:
         return {ANY: common}
     weight = 1.0 / (variance + between)
     mean = float(weight @ value / weight.sum())
-    freedom = min(e.freedom for e in own.values())
-    found = {ANY: CoefficientEstimate(mean, float(1.0 / np.sqrt(weight.sum())), max(len(own) - 1.0, freedom))}
-    for kind, each in own.items():
+    freedom = min(e.freedom for e in by_kind.values())
+    pooled = {ANY: CoefficientEstimate(mean, float(1.0 / np.sqrt(weight.sum())), max(len(by_kind) - 1.0, freedom))}
+    for kind, each in by_kind.items():
         share = between / (between + each.error**2)
-        found[kind] = CoefficientEstimate(
+        pooled[kind] = CoefficientEstimate(
             mean + share * (each.value - mean), float(np.sqrt(share)) * each.error, each.freedom
         )
-    return found
+    return pooled
 
 
 def _with(

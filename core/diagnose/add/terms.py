@@ -159,8 +159,8 @@ def build_effect_term(model: LinearModel, effect: str, columns: tuple[str, ...])
         )
     scopes = [column for column in columns if is_scope(column)]
     for term in model.terms:
-        own = [c.removeprefix(EFFECT_PREFIX).partition("@")[0] for c in term.columns if c.startswith(EFFECT_PREFIX)]
-        if effect.partition("@")[0] in own and sorted(filter(is_scope, term.columns)) == sorted(scopes):
+        of_term = [c.removeprefix(EFFECT_PREFIX).partition("@")[0] for c in term.columns if c.startswith(EFFECT_PREFIX)]
+        if effect.partition("@")[0] in of_term and sorted(filter(is_scope, term.columns)) == sorted(scopes):
             raise ModelError(
                 f"effect {effect} is in model {model.name} already, as the term {term.name!r}: choose another, or give "
                 "it a --scope"

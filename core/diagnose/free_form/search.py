@@ -215,8 +215,8 @@ def suggest_term(
 
 def _dealt(cluster: Ints) -> Ints:
     """Return the piece of each row; clusters are assigned at random with a fixed seed."""
-    found, code = np.unique(cluster, return_inverse=True)
-    piece = np.random.default_rng(0).permutation(len(found)) % min(PIECES, len(found))
+    clusters, code = np.unique(cluster, return_inverse=True)
+    piece = np.random.default_rng(0).permutation(len(clusters)) % min(PIECES, len(clusters))
     return piece.astype(np.int64)[code]
 
 
@@ -228,14 +228,14 @@ def _prepared(residual: Floats, weight: Floats, cluster: Ints, base: Floats) -> 
     values, directions = np.linalg.eigh(scaled.T @ scaled / len(scaled))
     kept = values > 1e-9 * max(values.max(initial=0.0), 1e-300)
     scaled = scaled @ (directions[:, kept] / np.sqrt(values[kept]))
-    own = residual * root
-    own = own - scaled @ (scaled.T @ own) / len(own)
+    weighted = residual * root
+    weighted = weighted - scaled @ (scaled.T @ weighted) / len(weighted)
     starts = np.flatnonzero(np.diff(_dealt(cluster), prepend=-1))
-    ends = [*starts[1:].tolist(), len(own)]
+    ends = [*starts[1:].tolist(), len(weighted)]
     pieces = [slice(first, last) for first, last in zip(starts.tolist(), ends, strict=True)]
     gram = np.array([scaled[piece].T @ scaled[piece] for piece in pieces])
-    cross = np.array([scaled[piece].T @ own[piece] for piece in pieces])
-    return _Data(scaled, own, root, cluster, starts, gram, cross)
+    cross = np.array([scaled[piece].T @ weighted[piece] for piece in pieces])
+    return _Data(scaled, weighted, root, cluster, starts, gram, cross)
 
 
 def _summed(columns: Floats, data: _Data) -> _Sums:
@@ -259,7 +259,7 @@ def _joined(parts: Sequence[_Sums]) -> _Sums:
     return _Sums(*(np.concatenate(each, axis=1) for each in zip(*parts, strict=True)))
 
 
-def _own(column: Floats, data: _Data) -> Floats:
+def _project_off_base(column: Floats, data: _Data) -> Floats:
     """Return a weighted column projected off the base over all rows, (n,)."""
     return column - data.base @ (data.base.T @ column) / len(column)
 
@@ -267,7 +267,7 @@ def _own(column: Floats, data: _Data) -> Floats:
 class _Fitted(NamedTuple):
     """Hold base and m terms fitted to some pieces: base without a term, base in each column, coefficients."""
 
-    own: Floats
+    base: Floats
     taken: Floats
     coefficient: Floats
 
@@ -280,16 +280,16 @@ def _fit(data: _Data, sums: _Sums, train: Ints) -> _Fitted:
     base, square = sums.base[train].sum(axis=0), sums.square[train].sum(axis=0)
     taken = base @ inverse
     left = square - np.einsum("mk,mk->m", taken, base)
-    told = (left > 0.0) & (np.count_nonzero(sums.square[train] > 0.0, axis=0) >= LEAST_PIECES * len(train))
+    determined = (left > 0.0) & (np.count_nonzero(sums.square[train] > 0.0, axis=0) >= LEAST_PIECES * len(train))
     total = sums.residual[train].sum(axis=0) - taken @ cross
-    return _Fitted(inverse @ cross, taken, np.divide(total, left, out=np.zeros(len(left)), where=told))
+    return _Fitted(inverse @ cross, taken, np.divide(total, left, out=np.zeros(len(left)), where=determined))
 
 
 def _fall(data: _Data, sums: _Sums, train: Ints, test: int) -> Floats:
     """Return the fall of the squared residual of a piece by each column, fitted to other pieces, (m,)."""
     fitted = _fit(data, sums, train)
     gram, cross, base = data.gram[test], data.cross[test], sums.base[test]
-    along = sums.residual[test] - base @ fitted.own - fitted.taken @ (cross - gram @ fitted.own)
+    along = sums.residual[test] - base @ fitted.base - fitted.taken @ (cross - gram @ fitted.base)
     size = sums.square[test] - 2.0 * np.einsum("mk,mk->m", fitted.taken, base)
     size = size + np.einsum("mk,mk->m", fitted.taken @ gram, fitted.taken)
     return 2.0 * fitted.coefficient * along - fitted.coefficient**2 * size
@@ -351,9 +351,9 @@ def _gain(search: _Search) -> tuple[float, float]:
         train = np.setdiff1d(every, test)
         term = _choose(search, train)
         rows = np.isin(piece, test)
-        column = _own(search.column(search.terms[0] if term is None else term) * data.root, data)
+        column = _project_off_base(search.column(search.terms[0] if term is None else term) * data.root, data)
         fitted = _fit(data, _summed(column[None, :], data), train)
-        left = data.residual[rows] - data.base[rows] @ fitted.own
+        left = data.residual[rows] - data.base[rows] @ fitted.base
         without[rows] = left**2
         if term is not None:
             term_left = left - fitted.coefficient[0] * (column[rows] - data.base[rows] @ fitted.taken[0])
@@ -372,11 +372,11 @@ def _coefficient(search: _Search, term: FreeTerm) -> tuple[float, float]:
     The interval follows from the jackknife over clusters; its degrees of freedom are the effective number of clusters.
     """
     data = search.data
-    own = _own(search.column(term) * data.root, data)
-    coefficient = float(own @ data.residual / np.sum(own**2))
-    left = data.residual - coefficient * own
+    projected = _project_off_base(search.column(term) * data.root, data)
+    coefficient = float(projected @ data.residual / np.sum(projected**2))
+    left = data.residual - coefficient * projected
     code = np.unique(data.cluster, return_inverse=True)[1]
-    share = np.bincount(code, own**2) / np.sum(own**2)
-    moved = np.bincount(code, own * left) / np.sum(own**2) / np.maximum(1.0 - share, 0.05)
+    share = np.bincount(code, projected**2) / np.sum(projected**2)
+    moved = np.bincount(code, projected * left) / np.sum(projected**2) / np.maximum(1.0 - share, 0.05)
     freedom = max(1.0 / float(np.sum(share**2)) - 1.0, 1.0)
     return coefficient, float(stats.t.ppf(0.975, freedom) * np.sqrt(np.sum(moved**2)))

@@ -15,7 +15,7 @@ class _Written(NamedTuple):
 
     formula: str
     code: str
-    said: str = ""
+    limit_text: str = ""
     name: str = ""
     parameter: Parameter | None = None
 
@@ -24,18 +24,18 @@ def format_formula(term: FreeTerm) -> str:
     """Return the formula of the power of a term, with a coefficient c."""
     written = [_write(each) for each in term.modulators]
     factors = ["c", *(each.formula for each in written), *([term.carrier.symbol] if term.carrier.symbol else [])]
-    return ", ".join([f"P = {' · '.join(factors)}", *(each.said for each in written if each.said)])
+    return ", ".join([f"P = {' · '.join(factors)}", *(each.limit_text for each in written if each.limit_text)])
 
 
 def derive_unit(term: FreeTerm) -> str:
     """Return the unit of the coefficient of a term with which its power is in watt, as pint spells it."""
-    found = term.carrier.unit
+    unit = term.carrier.unit
     for each in term.modulators:
-        own = each.variable.unit
-        if own != "1" and each.shape != "decay":
-            found += f"/({own})" if "/" in own else f"/{own}"
-            found += "^2" if each.shape == "square" else ""
-    return found
+        of_variable = each.variable.unit
+        if of_variable != "1" and each.shape != "decay":
+            unit += f"/({of_variable})" if "/" in of_variable else f"/{of_variable}"
+            unit += "^2" if each.shape == "square" else ""
+    return unit
 
 
 def name_term(term: FreeTerm) -> str:
@@ -89,18 +89,18 @@ def format_source_file(term: FreeTerm, coefficient: float, windows: int) -> str:
 
 def _write(modulator: Modulator) -> _Written:
     """Return a modulator as a formula and as code."""
-    x, code, own = modulator.variable.symbol, modulator.variable.code, modulator.variable.unit
+    x, code, unit = modulator.variable.symbol, modulator.variable.code, modulator.variable.unit
     if modulator.shape == "linear":
         return _Written(x, code)
     if modulator.shape == "square":
         return _Written(f"({x})²" if " " in x else f"{x}²", f"({code}) ** 2")
     limit, constant = f"{x}0", f"{modulator.variable.name}_{'scale' if modulator.shape == 'decay' else 'limit'}"
-    said, coded = {
+    formula, coded = {
         "above": (f"max({x} − {limit}, 0)", f"np.maximum({code} - {constant}, 0.0)"),
         "below": (f"max({limit} − {x}, 0)", f"np.maximum({constant} - {code}, 0.0)"),
         "decay": (f"exp(−{x}/{limit})", f"np.exp(-{code} / {constant})"),
     }[modulator.shape]
     at, grid = modulator.at, modulator.grid
-    value = f"{limit} = {at:.4g}" + ("" if own == "1" else f" {own}")
-    moved = Parameter(at, own, grid[0], grid[-1], grid) if len(grid) > 1 else Parameter(at, own)
-    return _Written(said, coded, value, constant, moved)
+    value = f"{limit} = {at:.4g}" + ("" if unit == "1" else f" {unit}")
+    moved = Parameter(at, unit, grid[0], grid[-1], grid) if len(grid) > 1 else Parameter(at, unit)
+    return _Written(formula, coded, value, constant, moved)

@@ -132,5 +132,5 @@ def choose_limits(x: Floats, unit: str) -> tuple[float, ...]:
     """
     low, high = float(x.min()), float(x.max())
     varied = x[x > low] if low < high and np.mean(x == low) > QUANTILES[1] else x
-    found = (float(f"{at:.0f}") if unit == "K" else float(f"{at:.2g}") for at in np.quantile(varied, QUANTILES))
-    return tuple(sorted({at for at in found if low < at < high}))
+    rounded = (float(f"{at:.0f}") if unit == "K" else float(f"{at:.2g}") for at in np.quantile(varied, QUANTILES))
+    return tuple(sorted({at for at in rounded if low < at < high}))

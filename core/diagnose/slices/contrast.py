@@ -119,16 +119,18 @@ def compute_contrast(masks: NDArray[np.bool_], error: Floats, starts: Ints) -> C
         np.add.reduceat(masks * error**2, starts, axis=1),
     )
     outside = _Sums(*(whole - part for whole, part in zip(every, inside, strict=True)))
-    told = inside.spread_over() & outside.spread_over()
+    sufficient = inside.spread_over() & outside.spread_over()
     with np.errstate(divide="ignore", invalid="ignore"):
         difference = inside.mean() - outside.mean()
         moved = inside.without() - outside.without() - difference[:, None]
         jackknife = (1.0 - 1.0 / len(starts)) * np.einsum("kd,kd->k", moved, moved)
-        own = _freedom(inside, outside)
-        variance = (PRIOR * _expected(inside, outside, every) + own * jackknife) / (PRIOR + own)
-        told &= own + PRIOR >= LEAST_FREEDOM
+        freedom = _freedom(inside, outside)
+        variance = (PRIOR * _expected(inside, outside, every) + freedom * jackknife) / (PRIOR + freedom)
+        sufficient &= freedom + PRIOR >= LEAST_FREEDOM
     return Contrast(
-        np.where(told, difference, 0.0), np.where(told, np.sqrt(variance), np.inf), np.where(told, own + PRIOR, 0.0)
+        np.where(sufficient, difference, 0.0),
+        np.where(sufficient, np.sqrt(variance), np.inf),
+        np.where(sufficient, freedom + PRIOR, 0.0),
     )
 
 

@@ -135,16 +135,16 @@ def list_conditions(rides: pd.DataFrame) -> tuple[list[RideCondition], Masks]:
     (c, n) bool
         Rides for which each condition holds.
     """
-    found: list[RideCondition] = []
+    conditions: list[RideCondition] = []
     masks: list[NDArray[np.bool_]] = []
     seen: set[bytes] = set()
     for condition, mask in _all(rides):
         key = np.packbits(mask).tobytes()
         if FEWEST <= np.count_nonzero(mask) <= len(mask) - FEWEST and key not in seen:
             seen.add(key)
-            found.append(condition)
+            conditions.append(condition)
             masks.append(mask)
-    return found, np.array(masks, dtype=np.bool_).reshape(len(found), len(rides))
+    return conditions, np.array(masks, dtype=np.bool_).reshape(len(conditions), len(rides))
 
 
 def read_start_s(rides: pd.DataFrame) -> Floats:
@@ -158,9 +158,9 @@ def read_dates(rides: pd.DataFrame) -> NDArray[np.str_]:
         return np.array(get_names(rides, "date"), dtype=np.str_)
     began = read_start_s(rides)
     known = np.isfinite(began)
-    found = np.full(len(rides), "", dtype="<U10")
-    found[known] = [datetime.fromtimestamp(time, UTC).date().isoformat() for time in began[known].tolist()]
-    return found
+    dates = np.full(len(rides), "", dtype="<U10")
+    dates[known] = [datetime.fromtimestamp(time, UTC).date().isoformat() for time in began[known].tolist()]
+    return dates
 
 
 def _all(rides: pd.DataFrame) -> Iterator[tuple[RideCondition, NDArray[np.bool_]]]:
@@ -179,19 +179,19 @@ def _all(rides: pd.DataFrame) -> Iterator[tuple[RideCondition, NDArray[np.bool_]
 
 def _named(column: NDArray[np.str_], kind: str, title: str) -> Iterator[tuple[RideCondition, NDArray[np.bool_]]]:
     """Yield one condition for each name that is frequent enough."""
-    found, code, rides = np.unique(column, return_inverse=True, return_counts=True)
-    for i, (name, count) in enumerate(zip(found.tolist(), rides.tolist(), strict=True)):
+    names, code, rides = np.unique(column, return_inverse=True, return_counts=True)
+    for i, (name, count) in enumerate(zip(names.tolist(), rides.tolist(), strict=True)):
         if name and count >= FEWEST:
-            said = name if any(letter.isalpha() for letter in name) else f"{title} {name}"
-            yield RideCondition(said, kind), code == i
+            words = name if any(letter.isalpha() for letter in name) else f"{title} {name}"
+            yield RideCondition(words, kind), code == i
 
 
 def _compared(values: Floats, scale: ConditionScale) -> Iterator[tuple[RideCondition, NDArray[np.bool_]]]:
     """Yield the conditions on both sides of each threshold of a column."""
     for threshold in choose_thresholds(values, scale):
-        said = f"{threshold:g}"
-        yield RideCondition(scale.below.format(said), f"{scale.column} <", scale.effort), values < threshold
-        yield RideCondition(scale.above.format(said), f"{scale.column} >", scale.effort), values >= threshold
+        text = f"{threshold:g}"
+        yield RideCondition(scale.below.format(text), f"{scale.column} <", scale.effort), values < threshold
+        yield RideCondition(scale.above.format(text), f"{scale.column} >", scale.effort), values >= threshold
 
 
 def choose_thresholds(values: Floats, scale: ConditionScale) -> list[float]:
@@ -211,13 +211,13 @@ def choose_thresholds(values: Floats, scale: ConditionScale) -> list[float]:
     if scale.at:
         return [at for at in scale.at if low < at <= high]
     quantiles = np.quantile(known, QUANTILES)
-    found: list[float] = []
+    thresholds: list[float] = []
     for step in scale.steps:
         round_ones = np.unique(np.round(quantiles / step)) * step
-        found = [float(at) + 0.0 for at in round_ones if low < at <= high]
-        if len(found) >= ENOUGH:
+        thresholds = [float(at) + 0.0 for at in round_ones if low < at <= high]
+        if len(thresholds) >= ENOUGH:
             break
-    return found
+    return thresholds
 
 
 def _hours(rides: pd.DataFrame) -> Iterator[tuple[RideCondition, NDArray[np.bool_]]]:
@@ -233,10 +233,10 @@ def _hours(rides: pd.DataFrame) -> Iterator[tuple[RideCondition, NDArray[np.bool
 def _periods(day: NDArray[np.str_]) -> Iterator[tuple[RideCondition, NDArray[np.bool_]]]:
     """Yield the periods before and since a date, for every date or for dates that divide the rides evenly."""
     known = np.sort(day[day != ""])
-    found = np.unique(known)
-    if len(found) > MOST_DATES:
-        found = np.unique(known[(np.linspace(0.0, 1.0, MOST_DATES + 2)[1:-1] * len(known)).astype(np.int64)])
-    for date in found.tolist():
+    dates = np.unique(known)
+    if len(dates) > MOST_DATES:
+        dates = np.unique(known[(np.linspace(0.0, 1.0, MOST_DATES + 2)[1:-1] * len(known)).astype(np.int64)])
+    for date in dates.tolist():
         yield RideCondition(f"before {date}", "date <", VAGUE), (day < date) & (day != "")
         yield RideCondition(f"since {date}", "date >", VAGUE), day >= date
 

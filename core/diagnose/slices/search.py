@@ -92,7 +92,7 @@ class Slice(NamedTuple):
 class ConfirmedSlice(NamedTuple):
     """Hold a slice, the half in which it was found, and its results in the other half."""
 
-    found: Slice
+    candidate: Slice
     half: Half
     figures: dict[str, Any]
 
@@ -129,11 +129,11 @@ def find_slices(
         return []
     first = _dealt(day, seed)[day]
     halves = _half(masks, error, day, first), _half(masks, error, day, ~first)
-    found: list[ConfirmedSlice] = []
+    confirmed: list[ConfirmedSlice] = []
     for one, other in (halves, halves[::-1]):
-        found += _confirmed(search_slices(one, known, most), one, other, level / 2.0)
-    found.sort(key=lambda finding: -finding.found.score)
-    return [_describe(each, known) for each in _distinct(found, halves, known)[:most]]
+        confirmed += _confirmed(search_slices(one, known, most), one, other, level / 2.0)
+    confirmed.sort(key=lambda finding: -finding.candidate.score)
+    return [_describe(each, known) for each in _distinct(confirmed, halves, known)[:most]]
 
 
 def _in_order(rides: pd.DataFrame, error: Floats) -> tuple[pd.DataFrame, Floats, Ints]:
@@ -243,14 +243,14 @@ def _children(
     total = (inside * error) @ all_masks.T
     score = _glance(rides, total, error)
     score[rides > 0.95 * inside.sum(axis=1, keepdims=True)] = 0.0  # hardly narrower
-    found: dict[tuple[int, ...], None] = {}
+    children: dict[tuple[int, ...], None] = {}
     for row, parent in enumerate(parents):
         mine = {known[i].kind for i in parent}
         best = np.argsort(-np.abs(score[row]), kind="stable")[:CHILDREN]
         for i in best.tolist():
             if score[row, i] != 0.0 and known[i].kind not in mine:
-                found[tuple(sorted((*parent, i)))] = None
-    return list(found)
+                children[tuple(sorted((*parent, i)))] = None
+    return list(children)
 
 
 def _glance(rides: NDArray[np.float32], total: NDArray[np.float32], error: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -282,9 +282,9 @@ def _further(masks: Masks, error: Floats) -> NDArray[np.bool_]:
     return np.abs(total) * (len(error) - rides) >= np.abs(error.sum() - total) * rides
 
 
-def _effort(found: Sequence[tuple[int, ...]], known: Sequence[RideCondition]) -> Floats:
+def _effort(slices: Sequence[tuple[int, ...]], known: Sequence[RideCondition]) -> Floats:
     """Return the effort of the conditions of slices, (k,)."""
-    return np.array([sum(known[i].effort for i in each) for each in found], dtype=np.float64)
+    return np.array([sum(known[i].effort for i in each) for each in slices], dtype=np.float64)
 
 
 def _penalised(score: Floats, effort: Floats) -> Floats:
@@ -309,18 +309,18 @@ def _overlap(masks: Masks, mask: NDArray[np.bool_]) -> Floats:
     return np.maximum(_jaccard(masks, mask), _jaccard(masks, ~mask))
 
 
-def _confirmed(found: Sequence[Slice], one: Half, other: Half, level: float) -> list[ConfirmedSlice]:
+def _confirmed(candidates: Sequence[Slice], one: Half, other: Half, level: float) -> list[ConfirmedSlice]:
     """Return the slices that were found in one half and are confirmed in the other, with their results there."""
-    if not found:
+    if not candidates:
         return []
-    masks = np.array([_mask(other.masks, each.conditions) for each in found])
-    told = compute_contrast(masks, other.error, other.starts)
-    enough = (told.freedom > 0.0) & (masks.sum(axis=1) >= LEAST_RIDES)
-    signed = np.array([each.sign for each in found]) * told.difference / told.error
-    q = adjust_false_discovery(np.where(enough, stats.t.sf(signed, np.maximum(told.freedom, 1.0)), 1.0))
+    masks = np.array([_mask(other.masks, each.conditions) for each in candidates])
+    contrast = compute_contrast(masks, other.error, other.starts)
+    enough = (contrast.freedom > 0.0) & (masks.sum(axis=1) >= LEAST_RIDES)
+    signed = np.array([each.sign for each in candidates]) * contrast.difference / contrast.error
+    q = adjust_false_discovery(np.where(enough, stats.t.sf(signed, np.maximum(contrast.freedom, 1.0)), 1.0))
     kept = []
     for i in np.flatnonzero(q <= level).tolist():
-        estimate = Estimate(float(told.difference[i]), float(told.error[i]), float(told.freedom[i]))
+        estimate = Estimate(float(contrast.difference[i]), float(contrast.error[i]), float(contrast.freedom[i]))
         figures = {
             "rides": int(masks[i].sum()),
             "bias_kwh": estimate.value,
@@ -328,23 +328,23 @@ def _confirmed(found: Sequence[Slice], one: Half, other: Half, level: float) -> 
             "mae_kwh": float(np.abs(other.error[masks[i]]).mean()),
             "q": min(2.0 * float(q[i]), 1.0),
         }
-        kept.append(ConfirmedSlice(found[i], one, figures))
+        kept.append(ConfirmedSlice(candidates[i], one, figures))
     return kept
 
 
 def _distinct(
-    found: Sequence[ConfirmedSlice], halves: Sequence[Half], known: Sequence[RideCondition]
+    confirmed: Sequence[ConfirmedSlice], halves: Sequence[Half], known: Sequence[RideCondition]
 ) -> list[ConfirmedSlice]:
     """Return slices without those that equal an earlier one or that an earlier one explains."""
     kept: list[ConfirmedSlice] = []
-    for each in found:
-        earlier = [other.found.conditions for other in kept]
-        if earlier and max(_shared(each.found.conditions, other, halves) for other in earlier) >= SAME:
+    for each in confirmed:
+        earlier = [other.candidate.conditions for other in kept]
+        if earlier and max(_shared(each.candidate.conditions, other, halves) for other in earlier) >= SAME:
             continue
         left = _left(each.half.error, np.array([_mask(each.half.masks, other) for other in earlier]))
-        mask = _mask(each.half.masks, each.found.conditions)[None, :]
-        score = each.found.sign * compute_contrast(mask, left, each.half.starts).score()
-        if _penalised(score, _effort([each.found.conditions], known))[0] >= LEAST_SCORE:
+        mask = _mask(each.half.masks, each.candidate.conditions)[None, :]
+        score = each.candidate.sign * compute_contrast(mask, left, each.half.starts).score()
+        if _penalised(score, _effort([each.candidate.conditions], known))[0] >= LEAST_SCORE:
             kept.append(each)
     return kept
 
@@ -357,5 +357,5 @@ def _shared(one: Sequence[int], other: Sequence[int], halves: Sequence[Half]) ->
 
 def _describe(finding: ConfirmedSlice, known: Sequence[RideCondition]) -> dict[str, Any]:
     """Return the entry of a slice in the result."""
-    words = [known[i].words for i in finding.found.conditions]
+    words = [known[i].words for i in finding.candidate.conditions]
     return {"where": ", ".join(words), "conditions": words, **finding.figures}
