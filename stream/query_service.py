@@ -131,7 +131,7 @@ class QueryService:
     def end(self) -> None:
         """Log the counters if any query was received."""
         if counts := flatten_counts(self.counts()):
-            _log.info("asked", extra=event_fields(**counts))
+            _log.info("queries", extra=event_fields(**counts))
 
     def _answer(self, question: PendingQuery) -> None:
         """Answer or refuse one query."""

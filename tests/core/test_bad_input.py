@@ -8,7 +8,7 @@ import pytest
 from core.columns import KMH
 from core.pipeline import Pipeline
 from core.wire.messages import Message
-from tests.support.telemetry import drive, leaf, observed, ran, telemetry, told
+from tests.support.telemetry import drive, leaf, make_message, observed, ran, telemetry
 
 FUZZED = 10_000
 KEYS = (
@@ -187,7 +187,7 @@ def test_invalid_fields_of_other_messages_raise_nothing(kind, value):
         "plan": {"shift_end_s": value, "reserve_soc_pct": value, "legs": value},
         "ride": {"ride_id": value, "event": value, "driver_id": value},
     }[kind]
-    pipeline, _ = ran([told(kind, **fields), *good(30)])
+    pipeline, _ = ran([make_message(kind, **fields), *good(30)])
     assert count_messages(pipeline) == 31
     restored = Pipeline()
     restored.restore(pipeline.snapshot())

@@ -9,7 +9,7 @@ from core.errors import SettingsError, SocastError
 from core.models import BASIC_PHYSICAL
 from core.pipeline import Pipeline
 from core.settings import Settings
-from tests.support.telemetry import START, drive, leaf, observed, ran, telemetry, told
+from tests.support.telemetry import START, drive, leaf, make_message, observed, ran, telemetry
 
 
 def full(n=200, seed=4):
@@ -21,7 +21,7 @@ def test_counters_equal_the_numbers_of_sent_messages():
     messages = [
         leaf(),
         observed(),
-        told("plan", shift_end_s=START + 7200.0, reserve_soc_pct=10.0, legs=[]),
+        make_message("plan", shift_end_s=START + 7200.0, reserve_soc_pct=10.0, legs=[]),
         *telemetry(full()),
     ]
     messages.append(messages[-1]._replace(payload=b"{"))
@@ -36,7 +36,7 @@ def test_counters_equal_the_numbers_of_sent_messages():
 
 
 def test_status_holds_the_newest_values_of_every_vehicle_with_samples():
-    messages = [leaf("a"), leaf("b"), *telemetry(full(), "a"), told("ride", "c", ride_id="x", event="start")]
+    messages = [leaf("a"), leaf("b"), *telemetry(full(), "a"), make_message("ride", "c", ride_id="x", event="start")]
     pipeline = Pipeline()
     pipeline.push(messages)
     (status,) = pipeline.status()
@@ -48,7 +48,7 @@ def test_status_holds_the_newest_values_of_every_vehicle_with_samples():
 
 
 def test_car_of_unknown_model_is_measured_and_its_missing_prediction_counted():
-    pipeline, _ = ran([told("vehicle", model="horse"), *telemetry(full())])
+    pipeline, _ = ran([make_message("vehicle", model="horse"), *telemetry(full())])
     ride = pipeline.take_rides().iloc[0]
     assert ride["vehicle_model"] == "horse"
     assert ride["energy_kwh"] > 0

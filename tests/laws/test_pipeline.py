@@ -16,7 +16,18 @@ from tests.support.fleet_days import CARS as FLEET
 from tests.support.fleet_days import DAY as ONE_DAY
 from tests.support.fleet_days import DAYS, SETTINGS, START, days, forecasts, merged, plan, trained_pipeline
 from tests.support.fleet_days import shift as planned_shift
-from tests.support.telemetry import PERIOD, chunked, drive, leaf, observed, picked, ran, telemetry, told, without
+from tests.support.telemetry import (
+    PERIOD,
+    chunked,
+    drive,
+    leaf,
+    make_message,
+    observed,
+    picked,
+    ran,
+    telemetry,
+    without,
+)
 
 CARS = ("a", "b", "c")
 
@@ -44,7 +55,7 @@ def car(name, seed, n=120):
         columns = without(columns, "speed_kmh", "battery_current_a")
     messages = telemetry(columns, name)
     messages.insert(n // 2, leaf(name, mass_kg=1600.0))
-    messages.insert(5, told("ride", name, ride_id="A", event="start", driver_id=f"driver of {name}"))
+    messages.insert(5, make_message("ride", name, ride_id="A", event="start", driver_id=f"driver of {name}"))
     bad = Message(f"fleet/{name}/telemetry", b'{"vehicle_id": 5}', 0)
     return [leaf(name), *messages[:50], bad, *messages[50:]]
 
@@ -248,7 +259,7 @@ def two_days(seed, cars=DRIVEN):
                 [(time, plan(car, day, time, int(rng.integers(1, 8)), shift_end_s=begin + 7200.0 + 60.0 * number))]
             )
             streams.append(
-                [(time + 5.0, told("ride", car, time, ride_id="x", event="start", driver_id=f"d{number % 2}"))]
+                [(time + 5.0, make_message("ride", car, time, ride_id="x", event="start", driver_id=f"d{number % 2}"))]
             )
         parts += merged(*streams)
     return parts

@@ -125,7 +125,7 @@ def test_loop_of_diagnosis_lowers_the_error(autumn_tables):
     added = socast.add_effect(base, "headwind", rides, windows)
     assert added.trial["accepted"]
     compared = socast.compare_models(rides, {"base": base, "with": added.model})
-    error = {label: own["mae_kwh"]["value"] for label, own in compared["models"].items()}
+    error = {label: of_model["mae_kwh"]["value"] for label, of_model in compared["models"].items()}
     assert error["with"] < error["base"]
     assert socast.trace_ride(rides, windows, rides["ride_key"].iloc[0], {"base": base})
     assert socast.compare_datasets(rides, rides, {"base": base})

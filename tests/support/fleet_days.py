@@ -11,7 +11,7 @@ from core.pipeline import Pipeline
 from core.settings import Settings
 from core.wire.messages import Forecast, Message
 from stream.mcap_writer import McapSink
-from tests.support.telemetry import START, Columns, leaf, observed, telemetry, told
+from tests.support.telemetry import START, Columns, leaf, make_message, observed, telemetry
 
 CARS = ("a", "b", "c", "d", "e", "f")
 DAYS = 5
@@ -70,7 +70,7 @@ def plan(car: str, day: int, time: float, last: int = LEGS, **changed) -> Messag
     begin = START + DAY * day
     left = [{"distance_km": RIDE * v / 1000.0, "duration_s": RIDE} for v in speeds(car, day)[LEGS - last :].tolist()]
     fields = {"shift_end_s": begin + SHIFT, "reserve_soc_pct": RESERVE, "legs": left}
-    return told("plan", car, time, **(fields | changed))
+    return make_message("plan", car, time, **(fields | changed))
 
 
 def shift(car: str, day: int, sent: Columns | None = None, planned: bool = True) -> list:
@@ -78,7 +78,7 @@ def shift(car: str, day: int, sent: Columns | None = None, planned: bool = True)
     sent = columns(car, day) if sent is None else sent
     begin = float(sent["time_s"][0])
     samples = telemetry(sent, car)
-    drives = told(
+    drives = make_message(
         "ride", car, begin, ride_id=f"{car}-{day}-0", event="start", driver_id=f"driver {(ord(car) + day) % 3}"
     )
     first = [samples[0], *([plan(car, day, begin)] if planned else []), drives]

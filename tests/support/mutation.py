@@ -106,11 +106,11 @@ def change(node: Any) -> None:
 
 def sample(root: Path, count: int, seed: int) -> list[Mutation]:
     """Return mutations at places drawn at random from every function of core and stream."""
-    found = []
+    mutations = []
     for path in sorted(p for package in ("core", "stream") for p in (root / package).rglob("*.py")):
         tree = ast.parse(path.read_text(encoding="utf-8"))
-        found += [(path, i) for i in range(len(list(places(tree))))]
-    return [mutated(root, *place) for place in random.Random(seed).sample(found, count)]
+        mutations += [(path, i) for i in range(len(list(places(tree))))]
+    return [mutated(root, *place) for place in random.Random(seed).sample(mutations, count)]
 
 
 def mutated(root: Path, path: Path, place: int) -> Mutation:

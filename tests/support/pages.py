@@ -56,12 +56,12 @@ def links(page: Path) -> list[str]:
 
 def anchors(page: Path) -> set[str]:
     """Return the anchors of the headings of a page, as GitHub and the site form them."""
-    found: set[str] = set()
+    names: set[str] = set()
     for heading in _HEADING.findall(_FENCE.sub("", read(page))):
         words = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).lower().strip()
         anchor = re.sub(r"[^\w\- ]", "", words).replace(" ", "-")
-        found.add(anchor)
-    return found
+        names.add(anchor)
+    return names
 
 
 def shown_calls() -> Iterator[Call]:

@@ -51,8 +51,8 @@ def make_windows(
     ride, car = at // windows, at // (windows * rides * days)
     day, hour = (ride // rides) % days, 8.0 + 3.0 * (ride % rides)
     start = START + 86_400.0 * DAY_STEP * day + 3600.0 * hour + 60.0 * (at % windows)
-    own = load_catalogue()[kind]
-    signals = _signals(start, day, ride, car, own, seed)
+    vehicle = load_catalogue()[kind]
+    signals = _signals(start, day, ride, car, vehicle, seed)
     speed, dt = signals["speed"], signals["dt"]
     energies = {
         f"effect_{name}": _summed(effects.get(name).power(signals) * dt) / 3.6e6 for name in effects.list_tabulated()
@@ -81,8 +81,8 @@ def make_windows(
             "stops": _summed(signals["stop_rate"] * dt),
             "latitude_start_deg": 45.5,
             "longitude_start_deg": -73.6,
-            "drag_area_m2": own.drag_area_m2,
-            **{name: getattr(own, name) for name in CARS_PARAMETERS if name != "drag_area_m2"},
+            "drag_area_m2": vehicle.drag_area_m2,
+            **{name: getattr(vehicle, name) for name in CARS_PARAMETERS if name != "drag_area_m2"},
             **energies,
         }
     )
@@ -92,7 +92,7 @@ def _summed(values: np.ndarray) -> np.ndarray:
     return values.reshape(-1, STRETCHES).sum(axis=1)
 
 
-def _signals(start, day, ride, car, own: VehicleModel, seed: int) -> dict[str, np.ndarray]:
+def _signals(start, day, ride, car, vehicle: VehicleModel, seed: int) -> dict[str, np.ndarray]:
     """Return the signals that effects read for each stretch; all cars share the weather of a day."""
     rng = np.random.default_rng(seed)
     days, n, m = int(day.max()) + 1, len(start), len(start) * STRETCHES
@@ -110,9 +110,9 @@ def _signals(start, day, ride, car, own: VehicleModel, seed: int) -> dict[str, n
     occupants = stretched(rng.integers(1, 5, ride[-1] + 1).astype(float)[ride])
     speed = np.clip(stretched(rng.gamma(4.0, 3.0, n)) + rng.normal(0.0, 2.0, m), 1.0, 35.0)
     height = np.sin(np.pi * (stretched(start % 86_400.0 / 3600.0) - 6.0) / 13.0)
-    mass, grade, acceleration = own.mass_kg + 75.0 * occupants, rng.normal(0.0, 0.02, m), rng.normal(0.0, 0.35, m)
+    mass, grade, acceleration = vehicle.mass_kg + 75.0 * occupants, rng.normal(0.0, 0.02, m), rng.normal(0.0, 0.35, m)
     load = mass * GRAVITY * np.sqrt(1.0 - grade**2)
-    force = mass * (acceleration + GRAVITY * grade) + own.rolling_resistance * load
+    force = mass * (acceleration + GRAVITY * grade) + vehicle.rolling_resistance * load
     return {
         "dt": np.full(m, STRETCH_S),
         "speed": speed,
@@ -120,7 +120,7 @@ def _signals(start, day, ride, car, own: VehicleModel, seed: int) -> dict[str, n
         "grade": grade,
         "mass": mass,
         "tyre_load": load,
-        "traction": force + 0.5 * STANDARD_AIR_DENSITY * own.drag_area_m2 * speed**2,
+        "traction": force + 0.5 * STANDARD_AIR_DENSITY * vehicle.drag_area_m2 * speed**2,
         "turn_rate": rng.normal(0.0, 0.03, m),
         "headwind": wind * np.cos(towards),
         "crosswind": wind * np.sin(towards),
@@ -138,15 +138,15 @@ def _signals(start, day, ride, car, own: VehicleModel, seed: int) -> dict[str, n
         "charge": stretched(rng.uniform(0.3, 1.0, ride[-1] + 1)[ride]),
         "occupants": occupants,
         "odometer": stretched(3e7 + 1e7 * car + 1e5 * day),
-        "rolling_resistance": np.full(m, own.rolling_resistance),
-        "accessory_scale": np.full(m, own.accessory_scale),
+        "rolling_resistance": np.full(m, vehicle.rolling_resistance),
+        "accessory_scale": np.full(m, vehicle.accessory_scale),
     }
 
 
 def compute_road_load_energy(table: pd.DataFrame) -> np.ndarray:
     """Return the energy of the road load with the coefficients `BASE`. [kWh]"""
-    own = {"rolling": table["rolling_resistance"], "aero_drag": table["drag_area_m2"]}
-    parts = [value * table[f"effect_{name}"] * own.get(name, 1.0) for name, value in BASE.items()]
+    coefficients = {"rolling": table["rolling_resistance"], "aero_drag": table["drag_area_m2"]}
+    parts = [value * table[f"effect_{name}"] * coefficients.get(name, 1.0) for name, value in BASE.items()]
     return np.sum(parts, axis=0)
 
 

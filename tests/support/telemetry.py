@@ -85,7 +85,7 @@ def telemetry(columns: Mapping[str, Any], vehicle: str = "a") -> list[Message]:
     return messages
 
 
-def told(kind: str, vehicle: str = "a", time: float = START, **fields: Any) -> Message:
+def make_message(kind: str, vehicle: str = "a", time: float = START, **fields: Any) -> Message:
     """Return a message of another kind about a vehicle."""
     payload = json.dumps({"vehicle_id": vehicle, "time_s": time} | fields).encode()
     return Message(f"fleet/{vehicle}/{kind}", payload, int(time * 1e9))
@@ -93,7 +93,7 @@ def told(kind: str, vehicle: str = "a", time: float = START, **fields: Any) -> M
 
 def leaf(vehicle: str = "a", time: float = START, **fields: Any) -> Message:
     """Return what a Nissan Leaf of 2013 says of itself."""
-    return told("vehicle", vehicle, time, model="nissan-leaf-2013", **fields)
+    return make_message("vehicle", vehicle, time, model="nissan-leaf-2013", **fields)
 
 
 def observed(

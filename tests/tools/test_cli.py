@@ -114,12 +114,12 @@ def test_every_command_and_option_is_documented(name):
 
 
 def test_version_option_prints_version():
-    told = CliRunner().invoke(application(), ["--version"])
-    assert re.fullmatch(r"socast \d+\.\d+\.\d+\n", told.output)
+    result = CliRunner().invoke(application(), ["--version"])
+    assert re.fullmatch(r"socast \d+\.\d+\.\d+\n", result.output)
 
 
 @pytest.mark.parametrize(
-    ("call", "told"),
+    ("call", "message"),
     [
         ("lunch", "no such command 'lunch'; `socast --help`"),
         ("lnfo", "did you mean 'info'? `socast --help`"),
@@ -134,8 +134,8 @@ def test_version_option_prints_version():
         ("live --period-s nan", "--period-s is 'nan', must be"),
     ],
 )
-def test_invalid_call_gives_one_line_with_mistake_and_pointer_to_help(call, told, capsys):
-    assert told.lower() in refused(capsys, *call.split()).lower()
+def test_invalid_call_gives_one_line_with_mistake_and_pointer_to_help(call, message, capsys):
+    assert message.lower() in refused(capsys, *call.split()).lower()
 
 
 @pytest.mark.parametrize("call", [[], ["effects"]])
@@ -143,13 +143,13 @@ def test_call_without_command_prints_help_without_error(call, capsys):
     with pytest.raises(SystemExit) as ended:
         main(call)
     assert ended.value.code == 2
-    told = capsys.readouterr()
-    assert "Usage: socast" in told.out + told.err
-    assert "socast: " not in told.out + told.err
+    streams = capsys.readouterr()
+    assert "Usage: socast" in streams.out + streams.err
+    assert "socast: " not in streams.out + streams.err
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["info", "nowhere.mcap"], "nowhere.mcap"),
         (["info", "/"], "directory"),
@@ -181,10 +181,10 @@ def test_call_without_command_prints_help_without_error(call, capsys):
         (["demo", "nowhere.mcap"], "nowhere.mcap"),
     ],
 )
-def test_impossible_request_is_refused_in_one_line(arguments, told, recording, tmp_path, capsys):
+def test_impossible_request_is_refused_in_one_line(arguments, message, recording, tmp_path, capsys):
     (tmp_path / "taken" / "rides.parquet").mkdir(parents=True)
     kept = recording.read_bytes()
-    assert told in refused(capsys, *(argument.format(rec=recording, tmp=tmp_path) for argument in arguments))
+    assert message in refused(capsys, *(argument.format(rec=recording, tmp=tmp_path) for argument in arguments))
     assert recording.read_bytes() == kept
 
 
@@ -236,10 +236,10 @@ def test_info_shows_losses_of_recording(recording, tmp_path):
 def test_replay_reports_forecasts_and_comparison(recording, tmp_path):
     out, err, code = called("replay", recording, "--out", tmp_path / "f.mcap", "--json", tmp_path / "rides.json")
     assert (code, err) == (0, "")
-    told = json.loads((tmp_path / "rides.json").read_text())
-    rides = told["rides"]
+    written = json.loads((tmp_path / "rides.json").read_text())
+    rides = written["rides"]
     assert len(rides) == 9
-    assert [(shift["vehicle_id"], shift["soc_end_pct"]) for shift in told["shifts"]] == [
+    assert [(shift["vehicle_id"], shift["soc_end_pct"]) for shift in written["shifts"]] == [
         (f"car-{i}", pytest.approx(81.0)) for i in range(3)
     ]
     assert "no intervals of the shift's end are known yet" in out
@@ -303,9 +303,9 @@ def consumer(tmp_path: Path):
 def test_live_ends_cleanly_on_signal_without_losing_messages(consumer, recording, tmp_path, number):
     endpoint = f"tcp/127.0.0.1:{find_free_port()}"
     process, log = consumer("--listen", endpoint, "--record", tmp_path / "kept", "--report", "0.05")
-    _, told, code = called("replay", recording, "--connect", endpoint, "--speed", "max")
+    _, printed, code = called("replay", recording, "--connect", endpoint, "--speed", "max")
     assert code == 0
-    assert f"published {len(shift()):,} messages" in told
+    assert f"published {len(shift()):,} messages" in printed
     assert eventually(lambda: any(line.get("messages") == len(shift()) for line in logged(log)))
     process.send_signal(number)
     assert process.wait(20) == 0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from core.settings import Settings
-from tests.support.telemetry import PERIOD, START, drive, joined, leaf, picked, ran, telemetry, told, without
+from tests.support.telemetry import PERIOD, START, drive, joined, leaf, make_message, picked, ran, telemetry, without
 
 MOVING, PARKED = 10.0, 0.0
 
@@ -130,9 +130,9 @@ def test_driver_of_a_ride_comes_from_dispatch():
     columns = named(drive(120, speed=MOVING), ["A"] * 60 + ["B"] * 60)
     rides, _ = rides_of(
         columns,
-        told("ride", ride_id="A", event="start", driver_id="ana"),
-        told("ride", ride_id="A", event="end"),
-        told("ride", ride_id="B", event="start"),
+        make_message("ride", ride_id="A", event="start", driver_id="ana"),
+        make_message("ride", ride_id="A", event="end"),
+        make_message("ride", ride_id="B", event="start"),
     )
     assert rides["driver_id"].fillna("").tolist() == ["ana", ""]
 
@@ -140,8 +140,8 @@ def test_driver_of_a_ride_comes_from_dispatch():
 def test_driver_applies_to_every_part_of_a_ride_of_one_car():
     columns = named(drive(180, speed=MOVING), ["A"] * 60 + ["B"] * 60 + ["A"] * 60)
     messages = [
-        told("ride", "a", ride_id="A", event="start", driver_id="ana"),
-        told("ride", "b", ride_id="A", event="start", driver_id="bob"),
+        make_message("ride", "a", ride_id="A", event="start", driver_id="ana"),
+        make_message("ride", "b", ride_id="A", event="start", driver_id="bob"),
         *telemetry(columns, "a"),
         *telemetry(columns, "b"),
     ]

@@ -41,9 +41,9 @@ def test_joined_windows_are_ordered_and_have_ride_columns(tables):
     assert len(result) == CARS * DAYS * RIDES * WINDOWS
     assert list(result.index) == list(range(len(result)))
     pd.testing.assert_frame_equal(result, result.sort_values(["vehicle_id", "start_s"], ignore_index=True))
-    own = rides.set_index("ride_key").loc[result["ride_key"]]
+    of_ride = rides.set_index("ride_key").loc[result["ride_key"]]
     for name in RIDE_COLUMNS:
-        assert result[name].tolist() == own[name].tolist(), name
+        assert result[name].tolist() == of_ride[name].tolist(), name
 
 
 def test_ride_columns_take_precedence_over_window_columns(tables):
@@ -81,13 +81,13 @@ def test_ride_replaces_windows_without_meter(tables):
         table.loc[rows, "energy_vi_kwh"] = np.nan
     result = join_tables(rides, windows)
     theirs = result[result["vehicle_id"] == "taxi-1"]
-    own = rides[rides["vehicle_id"] == "taxi-1"]
-    assert theirs["ride_key"].tolist() == own["ride_key"].tolist()
-    np.testing.assert_array_equal(theirs["energy_kwh"], own["energy_soc_kwh"])
-    np.testing.assert_array_equal(theirs["effect_rolling"], own["effect_rolling"])
+    of_car = rides[rides["vehicle_id"] == "taxi-1"]
+    assert theirs["ride_key"].tolist() == of_car["ride_key"].tolist()
+    np.testing.assert_array_equal(theirs["energy_kwh"], of_car["energy_soc_kwh"])
+    np.testing.assert_array_equal(theirs["effect_rolling"], of_car["effect_rolling"])
     assert not is_metered(theirs).any()
     assert is_metered(result[result["vehicle_id"] != "taxi-1"]).all()
-    assert len(result) == len(windows) - by_charge.sum() + len(own)
+    assert len(result) == len(windows) - by_charge.sum() + len(of_car)
 
 
 def test_unmetered_window_of_metered_ride_is_left_out(tables):
@@ -157,10 +157,10 @@ class TestGather:
         rides.loc[~few, ["fit_for_training", "unfit_reason"]] = False, "too_short"
         with pytest.raises(
             ModelError, match=rf"^{LEAST_RIDES - 1} rides .*\({(~few).sum()} too short left out\)"
-        ) as said:
+        ) as refusal:
             gather_windows(rides, windows, model)
-        assert f"it takes {LEAST_RIDES}: give more rides" in str(said.value)
-        assert "\n" not in str(said.value)
+        assert f"it takes {LEAST_RIDES}: give more rides" in str(refusal.value)
+        assert "\n" not in str(refusal.value)
 
     def test_no_ride_with_measured_energy_is_refused(self, tables, model):
         rides, windows = tables
@@ -183,11 +183,11 @@ class TestGather:
         assert gather_windows(rides, windows, model).day.max() + 1 == LEAST_DAYS
 
     def test_a_model_of_other_vehicles_is_refused(self, tables, model):
-        own = msgspec.structs.replace(model, fits={"tesla-model-s": next(iter(model.fits.values()))})
+        other_kind = msgspec.structs.replace(model, fits={"tesla-model-s": next(iter(model.fits.values()))})
         with pytest.raises(
             ModelError, match=r"is of tesla-model-s, and these rides are of kia-soul-ev-2015: give a model"
         ):
-            gather_windows(*tables, own)
+            gather_windows(*tables, other_kind)
 
 
 class TestFitted:

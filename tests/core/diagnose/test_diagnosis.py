@@ -197,40 +197,40 @@ def small():
 
 class TestTooLittle:
     def refused(self, rides, windows, model):
-        with pytest.raises(ModelError) as said:
+        with pytest.raises(ModelError) as refusal:
             diagnose(rides, windows, model)
-        assert "\n" not in str(said.value)
-        return str(said.value)
+        assert "\n" not in str(refusal.value)
+        return str(refusal.value)
 
     @pytest.mark.parametrize("count", [0, 1, 2, LEAST_RIDES - 1])
     def test_few_rides_are_refused_in_one_line(self, small, count):
         (rides, windows), model = small
         few = rides.iloc[:count]
         kept = windows[windows["ride_key"].isin(few["ride_key"])]
-        said = self.refused(few, kept, model)
-        assert said == f"{count} rides with measured energy to diagnose, and it takes {LEAST_RIDES}: give more rides"
+        message = self.refused(few, kept, model)
+        assert message == f"{count} rides with measured energy to diagnose, and it takes {LEAST_RIDES}: give more rides"
 
     def test_rides_without_measured_energy_are_refused_in_one_line(self, small):
         tables, model = small
         nothing = dict.fromkeys(("energy_kwh", "energy_vi_kwh", "energy_soc_kwh"), np.nan)
-        said = self.refused(*(table.assign(**nothing) for table in tables), model)
-        assert said.startswith("0 rides with measured energy to diagnose (48 no measured energy left out)")
+        message = self.refused(*(table.assign(**nothing) for table in tables), model)
+        assert message.startswith("0 rides with measured energy to diagnose (48 no measured energy left out)")
 
     def test_one_day_of_one_car_is_refused_in_one_line(self, small):
         rides, windows = (table[table["vehicle_id"] == "taxi-0"] for table in small[0])
-        said = self.refused(rides.assign(date="2018-01-01"), windows, small[1])
-        assert said.startswith("all 24 rides are of 1 vehicle-days")
+        message = self.refused(rides.assign(date="2018-01-01"), windows, small[1])
+        assert message.startswith("all 24 rides are of 1 vehicle-days")
 
     def test_a_model_of_other_vehicles_is_refused_in_one_line(self, small):
         tables, model = small
         other = msgspec.structs.replace(model, fits={"tesla-model-s": next(iter(model.fits.values()))})
-        said = self.refused(*tables, other)
-        assert "is of tesla-model-s, and these rides are of kia-soul-ev-2015" in said
+        message = self.refused(*tables, other)
+        assert "is of tesla-model-s, and these rides are of kia-soul-ev-2015" in message
 
     def test_tables_of_different_recordings_are_refused_in_one_line(self, small):
         (rides, windows), model = small
-        said = self.refused(rides, windows.assign(ride_key="van" + windows["ride_key"]), model)
-        assert said.startswith("no window belongs to any of the rides")
+        message = self.refused(rides, windows.assign(ride_key="van" + windows["ride_key"]), model)
+        assert message.startswith("no window belongs to any of the rides")
 
     def test_the_fewest_rides_that_do_are_diagnosed(self, small):
         (rides, windows), model = small

@@ -61,14 +61,14 @@ def test_projection_equals_refit(cars, recipe, name):
 
 def test_columns_of_model_are_projected_to_zero(base):
     table, model_columns = base.windows.table, ["effect_climbing", "effect_inertia_positive", "effect_inertia_negative"]
-    own = table[[*model_columns, "effect_rolling", "effect_aero_drag", "effect_braking", "duration_s"]].to_numpy()
-    assert untaken(base, of_cars(base, own)).max() < 1e-9
+    columns = table[[*model_columns, "effect_rolling", "effect_aero_drag", "effect_braking", "duration_s"]].to_numpy()
+    assert untaken(base, of_cars(base, columns)).max() < 1e-9
     assert (
         np.abs(base.project_out(base.get_unweighted_columns())).max()
         < 1e-6 * np.abs(base.apply_weights(base.get_unweighted_columns())).max()
     )
-    orthogonal = base.apply_weights(of_cars(base, own)).T @ base.residual
-    scale = np.sqrt((base.apply_weights(of_cars(base, own)) ** 2).sum(axis=0) * (base.residual @ base.residual))
+    orthogonal = base.apply_weights(of_cars(base, columns)).T @ base.residual
+    scale = np.sqrt((base.apply_weights(of_cars(base, columns)) ** 2).sum(axis=0) * (base.residual @ base.residual))
     assert np.abs(orthogonal / scale).max() < 1e-6
 
 
@@ -181,12 +181,12 @@ def test_cars_with_few_windows_share_coefficients():
 
 
 @given(st.integers(0, 2**32), st.integers(1, 6), st.integers(0, 4))
-def test_orthonormal_basis_spans_its_columns(seed, own, copies):
+def test_orthonormal_basis_spans_its_columns(seed, per_car, copies):
     rng = np.random.default_rng(seed)
-    columns = rng.normal(size=(40, own)) * 10.0 ** rng.uniform(-6.0, 6.0, own)
+    columns = rng.normal(size=(40, per_car)) * 10.0 ** rng.uniform(-6.0, 6.0, per_car)
     basis = orthonormalise(np.column_stack([columns, columns[:, :1] * np.arange(copies)]))
-    assert basis.shape == (40, own)
-    np.testing.assert_allclose(basis.T @ basis, np.eye(own), atol=1e-9)
+    assert basis.shape == (40, per_car)
+    np.testing.assert_allclose(basis.T @ basis, np.eye(per_car), atol=1e-9)
     size = np.sqrt((columns**2).sum(axis=0))
     np.testing.assert_allclose((basis @ (basis.T @ columns)) / size, columns / size, atol=1e-5)
 

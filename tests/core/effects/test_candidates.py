@@ -15,7 +15,7 @@ from core.effects.road_load import ROAD_LOAD
 from core.effects.verification import ORDINARY_DRIVING
 from core.errors import EffectError
 
-EACH = [effect for found in CANDIDATES.values() for effect in found]
+EACH = [effect for names in CANDIDATES.values() for effect in names]
 ALL = pytest.mark.parametrize("each", EACH, ids=lambda e: e.name)
 WANTED = {
     *("headwind", "crosswind_yaw", "air_density", "cold_rolling", "wet_road", "door_heat_loss", "cabin_heating"),
@@ -37,7 +37,7 @@ def test_library_lists_every_phenomenon_once():
     assert len(WANTED) == 28
     assert list(get_library())[: len(ROAD_LOAD) + len(EACH)] == [e.name for e in (*ROAD_LOAD, *EACH)]
     assert list(group_by_topic())[: 1 + len(CANDIDATES)] == ["road load", *CANDIDATES]
-    assert [each.name for found in group_by_topic().values() for each in found] == list(get_library())
+    assert [each.name for of_topic in group_by_topic().values() for each in of_topic] == list(get_library())
 
 
 @ALL

@@ -115,8 +115,8 @@ def test_class_with_few_shifts_borrows_from_neighbours_but_not_from_other_basis(
     assert near == pytest.approx(bounds_at(conformal, 10.0, 15.0), rel=0.6)
     assert bounds_at(conformal, 10.0, -5.0)[1] > 2.0 * near[1]
     assert np.isnan(bounds_at(conformal, 10.0, 15.0, kind=1)).all()
-    own = learned(0.1 * rng.normal(size=SUFFICIENT_SHIFTS + 10), conformal, celsius=25.0)
-    assert bounds_at(own, 10.0, 25.0)[1] < 0.5 * near[1]
+    alone = learned(0.1 * rng.normal(size=SUFFICIENT_SHIFTS + 10), conformal, celsius=25.0)
+    assert bounds_at(alone, 10.0, 25.0)[1] < 0.5 * near[1]
 
 
 @given(st.lists(st.floats(-50.0, 50.0), min_size=LEAST_SHIFTS, max_size=80), st.integers(1, 5))

@@ -29,7 +29,7 @@ from tests.support.fleet_days import (
     shift,
     trained_pipeline,
 )
-from tests.support.telemetry import told
+from tests.support.telemetry import make_message
 
 BEGIN = START + DAY * DAYS
 SAMPLES = int(SHIFT / PERIOD) + 1
@@ -217,7 +217,9 @@ def test_car_without_plan_and_earlier_shifts_gets_no_forecast():
         m._replace(key=m.key.replace("/c/", "/new/"), payload=m.payload.replace(b'"c"', b'"new"'))
         for _, m in shift("c", DAYS, planned=False)
     ]
-    published = forecasts(pipeline.push([told("vehicle", "new", BEGIN, model="nissan-leaf-2013"), *messages]), "new")
+    published = forecasts(
+        pipeline.push([make_message("vehicle", "new", BEGIN, model="nissan-leaf-2013"), *messages]), "new"
+    )
     assert published
     assert all(each.soc_end_of_shift_pct is None and each.reserve_risk is None for each in published.values())
     assert published[max(published)].soc_pct is not None
@@ -229,7 +231,7 @@ def test_plan_is_ignored_before_its_lead_and_after_its_overtime(ahead):
     sent = [m for _, m in shift("c", DAYS, planned=False)]
     came = float(columns("c", DAYS)["time_s"][100]) - ahead
     end = came + (SHIFT if ahead <= 0.0 else 0.0)
-    late = told("plan", "c", came, shift_end_s=end, reserve_soc_pct=RESERVE, legs=[])
+    late = make_message("plan", "c", came, shift_end_s=end, reserve_soc_pct=RESERVE, legs=[])
     published = forecasts(trained_pipeline().push([*sent[:102], late, *sent[102:]]), "c")
     known = {time for time, each in published.items() if each.soc_end_of_shift_pct is not None}
     first = float(columns("c", DAYS)["time_s"][100])
@@ -257,7 +259,7 @@ def driven_by(*names):
     del sent[2]  # who drives
     begin = float(columns("c", DAYS)["time_s"][0])
     for at, name in sorted(names, reverse=True):
-        sent.insert(at, told("ride", "c", begin, ride_id="c", event="start", driver_id=name))
+        sent.insert(at, make_message("ride", "c", begin, ride_id="c", event="start", driver_id=name))
     pipeline.push(sent)
     pipeline.push([m for _, m in shift("c", DAYS + 1)][:5])
     pipeline.push(idle_morning(DAYS + 2))

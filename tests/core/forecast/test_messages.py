@@ -9,7 +9,7 @@ from core.models import EXTENDED_PHYSICAL
 from core.settings import Settings
 from core.wire.messages import Forecast
 from tests.support.fleet_days import DAYS, forecasts, shift, trained_pipeline
-from tests.support.telemetry import PERIOD, START, drive, leaf, ran, telemetry, told, without
+from tests.support.telemetry import PERIOD, START, drive, leaf, make_message, ran, telemetry, without
 
 
 def forecasts_of(messages, **options):
@@ -86,7 +86,7 @@ def test_faults_are_counted_from_the_beginning_of_the_ride():
     messages = [leaf(), *telemetry(columns)]
     messages[60:60] = [messages[60]] * 3
     del messages[100:105]
-    _, _, published = forecasts_of([*messages, told("ride", ride_id="r1", event="end")])
+    _, _, published = forecasts_of([*messages, make_message("ride", ride_id="r1", event="end")])
     assert published[-1]["quality"] == {
         "repaired_time": 1,
         "rejected_speed": 2,
@@ -122,7 +122,7 @@ def test_range_and_end_intervals_contain_their_mean():
 
 def test_untrained_pipeline_publishes_soc_but_no_end_of_shift():
     _, _, published = forecasts_of(
-        [leaf(), told("plan", shift_end_s=START + 7200.0, reserve_soc_pct=10.0, legs=[]), *telemetry(full())]
+        [leaf(), make_message("plan", shift_end_s=START + 7200.0, reserve_soc_pct=10.0, legs=[]), *telemetry(full())]
     )
     for forecast in published:
         assert forecast["soc_sd_pct"] > 0.0

@@ -12,7 +12,7 @@ from core.forecast.engine import PendingInput
 from core.forecast.plan_tracker import DriverNamed, PlanArrival
 from core.totals.accumulator import Accumulator, join_totals
 from tests.support.fleet_days import CARS, DAYS, merged, plan, shift, trained_pipeline
-from tests.support.telemetry import START, chunked, leaf, observed, told
+from tests.support.telemetry import START, chunked, leaf, make_message, observed
 
 BEGIN = START + 86_400.0 * DAYS
 
@@ -65,7 +65,7 @@ def test_plan_between_two_rides_gives_same_forecasts_for_any_cut():
 
 def test_late_or_changed_vehicle_model_gives_same_forecasts_for_any_cut():
     first, *rest = renamed(shift("c", DAYS), "z")
-    other = told("vehicle", "z", BEGIN, model="nissan-leaf-2016")
+    other = make_message("vehicle", "z", BEGIN, model="nissan-leaf-2016")
     messages = [m for _, m in [first, *rest[:2]]] + [leaf("z"), leaf("z"), *(m for _, m in rest[2:150])]
     messages += [other, other, leaf("z"), other, *(m for _, m in rest[150:])]
     payloads = whole(messages)

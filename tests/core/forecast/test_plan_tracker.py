@@ -24,7 +24,7 @@ from tests.support.fleet_days import (
     speeds,
     trained_pipeline,
 )
-from tests.support.telemetry import told
+from tests.support.telemetry import make_message
 
 CAR = "c"
 LANE = CARS.index(CAR)
@@ -65,7 +65,7 @@ def test_remaining_legs_are_the_planned_less_the_driven(passed):
 
 def test_leg_in_progress_keeps_its_pace_and_climb():
     legs = [{"distance_km": 6.0, "duration_s": 600.0, "gained_m": 80.0}, {"distance_km": 2.0, "duration_s": 300.0}]
-    inserted = [(1.0, told("plan", CAR, BEGIN, shift_end_s=BEGIN + SHIFT, reserve_soc_pct=RESERVE, legs=legs))]
+    inserted = [(1.0, make_message("plan", CAR, BEGIN, shift_end_s=BEGIN + SHIFT, reserve_soc_pct=RESERVE, legs=legs))]
     first, second = known(at(300.0, inserted=inserted)).legs
     share = first.distance_km / 6.0
     assert 0.2 < share < 0.8
@@ -79,7 +79,7 @@ def test_leg_in_progress_keeps_its_pace_and_climb():
 
 def test_ride_longer_than_its_leg_uses_up_only_that_leg():
     legs = [{"distance_km": 1.0, "duration_s": 100.0}, {"distance_km": 2.0, "duration_s": 300.0}]
-    inserted = [(1.0, told("plan", CAR, BEGIN, shift_end_s=BEGIN + SHIFT, reserve_soc_pct=RESERVE, legs=legs))]
+    inserted = [(1.0, make_message("plan", CAR, BEGIN, shift_end_s=BEGIN + SHIFT, reserve_soc_pct=RESERVE, legs=legs))]
     assert left(at(RIDE - PERIOD, inserted=inserted)) == [0.0, 2.0]
     assert left(at(RIDE + 2.0 * PERIOD, inserted=inserted)) == [2.0]
 
@@ -134,7 +134,7 @@ def test_newest_plan_replaces_the_one_before():
 def test_plan_with_wrong_clock_blocks_no_later_plan_even_after_restart(factor):
     """The wrong clock counts milliseconds or nanoseconds."""
     pipeline, wrong = at(20.0 * PERIOD), factor * BEGIN
-    pipeline.push([told("plan", CAR, wrong, shift_end_s=wrong, reserve_soc_pct=44.0, legs=[])])
+    pipeline.push([make_message("plan", CAR, wrong, shift_end_s=wrong, reserve_soc_pct=44.0, legs=[])])
     kept = Pipeline(settings=pipeline.settings)
     kept.restore(pipeline.snapshot())
     now = BEGIN + 21.0 * PERIOD
@@ -251,6 +251,6 @@ def test_unusable_plan_keeps_the_one_before():
 def test_plan_alone_makes_no_forecast_and_unknown_car_has_no_legs():
     pipeline = trained_pipeline()
     assert pipeline.engine.plans.get_remaining_legs(97, START) is None
-    unheard = told("plan", "z", START, shift_end_s=START + SHIFT, reserve_soc_pct=RESERVE, legs=[])
+    unheard = make_message("plan", "z", START, shift_end_s=START + SHIFT, reserve_soc_pct=RESERVE, legs=[])
     assert pipeline.push([unheard]) == []
     assert pipeline.engine.plans.get_remaining_legs(pipeline.lanes.find("z"), START).plan.legs == []

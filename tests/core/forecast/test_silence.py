@@ -5,7 +5,7 @@ import pytest
 from core.pipeline import Pipeline
 from core.wire.messages import Leg
 from tests.support.fleet_days import DAYS, LEG, RIDE, columns, shift, trained_pipeline
-from tests.support.telemetry import told
+from tests.support.telemetry import make_message
 from tools.commands.ask import verdict
 
 CAR = "c"
@@ -18,7 +18,7 @@ def test_silent_car_gets_no_forecast_while_others_continue(leg):
     pipeline = trained_pipeline()
     pipeline.push([m for time, m in shift(CAR, DAYS) if time <= BEGIN + LEG + RIDE + 100.0])
     before = pipeline.ask(CAR, leg)
-    later = [told("telemetry", "f", BEGIN + 15.0 * i, soc_pct=80.0) for i in range(8 * 240)]  # eight hours
+    later = [make_message("telemetry", "f", BEGIN + 15.0 * i, soc_pct=80.0) for i in range(8 * 240)]  # eight hours
     for some in (later[:400], later[400:900]):
         pipeline.push(some)
         assert pipeline.ask(CAR, leg) == before
@@ -39,6 +39,6 @@ def test_car_with_clock_hours_behind_is_not_silent():
     pipeline = trained_pipeline()
     ahead = 9.0 * 3600.0
     for time, message in shift(CAR, DAYS)[:300]:
-        others = [told("telemetry", car, time + ahead, soc_pct=80.0) for car in ("d", "e", "f")]
+        others = [make_message("telemetry", car, time + ahead, soc_pct=80.0) for car in ("d", "e", "f")]
         pipeline.push([message, *others])
     assert pipeline.ask(CAR).why_not is None

@@ -30,7 +30,7 @@ from tests.support.fleet_days import (
     speeds,
     trained_pipeline,
 )
-from tests.support.telemetry import told
+from tests.support.telemetry import make_message
 
 CAR = "c"
 BEGIN = float(columns(CAR, DAYS)["time_s"][0])
@@ -112,16 +112,16 @@ def test_query_without_plan_equals_forecast_by_history():
 @pytest.mark.parametrize("passed", [RIDE / 2.0, RIDE + 100.0, 4.0 * LEG + 250.0, SHIFT - 20.0])
 def test_queried_ride_equals_a_plan_with_that_ride(passed):
     pipeline, _ = at(passed)
-    rest, asked = left(pipeline), pipeline.ask(CAR, QUERIED_RIDE)
+    rest, answer = left(pipeline), pipeline.ask(CAR, QUERIED_RIDE)
     under_way = passed % LEG < RIDE
     with_it = [*rest.legs[:under_way], QUERIED_RIDE, *rest.legs[under_way:]]
     planned = pipeline.ask(CAR, None, msgspec.structs.replace(rest, legs=with_it))
-    assert asked.soc_end_of_shift_pct == pytest.approx(planned.soc_end_of_shift_pct)
-    assert asked.reserve_risk == pytest.approx(planned.reserve_risk)
-    assert asked.shift_end_s == planned.shift_end_s
-    plan = told("plan", CAR, asked.time_s, **msgspec.to_builtins(msgspec.structs.replace(rest, legs=with_it)))
+    assert answer.soc_end_of_shift_pct == pytest.approx(planned.soc_end_of_shift_pct)
+    assert answer.reserve_risk == pytest.approx(planned.reserve_risk)
+    assert answer.shift_end_s == planned.shift_end_s
+    plan = make_message("plan", CAR, answer.time_s, **msgspec.to_builtins(msgspec.structs.replace(rest, legs=with_it)))
     pipeline.push([plan])
-    assert pipeline.ask(CAR).soc_end_of_shift_pct == pytest.approx(asked.soc_end_of_shift_pct)
+    assert pipeline.ask(CAR).soc_end_of_shift_pct == pytest.approx(answer.soc_end_of_shift_pct)
 
 
 @pytest.mark.parametrize("legs", [[], [Leg(4.0, 400.0), Leg(6.0, 600.0)]])
@@ -156,12 +156,12 @@ def leg_of(drawn):
     st.floats(-250.0, 30_000.0),
     st.sampled_from([60.0, RIDE + 100.0, 4.0 * LEG + 250.0]),
 )
-def test_charge_never_rises_along_legs_and_shift_lasts_as_long_as_they_do(legs, asked, ahead, passed):
+def test_charge_never_rises_along_legs_and_shift_lasts_as_long_as_they_do(legs, query, ahead, passed):
     pipeline = one_at(passed)
     now = float(pipeline.engine.state["time"][CARS.index(CAR)])
-    answer = pipeline.ask(CAR, asked, Plan(CAR, now, now + ahead, RESERVE, legs))
+    answer = pipeline.ask(CAR, query, Plan(CAR, now, now + ahead, RESERVE, legs))
     place = passed % LEG < RIDE and bool(legs)
-    order = answer.legs if asked is None else [*answer.legs[:place], answer.asked, *answer.legs[place:]]
+    order = answer.legs if query is None else [*answer.legs[:place], answer.asked, *answer.legs[place:]]
     charges = [*(each.soc_pct for each in order), answer.soc_end_of_shift_pct]
     rises = [each.energy_kwh.mean < 0.0 for each in order[1:]]
     for rise, before, after in zip([*rises, False], charges[:-1], charges[1:], strict=False):
@@ -231,12 +231,12 @@ def test_query_changes_no_state():
     pipeline, _ = at(2.0 * LEG)
     before = pipeline.snapshot()
     other = Plan(CAR, BEGIN, BEGIN + SHIFT, 50.0, [Leg(3.0, 300.0)])
-    asked = pipeline.ask(CAR, QUERIED_RIDE, other)
+    answer = pipeline.ask(CAR, QUERIED_RIDE, other)
     assert pipeline.snapshot() == before
-    assert [leg.distance_km for leg in asked.legs] == [3.0]
-    assert asked.reserve_soc_pct == 50.0
+    assert [leg.distance_km for leg in answer.legs] == [3.0]
+    assert answer.reserve_soc_pct == 50.0
     assert len(pipeline.ask(CAR).legs) == LEGS - 2
-    assert asked.soc_end_of_shift_pct.mean > pipeline.ask(CAR, QUERIED_RIDE).soc_end_of_shift_pct.mean
+    assert answer.soc_end_of_shift_pct.mean > pipeline.ask(CAR, QUERIED_RIDE).soc_end_of_shift_pct.mean
 
 
 def test_query_with_the_published_plan_gives_the_same_answer():
@@ -266,7 +266,7 @@ def test_unusable_plan_of_a_query_is_refused(changed, cause):
 
 def test_car_without_samples_is_unknown():
     pipeline, _ = at(60.0)
-    pipeline.push([told("vehicle", "mute", BEGIN, model="nissan-leaf-2013")])
+    pipeline.push([make_message("vehicle", "mute", BEGIN, model="nissan-leaf-2013")])
     for name in ("nobody", "mute"):
         with pytest.raises(AskError, match="has sent nothing") as caught:
             pipeline.ask(name)
@@ -284,7 +284,7 @@ def silent():
 def unlearned():
     pipeline = trained_pipeline()
     sent = [m for _, m in shift(CAR, DAYS)][:50]
-    pipeline.push([told("vehicle", CAR, BEGIN, model="kia-soul-ev-2015"), *sent])
+    pipeline.push([make_message("vehicle", CAR, BEGIN, model="kia-soul-ev-2015"), *sent])
     return pipeline
 
 
@@ -310,31 +310,31 @@ def test_answer_states_why_a_figure_is_unknown(pipeline, why):
 def test_without_plan_the_shift_continues_as_usual_after_the_ride():
     pipeline = trained_pipeline(7, planned=False)
     pipeline.push([m for _, m in shift(CAR, 7, planned=False)][:100])
-    plain, asked = pipeline.ask(CAR), pipeline.ask(CAR, QUERIED_RIDE)
+    plain, queried = pipeline.ask(CAR), pipeline.ask(CAR, QUERIED_RIDE)
     assert plain.why_not is None
     assert plain.legs == []
-    assert asked.soc_end_of_shift_pct.mean < plain.soc_end_of_shift_pct.mean
-    assert asked.asked.soc_pct.mean > asked.soc_end_of_shift_pct.mean
+    assert queried.soc_end_of_shift_pct.mean < plain.soc_end_of_shift_pct.mean
+    assert queried.asked.soc_pct.mean > queried.soc_end_of_shift_pct.mean
 
 
 def test_shift_longer_than_usual_has_no_forecast_but_its_ride_has():
     pipeline, sent = trained_pipeline(7, planned=False), columns(CAR, 7, hours=SHIFT / 3600.0 + 2.0)
     messages = shift(CAR, 7, sent, planned=False)
     out = forecasts(pipeline.push([m for _, m in messages]), CAR)
-    plain, asked = pipeline.ask(CAR), pipeline.ask(CAR, QUERIED_RIDE)
+    plain, queried = pipeline.ask(CAR), pipeline.ask(CAR, QUERIED_RIDE)
     assert out[max(out)].soc_end_of_shift_pct is plain.soc_end_of_shift_pct is plain.shift_end_s is None
     assert "longer than those of this car" in plain.why_not
-    assert plain.reserve_soc_pct == asked.reserve_soc_pct == 100.0 * DEFAULT_RESERVE
-    assert asked.shift_end_s == asked.time_s + QUERIED_RIDE.duration_s
-    assert asked.soc_end_of_shift_pct == pytest.approx(asked.asked.soc_pct)
-    assert 0.0 <= asked.reserve_risk <= 1.0
-    assert asked.why_not is None
+    assert plain.reserve_soc_pct == queried.reserve_soc_pct == 100.0 * DEFAULT_RESERVE
+    assert queried.shift_end_s == queried.time_s + QUERIED_RIDE.duration_s
+    assert queried.soc_end_of_shift_pct == pytest.approx(queried.asked.soc_pct)
+    assert 0.0 <= queried.reserve_risk <= 1.0
+    assert queried.why_not is None
 
 
 def test_waiting_plan_is_given_as_the_reason():
     pipeline, _ = at(900.0, 2, planned=False)
     later = START + DAY * 3 + SHIFT
-    pipeline.push([told("plan", CAR, START + DAY * 2, shift_end_s=later, reserve_soc_pct=30.0, legs=[])])
+    pipeline.push([make_message("plan", CAR, START + DAY * 2, shift_end_s=later, reserve_soc_pct=30.0, legs=[])])
     answer = pipeline.ask(CAR)
     assert "the plan that is known is of a later shift" in answer.why_not
     assert answer.reserve_soc_pct == 100.0 * DEFAULT_RESERVE

@@ -18,7 +18,7 @@ from core.monitoring.shadow import MOST_VEHICLE_MODELS, EndedRides, ShadowModels
 from core.pipeline import Pipeline
 from core.wire.messages import ModelErrors
 from tests.laws.test_pipeline import mixed, shift
-from tests.support.telemetry import START, chunked, drive, profile, telemetry, told, without
+from tests.support.telemetry import START, chunked, drive, make_message, profile, telemetry, without
 
 WARM = msgspec.structs.replace(
     EXTENDED_PHYSICAL,
@@ -44,15 +44,15 @@ def served(messages, cuts=(), **options):
 
 def decoded(messages, model=None):
     """Return the errors in messages, of one model or of all."""
-    found = [msgspec.json.decode(message.payload, type=ModelErrors) for message in messages]
-    return [errors for errors in found if model in {None, errors.model}]
+    published = [msgspec.json.decode(message.payload, type=ModelErrors) for message in messages]
+    return [errors for errors in published if model in {None, errors.model}]
 
 
 def lapped(name="a", rides=6, days=1, seed=1, model="nissan-leaf-2013"):
     """Return a car's messages: some rides a day with parking between, on some days, measured by voltage and current."""
     rng = np.random.default_rng(seed)
     names = [part for ride in range(rides) for part in (None, f"{name}-{ride}")] + [None]
-    out = [told("vehicle", name, model=model)]
+    out = [make_message("vehicle", name, model=model)]
     for day in range(days):
         speed = np.concatenate([profile(120, rng) if ride else np.zeros(20) for ride in names])
         ride_id = np.repeat(np.array(names, dtype=object), [120 if ride else 20 for ride in names])
@@ -70,9 +70,9 @@ def test_first_model_is_independent_of_its_shadows():
     pipeline, forecasts, errors = served(messages)
     assert forecasts == expected
     assert errors
-    own, more = alone.take_rides(), pipeline.take_rides()
-    pd.testing.assert_frame_equal(own, more[list(own)], check_exact=True)
-    assert {"effect_cold_rolling", "effect_accessories"} <= set(more) - set(own)
+    rides, more = alone.take_rides(), pipeline.take_rides()
+    pd.testing.assert_frame_equal(rides, more[list(rides)], check_exact=True)
+    assert {"effect_cold_rolling", "effect_accessories"} <= set(more) - set(rides)
     assert [one._replace(shadows_kwh=()) for one in pipeline.status()].__repr__() == repr(alone.status())
     assert alone.model_errors() == []
     assert set(pipeline.quality()) - set(alone.quality()) == {"unpredicted_by_shadow", "shadow_faults"}
@@ -93,14 +93,14 @@ def test_running_errors_continue_after_a_restart(seed, at):
     messages = shift(seed)
     _, forecasts, errors = served(messages)
     first = Pipeline(BASIC_PHYSICAL, shadows=SHADOWS)
-    out, said = first.push(messages[:at]), first.model_errors()
+    out, published = first.push(messages[:at]), first.model_errors()
     kept = first.snapshot()
     second = Pipeline(BASIC_PHYSICAL, shadows=SHADOWS)
     second.restore(kept)
     assert second.snapshot() == kept
     out += second.push(messages[at:]) + second.finish()
     assert out == forecasts
-    assert said + second.model_errors() == errors
+    assert published + second.model_errors() == errors
 
 
 @given(seed=st.integers(0, 100))
@@ -124,31 +124,31 @@ def test_running_errors_are_those_of_the_ride_table():
     first = np.abs(off["basic_physical/1"])
     for errors in pipeline.shadows.errors():
         error = off[errors.model]
-        for told_of, rows in [
+        for errors_of_model, rows in [
             (errors.overall, slice(None)),
             *((part, (rides["vehicle_model"] == part.vehicle_model).to_numpy()) for part in errors.by_vehicle_model),
         ]:
-            assert told_of.rides == len(error[rows])
-            assert told_of.mae_kwh == pytest.approx(np.abs(error[rows]).mean())
-            assert told_of.bias_kwh == pytest.approx(error[rows].mean())
-            assert told_of.mae_pct == pytest.approx(100 * np.abs(error[rows]).sum() / measured[rows].sum())
+            assert errors_of_model.rides == len(error[rows])
+            assert errors_of_model.mae_kwh == pytest.approx(np.abs(error[rows]).mean())
+            assert errors_of_model.bias_kwh == pytest.approx(error[rows].mean())
+            assert errors_of_model.mae_pct == pytest.approx(100 * np.abs(error[rows]).sum() / measured[rows].sum())
             if errors.model != errors.first:
-                assert told_of.gain.mean_kwh == pytest.approx((first[rows] - np.abs(error[rows])).mean())
-                assert told_of.gain.rides == told_of.rides
+                assert errors_of_model.gain.mean_kwh == pytest.approx((first[rows] - np.abs(error[rows])).mean())
+                assert errors_of_model.gain.rides == errors_of_model.rides
                 days = rides[["vehicle_id", "date"]][rows].drop_duplicates()
-                assert told_of.gain.vehicle_days == len(days)
+                assert errors_of_model.gain.vehicle_days == len(days)
     assert pipeline.shadows.errors()[0].overall.gain is None
     assert decoded(messages)[-3:] == pipeline.shadows.errors()
 
 
 def test_vehicle_day_counts_when_it_has_ended():
     _, _, messages = served(lapped(rides=4, days=2))
-    told_of = decoded(messages, "extended_physical/2")
-    assert [errors.overall.rides for errors in told_of] == [1, 2, 3, 4, 5, 6, 7, 8, 8]
-    assert [errors.overall.gain.vehicle_days for errors in told_of] == [0, 0, 0, 0, 1, 1, 1, 1, 2]
-    assert [errors.overall.gain.rides for errors in told_of] == [0, 0, 0, 0, 4, 4, 4, 4, 8]
-    assert {errors.overall.gain.verdict for errors in told_of} == {"undecided"}
-    times = [errors.time_s for errors in told_of]
+    errors_of_model = decoded(messages, "extended_physical/2")
+    assert [errors.overall.rides for errors in errors_of_model] == [1, 2, 3, 4, 5, 6, 7, 8, 8]
+    assert [errors.overall.gain.vehicle_days for errors in errors_of_model] == [0, 0, 0, 0, 1, 1, 1, 1, 2]
+    assert [errors.overall.gain.rides for errors in errors_of_model] == [0, 0, 0, 0, 4, 4, 4, 4, 8]
+    assert {errors.overall.gain.verdict for errors in errors_of_model} == {"undecided"}
+    times = [errors.time_s for errors in errors_of_model]
     assert times == sorted(times)
     assert times[0] == pytest.approx(START + 3 * 140, abs=3)
 

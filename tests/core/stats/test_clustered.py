@@ -17,20 +17,20 @@ from core.stats.clustered import compute_clustered_share
 @settings(max_examples=100, deadline=None)
 def test_clustered_share_lies_within_its_interval(hits, seed, clusters):
     of = np.random.default_rng(seed).integers(0, clusters, len(hits))
-    found = compute_clustered_share(np.array(hits), of)
-    assert found["value"] == np.mean(hits)
+    share = compute_clustered_share(np.array(hits), of)
+    assert share["value"] == np.mean(hits)
     if len(np.unique(of)) > 1:
-        assert 0.0 <= found["low"] <= found["value"] <= found["high"] <= 1.0
+        assert 0.0 <= share["low"] <= share["value"] <= share["high"] <= 1.0
     else:
-        assert np.isnan(found["low"])
+        assert np.isnan(share["low"])
 
 
 @pytest.mark.parametrize(("hits", "n"), [(0, 12), (7, 12), (12, 12), (270, 300)])
 def test_single_cases_give_wilson_interval(hits, n):
-    found = compute_clustered_share(np.arange(n) < hits, np.arange(n))
-    assert found["clusters"] == n
+    share = compute_clustered_share(np.arange(n) < hits, np.arange(n))
+    assert share["clusters"] == n
     known = stats.binomtest(hits, n).proportion_ci(method="wilson")
-    assert (found["low"], found["high"]) == pytest.approx((known.low, known.high))
+    assert (share["low"], share["high"]) == pytest.approx((known.low, known.high))
 
 
 def test_interval_covers_truth_where_cases_of_a_cluster_are_similar():
@@ -39,8 +39,8 @@ def test_interval_covers_truth_where_cases_of_a_cluster_are_similar():
     inside = 0
     for _ in range(400):
         share = rng.beta(9.0, 1.0, 80)
-        found = compute_clustered_share(rng.random(400) < share[clusters], clusters)
-        inside += found["low"] <= 0.9 <= found["high"]
+        estimated = compute_clustered_share(rng.random(400) < share[clusters], clusters)
+        inside += estimated["low"] <= 0.9 <= estimated["high"]
     assert 0.93 <= inside / 400 <= 0.995
 
 

@@ -18,21 +18,23 @@ from tests.core.stats.test_scores import repeated
 
 @given(arrays(np.float64, st.integers(1, 20), elements=st.floats(0.0, 1.0)))
 def test_holm_keeps_order_and_never_lowers_probabilities(p):
-    found = adjust_holm(p)
-    assert np.all(found >= p)
-    assert np.all(found <= np.minimum(p * len(p), 1.0) + 1e-12)
+    adjusted = adjust_holm(p)
+    assert np.all(adjusted >= p)
+    assert np.all(adjusted <= np.minimum(p * len(p), 1.0) + 1e-12)
     order = np.argsort(p, kind="stable")
-    assert np.all(np.diff(found[order]) >= 0.0)
+    assert np.all(np.diff(adjusted[order]) >= 0.0)
 
 
 def compare(error, seed):
     """Return the dominating models and the adjusted probabilities for columns of absolute errors."""
     names = [f"m{i}" for i in range(error.shape[1])]
     means = repeated(error, seed)
-    found = {
+    estimates = {
         (a, b): average_over_repeats(means[:, int(a[1])] - means[:, int(b[1])], 0.25) for a, b in list_pairs(names)
     }
-    return select_dominating(dict(zip(names, means.mean(axis=0), strict=True)), found), adjust_differences(found)
+    return select_dominating(dict(zip(names, means.mean(axis=0), strict=True)), estimates), adjust_differences(
+        estimates
+    )
 
 
 def test_difference_score_finds_planted_better_models_and_co_dominators():
@@ -113,6 +115,6 @@ class TestFalseDiscovery:
         false = []
         for _ in range(400):
             p = np.r_[rng.random(40), 1e-4 * rng.random(5)]
-            found = np.flatnonzero(adjust_false_discovery(p) < 0.1)
-            false.append(np.mean(found < 40) if len(found) else 0.0)
+            discoveries = np.flatnonzero(adjust_false_discovery(p) < 0.1)
+            false.append(np.mean(discoveries < 40) if len(discoveries) else 0.0)
         assert np.mean(false) < 0.1

@@ -23,11 +23,11 @@ def repeated(values, seed, repeats=10):
 
 def test_interval_over_repeats_uses_corrected_variance():
     values = np.array([0.3, 0.5, 0.4, 0.6])
-    found = average_over_repeats(values, 0.25)
-    assert found.value == pytest.approx(0.45)
-    assert found.error == pytest.approx(sqrt((1 / 4 + 0.25) * np.var(values, ddof=1)))
-    assert found.ci95 == pytest.approx(stats.t.ppf(0.975, 3) * found.error)
-    assert found.p == pytest.approx(2 * stats.t.sf(0.45 / found.error, 3))
+    estimate = average_over_repeats(values, 0.25)
+    assert estimate.value == pytest.approx(0.45)
+    assert estimate.error == pytest.approx(sqrt((1 / 4 + 0.25) * np.var(values, ddof=1)))
+    assert estimate.ci95 == pytest.approx(stats.t.ppf(0.975, 3) * estimate.error)
+    assert estimate.p == pytest.approx(2 * stats.t.sf(0.45 / estimate.error, 3))
 
 
 def test_one_repeat_gives_value_without_interval_and_none_gives_neither():
@@ -40,9 +40,9 @@ def test_interval_over_repeats_covers_truth_at_stated_rate():
     rng = np.random.default_rng(1)
     truth, hits, plain = sqrt(2 / np.pi), 0, 0
     for seed in range(300):
-        found = average_over_repeats(repeated(np.abs(rng.normal(size=200)), seed), 0.25)
-        hits += abs(found.value - truth) <= found.ci95
-        plain += abs(found.value - truth) <= found.ci95 * sqrt(0.1 / 0.35)
+        estimate = average_over_repeats(repeated(np.abs(rng.normal(size=200)), seed), 0.25)
+        hits += abs(estimate.value - truth) <= estimate.ci95
+        plain += abs(estimate.value - truth) <= estimate.ci95 * sqrt(0.1 / 0.35)
     assert 0.92 <= hits / 300 <= 0.98
     assert plain / 300 < 0.85, "without the correction for overlap the interval is too narrow"
 
@@ -52,27 +52,27 @@ def test_post_stratified_interval_covers_truth_at_stated_rate():
     sizes, centres, hits = (15, 60, 400), (1.0, 2.0, 5.0), 0
     for seed in range(300):
         strata = [rng.normal(c, c, size=n) for n, c in zip(sizes, centres, strict=True)]
-        found = combine_strata([average_over_repeats(repeated(values, seed), 0.25) for values in strata])
-        hits += abs(found.value - np.mean(centres)) <= found.ci95
+        estimate = combine_strata([average_over_repeats(repeated(values, seed), 0.25) for values in strata])
+        hits += abs(estimate.value - np.mean(centres)) <= estimate.ci95
     assert 0.91 <= hits / 300 <= 0.99
 
 
 def test_independent_parts_combine_by_textbook_formula():
     parts = [Estimate(1.0, 0.3, 9), Estimate(4.0, 0.4, 4), Estimate(np.nan, np.nan, np.nan)]
-    found = combine_strata(parts, [1.0, 3.0, 50.0])
-    assert found.value == pytest.approx(0.25 * 1.0 + 0.75 * 4.0)
+    combined = combine_strata(parts, [1.0, 3.0, 50.0])
+    assert combined.value == pytest.approx(0.25 * 1.0 + 0.75 * 4.0)
     a, b = (0.25 * 0.3) ** 2, (0.75 * 0.4) ** 2
-    assert found.error == pytest.approx(sqrt(a + b))
-    assert found.freedom == pytest.approx((a + b) ** 2 / (a**2 / 9 + b**2 / 4))
+    assert combined.error == pytest.approx(sqrt(a + b))
+    assert combined.freedom == pytest.approx((a + b) ** 2 / (a**2 / 9 + b**2 / 4))
     assert combine_strata([parts[0]]) == pytest.approx(parts[0])
     assert np.isnan(combine_strata(parts[2:]).value)
     assert np.isnan(combine_strata([]).value)
 
 
 def test_part_without_interval_leaves_combination_without_interval():
-    found = combine_strata([Estimate(1.0, 0.3, 9), Estimate(2.0, np.nan, 0)])
-    assert found.value == 1.5
-    assert np.isnan(found.ci95)
+    combined = combine_strata([Estimate(1.0, 0.3, 9), Estimate(2.0, np.nan, 0)])
+    assert combined.value == 1.5
+    assert np.isnan(combined.ci95)
 
 
 def test_parts_without_spread_combine_to_interval_of_zero():
@@ -82,10 +82,10 @@ def test_parts_without_spread_combine_to_interval_of_zero():
 @given(ENERGIES, st.sampled_from([0.5, 0.9, 0.95, 0.99, 1.0]))
 def test_buffer_is_least_sufficient_reserve(measured, share):
     predicted = np.full(len(measured), 3.0)
-    found = scores.compute_buffer(measured, predicted, share)
+    buffer = scores.compute_buffer(measured, predicted, share)
     excess = measured - predicted
-    assert np.mean(excess <= found) >= share - 1e-12
-    assert np.mean(excess < found) < share
+    assert np.mean(excess <= buffer) >= share - 1e-12
+    assert np.mean(excess < buffer) < share
 
 
 def test_bands_and_coverage_include_their_ends():
@@ -136,11 +136,11 @@ def test_percentage_errors_do_not_depend_on_unit(measured, unit):
 
 
 def test_group_means_exclude_values_outside_groups():
-    found = scores.compute_group_means(np.array([1.0, 3.0, 8.0, 100.0, 7.0]), np.array([0, 0, 2, 3, -1]), 3)
-    np.testing.assert_array_equal(found, [2.0, np.nan, 8.0])
+    means = scores.compute_group_means(np.array([1.0, 3.0, 8.0, 100.0, 7.0]), np.array([0, 0, 2, 3, -1]), 3)
+    np.testing.assert_array_equal(means, [2.0, np.nan, 8.0])
 
 
 def test_bin_errors_report_signed_bias_and_relative_error():
     measured, predicted = np.array([1.0, 3.0, 9.0]), np.array([2.0, 4.0, 9.0])
-    found = scores.compute_bin_errors(measured, predicted, np.array([0, 0, -1]), ("short", "long"))
-    assert found == [{"bin": "short", "n": 2, "bias": 1.0, "mae": 1.0, "relative": 0.5}]
+    errors = scores.compute_bin_errors(measured, predicted, np.array([0, 0, -1]), ("short", "long"))
+    assert errors == [{"bin": "short", "n": 2, "bias": 1.0, "mae": 1.0, "relative": 0.5}]

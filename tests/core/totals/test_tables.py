@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from core.cleaning.quality import CAUSES
 from core.totals.tables import CAPACITY_GAIN, HISTOGRAM, METER_GAIN, is_winter
 from core.vehicles import load_catalogue
-from tests.support.telemetry import PERIOD, START, drive, leaf, observed, ran, telemetry, told, without
+from tests.support.telemetry import PERIOD, START, drive, leaf, make_message, observed, ran, telemetry, without
 
 CAPACITY = (
     load_catalogue()["nissan-leaf-2013"].usable_capacity_kwh
@@ -59,7 +59,7 @@ def test_every_term_of_table_1_has_its_expected_value():
     weather = observed(
         time=START - 900, temperature_c=-7.0, wind_speed_kmh=15.0, wind_from_deg=270.0, precipitation_mm=0.4
     )
-    driver = told("ride", ride_id="r1", event="start", driver_id="ana")
+    driver = make_message("ride", ride_id="r1", event="start", driver_id="ana")
     rides = rides_of(both, weather, driver)
     assert len(rides) == 1
     ride = rides.iloc[0]
@@ -95,7 +95,9 @@ def test_names_and_types_of_columns_do_not_depend_on_known_values():
     empty, _ = ran([])
     full = rides_of(drive(100, speed=10.0))
     assert list(empty.take_rides()) == list(full)
-    named = rides_of(drive(100, speed=10.0, soc_pct=50.0), told("ride", ride_id="r1", event="start", driver_id="ana"))
+    named = rides_of(
+        drive(100, speed=10.0, soc_pct=50.0), make_message("ride", ride_id="r1", event="start", driver_id="ana")
+    )
     assert named.dtypes.equals(full.dtypes)
     assert {f"quality_{cause}" for cause in CAUSES} <= set(full)
     assert full.columns.is_unique

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from core.vehicles import load_catalogue
 from core.vehicles.fleet import UNKNOWN, CarParameters, Cars
 from core.wire.messages import Vehicle
-from tests.support.telemetry import chunked, drive, leaf, ran, telemetry, told
+from tests.support.telemetry import chunked, drive, leaf, make_message, ran, telemetry
 
 
 def vehicle(model="nissan-leaf-2013", **fields):
@@ -65,7 +65,7 @@ def test_loaded_state_equals_the_dumped_state():
 @pytest.mark.parametrize("cuts", [(), (101,), (100, 102), (51, 53, 101, 150)])
 def test_message_within_a_batch_applies_from_its_row_on_for_any_chunking(cuts):
     messages = telemetry(drive(200, speed=10.0))
-    messages.insert(100, told("vehicle", model="tesla-model-x"))
+    messages.insert(100, make_message("vehicle", model="tesla-model-x"))
     messages.insert(50, leaf())
     pipeline, out = ran(messages, cuts)
     assert chunked(messages, cuts)

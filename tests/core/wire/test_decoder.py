@@ -13,7 +13,7 @@ from core.batch import NO_RIDE, RIDE_UNKNOWN, Lanes
 from core.wire.decoder import Decoder
 from core.wire.messages import KINDS, Message, Telemetry, Vehicle, Weather, address, encode
 from core.wire.schema import make_schema
-from tests.support.telemetry import chunked, drive, leaf, observed, telemetry, told
+from tests.support.telemetry import chunked, drive, leaf, make_message, observed, telemetry
 
 KEY = "fleet/a/telemetry"
 
@@ -125,7 +125,7 @@ def test_list_decodes_as_its_single_samples(sizes, seed):
 
 def test_event_holds_the_row_before_which_it_came():
     _, batch, events = decode(
-        leaf(), sample(), observed(), sample(), sample(), told("ride", ride_id="x", event="start")
+        leaf(), sample(), observed(), sample(), sample(), make_message("ride", ride_id="x", event="start")
     )
     assert batch.size == 3
     assert [(event.row, event.lane) for event in events] == [(0, 0), (1, -1), (3, 0)]
@@ -136,9 +136,9 @@ MIXED = [
     sample(vehicle_id="b"),
     leaf(),
     observed(),
-    told("plan", shift_end_s=1.7e9, reserve_soc_pct=20.0, legs=[]),
-    told("ride", ride_id="x", event="start"),
-    told("ride", ride_id="x", event="lunch"),
+    make_message("plan", shift_end_s=1.7e9, reserve_soc_pct=20.0, legs=[]),
+    make_message("ride", ride_id="x", event="start"),
+    make_message("ride", ride_id="x", event="lunch"),
     sample()._replace(key="fleet/b/telemetry"),
     sample()._replace(key="fleet/b/lunch"),
     *(Message(KEY, payload, 0) for payload in (b"[]", b"[", b"3", b"", b"[" + sample(seq=1).payload + b", 7]")),

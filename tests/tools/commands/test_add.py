@@ -55,20 +55,20 @@ def test_command_of_diagnosis_adds_effect(here, capsys):
     done(
         "diagnose", here / "tables", "--model", here / "base.json", "--json", here / "d.json", "--html", here / "d.html"
     )
-    told = capsys.readouterr().out
+    printed = capsys.readouterr().out
     result = json.loads((here / "d.json").read_text())
     assert result["verdict"] == "cold_rolling"
     assert {"model", "data", "error", "slices", "missing", "candidates", "structure", "steps"} <= set(result)
-    assert "cold tyres: rolling resistance grows by" in told
+    assert "cold tyres: rolling resistance grows by" in printed
     command = result["missing"][0]["command"]
-    assert command in told
+    assert command in printed
     program, *arguments = shlex.split(command)
     assert program == "socast"
     done(*arguments)
-    told = capsys.readouterr().out
-    assert "cold_rolling helps: a gain of" in told
-    assert "held-out vehicles" in told
-    assert "By outside temperature" in told
+    printed = capsys.readouterr().out
+    assert "cold_rolling helps: a gain of" in printed
+    assert "held-out vehicles" in printed
+    assert "By outside temperature" in printed
     model = models.load(arguments[-1])
     assert model.terms[-1].name == "cold_rolling"
     assert model.interval is not None
@@ -126,7 +126,7 @@ def test_scoped_effect_is_a_separate_term(here):
 
 
 @pytest.mark.parametrize(
-    ("effect", "more", "said"),
+    ("effect", "more", "words"),
     [
         ("cold_roling", (), "effect 'cold_roling' is unknown: did you mean cold_rolling"),
         ("rolling", (), "is in model base already"),
@@ -136,8 +136,8 @@ def test_scoped_effect_is_a_separate_term(here):
         ("wet_road", ("--scope", "vehicle=taxi-7"), "rides are of taxi-0, taxi-1, taxi-2, taxi-3"),
     ],
 )
-def test_errors_of_add_are_one_line(effect, more, said, here, capsys):
-    assert said in refused(capsys, *adding(here, effect, *more))
+def test_errors_of_add_are_one_line(effect, more, words, here, capsys):
+    assert words in refused(capsys, *adding(here, effect, *more))
 
 
 def changed(here: Path, name: str, change) -> Path:
@@ -151,7 +151,7 @@ def changed(here: Path, name: str, change) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("name", "change", "said"),
+    ("name", "change", "words"),
     [
         ("both", lambda t: t[t["ride_key"].isin(["taxi-0#0", "taxi-0#1"])], "2 rides with measured energy to diagnose"),
         ("both", lambda t: t.assign(energy_kwh=np.nan, energy_vi_kwh=np.nan), "0 rides with measured energy"),
@@ -163,15 +163,15 @@ def changed(here: Path, name: str, change) -> Path:
     ],
 )
 @pytest.mark.parametrize("command", ["diagnose", "add"])
-def test_errors_in_tables_are_one_line(command, name, change, said, here, capsys):
+def test_errors_in_tables_are_one_line(command, name, change, words, here, capsys):
     tables = changed(here, name, change)
     if command == "diagnose":
-        told = refused(capsys, "diagnose", tables, "--model", here / "base.json")
+        message = refused(capsys, "diagnose", tables, "--model", here / "base.json")
     else:
-        told = refused(
+        message = refused(
             capsys, "add", "wet_road", "--model", here / "base.json", "--data", tables, "-o", here / "m.json"
         )
-    assert said in told
+    assert words in message
 
 
 def test_errors_in_inputs_are_one_line(here, capsys):
@@ -192,7 +192,7 @@ def test_errors_in_inputs_are_one_line(here, capsys):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "words"),
     [
         ("def (", "not Python"),
         (OWN.format(coefficient="c", unit="N", body="return speed * 1j"), "my_effect"),
@@ -203,16 +203,16 @@ def test_errors_in_inputs_are_one_line(here, capsys):
     ],
 )
 @pytest.mark.parametrize("command", ["diagnose", "add"])
-def test_errors_in_effect_files_are_one_line(command, text, said, here, capsys):
+def test_errors_in_effect_files_are_one_line(command, text, words, here, capsys):
     file = here / "mine.py"
     file.write_text(text)
     given = {
         "diagnose": ("diagnose", here / "tables", "--model", here / "base.json"),
         "add": adding(here, "my_effect"),
     }[command]
-    told = refused(capsys, *given, "--effects", file)
-    assert str(file) in told
-    assert said in told
+    message = refused(capsys, *given, "--effects", file)
+    assert str(file) in message
+    assert words in message
 
 
 # ---- the loop, with diagnoses made up
@@ -243,11 +243,14 @@ def test_loop_adds_effects_until_none_is_missing(made_up, here, capsys):
         "--json",
         here / "d",
     )
-    told = capsys.readouterr().out
+    printed = capsys.readouterr().out
     assert (
-        told.index("Step 1") < told.index("cold_rolling helps") < told.index("Step 2") < told.index("History of base")
+        printed.index("Step 1")
+        < printed.index("cold_rolling helps")
+        < printed.index("Step 2")
+        < printed.index("History of base")
     )
-    assert "No further effect is missing." in told
+    assert "No further effect is missing." in printed
     assert [entry["action"] for entry in models.load(here / "m2.json").history] == ["fit", "add"]
     assert json.loads((here / "d").read_text())["verdict"] is None
     assert models.load(here / "base.json").history[-1]["action"] == "fit"

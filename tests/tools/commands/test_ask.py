@@ -40,8 +40,8 @@ def arriving(mean: float, p05: float, p95: float) -> LegOutlook:
     ],
 )
 def test_answer_follows_risk(risk, word, words):
-    told, sentence = verdict(outlook(reserve_risk=risk))
-    assert told == word
+    first, sentence = verdict(outlook(reserve_risk=risk))
+    assert first == word
     assert words in sentence
 
 
@@ -53,16 +53,16 @@ def test_answer_without_ride_is_about_shift():
 
 
 @pytest.mark.parametrize(
-    ("asked", "word"),
+    ("ride", "word"),
     [
         (arriving(61.2, 57.0, 65.0), "YES"),
         (arriving(22.0, 19.0, 25.0), "UNCERTAIN"),
         (arriving(18.0, 15.0, 21.0), "NO"),
     ],
 )
-def test_answer_is_about_ride_if_rest_of_shift_is_unknown(asked, word):
-    told, sentence = verdict(outlook(asked=asked, **NOTHING_AFTER))
-    assert told == word
+def test_answer_is_about_ride_if_rest_of_shift_is_unknown(ride, word):
+    first, sentence = verdict(outlook(asked=ride, **NOTHING_AFTER))
+    assert first == word
     assert "arrive above its reserve of 20 %; the rest of its shift is not known" in sentence
 
 
@@ -88,14 +88,14 @@ def test_figures_are_those_of_outlook():
 def test_unknown_figures_are_left_out(without):
     console = Console(file=io.StringIO(), width=120)
     show(outlook(**{without: None}), console)
-    told = console.file.getvalue()
-    assert told.startswith("YES: taxi-7 can take 18 km")
-    assert "None" not in told
-    assert "nan" not in told
+    printed = console.file.getvalue()
+    assert printed.startswith("YES: taxi-7 can take 18 km")
+    assert "None" not in printed
+    assert "nan" not in printed
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (("taxi 7",), "'taxi 7'"),
         (("taxi-7", "--distance-km", "18"), "duration_s is not given"),
@@ -111,11 +111,11 @@ def test_unknown_figures_are_left_out(without):
         (("taxi-7", *RIDE), "cannot be joined"),
     ],
 )
-def test_invalid_question_is_refused_in_one_line(arguments, told, tmp_path, capsys):
+def test_invalid_question_is_refused_in_one_line(arguments, message, tmp_path, capsys):
     (tmp_path / "rubbish.json").write_text("lunch at noon")
     (tmp_path / "empty.json").touch()
     given = [argument.replace("{tmp}", str(tmp_path)) for argument in arguments]
-    assert told in refused(capsys, "ask", *given, "--connect", f"tcp/127.0.0.1:{find_free_port()}")
+    assert message in refused(capsys, "ask", *given, "--connect", f"tcp/127.0.0.1:{find_free_port()}")
 
 
 def test_live_consumer_answers_command(tmp_path, capsys):
@@ -124,21 +124,21 @@ def test_live_consumer_answers_command(tmp_path, capsys):
     (tmp_path / "old.json").write_text(json.dumps(plan | {"shift_end_s": NOW - 3600.0}))
     with live("montreal") as (_, _, client):
         at = ("--prefix", "montreal", "--connect", client.connection.connect[0])
-        done("ask", "taxi-7", *RIDE, "--plan", tmp_path / "plan.json", "--json", tmp_path / "told.json", *at)
+        done("ask", "taxi-7", *RIDE, "--plan", tmp_path / "plan.json", "--json", tmp_path / "result.json", *at)
         assert "taxi-7 can take 18 km in 25 min" in capsys.readouterr().out
         assert "1.0 h before" in refused(capsys, "ask", "taxi-7", "--plan", tmp_path / "old.json", *at)
         assert "taxi-9 is not known" in refused(capsys, "ask", "taxi-9", *RIDE, *at)
         assert "no consumer answers" in refused(capsys, "ask", "taxi-7", *RIDE, *at, "--prefix", "quebec")
-    told = json.loads((tmp_path / "told.json").read_text())
-    assert (told["asked"]["distance_km"], [leg["distance_km"] for leg in told["legs"]]) == (18.0, [7.0])
+    written = json.loads((tmp_path / "result.json").read_text())
+    assert (written["asked"]["distance_km"], [leg["distance_km"] for leg in written["legs"]]) == (18.0, [7.0])
 
 
 def test_service_refuses_in_words_and_counts_queries(consumer, capsys):
     endpoint = f"tcp/127.0.0.1:{find_free_port()}"
     process, log = consumer("--listen", endpoint)
-    told = refused(capsys, "ask", "taxi-9", *RIDE, "--connect", endpoint, "--timeout-s", "30")
-    assert "no consumer answers" not in told
+    message = refused(capsys, "ask", "taxi-9", *RIDE, "--connect", endpoint, "--timeout-s", "30")
+    assert "no consumer answers" not in message
     process.terminate()
     assert process.wait(20) == 0
-    (asked,) = (line for line in logged(log) if line["event"] == "asked")
-    assert sum(count for name, count in asked.items() if name.startswith("refused.")) == 1
+    (counts,) = (line for line in logged(log) if line["event"] == "queries")
+    assert sum(count for name, count in counts.items() if name.startswith("refused.")) == 1

@@ -65,10 +65,10 @@ def refused(capsys, *arguments):
     """Return the one line of a command that is refused."""
     with pytest.raises(SystemExit) as ended:
         main([str(argument) for argument in ("compare", *arguments)])
-    told = capsys.readouterr().err
+    message = capsys.readouterr().err
     assert ended.value.code == 2
-    assert re.fullmatch(r"socast: [^\n]+\n", told), told
-    return told
+    assert re.fullmatch(r"socast: [^\n]+\n", message), message
+    return message
 
 
 def as_json(path, *arguments):
@@ -87,25 +87,25 @@ def changed(folder, tmp_path, change):
 def page(path):
     """Return a page, read, that loads nothing and holds figures."""
     text = path.read_text()
-    found = read_page(text)
-    assert found.loaded == []
-    assert set(found.links) <= set(found.ids)
-    assert len(found.ids) == len(set(found.ids))
+    parts = read_page(text)
+    assert parts.loaded == []
+    assert set(parts.links) <= set(parts.ids)
+    assert len(parts.ids) == len(set(parts.ids))
     assert "default-src &#x27;none&#x27;" in text
-    return found
+    return parts
 
 
 def test_comparison_is_printed_and_written(folder, tmp_path, capsys):
     out = ran(capsys, folder, *MODELS, "--json", tmp_path / "c.json", "--html", tmp_path / "c.html")
-    found = json.loads((tmp_path / "c.json").read_text())
-    about = found["about"]
+    result = json.loads((tmp_path / "c.json").read_text())
+    about = result["about"]
     assert about["rides"] + sum(about["left_out"].values()) == about["read"] == 57
     assert f"{about['rides']} of 57 rides" in out
     assert "Left out: 4 too short" in out
     assert out.index("Errors by temperature") < out.index("Errors of the models")
-    for name, own in found["models"].items():
-        assert f"{own['mae_kwh']['value']:.3f} ± " in out, name
-        assert set(own["by"]) >= {
+    for name, of_model in result["models"].items():
+        assert f"{of_model['mae_kwh']['value']:.3f} ± " in out, name
+        assert set(of_model["by"]) >= {
             "distance",
             "temperature",
             "speed",
@@ -115,22 +115,22 @@ def test_comparison_is_printed_and_written(folder, tmp_path, capsys):
             "vehicle",
             "driver",
         }
-        assert set(own["within"]) == {"5", "10", "15"}
-    assert found["pairs"][0]["p_holm"] < 0.05
+        assert set(of_model["within"]) == {"5", "10", "15"}
+    assert result["pairs"][0]["p_holm"] < 0.05
     ids = page(tmp_path / "c.html").ids
     assert {"models", "places", "worst", "figure-scatter-0", "figure-scatter-1", "figure-by-0"} <= set(ids)
 
 
 def test_every_worst_ride_has_command_that_shows_its_trace(result, tmp_path, capsys):
-    for own in result["models"].values():
-        assert len(own["worst"]["absolute"]) == 10
-        for ride in (own["worst"]["absolute"][0], own["worst"]["relative"][-1]):
+    for of_model in result["models"].values():
+        assert len(of_model["worst"]["absolute"]) == 10
+        for ride in (of_model["worst"]["absolute"][0], of_model["worst"]["relative"][-1]):
             words = shlex.split(ride["command"])
             assert words[:2] == ["socast", "compare"]
             ran(capsys, *words[2:], "--json", tmp_path / "t.json")
-            told = json.loads((tmp_path / "t.json").read_text())["trace"]
-            assert told["ride"]["ride_key"] == ride["ride"]
-            (model,) = told["models"].values()
+            trace = json.loads((tmp_path / "t.json").read_text())["trace"]
+            assert trace["ride"]["ride_key"] == ride["ride"]
+            (model,) = trace["models"].values()
             assert model["error_kwh"] == pytest.approx(ride["error_kwh"])
 
 
@@ -156,28 +156,29 @@ def test_printed_commands_are_complete_and_quoted(shift, tmp_path, capsys):
 def test_trace_shows_where_models_and_measurement_differ(folder, result, tmp_path, capsys):
     ride = result["models"]["extended_physical"]["worst"]["absolute"][0]["ride"]
     out = ran(capsys, folder, *MODELS, "--ride", ride, "--json", tmp_path / "t.json", "--html", tmp_path / "t.html")
-    found = json.loads((tmp_path / "t.json").read_text())["trace"]
-    for name, own in found["models"].items():
-        assert f"{name} {own['words']}" in " ".join(out.split())
-        place = own["place"]
-        assert ("diverges from the measurement at" in own["words"]) == (place is not None)
+    trace = json.loads((tmp_path / "t.json").read_text())["trace"]
+    for name, of_model in trace["models"].items():
+        assert f"{name} {of_model['words']}" in " ".join(out.split())
+        place = of_model["place"]
+        assert ("diverges from the measurement at" in of_model["words"]) == (place is not None)
         if place:
             error = [
-                said - true for said, true in zip(own["energy_kwh"], found["windows"]["measured_kwh"], strict=True)
+                predicted - true
+                for predicted, true in zip(of_model["energy_kwh"], trace["windows"]["measured_kwh"], strict=True)
             ]
             assert place["error_kwh"] == pytest.approx(sum(error[place["first"] : place["last"] + 1]))
-            assert f"{place['minute']:.1f} min, {place['km']:.1f} km" in own["words"]
+            assert f"{place['minute']:.1f} min, {place['km']:.1f} km" in of_model["words"]
     minutes = [line.split()[0] for line in out.splitlines() if re.match(r" \d+\.\d ", line)]
-    assert minutes == [f"{minute:.1f}" for minute in found["windows"]["end_min"]]
+    assert minutes == [f"{minute:.1f}" for minute in trace["windows"]["end_min"]]
     figures = {one for one in page(tmp_path / "t.html").ids if one.startswith("figure-")}
     assert figures == {"figure-along-min", "figure-along-km", "figure-power", "figure-terms-0", "figure-terms-1"}
 
 
 def test_recording_gives_same_result_as_its_tables(result, tmp_path):
-    found = as_json(tmp_path, SHIFT, *MODELS)
-    for name, own in result["models"].items():
-        assert found["models"][name]["mae_kwh"] == own["mae_kwh"]
-    assert found["rides"]["measured_kwh"] == result["rides"]["measured_kwh"]
+    from_recording = as_json(tmp_path, SHIFT, *MODELS)
+    for name, of_model in result["models"].items():
+        assert from_recording["models"][name]["mae_kwh"] == of_model["mae_kwh"]
+    assert from_recording["rides"]["measured_kwh"] == result["rides"]["measured_kwh"]
 
 
 def test_two_sets_of_rides_are_compared(halves, tmp_path, capsys):
@@ -186,10 +187,10 @@ def test_two_sets_of_rides_are_compared(halves, tmp_path, capsys):
     out = ran(capsys, one, "--against", other, "--model", "extended_physical", *written)
     assert "Differences between the two sets" in out
     assert f"First: {one}. Second: {other}" in " ".join(out.split())
-    found = json.loads((tmp_path / "c.json").read_text())["against"]
-    assert found["shared"] == 0
-    own = found["models"]["extended_physical"]
-    sides = [own["explained"], own["unexplained"], found["consumption"]]
+    against = json.loads((tmp_path / "c.json").read_text())["against"]
+    assert against["shared"] == 0
+    of_model = against["models"]["extended_physical"]
+    sides = [of_model["explained"], of_model["unexplained"], against["consumption"]]
     explained, left, all_of_it = (side["difference"]["value"] for side in sides)
     assert explained + left == pytest.approx(all_of_it)
     ids = page(tmp_path / "c.html").ids
@@ -198,18 +199,18 @@ def test_two_sets_of_rides_are_compared(halves, tmp_path, capsys):
 
 def test_identical_sets_of_rides_do_not_differ(folder, tmp_path, capsys):
     out = ran(capsys, folder, "--against", folder, "--model", "basic_physical", "--json", tmp_path / "c.json")
-    found = json.loads((tmp_path / "c.json").read_text())
-    assert found["against"]["shared"] == found["about"]["rides"]
+    result = json.loads((tmp_path / "c.json").read_text())
+    assert result["against"]["shared"] == result["about"]["rides"]
     assert "53 rides are in both" in " ".join(out.split())
-    assert found["against"]["consumption"]["difference"]["value"] == 0.0
-    assert all(entry["difference"]["value"] == 0.0 for entry in found["against"]["properties"])
+    assert result["against"]["consumption"]["difference"]["value"] == 0.0
+    assert all(entry["difference"]["value"] == 0.0 for entry in result["against"]["properties"])
 
 
 def test_rides_of_several_tables_are_distinguished(halves, folder, capsys, tmp_path):
     for half in halves:
         (half / "windows.parquet").write_bytes((folder / "windows.parquet").read_bytes())
-    found = as_json(tmp_path, *halves, "--model", "basic_physical")
-    worst = found["models"]["basic_physical"]["worst"]["absolute"]
+    result = as_json(tmp_path, *halves, "--model", "basic_physical")
+    worst = result["models"]["basic_physical"]["worst"]["absolute"]
     assert {ride["ride"].partition("/")[0] for ride in worst} == {"0", "1"}
     for ride in worst[:3]:
         out = ran(capsys, *shlex.split(ride["command"])[2:])
@@ -238,13 +239,13 @@ def test_files_of_same_name_are_distinguished(folder, tmp_path):
         (tmp_path / name).mkdir()
         save(msgspec.structs.replace(BASIC_PHYSICAL, name=name), tmp_path / name / "m.json")
     names = [str(tmp_path / name / "m.json") for name in ("one", "two")]
-    found = as_json(tmp_path, folder, "--model", names[0], "--model", names[1])
-    assert list(found["models"]) == names
+    result = as_json(tmp_path, folder, "--model", names[0], "--model", names[1])
+    assert list(result["models"]) == names
 
 
 def test_user_defined_effect_is_known_with_its_file(folder, tmp_path, capsys):
-    own = tmp_path / "own.py"
-    own.write_text(
+    effect_file = tmp_path / "own.py"
+    effect_file.write_text(
         '"""Own."""\n\nfrom core.effects import effect\n\n\n'
         '@effect(coefficient="drag of the brake pads", unit="N", low=0, high=60, source="Barton 2001, p. 3")\n'
         'def rubbing(speed):\n    """Pads that rub: P = F v."""\n    return speed\n'
@@ -256,12 +257,12 @@ def test_user_defined_effect_is_known_with_its_file(folder, tmp_path, capsys):
     made["fits"]["*"]["coefficients"].append(20.0)
     made["version"] = stamp(msgspec.convert(made, LinearModel)).version
     model.write_text(json.dumps(made))
-    told = refused(capsys, folder, "--model", model)
-    assert "effect 'rubbing' is unknown" in told
-    told = refused(capsys, folder, "--model", model, "--effects", own)
-    assert "column 'effect_rubbing' is missing in the data: make the tables with this model's effects" in told
-    out = ran(capsys, SHIFT, "--model", model, "--effects", own)
-    assert f"--effects {own}" in out
+    message = refused(capsys, folder, "--model", model)
+    assert "effect 'rubbing' is unknown" in message
+    message = refused(capsys, folder, "--model", model, "--effects", effect_file)
+    assert "column 'effect_rubbing' is missing in the data: make the tables with this model's effects" in message
+    out = ran(capsys, SHIFT, "--model", model, "--effects", effect_file)
+    assert f"--effects {effect_file}" in out
 
 
 def test_models_are_distinguishable_without_colours():
@@ -281,8 +282,8 @@ def test_table_without_rides_is_refused(folder, tmp_path, capsys):
 def test_model_of_other_vehicle_is_refused(folder, tmp_path, capsys):
     fit = Fit(coefficients=(1.0,) * 4)
     save(msgspec.structs.replace(BASIC_PHYSICAL, fits={"bmw-i3-2014": fit}), tmp_path / "i3.json")
-    told = refused(capsys, folder, "--model", tmp_path / "i3.json")
-    assert "model i3 is fitted to bmw-i3-2014, and the rides are of " in told
+    message = refused(capsys, folder, "--model", tmp_path / "i3.json")
+    assert "model i3 is fitted to bmw-i3-2014, and the rides are of " in message
 
 
 def test_rides_without_measured_energy_are_refused(folder, tmp_path, capsys):
@@ -299,8 +300,8 @@ def test_two_rides_are_compared_without_intervals(folder, tmp_path, capsys):
 
 
 def test_missing_ride_is_refused(folder, capsys):
-    told = refused(capsys, folder, *MODELS, "--ride", "taxi-1#2")
-    assert "ride 'taxi-1#2' is not among 57 rides: did you mean taxi-001#2" in told
+    message = refused(capsys, folder, *MODELS, "--ride", "taxi-1#2")
+    assert "ride 'taxi-1#2' is not among 57 rides: did you mean taxi-001#2" in message
 
 
 def test_table_without_required_column_is_refused(folder, tmp_path, capsys):
@@ -313,8 +314,8 @@ def test_table_without_required_column_is_refused(folder, tmp_path, capsys):
 def test_trace_without_windows_is_refused(folder, tmp_path, capsys):
     home = changed(folder, tmp_path, lambda rides: rides)
     (home / "windows.parquet").unlink()
-    told = refused(capsys, home, *MODELS, "--ride", "taxi-001#1")
-    assert "holds no windows.parquet; a trace needs the windows that `socast tables` makes" in told
+    message = refused(capsys, home, *MODELS, "--ride", "taxi-001#1")
+    assert "holds no windows.parquet; a trace needs the windows that `socast tables` makes" in message
     (home / "windows.parquet").write_bytes(b"PAR1")
     assert "windows.parquet: cannot read windows: " in refused(capsys, home, *MODELS, "--ride", "taxi-001#1")
 
@@ -333,10 +334,10 @@ def test_contradictory_options_are_refused(folder, tmp_path, capsys):
 def test_term_missing_from_windows_is_not_invented(folder, tmp_path, capsys):
     home = changed(folder, tmp_path, lambda rides: rides.assign(effect_brake_drag=0.01))
     term = Term(name="brakes", columns=("effect_brake_drag",), unit="N")
-    own = msgspec.structs.replace(
+    extended = msgspec.structs.replace(
         BASIC_PHYSICAL, terms=(*BASIC_PHYSICAL.terms, term), fits={"*": Fit(coefficients=(1.0,) * 5)}
     )
-    save(own, tmp_path / "own.json")
+    save(extended, tmp_path / "own.json")
     ran(capsys, home, "--model", tmp_path / "own.json")
-    told = refused(capsys, home, "--model", tmp_path / "own.json", "--ride", "taxi-001#1")
-    assert "column 'effect_brake_drag' is missing in the data" in told
+    message = refused(capsys, home, "--model", tmp_path / "own.json", "--ride", "taxi-001#1")
+    assert "column 'effect_brake_drag' is missing in the data" in message

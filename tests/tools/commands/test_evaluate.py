@@ -42,23 +42,23 @@ def refused(capsys, *arguments):
     """Return the one line of a command that is refused."""
     with pytest.raises(SystemExit) as ended:
         main([str(argument) for argument in ("evaluate", *arguments)])
-    told = capsys.readouterr().err
+    message = capsys.readouterr().err
     assert ended.value.code == 2
-    assert re.fullmatch(r"socast: [^\n]+\n", told), told
-    return told
+    assert re.fullmatch(r"socast: [^\n]+\n", message), message
+    return message
 
 
 def test_evaluation_is_printed_and_written(folder, capsys):
     out = ran(capsys, folder, *QUICK, "--json", folder / "e.json", "--html", folder / "e.html", "--seed", "3")
     assert "Learned Empirical Model" in out
-    found = json.loads((folder / "e.json").read_text())
-    assert found["about"]["seed"] == 3
-    assert found["about"]["repeats"] == 2
-    assert found["about"]["seconds"] > 0
-    assert set(found["mae"]) == {"basic_physical", "empirical"}
-    assert found["reduction"]["empirical"]["average"] > 0.3
+    result = json.loads((folder / "e.json").read_text())
+    assert result["about"]["seed"] == 3
+    assert result["about"]["repeats"] == 2
+    assert result["about"]["seconds"] > 0
+    assert set(result["mae"]) == {"basic_physical", "empirical"}
+    assert result["reduction"]["empirical"]["average"] > 0.3
     for part in ("new_vehicle", "dominates", "coverage", "buffer_kwh"):
-        assert part in found
+        assert part in result
     page = (folder / "e.html").read_text()
     assert "Learned Empirical Model" in page
 
@@ -93,7 +93,7 @@ def test_segment_model_is_evaluated_only_with_windows(folder, capsys):
 
 
 @pytest.mark.parametrize(
-    ("spoil", "told"),
+    ("spoil", "message"),
     [
         (lambda t: t.drop(columns="effect_climbing"), "'effect_climbing' is missing"),
         (lambda t: t.drop(columns="vehicle_id"), "'vehicle_id' is missing"),
@@ -103,9 +103,9 @@ def test_segment_model_is_evaluated_only_with_windows(folder, capsys):
         (lambda t: t.assign(ambient_c="cold"), "holds no numbers"),
     ],
 )
-def test_table_that_cannot_be_evaluated_is_refused(folder, capsys, spoil, told):
+def test_table_that_cannot_be_evaluated_is_refused(folder, capsys, spoil, message):
     spoil(fleet()).to_parquet(folder / "rides.parquet")
-    assert told in refused(capsys, folder, *QUICK)
+    assert message in refused(capsys, folder, *QUICK)
 
 
 def test_one_car_one_day_or_identical_rides_are_evaluated_as_far_as_possible(folder, capsys):
@@ -126,9 +126,9 @@ def test_identical_rides_are_refused_with_reason(folder, capsys):
     first = table.iloc[[0]].drop(columns=["start_s", "ride_id", "ride_key"])
     alike = table[["start_s", "ride_id", "ride_key"]].merge(first, how="cross")
     alike.to_parquet(folder / "rides.parquet")
-    told = refused(capsys, folder, "--recipes", "fitted_physical", *QUICK[2:])
-    assert "all" in told
-    assert "alike" in told
+    message = refused(capsys, folder, "--recipes", "fitted_physical", *QUICK[2:])
+    assert "all" in message
+    assert "alike" in message
 
 
 def test_file_that_is_no_table_is_refused(folder, capsys):

@@ -44,25 +44,25 @@ def printed(result):
 
 def figures(result):
     """Return all figures of the page, by key."""
-    found = [
+    drawn = [
         one for section in report.build_sections(result) for one in report.build_illustrations(result, section.key)
     ]
-    return {one.key: one for one in found}
+    return {one.key: one for one in drawn}
 
 
 @pytest.fixture
 def run(monkeypatch, capsys):
-    """Return what runs the command on a recording whose pipeline tells of planted shifts."""
+    """Return what runs the command on a recording whose pipeline reports planted shifts."""
 
     class Planted(command.Pipeline):
         def __init__(self, *arguments, keep_outlooks, **options):
             assert keep_outlooks
             super().__init__(*arguments, **options)
-            self.told = SMALL.outlooks
+            self.planted = SMALL.outlooks
 
         def take_outlooks(self):
-            told, self.told = self.told, self.told[:0]
-            return told
+            forecasts, self.planted = self.planted, self.planted[:0]
+            return forecasts
 
         def take_shifts(self):
             return SMALL.shifts
@@ -113,25 +113,25 @@ def test_real_drives_in_synthetic_shifts_are_evaluated_against_their_end(tmp_pat
     with pytest.raises(SystemExit) as ended:
         main(["evaluate-soc", str(tmp_path / "ved.mcap"), "--json", str(tmp_path / "s.json")])
     assert not ended.value.code
-    found = json.loads((tmp_path / "s.json").read_text())
-    assert found["about"]["shifts"] == len(shifts)
-    told = found["forecasts"]
-    assert len(told["hours"]) + sum(found["about"]["left_out"].values()) >= len(shifts)
+    result = json.loads((tmp_path / "s.json").read_text())
+    assert result["about"]["shifts"] == len(shifts)
+    forecasts = result["forecasts"]
+    assert len(forecasts["hours"]) + sum(result["about"]["left_out"].values()) >= len(shifts)
     became = {number: shift.drives[-1].rows["soc_pct"][-1] for number, shift in enumerate(shifts)}
-    assert told["soc_end"] == pytest.approx([became[number] for number in told["shift"]], abs=0.5)
-    planned = [row for row, hours in enumerate(told["hours"]) if hours > 0]
+    assert forecasts["soc_end"] == pytest.approx([became[number] for number in forecasts["shift"]], abs=0.5)
+    planned = [row for row, hours in enumerate(forecasts["hours"]) if hours > 0]
     assert planned
-    assert all(told["rating"][row] is not None and told["model_mean"][row] is not None for row in planned)
+    assert all(forecasts["rating"][row] is not None and forecasts["model_mean"][row] is not None for row in planned)
 
 
 def test_tables_show_figures_of_result(result):
     out = printed(result)
-    for hours, own in result["overall"]["hours"].items():
+    for hours, group in result["overall"]["hours"].items():
         (line,) = (line for line in out.splitlines() if line.startswith(f" {hours} h "))
-        assert f"{own['mae_pct']['value']:.2f} ± {own['mae_pct']['ci95']:.2f}" in line
-        assert format_share(own["coverage"]) in line
-        assert f"{own['baselines']['rating']['mae_pct']['value']:.2f}" in line
-        assert hours == "0" or compare_with_best(own) in line
+        assert f"{group['mae_pct']['value']:.2f} ± {group['mae_pct']['ci95']:.2f}" in line
+        assert format_share(group["coverage"]) in line
+        assert f"{group['baselines']['rating']['mae_pct']['value']:.2f}" in line
+        assert hours == "0" or compare_with_best(group) in line
     assert "Evaluated from 2018-01-03 to 2018-01-08; 8 shifts came before enough was learned" in " ".join(out.split())
     assert out.index("By temperature") < out.index("Alarms") < out.index("Errors of the forecasts")
     assert [row.name for row in tabulate_by_time(result).rows] == ["0 h", "1 h", "2 h", "4 h", "6 h", "all"]
@@ -160,9 +160,9 @@ def test_axes_have_units_and_curves_differ_in_more_than_colour(result):
 
 def test_scatter_shows_each_shift_once_at_its_values(result):
     inside, outside, _ = drawn.draw_scatter(result).data
-    own = result["overall"]["hours"]["2"]
-    assert len(inside.x) + len(outside.x) == own["n"]
-    assert len(inside.x) / own["n"] == pytest.approx(own["coverage"]["value"])
+    group = result["overall"]["hours"]["2"]
+    assert len(inside.x) + len(outside.x) == group["n"]
+    assert len(inside.x) / group["n"] == pytest.approx(group["coverage"]["value"])
 
 
 def test_risk_figure_shows_forecast_and_observed_risk():
@@ -172,8 +172,11 @@ def test_risk_figure_shows_forecast_and_observed_risk():
     few = {"levels" if trace.name.startswith("levels") else "plan" for trace in traces if trace.mode == "lines"}
     for points, key in ((levels, "levels"), (plan, "plan")):
         classes = result["reserve"]["reliability"][key]
-        assert list(points.x) == pytest.approx([100.0 * own["told"] for own in classes])
-        shown = [100.0 * own["fell"]["value"] if own["fell"]["clusters"] >= LEAST_CLUSTERS else None for own in classes]
+        assert list(points.x) == pytest.approx([100.0 * risk_class["told"] for risk_class in classes])
+        shown = [
+            100.0 * risk_class["fell"]["value"] if risk_class["fell"]["clusters"] >= LEAST_CLUSTERS else None
+            for risk_class in classes
+        ]
         assert list(points.y) == shown
         assert (None in shown) == (key in few)
     assert any(y is not None for y in levels.y)
@@ -218,9 +221,9 @@ def test_interval_of_width_or_error_never_goes_below_zero():
         assert trace.error_y.symmetric is False
 
 
-def test_comparison_with_best_omits_few_car_days(result):
+def test_comparison_with_best_omits_few_vehicle_days(result):
     of_model = result["by"]["vehicle model"]
-    assert all(own["hours"]["2"]["best"]["vehicle_days"] == own["hours"]["2"]["n"] == 12 for own in of_model)
+    assert all(group["hours"]["2"]["best"]["vehicle_days"] == group["hours"]["2"]["n"] == 12 for group in of_model)
     (table,) = (table for table in tabulate_conditions(result) if table.title == "By vehicle model")
     assert [row.cells[-1].text for row in table.rows] == ["–", "–"]
     many = to_json_values(evaluate_soc(*make_frames(cars=4, days=17)))
@@ -232,9 +235,9 @@ def test_alarms_are_listed_by_level(result):
     table = risk_tables.tabulate_alarms(result)
     names = [row.name for row in table.rows]
     assert names[-2:] == ["20 to 60 %, 1 h", "20 to 60 %, 2 h"]
-    own = result["reserve"]["overall"]["2"]
-    assert [cell.text for cell in table.rows[-1].cells[:2]] == [str(own["n"]), str(own["fell"])]
-    assert table.rows[-1].cells[2].text.startswith(f"{own['alarms']['caught']}: ")
+    group = result["reserve"]["overall"]["2"]
+    assert [cell.text for cell in table.rows[-1].cells[:2]] == [str(group["n"]), str(group["fell"])]
+    assert table.rows[-1].cells[2].text.startswith(f"{group['alarms']['caught']}: ")
     missed = {row.name: int(row.cells[3].text) for row in table.rows}
     of_plan = result["reserve"]["levels"].get("plan", {})
     for hours in {"1", "2"} & of_plan.keys():
@@ -251,35 +254,35 @@ def test_legs_are_shown_only_if_any_were_queried(result):
     assert f"{bins[0]['baselines']['rating']['mae_pct']['value']:.2f}" in line
 
 
-def test_share_of_few_car_days_is_not_shown(result):
+def test_share_of_few_vehicle_days_is_not_shown(result):
     out = printed(result)
-    for own in result["by"]["temperature"]:
-        few = own["pooled"]["vehicle_days"] < 30
-        (line,) = (line for line in out.splitlines() if line.startswith(f" {own['bin'].replace('-', '−')} "))
+    for part in result["by"]["temperature"]:
+        few = part["pooled"]["vehicle_days"] < 30
+        (line,) = (line for line in out.splitlines() if line.startswith(f" {part['bin'].replace('-', '−')} "))
         assert ("too few" in line) == few
-    assert any(own["pooled"]["vehicle_days"] < 30 for own in result["by"]["temperature"])
+    assert any(part["pooled"]["vehicle_days"] < 30 for part in result["by"]["temperature"])
 
 
 def test_fan_of_example_ends_at_end_of_shift(result):
-    for own in result["examples"]:
-        upper, lower, mean, _, became = drawn.draw_example(own).data
-        assert became.y == (own["soc_end_pct"],)
+    for shift in result["examples"]:
+        upper, lower, mean, _, became = drawn.draw_example(shift).data
+        assert became.y == (shift["soc_end_pct"],)
         assert all(low <= m <= high for low, m, high in zip(lower.y, mean.y, upper.y, strict=True))
 
 
 def test_few_short_shifts_are_shown_as_far_as_known(tmp_path):
-    found = to_json_values(evaluate_soc(*FEW))
-    out = printed(found)
-    assert [row.name for row in tabulate_by_time(found).rows] == ["0 h", "all"]
+    result = to_json_values(evaluate_soc(*FEW))
+    out = printed(result)
+    assert [row.name for row in tabulate_by_time(result).rows] == ["0 h", "all"]
     assert " 0 h " in out
-    report.write(found, tmp_path / "few.html")
+    report.write(result, tmp_path / "few.html")
     assert "figure-soc-scatter" not in read_page((tmp_path / "few.html").read_text()).ids
 
 
 def test_unusual_names_are_shown_unchanged(tmp_path):
     tables = [table.replace({"taxi-1": ODD, "nissan-leaf-2016": ODD}) for table in SMALL]
-    found = to_json_values(evaluate_soc(*tables))
-    assert "R&D's" in printed(found)
-    assert any("no official rating is known of" in note for note in found["notes"])
-    report.write(found, tmp_path / "odd.html")
+    result = to_json_values(evaluate_soc(*tables))
+    assert "R&D's" in printed(result)
+    assert any("no official rating is known of" in note for note in result["notes"])
+    report.write(result, tmp_path / "odd.html")
     assert "<b>R&D" not in (tmp_path / "odd.html").read_text()

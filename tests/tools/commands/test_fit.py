@@ -26,8 +26,8 @@ PAPER = list(RECIPES)[:7]
 
 @pytest.fixture(scope="module")
 def table() -> pd.DataFrame:
-    found = rides(900, seed=31)
-    made = noisy(found, physical_energy(found, {"rolling": 1.4}))
+    fleet_rides = rides(900, seed=31)
+    made = noisy(fleet_rides, physical_energy(fleet_rides, {"rolling": 1.4}))
     made.loc[:4, "fit_for_training"] = False
     made.loc[:4, "unfit_reason"] = "too_long"
     return made
@@ -48,29 +48,29 @@ def fitted(folder: Path, recipe: str, out: Path, *more: object) -> LinearModel:
 @pytest.mark.parametrize("name", PAPER)
 def test_every_recipe_of_paper_is_fitted_and_predicts(name, folder, table, tmp_path, capsys):
     model = fitted(folder, name, tmp_path / "model.json")
-    told = capsys.readouterr().out
-    assert RECIPES[name].title in told
-    assert "895 rides from 2018-01-02 to 2018-12-31" in told
-    assert "left out: 5 too long" in told
-    assert "MAE in sample" in told
+    printed = capsys.readouterr().out
+    assert RECIPES[name].title in printed
+    assert "895 rides from 2018-01-02 to 2018-12-31" in printed
+    assert "left out: 5 too long" in printed
+    assert "MAE in sample" in printed
     assert model == RECIPES[name].fit_parquet(folder / "rides.parquet")
     assert np.isfinite(model.predict(table)).all()
     for key in model.fits:
-        assert key in told or key == ANY
+        assert key in printed or key == ANY
 
 
 def test_fitted_coefficients_are_shown_with_units_and_intervals(folder, tmp_path, capsys):
-    model = fitted(folder, "fitted_physical", tmp_path / "model.json", "--json", tmp_path / "told.json")
+    model = fitted(folder, "fitted_physical", tmp_path / "model.json", "--json", tmp_path / "result.json")
     printed = capsys.readouterr().out
     assert "heating full" in printed
     assert "±" in printed
     assert "(held)" in printed
-    told = json.loads((tmp_path / "told.json").read_text())
-    assert told["recipe"] == "fitted_physical"
-    assert told["training"]["rides"] == 895
-    assert told["training"]["left_out"] == {"too_long": 5}
-    assert set(told["fits"]) == {*MODELS, ANY}
-    every = told["fits"][ANY]
+    written = json.loads((tmp_path / "result.json").read_text())
+    assert written["recipe"] == "fitted_physical"
+    assert written["training"]["rides"] == 895
+    assert written["training"]["left_out"] == {"too_long": 5}
+    assert set(written["fits"]) == {*MODELS, ANY}
+    every = written["fits"][ANY]
     rolling = every["coefficients"][0]
     assert rolling["term"] == "rolling"
     assert rolling["unit"] == "1"
@@ -97,7 +97,7 @@ def written(table: pd.DataFrame, path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda t: t.drop(columns="odometer_km"), "column 'odometer_km' is missing: make the tables again"),
         (lambda t: t.iloc[5:6], "1 rides to fit to, and it needs 86: give more rides"),
@@ -107,9 +107,9 @@ def written(table: pd.DataFrame, path: Path) -> Path:
         (lambda t: t.assign(lost_m="x"), "column 'lost_m' of the ride table is no number"),
     ],
 )
-def test_unusable_table_is_refused_in_one_line(change, said, table, tmp_path, capsys):
+def test_unusable_table_is_refused_in_one_line(change, message, table, tmp_path, capsys):
     bad = written(change(table), tmp_path / "bad.parquet")
-    assert said in refused(capsys, "fit", bad, "--recipe", "hybrid", "-o", tmp_path / "model.json")
+    assert message in refused(capsys, "fit", bad, "--recipe", "hybrid", "-o", tmp_path / "model.json")
     assert not (tmp_path / "model.json").exists()
 
 
@@ -127,12 +127,12 @@ def test_missing_table_or_unknown_recipe_is_refused_in_one_line(folder, table, t
     assert "does not exist; name a folder" in refused(capsys, "fit", tmp_path / "no", "--recipe", "hybrid", "-o", out)
     assert "holds no rides.parquet" in refused(capsys, "fit", tmp_path, "--recipe", "hybrid", "-o", out)
     (tmp_path / "text.parquet").write_text("distance_km\n")
-    told = refused(capsys, "fit", tmp_path / "text.parquet", "--recipe", "hybrid", "-o", out)
-    assert "text.parquet: no ride table" in told
+    message = refused(capsys, "fit", tmp_path / "text.parquet", "--recipe", "hybrid", "-o", out)
+    assert "text.parquet: no ride table" in message
     windows = written(table.drop(columns=["winter", "summer"]), tmp_path / "windows.parquet")
     assert "column 'winter' is missing" in refused(capsys, "fit", windows, "--recipe", "hybrid", "-o", out)
-    told = refused(capsys, "fit", folder, "--recipe", "hybrid", "-o", folder / "rides.parquet")
-    assert "is read and would be overwritten" in told
+    message = refused(capsys, "fit", folder, "--recipe", "hybrid", "-o", folder / "rides.parquet")
+    assert "is read and would be overwritten" in message
     assert "cannot be written" in refused(capsys, "fit", folder, "--recipe", "hybrid", "-o", tmp_path / "a" / "b.json")
 
 
@@ -141,13 +141,13 @@ def test_unusable_model_file_is_refused_in_one_line(tmp_path, capsys):
     with McapSink(recording) as sink:
         sink.put(shift(20))
     content = json.loads(models.encode_model(models.BASIC_PHYSICAL))
-    for change, said in (
+    for change, message in (
         ({"format": 1}, "model file of format 1, and this version reads format 2: fit the model again"),
         ({"terms": [{"name": "x", "columns": ["distanse_km"], "unit": "1"}]}, "column 'distanse_km' is not one that"),
         ({"terms": [{"name": "x", "columns": ["effect_roling"]}]}, "damaged: Object missing required field `unit`"),
     ):
         path.write_text(json.dumps({**content, **change}))
-        assert said in refused(capsys, "replay", recording, "--model", path)
+        assert message in refused(capsys, "replay", recording, "--model", path)
 
 
 # ---- a fitted model in service
@@ -223,17 +223,17 @@ def test_replay_and_tables_accept_model_file(folder, tmp_path, capsys):
 @pytest.fixture(scope="module")
 def whole() -> pd.DataFrame:
     """A table with all that the recipes past the paper ask for."""
-    found = fleet(700, 1)
-    return measured(found, planted(found, differing(MODELS)))
+    made = fleet(700, 1)
+    return measured(made, planted(made, differing(MODELS)))
 
 
 def test_pooled_model_adapts_to_new_car(whole, tmp_path):
     table = whole
     new = table["vehicle_model"] == MODELS[0]
     base = fitted(written(table[~new], tmp_path / "others.parquet"), "pooled_hybrid", tmp_path / "base.json")
-    told = written(table[new].iloc[:40], tmp_path / "new.parquet")
-    done("fit", told, "--adapt", tmp_path / "base.json", "-o", tmp_path / "told.json")
-    model = models.load(tmp_path / "told.json")
+    adapted = written(table[new].iloc[:40], tmp_path / "new.parquet")
+    done("fit", adapted, "--adapt", tmp_path / "base.json", "-o", tmp_path / "result.json")
+    model = models.load(tmp_path / "result.json")
     rest = table[new].iloc[40:]
     error = [np.abs(each.predict(rest) - rest["energy_kwh"]).mean() for each in (base, model)]
     assert error[1] < error[0]

@@ -60,7 +60,7 @@ def printed(what, given) -> str:
 
 
 def test_history_shows_every_attempt_in_order(model):
-    told = printed(history.show, model)
+    text = printed(history.show, model)
     parts = [
         "recipe road_load",
         "1. cold_rolling",
@@ -69,8 +69,8 @@ def test_history_shows_every_attempt_in_order(model):
         "cold_rolling in words",
         "snow was refused",
     ]
-    assert [told.index(part) for part in parts] == sorted(told.index(part) for part in parts)
-    row = next(line for line in told.splitlines() if line.strip().startswith("1. cold_rolling"))
+    assert [text.index(part) for part in parts] == sorted(text.index(part) for part in parts)
+    row = next(line for line in text.splitlines() if line.strip().startswith("1. cold_rolling"))
     assert [word for word in row.split() if word[0].isdigit()] == [
         "1.",
         "0.4200",
@@ -80,10 +80,10 @@ def test_history_shows_every_attempt_in_order(model):
         "0.4200",
         "0.3100",
     ]
-    said = " ".join(told.split())
-    assert "added by force" in said
-    assert "Added: cold_rolling, headwind (vehicle taxi-003), 1 refused; error 0.4200 -> 0.29 kWh per ride" in said
-    assert "measurement noise alone 0.2 kWh" in said
+    words = " ".join(text.split())
+    assert "added by force" in words
+    assert "Added: cold_rolling, headwind (vehicle taxi-003), 1 refused; error 0.4200 -> 0.29 kWh per ride" in words
+    assert "measurement noise alone 0.2 kWh" in words
 
 
 def test_history_of_fitted_model_has_no_attempts(model):
@@ -107,12 +107,12 @@ def test_history_figure_shows_steps_and_refused_effects(model):
 
 
 def test_command_prints_and_writes_history(path, capsys):
-    html, file = path.with_suffix(".html"), path.with_name("told.json")
+    html, file = path.with_suffix(".html"), path.with_name("result.json")
     done("history", path, "--html", html, "--json", file)
     assert "error 0.4200 -> 0.29 kWh" in " ".join(capsys.readouterr().out.split())
-    told = json.loads(file.read_text())
-    assert (told["mae_first_kwh"], told["mae_last_kwh"], told["noise_floor_kwh"]) == (0.42, 0.29, 0.2)
-    assert [step["action"] for step in told["steps"]] == ["fit", "add", "refused", "add"]
+    written = json.loads(file.read_text())
+    assert (written["mae_first_kwh"], written["mae_last_kwh"], written["noise_floor_kwh"]) == (0.42, 0.29, 0.2)
+    assert [step["action"] for step in written["steps"]] == ["fit", "add", "refused", "add"]
     reader = read_page(html.read_text())
     assert not reader.loaded
     assert "figure-falling" in reader.ids
@@ -135,9 +135,9 @@ def test_errors_of_history_are_one_line(path, capsys):
 
 
 def test_trial_shows_errors_before_and_after(model):
-    told = " ".join(printed(history.print_trial, {**model.history[1], "warnings": ["it is too large"], "conditions": {
+    text = " ".join(printed(history.print_trial, {**model.history[1], "warnings": ["it is too large"], "conditions": {
         "distance": [{"where": "below 2 km", **model.history[1]["of_effect"]}]}}).split())  # fmt: skip
     for part in ("held-out days, effect refitted", "final hold-out days", "By distance", "below 2 km", "−26.2 %",
                  "warning: it is too large", "cold_rolling helps: a gain of 10 ± 2 %."):  # fmt: skip
-        assert part in told, part
+        assert part in text, part
     assert "snow does not help: it may be chance." in printed(history.print_trial, model.history[2])

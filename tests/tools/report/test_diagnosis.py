@@ -142,8 +142,8 @@ def test_intervals_of_figures_are_those_of_the_diagnosis():
     trace = draw_effects(make_diagnosis())[0].figure.data[0]
     assert trace.x[0] == pytest.approx(3.1)
     assert (trace.error_x.array[0], trace.error_x.arrayminus[0]) == pytest.approx((1.1, 1.1))
-    [own] = draw_coefficients([make_missing_effect()])
-    assert 0.0 < own.figure.data[0].x[0] < 1.0
+    [drawn] = draw_coefficients([make_missing_effect()])
+    assert 0.0 < drawn.figure.data[0].x[0] < 1.0
     [outside] = draw_coefficients([make_diagnosis()["missing"][1]])
     assert outside.figure.data[0].x[0] > 1.0
     bias = draw_slices(make_diagnosis(slices=[{"where": "x", "bias_kwh": 0.1, "ci95": [0.05, 0.2]}]))[0].figure.data[0]

@@ -158,8 +158,8 @@ def test_error_tables_have_layout_of_paper(result):
     assert all(table.columns == (*(f"{c.replace('-', '–')} km" for c in CLUSTERS), "average *") for table in tables)
     assert all(table.rows[-1].name == "Weighted average" for table in tables)
     basic = tables[0].rows[0].cells[0]
-    said = result["mae"]["basic_physical"]["kia-soul-ev-2015"]["0-5"]
-    assert basic.text == f"{said['value']:.3f} ± {said['ci95']:.4f}"
+    figure = result["mae"]["basic_physical"]["kia-soul-ev-2015"]["0-5"]
+    assert basic.text == f"{figure['value']:.3f} ± {figure['ci95']:.4f}"
 
 
 def test_terminal_output_fits_120_columns_and_has_every_table(result, terminal):

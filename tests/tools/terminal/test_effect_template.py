@@ -32,17 +32,17 @@ def suggestion(**changes):
 def test_template_is_file_that_passes_its_check(tmp_path, text):
     path = tmp_path / "suggested.py"
     path.write_text(text)
-    (found,) = registry._run(path)
-    effects.check_effect(found)
+    (effect,) = registry._run(path)
+    effects.check_effect(effect)
     assert all(len(line) <= 130 for line in text.splitlines())
 
 
 def test_quotes_and_letters_of_source_are_preserved(tmp_path):
     path = tmp_path / "suggested.py"
     path.write_text(suggestion(source='θ of "Größe" \\ é'))
-    (found,) = registry._run(path)
-    assert found.source == 'θ of "Größe" \\ é'
-    assert found.parameters["cold"].bounds == (283.15, 283.15)
+    (effect,) = registry._run(path)
+    assert effect.source == 'θ of "Größe" \\ é'
+    assert effect.parameters["cold"].bounds == (283.15, 283.15)
 
 
 def test_numpy_is_imported_only_if_used():

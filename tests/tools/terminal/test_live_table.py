@@ -24,9 +24,9 @@ def row(car, width=80):
 @pytest.mark.parametrize("width", [80, 112])
 @pytest.mark.parametrize(("risk", "mark"), [(0.0, False), (WARNED - 1e-9, False), (WARNED, True), (1.0, True)])
 def test_car_that_risks_ending_below_reserve_is_marked(width, risk, mark):
-    told = row(CAR._replace(end_pct=(34.4, 20.6, 61.0), risk=risk), width)
-    assert "34 21–61" in told
-    assert ("34 21–61!" in told) == mark
+    text = row(CAR._replace(end_pct=(34.4, 20.6, 61.0), risk=risk), width)
+    assert "34 21–61" in text
+    assert ("34 21–61!" in text) == mark
 
 
 def test_unknown_charge_at_end_is_dash():
@@ -38,12 +38,12 @@ def test_status_holds_newest_forecast_of_each_car():
     out = []
     for car in "bc":
         out += pipeline.push([m for _, m in shift(car, DAYS)][: 200 if car == "b" else 300])
-    found = {status.vehicle_id: status for status in pipeline.status()}
+    by_car = {status.vehicle_id: status for status in pipeline.status()}
     for car in "bc":
         newest = list(forecasts(out, car).values())[-1]
         end = newest.soc_end_of_shift_pct
-        assert found[car].end_pct == pytest.approx((end.mean, end.p05, end.p95))
-        assert found[car].risk == pytest.approx(newest.reserve_risk)
+        assert by_car[car].end_pct == pytest.approx((end.mean, end.p05, end.p95))
+        assert by_car[car].risk == pytest.approx(newest.reserve_risk)
 
 
 def test_car_with_reserve_above_charge_is_marked_in_live_operation():

@@ -70,7 +70,7 @@ def make_errors(gain_of_model, **fields):
 
 
 @pytest.mark.parametrize(
-    ("told", "words"),
+    ("difference", "words"),
     [
         (gain(None, None, "undecided", None), "undecided:"),
         (gain(None, None, "undecided"), "undecided:"),
@@ -82,8 +82,8 @@ def make_errors(gain_of_model, **fields):
         ),
     ],
 )
-def test_gain_is_described_in_words(told, words):
-    assert describe_gain(told) == f"{words} 1,214 rides of 31 vehicle-days"
+def test_gain_is_described_in_words(difference, words):
+    assert describe_gain(difference) == f"{words} 1,214 rides of 31 vehicle-days"
 
 
 def printed(what, width=120) -> str:
@@ -93,9 +93,9 @@ def printed(what, width=120) -> str:
 
 
 def test_table_has_row_per_model_and_optional_rows_per_vehicle_model():
-    told = [make_errors(None), make_errors(gain(0.0312, 0.0731, "better"))]
-    short = printed(make_models_table(told, wide=False), 80)
-    long = printed(make_models_table(told, wide=True, by_vehicle_model=True), 112)
+    errors = [make_errors(None), make_errors(gain(0.0312, 0.0731, "better"))]
+    short = printed(make_models_table(errors, wide=False), 80)
+    long = printed(make_models_table(errors, wide=True, by_vehicle_model=True), 112)
     assert "nissan-leaf-2013" not in short
     assert long.count("nissan-leaf-2013") == 2
     for figure in ("cold/2", "1,300", "0.250", "0.052 (0.031 to 0.073)", "better"):
@@ -106,10 +106,10 @@ def test_table_has_row_per_model_and_optional_rows_per_vehicle_model():
 
 
 def test_log_line_has_figures_with_units_and_no_unknown_values():
-    told = make_log_fields(make_errors(gain(None, None, "undecided", None)))
-    assert told["model"] == "cold/2"
-    assert (told["mae_kwh"], told["gain_vehicle_days"], told["gain_verdict"]) == (0.25, 31, "undecided")
-    assert None not in told.values()
+    fields = make_log_fields(make_errors(gain(None, None, "undecided", None)))
+    assert fields["model"] == "cold/2"
+    assert (fields["mae_kwh"], fields["gain_vehicle_days"], fields["gain_verdict"]) == (0.25, 31, "undecided")
+    assert None not in fields.values()
     assert "gain" not in make_log_fields(make_errors(None))
 
 
@@ -117,8 +117,8 @@ def test_warning_names_rides_of_training_days():
     training = Training(rides=9, first_date="2018-01-02", last_date="2018-01-03", vehicle_models={}, fingerprint="")
     fitted = msgspec.structs.replace(EXTENDED_PHYSICAL, name="fitted", training=training)
     rides = pd.DataFrame({"date": ["2018-01-01", "2018-01-02", "2018-01-03", "2018-01-04"]})
-    (told,) = warn_of_training_days([BASIC_PHYSICAL, fitted], rides)
-    assert told.startswith("fitted/1 was fitted to rides of 2018-01-02 to 2018-01-03: 2 of these 4 rides")
+    (warning,) = warn_of_training_days([BASIC_PHYSICAL, fitted], rides)
+    assert warning.startswith("fitted/1 was fitted to rides of 2018-01-02 to 2018-01-03: 2 of these 4 rides")
     assert warn_of_training_days([fitted], rides[3:]) == []
 
 
@@ -134,8 +134,8 @@ def test_same_model_twice_is_refused_in_one_line(command, recording, tmp_path, c
     for name in ("one.json", "copy.json"):
         models.save(BASIC_PHYSICAL, tmp_path / name)
     arguments = [argument.format(rec=recording) for argument in command]
-    told = refused(capsys, *arguments, "--model", tmp_path / "one.json", "--model", tmp_path / "copy.json")
-    assert f"basic_physical/{models.stamp(BASIC_PHYSICAL).version} is given twice" in told
+    message = refused(capsys, *arguments, "--model", tmp_path / "one.json", "--model", tmp_path / "copy.json")
+    assert f"basic_physical/{models.stamp(BASIC_PHYSICAL).version} is given twice" in message
 
 
 def test_replay_of_several_models_reports_errors_of_each(recording, tmp_path):
@@ -146,7 +146,7 @@ def test_replay_of_several_models_reports_errors_of_each(recording, tmp_path):
     shadows = [ride.pop("shadows_kwh") for ride in both["rides"]]
     assert (both["rides"], both["shifts"]) == (one["rides"], one["shifts"])
     assert all(list(shadow) == ["basic_physical/1"] for shadow in shadows)
-    assert [told["model"] for told in both["models"]] == ["extended_physical/1", "basic_physical/1"]
+    assert [of_model["model"] for of_model in both["models"]] == ["extended_physical/1", "basic_physical/1"]
     fit = [(ride, shadow) for ride, shadow in zip(both["rides"], shadows, strict=True) if ride["fit_for_training"]]
     off = [abs(shadow["basic_physical/1"] - ride["energy_kwh"]) for ride, shadow in fit]
     assert both["models"][1]["overall"]["mae_kwh"] == pytest.approx(sum(off) / len(off))

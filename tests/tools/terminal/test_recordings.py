@@ -53,5 +53,5 @@ def test_circular_links_are_reported_in_one_line(tmp_path):
 
 
 def test_single_recording_is_read(tmp_path):
-    done("info", SHIFT, "--json", tmp_path / "told.json")
-    assert json.loads((tmp_path / "told.json").read_text())
+    done("info", SHIFT, "--json", tmp_path / "result.json")
+    assert json.loads((tmp_path / "result.json").read_text())

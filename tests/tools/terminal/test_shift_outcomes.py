@@ -43,10 +43,10 @@ class Recited:
 
 def records(outlooks, shifts, cuts=()):
     recited = Recited(outlooks.sort_values("time_s", kind="stable"), shifts, cuts)
-    found = ShiftOutcomes(recited)
+    outcomes = ShiftOutcomes(recited)
     for _ in range(len(recited) - 1):
-        found()
-    return found.records()
+        outcomes()
+    return outcomes.records()
 
 
 def printed(shifts, width=140):
@@ -57,22 +57,22 @@ def printed(shifts, width=140):
 
 def test_record_of_each_shift_holds_forecasts_by_time_made():
     made, ended = make_frames(cars=2, days=3, hours=7.0, warm_up=1)
-    found = records(made, ended)
-    assert [(s["vehicle_id"], s["begin_s"]) for s in found] == sorted(
+    collected = records(made, ended)
+    assert [(s["vehicle_id"], s["begin_s"]) for s in collected] == sorted(
         zip(ended["vehicle_id"], ended["begin_s"], strict=True), key=lambda each: each[1]
     )
-    for shift_ in found:
-        own = made[(made["vehicle_id"] == shift_["vehicle_id"]) & (made["shift_begin_s"] == shift_["begin_s"])]
-        if np.isnan(own["soc_mean_pct"].iloc[0]):
+    for shift_ in collected:
+        of_shift = made[(made["vehicle_id"] == shift_["vehicle_id"]) & (made["shift_begin_s"] == shift_["begin_s"])]
+        if np.isnan(of_shift["soc_mean_pct"].iloc[0]):
             assert set(shift_["forecasts"].values()) == {None}
             continue
-        asked = {"begin": shift_["begin_s"]} | {name: shift_["end_s"] - ahead for name, ahead in AHEAD.items()}
-        for name, time in asked.items():
-            row = own[own["time_s"] <= time].iloc[-1]
+        wanted = {"begin": shift_["begin_s"]} | {name: shift_["end_s"] - ahead for name, ahead in AHEAD.items()}
+        for name, time in wanted.items():
+            row = of_shift[of_shift["time_s"] <= time].iloc[-1]
             forecast = shift_["forecasts"][name]
             assert (forecast["time_s"], forecast["mean"]) == (row["time_s"], row["soc_mean_pct"])
             assert forecast["held"] == (row["soc_p05_pct"] <= shift_["soc_end_pct"] <= row["soc_p95_pct"])
-    assert json.loads(json.dumps(found)) == found
+    assert json.loads(json.dumps(collected)) == collected
 
 
 @given(cuts=st.lists(st.floats(1_514_764_800.0, 1_514_764_800.0 + 4 * 86_400.0), max_size=8), rows=st.integers(0, 3000))
@@ -86,10 +86,10 @@ def test_order_of_delivery_and_deleted_forecasts_never_change_records(cuts, rows
 def test_deleted_forecasts_bound_memory(monkeypatch):
     monkeypatch.setattr(shift_outcomes, "MOST_ROWS", 500)
     made, ended = make_frames(cars=1, days=10, warm_up=0)
-    found = ShiftOutcomes(Recited(made, ended, made["time_s"].to_numpy()[::100]))
+    outcomes = ShiftOutcomes(Recited(made, ended, made["time_s"].to_numpy()[::100]))
     for _ in range(len(made) // 100):
-        found()
-        assert sum(map(len, found._forecasts)) < 800
+        outcomes()
+        assert sum(map(len, outcomes._forecasts)) < 800
 
 
 def test_forecast_before_charge_or_of_unfinished_shift_is_not_evaluated():
@@ -124,22 +124,22 @@ def test_missing_intervals_are_reported_with_remedy():
 
 def test_summary_gives_share_of_outcomes_within_interval():
     made, ended = make_frames(cars=5, days=20, warm_up=0)
-    found = records(made, ended)
-    held = [s["forecasts"]["2h"]["held"] for s in found]
-    assert f"{sum(held)} of {len(held)}" in summary(found)[1]
+    collected = records(made, ended)
+    held = [s["forecasts"]["2h"]["held"] for s in collected]
+    assert f"{sum(held)} of {len(held)}" in summary(collected)[1]
     assert 0.8 < np.mean(held) < 0.98
-    assert f"the last 60 of {len(found)} shifts" in printed(found)
+    assert f"the last 60 of {len(collected)} shifts" in printed(collected)
 
 
 def test_outcomes_of_pipeline_are_collected():
     pipeline = trained_pipeline(keep_outlooks=True)
     pipeline.take_shifts()
-    found = ShiftOutcomes(pipeline)
+    outcomes = ShiftOutcomes(pipeline)
     for _, message in shift("c", DAYS):
         pipeline.push([message])
-        found()
+        outcomes()
     pipeline.finish()
-    shift_ = [s for s in found.records() if s["vehicle_id"] == "c"][-1]
+    shift_ = [s for s in outcomes.records() if s["vehicle_id"] == "c"][-1]
     assert shift_["end_s"] - shift_["begin_s"] == pytest.approx(SHIFT)
     assert shift_["forecasts"]["1h"]["p05"] < shift_["soc_end_pct"] < shift_["forecasts"]["1h"]["p95"]
     assert shift_["forecasts"]["1h"]["held"]

@@ -41,18 +41,18 @@ def test_rides_and_counters_exclude_warm_up(recordings):
     for each in (fresh, pipeline):
         today(each)
         each.finish()
-    told, expected = pipeline.quality(), fresh.quality()
-    assert told.pop("vehicles") == len(CARS)
+    counters, expected = pipeline.quality(), fresh.quality()
+    assert counters.pop("vehicles") == len(CARS)
     expected.pop("vehicles")
-    assert told == expected
+    assert counters == expected
     assert pipeline.take_rides().equals(fresh.take_rides())
 
 
 def test_warm_up_keeps_vehicle_model_of_cars_that_send_none_again(recordings):
     pipeline = Pipeline(settings=SETTINGS)
     pipeline.learn_from(learn_from_recordings(EXTENDED_PHYSICAL, [], SETTINGS, recordings))
-    found = forecasts(pipeline.push([m for _, m in shift("c", DAYS)]), "c")
-    assert list(found.values())[-1].soc_end_of_shift_pct
+    made = forecasts(pipeline.push([m for _, m in shift("c", DAYS)]), "c")
+    assert list(made.values())[-1].soc_end_of_shift_pct
 
 
 def test_shadows_start_anew_and_restart_continues_unchanged(recordings):
@@ -61,7 +61,7 @@ def test_shadows_start_anew_and_restart_continues_unchanged(recordings):
 
     pipeline = made()
     pipeline.learn_from(learn_from_recordings(EXTENDED_PHYSICAL, [BASIC_PHYSICAL], SETTINGS, recordings))
-    assert all(told.overall.rides == 0 for told in pipeline.shadows.errors())
+    assert all(errors.overall.rides == 0 for errors in pipeline.shadows.errors())
     messages = [m for _, m in shift("c", DAYS)]
     first, state = pipeline.push(messages[:150]), pipeline.snapshot()
     other = made()
@@ -81,9 +81,9 @@ def test_warm_up_recording_that_ends_after_replay_begins_is_refused(capsys, tmp_
     for name, numbers in (("later", range(2, DAYS)), ("overlapping", range(DAYS)), ("same", range(2))):
         recorded(history := tmp_path / f"{name}.mcap", numbers)
         history.write_bytes(history.read_bytes()[: history.stat().st_size - lost])
-        told = refused(capsys, "replay", early, "--warm-up", history)
-        assert f"{name}.mcap ends at 2024-01-1" in told
-        assert "after the replay begins at 2024-01-15 08:00:00 UTC: " in told
+        message = refused(capsys, "replay", early, "--warm-up", history)
+        assert f"{name}.mcap ends at 2024-01-1" in message
+        assert "after the replay begins at 2024-01-15 08:00:00 UTC: " in message
     assert "a.mcap ends at" in refused(capsys, "replay", early, late, "--warm-up", early)
     done("replay", late, "--warm-up", early, "--warm-up", tmp_path / "same.mcap")
 

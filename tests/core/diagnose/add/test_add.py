@@ -169,12 +169,12 @@ def test_differing_vehicle_models_get_own_coefficients():
     ids = {("effect_cold_rolling", f"vehicle=taxi-{i}"): (0.5e-4 if i % 2 else 2.5e-4) for i in range(4)}
     tables = planted(ids)
     result = tried(tables, base_model(tables[0]), "cold_rolling")
-    own = {key: one["value"] for key, one in result.trial["by_vehicle_model"].items()}
-    assert own[KINDS[0]] == pytest.approx(2.5e-4, rel=0.15)
-    assert own[KINDS[1]] == pytest.approx(0.5e-4, rel=0.4)
-    for key, value in own.items():
+    by_kind = {key: one["value"] for key, one in result.trial["by_vehicle_model"].items()}
+    assert by_kind[KINDS[0]] == pytest.approx(2.5e-4, rel=0.15)
+    assert by_kind[KINDS[1]] == pytest.approx(0.5e-4, rel=0.4)
+    for key, value in by_kind.items():
         assert result.model.fits[key].coefficients[-1] == value
-    assert own[KINDS[1]] < result.model.fits[ANY].coefficients[-1] < own[KINDS[0]]
+    assert by_kind[KINDS[1]] < result.model.fits[ANY].coefficients[-1] < by_kind[KINDS[0]]
 
 
 def test_implausible_coefficient_gives_warning():
@@ -193,7 +193,7 @@ def test_effect_of_wrong_sign_is_refused_with_warning():
 
 
 @pytest.mark.parametrize(
-    ("effect", "scopes", "error", "said"),
+    ("effect", "scopes", "error", "words"),
     [
         ("cold_roling", (), EffectError, "did you mean cold_rolling"),
         ("snow", (), ModelError, "snow is never active in these 160 rides; record"),
@@ -213,8 +213,8 @@ def test_effect_of_wrong_sign_is_refused_with_warning():
         ("cold_rolling@reference=283.150", (), EffectError, "is known as 'cold_rolling@reference=283.15'"),
     ],
 )
-def test_errors_of_add_effect_name_cause_and_remedy(effect, scopes, error, said, cold, model):
-    with pytest.raises(error, match=said.replace("(", r"\(")):
+def test_errors_of_add_effect_name_cause_and_remedy(effect, scopes, error, words, cold, model):
+    with pytest.raises(error, match=words.replace("(", r"\(")):
         tried(cold, model, effect, *scopes)
 
 

@@ -144,9 +144,9 @@ def test_planted_term_outside_library_is_recovered(driving, carrier):
     assert suggestion.gain_ci95[0] > 0.0
     assert suggestion.ci95[0] < suggestion.coefficient < suggestion.ci95[1]
     assert suggestion.formula == format_formula(suggestion.term)
-    said = suggestion.coefficient * suggestion.column * 3.6e6 / 60.0
+    suggested = suggestion.coefficient * suggestion.column * 3.6e6 / 60.0
     base = np.column_stack([windows[list(BASE)].to_numpy(), np.ones(len(windows))])
-    new, truly = (x - base @ np.linalg.lstsq(base, x, rcond=None)[0] for x in (said, true))
+    new, truly = (x - base @ np.linalg.lstsq(base, x, rcond=None)[0] for x in (suggested, true))
     assert np.corrcoef(new, truly)[0, 1] > 0.9
     assert np.sum(new * truly) / np.sum(truly**2) == pytest.approx(1.0, abs=0.2)
 

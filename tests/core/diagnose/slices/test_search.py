@@ -40,8 +40,8 @@ def fleet(count, vehicles=6, days=20, seed=0):
             "longitude_start_deg": -73.6,
         }
     )
-    own = rng.normal(0.0, 0.03, (vehicles, days))[car, day]
-    return rides, rng.normal(0.0, 0.1, count) + own, car * days + day
+    of_day = rng.normal(0.0, 0.03, (vehicles, days))[car, day]
+    return rides, rng.normal(0.0, 0.1, count) + of_day, car * days + day
 
 
 def test_slices_without_structure_keep_false_discovery_rate():
@@ -179,14 +179,14 @@ def test_thresholds_are_round_and_divide_rides(seed, power, size):
 def test_conditions_match_their_words():
     rides, _, _ = fleet(300)
     known, masks = list_conditions(rides)
-    said = {condition.words: mask for condition, mask in zip(known, masks, strict=True)}
-    assert np.array_equal(said["colder than 0 °C"], rides["ambient_c"] < 0.0)
-    assert np.array_equal(said["parked for more than 1 h before"], rides["parked_s"] >= 3600.0)
-    assert np.array_equal(said["fewer than 3 people aboard"], rides["occupants"] < 3)
-    assert np.array_equal(said["taxi-002"], rides["vehicle_id"] == "taxi-002")
+    by_words = {condition.words: mask for condition, mask in zip(known, masks, strict=True)}
+    assert np.array_equal(by_words["colder than 0 °C"], rides["ambient_c"] < 0.0)
+    assert np.array_equal(by_words["parked for more than 1 h before"], rides["parked_s"] >= 3600.0)
+    assert np.array_equal(by_words["fewer than 3 people aboard"], rides["occupants"] < 3)
+    assert np.array_equal(by_words["taxi-002"], rides["vehicle_id"] == "taxi-002")
     assert len({mask.tobytes() for mask in masks}) == len(masks)
     hour = (rides["start_s"] / 3600.0 - 73.6 / 15.0) % 24.0
-    assert np.array_equal(said["between 6 and 9 h"], (hour >= 6.0) & (hour < 9.0))
+    assert np.array_equal(by_words["between 6 and 9 h"], (hour >= 6.0) & (hour < 9.0))
 
 
 def test_names_without_letters_get_title():

@@ -209,7 +209,7 @@ def test_paired_difference_has_narrower_interval_than_separate_errors():
     rides = planted()
     worse = model("worse", EXTENDED_PHYSICAL.terms, [1.1, 1.0, 1.0, 1.0, 1.0])
     result = compared(rides, one=EXTENDED_PHYSICAL, other=worse)
-    apart = sum(own["mae_kwh"]["ci95"] for own in result["models"].values())
+    apart = sum(of_model["mae_kwh"]["ci95"] for of_model in result["models"].values())
     assert result["pairs"][0]["difference_kwh"]["ci95"] < 0.5 * apart
 
 
@@ -296,8 +296,8 @@ def test_accumulated_windows_end_with_values_of_ride(shift):
     rides, windows = shift
     for i in range(0, len(rides), 5):
         ride = rides.iloc[[i]].reset_index(drop=True)
-        own = windows[windows["ride_key"] == ride["ride_key"].iloc[0]]
-        result = accumulate_windows(ride, own)
+        of_ride = windows[windows["ride_key"] == ride["ride_key"].iloc[0]]
+        result = accumulate_windows(ride, of_ride)
         for name in (name for name in FEATURES if name in ride):
             tolerance = {"rtol": 0.02} if name in {"wind_from_deg", "wind_speed_kmh"} else {"rtol": 1e-9, "atol": 1e-9}
             np.testing.assert_allclose(result[name].iloc[-1], ride[name].iloc[0], err_msg=name, **tolerance)
@@ -310,10 +310,10 @@ def test_trace_adds_up_to_measured_and_predicted_energy(shift):
     result = trace_ride(ride, windows, {"plain": EXTENDED_PHYSICAL, "with": _with_constant()})
     assert result["windows"]["measured_kwh"].sum() == pytest.approx(ride["energy_kwh"].iloc[0])
     assert result["windows"]["end_km"][-1] == pytest.approx(ride["distance_km"].iloc[0])
-    for name, own in result["models"].items():
-        assert own["start_kwh"] + own["energy_kwh"].sum() == pytest.approx(own["predicted_kwh"]), name
-        np.testing.assert_allclose(sum(own["terms"].values()), own["energy_kwh"], atol=1e-12)
-        assert sum(own["start_terms"].values()) == pytest.approx(own["start_kwh"])
+    for name, of_model in result["models"].items():
+        assert of_model["start_kwh"] + of_model["energy_kwh"].sum() == pytest.approx(of_model["predicted_kwh"]), name
+        np.testing.assert_allclose(sum(of_model["terms"].values()), of_model["energy_kwh"], atol=1e-12)
+        assert sum(of_model["start_terms"].values()) == pytest.approx(of_model["start_kwh"])
     assert result["models"]["plain"]["start_kwh"] == 0.0
     assert result["models"]["with"]["start_kwh"] == 0.5
     expected_note = (
@@ -365,10 +365,10 @@ def test_ride_measured_by_soc_is_traced_in_steps_with_note(shift):
 def test_unmeasured_windows_take_mean_power(shift):
     rides, windows = shift
     ride = find_ride(rides, rides.loc[rides["energy_kwh"] == rides["energy_vi_kwh"], "ride_key"].iloc[3])
-    own = windows.index[windows["ride_key"] == ride["ride_key"].iloc[0]]
-    gone = windows.assign(energy_vi_kwh=windows["energy_vi_kwh"].mask(windows.index == own[1]))
+    of_ride = windows.index[windows["ride_key"] == ride["ride_key"].iloc[0]]
+    gone = windows.assign(energy_vi_kwh=windows["energy_vi_kwh"].mask(windows.index == of_ride[1]))
     result = trace_ride(ride, gone, {"m": EXTENDED_PHYSICAL})
-    assert any(note.startswith(f"1 of {len(own)} windows were not measured") for note in result["notes"])
+    assert any(note.startswith(f"1 of {len(of_ride)} windows were not measured") for note in result["notes"])
     assert result["windows"]["measured_kwh"].sum() == pytest.approx(ride["energy_kwh"].iloc[0])
     with pytest.raises(ModelError, match="none of the windows of this ride has a measured energy"):
         trace_ride(ride, windows.assign(energy_vi_kwh=np.nan), {"m": EXTENDED_PHYSICAL})
@@ -401,15 +401,17 @@ def test_explained_and_unexplained_parts_add_up_to_difference():
     models = {"m": EXTENDED_PHYSICAL}
     cold, warm = (select_rides(rides[rides["winter"] == w], models) for w in (1, 0))
     result, turned = compare_datasets(warm, cold, models), compare_datasets(cold, warm, models)
-    own = result["models"]["m"]
+    difference = result["models"]["m"]
     for side in ("first", "second", "difference"):
         value = lambda entry, side=side: entry[side]["value"]  # noqa: E731 - short
-        assert sum(map(value, own["terms"])) == pytest.approx(value(own["explained"]))
-        assert value(own["explained"]) + value(own["unexplained"]) == pytest.approx(value(result["consumption"]))
+        assert sum(map(value, difference["terms"])) == pytest.approx(value(difference["explained"]))
+        assert value(difference["explained"]) + value(difference["unexplained"]) == pytest.approx(
+            value(result["consumption"])
+        )
     assert result["consumption"]["difference"]["value"] == pytest.approx(-turned["consumption"]["difference"]["value"])
     assert result["properties"][0]["name"] == "outside temperature"
-    assert own["terms"][0]["name"] == "accessories"
-    n = [sum(counts) for counts in zip(*(e["n"] for e in own["by"]["temperature"]), strict=True)]
+    assert difference["terms"][0]["name"] == "accessories"
+    n = [sum(counts) for counts in zip(*(e["n"] for e in difference["by"]["temperature"]), strict=True)]
     assert n == [len(warm.rides), len(cold.rides)]
 
 

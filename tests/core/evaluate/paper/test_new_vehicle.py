@@ -41,8 +41,8 @@ class PerKm:
         return Rate(float(rides["energy_kwh"].sum() / rides["distance_km"].sum()))
 
     def adapt(self, model, rides):
-        own, weight = PerKm().fit(rides).rate, len(rides) / (len(rides) + 2.0)
-        return Rate(weight * own + (1.0 - weight) * model.rate)
+        new_rate, weight = PerKm().fit(rides).rate, len(rides) / (len(rides) + 2.0)
+        return Rate(weight * new_rate + (1.0 - weight) * model.rate)
 
 
 @dataclass
@@ -91,12 +91,12 @@ def test_tables_12_and_13_average_over_clusters_relative_to_basic_model(table):
     }
     result = compute_tables_12_and_13(held, table)
     for name in MODELS:
-        own = table.rides[table.rides["vehicle_model"] == name]
-        cluster = pd.cut(own["distance_km"], [0, 5, 10, 15, 20, 25], right=False, labels=CLUSTERS[:5])
+        of_model = table.rides[table.rides["vehicle_model"] == name]
+        cluster = pd.cut(of_model["distance_km"], [0, 5, 10, 15, 20, 25], right=False, labels=CLUSTERS[:5])
         means = (
-            own["distance_km"]
+            of_model["distance_km"]
             .groupby(cluster, observed=True)
-            .mean()[own.groupby(cluster, observed=True).size() >= LEAST_RIDES]
+            .mean()[of_model.groupby(cluster, observed=True).size() >= LEAST_RIDES]
         )
         basic, row = (PER_KM[name] - 0.1) * means.mean(), result["per_km"][name]
         others = table.rides[table.rides["vehicle_model"] != name]
@@ -120,13 +120,14 @@ def test_learners_are_both_variants_of_fitted_physical_and_adaptable_recipes():
 
 
 def test_drawn_orders_are_reproducible_permutations_and_ride_counts_fit_table():
-    own = np.arange(100, 700)
-    for order in draw_rides(own, "leaf", 3, number=4):
-        assert np.array_equal(np.sort(order), own)
+    rides = np.arange(100, 700)
+    for order in draw_rides(rides, "leaf", 3, number=4):
+        assert np.array_equal(np.sort(order), rides)
     assert all(
-        np.array_equal(a, b) for a, b in zip(draw_rides(own, "leaf", 3, 4), draw_rides(own, "leaf", 3, 4), strict=True)
+        np.array_equal(a, b)
+        for a, b in zip(draw_rides(rides, "leaf", 3, 4), draw_rides(rides, "leaf", 3, 4), strict=True)
     )
-    assert not np.array_equal(*draw_rides(own, "leaf", 3, 2))
+    assert not np.array_equal(*draw_rides(rides, "leaf", 3, 2))
     assert select_ride_counts(300) == (0, 1, 3, 10, 30, 100)
     assert select_ride_counts(60) == (0, 1, 3, 10, 30)
     assert select_ride_counts(1) == (0,)
@@ -139,11 +140,11 @@ def test_learning_curve_tests_same_unseen_rides_at_every_point(table, monkeypatc
     monkeypatch.setattr(PerKm, "adapt", lambda _, model, rides: shown.append(set(rides.index)) or model)
     compute_learning_curve(Learner("per_km", PerKm(), "adapted"), table, split, draw_rides(split.test, MODELS[0], 1, 2))
     for i in range(2):
-        points, own = tested[6 * i : 6 * i + 6], shown[5 * i : 5 * i + 5]
+        points, learned = tested[6 * i : 6 * i + 6], shown[5 * i : 5 * i + 5]
         assert all(points[0].equals(point) for point in points)
-        assert [len(rides) for rides in own] == [1, 3, 10, 30, 100]
-        assert all(a < b for a, b in pairwise(own))
-        assert not own[-1] & set(points[0])
+        assert [len(rides) for rides in learned] == [1, 3, 10, 30, 100]
+        assert all(a < b for a, b in pairwise(learned))
+        assert not learned[-1] & set(points[0])
 
 
 def test_learning_curve_falls_towards_planted_consumption(table):

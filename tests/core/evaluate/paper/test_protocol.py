@@ -106,13 +106,13 @@ def test_result_is_plain_json_with_every_part(result):
 
 def test_ride_counts_and_consumption_match_ride_table(result, rides):
     for model in MODELS:
-        own = rides[rides["vehicle_model"] == model]
-        assert result["rides"][model]["total"] == len(own)
-        assert result["rides"][model]["5-10"] == own["distance_km"].between(5, 10, inclusive="left").sum()
+        of_model = rides[rides["vehicle_model"] == model]
+        assert result["rides"][model]["total"] == len(of_model)
+        assert result["rides"][model]["5-10"] == of_model["distance_km"].between(5, 10, inclusive="left").sum()
         for cluster in ("0-5", "10-15"):
             low, high = (float(end) for end in cluster.split("-"))
-            at = own["distance_km"].between(low, high, inclusive="left")
-            assert result["consumption"][model][cluster] == pytest.approx(own["energy_kwh"][at].mean())
+            at = of_model["distance_km"].between(low, high, inclusive="left")
+            assert result["consumption"][model][cluster] == pytest.approx(of_model["energy_kwh"][at].mean())
 
 
 def test_planted_error_lies_within_its_interval(result):
@@ -229,7 +229,7 @@ def test_result_depends_on_seed_but_not_on_processes_or_ride_order():
 
 
 def test_failing_recipe_is_left_out_with_note(rides):
-    def refuse(_asked):
+    def refuse(_rides):
         raise ModelError("column 'x' is missing: add it")
 
     evaluation = evaluate(rides, recipes(TRUE, Toy("broken", refuse)), seed=1)

@@ -28,8 +28,8 @@ each_model = pytest.mark.parametrize("key", KEYS)
 
 def row(recipe, key):
     """Return the errors of a model that the paper states, by cluster."""
-    found = {c: published.get_mae(recipe, key, c) for c in CLUSTERS}
-    return {c: figure for c, figure in found.items() if figure is not None}
+    by_cluster = {c: published.get_mae(recipe, key, c) for c in CLUSTERS}
+    return {c: figure for c, figure in by_cluster.items() if figure is not None}
 
 
 def weighted_mean(recipe, cluster, rides_of):
@@ -125,9 +125,9 @@ def test_weighted_rows_agree_better_with_weights_by_all_rides():
     by_all, by_cluster = [], []
     for recipe in RECIPES:
         for cluster in CLUSTERS:
-            said = published.get_mae(recipe, WEIGHTED, cluster).value
-            by_all.append(abs(weighted_mean(recipe, cluster, "total") - said))
-            by_cluster.append(abs(weighted_mean(recipe, cluster, cluster) - said))
+            published_kwh = published.get_mae(recipe, WEIGHTED, cluster).value
+            by_all.append(abs(weighted_mean(recipe, cluster, "total") - published_kwh))
+            by_cluster.append(abs(weighted_mean(recipe, cluster, cluster) - published_kwh))
     assert max(by_all) == pytest.approx(0.0395, abs=0.0001)
     assert max(by_cluster) == pytest.approx(0.137, abs=0.001)
     assert np.mean(by_all) < 0.4 * np.mean(by_cluster)

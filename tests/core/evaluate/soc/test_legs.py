@@ -110,7 +110,7 @@ def test_recorder_queries_every_half_hour_of_planned_shift():
     gaps = np.diff(times)
     assert (gaps >= QUERY_INTERVAL).all()
     assert np.median(gaps) < QUERY_INTERVAL + 7 * 60.0 + 1.0
-    assert len(times) == len(questions.table())  # a leg of which nothing is known is not told of
+    assert len(times) == len(questions.table())  # a leg of which nothing is known has no row
     assert set(questions.table()["shift"]) == {0, 1}
     assert (questions.table()["soc_mean_pct"] == 60.0).all()
 
@@ -125,11 +125,15 @@ def test_leg_figures_match_planted_errors():
     frames = make_frames(cars=2, days=20)
     days = frames.shifts["shift"].to_numpy()
     rng = np.random.default_rng(2)
-    own = frames.shifts.rename(columns={"soc_end_pct": "shift_end_pct"})
-    own = own.assign(leg=0, ahead_km=10.0, soc_pct=60.0, time_s=own["begin_s"], ride_end_s=own["begin_s"] + HOUR)
-    own = own.assign(minutes=np.where(days % 2, 20.0, 90.0), charges=days % 4 == 0, soc_mean_pct=50.0)
-    error = rng.normal(0.0, 1.0, len(own))
-    legs = own.assign(soc_p05_pct=48.0, soc_p95_pct=52.0, soc_end_pct=50.0 + error, cluster=np.arange(len(own)))
+    of_shifts = frames.shifts.rename(columns={"soc_end_pct": "shift_end_pct"})
+    of_shifts = of_shifts.assign(
+        leg=0, ahead_km=10.0, soc_pct=60.0, time_s=of_shifts["begin_s"], ride_end_s=of_shifts["begin_s"] + HOUR
+    )
+    of_shifts = of_shifts.assign(minutes=np.where(days % 2, 20.0, 90.0), charges=days % 4 == 0, soc_mean_pct=50.0)
+    error = rng.normal(0.0, 1.0, len(of_shifts))
+    legs = of_shifts.assign(
+        soc_p05_pct=48.0, soc_p95_pct=52.0, soc_end_pct=50.0 + error, cluster=np.arange(len(of_shifts))
+    )
     matched = evaluate_soc(*frames, legs)["legs"]
     assert [each["bin"] for each in matched["without a charge"]] == ["below 30", "60 to 120", "all"]
     assert [each["bin"] for each in matched["charged later"]] == ["60 to 120", "all"]

@@ -121,9 +121,9 @@ def test_newest_forecast_before_each_time_ahead_is_evaluated(seconds, hours):
 def test_forecast_before_charge_is_not_evaluated():
     frames = make_frames(cars=1, days=1, warm_up=0)
     begin = frames.shifts["begin_s"].iloc[0]
-    found = select_cases(*changed(frames, charged_s=begin + 3.5 * 3600.0))
-    assert found.cases["hours"].tolist() == [0, 1, 2]
-    assert found.left_out == {CHARGED: 2}
+    cases = select_cases(*changed(frames, charged_s=begin + 3.5 * 3600.0))
+    assert cases.cases["hours"].tolist() == [0, 1, 2]
+    assert cases.left_out == {CHARGED: 2}
     at_the_end = changed(frames, charged_s=frames.shifts["end_s"])
     assert select_cases(*at_the_end).left_out == {CHARGED: len(HOURS_AHEAD)}
 
@@ -131,23 +131,23 @@ def test_forecast_before_charge_is_not_evaluated():
 def test_silent_car_is_counted():
     frames = make_frames(cars=1, days=1, warm_up=0)
     ahead = frames.shifts["end_s"].iloc[0] - frames.outlooks["time_s"]
-    found = select_cases(frames.outlooks[~ahead.between(3599.0, 3600.0 + 1200.0)], frames.shifts)
-    assert found.cases["hours"].tolist() == [0, 2, 4, 6]
-    assert found.left_out == {SILENT: 1}
+    cases = select_cases(frames.outlooks[~ahead.between(3599.0, 3600.0 + 1200.0)], frames.shifts)
+    assert cases.cases["hours"].tolist() == [0, 2, 4, 6]
+    assert cases.left_out == {SILENT: 1}
 
 
 def test_shift_without_final_soc_is_counted():
     frames = changed(make_frames(cars=1, days=2, warm_up=0), soc_end_pct=[np.nan, 40.0])
-    found = select_cases(*frames)
-    assert found.left_out == {UNREPORTED: len(HOURS_AHEAD)}
-    assert found.warm_up == 0
+    cases = select_cases(*frames)
+    assert cases.left_out == {UNREPORTED: len(HOURS_AHEAD)}
+    assert cases.warm_up == 0
 
 
 def test_shift_cut_by_recording_is_counted_and_early_end_is_evaluated():
     frames = make_frames(cars=1, days=2, warm_up=0)
-    found = select_cases(frames.outlooks.assign(shift_end_s=frames.outlooks["shift_end_s"] + 3600.0), frames.shifts)
-    assert found.left_out == {CUT_SHORT: len(HOURS_AHEAD)}
-    assert set(found.cases["shift"]) == {0}
+    cases = select_cases(frames.outlooks.assign(shift_end_s=frames.outlooks["shift_end_s"] + 3600.0), frames.shifts)
+    assert cases.left_out == {CUT_SHORT: len(HOURS_AHEAD)}
+    assert set(cases.cases["shift"]) == {0}
 
 
 def test_shifts_of_one_car_on_one_day_are_one_cluster():
@@ -167,12 +167,12 @@ def test_shifts_of_one_car_on_one_day_are_one_cluster():
 def test_without_plans_only_linear_baseline_applies_with_note():
     frames = make_frames(cars=2, days=4)
     outlooks = frames.outlooks.assign(planned=False, ahead_km=np.nan)
-    found = evaluate_soc(outlooks, frames.shifts)
-    figures = found["overall"]["hours"]["2"]
+    result = evaluate_soc(outlooks, frames.shifts)
+    figures = result["overall"]["hours"]["2"]
     assert {name: of["n"] for name, of in figures["baselines"].items()} == {"linear": 4, "model_mean": 0, "rating": 0}
     assert figures["best"] is None
-    assert any("no shift had a plan" in note for note in found["notes"])
-    assert [bins["bin"] for bins in found["by"]["plan"]] == ["by habit"]
+    assert any("no shift had a plan" in note for note in result["notes"])
+    assert [bins["bin"] for bins in result["by"]["plan"]] == ["by habit"]
 
 
 @pytest.mark.parametrize("days", [0, 2])
@@ -181,10 +181,10 @@ def test_no_case_raises_error_of_one_line(days):
     tables = [table[table["shift"] < days] for table in frames]
     with pytest.raises(
         ModelError, match=rf"{days} shifts ended and no forecast .*: give recordings of more days"
-    ) as said:
+    ) as refusal:
         evaluate_soc(*tables)
-    assert "\n" not in str(said.value)
-    assert (WARM_UP in str(said.value)) == (days > 0)
+    assert "\n" not in str(refusal.value)
+    assert (WARM_UP in str(refusal.value)) == (days > 0)
 
 
 def test_examples_include_extreme_shifts_in_time_order(frames, result):

@@ -22,7 +22,7 @@ from tests.support.fleet_days import (
     shift,
     trained_pipeline,
 )
-from tests.support.telemetry import telemetry, told
+from tests.support.telemetry import make_message, telemetry
 
 
 def count_learned(statistics):
@@ -65,10 +65,10 @@ def test_other_cars_of_the_same_day_change_no_forecast():
 @pytest.mark.parametrize("number", [0, 1, 2, 5])
 def test_tables_need_enough_rides_and_intervals_need_enough_shifts(number):
     pipeline = trained_pipeline(number)
-    found = forecasts(pipeline.push([m for _, m in shift("c", number)]), "c")
+    made = forecasts(pipeline.push([m for _, m in shift("c", number)]), "c")
     enough = number * len(CARS) * (LEGS - 1) >= LEAST_RIDES
     assert (pipeline.engine.statistics.get_tables(2) is not None) == enough
-    is_forecast = {each.soc_end_of_shift_pct is not None for each in list(found.values())[2:]}
+    is_forecast = {each.soc_end_of_shift_pct is not None for each in list(made.values())[2:]}
     assert is_forecast == {number * len(CARS) - len(CARS) >= LEAST_SHIFTS}
 
 
@@ -135,14 +135,14 @@ def test_known_driver_changes_the_forecast():
         pipeline.engine.statistics.factors.add_shift(90, compute_driver_code("heavy"), 20.0, 26.0, 24.0)
         pipeline.engine.statistics.factors.add_shift(90, compute_driver_code("other"), 20.0, 20.0, 24.0)
     kept = pipeline.snapshot()
-    found = {}
+    by_driver = {}
     for name in ("heavy", "other", None):
         pipeline = trained_pipeline()
         pipeline.restore(kept)
         begin = float(columns("c", DAYS)["time_s"][0])
-        drives = told("ride", "c", begin, ride_id="c", event="start", **({"driver_id": name} if name else {}))
+        drives = make_message("ride", "c", begin, ride_id="c", event="start", **({"driver_id": name} if name else {}))
         samples = telemetry(columns("c", DAYS), "c")[:20]
         out = forecasts(pipeline.push([samples[0], plan("c", DAYS, begin), drives, *samples[1:]]), "c")
-        found[name] = out[max(out)].soc_end_of_shift_pct.mean
-    assert found["heavy"] < found[None]
-    assert found["heavy"] < found["other"]
+        by_driver[name] = out[max(out)].soc_end_of_shift_pct.mean
+    assert by_driver["heavy"] < by_driver[None]
+    assert by_driver["heavy"] < by_driver["other"]

@@ -66,8 +66,8 @@ def test_interrupted_shift_is_evaluated_against_its_last_charge():
 
 @given(st.floats(-100.0, 8000.0), st.lists(st.floats(0.0, END), min_size=1, max_size=20))
 def test_only_forecasts_after_the_last_charging_are_evaluated(charged, times):
-    found = evaluated([note(time) for time in sorted(times)], 0.5, charged)
-    assert sum(len(errors.scores) for errors in found) == sum(time > charged for time in times)
+    of_shift = evaluated([note(time) for time in sorted(times)], 0.5, charged)
+    assert sum(len(errors.scores) for errors in of_shift) == sum(time > charged for time in times)
 
 
 def test_nothing_is_evaluated_without_a_known_charge():
@@ -113,9 +113,9 @@ def test_bias_is_recovered_where_cars_run_empty(taken):
 
 
 def test_forecasts_by_plan_and_by_history_are_evaluated_separately():
-    found = evaluated([note(0.0), note(600.0, basis=1, mean=0.4), note(1200.0)], 0.5, np.nan)
-    assert [(errors.basis, len(errors.scores)) for errors in found] == [(0, 2), (1, 1)]
-    assert found[1].scores == pytest.approx([5.0])
+    of_shift = evaluated([note(0.0), note(600.0, basis=1, mean=0.4), note(1200.0)], 0.5, np.nan)
+    assert [(errors.basis, len(errors.scores)) for errors in of_shift] == [(0, 2), (1, 1)]
+    assert of_shift[1].scores == pytest.approx([5.0])
 
 
 def test_unknown_forecast_is_not_recorded():

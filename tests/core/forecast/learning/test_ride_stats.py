@@ -61,9 +61,9 @@ def test_longer_leg_takes_more_energy(km, longer):
 
 @given(st.floats(0.0, 50.0), st.floats(0.0, 86_400.0), st.floats(0.0, 500.0), st.floats(0.0, 500.0))
 def test_no_leg_returns_more_than_its_descent_and_all_are_finite(km, seconds, gained, lost):
-    found = energy(km, seconds, gained, lost)
-    assert np.isfinite(found).all()
-    assert (found >= min(tables().descent_energy, 0.0) * min(lost, STEEPEST_DESCENT * km)).all()
+    kwh = energy(km, seconds, gained, lost)
+    assert np.isfinite(kwh).all()
+    assert (kwh >= min(tables().descent_energy, 0.0) * min(lost, STEEPEST_DESCENT * km)).all()
 
 
 def test_legs_take_more_energy_in_the_cold_where_rides_did():
@@ -83,12 +83,12 @@ def test_leg_takes_the_mean_energy_of_similar_legs():
     pipeline = trained_pipeline()
     sent = columns("c", 2)
     riding = sent["ride_id"] == "c-2-3"
-    found = energy(np.ptp(sent["metres"][riding]) / 1000.0, RIDE, known=pipeline.engine.statistics.get_tables(2))
+    kwh = energy(np.ptp(sent["metres"][riding]) / 1000.0, RIDE, known=pipeline.engine.statistics.get_tables(2))
     used = (
         np.mean([0.16 * np.exp(0.15 * np.sin(ord(car))) for car in "abcdef"]) * np.ptp(sent["metres"][riding]) / 1000.0
     )
     nominal = pipeline.cars.capacity[-1]
-    assert found.mean() == pytest.approx(used * nominal / CAPACITY, rel=0.15)
+    assert kwh.mean() == pytest.approx(used * nominal / CAPACITY, rel=0.15)
 
 
 @given(st.floats(1.0, 20.0), st.floats(10.0, 300.0))
@@ -103,9 +103,9 @@ def test_uphill_takes_more_and_downhill_less_energy(km, climb):
 @given(st.floats(0.5, 20.0), st.floats(60.0, 300.0))
 def test_unknown_climb_counts_as_usual(km, pace):
     known = tables()._replace(climbed_per_km=np.full(len(PACES), 7.0), descended_per_km=np.full(len(PACES), 5.0))
-    found = energy(km, pace * km, known=known)
-    assert found == pytest.approx(energy(km, pace * km, 7.0 * km, 5.0 * km, known=known))
-    assert (found < energy(km, pace * km, 9.0 * km, 5.0 * km, known=known)).all()
+    kwh = energy(km, pace * km, known=known)
+    assert kwh == pytest.approx(energy(km, pace * km, 7.0 * km, 5.0 * km, known=known))
+    assert (kwh < energy(km, pace * km, 9.0 * km, 5.0 * km, known=known)).all()
 
 
 def test_leg_of_standing_takes_standing_power():
@@ -156,8 +156,14 @@ def driven(known, rides, rng):
     used = (energies * compute_knot_weights(celsius, TEMPERATURES)).sum(axis=1) + rng.normal(0.0, 0.02, rides)
     amounts = np.zeros((rides, len(AMOUNTS)))
     ambient = (celsius + 273.15) * 60.0 * pace * km
-    told = {"duration": 60.0 * pace * km, "distance": 1000.0 * km, "gained": gained, "lost": lost, "ambient": ambient}
-    for name, values in told.items():
+    values_of_ride = {
+        "duration": 60.0 * pace * km,
+        "distance": 1000.0 * km,
+        "gained": gained,
+        "lost": lost,
+        "ambient": ambient,
+    }
+    for name, values in values_of_ride.items():
         amounts[:, AMOUNTS.index(name)] = values
     none, edges = np.zeros(rides, np.int64), np.zeros((rides, len(EDGES)))
     return Totals(none, none, none, none, amounts, edges, edges, np.zeros((rides, 1))), used
@@ -185,13 +191,13 @@ def test_fit_recovers_energy_of_each_pace_and_temperature_that_averages_blur(see
     statistics = RideStatistics(len(AMOUNTS))
     statistics.tables = {MODEL: blurred}
     statistics.add_rides([MODEL] * len(used), rides, np.full(len(used), np.nan), used)
-    found = fit_leg_energy(blurred, equations_of(statistics))
+    fitted = fit_leg_energy(blurred, equations_of(statistics))
     inside = np.ix_((PACES > 2.0) & (PACES < 10.0), (TEMPERATURES > -20.0) & (TEMPERATURES < 30.0))
-    off = [np.abs(known.leg_energy_per_km / truth.leg_energy_per_km - 1.0)[inside].max() for known in (blurred, found)]
+    off = [np.abs(known.leg_energy_per_km / truth.leg_energy_per_km - 1.0)[inside].max() for known in (blurred, fitted)]
     assert off[0] > 0.2
     assert off[1] < 0.06
-    assert (found.climb_energy, found.descent_energy) == pytest.approx((0.006, -0.004), abs=5e-4)
-    assert found.start_energy == pytest.approx(truth.start_energy, abs=0.004)
+    assert (fitted.climb_energy, fitted.descent_energy) == pytest.approx((0.006, -0.004), abs=5e-4)
+    assert fitted.start_energy == pytest.approx(truth.start_energy, abs=0.004)
 
 
 def test_ride_that_mostly_waited_counts_for_no_pace():
