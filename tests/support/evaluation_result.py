@@ -33,7 +33,7 @@ CLUSTERS = ("0-5", "5-10", "10-15", "15-20", "20-25")
 ALL_CLUSTERS = (*CLUSTERS, "25-30", "30+")
 TEMPERATURES = ("below -30", *(f"{low} to {high}" for low, high in pairwise(range(-30, 31, 10))), "from 30")
 BASELINES = ("basic_physical", "basic_rescaled", "basic_rescaled_power", "telematics_regression")
-PAST = ("hybrid_ridge", "hybrid_trees")
+BEYOND_PAPER = ("hybrid_ridge", "hybrid_trees")
 
 
 def evaluation(seed: int = 1) -> dict[str, Any]:
@@ -63,7 +63,7 @@ def evaluation(seed: int = 1) -> dict[str, Any]:
         "rmse": {r: {v: 1.3 * average[r][v] for v in VEHICLES} for r in RECIPES},
         "bands": {r: {b: min(1.0, int(b) / 25 / SKILL[r] ** 0.5) for b in ("5", "10", "15")} for r in RECIPES},
         "by": _by(rng),
-        "coverage": {r: _coverage(rng) for r in PAST},
+        "coverage": {r: _coverage(rng) for r in BEYOND_PAPER},
         "buffer_kwh": {r: {"95": 1.9 * SKILL[r], "99": 3.2 * SKILL[r]} for r in RECIPES},
         "buffer_by_cluster": {
             r: {c: {"95": (1.9 + i) * SKILL[r], "99": (3.2 + i) * SKILL[r]} for i, c in enumerate(CLUSTERS)}

@@ -133,8 +133,8 @@ class TestPromise:
         assert other["missing"][0]["coefficient"]["value"] == pytest.approx(one["missing"][0]["coefficient"]["value"])
 
 
-class TestWhatWasHidden:
-    def test_is_the_verdict(self, diagnosis):
+class TestHiddenEffect:
+    def test_is_named_first(self, diagnosis):
         assert diagnosis["verdict"] == HIDDEN
         first = diagnosis["missing"][0]
         assert first["effect"] == HIDDEN
@@ -147,7 +147,7 @@ class TestWhatWasHidden:
         assert row["status"] == "missing"
         assert row is diagnosis["candidates"][0] or row["gain"] > 0.0
 
-    def test_has_a_plausible_coefficient(self, diagnosis):
+    def test_has_plausible_coefficient_and_interval(self, diagnosis):
         first = diagnosis["missing"][0]
         coefficient, effect = first["coefficient"], effects.get(first["variant"])
         assert coefficient["unit"] == effect.unit
@@ -195,7 +195,7 @@ def small():
     return tables, fit_to_windows("road_load", *tables, covariance=False)
 
 
-class TestTooLittle:
+class TestInsufficientData:
     def refused(self, rides, windows, model):
         with pytest.raises(ModelError) as refusal:
             diagnose(rides, windows, model)
@@ -232,7 +232,7 @@ class TestTooLittle:
         message = self.refused(rides, windows.assign(ride_key="van" + windows["ride_key"]), model)
         assert message.startswith("no window belongs to any of the rides")
 
-    def test_the_fewest_rides_that_do_are_diagnosed(self, small):
+    def test_least_number_of_rides_is_diagnosed(self, small):
         (rides, windows), model = small
         rides = rides[rides["ride_key"].isin([f"taxi-{car}#{n}" for car in (0, 1) for n in range(10)])]
         diagnosis = diagnose(rides, windows[windows["ride_key"].isin(rides["ride_key"])], model)

@@ -200,7 +200,7 @@ def test_coefficient_is_described_in_words():
     assert replace(get("rolling"), words="").in_words(0.0123) == "rolling resistance coefficient 0.012"
 
 
-def test_no_candidate_reads_a_column_that_holds_the_answer():
+def test_no_candidate_reads_measured_energy():
     assert {column.name for column in SIGNALS} >= {"hvac", "current", "soc"}
     for each in EACH:
         assert not {"hvac", "current", "soc"} & set(each.arguments), each.name

@@ -282,7 +282,7 @@ def test_running_errors_continue_for_models_that_remain():
     assert other.shadows.errors()[2].overall.rides > 0
 
 
-def test_running_errors_begin_anew_with_another_first_model():
+def test_another_first_model_resets_running_errors():
     pipeline, _, _ = served(lapped())
     other = Pipeline(msgspec.structs.replace(BASIC_PHYSICAL, version="9"), shadows=SHADOWS)
     other.restore(pipeline.snapshot())

@@ -327,6 +327,6 @@ class TestRunning:
         (record,) = run_cases("vehicle", [case], lambda *_: make_result())
         assert "too little" in record["refused"]
 
-    def test_effect_with_nothing_to_act_on_is_rejected(self, drives):
+    def test_effect_that_never_acts_is_rejected(self, drives):
         with pytest.raises(SettingsError, match="too little"):
             drives.measured([Hidden("snow", 0.03)], Scope(since="2018-04-20"))

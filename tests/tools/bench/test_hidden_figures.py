@@ -69,7 +69,7 @@ class TestFigures:
         records = [make_record("none", "wrong", hidden=[], names=2), make_record("none", "none", hidden=[])]
         assert self.select_figure(records, "nothing is hidden").value == 1.0
 
-    def test_wrong_names_without_doubt_are_counted(self):
+    def test_wrong_names_reported_as_certain_are_counted(self):
         records = [
             make_record("outside", "wrong"),
             make_record("outside", "wrong", doubt=True),

@@ -192,7 +192,7 @@ def coverages(*clusters):
     }
 
 
-def test_figure_of_few_car_days_shows_only_interval():
+def test_figure_of_few_vehicle_days_shows_only_interval():
     points, lines = drawn.draw_coverage(coverages(1, 2, LEAST_CLUSTERS - 1, LEAST_CLUSTERS), "Group [1]").data
     assert points.x == ("group 1", "group 2", "group 29", "group 30")
     assert points.y == (None, None, None, 80.0)

@@ -222,7 +222,7 @@ def test_replay_and_tables_accept_model_file(folder, tmp_path, capsys):
 
 @pytest.fixture(scope="module")
 def whole() -> pd.DataFrame:
-    """A table with all that the recipes past the paper ask for."""
+    """A table with all that the recipes beyond the paper read."""
     made = fleet(700, 1)
     return measured(made, planted(made, differing(MODELS)))
 
@@ -248,7 +248,7 @@ def test_recipe_and_adapt_exclude_each_other(folder, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("recipe", ["fitted_physical", "hybrid", "boosted_hybrid"])
-def test_single_unknown_values_never_prevent_fit(recipe, whole, tmp_path):
+def test_unknown_values_in_single_rows_never_prevent_fit(recipe, whole, tmp_path):
     spoilt = whole.copy()
     spoilt.loc[20, "duration_s"] = np.nan
     spoilt.loc[21, "effect_rolling"] = np.nan

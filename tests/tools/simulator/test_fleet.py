@@ -188,7 +188,7 @@ class TestHidden:
         assert gain == pytest.approx(hidden, rel=0.03)
         assert after.summary()["parts_kwh"]["hidden"] == pytest.approx(hidden, rel=1e-3)
 
-    def test_effect_with_nothing_to_act_on_is_rejected(self):
+    def test_effect_that_never_acts_is_rejected(self):
         with pytest.raises(SettingsError, match=r"cabin_cooling.*choose other dates"):
             simulate(replace(SMALL, hidden=(Hidden("cabin_cooling"),)))
 
@@ -210,7 +210,7 @@ class TestSettings:
             (parse_models, " , ", "names none"),
         ],
     )
-    def test_error_names_the_wrong_word(self, parse, text, message):
+    def test_error_names_the_unknown_name(self, parse, text, message):
         with pytest.raises(SettingsError, match=message):
             parse(text)
 

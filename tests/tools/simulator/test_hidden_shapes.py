@@ -52,7 +52,7 @@ class TestShapes:
         assert EFFECTS[effect](inputs).min() >= 0.0
         assert OTHER_SHAPES[effect](inputs).min() >= 0.0
 
-    def test_other_shape_is_hidden_by_its_name(self):
+    def test_other_shape_is_selected_by_its_name(self):
         _, truth = run_simulation(replace(SMALL, hidden=(Hidden(f"cold_rolling{OTHER}", 0.05),)))
         effect_total = truth.summary()["hidden"][f"cold_rolling{OTHER}"]
         assert effect_total["absolute_share"] == pytest.approx(0.05, rel=0.02)

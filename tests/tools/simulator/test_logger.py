@@ -95,7 +95,7 @@ class TestLogger:
         assert ((delays > 3) & (delays < 9)).sum() == counts["out_of_order"] > 0
         assert (delays > 0).all()
 
-    def test_clock_steps_forth_and_back(self):
+    def test_faulty_clock_steps_forward_and_back(self):
         messages, truth = run_simulation(replace(SMALL, vehicles=1, faults=replace(NO_FAULTS, clock_step=0.004)))
         stamps = np.diff([row.time_s for row in decode_samples(messages)])
         assert (np.abs(stamps - 3) > 1).sum() == truth.summary()["faults"]["clock_step"] > 1

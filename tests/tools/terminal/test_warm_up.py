@@ -55,7 +55,7 @@ def test_warm_up_keeps_vehicle_model_of_cars_that_send_none_again(recordings):
     assert list(made.values())[-1].soc_end_of_shift_pct
 
 
-def test_shadows_start_anew_and_restart_continues_unchanged(recordings):
+def test_shadows_start_with_no_errors_and_restart_continues_unchanged(recordings):
     def made():
         return Pipeline(settings=SETTINGS, shadows=[BASIC_PHYSICAL], keep_tables=False)
 

@@ -165,7 +165,7 @@ def test_no_final_hold_out_if_effect_acts_only_on_its_days():
     assert result["of_effect"]["rides"] == result["rides"]
 
 
-def test_differing_vehicle_models_get_own_coefficients():
+def test_differing_vehicle_models_get_separate_coefficients():
     ids = {("effect_cold_rolling", f"vehicle=taxi-{i}"): (0.5e-4 if i % 2 else 2.5e-4) for i in range(4)}
     tables = planted(ids)
     result = tried(tables, base_model(tables[0]), "cold_rolling")
