@@ -320,7 +320,7 @@ def withhold_charge(outlook: Outlook, silent_s: float) -> Outlook:
     queried, *legs = (each and msgspec.structs.replace(each, soc_pct=None) for each in (outlook.asked, *outlook.legs))
     return msgspec.structs.replace(
         outlook,
-        queried=queried,
+        asked=queried,
         legs=legs,
         shift_end_s=None,
         soc_end_of_shift_pct=None,
