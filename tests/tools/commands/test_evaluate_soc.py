@@ -132,7 +132,7 @@ def test_tables_show_figures_of_result(result):
         assert format_share(group["coverage"]) in line
         assert f"{group['baselines']['rating']['mae_pct']['value']:.2f}" in line
         assert hours == "0" or compare_with_best(group) in line
-    assert "Evaluated from 2018-01-03 to 2018-01-08; 8 shifts came before enough was learned" in " ".join(out.split())
+    assert "Evaluated from 2018-01-03 to 2018-01-08; 8 shifts ended before the first interval" in " ".join(out.split())
     assert out.index("By temperature") < out.index("Alarms") < out.index("Errors of the forecasts")
     assert [row.name for row in tabulate_by_time(result).rows] == ["0 h", "1 h", "2 h", "4 h", "6 h", "all"]
 

@@ -30,7 +30,7 @@ def test_car_that_risks_ending_below_reserve_is_marked(width, risk, mark):
 
 
 def test_unknown_charge_at_end_is_dash():
-    assert row(CAR).split() == ["taxi-1", "22:13:20", "64.0", "0.00", "-", "-", "-", "-"]
+    assert row(CAR).split() == ["taxi-1", "22:13:20", "64.0", "0.00", "–", "–", "–", "–"]
 
 
 def test_status_holds_newest_forecast_of_each_car():

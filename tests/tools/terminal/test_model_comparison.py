@@ -101,7 +101,7 @@ def test_table_has_row_per_model_and_optional_rows_per_vehicle_model():
     for figure in ("cold/2", "1,300", "0.250", "0.052 (0.031 to 0.073)", "better"):
         assert figure in short
         assert figure in long
-    assert {"12.5", "-0.100", "31"} <= set(long.split())
+    assert {"12.5", "−0.100", "31"} <= set(long.split())
     assert "–" in printed(make_models_table([make_errors(None, mae_kwh=None)], wide=False)).split()
 
 
@@ -118,7 +118,7 @@ def test_warning_names_rides_of_training_days():
     fitted = msgspec.structs.replace(EXTENDED_PHYSICAL, name="fitted", training=training)
     rides = pd.DataFrame({"date": ["2018-01-01", "2018-01-02", "2018-01-03", "2018-01-04"]})
     (warning,) = warn_of_training_days([BASIC_PHYSICAL, fitted], rides)
-    assert warning.startswith("fitted/1 was fitted to rides of 2018-01-02 to 2018-01-03: 2 of these 4 rides")
+    assert warning.startswith("fitted/1 was fitted to rides from 2018-01-02 to 2018-01-03; 2 of these 4 rides")
     assert warn_of_training_days([fitted], rides[3:]) == []
 
 

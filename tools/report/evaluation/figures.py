@@ -292,7 +292,7 @@ def draw_buffers(result: Result) -> go.Figure:
     ]
     made = make_figure(traces, 90 + 44 * len(names))
     published_kwh = published.get_statement("buffer").value
-    add_reference_line(made, f"{published_kwh:g} kWh: company in the paper, other data", published_kwh)
+    add_reference_line(made, f"{published_kwh:g} kWh: the paper's company (other data)", published_kwh)
     made.update_xaxes(title_text="Buffer [kWh]", rangemode="tozero")
     made.update_yaxes(title_text="Model", type="category", autorange="reversed")
     return made
