@@ -37,11 +37,11 @@ class Message(NamedTuple):
 
 
 class Wire(msgspec.Struct, gc=False, omit_defaults=True):
-    """Provide the encoding that all messages and their parts share."""
+    """Base of all messages and their parts."""
 
 
 class Telemetry(Wire):
-    """Hold a sample of a logger, nominally every 3 s: `fleet/{vehicle_id}/telemetry`."""
+    """Sample of a logger, nominally every 3 s: `fleet/{vehicle_id}/telemetry`."""
 
     vehicle_id: Annotated[str, Meta(description="Identity of the vehicle, as in the key.")]
     time_s: Annotated[float, Meta(description="Time on the logger's own clock. [Unix s]")]
@@ -73,7 +73,7 @@ class Telemetry(Wire):
 
 
 class Vehicle(Wire):
-    """Hold the vehicle model of a car, and overrides of its catalogue entry: `fleet/{vehicle_id}/vehicle`."""
+    """Vehicle model of a car, and overrides of its catalogue entry: `fleet/{vehicle_id}/vehicle`."""
 
     vehicle_id: Annotated[str, Meta(description="Identity of the vehicle, as in the key.")]
     time_s: Annotated[float, Meta(description="Time from which the message applies. [Unix s]")]
@@ -100,7 +100,7 @@ class Vehicle(Wire):
 
 
 class Ride(Wire):
-    """Report that a ride begins or ends, as dispatch states it: `fleet/{vehicle_id}/ride`."""
+    """Begin or end of a ride, reported by dispatch: `fleet/{vehicle_id}/ride`."""
 
     vehicle_id: Annotated[str, Meta(description="Identity of the vehicle, as in the key.")]
     time_s: Annotated[float, Meta(description="Time at which the ride begins or ends. [Unix s]")]
@@ -110,7 +110,7 @@ class Ride(Wire):
 
 
 class Leg(Wire):
-    """Hold a leg of a plan."""
+    """Leg of a plan."""
 
     distance_km: Annotated[float, Meta(description="Distance of the leg. [km]")]
     duration_s: Annotated[float, Meta(description="Duration of the leg. [s]")]
@@ -123,7 +123,7 @@ class Leg(Wire):
 
 
 class Plan(Wire):
-    """Hold the remaining legs of the shift, planned by dispatch: `fleet/{vehicle_id}/plan`."""
+    """Remaining legs of the shift, planned by dispatch: `fleet/{vehicle_id}/plan`."""
 
     vehicle_id: Annotated[str, Meta(description="Identity of the vehicle, as in the key.")]
     time_s: Annotated[float, Meta(description="Time at which the plan was made. [Unix s]")]
@@ -133,7 +133,7 @@ class Plan(Wire):
 
 
 class Weather(Wire):
-    """Hold an observation of a weather station: `weather/{station_id}`."""
+    """Observation of a weather station: `weather/{station_id}`."""
 
     station_id: Annotated[str, Meta(description="Identity of the station, as in the key.")]
     time_s: Annotated[float, Meta(description="Time of the observation. [Unix s]")]
@@ -153,7 +153,7 @@ class Weather(Wire):
 
 
 class Interval(Wire, omit_defaults=False):
-    """Hold a predicted quantity: its mean and its 5th and 95th percentile, in the unit of the field."""
+    """Predicted quantity: its mean and its 5th and 95th percentile, in the unit of the field."""
 
     mean: Annotated[float, Meta(description="Mean.")]
     p05: Annotated[float, Meta(description="5th percentile.")]
@@ -161,7 +161,7 @@ class Interval(Wire, omit_defaults=False):
 
 
 class QualityCounts(Wire, omit_defaults=False):
-    """Count the samples repaired or rejected since the ride began, by cause."""
+    """Samples repaired or rejected since the ride began, by cause."""
 
     repaired_time: Annotated[int, Meta(description="Samples with a repaired time stamp.")]
     rejected_speed: Annotated[int, Meta(description="Samples with a rejected speed.")]
@@ -239,7 +239,7 @@ class Outlook(Wire, omit_defaults=False):
 
 
 class Gain(Wire, omit_defaults=False):
-    """Compare a model's error with the first model's, over whole vehicle-days that both predicted."""
+    """By how much a model's error is smaller than the first model's, over whole vehicle-days that both predicted."""
 
     rides: Annotated[int, Meta(description="Rides that both models predicted, of vehicle-days that have ended.")]
     vehicle_days: Annotated[int, Meta(description="Vehicle-days that have ended.")]
@@ -265,7 +265,7 @@ class Gain(Wire, omit_defaults=False):
 
 
 class RideErrors(Wire, omit_defaults=False):
-    """Hold the running errors of a model, over rides that are fit for training and whose energy was measured."""
+    """Running errors of a model, over rides that are fit for training and whose energy was measured."""
 
     vehicle_model: Annotated[str | None, Meta(description="Vehicle model of the rides; null for all rides.")]
     rides: Annotated[int, Meta(description="Rides that the model predicted.")]
@@ -280,7 +280,7 @@ class RideErrors(Wire, omit_defaults=False):
 
 
 class ModelErrors(Wire, omit_defaults=False):
-    """Hold the errors of a model in service, published as rides end: `models/{name}/{version}/errors`."""
+    """How a model fares in service, published as rides end: `models/{name}/{version}/errors`."""
 
     model: Annotated[str, Meta(description="Name and version of the model.")]
     first: Annotated[str, Meta(description="Name and version of the model that makes the forecasts.")]
@@ -304,7 +304,7 @@ KINDS: Final[dict[str, type[Wire]]] = OF_VEHICLES | {"weather": Weather, "errors
 
 
 class Address(NamedTuple):
-    """Hold the parts of a key: the kind of message, and the vehicle, station or model (with its version)."""
+    """Parts of a key: the kind of message, and the vehicle, station or model (with its version) that it is about."""
 
     kind: str
     identity: str
