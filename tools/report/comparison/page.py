@@ -11,6 +11,7 @@ from core.evaluate.paper.results import to_json_values
 from tools.report.cells import format_count, format_percent
 from tools.report.comparison import figures, tables
 from tools.report.comparison import trace as traced
+from tools.report.comparison.relative_tables import tabulate_relative_errors
 from tools.report.evaluation.data_tables import MEASURED_BY
 from tools.report.evaluation.illustrations import Illustration
 from tools.report.evaluation.result import Result, get_mapping, get_number, get_part
@@ -100,7 +101,11 @@ def build_sections(result: Result, *, commands: bool) -> list[Section]:
             MODELS,
             "The models",
             _about(result["about"]),
-            [tables.tabulate_models(result), *([tables.tabulate_pairs(result)] if result.get("pairs") else [])],
+            [
+                tables.tabulate_models(result),
+                tabulate_relative_errors(result),
+                *([tables.tabulate_pairs(result)] if result.get("pairs") else []),
+            ],
         ),
         Section(
             "against", "Differences between the two sets", sides + _shared(against), tables.tabulate_datasets(result)

@@ -12,6 +12,7 @@ from core.evaluate.binning import bin_rides, compute_local_hour
 from core.evaluate.compare.datasets import compare_datasets
 from core.evaluate.compare.models import compare_pairs, compare_predictions, find_worst_rides, select_rides
 from core.evaluate.compare.ride_trace import accumulate_windows, find_ride, locate_divergence, trace_ride
+from core.evaluate.relative_errors import LEAST_ENERGY
 from core.fit.recipes import FITTED_TERMS, get_recipe
 from core.models import ANY, BASIC_PHYSICAL, CORRECTION, EXTENDED_PHYSICAL, Fit, LinearModel, Term
 from core.models.features import FEATURES
@@ -159,6 +160,19 @@ def test_figures_match_their_definitions():
         assert sum(n) <= len(rides)
         if sum(n) == len(rides):
             assert np.average([e["bias_kwh"]["value"] for e in entries], weights=n) == pytest.approx(error.mean())
+
+
+def test_percentages_and_noise_floor_match_their_definitions():
+    rides = planted().assign(energy_soc_sd_kwh=lambda table: np.hypot(0.05, 0.15 * table["energy_kwh"]))
+    result = compared(rides, m=EXTENDED_PHYSICAL)
+    energy = rides["energy_kwh"].to_numpy()
+    error, counted = np.abs(EXTENDED_PHYSICAL.predict(rides) - energy), energy >= LEAST_ENERGY
+    errors, floor = result["models"]["m"], 0.05 * np.sqrt(2.0 / np.pi)
+    assert result["about"]["noise_floor_kwh"] == pytest.approx(floor)
+    assert result["about"]["below_least"] == pytest.approx(1.0 - counted.mean())
+    assert errors["wmape"]["value"] == errors["relative"] == pytest.approx(error.sum() / energy.sum())
+    assert errors["mape"]["value"] == pytest.approx((error / energy)[counted].mean())
+    assert errors["over_floor"] == pytest.approx(error.mean() / floor)
 
 
 def test_excluded_rides_are_counted_by_reason():
