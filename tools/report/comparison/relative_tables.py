@@ -28,10 +28,7 @@ def tabulate_relative_errors(result: Result) -> ReportTable:
         )
         for (name, errors), wmape in zip(models.items(), first, strict=True)
     )
-    notes = (
-        PERCENT_NOTE,
-        f"Measurement noise alone causes {format_energy(about.get('noise_floor_kwh'))} kWh. MAPE leaves out the "
-        f"{format_percent(about.get('below_least'))} of rides that used almost no energy.",
-        FLOOR_NOTE,
-    )
+    floor, below = format_energy(about.get("noise_floor_kwh")), format_percent(about.get("below_least"))
+    measured = f"Measurement noise alone causes {floor} kWh. MAPE leaves out the {below} of rides of almost no energy."
+    notes = (PERCENT_NOTE, measured, FLOOR_NOTE)
     return ReportTable("Errors in percent", "model", ("wMAPE", "MAPE", "over noise"), rows, notes)
