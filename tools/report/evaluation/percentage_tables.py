@@ -62,7 +62,11 @@ def tabulate_percentages(result: Result) -> list[ReportTable]:
     list of ReportTable
         Tables that have a row.
     """
-    tables = [tabulate_baseline_reductions(result), *(tabulate_percentages_of(result, kind) for kind in HELD_OUT)]
+    tables = [
+        tabulate_baseline_reductions(result),
+        tabulate_baseline_reductions(result, new_vehicles=True),
+        *(tabulate_percentages_of(result, kind) for kind in HELD_OUT),
+    ]
     shown = [table for table in tables if table.rows]
     return [*shown, tabulate_literature(result)] if get_mapping(result, "percentage") else shown
 
@@ -119,20 +123,23 @@ def find_best_on_new_vehicles(result: Result) -> str | None:
     return max(known, key=known.__getitem__, default=None)
 
 
-def tabulate_baseline_reductions(result: Result) -> ReportTable:
+def tabulate_baseline_reductions(result: Result, *, new_vehicles: bool = False) -> ReportTable:
     """Return by how much the error of each model is below that of each baseline.
 
     Parameters
     ----------
     result : mapping
         Result of an evaluation.
+    new_vehicles : bool
+        Whether the errors are those on vehicle models left out of training, instead of those by ride.
 
     Returns
     -------
     ReportTable
         One column per baseline, the mean over vehicle models of the reduction of the average error. [%]
     """
-    by_recipe = {recipe: get_reductions(result, recipe) for recipe in get_recipes(result) if recipe != BASELINES[0]}
+    reduce = get_new_vehicle_reductions if new_vehicles else get_reductions
+    by_recipe = {recipe: reduce(result, recipe) for recipe in get_recipes(result) if recipe != BASELINES[0]}
     present = [name for name in BASELINES if any(shares[name] is not None for shares in by_recipe.values())]
     rows = tuple(
         Row(
@@ -143,8 +150,9 @@ def tabulate_baseline_reductions(result: Result) -> ReportTable:
         if any(share is not None for share in shares.values())
     )
     heads = tuple(f"below {BASELINE_HEADS[name]}" for name in present)
-    notes = ("Mean over vehicle models of the reduction of the average error, by ride.", BASELINES_NOTE)
-    return ReportTable("Error below each baseline", "model", heads, rows, notes)
+    where = "vehicle model unseen" if new_vehicles else "unseen rides"
+    notes = ("Mean over vehicle models of the reduction of the average error.", BASELINES_NOTE)
+    return ReportTable(f"Error below each baseline, {where}", "model", heads, rows, notes)
 
 
 def tabulate_percentages_of(result: Result, kind: str) -> ReportTable:

@@ -39,6 +39,14 @@ def test_reductions_stand_beside_each_other_for_every_baseline(result):
     assert "Basic Physical Model" not in rows
 
 
+def test_reductions_on_unseen_vehicle_models_have_their_own_table(result):
+    table = tabulate_baseline_reductions(result, new_vehicles=True)
+    assert table.title == "Error below each baseline, vehicle model unseen"
+    shares = get_new_vehicle_reductions(result, "hybrid_trees")
+    cells = next(row.cells for row in table.rows if row.name == "Hybrid Model with Boosted Trees")
+    assert [cell.text for cell in cells] == [f"{100 * shares[name]:.1f} %".replace("-", "−") for name in BASELINES]
+
+
 def test_headline_states_the_reduction_below_every_baseline(result):
     table = tabulate_headline(result)
     assert [row.name for row in table.rows] == [
@@ -84,7 +92,8 @@ def test_literature_stands_beside_the_best_model_of_each_split(result):
 
 def test_result_without_percentages_has_no_tables():
     assert tabulate_percentages({}) == []
-    (only,) = tabulate_percentages(evaluation() | {"percentage": None, "reduction_by_baseline": None})
+    gone = {"percentage": None, "reduction_by_baseline": None, "new_vehicle": None}
+    (only,) = tabulate_percentages(evaluation() | gone)
     assert only.columns == ("below basic",)
 
 
