@@ -34,7 +34,7 @@ DATE_PENALTY: Final = 12.0
 """Fall of the squared error, in variances, by which a date must be better than none: the best of many dates is better
 by chance."""
 SCREENING: Final = 3.0
-"""Standard errors below which a candidate is not tested further, judged by the residual of its own car."""
+"""Standard errors below which a candidate is not tested further, by the residual of its car."""
 LEAST_WINDOWS: Final = 40
 """Least number of windows inside and outside a scope."""
 

@@ -67,7 +67,7 @@ def replay(
     local = (in_process, out, json_file, options.models, options.effect_files, options.warm_up)
     if connect and (any(local) or options.settings != Settings()):
         raise SettingsError(
-            "--connect publishes and forecasts nothing; leave out --in-process, --out, --json, --model, --effects, "
+            "--connect only publishes and makes no forecasts; leave out --in-process, --out, --json, --model, --effects, "
             "--warm-up and the settings of cleaning"
         )
     prefix = parse_prefix(options.prefix)
