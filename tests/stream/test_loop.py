@@ -22,7 +22,7 @@ from stream.mcap_writer import McapSink
 from stream.memory import MemorySink, MemorySource
 from stream.recorder import Recorder
 from stream.source import stop_source
-from stream.structured_log import LineFormatter, flatten_counts, log_lines
+from stream.structured_log import log_lines
 from stream.zenoh_pubsub import ZenohSource
 from stream.zenoh_session import Connection, Node
 from tests.support.recorded_shift import shift
@@ -224,17 +224,6 @@ def test_log_line_holds_keys_and_values():
     assert pairs["level"] == "info"
     assert pairs["event"] == "finished"
     assert int(pairs["messages"]) == len(shift(50))
-
-
-def test_nan_is_null_in_json_log_line():
-    record = logging.LogRecord("socast", logging.INFO, "", 0, "ride", None, None)
-    record.fields = {"ambient_c": float("nan"), "distance_km": 1.5}
-    collect_results = json.loads(LineFormatter(as_json=True).format(record), parse_constant=pytest.fail)
-    assert (collect_results["ambient_c"], collect_results["distance_km"]) == (None, 1.5)
-
-
-def test_flattened_counters_omit_zeros_and_empty_values():
-    assert flatten_counts({"a": {"b": {"c": 1, "d": 0}}, "e": 2, "f": {}}) == {"a.b.c": 1, "e": 2}
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -1,5 +1,7 @@
 """Provide signals of a drive, a small linear model with every optional part, and rides for it."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pandas as pd
 
@@ -101,3 +103,10 @@ FLEET = model_of(
     cars={"b": 1.125},
     correction={"leaf": STUMP},
 )
+
+
+def make_model(name: str, terms: Sequence[Term], coefficients: Sequence[float], key: str = ANY) -> LinearModel:
+    """Return a model with one fit and no other parts."""
+    return LinearModel(
+        name=name, version="1", recipe=name, terms=tuple(terms), fits={key: Fit(coefficients=tuple(coefficients))}
+    )

@@ -101,3 +101,12 @@ def noisy(table: pd.DataFrame, energy: np.ndarray, seed: int = 2, of_day: float 
     distance = table["distance_km"].to_numpy()
     sd = 0.02 + 0.02 * np.sqrt(distance)
     return table.assign(energy_kwh=energy + rng.normal(0.0, sd) + shared * distance, energy_sd_kwh=sd)
+
+
+def planted(n: int = 400, seed: int = 3, of_day: float = 0.01, **coefficients: float) -> pd.DataFrame:
+    """Return rides with the energy of extended physics, planted coefficients, and noise of the ride and of its day."""
+    table = rides(n, seed)
+    table = table.assign(start_s=table["start_s"] + np.arange(n), ride_key=[f"car#{i}" for i in range(n)])
+    still = table.assign(effect_aero_drag_wind=table["effect_aero_drag"])  # extended physics knows no wind
+    energy = physical_energy(still, coefficients)
+    return noisy(table, energy, seed, of_day)

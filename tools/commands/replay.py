@@ -67,8 +67,8 @@ def replay(
     local = (in_process, out, json_file, options.models, options.effect_files, options.warm_up)
     if connect and (any(local) or options.settings != Settings()):
         raise SettingsError(
-            "--connect only publishes and makes no forecasts; leave out --in-process, --out, --json, --model, --effects, "
-            "--warm-up and the settings of cleaning"
+            "--connect only publishes and makes no forecasts; leave out --in-process, --out, --json, --model, "
+            "--effects, --warm-up and the settings of cleaning"
         )
     prefix = parse_prefix(options.prefix)
     rate = parse_speed(pace or ("1" if connect else "max"))

@@ -3,19 +3,12 @@
 from itertools import pairwise
 
 import numpy as np
-import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sklearn.base import clone
-from sklearn.exceptions import NotFittedError
 from sklearn.linear_model import LinearRegression
-from sklearn.model_selection import KFold, cross_val_score
 
-from core.errors import ModelError
 from core.fit.regression import GROUPS, ClusterScores, Influence, Moments, assign_groups, solve
-from core.fit.sklearn_estimator import RecipeRegressor
-from tests.support.planted_rides import noisy, physical_energy, rides
 
 
 def moments_of(*blocks) -> Moments:
@@ -172,30 +165,3 @@ def test_rides_of_one_car_and_day_share_a_group():
     assert len(set(group.tolist())) == 3
     assert (group < GROUPS).all()
     assert assign_groups(cars[2:], days[2:]).tolist() == group[2:].tolist()
-
-
-def test_recipe_regressor_is_a_scikit_learn_estimator():
-    measured = noisy(rides(600, models=("kia-soul-ev-2015",)), np.zeros(600))
-    energy = noisy(measured, physical_energy(measured))["energy_kwh"]
-    estimator = RecipeRegressor("fitted_physical")
-    assert clone(estimator).get_params() == {"recipe": "fitted_physical", "covariance": False}
-    with pytest.raises(NotFittedError):
-        estimator.predict(measured)
-    assert estimator.fit(measured, energy) is estimator
-    assert estimator.predict(measured).tobytes() == estimator.model_.predict(measured).tobytes()
-    assert estimator.score(measured, energy) > 0.9
-    scores = cross_val_score(estimator, measured.drop(columns="energy_kwh"), energy, cv=KFold(3, shuffle=True))
-    assert (scores > 0.9).all()
-    with pytest.raises(ModelError, match="recipe 'hybird' is unknown: known are basic_physical"):
-        RecipeRegressor("hybird").fit(measured, energy)
-    with pytest.raises(ModelError, match="ndarray has no columns by name"):
-        estimator.predict(measured.select_dtypes("number").to_numpy())
-
-
-def test_fit_of_an_estimator_changes_neither_table_nor_energy():
-    ride_table = rides(300)
-    energy = pd.Series(physical_energy(ride_table))
-    before = ride_table.copy(deep=True), energy.copy(deep=True)
-    RecipeRegressor("hybrid").fit(ride_table, energy)
-    pd.testing.assert_frame_equal(ride_table, before[0])
-    pd.testing.assert_series_equal(energy, before[1])

@@ -12,9 +12,11 @@ from hypothesis import strategies as st
 from core.columns import GRAVITY, JOULES_PER_KWH, ZERO_CELSIUS
 from core.effects.road_load import STANDARD_AIR_DENSITY
 from core.errors import ModelError
-from core.models import ANY, BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, Term
+from core.fit.recipes import FITTED_TERMS, get_recipe
+from core.models import ANY, BASIC_PHYSICAL, CORRECTION, EXTENDED_PHYSICAL, Fit, Term
 from core.vehicles import ACCESSORIES
-from tests.support.linear_models import CURVE, FLEET, LEAF, fleet, model_of, ride_columns, steps
+from tests.support.linear_models import CURVE, FLEET, LEAF, STUMP, fleet, make_model, model_of, ride_columns, steps
+from tests.support.planted_rides import planted
 
 
 def equation_1(signals) -> np.ndarray:
@@ -190,3 +192,21 @@ def test_prediction_is_unknown_for_vehicle_models_without_a_fit():
 def test_interval_of_a_model_without_calibration_is_refused():
     with pytest.raises(ModelError, match="has no prediction interval"):
         FLEET.predict_interval(fleet())
+
+
+@pytest.mark.parametrize("correction", [None, {ANY: STUMP}, {"tesla-model-s": STUMP}])
+@pytest.mark.parametrize("cars", [{}, {"tesla-model-s-1": 1.2, "nissan-leaf-2013-3": 0.9}])
+def test_parts_add_up_to_prediction(correction, cars):
+    rides = planted(240)
+    fitted = get_recipe("fitted_physical").fit(rides, covariance=False)
+    model = msgspec.structs.replace(fitted, correction=correction, cars=cars)
+    result = model.predict_parts(rides)
+    assert list(result) == [term.name for term in FITTED_TERMS] + [CORRECTION] * (correction is not None)
+    np.testing.assert_allclose(sum(result.values()), model.predict(rides), rtol=1e-9)
+
+
+def test_vehicle_model_without_fit_has_no_parts():
+    rides = planted(40)
+    one = make_model("one", FITTED_TERMS[:-1], [1.0] * 4, key="tesla-model-s")
+    result = one.predict_parts(rides)["rolling"]
+    np.testing.assert_array_equal(np.isnan(result), rides["vehicle_model"] != "tesla-model-s")

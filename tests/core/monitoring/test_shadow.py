@@ -13,11 +13,10 @@ from core import effects
 from core.effects import registry
 from core.errors import ModelError, SocastError
 from core.models import ANY, BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, LinearModel, Term
-from core.monitoring.running_error import ModelMonitor
 from core.monitoring.shadow import MOST_VEHICLE_MODELS, EndedRides, ShadowModels
 from core.pipeline import Pipeline
 from core.wire.messages import ModelErrors
-from tests.laws.test_pipeline import mixed, shift
+from tests.support.faulty_shifts import mixed, shift
 from tests.support.telemetry import START, chunked, drive, make_message, profile, telemetry, without
 
 WARM = msgspec.structs.replace(
@@ -297,11 +296,3 @@ def test_snapshot_without_shadows_loads_with_shadows_of_the_same_effects():
     beside.restore(alone.snapshot())
     beside.finish()
     assert beside.shadows.errors()[1].overall.rides == 1
-
-
-def test_vehicle_day_ends_at_an_unpredicted_ride_of_the_next_day():
-    monitor = ModelMonitor(EXTENDED_PHYSICAL, 0.95)
-    monitor.add_ride(3, 10.0, None, 0.1, 0.3, 1.0)
-    monitor.add_ride(3, 11.0, None, math.nan, 0.3, 1.0)
-    gain = monitor.get_errors("first/1", 0.0).overall.gain
-    assert (gain.rides, gain.vehicle_days, gain.mean_kwh) == (1, 1, pytest.approx(0.2))

@@ -1,4 +1,4 @@
-"""Clustered shares: Wilson's interval for single cases, wider for similar cases, with its stated coverage."""
+"""Test clustered means, ratios and shares: intervals cover, and single cases give the classical intervals."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from core.stats.clustered import compute_clustered_share
+from core.stats.clustered import compute_clustered_mean, compute_clustered_ratio, compute_clustered_share, subtract
+from core.stats.scores import Estimate
 
 
 @given(
@@ -49,3 +50,70 @@ def test_repeated_cases_add_no_information():
     alone = compute_clustered_share(hits, np.arange(40))
     alike = compute_clustered_share(np.repeat(hits, 5), np.repeat(np.arange(40), 5))
     assert alike == pytest.approx(alone, rel=0.02)
+
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def test_interval_of_independent_rides_is_classical():
+    values = np.random.default_rng(1).normal(2.0, 1.0, 50)
+    result = compute_clustered_mean(values, np.arange(50))
+    assert result.error == pytest.approx(values.std(ddof=1) / np.sqrt(50))
+    assert result.freedom == pytest.approx(49)
+
+
+@given(seeds)
+def test_repeated_rides_within_cluster_do_not_change_interval(seed):
+    rng = np.random.default_rng(seed)
+    clusters = rng.integers(0, 6, 40)
+    values = rng.normal(clusters, 1.0)
+    once, thrice = (
+        compute_clustered_mean(values, clusters),
+        compute_clustered_mean(np.repeat(values, 3), np.repeat(clusters, 3)),
+    )
+    assert thrice == pytest.approx(once)
+
+
+def test_clustered_interval_covers_true_value_where_plain_interval_does_not():
+    rng = np.random.default_rng(5)
+    held, plain, draws = 0, 0, 600
+    for _ in range(draws):
+        clusters = np.repeat(np.arange(12), rng.integers(2, 40, 12))
+        values = rng.normal(0.0, 0.1, 12)[clusters] + rng.normal(0.0, 0.2, len(clusters))
+        result = compute_clustered_mean(values, clusters)
+        held += abs(result.value) <= result.ci95
+        plain += abs(result.value) <= 1.96 * values.std(ddof=1) / np.sqrt(len(values))
+    assert 0.91 < held / draws < 0.98
+    assert plain / draws < 0.7
+
+
+def test_standard_error_is_unbiased_for_unequal_clusters():
+    rng = np.random.default_rng(6)
+    clusters = np.repeat(np.arange(4), [1, 3, 8, 20])
+    squares = [compute_clustered_mean(rng.normal(0.0, 1.0, 32), clusters).error ** 2 for _ in range(4000)]
+    assert np.mean(squares) == pytest.approx(1.0 / 32.0, rel=0.08)
+
+
+def test_one_cluster_has_no_interval():
+    assert np.isnan(compute_clustered_mean(np.ones(5), np.zeros(5, np.int64)).ci95)
+
+
+@given(seeds)
+def test_ratio_is_ratio_of_sums_and_scales_with_unit(seed):
+    rng = np.random.default_rng(seed)
+    above, below, clusters = rng.gamma(2.0, 1.0, 30), rng.gamma(2.0, 5.0, 30), rng.integers(0, 5, 30)
+    result, scaled = (
+        compute_clustered_ratio(above, below, clusters),
+        compute_clustered_ratio(100.0 * above, below, clusters),
+    )
+    assert result.value == pytest.approx(above.sum() / below.sum())
+    assert (scaled.value, scaled.ci95) == pytest.approx((100.0 * result.value, 100.0 * result.ci95))
+    assert compute_clustered_ratio(3.0 * below, below, clusters).error == pytest.approx(0.0, abs=1e-12)
+
+
+def test_difference_has_larger_error_than_either_estimate():
+    one, other = Estimate(3.0, 0.3, 10.0), Estimate(1.0, 0.4, 20.0)
+    apart = subtract(one, other)
+    assert (apart.value, apart.error) == (2.0, 0.5)
+    assert 10.0 <= apart.freedom <= 30.0
+    assert subtract(other, one).value == -2.0

@@ -13,7 +13,7 @@ from core.stats.multiple_testing import (
     select_dominating,
 )
 from core.stats.scores import UNKNOWN, average_over_repeats
-from tests.core.stats.test_scores import repeated
+from tests.support.repeated_splits import repeated
 
 
 @given(arrays(np.float64, st.integers(1, 20), elements=st.floats(0.0, 1.0)))

@@ -11,14 +11,9 @@ from scipy import stats
 
 from core.stats import scores
 from core.stats.scores import Estimate, average_over_repeats, combine_strata
-from core.stats.splits import split_by_ride
+from tests.support.repeated_splits import repeated
 
 ENERGIES = arrays(np.float64, st.integers(1, 60), elements=st.floats(-5.0, 50.0))
-
-
-def repeated(values, seed, repeats=10):
-    """Return the means over the test rides of each split of the protocol."""
-    return np.array([values[s.test].mean(axis=0) for s in split_by_ride([("a", 0)] * len(values), seed, repeats)])
 
 
 def test_interval_over_repeats_uses_corrected_variance():

@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 
 from core.fit import segment_network
-from tests.core.fit.test_segment_network import windows
 from tests.support import planted_rides
+from tests.support.segment_windows import segment_windows
 from tools.cli import main
 from tools.commands.evaluate import read, window_columns
 from tools.terminal.output import check_outputs
@@ -83,7 +83,7 @@ def test_ride_keys_of_several_recordings_are_distinguished(folder):
 
 
 def test_segment_model_is_evaluated_only_with_windows(folder, capsys):
-    frame, rides, _ = windows(240)
+    frame, rides, _ = segment_windows(240)
     frame.to_parquet(folder / "windows.parquet")
     table = fleet().drop(columns="energy_kwh").merge(rides[["ride_key", "energy_kwh"]], on="ride_key")
     table.to_parquet(folder / "rides.parquet")
@@ -163,6 +163,6 @@ def test_check_of_outputs_changes_no_file(tmp_path):
 
 def test_only_feature_columns_of_windows_are_read(folder):
     names = {name for product in segment_network.SEGMENT_FEATURES for name in product} | {"ride_key", "window"}
-    frame, _, _ = windows(20)
+    frame, _, _ = segment_windows(20)
     frame.assign(energy_vi_kwh=1.0).to_parquet(folder / "windows.parquet")
     assert set(read([folder / "windows.parquet"], window_columns())) == names

@@ -17,24 +17,14 @@ from core.errors import SettingsError
 from core.wire.messages import KINDS, address
 from stream.mcap_reader import McapSource
 from tests.support.paths import ROOT
-from tests.support.simulated import PERFECT, SMALL, SUMMER, WINTER, decode_samples, run_simulation
+from tests.support.simulated import PERFECT, SMALL, WINTER, decode_samples, run_simulation
 from tools.commands.simulate import simulate as simulate_command
 from tools.commands.simulate import write_simulation
 from tools.simulator.fleet import simulate
-from tools.simulator.hidden import EFFECTS
-from tools.simulator.physics import PARTS, WHEEL
 from tools.simulator.settings import (
-    ALL_PHENOMENA,
     NO_FAULTS,
-    PLAIN_PHENOMENA,
-    Faults,
     Hidden,
     Simulation,
-    parse_faults,
-    parse_hidden,
-    parse_models,
-    parse_phenomena,
-    parse_start,
 )
 
 DIGEST = """
@@ -163,84 +153,6 @@ class TestNight:
             assert [len(plan["legs"]) for plan in plans] == [len(plans[0]["legs"]) - i for i in range(done + 1)]
             remaining_legs += len(plans[-1]["legs"])
         assert remaining_legs > 0
-
-
-class TestHidden:
-    @pytest.mark.parametrize("effect", sorted(EFFECTS))
-    def test_effect_takes_its_share_of_the_energy(self, effect):
-        warm = {"cabin_cooling", "solar_load", "wet_road", "humidity"}
-        start = SUMMER if effect in warm else WINTER
-        simulation = Simulation(
-            vehicles=5, start=start, shift_hours=1.5, seed=1, faults=NO_FAULTS, hidden=(Hidden(effect, 0.04),)
-        )
-        _, truth = run_simulation(simulation)
-        effect_total = truth.summary()["hidden"][effect]
-        assert effect_total["absolute_share"] == pytest.approx(0.04, rel=0.02)
-        assert effect_total["energy_kwh"] == pytest.approx(sum(r["hidden_kwh"][effect] for r in truth.rides), abs=1e-3)
-
-    def test_hidden_energy_comes_from_the_battery(self):
-        plain = Simulation(vehicles=2, start=WINTER, shift_hours=1.5, seed=1, faults=NO_FAULTS)
-        both = replace(plain, hidden=(Hidden("standby", 0.05), Hidden("roof_load", 0.02)))
-        (_, before), (_, after) = run_simulation(plain), run_simulation(both)
-        hidden = sum(sum(ride["hidden_kwh"].values()) for ride in after.rides)
-        assert hidden / after.summary()["energy_kwh"] == pytest.approx(0.07, rel=0.05)
-        gain = after.summary()["energy_kwh"] - before.summary()["energy_kwh"]
-        assert gain == pytest.approx(hidden, rel=0.03)
-        assert after.summary()["parts_kwh"]["hidden"] == pytest.approx(hidden, rel=1e-3)
-
-    def test_effect_that_never_acts_is_rejected(self):
-        with pytest.raises(SettingsError, match=r"cabin_cooling.*choose other dates"):
-            simulate(replace(SMALL, hidden=(Hidden("cabin_cooling"),)))
-
-    def test_unknown_effect_is_rejected(self):
-        with pytest.raises(SettingsError, match="no hidden effect is called 'magic'; choose from age"):
-            simulate(replace(SMALL, hidden=(Hidden("magic"),)))
-
-
-class TestSettings:
-    @pytest.mark.parametrize(
-        ("parse", "text", "message"),
-        [
-            (parse_faults, "fog=0.1", "no fault is called 'fog'; choose from jitter"),
-            (parse_faults, "gap=2", "fault gap has rate '2'; give gap=0 to gap=1"),
-            (parse_faults, "gap", "fault gap has rate ''"),
-            (parse_phenomena, "all,-fog", "no phenomenon is called 'fog'"),
-            (parse_hidden, "headwind:x", "has size 'x'"),
-            (parse_start, "yesterday", "'yesterday' is not a date"),
-            (parse_models, " , ", "names none"),
-        ],
-    )
-    def test_error_names_the_unknown_name(self, parse, text, message):
-        with pytest.raises(SettingsError, match=message):
-            parse(text)
-
-    @pytest.mark.parametrize(
-        "change",
-        [
-            {"vehicles": 0},
-            {"days": 0},
-            {"day_step": 0},
-            {"shift_hours": 30.0},
-            {"seed": -1},
-            {"hidden": (Hidden("age", 0.0),)},
-            {"hidden": (Hidden("age"), Hidden("age"))},
-            {"days": 100, "day_step": 100},
-            {"start": datetime(1970, 1, 1, tzinfo=UTC)},
-            {"charging": "never"},
-        ],
-    )
-    def test_settings_out_of_bounds_are_rejected(self, change):
-        with pytest.raises(SettingsError, match=r"give|choose"):
-            replace(SMALL, **change)
-
-    def test_text_selects_phenomena_faults_and_start(self):
-        assert parse_phenomena("plain") == PLAIN_PHENOMENA
-        assert parse_phenomena("all") == ALL_PHENOMENA
-        assert parse_phenomena("plain,-climate") == PLAIN_PHENOMENA._replace(climate=False)
-        assert parse_faults("none") == NO_FAULTS
-        assert parse_faults("default") == Faults()
-        assert parse_start("2018-01-15T07:00-05:00") == datetime(2018, 1, 15, 12, tzinfo=UTC)
-        assert set(WHEEL) < set(PARTS)
 
 
 class TestShippedRecording:

@@ -9,7 +9,7 @@ from core.columns import GRAVITY, STANDARD_AIR_DENSITY
 from core.diagnose.free_form.building_blocks import CARRIERS, VARIABLES
 from core.diagnose.free_form.search import suggest_term
 from core.diagnose.free_form.suggestion import derive_unit, format_formula, format_source_file, name_term
-from core.diagnose.free_form.terms import FreeTerm, choose_limits, list_modulators
+from core.diagnose.free_form.terms import FreeTerm, list_modulators
 from core.effects import registry
 from core.signals.signals import CIVIL_DUSK
 from core.signals.sun import sine_of_elevation
@@ -274,9 +274,3 @@ def test_formulas_and_units_are_readable():
     )
     assert derive_unit(FreeTerm(CARRIER["auxiliary"], (rain, hinge))) == "W/(m/s)^2/K"
     assert format_formula(FreeTerm(CARRIER["auxiliary"], (rain,))) == "P = c · r²"
-
-
-@pytest.mark.parametrize("values", [[0.0, 0.0, 0.0], [1.0, 2.0], [0.0, 0.0, 0.0, 5.0]])
-def test_limits_lie_within_values(values):
-    x = np.array(values)
-    assert all(x.min() < at < x.max() for at in choose_limits(x, "1"))

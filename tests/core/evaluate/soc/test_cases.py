@@ -1,131 +1,59 @@
-"""Test the baselines at the end of a shift and their empirical risk against sums computed by hand."""
+"""Test which forecasts are evaluated, and that the others are counted by reason."""
 
 import numpy as np
-import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.evaluate.soc.baselines import (
-    LEAST_ERRORS,
-    LEAST_PACE_TIME,
-    compute_baselines,
-    compute_empirical_risk,
-    compute_mean_consumption,
-)
-from core.evaluate.soc.cases import select_cases
-from core.evaluate.soc.reserve_risk import compute_risk_below
-from core.vehicles import load_catalogue
-from tests.support.soc_frames import CAPACITY, make_frames
-
-PERCENT = st.floats(0.0, 100.0)
+from core.evaluate.soc.cases import CHARGED, CUT_SHORT, HOURS_AHEAD, SILENT, UNREPORTED, select_cases
+from tests.support.soc_frames import make_frames
 
 
-def select_with_baselines(frames):
-    """Return the cases of frames, and the expectation of each baseline."""
-    cases = select_cases(*frames).cases
-    return cases, compute_baselines(cases, *frames)
+def changed(tables, **columns):
+    """Return tables with some columns of the shifts replaced."""
+    return tables._replace(shifts=tables.shifts.assign(**columns))
 
 
-def test_linear_baseline_is_exact_for_constant_pace():
-    frames = make_frames(cars=2, days=3, warm_up=0)
-    passed = (frames.outlooks["time_s"] - frames.outlooks["shift_begin_s"]) / (7.0 * 3600.0)
-    end = frames.outlooks.merge(frames.shifts[["vehicle_id", "shift", "soc_end_pct"]])["soc_end_pct"].to_numpy()
-    even = frames.outlooks.assign(soc_pct=90.0 - passed * (90.0 - end))
-    cases, result = select_with_baselines(frames._replace(outlooks=even))
-    assert result["linear"].to_numpy() == pytest.approx(cases["soc_end_pct"].to_numpy())
+@given(seconds=st.floats(0.0, 590.0), hours=st.sampled_from([2.5, 4.5, 8.0]))
+@settings(max_examples=20, deadline=None)
+def test_newest_forecast_before_each_time_ahead_is_evaluated(seconds, hours):
+    tables = make_frames(cars=2, days=3, hours=hours, warm_up=0)
+    outlooks = tables.outlooks.assign(time_s=tables.outlooks["time_s"] - seconds)
+    cases = select_cases(outlooks, tables.shifts).cases
+    age = cases["end_s"] - 3600.0 * cases["hours"] - cases["time_s"]
+    assert set(cases["hours"]) == {h for h in HOURS_AHEAD if h < hours}
+    assert (age >= 0.0).all()
+    assert (age[cases["hours"] > 0] <= 60.0 + 1e-6).all()
+    assert age[cases["hours"] == 0].to_numpy() == pytest.approx(seconds, abs=1e-6)
 
 
-def test_linear_baseline_restarts_after_charge():
-    frames = make_frames(cars=1, days=1, warm_up=0)
-    begin = frames.shifts["begin_s"].iloc[0]
-    since = (frames.outlooks["time_s"] - begin) / 3600.0
-    soc = np.where(since < 2.9, 90.0 - 20.0 * since, 80.0 - 5.0 * (since - 2.9))
-    shifts = frames.shifts.assign(charged_s=begin + 2.9 * 3600.0, soc_end_pct=59.5)
-    cases, result = select_with_baselines(frames._replace(outlooks=frames.outlooks.assign(soc_pct=soc), shifts=shifts))
-    assert cases["hours"].tolist() == [0, 1, 2, 4]
-    assert result["linear"].to_numpy()[:3] == pytest.approx(59.5)
-    assert np.isnan(result["linear"].iloc[3])  # just charged: nobody has seen a pace
+def test_forecast_before_charge_is_not_evaluated():
+    tables = make_frames(cars=1, days=1, warm_up=0)
+    begin = tables.shifts["begin_s"].iloc[0]
+    cases = select_cases(*changed(tables, charged_s=begin + 3.5 * 3600.0))
+    assert cases.cases["hours"].tolist() == [0, 1, 2]
+    assert cases.left_out == {CHARGED: 2}
+    at_the_end = changed(tables, charged_s=tables.shifts["end_s"])
+    assert select_cases(*at_the_end).left_out == {CHARGED: len(HOURS_AHEAD)}
 
 
-def test_linear_baseline_is_unknown_before_least_pace_time():
-    frames = make_frames(cars=1, days=1, hours=2.0 + LEAST_PACE_TIME / 3600.0 / 2.0, warm_up=0)
-    cases, result = select_with_baselines(frames)
-    assert dict(zip(cases["hours"], np.isfinite(result["linear"]), strict=True)) == {0: True, 1: True, 2: False}
+def test_silent_car_is_counted():
+    tables = make_frames(cars=1, days=1, warm_up=0)
+    ahead = tables.shifts["end_s"].iloc[0] - tables.outlooks["time_s"]
+    cases = select_cases(tables.outlooks[~ahead.between(3599.0, 3600.0 + 1200.0)], tables.shifts)
+    assert cases.cases["hours"].tolist() == [0, 2, 4, 6]
+    assert cases.left_out == {SILENT: 1}
 
 
-def test_rating_baseline_is_rating_times_planned_distance():
-    frames = make_frames(cars=2, days=2, warm_up=0)
-    cases, result = select_with_baselines(frames)
-    for row, case in enumerate(cases.to_dict("records")):
-        used = load_catalogue()[case["vehicle_model"]].rated_kwh_per_km * case["ahead_km"] / CAPACITY
-        assert result["rating"].iloc[row] == pytest.approx(max(0.0, case["soc_pct"] - 100.0 * used))
-    horse = frames._replace(shifts=frames.shifts.assign(vehicle_model="horse"))
-    assert select_with_baselines(horse)[1]["rating"].isna().all()
+def test_shift_without_final_soc_is_counted():
+    tables = changed(make_frames(cars=1, days=2, warm_up=0), soc_end_pct=[np.nan, 40.0])
+    cases = select_cases(*tables)
+    assert cases.left_out == {UNREPORTED: len(HOURS_AHEAD)}
+    assert cases.warm_up == 0
 
 
-def test_baselines_stay_between_0_and_100_percent():
-    frames = make_frames(cars=2, days=5, warm_up=0)
-    outlooks = frames.outlooks.assign(ahead_km=1000.0, soc_begin_pct=10.0)
-    _, result = select_with_baselines(frames._replace(outlooks=outlooks))
-    known = result.to_numpy()[np.isfinite(result.to_numpy())]
-    assert known.min() == 0.0
-    assert known.max() == 100.0
-
-
-@given(seed=st.integers(0, 10_000), unknown=st.floats(0.0, 0.5))
-@settings(max_examples=25, deadline=None)
-def test_mean_consumption_uses_only_earlier_ended_shifts(seed, unknown):
-    frames = make_frames(cars=3, days=5, warm_up=0, seed=seed)
-    rng = np.random.default_rng(seed)
-    lost = rng.random(len(frames.shifts)) < unknown
-    shifts = frames.shifts.assign(charged_s=np.where(lost, frames.shifts["begin_s"], np.nan))
-    shifts["ride_km"] = np.where(rng.random(len(shifts)) < unknown, 0.0, shifts["ride_km"])
-    cases = select_cases(frames.outlooks, shifts).cases
-    result = compute_mean_consumption(cases, shifts)
-    for case, rate in zip(cases.to_dict("records"), result, strict=True):
-        known = shifts[
-            (shifts["end_s"] <= case["begin_s"])
-            & (shifts["vehicle_model"] == case["vehicle_model"])
-            & shifts["charged_s"].isna()
-            & (shifts["ride_km"] > 0.0)
-        ]
-        energy = (known["soc_begin_pct"] - known["soc_end_pct"]).sum() / 100.0 * CAPACITY
-        expected = energy / known["ride_km"].sum() if len(known) else np.nan
-        assert rate == pytest.approx(expected, nan_ok=True)
-
-
-def interval(mean, below, above):
-    return pd.DataFrame({"soc_mean_pct": [mean], "soc_p05_pct": [mean - below], "soc_p95_pct": [mean + above]})
-
-
-@given(mean=PERCENT, below=st.floats(0.01, 30.0), above=st.floats(0.01, 30.0), levels=st.tuples(PERCENT, PERCENT))
-def test_risk_follows_from_interval(mean, below, above, levels):
-    cases = interval(mean, below, above)
-    ends = [float(compute_risk_below(cases, level)[0]) for level in (mean - below, mean, mean + above)]
-    assert ends == pytest.approx([0.05, 0.5, 0.95], abs=1e-6)
-    low, high = (float(compute_risk_below(cases, level)[0]) for level in sorted(levels))
-    assert 0.0 <= low <= high <= 1.0
-
-
-def test_interval_of_zero_width_has_risk_zero_or_one():
-    assert [float(compute_risk_below(interval(30.0, 0.0, 0.0), level)[0]) for level in (29.0, 31.0)] == [0.0, 1.0]
-
-
-@given(seed=st.integers(0, 10_000), lost=st.floats(0.0, 0.4))
-@settings(max_examples=40, deadline=None)
-def test_empirical_risk_uses_only_errors_known_at_forecast_time(seed, lost):
-    rng = np.random.default_rng(seed)
-    n = 60
-    expected = np.where(rng.random(n) < lost, np.nan, rng.integers(20, 60, n))
-    became, time = rng.integers(20, 60, n).astype(float), rng.uniform(0.0, 100.0, n)
-    ended = time + rng.uniform(0.0, 20.0, n)
-    levels = rng.uniform(10.0, 70.0, (n, 3))
-    result = compute_empirical_risk(expected, became, time, ended, levels)
-    for row in range(n):
-        errors = (became - expected)[(ended <= time[row]) & np.isfinite(expected)]
-        if np.isnan(expected[row]) or len(errors) < LEAST_ERRORS:
-            assert np.isnan(result[row]).all()
-        else:
-            below = (expected[row] + errors[:, np.newaxis] < levels[row]).sum(axis=0)
-            assert result[row] == pytest.approx((below + 0.5) / (len(errors) + 1.0))
+def test_shift_cut_by_recording_is_counted_and_early_end_is_evaluated():
+    tables = make_frames(cars=1, days=2, warm_up=0)
+    cases = select_cases(tables.outlooks.assign(shift_end_s=tables.outlooks["shift_end_s"] + 3600.0), tables.shifts)
+    assert cases.left_out == {CUT_SHORT: len(HOURS_AHEAD)}
+    assert set(cases.cases["shift"]) == {0}

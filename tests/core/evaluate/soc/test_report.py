@@ -4,13 +4,11 @@ import msgspec
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy import stats
 
 from core.errors import ModelError
 from core.evaluate.paper.results import to_json_values
-from core.evaluate.soc.cases import CHARGED, CUT_SHORT, HOURS_AHEAD, SILENT, UNREPORTED, WARM_UP, select_cases
+from core.evaluate.soc.cases import HOURS_AHEAD, WARM_UP
 from core.evaluate.soc.report import evaluate_soc
 from tests.support.soc_frames import CAPACITY, DAY_ONE, MODELS, SPREAD, make_frames
 
@@ -25,9 +23,9 @@ def result(frames):
     return evaluate_soc(*frames)
 
 
-def changed(frames, **columns):
-    """Return frames with some columns of the shifts replaced."""
-    return frames._replace(shifts=frames.shifts.assign(**columns))
+def changed(tables, **columns):
+    """Return tables with some columns of the shifts replaced."""
+    return tables._replace(shifts=tables.shifts.assign(**columns))
 
 
 def overall(frames):
@@ -103,51 +101,6 @@ def test_result_does_not_depend_on_row_order(frames, result):
 def test_result_is_json_without_nan(result):
     assert msgspec.json.decode(msgspec.json.encode(to_json_values(result))) == to_json_values(result)
     assert b"NaN" not in msgspec.json.encode(to_json_values(result))
-
-
-@given(seconds=st.floats(0.0, 590.0), hours=st.sampled_from([2.5, 4.5, 8.0]))
-@settings(max_examples=20, deadline=None)
-def test_newest_forecast_before_each_time_ahead_is_evaluated(seconds, hours):
-    frames = make_frames(cars=2, days=3, hours=hours, warm_up=0)
-    outlooks = frames.outlooks.assign(time_s=frames.outlooks["time_s"] - seconds)
-    cases = select_cases(outlooks, frames.shifts).cases
-    age = cases["end_s"] - 3600.0 * cases["hours"] - cases["time_s"]
-    assert set(cases["hours"]) == {h for h in HOURS_AHEAD if h < hours}
-    assert (age >= 0.0).all()
-    assert (age[cases["hours"] > 0] <= 60.0 + 1e-6).all()
-    assert age[cases["hours"] == 0].to_numpy() == pytest.approx(seconds, abs=1e-6)
-
-
-def test_forecast_before_charge_is_not_evaluated():
-    frames = make_frames(cars=1, days=1, warm_up=0)
-    begin = frames.shifts["begin_s"].iloc[0]
-    cases = select_cases(*changed(frames, charged_s=begin + 3.5 * 3600.0))
-    assert cases.cases["hours"].tolist() == [0, 1, 2]
-    assert cases.left_out == {CHARGED: 2}
-    at_the_end = changed(frames, charged_s=frames.shifts["end_s"])
-    assert select_cases(*at_the_end).left_out == {CHARGED: len(HOURS_AHEAD)}
-
-
-def test_silent_car_is_counted():
-    frames = make_frames(cars=1, days=1, warm_up=0)
-    ahead = frames.shifts["end_s"].iloc[0] - frames.outlooks["time_s"]
-    cases = select_cases(frames.outlooks[~ahead.between(3599.0, 3600.0 + 1200.0)], frames.shifts)
-    assert cases.cases["hours"].tolist() == [0, 2, 4, 6]
-    assert cases.left_out == {SILENT: 1}
-
-
-def test_shift_without_final_soc_is_counted():
-    frames = changed(make_frames(cars=1, days=2, warm_up=0), soc_end_pct=[np.nan, 40.0])
-    cases = select_cases(*frames)
-    assert cases.left_out == {UNREPORTED: len(HOURS_AHEAD)}
-    assert cases.warm_up == 0
-
-
-def test_shift_cut_by_recording_is_counted_and_early_end_is_evaluated():
-    frames = make_frames(cars=1, days=2, warm_up=0)
-    cases = select_cases(frames.outlooks.assign(shift_end_s=frames.outlooks["shift_end_s"] + 3600.0), frames.shifts)
-    assert cases.left_out == {CUT_SHORT: len(HOURS_AHEAD)}
-    assert set(cases.cases["shift"]) == {0}
 
 
 def test_shifts_of_one_car_on_one_day_are_one_cluster():

@@ -3,13 +3,19 @@
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from core.evaluate.soc.baselines import BASELINES, compute_baselines
+from core.evaluate.soc.baselines import (
+    BASELINES,
+    compute_baselines,
+)
 from core.evaluate.soc.cases import select_cases
 from core.evaluate.soc.reserve_risk import (
     LEVELS,
     PLANNED,
     compute_reliability,
+    compute_risk_below,
     evaluate_alarms,
     evaluate_reserve_risk,
     evaluate_risk,
@@ -137,3 +143,23 @@ def test_much_too_narrow_interval_reduces_skill(evaluated):
     narrow = evaluate_reserve_risk(select_with_baselines(make_frames(cars=12, days=40, narrow=0.2)))
     assert narrow["overall"]["4"]["brier"] > evaluated["overall"]["4"]["brier"]
     assert narrow["overall"]["4"]["alarms"]["missed"] > evaluated["overall"]["4"]["alarms"]["missed"]
+
+
+PERCENT = st.floats(0.0, 100.0)
+
+
+def interval(mean, below, above):
+    return pd.DataFrame({"soc_mean_pct": [mean], "soc_p05_pct": [mean - below], "soc_p95_pct": [mean + above]})
+
+
+@given(mean=PERCENT, below=st.floats(0.01, 30.0), above=st.floats(0.01, 30.0), levels=st.tuples(PERCENT, PERCENT))
+def test_risk_follows_from_interval(mean, below, above, levels):
+    cases = interval(mean, below, above)
+    ends = [float(compute_risk_below(cases, level)[0]) for level in (mean - below, mean, mean + above)]
+    assert ends == pytest.approx([0.05, 0.5, 0.95], abs=1e-6)
+    low, high = (float(compute_risk_below(cases, level)[0]) for level in sorted(levels))
+    assert 0.0 <= low <= high <= 1.0
+
+
+def test_interval_of_zero_width_has_risk_zero_or_one():
+    assert [float(compute_risk_below(interval(30.0, 0.0, 0.0), level)[0]) for level in (29.0, 31.0)] == [0.0, 1.0]
