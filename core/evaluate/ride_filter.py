@@ -109,7 +109,7 @@ def filter_rides(rides: pd.DataFrame) -> EvaluatedRides:
     kept = rides[reason.isna()].sort_values(["vehicle_id", "start_s"], kind="stable", ignore_index=True)
     unfit = {str(why): int(n) for why, n in reason.value_counts().sort_index().items()}
     names = sorted(kept["vehicle_model"].unique())
-    found = EvaluatedRides(
+    evaluated = EvaluatedRides(
         rides=kept,
         read=len(rides),
         unfit=unfit,
@@ -118,14 +118,14 @@ def filter_rides(rides: pd.DataFrame) -> EvaluatedRides:
         cluster=assign_distance_clusters(kept["distance_km"].to_numpy(np.float64)),
         energy=kept["energy_kwh"].to_numpy(np.float64),
     )
-    most = int(found.count()[:, :SCORED_CLUSTERS].max(initial=0))
+    most = int(evaluated.count()[:, :SCORED_CLUSTERS].max(initial=0))
     if most < LEAST_RIDES:
-        told = ", ".join(f"{n:,} {why.replace('_', ' ')}" for why, n in unfit.items()) or "none"
+        reasons = ", ".join(f"{n:,} {why.replace('_', ' ')}" for why, n in unfit.items()) or "none"
         raise ModelError(
             f"{len(kept):,} of {len(rides):,} rides can be evaluated, at most {most} of a vehicle model in a cluster "
-            f"of {CLUSTER_KM:g} km, and it takes {LEAST_RIDES}: give more rides (left out: {told})"
+            f"of {CLUSTER_KM:g} km, and it takes {LEAST_RIDES}: give more rides (left out: {reasons})"
         )
-    return found
+    return evaluated
 
 
 def name_rides(rides: pd.DataFrame) -> list[str]:

@@ -75,32 +75,34 @@ def _shared(one: pd.DataFrame, other: pd.DataFrame) -> int:
     return len(both)
 
 
-def _per_distance(found: ComparedRides, energy: Floats) -> Estimate:
+def _per_distance(compared: ComparedRides, energy: Floats) -> Estimate:
     """Return an energy per distance. [kWh/100 km]"""
-    return compute_clustered_ratio(100.0 * energy, found.rides["distance_km"].to_numpy(np.float64), found.clusters)
+    return compute_clustered_ratio(
+        100.0 * energy, compared.rides["distance_km"].to_numpy(np.float64), compared.clusters
+    )
 
 
 def _properties(first: ComparedRides, second: ComparedRides) -> list[dict[str, Any]]:
     """Return the properties of both sets, ordered by their difference relative to the spread between rides."""
-    found = []
+    entries = []
     for name, unit, column, per in PROPERTIES:
         wanted = [column for column in (column, per) if column]
-        if any(name not in own.rides for name in wanted for own in (first, second)):
+        if any(name not in side.rides for name in wanted for side in (first, second)):
             continue
-        values = [_values(own.rides, column, per) for own in (first, second)]
+        values = [_values(side.rides, column, per) for side in (first, second)]
         known = [np.isfinite(value) for value in values]
         if not all(each.any() for each in known):
             continue
         one, other = (
-            compute_clustered_mean(value[at], own.clusters[at])
-            for value, at, own in zip(values, known, (first, second), strict=True)
+            compute_clustered_mean(value[at], side.clusters[at])
+            for value, at, side in zip(values, known, (first, second), strict=True)
         )
         spread = float(np.sqrt(np.mean([np.var(value[at]) for value, at in zip(values, known, strict=True)])))
         apart = abs(other.value - one.value) / spread if spread > 0.0 else 0.0
-        found.append({"name": name, "unit": unit, **_each(one, other), "in_spreads": apart})
-    q = adjust_false_discovery(np.array([entry["p"] for entry in found], dtype=np.float64))
-    told = [entry | {"q": float(rate)} for entry, rate in zip(found, q, strict=True)]
-    return sorted(told, key=lambda entry: -entry["in_spreads"])
+        entries.append({"name": name, "unit": unit, **_each(one, other), "in_spreads": apart})
+    q = adjust_false_discovery(np.array([entry["p"] for entry in entries], dtype=np.float64))
+    with_rates = [entry | {"q": float(rate)} for entry, rate in zip(entries, q, strict=True)]
+    return sorted(with_rates, key=lambda entry: -entry["in_spreads"])
 
 
 def _values(rides: pd.DataFrame, column: str, per: str) -> Floats:
@@ -115,19 +117,21 @@ def _values(rides: pd.DataFrame, column: str, per: str) -> Floats:
 def _model(label: str, model: LinearModel, first: ComparedRides, second: ComparedRides) -> dict[str, Any]:
     """Return the errors of a model on both sets and how much of the difference in consumption it explains."""
     both = (first, second)
-    error = [own.predicted[label] - own.measured for own in both]
-    said = [model.predict_parts(own.rides) for own in both]
+    error = [side.predicted[label] - side.measured for side in both]
+    parts = [model.predict_parts(side.rides) for side in both]
     terms = [
-        {"name": name, **_each(*(_per_distance(own, each[name]) for own, each in zip(both, said, strict=True)))}
-        for name in said[0]
+        {"name": name, **_each(*(_per_distance(side, each[name]) for side, each in zip(both, parts, strict=True)))}
+        for name in parts[0]
     ]
-    one, other = (compute_clustered_mean(off, own.clusters) for off, own in zip(error, both, strict=True))
-    size, otherwise = (compute_clustered_mean(np.abs(off), own.clusters) for off, own in zip(error, both, strict=True))
+    one, other = (compute_clustered_mean(off, side.clusters) for off, side in zip(error, both, strict=True))
+    size, otherwise = (
+        compute_clustered_mean(np.abs(off), side.clusters) for off, side in zip(error, both, strict=True)
+    )
     return {
         "bias_kwh": _each(one, other),
         "mae_kwh": _each(size, otherwise),
-        "explained": _each(*(_per_distance(own, own.predicted[label]) for own in both)),
-        "unexplained": _each(*(_per_distance(own, -off) for own, off in zip(both, error, strict=True))),
+        "explained": _each(*(_per_distance(side, side.predicted[label]) for side in both)),
+        "unexplained": _each(*(_per_distance(side, -off) for side, off in zip(both, error, strict=True))),
         "terms": sorted(terms, key=lambda entry: -abs(entry["difference"]["value"])),
         "by": _by_condition(first, second, *error),
     }
@@ -145,7 +149,7 @@ def _by_condition(
             at = np.flatnonzero(codes[here] == code), np.flatnonzero(codes[~here] == code)
             entry = {"bin": labels[code], "n": [len(rows) for rows in at]}
             made.setdefault(name, []).append(entry | _bins(first, second, one, other, at))
-    entries = [entry for found in made.values() for entry in found]
+    entries = [entry for bins in made.values() for entry in bins]
     q = adjust_false_discovery(np.array([entry["bias_kwh"]["p"] for entry in entries], dtype=np.float64))
     for entry, rate in zip(entries, q.tolist(), strict=True):
         entry["q"] = rate
@@ -156,15 +160,15 @@ def _bins(
     first: ComparedRides, second: ComparedRides, one: Floats, other: Floats, at: tuple[Ints, Ints]
 ) -> dict[str, Any]:
     """Return bias, error and consumption of the rides of a bin, in both sets."""
-    sets = [(own, off, rows) for own, off, rows in zip((first, second), (one, other), at, strict=True)]
-    kilometres = [own.rides["distance_km"].to_numpy(np.float64) for own in (first, second)]
+    sets = [(side, off, rows) for side, off, rows in zip((first, second), (one, other), at, strict=True)]
+    kilometres = [side.rides["distance_km"].to_numpy(np.float64) for side in (first, second)]
     return {
-        "bias_kwh": _each(*(compute_clustered_mean(off[rows], own.clusters[rows]) for own, off, rows in sets)),
-        "mae_kwh": _each(*(compute_clustered_mean(np.abs(off[rows]), own.clusters[rows]) for own, off, rows in sets)),
+        "bias_kwh": _each(*(compute_clustered_mean(off[rows], side.clusters[rows]) for side, off, rows in sets)),
+        "mae_kwh": _each(*(compute_clustered_mean(np.abs(off[rows]), side.clusters[rows]) for side, off, rows in sets)),
         "consumption": _each(
             *(
-                compute_clustered_ratio(100.0 * own.measured[rows], km[rows], own.clusters[rows])
-                for (own, _, rows), km in zip(sets, kilometres, strict=True)
+                compute_clustered_ratio(100.0 * side.measured[rows], km[rows], side.clusters[rows])
+                for (side, _, rows), km in zip(sets, kilometres, strict=True)
             )
         ),
     }

@@ -101,13 +101,13 @@ def select_rides(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> Comp
             f"none of {len(rides):,} rides can be compared ({format_exclusions(left_out)}): give rides that are fit "
             "for training and have a measured energy"
         )
-    found = {label: _predict(label, model, kept) for label, model in models.items()}
+    predictions = {label: _predict(label, model, kept) for label, model in models.items()}
     known = np.ones(len(kept), np.bool_)
-    for label, energy in found.items():
-        own = ~np.isfinite(energy) & known
-        if own.any():
-            left_out[f"not predicted by {label}"] = int(own.sum())
-        known &= ~own
+    for label, energy in predictions.items():
+        unpredicted = ~np.isfinite(energy) & known
+        if unpredicted.any():
+            left_out[f"not predicted by {label}"] = int(unpredicted.sum())
+        known &= ~unpredicted
     if not known.any():
         raise ModelError(
             f"there is no ride that every model predicts ({format_exclusions(left_out)}): compare fewer at a time"
@@ -116,7 +116,7 @@ def select_rides(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> Comp
     return ComparedRides(
         rides=kept,
         measured=kept["energy_kwh"].to_numpy(np.float64),
-        predicted={label: energy[known] for label, energy in found.items()},
+        predicted={label: energy[known] for label, energy in predictions.items()},
         clusters=assign_vehicle_days(kept),
         read=len(rides),
         left_out=left_out,
@@ -140,9 +140,9 @@ def _predict(label: str, model: LinearModel, rides: pd.DataFrame) -> Floats:
     energy = model.predict(rides)
     if not np.isfinite(energy).any():
         unknown = [name for name in model.needs if name in rides and rides[name].isna().all()]
-        told = f": column {unknown[0]!r} is unknown in all of them" if unknown else ""
+        reason = f": column {unknown[0]!r} is unknown in all of them" if unknown else ""
         raise ModelError(
-            f"model {label} predicts none of {len(rides):,} rides{told}: give a model that does not read it"
+            f"model {label} predicts none of {len(rides):,} rides{reason}: give a model that does not read it"
         )
     return energy
 
@@ -156,8 +156,10 @@ def _notes(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> tuple[str,
             inside = rides["date"].between(trained.first_date, trained.last_date)
             inside &= rides["vehicle_model"].isin(list(trained.vehicle_models))
             if n := int((~rides["vehicle_model"].isin(list(trained.vehicle_models))).sum()):
-                told = ", ".join(trained.vehicle_models)
-                notes.append(f"{label} was fitted to {told}; {n:,} of {len(rides):,} rides are of other vehicle models")
+                kinds = ", ".join(trained.vehicle_models)
+                notes.append(
+                    f"{label} was fitted to {kinds}; {n:,} of {len(rides):,} rides are of other vehicle models"
+                )
             if n := int(inside.sum()):
                 notes.append(
                     f"{label} was fitted to rides from {trained.first_date} to {trained.last_date}; {n:,} of these "
@@ -171,12 +173,12 @@ def _notes(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> tuple[str,
     return tuple(notes)
 
 
-def compare_predictions(found: ComparedRides) -> dict[str, Any]:
+def compare_predictions(compared: ComparedRides) -> dict[str, Any]:
     """Return how predictions compare with measured energies.
 
     Parameters
     ----------
-    found : ComparedRides
+    compared : ComparedRides
         Rides with measured and predicted energies.
 
     Returns
@@ -186,26 +188,26 @@ def compare_predictions(found: ComparedRides) -> dict[str, Any]:
         rides. `pairs`: differences between models. `rides`: energies of each ride. `notes`.
     """
     return {
-        "about": describe_rides(found),
+        "about": describe_rides(compared),
         "models": {
-            label: compute_errors(found, energy)
-            | {"by": compute_errors_by_condition(found, energy), "worst": find_worst_rides(found, energy)}
-            for label, energy in found.predicted.items()
+            label: compute_errors(compared, energy)
+            | {"by": compute_errors_by_condition(compared, energy), "worst": find_worst_rides(compared, energy)}
+            for label, energy in compared.predicted.items()
         },
-        "pairs": compare_pairs(found),
+        "pairs": compare_pairs(compared),
         "rides": {
-            "key": found.keys,
-            "vehicle_model": found.rides["vehicle_model"].tolist(),
-            "measured_kwh": found.measured,
-            "predicted_kwh": found.predicted,
+            "key": compared.keys,
+            "vehicle_model": compared.rides["vehicle_model"].tolist(),
+            "measured_kwh": compared.measured,
+            "predicted_kwh": compared.predicted,
         },
-        "notes": list(found.notes),
+        "notes": list(compared.notes),
     }
 
 
-def describe_rides(found: ComparedRides) -> dict[str, Any]:
+def describe_rides(compared: ComparedRides) -> dict[str, Any]:
     """Return which rides were compared: counts, dates, instruments, noise floor and mean consumption."""
-    rides = found.rides
+    rides = compared.rides
     distance = rides["distance_km"].to_numpy(np.float64)
     measured = {
         name: float((rides["energy_kwh"] == rides[f"energy_{name}_kwh"]).mean())
@@ -213,28 +215,28 @@ def describe_rides(found: ComparedRides) -> dict[str, Any]:
         if f"energy_{name}_kwh" in rides
     }
     return {
-        "read": found.read,
+        "read": compared.read,
         "rides": len(rides),
-        "left_out": found.left_out,
+        "left_out": compared.left_out,
         "vehicles": int(rides["vehicle_id"].nunique()),
-        "vehicle_days": len(np.unique(found.clusters)),
+        "vehicle_days": len(np.unique(compared.clusters)),
         "vehicle_models": sorted(rides["vehicle_model"].unique()),
         "first_date": str(rides["date"].min()),
         "last_date": str(rides["date"].max()),
         "measured": measured,
-        "noise_floor_kwh": found.noise_floor,
-        "below_least": compute_share_below_least(found.measured),
-        "consumption_kwh": compute_clustered_mean(found.measured, found.clusters).figures(),
-        "per_100km_kwh": compute_clustered_ratio(100.0 * found.measured, distance, found.clusters).figures(),
+        "noise_floor_kwh": compared.noise_floor,
+        "below_least": compute_share_below_least(compared.measured),
+        "consumption_kwh": compute_clustered_mean(compared.measured, compared.clusters).figures(),
+        "per_100km_kwh": compute_clustered_ratio(100.0 * compared.measured, distance, compared.clusters).figures(),
     }
 
 
-def compute_errors(found: ComparedRides, predicted: Floats) -> dict[str, Any]:
+def compute_errors(compared: ComparedRides, predicted: Floats) -> dict[str, Any]:
     """Return the errors of predictions.
 
     Parameters
     ----------
-    found : ComparedRides
+    compared : ComparedRides
     predicted : (n,) float
         Predicted energy. [kWh]
 
@@ -245,27 +247,27 @@ def compute_errors(found: ComparedRides, predicted: Floats) -> dict[str, Any]:
         consumption, the share of rides `within` each band of relative error, and the figures of
         `compute_relative_figures`: `wmape`, which is `relative` with its interval, `mape`, and `over_floor`.
     """
-    error = predicted - found.measured
-    used = float(np.mean(found.measured))
-    off = compute_clustered_mean(error, found.clusters)
-    figures = compute_relative_figures(found.measured, predicted, found.clusters, found.noise_floor)
+    error = predicted - compared.measured
+    used = float(np.mean(compared.measured))
+    off = compute_clustered_mean(error, compared.clusters)
+    figures = compute_relative_figures(compared.measured, predicted, compared.clusters, compared.noise_floor)
     return {
         "rides": len(error),
         "bias_kwh": off.figures(),
-        "rmse_kwh": scores.compute_rmse(found.measured, predicted),
+        "rmse_kwh": scores.compute_rmse(compared.measured, predicted),
         **figures,
         "relative": figures["wmape"]["value"],
         "relative_bias": off.value / used if used > 0.0 else np.nan,
-        "within": scores.compute_band_shares(found.measured, predicted),
+        "within": scores.compute_band_shares(compared.measured, predicted),
     }
 
 
-def compute_errors_by_condition(found: ComparedRides, predicted: Floats) -> dict[str, list[dict[str, Any]]]:
+def compute_errors_by_condition(compared: ComparedRides, predicted: Floats) -> dict[str, list[dict[str, Any]]]:
     """Return the errors in each bin of each condition.
 
     Parameters
     ----------
-    found : ComparedRides
+    compared : ComparedRides
     predicted : (n,) float
         Predicted energy. [kWh]
 
@@ -276,15 +278,17 @@ def compute_errors_by_condition(found: ComparedRides, predicted: Floats) -> dict
         shares of consumption. `q` is the false-discovery rate if all bins at least as significantly biased were
         reported (Benjamini and Hochberg, over the bins of all conditions).
     """
-    error = predicted - found.measured
+    error = predicted - compared.measured
     made: dict[str, list[dict[str, Any]]] = {}
     p: list[float] = []
-    for name, (codes, labels) in bin_rides(found.rides).items():
+    for name, (codes, labels) in bin_rides(compared.rides).items():
         entries = made.setdefault(name, [])
         for code in np.unique(codes[codes >= 0]).tolist():
             rows = np.flatnonzero(codes == code)
-            off = compute_clustered_mean(error[rows], found.clusters[rows])
-            entries.append({"bin": labels[code], **_bin(error[rows], found.measured[rows], found.clusters[rows], off)})
+            off = compute_clustered_mean(error[rows], compared.clusters[rows])
+            entries.append(
+                {"bin": labels[code], **_bin(error[rows], compared.measured[rows], compared.clusters[rows], off)}
+            )
             p.append(off.p)
     q = iter(multiple_testing.adjust_false_discovery(np.array(p)).tolist())
     for entry in (entry for entries in made.values() for entry in entries):
@@ -306,7 +310,7 @@ def _bin(error: Floats, measured: Floats, clusters: Codes, off: Estimate) -> dic
     }
 
 
-def compare_pairs(found: ComparedRides) -> list[dict[str, Any]]:
+def compare_pairs(compared: ComparedRides) -> list[dict[str, Any]]:
     """Return the difference of mean absolute error of each pair of models, on the same rides.
 
     Returns
@@ -315,9 +319,9 @@ def compare_pairs(found: ComparedRides) -> list[dict[str, Any]]:
         Models `a` and `b`; `difference_kwh`, the error of a less the error of b, with its interval; `p`; and `p_holm`,
         adjusted for all pairs.
     """
-    error = {label: np.abs(energy - found.measured) for label, energy in found.predicted.items()}
+    error = {label: np.abs(energy - compared.measured) for label, energy in compared.predicted.items()}
     apart = {
-        (a, b): compute_clustered_mean(error[a] - error[b], found.clusters)
+        (a, b): compute_clustered_mean(error[a] - error[b], compared.clusters)
         for a, b in multiple_testing.list_pairs(list(error))
     }
     adjusted = multiple_testing.adjust_differences(apart)
@@ -327,12 +331,12 @@ def compare_pairs(found: ComparedRides) -> list[dict[str, Any]]:
     ]
 
 
-def find_worst_rides(found: ComparedRides, predicted: Floats) -> dict[str, list[dict[str, Any]]]:
+def find_worst_rides(compared: ComparedRides, predicted: Floats) -> dict[str, list[dict[str, Any]]]:
     """Return the rides of largest `absolute` error and of largest `relative` error.
 
     Parameters
     ----------
-    found : ComparedRides
+    compared : ComparedRides
     predicted : (n,) float
         Predicted energy. [kWh]
 
@@ -346,20 +350,22 @@ def find_worst_rides(found: ComparedRides, predicted: Floats) -> dict[str, list[
     The relative list holds only rides whose energy is known to within `MOST_RELATIVE_SD`, because a ride downhill may
     use almost no energy.
     """
-    error = predicted - found.measured
-    size = np.abs(found.measured)
+    error = predicted - compared.measured
+    size = np.abs(compared.measured)
     spread = (
-        found.rides["energy_sd_kwh"].to_numpy(np.float64) if "energy_sd_kwh" in found.rides else np.zeros(len(error))
+        compared.rides["energy_sd_kwh"].to_numpy(np.float64)
+        if "energy_sd_kwh" in compared.rides
+        else np.zeros(len(error))
     )
     relative = np.divide(error, size, out=np.full(len(error), np.nan), where=size > 0.0)
-    keys = found.keys
+    keys = compared.keys
 
-    def told(row: int) -> dict[str, Any]:
-        own = {name: found.rides[name].iloc[row] for name in RIDE_PROPERTIES if name in found.rides}
+    def describe_row(row: int) -> dict[str, Any]:
+        properties = {name: compared.rides[name].iloc[row] for name in RIDE_PROPERTIES if name in compared.rides}
         return {
             "ride": keys[row],
-            **own,
-            "measured_kwh": found.measured[row],
+            **properties,
+            "measured_kwh": compared.measured[row],
             "predicted_kwh": predicted[row],
             "error_kwh": error[row],
             "relative": relative[row],
@@ -367,7 +373,7 @@ def find_worst_rides(found: ComparedRides, predicted: Floats) -> dict[str, list[
 
     def first(values: Floats) -> list[dict[str, Any]]:
         order = np.argsort(-np.abs(values), kind="stable")  # NaN last
-        return [told(row) for row in order[:MOST_WORST_RIDES].tolist() if not np.isnan(values[row])]
+        return [describe_row(row) for row in order[:MOST_WORST_RIDES].tolist() if not np.isnan(values[row])]
 
     known = np.nan_to_num(spread) <= MOST_RELATIVE_SD * size
     return {"absolute": first(error), "relative": first(np.where(known, relative, np.nan))}

@@ -73,13 +73,13 @@ def find_ride(rides: pd.DataFrame, name: str) -> pd.DataFrame:
     if rides.empty or not columns:
         raise ModelError(f"ride {name!r} is not among {len(rides):,} rides: give tables or recordings that hold it")
     for column in columns:
-        found = rides[rides[column].astype(str) == name]
-        if len(found) == 1:
-            return found.reset_index(drop=True)
-        if len(found) > 1:
-            keys = ", ".join(found[columns[0]].astype(str)[:5])
+        named = rides[rides[column].astype(str) == name]
+        if len(named) == 1:
+            return named.reset_index(drop=True)
+        if len(named) > 1:
+            keys = ", ".join(named[columns[0]].astype(str)[:5])
             raise ModelError(
-                f"ride {name!r}: {len(found)} rides are named so: give the ride_key of one, such as {keys}"
+                f"ride {name!r}: {len(named)} rides are named so: give the ride_key of one, such as {keys}"
             )
     known = pd.unique(pd.concat([rides[column].astype(str) for column in columns], ignore_index=True))
     close = get_close_matches(name, known.tolist(), n=3, cutoff=0.5)
@@ -114,19 +114,19 @@ def trace_ride(ride: pd.DataFrame, windows: pd.DataFrame, models: Mapping[str, L
     key = str(ride["ride_key"].iloc[0]) if "ride_key" in ride else ""
     if missing := [name for name in WINDOW_COLUMNS if name not in windows]:
         raise ModelError(f"column {missing[0]!r} is missing in the window table: make it again with `socast tables`")
-    own = windows[windows["ride_key"].astype(str) == key].sort_values("window", kind="stable", ignore_index=True)
+    of_ride = windows[windows["ride_key"].astype(str) == key].sort_values("window", kind="stable", ignore_index=True)
     if not np.isfinite(ride["energy_kwh"].iloc[0]):
         raise ModelError(f"ride {key}: it has no measured energy to compare with: choose another ride")
-    if len(own) < LEAST_WINDOWS:
+    if len(of_ride) < LEAST_WINDOWS:
         raise ModelError(
-            f"ride {key}: it has {len(own)} windows, and a trace takes {LEAST_WINDOWS}: choose a longer ride"
+            f"ride {key}: it has {len(of_ride)} windows, and a trace takes {LEAST_WINDOWS}: choose a longer ride"
         )
     notes: list[str] = []
-    measured = _measured(ride, own, notes)
-    columns = accumulate_windows(ride, own)
-    made = _windows(own, measured)
-    found = {label: _model(label, model, ride, columns, own, made, notes) for label, model in models.items()}
-    return {"ride": _ride(ride), "windows": made, "models": found, "notes": notes}
+    measured = _measured(ride, of_ride, notes)
+    columns = accumulate_windows(ride, of_ride)
+    made = _windows(of_ride, measured)
+    traces = {label: _model(label, model, ride, columns, of_ride, made, notes) for label, model in models.items()}
+    return {"ride": _ride(ride), "windows": made, "models": traces, "notes": notes}
 
 
 def _ride(ride: pd.DataFrame) -> dict[str, Any]:
@@ -135,7 +135,7 @@ def _ride(ride: pd.DataFrame) -> dict[str, Any]:
     return {name: ride[name].iloc[0] for name in names if name in ride and not pd.isna(ride[name].iloc[0])}
 
 
-def _measured(ride: pd.DataFrame, own: pd.DataFrame, notes: list[str]) -> Floats:
+def _measured(ride: pd.DataFrame, of_ride: pd.DataFrame, notes: list[str]) -> Floats:
     """Return the measured energy of each window, from the ride's instrument and scaled to the ride's total.
 
     Windows without a measurement take the mean power of the others; the remainder to the ride's total is spread over
@@ -143,8 +143,8 @@ def _measured(ride: pd.DataFrame, own: pd.DataFrame, notes: list[str]) -> Floats
     """
     total = float(ride["energy_kwh"].iloc[0])
     by_power = "energy_vi_kwh" in ride and np.isclose(total, ride["energy_vi_kwh"].iloc[0])
-    energy = own["energy_vi_kwh" if by_power else "energy_soc_kwh"].to_numpy(np.float64)
-    duration = own["duration_s"].to_numpy(np.float64)
+    energy = of_ride["energy_vi_kwh" if by_power else "energy_soc_kwh"].to_numpy(np.float64)
+    duration = of_ride["duration_s"].to_numpy(np.float64)
     if not by_power:
         notes.append("measured by the state of charge: in steps, so that a window's energy is coarse")
     known = np.isfinite(energy)
@@ -165,9 +165,9 @@ def _differ(one: float, other: float) -> bool:
     return abs(one - other) > absolute + relative * abs(other)
 
 
-def _windows(own: pd.DataFrame, measured: Floats) -> dict[str, Floats]:
+def _windows(of_ride: pd.DataFrame, measured: Floats) -> dict[str, Floats]:
     """Return time, position, measured energy and conditions of each window."""
-    duration, distance = own["duration_s"].to_numpy(np.float64), own["distance_km"].to_numpy(np.float64)
+    duration, distance = of_ride["duration_s"].to_numpy(np.float64), of_ride["distance_km"].to_numpy(np.float64)
     made = {
         "end_min": np.cumsum(duration) / 60.0,
         "end_km": np.cumsum(distance),
@@ -176,8 +176,8 @@ def _windows(own: pd.DataFrame, measured: Floats) -> dict[str, Floats]:
         "measured_kwh": measured,
     }
     for name in ("ambient_c", "gained_m", "lost_m", "stops"):
-        if name in own:
-            made[name] = own[name].to_numpy(np.float64)
+        if name in of_ride:
+            made[name] = of_ride[name].to_numpy(np.float64)
     return made
 
 
@@ -186,32 +186,32 @@ def _model(
     model: LinearModel,
     ride: pd.DataFrame,
     columns: pd.DataFrame,
-    own: pd.DataFrame,
+    of_ride: pd.DataFrame,
     made: Mapping[str, Floats],
     notes: list[str],
 ) -> dict[str, Any]:
     """Return the prediction of one model along a ride."""
-    said, running = float(model.predict(ride)[0]), model.predict(columns)
-    if not np.isfinite(said):
+    predicted, running = float(model.predict(ride)[0]), model.predict(columns)
+    if not np.isfinite(predicted):
         car = ride["vehicle_model"].iloc[0]
         raise ModelError(f"model {label} has no prediction of this ride, of a {car}: give a model with a fit for it")
-    if not np.isfinite(running).all() or _differ(float(running[-1]), said):
+    if not np.isfinite(running).all() or _differ(float(running[-1]), predicted):
         raise ModelError(
             f"model {label} cannot be traced: its windows add up to {running[-1]:.3f} kWh, and it "
-            f"predicts {said:.3f} kWh for the ride; make the tables again with `socast tables`"
+            f"predicts {predicted:.3f} kWh for the ride; make the tables again with `socast tables`"
         )
-    alone = float(model.predict(_as_rides(ride, own)).sum())
-    if not np.isfinite(alone) or _differ(alone, said):
+    alone = float(model.predict(_as_rides(ride, of_ride)).sum())
+    if not np.isfinite(alone) or _differ(alone, predicted):
         notes.append(
             f"{label} is not a sum over windows: each window shows what it adds to the prediction of the ride so far; "
             f"{running[0]:+.3f} kWh are predicted before the first window"
         )
     added, said_by = np.diff(running), model.predict_parts(columns)
     error = added - made["measured_kwh"]
-    place = locate_divergence(error, made, said - float(made["measured_kwh"].sum()))
+    place = locate_divergence(error, made, predicted - float(made["measured_kwh"].sum()))
     return {
-        "predicted_kwh": said,
-        "error_kwh": said - float(ride["energy_kwh"].iloc[0]),
+        "predicted_kwh": predicted,
+        "error_kwh": predicted - float(ride["energy_kwh"].iloc[0]),
         "start_kwh": float(running[0]),
         "energy_kwh": added,
         "terms": {name: np.diff(energy) for name, energy in said_by.items()},
@@ -221,9 +221,9 @@ def _model(
     }
 
 
-def _as_rides(ride: pd.DataFrame, own: pd.DataFrame) -> pd.DataFrame:
+def _as_rides(ride: pd.DataFrame, of_ride: pd.DataFrame) -> pd.DataFrame:
     """Return windows with the columns that only their ride has."""
-    return own.assign(**{str(name): ride[name].iloc[0] for name in ride.columns if name not in own})
+    return of_ride.assign(**{str(name): ride[name].iloc[0] for name in ride.columns if name not in of_ride})
 
 
 def locate_divergence(error: Floats, made: Mapping[str, Floats], total: float) -> dict[str, Any] | None:
@@ -305,34 +305,34 @@ def describe_divergence(
     side = "too much" if total > 0.0 else "too little"
     if place is None:
         minutes = float(made["end_min"][-1])
-        told = f"{abs(total):.3f} kWh {side}, spread over {minutes:.1f} min: no part of the ride stands out"
+        sentence = f"{abs(total):.3f} kWh {side}, spread over {minutes:.1f} min: no part of the ride stands out"
     else:
         where = f"{place['kilometres']:.1f} km and {place['minutes']:.1f} min after it, {_conditions(place)}"
-        told = f"diverges from the measurement at {place['minute']:.1f} min, {place['km']:.1f} km: "
+        sentence = f"diverges from the measurement at {place['minute']:.1f} min, {place['km']:.1f} km: "
         if place["share"] > 1.0:
-            told += (
+            sentence += (
                 f"it predicts {abs(place['error_kwh']):.3f} kWh {side} in the {where}; "
                 f"the rest of the ride compensates all but {abs(total):.3f} kWh"
             )
         else:
-            told += f"{abs(place['error_kwh']):.3f} of {abs(total):.3f} kWh {side} come in the {where}"
+            sentence += f"{abs(place['error_kwh']):.3f} of {abs(total):.3f} kWh {side} come in the {where}"
     if abs(start) > LEAST_SHARE * abs(total) and start * total > 0.0:
-        told += f"; {abs(start):.3f} kWh of it are predicted before the start"
+        sentence += f"; {abs(start):.3f} kWh of it are predicted before the start"
     sd = float(ride["energy_sd_kwh"].iloc[0]) if "energy_sd_kwh" in ride else np.nan
     if abs(total) < 2.0 * sd:
-        told += f"; this is within twice the standard uncertainty of the measurement, {sd:.3f} kWh"
-    return told
+        sentence += f"; this is within twice the standard uncertainty of the measurement, {sd:.3f} kWh"
+    return sentence
 
 
 def _conditions(place: Mapping[str, Any]) -> str:
     """Return the conditions of a span, in words."""
-    told = [f"{place['speed_kmh']:.0f} km/h"]
+    conditions = [f"{place['speed_kmh']:.0f} km/h"]
     if np.isfinite(place.get("ambient_c", np.nan)):
-        told.insert(0, f"at {place['ambient_c']:.0f} °C".replace("-", "\N{MINUS SIGN}"))
+        conditions.insert(0, f"at {place['ambient_c']:.0f} °C".replace("-", "\N{MINUS SIGN}"))
     slope = place.get("uphill_pct", 0.0)
     if abs(slope) >= LEAST_SLOPE:
-        told.append(f"{abs(slope):.0f} % {'uphill' if slope > 0.0 else 'downhill'}")
-    return ", ".join(told)
+        conditions.append(f"{abs(slope):.0f} % {'uphill' if slope > 0.0 else 'downhill'}")
+    return ", ".join(conditions)
 
 
 def accumulate_windows(ride: pd.DataFrame, windows: pd.DataFrame) -> pd.DataFrame:

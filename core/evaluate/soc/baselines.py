@@ -52,8 +52,8 @@ def compute_baselines(cases: pd.DataFrame, outlooks: pd.DataFrame, shifts: pd.Da
     (n, baselines) DataFrame
         A column for each of `BASELINES`; NaN where the baseline gives no value. [%]
     """
-    found = {"linear": _linear(cases, outlooks), **_by_rates(cases, shifts)}
-    return pd.DataFrame({name: np.clip(found[name], 0.0, 100.0) for name in BASELINES})
+    expected = {"linear": _linear(cases, outlooks), **_by_rates(cases, shifts)}
+    return pd.DataFrame({name: np.clip(expected[name], 0.0, 100.0) for name in BASELINES})
 
 
 def compute_leg_baselines(cases: pd.DataFrame, shifts: pd.DataFrame) -> pd.DataFrame:
@@ -71,8 +71,8 @@ def compute_leg_baselines(cases: pd.DataFrame, shifts: pd.DataFrame) -> pd.DataF
     (n, baselines) DataFrame
         A column for each of `BASELINES`; NaN where the baseline gives no value. [%]
     """
-    found = {"linear": np.full(len(cases), np.nan), **_by_rates(cases, shifts)}
-    return pd.DataFrame({name: np.clip(found[name], 0.0, 100.0) for name in BASELINES})
+    expected = {"linear": np.full(len(cases), np.nan), **_by_rates(cases, shifts)}
+    return pd.DataFrame({name: np.clip(expected[name], 0.0, 100.0) for name in BASELINES})
 
 
 def _by_rates(cases: pd.DataFrame, shifts: pd.DataFrame) -> dict[str, Floats]:
@@ -103,15 +103,15 @@ def compute_mean_consumption(cases: pd.DataFrame, shifts: pd.DataFrame) -> Float
     (n,) float
         Battery energy over kilometres of ride; NaN before the first shift has ended. [kWh/km]
     """
-    told = shifts.assign(energy=(shifts["soc_begin_pct"] - shifts["soc_end_pct"]) / 100.0 * shifts["capacity_kwh"])
-    told = told[told["charged_s"].isna() & told["energy"].notna() & (told["ride_km"] > 0.0)]
-    told = told.astype({"vehicle_model": "str"}).sort_values("end_s", kind="stable")
-    sums = told.groupby("vehicle_model", sort=False)[["energy", "ride_km"]].cumsum()
-    told = told[["vehicle_model", "end_s"]].assign(rate=sums["energy"] / sums["ride_km"])
-    asked = cases[["vehicle_model", "begin_s"]].astype({"vehicle_model": "str"}).assign(place=np.arange(len(cases)))
-    asked = asked.sort_values("begin_s", kind="stable")
-    found = pd.merge_asof(asked, told, left_on="begin_s", right_on="end_s", by="vehicle_model")
-    return found.sort_values("place")["rate"].to_numpy(np.float64)
+    known = shifts.assign(energy=(shifts["soc_begin_pct"] - shifts["soc_end_pct"]) / 100.0 * shifts["capacity_kwh"])
+    known = known[known["charged_s"].isna() & known["energy"].notna() & (known["ride_km"] > 0.0)]
+    known = known.astype({"vehicle_model": "str"}).sort_values("end_s", kind="stable")
+    sums = known.groupby("vehicle_model", sort=False)[["energy", "ride_km"]].cumsum()
+    known = known[["vehicle_model", "end_s"]].assign(rate=sums["energy"] / sums["ride_km"])
+    begun = cases[["vehicle_model", "begin_s"]].astype({"vehicle_model": "str"}).assign(place=np.arange(len(cases)))
+    begun = begun.sort_values("begin_s", kind="stable")
+    matched = pd.merge_asof(begun, known, left_on="begin_s", right_on="end_s", by="vehicle_model")
+    return matched.sort_values("place")["rate"].to_numpy(np.float64)
 
 
 def compute_empirical_risk(expected: Floats, became: Floats, time: Floats, ended: Floats, levels: Floats) -> Floats:
@@ -164,16 +164,18 @@ def _linear(cases: pd.DataFrame, outlooks: pd.DataFrame) -> Floats:
     left = np.maximum(cases["shift_end_s"].to_numpy(np.float64) - time, 0.0)
     passed = time - since
     pace = np.divide(soc_then - soc, passed, out=np.full(len(cases), np.nan), where=passed >= LEAST_PACE_TIME)
-    found: Floats = soc - pace * left
-    return found
+    remaining: Floats = soc - pace * left
+    return remaining
 
 
 def _begun(cases: pd.DataFrame, outlooks: pd.DataFrame) -> tuple[Floats, Floats]:
     """Return when the pace began [s] and the state of charge then [%]: at the shift's start or first after a charge."""
     begun = cases[["begin_s", "soc_begin_pct"]].to_numpy(np.float64, copy=True)
-    asked = cases[[*SHIFT_KEY, "charged_s"]].assign(place=np.arange(len(cases))).dropna(subset="charged_s")
-    told = normalise_keys(outlooks)[[*SHIFT_KEY, "time_s", "soc_pct"]].sort_values("time_s", kind="stable")
-    asked = asked.sort_values("charged_s", kind="stable")
-    found = pd.merge_asof(asked, told, left_on="charged_s", right_on="time_s", by=SHIFT_KEY, direction="forward")
-    begun[found["place"].to_numpy()] = found[["time_s", "soc_pct"]].to_numpy(np.float64)
+    charged = cases[[*SHIFT_KEY, "charged_s"]].assign(place=np.arange(len(cases))).dropna(subset="charged_s")
+    reported = normalise_keys(outlooks)[[*SHIFT_KEY, "time_s", "soc_pct"]].sort_values("time_s", kind="stable")
+    charged = charged.sort_values("charged_s", kind="stable")
+    matched = pd.merge_asof(
+        charged, reported, left_on="charged_s", right_on="time_s", by=SHIFT_KEY, direction="forward"
+    )
+    begun[matched["place"].to_numpy()] = matched[["time_s", "soc_pct"]].to_numpy(np.float64)
     return begun[:, 0], begun[:, 1]

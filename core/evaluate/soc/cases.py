@@ -96,10 +96,10 @@ def select_cases(outlooks: pd.DataFrame, shifts: pd.DataFrame) -> ForecastCases:
     """
     made, ended = normalise_keys(outlooks), normalise_keys(shifts)[[*SHIFT_COLUMNS, "ambient_c"]]
     made = made[OUTLOOK_COLUMNS].sort_values("time_s", kind="stable")
-    asked = pd.concat([ended.assign(hours=hours) for hours in HOURS_AHEAD], ignore_index=True)
-    asked["asked_s"] = asked["end_s"] - 3600.0 * asked["hours"]
-    asked = asked[asked["asked_s"] >= asked["begin_s"]].sort_values("asked_s", kind="stable")
-    cases = pd.merge_asof(asked, made, left_on="asked_s", right_on="time_s", by=SHIFT_KEY)
+    wanted = pd.concat([ended.assign(hours=hours) for hours in HOURS_AHEAD], ignore_index=True)
+    wanted["wanted_s"] = wanted["end_s"] - 3600.0 * wanted["hours"]
+    wanted = wanted[wanted["wanted_s"] >= wanted["begin_s"]].sort_values("wanted_s", kind="stable")
+    cases = pd.merge_asof(wanted, made, left_on="wanted_s", right_on="time_s", by=SHIFT_KEY)
     cases = cases.sort_values([*SHIFT_KEY, "hours"], ignore_index=True)
     why = _reasons(cases, made)
     day = np.floor(cases["begin_s"] / SECONDS_PER_DAY)
@@ -119,7 +119,7 @@ def _reasons(cases: pd.DataFrame, made: pd.DataFrame) -> NDArray[np.str_]:
     unknown = cases[["soc_mean_pct", "soc_p05_pct", "soc_p95_pct"]].isna().any(axis=1)
     holds = {
         CUT_SHORT: cut,
-        SILENT: ~(cases["asked_s"] - cases["time_s"] <= MOST_FORECAST_AGE),
+        SILENT: ~(cases["wanted_s"] - cases["time_s"] <= MOST_FORECAST_AGE),
         CHARGED: cases["charged_s"] >= cases["time_s"],
         UNREPORTED: cases["soc_end_pct"].isna(),
         WARM_UP: unknown,

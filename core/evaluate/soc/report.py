@@ -56,16 +56,16 @@ def evaluate_soc(outlooks: pd.DataFrame, shifts: pd.DataFrame, legs: pd.DataFram
     ModelError
         No forecast can be evaluated.
     """
-    found = select_cases(outlooks, shifts)
-    if not len(found.cases):
-        why = ", ".join(f"{count} {reason}" for reason, count in found.left_out.items()) or "none made"
+    selected = select_cases(outlooks, shifts)
+    if not len(selected.cases):
+        why = ", ".join(f"{count} {reason}" for reason, count in selected.left_out.items()) or "none made"
         raise ModelError(
-            f"{found.shifts} shifts ended and no forecast of theirs can be evaluated ({why}): "
+            f"{selected.shifts} shifts ended and no forecast of theirs can be evaluated ({why}): "
             "give recordings of more days"
         )
-    cases = pd.concat([found.cases, compute_baselines(found.cases, outlooks, shifts)], axis=1)
+    cases = pd.concat([selected.cases, compute_baselines(selected.cases, outlooks, shifts)], axis=1)
     return {
-        "about": _about(found),
+        "about": _about(selected),
         "overall": compute_figures_by_time(cases),
         "by": compute_figures_by_condition(cases),
         "reserve": evaluate_reserve_risk(cases),
@@ -99,7 +99,7 @@ def compute_figures_by_time(cases: pd.DataFrame) -> dict[str, Any]:
     each = {str(hours): cases[cases["hours"] == hours] for hours in HOURS_AHEAD}
     return {
         "pooled": compute_forecast_figures(cases),
-        "hours": {hours: compute_forecast_figures(own) for hours, own in each.items() if len(own)},
+        "hours": {hours: compute_forecast_figures(group) for hours, group in each.items() if len(group)},
     }
 
 
@@ -120,15 +120,15 @@ def compute_leg_figures(legs: pd.DataFrame, shifts: pd.DataFrame) -> dict[str, l
         list of figures by `bin` of the time until the end; the last bin is `all`.
     """
     cases = pd.concat([legs, compute_leg_baselines(legs, shifts)], axis=1)
-    found = {}
-    for name, own in {"without a charge": cases[~cases["charges"]], "charged later": cases[cases["charges"]]}.items():
-        band = bin_values(own["minutes"].to_numpy(np.float64), MINUTES)
+    figures = {}
+    for name, group in {"without a charge": cases[~cases["charges"]], "charged later": cases[cases["charges"]]}.items():
+        band = bin_values(group["minutes"].to_numpy(np.float64), MINUTES)
         bins = [
-            {"bin": band.labels[code], **compute_forecast_figures(own[band.codes == code])}
+            {"bin": band.labels[code], **compute_forecast_figures(group[band.codes == code])}
             for code in np.unique(band.codes).tolist()
         ]
-        found[name] = [*bins, {"bin": "all", **compute_forecast_figures(own)}] if bins else []
-    return found
+        figures[name] = [*bins, {"bin": "all", **compute_forecast_figures(group)}] if bins else []
+    return figures
 
 
 def compute_figures_by_condition(cases: pd.DataFrame) -> dict[str, list[dict[str, Any]]]:
@@ -199,14 +199,14 @@ def compute_forecast_figures(cases: pd.DataFrame) -> dict[str, Any]:
 def _against(expected: Floats, became: Floats, error: Floats, clusters: Codes) -> dict[str, Any]:
     """Return the error of a baseline, and the error of the forecasts on the same cases."""
     known = np.isfinite(expected)
-    its, own, of = np.abs(expected - became)[known], error[known], clusters[known]
+    its, forecast_error, of = np.abs(expected - became)[known], error[known], clusters[known]
     return {
         "n": int(known.sum()),
         "mae_pct": compute_clustered_mean(its, of).figures(),
         "bias_pct": compute_clustered_mean((expected - became)[known], of).figures(),
-        "forecast_mae_pct": compute_clustered_mean(own, of).figures(),
-        "less_pct": compute_clustered_mean(its - own, of).figures(),
-        "share_less": _share_less(its, own),
+        "forecast_mae_pct": compute_clustered_mean(forecast_error, of).figures(),
+        "less_pct": compute_clustered_mean(its - forecast_error, of).figures(),
+        "share_less": _share_less(its, forecast_error),
     }
 
 
@@ -227,21 +227,21 @@ def _best(cases: pd.DataFrame, became: Floats, error: Floats, clusters: Codes) -
     }
 
 
-def _share_less(its: Floats, own: Floats) -> float:
+def _share_less(its: Floats, forecast_error: Floats) -> float:
     """Return by which share the mean absolute error of the forecasts is below that of a baseline."""
-    return 1.0 - float(own.mean() / its.mean()) if len(its) and its.mean() > 0.0 else nan
+    return 1.0 - float(forecast_error.mean() / its.mean()) if len(its) and its.mean() > 0.0 else nan
 
 
-def _about(found: ForecastCases) -> dict[str, Any]:
+def _about(selected: ForecastCases) -> dict[str, Any]:
     """Return counts and dates of the evaluated forecasts."""
-    cases = found.cases
+    cases = selected.cases
     dates = pd.to_datetime(cases["begin_s"], unit="s").dt.strftime("%Y-%m-%d")
     return {
-        "shifts": found.shifts,
+        "shifts": selected.shifts,
         "judged_shifts": len(cases[SHIFT_KEY].drop_duplicates()),
-        "warm_up_shifts": found.warm_up,
+        "warm_up_shifts": selected.warm_up,
         "forecasts": len(cases),
-        "left_out": found.left_out,
+        "left_out": selected.left_out,
         "vehicles": int(cases["vehicle_id"].nunique()),
         "vehicle_days": int(cases["cluster"].nunique()),
         "vehicle_models": sorted(map(str, cases["vehicle_model"].unique())),
@@ -287,26 +287,26 @@ def select_examples(cases: pd.DataFrame, outlooks: pd.DataFrame) -> list[dict[st
         forecasts.
     """
     ahead = min(EXAMPLE_HOURS_AHEAD, int(cases["hours"].max()))
-    found = cases[cases["hours"] == ahead].reset_index(drop=True)
-    error = (found["soc_mean_pct"] - found["soc_end_pct"]).abs()
-    by_warmth = found["ambient_c"].dropna().sort_values(kind="stable").index.tolist()
+    at_time = cases[cases["hours"] == ahead].reset_index(drop=True)
+    error = (at_time["soc_mean_pct"] - at_time["soc_end_pct"]).abs()
+    by_warmth = at_time["ambient_c"].dropna().sort_values(kind="stable").index.tolist()
     by_error = error.sort_values(kind="stable").index.tolist()
-    asked = {"worst": by_error[-1], "middling": by_error[len(by_error) // 2]}
+    extremes = {"worst": by_error[-1], "middling": by_error[len(by_error) // 2]}
     if by_warmth:
-        asked = {"coldest": by_warmth[0], "warmest": by_warmth[-1], **asked}
+        extremes = {"coldest": by_warmth[0], "warmest": by_warmth[-1], **extremes}
     chosen: dict[int, str] = {}
-    for why, place in asked.items():
+    for why, place in extremes.items():
         chosen[place] = f"{chosen[place]}, {why}" if place in chosen else why
     made = normalise_keys(outlooks)
-    return [_example(why, found.iloc[place], made) for place, why in chosen.items()]
+    return [_example(why, at_time.iloc[place], made) for place, why in chosen.items()]
 
 
 def _example(why: str, case: "pd.Series[Any]", outlooks: pd.DataFrame) -> dict[str, Any]:
     """Return a shift and at most `MOST_POINTS` of its forecasts."""
-    own = outlooks[(outlooks[SHIFT_KEY[0]] == case[SHIFT_KEY[0]]) & (outlooks[SHIFT_KEY[1]] == case[SHIFT_KEY[1]])]
-    own = own[own["time_s"] <= case["end_s"]].sort_values("time_s", kind="stable")
-    own = own.iloc[np.unique(np.linspace(0, len(own) - 1, min(MOST_POINTS, len(own))).astype(int))]
-    reserve = own["reserve_soc_pct"].dropna()
+    of_shift = outlooks[(outlooks[SHIFT_KEY[0]] == case[SHIFT_KEY[0]]) & (outlooks[SHIFT_KEY[1]] == case[SHIFT_KEY[1]])]
+    of_shift = of_shift[of_shift["time_s"] <= case["end_s"]].sort_values("time_s", kind="stable")
+    of_shift = of_shift.iloc[np.unique(np.linspace(0, len(of_shift) - 1, min(MOST_POINTS, len(of_shift))).astype(int))]
+    reserve = of_shift["reserve_soc_pct"].dropna()
     return {
         "why": why,
         "vehicle_id": case["vehicle_id"],
@@ -316,6 +316,6 @@ def _example(why: str, case: "pd.Series[Any]", outlooks: pd.DataFrame) -> dict[s
         "ambient_c": case["ambient_c"],
         "soc_end_pct": case["soc_end_pct"],
         "reserve_soc_pct": reserve.iloc[-1] if len(reserve) else np.nan,
-        "hours_ahead": ((case["end_s"] - own["time_s"]) / 3600.0).tolist(),
-        **{f"{name}_pct": own[f"{name}_pct"].tolist() for name in EXAMPLE_COLUMNS},
+        "hours_ahead": ((case["end_s"] - of_shift["time_s"]) / 3600.0).tolist(),
+        **{f"{name}_pct": of_shift[f"{name}_pct"].tolist() for name in EXAMPLE_COLUMNS},
     }

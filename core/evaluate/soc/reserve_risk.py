@@ -62,7 +62,7 @@ def evaluate_reserve_risk(cases: pd.DataFrame) -> dict[str, Any]:
     return {
         "alarm": ALARM,
         "reliability": {PLANNED: compute_reliability(each[PLANNED]), "levels": compute_reliability(of_levels)},
-        "levels": {name: evaluate_by_hours(own, hours) for name, own in each.items() if len(own)},
+        "levels": {name: evaluate_by_hours(group, hours) for name, group in each.items() if len(group)},
         "overall": evaluate_by_hours(of_levels, hours),
     }
 
@@ -77,14 +77,14 @@ def tabulate_levels(cases: pd.DataFrame) -> pd.DataFrame:
         the forecast, and the risk of each baseline.
     """
     open_ = cases[cases["hours"] > 0].reset_index(drop=True)
-    told = {PLANNED: (_numbers(open_, "reserve_soc_pct"), _numbers(open_, "reserve_risk"))}
-    told |= {str(level): (np.full(len(open_), float(level)), compute_risk_below(open_, level)) for level in LEVELS}
-    levels = np.column_stack([level for level, _ in told.values()])
+    by_level = {PLANNED: (_numbers(open_, "reserve_soc_pct"), _numbers(open_, "reserve_risk"))}
+    by_level |= {str(level): (np.full(len(open_), float(level)), compute_risk_below(open_, level)) for level in LEVELS}
+    levels = np.column_stack([level for level, _ in by_level.values()])
     persons = {name: _by_hour(open_, name, levels) for name in BASELINES}
     lowest, soc = _lowest(open_), _numbers(open_, "soc_pct")
     shift = open_.groupby(SHIFT_KEY, sort=False).ngroup()
     parts = []
-    for place, (name, (level, risk)) in enumerate(told.items()):
+    for place, (name, (level, risk)) in enumerate(by_level.items()):
         part = pd.DataFrame(
             {"level": name, "hours": open_["hours"], "shift": shift, "cluster": open_["cluster"]}
             | {"fell": lowest < level, "risk": risk}
@@ -98,10 +98,10 @@ def _by_hour(cases: pd.DataFrame, baseline: str, levels: Floats) -> Floats:
     """Return a baseline's risk at each level, (n, levels), from its earlier errors at the same time ahead."""
     out = np.full(levels.shape, np.nan)
     for rows in cases.groupby("hours").indices.values():
-        own = cases.iloc[rows]
-        expected, became = _numbers(own, baseline), _numbers(own, "soc_end_pct")
+        some = cases.iloc[rows]
+        expected, became = _numbers(some, baseline), _numbers(some, "soc_end_pct")
         out[rows] = compute_empirical_risk(
-            expected, became, _numbers(own, "time_s"), _numbers(own, "end_s"), levels[rows]
+            expected, became, _numbers(some, "time_s"), _numbers(some, "end_s"), levels[rows]
         )
     return out
 
@@ -136,8 +136,8 @@ def compute_risk_below(cases: pd.DataFrame, level: float) -> Floats:
 
 def evaluate_by_hours(rows: pd.DataFrame, hours: list[int]) -> dict[str, Any]:
     """Return the figures of `evaluate_risk` at each time ahead that has cases, and `pooled` over all."""
-    found = {str(h): evaluate_risk(own) for h in hours if len(own := rows[rows["hours"] == h])}
-    return found | ({"pooled": evaluate_risk(rows)} if len(rows) else {})
+    by_hours = {str(h): evaluate_risk(group) for h in hours if len(group := rows[rows["hours"] == h])}
+    return by_hours | ({"pooled": evaluate_risk(rows)} if len(rows) else {})
 
 
 def evaluate_risk(rows: pd.DataFrame) -> dict[str, Any]:
@@ -153,7 +153,7 @@ def evaluate_risk(rows: pd.DataFrame) -> dict[str, Any]:
     """
     fell, risk = rows["fell"].to_numpy(bool), _numbers(rows, "risk")
     clusters = rows["cluster"].to_numpy(np.int64)
-    own, share = (risk - fell) ** 2, float(fell.mean())
+    squares, share = (risk - fell) ** 2, float(fell.mean())
     persons = {}
     for name in BASELINES:
         its = _numbers(rows, name)
@@ -163,8 +163,8 @@ def evaluate_risk(rows: pd.DataFrame) -> dict[str, Any]:
             "n": int(known.sum()),
             "fell": int(fell[known].sum()),
             "brier": float(lost.mean()) if known.any() else np.nan,
-            "forecast_brier": float(own[known].mean()) if known.any() else np.nan,
-            "skill": compute_skill(own[known], lost, clusters[known]),
+            "forecast_brier": float(squares[known].mean()) if known.any() else np.nan,
+            "skill": compute_skill(squares[known], lost, clusters[known]),
             "alarms": evaluate_alarms(its[known], fell[known], clusters[known]),
             "forecast_alarms": evaluate_alarms(risk[known], fell[known], clusters[known]),
         }
@@ -173,16 +173,16 @@ def evaluate_risk(rows: pd.DataFrame) -> dict[str, Any]:
         "shifts": int(rows["shift"].nunique()),
         "fell": int(fell.sum()),
         "alarms": evaluate_alarms(risk, fell, clusters),
-        "brier": float(own.mean()),
+        "brier": float(squares.mean()),
         "brier_base": share * (1.0 - share),
-        "skill": compute_skill(own, (share - fell) ** 2, clusters),
+        "skill": compute_skill(squares, (share - fell) ** 2, clusters),
         "baselines": persons,
     }
 
 
-def compute_skill(own: Floats, reference: Floats, clusters: Codes) -> dict[str, float]:
+def compute_skill(squares: Floats, reference: Floats, clusters: Codes) -> dict[str, float]:
     """Return by which share a mean square is below that of a reference, with half its 95 % interval."""
-    return compute_clustered_ratio(reference - own, reference, clusters).figures()
+    return compute_clustered_ratio(reference - squares, reference, clusters).figures()
 
 
 def evaluate_alarms(risk: Floats, fell: NDArray[np.bool_], clusters: Codes) -> dict[str, Any]:
@@ -216,15 +216,17 @@ def compute_reliability(rows: pd.DataFrame) -> list[dict[str, Any]]:
     """
     risk, clusters = _numbers(rows, "risk"), rows["cluster"].to_numpy(np.int64)
     place = np.clip(np.searchsorted(BINS, risk, side="right") - 1, 0, len(BINS) - 2)
-    found = []
+    classes = []
     for code, (low, high) in enumerate(pairwise(BINS)):
         mine = place == code
         if mine.any():
             fell = compute_clustered_share(rows["fell"].to_numpy(bool)[mine], clusters[mine])
             shifts = int(rows["shift"][mine].nunique())
-            told = float(risk[mine].mean())
-            found.append({"low": low, "high": high, "n": int(mine.sum()), "shifts": shifts, "told": told, "fell": fell})
-    return found
+            mean_risk = float(risk[mine].mean())
+            classes.append(
+                {"low": low, "high": high, "n": int(mine.sum()), "shifts": shifts, "told": mean_risk, "fell": fell}
+            )
+    return classes
 
 
 def _lowest(cases: pd.DataFrame) -> Floats:
