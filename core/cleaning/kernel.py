@@ -8,9 +8,7 @@ In all of them `state` is the record of the lane (`STATE`), `row` the record of 
 `raw_*`, and `settings` the record of the operator's settings.
 """
 
-from hashlib import sha256
 from math import isnan, nan
-from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -22,6 +20,7 @@ from core.batch import Batch, Floats, Ints, grown
 from core.cleaning import clock, motion, quality, segmentation
 from core.cleaning.quality import Quality
 from core.columns import TELEMETRY
+from core.compiled_cache import watch_sources
 from core.settings import Settings
 
 _OWN_FIELDS: Final = (
@@ -395,11 +394,4 @@ def begins_stop(state: Any) -> bool:
     return False
 
 
-def _sources() -> str:
-    """Return a digest of every source file that the compiled kernel depends on."""
-    files = [__file__, *(str(module.__file__) for module in (batch, clock, columns, motion, quality, segmentation))]
-    return sha256(b"".join(Path(file).read_bytes() for file in files)).hexdigest()
-
-
-# numba recompiles a cached kernel when its own file changes, but not when a file that it imports changes
-clean_rows._cache._cache_file._source_stamp = _sources()  # type: ignore[attr-defined] # noqa: SLF001
+watch_sources(clean_rows, batch, clock, columns, motion, quality, segmentation)

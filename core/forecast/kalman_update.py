@@ -16,7 +16,7 @@ from typing import Any
 from numba import njit
 
 
-@njit(cache=True)
+@njit(cache=False)
 def update_state(state: Any, residual: float, cov_s: float, cov_a: float, cov_c: float, variance: float) -> None:
     """Update mean and covariance of the state by a scalar measurement.
 
@@ -45,7 +45,7 @@ def update_state(state: Any, residual: float, cov_s: float, cov_a: float, cov_c:
     state.p_cc -= gain_c * cov_c
 
 
-@njit(cache=True)
+@njit(cache=False)
 def update_mean(state: Any, residual: float, cov_s: float, cov_a: float, cov_c: float, variance: float) -> None:
     """Update the mean of the state as `update_state` does, and keep its covariance."""
     state.soc += cov_s / variance * residual
@@ -53,7 +53,7 @@ def update_mean(state: Any, residual: float, cov_s: float, cov_a: float, cov_c: 
     state.log_capacity += cov_c / variance * residual
 
 
-@njit(cache=True)
+@njit(cache=False)
 def apply_named_driver(state: Any, wandered: float) -> None:
     """Take the driver named since the last running totals into account: identified, or replacing another one.
 
@@ -77,7 +77,7 @@ def apply_named_driver(state: Any, wandered: float) -> None:
     state.next_driver = -1.0
 
 
-@njit(cache=True)
+@njit(cache=False)
 def update_with_driver(state: Any, wandered: float) -> None:
     """Update the state by a driver whose part is known better than the prior of the shift assumed.
 
@@ -100,7 +100,7 @@ def update_with_driver(state: Any, wandered: float) -> None:
         )
 
 
-@njit(cache=True)
+@njit(cache=False)
 def replace_driver(state: Any, wandered: float) -> None:
     """Replace the driver: the first driver's share of what the shift has revealed leaves with that driver."""
     kept = 1.0 - state.driver_variance / (state.usual_variance + wandered)

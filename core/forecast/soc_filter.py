@@ -27,6 +27,8 @@ from typing import Any, Final
 
 from numba import njit
 
+from core.compiled_cache import watch_sources
+from core.forecast import filter_state, kalman_update, soc_reading
 from core.forecast.filter_state import CAPACITY_SD, CLOSED, DEFAULT_QUANTUM, DRIVER_NAMED, RUNNING
 from core.forecast.kalman_update import apply_named_driver, update_state
 from core.forecast.soc_reading import compute_published_soc, discard_soc, update_with_reading
@@ -105,7 +107,7 @@ def filter_events(events: Any, state: Any, prior: Any, estimates: Any, shifts: A
     return closed
 
 
-@njit(cache=True)
+@njit(cache=False)
 def open_shift(state: Any, event: Any, prior: Any) -> None:
     """Begin a shift, with an unknown driver and the prior distribution of `a - c`."""
     state.shift += 1.0
@@ -131,7 +133,7 @@ def close_shift(state: Any, event: int, lane: int, row: Any) -> None:
     row.driver = state.driver if state.drivers == 1.0 else -1.0  # two drivers share the consumption
 
 
-@njit(cache=True)
+@njit(cache=False)
 def update_with_totals(state: Any, event: Any) -> None:
     """Update the state of a car by the totals of a ride or idle period, and by its reading."""
     passed = event.time - state.time if state.active == 1.0 else 0.0
@@ -162,7 +164,7 @@ def update_with_totals(state: Any, event: Any) -> None:
         record_shift_soc(state)
 
 
-@njit(cache=True)
+@njit(cache=False)
 def remember_totals(state: Any, event: Any) -> None:
     """Remember the totals of an event, from which the next event's changes are counted."""
     if event.kind == CLOSED:
@@ -174,7 +176,7 @@ def remember_totals(state: Any, event: Any) -> None:
         state.seen_time, state.seen_ambient, state.seen_distance = event.duration, event.ambient, event.distance
 
 
-@njit(cache=True)
+@njit(cache=False)
 def update_charging(state: Any, event: Any, passed: float) -> bool:
     """Update when the car was active, plugged in and charged; return whether it charges. `passed` is in seconds."""
     charging = event.since_charge < passed or (event.since_charge == 0.0 and passed == 0.0 and state.charging == 1.0)
@@ -187,7 +189,7 @@ def update_charging(state: Any, event: Any, passed: float) -> bool:
     return bool(charging)
 
 
-@njit(cache=True)
+@njit(cache=False)
 def predict_state(
     state: Any, predicted: float, used: float, duration: float, capacity: float, energy_variance: float
 ) -> None:
@@ -235,7 +237,7 @@ def predict_state(
     state.p_sc += slope_a * state.p_ac + slope_c * state.p_cc
 
 
-@njit(cache=True)
+@njit(cache=False)
 def update_with_meter(state: Any, predicted: float, used: float, variance: float) -> None:
     """Update `a` by the measured energy of a stretch [kWh], with the variance of its residual [kWh^2]."""
     slope = exp(state.begin_log_capacity + state.usual) * predicted
@@ -244,7 +246,7 @@ def update_with_meter(state: Any, predicted: float, used: float, variance: float
     update_state(state, residual, slope * state.p_sa, slope * state.p_aa, slope * state.p_ac, total)
 
 
-@njit(cache=True)
+@njit(cache=False)
 def record_shift_soc(state: Any) -> None:
     """Record the accepted reading as last of the shift, and where it applies as first or lowest."""
     state.last_soc = state.reported
@@ -253,7 +255,7 @@ def record_shift_soc(state: Any) -> None:
     state.lowest_soc = min(state.lowest_soc, state.reported)
 
 
-@njit(cache=True)
+@njit(cache=False)
 def write_estimate(state: Any, out: Any) -> None:
     """Write the estimate of a car; `out` is a SOC_ESTIMATE."""
     out.soc, out.variance = compute_published_soc(state, state.quantum), state.p_ss
@@ -263,3 +265,7 @@ def write_estimate(state: Any, out: Any) -> None:
     out.ambient, out.shift, out.quantum = state.ambient, state.shift, state.quantum
     out.charged, out.reported = state.charged, state.last_soc
     out.begin, out.begin_soc, out.distance, out.usual = state.begin, state.begin_soc, state.distance, state.usual
+
+
+watch_sources(filter_events, filter_state, kalman_update, soc_reading)
+watch_sources(close_shift, filter_state, kalman_update, soc_reading)

@@ -34,7 +34,7 @@ JUMP_SD: Final = 0.01
 """Standard deviation that an accepted jump adds to the charge. [1]"""
 
 
-@njit(cache=True)
+@njit(cache=False)
 def update_with_reading(state: Any, event: Any) -> None:
     """Update the state by the reported state of charge of an event.
 
@@ -64,14 +64,14 @@ def update_with_reading(state: Any, event: Any) -> None:
     update_with_step(state, event.soc, quantum)
 
 
-@njit(cache=True)
+@njit(cache=False)
 def discard_soc(state: Any) -> None:
     """Discard the estimate of the charge, so that the next reading initialises it."""
     state.soc = state.reported = state.suspect = nan
     state.frozen = 0.0
 
 
-@njit(cache=True)
+@njit(cache=False)
 def initialise_soc(state: Any, reported: float, quantum: float) -> None:
     """Initialise the estimate of the charge by a reading, with the variance of its quantum."""
     state.soc = state.reported = reported
@@ -79,7 +79,7 @@ def initialise_soc(state: Any, reported: float, quantum: float) -> None:
     state.p_sa = state.p_sc = state.fall = 0.0
 
 
-@njit(cache=True)
+@njit(cache=False)
 def confirm_jump(state: Any, event: Any, limit: float, quantum: float) -> None:
     """Remember a reading that jumped, or accept it once it has stayed; it updates neither `a` nor `c`."""
     if isnan(state.suspect) or abs(event.soc - state.suspect) > limit:
@@ -90,7 +90,7 @@ def confirm_jump(state: Any, event: Any, limit: float, quantum: float) -> None:
         accept_reading(state, event.soc)
 
 
-@njit(cache=True)
+@njit(cache=False)
 def update_with_step(state: Any, reported: float, quantum: float) -> None:
     """Update the state by a step of the reading.
 
@@ -113,7 +113,7 @@ def update_with_step(state: Any, reported: float, quantum: float) -> None:
     accept_reading(state, reported)
 
 
-@njit(cache=True)
+@njit(cache=False)
 def accept_reading(state: Any, reported: float) -> None:
     """Store an accepted reading as the reference of the next one."""
     state.reported = reported
@@ -121,7 +121,7 @@ def accept_reading(state: Any, reported: float) -> None:
     state.frozen = state.fall = 0.0
 
 
-@njit(cache=True)
+@njit(cache=False)
 def compute_published_soc(state: Any, quantum: float) -> float:
     """Return the mean of the charge, given that the car's own estimate lies in the reported interval. [1]
 
