@@ -4,6 +4,7 @@ Live operation, replay, training and tests run the same steps.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from operator import itemgetter
 from typing import Any, Final, NamedTuple
 
@@ -13,7 +14,7 @@ import pandas as pd
 from core import effects
 from core.batch import Batch, Ints, Lanes, Stateful
 from core.cleaning.kernel import Cleaner
-from core.errors import AskError
+from core.errors import AskError, SettingsError
 from core.forecast.day_rollover import DailyUpdate, DayRollover
 from core.forecast.engine import ForecastEngine, PendingInput
 from core.forecast.forecast_rows import ForecastRows
@@ -27,12 +28,14 @@ from core.forecast.what_if import answer_query, withhold_charge
 from core.models import EXTENDED_PHYSICAL, Model
 from core.monitoring.shadow import ShadowModels
 from core.settings import Settings, checked
-from core.signals.signals import Signals, ambient_quality
+from core.signals.signals import ambient_quality
 from core.signals.weather import Stations
 from core.snapshot import opened, sealed
-from core.totals.accumulator import Accumulator, Sums, Totals, amounts, join_totals
+from core.totals.accumulator import Accumulator, Sums, Totals, join_totals
+from core.totals.clean_rows import CleanRows, PowerOfEffect, sum_rows
 from core.totals.closed_rides import ClosedTotals
 from core.totals.context import RunContext
+from core.totals.deferred_rows import DeferredRows
 from core.totals.run_counters import RunCounters
 from core.totals.tables import ride_table, unfit_reason, window_table
 from core.vehicles.fleet import Cars
@@ -79,11 +82,13 @@ class Pipeline:
         False keeps no totals of rides and windows, for a consumer that never takes tables.
     keep_outlooks : bool
         True keeps every forecast of the state of charge, and every shift, until they are taken.
+    two_sided : bool
+        True sums a ride only after its end, with its elevation smoothed from both sides; it excludes forecasts.
 
     Raises
     ------
     SettingsError
-        If a setting is outside its limits.
+        If a setting is outside its limits, or `two_sided` is combined with `keep_forecasts`.
     ModelError
         If two models have the same name and version.
     """
@@ -99,14 +104,16 @@ class Pipeline:
         keep_forecasts: bool = True,
         keep_tables: bool = True,
         keep_outlooks: bool = False,
+        two_sided: bool = False,
     ) -> None:
+        if two_sided and keep_forecasts:
+            raise SettingsError("two_sided is True with keep_forecasts; set keep_forecasts=False, as forecasts are causal")
         self.settings = checked(settings)
         self.prefix = prefix
         self.keep_forecasts, self.keep_tables, self.keep_outlooks = keep_forecasts, keep_tables, keep_outlooks
         of_model = dict.fromkeys((*model.effects, *also))
         of_shadows = dict.fromkeys(name for shadow in shadows for name in shadow.effects)
         self.effects = [effects.get(name) for name in of_model | of_shadows]
-        self._of_model = len(of_model)  # the effects before this one must not fail; those of shadows only may
         self.lanes, self.cars = Lanes(), Cars()
         self.context = RunContext(self.lanes, self.cars, [each.name for each in self.effects], self.settings, model)
         self.decoder = Decoder(self.lanes)
@@ -114,9 +121,13 @@ class Pipeline:
         self.cleaner = Cleaner(self.settings)
         self.stations = Stations()
         self.accumulator = Accumulator(len(self.effects))
+        self.deferred = DeferredRows() if two_sided else None
         self.counters = RunCounters()
         self.closed = ClosedTotals(self.accumulator.none())
         self.shadows = ShadowModels([model, *shadows], prefix, keep=keep_forecasts)
+        first, rest = self.effects[: len(of_model)], self.effects[len(of_model) :]  # effects of shadows only may fail
+        self._powers: list[PowerOfEffect] = [(effect.per, effect.power) for effect in first]
+        self._powers += [(effect.per, partial(self.shadows.power, effect)) for effect in rest]
         self.engine = ForecastEngine(self.context, self.accumulator.width)
         self._pending = PendingInput(self.accumulator.none())
         self._due: list[Due] = []
@@ -130,25 +141,12 @@ class Pipeline:
     # Messages in
 
     def push(self, messages: Sequence[Message]) -> list[Message]:
-        """Take messages in the order of their arrival, and return the forecasts that have become due.
-
-        Parameters
-        ----------
-        messages : sequence of Message
-            Messages in the order of their arrival.
-
-        Returns
-        -------
-        list of Message
-            Forecasts in the order in which they became due.
-        """
+        """Take messages, and return the forecasts that have become due: `take` followed by `forecasts`."""
         self.take(messages)
         return self.forecasts()
 
     def take(self, messages: Sequence[Message]) -> None:
         """Take messages in the order of their arrival, without returning forecasts.
-
-        `forecasts` then returns those that have become due.
 
         Event time alone decides which samples call for a forecast. The same messages therefore give the same forecasts,
         to the bit, however they are cut into batches.
@@ -189,6 +187,8 @@ class Pipeline:
     def finish(self) -> list[Message]:
         """Close all rides, windows and running errors in progress at the end of the stream, and return no messages."""
         self._update_forecasts()
+        for rows in self.deferred.close() if self.deferred else ():
+            self._take_closed_of(rows)
         sums = self.accumulator.close()
         self._take_closed(sums)
         if self.keep_forecasts:
@@ -205,15 +205,20 @@ class Pipeline:
         kind = self.cars.kinds(batch.lane[start:stop], changes, len(self.lanes))
         for at in range(start, stop, BLOCK):
             end = min(at + BLOCK, stop)
-            sums = self.sum_up(batch.rows(at, end), kind[at - start : end - start])
+            rows = self.clean_up(batch.rows(at, end), kind[at - start : end - start])
+            if self.deferred is not None:
+                for released in self.deferred.add(rows):
+                    self._take_closed_of(released)
+                continue
+            sums = self.sum_up(rows)
             self._take_closed(sums)
             if self.keep_forecasts:
                 self._pending.add_sums(sums, at, end - at)
                 if self._pending.size >= BLOCK:
                     self._update_forecasts(end)
 
-    def sum_up(self, batch: Batch, kind: Ints) -> Sums:
-        """Run the steps from samples to totals: clean, weather, signals, effects, totals.
+    def clean_up(self, batch: Batch, kind: Ints) -> CleanRows:
+        """Clean samples and look up their weather.
 
         Parameters
         ----------
@@ -221,22 +226,21 @@ class Pipeline:
             n rows.
         kind : (n,) int
             Kind of car of each row.
-
-        Returns
-        -------
-        Sums
-            Totals that the rows closed, and the running totals of forecasts that they made due.
         """
-        lanes = len(self.lanes)
-        clean = self.cleaner.clean(batch, lanes)
+        clean = self.cleaner.clean(batch, len(self.lanes))
         sky = self.stations.sky(clean.time, clean.latitude, clean.longitude)
         clean = clean._replace(quality=ambient_quality(clean, sky))
         self.counters.count_samples(clean.quality)
-        signals = Signals(clean, sky, self.cars.parameters_of(kind))
-        with np.errstate(all="ignore"):  # a user's effect may divide by a speed that it then masks
-            powers = [(effect.per, effect.power(signals)) for effect in self.effects[: self._of_model]]
-            powers += [(effect.per, self.shadows.power(effect, signals)) for effect in self.effects[self._of_model :]]
-        return self.accumulator.add(clean, kind, amounts(signals, powers), lanes)
+        return CleanRows(clean, sky, kind)
+
+    def sum_up(self, rows: CleanRows) -> Sums:
+        """Run the steps from cleaned rows to totals, see `core.totals.clean_rows.sum_rows`."""
+        return sum_rows(rows, self.cars, self._powers, self.accumulator, len(self.lanes))
+
+    def _take_closed_of(self, released: CleanRows) -> None:
+        """Sum up deferred rows that have been released, a block at a time."""
+        for at in range(0, released.size, BLOCK):
+            self._take_closed(self.sum_up(released.rows(at, at + BLOCK)))
 
     def _take_closed(self, sums: Sums) -> None:
         """Count, evaluate and keep the rides and windows that have ended."""
@@ -324,15 +328,7 @@ class Pipeline:
     def model_errors(self, *, newest_only: bool = False) -> list[Message]:
         """Return the running errors of all models after each ride that ended since the last call.
 
-        Parameters
-        ----------
-        newest_only : bool
-            Return only the running errors after the last of these rides.
-
-        Returns
-        -------
-        list of Message
-            Running errors; empty without shadow models.
+        With `newest_only` return only those after the last of these rides. The list is empty without shadow models.
         """
         return self.shadows.messages(newest_only=newest_only)
 
@@ -391,8 +387,8 @@ class Pipeline:
     def quality(self) -> dict[str, Any]:
         """Return the counters since the start.
 
-        Keys: `received` by kind, `undecodable` by cause, `samples` by quality bit, `rides` ended, `unfit` rides by
-        reason, `unpredicted` rides by reason, `vehicles`, `unpredictable` vehicle messages by reason. With shadows also
+        Keys: `received` by kind, `undecodable` by cause, `samples` by quality bit, `rides` ended, rides `unfit` and
+        `unpredicted` by reason, `vehicles`, `unpredictable` vehicle messages by reason. With shadows also
         `unpredicted_by_shadow`, of the rides that count, and `shadow_faults` by cause.
         """
         counts = {
@@ -479,14 +475,18 @@ class Pipeline:
             "counters": self.counters,
             "engine": self.engine,
         }
+        if self.deferred is not None:
+            components["deferred"] = self.deferred
         return components | {"shadows": self.shadows} if self.shadows else components
 
     def _forget_ride_names(self) -> None:
         """Forget the names of rides that have ended, once there are many."""
         if len(self.decoder.rides) > 2 * len(self.lanes) + MOST_RIDE_NAMES:
             self._update_forecasts()
-            due = [each.totals.at_last("code") for each in self._due]
-            self.decoder.rides.keep(set(np.concatenate([self.cleaner.ride_codes(), *due]).tolist()))
+            used = [each.totals.at_last("code") for each in self._due]
+            if self.deferred is not None:  # rides that wait, and rides that the next row of their car will close
+                used += [self.deferred.ride_codes(), self.accumulator.ride_codes()]
+            self.decoder.rides.keep(set(np.concatenate([self.cleaner.ride_codes(), *used]).tolist()))
 
     def _ride_names(self, totals: Totals) -> list[str | None]:
         """Return the names that loggers gave to rides."""

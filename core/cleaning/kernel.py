@@ -25,6 +25,7 @@ from core.settings import Settings
 
 _OWN_FIELDS: Final = (
     *(f"last_{name}" for name in ("latitude", "longitude", "speed", "current", "soc")),  # by which to find duplicates
+    "last_elevation",  # as reported with the last row [m]
     "power",  # [W]
     "has_power",
     "soc",  # last reported [1]
@@ -83,13 +84,18 @@ class Clean(NamedTuple):
     dt, travel : (n,) float64
         Time that the row stands for, and time in which its distance was driven. [s]
     distance, climb : (n,) float64
-        Distance driven in the step, and change of elevation. [m]
+        Distance driven in the step, and change of elevation. [m] `climb` is causal here; `core.totals.deferred_rows`
+        replaces it, and `elevation`, by the two-sided estimate.
+    causal_climb : (n,) float64
+        Change of elevation in the step from fixes up to this row only. [m]
     speed, acceleration : (n,) float64
         Smoothed, over the step. [m/s], [m/s^2]
     latitude, longitude, heading, turn_rate : (n,) float64
         Of the last accepted fix. [rad], the last one [rad/s]
     elevation : (n,) float64
         Smoothed elevation. [m]
+    elevation_fix : (n,) float64
+        Elevation as reported with a new fix; NaN where there is none, or where the receiver repeats the last fix. [m]
     power : (n,) float64
         Power drawn from the battery at the sample, by voltage times current; NaN where not measured. [W]
     energy, metered : (n,) float64
@@ -120,6 +126,7 @@ class Clean(NamedTuple):
     travel: Floats
     distance: Floats
     climb: Floats
+    causal_climb: Floats
     speed: Floats
     acceleration: Floats
     latitude: Floats
@@ -127,6 +134,7 @@ class Clean(NamedTuple):
     heading: Floats
     turn_rate: Floats
     elevation: Floats
+    elevation_fix: Floats
     power: Floats
     energy: Floats
     metered: Floats
@@ -276,6 +284,7 @@ def clean_rows(columns: Any, states: Any, all_settings: Any, rows: Any, cells: A
 @njit(cache=False)
 def clean_row(state: Any, row: Any, settings: Any) -> None:
     """Clean one row."""
+    repeated = repeats_fix(state, row)
     dt, bits = clock.advance_clock(state, row.raw_stamp, row.raw_seq, repeats_content(state, row), settings.period)
     row.quality += bits
     row.lane = row.raw_lane
@@ -283,6 +292,8 @@ def clean_row(state: Any, row: Any, settings: Any) -> None:
         row.speed = state.smooth
     else:
         use_row(state, row, dt, settings)
+    row.causal_climb = row.climb
+    row.elevation_fix = nan if repeated or dt == clock.UNUSED else row.raw_elevation
     row.ride = state.rides - 1.0 if state.riding == 1.0 else -1.0
     row.window = state.windows
     row.time, row.elapsed, row.parked, row.since_charge = state.time, state.elapsed, state.parked, state.since_charge
@@ -329,6 +340,18 @@ def find_lost_time(state: Any, bits: int, dt: float, settings: Any) -> float:
     """Return how much of a step lacks samples although the logger was switched on. [s]"""
     missing = bits & clock.GAP and not bits & clock.SEQUENCE and dt <= settings.gap_time
     return dt - state.period if missing else 0.0
+
+
+@njit(cache=False)
+def repeats_fix(state: Any, row: Any) -> bool:
+    """Return whether a row repeats the position and elevation of the row before it, and keep its elevation.
+
+    A receiver without reception, as in a tunnel, reports its last fix again.
+    """
+    same = row.raw_latitude == state.last_latitude and row.raw_longitude == state.last_longitude
+    same &= row.raw_elevation == state.last_elevation
+    state.last_elevation = row.raw_elevation
+    return same
 
 
 @njit(cache=False)

@@ -26,6 +26,8 @@ AMOUNTS: Final = (
     "distance",  # [m]
     "gained",  # sum of climbs [m]
     "lost",  # sum of descents [m]
+    "gained_causal",  # the same from fixes up to each sample only [m]
+    "lost_causal",
     "energy",  # by voltage times current [J]
     "metered",  # time for which that energy is known [s]
     "energy_variance",  # of that energy [J^2]
@@ -273,6 +275,10 @@ class Accumulator:
         rows[:, ride] += rows[:, window]
         return self._read(rows)
 
+    def ride_codes(self) -> Floats:
+        """Return the code of the last ride of each lane, see `core.wire.rides.RideNames`."""
+        return self._open[:, self._layout.last + EDGES.index("code")]
+
     def _output_rows(self, lanes: Ints) -> Floats:
         """Return output rows of the open totals of some lanes, without a row of the batch."""
         rows = np.empty((len(lanes), _OUT_HEAD + self._layout.size))
@@ -322,6 +328,8 @@ def amounts(signals: Signals, powers: Sequence[tuple[str, Floats]]) -> Floats:
         "distance": clean.distance,
         "gained": np.maximum(climb, 0.0),
         "lost": np.maximum(-climb, 0.0),
+        "gained_causal": np.maximum(clean.causal_climb, 0.0),
+        "lost_causal": np.maximum(-clean.causal_climb, 0.0),
         "energy": clean.energy,
         "metered": clean.metered,
         "energy_variance": clean.energy_variance,

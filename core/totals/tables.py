@@ -268,6 +268,8 @@ def _physical(totals: Totals, cars: Cars) -> dict[str, Floats]:
         "average_speed_kmh": speed / KMH,
         "gained_m": totals.amount("gained"),
         "lost_m": totals.amount("lost"),
+        "gained_causal_m": totals.amount("gained_causal"),
+        "lost_causal_m": totals.amount("lost_causal"),
         "ambient_c": _mean(totals, "ambient") - ZERO_CELSIUS,
         "wind_speed_kmh": _mean(totals, "wind", "wind_known") / KMH,
         "wind_from_deg": np.where(windy, direction, np.nan),

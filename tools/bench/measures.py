@@ -156,7 +156,10 @@ def measure_arrays(repeats: int = 5, cars: int = 1000, turns: int = 200) -> Meas
         fresh = _prepared_pipeline(cars)
         kind = fresh.cars.kinds(batch.lane, [], cars)
         return time_action(
-            lambda: [fresh.sum_up(batch.rows(at, at + BLOCK), kind[at : at + BLOCK]) for at in range(0, n, BLOCK)]
+            lambda: [
+                fresh.sum_up(fresh.clean_up(batch.rows(at, at + BLOCK), kind[at : at + BLOCK]))
+                for at in range(0, n, BLOCK)
+            ]
         )
 
     del pipeline
