@@ -107,7 +107,7 @@ class Pipeline:
         two_sided: bool = False,
     ) -> None:
         if two_sided and keep_forecasts:
-            raise SettingsError("two_sided is True with keep_forecasts; set keep_forecasts=False, as forecasts are causal")
+            raise SettingsError("two_sided is True, but forecasts are causal; set keep_forecasts=False")
         self.settings = checked(settings)
         self.prefix = prefix
         self.keep_forecasts, self.keep_tables, self.keep_outlooks = keep_forecasts, keep_tables, keep_outlooks

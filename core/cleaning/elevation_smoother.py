@@ -27,9 +27,6 @@ from numpy.typing import NDArray
 from core.batch import Floats
 from core.cleaning.kernel import Clean
 
-TWO_SIDED: Final = ("elevation", "climb")
-"""Columns of `Clean` that `smooth_elevation` replaces."""
-
 LENGTH: Final = 500.0
 """Length over which the slope of a road returns to level. [m]
 
@@ -89,7 +86,7 @@ def smooth_elevation(clean: Clean) -> Clean:
     Returns
     -------
     Clean
-        The rows with other `TWO_SIDED` columns; idle periods, and rides without a fix, keep theirs.
+        The rows with other `elevation` and `climb`; idle periods, and rides without a fix, keep theirs.
     """
     riding = np.flatnonzero(clean.ride >= 0)
     order = riding[np.argsort(clean.lane[riding], kind="stable")]

@@ -98,7 +98,8 @@ def tables(
     socast tables recordings/shift.mcap --out tables
     socast tables kept/*.mcap --out tables --effects my_effects.py --period-s 1
     """
-    pipeline = Pipeline(models.load(model), settings, also=effects.list_tabulated(), keep_forecasts=False, two_sided=True)
+    wanted = effects.list_tabulated()
+    pipeline = Pipeline(models.load(model), settings, also=wanted, keep_forecasts=False, two_sided=True)
     sources = open_recordings(recordings)
     folder = _folder(out)
     read = [*recordings, *select_model_files([model]), *(effects_file or ())]

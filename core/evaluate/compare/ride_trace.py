@@ -36,7 +36,17 @@ SUM_TOLERANCE: Final = (0.01, 0.02)
 WINDOW_COLUMNS: Final = ("ride_key", "window", "duration_s", "distance_km", "energy_vi_kwh", "energy_soc_kwh")
 """Columns of the window table that a trace needs, in addition to those that models read."""
 SUMS: Final = frozenset(
-    {"duration_s", "distance_km", "gained_m", "lost_m", "gained_causal_m", "lost_causal_m", "stops", "samples", *HISTOGRAM}
+    {
+        "duration_s",
+        "distance_km",
+        "gained_m",
+        "lost_m",
+        "gained_causal_m",
+        "lost_causal_m",
+        "stops",
+        "samples",
+        *HISTOGRAM,
+    }
 )
 """Columns that are summed over windows, in addition to the energies of effects."""
 MEANS: Final = ("ambient_c", "precipitation_mm_h", "wind_speed_kmh")

@@ -65,7 +65,7 @@ def remove_power(message):
 def run_pipeline(simulation, measurement):
     """Return rides and windows of a simulation from the whole pipeline."""
     messages = list(simulate(simulation))
-    pipeline = Pipeline(also=effects.list_tabulated(), keep_forecasts=False)
+    pipeline = Pipeline(also=effects.list_tabulated(), keep_forecasts=False, two_sided=True)
     pipeline.take(messages if measurement == "vi" else [remove_power(message) for message in messages])
     pipeline.finish()
     return pipeline.take_rides(), pipeline.take_windows()

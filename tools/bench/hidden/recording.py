@@ -1,8 +1,9 @@
 """Make the ride and window tables of each data set from the drives, in at most about a second.
 
-The steps are those of `core.pipeline` with `two_sided`. What a hidden effect cannot change is computed once: the decoded rows, their
-weather, and the energies of nearly all effects. The rest is computed for each data set with the functions of the
-product: cleaning, the measured energy, the effects that depend on the state of charge, totals and tables.
+The steps are those of `core.pipeline` with `two_sided`. What a hidden effect cannot change is computed once: the
+decoded rows, their weather, their smoothed elevation, and the energies of nearly all effects. The rest is computed for
+each data set with the functions of the product: cleaning, the measured energy, the effects that depend on the state of
+charge, totals and tables.
 """
 
 from collections.abc import Sequence
@@ -15,7 +16,7 @@ import pandas as pd
 
 from core import effects
 from core.batch import Batch, Floats, Ints, Lanes
-from core.cleaning.elevation_smoother import TWO_SIDED, smooth_elevation
+from core.cleaning.elevation_smoother import smooth_elevation
 from core.cleaning.kernel import Clean, Cleaner
 from core.columns import JOULES_PER_KWH
 from core.effects import Effect
@@ -126,8 +127,8 @@ class Recording:
         What each row adds to the sums, a block of `BLOCK` rows each.
     timing : (n,) float
         Time that each row stands for. [s]
-    two_sided : dict of str to (n,) float
-        Columns of the cleaned rows that are estimated from both sides; no hidden effect changes them.
+    elevation, climb : (n,) float
+        Elevation of each row and climb of its step, smoothed over whole rides. [m]
     effects : list of Effect
         That tables hold.
     """
@@ -143,7 +144,8 @@ class Recording:
     sky: Sky
     rates: list[Floats]
     timing: Floats
-    two_sided: dict[str, Floats]
+    elevation: Floats
+    climb: Floats
     effects: list[Effect]
 
     def tables(self, measured: Readings, measurement: Measurement, names: Sequence[str] = ()) -> Tables:
@@ -164,7 +166,7 @@ class Recording:
         """
         hidden = measured.hidden[:, self.car, self.number]
         filled = _filled(self.batch, measured, measurement, self.car, self.number)
-        clean = _cleaned(filled, len(self.lanes), self.sky)._replace(**self.two_sided)
+        clean = _cleaned(filled, len(self.lanes), self.sky)._replace(elevation=self.elevation, climb=self.climb)
         if not np.array_equal(clean.dt, self.timing):
             raise ValueError("a hidden effect has changed which samples are used, so the stored rates are invalid")
         accumulator = Accumulator(len(self.effects) + ROOM)
@@ -231,13 +233,13 @@ def record_drives(drives: Drives, messages: Sequence[Message] | None = None) -> 
     measured = drives.measured()
     nowhere = Sky(*np.full((len(Sky._fields), batch.size), np.nan))
     recording = Recording(
-        batch, car, number, kind, lanes.names, decoder.rides, drivers,
-        cars, nowhere, [], np.empty(0), {}, [effects.get(name) for name in effects.list_tabulated()],
+        batch, car, number, kind, lanes.names, decoder.rides, drivers, cars, nowhere,
+        [], np.empty(0), np.empty(0), np.empty(0), [effects.get(name) for name in effects.list_tabulated()],
     )  # fmt: skip
     clean = _cleaned(_filled(batch, measured, "vi", car, number), len(lanes), nowhere)
     recording.timing = clean.dt
     clean = smooth_elevation(clean)
-    recording.two_sided = {name: getattr(clean, name) for name in TWO_SIDED}
+    recording.elevation, recording.climb = clean.elevation, clean.climb
     recording.sky = _weather(clean, [(event.row, event.value) for event in events if isinstance(event.value, Weather)])
     for start in range(0, batch.size, BLOCK):
         rows = slice(start, start + BLOCK)
