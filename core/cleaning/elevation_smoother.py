@@ -60,7 +60,7 @@ MOST_STEPS: Final = 8
 SWEEPS: Final = 3
 """Largest number of passes over the three parameters."""
 
-SHORT: Final = 0.01
+SHORT: Final = 1e-3
 """Ratio of a step to `LENGTH` below which the noise of the step is that of doubly integrated white noise. [1]"""
 
 ESTIMATE: Final = np.dtype([(name, "f8") for name in ("height", "slope", "var_height", "covariance", "var_slope")])

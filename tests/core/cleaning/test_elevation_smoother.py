@@ -1,0 +1,239 @@
+"""Test the two-sided elevation against filterpy, planted hills, and every gap that the fixes of a ride may have."""
+
+import numpy as np
+import pytest
+from filterpy.common import van_loan_discretization
+from filterpy.kalman import KalmanFilter
+
+from core.cleaning.elevation_smoother import (
+    CORRELATION_TIME,
+    FAR,
+    LENGTH,
+    ROUGHNESS,
+    STEEP,
+    design_unit_noise,
+    find_noise,
+    smooth_elevation,
+    smooth_ride,
+)
+from tests.support.telemetry import PERIOD, cleaned, drive, joined, picked
+
+WHITE = 1e-9
+"""Correlation time of an error that is white. [s]"""
+
+
+def ride(n=300, seed=1, sd=2.0, keep=0.37, height=60.0):
+    """Return a drive over hills 3 km long, with fixes whose errors are correlated, and the true elevation."""
+    columns = drive(n, seed=seed)
+    truth = height + 30.0 * np.sin(columns["metres"] * 2 * np.pi / 3000.0)
+    rng = np.random.default_rng(seed)
+    error = np.zeros(n)
+    for i, draw in enumerate(rng.normal(size=n)):
+        error[i] = draw if i == 0 else keep * error[i - 1] + np.sqrt(1 - keep**2) * draw
+    return columns | {"elevation_m": np.round(truth + sd * error, 1)}, truth
+
+
+def compute_rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+# Against filterpy
+
+
+def run_filterpy(distance, time, fix, noise):
+    """Return heights, slopes and covariances by filterpy's filter and smoother."""
+    roughness, sd, correlation_time = noise
+    force = np.array([[0.0], [np.sqrt(roughness)]])
+    steps = [van_loan_discretization(np.array([[0.0, 1.0], [0.0, -1.0 / LENGTH]]), force, d) for d in distance]
+    transitions = [
+        np.eye(2) if d == 0.0 or i == 0 else f for i, (d, (f, _)) in enumerate(zip(distance, steps, strict=True))
+    ]
+    noises = [
+        np.zeros((2, 2)) if d == 0.0 or i == 0 else q for i, (d, (_, q)) in enumerate(zip(distance, steps, strict=True))
+    ]
+    values, readings, variances, last, run, age = [], [], [], None, 0.0, 0.0
+    for d, t, z in zip(distance, time, fix, strict=True):
+        run, age = run + d, age + t
+        related = 0.0 if last is None or age == 0.0 else np.exp(-age / correlation_time)
+        values.append(None if np.isnan(z) else z - related * (last or 0.0))
+        readings.append(np.array([[1.0 - related, related * run]]))
+        variances.append(np.array([[sd**2 * (1.0 - related**2)]]))
+        if not np.isnan(z):
+            last, run, age = z, 0.0, 0.0
+    kalman = KalmanFilter(dim_x=2, dim_z=1)
+    kalman.x = np.array([[fix[~np.isnan(fix)][0]], [0.0]])
+    kalman.P = np.diag([FAR**2, STEEP**2])
+    means, covariances, _, _ = kalman.batch_filter(values, Fs=transitions, Qs=noises, Hs=readings, Rs=variances)
+    means, covariances, _, _ = kalman.rts_smoother(means, covariances, transitions, noises)
+    return means[:, 0, 0], means[:, 1, 0], covariances
+
+
+@pytest.mark.parametrize(("seed", "missing"), [(1, 0.0), (2, 0.3), (3, 0.8)])
+@pytest.mark.parametrize("correlation_time", [WHITE, 4.0, 20.0])
+def test_smoother_equals_filterpy(seed, missing, correlation_time):
+    rng = np.random.default_rng(seed)
+    n = 60
+    distance = np.where(rng.random(n) < 0.3, 0.0, rng.gamma(1.0, 40.0, n))
+    distance[[0, 30]] = 0.0, 1300.0
+    time = rng.choice([3.0, 6.0], n)
+    fix = 50.0 + np.cumsum(0.02 * distance) + rng.normal(0.0, 2.0, n)
+    fix[1:][rng.random(n - 1) < missing] = np.nan
+    noise = (1e-5, 6.0, correlation_time)  # no fix is beyond the gate
+    smoothed = smooth_ride(distance, time, fix, noise)
+    height, slope, covariance = run_filterpy(distance, time, fix, noise)
+    np.testing.assert_allclose(smoothed["height"], height, atol=1e-4)
+    np.testing.assert_allclose(smoothed["slope"], slope, atol=1e-6)
+    np.testing.assert_allclose(smoothed["var_height"], covariance[:, 0, 0], rtol=1e-4)
+    np.testing.assert_allclose(smoothed["covariance"], covariance[:, 0, 1], rtol=1e-3, atol=1e-7)
+    np.testing.assert_allclose(smoothed["var_slope"], covariance[:, 1, 1], rtol=1e-4)
+
+
+# Noise
+
+
+def test_noise_of_the_fixes_is_recovered():
+    estimates = []
+    for seed in range(8):
+        clean = cleaned(ride(600, seed)[0])
+        noise = find_noise(clean.distance, clean.dt, clean.elevation_fix, design_unit_noise())
+        estimates.append(noise[1:])
+    sd, correlation_time = np.median(estimates, axis=0)
+    assert sd == pytest.approx(2.0, rel=0.3)
+    assert correlation_time == pytest.approx(PERIOD, rel=1.0)
+
+
+def test_rough_terrain_has_a_larger_roughness_than_level_ground():
+    def roughness(columns):
+        clean = cleaned(columns)
+        return find_noise(clean.distance, clean.dt, clean.elevation_fix, design_unit_noise())[0]
+
+    hills, truth = ride(600)
+    level = hills | {"elevation_m": hills["elevation_m"] - truth + 60.0}
+    assert roughness(hills) > 3.0 * roughness(level)
+
+
+def test_ride_with_few_fixes_has_the_usual_noise():
+    fix = np.full(20, np.nan)
+    fix[[3, 15]] = 40.0, 41.0
+    noise = find_noise(np.full(20, 30.0), np.full(20, PERIOD), fix, design_unit_noise())
+    assert noise[0] == pytest.approx(ROUGHNESS, rel=10.0)
+    assert noise[2] == pytest.approx(CORRELATION_TIME, rel=2.0)
+
+
+# Whole rides
+
+
+def test_climb_is_nearer_the_truth_than_the_causal_one():
+    ratios = []
+    for seed in range(6):
+        columns, truth = ride(400, seed)
+        clean = smooth_elevation(cleaned(columns))
+        windows = np.arange(0, 400, 20)
+        errors = [
+            np.add.reduceat(climb - np.diff(truth, prepend=truth[0]), windows)
+            for climb in (clean.climb, clean.causal_climb)
+        ]
+        ratios.append(compute_rms(errors[0]) / compute_rms(errors[1]))
+    assert np.mean(ratios) < 0.6
+
+
+def test_gained_height_is_that_of_the_hills():
+    gained, true = 0.0, 0.0
+    for seed in range(10):
+        columns, truth = ride(600, 50 + seed)
+        gained += np.maximum(smooth_elevation(cleaned(columns)).climb, 0.0).sum()
+        true += np.maximum(np.diff(truth), 0.0).sum()
+    assert gained == pytest.approx(true, rel=0.05)
+
+
+def test_elevation_changes_by_the_climb_in_every_step():
+    clean = smooth_elevation(cleaned(ride()[0]))
+    np.testing.assert_allclose(np.diff(clean.elevation), clean.climb[1:], atol=1e-9)
+
+
+def test_standing_car_climbs_nothing_and_averages_its_fixes():
+    rng = np.random.default_rng(2)
+    columns = drive(400, speed=np.where((np.arange(400) > 150) & (np.arange(400) < 250), 0.0, 10.0))
+    columns["elevation_m"] = 50.0 + rng.normal(0.0, 3.0, 400)
+    clean = smooth_elevation(cleaned(columns))
+    stands = clean.distance == 0.0
+    assert stands.sum() > 90
+    assert np.all(clean.climb[stands] == 0.0)
+    assert clean.elevation[200] == pytest.approx(columns["elevation_m"][155:245].mean(), abs=0.5)
+
+
+def test_height_is_interpolated_where_fixes_are_missing():
+    columns, truth = ride(400, sd=0.5)
+    columns["elevation_m"][150:165] = np.nan
+    clean = smooth_elevation(cleaned(columns))
+    assert np.abs(clean.elevation - truth)[150:165].max() < 3.0
+
+
+def test_tunnel_is_climbed_although_its_fixes_are_frozen():
+    columns, _ = ride(300, seed=3, sd=1.0)
+    columns["speed_kmh"][100:130] = 60.0
+    columns["metres"] = np.concatenate([[0.0], np.cumsum(np.diff(columns["metres"]))])
+    for name in ("latitude_deg", "longitude_deg", "elevation_m"):
+        columns[name][100:130] = columns[name][99]
+    clean = smooth_elevation(cleaned(columns))
+    assert np.isnan(clean.elevation_fix[101:130]).all()
+    assert np.abs(clean.climb).sum() > 0.0
+    assert np.abs(np.diff(clean.elevation[100:130])).max() < 5.0
+
+
+def test_ends_of_a_ride_without_fixes_stay_near_the_nearest_fix():
+    columns, _ = ride(400, sd=1.0)
+    columns["elevation_m"][:30] = columns["elevation_m"][-100:] = np.nan
+    clean = smooth_elevation(cleaned(columns))
+    assert np.isfinite(clean.climb).all()
+    assert np.abs(clean.elevation[-100:] - clean.elevation[-101]).max() < LENGTH * 0.05
+
+
+def test_car_without_elevation_keeps_its_columns():
+    clean = cleaned(drive(100))
+    smoothed = smooth_elevation(clean)
+    assert np.all(smoothed.climb == 0.0)
+    assert np.isnan(smoothed.elevation).all()
+
+
+def test_wrong_fixes_make_no_hills():
+    columns, truth = ride(400, sd=1.0)
+    columns["elevation_m"][[0, 120, 121, 300]] += 400.0
+    clean = smooth_elevation(cleaned(columns))
+    assert compute_rms(clean.elevation - truth) < 2.0
+
+
+def test_lasting_change_of_level_is_followed():
+    columns = drive(400, speed=10.0)
+    columns["elevation_m"] = np.where(np.arange(400) < 200, 50.0, 150.0) + np.random.default_rng(4).normal(0, 1.0, 400)
+    clean = smooth_elevation(cleaned(columns))
+    assert clean.elevation[350] == pytest.approx(150.0, abs=1.0)
+    assert clean.elevation[50] == pytest.approx(50.0, abs=1.0)
+
+
+def test_rides_are_smoothed_apart_and_idle_rows_are_left():
+    first, second = ride(150, 1)[0], ride(150, 2)[0]
+    second["elevation_m"] = second["elevation_m"] + 300.0
+    columns = joined(first, second)
+    columns["time_s"], columns["seq"] = columns["time_s"][0] + PERIOD * np.arange(300), np.arange(300)
+    columns["ride_id"] = np.array(["A"] * 140 + [None] * 10 + ["B"] * 150, dtype=object)
+    clean = cleaned(columns)
+    both = smooth_elevation(clean)
+    idle = clean.ride < 0
+    np.testing.assert_array_equal(both.climb[idle], clean.climb[idle])
+    alone = smooth_elevation(clean._replace(**{n: v[~idle] for n, v in clean._asdict().items()}))
+    np.testing.assert_array_equal(both.climb[~idle], alone.climb)
+    assert np.abs(both.climb).max() < 20.0
+
+
+def test_inputs_are_left_as_they_are():
+    clean = cleaned(ride(100)[0])
+    before = clean.climb.copy(), clean.elevation.copy()
+    smooth_elevation(clean)
+    np.testing.assert_array_equal(clean.climb, before[0])
+    np.testing.assert_array_equal(clean.elevation, before[1])
+
+
+def test_repeated_fix_of_a_standing_car_counts_once():
+    columns = picked(drive(50, speed=0.0, elevation_m=40.0), slice(None))
+    assert np.isfinite(cleaned(columns).elevation_fix).sum() == 1
