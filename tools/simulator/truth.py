@@ -15,6 +15,7 @@ from tools.simulator.logger import Equipment
 from tools.simulator.physics import PARTS, State
 from tools.simulator.settings import PRESET_SETTINGS, STEP, Simulation
 from tools.simulator.shift import Shift
+from tools.simulator.world import compute_elevation, to_plane
 
 KWH = 3.6e6
 
@@ -30,7 +31,7 @@ class Truth:
     factors : dict of str to float
         Factor of each hidden effect. [1]
     rides : list of dict
-        For each ride: its true distance; its energy at the terminals of the battery (`energy_kwh`, the integral of
+        For each ride: its true distance, and the heights that it gains and loses; its energy at the terminals of the battery (`energy_kwh`, the integral of
         voltage times current); the loss inside the battery (`battery_resistance_kwh`); the parts that add up to
         `energy_kwh`; and the energy of each hidden effect.
     cars : dict of str to dict
@@ -102,6 +103,8 @@ class Truth:
             Number of faults of the logger, by kind.
         """
         self.faults[name] += faults
+        heights = compute_elevation(*to_plane(shift.timeline.u, shift.timeline.v))
+        climb = np.diff(heights, prepend=heights[0])
         for index, trip in enumerate(shift.trips):
             inside = slice(trip.begin, trip.end)
             parts = state.parts[inside].sum(axis=0) * STEP / KWH
@@ -113,6 +116,8 @@ class Truth:
                 "start_s": shift.time + STEP * trip.begin,
                 "end_s": shift.time + STEP * trip.end,
                 "distance_km": round(float(shift.timeline.moved[inside].sum()) / 1000, 4),
+                "gained_m": round(float(np.maximum(climb[inside], 0.0).sum()), 2),
+                "lost_m": round(float(np.maximum(-climb[inside], 0.0).sum()), 2),
                 "soc_start_pct": round(100 * float(state.soc[trip.begin]), 3),
                 "soc_end_pct": round(100 * float(state.soc[trip.end - 1]), 3),
                 "energy_kwh": round(float(parts.sum()), 5),

@@ -9,9 +9,11 @@ import pandas as pd
 import pytest
 
 from core import effects
+from core.cleaning.kernel import Cleaner
 from core.diagnose.dataset import Windows, fit_to_windows, gather_windows
 from core.errors import SettingsError
 from core.pipeline import Pipeline
+from core.settings import Settings
 from core.wire.messages import Telemetry, Weather, encode
 from tools.bench.hidden import cases as cases_module
 from tools.bench.hidden.cases import RIGHT_NAMES, Case, SeedData, get_right_names, strip_shape
@@ -24,7 +26,7 @@ from tools.bench.hidden.running import make_tasks, run_cases
 from tools.simulator.fleet import simulate
 from tools.simulator.hidden import EFFECTS
 from tools.simulator.hidden_shapes import OTHER_SHAPES
-from tools.simulator.settings import Hidden
+from tools.simulator.settings import STEPS_PER_SAMPLE, Hidden
 
 SMALL = replace(FLEET, seed=3, vehicles=2, days=2, day_step=100)
 COLD = Hidden("cold_rolling", 0.06)
@@ -85,6 +87,29 @@ class TestData:
                 rtol=1e-12,
                 atol=1e-12,
             )
+
+    def test_smoothed_climb_is_nearer_the_truth_than_the_causal_one(self, drives, recording):
+        heights = np.full((len(drives.vehicles), max(leg.first + leg.samples for leg in drives.legs)), np.nan)
+        for leg in drives.legs:
+            at = slice(STEPS_PER_SAMPLE - 1, leg.samples * STEPS_PER_SAMPLE, STEPS_PER_SAMPLE)
+            rows = slice(leg.first, leg.first + leg.samples)
+            heights[drives.vehicles.index(leg.member.name), rows] = leg.driven.view.trace.elevation[at]
+        true = heights[recording.car, recording.number]
+        clean = Cleaner(Settings()).clean(recording.batch, len(recording.lanes))
+        errors, causal_errors, gained, true_gained = [], [], 0.0, 0.0
+        for lane, ride in set(zip(clean.lane.tolist(), clean.ride.tolist(), strict=True)):
+            rows = np.flatnonzero((clean.lane == lane) & (clean.ride == ride) & (clean.dt > 0.0))
+            if ride < 0 or len(rows) < 20:
+                continue
+            climb = np.diff(true[rows])
+            windows = np.flatnonzero(np.diff(clean.window[rows[1:]], prepend=-1))
+            errors += np.add.reduceat(recording.climb[rows[1:]] - climb, windows).tolist()
+            causal_errors += np.add.reduceat(clean.causal_climb[rows[1:]] - climb, windows).tolist()
+            gained += np.maximum(recording.climb[rows[1:]], 0.0).sum()
+            true_gained += np.maximum(climb, 0.0).sum()
+        assert len(errors) > 100
+        assert np.square(errors).mean() < 0.36 * np.square(causal_errors).mean()
+        assert gained == pytest.approx(true_gained, rel=0.1)
 
     def test_hidden_energy_equals_the_increase_of_measured_energy(self, drives, recording):
         base = recording.tables(drives.measured(), "vi").windows

@@ -49,6 +49,8 @@ class TestLogger:
             measured.append(sum(power) * 3 / 3.6e6)
             driven_km = rows[-1].odometer_km - rows[0].odometer_km
             assert driven_km == pytest.approx(ride["distance_km"], rel=0.03, abs=0.04)
+            climbed = rows[-1].elevation_m - rows[0].elevation_m
+            assert climbed == pytest.approx(ride["gained_m"] - ride["lost_m"], abs=1.0)
         energies = [ride["energy_kwh"] for ride in truth.rides]
         np.testing.assert_allclose(measured, energies, rtol=0.15, atol=0.05)  # one sample covers 3 s
         assert sum(measured) == pytest.approx(sum(energies), rel=0.03)
