@@ -31,9 +31,9 @@ class Truth:
     factors : dict of str to float
         Factor of each hidden effect. [1]
     rides : list of dict
-        For each ride: its true distance, and the heights that it gains and loses; its energy at the terminals of the battery (`energy_kwh`, the integral of
-        voltage times current); the loss inside the battery (`battery_resistance_kwh`); the parts that add up to
-        `energy_kwh`; and the energy of each hidden effect.
+        For each ride: its true distance, and the heights that it gains and loses; its energy at the terminals of the
+        battery (`energy_kwh`, the integral of voltage times current); the loss inside the battery
+        (`battery_resistance_kwh`); the parts that add up to `energy_kwh`; and the energy of each hidden effect.
     cars : dict of str to dict
         For each car: its true parameters in SI units, its model, and what its logger lacks.
     faults : dict of str to Counter
