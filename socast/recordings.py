@@ -165,7 +165,7 @@ def make_tables(
     True
     """
     wanted = effects.list_tabulated() if also is None else list(also)
-    pipeline = Pipeline(model, settings or Settings(), also=wanted, keep_forecasts=False, two_sided=True)
+    pipeline = Pipeline(model, settings or Settings(), also=wanted, keep_forecasts=False)
     for messages in _blocks(recordings):
         pipeline.take(messages)
     pipeline.finish()

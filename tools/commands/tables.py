@@ -99,7 +99,7 @@ def tables(
     socast tables kept/*.mcap --out tables --effects my_effects.py --period-s 1
     """
     wanted = effects.list_tabulated()
-    pipeline = Pipeline(models.load(model), settings, also=wanted, keep_forecasts=False, two_sided=True)
+    pipeline = Pipeline(models.load(model), settings, also=wanted, keep_forecasts=False)
     sources = open_recordings(recordings)
     folder = _folder(out)
     read = [*recordings, *select_model_files([model]), *(effects_file or ())]
@@ -176,7 +176,7 @@ def in_memory(recordings: Sequence[Path], wanted: Sequence[str]) -> tuple[pd.Dat
     -------
     rides, windows : DataFrame
     """
-    pipeline = Pipeline(also=wanted, keep_forecasts=False, two_sided=True)
+    pipeline = Pipeline(also=wanted, keep_forecasts=False)
     sources = open_recordings(recordings)
     parts: list[tuple[pd.DataFrame, pd.DataFrame]] = []
     tabulate(sources, pipeline, lambda rides, windows: parts.append((rides, windows)))
