@@ -13,6 +13,7 @@ import pandas as pd
 
 from core import effects
 from core.batch import Batch, Ints, Lanes, Stateful
+from core.cleaning.elevation_map import ElevationMap
 from core.cleaning.kernel import Cleaner
 from core.errors import AskError, SettingsError
 from core.forecast.day_rollover import DailyUpdate, DayRollover
@@ -84,6 +85,8 @@ class Pipeline:
         True keeps every forecast of the state of charge, and every shift, until they are taken.
     two_sided : bool
         True sums a ride only after its end, with its elevation smoothed from both sides; it excludes forecasts.
+    elevation_map : ElevationMap, optional
+        Corrects the elevation of every car's fixes before the cleaning.
 
     Raises
     ------
@@ -105,6 +108,7 @@ class Pipeline:
         keep_tables: bool = True,
         keep_outlooks: bool = False,
         two_sided: bool = False,
+        elevation_map: ElevationMap | None = None,
     ) -> None:
         if two_sided and keep_forecasts:
             raise SettingsError("two_sided is True, but forecasts are causal; set keep_forecasts=False")
@@ -118,7 +122,7 @@ class Pipeline:
         self.context = RunContext(self.lanes, self.cars, [each.name for each in self.effects], self.settings, model)
         self.decoder = Decoder(self.lanes)
         self.drivers, self.plans, self.day_rollover = RideDrivers(), NewestPlans(), DayRollover()
-        self.cleaner = Cleaner(self.settings)
+        self.cleaner = Cleaner(self.settings, elevation_map)
         self.stations = Stations()
         self.accumulator = Accumulator(len(self.effects))
         self.deferred = DeferredRows() if two_sided else None
@@ -389,7 +393,7 @@ class Pipeline:
 
         Keys: `received` by kind, `undecodable` by cause, `samples` by quality bit, `rides` ended, rides `unfit` and
         `unpredicted` by reason, `vehicles`, `unpredictable` vehicle messages by reason. With shadows also
-        `unpredicted_by_shadow`, of the rides that count, and `shadow_faults` by cause.
+        `unpredicted_by_shadow`, of the rides that count, and `shadow_faults` by cause. With a map also `elevation_map`.
         """
         counts = {
             "vehicles": len(self.lanes),
@@ -400,7 +404,7 @@ class Pipeline:
             "unfit": dict(self.counters.unfit),
             "unpredicted": dict(self.counters.unpredicted),
             "unpredictable": dict(self.cars.unpredictable),
-        }
+        } | self.cleaner.map_lookup.count_fixes()
         return counts | self.shadows.quality() if self.shadows else counts
 
     def status(self) -> list[VehicleStatus]:

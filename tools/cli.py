@@ -43,6 +43,7 @@ COMMANDS: Final = {
     "ask": Command("tools.commands.ask", "ask_outlook", "Ask a live consumer whether a car can take a ride."),
     "replay": Command("tools.commands.replay", "replay", "Replay recordings through a model or to a router."),
     "info": Command("tools.commands.info", "info", "Show what recordings contain and what is lost."),
+    "elevation": Command("tools.commands.elevation", "app", "Learn a map of elevation from the fixes of a fleet."),
     "tables": Command("tools.commands.tables", "tables", "Make ride and window tables from recordings."),
     "fit": Command("tools.commands.fit", "fit", "Fit a model to ride tables."),
     "evaluate": Command("tools.commands.evaluate", "evaluate_tables", "Evaluate models on held-out rides of tables."),

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from core import batch, columns
 from core.batch import Batch, Floats, Ints, grown
-from core.cleaning import clock, motion, quality, segmentation
+from core.cleaning import clock, elevation, motion, quality, segmentation
+from core.cleaning.elevation_map import ElevationMap, Ground, MapLookup
 from core.cleaning.quality import Quality
 from core.columns import TELEMETRY
 from core.compiled_cache import watch_sources
@@ -39,14 +40,14 @@ _UNKNOWN_AT_FIRST: Final = {
     **segmentation.UNKNOWN_AT_FIRST,
     **dict.fromkeys(("seq", "latitude", "longitude", "pending_latitude", "pending_longitude"), nan),
     **dict.fromkeys(("heading", "heading_latitude", "heading_longitude", "odometer", "speed", "ring"), nan),
-    **dict.fromkeys(("elevation", "level", "power", "soc", "soc_step"), nan),
+    **dict.fromkeys(("elevation", "level", "offset_variance", "power", "soc", "soc_step"), nan),
     **dict.fromkeys(("battery_temperature", "occupants"), nan),
 }
 
 
 def _dtype() -> np.dtype[np.void]:
     """Return the layout of a lane's state: one stretch of memory, so that a sample touches few cache lines."""
-    parts = (*clock.FIELDS, *motion.FIELDS, *segmentation.FIELDS, *_OWN_FIELDS)
+    parts = (*clock.FIELDS, *motion.FIELDS, *elevation.FIELDS, *segmentation.FIELDS, *_OWN_FIELDS)
     return np.dtype([(part, "f8") if isinstance(part, str) else (part[0], "f8", (part[1],)) for part in parts])
 
 
@@ -156,14 +157,17 @@ class Clean(NamedTuple):
     code: Floats
 
 
-_ROW: Final = np.dtype([*((f"raw_{name}", "f8") for name in Batch._fields), *((name, "f8") for name in Clean._fields)])
-"""One row of the kernel: the columns of a sample, then those of its result."""
-_RAW: Final = len(Batch._fields)
-"""Number of columns of a sample, which are the first fields of `_ROW`."""
-_LOW: Final = np.array([-np.inf, -np.inf, *(column.low for column in TELEMETRY)])
-_HIGH: Final = np.array([np.inf, np.inf, *(column.high for column in TELEMETRY)])
-
-"""Valid range of each column of a sample; `lane` and `ride` have none."""
+_INPUTS: Final = (*(f"raw_{name}" for name in Batch._fields), *(f"map_{name}" for name in Ground._fields))
+"""Columns of a sample and of the ground under it, which are the first fields of `_ROW`."""
+_ROW: Final = np.dtype([(name, "f8") for name in (*_INPUTS, *Clean._fields)])
+"""One row of the kernel: its inputs, then the columns of its result."""
+_RAW: Final = len(_INPUTS)
+"""Number of inputs."""
+_LOW: Final = np.full(_RAW, -np.inf)
+_HIGH: Final = np.full(_RAW, np.inf)
+"""Valid range of each input; `lane`, `ride` and the ground have none."""
+for _place, _column in enumerate(TELEMETRY, len(Batch._fields) - len(TELEMETRY)):
+    _LOW[_place], _HIGH[_place] = _column.low, _column.high
 
 OUT_OF_RANGE: Final = int(Quality.OUT_OF_RANGE)
 SOC_MISSING: Final = int(Quality.SOC_MISSING)
@@ -180,6 +184,15 @@ class Cleaner:
     Parameters
     ----------
     settings : Settings
+    elevation_map : ElevationMap, optional
+        Corrects the elevation of fixes.
+
+    Attributes
+    ----------
+    map_lookup : MapLookup
+        Looks up fixes on the map, and counts those outside.
+    has_new_map : bool
+        Whether the state that was loaded comes from another map.
 
     Examples
     --------
@@ -194,7 +207,8 @@ class Cleaner:
     [0.0, 30.0, 30.0, 30.0]
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, elevation_map: ElevationMap | None = None) -> None:
+        self.map_lookup, self.has_new_map = MapLookup(elevation_map), False
         self.settings = np.array([settings], np.dtype([(name, "f8") for name in Settings._fields]))
         self.state = new_lane_state(0)
 
@@ -217,7 +231,11 @@ class Cleaner:
             self.state = grown(self.state, lanes, new_lane_state(1)[0])
         out = np.empty((len(Clean._fields), batch.size))
         row = np.zeros(1, _ROW)
-        clean_rows(np.stack(batch), self.state, self.settings, row, row.view(np.float64), out)
+        inputs = np.full((_RAW, batch.size), np.nan)
+        np.stack(batch, out=inputs[: len(batch)])
+        if ground := self.map_lookup.find_ground(batch):
+            np.stack(ground, out=inputs[len(batch) :])
+        clean_rows(inputs, self.state, self.settings, row, row.view(np.float64), out)
         columns = Clean(*out)  # of floats so far
         return columns._replace(
             lane=columns.lane.astype(np.int64),
@@ -239,13 +257,18 @@ class Cleaner:
         """Return the code of the ride in progress in each lane, `NO_RIDE` where there is none."""
         return np.asarray(self.state["code"])
 
-    def dump(self) -> bytes:
-        """Return the state of every lane as bytes."""
-        return self.state.tobytes()
+    def dump(self) -> Any:
+        """Return the state of every lane as bytes, and that of the map."""
+        return [self.state.tobytes(), self.map_lookup.dump()]
 
-    def load(self, state: bytes) -> None:
-        """Replace the state by one that `dump` returned."""
-        self.state = np.frombuffer(state, STATE).copy()
+    def load(self, state: Any) -> None:
+        """Replace the state by one that `dump` returned; with another map, the elevation of cars starts anew."""
+        lanes, of_map = state
+        self.state = np.frombuffer(lanes, STATE).copy()
+        self.has_new_map = self.map_lookup.load(of_map)
+        if self.has_new_map:
+            for name in elevation.FIELDS:
+                self.state[name] = new_lane_state(1)[name][0]
 
 
 @njit(cache=True)
@@ -255,7 +278,7 @@ def clean_rows(columns: Any, states: Any, all_settings: Any, rows: Any, cells: A
     Parameters
     ----------
     columns : (_RAW, n) float64
-        The batch.
+        The batch, and the ground under it.
     states : (lanes,) STATE
         Changed in place.
     all_settings : (1,) record
@@ -417,4 +440,4 @@ def begins_stop(state: Any) -> bool:
     return False
 
 
-watch_sources(clean_rows, batch, clock, columns, motion, quality, segmentation)
+watch_sources(clean_rows, batch, clock, columns, elevation, motion, quality, segmentation)

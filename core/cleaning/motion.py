@@ -1,4 +1,4 @@
-"""Speed, distance, elevation and heading from the sensors, causally, including tunnels and gaps.
+"""Speed, distance and heading from the sensors, causally, including tunnels and gaps.
 
 Distance is the integral of the accepted speed. Two witnesses check it: the odometer, and the chord between two fixes,
 which is a lower limit of the length of any path. Where the speed had a hole (a tunnel, a gap, a rejected value), a
@@ -12,12 +12,6 @@ is measured between fixes that are at least 20 m apart, otherwise by its odomete
 Where a distance was bridged or held, its work is done over the time distance / speed and not over the step. The
 acceleration accounts for the kinetic energy of the smoothed speed: over a ride, inertia adds up to the difference of
 its ends. On an ordinary row it equals the change of the smoothed speed over the step.
-
-Elevation is smoothed over distance, so that a standing car climbs nothing. It then passes a backlash (a play operator,
-Brokate and Sprekels, Hysteresis and Phase Transitions, Springer 1996, DOI 10.1007/978-1-4612-4048-8), so that noise of
-a few metres makes no hills. The cost: hills of wavelength l keep 1 / sqrt(1 + (2 pi L / l)^2) of their height for a
-smoothing length L (99 % for 3.6 km, 89 % for 1 km), and each turn of the slope loses at most twice the slack. The climb
-that the filter has not passed on when a ride ends is missing from the ride.
 """
 
 from math import atan2, cos, isnan, nan, pi, sqrt
@@ -25,6 +19,7 @@ from typing import Any, Final
 
 from numba import njit
 
+from core.cleaning.elevation import combine_elevation, update_climb
 from core.cleaning.quality import Quality
 from core.columns import EARTH_RADIUS, KMH
 
@@ -55,8 +50,6 @@ FIELDS: Final = (
     ("ring", 8),  # accepted speeds of the last samples, NaN where there was none [m/s]
     "has_speed",  # 1 once the car has sent a speed
     "has_fix",  # 1 once the car has sent a fix
-    "elevation",  # smoothed [m]
-    "level",  # after the backlash [m]
     "standing",  # 1 while the car stands
 )
 
@@ -221,22 +214,6 @@ def smooth_speed(state: Any, speed: float, window: int, restart: bool) -> float:
 
 
 @njit(cache=False)
-def update_climb(state: Any, elevation: float, distance: float, settings: Any) -> float:
-    """Return the climb of the step after smoothing and backlash, negative downhill. [m]"""
-    if isnan(elevation):
-        return 0.0
-    if isnan(state.elevation):
-        state.elevation = state.level = elevation
-        return 0.0
-    if distance > 0.0:
-        state.elevation += distance / (settings.elevation_length + distance) * (elevation - state.elevation)
-    above = state.elevation - state.level
-    risen = max(0.0, above - settings.elevation_slack) + min(0.0, above + settings.elevation_slack)
-    state.level += risen
-    return risen
-
-
-@njit(cache=False)
 def integrate_speed(state: Any, speed: float, dt: float, fixed: bool, witnessed: bool, period: float) -> float:
     """Return the distance of a step from the speed alone, and note a hole in the speed. [m]
 
@@ -311,4 +288,5 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
         row.travel = age if age <= HOLE * settings.period else min(age, row.distance / row.speed)
     run = row.speed * row.travel
     row.acceleration = 0.5 * (state.smooth * state.smooth - before * before) / run if run > 0.0 else 0.0
-    row.climb = update_climb(state, row.raw_elevation, row.distance, settings)
+    elevation, spread = combine_elevation(state, row, dt, isnan(state.pending_latitude))
+    row.climb = update_climb(state, elevation, spread, row.distance, settings)

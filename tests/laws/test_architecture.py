@@ -18,8 +18,12 @@ ORDER = (
 )
 """Packages and root modules; each may import itself and those before it."""
 MOST_PACKAGES, MOST_MODULES, MOST_LINES = 13, 8, 499
-ONLY_IN = {"zenoh": r"stream/zenoh_\w+\.py", "mcap": r"stream/mcap_\w+\.py|tools/bench/measures\.py"}
-"""Library of a transport -> files that may import it."""
+ONLY_IN = {
+    "zenoh": r"stream/zenoh_\w+\.py",
+    "mcap": r"stream/mcap_\w+\.py|tools/bench/measures\.py",
+    "rasterio": r"stream/elevation_tiles\.py",
+}
+"""Library of a transport or of a format -> files that may import it."""
 CLOCKS = {"time", "threading", "asyncio", "socket"}
 """Modules that core must not import."""
 ONE_NAME = re.compile(r"\b(?:core|stream|tools|socast)(?:\.\w+)+")

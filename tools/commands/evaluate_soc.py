@@ -10,7 +10,9 @@ from core.evaluate.soc.legs import RIDE_COLUMNS, LegRecorder, match_legs_to_ride
 from core.evaluate.soc.report import evaluate_soc
 from core.pipeline import Pipeline
 from core.settings import Settings
+from stream.elevation_files import open_elevation
 from tools.terminal.cleaning_options import insert_cleaning_options
+from tools.terminal.elevation_option import ElevationFiles, warn_outside
 from tools.terminal.forecast_run import run_forecasts
 from tools.terminal.model_comparison import DEFAULT_MODEL
 from tools.terminal.output import (
@@ -63,6 +65,7 @@ def evaluate_recordings(
     model: ModelName = DEFAULT_MODEL,
     effects_file: EffectFiles = None,
     settings: Settings,
+    elevation: ElevationFiles = None,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
 ) -> None:
@@ -76,9 +79,12 @@ def evaluate_recordings(
     socast evaluate-soc january.mcap february.mcap --html soc.html --json soc.json
     """
     sources = open_recordings(recordings)
-    check_outputs([*recordings, *select_model_files([model]), *(effects_file or ())], json_file, html_file)
-    forecasts = SocForecasts(Pipeline(models.load(model), settings, keep_outlooks=True))
+    read = [*recordings, *select_model_files([model]), *(effects_file or ()), *(elevation or ())]
+    check_outputs(read, json_file, html_file)
+    elevation_map = open_elevation(elevation or ())
+    forecasts = SocForecasts(Pipeline(models.load(model), settings, keep_outlooks=True, elevation_map=elevation_map))
     run_forecasts(forecasts.pipeline, sources, also=forecasts)
+    warn_outside(forecasts.pipeline.quality())
     warn_of_losses(sources)
     result = to_json_values(forecasts.evaluated())
     write_json(json_file, "evaluate-soc", result)

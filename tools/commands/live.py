@@ -100,6 +100,7 @@ def live(
         source = ZenohSource(node, stop)
         endpoints = ",".join(node.endpoints or connection.connect)
         beside = {"shadows": ",".join(shadow.name for shadow in models[1:])} if models[1:] else {}
+        beside |= {"elevation_map": pipeline.cleaner.map_lookup.identity} if options.elevation else {}
         _log.info("listening", extra=event_fields(endpoints=endpoints, model=models[0].name, **beside))
         with LiveTable(pipeline, "Live", silent=not sys.stdout.isatty()) as table:
             run(
@@ -165,6 +166,8 @@ class StateKeeper:
             except SocastError as error:
                 raise SocastError(f"{file}: {error}") from error
             _log.info("restored", extra=event_fields(file=str(file), vehicles=pipeline.quality()["vehicles"]))
+            if pipeline.cleaner.has_new_map:
+                _log.warning("the state was made with another elevation map: elevation starts anew, all else continues")
         self._verdicts = self._current_verdicts()
         self._save()
 

@@ -18,6 +18,7 @@ from stream.mcap_writer import McapSink
 from stream.source import Source, merge_sources, pace_source, stop_source
 from stream.zenoh_pubsub import ZenohSink
 from stream.zenoh_session import Connection, Node, parse_prefix
+from tools.terminal.elevation_option import warn_outside
 from tools.terminal.forecast_options import ForecastOptions, insert_forecast_options, make_pipeline
 from tools.terminal.forecast_run import run_forecasts
 from tools.terminal.live_table import add_predictions, make_ride_records, show_rides
@@ -64,11 +65,11 @@ def replay(
     socast replay today.mcap --warm-up december.mcap --model fitted.json --json rides.json
     socast replay recordings/shift.mcap --connect tcp/127.0.0.1:7447 --speed 60
     """
-    local = (in_process, out, json_file, options.models, options.effect_files, options.warm_up)
+    local = (in_process, out, json_file, options.models, options.effect_files, options.warm_up, options.elevation)
     if connect and (any(local) or options.settings != Settings()):
         raise SettingsError(
             "--connect only publishes and makes no forecasts; leave out --in-process, --out, --json, --model, "
-            "--effects, --warm-up and the settings of cleaning"
+            "--effects, --warm-up, --elevation and the settings of cleaning"
         )
     prefix = parse_prefix(options.prefix)
     rate = parse_speed(pace or ("1" if connect else "max"))
@@ -110,6 +111,7 @@ def _forecast(
     if errors:
         show_models(console, errors, models, rides)
     show_outcomes(console, result["shifts"])
+    warn_outside(quality)
 
 
 def _publish(source: Source, sink: ZenohSink, sources: Sequence[McapSource], stop: Event, endpoint: str) -> None:

@@ -14,9 +14,11 @@ from core import effects, models
 from core.errors import SettingsError
 from core.pipeline import Pipeline
 from core.settings import Settings
+from stream.elevation_files import open_elevation
 from stream.mcap_reader import McapSource
 from stream.source import merge_sources
 from tools.terminal.cleaning_options import insert_cleaning_options
+from tools.terminal.elevation_option import ElevationFiles, warn_outside
 from tools.terminal.model_comparison import DEFAULT_MODEL
 from tools.terminal.output import (
     EffectFiles,
@@ -89,6 +91,7 @@ def tables(
     model: ModelName = DEFAULT_MODEL,
     effects_file: EffectFiles = None,
     settings: Settings,
+    elevation: ElevationFiles = None,
     json_file: JsonFile = None,
 ) -> None:
     """Clean recordings and make tables: one row per ride, one row per window, and counts of rejected samples by cause.
@@ -98,11 +101,11 @@ def tables(
     socast tables recordings/shift.mcap --out tables
     socast tables kept/*.mcap --out tables --effects my_effects.py --period-s 1
     """
-    wanted = effects.list_tabulated()
-    pipeline = Pipeline(models.load(model), settings, also=wanted, keep_forecasts=False)
+    wanted, elevation_map = effects.list_tabulated(), open_elevation(elevation or ())
+    pipeline = Pipeline(models.load(model), settings, also=wanted, keep_forecasts=False, elevation_map=elevation_map)
     sources = open_recordings(recordings)
     folder = _folder(out)
-    read = [*recordings, *select_model_files([model]), *(effects_file or ())]
+    read = [*recordings, *select_model_files([model]), *(effects_file or ()), *(elevation or ())]
     check_outputs(read, folder / RIDES, folder / WINDOWS, folder / QUALITY, json_file)
     rides, windows = ParquetTable(folder / RIDES), ParquetTable(folder / WINDOWS)
     kept: list[pd.DataFrame] = []
@@ -123,6 +126,7 @@ def tables(
         write_json(json_file, "tables", {"rides": table.where(table.notna(), None).to_dict("records")})
     console = make_console(json_file)
     show(quality, rides.rows, windows.rows, folder, console)
+    warn_outside(quality)
     warn_of_losses(sources)
 
 
@@ -162,7 +166,9 @@ def tabulate(
         take(pipeline.take_rides(), pipeline.take_windows())
 
 
-def in_memory(recordings: Sequence[Path], wanted: Sequence[str]) -> tuple[pd.DataFrame, pd.DataFrame]:
+def in_memory(
+    recordings: Sequence[Path], wanted: Sequence[str], elevation: Sequence[Path] = ()
+) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the ride table and the window table of recordings, and print warnings about data that could not be read.
 
     Parameters
@@ -171,15 +177,18 @@ def in_memory(recordings: Sequence[Path], wanted: Sequence[str]) -> tuple[pd.Dat
         The recordings.
     wanted : sequence of str
         Names of the effects that the tables contain in addition to the default ones.
+    elevation : sequence of Path
+        Maps that correct the elevation of fixes.
 
     Returns
     -------
     rides, windows : DataFrame
     """
-    pipeline = Pipeline(also=wanted, keep_forecasts=False)
+    pipeline = Pipeline(also=wanted, keep_forecasts=False, elevation_map=open_elevation(elevation))
     sources = open_recordings(recordings)
     parts: list[tuple[pd.DataFrame, pd.DataFrame]] = []
     tabulate(sources, pipeline, lambda rides, windows: parts.append((rides, windows)))
+    warn_outside(pipeline.quality())
     warn_of_losses(sources)
     rides, windows = (pd.concat(tables, ignore_index=True) for tables in zip(*parts, strict=True))
     return rides, windows

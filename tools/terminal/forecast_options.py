@@ -10,9 +10,11 @@ import typer
 from core.models import LinearModel
 from core.pipeline import Pipeline
 from core.settings import Settings
+from stream.elevation_files import open_elevation
 from stream.mcap_reader import McapSource
 from stream.zenoh_session import parse_prefix
 from tools.terminal.cleaning_options import insert_cleaning_options
+from tools.terminal.elevation_option import ElevationFiles
 from tools.terminal.model_comparison import ModelNames
 from tools.terminal.option_groups import insert_options
 from tools.terminal.output import EffectFiles, select_model_files
@@ -39,6 +41,8 @@ class ForecastOptions:
         Key chunks before those of the wire contract, without a slash at the end.
     warm_up : sequence of Path
         Recordings of earlier days to learn from first.
+    elevation : sequence of Path
+        Maps that correct the elevation of fixes.
     """
 
     models: Sequence[str]
@@ -46,11 +50,12 @@ class ForecastOptions:
     settings: Settings
     prefix: str
     warm_up: Sequence[Path]
+    elevation: Sequence[Path]
 
     @property
     def files(self) -> list[Path]:
         """Return the files that the command reads and must not overwrite."""
-        return [*self.warm_up, *select_model_files(self.models), *self.effect_files]
+        return [*self.warm_up, *select_model_files(self.models), *self.effect_files, *self.elevation]
 
 
 @insert_cleaning_options
@@ -61,9 +66,10 @@ def _make_options(
     settings: Settings,
     prefix: Prefix = "",
     warm_up: WarmUp = None,
+    elevation: ElevationFiles = None,
 ) -> ForecastOptions:
     """Return the values of the options."""
-    return ForecastOptions(model or (), effects_file or (), settings, prefix, warm_up or ())
+    return ForecastOptions(model or (), effects_file or (), settings, prefix, warm_up or (), elevation or ())
 
 
 insert_forecast_options = insert_options("options", _make_options)
@@ -100,14 +106,18 @@ def make_pipeline(
     Raises
     ------
     SettingsError
-        If the prefix is invalid, or if a warm-up recording ends too late.
+        If the prefix is invalid, if a map cannot be read, or if a warm-up recording ends too late.
     RecordingError
         If a warm-up recording cannot be read.
     """
     first, *shadows = models
     prefix = parse_prefix(options.prefix)
-    learned = learn_from_recordings(first, shadows, options.settings, options.warm_up, replayed) if warm else None
-    pipeline = Pipeline(first, options.settings, prefix, shadows=shadows, keep_outlooks=keep_outlooks)
+    elevation_map = open_elevation(options.elevation)
+    earlier = options.warm_up if warm else None
+    learned = learn_from_recordings(first, shadows, options.settings, earlier, replayed, elevation_map)
+    pipeline = Pipeline(
+        first, options.settings, prefix, shadows=shadows, keep_outlooks=keep_outlooks, elevation_map=elevation_map
+    )
     if learned:
         pipeline.learn_from(learned)
     return pipeline

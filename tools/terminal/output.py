@@ -25,6 +25,7 @@ REPORT_VERSIONS: Final[Mapping[str, int]] = {
     "diagnose": 1,
     "effect": 1,
     "effects": 1,
+    "elevation": 1,
     "evaluate": 1,
     "evaluate-soc": 1,
     "fit": 1,

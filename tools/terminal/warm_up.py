@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from core.cleaning.elevation_map import ElevationMap
 from core.errors import SettingsError
 from core.models import Model
 from core.pipeline import Pipeline
@@ -34,6 +35,7 @@ def learn_from_recordings(
     settings: Settings,
     recordings: Sequence[Path] | None,
     replayed: Sequence[McapSource] = (),
+    elevation_map: ElevationMap | None = None,
 ) -> Pipeline | None:
     """Return a pipeline that has processed recordings, for `Pipeline.learn_from`.
 
@@ -49,6 +51,8 @@ def learn_from_recordings(
         Recordings of earlier days, merged in time order.
     replayed : sequence of McapSource
         Recordings that will be forecast afterwards.
+    elevation_map : ElevationMap, optional
+        Map that corrects the elevation of fixes.
 
     Returns
     -------
@@ -66,7 +70,7 @@ def learn_from_recordings(
         return None
     sources = open_recordings(recordings)
     _refuse_later(sources, replayed)
-    pipeline = Pipeline(model, settings, shadows=shadows, keep_tables=False)
+    pipeline = Pipeline(model, settings, shadows=shadows, keep_tables=False, elevation_map=elevation_map)
     with show_progress(sources, words="learning") as step, collect_garbage_rarely():
         for messages in merge_sources(sources):
             pipeline.take(messages)

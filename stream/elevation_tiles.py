@@ -1,0 +1,134 @@
+"""Read tiles of elevation through rasterio: SRTM (`.hgt`, also in gzip or zip) and GeoTIFF.
+
+rasterio comes with the extra `elevation` and is imported when the first tile is read.
+"""
+
+import gzip
+import zipfile
+from math import radians, sqrt
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from core.cleaning.elevation_map import ElevationRaster
+from core.errors import SettingsError
+
+SRTM_RELATIVE_ERROR: Final = 7.0
+"""Error of the difference of two heights of SRTM that is exceeded in one case of ten: mean of six continents. [m]
+Farr et al., Rev. Geophys. 45 (2007) RG2004, DOI 10.1029/2005RG000183, Table 1."""
+TWO_SIDED_90: Final = 1.6449
+"""Half-width of the interval that holds nine tenths of a Gaussian. [standard deviations]"""
+TILE_SD: Final = SRTM_RELATIVE_ERROR / TWO_SIDED_90 / sqrt(2.0)
+"""Standard uncertainty of a tile that does not state its own: 3.0 m. [m]"""
+SD_TAG: Final = "ELEVATION_SD_M"
+"""Tag with which a GeoTIFF states its standard uncertainty. [m]"""
+SRTM_VOID: Final = -32768
+"""Value of a void of SRTM. [m]"""
+MOST_NODES: Final = 200_000_000
+"""Largest number of nodes of a tile, in files and in memory; a tile of SRTM with 1 arc second has 13 million."""
+WGS84: Final = "EPSG:4326"
+"""Latitude and longitude."""
+INSTALL: Final = "install it with: pip install 'socast[elevation]'"
+
+
+def read_tile(path: Path) -> ElevationRaster:
+    """Return the grid of a tile.
+
+    A GeoTIFF in another coordinate system is resampled to latitude and longitude. Its elevation is that of its first
+    band. Nodes without data are unknown.
+
+    Parameters
+    ----------
+    path : Path
+        `.hgt`, `.hgt.gz`, `.hgt.zip`, `.zip` with one `.hgt` inside, `.tif` or `.tiff`.
+
+    Returns
+    -------
+    ElevationRaster
+
+    Raises
+    ------
+    SettingsError
+        If rasterio is not installed, or the file cannot be read as a tile.
+    """
+    try:
+        from rasterio.errors import RasterioError  # noqa: PLC0415 - an extra
+        from rasterio.io import MemoryFile  # noqa: PLC0415
+    except ImportError as error:
+        raise SettingsError(f"--elevation {path} needs rasterio; {INSTALL}") from error
+    try:
+        name, content = _read_content(path)
+        with MemoryFile(content, filename=name) as memory, memory.open() as dataset:
+            return _read_dataset(dataset)
+    except OSError as error:
+        raise _unreadable(path, error.strerror or str(error)) from error
+    except (RasterioError, zipfile.BadZipFile, EOFError, ValueError) as error:
+        raise _unreadable(path, str(error)) from error
+
+
+def _unreadable(path: Path, reason: str) -> SettingsError:
+    """Return the error about a tile that cannot be read."""
+    words = " ".join(reason.split())
+    return SettingsError(
+        f"--elevation {path} cannot be read: {words}; give a whole SRTM tile such as N45W074.hgt, or a GeoTIFF"
+    )
+
+
+def _read_content(path: Path) -> tuple[str, bytes]:
+    """Return the name and the content of a tile, unpacked."""
+    if path.suffix == ".gz":
+        with gzip.open(path) as file:
+            return path.stem, _limited(file)
+    if path.suffix == ".zip":
+        with zipfile.ZipFile(path) as archive:
+            inside = [name for name in archive.namelist() if name.endswith((".hgt", ".tif", ".tiff"))]
+            if len(inside) != 1:
+                raise ValueError(f"it holds {len(inside)} tiles and must hold one")
+            with archive.open(inside[0]) as file:
+                return Path(inside[0]).name, _limited(file)
+    with path.open("rb") as file:
+        return path.name, _limited(file)
+
+
+def _limited(file: Any) -> bytes:
+    """Return the content of a file, or refuse a file that is larger than a tile with four bytes a node."""
+    content: bytes = file.read(4 * MOST_NODES + 1)
+    if len(content) > 4 * MOST_NODES:
+        raise ValueError(f"it has more than {4 * MOST_NODES:,} bytes: cut it with gdal_translate -projwin")
+    return content
+
+
+def _read_dataset(dataset: Any) -> ElevationRaster:
+    """Return the grid of an open data set, resampled to latitude and longitude if necessary."""
+    from rasterio.enums import Resampling  # noqa: PLC0415 - an extra
+    from rasterio.vrt import WarpedVRT  # noqa: PLC0415
+
+    if dataset.crs is None:
+        raise ValueError("it states no coordinate system")
+    if dataset.width * dataset.height > MOST_NODES:
+        raise ValueError(f"it has more than {MOST_NODES:,} nodes: cut it with gdal_translate -projwin")
+    sd = float(dataset.tags().get(SD_TAG, TILE_SD))
+    if not 0.0 < sd < float("inf"):
+        raise ValueError(f"its tag {SD_TAG} is {sd:g} and must be above 0")
+    transform = dataset.transform
+    north_up = transform.b == 0.0 and transform.d == 0.0 and transform.a > 0.0 and transform.e < 0.0
+    if dataset.crs.is_geographic and north_up:
+        return _make_raster(dataset, sd)
+    nodata = SRTM_VOID if dataset.nodata is None else dataset.nodata
+    with WarpedVRT(dataset, crs=WGS84, resampling=Resampling.bilinear, nodata=nodata, add_alpha=False) as warped:
+        return _make_raster(warped, sd)
+
+
+def _make_raster(dataset: Any, sd: float) -> ElevationRaster:
+    """Return the grid of a data set in latitude and longitude with rows from north to south."""
+    elevation = dataset.read(1)[::-1]
+    step = dataset.transform
+    south = step.f + step.e * (dataset.height - 0.5)
+    west = step.c + 0.5 * step.a
+    if not (-90.0 <= south <= 90.0 and -180.5 <= west <= 180.0):
+        raise ValueError(f"it begins at latitude {south:g}, longitude {west:g}")
+    unknown = float(SRTM_VOID if dataset.nodata is None else dataset.nodata)
+    return ElevationRaster(
+        radians(south), radians(west), radians(-step.e), radians(step.a), np.ascontiguousarray(elevation), unknown, sd
+    )
