@@ -6,6 +6,7 @@ the format and the distance between places.
 
 from collections.abc import Sequence
 from math import degrees, radians
+from os import strerror
 from pathlib import Path
 from typing import Any, Final
 
@@ -127,7 +128,7 @@ def read_places(path: Path) -> ElevationPlaces:
         steps = [radians(float(about[f"step_{name}_deg"])) for name in ("latitude", "longitude")]
         row, column, _, _, elevation, sd, fixes = (table[name].to_numpy() for name in COLUMNS)
     except OSError as error:
-        raise _unusable(path, error.strerror or str(error)) from error
+        raise _unusable(path, strerror(error.errno) if error.errno else str(error)) from error
     except (pa.ArrowException, KeyError, ValueError) as error:
         raise _unusable(path, str(error)) from error
     if not (min(steps) > 0.0 and np.isfinite(elevation).all() and (sd > 0.0).all()):

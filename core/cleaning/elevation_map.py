@@ -298,7 +298,7 @@ class MapLookup:
         return ground
 
     def count_fixes(self) -> dict[str, Any]:
-        """Return the numbers of fixes and of fixes outside, in all and by tile, under `elevation_map`; {} without a map."""
+        """Return the numbers of fixes and of fixes outside the map, under `elevation_map`; nothing without a map."""
         if self._map is None:
             return {}
         by_tile = dict(sorted(self._outside.items()))

@@ -1,22 +1,30 @@
 """Learn a map of elevation from the fixes of a fleet.
 
-A fix is modelled as the elevation of the place, plus the offset of its ride, plus an error. The offset of a ride is
-that of the car plus a deviation; both are random effects with mean zero, so the map has the mean datum of the fleet's
-loggers. Offsets and places are estimated in turn until they agree (backfitting: Breiman and Friedman, JASA 80 (1985)
-580, DOI 10.1080/01621459.1985.10478157). The offsets are shrunk by their variance, which is estimated from the rides
-(Henderson's mixed model equations: Robinson, Statistical Science 6 (1991) 15, DOI 10.1214/ss/1177011926). Residuals
-beyond `CLIP` standard deviations count as that large, so that gross errors move a place little.
+A fix is modelled as the elevation of the ground, plus the offset of its car, plus the offset of its ride, plus an
+error. The ground is a sum of bilinear functions on grids of `SPACINGS`, a hierarchical basis (Yserentant, Numerische
+Mathematik 49 (1986) 379, DOI 10.1007/BF01389538) with random coefficients of mean zero (multiresolution kriging: Nychka
+et al., J. Comput. Graph. Stat. 24 (2015) 579, DOI 10.1080/10618600.2014.914946). Their standard deviation is a power of
+the distance between nodes. The exponent is the one with which one half of the days predicts the fixes of the other half
+best. The offsets of cars and of rides are random with mean zero as well. All are estimated jointly, which takes the
+offsets out of the map; its datum is the mean of the fleet's loggers.
 
-Places come from `core.fit.local_planes`. What it cannot know is chosen on rides that were not used: half of the
-days predicts the other half, and the strictness of its intervals, the curvature of the ground and the factor of its
-variance are those with the largest likelihood of the fixes. The final map then uses all days.
+The posterior mean solves one linear system, by conjugate gradients. Its uncertainty comes from samples of the
+posterior: the same system solved for simulated fixes (Papandreou and Yuille, NIPS 23 (2010) 1858). The variances of
+offsets and errors are those of largest likelihood, by a Monte Carlo EM algorithm (Wei and Tanner, JASA 85 (1990) 699,
+DOI 10.1080/01621459.1990.10474930).
+
+Errors of successive fixes are correlated; their weight is reduced accordingly. Fixes more than `CLIP` standard
+deviations off have a smaller weight (Huber, Ann. Math. Stat. 35 (1964) 73, DOI 10.1214/aoms/1177703732). Where fixes at
+one place disagree more than by their errors, as at a bridge over another road, the place is less certain.
 """
 
-from collections.abc import Iterable, Sequence
-from itertools import product
-from typing import Final, NamedTuple
+from collections.abc import Iterable
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.linalg import LinearOperator, cg
 
 from core.batch import Batch, Floats, Ints
 from core.cleaning.elevation_map import ElevationPlaces
@@ -24,38 +32,50 @@ from core.cleaning.kernel import Clean
 from core.cleaning.quality import Quality
 from core.columns import EARTH_RADIUS, SECONDS_PER_DAY, TELEMETRY
 from core.errors import RecordingError
-from core.fit.local_planes import SIDE, NodeSums, Planes, choose_bandwidths, fit_planes, group_by_block
 
 SPACING: Final = 20.0
 """Distance between places. [m]"""
-BANDWIDTHS: Final = tuple(SPACING * 2.0 ** (0.5 * k) for k in range(8))
-"""Bandwidths of the planes, from the distance of places to 226 m. [m]"""
-PILOT: Final = 3
-"""Place among `BANDWIDTHS` of the one that serves while offsets are estimated."""
-ROUNDS: Final = 8
-"""Rounds of estimating offsets and places in turn."""
-CLIP: Final = 4.0
-"""Residual beyond which a fix counts as that far off. [standard deviations]"""
+SPACINGS: Final = tuple(SPACING * 4.0**k for k in range(4))
+"""Distances between the nodes of the grids, up to 1.28 km. [m]"""
+ROUNDS: Final = 3
+"""Rounds of the EM algorithm before and after the roughness of the ground is chosen."""
+SAMPLES: Final = 2
+"""Samples of the posterior in each round."""
+LAST_SAMPLES: Final = 16
+"""Samples of the posterior for the uncertainty of places, which is thereby known to 18 %."""
+SEED: Final = 20_260_101
+"""Seed of the samples, so that the same fixes give the same map."""
+PRECISION: Final = 1e-3
+"""Relative residual at which the solution of a system is accepted. [1]"""
+MOST_STEPS: Final = 500
+"""Largest number of steps of conjugate gradients."""
+CLIP: Final = 3.0
+"""Residual beyond which the weight of a fix is reduced. [standard deviations]"""
 FIRST_FIX_SD: Final = 3.0
-"""Standard deviation of a fix that is assumed in the first round. [m]"""
-LEAST_FIX_SD: Final = 0.05
-"""Least standard deviation of a fix, for loggers that round to 0.1 m. [m]"""
+"""Standard deviation of the error of a fix in the first round. [m]"""
+FIRST_OFFSET_SD: Final = (3.0, 30.0)
+"""Standard deviations of the offsets of rides and of cars in the first round. [m]"""
+EXPONENTS: Final = (0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0)
+"""Candidates of the exponent with which the standard deviation of coefficients grows with the distance of nodes. [1]
+Natural terrain has 0.5 to 1 (Mark and Aronson, Math. Geol. 16 (1984) 671, DOI 10.1007/BF01033029), roads more."""
+FIRST_EXPONENT: Final = 1.0
+"""Exponent that serves until one is chosen. [1]"""
+UNSEEN: Final = 1e-6
+"""Factor of the weight of fixes that are to be predicted. [1]"""
+LEAST_SD: Final = 1e-3
+"""Least standard deviation of errors, coefficients and offsets. [m]"""
 SIGMA: Final = 1.4826
 """Ratio of the standard deviation of a Gaussian to the median of its absolute value. [1]"""
 MOVED: Final = 5.0
 """Least distance driven since the sample before. A fix of a standing car repeats the error of the one before it. [m]"""
+NEAR: Final = 5
+"""Largest distance of a place from the nearest fix, in steps north or east. [places]"""
 LARGEST_SD: Final = 3.0
 """Standard uncertainty beyond which a place is not kept: that of SRTM, see `stream.elevation_tiles`. [m]"""
 FEWEST_FIXES: Final = 100
 """Number of fixes below which no map is made."""
-MOST_FOR_CHOICE: Final = 200_000
-"""Number of fixes, evenly spread, on which the free parameters are chosen."""
-STRICTNESS: Final = (0.7, 1.0, 1.5, 2.0, 3.0)
-"""Candidates of the half-width of the intervals of `choose_bandwidths`. [standard deviations]"""
-CURVATURES: Final = (0.0, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3)
-"""Candidates of the curvature of the ground. [1/m] Crest curves of city streets have up to 2e-3 (radius 500 m)."""
-FACTORS: Final = (1.0, 1.5, 2.0, 3.0, 4.5, 6.5)
-"""Candidates of the factor of the variance of a place, as errors of successive fixes are correlated. [1]"""
+ENOUGH: Final = 4
+"""Number of fixes at a place from which they can show that the ground has two levels."""
 UNUSABLE: Final = int(
     Quality.DUPLICATE
     | Quality.LATE
@@ -66,6 +86,7 @@ UNUSABLE: Final = int(
 )
 """Quality bits of samples whose fix is not used."""
 _ELEVATION: Final = next(column for column in TELEMETRY if column.name == "elevation")
+_CORNERS: Final = ((0, 0), (0, 1), (1, 0), (1, 1))
 
 
 class ElevationFixes(NamedTuple):
@@ -100,8 +121,10 @@ class MapSummary(NamedTuple):
         Standard deviation of the error of a fix. [m]
     ride_sd, car_sd : float
         Standard deviations of the offsets of rides to their cars, and of cars to the fleet. [m]
-    strictness, curvature, factor : float
-        Chosen parameters: see `STRICTNESS` [1], `CURVATURES` [1/m], `FACTORS` [1].
+    correlation : float
+        Correlation of the errors of successive fixes. [1]
+    exponent : float
+        Chosen roughness of the ground, see `EXPONENTS`. [1]
     """
 
     fixes: int
@@ -110,9 +133,8 @@ class MapSummary(NamedTuple):
     fix_sd: float
     ride_sd: float
     car_sd: float
-    strictness: float
-    curvature: float
-    factor: float
+    correlation: float
+    exponent: float
 
 
 def select_fixes(batch: Batch, clean: Clean) -> ElevationFixes:
@@ -139,44 +161,96 @@ def join_fixes(parts: Iterable[ElevationFixes]) -> ElevationFixes:
     return ElevationFixes(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
-class _Grid(NamedTuple):
-    """The nodes that are nearest to fixes, and the offset of each fix from its node."""
+class _Columns:
+    """Columns of the linear system: the nodes of every grid that fixes touch, then rides, then cars."""
 
-    steps: tuple[float, float]  # of nodes, north and east [rad]
-    row: Ints  # of the nodes
-    column: Ints
-    node: Ints  # of each fix, an index into `row`
-    east: Floats  # of the fix [m]
-    north: Floats
+    def __init__(self, row: Floats, column: Floats) -> None:
+        """Give a number to the nodes about positions, which are in units of `SPACING`."""
+        self.keys = [
+            np.unique(np.concatenate([key for key, _ in _corners(row, column, k)])) for k in range(len(SPACINGS))
+        ]
+        self.first = np.concatenate([[0], np.cumsum([len(keys) for keys in self.keys])])
 
-    @classmethod
-    def of(cls, fixes: ElevationFixes) -> "_Grid":
-        """Return the grid for fixes; its cells are square at their median latitude."""
-        scale = float(np.cos(np.median(fixes.latitude)))
-        steps = SPACING / EARTH_RADIUS, SPACING / (EARTH_RADIUS * scale)
-        y, x = fixes.latitude / steps[0], fixes.longitude / steps[1]
-        row, column, node = _number_pairs(np.rint(y).astype(np.int64), np.rint(x).astype(np.int64))
-        return cls(steps, row, column, node, (x - column[node]) * SPACING, (y - row[node]) * SPACING)
+    @property
+    def nodes(self) -> int:
+        """Number of nodes of all grids."""
+        return int(self.first[-1])
 
-    def sum_up(self, elevation: Floats, which: Ints) -> NodeSums:
-        """Return the moments of some of the fixes."""
-        node, x, y, z = self.node[which], self.east[which], self.north[which], elevation[which]
-        values = (np.ones(len(z)), x, y, x * x, x * y, y * y, z, z * x, z * y, z * z)
-        moments: Floats = np.stack([np.bincount(node, each, len(self.row)) for each in values])
-        some = moments[0] > 0.0
-        return NodeSums(self.row[some], self.column[some], moments[:, some])
+    def design(self, row: Floats, column: Floats) -> tuple[Any, Floats]:
+        """Return the values of all functions at positions, (n, nodes), and the squares without a column, (n, grids)."""
+        at, places, values = [], [], []
+        without = np.zeros((len(row), len(SPACINGS)))
+        for k, keys in enumerate(self.keys):
+            for key, weight in _corners(row, column, k):
+                place = np.minimum(np.searchsorted(keys, key), len(keys) - 1)
+                known = keys[place] == key
+                at.append(np.flatnonzero(known))
+                places.append(self.first[k] + place[known])
+                values.append(weight[known])
+                without[:, k] += np.where(known, 0.0, weight * weight)
+        shape = len(row), self.nodes
+        entries = np.concatenate(values), (np.concatenate(at), np.concatenate(places))
+        return coo_array(entries, shape=shape).tocsr(), without
 
-    def follow(self, value: Floats, east: Floats, north: Floats) -> Floats:
-        """Return the elevation at each fix by the planes of the nodes, given as their elevation and slopes."""
-        node = self.node
-        return np.asarray(value[node] + east[node] * self.east + north[node] * self.north)
+
+def _corners(row: Floats, column: Floats, k: int) -> list[tuple[Ints, Floats]]:
+    """Return key and bilinear weight of the four nodes of a grid about positions."""
+    scale = SPACINGS[k] / SPACING
+    y, x = row / scale, column / scale
+    south, west = np.floor(y).astype(np.int64), np.floor(x).astype(np.int64)
+    north, east = y - south, x - west
+    return [
+        (_key(south + up, west + right), (north if up else 1.0 - north) * (east if right else 1.0 - east))
+        for up, right in _CORNERS
+    ]
 
 
-def _number_pairs(one: Ints, other: Ints) -> tuple[Ints, Ints, Ints]:
-    """Return the different pairs of whole numbers, and the place of each pair among them."""
-    low, width = int(other.min()), int(np.ptp(other)) + 1
-    key, place = np.unique(one * width + (other - low), return_inverse=True)
-    return key // width, key % width + low, place
+def _key(row: Ints, column: Ints) -> Ints:
+    """Return one whole number for each node."""
+    return row * 2**31 + column
+
+
+def _number(values: Ints) -> Ints:
+    """Return the place of each value among the different values."""
+    return np.asarray(np.unique(values, return_inverse=True)[1])
+
+
+class _System:
+    """The linear model of the fixes, and its posterior for given variances."""
+
+    def __init__(self, design: Any, component: Ints) -> None:
+        self.design, self.transposed, self.component = design, design.T.tocsr(), component
+        self.squares = self.transposed.power(2)
+        self.coefficients: Floats = np.zeros(design.shape[1])
+
+    def solve(self, elevation: Floats, weight: Floats, precision: Floats, start: Floats | None = None) -> Floats:
+        """Return the posterior mean of the coefficients, by the weight of each fix and the precision of each column."""
+        size = len(precision)
+
+        def apply(vector: Floats) -> Floats:
+            return np.asarray(self.transposed @ (weight * (self.design @ vector)) + precision * vector)
+
+        diagonal = self.squares @ weight + precision
+        scaled = LinearOperator((size, size), matvec=lambda vector: vector / diagonal)
+        matrix = LinearOperator((size, size), matvec=apply)
+        right = self.transposed @ (weight * elevation)
+        return np.asarray(cg(matrix, right, x0=start, rtol=PRECISION, maxiter=MOST_STEPS, M=scaled)[0])
+
+    def draw(self, weight: Floats, precision: Floats, rng: np.random.Generator) -> Floats:
+        """Return a sample of the posterior, less its mean."""
+        coefficients = rng.normal(size=len(precision)) / np.sqrt(precision)
+        simulated = self.design @ coefficients + rng.normal(size=len(weight)) / np.sqrt(weight)
+        return coefficients - self.solve(simulated, weight, precision)
+
+
+class _Fit(NamedTuple):
+    """What is estimated of the fixes besides the elevation of places."""
+
+    coefficients: Floats  # posterior mean [m]
+    variances: Floats  # of each component: the grids, rides, cars [m^2]
+    weight: Floats  # of each fix [1/m^2]
+    fix_sd: float  # [m]
+    correlation: float  # of successive errors
 
 
 def learn_elevation(fixes: ElevationFixes) -> tuple[ElevationPlaces, MapSummary]:
@@ -185,7 +259,7 @@ def learn_elevation(fixes: ElevationFixes) -> tuple[ElevationPlaces, MapSummary]
     Parameters
     ----------
     fixes : ElevationFixes
-        n fixes.
+        n fixes, those of each ride in the order of time.
 
     Raises
     ------
@@ -199,152 +273,150 @@ def learn_elevation(fixes: ElevationFixes) -> tuple[ElevationPlaces, MapSummary]
         )
     datum = float(np.median(fixes.elevation))
     fixes = fixes._replace(elevation=fixes.elevation - datum)
-    grid = _Grid.of(fixes)
-    elevation, errors = _remove_offsets(fixes, grid)
-    chosen = _choose_parameters(fixes, grid, elevation, errors.fix_sd)
-    sums = grid.sum_up(elevation, np.arange(len(elevation)))
-    parts = []
-    for planes in fit_planes(sums, (SPACING, SPACING), BANDWIDTHS, errors.fix_sd**2):
-        block = _Block.of(planes, chosen.strictness)
-        variance = block.variance(errors.fix_sd, chosen.curvature, chosen.factor)
-        kept = np.nonzero(variance <= LARGEST_SD**2)  # False for NaN
-        place = planes.row + kept[0], planes.column + kept[1], block.elevation[kept] + datum, np.sqrt(variance[kept])
-        parts.append((*place, np.rint(planes.fixes[kept])))
-    places = ElevationPlaces(*grid.steps, *(np.concatenate(each) for each in zip(*parts, strict=True)))
-    cars, rides = len(np.unique(fixes.car)), len(_number_pairs(fixes.car, fixes.ride)[0])
-    return places, MapSummary(len(elevation), rides, cars, *errors, *chosen)
+    scale = float(np.cos(np.median(fixes.latitude)))  # makes the cells square
+    steps = SPACING / EARTH_RADIUS, SPACING / (EARTH_RADIUS * scale)
+    row, column = fixes.latitude / steps[0], fixes.longitude / steps[1]
+    car = _number(fixes.car)
+    ride = _number(fixes.car * (int(fixes.ride.max()) + 2) + fixes.ride)
+    columns = _Columns(row, column)
+    rng = np.random.default_rng(SEED)
+    system = _make_system(columns.design(row, column)[0], columns, ride, car)
+    fit, exponent = _estimate(system, fixes, ride, rng)
+    residual = fixes.elevation - system.design @ fit.coefficients
+    places = _make_places(columns, system, fit, _disagreement(row, column, residual, fit.fix_sd), rng)
+    y, x, z, variance, count = places
+    kept = variance <= LARGEST_SD**2
+    learned = ElevationPlaces(*steps, y[kept], x[kept], z[kept] + datum, np.sqrt(variance[kept]), count[kept])
+    ride_sd, car_sd = np.sqrt(fit.variances[-2:]).tolist()
+    counts = len(ride), int(ride.max()) + 1, int(car.max()) + 1
+    summary = MapSummary(*counts, fit.fix_sd, ride_sd, car_sd, fit.correlation, exponent)
+    return learned, summary
 
 
-class _Errors(NamedTuple):
-    """Standard deviations of errors of fixes, and of offsets of rides and of cars. [m]"""
+def _make_system(design: Any, columns: _Columns, ride: Ints, car: Ints) -> _System:
+    """Return the linear model with columns for rides and cars after those of the nodes."""
+    n, rides, cars = len(ride), int(ride.max()) + 1, int(car.max()) + 1
+    nodes = design.tocoo()
+    fix = np.arange(n)
+    at = np.concatenate([nodes.coords[0], fix, fix])
+    place = np.concatenate([nodes.coords[1], columns.nodes + ride, columns.nodes + rides + car])
+    values = np.concatenate([nodes.data, np.ones(2 * n)])
+    sizes = [len(keys) for keys in columns.keys] + [rides, cars]
+    component = np.repeat(np.arange(len(sizes)), sizes)
+    return _System(coo_array((values, (at, place)), shape=(n, len(component))).tocsr(), component)
 
-    fix_sd: float
-    ride_sd: float
-    car_sd: float
+
+def _ground_variances(fixes: ElevationFixes, exponent: float) -> Floats:
+    """Return the variance of the coefficients of each grid: that of the fixes for the widest. [m^2]"""
+    relief = max(LEAST_SD, float(np.std(fixes.elevation)))
+    return (relief * (np.array(SPACINGS) / SPACINGS[-1]) ** exponent) ** 2
 
 
-def _remove_offsets(fixes: ElevationFixes, grid: _Grid) -> tuple[Floats, _Errors]:
-    """Return elevations without offsets and gross errors, and the standard deviations of errors and offsets."""
-    car_of_ride, _, ride = _number_pairs(fixes.car, fixes.ride)
-    _, car = np.unique(car_of_ride, return_inverse=True)
-    count = np.bincount(ride).astype(np.float64)
-    elevation, offset, errors = fixes.elevation, np.zeros(len(count)), _Errors(FIRST_FIX_SD, 0.0, 0.0)
+def _estimate(system: _System, fixes: ElevationFixes, ride: Ints, rng: np.random.Generator) -> tuple[_Fit, float]:
+    """Return coefficients, variances and weights, and the exponent of the ground that predicts unseen days best."""
+    weight = np.full(len(ride), FIRST_FIX_SD**-2.0)
+    variances = np.append(_ground_variances(fixes, FIRST_EXPONENT), np.square(FIRST_OFFSET_SD))
+    fit = _Fit(np.zeros(len(system.component)), variances, weight, FIRST_FIX_SD, 0.0)
     for _ in range(ROUNDS):
-        sums = grid.sum_up(elevation, np.arange(len(ride)))
-        planes = fit_planes(sums, (SPACING, SPACING), BANDWIDTHS[PILOT : PILOT + 1], errors.fix_sd**2)
-        place = grid.follow(*_gather(planes, grid, STRICTNESS[:1])[0][:3])
-        residual = fixes.elevation - offset[ride] - place
-        fix_sd = max(LEAST_FIX_SD, SIGMA * float(np.nanmedian(np.abs(residual))))
-        clipped = np.nan_to_num(np.clip(residual, -CLIP * fix_sd, CLIP * fix_sd))
-        mean = offset + np.bincount(ride, clipped) / count
-        noise = fix_sd**2 / count * _correlation_factor(clipped, ride)
-        offset, ride_sd, car_sd = _shrink_offsets(mean, noise, car)
-        errors = _Errors(fix_sd, ride_sd, car_sd)
-        deviation = np.clip(fixes.elevation - offset[ride] - place, -CLIP * fix_sd, CLIP * fix_sd)
-        elevation = np.where(np.isnan(place), fixes.elevation - offset[ride], place + deviation)
-    return elevation, errors
+        fit = _improve(system, fixes.elevation, ride, fit, rng)
+    exponent = _choose_exponent(system, fixes, fit)
+    fit.variances[:-2] = _ground_variances(fixes, exponent)
+    for _ in range(ROUNDS):
+        fit = _improve(system, fixes.elevation, ride, fit, rng)
+    return fit, exponent
 
 
-def _correlation_factor(residual: Floats, ride: Ints) -> float:
-    """Return how much more the mean of a ride varies, because the errors of successive fixes are correlated. [1]"""
+def _improve(system: _System, elevation: Floats, ride: Ints, fit: _Fit, rng: np.random.Generator) -> _Fit:
+    """Return the fit after one round of the EM algorithm for offsets and errors."""
+    component = system.component
+    precision = 1.0 / fit.variances[component]
+    coefficients = system.solve(elevation, fit.weight, precision, fit.coefficients)
+    samples = [system.draw(fit.weight, precision, rng) for _ in range(SAMPLES)]
+    variances = fit.variances.copy()
+    variances[-2:] = [_mean_square(coefficients, samples, component == place) for place in component[-1] - [1, 0]]
+    residual = elevation - system.design @ coefficients
+    taken_up = np.mean([(system.design @ sample) ** 2 for sample in samples])
+    fix_sd = max(LEAST_SD, float(np.sqrt((SIGMA * np.median(np.abs(residual))) ** 2 + taken_up)))
+    correlation = _correlate(np.clip(residual, -CLIP * fix_sd, CLIP * fix_sd), ride)
+    reduced = np.minimum(1.0, CLIP * fix_sd / np.maximum(np.abs(residual), LEAST_SD))
+    weight = reduced * (1.0 - correlation) / (1.0 + correlation) / fix_sd**2
+    return _Fit(coefficients, variances, weight, fix_sd, correlation)
+
+
+def _mean_square(coefficients: Floats, samples: list[Floats], which: NDArray[np.bool_]) -> float:
+    """Return the expected variance of some coefficients about their mean, which belongs to the datum of the map."""
+    about = [each[which] - each[which].mean() for each in (coefficients, *samples)]
+    mean, deviations = about[0], about[1:]
+    square = float(mean @ mean + np.mean([deviation @ deviation for deviation in deviations]))
+    return max(LEAST_SD**2, square / max(1, len(mean) - 1))
+
+
+def _choose_exponent(system: _System, fixes: ElevationFixes, fit: _Fit) -> float:
+    """Return the exponent with which one half of the days, or of the rides of one day, predicts the other best."""
+    unit = fixes.day if np.ptp(fixes.day) > 0 else fixes.ride
+    unseen = unit % 2 != unit.min() % 2
+    weight = np.where(unseen, UNSEEN * fit.weight, fit.weight)
+    errors = []
+    for exponent in EXPONENTS:
+        variances = np.append(_ground_variances(fixes, exponent), fit.variances[-2:])
+        coefficients = system.solve(fixes.elevation, weight, 1.0 / variances[system.component])
+        residual = (fixes.elevation - system.design @ coefficients)[unseen]
+        errors.append(float(np.mean(np.minimum(np.abs(residual), CLIP * fit.fix_sd) ** 2)) if len(residual) else 0.0)
+    return EXPONENTS[int(np.argmin(errors))]
+
+
+def _correlate(residual: Floats, ride: Ints) -> float:
+    """Return the correlation of successive residuals of a ride, 0 to 0.9."""
     order = np.argsort(ride, kind="stable")
     before, after = residual[order[:-1]], residual[order[1:]]
     same = ride[order[:-1]] == ride[order[1:]]
-    correlation = float(np.clip((before * after)[same].sum() / max((before * before)[same].sum(), 1e-9), 0.0, 0.95))
-    return (1.0 + correlation) / (1.0 - correlation)
+    total = float((before * before)[same].sum())
+    return float(np.clip((before * after)[same].sum() / total, 0.0, 0.9)) if total > 0.0 else 0.0
 
 
-def _shrink_offsets(mean: Floats, noise: Floats, car: Ints) -> tuple[Floats, float, float]:
-    """Return the offset of each ride, and the standard deviations of rides about their car, and of cars.
-
-    Parameters
-    ----------
-    mean, noise : (rides,) float
-        Mean residual of each ride [m], and its variance [m^2].
-    car : (rides,) int
-        Car of each ride, from 0.
-    """
-    weight = 1.0 / noise
-    of_car = np.bincount(car, weight * mean) / np.bincount(car, weight)
-    left = 1.0 - weight / np.bincount(car, weight)[car]  # share of the noise that the mean of the car does not take up
-    within = (mean - of_car[car]) ** 2 - noise * left
-    ride_variance = max(0.0, float(within.sum() / max(left.sum(), 1e-9)))
-    weight = 1.0 / (noise + ride_variance)
-    total = np.bincount(car, weight)
-    of_car = np.bincount(car, weight * mean) / total
-    centre = float(np.average(of_car, weights=total))
-    car_variance = max(0.0, float(np.mean((of_car - centre) ** 2 - 1.0 / total)))
-    car_offset = (of_car - centre) * car_variance / (car_variance + 1.0 / total)
-    deviation = (mean - centre - car_offset[car]) * ride_variance / (ride_variance + noise)
-    return car_offset[car] + deviation, ride_variance**0.5, car_variance**0.5
+def _disagreement(row: Floats, column: Floats, residual: Floats, fix_sd: float) -> tuple[Ints, Ints, Ints, Floats]:
+    """Return the places nearest to fixes: row, column, number of fixes, and their variance beyond that of errors."""
+    y, x = np.rint(row).astype(np.int64), np.rint(column).astype(np.int64)
+    _, first, place = np.unique(_key(y, x), return_index=True, return_inverse=True)
+    count = np.bincount(place)
+    mean_square = np.bincount(place, residual**2) / count
+    excess = np.where(count >= ENOUGH, np.maximum(mean_square - 2.0 * fix_sd**2, 0.0), 0.0)
+    return y[first], x[first], count, excess
 
 
-class _Block(NamedTuple):
-    """What the planes of the chosen bandwidths say about the nodes of a block, or about some nodes."""
-
-    elevation: Floats  # [m]
-    east: Floats  # slopes [1]
-    north: Floats
-    plane_variance: Floats  # [m^2]
-    spread: Floats  # [m^2]
-    misfit: Floats  # [m^2]
-
-    @classmethod
-    def of(cls, planes: Planes, strictness: float) -> "_Block":
-        """Return what the planes of the bandwidths say that a strictness chooses."""
-        which = choose_bandwidths(planes, strictness)[None]
-        of_bandwidths = (planes.elevation, planes.east, planes.north, planes.variance)
-        elevation, east, north, variance = (np.take_along_axis(each, which, 0)[0] for each in of_bandwidths)
-        return cls(elevation, east, north, variance, planes.spread, planes.misfit)
-
-    def variance(self, fix_sd: float, curvature: float, factor: float) -> Floats:
-        """Return the variance of the elevation, NaN where unknown. [m^2]
-
-        It is that of the plane times its factor, plus the square of what the ground may curve up to the nearest fixes,
-        plus what fixes at the node disagree beyond their errors, as at a bridge over another road.
-        """
-        excess = np.maximum(self.misfit - 2.0 * fix_sd**2, 0.0)
-        return np.asarray(factor * self.plane_variance + (0.5 * curvature * self.spread) ** 2 + excess)
+def _make_places(
+    columns: _Columns,
+    system: _System,
+    fit: _Fit,
+    measured: tuple[Ints, Ints, Ints, Floats],
+    rng: np.random.Generator,
+) -> tuple[Ints, Ints, Floats, Floats, Ints]:
+    """Return row, column, elevation, variance and number of fixes of all places near fixes."""
+    row, column = _dilate(measured[0], measured[1])
+    design, without = columns.design(row.astype(np.float64), column.astype(np.float64))
+    cars = system.component == system.component[-1]
+    precision = 1.0 / fit.variances[system.component]
+    square = np.zeros(len(row))
+    for _ in range(LAST_SAMPLES):
+        square += _evaluate(design, system.draw(fit.weight, precision, rng), cars) ** 2
+    variance = square / LAST_SAMPLES + without @ fit.variances[: len(SPACINGS)]
+    place = np.searchsorted(_key(row, column), _key(measured[0], measured[1]))
+    count = np.zeros(len(row), np.int64)
+    count[place] = measured[2]
+    variance[place] += measured[3]
+    return row, column, _evaluate(design, fit.coefficients, cars), variance, count
 
 
-def _gather(blocks: Iterable[Planes], grid: _Grid, strictnesses: Sequence[float]) -> list[_Block]:
-    """Return what planes say about the nodes of a grid, for each strictness."""
-    nodes = [np.full((len(_Block._fields), len(grid.row)), np.nan) for _ in strictnesses]
-    of_block = group_by_block(grid.row, grid.column)
-    for planes in blocks:
-        which = of_block.get((planes.row // SIDE, planes.column // SIDE))
-        if which is None:
-            continue
-        place = grid.row[which] - planes.row, grid.column[which] - planes.column
-        for values, strictness in zip(nodes, strictnesses, strict=True):
-            values[:, which] = np.stack([each[place] for each in _Block.of(planes, strictness)])
-    return [_Block(*values) for values in nodes]
+def _evaluate(design: Any, coefficients: Floats, cars: NDArray[np.bool_]) -> Floats:
+    """Return the elevation of places as the mean of all loggers reports it, which fixes the datum of the map. [m]"""
+    return np.asarray(design @ coefficients[: design.shape[1]] + coefficients[cars].mean())
 
 
-class _Chosen(NamedTuple):
-    """Chosen values of `STRICTNESS`, `CURVATURES` and `FACTORS`."""
-
-    strictness: float
-    curvature: float
-    factor: float
-
-
-def _choose_parameters(fixes: ElevationFixes, grid: _Grid, elevation: Floats, fix_sd: float) -> _Chosen:
-    """Return the parameters with which one half of the days, or of the rides of one day, predicts the other best."""
-    unit = fixes.day if np.ptp(fixes.day) > 0 else fixes.ride
-    learned = np.flatnonzero(unit % 2 == unit.min() % 2)
-    unseen = np.flatnonzero(unit % 2 != unit.min() % 2)
-    unseen = unseen[:: 1 + len(unseen) // MOST_FOR_CHOICE]
-    best, chosen = -np.inf, _Chosen(STRICTNESS[1], CURVATURES[-1], FACTORS[-1])
-    if not len(unseen):
-        return chosen
-    planes = fit_planes(grid.sum_up(elevation, learned), (SPACING, SPACING), BANDWIDTHS, fix_sd**2)
-    for strictness, nodes in zip(STRICTNESS, _gather(planes, grid, STRICTNESS), strict=True):
-        square = (elevation - grid.follow(*nodes[:3]))[unseen] ** 2
-        for curvature, factor in product(CURVATURES, FACTORS):
-            variance = fix_sd**2 + nodes.variance(fix_sd, curvature, factor)[grid.node[unseen]]
-            terms = np.log(variance) + np.minimum(square / variance, CLIP**2)
-            likelihood = -float(np.nanmean(terms))
-            if likelihood > best:
-                best, chosen = likelihood, _Chosen(strictness, curvature, factor)
-    return chosen
+def _dilate(row: Ints, column: Ints) -> tuple[Ints, Ints]:
+    """Return all places within `NEAR` steps of some places, in the order of their keys."""
+    for _ in range(NEAR):
+        around = [(row + up, column + right) for up in (-1, 0, 1) for right in (-1, 0, 1)]
+        y, x = (np.concatenate(each) for each in zip(*around, strict=True))
+        _, first = np.unique(_key(y, x), return_index=True)
+        row, column = y[first], x[first]
+    return row, column

@@ -1,4 +1,4 @@
-"""The option `--elevation`: maps that correct the elevation of fixes, the same for every command that cleans samples."""
+"""The option `--elevation`: maps that correct the elevation of fixes, for every command that cleans samples."""
 
 from collections.abc import Mapping
 from pathlib import Path
