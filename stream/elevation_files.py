@@ -6,7 +6,6 @@ the format and the distance between places.
 
 from collections.abc import Sequence
 from math import degrees, radians
-from os import strerror
 from pathlib import Path
 from typing import Any, Final
 
@@ -119,6 +118,8 @@ def read_places(path: Path) -> ElevationPlaces:
     SettingsError
         If the file cannot be read, or is no learned map of this version.
     """
+    if not path.is_file():
+        raise _unusable(path, "there is no such file")
     try:
         table = pq.read_table(path)
         about = {name.decode(): value.decode() for name, value in (table.schema.metadata or {}).items()}
@@ -128,7 +129,7 @@ def read_places(path: Path) -> ElevationPlaces:
         steps = [radians(float(about[f"step_{name}_deg"])) for name in ("latitude", "longitude")]
         row, column, _, _, elevation, sd, fixes = (table[name].to_numpy() for name in COLUMNS)
     except OSError as error:
-        raise _unusable(path, strerror(error.errno) if error.errno else str(error)) from error
+        raise _unusable(path, error.strerror or str(error)) from error
     except (pa.ArrowException, KeyError, ValueError) as error:
         raise _unusable(path, str(error)) from error
     if not (min(steps) > 0.0 and np.isfinite(elevation).all() and (sd > 0.0).all()):

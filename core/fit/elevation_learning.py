@@ -45,7 +45,7 @@ LAST_SAMPLES: Final = 16
 """Samples of the posterior for the uncertainty of places, which is thereby known to 18 %."""
 SEED: Final = 20_260_101
 """Seed of the samples, so that the same fixes give the same map."""
-PRECISION: Final = 1e-3
+PRECISION: Final = 1e-4
 """Relative residual at which the solution of a system is accepted. [1]"""
 MOST_STEPS: Final = 500
 """Largest number of steps of conjugate gradients."""
