@@ -96,7 +96,7 @@ class Clean(NamedTuple):
     elevation : (n,) float64
         Smoothed elevation. [m]
     elevation_fix : (n,) float64
-        Elevation as reported with a new fix; NaN where there is none, or where the receiver repeats the last fix. [m]
+        Elevation by a new fix and the map; NaN where there is none, or where the receiver repeats the last fix. [m]
     power : (n,) float64
         Power drawn from the battery at the sample, by voltage times current; NaN where not measured. [W]
     energy, metered : (n,) float64
@@ -316,7 +316,8 @@ def clean_row(state: Any, row: Any, settings: Any) -> None:
     else:
         use_row(state, row, dt, settings)
     row.causal_climb = row.climb
-    row.elevation_fix = nan if repeated or dt == clock.UNUSED else row.raw_elevation
+    if repeated or dt == clock.UNUSED:
+        row.elevation_fix = nan
     row.ride = state.rides - 1.0 if state.riding == 1.0 else -1.0
     row.window = state.windows
     row.time, row.elapsed, row.parked, row.since_charge = state.time, state.elapsed, state.parked, state.since_charge
