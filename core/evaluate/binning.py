@@ -18,6 +18,8 @@ SPEEDS: Final = (10, 15, 20, 25, 30, 40, 50, 70, 100)
 """Edges of the bins of average ride speed. [km/h]"""
 WINDS: Final = (5, 10, 15, 20, 30, 40)
 """Edges of the bins of mean wind speed, regardless of direction. [km/h]"""
+SEASONS: Final = ("winter-tyre season (15 Dec to 15 Mar)", "outside it")
+"""Labels of the seasons of Table 1 of the paper. They are those of the tyres, not of the weather."""
 HOURS_PER_BIN: Final = 3
 """Width of a time-of-day bin. [h]"""
 DEGREES_PER_HOUR: Final = 15.0
@@ -110,10 +112,25 @@ def _distance(rides: pd.DataFrame) -> Binning:
     return Binning(assign_distance_clusters(_numbers(rides, "distance_km")), CLUSTERS)
 
 
+def bin_seasons(winter: Floats) -> Binning:
+    """Return the bins of `SEASONS`.
+
+    Parameters
+    ----------
+    winter : (n,) float
+        1 in the season of winter tyres, 0 outside it, NaN where unknown: Table 1 of the paper.
+
+    Examples
+    --------
+    >>> bin_seasons(np.array([1.0, 0.0, np.nan])).codes.tolist()
+    [0, 1, -1]
+    """
+    return Binning(np.where(np.isnan(winter), -1, 1 - (winter > 0.0)).astype(np.int64), SEASONS)
+
+
 def _season(rides: pd.DataFrame) -> Binning:
-    """Return winter and summer."""
-    winter = _numbers(rides, "winter")
-    return Binning(np.where(np.isnan(winter), -1, 1 - (winter > 0.0)).astype(np.int64), ("winter", "summer"))
+    """Return the bins of `SEASONS`."""
+    return bin_seasons(_numbers(rides, "winter"))
 
 
 def _hour(rides: pd.DataFrame) -> Binning:

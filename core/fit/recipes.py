@@ -240,7 +240,13 @@ SPEED_PRODUCTS: Final = tuple(
     make_term("average_speed_kmh", other) for other in ("lost_m", "odometer_km", "distance_km", "winter", "summer")
 )
 """Products of the average speed with five other columns, section 4.6.1."""
-HYBRID_TERMS: Final = (*FITTED_TERMS, *EMPIRICAL_TERMS)
+REMOVED_COLUMNS: Final = frozenset({"time_since_charge_s", "precipitation_mm_h", "gained_m"})
+"""Columns whose terms section 5.2 of the paper removes from the hybrid model, by RFECV and RFE."""
+HYBRID_TERMS: Final = (
+    *FITTED_TERMS,
+    *(term for term in EMPIRICAL_TERMS if REMOVED_COLUMNS.isdisjoint(term.columns)),
+)
+"""Terms of the hybrid model as section 5.1 evaluates it: without those of `REMOVED_COLUMNS`."""
 HYBRID_PRODUCTS: Final = (
     *(make_product("odometer_km", other) for other in FITTED_TERMS),
     *(make_product("lost_m", other) for other in BASIC_PART),
@@ -278,6 +284,12 @@ RECIPES: Final[Mapping[str, Recipe]] = MappingProxyType(
                 "hybrid_interactions",
                 "Hybrid Model (Interaction Terms)",
                 (*HYBRID_TERMS, *HYBRID_PRODUCTS, CONSTANT_TERM),
+            ),
+            LinearRecipe(
+                "hybrid_full",
+                "Hybrid Model (No Interaction Terms), No Term Removed",
+                (*FITTED_TERMS, *EMPIRICAL_TERMS, CONSTANT_TERM),
+                note="the hybrid model before section 5.2 of the paper removes three terms",
             ),
             LinearRecipe(
                 "basic_rescaled", "Basic Physical Model, Rescaled", RESCALED_TERMS, note="one factor, a baseline"

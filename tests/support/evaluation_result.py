@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from core.evaluate.binning import SEASONS
+
 RECIPES = {
     "basic_physical": "Basic Physical Model",
     "extended_physical": "Extended Physical Model",
@@ -159,7 +161,7 @@ def _by(rng: np.random.Generator) -> dict[str, Any]:
     bins = {
         "distance": ALL_CLUSTERS,
         "temperature": TEMPERATURES,
-        "season": ("winter", "summer"),
+        "season": SEASONS,
         "driver": tuple(f"driver-{i:03d}" for i in range(60)),
     }
     return {
@@ -184,7 +186,7 @@ def _coverage(rng: np.random.Generator) -> dict[str, Any]:
     return {
         "overall": 0.902,
         "cluster": {c: float(np.clip(rng.normal(0.9, 0.03), 0, 1)) for c in CLUSTERS},
-        "season": {"winter": 0.871, "summer": 0.913},
+        "season": dict(zip(SEASONS, (0.871, 0.913), strict=True)),
         "vehicle_model": dict.fromkeys(VEHICLES, 0.9),
         "width_kwh": 0.92,
         "by_vehicle": 0.89,

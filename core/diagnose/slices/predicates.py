@@ -29,6 +29,8 @@ FEWEST: Final = 8
 HOURS: Final = (3, 6, 12)
 """Lengths of the periods of the day, each beginning at a multiple of three hours. [h]"""
 
+SEASONS: Final = (("winter", "in the winter-tyre season"), ("summer", "outside the winter-tyre season"))
+"""Columns of the seasons, 15 December to 15 March and the rest of the year, and their conditions in words."""
 VAGUE: Final = 1.5
 """Effort of a condition on a season, a date or the battery temperature, because the weather says more than these."""
 
@@ -170,9 +172,9 @@ def _all(rides: pd.DataFrame) -> Iterator[tuple[RideCondition, NDArray[np.bool_]
     for scale in CONDITION_SCALES:
         if scale.column in rides:
             yield from _compared(_numbers(rides, scale.column) / scale.size, scale)
-    for season in ("winter", "summer"):
-        if season in rides:
-            yield RideCondition(f"in {season}", "season", VAGUE), _numbers(rides, season) > 0.5
+    for column, words in SEASONS:
+        if column in rides:
+            yield RideCondition(words, "season", VAGUE), _numbers(rides, column) > 0.5
     yield from _hours(rides)
     yield from _periods(read_dates(rides))
 

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from core.batch import Floats
-from core.evaluate.binning import Binning
+from core.evaluate.binning import Binning, bin_seasons
 from core.evaluate.paper.held_out import HeldOutPredictions
 from core.evaluate.ride_filter import CLUSTERS, LEAST_RIDES, EvaluatedRides
 from core.stats import scores
@@ -37,7 +37,7 @@ def bin_evaluated_rides(evaluated: EvaluatedRides) -> dict[str, Binning]:
     return {
         "distance": Binning(evaluated.cluster, CLUSTERS),
         "temperature": _temperature(rides["ambient_c"].to_numpy(np.float64)),
-        "season": _season(rides),
+        "season": bin_seasons(rides["winter"].to_numpy(np.float64)),
         "driver": _driver(rides),
     }
 
@@ -47,12 +47,6 @@ def _temperature(ambient_c: Floats) -> Binning:
     names = [f"below {TEMPERATURES[0]}", *(f"{t} to {t + 5}" for t in TEMPERATURES[:-1]), f"from {TEMPERATURES[-1]}"]
     codes = np.searchsorted(np.array(TEMPERATURES, dtype=np.float64), ambient_c, side="right")
     return Binning(np.where(np.isnan(ambient_c), -1, codes).astype(np.int64), tuple(names))
-
-
-def _season(rides: pd.DataFrame) -> Binning:
-    """Return winter and summer, as in Table 1 of the paper."""
-    winter = rides["winter"].to_numpy(np.float64)
-    return Binning(np.where(np.isnan(winter), -1, 1 - (winter > 0.0)).astype(np.int64), ("winter", "summer"))
 
 
 def _driver(rides: pd.DataFrame) -> Binning:
@@ -155,7 +149,7 @@ def compute_interval_coverage(held: HeldOutPredictions, evaluated: EvaluatedRide
     """
     rows = held.pooled
     energy = evaluated.energy[rows]
-    season, seasons = _season(evaluated.rides)
+    season, seasons = bin_seasons(evaluated.rides["winter"].to_numpy(np.float64))
     found: dict[str, dict[str, Any]] = {}
     for recipe in held.bounds:
         lower, upper = held.all_bounds(recipe)

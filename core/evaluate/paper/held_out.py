@@ -2,12 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import isnan
 from typing import Any, Final
 
 import numpy as np
 
 from core.batch import Floats
 from core.evaluate.paper.runs import Prediction
+from core.evaluate.paper.vehicle_weights import weigh_vehicle_models
 from core.evaluate.ride_filter import CLUSTERS, LEAST_RIDES, SCORED_CLUSTERS, EvaluatedRides
 from core.stats.scores import Codes, Estimate, average_over_repeats, combine_strata, compute_group_means
 
@@ -146,9 +148,13 @@ def average_over_clusters(found: list[list[Estimate]]) -> list[Estimate]:
 
 
 def average_over_vehicle_models(found: list[list[Estimate]], evaluated: EvaluatedRides) -> list[Estimate]:
-    """Return the mean over vehicle models, weighted by their rides, for each cluster."""
-    count = evaluated.count()
-    return [combine_strata([row[c] for row in found], count[:, c].tolist()) for c in range(SCORED_CLUSTERS)]
+    """Return the mean over vehicle models for each cluster, weighted as in the paper by all their rides."""
+    rides = evaluated.count().sum(axis=1).tolist()
+    columns = [[row[c] for row in found] for c in range(SCORED_CLUSTERS)]
+    return [
+        combine_strata(column, weigh_vehicle_models(rides, [not isnan(each.value) for each in column]).tolist())
+        for column in columns
+    ]
 
 
 def tabulate_estimates(found: list[list[Estimate]], evaluated: EvaluatedRides) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Evaluate recipes on a vehicle model without training data, and after a few of its rides: section 5.3 of the paper.
 
 With no rides, a recipe's fit over all vehicle models together (`*`) predicts, using the catalogue data of the new one.
+The paper also leaves the LEAF out of every training set; `untrained` vehicle models do the same here.
 The recipe is then given 1, 3, 10, 30 and 100 rides drawn at random from the new vehicle model, the same for every
 learner. The rides of the largest draw are excluded from the test at every point, so all points of a draw cover the same
 rides. Intervals cover the variation between draws only.
@@ -9,7 +10,7 @@ The benchmark is the fitted physical model, either as trained on the others or r
 has the smaller error at each point. This choice uses the test errors and so favours the benchmark.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import Any, Final, NamedTuple
 from zlib import crc32
@@ -17,8 +18,9 @@ from zlib import crc32
 import numpy as np
 
 from core.batch import Floats
-from core.errors import SocastError
+from core.errors import SettingsError, SocastError
 from core.evaluate.paper.held_out import HeldOutPredictions
+from core.evaluate.paper.published import find_paper_key
 from core.evaluate.paper.results import REFERENCE, compute_pooled_average, compute_reductions
 from core.evaluate.paper.runs import EvaluatedRecipe, FittedModel
 from core.evaluate.ride_filter import LEAST_RIDES, SCORED_CLUSTERS, EvaluatedRides
@@ -54,15 +56,56 @@ class Learner(NamedTuple):
     way: str
 
 
-def split_by_vehicle_model(evaluated: EvaluatedRides) -> dict[str, Split]:
-    """Return, for each vehicle model, the split that trains on all others; empty where there is only one."""
-    if len(evaluated.vehicle_models) < 2:
-        return {}
-    return {
-        name: Split(np.flatnonzero(evaluated.model != i), np.flatnonzero(evaluated.model == i))
+def select_untrained(keys: Collection[str], evaluated: EvaluatedRides) -> tuple[str, ...]:
+    """Return the vehicle models whose rides no other vehicle model is predicted from.
+
+    Parameters
+    ----------
+    keys : collection of str
+        Vehicle models of the rides, or of the paper: `nissan-leaf` stands for every LEAF of the catalogue.
+    evaluated : EvaluatedRides
+
+    Returns
+    -------
+    tuple of str
+        Vehicle models of the rides.
+
+    Raises
+    ------
+    SettingsError
+        Where a key names no vehicle model of the rides.
+    """
+    named = {key: [m for m in evaluated.vehicle_models if key in (m, find_paper_key(m))] for key in keys}
+    if unknown := [key for key, found in named.items() if not found]:
+        raise SettingsError(
+            f"no ride is of vehicle model {unknown[0]!r}, which is to be left out of training; name some of "
+            f"{', '.join(evaluated.vehicle_models)}"
+        )
+    chosen = {name for found in named.values() for name in found}
+    return tuple(name for name in evaluated.vehicle_models if name in chosen)
+
+
+def split_by_vehicle_model(evaluated: EvaluatedRides, untrained: Collection[str] = ()) -> dict[str, Split]:
+    """Return, for each vehicle model, the split that trains on the others and tests on all of its rides.
+
+    Parameters
+    ----------
+    evaluated : EvaluatedRides
+    untrained : collection of str
+        Vehicle models that no split trains on, as the paper leaves out the LEAF; they are tested.
+
+    Returns
+    -------
+    dict of str to Split
+        Without the vehicle models that have no others to train on, or too few rides to test.
+    """
+    trained = np.isin(evaluated.model, [i for i, name in enumerate(evaluated.vehicle_models) if name not in untrained])
+    found = {
+        name: Split(np.flatnonzero(trained & (evaluated.model != i)), np.flatnonzero(evaluated.model == i))
         for i, name in enumerate(evaluated.vehicle_models)
         if np.any(evaluated.count()[i, :SCORED_CLUSTERS] >= LEAST_RIDES)
     }
+    return {name: split for name, split in found.items() if len(split.train)}
 
 
 def compute_tables_12_and_13(
@@ -136,14 +179,14 @@ def draw_rides(own: Positions, name: str, seed: int, number: int) -> list[Positi
 
 
 def plan_learning_curves(
-    learners: Sequence[Learner], evaluated: EvaluatedRides, seed: int
+    learners: Sequence[Learner], evaluated: EvaluatedRides, splits: Mapping[str, Split], seed: int
 ) -> dict[tuple[str, str], Callable[[], Any]]:
-    """Return the calls that compute the curves, by vehicle model and learner."""
+    """Return the calls that compute the curves on splits of `split_by_vehicle_model`, by vehicle model and learner."""
     return {
         (name, learner.name): partial(
             compute_learning_curve, learner, evaluated, split, draw_rides(split.test, name, seed, DRAWS)
         )
-        for name, split in split_by_vehicle_model(evaluated).items()
+        for name, split in splits.items()
         for learner in learners
     }
 

@@ -36,7 +36,8 @@ from core.stats.multiple_testing import SIGNIFICANCE
 from core.stats.scores import Codes, Estimate, average_over_repeats
 from core.stats.splits import Positions, Split, split_by_ride
 
-RECIPE: Final = "hybrid"
+RECIPE: Final = "hybrid_full"
+"""Recipe with every term; `hybrid` lacks those that the paper removed."""
 MOST_RIDES: Final = 20_000
 """Largest number of rides used; of more, a random sample is drawn."""
 RIDES_PER_TERM: Final = 10

@@ -16,8 +16,8 @@ PAPER = {
     "fitted_physical": ("Fitted Extended Physical Model (Linear Regression)", 5),
     "empirical": ("Learned Empirical Model (No Interaction Terms)", 38),
     "empirical_interactions": ("Learned Empirical Model (Interaction Terms)", 38 + 35 + 5),
-    "hybrid": ("Hybrid Model (No Interaction Terms)", 43),
-    "hybrid_interactions": ("Hybrid Model (Interaction Terms)", 43 + 5 + 4 + 10),
+    "hybrid": ("Hybrid Model (No Interaction Terms)", 40),
+    "hybrid_interactions": ("Hybrid Model (Interaction Terms)", 40 + 5 + 4 + 10),
 }
 FITTED = [name for name in PAPER if name not in {"basic_physical", "extended_physical"}]
 
@@ -92,7 +92,10 @@ def test_terms_equal_those_of_the_paper():
     physical = [term.name for term in FITTED_TERMS]
     assert physical == ["rolling", "aero_drag_wind", "inertia", "climbing", "accessories"]
     hybrid = names(RECIPES["hybrid"])
-    assert hybrid == names(RECIPES["empirical"]) | set(physical)
+    removed = {"time_since_charge_s", "precipitation_mm_h", "gained_m"}
+    assert names(RECIPES["hybrid_full"]) == names(RECIPES["empirical"]) | set(physical)
+    assert hybrid == names(RECIPES["hybrid_full"]) - removed
+    assert removed <= names(RECIPES["hybrid_full"])
     added = {f"{by} * {name}" for by in ("odometer_km", "winter", "summer") for name in physical}
     added |= {f"lost_m * {term.name}" for term in BASIC_PART}
     assert names(RECIPES["hybrid_interactions"]) == hybrid | added
@@ -203,14 +206,15 @@ def test_inertia_is_held_near_physics_where_rides_do_not_determine_it(fleet, mod
     assert fit.coefficients[2] == pytest.approx(1.3, abs=0.03)
 
 
-def test_unknown_values_are_filled_with_the_mean_of_known_ones(fleet, models):
+def test_unknown_values_are_filled_with_the_mean_of_known_ones(fleet):
     since = fleet["time_since_charge_s"]
-    assert models["hybrid"].fits[ANY].fills["time_since_charge_s"] == pytest.approx(since.mean())
-    assert models["hybrid"].training.filled["time_since_charge_s"] == since.isna().sum()
-    predicted = models["hybrid"].predict(fleet.assign(time_since_charge_s=np.nan, wind_from_deg=np.nan))
+    full = RECIPES["hybrid_full"].fit(fleet)
+    assert full.fits[ANY].fills["time_since_charge_s"] == pytest.approx(since.mean())
+    assert full.training.filled["time_since_charge_s"] == since.isna().sum()
+    predicted = full.predict(fleet.assign(time_since_charge_s=np.nan, wind_from_deg=np.nan))
     assert np.isfinite(predicted).all()
     unknown = fleet.assign(mass_kg=np.nan, drag_area_m2=np.nan)
-    assert np.isnan(models["hybrid"].predict(unknown)).all()
+    assert np.isnan(full.predict(unknown)).all()
 
 
 def test_rides_unfit_unmeasured_or_of_unknown_cars_are_left_out_and_counted(fleet):
@@ -275,15 +279,15 @@ def test_vehicle_model_with_too_few_rides_uses_the_fit_over_all(fleet):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda t: t.drop(columns="gained_m"), "column 'gained_m' is missing: make the tables again"),
+        (lambda t: t.drop(columns="lost_m"), "column 'lost_m' is missing: make the tables again"),
         (lambda t: t.drop(columns="energy_kwh"), "column 'energy_kwh' is missing"),
-        (lambda t: t.iloc[:0], "0 rides to fit to, and it needs 86"),
-        (lambda t: t.iloc[:1], "1 rides to fit to, and it needs 86"),
+        (lambda t: t.iloc[:0], "0 rides to fit to, and it needs 80"),
+        (lambda t: t.iloc[:1], "1 rides to fit to, and it needs 80"),
         (lambda t: t.assign(energy_kwh=np.nan), "0 rides to fit to (2,000 no_measured_energy left out)"),
         (lambda t: t.assign(fit_for_training=False), "0 rides to fit to (2,000 unfit left out)"),
         (lambda t: pd.concat([t.iloc[5:6]] * 200), "all 200 rides are alike: nothing can be learned"),
         (lambda t: t.assign(energy_kwh=1.5), "energy_kwh is 1.5 in all 2,000 rides: nothing can be learned"),
-        (lambda t: t.assign(gained_m="steep"), "column 'gained_m' of the ride table is no number"),
+        (lambda t: t.assign(lost_m="steep"), "column 'lost_m' of the ride table is no number"),
     ],
 )
 def test_rides_that_cannot_be_fitted_are_refused_in_one_line(change, message, fleet):

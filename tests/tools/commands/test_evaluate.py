@@ -63,6 +63,13 @@ def test_evaluation_is_printed_and_written(folder, capsys):
     assert "Learned Empirical Model" in page
 
 
+def test_vehicle_model_left_out_of_training_is_recorded(folder, capsys):
+    fleet(models=planted_rides.MODELS).to_parquet(folder / "rides.parquet")
+    out = ran(capsys, folder, *QUICK, "--leave-out-of-training", "nissan-leaf", "--json", folder / "e.json")
+    assert json.loads((folder / "e.json").read_text())["about"]["left_out_of_training"] == ["nissan-leaf-2013"]
+    assert "Never trained on: Nissan LEAF 2013 SV." in " ".join(out.split())
+
+
 def test_files_are_accepted_and_several_form_one_table(folder, capsys):
     table = fleet()
     for name, part in (("a", table.iloc[:120]), ("b", table.iloc[120:])):
@@ -147,6 +154,8 @@ def test_invalid_options_are_refused(folder, capsys):
     assert "--repeats is 1; give 2 or more" in refused(capsys, folder, "--repeats", "1")
     assert "--jobs is 0; give 1 or more" in refused(capsys, folder, "--jobs", "0")
     assert "--seed is -1; give 0 or more" in refused(capsys, folder, "--seed", "-1")
+    message = refused(capsys, folder, *QUICK, "--leave-out-of-training", "horse")
+    assert "no ride is of vehicle model 'horse', which is to be left out of training; name some of" in message
     assert "overwritten" in refused(capsys, folder, "--json", folder / "rides.parquet")
     assert "cannot be written" in refused(capsys, folder, "--html", folder / "no" / "e.html")
     assert "/proc/e.html cannot be written" in refused(capsys, folder, "--html", "/proc/e.html")

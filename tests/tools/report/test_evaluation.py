@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from core.errors import SettingsError
+from core.evaluate.binning import SEASONS
 from core.evaluate.paper import published
 from core.evaluate.paper.results import to_json_values
 from tests.support.evaluation_result import CLUSTERS, RECIPES, VEHICLES, evaluation
@@ -264,14 +265,14 @@ def test_best_of_column_is_emphasised_and_dominance_is_marked(result):
 def test_coverage_outside_its_limits_is_marked():
     result = smaller(evaluation())
     result["coverage"]["hybrid_trees"]["cluster"]["0-5"] = 0.849
-    result["coverage"]["hybrid_trees"]["season"]["winter"] = 0.851
+    result["coverage"]["hybrid_trees"]["season"][SEASONS[0]] = 0.851
     result["coverage"]["hybrid_trees"]["overall"] = 0.93
     table = next(
         t for s in build_sections(to_json_values(result)) for t in s.tables if t.title.startswith("Rides inside")
     )
     cells = dict(zip(table.columns, (cell.text for cell in table.rows[-1].cells), strict=True))
     assert cells["0–5 km"] == "84.9 % ↓"
-    assert cells["winter"] == "85.1 %"
+    assert cells[SEASONS[0]] == "85.1 %"
     assert cells["overall"] == "93.0 % ↑"
 
 

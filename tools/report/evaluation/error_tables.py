@@ -38,6 +38,11 @@ INTERVAL_NOTE: Final = (
     "cluster of fewer than 10 rides has no figure."
 )
 """Note below tables of errors by cluster."""
+WEIGHTED_NOTE: Final = (
+    "Weighted average: over vehicle models, by all their rides; the others share the weight of one without a figure "
+    "equally. This is the rule of the paper's rows."
+)
+"""Note below tables that have a weighted row."""
 DOMINATES: Final[Mapping[str, str]] = MappingProxyType({"dominates": "●", "dominates_average": "○"})
 """Marks of models that no other model beats significantly: in the mean over rides, in the average over clusters."""
 DOMINATES_NOTE: Final = (
@@ -87,9 +92,7 @@ def tabulate_errors(result: Result, recipe: str) -> ReportTable:
         f"{get_title(result, recipe)}: mean absolute error, kWh{where}",
         lambda key, cluster: published.get_mae(recipe, key, cluster),
     )
-    weighted = "Weighted average: over vehicle models, by their rides in the cluster"
-    paper = "; the paper's rows agree better with weights by all rides of the model" if number_there else ""
-    return table._replace(notes=(*table.notes, INTERVAL_NOTE, f"{weighted}{paper}."))
+    return table._replace(notes=(*table.notes, INTERVAL_NOTE, WEIGHTED_NOTE))
 
 
 def tabulate_summaries(result: Result) -> list[ReportTable]:

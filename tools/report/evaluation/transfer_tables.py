@@ -70,7 +70,7 @@ def tabulate_new_vehicle(result: Result) -> ReportTable:
     stated = format_percent(published.get_statement("new_vehicle_reduction").value, 2)
     notes = (
         "Trained on all other vehicle models, tested on all rides of this one. Bold: the least of its column.",
-        "The paper leaves the LEAF out of training for the other cars; here all others train.",
+        _training_note(result),
         f"{WORSE.strip()}: above the fitted extended physical model.",
         "Reduction: against the basic physical model, mean over vehicle models.",
         f"The paper's reductions are computed from its rounded Table 12; its text states {stated} for the fitted one.",
@@ -193,6 +193,15 @@ def _tested(result: Result) -> tuple[list[str], list[str]]:
 def _left_out(result: Result, recipe: str, key: str, figure: str) -> float | None:
     """Return a figure of a model on a vehicle model left out of training."""
     return get_number(get_part(result, "new_vehicle", recipe, key, figure))
+
+
+def _training_note(result: Result) -> str:
+    """Return a sentence about the vehicle models that no model for a new vehicle model was trained on."""
+    left_out = get_part(result, "about", "left_out_of_training") or ()
+    if not left_out:
+        return "The paper leaves the LEAF out of training for the other cars; here all others train."
+    names = ", ".join(get_vehicle_name(key) for key in left_out)
+    return f"Never trained on: {names}. The paper leaves the LEAF out of training."
 
 
 def _paper_reduction(recipe: str) -> float | None:

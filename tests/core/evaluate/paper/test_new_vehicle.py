@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.errors import ModelError
+from core.errors import ModelError, SettingsError
 from core.evaluate.paper import new_vehicle
 from core.evaluate.paper.held_out import select_comparable
 from core.evaluate.paper.new_vehicle import (
@@ -17,6 +17,7 @@ from core.evaluate.paper.new_vehicle import (
     draw_rides,
     list_learners,
     select_ride_counts,
+    select_untrained,
     split_by_vehicle_model,
     tabulate_learning_curves,
 )
@@ -79,6 +80,29 @@ def test_new_vehicle_model_is_tested_on_all_its_rides_and_never_trained_on(table
         assert set(models[split.test]) == {name}
         assert name not in set(models[split.train])
         assert len(split.train) + len(split.test) == len(models)
+
+
+def test_untrained_vehicle_model_is_tested_and_never_trained_on(table):
+    leaf = select_untrained(["nissan-leaf"], table)
+    assert leaf == ("nissan-leaf-2013",)
+    assert select_untrained(["tesla-model-s", "nissan-leaf-2013"], table) == ("nissan-leaf-2013", "tesla-model-s")
+    assert select_untrained([], table) == ()
+    splits, plain = split_by_vehicle_model(table, leaf), split_by_vehicle_model(table)
+    models = table.rides["vehicle_model"].to_numpy()
+    assert set(splits) == set(MODELS)
+    for name, split in splits.items():
+        assert set(models[split.train]) == set(MODELS) - {name, *leaf}
+        assert np.array_equal(split.test, plain[name].test)
+
+
+def test_vehicle_model_without_others_to_train_on_is_not_tested(table):
+    assert set(split_by_vehicle_model(table, MODELS[:2])) == set(MODELS[:2])
+    assert split_by_vehicle_model(table, MODELS) == {}
+
+
+def test_untrained_vehicle_model_without_rides_is_refused(table):
+    with pytest.raises(SettingsError, match="'tesla-model-x', which is to be left out of training; name some of kia"):
+        select_untrained(["tesla-model-x"], table)
 
 
 def test_tables_12_and_13_average_over_clusters_relative_to_basic_model(table):
@@ -195,5 +219,5 @@ def test_single_vehicle_model_has_no_new_vehicle_results():
     rides = planted_rides.rides(200, 4, MODELS[:1]).assign(energy_kwh=1.0)
     alone = filter_rides(rides.assign(start_s=np.arange(200.0)))
     assert split_by_vehicle_model(alone) == {}
-    assert new_vehicle.plan_learning_curves(list_learners({"per_km": PerKm()}), alone, seed=1) == {}
+    assert new_vehicle.plan_learning_curves(list_learners({"per_km": PerKm()}), alone, {}, seed=1) == {}
     assert compute_tables_12_and_13({}, alone) == {}

@@ -10,6 +10,7 @@ import pytest
 
 from core.columns import ZERO_CELSIUS
 from core.errors import ModelError, SettingsError
+from core.evaluate.binning import SEASONS
 from core.evaluate.paper.accessories import compute_figure_1
 from core.evaluate.paper.held_out import select_comparable
 from core.evaluate.paper.protocol import evaluate, select_recipes
@@ -125,13 +126,13 @@ def test_planted_error_lies_within_its_interval(result):
         assert result["bias"]["basic_physical"][model] == pytest.approx(0.3, abs=0.01)
 
 
-def test_averages_are_plain_means_and_bottom_row_is_weighted_by_rides(result):
+def test_averages_are_plain_means_and_bottom_row_is_weighted_by_all_rides(result):
     mae, count = result["mae"]["close"], result["rides"]
     for model in MODELS:
         known = [mae[model][c]["value"] for c in CLUSTERS[:5] if mae[model][c]["value"] is not None]
         assert mae[model]["average"]["value"] == pytest.approx(np.mean(known))
     for cluster in ("0-5", "5-10"):
-        weights = [count[m][cluster] for m in MODELS]
+        weights = [count[m]["total"] for m in MODELS]
         values = [mae[m][cluster]["value"] for m in MODELS]
         assert mae["weighted"][cluster]["value"] == pytest.approx(np.average(values, weights=weights))
 
@@ -184,7 +185,7 @@ def test_intervals_cover_planted_errors_and_buffers_are_quantiles(result):
 
 def test_errors_are_reported_by_distance_temperature_season_and_driver(result):
     assert set(result["by"]) == {"distance", "temperature", "season", "driver"}
-    assert [b["bin"] for b in result["by"]["season"]["true"]] == ["winter", "summer"]
+    assert [b["bin"] for b in result["by"]["season"]["true"]] == list(SEASONS)
     assert [b["bin"] for b in result["by"]["driver"]["true"]] == ["ana", "bo"]
     total = sum(b["n"] for b in result["by"]["driver"]["true"])
     assert total == sum(b["n"] for b in result["by"]["season"]["true"])
@@ -226,6 +227,33 @@ def test_result_depends_on_seed_but_not_on_processes_or_ride_order():
     one = evaluate(table, wanted, seed=7, repeats=2)
     assert evaluate(table.sample(frac=1.0, random_state=1), wanted, seed=7, repeats=2, jobs=2) == one
     assert evaluate(table, wanted, seed=8, repeats=2)["mae"] != one["mae"]
+
+
+def test_vehicle_model_left_out_of_training_changes_new_vehicle_errors_only(rides, result):
+    class Trained(Toy):
+        def fit(self, rides):
+            rate = rides["energy_kwh"].sum() / rides["distance_km"].sum()
+            return Model(lambda predicted: rate * predicted["distance_km"].to_numpy())
+
+    table = fleet(models=(*MODELS, "nissan-leaf-2013"))
+    table.loc[table["vehicle_model"] == "nissan-leaf-2013", "energy_kwh"] *= 3.0
+    plain, without = (
+        evaluate(table, recipes(HIGH, Trained("rate", None)), seed=1, repeats=2, left_out_of_training=left_out)
+        for left_out in ((), ("nissan-leaf",))
+    )
+    assert plain["about"]["left_out_of_training"] == []
+    assert without["about"]["left_out_of_training"] == ["nissan-leaf-2013"]
+    assert without["mae"] == plain["mae"]
+    errors = {name: without["new_vehicle"]["rate"][name]["mae"] for name in (*MODELS, "nissan-leaf-2013")}
+    assert errors.pop("nissan-leaf-2013") == plain["new_vehicle"]["rate"]["nissan-leaf-2013"]["mae"]
+    for name, error in errors.items():
+        assert error < 0.2 * plain["new_vehicle"]["rate"][name]["mae"]
+    two = evaluate(rides, recipes(HIGH, TRUE), seed=1, repeats=2, left_out_of_training=MODELS[:1])
+    assert list(two["new_vehicle"]["true"]) == [MODELS[0], "average"]
+    assert two["about"]["notes"] == [
+        f"{MODELS[1]}: not tested as a new vehicle model, for want of rides to test or of others to train on"
+    ]
+    assert result["about"]["notes"] == []
 
 
 def test_failing_recipe_is_left_out_with_note(rides):

@@ -12,7 +12,7 @@ MODELS = ("kia-soul-ev-2015", "tesla-model-s")
 PLANTED = ("distance_km", "gained_m", "duration_s")
 DECOYS = ("odometer_km", "soc_start_pct", "wind_speed_kmh", "precipitation_mm_h")
 RECIPE = LinearRecipe(
-    "hybrid", "Hybrid", (*(make_term(c) for c in (*PLANTED, *DECOYS, "nominal_capacity_kwh")), make_term())
+    "hybrid_full", "Hybrid", (*(make_term(c) for c in (*PLANTED, *DECOYS, "nominal_capacity_kwh")), make_term())
 )
 
 
@@ -55,14 +55,16 @@ def test_total_loss_equals_loss_of_last_removal(selection):
 
 
 def test_no_loss_where_no_term_is_removable():
-    recipe = LinearRecipe("hybrid", "Hybrid", (*(make_term(c) for c in PLANTED), make_term()))
+    recipe = LinearRecipe("hybrid_full", "Hybrid", (*(make_term(c) for c in PLANTED), make_term()))
     rfe = find_removable_terms(recipe, filter_rides(fleet()), seed=2)["rfe"]
     assert rfe["removed"] == []
     assert rfe["loss"] is None
 
 
 def test_one_of_two_collinear_terms_is_removed_without_loss():
-    recipe = LinearRecipe("hybrid", "Hybrid", (*(make_term(c) for c in (*PLANTED, "winter", "summer")), make_term()))
+    recipe = LinearRecipe(
+        "hybrid_full", "Hybrid", (*(make_term(c) for c in (*PLANTED, "winter", "summer")), make_term())
+    )
     table = fleet()
     table["energy_kwh"] += 0.5 * table["winter"]
     steps = {
@@ -86,10 +88,11 @@ def test_each_vehicle_model_has_separate_coefficients():
     assert other < 1e-9
 
 
-def test_selection_is_empty_with_few_rides_or_without_hybrid_recipe():
+def test_selection_is_empty_with_few_rides_or_without_full_hybrid_recipe():
     assert find_removable_terms(RECIPE, filter_rides(fleet(200)), seed=2) == {}
     assert plan_selection(filter_rides(fleet(200)), {"basic_physical": RECIPE}, seed=2) == {}
-    assert list(plan_selection(filter_rides(fleet(200)), {"hybrid": RECIPE}, seed=2)) == ["hybrid"]
+    assert plan_selection(filter_rides(fleet(200)), {"hybrid": RECIPE}, seed=2) == {}
+    assert list(plan_selection(filter_rides(fleet(200)), {"hybrid_full": RECIPE}, seed=2)) == ["hybrid_full"]
 
 
 def test_selection_is_reproducible(selection):
