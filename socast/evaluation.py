@@ -168,7 +168,7 @@ def evaluate_soc_forecasts(*recordings: str | Path, model: LinearModel = EXTENDE
         Where no forecast can be evaluated: give recordings of more days.
     """
     collector = _SocForecasts(Pipeline(model, keep_outlooks=True))
-    for messages in merge_sources([McapSource(path) for path in recordings]):
+    for messages in collector.cut(merge_sources([McapSource(path) for path in recordings])):
         collector.pipeline.take(messages)
         collector.pipeline.forecasts()
         collector()

@@ -1,13 +1,24 @@
-"""Fit boosted trees with scikit-learn, and export them as plain arrays.
+"""Fit boosted trees with scikit-learn's regression trees, and export them as plain arrays.
 
 The trees are few, small and shrunk. A person can therefore read them, and a few rides cannot determine a leaf. They
 explain only the residual of a physical model.
+
+Each tree is a `DecisionTreeRegressor`, whose nodes are public (`tree_`). The loop around it is least-squares boosting
+(Friedman 2001, algorithm 2) with a ridge on the leaves. Features enter as the number of their bin, so a threshold
+between two bins becomes the edge between them, exactly.
+
+References
+----------
+Friedman, Annals of Statistics 29 (2001) 1189, "Greedy Function Approximation: A Gradient Boosting Machine", DOI
+10.1214/aos/1013203451. Chen and Guestrin, KDD 2016, eq. (5), on the ridge, DOI 10.1145/2939672.2939785.
 """
 
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
-from sklearn.ensemble import HistGradientBoostingRegressor
+from numpy.typing import NDArray
+from sklearn.tree import DecisionTreeRegressor
 from threadpoolctl import threadpool_limits
 
 from core.batch import Floats
@@ -21,36 +32,9 @@ LEARNING_RATE: Final = 0.15
 SHRINKAGE: Final = 5.0
 """Shrinkage of a leaf: the number of additional rides with the answer 0."""
 _BINS: Final = 63
-"""Number of candidate thresholds of each feature."""
+"""Largest number of bins of each feature."""
 _MOST: Final = float(np.finfo(np.float64).max)
-"""Replacement for an infinite threshold, which JSON cannot represent: every known value goes left."""
-
-
-def make_booster(learning_rate: float = LEARNING_RATE, trees: int = TREES) -> HistGradientBoostingRegressor:
-    """Return an unfitted estimator of boosted trees: least squares, deterministic, without early stopping.
-
-    Parameters
-    ----------
-    learning_rate : float
-        Factor on the answer of each tree. [1]
-    trees : int
-        Number of trees.
-
-    Returns
-    -------
-    HistGradientBoostingRegressor
-        Estimator of scikit-learn.
-    """
-    return HistGradientBoostingRegressor(
-        max_iter=trees,
-        learning_rate=learning_rate,
-        max_leaf_nodes=LEAVES,
-        min_samples_leaf=_LEAST_LEAF_RIDES,
-        l2_regularization=SHRINKAGE,
-        max_bins=_BINS,
-        early_stopping=False,
-        random_state=0,
-    )
+"""Threshold above every known value, as JSON cannot represent infinity: every known value goes left."""
 
 
 def fit_trees(table: Floats, names: tuple[str, ...], target: Floats, weight: Floats, per: str = "") -> Trees:
@@ -73,44 +57,71 @@ def fit_trees(table: Floats, names: tuple[str, ...], target: Floats, weight: Flo
     -------
     Trees
         Trees as plain arrays.
+
+    Notes
+    -----
+    With residual r and weights w of mean 1, a leaf answers `LEARNING_RATE` times sum(w r) / (sum(w) + `SHRINKAGE`).
     """
     telling = [i for i in range(len(names)) if _tells(table[:, i])]
-    if not telling:
-        return make_constant_trees(float(np.average(target, weights=weight)), per)
-    coarse = np.column_stack([_coarse(table[:, i]) for i in telling])
+    edges = [compute_bin_edges(table[:, i]) for i in telling]
+    bins = np.column_stack([np.empty((len(table), 0)), *map(assign_bins, table[:, telling].T, edges)])
+    baseline = float(np.average(target, weights=weight))
     with threadpool_limits(1):
-        model = make_booster().fit(coarse, target, sample_weight=weight / weight.mean())
-    return export_trees(model, tuple(names[i] for i in telling), per)
+        grown = boost(bins.astype(np.float32), target - baseline, weight / weight.mean()) if telling else []
+    return export_trees(grown, edges, tuple(names[i] for i in telling), baseline, per)
 
 
-def make_constant_trees(answer: float, per: str = "") -> Trees:
-    """Return trees without features, which always give the same answer.
+def boost(bins: NDArray[np.float32], target: Floats, weight: Floats) -> list[tuple[DecisionTreeRegressor, Floats]]:
+    """Return boosted trees, each with the answer of every node; fewer than `TREES` where nothing is left to split.
 
     Parameters
     ----------
-    answer : float
-        Constant answer.
-    per : str
-        Column that multiplies the answer, see `core.models.trees.Trees`.
+    bins : (n, features) float32
+        Bin of each feature, NaN where unknown.
+    target : (n,) float
+        Value to predict, of mean 0.
+    weight : (n,) float
+        Weight of each ride, of mean 1.
 
     Returns
     -------
-    Trees
-        Trees with a baseline only.
+    list of (DecisionTreeRegressor, (nodes,) float)
+        Answers are 0 at nodes that are no leaves.
     """
-    none: tuple[Any, ...] = ()
-    return Trees(
-        features=none,
-        per=per,
-        baseline=answer,
-        roots=none,
-        feature=none,
-        threshold=none,
-        left=none,
-        right=none,
-        missing_left=none,
-        value=none,
-    )
+    left, grown = target.copy(), []
+    for _ in range(TREES):
+        tree = DecisionTreeRegressor(max_leaf_nodes=LEAVES, min_samples_leaf=_LEAST_LEAF_RIDES, random_state=0)
+        tree.fit(bins, left, sample_weight=weight)
+        if tree.tree_.node_count == 1:
+            break
+        leaf = tree.tree_.apply(bins)
+        count = tree.tree_.node_count
+        sums, size = np.bincount(leaf, weight * left, count), np.bincount(leaf, weight, count)
+        answer = LEARNING_RATE * sums / (size + SHRINKAGE)
+        left -= answer[leaf]
+        grown.append((tree, answer))
+    return grown
+
+
+def compute_bin_edges(column: Floats) -> Floats:
+    """Return the ascending edges between the bins of a feature, at most `_BINS` - 1.
+
+    The bins hold about the same number of rides. A value on an edge belongs to the bin below.
+    """
+    known = column[~np.isnan(column)]
+    values: Floats = np.unique(np.quantile(known, np.linspace(0.0, 1.0, _BINS)))
+    return (values[1:] + values[:-1]) / 2.0
+
+
+def assign_bins(column: Floats, edges: Floats) -> Floats:
+    """Return the bin of each value, from 0; NaN where the value is unknown.
+
+    Examples
+    --------
+    >>> assign_bins(np.array([1.0, 2.0, 2.5, np.nan]), np.array([2.0])).tolist()
+    [0.0, 0.0, 1.0, nan]
+    """
+    return np.where(np.isnan(column), np.nan, np.searchsorted(edges, column).astype(np.float64))
 
 
 def _tells(column: Floats) -> bool:
@@ -119,24 +130,25 @@ def _tells(column: Floats) -> bool:
     return len(known) > 0 and (known.min() < known.max() or len(known) < len(column))
 
 
-def _coarse(column: Floats) -> Floats:
-    """Return a feature rounded to at most `_BINS` values, because scikit-learn's binning is slow with weights."""
-    known = ~np.isnan(column)
-    values = np.unique(np.quantile(column[known], np.linspace(0.0, 1.0, _BINS)))
-    rounded = column.copy()
-    rounded[known] = values[np.searchsorted((values[1:] + values[:-1]) / 2.0, column[known])]
-    return rounded
-
-
-def export_trees(model: HistGradientBoostingRegressor, features: tuple[str, ...], per: str = "") -> Trees:
-    """Return the trees of a fitted estimator, which predict the same values.
+def export_trees(
+    grown: Sequence[tuple[DecisionTreeRegressor, Floats]],
+    edges: Sequence[Floats],
+    features: tuple[str, ...],
+    baseline: float,
+    per: str = "",
+) -> Trees:
+    """Return boosted trees as plain arrays that compare the features themselves in place of their bins.
 
     Parameters
     ----------
-    model : HistGradientBoostingRegressor
-        Estimator fitted to numbers only, without categories.
+    grown : sequence of (DecisionTreeRegressor, (nodes,) float)
+        Trees of `boost`.
+    edges : sequence of (bins - 1,) float
+        Edges of the bins of each feature.
     features : tuple of str
-        Names of its columns.
+        Names of the features.
+    baseline : float
+        Value to which the leaves are added.
     per : str
         Column that multiplies the answer, see `core.models.trees.Trees`.
 
@@ -145,20 +157,34 @@ def export_trees(model: HistGradientBoostingRegressor, features: tuple[str, ...]
     Trees
         Trees as plain arrays.
     """
-    nodes: list[Any] = [stage[0].nodes for stage in model._predictors]  # noqa: SLF001 - there is no public way
-    roots = np.cumsum([0, *(len(tree) for tree in nodes[:-1])])
-    every = np.concatenate(nodes)
-    shift = np.repeat(roots, [len(tree) for tree in nodes])
-    leaf = every["is_leaf"].astype(bool)
+    nodes = [tree.tree_ for tree, _ in grown]
+    count = [each.node_count for each in nodes]
+    roots = np.cumsum([0, *count])[: len(count)]
+    shift = np.repeat(roots, count)
+    left, right = (_joined([getattr(each, name) for each in nodes]) for name in ("children_left", "children_right"))
+    leaf = left < 0
+    feature = np.where(leaf, LEAF, _joined([each.feature for each in nodes])).astype(int).tolist()
+    bounds = _joined([each.threshold for each in nodes]).tolist()
+    missing = _joined([each.missing_go_to_left for each in nodes])
     return Trees(
-        features=features,
+        features=features if grown else (),
         per=per,
-        baseline=float(np.ravel(model._baseline_prediction)[0]),  # noqa: SLF001
+        baseline=baseline,
         roots=tuple(roots.tolist()),
-        feature=tuple(np.where(leaf, LEAF, every["feature_idx"]).astype(int).tolist()),
-        threshold=tuple(np.where(leaf, 0.0, np.clip(every["num_threshold"], -_MOST, _MOST)).tolist()),
-        left=tuple(np.where(leaf, 0, every["left"] + shift).astype(int).tolist()),
-        right=tuple(np.where(leaf, 0, every["right"] + shift).astype(int).tolist()),
-        missing_left=tuple(np.where(leaf, 0, every["missing_go_to_left"]).astype(int).tolist()),
-        value=tuple(np.where(leaf, every["value"], 0.0).tolist()),
+        feature=tuple(feature),
+        threshold=tuple(0.0 if f == LEAF else _threshold(b, edges[f]) for f, b in zip(feature, bounds, strict=True)),
+        left=tuple(np.where(leaf, 0, left + shift).astype(int).tolist()),
+        right=tuple(np.where(leaf, 0, right + shift).astype(int).tolist()),
+        missing_left=tuple(np.where(leaf, 0, missing).astype(int).tolist()),
+        value=tuple(np.where(leaf, _joined([answer for _, answer in grown]), 0.0).tolist()),
     )
+
+
+def _joined(arrays: Sequence[Floats]) -> Floats:
+    """Return the arrays of all trees in sequence."""
+    return np.concatenate([np.zeros(0), *arrays])
+
+
+def _threshold(bound: float, edges: Floats) -> float:
+    """Return the value of a feature that separates bins up to a bound from those above."""
+    return float(edges[int(bound)]) if bound < len(edges) else _MOST

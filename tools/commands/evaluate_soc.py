@@ -1,5 +1,6 @@
 """`socast evaluate-soc`: evaluate forecasts of the state of charge at the shift's end against the outcome."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import pandas as pd
@@ -7,10 +8,13 @@ import pandas as pd
 from core import models
 from core.evaluate.paper.results import to_json_values
 from core.evaluate.soc.legs import RIDE_COLUMNS, LegRecorder, match_legs_to_rides
+from core.evaluate.soc.query_times import QueryTimes
 from core.evaluate.soc.report import evaluate_soc
 from core.pipeline import Pipeline
 from core.settings import Settings
+from core.wire.messages import Message
 from stream.elevation_files import open_elevation
+from stream.source import Source, merge_sources
 from tools.terminal.cleaning_options import insert_cleaning_options
 from tools.terminal.elevation_option import ElevationFiles, warn_outside
 from tools.terminal.forecast_run import run_forecasts
@@ -29,7 +33,9 @@ from tools.terminal.recordings import Recordings, open_recordings, warn_of_losse
 
 
 class SocForecasts:
-    """Collect the forecasts of a pipeline and their outcomes; the caller calls it after each list of messages.
+    """Collect the forecasts of a pipeline and their outcomes, while it takes the lists of `cut`.
+
+    The caller calls the object after each list.
 
     Parameters
     ----------
@@ -39,20 +45,40 @@ class SocForecasts:
 
     def __init__(self, pipeline: Pipeline) -> None:
         self.pipeline = pipeline
-        self._questions = LegRecorder(pipeline.ask)
+        self._times, self._questions = QueryTimes(), LegRecorder(pipeline.ask)
+        self._due: str | None = None
         self._outlooks: list[pd.DataFrame] = []
         self._rides: list[pd.DataFrame] = []
 
+    def cut(self, source: Source) -> Iterator[list[Message]]:
+        """Yield the messages of a source in lists that end where a vehicle is due for a query.
+
+        Parameters
+        ----------
+        source : Source
+            Messages in the order of their receipt.
+        """
+        for messages in source:
+            for part, due in self._times.cut(messages):
+                self._due = due
+                yield list(part)
+
     def __call__(self) -> None:
-        """Collect the outlooks and rides since the last call, and query the outlooks of legs."""
+        """Query the vehicle that is due; without one, collect the outlooks and rides since the last time."""
+        if self._due is None:
+            self._collect()
+        else:
+            self._questions.query(self._due)
+
+    def _collect(self) -> None:
+        """Collect the outlooks and rides since the last call."""
         self._outlooks.append(self.pipeline.take_outlooks())
         self._rides.append(self.pipeline.take_rides()[["vehicle_id", "distance_km", *RIDE_COLUMNS]])
         self.pipeline.take_windows()
-        self._questions(self._outlooks[-1])
 
     def evaluated(self) -> dict[str, Any]:
         """Return the evaluation of all forecasts, see `core.evaluate.soc.report.evaluate_soc`."""
-        self()
+        self._collect()
         shifts = self.pipeline.take_shifts()
         legs = match_legs_to_rides(self._questions.table(), pd.concat(self._rides), shifts)
         return evaluate_soc(pd.concat(self._outlooks, ignore_index=True), shifts, legs)
@@ -83,7 +109,7 @@ def evaluate_recordings(
     check_outputs(read, json_file, html_file)
     elevation_map = open_elevation(elevation or ())
     forecasts = SocForecasts(Pipeline(models.load(model), settings, keep_outlooks=True, elevation_map=elevation_map))
-    run_forecasts(forecasts.pipeline, sources, also=forecasts)
+    run_forecasts(forecasts.pipeline, sources, forecasts.cut(merge_sources(sources)), also=forecasts)
     warn_outside(forecasts.pipeline.quality())
     warn_of_losses(sources)
     result = to_json_values(forecasts.evaluated())

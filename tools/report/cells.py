@@ -145,6 +145,22 @@ def format_published(figure: PublishedFigure | None) -> str:
     return "" if figure is None else figure.text
 
 
+def format_published_share(share: float | None, digits: int = 1) -> str:
+    """Return a share that follows from the paper as a percentage; empty where it has none."""
+    return "" if share is None else format_percent(share, digits)
+
+
+def format_cluster(cluster: str) -> str:
+    """Return a cluster of distance with its unit.
+
+    Examples
+    --------
+    >>> format_cluster("0-5"), format_cluster("30+")
+    ('0–5 km', '30+ km')
+    """
+    return f"{cluster.replace('-', '–')} km"
+
+
 def mark_least(cells: list[Cell], values: list[float | None]) -> list[Cell]:
     """Return the cells of a column, with those of the least value emphasised."""
     least = min((value for value in values if value is not None), default=None)

@@ -8,8 +8,11 @@ import pytest
 from rich.console import Console
 
 from core.evaluate.paper.results import to_json_values
+from core.evaluate.soc.legs import LegRecorder
 from core.evaluate.soc.report import evaluate_soc
+from core.models import EXTENDED_PHYSICAL
 from core.stats.clustered import LEAST_CLUSTERS
+from stream.mcap_reader import McapSource
 from tests.support.html_pages import read_page
 from tests.support.paths import ROOT
 from tests.support.soc_frames import make_frames
@@ -67,10 +70,6 @@ def run(monkeypatch, capsys):
         def take_shifts(self):
             return SMALL.shifts
 
-        def ask(self, vehicle_id):
-            assert vehicle_id in set(SMALL.shifts["vehicle_id"])
-            return super().ask("taxi-001")
-
     monkeypatch.setattr(command, "Pipeline", Planted)
 
     def ran(*arguments):
@@ -89,6 +88,25 @@ def test_command_prints_and_writes_same_result(run, result, tmp_path):
     assert written == result
     assert printed(result) in streams.out
     assert f"report in {tmp_path / 's.html'}" in streams.out
+
+
+def test_queries_of_legs_do_not_depend_on_lists_of_source():
+    messages = [message for block in McapSource(SHIFT) for message in block]
+
+    def recorded(size):
+        told = command.SocForecasts(command.Pipeline(EXTENDED_PHYSICAL, keep_outlooks=True))
+        lists = [messages[start : start + size] for start in range(0, len(messages), size)]
+        asked, ask = [], told.pipeline.ask
+        told.pipeline.ask = lambda vehicle: asked.append((vehicle, ask(vehicle))) or asked[-1][1]
+        told._questions = LegRecorder(told.pipeline.ask)
+        for part in told.cut(lists):
+            told.pipeline.take(part)
+            told()
+        return asked
+
+    whole = recorded(len(messages))
+    assert len(whole) > 10
+    assert recorded(997) == whole
 
 
 def test_output_that_would_overwrite_recording_is_refused(run):

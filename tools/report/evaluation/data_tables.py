@@ -11,6 +11,7 @@ from tools.report.cells import (
     Cell,
     ReportTable,
     Row,
+    format_cluster,
     format_count,
     format_energy,
     format_percent,
@@ -73,13 +74,13 @@ def tabulate_ride_filter(result: Result) -> ReportTable:
     total = get_number(about.get("rides"))
     rows: list[Row] = []
     if total is not None:
-        published_count = format_published_count(published.get_statement("rides").value)
+        published_count = format_count(published.get_statement("rides").value)
         rows.append(Row("rides", (Cell(format_count(total), published_count), Cell(""))))
     for reason, count in get_mapping(about, "unfit").items():
         rows.append(_counted(f"left out: {reason.replace('_', ' ')}", count, total))
     removed = sum(get_number(count) or 0.0 for count in get_mapping(about, "unfit").values())
     if removed:
-        published_count = format_published_count(published.get_statement("rides_removed").value)
+        published_count = format_count(published.get_statement("rides_removed").value)
         share = published.get_statement("rides_removed").value / published.get_statement("rides").value
         rows.append(
             Row(
@@ -219,7 +220,7 @@ def format_heads(columns: list[str]) -> tuple[str, ...]:
         Headings, clusters in km.
     """
     special = {AVERAGE: "average *", "total": "total"}
-    return tuple(special.get(column, f"{column} km".replace("-", "–")) for column in columns)
+    return tuple(special.get(column) or format_cluster(column) for column in columns)
 
 
 def _beside(value: Any, figure: PublishedFigure | None) -> Cell:
@@ -229,14 +230,9 @@ def _beside(value: Any, figure: PublishedFigure | None) -> Cell:
     return Cell(format_energy(value), format_published(figure))
 
 
-def format_published_count(value: float) -> str:
-    """Return a count of the paper with thousands separators."""
-    return f"{value:,.0f}"
-
-
 def _paper_count(figure: PublishedFigure | None) -> str:
     """Return a count of the paper, empty text where it has none."""
-    return "" if figure is None else format_published_count(figure.value)
+    return "" if figure is None else format_count(figure.value)
 
 
 def _counted(name: str, count: Any, total: float | None, *, last: bool = False) -> Row:

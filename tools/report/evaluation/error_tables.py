@@ -1,6 +1,6 @@
 """Build the tables of errors: Tables 5 to 11 of the paper, their summary, and which models differ significantly."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -12,16 +12,17 @@ from tools.report.cells import (
     Cell,
     ReportTable,
     Row,
+    format_cluster,
     format_energy,
     format_percent,
     format_published,
+    format_published_share,
     format_signed,
     mark_least,
 )
 from tools.report.evaluation.data_tables import tabulate_by_cluster
 from tools.report.evaluation.result import (
     Result,
-    compute_mean,
     get_average_error,
     get_mapping,
     get_number,
@@ -166,19 +167,7 @@ def tabulate_reductions(result: Result) -> ReportTable:
     reductions = get_mapping(result, "reduction")
     keys = list_vehicle_models(result)
     names = [recipe for recipe in get_recipes(result) if recipe in reductions and recipe != PHYSICAL]
-    rows = tuple(
-        Row(
-            get_title(result, recipe),
-            (
-                *(
-                    Cell(format_percent(get_part(reductions, recipe, k)), _share(published.get_reduction(recipe, k)))
-                    for k in keys
-                ),
-                Cell(format_percent(get_part(reductions, recipe, AVERAGE)), _share(compute_paper_reduction(recipe))),
-            ),
-        )
-        for recipe in names
-    )
+    rows = _share_rows(result, reductions, names, (*keys, AVERAGE), published.get_reduction)
     stated = format_percent(published.get_statement("reduction").value, 2)
     note = (
         f"The paper's percentages are computed from its rounded averages. Its text states {stated} for the "
@@ -186,23 +175,6 @@ def tabulate_reductions(result: Result) -> ReportTable:
     )
     heads = (*(get_vehicle_name(key) for key in keys), "average")
     return ReportTable("Reduction of the average error against the basic physical model", "model", heads, rows, (note,))
-
-
-def compute_paper_reduction(recipe: str) -> float | None:
-    """Return the paper's reduction of the average error by a model, as the mean over its vehicle models.
-
-    Parameters
-    ----------
-    recipe : str
-        Recipe of the model.
-
-    Returns
-    -------
-    float or None
-        Share of the error of the basic physical model; None where the paper has no figure.
-    """
-    models = published.load_paper().vehicle_models.values()
-    return compute_mean(published.get_reduction(recipe, model.catalogue[0]) for model in models)
 
 
 def tabulate_relative_errors(result: Result) -> ReportTable:
@@ -221,20 +193,11 @@ def tabulate_relative_errors(result: Result) -> ReportTable:
     errors = get_mapping(result, "relative")
     columns = list_clusters(result, errors.values())
     names = [recipe for recipe in get_recipes(result) if recipe in errors]
-    rows = tuple(
-        Row(
-            get_title(result, recipe),
-            tuple(
-                Cell(format_percent(get_part(errors, recipe, c)), _share(published.get_relative_error(recipe, c)))
-                for c in columns
-            ),
-        )
-        for recipe in names
-    )
+    rows = _share_rows(result, errors, names, columns, published.get_relative_error)
     note = (
         "The paper shows these as a curve only. Its figures here are computed from the weighted rows of Tables 4 to 11."
     )
-    heads = tuple(f"{c} km".replace("-", "–") for c in columns)
+    heads = tuple(format_cluster(c) for c in columns)
     name = "Error over consumption, all vehicle models together (Figure 2)"
     return ReportTable(name, "model", heads, rows, (note,))
 
@@ -287,11 +250,8 @@ def tabulate_bands(result: Result) -> ReportTable:
     """
     shares = get_mapping(result, "bands")
     limits = list(dict.fromkeys(limit for row in shares.values() for limit in get_mapping(row)))
-    rows = tuple(
-        Row(get_title(result, recipe), tuple(Cell(format_percent(get_part(shares, recipe, limit))) for limit in limits))
-        for recipe in get_recipes(result)
-        if recipe in shares
-    )
+    names = [recipe for recipe in get_recipes(result) if recipe in shares]
+    rows = _share_rows(result, shares, names, limits)
     heads = tuple(f"within ±{limit} %" for limit in limits)
     return ReportTable("Rides predicted within a band around their measured energy", "model", heads, rows)
 
@@ -362,9 +322,24 @@ def _average_cell(result: Result, recipe: str, key: str) -> Cell:
     return Cell(text, format_published(published.get_mae(recipe, key, AVERAGE)))
 
 
-def _share(value: float | None) -> str:
-    """Return a share in percent, empty text where it is unknown."""
-    return "" if value is None else format_percent(value)
+def _share_rows(
+    result: Result,
+    found: Mapping[str, Any],
+    names: Sequence[str],
+    columns: Sequence[str],
+    paper: Callable[[str, str], float | None] = lambda _recipe, _column: None,
+) -> tuple[Row, ...]:
+    """Return a row of shares in percent for each model, beside those that follow from the paper."""
+    return tuple(
+        Row(
+            get_title(result, recipe),
+            tuple(
+                Cell(format_percent(get_part(found, recipe, column)), format_published_share(paper(recipe, column)))
+                for column in columns
+            ),
+        )
+        for recipe in names
+    )
 
 
 def _said(result: Result, finding: published.PaperFinding) -> str:

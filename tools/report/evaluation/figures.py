@@ -11,6 +11,7 @@ from core.evaluate.paper import published
 from core.evaluate.paper.published import AVERAGE, PHYSICAL
 from core.formatting import format_minus
 from core.vehicles import AccessoryCurve
+from tools.report.cells import format_cluster
 from tools.report.evaluation.result import (
     Result,
     get_half_width,
@@ -224,16 +225,8 @@ def draw_splits(result: Result) -> go.Figure:
     present = [split for split in SPLITS if get_mapping(result, "splits", split)]
     means = {recipe: compute_means_by_split(result, recipe, present) for recipe in get_recipes(result)}
     names = [recipe for recipe, values in means.items() if values and values[0] is not None]
-    traces = [
-        draw_dots(
-            f"by {split}",
-            get_style(3 * i + 2),
-            [means[recipe][i] for recipe in names],
-            [place + _offset(i, len(present)) for place in range(len(names))],
-        )
-        for i, split in enumerate(present)
-    ]
-    return _by_model(result, names, traces, "Average error, mean over vehicle models [kWh]", 34)
+    series = {f"by {split}": [means[recipe][i] for recipe in names] for i, split in enumerate(present)}
+    return _draw_series(result, names, series, "Average error, mean over vehicle models [kWh]")
 
 
 def draw_bands(result: Result) -> go.Figure:
@@ -252,16 +245,11 @@ def draw_bands(result: Result) -> go.Figure:
     shares = get_mapping(result, "bands")
     names = [recipe for recipe in get_recipes(result) if recipe in shares]
     limits = list(dict.fromkeys(limit for recipe in names for limit in get_mapping(shares, recipe)))
-    traces = [
-        draw_dots(
-            f"within ±{limit} %",
-            get_style(3 * i + 2),
-            [_times(get_number(get_part(shares, recipe, limit)), 100.0) for recipe in names],
-            list(range(len(names))),
-        )
-        for i, limit in enumerate(limits)
-    ]
-    return _by_model(result, names, traces, "Share of rides [%]", 34)
+    series = {
+        f"within ±{limit} %": [_times(get_number(get_part(shares, recipe, limit)), 100.0) for recipe in names]
+        for limit in limits
+    }
+    return _draw_series(result, names, series, "Share of rides [%]")
 
 
 def draw_buffers(result: Result) -> go.Figure:
@@ -362,7 +350,7 @@ def draw_coverage(result: Result) -> go.Figure:
     traces = []
     for recipe in names:
         values = {"overall": get_part(coverage, recipe, "overall")}
-        values |= {f"{_dash(c)} km": get_part(coverage, recipe, "cluster", c) for c in distances}
+        values |= {escape_label(format_cluster(c)): get_part(coverage, recipe, "cluster", c) for c in distances}
         values |= dict(get_mapping(coverage, recipe, "season"))
         values |= {
             escape_label(get_vehicle_name(key)): v for key, v in get_mapping(coverage, recipe, "vehicle_model").items()
@@ -378,6 +366,19 @@ def draw_coverage(result: Result) -> go.Figure:
     least = min((y for trace in traces for y in trace.y if y is not None), default=100.0)
     made.update_yaxes(title_text="Inside their 90 % interval [%]", range=[min(80.0, least - 2.0), 101.0])
     return made
+
+
+def _draw_series(
+    result: Result, names: Sequence[str], series: Mapping[str, Sequence[float | None]], unit: str
+) -> go.Figure:
+    """Return a figure with one row per model, which holds one dot of each series."""
+    traces = [
+        draw_dots(
+            label, get_style(3 * i + 2), list(values), [row + _offset(i, len(series)) for row in range(len(names))]
+        )
+        for i, (label, values) in enumerate(series.items())
+    ]
+    return _by_model(result, names, traces, unit, 34)
 
 
 def _by_model(result: Result, names: Sequence[str], traces: list[Any], unit: str, row_height: int) -> go.Figure:
@@ -403,11 +404,6 @@ def _times(value: float | None, factor: float) -> float | None:
     return None if value is None else value * factor
 
 
-def _dash(cluster: str) -> str:
-    """Return the name of a cluster with an en dash, safe as a label."""
-    return escape_label(cluster.replace("-", "–"))
-
-
 def _dashes(columns: Sequence[str]) -> list[str]:
     """Return the names of clusters with en dashes, safe as labels."""
-    return [_dash(column) for column in columns]
+    return [escape_label(column.replace("-", "–")) for column in columns]

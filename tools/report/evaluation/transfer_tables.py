@@ -4,8 +4,17 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from core.evaluate.paper import published
-from core.evaluate.paper.published import PublishedFigure
-from tools.report.cells import Cell, ReportTable, Row, format_energy, format_percent, format_published, mark_least
+from core.evaluate.paper.published import AVERAGE
+from tools.report.cells import (
+    Cell,
+    ReportTable,
+    Row,
+    format_energy,
+    format_percent,
+    format_published,
+    format_published_share,
+    mark_least,
+)
 from tools.report.evaluation.result import (
     FITTED,
     WAYS,
@@ -66,7 +75,8 @@ def tabulate_new_vehicle(result: Result) -> ReportTable:
         )
 
     reduced = [compute_mean(_left_out(result, recipe, key, "reduction") for key in keys) for recipe in names]
-    last = [Cell(format_percent(share), _percent(_paper_reduction(r))) for share, r in zip(reduced, names, strict=True)]
+    theirs = [format_published_share(published.get_new_vehicle_reduction(recipe, AVERAGE)) for recipe in names]
+    last = [Cell(format_percent(share), paper) for share, paper in zip(reduced, theirs, strict=True)]
     stated = format_percent(published.get_statement("new_vehicle_reduction").value, 2)
     notes = (
         "Trained on all other vehicle models, tested on all rides of this one. Bold: the least of its column.",
@@ -98,7 +108,8 @@ def tabulate_new_vehicle_relative(result: Result) -> ReportTable:
 
     def cell(recipe: str, key: str) -> Cell:
         share = format_percent(_left_out(result, recipe, key, "relative"))
-        return Cell(share, _as_percent(published.get_new_vehicle_relative_error(recipe, key)))
+        figure = published.get_new_vehicle_relative_error(recipe, key)
+        return Cell(share, format_published_share(None if figure is None else figure.value, 0))
 
     rows = _rows(result, names, keys, cell, "relative", [])
     heads = tuple(get_vehicle_name(key) for key in keys)
@@ -204,25 +215,9 @@ def _training_note(result: Result) -> str:
     return f"Never trained on: {names}. The paper leaves the LEAF out of training."
 
 
-def _paper_reduction(recipe: str) -> float | None:
-    """Return the mean over the paper's vehicle models of its reductions by a model."""
-    models = published.load_paper().vehicle_models.values()
-    return compute_mean(published.get_new_vehicle_reduction(recipe, model.catalogue[0]) for model in models)
-
-
 def _against(point: Mapping[str, Any] | None, fitted: Mapping[str, Any] | None) -> Cell:
     """Return an error, marked where it is above that of the fitted physical model."""
     if point is None:
         return Cell("")
     worse = fitted is not None and point["value"] > fitted["value"]
     return Cell(format_energy(point) + (WORSE if worse else ""))
-
-
-def _percent(share: float | None) -> str:
-    """Return a share in percent, empty text where it is unknown."""
-    return "" if share is None else format_percent(share)
-
-
-def _as_percent(figure: PublishedFigure | None) -> str:
-    """Return a figure of the paper in percent, empty text where it has none."""
-    return "" if figure is None else format_percent(figure.value, 0)

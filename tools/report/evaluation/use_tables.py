@@ -10,6 +10,7 @@ from tools.report.cells import (
     Cell,
     ReportTable,
     Row,
+    format_cluster,
     format_count,
     format_energy,
     format_percent,
@@ -256,7 +257,7 @@ def tabulate_coverage(result: Result) -> ReportTable:
         )
         for recipe in names
     )
-    heads = ("overall", *(f"{c} km".replace("-", "–") for c in distances), *seasons, "width, kWh")
+    heads = ("overall", *(format_cluster(c) for c in distances), *seasons, "width, kWh")
     low, high = COVERAGE_RANGE
     note = (
         f"↓ or ↑: outside of {format_percent(low, 0)} to {format_percent(high, 0)} overall, "
@@ -363,7 +364,7 @@ def tabulate_buffers_by_cluster(result: Result) -> ReportTable:
         Row(get_title(result, recipe), tuple(Cell(format_energy(at[recipe].get(c))) for c in distances))
         for recipe in names
     )
-    heads = tuple(f"{c} km".replace("-", "–") for c in distances)
+    heads = tuple(format_cluster(c) for c in distances)
     return ReportTable(f"Buffer for {most} % of rides by distance, kWh", "model", heads, rows)
 
 

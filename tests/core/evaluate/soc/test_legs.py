@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.evaluate.soc.legs import QUERY_INTERVAL, LegRecorder, match_legs_to_rides
+from core.errors import AskError
+from core.evaluate.soc.legs import LEAST_INTERVAL, LegRecorder, match_legs_to_rides
 from core.evaluate.soc.report import evaluate_soc
 from core.wire.messages import Interval, LegOutlook, Outlook
 from tests.support.soc_frames import CAPACITY, make_frames
@@ -22,13 +23,13 @@ def outlook(time, socs=(60.0, 50.0)):
     return Outlook(CAR, time, "m/1", 70.0, 0.5, None, None, None, None, legs, None, None, 10.0, None, None)
 
 
-def make_legs(time=BEGIN, shift=0, legs=3):
+def make_legs(time=BEGIN, legs=3):
     """Return the recorded legs of one query."""
     place = np.arange(legs)
     soc = 70.0 - 10.0 * (place + 1)
     return pd.DataFrame(
         {
-            "vehicle_id": CAR, "shift": shift, "time_s": time, "leg": place, "ahead_km": 10.0 * (place + 1),
+            "vehicle_id": CAR, "time_s": time, "leg": place, "ahead_km": 10.0 * (place + 1),
             "soc_pct": 70.0, "soc_mean_pct": soc, "soc_p05_pct": soc - 2.0, "soc_p95_pct": soc + 2.0,
         }
     )  # fmt: skip
@@ -93,26 +94,32 @@ def test_legs_are_matched_up_to_next_charge_only(hour, past):
     assert len(later) == np.sum(ends > charged)
 
 
-def test_recorder_queries_every_half_hour_of_planned_shift():
-    frames = make_frames(cars=1, days=2, warm_up=0)
-    table = frames.outlooks
-    times = []
+def test_recorder_keeps_legs_of_known_charge_and_one_answer_of_two_soon_after_each_other():
+    answers = iter([outlook(BEGIN + offset, (60.0, None)) for offset in (0.0, 5.0, LEAST_INTERVAL, -HOUR)])
+    questions = LegRecorder(lambda _: next(answers))
+    for _ in range(4):
+        questions.query(CAR)
+    table = questions.table()
+    assert table["time_s"].tolist() == [BEGIN, BEGIN + LEAST_INTERVAL]
+    assert table["leg"].tolist() == [0, 0]
+    assert table["soc_mean_pct"].tolist() == [60.0, 60.0]
 
-    def ask(vehicle):
-        assert vehicle == "taxi-0"
-        times.append(float(part["time_s"].iloc[-1]))
-        return outlook(times[-1], (60.0, None))
 
-    questions = LegRecorder(ask)
-    for _, part in table.groupby(np.arange(len(table)) // 7):
-        questions(part)
-        questions(part.assign(planned=False, time_s=part["time_s"] + 1e6))
-    gaps = np.diff(times)
-    assert (gaps >= QUERY_INTERVAL).all()
-    assert np.median(gaps) < QUERY_INTERVAL + 7 * 60.0 + 1.0
-    assert len(times) == len(questions.table())  # a leg of which nothing is known has no row
-    assert set(questions.table()["shift"]) == {0, 1}
-    assert (questions.table()["soc_mean_pct"] == 60.0).all()
+def test_vehicle_without_usable_sample_gives_no_legs():
+    def refuse(_vehicle):
+        raise AskError("vehicle 'taxi-1' has sent nothing so far: give one that has", "unknown_vehicle")
+
+    questions = LegRecorder(refuse)
+    questions.query(CAR)
+    assert questions.table().empty
+
+
+def test_leg_belongs_to_shift_in_which_it_was_queried():
+    both = pd.concat([shifts(8.0), shifts(8.0).assign(shift=1, begin_s=BEGIN + 12 * HOUR, end_s=BEGIN + 20 * HOUR)])
+    asked = pd.concat([make_legs(legs=1), make_legs(BEGIN + 13 * HOUR, legs=1), make_legs(BEGIN - HOUR, legs=1)])
+    matched = match_legs_to_rides(asked, rides(1.0, 14.0), both)
+    assert matched["shift"].tolist() == [0, 1]
+    assert matched["minutes"].tolist() == [60.0, 60.0]
 
 
 def test_no_queries_or_no_rides_give_no_legs():

@@ -1,0 +1,78 @@
+"""Find the messages before which a vehicle is queried about its shift, from the event times in the messages alone.
+
+The day is divided into slots of `QUERY_INTERVAL`. A vehicle is queried when its first sample of another slot is about
+to be taken, so that the answer rests on all messages before that sample, and on no other. How a source divides messages
+into lists changes nothing.
+"""
+
+from collections.abc import Iterator, Sequence
+from math import floor, isfinite
+from typing import Final
+
+import msgspec
+
+from core.wire.messages import Message, address
+
+QUERY_INTERVAL: Final = 1800.0
+"""Length of a slot. [s]"""
+
+
+class _SampleTime(msgspec.Struct, gc=False):
+    """The time of a sample, whose other fields are not decoded."""
+
+    time_s: float
+
+
+class QueryTimes:
+    """Cut lists of messages where a vehicle is to be queried.
+
+    Examples
+    --------
+    >>> times = QueryTimes()
+    >>> sample = lambda time: Message("fleet/taxi-7/telemetry", b'{"time_s": %d}' % time, 0)
+    >>> [(len(part), due) for part, due in times.cut([sample(1790), sample(1797), sample(1803)])]
+    [(2, 'taxi-7'), (1, None)]
+    """
+
+    def __init__(self) -> None:
+        self._slots: dict[str, int] = {}
+        self._decoder = msgspec.json.Decoder(_SampleTime | list[_SampleTime])
+
+    def cut(self, messages: Sequence[Message]) -> Iterator[tuple[Sequence[Message], str | None]]:
+        """Yield the messages in parts, each with the vehicle that is due after it; the last part has none.
+
+        Parameters
+        ----------
+        messages : sequence of Message
+            Messages in the order of their arrival.
+
+        Yields
+        ------
+        (sequence of Message, str or None)
+        """
+        start = 0
+        for place, message in enumerate(messages):
+            whose = address(message.key)
+            if whose is None or whose.kind != "telemetry":
+                continue
+            slot = self._find_slot(message.payload)
+            before = self._slots.get(whose.identity)
+            if slot is None or slot == before:
+                continue
+            self._slots[whose.identity] = slot
+            if before is not None:
+                yield messages[start:place], whose.identity
+                start = place
+        yield messages[start:], None
+
+    def _find_slot(self, payload: bytes) -> int | None:
+        """Return the slot of a sample, or of the first of several; None where a payload tells no time."""
+        try:
+            sample = self._decoder.decode(payload)
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            return None
+        if isinstance(sample, list):
+            if not sample:
+                return None
+            sample = sample[0]
+        return floor(sample.time_s / QUERY_INTERVAL) if isfinite(sample.time_s) else None
