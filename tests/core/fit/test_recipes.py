@@ -69,8 +69,8 @@ class TestBaselines:
 
     def test_rescaled_basic_with_power_solves_two_kinds_of_ride_exactly(self):
         # k + 1800 s p = 2 kWh and 2 k + 1800 s p = 3 kWh: k = 1, and 1 kWh in half an hour is 2 kW
-        found = self.fit("basic_rescaled_power", [2.0, 3.0, 2.0, 3.0], duration_s=1800.0, **FOUR_RIDES)
-        assert found == pytest.approx({"basic": 1.0, "duration_s": 2.0 / 3600.0})
+        fitted = self.fit("basic_rescaled_power", [2.0, 3.0, 2.0, 3.0], duration_s=1800.0, **FOUR_RIDES)
+        assert fitted == pytest.approx({"basic": 1.0, "duration_s": 2.0 / 3600.0})
 
     def test_telematics_regression_recovers_planted_coefficients(self):
         table = rides(400, seed=4, models=MODELS[:1])

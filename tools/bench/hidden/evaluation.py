@@ -185,12 +185,12 @@ def is_scope_right(case: Case, columns: Sequence[str]) -> bool:
     columns : sequence of str
         Columns of the term.
     """
-    said = dict(column.split("=", 1) for column in columns if "=" in column and "@" not in column)
-    if said.get("vehicle") != case.where.vehicle:
+    scopes = dict(column.split("=", 1) for column in columns if "=" in column and "@" not in column)
+    if scopes.get("vehicle") != case.where.vehicle:
         return False
-    if case.where.since is None or "since" not in said:
-        return case.where.since == said.get("since")
-    return abs((date.fromisoformat(said["since"]) - date.fromisoformat(case.where.since)).days) <= DATE_ERROR
+    if case.where.since is None or "since" not in scopes:
+        return case.where.since == scopes.get("since")
+    return abs((date.fromisoformat(scopes["since"]) - date.fromisoformat(case.where.since)).days) <= DATE_ERROR
 
 
 def compare_intervals(

@@ -106,14 +106,14 @@ def get_new_vehicle_reductions(result: Result, recipe: str) -> dict[str, float |
         Baseline -> mean over vehicle models of the share, None where it is unknown. [1]
     """
     errors = {name: get_mapping(result, "new_vehicle", name) for name in (*BASELINES, recipe)}
-    found: dict[str, float | None] = {}
+    reductions: dict[str, float | None] = {}
     for name in BASELINES:
         pairs = [
             (get_number(get_part(errors[recipe], key, "mae")), get_number(get_part(errors[name], key, "mae")))
             for key in list_vehicle_models(result)
         ]
-        found[name] = compute_mean(1.0 - error / base for error, base in pairs if error is not None and base)
-    return found
+        reductions[name] = compute_mean(1.0 - error / base for error, base in pairs if error is not None and base)
+    return reductions
 
 
 def find_best_on_new_vehicles(result: Result) -> str | None:

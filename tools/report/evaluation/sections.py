@@ -153,10 +153,10 @@ def tabulate_headline(result: Result) -> ReportTable:
     best = dict.fromkeys(recipe for recipe in (INTERACTIONS, find_best(result)) if recipe)
     unseen = dict.fromkeys(recipe for recipe in (FITTED, find_best_on_new_vehicles(result)) if recipe)
     paper = {INTERACTIONS: "reduction", FITTED: "new_vehicle_reduction"}
-    said = {recipe: published.get_statement(name) for recipe, name in paper.items()}
-    of_rides = (_reductions(result, r, "", get_reductions(result, r), said.get(r)) for r in best)
+    statements = {recipe: published.get_statement(name) for recipe, name in paper.items()}
+    of_rides = (_reductions(result, r, "", get_reductions(result, r), statements.get(r)) for r in best)
     where = ", vehicle model unseen"
-    of_new = (_reductions(result, r, where, get_new_vehicle_reductions(result, r), said.get(r)) for r in unseen)
+    of_new = (_reductions(result, r, where, get_new_vehicle_reductions(result, r), statements.get(r)) for r in unseen)
     rows = tuple(row for row in (*of_rides, *of_new) if row is not None)
     heads = tuple(f"below {head}" for head in BASELINE_HEADS.values())
     notes = ("Mean over vehicle models of the reduction of the average error.", BASELINES_NOTE)
@@ -164,21 +164,23 @@ def tabulate_headline(result: Result) -> ReportTable:
 
 
 def _reductions(
-    result: Result, recipe: str, where: str, shares: Mapping[str, float | None], said: PaperStatement | None
+    result: Result, recipe: str, where: str, shares: Mapping[str, float | None], statement: PaperStatement | None
 ) -> Row | None:
     """Return a row of reductions by baseline, the paper's beside that of the basic model; None where none is known."""
     if all(share is None for share in shares.values()):
         return None
     cells = [
-        Cell("" if name == recipe else format_percent(shares.get(name)), _percent(said) if name == PHYSICAL else "")
+        Cell(
+            "" if name == recipe else format_percent(shares.get(name)), _percent(statement) if name == PHYSICAL else ""
+        )
         for name in BASELINE_HEADS
     ]
     return Row(f"{get_title(result, recipe)}{where}", tuple(cells))
 
 
-def _percent(said: PaperStatement | None) -> str:
+def _percent(statement: PaperStatement | None) -> str:
     """Return a share of the paper in percent, empty text where there is none."""
-    return "" if said is None else format_percent(said.value, 2)
+    return "" if statement is None else format_percent(statement.value, 2)
 
 
 def tabulate_overview(result: Result) -> ReportTable:
