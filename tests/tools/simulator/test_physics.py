@@ -5,8 +5,6 @@ from datetime import UTC, datetime
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from core.vehicles import load_catalogue
 from core.wire.messages import Weather
@@ -20,16 +18,6 @@ from tools.simulator.settings import (
     STEP,
     Phenomena,
     Simulation,
-)
-from tools.simulator.weather import compute_sun_height, make_sky
-from tools.simulator.world import (
-    EXPRESSWAYS,
-    compute_elevation,
-    draw_destination,
-    find_crossing,
-    is_in_tunnel,
-    make_route,
-    to_wgs84,
 )
 
 
@@ -108,24 +96,7 @@ class TestPhysics:
         assert 8 < minutes.mean() < 20
 
 
-class TestWorld:
-    def test_weather_has_seasons_and_persistence(self):
-        sky = make_sky(datetime(2018, 1, 1, tzinfo=UTC).timestamp(), 365, 3)
-        month = np.array([datetime.fromtimestamp(t, UTC).month for t in sky.time])
-        assert -16 < sky.temperature[month == 1].mean() < -4
-        assert 17 < sky.temperature[month == 7].mean() < 25
-        days = sky.temperature[: len(sky.temperature) // 24 * 24].reshape(-1, 24).mean(axis=1)
-        normal = np.convolve(np.pad(days, 15, mode="edge"), np.ones(31) / 31, mode="valid")
-        anomaly = days - normal
-        assert 0.3 < np.corrcoef(anomaly[1:], anomaly[:-1])[0, 1] < 0.9
-        wind = sky.wind_east
-        assert np.corrcoef(wind[1:], wind[:-1])[0, 1] > 0.85
-        wet = sky.precipitation > 0
-        assert wet[1:][wet[:-1]].mean() > 3 * wet.mean()
-        assert 600 < sky.precipitation.sum() < 1600
-        assert sky.snow[month == 7].max() < 0.01 < sky.snow[month == 1].mean()
-        assert sky.solar[compute_sun_height(sky.time) == 0].max() == 0
-
+class TestShift:
     def test_stations_publish_weather_every_hour(self, perfect):
         observations = [
             msgspec.json.decode(m.payload, type=Weather) for m in perfect[0] if m.key.startswith("weather/")
@@ -134,39 +105,6 @@ class TestWorld:
             times = [row.time_s for row in observations if row.station_id == station]
             assert set(np.diff(times)) == {3600.0}
         assert {row.station_id for row in observations} == {"mctavish", "yul", "yhu"}
-
-    @given(st.integers(0, 10_000), st.floats(400, 25_000))
-    def test_routes_follow_streets(self, seed, distance):
-        rng = np.random.default_rng(seed)
-        start = find_crossing(float(rng.uniform(-9000, 9000)), float(rng.uniform(-6000, 6000)))
-        goal = draw_destination(*start, distance, rng)
-        way = make_route(start, goal, rng)
-        assert goal != start
-        for line in EXPRESSWAYS:
-            assert abs(goal[1 - line.axis] - line.at) > 100
-            turns = np.abs((way.v, way.u)[line.axis] - line.at) < 5
-            turns &= np.append(False, way.turn)
-            assert not is_in_tunnel(way.u, way.v, np.full(len(way.u), line.axis * np.pi / 2))[turns].any()
-        assert (way.u[0], way.v[0]) == start
-        assert (way.u[-1], way.v[-1]) == goal
-        assert (np.minimum(np.abs(np.diff(way.u)), np.abs(np.diff(way.v))) < 1e-9).all()
-        assert (np.diff(way.along) > 0).all()
-        assert len(way.limit) == len(way.turn) == len(way.along) - 1
-
-    def test_ground_is_smooth_with_a_hill_in_the_centre(self):
-        x = np.arange(-9000.0, 9000.0, 10.0)
-        for y in (-4000.0, 0.0, 2500.0):
-            slope = np.diff(compute_elevation(x, np.full_like(x, y))) / 10.0
-            assert np.abs(slope).max() < 0.12
-            assert np.abs(np.diff(slope)).max() < 0.01
-        middle = compute_elevation(np.zeros(1), np.zeros(1))[0]
-        assert middle > 150 + compute_elevation(np.array([6000.0]), np.array([4000.0]))[0]
-        latitude, longitude = to_wgs84(np.zeros(1), np.zeros(1))
-        assert (latitude[0], longitude[0]) == pytest.approx((45.5, -73.6), abs=0.02)
-
-    def test_tunnels_lie_on_expressways(self):
-        assert sum(len(line.tunnels) for line in EXPRESSWAYS) >= 3
-        assert all(900 <= 1.2 * (end - begin) < 2000 for line in EXPRESSWAYS for begin, end in line.tunnels)
 
     def test_driving_has_plausible_speeds_and_accelerations(self):
         shift, trace, _, _ = drive_one_shift(hours=3)

@@ -5,7 +5,6 @@ import pytest
 from core import effects
 from core.effects import Parameter, registry
 from core.effects.source_file import render_source
-from core.errors import EffectError
 from tools.terminal.effect_template import blank
 
 
@@ -35,22 +34,3 @@ def test_template_is_file_that_passes_its_check(tmp_path, text):
     (effect,) = registry._run(path)
     effects.check_effect(effect)
     assert all(len(line) <= 130 for line in text.splitlines())
-
-
-def test_quotes_and_letters_of_source_are_preserved(tmp_path):
-    path = tmp_path / "suggested.py"
-    path.write_text(suggestion(source='θ of "Größe" \\ é'))
-    (effect,) = registry._run(path)
-    assert effect.source == 'θ of "Größe" \\ é'
-    assert effect.parameters["cold"].bounds == (283.15, 283.15)
-
-
-def test_numpy_is_imported_only_if_used():
-    assert "import numpy" not in suggestion()
-    assert "import numpy as np" in suggestion(body="return np.maximum(speed, 0.0) * (cold - ambient) / cold")
-
-
-@pytest.mark.parametrize("name", ["my effect", "2nd", "a-b", "", "x()"])
-def test_invalid_function_name_is_refused(name):
-    with pytest.raises(EffectError, match="not the name of a function"):
-        suggestion(name=name)
