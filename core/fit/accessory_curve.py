@@ -164,9 +164,9 @@ def _scaled(sums: Floats) -> AccessoryCurve:
     """Return the reference curve times a factor fitted by least squares, with 1 as coefficient of each column."""
     off = np.divide(sums[:, 0, 1], sums[:, 0, 0], out=np.zeros(_BINS), where=sums[:, 0, 0] > 0.0)
     power = ACCESSORIES.power(_CENTRE + off + ZERO_CELSIUS)
-    own = float(sums[:, 0, 0] @ power**2)
+    squares = float(sums[:, 0, 0] @ power**2)
     left = sums[:, 0, -1] - sums[:, 0, 2:-1].sum(axis=1)
-    factor = max(float(left @ power) / own, 0.0) if own > 0.0 else 1.0
+    factor = max(float(left @ power) / squares, 0.0) if squares > 0.0 else 1.0
     return AccessoryCurve(
         heating_full=ACCESSORIES.heating_full,
         heating_off=ACCESSORIES.heating_off,
@@ -195,8 +195,8 @@ def _factors(sums: Floats) -> Floats:
     left = sums.copy()
     factor = np.zeros_like(sums)
     for i in range(sums.shape[1]):
-        own = left[:, i, i]
-        pivot = np.where(own > 1e-12 * sums[:, i, i], np.sqrt(np.maximum(own, 0.0)), 0.0)
+        squares = left[:, i, i]
+        pivot = np.where(squares > 1e-12 * sums[:, i, i], np.sqrt(np.maximum(squares, 0.0)), 0.0)
         by = pivot[:, np.newaxis]
         row = np.divide(left[:, i], by, out=np.zeros(left.shape[:2]), where=by > 0.0)
         row[:, :i] = 0.0

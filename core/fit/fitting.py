@@ -206,9 +206,9 @@ class _Fitting:
         rides = self.groups[ANY].rides
         if rides < least:
             why = ", ".join(f"{n:,} {reason}" for reason, n in sorted(self.left_out.items()))
-            told = f" ({why} left out)" if why else ""
+            reasons = f" ({why} left out)" if why else ""
             raise ModelError(
-                f"recipe {self.plan.name}: {rides:,} rides to fit to{told}, and it needs {least}: give more rides"
+                f"recipe {self.plan.name}: {rides:,} rides to fit to{reasons}, and it needs {least}: give more rides"
             )
         self.counts = {key: group.rides for key, group in sorted(self.groups.items()) if key != ANY}
         self.groups = {key: group for key, group in self.groups.items() if group.rides >= least}
@@ -252,8 +252,8 @@ class _Fitting:
         """Return the model that the passes have determined."""
         every = self.groups[ANY]
         digest = sha256()
-        for name, own in sorted(self.digests.items()):
-            digest.update(name.encode() + own.digest())
+        for name, part in sorted(self.digests.items()):
+            digest.update(name.encode() + part.digest())
         training = Training(
             rides=every.rides,
             first_date=self.dates[0],

@@ -203,10 +203,10 @@ def estimate_noise(sums: NormalEquations, mean: Floats, scale: Floats) -> float:
     float
         Variance over size. [kWh]
     """
-    own = sums.gram + np.diag(scale**2)
-    found = mean + np.linalg.solve(own, sums.cross - sums.gram @ mean)
-    freedom = sums.rides - np.trace(np.linalg.solve(own, sums.gram))
-    return sums.left(found) / max(float(freedom), 1.0)
+    precision = sums.gram + np.diag(scale**2)
+    coefficients = mean + np.linalg.solve(precision, sums.cross - sums.gram @ mean)
+    freedom = sums.rides - np.trace(np.linalg.solve(precision, sums.gram))
+    return sums.left(coefficients) / max(float(freedom), 1.0)
 
 
 def estimate_common_noise(groups: Sequence[NormalEquations], mean: Floats) -> float:
@@ -253,8 +253,8 @@ def build_covariance(
     """
     spread = np.diag((apart / scale) ** 2)
     for block, factor in zip(blocks, factors, strict=True):
-        own = np.where(block, mean, 0.0)
-        spread += factor**2 * np.outer(own, own)
+        block_mean = np.where(block, mean, 0.0)
+        spread += factor**2 * np.outer(block_mean, block_mean)
     return spread
 
 
@@ -278,8 +278,8 @@ def compute_posterior(prior: Prior, sums: NormalEquations) -> tuple[Floats, Floa
     inverse = np.linalg.inv(prior.covariance)
     information = (inverse + inverse.T) / 2.0 + sums.gram / prior.noise
     covariance = np.linalg.inv(information)
-    found = prior.mean + covariance @ ((sums.cross - sums.gram @ prior.mean) / prior.noise)
-    return found, (covariance + covariance.T) / 2.0
+    coefficients = prior.mean + covariance @ ((sums.cross - sums.gram @ prior.mean) / prior.noise)
+    return coefficients, (covariance + covariance.T) / 2.0
 
 
 def compute_early_posterior(prior: Prior, sums: NormalEquations) -> tuple[Floats, Floats]:
@@ -357,17 +357,17 @@ def _spreads(
     """Return the spreads with the largest probability of each vehicle model's rides, given the mean of the others."""
     if len(groups) < 2:
         return EXPECTED_SPREADS
-    means = [compute_common_mean([other for other in groups if other is not own], physics) for own in groups]
+    means = [compute_common_mean([other for other in groups if other is not group], physics) for group in groups]
     farther = 1.0 + 1.0 / (len(groups) - 1)  # the mean of the others is uncertain itself
 
     def probability(spreads: tuple[float, ...]) -> float:
-        told = -0.5 * sum(
+        log_probability = -0.5 * sum(
             (np.log(s / usual) / SPREAD_LOG_SD) ** 2 for s, usual in zip(spreads, EXPECTED_SPREADS, strict=True)
         )
-        for own, mean in zip(groups, means, strict=True):
+        for group, mean in zip(groups, means, strict=True):
             between = build_covariance(mean, scale, blocks, spreads[0], spreads[1:]) * farther
-            told += compute_log_evidence(Prior(mean, between, noise), own)
-        return float(told)
+            log_probability += compute_log_evidence(Prior(mean, between, noise), group)
+        return float(log_probability)
 
     return max(product(SEPARATE_SPREADS, *([FACTOR_SPREADS] * len(blocks))), key=probability)
 

@@ -185,10 +185,10 @@ def solve(moments: Moments, *, constant: bool, weight: Floats | None = None, tow
     weight = np.zeros(p) if weight is None else weight
     toward = np.zeros(p) if toward is None else toward
     sums = moments.sums(centred=constant)
-    gram, cross, own = sums[:p, :p], sums[:p, p], float(sums[p, p])
+    gram, cross, squares = sums[:p, :p], sums[:p, p], float(sums[p, p])
     inverse, rank = compute_pseudo_inverse(gram + np.diag(weight), np.sqrt(moments.rows) * moments.mean[:p])
     coefficients = inverse @ (cross + weight * toward)
-    residual = max(float(own - 2.0 * coefficients @ cross + coefficients @ gram @ coefficients), 0.0)
+    residual = max(float(squares - 2.0 * coefficients @ cross + coefficients @ gram @ coefficients), 0.0)
     offset = float(moments.mean[p] - moments.mean[:p] @ coefficients) if constant else None
     return Solution(coefficients, offset, rank, residual, moments.rows, weight)
 
@@ -344,12 +344,12 @@ class ClusterScores:
         """
         p = columns.shape[1]
         order = np.argsort(group, kind="stable")
-        found, first = np.unique(group[order], return_index=True)
+        groups, first = np.unique(group[order], return_index=True)
         scores = (columns - self.mean) * residual[:, np.newaxis]
-        self.sums[found, :p] += np.add.reduceat(scores[order], first, axis=0)
+        self.sums[groups, :p] += np.add.reduceat(scores[order], first, axis=0)
         if self.constant:
-            self.sums[found, p] += np.add.reduceat(residual[order], first)
-        self._seen[found] = True
+            self.sums[groups, p] += np.add.reduceat(residual[order], first)
+        self._seen[groups] = True
 
 
 def assign_groups(vehicles: Sequence[str], dates: Sequence[str]) -> Ints:

@@ -141,8 +141,8 @@ def _read(path: Path, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
         reason = error.strerror or " ".join(str(error).split())
         raise ModelError(f"{path}: cannot read rides: {reason}; name one that `socast tables` made") from error
     except pa.ArrowException as error:
-        said = " ".join(str(error).split())
-        raise ModelError(f"{path}: no ride table: {said}; name a file that `socast tables` made") from error
+        words = " ".join(str(error).split())
+        raise ModelError(f"{path}: no ride table: {words}; name a file that `socast tables` made") from error
 
 
 def _present(columns: Sequence[str], there: Sequence[str] | pd.Index, where: str) -> list[str]:

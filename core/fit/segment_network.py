@@ -213,16 +213,16 @@ class SegmentModel:
         (n,) float
             Energy, NaN for a ride without micro-segments. [kWh]
         """
-        found = np.full(len(rides), np.nan)
+        energy = np.full(len(rides), np.nan)
         models = rides["vehicle_model"].to_numpy(dtype=object)
         for name in set(models.tolist()):
             network = self.networks.get(name) or self.other
-            own = np.flatnonzero(models == name)
-            at, ride = self.segments.of(rides.iloc[own])
+            rows = np.flatnonzero(models == name)
+            at, ride = self.segments.of(rides.iloc[rows])
             if len(at):
-                sums = np.bincount(ride, weights=network.energy(self.segments.features[at]), minlength=len(own))
-                found[own] = np.where(np.bincount(ride, minlength=len(own)) > 0, sums, np.nan)
-        return found
+                sums = np.bincount(ride, weights=network.energy(self.segments.features[at]), minlength=len(rows))
+                energy[rows] = np.where(np.bincount(ride, minlength=len(rows)) > 0, sums, np.nan)
+        return energy
 
 
 @dataclass(frozen=True)
@@ -262,12 +262,16 @@ class SegmentRecipe:
         ModelError
             If all rides together are fewer than `LEAST_NETWORK_RIDES`.
         """
-        if (found := self._rides(rides)) < LEAST_NETWORK_RIDES:
+        if (rides_with_windows := self._rides(rides)) < LEAST_NETWORK_RIDES:
             raise ModelError(
-                f"{found:,} rides have windows, and a network needs {LEAST_NETWORK_RIDES}: give more rides"
+                f"{rides_with_windows:,} rides have windows, and a network needs {LEAST_NETWORK_RIDES}: give more rides"
             )
-        groups = {str(name): own for name, own in rides.groupby("vehicle_model", sort=True)}
-        networks = {name: self._network(own) for name, own in groups.items() if self._rides(own) >= LEAST_NETWORK_RIDES}
+        groups = {str(name): of_model for name, of_model in rides.groupby("vehicle_model", sort=True)}
+        networks = {
+            name: self._network(of_model)
+            for name, of_model in groups.items()
+            if self._rides(of_model) >= LEAST_NETWORK_RIDES
+        }
         return SegmentModel(self.segments, networks, partial(self._network, rides))
 
     def _rides(self, rides: pd.DataFrame) -> int:
@@ -323,11 +327,11 @@ def share_out_energy(features: Floats, duration: Floats, ride: Ordinals, energy:
         Energy of the micro-segments. [kWh]
     """
     count = np.bincount(ride, minlength=len(energy))
-    own = np.column_stack([features, np.ones(len(ride))])
-    sums = np.column_stack([np.bincount(ride, weights=column, minlength=len(energy)) for column in own.T])
+    columns = np.column_stack([features, np.ones(len(ride))])
+    sums = np.column_stack([np.bincount(ride, weights=column, minlength=len(energy)) for column in columns.T])
     moments = Moments(sums.shape[1] + 1)
     moments.add(np.column_stack([sums, energy])[count > 0])
-    expected = own @ solve(moments, constant=False).coefficients
+    expected = columns @ solve(moments, constant=False).coefficients
     beyond = energy - np.bincount(ride, weights=expected, minlength=len(energy))
     time = np.bincount(ride, weights=duration, minlength=len(energy))
     share = np.divide(duration, time[ride], out=1.0 / count[ride], where=time[ride] > 0.0)

@@ -41,19 +41,19 @@ def compute_figure_1(evaluated: EvaluatedRides) -> dict[str, Any]:
     beyond = evaluated.energy - BASIC_PHYSICAL.predict(rides)
     ambient = rides["ambient_c"].to_numpy(np.float64)
     known = np.isfinite(ambient) & np.isfinite(beyond) & (time > 0.0)
-    found = {}
+    figure = {}
     for i, name in enumerate(evaluated.vehicle_models):
-        own = known & (evaluated.model == i)
-        if name not in fits or not np.any(own) or fits[name].curve is None:
+        of_model = known & (evaluated.model == i)
+        if name not in fits or not np.any(of_model) or fits[name].curve is None:
             continue
-        codes = (ambient[own] // BIN_K).astype(np.int64)
+        codes = (ambient[of_model] // BIN_K).astype(np.int64)
         first, bins = int(codes.min()), int(np.ptp(codes)) + 1
         rides = np.bincount(codes - first, minlength=bins)
-        sums = [compute_group_means(values[own], codes - first, bins) for values in (ambient, beyond, time)]
+        sums = [compute_group_means(values[of_model], codes - first, bins) for values in (ambient, beyond, time)]
         points = [
             {"ambient_c": sums[0][b], "power_w": sums[1][b] / sums[2][b], "rides": int(rides[b])}
             for b in range(bins)
             if rides[b] >= LEAST_RIDES
         ]
-        found[name] = {"points": points, "curve": msgspec.to_builtins(fits[name].curve)}
-    return found
+        figure[name] = {"points": points, "curve": msgspec.to_builtins(fits[name].curve)}
+    return figure

@@ -47,11 +47,11 @@ def describe_evaluation(evaluated: EvaluatedRides, seed: int, repeats: int, test
 
 def _sources(rides: pd.DataFrame) -> dict[str, float]:
     """Return the share of rides whose energy was measured by voltage and current, and by the state of charge."""
-    found = {}
+    shares = {}
     for name in ("vi", "soc"):
         if f"energy_{name}_kwh" in rides:
-            found[name] = float((rides["energy_kwh"] == rides[f"energy_{name}_kwh"]).mean())
-    return found
+            shares[name] = float((rides["energy_kwh"] == rides[f"energy_{name}_kwh"]).mean())
+    return shares
 
 
 def compute_tables_2_and_3(evaluated: EvaluatedRides) -> dict[str, Any]:
@@ -80,7 +80,7 @@ def compute_tables_4_to_11(held: HeldOutPredictions, evaluated: EvaluatedRides) 
         )
         for r in held.recipes
     }
-    found: dict[str, Any] = {
+    tables: dict[str, Any] = {
         "test_consumption": tabulate_estimates(used, evaluated),
         "mae": {recipe: tabulate_estimates(estimates, evaluated) for recipe, estimates in grids.items()},
         "relative": {
@@ -99,7 +99,7 @@ def compute_tables_4_to_11(held: HeldOutPredictions, evaluated: EvaluatedRides) 
     means = {
         recipe: [average.value for average in average_over_clusters(estimates)] for recipe, estimates in grids.items()
     }
-    return found | {"reduction": compute_reductions(means, evaluated.vehicle_models)}
+    return tables | {"reduction": compute_reductions(means, evaluated.vehicle_models)}
 
 
 def compute_reductions(
@@ -119,13 +119,13 @@ def compute_reductions(
     if reference not in means:
         return {}
     errors = np.array(means[reference], dtype=np.float64)
-    found = {}
+    reductions = {}
     for recipe, values in means.items():
         shares = 1.0 - np.array(values, dtype=np.float64) / errors
         known = shares[~np.isnan(shares)]
         average = float(known.mean()) if len(known) else np.nan
-        found[recipe] = {**dict(zip(vehicle_models, shares.tolist(), strict=True)), "average": average}
-    return found
+        reductions[recipe] = {**dict(zip(vehicle_models, shares.tolist(), strict=True)), "average": average}
+    return reductions
 
 
 def compute_difference_scores(held: HeldOutPredictions, evaluated: EvaluatedRides) -> dict[str, Any]:
@@ -164,19 +164,19 @@ def compute_difference_scores(held: HeldOutPredictions, evaluated: EvaluatedRide
         {pair: combine_strata([of[0][pair] for of in by_model], weights) for pair in pairs},
         {pair: combine_strata([of[1][pair] for of in by_model]) for pair in pairs},
     )
-    found: dict[str, Any] = {"difference": {}, "dominates": {}, "dominates_average": {}}
+    result: dict[str, Any] = {"difference": {}, "dominates": {}, "dominates_average": {}}
     names = [*evaluated.vehicle_models, ALL]
     for i, (name, (rides, average)) in enumerate(zip(names, [*by_model, together], strict=True)):
-        own = slice(i, i + 1) if name != ALL else slice(None)
-        found["difference"][name] = _pairs(rides, average)
-        mean = {r: _mean(ridden[r][:, own], weights[own]) for r in held.recipes}
-        found["dominates"][name] = multiple_testing.select_dominating(mean, rides)
+        of_model = slice(i, i + 1) if name != ALL else slice(None)
+        result["difference"][name] = _pairs(rides, average)
+        mean = {r: _mean(ridden[r][:, of_model], weights[of_model]) for r in held.recipes}
+        result["dominates"][name] = multiple_testing.select_dominating(mean, rides)
         mean = {
-            r: combine_strata(average_over_clusters(estimate_cells(scored[r][:, own], held.overlap))).value
+            r: combine_strata(average_over_clusters(estimate_cells(scored[r][:, of_model], held.overlap))).value
             for r in held.recipes
         }
-        found["dominates_average"][name] = multiple_testing.select_dominating(mean, average)
-    return found
+        result["dominates_average"][name] = multiple_testing.select_dominating(mean, average)
+    return result
 
 
 def _per_ride(held: HeldOutPredictions, evaluated: EvaluatedRides, values: Sequence[Floats]) -> Floats:

@@ -104,19 +104,19 @@ def run_in_parallel(
         Called with the number of finished runs and the number of all runs.
     """
     tell = progress or _ignore_progress
-    found: dict[Key, Result] = {}
+    done: dict[Key, Result] = {}
     tell(0, len(calls))
     if jobs == 1:
         for key, call in calls.items():
-            found[key] = _in_one_thread(call)
-            tell(len(found), len(calls))
-        return found
+            done[key] = _in_one_thread(call)
+            tell(len(done), len(calls))
+        return done
     with parallel_config(backend="loky", inner_max_num_threads=1):
         results = Parallel(n_jobs=jobs, return_as="generator")(delayed(_in_one_thread)(call) for call in calls.values())
         for key, result in zip(calls, results, strict=True):
-            found[key] = result
-            tell(len(found), len(calls))
-    return found
+            done[key] = result
+            tell(len(done), len(calls))
+    return done
 
 
 def plan_runs(
