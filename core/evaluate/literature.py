@@ -19,7 +19,9 @@ class LiteratureError(NamedTuple):
     setting : str
         Vehicles, and what the model knew of them.
     source : str
-        Authors, year and publication.
+        Short name of the source.
+    publication : str
+        Where it was published.
     link : str
         DOI, or the address where no DOI could be verified.
     """
@@ -28,6 +30,7 @@ class LiteratureError(NamedTuple):
     measure: str
     setting: str
     source: str
+    publication: str
     link: str
 
 
@@ -36,35 +39,40 @@ LITERATURE: Final = (
         0.0504,
         "average error",
         "one fleet of cars, model adapted online to each car",
-        "Zhu et al. 2024, IEEE Transactions on Transportation Electrification",
+        "Zhu et al. 2024",
+        "IEEE Transactions on Transportation Electrification",
         "DOI 10.1109/TTE.2024.3416532",
     ),
     LiteratureError(
         0.0630,
         "average error",
         "the same fleet, one model for all cars",
-        "Zhu et al. 2024, IEEE Transactions on Transportation Electrification",
+        "Zhu et al. 2024",
+        "IEEE Transactions on Transportation Electrification",
         "DOI 10.1109/TTE.2024.3416532",
     ),
     LiteratureError(
         0.0762,
         "MAPE of the consumption per km",
         "cars that the training did not contain",
-        "Scientific Reports, vehicle-wise validated ensemble learning framework with physics-guided features",
+        "Scientific Reports",
+        "vehicle-wise validated ensemble learning framework with physics-guided features",
         "aimedicalcompendium.com/article.cfm?id=213858 (abstract)",
     ),
     LiteratureError(
         0.074,
         "mean absolute prediction error",
         "electric trucks, speeds known",
-        "Litjens et al. 2025, SciTePress",
+        "Litjens et al. 2025",
+        "SciTePress",
         "scitepress.org/publishedPapers/2025/133629",
     ),
     LiteratureError(
         0.108,
         "mean absolute prediction error",
         "electric trucks, speeds predicted",
-        "Litjens et al. 2025, SciTePress",
+        "Litjens et al. 2025",
+        "SciTePress",
         "scitepress.org/publishedPapers/2025/133629",
     ),
 )

@@ -217,7 +217,7 @@ def tabulate_literature(result: Result) -> ReportTable:
         One row per published error, and one per kind of split for the model of least wMAPE.
     """
     rows = [
-        Row(f"{entry.setting}: {entry.source}, {entry.link}", (Cell(format_percent(entry.share)), Cell(entry.measure)))
+        Row(entry.setting, (Cell(format_percent(entry.share)), Cell(entry.measure), Cell(entry.source)))
         for entry in LITERATURE
     ]
     for kind, unseen in HELD_OUT.items():
@@ -227,14 +227,15 @@ def tabulate_literature(result: Result) -> ReportTable:
             best = min(known, key=known.__getitem__)
             shares = (get_part(errors, best, measure) for measure in ("wmape", "mape"))
             text = " / ".join(format_percent(get_number(share)) for share in shares)
-            rows.append(
-                Row(f"here, {unseen}: {get_title(result, best)}", (Cell(text), Cell("wMAPE / MAPE")), total=True)
-            )
+            cells = (Cell(text), Cell("wMAPE / MAPE"), Cell(get_title(result, best)))
+            rows.append(Row(f"here, {unseen}", cells, total=True))
     note = (
         "Other fleets, trips and measures than these, for orientation only. Longer trips have smaller relative errors; "
         "errors on a simulated fleet are smaller than on a real one."
     )
-    return ReportTable("Beside the literature", "vehicles and source", ("error", "measure"), tuple(rows), (note,))
+    heads = ("error", "measure", "source, or model")
+    sources = dict.fromkeys(f"{entry.source}: {entry.publication}, {entry.link}." for entry in LITERATURE)
+    return ReportTable("Beside the literature", "vehicles", heads, tuple(rows), (note, *sources))
 
 
 def format_share(estimate: Any) -> str:
