@@ -1,0 +1,95 @@
+"""Test `socast elevation` and the option `--elevation` of commands that clean samples."""
+
+import json
+
+import pandas as pd
+import pytest
+
+from tests.support.commands import called, done, refused
+from tests.support.ground import hilly_drive, srtm_of_hills
+from tests.support.mcap_recordings import write_recording
+from tests.support.telemetry import telemetry, without
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    """Return a recording of three cars with offsets on the same road."""
+    path = tmp_path_factory.mktemp("elevation") / "fleet.mcap"
+    messages = [
+        message
+        for seed, (car, offset) in enumerate({"a": 0.0, "b": 12.0, "c": -12.0}.items())
+        for message in telemetry(without(hilly_drive(200, seed=seed, offset=offset), "truth"), car)
+    ]
+    write_recording(path, sorted(messages, key=lambda message: message.receipt_ns))
+    return path
+
+
+@pytest.fixture(scope="module")
+def learned(recording):
+    path = recording.with_name("map.parquet")
+    report = recording.with_name("learned.json")
+    done("elevation", "learn", recording, "-o", path, "--json", report)
+    return path, json.loads(report.read_text())
+
+
+def test_learn_writes_a_map_and_says_what_it_learned(learned):
+    path, report = learned
+    places = pd.read_parquet(path)
+    assert report["format"] == {"report": "elevation", "version": 1}
+    assert report["map"]["places"] == len(places)
+    assert report["learned"]["cars"] == 3
+    assert 4.0 < report["learned"]["car_sd"] < 30.0
+
+
+def test_show_prints_the_extent_of_a_map(learned):
+    out, _, code = called("elevation", "show", learned[0])
+    assert code == 0
+    assert "45.5" in out
+    assert "uncertainty" in out
+
+
+def test_tables_with_a_map_have_other_climbs_and_count_fixes(recording, learned, tmp_path):
+    done("tables", recording, "--out", tmp_path / "without")
+    done("tables", recording, "--elevation", learned[0], "--out", tmp_path / "with")
+    with_map, no_map = (pd.read_parquet(tmp_path / name / "rides.parquet") for name in ("with", "without"))
+    assert (with_map["gained_m"] != no_map["gained_m"]).all()
+    assert (with_map["distance_km"] == no_map["distance_km"]).all()
+    quality = json.loads((tmp_path / "with" / "quality.json").read_text())
+    assert quality["elevation_map"]["fixes"] > 590
+    assert "elevation_map" not in json.loads((tmp_path / "without" / "quality.json").read_text())
+
+
+def test_fixes_outside_are_one_line(recording, tmp_path):
+    pytest.importorskip("rasterio")
+    tile = srtm_of_hills(tmp_path / "N45W074.hgt")
+    elsewhere = tile.rename(tmp_path / "N10E010.hgt")
+    _, err, code = called("tables", recording, "--elevation", elsewhere, "--out", tmp_path / "tables")
+    assert code == 0
+    assert err.count("lie outside the maps of --elevation") == 1
+    assert "in N45W074" in err
+
+
+def test_replay_takes_a_map_and_publishing_refuses_it(recording, learned, capsys):
+    done("replay", recording, "--elevation", learned[0])
+    capsys.readouterr()
+    message = refused(capsys, "replay", recording, "--elevation", learned[0], "--connect", "tcp/127.0.0.1:1")
+    assert "--elevation" in message
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["-o", "map.csv"], "a map of elevation ends in .parquet; name it map.parquet"),
+        (["-o", "no/such/map.parquet"], "cannot be written"),
+    ],
+)
+def test_wrong_output_is_refused_before_reading(recording, arguments, words, capsys):
+    assert words in refused(capsys, "elevation", "learn", recording, *arguments)
+
+
+def test_recording_without_elevation_is_refused(tmp_path, capsys):
+    path = tmp_path / "flat.mcap"
+    write_recording(path, telemetry(without(hilly_drive(120), "truth", "elevation_m")))
+    assert "give recordings of cars that drive and send elevation_m" in refused(
+        capsys, "elevation", "learn", path, "-o", tmp_path / "map.parquet"
+    )
