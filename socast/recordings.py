@@ -15,6 +15,7 @@ from core.pipeline import Pipeline
 from core.settings import Settings
 from core.wire.decoder import Decoder
 from core.wire.messages import Message
+from stream.elevation_files import open_elevation
 from stream.mcap_reader import McapSource
 from stream.source import merge_sources
 
@@ -137,6 +138,7 @@ def make_tables(
     model: LinearModel = EXTENDED_PHYSICAL,
     settings: Settings | None = None,
     also: Sequence[str] | None = None,
+    elevation: Sequence[str | Path] = (),
 ) -> Tables:
     """Clean recordings and return their ride table and window table.
 
@@ -150,11 +152,15 @@ def make_tables(
         Thresholds of the cleaning.
     also : sequence of str, optional
         Names of further effects; by default every effect of the library with its variants.
+    elevation : sequence of str or Path
+        Maps that correct the elevation of fixes: SRTM tiles, GeoTIFF, or maps of `socast elevation learn`.
 
     Raises
     ------
     RecordingError
         Where a file cannot be read.
+    SettingsError
+        Where a map cannot be read.
     EffectError
         Where an effect is unknown.
 
@@ -165,7 +171,8 @@ def make_tables(
     True
     """
     wanted = effects.list_tabulated() if also is None else list(also)
-    pipeline = Pipeline(model, settings or Settings(), also=wanted, keep_forecasts=False)
+    elevation_map = open_elevation([Path(file) for file in elevation])
+    pipeline = Pipeline(model, settings or Settings(), also=wanted, keep_forecasts=False, elevation_map=elevation_map)
     for messages in _blocks(recordings):
         pipeline.take(messages)
     pipeline.finish()

@@ -166,9 +166,7 @@ def tabulate(
         take(pipeline.take_rides(), pipeline.take_windows())
 
 
-def in_memory(
-    recordings: Sequence[Path], wanted: Sequence[str], elevation: Sequence[Path] = ()
-) -> tuple[pd.DataFrame, pd.DataFrame]:
+def in_memory(recordings: Sequence[Path], wanted: Sequence[str]) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the ride table and the window table of recordings, and print warnings about data that could not be read.
 
     Parameters
@@ -177,18 +175,15 @@ def in_memory(
         The recordings.
     wanted : sequence of str
         Names of the effects that the tables contain in addition to the default ones.
-    elevation : sequence of Path
-        Maps that correct the elevation of fixes.
 
     Returns
     -------
     rides, windows : DataFrame
     """
-    pipeline = Pipeline(also=wanted, keep_forecasts=False, elevation_map=open_elevation(elevation))
+    pipeline = Pipeline(also=wanted, keep_forecasts=False)
     sources = open_recordings(recordings)
     parts: list[tuple[pd.DataFrame, pd.DataFrame]] = []
     tabulate(sources, pipeline, lambda rides, windows: parts.append((rides, windows)))
-    warn_outside(pipeline.quality())
     warn_of_losses(sources)
     rides, windows = (pd.concat(tables, ignore_index=True) for tables in zip(*parts, strict=True))
     return rides, windows
