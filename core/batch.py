@@ -10,9 +10,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 NO_RIDE = -1
-"""Ride code of a sample whose logger says that no ride is in progress."""
-RIDE_UNKNOWN = -2
-"""Ride code of a sample whose logger does not speak of rides."""
+"""Ride code of a sample without the name of a ride."""
 
 
 class Stateful(Protocol):
@@ -49,7 +47,7 @@ class Batch(NamedTuple):
     Parameters
     ----------
     lane : (n,) int64. Whose row it is: an index into `Lanes`.
-    ride : (n,) int64. Code of the ride's name, `NO_RIDE` or `RIDE_UNKNOWN`.
+    ride : (n,) int64. Code of the ride's name, `NO_RIDE` without one.
     stamp, ..., charging : (n,) float64.
     """
 

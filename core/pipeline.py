@@ -5,16 +5,17 @@ Live operation, replay, training and tests run the same steps.
 
 from collections.abc import Sequence
 from functools import partial
-from operator import itemgetter
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from core import effects
 from core.batch import Batch, Ints, Lanes, Stateful
 from core.cleaning.elevation_map import ElevationMap
 from core.cleaning.kernel import Cleaner
+from core.cleaning.segmentation import NO_RIDE_EVENTS, RIDE_EVENT, UNKNOWN_NAME
 from core.errors import AskError, SettingsError
 from core.forecast.day_rollover import DailyUpdate, DayRollover
 from core.forecast.engine import ForecastEngine, PendingInput
@@ -40,7 +41,8 @@ from core.totals.deferred_rows import DeferredRows
 from core.totals.run_counters import RunCounters
 from core.totals.tables import ride_table, unfit_reason, window_table
 from core.vehicles.fleet import Cars
-from core.wire.decoder import Decoder, Event
+from core.wire.decoder import Decoder
+from core.wire.message_order import MessageOrder, Piece
 from core.wire.messages import Leg, Message, Outlook, Plan, Ride, Vehicle, Weather
 from core.wire.rides import RideDrivers
 
@@ -142,8 +144,6 @@ class Pipeline:
         """Model of the published predictions."""
         return self.context.model
 
-    # Messages in
-
     def push(self, messages: Sequence[Message]) -> list[Message]:
         """Take messages, and return the forecasts that have become due: `take` followed by `forecasts`."""
         self.take(messages)
@@ -163,30 +163,26 @@ class Pipeline:
         self._forget_ride_names()
         batch, events = self.decoder.decode(messages)
         if self.keep_forecasts:
-            rollovers = self.day_rollover.find_rollovers(batch.lane, batch.stamp)
-            updates = [Event(row, -1, DailyUpdate()) for row in rollovers]
-            events = sorted([*events, *updates], key=itemgetter(0)) if updates else events
-        start = 0
-        changes: list[tuple[int, int, Vehicle]] = []
-        for row, lane, value in events:
+            events = self.day_rollover.add_updates(batch, events)
+        order, piece = MessageOrder(batch.size, events), Piece(0, [], [])
+        for number, (row, lane, value) in enumerate(events):
+            place = order.of_event(number)
             if isinstance(value, Vehicle):
-                if self._matters(lane, batch.lane[:row]) and (changes or not self.cars.is_one(lane, value)):
-                    self._advance(batch, start, row, changes)
-                    self._update_forecasts(row)
-                    start, changes = row, []
-                changes.append((row - start, lane, value))
+                if self._matters(lane, batch.lane[:row]) and (piece.changes or not self.cars.is_one(lane, value)):
+                    piece = self._advance(batch, order, piece, row)
+                    self._update_forecasts(place)
+                piece.changes.append((row - piece.start, lane, value))
             elif isinstance(value, Ride):
-                self._take_ride(row, lane, value)
+                piece.ride_events.append((row, lane, place, *self._take_ride(place, lane, value)))
             elif isinstance(value, Plan):
-                self._take_plan(row, lane, value)
+                self._take_plan(place, lane, value)
             elif isinstance(value, Weather | DailyUpdate):  # it applies to every later row
-                self._advance(batch, start, row, changes)
-                start, changes = row, []
-                self._take_weather_or_daily_update(row, value)
-        self._advance(batch, start, batch.size, changes)
+                piece = self._advance(batch, order, piece, row)
+                self._take_weather_or_daily_update(place, value)
+        self._advance(batch, order, piece, batch.size)
         if self._pending.size >= BLOCK:
-            self._update_forecasts(batch.size)
-        self._pending.end_batch(batch.size)
+            self._update_forecasts(order.size)
+        self._pending.end_batch(order.size)
 
     def finish(self) -> list[Message]:
         """Close all rides, windows and running errors in progress at the end of the stream, and return no messages."""
@@ -202,14 +198,16 @@ class Pipeline:
             self.shadows.close()
         return []
 
-    # The steps
-
-    def _advance(self, batch: Batch, start: int, stop: int, changes: list[tuple[int, int, Vehicle]]) -> None:
-        """Run the steps on the rows between two events, a block at a time."""
-        kind = self.cars.kinds(batch.lane[start:stop], changes, len(self.lanes))
-        for at in range(start, stop, BLOCK):
+    def _advance(self, batch: Batch, order: MessageOrder, piece: Piece, stop: int) -> Piece:
+        """Run the steps on the rows of a piece, a block at a time; return the empty piece after it."""
+        start, ride_events = piece.start, np.array(piece.ride_events, RIDE_EVENT)
+        kind = self.cars.kinds(batch.lane[start:stop], piece.changes, len(self.lanes))
+        for at in range(start, stop + 1 if stop == start and len(ride_events) else stop, BLOCK):
             end = min(at + BLOCK, stop)
-            rows = self.clean_up(batch.rows(at, end), kind[at - start : end - start])
+            now = ride_events[: np.searchsorted(ride_events["row"], end, side="right")]
+            ride_events = ride_events[len(now) :]
+            now["row"] -= at
+            rows = self.clean_up(batch.rows(at, end), kind[at - start : end - start], order.of_rows[at:end], now)
             if self.deferred is not None:
                 for released in self.deferred.add(rows):
                     self._take_closed_of(released)
@@ -217,11 +215,14 @@ class Pipeline:
             sums = self.sum_up(rows)
             self._take_closed(sums)
             if self.keep_forecasts:
-                self._pending.add_sums(sums, at, end - at)
+                self._pending.add_sums(sums, end - at)
                 if self._pending.size >= BLOCK:
-                    self._update_forecasts(end)
+                    self._update_forecasts(order.of_row(end))
+        return Piece(stop, [], [])
 
-    def clean_up(self, batch: Batch, kind: Ints) -> CleanRows:
+    def clean_up(
+        self, batch: Batch, kind: Ints, place: Ints | None = None, ride_events: NDArray[np.void] = NO_RIDE_EVENTS
+    ) -> CleanRows:
         """Clean samples and look up their weather.
 
         Parameters
@@ -230,12 +231,17 @@ class Pipeline:
             n rows.
         kind : (n,) int
             Kind of car of each row.
+        place : (n,) int, optional
+            Place of each row among the messages of the batch; its number without it.
+        ride_events : (events,) RIDE_EVENT
+            Beginnings and ends of rides from dispatch, between the rows.
         """
-        clean = self.cleaner.clean(batch, len(self.lanes))
+        place = np.arange(batch.size) if place is None else place
+        clean, ends = self.cleaner.clean_between(batch, len(self.lanes), place, ride_events)
         sky = self.stations.sky(clean.time, clean.latitude, clean.longitude)
         clean = clean._replace(quality=ambient_quality(clean, sky))
         self.counters.count_samples(clean.quality)
-        return CleanRows(clean, sky, kind)
+        return CleanRows(clean, sky, kind, place, ends)
 
     def sum_up(self, rows: CleanRows) -> Sums:
         """Run the steps from cleaned rows to totals, see `core.totals.clean_rows.sum_rows`."""
@@ -260,7 +266,7 @@ class Pipeline:
             self.closed.add(sums, names)
 
     def _update_forecasts(self, end: int = 0) -> None:
-        """Update filters, plans and forecasts by the rows up to `end`; between batches, by all rows."""
+        """Update filters, plans and forecasts by the messages up to the place `end`; between batches, by all."""
         if not self._pending:
             return
         sums, plans, drivers = self._pending.take(end)
@@ -281,27 +287,28 @@ class Pipeline:
         planned = lane in self._pending.lanes or lane in self.engine.plans.plans
         return bool(self.cleaner.heard(lane) or planned or (before == lane).any())
 
-    def _take_weather_or_daily_update(self, row: int, value: Weather | DailyUpdate) -> None:
-        """Take a weather observation, or run the daily update, before a row."""
+    def _take_weather_or_daily_update(self, place: int, value: Weather | DailyUpdate) -> None:
+        """Take a weather observation, or run the daily update, at a place in the batch."""
         if isinstance(value, DailyUpdate):
-            self._update_forecasts(row)
+            self._update_forecasts(place)
             self.engine.apply_daily_update()
         elif not self.stations.observe(value):
             self.decoder.refuse("weather", "out_of_range")
 
-    def _take_ride(self, row: int, lane: int, ride: Ride) -> None:
-        """Take the driver of a ride, which dispatch reports before a row."""
+    def _take_ride(self, place: int, lane: int, ride: Ride) -> tuple[float, float, bool]:
+        """Take the driver of a ride; return the code of its name, when it begins or ends, and whether it ends."""
         self.drivers.observe(ride, len(self.lanes))
         if self.keep_forecasts and ride.driver_id and ride.event == "start":
-            self._pending.add_dispatch(DriverNamed(row, lane, ride.driver_id))
+            self._pending.add_dispatch(DriverNamed(place, lane, ride.driver_id))
+        return self.decoder.rides.get(ride.ride_id, UNKNOWN_NAME), ride.time_s, ride.event == "end"
 
-    def _take_plan(self, row: int, lane: int, plan: Plan) -> None:
-        """Take a plan, which dispatch sends before a row, or count why it cannot be used."""
+    def _take_plan(self, place: int, lane: int, plan: Plan) -> None:
+        """Take a plan, which dispatch sends, or count why it cannot be used."""
         if (cause := self.plans.refuse(lane, plan)) is not None:
             self.decoder.refuse("plan", cause)
         elif self.keep_forecasts:
             self.plans.accept(lane, plan)
-            self._pending.add_dispatch(PlanArrival(row, lane, plan))
+            self._pending.add_dispatch(PlanArrival(place, lane, plan))
 
     # Results out
 

@@ -1,8 +1,9 @@
 """The one sequential kernel: everything that depends on an earlier row of the same lane.
 
 The kernel is causal: the output of a row depends on that row and on the state of its lane. Any chunking of the input
-therefore gives bitwise the same output. Its parts are `core.cleaning.clock`, `core.cleaning.motion` and
-`core.cleaning.segmentation`, each with the fields of the state that it keeps. This file composes them.
+therefore gives bitwise the same output. Its parts are the files `clock.py`, `motion.py`, `elevation.py`, `battery.py`,
+`segmentation.py` and `fleet_clock.py`, each with the fields of the state that it keeps. This file composes them. Between
+two rows, a ride may end by a message of dispatch, or because the other cars show that its car is silent.
 
 In all of them `state` is the record of the lane (`STATE`), `row` the record of the sample, whose raw values are named
 `raw_*`, and `settings` the record of the operator's settings.
@@ -17,9 +18,11 @@ from numpy.typing import NDArray
 
 from core import batch, columns
 from core.batch import Batch, Floats, Ints, grown
-from core.cleaning import clock, elevation, motion, quality, segmentation
+from core.cleaning import battery, clock, elevation, fleet_clock, motion, quality, segmentation
 from core.cleaning.elevation_map import ElevationMap, Ground, MapLookup
+from core.cleaning.fleet_clock import FLEET_CLOCK, RIDE_END, new_fleet_clock
 from core.cleaning.quality import Quality
+from core.cleaning.segmentation import NO_RIDE_EVENTS
 from core.columns import TELEMETRY
 from core.compiled_cache import watch_sources
 from core.settings import Settings
@@ -27,12 +30,6 @@ from core.settings import Settings
 _OWN_FIELDS: Final = (
     *(f"last_{name}" for name in ("latitude", "longitude", "speed", "current", "soc")),  # by which to find duplicates
     "last_elevation",  # as reported with the last row [m]
-    "power",  # [W]
-    "has_power",
-    "soc",  # last reported [1]
-    "has_soc",
-    "soc_age",  # time since it was last reported [s]
-    "soc_step",  # smallest change seen: the quantum [1]
     "battery_temperature",
     "occupants",
 )
@@ -47,7 +44,10 @@ _UNKNOWN_AT_FIRST: Final = {
 
 def _dtype() -> np.dtype[np.void]:
     """Return the layout of a lane's state: one stretch of memory, so that a sample touches few cache lines."""
-    parts = (*clock.FIELDS, *motion.FIELDS, *elevation.FIELDS, *segmentation.FIELDS, *_OWN_FIELDS)
+    parts = (
+        *(*clock.FIELDS, *motion.FIELDS, *elevation.FIELDS, *segmentation.FIELDS),
+        *(*fleet_clock.FIELDS, *battery.FIELDS, *_OWN_FIELDS),
+    )
     return np.dtype([(part, "f8") if isinstance(part, str) else (part[0], "f8", (part[1],)) for part in parts])
 
 
@@ -170,12 +170,8 @@ for _place, _column in enumerate(TELEMETRY, len(Batch._fields) - len(TELEMETRY))
     _LOW[_place], _HIGH[_place] = _column.low, _column.high
 
 OUT_OF_RANGE: Final = int(Quality.OUT_OF_RANGE)
-SOC_MISSING: Final = int(Quality.SOC_MISSING)
-POWER_MISSING: Final = int(Quality.POWER_MISSING)
 STALE: Final = 60.0
 """Age beyond which a state of charge does not count for a ride that begins. [s]"""
-LONGEST_TRAPEZOID: Final = 10.5
-"""Longest step over which power is interpolated. [periods]"""
 
 
 class Cleaner:
@@ -211,9 +207,16 @@ class Cleaner:
         self.map_lookup, self.has_new_map = MapLookup(elevation_map), False
         self.settings = np.array([settings], np.dtype([(name, "f8") for name in Settings._fields]))
         self.state = new_lane_state(0)
+        self.fleet_clock = new_fleet_clock()
 
     def clean(self, batch: Batch, lanes: int) -> Clean:
-        """Clean a batch and advance the state of its lanes.
+        """Clean a batch without messages of dispatch, see `clean_between`."""
+        return self.clean_between(batch, lanes, np.arange(batch.size), NO_RIDE_EVENTS)[0]
+
+    def clean_between(
+        self, batch: Batch, lanes: int, place: Ints, ride_events: NDArray[np.void]
+    ) -> tuple[Clean, NDArray[np.void]]:
+        """Clean a batch, with the messages of dispatch between its rows, and advance the state of its lanes.
 
         Parameters
         ----------
@@ -221,11 +224,17 @@ class Cleaner:
             n rows; `ride` and `lane` as the decoder assigned them.
         lanes : int
             Number of lanes so far.
+        place : (n,) int
+            Place of each row among the messages of the batch.
+        ride_events : (events,) RIDE_EVENT
+            Beginnings and ends of rides from dispatch, in the order of their arrival.
 
         Returns
         -------
         Clean
             n rows.
+        (ends,) RIDE_END
+            Rides that ended between two rows, in their order.
         """
         if len(self.state) < lanes:
             self.state = grown(self.state, lanes, new_lane_state(1)[0])
@@ -235,15 +244,18 @@ class Cleaner:
         np.stack(batch, out=inputs[: len(batch)])
         if ground := self.map_lookup.find_ground(batch):
             np.stack(ground, out=inputs[len(batch) :])
-        clean_rows(inputs, self.state, self.settings, row, row.view(np.float64), out)
+        ends = np.empty(batch.size + lanes + len(ride_events), RIDE_END)
+        between = self.fleet_clock, place, ride_events, ends
+        n_ends = clean_rows(inputs, self.state, self.settings, row, row.view(np.float64), out, *between)
         columns = Clean(*out)  # of floats so far
-        return columns._replace(
+        clean = columns._replace(
             lane=columns.lane.astype(np.int64),
             ride=columns.ride.astype(np.int64),
             window=columns.window.astype(np.int64),
             quality=columns.quality.astype(np.int64),
             due=columns.due != 0.0,
         )
+        return clean, ends[:n_ends]
 
     def heard(self, lane: int) -> bool:
         """Return whether a sample of a lane has been accepted."""
@@ -254,17 +266,18 @@ class Cleaner:
         return np.flatnonzero(self.state["samples"] > 0.0)
 
     def ride_codes(self) -> Floats:
-        """Return the code of the ride in progress in each lane, `NO_RIDE` where there is none."""
-        return np.asarray(self.state["code"])
+        """Return the codes of the rides that cars report, `NO_RIDE` or less where there is none."""
+        return np.concatenate([self.state["code"], self.state["ended"]])
 
     def dump(self) -> Any:
-        """Return the state of every lane as bytes, and that of the map."""
-        return [self.state.tobytes(), self.map_lookup.dump()]
+        """Return the state of every lane and of the fleet clock as bytes, and that of the map."""
+        return [self.state.tobytes(), self.fleet_clock.tobytes(), self.map_lookup.dump()]
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned; with another map, the elevation of cars starts anew."""
-        lanes, of_map = state
+        lanes, fleet, of_map = state
         self.state = np.frombuffer(lanes, STATE).copy()
+        self.fleet_clock = np.frombuffer(fleet, FLEET_CLOCK).copy()
         self.has_new_map = self.map_lookup.load(of_map)
         if self.has_new_map:
             for name in elevation.FIELDS:
@@ -272,8 +285,19 @@ class Cleaner:
 
 
 @njit(cache=True)
-def clean_rows(columns: Any, states: Any, all_settings: Any, rows: Any, cells: Any, out: Any) -> None:
-    """Clean every row, in order.
+def clean_rows(
+    columns: Any,
+    states: Any,
+    all_settings: Any,
+    rows: Any,
+    cells: Any,
+    out: Any,
+    fleet_clocks: Any,
+    place: Any,
+    ride_events: Any,
+    ends: Any,
+) -> int:
+    """Clean every row, in order; return the number of rides that ended between two rows.
 
     Parameters
     ----------
@@ -286,10 +310,21 @@ def clean_rows(columns: Any, states: Any, all_settings: Any, rows: Any, cells: A
         Buffer of the row in progress.
     out : (len(Clean._fields), n) float64
         Filled with the result.
+    fleet_clocks : (1,) FLEET_CLOCK
+        Changed in place.
+    place : (n,) int64
+        Place of each row among the messages of the batch.
+    ride_events : (events,) RIDE_EVENT
+        Messages of dispatch, in the order of their rows.
+    ends : (n,) RIDE_END
+        Receives the rides that ended between two rows.
     """
     settings = all_settings[0]
     row = rows[0]
+    fleet = fleet_clocks[0]
+    n_ends = event = 0
     for i in range(columns.shape[1]):
+        event, n_ends = take_ride_events(states, ride_events, event, i, ends, n_ends)
         out_of_range = False
         for j in range(_RAW):
             value = columns[j, i]
@@ -299,14 +334,33 @@ def clean_rows(columns: Any, states: Any, all_settings: Any, rows: Any, cells: A
             cells[j] = value
         cells[_RAW:] = 0.0
         row.quality = OUT_OF_RANGE if out_of_range else 0.0
-        clean_row(states[int(row.raw_lane)], row, settings)
+        state = states[int(row.raw_lane)]
+        dt = clean_row(state, row, settings)
         for j in range(out.shape[0]):
             out[j, i] = cells[_RAW + j]
+        if dt != clock.UNUSED:
+            fleet_clock.advance_fleet_clock(fleet, state.time, dt, settings.gap_time)
+            state.heard = fleet.progress
+            n_ends = fleet_clock.end_silent_rides(fleet, states, i + 1, place[i], settings.gap_time, ends, n_ends)
+    _, n_ends = take_ride_events(states, ride_events, event, columns.shape[1], ends, n_ends)
+    return n_ends
 
 
 @njit(cache=False)
-def clean_row(state: Any, row: Any, settings: Any) -> None:
-    """Clean one row."""
+def take_ride_events(states: Any, ride_events: Any, event: int, row: int, ends: Any, n_ends: int) -> tuple[int, int]:
+    """Take the messages of dispatch before a row, from number `event` on; return how many were taken, and all ends."""
+    while event < ride_events.shape[0] and ride_events[event].row <= row:
+        lane = ride_events[event].lane
+        if segmentation.take_ride_event(states[lane], ride_events[event]):
+            ends[n_ends].row, ends[n_ends].lane, ends[n_ends].place = row, lane, ride_events[event].place
+            n_ends += 1
+        event += 1
+    return event, n_ends
+
+
+@njit(cache=False)
+def clean_row(state: Any, row: Any, settings: Any) -> float:
+    """Clean one row; return the time since the sample before it, `clock.UNUSED` for a rejected one. [s]"""
     repeated = repeats_fix(state, row)
     dt, bits = clock.advance_clock(state, row.raw_stamp, row.raw_seq, repeats_content(state, row), settings.period)
     row.quality += bits
@@ -331,14 +385,15 @@ def clean_row(state: Any, row: Any, settings: Any) -> None:
     row.soc_step, row.odometer, row.stopped = state.soc_step, state.odometer, state.standing
     row.battery_temperature, row.occupants, row.code = state.battery_temperature, state.occupants, state.code
     row.ambient, row.hvac, row.current, row.power = row.raw_ambient, row.raw_hvac, row.raw_current, state.power
+    return dt
 
 
 @njit(cache=False)
 def use_row(state: Any, row: Any, dt: float, settings: Any) -> None:
     """Update the lane by a row that stands for `dt` seconds, and fill in the row."""
     motion.move_car(state, row, dt, settings)
-    integrate_power(state, row, dt, settings)
-    changed = update_soc(state, row, dt)
+    battery.integrate_power(state, row, dt, settings)
+    changed = battery.update_soc(state, row, dt)
     if not isnan(row.raw_battery_temperature):
         state.battery_temperature = row.raw_battery_temperature
     if not isnan(row.raw_occupants):
@@ -393,44 +448,6 @@ def repeats_content(state: Any, row: Any) -> bool:
 
 
 @njit(cache=False)
-def integrate_power(state: Any, row: Any, dt: float, settings: Any) -> None:
-    """Integrate the measured power over the step, and estimate the variance of the integral.
-
-    The energy is the trapezoid of voltage times current. Let the power change by dP between two samples. The integral
-    has the variance (dP dt)^2 / 12 if the power wanders like a Brownian bridge, and (dP dt)^2 / 2 if it is noise.
-    The factor 1/8 holds for driving: it was chosen on simulated rides and covers those of other seeds.
-    """
-    power = row.raw_voltage * row.raw_current
-    if isnan(power):
-        row.quality += POWER_MISSING if state.has_power == 1.0 else 0
-    else:
-        state.has_power = 1.0
-        if dt <= LONGEST_TRAPEZOID * settings.period:
-            before = power if isnan(state.power) else state.power
-            row.energy = 0.5 * (power + before) * dt
-            row.energy_variance = ((power - before) * dt) ** 2 / 8.0
-            row.metered = dt
-    state.power = power
-
-
-@njit(cache=False)
-def update_soc(state: Any, row: Any, dt: float) -> bool:
-    """Update the lane by the reported state of charge; return whether it changed."""
-    state.soc_age += dt
-    if isnan(row.raw_soc):
-        row.quality += SOC_MISSING if state.has_soc == 1.0 else 0
-        return False
-    state.has_soc = 1.0
-    state.soc_age = 0.0
-    change = abs(row.raw_soc - state.soc)
-    state.soc = row.raw_soc
-    changed = change > 1e-6
-    if changed and not change >= state.soc_step:
-        state.soc_step = change
-    return changed
-
-
-@njit(cache=False)
 def begins_stop(state: Any) -> bool:
     """Return whether a stop begins with this sample, with hysteresis between two speeds."""
     if state.smooth > motion.MOVING:
@@ -441,4 +458,4 @@ def begins_stop(state: Any) -> bool:
     return False
 
 
-watch_sources(clean_rows, batch, clock, columns, elevation, motion, quality, segmentation)
+watch_sources(clean_rows, batch, battery, clock, columns, elevation, fleet_clock, motion, quality, segmentation)

@@ -1,8 +1,12 @@
 """Where rides and windows begin and end, and when a forecast is due, causally.
 
-Where a logger names its rides, these names are used. Otherwise a ride begins when the car moves. It ends when the car
-has stood for `stop_time`, charges, or has been silent for `gap_time`. The last `stop_time` of standing is part of the
-ride, both in what is measured and in what is predicted.
+Where a logger names its rides, these names are used, from the first name on. Otherwise a ride begins when the car
+moves, and ends when the car has stood for `stop_time` or charges. The last `stop_time` of standing is part of the ride,
+both in what is measured and in what is predicted.
+
+Every ride also ends when the car has been silent for longer than `gap_time`, and when dispatch sends its `end`. After
+an `end`, the samples that still name the ride are outside rides. Without names, the next ride begins once the car has
+stood, or dispatch has sent a `start`.
 
 A window closes at the first sample at which it is at least `window_time` long and its measured energy is known. That
 is any sample where voltage and current are measured, otherwise one at which the quantised state of charge has changed.
@@ -11,15 +15,17 @@ is any sample where voltage and current are measured, otherwise one at which the
 from math import isnan, nan
 from typing import Any, Final
 
+import numpy as np
 from numba import njit
 
-from core.batch import NO_RIDE, RIDE_UNKNOWN
+from core.batch import NO_RIDE
 
 FIELDS: Final = (
     "rides",  # number of rides begun so far
     "riding",  # 1 during a ride
     "code",  # code of the ride's name, NO_RIDE where it has none
-    "names",  # 1 once the logger has sent a ride name or null
+    "names",  # 1 once the logger has named a ride
+    "ended",  # code of the ride that dispatch has ended while the car reports it, NO_RIDE for none
     "elapsed",  # time since the ride began [s]
     "idle",  # time since the last ride ended [s]
     "parked",  # time between the last ride and this one [s]
@@ -32,6 +38,23 @@ FIELDS: Final = (
     "forecast_soc",  # state of charge then [1]
 )
 
+NAMELESS: Final = -2.0
+"""Code in `ended` of a ride without a name."""
+UNKNOWN_NAME: Final = -3.0
+"""Code of a ride that dispatch names, and no car so far."""
+RIDE_EVENT: Final = np.dtype(
+    [
+        ("row", "i8"),  # number of rows of the batch before it
+        ("lane", "i8"),
+        ("place", "i8"),  # place among the messages of the batch
+        ("code", "f8"),  # code of the ride's name, `UNKNOWN_NAME` without one
+        ("time", "f8"),  # when the ride begins or ends [s]
+        ("ends", "f8"),  # 1 for an `end`, 0 for a `start`
+    ]
+)
+"""A `start` or `end` of a ride, from dispatch."""
+NO_RIDE_EVENTS: Final = np.empty(0, RIDE_EVENT)
+"""No message of dispatch."""
 MATERIAL_SOC: Final = 0.01
 """Change of the state of charge at which a forecast is due at once. [1]"""
 PARKED_FACTOR: Final = 4.0
@@ -61,13 +84,37 @@ def finish_ride(state: Any, dt: float) -> None:
 
 
 @njit(cache=False)
-def follow_ride_name(state: Any, code: float, dt: float) -> bool:
+def take_ride_event(state: Any, event: Any) -> bool:
+    """Take a `start` or `end` of a ride from dispatch; return whether it ends the ride in progress.
+
+    A ride without a name is ended by an `end` that is later than its beginning.
+    """
+    if event.ends == 0.0:
+        if state.ended in (event.code, NAMELESS):
+            state.ended = NO_RIDE
+        return False
+    if state.riding == 0.0:
+        return False
+    nameless = state.code == NO_RIDE
+    is_other = event.time < state.time - state.elapsed if nameless else event.code != state.code
+    if is_other:
+        return False
+    state.ended = NAMELESS if nameless else state.code
+    finish_ride(state, 0.0)
+    return True
+
+
+@njit(cache=False)
+def follow_ride_name(state: Any, code: float, dt: float, settings: Any) -> bool:
     """Follow the ride that the logger names; return whether a ride begins."""
     state.names = 1.0
-    if code == NO_RIDE:
+    has_ended = code == state.ended
+    if code == NO_RIDE or has_ended:
+        state.ended = code
         finish_ride(state, dt)
         return False
-    if state.riding == 1.0 and code == state.code:
+    state.ended = NO_RIDE
+    if state.riding == 1.0 and code == state.code and dt <= settings.gap_time:
         return False
     finish_ride(state, dt)
     start_ride(state, code)
@@ -78,9 +125,11 @@ def follow_ride_name(state: Any, code: float, dt: float) -> bool:
 def segment_by_motion(state: Any, dt: float, moving: bool, charging: bool, settings: Any) -> bool:
     """End rides at stops, charging and gaps; return whether a ride begins."""
     state.stand = 0.0 if moving else state.stand + dt
+    if not moving:
+        state.ended = NO_RIDE
     if state.riding == 1.0 and (charging or dt > settings.gap_time or state.stand >= settings.stop_time):
         finish_ride(state, dt)
-    if state.riding == 1.0 or charging or not moving:
+    if state.riding == 1.0 or charging or not moving or state.ended == NAMELESS:
         return False
     start_ride(state, NO_RIDE)
     return True
@@ -92,9 +141,9 @@ def update_ride(state: Any, code: float, dt: float, moving: bool, charging: bool
     state.idle += dt
     state.since_charge = 0.0 if charging else state.since_charge + dt
     state.elapsed += dt
-    if code != RIDE_UNKNOWN:
-        return follow_ride_name(state, code, dt)
-    return False if state.names == 1.0 else segment_by_motion(state, dt, moving, charging, settings)
+    if code != NO_RIDE or state.names == 1.0:
+        return follow_ride_name(state, code, dt, settings)
+    return segment_by_motion(state, dt, moving, charging, settings)
 
 
 @njit(cache=False)
@@ -123,5 +172,8 @@ def is_forecast_due(state: Any, soc: float, dt: float, begins: bool, settings: A
     return True
 
 
-UNKNOWN_AT_FIRST: Final = {"idle": nan, "since_charge": nan, "parked": nan, "forecast_soc": nan, "code": NO_RIDE}
+UNKNOWN_AT_FIRST: Final = {
+    **dict.fromkeys(("idle", "since_charge", "parked", "forecast_soc"), nan),
+    **dict.fromkeys(("code", "ended"), NO_RIDE),
+}
 """Fields of a new lane that are not zero."""

@@ -11,14 +11,16 @@ reached, or the earliest that more than half are still in.
 """
 
 from math import isnan
+from operator import itemgetter
 from typing import Any, Final
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints, grown
+from core.batch import Batch, Floats, Ints, grown
 from core.columns import SECONDS_PER_DAY
+from core.wire.decoder import Event
 from core.wire.messages import Wire
 
 BEHIND_LIMIT: Final = 2.0 * SECONDS_PER_DAY
@@ -57,6 +59,24 @@ class DayRollover:
         self._newest = np.full(WINDOW_SAMPLES, -1)  # lanes of the newest samples, a ring
         self._clocks = np.zeros(0, CAR_CLOCK)
         self._recent_votes, self._window_votes = np.zeros(_VOTES, np.int64), np.zeros(_VOTES, np.int64)
+
+    def add_updates(self, batch: Batch, events: list[Event]) -> list[Event]:
+        """Return the messages between the rows of a batch, with a daily update where the day changes.
+
+        Parameters
+        ----------
+        batch : Batch
+            n rows.
+        events : list of Event
+            In the order of their rows.
+
+        Returns
+        -------
+        list of Event
+            In the order of their rows; an update follows the messages that came before its row.
+        """
+        updates = [Event(row, -1, DailyUpdate()) for row in self.find_rollovers(batch.lane, batch.stamp)]
+        return sorted([*events, *updates], key=itemgetter(0)) if updates else events
 
     def find_rollovers(self, lane: Ints, stamp: Floats) -> list[int]:
         """Return the rows before which the day changes.

@@ -44,7 +44,7 @@ class PendingInput:
     """Collect totals and dispatch messages until it pays to compute forecasts.
 
     Batches may be small, and weather observations cut them into pieces of a few rows. Forecasts do not depend on these
-    cuts, so the pieces are processed together. Rows are counted from the first pending batch.
+    cuts, so the pieces are processed together. Messages are counted from the first pending batch.
 
     Parameters
     ----------
@@ -64,14 +64,14 @@ class PendingInput:
         self._sums: list[Sums] = []
         self._dispatch: list[PlanArrival | DriverNamed] = []
         self.size, self.lanes = 0, set[int]()
-        self._before = 0  # rows of batches before the present one
+        self._before = 0  # messages of batches before the present one
 
     def __bool__(self) -> bool:
         return bool(self._sums or self._dispatch)
 
-    def add_sums(self, sums: Sums, start: int, rows: int) -> None:
-        """Add the sums of a number of rows, which begin at row `start` of the batch."""
-        self._sums.append(Sums(*(totals._replace(at=totals.at + (self._before + start)) for totals in sums)))
+    def add_sums(self, sums: Sums, rows: int) -> None:
+        """Add the sums of a number of rows."""
+        self._sums.append(Sums(*(totals._replace(at=totals.at + self._before) for totals in sums)))
         self.size += rows
 
     def add_dispatch(self, message: PlanArrival | DriverNamed) -> None:
@@ -80,12 +80,12 @@ class PendingInput:
         self.lanes.add(message.lane)
         self.size += 1
 
-    def end_batch(self, rows: int) -> None:
-        """Mark the end of a batch with a number of rows."""
-        self._before = self._before + rows if self else 0
+    def end_batch(self, messages: int) -> None:
+        """Mark the end of a batch with a number of messages."""
+        self._before = self._before + messages if self else 0
 
     def take(self, end: int) -> tuple[Sums, list[PlanArrival], list[DriverNamed]]:
-        """Return and drop all sums, joined, and the dispatch messages up to row `end` of the batch."""
+        """Return and drop all sums, joined, and the dispatch messages up to the place `end` in the batch."""
         sums, self._sums, self.size = self._sums, [], 0
         due = [each for each in self._dispatch if each.at <= self._before + end]
         self._dispatch = self._dispatch[len(due) :]
@@ -100,11 +100,11 @@ class PendingInput:
 
 
 class _Evaluation(NamedTuple):
-    """Hold a step of the evaluation: row of the batch, whether forecasts are due there, place of its data."""
+    """Hold a step of the evaluation: place in the batch, whether forecasts are due there, number of its data."""
 
-    row: int
+    at: int
     of_forecast: bool
-    place: int
+    number: int
 
 
 class ForecastEngine:
@@ -195,7 +195,7 @@ class ForecastEngine:
     def _build_events(
         self, totals: Totals, predicted: Floats, closed: int, drivers: Sequence[DriverNamed]
     ) -> tuple[NDArray[np.void], Ints]:
-        """Return the events of the filters in order, and the batch row of each; the first totals are closed ones."""
+        """Return the events of the filters in order, and the place of each; the first totals are closed ones."""
         n = len(totals.lane)
         events = np.empty(n + len(drivers), FILTER_EVENT)
         self._fill_totals(totals, predicted, events[:n])
@@ -235,16 +235,16 @@ class ForecastEngine:
             event["driver_mean"], event["driver_variance"] = part.mean, part.variance
 
     def _evaluate(self, running: Totals, rows: ForecastRows, shifts: NDArray[np.void], at: Ints) -> None:
-        """Record forecasts, and evaluate those whose end has come, in the order of their rows.
+        """Record forecasts, and evaluate those whose end has come, in the order of their places.
 
-        `at` is the row of the batch of each event.
+        `at` is the place of each event in the batch.
         """
         steps = [_Evaluation(int(at[shift["event"]]), False, i) for i, shift in enumerate(shifts)]
         time = running.at_last("time")
         lanes = np.unique(running.lane[self.log.is_due(running.lane, time, rows.raw_end_soc)])
         lanes = np.union1d(lanes, shifts["lane"])
         due = np.flatnonzero(np.isin(running.lane, lanes)) if len(lanes) else lanes
-        steps += [_Evaluation(row, True, i) for row, i in zip(running.at[due].tolist(), due.tolist(), strict=True)]
+        steps += [_Evaluation(place, True, i) for place, i in zip(running.at[due].tolist(), due.tolist(), strict=True)]
         for _, of_forecast, i in sorted(steps):
             if not of_forecast:
                 self._close_shift(shifts[i])

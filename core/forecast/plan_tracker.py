@@ -30,14 +30,14 @@ PROLONGATION: Final = 6 * 3600.0
 CUT_SHORT_MARGIN: Final = 900.0
 """A recording that ends earlier than this before the planned end of a shift cuts the shift short. [s]"""
 
-_PLAN_CAME, _RIDE_ENDED, _ROW = range(3)  # kinds of steps, in the order in which they apply at the same row
+_PLAN_CAME, _RIDE_ENDED, _ROW = range(3)  # kinds of steps, in the order in which they apply at the same place
 
 GetTables = Callable[[int], LegEnergyTables | None]
 """Returns the tables of a lane's vehicle model."""
 
 
 class PlanArrival(NamedTuple):
-    """Hold a plan that arrived for a lane before row `at` of the batch."""
+    """Hold a plan that arrived for a lane at the place `at` in the batch."""
 
     at: int
     lane: int
@@ -45,7 +45,7 @@ class PlanArrival(NamedTuple):
 
 
 class DriverNamed(NamedTuple):
-    """Hold the driver of a lane from row `at` of the batch on."""
+    """Hold the driver of a lane from the place `at` in the batch on."""
 
     at: int
     lane: int
@@ -78,11 +78,11 @@ class ActivePlan(NamedTuple):
 
 
 class _Step(NamedTuple):
-    """Hold what may change a plan: row of the batch, kind, place among those of the kind, lane."""
+    """Hold what may change a plan: place in the batch, kind, number among those of the kind, lane."""
 
     at: int
     kind: int
-    place: int
+    number: int
     lane: int
 
 

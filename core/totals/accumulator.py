@@ -11,12 +11,13 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from core.batch import Floats, Ints, grown
+from core.batch import NO_RIDE, Floats, Ints, grown
+from core.cleaning.fleet_clock import RIDE_END
 from core.cleaning.kernel import Clean
 from core.cleaning.quality import CAUSES
 from core.columns import KMH, SPEED_BIN_KMH, SPEED_BINS
-from core.signals.signals import Signals
 
 SPEED_BIN: Final = SPEED_BIN_KMH * KMH
 """Width of a bin of the speed histogram. [m/s]"""
@@ -41,6 +42,9 @@ AMOUNTS: Final = (
     "hvac_known",  # time for which that is known [s]
     "stops",
     "samples",
+    "speed_rejected",  # time for which the speed was rejected [s]
+    "speed_missing",  # time for which the speed was missing, of a car that sends it [s]
+    "bridged",  # distance of steps whose distance was bridged [m]
 )
 """What is summed of every ride and window, followed by the effects' energies [J] and the speed histogram [m]."""
 
@@ -66,16 +70,21 @@ EDGES: Final = (
 DURATION: Final = AMOUNTS.index("duration")
 DISTANCE: Final = AMOUNTS.index("distance")
 SOC: Final = EDGES.index("soc")
+CODE: Final = EDGES.index("code")
 LOST: Final = EDGES.index("lost")
 SILENCE: Final = 600.0
 """A longer step outside rides does not count as idle time, because the car may have been switched off. [s]"""
 
+NO_ENDS: Final = np.empty(0, RIDE_END)
+"""No ride that ended between two rows."""
 OPEN_RIDE: Final = 0
-"""Column of the open totals: ordinal of the open ride, -1 for none."""
+"""Column of the open totals: ordinal of the open ride, -1 for an idle period, `NOTHING_OPEN` for neither."""
+NOTHING_OPEN: Final = -2.0
+"""Open ride of a lane whose ride has ended without a sample; the next sample begins a ride or an idle period."""
 OPEN_WINDOW: Final = 1
 """Column of the open totals: ordinal of the open window."""
 OUT_AT: Final = 0
-"""Column of an output row: row of the batch."""
+"""Column of an output row: place in the batch."""
 OUT_LANE: Final = 1
 """Column of an output row: lane."""
 _OUT_HEAD: Final = 2
@@ -116,7 +125,7 @@ class Totals(NamedTuple):
     Parameters
     ----------
     at : (n,) int64
-        Row of the batch at which it closed, or at which the running totals were taken.
+        Place among the messages of the batch at which it closed, or at which the running totals were taken.
     lane, ride, window : (n,) int64
         Lane, and ordinals of ride and window in the lane.
     amounts : (n, len(AMOUNTS) + effects + SPEED_BINS) float64
@@ -200,7 +209,15 @@ class Accumulator:
         totals[:, [OPEN_RIDE, OPEN_WINDOW]] = -1.0
         return totals
 
-    def add(self, clean: Clean, kind: Ints, rates: Floats, lanes: int) -> Sums:
+    def add(
+        self,
+        clean: Clean,
+        kind: Ints,
+        rates: Floats,
+        lanes: int,
+        place: Ints | None = None,
+        ends: NDArray[np.void] = NO_ENDS,
+    ) -> Sums:
         """Add the rows of a batch.
 
         Parameters
@@ -210,20 +227,27 @@ class Accumulator:
         kind : (n,) int
             Kind of car.
         rates : (len(AMOUNTS) + effects, n) float
-            What each row adds, see `amounts`.
+            What each row adds, see `core.totals.clean_rows.amounts`.
         lanes : int
             Number of lanes so far.
+        place : (n,) int, optional
+            Place of each row among the messages of the batch; its number without it.
+        ends : (ends,) RIDE_END
+            Rides that ended between two rows.
         """
         if len(self._open) < lanes:
             self._open = grown(self._open, lanes, self._empty(1)[0])
         n = len(clean.lane)
+        most = n + len(ends)
         columns = clean._asdict() | {"kind": kind.astype(np.float64)}
         edges = np.stack([columns[name] for name in EDGES])
         speed_bin = np.minimum(clean.speed / SPEED_BIN, SPEED_BINS - 1.0).astype(np.int64)
         size = _OUT_HEAD + self._layout.size
-        rides, idle, windows = np.empty((n, size)), np.empty((n, size)), np.empty((n, size))
+        rides, idle, windows = np.empty((most, size)), np.empty((n, size)), np.empty((most, size))
         running = np.empty((int(clean.due.sum()), size))
         n_rides, n_idle, n_windows = add_rows(
+            np.arange(n) if place is None else place,
+            ends,
             clean.lane,
             clean.ride,
             clean.window,
@@ -307,53 +331,10 @@ class Accumulator:
         )
 
 
-def amounts(signals: Signals, powers: Sequence[tuple[str, Floats]]) -> Floats:
-    """Return what each row adds to the totals.
-
-    Parameters
-    ----------
-    signals : Signals
-        n rows.
-    powers : sequence of (per, (n,) float)
-        Power of each effect per unit of its coefficient [W], which acts over distance or over time.
-
-    Returns
-    -------
-    (len(AMOUNTS) + len(powers), n) float
-    """
-    clean, sky = signals.clean, signals.sky
-    dt, climb = clean.dt, clean.climb
-    of_rows = {
-        "duration": dt,
-        "distance": clean.distance,
-        "gained": np.maximum(climb, 0.0),
-        "lost": np.maximum(-climb, 0.0),
-        "gained_causal": np.maximum(clean.causal_climb, 0.0),
-        "lost_causal": np.maximum(-clean.causal_climb, 0.0),
-        "energy": clean.energy,
-        "metered": clean.metered,
-        "energy_variance": clean.energy_variance,
-        "ambient": signals["ambient"] * dt,
-        "wind": np.nan_to_num(sky.wind_speed) * dt,
-        "wind_north": np.nan_to_num(sky.wind_north) * dt,
-        "wind_east": np.nan_to_num(sky.wind_east) * dt,
-        "wind_known": np.where(np.isnan(sky.wind_speed), 0.0, dt),
-        "precipitation": signals["precipitation"] * dt,
-        "hvac": np.nan_to_num(clean.hvac) * dt,
-        "hvac_known": np.where(np.isnan(clean.hvac), 0.0, dt),
-        "stops": clean.stop,
-        "samples": np.ones(len(dt)),
-    }
-    table = np.empty((len(AMOUNTS) + len(powers), len(dt)))
-    for row, name in zip(table, AMOUNTS, strict=False):
-        row[:] = of_rows[name]
-    for row, (per, power) in zip(table[len(AMOUNTS) :], powers, strict=True):
-        np.multiply(power, clean.travel if per == "distance" else dt, out=row)
-    return table
-
-
 @njit(cache=True)
 def add_rows(
+    place: Any,
+    ends: Any,
     lane: Any,
     ride: Any,
     window: Any,
@@ -370,14 +351,22 @@ def add_rows(
     running_out: Any,
 ) -> Any:
     """Add rows to the open totals of their lanes, in order; return how many rides, idle periods and windows closed."""
-    n_rides = n_idle = n_windows = n_running = 0
-    for i in range(lane.shape[0]):
+    n_rides = n_idle = n_windows = n_running = end = 0
+    for i in range(lane.shape[0] + 1):
+        while end < ends.shape[0] and ends[end].row <= i:
+            totals = open_totals[ends[end].lane]
+            end_ride(totals, layout, ends[end], edges.shape[0], rides_out[n_rides], windows_out[n_windows])
+            n_rides, n_windows, end = n_rides + 1, n_windows + 1, end + 1
+        if i == lane.shape[0]:
+            break
         totals = open_totals[lane[i]]
         silent = ride[i] < 0 and rates[DURATION, i] > SILENCE
         next_window = totals[OPEN_RIDE] >= 0.0 and window[i] != totals[OPEN_WINDOW]
         if next_window or ride[i] != totals[OPEN_RIDE] or silent:
             rows = rides_out[n_rides], idle_out[n_idle], windows_out[n_windows]
-            closed_ride, closed_rest, closed_window = close_open(totals, layout, ride[i], lane[i], edges, i, rows)
+            closed_ride, closed_rest, closed_window = close_open(
+                totals, layout, ride[i], place[i], lane[i], edges, i, rows
+            )
             n_rides, n_idle, n_windows = n_rides + closed_ride, n_idle + closed_rest, n_windows + closed_window
             totals[OPEN_RIDE], totals[OPEN_WINDOW] = ride[i], window[i]
         riding = ride[i] >= 0
@@ -391,13 +380,15 @@ def add_rows(
         if riding:
             add_quality(totals, layout.quality, quality[i])
         if due[i]:
-            write_running(running_out[n_running], i, lane[i], totals, layout)
+            write_running(running_out[n_running], place[i], lane[i], totals, layout)
             n_running += 1
     return n_rides, n_idle, n_windows
 
 
 @njit(cache=True)
-def close_open(totals: Any, layout: Any, ride: int, lane: int, edges: Any, i: int, rows: Any) -> tuple[int, int, int]:
+def close_open(
+    totals: Any, layout: Any, ride: int, place: int, lane: int, edges: Any, i: int, rows: Any
+) -> tuple[int, int, int]:
     """Close the open window at row `i`, and where the ride changes, close ride or idle period and begin the next one.
 
     Return how many rides, idle periods and windows were closed and written to `rows`. A silence ends an idle period at
@@ -406,18 +397,30 @@ def close_open(totals: Any, layout: Any, ride: int, lane: int, edges: Any, i: in
     ride_row, rest_row, window_row = rows
     in_ride = totals[OPEN_RIDE] >= 0.0
     if in_ride:
-        write_row(window_row, i, lane, totals)
+        write_row(window_row, place, lane, totals)
         close_window(totals, layout, edges.shape[0])
     if ride == totals[OPEN_RIDE] and ride >= 0:
         return 0, 0, int(in_ride)
     rest = not in_ride and totals[layout.ride_amounts + DURATION] > 0.0
     if in_ride:
         totals[layout.last + LOST] = edges[LOST, i]
-        write_row(ride_row, i, lane, totals)
+        write_row(ride_row, place, lane, totals)
     elif rest:
-        write_row(rest_row, i, lane, totals)
+        write_row(rest_row, place, lane, totals)
     open_ride(totals, layout, edges, i)
     return int(in_ride), int(rest), int(in_ride)
+
+
+@njit(cache=True)
+def end_ride(totals: Any, layout: Any, end: Any, n_edges: int, ride_row: Any, window_row: Any) -> None:
+    """Close the open ride and its window between two rows, and leave nothing open."""
+    write_row(window_row, end.place, end.lane, totals)
+    close_window(totals, layout, n_edges)
+    totals[layout.last + LOST] = 0.0
+    write_row(ride_row, end.place, end.lane, totals)
+    totals[OPEN_RIDE], totals[layout.last + CODE] = NOTHING_OPEN, NO_RIDE
+    totals[layout.ride_amounts : layout.ride_first] = 0.0
+    totals[layout.quality :] = 0.0
 
 
 @njit(cache=True)
@@ -438,9 +441,9 @@ def add_row(totals: Any, begin: int, rates: Any, speed_bin: Any, i: int) -> None
 
 
 @njit(cache=True)
-def write_running(row: Any, i: int, lane: int, totals: Any, layout: Any) -> None:
+def write_running(row: Any, place: int, lane: int, totals: Any, layout: Any) -> None:
     """Write the running totals of a lane to an output row: those of the ride plus those of the open window."""
-    write_row(row, i, lane, totals)
+    write_row(row, place, lane, totals)
     for j in range(layout.ride_amounts - layout.window_amounts):
         row[_OUT_HEAD + layout.ride_amounts + j] += totals[layout.window_amounts + j]
 
@@ -467,9 +470,9 @@ def update_edges(totals: Any, layout: Any, edges: Any, i: int) -> None:
 
 
 @njit(cache=True)
-def write_row(row: Any, i: int, lane: int, totals: Any) -> None:
-    """Write the row of the batch, a lane and its open totals to an output row."""
-    row[OUT_AT], row[OUT_LANE] = i, lane
+def write_row(row: Any, place: int, lane: int, totals: Any) -> None:
+    """Write a place in the batch, a lane and its open totals to an output row."""
+    row[OUT_AT], row[OUT_LANE] = place, lane
     for j in range(totals.shape[0]):
         row[_OUT_HEAD + j] = totals[j]
 

@@ -4,12 +4,14 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
 from core.cleaning.kernel import Clean
+from core.cleaning.quality import Quality
 from core.signals.signals import Signals
 from core.signals.weather import Sky
-from core.totals.accumulator import Accumulator, Sums, amounts
+from core.totals.accumulator import AMOUNTS, NO_ENDS, Accumulator, Sums
 from core.vehicles.fleet import Cars
 
 PowerOfEffect = tuple[str, Callable[[Signals], Floats]]
@@ -27,11 +29,17 @@ class CleanRows(NamedTuple):
         Weather at the rows.
     kind : (n,) int
         Kind of car of each row.
+    place : (n,) int, optional
+        Place of each row among the messages of the batch; its number without it.
+    ends : (ends,) RIDE_END
+        Rides that ended between two rows. Without them, such a ride is closed at the next row of its car.
     """
 
     clean: Clean
     sky: Sky
     kind: Ints
+    place: Ints | None = None
+    ends: NDArray[np.void] = NO_ENDS
 
     @property
     def size(self) -> int:
@@ -39,7 +47,7 @@ class CleanRows(NamedTuple):
         return len(self.kind)
 
     def rows(self, start: int, stop: int) -> "CleanRows":
-        """Return a view of the rows from `start` up to, not including, `stop`."""
+        """Return a view of the rows from `start` up to, not including, `stop`, without places and ends."""
         part = slice(start, stop)
         clean = Clean(*(column[part] for column in self.clean))  # type: ignore[arg-type]
         return CleanRows(clean, Sky(*(column[part] for column in self.sky)), self.kind[part])
@@ -71,4 +79,52 @@ def sum_rows(
     signals = Signals(rows.clean, rows.sky, cars.parameters_of(rows.kind))
     with np.errstate(all="ignore"):  # a user's effect may divide by a speed that it then masks
         energies = [(per, power(signals)) for per, power in powers]
-    return accumulator.add(rows.clean, rows.kind, amounts(signals, energies), lanes)
+    return accumulator.add(rows.clean, rows.kind, amounts(signals, energies), lanes, rows.place, rows.ends)
+
+
+def amounts(signals: Signals, powers: Sequence[tuple[str, Floats]]) -> Floats:
+    """Return what each row adds to the totals.
+
+    Parameters
+    ----------
+    signals : Signals
+        n rows.
+    powers : sequence of (per, (n,) float)
+        Power of each effect per unit of its coefficient [W], which acts over distance or over time.
+
+    Returns
+    -------
+    (len(AMOUNTS) + len(powers), n) float
+    """
+    clean, sky = signals.clean, signals.sky
+    dt, climb = clean.dt, clean.climb
+    of_rows = {
+        "duration": dt,
+        "distance": clean.distance,
+        "gained": np.maximum(climb, 0.0),
+        "lost": np.maximum(-climb, 0.0),
+        "gained_causal": np.maximum(clean.causal_climb, 0.0),
+        "lost_causal": np.maximum(-clean.causal_climb, 0.0),
+        "energy": clean.energy,
+        "metered": clean.metered,
+        "energy_variance": clean.energy_variance,
+        "ambient": signals["ambient"] * dt,
+        "wind": np.nan_to_num(sky.wind_speed) * dt,
+        "wind_north": np.nan_to_num(sky.wind_north) * dt,
+        "wind_east": np.nan_to_num(sky.wind_east) * dt,
+        "wind_known": np.where(np.isnan(sky.wind_speed), 0.0, dt),
+        "precipitation": signals["precipitation"] * dt,
+        "hvac": np.nan_to_num(clean.hvac) * dt,
+        "hvac_known": np.where(np.isnan(clean.hvac), 0.0, dt),
+        "stops": clean.stop,
+        "samples": np.ones(len(dt)),
+        "speed_rejected": np.where(clean.quality & Quality.SPEED_REJECTED, dt, 0.0),
+        "speed_missing": np.where(clean.quality & Quality.SPEED_MISSING, dt, 0.0),
+        "bridged": np.where(clean.quality & Quality.BRIDGED, clean.distance, 0.0),
+    }
+    table = np.empty((len(AMOUNTS) + len(powers), len(dt)))
+    for row, name in zip(table, AMOUNTS, strict=False):
+        row[:] = of_rows[name]
+    for row, (per, power) in zip(table[len(AMOUNTS) :], powers, strict=True):
+        np.multiply(power, clean.travel if per == "distance" else dt, out=row)
+    return table

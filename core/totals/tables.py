@@ -35,6 +35,13 @@ COARSEST_SOC: Final = 0.01
 """Quantum of a state of charge that has not changed yet: the coarsest that the wire contract allows. [1]"""
 CUT: Final = 0.1
 """Largest share of its duration that a ride fit for training may lack at its beginning and end. [1]"""
+MOST_REJECTED: Final = 0.5
+"""Largest share of its duration for which the speed of a ride fit for training may be rejected or missing. [1]
+
+Beyond one half, more of the speed profile is inferred than measured.
+"""
+MOST_BRIDGED: Final = 0.5
+"""Largest share of its distance that may be bridged in a ride fit for training. [1]"""
 UNSEEN_POWER: Final = 0.5
 """Relative standard uncertainty of the mean power over a time without measurement. [1]"""
 WINTER: Final = ((12, 15), (3, 15))
@@ -196,17 +203,23 @@ def unfit_reason(totals: Totals, context: RunContext) -> NDArray[np.object_]:
     Notes
     -----
     The rules for duration and distance follow section 3 of the paper. Beyond the paper, a ride is unfit if gaps at its
-    beginning and end hide more than a tenth of its duration, or if its energy cannot be measured.
+    beginning and end hide more than a tenth of its duration, if its energy cannot be measured, if its speed was
+    rejected (or missing) for more than `MOST_REJECTED` of its duration, or if more than `MOST_BRIDGED` of its distance
+    was bridged.
     """
     cars, settings = context.cars, context.settings
     duration = totals.amount("duration")
     unmeasured = np.isnan(measured_energy(totals, cars)[0])
+    rejected = _share(totals, "speed_rejected")
     reason = np.full(len(duration), None, dtype=object)
     for why, applies in (  # later reasons overwrite earlier ones
         ("cut_by_gap", lost_time(totals) > CUT * duration),
         ("no_measured_energy", unmeasured),
         ("unknown_capacity", unmeasured & np.isnan(_capacity(totals, cars)) & ~np.isnan(totals.at_last("soc"))),
         ("too_little_distance", totals.amount("distance") < settings.least_distance),
+        ("distance_bridged", _share(totals, "bridged", "distance") > MOST_BRIDGED),
+        ("speed_missing", rejected + _share(totals, "speed_missing") > MOST_REJECTED),
+        ("speed_rejected", rejected > MOST_REJECTED),
         ("too_short", duration < settings.shortest_ride),
         ("too_long", duration > settings.longest_ride),
     ):
@@ -246,6 +259,12 @@ def is_winter(time: Floats) -> NDArray[np.int64]:
     return (winter & known).astype(np.int64)
 
 
+def _share(totals: Totals, name: str, whole: str = "duration") -> Floats:
+    """Return a summed amount over that of the whole, 0 where the whole is zero. [1]"""
+    over = totals.amount(whole)
+    return np.divide(totals.amount(name), over, out=np.zeros(len(over)), where=over > 0.0)
+
+
 def _mean(totals: Totals, name: str, time: str = "duration") -> Floats:
     """Return the time average of a summed amount, NaN where the time is zero."""
     over = totals.amount(time)
@@ -277,6 +296,9 @@ def _physical(totals: Totals, cars: Cars) -> dict[str, Floats]:
         "hvac_kwh": np.where(totals.amount("hvac_known") > 0.0, totals.amount("hvac") / JOULES_PER_KWH, np.nan),
         "stops": totals.amount("stops"),
         "samples": totals.amount("samples"),
+        "rejected_speed_share": _share(totals, "speed_rejected"),
+        "missing_speed_share": _share(totals, "speed_missing"),
+        "bridged_distance_share": _share(totals, "bridged", "distance"),
         "soc_start_pct": totals.at_first("soc") * 100.0,
         "soc_end_pct": totals.at_last("soc") * 100.0,
         "battery_temperature_c": totals.at_first("battery_temperature") - ZERO_CELSIUS,

@@ -46,12 +46,8 @@ class Telemetry(Wire):
     vehicle_id: Annotated[str, Meta(description="Identity of the vehicle, as in the key.")]
     time_s: Annotated[float, Meta(description="Time on the logger's own clock. [Unix s]")]
     ride_id: Annotated[
-        str | msgspec.UnsetType | None,
-        Meta(
-            description="The logger's name of the ride in progress; null when no ride is in progress, "
-            "absent from a logger that names no rides."
-        ),
-    ] = msgspec.UNSET
+        str | None, Meta(description="The logger's name of the ride in progress; null or absent between rides.")
+    ] = None
     seq: Annotated[Count | None, Meta(description="The logger's sample counter.")] = None
     latitude_deg: Annotated[float | None, Meta(description="Latitude, WGS 84. [deg]")] = None
     longitude_deg: Annotated[float | None, Meta(description="Longitude, WGS 84. [deg]")] = None

@@ -3,9 +3,7 @@
 from collections.abc import Iterable
 from typing import Any, Final
 
-import msgspec
-
-from core.batch import NO_RIDE, RIDE_UNKNOWN
+from core.batch import NO_RIDE
 from core.wire.messages import Ride
 
 DRIVERS: Final = 10_000
@@ -16,8 +14,7 @@ DRIVERS_PER_VEHICLE: Final = 8
 class RideNames(dict[Any, float]):
     """Assign a code to each ride name, and return the name of a code.
 
-    Indexing with a name that has no code yet assigns the next one. None maps to `NO_RIDE`, an absent field to
-    `RIDE_UNKNOWN`.
+    Indexing with a name that has no code yet assigns the next one. None maps to `NO_RIDE`.
     """
 
     def __init__(self) -> None:
@@ -51,7 +48,7 @@ class RideNames(dict[Any, float]):
     def _assign(self, names: dict[float, str | None]) -> None:
         """Replace all names by those of a mapping from codes."""
         self.clear()
-        self.update({None: NO_RIDE, msgspec.UNSET: RIDE_UNKNOWN})
+        self[None] = NO_RIDE
         self.update({name: code for code, name in names.items()})
         self._name_of: dict[float, str | None] = {NO_RIDE: None, **names}
 

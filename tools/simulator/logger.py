@@ -4,7 +4,6 @@ from collections import Counter
 from itertools import repeat
 from typing import Any, Final, NamedTuple
 
-import msgspec
 import numpy as np
 
 from core.batch import Floats
@@ -233,7 +232,7 @@ def _tabulate(name: str, columns: Columns, equipment: Equipment, shift: Shift) -
         if field == "vehicle_id":
             lists.append(repeat(name, n))
         elif field in equipment.lacks:
-            lists.append(repeat(msgspec.UNSET if field == "ride_id" else None, n))
+            lists.append(repeat(None, n))
         elif field == "ride_id":
             lists.append([rides[ride if ride != NO_RIDE else -1] for ride in columns[field].tolist()])
         elif columns[field].dtype == float:

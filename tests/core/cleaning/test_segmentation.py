@@ -1,9 +1,13 @@
 """Test the beginning and end of rides, their fitness for training, and the windows within them."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
+from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
+from core.pipeline import Pipeline
 from core.settings import Settings
+from tests.support.ride_streams import count_ended, dispatched, in_order, sent, shift
 from tests.support.telemetry import PERIOD, START, drive, joined, leaf, make_message, picked, ran, telemetry, without
 
 MOVING, PARKED = 10.0, 0.0
@@ -41,15 +45,23 @@ def test_standstill_does_not_end_a_named_ride():
     assert rides["duration_s"][0] == pytest.approx(499 * PERIOD)
 
 
-def test_sample_without_ride_id_does_not_end_a_named_ride():
+@pytest.mark.parametrize("unnamed", [slice(40, 60), slice(0, 60), slice(0, 100)], ids=["within", "before", "always"])
+def test_absent_and_null_names_give_the_same_rides(unnamed):
     columns = drive(100, speed=MOVING)
-    messages = telemetry(columns)
-    bare = telemetry(without(columns, "ride_id"))
-    messages[40:43] = bare[40:43]
-    pipeline, _ = ran([leaf(), *messages])
-    rides = pipeline.take_rides()
-    assert rides["ride_id"].tolist() == ["r1"]
-    assert rides["samples"][0] == 99
+    tables = []
+    for silent in (telemetry(without(columns, "ride_id")), telemetry(named(columns, [None] * 100))):
+        messages = telemetry(columns)
+        messages[unnamed] = silent[unnamed]
+        tables.append(ran([leaf(), *messages])[0].take_rides())
+    pd.testing.assert_frame_equal(*tables, check_exact=True)
+    assert len(tables[0]) > 0
+
+
+def test_rides_are_cut_by_motion_before_the_first_name_and_follow_names_after_it():
+    names = [None] * 60 + ["A"] * 60 + [None] * 60
+    rides, _ = rides_of(named(drive(180, speed=MOVING), names))
+    assert rides["ride_id"].tolist() == ["a#0", "A"]
+    assert rides["duration_s"].tolist() == pytest.approx([59 * PERIOD, 59 * PERIOD])
 
 
 def nameless(parts, **columns):
@@ -149,6 +161,45 @@ def test_driver_applies_to_every_part_of_a_ride_of_one_car():
     rides = pipeline.take_rides()
     assert rides[rides["vehicle_id"] == "a"]["driver_id"].fillna("").tolist() == ["ana", "", "ana"]
     assert rides[rides["vehicle_id"] == "b"]["driver_id"].fillna("").tolist() == ["bob", "", "bob"]
+
+
+def test_end_of_dispatch_ends_a_ride_at_once_and_for_good():
+    pipeline = Pipeline()
+    ended = count_ended(in_order(shift("a", rides=1)), pipeline)
+    assert ended.index(1) == 96  # the vehicle message and 95 samples came before
+    assert ended[-1] == 1
+    assert (pipeline.status()[0].ride_id, pipeline.status()[0].ride_distance_km) == (None, 0.0)
+    pipeline.finish()
+    (ride,) = pipeline.take_rides().to_dict("records")
+    assert (ride["ride_id"], ride["duration_s"]) == ("a0", PERIOD * 94)
+
+
+def test_end_of_another_ride_is_ignored():
+    assert set(count_ended(in_order(sent("a", 50), dispatched(START + 10.0, "a", "r0", "end")))) == {0}
+
+
+def test_start_of_dispatch_begins_an_ended_ride_again():
+    at = START + PERIOD * 40
+    orders = dispatched(at + 1.0, "a", "r1", "end") + dispatched(at + 7.0, "a", "r1", "start")
+    rides = ran(in_order(sent("a", 100), orders))[0].take_rides()
+    assert rides["duration_s"].tolist() == [PERIOD * 40, PERIOD * 56]
+
+
+def test_end_of_dispatch_ends_an_unnamed_ride_until_the_car_has_stood():
+    samples = telemetry(nameless([(120, MOVING), (20, PARKED), (160, MOVING)]))
+    early, late = (make_message("ride", time=START + at, ride_id="x", event="end") for at in (-5.0, 300.0))
+    rides = ran([*samples[:50], early, *samples[50:100], late, *samples[100:]])[0].take_rides()
+    assert rides["duration_s"].tolist() == pytest.approx([99 * PERIOD, 159 * PERIOD], abs=2 * PERIOD)
+
+
+def test_running_errors_are_published_when_the_end_of_dispatch_comes():
+    pipeline = Pipeline(EXTENDED_PHYSICAL, shadows=[BASIC_PHYSICAL])
+    messages = in_order(shift("a", rides=1))
+    place = next(i for i, message in enumerate(messages) if b'"end"' in message.payload)
+    pipeline.push(messages[:place])
+    assert pipeline.model_errors() == []
+    pipeline.push(messages[place : place + 1])
+    assert len(pipeline.model_errors()) == 2
 
 
 def windows_of(columns, **options):

@@ -84,7 +84,7 @@ def test_status_queries_and_snapshots_change_no_forecast(cuts, queried):
     assert pipeline.snapshot()
 
 
-def test_later_dispatch_messages_wait_and_rows_count_from_first_batch():
+def test_later_dispatch_messages_wait_and_messages_count_from_first_batch():
     accumulator = Accumulator(0)
     none = accumulator.none()
     rows = none._replace(**{name: np.zeros((2, *part.shape[1:]), part.dtype) for name, part in none._asdict().items()})
@@ -93,8 +93,8 @@ def test_later_dispatch_messages_wait_and_rows_count_from_first_batch():
     plan_later = PlanArrival(9, 1, None)
     pending.add_dispatch(DriverNamed(5, 0, "x"))
     pending.add_dispatch(plan_later)
-    pending.add_sums(accumulator.close()._replace(running=rows), 3, 2)
-    pending.add_sums(accumulator.close()._replace(running=rows), 5, 2)
+    pending.add_sums(accumulator.close()._replace(running=rows._replace(at=rows.at + 3)), 2)
+    pending.add_sums(accumulator.close()._replace(running=rows._replace(at=rows.at + 5)), 2)
     assert pending.size == 6
     assert pending.lanes == {0, 1}
     sums, plans, drivers = pending.take(7)
@@ -103,7 +103,7 @@ def test_later_dispatch_messages_wait_and_rows_count_from_first_batch():
     assert pending.size == 0
     assert pending.lanes == {1}
     pending.end_batch(9)
-    pending.add_sums(accumulator.close()._replace(running=rows), 2, 2)
+    pending.add_sums(accumulator.close()._replace(running=rows._replace(at=rows.at + 2)), 2)
     sums, plans, _ = pending.take(4)
     assert sums.running.at.tolist() == [11, 11]
     assert plans == [plan_later]

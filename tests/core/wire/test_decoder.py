@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.batch import NO_RIDE, RIDE_UNKNOWN, Lanes
+from core.batch import NO_RIDE, Lanes
 from core.wire.decoder import Decoder
 from core.wire.messages import KINDS, Message, Telemetry, Vehicle, Weather, address, encode
 from core.wire.schema import make_schema
@@ -61,9 +61,9 @@ def test_every_telemetry_field_is_decoded():
     assert {"vehicle_id", "time_s", "ride_id", *WIRE} == set(Telemetry.__struct_fields__)
 
 
-def test_ride_is_a_name_or_none_or_unknown():
+def test_ride_is_a_name_or_none():
     _, batch, _ = decode(sample(ride_id="x"), sample(ride_id=None), sample(), sample(ride_id="y"), sample(ride_id="x"))
-    assert batch.ride.tolist() == [0, NO_RIDE, RIDE_UNKNOWN, 1, 0]
+    assert batch.ride.tolist() == [0, NO_RIDE, NO_RIDE, 1, 0]
 
 
 BAD = {

@@ -46,7 +46,7 @@ TELEMETRY = struct(
     Telemetry,
     vehicle_id=name,
     time_s=number,
-    ride_id=st.none() | st.text(max_size=20) | st.just(msgspec.UNSET),
+    ride_id=st.none() | st.text(max_size=20),
     seq=st.none() | count,
     occupants=st.none() | count,
     charging=st.none() | st.booleans(),

@@ -25,7 +25,8 @@ from core.pipeline import BLOCK
 from core.settings import Settings
 from core.signals.signals import Signals, ambient_quality
 from core.signals.weather import Sky, Stations
-from core.totals.accumulator import AMOUNTS, Accumulator, Totals, amounts
+from core.totals.accumulator import AMOUNTS, Accumulator, Totals
+from core.totals.clean_rows import amounts
 from core.totals.context import RunContext
 from core.totals.tables import ride_table, window_table
 from core.vehicles.fleet import Cars

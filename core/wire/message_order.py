@@ -1,0 +1,69 @@
+"""The order of the messages of a batch: telemetry rows, and the other messages between them."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from core.wire.decoder import Event
+from core.wire.messages import Vehicle
+
+
+class Piece(NamedTuple):
+    """Hold where a piece of a batch begins, and what applies between its rows.
+
+    Parameters
+    ----------
+    start : int
+        First row.
+    changes : list of (row, lane, Vehicle)
+        Vehicle messages, with the row of the piece before which each came.
+    ride_events : list of tuple
+        Fields of RIDE_EVENT of each beginning and end of a ride, with the row of the batch before which it came.
+    """
+
+    start: int
+    changes: list[tuple[int, int, Vehicle]]
+    ride_events: list[tuple[Any, ...]]
+
+
+class MessageOrder:
+    """Number the telemetry rows and the other messages of a batch in the order of their arrival.
+
+    Parameters
+    ----------
+    rows : int
+        Number of telemetry rows.
+    events : sequence of Event
+        All other messages, in their order.
+
+    Attributes
+    ----------
+    of_rows : (rows,) int
+        Place of each row.
+    size : int
+        Number of rows and other messages.
+
+    Examples
+    --------
+    >>> from core.wire.messages import Weather
+    >>> seen = Weather("yul", 0.0, 45.0, -73.0)
+    >>> order = MessageOrder(3, [Event(1, -1, seen), Event(3, -1, seen)])
+    >>> order.of_rows.tolist(), [order.of_event(number) for number in (0, 1)], order.size
+    ([0, 2, 3], [1, 4], 5)
+    """
+
+    def __init__(self, rows: int, events: Sequence[Event]) -> None:
+        self._event_rows = np.array([event.row for event in events], dtype=np.int64)
+        self.of_rows = np.arange(rows, dtype=np.int64)
+        if events:
+            self.of_rows += np.searchsorted(self._event_rows, self.of_rows, side="right")
+        self.size = rows + len(events)
+
+    def of_event(self, number: int) -> int:
+        """Return the place of a message that is not telemetry, by its number among those."""
+        return int(self._event_rows[number]) + number
+
+    def of_row(self, row: int) -> int:
+        """Return the place of a row, the number of all messages for the row after the last."""
+        return int(self.of_rows[row]) if row < len(self.of_rows) else self.size

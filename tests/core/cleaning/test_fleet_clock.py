@@ -1,0 +1,81 @@
+"""Test that a ride ends when the other cars show that its car is silent, and never because of a wrong clock."""
+
+import pandas as pd
+import pytest
+
+from core.cleaning.fleet_clock import STALLED, advance_fleet_clock, new_fleet_clock
+from core.pipeline import Pipeline
+from core.settings import Settings
+from tests.support.ride_streams import count_ended, in_order, sent
+from tests.support.telemetry import PERIOD, START, leaf, ran
+
+GAP = Settings().gap_time
+HOUR = 3600.0
+
+
+@pytest.mark.parametrize("name", ["r1", None])
+@pytest.mark.parametrize("ahead", [0.0, -7 * HOUR], ids=["right", "behind"])
+def test_ride_of_silent_car_ends_when_the_fleet_has_advanced_by_the_gap_time(name, ahead):
+    messages = in_order(sent("a", 100, ahead=ahead, name=name), sent("b", 400, name=name))
+    pipeline = Pipeline()
+    ended = count_ended(messages, pipeline)
+    last = max(i for i, message in enumerate(messages) if b'"a"' in message.payload)
+    assert GAP / PERIOD < ended.index(1) - last <= GAP / PERIOD + 2
+    (ride,) = pipeline.take_rides().to_dict("records")
+    assert (ride["vehicle_id"], ride["duration_s"]) == ("a", PERIOD * 99)
+
+
+def test_ride_of_silent_car_with_clock_ahead_ends_once_the_fleet_clock_runs_again():
+    ended = count_ended(in_order(sent("a", 100, ahead=7 * HOUR), sent("b", int(STALLED) + 400)))
+    assert ended[: int(STALLED)] == [0] * int(STALLED)
+    assert ended[-1] == 1
+
+
+def test_totals_of_silent_car_equal_those_at_its_next_sample():
+    first, later = sent("a", 100), sent("a", 100, first=500)
+    alone = ran([leaf("a"), *in_order(first, later)])[0]
+    others = ran([leaf("a"), leaf("b"), *in_order(first, later, sent("b", 700))])[0]
+    assert len(alone.status()) == 1
+    for table in ("take_rides", "take_windows"):
+        both = getattr(others, table)()
+        mine = both[both["vehicle_id"] == "a"].reset_index(drop=True)
+        pd.testing.assert_frame_equal(mine, getattr(alone, table)(), check_exact=True)
+
+
+def test_car_with_wrong_clock_ends_no_ride_of_others():
+    streams = [sent(car, 400, ahead=ahead) for car, ahead in (("a", 0.0), ("b", 9 * HOUR), ("c", 0.0))]
+    assert set(count_ended(in_order(*streams))) == {0}
+
+
+def test_stored_samples_that_come_together_end_no_ride_of_others():
+    stored = [(START + PERIOD * 350, message) for _, message in sent("b", 350)]
+    assert set(count_ended(in_order(sent("a", 400), sent("c", 400), stored))) == {0}
+
+
+def test_many_cars_that_wake_after_a_night_end_no_ride_that_has_just_begun():
+    streams = [sent(car, 50, first=10_000) for car in "abcdefghijklmnopqrstuvwxyz"]
+    assert set(count_ended(in_order(sent("z", 5, name=None), *streams))[5 + 26 :]) <= {1}
+
+
+def test_stored_samples_of_a_silent_car_begin_another_ride():
+    stored = [message for _, message in sent("a", 50, first=100)]
+    rides = ran([leaf("a"), leaf("b"), *in_order(sent("a", 100), sent("b", 400)), *stored])[0].take_rides()
+    mine = rides[rides["vehicle_id"] == "a"]
+    assert mine["ride_id"].tolist() == ["r1", "r1"]
+    assert mine["duration_s"].tolist() == [PERIOD * 99, PERIOD * 49]
+
+
+def test_clock_that_stands_returns_to_the_present_samples():
+    (clock,) = new_fleet_clock()
+    advance_fleet_clock(clock, 1e6, 0.0, GAP)
+    for i in range(int(STALLED) + 5):
+        advance_fleet_clock(clock, PERIOD * i, PERIOD, GAP)
+    assert clock["front"] == PERIOD * (STALLED + 4)
+    assert clock["progress"] == PERIOD * 5
+
+
+def test_clock_advances_by_no_more_than_the_step_of_a_car():
+    (clock,) = new_fleet_clock()
+    for time, dt in ((0.0, 0.0), (3.0, 3.0), (100.0, 3.0), (90.0, 3.0), (5000.0, 4900.0), (5003.0, 3.0)):
+        advance_fleet_clock(clock, time, dt, GAP)
+    assert clock["progress"] == 9.0
