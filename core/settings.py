@@ -26,7 +26,7 @@ class Settings(NamedTuple):
     stop_time : float
         Time at standstill that ends a ride, where the logger names no rides. [s]
     gap_time : float
-        Time without samples that ends a ride, where the logger names no rides. [s]
+        Time without samples that ends a ride. [s]
     window_time : float
         Shortest duration of a window of the window table. [s]
     forecast_time : float

@@ -73,20 +73,39 @@ class Sky(NamedTuple):
     snow: Floats
 
 
-_AMBIENT, _PRECIPITATION, _OBSERVED = (Sky._fields.index(name) for name in ("ambient", "precipitation", "observed"))
+class _Observation(NamedTuple):
+    """One observation, with the fields of `Sky`."""
+
+    ambient: float
+    wind_speed: float
+    wind_north: float
+    wind_east: float
+    precipitation: float
+    pressure: float
+    humidity: float
+    solar: float
+    observed: float
+    water: float = 0.0
+    snow: float = 0.0
 
 
 class _Station(NamedTuple):
     times: list[float]
-    rows: list[list[float]]
+    rows: list[_Observation]
     latitude: float = np.nan
     longitude: float = np.nan
 
 
-_LOW: Final = (-75.0, 0.0, 0.0, 0.0, 800.0, 0.0, 0.0)
-_HIGH: Final = (65.0, 400.0, 360.0, 1000.0, 1100.0, 100.0, 1500.0)
-"""Plausible range of temperature [°C], wind speed [km/h], direction of the wind's source [°], precipitation [mm],
-pressure [hPa], humidity [%] and irradiance [W/m^2]. A value outside its range counts as unknown."""
+_PLAUSIBLE: Final = {
+    "temperature_c": (-75.0, 65.0),
+    "wind_speed_kmh": (0.0, 400.0),
+    "wind_from_deg": (0.0, 360.0),
+    "precipitation_mm": (0.0, 1000.0),
+    "pressure_hpa": (800.0, 1100.0),
+    "humidity_pct": (0.0, 100.0),
+    "solar_w_m2": (0.0, 1500.0),
+}
+"""Plausible range of each field of an observation, in its unit. A value outside its range counts as unknown."""
 
 
 class Stations:
@@ -169,7 +188,9 @@ class Stations:
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
-        self._stations = {name: _Station(*station) for name, *station in state}
+        self._stations = {
+            name: _Station(times, [_Observation(*row) for row in rows], *place) for name, times, rows, *place in state
+        }
 
 
 def held(depth: Any, rate: Any, age: Any, memory: Any) -> Any:
@@ -250,44 +271,35 @@ def snow_left(snow: Any, ambient: Any, precipitation: Any, age: Any) -> Any:
     return held(snow, np.where(frost, np.nan_to_num(precipitation), 0.0), age, np.where(frost, CLEARING, THAWING))
 
 
-def _lay(rows: list[list[float]], first: int) -> None:
+def _lay(rows: list[_Observation], first: int) -> None:
     """Compute the depths on the road from an observation on; precipitation of an observation fell before it."""
     for at in range(first, len(rows)):
         row = rows[at]
         before = rows[at - 1] if at else None
-        age = row[_OBSERVED] - before[_OBSERVED] if before else _HOUR
-        water, snow = before[_OBSERVED + 1 :] if before else (0.0, 0.0)
-        weather = row[_AMBIENT], row[_PRECIPITATION], age
-        row[_OBSERVED + 1 :] = float(water_left(water, *weather)), float(snow_left(snow, *weather))
+        age = row.observed - before.observed if before else _HOUR
+        water, snow = (before.water, before.snow) if before else (0.0, 0.0)
+        weather = row.ambient, row.precipitation, age
+        rows[at] = row._replace(water=float(water_left(water, *weather)), snow=float(snow_left(snow, *weather)))
 
 
-def _observation(message: Weather, since: float) -> list[float]:
-    """Return an observation in SI units in the order of `Sky`, with zero depths on the road."""
-    values = (
-        message.temperature_c,
-        message.wind_speed_kmh,
-        message.wind_from_deg,
-        message.precipitation_mm,
-        message.pressure_hpa,
-        message.humidity_pct,
-        message.solar_w_m2,
+def _observation(message: Weather, since: float) -> _Observation:
+    """Return an observation in SI units, with zero depths on the road."""
+    known = {name: _plausible(message, name) for name in _PLAUSIBLE}
+    wind, source = known["wind_speed_kmh"] * KMH, np.radians(known["wind_from_deg"])
+    return _Observation(
+        ambient=known["temperature_c"] + ZERO_CELSIUS,
+        wind_speed=wind,
+        wind_north=float(wind * np.cos(source)),
+        wind_east=float(wind * np.sin(source)),
+        precipitation=known["precipitation_mm"] * 1e-3 / since,
+        pressure=known["pressure_hpa"] * 100.0,
+        humidity=known["humidity_pct"] * 0.01,
+        solar=known["solar_w_m2"],
+        observed=message.time_s,
     )
-    temperature, wind, source, rain, pressure, humidity, solar = (
-        np.nan if value is None or not low <= value <= high else value
-        for value, low, high in zip(values, _LOW, _HIGH, strict=True)
-    )
-    wind *= KMH
-    source = np.radians(source)
-    return [
-        temperature + ZERO_CELSIUS,
-        wind,
-        float(wind * np.cos(source)),
-        float(wind * np.sin(source)),
-        rain * 1e-3 / since,
-        pressure * 100.0,
-        humidity * 0.01,
-        solar,
-        message.time_s,
-        0.0,
-        0.0,
-    ]
+
+
+def _plausible(message: Weather, name: str) -> float:
+    """Return a field of an observation, NaN where it is unknown or implausible."""
+    value, (low, high) = getattr(message, name), _PLAUSIBLE[name]
+    return float(value) if value is not None and low <= value <= high else float("nan")

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from core.batch import Batch, Floats, Lanes
-from core.columns import KMH, ZERO_CELSIUS
+from core.columns import KMH, TELEMETRY, ZERO_CELSIUS
 from core.wire.messages import KINDS, OF_VEHICLES, Message, Telemetry, Wire, address, identity
 from core.wire.rides import RideNames
 
@@ -35,7 +35,9 @@ class Event(NamedTuple):
     value: Wire
 
 
-_NUMERIC: Final = Telemetry.__struct_fields__[3:]
+_COLUMN_OF: Final = {"vehicle_id": "lane", "ride_id": "ride"} | {column.source: column.name for column in TELEMETRY}
+_POSITION: Final = {field: Batch._fields.index(column) for field, column in _COLUMN_OF.items()}
+"""Telemetry field -> its column among those of a batch."""
 _BLOCK: Final = 512
 _LOST = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
@@ -190,13 +192,15 @@ class Decoder:
 
     def _table(self, fields: list[tuple[Any, ...]], lanes: list[int]) -> Floats:
         """Return the fields of a block as rows of floats, in wire units."""
-        table = np.empty((len(Batch._fields), len(lanes)))
         names = self.rides
-        table[0] = lanes
-        table[1] = [names[name] for name in fields[2]]
-        table[2] = np.fromiter(fields[1], np.float64, len(lanes))
-        for row, values in zip(table[3:], fields[3:], strict=True):
-            row[:] = _column(values)
+        table = np.empty((len(Batch._fields), len(lanes)))
+        for field, values in zip(Telemetry.__struct_fields__, fields, strict=True):
+            if field == "vehicle_id":
+                table[_POSITION[field]] = lanes
+            elif field == "ride_id":
+                table[_POSITION[field]] = [names[name] for name in values]
+            else:
+                table[_POSITION[field]] = _column(values)
         return table
 
 
@@ -213,19 +217,15 @@ def _batch(tables: list[Floats]) -> Batch:
             table[column] *= scale
     for column, offset in _OFFSETS.items():
         table[column] += offset
-    return Batch(table[0].astype(np.int64), table[1].astype(np.int64), *table[2:])
-
-
-def _position(field: str) -> int:
-    """Return the index of a wire field among the columns of a batch."""
-    return 3 + _NUMERIC.index(field)
+    batch = Batch._make(table)  # of floats so far
+    return batch._replace(lane=batch.lane.astype(np.int64), ride=batch.ride.astype(np.int64))
 
 
 _SCALES: Final = {
-    _position("latitude_deg"): np.pi / 180,
-    _position("longitude_deg"): np.pi / 180,
-    _position("speed_kmh"): KMH,
-    _position("odometer_km"): 1000.0,
-    _position("soc_pct"): 0.01,
+    _POSITION["latitude_deg"]: np.pi / 180,
+    _POSITION["longitude_deg"]: np.pi / 180,
+    _POSITION["speed_kmh"]: KMH,
+    _POSITION["odometer_km"]: 1000.0,
+    _POSITION["soc_pct"]: 0.01,
 }
-_OFFSETS: Final = {_position("battery_temperature_c"): ZERO_CELSIUS, _position("ambient_c"): ZERO_CELSIUS}
+_OFFSETS: Final = {_POSITION["battery_temperature_c"]: ZERO_CELSIUS, _POSITION["ambient_c"]: ZERO_CELSIUS}

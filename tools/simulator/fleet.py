@@ -8,6 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from core.columns import SECONDS_PER_DAY
 from core.wire.messages import Message, Plan, Ride, Vehicle, Wire, encode
 from tools.simulator import calibration, physics
 from tools.simulator import preset as presets
@@ -22,7 +23,6 @@ from tools.simulator.trace import Trace, make_trace
 from tools.simulator.truth import Truth
 from tools.simulator.weather import Sky, make_observations, make_sky
 
-DAY: Final = 86400.0
 PILOT: Final = 240
 """Largest number of shifts, evenly spread, that are driven to calibrate hidden effects."""
 RESERVE: Final = 10.0
@@ -281,8 +281,9 @@ def _called(
 
 def _begin(simulation: Simulation, day: int, hours: tuple[float, float], rng: np.random.Generator) -> float:
     """Return the begin of a shift of a day: between two hours of the day, or near the given time. [s]"""
-    start = simulation.start.timestamp() + DAY * day
-    return float(np.floor(start + (rng.uniform(0, 300) if start % DAY else rng.uniform(*hours) * 3600 - UTC_OFFSET)))
+    start = simulation.start.timestamp() + SECONDS_PER_DAY * day
+    into = rng.uniform(0, 300) if start % SECONDS_PER_DAY else rng.uniform(*hours) * 3600 - UTC_OFFSET
+    return float(np.floor(start + into))
 
 
 def _drive(

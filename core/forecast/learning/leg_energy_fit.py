@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints, Lanes
+from core.columns import GRAVITY
 from core.forecast.learning.leg_energy import PACES, TEMPERATURES, TYPICAL_KM, LegEnergyTables
 from core.totals.accumulator import AMOUNTS, EDGES, Totals
 from core.totals.context import RunContext
@@ -87,8 +88,6 @@ LEAST_ENERGY_PER_KM: Final = 0.01
 """Smallest energy of a level way. [kWh/km]"""
 LEAST_DISTANCE: Final = 100.0
 """Distance from which a cell is known. [m]"""
-GRAVITY: Final = 9.81
-"""Acceleration of gravity for the climb of a typical ride. [m/s^2]"""
 TEST_CLIMB: Final = 100.0
 """Climb for which the model predicts the energy per metre. [m]"""
 _CLIMB_EFFECTS: Final = {"climbing": (1.0, -1.0), "climbing_up": (1.0, 0.0), "climbing_down": (0.0, -1.0)}

@@ -69,14 +69,27 @@ def integrate_rows(drive: Drive) -> tuple[float, float]:
     return km, (drive.rows["battery_voltage_v"] * drive.rows["battery_current_a"])[:-1] @ step / 3.6e6
 
 
+def find_longest_gap(drive: Drive) -> float:
+    """Return the longest time between two rows of a drive. [s]"""
+    return float(np.diff(drive.elapsed).max())
+
+
+def is_cut(drive: Drive, settings: Settings) -> bool:
+    """Return whether a silence within a drive ends its ride, so that it becomes two rides of one name."""
+    return find_longest_gap(drive) > settings.gap_time
+
+
 def join_truth(name: str) -> pd.DataFrame:
-    """Return the ride table joined with distance, energy and duration of the rows of each drive."""
+    """Return the ride table joined with distance, energy and duration of the rows of each drive that is one ride."""
     imported = import_data_set(name)
     truth = [
-        (d.ride_id, *integrate_rows(d), d.elapsed[-1], np.diff(d.elapsed).max() > LONGEST_HOLD) for d in imported.drives
+        (d.ride_id, *integrate_rows(d), d.elapsed[-1], find_longest_gap(d) > LONGEST_HOLD)
+        for d in imported.drives
+        if not is_cut(d, imported.settings)
     ]
     names = ["ride_id", "driven_km", "drawn_kwh", "driven_s", "has_gap"]
-    return pd.DataFrame(truth, columns=names).merge(imported.rides, on="ride_id", validate="one_to_one")
+    uncut = imported.rides.drop_duplicates("ride_id", keep=False)
+    return pd.DataFrame(truth, columns=names).merge(uncut, on="ride_id", validate="one_to_one")
 
 
 def largest_error(table: pd.DataFrame, column: str, truth: str) -> tuple[float, str]:
@@ -98,7 +111,9 @@ def test_every_drive_becomes_a_ride_and_every_sample_is_counted(name):
     assert sum(quality["received"].values()) == len(imported.messages)
     assert not quality["undecodable"]
     assert not quality["unpredictable"]
-    assert sorted(imported.rides["ride_id"]) == sorted(drive.ride_id for drive in imported.drives)
+    expected = [d.ride_id for d in imported.drives for _ in range(2 if is_cut(d, imported.settings) else 1)]
+    assert sorted(imported.rides["ride_id"]) == sorted(expected)
+    assert len(expected) - len(imported.drives) == (1 if name == "ved" else 0)
     assert quality["samples"]["duplicate"] == quality["samples"]["late"] == 0
     assert {cause: int(imported.rides[f"quality_{cause}"].sum()) for cause in CAUSES} == quality["samples"]
     assert imported.windows["duration_s"].sum() == pytest.approx(imported.rides["duration_s"].sum())
@@ -223,3 +238,22 @@ def test_fitted_models_predict_the_i3_better_than_physics():
     error = evaluate_by_date("bmw-i3", "basic_physical,extended_physical,fitted_physical")
     assert error["extended_physical"] < 0.5 * error["basic_physical"]
     assert error["fitted_physical"] < 0.5 * error["basic_physical"]
+
+
+@ALL
+def test_no_drive_is_unfit_for_its_speed(name):
+    assert (
+        not import_data_set(name)
+        .rides["unfit_reason"]
+        .isin(["speed_rejected", "speed_missing", "distance_bridged"])
+        .any()
+    )
+
+
+def test_drive_with_a_silence_of_eleven_minutes_is_two_rides_that_use_no_energy_in_between():
+    imported = import_data_set("ved")
+    (drive,) = (d for d in imported.drives if is_cut(d, imported.settings))
+    parts = imported.rides[imported.rides["ride_id"] == drive.ride_id]
+    km, kwh = integrate_rows(drive)
+    assert parts["distance_km"].sum() == pytest.approx(km, rel=0.02)
+    assert parts["energy_vi_kwh"].sum() == pytest.approx(kwh, rel=0.02)
