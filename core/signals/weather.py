@@ -74,7 +74,7 @@ class Sky(NamedTuple):
 
 
 class _Observation(NamedTuple):
-    """One observation, with the fields of `Sky`."""
+    """Hold one observation, with the fields of `Sky`."""
 
     ambient: float
     wind_speed: float
