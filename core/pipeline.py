@@ -337,10 +337,7 @@ class Pipeline:
         return build_forecasts(due, rows, self._ride_names(due), self.context, self.prefix)
 
     def model_errors(self, *, newest_only: bool = False) -> list[Message]:
-        """Return the running errors of all models after each ride that ended since the last call.
-
-        With `newest_only` return only those after the last of these rides. The list is empty without shadow models.
-        """
+        """Return the running errors of all models after each ride, or the last one, that ended since the last call."""
         return self.shadows.messages(newest_only=newest_only)
 
     def take_rides(self) -> pd.DataFrame:
