@@ -84,7 +84,7 @@ def test_every_row_is_released_once_and_in_the_order_of_its_car():
 
 
 def test_rows_of_an_open_ride_wait_and_idle_rows_do_not():
-    columns = drive(100, speed=10.0, elevation_m=50.0)
+    columns = drive(100, speed=np.r_[np.zeros(30), np.full(70, 10.0)], elevation_m=50.0)
     columns["ride_id"][:30] = None
     rows = rows_of(telemetry(columns))
     deferred = DeferredRows(least=100)
