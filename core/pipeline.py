@@ -154,11 +154,6 @@ class Pipeline:
 
         Event time alone decides which samples call for a forecast. The same messages therefore give the same forecasts,
         to the bit, however they are cut into batches.
-
-        Parameters
-        ----------
-        messages : sequence of Message
-            Messages in the order of their arrival.
         """
         self._forget_ride_names()
         batch, events = self.decoder.decode(messages)
