@@ -9,10 +9,10 @@ from core.diagnose.add.add import AdditionTrial
 from core.diagnose.add.add import add_effect as _add
 from core.diagnose.add.terms import build_term_columns as _build_term_columns
 from core.diagnose.dataset import gather_windows as _gather
-from core.diagnose.dataset import join_tables as _join
 from core.diagnose.diagnosis import diagnose as _diagnose
 from core.diagnose.ranking import LEAST_GAIN
 from core.evaluate.paper.results import to_json_values as _plain
+from core.fit.measured_rows import join_tables as _join
 from core.fit.measurement_noise import compute_noise_floor as _compute_noise_floor
 from core.fit.measurement_noise import compute_noise_variance as _compute_noise_variance
 from core.models import LinearModel

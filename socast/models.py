@@ -4,11 +4,10 @@ from pathlib import Path
 
 import pandas as pd
 
-from core.diagnose.dataset import fit_to_windows as _fit_windows
 from core.fit.recipes import RECIPES as _RECIPES
-from core.fit.recipes import LinearRecipe as _LinearRecipe
 from core.fit.recipes import get_recipe as _get_recipe
 from core.fit.sklearn_estimator import RecipeRegressor
+from core.fit.window_recipe import WindowRecipe as _WindowRecipe
 from core.models import LinearModel
 from core.models import load as _load
 from core.models import save as _save
@@ -46,8 +45,8 @@ def fit_model(rides: pd.DataFrame, recipe: str = "hybrid", windows: pd.DataFrame
     recipe : str
         A name that `list_recipes` returns.
     windows : (m, columns) DataFrame, optional
-        The window table of the same rides. The recipes `road_load` and `road_load_constant` are fitted to windows
-        where they are given; the other recipes do not read them.
+        The window table of the same rides. The recipes `road_load` and `road_load_constant` are fitted to it; without
+        it they are fitted to rides, with wider intervals. The other recipes do not read it.
 
     Returns
     -------
@@ -67,8 +66,8 @@ def fit_model(rides: pd.DataFrame, recipe: str = "hybrid", windows: pd.DataFrame
     'basic_physical'
     """
     chosen = _get_recipe(recipe)
-    if windows is not None and isinstance(chosen, _LinearRecipe) and chosen.by_windows:
-        return _fit_windows(recipe, rides, windows)
+    if isinstance(chosen, _WindowRecipe):
+        return chosen.fit(rides, windows)
     return chosen.fit(rides)
 
 

@@ -1,39 +1,21 @@
-"""Collect the windows to diagnose: those of rides fit for training, with the prediction of a model for each.
+"""Collect the windows to diagnose: those of rides fit for training, with the prediction of a model for each."""
 
-The total of a ride hides when its error occurred. Diagnosis therefore uses windows of about one minute where voltage
-and current are measured.
-
-Where only the state of charge is measured, a window lasts until the state of charge changes. An unknown consumer then
-shortens the very window in which it is sought, which biases everything that is fitted to the window. In that case the
-whole ride is one row, because its ends do not depend on its energy.
-
-All windows of a metered ride are metered. A choice of the more certain measurement window by window would select
-windows by their energy.
-"""
-
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
-import msgspec
 import numpy as np
 import pandas as pd
 
 from core.batch import Floats, Ints
 from core.errors import ModelError
-from core.fit.calibration import add_interval
-from core.fit.fitting import fit_terms
+from core.fit.measured_rows import join_tables
 from core.fit.measurement_noise import is_metered
-from core.fit.recipes import LinearRecipe, get_recipe
-from core.fit.ride_blocks import ENERGY, RideFrame, get_names, get_numbers, select_trainable
+from core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
 from core.models import ANY, LinearModel
 from core.models.features import Columns
 from core.stats.clustered import assign_vehicle_days
 
-RIDE_COLUMNS: Final = ("ride_id", "date", "winter", "summer", "fit_for_training", "unfit_reason")
-"""Columns of the ride table that each window receives."""
-ENERGY_SD: Final = "energy_sd_kwh"
 LEAST_RIDES: Final = 20
 """Number of rides below which a diagnosis is not possible."""
 LEAST_DAYS: Final = 6
@@ -47,7 +29,7 @@ class Windows:
     Parameters
     ----------
     table : (n, columns) DataFrame
-        The window table, with `RIDE_COLUMNS`.
+        The window table, with `core.fit.measured_rows.RIDE_COLUMNS`.
     rides : (rides, columns) DataFrame
         The ride table of the same rides, in the order of `ride`.
     measured, predicted : (n,) float
@@ -81,105 +63,6 @@ class Windows:
     def by_ride(self, values: Floats) -> Floats:
         """Return the sum of window values over each ride, (rides,)."""
         return np.asarray(np.bincount(self.ride, values, len(self.rides)), dtype=np.float64)
-
-
-def join_tables(rides: pd.DataFrame, windows: pd.DataFrame) -> pd.DataFrame:
-    """Return the measured rows of rides fit for training: their windows, or the whole ride where no meter measures.
-
-    Parameters
-    ----------
-    rides, windows : DataFrame
-        The tables of the same recordings, as `core.totals.tables` makes them.
-
-    Returns
-    -------
-    DataFrame
-        Rows ordered by vehicle and time, with `RIDE_COLUMNS`.
-
-    Raises
-    ------
-    ModelError
-        The tables are not of the same rides, or a column is missing.
-    """
-    for table, what in ((rides, "ride"), (windows, "window")):
-        if lacking := [name for name in ("ride_key", "vehicle_id", "start_s", ENERGY) if name not in table]:
-            raise ModelError(f"the {what} table has no column {lacking[0]!r}: make the tables again, `socast tables`")
-    keys = pd.Index(rides["ride_key"])
-    if not keys.is_unique:
-        twice = keys[keys.duplicated()][0]
-        raise ModelError(f"ride {twice} is in the ride table twice: give each recording's tables once")
-    place = keys.get_indexer(windows["ride_key"])
-    if len(rides) and not (place >= 0).any():
-        raise ModelError("no window belongs to any of the rides: give the windows.parquet that was made with the rides")
-    fit = rides["fit_for_training"].to_numpy(dtype=bool, na_value=False) if "fit_for_training" in rides else True
-    good = fit & np.isfinite(get_numbers(rides, ENERGY))
-    by_power = is_metered(rides)
-    of_ride = {name: rides[name].to_numpy()[place] for name in RIDE_COLUMNS if name in rides}
-    of_ride |= {ENERGY: get_numbers(windows, "energy_vi_kwh"), ENERGY_SD: get_numbers(windows, "energy_vi_sd_kwh")}
-    kept = (
-        (place >= 0)
-        & (good & by_power)[place]
-        & np.isfinite(of_ride[ENERGY])
-        & (get_numbers(windows, "duration_s") > 0.0)
-    )
-    others = windows.drop(columns=[name for name in of_ride if name in windows])
-    parts = pd.concat([others, pd.DataFrame(of_ride, index=windows.index)], axis=1).loc[kept]
-    whole = rides.loc[good & ~by_power, [name for name in parts.columns if name in rides]]
-    table = pd.concat([parts, whole], ignore_index=True) if len(whole) else parts
-    begin = table.groupby("ride_key", sort=False)["start_s"].transform("min")  # clock steps can interleave rides
-    order = np.lexsort((get_numbers(table, "start_s"), pd.factorize(table["ride_key"])[0], begin))
-    return table.iloc[order].sort_values("vehicle_id", kind="stable", ignore_index=True)
-
-
-def fit_to_windows(name: str, rides: pd.DataFrame, windows: pd.DataFrame, *, covariance: bool = True) -> LinearModel:
-    """Return a recipe of linear terms fitted to windows instead of rides.
-
-    Windows distinguish what the totals of rides only add up: accelerating from braking, and time from distance.
-
-    Parameters
-    ----------
-    name : str
-        Name of a recipe of linear terms.
-    rides, windows : DataFrame
-        The tables of the same recordings.
-    covariance : bool
-        Whether to compute the covariance of the coefficients and the interval of predictions.
-
-    Returns
-    -------
-    LinearModel
-        The fitted model; its counts and in-sample errors are those of rides.
-
-    Raises
-    ------
-    ModelError
-        The recipe is not one of linear terms, or `join_tables` or the fit raises.
-    """
-    chosen = get_recipe(name)
-    if not isinstance(chosen, LinearRecipe):
-        raise ModelError(f"recipe {name} cannot be fitted to windows: choose road_load or one of the paper's")
-    table = join_tables(rides, windows)
-    model = _count_rides(fit_terms(chosen, RideFrame(table), covariance=covariance), table, rides)
-    return add_interval(model, rides) if covariance else model
-
-
-def _count_rides(model: LinearModel, table: pd.DataFrame, rides: pd.DataFrame) -> LinearModel:
-    """Return a model fitted to windows, with the number and the errors of their rides."""
-    ride, _ = pd.factorize(table["ride_key"])
-    kind = table.drop_duplicates("ride_key")["vehicle_model"].to_numpy(dtype=object)
-    fits, errors = {}, {}
-    for key, fit in model.fits.items():
-        alone = msgspec.structs.replace(model, fits={ANY: fit})
-        left = np.bincount(ride, get_numbers(table, ENERGY) - alone.predict(table))[(kind == key) | (key == ANY)]
-        fits[key] = msgspec.structs.replace(fit, rides=len(left), residual_sd_kwh=float(np.sqrt(np.mean(left**2))))
-        errors[key] = float(np.mean(np.abs(left)))
-    counts = Counter(name for name in kind.tolist() if isinstance(name, str))
-    _, left_out = select_trainable(rides, [ENERGY])
-    training = model.training and msgspec.structs.replace(
-        model.training, rides=len(kind), vehicle_models=dict(sorted(counts.items())), left_out=dict(left_out)
-    )
-    history = tuple(entry | {"mae_in_sample_kwh": errors} for entry in model.history)
-    return msgspec.structs.replace(model, training=training, fits=fits, history=history)
 
 
 def gather_windows(rides: pd.DataFrame, windows: pd.DataFrame, model: LinearModel) -> Windows:

@@ -36,6 +36,7 @@ from core.fit.measurement_noise import compute_noise_floor, compute_noise_varian
 from core.fit.ride_blocks import get_names, get_numbers
 from core.models import LinearModel
 from core.models.features import EFFECT_PREFIX
+from core.models.plausibility import describe_implausible
 
 LEAST_SUGGESTION_GAIN: Final = 0.005
 """Share of the squared error that a free-form term must explain to be suggested."""
@@ -116,7 +117,12 @@ def _diagnose(
     floor = compute_noise_floor(compute_noise_variance(seen.rides))
     verdict = missing[0].selected.effect if missing else None
     return {
-        "model": {"name": model.name, "version": model.version, "recipe": model.recipe},
+        "model": {
+            "name": model.name,
+            "version": model.version,
+            "recipe": model.recipe,
+            "implausible": describe_implausible(model),
+        },
         "data": _describe_data(seen),
         "error": _describe_error(seen, base, floor),
         "slices": find_slices(seen.rides, seen.by_ride(seen.predicted - seen.measured), seed=seed),

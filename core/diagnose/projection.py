@@ -23,9 +23,10 @@ from numpy.typing import NDArray
 from core.batch import Floats
 from core.columns import JOULES_PER_KWH
 from core.diagnose.dataset import Windows
-from core.diagnose.noise import compute_robust_weights, estimate_window_variance
+from core.diagnose.noise import estimate_window_variance
 from core.fit.fitting import build_design
 from core.fit.ride_blocks import get_names, get_numbers
+from core.fit.row_noise import compute_robust_weights
 from core.models import ANY, LinearModel, Term
 from core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX, Columns
 

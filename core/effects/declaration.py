@@ -83,6 +83,33 @@ def format_shortest(value: float) -> str:
     return np.format_float_positional(value, trim="-")
 
 
+@dataclass(frozen=True)
+class Expectation:
+    """State what is known of a coefficient before any data: a Gaussian.
+
+    Parameters
+    ----------
+    mean, sd : float
+        Mean and standard deviation. [unit of the coefficient, or 1 where `of` names a figure of the car]
+    source : str
+        Source of both, to the page or DOI, or the estimate.
+    of : str
+        Figure of the car, as a column of the ride table, in multiples of which both are given; empty for none.
+    """
+
+    mean: float
+    sd: float
+    source: str
+    of: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse a mean or a spread that is no Gaussian, and a missing source."""
+        if not (isfinite(self.mean) and isfinite(self.sd) and self.sd > 0.0):
+            raise EffectError(f"expected coefficient {self.mean:g} ± {self.sd:g} is no Gaussian: give finite numbers")
+        if not self.source.strip():
+            raise EffectError(f"expected coefficient {self.mean:g} ± {self.sd:g} has no source: name one")
+
+
 @dataclass(frozen=True, eq=False)
 class Effect:
     """Describe one physical cause of consumption: power = coefficient * function(columns).
@@ -119,6 +146,8 @@ class Effect:
         Meaning of a coefficient in plain words, with places for `{value}` and for parameters.
     scale : float
         Factor from the coefficient to that value.
+    expected : Expectation, optional
+        Coefficient before any data. Without it, the plausible range stands for one.
     """
 
     name: str
@@ -137,6 +166,7 @@ class Effect:
     shown_by: str = ""
     words: str = ""
     scale: float = 1.0
+    expected: Expectation | None = None
 
     @property
     def base(self) -> str:
@@ -249,6 +279,7 @@ def effect(
     shown_by: str = "",
     words: str = "",
     scale: float = 1.0,
+    expected: Expectation | None = None,
 ) -> Callable[[Callable[..., Floats]], Effect]:
     """Declare a function of columns to be an effect of the same name.
 
@@ -258,7 +289,7 @@ def effect(
 
     Parameters
     ----------
-    coefficient, unit, low, high, source, per, parameters, confused_with, shown_by, words, scale
+    coefficient, unit, low, high, source, per, parameters, confused_with, shown_by, words, scale, expected
         See `Effect`. The first five are required; without `per` the effect acts through the car's motion.
 
     Returns
@@ -326,6 +357,7 @@ def effect(
             shown_by=shown_by,
             words=words,
             scale=scale,
+            expected=expected,
         )
 
     return declare

@@ -23,11 +23,15 @@ import numpy as np
 
 from core.batch import Floats
 from core.columns import GRAVITY, STANDARD_AIR_DENSITY
-from core.effects.declaration import Effect, Parameter, effect
+from core.effects.declaration import Effect, Expectation, Parameter, effect
 from core.vehicles import ACCESSORIES, AccessoryCurve
 
 _GRAVITY: Final = {"gravity": Parameter(GRAVITY, "m/s^2")}
 _BALANCE: Final = "De Cauwer et al. 2015, Energies 8:8573, DOI 10.3390/en8088573"
+_POWERTRAIN: Final = (
+    "mean: 1 over driveline times motor efficiency, 0.92 times 0.91, Fiori, Ahn and Rakha 2016, Applied Energy "
+    "168:257, DOI 10.1016/j.apenergy.2016.01.097"
+)
 _DRAG_AREAS: Final = "range: Hucho (ed.), Aerodynamics of Road Vehicles, SAE 1998, cars, and roof loads"
 
 
@@ -39,6 +43,12 @@ _DRAG_AREAS: Final = "range: Hucho (ed.), Aerodynamics of Road Vehicles, SAE 199
     source="Gillespie 1992, ch. 4; range: TRB Special Report 286 (2006), DOI 10.17226/11620, and wet or cold roads",
     parameters=_GRAVITY,
     confused_with=("brake_drag", "tyre_pressure"),
+    expected=Expectation(
+        1.25,
+        0.25,
+        f"{_POWERTRAIN}, 5 % for cold and wet roads; spread (estimate): tyres 0.15, road and weather 0.15, losses 0.1",
+        of="rolling_resistance",
+    ),
 )
 def rolling(mass: Floats, grade: Floats, speed: Floats, gravity: float) -> Floats:
     """Tyres that flex: P = m g cos θ v, times c.
@@ -55,6 +65,7 @@ def rolling(mass: Floats, grade: Floats, speed: Floats, gravity: float) -> Float
     high=1.6,
     source=f"{_BALANCE}; range: 1 at the wheel, drivetrain and regeneration losses about it",
     parameters=_GRAVITY,
+    expected=Expectation(1.1, 0.1, "estimate: 1 both ways at the wheel, losses uphill; spread: losses and load"),
 )
 def climbing(mass: Floats, grade: Floats, speed: Floats, gravity: float) -> Floats:
     """Potential energy: P = m g sin θ v, negative downhill."""
@@ -68,6 +79,7 @@ def climbing(mass: Floats, grade: Floats, speed: Floats, gravity: float) -> Floa
     high=1.8,
     source=f"{_BALANCE}, uphill part; range: 1 at the wheel, 1/efficiency at the battery",
     parameters=_GRAVITY,
+    expected=Expectation(1.19, 0.15, f"{_POWERTRAIN}; spread (estimate): losses 0.1, load 0.1"),
 )
 def climbing_up(mass: Floats, grade: Floats, speed: Floats, gravity: float) -> Floats:
     """Potential energy gained uphill: P = m g max(sin θ, 0) v."""
@@ -82,6 +94,7 @@ def climbing_up(mass: Floats, grade: Floats, speed: Floats, gravity: float) -> F
     source=f"{_BALANCE}, downhill part; range: 0 friction brakes only, 1 perfect regeneration",
     confused_with=("braking",),
     parameters=_GRAVITY,
+    expected=Expectation(0.75, 0.2, "estimate: the same losses on the way back, and friction brakes"),
 )
 def climbing_down(mass: Floats, grade: Floats, speed: Floats, gravity: float) -> Floats:
     """Potential energy regained downhill: P = m g min(sin θ, 0) v, never positive."""
@@ -96,6 +109,9 @@ def climbing_down(mass: Floats, grade: Floats, speed: Floats, gravity: float) ->
     source=f"{_BALANCE}; {_DRAG_AREAS}",
     parameters={"air_density_standard": Parameter(STANDARD_AIR_DENSITY, "kg/m^3")},
     confused_with=("drivetrain_loss_speed", "roof_load"),
+    expected=Expectation(
+        1.2, 0.2, f"{_POWERTRAIN}; spread (estimate): catalogue 0.1, wind and air 0.15, losses 0.1", of="drag_area_m2"
+    ),
 )
 def aero_drag(speed: Floats, air_density_standard: float) -> Floats:
     """Drag in still standard air: P = 1/2 ρ0 v^3, times A_d.
@@ -111,6 +127,9 @@ def aero_drag(speed: Floats, air_density_standard: float) -> Floats:
     low=0.3,
     high=2.0,
     source=f"Gillespie 1992, ch. 4, relative wind; {_DRAG_AREAS}",
+    expected=Expectation(
+        1.2, 0.2, f"{_POWERTRAIN}; spread (estimate): catalogue 0.1, wind and air 0.15, losses 0.1", of="drag_area_m2"
+    ),
 )
 def aero_drag_wind(speed: Floats, headwind: Floats, air_density: Floats) -> Floats:
     """Drag in air of the actual density and wind: P = 1/2 ρ (v + w)|v + w| v, times A_d.
@@ -128,6 +147,7 @@ def aero_drag_wind(speed: Floats, headwind: Floats, air_density: Floats) -> Floa
     low=0.6,
     high=1.6,
     source=f"{_BALANCE}; range: 1 for the car as a point, a few percent more with rotating parts, losses about it",
+    expected=Expectation(1.1, 0.15, "estimate: 4 % of rotating parts, losses; spread: losses, load"),
 )
 def inertia(mass: Floats, acceleration: Floats, speed: Floats) -> Floats:
     """Kinetic energy: P = m a v, negative when slowing."""
@@ -140,6 +160,7 @@ def inertia(mass: Floats, acceleration: Floats, speed: Floats) -> Floats:
     low=0.8,
     high=1.8,
     source=f"{_BALANCE}, speeding up; range: 1 at the wheel, rotating parts and 1/efficiency at the battery",
+    expected=Expectation(1.15, 0.12, f"{_POWERTRAIN}, less what smoothing of the speed hides; spread (estimate)"),
 )
 def inertia_positive(mass: Floats, acceleration: Floats, speed: Floats) -> Floats:
     """Kinetic energy gained: P = m max(a, 0) v."""
@@ -153,6 +174,7 @@ def inertia_positive(mass: Floats, acceleration: Floats, speed: Floats) -> Float
     high=1.0,
     source=f"{_BALANCE}, slowing; range: 0 friction brakes only, 1 perfect regeneration",
     confused_with=("braking", "cornering"),
+    expected=Expectation(0.85, 0.08, "estimate: what slowing saves before the loss that `braking` describes"),
 )
 def inertia_negative(mass: Floats, acceleration: Floats, speed: Floats) -> Floats:
     """Kinetic energy regained: P = m min(a, 0) v, never positive."""
@@ -167,6 +189,7 @@ def inertia_negative(mass: Floats, acceleration: Floats, speed: Floats) -> Float
     source="Larminie and Lowry, Electric Vehicle Technology Explained, 2nd ed., Wiley 2012, ch. 8, regenerative "
     "braking; range: 0 perfect regeneration, 1 friction brakes only",
     confused_with=("climbing_down", "inertia_negative"),
+    expected=Expectation(0.3, 0.12, "estimate: losses both ways, 1/0.84 - 0.84 = 0.35, less what slowing has already"),
 )
 def braking(traction: Floats, speed: Floats) -> Floats:
     """Braking energy that is not regained: P = max(-F, 0) v, with F of the car's own road load.
@@ -194,6 +217,7 @@ def braking(traction: Floats, speed: Floats) -> Floats:
         "cooling": Parameter(ACCESSORIES.cooling, "W", 200.0, 5000.0),
     },
     confused_with=("cabin_cooling", "cabin_heating"),
+    expected=Expectation(1.0, 0.4, "estimate: drives of one car, arXiv:1905.02081; other cars and drivers differ"),
 )
 def accessories(
     ambient: Floats,
@@ -223,6 +247,7 @@ def accessories(
     source="energy balance; range: some 0.3 kW of control units, pumps and lights, up to all of climate control",
     per="time",
     confused_with=("standby",),
+    expected=Expectation(800.0, 500.0, "estimate: 0.3 kW of control units, and climate control over a year"),
 )
 def auxiliary(dt: Floats) -> Floats:
     """Consumers that are always on: P = 1, times a constant power."""

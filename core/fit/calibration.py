@@ -14,7 +14,7 @@ module centres their errors on the prediction of the one model that is fitted to
 Cook, Weisberg, Residuals and Influence in Regression, Chapman and Hall 1982, eq. (2.2.2): leverage.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -178,18 +178,57 @@ def _quantiles(over: Floats) -> Floats:
 def _for_unseen(interval: PredictionInterval, unseen: HeldOutErrors) -> PredictionInterval:
     """Return the interval with a scale for unseen vehicle models, at least as large as the mean of the others."""
     scale = _scale(unseen)
-    kind = np.searchsorted(interval.distances_km, unseen.distance, side="right") - 1
-    table = np.array(interval.quantiles)[kind]
-    low, high = (
-        np.array([np.interp(at, interval.levels, row) for row in table])
-        for at in (0.5 - _UNSEEN_LEVEL / 2, 0.5 + _UNSEEN_LEVEL / 2)
-    )
+    low, high = _bounds(interval, unseen.distance)
     over = unseen.error / (unseen.terms @ scale)
     factors = np.where(over > 0.0, over / np.maximum(high, 1e-9), over / np.minimum(low, -1e-9))
     factor = float(np.quantile(factors, _UNSEEN_LEVEL))
     usual = [own for key, own in interval.scales.items() if key != ANY]
     widest = np.maximum(scale * factor, np.mean(usual, axis=0))
     return msgspec.structs.replace(interval, scales=interval.scales | {ANY: _three(widest)})
+
+
+def widen_for_unseen_cars(
+    interval: PredictionInterval | None, held: Mapping[str, HeldOutErrors], cars: Sequence[str]
+) -> PredictionInterval | None:
+    """Return an interval that is wider for cars that the model was not fitted to.
+
+    Parameters
+    ----------
+    interval : PredictionInterval, optional
+        Interval for known cars; None stays None.
+    held : mapping of str to HeldOutErrors
+        Errors by vehicle model, of fits without any ride of the car.
+    cars : sequence of str
+        Cars that the model was fitted to.
+
+    Returns
+    -------
+    PredictionInterval or None
+        Unchanged where there are fewer than `LEAST_CALIBRATION_RIDES` errors.
+
+    Notes
+    -----
+    One factor holds for all vehicle models, because each has few cars.
+    """
+    if interval is None or sum(len(own.error) for own in held.values()) < LEAST_CALIBRATION_RIDES:
+        return interval
+    factors = []
+    for key, own in held.items():
+        low, high = _bounds(interval, own.distance)
+        over = own.error / (own.terms @ np.array(interval.scales.get(key, interval.scales[ANY])))
+        factors.append(np.where(over > 0.0, over / np.maximum(high, 1e-9), over / np.minimum(low, -1e-9)))
+    factor = float(np.quantile(np.concatenate(factors), _UNSEEN_LEVEL))
+    return msgspec.structs.replace(interval, cars=tuple(sorted(set(cars))), unseen_car=max(factor, 1.0))
+
+
+def _bounds(interval: PredictionInterval, distance: Floats) -> tuple[Floats, Floats]:
+    """Return the quantiles at either end of the interval of `_UNSEEN_LEVEL`, by the length of each ride. [1]"""
+    kind = np.searchsorted(interval.distances_km, distance, side="right") - 1
+    low, high = (
+        np.array([np.interp(at, interval.levels, row) for row in interval.quantiles])[kind]
+        for at in (0.5 - _UNSEEN_LEVEL / 2, 0.5 + _UNSEEN_LEVEL / 2)
+    )
+    return low, high
 
 
 def add_interval(model: LinearModel, rides: pd.DataFrame, *, fitted: bool = True) -> LinearModel:
@@ -265,6 +304,25 @@ def assign_folds(rows: int, folds: int) -> Ints:
         Fold of each ride, from 0 to `folds` - 1.
     """
     return np.random.default_rng(0).permutation(rows) % folds
+
+
+def assign_car_folds(vehicles: Sequence[str], folds: int) -> Ints:
+    """Return the fold of each ride such that all rides of a car share a fold, equal at every call.
+
+    Parameters
+    ----------
+    vehicles : sequence of n str
+        Car of each ride.
+    folds : int
+        Number of folds.
+
+    Returns
+    -------
+    (n,) int
+        Fold of each ride, from 0 to `folds` - 1; 0 alone for a single car.
+    """
+    cars, code = np.unique(np.asarray(vehicles, dtype=str), return_inverse=True)
+    return np.asarray(assign_folds(len(cars), folds)[code] if len(cars) > 1 else np.zeros(len(code), dtype=np.int64))
 
 
 def _by_model(rides: pd.DataFrame, error: Floats) -> dict[str, HeldOutErrors]:

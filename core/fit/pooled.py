@@ -17,9 +17,15 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from core.batch import Floats
+from core.batch import Floats, Ints
 from core.errors import ModelError
-from core.fit.calibration import HeldOutErrors, assign_folds, calibrate_interval
+from core.fit.calibration import (
+    HeldOutErrors,
+    assign_car_folds,
+    assign_folds,
+    calibrate_interval,
+    widen_for_unseen_cars,
+)
 from core.fit.fitting import build_design, fit_terms, limit_to_one_thread
 from core.fit.partial_pooling import (
     NormalEquations,
@@ -308,22 +314,31 @@ class PooledRecipe:
 
     def _interval(self, groups: dict[str, _RideGroup], sums: dict[str, NormalEquations]) -> PredictionInterval | None:
         """Return the interval that covers the errors on held-out rides and on held-out vehicle models."""
-        errors = {key: np.empty(len(group.energy)) for key, group in groups.items()}
-        part = {key: assign_folds(len(group.energy), _FOLDS) for key, group in groups.items()}
-        for i in range(_FOLDS):
-            kept = {key: group.rows(part[key] != i) for key, group in groups.items()}
-            prior = self._prior({key: own.sums() for key, own in kept.items()})
-            for key, group in groups.items():
-                back = group.rows(part[key] == i)
-                errors[key][part[key] == i] = back.energy - self._learn(prior, kept[key]).predict(back)
-        seen = {key: group.held(errors[key]) for key, group in groups.items()}
+        seen = self._held_out(groups, {key: assign_folds(len(group.energy), _FOLDS) for key, group in groups.items()})
         unseen = {}
         for key, group in groups.items():
             others = [other for name, other in sums.items() if name != key]
             if others:
                 mean = compute_common_mean(others, np.array([s.physics for s in self.shared]))
                 unseen[key] = group.held(group.energy - group.design @ mean)
-        return calibrate_interval(seen, unseen)
+        interval = calibrate_interval(seen, unseen)
+        if not (self.cars or self.trees):
+            return interval
+        folds = {key: assign_car_folds(group.vehicles, _FOLDS) for key, group in groups.items()}
+        held = self._held_out(groups, {key: fold for key, fold in folds.items() if fold.max() > 0})
+        return widen_for_unseen_cars(interval, held, [car for group in groups.values() for car in group.vehicles])
+
+    def _held_out(self, groups: dict[str, _RideGroup], part: dict[str, Ints]) -> dict[str, HeldOutErrors]:
+        """Return the errors of rides under fits without their fold, for the vehicle models that have folds."""
+        errors = {key: np.full(len(fold), np.nan) for key, fold in part.items()}
+        for i in range(_FOLDS):
+            kept = {key: group.rows(part[key] != i) if key in part else group for key, group in groups.items()}
+            prior = self._prior({key: own.sums() for key, own in kept.items()})
+            for key, fold in part.items():
+                if (fold == i).any():
+                    back = groups[key].rows(fold == i)
+                    errors[key][fold == i] = back.energy - self._learn(prior, kept[key]).predict(back)
+        return {key: groups[key].held(error) for key, error in errors.items()}
 
 
 def adapt(model: LinearModel, rides: pd.DataFrame) -> LinearModel:

@@ -1,7 +1,8 @@
 """List the recipes: the models of the paper by name, each with its terms and its method of fitting.
 
 The names are those of the paper, "Predicting Electric Vehicle Consumption: A Hybrid Physical-Empirical Model",
-section 4. Ordinary least squares fits each recipe for every vehicle model, and over all rides together for the others.
+section 4. Ordinary least squares fits each of the paper's recipes for every vehicle model, and over all rides together
+for the others. The physical recipes beyond the paper are fitted to windows, see `core.fit.window_recipe`.
 
 Some terms are collinear by construction: winter and summer, the histogram and the distance, and, for a car of unknown
 load, the rolling resistance and the distance. Such terms share the explained energy, see `core.fit.regression`.
@@ -21,6 +22,7 @@ from core.fit.calibration import add_interval
 from core.fit.fitting import fit_terms
 from core.fit.pooled import POOLED_RECIPES
 from core.fit.ride_blocks import ENERGY, RideFrame, RideParquet
+from core.fit.window_recipe import WindowRecipe
 from core.models import BASIC_TERMS, LinearModel, Term, make_physical_term
 from core.models.features import ACCESSORIES_COLUMN, FEATURES, derive_coefficient_unit
 
@@ -70,8 +72,6 @@ class LinearRecipe:
         Whether coefficients are fitted; otherwise each has its physical value 1.
     note : str
         Remark for readers.
-    by_windows : bool
-        Whether `socast fit` fits windows in place of rides: windows distinguish speeding up from slowing.
     """
 
     name: str
@@ -79,7 +79,6 @@ class LinearRecipe:
     terms: tuple[Term, ...]
     free: bool = True
     note: str = ""
-    by_windows: bool = False
 
     def fit(self, rides: pd.DataFrame, *, covariance: bool = True) -> LinearModel:
         """Return a model fitted to the rides of a table that are fit for training, see `core.fit.fitting`.
@@ -307,17 +306,17 @@ RECIPES: Final[Mapping[str, Recipe]] = MappingProxyType(
                 note="four numbers, a baseline after Geotab's model card",
             ),
             *POOLED_RECIPES,
-            LinearRecipe(
+            WindowRecipe(
                 "road_load",
                 "Road Load, Accessories by Temperature",
                 (*ROAD_LOAD_TERMS, ACCESSORY_TERM),
-                by_windows=True,
+                note="fitted to windows, with physics as the prior",
             ),
-            LinearRecipe(
+            WindowRecipe(
                 "road_load_constant",
                 "Road Load, Constant Auxiliaries",
                 (*ROAD_LOAD_TERMS, make_term("effect_auxiliary")),
-                by_windows=True,
+                note="fitted to windows, with physics as the prior",
             ),
         )
     }
@@ -351,3 +350,31 @@ def get_recipe(name: str) -> Recipe:
     if found is None:
         raise ModelError(f"recipe {name!r} is unknown: known are {', '.join(RECIPES)}")
     return found
+
+
+def fit_to_windows(name: str, rides: pd.DataFrame, windows: pd.DataFrame, *, covariance: bool = True) -> LinearModel:
+    """Return a recipe of physical terms fitted to windows.
+
+    Parameters
+    ----------
+    name : str
+        Name of a recipe that is fitted to windows.
+    rides, windows : DataFrame
+        The tables of the same recordings.
+    covariance : bool
+        Whether to calibrate the interval of predictions.
+
+    Returns
+    -------
+    LinearModel
+        Fitted model; its counts and in-sample errors are those of rides.
+
+    Raises
+    ------
+    ModelError
+        If the recipe is fitted to rides, or `core.fit.window_recipe.WindowRecipe.fit` raises.
+    """
+    recipe = get_recipe(name)
+    if not isinstance(recipe, WindowRecipe):
+        raise ModelError(f"recipe {name} cannot be fitted to windows: choose road_load or road_load_constant")
+    return recipe.fit(rides, windows, covariance=covariance)

@@ -11,6 +11,7 @@ from core.batch import Floats
 from core.errors import ModelError
 from core.fit.recipes import get_recipe as named
 from core.fit.ride_blocks import ENERGY
+from core.fit.window_recipe import WindowRecipe
 from core.models import LinearModel
 
 
@@ -23,6 +24,9 @@ class RecipeRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # s
         Name of a recipe in `core.fit.recipes.RECIPES`.
     covariance : bool
         Whether to estimate the covariance of the coefficients too.
+    windows : DataFrame, optional
+        Window table with the windows of at least the rides to fit to, for a recipe that is fitted to windows. The
+        column `ride_key` of X selects its windows.
 
     Attributes
     ----------
@@ -32,14 +36,17 @@ class RecipeRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # s
     Examples
     --------
     >>> RecipeRegressor("hybrid").get_params()
-    {'covariance': False, 'recipe': 'hybrid'}
+    {'covariance': False, 'recipe': 'hybrid', 'windows': None}
     """
 
     model_: LinearModel
 
-    def __init__(self, recipe: str = "hybrid", *, covariance: bool = False) -> None:
+    def __init__(
+        self, recipe: str = "hybrid", *, covariance: bool = False, windows: pd.DataFrame | None = None
+    ) -> None:
         self.recipe = recipe
         self.covariance = covariance
+        self.windows = windows
 
     def fit(self, X: pd.DataFrame, y: Floats | pd.Series) -> Self:  # noqa: N803 - scikit-learn's name
         """Fit the recipe to rides, except those that X marks as unfit for training and those of unknown energy.
@@ -49,7 +56,7 @@ class RecipeRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # s
         X : (n, columns) DataFrame
             Ride table with at least the columns that the recipe needs.
         y : (n,) float
-            Measured energy. [kWh]
+            Measured energy. Where the windows of a ride are metered, their own energies are fitted to. [kWh]
 
         Returns
         -------
@@ -61,9 +68,11 @@ class RecipeRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # s
         ModelError
             If the recipe is unknown, if X is no DataFrame, or if the recipe cannot be fitted to the rides.
         """
-        self.model_ = named(self.recipe).fit(
-            _table(X).assign(**{ENERGY: np.asarray(y, dtype=np.float64)}), covariance=self.covariance
-        )
+        recipe, table = named(self.recipe), _table(X).assign(**{ENERGY: np.asarray(y, dtype=np.float64)})
+        if isinstance(recipe, WindowRecipe):
+            self.model_ = recipe.fit(table, self.windows, covariance=self.covariance)
+        else:
+            self.model_ = recipe.fit(table, covariance=self.covariance)
         self.n_features_in_ = X.shape[1]
         self.feature_names_in_ = np.array(X.columns, dtype=object)
         return self

@@ -16,6 +16,7 @@ from typing import Any, Final
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from core.batch import Floats
 from core.errors import ModelError
@@ -41,6 +42,10 @@ class PredictionInterval(msgspec.Struct, frozen=True, forbid_unknown_fields=True
         Quantiles of measured minus predicted energy divided by the scale, by class of rides and level. [1]
     rides : int
         Number of rides calibrated on.
+    cars : tuple of str
+        Cars whose rides the model was fitted to; empty where the model treats all cars alike.
+    unseen_car : float
+        Factor on the scale for every other car, at least 1. [1]
 
     Raises
     ------
@@ -53,6 +58,8 @@ class PredictionInterval(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     levels: tuple[float, ...]
     quantiles: tuple[tuple[float, ...], ...]
     rides: int = 0
+    cars: tuple[str, ...] = ()
+    unseen_car: float = 1.0
 
     def __post_init__(self) -> None:
         """Refuse numbers that are not quantiles."""
@@ -69,6 +76,7 @@ class PredictionInterval(msgspec.Struct, frozen=True, forbid_unknown_fields=True
             *self.levels,
             *(x for row in self.quantiles for x in row),
             *(x for s in self.scales.values() for x in s),
+            self.unseen_car,
         ]
         if not all(map(isfinite, numbers)):
             raise ValueError("interval with numbers that are not finite: calibrate the model again")
@@ -76,11 +84,10 @@ class PredictionInterval(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     @property
     def needs(self) -> tuple[str, ...]:
         """Columns of the ride table that it reads."""
-        vehicle_model = ("vehicle_model",) if set(self.scales) != {ANY} else ()
-        return (
-            *dict.fromkeys((*list_raw_columns("size_kwh"), *list_raw_columns("heating_need_k"), "distance_km")),
-            *vehicle_model,
-        )
+        names = [*list_raw_columns("size_kwh"), *list_raw_columns("heating_need_k"), "distance_km"]
+        names += ["vehicle_model"] if set(self.scales) != {ANY} else []
+        names += ["vehicle_id"] if self.cars else []
+        return tuple(dict.fromkeys(names))
 
     def bounds(self, prediction: Floats, columns: Mapping[str, Any], level: float) -> tuple[Floats, Floats]:
         """Return central bounds of the energy of rides for a given probability.
@@ -122,14 +129,26 @@ class PredictionInterval(msgspec.Struct, frozen=True, forbid_unknown_fields=True
         """Return the scale of the error of each ride, (n,). [kWh]"""
         terms = compute_scale_terms(columns)
         general = np.array(self.scales[ANY])
+        stretch = self._stretch(columns)
         if set(self.scales) == {ANY}:
-            return terms @ general
-        table = columns.table["vehicle_model"]
-        models = np.asarray(
-            table if columns.rows is None else np.asarray(table, dtype=object)[columns.rows], dtype=object
-        )
+            return np.asarray(stretch * (terms @ general))
+        models = _names(columns, "vehicle_model")
         factors = {model: np.array(self.scales.get(model, general)) for model in set(models.tolist())}
-        return np.einsum("ij,ij->i", terms, np.array([factors[model] for model in models]).reshape(-1, len(general)))
+        rows = np.array([factors[model] for model in models]).reshape(-1, len(general))
+        return np.asarray(stretch * np.einsum("ij,ij->i", terms, rows))
+
+    def _stretch(self, columns: Columns) -> Floats | float:
+        """Return the factor on the scale of each ride: that of unseen cars, or 1. [1]"""
+        if not self.cars or self.unseen_car == 1.0:
+            return 1.0
+        known = set(self.cars)
+        return np.array([1.0 if car in known else self.unseen_car for car in _names(columns, "vehicle_id").tolist()])
+
+
+def _names(columns: Columns, name: str) -> NDArray[np.object_]:
+    """Return a column of names of the rows."""
+    values = np.asarray(columns.table[name], dtype=object)
+    return np.asarray(values if columns.rows is None else values[columns.rows], dtype=object)
 
 
 def compute_scale_terms(columns: Columns) -> Floats:

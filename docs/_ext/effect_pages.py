@@ -7,6 +7,7 @@ from markdown_text import code, paragraphs, plain, table
 
 from core import effects as library
 from core.effects import Effect, Parameter
+from core.effects.declaration import Expectation
 
 SIGNS: Final = {1: "positive: the effect always costs energy", -1: "negative: it always saves energy", 0: "either"}
 
@@ -37,6 +38,8 @@ def _rows(effect: Effect) -> Iterator[tuple[str, str]]:
     yield "formula", code(effect.formula)
     yield "coefficient", f"{plain(effect.coefficient)}{unit}"
     yield "plausible range", f"{effect.low:g} to {effect.high:g}{unit}; sign {SIGNS[effect.sign]}"
+    if effect.expected is not None:
+        yield "expected before any data", _expectation(effect.expected, unit)
     yield "acts", "by motion, over the time that the distance took" if effect.per == "distance" else "all the time"
     if effect.arguments:
         yield "columns", ", ".join(map(code, effect.arguments))
@@ -47,6 +50,12 @@ def _rows(effect: Effect) -> Iterator[tuple[str, str]]:
         yield "confused with", ", ".join(map(code, effect.confused_with))
     if effect.shown_by:
         yield "shown best by", plain(effect.shown_by)
+
+
+def _expectation(expected: Expectation, unit: str) -> str:
+    """Return the mean and the spread of a coefficient, and their source."""
+    what = f" times {code(expected.of)} of the car" if expected.of else unit
+    return f"{expected.mean:g} ± {expected.sd:g}{what}; {plain(expected.source)}"
 
 
 def _parameter(parameter: Parameter, value: float) -> str:

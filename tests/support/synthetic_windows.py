@@ -14,8 +14,9 @@ import pandas as pd
 from core import effects
 from core.columns import GRAVITY, STANDARD_AIR_DENSITY, ZERO_CELSIUS
 from core.diagnose.candidates import Candidates
-from core.diagnose.dataset import Windows, fit_to_windows, gather_windows
+from core.diagnose.dataset import Windows, gather_windows
 from core.diagnose.projection import BaseProjection
+from core.fit.recipes import fit_to_windows
 from core.models import LinearModel
 from core.models.features import Columns
 from core.vehicles import VehicleModel, load_catalogue

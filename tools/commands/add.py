@@ -8,9 +8,10 @@ import typer
 from core import models
 from core.diagnose.add import add
 from core.diagnose.add.terms import build_term_columns
-from core.diagnose.dataset import gather_windows, join_tables
+from core.diagnose.dataset import gather_windows
 from core.diagnose.ranking import LEAST_GAIN
 from core.errors import ModelError
+from core.fit.measured_rows import join_tables
 from core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
 from tools.commands.diagnose import LeastGain, read_files, read_tables
 from tools.terminal.output import EffectFiles, JsonFile, check_outputs, make_console, select_model_files, write_json

@@ -17,7 +17,6 @@ from core.evaluate.compare.models import ComparedRides, compare_predictions, sel
 from core.evaluate.compare.ride_trace import find_ride, trace_ride
 from core.evaluate.paper.results import to_json_values
 from core.models import BUILT_IN_MODELS, LinearModel
-from tools.commands.evaluate import KEY, read
 from tools.commands.fit import RECORDING, Rides, inputs, ride_files
 from tools.commands.tables import WINDOWS, in_memory
 from tools.terminal.output import (
@@ -29,6 +28,7 @@ from tools.terminal.output import (
     show_report,
     write_json,
 )
+from tools.terminal.table_files import KEY, read
 
 
 def compare_models(

@@ -14,16 +14,16 @@ from core import effects, models
 from core.diagnose.add import add
 from core.diagnose.add.holdout import select_final_days
 from core.diagnose.add.terms import build_term_columns
-from core.diagnose.dataset import gather_windows, join_tables
+from core.diagnose.dataset import gather_windows
 from core.diagnose.ranking import LEAST_GAIN
 from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError, SettingsError
 from core.evaluate.paper.results import to_json_values
+from core.fit.measured_rows import join_tables
 from core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
 from core.fit.ride_blocks import get_names
 from core.models import BUILT_IN_MODELS, VEHICLE, VEHICLE_MODEL, LinearModel
 from core.models.features import EFFECT_PREFIX, FEATURES, is_scope
-from tools.commands.evaluate import KEY, read
 from tools.commands.fit import RECORDING, Rides, inputs
 from tools.commands.tables import WINDOWS, in_memory
 from tools.terminal.output import (
@@ -36,6 +36,7 @@ from tools.terminal.output import (
     show_report,
     write_json,
 )
+from tools.terminal.table_files import KEY, read
 
 ENERGY_COLUMNS = (
     "energy_kwh",

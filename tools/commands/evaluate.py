@@ -1,31 +1,29 @@
 """`socast evaluate`: evaluate every model on held-out rides, as the paper does and beyond the paper."""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import joblib
-import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from core.errors import ModelError, SettingsError
+from core.errors import SettingsError
 from core.evaluate.paper.protocol import SEGMENTS, evaluate, select_recipes
 from core.fit import segment_network
 from core.fit.recipes import RECIPES
+from core.fit.window_recipe import WindowRecipe
 from core.stats.splits import REPEATS
 from tools.commands.fit import Tables, ride_files
 from tools.commands.tables import WINDOWS
 from tools.terminal.output import HtmlFile, JsonFile, check_outputs, make_console, write_json
+from tools.terminal.table_files import KEY, read
 
 LEAST_REPEATS = 2
 """Smallest number of repeats that gives an interval."""
-KEY = "ride_key"
 
 
 def evaluate_tables(
@@ -70,7 +68,8 @@ def evaluate_tables(
     beside = [file.with_name(WINDOWS) for file in files]
     check_outputs([*files, *beside], json_file, html_file)
     rides = read(files)
-    windows = read(beside, window_columns()) if all(file.is_file() for file in beside) else None
+    named = RECIPES if recipes is None else [name.strip() for name in recipes.split(",")]
+    windows = read(beside, window_columns(named)) if all(file.is_file() for file in beside) else None
     wanted = select_recipes(recipes, windows, seed)
     with running() as step:
         result = evaluate(
@@ -87,58 +86,22 @@ def evaluate_tables(
     _report(result, html_file, json_file)
 
 
-def window_columns() -> list[str]:
-    """Return the columns of the window table that the evaluation reads."""
-    return list(
-        dict.fromkeys([KEY, "window", *(name for product in segment_network.SEGMENT_FEATURES for name in product)])
-    )
-
-
-def read(files: Sequence[Path], columns: Sequence[str] | None = None) -> pd.DataFrame:
-    """Read tables and concatenate them; with several files, the index of the file comes before each ride key.
+def window_columns(names: Collection[str] = ()) -> list[str]:
+    """Return the columns of the window table that the evaluation reads.
 
     Parameters
     ----------
-    files : sequence of Path
-        Parquet files.
-    columns : sequence of str, optional
-        Columns to read; by default all.
+    names : collection of str
+        Recipes that are evaluated, besides the segment model.
 
     Returns
     -------
-    DataFrame
-
-    Raises
-    ------
-    ModelError
-        If a file is not a Parquet file, or if it lacks a column.
+    list of str
     """
-    parts = []
-    for i, file in enumerate(files):
-        part = _read(file, columns)
-        if len(files) > 1 and KEY in part:
-            part[KEY] = f"{i}/" + part[KEY].astype(str)
-        parts.append(part)
-    return parts[0] if len(parts) == 1 else pd.concat(parts, ignore_index=True)
-
-
-def _read(file: Path, columns: Sequence[str] | None) -> pd.DataFrame:
-    """Read a table from a Parquet file."""
-    try:
-        with pq.ParquetFile(file) as opened:
-            there = set(opened.schema_arrow.names)
-            if missing := [name for name in columns or () if name not in there]:
-                raise ModelError(
-                    f"{file}: column {missing[0]!r} is missing: make the tables again with `socast tables`"
-                )
-            table: pd.DataFrame = opened.read(columns=None if columns is None else list(columns)).to_pandas()
-            return table
-    except OSError as error:
-        reason = error.strerror or " ".join(str(error).split())
-        raise ModelError(f"{file}: cannot read a table: {reason}; name a file that `socast tables` made") from error
-    except pa.ArrowException as error:
-        reason = " ".join(str(error).split())
-        raise ModelError(f"{file}: no Parquet table: {reason}; name a file that `socast tables` made") from error
+    of_segments = (name for product in segment_network.SEGMENT_FEATURES for name in product)
+    chosen = (RECIPES[name] for name in names if name in RECIPES)
+    of_recipes = (name for recipe in chosen if isinstance(recipe, WindowRecipe) for name in recipe.columns)
+    return list(dict.fromkeys([KEY, "window", *of_segments, *of_recipes]))
 
 
 @contextmanager

@@ -12,19 +12,21 @@ from scipy.special import stdtrit
 
 from core import models
 from core.columns import ZERO_CELSIUS
-from core.diagnose.dataset import fit_to_windows
 from core.errors import SettingsError
 from core.fit.pooled import adapt
 from core.fit.recipes import RECIPES, LinearRecipe, Recipe, get_recipe
 from core.fit.ride_blocks import RideParquet
+from core.fit.window_recipe import WindowRecipe
 from core.formatting import format_minus
 from core.models import ANY, Fit, LinearModel, Term
 from core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX
+from core.models.plausibility import describe_implausible, get_plausible_ranges, is_within, list_implausible
 from core.vehicles import AccessoryCurve
 from tools.commands.tables import RIDES, WINDOWS
 from tools.terminal.output import JsonFile, check_outputs, make_console, write_json
 from tools.terminal.recordings import refuse_duplicates
 from tools.terminal.rich_table import Column, make_table
+from tools.terminal.table_files import read
 
 Tables = Annotated[
     list[Path],
@@ -38,6 +40,9 @@ Rides = Annotated[
 RECORDING = ".mcap"
 RECOMMENDED = "fitted_physical"
 """The recommended first recipe, because its coefficients are physical and it needs few rides."""
+
+LEAST_PRIOR_FREEDOM = 4
+"""Least degrees of freedom of an interval whose coefficient has a prior: the prior is known without any ride."""
 
 CHOKE_POINTS = ("heating_full", "heating_off", "cooling_on", "cooling_full")
 LEVELS = ("heating", "standby", "cooling")
@@ -148,10 +153,11 @@ def inputs(given: Sequence[Path]) -> list[Path]:
 def _fitted(chosen: Recipe, files: Sequence[Path]) -> LinearModel:
     """Return the fitted model; use little memory if the recipe allows it."""
     if isinstance(chosen, LinearRecipe):
-        beside = [file.with_name(WINDOWS) for file in files]
-        if chosen.by_windows and all(file.is_file() for file in beside):
-            return fit_to_windows(chosen.name, RideParquet(tuple(files)).table(), RideParquet(tuple(beside)).table())
         return chosen.fit_parquet(*files)
+    if isinstance(chosen, WindowRecipe):
+        beside = [file.with_name(WINDOWS) for file in files]
+        there = all(file.is_file() for file in beside)
+        return chosen.fit(read(files), read(beside) if there else None)
     return chosen.fit(RideParquet(tuple(files)).table())
 
 
@@ -171,6 +177,8 @@ def intervals(model: LinearModel, fitted: Fit) -> Iterator[tuple[Term, float, fl
         The half width comes from Student's t distribution. It is None if the fit has no covariance.
     """
     freedom = (fitted.clusters or fitted.rides) - 1
+    if isinstance(RECIPES.get(model.recipe), WindowRecipe):
+        freedom = max(freedom, LEAST_PRIOR_FREEDOM)
     factor = float(stdtrit(freedom, 0.975)) if freedom > 0 else float("nan")
     for i, (term, coefficient) in enumerate(zip(model.terms, fitted.coefficients, strict=True)):
         half = None if fitted.covariance is None else factor * sqrt(max(fitted.covariance[i][i], 0.0))
@@ -214,7 +222,8 @@ def summary(model: LinearModel, title: str) -> dict[str, Any]:
     dict
     """
     training = msgspec.to_builtins(model.training)
-    errors = in_sample(model)
+    errors, rows = in_sample(model), (model.history or ({},))[0].get("rows", "rides")
+    ranges = {key: get_plausible_ranges(model, key) for key in model.fits}
     fits = {
         key: {
             "rides": fitted.rides,
@@ -224,13 +233,21 @@ def summary(model: LinearModel, title: str) -> dict[str, Any]:
             "held": fitted.held,
             "curve": None if fitted.curve is None else _celsius(fitted.curve),
             "coefficients": [
-                {"term": term.name, "unit": term.unit, "value": value, "ci95": half}
+                {
+                    "term": term.name,
+                    "unit": term.unit,
+                    "value": value,
+                    "ci95": half,
+                    "range": ranges[key].get(term.name),
+                    "plausible": term.name not in ranges[key] or is_within(value, ranges[key][term.name]),
+                }
                 for term, value, half in intervals(model, fitted)
             ],
         }
         for key, fitted in model.fits.items()
     }
-    return {"recipe": model.recipe, "title": title, "version": model.version, "training": training, "fits": fits}
+    head = {"recipe": model.recipe, "title": title, "version": model.version, "rows": rows}
+    return {**head, "training": training, "fits": fits}
 
 
 def show(model: LinearModel, title: str, console: Console) -> None:
@@ -246,6 +263,8 @@ def show(model: LinearModel, title: str, console: Console) -> None:
         Console to print on.
     """
     training = model.training
+    if isinstance(RECIPES.get(model.recipe), WindowRecipe) and (model.history or ({},))[0].get("rows") == "rides":
+        console.print(f"fitted to whole rides: no {WINDOWS} beside them, so intervals are wider", highlight=False)
     if training is not None:
         left = ", ".join(f"{n:,} {reason.replace('_', ' ')}" for reason, n in training.left_out.items())
         filled = ", ".join(f"{name} in {n:,}" for name, n in training.filled.items())
@@ -287,24 +306,30 @@ def _show_coefficients(model: LinearModel, console: Console) -> None:
     columns = [Column("coefficient"), Column("unit"), *(Column(key, number=True) for key in model.fits)]
     table = make_table(columns, "Coefficients with 95 % intervals")
     cells = {key: {t.name: (c, half) for t, c, half in intervals(model, fitted)} for key, fitted in model.fits.items()}
+    outside = list_implausible(model)
     for term in shown:
-        row = [_cell(*cells[key][term.name], held=term.name in model.fits[key].held) for key in model.fits]
+        row = [
+            _cell(*cells[key][term.name], held=term.name in fitted.held, marked=term.name in outside.get(key, ()))
+            for key, fitted in model.fits.items()
+        ]
         table.add_row(term.name, term.unit, *row)
     console.print(table)
     others = len(model.terms) - len(shown)
     notes = [f"{others} other coefficients are in the model file"] if others else []
     if any(fitted.held for fitted in model.fits.values()):
-        notes.append("(held): rides do not determine the coefficient, so its prior holds it near its physical value, 1")
+        notes.append("(held): the data do not determine it, so it is fixed by its prior")
     if model.fits.get(ANY) and model.fits[ANY].noise_kwh is not None:
         notes.append("interval of *: for a vehicle model without rides, about the mean of the others")
     if notes:
         console.print("; ".join(notes), markup=False, highlight=False, soft_wrap=True)
+    for line in describe_implausible(model):
+        console.print(f"NOT plausible: {line}", markup=False, highlight=False, soft_wrap=True)
 
 
-def _cell(value: float, half: float | None, *, held: bool) -> str:
-    """Return the text of a coefficient and its interval."""
+def _cell(value: float, half: float | None, *, held: bool, marked: bool) -> str:
+    """Return the text of a coefficient and its interval, and the mark of one outside its plausible range."""
     text = f"{value:.4g}" if half is None else f"{value:.4g} ± {half:.2g}"
-    return format_minus(f"{text} (held)" if held else text)
+    return format_minus(text + (" (held)" if held else "") + (" (NOT plausible)" if marked else ""))
 
 
 def _show_curves(model: LinearModel, console: Console) -> None:

@@ -111,7 +111,7 @@ def add_effect(
     columns : sequence of str
         Columns of the term, see `core.diagnose.add.terms.build_term_columns`.
     joined : DataFrame
-        Windows, as `core.diagnose.dataset.join_tables` returns them.
+        Windows, as `core.fit.measured_rows.join_tables` returns them.
     rides : DataFrame, optional
         The ride table. The interval of the model needs it, and so does a model with terms that hold for whole rides
         only.

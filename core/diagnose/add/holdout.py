@@ -84,7 +84,7 @@ def group_rows_by_ride(rows: pd.DataFrame, rides: pd.DataFrame | None = None) ->
     Parameters
     ----------
     rows : (n,) DataFrame
-        Windows, as `core.diagnose.dataset.join_tables` returns them, or a ride table.
+        Windows, as `core.fit.measured_rows.join_tables` returns them, or a ride table.
     rides : DataFrame, optional
         The ride table, for the measurement noise of whole rides. By default, the variances of the windows are summed.
 

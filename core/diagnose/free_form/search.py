@@ -166,7 +166,7 @@ def suggest_term(
     Parameters
     ----------
     windows : DataFrame
-        n rows of the window table, see `core.diagnose.dataset.join_tables`.
+        n rows of the window table, see `core.fit.measured_rows.join_tables`.
     residual : (n,) float
         Measured less predicted energy. [kWh]
     weight : (n,) float

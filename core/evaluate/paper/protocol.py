@@ -18,6 +18,7 @@ from core.evaluate.paper.runs import EvaluatedRecipe, Prediction, Progress, plan
 from core.evaluate.ride_filter import EvaluatedRides, filter_rides
 from core.fit.recipes import RECIPES
 from core.fit.segment_network import SegmentRecipe, build_segments
+from core.fit.window_recipe import RecipeWithWindows, WindowRecipe
 from core.models.features import list_raw_columns
 from core.stats.splits import REPEATS, TEST_SHARE, Split, split_by_date, split_by_ride, split_by_vehicle
 
@@ -40,7 +41,7 @@ def select_recipes(names: str | None, windows: pd.DataFrame | None, seed: int = 
     names : str, optional
         Names separated by commas; by default all recipes.
     windows : DataFrame, optional
-        The window table, which the segment model needs.
+        The window table, which the segment model needs, and to which the recipes of physical terms are fitted.
     seed : int
         Seed of the segment model.
 
@@ -51,6 +52,9 @@ def select_recipes(names: str | None, windows: pd.DataFrame | None, seed: int = 
     """
     known: dict[str, EvaluatedRecipe] = dict(RECIPES)
     if windows is not None:
+        for name, recipe in RECIPES.items():
+            if isinstance(recipe, WindowRecipe):
+                known[name] = RecipeWithWindows(recipe, windows)
         known[SEGMENTS] = SegmentRecipe(build_segments(windows), seed)
     if names is None:
         return known

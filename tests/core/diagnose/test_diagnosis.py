@@ -12,10 +12,11 @@ import pytest
 
 from core import effects
 from core.diagnose.candidates import build_candidates
-from core.diagnose.dataset import LEAST_RIDES, fit_to_windows, gather_windows
+from core.diagnose.dataset import LEAST_RIDES, gather_windows
 from core.diagnose.diagnosis import diagnose, keep_declared_values
 from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError
+from core.fit.recipes import fit_to_windows
 from core.models.features import list_raw_columns
 from tests.support.diagnosis_result import make_diagnosis as made_up
 from tests.support.synthetic_windows import make_tables, make_windows
@@ -100,7 +101,12 @@ class TestPromise:
         assert 50.0 < data["resolution_s"] < 70.0
         silent = {"windows without voltage and current": 10}
         assert Counter(data["left_out"]) == Counter(recorded[0]["unfit_reason"].dropna()) + Counter(silent)
-        assert diagnosis["model"] == {"name": model.name, "version": model.version, "recipe": "road_load"}
+        assert diagnosis["model"] == {
+            "name": model.name,
+            "version": model.version,
+            "recipe": "road_load",
+            "implausible": [],
+        }
 
     def test_errors_are_per_ride_and_above_noise_floor(self, diagnosis, recorded, model):
         seen, error = gather_windows(*recorded, model), diagnosis["error"]

@@ -22,8 +22,9 @@ from core.diagnose.add import add
 from core.diagnose.add.holdout import group_rows_by_ride, predict_held_out
 from core.diagnose.add.refit import TermAddition, refit, refit_with
 from core.diagnose.add.terms import build_effect_term, build_term_columns
-from core.diagnose.dataset import fit_to_windows, join_tables
 from core.diagnose.diagnosis import diagnose
+from core.fit.measured_rows import join_tables
+from core.fit.recipes import fit_to_windows
 from core.models import ANY, LinearModel
 from core.models.features import EFFECT_PREFIX
 from core.pipeline import Pipeline

@@ -10,8 +10,9 @@ import pytest
 
 from core import effects
 from core.cleaning.kernel import Cleaner
-from core.diagnose.dataset import Windows, fit_to_windows, gather_windows
+from core.diagnose.dataset import Windows, gather_windows
 from core.errors import SettingsError
+from core.fit.recipes import fit_to_windows
 from core.pipeline import Pipeline
 from core.settings import Settings
 from core.wire.messages import Telemetry, Weather, encode

@@ -11,8 +11,9 @@ from core.fit import segment_network
 from tests.support import planted_rides
 from tests.support.segment_windows import segment_windows
 from tools.cli import main
-from tools.commands.evaluate import read, window_columns
+from tools.commands.evaluate import window_columns
 from tools.terminal.output import check_outputs
+from tools.terminal.table_files import read
 
 QUICK = ("--recipes", "basic_physical,empirical", "--repeats", "2", "--jobs", "1")
 

@@ -10,9 +10,10 @@ import pandas as pd
 
 from core import effects
 from core.batch import Floats, Ints
-from core.diagnose.dataset import Windows, fit_to_windows, gather_windows
+from core.diagnose.dataset import Windows, gather_windows
 from core.diagnose.projection import BaseProjection
 from core.fit.fitting import build_design
+from core.fit.recipes import fit_to_windows
 from core.models import Term
 from core.models.features import Columns
 from tools.bench.hidden.cases import Case, get_right_names

@@ -61,6 +61,8 @@ def describe_error(result: Result) -> list[str]:
     ]
     if refitted is not None:
         lines.append(f"With the same terms refitted to these rides, it would be {format_energy(refitted)}.")
+    if implausible := get_mapping(result, "model").get("implausible"):
+        lines.append(f"NOT plausible in this model: {'; '.join(map(str, implausible))}.")
     if mae and floor is not None:
         lines.append(
             f"Measurement noise alone causes {format_energy(floor)}, {format_percent(min(floor / mae, 1.0), 0)} of the "

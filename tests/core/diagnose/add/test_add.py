@@ -16,8 +16,8 @@ from core.diagnose.add.holdout import (
     split_into_vehicle_folds,
 )
 from core.diagnose.add.terms import build_term_columns, describe_scope, is_additive
-from core.diagnose.dataset import join_tables
 from core.errors import EffectError, ModelError
+from core.fit.measured_rows import join_tables
 from core.fit.recipes import RECIPES, make_term
 from core.models import ANY, BASIC_PHYSICAL, LinearModel, Term, decode_model, encode_model
 from core.pipeline import Pipeline

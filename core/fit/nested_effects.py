@@ -1,0 +1,434 @@
+"""Solve a linear model whose errors are correlated within rides, vehicle-days and cars.
+
+The energy of row w of ride r, on vehicle-day d of car c, is
+
+    y = x'b + z'u_r + z'u_d + (x'b) f_c + e,    e ~ N(0, s^2 v),
+
+with coefficients b of Gaussian prior, the consumption factor f_c of a car, and random effects u of each ride and of
+each vehicle-day on the columns z: rolling energy and time. Traffic, load and weather that no column tells change the
+drive and the power of a whole ride or day. Windows of one ride are therefore no independent observations.
+
+All random effects are Gaussian and nested, so elimination integrates over them one level after the other: first the
+rides, then the vehicle-days, then the cars. Each step needs only sums of products of columns, X'WX. The sums of single
+rides therefore give every fit to a part of the rides: without a ride, without a day, without a car.
+
+The standard deviations of the levels are those of largest evidence, with a wide prior about what simulated fleets show.
+
+References
+----------
+Laird, Ware, Biometrics 38 (1982) 963, DOI 10.2307/2529876: random effects. Rasmussen, Williams, Gaussian Processes for
+Machine Learning, MIT 2006, eq. (2.30): evidence.
+"""
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear, minimize
+
+from core.batch import Floats, Ints
+
+SHARED: Final = 2
+"""Number of columns on which rides and vehicle-days have random effects: rolling energy and time."""
+MOST_RIDES: Final = 500
+"""Number of rides that suffices to estimate the standard deviations of the levels."""
+
+
+CAR_SPREADS: Final = (0.35, 0.6, 1.0, 1.7, 2.9, 5.0)
+"""Spreads of the factors of cars over the most probable one, at equal steps of its logarithm. [1]"""
+PINNED: Final = 1e-4
+"""Standard deviation of a coefficient at a limit over that of its prior. [1]"""
+
+
+class LevelSpreads(NamedTuple):
+    """Hold the standard deviation of the errors of each level.
+
+    Parameters
+    ----------
+    row : float
+        Factor on the standard deviation of each row. [1]
+    ride_drive, day_drive : float
+        Share of the rolling energy of the catalogue. [1]
+    ride_power, day_power : float
+        Power. [kW]
+    car : float
+        Consumption factor of a car minus 1. [1]
+    """
+
+    row: float
+    ride_drive: float
+    ride_power: float
+    day_drive: float
+    day_power: float
+    car: float
+
+
+EXPECTED_LEVELS: Final = LevelSpreads(1.0, 0.05, 0.1, 0.05, 0.1, 0.03)
+"""Expected standard deviations; see `LevelSpreads` for the units. Estimated on simulated fleets."""
+LEVELS_LOG_SD: Final = LevelSpreads(0.5, 1.0, 1.0, 1.0, 1.0, 0.7)
+"""Standard deviation of the logarithm of each about that of the expected one. [1]"""
+
+
+class Gaussian(NamedTuple):
+    """Hold a Gaussian distribution of p coefficients.
+
+    Parameters
+    ----------
+    mean : (p,) float
+        Mean.
+    covariance : (p, p) float
+        Covariance.
+    """
+
+    mean: Floats
+    covariance: Floats
+
+
+class RideProducts(NamedTuple):
+    """Hold sums of products over the rows of each ride; rides are sorted by car, then by day.
+
+    Parameters
+    ----------
+    sums : (rides, q, q) float
+        S'WS of the columns S: the p columns of coefficients, the energy, the columns of `SHARED`, and the predicted
+        energy, on which the factor of the car acts.
+    rows : (rides,) int64
+        Number of rows.
+    day : (rides,) int64
+        Vehicle-day of each ride, ascending without a gap.
+    car : (days,) int64
+        Car of each vehicle-day, ascending without a gap.
+    """
+
+    sums: Floats
+    rows: Ints
+    day: Ints
+    car: Ints
+
+    @property
+    def coefficients(self) -> int:
+        """Number of coefficients p."""
+        return self.sums.shape[1] - SHARED - 2
+
+    def thinned(self, most: int) -> "RideProducts":
+        """Return the rides of some days, drawn at random and equal at every call, at most about `most` rides."""
+        days = len(self.car)
+        if len(self.rows) <= most:
+            return self
+        drawn = np.random.default_rng(0).permutation(days)
+        count = np.cumsum(np.bincount(self.day, minlength=days)[drawn])
+        chosen = np.zeros(days, np.bool_)
+        chosen[drawn[: max(int(np.searchsorted(count, most)), 1)]] = True
+        inside = chosen[self.day]
+        return RideProducts(
+            self.sums[inside], self.rows[inside], _renumber(self.day[inside]), _renumber(self.car[chosen])
+        )
+
+
+class Elimination(NamedTuple):
+    """Hold sums of products from which the random effects of rides and vehicle-days are eliminated.
+
+    Parameters
+    ----------
+    rides, days, cars : (m, q, q) float
+        Sums of each ride without the effects of rides, of each vehicle-day without those of days, and of each car with
+        the factor of the car.
+    log_determinant : float
+        Logarithm of the determinant of the covariance of all errors, up to a constant.
+    """
+
+    rides: Floats
+    days: Floats
+    cars: Floats
+    log_determinant: float
+
+
+def sum_products(columns: Floats, weight: Floats, ride: Ints, rides: int) -> Floats:
+    """Return the weighted sums of products of columns over the rows of each ride.
+
+    Parameters
+    ----------
+    columns : (n, k) float
+        Columns.
+    weight : (n,) float
+        Weight of each row.
+    ride : (n,) int64
+        Ride of each row.
+    rides : int
+        Number of rides.
+
+    Returns
+    -------
+    (rides, k, k) float
+        Symmetric sums.
+    """
+    k = columns.shape[1]
+    sums = np.empty((rides, k, k))
+    for i in range(k):
+        weighted = columns[:, i] * weight
+        for j in range(i, k):
+            sums[:, i, j] = sums[:, j, i] = np.bincount(ride, weighted * columns[:, j], rides)
+    return sums
+
+
+def eliminate(products: RideProducts, spreads: LevelSpreads) -> Elimination:
+    """Return sums without the random effects of rides and of vehicle-days, level by level.
+
+    Parameters
+    ----------
+    products : RideProducts
+        Sums of rides.
+    spreads : LevelSpreads
+        Standard deviations of the levels.
+
+    Returns
+    -------
+    Elimination
+        Sums of each level.
+    """
+    p = products.coefficients
+    shared = slice(p + 1, p + 1 + SHARED)
+    rides, of_rides = _without(products.sums / spreads.row**2, shared, (spreads.ride_drive, spreads.ride_power))
+    days = np.add.reduceat(rides, _starts(products.day), axis=0)
+    days, of_days = _without(days, shared, (spreads.day_drive, spreads.day_power))
+    cars = np.add.reduceat(days, _starts(products.car), axis=0)
+    rows = 2.0 * np.log(spreads.row) * float(products.rows.sum())
+    return Elimination(rides, days, cars, rows + of_rides + of_days)
+
+
+def without_car_factor(cars: Floats, spread: float) -> tuple[Floats, float]:
+    """Return the sums of cars without their factors, and the logarithm of the determinant that belongs to them."""
+    if spread == 0.0:
+        return cars, 0.0
+    last = cars.shape[1] - 1
+    return _without(cars, slice(last, last + 1), (spread,))
+
+
+def compute_coefficients(prior: Gaussian, sums: Floats) -> Gaussian:
+    """Return the posterior of the coefficients, given sums from which all random effects are eliminated.
+
+    Parameters
+    ----------
+    prior : Gaussian
+        Prior of the p coefficients.
+    sums : (..., q, q) float
+        Sums of products; leading axes give one posterior each.
+
+    Returns
+    -------
+    Gaussian
+        Posterior, with the leading axes of `sums`.
+    """
+    p = len(prior.mean)
+    precision = np.linalg.inv(prior.covariance)
+    scale = np.sqrt(np.diag(prior.covariance))
+    by = np.outer(scale, scale)
+    covariance = by * np.linalg.inv((sums[..., :p, :p] + precision) * by)
+    mean = (covariance @ (sums[..., :p, p] + precision @ prior.mean)[..., np.newaxis])[..., 0]
+    return Gaussian(mean, (covariance + np.swapaxes(covariance, -1, -2)) / 2.0)
+
+
+def limit(posterior: Gaussian, low: Floats, high: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the most probable coefficients within limits.
+
+    Parameters
+    ----------
+    posterior : Gaussian
+        Posterior without limits.
+    low, high : (p,) float
+        Limits, which may be infinite.
+
+    Returns
+    -------
+    mean : (p,) float
+        Coefficients of the largest posterior density within the limits.
+    at : (p,) bool
+        Which coefficients are at a limit.
+    """
+    if ((posterior.mean >= low) & (posterior.mean <= high)).all():
+        return posterior.mean, np.zeros(len(low), np.bool_)
+    scale = np.sqrt(np.diag(posterior.covariance))
+    root = np.linalg.cholesky(np.linalg.inv(posterior.covariance / np.outer(scale, scale)))
+    target = root.T @ (posterior.mean / scale)
+    found = lsq_linear(root.T, target, (low / scale, high / scale), method="bvls")
+    return np.clip(found.x * scale, low, high), np.asarray(found.active_mask != 0)
+
+
+def pin(prior: Gaussian, at: NDArray[np.bool_], mean: Floats) -> Gaussian:
+    """Return a prior that keeps some coefficients at given values, with a spread of next to nothing.
+
+    Parameters
+    ----------
+    prior : Gaussian
+        Prior of the coefficients.
+    at : (p,) bool
+        Which coefficients to keep.
+    mean : (p,) float
+        Values at which to keep them.
+
+    Returns
+    -------
+    Gaussian
+        Prior.
+    """
+    covariance = prior.covariance.copy()
+    covariance[at], covariance[:, at] = 0.0, 0.0
+    covariance[at, at] = (PINNED * np.sqrt(np.diag(prior.covariance))[at]) ** 2
+    return Gaussian(np.where(at, mean, prior.mean), covariance)
+
+
+def compute_car_factors(elimination: Elimination, coefficients: Floats, spread: float) -> Floats:
+    """Return the consumption factor of each car, shrunk towards 1 according to its uncertainty.
+
+    Parameters
+    ----------
+    elimination : Elimination
+        Sums of cars.
+    coefficients : (..., p) float
+        Coefficients; leading axes must be those of the cars, where there are any.
+    spread : float
+        Standard deviation of the factor. [1]
+
+    Returns
+    -------
+    (cars,) float
+        Factors. [1]
+    """
+    return compute_factors(elimination.cars, coefficients, spread)
+
+
+def compute_factors(sums: Floats, coefficients: Floats, spread: float) -> Floats:
+    """Return the factors of cars with these sums, see `compute_car_factors`; sums of zeros give 1."""
+    p = coefficients.shape[-1]
+    last = sums.shape[-1] - 1
+    left = sums[..., last, p] - (sums[..., last, :p] * coefficients).sum(axis=-1)
+    return np.asarray(1.0 + spread**2 * left / (1.0 + spread**2 * sums[..., last, last]))
+
+
+def integrate_car_spread(elimination: Elimination, prior: Gaussian, spreads: LevelSpreads) -> Gaussian:
+    """Return the posterior of the coefficients, integrated over the unknown spread of the factors of cars.
+
+    Few cars tell little of how much cars differ. Their common coefficients are therefore less certain than at the most
+    probable spread.
+
+    Parameters
+    ----------
+    elimination : Elimination
+        Sums of cars.
+    prior : Gaussian
+        Prior of the coefficients.
+    spreads : LevelSpreads
+        Standard deviations of the levels, with the most probable one of cars.
+
+    Returns
+    -------
+    Gaussian
+        Mean and covariance of the mixture over `CAR_SPREADS`; a single one where cars have no factors.
+    """
+    candidates = [spreads.car * factor for factor in CAR_SPREADS] if spreads.car else [0.0]
+    posteriors, logarithms = [], []
+    for candidate in candidates:
+        cars, of_cars = without_car_factor(elimination.cars, candidate)
+        posterior, evidence = _solve(prior, cars.sum(axis=0))
+        far = np.log(candidate / EXPECTED_LEVELS.car) / LEVELS_LOG_SD.car if candidate else 0.0
+        posteriors.append(posterior)
+        logarithms.append(evidence - 0.5 * (of_cars + far**2))
+    weight = np.exp(np.array(logarithms) - max(logarithms))
+    weight /= weight.sum()
+    means = np.array([each.mean for each in posteriors])
+    mean = weight @ means
+    covariance = np.einsum("g,gij->ij", weight, np.array([each.covariance for each in posteriors]))
+    return Gaussian(mean, covariance + (means - mean).T @ ((means - mean) * weight[:, np.newaxis]))
+
+
+def _solve(prior: Gaussian, total: Floats) -> tuple[Gaussian, float]:
+    """Return the posterior given sums, and the logarithm of the evidence without the determinant of the errors."""
+    p = len(prior.mean)
+    posterior = compute_coefficients(prior, total)
+    off = posterior.mean - prior.mean
+    left = total[p, p] - 2.0 * posterior.mean @ total[:p, p] + posterior.mean @ total[:p, :p] @ posterior.mean
+    left += off @ np.linalg.solve(prior.covariance, off)
+    _, before = np.linalg.slogdet(prior.covariance)
+    _, after = np.linalg.slogdet(posterior.covariance)
+    return posterior, -0.5 * float(left + before - after)
+
+
+def compute_level_evidence(products: RideProducts, prior: Gaussian, spreads: LevelSpreads) -> float:
+    """Return the logarithm of the probability of the measured energies, up to a constant.
+
+    Parameters
+    ----------
+    products : RideProducts
+        Sums of rides.
+    prior : Gaussian
+        Prior of the coefficients.
+    spreads : LevelSpreads
+        Standard deviations of the levels.
+
+    Returns
+    -------
+    float
+        Logarithm of the evidence. [1]
+    """
+    elimination = eliminate(products, spreads)
+    cars, of_cars = without_car_factor(elimination.cars, spreads.car)
+    return _solve(prior, cars.sum(axis=0))[1] - 0.5 * (elimination.log_determinant + of_cars)
+
+
+def estimate_spreads(
+    products: RideProducts, prior: Gaussian, *, cars: bool, start: LevelSpreads = EXPECTED_LEVELS
+) -> LevelSpreads:
+    """Return the standard deviations of the levels that have the largest evidence, near the expected ones.
+
+    Parameters
+    ----------
+    products : RideProducts
+        Sums of rides.
+    prior : Gaussian
+        Prior of the coefficients.
+    cars : bool
+        Whether cars have factors; otherwise their standard deviation is 0.
+    start : LevelSpreads
+        Where the search begins.
+
+    Returns
+    -------
+    LevelSpreads
+        Estimated standard deviations.
+    """
+    some = products.thinned(MOST_RIDES)
+    free = len(EXPECTED_LEVELS) if cars else len(EXPECTED_LEVELS) - 1
+    expected, sd = np.log(EXPECTED_LEVELS[:free]), np.array(LEVELS_LOG_SD[:free])
+
+    def convert(x: Floats) -> LevelSpreads:
+        values = np.exp(expected + sd * x).tolist()
+        return LevelSpreads(*values, *([] if cars else [0.0]))
+
+    def loss(x: Floats) -> float:
+        return 0.5 * float(x @ x) - compute_level_evidence(some, prior, convert(x))
+
+    begin = (np.log(np.maximum(start[:free], 1e-6)) - expected) / sd
+    begin = np.clip(begin, -4.0, 4.0)
+    found = minimize(loss, begin, method="L-BFGS-B", bounds=[(-4.0, 4.0)] * free, options={"maxiter": 12, "ftol": 1e-5})
+    return convert(found.x)
+
+
+def _without(sums: Floats, at: slice, spreads: Sequence[float]) -> tuple[Floats, float]:
+    """Return sums without random effects on some of their columns, and the logarithm of the determinant."""
+    variance = np.square(np.asarray(spreads, dtype=np.float64))
+    inner = np.eye(len(variance)) + variance[:, np.newaxis] * sums[:, at, at]
+    beside = sums[:, :, at]
+    gain = np.linalg.solve(inner, variance[:, np.newaxis] * np.swapaxes(beside, 1, 2))
+    _, logarithm = np.linalg.slogdet(inner)
+    return sums - beside @ gain, float(logarithm.sum())
+
+
+def _starts(code: Ints) -> Ints:
+    """Return the position of the first entry of each code."""
+    return np.flatnonzero(np.r_[True, np.diff(code) != 0])
+
+
+def _renumber(code: Ints) -> Ints:
+    """Return ascending codes without gaps."""
+    return np.unique(code, return_inverse=True)[1].astype(np.int64)

@@ -1,0 +1,175 @@
+"""State what physics tells of the coefficients of a model before any data: a Gaussian for each.
+
+Effects declare the mean and the spread of their coefficients with a source (`core.effects.declaration.Expectation`),
+some in multiples of a figure of the car in the catalogue. Where an effect declares none, its plausible range stands for
+one: the middle, with half the width as standard deviation. The numbers of the accessory curve are expected at those of
+the reference curve, and their declared bounds are two standard deviations on either side.
+"""
+
+from collections.abc import Sequence
+from math import inf
+from typing import Final
+
+import numpy as np
+
+from core import effects
+from core.batch import Floats
+from core.effects.road_load import accessories
+from core.fit.accessory_curve import compute_slopes
+from core.fit.fitting import build_design
+from core.fit.nested_effects import Gaussian
+from core.models import Term
+from core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX, Columns, is_scope
+from core.models.plausibility import compute_plausible_range
+from core.vehicles import ACCESSORIES, AccessoryCurve
+from core.vehicles.fleet import CarParameters
+
+BOUNDS_OVER_SD: Final = 4.0
+"""Width of the bounds of a number of the accessory curve over its standard deviation. [1]"""
+UNKNOWN_ENERGY: Final = 1.0
+"""Standard deviation of the energy of a row by a term of which physics tells nothing. [kWh]"""
+LEVELS: Final = ("standby", "heating", "cooling")
+"""Levels of the accessory curve, in the order of `core.fit.accessory_curve.compute_slopes`."""
+CHOKE_POINTS: Final = ("heating_full", "heating_off", "cooling_on", "cooling_full")
+"""Choke points of the accessory curve, ascending."""
+LEAST_GAP: Final = 1.0
+"""Smallest distance between two choke points. [K]"""
+
+
+def build_prior(terms: Sequence[Term], columns: Columns, rows: int) -> Gaussian:
+    """Return the prior of the coefficients of terms, none of which is the accessories'.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+        Terms.
+    columns : Columns
+        Columns of the rows to fit, for the figures of their cars.
+    rows : int
+        Number of rows.
+
+    Returns
+    -------
+    Gaussian
+        Independent coefficients.
+    """
+    known = [_expect(term, columns, rows) for term in terms]
+    mean, sd = np.array(known, dtype=np.float64).reshape(-1, 2).T
+    return Gaussian(mean, np.diag(sd**2))
+
+
+def _expect(term: Term, columns: Columns, rows: int) -> tuple[float, float]:
+    """Return the mean and the standard deviation of a coefficient."""
+    named = [column for column in term.columns if column.startswith(EFFECT_PREFIX)]
+    figures = [column for column in term.columns if column in CarParameters._fields]
+    others = [column for column in term.columns if column not in {*named, *figures} and not is_scope(column)]
+    if len(named) != 1 or others:
+        size = float(np.sqrt(np.mean(build_design((term,), columns, rows) ** 2))) if rows else 0.0
+        return 0.0, UNKNOWN_ENERGY / size if size > 0.0 else UNKNOWN_ENERGY
+    effect = effects.get(named[0].removeprefix(EFFECT_PREFIX))
+    expected = effect.expected
+    if expected is None:
+        mean, sd = (effect.low + effect.high) / 2.0, (effect.high - effect.low) / 2.0
+    else:
+        mean, sd = expected.mean, expected.sd
+        if expected.of in figures:
+            figures.remove(expected.of)
+        elif expected.of:
+            own = _average(columns, expected.of)
+            mean, sd = mean * own, sd * own
+    by = float(np.prod([_average(columns, name) for name in figures]))
+    return (mean / by, sd / by) if by > 0.0 else (mean, sd)
+
+
+def _average(columns: Columns, name: str) -> float:
+    """Return the mean of a figure of the cars."""
+    return float(np.mean(columns[name]))
+
+
+def find_limits(terms: Sequence[Term], columns: Columns) -> tuple[Floats, Floats]:
+    """Return the ends of the plausible range of each coefficient, infinite where physics sets none.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+        Terms, none of which is the accessories'.
+    columns : Columns
+        Columns of the rows to fit, for the figures of their cars.
+
+    Returns
+    -------
+    low, high : (terms,) float
+        Ends of the ranges.
+    """
+    figures = {name: _average(columns, name) for name in CarParameters._fields if name in columns}
+    ranges = [compute_plausible_range(term, figures) or (-inf, inf) for term in terms]
+    low, high = np.array(ranges, dtype=np.float64).reshape(-1, 2).T
+    return low, high
+
+
+def curve_numbers(curve: AccessoryCurve) -> Floats:
+    """Return the seven numbers of a curve.
+
+    Parameters
+    ----------
+    curve : AccessoryCurve
+        Curve.
+
+    Returns
+    -------
+    (7,) float
+        Levels [W] and choke points [K], in the order of `LEVELS` and `CHOKE_POINTS`.
+    """
+    return np.array([getattr(curve, name) for name in (*LEVELS, *CHOKE_POINTS)])
+
+
+def build_curve(numbers: Floats) -> AccessoryCurve:
+    """Return the curve of seven numbers, see `curve_numbers`."""
+    return AccessoryCurve(**dict(zip((*LEVELS, *CHOKE_POINTS), numbers.tolist(), strict=True)))
+
+
+def compute_curve_columns(curve: AccessoryCurve, ambient_c: Floats) -> Floats:
+    """Return the derivatives of the accessory power by the seven numbers of its curve.
+
+    Parameters
+    ----------
+    curve : AccessoryCurve
+        Curve at which to differentiate.
+    ambient_c : (n,) float
+        Outside temperature. [°C]
+
+    Returns
+    -------
+    (n, 7) float
+        Derivatives by the levels [1] and by the choke points [W/K].
+    """
+    slopes = compute_slopes(curve, ambient_c)
+    slopes[:, 0] -= slopes[:, 1] + slopes[:, 2]  # there, heating and cooling count from standby
+    return slopes
+
+
+def build_curve_prior() -> Gaussian:
+    """Return the prior of the seven numbers of the accessory curve of a car, over its accessory scale."""
+    low, high = np.array([accessories.parameters[name].bounds for name in (*LEVELS, *CHOKE_POINTS)]).T
+    return Gaussian(curve_numbers(ACCESSORIES), np.diag(((high - low) / BOUNDS_OVER_SD) ** 2))
+
+
+def find_curve_limits() -> tuple[Floats, Floats]:
+    """Return the limits of the seven numbers of the accessory curve: declared bounds, apart by `LEAST_GAP`.
+
+    Returns
+    -------
+    low, high : (7,) float
+        Limits of levels [W] and choke points [K].
+    """
+    low, high = np.array([accessories.parameters[name].bounds for name in (*LEVELS, *CHOKE_POINTS)]).T
+    for i in range(len(LEVELS), len(low) - 1):
+        middle = (high[i] + low[i + 1]) / 2.0
+        high[i] = min(high[i], middle - LEAST_GAP / 2.0)
+        low[i + 1] = max(low[i + 1], middle + LEAST_GAP / 2.0)
+    return low, high
+
+
+def is_curved(term: Term) -> bool:
+    """Return whether a term is the accessories by a curve."""
+    return term.columns == (ACCESSORIES_COLUMN,)

@@ -1,0 +1,275 @@
+"""Fit the physical terms of a model to windows, with what physics tells of each coefficient as the prior.
+
+Each row is a window of a metered ride, or a whole ride where only the state of charge measures its energy
+(`core.fit.measured_rows`). Its weight is the inverse of its variance: the noise of its measurement and what the terms
+cannot know, estimated from the residuals (`core.fit.row_noise`). Errors of the windows of a ride, of the rides of a
+vehicle-day and of the vehicle-days of a car depend on each other (`core.fit.nested_effects`).
+
+The coefficients of a vehicle model have the Gaussian prior of `core.fit.priors`. Few rides therefore move them little,
+and many rides determine them. The cars of a vehicle model share its coefficients; each has a consumption factor, shrunk
+towards 1 as far as its rides do not determine it.
+
+The accessory curve has a prior too, see `core.fit.window_solver`.
+"""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from hashlib import sha256
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from core.batch import Ints
+from core.columns import ZERO_CELSIUS
+from core.errors import ModelError
+from core.fit.fitting import build_design, limit_to_one_thread
+from core.fit.measured_rows import ENERGY_SD
+from core.fit.measurement_noise import compute_noise_variance
+from core.fit.nested_effects import Gaussian, compute_car_factors
+from core.fit.priors import (
+    build_curve_prior,
+    build_prior,
+    compute_curve_columns,
+    find_curve_limits,
+    find_limits,
+    is_curved,
+)
+from core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
+from core.fit.row_noise import build_variance_parts
+from core.fit.window_solver import GroupFit, GroupRows, solve_group
+from core.models import ANY, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term, Training, stamp
+from core.models.derived_features import DERIVED_COLUMNS
+from core.models.features import ACCESSORIES_COLUMN, FEATURES, Columns, list_raw_columns
+from core.vehicles.fleet import CarParameters
+
+LEAST_OWN_RIDES: Final = 3
+"""Fewest rides for a fit, and for a fit of a vehicle model of its own."""
+PRIOR_SHARE: Final = 0.8
+"""Posterior over prior variance above which a coefficient counts as fixed by its prior. [1]"""
+READ: Final = (
+    "effect_rolling",
+    "rolling_resistance",
+    "effect_inertia_positive",
+    "duration_s",
+    "energy_vi_kwh",
+    "energy_vi_sd_kwh",
+    "energy_soc_sd_kwh",
+)
+"""Columns that the weights read, besides those of the terms."""
+
+
+def fit_rows(name: str, terms: tuple[Term, ...], rows: pd.DataFrame) -> tuple[LinearModel, dict[str, GroupFit]]:
+    """Return a model fitted to measured rows, without an interval, and the fit of each vehicle model.
+
+    Parameters
+    ----------
+    name : str
+        Name of the recipe.
+    terms : tuple of Term
+        Terms of the model.
+    rows : DataFrame
+        Windows or rides, as `core.fit.measured_rows.join_tables` returns them.
+
+    Returns
+    -------
+    model : LinearModel
+        Model with a fit for each vehicle model of at least `LEAST_OWN_RIDES` rides, and the fit `*` of all rides.
+    groups : dict of str to GroupFit
+        Fits by vehicle model and `*`, for errors on held-out rides.
+
+    Raises
+    ------
+    ModelError
+        If a column is missing, a term has no meaning for a part of a ride, or there are too few rides.
+    """
+    _check(name, terms, rows)
+    read = _list_columns(terms)
+    good, _ = select_trainable(rows, read)
+    good = good.assign(**{VEHICLE: get_names(good, VEHICLE), "date": get_names(good, "date")})
+    good = good.sort_values([VEHICLE, "date", "ride_key"], kind="stable", ignore_index=True)
+    kinds = np.array(get_names(good, VEHICLE_MODEL), dtype=object)
+    keys = good["ride_key"].to_numpy(dtype=object)
+    if (count := len(set(keys.tolist()))) < LEAST_OWN_RIDES:
+        raise ModelError(f"recipe {name}: {count} rides to fit to, and it needs {LEAST_OWN_RIDES}: give more rides")
+    fills = {key: _find_fills(terms, good.iloc[at]) for key, at in _groups(kinds)}
+    rides = {key: len(set(keys[at].tolist())) for key, at in _groups(kinds)}
+    alone = len(rides) == 2 and rides[ANY] == min(rides.values())
+    groups: dict[str, GroupFit] = {}
+    fits, factors = {}, {}
+    with limit_to_one_thread():
+        for key, at in _groups(kinds):
+            if rides[key] < LEAST_OWN_RIDES or (alone and key == ANY):
+                continue
+            group = gather_rows(terms, good.iloc[at], fills[key])
+            groups[key] = solve_group(group)
+            fits[key] = _convert(terms, group, groups[key], fills[key])
+            factors[key] = _list_factors(group, groups[key])
+    if alone:
+        only = next(iter(groups))
+        groups, fits = groups | {ANY: groups[only]}, fits | {ANY: fits[only]}
+    cars = factors.pop(ANY, {})
+    for own in factors.values():
+        cars |= own
+    return _assemble(name, terms, good, read, fits, cars), groups
+
+
+def _groups(kinds: np.ndarray[tuple[int], np.dtype[np.object_]]) -> Iterator[tuple[str, Ints]]:
+    """Yield each vehicle model with its rows, then all rows together."""
+    for kind in sorted(set(kinds.tolist()) - {"", ANY}):
+        yield kind, np.flatnonzero(kinds == kind)
+    yield ANY, np.arange(len(kinds))
+
+
+def _list_columns(terms: Sequence[Term]) -> list[str]:
+    """Return the columns of the tables that a fit reads."""
+    read = [column for term in terms for column in term.columns]
+    raw = [name for column in read for name in list_raw_columns(column)]
+    return list(dict.fromkeys((*raw, *READ, ENERGY)))
+
+
+def _check(name: str, terms: Sequence[Term], rows: pd.DataFrame) -> None:
+    """Refuse rows without a needed column, and terms that do not add up over a ride."""
+    for column in (*_list_columns(terms), "ride_key", VEHICLE):
+        if column not in rows:
+            raise ModelError(f"recipe {name}: column {column!r} is missing: make the tables again with `socast tables`")
+    for term in terms:
+        if not term.columns or (ACCESSORIES_COLUMN in term.columns and not is_curved(term)):
+            raise ModelError(f"recipe {name}: term {term.name!r} does not add up over windows: fit it to rides")
+
+
+def _find_fills(terms: Sequence[Term], rows: pd.DataFrame) -> dict[str, float]:
+    """Return the means that replace unknown values of columns other than energies and figures of the car."""
+    read = dict.fromkeys(column for term in terms for column in term.columns)
+    if ACCESSORIES_COLUMN in read:
+        read |= {"ambient_c": None}
+    fills, columns = {}, Columns(rows)
+    for name in read:
+        if (name in FEATURES and name not in CarParameters._fields) or name in DERIVED_COLUMNS:
+            known = columns[name][np.isfinite(columns[name])]
+            fills[name] = float(known.mean()) if len(known) else 0.0
+    return fills
+
+
+def gather_rows(terms: Sequence[Term], rows: pd.DataFrame, fills: Mapping[str, float]) -> GroupRows:
+    """Return the columns of rows that a fit needs.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+        Terms of the model.
+    rows : DataFrame
+        Rows sorted by vehicle, date and ride.
+    fills : mapping of str to float
+        Values that replace unknown ones.
+
+    Returns
+    -------
+    GroupRows
+        Columns and codes.
+    """
+    columns, n = Columns(rows, fills), len(rows)
+    curved = any(is_curved(term) for term in terms)
+    plain = tuple(term for term in terms if not is_curved(term))
+    energy, hours = get_numbers(rows, ENERGY), columns["duration_s"] / 3600.0
+    time = [hours * columns["accessory_scale"] / 1e3] if curved else []
+    rolling = columns["effect_rolling"] * columns["rolling_resistance"]
+    prior, limits = build_prior(plain, columns, n), np.array(find_limits(plain, columns))
+    if curved:
+        prior = _join(prior, build_curve_prior())
+        limits = np.column_stack([limits, np.array(find_curve_limits())])
+    ride, keys = pd.factorize(rows["ride_key"])
+    first = np.unique(ride, return_index=True)[1]
+    names = rows[VEHICLE].to_numpy(dtype=object)[first]
+    day, _ = pd.factorize(pd.Series(names).astype(str) + "\n" + rows["date"].astype(str).to_numpy()[first])
+    car, cars = pd.factorize(names[np.unique(day, return_index=True)[1]])
+    return GroupRows(
+        columns=np.column_stack([build_design(plain, columns, n), *time, energy, rolling, hours]),
+        ambient_c=columns["ambient_c"] if curved else np.zeros(n),
+        ride=ride.astype(np.int64),
+        day=day.astype(np.int64),
+        car=car.astype(np.int64),
+        rides=tuple(keys),
+        cars=tuple(cars),
+        parts=build_variance_parts(rows, np.nan_to_num(compute_noise_variance(rows))),
+        prior=prior,
+        low=limits[0],
+        high=limits[1],
+        curved=curved,
+    )
+
+
+def _join(one: Gaussian, other: Gaussian) -> Gaussian:
+    """Return the distribution of two independent sets of coefficients."""
+    size = len(one.mean)
+    covariance = np.zeros((size + len(other.mean),) * 2)
+    covariance[:size, :size], covariance[size:, size:] = one.covariance, other.covariance
+    return Gaussian(np.concatenate([one.mean, other.mean]), covariance)
+
+
+def _list_factors(group: GroupRows, fitted: GroupFit) -> dict[str, float]:
+    """Return the consumption factors of cars; empty for a single car."""
+    if not fitted.spreads.car:
+        return {}
+    factors = compute_car_factors(fitted.elimination, fitted.posterior.mean, fitted.spreads.car)
+    return {str(name): float(factor) for name, factor in zip(group.cars, factors, strict=True)}
+
+
+def _convert(terms: Sequence[Term], group: GroupRows, fitted: GroupFit, fills: Mapping[str, float]) -> Fit:
+    """Return the fit of a group as a model file stores it."""
+    p = group.terms
+    change = np.zeros((len(terms), len(fitted.posterior.mean)))
+    values = np.ones(len(terms))
+    plain = [i for i, term in enumerate(terms) if not is_curved(term)]
+    change[plain, range(p)] = 1.0
+    values[plain] = fitted.posterior.mean[:p]
+    if fitted.curve is not None:  # the coefficient of the accessories is their energy over that of the curve
+        time = group.columns[:, p]
+        used = float(time @ fitted.curve.power(group.ambient_c + ZERO_CELSIUS))
+        slopes = time @ compute_curve_columns(fitted.curve, group.ambient_c)
+        change[[i for i in range(len(terms)) if i not in plain], p:] = slopes / used if used > 0.0 else 0.0
+    covariance = change @ fitted.posterior.covariance @ change.T
+    before = change @ group.prior.covariance @ change.T
+    share = np.diag(covariance) / np.maximum(np.diag(before), 1e-300)
+    return Fit(
+        coefficients=tuple(values.tolist()),
+        covariance=tuple(tuple(row) for row in covariance.tolist()),
+        clusters=len(group.car),
+        fills=dict(fills),
+        curve=fitted.curve,
+        rides=len(group.rides),
+        held=tuple(term.name for term, own in zip(terms, share, strict=True) if own > PRIOR_SHARE),
+    )
+
+
+def _assemble(
+    name: str,
+    terms: tuple[Term, ...],
+    rows: pd.DataFrame,
+    read: Sequence[str],
+    fits: Mapping[str, Fit],
+    cars: Mapping[str, float],
+) -> LinearModel:
+    """Return the model with its fits, the factors of cars and the description of the training."""
+    once = rows.drop_duplicates("ride_key")
+    counts = Counter(kind for kind in get_names(once, VEHICLE_MODEL) if kind)
+    dates = [date for date in once["date"] if date]
+    digest = sha256()
+    for column in sorted({*read, ENERGY_SD} & set(rows.columns)):
+        if column != VEHICLE:
+            digest.update(column.encode() + np.ascontiguousarray(get_numbers(rows, column)).tobytes())
+    for column in (VEHICLE, VEHICLE_MODEL, "ride_key"):
+        digest.update("\n".join([column, *get_names(rows, column)]).encode())
+    training = Training(
+        rides=len(once),
+        first_date=min(dates, default=""),
+        last_date=max(dates, default=""),
+        vehicle_models=dict(sorted(counts.items())),
+        fingerprint=digest.hexdigest(),
+    )
+    return stamp(
+        LinearModel(
+            name=name, version="", recipe=name, terms=terms, fits=dict(sorted(fits.items())), cars=dict(cars),
+            training=training,
+        )
+    )  # fmt: skip

@@ -1,0 +1,123 @@
+"""Recipes of physical terms that are fitted to windows, with physics as the prior."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+import pandas as pd
+
+from core.fit.measured_rows import join_tables
+from core.fit.ride_blocks import ENERGY, get_numbers
+from core.fit.window_fit import READ, fit_rows
+from core.fit.window_interval import add_window_interval
+from core.models import VEHICLE, VEHICLE_MODEL, LinearModel, Term, stamp
+from core.models.features import list_raw_columns
+
+IDENTITY: tuple[str, ...] = ("ride_key", "start_s", VEHICLE, VEHICLE_MODEL, ENERGY, "energy_sd_kwh")
+"""Columns of windows that every fit reads."""
+
+
+@dataclass(frozen=True)
+class WindowRecipe:
+    """Fit coefficients of physical terms to windows, see `core.fit.window_fit`.
+
+    Parameters
+    ----------
+    name, title : str
+        Name in code and files, and title for people.
+    terms : tuple of Term
+        Terms of the model; each adds up over the windows of a ride.
+    note : str
+        Remark for readers.
+    """
+
+    name: str
+    title: str
+    terms: tuple[Term, ...]
+    note: str = ""
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Return the columns of the window table that the fit reads."""
+        raw = [name for term in self.terms for column in term.columns for name in list_raw_columns(column)]
+        return tuple(dict.fromkeys((*IDENTITY, *READ, *raw)))
+
+    def fit(self, rides: pd.DataFrame, windows: pd.DataFrame | None = None, *, covariance: bool = True) -> LinearModel:
+        """Return a model fitted to the windows of the rides of a table that are fit for training.
+
+        Parameters
+        ----------
+        rides : DataFrame
+            Ride table.
+        windows : DataFrame, optional
+            Window table of the same recordings; windows of other rides do not count. Without it, each ride is one
+            row, which tells less of each coefficient; the priors are the same.
+        covariance : bool
+            Whether to calibrate an interval; a fit without it is faster. The model has a covariance in any case.
+
+        Returns
+        -------
+        LinearModel
+            Fitted model. Its history says to which rows it was fitted.
+
+        Raises
+        ------
+        ModelError
+            If a column is missing, the tables are not of the same rides, or there are too few rides.
+        """
+        rows = _select(rides) if windows is None else join_tables(rides, windows)
+        model, groups = fit_rows(self.name, self.terms, rows)
+        if covariance:
+            model = add_window_interval(model, groups, rides)
+        done: dict[str, Any] = {"action": "fit", "recipe": self.name}
+        first = (model.history or (done,))[0] | {"rows": "rides" if windows is None else "windows"}
+        return stamp(msgspec.structs.replace(model, history=(first, *model.history[1:])))
+
+
+def _select(rides: pd.DataFrame) -> pd.DataFrame:
+    """Return the rides that are fit for training and measured."""
+    fit = rides["fit_for_training"].to_numpy(dtype=bool, na_value=False) if "fit_for_training" in rides else True
+    return rides.loc[fit & np.isfinite(get_numbers(rides, ENERGY))]
+
+
+@dataclass(frozen=True, eq=False)
+class RecipeWithWindows:
+    """Fit a recipe to rides and to those windows of a table that belong to them.
+
+    Cross-validation passes training rides alone; the key of each ride selects its windows, so no window of another
+    ride takes part.
+
+    Parameters
+    ----------
+    recipe : WindowRecipe
+        Recipe.
+    windows : DataFrame
+        Windows of all rides.
+    """
+
+    recipe: WindowRecipe
+    windows: pd.DataFrame
+
+    def __post_init__(self) -> None:
+        """Keep only the columns that the fit reads, because each process gets a copy."""
+        object.__setattr__(self, "windows", self.windows[[n for n in self.recipe.columns if n in self.windows]])
+
+    @property
+    def name(self) -> str:
+        """Return the name in code and files."""
+        return self.recipe.name
+
+    @property
+    def title(self) -> str:
+        """Return the title for people."""
+        return self.recipe.title
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """Return the terms of the model."""
+        return self.recipe.terms
+
+    def fit(self, rides: pd.DataFrame, *, covariance: bool = True) -> LinearModel:
+        """Return a model fitted to the windows of rides, see `WindowRecipe.fit`."""
+        return self.recipe.fit(rides, self.windows, covariance=covariance)

@@ -1,0 +1,61 @@
+"""Read ride tables and window tables from Parquet files, whose rides keep distinct keys."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from core.errors import ModelError
+
+KEY: Final = "ride_key"
+"""Column with the key of a ride, in both tables."""
+
+
+def read(files: Sequence[Path], columns: Sequence[str] | None = None) -> pd.DataFrame:
+    """Read tables and concatenate them; with several files, the index of the file comes before each ride key.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        Parquet files.
+    columns : sequence of str, optional
+        Columns to read; by default all.
+
+    Returns
+    -------
+    DataFrame
+
+    Raises
+    ------
+    ModelError
+        If a file is not a Parquet file, or if it lacks a column.
+    """
+    parts = []
+    for i, file in enumerate(files):
+        part = _read(file, columns)
+        if len(files) > 1 and KEY in part:
+            part[KEY] = f"{i}/" + part[KEY].astype(str)
+        parts.append(part)
+    return parts[0] if len(parts) == 1 else pd.concat(parts, ignore_index=True)
+
+
+def _read(file: Path, columns: Sequence[str] | None) -> pd.DataFrame:
+    """Read a table from a Parquet file."""
+    try:
+        with pq.ParquetFile(file) as opened:
+            there = set(opened.schema_arrow.names)
+            if missing := [name for name in columns or () if name not in there]:
+                raise ModelError(
+                    f"{file}: column {missing[0]!r} is missing: make the tables again with `socast tables`"
+                )
+            table: pd.DataFrame = opened.read(columns=None if columns is None else list(columns)).to_pandas()
+            return table
+    except OSError as error:
+        reason = error.strerror or " ".join(str(error).split())
+        raise ModelError(f"{file}: cannot read a table: {reason}; name a file that `socast tables` made") from error
+    except pa.ArrowException as error:
+        reason = " ".join(str(error).split())
+        raise ModelError(f"{file}: no Parquet table: {reason}; name a file that `socast tables` made") from error
