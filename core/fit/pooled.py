@@ -324,7 +324,7 @@ class PooledRecipe:
         interval = calibrate_interval(seen, unseen)
         if not (self.cars or self.trees):
             return interval
-        folds = {key: assign_car_folds(group.vehicles, _FOLDS) for key, group in groups.items()}
+        folds = {key: assign_car_folds(group.vehicles.tolist(), _FOLDS) for key, group in groups.items()}
         held = self._held_out(groups, {key: fold for key, fold in folds.items() if fold.max() > 0})
         return widen_for_unseen_cars(interval, held, [car for group in groups.values() for car in group.vehicles])
 
