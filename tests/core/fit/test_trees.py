@@ -71,11 +71,12 @@ def test_leaf_is_shrunk_mean_of_weighted_residual():
     np.testing.assert_allclose(leaves, expected, rtol=1e-12)
 
 
-def test_trees_predict_other_rides_as_well_as_histogram_booster():
+@pytest.mark.parametrize("rides", [2000, 2 * fitting._SEARCHED_RIDES])
+def test_trees_predict_other_rides_as_well_as_histogram_booster(rides):
     """Compare with the library's own booster at equal settings, on rides that neither has seen."""
-    train, test = features(3000, 11), features(3000, 12)
+    train, test = features(rides, 11), features(3000, 12)
     edges = [compute_bin_edges(column) for column in train.T]
-    mine = fit_trees(train, NAMES, answers(train, 11), np.ones(3000))
+    mine = fit_trees(train, NAMES, answers(train, 11), np.ones(rides))
     booster = HistGradientBoostingRegressor(
         max_iter=TREES, learning_rate=LEARNING_RATE, max_leaf_nodes=LEAVES, l2_regularization=SHRINKAGE,
         min_samples_leaf=fitting._LEAST_LEAF_RIDES, max_bins=fitting._BINS, early_stopping=False,
