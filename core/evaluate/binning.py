@@ -55,7 +55,7 @@ def bin_rides(rides: pd.DataFrame) -> dict[str, Binning]:
         Binnings by the keys of `BINNERS`, in that order. A property that no ride has is left out.
     """
     made = {name: make(rides) for name, make in BINNERS.items()}
-    return {name: found for name, found in made.items() if np.any(found.codes >= 0)}
+    return {name: bins for name, bins in made.items() if np.any(bins.codes >= 0)}
 
 
 def compute_local_hour(start_s: Floats, longitude_deg: Floats) -> Floats:

@@ -69,8 +69,8 @@ def _enough(codes: Codes, rows: Codes) -> Codes:
     rows : (n,) int64
         Rides that were predicted; a ride may occur several times.
     """
-    own = codes[np.unique(rows)]
-    rides = np.bincount(own[own >= 0], minlength=int(codes.max(initial=0)) + 1)
+    of_rows = codes[np.unique(rows)]
+    rides = np.bincount(of_rows[of_rows >= 0], minlength=int(codes.max(initial=0)) + 1)
     return np.where((codes >= 0) & (rides[np.maximum(codes, 0)] >= LEAST_RIDES), codes, -1)[rows]
 
 
@@ -112,20 +112,20 @@ def compute_overall_errors(held: HeldOutPredictions, evaluated: EvaluatedRides) 
     """
     rows = held.pooled
     energy, model, cluster = evaluated.energy[rows], evaluated.model[rows], _enough(evaluated.cluster, rows)
-    found: dict[str, Any] = {"bias": {}, "rmse": {}, "bands": {}, "buffer_kwh": {}, "buffer_by_cluster": {}}
+    errors: dict[str, Any] = {"bias": {}, "rmse": {}, "bands": {}, "buffer_kwh": {}, "buffer_by_cluster": {}}
     for recipe in held.recipes:
-        said = held.all_of(recipe)
-        own = [(name, model == i) for i, name in enumerate(evaluated.vehicle_models)]
-        found["bias"][recipe] = {name: scores.compute_bias(energy[at], said[at]) for name, at in own}
-        found["rmse"][recipe] = {name: scores.compute_rmse(energy[at], said[at]) for name, at in own}
-        found["bands"][recipe] = scores.compute_band_shares(energy, said)
-        found["buffer_kwh"][recipe] = _buffers(energy, said)
-        found["buffer_by_cluster"][recipe] = {
-            name: _buffers(energy[cluster == i], said[cluster == i])
+        predicted = held.all_of(recipe)
+        by_model = [(name, model == i) for i, name in enumerate(evaluated.vehicle_models)]
+        errors["bias"][recipe] = {name: scores.compute_bias(energy[at], predicted[at]) for name, at in by_model}
+        errors["rmse"][recipe] = {name: scores.compute_rmse(energy[at], predicted[at]) for name, at in by_model}
+        errors["bands"][recipe] = scores.compute_band_shares(energy, predicted)
+        errors["buffer_kwh"][recipe] = _buffers(energy, predicted)
+        errors["buffer_by_cluster"][recipe] = {
+            name: _buffers(energy[cluster == i], predicted[cluster == i])
             for i, name in enumerate(CLUSTERS)
             if np.any(cluster == i)
         }
-    return found
+    return errors
 
 
 def _buffers(measured: Floats, predicted: Floats) -> dict[str, float]:
@@ -150,18 +150,18 @@ def compute_interval_coverage(held: HeldOutPredictions, evaluated: EvaluatedRide
     rows = held.pooled
     energy = evaluated.energy[rows]
     season, seasons = bin_seasons(evaluated.rides["winter"].to_numpy(np.float64))
-    found: dict[str, dict[str, Any]] = {}
+    coverage: dict[str, dict[str, Any]] = {}
     for recipe in held.bounds:
         lower, upper = held.all_bounds(recipe)
         inside = ((lower <= energy) & (energy <= upper)).astype(np.float64)
-        found[recipe] = {
+        coverage[recipe] = {
             "overall": scores.compute_coverage(energy, lower, upper),
             "cluster": _shares(inside, _enough(evaluated.cluster, rows), CLUSTERS),
             "season": _shares(inside, _enough(season, rows), seasons),
             "vehicle_model": _shares(inside, _enough(evaluated.model, rows), evaluated.vehicle_models),
             "width_kwh": float(np.mean(upper - lower)) if len(energy) else np.nan,
         }
-    return found
+    return coverage
 
 
 def _shares(inside: Floats, groups: Codes, names: Sequence[str]) -> dict[str, float]:

@@ -58,19 +58,19 @@ class HeldOutPredictions:
         return np.concatenate([np.zeros((2, 0)), *self.bounds[recipe]], axis=1)
 
 
-def select_comparable(said: Mapping[str, Sequence[Prediction]], rides: int) -> HeldOutPredictions:
+def select_comparable(by_recipe: Mapping[str, Sequence[Prediction]], rides: int) -> HeldOutPredictions:
     """Return the predictions of comparable recipes, for the rides that all of them predict.
 
     Parameters
     ----------
-    said : mapping of str to sequence of Prediction
+    by_recipe : mapping of str to sequence of Prediction
         Predictions by recipe, repeats in order.
     rides : int
         Number of rides in the table.
     """
     notes: list[str] = []
     kept: list[str] = []
-    for name, predictions in said.items():
+    for name, predictions in by_recipe.items():
         silent = [np.isnan(p.energy) for p in predictions]
         missing, of = sum(int(s.sum()) for s in silent), sum(len(s) for s in silent)
         if problem := next((p.problem for p in predictions if p.problem), ""):
@@ -85,18 +85,20 @@ def select_comparable(said: Mapping[str, Sequence[Prediction]], rides: int) -> H
                 notes.append(
                     f"{name}: no prediction for {missing / of:.2%} of the rides; no recipe is evaluated by these"
                 )
-    repeats = len(next(iter(said.values()), ()))
-    told = [np.all([~np.isnan(said[name][i].energy) for name in kept], axis=0) for i in range(repeats) if kept]
-    first = said[kept[0]] if kept else ()
+    repeats = len(next(iter(by_recipe.values()), ()))
+    predicted = [
+        np.all([~np.isnan(by_recipe[name][i].energy) for name in kept], axis=0) for i in range(repeats) if kept
+    ]
+    first = by_recipe[kept[0]] if kept else ()
     tested = [len(p.rows) for p in first]
     return HeldOutPredictions(
         recipes=tuple(kept),
-        rows=tuple(p.rows[t] for p, t in zip(first, told, strict=True)),
-        energy={name: tuple(p.energy[t] for p, t in zip(said[name], told, strict=True)) for name in kept},
+        rows=tuple(p.rows[t] for p, t in zip(first, predicted, strict=True)),
+        energy={name: tuple(p.energy[t] for p, t in zip(by_recipe[name], predicted, strict=True)) for name in kept},
         bounds={
-            name: tuple(np.array([p.lower, p.upper])[:, t] for p, t in zip(said[name], told, strict=True))
+            name: tuple(np.array([p.lower, p.upper])[:, t] for p, t in zip(by_recipe[name], predicted, strict=True))
             for name in kept
-            if said[name] and all(p.lower is not None for p in said[name])
+            if by_recipe[name] and all(p.lower is not None for p in by_recipe[name])
         },
         overlap=float(np.mean([n / (rides - n) for n in tested])) if tested else np.nan,
         notes=tuple(notes),
@@ -119,21 +121,24 @@ def compute_cell_means(held: HeldOutPredictions, evaluated: EvaluatedRides, valu
         Means of the scored clusters; NaN where the table has fewer than `LEAST_RIDES` rides.
     """
     models, enough = len(evaluated.vehicle_models), evaluated.count()[:, :SCORED_CLUSTERS] >= LEAST_RIDES
-    found = np.full((len(values), models, SCORED_CLUSTERS), np.nan)
+    cells = np.full((len(values), models, SCORED_CLUSTERS), np.nan)
     for repeat, (rows, value) in enumerate(zip(held.rows, values, strict=True)):
         groups = evaluated.model[rows] * SCORED_CLUSTERS + evaluated.cluster[rows]
         groups[evaluated.cluster[rows] >= SCORED_CLUSTERS] = -1
-        found[repeat] = np.where(
+        cells[repeat] = np.where(
             enough,
             compute_group_means(value, groups, models * SCORED_CLUSTERS).reshape(models, SCORED_CLUSTERS),
             np.nan,
         )
-    return found
+    return cells
 
 
 def compute_absolute_errors(held: HeldOutPredictions, evaluated: EvaluatedRides, recipe: str) -> list[Floats]:
     """Return the absolute errors of a recipe, by repeat. [kWh]"""
-    return [np.abs(said - evaluated.energy[rows]) for rows, said in zip(held.rows, held.energy[recipe], strict=True)]
+    return [
+        np.abs(predicted - evaluated.energy[rows])
+        for rows, predicted in zip(held.rows, held.energy[recipe], strict=True)
+    ]
 
 
 def estimate_cells(means: Floats, overlap: float) -> list[list[Estimate]]:
@@ -142,28 +147,28 @@ def estimate_cells(means: Floats, overlap: float) -> list[list[Estimate]]:
     return [[average_over_repeats(means[:, m, c], overlap) for c in range(count)] for m in range(models)]
 
 
-def average_over_clusters(found: list[list[Estimate]]) -> list[Estimate]:
+def average_over_clusters(cells: list[list[Estimate]]) -> list[Estimate]:
     """Return the post-stratified average over clusters, for each vehicle model."""
-    return [combine_strata(row) for row in found]
+    return [combine_strata(row) for row in cells]
 
 
-def average_over_vehicle_models(found: list[list[Estimate]], evaluated: EvaluatedRides) -> list[Estimate]:
+def average_over_vehicle_models(cells: list[list[Estimate]], evaluated: EvaluatedRides) -> list[Estimate]:
     """Return the mean over vehicle models for each cluster, weighted as in the paper by all their rides."""
     rides = evaluated.count().sum(axis=1).tolist()
-    columns = [[row[c] for row in found] for c in range(SCORED_CLUSTERS)]
+    columns = [[row[c] for row in cells] for c in range(SCORED_CLUSTERS)]
     return [
         combine_strata(column, weigh_vehicle_models(rides, [not isnan(each.value) for each in column]).tolist())
         for column in columns
     ]
 
 
-def tabulate_estimates(found: list[list[Estimate]], evaluated: EvaluatedRides) -> dict[str, Any]:
+def tabulate_estimates(cells: list[list[Estimate]], evaluated: EvaluatedRides) -> dict[str, Any]:
     """Return a table of the paper: vehicle model to cluster to figure, with `average`, and the row `weighted`."""
-    average = average_over_clusters(found)
+    average = average_over_clusters(cells)
     rows: dict[str, Any] = {}
-    for model, row, mean in zip(evaluated.vehicle_models, found, average, strict=True):
+    for model, row, mean in zip(evaluated.vehicle_models, cells, average, strict=True):
         rows[model] = {**_row(row), "average": mean.figures()}
-    return rows | {"weighted": _row(average_over_vehicle_models(found, evaluated))}
+    return rows | {"weighted": _row(average_over_vehicle_models(cells, evaluated))}
 
 
 def _row(estimates: Sequence[Estimate]) -> dict[str, dict[str, float]]:

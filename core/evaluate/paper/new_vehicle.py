@@ -76,12 +76,12 @@ def select_untrained(keys: Collection[str], evaluated: EvaluatedRides) -> tuple[
         Where a key names no vehicle model of the rides.
     """
     named = {key: [m for m in evaluated.vehicle_models if key in (m, find_paper_key(m))] for key in keys}
-    if unknown := [key for key, found in named.items() if not found]:
+    if unknown := [key for key, kinds in named.items() if not kinds]:
         raise SettingsError(
             f"no ride is of vehicle model {unknown[0]!r}, which is to be left out of training; name some of "
             f"{', '.join(evaluated.vehicle_models)}"
         )
-    chosen = {name for found in named.values() for name in found}
+    chosen = {name for kinds in named.values() for name in kinds}
     return tuple(name for name in evaluated.vehicle_models if name in chosen)
 
 
@@ -100,12 +100,12 @@ def split_by_vehicle_model(evaluated: EvaluatedRides, untrained: Collection[str]
         Without the vehicle models that have no others to train on, or too few rides to test.
     """
     trained = np.isin(evaluated.model, [i for i, name in enumerate(evaluated.vehicle_models) if name not in untrained])
-    found = {
+    splits = {
         name: Split(np.flatnonzero(trained & (evaluated.model != i)), np.flatnonzero(evaluated.model == i))
         for i, name in enumerate(evaluated.vehicle_models)
         if np.any(evaluated.count()[i, :SCORED_CLUSTERS] >= LEAST_RIDES)
     }
-    return {name: split for name, split in found.items() if len(split.train)}
+    return {name: split for name, split in splits.items() if len(split.train)}
 
 
 def compute_tables_12_and_13(
@@ -131,7 +131,7 @@ def compute_tables_12_and_13(
     means = {r: [compute_pooled_average(held[name], evaluated, r)[at[name]] for name in held] for r in recipes}
     used = [_consumption(evaluated, i) for i in at.values()]
     reduced = compute_reductions(means, list(held))
-    found: dict[str, dict[str, dict[str, float]]] = {}
+    tables: dict[str, dict[str, dict[str, float]]] = {}
     for recipe in recipes:
         rows = {}
         for i, name in enumerate(held):
@@ -140,26 +140,26 @@ def compute_tables_12_and_13(
                 figures |= {"basic": means[REFERENCE][i], "reduction": reduced[recipe][name]}
             rows[name] = figures
         keys = next(iter(rows.values()))
-        found[recipe] = rows | {"average": {key: float(np.mean([row[key] for row in rows.values()])) for key in keys}}
-    return found
+        tables[recipe] = rows | {"average": {key: float(np.mean([row[key] for row in rows.values()])) for key in keys}}
+    return tables
 
 
 def _consumption(evaluated: EvaluatedRides, model: int) -> float:
     """Return the mean energy of a ride, averaged over the scored clusters. [kWh]"""
-    own = evaluated.model == model
-    means = compute_group_means(evaluated.energy[own], evaluated.cluster[own], SCORED_CLUSTERS)
+    of_model = evaluated.model == model
+    means = compute_group_means(evaluated.energy[of_model], evaluated.cluster[of_model], SCORED_CLUSTERS)
     return float(means[evaluated.count()[model, :SCORED_CLUSTERS] >= LEAST_RIDES].mean())
 
 
 def list_learners(recipes: Mapping[str, EvaluatedRecipe]) -> list[Learner]:
     """Return the benchmark in both ways, and every recipe that can adapt."""
-    found = []
+    learners = []
     if BENCHMARK in recipes:
-        found = [
+        learners = [
             Learner(BENCHMARK_UNCHANGED, recipes[BENCHMARK], "unchanged"),
             Learner(BENCHMARK_REFITTED, recipes[BENCHMARK], "refitted"),
         ]
-    return found + [Learner(name, recipe, "adapted") for name, recipe in recipes.items() if hasattr(recipe, "adapt")]
+    return learners + [Learner(name, recipe, "adapted") for name, recipe in recipes.items() if hasattr(recipe, "adapt")]
 
 
 def select_ride_counts(rides: int) -> tuple[int, ...]:
@@ -173,9 +173,9 @@ def select_ride_counts(rides: int) -> tuple[int, ...]:
     return tuple(count for count in RIDE_COUNTS if 2 * count <= rides)
 
 
-def draw_rides(own: Positions, name: str, seed: int, number: int) -> list[Positions]:
+def draw_rides(of_model: Positions, name: str, seed: int, number: int) -> list[Positions]:
     """Return rides in random orders: learners get the first ones; those after the largest count are the test."""
-    return [np.random.default_rng([seed, crc32(name.encode()), draw]).permutation(own) for draw in range(number)]
+    return [np.random.default_rng([seed, crc32(name.encode()), draw]).permutation(of_model) for draw in range(number)]
 
 
 def plan_learning_curves(
@@ -209,16 +209,16 @@ def compute_learning_curve(
     test_rides = evaluated.drop_answers()
     try:
         start = learner.recipe.fit(evaluated.rides.iloc[split.train])
-        found = np.empty((len(orders), len(counts)))
+        curve = np.empty((len(orders), len(counts)))
         for i, order in enumerate(orders):
             tested = np.sort(order[counts[-1] :])
             for j, count in enumerate(counts):
                 model = _train(learner, start, evaluated, split, np.sort(order[:count]))
                 error = np.abs(model.predict(test_rides.iloc[tested]) - evaluated.energy[tested])
-                found[i, j] = _average(error, evaluated, tested)
+                curve[i, j] = _average(error, evaluated, tested)
     except SocastError as problem:
         return str(problem)
-    return found
+    return curve
 
 
 def _train(
@@ -241,11 +241,11 @@ def _average(error: Floats, evaluated: EvaluatedRides, tested: Positions) -> flo
     return float(np.nanmean(means)) if np.any(~np.isnan(means)) else np.nan
 
 
-def tabulate_learning_curves(found: Mapping[tuple[str, str], Floats | str]) -> tuple[dict[str, Any], list[str]]:
+def tabulate_learning_curves(curves: Mapping[tuple[str, str], Floats | str]) -> tuple[dict[str, Any], list[str]]:
     """Return the curves by vehicle model and learner, and notes on those that failed."""
     table: dict[str, Any] = {}
     notes = []
-    for (name, learner), errors in found.items():
+    for (name, learner), errors in curves.items():
         if isinstance(errors, str):
             notes.append(f"{learner} on a few rides of {name}: {errors}")
             continue

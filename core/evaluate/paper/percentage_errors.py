@@ -50,13 +50,13 @@ def compute_percentage_errors(held: Mapping[str, HeldOutPredictions], evaluated:
     unit that was held out.
     """
     variance = compute_noise_variance(evaluated.rides)
-    found: dict[str, Any] = {"least_energy_kwh": LEAST_ENERGY}
+    percentages: dict[str, Any] = {"least_energy_kwh": LEAST_ENERGY}
     for kind, predictions in held.items():
         rows = predictions.pooled
         if not len(rows):
             continue
         energy, floor = evaluated.energy[rows], compute_noise_floor(variance[rows])
-        found[kind] = {
+        percentages[kind] = {
             "rides": len(rows),
             "energy_kwh": float(np.mean(energy)),
             "below_least": compute_share_below_least(energy),
@@ -73,14 +73,14 @@ def compute_percentage_errors(held: Mapping[str, HeldOutPredictions], evaluated:
                 for recipe in predictions.recipes
             },
         }
-    return found
+    return percentages
 
 
 def _compute_over_repeats(
     held: HeldOutPredictions, evaluated: EvaluatedRides, recipe: str, floor: float
 ) -> dict[str, Any]:
     """Return the figures of `compute_relative_figures`, averaged over repeated draws of the test rides."""
-    pairs = [(evaluated.energy[rows], said) for rows, said in zip(held.rows, held.energy[recipe], strict=True)]
+    pairs = [(evaluated.energy[rows], energy) for rows, energy in zip(held.rows, held.energy[recipe], strict=True)]
 
     def average(measure: Callable[[Floats, Floats], float]) -> dict[str, float]:
         return average_over_repeats(np.array([measure(*pair) for pair in pairs]), held.overlap).figures()

@@ -175,19 +175,19 @@ def _tables(
 ) -> dict[str, Any]:
     """Return every table that follows from predictions."""
     ride = held["ride"]
-    found: dict[str, Any] = {"about": results.describe_evaluation(table, seed, repeats, TEST_SHARE)}
-    found |= results.compute_tables_2_and_3(table)
-    found |= results.compute_tables_4_to_11(ride, table)
-    found |= results.compute_difference_scores(ride, table)
-    found |= breakdown.compute_overall_errors(ride, table)
-    found["by"] = breakdown.compute_errors_by_bin(ride, table)
-    found["coverage"] = breakdown.compute_interval_coverage(ride, table)
+    tables: dict[str, Any] = {"about": results.describe_evaluation(table, seed, repeats, TEST_SHARE)}
+    tables |= results.compute_tables_2_and_3(table)
+    tables |= results.compute_tables_4_to_11(ride, table)
+    tables |= results.compute_difference_scores(ride, table)
+    tables |= breakdown.compute_overall_errors(ride, table)
+    tables["by"] = breakdown.compute_errors_by_bin(ride, table)
+    tables["coverage"] = breakdown.compute_interval_coverage(ride, table)
     for kind in ("vehicle", "date"):
         for recipe, figures in breakdown.compute_interval_coverage(held[kind], table).items():
-            found["coverage"].setdefault(recipe, {})[f"by_{kind}"] = figures["overall"]
+            tables["coverage"].setdefault(recipe, {})[f"by_{kind}"] = figures["overall"]
     for recipe, figures in breakdown.compute_interval_coverage(concatenate_held_out(new), table).items():
-        found["coverage"].setdefault(recipe, {})["new_vehicle"] = figures["overall"]
-    found["splits"] = {"ride": _averages(found["mae"], table)} | {
+        tables["coverage"].setdefault(recipe, {})["new_vehicle"] = figures["overall"]
+    tables["splits"] = {"ride": _averages(tables["mae"], table)} | {
         kind: {
             recipe: dict(
                 zip(table.vehicle_models, results.compute_pooled_average(held[kind], table, recipe), strict=True)
@@ -196,13 +196,13 @@ def _tables(
         }
         for kind in ("vehicle", "date")
     }
-    found["percentage"] = percentage_errors.compute_percentage_errors(held, table)
-    found["reduction_by_baseline"] = percentage_errors.compute_reductions_by_baseline(
-        {recipe: list(of.values()) for recipe, of in found["splits"]["ride"].items()}, table.vehicle_models
+    tables["percentage"] = percentage_errors.compute_percentage_errors(held, table)
+    tables["reduction_by_baseline"] = percentage_errors.compute_reductions_by_baseline(
+        {recipe: list(of.values()) for recipe, of in tables["splits"]["ride"].items()}, table.vehicle_models
     )
-    found["new_vehicle"] = new_vehicle.compute_tables_12_and_13(new, table)
-    found["curve"] = compute_figure_1(table)
-    return found
+    tables["new_vehicle"] = new_vehicle.compute_tables_12_and_13(new, table)
+    tables["curve"] = compute_figure_1(table)
+    return tables
 
 
 def concatenate_held_out(parts: Mapping[Any, HeldOutPredictions]) -> HeldOutPredictions:
@@ -242,8 +242,8 @@ def _notes(
         if not splits[kind]:
             notes.append(why)
     notes += held["ride"].notes
-    others = {f"split by {kind}": own for kind, own in held.items() if kind != "ride"}
-    for where, own in (others | {f"without {name}": own for name, own in new.items()}).items():
-        told = [note for note in own.notes if note.partition(":")[0] in held["ride"].recipes]
-        notes += [f"{note} ({where})" for note in told]
+    others = {f"split by {kind}": held_out for kind, held_out in held.items() if kind != "ride"}
+    for where, held_out in (others | {f"without {name}": held_out for name, held_out in new.items()}).items():
+        notes_of_recipes = [note for note in held_out.notes if note.partition(":")[0] in held["ride"].recipes]
+        notes += [f"{note} ({where})" for note in notes_of_recipes]
     return notes

@@ -61,22 +61,22 @@ class VehicleModelRegression(RegressorMixin, BaseEstimator):  # type: ignore[mis
         self.coefficients_: dict[int, tuple[Floats, float]] = {}
         squares = np.zeros(x.shape[1] - 1)
         for model in np.unique(x[:, 0]):
-            own = x[:, 0] == model
+            of_model = x[:, 0] == model
             moments = Moments(x.shape[1])
-            moments.add(np.column_stack([x[own, 1:], y[own]]))
+            moments.add(np.column_stack([x[of_model, 1:], y[of_model]]))
             solution = solve(moments, constant=True)
             self.coefficients_[int(model)] = (solution.coefficients, solution.constant or 0.0)
-            squares += np.sum(own) * solution.coefficients**2
+            squares += np.sum(of_model) * solution.coefficients**2
         self.importance_ = np.append(KEPT_IMPORTANCE, np.sqrt(squares / len(x)))
         return self
 
     def predict(self, x: Floats) -> Floats:
         """Return energies; NaN for a vehicle model that was not fitted. [kWh]"""
-        found = np.full(len(x), np.nan)
+        predicted = np.full(len(x), np.nan)
         for model, (coefficients, constant) in self.coefficients_.items():
-            own = x[:, 0] == model
-            found[own] = x[own, 1:] @ coefficients + constant
-        return found
+            of_model = x[:, 0] == model
+            predicted[of_model] = x[of_model, 1:] @ coefficients + constant
+        return predicted
 
 
 class Design(NamedTuple):
@@ -134,8 +134,8 @@ def find_removable_terms(recipe: LinearRecipe, evaluated: EvaluatedRides, seed: 
     varies = np.ptp(whole.table[:, 1:], axis=0) > 0.0
     whole = whole._replace(table=whole.table[:, np.append(True, varies)])
     names = np.array([term.name for term in terms])
-    found = rank_terms(whole.part(halves.train), names[varies].tolist(), seed)
-    return {"constant": names[~varies].tolist()} | _add_losses(found, names[varies], whole.part(halves.test), seed)
+    removable = rank_terms(whole.part(halves.train), names[varies].tolist(), seed)
+    return {"constant": names[~varies].tolist()} | _add_losses(removable, names[varies], whole.part(halves.test), seed)
 
 
 def rank_terms(rides: Design, names: Sequence[str], seed: int) -> dict[str, Any]:
@@ -157,13 +157,13 @@ def rank_terms(rides: Design, names: Sequence[str], seed: int) -> dict[str, Any]
     }
 
 
-def _add_losses(found: Mapping[str, Any], names: NDArray[np.str_], design: Design, seed: int) -> dict[str, Any]:
+def _add_losses(removable: Mapping[str, Any], names: NDArray[np.str_], design: Design, seed: int) -> dict[str, Any]:
     """Return `rfecv` and `rfe` with their cost on rides that did not rank the terms."""
-    order = found["order"]
-    price, *steps = compute_losses(design, [found["cut"], *(order[: i + 1] for i in range(len(order)))], seed)
+    order = removable["order"]
+    price, *steps = compute_losses(design, [removable["cut"], *(order[: i + 1] for i in range(len(order)))], seed)
     gone = next((i for i, loss in enumerate(steps) if loss.value > 0.0 and loss.p < SIGNIFICANCE), len(steps))
     return {
-        "rfecv": {"removed": names[found["cut"]].tolist(), "scores": found["scores"], "loss": _figures(price)},
+        "rfecv": {"removed": names[removable["cut"]].tolist(), "scores": removable["scores"], "loss": _figures(price)},
         "rfe": {
             "removed": names[order[:gone]].tolist(),
             "loss": _figures(steps[gone - 1]) if gone else None,
@@ -196,17 +196,17 @@ def compute_losses(design: Design, removed: Sequence[Codes], seed: int) -> list[
 
 def _errors(design: Design, kept: Sequence[Codes], split: Split) -> Floats:
     """Return the mean absolute error with each set of terms; all sets share one sum of the normal equations."""
-    found = np.zeros(len(kept))
+    errors = np.zeros(len(kept))
     train, test = design.part(split.train), design.part(split.test)
     for model in np.unique(train.table[:, 0]):
-        own, tested = train.table[:, 0] == model, test.table[:, 0] == model
+        of_model, tested = train.table[:, 0] == model, test.table[:, 0] == model
         moments = Moments(train.table.shape[1])
-        moments.add(np.column_stack([train.table[own, 1:], train.energy[own]]))
+        moments.add(np.column_stack([train.table[of_model, 1:], train.energy[of_model]]))
         for i, columns in enumerate(kept):
             solution = solve(moments.only([*columns.tolist(), -1]), constant=True)
-            said = test.table[tested][:, 1 + columns] @ solution.coefficients + (solution.constant or 0.0)
-            found[i] += float(np.sum(np.abs(said - test.energy[tested])))
-    return found / len(test.energy)
+            predicted = test.table[tested][:, 1 + columns] @ solution.coefficients + (solution.constant or 0.0)
+            errors[i] += float(np.sum(np.abs(predicted - test.energy[tested])))
+    return errors / len(test.energy)
 
 
 def _halves(evaluated: EvaluatedRides, terms: int, seed: int) -> tuple[Positions, Split]:
@@ -228,15 +228,15 @@ def _design(
     ranks = np.isin(np.arange(len(rides)), halves.train)
     columns = np.empty((len(rides), len(terms)))
     for code in np.unique(model).tolist():
-        own = np.flatnonzero(model == code)
+        of_model = np.flatnonzero(model == code)
         name = evaluated.vehicle_models[code]
         fit = fits.get(name, fits[ANY])
-        of: Any = table.iloc[own]
-        part = build_design(terms, Columns(of, fit.fills, fit.curve), len(own))
-        first = part[ranks[own]]
+        of: Any = table.iloc[of_model]
+        part = build_design(terms, Columns(of, fit.fills, fit.curve), len(of_model))
+        first = part[ranks[of_model]]
         scale = first.std(axis=0)
         varies = scale > 1e-9 * np.abs(first).max(axis=0, initial=0.0)
-        columns[own] = np.where(varies, (part - first.mean(axis=0)) / np.where(varies, scale, 1.0), 0.0)
+        columns[of_model] = np.where(varies, (part - first.mean(axis=0)) / np.where(varies, scale, 1.0), 0.0)
     strata = [(evaluated.vehicle_models[code], int(evaluated.cluster[i])) for code, i in zip(model, rides, strict=True)]
     return Design(np.column_stack([model.astype(np.float64), columns]), evaluated.energy[rides], strata)
 

@@ -324,7 +324,7 @@ def _average_cell(result: Result, recipe: str, key: str) -> Cell:
 
 def _share_rows(
     result: Result,
-    found: Mapping[str, Any],
+    shares: Mapping[str, Any],
     names: Sequence[str],
     columns: Sequence[str],
     paper: Callable[[str, str], float | None] = lambda _recipe, _column: None,
@@ -334,7 +334,7 @@ def _share_rows(
         Row(
             get_title(result, recipe),
             tuple(
-                Cell(format_percent(get_part(found, recipe, column)), format_published_share(paper(recipe, column)))
+                Cell(format_percent(get_part(shares, recipe, column)), format_published_share(paper(recipe, column)))
                 for column in columns
             ),
         )
