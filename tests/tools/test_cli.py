@@ -242,7 +242,7 @@ def test_replay_reports_forecasts_and_comparison(recording, tmp_path):
     assert [(shift["vehicle_id"], shift["soc_end_pct"]) for shift in written["shifts"]] == [
         (f"car-{i}", pytest.approx(81.0)) for i in range(3)
     ]
-    assert "no intervals of the shift's end are known yet" in out
+    assert "forecasts of the shift's end have no intervals" in out
     assert all(ride["predicted_kwh"] > 0 and ride["energy_kwh"] > 0 for ride in rides)
     assert "9 rides of 3 cars" in out
     assert "messages that could not be decoded" in out
@@ -390,7 +390,7 @@ def test_demo_shows_cars_and_then_rides(recording, tmp_path):
     assert demo["rides"] == replay["rides"]
     assert "SOC" in out
     assert "9 rides of 3 cars" in out
-    assert "0 of the messages sent were missed" in out
+    assert "0 of the messages sent were not received" in out
 
 
 def test_closed_pipe_gives_no_traceback(recording):

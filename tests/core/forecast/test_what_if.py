@@ -292,8 +292,8 @@ def unlearned():
     ("pipeline", "why"),
     [
         (silent, "reports no state of charge"),
-        (unlearned, "no day of rides of this vehicle model"),
-        (lambda: at(900.0, 2, planned=False)[0], "no plan is known, and too few shifts"),
+        (unlearned, "no day with rides of this vehicle model"),
+        (lambda: at(900.0, 2, planned=False)[0], "no plan is known, and this car has ended too few shifts"),
         (lambda: at(900.0, 2)[0], "too few shifts have ended"),
     ],
     ids=["no charge", "no rides", "no plan", "no errors"],
@@ -323,7 +323,7 @@ def test_shift_longer_than_usual_has_no_forecast_but_its_ride_has():
     out = forecasts(pipeline.push([m for _, m in messages]), CAR)
     plain, queried = pipeline.ask(CAR), pipeline.ask(CAR, QUERIED_RIDE)
     assert out[max(out)].soc_end_of_shift_pct is plain.soc_end_of_shift_pct is plain.shift_end_s is None
-    assert "longer than those of this car" in plain.why_not
+    assert "longer than this car's usual shifts" in plain.why_not
     assert plain.reserve_soc_pct == queried.reserve_soc_pct == 100.0 * DEFAULT_RESERVE
     assert queried.shift_end_s == queried.time_s + QUERIED_RIDE.duration_s
     assert queried.soc_end_of_shift_pct == pytest.approx(queried.asked.soc_pct)
