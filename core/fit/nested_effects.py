@@ -278,34 +278,6 @@ def pin(prior: Gaussian, at: NDArray[np.bool_], mean: Floats) -> Gaussian:
     return Gaussian(np.where(at, mean, prior.mean), covariance)
 
 
-def compute_car_factors(elimination: Elimination, coefficients: Floats, spread: float) -> Floats:
-    """Return the consumption factor of each car, shrunk towards 1 according to its uncertainty.
-
-    Parameters
-    ----------
-    elimination : Elimination
-        Sums of cars.
-    coefficients : (..., p) float
-        Coefficients; leading axes must be those of the cars, where there are any.
-    spread : float
-        Standard deviation of the factor. [1]
-
-    Returns
-    -------
-    (cars,) float
-        Factors. [1]
-    """
-    return compute_factors(elimination.cars, coefficients, spread)
-
-
-def compute_factors(sums: Floats, coefficients: Floats, spread: float) -> Floats:
-    """Return the factors of cars with these sums, see `compute_car_factors`; sums of zeros give 1."""
-    p = coefficients.shape[-1]
-    last = sums.shape[-1] - 1
-    left = sums[..., last, p] - (sums[..., last, :p] * coefficients).sum(axis=-1)
-    return np.asarray(1.0 + spread**2 * left / (1.0 + spread**2 * sums[..., last, last]))
-
-
 def integrate_car_spread(elimination: Elimination, prior: Gaussian, spreads: LevelSpreads) -> Gaussian:
     """Return the posterior of the coefficients, integrated over the unknown spread of the factors of cars.
 

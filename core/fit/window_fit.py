@@ -6,8 +6,8 @@ cannot know, estimated from the residuals (`core.fit.row_noise`). Errors of the 
 vehicle-day and of the vehicle-days of a car depend on each other (`core.fit.nested_effects`).
 
 The coefficients of a vehicle model have the Gaussian prior of `core.fit.priors`. Few rides therefore move them little,
-and many rides determine them. The cars of a vehicle model share its coefficients; each has a consumption factor, shrunk
-towards 1 as far as its rides do not determine it.
+and many rides determine them. The cars of a vehicle model share its coefficients; how much cars differ by a factor is
+estimated and is part of their uncertainty. The model does not hold the factors, which would hide a missing effect.
 
 The accessory curve has a prior too, see `core.fit.window_solver`.
 """
@@ -26,7 +26,7 @@ from core.errors import ModelError
 from core.fit.fitting import build_design, limit_to_one_thread
 from core.fit.measured_rows import ENERGY_SD
 from core.fit.measurement_noise import compute_noise_variance
-from core.fit.nested_effects import Gaussian, compute_car_factors
+from core.fit.nested_effects import Gaussian
 from core.fit.priors import (
     build_curve_prior,
     build_prior,
@@ -96,7 +96,7 @@ def fit_rows(name: str, terms: tuple[Term, ...], rows: pd.DataFrame) -> tuple[Li
     rides = {key: len(set(keys[at].tolist())) for key, at in _groups(kinds)}
     alone = len(rides) == 2 and rides[ANY] == min(rides.values())
     groups: dict[str, GroupFit] = {}
-    fits, factors = {}, {}
+    fits = {}
     with limit_to_one_thread():
         for key, at in _groups(kinds):
             if rides[key] < LEAST_OWN_RIDES or (alone and key == ANY):
@@ -104,14 +104,10 @@ def fit_rows(name: str, terms: tuple[Term, ...], rows: pd.DataFrame) -> tuple[Li
             group = gather_rows(terms, good.iloc[at], fills[key])
             groups[key] = solve_group(group)
             fits[key] = _convert(terms, group, groups[key], fills[key])
-            factors[key] = _list_factors(group, groups[key])
     if alone:
         only = next(iter(groups))
         groups, fits = groups | {ANY: groups[only]}, fits | {ANY: fits[only]}
-    cars = factors.pop(ANY, {})
-    for own in factors.values():
-        cars |= own
-    return _assemble(name, terms, good, read, fits, cars), groups
+    return _assemble(name, terms, good, read, fits), groups
 
 
 def _groups(kinds: np.ndarray[tuple[int], np.dtype[np.object_]]) -> Iterator[tuple[str, Ints]]:
@@ -207,14 +203,6 @@ def _join(one: Gaussian, other: Gaussian) -> Gaussian:
     return Gaussian(np.concatenate([one.mean, other.mean]), covariance)
 
 
-def _list_factors(group: GroupRows, fitted: GroupFit) -> dict[str, float]:
-    """Return the consumption factors of cars; empty for a single car."""
-    if not fitted.spreads.car:
-        return {}
-    factors = compute_car_factors(fitted.elimination, fitted.posterior.mean, fitted.spreads.car)
-    return {str(name): float(factor) for name, factor in zip(group.cars, factors, strict=True)}
-
-
 def _convert(terms: Sequence[Term], group: GroupRows, fitted: GroupFit, fills: Mapping[str, float]) -> Fit:
     """Return the fit of a group as a model file stores it."""
     p = group.terms
@@ -248,9 +236,8 @@ def _assemble(
     rows: pd.DataFrame,
     read: Sequence[str],
     fits: Mapping[str, Fit],
-    cars: Mapping[str, float],
 ) -> LinearModel:
-    """Return the model with its fits, the factors of cars and the description of the training."""
+    """Return the model with its fits and the description of the training."""
     once = rows.drop_duplicates("ride_key")
     counts = Counter(kind for kind in get_names(once, VEHICLE_MODEL) if kind)
     dates = [date for date in once["date"] if date]
@@ -269,7 +256,7 @@ def _assemble(
     )
     return stamp(
         LinearModel(
-            name=name, version="", recipe=name, terms=terms, fits=dict(sorted(fits.items())), cars=dict(cars),
+            name=name, version="", recipe=name, terms=terms, fits=dict(sorted(fits.items())),
             training=training,
         )
     )  # fmt: skip

@@ -1,8 +1,8 @@
 """Calibrate the prediction interval of a model that was fitted to windows, on rides that each fit did not see.
 
-The sums of products of single vehicle-days and cars give the coefficients of every fit without a vehicle-day, without a
-car, and without a vehicle model, at the cost of one small system of equations each. The errors of a ride under the fit
-without its vehicle-day calibrate the interval of known cars; those under the fit without its car that of unseen cars.
+The sums of products of single vehicle-days and cars give the coefficients of every fit without a vehicle-day or without
+a vehicle model, at the cost of one small system of equations each. The errors of a ride under the fit without its
+vehicle-day calibrate the interval; those under the fit without its vehicle model that of unseen vehicle models.
 """
 
 import msgspec
@@ -11,13 +11,13 @@ import pandas as pd
 
 from core.batch import Floats, Ints
 from core.columns import ZERO_CELSIUS
-from core.fit.calibration import NEEDS, HeldOutErrors, calibrate_interval, collect_errors, widen_for_unseen_cars
+from core.fit.calibration import NEEDS, HeldOutErrors, calibrate_interval, collect_errors
 from core.fit.fitting import build_design
-from core.fit.nested_effects import compute_coefficients, compute_factors, without_car_factor
+from core.fit.nested_effects import compute_coefficients, without_car_factor
 from core.fit.priors import compute_curve_columns, is_curved
 from core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
 from core.fit.window_solver import GroupFit
-from core.models import ANY, VEHICLE, VEHICLE_MODEL, LinearModel, stamp
+from core.models import ANY, VEHICLE_MODEL, LinearModel, stamp
 from core.models.features import Columns
 
 
@@ -43,18 +43,15 @@ def add_window_interval(model: LinearModel, groups: dict[str, GroupFit], rides: 
     if any(column not in rides for column in NEEDS):
         return stamp(model)
     kinds = np.array(get_names(good, VEHICLE_MODEL), dtype=object)
-    seen, cars, models = {}, {}, {}
+    seen, models = {}, {}
     for kind in sorted(set(kinds.tolist())):
         rows = np.flatnonzero(kinds == kind)
         own = _HeldOut(model, groups, kind if kind in groups else ANY, good.iloc[rows])
         columns = Columns(good, rows=rows)
         seen[kind or ANY] = collect_errors(own.without_day(), columns)
-        if len(own.fitted.elimination.cars) > 1:
-            cars[kind or ANY] = collect_errors(own.without_car(), columns)
         if len(set(kinds.tolist())) > 1:
             models[kind or ANY] = collect_errors(_without_rows(model, groups, good, rows), columns)
     interval = calibrate_interval(_known(seen), _known(models))
-    interval = widen_for_unseen_cars(interval, _known(cars), get_names(good, VEHICLE))
     return stamp(msgspec.structs.replace(model, interval=interval))
 
 
@@ -70,7 +67,7 @@ class _HeldOut:
         self.fitted = groups[key]
         self.columns, self.offset = _design(model, key, self.fitted, rides)
         self.energy = get_numbers(rides, ENERGY)
-        self.day, self.car = _places(self.fitted, rides)
+        self.day, _ = _places(self.fitted, rides)
         spread, sums = self.fitted.spreads.car, self.fitted.elimination.cars
         self.cars = without_car_factor(sums, spread)[0]
         self.total = self.cars.sum(axis=0)
@@ -81,16 +78,11 @@ class _HeldOut:
         rest = fitted.elimination.cars[car] - fitted.elimination.days
         changed, _ = without_car_factor(rest, fitted.spreads.car)
         mean = compute_coefficients(fitted.prior, self.total - self.cars[car] + changed).mean
-        return self._errors(mean, compute_factors(rest, mean, fitted.spreads.car), self.day)
+        return self._errors(mean, self.day)
 
-    def without_car(self) -> Floats:
-        """Return the error of each ride under the fit without its car, (n,). [kWh]"""
-        mean = compute_coefficients(self.fitted.prior, self.total - self.cars).mean
-        return self._errors(mean, np.ones(len(mean)), self.car)
-
-    def _errors(self, mean: Floats, factor: Floats, place: Ints) -> Floats:
+    def _errors(self, mean: Floats, place: Ints) -> Floats:
         """Return the error of each ride, with the coefficients of its part; NaN for a ride outside of the fit."""
-        predicted = (np.einsum("ij,ij->i", self.columns, mean[place]) + self.offset) * factor[place]
+        predicted = np.einsum("ij,ij->i", self.columns, mean[place]) + self.offset
         return np.where(place >= 0, self.energy - predicted, np.nan)
 
 

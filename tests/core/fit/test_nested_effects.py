@@ -8,7 +8,6 @@ from core.fit.nested_effects import (
     Gaussian,
     LevelSpreads,
     RideProducts,
-    compute_car_factors,
     compute_coefficients,
     compute_level_evidence,
     eliminate,
@@ -89,15 +88,6 @@ def test_sums_of_a_part_equal_sums_of_the_rest():
     part = RideProducts(products.sums[kept], products.rows[kept], np.arange(8).repeat(2), np.delete(rows.car, 4))
     rest = elimination.cars[1] - elimination.days[4]
     np.testing.assert_allclose(eliminate(part, SPREADS).cars[1], rest, rtol=1e-9, atol=1e-9)
-
-
-def test_planted_factors_of_cars_are_shrunk_towards_one():
-    rows = Rows(days=20)
-    high = np.where(rows.car[rows.day[rows.ride]] == 2, 1.2, 1.0)
-    rows.energy = high * (rows.design @ GUESS)
-    factors = compute_car_factors(eliminate(rows.products(), SPREADS), GUESS, SPREADS.car)
-    np.testing.assert_allclose(factors[:2], 1.0, atol=1e-9)
-    assert 1.1 < factors[2] < 1.2
 
 
 @pytest.mark.parametrize("cars", [True, False])
