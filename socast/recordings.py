@@ -172,7 +172,14 @@ def make_tables(
     """
     wanted = effects.list_tabulated() if also is None else list(also)
     elevation_map = open_elevation([Path(file) for file in elevation])
-    pipeline = Pipeline(model, settings or Settings(), also=wanted, keep_forecasts=False, elevation_map=elevation_map)
+    pipeline = Pipeline(
+        model,
+        settings or Settings(),
+        also=wanted,
+        keep_forecasts=False,
+        two_sided=True,
+        elevation_map=elevation_map,
+    )
     for messages in _blocks(recordings):
         pipeline.take(messages)
     pipeline.finish()

@@ -30,8 +30,8 @@ from core.cleaning.kernel import Clean
 LENGTH: Final = 300.0
 """Length over which the slope of a road returns to level. [m]
 
-Chosen on simulated fleets: from 250 m to 1,000 km the error of the climb changes by 4 %, but a longer length loses up to
-3 % of the gained height.
+Chosen on simulated fleets: from 250 m to 1,000 km the error of the climb changes by 4 %, but a longer length loses
+up to 3 % of the gained height.
 """
 STEEP: Final = 0.05
 """Standard deviation of the slope before the first fix: most roads have less than 10 %. [1]"""

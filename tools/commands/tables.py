@@ -102,7 +102,14 @@ def tables(
     socast tables kept/*.mcap --out tables --effects my_effects.py --period-s 1
     """
     wanted, elevation_map = effects.list_tabulated(), open_elevation(elevation or ())
-    pipeline = Pipeline(models.load(model), settings, also=wanted, keep_forecasts=False, elevation_map=elevation_map)
+    pipeline = Pipeline(
+        models.load(model),
+        settings,
+        also=wanted,
+        keep_forecasts=False,
+        two_sided=True,
+        elevation_map=elevation_map,
+    )
     sources = open_recordings(recordings)
     folder = _folder(out)
     read = [*recordings, *select_model_files([model]), *(effects_file or ()), *(elevation or ())]
@@ -180,7 +187,7 @@ def in_memory(recordings: Sequence[Path], wanted: Sequence[str]) -> tuple[pd.Dat
     -------
     rides, windows : DataFrame
     """
-    pipeline = Pipeline(also=wanted, keep_forecasts=False)
+    pipeline = Pipeline(also=wanted, keep_forecasts=False, two_sided=True)
     sources = open_recordings(recordings)
     parts: list[tuple[pd.DataFrame, pd.DataFrame]] = []
     tabulate(sources, pipeline, lambda rides, windows: parts.append((rides, windows)))
