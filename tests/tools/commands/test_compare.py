@@ -100,7 +100,7 @@ def test_comparison_is_printed_and_written(folder, tmp_path, capsys):
     result = json.loads((tmp_path / "c.json").read_text())
     about = result["about"]
     assert about["rides"] + sum(about["left_out"].values()) == about["read"] == 57
-    assert f"{about['rides']} of 57 rides" in out
+    assert f"{about['rides']} of 61 rides" in out
     assert "Left out: 4 too short" in out
     assert out.index("Errors by temperature") < out.index("Errors of the models")
     for name, of_model in result["models"].items():
@@ -201,7 +201,7 @@ def test_identical_sets_of_rides_do_not_differ(folder, tmp_path, capsys):
     out = ran(capsys, folder, "--against", folder, "--model", "basic_physical", "--json", tmp_path / "c.json")
     result = json.loads((tmp_path / "c.json").read_text())
     assert result["against"]["shared"] == result["about"]["rides"]
-    assert "53 rides are in both" in " ".join(out.split())
+    assert "57 rides are in both" in " ".join(out.split())
     assert result["against"]["consumption"]["difference"]["value"] == 0.0
     assert all(entry["difference"]["value"] == 0.0 for entry in result["against"]["properties"])
 
@@ -288,7 +288,7 @@ def test_model_of_other_vehicle_is_refused(folder, tmp_path, capsys):
 
 def test_rides_without_measured_energy_are_refused(folder, tmp_path, capsys):
     home = changed(folder, tmp_path, lambda rides: rides.assign(energy_kwh=float("nan")))
-    assert "none of 57 rides can be compared (53 no measured energy, 4 too short)" in refused(capsys, home, *MODELS)
+    assert "none of 61 rides can be compared (57 no measured energy, 4 too short)" in refused(capsys, home, *MODELS)
     assert "it has no measured energy to compare with" in refused(capsys, home, *MODELS, "--ride", "taxi-001#1")
 
 
@@ -301,7 +301,7 @@ def test_two_rides_are_compared_without_intervals(folder, tmp_path, capsys):
 
 def test_missing_ride_is_refused(folder, capsys):
     message = refused(capsys, folder, *MODELS, "--ride", "taxi-1#2")
-    assert "ride 'taxi-1#2' is not among 57 rides: did you mean taxi-001#2" in message
+    assert "ride 'taxi-1#2' is not among 61 rides: did you mean taxi-001#2" in message
 
 
 def test_table_without_required_column_is_refused(folder, tmp_path, capsys):
