@@ -99,7 +99,7 @@ def test_comparison_is_printed_and_written(folder, tmp_path, capsys):
     out = ran(capsys, folder, *MODELS, "--json", tmp_path / "c.json", "--html", tmp_path / "c.html")
     result = json.loads((tmp_path / "c.json").read_text())
     about = result["about"]
-    assert about["rides"] + sum(about["left_out"].values()) == about["read"] == 57
+    assert about["rides"] + sum(about["left_out"].values()) == about["read"] == 61
     assert f"{about['rides']} of 61 rides" in out
     assert "Left out: 4 too short" in out
     assert out.index("Errors by temperature") < out.index("Errors of the models")
@@ -230,8 +230,8 @@ def test_names_with_markup_are_shown_unchanged(shift, tmp_path, capsys):
     out = ran(capsys, home, "--model", model, "--html", tmp_path / "c.html")
     assert "[red]x & y" in out
     assert any("[red]x & y" in text for text in page(tmp_path / "c.html").text)
-    ran(capsys, home, "--model", model, "--html", tmp_path / "t.html", "--ride", f"{ODD}0#1")
-    assert any(f"Ride {ODD}0#1" in text for text in page(tmp_path / "t.html").text)
+    ran(capsys, home, "--model", model, "--html", tmp_path / "t.html", "--ride", f"{ODD}0#2")
+    assert any(f"Ride {ODD}0#2" in text for text in page(tmp_path / "t.html").text)
 
 
 def test_files_of_same_name_are_distinguished(folder, tmp_path):
@@ -289,7 +289,7 @@ def test_model_of_other_vehicle_is_refused(folder, tmp_path, capsys):
 def test_rides_without_measured_energy_are_refused(folder, tmp_path, capsys):
     home = changed(folder, tmp_path, lambda rides: rides.assign(energy_kwh=float("nan")))
     assert "none of 61 rides can be compared (57 no measured energy, 4 too short)" in refused(capsys, home, *MODELS)
-    assert "it has no measured energy to compare with" in refused(capsys, home, *MODELS, "--ride", "taxi-001#1")
+    assert "it has no measured energy to compare with" in refused(capsys, home, *MODELS, "--ride", "taxi-001#2")
 
 
 def test_two_rides_are_compared_without_intervals(folder, tmp_path, capsys):
@@ -339,5 +339,5 @@ def test_term_missing_from_windows_is_not_invented(folder, tmp_path, capsys):
     )
     save(extended, tmp_path / "own.json")
     ran(capsys, home, "--model", tmp_path / "own.json")
-    message = refused(capsys, home, "--model", tmp_path / "own.json", "--ride", "taxi-001#1")
+    message = refused(capsys, home, "--model", tmp_path / "own.json", "--ride", "taxi-001#2")
     assert "column 'effect_brake_drag' is missing in the data" in message
