@@ -293,7 +293,7 @@ def test_rides_without_measured_energy_are_refused(folder, tmp_path, capsys):
 
 
 def test_two_rides_are_compared_without_intervals(folder, tmp_path, capsys):
-    two = changed(folder, tmp_path, lambda rides: rides[rides["vehicle_id"] == "taxi-001"][1:3])
+    two = changed(folder, tmp_path, lambda rides: rides[rides["vehicle_id"] == "taxi-001"][2:4])
     out = ran(capsys, two, *MODELS, "--html", tmp_path / "c.html")
     assert "2 rides of one car on one day: too few for intervals" in out
     page(tmp_path / "c.html")
