@@ -133,6 +133,7 @@ EFFECT_COLUMN: Final = Column(
 _KEYS: Final = (
     Column("vehicle_id", "", "identity of the vehicle", "key of the telemetry"),
     Column("vehicle_model", "", "key of the vehicle model, missing before a vehicle message", "vehicle message"),
+    Column("energy_source", "", "what measured `energy_kwh`: `vi` or `soc`, missing where nothing did", "totals"),
 )
 _SUMMARY: Final = (
     Column("start_s", "s", "Unix time of the first sample", "cleaning"),
@@ -170,8 +171,11 @@ _SUMMARY: Final = (
     Column("energy_vi_sd_kwh", "kWh", "standard uncertainty of `energy_vi_kwh`", "totals"),
     Column("energy_soc_kwh", "kWh", "energy drawn from the battery, by the fall of the state of charge", "totals"),
     Column("energy_soc_sd_kwh", "kWh", "standard uncertainty of `energy_soc_kwh`", "totals"),
-    Column("energy_kwh", "kWh", "measured energy: the less uncertain of the two", "totals"),
+    Column("energy_soc_noise_kwh", "kWh", "part of `energy_soc_sd_kwh` that differs from ride to ride", "totals"),
+    Column("energy_kwh", "kWh", "measured energy: by voltage and current where known, else by charge", "totals"),
     Column("energy_sd_kwh", "kWh", "standard uncertainty of `energy_kwh`", "totals"),
+    Column("usable_capacity_kwh", "kWh", "energy per 100 % of the display, learned so far", "totals, vehicle message"),
+    Column("usable_capacity_sd_kwh", "kWh", "standard uncertainty of `usable_capacity_kwh`", "totals"),
     *(
         Column(
             f"speed_{SPEED_BIN_KMH * i}_{SPEED_BIN_KMH * (i + 1)}_km",
@@ -218,6 +222,9 @@ RIDE_COLUMNS: Final = (
     Column("quality_power_missing", "1", "samples without voltage or current, of a car that sends both", "cleaning"),
     Column("quality_ambient_filled", "1", "samples with the outside temperature of a weather station", "signals"),
     Column("quality_ambient_assumed", "1", "samples with the temperature of the standard atmosphere", "signals"),
+    Column("quality_soc_jump", "1", "samples with a change of the charge that the car cannot have caused", "cleaning"),
+    Column("quality_soc_frozen", "1", "samples with an unchanged charge while V·I drew several quanta", "cleaning"),
+    Column("quality_power_frozen", "1", "samples with an unchanged current while the speed varied", "cleaning"),
 )
 """Columns of the ride table, in their order; `EFFECT_COLUMN` stands for one column per summed effect."""
 

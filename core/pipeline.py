@@ -16,6 +16,7 @@ from core.batch import Batch, Ints, Lanes, Stateful
 from core.cleaning.elevation_map import ElevationMap
 from core.cleaning.kernel import Cleaner
 from core.cleaning.segmentation import NO_RIDE_EVENTS, RIDE_EVENT, UNKNOWN_NAME
+from core.columns import JOULES_PER_KWH
 from core.errors import AskError, SettingsError
 from core.forecast.day_rollover import DailyUpdate, DayRollover
 from core.forecast.engine import ForecastEngine, PendingInput
@@ -38,6 +39,7 @@ from core.totals.clean_rows import CleanRows, PowerOfEffect, sum_rows
 from core.totals.closed_rides import ClosedTotals
 from core.totals.context import RunContext
 from core.totals.deferred_rows import DeferredRows
+from core.totals.display_yield import DisplayYields
 from core.totals.run_counters import RunCounters
 from core.totals.tables import ride_table, unfit_reason, window_table
 from core.vehicles.fleet import Cars
@@ -128,6 +130,7 @@ class Pipeline:
         self.stations = Stations()
         self.accumulator = Accumulator(len(self.effects))
         self.deferred = DeferredRows() if two_sided else None
+        self.displays = DisplayYields(self.cars)
         self.counters = RunCounters()
         self.closed = ClosedTotals(self.accumulator.none())
         self.shadows = ShadowModels([model, *shadows], prefix, keep=keep_forecasts)
@@ -157,8 +160,7 @@ class Pipeline:
         """
         self._forget_ride_names()
         batch, events = self.decoder.decode(messages)
-        if self.keep_forecasts:
-            events = self.day_rollover.add_updates(batch, events)
+        events = self.day_rollover.add_updates(batch, events)
         order, piece = MessageOrder(batch.size, events), Piece(0, [], [])
         for number, (row, lane, value) in enumerate(events):
             place = order.of_event(number)
@@ -184,7 +186,7 @@ class Pipeline:
         self._update_forecasts()
         for rows in self.deferred.close() if self.deferred else ():
             self._take_closed_of(rows)
-        sums = self.accumulator.close()
+        sums = self.displays.attach(self.accumulator.close(), len(self.lanes))
         self._take_closed(sums)
         if self.keep_forecasts:
             self.engine.process(sums, [], [])
@@ -232,7 +234,8 @@ class Pipeline:
             Beginnings and ends of rides from dispatch, between the rows.
         """
         place = np.arange(batch.size) if place is None else place
-        clean, ends = self.cleaner.clean_between(batch, len(self.lanes), place, ride_events)
+        capacity, lanes = self.cars.capacity.take(kind) * JOULES_PER_KWH, len(self.lanes)
+        clean, ends = self.cleaner.clean_between(batch, lanes, place, ride_events, capacity)
         sky = self.stations.sky(clean.time, clean.latitude, clean.longitude)
         clean = clean._replace(quality=ambient_quality(clean, sky))
         self.counters.count_samples(clean.quality)
@@ -240,7 +243,8 @@ class Pipeline:
 
     def sum_up(self, rows: CleanRows) -> Sums:
         """Run the steps from cleaned rows to totals, see `core.totals.clean_rows.sum_rows`."""
-        return sum_rows(rows, self.cars, self._powers, self.accumulator, len(self.lanes))
+        sums = sum_rows(rows, self.cars, self._powers, self.accumulator, len(self.lanes))
+        return self.displays.attach(sums, len(self.lanes))
 
     def _take_closed_of(self, released: CleanRows) -> None:
         """Sum up deferred rows that have been released, a block at a time."""
@@ -286,6 +290,7 @@ class Pipeline:
         """Take a weather observation, or run the daily update, at a place in the batch."""
         if isinstance(value, DailyUpdate):
             self._update_forecasts(place)
+            self.displays.apply_daily_update()
             self.engine.apply_daily_update()
         elif not self.stations.observe(value):
             self.decoder.refuse("weather", "out_of_range")
@@ -358,8 +363,6 @@ class Pipeline:
     def ask(self, vehicle_id: str, leg: Leg | None = None, plan: Plan | None = None) -> Outlook:
         """Return the outlook on the rest of a vehicle's shift.
 
-        The outlook holds no charge where the vehicle has been silent for so long that its shift has ended.
-
         Parameters
         ----------
         vehicle_id : str
@@ -372,7 +375,7 @@ class Pipeline:
         Returns
         -------
         Outlook
-            Outlook on the rest of the shift.
+            It holds no charge where the vehicle has been silent for so long that its shift has ended.
 
         Raises
         ------
@@ -383,8 +386,7 @@ class Pipeline:
         lane = self.lanes.find(vehicle_id)
         if lane is None or not self.engine.has_sample(lane):
             raise AskError(f"vehicle {vehicle_id!r} has sent nothing so far: give one that has", "unknown_vehicle")
-        outlook = answer_query(self.engine, lane, leg, plan)
-        silent = self.day_rollover.compute_silence(lane)
+        outlook, silent = answer_query(self.engine, lane, leg, plan), self.day_rollover.compute_silence(lane)
         return withhold_charge(outlook, silent) if silent > SHIFT_GAP else outlook
 
     def quality(self) -> dict[str, Any]:
@@ -410,7 +412,7 @@ class Pipeline:
         """Return the newest values of every vehicle that has sent a sample."""
         self._update_forecasts()
         lanes = self.cleaner.lanes_heard()
-        totals = self.accumulator.running(lanes)
+        totals = self.displays.describe(self.accumulator.running(lanes), len(self.lanes))
         predicted = self.shadows.predictions(totals, self.context)
         ends = self.engine.get_ends(lanes)
         return build_statuses(totals, self._ride_names(totals), self.context, predicted, ends)
@@ -431,6 +433,7 @@ class Pipeline:
         self.lanes.load(earlier.lanes.dump())
         self.cars.load(earlier.cars.dump())
         self.cars.unpredictable.clear()
+        self.displays.learn_from(earlier.displays)
         self.engine.learn_from(earlier.engine)
 
     def snapshot(self) -> bytes:
@@ -475,6 +478,7 @@ class Pipeline:
             "cleaner": self.cleaner,
             "stations": self.stations,
             "accumulator": self.accumulator,
+            "displays": self.displays,
             "counters": self.counters,
             "engine": self.engine,
         }

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from core import batch, columns
 from core.batch import Batch, Floats, Ints, grown
-from core.cleaning import battery, clock, elevation, fleet_clock, motion, quality, segmentation
+from core.cleaning import clock, elevation, fleet_clock, meters, motion, quality, segmentation
 from core.cleaning.elevation_map import ElevationMap, Ground, MapLookup
 from core.cleaning.fleet_clock import FLEET_CLOCK, RIDE_END, new_fleet_clock
 from core.cleaning.quality import Quality
@@ -37,7 +37,7 @@ _UNKNOWN_AT_FIRST: Final = {
     **segmentation.UNKNOWN_AT_FIRST,
     **dict.fromkeys(("seq", "latitude", "longitude", "pending_latitude", "pending_longitude"), nan),
     **dict.fromkeys(("heading", "heading_latitude", "heading_longitude", "odometer", "speed", "ring"), nan),
-    **dict.fromkeys(("elevation", "level", "offset_variance", "power", "soc", "soc_step"), nan),
+    **dict.fromkeys(("elevation", "level", "offset_variance", *meters.UNKNOWN_AT_FIRST), nan),
     **dict.fromkeys(("battery_temperature", "occupants"), nan),
 }
 
@@ -46,7 +46,7 @@ def _dtype() -> np.dtype[np.void]:
     """Return the layout of a lane's state: one stretch of memory, so that a sample touches few cache lines."""
     parts = (
         *(*clock.FIELDS, *motion.FIELDS, *elevation.FIELDS, *segmentation.FIELDS),
-        *(*fleet_clock.FIELDS, *battery.FIELDS, *_OWN_FIELDS),
+        *(*fleet_clock.FIELDS, *meters.FIELDS, *_OWN_FIELDS),
     )
     return np.dtype([(part, "f8") if isinstance(part, str) else (part[0], "f8", (part[1],)) for part in parts])
 
@@ -157,8 +157,12 @@ class Clean(NamedTuple):
     code: Floats
 
 
-_INPUTS: Final = (*(f"raw_{name}" for name in Batch._fields), *(f"map_{name}" for name in Ground._fields))
-"""Columns of a sample and of the ground under it, which are the first fields of `_ROW`."""
+_INPUTS: Final = (
+    *(f"raw_{name}" for name in Batch._fields),
+    *(f"map_{name}" for name in Ground._fields),
+    "raw_capacity",
+)
+"""Columns of a sample, of the ground under it, and the capacity of its car: the first fields of `_ROW`."""
 _ROW: Final = np.dtype([(name, "f8") for name in (*_INPUTS, *Clean._fields)])
 """One row of the kernel: its inputs, then the columns of its result."""
 _RAW: Final = len(_INPUTS)
@@ -170,6 +174,8 @@ for _place, _column in enumerate(TELEMETRY, len(Batch._fields) - len(TELEMETRY))
     _LOW[_place], _HIGH[_place] = _column.low, _column.high
 
 OUT_OF_RANGE: Final = int(Quality.OUT_OF_RANGE)
+NOT_OF_RIDE: Final = motion.BRIDGED | meters.SOC_JUMP | meters.SOC_FROZEN
+"""Bits that a step before a ride does not pass on to it."""
 STALE: Final = 60.0
 """Age beyond which a state of charge does not count for a ride that begins. [s]"""
 
@@ -209,12 +215,12 @@ class Cleaner:
         self.state = new_lane_state(0)
         self.fleet_clock = new_fleet_clock()
 
-    def clean(self, batch: Batch, lanes: int) -> Clean:
+    def clean(self, batch: Batch, lanes: int, capacity: Floats | float = nan) -> Clean:
         """Clean a batch without messages of dispatch, see `clean_between`."""
-        return self.clean_between(batch, lanes, np.arange(batch.size), NO_RIDE_EVENTS)[0]
+        return self.clean_between(batch, lanes, np.arange(batch.size), NO_RIDE_EVENTS, capacity)[0]
 
     def clean_between(
-        self, batch: Batch, lanes: int, place: Ints, ride_events: NDArray[np.void]
+        self, batch: Batch, lanes: int, place: Ints, ride_events: NDArray[np.void], capacity: Floats | float = nan
     ) -> tuple[Clean, NDArray[np.void]]:
         """Clean a batch, with the messages of dispatch between its rows, and advance the state of its lanes.
 
@@ -228,6 +234,8 @@ class Cleaner:
             Place of each row among the messages of the batch.
         ride_events : (events,) RIDE_EVENT
             Beginnings and ends of rides from dispatch, in the order of their arrival.
+        capacity : (n,) float or float
+            Capacity to which the state of charge refers; where it is unknown (NaN), it is not compared with V·I. [J]
 
         Returns
         -------
@@ -243,7 +251,8 @@ class Cleaner:
         inputs = np.full((_RAW, batch.size), np.nan)
         np.stack(batch, out=inputs[: len(batch)])
         if ground := self.map_lookup.find_ground(batch):
-            np.stack(ground, out=inputs[len(batch) :])
+            np.stack(ground, out=inputs[len(batch) : -1])
+        inputs[-1] = capacity
         ends = np.empty(batch.size + lanes + len(ride_events), RIDE_END)
         between = self.fleet_clock, place, ride_events, ends
         n_ends = clean_rows(inputs, self.state, self.settings, row, row.view(np.float64), out, *between)
@@ -392,8 +401,8 @@ def clean_row(state: Any, row: Any, settings: Any) -> float:
 def use_row(state: Any, row: Any, dt: float, settings: Any) -> None:
     """Update the lane by a row that stands for `dt` seconds, and fill in the row."""
     motion.move_car(state, row, dt, settings)
-    battery.integrate_power(state, row, dt, settings)
-    changed = battery.update_soc(state, row, dt)
+    meters.integrate_power(state, row, dt, settings)
+    changed = meters.update_soc(state, row, dt)
     if not isnan(row.raw_battery_temperature):
         state.battery_temperature = row.raw_battery_temperature
     if not isnan(row.raw_occupants):
@@ -404,8 +413,8 @@ def use_row(state: Any, row: Any, dt: float, settings: Any) -> None:
     begins = segmentation.update_ride(state, row.raw_ride, dt, state.standing == 0.0, row.raw_charging == 1.0, settings)
     if begins:  # the step ended before the ride and is not part of it
         row.dt = row.travel = row.distance = row.climb = row.energy = row.energy_variance = row.metered = row.stop = 0.0
-        if int(row.quality) & motion.BRIDGED:
-            row.quality -= motion.BRIDGED
+        row.quality = float(int(row.quality) & ~NOT_OF_RIDE)
+        meters.begin_stillness(state, 0.0)
         if state.soc_age > STALE:
             state.soc = nan
     if begins or (rode and state.riding == 0.0):
@@ -458,4 +467,4 @@ def begins_stop(state: Any) -> bool:
     return False
 
 
-watch_sources(clean_rows, batch, battery, clock, columns, elevation, fleet_clock, motion, quality, segmentation)
+watch_sources(clean_rows, batch, clock, columns, elevation, fleet_clock, meters, motion, quality, segmentation)

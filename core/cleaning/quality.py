@@ -41,6 +41,12 @@ class Quality(IntFlag):
     """The outside temperature is that of the nearest weather station."""
     AMBIENT_ASSUMED = 1 << 16
     """The outside temperature is that of the standard atmosphere, as neither car nor station reports one."""
+    SOC_JUMP = 1 << 17
+    """The state of charge changed by more than the car can have used, or than voltage and current drew."""
+    SOC_FROZEN = 1 << 18
+    """The state of charge has not changed although voltage and current drew several quanta."""
+    POWER_FROZEN = 1 << 19
+    """The current has not changed although the speed did, or is zero although the car drives. Not metered."""
 
 
 CAUSES: Final = tuple(flag.name.lower() for flag in Quality if flag.name)

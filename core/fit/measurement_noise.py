@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from core.batch import Floats
 from core.fit.ride_blocks import ENERGY, get_numbers
-from core.totals.tables import CAPACITY_GAIN, METER_GAIN
+from core.totals.measured_energy import METER_GAIN
 
 MEAN_OVER_SD: Final = float(np.sqrt(2.0 / np.pi))
 """Ratio of the mean absolute value of a Gaussian error to its standard deviation. [1]"""
@@ -47,7 +47,7 @@ def compute_noise_variance(table: pd.DataFrame) -> Floats:
     """
     energy = get_numbers(table, ENERGY)
     power = _read(table, "energy_vi_sd_kwh") ** 2 - (METER_GAIN * energy) ** 2
-    charge = _read(table, "energy_soc_sd_kwh") ** 2 - (CAPACITY_GAIN * energy) ** 2
+    charge = _read(table, "energy_soc_noise_kwh") ** 2
     return np.maximum(np.where(is_metered(table), power, charge), 0.0)
 
 

@@ -23,7 +23,8 @@ from core.signals.signals import Signals
 from core.stats.confidence_sequence import LEVEL
 from core.totals.accumulator import Totals
 from core.totals.context import RunContext
-from core.totals.tables import measured_energy, model_columns
+from core.totals.measured_energy import measured_energy
+from core.totals.tables import model_columns
 from core.wire.messages import Message, ModelErrors, encode, model_identity
 
 MOST_VEHICLE_MODELS: Final = 64
@@ -152,7 +153,7 @@ class ShadowModels:
             Whether each is fit for training; the others are ignored.
         context : RunContext
         """
-        measured = measured_energy(rides, context.cars)[0]
+        measured = measured_energy(rides, context.cars).energy
         rows = np.flatnonzero(fit & np.isfinite(measured))
         if not len(rows):
             return

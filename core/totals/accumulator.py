@@ -18,6 +18,7 @@ from core.cleaning.fleet_clock import RIDE_END
 from core.cleaning.kernel import Clean
 from core.cleaning.quality import CAUSES
 from core.columns import KMH, SPEED_BIN_KMH, SPEED_BINS
+from core.totals.display_record import unknown_yields
 
 SPEED_BIN: Final = SPEED_BIN_KMH * KMH
 """Width of a bin of the speed histogram. [m/s]"""
@@ -45,6 +46,7 @@ AMOUNTS: Final = (
     "speed_rejected",  # time for which the speed was rejected [s]
     "speed_missing",  # time for which the speed was missing, of a car that sends it [s]
     "bridged",  # distance of steps whose distance was bridged [m]
+    "soc_faults",  # samples at which the state of charge is frozen or jumps
 )
 """What is summed of every ride and window, followed by the effects' energies [J] and the speed histogram [m]."""
 
@@ -134,6 +136,8 @@ class Totals(NamedTuple):
         Values at the first and at the last sample.
     quality : (n, len(CAUSES)) float64
         Number of samples of the ride with each quality bit, so far.
+    display : (n,) DISPLAY_YIELD
+        What the state of charge stood for, as known before the row closed.
     """
 
     at: Ints
@@ -144,6 +148,7 @@ class Totals(NamedTuple):
     first: Floats
     last: Floats
     quality: Floats
+    display: NDArray[Any]
 
     def newest(self) -> Ints:
         """Return the place of the last row of each lane, in their order."""
@@ -328,6 +333,7 @@ class Accumulator:
             first=rows[:, self._part(first, len(EDGES))],
             last=rows[:, self._part("last", len(EDGES))],
             quality=rows[:, self._part("quality", len(CAUSES))],
+            display=unknown_yields(len(rows)),
         )
 
 

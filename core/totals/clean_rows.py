@@ -121,6 +121,7 @@ def amounts(signals: Signals, powers: Sequence[tuple[str, Floats]]) -> Floats:
         "speed_rejected": np.where(clean.quality & Quality.SPEED_REJECTED, dt, 0.0),
         "speed_missing": np.where(clean.quality & Quality.SPEED_MISSING, dt, 0.0),
         "bridged": np.where(clean.quality & Quality.BRIDGED, clean.distance, 0.0),
+        "soc_faults": np.where(clean.quality & (Quality.SOC_JUMP | Quality.SOC_FROZEN), 1.0, 0.0),
     }
     table = np.empty((len(AMOUNTS) + len(powers), len(dt)))
     for row, name in zip(table, AMOUNTS, strict=False):

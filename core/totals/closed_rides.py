@@ -51,4 +51,4 @@ class ClosedTotals:
 
 def _copy(totals: Totals) -> Totals:
     """Return a copy, as a view would keep the memory of a whole block."""
-    return Totals(*(np.array(part) for part in totals))  # type: ignore[arg-type]
+    return Totals(*(np.array(part) for part in totals))

@@ -18,21 +18,19 @@ from core.cleaning.quality import CAUSES
 from core.columns import JOULES_PER_KWH, KMH, SECONDS_PER_DAY, SPEED_BINS, WINDOW_COLUMNS, ZERO_CELSIUS
 from core.totals.accumulator import AMOUNTS, Totals
 from core.totals.context import RunContext
-from core.vehicles.fleet import Cars
+from core.totals.measured_energy import (
+    SOURCES,
+    MeasuredEnergy,
+    energy_by_power,
+    energy_by_soc,
+    energy_unfitness,
+    lost_time,
+    measured_energy,
+    soc_energy_noise,
+    usable_capacity,
+)
 from core.wire.rides import RideDrivers
 
-METER_GAIN: Final = 0.01
-"""Relative standard uncertainty of the reported voltage times current. [1]
-
-Estimated: each of the two sensors is of class 0.5 %.
-"""
-CAPACITY_GAIN: Final = 0.15
-"""Relative standard uncertainty of the usable capacity. [1]
-
-Estimated: it covers age, temperature and what a car calls full.
-"""
-COARSEST_SOC: Final = 0.01
-"""Quantum of a state of charge that has not changed yet: the coarsest that the wire contract allows. [1]"""
 CUT: Final = 0.1
 """Largest share of its duration that a ride fit for training may lack at its beginning and end. [1]"""
 MOST_REJECTED: Final = 0.5
@@ -42,8 +40,6 @@ Beyond one half, more of the speed profile is inferred than measured.
 """
 MOST_BRIDGED: Final = 0.5
 """Largest share of its distance that may be bridged in a ride fit for training. [1]"""
-UNSEEN_POWER: Final = 0.5
-"""Relative standard uncertainty of the mean power over a time without measurement. [1]"""
 WINTER: Final = ((12, 15), (3, 15))
 """First and last (month, day) of the season with mandatory winter tyres, after Table 1 of the paper."""
 
@@ -84,105 +80,7 @@ def model_columns(totals: Totals, context: RunContext, needs: Sequence[str] = ()
     }
     if "vehicle_id" in needs:
         texts["vehicle_id"] = np.array([context.vehicle_ids[lane] for lane in totals.lane.tolist()], dtype=object)
-    return columns | _physical(totals, cars) | texts
-
-
-def energy_by_power(totals: Totals) -> tuple[Floats, Floats]:
-    """Return the energy measured by voltage and current, and its standard uncertainty.
-
-    Parameters
-    ----------
-    totals : Totals
-        Totals of n rides or windows.
-
-    Returns
-    -------
-    energy, uncertainty : (n,) float
-        Energy and its standard uncertainty, NaN where less than half of the duration is measured. [kWh]
-
-    Notes
-    -----
-    The mean power of the measured time fills the time without a measurement (gaps, missing values). Four terms add up
-    in quadrature: the gain of the meter, the power between samples, the unmeasured time, and ends lost in gaps.
-    """
-    energy = totals.amount("energy") / JOULES_PER_KWH
-    duration, metered = totals.amount("duration"), totals.amount("metered")
-    share = np.divide(metered, duration, out=np.zeros(len(energy)), where=duration > 0.0)
-    whole = np.divide(energy, share, out=np.full(len(energy), np.nan), where=share >= 0.5)
-    sampled = np.sqrt(totals.amount("energy_variance")) / JOULES_PER_KWH
-    unseen = UNSEEN_POWER * np.abs(whole) * (1.0 - share)
-    return whole, np.sqrt((METER_GAIN * whole) ** 2 + sampled**2 + unseen**2 + _cut(totals, whole) ** 2)
-
-
-def _cut(totals: Totals, energy: Floats) -> Floats:
-    """Return the uncertainty due to ends lost in gaps, with a power there of anything up to the mean power. [kWh]"""
-    duration = totals.amount("duration")
-    share = np.divide(lost_time(totals), duration, out=np.zeros(len(energy)), where=duration > 0.0)
-    return np.abs(energy) * share / np.sqrt(3.0)
-
-
-def energy_by_soc(totals: Totals, cars: Cars) -> tuple[Floats, Floats]:
-    """Return the energy measured by the decrease of the state of charge, and its standard uncertainty.
-
-    Parameters
-    ----------
-    totals : Totals
-        Totals of n rides or windows.
-    cars : Cars
-        Source of the battery capacities.
-
-    Returns
-    -------
-    energy, uncertainty : (n,) float
-        Energy and its standard uncertainty, NaN where the capacity or the state of charge is unknown. [kWh]
-
-    Notes
-    -----
-    The true state of charge at each end is uniform within a quantum q. The difference of the two ends therefore has a
-    standard deviation of q / sqrt(6).
-    """
-    capacity = _capacity(totals, cars)
-    quantum = np.nan_to_num(totals.at_last("soc_step"), nan=COARSEST_SOC)
-    energy = (totals.at_first("soc") - totals.at_last("soc")) * capacity
-    variance = (capacity * quantum) ** 2 / 6.0 + (CAPACITY_GAIN * energy) ** 2 + _cut(totals, energy) ** 2
-    return energy, np.sqrt(variance)
-
-
-def measured_energy(totals: Totals, cars: Cars) -> tuple[Floats, Floats]:
-    """Return the measured energy with the smaller standard uncertainty, and that uncertainty.
-
-    Parameters
-    ----------
-    totals : Totals
-        Totals of n rides or windows.
-    cars : Cars
-        Source of the battery capacities.
-
-    Returns
-    -------
-    energy, uncertainty : (n,) float
-        Result of `energy_by_power` or `energy_by_soc` per row, NaN where neither measures the energy. [kWh]
-    """
-    power, power_sd = energy_by_power(totals)
-    soc, soc_sd = energy_by_soc(totals, cars)
-    better = np.nan_to_num(power_sd, nan=np.inf) <= np.nan_to_num(soc_sd, nan=np.inf)
-    return np.where(better, power, soc), np.where(better, power_sd, soc_sd)
-
-
-def lost_time(totals: Totals) -> Floats:
-    """Return the time at the beginning and end of each ride that no sample covers, because it fell into a gap.
-
-    Parameters
-    ----------
-    totals : Totals
-        Totals of n rides.
-
-    Returns
-    -------
-    (n,) float
-        Lost time. [s]
-    """
-    return totals.at_first("lost") + totals.at_last("lost")
+    return columns | _physical(totals, measured_energy(totals, cars)) | texts
 
 
 def unfit_reason(totals: Totals, context: RunContext) -> NDArray[np.object_]:
@@ -203,19 +101,17 @@ def unfit_reason(totals: Totals, context: RunContext) -> NDArray[np.object_]:
     Notes
     -----
     The rules for duration and distance follow section 3 of the paper. Beyond the paper, a ride is unfit if gaps at its
-    beginning and end hide more than a tenth of its duration, if its energy cannot be measured, if its speed was
-    rejected (or missing) for more than `MOST_REJECTED` of its duration, or if more than `MOST_BRIDGED` of its distance
-    was bridged.
+    beginning and end hide more than a tenth of its duration, if its energy cannot be measured, if voltage and current
+    contradict a healthy state of charge, if its speed was rejected (or missing) for more than `MOST_REJECTED` of its
+    duration, or if more than `MOST_BRIDGED` of its distance was bridged.
     """
     cars, settings = context.cars, context.settings
     duration = totals.amount("duration")
-    unmeasured = np.isnan(measured_energy(totals, cars)[0])
     rejected = _share(totals, "speed_rejected")
     reason = np.full(len(duration), None, dtype=object)
     for why, applies in (  # later reasons overwrite earlier ones
         ("cut_by_gap", lost_time(totals) > CUT * duration),
-        ("no_measured_energy", unmeasured),
-        ("unknown_capacity", unmeasured & np.isnan(_capacity(totals, cars)) & ~np.isnan(totals.at_last("soc"))),
+        *energy_unfitness(totals, cars),
         ("too_little_distance", totals.amount("distance") < settings.least_distance),
         ("distance_bridged", _share(totals, "bridged", "distance") > MOST_BRIDGED),
         ("speed_missing", rejected + _share(totals, "speed_missing") > MOST_REJECTED),
@@ -225,11 +121,6 @@ def unfit_reason(totals: Totals, context: RunContext) -> NDArray[np.object_]:
     ):
         reason[applies] = why
     return reason
-
-
-def _capacity(totals: Totals, cars: Cars) -> Floats:
-    """Return the capacity to which the state of charge refers, NaN where the model of the car is unknown. [kWh]"""
-    return cars.capacity[totals.at_last("kind").astype(np.int64)]
 
 
 def is_winter(time: Floats) -> NDArray[np.int64]:
@@ -271,11 +162,11 @@ def _mean(totals: Totals, name: str, time: str = "duration") -> Floats:
     return np.divide(totals.amount(name), over, out=np.full(len(over), np.nan), where=over > 0.0)
 
 
-def _physical(totals: Totals, cars: Cars) -> dict[str, Floats]:
+def _physical(totals: Totals, measured: MeasuredEnergy) -> dict[str, Floats]:
     """Return the columns that rides and windows share, without effects and parameters of cars."""
     energy_vi, energy_vi_sd = energy_by_power(totals)
-    energy_soc, energy_soc_sd = energy_by_soc(totals, cars)
-    energy, energy_sd = measured_energy(totals, cars)
+    energy_soc, energy_soc_sd = energy_by_soc(totals)
+    capacity, capacity_sd = usable_capacity(totals)
     speed = _mean(totals, "distance")
     direction = np.degrees(np.arctan2(_mean(totals, "wind_east"), _mean(totals, "wind_north"))) % 360.0
     windy = (totals.amount("wind_north") != 0.0) | (totals.amount("wind_east") != 0.0)
@@ -315,8 +206,11 @@ def _physical(totals: Totals, cars: Cars) -> dict[str, Floats]:
         "energy_vi_sd_kwh": energy_vi_sd,
         "energy_soc_kwh": energy_soc,
         "energy_soc_sd_kwh": energy_soc_sd,
-        "energy_kwh": energy,
-        "energy_sd_kwh": energy_sd,
+        "energy_soc_noise_kwh": soc_energy_noise(totals),
+        "energy_kwh": measured.energy,
+        "energy_sd_kwh": measured.sd,
+        "usable_capacity_kwh": capacity,
+        "usable_capacity_sd_kwh": capacity_sd,
     }
     histogram = totals.amounts[:, -SPEED_BINS:] * 1e-3
     return columns | {name: histogram[:, i] for i, name in enumerate(HISTOGRAM)}
@@ -338,14 +232,16 @@ def window_table(totals: Totals, context: RunContext) -> pd.DataFrame:
         See `core.columns.WINDOW_COLUMNS`; `ride_key` names the ride of each window.
     """
     kinds = totals.at_last("kind").astype(np.int64)
+    measured = measured_energy(totals, context.cars)
     own = {
         "ride_key": text(_ride_keys(totals, context.vehicle_ids)),
         "window": totals.window,
         "vehicle_id": _named(totals.lane, context.vehicle_ids.__getitem__),
         "vehicle_model": _named(kinds, context.cars.name),
+        "energy_source": _named(measured.source, SOURCES.__getitem__),
     }
     edges = {"power_start_w": totals.at_first("power"), "power_end_w": totals.at_last("power")}
-    return pd.DataFrame(own | edges | _physical(totals, context.cars) | model_columns(totals, context))
+    return pd.DataFrame(own | edges | _physical(totals, measured) | model_columns(totals, context))
 
 
 def ride_table(
@@ -372,7 +268,8 @@ def ride_table(
     DataFrame of n rows
         See `core.columns.RIDE_COLUMNS`.
     """
-    physical = _physical(totals, context.cars)
+    measured = measured_energy(totals, context.cars)
+    physical = _physical(totals, measured)
     kinds = totals.at_last("kind").astype(np.int64)
     keys = _ride_keys(totals, context.vehicle_ids)
     start = physical["start_s"]
@@ -386,6 +283,7 @@ def ride_table(
         "ride_key": text(keys),
         "vehicle_id": text(vehicle_ids),
         "vehicle_model": _named(kinds, context.cars.name),
+        "energy_source": _named(measured.source, SOURCES.__getitem__),
         "driver_id": text([drivers.find(vehicle_id, name) for vehicle_id, name in named]),
         "date": text([_date(time) for time in start]),
         "winter": winter,

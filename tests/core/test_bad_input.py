@@ -28,7 +28,7 @@ KEYS = (
 
 
 def good(n=400):
-    columns = drive(n, seed=4, soc_pct=70.0, battery_voltage_v=350.0, battery_current_a=30.0)
+    columns = drive(n, seed=4, soc_pct=70.0, battery_voltage_v=350.0, battery_current_a=30.0 + np.arange(n) % 2)
     return telemetry(columns)
 
 

@@ -13,7 +13,8 @@ from tests.support.telemetry import START, drive, leaf, make_message, observed, 
 
 
 def full(n=200, seed=4):
-    columns = drive(n, seed=seed, battery_voltage_v=360.0, battery_current_a=30.0)
+    current = 30.0 + np.cos(np.pi * np.arange(n))  # one that never changes in town is frozen
+    columns = drive(n, seed=seed, battery_voltage_v=360.0, battery_current_a=current)
     return columns | {"soc_pct": np.round(80 - 0.01 * np.arange(n), 1)}
 
 

@@ -94,7 +94,9 @@ def planted(
     table = table.assign(mass_kg=mass, wind_from_deg=np.nan, soc_start_pct=80.0, soc_end_pct=79.0)
     measured = {"energy_kwh": energy, "energy_vi_kwh": energy, "energy_soc_kwh": energy}
     sd = np.hypot(SD, METER_GAIN * energy)
-    table = table.assign(**measured, energy_sd_kwh=sd, energy_vi_sd_kwh=sd, energy_soc_sd_kwh=1.0)
+    table = table.assign(
+        **measured, energy_sd_kwh=sd, energy_vi_sd_kwh=sd, energy_soc_sd_kwh=1.0, energy_soc_noise_kwh=1.0
+    )
     return _rides(table, dates), table
 
 

@@ -205,6 +205,7 @@ def build_tables(table: pd.DataFrame, energy: np.ndarray) -> tuple[pd.DataFrame,
     windows = table.drop(columns="date").assign(
         energy_kwh=energy, energy_vi_kwh=energy, energy_soc_kwh=energy + 0.01,
         energy_sd_kwh=np.hypot(METER_SD, gain), energy_vi_sd_kwh=np.hypot(METER_SD, gain), energy_soc_sd_kwh=0.1,
+        energy_soc_noise_kwh=0.1,
     )  # fmt: skip
     return _rides(windows, table["date"]), windows
 

@@ -23,8 +23,7 @@ def test_meter_gain_is_excluded():
 
 
 def test_noise_of_soc_is_its_resolution_without_capacity_error():
-    energy = METERED["energy_kwh"]
-    by_soc = METERED.assign(energy_vi_kwh=np.nan, energy_soc_sd_kwh=np.hypot(0.05, 0.15 * energy))
+    by_soc = METERED.assign(energy_vi_kwh=np.nan, energy_soc_noise_kwh=0.05)
     assert not is_metered(by_soc).any()
     np.testing.assert_allclose(compute_noise_variance(by_soc), 0.05**2)
     np.testing.assert_allclose(

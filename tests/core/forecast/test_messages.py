@@ -18,7 +18,7 @@ def forecasts_of(messages, **options):
 
 
 def full(n=300):
-    columns = drive(n, seed=4, battery_voltage_v=360.0, battery_current_a=30.0)
+    columns = drive(n, seed=4, battery_voltage_v=360.0, battery_current_a=30.0 + np.arange(n) % 2)
     return columns | {"soc_pct": np.round(80 - 0.01 * np.arange(n), 1)}
 
 
@@ -34,9 +34,9 @@ def test_forecast_describes_the_sample_behind_it():
     assert [f["ride_distance_km"] for f in published] == pytest.approx(columns["metres"][row] / 1000)
     assert [f["ride_duration_s"] for f in published] == pytest.approx(PERIOD * row)
     assert [f["soc_pct"] for f in published] == pytest.approx(columns["soc_pct"][row], abs=0.5)
-    assert [f["ride_energy_measured_kwh"] or 0.0 for f in published[1:]] == pytest.approx(
-        10.8 * PERIOD * row[1:] / 3600
-    )
+    power = 0.36 * columns["battery_current_a"]
+    energy = np.r_[0.0, np.cumsum(0.5 * (power[1:] + power[:-1]))] * PERIOD / 3600
+    assert [f["ride_energy_measured_kwh"] or 0.0 for f in published[1:]] == pytest.approx(energy[row[1:]])
     predicted = [f["ride_energy_predicted_kwh"] for f in published]
     assert 0.05 < predicted[-1] / (columns["metres"][-1] / 1000) < 0.35
     assert {f["ride_id"] for f in published} == {"r1"}

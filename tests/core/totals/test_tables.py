@@ -7,7 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.cleaning.quality import CAUSES
-from core.totals.tables import CAPACITY_GAIN, HISTOGRAM, METER_GAIN, is_winter
+from core.totals.display_yield import READING_SDS
+from core.totals.measured_energy import METER_GAIN, RIDE_SD
+from core.totals.tables import HISTOGRAM, is_winter
 from core.vehicles import load_catalogue
 from tests.support.telemetry import PERIOD, START, drive, leaf, make_message, observed, ran, telemetry, without
 
@@ -150,6 +152,7 @@ def test_ride_without_measurement_has_no_energy():
 def test_uncertainty_of_energy_by_quantised_soc_agrees_with_its_errors(quantum):
     """The score is the error of the energy by SOC over its standard deviation, for rides of random energy."""
     rng = np.random.default_rng(int(10 * quantum))
+    noise = READING_SDS.sum() / (1.0 / READING_SDS).sum()  # mean variance of a display before any data
     score = []
     for seed in range(60):
         n = int(rng.integers(60, 300))
@@ -158,9 +161,8 @@ def test_uncertainty_of_energy_by_quantised_soc_agrees_with_its_errors(quantum):
         columns = without(drive(n, seed=seed, speed=10.0), "latitude_deg", "longitude_deg")
         columns["soc_pct"] = np.floor(true / quantum) * quantum
         ride = rides_of(columns).iloc[0]
-        sd = np.sqrt(
-            ride["energy_soc_sd_kwh"] ** 2 - (CAPACITY_GAIN * ride["energy_soc_kwh"]) ** 2
-        )  # its part of the quantum
+        others = noise * CAPACITY**2 + (RIDE_SD * ride["energy_soc_kwh"]) ** 2
+        sd = np.sqrt(ride["energy_soc_noise_kwh"] ** 2 - others)  # its part of the quantum
         score.append((ride["energy_soc_kwh"] - drawn / 100 * CAPACITY) / sd)
     assert np.mean(score) == pytest.approx(0, abs=0.4)
     assert np.std(score) == pytest.approx(1, abs=0.25)

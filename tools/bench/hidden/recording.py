@@ -28,6 +28,7 @@ from core.signals.weather import Sky, Stations
 from core.totals.accumulator import AMOUNTS, Accumulator, Totals
 from core.totals.clean_rows import amounts
 from core.totals.context import RunContext
+from core.totals.display_yield import DisplayYields
 from core.totals.tables import ride_table, window_table
 from core.vehicles.fleet import Cars
 from core.wire.decoder import Decoder
@@ -167,19 +168,20 @@ class Recording:
         """
         hidden = measured.hidden[:, self.car, self.number]
         filled = _filled(self.batch, measured, measurement, self.car, self.number)
-        clean = _cleaned(filled, len(self.lanes), self.sky)._replace(elevation=self.elevation, climb=self.climb)
+        clean = _cleaned(filled, len(self.lanes), self.sky, self.cars.capacity[self.kind] * JOULES_PER_KWH)
+        clean = clean._replace(elevation=self.elevation, climb=self.climb)
         if not np.array_equal(clean.dt, self.timing):
             raise ValueError("a hidden effect has changed which samples are used, so the stored rates are invalid")
-        accumulator = Accumulator(len(self.effects) + ROOM)
+        accumulator, displays = Accumulator(len(self.effects) + ROOM), DisplayYields(self.cars)
         rides, windows = list[Totals](), list[Totals]()
         for block, start in zip(self.rates, range(0, len(self.car), BLOCK), strict=True):
             rows = slice(start, start + BLOCK)
             part = _rows(clean, rows)
             self._renew(block, part, rows, hidden[:, rows])
-            sums = accumulator.add(part, self.kind[rows], block, len(self.lanes))
+            sums = displays.attach(accumulator.add(part, self.kind[rows], block, len(self.lanes)), len(self.lanes))
             rides.append(sums.rides)
             windows.append(sums.windows)
-        closed = accumulator.close()
+        closed = displays.attach(accumulator.close(), len(self.lanes))
         return self._named(_joined([*rides, closed.rides]), _joined([*windows, closed.windows]), names)
 
     def _renew(self, block: Floats, clean: Clean, rows: slice, hidden: Floats) -> None:
@@ -237,7 +239,8 @@ def record_drives(drives: Drives, messages: Sequence[Message] | None = None) -> 
         batch, car, number, kind, lanes.names, decoder.rides, drivers, cars, nowhere,
         [], np.empty(0), np.empty(0), np.empty(0), [effects.get(name) for name in effects.list_tabulated()],
     )  # fmt: skip
-    clean = _cleaned(_filled(batch, measured, "vi", car, number), len(lanes), nowhere)
+    filled = _filled(batch, measured, "vi", car, number)
+    clean = _cleaned(filled, len(lanes), nowhere, cars.capacity[kind] * JOULES_PER_KWH)
     recording.timing = clean.dt
     clean = smooth_elevation(clean)
     recording.elevation, recording.climb = clean.elevation, clean.climb
@@ -252,9 +255,9 @@ def record_drives(drives: Drives, messages: Sequence[Message] | None = None) -> 
     return recording
 
 
-def _cleaned(batch: Batch, lanes: int, sky: Sky) -> Clean:
+def _cleaned(batch: Batch, lanes: int, sky: Sky, capacity: Floats) -> Clean:
     """Return the rows as the product cleans them."""
-    clean = Cleaner(Settings()).clean(batch, lanes)
+    clean = Cleaner(Settings()).clean(batch, lanes, capacity)
     return clean._replace(quality=ambient_quality(clean, sky))
 
 

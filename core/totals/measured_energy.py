@@ -1,0 +1,275 @@
+"""The measured energy of rides and windows: by voltage and current where known, by the state of charge elsewhere.
+
+The choice between the two never depends on their values or uncertainties. Voltage and current (V·I) measure wherever
+they are known and healthy for at least half of the duration; a frozen current does not count as known, see
+`core.cleaning.meters`. The state of charge measures only where V·I does not, and only where it is healthy: it has
+neither jumped nor frozen. Its energy is that of the display of this car, see `core.totals.display_yield`.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.batch import Floats, Ints
+from core.cleaning.meters import COARSEST_SOC, FROZEN_SOC
+from core.cleaning.quality import CAUSES
+from core.columns import GRAVITY, JOULES_PER_KWH
+from core.totals.accumulator import Totals
+from core.vehicles.fleet import Cars
+
+METER_GAIN: Final = 0.01
+"""Relative standard uncertainty of the reported voltage times current. [1]
+
+Estimated: each of the two sensors is of class 0.5 %.
+"""
+RIDE_SD: Final = 0.02
+"""Standard deviation of the yield of single rides, by temperature and power, relative to their mean. [1]
+
+Estimated: the public BMW i3, its curve taken off, has 0.02 (DOI 10.21227/6jr9-5235)."""
+METERED_SHARE: Final = 0.5
+"""Least share of the duration for which V·I must be known. [1]"""
+UNSEEN_POWER: Final = 0.5
+"""Relative standard uncertainty of the mean power over a time without measurement. [1]"""
+LEAST_CONSUMPTION: Final = 0.0017
+"""Least energy that a car takes per distance on level road, over its capacity. [1/km]
+
+Estimated: 0.04 kWh/km of 24 kWh, half of the rolling resistance and drag of a compact car at 40 km/h."""
+
+NO_SOURCE: Final = 0
+BY_POWER: Final = 1
+BY_SOC: Final = 2
+SOURCES: Final = (None, "vi", "soc")
+"""Name of each source of the measured energy, by its code."""
+
+
+class MeasuredEnergy(NamedTuple):
+    """Measured energy of rides or windows.
+
+    Parameters
+    ----------
+    energy, sd : (n,) float
+        Energy and its standard uncertainty, NaN where nothing measures it. [kWh]
+    source : (n,) int
+        `BY_POWER`, `BY_SOC` or `NO_SOURCE`.
+    """
+
+    energy: Floats
+    sd: Floats
+    source: Ints
+
+
+def energy_by_power(totals: Totals) -> tuple[Floats, Floats]:
+    """Return the energy measured by voltage and current, and its standard uncertainty.
+
+    Parameters
+    ----------
+    totals : Totals
+        Totals of n rides or windows.
+
+    Returns
+    -------
+    energy, uncertainty : (n,) float
+        Energy and its standard uncertainty, NaN where less than half of the duration is measured. [kWh]
+
+    Notes
+    -----
+    The mean power of the measured time fills the time without a measurement (gaps, missing values, a frozen current).
+    Four terms add up in quadrature: the gain of the meter, the power between samples, the unmeasured time, and ends
+    lost in gaps.
+    """
+    energy = totals.amount("energy") / JOULES_PER_KWH
+    duration, metered = totals.amount("duration"), totals.amount("metered")
+    share = np.divide(metered, duration, out=np.zeros(len(energy)), where=duration > 0.0)
+    whole = np.divide(energy, share, out=np.full(len(energy), np.nan), where=share >= METERED_SHARE)
+    sampled = np.sqrt(totals.amount("energy_variance")) / JOULES_PER_KWH
+    unseen = UNSEEN_POWER * np.abs(whole) * (1.0 - share)
+    return whole, np.sqrt((METER_GAIN * whole) ** 2 + sampled**2 + unseen**2 + _cut(totals, whole) ** 2)
+
+
+def lost_time(totals: Totals) -> Floats:
+    """Return the time at the beginning and end of each ride that no sample covers, because it fell into a gap.
+
+    Parameters
+    ----------
+    totals : Totals
+        Totals of n rides.
+
+    Returns
+    -------
+    (n,) float
+        Lost time. [s]
+    """
+    return totals.at_first("lost") + totals.at_last("lost")
+
+
+def _cut(totals: Totals, energy: Floats) -> Floats:
+    """Return the uncertainty due to ends lost in gaps, with a power there of anything up to the mean power. [kWh]"""
+    duration = totals.amount("duration")
+    share = np.divide(lost_time(totals), duration, out=np.zeros(len(energy)), where=duration > 0.0)
+    return np.abs(energy) * share / np.sqrt(3.0)
+
+
+def energy_by_soc(totals: Totals) -> tuple[Floats, Floats]:
+    """Return the energy measured by the fall of the state of charge, and its standard uncertainty.
+
+    Parameters
+    ----------
+    totals : Totals
+        Totals of n rides or windows, with the yields of the displays.
+
+    Returns
+    -------
+    energy, uncertainty : (n,) float
+        Energy and its standard uncertainty, NaN where the capacity or the state of charge is unknown. [kWh]
+
+    Notes
+    -----
+    With the yield (k, b) of the display, see `core.totals.display_yield`, the fall of the charge from s_1 to s_2 is the
+    energy E = (s_1 - s_2 + b D) / k. The true charge at each end is uniform within a quantum q, so the fall has a
+    variance of q^2 / 6, and that of the learned noise of the display. The spread of the yields of single rides, the
+    uncertainty of k and b, the gain of the meter from which they were learned, and ends lost in gaps add up in
+    quadrature.
+    """
+    (energy, bend), display = _compute_soc_energy(totals), totals.display
+    of_yield = energy**2 * display["inverse_variance"] - 2.0 * energy * bend * display["covariance"]
+    of_yield += bend**2 * display["curve_variance"]
+    shared = of_yield / display["inverse"] ** 2 + (METER_GAIN * energy) ** 2
+    return energy, np.sqrt(soc_energy_noise(totals) ** 2 + shared)
+
+
+def _compute_soc_energy(totals: Totals) -> tuple[Floats, Floats]:
+    """Return the energy by the state of charge [kWh], and the bend D of its fall [1]."""
+    first, last = totals.at_first("soc"), totals.at_last("soc")
+    bend = (first**2 - first) - (last**2 - last)
+    return (first - last + totals.display["curve"] * bend) / totals.display["inverse"], bend
+
+
+def soc_energy_noise(totals: Totals) -> Floats:
+    """Return the part of the uncertainty of the energy by SOC that is independent from ride to ride.
+
+    Parameters
+    ----------
+    totals : Totals
+        Totals of n rides or windows, with the yields of the displays.
+
+    Returns
+    -------
+    (n,) float
+        Standard deviation by quantum, noise of the display, yield of the ride and lost ends, without the shared
+        uncertainty of the car's yield. [kWh]
+    """
+    variance = find_quantum(totals) ** 2 / 6.0 + totals.display["reading_variance"]
+    energy, _ = _compute_soc_energy(totals)
+    spread = (RIDE_SD * energy) ** 2 + _cut(totals, energy) ** 2
+    return np.asarray(np.sqrt(variance / totals.display["inverse"] ** 2 + spread))
+
+
+def find_quantum(totals: Totals) -> Floats:
+    """Return the quantum of the reported state of charge, (n,). [1]"""
+    return np.nan_to_num(totals.at_last("soc_step"), nan=COARSEST_SOC)
+
+
+def usable_capacity(totals: Totals) -> tuple[Floats, Floats]:
+    """Return the energy for which 100 % of each car's display stands, and its standard uncertainty.
+
+    Parameters
+    ----------
+    totals : Totals
+        Totals of n rides or windows, with the yields of the displays.
+
+    Returns
+    -------
+    capacity, uncertainty : (n,) float
+        Capacity as learned before each row, NaN where the vehicle model is unknown. [kWh]
+    """
+    inverse = totals.display["inverse"]
+    return 1.0 / inverse, np.hypot(np.sqrt(totals.display["inverse_variance"]) / inverse, METER_GAIN) / inverse
+
+
+def find_soc_faults(totals: Totals, cars: Cars) -> NDArray[np.bool_]:
+    """Return where the state of charge is faulty: it jumped or froze, by V·I or by the distance driven.
+
+    Parameters
+    ----------
+    totals : Totals
+        Totals of n rides or windows.
+    cars : Cars
+        Source of masses and capacities.
+
+    Returns
+    -------
+    (n,) bool
+        True where the state of charge must not measure the energy.
+
+    Notes
+    -----
+    Without V·I, an unchanged charge is frozen where the car must have used `FROZEN_SOC` of its battery: the least
+    consumption over the distance, less the energy of its net descent.
+    """
+    return (totals.amount("soc_faults") > 0.0) | _unmoved(totals, cars)
+
+
+def _unmoved(totals: Totals, cars: Cars) -> NDArray[np.bool_]:
+    """Return where the charge is the same at both ends of a distance that takes several quanta."""
+    kinds = totals.at_last("kind").astype(np.int64)
+    descent = np.maximum(totals.amount("lost") - totals.amount("gained"), 0.0)
+    fallen = cars.parameters_of(kinds).mass_kg * GRAVITY * descent / JOULES_PER_KWH / cars.capacity[kinds]
+    used = LEAST_CONSUMPTION * totals.amount("distance") * 1e-3 - np.nan_to_num(fallen)
+    return (totals.at_first("soc") == totals.at_last("soc")) & (used > FROZEN_SOC)
+
+
+def measured_energy(totals: Totals, cars: Cars) -> MeasuredEnergy:
+    """Return the measured energy, its standard uncertainty and its source.
+
+    Parameters
+    ----------
+    totals : Totals
+        Totals of n rides or windows, with the yields of the displays.
+    cars : Cars
+        Source of masses and capacities.
+
+    Returns
+    -------
+    MeasuredEnergy
+        By V·I wherever it is known, else by a healthy state of charge.
+    """
+    power, power_sd = energy_by_power(totals)
+    soc, soc_sd = energy_by_soc(totals)
+    by_power = ~np.isnan(power)
+    by_soc = ~by_power & ~np.isnan(soc) & ~find_soc_faults(totals, cars)
+    source = np.where(by_power, BY_POWER, np.where(by_soc, BY_SOC, NO_SOURCE))
+    return MeasuredEnergy(
+        np.where(by_power, power, np.where(by_soc, soc, np.nan)),
+        np.where(by_power, power_sd, np.where(by_soc, soc_sd, np.nan)),
+        source,
+    )
+
+
+def energy_unfitness(totals: Totals, cars: Cars) -> tuple[tuple[str, NDArray[np.bool_]], ...]:
+    """Return why the measured energy of rides makes them unfit for training; a later reason outranks earlier ones.
+
+    Parameters
+    ----------
+    totals : Totals
+        Totals of n rides.
+    cars : Cars
+        Source of masses and capacities.
+
+    Returns
+    -------
+    tuple of (str, (n,) bool)
+        Each reason, and where it applies.
+    """
+    unmeasured = measured_energy(totals, cars).source == NO_SOURCE
+    reported = unmeasured & ~np.isnan(totals.at_last("soc"))
+    jumped = totals.quality[:, CAUSES.index("soc_jump")] > 0.0
+    frozen = (totals.quality[:, CAUSES.index("soc_frozen")] > 0.0) | _unmoved(totals, cars)
+    unknown = np.isnan(cars.capacity[totals.at_last("kind").astype(np.int64)])
+    return (
+        ("contradictory_energy", totals.display["contradicted"] > 0.0),
+        ("no_measured_energy", unmeasured),
+        ("soc_jump", reported & jumped),
+        ("soc_frozen", reported & frozen),
+        ("unknown_capacity", reported & unknown),
+    )

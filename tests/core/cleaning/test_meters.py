@@ -1,0 +1,112 @@
+"""Test the meters of a car: frozen currents, and a state of charge that freezes or jumps."""
+
+import numpy as np
+import pytest
+
+from core.cleaning.kernel import Cleaner
+from core.cleaning.quality import Quality
+from core.settings import Settings
+from tests.support.telemetry import PERIOD, cleaned, count, decoded, drive, telemetry
+
+N = 400
+CAPACITY = 24.0 * 3.6e6
+FAULTS = Quality.SOC_JUMP | Quality.SOC_FROZEN | Quality.POWER_FROZEN
+
+
+def metered(quantum=0.5, seed=2, n=N):
+    """Return a drive with voltage and current that follow the speed, and the charge that they use, in per cent."""
+    columns = drive(n, seed=seed, battery_voltage_v=360.0)
+    columns["battery_current_a"] = 4.0 + 0.9 * columns["speed_kmh"]
+    used = np.cumsum(360.0 * columns["battery_current_a"]) * PERIOD / CAPACITY
+    columns["soc_pct"] = np.floor((80.0 - 100.0 * used) / quantum) * quantum
+    return columns
+
+
+def clean(columns, capacity=CAPACITY):
+    """Return the cleaned samples of a car of known capacity."""
+    return Cleaner(Settings()).clean(decoded(telemetry(columns)), 1, capacity)
+
+
+@pytest.mark.parametrize("quantum", [0.1, 0.5, 1.0])
+@pytest.mark.parametrize("scale", [0.65, 1.0, 1.3])
+def test_healthy_meters_of_any_quantum_and_yield_have_no_fault(quantum, scale):
+    assert count(clean(metered(quantum), CAPACITY * scale), FAULTS) == 0
+
+
+def test_charge_that_stays_while_power_is_drawn_is_frozen_until_it_moves():
+    columns = metered()
+    columns["soc_pct"][100:300] = columns["soc_pct"][100]
+    bits = clean(columns).quality & Quality.SOC_FROZEN
+    rows = np.flatnonzero(bits)
+    assert rows[-1] == 300  # the step that ends it says nothing of its own window
+    assert np.array_equal(rows, np.arange(rows[0], 301))
+    used = np.cumsum(360.0 * columns["battery_current_a"])[[99, rows[0]]] * PERIOD
+    assert np.diff(used)[0] == pytest.approx(0.04 * CAPACITY, rel=0.2)
+
+
+def test_frozen_charge_is_not_seen_without_capacity_or_without_power():
+    columns = metered()
+    columns["soc_pct"][100:300] = columns["soc_pct"][100]
+    assert count(cleaned(columns), Quality.SOC_FROZEN) == 0
+    columns["battery_current_a"][:] = np.nan
+    assert count(clean(columns), Quality.SOC_FROZEN) == 0
+
+
+@pytest.mark.parametrize("change", [-8.0, -4.0, 4.0, 8.0])
+def test_jump_that_power_contradicts_is_marked_once(change):
+    columns = metered(0.1)
+    columns["soc_pct"][200:] += change
+    assert np.flatnonzero(clean(columns).quality & Quality.SOC_JUMP).tolist() == [200]
+
+
+@pytest.mark.parametrize(("quantum", "change"), [(0.02, -2.0), (0.5, -25.0), (1.0, -40.0)])
+def test_jump_beyond_what_the_car_can_use_is_marked_without_power(quantum, change):
+    columns = metered(quantum)
+    columns["battery_current_a"][:] = np.nan
+    columns["soc_pct"][200:] += change
+    assert np.flatnonzero(clean(columns, np.nan).quality & Quality.SOC_JUMP).tolist() == [200]
+
+
+def test_change_between_two_rides_is_no_jump():
+    columns = metered()
+    columns["ride_id"][200:] = "r2"
+    columns["soc_pct"][200:] += 15.0
+    assert count(clean(columns), Quality.SOC_JUMP | Quality.SOC_FROZEN) == 0
+
+
+def test_change_while_charging_or_over_a_long_silence_is_no_jump():
+    columns = metered()
+    columns["charging"] = np.zeros(N, bool)
+    columns["charging"][150:200] = True
+    columns["soc_pct"][200:] += 12.0
+    columns["soc_pct"][151:200] += np.linspace(0.0, 12.0, 49).round(1)
+    columns["soc_pct"][300:] -= 30.0
+    columns["time_s"][300:] += 3600.0
+    columns["seq"][300:] += 1200
+    assert count(clean(columns), Quality.SOC_JUMP | Quality.SOC_FROZEN) == 0
+
+
+def test_current_that_stays_the_same_while_the_speed_varies_is_frozen_and_not_metered():
+    columns = metered()
+    columns["battery_current_a"][100:250] = columns["battery_current_a"][100]
+    result = clean(columns)
+    rows = np.flatnonzero(result.quality & Quality.POWER_FROZEN)
+    assert rows[-1] == 249
+    assert 100 < rows[0] < 130
+    assert np.all(result.metered[rows] == 0.0)
+    assert np.all(result.energy[rows] == 0.0)
+    assert result.metered[260] == PERIOD
+
+
+def test_current_of_zero_over_distance_is_frozen_even_at_constant_speed():
+    columns = drive(N, speed=15.0, battery_voltage_v=360.0, battery_current_a=30.0)
+    assert count(clean(columns), Quality.POWER_FROZEN) == 0  # a constant power at a constant speed is plausible
+    columns["battery_current_a"][200:] = 0.0
+    rows = np.flatnonzero(clean(columns).quality & Quality.POWER_FROZEN)
+    assert rows[0] == pytest.approx(200 + 300 / (15 * PERIOD), abs=2)
+    assert rows[-1] == N - 1
+
+
+def test_current_of_zero_while_the_car_stands_is_healthy():
+    columns = drive(N, speed=0.0, battery_voltage_v=360.0, battery_current_a=0.0)
+    assert count(clean(columns), Quality.POWER_FROZEN) == 0
