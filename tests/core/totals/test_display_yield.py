@@ -11,7 +11,7 @@ from core.pipeline import Pipeline
 from core.totals.accumulator import AMOUNTS, EDGES, Accumulator, Sums, Totals
 from core.totals.display_record import unknown_yields
 from core.totals.display_yield import READING_SDS, RELEARN_AFTER, DisplayYields
-from core.totals.measured_energy import energy_by_soc, usable_capacity
+from core.totals.measured_energy import RIDE_SD, energy_by_soc, usable_capacity
 from core.vehicles.fleet import Cars
 from core.wire.messages import Vehicle
 from tests.core.totals.test_measured_energy import shift
@@ -78,7 +78,8 @@ def test_energy_of_the_next_ride_is_within_its_uncertainty():
         noise = rng.choice(READING_SDS, p=1.0 / READING_SDS / (1.0 / READING_SDS).sum())
         displays = DisplayYields(fleet(1))
         for number in range(20):
-            known = learn(displays, ride(rng, capacity=capacity, curve=curve, noise=noise))
+            today = capacity * rng.normal(1.0, RIDE_SD)
+            known = learn(displays, ride(rng, capacity=today, curve=curve, noise=noise))
             if number % 3 == 0:
                 energy, sd = energy_by_soc(known)
                 score.append((energy[0] - known.amount("energy")[0] / JOULES_PER_KWH) / sd[0])
