@@ -243,8 +243,8 @@ class Pipeline:
 
     def sum_up(self, rows: CleanRows) -> Sums:
         """Run the steps from cleaned rows to totals, see `core.totals.clean_rows.sum_rows`."""
-        sums = sum_rows(rows, self.cars, self._powers, self.accumulator, len(self.lanes))
-        return self.displays.attach(sums, len(self.lanes))
+        lanes = len(self.lanes)
+        return self.displays.attach(sum_rows(rows, self.cars, self._powers, self.accumulator, lanes), lanes)
 
     def _take_closed_of(self, released: CleanRows) -> None:
         """Sum up deferred rows that have been released, a block at a time."""
@@ -448,8 +448,7 @@ class Pipeline:
     def restore(self, snapshot: bytes) -> None:
         """Replace the state by one that `snapshot` returned.
 
-        If the first model is the same, running errors continue for the models that are still present. Otherwise they
-        start again.
+        If the first model is the same, running errors continue for the models that are present; else they start again.
 
         Parameters
         ----------
