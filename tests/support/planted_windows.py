@@ -12,7 +12,7 @@ from core.fit.recipes import LinearRecipe, make_term
 from core.fit.ride_blocks import RideFrame
 from core.models import LinearModel, make_physical_term
 from core.models.features import FEATURES, Columns
-from core.totals.tables import METER_GAIN
+from core.totals.measured_energy import METER_GAIN
 
 KINDS = ("kia-soul-ev-2015", "nissan-leaf-2016")
 BASE = {"rolling": 1.1, "climbing": 0.95, "aero_drag": 1.05, "inertia_positive": 1.1, "inertia_negative": 0.8}

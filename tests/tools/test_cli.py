@@ -204,7 +204,7 @@ def test_replay_uses_settings_of_cleaning(recording):
     for limit in ("130", "30"):
         out, _, code = called("replay", recording, "--speed-limit-kmh", limit)
         assert code == 0
-        rejected.append(int(re.search(r"speed rejected ([\d,]+)", out)[1].replace(",", "")))
+        rejected.append(int(re.search(r"rejected samples:.*speed rejected ([\d,]+)", out)[1].replace(",", "")))
     assert 0 < 10 * rejected[0] < rejected[1]
 
 

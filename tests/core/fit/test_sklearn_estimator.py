@@ -16,7 +16,7 @@ def test_recipe_regressor_is_a_scikit_learn_estimator():
     measured = noisy(rides(600, models=("kia-soul-ev-2015",)), np.zeros(600))
     energy = noisy(measured, physical_energy(measured))["energy_kwh"]
     estimator = RecipeRegressor("fitted_physical")
-    assert clone(estimator).get_params() == {"recipe": "fitted_physical", "covariance": False}
+    assert clone(estimator).get_params() == {"recipe": "fitted_physical", "windows": None, "covariance": False}
     with pytest.raises(NotFittedError):
         estimator.predict(measured)
     assert estimator.fit(measured, energy) is estimator

@@ -36,6 +36,7 @@ def test_warm_up_gives_forecasts_intervals_immediately(recordings):
 
 
 def test_rides_and_counters_exclude_warm_up(recordings):
+    """Only the energy by charge may differ: it rests on the capacities that the warm-up has learned."""
     fresh, pipeline = Pipeline(settings=SETTINGS), Pipeline(settings=SETTINGS)
     pipeline.learn_from(learn_from_recordings(EXTENDED_PHYSICAL, [], SETTINGS, recordings))
     for each in (fresh, pipeline):
@@ -45,7 +46,10 @@ def test_rides_and_counters_exclude_warm_up(recordings):
     assert counters.pop("vehicles") == len(CARS)
     expected.pop("vehicles")
     assert counters == expected
-    assert pipeline.take_rides().equals(fresh.take_rides())
+    by_charge = ["energy_kwh", "energy_sd_kwh", "usable_capacity_kwh", "usable_capacity_sd_kwh"]
+    by_charge += ["energy_soc_kwh", "energy_soc_sd_kwh", "energy_soc_noise_kwh"]
+    rides, expected_rides = (each.take_rides().drop(columns=by_charge) for each in (pipeline, fresh))
+    assert rides.equals(expected_rides)
 
 
 def test_warm_up_keeps_vehicle_model_of_cars_that_send_none_again(recordings):

@@ -36,7 +36,7 @@ def test_figures_match_their_definitions():
 
 
 def test_percentages_and_noise_floor_match_their_definitions():
-    rides = planted().assign(energy_soc_sd_kwh=lambda table: np.hypot(0.05, 0.15 * table["energy_kwh"]))
+    rides = planted().assign(energy_soc_noise_kwh=0.05)
     result = compared(rides, m=EXTENDED_PHYSICAL)
     energy = rides["energy_kwh"].to_numpy()
     error, counted = np.abs(EXTENDED_PHYSICAL.predict(rides) - energy), energy >= LEAST_ENERGY
