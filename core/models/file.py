@@ -72,6 +72,11 @@ def load(name_or_path: str | Path, *, verify: bool = True) -> LinearModel:
     if (known := BUILT_IN_MODELS.get(str(name_or_path))) is not None:
         return known
     path = Path(name_or_path)
+    if path.is_dir():
+        raise ModelError(
+            f"{path} is a folder, not a model: name the model file that `socast fit` wrote, or one of "
+            f"{', '.join(BUILT_IN_MODELS)}"
+        )
     if not path.suffix and not path.exists():
         raise ModelError(
             f"model {str(path)!r} is unknown: name one of {', '.join(BUILT_IN_MODELS)}, or give the path of a file"
