@@ -2,10 +2,11 @@
 
 import ast
 import linecache
+import operator
 import traceback
 import warnings
 from collections.abc import Mapping
-from functools import cache
+from functools import cache, partialmethod
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -147,7 +148,16 @@ def _registry() -> Any:
     """Return pint's registry, loaded on first use: half of pint's cost is reading it, and only checks need it."""
     import pint  # noqa: PLC0415
 
-    return pint.UnitRegistry()
+    registry: Any = pint.UnitRegistry()
+    # pint returns False where a quantity is compared with another dimension by `==`; here it is an error, as by `<`
+    registry.Quantity.__eq__ = partialmethod(registry.Quantity.compare, op=operator.eq)
+    registry.Quantity.__ne__ = partialmethod(registry.Quantity.compare, op=operator.ne)
+    return registry
+
+
+def _spell(unit: Any) -> str:
+    """Return a unit as pint abbreviates it, `1` for that of a pure number."""
+    return f"{unit:~}" or "1"
 
 
 def _parse_unit(effect: Effect, text: str) -> Any:
@@ -171,7 +181,7 @@ def _check_unit(effect: Effect, rows: Mapping[str, Floats]) -> None:
         if si.magnitude != 1.0:
             raise EffectError(
                 f"effect {effect.name}: parameter {name} is in [{parameter.unit}], but columns are in SI units: "
-                f"give its value in [{si.units:~}]"
+                f"give its value in [{_spell(si.units)}]"
             )
         constants[name] = quantity(parameter.value, unit)
     with warnings.catch_warnings(), np.errstate(all="ignore"):
@@ -187,8 +197,8 @@ def _check_unit(effect: Effect, rows: Mapping[str, Floats]) -> None:
         quantity(1.0, product).to(watt).magnitude, 1.0, rtol=1e-12
     ):
         raise EffectError(
-            f"effect {effect.name}: function gives [{unit:~}], times the coefficient's [{effect.unit}] that is "
-            f"[{product:~}], not [W]: correct the formula, the coefficient's unit or a parameter's unit"
+            f"effect {effect.name}: function gives [{_spell(unit)}], times the coefficient's [{effect.unit}] that is "
+            f"[{_spell(product)}], not [W]: correct the formula, the coefficient's unit or a parameter's unit"
         )
 
 

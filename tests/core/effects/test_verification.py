@@ -39,6 +39,8 @@ def refusal(text: str) -> str:
     [
         ('unit="W/K"', 'unit="W"', "times the coefficient's [W] that is [K * W], not [W]"),
         ('unit="W/K"', 'unit="kW/K"', "not [W]"),
+        (BODY, "stopped / 2.0", "function gives [1], times the coefficient's [W/K] that is [W / K], not [W]"),
+        (BODY, "stopped * (inside == stopped)", "units do not fit: Cannot convert"),
         ('unit="W/K"', 'unit="wattage"', "pint does not know the unit 'wattage'"),
         ('unit="W/K"', 'unit="3 W/K"', "pint does not know the unit '3 W/K'"),
         ('"K", 288', '"kg", 288', "units do not fit: Cannot convert"),
@@ -78,6 +80,10 @@ BARE = GOOD.replace(f"return {BODY}", "return stopped * (EXPRESSION)").replace("
     [
         ("inside - ambient * (ambient < 278.15)", "278.15", "ambient < 278.15"),
         ("inside - ambient * (278.15 > ambient)", "278.15", "278.15 > ambient"),
+        ("inside - ambient * (ambient == 278.15)", "278.15", "ambient == 278.15"),
+        ("inside - ambient * (ambient != 278.15)", "278.15", "ambient != 278.15"),
+        ("inside - ambient * (278.15 != ambient)", "278.15", "278.15 != ambient"),
+        ("inside - ambient * np.equal(ambient, 278.15)", "278.15", "np.equal(ambient, 278.15)"),
         ("inside - ambient * (-5 <= ambient)", "-5", "-5 <= ambient"),
         ("inside - np.where(ambient < LIMIT, 1.0, 0.0)", "LIMIT", "ambient < LIMIT"),
         ("inside - np.where(stopped > 0.5, ambient, 278.15)", "278.15", "np.where(stopped > 0.5, ambient, 278.15)"),
@@ -122,7 +128,7 @@ def test_error_of_a_file_names_the_line(tmp_path, expression, message):
 def test_zero_needs_no_unit(tmp_path):
     path = tmp_path / "zero.py"
     path.write_text(
-        BARE.replace("EXPRESSION", "(inside - ambient) * (ambient > 0)").replace("bare", "zero_needs_no_unit")
+        BARE.replace("EXPRESSION", "(inside - ambient) * (ambient > 0) * (ambient != 0)").replace("bare", "zero_needs_no_unit")
     )
     assert [effect.name for effect in load_file(path)] == ["zero_needs_no_unit"]
     registry._library.pop("zero_needs_no_unit"), registry._brought_by.pop("zero_needs_no_unit")
