@@ -6,6 +6,7 @@ write one.
 """
 
 import ast
+import re
 import runpy
 import subprocess
 import sys
@@ -38,6 +39,11 @@ FORBIDDEN_CALLS: Final = frozenset({"__import__", "breakpoint", "compile", "eval
 """Functions that a file of effects must not call, for the same reason."""
 
 _USER_MODULE: Final = "user_effects"
+_DECLARATION: Final = {
+    "effect()": "@effect(coefficient=..., unit=..., low=..., high=..., source=...)",
+    "Parameter.__init__()": 'Parameter(value, "unit", low, high, grid=(...))',
+}
+"""How to write a declaration, by the name with which Python's errors call it."""
 CANDIDATES: Final[Mapping[str, tuple[Effect, ...]]] = MappingProxyType(
     {
         "air": AIR,
@@ -267,6 +273,8 @@ def _run(path: Path) -> list[Effect]:
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
         reason = " ".join(str(error).split())
         where = f"{path}:{lines[-1]}" if lines else f"{path}"
+        if isinstance(error, TypeError) and (wrong := _explain_declaration(reason)):
+            raise EffectError(f"{where}: {wrong}") from error
         raise EffectError(f"{where}: raises {type(error).__name__} when imported: {reason}") from error
     effects = {id(e): e for e in names.values() if isinstance(e, Effect) and e.function.__module__ == _USER_MODULE}
     if not effects:
@@ -274,3 +282,25 @@ def _run(path: Path) -> list[Effect]:
             f"{path}: holds no effect: write `from socast import effect`, and @effect(...) over a function of columns"
         )
     return list(effects.values())
+
+
+def _explain_declaration(reason: str) -> str:
+    """Return the message for a declaration with wrong arguments, empty for any other `TypeError`.
+
+    Examples
+    --------
+    >>> _explain_declaration("effect() missing 1 required keyword-only argument: 'source'")
+    '@effect lacks source: write @effect(coefficient=..., unit=..., low=..., high=..., source=...)'
+    """
+    call, _, what = reason.partition(" ")
+    if call not in _DECLARATION:
+        return ""
+    name = "@effect" if call == "effect()" else "Parameter"
+    arguments = re.findall(r"'(\w+)'", what)
+    if what.startswith("missing"):
+        wrong = f"lacks {' and '.join(arguments)}"
+    elif arguments:
+        wrong = f"has no argument {arguments[0]}"
+    else:
+        wrong = "has too many arguments without a name"
+    return f"{name} {wrong}: write {_DECLARATION[call]}"

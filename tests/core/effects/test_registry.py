@@ -1,5 +1,7 @@
 """Test the library of effects: user files are checked, and refused in one line."""
 
+import re
+
 import pytest
 
 from core.effects import get, get_library, load_file
@@ -99,7 +101,19 @@ def test_existing_name_is_refused_and_the_library_stays_unchanged(write):
         (GOOD.replace('"W/K"', '"W"'), ": effect door_loss: function gives [K]"),
         (
             "from core.effects import effect\n@effect\ndef f(speed):\n    pass\n",
-            ":2: raises TypeError when imported: effect() takes",
+            ":2: @effect has too many arguments without a name: write @effect(coefficient=",
+        ),
+        (
+            GOOD.replace('source="', 'sauce="'),
+            "@effect has no argument sauce: write @effect(coefficient=",
+        ),
+        (
+            re.sub(r'source="[^"]*",? ?', "", GOOD),
+            "@effect lacks source: write @effect(coefficient=..., unit=..., low=..., high=..., source=...)",
+        ),
+        (
+            "from core.effects import Parameter\nlimit = Parameter(3.0)\n",
+            ':2: Parameter lacks unit: write Parameter(value, "unit", low, high, grid=(...))',
         ),
     ],
 )
