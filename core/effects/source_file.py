@@ -66,7 +66,7 @@ def render_source(
         f"low={low!r}",
         f"high={high!r}",
         f"source={_quote(source)}",
-        *([f"per={_quote(per)}"] if per != "distance" else []),
+        f"per={_quote(per)}",
         *([f"parameters={{{moved}}}"] if constants else []),
         *([f"confused_with=[{', '.join(map(_quote, confused_with))}]"] if confused_with else []),
         *([f"shown_by={_quote(shown_by)}"] if shown_by else []),

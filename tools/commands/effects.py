@@ -154,6 +154,7 @@ def _table() -> Table:
             Column("formula", ratio=1),
             Column("coefficient", ratio=1),
             Column("plausible", fixed=True),
+            Column("per", fixed=True),
         ]
     )
 
@@ -161,7 +162,7 @@ def _table() -> Table:
 def _add(table: Table, effect: Effect) -> None:
     """Add the row of an effect to a table."""
     unit = "" if effect.unit == "1" else f" [{effect.unit}]"
-    table.add_row(effect.name, Text(effect.formula), Text(effect.coefficient + unit), _range(effect))
+    table.add_row(effect.name, Text(effect.formula), Text(effect.coefficient + unit), _range(effect), effect.per)
 
 
 def _range(effect: Effect) -> str:

@@ -76,6 +76,7 @@ def test_new_file_passes_its_check_and_copies_its_origin(tmp_path, origin):
     assert f"socast effects check {path}" in " ".join(done.stdout.split())
     (copy,) = registry._run(path)
     effects.check_effect(copy)
+    assert f'per="{copy.per}",' in path.read_text()
     if origin is None:
         assert copy.name == "my_effect"
         assert copy.variants
@@ -134,6 +135,9 @@ def test_check_command_accepts_a_valid_file_and_refuses_an_invalid_one(write):
     assert done.exit_code == 0
     assert "door_loss" in done.stdout
     assert "1 effect in" in done.stdout
+    lines = [line.split() for line in done.stdout.splitlines()]
+    assert any(line[-1:] == ["per"] for line in lines)
+    assert any(line[:1] == ["door_loss"] and line[-1] == "time" for line in lines)
     bad = CliRunner().invoke(app, ["check", str(write("x = 1\n", "bad.py"))])
     assert isinstance(bad.exception, EffectError)
 
