@@ -76,7 +76,7 @@ def build_trial_sections(trial: Entry) -> list[Section]:
     comparisons = [(what, get_mapping(trial, key)) for key, what in HELD_OUT.items() if get_mapping(trial, key)]
     rows = tuple(_compared(what, one) for what, one in comparisons)
     floor = f"Measurement noise alone: {format_energy(trial.get('noise_floor_kwh'))}. {TRIAL_NOTE}"
-    heads = ("rides", "vehicle-days", "before, kWh", "after, kWh", "change, kWh", "change")
+    heads = ("rides", "vehicle-\ndays", "before,\nkWh", "after,\nkWh", "change,\nkWh", "change")
     title = f"{trial.get('effect')}{_scope(trial)}: before and after"
     tables = [ReportTable("Mean absolute error of a ride", "evaluated on", heads, rows, (floor,))]
     parts = get_mapping(trial, "conditions")
@@ -170,7 +170,7 @@ def describe_progress(model: LinearModel) -> str:
 def tabulate_history(model: LinearModel) -> ReportTable:
     """Return a table with every step of the history."""
     rows = tuple(_step(i, entry) for i, entry in enumerate(model.history))
-    heads = ("result", "before, kWh", "after, kWh", "change, kWh", "noise, kWh", "final, kWh")
+    heads = ("result", "before,\nkWh", "after,\nkWh", "change,\nkWh", "noise,\nkWh", "final,\nkWh")
     return ReportTable("", "step", heads, rows, (HISTORY_NOTE,) if list_attempts(model) else ())
 
 

@@ -141,3 +141,16 @@ def test_trial_shows_errors_before_and_after(model):
                  "warning: it is too large", "cold_rolling helps: a gain of 10 ± 2 %."):  # fmt: skip
         assert part in text, part
     assert "snow does not help: it may be chance." in printed(history.print_trial, model.history[2])
+
+
+def test_header_of_a_trial_and_of_a_history_breaks_no_word_at_80_columns(model):
+    console = Console(width=80, file=StringIO(), color_system=None)
+    history.print_trial(attempt("cold_rolling", "add", 0.42, 0.31), console)
+    history.show(model, console)
+    heads = [line.split() for line in console.file.getvalue().splitlines() if "before," in line or " kWh  " in line]
+    assert heads == [
+        ["vehicle-", "before,", "after,", "change,"],
+        ["evaluated", "on", "rides", "days", "kWh", "kWh", "kWh", "change"],
+        ["before,", "after,", "change,", "noise,", "final,"],
+        ["step", "result", "kWh", "kWh", "kWh", "kWh", "kWh"],
+    ]
