@@ -128,7 +128,9 @@ def test_error_of_a_file_names_the_line(tmp_path, expression, message):
 def test_zero_needs_no_unit(tmp_path):
     path = tmp_path / "zero.py"
     path.write_text(
-        BARE.replace("EXPRESSION", "(inside - ambient) * (ambient > 0) * (ambient != 0)").replace("bare", "zero_needs_no_unit")
+        BARE.replace("EXPRESSION", "(inside - ambient) * (ambient > 0) * (ambient != 0)").replace(
+            "bare", "zero_needs_no_unit"
+        )
     )
     assert [effect.name for effect in load_file(path)] == ["zero_needs_no_unit"]
     registry._library.pop("zero_needs_no_unit"), registry._brought_by.pop("zero_needs_no_unit")

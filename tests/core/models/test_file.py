@@ -250,7 +250,9 @@ def test_unknown_name_absent_file_and_folder_are_refused(tmp_path):
         load("hybird")
     with pytest.raises(ModelError, match=r"no\.json: cannot read a model: No such file"):
         load(tmp_path / "no.json")
-    with pytest.raises(ModelError, match="is a folder, not a model: name the model file that `socast fit` wrote, or one of basic"):
+    with pytest.raises(
+        ModelError, match="is a folder, not a model: name the model file that `socast fit` wrote, or one of basic"
+    ):
         load(tmp_path)
     with pytest.raises(ModelError, match="cannot write the model"):
         save(BASIC_PHYSICAL, tmp_path / "no" / "model.json")
