@@ -6,12 +6,14 @@ is called, because numba, pandas and Zenoh take seconds to import and `socast --
 
 import inspect
 import os
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from typing import Annotated, Any, Final, NamedTuple
 
 import typer
+from typer.core import TyperCommand
 
 from core.errors import SocastError
 
@@ -73,6 +75,31 @@ COMPLETION: Final = "_SOCAST_COMPLETE"
 CLOSED_PIPE: Final = 141
 """Exit code after standard output was closed: that of a process that SIGPIPE ended, 128 + 13."""
 
+_ARGUMENT: Final = re.compile(r"\{(.+?)(?:\.\.\.)?\}((?:\.\.\.)?)|\[(\[.+\])\]")
+"""An argument as typer writes it in a usage line: `{NAME}`, `{NAME}...` or `[[NAME]]`."""
+
+
+class PlainCommand(TyperCommand):
+    """Write the arguments of a command by their names alone, without the braces and the types that typer adds."""
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Return the words of the usage line after the name of the command."""
+        return [_ARGUMENT.sub(r"\1\2\3", piece) for piece in super().collect_usage_pieces(ctx)]
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the arguments and the options, each with its description."""
+        rows: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        for parameter in self.get_params(ctx):
+            if (record := parameter.get_help_record(ctx)) is None:
+                continue
+            is_argument = parameter.param_type_name == "argument"
+            name = record[0].partition(" <")[0] if is_argument else record[0]
+            rows["Arguments" if is_argument else "Options"].append((name, record[1]))
+        for title, of_title in rows.items():
+            if of_title:
+                with formatter.section(title):
+                    formatter.write_dl(of_title)
+
 
 def application(chosen: str | None = None) -> typer.Typer:
     """Return the command line with one command imported and the others known by name only.
@@ -103,10 +130,10 @@ def application(chosen: str | None = None) -> typer.Typer:
         loaded = getattr(import_module(command.module), command.name)
         if isinstance(loaded, typer.Typer):
             for each in loaded.registered_commands:
-                each.help = help_text(each.callback)
+                each.help, each.cls = help_text(each.callback), PlainCommand
             app.add_typer(loaded, name=name, short_help=command.summary)
         else:
-            app.command(name, help=help_text(loaded), short_help=command.summary)(loaded)
+            app.command(name, cls=PlainCommand, help=help_text(loaded), short_help=command.summary)(loaded)
     return app
 
 

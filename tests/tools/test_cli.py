@@ -113,6 +113,34 @@ def test_every_command_and_option_is_documented(name):
     assert COMMANDS[name].summary.endswith(".")
 
 
+@pytest.mark.parametrize(
+    ("call", "usage"),
+    [
+        ("info", "socast info [OPTIONS] REC..."),
+        ("diagnose", "socast diagnose [OPTIONS] TABLES|REC..."),
+        ("demo", "socast demo [OPTIONS] [REC]"),
+        ("effects check", "socast effects check [OPTIONS] FILE.py"),
+        ("live", "socast live [OPTIONS]"),
+    ],
+)
+def test_help_names_arguments_without_braces_and_types(call, usage):
+    chosen, *inner = call.split()
+    out = CliRunner().invoke(application(chosen), [chosen, *inner, "--help"]).output
+    assert out.splitlines()[0] == f"Usage: {usage}"
+    assert "list[" not in out
+    assert "Path" not in out
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_has_one_long_name(name):
+    commands = [typer.main.get_command(application(name)).commands[name]]
+    while commands:
+        command = commands.pop()
+        commands += getattr(command, "commands", {}).values()
+        for parameter in command.params:
+            assert sum(option.startswith("--") for option in parameter.opts) <= 1, parameter.name
+
+
 def test_version_option_prints_version():
     result = CliRunner().invoke(application(), ["--version"])
     assert re.fullmatch(r"socast \d+\.\d+\.\d+\n", result.output)

@@ -33,7 +33,12 @@ QUIET_S = 2.0
 
 def demo(
     recording: Annotated[
-        Path, typer.Argument(metavar="[REC]", help="Recording to publish. [default: the shift that comes with socast]")
+        Path,
+        typer.Argument(
+            metavar="[REC]",
+            help="Recording to publish. [default: the shift that comes with socast]",
+            show_default=False,
+        ),
     ] = SHIFT,
     seconds: Annotated[float, typer.Option(min=1.0, metavar="S", help="Duration of the demonstration.")] = 35.0,
     model: ModelName = DEFAULT_MODEL,

@@ -72,7 +72,9 @@ def show(
 
 @app.command("check")
 def check_file(
-    file: Annotated[Path, typer.Argument(help="A Python file with functions under @effect. Checking it runs it.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE.py", help="A Python file with functions under @effect. Checking it runs it.")
+    ],
     json_file: JsonFile = None,
 ) -> None:
     """Check a file of your own effects.
@@ -96,7 +98,7 @@ def check_file(
 
 @app.command("new")
 def new_file(
-    file: Annotated[Path, typer.Argument(help="The Python file to write.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE.py", help="The Python file to write.")],
     origin: Annotated[str | None, typer.Option("--from", metavar="E", help="Begin with a copy of this effect.")] = None,
 ) -> None:
     """Write a file to begin your own effect with.

@@ -67,7 +67,7 @@ def live(
         Path | None, typer.Option(metavar="FILE", help="Keep the state of every car here, and continue from it.")
     ] = None,
     report: Annotated[float, typer.Option(metavar="S", help="Time between two log lines of counters.")] = REPORT_S,
-    json_log: Annotated[bool, typer.Option("--json-log", "--log-json", help="Log JSON instead of key=value.")] = False,
+    json_log: Annotated[bool, typer.Option("--json-log", help="Log JSON instead of key=value.")] = False,
 ) -> None:
     """Listen to cars over Zenoh, publish a forecast for each, and answer questions about their shifts.
 
