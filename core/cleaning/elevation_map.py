@@ -77,7 +77,8 @@ class ElevationRaster(NamedTuple):
     def find_ground(self, latitude: Floats, longitude: Floats) -> Ground:
         """Return the ground at n positions.
 
-        A position up to half a step beyond the outermost nodes has the elevation of the edge.
+        A position up to half a step beyond the outermost nodes has the elevation of the edge. A position beside a node
+        without elevation has none.
 
         Parameters
         ----------
@@ -90,9 +91,10 @@ class ElevationRaster(NamedTuple):
 
         Examples
         --------
-        >>> grid = ElevationRaster(0.0, 0.0, 1.0, 1.0, np.array([[0, 10], [20, -32768]]), -32768.0, 3.0)
-        >>> grid.find_ground(np.array([0.0, 0.0, 0.6]), np.array([0.25, 1.0, 0.6])).elevation.tolist()
-        [2.5, nan, nan]
+        >>> nodes = np.array([[0, 10, -32768], [20, 30, -32768]])
+        >>> grid = ElevationRaster(0.0, 0.0, 1.0, 1.0, nodes, -32768.0, 3.0)
+        >>> grid.find_ground(np.array([0.0, 0.5, 0.5]), np.array([0.25, 0.5, 1.5])).elevation.tolist()
+        [2.5, 15.0, nan]
         """
         rows, columns = self.elevation.shape
         y = (latitude - self.south) / self.step_latitude

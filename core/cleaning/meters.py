@@ -9,7 +9,7 @@ exactly zero while the car drives. The state of charge is frozen where it stays 
 quanta. It jumps where it changes by more than the car can have used, or by much more than the meter drew.
 """
 
-from math import isnan
+from math import isnan, nan
 from typing import Any, Final
 
 from numba import njit
@@ -91,6 +91,7 @@ def integrate_power(state: Any, row: Any, dt: float, settings: Any) -> None:
         state.has_power = 1.0
         if is_power_frozen(state, row, dt):
             row.quality += POWER_FROZEN
+            power = nan
         elif dt <= LONGEST_TRAPEZOID * settings.period:
             before = power if isnan(state.power) else state.power
             row.energy = 0.5 * (power + before) * dt

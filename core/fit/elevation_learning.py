@@ -138,7 +138,7 @@ class MapSummary(NamedTuple):
 
 
 def select_fixes(batch: Batch, clean: Clean) -> ElevationFixes:
-    """Return the fixes of a batch from which a map can be learned.
+    """Return the fixes of rides in a batch from which a map can be learned.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def select_fixes(batch: Batch, clean: Clean) -> ElevationFixes:
     clean : Clean
         The same rows, cleaned.
     """
-    usable = (clean.quality & UNUSABLE) == 0
+    usable = ((clean.quality & UNUSABLE) == 0) & (clean.ride >= 0)
     usable &= (clean.dt > 0.0) & (clean.distance >= MOVED)
     usable &= np.isfinite(batch.latitude) & np.isfinite(batch.longitude)
     usable &= (batch.elevation >= _ELEVATION.low) & (batch.elevation <= _ELEVATION.high)
@@ -352,16 +352,18 @@ def _mean_square(coefficients: Floats, samples: list[Floats], which: NDArray[np.
 
 
 def _choose_exponent(system: _System, fixes: ElevationFixes, fit: _Fit) -> float:
-    """Return the exponent with which one half of the days, or of the rides of one day, predicts the other best."""
+    """Return the exponent with which every second day, or ride of one day, predicts the others best."""
     unit = fixes.day if np.ptp(fixes.day) > 0 else fixes.ride
-    unseen = unit % 2 != unit.min() % 2
+    unseen = np.unique(unit, return_inverse=True)[1] % 2 == 1
+    if not unseen.any():
+        return FIRST_EXPONENT
     weight = np.where(unseen, UNSEEN * fit.weight, fit.weight)
     errors = []
     for exponent in EXPONENTS:
         variances = np.append(_ground_variances(fixes, exponent), fit.variances[-2:])
         coefficients = system.solve(fixes.elevation, weight, 1.0 / variances[system.component])
         residual = (fixes.elevation - system.design @ coefficients)[unseen]
-        errors.append(float(np.mean(np.minimum(np.abs(residual), CLIP * fit.fix_sd) ** 2)) if len(residual) else 0.0)
+        errors.append(float(np.mean(np.minimum(np.abs(residual), CLIP * fit.fix_sd) ** 2)))
     return EXPONENTS[int(np.argmin(errors))]
 
 

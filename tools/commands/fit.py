@@ -290,7 +290,7 @@ def show(model: LinearModel, title: str, console: Console) -> None:
         "prediction intervals" if model.interval else "",
     ]
     if any(parts):
-        console.print(f"and {', '.join(part for part in parts if part)}", highlight=False)
+        console.print(f"The model also has {', '.join(part for part in parts if part)}.", highlight=False)
 
 
 def _physical(term: Term) -> bool:

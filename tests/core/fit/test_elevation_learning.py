@@ -41,6 +41,13 @@ def test_same_fixes_give_the_same_map():
     assert one.digest() == other.digest()
 
 
+def test_map_does_not_depend_on_the_parity_of_days():
+    fixes = street_fixes(12, seed=3)
+    fixes = fixes._replace(day=fixes.ride // 2)
+    one, other = (learn_elevation(fixes._replace(day=factor * fixes.day))[0] for factor in (1, 2))
+    assert one.digest() == other.digest()
+
+
 def test_offsets_of_cars_and_rides_do_not_enter_the_map():
     places, summary = learn_elevation(street_fixes(80, seed=4, offsets=(-30.0, 0.0, 10.0, 20.0), ride_sd=2.0))
     error, _ = errors(places)
