@@ -1,7 +1,7 @@
 """The one sequential kernel: everything that depends on an earlier row of the same lane.
 
 The kernel is causal: the output of a row depends on that row and on the state of its lane. Any chunking of the input
-therefore gives bitwise the same output. Its parts are the files `clock.py`, `motion.py`, `elevation.py`, `battery.py`,
+therefore gives bitwise the same output. Its parts are the files `clock.py`, `motion.py`, `elevation.py`, `meters.py`,
 `segmentation.py` and `fleet_clock.py`, each with the fields of the state that it keeps. This file composes them.
 Between two rows, a ride may end by a message of dispatch, or because the other cars show that its car is silent.
 
