@@ -13,7 +13,10 @@ r = exp(-t / T). The filter therefore measures z - r z', where z' is the fix bef
 difference is white (Bryson and Henrikson, J. Spacecraft 5 (1968) 662, DOI 10.2514/3.29327).
 
 Each ride has the roughness, the standard deviation and the correlation time of greatest likelihood, under a prior that
-matters for short rides only. Fixes that contradict the others are not used.
+matters for short rides only. Fixes that contradict the others are not used. Where several in succession do, the
+reference of the fixes has changed: a new segment begins at the first of them. Segments are smoothed apart, and the
+change of reference between them is no climb. A segment with fewer fixes than contradict it is none, and its fixes are
+not used.
 """
 
 from functools import cache
@@ -42,7 +45,7 @@ ROUNDING: Final = 0.3
 GATE: Final = 6.0
 """Largest difference between a fix and its prediction. [standard deviations]"""
 MOST_REJECTED: Final = 3
-"""Number of fixes in succession that may contradict the filter; then the filter was wrong, and begins anew."""
+"""Number of fixes in succession that may contradict the filter; one more, and a segment begins at the first of them."""
 
 ROUGHNESS: Final = 1e-6
 """Usual roughness: over 100 m, the slope changes by 1 %. [1/m]"""
@@ -118,9 +121,9 @@ def smooth_ride(distance: Floats, time: Floats, fix: Floats, noise: tuple[float,
     (n,) of `ESTIMATE`
     """
     predicted, updated = np.zeros((2, len(fix)), ESTIMATE)
-    unit = design_unit_noise()
-    filter_ride(distance, time, fix, noise, unit, predicted, updated)
-    smooth_back(distance, predicted, updated)
+    begins = np.zeros(len(fix), np.bool_)
+    filter_ride(distance, time, fix, noise, design_unit_noise(), predicted, updated, begins)
+    smooth_back(distance, begins, predicted, updated)
     return updated
 
 
@@ -146,13 +149,15 @@ def smooth_rides(steps: Any, edges: Any, unit: Any, heights: Any, climbs: Any) -
             continue
         noise = find_noise(distance, time, fix, unit)
         predicted, updated = np.zeros(end - begin, ESTIMATE), np.zeros(end - begin, ESTIMATE)
-        filter_ride(distance, time, fix, noise, unit, predicted, updated)
-        smooth_back(distance, predicted, updated)
-        heights[begin] = updated[0].height
-        climbs[begin] = updated[0].slope * distance[0]
-        for j in range(1, end - begin):
+        begins = np.zeros(end - begin, np.bool_)
+        filter_ride(distance, time, fix, noise, unit, predicted, updated, begins)
+        smooth_back(distance, begins, predicted, updated)
+        for j in range(end - begin):
             heights[begin + j] = updated[j].height
-            climbs[begin + j] = updated[j].height - updated[j - 1].height
+            if begins[j]:  # the step before it is not estimated; the slope of the road returns to level both ways
+                climbs[begin + j] = describe_step(distance[j])[0] * updated[j].slope
+            else:
+                climbs[begin + j] = updated[j].height - updated[j - 1].height
 
 
 @njit(cache=True)
@@ -161,10 +166,11 @@ def find_noise(distance: Any, time: Any, fix: Any, unit: Any) -> tuple[float, fl
 
     The search follows one parameter after the other, in steps from the usual values.
     """
-    nowhere = np.zeros(0, ESTIMATE)
+    nowhere, begins = np.zeros(0, ESTIMATE), np.zeros(0, np.bool_)
     sd = find_difference(fix)
     place = np.zeros(3)
-    best = compute_prior_cost(place) + filter_ride(distance, time, fix, make_noise(place, sd), unit, nowhere, nowhere)
+    best = compute_prior_cost(place)
+    best += filter_ride(distance, time, fix, make_noise(place, sd), unit, nowhere, nowhere, begins)
     for _ in range(SWEEPS):
         before = best
         for axis in range(3):
@@ -172,7 +178,7 @@ def find_noise(distance: Any, time: Any, fix: Any, unit: Any) -> tuple[float, fl
                 while abs(place[axis]) < MOST_STEPS:
                     place[axis] += direction
                     cost = compute_prior_cost(place)
-                    cost += filter_ride(distance, time, fix, make_noise(place, sd), unit, nowhere, nowhere)
+                    cost += filter_ride(distance, time, fix, make_noise(place, sd), unit, nowhere, nowhere, begins)
                     if cost >= best:
                         place[axis] -= direction
                         break
@@ -214,7 +220,14 @@ def find_difference(fix: Any) -> float:
 
 @njit(cache=True)
 def filter_ride(
-    distance: Any, time: Any, fix: Any, noise: tuple[float, float, float], unit: Any, predicted: Any, updated: Any
+    distance: Any,
+    time: Any,
+    fix: Any,
+    noise: tuple[float, float, float],
+    unit: Any,
+    predicted: Any,
+    updated: Any,
+    begins: Any,
 ) -> float:
     """Run the filter over a ride; return minus twice the logarithm of the likelihood, but for a constant.
 
@@ -230,41 +243,60 @@ def filter_ride(
         See `design_unit_noise`.
     predicted, updated : (n,) or (0,) of `ESTIMATE`
         Filled with the estimate before and after the fix of each row; where empty, only the likelihood is computed.
+    begins : (n,) or (0,) bool
+        Filled with whether a segment begins at each row.
 
     Notes
     -----
-    A fix that is not used costs as much as one at the gate, so that no noise gains by rejecting fixes.
+    A fix that is not used costs as much as one at the gate, so that no noise gains by rejecting fixes or by beginning
+    segments.
     """
     roughness, sd, correlation_time = noise
-    estimates = np.zeros(1, ESTIMATE)
-    now = estimates[0]
-    now.var_height, now.var_slope = FAR * FAR, STEEP * STEEP
+    now = np.zeros(1, ESTIMATE)[0]
     last, since_distance, since_time = nan, 0.0, 0.0
-    rejected, cost = 0, 0.0
-    for i in range(distance.shape[0]):
-        if i > 0 and distance[i] > 0.0:
+    used, rejected, first_rejected, cost = 0, 0, 0, 0.0
+    begin = wrong_before = i = 0
+    while i < distance.shape[0]:
+        if i == begin:
+            begin_segment(now)
+            last, used, rejected = nan, 0, 0
+        elif distance[i] > 0.0:
             predict(now, distance[i], roughness, unit)
         since_distance += distance[i]
         since_time += time[i]
         if predicted.shape[0] > 0:
-            predicted[i] = now
-        if not isnan(fix[i]):
+            predicted[i], begins[i] = now, i == begin
+        if i >= wrong_before and not isnan(fix[i]):
             if isnan(last):
                 now.height = fix[i]
             related = exp(-since_time / correlation_time) if since_time > 0.0 and not isnan(last) else 0.0
             value = fix[i] - related * last if related > 0.0 else fix[i]
             variance = sd * sd * (1.0 - related * related)
             misfit, total = compare(now, value, 1.0 - related, related * since_distance, variance)
-            rejected = rejected + 1 if misfit > GATE * GATE else 0
             cost += min(misfit, GATE * GATE) + log(total)
-            if rejected > MOST_REJECTED:
-                now.var_height += FAR * FAR
-            if rejected in (0, MOST_REJECTED + 1):
+            if misfit <= GATE * GATE:
                 update(now, value, 1.0 - related, related * since_distance, variance)
-                last, since_distance, since_time, rejected = fix[i], 0.0, 0.0, 0
+                last, since_distance, since_time, used, rejected = fix[i], 0.0, 0.0, used + 1, 0
+            else:
+                first_rejected = i if rejected == 0 else first_rejected
+                rejected += 1
+                if rejected > MOST_REJECTED:
+                    wrong_before = first_rejected
+                    if used > MOST_REJECTED:
+                        begin = first_rejected
+                    i = begin
+                    continue
         if updated.shape[0] > 0:
             updated[i] = now
+        i += 1
     return cost
+
+
+@njit(cache=True)
+def begin_segment(now: Any) -> None:
+    """Forget all that is known of the road, before the first fix of a segment."""
+    now.height = now.slope = now.covariance = 0.0
+    now.var_height, now.var_slope = FAR * FAR, STEEP * STEEP
 
 
 @njit(cache=True)
@@ -319,12 +351,14 @@ def update(now: Any, value: float, of_height: float, of_slope: float, variance: 
 
 
 @njit(cache=True)
-def smooth_back(distance: Any, predicted: Any, updated: Any) -> None:
-    """Replace the estimates after each fix by those from all fixes of the ride.
+def smooth_back(distance: Any, begins: Any, predicted: Any, updated: Any) -> None:
+    """Replace the estimates after each fix by those from all fixes of its segment.
 
     Over a stand the state does not change, so that its rows have the estimate of the row after it.
     """
     for i in range(distance.shape[0] - 2, -1, -1):
+        if begins[i + 1]:
+            continue
         after, ahead, now = updated[i + 1], predicted[i + 1], updated[i]
         if distance[i + 1] <= 0.0:
             updated[i] = after

@@ -15,6 +15,7 @@ from core.cleaning.elevation_smoother import (
     find_noise,
     smooth_elevation,
     smooth_ride,
+    smooth_rides,
 )
 from tests.support.telemetry import PERIOD, cleaned, drive, joined, picked
 
@@ -203,12 +204,46 @@ def test_wrong_fixes_make_no_hills():
     assert compute_rms(clean.elevation - truth) < 2.0
 
 
-def test_lasting_change_of_level_is_followed():
+def jump(height=100.0, at=200, seed=4):
+    """Return a drive over level ground, the reference of whose fixes changes at a row."""
     columns = drive(400, speed=10.0)
-    columns["elevation_m"] = np.where(np.arange(400) < 200, 50.0, 150.0) + np.random.default_rng(4).normal(0, 1.0, 400)
+    level = np.where(np.arange(400) < at, 50.0, 50.0 + height)
+    return columns | {"elevation_m": level + np.random.default_rng(seed).normal(0, 1.0, 400)}
+
+
+@pytest.mark.parametrize("height", [100.0, -60.0])
+def test_change_of_reference_is_followed_and_is_no_climb(height):
+    clean = smooth_elevation(cleaned(jump(height)))
+    np.testing.assert_allclose(clean.elevation[:200], 50.0, atol=2.5)
+    np.testing.assert_allclose(clean.elevation[200:], 50.0 + height, atol=2.5)
+    assert np.abs(clean.climb).max() < 1.0
+
+
+def test_segments_before_and_after_a_change_of_reference_are_smoothed_apart():
+    clean = cleaned(jump())
+    noise = (1e-6, 1.0, 1.0)
+    steps = clean.distance, clean.dt, clean.elevation_fix
+    whole = smooth_ride(*steps, noise)
+    for part in (slice(0, 200), slice(200, None)):
+        np.testing.assert_array_equal(whole[part], smooth_ride(*(each[part] for each in steps), noise))
+
+
+def test_wrong_fixes_at_the_start_begin_no_segment():
+    columns, truth = ride(300, sd=1.0)
+    columns["elevation_m"][:3] += 400.0
     clean = smooth_elevation(cleaned(columns))
-    assert clean.elevation[350] == pytest.approx(150.0, abs=1.0)
-    assert clean.elevation[50] == pytest.approx(50.0, abs=1.0)
+    assert np.abs(clean.elevation - truth)[:10].max() < 3.0
+
+
+def test_first_climb_follows_a_slope_that_returns_to_level():
+    steps = np.zeros((3, 60))
+    steps[0], steps[1] = 30.0, PERIOD
+    steps[0, 0] = 2.0 * LENGTH  # a bridged tunnel before the first row
+    steps[2] = 50.0 + 0.04 * np.cumsum(np.full(60, 30.0))
+    heights, climbs = np.zeros((2, 60))
+    smooth_rides(steps, np.array([0, 60]), design_unit_noise(), heights, climbs)
+    slope = (heights[1] - heights[0]) / 30.0
+    assert climbs[0] == pytest.approx(slope * LENGTH * (1.0 - np.exp(-2.0)), rel=0.1)
 
 
 def test_rides_are_smoothed_apart_and_idle_rows_are_left():
