@@ -119,7 +119,7 @@ def read_places(path: Path) -> ElevationPlaces:
         If the file cannot be read, or is no learned map of this version.
     """
     if not path.is_file():
-        raise _unusable(path, "there is no such file")
+        raise SettingsError(f"there is no map of elevation {path}; give a file that `socast elevation learn` wrote")
     try:
         table = pq.read_table(path)
         about = {name.decode(): value.decode() for name, value in (table.schema.metadata or {}).items()}
@@ -140,4 +140,6 @@ def read_places(path: Path) -> ElevationPlaces:
 def _unusable(path: Path, reason: str) -> SettingsError:
     """Return the error about a map that cannot be used."""
     words = " ".join(reason.split())
-    return SettingsError(f"--elevation {path} cannot be read: {words}; make it anew with `socast elevation learn`")
+    return SettingsError(
+        f"{path} cannot be read as a learned map of elevation: {words}; make one with `socast elevation learn`"
+    )

@@ -22,6 +22,8 @@ from core.cleaning.motion import NULL_ISLAND
 
 _COLUMNS: Final = 2**31
 """Number of columns between two rows of nodes in the key of a place."""
+CORNERS: Final = ((0, 0), (0, 1), (1, 0), (1, 1))
+"""The four nodes about a position: steps north and east of the one in the south-west."""
 
 
 class Ground(NamedTuple):
@@ -107,7 +109,7 @@ class ElevationRaster(NamedTuple):
         nodes = np.stack(
             [
                 self.elevation[np.minimum(row + up, rows - 1), np.minimum(column + right, columns - 1)]
-                for up, right in _CORNERS
+                for up, right in CORNERS
             ]
         ).astype(np.float64)
         nodes[nodes == self.unknown] = np.nan
@@ -146,7 +148,7 @@ class ElevationPlaces:
         sd: Floats,
         fixes: Ints,
     ) -> None:
-        order = np.argsort(_key(row, column), kind="stable")
+        order = np.argsort(number_nodes(row, column), kind="stable")
         self.step_latitude, self.step_longitude = float(step_latitude), float(step_longitude)
         self.row, self.column, self.fixes = (np.asarray(each, np.int64)[order] for each in (row, column, fixes))
         self.elevation, self.sd = (np.asarray(each, np.float64)[order] for each in (elevation, sd))
@@ -157,7 +159,7 @@ class ElevationPlaces:
     @cached_property
     def _keys(self) -> Ints:
         """Key of each node, in ascending order."""
-        return _key(self.row, self.column)
+        return number_nodes(self.row, self.column)
 
     def find_ground(self, latitude: Floats, longitude: Floats) -> Ground:
         """Return the ground at n positions.
@@ -184,8 +186,8 @@ class ElevationPlaces:
         x = np.where(known, longitude, 0.0) / self.step_longitude
         row, column = np.floor(y).astype(np.int64), np.floor(x).astype(np.int64)
         nodes, variances = np.empty((4, len(y))), np.empty((4, len(y)))
-        for corner, (up, right) in enumerate(_CORNERS):
-            key = _key(row + up, column + right)
+        for corner, (up, right) in enumerate(CORNERS):
+            key = number_nodes(row + up, column + right)
             at = np.minimum(np.searchsorted(self._keys, key), max(len(self) - 1, 0))
             here = known & (self._keys[at] == key) if len(self) else np.zeros(len(y), bool)
             nodes[corner] = np.where(here, self.elevation[at], np.nan) if len(self) else np.nan
@@ -198,12 +200,19 @@ class ElevationPlaces:
         return sha256(b"".join(part.tobytes() for part in parts)).digest()
 
 
-_CORNERS: Final = ((0, 0), (0, 1), (1, 0), (1, 1))
-"""The four nodes about a position: steps north and east of the one in the south-west."""
+def number_nodes(row: Any, column: Any) -> Ints:
+    """Return one whole number for each node of a grid, in the order of rows and then of columns.
 
+    Parameters
+    ----------
+    row, column : (n,) int
+        Nodes; columns from -2^30 to 2^30.
 
-def _key(row: Any, column: Any) -> Ints:
-    """Return one whole number for each node, in the order of rows and then of columns."""
+    Examples
+    --------
+    >>> number_nodes([0, 1], [3, -3]).tolist()
+    [3, 2147483645]
+    """
     return np.asarray(row, np.int64) * _COLUMNS + np.asarray(column, np.int64)
 
 

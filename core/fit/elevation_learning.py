@@ -27,7 +27,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.linalg import LinearOperator, cg
 
 from core.batch import Batch, Floats, Ints
-from core.cleaning.elevation_map import ElevationPlaces
+from core.cleaning.elevation_map import CORNERS, ElevationPlaces, number_nodes
 from core.cleaning.kernel import Clean
 from core.cleaning.quality import Quality
 from core.columns import EARTH_RADIUS, SECONDS_PER_DAY, TELEMETRY
@@ -47,8 +47,8 @@ SEED: Final = 20_260_101
 """Seed of the samples, so that the same fixes give the same map."""
 PRECISION: Final = 1e-4
 """Relative residual at which the solution of a system is accepted. [1]"""
-MOST_STEPS: Final = 500
-"""Largest number of steps of conjugate gradients."""
+MOST_STEPS: Final = 2000
+"""Largest number of steps of conjugate gradients; six days of six cars take up to 230."""
 CLIP: Final = 3.0
 """Residual beyond which the weight of a fix is reduced. [standard deviations]"""
 FIRST_FIX_SD: Final = 3.0
@@ -86,7 +86,6 @@ UNUSABLE: Final = int(
 )
 """Quality bits of samples whose fix is not used."""
 _ELEVATION: Final = next(column for column in TELEMETRY if column.name == "elevation")
-_CORNERS: Final = ((0, 0), (0, 1), (1, 0), (1, 1))
 
 
 class ElevationFixes(NamedTuple):
@@ -200,14 +199,9 @@ def _corners(row: Floats, column: Floats, k: int) -> list[tuple[Ints, Floats]]:
     south, west = np.floor(y).astype(np.int64), np.floor(x).astype(np.int64)
     north, east = y - south, x - west
     return [
-        (_key(south + up, west + right), (north if up else 1.0 - north) * (east if right else 1.0 - east))
-        for up, right in _CORNERS
+        (number_nodes(south + up, west + right), (north if up else 1.0 - north) * (east if right else 1.0 - east))
+        for up, right in CORNERS
     ]
-
-
-def _key(row: Ints, column: Ints) -> Ints:
-    """Return one whole number for each node."""
-    return row * 2**31 + column
 
 
 def _number(values: Ints) -> Ints:
@@ -224,7 +218,13 @@ class _System:
         self.coefficients: Floats = np.zeros(design.shape[1])
 
     def solve(self, elevation: Floats, weight: Floats, precision: Floats, start: Floats | None = None) -> Floats:
-        """Return the posterior mean of the coefficients, by the weight of each fix and the precision of each column."""
+        """Return the posterior mean of the coefficients, by the weight of each fix and the precision of each column.
+
+        Raises
+        ------
+        RecordingError
+            If `MOST_STEPS` steps do not reach `PRECISION`.
+        """
         size = len(precision)
 
         def apply(vector: Floats) -> Floats:
@@ -234,7 +234,14 @@ class _System:
         scaled = LinearOperator((size, size), matvec=lambda vector: vector / diagonal)
         matrix = LinearOperator((size, size), matvec=apply)
         right = self.transposed @ (weight * elevation)
-        return np.asarray(cg(matrix, right, x0=start, rtol=PRECISION, maxiter=MOST_STEPS, M=scaled)[0])
+        solution, status = cg(matrix, right, x0=start, rtol=PRECISION, maxiter=MOST_STEPS, M=scaled)
+        if status != 0:
+            residual = float(np.linalg.norm(right - apply(solution)) / np.linalg.norm(right))
+            raise RecordingError(
+                f"no map: after {MOST_STEPS:,} steps the equations of {len(weight):,} fixes have a relative residual of "
+                f"{residual:.1e}, above {PRECISION:g}; learn from fewer days, or from a smaller area at a time"
+            )
+        return np.asarray(solution)
 
     def draw(self, weight: Floats, precision: Floats, rng: np.random.Generator) -> Floats:
         """Return a sample of the posterior, less its mean."""
@@ -264,7 +271,7 @@ def learn_elevation(fixes: ElevationFixes) -> tuple[ElevationPlaces, MapSummary]
     Raises
     ------
     RecordingError
-        If there are fewer than `FEWEST_FIXES`.
+        If there are fewer than `FEWEST_FIXES`, or if the equations of the map cannot be solved.
     """
     if len(fixes.elevation) < FEWEST_FIXES:
         raise RecordingError(
@@ -379,7 +386,7 @@ def _correlate(residual: Floats, ride: Ints) -> float:
 def _disagreement(row: Floats, column: Floats, residual: Floats, fix_sd: float) -> tuple[Ints, Ints, Ints, Floats]:
     """Return the places nearest to fixes: row, column, number of fixes, and their variance beyond that of errors."""
     y, x = np.rint(row).astype(np.int64), np.rint(column).astype(np.int64)
-    _, first, place = np.unique(_key(y, x), return_index=True, return_inverse=True)
+    _, first, place = np.unique(number_nodes(y, x), return_index=True, return_inverse=True)
     count = np.bincount(place)
     mean_square = np.bincount(place, residual**2) / count
     excess = np.where(count >= ENOUGH, np.maximum(mean_square - 2.0 * fix_sd**2, 0.0), 0.0)
@@ -402,7 +409,7 @@ def _make_places(
     for _ in range(LAST_SAMPLES):
         square += _evaluate(design, system.draw(fit.weight, precision, rng), cars) ** 2
     variance = square / LAST_SAMPLES + without @ fit.variances[: len(SPACINGS)]
-    place = np.searchsorted(_key(row, column), _key(measured[0], measured[1]))
+    place = np.searchsorted(number_nodes(row, column), number_nodes(measured[0], measured[1]))
     count = np.zeros(len(row), np.int64)
     count[place] = measured[2]
     variance[place] += measured[3]
@@ -419,6 +426,6 @@ def _dilate(row: Ints, column: Ints) -> tuple[Ints, Ints]:
     for _ in range(NEAR):
         around = [(row + up, column + right) for up in (-1, 0, 1) for right in (-1, 0, 1)]
         y, x = (np.concatenate(each) for each in zip(*around, strict=True))
-        _, first = np.unique(_key(y, x), return_index=True)
+        _, first = np.unique(number_nodes(y, x), return_index=True)
         row, column = y[first], x[first]
     return row, column

@@ -77,6 +77,12 @@ def test_too_few_fixes_are_refused_with_the_remedy():
         learn_elevation(street_fixes(1))
 
 
+def test_equations_that_are_not_solved_are_an_error_with_the_remedy(monkeypatch):
+    monkeypatch.setattr("core.fit.elevation_learning.MOST_STEPS", 3)
+    with pytest.raises(RecordingError, match=r"^no map: after 3 steps .* above 0.0001; learn from fewer days"):
+        learn_elevation(street_fixes(12))
+
+
 def test_unusable_fixes_are_left_out():
     columns = without(hilly_drive(100), "truth")
     columns["elevation_m"][10] = -32768.0

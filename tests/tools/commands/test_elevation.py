@@ -48,6 +48,21 @@ def test_show_prints_the_extent_of_a_map(learned):
     assert "uncertainty" in out
 
 
+@pytest.mark.parametrize("name", ["nothere", "folder/nothere.parquet"])
+def test_show_without_a_file_names_it_and_the_remedy(name, capsys):
+    message = refused(capsys, "elevation", "show", name)
+    assert f"there is no map of elevation {name}; give a file that `socast elevation learn` wrote" in message
+    assert "--elevation" not in message
+
+
+def test_show_of_another_file_names_the_remedy(tmp_path, capsys):
+    path = tmp_path / "N45W074.hgt"
+    path.write_bytes(b"no table")
+    message = refused(capsys, "elevation", "show", path)
+    assert "cannot be read as a learned map of elevation" in message
+    assert "make one with `socast elevation learn`" in message
+
+
 def test_tables_with_a_map_have_other_climbs_and_count_fixes(recording, learned, tmp_path):
     done("tables", recording, "--out", tmp_path / "without")
     done("tables", recording, "--elevation", learned[0], "--out", tmp_path / "with")
