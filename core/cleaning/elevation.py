@@ -9,7 +9,8 @@ map, offset o of variance P and a fix z of variance R, the innovation is e = z -
 
 Outside the map the elevation is z - o, so that a car that leaves the map climbs nothing. A fix that is more than
 `GATE` standard deviations off has no effect, and makes the offset less certain, so that another offset is accepted
-after a few fixes. A car that has never been on a map has its fixes alone.
+after a few fixes. A car that has never been on a map has its fixes alone. At its first fix on a map, the elevation so
+far is shifted by the offset, so that the change of reference is no climb.
 
 The elevation is smoothed over distance, so that a standing car climbs nothing. It then passes a backlash (a play
 operator, Brokate and Sprekels, Hysteresis and Phase Transitions, Springer 1996, DOI 10.1007/978-1-4612-4048-8), so that
@@ -55,10 +56,10 @@ def combine_elevation(state: Any, row: Any, dt: float, on_map: bool) -> tuple[fl
     if not on_map or isnan(row.map_elevation):
         return (fix if isnan(state.offset_variance) else fix - state.elevation_offset), 1.0
     variance = row.map_variance
+    if isnan(state.offset_variance):
+        refer_to_map(state, row)
     if isnan(fix):
         return row.map_elevation, sqrt(variance / FIX_VARIANCE)
-    if isnan(state.offset_variance):
-        state.offset_variance = FIRST_OFFSET_VARIANCE
     innovation = fix - state.elevation_offset - row.map_elevation
     spread = state.offset_variance + FIX_VARIANCE + variance
     if innovation * innovation > GATE * GATE * spread:
@@ -69,6 +70,22 @@ def combine_elevation(state: Any, row: Any, dt: float, on_map: bool) -> tuple[fl
     state.offset_variance -= gain * state.offset_variance
     share = variance / spread
     return row.map_elevation + share * innovation, sqrt((variance - share * variance) / FIX_VARIANCE)
+
+
+@njit(cache=False)
+def refer_to_map(state: Any, row: Any) -> None:
+    """Estimate the unknown offset of a car, and subtract it from its elevation so far.
+
+    The estimate rests on the fix, or on the elevation so far where there is no fix or they contradict each other.
+    """
+    state.offset_variance = FIRST_OFFSET_VARIANCE
+    reported = state.elevation
+    if isnan(reported) or abs(row.raw_elevation - reported) <= GATE * FIX_SD:
+        reported = row.raw_elevation
+    if not isnan(reported):
+        state.elevation_offset = reported - row.map_elevation
+        state.elevation -= state.elevation_offset
+        state.level -= state.elevation_offset
 
 
 @njit(cache=False)

@@ -13,10 +13,10 @@ r = exp(-t / T). The filter therefore measures z - r z', where z' is the fix bef
 difference is white (Bryson and Henrikson, J. Spacecraft 5 (1968) 662, DOI 10.2514/3.29327).
 
 Each ride has the roughness, the standard deviation and the correlation time of greatest likelihood, under a prior that
-matters for short rides only. Fixes that contradict the others are not used. Where several in succession do, the
-reference of the fixes has changed: a new segment begins at the first of them. Segments are smoothed apart, and the
-change of reference between them is no climb. A segment with fewer fixes than contradict it is none, and its fixes are
-not used.
+matters for short rides only. Fixes that contradict the others are not used. Where several in succession do, there are
+two cases. If a road could be so steep, its slope has changed, and becomes unknown there. Else the reference of the
+fixes has changed, and a new segment begins. Segments are smoothed apart, and the change of reference between them is no
+climb. A segment with fewer fixes than contradict it is none, and its fixes are not used.
 """
 
 from functools import cache
@@ -45,7 +45,11 @@ ROUNDING: Final = 0.3
 GATE: Final = 6.0
 """Largest difference between a fix and its prediction. [standard deviations]"""
 MOST_REJECTED: Final = 3
-"""Number of fixes in succession that may contradict the filter; one more, and a segment begins at the first of them."""
+"""Number of fixes in succession that may contradict the filter; one more, and it was wrong from the first of them on."""
+STEEPEST: Final = 0.35
+"""Largest slope of a street: that of Baldwin Street, Dunedin. [1]"""
+SURE: Final = 3.0
+"""Difference beyond the steepest slope from which the reference of fixes has changed. [standard deviations]"""
 
 ROUGHNESS: Final = 1e-6
 """Usual roughness: over 100 m, the slope changes by 1 %. [1/m]"""
@@ -254,7 +258,7 @@ def filter_ride(
     roughness, sd, correlation_time = noise
     now = np.zeros(1, ESTIMATE)[0]
     last, since_distance, since_time = nan, 0.0, 0.0
-    used, rejected, first_rejected, cost = 0, 0, 0, 0.0
+    used, rejected, first_rejected, changed, cost = 0, 0, 0, False, 0.0
     begin = wrong_before = i = 0
     while i < distance.shape[0]:
         if i == begin:
@@ -274,18 +278,27 @@ def filter_ride(
             variance = sd * sd * (1.0 - related * related)
             misfit, total = compare(now, value, 1.0 - related, related * since_distance, variance)
             cost += min(misfit, GATE * GATE) + log(total)
-            if misfit <= GATE * GATE:
-                update(now, value, 1.0 - related, related * since_distance, variance)
-                last, since_distance, since_time, used, rejected = fix[i], 0.0, 0.0, used + 1, 0
-            else:
-                first_rejected = i if rejected == 0 else first_rejected
+            if misfit > GATE * GATE:
+                if rejected == 0:
+                    first_rejected = i
+                    changed = abs(fix[i] - now.height) > STEEPEST * since_distance + SURE * sd
                 rejected += 1
-                if rejected > MOST_REJECTED:
+                if rejected > MOST_REJECTED and changed:
                     wrong_before = first_rejected
                     if used > MOST_REJECTED:
                         begin = first_rejected
                     i = begin
                     continue
+                if rejected > MOST_REJECTED:
+                    forget_slope(now, since_distance)
+                    if predicted.shape[0] > 0:
+                        predicted[i] = now
+                    rejected = 0
+            else:
+                rejected = 0
+            if rejected == 0:
+                update(now, value, 1.0 - related, related * since_distance, variance)
+                last, since_distance, since_time, used = fix[i], 0.0, 0.0, used + 1
         if updated.shape[0] > 0:
             updated[i] = now
         i += 1
@@ -297,6 +310,14 @@ def begin_segment(now: Any) -> None:
     """Forget all that is known of the road, before the first fix of a segment."""
     now.height = now.slope = now.covariance = 0.0
     now.var_height, now.var_slope = FAR * FAR, STEEP * STEEP
+
+
+@njit(cache=True)
+def forget_slope(now: Any, distance: float) -> None:
+    """Let the slope be unknown, over a distance back from the present place. [m]"""
+    now.var_height += STEEP * STEEP * distance * distance
+    now.covariance += STEEP * STEEP * distance
+    now.var_slope += STEEP * STEEP
 
 
 @njit(cache=True)

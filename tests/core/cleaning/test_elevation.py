@@ -55,6 +55,37 @@ def test_car_that_leaves_the_map_keeps_the_datum_of_the_map():
     assert np.abs(result.elevation - columns["truth"]).max() < 12.0
 
 
+def map_from_row(columns, row, sd=0.2):
+    """Return the map of the hills without its part south of where a drive is at a row, and its edge's latitude."""
+    layer = map_of_hills(sd).layers[0]
+    south = np.radians(columns["latitude_deg"][row])
+    below = int(np.ceil((south - layer.south) / layer.step_latitude))
+    south = layer.south + below * layer.step_latitude
+    return ElevationMap([layer._replace(south=south, elevation=layer.elevation[below:])])
+
+
+@pytest.mark.parametrize("offset", [35.0, -80.0, 0.0])
+def test_first_contact_with_a_map_within_a_ride_is_no_climb(offset):
+    columns = hilly_drive(offset=offset)
+    result, alone = clean(columns, map_from_row(columns, 120)), clean(columns)
+    assert np.abs(result.climb).max() < 8.0
+    np.testing.assert_array_equal(result.climb[:115], alone.climb[:115])
+    np.testing.assert_allclose(result.climb[115:].sum(), columns["truth"][-1] - columns["truth"][115], atol=8.0)
+    assert np.abs(result.elevation - columns["truth"])[125:].max() < 8.0
+
+
+def test_first_contact_without_a_fix_or_with_a_wrong_one_is_no_climb():
+    columns = hilly_drive(offset=35.0)
+    on_map = map_from_row(columns, 120)
+    for value in (np.nan, columns["elevation_m"][120] + 300.0):
+        spoiled = columns | {"elevation_m": columns["elevation_m"].copy()}
+        spoiled["elevation_m"][118:123] = value
+        result = clean(spoiled, on_map)
+        before = 117 if np.isnan(value) else 125  # a wrong fix outside a map is followed
+        assert np.abs(result.climb[before:]).max() < 8.0
+        assert np.abs(result.elevation - columns["truth"])[135:].max() < 8.0
+
+
 def test_noise_of_a_survey_is_reduced_by_the_fixes():
     layer = map_of_hills(sd=3.0).layers[0]
     noise = np.random.default_rng(1).normal(0.0, 3.0, layer.elevation.shape)

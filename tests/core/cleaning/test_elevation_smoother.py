@@ -235,6 +235,24 @@ def test_wrong_fixes_at_the_start_begin_no_segment():
     assert np.abs(clean.elevation - truth)[:10].max() < 3.0
 
 
+def test_sudden_change_of_slope_keeps_the_climb():
+    columns = drive(300, speed=10.0)
+    columns["elevation_m"] = 50.0 + 0.12 * np.maximum(columns["metres"] - 3000.0, 0.0)
+    clean = smooth_elevation(cleaned(columns))
+    assert clean.climb.sum() == pytest.approx(columns["elevation_m"][-1] - 50.0, abs=0.5)
+    np.testing.assert_allclose(np.diff(clean.elevation), clean.climb[1:], atol=1e-9)
+
+
+def test_steep_road_in_a_tunnel_keeps_its_climb():
+    columns = drive(300, speed=15.0)
+    columns["elevation_m"] = 50.0 + 0.1 * np.clip(columns["metres"] - 4500.0, 0.0, 900.0)
+    columns["elevation_m"] += np.random.default_rng(3).normal(0.0, 0.3, 300)
+    for name in ("latitude_deg", "longitude_deg", "elevation_m"):
+        columns[name][100:120] = columns[name][99]
+    clean = smooth_elevation(cleaned(columns))
+    assert clean.climb.sum() == pytest.approx(90.0, abs=2.0)
+
+
 def test_first_climb_follows_a_slope_that_returns_to_level():
     steps = np.zeros((3, 60))
     steps[0], steps[1] = 30.0, PERIOD
