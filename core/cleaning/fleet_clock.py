@@ -59,8 +59,8 @@ def new_fleet_clock() -> NDArray[np.void]:
 
 
 @njit(cache=False)
-def advance_fleet_clock(clock: Any, time: float, dt: float, longest: float) -> None:
-    """Advance the clock by an accepted sample.
+def advance_fleet_clock(clock: Any, time: float, dt: float, longest: float) -> bool:
+    """Advance the clock by an accepted sample; return whether a ride may have become silent.
 
     Parameters
     ----------
@@ -83,11 +83,14 @@ def advance_fleet_clock(clock: Any, time: float, dt: float, longest: float) -> N
         if clock.behind >= STALLED:
             clock.front = time
             clock.behind = 0.0
+    return bool(clock.progress > clock.check)
 
 
 @njit(cache=False)
 def end_silent_rides(clock: Any, states: Any, row: int, place: int, longest: float, ends: Any, n_ends: int) -> int:
     """End the rides of all cars that have been silent for too long; return the number of ends so far.
+
+    It visits every car. Call it only where `advance_fleet_clock` returned true.
 
     Parameters
     ----------
@@ -106,8 +109,6 @@ def end_silent_rides(clock: Any, states: Any, row: int, place: int, longest: flo
     n_ends : int
         Number of ends so far.
     """
-    if clock.progress <= clock.check:
-        return n_ends
     earliest = clock.progress
     for lane in range(states.shape[0]):
         state = states[lane]

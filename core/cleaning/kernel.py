@@ -159,19 +159,19 @@ class Clean(NamedTuple):
 
 _INPUTS: Final = (
     *(f"raw_{name}" for name in Batch._fields),
-    *(f"map_{name}" for name in Ground._fields),
     "raw_capacity",
+    *(f"map_{name}" for name in Ground._fields),
 )
-"""Columns of a sample, of the ground under it, and the capacity of its car: the first fields of `_ROW`."""
+"""Columns of a sample, the capacity of its car, and the ground under it: the first fields of `_ROW`."""
 _ROW: Final = np.dtype([(name, "f8") for name in (*_INPUTS, *Clean._fields)])
 """One row of the kernel: its inputs, then the columns of its result."""
 _RAW: Final = len(_INPUTS)
 """Number of inputs."""
-_LOW: Final = np.full(_RAW, -np.inf)
-_HIGH: Final = np.full(_RAW, np.inf)
-"""Valid range of each input; `lane`, `ride` and the ground have none."""
-for _place, _column in enumerate(TELEMETRY, len(Batch._fields) - len(TELEMETRY)):
-    _LOW[_place], _HIGH[_place] = _column.low, _column.high
+_LIMITED: Final = len(Batch._fields) - len(TELEMETRY)
+"""Number of the first input that has a valid range: those of `TELEMETRY`."""
+_LOW: Final = np.array([column.low for column in TELEMETRY])
+_HIGH: Final = np.array([column.high for column in TELEMETRY])
+"""Valid range of each of these inputs."""
 
 OUT_OF_RANGE: Final = int(Quality.OUT_OF_RANGE)
 NOT_OF_RIDE: Final = motion.BRIDGED | meters.SOC_JUMP | meters.SOC_FROZEN
@@ -248,14 +248,14 @@ class Cleaner:
             self.state = grown(self.state, lanes, new_lane_state(1)[0])
         out = np.empty((len(Clean._fields), batch.size))
         row = np.zeros(1, _ROW)
-        inputs = np.full((_RAW, batch.size), np.nan)
-        np.stack(batch, out=inputs[: len(batch)])
-        if ground := self.map_lookup.find_ground(batch):
-            np.stack(ground, out=inputs[len(batch) : -1])
-        inputs[-1] = capacity
+        samples = np.empty((len(batch) + 1, batch.size))
+        np.stack(batch, out=samples[:-1])
+        samples[-1] = capacity
+        found = self.map_lookup.find_ground(batch)
+        ground = np.stack(found) if found else np.empty((0, batch.size))
         ends = np.empty(batch.size + lanes + len(ride_events), RIDE_END)
         between = self.fleet_clock, place, ride_events, ends
-        n_ends = clean_rows(inputs, self.state, self.settings, row, row.view(np.float64), out, *between)
+        n_ends = clean_rows(samples, ground, self.state, self.settings, row, row.view(np.float64), out, *between)
         columns = Clean(*out)  # of floats so far
         clean = columns._replace(
             lane=columns.lane.astype(np.int64),
@@ -295,7 +295,8 @@ class Cleaner:
 
 @njit(cache=True)
 def clean_rows(
-    columns: Any,
+    samples: Any,
+    ground: Any,
     states: Any,
     all_settings: Any,
     rows: Any,
@@ -310,8 +311,10 @@ def clean_rows(
 
     Parameters
     ----------
-    columns : (_RAW, n) float64
-        The batch, and the ground under it.
+    samples : (fields of Batch + 1, n) float64
+        The batch, and the capacities of the cars.
+    ground : (fields of Ground, n) or (0, n) float64
+        The ground under the samples; no rows without a map.
     states : (lanes,) STATE
         Changed in place.
     all_settings : (1,) record
@@ -331,16 +334,20 @@ def clean_rows(
     settings = all_settings[0]
     row = rows[0]
     fleet = fleet_clocks[0]
+    cells[:] = nan
     n_ends = event = 0
-    for i in range(columns.shape[1]):
-        event, n_ends = take_ride_events(states, ride_events, event, i, ends, n_ends)
+    for i in range(samples.shape[1]):
+        if event < ride_events.shape[0]:  # a call with arrays takes a tenth of the time of a row
+            event, n_ends = take_ride_events(states, ride_events, event, i, ends, n_ends)
         out_of_range = False
-        for j in range(_RAW):
-            value = columns[j, i]
-            if value < _LOW[j] or value > _HIGH[j]:
+        for j in range(samples.shape[0]):
+            cells[j] = samples[j, i]
+        for j in range(ground.shape[0]):
+            cells[samples.shape[0] + j] = ground[j, i]
+        for j in range(_LOW.shape[0]):
+            if cells[_LIMITED + j] < _LOW[j] or cells[_LIMITED + j] > _HIGH[j]:
                 out_of_range = True
-                value = nan
-            cells[j] = value
+                cells[_LIMITED + j] = nan
         cells[_RAW:] = 0.0
         row.quality = OUT_OF_RANGE if out_of_range else 0.0
         state = states[int(row.raw_lane)]
@@ -348,10 +355,11 @@ def clean_rows(
         for j in range(out.shape[0]):
             out[j, i] = cells[_RAW + j]
         if dt != clock.UNUSED:
-            fleet_clock.advance_fleet_clock(fleet, state.time, dt, settings.gap_time)
+            may_be_silent = fleet_clock.advance_fleet_clock(fleet, state.time, dt, settings.gap_time)
             state.heard = fleet.progress
-            n_ends = fleet_clock.end_silent_rides(fleet, states, i + 1, place[i], settings.gap_time, ends, n_ends)
-    _, n_ends = take_ride_events(states, ride_events, event, columns.shape[1], ends, n_ends)
+            if may_be_silent:
+                n_ends = fleet_clock.end_silent_rides(fleet, states, i + 1, place[i], settings.gap_time, ends, n_ends)
+    _, n_ends = take_ride_events(states, ride_events, event, samples.shape[1], ends, n_ends)
     return n_ends
 
 

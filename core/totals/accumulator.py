@@ -232,7 +232,7 @@ class Accumulator:
         kind : (n,) int
             Kind of car.
         rates : (len(AMOUNTS) + effects, n) float
-            What each row adds, see `core.totals.clean_rows.amounts`.
+            What each row adds, see `core.totals.clean_rows.compute_amounts`.
         lanes : int
             Number of lanes so far.
         place : (n,) int, optional

@@ -79,10 +79,10 @@ def sum_rows(
     signals = Signals(rows.clean, rows.sky, cars.parameters_of(rows.kind))
     with np.errstate(all="ignore"):  # a user's effect may divide by a speed that it then masks
         energies = [(per, power(signals)) for per, power in powers]
-    return accumulator.add(rows.clean, rows.kind, amounts(signals, energies), lanes, rows.place, rows.ends)
+    return accumulator.add(rows.clean, rows.kind, compute_amounts(signals, energies), lanes, rows.place, rows.ends)
 
 
-def amounts(signals: Signals, powers: Sequence[tuple[str, Floats]]) -> Floats:
+def compute_amounts(signals: Signals, powers: Sequence[tuple[str, Floats]]) -> Floats:
     """Return what each row adds to the totals.
 
     Parameters
@@ -97,35 +97,33 @@ def amounts(signals: Signals, powers: Sequence[tuple[str, Floats]]) -> Floats:
     (len(AMOUNTS) + len(powers), n) float
     """
     clean, sky = signals.clean, signals.sky
-    dt, climb = clean.dt, clean.climb
-    of_rows = {
-        "duration": dt,
-        "distance": clean.distance,
-        "gained": np.maximum(climb, 0.0),
-        "lost": np.maximum(-climb, 0.0),
-        "gained_causal": np.maximum(clean.causal_climb, 0.0),
-        "lost_causal": np.maximum(-clean.causal_climb, 0.0),
-        "energy": clean.energy,
-        "metered": clean.metered,
-        "energy_variance": clean.energy_variance,
-        "ambient": signals["ambient"] * dt,
-        "wind": np.nan_to_num(sky.wind_speed) * dt,
-        "wind_north": np.nan_to_num(sky.wind_north) * dt,
-        "wind_east": np.nan_to_num(sky.wind_east) * dt,
-        "wind_known": np.where(np.isnan(sky.wind_speed), 0.0, dt),
-        "precipitation": signals["precipitation"] * dt,
-        "hvac": np.nan_to_num(clean.hvac) * dt,
-        "hvac_known": np.where(np.isnan(clean.hvac), 0.0, dt),
-        "stops": clean.stop,
-        "samples": np.ones(len(dt)),
-        "speed_rejected": np.where(clean.quality & Quality.SPEED_REJECTED, dt, 0.0),
-        "speed_missing": np.where(clean.quality & Quality.SPEED_MISSING, dt, 0.0),
-        "bridged": np.where(clean.quality & Quality.BRIDGED, clean.distance, 0.0),
-        "soc_faults": np.where(clean.quality & (Quality.SOC_JUMP | Quality.SOC_FROZEN), 1.0, 0.0),
-    }
-    table = np.empty((len(AMOUNTS) + len(powers), len(dt)))
-    for row, name in zip(table, AMOUNTS, strict=False):
-        row[:] = of_rows[name]
-    for row, (per, power) in zip(table[len(AMOUNTS) :], powers, strict=True):
-        np.multiply(power, clean.travel if per == "distance" else dt, out=row)
+    dt = clean.dt
+    table = np.zeros((len(AMOUNTS) + len(powers), len(dt)))
+    row = dict(zip(AMOUNTS, table, strict=False))
+    row["samples"][:] = 1.0
+    row["duration"][:], row["distance"][:], row["stops"][:] = dt, clean.distance, clean.stop
+    row["energy"][:], row["metered"][:], row["energy_variance"][:] = clean.energy, clean.metered, clean.energy_variance
+    for climb, gained, lost in ((clean.climb, "gained", "lost"), (clean.causal_climb, "gained_causal", "lost_causal")):
+        np.maximum(climb, 0.0, out=row[gained])
+        np.maximum(-climb, 0.0, out=row[lost])
+    np.multiply(signals["ambient"], dt, out=row["ambient"])
+    np.multiply(signals["precipitation"], dt, out=row["precipitation"])
+    for name, known in (("wind_known", sky.wind_speed), ("hvac_known", clean.hvac)):
+        np.copyto(row[name], dt, where=~np.isnan(known))
+    for name, value in (
+        ("wind", sky.wind_speed),
+        ("wind_north", sky.wind_north),
+        ("wind_east", sky.wind_east),
+        ("hvac", clean.hvac),
+    ):
+        np.multiply(value, dt, out=row[name], where=~np.isnan(value))
+    for name, causes, counted in (
+        ("speed_rejected", Quality.SPEED_REJECTED, dt),
+        ("speed_missing", Quality.SPEED_MISSING, dt),
+        ("bridged", Quality.BRIDGED, clean.distance),
+        ("soc_faults", Quality.SOC_JUMP | Quality.SOC_FROZEN, 1.0),
+    ):
+        np.copyto(row[name], counted, where=(clean.quality & causes) != 0)
+    for row_of_effect, (per, power) in zip(table[len(AMOUNTS) :], powers, strict=True):
+        np.multiply(power, clean.travel if per == "distance" else dt, out=row_of_effect)
     return table

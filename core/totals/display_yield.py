@@ -25,7 +25,6 @@ priors in regression), ISBN 978-1-4398-4095-5. Huber, Annals of Mathematical Sta
 DOI 10.1214/aoms/1177703732.
 """
 
-from math import hypot, isnan
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -150,18 +149,17 @@ class DisplayYields:
             return sums
         parts = [self.describe(part, lanes) for part in sums]
         rides = parts[0]
-        for i in range(len(rides.lane)):
-            lane, at = rides.lane[i], rides.at[i]
-            learned, contradicted = self._learn(rides.rows(np.array([i])))
-            rides.display["contradicted"][i] = contradicted
-            if not learned:
-                continue
-            self._kind[lane] = -1
+        waiting = np.arange(len(rides.lane))
+        while len(waiting):  # each turn takes the next ride of every lane
+            _, first = np.unique(rides.lane[waiting], return_index=True)
+            turn, waiting = waiting[first], np.delete(waiting, first)
+            learned, rides.display["contradicted"][turn] = self._learn(rides.rows(turn))
+            closed = turn[learned]
+            self._kind[rides.lane[closed]] = -1
             for number, part in enumerate(parts):
                 running = number == len(parts) - 1  # a due row after which a ride closed is not part of that ride
-                later = np.flatnonzero((part.lane == lane) & ((part.at >= at) if running else (part.at > at)))
-                if len(later):
-                    part.display[later] = self._find_yields(part.rows(later))
+                later = _find_later(part, rides.lane[closed], rides.at[closed] - running)
+                part.display[later] = self._find_yields(part.lane[later], part.at_last("kind")[later])
         return Sums(*parts)
 
     def describe(self, totals: Totals, lanes: int) -> Totals:
@@ -169,7 +167,7 @@ class DisplayYields:
         if not len(totals.lane):
             return totals
         self._grow(lanes)
-        return totals._replace(display=self._find_yields(totals))
+        return totals._replace(display=self._find_yields(totals.lane, totals.at_last("kind")))
 
     def apply_daily_update(self) -> None:
         """Pool what was learned of the cars of each vehicle model."""
@@ -222,9 +220,9 @@ class DisplayYields:
             self._code_of_kind = np.array(codes, np.int64)
             self._pooled = grown(self._pooled, len(self._codes), 0.0)
 
-    def _find_yields(self, totals: Totals) -> NDArray[Any]:
-        """Return the present yield of the car of each row, (n,) DISPLAY_YIELD."""
-        lanes, kinds = totals.lane, totals.at_last("kind").astype(np.int64)
+    def _find_yields(self, lanes: Ints, kind: Floats) -> NDArray[Any]:
+        """Return the present yields of cars in lanes, (n,) DISPLAY_YIELD."""
+        kinds = kind.astype(np.int64)
         out = self._yields[lanes]
         anew = np.flatnonzero(self._kind[lanes] != kinds)
         if len(anew):
@@ -270,31 +268,47 @@ class DisplayYields:
         catalogue = self._cars.capacity[kinds]
         return factor / catalogue, (CAR_SD**2 + 1.0 / precision) / catalogue**2
 
-    def _learn(self, ride: Totals) -> tuple[bool, bool]:
-        """Learn from one ride that has closed; return whether anything changed, and whether its meters contradict."""
-        energy, sd = (float(values[0]) for values in energy_by_power(ride))
-        first, last = float(ride.at_first("soc")[0]), float(ride.at_last("soc")[0])
-        known = not (isnan(energy) or isnan(last - first) or isnan(ride.display["inverse"][0]))
-        if not known or first >= FULL or find_soc_faults(ride, self._cars)[0]:
-            return False, False
+    def _learn(self, rides: Totals) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Learn from rides of different cars that have closed; return which were used, and whose meters contradict."""
+        energy, _ = energy_by_power(rides)
+        first, last, inverse = rides.at_first("soc"), rides.at_last("soc"), rides.display["inverse"]
+        used = ~np.isnan(energy + first + last + inverse) & (first < FULL) & ~find_soc_faults(rides, self._cars)
+        contradicted = np.zeros(len(used), np.bool_)
+        if used.any():
+            contradicted[used] = self._learn_healthy(rides.rows(np.flatnonzero(used)))
+        return used, contradicted
+
+    def _learn_healthy(self, rides: Totals) -> NDArray[np.bool_]:
+        """Learn from rides whose meters are known and healthy; return where they contradict each other."""
+        energy, sd = energy_by_power(rides)
+        first, last = rides.at_first("soc"), rides.at_last("soc")
         fall, bend = first - last, (first**2 - first) - (last**2 - last)
-        lane = self._lanes[ride.lane]
-        each = _Posterior(*(column[0] for column in self._infer(lane, ride.at_last("kind").astype(np.int64))))
-        mean = each.k @ each.probability
-        noise = find_quantum(ride)[0] ** 2 / 6.0 + mean**2 * (sd**2 - (METER_GAIN * energy) ** 2)
-        noise += (RIDE_SD * mean * energy) ** 2 + READING_SDS**2
+        known = self._lanes[rides.lane]
+        each = self._infer(known, rides.at_last("kind").astype(np.int64))
+        mean = (each.k * each.probability).sum(axis=1)
+        of_ride = find_quantum(rides) ** 2 / 6.0 + mean**2 * (sd**2 - (METER_GAIN * energy) ** 2)
+        of_ride += (RIDE_SD * mean * energy) ** 2
+        by_soc, soc_sd = energy_by_soc(rides)
+        far = np.abs(energy - by_soc) > CONTRADICTION_SDS * np.hypot(sd, soc_sd)
+        contradicted = far & (known["rides"] > SPREAD_RIDES)
+        energy, fall, bend, of_ride = (column[:, np.newaxis] for column in (energy, fall, bend, of_ride))
+        noise = of_ride + READING_SDS**2
         variance = (
             energy**2 * each.variance_k - 2.0 * energy * bend * each.covariance + bend**2 * each.variance_b + noise
         )
         score = np.abs(fall - each.k * energy + each.b * bend) / np.sqrt(variance)
-        new = _update(lane[0], energy, fall, bend, noise, score, variance)
-        by_soc, soc_sd = (float(values[0]) for values in energy_by_soc(ride))
-        far = abs(energy - by_soc) > CONTRADICTION_SDS * hypot(sd, soc_sd)
-        contradicted = bool(far and lane["rides"][0] > SPREAD_RIDES)
-        if contradicted:
-            new = _contradict(lane[0], new)
-        self._lanes[ride.lane[0]] = new
-        return True, contradicted
+        new = _update(known, energy, fall, bend, noise, score, variance)
+        new[contradicted] = _contradict(known[contradicted], new[contradicted])
+        self._lanes[rides.lane] = new
+        return contradicted
+
+
+def _find_later(part: Totals, lanes: Ints, at: Ints) -> Ints:
+    """Return the rows of a part that are later than the place `at` of their lane; `lanes` are sorted."""
+    if not len(lanes):
+        return lanes
+    found = np.minimum(np.searchsorted(lanes, part.lane), len(lanes) - 1)
+    return np.flatnonzero((lanes[found] == part.lane) & (part.at > at[found]))
 
 
 def _probabilities(likelihood: Floats) -> Floats:
@@ -303,28 +317,30 @@ def _probabilities(likelihood: Floats) -> Floats:
     return np.asarray(weight / weight.sum(axis=1, keepdims=True))
 
 
-def _update(lane: Any, energy: float, fall: float, bend: float, noise: Floats, score: Floats, variance: Floats) -> Any:
-    """Return what is known of a car after one more ride."""
-    new, fade = lane.copy(), 1.0 - 1.0 / MEMORY
+def _update(
+    known: NDArray[Any], energy: Floats, fall: Floats, bend: Floats, noise: Floats, score: Floats, variance: Floats
+) -> NDArray[Any]:
+    """Return what is known of cars after one more ride of each, (n,) _LANE; the others are (n, 1) or (n, levels)."""
+    new, fade = known.copy(), 1.0 - 1.0 / MEMORY
     weight = np.minimum(1.0, OUTLIER_SDS / np.maximum(score, OUTLIER_SDS)) / noise
     products = energy * energy, -energy * bend, bend * bend, energy * fall, -bend * fall
     for name, product in zip(_LEARNED[:5], products, strict=True):
-        new[name] = fade * lane[name] + weight * product
+        new[name] = fade * known[name] + weight * product
     squares = np.minimum(score, LARGEST_SCORE) ** 2
-    new["likelihood"] = fade * lane["likelihood"] - 0.5 * (np.log(variance) + squares)
-    new["rides"] = fade * lane["rides"] + 1.0
+    new["likelihood"] = fade * known["likelihood"] - 0.5 * (np.log(variance) + squares)
+    new["rides"] = fade * known["rides"] + 1.0
     new["contradictions"] = 0.0
     return new
 
 
-def _contradict(lane: Any, new: Any) -> Any:
-    """Return what is known of a car after a ride that contradicts it: of the ride, only the noise of the display.
+def _contradict(known: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:
+    """Return what is known of cars after a ride that contradicts it: of the ride, only the noise of the display.
 
     After some such rides in a row nothing is known.
     """
-    out = lane.copy()
-    out["likelihood"], out["contradictions"] = new["likelihood"], lane["contradictions"] + 1.0
-    if out["contradictions"] >= RELEARN_AFTER:
-        for name in _LEARNED:
-            out[name] = 0.0
+    out = known.copy()
+    out["likelihood"], out["contradictions"] = new["likelihood"], known["contradictions"] + 1.0
+    forgotten = out["contradictions"] >= RELEARN_AFTER
+    for name in _LEARNED:
+        out[name][forgotten] = 0.0
     return out

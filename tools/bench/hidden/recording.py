@@ -26,7 +26,7 @@ from core.settings import Settings
 from core.signals.signals import Signals, ambient_quality
 from core.signals.weather import Sky, Stations
 from core.totals.accumulator import AMOUNTS, Accumulator, Totals
-from core.totals.clean_rows import amounts
+from core.totals.clean_rows import compute_amounts
 from core.totals.context import RunContext
 from core.totals.display_yield import DisplayYields
 from core.totals.tables import ride_table, window_table
@@ -187,7 +187,7 @@ class Recording:
     def _renew(self, block: Floats, clean: Clean, rows: slice, hidden: Floats) -> None:
         """Write the energies that a hidden effect changes into a block of rates."""
         signals = _signals(clean, self.sky, self.cars, self.kind, rows)
-        block[: len(AMOUNTS)] = amounts(signals, [])
+        block[: len(AMOUNTS)] = compute_amounts(signals, [])
         for index, effect in enumerate(self.effects):
             if READS_SOC in effect.arguments:
                 np.multiply(effect.power(signals), _time(effect, clean), out=block[len(AMOUNTS) + index])
@@ -250,7 +250,7 @@ def record_drives(drives: Drives, messages: Sequence[Message] | None = None) -> 
         signals = _signals(_rows(clean, rows), recording.sky, cars, kind, rows)
         with np.errstate(all="ignore"):
             powers = [(effect.per, effect.power(signals)) for effect in recording.effects]
-        rates = amounts(signals, powers)
+        rates = compute_amounts(signals, powers)
         recording.rates.append(np.concatenate([rates, np.zeros((ROOM, rates.shape[1]))]))
     return recording
 
