@@ -1,22 +1,48 @@
 """Settings and fixtures of every test."""
 
+import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from subprocess import Popen
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import settings
 
+from tests.support.kernels import start_compiler, wait_for_compiler
+
 settings.register_profile("quick", max_examples=15, deadline=None, derandomize=True)
 settings.load_profile("quick")
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    """Compile the kernels once, before parallel workers would each compile them."""
-    if getattr(config.option, "numprocesses", None) and not config.option.collectonly:
-        from tests.support.kernels import compile_kernels  # noqa: PLC0415 - workers must not import it
+sys.dont_write_bytecode = False  # with the tests that pytest has rewritten in a cache, a worker starts 15 s earlier
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
-        compile_kernels()
+COMPILER = pytest.StashKey[Popen[str]]()
+"""Process that compiles the kernels while the parallel workers collect tests."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile the kernels once, before parallel workers would each compile them, and let these keep the order."""
+    config.addinivalue_line("markers", "long: the file takes 8 s or more; parallel workers start with such files")
+    if getattr(config.option, "numprocesses", None) and not config.option.collectonly:
+        config.stash[COMPILER] = start_compiler()
+        config.option.loadscopereorder = False
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_node_collection_finished(node: Any) -> None:
+    """Let workers begin only with compiled kernels."""
+    if compiler := node.config.stash.get(COMPILER, None):
+        wait_for_compiler(compiler)
+        del node.config.stash[COMPILER]
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put long files first, so that no worker begins one when the other has nothing left to do."""
+    items.sort(key=lambda item: item.get_closest_marker("long") is None)
 
 
 @pytest.fixture(autouse=True)

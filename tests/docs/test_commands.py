@@ -16,6 +16,7 @@ from tests.support.pages import PAGES, TUTORIAL, blocks, name_of, read
 from tests.support.paths import ROOT
 from tools.simulator.trace import REFERENCE_DENSITY
 
+pytestmark = pytest.mark.long
 COMMANDS = {
     name_of(page): commands
     for page in (TUTORIAL, *PAGES)

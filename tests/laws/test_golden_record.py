@@ -1,6 +1,10 @@
 """What the product computes stays what it was: see `tests/support/golden_record.py`."""
 
+import pytest
+
 from tests.support.golden_record import differences, digest, of_json, run_with_common_routines
+
+pytestmark = pytest.mark.long
 
 
 def test_results_equal_golden_record():

@@ -17,6 +17,13 @@ with tempfile.TemporaryDirectory() as folder:
 """
 
 
-def compile_kernels() -> None:
+def start_compiler() -> "subprocess.Popen[str]":
     """Run a recording through the pipeline in a process of its own, which leaves the compiled kernels in the cache."""
-    subprocess.run([sys.executable, "-c", CODE], cwd=ROOT, check=True, capture_output=True)
+    return subprocess.Popen([sys.executable, "-c", CODE], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+
+
+def wait_for_compiler(process: "subprocess.Popen[str]") -> None:
+    """Return once the process has ended; raise `RuntimeError` with its error output if it has failed."""
+    _, errors = process.communicate()
+    if process.returncode:
+        raise RuntimeError(f"the kernels cannot be compiled:\n{errors}")

@@ -279,12 +279,13 @@ def test_empty_batch_changes_nothing():
 
 def test_kernel_is_recompiled_when_one_of_its_modules_changes(tmp_path):
     """Numba itself checks only the file of the kernel, not the files that it imports."""
+    Cleaner(Settings()).clean(decoded(telemetry(full())), 1)  # compiled at the latest now
     source = ROOT / "core"
     core = tmp_path / "core"
-    core.mkdir()
-    (core / "cleaning").mkdir()
-    for file in [*source.glob("*.py"), *source.glob("cleaning/*.py")]:
-        (core / file.relative_to(source)).write_bytes(file.read_bytes())
+    for file in [*source.glob("*.py"), *source.glob("cleaning/*.py"), *source.glob("cleaning/__pycache__/*.nb?")]:
+        copy = core / file.relative_to(source)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        copy.write_bytes(file.read_bytes())
     print_cached = (
         "from core.cleaning import kernel;"
         "print(kernel.__file__, kernel.clean_rows._cache._cache_file._load_index() != {});"
@@ -302,7 +303,7 @@ def test_kernel_is_recompiled_when_one_of_its_modules_changes(tmp_path):
         assert Path(file).parent == core / "cleaning"
         return answer == "True"
 
-    assert not is_cached(then=compile_it)
+    is_cached(then=compile_it)
     assert is_cached()
     part = core / "cleaning" / "segmentation.py"
     part.write_text(part.read_text().replace("PARKED_FACTOR: Final = 4.0", "PARKED_FACTOR: Final = 5.0"))
