@@ -12,12 +12,11 @@ All random effects are Gaussian and nested, so elimination integrates over them 
 rides, then the vehicle-days, then the cars. Each step needs only sums of products of columns, X'WX. The sums of single
 rides therefore give every fit to a part of the rides: without a ride, without a day, without a car.
 
-The standard deviations of the levels are those of largest evidence, with a wide prior about what simulated fleets show.
+`core.fit.level_spreads` estimates the standard deviations of the levels.
 
 References
 ----------
-Laird, Ware, Biometrics 38 (1982) 963, DOI 10.2307/2529876: random effects. Rasmussen, Williams, Gaussian Processes for
-Machine Learning, MIT 2006, eq. (2.30): evidence.
+Laird, Ware, Biometrics 38 (1982) 963, DOI 10.2307/2529876: random effects.
 """
 
 from collections.abc import Sequence
@@ -25,18 +24,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear, minimize
+from scipy.optimize import lsq_linear
 
 from core.batch import Floats, Ints
 
 SHARED: Final = 2
 """Number of columns on which rides and vehicle-days have random effects: rolling energy and time."""
-MOST_RIDES: Final = 500
-"""Number of rides that suffices to estimate the standard deviations of the levels."""
-
-
-CAR_SPREADS: Final = (0.35, 0.6, 1.0, 1.7, 2.9, 5.0)
-"""Spreads of the factors of cars over the most probable one, at equal steps of its logarithm. [1]"""
 PINNED: Final = 1e-4
 """Standard deviation of a coefficient at a limit over that of its prior. [1]"""
 
@@ -66,8 +59,6 @@ class LevelSpreads(NamedTuple):
 
 EXPECTED_LEVELS: Final = LevelSpreads(1.0, 0.05, 0.1, 0.05, 0.1, 0.03)
 """Expected standard deviations; see `LevelSpreads` for the units. Estimated on simulated fleets."""
-LEVELS_LOG_SD: Final = LevelSpreads(0.5, 1.0, 1.0, 1.0, 1.0, 0.7)
-"""Standard deviation of the logarithm of each about that of the expected one. [1]"""
 
 
 class Gaussian(NamedTuple):
@@ -134,13 +125,32 @@ class Elimination(NamedTuple):
     rides, days, cars : (m, q, q) float
         Sums of each ride without the effects of rides, of each vehicle-day without those of days, and of each car with
         the factor of the car.
-    log_determinant : float
-        Logarithm of the determinant of the covariance of all errors, up to a constant.
+    ride_gain, day_gain : (m, s, q) float
+        Expected effects of each ride and of each vehicle-day for each column.
     """
 
     rides: Floats
     days: Floats
     cars: Floats
+    ride_gain: Floats
+    day_gain: Floats
+
+
+class Integrated(NamedTuple):
+    """Hold sums of products after integration over the random effects on some of their columns.
+
+    Parameters
+    ----------
+    sums : (m, q, q) float
+        Sums without the effects.
+    gain : (m, s, q) float
+        Expected effects for each column.
+    log_determinant : float
+        Logarithm of the determinant that the effects add to the covariance of the errors.
+    """
+
+    sums: Floats
+    gain: Floats
     log_determinant: float
 
 
@@ -189,20 +199,27 @@ def eliminate(products: RideProducts, spreads: LevelSpreads) -> Elimination:
     """
     p = products.coefficients
     shared = slice(p + 1, p + 1 + SHARED)
-    rides, of_rides = _without(products.sums / spreads.row**2, shared, (spreads.ride_drive, spreads.ride_power))
-    days = np.add.reduceat(rides, _starts(products.day), axis=0)
-    days, of_days = _without(days, shared, (spreads.day_drive, spreads.day_power))
-    cars = np.add.reduceat(days, _starts(products.car), axis=0)
-    rows = 2.0 * np.log(spreads.row) * float(products.rows.sum())
-    return Elimination(rides, days, cars, rows + of_rides + of_days)
+    scaled = products.sums / spreads.row**2
+    rides = integrate_out(scaled, shared, (spreads.ride_drive, spreads.ride_power))
+    days = integrate_out(
+        np.add.reduceat(rides.sums, find_starts(products.day), axis=0), shared, (spreads.day_drive, spreads.day_power)
+    )
+    cars = np.add.reduceat(days.sums, find_starts(products.car), axis=0)
+    return Elimination(rides.sums, days.sums, cars, rides.gain, days.gain)
+
+
+def integrate_car_factor(cars: Floats, spread: float) -> Integrated:
+    """Return the sums of cars without their factors."""
+    last = cars.shape[1] - 1
+    return integrate_out(cars, slice(last, last + 1), (spread,))
 
 
 def without_car_factor(cars: Floats, spread: float) -> tuple[Floats, float]:
     """Return the sums of cars without their factors, and the logarithm of the determinant that belongs to them."""
     if spread == 0.0:
         return cars, 0.0
-    last = cars.shape[1] - 1
-    return _without(cars, slice(last, last + 1), (spread,))
+    integrated = integrate_car_factor(cars, spread)
+    return integrated.sums, integrated.log_determinant
 
 
 def compute_coefficients(prior: Gaussian, sums: Floats) -> Gaussian:
@@ -278,125 +295,32 @@ def pin(prior: Gaussian, at: NDArray[np.bool_], mean: Floats) -> Gaussian:
     return Gaussian(np.where(at, mean, prior.mean), covariance)
 
 
-def integrate_car_spread(elimination: Elimination, prior: Gaussian, spreads: LevelSpreads) -> Gaussian:
-    """Return the posterior of the coefficients, integrated over the unknown spread of the factors of cars.
-
-    Few cars tell little of how much cars differ. Their common coefficients are therefore less certain than at the most
-    probable spread.
+def integrate_out(sums: Floats, at: slice, spreads: Sequence[float]) -> Integrated:
+    """Return sums without random effects on some of their columns.
 
     Parameters
     ----------
-    elimination : Elimination
-        Sums of cars.
-    prior : Gaussian
-        Prior of the coefficients.
-    spreads : LevelSpreads
-        Standard deviations of the levels, with the most probable one of cars.
+    sums : (m, q, q) float
+        Sums of products.
+    at : slice
+        Columns on which the effects act.
+    spreads : sequence of float
+        Standard deviation of the effect on each of these columns.
 
     Returns
     -------
-    Gaussian
-        Mean and covariance of the mixture over `CAR_SPREADS`; a single one where cars have no factors.
+    Integrated
+        Sums after integration over the effects.
     """
-    candidates = [spreads.car * factor for factor in CAR_SPREADS] if spreads.car else [0.0]
-    posteriors, logarithms = [], []
-    for candidate in candidates:
-        cars, of_cars = without_car_factor(elimination.cars, candidate)
-        posterior, evidence = _solve(prior, cars.sum(axis=0))
-        far = np.log(candidate / EXPECTED_LEVELS.car) / LEVELS_LOG_SD.car if candidate else 0.0
-        posteriors.append(posterior)
-        logarithms.append(evidence - 0.5 * (of_cars + far**2))
-    weight = np.exp(np.array(logarithms) - max(logarithms))
-    weight /= weight.sum()
-    means = np.array([each.mean for each in posteriors])
-    mean = weight @ means
-    covariance = np.einsum("g,gij->ij", weight, np.array([each.covariance for each in posteriors]))
-    return Gaussian(mean, covariance + (means - mean).T @ ((means - mean) * weight[:, np.newaxis]))
-
-
-def _solve(prior: Gaussian, total: Floats) -> tuple[Gaussian, float]:
-    """Return the posterior given sums, and the logarithm of the evidence without the determinant of the errors."""
-    p = len(prior.mean)
-    posterior = compute_coefficients(prior, total)
-    off = posterior.mean - prior.mean
-    left = total[p, p] - 2.0 * posterior.mean @ total[:p, p] + posterior.mean @ total[:p, :p] @ posterior.mean
-    left += off @ np.linalg.solve(prior.covariance, off)
-    _, before = np.linalg.slogdet(prior.covariance)
-    _, after = np.linalg.slogdet(posterior.covariance)
-    return posterior, -0.5 * float(left + before - after)
-
-
-def compute_level_evidence(products: RideProducts, prior: Gaussian, spreads: LevelSpreads) -> float:
-    """Return the logarithm of the probability of the measured energies, up to a constant.
-
-    Parameters
-    ----------
-    products : RideProducts
-        Sums of rides.
-    prior : Gaussian
-        Prior of the coefficients.
-    spreads : LevelSpreads
-        Standard deviations of the levels.
-
-    Returns
-    -------
-    float
-        Logarithm of the evidence. [1]
-    """
-    elimination = eliminate(products, spreads)
-    cars, of_cars = without_car_factor(elimination.cars, spreads.car)
-    return _solve(prior, cars.sum(axis=0))[1] - 0.5 * (elimination.log_determinant + of_cars)
-
-
-def estimate_spreads(
-    products: RideProducts, prior: Gaussian, *, cars: bool, start: LevelSpreads = EXPECTED_LEVELS
-) -> LevelSpreads:
-    """Return the standard deviations of the levels that have the largest evidence, near the expected ones.
-
-    Parameters
-    ----------
-    products : RideProducts
-        Sums of rides.
-    prior : Gaussian
-        Prior of the coefficients.
-    cars : bool
-        Whether cars have factors; otherwise their standard deviation is 0.
-    start : LevelSpreads
-        Where the search begins.
-
-    Returns
-    -------
-    LevelSpreads
-        Estimated standard deviations.
-    """
-    some = products.thinned(MOST_RIDES)
-    free = len(EXPECTED_LEVELS) if cars else len(EXPECTED_LEVELS) - 1
-    expected, sd = np.log(EXPECTED_LEVELS[:free]), np.array(LEVELS_LOG_SD[:free])
-
-    def convert(x: Floats) -> LevelSpreads:
-        values = np.exp(expected + sd * x).tolist()
-        return LevelSpreads(*values, *([] if cars else [0.0]))
-
-    def loss(x: Floats) -> float:
-        return 0.5 * float(x @ x) - compute_level_evidence(some, prior, convert(x))
-
-    begin = (np.log(np.maximum(start[:free], 1e-6)) - expected) / sd
-    begin = np.clip(begin, -4.0, 4.0)
-    found = minimize(loss, begin, method="L-BFGS-B", bounds=[(-4.0, 4.0)] * free, options={"maxiter": 12, "ftol": 1e-5})
-    return convert(found.x)
-
-
-def _without(sums: Floats, at: slice, spreads: Sequence[float]) -> tuple[Floats, float]:
-    """Return sums without random effects on some of their columns, and the logarithm of the determinant."""
     variance = np.square(np.asarray(spreads, dtype=np.float64))
     inner = np.eye(len(variance)) + variance[:, np.newaxis] * sums[:, at, at]
     beside = sums[:, :, at]
     gain = np.linalg.solve(inner, variance[:, np.newaxis] * np.swapaxes(beside, 1, 2))
     _, logarithm = np.linalg.slogdet(inner)
-    return sums - beside @ gain, float(logarithm.sum())
+    return Integrated(sums - beside @ gain, np.asarray(gain, dtype=np.float64), float(logarithm.sum()))
 
 
-def _starts(code: Ints) -> Ints:
+def find_starts(code: Ints) -> Ints:
     """Return the position of the first entry of each code."""
     return np.flatnonzero(np.r_[True, np.diff(code) != 0])
 

@@ -37,7 +37,8 @@ from core.fit.priors import (
 )
 from core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
 from core.fit.row_noise import build_variance_parts
-from core.fit.window_solver import GroupFit, GroupRows, solve_group
+from core.fit.window_problem import GroupRows
+from core.fit.window_solver import GroupFit, solve_group
 from core.models import ANY, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term, Training, stamp
 from core.models.derived_features import DERIVED_COLUMNS
 from core.models.features import ACCESSORIES_COLUMN, FEATURES, Columns, list_raw_columns
@@ -227,6 +228,7 @@ def _convert(terms: Sequence[Term], group: GroupRows, fitted: GroupFit, fills: M
         curve=fitted.curve,
         rides=len(group.rides),
         held=tuple(term.name for term, own in zip(terms, share, strict=True) if own > PRIOR_SHARE),
+        converged=fitted.converged,
     )
 
 

@@ -73,6 +73,8 @@ class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     noise_kwh : float, optional
         Variance of a ride's error divided by its size (`core.models.derived_features.compute_size`), where rides were
         weighted by their size. [kWh]
+    converged : bool
+        Whether an iterative fit ended at the most probable coefficients; False marks a fit that is not to be trusted.
     """
 
     coefficients: tuple[float, ...]
@@ -84,6 +86,7 @@ class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     residual_sd_kwh: float | None = None
     held: tuple[str, ...] = ()
     noise_kwh: float | None = None
+    converged: bool = True
 
 
 class Training(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -231,6 +231,7 @@ def summary(model: LinearModel, title: str) -> dict[str, Any]:
             "residual_sd_kwh": fitted.residual_sd_kwh,
             "clusters": fitted.clusters,
             "held": fitted.held,
+            "converged": fitted.converged,
             "curve": None if fitted.curve is None else _celsius(fitted.curve),
             "coefficients": [
                 {
@@ -322,6 +323,9 @@ def _show_coefficients(model: LinearModel, console: Console) -> None:
         notes.append("interval of *: for a vehicle model without rides, about the mean of the others")
     if notes:
         console.print("; ".join(notes), markup=False, highlight=False, soft_wrap=True)
+    for key in (key for key, fitted in model.fits.items() if not fitted.converged):
+        line = f"NOT converged: the fit of {key} ended before its coefficients were the most probable ones"
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
     for line in describe_implausible(model):
         console.print(f"NOT plausible: {line}", markup=False, highlight=False, soft_wrap=True)
 

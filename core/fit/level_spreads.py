@@ -1,0 +1,277 @@
+"""Estimate the standard deviations of the levels of errors: rows, rides, vehicle-days and cars.
+
+They are those of the largest evidence, with a wide prior about what simulated fleets show. The derivatives of the
+evidence are exact: numerical ones are so inexact that the coefficients of a fit would depend on the last digits of its
+input. Each level of the elimination maps sums A to B = A - A_s M A_s', with M = (V^-1 + A_ss)^-1 and the variances V of
+the effects on the columns s. A derivative dA becomes dB = P dA P', with P = I - A_s M E_s', so the derivatives by the
+sums are passed back level by level.
+
+References
+----------
+Rasmussen, Williams, Gaussian Processes for Machine Learning, MIT 2006, eq. (2.30) and (5.9): evidence and derivatives.
+"""
+
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize
+
+from core.batch import Floats, Ints
+from core.fit.nested_effects import (
+    EXPECTED_LEVELS,
+    SHARED,
+    Elimination,
+    Gaussian,
+    LevelSpreads,
+    RideProducts,
+    compute_coefficients,
+    find_starts,
+    integrate_out,
+    without_car_factor,
+)
+
+MOST_RIDES: Final = 500
+"""Number of rides that suffices to estimate the standard deviations of the levels."""
+CAR_SPREADS: Final = (0.35, 0.6, 1.0, 1.7, 2.9, 5.0)
+"""Spreads of the factors of cars over the most probable one, at equal steps of its logarithm. [1]"""
+LEVELS_LOG_SD: Final = LevelSpreads(0.5, 1.0, 1.0, 1.0, 1.0, 0.7)
+"""Standard deviation of the logarithm of each about that of the expected one. [1]"""
+FARTHEST: Final = 4.0
+"""Largest distance of a logarithm from the expected one, over that standard deviation. [1]"""
+NEWTON_STEPS: Final = 10
+"""Largest number of Newton steps that end the search."""
+SMALL_STEP: Final = 1e-9
+"""Step at which the search has converged, over the standard deviation of the logarithm. [1]"""
+DIFFERENCE: Final = 1e-5
+"""Step of the differences of derivatives, over the standard deviation of the logarithm. [1]"""
+
+
+def integrate_car_spread(elimination: Elimination, prior: Gaussian, spreads: LevelSpreads) -> Gaussian:
+    """Return the posterior of the coefficients, integrated over the unknown spread of the factors of cars.
+
+    Few cars tell little of how much cars differ. Their common coefficients are therefore less certain than at the most
+    probable spread.
+
+    Parameters
+    ----------
+    elimination : Elimination
+        Sums of cars.
+    prior : Gaussian
+        Prior of the coefficients.
+    spreads : LevelSpreads
+        Standard deviations of the levels, with the most probable one of cars.
+
+    Returns
+    -------
+    Gaussian
+        Mean and covariance of the mixture over `CAR_SPREADS`; a single one where cars have no factors.
+    """
+    candidates = [spreads.car * factor for factor in CAR_SPREADS] if spreads.car else [0.0]
+    posteriors, logarithms = [], []
+    for candidate in candidates:
+        cars, of_cars = without_car_factor(elimination.cars, candidate)
+        posterior, evidence = _solve(prior, cars.sum(axis=0))
+        far = np.log(candidate / EXPECTED_LEVELS.car) / LEVELS_LOG_SD.car if candidate else 0.0
+        posteriors.append(posterior)
+        logarithms.append(evidence - 0.5 * (of_cars + far**2))
+    weight = np.exp(np.array(logarithms) - max(logarithms))
+    weight /= weight.sum()
+    means = np.array([each.mean for each in posteriors])
+    mean = weight @ means
+    covariance = np.einsum("g,gij->ij", weight, np.array([each.covariance for each in posteriors]))
+    return Gaussian(mean, covariance + (means - mean).T @ ((means - mean) * weight[:, np.newaxis]))
+
+
+def compute_level_evidence(products: RideProducts, prior: Gaussian, spreads: LevelSpreads) -> float:
+    """Return the logarithm of the probability of the measured energies, up to a constant.
+
+    Parameters
+    ----------
+    products : RideProducts
+        Sums of rides.
+    prior : Gaussian
+        Prior of the coefficients.
+    spreads : LevelSpreads
+        Standard deviations of the levels.
+
+    Returns
+    -------
+    float
+        Logarithm of the evidence. [1]
+    """
+    return differentiate_level_evidence(products, prior, spreads)[0]
+
+
+def differentiate_level_evidence(
+    products: RideProducts, prior: Gaussian, spreads: LevelSpreads
+) -> tuple[float, LevelSpreads]:
+    """Return the logarithm of the evidence, and its derivatives by the logarithms of the standard deviations.
+
+    Parameters
+    ----------
+    products : RideProducts
+        Sums of rides.
+    prior : Gaussian
+        Prior of the coefficients.
+    spreads : LevelSpreads
+        Standard deviations of the levels.
+
+    Returns
+    -------
+    evidence : float
+        Logarithm of the evidence, up to a constant. [1]
+    derivatives : LevelSpreads
+        Derivatives; 0 for a standard deviation of 0. [1]
+    """
+    p = products.coefficients
+    shared = slice(p + 1, p + 1 + SHARED)
+    scaled = products.sums / spreads.row**2
+    rides = _Level.of(scaled, shared, (spreads.ride_drive, spreads.ride_power))
+    days = _Level.of(_add(rides.left, products.day), shared, (spreads.day_drive, spreads.day_power))
+    last = scaled.shape[1] - 1
+    cars = _Level.of(_add(days.left, products.car), slice(last, last + 1), (spreads.car,))
+    total = cars.left.sum(axis=0)
+    posterior, evidence = _solve(prior, total)
+    rows = float(products.rows.sum())
+    determinants = rides.log_determinant + days.log_determinant + cars.log_determinant
+    evidence -= 0.5 * (2.0 * np.log(spreads.row) * rows + determinants)
+    outer = np.append(posterior.mean, -1.0)
+    by_total = np.zeros_like(total)
+    by_total[: p + 1, : p + 1] = -0.5 * np.outer(outer, outer)
+    by_total[:p, :p] -= 0.5 * posterior.covariance
+    by_days, by_car = cars.pass_back(np.broadcast_to(by_total, cars.left.shape))
+    by_rides, by_day = days.pass_back(by_days[products.car])
+    by_rows, by_ride = rides.pass_back(by_rides[products.day])
+    by_row = -2.0 * float(np.sum(by_rows * scaled)) - rows
+    return evidence, LevelSpreads(by_row, *by_ride, *by_day, *by_car)
+
+
+class _Level(NamedTuple):
+    """Hold one level of the elimination: what its derivatives need.
+
+    Parameters
+    ----------
+    sums, left : (m, q, q) float
+        Sums with and without the effects.
+    at : slice
+        Columns on which the effects act.
+    variance : (s,) float
+        Variances of the effects.
+    inverse : (m, s, s) float
+        Inverse of the identity plus the variances times the sums of these columns.
+    log_determinant : float
+        Logarithm of the determinant that the effects add.
+    """
+
+    sums: Floats
+    left: Floats
+    at: slice
+    variance: Floats
+    inverse: Floats
+    log_determinant: float
+
+    @staticmethod
+    def of(sums: Floats, at: slice, spreads: tuple[float, ...]) -> "_Level":
+        """Return the level of effects on some columns."""
+        integrated = integrate_out(sums, at, spreads)
+        variance = np.square(np.array(spreads))
+        inverse = np.linalg.inv(np.eye(len(variance)) + variance[:, np.newaxis] * sums[:, at, at])
+        return _Level(sums, integrated.sums, at, variance, inverse, integrated.log_determinant)
+
+    def pass_back(self, by_left: Floats) -> tuple[Floats, tuple[float, ...]]:
+        """Return the derivatives of the evidence by the sums and by the logarithms of the standard deviations."""
+        beside, own = self.sums[:, :, self.at], self.sums[:, self.at, self.at]
+        middle = self.inverse * self.variance
+        changed = -beside @ middle
+        changed[:, self.at] += np.eye(len(self.variance))
+        by_sums = by_left.copy()
+        by_sums[:, :, self.at] = by_left @ changed
+        by_sums[:, self.at] = np.swapaxes(changed, 1, 2) @ by_sums
+        by_sums[:, self.at, self.at] -= 0.5 * middle
+        gain = beside @ self.inverse
+        by_variance = -np.sum(gain * (by_left @ gain), axis=(0, 1))
+        by_variance -= 0.5 * np.sum(np.swapaxes(own, 1, 2) * self.inverse, axis=(0, 1))
+        return by_sums, tuple((2.0 * self.variance * by_variance).tolist())
+
+
+def _add(sums: Floats, code: Ints) -> Floats:
+    """Return the sums of each code."""
+    return np.asarray(np.add.reduceat(sums, find_starts(code), axis=0))
+
+
+def estimate_spreads(
+    products: RideProducts,
+    prior: Gaussian,
+    *,
+    cars: bool,
+    start: LevelSpreads = EXPECTED_LEVELS,
+    exact: bool = True,
+) -> LevelSpreads:
+    """Return the standard deviations of the levels that have the largest evidence, near the expected ones.
+
+    Parameters
+    ----------
+    products : RideProducts
+        Sums of rides.
+    prior : Gaussian
+        Prior of the coefficients.
+    cars : bool
+        Whether cars have factors; otherwise their standard deviation is 0.
+    start : LevelSpreads
+        Where the search begins.
+    exact : bool
+        Whether to continue to convergence. An estimate from which another search begins need not.
+
+    Returns
+    -------
+    LevelSpreads
+        Estimated standard deviations.
+    """
+    some = products.thinned(MOST_RIDES)
+    free = len(EXPECTED_LEVELS) if cars else len(EXPECTED_LEVELS) - 1
+    expected, sd = np.log(EXPECTED_LEVELS[:free]), np.array(LEVELS_LOG_SD[:free])
+
+    def convert(x: Floats) -> LevelSpreads:
+        values = np.exp(expected + sd * x).tolist()
+        return LevelSpreads(*values, *([] if cars else [0.0]))
+
+    def loss(x: Floats) -> tuple[float, Floats]:
+        evidence, derivatives = differentiate_level_evidence(some, prior, convert(x))
+        return 0.5 * float(x @ x) - evidence, x - np.array(derivatives[:free]) * sd
+
+    begin = np.clip((np.log(np.maximum(start[:free], 1e-6)) - expected) / sd, -FARTHEST, FARTHEST)
+    bounds, options = [(-FARTHEST, FARTHEST)] * free, {"maxiter": 30, "ftol": 1e-6, "gtol": 0.05}
+    found = minimize(loss, begin, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    return convert(_finish(lambda x: loss(x)[1], found.x) if exact else found.x)
+
+
+def _finish(gradient: Callable[[Floats], Floats], x: Floats) -> Floats:
+    """Return the minimum near x by Newton's method with the curvature at x; each step must lower the gradient."""
+    slope = gradient(x)
+    free = np.flatnonzero(np.abs(x) < FARTHEST)
+    differences = np.eye(len(x))[free] * DIFFERENCE
+    curvature = np.array([gradient(x + each) - slope for each in differences])[:, free] / DIFFERENCE
+    for _ in range(NEWTON_STEPS):
+        step = np.zeros(len(x))
+        step[free] = np.linalg.solve((curvature + curvature.T) / 2.0, -slope[free])
+        moved = np.clip(x + step, -FARTHEST, FARTHEST)
+        there = gradient(moved)
+        if np.abs(there[free]).sum() >= np.abs(slope[free]).sum():
+            break
+        x, slope = moved, there
+        if np.abs(step).max() < SMALL_STEP:
+            break
+    return x
+
+
+def _solve(prior: Gaussian, total: Floats) -> tuple[Gaussian, float]:
+    """Return the posterior given sums, and the logarithm of the evidence without the determinant of the errors."""
+    p = len(prior.mean)
+    posterior = compute_coefficients(prior, total)
+    off = posterior.mean - prior.mean
+    left = total[p, p] - 2.0 * posterior.mean @ total[:p, p] + posterior.mean @ total[:p, :p] @ posterior.mean
+    left += off @ np.linalg.solve(prior.covariance, off)
+    _, before = np.linalg.slogdet(prior.covariance)
+    _, after = np.linalg.slogdet(posterior.covariance)
+    return posterior, -0.5 * float(left + before - after)
