@@ -348,8 +348,8 @@ def find_worst_rides(compared: ComparedRides, predicted: Floats) -> dict[str, li
 
     Notes
     -----
-    The relative list holds only rides whose energy is known to within `MOST_RELATIVE_SD`, because a ride downhill may
-    use almost no energy.
+    A relative error is only given of rides whose energy is known to within `MOST_RELATIVE_SD`, because a ride downhill
+    may use almost no energy. The relative list holds only these rides.
     """
     error = predicted - compared.measured
     size = np.abs(compared.measured)
@@ -358,7 +358,8 @@ def find_worst_rides(compared: ComparedRides, predicted: Floats) -> dict[str, li
         if "energy_sd_kwh" in compared.rides
         else np.zeros(len(error))
     )
-    relative = np.divide(error, size, out=np.full(len(error), np.nan), where=size > 0.0)
+    known = np.nan_to_num(spread) <= MOST_RELATIVE_SD * size
+    relative = np.divide(error, size, out=np.full(len(error), np.nan), where=known & (size > 0.0))
     keys = compared.keys
 
     def describe_row(row: int) -> dict[str, Any]:
@@ -376,5 +377,4 @@ def find_worst_rides(compared: ComparedRides, predicted: Floats) -> dict[str, li
         order = np.argsort(-np.abs(values), kind="stable")  # NaN last
         return [describe_row(row) for row in order[:MOST_WORST_RIDES].tolist() if not np.isnan(values[row])]
 
-    known = np.nan_to_num(spread) <= MOST_RELATIVE_SD * size
-    return {"absolute": first(error), "relative": first(np.where(known, relative, np.nan))}
+    return {"absolute": first(error), "relative": first(relative)}

@@ -14,6 +14,7 @@ from tests.support.paths import ROOT
 from tools.cli import main
 from tools.commands.tables import in_memory
 from tools.report.comparison.figures import get_model_style
+from tools.report.comparison.page import MOST_COMMANDS
 
 SHIFT = ROOT / "recordings" / "shift.mcap"
 MODELS = ("--model", "extended_physical", "--model", "basic_physical")
@@ -146,7 +147,7 @@ def test_printed_commands_are_complete_and_quoted(shift, tmp_path, capsys):
     save(BASIC_PHYSICAL, model)
     out = ran(capsys, home, "--model", model)
     lines = [line for line in out.splitlines() if line.startswith("socast compare")]
-    assert len(lines) >= 10
+    assert len(lines) == MOST_COMMANDS
     for line in lines:
         words = shlex.split(line)
         assert words[2:5] == [str(home), "--model", str(model)]

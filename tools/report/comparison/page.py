@@ -21,8 +21,11 @@ from tools.report.page import render_document, save
 
 TITLE: Final = "Models against measurement"
 MODELS: Final = "models"
-ORDER: Final = ("places", "worst", "against", MODELS)
+PLACES: Final = "places"
+ORDER: Final = (PLACES, "worst", "against", MODELS)
 """Sections in the terminal; the most important one is printed last."""
+MOST_COMMANDS: Final = 3
+"""Number of commands that the terminal shows."""
 
 
 def show(result: Any, console: Console) -> None:
@@ -86,9 +89,12 @@ def build_sections(result: Result, *, commands: bool) -> list[Section]:
     result : mapping
         Result of the comparison.
     commands : bool
-        Whether to show the commands that trace rides, and the worst rides of every model; a page has room for both.
+        Whether to show the commands that trace rides, the worst rides of every model, and conditions without a
+        significant bias; a page has room for them.
     """
     names = tables.list_models(result)
+    conditions = tables.list_varying_conditions(result)
+    biased = conditions if commands else tables.list_biased_conditions(result)
     worst = [
         table
         for name in (names if commands else names[:1])
@@ -117,17 +123,26 @@ def build_sections(result: Result, *, commands: bool) -> list[Section]:
             [table for name in names for table in tables.tabulate_datasets_by_condition(result, name)],
             folded=True,
         ),
-        Section("places", "Errors by condition", "", tables.tabulate_conditions(result)),
-        Section("worst", "The worst rides", "Each command shows the trace of its ride.", worst),
+        Section(
+            PLACES,
+            "Errors by condition",
+            tables.describe_unbiased_conditions([name for name in conditions if name not in biased]),
+            [tables.tabulate_errors_by_condition(result, name) for name in biased],
+        ),
+        Section("worst", "The worst rides", "Each command shows the trace of its ride." if commands else "", worst),
     ]
-    return [section for section in sections if any(table.rows for table in section.tables)]
+    return [
+        section
+        for section in sections
+        if any(table.rows for table in section.tables) or (section.key == PLACES and section.text)
+    ]
 
 
 def build_illustrations(result: Result, key: str) -> list[Illustration]:
     """Return the figures of a section."""
     if key == MODELS:
         return figures.illustrate_scatters(result)
-    if key == "places":
+    if key == PLACES:
         return figures.illustrate_conditions(result)
     if key == "against":
         return figures.illustrate_terms(result)
@@ -176,12 +191,12 @@ def _shared(against: Result) -> str:
 
 
 def _print_commands(result: Result, console: Console) -> None:
-    """Print the commands that trace the worst rides, one per line, ready to copy."""
+    """Print the commands that trace the worst rides of the first model, one per line, ready to copy."""
     names = tables.list_models(result)
     worst = get_mapping(result, "models", names[0], "worst")
     lines = dict.fromkeys(str(ride["command"]) for rides in worst.values() for ride in rides if "command" in ride)
     console.print()
-    for line in lines:
+    for line in list(lines)[:MOST_COMMANDS]:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
-    if len(names) > 1:
-        console.print(Text(f"for {names[0]}; --html and --json have the commands for every model", style="dim"))
+    if len(lines) > MOST_COMMANDS or len(names) > 1:
+        console.print(Text("--html and --json have the command for every ride of these tables", style="dim"))

@@ -140,15 +140,25 @@ def _better(pair: Mapping[str, Any]) -> str:
     return str(pair["a"] if apart < 0.0 else pair["b"])
 
 
-def tabulate_conditions(result: Result) -> list[ReportTable]:
-    """Return the errors of all models by each condition."""
-    return [tabulate_errors_by_condition(result, name) for name in list_varying_conditions(result)]
-
-
 def list_varying_conditions(result: Result) -> list[str]:
     """Return the conditions in which the rides differ: those with more than one bin."""
     by_model = [get_mapping(scores, "by") for scores in get_mapping(result, "models").values()]
     return list(dict.fromkeys(name for by in by_model for name, bins in by.items() if len(bins) > 1))
+
+
+def list_biased_conditions(result: Result) -> list[str]:
+    """Return the conditions with a bin in which a model has a significant bias."""
+    models = get_mapping(result, "models").values()
+    return [
+        name
+        for name in list_varying_conditions(result)
+        if any(is_significant(entry) for scores in models for entry in get_part(scores, "by", name) or ())
+    ]
+
+
+def describe_unbiased_conditions(names: Sequence[str]) -> str:
+    """Return a sentence on conditions whose tables are not shown; empty where there are none."""
+    return f"No significant bias by {', '.join(names)}; --html and --json have these tables." if names else ""
 
 
 def tabulate_errors_by_condition(result: Result, name: str) -> ReportTable:
@@ -160,7 +170,7 @@ def tabulate_errors_by_condition(result: Result, name: str) -> ReportTable:
     )
     rows = tuple(
         Row(
-            label,
+            format_minus(label),
             (
                 Cell(format_count(first[label].get("n"))),
                 Cell(format_count(first[label].get("vehicle_days"))),

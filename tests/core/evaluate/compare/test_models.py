@@ -115,11 +115,13 @@ def test_worst_rides_come_first_and_relative_errors_need_certain_energy():
     rides = planted(100)
     rides.loc[7, "energy_kwh"] += 5.0
     rides.loc[8, ["energy_kwh", "energy_sd_kwh"]] = [0.001, 0.1]  # next to nothing: no ratio means anything
+    rides.loc[9, ["energy_kwh", "energy_sd_kwh"]] = [-3.0, 1.0]
     result = find_worst_rides(select_rides(rides, {"m": EXTENDED_PHYSICAL}), EXTENDED_PHYSICAL.predict(rides))
     assert result["absolute"][0]["ride"] == "car#7"
     assert result["absolute"][0]["error_kwh"] == pytest.approx(-5.0, abs=0.5)
     for rank in result.values():
         assert len(rank) == 10
+    assert np.isnan(next(ride["relative"] for ride in result["absolute"] if ride["ride"] == "car#9"))
     assert "car#8" not in {ride["ride"] for ride in result["relative"]}
     sizes = [abs(ride["relative"]) for ride in result["relative"]]
     assert sizes == sorted(sizes, reverse=True)
