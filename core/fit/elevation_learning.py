@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import LinearOperator, cg
+from threadpoolctl import threadpool_limits
 
 from core.batch import Batch, Floats, Ints
 from core.cleaning.elevation_map import CORNERS, ElevationPlaces, number_nodes
@@ -288,9 +289,10 @@ def learn_elevation(fixes: ElevationFixes) -> tuple[ElevationPlaces, MapSummary]
     columns = _Columns(row, column)
     rng = np.random.default_rng(SEED)
     system = _make_system(columns.design(row, column)[0], columns, ride, car)
-    fit, exponent = _estimate(system, fixes, ride, rng)
-    residual = fixes.elevation - system.design @ fit.coefficients
-    places = _make_places(columns, system, fit, _disagreement(row, column, residual, fit.fix_sd), rng)
+    with threadpool_limits(1):  # vectors are short, so threads would wait, and sums would depend on their number
+        fit, exponent = _estimate(system, fixes, ride, rng)
+        residual = fixes.elevation - system.design @ fit.coefficients
+        places = _make_places(columns, system, fit, _disagreement(row, column, residual, fit.fix_sd), rng)
     y, x, z, variance, count = places
     kept = variance <= LARGEST_SD**2
     learned = ElevationPlaces(*steps, y[kept], x[kept], z[kept] + datum, np.sqrt(variance[kept]), count[kept])

@@ -2,9 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy.sparse.linalg import cg
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from core.cleaning.kernel import Cleaner
 from core.errors import RecordingError
+from core.fit import elevation_learning
 from core.fit.elevation_learning import join_fixes, learn_elevation, select_fixes
 from core.settings import Settings
 from tests.support.ground import hills, hilly_drive, street_fixes
@@ -39,6 +42,19 @@ def test_more_fixes_give_a_smaller_error(learned):
 def test_same_fixes_give_the_same_map():
     one, other = (learn_elevation(street_fixes(12, seed=3))[0] for _ in range(2))
     assert one.digest() == other.digest()
+
+
+def test_linear_algebra_runs_in_one_thread(monkeypatch):
+    threads = []
+
+    def solve(*arguments, **options):
+        threads.extend(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
+        return cg(*arguments, **options)
+
+    monkeypatch.setattr(elevation_learning, "cg", solve)
+    with threadpool_limits(2):
+        learn_elevation(street_fixes(12, seed=3))
+    assert set(threads) == {1}
 
 
 def test_map_does_not_depend_on_the_parity_of_days():
