@@ -28,6 +28,8 @@ def pytest_configure(config: pytest.Config) -> None:
     """Compile the kernels once, before parallel workers would each compile them, and let these keep the order."""
     config.addinivalue_line("markers", "long: the file takes 8 s or more; parallel workers start with such files")
     if getattr(config.option, "numprocesses", None) and not config.option.collectonly:
+        for library in ("OPENBLAS", "OMP"):  # the workers have all processors; more threads would wait for each other
+            os.environ.setdefault(f"{library}_NUM_THREADS", "1")
         config.stash[COMPILER] = start_compiler()
         config.option.loadscopereorder = False
 
