@@ -26,14 +26,14 @@ from core.forecast.newest_plans import NewestPlans
 from core.forecast.plan_tracker import DriverNamed, PlanArrival
 from core.forecast.soc_filter import SHIFT_GAP
 from core.forecast.status import VehicleStatus, build_statuses
-from core.forecast.tables import PublishedForecasts, outlook_table, shift_table
+from core.forecast.tables import PublishedForecasts, tabulate_outlooks, tabulate_shifts
 from core.forecast.what_if import answer_query, withhold_charge
 from core.models import EXTENDED_PHYSICAL, Model
 from core.monitoring.shadow import ShadowModels
 from core.settings import Settings, checked
-from core.signals.signals import ambient_quality
+from core.signals.signals import flag_ambient
 from core.signals.weather import Stations
-from core.snapshot import opened, sealed
+from core.snapshot import open_snapshot, seal_snapshot
 from core.totals.accumulator import Accumulator, Sums, Totals, join_totals
 from core.totals.clean_rows import CleanRows, PowerOfEffect, sum_rows
 from core.totals.closed_rides import ClosedTotals
@@ -41,7 +41,7 @@ from core.totals.context import RunContext
 from core.totals.deferred_rows import DeferredRows
 from core.totals.display_yield import DisplayYields
 from core.totals.run_counters import RunCounters
-from core.totals.tables import ride_table, unfit_reason, window_table
+from core.totals.tables import tabulate_rides, tabulate_windows, unfit_reason
 from core.vehicles.fleet import Cars
 from core.wire.decoder import Decoder
 from core.wire.message_order import MessageOrder, Piece
@@ -237,7 +237,7 @@ class Pipeline:
         capacity, lanes = self.cars.capacity.take(kind) * JOULES_PER_KWH, len(self.lanes)
         clean, ends = self.cleaner.clean_between(batch, lanes, place, ride_events, capacity)
         sky = self.stations.sky(clean.time, clean.latitude, clean.longitude)
-        clean = clean._replace(quality=ambient_quality(clean, sky))
+        clean = clean._replace(quality=flag_ambient(clean, sky))
         self.counters.count_samples(clean.quality)
         return CleanRows(clean, sky, kind, place, ends)
 
@@ -341,24 +341,24 @@ class Pipeline:
         return self.shadows.messages(newest_only=newest_only)
 
     def take_rides(self) -> pd.DataFrame:
-        """Return the rides that have ended since the last call, see `core.totals.tables.ride_table`."""
+        """Return the rides that have ended since the last call, see `core.totals.tables.tabulate_rides`."""
         rides, names = self.closed.take_rides()
-        return ride_table(rides, names, self.drivers, self.context)
+        return tabulate_rides(rides, names, self.drivers, self.context)
 
     def take_windows(self) -> pd.DataFrame:
-        """Return the windows that have ended since the last call, see `core.totals.tables.window_table`."""
-        return window_table(self.closed.take_windows(), self.context)
+        """Return the windows that have ended since the last call, see `core.totals.tables.tabulate_windows`."""
+        return tabulate_windows(self.closed.take_windows(), self.context)
 
     def take_outlooks(self) -> pd.DataFrame:
-        """Return the forecasts of the charge since the last call, see `core.forecast.tables.outlook_table`."""
+        """Return the forecasts of the charge since the last call, see `core.forecast.tables.tabulate_outlooks`."""
         self._update_forecasts()
         taken, self._published = self._published, []
-        return outlook_table(taken, self.context)
+        return tabulate_outlooks(taken, self.context)
 
     def take_shifts(self) -> pd.DataFrame:
-        """Return the shifts that have ended since the last call, see `core.forecast.tables.shift_table`."""
+        """Return the shifts that have ended since the last call, see `core.forecast.tables.tabulate_shifts`."""
         self._update_forecasts()
-        return shift_table(self.engine.take_shifts(), self.context)
+        return tabulate_shifts(self.engine.take_shifts(), self.context)
 
     def ask(self, vehicle_id: str, leg: Leg | None = None, plan: Plan | None = None) -> Outlook:
         """Return the outlook on the rest of a vehicle's shift.
@@ -443,7 +443,7 @@ class Pipeline:
         """
         self._update_forecasts()
         state = {name: component.dump() for name, component in self._components().items()}
-        return sealed({"model": self.context.model_label, "effects": list(self.context.effects), "state": state})
+        return seal_snapshot({"model": self.context.model_label, "effects": list(self.context.effects), "state": state})
 
     def restore(self, snapshot: bytes) -> None:
         """Replace the state by one that `snapshot` returned.
@@ -460,7 +460,7 @@ class Pipeline:
         SocastError
             If the bytes are not a snapshot, or are one of another version or list of effects.
         """
-        state = opened(snapshot, list(self.context.effects))["state"]
+        state = open_snapshot(snapshot, list(self.context.effects))["state"]
         for name, component in self._components().items():
             if name in state:
                 component.load(state[name])

@@ -17,7 +17,7 @@ FIELDS: Final = [*(STATE.names or ()), *AMOUNTS, *EDGES, *CAUSES]
 _DIGEST: Final = sha256().digest_size
 
 
-def sealed(state: dict[str, Any]) -> bytes:
+def seal_snapshot(state: dict[str, Any]) -> bytes:
     """Return a state as bytes with a checksum.
 
     Parameters
@@ -34,7 +34,7 @@ def sealed(state: dict[str, Any]) -> bytes:
     return sha256(content).digest() + content
 
 
-def opened(snapshot: bytes, effects: list[str]) -> dict[str, Any]:
+def open_snapshot(snapshot: bytes, effects: list[str]) -> dict[str, Any]:
     """Return the state that `sealed` encoded.
 
     Parameters

@@ -107,7 +107,7 @@ def find_limits(terms: Sequence[Term], columns: Columns) -> tuple[Floats, Floats
     return low, high
 
 
-def curve_numbers(curve: AccessoryCurve) -> Floats:
+def flatten_curve(curve: AccessoryCurve) -> Floats:
     """Return the seven numbers of a curve.
 
     Parameters
@@ -124,7 +124,7 @@ def curve_numbers(curve: AccessoryCurve) -> Floats:
 
 
 def build_curve(numbers: Floats) -> AccessoryCurve:
-    """Return the curve of seven numbers, see `curve_numbers`."""
+    """Return the curve of seven numbers, see `flatten_curve`."""
     return AccessoryCurve(**dict(zip((*LEVELS, *CHOKE_POINTS), numbers.tolist(), strict=True)))
 
 
@@ -151,7 +151,7 @@ def compute_curve_columns(curve: AccessoryCurve, ambient_c: Floats) -> Floats:
 def build_curve_prior() -> Gaussian:
     """Return the prior of the seven numbers of the accessory curve of a car, over its accessory scale."""
     low, high = np.array([accessories.parameters[name].bounds for name in (*LEVELS, *CHOKE_POINTS)]).T
-    return Gaussian(curve_numbers(ACCESSORIES), np.diag(((high - low) / BOUNDS_OVER_SD) ** 2))
+    return Gaussian(flatten_curve(ACCESSORIES), np.diag(((high - low) / BOUNDS_OVER_SD) ** 2))
 
 
 def find_curve_limits() -> tuple[Floats, Floats]:

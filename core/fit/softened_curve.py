@@ -25,7 +25,7 @@ class SoftenedPower(NamedTuple):
     power : (n,) float
         Mean power over temperatures within `SOFTENED`. [W]
     first : (n, 7) float
-        Derivatives by the levels [1] and by the choke points [W/K], in the order of `core.fit.priors.curve_numbers`.
+        Derivatives by the levels [1] and by the choke points [W/K], in the order of `core.fit.priors.flatten_curve`.
     second : (n, 7, 7) float
         Second derivatives.
     """

@@ -21,7 +21,7 @@ from core.fit.nested_effects import (
     integrate_car_factor,
     sum_products,
 )
-from core.fit.priors import build_curve, curve_numbers
+from core.fit.priors import build_curve, flatten_curve
 from core.fit.softened_curve import compute_softened_power, differentiate_softened_power
 from core.vehicles import AccessoryCurve
 
@@ -226,7 +226,7 @@ def move(group: GroupRows, state: State, step: Floats) -> State:
     coefficients = state.coefficients + step[:p]
     if state.curve is None:
         return State(coefficients, None)
-    numbers = curve_numbers(state.curve) + step[p:]
+    numbers = flatten_curve(state.curve) + step[p:]
     return State(coefficients, build_curve(np.clip(numbers, group.low[p:], group.high[p:])))
 
 
@@ -234,7 +234,7 @@ def _shift(group: GroupRows, state: State, values: Floats) -> Floats:
     """Return values of coefficients and numbers of the curve, the latter less those of the state."""
     values = values.copy()
     if state.curve is not None:
-        values[group.terms :] -= curve_numbers(state.curve)
+        values[group.terms :] -= flatten_curve(state.curve)
     return values
 
 

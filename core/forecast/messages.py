@@ -11,7 +11,7 @@ from core.cleaning.quality import CAUSES, FORECAST_CAUSES, Quality
 from core.forecast.forecast_rows import ForecastRows
 from core.totals.accumulator import Totals
 from core.totals.context import RunContext
-from core.totals.measured_energy import measured_energy
+from core.totals.measured_energy import measure_energy
 from core.wire.messages import Forecast, Interval, Message, QualityCounts, encode
 
 _COUNTED: Final = {
@@ -63,7 +63,7 @@ def build_forecasts(
     names, version = context.vehicle_ids, context.model_label
     riding = running.ride >= 0
     predicted = np.where(riding, rows.predicted, np.nan).tolist()
-    measured = np.where(riding, measured_energy(running, context.cars).energy, np.nan).tolist()
+    measured = np.where(riding, measure_energy(running, context.cars).energy, np.nan).tolist()
     counts = [QualityCounts(*row) for row in zip(*count_quality(running).values(), strict=True)]
     soc, soc_sd, risk = (100.0 * rows.soc).tolist(), (100.0 * rows.soc_sd).tolist(), rows.risk.tolist()
     range_km = _list_intervals(rows.range_km, rows.range_km_p05, rows.range_km_p95)

@@ -11,7 +11,7 @@ from core.batch import Floats
 from core.forecast.messages import count_quality, none_if_nan
 from core.totals.accumulator import Totals
 from core.totals.context import RunContext
-from core.totals.measured_energy import measured_energy
+from core.totals.measured_energy import measure_energy
 
 
 class VehicleStatus(NamedTuple):
@@ -87,7 +87,7 @@ def build_statuses(
     names, cars = context.vehicle_ids, context.cars
     riding = running.ride >= 0
     by_first, *by_shadows = (np.where(riding, energy, np.nan).tolist() for energy in predicted)
-    measured = np.where(riding, measured_energy(running, cars).energy, np.nan).tolist()
+    measured = np.where(riding, measure_energy(running, cars).energy, np.nan).tolist()
     counts = count_quality(running)
     time, soc = running.at_last("time").tolist(), (running.at_last("soc") * 100.0).tolist()
     distance = np.where(riding, running.amount("distance") * 1e-3, 0.0).tolist()

@@ -30,7 +30,7 @@ class PublishedForecasts(NamedTuple):
         return cls(running.lane, running.at_last("kind").astype(np.int64), running.at_last("time"), rows)
 
 
-def outlook_table(parts: Sequence[PublishedForecasts], context: RunContext) -> pd.DataFrame:
+def tabulate_outlooks(parts: Sequence[PublishedForecasts], context: RunContext) -> pd.DataFrame:
     """Return a table with one row per forecast of the charge at the end of a shift.
 
     Parameters
@@ -74,7 +74,7 @@ def outlook_table(parts: Sequence[PublishedForecasts], context: RunContext) -> p
     )
 
 
-def shift_table(shifts: NDArray[np.void], context: RunContext) -> pd.DataFrame:
+def tabulate_shifts(shifts: NDArray[np.void], context: RunContext) -> pd.DataFrame:
     """Return a table with one row per shift that has ended.
 
     Parameters

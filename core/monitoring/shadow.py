@@ -23,9 +23,9 @@ from core.signals.signals import Signals
 from core.stats.confidence_sequence import LEVEL
 from core.totals.accumulator import Totals
 from core.totals.context import RunContext
-from core.totals.measured_energy import measured_energy
+from core.totals.measured_energy import measure_energy
 from core.totals.tables import model_columns
-from core.wire.messages import Message, ModelErrors, encode, model_identity
+from core.wire.messages import Message, ModelErrors, encode, identify_model
 
 MOST_VEHICLE_MODELS: Final = 64
 """Number of vehicle models with running errors of their own; rides of later ones count only among all rides."""
@@ -153,7 +153,7 @@ class ShadowModels:
             Whether each is fit for training; the others are ignored.
         context : RunContext
         """
-        measured = measured_energy(rides, context.cars).energy
+        measured = measure_energy(rides, context.cars).energy
         rows = np.flatnonzero(fit & np.isfinite(measured))
         if not len(rows):
             return
@@ -210,7 +210,7 @@ class ShadowModels:
             taken = taken[-len(self.monitors) :]
         return [
             Message(
-                f"{self._prefix}models/{model_identity(errors.model)}/errors", encode(errors), int(errors.time_s * 1e9)
+                f"{self._prefix}models/{identify_model(errors.model)}/errors", encode(errors), int(errors.time_s * 1e9)
             )
             for errors in taken
         ]
@@ -246,7 +246,7 @@ class ShadowModels:
         """Refuse two models that would be published under one key."""
         seen: set[str] = set()
         for monitor in self.monitors:
-            key = model_identity(monitor.label)
+            key = identify_model(monitor.label)
             if key in seen:
                 raise ModelError(
                     f"model {monitor.label} is given twice: leave one out, or refit one, so that name or version differ"

@@ -83,7 +83,7 @@ class Signals(Mapping[str, Floats]):
         return len(SIGNALS)
 
 
-def ambient_quality(clean: Clean, sky: Sky) -> Ints:
+def flag_ambient(clean: Clean, sky: Sky) -> Ints:
     """Return the quality of each row, with the bits for the source of the outside temperature.
 
     Parameters

@@ -18,7 +18,7 @@ from core.cleaning.fleet_clock import RIDE_END
 from core.cleaning.kernel import Clean
 from core.cleaning.quality import CAUSES
 from core.columns import KMH, SPEED_BIN_KMH, SPEED_BINS
-from core.totals.display_record import unknown_yields
+from core.totals.display_record import create_unknown_yields
 
 SPEED_BIN: Final = SPEED_BIN_KMH * KMH
 """Width of a bin of the speed histogram. [m/s]"""
@@ -333,7 +333,7 @@ class Accumulator:
             first=rows[:, self._part(first, len(EDGES))],
             last=rows[:, self._part("last", len(EDGES))],
             quality=rows[:, self._part("quality", len(CAUSES))],
-            display=unknown_yields(len(rows)),
+            display=create_unknown_yields(len(rows)),
         )
 
 

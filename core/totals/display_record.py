@@ -19,7 +19,7 @@ DISPLAY_YIELD: Final = np.dtype(
 """What the state of charge of a car stands for, see `core.totals.display_yield`."""
 
 
-def unknown_yields(rows: int) -> NDArray[Any]:
+def create_unknown_yields(rows: int) -> NDArray[Any]:
     """Return the yields of displays of which nothing is known.
 
     Parameters

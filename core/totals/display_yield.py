@@ -32,14 +32,14 @@ from numpy.typing import NDArray
 
 from core.batch import Floats, Ints, grown
 from core.totals.accumulator import Sums, Totals
-from core.totals.display_record import unknown_yields
+from core.totals.display_record import create_unknown_yields
 from core.totals.measured_energy import (
     METER_GAIN,
     RIDE_SD,
-    energy_by_power,
-    energy_by_soc,
     find_quantum,
     find_soc_faults,
+    measure_by_power,
+    measure_by_soc,
 )
 from core.vehicles.fleet import Cars
 
@@ -127,7 +127,7 @@ class DisplayYields:
         self._codes: dict[str, int] = {}
         self._pooled: Floats = np.zeros((0, 2))  # weight, and weight times factor, of each vehicle model
         self._code_of_kind: Ints = np.zeros(0, np.int64)
-        self._yields = unknown_yields(0)  # of each lane, for a car of the kind that follows
+        self._yields = create_unknown_yields(0)  # of each lane, for a car of the kind that follows
         self._kind: Ints = np.zeros(0, np.int64)  # -1 where the yield must be computed anew
 
     def attach(self, sums: Sums, lanes: int) -> Sums:
@@ -205,14 +205,14 @@ class DisplayYields:
         self._codes = {name: code for code, name in enumerate(names)}
         self._pooled = np.array(pooled, dtype=np.float64).reshape(-1, 2)
         self._code_of_kind = np.zeros(0, np.int64)
-        self._yields, self._kind = unknown_yields(len(self._lanes)), np.full(len(self._lanes), -1)
+        self._yields, self._kind = create_unknown_yields(len(self._lanes)), np.full(len(self._lanes), -1)
 
     def _grow(self, lanes: int) -> None:
         """Make room for lanes, and for the kinds of car that have become known."""
         if len(self._lanes) < lanes:
             added = lanes - len(self._lanes)
             self._lanes = np.concatenate([self._lanes, np.zeros(added, _LANE)])
-            self._yields = np.concatenate([self._yields, unknown_yields(added)])
+            self._yields = np.concatenate([self._yields, create_unknown_yields(added)])
             self._kind = np.concatenate([self._kind, np.full(added, -1)])
         if len(self._code_of_kind) < len(self._cars.models):
             names = [self._cars.name(kind) or "" for kind in range(len(self._cars.models))]
@@ -233,7 +233,7 @@ class DisplayYields:
     def _compute_yields(self, lanes: Ints, kinds: Ints) -> NDArray[Any]:
         """Return the yields of cars, by what was learned of them and of their vehicle models."""
         each = self._infer(self._lanes[lanes], kinds)
-        out = unknown_yields(len(lanes))
+        out = create_unknown_yields(len(lanes))
         p = each.probability
         out["inverse"], out["curve"] = (p * each.k).sum(axis=1), (p * each.b).sum(axis=1)
         off_k, off_b = each.k - out["inverse"][:, np.newaxis], each.b - out["curve"][:, np.newaxis]
@@ -270,7 +270,7 @@ class DisplayYields:
 
     def _learn(self, rides: Totals) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Learn from rides of different cars that have closed; return which were used, and whose meters contradict."""
-        energy, _ = energy_by_power(rides)
+        energy, _ = measure_by_power(rides)
         first, last, inverse = rides.at_first("soc"), rides.at_last("soc"), rides.display["inverse"]
         used = ~np.isnan(energy + first + last + inverse) & (first < FULL) & ~find_soc_faults(rides, self._cars)
         contradicted = np.zeros(len(used), np.bool_)
@@ -280,7 +280,7 @@ class DisplayYields:
 
     def _learn_healthy(self, rides: Totals) -> NDArray[np.bool_]:
         """Learn from rides whose meters are known and healthy; return where they contradict each other."""
-        energy, sd = energy_by_power(rides)
+        energy, sd = measure_by_power(rides)
         first, last = rides.at_first("soc"), rides.at_last("soc")
         fall, bend = first - last, (first**2 - first) - (last**2 - last)
         known = self._lanes[rides.lane]
@@ -288,7 +288,7 @@ class DisplayYields:
         mean = (each.k * each.probability).sum(axis=1)
         of_ride = find_quantum(rides) ** 2 / 6.0 + mean**2 * (sd**2 - (METER_GAIN * energy) ** 2)
         of_ride += (RIDE_SD * mean * energy) ** 2
-        by_soc, soc_sd = energy_by_soc(rides)
+        by_soc, soc_sd = measure_by_soc(rides)
         far = np.abs(energy - by_soc) > CONTRADICTION_SDS * np.hypot(sd, soc_sd)
         contradicted = far & (known["rides"] > SPREAD_RIDES)
         energy, fall, bend, of_ride = (column[:, np.newaxis] for column in (energy, fall, bend, of_ride))

@@ -59,7 +59,7 @@ class MeasuredEnergy(NamedTuple):
     source: Ints
 
 
-def energy_by_power(totals: Totals) -> tuple[Floats, Floats]:
+def measure_by_power(totals: Totals) -> tuple[Floats, Floats]:
     """Return the energy measured by voltage and current, and its standard uncertainty.
 
     Parameters
@@ -87,7 +87,7 @@ def energy_by_power(totals: Totals) -> tuple[Floats, Floats]:
     return whole, np.sqrt((METER_GAIN * whole) ** 2 + sampled**2 + unseen**2 + _cut(totals, whole) ** 2)
 
 
-def lost_time(totals: Totals) -> Floats:
+def find_lost_time(totals: Totals) -> Floats:
     """Return the time at the beginning and end of each ride that no sample covers, because it fell into a gap.
 
     Parameters
@@ -106,11 +106,11 @@ def lost_time(totals: Totals) -> Floats:
 def _cut(totals: Totals, energy: Floats) -> Floats:
     """Return the uncertainty due to ends lost in gaps, with a power there of anything up to the mean power. [kWh]"""
     duration = totals.amount("duration")
-    share = np.divide(lost_time(totals), duration, out=np.zeros(len(energy)), where=duration > 0.0)
+    share = np.divide(find_lost_time(totals), duration, out=np.zeros(len(energy)), where=duration > 0.0)
     return np.abs(energy) * share / np.sqrt(3.0)
 
 
-def energy_by_soc(totals: Totals) -> tuple[Floats, Floats]:
+def measure_by_soc(totals: Totals) -> tuple[Floats, Floats]:
     """Return the energy measured by the fall of the state of charge, and its standard uncertainty.
 
     Parameters
@@ -135,7 +135,7 @@ def energy_by_soc(totals: Totals) -> tuple[Floats, Floats]:
     of_yield = energy**2 * display["inverse_variance"] - 2.0 * energy * bend * display["covariance"]
     of_yield += bend**2 * display["curve_variance"]
     shared = of_yield / display["inverse"] ** 2 + (METER_GAIN * energy) ** 2
-    return energy, np.sqrt(soc_energy_noise(totals) ** 2 + shared)
+    return energy, np.sqrt(compute_soc_energy_noise(totals) ** 2 + shared)
 
 
 def _compute_soc_energy(totals: Totals) -> tuple[Floats, Floats]:
@@ -145,7 +145,7 @@ def _compute_soc_energy(totals: Totals) -> tuple[Floats, Floats]:
     return (first - last + totals.display["curve"] * bend) / totals.display["inverse"], bend
 
 
-def soc_energy_noise(totals: Totals) -> Floats:
+def compute_soc_energy_noise(totals: Totals) -> Floats:
     """Return the part of the uncertainty of the energy by SOC that is independent from ride to ride.
 
     Parameters
@@ -170,7 +170,7 @@ def find_quantum(totals: Totals) -> Floats:
     return np.nan_to_num(totals.at_last("soc_step"), nan=COARSEST_SOC)
 
 
-def usable_capacity(totals: Totals) -> tuple[Floats, Floats]:
+def find_usable_capacity(totals: Totals) -> tuple[Floats, Floats]:
     """Return the energy for which 100 % of each car's display stands, and its standard uncertainty.
 
     Parameters
@@ -219,7 +219,7 @@ def _unmoved(totals: Totals, cars: Cars) -> NDArray[np.bool_]:
     return (totals.at_first("soc") == totals.at_last("soc")) & (used > FROZEN_SOC)
 
 
-def measured_energy(totals: Totals, cars: Cars) -> MeasuredEnergy:
+def measure_energy(totals: Totals, cars: Cars) -> MeasuredEnergy:
     """Return the measured energy, its standard uncertainty and its source.
 
     Parameters
@@ -234,8 +234,8 @@ def measured_energy(totals: Totals, cars: Cars) -> MeasuredEnergy:
     MeasuredEnergy
         By V·I wherever it is known, else by a healthy state of charge.
     """
-    power, power_sd = energy_by_power(totals)
-    soc, soc_sd = energy_by_soc(totals)
+    power, power_sd = measure_by_power(totals)
+    soc, soc_sd = measure_by_soc(totals)
     by_power = ~np.isnan(power)
     by_soc = ~by_power & ~np.isnan(soc) & ~find_soc_faults(totals, cars)
     source = np.where(by_power, BY_POWER, np.where(by_soc, BY_SOC, NO_SOURCE))
@@ -246,7 +246,7 @@ def measured_energy(totals: Totals, cars: Cars) -> MeasuredEnergy:
     )
 
 
-def energy_unfitness(totals: Totals, cars: Cars) -> tuple[tuple[str, NDArray[np.bool_]], ...]:
+def list_energy_faults(totals: Totals, cars: Cars) -> tuple[tuple[str, NDArray[np.bool_]], ...]:
     """Return why the measured energy of rides makes them unfit for training; a later reason outranks earlier ones.
 
     Parameters
@@ -261,7 +261,7 @@ def energy_unfitness(totals: Totals, cars: Cars) -> tuple[tuple[str, NDArray[np.
     tuple of (str, (n,) bool)
         Each reason, and where it applies.
     """
-    unmeasured = measured_energy(totals, cars).source == NO_SOURCE
+    unmeasured = measure_energy(totals, cars).source == NO_SOURCE
     reported = unmeasured & ~np.isnan(totals.at_last("soc"))
     jumped = totals.quality[:, CAUSES.index("soc_jump")] > 0.0
     frozen = (totals.quality[:, CAUSES.index("soc_frozen")] > 0.0) | _unmoved(totals, cars)

@@ -21,13 +21,13 @@ from core.totals.context import RunContext
 from core.totals.measured_energy import (
     SOURCES,
     MeasuredEnergy,
-    energy_by_power,
-    energy_by_soc,
-    energy_unfitness,
-    lost_time,
-    measured_energy,
-    soc_energy_noise,
-    usable_capacity,
+    compute_soc_energy_noise,
+    find_lost_time,
+    find_usable_capacity,
+    list_energy_faults,
+    measure_by_power,
+    measure_by_soc,
+    measure_energy,
 )
 from core.wire.rides import RideDrivers
 
@@ -80,7 +80,7 @@ def model_columns(totals: Totals, context: RunContext, needs: Sequence[str] = ()
     }
     if "vehicle_id" in needs:
         texts["vehicle_id"] = np.array([context.vehicle_ids[lane] for lane in totals.lane.tolist()], dtype=object)
-    return columns | _physical(totals, measured_energy(totals, cars)) | texts
+    return columns | _physical(totals, measure_energy(totals, cars)) | texts
 
 
 def unfit_reason(totals: Totals, context: RunContext) -> NDArray[np.object_]:
@@ -110,8 +110,8 @@ def unfit_reason(totals: Totals, context: RunContext) -> NDArray[np.object_]:
     rejected = _share(totals, "speed_rejected")
     reason = np.full(len(duration), None, dtype=object)
     for why, applies in (  # later reasons overwrite earlier ones
-        ("cut_by_gap", lost_time(totals) > CUT * duration),
-        *energy_unfitness(totals, cars),
+        ("cut_by_gap", find_lost_time(totals) > CUT * duration),
+        *list_energy_faults(totals, cars),
         ("too_little_distance", totals.amount("distance") < settings.least_distance),
         ("distance_bridged", _share(totals, "bridged", "distance") > MOST_BRIDGED),
         ("speed_missing", rejected + _share(totals, "speed_missing") > MOST_REJECTED),
@@ -164,9 +164,9 @@ def _mean(totals: Totals, name: str, time: str = "duration") -> Floats:
 
 def _physical(totals: Totals, measured: MeasuredEnergy) -> dict[str, Floats]:
     """Return the columns that rides and windows share, without effects and parameters of cars."""
-    energy_vi, energy_vi_sd = energy_by_power(totals)
-    energy_soc, energy_soc_sd = energy_by_soc(totals)
-    capacity, capacity_sd = usable_capacity(totals)
+    energy_vi, energy_vi_sd = measure_by_power(totals)
+    energy_soc, energy_soc_sd = measure_by_soc(totals)
+    capacity, capacity_sd = find_usable_capacity(totals)
     speed = _mean(totals, "distance")
     direction = np.degrees(np.arctan2(_mean(totals, "wind_east"), _mean(totals, "wind_north"))) % 360.0
     windy = (totals.amount("wind_north") != 0.0) | (totals.amount("wind_east") != 0.0)
@@ -206,7 +206,7 @@ def _physical(totals: Totals, measured: MeasuredEnergy) -> dict[str, Floats]:
         "energy_vi_sd_kwh": energy_vi_sd,
         "energy_soc_kwh": energy_soc,
         "energy_soc_sd_kwh": energy_soc_sd,
-        "energy_soc_noise_kwh": soc_energy_noise(totals),
+        "energy_soc_noise_kwh": compute_soc_energy_noise(totals),
         "energy_kwh": measured.energy,
         "energy_sd_kwh": measured.sd,
         "usable_capacity_kwh": capacity,
@@ -216,7 +216,7 @@ def _physical(totals: Totals, measured: MeasuredEnergy) -> dict[str, Floats]:
     return columns | {name: histogram[:, i] for i, name in enumerate(HISTOGRAM)}
 
 
-def window_table(totals: Totals, context: RunContext) -> pd.DataFrame:
+def tabulate_windows(totals: Totals, context: RunContext) -> pd.DataFrame:
     """Return the window table, with one row per window.
 
     Parameters
@@ -232,7 +232,7 @@ def window_table(totals: Totals, context: RunContext) -> pd.DataFrame:
         See `core.columns.WINDOW_COLUMNS`; `ride_key` names the ride of each window.
     """
     kinds = totals.at_last("kind").astype(np.int64)
-    measured = measured_energy(totals, context.cars)
+    measured = measure_energy(totals, context.cars)
     own = {
         "ride_key": text(_ride_keys(totals, context.vehicle_ids)),
         "window": totals.window,
@@ -244,7 +244,7 @@ def window_table(totals: Totals, context: RunContext) -> pd.DataFrame:
     return pd.DataFrame(own | edges | _physical(totals, measured) | model_columns(totals, context))
 
 
-def ride_table(
+def tabulate_rides(
     totals: Totals,
     ride_names: Sequence[str | None],
     drivers: RideDrivers,
@@ -268,7 +268,7 @@ def ride_table(
     DataFrame of n rows
         See `core.columns.RIDE_COLUMNS`.
     """
-    measured = measured_energy(totals, context.cars)
+    measured = measure_energy(totals, context.cars)
     physical = _physical(totals, measured)
     kinds = totals.at_last("kind").astype(np.int64)
     keys = _ride_keys(totals, context.vehicle_ids)

@@ -334,10 +334,10 @@ def address(key: str) -> Address | None:
     return None
 
 
-def model_identity(model: str) -> str:
+def identify_model(model: str) -> str:
     """Return name and version of a model as chunks of a key, with all other characters replaced.
 
-    >>> model_identity("hybrid interactions/2")
+    >>> identify_model("hybrid interactions/2")
     'hybrid_interactions/2'
     """
     name, _, version = model.rpartition("/")
@@ -355,7 +355,7 @@ def identity(value: Wire) -> str:
 _NAMES: Final[dict[type[Wire], Callable[[Any], str]]] = {
     **dict.fromkeys(OF_VEHICLES.values(), attrgetter("vehicle_id")),
     Weather: attrgetter("station_id"),
-    ModelErrors: lambda errors: model_identity(errors.model),
+    ModelErrors: lambda errors: identify_model(errors.model),
 }
 """Struct -> function that returns the identity in a message."""
 

@@ -4,29 +4,29 @@ import pytest
 
 from core import snapshot
 from core.errors import SocastError
-from core.snapshot import opened, sealed
+from core.snapshot import open_snapshot, seal_snapshot
 
 STATE = {"model": "basic_physical/1", "effects": ["rolling"], "lanes": ["a"]}
 
 
 def test_sealed_state_opens_unchanged():
-    state = opened(sealed(STATE), ["rolling"])
+    state = open_snapshot(seal_snapshot(STATE), ["rolling"])
     assert {name: state[name] for name in STATE} == STATE
 
 
 def test_snapshot_of_other_version_or_effects_is_refused_in_one_line(monkeypatch):
-    kept = sealed(STATE)
+    kept = seal_snapshot(STATE)
     refused = r"^snapshot of model basic_physical/1: made by another version or with other effects; start without it$"
     with pytest.raises(SocastError, match=refused):
-        opened(kept, ["rolling", "climbing"])
+        open_snapshot(kept, ["rolling", "climbing"])
     monkeypatch.setattr(snapshot, "SNAPSHOT", snapshot.SNAPSHOT + 1)
     with pytest.raises(SocastError, match=refused):
-        opened(kept, ["rolling"])
+        open_snapshot(kept, ["rolling"])
 
 
 @pytest.mark.parametrize("at", [0, 31, 32, -1])
 def test_single_changed_bit_is_detected(at):
-    kept = bytearray(sealed(STATE))
+    kept = bytearray(seal_snapshot(STATE))
     kept[at] ^= 1
     with pytest.raises(SocastError, match="damaged"):
-        opened(bytes(kept), ["rolling"])
+        open_snapshot(bytes(kept), ["rolling"])

@@ -23,7 +23,7 @@ from core.forecast.outlook import UsualConsumption
 from core.forecast.soc_filter import WARM_UP_TIME
 from core.totals.accumulator import Totals
 from core.totals.context import RunContext
-from core.totals.measured_energy import measured_energy
+from core.totals.measured_energy import measure_energy
 from core.totals.tables import unfit_reason
 from core.vehicles.fleet import UNKNOWN
 
@@ -100,7 +100,7 @@ class FleetStatistics:
             fit = np.array([why in ACCEPTED_UNFITNESS for why in unfit_reason(rides, self._context)])
             plugged = rides.at_last("since_charge") - rides.amount("duration")
             fit &= ~(rides.at_last("parked") > LONGEST_SOAK) & ~(plugged < WARM_UP_TIME)
-            self._add(self.rides.add_rides, rides, predicted, measured_energy(rides, self._cars).energy, fit)
+            self._add(self.rides.add_rides, rides, predicted, measure_energy(rides, self._cars).energy, fit)
 
     def add_idle_periods(self, idle: Totals, predicted: Floats) -> None:
         """Add idle periods that have ended, if the car neither charged nor fell silent; `predicted` is in kWh."""
@@ -110,7 +110,7 @@ class FleetStatistics:
         whole = idle.at_last("time") - idle.at_first("time") <= duration + LONGEST_GAP
         charged = idle.at_last("since_charge") < duration + LONGEST_GAP
         fit = whole & ~charged & (idle.at_first("time") > 0.0)
-        self._add(self.rides.add_idle_periods, idle, predicted, measured_energy(idle, self._cars).energy, fit)
+        self._add(self.rides.add_idle_periods, idle, predicted, measure_energy(idle, self._cars).energy, fit)
 
     def add_errors(self, errors: Sequence[ShiftErrors]) -> None:
         """Add the errors of evaluated forecasts."""

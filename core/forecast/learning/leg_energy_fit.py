@@ -18,7 +18,7 @@ from core.columns import GRAVITY
 from core.forecast.learning.leg_energy import PACES, TEMPERATURES, TYPICAL_KM, LegEnergyTables
 from core.totals.accumulator import AMOUNTS, EDGES, Totals
 from core.totals.context import RunContext
-from core.totals.display_record import unknown_yields
+from core.totals.display_record import create_unknown_yields
 from core.totals.tables import model_columns
 
 GRID: Final = len(PACES), len(TEMPERATURES)
@@ -316,7 +316,7 @@ def _predict(amounts: Floats, edges: RideEdges, context: RunContext) -> Floats:
     n = len(amounts)
     zero: Ints = np.zeros(n, np.int64)
     first, last = (np.repeat(edge[np.newaxis], n, axis=0) for edge in edges)
-    totals = Totals(zero, zero, zero, zero, amounts, first, last, np.zeros((n, 1)), unknown_yields(n))
+    totals = Totals(zero, zero, zero, zero, amounts, first, last, np.zeros((n, 1)), create_unknown_yields(n))
     unnamed = replace(context, lanes=Lanes([""]))
     return context.model.predict(model_columns(totals, unnamed, context.model.needs))
 

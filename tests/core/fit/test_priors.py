@@ -14,9 +14,9 @@ from core.fit.priors import (
     build_curve_prior,
     build_prior,
     compute_curve_columns,
-    curve_numbers,
     find_curve_limits,
     find_limits,
+    flatten_curve,
 )
 from core.fit.recipes import ROAD_LOAD_TERMS, make_term
 from core.models import Term
@@ -66,7 +66,7 @@ def test_limits_are_plausible_ranges():
 
 
 def test_curve_of_numbers_is_the_curve():
-    assert build_curve(curve_numbers(ACCESSORIES)) == ACCESSORIES
+    assert build_curve(flatten_curve(ACCESSORIES)) == ACCESSORIES
     assert build_curve(build_curve_prior().mean) == ACCESSORIES
 
 
@@ -78,7 +78,7 @@ def test_limits_of_the_curve_keep_choke_points_apart():
 
 def test_curve_columns_are_derivatives():
     ambient = np.array([-25.0, -5.0, 15.0, 25.0, 40.0])
-    numbers = curve_numbers(ACCESSORIES)
+    numbers = flatten_curve(ACCESSORIES)
     columns = compute_curve_columns(ACCESSORIES, ambient)
     for i in range(len(numbers)):
         step = np.where(np.arange(len(numbers)) == i, 1e-4, 0.0)

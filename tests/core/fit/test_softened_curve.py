@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from core.columns import ZERO_CELSIUS
-from core.fit.priors import build_curve, curve_numbers
+from core.fit.priors import build_curve, flatten_curve
 from core.fit.softened_curve import SOFTENED, compute_softened_power, differentiate_softened_power
 from core.vehicles import ACCESSORIES
 
@@ -19,7 +19,7 @@ def test_softened_power_is_the_mean_over_temperatures():
 
 @pytest.mark.parametrize("number", range(7))
 def test_derivatives_are_those_of_the_power(number):
-    numbers, step = curve_numbers(ACCESSORIES), np.where(np.arange(7) == number, 1e-3, 0.0)
+    numbers, step = flatten_curve(ACCESSORIES), np.where(np.arange(7) == number, 1e-3, 0.0)
     up, down = (differentiate_softened_power(build_curve(numbers + sign * step), AMBIENT) for sign in (1.0, -1.0))
     here = differentiate_softened_power(ACCESSORIES, AMBIENT)
     np.testing.assert_allclose(here.power, compute_softened_power(ACCESSORIES, AMBIENT), rtol=1e-12)

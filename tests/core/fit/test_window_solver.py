@@ -9,7 +9,7 @@ from core.batch import Floats
 from core.fit import window_solver
 from core.fit.fitting import limit_to_one_thread
 from core.fit.measured_rows import join_tables
-from core.fit.priors import build_curve, curve_numbers
+from core.fit.priors import build_curve, flatten_curve
 from core.fit.recipes import get_recipe
 from core.fit.window_fit import gather_rows
 from core.fit.window_problem import GroupRows, Problem, State, move, shift_prior, sum_windows
@@ -32,7 +32,7 @@ def fitted(group) -> GroupFit:
 
 
 def get_numbers(group: GroupRows, found: GroupFit) -> Floats:
-    return np.concatenate([found.posterior.mean[: group.terms], curve_numbers(found.curve)])
+    return np.concatenate([found.posterior.mean[: group.terms], flatten_curve(found.curve)])
 
 
 def make_problem(group: GroupRows, state: State) -> Problem:
@@ -40,7 +40,7 @@ def make_problem(group: GroupRows, state: State) -> Problem:
 
 
 def start(group: GroupRows, *step: float) -> State:
-    numbers = curve_numbers(ACCESSORIES) + np.array(step or [0.0] * 7)
+    numbers = flatten_curve(ACCESSORIES) + np.array(step or [0.0] * 7)
     return State(group.prior.mean[: group.terms], build_curve(numbers))
 
 

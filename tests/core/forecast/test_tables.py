@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from core.forecast.filter_state import CLOSED_SHIFT
-from core.forecast.tables import outlook_table, shift_table
+from core.forecast.tables import tabulate_outlooks, tabulate_shifts
 from tests.support.fleet_days import DAYS, RESERVE, SHIFT, columns, days, forecasts, shift, trained_pipeline
 
 
@@ -81,11 +81,11 @@ def test_shift_ends_when_the_next_begins():
 
 def test_empty_tables_have_all_columns():
     pipeline = trained_pipeline()
-    empty = outlook_table([], pipeline.context)
+    empty = tabulate_outlooks([], pipeline.context)
     _, _, table = driven()
     assert list(empty) == list(table)
     assert len(empty) == 0
-    assert len(shift_table(np.zeros(0, CLOSED_SHIFT), pipeline.context)) == 0
+    assert len(tabulate_shifts(np.zeros(0, CLOSED_SHIFT), pipeline.context)) == 0
     pipeline.push(days([DAYS], "a"))
     assert pipeline.take_outlooks().empty
     assert pipeline.take_shifts().empty

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from core.cleaning.quality import Quality
 from core.columns import GRAVITY, SIGNALS
-from core.signals.signals import STEEPEST, Signals, ambient_quality
+from core.signals.signals import STEEPEST, Signals, flag_ambient
 from core.signals.weather import Stations
 from core.vehicles.fleet import CarParameters
 from core.wire.messages import Weather
@@ -116,7 +116,7 @@ def test_quality_bits_name_the_source_of_the_outside_temperature():
     base["ambient_c"][50:] = np.nan
     for weather, bit in (({"temperature_c": -8.0}, Quality.AMBIENT_FILLED), (None, Quality.AMBIENT_ASSUMED)):
         signals = signals_of(base, weather)
-        bits = ambient_quality(signals.clean, signals.sky) & (Quality.AMBIENT_FILLED | Quality.AMBIENT_ASSUMED)
+        bits = flag_ambient(signals.clean, signals.sky) & (Quality.AMBIENT_FILLED | Quality.AMBIENT_ASSUMED)
         assert np.all(bits[:50] == 0)
         assert np.all(bits[50:] == bit)
         assert signals["ambient"][-1] == pytest.approx(265.15 if weather else 288.15)

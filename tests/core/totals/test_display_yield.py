@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from core.columns import JOULES_PER_KWH
 from core.pipeline import Pipeline
 from core.totals.accumulator import AMOUNTS, EDGES, Accumulator, Sums, Totals
-from core.totals.display_record import unknown_yields
+from core.totals.display_record import create_unknown_yields
 from core.totals.display_yield import READING_SDS, RELEARN_AFTER, DisplayYields
-from core.totals.measured_energy import RIDE_SD, energy_by_soc, usable_capacity
+from core.totals.measured_energy import RIDE_SD, find_usable_capacity, measure_by_soc
 from core.vehicles.fleet import Cars
 from core.wire.messages import Vehicle
 from tests.core.totals.test_measured_energy import shift
@@ -50,7 +50,7 @@ def ride(rng, lane=0, capacity=CATALOGUE, curve=0.0, noise=0.002, quantum=0.001)
     first[0, EDGES.index("soc")] = np.round(start / quantum) * quantum
     last[0, EDGES.index("soc")] = np.round(end / quantum) * quantum
     zero = np.zeros(1, np.int64)
-    return Totals(zero, np.array([lane]), zero, zero, amounts, first, last, np.zeros((1, 30)), unknown_yields(1))
+    return Totals(zero, np.array([lane]), zero, zero, amounts, first, last, np.zeros((1, 30)), create_unknown_yields(1))
 
 
 def learn(displays, totals, lanes=1):
@@ -65,7 +65,7 @@ def test_capacity_and_curve_are_learned_with_honest_uncertainty(seed, capacity, 
     for _ in range(60):
         known = learn(displays, ride(rng, capacity=capacity, curve=curve))
     display = known.display[0]
-    assert usable_capacity(known)[0][0] == pytest.approx(capacity, rel=0.03)
+    assert find_usable_capacity(known)[0][0] == pytest.approx(capacity, rel=0.03)
     assert abs(display["inverse"] - 1.0 / capacity) < 3.5 * np.sqrt(display["inverse_variance"])
     assert abs(display["curve"] - curve) < 3.5 * np.sqrt(display["curve_variance"])
 
@@ -81,7 +81,7 @@ def test_energy_of_the_next_ride_is_within_its_uncertainty():
             today = capacity * rng.normal(1.0, RIDE_SD)
             known = learn(displays, ride(rng, capacity=today, curve=curve, noise=noise))
             if number % 3 == 0:
-                energy, sd = energy_by_soc(known)
+                energy, sd = measure_by_soc(known)
                 score.append((energy[0] - known.amount("energy")[0] / JOULES_PER_KWH) / sd[0])
     score = np.array(score)
     assert 0.85 < np.mean(np.abs(score) < 1.645) < 0.96
@@ -95,7 +95,7 @@ def test_outlier_moves_the_yield_little_and_is_contradictory():
     assert before.display["contradicted"][0] == 0.0
     assert learn(displays, ride(rng, capacity=40.0)).display["contradicted"][0] == 1.0
     after = learn(displays, ride(rng))
-    assert usable_capacity(after)[0][0] == pytest.approx(usable_capacity(before)[0][0], rel=0.02)
+    assert find_usable_capacity(after)[0][0] == pytest.approx(find_usable_capacity(before)[0][0], rel=0.02)
 
 
 def test_lasting_change_of_the_display_is_learned_anew():
@@ -105,7 +105,7 @@ def test_lasting_change_of_the_display_is_learned_anew():
     verdicts = [learn(displays, ride(rng, capacity=38.0)).display["contradicted"][0] for _ in range(20)]
     assert RELEARN_AFTER <= sum(verdicts) <= 2 * RELEARN_AFTER
     assert sum(verdicts[8:]) == 0.0
-    assert usable_capacity(learn(displays, ride(rng)))[0][0] == pytest.approx(38.0, rel=0.05)
+    assert find_usable_capacity(learn(displays, ride(rng)))[0][0] == pytest.approx(38.0, rel=0.05)
 
 
 def test_full_display_and_missing_values_teach_nothing():
@@ -119,7 +119,7 @@ def test_full_display_and_missing_values_teach_nothing():
         else:
             totals.amount(spoil)[0] = {"metered": 100.0, "soc_faults": 1.0}[spoil]
         learn(displays, totals)
-    assert usable_capacity(learn(displays, ride(rng)))[0][0] == pytest.approx(CATALOGUE)
+    assert find_usable_capacity(learn(displays, ride(rng)))[0][0] == pytest.approx(CATALOGUE)
 
 
 def test_cars_of_a_model_share_what_was_learned_from_the_next_day_on():
@@ -129,10 +129,10 @@ def test_cars_of_a_model_share_what_was_learned_from_the_next_day_on():
         for lane in range(lanes - 1):
             learn(displays, ride(rng, lane, capacity=16.0), lanes)
     fresh = ride(rng, lanes - 1)
-    capacity, before = usable_capacity(displays.describe(fresh, lanes))
+    capacity, before = find_usable_capacity(displays.describe(fresh, lanes))
     assert capacity[0] == pytest.approx(CATALOGUE)
     displays.apply_daily_update()
-    capacity, sd = usable_capacity(displays.describe(fresh, lanes))
+    capacity, sd = find_usable_capacity(displays.describe(fresh, lanes))
     assert capacity[0] == pytest.approx(16.0, rel=0.05)
     assert 0.05 * 16.0 < sd[0] < 0.5 * before[0]  # cars of one model still differ
 

@@ -26,8 +26,8 @@ from core.wire.messages import (
     Weather,
     address,
     encode,
+    identify_model,
     identity,
-    model_identity,
 )
 
 number = st.floats(allow_nan=False, allow_infinity=False)
@@ -146,8 +146,8 @@ def test_every_message_has_a_valid_identity(value):
 
 @given(st.text(max_size=80), st.text(max_size=80))
 def test_model_of_any_name_has_a_valid_key(label, version):
-    key = f"a/b/models/{model_identity(f'{label}/{version}')}/errors"
-    assert address(key) == ("errors", model_identity(f"{label}/{version}"))
+    key = f"a/b/models/{identify_model(f'{label}/{version}')}/errors"
+    assert address(key) == ("errors", identify_model(f"{label}/{version}"))
     for other in (key.removesuffix("/errors"), key.replace("/errors", "/lunch"), f"fleet/{key}/x", "models/a/errors"):
         assert address(other) is None
 

@@ -23,13 +23,13 @@ from core.effects import Effect
 from core.models import EXTENDED_PHYSICAL
 from core.pipeline import BLOCK
 from core.settings import Settings
-from core.signals.signals import Signals, ambient_quality
+from core.signals.signals import Signals, flag_ambient
 from core.signals.weather import Sky, Stations
 from core.totals.accumulator import AMOUNTS, Accumulator, Totals
 from core.totals.clean_rows import compute_amounts
 from core.totals.context import RunContext
 from core.totals.display_yield import DisplayYields
-from core.totals.tables import ride_table, window_table
+from core.totals.tables import tabulate_rides, tabulate_windows
 from core.vehicles.fleet import Cars
 from core.wire.decoder import Decoder
 from core.wire.messages import Message, Ride, Vehicle, Weather, encode
@@ -200,8 +200,8 @@ class Recording:
         columns = [effect.name for effect in self.effects]
         ride_names = self.names.names(rides.at_last("code").tolist())
         context = RunContext(Lanes(self.lanes), self.cars, columns, Settings(), EXTENDED_PHYSICAL)
-        table = ride_table(rides, ride_names, self.drivers, context)
-        window = window_table(windows, context)
+        table = tabulate_rides(rides, ride_names, self.drivers, context)
+        window = tabulate_windows(windows, context)
         energies = windows.amounts[:, len(AMOUNTS) + len(columns) :]
         truth = {name: energies[:, index] / JOULES_PER_KWH for index, name in enumerate(hidden)}
         return Tables(table, window, window[["ride_key", "window"]].assign(**truth))
@@ -258,7 +258,7 @@ def record_drives(drives: Drives, messages: Sequence[Message] | None = None) -> 
 def _cleaned(batch: Batch, lanes: int, sky: Sky, capacity: Floats) -> Clean:
     """Return the rows as the product cleans them."""
     clean = Cleaner(Settings()).clean(batch, lanes, capacity)
-    return clean._replace(quality=ambient_quality(clean, sky))
+    return clean._replace(quality=flag_ambient(clean, sky))
 
 
 def _signals(clean: Clean, sky: Sky, cars: Cars, kind: Ints, rows: slice) -> Signals:

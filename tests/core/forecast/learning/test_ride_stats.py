@@ -12,7 +12,7 @@ from core.forecast.learning.leg_energy_fit import LegEquations, fit_leg_energy
 from core.forecast.learning.ride_stats import LEAST_RIDES, RideStatistics
 from core.pipeline import Pipeline
 from core.totals.accumulator import AMOUNTS, EDGES, Totals
-from core.totals.display_record import unknown_yields
+from core.totals.display_record import create_unknown_yields
 from tests.support.fleet_days import CAPACITY, LEG, LEGS, RIDE, SETTINGS, columns, idle_morning, shift, trained_pipeline
 from tests.support.telemetry import leaf, observed
 
@@ -167,7 +167,9 @@ def driven(known, rides, rng):
     for name, values in values_of_ride.items():
         amounts[:, AMOUNTS.index(name)] = values
     none, edges = np.zeros(rides, np.int64), np.zeros((rides, len(EDGES)))
-    return Totals(none, none, none, none, amounts, edges, edges, np.zeros((rides, 1)), unknown_yields(rides)), used
+    return Totals(
+        none, none, none, none, amounts, edges, edges, np.zeros((rides, 1)), create_unknown_yields(rides)
+    ), used
 
 
 def equations_of(statistics):
