@@ -1,0 +1,308 @@
+"""Measure which effects a diagnosis names, and the z of every candidate, where no effect is hidden.
+
+Each seed gives a small simulated fleet with plain physics. The command line of one or more source trees makes tables of
+the same recording, fits `road_load` and diagnoses it, so that two versions of the product can be compared.
+
+Example: python -m tools.bench.nothing_hidden --seeds 4001-4040 --keep build/nothing --tree before=../old --tree after=.
+"""
+
+import argparse
+import json
+import os
+import re
+import statistics
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from rich.console import Console
+
+from core.errors import SettingsError, SocastError
+from tools.terminal.rich_table import Column, make_table
+
+ROOT: Final = Path(__file__).parent.parent.parent
+FLEET: Final = (
+    *("--vehicles", "4", "--days", "12", "--day-step", "14", "--shift-hours", "1.5"),
+    *("--phenomena", "plain,payload", "--faults", "unequipped=0"),
+)
+"""Options of `socast simulate`: about 260 rides of four cars, from January to June.
+
+An effect of 3 % of the energy is found in such a fleet. All cars measure voltage and current.
+"""
+RECIPE: Final = "road_load"
+
+
+class Fleet(NamedTuple):
+    """Hold the diagnosis of a fleet.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the simulation.
+    rides, windows : int
+        Number of rides and windows that were diagnosed.
+    named : list of str
+        Effects that the diagnosis names, with their scopes; each name is false.
+    z : dict of str to float
+        Coefficient of each candidate over its standard error, beside the base alone.
+    """
+
+    seed: int
+    rides: int
+    windows: int
+    named: list[str]
+    z: dict[str, float]
+
+
+class Summary(NamedTuple):
+    """Hold the z of one effect over all fleets, and the number of fleets in which the effect is named."""
+
+    effect: str
+    fleets: int
+    least: float
+    median: float
+    most: float
+    named: int
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the measurement, print its tables and write its JSON file.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        Command line, by default that of the process.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
+    options = make_parser().parse_args(arguments)
+    console = Console()
+    try:
+        seeds = parse_seeds(options.seeds)
+        trees = parse_trees(options.tree or [f"here={ROOT}"])
+        hidden = options.hidden
+        with tempfile.TemporaryDirectory() as scratch:
+            keep = (options.keep or Path(scratch)).resolve()
+            keep.mkdir(parents=True, exist_ok=True)
+            measured: dict[str, list[Fleet]] = {name: [] for name in trees}
+            for seed in seeds:
+                for name, fleet in measure_seed(seed, trees, keep, hidden).items():
+                    measured[name].append(fleet)
+                    names = ", ".join(fleet.named) or "nothing"
+                    console.print(f"{seed} {name}: {fleet.rides} rides, {fleet.windows} windows, named: {names}")
+    except SocastError as error:
+        print(error, file=sys.stderr)
+        return 2
+    for name, fleets in measured.items():
+        print_summaries(name, fleets, console)
+    if options.json:
+        content = {name: [fleet._asdict() for fleet in fleets] for name, fleets in measured.items()}
+        settings = {"fleet": " ".join(FLEET), "hidden": hidden, "seeds": options.seeds, "trees": content}
+        options.json.write_text(json.dumps(settings, indent=1) + "\n", encoding="utf-8")
+    return 0
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    parser = argparse.ArgumentParser("nothing-hidden", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seeds", default="4001-4040", help="seeds, such as 4001-4040 or 7,9")
+    parser.add_argument("--tree", action="append", metavar="NAME=FOLDER", help="source tree; default: this one")
+    parser.add_argument("--keep", type=Path, help="folder for recordings and diagnoses; those in it are used again")
+    parser.add_argument("--hidden", action="append", default=[], metavar="EFFECT:SIZE", help="effect to hide")
+    parser.add_argument("--json", type=Path, help="file for the result of every fleet")
+    return parser
+
+
+def parse_seeds(text: str) -> list[int]:
+    """Return the seeds of a list of numbers and ranges.
+
+    Parameters
+    ----------
+    text : str
+        Such as `1-3,7`.
+
+    Raises
+    ------
+    SettingsError
+        If a part is neither a number nor a range.
+
+    Examples
+    --------
+    >>> parse_seeds("1-3,7")
+    [1, 2, 3, 7]
+    """
+    out: list[int] = []
+    for part in text.split(","):
+        match = re.fullmatch(r"(\d+)(?:-(\d+))?", part)
+        if match is None:
+            raise SettingsError(f"--seeds is {text!r}; give numbers and ranges, such as 4001-4040,4050")
+        out += range(int(match[1]), int(match[2] or match[1]) + 1)
+    return out
+
+
+def parse_trees(given: Sequence[str]) -> dict[str, Path]:
+    """Return the source trees by name.
+
+    Parameters
+    ----------
+    given : sequence of str
+        `NAME=FOLDER` each.
+
+    Raises
+    ------
+    SettingsError
+        If a name is missing, or a folder does not hold the product.
+    """
+    trees = {}
+    for text in given:
+        name, equals, folder = text.partition("=")
+        if not (name and equals) or not Path(folder, "tools", "cli.py").is_file():
+            raise SettingsError(f"--tree is {text!r}; give NAME=FOLDER with a folder that holds tools/cli.py")
+        trees[name] = Path(folder).resolve()
+    return trees
+
+
+def measure_seed(seed: int, trees: Mapping[str, Path], keep: Path, hidden: Sequence[str] = ()) -> dict[str, Fleet]:
+    """Return the diagnosis of one fleet by each source tree.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the simulation.
+    trees : mapping of str to Path
+        Source trees by name.
+    keep : Path
+        Folder for the recording and the diagnoses. Existing files are used again.
+    hidden : sequence of str
+        Effects to hide, `EFFECT:SIZE` each.
+
+    Returns
+    -------
+    dict of str to Fleet
+    """
+    stem = "-".join([*(each.replace(":", "_") for each in hidden), str(seed)])
+    recording = keep / f"{stem}.mcap"
+    if not recording.exists():
+        hide = [word for each in hidden for word in ("--hidden", each)]
+        partial = keep / f"{stem}.part.mcap"  # an interrupted run leaves no recording that looks complete
+        run_command(ROOT, ["simulate", "--out", str(partial), "--seed", str(seed), *FLEET, *hide])
+        partial.rename(recording)
+    out = {}
+    for name, tree in trees.items():
+        file = keep / f"{stem}.{name}.json"
+        if not file.exists():
+            diagnose_recording(tree, recording, file)
+        out[name] = read_fleet(seed, json.loads(file.read_text(encoding="utf-8")))
+    return out
+
+
+def diagnose_recording(tree: Path, recording: Path, file: Path) -> None:
+    """Write the diagnosis of a recording, by the command line of a source tree.
+
+    Parameters
+    ----------
+    tree : Path
+        Source tree.
+    recording : Path
+        Recording to diagnose.
+    file : Path
+        JSON file to write.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        tables, model, result = (str(Path(folder, name)) for name in ("tables", "base.json", "result.json"))
+        run_command(tree, ["tables", str(recording), "--out", tables])
+        run_command(tree, ["fit", tables, "--recipe", RECIPE, "-o", model])
+        run_command(tree, ["diagnose", tables, "--model", model, "--json", result])
+        file.write_text(Path(result).read_text(encoding="utf-8"), encoding="utf-8")
+
+
+def run_command(tree: Path, words: Sequence[str]) -> None:
+    """Run a command of `socast` from a source tree.
+
+    Parameters
+    ----------
+    tree : Path
+        Source tree.
+    words : sequence of str
+        The command without `socast`.
+
+    Raises
+    ------
+    SocastError
+        If the command fails.
+    """
+    done = subprocess.run(  # noqa: S603 - the words are ours
+        [sys.executable, "-m", "tools.cli", *words],
+        cwd=tree,  # `-m` searches the working folder first
+        env={**os.environ, "PYTHONPATH": str(tree)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        raise SocastError(f"{tree}: socast {' '.join(words)} ended with code {done.returncode}: {done.stderr.strip()}")
+
+
+def read_fleet(seed: int, result: Mapping[str, Any]) -> Fleet:
+    """Return what a diagnosis found in a fleet.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the simulation.
+    result : mapping
+        JSON of `socast diagnose`.
+    """
+    named = [
+        m["effect"] if m["scope"] == "all" else f"{m['effect']} ({m['scope']})" for m in result.get("missing") or ()
+    ]
+    z = {row["effect"]: float(row["z"]) for row in result["candidates"] if row["z"] is not None}
+    return Fleet(seed, result["data"]["rides"], result["data"]["windows"], named, z)
+
+
+def summarise_effects(fleets: Sequence[Fleet]) -> list[Summary]:
+    """Return the z of each effect over all fleets, the largest absolute median first.
+
+    Parameters
+    ----------
+    fleets : sequence of Fleet
+        Diagnoses.
+    """
+    out = []
+    for effect in dict.fromkeys(name for fleet in fleets for name in fleet.z):
+        z = [fleet.z[effect] for fleet in fleets if effect in fleet.z]
+        named = sum(effect in {name.partition(" ")[0] for name in fleet.named} for fleet in fleets)
+        out.append(Summary(effect, len(z), min(z), statistics.median(z), max(z), named))
+    return sorted(out, key=lambda each: -abs(each.median))
+
+
+def print_summaries(name: str, fleets: Sequence[Fleet], console: Console) -> None:
+    """Print the table of a source tree.
+
+    Parameters
+    ----------
+    name : str
+        Name of the source tree.
+    fleets : sequence of Fleet
+        Its diagnoses.
+    console : Console
+        Where to print.
+    """
+    heads = ("fleets", "min z", "median z", "max z", "named in")
+    table = make_table([Column("effect"), *(Column(head, number=True) for head in heads)], f"{name}: nothing hidden")
+    for row in summarise_effects(fleets):
+        cells = (f"{row.least:.1f}", f"{row.median:.1f}", f"{row.most:.1f}", str(row.named))
+        table.add_row(row.effect, str(row.fleets), *cells)
+    console.print(table)
+    total = sum(len(fleet.named) for fleet in fleets)
+    console.print(f"{name}: {total} false names in {len(fleets)} fleets")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
