@@ -28,6 +28,8 @@ from tests.support.telemetry import (
     telemetry,
 )
 
+pytestmark = pytest.mark.long
+
 
 def same(one, other):
     """Assert that tables, counters and status of two pipelines are equal to the bit."""

@@ -11,6 +11,7 @@ import pytest
 
 from tests.support.paths import ROOT
 
+pytestmark = pytest.mark.long
 CODE = """
 import socast
 from importlib.resources import files

@@ -32,6 +32,8 @@ from tests.support.zenoh_sessions import eventually
 from tools.cli import COMMANDS, COMPLETION, application, main
 from tools.commands.live import StateKeeper
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:

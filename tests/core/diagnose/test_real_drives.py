@@ -35,7 +35,10 @@ from tools.importers.data_sets import DATA_SETS
 from tools.importers.drive import make_messages
 
 DATA = ROOT.parent / "shared" / "data"
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"the public data sets are not at {DATA}")
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(not DATA.is_dir(), reason=f"the public data sets are not at {DATA}"),
+]
 
 RECIPE = "road_load_constant"
 PERIOD = 3.0

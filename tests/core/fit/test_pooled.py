@@ -13,6 +13,7 @@ from core.models.features import ANSWERS, Columns, list_raw_columns
 from tests.support.planted_rides import MODELS
 from tests.support.pooled_rides import PHYSICS, differing, fleet, measured, planted
 
+pytestmark = pytest.mark.long
 POOLED, BOOSTED = POOLED_RECIPES
 
 

@@ -10,6 +10,7 @@ from core.models import ANY, BASIC_PHYSICAL, decode_model, encode_model
 from core.models.features import ANSWERS
 from tests.support.planted_rides import MODELS, noisy, physical_energy, rides
 
+pytestmark = pytest.mark.long
 PAPER = {
     "basic_physical": ("Basic Physical Model", 4),
     "extended_physical": ("Extended Physical Model", 5),

@@ -15,6 +15,7 @@ from tests.support.commands import done, refused
 from tests.support.diagnosis_result import make_diagnosis, make_empty_diagnosis, make_missing_effect
 from tests.support.planted_windows import base_model, planted
 
+pytestmark = pytest.mark.long
 OWN = '''"""An effect of one's own."""
 
 from core.effects import effect

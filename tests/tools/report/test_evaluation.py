@@ -25,6 +25,7 @@ from tools.report.figure_style import get_style
 from tools.report.page import render_page, write
 from tools.terminal.output import REPORT_VERSIONS
 
+pytestmark = pytest.mark.long
 FEW_RECIPES = ("basic_physical", "fitted_physical", "hybrid_trees")
 FEW_VEHICLES = ("kia-soul-ev-2015", "nissan-leaf-2016")
 ODD = '<b>R&D\'s "best"</b> [red]model[/red] </script><script>alert(1)</script>'

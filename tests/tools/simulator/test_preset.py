@@ -39,6 +39,7 @@ from tools.simulator.shift import make_shift
 from tools.simulator.weather import make_sky
 from tools.simulator.world import make_route
 
+pytestmark = pytest.mark.long
 TEO = load_preset("teo")
 SMALL = Simulation(preset="teo", rides=800, seed=21, faults=TEO.fleet.faults)
 TABLE_2 = {
