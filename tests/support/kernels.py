@@ -12,6 +12,7 @@ pipeline = socast.Pipeline(socast.load_model("extended_physical"), also=["cold_r
 pipeline.push(list(socast.read_messages("recordings/shift.mcap")))
 pipeline.finish()
 pipeline.take_rides()
+socast.make_tables("recordings/shift.mcap")
 with tempfile.TemporaryDirectory() as folder:
     socast.simulate_fleet(f"{folder}/fleet.mcap", vehicles=1, shift_hours=0.5)
 """
