@@ -48,12 +48,12 @@ DOUBT: Final = 0.01
 
 
 @njit(cache=False)
-def combine_elevation(state: Any, row: Any, dt: float, on_map: bool) -> tuple[float, float]:
+def combine_elevation(state: Any, row: Any, dt: float) -> tuple[float, float]:
     """Return the elevation by fix and map [m], NaN where unknown, and its standard deviation over that of a fix [1]."""
     fix = row.raw_elevation
     if not isnan(state.offset_variance):
         state.offset_variance = min(FIRST_OFFSET_VARIANCE, state.offset_variance + OFFSET_DRIFT * dt)
-    if not on_map or isnan(row.map_elevation):
+    if isnan(row.map_elevation):
         return (fix if isnan(state.offset_variance) else fix - state.elevation_offset), 1.0
     variance = row.map_variance
     if isnan(state.offset_variance):

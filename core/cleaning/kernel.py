@@ -29,7 +29,7 @@ from core.settings import Settings
 
 _OWN_FIELDS: Final = (
     *(f"last_{name}" for name in ("latitude", "longitude", "speed", "current", "soc")),  # by which to find duplicates
-    "last_elevation",  # as reported with the last row [m]
+    *(f"fix_{name}" for name in ("latitude", "longitude", "elevation")),  # of the last accepted row, as reported
     "battery_temperature",
     "occupants",
 )
@@ -96,7 +96,10 @@ class Clean(NamedTuple):
     elevation : (n,) float64
         Smoothed elevation. [m]
     elevation_fix : (n,) float64
-        Elevation by a new fix and the map; NaN where there is none, or where the receiver repeats the last fix. [m]
+        Elevation by a new fix; NaN where there is none, or where the receiver repeats the last fix. [m]
+    ground, ground_variance : (n,) float64
+        Elevation of the map under the fix [m], NaN where it is unknown or the receiver repeats the last fix; variance
+        of its error [m^2].
     power : (n,) float64
         Power drawn from the battery at the sample, by voltage times current; NaN where not measured. [W]
     energy, metered : (n,) float64
@@ -136,6 +139,8 @@ class Clean(NamedTuple):
     turn_rate: Floats
     elevation: Floats
     elevation_fix: Floats
+    ground: Floats
+    ground_variance: Floats
     power: Floats
     energy: Floats
     metered: Floats
@@ -386,9 +391,11 @@ def clean_row(state: Any, row: Any, settings: Any) -> float:
         row.speed = state.smooth
     else:
         use_row(state, row, dt, settings)
+        state.fix_latitude, state.fix_longitude = row.raw_latitude, row.raw_longitude
+        state.fix_elevation = row.raw_elevation
     row.causal_climb = row.climb
     if repeated or dt == clock.UNUSED:
-        row.elevation_fix = nan
+        row.elevation_fix = row.ground = nan
     row.ride = state.rides - 1.0 if state.riding == 1.0 else -1.0
     row.window = state.windows
     row.time, row.elapsed, row.parked, row.since_charge = state.time, state.elapsed, state.parked, state.since_charge
@@ -440,14 +447,12 @@ def find_lost_time(state: Any, bits: int, dt: float, settings: Any) -> float:
 
 @njit(cache=False)
 def repeats_fix(state: Any, row: Any) -> bool:
-    """Return whether a row repeats the position and elevation of the row before it, and keep its elevation.
+    """Return whether a row repeats the position and elevation of the last accepted row.
 
     A receiver without reception, as in a tunnel, reports its last fix again.
     """
-    same = row.raw_latitude == state.last_latitude and row.raw_longitude == state.last_longitude
-    same &= row.raw_elevation == state.last_elevation
-    state.last_elevation = row.raw_elevation
-    return same
+    same = row.raw_latitude == state.fix_latitude and row.raw_longitude == state.fix_longitude
+    return same and row.raw_elevation == state.fix_elevation
 
 
 @njit(cache=False)

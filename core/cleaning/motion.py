@@ -288,5 +288,8 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
         row.travel = age if age <= HOLE * settings.period else min(age, row.distance / row.speed)
     run = row.speed * row.travel
     row.acceleration = 0.5 * (state.smooth * state.smooth - before * before) / run if run > 0.0 else 0.0
-    row.elevation_fix, spread = combine_elevation(state, row, dt, isnan(state.pending_latitude))
-    row.climb = update_climb(state, row.elevation_fix, spread, row.distance, settings)
+    if not isnan(state.pending_latitude):
+        row.map_elevation = nan
+    elevation, spread = combine_elevation(state, row, dt)
+    row.climb = update_climb(state, elevation, spread, row.distance, settings)
+    row.elevation_fix, row.ground, row.ground_variance = row.raw_elevation, row.map_elevation, row.map_variance

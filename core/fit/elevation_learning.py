@@ -239,7 +239,7 @@ class _System:
         if status != 0:
             residual = float(np.linalg.norm(right - apply(solution)) / np.linalg.norm(right))
             raise RecordingError(
-                f"no map: after {MOST_STEPS:,} steps the equations of {len(weight):,} fixes have a relative residual of "
+                f"no map: after {MOST_STEPS:,} steps the equations of {len(weight):,} fixes have a residual of "
                 f"{residual:.1e}, above {PRECISION:g}; learn from fewer days, or from a smaller area at a time"
             )
         return np.asarray(solution)

@@ -5,13 +5,10 @@ import pytest
 from filterpy.common import van_loan_discretization
 from filterpy.kalman import KalmanFilter
 
+from core.cleaning.elevation_filter import FAR, LENGTH, STEEP, RideSteps, design_unit_noise
 from core.cleaning.elevation_smoother import (
     CORRELATION_TIME,
-    FAR,
-    LENGTH,
     ROUGHNESS,
-    STEEP,
-    design_unit_noise,
     find_noise,
     smooth_elevation,
     smooth_ride,
@@ -32,6 +29,16 @@ def ride(n=300, seed=1, sd=2.0, keep=0.37, height=60.0):
     for i, draw in enumerate(rng.normal(size=n)):
         error[i] = draw if i == 0 else keep * error[i - 1] + np.sqrt(1 - keep**2) * draw
     return columns | {"elevation_m": np.round(truth + sd * error, 1)}, truth
+
+
+def make_steps(distance, time, fix):
+    """Return the steps of a ride without a map."""
+    return RideSteps(distance, time, fix, *np.full((2, len(fix)), np.nan))
+
+
+def get_steps(clean):
+    """Return the steps of cleaned rows of one ride."""
+    return RideSteps(clean.distance, clean.dt, clean.elevation_fix, clean.ground, clean.ground_variance)
 
 
 def compute_rms(values):
@@ -80,13 +87,87 @@ def test_smoother_equals_filterpy(seed, missing, correlation_time):
     fix = 50.0 + np.cumsum(0.02 * distance) + rng.normal(0.0, 2.0, n)
     fix[1:][rng.random(n - 1) < missing] = np.nan
     noise = (1e-5, 6.0, correlation_time)  # no fix is beyond the gate
-    smoothed = smooth_ride(distance, time, fix, noise)
+    smoothed = smooth_ride(make_steps(distance, time, fix), noise)
     height, slope, covariance = run_filterpy(distance, time, fix, noise)
     np.testing.assert_allclose(smoothed["height"], height, atol=1e-4)
     np.testing.assert_allclose(smoothed["slope"], slope, atol=1e-6)
     np.testing.assert_allclose(smoothed["var_height"], covariance[:, 0, 0], rtol=1e-4)
     np.testing.assert_allclose(smoothed["covariance"], covariance[:, 0, 1], rtol=1e-3, atol=1e-7)
     np.testing.assert_allclose(smoothed["var_slope"], covariance[:, 1, 1], rtol=1e-4)
+
+
+# Maps
+
+
+def map_steps(n=400, coarse=4, ground_sd=3.0, sd=3.0, seed=1):
+    """Return the steps of a ride on a map with nodes `coarse` rows apart, whose errors are independent, and the truth.
+
+    The slope of the road is a random walk that returns to level over `LENGTH`.
+    """
+    rng = np.random.default_rng(seed)
+    distance = np.full(n, 25.0)
+    slope = np.zeros(n)
+    for i in range(1, n):
+        slope[i] = slope[i - 1] * np.exp(-25.0 / LENGTH) + np.sqrt(1e-5 * 25.0) * rng.normal()
+    truth = 60.0 + np.cumsum(25.0 * slope)
+    nodes = rng.normal(0.0, ground_sd, n // coarse + 2)
+    error = np.interp(np.arange(n) / coarse, np.arange(len(nodes)), nodes)
+    fix = truth + rng.normal(0.0, sd, n) + 12.0
+    return RideSteps(distance, np.full(n, PERIOD), fix, truth + error, np.full(n, ground_sd**2)), truth
+
+
+def smooth_whole(steps):
+    """Return the smoothed climbs of a ride."""
+    heights, climbs = np.zeros((2, len(steps.fix)))
+    smooth_rides(np.stack(steps), np.array([0, len(steps.fix)]), design_unit_noise(), heights, climbs)
+    return climbs
+
+
+def compute_climb_error(steps, truth):
+    """Return the error of the climb over ten rows. [m]"""
+    starts = np.arange(10, len(truth), 10)
+    return compute_rms(np.add.reduceat(smooth_whole(steps) - np.diff(truth, prepend=truth[0]), starts)[:-1])
+
+
+@pytest.mark.parametrize(("ground_sd", "most"), [(3.0, 1.0), (0.3, 0.5)])
+def test_map_reduces_the_error_of_the_climb_by_its_uncertainty(ground_sd, most):
+    ratios = []
+    for seed in range(12):
+        steps, truth = map_steps(ground_sd=ground_sd, seed=seed)
+        alone = steps._replace(ground=np.full(len(truth), np.nan))
+        ratios.append(compute_climb_error(steps, truth) / compute_climb_error(alone, truth))
+    assert np.mean(ratios) < most
+
+
+def test_uncertain_map_has_no_weight_and_a_certain_one_decides():
+    steps, truth = map_steps(ground_sd=3.0)
+    alone = smooth_whole(steps._replace(ground=np.full(len(truth), np.nan)))
+    far = smooth_whole(steps._replace(ground_variance=np.full(len(truth), 1e6)))
+    np.testing.assert_allclose(far, alone, atol=0.3)
+    exact = steps._replace(ground=truth, ground_variance=np.full(len(truth), 1e-4))
+    assert compute_rms(smooth_whole(exact)[5:] - np.diff(truth)[4:]) < 0.3
+
+
+def test_edge_of_a_map_with_an_offset_is_no_climb():
+    steps, truth = map_steps(ground_sd=0.5)
+    for known in (slice(0, 200), slice(200, None), slice(150, 250)):
+        ground = np.full(len(truth), np.nan)
+        ground[known] = steps.ground[known] - 40.0
+        climbs = smooth_whole(steps._replace(ground=ground))
+        assert np.abs(np.cumsum(climbs - np.diff(truth, prepend=truth[0]))).max() < 12.0
+
+
+def test_car_without_fixes_climbs_by_the_map():
+    steps, truth = map_steps(ground_sd=0.5)
+    climbs = smooth_whole(steps._replace(fix=np.full(len(truth), np.nan)))
+    assert compute_rms(np.cumsum(climbs[1:]) - (truth[1:] - truth[0])) < 1.0
+
+
+def test_change_of_reference_on_a_map_is_ignored():
+    steps, truth = map_steps(ground_sd=0.5)
+    steps.fix[250:] += 60.0
+    climbs = smooth_whole(steps)
+    assert np.abs(climbs - np.diff(truth, prepend=truth[0]))[1:].max() < 1.0
 
 
 # Noise
@@ -96,7 +177,7 @@ def test_noise_of_the_fixes_is_recovered():
     estimates = []
     for seed in range(8):
         clean = cleaned(ride(600, seed)[0])
-        noise = find_noise(clean.distance, clean.dt, clean.elevation_fix, design_unit_noise())
+        noise = find_noise(get_steps(clean), design_unit_noise())
         estimates.append(noise[1:])
     sd, correlation_time = np.median(estimates, axis=0)
     assert sd == pytest.approx(2.0, rel=0.3)
@@ -106,7 +187,7 @@ def test_noise_of_the_fixes_is_recovered():
 def test_rough_terrain_has_a_larger_roughness_than_level_ground():
     def roughness(columns):
         clean = cleaned(columns)
-        return find_noise(clean.distance, clean.dt, clean.elevation_fix, design_unit_noise())[0]
+        return find_noise(get_steps(clean), design_unit_noise())[0]
 
     hills, truth = ride(600)
     level = hills | {"elevation_m": hills["elevation_m"] - truth + 60.0}
@@ -116,7 +197,7 @@ def test_rough_terrain_has_a_larger_roughness_than_level_ground():
 def test_ride_with_few_fixes_has_the_usual_noise():
     fix = np.full(20, np.nan)
     fix[[3, 15]] = 40.0, 41.0
-    noise = find_noise(np.full(20, 30.0), np.full(20, PERIOD), fix, design_unit_noise())
+    noise = find_noise(make_steps(np.full(20, 30.0), np.full(20, PERIOD), fix), design_unit_noise())
     assert noise[0] == pytest.approx(ROUGHNESS, rel=10.0)
     assert noise[2] == pytest.approx(CORRELATION_TIME, rel=2.0)
 
@@ -222,10 +303,12 @@ def test_change_of_reference_is_followed_and_is_no_climb(height):
 def test_segments_before_and_after_a_change_of_reference_are_smoothed_apart():
     clean = cleaned(jump())
     noise = (1e-6, 1.0, 1.0)
-    steps = clean.distance, clean.dt, clean.elevation_fix
-    whole = smooth_ride(*steps, noise)
+    steps = get_steps(clean)
+    whole = smooth_ride(steps, noise)
     for part in (slice(0, 200), slice(200, None)):
-        np.testing.assert_array_equal(whole[part], smooth_ride(*(each[part] for each in steps), noise))
+        alone = smooth_ride(RideSteps(*(each[part] for each in steps)), noise)
+        for name in ("height", "slope", "var_height"):
+            np.testing.assert_array_equal(whole[part][name], alone[name])
 
 
 def test_wrong_fixes_at_the_start_begin_no_segment():
@@ -254,7 +337,7 @@ def test_steep_road_in_a_tunnel_keeps_its_climb():
 
 
 def test_first_climb_follows_a_slope_that_returns_to_level():
-    steps = np.zeros((3, 60))
+    steps = np.full((5, 60), np.nan)
     steps[0], steps[1] = 30.0, PERIOD
     steps[0, 0] = 2.0 * LENGTH  # a bridged tunnel before the first row
     steps[2] = 50.0 + 0.04 * np.cumsum(np.full(60, 30.0))
@@ -285,6 +368,17 @@ def test_inputs_are_left_as_they_are():
     smooth_elevation(clean)
     np.testing.assert_array_equal(clean.climb, before[0])
     np.testing.assert_array_equal(clean.elevation, before[1])
+
+
+def test_late_sample_within_a_tunnel_makes_its_frozen_fix_no_new_one():
+    columns = drive(60, speed=10.0, elevation_m=40.0)
+    columns["elevation_m"] += 0.1 * np.arange(60)
+    for name in ("latitude_deg", "longitude_deg", "elevation_m"):
+        columns[name][30:40] = columns[name][29]
+    order = np.r_[0:35, 20, 35:60]
+    clean = cleaned(picked(columns, order))
+    assert np.isnan(clean.elevation_fix[30:41]).all()
+    assert np.isfinite(clean.elevation_fix[41])
 
 
 def test_repeated_fix_of_a_standing_car_counts_once():

@@ -1,0 +1,294 @@
+"""Measure what maps and two-sided smoothing of elevation bring: `python -m tools.bench.elevation`.
+
+Each seed simulates a fleet whose true elevation is known. A map is learned from six days. Two months later, models are
+fitted to some days and predict the rides of other days, and the state of charge at the end of shifts is forecast. The
+clocks of the loggers do not step, because the true climb of a window is found by its time. The
+coarse map is like a tile of SRTM: nodes 3 arc seconds apart in whole metres, with the error that the product assumes.
+"""
+
+import argparse
+import json
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from math import radians, sqrt
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from core.batch import Floats, Lanes
+from core.cleaning.elevation_map import ElevationMap, ElevationRaster
+from core.cleaning.kernel import Cleaner
+from core.fit.elevation_learning import learn_elevation, select_fixes
+from core.fit.recipes import get_recipe
+from core.pipeline import BLOCK, Pipeline
+from core.settings import Settings
+from core.wire.decoder import Decoder
+from core.wire.messages import Message
+from stream.elevation_files import read_places, write_places
+from stream.elevation_tiles import SRTM_VOID, TILE_SD
+from tools.commands.evaluate_soc import SocForecasts
+from tools.simulator.fleet import simulate
+from tools.simulator.settings import STEP, Faults, Simulation
+from tools.simulator.truth import Truth
+from tools.simulator.world import compute_elevation, to_plane, to_wgs84
+
+SEEDS: Final = (5001, 5002, 5003, 5004, 5005, 5006)
+"""Seeds on which nothing was chosen."""
+CARS: Final = 5
+MAP_DAYS: Final = datetime(2018, 1, 15, tzinfo=UTC), 6
+FIT_DAYS: Final = datetime(2018, 3, 19, tzinfo=UTC), 4
+TEST_DAYS: Final = datetime(2018, 5, 14, tzinfo=UTC), 3
+"""First day and number of days, of the map, of the fit, and of the rides that the fit predicts."""
+TILE_OFFSET: Final = -30.0
+"""Offset of the coarse map: that of the geoid to the ellipsoid in Montreal. [m]"""
+RECIPE: Final = "fitted_physical"
+"""Model that is fitted to each kind of table."""
+MAPS: Final = ("no map", "tile like SRTM", "learned map")
+WAYS: Final = ("causal", "smoothed")
+
+
+@dataclass
+class HeightTruth(Truth):
+    """Collect the true elevation of every car in addition.
+
+    Attributes
+    ----------
+    heights : dict of str to list of (time, elevation)
+        Unix time of each step [s], and the elevation of the ground at it [m], one pair of arrays for each shift.
+    """
+
+    heights: dict[str, list[tuple[Floats, Floats]]] = field(default_factory=lambda: defaultdict(list))
+
+    def add_shift(self, name: str, shift: Any, *others: Any) -> None:
+        """Record the elevation of a shift; the parameters are those of `Truth.add_shift`."""
+        super().add_shift(name, shift, *others)
+        heights = compute_elevation(*to_plane(shift.timeline.u, shift.timeline.v))
+        self.heights[name].append((shift.time + STEP * np.arange(1, len(heights) + 1), heights))
+
+    def find_climbs(self, table: pd.DataFrame) -> tuple[Floats, Floats]:
+        """Return the true climb, and the true gained height, of each ride or window. [m], [m]
+
+        Parameters
+        ----------
+        table : (n, columns) DataFrame
+            Ride table or window table.
+        """
+        climb, gained = np.zeros(len(table)), np.zeros(len(table))
+        for name, rows in table.groupby("vehicle_id").indices.items():
+            parts = self.heights[str(name)]
+            time, height = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
+            total = np.cumsum(np.maximum(np.diff(height, prepend=height[0]), 0.0))
+            end, duration = (table[column].to_numpy()[rows] for column in ("end_s", "duration_s"))
+            start = end - duration  # the step to the first sample counts
+            climb[rows] = np.interp(end, time, height) - np.interp(start, time, height)
+            gained[rows] = np.interp(end, time, total) - np.interp(start, time, total)
+        return climb, gained
+
+
+def simulate_days(seed: int, start: datetime, days: int) -> tuple[list[Message], HeightTruth]:
+    """Return the messages of a fleet, and their truth.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the fleet; the same seed gives the same cars.
+    start : datetime
+        First day.
+    days : int
+        Number of days.
+    """
+    truth = HeightTruth()
+    simulation = Simulation(vehicles=CARS, start=start, days=days, seed=seed, faults=Faults(clock_step=0.0))
+    return list(simulate(simulation, truth)), truth
+
+
+def make_tile(seed: int) -> ElevationMap:
+    """Return a map like SRTM of the simulated city.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of its error.
+    """
+    (south, north), (west, east) = to_wgs84(*(np.array([-15_000.0, 15_000.0]),) * 2)
+    step = 1.0 / 1200.0
+    latitude, longitude = np.arange(south, north, step), np.arange(west, east, step)
+    # the inverse of `to_wgs84`, by its value at the centre
+    (origin_latitude,), (origin_longitude,) = to_wgs84(np.zeros(1), np.zeros(1))
+    per_degree = 1000.0 / (to_wgs84(np.zeros(1), np.array([1000.0]))[0][0] - origin_latitude)
+    y = (latitude - origin_latitude)[:, np.newaxis] * per_degree
+    x = (longitude - origin_longitude)[np.newaxis, :] * per_degree * np.cos(np.radians(latitude))[:, np.newaxis]
+    truth = compute_elevation(*np.broadcast_arrays(x, y))
+    noise = np.random.default_rng([seed, 7]).normal(0.0, TILE_SD, truth.shape)
+    nodes = np.rint(truth + noise + TILE_OFFSET)
+    place = radians(latitude[0]), radians(longitude[0]), radians(step), radians(step)
+    return ElevationMap([ElevationRaster(*place, nodes, float(SRTM_VOID), TILE_SD)])
+
+
+def learn_map(seed: int, keep: Path | None = None) -> ElevationMap:
+    """Return the map that a fleet's own fixes give.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the fleet.
+    keep : Path, optional
+        Folder in which maps are kept, and from which they are taken the next time.
+    """
+    path = None if keep is None else keep / f"elevation-{seed}.parquet"
+    if path is not None and path.exists():
+        return ElevationMap([read_places(path)])
+    lanes = Lanes()
+    batch, _ = Decoder(lanes).decode(simulate_days(seed, *MAP_DAYS)[0])
+    places, _ = learn_elevation(select_fixes(batch, Cleaner(Settings()).clean(batch, len(lanes))))
+    if path is not None:
+        write_places(places, path)
+    return ElevationMap([places])
+
+
+def tabulate(
+    messages: Sequence[Message], elevation_map: ElevationMap | None, *, two_sided: bool
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the ride table and the window table of messages.
+
+    Parameters
+    ----------
+    messages : sequence of Message
+        In the order of their arrival.
+    elevation_map : ElevationMap, optional
+        Map of the ground.
+    two_sided : bool
+        Whether elevation is smoothed from both sides.
+    """
+    pipeline = Pipeline(keep_forecasts=False, two_sided=two_sided, elevation_map=elevation_map)
+    for at in range(0, len(messages), BLOCK):
+        pipeline.take(messages[at : at + BLOCK])
+    pipeline.finish()
+    return pipeline.take_rides(), pipeline.take_windows()
+
+
+def measure_climb(rides: pd.DataFrame, windows: pd.DataFrame, truth: HeightTruth) -> dict[str, float]:
+    """Return the error of the climb of a window [m], and the gained height over the true one [1].
+
+    Parameters
+    ----------
+    rides, windows : DataFrame
+        Tables of the same messages.
+    truth : HeightTruth
+        Their truth.
+    """
+    error = (windows["gained_m"] - windows["lost_m"]).to_numpy() - truth.find_climbs(windows)[0]
+    gained = rides["gained_m"].sum() / truth.find_climbs(rides)[1].sum()
+    return {"climb_m": sqrt(float(np.mean(error**2))), "gained": float(gained)}
+
+
+def measure_model(fitted: pd.DataFrame, tested: pd.DataFrame) -> float:
+    """Return the mean absolute error of a model on rides of other dates. [kWh]
+
+    Parameters
+    ----------
+    fitted, tested : DataFrame
+        Ride tables to which it is fitted, and which it predicts.
+    """
+    model = get_recipe(RECIPE).fit(fitted)
+    some = tested[tested["fit_for_training"]]
+    return float(np.abs(model.predict(some) - some["energy_kwh"]).mean())
+
+
+def measure_forecasts(messages: Sequence[Message], elevation_map: ElevationMap | None) -> float:
+    """Return the mean absolute error of the forecasts of the charge at the end of shifts. [percentage points]
+
+    Parameters
+    ----------
+    messages : sequence of Message
+        In the order of their arrival.
+    elevation_map : ElevationMap, optional
+        Map of the ground.
+    """
+    forecasts = SocForecasts(Pipeline(keep_outlooks=True, elevation_map=elevation_map))
+    for part in forecasts.cut([list(messages[at : at + BLOCK]) for at in range(0, len(messages), BLOCK)]):
+        forecasts.pipeline.push(part)
+        forecasts()
+    forecasts.pipeline.finish()
+    return float(forecasts.evaluated()["overall"]["pooled"]["mae_pct"]["estimate"])
+
+
+def measure_fleet(seed: int, keep: Path | None = None, say: Callable[[str], None] = print) -> dict[str, Any]:
+    """Return all figures of one fleet: by map and way, and by map for the forecasts.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the fleet.
+    keep : Path, optional
+        Folder of learned maps, see `learn_map`.
+    say : callable
+        Receives one line for each table.
+    """
+    maps = dict(zip(MAPS, (None, make_tile(seed), learn_map(seed, keep)), strict=True))
+    days = {name: simulate_days(seed, *when) for name, when in (("fit", FIT_DAYS), ("test", TEST_DAYS))}
+    figures: dict[str, Any] = {}
+    for name, elevation_map in maps.items():
+        for way in WAYS:
+            tables = {
+                key: tabulate(messages, elevation_map, two_sided=way == "smoothed")
+                for key, (messages, _) in days.items()
+            }
+            rows = measure_climb(*tables["fit"], days["fit"][1])
+            rows["mae_kwh"] = measure_model(tables["fit"][0], tables["test"][0])
+            figures[f"{name}, {way}"] = rows
+            say(f"{seed} {name}, {way}: {rows}")
+    figures["soc_mae_pct"] = {name: measure_forecasts(days["fit"][0], maps[name]) for name in MAPS}
+    return figures
+
+
+def make_page(results: dict[int, dict[str, Any]]) -> str:
+    """Return the tables of all fleets as Markdown.
+
+    Parameters
+    ----------
+    results : dict of int to dict
+        Figures of each seed, see `measure_fleet`.
+    """
+    kinds = [f"{name}, {way}" for name in MAPS for way in WAYS]
+    lines = [f"| seed | {' | '.join(kinds)} |", "|---" * (len(kinds) + 1) + "|"]
+    for seed, figures in results.items():
+        errors = " | ".join(f"{figures[kind]['climb_m']:.2f}" for kind in kinds)
+        lines.append(f"| {seed} | {errors} |")
+
+    def mean(kind: str, name: str) -> float:
+        return float(np.mean([figures[kind][name] for figures in results.values()]))
+
+    causal = mean(kinds[0], "climb_m")
+    lines += ["", "| elevation | climb error [m] | change | gained height | MAE [kWh] |", "|---|---|---|---|---|"]
+    for kind in kinds:
+        climb = mean(kind, "climb_m")
+        change = f"{100.0 * (climb / causal - 1.0):+.0f} %"
+        gained = f"{100.0 * (mean(kind, 'gained') - 1.0):+.1f} %"
+        lines.append(f"| {kind} | {climb:.2f} | {change} | {gained} | {mean(kind, 'mae_kwh'):.4f} |")
+    lines += ["", "| forecasts | MAE of the charge [points] |", "|---|---|"]
+    lines += [f"| {name} | {mean('soc_mae_pct', name):.2f} |" for name in MAPS]
+    return "\n".join(lines)
+
+
+def main(arguments: Iterable[str] | None = None) -> None:
+    """Measure the fleets of some seeds, and print the tables."""
+    parser = argparse.ArgumentParser(prog="python -m tools.bench.elevation", description=__doc__)
+    parser.add_argument("seeds", nargs="*", type=int, default=SEEDS, help="seeds of the fleets")
+    parser.add_argument("--keep", type=Path, help="folder in which learned maps are kept")
+    parser.add_argument("--json", type=Path, help="file for the figures")
+    options = parser.parse_args(None if arguments is None else list(arguments))
+    results = {}
+    for seed in options.seeds:
+        results[seed] = measure_fleet(seed, options.keep)
+        if options.json:
+            options.json.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    print(make_page(results))
+
+
+if __name__ == "__main__":
+    main()
