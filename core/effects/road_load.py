@@ -168,16 +168,20 @@ def inertia_positive(mass: Floats, acceleration: Floats, speed: Floats) -> Float
 
 
 @effect(
-    coefficient="share of kinetic energy regained",
+    coefficient="share of kinetic energy saved",
     unit="1",
     low=0.0,
-    high=1.0,
-    source=f"{_BALANCE}, slowing; range: 0 friction brakes only, 1 perfect regeneration",
+    high=1.8,
+    source=f"{_BALANCE}, slowing; range: 0 friction brakes only, up to that of speeding up beside `braking`",
     confused_with=("braking", "cornering"),
-    expected=Expectation(0.85, 0.08, "estimate: what slowing saves before the loss that `braking` describes"),
+    expected=Expectation(1.15, 0.12, f"as `inertia_positive`, because `braking` has the loss; {_POWERTRAIN}"),
 )
 def inertia_negative(mass: Floats, acceleration: Floats, speed: Floats) -> Floats:
-    """Kinetic energy regained: P = m min(a, 0) v, never positive."""
+    """Kinetic energy saved by slowing: P = m min(a, 0) v, never positive.
+
+    Kinetic energy that overcomes the road load saves its worth at the battery, 1/efficiency, as it was paid. The rest
+    is the loss that `braking` describes. In a model without `braking`, the coefficient is the share regained, up to 1.
+    """
     return mass * speed * np.minimum(acceleration, 0.0)
 
 
@@ -185,17 +189,23 @@ def inertia_negative(mass: Floats, acceleration: Floats, speed: Floats) -> Float
     coefficient="share of braking energy lost",
     unit="1",
     low=0.0,
-    high=1.0,
+    high=1.4,
     source="Larminie and Lowry, Electric Vehicle Technology Explained, 2nd ed., Wiley 2012, ch. 8, regenerative "
-    "braking; range: 0 perfect regeneration, 1 friction brakes only",
+    "braking; range: 0 perfect regeneration, 1/efficiency friction brakes only",
     confused_with=("climbing_down", "inertia_negative"),
-    expected=Expectation(0.3, 0.12, "estimate: losses both ways, 1/0.84 - 0.84 = 0.35, less what slowing has already"),
+    expected=Expectation(
+        0.4,
+        0.15,
+        "1/0.84 - 0.84 x 0.94 = 0.4: losses both ways, and 0.94 regained by braking at 0.7 m/s^2, Fiori, Ahn and "
+        "Rakha 2016, DOI 10.1016/j.apenergy.2016.01.097; spread (estimate): cars and their brakes",
+    ),
 )
 def braking(traction: Floats, speed: Floats) -> Floats:
     """Braking energy that is not regained: P = max(-F, 0) v, with F of the car's own road load.
 
-    Powertrains lose both ways: the other base effects treat as one efficiency what divides when driving and multiplies
-    when braking.
+    Powertrains lose both ways. With an efficiency η when driving and η_r when braking, the power at the battery is
+    F v / η + (1/η - η_r) max(-F, 0) v. The other base effects have coefficients of 1/η at every sign, and this
+    one has 1/η - η_r, which is 1/η where only friction brakes act.
     """
     return np.maximum(-traction, 0.0) * speed
 

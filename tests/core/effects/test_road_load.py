@@ -164,3 +164,25 @@ def test_effects_act_per_time_or_per_distance():
 def test_braking_is_the_negative_traction_power():
     traction, speed = np.array([-500.0, 0.0, 500.0]), np.full(3, 20.0)
     assert get("braking").power({"traction": traction, "speed": speed}).tolist() == [1e4, 0.0, 0.0]
+
+
+@given(st.floats(0.7, 0.95), st.floats(0.0, 0.9), st.integers(0, 1000))
+def test_road_load_with_braking_is_that_of_a_powertrain_that_loses_both_ways(forth, back, seed):
+    """All effects cost 1/forth at every sign, and braking the difference to what it gives back."""
+    columns = rows(seed, 20)
+    parts = ("rolling", "climbing", "aero_drag", "inertia_positive", "inertia_negative")
+    shares = {"rolling": 0.008, "aero_drag": 0.7}
+    wheel = sum(shares.get(name, 1.0) * get(name).power(columns) for name in parts)
+    columns["traction"] = wheel / columns["speed"]
+    found = wheel / forth + (1.0 / forth - back) * get("braking").power(columns)
+    np.testing.assert_allclose(found, np.maximum(wheel, 0.0) / forth + np.minimum(wheel, 0.0) * back, atol=1e-6)
+
+
+def test_priors_of_the_road_load_agree_on_the_efficiency_of_the_powertrain():
+    """With 0.84 both ways, speeding up and slowing cost the same, and braking at most what only friction brakes do."""
+    forth, slowing, braking = (get(name) for name in ("inertia_positive", "inertia_negative", "braking"))
+    assert slowing.expected.mean == forth.expected.mean
+    assert slowing.high == forth.high
+    for car in (0.75, 0.84, 0.95):
+        assert abs(1.0 / car - forth.expected.mean) < 2.0 * slowing.expected.sd
+        assert braking.low <= 1.0 / car - car < 1.0 / car < braking.high
