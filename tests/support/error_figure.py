@@ -19,6 +19,8 @@ LEFT, RIGHT, TOP, BOTTOM = 90, 470, 52, 300
 """Edges of the plot. [px]"""
 LIMIT: Final = 0.06
 """Upper end of the vertical axis. [kWh]"""
+LABELS_APART: Final = 20.0
+"""Least distance between the names of the two series. [px]"""
 INK, QUIET, HELD_OUT, FINAL = "#1f2933", "#5f6b76", "#1f6fb2", "#b3560f"
 STYLE: Final = "font-family='Helvetica, Arial, sans-serif'"
 
@@ -52,10 +54,14 @@ def error_figure(history: Sequence[Mapping[str, Any]]) -> str:
         lines += _tick(tick / 100)
     lines += [_text(x, BOTTOM + 24, name, anchor="middle") for x, name in zip(places, names, strict=True)]
     lines.append(_text((LEFT + RIGHT) / 2, BOTTOM + 48, "step in the history of the model", QUIET, anchor="middle"))
-    final = _errors([step["final"] for step in steps])
-    held_out = _errors(steps)
-    lines += _series(places, final, FINAL, "final hold-out days (decide nothing)")
-    lines += _series(places, held_out, HELD_OUT, "held-out days (effect not fitted to them)")
+    both = [
+        (_errors([step["final"] for step in steps]), FINAL, "final hold-out days (decide nothing)"),
+        (_errors(steps), HELD_OUT, "held-out days (effect not fitted to them)"),
+    ]
+    lower, upper = sorted(both, key=lambda series: series[0][-1])
+    apart = max(0.0, LABELS_APART - (_height(lower[0][-1]) - _height(upper[0][-1]))) / 2
+    lines += _series(places, *upper, above=True, shift=-apart)
+    lines += _series(places, *lower, above=False, shift=apart)
     lines += [
         (
             f"<line x1='{LEFT}' x2='{RIGHT}' y1='{_height(noise):.1f}' y2='{_height(noise):.1f}' stroke='{QUIET}' "
@@ -91,8 +97,10 @@ def _tick(error: float) -> list[str]:
     ]
 
 
-def _series(places: Sequence[float], errors: Sequence[float], colour: str, name: str) -> list[str]:
-    """Return a line with points, its numbers, and its name at the right."""
+def _series(
+    places: Sequence[float], errors: Sequence[float], colour: str, name: str, *, above: bool, shift: float
+) -> list[str]:
+    """Return a line with points, its numbers above or below them, and its name at the right, shifted down. [px]"""
     points = list(zip(places, map(_height, errors), strict=True))
     path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
     end = points[-1][1]
@@ -100,10 +108,10 @@ def _series(places: Sequence[float], errors: Sequence[float], colour: str, name:
         f"<polyline points='{path}' fill='none' stroke='{colour}' stroke-width='3'/>",
         *(f"<circle cx='{x:.1f}' cy='{y:.1f}' r='5' fill='{colour}'/>" for x, y in points),
         *(
-            _text(x, y - 12, f"{error:.4f}", colour, anchor="middle")
+            _text(x, y + (-12 if above else 24), f"{error:.4f}", colour, anchor="middle")
             for (x, y), error in zip(points[:-1], errors, strict=False)
         ),
-        _text(RIGHT + 14, end + 5, f"{errors[-1]:.4f}  {name}", colour),
+        _text(RIGHT + 14, end + 5 + shift, f"{errors[-1]:.4f}  {name}", colour),
     ]
 
 

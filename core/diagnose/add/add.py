@@ -57,7 +57,9 @@ from core.evaluate.paper.results import to_json_values
 from core.fit.calibration import add_interval
 from core.fit.fitting import build_design
 from core.fit.measurement_noise import compute_noise_floor
+from core.fit.recipes import RECIPES
 from core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
+from core.fit.window_recipe import WindowRecipe
 from core.formatting import rounded
 from core.models import ANY, VEHICLE_MODEL, LinearModel, Term, stamp
 from core.models.features import EFFECT_PREFIX, VEHICLE_SCOPE, Columns, is_scope, list_raw_columns
@@ -212,7 +214,8 @@ def _split_terms(model: LinearModel, term: Term) -> TermAddition:
     """Return the original terms of a model, the effects that were added to it, and the term to add."""
     added = [tuple(entry.get("columns", ())) for entry in model.history if entry.get("action") == ADDED]
     original = tuple(each for each in model.terms if each.columns not in added)
-    return TermAddition(original, tuple(each for each in model.terms if each.columns in added), term)
+    has_priors = isinstance(RECIPES.get(model.recipe), WindowRecipe)
+    return TermAddition(original, tuple(each for each in model.terms if each.columns in added), term, has_priors)
 
 
 def _select_rows(model: LinearModel, term: Term, joined: pd.DataFrame, rides: pd.DataFrame | None) -> pd.DataFrame:

@@ -3,7 +3,8 @@
 The coefficient is estimated as in the diagnosis (`core.diagnose.projection`): with the measurement weights, on what the
 terms of the model cannot explain. All vehicle models share one coefficient unless theirs differ by more than chance.
 Then each has its own, shrunk towards the common one in proportion to its uncertainty. The other terms are then fitted
-to the energy less that of the effect. The same holds for effects that were added before, all beside each other.
+to the energy less that of the effect, with priors where the model had them. The same holds for effects that were added
+before, all beside each other.
 
 References
 ----------
@@ -30,6 +31,7 @@ from core.diagnose.ranking import sum_over_clusters
 from core.fit.fitting import build_design, fit_terms, limit_to_one_thread
 from core.fit.recipes import LinearRecipe
 from core.fit.ride_blocks import ENERGY, RideFrame, get_names, get_numbers
+from core.fit.window_fit import fit_rows
 from core.models import ANY, VEHICLE_MODEL, Fit, LinearModel, Term
 from core.models.features import EFFECT_PREFIX, Columns
 from core.stats.clustered import assign_vehicle_days
@@ -38,6 +40,9 @@ LEAST_LEFT: Final = 1e-5
 """Share of a column that must remain off the terms of the model for the column to have a coefficient."""
 LEAST_FREEDOM: Final = 2.0
 """Degrees of freedom below which the estimate of a vehicle model is not used."""
+
+REFITTED: Final = "diagnosed"
+"""Name of the recipe of a model that is refitted to test a term."""
 
 Rows = NDArray[np.int64]
 
@@ -74,11 +79,15 @@ class TermAddition(NamedTuple):
         Effects that were added to the model before.
     added : Term
         The term to add.
+    has_priors : bool
+        Whether the original terms are fitted to windows with priors and within their ranges (`core.fit.window_fit`), as
+        those of the recipe `road_load`; otherwise by least squares.
     """
 
     base: tuple[Term, ...]
     effects: tuple[Term, ...]
     added: Term
+    has_priors: bool = False
 
 
 class RefittedPair(NamedTuple):
@@ -97,9 +106,11 @@ class RefittedPair(NamedTuple):
     coefficients: dict[str, CoefficientEstimate]
 
 
-def refit(terms: tuple[Term, ...], rows: pd.DataFrame, *, covariance: bool = False) -> LinearModel:
-    """Return a model of terms fitted to windows or rides."""
-    return fit_terms(LinearRecipe("diagnosed", "", terms), RideFrame(rows), covariance=covariance)
+def refit(change: TermAddition, rows: pd.DataFrame, *, covariance: bool = False) -> LinearModel:
+    """Return the original terms of a model fitted to windows or rides, in the way in which they were fitted before."""
+    if change.has_priors:
+        return fit_rows(REFITTED, change.base, rows)[0]
+    return fit_terms(LinearRecipe(REFITTED, "", change.base), RideFrame(rows), covariance=covariance)
 
 
 def refit_with(
@@ -125,15 +136,15 @@ def refit_with(
     """
     visible = hide_vehicle_models(rows, pooled)
     with limit_to_one_thread():
-        plain = refit(change.base, visible)
+        plain = refit(change, visible)
         base = BaseProjection(convert_to_windows(rows), plain)
         before = plain
         if change.effects:
-            before = _around(change.base, change.effects, visible, _estimates(base, change.effects), covariance=False)
+            before = _around(change, change.effects, visible, _estimates(base, change.effects), covariance=False)
         terms = (*change.effects, change.added)
         base = base.reweight(np.nan_to_num(build_design(terms, Columns(base.windows.table), len(base.windows.table))))
         estimates = _estimates(base, terms)
-        after = _around(change.base, terms, visible, estimates, covariance=covariance)
+        after = _around(change, terms, visible, estimates, covariance=covariance)
     return RefittedPair(before, msgspec.structs.replace(after, training=plain.training), estimates[-1])
 
 
@@ -161,7 +172,7 @@ def convert_to_windows(rows: pd.DataFrame) -> Windows:
 
 
 def _around(
-    terms: tuple[Term, ...],
+    change: TermAddition,
     added: tuple[Term, ...],
     rows: pd.DataFrame,
     estimates: Sequence[Mapping[str, CoefficientEstimate]],
@@ -175,17 +186,21 @@ def _around(
         [[of_effect.get(kind, of_effect[ANY]).value for of_effect in estimates] for kind in kinds]
     ).reshape(columns.shape)
     common = np.array([of_effect[ANY].value for of_effect in estimates])
-    made = refit(terms, _less(rows, (value * columns).sum(axis=1)), covariance=covariance)
+    made = refit(change, _less(rows, (value * columns).sum(axis=1)), covariance=covariance)
     if (value != common).any():
-        every = refit(terms, _less(rows, columns @ common), covariance=covariance)
+        every = refit(change, _less(rows, columns @ common), covariance=covariance)
         made = msgspec.structs.replace(made, fits={**made.fits, ANY: every.fits[ANY]})
     fits = {}
     for key, fit in made.fits.items():
         at = np.flatnonzero(kinds == key) if key != ANY else np.arange(len(rows))
         fits[key] = _with(
-            terms, fit, [of_effect.get(key, of_effect[ANY]) for of_effect in estimates], rows.iloc[at], columns[at]
+            change.base,
+            fit,
+            [of_effect.get(key, of_effect[ANY]) for of_effect in estimates],
+            rows.iloc[at],
+            columns[at],
         )
-    return msgspec.structs.replace(made, terms=(*terms, *added), fits=fits)
+    return msgspec.structs.replace(made, terms=(*change.base, *added), fits=fits)
 
 
 def _less(rows: pd.DataFrame, energy: Floats) -> pd.DataFrame:
@@ -263,16 +278,16 @@ def predict_with_effects_held_out(
     terms = (*change.effects, change.added)
     before, after = (np.full(len(rows), np.nan) for _ in range(2))
     with limit_to_one_thread():
-        plain = refit(change.base, rows)
+        plain = refit(change, rows)
         base = BaseProjection(convert_to_windows(rows), plain)
         for fold in folds:
             estimates = _estimates(base, terms, ~fold)
             known = plain
             if change.effects:
                 of_effects = _estimates(base, change.effects, ~fold)
-                known = _around(change.base, change.effects, rows, of_effects, covariance=False)
+                known = _around(change, change.effects, rows, of_effects, covariance=False)
             before[fold] = known.predict(rows.loc[fold])
-            after[fold] = _around(change.base, terms, rows, estimates, covariance=False).predict(rows.loc[fold])
+            after[fold] = _around(change, terms, rows, estimates, covariance=False).predict(rows.loc[fold])
     return before, after
 
 
@@ -314,7 +329,7 @@ def assess_addition(change: TermAddition, rows: pd.DataFrame, *, sign: int, seed
         Probability and gain.
     """
     with limit_to_one_thread():
-        base = BaseProjection(convert_to_windows(rows), refit(change.base, rows))
+        base = BaseProjection(convert_to_windows(rows), refit(change, rows))
         columns = build_design((*change.effects, change.added), Columns(rows), len(rows))
         left = base.project_out(columns)
         column, residual = _off(left[:, :-1], left[:, -1], base.residual)

@@ -127,7 +127,7 @@ def climate(car: str) -> tuple[float, float]:
     *_, constant, coefficient = made.after.fits[ANY].coefficients
     rows = join_tables(*diagnosed.seeing)
     rows = rows.loc[rows["hvac_kwh"].notna()].reset_index(drop=True)
-    less = refit(diagnosed.model.terms, rows.assign(energy_kwh=rows["energy_kwh"] - rows["hvac_kwh"]))
+    less = refit(change(car), rows.assign(energy_kwh=rows["energy_kwh"] - rows["hvac_kwh"]))
     cold = rows.loc[rows["ambient_c"] < COLD_C]
     measured = float(cold["hvac_kwh"].sum())
     effect = coefficient * float(cold[f"{EFFECT_PREFIX}{diagnosed.first}"].sum())
