@@ -1,5 +1,6 @@
 """The loop makes the same forecasts for every source, records every message, and closes every sink."""
 
+import gc
 import io
 import json
 import logging
@@ -16,7 +17,7 @@ import pytest
 from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
 from core.pipeline import Pipeline
 from core.wire.messages import Message
-from stream.loop import run, stop_on_signals
+from stream.loop import collect_garbage_rarely, run, stop_on_signals
 from stream.mcap_reader import McapSource
 from stream.mcap_writer import McapSink
 from stream.memory import MemorySink, MemorySource
@@ -270,3 +271,21 @@ def test_second_interrupt_raises_immediately():
         assert stop.is_set()
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_garbage_collector_visits_no_object_from_before_the_loop():
+    thresholds, generations = gc.get_threshold(), []
+
+    def note(_, info):
+        generations.append(info["generation"])
+
+    gc.collect()  # no other full collection is due for a while
+    gc.callbacks.append(note)
+    try:
+        with collect_garbage_rarely():
+            assert gc.get_freeze_count() > 10_000
+            assert gc.get_threshold() > thresholds
+    finally:
+        gc.callbacks.remove(note)
+    assert 2 not in generations
+    assert (gc.get_freeze_count(), gc.get_threshold()) == (0, thresholds)
