@@ -130,8 +130,7 @@ class Pipeline:
         self.stations = Stations()
         self.accumulator = Accumulator(len(self.effects))
         self.deferred = DeferredRows() if two_sided else None
-        self.displays = DisplayYields(self.cars)
-        self.counters = RunCounters()
+        self.displays, self.counters = DisplayYields(self.cars), RunCounters()
         self.closed = ClosedTotals(self.accumulator.none())
         self.shadows = ShadowModels([model, *shadows], prefix, keep=keep_forecasts)
         first, rest = self.effects[: len(of_model)], self.effects[len(of_model) :]  # effects of shadows only may fail
@@ -180,14 +179,15 @@ class Pipeline:
         if self._pending.size >= BLOCK:
             self._update_forecasts(order.size)
         self._pending.end_batch(order.size)
+        if self.deferred:
+            self.deferred.end_batch(order.size)
 
     def finish(self) -> list[Message]:
         """Close all rides, windows and running errors in progress at the end of the stream, and return no messages."""
         self._update_forecasts()
-        for rows in self.deferred.close() if self.deferred else ():
-            self._take_closed_of(rows)
-        sums = self.displays.attach(self.accumulator.close(), len(self.lanes))
-        self._take_closed(sums)
+        if self.deferred is not None:
+            self._take_released(self.deferred, self.deferred.close())
+        self._take_closed(sums := self.displays.attach(self.accumulator.close(), len(self.lanes)))
         if self.keep_forecasts:
             self.engine.process(sums, [], [])
             self.engine.finish()
@@ -206,11 +206,9 @@ class Pipeline:
             now["row"] -= at
             rows = self.clean_up(batch.rows(at, end), kind[at - start : end - start], order.of_rows[at:end], now)
             if self.deferred is not None:
-                for released in self.deferred.add(rows):
-                    self._take_closed_of(released)
+                self._take_released(self.deferred, self.deferred.add(rows))
                 continue
-            sums = self.sum_up(rows)
-            self._take_closed(sums)
+            self._take_closed(sums := self.displays.attach(self.sum_up(rows), len(self.lanes)))
             if self.keep_forecasts:
                 self._pending.add_sums(sums, end - at)
                 if self._pending.size >= BLOCK:
@@ -243,13 +241,14 @@ class Pipeline:
 
     def sum_up(self, rows: CleanRows) -> Sums:
         """Run the steps from cleaned rows to totals, see `core.totals.clean_rows.sum_rows`."""
-        lanes = len(self.lanes)
-        return self.displays.attach(sum_rows(rows, self.cars, self._powers, self.accumulator, lanes), lanes)
+        return sum_rows(rows, self.cars, self._powers, self.accumulator, len(self.lanes))
 
-    def _take_closed_of(self, released: CleanRows) -> None:
-        """Sum up deferred rows that have been released, a block at a time."""
-        for at in range(0, released.size, BLOCK):
-            self._take_closed(self.sum_up(released.rows(at, at + BLOCK)))
+    def _take_released(self, deferred: DeferredRows, released: Sequence[CleanRows]) -> None:
+        """Sum up rows that have been released, and take the totals and daily updates that no kept row precedes."""
+        for sums, kind_of_lane in deferred.sum_up(released, self.sum_up, BLOCK):
+            self._take_closed(self.displays.attach(sums, len(self.lanes)))
+            if kind_of_lane is not None:
+                self.displays.apply_daily_update(kind_of_lane)
 
     def _take_closed(self, sums: Sums) -> None:
         """Count, evaluate and keep the rides and windows that have ended."""
@@ -290,7 +289,8 @@ class Pipeline:
         """Take a weather observation, or run the daily update, at a place in the batch."""
         if isinstance(value, DailyUpdate):
             self._update_forecasts(place)
-            self.displays.apply_daily_update()
+            pool = partial(self.deferred.add_daily_update, place) if self.deferred else self.displays.apply_daily_update
+            pool(self.cars.of_lane)
             self.engine.apply_daily_update()
         elif not self.stations.observe(value):
             self.decoder.refuse("weather", "out_of_range")

@@ -47,10 +47,14 @@ class CleanRows(NamedTuple):
         return len(self.kind)
 
     def rows(self, start: int, stop: int) -> "CleanRows":
-        """Return a view of the rows from `start` up to, not including, `stop`, without places and ends."""
+        """Return a view of the rows from `start` up to, not including, `stop`, with the ends after each of them."""
         part = slice(start, stop)
         clean = Clean(*(column[part] for column in self.clean))  # type: ignore[arg-type]
-        return CleanRows(clean, Sky(*(column[part] for column in self.sky)), self.kind[part])
+        sky = Sky(*(column[part] for column in self.sky))
+        first = start if start > 0 else -1
+        ends = self.ends[(self.ends["row"] > first) & (self.ends["row"] <= stop)].copy()
+        ends["row"] -= start
+        return CleanRows(clean, sky, self.kind[part], None if self.place is None else self.place[part], ends)
 
 
 def sum_rows(

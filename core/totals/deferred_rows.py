@@ -5,20 +5,28 @@ releases the rows of closed rides with the elevation that `core.cleaning.elevati
 
 Rows are released at fixed numbers of rows since the start, never at the end of a batch. The released rows, their order
 and the totals made of them are therefore the same for any division of the input.
+
+Each row keeps its place among all messages, and so does each end of a ride between two rows. The totals of the rows
+wait in `core.totals.deferred_totals` until no earlier row is kept.
 """
 
+from collections.abc import Callable, Iterator, Sequence
+from math import inf
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats
+from core.batch import Floats, Ints
 from core.cleaning.elevation_smoother import smooth_elevation
+from core.cleaning.fleet_clock import RIDE_END
 from core.cleaning.kernel import Clean
 from core.signals.weather import Sky
+from core.totals.accumulator import NO_ENDS, Sums
 from core.totals.clean_rows import CleanRows
+from core.totals.deferred_totals import DeferredTotals
 
-FIELDS: Final = (*Clean._fields, *Sky._fields, "kind")
+FIELDS: Final = (*Clean._fields, *Sky._fields, "kind", "place")
 """Columns of the kept rows."""
 WHOLE: Final = ("lane", "ride", "window", "quality")
 """Columns of whole numbers in `Clean`."""
@@ -27,7 +35,7 @@ LEAST: Final = 20_000
 LONGEST_RIDE: Final = 50_000
 """Number of rows after which the rows of a ride are released although it is still open; 42 h at a sample every 3 s."""
 
-_LANE, _RIDE, _CODE = (Clean._fields.index(name) for name in ("lane", "ride", "code"))
+_LANE, _RIDE, _CODE, _PLACE = (FIELDS.index(name) for name in ("lane", "ride", "code", "place"))
 
 
 class DeferredRows:
@@ -39,11 +47,19 @@ class DeferredRows:
         Least number of rows between two releases. [rows]
     longest : int
         Number of rows after which the rows of an open ride are released. [rows]
+
+    Attributes
+    ----------
+    totals : DeferredTotals
+        Totals of released rows, which wait for rows that are kept.
     """
 
     def __init__(self, least: int = LEAST, longest: int = LONGEST_RIDE) -> None:
         self.least, self.longest = least, longest
+        self.totals = DeferredTotals()
         self._parts: list[Floats] = []
+        self._ends: NDArray[np.void] = NO_ENDS  # of rides whose rows are kept; `place` is that among all messages
+        self._messages = 0  # in all batches before the present one
         self._until_release = least
 
     def add(self, rows: CleanRows) -> list[CleanRows]:
@@ -52,23 +68,33 @@ class DeferredRows:
         Parameters
         ----------
         rows : CleanRows
-            n rows, in the order of their arrival.
+            n rows, in the order of their arrival, with their places in the batch.
 
         Returns
         -------
         list of CleanRows
             Rows of closed rides and of idle periods, each part in the order of arrival.
         """
-        table = np.stack([*rows.clean, *rows.sky, rows.kind]).astype(np.float64, copy=False)
+        place = np.arange(rows.size) if rows.place is None else rows.place
+        table = np.stack([*rows.clean, *rows.sky, rows.kind, place + self._messages]).astype(np.float64, copy=False)
+        ends = rows.ends.copy()
+        ends["place"] += self._messages
         released = []
         while table.shape[1] >= self._until_release:
             head, table = table[:, : self._until_release], table[:, self._until_release :]
             self._parts.append(head)
+            known = ends["place"] <= head[_PLACE, -1]
+            self._ends, ends = np.concatenate([self._ends, ends[known]]), ends[~known]
             released.append(self._release())
         if table.shape[1]:
             self._parts.append(table)
             self._until_release -= table.shape[1]
+        self._ends = np.concatenate([self._ends, ends])
         return released
+
+    def end_batch(self, messages: int) -> None:
+        """Note the end of a batch of so many messages: the places of later ones are counted from it."""
+        self._messages += messages
 
     def close(self) -> list[CleanRows]:
         """Return all kept rows at the end of the stream."""
@@ -76,43 +102,79 @@ class DeferredRows:
             return []
         table = np.concatenate(self._parts, axis=1)
         self._parts, self._until_release = [], self.least
-        return [_complete(table)]
+        return [self._complete(table)]
+
+    def sum_up(
+        self, released: Sequence[CleanRows], sum_up: Callable[[CleanRows], Sums], block: int
+    ) -> Iterator[tuple[Sums, Ints | None]]:
+        """Sum up released rows, and yield the totals that no kept row precedes, see `DeferredTotals.take`.
+
+        Parameters
+        ----------
+        released : sequence of CleanRows
+            What `add` or `close` returned.
+        sum_up : callable
+            Returns the totals of rows.
+        block : int
+            Number of rows that are summed at a time.
+        """
+        for rows in released:
+            for at in range(0, max(rows.size, 1), block):
+                self.totals.add(sum_up(rows.rows(at, at + block)))
+        if released:
+            yield from self.totals.take(self.first_place)
+
+    def add_daily_update(self, place: int, kind_of_lane: Ints) -> None:
+        """Let a daily update wait, see `DeferredTotals`; `place` is that in the batch."""
+        self.totals.add_daily_update(self._messages + place, kind_of_lane)
+
+    @property
+    def first_place(self) -> float:
+        """Place of the first kept row among all messages; infinite without one."""
+        return min((float(part[_PLACE, 0]) for part in self._parts if part.shape[1]), default=inf)
 
     def ride_codes(self) -> Floats:
         """Return the code of the ride of each kept row, see `core.wire.rides.RideNames`."""
-        return np.concatenate([np.empty(0), *(part[_CODE] for part in self._parts)])
+        return np.concatenate([np.empty(0), *(part[_CODE] for part in self._parts), *self.totals.ride_codes()])
 
     def _release(self) -> CleanRows:
         """Return the rows of closed rides and idle periods, and keep the rows of open rides."""
         table = np.concatenate(self._parts, axis=1)
-        is_open = self._find_open_rows(table[_LANE].astype(np.int64), table[_RIDE])
+        is_open = self._find_open_rows(table[_LANE].astype(np.int64), table[_RIDE], table[_PLACE])
         self._parts = [table[:, is_open]]
         self._until_release = max(self.least, self._parts[0].shape[1])  # so that a row is copied twice on average
-        return _complete(table[:, ~is_open])
+        return self._complete(table[:, ~is_open])
 
-    def _find_open_rows(self, lane: NDArray[np.int64], ride: Floats) -> NDArray[np.bool_]:
+    def _find_open_rows(self, lane: Ints, ride: Floats, place: Floats) -> NDArray[np.bool_]:
         """Return whether each row belongs to the ride in progress of its lane, and that ride is not too long."""
-        newest = np.full(lane.max(initial=-1) + 1, -1.0)
-        newest[lane] = ride  # the last row of a lane is assigned last
+        newest, last = np.full((2, lane.max(initial=-1) + 1), -1.0)
+        newest[lane], last[lane] = ride, place  # the last row of a lane is assigned last
+        ends = self._ends[self._ends["lane"] < len(newest)]
+        ended = ends["lane"][ends["place"] >= last[ends["lane"]]]
+        newest[ended] = -1.0
         is_open: NDArray[np.bool_] = (ride >= 0.0) & (ride == newest[lane])
         rows = np.bincount(lane[is_open], minlength=len(newest))
         return is_open & (rows[lane] <= self.longest)
 
+    def _complete(self, table: Floats) -> CleanRows:
+        """Return kept rows, with smoothed elevation and without due forecasts, and the ends between them."""
+        size = len(Clean._fields)
+        clean = Clean(*table[:size])
+        clean = clean._replace(**{name: getattr(clean, name).astype(np.int64) for name in WHOLE})
+        clean = smooth_elevation(clean._replace(due=np.zeros(table.shape[1], np.bool_)))
+        kind, place = table[-2:].astype(np.int64)
+        ends, self._ends = self._ends, NO_ENDS
+        ends["row"] = np.searchsorted(place, ends["place"], side="right")
+        return CleanRows(clean, Sky(*table[size:-2]), kind, place, ends)
+
     def dump(self) -> Any:
-        """Return the kept rows and the number of rows until the next release."""
+        """Return what is kept as plain values."""
         table = np.concatenate([np.empty((len(FIELDS), 0)), *self._parts], axis=1)
-        return [table.tobytes(), self._until_release]
+        return [table.tobytes(), self._until_release, self._messages, self._ends.tobytes(), self.totals.dump()]
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
-        table, self._until_release = state
+        table, self._until_release, self._messages, ends, totals = state
         self._parts = [np.frombuffer(table).reshape(len(FIELDS), -1).copy()]
-
-
-def _complete(table: Floats) -> CleanRows:
-    """Return kept rows, with smoothed elevation and without due forecasts."""
-    size = len(Clean._fields)
-    clean = Clean(*table[:size])
-    clean = clean._replace(**{name: getattr(clean, name).astype(np.int64) for name in WHOLE})
-    clean = smooth_elevation(clean._replace(due=np.zeros(table.shape[1], np.bool_)))
-    return CleanRows(clean, Sky(*table[size:-1]), table[-1].astype(np.int64))
+        self._ends = np.frombuffer(ends, RIDE_END).copy()
+        self.totals.load(totals)

@@ -169,13 +169,20 @@ class DisplayYields:
         self._grow(lanes)
         return totals._replace(display=self._find_yields(totals.lane, totals.at_last("kind")))
 
-    def apply_daily_update(self) -> None:
-        """Pool what was learned of the cars of each vehicle model."""
+    def apply_daily_update(self, kind_of_lane: Ints | None = None) -> None:
+        """Pool what was learned of the cars of each vehicle model.
+
+        Parameters
+        ----------
+        kind_of_lane : (lanes,) int, optional
+            Kind of the car of each lane; by default that of the present.
+        """
         cars = self._cars
-        lanes = min(len(self._lanes), len(cars.of_lane))
+        kind_of_lane = cars.of_lane if kind_of_lane is None else kind_of_lane
+        lanes = min(len(self._lanes), len(kind_of_lane))
         self._grow(lanes)
         known = self._lanes[:lanes]
-        kinds = cars.of_lane[:lanes]
+        kinds = kind_of_lane[:lanes]
         catalogue = cars.capacity[kinds]
         share = _probabilities(known["likelihood"])
         kk, kb, bb, score_k, score_b = ((share * known[name]).sum(axis=1) for name in _LEARNED[:5])

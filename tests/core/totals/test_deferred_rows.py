@@ -14,6 +14,8 @@ from core.signals.weather import Sky
 from core.totals.clean_rows import CleanRows
 from core.totals.deferred_rows import DeferredRows
 from tests.support.telemetry import chunked, decoded, drive, leaf, telemetry
+from tools.simulator.fleet import simulate
+from tools.simulator.settings import Faults, Simulation
 
 CARS = ("a", "b", "c")
 
@@ -152,6 +154,50 @@ def test_names_of_deferred_rides_are_kept():
 def test_forecasts_exclude_two_sided_tables():
     with pytest.raises(SettingsError, match="keep_forecasts=False"):
         Pipeline(two_sided=True)
+
+
+def simulated():
+    """Return the messages of four cars on three days, whose displays are pooled each day."""
+    simulation = Simulation(vehicles=4, days=3, seed=11, shift_hours=3.0, faults=Faults(unequipped=0.0))
+    return list(simulate(simulation))
+
+
+@pytest.mark.parametrize("least", [500, 20_000])
+def test_columns_without_climb_equal_those_of_the_causal_pipeline_to_the_bit(least):
+    messages = simulated()
+    causal = Pipeline(keep_forecasts=False)
+    causal.take(messages)
+    causal.finish()
+    two_sided = Pipeline(keep_forecasts=False, two_sided=True)
+    two_sided.deferred.least = two_sided.deferred._until_release = least
+    for part in chunked(messages, range(0, len(messages), 3001)):
+        two_sided.take(part)
+    two_sided.finish()
+    for one, other in (
+        (two_sided.take_rides(), causal.take_rides()),
+        (two_sided.take_windows(), causal.take_windows()),
+    ):
+        by_climb = [name for name in other if name.startswith(("gained_m", "lost_m", "effect_"))]
+        assert not one["gained_m"].equals(other["gained_m"])
+        assert len(other) > 40
+        pd.testing.assert_frame_equal(one.drop(columns=by_climb), other.drop(columns=by_climb), check_exact=True)
+
+
+def test_snapshot_within_waiting_totals_continues_as_if_uninterrupted():
+    messages = simulated()
+    whole, first, second = (Pipeline(keep_forecasts=False, two_sided=True) for _ in range(3))
+    for each in (whole, first, second):
+        each.deferred.least = each.deferred._until_release = 500
+    whole.take(messages)
+    first.take(messages[:15_000])
+    rides = [first.take_rides()]
+    second.restore(first.snapshot())
+    second.take(messages[15_000:])
+    for each in (whole, second):
+        each.finish()
+    pd.testing.assert_frame_equal(
+        pd.concat([*rides, second.take_rides()], ignore_index=True), whole.take_rides(), check_exact=True
+    )
 
 
 def test_causal_columns_equal_those_of_the_causal_pipeline():
