@@ -28,11 +28,14 @@ from core.fit.measured_rows import ENERGY_SD
 from core.fit.measurement_noise import compute_noise_variance
 from core.fit.nested_effects import Gaussian
 from core.fit.priors import (
+    CHOKE_POINTS,
+    LEVELS,
     build_curve_prior,
     build_prior,
     compute_curve_columns,
     find_curve_limits,
     find_limits,
+    flatten_curve,
     is_curved,
 )
 from core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
@@ -48,6 +51,8 @@ LEAST_OWN_RIDES: Final = 3
 """Fewest rides for a fit, and for a fit of a vehicle model of its own."""
 PRIOR_SHARE: Final = 0.8
 """Posterior over prior variance above which a coefficient counts as fixed by its prior. [1]"""
+NEAR_LIMIT: Final = 1e-6
+"""Distance from a limit below which a coefficient is at it, over the standard deviation of its prior. [1]"""
 READ: Final = (
     "effect_rolling",
     "rolling_resistance",
@@ -228,8 +233,19 @@ def _convert(terms: Sequence[Term], group: GroupRows, fitted: GroupFit, fills: M
         curve=fitted.curve,
         rides=len(group.rides),
         held=tuple(term.name for term, own in zip(terms, share, strict=True) if own > PRIOR_SHARE),
+        limited=_find_limited([terms[i].name for i in plain], group, fitted),
         converged=fitted.converged,
     )
+
+
+def _find_limited(names: Sequence[str], group: GroupRows, fitted: GroupFit) -> tuple[str, ...]:
+    """Return the terms and the numbers of the curve that are at a limit."""
+    values = fitted.posterior.mean[: group.terms]
+    if fitted.curve is not None:
+        values, names = np.concatenate([values, flatten_curve(fitted.curve)]), [*names, *LEVELS, *CHOKE_POINTS]
+    near = NEAR_LIMIT * np.sqrt(np.diag(group.prior.covariance))
+    at = (values - group.low < near) | (group.high - values < near)
+    return tuple(name for name, own in zip(names, at, strict=True) if own)
 
 
 def _assemble(

@@ -73,6 +73,9 @@ class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     noise_kwh : float, optional
         Variance of a ride's error divided by its size (`core.models.derived_features.compute_size`), where rides were
         weighted by their size. [kWh]
+    limited : tuple of str
+        Terms, and numbers of the accessory curve, that stopped at an end of their plausible ranges. The data alone
+        would put them beyond.
     converged : bool
         Whether an iterative fit ended at the most probable coefficients; False marks a fit that is not to be trusted.
     """
@@ -86,6 +89,7 @@ class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     residual_sd_kwh: float | None = None
     held: tuple[str, ...] = ()
     noise_kwh: float | None = None
+    limited: tuple[str, ...] = ()
     converged: bool = True
 
 

@@ -125,6 +125,23 @@ def describe_implausible(model: LinearModel) -> list[str]:
     return lines
 
 
+def describe_limited(model: LinearModel) -> list[str]:
+    """Return a sentence on the coefficients of each fit that stopped at an end of their plausible ranges.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Model.
+
+    Returns
+    -------
+    list of str
+        Sentences for people, by vehicle model.
+    """
+    names = {key: [term.name for term in model.terms if term.name in fit.limited] for key, fit in model.fits.items()}
+    return [f"{key}: {', '.join(own)} stopped at the limit of the plausible range" for key, own in names.items() if own]
+
+
 def is_within(value: float, limits: tuple[float, float]) -> bool:
     """Return whether a coefficient lies within a range, except for rounding.
 

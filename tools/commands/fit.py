@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from math import sqrt
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import typer
@@ -18,7 +18,7 @@ from core.fit.recipes import RECIPES, LinearRecipe, Recipe, get_recipe
 from core.fit.ride_blocks import RideParquet
 from core.fit.window_recipe import WindowRecipe
 from core.formatting import format_minus
-from core.models import ANY, Fit, LinearModel, Term
+from core.models import ANY, LinearModel, Term
 from core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX
 from core.models.plausibility import describe_implausible, get_plausible_ranges, is_within, list_implausible
 from core.vehicles import AccessoryCurve
@@ -161,28 +161,64 @@ def _fitted(chosen: Recipe, files: Sequence[Path]) -> LinearModel:
     return chosen.fit(RideParquet(tuple(files)).table())
 
 
-def intervals(model: LinearModel, fitted: Fit) -> Iterator[tuple[Term, float, float | None]]:
-    """Yield each term with its coefficient and the half width of its 95 % interval.
+class Coefficient(NamedTuple):
+    """Hold a fitted coefficient with its 95 % interval.
+
+    Parameters
+    ----------
+    term : Term
+        Term of the model.
+    value : float
+        Coefficient.
+    half : float or None
+        Half width of the interval; None if the fit has no covariance, or if the interval ends at a limit.
+    low, high : float or None
+        Ends of the interval; None if the fit has no covariance.
+    limited : bool
+        Whether the coefficient stopped at a limit.
+    """
+
+    term: Term
+    value: float
+    half: float | None
+    low: float | None
+    high: float | None
+    limited: bool
+
+
+def intervals(model: LinearModel, key: str) -> Iterator[Coefficient]:
+    """Yield each coefficient of a fit with its 95 % interval.
 
     Parameters
     ----------
     model : LinearModel
-        Model with the terms.
-    fitted : Fit
-        Fit of one vehicle model.
+        Model.
+    key : str
+        Vehicle model of the fit, or `*`.
 
     Yields
     ------
-    tuple of (Term, float, float or None)
-        The half width comes from Student's t distribution. It is None if the fit has no covariance.
+    Coefficient
+        The width comes from Student's t distribution. A fit to windows excludes values beyond the plausible range, so
+        the interval ends there.
     """
+    fitted, ranges = model.fits[key], get_plausible_ranges(model, key)
     freedom = (fitted.clusters or fitted.rides) - 1
-    if isinstance(RECIPES.get(model.recipe), WindowRecipe):
+    bounded = isinstance(RECIPES.get(model.recipe), WindowRecipe)
+    if bounded:
         freedom = max(freedom, LEAST_PRIOR_FREEDOM)
     factor = float(stdtrit(freedom, 0.975)) if freedom > 0 else float("nan")
     for i, (term, coefficient) in enumerate(zip(model.terms, fitted.coefficients, strict=True)):
-        half = None if fitted.covariance is None else factor * sqrt(max(fitted.covariance[i][i], 0.0))
-        yield term, coefficient, half
+        limited = term.name in fitted.limited
+        if fitted.covariance is None:
+            yield Coefficient(term, coefficient, None, None, None, limited)
+            continue
+        half = factor * sqrt(max(fitted.covariance[i][i], 0.0))
+        ends = low, high = coefficient - half, coefficient + half
+        if bounded and term.name in ranges:
+            low, high = (min(max(end, ranges[term.name][0]), ranges[term.name][1]) for end in ends)
+        whole = (low, high) == ends
+        yield Coefficient(term, coefficient, half if whole else None, low, high, limited)
 
 
 def _celsius(curve: AccessoryCurve) -> dict[str, float]:
@@ -232,17 +268,21 @@ def summary(model: LinearModel, title: str) -> dict[str, Any]:
             "clusters": fitted.clusters,
             "held": fitted.held,
             "converged": fitted.converged,
+            "limited": fitted.limited,
             "curve": None if fitted.curve is None else _celsius(fitted.curve),
             "coefficients": [
                 {
-                    "term": term.name,
-                    "unit": term.unit,
-                    "value": value,
-                    "ci95": half,
-                    "range": ranges[key].get(term.name),
-                    "plausible": term.name not in ranges[key] or is_within(value, ranges[key][term.name]),
+                    "term": one.term.name,
+                    "unit": one.term.unit,
+                    "value": one.value,
+                    "ci95": one.half,
+                    "low": one.low,
+                    "high": one.high,
+                    "at_limit": one.limited,
+                    "range": ranges[key].get(one.term.name),
+                    "plausible": one.term.name not in ranges[key] or is_within(one.value, ranges[key][one.term.name]),
                 }
-                for term, value, half in intervals(model, fitted)
+                for one in intervals(model, key)
             ],
         }
         for key, fitted in model.fits.items()
@@ -306,11 +346,11 @@ def _show_coefficients(model: LinearModel, console: Console) -> None:
     shown = [term for term in model.terms if _physical(term)] or list(model.terms[:12])
     columns = [Column("coefficient"), Column("unit"), *(Column(key, number=True) for key in model.fits)]
     table = make_table(columns, "Coefficients with 95 % intervals")
-    cells = {key: {t.name: (c, half) for t, c, half in intervals(model, fitted)} for key, fitted in model.fits.items()}
+    cells = {key: {one.term.name: one for one in intervals(model, key)} for key in model.fits}
     outside = list_implausible(model)
     for term in shown:
         row = [
-            _cell(*cells[key][term.name], held=term.name in fitted.held, marked=term.name in outside.get(key, ()))
+            _cell(cells[key][term.name], held=term.name in fitted.held, marked=term.name in outside.get(key, ()))
             for key, fitted in model.fits.items()
         ]
         table.add_row(term.name, term.unit, *row)
@@ -319,6 +359,8 @@ def _show_coefficients(model: LinearModel, console: Console) -> None:
     notes = [f"{others} other coefficients are in the model file"] if others else []
     if any(fitted.held for fitted in model.fits.values()):
         notes.append("(held): the data do not determine it, so it is fixed by its prior")
+    if any(fitted.limited for fitted in model.fits.values()):
+        notes.append("(at its limit): the data alone would put it beyond its plausible range, so it stops at the end")
     if model.fits.get(ANY) and model.fits[ANY].noise_kwh is not None:
         notes.append("interval of *: for a vehicle model without rides, about the mean of the others")
     if notes:
@@ -330,10 +372,15 @@ def _show_coefficients(model: LinearModel, console: Console) -> None:
         console.print(f"NOT plausible: {line}", markup=False, highlight=False, soft_wrap=True)
 
 
-def _cell(value: float, half: float | None, *, held: bool, marked: bool) -> str:
-    """Return the text of a coefficient and its interval, and the mark of one outside its plausible range."""
-    text = f"{value:.4g}" if half is None else f"{value:.4g} ± {half:.2g}"
-    return format_minus(text + (" (held)" if held else "") + (" (NOT plausible)" if marked else ""))
+def _cell(one: Coefficient, *, held: bool, marked: bool) -> str:
+    """Return the text of a coefficient and its interval, and its marks."""
+    text = f"{one.value:.4g}"
+    if one.half is not None:
+        text += f" ± {one.half:.2g}"
+    elif one.low is not None:
+        text += f", {one.low:.3g} to {one.high:.3g}"
+    marks = {" (held)": held, " (at its limit)": one.limited, " (NOT plausible)": marked}
+    return format_minus(text + "".join(mark for mark, set_ in marks.items() if set_))
 
 
 def _show_curves(model: LinearModel, console: Console) -> None:
@@ -346,6 +393,8 @@ def _show_curves(model: LinearModel, console: Console) -> None:
     table = make_table(columns, "Accessory power: choke points in °C, levels in W")
     for key, curve in curves.items():
         numbers = _celsius(curve)
-        points = [format_minus(f"{numbers[f'{name}_c']:.1f}") for name in CHOKE_POINTS]
-        table.add_row(key, *points, *(f"{numbers[f'{name}_w']:,.0f}" for name in LEVELS))
+        cells = {name: format_minus(f"{numbers[f'{name}_c']:.1f}") for name in CHOKE_POINTS}
+        cells |= {name: f"{numbers[f'{name}_w']:,.0f}" for name in LEVELS}
+        limited = model.fits[key].limited
+        table.add_row(key, *(f"{text} (at its limit)" if name in limited else text for name, text in cells.items()))
     console.print(table)

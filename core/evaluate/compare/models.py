@@ -19,7 +19,7 @@ from core.evaluate.relative_errors import compute_relative_figures, compute_shar
 from core.evaluate.ride_filter import find_exclusion_reasons, name_rides
 from core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
 from core.models import ANY, LinearModel
-from core.models.plausibility import describe_implausible
+from core.models.plausibility import describe_implausible, describe_limited
 from core.stats import multiple_testing, scores
 from core.stats.clustered import assign_vehicle_days, compute_clustered_mean, compute_clustered_ratio
 from core.stats.scores import Codes, Estimate
@@ -150,7 +150,11 @@ def _predict(label: str, model: LinearModel, rides: pd.DataFrame) -> Floats:
 
 def _notes(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> tuple[str, ...]:
     """Return notes on what the models were fitted to and what the rides lack, and on implausible coefficients."""
-    notes = [f"{label}: {line}" for label, model in models.items() for line in describe_implausible(model)]
+    notes = [
+        f"{label}: {line}"
+        for label, model in models.items()
+        for line in describe_implausible(model) + describe_limited(model)
+    ]
     for label, model in models.items():
         trained = model.training
         if trained is not None:

@@ -11,7 +11,7 @@ from core.fit.recipes import ROAD_LOAD_TERMS, fit_to_windows, get_recipe
 from core.fit.window_recipe import RecipeWithWindows
 from core.models import ANY, LinearModel
 from core.models.features import Columns
-from core.models.plausibility import list_implausible
+from core.models.plausibility import describe_limited, list_implausible
 from tests.support.synthetic_windows import BASE, make_tables, make_windows
 
 KIND = "kia-soul-ev-2015"
@@ -108,9 +108,12 @@ def test_coefficient_at_the_end_of_its_range_stays_there(tables):
     rides, windows = (table.copy() for table in tables)
     for table in (rides, windows):
         for name in ("energy_kwh", "energy_vi_kwh"):
-            table[name] = table[name] + 2.5 * table["effect_inertia_negative"]
+            table[name] = table[name] + 1.8 * table["effect_inertia_negative"]
     found = fit_to_windows("road_load", rides, windows, covariance=False)
     assert get_coefficients(found)["inertia_negative"] == pytest.approx(effects.get("inertia_negative").high, abs=1e-6)
+    assert "inertia_negative" in found.fits[KIND].limited
+    assert "rolling" not in found.fits[KIND].limited
+    assert describe_limited(found)[-1].endswith("inertia_negative stopped at the limit of the plausible range")
     assert list_implausible(found) == {}
 
 

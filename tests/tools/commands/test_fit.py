@@ -19,6 +19,7 @@ from tests.support.commands import done, refused
 from tests.support.planted_rides import MODELS, noisy, physical_energy, rides
 from tests.support.pooled_rides import differing, fleet, measured, planted
 from tests.support.recorded_shift import shift
+from tests.support.synthetic_windows import make_tables, make_windows
 from tools.commands.fit import ride_files
 
 pytestmark = pytest.mark.long
@@ -79,6 +80,30 @@ def test_fitted_coefficients_are_shown_with_units_and_intervals(folder, tmp_path
     assert every["mae_in_sample_kwh"] < 0.2
     assert abs(every["curve"]["heating_off_c"] - 10.0) < 4.0
     assert model.history[0]["mae_in_sample_kwh"][ANY] == every["mae_in_sample_kwh"]
+
+
+def test_coefficient_at_its_limit_is_marked_and_its_interval_ends_there(tmp_path, capsys):
+    rides, windows = make_tables(make_windows(2, 6, 3, 6), noise=0.002)
+    for table in (rides, windows):
+        for name in ("energy_kwh", "energy_vi_kwh"):
+            table[name] = table[name] + 1.8 * table["effect_inertia_negative"]
+    rides.to_parquet(tmp_path / "rides.parquet")
+    windows.to_parquet(tmp_path / "windows.parquet")
+    result = tmp_path / "result.json"
+    fitted(tmp_path, "road_load", tmp_path / "model.json", "--json", result)
+    printed = " ".join(capsys.readouterr().out.split())
+    coefficients = json.loads(result.read_text())["fits"][ANY]["coefficients"]
+    found = {one["term"]: one for one in coefficients}
+    slowing = found["inertia_negative"]
+    assert slowing["at_limit"]
+    assert slowing["ci95"] is None
+    assert slowing["low"] < slowing["high"] == slowing["range"][1] == pytest.approx(slowing["value"])
+    assert f"1.8, {slowing['low']:.3g} to 1.8 (at its limit)" in printed
+    assert "the data alone would put it beyond its plausible range" in printed
+    assert not found["climbing"]["at_limit"]
+    assert found["climbing"]["high"] - found["climbing"]["value"] == pytest.approx(found["climbing"]["ci95"])
+    for one in coefficients:
+        assert one["range"][0] <= one["low"] <= one["value"] <= one["high"] <= one["range"][1]
 
 
 def test_several_tables_are_fitted_together(folder, table, tmp_path):
