@@ -14,7 +14,7 @@ class Settings(NamedTuple):
     period : float
         Nominal time between two samples of a logger. [s]
     speed_limit : float
-        Speed above which a sample is rejected; 130 km/h as in section 3 of the paper. [m/s]
+        Speed above which a reported speed is rejected; 130 km/h as in section 3 of the paper. [m/s]
     window : int
         Number of samples in the moving average of speed, 1 to 8.
     elevation_length : float

@@ -5,8 +5,8 @@ and is counted. Energy of a frozen current is not metered. A state of charge tha
 see `core.totals.measured_energy`.
 
 Voltage times current is frozen where the current stays the same to the last digit while the speed of the car varies, or
-exactly zero while the car drives. The state of charge is frozen where it stays the same while the meter draws several
-quanta. It jumps where it changes by more than the car can have used, or by much more than the meter drew.
+exactly zero while the car drives. The state of charge is frozen where it stays the same while the car uses several
+quanta by V·I. It jumps where it changes by more than the car can have used, or by much more than V·I measured.
 """
 
 from math import isnan, nan
@@ -62,8 +62,7 @@ COARSEST_SOC: Final = 0.01
 FROZEN_SOC: Final = 4.0 * COARSEST_SOC
 """Share of the battery that a metered car uses before an unchanged state of charge counts as frozen. [1]
 
-Four quanta of the coarsest display: the public Leaf's steps by up to 3.3 %, of a battery with 65 % of its nominal
-capacity (VED, arXiv:1905.02081)."""
+Four quanta of 1 %, which also exceed the largest step of the public Leaf's display, 3.3 % (VED, arXiv:1905.02081)."""
 JUMP_MARGIN: Final = 0.02
 """Change beyond the metered energy and the coarsest quantum that is normal: displays lag and correct themselves. [1]"""
 JUMP_SHARE: Final = 0.5
@@ -71,7 +70,7 @@ JUMP_SHARE: Final = 0.5
 STANDING_RATE: Final = 0.5 / 3600.0
 """Highest rate at which a standing car uses its battery: 12 kW of 24 kWh. [1/s]"""
 DRIVING_RATE: Final = 0.1 / 1000.0
-"""Highest rate at which a driving car uses its battery: 2.4 kWh/km of 24 kWh, twice a full acceleration. [1/m]"""
+"""Highest rate at which a driving car uses its battery: 2.4 kWh/km of 24 kWh, twice that of full acceleration. [1/m]"""
 LONGEST_STILLNESS: Final = 600.0
 """After a longer step nothing is known about the energy between two reports. [s]"""
 

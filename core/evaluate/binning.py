@@ -18,7 +18,7 @@ SPEEDS: Final = (10, 15, 20, 25, 30, 40, 50, 70, 100)
 """Edges of the bins of average ride speed. [km/h]"""
 WINDS: Final = (5, 10, 15, 20, 30, 40)
 """Edges of the bins of mean wind speed, regardless of direction. [km/h]"""
-SEASONS: Final = ("winter-tyre season (15 Dec to 15 Mar)", "outside it")
+SEASONS: Final = ("winter-tyre season (15 Dec to 15 Mar)", "rest of the year")
 """Labels of the seasons of Table 1 of the paper. They are those of the tyres, not of the weather."""
 HOURS_PER_BIN: Final = 3
 """Width of a time-of-day bin. [h]"""

@@ -31,7 +31,7 @@ FIELDS: Final = (*Clean._fields, *Sky._fields, "kind", "place")
 WHOLE: Final = ("lane", "ride", "window", "quality")
 """Columns of whole numbers in `Clean`."""
 LEAST: Final = 20_000
-"""Least number of rows between two releases: 10 MB."""
+"""Least number of rows between two releases: 8 MB."""
 LONGEST_RIDE: Final = 50_000
 """Number of rows after which the rows of a ride are released although it is still open; 42 h at a sample every 3 s."""
 

@@ -9,7 +9,7 @@ from core import effects as library
 from core.effects import Effect, Parameter
 from core.effects.declaration import Expectation
 
-SIGNS: Final = {1: "positive: the effect always costs energy", -1: "negative: it always saves energy", 0: "either"}
+SIGNS: Final = {1: "not negative", -1: "not positive", 0: "either"}
 
 
 def effects() -> str:

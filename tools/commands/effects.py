@@ -18,7 +18,7 @@ from tools.terminal.rich_table import Column, make_description, make_table
 
 app = typer.Typer(help="The physical effects that models are made of, and your own.", no_args_is_help=True)
 
-SIGNS = {1: "positive: it always costs", -1: "negative: it always saves", 0: "either"}
+SIGNS = {1: "not negative", -1: "not positive", 0: "either"}
 MEANINGS = {column.name: column for column in SIGNALS}
 
 

@@ -29,7 +29,7 @@ from tools.terminal.output import (
     select_model_files,
     write_json,
 )
-from tools.terminal.recordings import Recordings, open_recordings, show_progress, warn_of_losses
+from tools.terminal.recordings import Recordings, open_recordings, refuse_unusable, show_progress, warn_of_losses
 from tools.terminal.rich_table import Column, make_table
 
 RIDES, WINDOWS, QUALITY = "rides.parquet", "windows.parquet", "quality.json"
@@ -160,6 +160,11 @@ def tabulate(
     take : callable
         Function that receives the ended rides and their windows. It is called for every `ROW_GROUP` rides and at the
         end.
+
+    Raises
+    ------
+    RecordingError
+        If the recordings hold no message of the wire contract.
     """
     taken = 0
     with show_progress(sources) as step:
@@ -170,6 +175,7 @@ def tabulate(
                 taken = ended
                 take(pipeline.take_rides(), pipeline.take_windows())
         pipeline.finish()
+        refuse_unusable(sources, sum(pipeline.quality()["received"].values()))
         take(pipeline.take_rides(), pipeline.take_windows())
 
 

@@ -53,12 +53,13 @@ def test_report_is_written_after_reader_of_output_has_gone(tmp_path):
     assert json.loads((tmp_path / "x.json").read_text())["format"]["report"] == "effects"
 
 
-@pytest.mark.parametrize("command", ["info", "replay"])
+@pytest.mark.parametrize("command", [["info"], ["replay"], ["tables", "--out", "made"]], ids=lambda words: words[0])
 def test_recording_without_usable_message_is_refused_in_one_line(command, tmp_path):
     path = tmp_path / "lunch.mcap"
     with McapSink(path) as sink:
         sink.put([Message("kitchen/lunch", b"{}", 1)])
-    _, errors, code = called(command, path)
+    words = [str(tmp_path / word) if word == "made" else word for word in command]
+    _, errors, code = called(*words, path)
     assert code == 2
     assert errors.count("\n") == 1
     assert "no message that socast can read" in errors

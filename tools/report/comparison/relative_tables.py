@@ -1,5 +1,6 @@
 """Build the table of errors in percent and over the noise floor, of the models that a comparison holds."""
 
+from core.evaluate.relative_errors import LEAST_ENERGY
 from tools.report.cells import Cell, ReportTable, Row, format_energy, format_percent, mark_least
 from tools.report.evaluation.percentage_tables import FLOOR_NOTE, PERCENT_NOTE, format_ratio, format_share
 from tools.report.evaluation.result import Result, get_mapping, get_number, get_part
@@ -29,6 +30,8 @@ def tabulate_relative_errors(result: Result) -> ReportTable:
         for (name, errors), wmape in zip(models.items(), first, strict=True)
     )
     floor, below = format_energy(about.get("noise_floor_kwh")), format_percent(about.get("below_least"))
-    measured = f"Measurement noise alone causes {floor} kWh. MAPE leaves out the {below} of rides of almost no energy."
+    measured = (
+        f"Measurement noise alone causes {floor} kWh. MAPE leaves out rides below {LEAST_ENERGY} kWh, {below} of all."
+    )
     notes = (PERCENT_NOTE, measured, FLOOR_NOTE)
     return ReportTable("Errors in percent", "model", ("wMAPE", "MAPE", "over noise"), rows, notes)

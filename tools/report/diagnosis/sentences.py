@@ -60,7 +60,8 @@ def describe_error(result: Result) -> list[str]:
         f"The mean absolute error is {format_energy(mae)} per ride{relative}{_describe_bias(errors.get('bias_kwh'))}."
     ]
     if refitted is not None:
-        lines.append(f"With the same terms refitted to these rides, it would be {format_energy(refitted)}.")
+        how = "With the same terms refitted for each car, and any smooth curve of temperature"
+        lines.append(f"{how}, it would be {format_energy(refitted)}.")
     if implausible := get_mapping(result, "model").get("implausible"):
         lines.append(f"NOT plausible in this model: {'; '.join(map(str, implausible))}.")
     if mae and floor is not None:
