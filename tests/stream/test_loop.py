@@ -28,7 +28,6 @@ from stream.zenoh_pubsub import ZenohSource
 from stream.zenoh_session import Connection, Node
 from tests.support.recorded_shift import shift
 
-pytestmark = pytest.mark.long
 Results = tuple[list[Message], list[Message], str]
 
 

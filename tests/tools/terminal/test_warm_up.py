@@ -9,8 +9,6 @@ from tests.support.fleet_days import CARS, DAYS, SETTINGS, forecasts, recorded, 
 from tests.support.telemetry import leaf, observed
 from tools.terminal.warm_up import learn_from_recordings
 
-pytestmark = pytest.mark.long
-
 
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory):
