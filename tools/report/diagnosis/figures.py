@@ -96,7 +96,7 @@ def draw_coefficients(rows: Sequence[Mapping[str, Any]]) -> list[Illustration]:
     made = _forest("coefficient", names, values, spans, place=6)
     made.add_vrect(x0=0.0, x1=1.0, fillcolor="#8a8a8a", opacity=0.18, line_width=0)
     made.update_xaxes(title_text="Coefficient: 0 and 1 are the ends of its plausible range [1]")
-    made.update_yaxes(title_text="Effect and range")
+    made.update_yaxes(title_text="Effect")
     caption = "Shaded: the plausible range. A coefficient outside it may stand for another cause."
     return [Illustration("coefficients", "Coefficients against their plausible ranges", caption, made)]
 
@@ -128,7 +128,7 @@ def draw_remainder(result: Result) -> list[Illustration]:
     ]
     known = [(what, PERCENT * max(value, 0.0)) for what, value in bars if value is not None]
     shown = []
-    if known:
+    if any(share for _, share in known):
         trace = draw_bars("predictable", get_style(3), [what for what, _ in known], [value for _, value in known])
         made = make_figure([trace], 90 + ROW * len(known))
         made.update_xaxes(title_text="Predictable share of the variance [%]", rangemode="tozero")
