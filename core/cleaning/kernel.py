@@ -433,13 +433,13 @@ def use_row(state: Any, row: Any, dt: float, settings: Any) -> None:
         if state.soc_age > STALE:
             state.soc = nan
     if begins or (rode and state.riding == 0.0):
-        row.lost = find_lost_time(state, int(row.quality), dt, settings)
+        row.lost = find_uncovered_time(state, int(row.quality), dt, settings)
     segmentation.update_window(state, dt, begins, state.has_power == 1.0 or changed, settings)
     row.due = 1.0 if segmentation.is_forecast_due(state, state.soc, dt, begins, settings) else 0.0
 
 
 @njit(cache=False)
-def find_lost_time(state: Any, bits: int, dt: float, settings: Any) -> float:
+def find_uncovered_time(state: Any, bits: int, dt: float, settings: Any) -> float:
     """Return how much of a step lacks samples although the logger was switched on. [s]"""
     missing = bits & clock.GAP and not bits & clock.SEQUENCE and dt <= settings.gap_time
     return dt - state.period if missing else 0.0
