@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from math import inf
 from typing import Final
 
 import numpy as np
@@ -63,6 +64,14 @@ class Candidates:
     def restrict_to(self, rows: NDArray[np.bool_], scope: tuple[str, ...]) -> "Candidates":
         """Return the candidates within some windows, (n,) bool."""
         return replace(self, columns=self.columns * rows[:, np.newaxis], measured=self.measured * rows, scope=scope)
+
+    def get_limits(self, at: int) -> tuple[float, float]:
+        """Return the smallest and the largest plausible coefficient of a candidate, which include 0."""
+        sign = int(self.sign[at])
+        if self.variants[at].split(VARIANT, maxsplit=1)[0] not in effects.get_library():
+            return (-inf if sign <= 0 else 0.0), (inf if sign >= 0 else 0.0)
+        effect = effects.get(self.variants[at])
+        return min(effect.low, 0.0), max(effect.high, 0.0)
 
     @property
     def least_coefficients(self) -> Floats:

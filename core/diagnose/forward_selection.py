@@ -3,6 +3,9 @@
 Each step selects the best effect, removes what it explains, and looks for the next one. An effect that is not
 significant beside a later one was a proxy for it and is dropped. Two effects that explain the same days equally well
 form one group.
+
+The gain of an effect is that with a plausible coefficient. What an effect would explain beyond has another cause, which
+is no reason to put the effect before others.
 """
 
 from collections.abc import Sequence
@@ -95,8 +98,8 @@ class MissingEffect:
     evidence : Evidence
         Its test result.
     gain, gain_error : float
-        Fall of the squared error on held-out vehicle-days, as a share, and its standard error. The error is that of
-        rides or of windows, whichever falls more. [1]
+        Fall of the squared error on held-out vehicle-days, as a share, and its standard error, with a coefficient
+        within the plausible range. The error is that of rides or of windows, whichever falls more. [1]
     of : {"rides", "windows"}
         Whether `gain` is that of rides or of windows.
     rivals : list of (str, float)
@@ -232,7 +235,7 @@ class ForwardSelection:
         missing = []
         for effect in self.selected:
             evidence, column, residual = self.compare_with_others(effect)
-            gain = self.compute_gain(column, residual, int(effect.candidates.sign[effect.at]))
+            gain = self.compute_gain(column, residual, effect.candidates.get_limits(effect.at))
             least = effect.candidates.least_coefficients[[effect.at]]
             missing.append(
                 MissingEffect(effect, evidence.allow_for_distortion(least), *gain, self._find_rivals(effect))
@@ -240,7 +243,7 @@ class ForwardSelection:
         return sorted(missing, key=lambda each: -each.gain)
 
     def compute_gain(
-        self, column: Floats, residual: Floats, sign: int, rows: Mask | None = None
+        self, column: Floats, residual: Floats, limits: tuple[float, float], rows: Mask | None = None
     ) -> tuple[float, float, str]:
         """Return the gain of an effect on held-out vehicle-days, its standard error, and what it is the gain of.
 
@@ -250,8 +253,8 @@ class ForwardSelection:
             The effect off the model and the other effects. [1 per unit of the coefficient]
         residual : (n,) float
             Residual without the effect. [1]
-        sign : int
-            Sign that physics demands.
+        limits : tuple of (float, float)
+            Smallest and largest plausible coefficient. [unit of the coefficient]
         rows : (n,) bool, optional
             Windows whose squared error is the reference; by default all.
 
@@ -262,7 +265,7 @@ class ForwardSelection:
         """
         windows, clusters = self.base.windows, self.clusters[0]
         rows = np.ones(len(residual), np.bool_) if rows is None else rows
-        after = residual - column * self.cross_fit_coefficients(column, residual, sign)
+        after = residual - column * self.cross_fit_coefficients(column, residual, limits)
         falls = clusters.sum_by_cluster(residual**2 - after**2)
         of_windows = sum_over_clusters(falls / max(float(residual[rows] @ residual[rows]), 1e-300))
         before, then = (windows.by_ride(self.base.convert_to_energy(values)) for values in (residual, after))
@@ -271,14 +274,14 @@ class ForwardSelection:
         of_rides = sum_over_clusters(fall / max(float(here @ here), 1e-300))
         return (*of_rides, "rides") if of_rides[0] >= of_windows[0] else (*of_windows, "windows")
 
-    def cross_fit_coefficients(self, column: Floats, residual: Floats, sign: int) -> Floats:
-        """Return for each window the coefficient that is fitted to the other folds, 0 where its sign is wrong, (n,)."""
+    def cross_fit_coefficients(self, column: Floats, residual: Floats, limits: tuple[float, float]) -> Floats:
+        """Return for each window the coefficient within limits that fits the other folds best, (n,)."""
         clusters = self.clusters[0]
         folds = clusters.assign_folds(self.settings.seed)
         size, cross = clusters.sum_by_cluster(column**2), clusters.sum_by_cluster(column * residual)
         rest = size.sum() - np.bincount(folds, size), cross.sum() - np.bincount(folds, cross)
         coefficient = np.divide(rest[1], rest[0], out=np.zeros_like(rest[1]), where=rest[0] > 0.0)
-        return np.asarray(np.where(sign * coefficient < 0.0, 0.0, coefficient)[folds][clusters.code])
+        return np.asarray(np.clip(coefficient, *limits)[folds][clusters.code])
 
     def is_worthwhile(self, effect: SelectedEffect) -> bool:
         """Return whether an effect explains enough on held-out days, beside the selected ones.
@@ -287,8 +290,8 @@ class ForwardSelection:
         the error of others.
         """
         _, column, residual = self.compare_with_others(effect)
-        sign = int(effect.candidates.sign[effect.at])
-        return self.compute_gain(column, residual, sign, effect.rows)[0] >= self.settings.least_gain
+        limits = effect.candidates.get_limits(effect.at)
+        return self.compute_gain(column, residual, limits, effect.rows)[0] >= self.settings.least_gain
 
     def is_new(self, effect: SelectedEffect) -> bool:
         """Return whether an effect is neither selected nor dropped."""

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from core import effects
 from core.diagnose.candidates import Candidates, build_candidates
 from core.diagnose.evidence import ClusterSums
 from core.diagnose.forward_selection import ForwardSelection, SelectedEffect, SelectionSettings
@@ -147,6 +148,19 @@ class TestInexactRivals:
 
     def test_dissimilar_rival_does_not_belong_to_group(self):
         assert self.rivals(0.2, 1.0) == set()
+
+
+def test_gain_of_an_implausible_coefficient_is_that_of_the_largest_plausible_one():
+    selection = search({}, "cabin_heating")
+    column = selection.base.project_out(selection.candidates.columns)[:, 0]
+    low, high = selection.candidates.get_limits(0)
+    assert (low, high) == (0.0, effects.get("cabin_heating").high)
+    residual = 2.0 * high * column
+    assert selection.cross_fit_coefficients(column, residual, (low, high)) == pytest.approx(high)
+    capped, _, _ = selection.compute_gain(column, residual, (low, high))
+    assert capped == pytest.approx(1.0 - 0.5**2)
+    assert selection.compute_gain(column, residual, (low, 3.0 * high))[0] == pytest.approx(1.0)
+    assert selection.compute_gain(column, -residual, (low, high))[0] == 0.0
 
 
 def test_selection_respects_maximum_number_and_least_gain():

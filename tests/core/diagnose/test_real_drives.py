@@ -47,10 +47,6 @@ CABIN = {"cabin_heating", "cabin_warmup", "door_heat_loss"}
 COLD_C = 15.0
 """Outside temperature below which the climate power is heating."""
 BOTH = pytest.mark.parametrize("car", ["bmw-i3", "ved"])
-LEAF_RANKS_ROLLING_FIRST = pytest.mark.xfail(
-    reason="with a base fitted to windows, cold rolling (22 % gain, implausible) is ahead of cabin heating (20 %)",
-    strict=True,
-)
 
 
 class Tables(NamedTuple):
@@ -151,7 +147,6 @@ def test_diagnosis_does_not_use_measured_climate_power(car):
     assert not [term for term in diagnose_car(car).model.terms if "accessor" in " ".join(term.columns)]
 
 
-@LEAF_RANKS_ROLLING_FIRST
 def test_diagnosis_of_leaf_ranks_cabin_heating_first():
     diagnosis = diagnose_car("ved").diagnosis
     assert "cabin_heating" in diagnosis["missing"][0]["group"]
@@ -199,7 +194,7 @@ def test_error_of_held_out_rides_falls_for_i3():
     assert trial["on_days"]["fall"] > 0.3
 
 
-@pytest.mark.parametrize("car", [pytest.param("ved", marks=LEAF_RANKS_ROLLING_FIRST), "bmw-i3"])
+@BOTH
 def test_energy_of_effect_matches_measured_climate_power(car):
     """The energies agree within 25 %, without and with the part that the constant includes."""
     effect, whole = climate(car)
