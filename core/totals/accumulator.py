@@ -207,6 +207,7 @@ class Accumulator:
         self.width = len(AMOUNTS) + effects + SPEED_BINS
         self._layout = _Layout.of(self.width)
         self._open: Floats = self._empty(0)
+        self._closed = np.empty((3, 0, _OUT_HEAD + self._layout.size))  # reused, because allocation costs more
 
     def _empty(self, lanes: int) -> Floats:
         """Return the open totals of lanes that have sent nothing."""
@@ -248,7 +249,9 @@ class Accumulator:
         edges = np.stack([columns[name] for name in EDGES])
         speed_bin = np.minimum(clean.speed / SPEED_BIN, SPEED_BINS - 1.0).astype(np.int64)
         size = _OUT_HEAD + self._layout.size
-        rides, idle, windows = np.empty((most, size)), np.empty((n, size)), np.empty((most, size))
+        if len(self._closed[0]) < most:
+            self._closed = np.empty((3, most, size))
+        rides, idle, windows = self._closed
         running = np.empty((int(clean.due.sum()), size))
         n_rides, n_idle, n_windows = add_rows(
             np.arange(n) if place is None else place,
@@ -269,9 +272,9 @@ class Accumulator:
             running,
         )
         return Sums(
-            self._read(rides[:n_rides]),
-            self._read(idle[:n_idle]),
-            self._read(windows[:n_windows], window=True),
+            self._read(rides[:n_rides].copy()),
+            self._read(idle[:n_idle].copy()),
+            self._read(windows[:n_windows].copy(), window=True),
             self._read(running),
         )
 
