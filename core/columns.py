@@ -151,6 +151,8 @@ _SUMMARY: Final = (
     Column("precipitation_mm_h", "mm/h", "mean rate of rain or melted snow", "totals, from weather messages"),
     Column("hvac_kwh", "kWh", "measured energy of heating and air conditioning", "totals, from telemetry"),
     Column("stops", "1", "number of stops", "totals, from cleaning"),
+    Column("kinetic_gained_j_kg", "J/kg", "sum of all gains of v²/2, of the speed before smoothing", "totals"),
+    Column("kinetic_varied_j_kg", "J/kg", "sum of squared changes of that speed between samples", "totals"),
     Column("samples", "1", "number of samples", "totals"),
     Column("rejected_speed_share", "1", "share of the duration for which the speed was rejected", "totals"),
     Column("missing_speed_share", "1", "share of the duration for which the speed was missing", "totals"),

@@ -251,7 +251,7 @@ def accept_speed(state: Any, row: Any, settings: Any) -> float:
 
 @njit(cache=False)
 def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
-    """Advance the motion of the car by a sample; fill in distance, travel, speed, acceleration, turn rate and climb."""
+    """Advance the motion of the car by a sample; fill in the columns of motion and the climb."""
     speed = accept_speed(state, row, settings)
     state.fix_age += dt
     state.odometer_age += dt
@@ -274,6 +274,8 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
     if not isnan(speed):
         state.smooth = smooth_speed(state, speed, int(settings.window), gap or state.speed_age > HOLE * settings.period)
         state.speed_age = 0.0
+    change = speed - state.speed
+    row.speed_change = 0.0 if isnan(change) or gap or shortfall > 0.0 else change
     state.speed = speed
     row.speed = 0.5 * (before + state.smooth)
     row.distance = distance + shortfall

@@ -4,6 +4,11 @@ An effect gets no credit for what the terms of the model can explain. Measured e
 projected off these terms (Frisch-Waugh-Lovell). Each car has its own coefficients, because cars of one model differ. A
 model with accessories by temperature may also use any smooth function of the temperature, multiplied by time.
 
+Errors of the measured motion are projected off in the same way, because an effect that acts at stops or in acceleration
+would otherwise be credited with them. Speed is measured every few seconds, and its moving average shows less kinetic
+energy than the car gains. The share that is lost depends on how the car drives: it is small for a stop from town speed
+and large in dense traffic.
+
 The residuals of the windows of one ride may be correlated: positively where a whole ride has high or low energy, and
 negatively where windows compensate for each other. This correlation is estimated, and the means of rides are weighted
 accordingly.
@@ -257,9 +262,10 @@ def _terms(windows: Windows, model: LinearModel, terms: tuple[Term, ...], kinds:
 
 
 def _car(windows: Windows, curved: bool) -> Floats:
-    """Return further columns in which cars differ: standby power, uphill energy, lag, heating and cooling slopes."""
+    """Return further columns in which cars differ: standby, climbing up, lag, motion, heating and cooling slopes."""
     hours = get_numbers(windows.table, "duration_s") / 3600.0
-    always = [hours, np.nan_to_num(get_numbers(windows.table, "effect_climbing_up"), nan=0.0), _lag(windows)]
+    climb = np.nan_to_num(get_numbers(windows.table, "effect_climbing_up"), nan=0.0)
+    always = [hours, climb, _lag(windows), *_motion(windows)]
     if not curved:
         return np.column_stack(always)
     ambient = np.nan_to_num(get_numbers(windows.table, "ambient_c"), nan=15.0)
@@ -273,6 +279,19 @@ def _lag(windows: Windows) -> Floats:
     if "power_end_w" not in table:
         return np.zeros(len(table))
     return np.nan_to_num(get_numbers(table, "power_end_w") - get_numbers(table, "power_start_w")) / JOULES_PER_KWH
+
+
+def _motion(windows: Windows) -> list[Floats]:
+    """Return the columns that follow errors of the measured motion; zero where a table does not have them, (n,) each.
+
+    These are the number of stops, the kinetic energy gained by the speed before smoothing [kWh], and the kinetic energy
+    of its changes from sample to sample, which grows with the energy that comes and goes between two samples [kWh].
+    """
+    table = windows.table
+    names = ("stops", "kinetic_gained_j_kg", "kinetic_varied_j_kg")
+    columns = [np.nan_to_num(get_numbers(table, name)) if name in table else np.zeros(len(table)) for name in names]
+    mass = np.nan_to_num(get_numbers(table, "mass_kg")) if "mass_kg" in table else np.ones(len(table))
+    return [columns[0], *(column * mass / JOULES_PER_KWH for column in columns[1:])]
 
 
 def _smooth(windows: Windows, rows: Rows) -> Floats:

@@ -186,6 +186,8 @@ def _physical(totals: Totals, measured: MeasuredEnergy) -> dict[str, Floats]:
         "precipitation_mm_h": _mean(totals, "precipitation") * 3.6e6,
         "hvac_kwh": np.where(totals.amount("hvac_known") > 0.0, totals.amount("hvac") / JOULES_PER_KWH, np.nan),
         "stops": totals.amount("stops"),
+        "kinetic_gained_j_kg": totals.amount("kinetic_gained"),
+        "kinetic_varied_j_kg": totals.amount("kinetic_varied"),
         "samples": totals.amount("samples"),
         "rejected_speed_share": _share(totals, "speed_rejected"),
         "missing_speed_share": _share(totals, "speed_missing"),

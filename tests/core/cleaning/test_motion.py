@@ -264,6 +264,23 @@ def test_moving_average_covers_the_last_samples(window):
     assert clean.acceleration[1:] == pytest.approx(np.diff(smooth) / PERIOD, abs=1e-9)
 
 
+@pytest.mark.parametrize("window", [1, 3])
+def test_change_of_speed_is_that_before_the_moving_average(window):
+    base = drive(60, seed=3)
+    clean = cleaned(without(base, *POSITION), Settings(window=window))
+    assert clean.speed_change[1:] == pytest.approx(np.diff(base["speed_kmh"] * KMH))
+
+
+@pytest.mark.parametrize("rows", [slice(100, 101), slice(100, 130)])
+def test_change_of_speed_is_zero_beside_a_hole(rows):
+    base = drive(N, seed=3)
+    changes = np.diff(base["speed_kmh"] * KMH, prepend=0.0)
+    base["speed_kmh"][rows] = np.nan
+    clean = cleaned(without(base, *POSITION))
+    assert not clean.speed_change[rows.start : rows.stop + 1].any()
+    assert clean.speed_change[rows.stop + 1 :] == pytest.approx(changes[rows.stop + 1 :])
+
+
 @pytest.mark.parametrize("fault", ["none", "tunnel", "gap", "nan", "no speed"])
 def test_inertia_adds_up_to_the_kinetic_energy(fault):
     base = drive(N, seed=3)

@@ -77,6 +77,25 @@ def test_effect_outside_model_remains(base):
         assert untaken(base, candidate(base, name))[0] > 0.1, name
 
 
+@pytest.mark.parametrize("recipe", RECIPES)
+def test_errors_of_measured_motion_are_projected_out(recipe):
+    """An error for each stop, of kinetic energy, or of speed changes between samples is credited to no effect."""
+    table, rng = make_windows(), np.random.default_rng(7)
+    motion = rng.gamma(2.0, 50.0, (len(table), 2))
+    table = table.assign(kinetic_gained_j_kg=motion[:, 0], kinetic_varied_j_kg=motion[:, 1])
+    base = project_base(make_tables(table), recipe)
+    mass = base.windows.table["mass_kg"].to_numpy()
+    seen = base.windows.table[["kinetic_gained_j_kg", "kinetic_varied_j_kg"]].to_numpy() * mass[:, np.newaxis]
+    errors = of_cars(base, np.column_stack([base.windows.table["stops"], seen]))
+    assert untaken(base, errors).max() < 1e-9
+
+
+def test_tables_without_the_columns_of_motion_are_diagnosed():
+    tables = make_tables(make_windows())
+    rides, windows = (table.drop(columns="stops") for table in tables)
+    assert project_base((rides, windows)).rank == project_base(tables).rank - 4  # a column less for each car
+
+
 def test_accessory_curve_explains_any_smooth_function_of_temperature():
     tables = make_tables(make_windows())
     hours = tables[1]["duration_s"].to_numpy() / 3600.0

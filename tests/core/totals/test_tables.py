@@ -93,6 +93,13 @@ def test_every_term_of_table_1_has_its_expected_value():
     assert ride[list(named)].tolist() == ["a", "nissan-leaf-2013", "2024-01-15", "ana", 1, 0, "r1"]
 
 
+def test_kinetic_energy_is_that_of_the_speed_before_the_moving_average():
+    speed = np.array([0.0, *[10.0, 10.0, 10.0, 14.0, 10.0, 0.0, 0.0] * 10])  # m/s
+    ride = rides_of(drive(len(speed), speed=speed)).iloc[0]
+    assert ride["kinetic_gained_j_kg"] == pytest.approx(10 * 14.0**2 / 2.0)
+    assert ride["kinetic_varied_j_kg"] == pytest.approx(10 * (10.0**2 + 4.0**2 + 4.0**2 + 10.0**2))
+
+
 def test_names_and_types_of_columns_do_not_depend_on_known_values():
     empty, _ = ran([])
     full = rides_of(drive(100, speed=10.0))
