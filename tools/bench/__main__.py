@@ -13,10 +13,11 @@ from rich.progress import Progress
 
 from tools.bench.daily_update import measure_daily_update
 from tools.bench.filters import measure_filters
-from tools.bench.hidden.page import read_section, replace_section
+from tools.bench.hidden.page import SECTION, read_section, replace_section
 from tools.bench.learning import measure_fit, measure_fit_memory
 from tools.bench.live import measure_live
 from tools.bench.measures import Measure, measure_arrays, measure_replay, measure_scale
+from tools.bench.nothing_hidden import SECTION as NOTHING
 from tools.bench.startup import measure_effects_start, measure_help_start, measure_version_start
 from tools.terminal.rich_table import Column, make_table
 
@@ -51,8 +52,11 @@ def main() -> None:
     content = [asdict(measure) for measure in measures]
     (ROOT / "bench.json").write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
     path = ROOT / "BENCHMARKS.md"
-    hidden = read_section(path)  # written by `make bench-hidden`
-    path.write_text(replace_section(make_page(measures), hidden) if hidden else make_page(measures), encoding="utf-8")
+    page = make_page(measures)
+    for name in (SECTION, NOTHING):  # written by `make bench-hidden` and by `tools.bench.nothing_hidden`
+        if section := read_section(path, name):
+            page = replace_section(page, section, name)
+    path.write_text(page, encoding="utf-8")
 
 
 def make_page(measures: list[Measure]) -> str:

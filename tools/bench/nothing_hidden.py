@@ -21,6 +21,7 @@ from typing import Any, Final, NamedTuple
 from rich.console import Console
 
 from core.errors import SettingsError, SocastError
+from tools.bench.hidden.page import get_marks, replace_section
 from tools.terminal.rich_table import Column, make_table
 
 ROOT: Final = Path(__file__).parent.parent.parent
@@ -33,6 +34,9 @@ FLEET: Final = (
 An effect of 3 % of the energy is found in such a fleet. All cars measure voltage and current.
 """
 RECIPE: Final = "road_load"
+PAGE: Final = "BENCHMARKS.md"
+SECTION: Final = "bench-nothing-hidden"
+"""Name of the section of the page."""
 
 
 class Fleet(NamedTuple):
@@ -101,6 +105,10 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     for name, fleets in measured.items():
         print_summaries(name, fleets, console)
+    if options.page:
+        path = ROOT / PAGE
+        section = make_section(measured, f"seeds {options.seeds}, {' '.join(FLEET)}")
+        path.write_text(replace_section(path.read_text(encoding="utf-8"), section, SECTION), encoding="utf-8")
     if options.json:
         content = {name: [fleet._asdict() for fleet in fleets] for name, fleets in measured.items()}
         settings = {"fleet": " ".join(FLEET), "hidden": hidden, "seeds": options.seeds, "trees": content}
@@ -116,6 +124,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--keep", type=Path, help="folder for recordings and diagnoses; those in it are used again")
     parser.add_argument("--hidden", action="append", default=[], metavar="EFFECT:SIZE", help="effect to hide")
     parser.add_argument("--json", type=Path, help="file for the result of every fleet")
+    parser.add_argument("--page", action="store_true", help=f"write the tables to {PAGE}")
     return parser
 
 
@@ -302,6 +311,44 @@ def print_summaries(name: str, fleets: Sequence[Fleet], console: Console) -> Non
     console.print(table)
     total = sum(len(fleet.named) for fleet in fleets)
     console.print(f"{name}: {total} false names in {len(fleets)} fleets")
+
+
+def make_section(measured: Mapping[str, Sequence[Fleet]], description: str) -> str:
+    """Return the section of the page with its marks.
+
+    Parameters
+    ----------
+    measured : mapping of str to sequence of Fleet
+        Diagnoses of the same fleets by each source tree.
+    description : str
+        Description of the fleets.
+    """
+    begin, end = get_marks(SECTION)
+    names = ", ".join(f"{sum(len(each.named) for each in fleets)} by `{tree}`" for tree, fleets in measured.items())
+    count = len(next(iter(measured.values())))
+    summaries = {tree: {row.effect: row for row in summarise_effects(fleets)} for tree, fleets in measured.items()}
+    lines = [
+        begin,
+        "## Nothing hidden",
+        "",
+        (
+            f"Written by `python -m tools.bench.nothing_hidden --page` on {count} simulated fleets without a hidden "
+            f"effect ({description}). False names in all fleets together: {names}. The table shows the z of each "
+            "candidate beside the base: median (least to largest) over the fleets in which it can be identified."
+        ),
+        "",
+        f"| effect | {' | '.join(measured)} |",
+        f"|---|{'---|' * len(measured)}",
+    ]
+    for effect in dict.fromkeys(effect for rows in summaries.values() for effect in rows):
+        cells = [
+            f"{row.median:.1f} ({row.least:.1f} to {row.most:.1f}){f', named in {row.named}' if row.named else ''}"
+            if (row := rows.get(effect))
+            else "–"
+            for rows in summaries.values()
+        ]
+        lines.append(f"| {effect} | {' | '.join(cells)} |")
+    return "\n".join([*lines, "", end])
 
 
 if __name__ == "__main__":

@@ -7,7 +7,18 @@ import pytest
 
 from core.errors import SettingsError, SocastError
 from tools.bench import nothing_hidden
-from tools.bench.nothing_hidden import ROOT, main, parse_seeds, parse_trees, read_fleet, run_command, summarise_effects
+from tools.bench.hidden.page import replace_section
+from tools.bench.nothing_hidden import (
+    ROOT,
+    SECTION,
+    main,
+    make_section,
+    parse_seeds,
+    parse_trees,
+    read_fleet,
+    run_command,
+    summarise_effects,
+)
 
 
 def make_diagnosis(z, missing=()):
@@ -64,6 +75,17 @@ def test_each_tree_diagnoses_the_same_recording_and_kept_files_are_used_again(tm
     fleets = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["trees"]
     assert [fleets[name][0]["named"] for name in ("old", "new")] == [[], ["snow"]]
     assert "new: 1 false names in 1 fleets" in capsys.readouterr().out
+
+
+def test_section_of_the_page_compares_trees():
+    old = [read_fleet(1, make_diagnosis({"snow": 4.0, "payload": 1.0}, [("snow", "all")]))]
+    new = [read_fleet(1, make_diagnosis({"snow": 0.5}))]
+    section = make_section({"before": old, "after": new}, "seed 1")
+    assert "1 by `before`, 0 by `after`" in section
+    assert "| snow | 4.0 (4.0 to 4.0), named in 1 | 0.5 (0.5 to 0.5) |" in section
+    assert "| payload | 1.0 (1.0 to 1.0) | – |" in section
+    page = replace_section("# Benchmarks\n", section, SECTION)
+    assert replace_section(page, section, SECTION) == page
 
 
 def test_a_failed_command_ends_with_its_message():

@@ -21,8 +21,8 @@ from tools.bench.hidden.figures import (
 )
 from tools.bench.hidden.parts import ABSORBED
 
-BEGIN: Final = "<!-- bench-hidden begins -->"
-END: Final = "<!-- bench-hidden ends -->"
+SECTION: Final = "bench-hidden"
+"""Name of the section."""
 
 
 def make_section(records: Sequence[Record], description: str) -> str:
@@ -35,8 +35,9 @@ def make_section(records: Sequence[Record], description: str) -> str:
     description : str
         Description of the selection that was run.
     """
+    begin, end = get_marks(SECTION)
     lines = [
-        BEGIN,
+        begin,
         "## Hidden effects",
         "",
         _describe_run(records, description),
@@ -74,7 +75,7 @@ def make_section(records: Sequence[Record], description: str) -> str:
     ):  # fmt: skip
         if len(table) > 2:
             lines += ["", f"### {title}", "", *table]
-    return "\n".join([*lines, "", END])
+    return "\n".join([*lines, "", end])
 
 
 def _describe_visible(records: Sequence[Record]) -> list[str]:
@@ -113,19 +114,22 @@ def _describe_run(records: Sequence[Record], description: str) -> str:
     )
 
 
-def read_section(path: Path) -> str:
-    """Return the section of a file, or an empty text if there is none.
+def read_section(path: Path, name: str = SECTION) -> str:
+    """Return a section of a file with its marks, or an empty text if there is none.
 
     Parameters
     ----------
     path : Path
         The file.
+    name : str
+        Name in the marks of the section.
     """
+    begin, end = get_marks(name)
     text = path.read_text(encoding="utf-8") if path.exists() else ""
-    return BEGIN + text.partition(BEGIN)[2].partition(END)[0] + END if BEGIN in text and END in text else ""
+    return begin + text.partition(begin)[2].partition(end)[0] + end if begin in text and end in text else ""
 
 
-def replace_section(text: str, new: str) -> str:
+def replace_section(text: str, new: str, name: str = SECTION) -> str:
     """Return a page with a new section in place of the existing one, or at its end.
 
     Parameters
@@ -133,9 +137,23 @@ def replace_section(text: str, new: str) -> str:
     text : str
         The page.
     new : str
-        The section.
+        The section with its marks.
+    name : str
+        Name in the marks of the section.
     """
-    if BEGIN in text and END in text:
-        before, _, rest = text.partition(BEGIN)
-        return before + new + rest.partition(END)[2]
+    begin, end = get_marks(name)
+    if begin in text and end in text:
+        before, _, rest = text.partition(begin)
+        return before + new + rest.partition(end)[2]
     return text.rstrip("\n") + "\n\n" + new + "\n"
+
+
+def get_marks(name: str) -> tuple[str, str]:
+    """Return the lines that begin and end a section of a page.
+
+    Parameters
+    ----------
+    name : str
+        Name of the section.
+    """
+    return f"<!-- {name} begins -->", f"<!-- {name} ends -->"
