@@ -1,6 +1,6 @@
 """Build the candidates of a diagnosis: the effects of the library at each value of their parameters."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from math import inf
 from typing import Final
@@ -19,11 +19,6 @@ from core.models.features import EFFECT_PREFIX
 
 LEAST_SHARE: Final = 0.003
 """Share of the energy that an effect must exceed, because samples every few seconds distort as much."""
-BENDS: Final = "turn_rate"
-"""Input column of effects that act in bends."""
-LEAST_SHARE_IN_BENDS: Final = 0.01
-"""Share of the energy that an effect in bends must exceed. A car brakes before a bend and accelerates after it between
-two samples, so the kinetic energy of the samples misses up to 1 % of the energy there."""
 LEAST_KNOWN: Final = 0.5
 """Share of the windows in which an effect must be known to be a candidate."""
 
@@ -76,16 +71,14 @@ class Candidates:
     @property
     def least_coefficients(self) -> Floats:
         """Coefficient above which each candidate is large enough to report, (k,), see `compute_least_coefficients`."""
-        return compute_least_coefficients(self.variants, self.columns, self.measured)
+        return compute_least_coefficients(self.columns, self.measured)
 
 
-def compute_least_coefficients(variants: Sequence[str], columns: Floats, measured: Floats) -> Floats:
-    """Return the coefficient with which the absolute energy of each variant has the share `compute_least_share`.
+def compute_least_coefficients(columns: Floats, measured: Floats) -> Floats:
+    """Return the coefficient with which the absolute energy of each variant has the share `LEAST_SHARE`.
 
     Parameters
     ----------
-    variants : sequence of str
-        Names of k effects or variants.
     columns : (n, k) float
         Energy of each. [kWh per unit of the coefficient]
     measured : (n,) float
@@ -98,29 +91,7 @@ def compute_least_coefficients(variants: Sequence[str], columns: Floats, measure
     """
     size = np.abs(columns).sum(axis=0)
     out = np.full(len(size), np.inf)
-    wanted = np.array([compute_least_share(variant) for variant in variants]) * float(measured.sum())
-    return np.divide(wanted, size, out=out, where=size > 0.0)
-
-
-def compute_least_share(variant: str) -> float:
-    """Return the share of the energy that an effect must exceed, because sampling can cause as much. [1]
-
-    Parameters
-    ----------
-    variant : str
-        Name of an effect or of a variant.
-
-    Returns
-    -------
-    float
-        `LEAST_SHARE_IN_BENDS` for an effect in bends, else `LEAST_SHARE`. [1]
-
-    Examples
-    --------
-    >>> compute_least_share("headwind"), compute_least_share("cornering")
-    (0.003, 0.01)
-    """
-    return LEAST_SHARE_IN_BENDS if BENDS in list_input_columns(variant) else LEAST_SHARE
+    return np.divide(LEAST_SHARE * float(measured.sum()), size, out=out, where=size > 0.0)
 
 
 def list_input_columns(variant: str) -> tuple[str, ...]:

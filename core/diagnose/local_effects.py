@@ -179,8 +179,7 @@ def _test_scope(search: _LocalSearch, scoped: ScopedWindows) -> list[_Trial]:
         size = (columns**2).sum(axis=0)
         identifiable = size > LEAST_LEFT * (space.base.apply_weights(energies) ** 2).sum(axis=0)
         kept, columns = chosen[identifiable], columns[:, identifiable]
-        variants = [candidates.variants[at] for at in kept]
-        least = compute_least_coefficients(variants, energies[:, identifiable], candidates.measured * scoped.rows)
+        least = compute_least_coefficients(energies[:, identifiable], candidates.measured * scoped.rows)
         if len(kept):
             clusters = search.selection.clusters
             p[kept] = compute_worst_case_evidence(space.residual, columns, candidates.sign[kept], clusters, least).p

@@ -33,7 +33,7 @@ from core.fit.recipes import LinearRecipe
 from core.fit.ride_blocks import ENERGY, RideFrame, get_names, get_numbers
 from core.fit.window_fit import fit_rows
 from core.models import ANY, VEHICLE_MODEL, Fit, LinearModel, Term
-from core.models.features import EFFECT_PREFIX, Columns
+from core.models.features import Columns
 from core.stats.clustered import assign_vehicle_days
 
 LEAST_LEFT: Final = 1e-5
@@ -337,9 +337,7 @@ def assess_addition(change: TermAddition, rows: pd.DataFrame, *, sign: int, seed
     clusters = [ClusterSums(windows.day), ClusterSums(windows.date)]
     if clusters[0].count < 2 or not column.any():
         return AdditionEvidence(1.0, 0.0, nan)
-    worth = compute_least_coefficients(
-        [change.added.columns[0].removeprefix(EFFECT_PREFIX)], columns[:, -1:], windows.measured
-    )
+    worth = compute_least_coefficients(columns[:, -1:], windows.measured)
     evidence = compute_worst_case_evidence(residual, column[:, np.newaxis], np.array([sign]), clusters, worth)
     after = residual - column * _cross_fitted(column, residual, sign, clusters[0], seed)
     of_windows = clusters[0].sum_by_cluster(residual**2 - after**2) / float(residual @ residual)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from core import effects
-from core.diagnose.candidates import LEAST_SHARE, LEAST_SHARE_IN_BENDS, build_candidates
+from core.diagnose.candidates import LEAST_SHARE, build_candidates
 from core.effects.road_load import ROAD_LOAD
 from core.fit.fitting import fit_terms
 from core.fit.recipes import ROAD_LOAD_TERMS, LinearRecipe
@@ -100,8 +100,7 @@ def test_least_coefficient_has_least_share_of_energy(diagnosed):
         (candidates.restrict_to(diagnosed[0].vehicle == 1, ("vehicle=taxi-1",)), diagnosed[0].vehicle == 1),
     ):
         taken = np.abs(each.columns * each.least_coefficients).sum(axis=0)
-        share = np.where(np.array(each.variants) == "cornering", LEAST_SHARE_IN_BENDS, LEAST_SHARE)
-        np.testing.assert_allclose(taken, share * diagnosed[0].measured[rows].sum())
+        np.testing.assert_allclose(taken, LEAST_SHARE * diagnosed[0].measured[rows].sum())
     nothing = candidates.restrict_to(np.zeros(len(diagnosed[0].measured), dtype=bool), ("vehicle=none",))
     assert np.isinf(nothing.least_coefficients).all()
 
