@@ -333,8 +333,9 @@ def make_section(measured: Mapping[str, Sequence[Fleet]], description: str) -> s
         "",
         (
             f"Written by `python -m tools.bench.nothing_hidden --page` on {count} simulated fleets without a hidden "
-            f"effect ({description}). False names in all fleets together: {names}. The table shows the z of each "
-            "candidate beside the base: median (least to largest) over the fleets in which it can be identified."
+            f"effect ({description}), each diagnosed by the source trees in the heads of the columns. False names in "
+            f"all fleets together: {names}. The table shows the z of each candidate beside the base: median (least to "
+            "largest) over the fleets in which it can be identified."
         ),
         "",
         f"| effect | {' | '.join(measured)} |",
