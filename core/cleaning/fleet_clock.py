@@ -10,7 +10,8 @@ The clock compares no car's time with that of another car, so a logger whose clo
   a clock far ahead moves the front, but not the clock.
 - Samples that a logger had stored and sends together are behind the front, and do not advance the clock.
 - If the car at the front stops, or its clock is set back, the others stay behind the front and the clock stands. After
-  `STALLED` samples the front returns to the present sample. Until then, silence is noticed later, never too early.
+  `STALLED` samples, and two of each car, the front returns to the present sample. Until then, silence is noticed later,
+  never too early. In a large fleet, thousands of samples are behind the front only because clocks differ by a second.
 
 The clock is wrong if a logger whose time is ahead of all others stores samples for longer than `gap_time`, and then
 sends them together. The rides of other cars then end early; their samples begin new rides.
@@ -32,6 +33,7 @@ FLEET_CLOCK: Final = np.dtype(
         ("front", "f8"),  # latest repaired time of all cars [s]
         ("progress", "f8"),  # time that has passed since the first sample [s]
         ("behind", "f8"),  # number of successive samples behind the front
+        ("cars", "f8"),  # number of cars of which a sample has been accepted
         ("check", "f8"),  # value of `progress` up to which no ride can have become silent [s]
     ]
 )
@@ -46,7 +48,7 @@ RIDE_END: Final = np.dtype(
 )
 """End of a ride between two rows."""
 STALLED: Final = 1000.0
-"""Number of successive samples behind the front after which the front returns to the present one.
+"""Least number of successive samples behind the front after which the front returns to the present one.
 
 It equals the number of samples by which the daily update distinguishes a wrong day from a few wrong clocks."""
 
@@ -80,7 +82,7 @@ def advance_fleet_clock(clock: Any, time: float, dt: float, longest: float) -> b
         clock.behind = 0.0
     else:
         clock.behind += 1.0
-        if clock.behind >= STALLED:
+        if clock.behind >= max(STALLED, 2.0 * clock.cars):
             clock.front = time
             clock.behind = 0.0
     return bool(clock.progress > clock.check)

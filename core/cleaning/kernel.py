@@ -363,6 +363,7 @@ def clean_rows(
         for j in range(out.shape[0]):
             out[j, i] = cells[_RAW + j]
         if dt != clock.UNUSED:
+            fleet.cars += 1.0 if state.samples == 1.0 else 0.0
             may_be_silent = fleet_clock.advance_fleet_clock(fleet, state.time, dt, settings.gap_time)
             state.heard = fleet.progress
             if may_be_silent:

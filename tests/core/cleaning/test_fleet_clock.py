@@ -1,5 +1,6 @@
 """Test that a ride ends when the other cars show that its car is silent, and never because of a wrong clock."""
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -79,3 +80,19 @@ def test_clock_advances_by_no_more_than_the_step_of_a_car():
     for time, dt in ((0.0, 0.0), (3.0, 3.0), (100.0, 3.0), (90.0, 3.0), (5000.0, 4900.0), (5003.0, 3.0)):
         advance_fleet_clock(clock, time, dt, GAP)
     assert clock["progress"] == 9.0
+
+
+def test_clock_of_a_large_fleet_advances_with_the_time_of_its_cars():
+    """Thousands of samples in succession are behind the front, because clocks differ by up to a second."""
+    cars, turns = 5000, 20
+    rng, clock = np.random.default_rng(1), new_fleet_clock()[0]
+    clock["cars"] = cars
+    for turn in range(turns):
+        for ahead in rng.uniform(0.0, 1.0, cars):
+            advance_fleet_clock(clock, PERIOD * turn + ahead, PERIOD if turn else 0.0, GAP)
+    assert clock["progress"] == pytest.approx(PERIOD * (turns - 1), abs=PERIOD)
+
+
+def test_kernel_counts_the_cars_of_the_fleet():
+    pipeline = ran([leaf("a"), leaf("b"), *in_order(sent("a", 20), sent("b", 20))])[0]
+    assert pipeline.cleaner.fleet_clock["cars"] == 2
