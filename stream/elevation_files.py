@@ -20,7 +20,7 @@ from stream.elevation_tiles import read_tile
 SUFFIX: Final = ".parquet"
 """End of the name of a learned map."""
 TILES: Final = (".hgt", ".gz", ".zip", ".tif", ".tiff")
-"""Ends of the names of tiles."""
+"""Ends of the names of tiles, in upper or lower case."""
 FORMAT: Final = "socast elevation map"
 """Name of the format, in the metadata of a file."""
 VERSION: Final = 1
@@ -58,12 +58,13 @@ def open_elevation(files: Sequence[Path]) -> ElevationMap | None:
         if file.resolve() in known:
             raise SettingsError(f"--elevation {file} is given twice; give it once")
         known.add(file.resolve())
-        if file.suffix not in (SUFFIX, *TILES):
+        kind = file.suffix.lower()
+        if kind not in (SUFFIX, *TILES):
             raise SettingsError(
                 f"--elevation {file}: unknown kind of file {file.suffix!r}; give SRTM tiles (.hgt, .hgt.gz, .zip), "
                 f"GeoTIFF (.tif), or a map that `socast elevation learn` wrote ({SUFFIX})"
             )
-        layers.append(read_places(file) if file.suffix == SUFFIX else read_tile(file))
+        layers.append(read_places(file) if kind == SUFFIX else read_tile(file))
     return ElevationMap(layers)
 
 

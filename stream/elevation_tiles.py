@@ -41,7 +41,7 @@ def read_tile(path: Path) -> ElevationRaster:
     Parameters
     ----------
     path : Path
-        `.hgt`, `.hgt.gz`, `.hgt.zip`, `.zip` with one `.hgt` inside, `.tif` or `.tiff`.
+        `.hgt`, `.hgt.gz`, `.hgt.zip`, `.zip` with one `.hgt` inside, `.tif` or `.tiff`, in upper or lower case.
 
     Returns
     -------
@@ -59,11 +59,16 @@ def read_tile(path: Path) -> ElevationRaster:
         raise SettingsError(f"--elevation {path} needs rasterio; {INSTALL}") from error
     try:
         name, content = _read_content(path)
-        with MemoryFile(content, filename=name) as memory, memory.open() as dataset:
-            return _read_dataset(dataset)
     except OSError as error:
         raise _unreadable(path, error.strerror or str(error)) from error
-    except (RasterioError, zipfile.BadZipFile, EOFError, ValueError) as error:
+    except (zipfile.BadZipFile, EOFError, ValueError) as error:
+        raise _unreadable(path, str(error)) from error
+    try:
+        with MemoryFile(content, filename=name) as memory, memory.open() as dataset:
+            return _read_dataset(dataset)
+    except RasterioError as error:  # its text names a file in memory that the user does not know
+        raise _unreadable(path, f"its {len(content):,} bytes are neither an SRTM tile nor a GeoTIFF") from error
+    except ValueError as error:
         raise _unreadable(path, str(error)) from error
 
 
@@ -77,12 +82,13 @@ def _unreadable(path: Path, reason: str) -> SettingsError:
 
 def _read_content(path: Path) -> tuple[str, bytes]:
     """Return the name and the content of a tile, unpacked."""
-    if path.suffix == ".gz":
+    kind = path.suffix.lower()
+    if kind == ".gz":
         with gzip.open(path) as file:
             return path.stem, _limited(file)
-    if path.suffix == ".zip":
+    if kind == ".zip":
         with zipfile.ZipFile(path) as archive:
-            inside = [name for name in archive.namelist() if name.endswith((".hgt", ".tif", ".tiff"))]
+            inside = [name for name in archive.namelist() if name.lower().endswith((".hgt", ".tif", ".tiff"))]
             if len(inside) != 1:
                 raise ValueError(f"it holds {len(inside)} tiles and must hold one")
             with archive.open(inside[0]) as file:
@@ -92,8 +98,10 @@ def _read_content(path: Path) -> tuple[str, bytes]:
 
 
 def _limited(file: Any) -> bytes:
-    """Return the content of a file, or refuse a file that is larger than a tile with four bytes a node."""
+    """Return the content of a file, or refuse a file that is empty or larger than a tile with four bytes a node."""
     content: bytes = file.read(4 * MOST_NODES + 1)
+    if not content:
+        raise ValueError("it is empty")
     if len(content) > 4 * MOST_NODES:
         raise ValueError(f"it has more than {4 * MOST_NODES:,} bytes: cut it with gdal_translate -projwin")
     return content

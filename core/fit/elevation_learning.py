@@ -110,6 +110,9 @@ class ElevationFixes(NamedTuple):
     day: Ints
 
 
+_NO_FIXES: Final = ElevationFixes(*(np.empty(0, kind) for kind in (float, float, float, np.int64, np.int64, np.int64)))
+
+
 class MapSummary(NamedTuple):
     """Describe how a map was learned.
 
@@ -157,8 +160,8 @@ def select_fixes(batch: Batch, clean: Clean) -> ElevationFixes:
 
 
 def join_fixes(parts: Iterable[ElevationFixes]) -> ElevationFixes:
-    """Return fixes concatenated."""
-    return ElevationFixes(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    """Return fixes concatenated; no fixes without parts."""
+    return ElevationFixes(*(np.concatenate(columns) for columns in zip(_NO_FIXES, *parts, strict=True)))
 
 
 class _Columns:

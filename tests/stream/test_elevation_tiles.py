@@ -1,6 +1,7 @@
 """Test that SRTM tiles and GeoTIFF are read as they are written by rasterio, packed or not, and refused when broken."""
 
 import gzip
+import shutil
 import sys
 import zipfile
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from core.errors import SettingsError
+from stream.elevation_files import open_elevation
 from stream.elevation_tiles import SD_TAG, TILE_SD, read_tile
 from tests.support.ground import SRTM_NODES, hills, srtm_of_hills
 
@@ -42,6 +44,14 @@ def test_srtm_tile_has_the_elevation_of_the_ground(tile, kind, tmp_path):
     ground = read_tile(packed(tile, tmp_path, kind)).find_ground(LATITUDE, LONGITUDE)
     np.testing.assert_allclose(ground.elevation, hills(LATITUDE, LONGITUDE), atol=1.2)  # metres, 90 m apart
     np.testing.assert_allclose(ground.variance, TILE_SD**2)
+
+
+@pytest.mark.parametrize("kind", ["hgt", "gz", "zip"])
+def test_names_in_upper_case_are_read_like_those_in_lower_case(tile, kind, tmp_path):
+    upper = shutil.copy(tile, tmp_path / "N45W074.HGT")
+    path = packed(upper, tmp_path, kind)
+    path = path.rename(path.with_name(path.name.upper()))
+    np.testing.assert_array_equal(open_elevation([path]).layers[0].elevation, read_tile(tile).elevation)
 
 
 def test_corner_of_an_srtm_tile_is_its_first_node(tile):
@@ -107,6 +117,7 @@ def refused(path):
     assert message.startswith(f"--elevation {path} cannot be read: ")
     assert "\n" not in message
     assert message.endswith("give a whole SRTM tile such as N45W074.hgt, or a GeoTIFF")
+    assert "vsimem" not in message
     return message
 
 
@@ -121,6 +132,15 @@ def test_missing_and_broken_tiles_are_refused_in_one_line(tile, tmp_path):
     }.items():
         (tmp_path / name).write_bytes(content)
         refused(tmp_path / name)
+    assert "its 5,000 bytes are neither an SRTM tile nor a GeoTIFF" in refused(tmp_path / "N45W074.hgt")
+    (tmp_path / "empty.hgt").touch()
+    assert "it is empty" in refused(tmp_path / "empty.hgt")
+
+
+def test_geotiff_that_is_cut_off_is_refused(tmp_path):
+    path = geographic(tmp_path / "city.tif")
+    path.write_bytes(path.read_bytes()[:100_000])
+    assert "its 100,000 bytes" in refused(path)
 
 
 def test_archive_with_no_tile_or_several_is_refused(tmp_path):

@@ -20,7 +20,7 @@ from stream.mcap_reader import McapSource
 from stream.source import merge_sources
 from tools.terminal.cleaning_options import insert_cleaning_options
 from tools.terminal.output import JsonFile, check_outputs, make_console, write_json
-from tools.terminal.recordings import Recordings, open_recordings, show_progress, warn_of_losses
+from tools.terminal.recordings import Recordings, open_recordings, refuse_unusable, show_progress, warn_of_losses
 from tools.terminal.rich_table import make_description
 
 app = typer.Typer(help="Maps of elevation, learned from the fleet's own fixes.", no_args_is_help=True)
@@ -79,7 +79,7 @@ def show(
 
 
 def _collect(sources: Sequence[McapSource], settings: Settings) -> Iterator[ElevationFixes]:
-    """Yield the fixes of recordings from which a map can be learned."""
+    """Yield the fixes of recordings from which a map can be learned; refuse recordings without a usable message."""
     lanes = Lanes()
     decoder, cleaner = Decoder(lanes), Cleaner(settings)
     with show_progress(sources) as step:
@@ -87,6 +87,7 @@ def _collect(sources: Sequence[McapSource], settings: Settings) -> Iterator[Elev
             batch, _ = decoder.decode(messages)
             yield select_fixes(batch, cleaner.clean(batch, len(lanes)))
             step()
+    refuse_unusable(sources, decoder.received.total())
 
 
 def describe(places: ElevationPlaces) -> dict[str, Any]:

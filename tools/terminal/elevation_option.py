@@ -23,6 +23,9 @@ MOST_TILES = 5
 def describe_outside(quality: Mapping[str, Any]) -> str:
     """Return one line about the fixes that lie outside the maps; nothing where all lie inside, or without maps.
 
+    The offset of a car that has been on a map is subtracted from its fixes outside as well, so that they keep the datum
+    of the map. A car that has never been on a map is followed by its fixes as reported.
+
     Parameters
     ----------
     quality : mapping
@@ -31,7 +34,7 @@ def describe_outside(quality: Mapping[str, Any]) -> str:
     Examples
     --------
     >>> describe_outside({"elevation_map": {"fixes": 9, "outside": 2, "outside_by_tile": {"N45W074": 2}}})
-    '2 of 9 fixes lie outside the maps of --elevation and keep their elevation as reported: in N45W074'
+    '2 of 9 fixes lie outside the maps of --elevation, in N45W074; there they count without a map'
     """
     counts = quality.get("elevation_map", {})
     if not counts.get("outside"):
@@ -39,8 +42,8 @@ def describe_outside(quality: Mapping[str, Any]) -> str:
     tiles = sorted(counts["outside_by_tile"], key=counts["outside_by_tile"].__getitem__, reverse=True)
     more = f" and {len(tiles) - MOST_TILES} more tiles" if len(tiles) > MOST_TILES else ""
     return (
-        f"{counts['outside']:,} of {counts['fixes']:,} fixes lie outside the maps of --elevation and keep their "
-        f"elevation as reported: in {', '.join(tiles[:MOST_TILES])}{more}"
+        f"{counts['outside']:,} of {counts['fixes']:,} fixes lie outside the maps of --elevation, in "
+        f"{', '.join(tiles[:MOST_TILES])}{more}; there they count without a map"
     )
 
 

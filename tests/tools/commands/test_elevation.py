@@ -5,9 +5,10 @@ import json
 import pandas as pd
 import pytest
 
+from core.wire.messages import Message
 from tests.support.commands import called, done, refused
 from tests.support.ground import hilly_drive, srtm_of_hills
-from tests.support.mcap_recordings import write_recording
+from tests.support.mcap_recordings import BEGIN, make_telemetry, write_recording
 from tests.support.telemetry import telemetry, without
 
 
@@ -100,6 +101,19 @@ def test_replay_takes_a_map_and_publishing_refuses_it(recording, learned, capsys
 )
 def test_wrong_output_is_refused_before_reading(recording, arguments, words, capsys):
     assert words in refused(capsys, "elevation", "learn", recording, *arguments)
+
+
+@pytest.mark.parametrize("messages", [[], [Message("fleet/a/door", b"open", BEGIN)]])
+def test_recording_without_a_usable_message_is_refused(messages, tmp_path, capsys):
+    path = write_recording(tmp_path / "empty.mcap", messages)
+    message = refused(capsys, "elevation", "learn", path, "-o", tmp_path / "map.parquet")
+    assert f"{path}: no message that socast can read; record telemetry under fleet/VEHICLE/telemetry" in message
+
+
+def test_recording_without_a_position_is_refused_with_the_number_of_fixes(tmp_path, capsys):
+    path = write_recording(tmp_path / "blind.mcap", make_telemetry(120))
+    message = refused(capsys, "elevation", "learn", path, "-o", tmp_path / "map.parquet")
+    assert "0 usable fixes with an elevation, and a map takes 100: give recordings of cars that drive" in message
 
 
 def test_recording_without_elevation_is_refused(tmp_path, capsys):
