@@ -20,6 +20,7 @@ from core.fit.recipes import RECIPES
 from core.fit.segment_network import SegmentRecipe, build_segments
 from core.fit.window_recipe import RecipeWithWindows, WindowRecipe
 from core.models.features import list_raw_columns
+from core.stats.scores import compute_widening
 from core.stats.splits import REPEATS, TEST_SHARE, Split, split_by_date, split_by_ride, split_by_vehicle
 
 SEGMENTS: Final = "segment_network"
@@ -27,6 +28,8 @@ SEGMENTS: Final = "segment_network"
 NO_OTHERS: Final = "no other vehicle model to train on: no error on a new vehicle model"
 ONE_CAR: Final = "no vehicle model has two cars: no split by vehicle"
 ONE_DATE: Final = "one date only: no split by date"
+FEWEST_REPEATS: Final = 8
+"""Fewest repeats whose intervals are at most half again as wide as those over many repeats."""
 
 Kind = str
 Run = tuple[Kind, Hashable, str]
@@ -127,7 +130,8 @@ def evaluate(
     found["selection"] = next((value for key, value in done.items() if key[0] == "selection"), {})
     found["recipes"] = {name: recipe.title for name, recipe in recipes.items() if name in held["ride"].recipes}
     found["about"]["left_out_of_training"] = list(untrained)
-    found["about"]["notes"] = _notes(splits, held, new) + _untested(table, splits["new"]) + failed
+    wide = [] if repeats >= FEWEST_REPEATS else [_describe_width(repeats, held["ride"].overlap)]
+    found["about"]["notes"] = wide + _notes(splits, held, new) + _untested(table, splits["new"]) + failed
     return results.to_json_values(found)
 
 
@@ -231,6 +235,14 @@ def _untested(table: EvaluatedRides, tested: Mapping[Hashable, Split]) -> list[s
         for name in table.vehicle_models
         if tested and name not in tested
     ]
+
+
+def _describe_width(repeats: int, overlap: float) -> str:
+    """Return a note on the width of intervals over few repeats."""
+    return (
+        f"intervals by ride are {compute_widening(repeats, overlap):.1f} times as wide over {repeats} repeats as over "
+        f"many: give --repeats {FEWEST_REPEATS} or more"
+    )
 
 
 def _notes(

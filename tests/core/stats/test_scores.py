@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from scipy import stats
 
 from core.stats import scores
-from core.stats.scores import Estimate, average_over_repeats, combine_strata
+from core.stats.scores import Estimate, average_over_repeats, combine_strata, compute_widening
 from tests.support.repeated_splits import repeated
 
 ENERGIES = arrays(np.float64, st.integers(1, 60), elements=st.floats(-5.0, 50.0))
@@ -23,6 +23,12 @@ def test_interval_over_repeats_uses_corrected_variance():
     assert estimate.error == pytest.approx(sqrt((1 / 4 + 0.25) * np.var(values, ddof=1)))
     assert estimate.ci95 == pytest.approx(stats.t.ppf(0.975, 3) * estimate.error)
     assert estimate.p == pytest.approx(2 * stats.t.sf(0.45 / estimate.error, 3))
+
+
+def test_widening_is_the_ratio_of_the_widths_of_intervals():
+    few, many = (average_over_repeats(np.tile([0.0, 1.0], n), 0.25) for n in (2, 50_000))
+    spread = np.sqrt(np.var([0, 1, 0, 1], ddof=1) / np.var(np.tile([0.0, 1.0], 50_000), ddof=1))
+    assert compute_widening(4, 0.25) == pytest.approx(few.ci95 / many.ci95 / spread, rel=1e-3)
 
 
 def test_one_repeat_gives_value_without_interval_and_none_gives_neither():

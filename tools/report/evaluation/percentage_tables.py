@@ -1,6 +1,6 @@
 """Build the tables of errors in percent, over the noise floor, below the baselines, and beside the literature."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -33,12 +33,16 @@ BASELINE_HEADS: Final[Mapping[str, str]] = MappingProxyType(
     }
 )
 """Baseline -> heading of its column."""
-BASELINES_NOTE: Final = (
-    "Basic: no fitted number. Rescaled: one factor, fitted to the training rides of each vehicle model. With power: "
-    "the factor and a constant power. Telematics regression: distance, distance times squared speed, duration, and "
-    "duration times the difference from 20 °C, after Geotab's model card."
+BASELINE_NOTES: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "basic_physical": "Basic: no fitted number.",
+        "basic_rescaled": "Basic, rescaled: one factor, fitted to the training rides of each vehicle model.",
+        "basic_rescaled_power": "Basic, rescaled, with power: a factor and a constant power, fitted likewise.",
+        "telematics_regression": "Telematics regression: distance, distance times squared speed, duration, and "
+        "duration times the difference from 20 °C, after Geotab's model card.",
+    }
 )
-"""Note that explains the baselines."""
+"""Baseline -> sentence that explains it."""
 PERCENT_NOTE: Final = (
     "wMAPE: sum of absolute errors over sum of measured energy, of all rides. MAPE: mean over rides of error over "
     "measured energy. ± is half of the 95 % interval."
@@ -140,19 +144,56 @@ def tabulate_baseline_reductions(result: Result, *, new_vehicles: bool = False) 
     """
     reduce = get_new_vehicle_reductions if new_vehicles else get_reductions
     by_recipe = {recipe: reduce(result, recipe) for recipe in get_recipes(result) if recipe != BASELINES[0]}
-    present = [name for name in BASELINES if any(shares[name] is not None for shares in by_recipe.values())]
+    present = list_known_baselines(by_recipe.values())
     rows = tuple(
         Row(
             get_title(result, recipe),
             tuple(Cell("" if name == recipe else format_percent(shares[name])) for name in present),
         )
         for recipe, shares in by_recipe.items()
-        if any(share is not None for share in shares.values())
+        if list_known_baselines([shares])
     )
-    heads = tuple(f"below {BASELINE_HEADS[name]}" for name in present)
     where = "vehicle model unseen" if new_vehicles else "unseen rides"
-    notes = ("Mean over vehicle models of the reduction of the average error.", BASELINES_NOTE)
-    return ReportTable(f"Error below each baseline, {where}", "model", heads, rows, notes)
+    return make_baseline_table(f"Error below each baseline, {where}", present, rows)
+
+
+def list_known_baselines(shares: Iterable[Mapping[str, float | None]]) -> list[str]:
+    """Return the baselines below which the reduction of any model is known.
+
+    Parameters
+    ----------
+    shares : iterable of mapping
+        Baseline -> share, of each model, see `get_reductions`.
+
+    Returns
+    -------
+    list of str
+        In the order of `BASELINES`.
+    """
+    known = {name for each in shares for name, share in each.items() if share is not None}
+    return [name for name in BASELINES if name in known]
+
+
+def make_baseline_table(title: str, baselines: Sequence[str], rows: tuple[Row, ...]) -> ReportTable:
+    """Return a table of reductions with one column per baseline, and notes that explain these baselines.
+
+    Parameters
+    ----------
+    title : str
+        Title.
+    baselines : sequence of str
+        Baselines, in the order of the cells.
+    rows : tuple of Row
+        Models, with one cell per baseline.
+
+    Returns
+    -------
+    ReportTable
+    """
+    heads = tuple(f"below {BASELINE_HEADS[name]}" for name in baselines)
+    explained = " ".join(BASELINE_NOTES[name] for name in baselines)
+    notes = ("Mean over vehicle models of the reduction of the average error.", explained)
+    return ReportTable(title, "model", heads, rows, notes)
 
 
 def tabulate_percentages_of(result: Result, kind: str) -> ReportTable:

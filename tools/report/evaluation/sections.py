@@ -1,6 +1,5 @@
 """Arrange a report: the order of its sections, their texts and their tables."""
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 from core.evaluate.paper import published
@@ -9,12 +8,12 @@ from tools.report.cells import Cell, ReportTable, Row, format_change, format_ene
 from tools.report.evaluation.data_tables import tabulate_data
 from tools.report.evaluation.error_tables import tabulate_all_errors, tabulate_differences, tabulate_summaries
 from tools.report.evaluation.percentage_tables import (
-    BASELINE_HEADS,
-    BASELINES_NOTE,
     HELD_OUT,
     find_best_on_new_vehicles,
     get_new_vehicle_reductions,
     get_reductions,
+    list_known_baselines,
+    make_baseline_table,
     tabulate_percentages,
 )
 from tools.report.evaluation.result import (
@@ -154,28 +153,24 @@ def tabulate_headline(result: Result) -> ReportTable:
     unseen = dict.fromkeys(recipe for recipe in (FITTED, find_best_on_new_vehicles(result)) if recipe)
     paper = {INTERACTIONS: "reduction", FITTED: "new_vehicle_reduction"}
     statements = {recipe: published.get_statement(name) for recipe, name in paper.items()}
-    of_rides = (_reductions(result, r, "", get_reductions(result, r), statements.get(r)) for r in best)
-    where = ", vehicle model unseen"
-    of_new = (_reductions(result, r, where, get_new_vehicle_reductions(result, r), statements.get(r)) for r in unseen)
-    rows = tuple(row for row in (*of_rides, *of_new) if row is not None)
-    heads = tuple(f"below {head}" for head in BASELINE_HEADS.values())
-    notes = ("Mean over vehicle models of the reduction of the average error.", BASELINES_NOTE)
-    return ReportTable("Error below each baseline, principal models", "model", heads, rows, notes)
-
-
-def _reductions(
-    result: Result, recipe: str, where: str, shares: Mapping[str, float | None], statement: PaperStatement | None
-) -> Row | None:
-    """Return a row of reductions by baseline, the paper's beside that of the basic model; None where none is known."""
-    if all(share is None for share in shares.values()):
-        return None
-    cells = [
-        Cell(
-            "" if name == recipe else format_percent(shares.get(name)), _percent(statement) if name == PHYSICAL else ""
+    shares = [("", recipe, get_reductions(result, recipe)) for recipe in best]
+    shares += [(", vehicle model unseen", recipe, get_new_vehicle_reductions(result, recipe)) for recipe in unseen]
+    present = list_known_baselines(known for _, _, known in shares)
+    rows = tuple(
+        Row(
+            f"{get_title(result, recipe)}{where}",
+            tuple(
+                Cell(
+                    "" if name == recipe else format_percent(known[name]),
+                    _percent(statements.get(recipe)) if name == PHYSICAL else "",
+                )
+                for name in present
+            ),
         )
-        for name in BASELINE_HEADS
-    ]
-    return Row(f"{get_title(result, recipe)}{where}", tuple(cells))
+        for where, recipe, known in shares
+        if list_known_baselines([known])
+    )
+    return make_baseline_table("Error below each baseline, principal models", present, rows)
 
 
 def _percent(statement: PaperStatement | None) -> str:

@@ -7,6 +7,7 @@ from core.fit.recipes import BASELINES, RECIPES
 from tests.support.evaluation_result import evaluation
 from tools.report.evaluation.percentage_tables import (
     BASELINE_HEADS,
+    BASELINE_NOTES,
     find_best_on_new_vehicles,
     format_share,
     get_new_vehicle_reductions,
@@ -24,7 +25,7 @@ def result():
 
 
 def test_every_baseline_has_a_recipe_and_a_heading():
-    assert tuple(BASELINE_HEADS) == BASELINES
+    assert tuple(BASELINE_HEADS) == tuple(BASELINE_NOTES) == BASELINES
     assert set(BASELINES) <= set(RECIPES)
 
 
@@ -45,6 +46,20 @@ def test_reductions_on_unseen_vehicle_models_have_their_own_table(result):
     shares = get_new_vehicle_reductions(result, "hybrid_trees")
     cells = next(row.cells for row in table.rows if row.name == "Hybrid Model with Boosted Trees")
     assert [cell.text for cell in cells] == [f"{100 * shares[name]:.1f} %".replace("-", "−") for name in BASELINES]
+
+
+@pytest.mark.parametrize("tabulate", [tabulate_baseline_reductions, tabulate_headline])
+def test_tables_show_and_explain_only_the_baselines_of_the_evaluation(tabulate):
+    result = evaluation()
+    for of_baselines in (result["reduction_by_baseline"], result["new_vehicle"]):
+        for name in ("basic_rescaled_power", "telematics_regression"):
+            of_baselines.pop(name)
+    table = tabulate(result)
+    assert table.columns == ("below basic", "below basic, rescaled")
+    assert all(len(row.cells) == 2 for row in table.rows)
+    assert "Basic, rescaled: one factor" in table.notes[1]
+    assert "constant power" not in table.notes[1]
+    assert "Telematics" not in table.notes[1]
 
 
 def test_headline_states_the_reduction_below_every_baseline(result):
