@@ -196,8 +196,9 @@ def inertia_negative(mass: Floats, acceleration: Floats, speed: Floats) -> Float
     expected=Expectation(
         0.4,
         0.15,
-        "1/0.84 - 0.84 x 0.94 = 0.4: losses both ways, and 0.94 regained by braking at 0.7 m/s^2, Fiori, Ahn and "
-        "Rakha 2016, DOI 10.1016/j.apenergy.2016.01.097; spread (estimate): cars and their brakes",
+        "1/0.84 - 0.84 x 0.94 = 0.4: losses both ways, and the share exp(-0.0411 m/s^2 / d) that brakes regain at a "
+        "deceleration d, Fiori, Ahn and Rakha 2016, DOI 10.1016/j.apenergy.2016.01.097: 0.94 at 0.7 m/s^2 (estimate: "
+        "town traffic); spread (estimate): cars and their brakes",
     ),
 )
 def braking(traction: Floats, speed: Floats) -> Floats:

@@ -21,7 +21,7 @@ class LiteratureError(NamedTuple):
     source : str
         Short name of the source.
     publication : str
-        Where it was published.
+        Title, and where it was published.
     link : str
         DOI, or the address where no DOI could be verified.
     """
@@ -40,7 +40,8 @@ LITERATURE: Final = (
         "average error",
         "one fleet of cars, model adapted online to each car",
         "Zhu et al. 2024",
-        "IEEE Transactions on Transportation Electrification",
+        "Predicting electric vehicle energy consumption from field data using machine learning, IEEE Transactions on "
+        "Transportation Electrification",
         "DOI 10.1109/TTE.2024.3416532",
     ),
     LiteratureError(
@@ -48,7 +49,8 @@ LITERATURE: Final = (
         "average error",
         "the same fleet, one model for all cars",
         "Zhu et al. 2024",
-        "IEEE Transactions on Transportation Electrification",
+        "Predicting electric vehicle energy consumption from field data using machine learning, IEEE Transactions on "
+        "Transportation Electrification",
         "DOI 10.1109/TTE.2024.3416532",
     ),
     LiteratureError(
@@ -56,7 +58,8 @@ LITERATURE: Final = (
         "MAPE of the consumption per km",
         "cars that the training did not contain",
         "Scientific Reports",
-        "vehicle-wise validated ensemble learning framework with physics-guided features",
+        "Vehicle-wise validated ensemble learning framework for robust electric vehicle energy consumption prediction "
+        "using physics-guided features and statistical benchmarking",
         "aimedicalcompendium.com/article.cfm?id=213858 (abstract)",
     ),
     LiteratureError(
@@ -64,7 +67,7 @@ LITERATURE: Final = (
         "mean absolute prediction error",
         "electric trucks, speeds known",
         "Litjens et al. 2025",
-        "SciTePress",
+        "Energy consumption prediction with uncertainty quantification for electric truck operations, SciTePress",
         "scitepress.org/publishedPapers/2025/133629",
     ),
     LiteratureError(
@@ -72,8 +75,8 @@ LITERATURE: Final = (
         "mean absolute prediction error",
         "electric trucks, speeds predicted",
         "Litjens et al. 2025",
-        "SciTePress",
+        "Energy consumption prediction with uncertainty quantification for electric truck operations, SciTePress",
         "scitepress.org/publishedPapers/2025/133629",
     ),
 )
-"""Published errors, as their abstracts and conclusions state them."""
+"""Published errors. The first three are stated in the abstracts of their sources, the last two in the conclusions."""

@@ -1,6 +1,7 @@
 """Test the unit, the closed form and the source of every effect of the road load."""
 
 import inspect
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -159,6 +160,13 @@ def test_effects_act_per_time_or_per_distance():
     for each in ROAD_LOAD:
         if each.per == "distance":
             assert not each.power(standing).any(), each.name
+
+
+def test_expectation_of_braking_follows_from_the_figures_of_its_source():
+    """Fiori et al. 2016: driveline 0.92, motor 0.91, and brakes that regain exp(-0.0411 / d) at a deceleration d."""
+    efficiency = 0.92 * 0.91
+    lost = 1.0 / efficiency - efficiency * math.exp(-0.0411 / 0.7)
+    assert get("braking").expected.mean == pytest.approx(lost, abs=0.01)
 
 
 def test_braking_is_the_negative_traction_power():
