@@ -24,10 +24,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cache
 from hashlib import sha256
+from math import prod
 from typing import Any, Final, Protocol
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
 from core.batch import Floats
@@ -44,7 +46,7 @@ from core.fit.regression import (
     assign_groups,
     solve,
 )
-from core.fit.ride_blocks import ENERGY, RideSource, get_names, get_numbers, select_trainable
+from core.fit.ride_blocks import ENERGY, NAMES, RideSource, convert_to_arrays, select_trainable
 from core.models import ANY, BASIC_PHYSICAL, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term, Training, stamp
 from core.models.derived_features import DERIVED_COLUMNS
 from core.models.features import ACCESSORIES_COLUMN, ACCESSORY_NEEDS, EFFECT_PREFIX, FEATURES, Columns, list_raw_columns
@@ -113,10 +115,9 @@ def build_design(terms: tuple[Term, ...], columns: Columns, rows: int) -> Floats
     (rows, terms) float
         1 in the column of a constant.
     """
-    out = np.ones((rows, len(terms)))
+    out = np.empty((rows, len(terms)))
     for j, term in enumerate(terms):
-        for name in term.columns:
-            out[:, j] *= columns[name]
+        out[:, j] = prod(columns[name] for name in term.columns)
     return out
 
 
@@ -198,10 +199,8 @@ class _Fitting:
     def survey(self) -> None:
         """Pass over the rides for the fills, the accessory curves and the description of the training."""
         for block in self._blocks(note=True):
-            for key, rows in self._parts(block):
-                group = self.groups.setdefault(key, self._group())
-                group.rides += len(rows)
-                self._note(group, Columns(block, rows=rows))
+            for key, rows in _split(block):
+                self._note(self.groups.setdefault(key, self._group()), Columns(block, rows=rows))
         least = _RIDES_PER_COEFFICIENT * (len(self.terms) if self.plan.free else _CURVE_NUMBERS if self.curved else 1)
         rides = self.groups[ANY].rides
         if rides < least:
@@ -222,31 +221,31 @@ class _Fitting:
         """Pass over the rides for the normal equations, and solve them."""
         if not self.plan.free:
             return
-        for _, key, columns, energy in self._seen():
-            group = self.groups[key]
-            table = np.column_stack([self._design(columns, len(energy)), *self._nuisance(group, columns), energy])
-            if not group.moments.rows:
-                group.moments = Moments(table.shape[1])
-            group.moments.add(table)
+        for block in self._blocks():
+            for group, columns, _ in self._parts(block):
+                table = np.column_stack([self._design(columns), *self._nuisance(group, columns), columns[ENERGY]])
+                if not group.moments.rows:
+                    group.moments = Moments(table.shape[1])
+                group.moments.add(table)
         self._check_varies()
         for group in self.groups.values():
             self._solve(group)
 
     def residuals(self) -> None:
         """Pass over the rides for the residuals of the fits."""
-        for block, key, columns, energy in self._seen():
-            group = self.groups[key]
-            table = self._design(columns, len(energy))
-            coefficients, constant = self._coefficients(group)
-            left = energy - table @ coefficients - constant
-            group.absolute += float(np.abs(left).sum())
-            group.squared += float(left @ left)
-            if group.influence is not None and "date" in block and "vehicle_id" in block:
-                if group.scores is None:
-                    group.scores = ClusterScores(group.influence.mean, constant=self.place is not None)
-                table = np.column_stack([table, *self._nuisance(group, columns)])
-                cars = assign_groups(get_names(block, "vehicle_id"), get_names(block, "date"))
-                group.scores.add(table, left / (1.0 - group.influence.leverage(table)), cars)
+        for block in self._blocks():
+            days = assign_groups(block[VEHICLE], block["date"]) if VEHICLE in block and "date" in block else None
+            for group, columns, rows in self._parts(block):
+                table = self._design(columns)
+                coefficients, constant = self._coefficients(group)
+                left = columns[ENERGY] - table @ coefficients - constant
+                group.absolute += float(np.abs(left).sum())
+                group.squared += float(left @ left)
+                if group.influence is not None and days is not None:
+                    if group.scores is None:
+                        group.scores = ClusterScores(group.influence.mean, constant=self.place is not None)
+                    table = np.column_stack([table, *self._nuisance(group, columns)])
+                    group.scores.add(table, left / (1.0 - group.influence.leverage(table)), days[rows])
 
     def model(self) -> LinearModel:
         """Return the model that the passes have determined."""
@@ -283,7 +282,7 @@ class _Fitting:
         """Return an empty group of rides."""
         return _GroupFit(temperatures=TemperatureBins(len(self.road)))
 
-    def _blocks(self, *, note: bool = False) -> Iterator[pd.DataFrame]:
+    def _blocks(self, *, note: bool = False) -> Iterator[dict[str, NDArray[Any]]]:
         """Yield the trainable rides of each block; with `note`, record the rides left out, dates and fingerprint."""
         for block in self.rides.blocks(self.columns):
             good, left_out = select_trainable(block, self.columns)
@@ -291,40 +290,33 @@ class _Fitting:
                 self.left_out.update(left_out)
             if not len(good):
                 continue
+            table = convert_to_arrays(good, self.columns)
             if note:
-                self._digest(good)
-            yield good
+                self._digest(table)
+            yield table
 
-    def _digest(self, block: pd.DataFrame) -> None:
+    def _digest(self, block: dict[str, NDArray[Any]]) -> None:
         """Add rides to the fingerprint, and record their first and last dates."""
-        for name in self.columns:
-            if name != VEHICLE:
-                self.digests[name].update(np.ascontiguousarray(get_numbers(block, name)).tobytes())
-        for name in self.digests.keys() & {VEHICLE, VEHICLE_MODEL}:
-            self.digests[name].update("\n".join([*get_names(block, name), ""]).encode())
-        dates = [date for date in get_names(block, "date") if date]
+        for name, digest in self.digests.items():
+            if name in NAMES:
+                digest.update("\n".join([*block.get(name, [""] * len(block[ENERGY])), ""]).encode())
+            else:
+                digest.update(block[name].tobytes())
+        dates = [date for date in block.get("date", ()) if date]
         if dates:
             first, last = self.dates
             self.dates = (min(first or min(dates), *dates), max(last, *dates))
 
-    def _parts(self, block: pd.DataFrame) -> Iterator[tuple[str, Any]]:
-        """Yield the rows of each vehicle model, then all rows together."""
-        kinds = np.array(get_names(block, VEHICLE_MODEL), dtype=object)
-        for kind in sorted(set(kinds) - {"", ANY}):
-            yield kind, np.flatnonzero(kinds == kind)
-        yield ANY, np.arange(len(block))
-
-    def _seen(self) -> Iterator[tuple[pd.DataFrame, str, Columns, Floats]]:
-        """Yield each group's part of each block, its columns as the fit uses them, and the measured energy. [kWh]"""
-        for block in self._blocks():
-            for key, rows in self._parts(block):
-                group = self.groups.get(key)
-                if group is not None:
-                    part = block if len(rows) == len(block) else block.iloc[rows]
-                    yield part, key, Columns(part, group.fills, group.curve), get_numbers(part, ENERGY)
+    def _parts(self, block: dict[str, NDArray[Any]]) -> Iterator[tuple[_GroupFit, Columns, Any]]:
+        """Yield each group, its rides of a block with the columns as the fit uses them, and their rows."""
+        for key, rows in _split(block):
+            group = self.groups.get(key)
+            if group is not None:
+                yield group, Columns(block, group.fills, group.curve, rows), rows
 
     def _note(self, group: _GroupFit, columns: Columns) -> None:
-        """Add rides to the means that fill unknown values, and to the bins of the accessory curve."""
+        """Count rides, and add them to the means that fill unknown values and to the bins of the accessory curve."""
+        group.rides += len(columns[ENERGY])
         for name in self.filled:
             values = columns[name]
             known = np.isfinite(values)
@@ -336,9 +328,9 @@ class _Fitting:
             road = build_design(tuple(self.road), columns, len(energy)).T
             group.temperatures.add(columns["ambient_c"], time, left, list(road))
 
-    def _design(self, columns: Columns, rows: int) -> Floats:
+    def _design(self, columns: Columns) -> Floats:
         """Return the design matrix without the constant."""
-        return build_design(tuple(self.terms[i] for i in self.sloped), columns, rows)
+        return build_design(tuple(self.terms[i] for i in self.sloped), columns, len(columns[ENERGY]))
 
     def _nuisance(self, group: _GroupFit, columns: Columns) -> list[Floats]:
         """Return the derivative of the energy by each number of the accessory curve."""
@@ -430,3 +422,13 @@ class _Fitting:
         out = np.empty_like(covariance)
         out[np.ix_(self._order, self._order)] = covariance
         return tuple(tuple(row) for row in out.tolist())
+
+
+def _split(block: dict[str, NDArray[Any]]) -> Iterator[tuple[str, Any]]:
+    """Yield the rows of each vehicle model, then all rows together."""
+    if VEHICLE_MODEL in block:
+        code, kinds = pd.factorize(block[VEHICLE_MODEL], sort=True)
+        for i, kind in enumerate(kinds):
+            if kind not in {"", ANY}:
+                yield kind, np.flatnonzero(code == i)
+    yield ANY, slice(None)

@@ -17,7 +17,7 @@ References
    covariance of the coefficient of drag comes out at less than half.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 from zlib import crc32
@@ -352,12 +352,12 @@ class ClusterScores:
         self._seen[groups] = True
 
 
-def assign_groups(vehicles: Sequence[str], dates: Sequence[str]) -> Ints:
+def assign_groups(vehicles: Iterable[str], dates: Iterable[str]) -> Ints:
     """Return the group of each ride; rides of one vehicle on one day always share a group.
 
     Parameters
     ----------
-    vehicles, dates : sequence of n str
+    vehicles, dates : iterable of n str
         Vehicle and date of each ride.
 
     Returns

@@ -4,12 +4,13 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from core.batch import Floats
 from core.errors import ModelError
@@ -19,7 +20,9 @@ from core.vehicles.fleet import CarParameters
 ENERGY: Final = "energy_kwh"
 _BLOCK: Final = 8192
 """Rides in a block."""
-OPTIONAL: Final = ("fit_for_training", "unfit_reason", "vehicle_model", "vehicle_id", "date")
+NAMES: Final = ("vehicle_model", "vehicle_id", "date")
+"""Columns of text by which rides are grouped."""
+OPTIONAL: Final = ("fit_for_training", "unfit_reason", *NAMES)
 """Columns that are read where present: they tell which rides to leave out and how to group the others."""
 
 
@@ -183,8 +186,10 @@ def select_trainable(block: pd.DataFrame, columns: Sequence[str]) -> tuple[pd.Da
     reason[~np.isfinite(get_numbers(block, ENERGY))] = "no_measured_energy"
     if "fit_for_training" in block:
         unfit = ~block["fit_for_training"].to_numpy(dtype=bool, na_value=False)
-        why = block["unfit_reason"].fillna("unfit").to_numpy(dtype=object) if "unfit_reason" in block else "unfit"
-        reason = np.where(unfit, why, reason)
+        why = (
+            block["unfit_reason"][unfit].fillna("unfit").to_numpy(dtype=object) if "unfit_reason" in block else "unfit"
+        )
+        reason[unfit] = why
     left = reason != ""
     left_out.update(reason[left].tolist())
     return (block.loc[~left] if left.any() else block), left_out
@@ -231,6 +236,34 @@ def get_names(block: pd.DataFrame, column: str) -> list[str]:
     list of n str
         Empty where the value is unknown, or the column absent.
     """
-    if column not in block:
-        return [""] * len(block)
-    return block[column].astype(object).where(block[column].notna(), "").astype(str).tolist()
+    return _names(block, column).tolist() if column in block else [""] * len(block)
+
+
+def _names(block: pd.DataFrame, column: str) -> NDArray[np.object_]:
+    """Return a column of text, empty where it is unknown; few names occur many times."""
+    place, names = pd.factorize(block[column])  # place -1 where unknown
+    return np.array([*map(str, names), ""], dtype=object)[place]
+
+
+def convert_to_arrays(block: pd.DataFrame, columns: Sequence[str]) -> dict[str, NDArray[Any]]:
+    """Return columns of rides as arrays, which take less time to read than those of a table.
+
+    Parameters
+    ----------
+    block : DataFrame
+        n rides.
+    columns : sequence of str
+        Columns of numbers, besides those of `NAMES` that are present.
+
+    Returns
+    -------
+    dict of str to (n,) array
+        Numbers as `get_numbers` returns them, and names as `get_names` returns them.
+
+    Raises
+    ------
+    ModelError
+        If a column of numbers holds anything else.
+    """
+    numbers = {name: get_numbers(block, name) for name in columns if name not in NAMES}
+    return numbers | {name: _names(block, name) for name in NAMES if name in block}
