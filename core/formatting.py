@@ -18,6 +18,8 @@ _EVERYDAY: Final[Mapping[str, Callable[[float], str]]] = MappingProxyType(
     }
 )
 _MINUS: Final = re.compile(r"(?<!\w)-(?=[\d.])")
+_RANGE: Final = re.compile(r"^(\d+)-(\d+)$")
+_SIGNED_ZERO: Final = re.compile(r"(?<![\w.])[-+](?=0(?:\.0*)?(?![\d.,eE]))")
 
 
 def everyday(value: float, unit: str) -> str:
@@ -73,7 +75,8 @@ def rounded(value: float, half: float | None = None) -> str:
 def format_minus(text: str) -> str:
     """Return text whose negative numbers have the minus sign − (U+2212), as tables and figures show them.
 
-    JSON, logs and error messages keep the hyphen. So do exponents, ranges and names.
+    A number that is rounded to zero has no sign. JSON, logs and error messages keep the hyphen. So do exponents, ranges
+    and names.
 
     Parameters
     ----------
@@ -88,8 +91,30 @@ def format_minus(text: str) -> str:
     --------
     >>> format_minus("taxi-003: -0.5 (-1.2e-07 to 0.2)")
     'taxi-003: −0.5 (−1.2e-07 to 0.2)'
+    >>> format_minus("-0.000 (+0.0 %), -0.001")
+    '0.000 (0.0 %), −0.001'
     """
-    return _MINUS.sub("−", text)
+    return _MINUS.sub("−", _SIGNED_ZERO.sub("", text))
+
+
+def format_range(text: str) -> str:
+    """Return the name of a range for tables and figures: "0-5" as "0 to 5", and with minus signs.
+
+    Parameters
+    ----------
+    text : str
+        Name of a bin. A name that is no range of two numbers keeps its words.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> format_range("0-5"), format_range("-10 to -5"), format_range("taxi-003"), format_range("30+")
+    ('0 to 5', '−10 to −5', 'taxi-003', '30+')
+    """
+    return format_minus(_RANGE.sub(r"\1 to \2", text))
 
 
 def _to(value: float, digits: int, scale: float) -> str:

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.formatting import everyday, rounded
+from core.formatting import everyday, format_minus, format_range, rounded
 
 
 @pytest.mark.parametrize(
@@ -32,3 +32,25 @@ def test_rounded_number_differs_by_at_most_a_third_of_the_uncertainty(value, sha
     shown = rounded(value, half).split(" ± ")
     assert abs(float(shown[0]) - value) <= half / 3
     assert float(shown[1]) == pytest.approx(half, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("-0.000", "0.000"),
+        ("+0.000 ± 0.012", "0.000 ± 0.012"),
+        ("(-0.0 %)", "(0.0 %)"),
+        ("-0", "0"),
+        ("-0.001", "−0.001"),
+        ("+0.010", "+0.010"),
+        ("-0e+3", "−0e+3"),
+        ("2018-01-02", "2018-01-02"),
+    ],
+)
+def test_number_that_is_rounded_to_zero_has_no_sign(text, shown):
+    assert format_minus(text) == shown
+
+
+def test_ranges_have_one_style():
+    shown = [format_range(name) for name in ("0-5", "5 to 10", "-5 to 0", "below -5", "30+", "taxi-003", "2018-01-02")]
+    assert shown == ["0 to 5", "5 to 10", "−5 to 0", "below −5", "30+", "taxi-003", "2018-01-02"]

@@ -3,7 +3,7 @@
 from typing import Any, Final, NamedTuple
 
 from core.evaluate.paper.published import PublishedFigure
-from core.formatting import format_minus
+from core.formatting import format_minus, format_range
 from tools.report.evaluation.result import get_half_width, get_number
 
 PAPER_NOTE: Final = (
@@ -156,9 +156,9 @@ def format_cluster(cluster: str) -> str:
     Examples
     --------
     >>> format_cluster("0-5"), format_cluster("30+")
-    ('0–5 km', '30+ km')
+    ('0 to 5 km', '30+ km')
     """
-    return f"{cluster.replace('-', '–')} km"
+    return f"{format_range(cluster)} km"
 
 
 def mark_least(cells: list[Cell], values: list[float | None]) -> list[Cell]:

@@ -1,12 +1,39 @@
 """The common style of all tables in the terminal."""
 
+import re
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, Final, NamedTuple
 
 from rich import box
-from rich.console import RenderableType
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+from rich.measure import Measurement
+from rich.table import Column as TableColumn
 from rich.table import Table
 from rich.text import Text
+
+from tools.terminal.unbroken_text import ANY, LOOSE, WHOLE, UnbrokenText, measure_parts
+
+LEAST_WIDTH: Final = 6
+"""Width down to which words are broken before numbers are. [characters]"""
+
+
+class Breaking(NamedTuple):
+    """State what may be broken where a table is too wide for the terminal.
+
+    Parameters
+    ----------
+    tied : re.Pattern
+        Spaces at which no line ends.
+    words : bool
+        Whether words of headings and texts longer than `LEAST_WIDTH` may be broken.
+    """
+
+    tied: re.Pattern[str]
+    words: bool
+
+
+BREAKINGS: Final = tuple(Breaking(tied, words) for words in (False, True) for tied in (WHOLE, LOOSE))
+"""From what harms a reader least to what harms most."""
 
 
 class Column(NamedTuple):
@@ -33,6 +60,91 @@ class Column(NamedTuple):
     ratio: int | None = None
 
 
+class _NumberTable(Table):
+    """A table that is fitted to the terminal so that its numbers stay whole, where that is possible."""
+
+    def add_row(self, *cells: RenderableType | None, **options: Any) -> None:
+        """Add a row, as `rich.table.Table.add_row` does."""
+        super().add_row(*(UnbrokenText.of(cell) for cell in cells), **options)
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Yield the table, fitted to the width of the console."""
+        if not self.expand:
+            self._fit(console, options)
+        yield from super().__rich_console__(console, options)
+
+    def _fit(self, console: Console, options: ConsoleOptions) -> None:
+        """Set the widths of columns if the table is too wide."""
+        edges = 2 + len(self.columns) - 1  # of the box
+        room = options.max_width - edges - self.padding[1] * len(self.columns)
+        most = [self._measure(console, options, number) for number in range(len(self.columns))]
+        for column in self.columns:
+            column.width = None
+        if sum(most) <= room:
+            return
+        for breaking in BREAKINGS:
+            self._tie(breaking.tied)
+            least = [self._measure_least(column, breaking) for column in self.columns]
+            if sum(least) <= room:
+                unbroken = [self._measure_least(column, breaking._replace(words=False)) for column in self.columns]
+                for column, width in zip(self.columns, distribute_width(least, unbroken, most, room), strict=True):
+                    column.width = width
+                return
+        self._tie(ANY)
+
+    def _tie(self, tied: re.Pattern[str]) -> None:
+        """Set the spaces at which no line of a cell ends."""
+        for column in self.columns:
+            for cell in column.cells:
+                if isinstance(cell, UnbrokenText):
+                    cell.tied = tied
+
+    def _measure(self, console: Console, options: ConsoleOptions, number: int) -> int:
+        """Return the width of a column without any line break."""
+        column = self.columns[number]
+        return max(Measurement.get(console, options, each).maximum for each in (column.header, *column.cells))
+
+    def _measure_least(self, column: TableColumn, breaking: Breaking) -> int:
+        """Return the least width of a column."""
+        heading = measure_parts(str(column.header), breaking.tied)
+        cells = max((measure_parts(str(cell), breaking.tied) for cell in column.cells), default=0)
+        if not breaking.words:
+            return max(cells, heading)
+        return max(cells if column.justify == "right" else min(cells, LEAST_WIDTH), min(heading, LEAST_WIDTH))
+
+
+def distribute_width(least: Sequence[int], unbroken: Sequence[int], most: Sequence[int], room: int) -> list[int]:
+    """Return widths of columns that fill a room.
+
+    As many columns as possible take the width at which no word is broken. What remains goes to the narrowest columns.
+
+    Parameters
+    ----------
+    least, unbroken, most : sequence of int
+        Width of each column that it needs at least, without broken words, and without line breaks. [characters]
+    room : int
+        Sum of the widths, not below that of `least`. [characters]
+
+    Returns
+    -------
+    list of int
+
+    Examples
+    --------
+    >>> distribute_width([8, 8, 5], [20, 10, 5], [40, 30, 5], room=25)
+    [10, 10, 5]
+    """
+    widths = list(least)
+    for i in sorted(range(len(widths)), key=lambda i: unbroken[i] - least[i]):
+        if unbroken[i] - least[i] <= room - sum(widths):
+            widths[i] = unbroken[i]
+    for _ in range(room - sum(widths)):
+        growing = [(width, i) for i, width in enumerate(widths) if width < most[i]]
+        if growing:
+            widths[min(growing)[1]] += 1
+    return widths
+
+
 def make_table(columns: Sequence[Column], title: str = "", caption: str = "", *, expand: bool = False) -> Table:
     """Return an empty table in the common style, with horizontal rules only, which leaves more width for numbers.
 
@@ -49,7 +161,7 @@ def make_table(columns: Sequence[Column], title: str = "", caption: str = "", *,
     -------
     rich.table.Table
     """
-    table = Table(
+    table = _NumberTable(
         title=Text(title, style="bold") if title else None,
         caption=Text(caption) if caption else None,
         title_justify="left",
@@ -87,5 +199,5 @@ def make_description(entries: Sequence[tuple[str, RenderableType]]) -> Table:
     table.add_column(no_wrap=True, style="bold")
     table.add_column(ratio=1)
     for name, description in entries:
-        table.add_row(name, description)
+        table.add_row(name, UnbrokenText.of(description))
     return table

@@ -157,7 +157,7 @@ def test_figure_3_shows_averages_of_paper_as_outlines(every_figure):
 def test_error_tables_have_layout_of_paper(result):
     tables = next(section.tables for section in build_sections(to_json_values(result)) if section.key == "errors")
     assert len(tables) == len(RECIPES)
-    assert all(table.columns == (*(f"{c.replace('-', '–')} km" for c in CLUSTERS), "average *") for table in tables)
+    assert all(table.columns == (*(f"{c.replace('-', ' to ')} km" for c in CLUSTERS), "average *") for table in tables)
     assert all(table.rows[-1].name == "Weighted average" for table in tables)
     basic = tables[0].rows[0].cells[0]
     figure = result["mae"]["basic_physical"]["kia-soul-ev-2015"]["0-5"]
@@ -272,7 +272,7 @@ def test_coverage_outside_its_limits_is_marked():
         t for s in build_sections(to_json_values(result)) for t in s.tables if t.title.startswith("Rides inside")
     )
     cells = dict(zip(table.columns, (cell.text for cell in table.rows[-1].cells), strict=True))
-    assert cells["0–5 km"] == "84.9 % ↓"
+    assert cells["0 to 5 km"] == "84.9 % ↓"
     assert cells[SEASONS[0]] == "85.1 %"
     assert cells["overall"] == "93.0 % ↑"
 

@@ -8,6 +8,7 @@ import plotly.graph_objects as go
 from core.stats.scores import BANDS
 from tools.report.comparison.tables import (
     UNITS,
+    format_bin,
     index_bins,
     list_models,
     list_varying_conditions,
@@ -137,7 +138,7 @@ def draw_errors_by_condition(result: Result, name: str) -> go.Figure:
     among = [get_part(entry, "bias_kwh") for bins_of_model in by_model.values() for entry in bins_of_model.values()]
     for model, bins_of_model in by_model.items():
         bins = [key for key in shown if key in bins_of_model]
-        x = [escape_label(key) for key in bins]
+        x = [escape_label(format_bin(name, key)) for key in bins]
         bias = [get_part(bins_of_model, key, "bias_kwh") for key in bins]
         look_of = get_look(result, model)
         above = draw_curve(
@@ -160,7 +161,8 @@ def draw_errors_by_condition(result: Result, name: str) -> go.Figure:
         made.add_trace(below, row=2, col=1)
     made.add_hline(y=0.0, line={**REFERENCE_LINE, "width": 1}, row=1, col=1)
     unit = f" [{UNITS[name]}]" if name in UNITS else ""
-    made.update_xaxes(type="category", categoryorder="array", categoryarray=[escape_label(key) for key in shown])
+    order = [escape_label(format_bin(name, key)) for key in shown]
+    made.update_xaxes(type="category", categoryorder="array", categoryarray=order)
     made.update_xaxes(title_text=f"{name.capitalize()}{unit}", row=2, col=1)
     made.update_yaxes(title_text="[kWh]")
     made.update_yaxes(rangemode="tozero", row=2, col=1)
@@ -222,7 +224,7 @@ def draw_bias_of_datasets(name: str, bins: Sequence[Mapping[str, Any]]) -> go.Fi
     """Return a figure of the bias of one model on both sets of rides."""
     shown = select_most_significant([{str(e["bin"]): get_part(e, "bias_kwh", "difference") for e in bins}])
     kept = [entry for entry in bins if str(entry["bin"]) in shown]
-    x = [escape_label(str(entry["bin"])) for entry in kept]
+    x = [escape_label(format_bin(name, str(entry["bin"]))) for entry in kept]
     sides = {side: [get_part(entry, "bias_kwh", side) for entry in kept] for side in ("first", "second")}
     among = [bias for errors in sides.values() for bias in errors]
     traces = [

@@ -5,7 +5,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from core.evaluate.compare.models import MOST_RELATIVE_SD
-from core.formatting import format_minus
+from core.formatting import format_minus, format_range
 from core.stats.multiple_testing import SIGNIFICANCE
 from core.stats.scores import BANDS
 from tools.report.cells import (
@@ -170,7 +170,7 @@ def tabulate_errors_by_condition(result: Result, name: str) -> ReportTable:
     )
     rows = tuple(
         Row(
-            format_minus(label),
+            format_bin(name, label),
             (
                 Cell(format_count(first[label].get("n"))),
                 Cell(format_count(first[label].get("vehicle_days"))),
@@ -198,6 +198,17 @@ def format_condition(name: str) -> str:
 def index_bins(bins: Any) -> dict[str, Mapping[str, Any]]:
     """Return bins by name."""
     return {str(entry["bin"]): entry for entry in bins or ()}
+
+
+def format_bin(condition: str, name: str) -> str:
+    """Return the name of a bin of a condition for readers.
+
+    Examples
+    --------
+    >>> format_bin("distance", "0-5"), format_bin("driver", "0-5")
+    ('0 to 5', '0-5')
+    """
+    return format_range(name) if condition in UNITS else name
 
 
 def select_most_significant(by_model: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 from core.columns import ZERO_CELSIUS
 from core.evaluate.paper import published
 from core.evaluate.paper.published import AVERAGE, PHYSICAL
-from core.formatting import format_minus
+from core.formatting import format_minus, format_range
 from core.vehicles import AccessoryCurve
 from tools.report.cells import format_cluster
 from tools.report.evaluation.result import (
@@ -161,9 +161,9 @@ def draw_relative_errors(result: Result) -> go.Figure:
         look, name = get_recipe_style(result, recipe), format_recipe_label(result, recipe)
         here = [_times(get_number(get_part(errors, recipe, c)), 100.0) for c in columns]
         theirs = [_times(published.get_relative_error(recipe, c), 100.0) for c in columns]
-        made.add_trace(draw_curve(name, look, _dashes(columns), here, legendgroup=recipe), row=1, col=1)
+        made.add_trace(draw_curve(name, look, _label_clusters(columns), here, legendgroup=recipe), row=1, col=1)
         if any(value is not None for value in theirs):
-            below = draw_curve(name, look, _dashes(columns), theirs, legendgroup=recipe, showlegend=False)
+            below = draw_curve(name, look, _label_clusters(columns), theirs, legendgroup=recipe, showlegend=False)
             made.add_trace(below, row=2, col=1)
     made.update_xaxes(title_text="Distance [km]", type="category")
     made.update_yaxes(title_text="Error over consumption [%]", type="log", tickvals=PERCENT_TICKS, matches="y")
@@ -404,6 +404,6 @@ def _times(value: float | None, factor: float) -> float | None:
     return None if value is None else value * factor
 
 
-def _dashes(columns: Sequence[str]) -> list[str]:
-    """Return the names of clusters with en dashes, safe as labels."""
-    return [escape_label(column.replace("-", "–")) for column in columns]
+def _label_clusters(columns: Sequence[str]) -> list[str]:
+    """Return the names of clusters, safe as labels."""
+    return [escape_label(format_range(column)) for column in columns]

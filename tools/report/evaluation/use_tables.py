@@ -6,6 +6,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from core.evaluate.paper import published
+from core.formatting import format_range
 from tools.report.cells import (
     Cell,
     ReportTable,
@@ -97,7 +98,7 @@ def list_bins(result: Result, axis: str) -> list[str]:
 
 
 def format_bin(axis: str, name: str) -> str:
-    """Return the name of a bin for readers, with typographic dashes and signs.
+    """Return the name of a bin for readers.
 
     Parameters
     ----------
@@ -114,9 +115,9 @@ def format_bin(axis: str, name: str) -> str:
     Examples
     --------
     >>> format_bin("distance", "0-5"), format_bin("temperature", "-10 to -5")
-    ('0–5', '−10 to −5')
+    ('0 to 5', '−10 to −5')
     """
-    return name.replace("-", {"distance": "–", "temperature": "−"}.get(axis, "-")).removesuffix(" °C")
+    return (format_range(name) if axis in UNITS else name).removesuffix(" °C")
 
 
 def get_bin_errors(result: Result, axis: str, recipe: str) -> list[Mapping[str, Any]]:

@@ -80,9 +80,9 @@ def format_share(share: Any) -> str:
     Examples
     --------
     >>> format_share({"value": 0.9, "low": 0.871, "high": 0.92, "clusters": 300})
-    '90.0 % (87.1–92.0)'
+    '90.0 % (87.1 to 92.0)'
     >>> format_share({"value": 0.571, "low": 0.25, "high": 0.842, "clusters": 7})
-    'too few (25.0–84.2)'
+    'too few (25.0 to 84.2)'
     """
     low, high, clusters = (
         get_number(get_part(share, "low")),
@@ -92,7 +92,7 @@ def format_share(share: Any) -> str:
     if not clusters:
         return UNKNOWN
     value = format_percent(get_number(share)) if clusters >= LEAST_CLUSTERS else TOO_FEW
-    return value + ("" if low is None or high is None else f" ({100 * low:.1f}–{100 * high:.1f})")
+    return value + ("" if low is None or high is None else f" ({100 * low:.1f} to {100 * high:.1f})")
 
 
 def compare_with_best(group: Mapping[str, Any]) -> str:
