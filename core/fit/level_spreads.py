@@ -83,26 +83,6 @@ def integrate_car_spread(elimination: Elimination, prior: Gaussian, spreads: Lev
     return Gaussian(mean, covariance + (means - mean).T @ ((means - mean) * weight[:, np.newaxis]))
 
 
-def compute_level_evidence(products: RideProducts, prior: Gaussian, spreads: LevelSpreads) -> float:
-    """Return the logarithm of the probability of the measured energies, up to a constant.
-
-    Parameters
-    ----------
-    products : RideProducts
-        Sums of rides.
-    prior : Gaussian
-        Prior of the coefficients.
-    spreads : LevelSpreads
-        Standard deviations of the levels.
-
-    Returns
-    -------
-    float
-        Logarithm of the evidence. [1]
-    """
-    return differentiate_level_evidence(products, prior, spreads)[0]
-
-
 def differentiate_level_evidence(
     products: RideProducts, prior: Gaussian, spreads: LevelSpreads
 ) -> tuple[float, LevelSpreads]:
