@@ -128,7 +128,7 @@ class LiveTable:
             below = make_models_table(errors, wide=wide) if self._pipeline.shadows else None
             rows = max(1, self._console.height - 7 - (below.row_count + 6 if below else 0))
             shadows = len(self._pipeline.shadows) if wide else 0
-            fleet = make_fleet_table(cars, self._title, _caption(tally, self._pipeline.quality()), rows, shadows)
+            fleet = make_fleet_table(cars, self._title, describe_counts(tally, self._pipeline.quality()), rows, shadows)
             self._live.update(Group(fleet, below) if below else fleet, refresh=True)
         else:
             self._console.print(format_fleet_line(cars, tally), markup=False, highlight=False, soft_wrap=True)
@@ -364,8 +364,20 @@ def _counts(counts: _Reads) -> str:
     return ", ".join(f"{name.replace('_', ' ')} {count:,}" for name, count in counts.items() if count)
 
 
-def _caption(tally: Tally, quality: dict[str, Any]) -> str:
-    """Return the text below the table of cars."""
+def describe_counts(tally: Tally, quality: dict[str, Any]) -> str:
+    """Return the text below the table of cars.
+
+    Parameters
+    ----------
+    tally : Tally
+        Counts of the loop so far.
+    quality : dict
+        Counters of `core.pipeline.Pipeline.quality`.
+
+    Returns
+    -------
+    str
+    """
     rejected = sum(quality["undecodable"].values())
     rate = tally.received / tally.seconds if tally.seconds > 0 else 0.0
     return (

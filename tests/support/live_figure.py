@@ -1,0 +1,78 @@
+"""Draw the table of a live shift: `python -m tests.support.live_figure` writes `docs/live.svg`.
+
+The shift is that of `recordings/shift.mcap`. Simulated shifts of the same cars on the days before give the forecasts
+their intervals, as `--warm-up` does.
+"""
+
+from dataclasses import replace
+from datetime import UTC, datetime
+from io import StringIO
+from typing import Final
+
+from rich.console import Console
+
+from core import models
+from core.pipeline import BLOCK, Pipeline
+from stream.loop import Tally
+from stream.mcap_reader import McapSource
+from tests.support.paths import ROOT, SHIFT
+from tools.simulator.fleet import simulate
+from tools.simulator.settings import Faults, Simulation
+from tools.terminal.live_table import describe_counts, make_fleet_table
+from tools.terminal.model_comparison import DEFAULT_MODEL
+
+FIGURE: Final = ROOT / "docs" / "live.svg"
+EARLIER: Final = Simulation(
+    vehicles=7,
+    days=10,
+    start=datetime(2018, 1, 5, 12, tzinfo=UTC),
+    shift_hours=2.5,
+    seed=2018,
+    faults=Faults(errand=0.0),
+)
+"""Shifts before that of the recording, made as the recording was (see `recordings/README.md`) with another seed."""
+WIDTH: Final = 112
+"""Width of the terminal. [characters]"""
+SHOWN: Final = 0.8
+"""Share of the messages of the shift after which the table is drawn."""
+
+
+def run_shift(share: float = SHOWN) -> tuple[Pipeline, Tally]:
+    """Return a pipeline that has taken a share of the messages of the shift, and its counts."""
+    model = models.load(DEFAULT_MODEL)
+    earlier, pipeline = Pipeline(model, keep_tables=False), Pipeline(model)
+    messages = list(simulate(EARLIER))
+    for at in range(0, len(messages), BLOCK):
+        earlier.take(messages[at : at + BLOCK])
+        earlier.forecasts(newest_only=True)
+    pipeline.learn_from(earlier)
+    tally = Tally()
+    blocks = list(McapSource(SHIFT))
+    last = share * sum(map(len, blocks))
+    for block in blocks:
+        if tally.received >= last:
+            break
+        pipeline.take(block)
+        elapsed = (block[-1].receipt_ns - blocks[0][0].receipt_ns) / 1e9
+        forecasts = tally.forecasts + len(pipeline.forecasts())
+        tally = replace(tally, received=tally.received + len(block), forecasts=forecasts, seconds=elapsed)
+    return pipeline, tally
+
+
+def live_figure(pipeline: Pipeline, tally: Tally) -> str:
+    """Return the table of cars as SVG."""
+    console = Console(record=True, width=WIDTH, file=StringIO(), force_terminal=True, color_system="truecolor")
+    cars = sorted(pipeline.status())
+    caption = describe_counts(tally, pipeline.quality())
+    console.print(make_fleet_table(cars, "Live", caption, len(cars)))
+    return console.export_svg(title="socast live", unique_id="live")
+
+
+def main() -> None:
+    """Run the shift and draw the table."""
+    FIGURE.write_text(live_figure(*run_shift()), encoding="utf-8")
+    print(f"{FIGURE.name}: written")
+
+
+if __name__ == "__main__":
+    main()
