@@ -126,19 +126,19 @@ def read_places(path: Path) -> ElevationPlaces:
         about = {name.decode(): value.decode() for name, value in (table.schema.metadata or {}).items()}
         if about.get("format") != FORMAT or int(about["version"]) != VERSION:
             made_as = f"{about.get('format', 'another table')}, version {about.get('version', 'unknown')}"
-            raise _unusable(path, f"it is {made_as}, and this product reads version {VERSION}")
+            raise _make_error(path, f"it is {made_as}, and this product reads version {VERSION}")
         steps = [radians(float(about[f"step_{name}_deg"])) for name in ("latitude", "longitude")]
         row, column, _, _, elevation, sd, fixes = (table[name].to_numpy() for name in COLUMNS)
     except OSError as error:
-        raise _unusable(path, error.strerror or str(error)) from error
+        raise _make_error(path, error.strerror or str(error)) from error
     except (pa.ArrowException, KeyError, ValueError) as error:
-        raise _unusable(path, str(error)) from error
+        raise _make_error(path, str(error)) from error
     if not (min(steps) > 0.0 and np.isfinite(elevation).all() and (sd > 0.0).all()):
-        raise _unusable(path, "a distance or an uncertainty in it is not above 0, or an elevation is missing")
+        raise _make_error(path, "a distance or an uncertainty in it is not above 0, or an elevation is missing")
     return ElevationPlaces(steps[0], steps[1], row, column, elevation, sd, fixes)
 
 
-def _unusable(path: Path, reason: str) -> SettingsError:
+def _make_error(path: Path, reason: str) -> SettingsError:
     """Return the error about a map that cannot be used."""
     words = " ".join(reason.split())
     return SettingsError(

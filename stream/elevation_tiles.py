@@ -60,19 +60,19 @@ def read_tile(path: Path) -> ElevationRaster:
     try:
         name, content = _read_content(path)
     except OSError as error:
-        raise _unreadable(path, error.strerror or str(error)) from error
+        raise _make_error(path, error.strerror or str(error)) from error
     except (zipfile.BadZipFile, EOFError, ValueError) as error:
-        raise _unreadable(path, str(error)) from error
+        raise _make_error(path, str(error)) from error
     try:
         with MemoryFile(content, filename=name) as memory, memory.open() as dataset:
             return _read_dataset(dataset)
     except RasterioError as error:  # its text names a file in memory that the user does not know
-        raise _unreadable(path, f"its {len(content):,} bytes are neither an SRTM tile nor a GeoTIFF") from error
+        raise _make_error(path, f"its {len(content):,} bytes are neither an SRTM tile nor a GeoTIFF") from error
     except ValueError as error:
-        raise _unreadable(path, str(error)) from error
+        raise _make_error(path, str(error)) from error
 
 
-def _unreadable(path: Path, reason: str) -> SettingsError:
+def _make_error(path: Path, reason: str) -> SettingsError:
     """Return the error about a tile that cannot be read."""
     words = " ".join(reason.split())
     return SettingsError(
@@ -85,19 +85,19 @@ def _read_content(path: Path) -> tuple[str, bytes]:
     kind = path.suffix.lower()
     if kind == ".gz":
         with gzip.open(path) as file:
-            return path.stem, _limited(file)
+            return path.stem, _read_limited(file)
     if kind == ".zip":
         with zipfile.ZipFile(path) as archive:
             inside = [name for name in archive.namelist() if name.lower().endswith((".hgt", ".tif", ".tiff"))]
             if len(inside) != 1:
                 raise ValueError(f"it holds {len(inside)} tiles and must hold one")
             with archive.open(inside[0]) as file:
-                return Path(inside[0]).name, _limited(file)
+                return Path(inside[0]).name, _read_limited(file)
     with path.open("rb") as file:
-        return path.name, _limited(file)
+        return path.name, _read_limited(file)
 
 
-def _limited(file: Any) -> bytes:
+def _read_limited(file: Any) -> bytes:
     """Return the content of a file, or refuse a file that is empty or larger than a tile with four bytes a node."""
     content: bytes = file.read(4 * MOST_NODES + 1)
     if not content:

@@ -127,7 +127,7 @@ def decompress_chunk(record: bytes) -> bytes:
 
 
 @lru_cache(maxsize=256)
-def _lacking(kind: str, data: bytes) -> list[str]:
+def _list_lacking(kind: str, data: bytes) -> list[str]:
     """Return the required fields of a kind that a JSON schema does not have."""
     try:
         properties = json.loads(data).get("properties")
@@ -160,5 +160,5 @@ def explain_foreign_channel(topic: str, encoding: str, name: str, schema_encodin
     if encoding not in {"", "json"} or schema_encoding not in {"", "jsonschema"}:
         return f"topic {topic} holds {encoding or schema_encoding} messages, schema {name or 'none'}, not JSON"
     known = address(topic)
-    lacking = _lacking(known.kind, data) if known and data else []
+    lacking = _list_lacking(known.kind, data) if known and data else []
     return f"topic {topic} has schema {name}, which lacks `{'`, `'.join(lacking)}`" if lacking else ""

@@ -146,7 +146,7 @@ class McapSource:
         try:
             with self.path.open("rb") as file:
                 self._check(file)
-                self._blocks = self._indexed(file) or self._scanned(file)
+                self._blocks = self._read_index(file) or self._scan_chunks(file)
         except OSError as error:
             raise RecordingError(f"{self.path} cannot be read: {(error.strerror or str(error)).lower()}") from error
         self._unread = (self.losses.unfinished, self.losses.truncated_bytes)
@@ -177,7 +177,7 @@ class McapSource:
         held: list[Message] = []
         with self.path.open("rb") as file:
             for at, block in enumerate(self._blocks):
-                held += self._messages(file, block)
+                held += self._read_messages(file, block)
                 held.sort(key=_receipt)
                 self.blocks_read = at + 1
                 following = self._blocks[at + 1].first_ns if at + 1 < len(self._blocks) else inf
@@ -207,7 +207,7 @@ class McapSource:
                 f"{self.path} is of another contract: {reason}; record with `socast live --record DIR`"
             )
 
-    def _indexed(self, file: BinaryIO) -> list[_Block]:
+    def _read_index(self, file: BinaryIO) -> list[_Block]:
         """Return the chunks that the summary lists; an empty list without an intact summary."""
         size = file.seek(0, 2)
         if size < 2 * len(MAGIC) + _TAIL:
@@ -236,7 +236,7 @@ class McapSource:
         self._count = count if blocks else None
         return sorted(blocks, key=itemgetter(0))
 
-    def _scanned(self, file: BinaryIO) -> list[_Block]:
+    def _scan_chunks(self, file: BinaryIO) -> list[_Block]:
         """Return the chunks found by a scan from record to record, up to the first incomplete record."""
         size, at = file.seek(0, 2), len(MAGIC)
         blocks: list[_Block] = []
@@ -259,16 +259,16 @@ class McapSource:
             at = end
             if opcode == DATA_END:
                 self.losses.unfinished = False
-                return self._in_order(file, blocks)
+                return self._order_blocks(file, blocks)
         self.losses.truncated_bytes = size - at
-        return self._in_order(file, blocks)
+        return self._order_blocks(file, blocks)
 
-    def _in_order(self, file: BinaryIO, blocks: list[_Block]) -> list[_Block]:
+    def _order_blocks(self, file: BinaryIO, blocks: list[_Block]) -> list[_Block]:
         """Return blocks by time; if the file has another order, first read the channels in the order of the file."""
         ordered = sorted(blocks, key=itemgetter(0))
         if ordered != blocks:
             for block in blocks:
-                self._messages(file, block)
+                self._read_messages(file, block)
         return ordered
 
     def _learn(self, opcode: int, body: bytes) -> None:
@@ -289,7 +289,7 @@ class McapSource:
                 self._foreign[number] = (topic, reason)
         self._learnt[opcode, body[:2]] = body
 
-    def _messages(self, file: BinaryIO, block: _Block) -> list[Message]:
+    def _read_messages(self, file: BinaryIO, block: _Block) -> list[Message]:
         """Return the messages of a block in the order of the file; of a damaged block those before the damage."""
         file.seek(block.offset)
         out: list[Message] = []

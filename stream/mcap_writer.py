@@ -48,7 +48,7 @@ class _Stamp(msgspec.Struct, gc=False):
 _stamp = msgspec.json.Decoder(_Stamp | list[_Stamp]).decode
 
 
-def _published(payload: bytes, receipt_ns: int) -> int:
+def _find_publish_time(payload: bytes, receipt_ns: int) -> int:
     """Return the sender's time, or the time of receipt if the payload has no valid time. [ns]"""
     try:
         stamp = _stamp(payload)
@@ -99,7 +99,7 @@ class McapSink:
             self._file: BinaryIO = self.path.open("wb")
         except OSError as error:
             raise RecordingError(f"{self.path} cannot be written: {error.strerror}; choose another place") from error
-        self._write(MAGIC + _bytes(Header(profile="", library="socast")), flush=True)
+        self._write(MAGIC + _encode_record(Header(profile="", library="socast")), flush=True)
 
     @property
     def written(self) -> int:
@@ -157,7 +157,7 @@ class McapSink:
             length = body + len(payload)
             index.append(receipt_ns)
             index.append(self._size)
-            parts.append(pack(5, length, channel, 0, receipt_ns, _published(payload, receipt_ns)))
+            parts.append(pack(5, length, channel, 0, receipt_ns, _find_publish_time(payload, receipt_ns)))
             parts.append(payload)
             self._size += length + 9
             if self._size >= self._chunk_bytes:
@@ -181,8 +181,8 @@ class McapSink:
             return
         try:
             self._end_chunk()
-            self._write(_bytes(DataEnd(data_section_crc=0)))
-            self._write(self._summary() + MAGIC, flush=True)
+            self._write(_encode_record(DataEnd(data_section_crc=0)))
+            self._write(self._make_summary() + MAGIC, flush=True)
         finally:
             self._file.close()
 
@@ -223,8 +223,8 @@ class McapSink:
         for wire in self._schemas.values():
             if wire.id == record.schema_id and wire.id not in self._described:
                 self._described.add(wire.id)
-                self._append(_bytes(wire))
-        self._append(_bytes(record))
+                self._append(_encode_record(wire))
+        self._append(_encode_record(record))
         return self._index.setdefault(channel, [])
 
     def _append(self, data: bytes) -> None:
@@ -249,7 +249,7 @@ class McapSink:
         first, last = min(times), max(times)
         self._span = (min(first, self._span[0]), max(last, self._span[1])) if self._span else (first, last)
         offset = self._file.tell()
-        chunk = _bytes(Chunk("zstd", packed, last, first, zlib.crc32(data), len(data)))
+        chunk = _encode_record(Chunk("zstd", packed, last, first, zlib.crc32(data), len(data)))
         tables, places, at = [], {}, offset + len(chunk)
         for channel, index in self._index.items():
             self._counts[channel] += len(index) // 2
@@ -262,7 +262,7 @@ class McapSink:
         self._indexes.append(ChunkIndex(len(chunk), offset, "zstd", len(packed), last, size, places, first, len(data)))
         self._start_chunk()
 
-    def _summary(self) -> bytes:
+    def _make_summary(self) -> bytes:
         """Return the summary section and the footer."""
         first, last = self._span or (0, 0)
         statistics = Statistics(
@@ -274,13 +274,13 @@ class McapSink:
         start = at = self._file.tell()
         parts, offsets = [], b""
         for opcode, records in zip(opcodes, groups, strict=True):
-            group = b"".join(map(_bytes, records))
-            offsets += _bytes(SummaryOffset(opcode, at, len(group)))
+            group = b"".join(map(_encode_record, records))
+            offsets += _encode_record(SummaryOffset(opcode, at, len(group)))
             parts.append(group)
             at += len(group)
         data = b"".join(parts) + offsets
         crc = zlib.crc32(FOOTER_RECORD.pack(Opcode.FOOTER, 20, start, at, 0)[:-4], zlib.crc32(data))
-        return data + _bytes(Footer(summary_offset_start=at, summary_start=start, summary_crc=crc))
+        return data + _encode_record(Footer(summary_offset_start=at, summary_start=start, summary_crc=crc))
 
     def _write(self, data: bytes, *, flush: bool = False) -> None:
         """Write data to the file; raise `RecordingError` if the disk refuses them."""
@@ -294,7 +294,7 @@ class McapSink:
             ) from error
 
 
-def _bytes(record: Any) -> bytes:
+def _encode_record(record: Any) -> bytes:
     """Return the bytes of a record of the `mcap` package."""
     builder = RecordBuilder()
     record.write(builder)

@@ -117,7 +117,7 @@ class Recorder:
             self.close()
             sink = None
         if sink is None:
-            sink = self._sink = McapSink(self._fresh(first_ns))
+            sink = self._sink = McapSink(self._find_fresh_path(first_ns))
             self.files.append(sink.path)
             self._first_ns, self._taken = first_ns, 0
         room = sink.room(messages)
@@ -128,7 +128,7 @@ class Recorder:
             self.close()
             self._write(messages[room:])
 
-    def _fresh(self, receipt_ns: int) -> Path:
+    def _find_fresh_path(self, receipt_ns: int) -> Path:
         """Return a path that does not exist, named by the time of receipt."""
         moment = datetime.fromtimestamp(receipt_ns // 10**9, UTC)
         stem = f"{moment:%Y%m%dT%H%M%S}.{receipt_ns // 10**6 % 1000:03}Z"

@@ -139,10 +139,10 @@ def pace_source(
         raise SettingsError(f"speed is {speed:g}, must be above 0; give a number such as 60, or `max`")
     if not longest_gap_s > 0:
         raise SettingsError(f"the longest gap is {longest_gap_s:g} s, must be above 0 s")
-    return iter(source) if speed == inf else _paced(source, speed, longest_gap_s, clock, sleep)
+    return iter(source) if speed == inf else _pace(source, speed, longest_gap_s, clock, sleep)
 
 
-def _paced(
+def _pace(
     source: Source, speed: float, longest_gap_s: float, clock: Callable[[], float], sleep: Callable[[float], None]
 ) -> Iterator[list[Message]]:
     """Pace a source at a finite speed; `zero_s` is the time of receipt that corresponds to the clock's start."""
@@ -163,13 +163,13 @@ def _paced(
                     yield []
                     continue
             due_s = zero_s + (clock() - began) * speed
-            cut = max(at + 1, _due(block, at, due_s, longest_gap_s))
+            cut = max(at + 1, _find_due(block, at, due_s, longest_gap_s))
             yield block[at:cut]
             newest_s = block[cut - 1].receipt_ns * 1e-9
             at = cut
 
 
-def _due(block: list[Message], at: int, due_s: float, longest_gap_s: float) -> int:
+def _find_due(block: list[Message], at: int, due_s: float, longest_gap_s: float) -> int:
     """Return the end of the messages from `at` that have fallen due, at most up to the next gap to be shortened."""
     cut = bisect_right(block, round(due_s * 1e9), lo=at, key=_receipt)
     if longest_gap_s < inf:

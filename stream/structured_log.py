@@ -81,9 +81,9 @@ class LineFormatter(logging.Formatter):
         if record.exc_info and record.exc_info[1] is not None:
             line["error"] = repr(record.exc_info[1])
         if self._as_json:
-            finite = {name: None if _unknown(value) else value for name, value in line.items()}
+            finite = {name: None if _is_unknown(value) else value for name, value in line.items()}
             return json.dumps(finite, ensure_ascii=False, default=str)
-        return " ".join(f"{name}={_quoted(value)}" for name, value in line.items())
+        return " ".join(f"{name}={_quote(value)}" for name, value in line.items())
 
 
 class _Standard(logging.StreamHandler[TextIO]):
@@ -118,12 +118,12 @@ def log_lines(*, as_json: bool = False, to: TextIO | None = None, level: int = l
     root.propagate = False
 
 
-def _unknown(value: Any) -> bool:
+def _is_unknown(value: Any) -> bool:
     """Return whether a value is a number that JSON cannot represent."""
     return isinstance(value, float) and not isfinite(value)
 
 
-def _quoted(value: Any) -> str:
+def _quote(value: Any) -> str:
     """Return the text of a value after the equals sign, quoted if necessary."""
     text = f"{value:.13g}" if isinstance(value, float) else str(value)
     return text if text and _PLAIN.issuperset(text) else json.dumps(text, ensure_ascii=False)

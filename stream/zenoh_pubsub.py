@@ -89,7 +89,7 @@ class ZenohSource:
         self._looked_ns = 0
         self._session = node.session
         self._routers = len(node.session.info.routers_zid())
-        self._subscribers = [_subscribed(node, f"{node.prefix}{space}/**") for space in _SPACES]
+        self._subscribers = [_subscribe(node, f"{node.prefix}{space}/**") for space in _SPACES]
         self._receivers = [subscriber.handler.try_recv for subscriber in self._subscribers]
         self._misses: list[Any] = []
         if node.connection.recovery:
@@ -103,10 +103,10 @@ class ZenohSource:
             stopping = self._stop.is_set()
             while stopping and self._subscribers:
                 self._subscribers.pop().undeclare()
-            messages = self._drained()
+            messages = self._drain()
             if messages and len(messages) < DRAIN and not stopping:
                 time.sleep(GATHER_S)
-                messages += self._drained()
+                messages += self._drain()
             self._watch_routers()
             if messages or quiet_s >= LOOK_UP_S:
                 yield messages
@@ -118,7 +118,7 @@ class ZenohSource:
                 quiet_s += nap
                 nap = min(2 * nap, longest)
 
-    def _drained(self) -> list[Message]:
+    def _drain(self) -> list[Message]:
         """Return the queued messages, stamped with one time of receipt that never decreases."""
         now = self._newest_ns = max(self._newest_ns, time.time_ns())
         out: list[Message] = []
@@ -209,7 +209,7 @@ class ZenohSink:
             for key, payload, _ in messages:
                 publisher = publishers.get(key)
                 if publisher is None:
-                    publisher = publishers[key] = self._declared(self._prefix + key)
+                    publisher = publishers[key] = self._declare(self._prefix + key)
                 publisher.put(payload)
         except zenoh.ZError as error:
             raise SettingsError(f"cannot publish: {format_zenoh_error(error)}") from error
@@ -222,7 +222,7 @@ class ZenohSink:
             publisher.undeclare()
         self._publishers.clear()
 
-    def _declared(self, key: str) -> Any:
+    def _declare(self, key: str) -> Any:
         """Return a publisher that numbers its samples, caches the last ones, and is visible to late subscribers."""
         return ext.declare_advanced_publisher(
             self._session,
@@ -235,7 +235,7 @@ class ZenohSink:
         )
 
 
-def _subscribed(node: Node, keys: str) -> Any:
+def _subscribe(node: Node, keys: str) -> Any:
     """Return a subscriber with its own channel; an advanced one if missed samples are to be requested."""
     channel: Any = handlers.FifoChannel(QUEUE)
     if not node.connection.recovery:

@@ -206,7 +206,7 @@ def query_outlook(
             if reply.ok is not None:
                 return bytes(reply.ok.payload.to_bytes())
             if reply.err is not None:
-                refusals.append(_words(reply.err.payload.to_bytes()))
+                refusals.append(_read_reason(reply.err.payload.to_bytes()))
     except zenoh.ZError as error:
         raise SettingsError(f"{key} cannot be queried: {format_zenoh_error(error)}; give a plain name") from error
     if words := next(filter(None, refusals), None):
@@ -219,7 +219,7 @@ def query_outlook(
     )
 
 
-def _words(payload: bytes) -> str | None:
+def _read_reason(payload: bytes) -> str | None:
     """Return the reason in an error reply; None for Zenoh's own reply, which reports a timeout."""
     try:
         return msgspec.json.decode(payload, type=_Refusal).error

@@ -95,8 +95,8 @@ class Node:
     def __init__(self, connection: Connection = Connection()) -> None:
         self.connection = connection
         self.prefix = parse_prefix(connection.prefix)
-        config = _config(connection)
-        self.endpoints: list[str] = _endpoints(config)
+        config = _make_config(connection)
+        self.endpoints: list[str] = _list_endpoints(config)
         try:
             self.session = zenoh.open(config)
         except zenoh.ZError as error:
@@ -196,7 +196,7 @@ def format_zenoh_error(error: Exception) -> str:
     return (inner.group(1) if inner else text).strip(" .!")
 
 
-def _config(connection: Connection) -> zenoh.Config:
+def _make_config(connection: Connection) -> zenoh.Config:
     """Return Zenoh's configuration; raise `SettingsError` if the file or a value is invalid."""
     file = connection.config
     try:
@@ -208,9 +208,9 @@ def _config(connection: Connection) -> zenoh.Config:
     if connection.connect:
         _insert(config, "connect/endpoints", list(connection.connect))
     if connection.listen:
-        _insert(config, "listen/endpoints", [_with_port(end) for end in connection.listen])
+        _insert(config, "listen/endpoints", [_fill_port(end) for end in connection.listen])
     elif _read(config, "listen/endpoints") == _read(zenoh.Config(), "listen/endpoints"):
-        ends = {"router": [LOOPBACK], "peer": [_with_port("tcp/127.0.0.1:0")]}.get(mode, [])
+        ends = {"router": [LOOPBACK], "peer": [_fill_port("tcp/127.0.0.1:0")]}.get(mode, [])
         _insert(config, "listen/endpoints", ends)
     for name, unset, value in _OURS:
         if _read(config, name) == unset:
@@ -220,7 +220,7 @@ def _config(connection: Connection) -> zenoh.Config:
 
 def _only_listening_fails(config: zenoh.Config) -> bool:
     """Return whether a session that failed to open can be opened without listening."""
-    if _read(config, "mode") == "client" or not _endpoints(config):
+    if _read(config, "mode") == "client" or not _list_endpoints(config):
         return False
     _insert(config, "listen/endpoints", [])
     try:
@@ -230,7 +230,7 @@ def _only_listening_fails(config: zenoh.Config) -> bool:
     return True
 
 
-def _with_port(endpoint: str) -> str:
+def _fill_port(endpoint: str) -> str:
     """Return an endpoint with port 0 replaced by a free port."""
     return f"{endpoint[:-1]}{find_free_port()}" if endpoint.endswith(":0") else endpoint
 
@@ -240,7 +240,7 @@ def _read(config: zenoh.Config, name: str) -> Any:
     return msgspec.json.decode(config.get_json(name))
 
 
-def _endpoints(config: zenoh.Config) -> list[str]:
+def _list_endpoints(config: zenoh.Config) -> list[str]:
     """Return the endpoints at which a configuration listens."""
     endpoints = _read(config, "listen/endpoints") or []
     return [

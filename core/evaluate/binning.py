@@ -107,9 +107,9 @@ def bin_values(values: Floats, ends: Sequence[int]) -> Binning:
     return Binning(codes, (f"below {ends[0]}", *inner, f"from {ends[-1]}"))
 
 
-def _distance(rides: pd.DataFrame) -> Binning:
+def _bin_distances(rides: pd.DataFrame) -> Binning:
     """Return the distance clusters of the paper."""
-    return Binning(assign_distance_clusters(_numbers(rides, "distance_km")), CLUSTERS)
+    return Binning(assign_distance_clusters(_get_numbers(rides, "distance_km")), CLUSTERS)
 
 
 def bin_seasons(winter: Floats) -> Binning:
@@ -128,19 +128,19 @@ def bin_seasons(winter: Floats) -> Binning:
     return Binning(np.where(np.isnan(winter), -1, 1 - (winter > 0.0)).astype(np.int64), SEASONS)
 
 
-def _season(rides: pd.DataFrame) -> Binning:
+def _bin_season(rides: pd.DataFrame) -> Binning:
     """Return the bins of `SEASONS`."""
-    return bin_seasons(_numbers(rides, "winter"))
+    return bin_seasons(_get_numbers(rides, "winter"))
 
 
-def _hour(rides: pd.DataFrame) -> Binning:
+def _bin_hours(rides: pd.DataFrame) -> Binning:
     """Return bins of the local hour."""
-    hour = compute_local_hour(_numbers(rides, "start_s"), _numbers(rides, "longitude_start_deg"))
+    hour = compute_local_hour(_get_numbers(rides, "start_s"), _get_numbers(rides, "longitude_start_deg"))
     codes = np.where(np.isfinite(hour), np.nan_to_num(hour) // HOURS_PER_BIN, -1).astype(np.int64)
     return Binning(codes, tuple(f"{h} to {h + HOURS_PER_BIN}" for h in range(0, 24, HOURS_PER_BIN)))
 
 
-def _named(column: str) -> Callable[[pd.DataFrame], Binning]:
+def _make_name_binner(column: str) -> Callable[[pd.DataFrame], Binning]:
     """Return a function that makes one bin for each name in a column."""
 
     def make(rides: pd.DataFrame) -> Binning:
@@ -152,12 +152,12 @@ def _named(column: str) -> Callable[[pd.DataFrame], Binning]:
     return make
 
 
-def _binned(column: str, ends: Sequence[int]) -> Callable[[pd.DataFrame], Binning]:
+def _make_binner(column: str, ends: Sequence[int]) -> Callable[[pd.DataFrame], Binning]:
     """Return a function that bins the numbers of a column."""
-    return lambda rides: bin_values(_numbers(rides, column), ends)
+    return lambda rides: bin_values(_get_numbers(rides, column), ends)
 
 
-def _numbers(rides: pd.DataFrame, column: str) -> Floats:
+def _get_numbers(rides: pd.DataFrame, column: str) -> Floats:
     """Return a column as numbers; NaN where the column is missing."""
     if column not in rides:
         return np.full(len(rides), np.nan)
@@ -166,15 +166,15 @@ def _numbers(rides: pd.DataFrame, column: str) -> Floats:
 
 BINNERS: Final[Mapping[str, Callable[[pd.DataFrame], Binning]]] = MappingProxyType(
     {
-        "distance": _distance,
-        "temperature": _binned("ambient_c", TEMPERATURES),
-        "speed": _binned("average_speed_kmh", SPEEDS),
-        "season": _season,
-        "time of day": _hour,
-        "wind": _binned("wind_speed_kmh", WINDS),
-        "vehicle model": _named("vehicle_model"),
-        "vehicle": _named("vehicle_id"),
-        "driver": _named("driver_id"),
+        "distance": _bin_distances,
+        "temperature": _make_binner("ambient_c", TEMPERATURES),
+        "speed": _make_binner("average_speed_kmh", SPEEDS),
+        "season": _bin_season,
+        "time of day": _bin_hours,
+        "wind": _make_binner("wind_speed_kmh", WINDS),
+        "vehicle model": _make_name_binner("vehicle_model"),
+        "vehicle": _make_name_binner("vehicle_id"),
+        "driver": _make_name_binner("driver_id"),
     }
 )
 """Functions that bin each property, by its name."""

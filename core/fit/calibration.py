@@ -118,15 +118,17 @@ def calibrate_interval(
     PredictionInterval or None
         None where there are fewer than `LEAST_CALIBRATION_RIDES` errors in `seen`.
     """
-    every = _joined(seen)
+    every = _join_rides(seen)
     if len(every.error) < LEAST_CALIBRATION_RIDES:
         return None
-    general = _scale(every)
-    scales = {key: _scale(own) if len(own.error) >= LEAST_CALIBRATION_RIDES else general for key, own in seen.items()}
+    general = _fit_scale(every)
+    scales = {
+        key: _fit_scale(own) if len(own.error) >= LEAST_CALIBRATION_RIDES else general for key, own in seen.items()
+    }
     over = np.concatenate([own.error / (own.terms @ scales[key]) for key, own in seen.items()])
-    starts = _classes(every.distance)
+    starts = _find_classes(every.distance)
     kind = np.searchsorted(starts, every.distance, side="right") - 1
-    rows = [_quantiles(over[kind == i]) for i in range(len(starts))]
+    rows = [_compute_quantiles(over[kind == i]) for i in range(len(starts))]
     found = PredictionInterval(
         scales={key: _three(scale) for key, scale in scales.items()} | {ANY: _three(general * _UNSEEN_FACTOR)},
         distances_km=tuple(starts),
@@ -134,7 +136,7 @@ def calibrate_interval(
         quantiles=tuple(tuple(row.tolist()) for row in rows),
         rides=len(over),
     )
-    return found if len(unseen) < 2 else _for_unseen(found, _joined(unseen))
+    return found if len(unseen) < 2 else _widen_for_unseen(found, _join_rides(unseen))
 
 
 def _three(scale: Floats) -> tuple[float, float, float]:
@@ -142,19 +144,19 @@ def _three(scale: Floats) -> tuple[float, float, float]:
     return constant, by_size, by_cold
 
 
-def _joined(parts: Mapping[str, HeldOutErrors]) -> HeldOutErrors:
+def _join_rides(parts: Mapping[str, HeldOutErrors]) -> HeldOutErrors:
     """Return all rides together."""
     return HeldOutErrors(*(np.concatenate(columns) for columns in zip(*parts.values(), strict=True)))
 
 
-def _scale(rides: HeldOutErrors) -> Floats:
+def _fit_scale(rides: HeldOutErrors) -> Floats:
     """Return non-negative factors of the scale, from least squares of absolute errors relative to the ride's size."""
     weight = 1.0 / (_LEAST_SCALE + rides.terms[:, 1])
     found, _ = nnls(rides.terms * weight[:, np.newaxis], np.abs(rides.error) * weight)
     return np.maximum(found, np.array([_LEAST_SCALE, 0.0, 0.0]))
 
 
-def _classes(distance: Floats) -> list[float]:
+def _find_classes(distance: Floats) -> list[float]:
     """Return the distances at which classes begin; classes with too few rides merge with their neighbours. [km]"""
     starts = list(_CLASSES)
     while len(starts) > 1:
@@ -166,7 +168,7 @@ def _classes(distance: Floats) -> list[float]:
     return starts
 
 
-def _quantiles(over: Floats) -> Floats:
+def _compute_quantiles(over: Floats) -> Floats:
     """Return quantiles of errors over their scale that cover one more ride with the nominal probability."""
     ordered, n, levels = np.sort(over), len(over), np.array(QUANTILE_LEVELS)
     above = np.ceil((n + 1) * levels) - 1.0
@@ -175,10 +177,10 @@ def _quantiles(over: Floats) -> Floats:
     return ordered[np.clip(rank, 0, n - 1).astype(np.int64)]
 
 
-def _for_unseen(interval: PredictionInterval, unseen: HeldOutErrors) -> PredictionInterval:
+def _widen_for_unseen(interval: PredictionInterval, unseen: HeldOutErrors) -> PredictionInterval:
     """Return the interval with a scale for unseen vehicle models, at least as large as the mean of the others."""
-    scale = _scale(unseen)
-    low, high = _bounds(interval, unseen.distance)
+    scale = _fit_scale(unseen)
+    low, high = _compute_bounds(interval, unseen.distance)
     over = unseen.error / (unseen.terms @ scale)
     factors = np.where(over > 0.0, over / np.maximum(high, 1e-9), over / np.minimum(low, -1e-9))
     factor = float(np.quantile(factors, _UNSEEN_LEVEL))
@@ -214,14 +216,14 @@ def widen_for_unseen_cars(
         return interval
     factors = []
     for key, own in held.items():
-        low, high = _bounds(interval, own.distance)
+        low, high = _compute_bounds(interval, own.distance)
         over = own.error / (own.terms @ np.array(interval.scales.get(key, interval.scales[ANY])))
         factors.append(np.where(over > 0.0, over / np.maximum(high, 1e-9), over / np.minimum(low, -1e-9)))
     factor = float(np.quantile(np.concatenate(factors), _UNSEEN_LEVEL))
     return msgspec.structs.replace(interval, cars=tuple(sorted(set(cars))), unseen_car=max(factor, 1.0))
 
 
-def _bounds(interval: PredictionInterval, distance: Floats) -> tuple[Floats, Floats]:
+def _compute_bounds(interval: PredictionInterval, distance: Floats) -> tuple[Floats, Floats]:
     """Return the quantiles at either end of the interval of `_UNSEEN_LEVEL`, by the length of each ride. [1]"""
     kind = np.searchsorted(interval.distances_km, distance, side="right") - 1
     low, high = (
@@ -256,13 +258,13 @@ def add_interval(model: LinearModel, rides: pd.DataFrame, *, fitted: bool = True
     own, every = np.full(len(good), np.nan), np.full(len(good), np.nan)
     for key in sorted(set(kinds)):
         rows = np.flatnonzero(kinds == key)
-        own[rows] = _left(model, key if key in model.fits else ANY, good, rows, rows, fitted=fitted)
-        every[rows] = _left(model, ANY, good, np.arange(len(good)), rows, fitted=fitted)
-    unseen = _by_model(good, every) if ANY in model.fits else {}
-    return stamp(msgspec.structs.replace(model, interval=calibrate_interval(_by_model(good, own), unseen)))
+        own[rows] = _leave_out(model, key if key in model.fits else ANY, good, rows, rows, fitted=fitted)
+        every[rows] = _leave_out(model, ANY, good, np.arange(len(good)), rows, fitted=fitted)
+    unseen = _group_by_model(good, every) if ANY in model.fits else {}
+    return stamp(msgspec.structs.replace(model, interval=calibrate_interval(_group_by_model(good, own), unseen)))
 
 
-def _left(model: LinearModel, key: str, rides: pd.DataFrame, rows: Ints, out: Ints, *, fitted: bool) -> Floats:
+def _leave_out(model: LinearModel, key: str, rides: pd.DataFrame, rows: Ints, out: Ints, *, fitted: bool) -> Floats:
     """Return errors of rides `out` under a fit without them: one at a time, or as a group if `rows` has more rides."""
     fit = model.fits[key]
     table = build_design(model.terms, Columns(rides, fit.fills, fit.curve, rows), len(rows))
@@ -277,10 +279,10 @@ def _left(model: LinearModel, key: str, rides: pd.DataFrame, rows: Ints, out: In
     if len(out) == len(rows):
         leverage = np.minimum(np.einsum("ij,ij->i", basis, basis), 0.99)
         return left / (1.0 - leverage)
-    return _without_group(basis, left, inside)
+    return _leave_out_group(basis, left, inside)
 
 
-def _without_group(basis: Floats, left: Floats, out: Ints) -> Floats:
+def _leave_out_group(basis: Floats, left: Floats, out: Ints) -> Floats:
     """Return the errors of a group of rides under a fit without the whole group: (I - H_gg)^-1 e_g."""
     own = basis[out]
     p = basis.shape[1]
@@ -325,7 +327,7 @@ def assign_car_folds(vehicles: Sequence[str], folds: int) -> Ints:
     return np.asarray(assign_folds(len(cars), folds)[code] if len(cars) > 1 else np.zeros(len(code), dtype=np.int64))
 
 
-def _by_model(rides: pd.DataFrame, error: Floats) -> dict[str, HeldOutErrors]:
+def _group_by_model(rides: pd.DataFrame, error: Floats) -> dict[str, HeldOutErrors]:
     """Return errors by vehicle model."""
     kinds = np.array(get_names(rides, VEHICLE_MODEL), dtype=object)
     found: dict[str, Any] = {}

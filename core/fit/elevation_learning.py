@@ -170,7 +170,7 @@ class _Columns:
     def __init__(self, row: Floats, column: Floats) -> None:
         """Give a number to the nodes about positions, which are in units of `SPACING`."""
         self.keys = [
-            np.unique(np.concatenate([key for key, _ in _corners(row, column, k)])) for k in range(len(SPACINGS))
+            np.unique(np.concatenate([key for key, _ in _find_corners(row, column, k)])) for k in range(len(SPACINGS))
         ]
         self.first = np.concatenate([[0], np.cumsum([len(keys) for keys in self.keys])])
 
@@ -184,7 +184,7 @@ class _Columns:
         at, places, values = [], [], []
         without = np.zeros((len(row), len(SPACINGS)))
         for k, keys in enumerate(self.keys):
-            for key, weight in _corners(row, column, k):
+            for key, weight in _find_corners(row, column, k):
                 place = np.minimum(np.searchsorted(keys, key), len(keys) - 1)
                 known = keys[place] == key
                 at.append(np.flatnonzero(known))
@@ -196,7 +196,7 @@ class _Columns:
         return coo_array(entries, shape=shape).tocsr(), without
 
 
-def _corners(row: Floats, column: Floats, k: int) -> list[tuple[Ints, Floats]]:
+def _find_corners(row: Floats, column: Floats, k: int) -> list[tuple[Ints, Floats]]:
     """Return key and bilinear weight of the four nodes of a grid about positions."""
     scale = SPACINGS[k] / SPACING
     y, x = row / scale, column / scale
@@ -208,7 +208,7 @@ def _corners(row: Floats, column: Floats, k: int) -> list[tuple[Ints, Floats]]:
     ]
 
 
-def _number(values: Ints) -> Ints:
+def _number_values(values: Ints) -> Ints:
     """Return the place of each value among the different values."""
     return np.asarray(np.unique(values, return_inverse=True)[1])
 
@@ -287,15 +287,15 @@ def learn_elevation(fixes: ElevationFixes) -> tuple[ElevationPlaces, MapSummary]
     scale = float(np.cos(np.median(fixes.latitude)))  # makes the cells square
     steps = SPACING / EARTH_RADIUS, SPACING / (EARTH_RADIUS * scale)
     row, column = fixes.latitude / steps[0], fixes.longitude / steps[1]
-    car = _number(fixes.car)
-    ride = _number(fixes.car * (int(fixes.ride.max()) + 2) + fixes.ride)
+    car = _number_values(fixes.car)
+    ride = _number_values(fixes.car * (int(fixes.ride.max()) + 2) + fixes.ride)
     columns = _Columns(row, column)
     rng = np.random.default_rng(SEED)
     system = _make_system(columns.design(row, column)[0], columns, ride, car)
     with threadpool_limits(1):  # vectors are short, so threads would wait, and sums would depend on their number
         fit, exponent = _estimate(system, fixes, ride, rng)
         residual = fixes.elevation - system.design @ fit.coefficients
-        places = _make_places(columns, system, fit, _disagreement(row, column, residual, fit.fix_sd), rng)
+        places = _make_places(columns, system, fit, _measure_disagreement(row, column, residual, fit.fix_sd), rng)
     y, x, z, variance, count = places
     kept = variance <= LARGEST_SD**2
     learned = ElevationPlaces(*steps, y[kept], x[kept], z[kept] + datum, np.sqrt(variance[kept]), count[kept])
@@ -318,7 +318,7 @@ def _make_system(design: Any, columns: _Columns, ride: Ints, car: Ints) -> _Syst
     return _System(coo_array((values, (at, place)), shape=(n, len(component))).tocsr(), component)
 
 
-def _ground_variances(fixes: ElevationFixes, exponent: float) -> Floats:
+def _compute_ground_variances(fixes: ElevationFixes, exponent: float) -> Floats:
     """Return the variance of the coefficients of each grid: that of the fixes for the widest. [m^2]"""
     relief = max(LEAST_SD, float(np.std(fixes.elevation)))
     return (relief * (np.array(SPACINGS) / SPACINGS[-1]) ** exponent) ** 2
@@ -327,12 +327,12 @@ def _ground_variances(fixes: ElevationFixes, exponent: float) -> Floats:
 def _estimate(system: _System, fixes: ElevationFixes, ride: Ints, rng: np.random.Generator) -> tuple[_Fit, float]:
     """Return coefficients, variances and weights, and the exponent of the ground that predicts unseen days best."""
     weight = np.full(len(ride), FIRST_FIX_SD**-2.0)
-    variances = np.append(_ground_variances(fixes, FIRST_EXPONENT), np.square(FIRST_OFFSET_SD))
+    variances = np.append(_compute_ground_variances(fixes, FIRST_EXPONENT), np.square(FIRST_OFFSET_SD))
     fit = _Fit(np.zeros(len(system.component)), variances, weight, FIRST_FIX_SD, 0.0)
     for _ in range(ROUNDS):
         fit = _improve(system, fixes.elevation, ride, fit, rng)
     exponent = _choose_exponent(system, fixes, fit)
-    fit.variances[:-2] = _ground_variances(fixes, exponent)
+    fit.variances[:-2] = _compute_ground_variances(fixes, exponent)
     for _ in range(ROUNDS):
         fit = _improve(system, fixes.elevation, ride, fit, rng)
     return fit, exponent
@@ -345,7 +345,9 @@ def _improve(system: _System, elevation: Floats, ride: Ints, fit: _Fit, rng: np.
     coefficients = system.solve(elevation, fit.weight, precision, fit.coefficients)
     samples = [system.draw(fit.weight, precision, rng) for _ in range(SAMPLES)]
     variances = fit.variances.copy()
-    variances[-2:] = [_mean_square(coefficients, samples, component == place) for place in component[-1] - [1, 0]]
+    variances[-2:] = [
+        _compute_mean_square(coefficients, samples, component == place) for place in component[-1] - [1, 0]
+    ]
     residual = elevation - system.design @ coefficients
     taken_up = np.mean([(system.design @ sample) ** 2 for sample in samples])
     fix_sd = max(LEAST_SD, float(np.sqrt((SIGMA * np.median(np.abs(residual))) ** 2 + taken_up)))
@@ -355,7 +357,7 @@ def _improve(system: _System, elevation: Floats, ride: Ints, fit: _Fit, rng: np.
     return _Fit(coefficients, variances, weight, fix_sd, correlation)
 
 
-def _mean_square(coefficients: Floats, samples: list[Floats], which: NDArray[np.bool_]) -> float:
+def _compute_mean_square(coefficients: Floats, samples: list[Floats], which: NDArray[np.bool_]) -> float:
     """Return the expected variance of some coefficients about their mean, which belongs to the datum of the map."""
     about = [each[which] - each[which].mean() for each in (coefficients, *samples)]
     mean, deviations = about[0], about[1:]
@@ -372,7 +374,7 @@ def _choose_exponent(system: _System, fixes: ElevationFixes, fit: _Fit) -> float
     weight = np.where(unseen, UNSEEN * fit.weight, fit.weight)
     errors = []
     for exponent in EXPONENTS:
-        variances = np.append(_ground_variances(fixes, exponent), fit.variances[-2:])
+        variances = np.append(_compute_ground_variances(fixes, exponent), fit.variances[-2:])
         coefficients = system.solve(fixes.elevation, weight, 1.0 / variances[system.component])
         residual = (fixes.elevation - system.design @ coefficients)[unseen]
         errors.append(float(np.mean(np.minimum(np.abs(residual), CLIP * fit.fix_sd) ** 2)))
@@ -388,7 +390,9 @@ def _correlate(residual: Floats, ride: Ints) -> float:
     return float(np.clip((before * after)[same].sum() / total, 0.0, 0.9)) if total > 0.0 else 0.0
 
 
-def _disagreement(row: Floats, column: Floats, residual: Floats, fix_sd: float) -> tuple[Ints, Ints, Ints, Floats]:
+def _measure_disagreement(
+    row: Floats, column: Floats, residual: Floats, fix_sd: float
+) -> tuple[Ints, Ints, Ints, Floats]:
     """Return the places nearest to fixes: row, column, number of fixes, and their variance beyond that of errors."""
     y, x = np.rint(row).astype(np.int64), np.rint(column).astype(np.int64)
     _, first, place = np.unique(number_nodes(y, x), return_index=True, return_inverse=True)

@@ -162,11 +162,11 @@ def limit_to_one_thread() -> Any:
     context manager
         The limit holds within its `with` block.
     """
-    return _blas().limit(limits=1)
+    return _find_blas().limit(limits=1)
 
 
 @cache
-def _blas() -> Any:
+def _find_blas() -> Any:
     """Return the controller of the linear algebra of numpy; cached, as the search for it is slow."""
     return ThreadpoolController().select(user_api="blas")
 
@@ -189,7 +189,7 @@ class _Fitting:
         self.filled = [c for c in filled if (c in FEATURES and c not in CarParameters._fields) or c in DERIVED_COLUMNS]
         self.place = next((i for i, term in enumerate(plan.terms) if not term.columns), None)
         self.sloped = [i for i in range(len(plan.terms)) if i != self.place]
-        self.groups: dict[str, _GroupFit] = {ANY: self._group()}
+        self.groups: dict[str, _GroupFit] = {ANY: self._make_group()}
         self.counts: dict[str, int] = {}
         self.only: str | None = None
         self.left_out: Counter[str] = Counter()
@@ -198,9 +198,9 @@ class _Fitting:
 
     def survey(self) -> None:
         """Pass over the rides for the fills, the accessory curves and the description of the training."""
-        for block in self._blocks(note=True):
+        for block in self._read_blocks(note=True):
             for key, rows in _split(block):
-                self._note(self.groups.setdefault(key, self._group()), Columns(block, rows=rows))
+                self._note(self.groups.setdefault(key, self._make_group()), Columns(block, rows=rows))
         least = _RIDES_PER_COEFFICIENT * (len(self.terms) if self.plan.free else _CURVE_NUMBERS if self.curved else 1)
         rides = self.groups[ANY].rides
         if rides < least:
@@ -221,9 +221,11 @@ class _Fitting:
         """Pass over the rides for the normal equations, and solve them."""
         if not self.plan.free:
             return
-        for block in self._blocks():
-            for group, columns, _ in self._parts(block):
-                table = np.column_stack([self._design(columns), *self._nuisance(group, columns), columns[ENERGY]])
+        for block in self._read_blocks():
+            for group, columns, _ in self._split_parts(block):
+                table = np.column_stack(
+                    [self._design(columns), *self._differentiate_curve(group, columns), columns[ENERGY]]
+                )
                 if not group.moments.rows:
                     group.moments = Moments(table.shape[1])
                 group.moments.add(table)
@@ -233,18 +235,18 @@ class _Fitting:
 
     def residuals(self) -> None:
         """Pass over the rides for the residuals of the fits."""
-        for block in self._blocks():
+        for block in self._read_blocks():
             days = assign_groups(block[VEHICLE], block["date"]) if VEHICLE in block and "date" in block else None
-            for group, columns, rows in self._parts(block):
+            for group, columns, rows in self._split_parts(block):
                 table = self._design(columns)
-                coefficients, constant = self._coefficients(group)
+                coefficients, constant = self._solve_group(group)
                 left = columns[ENERGY] - table @ coefficients - constant
                 group.absolute += float(np.abs(left).sum())
                 group.squared += float(left @ left)
                 if group.influence is not None and days is not None:
                     if group.scores is None:
                         group.scores = ClusterScores(group.influence.mean, constant=self.place is not None)
-                    table = np.column_stack([table, *self._nuisance(group, columns)])
+                    table = np.column_stack([table, *self._differentiate_curve(group, columns)])
                     group.scores.add(table, left / (1.0 - group.influence.leverage(table)), days[rows])
 
     def model(self) -> LinearModel:
@@ -278,11 +280,11 @@ class _Fitting:
         )
         return stamp(model)
 
-    def _group(self) -> _GroupFit:
+    def _make_group(self) -> _GroupFit:
         """Return an empty group of rides."""
         return _GroupFit(temperatures=TemperatureBins(len(self.road)))
 
-    def _blocks(self, *, note: bool = False) -> Iterator[dict[str, NDArray[Any]]]:
+    def _read_blocks(self, *, note: bool = False) -> Iterator[dict[str, NDArray[Any]]]:
         """Yield the trainable rides of each block; with `note`, record the rides left out, dates and fingerprint."""
         for block in self.rides.blocks(self.columns):
             good, left_out = select_trainable(block, self.columns)
@@ -307,7 +309,7 @@ class _Fitting:
             first, last = self.dates
             self.dates = (min(first or min(dates), *dates), max(last, *dates))
 
-    def _parts(self, block: dict[str, NDArray[Any]]) -> Iterator[tuple[_GroupFit, Columns, Any]]:
+    def _split_parts(self, block: dict[str, NDArray[Any]]) -> Iterator[tuple[_GroupFit, Columns, Any]]:
         """Yield each group, its rides of a block with the columns as the fit uses them, and their rows."""
         for key, rows in _split(block):
             group = self.groups.get(key)
@@ -332,7 +334,7 @@ class _Fitting:
         """Return the design matrix without the constant."""
         return build_design(tuple(self.terms[i] for i in self.sloped), columns, len(columns[ENERGY]))
 
-    def _nuisance(self, group: _GroupFit, columns: Columns) -> list[Floats]:
+    def _differentiate_curve(self, group: _GroupFit, columns: Columns) -> list[Floats]:
         """Return the derivative of the energy by each number of the accessory curve."""
         if not self.covariance or group.curve is None:
             return []
@@ -357,7 +359,7 @@ class _Fitting:
         constant = self.place is not None
         moments = group.moments.only([*range(len(self.sloped)), -1])
         solution = solve(moments, constant=constant)
-        weight, toward, group.held = self._prior(moments, solution)
+        weight, toward, group.held = self._make_prior(moments, solution)
         if group.held:
             solution = solve(moments, constant=constant, weight=weight, toward=toward)
         group.solution = solution
@@ -366,7 +368,7 @@ class _Fitting:
             beside = terms.index((ACCESSORIES_COLUMN,)) if (ACCESSORIES_COLUMN,) in terms else None
             group.influence = Influence(group.moments, solution, beside)
 
-    def _prior(self, moments: Moments, free: Solution) -> tuple[Floats, Floats, tuple[str, ...]]:
+    def _make_prior(self, moments: Moments, free: Solution) -> tuple[Floats, Floats, tuple[str, ...]]:
         """Return the weights, the targets and the names of the coefficients that the rides do not determine."""
         sums = moments.sums(centred=free.constant is not None)
         size = np.sqrt(np.maximum(np.diag(sums), 0.0))
@@ -383,7 +385,7 @@ class _Fitting:
                     held.append(term.name)
         return weight, toward, tuple(held)
 
-    def _coefficients(self, group: _GroupFit) -> tuple[Floats, float]:
+    def _solve_group(self, group: _GroupFit) -> tuple[Floats, float]:
         """Return the coefficients and the constant of a group."""
         if group.solution is None:
             return np.ones(len(self.sloped)), 0.0
@@ -392,7 +394,7 @@ class _Fitting:
     def _fit(self, group: _GroupFit) -> Fit:
         """Return the fit of a group as a model file stores it."""
         solution, influence, scores = group.solution, group.influence, group.scores
-        coefficients, constant = self._coefficients(group)
+        coefficients, constant = self._solve_group(group)
         values = np.empty(len(self.terms))
         values[self._order] = [*coefficients, *([] if self.place is None else [constant])]
         robust = scores is not None and scores.groups >= LEAST_GROUPS
@@ -403,7 +405,7 @@ class _Fitting:
         freedom = solution.freedom if solution is not None else group.rides
         return Fit(
             coefficients=tuple(values.tolist()),
-            covariance=None if covariance is None else self._ordered(covariance),
+            covariance=None if covariance is None else self._reorder(covariance),
             clusters=scores.groups if robust and scores else None,
             fills=group.fills,
             curve=group.curve,
@@ -417,7 +419,7 @@ class _Fitting:
         """Return the positions of the solution's coefficients, and of its constant, among the terms."""
         return [*self.sloped, *([] if self.place is None else [self.place])]
 
-    def _ordered(self, covariance: Floats) -> tuple[tuple[float, ...], ...]:
+    def _reorder(self, covariance: Floats) -> tuple[tuple[float, ...], ...]:
         """Return a covariance reordered to the order of the terms."""
         out = np.empty_like(covariance)
         out[np.ix_(self._order, self._order)] = covariance

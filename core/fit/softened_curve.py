@@ -61,7 +61,7 @@ def compute_softened_power(curve: AccessoryCurve, ambient_c: Floats) -> Floats:
     (n,) float
         Mean power over temperatures within `SOFTENED`. [W]
     """
-    heat, cool = _shares(curve, ambient_c)
+    heat, cool = _compute_shares(curve, ambient_c)
     heating, cooling = curve.heating - curve.standby, curve.cooling - curve.standby
     return np.asarray(curve.standby + heating * heat.value + cooling * cool.value)
 
@@ -81,7 +81,7 @@ def differentiate_softened_power(curve: AccessoryCurve, ambient_c: Floats) -> So
     SoftenedPower
         Power and derivatives.
     """
-    heat, cool = _shares(curve, ambient_c)
+    heat, cool = _compute_shares(curve, ambient_c)
     heating, cooling = curve.heating - curve.standby, curve.cooling - curve.standby
     heat_by = np.column_stack([heat.near, heat.far])
     cool_by = -np.column_stack([cool.far, cool.near])
@@ -103,18 +103,18 @@ def differentiate_softened_power(curve: AccessoryCurve, ambient_c: Floats) -> So
     )
 
 
-def _shares(curve: AccessoryCurve, ambient_c: Floats) -> tuple[_Share, _Share]:
+def _compute_shares(curve: AccessoryCurve, ambient_c: Floats) -> tuple[_Share, _Share]:
     """Return the shares of heating and cooling; cooling counts temperature downwards from its choke points."""
     ambient = ambient_c + ZERO_CELSIUS
-    heat = _share(curve.heating_off - ambient, curve.heating_full - ambient)
-    return heat, _share(ambient - curve.cooling_on, ambient - curve.cooling_full)
+    heat = _compute_share(curve.heating_off - ambient, curve.heating_full - ambient)
+    return heat, _compute_share(ambient - curve.cooling_on, ambient - curve.cooling_full)
 
 
-def _share(far: Floats, near: Floats) -> _Share:
+def _compute_share(far: Floats, near: Floats) -> _Share:
     """Return a share, given the distances of temperatures from both choke points. [K]"""
     width = far - near
-    ramp, slope, bend = _ramp(far)
-    other, other_slope, other_bend = _ramp(near)
+    ramp, slope, bend = _compute_ramp(far)
+    other, other_slope, other_bend = _compute_ramp(near)
     value = (ramp - other) / width
     by_far, by_near = (slope - value) / width, (value - other_slope) / width
     return _Share(
@@ -123,7 +123,7 @@ def _share(far: Floats, near: Floats) -> _Share:
     )  # fmt: skip
 
 
-def _ramp(x: Floats) -> tuple[Floats, Floats, Floats]:
+def _compute_ramp(x: Floats) -> tuple[Floats, Floats, Floats]:
     """Return the mean of max(x, 0) over a range of x, and its first and second derivative."""
     inside = np.clip((x + SOFTENED) / (2.0 * SOFTENED), 0.0, 1.0)
     bend = np.where(np.abs(x) < SOFTENED, 0.5 / SOFTENED, 0.0)

@@ -171,30 +171,32 @@ def export_trees(
     count = [each.node_count for each in nodes]
     roots = np.cumsum([0, *count])[: len(count)]
     shift = np.repeat(roots, count)
-    left, right = (_joined([getattr(each, name) for each in nodes]) for name in ("children_left", "children_right"))
+    left, right = (_join_trees([getattr(each, name) for each in nodes]) for name in ("children_left", "children_right"))
     leaf = left < 0
-    feature = np.where(leaf, LEAF, _joined([each.feature for each in nodes])).astype(int).tolist()
-    bounds = _joined([each.threshold for each in nodes]).tolist()
-    missing = _joined([each.missing_go_to_left for each in nodes])
+    feature = np.where(leaf, LEAF, _join_trees([each.feature for each in nodes])).astype(int).tolist()
+    bounds = _join_trees([each.threshold for each in nodes]).tolist()
+    missing = _join_trees([each.missing_go_to_left for each in nodes])
     return Trees(
         features=features if grown else (),
         per=per,
         baseline=baseline,
         roots=tuple(roots.tolist()),
         feature=tuple(feature),
-        threshold=tuple(0.0 if f == LEAF else _threshold(b, edges[f]) for f, b in zip(feature, bounds, strict=True)),
+        threshold=tuple(
+            0.0 if f == LEAF else _find_threshold(b, edges[f]) for f, b in zip(feature, bounds, strict=True)
+        ),
         left=tuple(np.where(leaf, 0, left + shift).astype(int).tolist()),
         right=tuple(np.where(leaf, 0, right + shift).astype(int).tolist()),
         missing_left=tuple(np.where(leaf, 0, missing).astype(int).tolist()),
-        value=tuple(np.where(leaf, _joined([answer for _, answer in grown]), 0.0).tolist()),
+        value=tuple(np.where(leaf, _join_trees([answer for _, answer in grown]), 0.0).tolist()),
     )
 
 
-def _joined(arrays: Sequence[Floats]) -> Floats:
+def _join_trees(arrays: Sequence[Floats]) -> Floats:
     """Return the arrays of all trees in sequence."""
     return np.concatenate([np.zeros(0), *arrays])
 
 
-def _threshold(bound: float, edges: Floats) -> float:
+def _find_threshold(bound: float, edges: Floats) -> float:
     """Return the value of a feature that separates bins up to a bound from those above."""
     return float(edges[int(bound)]) if bound < len(edges) else _MOST

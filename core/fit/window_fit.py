@@ -98,13 +98,13 @@ def fit_rows(name: str, terms: tuple[Term, ...], rows: pd.DataFrame) -> tuple[Li
     keys = good["ride_key"].to_numpy(dtype=object)
     if (count := len(set(keys.tolist()))) < LEAST_OWN_RIDES:
         raise ModelError(f"recipe {name}: {count} rides to fit to, and it needs {LEAST_OWN_RIDES}: give more rides")
-    fills = {key: _find_fills(terms, good.iloc[at]) for key, at in _groups(kinds)}
-    rides = {key: len(set(keys[at].tolist())) for key, at in _groups(kinds)}
+    fills = {key: _find_fills(terms, good.iloc[at]) for key, at in _split_groups(kinds)}
+    rides = {key: len(set(keys[at].tolist())) for key, at in _split_groups(kinds)}
     alone = len(rides) == 2 and rides[ANY] == min(rides.values())
     groups: dict[str, GroupFit] = {}
     fits = {}
     with limit_to_one_thread():
-        for key, at in _groups(kinds):
+        for key, at in _split_groups(kinds):
             if rides[key] < LEAST_OWN_RIDES or (alone and key == ANY):
                 continue
             group = gather_rows(terms, good.iloc[at], fills[key])
@@ -116,7 +116,7 @@ def fit_rows(name: str, terms: tuple[Term, ...], rows: pd.DataFrame) -> tuple[Li
     return _assemble(name, terms, good, read, fits), groups
 
 
-def _groups(kinds: np.ndarray[tuple[int], np.dtype[np.object_]]) -> Iterator[tuple[str, Ints]]:
+def _split_groups(kinds: np.ndarray[tuple[int], np.dtype[np.object_]]) -> Iterator[tuple[str, Ints]]:
     """Yield each vehicle model with its rows, then all rows together."""
     for kind in sorted(set(kinds.tolist()) - {"", ANY}):
         yield kind, np.flatnonzero(kinds == kind)

@@ -51,12 +51,12 @@ def add_window_interval(model: LinearModel, groups: dict[str, GroupFit], rides: 
         columns = Columns(good, rows=rows)
         seen[kind or ANY] = collect_errors(own.without_day(), columns)
         if len(set(kinds.tolist())) > 1:
-            models[kind or ANY] = collect_errors(_without_rows(model, groups, good, rows), columns)
-    interval = calibrate_interval(_known(seen), _known(models))
+            models[kind or ANY] = collect_errors(_leave_out_rows(model, groups, good, rows), columns)
+    interval = calibrate_interval(_list_known(seen), _list_known(models))
     return stamp(msgspec.structs.replace(model, interval=interval))
 
 
-def _known(errors: dict[str, HeldOutErrors]) -> dict[str, HeldOutErrors]:
+def _list_known(errors: dict[str, HeldOutErrors]) -> dict[str, HeldOutErrors]:
     """Return the vehicle models that have errors."""
     return {key: own for key, own in errors.items() if len(own.error)}
 
@@ -68,7 +68,7 @@ class _HeldOut:
         self.fitted = groups[key]
         self.columns, self.offset = _design(model, key, self.fitted, rides)
         self.energy = get_numbers(rides, ENERGY)
-        self.day, _ = _places(self.fitted, rides)
+        self.day, _ = _find_places(self.fitted, rides)
         spread, sums = self.fitted.spreads.car, self.fitted.elimination.cars
         self.cars = without_car_factor(sums, spread)[0]
         self.total = self.cars.sum(axis=0)
@@ -79,18 +79,18 @@ class _HeldOut:
         rest = fitted.elimination.cars[car] - fitted.elimination.days
         changed, _ = without_car_factor(rest, fitted.spreads.car)
         mean = compute_coefficients(fitted.prior, self.total - self.cars[car] + changed).mean
-        return self._errors(mean, self.day)
+        return self._compute_errors(mean, self.day)
 
-    def _errors(self, mean: Floats, place: Ints) -> Floats:
+    def _compute_errors(self, mean: Floats, place: Ints) -> Floats:
         """Return the error of each ride, with the coefficients of its part; NaN for a ride outside of the fit."""
         predicted = np.einsum("ij,ij->i", self.columns, mean[place]) + self.offset
         return np.where(place >= 0, self.energy - predicted, np.nan)
 
 
-def _without_rows(model: LinearModel, groups: dict[str, GroupFit], rides: pd.DataFrame, rows: Ints) -> Floats:
+def _leave_out_rows(model: LinearModel, groups: dict[str, GroupFit], rides: pd.DataFrame, rows: Ints) -> Floats:
     """Return the errors of the rides of one vehicle model under the fit `*` without them, (rows,). [kWh]"""
     fitted = groups[ANY]
-    _, car = _places(fitted, rides)
+    _, car = _find_places(fitted, rides)
     cars, _ = without_car_factor(fitted.elimination.cars, fitted.spreads.car)
     kept = np.ones(len(cars), np.bool_)
     kept[car[rows][car[rows] >= 0]] = False
@@ -111,7 +111,7 @@ def _design(model: LinearModel, key: str, fitted: GroupFit, rides: pd.DataFrame)
     return np.column_stack([table, slopes]), time * fitted.curve.power(columns["ambient_c"] + ZERO_CELSIUS)
 
 
-def _places(fitted: GroupFit, rides: pd.DataFrame) -> tuple[Ints, Ints]:
+def _find_places(fitted: GroupFit, rides: pd.DataFrame) -> tuple[Ints, Ints]:
     """Return the vehicle-day and the car of each ride in a fit, -1 where the fit has no row of it."""
     place = pd.Index(fitted.rides).get_indexer(pd.Index(rides["ride_key"]))
     day = np.where(place >= 0, fitted.products.day[place], -1)

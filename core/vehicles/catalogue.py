@@ -167,11 +167,11 @@ def load_catalogue() -> Mapping[str, VehicleModel]:
     >>> load_catalogue()["nissan-leaf-2013"].nominal_capacity_kwh
     24.0
     """
-    return _shipped()
+    return _read_shipped()
 
 
 @cache
-def _shipped() -> Mapping[str, VehicleModel]:
+def _read_shipped() -> Mapping[str, VehicleModel]:
     """Read the included catalogue once per process."""
     return read_catalogue(resources.files("core.vehicles").joinpath("vehicles.toml").read_text(encoding="utf-8"))
 
@@ -198,7 +198,7 @@ def read_catalogue(text: str) -> Mapping[str, VehicleModel]:
         tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise CatalogueError(f"vehicle catalogue: not TOML: {error}") from error
-    return MappingProxyType({key: _entry(key, table) for key, table in tables.items()})
+    return MappingProxyType({key: _read_entry(key, table) for key, table in tables.items()})
 
 
 def vehicle_model(message: Vehicle) -> VehicleModel | str:
@@ -248,7 +248,7 @@ def vehicle_model(message: Vehicle) -> VehicleModel | str:
     return replace(known, usable_capacity_kwh=usable, sources={**known.sources, **sources}, **overrides)
 
 
-def _entry(key: str, table: Any) -> VehicleModel:
+def _read_entry(key: str, table: Any) -> VehicleModel:
     """Check a table of the catalogue, and return it as a vehicle model."""
     if not isinstance(table, dict):
         raise CatalogueError(f"vehicle catalogue: {key!r} is no table: write [{key}] and its figures below")
@@ -262,15 +262,15 @@ def _entry(key: str, table: Any) -> VehicleModel:
         raise CatalogueError(f"vehicle {key}: it has no sources: say in [{key}.sources] where each figure comes from")
     figures: dict[str, float] = {}
     for name, (low, high) in BOUNDS.items():
-        figures[name] = _figure(key, table, name, low, high)
+        figures[name] = _read_figure(key, table, name, low, high)
         if not str(sources.get(name, "")).strip():
             raise CatalogueError(
                 f"vehicle {key}: {name} has no source: say in [{key}.sources] where {figures[name]:g} comes from"
             )
     usable = None
     if "usable_capacity_kwh" in table:
-        usable = _figure(key, table, "usable_capacity_kwh", 1.0, figures["nominal_capacity_kwh"])
-    rated = _figure(key, table, "rated_kwh_per_km", *RATED) if "rated_kwh_per_km" in table else None
+        usable = _read_figure(key, table, "usable_capacity_kwh", 1.0, figures["nominal_capacity_kwh"])
+    rated = _read_figure(key, table, "rated_kwh_per_km", *RATED) if "rated_kwh_per_km" in table else None
     title = table.get("name")
     if not isinstance(title, str) or not title.strip():
         raise CatalogueError(f'vehicle {key}: it has no name: add name = "..."')
@@ -279,7 +279,7 @@ def _entry(key: str, table: Any) -> VehicleModel:
     )
 
 
-def _figure(key: str, table: Mapping[str, Any], name: str, low: float, high: float) -> float:
+def _read_figure(key: str, table: Mapping[str, Any], name: str, low: float, high: float) -> float:
     """Return a figure of a table, checked to be a number within its bounds."""
     value = table.get(name)
     if not isinstance(value, int | float) or isinstance(value, bool):

@@ -128,7 +128,7 @@ class Cars:
             Message of the car.
         """
         kind = int(self.of_lane[lane]) if lane < len(self.of_lane) else UNKNOWN
-        return self.messages[kind] == _bare(message)
+        return self.messages[kind] == _strip_identity(message)
 
     def kinds(self, lane: Ints, changes: Sequence[tuple[int, int, Vehicle]], lanes: int) -> Ints:
         """Apply vehicle messages, and return the kind of car of each row.
@@ -151,7 +151,7 @@ class Cars:
         before = self.of_lane.take(lane)
         if not changes:
             return before
-        reported = [Change(who, row, self._kind(message)) for row, who, message in changes]
+        reported = [Change(who, row, self._find_kind(message)) for row, who, message in changes]
         self.unpredictable.update(why for change in reported if (why := self._reasons[change.kind]) is not None)
         for change in reported:
             self.of_lane[change.lane] = change.kind
@@ -162,9 +162,9 @@ class Cars:
         applies = (last >= 0) & (keys[last] // span == lane)
         return np.where(applies, np.array([change.kind for change in reported])[last], before)
 
-    def _kind(self, message: Vehicle) -> int:
+    def _find_kind(self, message: Vehicle) -> int:
         """Return the kind that a message describes, and add it if it is new."""
-        content = _bare(message)
+        content = _strip_identity(message)
         key = msgspec.json.encode(content)
         kind = self._kinds.get(key)
         if kind is not None:
@@ -192,11 +192,11 @@ class Cars:
         """Replace the state by one that `dump` returned."""
         self.__init__()  # type: ignore[misc]
         for message in state[0]:
-            self._kind(msgspec.convert(message, Vehicle))
+            self._find_kind(msgspec.convert(message, Vehicle))
         self.of_lane = np.array(state[1], np.int64)
         self.unpredictable = Counter(state[2])
 
 
-def _bare(message: Vehicle) -> Vehicle:
+def _strip_identity(message: Vehicle) -> Vehicle:
     """Return a message without vehicle, time and date, so that only the description of the car remains."""
     return msgspec.structs.replace(message, vehicle_id="", time_s=0.0, in_service_date=None)

@@ -42,7 +42,7 @@ _BLOCK: Final = 512
 _LOST = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
 
-def _column(values: tuple[Any, ...]) -> Any:
+def _prepare_column(values: tuple[Any, ...]) -> Any:
     """Return values in the form that numpy converts to floats fastest, with NaN for None."""
     missing = values.count(None)
     if missing == 0:
@@ -97,10 +97,10 @@ class Decoder:
         events: list[Event] = []
         rows = 0
         for start in range(0, len(messages), _BLOCK):
-            tables.append(self._block(messages[start : start + _BLOCK], events, rows))
+            tables.append(self._decode_block(messages[start : start + _BLOCK], events, rows))
             rows += tables[-1].shape[1]
         self.received["telemetry"] += rows
-        return _batch(tables), events
+        return _join_blocks(tables), events
 
     def dump(self) -> Any:
         """Return the names of rides and the counters as plain lists."""
@@ -126,7 +126,7 @@ class Decoder:
         self.received[kind] -= 1
         self.rejected[cause] += 1
 
-    def _block(self, block: Sequence[Message], events: list[Event], rows: int) -> Floats:
+    def _decode_block(self, block: Sequence[Message], events: list[Event], rows: int) -> Floats:
         """Decode a block, with a shortcut for the most frequent message: one valid sample of a known vehicle."""
         samples: list[Telemetry] = []
         lanes: list[int] = []
@@ -142,10 +142,10 @@ class Decoder:
                     samples.append(sample)
                     lanes.append(lane)
                     continue
-            self._other(message, samples, lanes, events, rows)
-        return self._table(_transposed(samples), lanes) if samples else np.empty((len(Batch._fields), 0))
+            self._decode_other(message, samples, lanes, events, rows)
+        return self._make_table(_transpose(samples), lanes) if samples else np.empty((len(Batch._fields), 0))
 
-    def _other(
+    def _decode_other(
         self, message: Message, samples: list[Telemetry], lanes: list[int], events: list[Event], rows: int
     ) -> None:
         """Add the content of a message to the samples or events of its block, and count losses by cause."""
@@ -153,18 +153,18 @@ class Decoder:
         if whose is None:
             self.rejected["unknown_key"] += 1
         elif whose.kind == "telemetry":
-            if good := self._samples(message.payload, whose.identity):
+            if good := self._decode_samples(message.payload, whose.identity):
                 lane = self._lane_of_key[message.key] = self.lanes.lane(whose.identity)
                 lanes += [lane] * len(good)
                 samples += good
         else:
-            value = self._decoded(self._others[whose.kind], message.payload, whose.identity)
+            value = self._decode_object(self._others[whose.kind], message.payload, whose.identity)
             if value is not None:
                 self.received[whose.kind] += 1
                 lane = self.lanes.lane(whose.identity) if whose.kind in OF_VEHICLES else -1
                 events.append(Event(rows + len(lanes), lane, value))
 
-    def _samples(self, payload: bytes, identity: str) -> list[Telemetry]:
+    def _decode_samples(self, payload: bytes, identity: str) -> list[Telemetry]:
         """Return the valid samples of a payload, which holds one sample or a list of them."""
         parts: list[Any]
         try:
@@ -173,10 +173,10 @@ class Decoder:
             parts = [payload]
         if not parts:
             self.rejected["empty_list"] += 1
-        decoded = (self._decoded(self._one, part, identity) for part in parts)
+        decoded = (self._decode_object(self._one, part, identity) for part in parts)
         return [sample for sample in decoded if sample is not None]
 
-    def _decoded(self, decoder: msgspec.json.Decoder[Any], payload: Any, whose: str) -> Any:
+    def _decode_object(self, decoder: msgspec.json.Decoder[Any], payload: Any, whose: str) -> Any:
         """Decode one object whose identity must match its key; count the cause and return None if it cannot be used."""
         try:
             value = decoder.decode(payload)
@@ -190,7 +190,7 @@ class Decoder:
             self.rejected["key_mismatch"] += 1
         return None
 
-    def _table(self, fields: list[tuple[Any, ...]], lanes: list[int]) -> Floats:
+    def _make_table(self, fields: list[tuple[Any, ...]], lanes: list[int]) -> Floats:
         """Return the fields of a block as rows of floats, in wire units."""
         names = self.rides
         table = np.empty((len(Batch._fields), len(lanes)))
@@ -200,16 +200,16 @@ class Decoder:
             elif field == "ride_id":
                 table[_POSITION[field]] = [names[name] for name in values]
             else:
-                table[_POSITION[field]] = _column(values)
+                table[_POSITION[field]] = _prepare_column(values)
         return table
 
 
-def _transposed(samples: list[Telemetry]) -> list[tuple[Any, ...]]:
+def _transpose(samples: list[Telemetry]) -> list[tuple[Any, ...]]:
     """Return one tuple per field instead of one struct per sample."""
     return list(zip(*map(msgspec.structs.astuple, samples), strict=True))
 
 
-def _batch(tables: list[Floats]) -> Batch:
+def _join_blocks(tables: list[Floats]) -> Batch:
     """Join blocks, and convert wire units to SI units."""
     table = np.concatenate(tables, axis=1) if tables else np.empty((len(Batch._fields), 0))
     with np.errstate(over="ignore"):  # a huge value becomes infinite, and out of range

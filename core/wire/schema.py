@@ -37,22 +37,22 @@ def make_schema(kind: str) -> dict[str, Any]:
 def describe_struct(struct: type[Wire]) -> dict[str, Any]:
     """Return the JSON schema of a struct, see `make_schema`."""
     _, components = msgspec.json.schema_components([struct], ref_template="{name}")
-    return _plain(components[struct.__name__], components)
+    return _simplify(components[struct.__name__], components)
 
 
-def _plain(node: dict[str, Any], components: dict[str, Any]) -> dict[str, Any]:
+def _simplify(node: dict[str, Any], components: dict[str, Any]) -> dict[str, Any]:
     """Return a node of a schema without references, unions, defaults and limits."""
     if "$ref" in node:
-        return _plain(components[node["$ref"]], components) | {k: node[k] for k in _KEPT if k in node}
+        return _simplify(components[node["$ref"]], components) | {k: node[k] for k in _KEPT if k in node}
     if "enum" in node:
         return {k: node[k] for k in _KEPT if k in node} | {"type": "string"}
     if "anyOf" in node:
         (option,) = (option for option in node["anyOf"] if option.get("type") != "null")
-        plain = _plain(option, components) | {k: node[k] for k in _KEPT if k in node}
+        plain = _simplify(option, components) | {k: node[k] for k in _KEPT if k in node}
         return plain | {"type": [plain["type"], "null"]}
     out = {k: node[k] for k in _KEPT if k in node}
     if "items" in node:
-        out["items"] = _plain(node["items"], components)
+        out["items"] = _simplify(node["items"], components)
     if "properties" in node:
-        out["properties"] = {name: _plain(child, components) for name, child in node["properties"].items()}
+        out["properties"] = {name: _simplify(child, components) for name, child in node["properties"].items()}
     return out

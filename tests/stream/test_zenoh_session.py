@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from core.errors import SettingsError
-from stream.zenoh_session import Connection, Node, _config, _endpoints, find_free_port
+from stream.zenoh_session import Connection, Node, _list_endpoints, _make_config, find_free_port
 from tests.support.zenoh_sessions import router
 
 
@@ -21,8 +21,10 @@ def test_invalid_prefix_raises_settings_error(prefix):
 
 @pytest.mark.parametrize("mode", [None, "peer", "router", "client"])
 def test_node_listens_on_loopback_only_by_default(mode):
-    assert all(end.startswith("tcp/127.0.0.1:") for end in _endpoints(_config(Connection(mode=mode))))
-    assert _endpoints(_config(Connection(mode="router", listen=("tcp/0.0.0.0:7447",)))) == ["tcp/0.0.0.0:7447"]
+    assert all(end.startswith("tcp/127.0.0.1:") for end in _list_endpoints(_make_config(Connection(mode=mode))))
+    assert _list_endpoints(_make_config(Connection(mode="router", listen=("tcp/0.0.0.0:7447",)))) == [
+        "tcp/0.0.0.0:7447"
+    ]
 
 
 @pytest.mark.parametrize("mode", ["peer", "router"])
@@ -40,7 +42,7 @@ def test_node_listens_on_loopback_only_by_default(mode):
 def test_only_endpoints_setting_in_file_replaces_default_endpoints(content, endpoints, mode, tmp_path):
     file = tmp_path / "node.json5"
     file.write_text(f"{{{content}}}")
-    ends = _endpoints(_config(Connection(config=file, mode=mode)))
+    ends = _list_endpoints(_make_config(Connection(config=file, mode=mode)))
     if endpoints is None:
         assert [end.rpartition(":")[0] for end in ends] == ["tcp/127.0.0.1"]
     else:

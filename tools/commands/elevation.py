@@ -57,7 +57,7 @@ def learn(
     write_places(places, out)
     write_json(json_file, "elevation", {"learned": summary._asdict(), "map": describe(places)})
     console = make_console(json_file)
-    console.print(make_description(_rows(places, summary)))
+    console.print(make_description(_describe_rows(places, summary)))
     console.print(f"{len(places):,} places in {out}", markup=False, highlight=False, soft_wrap=True)
     warn_of_losses(sources)
 
@@ -75,7 +75,7 @@ def show(
     """
     places = read_places(file)
     write_json(json_file, "elevation", {"map": describe(places)})
-    make_console(json_file).print(make_description(_rows(places)))
+    make_console(json_file).print(make_description(_describe_rows(places)))
 
 
 def _collect(sources: Sequence[McapSource], settings: Settings) -> Iterator[ElevationFixes]:
@@ -117,7 +117,7 @@ def describe(places: ElevationPlaces) -> dict[str, Any]:
     }
 
 
-def _rows(places: ElevationPlaces, summary: MapSummary | None = None) -> list[tuple[str, str]]:
+def _describe_rows(places: ElevationPlaces, summary: MapSummary | None = None) -> list[tuple[str, str]]:
     """Return labels and texts that describe a map, and how it was learned if that is known."""
     about = describe(places)
     south, north = about["latitude_deg"]

@@ -171,25 +171,25 @@ def make_fleet_table(cars: Sequence[VehicleStatus], title: str, caption: str, ro
     newest = sorted(sorted(cars, key=lambda car: car.time_s)[-rows:])
     for car in newest:
         riding = car.ride_distance_km > 0
-        off = _off_pct(car.predicted_kwh, car.measured_kwh) if riding else float("nan")
+        off = _compute_off_pct(car.predicted_kwh, car.measured_kwh) if riding else float("nan")
         table.add_row(
             Text(car.vehicle_id),
             f"{datetime.fromtimestamp(car.time_s, UTC):%H:%M:%S}" if isfinite(car.time_s) else "",
-            _number(car.soc_pct, 1),
-            _number(car.ride_distance_km, 2),
-            _number(car.predicted_kwh, 3),
-            _number(car.measured_kwh, 3),
-            Text(_number(off, 0, sign=True), style="red" if abs(off) > 20 else ""),
-            _end(car),
-            *(_number(energy, 3) for energy in car.shadows_kwh[:shadows]),
-            Text(_counts(car.quality)),
+            _format_number(car.soc_pct, 1),
+            _format_number(car.ride_distance_km, 2),
+            _format_number(car.predicted_kwh, 3),
+            _format_number(car.measured_kwh, 3),
+            Text(_format_number(off, 0, sign=True), style="red" if abs(off) > 20 else ""),
+            _format_end(car),
+            *(_format_number(energy, 3) for energy in car.shadows_kwh[:shadows]),
+            Text(_format_counts(car.quality)),
         )
     if len(cars) > len(newest):
         table.add_row(f"and {len(cars) - len(newest):,} more", *[""] * (8 + shadows))
     return table
 
 
-def _end(car: VehicleStatus) -> Text:
+def _format_end(car: VehicleStatus) -> Text:
     """Return the charge at the shift's end and its interval, marked if the car risks ending below its reserve."""
     if car.end_pct is None:
         return Text("–")
@@ -218,9 +218,9 @@ def format_fleet_line(cars: Sequence[VehicleStatus], tally: Tally) -> str:
     car = max(cars, key=lambda car: car.time_s)
     moment = f"{datetime.fromtimestamp(car.time_s, UTC):%H:%M:%S}"
     return (
-        f"{counts}  {moment}  {car.vehicle_id}: SOC {_number(car.soc_pct, 1)} %, "
-        f"{_number(car.ride_distance_km, 2)} km, predicted {_number(car.predicted_kwh, 3)} kWh, "
-        f"measured {_number(car.measured_kwh, 3)} kWh  {_counts(car.quality)}"
+        f"{counts}  {moment}  {car.vehicle_id}: SOC {_format_number(car.soc_pct, 1)} %, "
+        f"{_format_number(car.ride_distance_km, 2)} km, predicted {_format_number(car.predicted_kwh, 3)} kWh, "
+        f"measured {_format_number(car.measured_kwh, 3)} kWh  {_format_counts(car.quality)}"
     ).rstrip()
 
 
@@ -301,12 +301,12 @@ def show_rides(console: Console, rides: pd.DataFrame, quality: dict[str, Any]) -
         table.add_row(
             Text(name),
             *((start,) if wide else ()),
-            _number(ride["duration_s"] / 60, 1),
-            _number(ride["distance_km"], 2),
-            *((_number(ride["ambient_c"], 0),) if wide else ()),
-            _number(ride["predicted_kwh"], 3),
-            f"{_number(ride['energy_kwh'], 3)} ± {_number(ride['energy_sd_kwh'], 2)}",
-            _number(ride["error_pct"], 0, sign=True),
+            _format_number(ride["duration_s"] / 60, 1),
+            _format_number(ride["distance_km"], 2),
+            *((_format_number(ride["ambient_c"], 0),) if wide else ()),
+            _format_number(ride["predicted_kwh"], 3),
+            f"{_format_number(ride['energy_kwh'], 3)} ± {_format_number(ride['energy_sd_kwh'], 2)}",
+            _format_number(ride["error_pct"], 0, sign=True),
             Text((ride["unfit_reason"] or "").replace("_", " ")),
         )
     if len(rides) > MOST_RIDES:
@@ -338,7 +338,7 @@ def summary(rides: pd.DataFrame, quality: dict[str, Any]) -> list[str]:
         absolute = (fit["predicted_kwh"] - fit["energy_kwh"]).abs().sum()
         lines.append(
             f"{len(fit):,} fit for training: predicted {predicted:.2f} kWh, measured {measured:.2f} kWh "
-            f"({_number(_off_pct(predicted, measured), 1, sign=True)} %); "
+            f"({_format_number(_compute_off_pct(predicted, measured), 1, sign=True)} %); "
             f"mean absolute error {100 * absolute / measured:.1f} % of the energy"
         )
     for what, counts in (
@@ -347,7 +347,7 @@ def summary(rides: pd.DataFrame, quality: dict[str, Any]) -> list[str]:
         ("messages that could not be decoded", quality["undecodable"]),
         ("vehicle messages that allow no prediction", quality["unpredictable"]),
     ):
-        if text := _counts(counts):
+        if text := _format_counts(counts):
             lines.append(f"{what}: {text}")
     return lines
 
@@ -359,7 +359,7 @@ class _Reads(Protocol):
         """Return pairs of name and count."""
 
 
-def _counts(counts: _Reads) -> str:
+def _format_counts(counts: _Reads) -> str:
     """Return the text of the counts above zero, such as `name 3, other 1`."""
     return ", ".join(f"{name.replace('_', ' ')} {count:,}" for name, count in counts.items() if count)
 
@@ -386,12 +386,12 @@ def describe_counts(tally: Tally, quality: dict[str, Any]) -> str:
     )
 
 
-def _off_pct(predicted: float, measured: float) -> float:
+def _compute_off_pct(predicted: float, measured: float) -> float:
     """Return the error of a prediction; NaN if the measured energy is at most 0.05 kWh. [%]"""
     return 100.0 * (predicted - measured) / measured if measured > 0.05 else float("nan")
 
 
-def _number(value: float, digits: int, *, sign: bool = False) -> str:
+def _format_number(value: float, digits: int, *, sign: bool = False) -> str:
     """Return the text of a number, a dash if it is unknown."""
     if not isfinite(value):
         return "–"

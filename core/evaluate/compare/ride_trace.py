@@ -134,20 +134,20 @@ def trace_ride(ride: pd.DataFrame, windows: pd.DataFrame, models: Mapping[str, L
             f"ride {key}: it has {len(of_ride)} windows, and a trace takes {LEAST_WINDOWS}: choose a longer ride"
         )
     notes: list[str] = []
-    measured = _measured(ride, of_ride, notes)
+    measured = _measure_windows(ride, of_ride, notes)
     columns = accumulate_windows(ride, of_ride)
-    made = _windows(of_ride, measured)
-    traces = {label: _model(label, model, ride, columns, of_ride, made, notes) for label, model in models.items()}
-    return {"ride": _ride(ride), "windows": made, "models": traces, "notes": notes}
+    made = _describe_windows(of_ride, measured)
+    traces = {label: _trace_model(label, model, ride, columns, of_ride, made, notes) for label, model in models.items()}
+    return {"ride": _describe_ride(ride), "windows": made, "models": traces, "notes": notes}
 
 
-def _ride(ride: pd.DataFrame) -> dict[str, Any]:
+def _describe_ride(ride: pd.DataFrame) -> dict[str, Any]:
     """Return the description of a ride."""
     names = (*RIDE_NAME_COLUMNS, *RIDE_PROPERTIES, "duration_s", "energy_kwh", "energy_sd_kwh", "unfit_reason")
     return {name: ride[name].iloc[0] for name in names if name in ride and not pd.isna(ride[name].iloc[0])}
 
 
-def _measured(ride: pd.DataFrame, of_ride: pd.DataFrame, notes: list[str]) -> Floats:
+def _measure_windows(ride: pd.DataFrame, of_ride: pd.DataFrame, notes: list[str]) -> Floats:
     """Return the measured energy of each window, from the ride's instrument and scaled to the ride's total.
 
     Windows without a measurement take the mean power of the others; the remainder to the ride's total is spread over
@@ -177,7 +177,7 @@ def _differ(one: float, other: float) -> bool:
     return abs(one - other) > absolute + relative * abs(other)
 
 
-def _windows(of_ride: pd.DataFrame, measured: Floats) -> dict[str, Floats]:
+def _describe_windows(of_ride: pd.DataFrame, measured: Floats) -> dict[str, Floats]:
     """Return time, position, measured energy and conditions of each window."""
     duration, distance = of_ride["duration_s"].to_numpy(np.float64), of_ride["distance_km"].to_numpy(np.float64)
     made = {
@@ -193,7 +193,7 @@ def _windows(of_ride: pd.DataFrame, measured: Floats) -> dict[str, Floats]:
     return made
 
 
-def _model(
+def _trace_model(
     label: str,
     model: LinearModel,
     ride: pd.DataFrame,
@@ -319,7 +319,7 @@ def describe_divergence(
         minutes = float(made["end_min"][-1])
         sentence = f"{abs(total):.3f} kWh {side}, spread over {minutes:.1f} min: no part of the ride stands out"
     else:
-        where = f"{place['kilometres']:.1f} km and {place['minutes']:.1f} min after it, {_conditions(place)}"
+        where = f"{place['kilometres']:.1f} km and {place['minutes']:.1f} min after it, {_describe_conditions(place)}"
         sentence = f"diverges from the measurement at {place['minute']:.1f} min, {place['km']:.1f} km: "
         if place["share"] > 1.0:
             sentence += (
@@ -336,7 +336,7 @@ def describe_divergence(
     return sentence
 
 
-def _conditions(place: Mapping[str, Any]) -> str:
+def _describe_conditions(place: Mapping[str, Any]) -> str:
     """Return the conditions of a span, in words."""
     conditions = [f"{place['speed_kmh']:.0f} km/h"]
     if np.isfinite(place.get("ambient_c", np.nan)):
@@ -367,16 +367,16 @@ def accumulate_windows(ride: pd.DataFrame, windows: pd.DataFrame) -> pd.DataFram
     made: dict[str, object] = {name: np.full(n + 1, ride[name].iloc[0]) for name in ride.columns if not _changes(name)}
     for name in windows.columns:
         if _adds_up(name):
-            made[str(name)] = _added(windows[name].to_numpy(np.float64))
+            made[str(name)] = _accumulate(windows[name].to_numpy(np.float64))
         elif name in LAST:
-            made[str(name)] = _kept(windows[name].to_numpy(np.float64))
+            made[str(name)] = _repeat_first(windows[name].to_numpy(np.float64))
     weight = windows["duration_s"].to_numpy(np.float64)
     for name in (name for name in MEANS if name in windows):
-        made[name] = _averaged(windows[name].to_numpy(np.float64), weight)
+        made[name] = _average(windows[name].to_numpy(np.float64), weight)
     if {"wind_from_deg", "wind_speed_kmh"} <= set(windows.columns):
-        made["wind_from_deg"] = _direction(windows, weight)
-    distance, duration = _added(windows["distance_km"].to_numpy(np.float64)), _added(weight)
-    made["average_speed_kmh"] = _kept(3600.0 * _over(distance[1:], duration[1:]))
+        made["wind_from_deg"] = _compute_direction(windows, weight)
+    distance, duration = _accumulate(windows["distance_km"].to_numpy(np.float64)), _accumulate(weight)
+    made["average_speed_kmh"] = _repeat_first(3600.0 * _divide(distance[1:], duration[1:]))
     return pd.DataFrame(made)
 
 
@@ -390,31 +390,31 @@ def _changes(name: str) -> bool:
     return _adds_up(name) or name in LAST or name in {*MEANS, "wind_from_deg", "average_speed_kmh"}
 
 
-def _added(values: Floats) -> Floats:
+def _accumulate(values: Floats) -> Floats:
     """Return running sums, from 0."""
     return np.concatenate([[0.0], np.cumsum(values)])
 
 
-def _kept(values: Floats) -> Floats:
+def _repeat_first(values: Floats) -> Floats:
     """Return values with the first one repeated."""
     return np.concatenate([values[:1], values])
 
 
-def _averaged(values: Floats, weight: Floats) -> Floats:
+def _average(values: Floats, weight: Floats) -> Floats:
     """Return running means of the known values."""
     known = ~np.isnan(values)
     sums = np.cumsum(np.where(known, values, 0.0) * weight)
-    return _kept(_over(sums, np.cumsum(weight * known)))
+    return _repeat_first(_divide(sums, np.cumsum(weight * known)))
 
 
-def _direction(windows: pd.DataFrame, weight: Floats) -> Floats:
+def _compute_direction(windows: pd.DataFrame, weight: Floats) -> Floats:
     """Return the running direction of the mean wind. [degree]"""
     angle = np.radians(windows["wind_from_deg"].to_numpy(np.float64))
     speed = windows["wind_speed_kmh"].to_numpy(np.float64)
-    north, east = (_averaged(speed * turned, weight) for turned in (np.cos(angle), np.sin(angle)))
+    north, east = (_average(speed * turned, weight) for turned in (np.cos(angle), np.sin(angle)))
     return np.degrees(np.arctan2(east, north)) % 360.0
 
 
-def _over(above: Floats, below: Floats) -> Floats:
+def _divide(above: Floats, below: Floats) -> Floats:
     """Return a quotient; NaN where the divisor is not positive."""
     return np.divide(above, below, out=np.full(len(above), np.nan), where=below > 0.0)

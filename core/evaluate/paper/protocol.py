@@ -112,7 +112,7 @@ def evaluate(
     table = filter_rides(rides)
     _check_columns(recipes, table)
     untrained = new_vehicle.select_untrained(left_out_of_training, table)
-    splits = _splits(table, seed, repeats, untrained)
+    splits = _make_splits(table, seed, repeats, untrained)
     calls: dict[Any, Callable[[], Any]] = {
         (kind, *run): call for kind, own in splits.items() for run, call in plan_runs(recipes, table, own).items()
     }
@@ -120,18 +120,18 @@ def evaluate(
     calls |= {("few", *key): call for key, call in few.items()}
     calls |= {("selection", name): call for name, call in selection.plan_selection(table, recipes, seed).items()}
     done = run_in_parallel(calls, jobs, progress)
-    held = {kind: _held(done, kind, splits[kind], recipes, table) for kind in ("ride", "vehicle", "date")}
+    held = {kind: _select_held_out(done, kind, splits[kind], recipes, table) for kind in ("ride", "vehicle", "date")}
     if not held["ride"].recipes:
         raise ModelError(f"no recipe can be evaluated: {held['ride'].notes[0]}")
-    new = {name: _held(done, "new", {name: split}, recipes, table) for name, split in splits["new"].items()}
+    new = {name: _select_held_out(done, "new", {name: split}, recipes, table) for name, split in splits["new"].items()}
     curves, failed = new_vehicle.tabulate_learning_curves({key: done["few", *key] for key in few})
-    found = _tables(table, held, new, seed, repeats)
+    found = _compute_tables(table, held, new, seed, repeats)
     found["few_shot"] = curves
     found["selection"] = next((value for key, value in done.items() if key[0] == "selection"), {})
     found["recipes"] = {name: recipe.title for name, recipe in recipes.items() if name in held["ride"].recipes}
     found["about"]["left_out_of_training"] = list(untrained)
     wide = [] if repeats >= FEWEST_REPEATS else [_describe_width(repeats, held["ride"].overlap)]
-    found["about"]["notes"] = wide + _notes(splits, held, new) + _untested(table, splits["new"]) + failed
+    found["about"]["notes"] = wide + _list_notes(splits, held, new) + _list_untested(table, splits["new"]) + failed
     return results.to_json_values(found)
 
 
@@ -147,7 +147,9 @@ def _check_columns(recipes: Mapping[str, EvaluatedRecipe], table: EvaluatedRides
                     )
 
 
-def _splits(table: EvaluatedRides, seed: int, repeats: int, untrained: Collection[str]) -> dict[Kind, dict[Any, Split]]:
+def _make_splits(
+    table: EvaluatedRides, seed: int, repeats: int, untrained: Collection[str]
+) -> dict[Kind, dict[Any, Split]]:
     """Return all splits, by kind."""
     rides = table.rides
     models, cars, dates = (rides[name].astype(str).tolist() for name in ("vehicle_model", "vehicle_id", "date"))
@@ -159,7 +161,7 @@ def _splits(table: EvaluatedRides, seed: int, repeats: int, untrained: Collectio
     }
 
 
-def _held(
+def _select_held_out(
     done: Mapping[Any, Prediction],
     kind: Kind,
     splits: Mapping[Hashable, Split],
@@ -170,7 +172,7 @@ def _held(
     return select_comparable({name: [done[kind, key, name] for key in splits] for name in recipes}, len(table.rides))
 
 
-def _tables(
+def _compute_tables(
     table: EvaluatedRides,
     held: Mapping[Kind, HeldOutPredictions],
     new: Mapping[Any, HeldOutPredictions],
@@ -191,7 +193,7 @@ def _tables(
             tables["coverage"].setdefault(recipe, {})[f"by_{kind}"] = figures["overall"]
     for recipe, figures in breakdown.compute_interval_coverage(concatenate_held_out(new), table).items():
         tables["coverage"].setdefault(recipe, {})["new_vehicle"] = figures["overall"]
-    tables["splits"] = {"ride": _averages(tables["mae"], table)} | {
+    tables["splits"] = {"ride": _select_averages(tables["mae"], table)} | {
         kind: {
             recipe: dict(
                 zip(table.vehicle_models, results.compute_pooled_average(held[kind], table, recipe), strict=True)
@@ -223,12 +225,12 @@ def concatenate_held_out(parts: Mapping[Any, HeldOutPredictions]) -> HeldOutPred
     )
 
 
-def _averages(mae: Mapping[str, Any], table: EvaluatedRides) -> dict[str, dict[str, float]]:
+def _select_averages(mae: Mapping[str, Any], table: EvaluatedRides) -> dict[str, dict[str, float]]:
     """Return only the post-stratified averages."""
     return {recipe: {m: rows[m]["average"]["value"] for m in table.vehicle_models} for recipe, rows in mae.items()}
 
 
-def _untested(table: EvaluatedRides, tested: Mapping[Hashable, Split]) -> list[str]:
+def _list_untested(table: EvaluatedRides, tested: Mapping[Hashable, Split]) -> list[str]:
     """Return a note on each vehicle model that is not tested as a new one while others are."""
     return [
         f"{name}: not tested as a new vehicle model, for want of rides to test or of others to train on"
@@ -245,7 +247,7 @@ def _describe_width(repeats: int, overlap: float) -> str:
     )
 
 
-def _notes(
+def _list_notes(
     splits: Mapping[Kind, Any], held: Mapping[Kind, HeldOutPredictions], new: Mapping[Any, HeldOutPredictions]
 ) -> list[str]:
     """Return what was left out and why; a recipe that was left out everywhere is noted once."""
