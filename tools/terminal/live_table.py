@@ -353,7 +353,7 @@ def summary(rides: pd.DataFrame, quality: dict[str, Any]) -> list[str]:
 
 
 class _Reads(Protocol):
-    """Provide names with their counts, for `_counts`."""
+    """Provide names with their counts, for `_format_counts`."""
 
     def items(self) -> Any:
         """Return pairs of name and count."""
