@@ -236,10 +236,10 @@ def get_names(block: pd.DataFrame, column: str) -> list[str]:
     list of n str
         Empty where the value is unknown, or the column absent.
     """
-    return _names(block, column).tolist() if column in block else [""] * len(block)
+    return _read_names(block, column).tolist() if column in block else [""] * len(block)
 
 
-def _names(block: pd.DataFrame, column: str) -> NDArray[np.object_]:
+def _read_names(block: pd.DataFrame, column: str) -> NDArray[np.object_]:
     """Return a column of text, empty where it is unknown; few names occur many times."""
     place, names = pd.factorize(block[column])  # place -1 where unknown
     return np.array([*map(str, names), ""], dtype=object)[place]
@@ -266,4 +266,4 @@ def convert_to_arrays(block: pd.DataFrame, columns: Sequence[str]) -> dict[str, 
         If a column of numbers holds anything else.
     """
     numbers = {name: get_numbers(block, name) for name in columns if name not in NAMES}
-    return numbers | {name: _names(block, name) for name in NAMES if name in block}
+    return numbers | {name: _read_names(block, name) for name in NAMES if name in block}

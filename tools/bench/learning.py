@@ -64,8 +64,8 @@ def measure_fit(repeats: int = 3) -> Measure:
         plain >= 0.5 * ours,
         {"fit_s": ours, "plain_s": plain, "terms": len(model.terms), "fits": len(model.fits)},
         "A fit makes three passes over the file: fills and accessory curve, normal equations, and residuals "
-        "for the covariance. A fourth pass over a tenth of the rides gives the interval. Reading takes a "
-        "third of the time, and making the columns a fifth. Scikit-learn's figure covers the same five fits, "
+        "for the covariance. A fourth pass over a tenth of the rides gives the interval. Reading takes "
+        "two fifths of the time, and making the columns an eighth. Scikit-learn's figure covers the same five fits, "
         "one for each car model and one for all, without reading the file and making the columns; it "
         "decomposes the columns themselves.",
     )
