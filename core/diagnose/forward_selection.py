@@ -38,7 +38,7 @@ PROXY_CORRELATION: Final = 0.4
 """Correlation above which a rival that is not significant beside the selected effect belongs to its group."""
 CLEARLY: Final = 2.0
 """Standard errors by which a rival must be worse on held-out days to be distinguished despite its correlation."""
-FORCES: Final = frozenset({"acceleration", "traction"})
+FORCES: Final = frozenset({"acceleration", "braking_force", "traction"})
 """Input columns that depend on changes of speed and height between samples."""
 RELIABILITY: Final = 0.4
 """Share of the variance of a force-dependent effect that is true: about 0.4 for samples every 3 s, off a model."""

@@ -2,7 +2,6 @@
 
 from core.batch import Floats
 from core.diagnose.dataset import Windows
-from core.fit.measurement_noise import compute_noise_variance
 from core.fit.row_noise import build_variance_parts, estimate_variance
 
 
@@ -26,5 +25,5 @@ def estimate_window_variance(windows: Windows, residual: Floats) -> Floats:
     The variance is a sum of the measurement variance and parts proportional to the squares of the rolling energy, of
     the acceleration energy, and of the energy of a constant power. The coefficients are fitted and not negative.
     """
-    parts = build_variance_parts(windows.table, compute_noise_variance(windows.table))
+    parts = build_variance_parts(windows.table)
     return estimate_variance(parts, residual)

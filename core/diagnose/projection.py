@@ -4,10 +4,8 @@ An effect gets no credit for what the terms of the model can explain. Measured e
 projected off these terms (Frisch-Waugh-Lovell). Each car has its own coefficients, because cars of one model differ. A
 model with accessories by temperature may also use any smooth function of the temperature, multiplied by time.
 
-Errors of the measured motion are projected off in the same way, because an effect that acts at stops or in acceleration
-would otherwise be credited with them. Speed is measured every few seconds, and its moving average shows less kinetic
-energy than the car gains. The share that is lost depends on how the car drives: it is small for a stop from town speed
-and large in dense traffic.
+What sampling distorts (`core.fit.distortions`) is projected off in the same way, and the number of stops, because an
+effect that acts at stops or in acceleration would otherwise be credited with what speed between two samples hides.
 
 The residuals of the windows of one ride may be correlated: positively where a whole ride has high or low energy, and
 negatively where windows compensate for each other. This correlation is estimated, and the means of rides are weighted
@@ -26,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats
-from core.columns import JOULES_PER_KWH
 from core.diagnose.dataset import Windows
 from core.diagnose.noise import estimate_window_variance
+from core.fit.distortions import gather_distortions
 from core.fit.fitting import build_design
 from core.fit.ride_blocks import get_names, get_numbers
 from core.fit.row_noise import compute_robust_weights
@@ -262,36 +260,16 @@ def _terms(windows: Windows, model: LinearModel, terms: tuple[Term, ...], kinds:
 
 
 def _car(windows: Windows, curved: bool) -> Floats:
-    """Return further columns in which cars differ: standby, climbing up, lag, motion, heating and cooling slopes."""
+    """Return further columns in which cars differ: standby, climbing up, stops, distortions, heating, and cooling."""
     hours = get_numbers(windows.table, "duration_s") / 3600.0
     climb = np.nan_to_num(get_numbers(windows.table, "effect_climbing_up"), nan=0.0)
-    always = [hours, climb, _lag(windows), *_motion(windows)]
+    stops = np.nan_to_num(get_numbers(windows.table, "stops")) if "stops" in windows.table else np.zeros(len(hours))
+    always = [hours, climb, stops, *gather_distortions(windows.table).T]
     if not curved:
         return np.column_stack(always)
     ambient = np.nan_to_num(get_numbers(windows.table, "ambient_c"), nan=15.0)
     cold, hot = np.maximum(18.0 - ambient, 0.0), np.maximum(ambient - 21.0, 0.0)
     return np.column_stack([*always, hours * cold, hours * hot])
-
-
-def _lag(windows: Windows) -> Floats:
-    """Return the change of power over a window, for motion that lags behind power by smoothing or by clocks. [kWh/s]"""
-    table = windows.table
-    if "power_end_w" not in table:
-        return np.zeros(len(table))
-    return np.nan_to_num(get_numbers(table, "power_end_w") - get_numbers(table, "power_start_w")) / JOULES_PER_KWH
-
-
-def _motion(windows: Windows) -> list[Floats]:
-    """Return the columns that follow errors of the measured motion; zero where a table does not have them, (n,) each.
-
-    These are the number of stops, the kinetic energy gained by the speed before smoothing [kWh], and the kinetic energy
-    of its changes from sample to sample, which grows with the energy that comes and goes between two samples [kWh].
-    """
-    table = windows.table
-    names = ("stops", "kinetic_gained_j_kg", "kinetic_varied_j_kg")
-    columns = [np.nan_to_num(get_numbers(table, name)) if name in table else np.zeros(len(table)) for name in names]
-    mass = np.nan_to_num(get_numbers(table, "mass_kg")) if "mass_kg" in table else np.ones(len(table))
-    return [columns[0], *(column * mass / JOULES_PER_KWH for column in columns[1:])]
 
 
 def _smooth(windows: Windows, rows: Rows) -> Floats:

@@ -7,14 +7,18 @@ import pandas as pd
 from scipy.optimize import nnls
 
 from core.batch import Floats
+from core.fit.measurement_noise import compute_noise_variance, is_metered
 from core.fit.ride_blocks import get_numbers
 
 CLIP: Final = 0.995
 """Quantile of the squared residuals at which they are clipped, so that outliers do not affect the usual variance."""
 LEAST_SHARE: Final = 0.2
 """Least variance of a row over that of the median row, so that no row outweighs all others."""
-ROBUST: Final = 3.0
-"""Standard deviations above which the weight of a residual decreases, after Huber."""
+ROBUST: Final = 4.0
+"""Standard deviations above which the weight of a residual decreases, after Huber.
+
+The error of sampled power is skewed: peaks between two samples are missed. A lower limit would cut its longer side.
+"""
 LEAST_ROWS: Final = 50
 """Fewest rows from which the parts of the variance are estimated; with fewer, `USUAL_PARTS` holds."""
 USUAL_PARTS: Final = (1.0, 0.15**2, 0.15**2, 300.0**2)
@@ -23,25 +27,52 @@ energy of 1 W [W^2]. Estimated on simulated fleets.
 """
 
 
-def build_variance_parts(rows: pd.DataFrame, label: Floats) -> Floats:
+def expect_label_variance(rows: pd.DataFrame) -> Floats:
+    """Return the expected variance of the measured energy of rows, of their time and motion only.
+
+    Where voltage and current are measured, the stated variance of a row rests on the powers that were sampled in it. A
+    row in which a peak of the power was sampled has more energy and a larger variance than one in which it fell between
+    two samples. Weights by the stated variance would therefore favour rows with too little energy. The expected
+    variance is the sum of a part per time and a part per kinetic energy gained, fitted to the stated ones.
+
+    Parameters
+    ----------
+    rows : (n, columns) DataFrame
+        Windows or rides.
+
+    Returns
+    -------
+    (n,) float
+        Variance, zero where it is unknown. [kWh^2]
+    """
+    stated = np.nan_to_num(compute_noise_variance(rows))
+    metered = np.flatnonzero(is_metered(rows))
+    if not len(metered):
+        return stated
+    parts = np.column_stack([get_numbers(rows, "duration_s"), get_numbers(rows, "effect_inertia_positive")])[metered]
+    size = np.maximum(np.mean(parts, axis=0), 1e-300)
+    shares, _ = nnls(parts / size, np.minimum(stated[metered], np.quantile(stated[metered], CLIP)))
+    stated[metered] = parts / size @ shares
+    return stated
+
+
+def build_variance_parts(rows: pd.DataFrame) -> Floats:
     """Return the parts of the variance of rows.
 
     Parameters
     ----------
     rows : (n, columns) DataFrame
         Windows or rides.
-    label : (n,) float
-        Variance of the measurement. [kWh^2]
 
     Returns
     -------
     (n, 4) float
-        The measurement, and the squares of the rolling energy, of the energy of speeding up, and of the energy of 1 W.
-        [kWh^2]
+        The measurement (`expect_label_variance`), and the squares of the rolling energy, of the energy of speeding up,
+        and of the energy of 1 W. [kWh^2]
     """
     return np.column_stack(
         [
-            label,
+            expect_label_variance(rows),
             (get_numbers(rows, "effect_rolling") * get_numbers(rows, "rolling_resistance")) ** 2,
             get_numbers(rows, "effect_inertia_positive") ** 2,
             (get_numbers(rows, "duration_s") / 3.6e6) ** 2,

@@ -23,9 +23,9 @@ import pandas as pd
 from core.batch import Ints
 from core.columns import ZERO_CELSIUS
 from core.errors import ModelError
+from core.fit.distortions import DISTORTIONS, gather_distortions
 from core.fit.fitting import build_design, limit_to_one_thread
 from core.fit.measured_rows import ENERGY_SD
-from core.fit.measurement_noise import compute_noise_variance
 from core.fit.nested_effects import Gaussian
 from core.fit.priors import (
     CHOKE_POINTS,
@@ -177,6 +177,9 @@ def gather_rows(terms: Sequence[Term], rows: pd.DataFrame, fills: Mapping[str, f
     time = [hours * columns["accessory_scale"] / 1e3] if curved else []
     rolling = columns["effect_rolling"] * columns["rolling_resistance"]
     prior, limits = build_prior(plain, columns, n), np.array(find_limits(plain, columns))
+    spread = np.array(list(DISTORTIONS.values()))
+    prior = _join(prior, Gaussian(np.zeros(len(spread)), np.diag(spread**2)))
+    limits = np.column_stack([limits, np.tile([[-np.inf], [np.inf]], len(spread))])
     if curved:
         prior = _join(prior, build_curve_prior())
         limits = np.column_stack([limits, np.array(find_curve_limits())])
@@ -186,14 +189,16 @@ def gather_rows(terms: Sequence[Term], rows: pd.DataFrame, fills: Mapping[str, f
     day, _ = pd.factorize(pd.Series(names).astype(str) + "\n" + rows["date"].astype(str).to_numpy()[first])
     car, cars = pd.factorize(names[np.unique(day, return_index=True)[1]])
     return GroupRows(
-        columns=np.column_stack([build_design(plain, columns, n), *time, energy, rolling, hours]),
+        columns=np.column_stack(
+            [build_design(plain, columns, n), gather_distortions(rows), *time, energy, rolling, hours]
+        ),
         ambient_c=columns["ambient_c"] if curved else np.zeros(n),
         ride=ride.astype(np.int64),
         day=day.astype(np.int64),
         car=car.astype(np.int64),
         rides=tuple(keys),
         cars=tuple(cars),
-        parts=build_variance_parts(rows, np.nan_to_num(compute_noise_variance(rows))),
+        parts=build_variance_parts(rows),
         prior=prior,
         low=limits[0],
         high=limits[1],
@@ -215,8 +220,8 @@ def _convert(terms: Sequence[Term], group: GroupRows, fitted: GroupFit, fills: M
     change = np.zeros((len(terms), len(fitted.posterior.mean)))
     values = np.ones(len(terms))
     plain = [i for i, term in enumerate(terms) if not is_curved(term)]
-    change[plain, range(p)] = 1.0
-    values[plain] = fitted.posterior.mean[:p]
+    change[plain, range(len(plain))] = 1.0
+    values[plain] = fitted.posterior.mean[: len(plain)]
     if fitted.curve is not None:  # the coefficient of the accessories is their energy over that of the curve
         time = group.columns[:, p]
         used = float(time @ fitted.curve.power(group.ambient_c + ZERO_CELSIUS))
@@ -240,7 +245,7 @@ def _convert(terms: Sequence[Term], group: GroupRows, fitted: GroupFit, fills: M
 
 def _find_limited(names: Sequence[str], group: GroupRows, fitted: GroupFit) -> tuple[str, ...]:
     """Return the terms and the numbers of the curve that are at a limit."""
-    values = fitted.posterior.mean[: group.terms]
+    values, names = fitted.posterior.mean[: group.terms], [*names, *DISTORTIONS]
     if fitted.curve is not None:
         values, names = np.concatenate([values, flatten_curve(fitted.curve)]), [*names, *LEVELS, *CHOKE_POINTS]
     near = NEAR_LIMIT * np.sqrt(np.diag(group.prior.covariance))

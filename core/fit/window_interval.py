@@ -13,6 +13,7 @@ import pandas as pd
 from core.batch import Floats, Ints
 from core.columns import ZERO_CELSIUS
 from core.fit.calibration import NEEDS, HeldOutErrors, calibrate_interval, collect_errors
+from core.fit.distortions import DISTORTIONS
 from core.fit.fitting import build_design
 from core.fit.nested_effects import compute_coefficients, without_car_factor
 from core.fit.priors import compute_curve_columns, is_curved
@@ -100,10 +101,13 @@ def _leave_out_rows(model: LinearModel, groups: dict[str, GroupFit], rides: pd.D
 
 
 def _design(model: LinearModel, key: str, fitted: GroupFit, rides: pd.DataFrame) -> tuple[Floats, Floats]:
-    """Return the columns of the coefficients of a fit for rides, and the energy by the curve. [kWh]"""
+    """Return the columns of the coefficients of a fit for rides, and the energy by the curve. [kWh]
+
+    Predictions contain no distortions of the measurement, so that their columns are zero.
+    """
     plain = tuple(term for term in model.terms if not is_curved(term))
     columns = Columns(rides, model.fits[key].fills, fitted.curve)
-    table = build_design(plain, columns, len(rides))
+    table = np.column_stack([build_design(plain, columns, len(rides)), np.zeros((len(rides), len(DISTORTIONS)))])
     if fitted.curve is None:
         return table, np.zeros(len(rides))
     time = columns["duration_s"] * columns["accessory_scale"] / 3.6e6

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.diagnose.projection import BaseProjection, orthonormalise
+from core.fit.distortions import gather_distortions
 from core.models.features import ACCESSORIES_COLUMN, Columns
 from tests.support.synthetic_windows import build_tables, gather_with_model, make_tables, make_windows, project_base
 
@@ -79,14 +80,13 @@ def test_effect_outside_model_remains(base):
 
 @pytest.mark.parametrize("recipe", RECIPES)
 def test_errors_of_measured_motion_are_projected_out(recipe):
-    """An error for each stop, of kinetic energy, or of speed changes between samples is credited to no effect."""
+    """An error for each stop, of braking between samples, or of power that lags is credited to no effect."""
     table, rng = make_windows(), np.random.default_rng(7)
-    motion = rng.gamma(2.0, 50.0, (len(table), 2))
-    table = table.assign(kinetic_gained_j_kg=motion[:, 0], kinetic_varied_j_kg=motion[:, 1])
-    base = project_base(make_tables(table), recipe)
-    mass = base.windows.table["mass_kg"].to_numpy()
-    seen = base.windows.table[["kinetic_gained_j_kg", "kinetic_varied_j_kg"]].to_numpy() * mass[:, np.newaxis]
-    errors = of_cars(base, np.column_stack([base.windows.table["stops"], seen]))
+    drawn = {
+        name: rng.gamma(2.0, 50.0, len(table)) for name in ("unresolved_braking_kwh", "power_start_w", "power_end_w")
+    }
+    base = project_base(make_tables(table.assign(**drawn)), recipe)
+    errors = of_cars(base, np.column_stack([base.windows.table["stops"], gather_distortions(base.windows.table)]))
     assert untaken(base, errors).max() < 1e-9
 
 

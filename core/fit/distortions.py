@@ -1,0 +1,50 @@
+"""Gather the columns of energy by which sampling distorts windows: what a model must not mistake for an effect.
+
+Voltage, current and speed are sampled every few seconds, and not quite at the same time.
+
+- Lag: power that is measured a second after the motion belongs, by the change of the power, to another window.
+- Unresolved braking: a car that brakes between two samples loses energy that no sample shows. The tables contain an
+  estimate (`core.signals.signals.compute_braking_force`), which is uncertain.
+
+A fit estimates both beside its coefficients, with priors, and diagnosis projects them off. No prediction contains them.
+"""
+
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from core.batch import Floats
+from core.columns import JOULES_PER_KWH
+from core.fit.ride_blocks import get_numbers
+
+DISTORTIONS: Final = {"power_lag_s": 1.0, "unresolved_braking_share": 0.4}
+"""Standard deviation of the coefficient of each column about zero.
+
+The lag is that of two instruments that sample every 1 to 3 s [s]. Unresolved braking may be twice its estimate or none,
+times the usual share of braking energy that is lost [1].
+"""
+
+
+def gather_distortions(table: pd.DataFrame) -> Floats:
+    """Return the columns of `DISTORTIONS`, zero where a table does not have them.
+
+    Parameters
+    ----------
+    table : (n, columns) DataFrame
+        Windows or rides.
+
+    Returns
+    -------
+    (n, 2) float
+        Change of the power from the first to the last sample [kWh/s]; estimate of the unresolved braking energy [kWh].
+    """
+    change = _read(table, "power_end_w") - _read(table, "power_start_w")
+    return np.column_stack(
+        [np.nan_to_num(change) / JOULES_PER_KWH, np.nan_to_num(_read(table, "unresolved_braking_kwh"))]
+    )
+
+
+def _read(table: pd.DataFrame, name: str) -> Floats:
+    """Return a column, zero where the table does not have it."""
+    return get_numbers(table, name) if name in table else np.zeros(len(table))
