@@ -16,7 +16,8 @@ class Settings(NamedTuple):
     speed_limit : float
         Speed above which a reported speed is rejected; 130 km/h as in section 3 of the paper. [m/s]
     window : int
-        Number of samples in the moving average of speed, 1 to 8.
+        Number of samples in the moving average of a reported speed, 1 to 8; 1 takes it as reported. The average of
+        speeds between fixes has at least 3.
     elevation_length : float
         Distance over which elevation is smoothed. [m]
     elevation_slack : float
@@ -41,7 +42,7 @@ class Settings(NamedTuple):
 
     period: float = 3.0
     speed_limit: float = 130 * KMH
-    window: int = 3
+    window: int = 1
     elevation_length: float = 80.0
     elevation_slack: float = 1.0
     tunnel_limit: float = 10_000.0

@@ -36,7 +36,9 @@ _OWN_FIELDS: Final = (
 _UNKNOWN_AT_FIRST: Final = {
     **segmentation.UNKNOWN_AT_FIRST,
     **dict.fromkeys(("seq", "latitude", "longitude", "pending_latitude", "pending_longitude"), nan),
-    **dict.fromkeys(("heading", "heading_latitude", "heading_longitude", "odometer", "speed", "ring"), nan),
+    **dict.fromkeys(
+        ("heading", "heading_latitude", "heading_longitude", "odometer", "speed", "acceleration", "ring"), nan
+    ),
     **dict.fromkeys(("elevation", "level", "offset_variance", *meters.UNKNOWN_AT_FIRST), nan),
     **dict.fromkeys(("battery_temperature", "occupants"), nan),
 }
@@ -91,8 +93,8 @@ class Clean(NamedTuple):
         Change of elevation in the step from fixes up to this row only. [m]
     speed, acceleration : (n,) float64
         Smoothed, over the step. [m/s], [m/s^2]
-    speed_change : (n,) float64
-        Change of the speed over the step before smoothing; 0 where unknown. [m/s]
+    acceleration_spread : (n,) float64
+        Standard deviation of the acceleration within the step; 0 where unknown. [m/s^2]
     latitude, longitude, heading, turn_rate : (n,) float64
         Of the last accepted fix. [rad], the last one [rad/s]
     elevation : (n,) float64
@@ -135,7 +137,7 @@ class Clean(NamedTuple):
     causal_climb: Floats
     speed: Floats
     acceleration: Floats
-    speed_change: Floats
+    acceleration_spread: Floats
     latitude: Floats
     longitude: Floats
     heading: Floats
@@ -432,7 +434,7 @@ def use_row(state: Any, row: Any, dt: float, settings: Any) -> None:
     begins = segmentation.update_ride(state, row.raw_ride, dt, state.standing == 0.0, row.raw_charging == 1.0, settings)
     if begins:  # the step ended before the ride and is not part of it
         row.dt = row.travel = row.distance = row.climb = row.energy = row.energy_variance = row.metered = row.stop = 0.0
-        row.speed_change = 0.0
+        row.acceleration_spread = 0.0
         row.quality = float(int(row.quality) & ~NOT_OF_RIDE)
         meters.begin_stillness(state, 0.0)
         if state.soc_age > STALE:

@@ -9,6 +9,9 @@ A single spike is therefore never driven, while the far end of a tunnel is. Wher
 held for at most 20 periods, or 3.5 periods where a witness is available. The distance of a car that never sends a speed
 is measured between fixes that are at least 20 m apart, otherwise by its odometer.
 
+A reported speed is taken as it is, because an average over some seconds hides much of the energy of speeding up and
+braking. A moving average applies to speeds between fixes, and for some samples to speeds beside an implausible change.
+
 Where a distance was bridged or held, its work is done over the time distance / speed and not over the step. The
 acceleration accounts for the kinetic energy of the smoothed speed: over a ride, inertia adds up to the difference of
 its ends. On an ordinary row it equals the change of the smoothed speed over the step.
@@ -23,6 +26,8 @@ from core.cleaning.elevation import combine_elevation, update_climb
 from core.cleaning.quality import Quality
 from core.columns import EARTH_RADIUS, KMH
 
+RING: Final = 8
+"""Longest moving average of the speed. [samples]"""
 FIELDS: Final = (
     "latitude",  # last accepted fix [rad]
     "longitude",
@@ -46,8 +51,10 @@ FIELDS: Final = (
     "speed",  # last accepted speed as reported, NaN in a hole [m/s]
     "speed_age",  # time since a speed was last accepted [s]
     "smooth",  # last smoothed speed [m/s]
+    "rough",  # number of samples for which speeds are averaged, because one of the last ones is rough
+    "acceleration",  # over the last step, NaN where the speed at one of its ends is unknown [m/s^2]
     "place",  # next place in the ring below
-    ("ring", 8),  # accepted speeds of the last samples, NaN where there was none [m/s]
+    ("ring", RING),  # accepted speeds of the last samples, NaN where there was none [m/s]
     "has_speed",  # 1 once the car has sent a speed
     "has_fix",  # 1 once the car has sent a fix
     "standing",  # 1 while the car stands
@@ -76,6 +83,16 @@ LONGEST_HOLD: Final = 20.0
 """Longest time for which a speed is held or interpolated. [periods]"""
 HOLE: Final = 3.5
 """Longest step that is not a hole. [periods]"""
+ROUGH_WINDOW: Final = 3
+"""Least number of samples in the moving average of rough speeds: between two fixes, or beside an implausible change."""
+HARDEST: Final = 6.0
+"""Change of the speed that drivers hardly exceed, except in an emergency; GPS shows more at a tunnel. [m/s^2]"""
+SPREAD_PER_CHANGE: Final = 0.2**0.5
+"""Standard deviation of the acceleration within a step over the change of its mean since the step before. [1]
+
+With it, samples every 3 s show 99 % of the braking energy of a real car that was recorded at 10 Hz; without it, 89 %.
+Measured on 31 drives of a BMW i3: Steinstraeter et al., DOI 10.21227/6jr9-5235.
+"""
 CRAWL: Final = 0.5
 """Speed below which the car stands. [m/s]"""
 MOVING: Final = 1.5
@@ -202,15 +219,30 @@ def smooth_speed(state: Any, speed: float, window: int, restart: bool) -> float:
     ring = state.ring
     if restart:
         ring[:] = nan
-    ring[int(state.place) % window] = speed
+    place = int(state.place)
+    ring[place % RING] = speed
     state.place += 1.0
     total = 0.0
     count = 0
     for i in range(window):
-        if not isnan(ring[i]):
-            total += ring[i]
+        before = ring[(place - i) % RING]
+        if not isnan(before):
+            total += before
             count += 1
     return total / count
+
+
+@njit(cache=False)
+def update_smooth_speed(state: Any, speed: float, dt: float, gap: bool, settings: Any) -> None:
+    """Update the smoothed speed by an accepted one; average for some samples where a speed is rough."""
+    if abs(speed - state.smooth) > HARDEST * dt:
+        state.rough = ROUGH_WINDOW
+    window = settings.window
+    if state.rough > 0.0:
+        window = max(window, ROUGH_WINDOW)
+        state.rough -= 1.0
+    state.smooth = smooth_speed(state, speed, int(window), gap or state.speed_age > HOLE * settings.period)
+    state.speed_age = 0.0
 
 
 @njit(cache=False)
@@ -261,6 +293,7 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
     shortfall, derived = evaluate_fix(state, row, dt, settings)
     if isnan(row.raw_speed) and derived <= settings.speed_limit:
         speed = derived
+        state.rough = ROUGH_WINDOW
     state.odometer_distance += shortfall
     since = state.odometer_age
     owed = find_odometer_shortfall(state, row.raw_odometer, settings.speed_limit * since + settings.tunnel_limit)
@@ -272,10 +305,8 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
     before = state.smooth
     gap = dt > HOLE * settings.period
     if not isnan(speed):
-        state.smooth = smooth_speed(state, speed, int(settings.window), gap or state.speed_age > HOLE * settings.period)
-        state.speed_age = 0.0
-    change = speed - state.speed
-    row.speed_change = 0.0 if isnan(change) or gap or shortfall > 0.0 else change
+        update_smooth_speed(state, speed, dt, gap, settings)
+    known = not (isnan(speed) or isnan(state.speed) or gap or shortfall > 0.0)
     state.speed = speed
     row.speed = 0.5 * (before + state.smooth)
     row.distance = distance + shortfall
@@ -290,6 +321,9 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
         row.travel = age if age <= HOLE * settings.period else min(age, row.distance / row.speed)
     run = row.speed * row.travel
     row.acceleration = 0.5 * (state.smooth * state.smooth - before * before) / run if run > 0.0 else 0.0
+    change = row.acceleration - state.acceleration
+    row.acceleration_spread = SPREAD_PER_CHANGE * abs(change) if known and not isnan(change) else 0.0
+    state.acceleration = row.acceleration if known else nan
     if not isnan(state.pending_latitude):
         row.map_elevation = nan
     elevation, spread = combine_elevation(state, row, dt)

@@ -84,14 +84,13 @@ def cold_battery_heating(pack_temperature: Floats, threshold: float) -> Floats:
     scale=100.0,
 )
 def cold_regen_limit(
-    traction: Floats, speed: Floats, pack_temperature: Floats, threshold: float, width: float
+    braking_force: Floats, speed: Floats, pack_temperature: Floats, threshold: float, width: float
 ) -> Floats:
     """Regeneration lost in a cold battery: P = max(-F v, 0) min(max((T0 - T)/ΔT, 0), 1), times a share.
 
     The loss is relative to what the base regains by `inertia_negative` and `climbing_down`.
     """
-    braking = np.maximum(-traction * speed, 0.0)
-    return braking * np.clip((threshold - pack_temperature) / width, 0.0, 1.0)
+    return braking_force * speed * np.clip((threshold - pack_temperature) / width, 0.0, 1.0)
 
 
 @effect(
@@ -107,13 +106,12 @@ def cold_regen_limit(
     words="{value} % of braking power is lost with a full battery, less below, nothing at a charge of {threshold}",
     scale=100.0,
 )
-def regen_full_battery(traction: Floats, speed: Floats, charge: Floats, threshold: float) -> Floats:
+def regen_full_battery(braking_force: Floats, speed: Floats, charge: Floats, threshold: float) -> Floats:
     """Regeneration lost in a full battery: P = max(-F v, 0) max((s - s0)/(1 - s0), 0), times a share.
 
     s is the state of charge. The loss is relative to what the base regains by `inertia_negative` and `climbing_down`.
     """
-    braking = np.maximum(-traction * speed, 0.0)
-    return braking * np.maximum((charge - threshold) / (1.0 - threshold), 0.0)
+    return braking_force * speed * np.maximum((charge - threshold) / (1.0 - threshold), 0.0)
 
 
 BATTERY: Final[tuple[Effect, ...]] = (battery_resistance, cold_battery_heating, cold_regen_limit, regen_full_battery)

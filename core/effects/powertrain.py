@@ -124,13 +124,14 @@ def payload(
     words="wear: {value} % more driving power for every 100,000 km",
     scale=100.0,
 )
-def age(traction: Floats, speed: Floats, odometer: Floats, span: float) -> Floats:
+def age(traction: Floats, braking_force: Floats, speed: Floats, odometer: Floats, span: float) -> Floats:
     """Wear: P = max(F, 0) v s/s0, times the share lost after s0 = 100,000 km.
 
-    s is the odometer's reading, and F the force at the wheels as the car's own road load demands it. Where the state of
-    charge measures energy, a faded battery looks the same.
+    s is the odometer's reading, and F the force at the wheels as the car's own road load demands it. max(F, 0)
+    is F plus the braking force. Where the state of charge measures energy, a faded battery looks the same.
     """
-    return np.maximum(traction, 0.0) * speed * (odometer / span)
+    driving = np.maximum(traction + braking_force, 0.0)
+    return driving * speed * (odometer / span)
 
 
 POWERTRAIN: Final[tuple[Effect, ...]] = (

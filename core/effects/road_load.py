@@ -160,7 +160,7 @@ def inertia(mass: Floats, acceleration: Floats, speed: Floats) -> Floats:
     low=0.8,
     high=1.8,
     source=f"{_BALANCE}, speeding up; range: 1 at the wheel, rotating parts and 1/efficiency at the battery",
-    expected=Expectation(1.15, 0.12, f"{_POWERTRAIN}, less what smoothing of the speed hides; spread (estimate)"),
+    expected=Expectation(1.2, 0.12, f"{_POWERTRAIN}; spread (estimate): losses, load"),
 )
 def inertia_positive(mass: Floats, acceleration: Floats, speed: Floats) -> Floats:
     """Kinetic energy gained: P = m max(a, 0) v."""
@@ -174,7 +174,7 @@ def inertia_positive(mass: Floats, acceleration: Floats, speed: Floats) -> Float
     high=1.8,
     source=f"{_BALANCE}, slowing; range: 0 friction brakes only, up to that of speeding up beside `braking`",
     confused_with=("braking", "cornering"),
-    expected=Expectation(1.15, 0.12, f"as `inertia_positive`, because `braking` has the loss; {_POWERTRAIN}"),
+    expected=Expectation(1.2, 0.12, f"as `inertia_positive`, because `braking` has the loss; {_POWERTRAIN}"),
 )
 def inertia_negative(mass: Floats, acceleration: Floats, speed: Floats) -> Floats:
     """Kinetic energy saved by slowing: P = m min(a, 0) v, never positive.
@@ -201,14 +201,16 @@ def inertia_negative(mass: Floats, acceleration: Floats, speed: Floats) -> Float
         "town traffic); spread (estimate): cars and their brakes",
     ),
 )
-def braking(traction: Floats, speed: Floats) -> Floats:
+def braking(braking_force: Floats, speed: Floats) -> Floats:
     """Braking energy that is not regained: P = max(-F, 0) v, with F of the car's own road load.
+
+    The mean of max(-F, 0) over a step includes braking between two samples, see `core.signals.signals`.
 
     Powertrains lose both ways. With an efficiency η when driving and η_r when braking, the power at the battery is
     F v / η + (1/η - η_r) max(-F, 0) v. The other base effects have coefficients of 1/η at every sign, and this
     one has 1/η - η_r, which is 1/η where only friction brakes act.
     """
-    return np.maximum(-traction, 0.0) * speed
+    return braking_force * speed
 
 
 @effect(

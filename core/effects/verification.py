@@ -22,6 +22,7 @@ ORDINARY_DRIVING: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(
         "dt": (0.5, 30.0),
         "speed": (0.0, 130 * KMH),
         "acceleration": (-4.0, 4.0),
+        "acceleration_spread": (0.0, 3.0),
         "distance": (0.0, 1000.0),
         "grade": (-0.35, 0.35),
         "heading": (-3.15, 6.3),
@@ -50,6 +51,7 @@ ORDINARY_DRIVING: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(
         "drag_area": (0.2, 4.0),
         "tyre_load": (4000.0, 35_000.0),
         "traction": (-15_000.0, 15_000.0),
+        "braking_force": (0.0, 15_000.0),
         "charge": (0.0, 1.0),
         "pack_temperature": (233.15, 328.15),
         "vapour_pressure": (0.0, 5000.0),
@@ -63,7 +65,16 @@ ORDINARY_DRIVING: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(
 _UNIT_ERRORS: Final = ("DimensionalityError", "OffsetUnitCalculusError", "UnitStrippedWarning")
 _ROWS: Final = 257
 _STANDING: Final = MappingProxyType(
-    {"speed": 0.0, "acceleration": 0.0, "distance": 0.0, "stopped": 1.0, "turn_rate": 0.0, "traction": 0.0}
+    {
+        "speed": 0.0,
+        "acceleration": 0.0,
+        "acceleration_spread": 0.0,
+        "distance": 0.0,
+        "stopped": 1.0,
+        "turn_rate": 0.0,
+        "traction": 0.0,
+        "braking_force": 0.0,
+    }
 )
 
 

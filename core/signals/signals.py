@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Final
 
 import numpy as np
+from scipy.special import ndtr
 
 from core.batch import Floats, Ints
 from core.cleaning.kernel import Clean
@@ -42,6 +43,7 @@ NIGHT: Final = 8 * 3600.0
 """Assumed idle time of a car whose idle time is unknown. [s]"""
 HALF_CHARGED: Final = 0.5
 """Assumed state of charge of a car that does not report it. [1]"""
+SQRT_TWO_PI: Final = (2.0 * np.pi) ** 0.5
 CIVIL_DUSK: Final = 6.0
 """Depth of the sun below the horizon at the end of civil twilight. [deg]"""
 
@@ -208,6 +210,25 @@ def traction(signals: Signals) -> Floats:
     return np.where(speed > 0.0, force, 0.0 * weight)
 
 
+def compute_braking_force(signals: Signals) -> Floats:
+    """Return the mean of the braking force over a step, zero while the car is driven. [N]
+
+    Notes
+    -----
+    A car that brakes for less than a step may be driven on average. The force is therefore taken as normally
+    distributed within the step, with the mean F of `traction` and the standard deviation s = m σ, where σ is the spread
+    of the acceleration. The mean of max(-F, 0) is then s φ(F/s) - F Φ(-F/s), and max(-F, 0) where σ is zero.
+    """
+    force = signals["traction"]
+    spread = signals["mass"] * signals["acceleration_spread"]
+    braking = np.maximum(-force, 0.0)
+    at = np.flatnonzero((spread > 0.0) & (signals["speed"] > 0.0))
+    ratio = force[at] / spread[at]
+    density = np.exp(-0.5 * ratio * ratio) / SQRT_TWO_PI
+    braking[at] = np.maximum(spread[at] * density - force[at] * ndtr(-ratio), 0.0)
+    return braking
+
+
 def pack_temperature(signals: Signals) -> Floats:
     """Return the battery temperature, replaced by the outside temperature where it is unknown. [K]"""
     measured = signals.clean.battery_temperature
@@ -253,6 +274,7 @@ _DERIVED: Final[dict[str, Callable[[Signals], Floats]]] = {
     "charge": lambda signals: np.nan_to_num(signals.clean.soc, nan=HALF_CHARGED),
     "tyre_load": tyre_load,
     "traction": traction,
+    "braking_force": compute_braking_force,
     "pack_temperature": pack_temperature,
     "vapour_pressure": vapour_pressure,
     "water": water,

@@ -42,8 +42,7 @@ AMOUNTS: Final = (
     "hvac",  # measured energy of heating and air conditioning [J]
     "hvac_known",  # time for which that is known [s]
     "stops",
-    "kinetic_gained",  # sum of increases of half the squared speed before smoothing [J/kg]
-    "kinetic_varied",  # sum of squared changes of that speed between samples [J/kg]
+    "unresolved_braking",  # part of the braking energy that is estimated from the spread of the acceleration [J]
     "samples",
     "speed_rejected",  # time for which the speed was rejected [s]
     "speed_missing",  # time for which the speed was missing, of a car that sends it [s]

@@ -110,10 +110,8 @@ def compute_amounts(signals: Signals, powers: Sequence[tuple[str, Floats]]) -> F
     for climb, gained, lost in ((clean.climb, "gained", "lost"), (clean.causal_climb, "gained_causal", "lost_causal")):
         np.maximum(climb, 0.0, out=row[gained])
         np.maximum(-climb, 0.0, out=row[lost])
-    np.square(clean.speed_change, out=row["kinetic_varied"])
-    speeding = (clean.speed_change > 0.0) & (clean.travel > 0.0)
-    np.divide(clean.distance, clean.travel, out=row["kinetic_gained"], where=speeding)  # the mean of the two speeds
-    row["kinetic_gained"] *= clean.speed_change
+    unresolved = signals["braking_force"] - np.maximum(-signals["traction"], 0.0)
+    np.multiply(unresolved * clean.speed, clean.travel, out=row["unresolved_braking"])
     np.multiply(signals["ambient"], dt, out=row["ambient"])
     np.multiply(signals["precipitation"], dt, out=row["precipitation"])
     for name, known in (("wind_known", sky.wind_speed), ("hvac_known", clean.hvac)):

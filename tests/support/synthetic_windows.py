@@ -114,6 +114,7 @@ def _signals(start, day, ride, car, vehicle: VehicleModel, seed: int) -> dict[st
     mass, grade, acceleration = vehicle.mass_kg + 75.0 * occupants, rng.normal(0.0, 0.02, m), rng.normal(0.0, 0.35, m)
     load = mass * GRAVITY * np.sqrt(1.0 - grade**2)
     force = mass * (acceleration + GRAVITY * grade) + vehicle.rolling_resistance * load
+    force += 0.5 * STANDARD_AIR_DENSITY * vehicle.drag_area_m2 * speed**2
     return {
         "dt": np.full(m, STRETCH_S),
         "speed": speed,
@@ -121,7 +122,8 @@ def _signals(start, day, ride, car, vehicle: VehicleModel, seed: int) -> dict[st
         "grade": grade,
         "mass": mass,
         "tyre_load": load,
-        "traction": force + 0.5 * STANDARD_AIR_DENSITY * vehicle.drag_area_m2 * speed**2,
+        "traction": force,
+        "braking_force": np.maximum(-force, 0.0),
         "turn_rate": rng.normal(0.0, 0.03, m),
         "headwind": wind * np.cos(towards),
         "crosswind": wind * np.sin(towards),

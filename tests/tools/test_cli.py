@@ -206,7 +206,7 @@ def test_call_without_command_prints_help_without_error(call, capsys):
         (["live", "--prefix", "a b?"], "'a b?'"),
         (["replay", "{rec}", "--prefix", "a/**"], "'a/**'"),
         (["replay", "{rec}", "--prefix", "a//b", "--connect", "tcp/127.0.0.1:1"], "'a//b'"),
-        (["replay", "{rec}", "--connect", "tcp/127.0.0.1:1", "--smoothing", "1"], "--connect"),
+        (["replay", "{rec}", "--connect", "tcp/127.0.0.1:1", "--smoothing", "3"], "--connect"),
         (["live", "--record", "/proc/nowhere"], "/proc/nowhere"),
         (["demo", "nowhere.mcap"], "nowhere.mcap"),
     ],

@@ -16,7 +16,7 @@ SPEED_LIMIT_KMH: Final = round(_DEFAULTS.speed_limit / KMH, 6)
 PERIOD_S: Final = _DEFAULTS.period
 """Default time between two samples. [s]"""
 SMOOTHING: Final = _DEFAULTS.window
-"""Default number of samples in the moving average of speed."""
+"""Default number of samples in the moving average of a reported speed."""
 LEAST_DISTANCE_KM: Final = _DEFAULTS.least_distance / _KM
 """Default distance below which a ride is unfit for training. [km]"""
 
@@ -37,7 +37,13 @@ Period = Annotated[
     float, typer.Option("--period-s", metavar="S", help="Nominal time between two samples.", **_limits("period"))
 ]
 Smoothing = Annotated[
-    int, typer.Option("--smoothing", metavar="N", help="Samples in the moving average of speed.", **_limits("window"))
+    int,
+    typer.Option(
+        "--smoothing",
+        metavar="N",
+        help="Samples in the moving average of reported speed.",
+        **_limits("window"),
+    ),
 ]
 LeastDistance = Annotated[
     float,
@@ -65,7 +71,7 @@ def make_settings(
     period_s : float
         Nominal time between two samples. [s]
     smoothing : int
-        Number of samples in the moving average of speed. [1]
+        Number of samples in the moving average of a reported speed. [1]
     least_distance_km : float
         Distance below which a ride is unfit for training. [km]
 

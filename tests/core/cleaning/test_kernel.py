@@ -204,7 +204,7 @@ def test_detection_of_stops_has_hysteresis():
     columns["speed_kmh"] = speed * 3.6
     clean = cleaned(columns)
     assert clean.stop.sum() == 1
-    assert np.flatnonzero(clean.stopped).tolist() == list(range(32, 60))
+    assert np.flatnonzero(clean.stopped).tolist() == list(range(30, 60))
 
 
 def fleet(seed, cars=3, n=60):

@@ -48,11 +48,11 @@ def test_tunnel_keeps_its_distance_and_affects_no_later_speed(base, length, hold
     clean = cleaned(tunnelled(base, length, hold, jump_kmh))
     assert clean.distance.sum() == pytest.approx(base["metres"][-1], rel=0.02)
     assert clean.speed.max() <= 100 * KMH
-    assert np.abs(clean.acceleration).max() < 4.5
+    assert np.abs(clean.acceleration).max() < 6.0
     assert count(clean, Quality.SPEED_REJECTED) == 1
     assert count(clean, Quality.BRIDGED) == 1
     assert count(clean, Quality.POSITION_JUMP) == 1
-    assert count(clean, Quality.POSITION_FROZEN if hold else Quality.POSITION_MISSING) >= (2 if hold else length)
+    assert count(clean, Quality.POSITION_FROZEN if hold else Quality.POSITION_MISSING) >= (1 if hold else length)
     bridge = np.flatnonzero(clean.quality & Quality.BRIDGED)
     assert clean.speed[bridge] * clean.travel[bridge] == pytest.approx(clean.distance[bridge])
 
@@ -265,20 +265,29 @@ def test_moving_average_covers_the_last_samples(window):
 
 
 @pytest.mark.parametrize("window", [1, 3])
-def test_change_of_speed_is_that_before_the_moving_average(window):
+def test_spread_of_the_acceleration_follows_its_change(window):
     base = drive(60, seed=3)
     clean = cleaned(without(base, *POSITION), Settings(window=window))
-    assert clean.speed_change[1:] == pytest.approx(np.diff(base["speed_kmh"] * KMH))
+    assert clean.acceleration_spread[2:] == pytest.approx(np.sqrt(0.2) * np.abs(np.diff(clean.acceleration[1:])))
 
 
 @pytest.mark.parametrize("rows", [slice(100, 101), slice(100, 130)])
-def test_change_of_speed_is_zero_beside_a_hole(rows):
+def test_spread_of_the_acceleration_is_zero_beside_a_hole(rows):
     base = drive(N, seed=3)
-    changes = np.diff(base["speed_kmh"] * KMH, prepend=0.0)
     base["speed_kmh"][rows] = np.nan
     clean = cleaned(without(base, *POSITION))
-    assert not clean.speed_change[rows.start : rows.stop + 1].any()
-    assert clean.speed_change[rows.stop + 1 :] == pytest.approx(changes[rows.stop + 1 :])
+    assert not clean.acceleration_spread[rows.start : rows.stop + 2].any()
+    after = clean.acceleration[rows.stop + 1 :]
+    assert clean.acceleration_spread[rows.stop + 2 :] == pytest.approx(np.sqrt(0.2) * np.abs(np.diff(after)))
+
+
+def test_speed_beside_an_implausible_change_is_averaged():
+    base = without(highway(), *POSITION)
+    base["speed_kmh"][100] = 0.0
+    clean, plain = cleaned(base), np.asarray(base["speed_kmh"]) * KMH
+    assert np.abs(clean.acceleration[100:104]).max() == pytest.approx(plain[99] / 3.0 / PERIOD, rel=0.1)
+    beside = np.r_[2:99, 106 : len(plain)]
+    assert clean.speed[beside] == pytest.approx(0.5 * (plain[beside] + plain[beside - 1]))
 
 
 @pytest.mark.parametrize("fault", ["none", "tunnel", "gap", "nan", "no speed"])

@@ -30,17 +30,17 @@ def test_battery_at_minus_15_degrees_is_heated_with_1_5_kw():
 
 def test_cold_battery_limits_regeneration_in_proportion_to_its_temperature():
     """At 0 °C, 10 K below the threshold, half of the range of 20 K is reached: half of 20 kW, times the share."""
-    braking = {"traction": -2000, "speed": 10}
+    braking = {"braking_force": 2000, "speed": 10}
     assert power("cold_regen_limit", pack_temperature=273.15, **braking) == pytest.approx(10_000)
     assert power("cold_regen_limit", pack_temperature=243.15, **braking) == pytest.approx(20_000)
     assert power("cold_regen_limit", pack_temperature=283.15, **braking) == 0
-    assert power("cold_regen_limit", traction=2000, speed=10, pack_temperature=243.15) == 0
+    assert power("cold_regen_limit", braking_force=0, speed=10, pack_temperature=243.15) == 0
 
 
 def test_full_battery_limits_regeneration_in_proportion_to_its_charge():
-    braking = {"traction": -2000, "speed": 10}
+    braking = {"braking_force": 2000, "speed": 10}
     assert power("regen_full_battery", charge=0.95, **braking) == pytest.approx(10_000)
     assert power("regen_full_battery", charge=1.0, **braking) == pytest.approx(20_000)
     assert power("regen_full_battery", charge=0.9, **braking) == 0
     assert power("regen_full_battery@threshold=0.8", charge=0.9, **braking) == pytest.approx(10_000)
-    assert power("regen_full_battery", charge=1.0, traction=2000, speed=10) == 0
+    assert power("regen_full_battery", charge=1.0, braking_force=0, speed=10) == 0

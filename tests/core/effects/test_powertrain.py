@@ -35,9 +35,9 @@ def test_payload_power_matches_manual_calculation():
 
 def test_age_takes_a_share_of_driving_power_that_grows_with_the_odometer():
     """A share of 3 % per 100,000 km takes 450 W at 150,000 km and 10 kW; braking or new cars take none."""
-    assert 0.03 * power("age", traction=500, speed=20, odometer=1.5e8) == pytest.approx(450)
-    assert power("age", traction=-500, speed=20, odometer=1.5e8) == 0
-    assert power("age", traction=500, speed=20, odometer=0) == 0
+    assert 0.03 * power("age", traction=500, braking_force=0, speed=20, odometer=1.5e8) == pytest.approx(450)
+    assert power("age", traction=-500, braking_force=500, speed=20, odometer=1.5e8) == 0
+    assert power("age", traction=500, braking_force=0, speed=20, odometer=0) == 0
 
 
 def test_power_loss_grows_with_the_square_of_the_driving_power():

@@ -169,9 +169,9 @@ def test_expectation_of_braking_follows_from_the_figures_of_its_source():
     assert get("braking").expected.mean == pytest.approx(lost, abs=0.01)
 
 
-def test_braking_is_the_negative_traction_power():
-    traction, speed = np.array([-500.0, 0.0, 500.0]), np.full(3, 20.0)
-    assert get("braking").power({"traction": traction, "speed": speed}).tolist() == [1e4, 0.0, 0.0]
+def test_braking_is_the_power_of_the_braking_force():
+    force, speed = np.array([500.0, 0.0]), np.full(2, 20.0)
+    assert get("braking").power({"braking_force": force, "speed": speed}).tolist() == [1e4, 0.0]
 
 
 @given(st.floats(0.7, 0.95), st.floats(0.0, 0.9), st.integers(0, 1000))
@@ -181,7 +181,7 @@ def test_road_load_with_braking_is_that_of_a_powertrain_that_loses_both_ways(for
     parts = ("rolling", "climbing", "aero_drag", "inertia_positive", "inertia_negative")
     shares = {"rolling": 0.008, "aero_drag": 0.7}
     wheel = sum(shares.get(name, 1.0) * get(name).power(columns) for name in parts)
-    columns["traction"] = wheel / columns["speed"]
+    columns["braking_force"] = np.maximum(-wheel / columns["speed"], 0.0)
     found = wheel / forth + (1.0 / forth - back) * get("braking").power(columns)
     np.testing.assert_allclose(found, np.maximum(wheel, 0.0) / forth + np.minimum(wheel, 0.0) * back, atol=1e-6)
 

@@ -158,6 +158,19 @@ def test_traction_equals_the_force_balance_with_the_parameters_of_the_car():
     assert signals["traction"].min() < -500
 
 
+def test_braking_force_is_the_mean_over_forces_within_a_step():
+    """Within each step, the acceleration is normally distributed about its mean, with the declared spread."""
+    signals = signals_of(drive(200, seed=4), None, (0.01, 0.7))
+    spread, force = signals["acceleration_spread"], signals["traction"]
+    z = np.random.default_rng(0).normal(size=200_000)
+    for row in np.flatnonzero((spread > 0.2) & (np.abs(force) < 2000.0) & (signals["speed"] > 0.0))[:5]:
+        drawn = np.maximum(-(force[row] + signals["mass"][row] * spread[row] * z), 0.0)
+        assert signals["braking_force"][row] == pytest.approx(drawn.mean(), abs=5.0)
+    still = spread == 0.0
+    np.testing.assert_array_equal(signals["braking_force"][still], np.maximum(-force[still], 0.0))
+    assert np.all(signals["braking_force"] >= np.maximum(-force, 0.0))
+
+
 def test_traction_at_steady_speed_equals_the_road_load():
     """The car has 1575 kg and drives at 72 km/h on a level road: 0.010 of 15.4 kN, and 1/2 1.225 0.7 20^2 N."""
     signals = signals_of(drive(N, speed=20.0), None, (0.01, 0.7))

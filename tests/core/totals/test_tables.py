@@ -10,7 +10,7 @@ from core.cleaning.quality import CAUSES
 from core.totals.display_yield import READING_SDS
 from core.totals.measured_energy import METER_GAIN, RIDE_SD
 from core.totals.tables import HISTOGRAM, is_winter
-from core.vehicles import load_catalogue
+from core.vehicles import OCCUPANT_MASS, load_catalogue
 from tests.support.telemetry import PERIOD, START, drive, leaf, make_message, observed, ran, telemetry, without
 
 CAPACITY = (
@@ -93,11 +93,12 @@ def test_every_term_of_table_1_has_its_expected_value():
     assert ride[list(named)].tolist() == ["a", "nissan-leaf-2013", "2024-01-15", "ana", 1, 0, "r1"]
 
 
-def test_kinetic_energy_is_that_of_the_speed_before_the_moving_average():
+def test_energy_of_speeding_up_is_that_of_the_reported_speed():
     speed = np.array([0.0, *[10.0, 10.0, 10.0, 14.0, 10.0, 0.0, 0.0] * 10])  # m/s
-    ride = rides_of(drive(len(speed), speed=speed)).iloc[0]
-    assert ride["kinetic_gained_j_kg"] == pytest.approx(10 * 14.0**2 / 2.0)
-    assert ride["kinetic_varied_j_kg"] == pytest.approx(10 * (10.0**2 + 4.0**2 + 4.0**2 + 10.0**2))
+    ride = rides_of(drive(len(speed), speed=speed), also=["inertia_positive"]).iloc[0]
+    kinetic = 10 * 14.0**2 / 2.0 * (ride["mass_kg"] + OCCUPANT_MASS)
+    assert ride["effect_inertia_positive"] == pytest.approx(kinetic / 3.6e6)
+    assert 0.0 < ride["unresolved_braking_kwh"] < 0.3 * kinetic / 3.6e6
 
 
 def test_names_and_types_of_columns_do_not_depend_on_known_values():
