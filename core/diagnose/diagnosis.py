@@ -180,7 +180,7 @@ def _describe_data(seen: Windows) -> dict[str, Any]:
 
 
 def _describe_error(seen: Windows, base: BaseProjection, floor: float) -> dict[str, float]:
-    """Return the errors of the model per ride. [kWh]"""
+    """Return the errors of the model per ride, as given and refitted to the same windows. [kWh]"""
     error, used = seen.by_ride(seen.predicted - seen.measured), seen.by_ride(seen.measured)
     refitted = seen.by_ride(base.convert_to_energy(base.residual))
     mae = float(np.mean(np.abs(error)))
@@ -318,7 +318,10 @@ def _suggest(base: BaseProjection, selection: ForwardSelection, left: Floats) ->
 
 
 def _compute_steps(selection: ForwardSelection, missing: list[MissingEffect], floor: float) -> list[dict[str, Any]]:
-    """Return the error per ride as effects are added one by one, each fitted to other vehicle-days. [kWh]"""
+    """Return the error per ride as effects are added one by one, each fitted to other vehicle-days. [kWh]
+
+    The terms of the model are refitted to all windows of each car, also to those of the held-out days.
+    """
     base, seen = selection.base, selection.base.windows
     named, selection.selected = selection.selected, []
     rows = []

@@ -55,7 +55,11 @@ def test_terminal_shows_all_parts_in_order():
         "equal in energy, on average, to +1.2 m/s of headwind or +180 kg",
         "2. brake_drag: brakes rub with 75 ± 25 N; only in vehicle taxi-003",
         "NOT plausible (range 0 to 60 N): it may stand for another cause",
-        "0.055 -> 0.048 -> 0.046 kWh per ride; measurement noise 0.037 kWh",
+        (
+            "Mean absolute error with all terms refitted to these rides for each car (in sample; each missing effect "
+            "fitted without the days that it is evaluated on): 0.055 -> 0.048 -> 0.046 kWh per ride; measurement noise "
+            "0.037 kWh"
+        ),
         (
             "The remaining error has structure. Its cause is not in the library, or too weak to be "
             "distinguished from other"
@@ -80,17 +84,20 @@ def test_diagnosis_without_missing_effect_states_it():
     assert "Write an effect of your own" in printed(make_empty_diagnosis() | {"structure_remains": True})
 
 
-def test_remaining_error_is_called_noise_only_at_noise_floor():
-    noise = make_diagnosis(
-        structure_remains=False, steps=[{"effect": None, "mae_kwh": 0.038, "noise_floor_kwh": 0.037}]
-    )
-    assert "The remaining error is measurement noise." in sentences.describe_remainder(noise)
-    assert "The remaining error is measurement noise." not in sentences.describe_remainder(
-        make_diagnosis(structure_remains=False)
-    )
-    assert "The remaining error is measurement noise." not in sentences.describe_remainder(
-        noise | {"structure_remains": True}
-    )
+@pytest.mark.parametrize(
+    ("mae", "structure", "stated"), [(0.037, False, True), (0.038, False, False), (0.03, True, False)]
+)
+def test_remaining_error_is_compared_with_noise_floor(mae, structure, stated):
+    steps = [{"effect": None, "mae_kwh": mae, "noise_floor_kwh": 0.037}]
+    lines = sentences.describe_remainder(make_diagnosis(structure_remains=structure, steps=steps))
+    assert ("The remaining error does not exceed measurement noise." in lines) == stated
+
+
+def test_error_without_missing_effect_is_not_called_held_out():
+    steps = [{"effect": None, "mae_kwh": 0.0206, "noise_floor_kwh": 0.0233}]
+    line, *_ = sentences.describe_remainder(make_empty_diagnosis() | {"steps": steps})
+    assert "refitted to these rides for each car (in sample): 0.0206 kWh per ride" in line
+    assert "held-out" not in line
 
 
 def test_next_command_can_be_copied(tmp_path):

@@ -36,7 +36,8 @@ def draw_errors(result: Result) -> list[Illustration]:
     made.update_yaxes(title_text="Model", type="category", autorange="reversed")
     caption = (
         "Dashed line: error that measurement noise alone causes. From the second bar on, the terms of the model are "
-        "refitted to these rides for each car. Each effect is fitted to other days than those it is evaluated on."
+        "refitted to these rides for each car (in sample). Each effect is fitted to other days than those it is "
+        "evaluated on."
     )
     return [Illustration("errors", "Error against measurement noise", caption, made)]
 

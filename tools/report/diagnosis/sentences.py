@@ -9,8 +9,6 @@ from tools.report.evaluation.result import Result, get_mapping, get_number
 
 LEAST_BIAS = 5e-4
 """Bias of a ride below which the report does not mention it. [kWh]"""
-NOISE_ONLY = 1.1
-"""Ratio of the error to the noise floor up to which the report calls the remaining error measurement noise."""
 
 
 def format_energy(value: Any) -> str:
@@ -60,8 +58,8 @@ def describe_error(result: Result) -> list[str]:
         f"The mean absolute error is {format_energy(mae)} per ride{relative}{_describe_bias(errors.get('bias_kwh'))}."
     ]
     if refitted is not None:
-        how = "With the same terms refitted for each car, and any smooth curve of temperature"
-        lines.append(f"{how}, it would be {format_energy(refitted)}.")
+        how = "With the same terms refitted to these rides for each car, and any smooth curve of temperature"
+        lines.append(f"{how}, it would be {format_energy(refitted)} (in sample).")
     if implausible := get_mapping(result, "model").get("implausible"):
         lines.append(f"NOT plausible in this model: {'; '.join(map(str, implausible))}.")
     if mae and floor is not None:
@@ -167,13 +165,13 @@ def describe_remainder(result: Result) -> list[str]:
     if steps:
         last, floor = get_number(steps[-1]["mae_kwh"]) or 0.0, get_number(steps[-1].get("noise_floor_kwh"))
         errors = " -> ".join(f"{get_number(step['mae_kwh']):.3g}" for step in steps)
-        added = ", as the missing effects are added" if len(steps) > 1 else ""
+        added = "; each missing effect fitted without the days that it is evaluated on" if len(steps) > 1 else ""
         lines.append(
-            f"Mean absolute error on held-out days{added}: {errors} kWh per ride; measurement noise "
-            f"{format_energy(floor)}."
+            f"Mean absolute error with all terms refitted to these rides for each car (in sample{added}): {errors} kWh "
+            f"per ride; measurement noise {format_energy(floor)}."
         )
-        if floor is not None and last <= NOISE_ONLY * floor and not result.get("structure_remains"):
-            lines.append("The remaining error is measurement noise.")
+        if floor is not None and last <= floor and not result.get("structure_remains"):
+            lines.append("The remaining error does not exceed measurement noise.")
     if result.get("structure_remains"):
         lines.append(
             "The remaining error has structure. Its cause is not in the library, or too weak to be distinguished from "

@@ -87,7 +87,10 @@ def tabulate_errors(result: Result) -> ReportTable:
     part = get_mapping(result, "error")
     values = (
         ("model as given", part.get("mae_kwh")),
-        ("same terms refitted for each car, any curve of temperature", part.get("mae_refitted_kwh")),
+        (
+            "same terms refitted to these rides for each car, any curve of temperature (in sample)",
+            part.get("mae_refitted_kwh"),
+        ),
         ("measurement noise alone", part.get("noise_floor_kwh")),
     )
     rows = tuple(Row(what, (Cell(_plain(value)),)) for what, value in values if get_number(value) is not None)
