@@ -92,7 +92,7 @@ class Clean(NamedTuple):
     causal_climb : (n,) float64
         Change of elevation in the step from fixes up to this row only. [m]
     speed, acceleration : (n,) float64
-        Smoothed, over the step. [m/s], [m/s^2]
+        Over the step, of the reported speed or of its moving average. [m/s], [m/s^2]
     acceleration_spread : (n,) float64
         Standard deviation of the acceleration within the step; 0 where unknown. [m/s^2]
     latitude, longitude, heading, turn_rate : (n,) float64

@@ -33,7 +33,8 @@ def expect_label_variance(rows: pd.DataFrame) -> Floats:
     Where voltage and current are measured, the stated variance of a row rests on the powers that were sampled in it. A
     row in which a peak of the power was sampled has more energy and a larger variance than one in which it fell between
     two samples. Weights by the stated variance would therefore favour rows with too little energy. The expected
-    variance is the sum of a part per time and a part per kinetic energy gained, fitted to the stated ones.
+    variance is the sum of a part per time and a part per kinetic energy gained, fitted to the stated ones, of which the
+    largest are clipped. Fits scale it by their residuals.
 
     Parameters
     ----------
@@ -43,17 +44,18 @@ def expect_label_variance(rows: pd.DataFrame) -> Floats:
     Returns
     -------
     (n,) float
-        Variance, zero where it is unknown. [kWh^2]
+        Variance. Rows that are not metered have the stated one, zero where it is unknown. [kWh^2]
     """
-    stated = np.nan_to_num(compute_noise_variance(rows))
-    metered = np.flatnonzero(is_metered(rows))
-    if not len(metered):
-        return stated
-    parts = np.column_stack([get_numbers(rows, "duration_s"), get_numbers(rows, "effect_inertia_positive")])[metered]
-    size = np.maximum(np.mean(parts, axis=0), 1e-300)
-    shares, _ = nnls(parts / size, np.minimum(stated[metered], np.quantile(stated[metered], CLIP)))
-    stated[metered] = parts / size @ shares
-    return stated
+    stated = compute_noise_variance(rows)
+    metered = is_metered(rows)
+    known = metered & np.isfinite(stated)
+    if not known.any():
+        return np.nan_to_num(stated)
+    time, kinetic = get_numbers(rows, "duration_s"), np.nan_to_num(get_numbers(rows, "effect_inertia_positive"))
+    parts = np.column_stack([time, kinetic])
+    size = np.maximum(np.mean(parts[known], axis=0), 1e-300)
+    shares, _ = nnls(parts[known] / size, np.minimum(stated[known], np.quantile(stated[known], CLIP)))
+    return np.where(metered, parts / size @ shares, np.nan_to_num(stated))
 
 
 def build_variance_parts(rows: pd.DataFrame) -> Floats:

@@ -23,7 +23,7 @@ import pandas as pd
 from core.batch import Ints
 from core.columns import ZERO_CELSIUS
 from core.errors import ModelError
-from core.fit.distortions import DISTORTIONS, gather_distortions
+from core.fit.distortions import DISTORTED_COLUMNS, DISTORTIONS, gather_distortions
 from core.fit.fitting import build_design, limit_to_one_thread
 from core.fit.measured_rows import ENERGY_SD
 from core.fit.nested_effects import Gaussian
@@ -61,8 +61,9 @@ READ: Final = (
     "energy_vi_kwh",
     "energy_vi_sd_kwh",
     "energy_soc_sd_kwh",
+    "unresolved_braking_kwh",
 )
-"""Columns that the weights read, besides those of the terms."""
+"""Columns that the weights and the distortions need, besides those of the terms."""
 
 
 def fit_rows(name: str, terms: tuple[Term, ...], rows: pd.DataFrame) -> tuple[LinearModel, dict[str, GroupFit]]:
@@ -265,7 +266,7 @@ def _assemble(
     counts = Counter(kind for kind in get_names(once, VEHICLE_MODEL) if kind)
     dates = [date for date in once["date"] if date]
     digest = sha256()
-    for column in sorted({*read, ENERGY_SD} & set(rows.columns)):
+    for column in sorted({*read, ENERGY_SD, *DISTORTED_COLUMNS} & set(rows.columns)):
         if column != VEHICLE:
             digest.update(column.encode() + np.ascontiguousarray(get_numbers(rows, column)).tobytes())
     for column in (VEHICLE, VEHICLE_MODEL, "ride_key"):

@@ -7,6 +7,7 @@ import msgspec
 import numpy as np
 import pandas as pd
 
+from core.fit.distortions import DISTORTED_COLUMNS
 from core.fit.measured_rows import join_tables
 from core.fit.ride_blocks import ENERGY, get_numbers
 from core.fit.window_fit import READ, fit_rows
@@ -41,7 +42,7 @@ class WindowRecipe:
     def columns(self) -> tuple[str, ...]:
         """Return the columns of the window table that the fit reads."""
         raw = [name for term in self.terms for column in term.columns for name in list_raw_columns(column)]
-        return tuple(dict.fromkeys((*IDENTITY, *READ, *raw)))
+        return tuple(dict.fromkeys((*IDENTITY, *READ, *DISTORTED_COLUMNS, *raw)))
 
     def fit(self, rides: pd.DataFrame, windows: pd.DataFrame | None = None, *, covariance: bool = True) -> LinearModel:
         """Return a model fitted to the windows of the rides of a table that are fit for training.

@@ -211,7 +211,7 @@ def traction(signals: Signals) -> Floats:
 
 
 def compute_braking_force(signals: Signals) -> Floats:
-    """Return the mean of the braking force over a step, zero while the car is driven. [N]
+    """Return the mean of max(-F, 0) over a step, with the force F at the wheels. [N]
 
     Notes
     -----

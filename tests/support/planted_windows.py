@@ -92,6 +92,7 @@ def planted(
     table = table.assign(**{name: 0.0 for name in FEATURES if name not in {*table, "winter", "summer"}}, samples=20.0)
     table = table.assign(**{each.energy_name: 0.0 for each in ROAD_LOAD if each.energy_name not in table})
     table = table.assign(mass_kg=mass, wind_from_deg=np.nan, soc_start_pct=80.0, soc_end_pct=79.0)
+    table = table.assign(unresolved_braking_kwh=0.0)
     measured = {"energy_kwh": energy, "energy_vi_kwh": energy, "energy_soc_kwh": energy}
     sd = np.hypot(SD, METER_GAIN * energy)
     table = table.assign(
@@ -113,7 +114,7 @@ def _product(table: pd.DataFrame, columns: str | Sequence[str]) -> np.ndarray:
 
 def _rides(table: pd.DataFrame, dates: np.ndarray) -> pd.DataFrame:
     """Return the ride table of the windows."""
-    amounts = {"duration_s", "distance_km", "stops", "gained_m", "lost_m"}
+    amounts = {"duration_s", "distance_km", "stops", "gained_m", "lost_m", "unresolved_braking_kwh"}
     sums = [name for name in table if name.startswith(("effect_", "speed_")) or name in amounts]
     sums += ["energy_kwh", "energy_vi_kwh", "energy_soc_kwh"]
     firsts = [name for name in table if name not in {*sums, "ride_key", "window"}]

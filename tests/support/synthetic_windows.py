@@ -80,6 +80,7 @@ def make_windows(
             "odometer_km": mean["odometer"] / 1000.0,
             "occupants": mean["occupants"],
             "stops": _summed(signals["stop_rate"] * dt),
+            "unresolved_braking_kwh": 0.0,
             "latitude_start_deg": 45.5,
             "longitude_start_deg": -73.6,
             "drag_area_m2": vehicle.drag_area_m2,
@@ -212,9 +213,13 @@ def build_tables(table: pd.DataFrame, energy: np.ndarray) -> tuple[pd.DataFrame,
     return _rides(windows, table["date"]), windows
 
 
+AMOUNTS = {"duration_s", "distance_km", "stops", "unresolved_braking_kwh"}
+"""Columns of which a ride has the sum over its windows, besides energies."""
+
+
 def _rides(windows: pd.DataFrame, date: pd.Series) -> pd.DataFrame:
     """Return the ride table: sums of amounts, first values of initial states, and means of the weather."""
-    sums = [name for name in windows if name.startswith("effect_") or name in {"duration_s", "distance_km", "stops"}]
+    sums = [name for name in windows if name.startswith("effect_") or name in AMOUNTS]
     sums += [name for name in windows if name.startswith("energy_") and "_sd_" not in name]
     means = ["ambient_c", "battery_temperature_c", "wind_speed_kmh", "precipitation_mm_h"]
     spread = [name for name in windows if "_sd_" in name]

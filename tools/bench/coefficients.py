@@ -25,7 +25,7 @@ from core.errors import SocastError
 from core.fit.recipes import fit_to_windows
 from core.models import ANY
 from core.pipeline import Pipeline
-from core.stats.clustered import compute_wilson_interval
+from core.stats.clustered import compute_clustered_share
 from core.vehicles import load_catalogue
 from tools.bench.nothing_hidden import parse_seeds
 from tools.commands.fit import intervals
@@ -43,6 +43,10 @@ MODELS: Final = ("kia-soul-ev-2015", "nissan-leaf-2016", "tesla-model-s")
 RECIPE: Final = "road_load"
 LEVEL: Final = 0.95
 """Level of the intervals. [1]"""
+
+
+ALL: Final = "all"
+"""Name of the row of all terms; the coefficients of a fleet are correlated, so its interval is clustered by fleet."""
 
 
 class Estimate(NamedTuple):
@@ -105,6 +109,11 @@ def measure_fleet(seed: int) -> list[Estimate]:
     ----------
     seed : int
         Seed of the simulation.
+
+    Returns
+    -------
+    list of Estimate
+        One for each term whose true coefficient the simulator determines.
     """
     model, truth = MODELS[seed % len(MODELS)], Truth()
     simulation = Simulation(
@@ -186,11 +195,11 @@ def print_coverage(estimates: Sequence[Estimate], console: Console) -> None:
     )
     for term, rows in _group_by_term(estimates):
         truth, value, low, high = np.array([each[2:] for each in rows]).T
-        held = float(np.mean((low <= truth) & (truth <= high)))
-        low_share, high_share = compute_wilson_interval(held, len(rows))
+        share = compute_clustered_share((low <= truth) & (truth <= high), np.array([each.seed for each in rows]))
         figures = truth.mean(), (value - truth).mean(), (value - truth).std(), (high - low).mean() / 2.0
-        cells = (f"{held * 100:.0f}", f"{low_share * 100:.0f} to {high_share * 100:.0f}")
-        table.add_row(term, *(f"{figure:.3f}" for figure in figures), *cells)
+        cells = [f"{figure:.3f}" for figure in figures] if term != ALL else [""] * len(figures)
+        held = (f"{share['value'] * 100:.0f}", f"{share['low'] * 100:.0f} to {share['high'] * 100:.0f}")
+        table.add_row(term, *cells, *held)
     console.print(table)
 
 
@@ -198,7 +207,7 @@ def _group_by_term(estimates: Sequence[Estimate]) -> Iterator[tuple[str, list[Es
     """Yield the estimates of each term, then all."""
     for term in dict.fromkeys(each.term for each in estimates):
         yield term, [each for each in estimates if each.term == term]
-    yield "all", list(estimates)
+    yield ALL, list(estimates)
 
 
 if __name__ == "__main__":

@@ -281,6 +281,13 @@ def test_spread_of_the_acceleration_is_zero_beside_a_hole(rows):
     assert clean.acceleration_spread[rows.stop + 2 :] == pytest.approx(np.sqrt(0.2) * np.abs(np.diff(after)))
 
 
+def test_first_sample_of_a_moving_car_is_no_change():
+    base = without(drive(20, speed=20.0), *POSITION)
+    base["speed_kmh"] = 72.0 + 7.2 * (np.arange(20) % 2)
+    clean = cleaned(base)
+    assert clean.speed[2:] == pytest.approx(21.0)
+
+
 def test_speed_beside_an_implausible_change_is_averaged():
     base = without(highway(), *POSITION)
     base["speed_kmh"][100] = 0.0

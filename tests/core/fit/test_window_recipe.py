@@ -5,6 +5,7 @@ import pytest
 from sklearn.base import clone
 from sklearn.model_selection import GroupKFold, cross_val_predict
 
+from core.errors import ModelError
 from core.fit.recipes import RECIPES, get_recipe
 from core.fit.sklearn_estimator import RecipeRegressor
 from core.fit.window_recipe import RecipeWithWindows, WindowRecipe
@@ -26,6 +27,26 @@ def test_bound_recipe_keeps_only_the_columns_that_it_reads(tables):
     bound = RecipeWithWindows(recipe, tables[1])
     assert set(bound.windows) <= set(recipe.columns)
     assert (bound.name, bound.title, bound.terms) == (recipe.name, recipe.title, recipe.terms)
+
+
+def test_bound_recipe_fits_what_the_recipe_fits(tables):
+    rides, windows = tables
+    rng = np.random.default_rng(5)
+    drawn = {name: rng.uniform(0.0, 2e4, len(windows)) for name in ("power_start_w", "power_end_w")}
+    windows = windows.assign(**drawn, unresolved_braking_kwh=rng.uniform(0.0, 0.01, len(windows)))
+    recipe = get_recipe("road_load_constant")
+    whole, plain = recipe.fit(rides, windows), recipe.fit(rides, tables[1])
+    bound = RecipeWithWindows(recipe, windows).fit(rides)
+    assert bound.fits == whole.fits
+    assert bound.version == whole.version
+    assert plain.fits != whole.fits
+    assert plain.training.fingerprint != whole.training.fingerprint
+
+
+def test_tables_without_the_estimate_of_unresolved_braking_are_refused(tables):
+    rides, windows = (table.drop(columns="unresolved_braking_kwh") for table in tables)
+    with pytest.raises(ModelError, match="column 'unresolved_braking_kwh' is missing: make the tables again"):
+        get_recipe("road_load").fit(rides, windows)
 
 
 def test_estimator_fits_windows_of_its_rides(tables):
