@@ -186,7 +186,7 @@ def inertia_negative(mass: Floats, acceleration: Floats, speed: Floats) -> Float
 
 
 @effect(
-    coefficient="share of braking energy lost",
+    coefficient="loss at the battery over braking energy",
     unit="1",
     low=0.0,
     high=1.4,
@@ -202,13 +202,14 @@ def inertia_negative(mass: Floats, acceleration: Floats, speed: Floats) -> Float
     ),
 )
 def braking(braking_force: Floats, speed: Floats) -> Floats:
-    """Braking energy that is not regained: P = max(-F, 0) v, with F of the car's own road load.
+    """Braking energy that is not regained: P = mean of max(-F, 0) over a step, times v, with F of the car's road load.
 
-    The mean of max(-F, 0) over a step includes braking between two samples, see `core.signals.signals`.
+    The mean includes braking between two samples, as estimated from changes of the acceleration.
 
     Powertrains lose both ways. With an efficiency η when driving and η_r when braking, the power at the battery is
     F v / η + (1/η - η_r) max(-F, 0) v. The other base effects have coefficients of 1/η at every sign, and this
-    one has 1/η - η_r, which is 1/η where only friction brakes act.
+    one has 1/η - η_r. It is 1/η, above 1, where only friction brakes act: the battery delivered 1/η for each unit of
+    kinetic energy that the brakes turn into heat.
     """
     return braking_force * speed
 

@@ -162,6 +162,12 @@ def test_effects_act_per_time_or_per_distance():
             assert not each.power(standing).any(), each.name
 
 
+def test_text_of_braking_is_for_users():
+    braking = get("braking")
+    assert "core." not in braking.documentation
+    assert "share" not in braking.coefficient  # it may exceed 1
+
+
 def test_expectation_of_braking_follows_from_the_figures_of_its_source():
     """Fiori et al. 2016: driveline 0.92, motor 0.91, and brakes that regain exp(-0.0411 / d) at a deceleration d."""
     efficiency = 0.92 * 0.91
