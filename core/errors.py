@@ -4,6 +4,9 @@ Bad telemetry is counted and never raises an error. A bad command, file, model o
 the value, the limit and the remedy.
 """
 
+from collections.abc import Iterable
+from difflib import get_close_matches
+
 
 class SocastError(Exception):
     """Serve as the base of every error that the command line prints as one line."""
@@ -47,3 +50,27 @@ class AskError(SocastError):
     def __init__(self, words: str, cause: str = "question") -> None:
         super().__init__(words)
         self.cause = cause
+
+
+def suggest_names(name: str, known: Iterable[str]) -> str:
+    """Return the remedy for an unknown name: the names that resemble it, or all known ones.
+
+    Parameters
+    ----------
+    name : str
+        Unknown name.
+    known : iterable of str
+        Known names.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> suggest_names("rod_load", ["road_load", "hybrid"]), suggest_names("horse", ["road_load", "hybrid"])
+    ('did you mean road_load?', 'known are road_load, hybrid')
+    """
+    names = list(known)
+    close = get_close_matches(name, names, n=3)
+    return f"did you mean {' or '.join(close)}?" if close else f"known are {', '.join(names)}"

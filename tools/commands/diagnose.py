@@ -207,13 +207,17 @@ def _diagnose(model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame, le
 def _drop_known_final_days(
     model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame, console: Console
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the tables without the final hold-out days of the model's history, and print these days."""
+    """Return the tables without the final hold-out days of the model's history, and print what is left out."""
     known = any(entry.get("final") for entry in model.history)
     days = select_final_days(model.history, get_names(rides, "date")) if known else ()
+    kept = drop_days(rides, windows, days)
     if days:
-        message = f"Not used: rides of {', '.join(days)}, the final hold-out days in the history of the model."
+        left_out = f"{len(rides) - len(kept[0]):,}"
+        message = (
+            f"Not used: {left_out} rides of {', '.join(days)}, the final hold-out dates in the history of the model."
+        )
         console.print(message, markup=False, highlight=False, soft_wrap=True)
-    return drop_days(rides, windows, days)
+    return kept
 
 
 def _auto(

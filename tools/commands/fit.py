@@ -12,7 +12,7 @@ from scipy.special import stdtrit
 
 from core import models
 from core.columns import ZERO_CELSIUS
-from core.errors import SettingsError
+from core.errors import SettingsError, suggest_names
 from core.fit.pooled import adapt
 from core.fit.recipes import RECIPES, LinearRecipe, Recipe, get_recipe
 from core.fit.ride_blocks import RideParquet
@@ -26,7 +26,7 @@ from tools.commands.tables import RIDES, WINDOWS
 from tools.terminal.output import JsonFile, check_outputs, make_console, write_json
 from tools.terminal.recordings import refuse_duplicates
 from tools.terminal.rich_table import Column, make_table
-from tools.terminal.table_files import read
+from tools.terminal.table_files import is_window_table, read
 
 Tables = Annotated[
     list[Path],
@@ -79,6 +79,8 @@ def fit(
             "give either --recipe NAME to fit a model or --adapt MODEL.json to adapt one to more rides; "
             f"start with --recipe {RECOMMENDED}, or choose from {', '.join(RECIPES)}"
         )
+    if recipe_name is not None and recipe_name not in RECIPES:
+        raise SettingsError(f"recipe {recipe_name!r} is unknown: {suggest_names(recipe_name, RECIPES)}")
     base = None if adapt_to is None else models.load(adapt_to)
     chosen = get_recipe(recipe_name or (base.recipe if base else ""))
     files = ride_files(tables)
@@ -107,7 +109,7 @@ def ride_files(tables: Sequence[Path]) -> list[Path]:
     Raises
     ------
     SettingsError
-        If a file does not exist, is a recording, or is given twice.
+        If a file does not exist, is a recording or a window table, or is given twice.
     """
     files = [path / RIDES if path.is_dir() else path for path in tables]
     for given, file in zip(tables, files, strict=True):
@@ -120,6 +122,8 @@ def ride_files(tables: Sequence[Path]) -> list[Path]:
         if not file.is_file():
             lacks = f"holds no {RIDES}" if given.is_dir() else "does not exist"
             raise SettingsError(f"{given} {lacks}; name a folder that `socast tables` made, or a Parquet file of rides")
+        if is_window_table(file):
+            raise SettingsError(f"{given} is a window table; give the folder, or {RIDES}")
     refuse_duplicates(files)
     return files
 

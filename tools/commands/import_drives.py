@@ -35,7 +35,7 @@ def import_drives(
     paths: Annotated[
         list[Path], typer.Argument(metavar="PATHS", help="Files as published, plain or .gz, or folders of them.")
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.mcap", help="Recording to write.")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.mcap", help="Recording to write.")],
     vehicle: Annotated[
         list[int] | None,
         typer.Option(metavar="VEHID", help="Car of ved to read; may be repeated. Default: all electric cars."),

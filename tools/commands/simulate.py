@@ -37,7 +37,7 @@ BLOCK = 4096
 
 
 def simulate(
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.mcap", help="Recording to write.")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.mcap", help="Recording to write.")],
     vehicles: Annotated[int | None, typer.Option(help="Number of cars. Default: 5.")] = None,
     days: Annotated[int | None, typer.Option(help="Number of days, with one shift of each car. Default: 1.")] = None,
     start: Annotated[

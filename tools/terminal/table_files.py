@@ -12,6 +12,8 @@ from core.errors import ModelError
 
 KEY: Final = "ride_key"
 """Column with the key of a ride, in both tables."""
+WINDOW: Final = "window"
+"""Column with the number of a window in its ride, in the window table only."""
 
 
 def read(files: Sequence[Path], columns: Sequence[str] | None = None) -> pd.DataFrame:
@@ -40,6 +42,25 @@ def read(files: Sequence[Path], columns: Sequence[str] | None = None) -> pd.Data
             part[KEY] = f"{i}/" + part[KEY].astype(str)
         parts.append(part)
     return parts[0] if len(parts) == 1 else pd.concat(parts, ignore_index=True)
+
+
+def is_window_table(file: Path) -> bool:
+    """Tell whether a file is a Parquet file of windows.
+
+    Parameters
+    ----------
+    file : Path
+        File.
+
+    Returns
+    -------
+    bool
+        False if the file is no Parquet file.
+    """
+    try:
+        return WINDOW in pq.read_schema(file).names
+    except (OSError, pa.ArrowException):
+        return False
 
 
 def _read(file: Path, columns: Sequence[str] | None) -> pd.DataFrame:

@@ -1,4 +1,7 @@
-"""Text whose lines never end inside a number: between a value and its uncertainty, its unit or its mark."""
+"""Text whose lines never end inside a number: between a value and its uncertainty, its unit or its mark.
+
+Two numbers with an arrow between them, and a range in parentheses, are whole as well.
+"""
 
 import re
 from typing import Any, Final
@@ -9,7 +12,13 @@ from rich.containers import Lines
 from rich.measure import Measurement
 from rich.text import Text
 
-_TIED: Final = r"(?<=\d) (?=[%×°*↓↑●○]|(?:[kM]?Wh?|kg|k?m|km/h|m/s|min|s|h|K)\b)|(?<=[±<]) (?=\d)"
+_UNIT: Final = r"(?:[kM]?Wh?|J/kg|V|kg|k?m[²³]?|km/h|m/s|min|s|h|K)(?!\w)"
+_NUMBER: Final = r"[-−+]?\d"
+_TIED: Final = (
+    rf"(?<=\d) (?=[%×°*↓↑●○]|{_UNIT})|(?<=[±<]) (?=\d)"
+    rf"|(?<=\d) (?=→ {_NUMBER})|(?<=→) (?={_NUMBER})"
+    rf"|(?<=\d) (?=to {_NUMBER}[\d.,]*\))|(?<=\d to) (?={_NUMBER}[\d.,]*\))"
+)
 WHOLE: Final = re.compile(rf"{_TIED}|(?<=\d) (?=±)")
 """Spaces within a number."""
 LOOSE: Final = re.compile(_TIED)

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from core.errors import ModelError, SettingsError
+from core.errors import ModelError, SettingsError, suggest_names
 from core.evaluate.paper import breakdown, new_vehicle, percentage_errors, results, selection
 from core.evaluate.paper.accessories import compute_figure_1
 from core.evaluate.paper.held_out import HeldOutPredictions, select_comparable
@@ -66,7 +66,7 @@ def select_recipes(names: str | None, windows: pd.DataFrame | None, seed: int = 
         if name == SEGMENTS and windows is None:
             raise SettingsError(f"{SEGMENTS} needs windows.parquet beside the ride table; give the folder that has it")
         if name not in known:
-            raise SettingsError(f"recipe {name!r} is unknown; known are {', '.join(known)}")
+            raise SettingsError(f"recipe {name!r} is unknown; {suggest_names(name, known)}")
     if not wanted:
         raise SettingsError(f"no recipe is named; name some of {', '.join(known)}, with commas between them")
     return {name: known[name] for name in known if name in wanted}

@@ -289,8 +289,11 @@ def test_diagnosis_does_not_use_final_hold_out_days(here, capsys, monkeypatch):
     )
     capsys.readouterr()
     done("diagnose", here / "tables", "--model", here / "m2.json")
-    assert f"Not used: rides of {', '.join(apart)}" in capsys.readouterr().out
+    printed = capsys.readouterr().out
     rides, windows = seen[0]
+    left_out = len(pd.read_parquet(here / "tables" / "rides.parquet")) - len(rides)
+    assert left_out > 0
+    assert f"Not used: {left_out:,} rides of {', '.join(apart)}, the final hold-out dates" in printed
     assert not set(rides["date"]) & set(apart)
     assert set(windows["ride_key"]) == set(rides["ride_key"])
     done("diagnose", here / "tables", "--model", here / "base.json")

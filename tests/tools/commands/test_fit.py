@@ -149,14 +149,15 @@ def test_rides_of_one_vehicle_suffice_for_fit(table, tmp_path, capsys):
 
 def test_missing_table_or_unknown_recipe_is_refused_in_one_line(folder, table, tmp_path, capsys):
     out = tmp_path / "model.json"
-    assert "recipe 'hybird' is unknown" in refused(capsys, "fit", folder, "--recipe", "hybird", "-o", out)
+    message = refused(capsys, "fit", folder, "--recipe", "hybird", "-o", out)
+    assert "recipe 'hybird' is unknown: did you mean hybrid" in message
     assert "does not exist; name a folder" in refused(capsys, "fit", tmp_path / "no", "--recipe", "hybrid", "-o", out)
     assert "holds no rides.parquet" in refused(capsys, "fit", tmp_path, "--recipe", "hybrid", "-o", out)
     (tmp_path / "text.parquet").write_text("distance_km\n")
     message = refused(capsys, "fit", tmp_path / "text.parquet", "--recipe", "hybrid", "-o", out)
     assert "text.parquet: no ride table" in message
-    windows = written(table.drop(columns=["winter", "summer"]), tmp_path / "windows.parquet")
-    assert "column 'winter' is missing" in refused(capsys, "fit", windows, "--recipe", "hybrid", "-o", out)
+    lacking = written(table.drop(columns=["winter", "summer"]), tmp_path / "lacking.parquet")
+    assert "column 'winter' is missing" in refused(capsys, "fit", lacking, "--recipe", "hybrid", "-o", out)
     message = refused(capsys, "fit", folder, "--recipe", "hybrid", "-o", folder / "rides.parquet")
     assert "is read and would be overwritten" in message
     assert "cannot be written" in refused(capsys, "fit", folder, "--recipe", "hybrid", "-o", tmp_path / "a" / "b.json")
@@ -287,6 +288,21 @@ def test_unknown_values_in_single_rows_never_prevent_fit(recipe, whole, tmp_path
 def test_empty_table_is_refused_in_one_line(recipe, whole, tmp_path, capsys):
     file = written(whole.iloc[:0], tmp_path / "rides.parquet")
     assert "0 rides" in refused(capsys, "fit", file, "--recipe", recipe, "-o", tmp_path / "m.json")
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("fit", "--recipe", "fitted_physical", "-o", "model.json"),
+        ("evaluate",),
+        ("compare", "--model", "basic_physical"),
+        ("diagnose", "--model", "basic_physical"),
+    ],
+)
+def test_window_table_is_not_taken_for_rides(command, table, tmp_path, capsys):
+    windows = written(table.assign(window=0), tmp_path / "windows.parquet")
+    message = refused(capsys, command[0], windows, *command[1:])
+    assert f"{windows} is a window table; give the folder, or rides.parquet" in message
 
 
 def test_table_given_twice_is_refused(folder, tmp_path, capsys):

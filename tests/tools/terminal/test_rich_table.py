@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.text import Text
 
 from tools.terminal.rich_table import Column, make_description, make_table
+from tools.terminal.unbroken_text import LOOSE, WHOLE, measure_parts
 
 CELLS = ("extended_physical", "137", "0.064 ± 0.011 (16.9 %)", "−0.049 ± 0.014 * (−12.8 %)", "25.5 %", "11.03 ×")
 HEADS = ("rides", "mean absolute error, kWh", "bias, kWh", "within ±5 %", "over noise")
@@ -32,6 +33,30 @@ def test_no_line_of_a_table_ends_inside_a_number(width):
     text = "\n".join(lines)
     for number in ("0.064 ± 0.011", "16.9 %", "−0.049 ± 0.014 *", "−12.8 %", "25.5 %", "11.03 ×"):
         assert number in text
+
+
+@pytest.mark.parametrize("tied", [WHOLE, LOOSE])
+@pytest.mark.parametrize(
+    "whole",
+    [
+        "1.09 m²",
+        "3 m³",
+        "5 m",
+        "1,500 J/kg",
+        "360 V",
+        "12 m/s²",
+        "0.0398 → 0.0374",
+        "(0.000 to 0.012)",
+        "(−0.1 to 2)",
+        "4 h",
+    ],
+)
+def test_number_stays_with_its_unit_and_the_ends_of_its_range(whole, tied):
+    assert measure_parts(f"a {whole} b", tied) == len(whole)
+
+
+def test_words_after_a_number_are_not_tied_to_it():
+    assert measure_parts("5 vehicles 3 more 2 to 4 km", WHOLE) == len("vehicles")
 
 
 def test_uncertainty_moves_to_the_next_line_before_words_are_broken():
