@@ -67,7 +67,7 @@ def test_command_of_diagnosis_adds_effect(here, capsys):
     assert program == "socast"
     done(*arguments)
     printed = capsys.readouterr().out
-    assert "cold_rolling helps: a gain of" in printed
+    assert "cold_rolling helps: it explains" in printed
     assert "held-out vehicles" in printed
     assert "By outside temperature" in printed
     model = models.load(arguments[-1])
