@@ -24,15 +24,20 @@ class Breaking(NamedTuple):
     ----------
     tied : re.Pattern
         Spaces at which no line ends.
-    words : bool
-        Whether words of headings and texts longer than `LEAST_WIDTH` may be broken.
+    headings, texts : bool
+        Whether words longer than `LEAST_WIDTH` may be broken in headings, and in cells of text.
     """
 
     tied: re.Pattern[str]
-    words: bool
+    headings: bool
+    texts: bool
 
 
-BREAKINGS: Final = tuple(Breaking(tied, words) for words in (False, True) for tied in (WHOLE, LOOSE))
+BREAKINGS: Final = tuple(
+    Breaking(tied, headings, texts)
+    for headings, texts in ((False, False), (True, False), (True, True))
+    for tied in (WHOLE, LOOSE)
+)
 """From what harms a reader least to what harms most."""
 
 
@@ -86,7 +91,10 @@ class _NumberTable(Table):
             self._tie(breaking.tied)
             least = [self._measure_least(column, breaking) for column in self.columns]
             if sum(least) <= room:
-                unbroken = [self._measure_least(column, breaking._replace(words=False)) for column in self.columns]
+                unbroken = [
+                    self._measure_least(column, breaking._replace(headings=False, texts=False))
+                    for column in self.columns
+                ]
                 for column, width in zip(self.columns, distribute_width(least, unbroken, most, room), strict=True):
                     column.width = width
                 return
@@ -108,9 +116,11 @@ class _NumberTable(Table):
         """Return the least width of a column."""
         heading = measure_parts(str(column.header), breaking.tied)
         cells = max((measure_parts(str(cell), breaking.tied) for cell in column.cells), default=0)
-        if not breaking.words:
-            return max(cells, heading)
-        return max(cells if column.justify == "right" else min(cells, LEAST_WIDTH), min(heading, LEAST_WIDTH))
+        if breaking.headings:
+            heading = min(heading, LEAST_WIDTH)
+        if breaking.texts and column.justify != "right":
+            cells = min(cells, LEAST_WIDTH)
+        return max(cells, heading)
 
 
 def distribute_width(least: Sequence[int], unbroken: Sequence[int], most: Sequence[int], room: int) -> list[int]:

@@ -3,18 +3,23 @@
 import json
 import re
 import shlex
+from io import StringIO
 
 import msgspec
 import pandas as pd
 import pytest
+from rich.console import Console
 
 from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, LinearModel, Term, save, stamp
 from tests.support.html_pages import read_page
 from tests.support.paths import ROOT
 from tools.cli import main
 from tools.commands.tables import in_memory
+from tools.report.comparison import tables
 from tools.report.comparison.figures import get_model_style
 from tools.report.comparison.page import MOST_COMMANDS
+from tools.report.evaluation.sections import Section
+from tools.report.evaluation.terminal import print_section
 
 SHIFT = ROOT / "recordings" / "shift.mcap"
 MODELS = ("--model", "extended_physical", "--model", "basic_physical")
@@ -342,3 +347,13 @@ def test_term_missing_from_windows_is_not_invented(folder, tmp_path, capsys):
     ran(capsys, home, "--model", tmp_path / "own.json")
     message = refused(capsys, home, "--model", tmp_path / "own.json", "--ride", "taxi-001#2")
     assert "column 'effect_brake_drag' is missing in the data" in message
+
+
+def test_terminal_of_80_columns_keeps_names_of_worst_rides(result):
+    worst = result["models"]["extended_physical"]["worst"]["absolute"]
+    made, *_ = tables.tabulate_worst_rides(result, "extended_physical", commands=False)
+    console = Console(width=80, file=StringIO(), color_system=None)
+    print_section(Section("worst", "", "", [made]), console)
+    lines = console.file.getvalue().splitlines()
+    assert max(map(len, lines)) <= 80
+    assert all(any(line.split()[:1] == [ride["ride"]] for line in lines) for ride in worst)

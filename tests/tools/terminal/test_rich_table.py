@@ -66,6 +66,14 @@ def test_uncertainty_moves_to_the_next_line_before_words_are_broken():
     assert all(not line.rstrip().endswith("±") for line in lines)
 
 
+def test_heading_is_broken_before_text():
+    made = make_table([Column("ride"), Column("predicted", number=True)])
+    made.add_row("taxi-003#13", "0.949")
+    lines = printed(made, 22)
+    assert any("taxi-003#13" in line for line in lines)
+    assert not any("predicted" in line for line in lines)
+
+
 def test_table_that_cannot_fit_is_still_printed_within_the_terminal():
     assert max(map(len, printed(table(), 40))) <= 40
 

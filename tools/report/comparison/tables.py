@@ -245,7 +245,7 @@ def _bias_and_error(entry: Mapping[str, Any] | None, *, share: bool) -> Cell:
 
 
 def tabulate_worst_rides(result: Result, model: str, *, commands: bool) -> list[ReportTable]:
-    """Return the rides of a model's largest errors, with the command that traces each where there is room."""
+    """Return the rides of a model's largest errors, with the car and the command that traces each if there is room."""
     worst = get_mapping(result, "models", model, "worst")
     return [
         _worst(f"{model}: the largest errors, kWh", get_part(worst, "absolute") or (), commands=commands),
@@ -262,7 +262,7 @@ def _worst(title: str, rides: Sequence[Mapping[str, Any]], *, commands: bool) ->
         Row(
             str(ride["ride"]),
             (
-                Cell(get_vehicle_name(str(ride.get("vehicle_model")))),
+                *([Cell(get_vehicle_name(str(ride.get("vehicle_model"))))] if commands else []),
                 Cell(str(ride.get("date"))),
                 *(Cell(format_estimate(ride.get(name))) for name in ("distance_km", "average_speed_kmh", "ambient_c")),
                 *(Cell(format_estimate(ride.get(name), 3)) for name in ("measured_kwh", "predicted_kwh")),
@@ -273,8 +273,8 @@ def _worst(title: str, rides: Sequence[Mapping[str, Any]], *, commands: bool) ->
         )
         for ride in rides
     )
-    heads = ("car", "date", "km", "km/h", "°C", "measured", "predicted", "error", "relative")
-    return ReportTable(title, "ride", (*heads, "its trace") if commands else heads, rows)
+    heads = ("date", "km", "km/h", "°C", "measured", "pre-\ndicted", "error", "relative")
+    return ReportTable(title, "ride", ("car", *heads, "its trace") if commands else heads, rows)
 
 
 def tabulate_datasets(result: Result) -> list[ReportTable]:
