@@ -12,7 +12,7 @@ from core.evaluate.paper.results import to_json_values
 from core.formatting import format_minus
 from core.models import LinearModel
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_change, format_count, format_signed
-from tools.report.diagnosis.sentences import describe_coefficient, describe_gain, format_energy
+from tools.report.diagnosis.sentences import describe_coefficient, format_energy
 from tools.report.evaluation.illustrations import Illustration
 from tools.report.evaluation.result import get_half_width, get_mapping, get_number
 from tools.report.evaluation.sections import Section
@@ -68,17 +68,7 @@ def describe_coefficients(trial: Entry) -> list[str]:
 def _outcome(trial: Entry) -> str:
     """Return a sentence that states whether the effect helps, and why."""
     helps = "helps" if trial.get("accepted") else "does not help"
-    return f"{trial.get('effect')}{_scope(trial)} {helps}: {_explain(trial)}."
-
-
-def _explain(trial: Entry) -> str:
-    """Return the reason of an outcome, with the ends of the interval of the gain, which the reason rounds away."""
-    reason, gain = str(trial.get("reason")), get_mapping(trial, "gain")
-    _, on_days, more = reason.partition(" on held-out vehicle-days")
-    value, half = get_number(gain.get("value")), get_number(gain.get("ci95"))
-    if not on_days or value is None or half is None:
-        return reason
-    return f"it {describe_gain({'gain': value, 'gain_ci95': [value - half, value + half]})}{more}"
+    return f"{trial.get('effect')}{_scope(trial)} {helps}: {trial.get('reason')}."
 
 
 def build_trial_sections(trial: Entry) -> list[Section]:

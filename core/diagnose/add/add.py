@@ -60,7 +60,7 @@ from core.fit.measurement_noise import compute_noise_floor
 from core.fit.recipes import RECIPES
 from core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
 from core.fit.window_recipe import WindowRecipe
-from core.formatting import rounded
+from core.formatting import format_minus, rounded
 from core.models import ANY, VEHICLE_MODEL, LinearModel, Term, stamp
 from core.models.features import EFFECT_PREFIX, VEHICLE_SCOPE, Columns, is_scope, list_raw_columns
 
@@ -339,7 +339,9 @@ def _decide(results: dict[str, Any], least: float) -> dict[str, Any]:
     """Return whether the effect helps, and why."""
     gain, half, change = results["gain"]["value"], results["gain"]["ci95"], results["change_kwh"]
     growth = change["value"] - change["ci95"]
-    statement = f"a gain of {rounded(100.0 * gain, 100.0 * half)} % on held-out vehicle-days"
+    interval = f"95 % interval {format_minus(f'{100.0 * (gain - half):.1f}')} % to {100.0 * (gain + half):.1f} %"
+    share = format_minus(f"{100.0 * gain:.1f}")
+    statement = f"it explains {share} % ({interval}) of the squared error on held-out days"
     if isnan(half):
         reason = "there are too few vehicle-days to distinguish a gain from chance"
     elif results["p"] >= LEVEL:

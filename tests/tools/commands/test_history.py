@@ -14,6 +14,8 @@ from tests.support.commands import done, refused
 from tests.support.html_pages import read_page
 from tools.report import history
 
+HELPS = "it explains 10.0 % (95 % interval 8.0 % to 12.0 %) of the squared error on held-out days"
+
 
 def attempt(effect: str, action: str, before: float, after: float, **more: Any) -> dict[str, Any]:
     """Return an entry of the history."""
@@ -30,7 +32,7 @@ def attempt(effect: str, action: str, before: float, after: float, **more: Any) 
         "action": action, "effect": effect, "columns": [f"effect_{effect}"], "scope": "all", **compared,
         "gain": {"value": 0.1, "ci95": 0.02}, "of_effect": compared, "on_days": compared, "on_vehicles": None,
         "final": {"dates": ["2018-05-01"], **compared}, "noise_floor_kwh": 0.2, "accepted": action == "add",
-        "reason": "a gain of 10 ± 2 % on held-out vehicle-days" if action == "add" else "it may be chance",
+        "reason": HELPS if action == "add" else "it may be chance",
         "words": f"{effect} in words",
         "coefficient": coefficient, "by_vehicle_model": {},
     } | more  # fmt: skip
@@ -143,7 +145,9 @@ def test_trial_shows_errors_before_and_after(model):
                  "12.0 %) of the squared error on held-out days."):  # fmt: skip
         assert part in text, part
     assert "snow does not help: it may be chance." in printed(history.print_trial, model.history[2])
-    reason = "a gain of 0.3 ± 0.2 % on held-out vehicle-days, which is below 0.5 %"
+    reason = (
+        "it explains 0.3 % (95 % interval 0.1 % to 0.5 %) of the squared error on held-out days, which is below 0.5 %"
+    )
     below = attempt("snow", "refused", 0.3, 0.3, gain={"value": 0.003, "ci95": 0.002}, reason=reason)
     ending = "(95 % interval 0.1 % to 0.5 %) of the squared error on held-out days, which is below 0.5 %."
     assert ending in " ".join(printed(history.print_trial, below).split())
