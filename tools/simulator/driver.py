@@ -13,8 +13,8 @@ from tools.simulator.world import BOULEVARD, EXPRESSWAY, RESIDENTIAL, Route
 REACTION: Final = 1.5
 """Time constant with which the speed that a driver wants follows mood and traffic. [s]
 
-With it, samples every 1, 3 and 5 s show 98, 90 and 84 % of the kinetic energy that a car gains while it accelerates. The
-10 Hz drives of a BMW i3 show 99, 91 and 83 %.
+With it, samples every 1, 3 and 5 s show 98, 90 and 84 % of the kinetic energy that a car gains while it accelerates.
+The 10 Hz drives of a BMW i3 show 99, 91 and 83 %.
 """
 
 
