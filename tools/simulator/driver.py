@@ -13,8 +13,17 @@ from tools.simulator.world import BOULEVARD, EXPRESSWAY, RESIDENTIAL, Route
 REACTION: Final = 1.5
 """Time constant with which the speed that a driver wants follows mood and traffic. [s]
 
-With it, samples every 1, 3 and 5 s show 98, 90 and 84 % of the kinetic energy that a car gains while it accelerates.
-The 10 Hz drives of a BMW i3 show 99, 91 and 83 %.
+With it, speed varies as smoothly as in the 10 Hz drives of a BMW i3. Samples every 1, 3 and 5 s show this share of the
+kinetic energy that a car gains while it accelerates, seen every 0.5 s:
+
+| drives | 1 s | 3 s | 5 s |
+|---|---|---|---|
+| simulated rides of 2 to 12 km | 98 % | 90 % | 83 % |
+| simulated shifts of taxis, with many short rides | 98 % | 92 % | 88 % |
+| BMW i3 | 98 % | 91 % | 82 % |
+
+The correlation of accelerations 0.5 s apart is 0.88 to 0.89, and 0.91 for the i3. Without the reaction time, the shares
+at 3 s are 82 and 86 %.
 """
 
 
