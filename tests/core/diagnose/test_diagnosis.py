@@ -99,8 +99,12 @@ class TestPromise:
         assert data["first_date"] == min(seen.table["date"])
         assert data["last_date"] == max(seen.table["date"])
         assert 50.0 < data["resolution_s"] < 70.0
-        silent = {"windows without voltage and current": 10}
-        assert Counter(data["left_out"]) == Counter(recorded[0]["unfit_reason"].dropna()) + Counter(silent)
+        rides, windows = recorded
+        fit = windows["ride_key"].isin(rides.loc[rides["unfit_reason"].isna(), "ride_key"])
+        silent = int((windows.loc[fit, "energy_source"] != "vi").sum())
+        assert silent > 0
+        left_out = Counter(rides["unfit_reason"].dropna()) + Counter({"windows without voltage and current": silent})
+        assert Counter(data["left_out"]) == left_out
         assert diagnosis["model"] == {
             "name": model.name,
             "version": model.version,
