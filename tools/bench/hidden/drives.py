@@ -101,10 +101,14 @@ class Scope:
         Identifier of the car.
     since : str, optional
         ISO date; the effect begins at midnight UTC.
+    full : str, optional
+        ISO date at which an effect that grows from `since` on reaches its size, and beyond which it grows on. Without
+        it, the effect has its size from `since` on.
     """
 
     vehicle: str | None = None
     since: str | None = None
+    full: str | None = None
 
     def contains(self, leg: RecordedShift) -> bool:
         """Return whether the effect is hidden in a shift.
@@ -114,9 +118,26 @@ class Scope:
         leg : RecordedShift
             The shift.
         """
-        begins = leg.driven.shift.time
-        after = self.since is None or begins >= datetime.fromisoformat(self.since).replace(tzinfo=UTC).timestamp()
+        after = self.since is None or leg.driven.shift.time >= _get_midnight(self.since)
         return after and self.vehicle in {None, leg.member.name}
+
+    def get_size(self, leg: RecordedShift) -> float:
+        """Return the size of the effect in a shift that has it, over its full size. [1]
+
+        Parameters
+        ----------
+        leg : RecordedShift
+            The shift.
+        """
+        if self.since is None or self.full is None:
+            return 1.0
+        begin = _get_midnight(self.since)
+        return (leg.driven.shift.time - begin) / (_get_midnight(self.full) - begin)
+
+
+def _get_midnight(date: str) -> float:
+    """Return the Unix time of midnight UTC of an ISO date. [s]"""
+    return datetime.fromisoformat(date).replace(tzinfo=UTC).timestamp()
 
 
 EVERYWHERE: Final = Scope()
@@ -191,7 +212,7 @@ class Drives:
         out = Readings(voltage, current, soc, hvac, np.zeros((len(hidden), len(cars), most)))
         for leg, view, power in zip(self.legs, views, powers, strict=True):
             state = view.state
-            scaled = power * np.array(factors)[:, None] if power is not None else None
+            scaled = power * where.get_size(leg) * np.array(factors)[:, None] if power is not None else None
             if scaled is not None:
                 state = _state(leg, phenomena, scaled.sum(axis=0))
             _enter(out, cars.index(leg.member.name), leg, state, scaled)
